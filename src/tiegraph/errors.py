@@ -1,0 +1,32 @@
+"""The errors tiegraph raises: one root, and each text names the value at fault and the remedy."""
+
+
+class TiegraphError(Exception):
+    """Root of all errors raised on purpose."""
+
+
+class InputError(TiegraphError, ValueError):
+    """A file or value given by the user cannot be used."""
+
+
+class SettingsError(TiegraphError, ValueError):
+    """A setting is unknown, misspelt or out of range."""
+
+
+class ReconstructionError(TiegraphError, RuntimeError):
+    """The images were readable, but no model could be made of them."""
+
+
+class EngineMissing(TiegraphError, ImportError):
+    """A chosen engine is not installed or has no such name."""
+
+
+def choose(kind: str, name: str, table: dict) -> object:
+    """Return ``table[name]``; an unknown name raises SettingsError listing the valid ones."""
+    if name in table:
+        return table[name]
+    import difflib
+
+    near = difflib.get_close_matches(name, list(table), n=1)
+    hint = f" Perhaps you meant {near[0]!r}?" if near else ""
+    raise SettingsError(f"unknown {kind} {name!r}: valid are {', '.join(sorted(table))}.{hint}")

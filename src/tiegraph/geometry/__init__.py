@@ -1,0 +1,1 @@
+"""Transforms, alignment and geodesy on plain arrays. Knows no images, rigs or files."""

@@ -1,0 +1,82 @@
+"""Least-squares alignment of point sets (Umeyama 1991), plain and robust."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tiegraph.geometry.transforms import rigid
+
+
+@dataclass(frozen=True)
+class Similarity:
+    """target = scale * rotation @ source + translation."""
+
+    scale: float
+    rotation: np.ndarray  # (3, 3)
+    translation: np.ndarray  # (3,)
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """(4, 4) with the scale inside."""
+        return rigid(self.scale * self.rotation, self.translation)
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """Points (N, 3) of the source in the target frame."""
+        return self.scale * np.asarray(points, float) @ self.rotation.T + self.translation
+
+
+def umeyama(
+    source: np.ndarray, target: np.ndarray, weights: np.ndarray | None = None, with_scale: bool = True
+) -> Similarity:
+    """Similarity (or rigid, ``with_scale=False``) that takes source (N, 3) to target (N, 3) with least squared error.
+
+    Umeyama 1991, eq. 40-42; ``weights`` (N,) are inverse variances. Raises ValueError below three points.
+    """
+    source, target = np.asarray(source, float), np.asarray(target, float)
+    if len(source) < 3:
+        raise ValueError(f"alignment needs at least 3 points, got {len(source)}")
+    w = np.full(len(source), 1.0 / len(source)) if weights is None else np.asarray(weights, float) / np.sum(weights)
+    mean_s, mean_t = w @ source, w @ target
+    s, t = source - mean_s, target - mean_t
+    u, d, vt = np.linalg.svd((w[:, None] * t).T @ s)
+    sign = np.ones(3)
+    if np.linalg.det(u) * np.linalg.det(vt) < 0:
+        sign[2] = -1
+    rotation = u @ np.diag(sign) @ vt
+    variance = float(w @ np.sum(s**2, axis=1))
+    scale = float(d @ sign) / variance if with_scale and variance > 0 else 1.0
+    return Similarity(scale, rotation, mean_t - scale * rotation @ mean_s)
+
+
+def robust_umeyama(
+    source: np.ndarray,
+    target: np.ndarray,
+    sigma: np.ndarray | float,
+    with_scale: bool = True,
+    seed: int = 0,
+) -> tuple[Similarity, np.ndarray]:
+    """Similarity by RANSAC over triples, refined on the inliers; returns it and the inlier mask (N,).
+
+    A point is an inlier below three of its sigmas (N,) (target units). All points are used when no triple does better
+    than chance.
+    """
+    source, target = np.asarray(source, float), np.asarray(target, float)
+    sigma = np.broadcast_to(np.asarray(sigma, float), (len(source),))
+    rng = np.random.default_rng(seed)
+    best, inliers = -1.0, np.ones(len(source), bool)
+    for _ in range(300 if len(source) > 3 else 1):
+        pick = rng.choice(len(source), 3, replace=False)
+        fit = umeyama(source[pick], target[pick], with_scale=with_scale)
+        ratio = np.linalg.norm(fit(source) - target, axis=1) / (3 * sigma)
+        score = float(np.sum(np.maximum(0.0, 1 - ratio**2)))
+        if score > best and np.sum(ratio < 1) >= 3:
+            best, inliers = score, ratio < 1
+    for _ in range(5):
+        fit = umeyama(source[inliers], target[inliers], 1 / sigma[inliers] ** 2, with_scale)
+        again = np.linalg.norm(fit(source) - target, axis=1) < 3 * sigma
+        if again.sum() < 3 or np.array_equal(again, inliers):
+            break
+        inliers = again
+    return umeyama(source[inliers], target[inliers], 1 / sigma[inliers] ** 2, with_scale), inliers

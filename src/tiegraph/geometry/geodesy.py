@@ -1,0 +1,150 @@
+"""Between geodetic coordinates and the local world: world = CRS coordinates - one recorded shift, in metres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import pyproj
+
+from tiegraph.errors import InputError
+
+ENU = "ENU"
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where the world is on the Earth.
+
+    ``crs`` is "EPSG:n" (projected, metres) or "ENU" (tangent plane at lat, lon, height on WGS84). ``shift_m`` (3,) is
+    taken off the CRS coordinates (east, north, height) of every product; zero for ENU.
+    """
+
+    lat_deg: float
+    lon_deg: float
+    height_m: float
+    crs: str = ENU
+    shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def to_dict(self) -> dict:
+        """JSON-ready."""
+        return {**self.__dict__, "shift_m": list(self.shift_m)}
+
+    @staticmethod
+    def from_dict(data: dict) -> Origin:
+        """Inverse of ``to_dict``."""
+        return Origin(**{**data, "shift_m": tuple(data["shift_m"])})
+
+
+def utm_crs(lat_deg: float, lon_deg: float) -> str:
+    """EPSG code of the WGS84 / UTM zone of a position."""
+    zone = int((lon_deg + 180) // 6) % 60 + 1
+    return f"EPSG:{(32600 if lat_deg >= 0 else 32700) + zone}"
+
+
+def make_origin(lat_deg: float, lon_deg: float, height_m: float, crs: str = "auto") -> Origin:
+    """Origin at a position; ``crs`` "auto" = its UTM zone, "ENU", or "EPSG:n" (projected, metres).
+
+    The shift is the position rounded to whole 100 m (height: 10 m), so that world coordinates are small and the shift
+    is easy to write down. Raises InputError for an unknown or unprojected CRS.
+    """
+    if crs == "auto":
+        crs = utm_crs(lat_deg, lon_deg)
+    if crs.upper() == ENU:
+        return Origin(lat_deg, lon_deg, height_m, ENU)
+    east, north, height = _to_crs(crs).transform(lat_deg, lon_deg, height_m)
+    if not np.isfinite([east, north]).all():
+        raise InputError(f"position lat {lat_deg}, lon {lon_deg} lies outside {crs}: choose another --scan.crs")
+    shift = (round(east / 100) * 100.0, round(north / 100) * 100.0, round(height / 10) * 10.0)
+    return Origin(lat_deg, lon_deg, height_m, crs.upper(), shift)
+
+
+@lru_cache(maxsize=16)
+def parse_crs(crs: str) -> pyproj.CRS:
+    """The pyproj CRS of "EPSG:n". Raises InputError unless it exists, is projected and counts in metres."""
+    try:
+        parsed = pyproj.CRS.from_user_input(crs)
+    except pyproj.exceptions.CRSError as error:
+        raise InputError(f"unknown CRS {crs!r}: give an EPSG code such as EPSG:6677, or ENU ({error})") from None
+    if not parsed.is_projected:
+        raise InputError(f"CRS {crs!r} ({parsed.name}) is not projected: give a projected one in metres, or ENU")
+    if abs(parsed.axis_info[0].unit_conversion_factor - 1) > 1e-12:
+        raise InputError(f"CRS {crs!r} counts in {parsed.axis_info[0].unit_name}, not metres: choose a metric one")
+    return parsed
+
+
+@lru_cache(maxsize=16)
+def _to_crs(crs: str) -> pyproj.Transformer:
+    # always_xy stays off for the geographic side (lat, lon) and is undone for the projected side by its axis order.
+    target = parse_crs(crs)
+    forward = pyproj.Transformer.from_crs("EPSG:4979", _three_dimensional(target), always_xy=False)
+    if target.axis_info[0].direction.lower() == "north":
+        return _Swapped(forward)  # type: ignore[return-value]
+    return forward
+
+
+def _three_dimensional(crs: pyproj.CRS) -> pyproj.CRS:
+    return crs if len(crs.axis_info) == 3 else crs.to_3d()
+
+
+class _Swapped:
+    """A transformer whose projected side is (north, east, height) used as (east, north, height)."""
+
+    def __init__(self, inner: pyproj.Transformer) -> None:
+        self._inner = inner
+
+    def transform(self, a: object, b: object, c: object, direction: str = "FORWARD") -> tuple:
+        if direction == "FORWARD":
+            north, east, height = self._inner.transform(a, b, c)
+            return east, north, height
+        return self._inner.transform(b, a, c, direction=direction)
+
+
+def world_from_geodetic(lat_lon_height: np.ndarray, origin: Origin) -> np.ndarray:
+    """World metres (N, 3) of geodetic positions (N, 3): degrees, degrees, ellipsoidal metres."""
+    lat, lon, height = np.asarray(lat_lon_height, float).reshape(-1, 3).T
+    if origin.crs == ENU:
+        return _to_enu(lat, lon, height, origin)
+    xyz = np.stack(_to_crs(origin.crs).transform(lat, lon, height), axis=-1)
+    return xyz - np.asarray(origin.shift_m)
+
+
+def geodetic_from_world(world_m: np.ndarray, origin: Origin) -> np.ndarray:
+    """Geodetic positions (N, 3): degrees, degrees, ellipsoidal metres, of world metres (N, 3)."""
+    world_m = np.asarray(world_m, float).reshape(-1, 3)
+    if origin.crs == ENU:
+        return _from_enu(world_m, origin)
+    xyz = world_m + np.asarray(origin.shift_m)
+    return np.stack(_to_crs(origin.crs).transform(*xyz.T, direction="INVERSE"), axis=-1)
+
+
+def crs_coordinates(world_m: np.ndarray, origin: Origin) -> np.ndarray:
+    """CRS coordinates (N, 3) east, north, height of world metres; ENU: unchanged."""
+    return np.asarray(world_m, float) + np.asarray(origin.shift_m)
+
+
+_ECEF = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=False)
+
+
+def _enu_axes(origin: Origin) -> np.ndarray:
+    lat, lon = np.radians([origin.lat_deg, origin.lon_deg])
+    return np.array(
+        [
+            [-np.sin(lon), np.cos(lon), 0.0],
+            [-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)],
+            [np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)],
+        ]
+    )
+
+
+def _to_enu(lat: np.ndarray, lon: np.ndarray, height: np.ndarray, origin: Origin) -> np.ndarray:
+    ecef = np.stack(_ECEF.transform(lat, lon, height), axis=-1)
+    zero = np.array(_ECEF.transform(origin.lat_deg, origin.lon_deg, origin.height_m))
+    return (ecef - zero) @ _enu_axes(origin).T
+
+
+def _from_enu(enu_m: np.ndarray, origin: Origin) -> np.ndarray:
+    zero = np.array(_ECEF.transform(origin.lat_deg, origin.lon_deg, origin.height_m))
+    ecef = enu_m @ _enu_axes(origin) + zero
+    return np.stack(_ECEF.transform(*ecef.T, direction="INVERSE"), axis=-1)

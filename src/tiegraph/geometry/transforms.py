@@ -1,0 +1,77 @@
+"""Rigid transforms as float64 (..., 4, 4) matrices named ``target_from_source``; NaN = unknown."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+
+def rigid(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """(..., 4, 4) from rotation (..., 3, 3) and translation (..., 3)."""
+    rotation, translation = np.asarray(rotation, float), np.asarray(translation, float)
+    shape = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
+    out = np.zeros((*shape, 4, 4))
+    out[..., :3, :3] = rotation
+    out[..., :3, 3] = translation
+    out[..., 3, 3] = 1.0
+    return out
+
+
+def invert(target_from_source: np.ndarray) -> np.ndarray:
+    """source_from_target of rigid transforms (..., 4, 4)."""
+    transposed = np.swapaxes(target_from_source[..., :3, :3], -1, -2)
+    return rigid(transposed, -np.einsum("...ij,...j->...i", transposed, target_from_source[..., :3, 3]))
+
+
+def centre(sensor_from_world: np.ndarray) -> np.ndarray:
+    """Projection centre (..., 3) in the world of sensor_from_world (..., 4, 4)."""
+    return invert(sensor_from_world)[..., :3, 3]
+
+
+def apply(target_from_source: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points (N, 3) of the source frame in the target frame; target_from_source is (4, 4), a similarity is fine."""
+    return points @ target_from_source[:3, :3].T + target_from_source[:3, 3]
+
+
+def from_quaternion_wxyz(q_wxyz: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """(..., 4, 4) from a quaternion (..., 4), w first, and a translation (..., 3)."""
+    q = np.asarray(q_wxyz, float)
+    return rigid(Rotation.from_quat(np.roll(q, -1, axis=-1)).as_matrix(), translation)
+
+
+def quaternion_xyzw(rotation: np.ndarray) -> np.ndarray:
+    """Quaternion (..., 4), w last and >= 0, of rotation (..., 3, 3)."""
+    return Rotation.from_matrix(rotation).as_quat(canonical=True)
+
+
+def angle_deg(rotation_a: np.ndarray, rotation_b: np.ndarray) -> np.ndarray:
+    """Angle between two rotations (..., 3, 3) in degrees."""
+    trace = np.einsum("...ij,...ij->...", rotation_a, rotation_b)
+    return np.degrees(np.arccos(np.clip((trace - 1) / 2, -1, 1)))
+
+
+def interpolate(time_s: np.ndarray, transforms: np.ndarray, at_s: np.ndarray, max_gap_s: float = np.inf) -> np.ndarray:
+    """Rigid transforms (T, 4, 4) at sorted times (T,), slerped/lerped to times (K,): (K, 4, 4), NaN outside or across a
+    gap wider than ``max_gap_s``."""
+    out = np.full((len(at_s), 4, 4), np.nan)
+    if len(time_s) == 0:
+        return out
+    right = np.clip(np.searchsorted(time_s, at_s), 1, max(len(time_s) - 1, 1))
+    for k, t in enumerate(at_s):
+        if not np.isfinite(t):
+            continue
+        exact = np.flatnonzero(np.abs(time_s - t) < 1e-6)
+        if len(exact):
+            out[k] = transforms[exact[0]]
+            continue
+        if len(time_s) < 2:
+            continue
+        b, a = right[k], right[k] - 1
+        gap = time_s[b] - time_s[a]
+        if not time_s[a] <= t <= time_s[b] or gap > max_gap_s:
+            continue
+        u = (t - time_s[a]) / gap
+        step = Rotation.from_matrix(transforms[a, :3, :3].T @ transforms[b, :3, :3]).as_rotvec()
+        rotation = transforms[a, :3, :3] @ Rotation.from_rotvec(u * step).as_matrix()
+        out[k] = rigid(rotation, (1 - u) * transforms[a, :3, 3] + u * transforms[b, :3, 3])
+    return out

@@ -1,0 +1,185 @@
+"""The pair table: which images tie to which, where each pair came from, and why it was dropped."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+SOURCES = ("sequence", "exhaustive", "file", "offsets", "poses", "rig")
+REASONS = (
+    "kept",
+    "axes",  # the optical axes make a match impossible
+    "distance",  # too far apart (paper 003)
+    "baseline",  # base-to-distance ratio out of range (paper 003)
+    "sight",  # line of sight: no common view (paper 003)
+    "offset",  # outside the range around the best frame offset (papers 000, 001)
+    "votes",  # the camera pair has no offset with enough preview matches (papers 000, 001)
+    "section",  # the images are in different sections (paper 001)
+    "weak",  # too few preview matches
+    "similar",  # base too short against the distance (paper 002)
+    "cut",  # cut by the network design
+    "match",  # matched at full resolution and not verified
+)
+NUMBERS = ("score", "baseline_m", "angle_deg", "h_over_b", "sigma_m")
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """P pairs of images i < j, sorted and unique; columns (P,), read-only.
+
+    ``source`` is a bit set over SOURCES, ``dropped`` an index into REASONS (0 = kept), ``score`` the preview matches
+    (NaN = not previewed), ``inliers`` the verified matches at full resolution (-1 = not matched). Lengths in metres
+    when the poses are metric.
+    """
+
+    i: np.ndarray
+    j: np.ndarray
+    source: np.ndarray
+    dropped: np.ndarray
+    score: np.ndarray
+    baseline_m: np.ndarray
+    angle_deg: np.ndarray
+    h_over_b: np.ndarray
+    sigma_m: np.ndarray
+    inliers: np.ndarray
+
+    def __post_init__(self) -> None:
+        dtypes = {"i": np.int32, "j": np.int32, "source": np.uint8, "dropped": np.uint8, "inliers": np.int32}
+        for name in self.columns():
+            column = np.array(getattr(self, name), dtype=dtypes.get(name, np.float32))
+            column.setflags(write=False)
+            object.__setattr__(self, name, column)
+        key = self.i.astype(np.int64) << 32 | self.j
+        if np.any(self.i >= self.j) or np.any(np.diff(key) <= 0):
+            raise ValueError("pairs must have i < j and be sorted and unique: build them with Pairs.make")
+
+    @staticmethod
+    def columns() -> tuple[str, ...]:
+        """Names of the columns."""
+        return tuple(Pairs.__dataclass_fields__)
+
+    @staticmethod
+    def make(i: np.ndarray, j: np.ndarray, source: str | np.ndarray, **columns: np.ndarray) -> Pairs:
+        """Pairs from any order of (i, j); self pairs are left out, of duplicates the one with the best score stays."""
+        i, j = np.asarray(i, np.int64).ravel(), np.asarray(j, np.int64).ravel()
+        bits = np.full(len(i), source_bit(source)) if isinstance(source, str) else np.asarray(source)
+        full: dict[str, np.ndarray] = {n: np.full(len(i), np.nan) for n in NUMBERS}
+        full["inliers"] = np.full(len(i), -1)
+        full["dropped"] = np.zeros(len(i))
+        full.update({n: np.asarray(c) for n, c in columns.items()})
+        full["source"] = bits
+        low, high = np.minimum(i, j), np.maximum(i, j)
+        order = np.lexsort((-np.nan_to_num(full["score"], nan=-1.0), high, low))
+        low, high = low[order], high[order]
+        first = np.ones(len(low), bool)
+        first[1:] = (np.diff(low) != 0) | (np.diff(high) != 0)
+        keep = order[first & (low != high)]
+        low, high = low[first & (low != high)], high[first & (low != high)]
+        return Pairs(i=low, j=high, **{n: c[keep] for n, c in full.items()})
+
+    @staticmethod
+    def empty() -> Pairs:
+        """No pairs."""
+        return Pairs.make(np.zeros(0, int), np.zeros(0, int), "sequence")
+
+    def __len__(self) -> int:
+        return len(self.i)
+
+    def __or__(self, other: Pairs) -> Pairs:
+        """Both tables: sources are united, a pair kept in either is kept, known numbers win over NaN (self first)."""
+        both = {n: np.concatenate([getattr(self, n), getattr(other, n)]) for n in self.columns()}
+        order = np.lexsort((both["j"], both["i"]))
+        both = {n: c[order] for n, c in both.items()}
+        first = np.ones(len(order), bool)
+        first[1:] = (np.diff(both["i"]) != 0) | (np.diff(both["j"]) != 0)
+        at = np.flatnonzero(first)
+        second = np.where(np.append(~first[1:], False)[at], at + 1, at)
+        out = {n: both[n][at] for n in ("i", "j")}
+        out["source"] = both["source"][at] | both["source"][second]
+        kept = (both["dropped"][at] == 0) | (both["dropped"][second] == 0)
+        out["dropped"] = np.where(kept, 0, both["dropped"][at])
+        out["inliers"] = np.maximum(both["inliers"][at], both["inliers"][second])
+        for n in NUMBERS:
+            out[n] = np.where(np.isnan(both[n][at]), both[n][second], both[n][at])
+        return Pairs(**out)
+
+    def kept(self) -> Pairs:
+        """Only the pairs that were not dropped."""
+        return self.where(self.dropped == 0)
+
+    def where(self, mask: np.ndarray) -> Pairs:
+        """The rows of a boolean mask (P,)."""
+        return Pairs(**{n: getattr(self, n)[mask] for n in self.columns()})
+
+    def drop(self, mask: np.ndarray, reason: str) -> Pairs:
+        """Mark kept rows of a mask (P,) as dropped for a reason; rows already dropped keep their first reason."""
+        code = REASONS.index(reason)
+        return replace(self, dropped=np.where(np.asarray(mask, bool) & (self.dropped == 0), code, self.dropped))
+
+    def with_(self, **columns: np.ndarray) -> Pairs:
+        """A copy with columns replaced."""
+        return replace(self, **columns)
+
+    def from_source(self, source: str) -> np.ndarray:
+        """(P,) bool: whether a source proposed the pair."""
+        return (self.source & source_bit(source)) > 0
+
+    def matrix(self, images: int) -> np.ndarray:
+        """(N, N) u1 correspondence matrix (paper 003): 0 never looked at, 1 kept, 1 + reason if dropped."""
+        out = np.zeros((images, images), np.uint8)
+        out[self.i, self.j] = out[self.j, self.i] = 1 + self.dropped
+        return out
+
+    def degree(self, images: int) -> np.ndarray:
+        """(N,) i4 number of kept pairs of each image."""
+        kept = self.dropped == 0
+        return np.bincount(np.concatenate([self.i[kept], self.j[kept]]), minlength=images).astype(np.int32)
+
+    def funnel(self) -> dict[str, int]:
+        """Candidates, how many each filter dropped (in filter order), and what is left (paper 002, table 1)."""
+        out = {"candidates": len(self)}
+        out.update({r: int(np.sum(self.dropped == k)) for k, r in enumerate(REASONS) if k})
+        out = {n: c for n, c in out.items() if c or n == "candidates"}
+        return {**out, "used": int(np.sum(self.dropped == 0))}
+
+    def to_text(self, names: tuple[str, ...]) -> str:
+        """The kept pairs as a COLMAP pair list: two image names a line."""
+        kept = self.kept()
+        return "".join(f"{names[a]} {names[b]}\n" for a, b in zip(kept.i, kept.j))
+
+    def to_csv(self, names: tuple[str, ...]) -> str:
+        """All rows with names, sources, reason and numbers."""
+        out = io.StringIO()
+        writer = csv.writer(out, lineterminator="\n")
+        writer.writerow(["image1", "image2", "source", "dropped", *NUMBERS, "inliers"])
+        for k in range(len(self)):
+            numbers = [_number(getattr(self, n)[k]) for n in NUMBERS]
+            row = [names[self.i[k]], names[self.j[k]], source_names(self.source[k]), REASONS[self.dropped[k]]]
+            writer.writerow([*row, *numbers, int(self.inliers[k])])
+        return out.getvalue()
+
+    def to_npz(self) -> dict[str, np.ndarray]:
+        """Columns for ``np.savez``."""
+        return {n: getattr(self, n) for n in self.columns()}
+
+    @staticmethod
+    def from_npz(data: dict[str, np.ndarray]) -> Pairs:
+        """Inverse of ``to_npz``; other entries are ignored."""
+        return Pairs(**{n: data[n] for n in Pairs.columns()})
+
+
+def source_bit(source: str) -> int:
+    """Bit of a pair source."""
+    return 1 << SOURCES.index(source)
+
+
+def source_names(bits: int) -> str:
+    """Sources of a bit set, joined by +."""
+    return "+".join(s for k, s in enumerate(SOURCES) if bits >> k & 1)
+
+
+def _number(value: float) -> str:
+    return "" if np.isnan(value) else f"{value:.6g}"

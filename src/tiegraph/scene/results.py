@@ -1,0 +1,85 @@
+"""What the later stages make: depth maps, clouds, trajectories, metrics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from tiegraph.geometry.geodesy import Origin
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """T poses in time order: time_s (T,), world_from_rig (T, 4, 4), sigma_m (T,) NaN = unknown."""
+
+    time_s: np.ndarray
+    world_from_rig: np.ndarray
+    sigma_m: np.ndarray
+    origin: Origin | None = None
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+
+@dataclass(frozen=True)
+class DepthMap:
+    """Depth along the optical axis of one undistorted image.
+
+    depth_m (H, W) f4, NaN = none; sigma_m (H, W) f4 one standard deviation of the depth; views (H, W) u1 number of
+    images that agree (the reference counts); normal (H, W, 3) f4 in the camera frame, NaN = none; K (3, 3) and
+    cam_from_world (4, 4) of the undistorted image. Lengths in world units (metres once georeferenced).
+    """
+
+    image: str
+    depth_m: np.ndarray
+    sigma_m: np.ndarray
+    views: np.ndarray
+    K: np.ndarray
+    cam_from_world: np.ndarray
+    normal: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """M points: xyz_m (M, 3) f8 world, rgb (M, 3) u1, normal (M, 3) f4, sigma_m (M,) f4, views (M,) u1."""
+
+    xyz_m: np.ndarray
+    rgb: np.ndarray
+    normal: np.ndarray
+    sigma_m: np.ndarray
+    views: np.ndarray
+    origin: Origin | None = None
+
+    def __len__(self) -> int:
+        return len(self.xyz_m)
+
+    def where(self, mask: np.ndarray) -> Cloud:
+        """The points of a boolean mask or index array."""
+        columns = {f.name: getattr(self, f.name)[mask] for f in fields(self) if f.name != "origin"}
+        return replace(self, **columns)
+
+    @staticmethod
+    def concatenate(clouds: list[Cloud]) -> Cloud:
+        """All points of several clouds; the origin of the first."""
+        columns = {f.name: np.concatenate([getattr(c, f.name) for c in clouds]) for f in fields(Cloud)[:-1]}
+        return Cloud(**columns, origin=clouds[0].origin)
+
+    @staticmethod
+    def empty(origin: Origin | None = None) -> Cloud:
+        """No points."""
+        return Cloud(
+            np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.zeros((0, 3), np.float32), np.zeros(0, np.float32),
+            np.zeros(0, np.uint8), origin,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One figure of merit with its unit; ``better`` is "low" or "high"; NaN target = none set."""
+
+    name: str
+    value: float
+    unit: str
+    better: str
+    target: float = float("nan")

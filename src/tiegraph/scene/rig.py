@@ -1,0 +1,129 @@
+"""Sensors and rigs: a lone camera is a rig of one, loose photographs are a rig of one shot many times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pycolmap
+
+from tiegraph.geometry import transforms
+
+ROLES = ("side", "up", "wide")
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """One camera of a rig."""
+
+    name: str
+    camera: pycolmap.Camera | None = None  # None until scan has seen an image of it
+    sensor_from_rig: np.ndarray | None = None  # (4, 4); None = unknown
+    role: str = "side"  # "up": looks at the sky or the bridge above; sections are cut by its brightness
+    folder: str = ""  # its folder below each pass
+
+    def optical_axis(self) -> np.ndarray:
+        """Unit vector (3,) of the viewing direction in the rig frame; NaN if the extrinsics are unknown."""
+        if self.sensor_from_rig is None:
+            return np.full(3, np.nan)
+        return self.sensor_from_rig[2, :3].copy()
+
+    def field_of_view_deg(self) -> float:
+        """Horizontal field of view of the undistorted pinhole, degrees; NaN without a camera."""
+        if self.camera is None:
+            return float("nan")
+        return float(np.degrees(2 * np.arctan(self.camera.width / 2 / self.camera.mean_focal_length())))
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Sensors bolted together; ``sensors[0]`` is the reference: its frame is the rig frame."""
+
+    name: str
+    sensors: tuple[Sensor, ...]
+    fixed: bool = False  # True: the extrinsics are calibrated and must not be refined
+    nominal: bool = False  # True: the extrinsics are a preset or a guess (degrees off)
+    antenna_m: tuple[float, float, float] | None = None  # GNSS antenna in the rig frame (lever arm)
+
+    def known(self) -> bool:
+        """Whether every sensor has extrinsics."""
+        return all(s.sensor_from_rig is not None for s in self.sensors)
+
+    def axis_angles_deg(self) -> np.ndarray:
+        """(S, S) angles between the optical axes, NaN where unknown."""
+        axes = np.stack([s.optical_axis() for s in self.sensors])
+        return np.degrees(np.arccos(np.clip(axes @ axes.T, -1, 1)))
+
+    def baselines_m(self) -> np.ndarray:
+        """(S, S) distances between the projection centres, NaN where unknown."""
+        nowhere = np.full(3, np.nan)
+        c = np.stack(
+            [nowhere if s.sensor_from_rig is None else transforms.centre(s.sensor_from_rig) for s in self.sensors]
+        )
+        return np.linalg.norm(c[:, None] - c[None], axis=-1)
+
+    def index(self, sensor_name: str) -> int:
+        """Place of a sensor by name."""
+        return [s.name for s in self.sensors].index(sensor_name)
+
+    def with_cameras(self, cameras: dict[str, pycolmap.Camera]) -> Rig:
+        """The same rig with cameras filled in by sensor name."""
+        return replace(self, sensors=tuple(replace(s, camera=cameras.get(s.name, s.camera)) for s in self.sensors))
+
+
+def camera_to_dict(camera: pycolmap.Camera | None) -> dict | None:
+    """JSON-ready form of a COLMAP camera."""
+    if camera is None:
+        return None
+    return {
+        "model": camera.model.name,
+        "width": int(camera.width),
+        "height": int(camera.height),
+        "params": [float(p) for p in camera.params],
+        "prior_focal": bool(camera.has_prior_focal_length),
+    }
+
+
+def camera_from_dict(data: dict | None) -> pycolmap.Camera | None:
+    """Inverse of ``camera_to_dict``."""
+    if data is None:
+        return None
+    camera = pycolmap.Camera(model=data["model"], width=data["width"], height=data["height"], params=data["params"])
+    camera.has_prior_focal_length = data["prior_focal"]
+    return camera
+
+
+def rig_to_dict(rig: Rig) -> dict:
+    """JSON-ready form of a rig."""
+    return {
+        "name": rig.name,
+        "fixed": rig.fixed,
+        "nominal": rig.nominal,
+        "antenna_m": rig.antenna_m,
+        "sensors": [
+            {
+                "name": s.name,
+                "folder": s.folder,
+                "role": s.role,
+                "camera": camera_to_dict(s.camera),
+                "sensor_from_rig": None if s.sensor_from_rig is None else s.sensor_from_rig.tolist(),
+            }
+            for s in rig.sensors
+        ],
+    }
+
+
+def rig_from_dict(data: dict) -> Rig:
+    """Inverse of ``rig_to_dict``."""
+    sensors = tuple(
+        Sensor(
+            name=s["name"],
+            camera=camera_from_dict(s["camera"]),
+            sensor_from_rig=None if s["sensor_from_rig"] is None else np.array(s["sensor_from_rig"], float),
+            role=s["role"],
+            folder=s["folder"],
+        )
+        for s in data["sensors"]
+    )
+    antenna = None if data["antenna_m"] is None else tuple(data["antenna_m"])
+    return Rig(data["name"], sensors, data["fixed"], data["nominal"], antenna)

@@ -1,0 +1,183 @@
+"""The survey as a table: images, the frames they belong to, the rigs and passes."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from tiegraph.geometry.geodesy import Origin
+from tiegraph.scene.rig import Rig, Sensor, rig_from_dict, rig_to_dict
+
+
+def _frozen(array: np.ndarray, dtype: Any) -> np.ndarray:
+    out = np.array(array, dtype=dtype)
+    out.setflags(write=False)
+    return out
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """A file that was found and left out, with the reason."""
+
+    name: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Scene:
+    """N images in F frames of one or more rigs. Arrays are read-only columns; images are sorted by name."""
+
+    rigs: tuple[Rig, ...]
+    names: tuple[str, ...]  # N image names, POSIX paths below images/
+    frame: np.ndarray  # (N,) i4: frame of an image
+    sensor: np.ndarray  # (N,) i2: sensor of an image, index into its rig's sensors
+    rig: np.ndarray  # (F,) i2: rig of a frame
+    track: np.ndarray  # (F,) i2: pass of a frame, index into tracks; -1 = loose (no order)
+    step: np.ndarray  # (F,) i4: order on the pass
+    time_s: np.ndarray  # (F,) f8, NaN = unknown
+    world_from_rig: np.ndarray  # (F, 4, 4) f8 prior pose; NaN = unknown; the rotation alone may be NaN (GNSS)
+    position_sigma_m: np.ndarray  # (F, 3) f8 of the prior position (east, north, up), NaN = no prior
+    section: np.ndarray  # (F,) i2, -1 = not cut into sections
+    tracks: tuple[str, ...] = ()  # names of the passes
+    origin: Origin | None = None  # None: the world is not on the Earth
+    prior: str = "none"  # where the prior poses come from: none, gnss, exif, trajectory
+    dropped: tuple[Dropped, ...] = ()
+    notes: tuple[str, ...] = ()  # what was guessed or found odd, for people
+
+    def __post_init__(self) -> None:
+        for name, dtype in _COLUMNS.items():
+            object.__setattr__(self, name, _frozen(getattr(self, name), dtype))
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return len(self.rig)
+
+    @cached_property
+    def image_index(self) -> dict[str, int]:
+        """Index of an image by name."""
+        return {name: k for k, name in enumerate(self.names)}
+
+    @cached_property
+    def sensor_key(self) -> np.ndarray:
+        """(N,) i4: one number for each sensor over all rigs, in the order of ``all_sensors``."""
+        start = np.cumsum([0] + [len(r.sensors) for r in self.rigs])[:-1]
+        return (start[self.rig[self.frame]] + self.sensor).astype(np.int32)
+
+    @property
+    def all_sensors(self) -> tuple[Sensor, ...]:
+        """The sensors of all rigs, one after another."""
+        return tuple(s for r in self.rigs for s in r.sensors)
+
+    def sensor_of(self, image: int) -> Sensor:
+        """The sensor that took an image."""
+        return self.rigs[self.rig[self.frame[image]]].sensors[self.sensor[image]]
+
+    def image_label(self) -> list[tuple[str, str]]:
+        """(pass, sensor) names of each image, for tables."""
+        tracks = [self.tracks[t] if t >= 0 else "" for t in self.track[self.frame]]
+        return [(t, self.sensor_of(k).name) for k, t in enumerate(tracks)]
+
+    def has_positions(self) -> bool:
+        """Whether any frame has a prior position."""
+        return bool(np.isfinite(self.world_from_rig[:, :3, 3]).all(axis=1).any())
+
+    def has_orientations(self) -> bool:
+        """Whether any frame has a full prior pose."""
+        return bool(np.isfinite(self.world_from_rig[:, :3]).all(axis=(1, 2)).any())
+
+    def image_priors(self) -> np.ndarray:
+        """(N, 4, 4) world_from_sensor by prior pose and rig extrinsics, NaN where either is unknown."""
+        rig_from_sensor = np.full((len(self), 4, 4), np.nan)
+        for k in range(len(self)):
+            pose = self.sensor_of(k).sensor_from_rig
+            if pose is not None:
+                rig_from_sensor[k] = np.linalg.inv(pose)
+        return self.world_from_rig[self.frame] @ rig_from_sensor
+
+    def with_(self, **changes: Any) -> Scene:
+        """A copy with some fields replaced."""
+        return replace(self, **changes)
+
+    def to_json(self) -> str:
+        """Text of scene.json; NaN becomes null."""
+        columns = {name: _listed(getattr(self, name)) for name in _COLUMNS}
+        head = {
+            "format": 1,
+            "rigs": [rig_to_dict(r) for r in self.rigs],
+            "tracks": list(self.tracks),
+            "origin": None if self.origin is None else self.origin.to_dict(),
+            "prior": self.prior,
+            "notes": list(self.notes),
+            "dropped": [[d.name, d.reason] for d in self.dropped],
+            "names": list(self.names),
+        }
+        return json.dumps({**head, **columns}, allow_nan=False)
+
+    @staticmethod
+    def from_json(text: str) -> Scene:
+        """Inverse of ``to_json``."""
+        data = json.loads(text)
+        columns = {name: np.array(data[name], dtype=float) for name in _COLUMNS}
+        columns["world_from_rig"] = columns["world_from_rig"].reshape(-1, 4, 4)
+        columns["position_sigma_m"] = columns["position_sigma_m"].reshape(-1, 3)
+        return Scene(
+            rigs=tuple(rig_from_dict(r) for r in data["rigs"]),
+            names=tuple(data["names"]),
+            tracks=tuple(data["tracks"]),
+            origin=None if data["origin"] is None else Origin.from_dict(data["origin"]),
+            prior=data["prior"],
+            notes=tuple(data["notes"]),
+            dropped=tuple(Dropped(*d) for d in data["dropped"]),
+            **columns,
+        )
+
+
+_COLUMNS = {
+    "frame": np.int32,
+    "sensor": np.int16,
+    "rig": np.int16,
+    "track": np.int16,
+    "step": np.int32,
+    "time_s": np.float64,
+    "world_from_rig": np.float64,
+    "position_sigma_m": np.float64,
+    "section": np.int16,
+}
+
+
+def _listed(array: np.ndarray) -> list:
+    if array.dtype.kind != "f":
+        return array.tolist()
+    return np.where(np.isfinite(array), array, None).tolist()
+
+
+def simple_scene(
+    rig: Rig,
+    names: list[str],
+    frame: np.ndarray,
+    sensor: np.ndarray,
+    track: np.ndarray | None = None,
+    step: np.ndarray | None = None,
+    **more: Any,
+) -> Scene:
+    """A scene of one rig with unknown poses; for loose photographs leave track and step away."""
+    frames = int(np.max(frame)) + 1 if len(names) else 0
+    columns: dict[str, Any] = {
+        "rig": np.zeros(frames),
+        "track": np.full(frames, -1) if track is None else track,
+        "step": np.arange(frames) if step is None else step,
+        "time_s": np.full(frames, np.nan),
+        "world_from_rig": np.full((frames, 4, 4), np.nan),
+        "position_sigma_m": np.full((frames, 3), np.nan),
+        "section": np.full(frames, -1),
+    }
+    columns.update(more)
+    return Scene(rigs=(rig,), names=tuple(names), frame=frame, sensor=sensor, **columns)
