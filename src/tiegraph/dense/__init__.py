@@ -1,0 +1,1 @@
+"""Depth maps: partners, rectification, matching engines, consistency over views."""

@@ -1,0 +1,1 @@
+"""Figures of merit: trajectories, clouds, back-projection (paper 000)."""

@@ -1,0 +1,1 @@
+"""The run folder: settings, receipts, resume, the pool, progress. Knows no photogrammetry."""
