@@ -1,7 +1,41 @@
-"""tiegraph: from a folder of survey images to a georeferenced point cloud, by first estimating which images tie to which."""
+"""tiegraph: from a folder of survey images to a georeferenced point cloud, by first estimating which images tie to which.
+
+    import tiegraph
+    project = tiegraph.open("survey/images", rig="ladybug5")
+    print(project.run(until="design").pairs().funnel())
+"""
 
 # zlib must be loaded before pycolmap: its extension module exports a second zlib, and libz would bind to it and
 # abort the process at the first PNG written (tests/test_import_order.py shows it in a child process).
 import zlib  # noqa: F401  isort: skip
 
+from typing import TYPE_CHECKING, Any
+
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from tiegraph.api import Project
+    from tiegraph.api import open_project as open
+    from tiegraph.scene.pairs import Pairs
+    from tiegraph.scene.results import Cloud
+    from tiegraph.scene.scene import Scene
+
+__all__ = ["Cloud", "Pairs", "Project", "Scene", "__version__", "open"]
+
+_PLACES = {
+    "open": ("tiegraph.api", "open_project"),
+    "Project": ("tiegraph.api", "Project"),
+    "Scene": ("tiegraph.scene.scene", "Scene"),
+    "Pairs": ("tiegraph.scene.pairs", "Pairs"),
+    "Cloud": ("tiegraph.scene.results", "Cloud"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Public names are loaded when first used, so that worker processes and `tiegraph --help` start fast."""
+    if name not in _PLACES:
+        raise AttributeError(f"module 'tiegraph' has no attribute {name!r}")
+    from importlib import import_module
+
+    module, attribute = _PLACES[name]
+    return getattr(import_module(module), attribute)

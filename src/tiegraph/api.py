@@ -1,0 +1,150 @@
+"""The Python API: ``tiegraph.open(images, ...)`` gives a Project that runs stages and hands out their results."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from tiegraph.errors import InputError, SettingsError
+from tiegraph.pipeline import STAGES
+from tiegraph.project import settings as project_settings
+from tiegraph.project.progress import Reporter
+from tiegraph.project.run import Inputs, Run, run_stages, status
+from tiegraph.project.settings import Settings
+from tiegraph.project.stages import write_atomic
+from tiegraph.scene.cloudfile import read_cloud
+from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.results import Cloud
+from tiegraph.scene.scene import Scene
+
+_PATHS = ("gnss", "trajectory", "times")
+
+
+class Project:
+    """A survey and its run folder. Results are read from the folder; asking for one does not run anything."""
+
+    def __init__(self, folder: Path, inputs: Inputs, settings: Settings, preset: str = "default", pool: str = "local"):
+        self.folder = folder
+        self.inputs = inputs
+        self.settings = settings
+        self.preset = preset
+        self.pool = pool
+
+    def run(self, until: str | None = None, reporter: Reporter | None = None) -> Project:
+        """Run what is out of date, up to and including a stage; returns itself.
+
+        Raises InputError, SettingsError, ReconstructionError or EngineMissing; what was finished is kept.
+        """
+        self.inputs.check()
+        self.save()
+        run_stages(STAGES, Run(self.folder, self.inputs, self.settings, self.pool, reporter), until)
+        return self
+
+    def status(self) -> list[tuple[str, str, dict]]:
+        """(stage, why it is out of date or "", its receipt) for every stage, without running."""
+        return status(STAGES, Run(self.folder, self.inputs, self.settings, self.pool))
+
+    def save(self) -> None:
+        """Write tiegraph.toml into the run folder if what it says differs from this project."""
+        run: dict[str, Any] = {"images": str(self.inputs.images), "rig": self.inputs.rig, "preset": self.preset}
+        run.update({n: None if getattr(self.inputs, n) is None else str(getattr(self.inputs, n)) for n in _PATHS})
+        base = project_settings.merged(project_settings.preset(self.preset))
+        own = project_settings.changed(self.settings)
+        inherited = project_settings.changed(base)
+        text = project_settings.file_text(run, _difference(own, inherited, self.settings))
+        path = self.folder / project_settings.FILE
+        if not path.exists() or project_settings.read_file(path) != project_settings.parse(text):
+            write_atomic(path, text)
+
+    def scene(self) -> Scene:
+        """The images, frames and rigs (after `network`: with sections and a checked rig)."""
+        checked = self.folder / "network" / "scene.json"
+        path = checked if checked.exists() else self._needed("scene.json", "scan")
+        return Scene.from_json(path.read_text())
+
+    def pairs(self) -> Pairs:
+        """The pair table: after `match` with inliers, else after `design`."""
+        import numpy as np
+
+        matched = self.folder / "match.npz"
+        with np.load(matched if matched.exists() else self._needed("pairs.npz", "design")) as data:
+            return Pairs.from_npz(dict(data))
+
+    def model(self) -> Any:
+        """The georeferenced model, a ``pycolmap.Reconstruction``."""
+        import pycolmap
+
+        return pycolmap.Reconstruction(str(self._needed("sparse/world", "georef")))
+
+    def cloud(self) -> Cloud:
+        """The dense cloud."""
+        return read_cloud(self._needed("cloud.laz", "cloud"))
+
+    def report(self) -> Path:
+        """The HTML report."""
+        return self._needed("report.html", "report")
+
+    def receipt(self, stage: str) -> dict:
+        """What a stage says of itself: counts, dropped items with reasons, notes, times, settings, versions."""
+        return Run(self.folder, self.inputs, self.settings).receipts.read(stage)
+
+    def _needed(self, name: str, stage: str) -> Path:
+        path = self.folder / name
+        if not path.exists():
+            raise InputError(f"{path} is not there yet: run(until={stage!r}) makes it")
+        return path
+
+
+def open_project(
+    images: str | Path | None = None,
+    out: str | Path | None = None,
+    *,
+    preset: str | None = None,
+    pool: str = "local",
+    settings: dict[str, dict[str, Any]] | Settings | None = None,
+    **inputs: str | Path | None,
+) -> Project:
+    """A project over a folder of images, or (``images=None``) the one that a run folder ``out`` remembers.
+
+    ``inputs``: rig (file or preset), gnss, trajectory, times. ``settings``: {section: {name: value}} on top of the
+    preset and of ``out``/tiegraph.toml, or complete Settings. ``out`` defaults to ``<images>_tiegraph``.
+    Raises InputError and SettingsError.
+    """
+    unknown = set(inputs) - {"rig", *_PATHS}
+    if unknown:
+        raise SettingsError(f"unknown input {sorted(unknown)[0]!r}: known are rig, {', '.join(_PATHS)}")
+    folder = _folder(images, out)
+    stored = project_settings.read_file(folder / project_settings.FILE)
+    run = {**stored.pop("run", {}), **{k: str(v) for k, v in inputs.items() if v is not None}}
+    if images is None and "images" not in run:
+        raise InputError(f"{folder} is not a run folder (no {project_settings.FILE}): start with `tiegraph run IMAGES`")
+    found = Path(images if images is not None else run["images"])
+    name = preset or run.get("preset", "default")
+    if isinstance(settings, Settings):
+        complete = settings
+    else:
+        where = str(folder / project_settings.FILE) if stored else "settings"
+        complete = project_settings.merged(project_settings.preset(name), stored, settings or {}, where=where)
+    paths = {n: Path(run[n]) if n in run else None for n in _PATHS}
+    return Project(folder, Inputs(found, run.get("rig"), **paths), complete, name, pool)
+
+
+def _folder(images: str | Path | None, out: str | Path | None) -> Path:
+    if out is not None:
+        return Path(out)
+    if images is None:
+        raise InputError("give the folder of the images, or a run folder by out=")
+    path = Path(images).resolve()
+    return path.with_name(path.name + "_tiegraph")
+
+
+def _difference(own: dict, inherited: dict, settings: Settings) -> dict:
+    """What the project says beyond its preset; a value set back to the default against the preset is said too."""
+    out: dict[str, dict[str, Any]] = {}
+    for section in {*own, *inherited}:
+        values = getattr(settings, section).model_dump(mode="json")
+        mine, theirs = own.get(section, {}), inherited.get(section, {})
+        differs = {k: values[k] for k in {*mine, *theirs} if mine.get(k, ...) != theirs.get(k, ...)}
+        if differs := {k: v for k, v in sorted(differs.items()) if v is not None}:
+            out[section] = differs
+    return dict(sorted(out.items()))

@@ -1,0 +1,31 @@
+"""`tiegraph compare A B ...`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from tiegraph.report.compare import compare_runs
+
+
+def main(arguments: list[str]) -> int:
+    """Print the papers' tables for two or more runs side by side."""
+
+    def compare(
+        runs: tyro.conf.Positional[tuple[Path, ...]],
+        html: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    ) -> tuple[tuple[Path, ...], Path | None]:
+        """Two or more run folders side by side: times, pairs, images used, points, errors.
+
+        Args:
+            runs: Run folders made by `tiegraph run`.
+            html: Also write the comparison as one HTML file.
+        """
+        return runs, html
+
+    runs, html = tyro.cli(compare, prog="tiegraph compare", args=arguments)
+    sys.stdout.write(compare_runs(list(runs), html))
+    return 0

@@ -1,0 +1,35 @@
+"""`tiegraph doctor`."""
+
+from __future__ import annotations
+
+import os
+
+import psutil
+import tyro
+from rich.console import Console
+
+from tiegraph.project.run import software
+
+
+def main(arguments: list[str]) -> int:
+    """Print versions, cores and memory, and whether optional parts are there."""
+
+    def doctor() -> None:
+        """Versions, cores, memory, and what is missing."""
+
+    tyro.cli(doctor, prog="tiegraph doctor", args=arguments)
+    import pycolmap
+
+    console = Console(highlight=False)
+    for name, number in software().items():
+        console.print(f"{name:<24} {number}")
+    console.print(f"{'cores':<24} {os.cpu_count()}")
+    console.print(f"{'memory':<24} {psutil.virtual_memory().total / 2**30:.1f} GiB")
+    console.print(f"{'pycolmap with CUDA':<24} {'yes' if pycolmap.has_cuda else 'no (not needed)'}")
+    try:
+        import distributed
+
+        console.print(f"{'dask':<24} {distributed.__version__}")
+    except ImportError:
+        console.print(f"{'dask':<24} not installed (pip install 'tiegraph[dask]' for --pool dask:<address>)")
+    return 0

@@ -1,0 +1,88 @@
+"""`tiegraph <verb> ...`: one file a verb; a stage's name is a verb too. Exit codes: 0 done, 1 failed, 2 misuse."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Callable, Sequence
+
+from tiegraph import __version__
+from tiegraph.errors import EngineMissing, InputError, SettingsError, TiegraphError
+
+DONE, FAILED, MISUSE = 0, 1, 2
+
+
+def verbs() -> dict[str, tuple[Callable[[list[str]], int], str]]:
+    """Every verb: the function that takes its arguments, and one line of help."""
+    from tiegraph.cli import compare, demo, doctor, evaluate, init, run, status
+    from tiegraph.pipeline import STAGES
+
+    table: dict[str, tuple[Callable[[list[str]], int], str]] = {
+        "run": (run.main, "from a folder of images to the cloud and the report (or --until a stage)"),
+        "demo": (demo.main, "the example survey, from images to the report"),
+        "init": (init.main, "show what is found in a folder; write tiegraph.toml and rig.toml to edit"),
+        "status": (status.main, "which stages of a run folder are up to date, and why not"),
+        "compare": (compare.main, "two or more run folders side by side: the papers' tables"),
+        "evaluate-cloud": (evaluate.main, "a point cloud against a reference cloud"),
+        "doctor": (doctor.main, "versions, cores, memory, and what is missing"),
+    }
+    for stage in STAGES:
+        table[stage.name] = (_stage_verb(stage.name), f"stage: makes {', '.join(stage.makes)}")
+    return table
+
+
+def _stage_verb(stage: str) -> Callable[[list[str]], int]:
+    from tiegraph.cli import run
+
+    return lambda arguments: run.main_stage(stage, arguments)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a verb; returns the exit code."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if not arguments or arguments[0] in ("-h", "--help", "help"):
+        return _help()
+    if arguments[0] in ("-V", "--version", "version"):
+        sys.stdout.write(f"tiegraph {__version__}\n")
+        return DONE
+    try:
+        return _dispatch(arguments)
+    except (InputError, SettingsError, EngineMissing) as error:
+        return _fail(error, MISUSE)
+    except TiegraphError as error:
+        return _fail(error, FAILED)
+    except KeyboardInterrupt:
+        return _fail("stopped; finished work is kept: run the same command again to go on", FAILED)
+    except SystemExit as stop:  # the argument parser: 0 after --help, 2 after a wrong option
+        return stop.code if isinstance(stop.code, int) else MISUSE
+    except Exception as error:
+        logging.getLogger("tiegraph").debug("unexpected", exc_info=True)
+        return _fail(f"unexpected {type(error).__name__}: {error} (details in log.txt of the run folder)", FAILED)
+
+
+def _dispatch(arguments: list[str]) -> int:
+    table = verbs()
+    verb = arguments[0]
+    if verb not in table:
+        import difflib
+
+        near = difflib.get_close_matches(verb, list(table), n=1)
+        hint = f" Perhaps you meant {near[0]!r}." if near else ""
+        return _fail(f"unknown verb {verb!r}.{hint} `tiegraph --help` lists all", MISUSE)
+    return table[verb][0](arguments[1:])
+
+
+def _fail(error: object, code: int) -> int:
+    sys.stderr.write(f"tiegraph: {error}\n")
+    return code
+
+
+def _help() -> int:
+    lines = ["usage: tiegraph <verb> ...   (`tiegraph <verb> --help` for its options)", ""]
+    lines += [f"  {name:<15} {text}" for name, (_, text) in verbs().items()]
+    sys.stdout.write("\n".join(lines) + "\n")
+    return DONE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

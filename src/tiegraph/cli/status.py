@@ -1,0 +1,32 @@
+"""`tiegraph status OUT`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from tiegraph.api import open_project
+
+
+def main(arguments: list[str]) -> int:
+    """Print the stages of a run folder: up to date or why not, seconds, counts. Runs nothing."""
+
+    def status(out: tyro.conf.Positional[Path]) -> Path:
+        """Which stages of a run folder are up to date, and why not.
+
+        Args:
+            out: A run folder made by `tiegraph run`.
+        """
+        return out
+
+    project = open_project(None, tyro.cli(status, prog="tiegraph status", args=arguments))
+    table = Table("stage", "state", "seconds", "CPU s", "peak MiB", "counts", box=None)
+    for name, why, receipt in project.status():
+        counts = ", ".join(f"{v:g} {k}" for k, v in receipt.get("counts", {}).items())
+        numbers = [str(receipt.get(k, "")) for k in ("seconds", "cpu_s", "peak_mib")]
+        table.add_row(name, why or "up to date", *numbers, counts)
+    Console().print(table)
+    return 0

@@ -1,0 +1,107 @@
+"""What a person sees while a run goes on: one line a stage, alive on a terminal, plain elsewhere."""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import psutil
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+
+class Reporter:
+    """Says what the run does. ``style``: "auto" (rich on a terminal, else plain lines), "json" (one object a line on
+    standard output), "quiet"."""
+
+    def __init__(self, style: str = "auto") -> None:
+        self.style = style
+        self.console = Console(stderr=True, highlight=False, soft_wrap=True)
+        self._progress: Progress | None = None
+        self._task = None
+
+    def say(self, text: str) -> None:
+        """One line for people."""
+        if self.style == "auto":
+            self.console.print(text, markup=False)
+
+    def event(self, kind: str, **data: object) -> None:
+        """One event for programs (``--json``)."""
+        if self.style == "json":
+            sys.stdout.write(json.dumps({"event": kind, **data}, default=str) + "\n")
+            sys.stdout.flush()
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """A live line while a stage runs (terminal only)."""
+        if self.style != "auto" or not self.console.is_terminal:
+            yield
+            return
+        columns = (TextColumn("{task.description:>9}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+                   TextColumn("ETA"), TimeRemainingColumn(), TextColumn("{task.fields[memory]}"))  # fmt: skip
+        with Progress(*columns, console=self.console, transient=True) as self._progress:
+            self._task = self._progress.add_task(name, total=None, memory="")
+            yield
+        self._progress = None
+
+    def total(self, total: int, done: int = 0) -> None:
+        """How many items the running stage has, and how many were there already."""
+        if self._progress is not None and self._task is not None:
+            self._progress.update(self._task, total=total, completed=done)
+
+    def advance(self, count: int = 1) -> None:
+        """So many items more are done."""
+        if self._progress is not None and self._task is not None:
+            memory = f"{psutil.Process().memory_info().rss / 2**20:.0f} MiB"
+            self._progress.update(self._task, advance=count, memory=memory)
+
+
+class Meter:
+    """CPU seconds and peak memory of this process and all below it, also those that have ended."""
+
+    def __init__(self, interval_s: float = 0.5) -> None:
+        self._process = psutil.Process()
+        self._interval = interval_s
+        self._stop = threading.Event()
+        self.peak_mib = 0.0
+        self._start = self._cpu()
+        self._thread = threading.Thread(target=self._watch, daemon=True, name="meter")
+        self._thread.start()
+
+    def _cpu(self) -> float:
+        own = self._process.cpu_times()
+        total = own.user + own.system + own.children_user + own.children_system
+        for child in self._children():
+            try:
+                times = child.cpu_times()
+                total += times.user + times.system + times.children_user + times.children_system
+            except psutil.Error:
+                pass
+        return total
+
+    def _children(self) -> list[psutil.Process]:
+        try:
+            return self._process.children(recursive=True)
+        except psutil.Error:
+            return []
+
+    def _watch(self) -> None:
+        while True:
+            rss = 0
+            for process in [self._process, *self._children()]:
+                try:
+                    rss += process.memory_info().rss
+                except psutil.Error:
+                    pass
+            self.peak_mib = max(self.peak_mib, rss / 2**20)
+            if self._stop.wait(self._interval):
+                return
+
+    def stop(self) -> dict[str, float]:
+        """{"cpu_s", "peak_mib"} since the start."""
+        self._stop.set()
+        self._thread.join()
+        return {"cpu_s": round(max(0.0, self._cpu() - self._start), 2), "peak_mib": round(self.peak_mib, 1)}

@@ -1,0 +1,125 @@
+"""All settings of a run: one section a stage. Precedence: defaults < preset < tiegraph.toml < command line."""
+
+from __future__ import annotations
+
+import difflib
+import sys
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+from pydantic import ValidationError
+
+from tiegraph.cloud.settings import CloudSettings
+from tiegraph.dense.settings import DenseSettings
+from tiegraph.errors import SettingsError, choose
+from tiegraph.evaluate.settings import EvaluateSettings
+from tiegraph.features.settings import FeaturesSettings, MatchSettings, PreviewSettings
+from tiegraph.masks.settings import MasksSettings
+from tiegraph.network.settings import DesignSettings, NetworkSettings
+from tiegraph.report.settings import ReportSettings
+from tiegraph.scene.settings import ScanSettings
+from tiegraph.settings import Section
+from tiegraph.sfm.settings import GeorefSettings, SparseSettings
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+FILE = "tiegraph.toml"
+
+
+class Settings(Section):
+    """Every setting, by stage."""
+
+    scan: ScanSettings = ScanSettings()
+    masks: MasksSettings = MasksSettings()
+    preview: PreviewSettings = PreviewSettings()
+    network: NetworkSettings = NetworkSettings()
+    design: DesignSettings = DesignSettings()
+    features: FeaturesSettings = FeaturesSettings()
+    match: MatchSettings = MatchSettings()
+    sparse: SparseSettings = SparseSettings()
+    georef: GeorefSettings = GeorefSettings()
+    dense: DenseSettings = DenseSettings()
+    cloud: CloudSettings = CloudSettings()
+    evaluate: EvaluateSettings = EvaluateSettings()
+    report: ReportSettings = ReportSettings()
+
+
+def preset(name: str) -> dict[str, dict[str, Any]]:
+    """The settings a preset changes, by section. Raises SettingsError for an unknown name."""
+    return choose("preset", name, PRESETS)  # type: ignore[return-value]
+
+
+def merged(*layers: dict[str, dict[str, Any]], where: str = "settings") -> Settings:
+    """Settings from layers of {section: {name: value}}, later ones win. Raises SettingsError naming the setting."""
+    together: dict[str, dict[str, Any]] = {}
+    for layer in layers:
+        for section, values in layer.items():
+            if not isinstance(values, dict):
+                raise SettingsError(f"{where}: {section!r} must be a section such as [{_nearest(section)}]")
+            together.setdefault(section, {}).update(values)
+    try:
+        return Settings.model_validate(together)
+    except ValidationError as error:
+        raise SettingsError(f"{where}: " + "; ".join(_explain(e) for e in error.errors())) from None
+
+
+def changed(settings: Settings) -> dict[str, dict[str, Any]]:
+    """What differs from the defaults, by section, ready for TOML."""
+    full = settings.model_dump(mode="json", exclude_defaults=True)
+    return {section: _without_none(values) for section, values in full.items() if values}
+
+
+def read_file(path: Path) -> dict[str, Any]:
+    """The tables of a tiegraph.toml, {} if it is not there. Raises SettingsError with the line of a TOML error."""
+    if not path.exists():
+        return {}
+    try:
+        return tomllib.loads(path.read_text())
+    except tomllib.TOMLDecodeError as error:
+        raise SettingsError(f"{path}: not valid TOML: {error}") from None
+
+
+def parse(text: str) -> dict[str, Any]:
+    """The tables of TOML text."""
+    return tomllib.loads(text)
+
+
+def file_text(run: dict[str, Any], settings: dict[str, dict[str, Any]]) -> str:
+    """Text of a tiegraph.toml: the run's inputs and the settings that differ from the defaults."""
+    head = (
+        "# The inputs of this run and every setting that differs from its default.\n"
+        "# Edit it and run again; `tiegraph run --help` lists all settings. A command line that changes a setting\n"
+        "# rewrites this file.\n"
+    )
+    return head + tomli_w.dumps({"run": _without_none(run), **settings})
+
+
+def _without_none(values: dict[str, Any]) -> dict[str, Any]:
+    return {k: v for k, v in values.items() if v is not None}
+
+
+def _nearest(name: str) -> str:
+    return (difflib.get_close_matches(name, list(Settings.model_fields), n=1) or ["masks"])[0]
+
+
+def _explain(error: Any) -> str:
+    where = [str(part) for part in error["loc"]]
+    name = ".".join(where)
+    if error["type"] != "extra_forbidden":
+        return f"{name} = {error.get('input')!r}: {error['msg']}"
+    fields: Any = Settings
+    for part in where[:-1]:
+        fields = type(fields.model_fields[part].default)
+    near = difflib.get_close_matches(where[-1], list(fields.model_fields), n=1)
+    hint = f"perhaps you meant {near[0]!r}" if near else f"known are {', '.join(fields.model_fields)}"
+    return f"unknown setting {name!r}: {hint}"
+
+
+# Filled in below the class so that the table reads as one: what each named way of working changes.
+PRESETS: dict[str, dict[str, dict[str, Any]]] = {
+    "default": {},
+}
