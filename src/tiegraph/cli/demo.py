@@ -13,6 +13,9 @@ from tiegraph.cli.run import Common, finish
 from tiegraph.errors import InputError
 
 
+_ORIGIN = (35.6965, 139.7695, 37.0)  # of the truth's east-north-up metres (truth/meta.json)
+
+
 @dataclass(frozen=True)
 class DemoOptions(Common):
     """Options of `tiegraph demo`."""
@@ -45,9 +48,10 @@ def main(arguments: list[str]) -> int:
     survey = example()
     truth = survey / "truth"
     evaluate = {
-        "reference_model": truth / "colmap",
+        "reference": truth / "colmap",
         "reference_cloud": truth / "reference.laz",
         "reference_masks": truth / "masks",
+        "reference_origin": _ORIGIN,
     }
     project = open_project(
         survey / "images",

@@ -23,11 +23,11 @@ def verbs() -> dict[str, tuple[Callable[[list[str]], int], str]]:
         "init": (init.main, "show what is found in a folder; write tiegraph.toml and rig.toml to edit"),
         "status": (status.main, "which stages of a run folder are up to date, and why not"),
         "compare": (compare.main, "two or more run folders side by side: the papers' tables"),
-        "evaluate-cloud": (evaluate.main, "a point cloud against a reference cloud"),
         "doctor": (doctor.main, "versions, cores, memory, and what is missing"),
     }
     for stage in STAGES:
         table[stage.name] = (_stage_verb(stage.name), f"stage: makes {', '.join(stage.makes)}")
+    table["evaluate"] = (evaluate.main, "stage: makes metrics.json; or a point cloud against a reference cloud")
     return table
 
 

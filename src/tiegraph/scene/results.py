@@ -28,7 +28,8 @@ class DepthMap:
 
     depth_m (H, W) f4, NaN = none; sigma_m (H, W) f4 one standard deviation of the depth; views (H, W) u1 number of
     images that agree (the reference counts); normal (H, W, 3) f4 in the camera frame, NaN = none; K (3, 3) and
-    cam_from_world (4, 4) of the undistorted image. Lengths in world units (metres once georeferenced).
+    cam_from_world (4, 4) of the undistorted image. Lengths in world units (metres once georeferenced). support (H, W)
+    u1: bit k = the k-th partner image agreed (until depth maps are compared), None = not recorded.
     """
 
     image: str
@@ -38,6 +39,7 @@ class DepthMap:
     K: np.ndarray
     cam_from_world: np.ndarray
     normal: np.ndarray | None = None
+    support: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

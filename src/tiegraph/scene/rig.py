@@ -13,6 +13,16 @@ ROLES = ("side", "up", "wide")
 
 
 @dataclass(frozen=True)
+class Source:
+    """How the files of a sensor become its prepared images, where they are not simply linked."""
+
+    camera: pycolmap.Camera | None = None  # camera of the file before cropping and undistortion; None = not known
+    crop_px: tuple[int, int, int, int] = (0, 0, 0, 0)  # cut off left, top, right, bottom
+    upright: bool = True  # turn by the EXIF orientation; False: keep the sensor's own rows and columns
+    bits: int = 8  # significant bits of a pixel in the file, reduced to 8 the same way for all images of a sensor
+
+
+@dataclass(frozen=True)
 class Sensor:
     """One camera of a rig."""
 
@@ -21,6 +31,7 @@ class Sensor:
     sensor_from_rig: np.ndarray | None = None  # (4, 4); None = unknown
     role: str = "side"  # "up": looks at the sky or the bridge above; sections are cut by its brightness
     folder: str = ""  # its folder below each pass
+    source: Source | None = None  # None: the files are the images
 
     def optical_axis(self) -> np.ndarray:
         """Unit vector (3,) of the viewing direction in the rig frame; NaN if the extrinsics are unknown."""
@@ -105,6 +116,7 @@ def rig_to_dict(rig: Rig) -> dict:
                 "name": s.name,
                 "folder": s.folder,
                 "role": s.role,
+                "source": _source_to_dict(s.source),
                 "camera": camera_to_dict(s.camera),
                 "sensor_from_rig": None if s.sensor_from_rig is None else s.sensor_from_rig.tolist(),
             }
@@ -122,8 +134,23 @@ def rig_from_dict(data: dict) -> Rig:
             sensor_from_rig=None if s["sensor_from_rig"] is None else np.array(s["sensor_from_rig"], float),
             role=s["role"],
             folder=s["folder"],
+            source=_source_from_dict(s.get("source")),
         )
         for s in data["sensors"]
     )
     antenna = None if data["antenna_m"] is None else tuple(data["antenna_m"])
     return Rig(data["name"], sensors, data["fixed"], data["nominal"], antenna)
+
+
+def _source_to_dict(source: Source | None) -> dict | None:
+    if source is None:
+        return None
+    camera = camera_to_dict(source.camera)
+    return {"camera": camera, "crop_px": list(source.crop_px), "upright": source.upright, "bits": source.bits}
+
+
+def _source_from_dict(data: dict | None) -> Source | None:
+    if data is None:
+        return None
+    crop = tuple(int(p) for p in data["crop_px"])
+    return Source(camera_from_dict(data["camera"]), crop, data["upright"], data["bits"])  # type: ignore[arg-type]

@@ -12,6 +12,14 @@ import numpy as np
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.scene.rig import Rig, Sensor, rig_from_dict, rig_to_dict
 
+PRIORS = (
+    "none",
+    "gnss",  # positions of the GNSS antenna; with a trajectory also rotations
+    "exif",  # positions written by the camera
+    "trajectory",  # poses of the rig, all in one frame
+    "odometry",  # poses of the rig, each pass in a frame of its own: never compare them between passes
+)
+
 
 def _frozen(array: np.ndarray, dtype: Any) -> np.ndarray:
     out = np.array(array, dtype=dtype)
@@ -44,9 +52,10 @@ class Scene:
     section: np.ndarray  # (F,) i2, -1 = not cut into sections
     tracks: tuple[str, ...] = ()  # names of the passes
     origin: Origin | None = None  # None: the world is not on the Earth
-    prior: str = "none"  # where the prior poses come from: none, gnss, exif, trajectory
+    prior: str = "none"  # where the prior poses come from: one of PRIORS
     dropped: tuple[Dropped, ...] = ()
     notes: tuple[str, ...] = ()  # what was guessed or found odd, for people
+    sources: tuple[str, ...] = ()  # N file names below the user's folder where they differ from names, else empty
 
     def __post_init__(self) -> None:
         for name, dtype in _COLUMNS.items():
@@ -85,6 +94,10 @@ class Scene:
         tracks = [self.tracks[t] if t >= 0 else "" for t in self.track[self.frame]]
         return [(t, self.sensor_of(k).name) for k, t in enumerate(tracks)]
 
+    def source_name(self, image: int) -> str:
+        """File of an image below the folder the user gave."""
+        return self.sources[image] if self.sources else self.names[image]
+
     def has_positions(self) -> bool:
         """Whether any frame has a prior position."""
         return bool(np.isfinite(self.world_from_rig[:, :3, 3]).all(axis=1).any())
@@ -118,6 +131,7 @@ class Scene:
             "notes": list(self.notes),
             "dropped": [[d.name, d.reason] for d in self.dropped],
             "names": list(self.names),
+            "sources": list(self.sources),
         }
         return json.dumps({**head, **columns}, allow_nan=False)
 
@@ -131,6 +145,7 @@ class Scene:
         return Scene(
             rigs=tuple(rig_from_dict(r) for r in data["rigs"]),
             names=tuple(data["names"]),
+            sources=tuple(data.get("sources", ())),
             tracks=tuple(data["tracks"]),
             origin=None if data["origin"] is None else Origin.from_dict(data["origin"]),
             prior=data["prior"],
@@ -156,7 +171,9 @@ _COLUMNS = {
 def _listed(array: np.ndarray) -> list:
     if array.dtype.kind != "f":
         return array.tolist()
-    return np.where(np.isfinite(array), array, None).tolist()
+    out = array.astype(object)
+    out[~np.isfinite(array)] = None
+    return out.tolist()
 
 
 def simple_scene(

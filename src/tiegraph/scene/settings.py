@@ -1,1 +1,40 @@
 """Settings of the scan stage."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from tiegraph.settings import Section
+
+
+class ScanSettings(Section):
+    """How the folder of images is read: which image belongs to which camera, frame and pass, and where it was taken."""
+
+    layout: Literal["auto", "passes", "cameras", "sequence", "loose"] = "auto"
+    """Meaning of the folders: passes = pass/camera/frame, cameras = camera/[pass/]frame, sequence = one camera and a
+    folder a pass, loose = photographs without order; auto guesses and says what it guessed."""
+
+    frames: Literal["auto", "name", "number", "order"] = "auto"
+    """Which images of a rig belong to one frame: equal file names, equal last numbers in the names, or equal places in
+    the order of names; auto takes the first of these that fits."""
+
+    camera_model: Literal[
+        "auto", "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE"
+    ] = "auto"
+    """COLMAP camera model of sensors without one in the rig file; auto = RADIAL for rigs and sequences, SIMPLE_RADIAL
+    for loose photographs, OPENCV_FISHEYE for folders named fisheye."""
+
+    crs: str = "auto"
+    """Coordinate system of the products: EPSG:n (projected, metres), ENU (tangent plane), or auto = the UTM zone."""
+
+    gnss_sigma_m: float = Field(default=5.0, gt=0, le=1000)
+    """Standard deviation (m, horizontal) of positions whose file or EXIF gives none; twice that in height."""
+
+    max_gap_s: float = Field(default=3.0, gt=0, le=3600)
+    """Longest gap (s) between two GNSS or trajectory rows across which a frame's position is interpolated."""
+
+    crop_px: tuple[int, int, int, int] = (0, 0, 0, 0)
+    """Pixels cut off every image: left, top, right, bottom (a rig file may give this for each sensor)."""
+
+    undistort: bool = False
+    """Resample the images to a pinhole camera; needs calibrated cameras in the rig file."""

@@ -1,0 +1,62 @@
+"""Competitor: ``tiegraph run`` as a user calls it; figures from its receipts and its model."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from colmap import Stages, arguments, pairs_of
+
+
+def main() -> None:
+    """Run the command, then hand over what its receipts say."""
+    args = arguments(__doc__)
+    stages = Stages(args.json)
+    command = [str(Path(sys.executable).with_name("tiegraph")), "run", str(args.images), "-o", str(args.out)]
+    for name in ("rig", "gnss", "trajectory", "times"):
+        if getattr(args, name):
+            command += [f"--{name}", getattr(args, name)]
+    done = subprocess.run([*command, "--until", args.until, *args.options], check=False, stdin=subprocess.DEVNULL)
+    stages.data |= figures(args.out)
+    stages.data["status"] = "done" if done.returncode == 0 else "failed"
+    if done.returncode:
+        stages.data["reason"] = f"exit code {done.returncode}"
+    stages.save()
+
+
+def figures(out: Path) -> dict[str, Any]:
+    """Stages (wall, CPU, memory, counts), pairs, models and origin of a run folder, as far as the run came."""
+    receipts = [json.loads(path.read_text()) for path in sorted((out / "receipts").glob("*.json"))]
+    receipts.sort(key=lambda receipt: receipt["finished"])
+    data: dict[str, Any] = {"stages": [_row(receipt) for receipt in receipts], "models": _models(out / "sparse")}
+    if (out / "database.db").exists():
+        data["pairs"] = pairs_of(out / "database.db")
+    if (out / "world.json").exists():
+        data["world"] = json.loads((out / "world.json").read_text()).get("origin")
+    return data
+
+
+def _row(receipt: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "stage": receipt["stage"],
+        "wall_s": receipt["seconds"],
+        "cpu_s": receipt["cpu_s"],
+        "peak_mib": receipt["peak_mib"],
+        "counts": receipt["counts"],
+        "notes": receipt["notes"],
+    }
+
+
+def _models(sparse: Path) -> list[str]:
+    """The georeferenced model first; it stands for the numbered one that it was made of (0, the largest)."""
+    numbered = sorted((p for p in sparse.glob("*") if p.name.isdigit()), key=lambda p: int(p.name))
+    if (sparse / "world").is_dir():
+        numbered = [sparse / "world", *numbered[1:]]
+    return [str(path) for path in numbered]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,221 @@
+"""Run competitors on data sets and keep the figures as JSON: ``python benchmarks/run.py --sets canal_demo -o x.json``.
+
+Competitors take turns on each set; each run is a fresh process in an empty folder; its CPU time is that of the process
+and all its children. A run that fails or takes too long is a row too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from datetime import datetime, timezone
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import tiegraph  # noqa: F401  before pycolmap
+from benchmarks import accuracy, datasets, table
+from tiegraph.geometry.geodesy import Origin
+from tiegraph.scene.rig import camera_to_dict
+
+_COMPETITORS = Path(__file__).resolve().parent / "competitors"
+_PROGRAMS = {
+    "tiegraph": "tiegraph_run.py",
+    "colmap_exhaustive": "colmap_exhaustive.py",
+    "colmap_sequential": "colmap_sequential.py",
+}
+_PACKAGES = ("tiegraph", "pycolmap", "opencv-python-headless", "numpy", "scipy")
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run what the command line asks; 0 if every run was done, 1 if one failed."""
+    args = _arguments(argv)
+    results = _load(args.output, args.note)
+    with tempfile.TemporaryDirectory(prefix="tiegraph-benchmark-", dir=args.work) as folder:
+        for name in args.sets:
+            dataset = datasets.load(name, Path(folder) / "inputs")
+            for repeat in range(args.repeat):
+                for competitor in args.competitors:
+                    row = run_one(dataset, competitor, repeat, Path(folder), args)
+                    _add(results, row, args.output)
+                    sys.stderr.write(f"{name} {competitor}: {row['status']}, {row['wall_s']:.0f} s\n")
+    sys.stdout.write(table.markdown(results, args.against) + "\n")
+    wanted = [row for row in results["runs"] if row["set"] in args.sets and row["competitor"] in args.competitors]
+    return 0 if all(row["status"] == "done" for row in wanted) else 1
+
+
+def _arguments(argv: list[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--sets", nargs="+", required=True, choices=sorted(datasets.LOADERS), metavar="SET")
+    parser.add_argument(
+        "--competitors", nargs="+", default=["tiegraph", "colmap_exhaustive"], type=_competitor,
+        help=f"{', '.join(_PROGRAMS)}; tiegraph:PRESET for one of its presets",
+    )  # fmt: skip
+    parser.add_argument("--repeat", type=int, default=1, help="runs of each competitor")
+    parser.add_argument("--until", default="georef", help="last stage of tiegraph (report: the whole way)")
+    parser.add_argument("--calibrated", action="store_true", help="give COLMAP the calibration that tiegraph is given")
+    parser.add_argument("--timeout", type=float, default=7200.0, help="seconds a run may take")
+    parser.add_argument("--work", type=Path, help="where the work folders go (default: the system's temporary folder)")
+    parser.add_argument("--keep", type=Path, help="keep the run folders below this folder")
+    parser.add_argument("--against", default="colmap_exhaustive", help="competitor the printed ratios refer to")
+    parser.add_argument("--note", default="", help="said in the JSON, for instance what else the machine was doing")
+    parser.add_argument("-o", "--output", type=Path, required=True, help="JSON file; runs are added to it")
+    return parser.parse_args(argv)
+
+
+def _competitor(name: str) -> str:
+    if name.partition(":")[0] not in _PROGRAMS:
+        raise argparse.ArgumentTypeError(f"unknown competitor {name!r}: valid are {', '.join(_PROGRAMS)}")
+    return name
+
+
+def run_one(
+    dataset: datasets.Dataset, competitor: str, repeat: int, folder: Path, args: argparse.Namespace
+) -> dict[str, Any]:
+    """One competitor on one data set in a fresh process and an empty folder; one row of the results."""
+    work = (args.keep or folder) / f"{dataset.name}-{competitor.replace(':', '-')}-{repeat}"
+    shutil.rmtree(work, ignore_errors=True)
+    (work / "out").mkdir(parents=True)
+    command = _command(dataset, competitor, work, args)
+    row: dict[str, Any] = {
+        "set": dataset.name,
+        "competitor": competitor,
+        "repeat": repeat,
+        "calibration": "given" if _given(dataset, competitor, args) else "estimated",
+        "started": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "load_at_start": round(os.getloadavg()[0], 2),
+        "software": _software(),
+    }
+    row |= _run_process(command, work / "log.txt", args.timeout)
+    said = json.loads((work / "figures.json").read_text()) if (work / "figures.json").exists() else {}
+    row |= _outcome(row.pop("returncode"), said)
+    row |= {key: said[key] for key in ("stages", "pairs") if key in said}
+    world = Origin.from_dict(said["world"]) if said.get("world") else None
+    row |= accuracy.evaluate([Path(m) for m in said.get("models", [])], dataset, world)
+    if not args.keep:
+        shutil.rmtree(work)
+    return row
+
+
+def _given(dataset: datasets.Dataset, competitor: str, args: argparse.Namespace) -> bool:
+    return bool(dataset.cameras) and (args.calibrated or competitor.startswith("tiegraph"))
+
+
+def _command(dataset: datasets.Dataset, competitor: str, work: Path, args: argparse.Namespace) -> list[str]:
+    program, _, preset = competitor.partition(":")
+    command = [sys.executable, str(_COMPETITORS / _PROGRAMS[program])]
+    command += ["--images", str(dataset.images), "--out", str(work / "out"), "--json", str(work / "figures.json")]
+    if program == "tiegraph":
+        files = {"rig": dataset.rig, "gnss": dataset.gnss, "trajectory": dataset.trajectory, "times": dataset.times}
+        for name, value in files.items():
+            command += [f"--{name}", str(value)] if value is not None else []
+        return [*command, "--until", args.until, *(["--", "--preset", preset] if preset else [])]
+    if _given(dataset, competitor, args):
+        (work / "cameras.json").write_text(json.dumps({k: _colmap_camera(c) for k, c in dataset.cameras.items()}))
+        command += ["--cameras", str(work / "cameras.json")]
+    return command
+
+
+def _colmap_camera(camera: Any) -> dict[str, Any]:
+    data = camera_to_dict(camera)
+    assert data is not None
+    return {key: data[key] for key in ("model", "width", "height", "params")}
+
+
+def _run_process(command: list[str], log: Path, timeout_s: float) -> dict[str, Any]:
+    """Wall, CPU and peak memory of a process and its children; past the time limit its whole group is killed."""
+    start, before = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN)
+    with log.open("wb") as stream:
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=stream, stderr=stream, start_new_session=True
+        )
+        returncode: int | None
+        try:
+            returncode = process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            returncode = None
+        finally:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return {"returncode": returncode, "wall_s": time.monotonic() - start, "cpu_s": cpu_s}
+
+
+def _outcome(returncode: int | None, said: dict[str, Any]) -> dict[str, Any]:
+    """Status of a run: what it says itself, unless its process did not end well."""
+    stage = said.get("running")
+    where = f" in stage {stage}" if stage else ""
+    if returncode is None:
+        return {"status": "timeout", "reason": f"took longer than the limit{where}"}
+    if returncode != 0:
+        return {"status": "failed", "reason": f"the process ended with code {returncode}{where}"}
+    return {"status": said.get("status", "failed"), **({"reason": said["reason"]} if "reason" in said else {})}
+
+
+# --------------------------------------------------------------------------------------------------- results file
+
+
+def _load(path: Path, note: str) -> dict[str, Any]:
+    machine = _machine()
+    if not path.exists():
+        return {"format": 1, "machine": machine, "note": note, "runs": []}
+    results = json.loads(path.read_text())
+    if results["machine"] != machine:
+        sys.exit(f"{path} was measured on another machine: figures of two machines do not mix, choose another -o")
+    return {**results, "note": note or results["note"]}
+
+
+def _add(results: dict[str, Any], row: dict[str, Any], path: Path) -> None:
+    """Add a run (in the place of an earlier one of the same name) and write the file in one step."""
+    key = ("set", "competitor", "repeat", "calibration")
+    results["runs"] = [old for old in results["runs"] if any(old[k] != row[k] for k in key)] + [row]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_suffix(".part")
+    temporary.write_text(json.dumps(_rounded(results), indent=1) + "\n")
+    os.replace(temporary, path)
+
+
+def _rounded(value: Any) -> Any:
+    """Floats to six significant digits: the rest is noise."""
+    if isinstance(value, float):
+        return float(f"{value:.6g}")
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    return [_rounded(item) for item in value] if isinstance(value, list) else value
+
+
+def _machine() -> dict[str, Any]:
+    """What the figures depend on; no host name, no paths."""
+    model = next((w.split(":")[1].strip() for w in _lines("/proc/cpuinfo") if w.startswith("model name")), "unknown")
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
+    return {
+        "cpu": model,
+        "cores": len(os.sched_getaffinity(0)),
+        "memory_gib": round(memory, 1),
+        "system": f"{platform.system()} {platform.machine()}",
+    }
+
+
+def _software() -> dict[str, str]:
+    return {"python": platform.python_version(), **{name: metadata.version(name) for name in _PACKAGES}}
+
+
+def _lines(path: str) -> list[str]:
+    return Path(path).read_text().splitlines() if Path(path).exists() else []
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,75 @@
+"""`tiegraph init IMAGES`: what is in the folder, and files to edit before a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+
+from tiegraph.api import open_project
+from tiegraph.cli.run import Common
+from tiegraph.scene.rigfile import write_rig_toml
+from tiegraph.scene.scene import Scene
+
+
+@dataclass(frozen=True)
+class InitOptions(Common):
+    """Options of `tiegraph init`."""
+
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """The run folder to prepare (default: <IMAGES>_tiegraph beside the images)."""
+    rig: str | None = None
+    """A rig.toml, a COLMAP rig_config.json, or a preset: ladybug5, ring:N, stereo, single (default: guessed, and said)."""
+
+
+def main(arguments: list[str]) -> int:
+    """Scan a folder, say what was found, and write tiegraph.toml and rig.toml into the run folder."""
+
+    def init(
+        images: tyro.conf.Positional[Path], options: Annotated[InitOptions, tyro.conf.arg(name="")]
+    ) -> tuple[Path, InitOptions]:
+        """Show what is found in a folder of images; write tiegraph.toml and rig.toml guesses to edit.
+
+        Args:
+            images: The folder that holds the survey's images.
+        """
+        return images, options
+
+    images, options = tyro.cli(init, prog="tiegraph init", args=arguments)
+    project = open_project(images, options.out, pool=options.pool, rig=options.rig)
+    project.run("scan", options.reporter())
+    scene = project.scene()
+    written = _write_rigs(scene, project.folder)
+    console = Console(highlight=False, soft_wrap=True)
+    for line in describe(scene):
+        console.print(line, markup=False)
+    console.print(f"written: {project.folder / 'tiegraph.toml'}", markup=False)
+    for path in written:
+        console.print(f"written: {path} (edit it, then run with --rig {path})", markup=False)
+    return 0
+
+
+def describe(scene: Scene) -> list[str]:
+    """What a scan found, in lines for people."""
+    lines = [f"{len(scene)} images in {scene.frames} frames; passes: {', '.join(scene.tracks) or 'none (loose photographs)'}"]
+    for rig in scene.rigs:
+        for sensor in rig.sensors:
+            camera = sensor.camera
+            seen = f"{camera.width} x {camera.height}, {camera.model.name}, f = {camera.mean_focal_length():.0f} px" if camera else "no image"
+            lines.append(f"  {rig.name}/{sensor.name} ({sensor.role}): {seen}")
+    lines += [f"  . {note}" for note in scene.notes]
+    lines += [f"  left out: {d.name}: {d.reason}" for d in scene.dropped]
+    return lines
+
+
+def _write_rigs(scene: Scene, folder: Path) -> list[Path]:
+    written = []
+    for number, rig in enumerate(scene.rigs):
+        path = folder / ("rig.toml" if len(scene.rigs) == 1 else f"rig_{number}.toml")
+        if len(rig.sensors) > 1 and not path.exists():
+            write_rig_toml(rig, path, "A guess from the folders and images: check the orientations, then use it by --rig.")
+            written.append(path)
+    return written

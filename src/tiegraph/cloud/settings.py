@@ -1,0 +1,24 @@
+"""Settings of the cloud stage."""
+
+from pydantic import Field
+
+from tiegraph.settings import Section
+
+
+class CloudSettings(Section):
+    """One point cloud of all depth maps, without duplicates and outliers."""
+
+    voxel_size: float = Field(0.0, ge=0)
+    """Spacing of the points in metres (units of the model without georeference); 0 = median size of a pixel on the
+    object. Points known less well are spaced more widely."""
+    max_relative_sigma: float = Field(0.03, gt=0, le=0.5)
+    """Largest standard deviation of a point as a share of its distance to the camera."""
+    neighbours: int = Field(12, ge=3, le=100)
+    """Nearest neighbours of the statistical filter."""
+    statistical_ratio: float = Field(2.0, ge=0, le=20)
+    """A point is dropped if its mean distance to the neighbours exceeds the average by this many standard deviations;
+    0 = filter off."""
+    radius_voxels: float = Field(3.0, gt=0, le=20)
+    """Radius of the radius filter, in spacings of the point."""
+    radius_neighbours: int = Field(3, ge=0, le=100)
+    """Neighbours a point must have within that radius; 0 = filter off."""

@@ -1,0 +1,186 @@
+"""The engine interface of the dense stage, and the engines that match rectified pairs.
+
+An engine makes the depth map of one reference view from its partner views (``DenseEngine``). The engines here share
+rectification, masking, the way back into the reference and the combination of partners; they differ only in the
+matcher of a rectified pair (``PairMatcher``). An engine that matches otherwise is one more entry of ``ENGINES``.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import cv2
+import numpy as np
+
+from tiegraph.dense.combine import Candidates, combine
+from tiegraph.dense.plan import DepthRange
+from tiegraph.dense.settings import DenseSettings
+from tiegraph.dense.sgbm import match_sgbm
+from tiegraph.geometry.stereo import Pinhole, Rectification, rectify
+from tiegraph.scene.results import DepthMap
+
+_MAX_DISPARITIES = 1024  # the 16-bit fixed point of the matcher ends at 2047
+_MAX_PIXELS_RATIO = 1.5  # rectified pixels per pixel of the reference
+_MAX_VOLUME = 800e6  # cells of the largest cost volume: 8-path matching holds about 3 bytes for each
+_BLEND_PX = 1.0  # neighbouring disparities closer than this are interpolated, others are a depth jump
+
+_BITS = np.array([bin(k).count("1") for k in range(256)], np.uint8)
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class DenseView:
+    """An undistorted image: image_bgr (H, W, 3) u1, mask (H, W) bool (True = use), K (3, 3), cam_from_world (4, 4)."""
+
+    name: str
+    image_bgr: np.ndarray
+    mask: np.ndarray
+    K: np.ndarray
+    cam_from_world: np.ndarray
+
+    @property
+    def pinhole(self) -> Pinhole:
+        """The camera alone."""
+        return Pinhole(self.K, self.cam_from_world, (self.image_bgr.shape[1], self.image_bgr.shape[0]))
+
+
+DenseEngine = Callable[[DenseView, Sequence[DenseView], DepthRange, DenseSettings], DepthMap]
+
+# (left (h, w) u1, right (h, w + disparities) u1, disparities, settings) -> (h, w) f4 disparity of left, NaN = none.
+# Column ``disparities`` of right lies under column 0 of left; left x shows what right x + disparities - d shows.
+PairMatcher = Callable[[np.ndarray, np.ndarray, int, DenseSettings], np.ndarray]
+
+
+def rectified_engine(
+    reference: DenseView,
+    partners: Sequence[DenseView],
+    depth_range: DepthRange,
+    settings: DenseSettings,
+    matcher: PairMatcher,
+) -> DepthMap:
+    """Depth map of the reference: each rectified pair matched, the partners' depths combined where they agree.
+
+    Keeps pixels on which at least one partner's match stands, with the number of images that agree in ``views``; the
+    demand for ``min_views`` comes after the comparison of depth maps (``consistency``), which adds witnesses.
+    """
+    candidates = []
+    for partner in partners:
+        found = _match_pair(reference, partner, depth_range, settings, matcher)
+        candidates.append(found if found is not None else Candidates.nothing(reference.mask.shape))
+    if not candidates:
+        candidates = [Candidates.nothing(reference.mask.shape)]
+    inverse, sigma, support = combine(candidates, settings.tolerance_px)
+    inverse = np.where(reference.mask, inverse, np.float32(np.nan))
+    depth = (1.0 / inverse).astype(np.float32)
+    views = _BITS[support] + np.uint8(1)
+    known = np.isfinite(depth)
+    return DepthMap(
+        image=reference.name,
+        depth_m=depth,
+        sigma_m=np.where(known, sigma * depth * depth, np.float32(np.nan)).astype(np.float32),
+        views=np.where(known, views, 0).astype(np.uint8),
+        K=reference.K,
+        cam_from_world=reference.cam_from_world,
+        support=np.where(known, support, 0).astype(np.uint8),
+    )
+
+
+ENGINES: dict[str, DenseEngine] = {"sgbm": partial(rectified_engine, matcher=match_sgbm)}
+
+
+def _match_pair(
+    reference: DenseView, partner: DenseView, depth_range: DepthRange, settings: DenseSettings, matcher: PairMatcher
+) -> Candidates | None:
+    height, width = reference.mask.shape
+    most = min(_MAX_DISPARITIES, int(_MAX_VOLUME / (height * width * _MAX_PIXELS_RATIO)))
+    pair = rectify(
+        reference.pinhole,
+        partner.pinhole,
+        (depth_range.near, depth_range.far),
+        _MAX_PIXELS_RATIO * height * width,
+        max(most, 16),
+    )
+    if pair is None:
+        _log.debug("%s and %s share no part that can be rectified", reference.name, partner.name)
+        return None
+    left, right, right_mask = _rectified_images(reference, partner, pair)
+    disparity = matcher(left, right, pair.disparities, settings)
+    disparity = _within_partner(disparity, right_mask, pair.disparities)
+    return _to_reference(disparity, pair, (height, width), depth_range)
+
+
+def _rectified_images(
+    reference: DenseView, partner: DenseView, pair: Rectification
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Grey left (h, w), grey right (h, w + D), and where the right shows usable pixels of the partner."""
+    w, h = pair.size
+    shift = np.array([[1.0, 0, pair.disparities], [0, 1, 0], [0, 0, 1]])
+    right_size = (w + pair.disparities, h)
+    left = _warp(_grey(reference.image_bgr), pair.rect_from_reference, pair.size, cv2.INTER_CUBIC)
+    rect_from_partner = shift @ pair.rect_from_partner
+    right = _warp(_grey(partner.image_bgr), rect_from_partner, right_size, cv2.INTER_CUBIC)
+    use = _warp(partner.mask.astype(np.uint8), rect_from_partner, right_size, cv2.INTER_NEAREST, replicate=False) > 0
+    # Behind the partner's camera the homography shows a mirrored image.
+    partner_from_rect = np.linalg.inv(rect_from_partner)[2]
+    x, y = np.arange(right_size[0]) + 0.5, np.arange(h) + 0.5
+    front = partner_from_rect[0] * x[None, :] + partner_from_rect[1] * y[:, None] + partner_from_rect[2] > 0
+    return left, right, use & front
+
+
+def _grey(bgr: np.ndarray) -> np.ndarray:
+    return cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY)
+
+
+def _warp(
+    image: np.ndarray, target_from_source: np.ndarray, size: tuple[int, int], how: int, replicate: bool = True
+) -> np.ndarray:
+    """warpPerspective with pixel-corner coordinates."""
+    half = np.array([[1.0, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
+    matrix = np.linalg.inv(half) @ target_from_source @ half
+    border = cv2.BORDER_REPLICATE if replicate else cv2.BORDER_CONSTANT
+    return cv2.warpPerspective(image, matrix, size, flags=how, borderMode=border, borderValue=0)
+
+
+def _within_partner(disparity: np.ndarray, right_mask: np.ndarray, disparities: int) -> np.ndarray:
+    """Disparities whose right pixel is a usable pixel of the partner."""
+    known = np.isfinite(disparity)
+    column = np.arange(disparity.shape[1])[None, :] + disparities - np.rint(np.where(known, disparity, 0))
+    column = np.clip(column.astype(np.int64), 0, right_mask.shape[1] - 1)
+    return np.where(known & np.take_along_axis(right_mask, column, axis=1), disparity, np.float32(np.nan))
+
+
+def _to_reference(
+    disparity: np.ndarray, pair: Rectification, shape: tuple[int, int], depth_range: DepthRange
+) -> Candidates:
+    """Inverse depth and its uncertainty at the reference's pixels, of disparities in the rectified window."""
+    at = _resample(disparity, pair.rect_from_reference, shape)
+    u, v = np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
+    per_px = pair.inverse_depth_per_px(u, v)
+    inverse = per_px * (at + pair.offset)
+    good = (per_px > 0) & (inverse > 0.5 / depth_range.far) & (inverse < 2.0 / depth_range.near)
+    unit = per_px * np.maximum(pair.stretch(u, v), 1.0)
+    nan = np.float32(np.nan)
+    return Candidates(np.where(good, inverse, nan).astype(np.float32), np.where(good, unit, nan).astype(np.float32))
+
+
+def _resample(disparity: np.ndarray, rect_from_reference: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Disparity (H, W) at each reference pixel: interpolated on surfaces, nearest at depth jumps and gaps."""
+    half = np.array([[1.0, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
+    matrix = np.linalg.inv(half) @ rect_from_reference @ half
+    size = (shape[1], shape[0])
+
+    def warp(values: np.ndarray, how: int, outside: float) -> np.ndarray:
+        return cv2.warpPerspective(
+            values, matrix, size, flags=how | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_CONSTANT, borderValue=outside
+        )
+
+    nearest = warp(disparity, cv2.INTER_NEAREST, np.nan)
+    known = np.isfinite(disparity).astype(np.float32)
+    weight = warp(known, cv2.INTER_LINEAR, 0.0)
+    linear = warp(np.where(known > 0, disparity, np.float32(0)), cv2.INTER_LINEAR, 0.0)
+    smooth = (weight > 0.999) & (np.abs(linear - nearest) < _BLEND_PX)
+    return np.where(smooth, linear, nearest)

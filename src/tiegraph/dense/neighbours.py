@@ -1,0 +1,233 @@
+"""Which images to match with which: by shared sparse points, angle of intersection, scale and epipole."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pycolmap
+from scipy import sparse
+
+from tiegraph.dense.plan import CameraModel, DensePlan, DepthRange, ImagePlan, Partner, ViewPlan
+from tiegraph.dense.settings import DenseSettings
+from tiegraph.errors import ReconstructionError
+from tiegraph.geometry.stereo import rectifying_rotation, usable_rays
+from tiegraph.geometry.transforms import centre
+
+ONE_CENTRE = "nearly one centre: the rays hardly intersect"
+WIDE = "angle of intersection too wide to look alike"
+EPIPOLE = "motion along the line of sight: the epipole lies in the image"
+SCALE = "scale too different"
+SURPLUS = "better placed partners were chosen"
+
+_MIN_SHARED = 10  # sparse points; below, angle and scale are anyone's guess
+_CONSIDERED = 32  # candidates of an image that are looked at point by point
+_SAMPLES = 300  # shared points looked at per pair
+_MAX_ANGLE_DEG = 35.0  # semi-global matching fails on convergent images (paper 004, section 5.2.4)
+_BEST_ANGLES_DEG = (4.0, 12.0)  # full weight between these: intersection is sound, and the images still look alike
+_MAX_SCALE = 2.0
+_MIN_USABLE = 0.5  # share of the shared points outside the surroundings of the epipole
+_ENOUGH = 2  # a point seen by this many partners counts little for a further one: two confirm each other
+_BEYOND_ENOUGH = 0.3
+_WITNESSES = 8  # images whose depth maps are compared, partners included
+_RANGE_PERCENT = 1.0  # of the sparse points at either end of the depths are left out as possible errors
+_RANGE_MARGIN = 1.35  # factor on the inverse depths at both ends: sparse points do not cover everything
+
+
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """The model as arrays: N images in name order, sparse points (P, 3), and each image's sorted point numbers."""
+
+    views: list[ViewPlan]
+    xyz: np.ndarray
+    points: list[np.ndarray]
+    centres: np.ndarray  # (N, 3)
+    focal: np.ndarray  # (N,) px
+
+    def depths(self, image: int, points: np.ndarray) -> np.ndarray:
+        """Depth of points along the optical axis of an image."""
+        pose = self.views[image].cam_from_world
+        return self.xyz[points] @ pose[2, :3] + pose[2, 3]
+
+
+def plan_images(reconstruction: pycolmap.Reconstruction, settings: DenseSettings) -> DensePlan:
+    """Partners, witnesses and depth range of every registered image.
+
+    Raises ReconstructionError when no image has a partner. Time grows with the observations, not with pairs of images.
+    """
+    table = _table(reconstruction)
+    shared = _shared_counts(table)
+    images, dropped, notes, refused = {}, [], [], Counter()
+    lonely = 0
+    for k, view in enumerate(table.views):
+        candidates = _candidates(table, shared, k, settings)
+        used = [p for p in candidates if p.used]
+        refused.update(p.reason for p in candidates if not p.used and p.reason != SURPLUS)
+        if not used:
+            dropped.append((view.name, _why_none(candidates)))
+            continue
+        lonely += len(used) == 1
+        images[view.name] = ImagePlan(
+            view=view,
+            partners=tuple(p.view for p in used),
+            witnesses=_witnesses(candidates),
+            depth_range=_depth_range(table.depths(k, table.points[k])),
+        )
+    if not images:
+        raise ReconstructionError(_no_partners(dropped))
+    if lonely:
+        notes.append(f"{lonely} images have one partner only: their depths count if other depth maps confirm them")
+    return DensePlan(images, tuple(dropped), tuple(notes), dict(refused))
+
+
+def choose_partners(reconstruction: pycolmap.Reconstruction, settings: DenseSettings) -> dict[str, list[Partner]]:
+    """Per image name the partners considered, best first; those not ``used`` say why in ``reason``."""
+    table = _table(reconstruction)
+    shared = _shared_counts(table)
+    return {view.name: _candidates(table, shared, k, settings) for k, view in enumerate(table.views)}
+
+
+def _table(reconstruction: pycolmap.Reconstruction) -> _Table:
+    images = sorted((reconstruction.image(i) for i in reconstruction.reg_image_ids()), key=lambda image: image.name)
+    row = {image.image_id: k for k, image in enumerate(images)}
+    cameras = {c: CameraModel.of(camera) for c, camera in reconstruction.cameras.items()}
+    views, focal = [], []
+    for image in images:
+        pose = np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]])
+        views.append(ViewPlan(image.name, cameras[image.camera_id], pose))
+        focal.append(reconstruction.camera(image.camera_id).mean_focal_length())
+    xyz, observed = [], [[] for _ in images]
+    for number, point in enumerate(reconstruction.points3D.values()):
+        xyz.append(point.xyz)
+        for image_id in {element.image_id for element in point.track.elements}:
+            if image_id in row:
+                observed[row[image_id]].append(number)
+    poses = np.array([v.cam_from_world for v in views]).reshape(-1, 4, 4)
+    return _Table(
+        views=views,
+        xyz=np.array(xyz, float).reshape(-1, 3),
+        points=[np.array(o, np.int64) for o in observed],
+        centres=centre(poses),
+        focal=np.array(focal),
+    )
+
+
+def _shared_counts(table: _Table) -> sparse.csr_matrix:
+    """(N, N) number of sparse points two images share."""
+    length = [len(p) for p in table.points]
+    rows = np.repeat(np.arange(len(length)), length)
+    columns = np.concatenate(table.points) if table.points else np.zeros(0, np.int64)
+    seen = sparse.csr_matrix((np.ones(len(rows), np.int32), (rows, columns)), (len(length), len(table.xyz)))
+    return (seen @ seen.T).tocsr()
+
+
+def _candidates(table: _Table, shared: sparse.csr_matrix, image: int, settings: DenseSettings) -> list[Partner]:
+    """Partners of one image, used ones first in the order of their choice."""
+    row = slice(shared.indptr[image], shared.indptr[image + 1])
+    others, counts = shared.indices[row], shared.data[row]
+    keep = (others != image) & (counts >= _MIN_SHARED)
+    others, counts = others[keep], counts[keep]
+    if len(others) == 0:
+        return []
+    depth = max(float(np.median(table.depths(image, table.points[image]))), 1e-12)
+    rough_deg = np.degrees(np.linalg.norm(table.centres[others] - table.centres[image], axis=1) / depth)
+    order = np.argsort(-counts * _angle_weight(rough_deg), kind="stable")[:_CONSIDERED]
+    looked = [_look(table, image, int(others[k]), int(counts[k]), settings) for k in order]
+    good = [(partner, seen, weight) for partner, seen, weight in looked if partner.used]
+    chosen = _choose(good, len(table.points[image]), settings.partners)
+    surplus = [_refuse(good[k][0], SURPLUS) for k in range(len(good)) if k not in chosen]
+    return [good[k][0] for k in chosen] + surplus + [p for p, _, _ in looked if not p.used]
+
+
+def _look(
+    table: _Table, image: int, other: int, count: int, settings: DenseSettings
+) -> tuple[Partner, np.ndarray, np.ndarray]:
+    """A candidate judged by the shared points: with their positions in the image's list and their weights."""
+    common, seen, _ = np.intersect1d(table.points[image], table.points[other], True, return_indices=True)
+    step = -(-len(common) // _SAMPLES)
+    common, seen = common[::step], seen[::step]
+    a, b = table.views[image].cam_from_world, table.views[other].cam_from_world
+    from_a, from_b = table.xyz[common] - table.centres[image], table.xyz[common] - table.centres[other]
+    cosine = np.sum(from_a * from_b, axis=1) / (np.linalg.norm(from_a, axis=1) * np.linalg.norm(from_b, axis=1))
+    angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    size_a = table.focal[image] / np.maximum(table.depths(image, common), 1e-12)
+    size_b = table.focal[other] / np.maximum(table.depths(other, common), 1e-12)
+    scale = float(np.median(size_b / size_a))
+    rotations = rectifying_rotation(a, b)
+    usable = np.zeros(len(common), bool)
+    if rotations is not None:
+        usable = usable_rays(from_a @ (rotations[0] @ a[:3, :3]).T) & usable_rays(from_b @ (rotations[1] @ b[:3, :3]).T)
+    partner = Partner(table.views[other], count, float(np.median(angle)), scale)
+    reason = _reason(partner, float(usable.mean()), settings)
+    weight = _angle_weight(angle) * usable * min(scale, 1 / scale) * step
+    return (_refuse(partner, reason) if reason else partner), seen, weight
+
+
+def _reason(partner: Partner, usable: float, settings: DenseSettings) -> str:
+    if partner.angle_deg < settings.min_angle_deg:
+        return ONE_CENTRE
+    if usable < _MIN_USABLE:
+        return EPIPOLE
+    if partner.angle_deg > _MAX_ANGLE_DEG:
+        return WIDE
+    if not 1 / _MAX_SCALE <= partner.scale <= _MAX_SCALE:
+        return SCALE
+    return ""
+
+
+def _refuse(partner: Partner, reason: str) -> Partner:
+    return Partner(partner.view, partner.shared, partner.angle_deg, partner.scale, reason)
+
+
+def _angle_weight(angle_deg: np.ndarray) -> np.ndarray:
+    """1 at the best angles, falling on both sides."""
+    low, high = _BEST_ANGLES_DEG
+    narrow = np.clip(angle_deg / low, 0.01, 1.0)
+    wide = np.exp(-np.square(np.maximum(angle_deg - high, 0) / 10.0))
+    return narrow * wide
+
+
+def _choose(good: Sequence[tuple[Partner, np.ndarray, np.ndarray]], points: int, most: int) -> list[int]:
+    """Greedy choice: each point of the image wants to be seen well by two partners, more add little."""
+    covered = np.zeros(points)
+    chosen: list[int] = []
+    while len(chosen) < min(most, len(good)):
+        gains = [
+            -1.0 if k in chosen else float(np.sum(weight * np.where(covered[seen] < _ENOUGH, 1.0, _BEYOND_ENOUGH)))
+            for k, (_, seen, weight) in enumerate(good)
+        ]
+        best = int(np.argmax(gains))
+        chosen.append(best)
+        covered[good[best][1]] += 1
+    return chosen
+
+
+def _witnesses(candidates: list[Partner]) -> tuple[str, ...]:
+    """Names of images whose depth maps are compared: the partners, then those that share most points."""
+    used = [p.view.name for p in candidates if p.used]
+    rest = sorted((p for p in candidates if not p.used and p.reason != SCALE), key=lambda p: -p.shared)
+    return tuple((used + [p.view.name for p in rest])[: max(_WITNESSES, len(used))])
+
+
+def _depth_range(depths: np.ndarray) -> DepthRange:
+    inverse = 1.0 / depths[depths > 0]
+    low, high = np.percentile(inverse, [_RANGE_PERCENT, 100 - _RANGE_PERCENT])
+    return DepthRange(near=float(1 / (high * _RANGE_MARGIN)), far=float(_RANGE_MARGIN / low))
+
+
+def _why_none(candidates: list[Partner]) -> str:
+    if not candidates:
+        return f"no other image shares {_MIN_SHARED} sparse points with it"
+    reason, count = Counter(p.reason for p in candidates).most_common(1)[0]
+    return f"no partner to match with: {reason} ({count} of {len(candidates)} candidates)"
+
+
+def _no_partners(dropped: list[tuple[str, str]]) -> str:
+    reason, count = Counter(reason for _, reason in dropped).most_common(1)[0] if dropped else ("no image", 0)
+    return (
+        f"no image has a partner to match with; most often ({count} of {len(dropped)} images): {reason}. "
+        "Take images from different places with overlap, lower --dense.min-angle-deg, "
+        "or stop before the dense stage with --until georef"
+    )

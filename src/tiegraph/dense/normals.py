@@ -1,0 +1,65 @@
+"""Surface normals of a depth map by local planes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from tiegraph.scene.results import DepthMap
+
+_RADIUS = 3  # pixels: 7 x 7 window
+_MIN_PIXELS = 12
+_MAX_RESIDUAL = 0.02  # root mean square of the plane's fit as a share of the depth: more is an edge, not a plane
+
+
+def with_normals(depth: DepthMap, radius: int = _RADIUS) -> DepthMap:
+    """The depth map with normals (H, W, 3) f4 in the camera frame that face the camera; NaN where no plane fits.
+
+    On a plane inverse depth is an affine function of the pixel: 1/z = a u + b v + c, and the normal is along
+    (a fx, b fy, a cx + b cy + c). The least squares fit in a window is a few box filters, holes left out.
+    """
+    known = np.isfinite(depth.depth_m)
+    inverse = np.where(known, 1 / np.where(known, depth.depth_m, 1), 0).astype(np.float64)
+    middle = float(np.median(inverse[known])) if known.any() else 1.0
+    a, b, c, good = _plane(known.astype(np.float64), inverse / middle, radius)
+    height, width = known.shape
+    u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    K = depth.K
+    # The window's plane is w = a (u' - u) + b (v' - v) + c about its centre (u, v).
+    x, y = (u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]
+    n_x, n_y = a * K[0, 0], b * K[1, 1]
+    normal = np.stack([n_x, n_y, c - n_x * x - n_y * y], axis=-1)
+    normal = -normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
+    normal = np.where((good & known)[..., None], normal, np.nan).astype(np.float32)
+    return replace(depth, normal=normal)
+
+
+def _plane(
+    known: np.ndarray, w: np.ndarray, radius: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Coefficients (a, b, c) of w = a du + b dv + c in the window about each pixel, and where the fit is good."""
+    k0 = np.ones(2 * radius + 1)
+    k1 = np.arange(-radius, radius + 1, dtype=float)
+    k2 = k1**2
+
+    def moment(values: np.ndarray, kx: np.ndarray, ky: np.ndarray) -> np.ndarray:
+        return cv2.sepFilter2D(values, cv2.CV_64F, kx, ky, borderType=cv2.BORDER_CONSTANT)
+
+    wm = w * known
+    n, su, sv = moment(known, k0, k0), moment(known, k1, k0), moment(known, k0, k1)
+    suu, svv, suv = moment(known, k2, k0), moment(known, k0, k2), moment(known, k1, k1)
+    sw, swu, swv = moment(wm, k0, k0), moment(wm, k1, k0), moment(wm, k0, k1)
+    sww = moment(wm * w, k0, k0)
+    count = np.maximum(n, 1)
+    mu, mv, mw = su / count, sv / count, sw / count
+    cuu, cvv, cuv = suu / count - mu**2, svv / count - mv**2, suv / count - mu * mv
+    cwu, cwv = swu / count - mw * mu, swv / count - mw * mv
+    det = cuu * cvv - cuv**2
+    safe = np.where(det > 1e-3, det, 1)
+    a, b = (cwu * cvv - cwv * cuv) / safe, (cwv * cuu - cwu * cuv) / safe
+    c = mw - a * mu - b * mv
+    residual = np.maximum(sww / count - mw**2 - a * cwu - b * cwv, 0)
+    good = (n >= _MIN_PIXELS) & (det > 1e-3) & (residual <= (_MAX_RESIDUAL * mw) ** 2)
+    return a, b, c, good

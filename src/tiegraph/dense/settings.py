@@ -1,0 +1,28 @@
+"""Settings of the dense stage."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from tiegraph.settings import Section
+
+
+class DenseSettings(Section):
+    """Depth maps by matching each image with a few well placed partners."""
+
+    engine: Literal["sgbm"] = "sgbm"
+    """Dense matcher: sgbm = semi-global matching of OpenCV."""
+    quality: Literal["fast", "normal", "high"] = "normal"
+    """Paths of the optimisation: fast = 3, normal = 5, high = 8 (three times the time of normal, much memory)."""
+    max_image_size: int = Field(1600, ge=64, le=20000)
+    """Longer side of the images that are matched, in pixels; larger images are reduced to it."""
+    max_fov_deg: float = Field(100.0, ge=20, le=140)
+    """Field of view kept of wide-angle and fisheye images, in degrees across."""
+    partners: int = Field(4, ge=1, le=8)
+    """Images each image is matched with."""
+    min_views: int = Field(3, ge=2, le=8)
+    """Images that must agree on a depth, the image itself included."""
+    min_angle_deg: float = Field(1.0, ge=0.05, le=20)
+    """Smallest median angle of intersection with a partner, in degrees; below it the images count as one centre."""
+    tolerance_px: float = Field(1.0, ge=0.25, le=5)
+    """Largest disagreement between depths of different partners or depth maps, in pixels of disparity."""

@@ -1,0 +1,72 @@
+"""Matching of a rectified pair by OpenCV's semi-global matching (Hirschmueller 2008, block matching variant)."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from tiegraph.dense.settings import DenseSettings
+
+_MODES = {
+    "fast": cv2.STEREO_SGBM_MODE_SGBM_3WAY,
+    "normal": cv2.STEREO_SGBM_MODE_SGBM,
+    "high": cv2.STEREO_SGBM_MODE_HH,
+}
+_BLOCK = 5
+_UNIQUENESS_PERCENT = 5
+_PREFILTER_CAP = 31
+_SPECKLE_PX = 100  # paper 004, section 5.2.2: patches below 100 pixels with jumps above 1 pixel are errors
+_LEFT_RIGHT_PX = 1.0  # paper 004, section 5.2.2
+_SUBPIXEL = 16  # OpenCV's fixed point
+
+
+def match_sgbm(left: np.ndarray, right: np.ndarray, disparities: int, settings: DenseSettings) -> np.ndarray:
+    """Disparity (h, w) f4 px of each left pixel, NaN = none: the ``PairMatcher`` contract of ``dense.engine``.
+
+    left (h, w) u1; right (h, w + disparities) u1, whose column ``disparities`` lies under the left's column 0: left
+    (x, y) shows what right (x + disparities - d, y) shows, 0 <= d < disparities.
+    """
+    count = -(-disparities // 16) * 16
+    pad = count - disparities
+    wide_right = cv2.copyMakeBorder(right, 0, 0, pad, 0, cv2.BORDER_REPLICATE)
+    wide_left = cv2.copyMakeBorder(left, 0, 0, count, 0, cv2.BORDER_REPLICATE)
+    forward = _run(wide_left, wide_right, count, settings)[:, count:]
+    # The other way round: mirrored, the right image is the left one. It needs the left image's continuation.
+    mirror_left = np.ascontiguousarray(cv2.copyMakeBorder(wide_right, 0, 0, 0, count, cv2.BORDER_REPLICATE)[:, ::-1])
+    mirror_right = np.ascontiguousarray(cv2.copyMakeBorder(wide_left, 0, 0, 0, count, cv2.BORDER_REPLICATE)[:, ::-1])
+    backward = _run(mirror_left, mirror_right, count, settings)[:, count:][:, ::-1]
+    checked = _left_right(forward, backward, count)
+    return _without_speckles(checked)
+
+
+def _run(left: np.ndarray, right: np.ndarray, count: int, settings: DenseSettings) -> np.ndarray:
+    matcher = cv2.StereoSGBM_create(
+        minDisparity=0,
+        numDisparities=count,
+        blockSize=_BLOCK,
+        P1=8 * _BLOCK**2,
+        P2=32 * _BLOCK**2,
+        disp12MaxDiff=-1,
+        preFilterCap=_PREFILTER_CAP,
+        uniquenessRatio=_UNIQUENESS_PERCENT,
+        speckleWindowSize=0,
+        mode=_MODES[settings.quality],
+    )
+    fixed = matcher.compute(left, right)
+    return np.where(fixed < 0, np.float32(np.nan), fixed.astype(np.float32) / _SUBPIXEL)
+
+
+def _left_right(forward: np.ndarray, backward: np.ndarray, count: int) -> np.ndarray:
+    """Forward disparities (h, w) whose right pixel leads back to within a pixel; backward is (h, w + count)."""
+    h, w = forward.shape
+    known = np.isfinite(forward)
+    column = np.arange(w)[None, :] + count - np.rint(np.where(known, forward, 0)).astype(np.int64)
+    back = np.take_along_axis(backward, np.clip(column, 0, backward.shape[1] - 1), axis=1)
+    agrees = np.abs(back - forward) <= _LEFT_RIGHT_PX  # NaN compares false
+    return np.where(known & agrees, forward, np.float32(np.nan))
+
+
+def _without_speckles(disparity: np.ndarray) -> np.ndarray:
+    fixed = np.where(np.isfinite(disparity), disparity * _SUBPIXEL, -_SUBPIXEL).astype(np.int16)
+    cv2.filterSpeckles(fixed, -_SUBPIXEL, _SPECKLE_PX, _SUBPIXEL)
+    return np.where(fixed < 0, np.float32(np.nan), disparity)

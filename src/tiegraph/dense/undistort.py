@@ -1,0 +1,129 @@
+"""From an image of any COLMAP camera to an undistorted view with a pinhole matrix."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from tiegraph.dense.engine import DenseView
+from tiegraph.dense.plan import CameraModel, ViewPlan
+from tiegraph.dense.settings import DenseSettings
+from tiegraph.errors import InputError
+from tiegraph.geometry.stereo import Pinhole
+
+_MAX_GROWTH = 1.3  # pixels of the undistorted image per pixel of the original: more only stretches the corners
+_BORDER_SAMPLES = 65
+_ROUND_TRIP_PX = 0.5  # a ray that does not come back lies where the distortion polynomial folds over
+_MAX_CACHED_MAPS = 8  # a rig of six and two to spare; a map takes 8 bytes a pixel
+
+
+def pinhole_of(camera: CameraModel, settings: DenseSettings) -> tuple[np.ndarray, tuple[int, int]]:
+    """K (3, 3) and size (width, height) of the undistorted image of a camera.
+
+    The resolution at the image centre is kept, and the field of view up to ``max_fov_deg``; then the whole is reduced
+    to ``max_image_size``. Raises InputError for cameras that see all round.
+    """
+    model = camera.pycolmap()
+    if model.model_name == "EQUIRECTANGULAR":
+        raise InputError(f"camera model {camera.model} sees all round and cannot be undistorted: cut it into views")
+    low, high = _field(camera, np.tan(np.radians(settings.max_fov_deg / 2)))
+    focal = _central_focal(camera)
+    if camera.model in ("PINHOLE", "SIMPLE_PINHOLE"):
+        focal = model.focal_length_x
+    area = np.prod(focal * (high - low))
+    scale = min(1.0, np.sqrt(_MAX_GROWTH * camera.width * camera.height / area))
+    scale = min(scale, settings.max_image_size / np.max(focal * (high - low)))
+    size = np.maximum(np.round(focal * scale * (high - low)), 2)
+    focals = size / (high - low)  # takes up the rounding, so that the field is exact
+    K = np.array([[focals[0], 0, -focals[0] * low[0]], [0, focals[1], -focals[1] * low[1]], [0, 0, 1.0]])
+    return K, (int(size[0]), int(size[1]))
+
+
+def load_view(view: ViewPlan, images: Path, masks: Path | None, settings: DenseSettings) -> DenseView:
+    """Read, undistort and mask one image. ``masks`` holds COLMAP masks (``name.png``, 0 = ignore); a missing one means
+    that all pixels are used. Raises InputError for an unreadable image or a size that is not the camera's."""
+    camera = view.camera
+    image = _read(images / view.name, cv2.IMREAD_COLOR, camera)
+    mask_path = None if masks is None else masks / f"{view.name}.png"
+    mask = np.full(image.shape[:2], 255, np.uint8)
+    if mask_path is not None and mask_path.exists():
+        mask = _read(mask_path, cv2.IMREAD_GRAYSCALE, camera)
+    K, _ = pinhole_of(camera, settings)
+    x, y, valid = _maps(camera, settings.max_image_size, settings.max_fov_deg)
+    image, scale_x, scale_y = _reduced(image, K, camera)
+    at_x, at_y = (x * scale_x - 0.5).astype(np.float32), (y * scale_y - 0.5).astype(np.float32)
+    bgr = cv2.remap(image, at_x, at_y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    whole_x, whole_y = x - np.float32(0.5), y - np.float32(0.5)
+    use = cv2.remap(mask, whole_x, whole_y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+    return DenseView(view.name, bgr, (use > 0) & valid, K, view.cam_from_world)
+
+
+def pinhole(view: ViewPlan, settings: DenseSettings) -> Pinhole:
+    """The undistorted camera of an image, without reading it."""
+    K, size = pinhole_of(view.camera, settings)
+    return Pinhole(K, view.cam_from_world, size)
+
+
+def _read(path: Path, flag: int, camera: CameraModel) -> np.ndarray:
+    image = cv2.imread(str(path), flag | cv2.IMREAD_IGNORE_ORIENTATION)
+    if image is None:
+        raise InputError(f"{path} cannot be read as an image: restore it, or remove it and run the scan again")
+    if image.shape[:2] != (camera.height, camera.width):
+        raise InputError(
+            f"{path} is {image.shape[1]} x {image.shape[0]} pixels, its camera {camera.width} x {camera.height}: "
+            "use the images (and masks) the model was made from"
+        )
+    return image
+
+
+def _field(camera: CameraModel, limit: float) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (2,), (2,) on the plane z = 1 of the field of view seen through the image border."""
+    s = np.linspace(0.0, 1.0, _BORDER_SAMPLES)
+    zero, one = np.zeros_like(s), np.ones_like(s)
+    border = np.concatenate([np.c_[s, zero], np.c_[s, one], np.c_[zero, s], np.c_[one, s]])
+    rays = camera.pycolmap().cam_ray_from_img(border * [camera.width, camera.height])
+    rays = rays[np.isfinite(rays).all(axis=1)]
+    # A ray at right angles or behind is beyond any limit: its direction in the image still says towards which side.
+    plane = rays[:, :2] / np.maximum(rays[:, 2:], 1e-3 * np.linalg.norm(rays, axis=1, keepdims=True))
+    if len(plane) == 0:
+        return np.array([-limit, -limit]), np.array([limit, limit])
+    return np.clip(plane.min(axis=0), -limit, 0), np.clip(plane.max(axis=0), 0, limit)
+
+
+def _central_focal(camera: CameraModel) -> float:
+    """Pixels per unit of tangent at the optical axis."""
+    step = 1e-4
+    around = np.array([[step, 0, 1], [-step, 0, 1], [0, step, 1], [0, -step, 1]])
+    at = camera.pycolmap().img_from_cam(around)
+    return float((np.linalg.norm(at[0] - at[1]) + np.linalg.norm(at[2] - at[3])) / (4 * step))
+
+
+@lru_cache(maxsize=_MAX_CACHED_MAPS)
+def _maps(camera: CameraModel, max_image_size: int, max_fov_deg: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Original pixel coordinates x, y (H, W) f4 of each undistorted pixel, and which lie in the image (H, W) bool."""
+    settings = DenseSettings(max_image_size=max_image_size, max_fov_deg=max_fov_deg)
+    K, (width, height) = pinhole_of(camera, settings)
+    u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    rays = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones_like(u)], axis=-1).reshape(-1, 3)
+    model = camera.pycolmap()
+    at = model.img_from_cam(rays)
+    inside = (at >= 0).all(axis=1) & (at[:, 0] <= camera.width) & (at[:, 1] <= camera.height)
+    back = model.cam_ray_from_img(np.where(inside[:, None], at, 0.0))
+    back = back[:, :2] / np.maximum(back[:, 2:], 1e-6)
+    error = np.abs(back - rays[:, :2]).max(axis=1) * model.mean_focal_length()
+    valid = (inside & (error < _ROUND_TRIP_PX * (1 + np.sum(rays[:, :2] ** 2, axis=1)))).reshape(height, width)
+    at = np.where(np.isfinite(at), at, -1e4).astype(np.float32).reshape(height, width, 2)
+    return np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1]), valid
+
+
+def _reduced(image: np.ndarray, K: np.ndarray, camera: CameraModel) -> tuple[np.ndarray, float, float]:
+    """The image shrunk by area averaging to about the working resolution (against aliasing), and its scales."""
+    ratio = K[0, 0] / _central_focal(camera)
+    if ratio > 0.75:
+        return image, 1.0, 1.0
+    width, height = max(2, round(camera.width * ratio)), max(2, round(camera.height * ratio))
+    small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+    return small, width / camera.width, height / camera.height

@@ -1,0 +1,38 @@
+"""metrics.json: figures of merit and tables, and what they mean."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import asdict
+from typing import Any
+
+from tiegraph.scene.results import Metric
+
+
+def metrics_to_dict(
+    metrics: Iterable[Metric], tables: dict[str, dict] | None = None, notes: Iterable[str] = ()
+) -> dict[str, Any]:
+    """{"metrics": [{name, value, unit, better, target}], "tables": {..}, "notes": [..]}, NaN and infinity as null."""
+    rows = [{k: _finite(v) for k, v in asdict(m).items()} for m in metrics]
+    clean = {n: {**t, "rows": [[_finite(v) for v in row] for row in t["rows"]]} for n, t in (tables or {}).items()}
+    return {"metrics": rows, "tables": clean, "notes": list(notes)}
+
+
+def metrics_from_dict(data: dict[str, Any]) -> list[Metric]:
+    """The figures of merit of a metrics.json; null becomes NaN."""
+    out = []
+    for m in data.get("metrics", []):
+        value, target = _number(m.get("value")), _number(m.get("target"))
+        out.append(Metric(m["name"], value, m.get("unit", ""), m.get("better", "low"), target))
+    return out
+
+
+def _finite(value: Any) -> Any:
+    if hasattr(value, "item"):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _number(value: Any) -> float:
+    return float("nan") if value is None else float(value)

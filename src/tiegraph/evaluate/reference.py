@@ -1,0 +1,280 @@
+"""Reference data: poses from a COLMAP model or TUM files, points from LAS, LAZ or PLY, brought into the run's world."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import laspy
+import numpy as np
+
+from tiegraph.errors import InputError
+from tiegraph.evaluate.trajectory import PoseMatch
+from tiegraph.geometry import geodesy, transforms
+from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.geodesy import Origin
+from tiegraph.scene.scene import Scene
+
+_MAX_GAP_S = 2.0  # a reference with a gap wider than this is not interpolated across it
+_COLMAP_FILES = ("images.bin", "images.txt")
+
+
+@dataclass(frozen=True)
+class ModelPoses:
+    """Poses of a sparse model in scene order: world_from_camera (N, 4, 4), world_from_rig (F, 4, 4); NaN = not in."""
+
+    world_from_camera: np.ndarray
+    world_from_rig: np.ndarray
+
+    @property
+    def registered(self) -> np.ndarray:
+        """(N,) bool."""
+        return np.isfinite(self.world_from_camera[:, 0, 0])
+
+    def centres(self) -> np.ndarray:
+        """(R, 3) projection centres of the registered images."""
+        return self.world_from_camera[self.registered, :3, 3]
+
+
+@dataclass(frozen=True)
+class ReferencePoses:
+    """Reference poses of images by name, or of rigs in time order by pass ("" = one file for all)."""
+
+    by_image: dict[str, np.ndarray]  # name -> world_from_camera (4, 4)
+    by_track: dict[str, tuple[np.ndarray, np.ndarray]]  # pass -> time_s (T,), world_from_rig (T, 4, 4)
+    path: Path
+
+
+def model_poses(reconstruction: Any, scene: Scene) -> ModelPoses:
+    """Poses of a ``pycolmap.Reconstruction`` in the scene's order.
+
+    The rig pose of a frame is the pose of the rig's first camera (its frame is the rig frame); where that image is
+    missing, it is the model's own ``rig_from_world`` if the model has this rig, else NaN.
+    """
+    cameras = np.full((len(scene), 4, 4), np.nan)
+    rigs = np.full((scene.frames, 4, 4), np.nan)
+    second = np.full((scene.frames, 4, 4), np.nan)
+    for image in reconstruction.images.values():
+        k = scene.image_index.get(image.name)
+        if k is None or not image.has_pose:
+            continue
+        cameras[k] = transforms.invert(_matrix(image.cam_from_world()))
+        frame = scene.frame[k]
+        if scene.sensor[k] == 0:
+            rigs[frame] = cameras[k]
+        elif reconstruction.rig(image.frame.rig_id).num_sensors() > 1:
+            second[frame] = transforms.invert(_matrix(image.frame.rig_from_world))
+    return ModelPoses(cameras, np.where(np.isnan(rigs), second, rigs))
+
+
+def _matrix(rigid3d: Any) -> np.ndarray:
+    return np.vstack([rigid3d.matrix(), [0, 0, 0, 1]])
+
+
+def read_reference_poses(path: Path) -> ReferencePoses:
+    """Read a COLMAP model folder, a TUM file or a folder of TUM files. Raises InputError naming the file."""
+    if path.is_dir() and any((path / f).exists() for f in _COLMAP_FILES):
+        return ReferencePoses(_read_colmap(path), {}, path)
+    if path.is_dir():
+        files = sorted(p for p in path.iterdir() if p.suffix in (".tum", ".txt"))
+        if not files:
+            raise InputError(f"{path}: neither a COLMAP model (images.bin or images.txt) nor TUM files (*.tum) in it")
+        return ReferencePoses({}, {p.stem: read_tum(p) for p in files}, path)
+    if not path.exists():
+        raise InputError(f"{path}: no such reference; give a COLMAP model folder, a TUM file or a folder of TUM files")
+    return ReferencePoses({}, {"": read_tum(path)}, path)
+
+
+def _read_colmap(folder: Path) -> dict[str, np.ndarray]:
+    import pycolmap
+
+    try:
+        model = pycolmap.Reconstruction(folder)
+    except Exception as error:
+        raise InputError(f"{folder}: not a readable COLMAP model: {error}") from None
+    posed = (i for i in model.images.values() if i.has_pose)
+    return {i.name: transforms.invert(_matrix(i.cam_from_world())) for i in posed}
+
+
+def read_tum(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """time_s (T,) and world_from_body (T, 4, 4) of a TUM file (time tx ty tz qx qy qz qw), sorted by time."""
+    rows = []
+    for number, line in enumerate(path.read_text().splitlines(), 1):
+        text = line.split("#")[0].replace(",", " ").split()
+        if not text:
+            continue
+        try:
+            values = [float(v) for v in text]
+        except ValueError:
+            values = []
+        if len(values) != 8 or not np.linalg.norm(values[4:]) > 0.5:
+            raise InputError(f"{path}:{number}: expected 'time tx ty tz qx qy qz qw', got {line.strip()!r}")
+        rows.append(values)
+    if not rows:
+        raise InputError(f"{path}: no poses in it; expected lines 'time tx ty tz qx qy qz qw'")
+    table = np.array(sorted(rows))
+    wxyz = np.roll(table[:, 4:], 1, axis=1)
+    return table[:, 0], transforms.from_quaternion_wxyz(wxyz, table[:, 1:4])
+
+
+def match_poses(reference: ReferencePoses, model: ModelPoses, scene: Scene) -> tuple[PoseMatch, str]:
+    """The model's poses beside the reference's, and a sentence on what was matched.
+
+    Raises InputError when fewer than three registered poses have a reference.
+    """
+    if reference.by_image:
+        match, said = _match_images(reference, model, scene)
+    else:
+        match, said = _match_frames(reference, model, scene)
+    if len(match) < 3:
+        raise InputError(
+            f"{reference.path}: only {len(match)} registered poses have a reference ({said}); 3 are needed"
+        )
+    return match, said
+
+
+def _match_images(reference: ReferencePoses, model: ModelPoses, scene: Scene) -> tuple[PoseMatch, str]:
+    known = [k for k in range(len(scene)) if scene.names[k] in reference.by_image]
+    rows = np.array([k for k in known if model.registered[k]], int)
+    labels = list(dict.fromkeys(scene.image_label()))
+    number = {label: g for g, label in enumerate(labels)}
+    frame, label_of = scene.frame[rows], scene.image_label()
+    group = np.array([number[label_of[k]] for k in rows], int)
+    match = PoseMatch(
+        model.world_from_camera[rows],
+        np.array([reference.by_image[scene.names[k]] for k in rows]).reshape(-1, 4, 4),
+        np.where(scene.track[frame] >= 0, group, -1),
+        scene.step[frame],
+        tuple(f"{t} {s}".strip() for t, s in labels),
+    )
+    return match, f"images by name: {len(rows)} registered of {len(known)} with a reference pose"
+
+
+def _match_frames(reference: ReferencePoses, model: ModelPoses, scene: Scene) -> tuple[PoseMatch, str]:
+    truth = np.full((scene.frames, 4, 4), np.nan)
+    how: list[str] = []
+    loose = (-1,) if np.any(scene.track < 0) else ()
+    for track in [*range(len(scene.tracks)), *loose]:
+        name = scene.tracks[track] if track >= 0 else ""
+        found = _track_reference(reference, name)
+        if found is None:
+            continue
+        frames = np.flatnonzero(scene.track == track)
+        frames = frames[np.argsort(scene.step[frames], kind="stable")]
+        truth[frames], said = _at_frames(found, scene.time_s[frames], reference.path, name or "the frames")
+        how.append(f"{name or 'frames'} {said}")
+    known = np.isfinite(truth[:, 0, 0])
+    rows = np.flatnonzero(known & np.isfinite(model.world_from_rig[:, 0, 0]))
+    estimate = _with_mount(model.world_from_rig[rows], truth[rows])
+    match = PoseMatch(estimate, truth[rows], scene.track[rows], scene.step[rows], scene.tracks)
+    said = (
+        "; ".join(how) or f"no file of {', '.join(reference.by_track)} is named after a pass {', '.join(scene.tracks)}"
+    )
+    return (
+        match,
+        f"rig poses, {said}: {len(rows)} registered of {int(known.sum())}, one constant turn of the axes removed",
+    )
+
+
+def _track_reference(reference: ReferencePoses, track: str) -> tuple[np.ndarray, np.ndarray] | None:
+    if "" in reference.by_track:
+        return reference.by_track[""]
+    for name in (track, f"rig_{track}", Path(track).name):
+        if name in reference.by_track:
+            return reference.by_track[name]
+    return None
+
+
+def _at_frames(
+    found: tuple[np.ndarray, np.ndarray], time_s: np.ndarray, path: Path, name: str
+) -> tuple[np.ndarray, str]:
+    """Reference poses at the frames: by time if the frames have times the reference covers, else one by one."""
+    stamps, poses = found
+    if np.isfinite(time_s).any():
+        out = transforms.interpolate(stamps, poses, time_s, _MAX_GAP_S)
+        if np.isfinite(out[:, 0, 0]).any():
+            return out, "by time"
+    if len(poses) == len(time_s):
+        return poses, "in order"
+    raise InputError(
+        f"{path}: {len(poses)} poses for {len(time_s)} frames of {name}, and no common times: give a COLMAP model, or "
+        "as many poses as frames, or the frames' times by --times"
+    )
+
+
+def _with_mount(estimate: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """The estimated poses with the body axes turned by the one rotation that fits the reference's best.
+
+    A reference may follow a vehicle whose axes are not the rig's: R_ref ~ R_align R_est M. The relative turns between
+    frames fix M; a lever arm is not removed.
+    """
+    if len(estimate) < 3:
+        return estimate
+    fit = umeyama(estimate[:, :3, 3], reference[:, :3, 3])
+    turned = fit.rotation @ estimate[:, :3, :3]
+    # M: chordal mean of (R_align R_est)^T R_ref
+    u, _, vt = np.linalg.svd(np.sum(np.swapaxes(turned, 1, 2) @ reference[:, :3, :3], axis=0))
+    mount = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+    return transforms.rigid(estimate[:, :3, :3] @ mount, estimate[:, :3, 3])
+
+
+def enu_origin(reference_origin: tuple[float, float, float]) -> Origin:
+    """Origin of a reference in local east-north-up metres."""
+    return Origin(*reference_origin, geodesy.ENU)
+
+
+def to_world(points: np.ndarray, source: Origin, world: Origin) -> np.ndarray:
+    """Points (N, 3) of one world in another, through geodetic coordinates (exact, no alignment)."""
+    out = np.empty((len(points), 3))
+    for start in range(0, len(points), 500_000):
+        part = slice(start, start + 500_000)
+        out[part] = geodesy.world_from_geodetic(geodesy.geodetic_from_world(points[part], source), world)
+    return out
+
+
+def poses_to_world(match: PoseMatch, source: Origin, world: Origin) -> PoseMatch:
+    """The reference poses of a match in the run's world: positions exact, axes turned as the two frames differ."""
+    positions = match.reference[:, :3, 3]
+    at = positions.mean(axis=0)
+    corner = to_world(np.vstack([at, at + np.eye(3)]), source, world)
+    u, _, vt = np.linalg.svd((corner[1:] - corner[0]).T)
+    turned = (u @ vt) @ match.reference[:, :3, :3]
+    return replace(match, reference=transforms.rigid(turned, to_world(positions, source, world)))
+
+
+def read_points(path: Path, most: int = 20_000_000) -> tuple[np.ndarray, str | None]:
+    """Points (M, 3) f8 of a LAS, LAZ or PLY file, in file coordinates, and "EPSG:n" if a LAS header names one.
+
+    Of a file with more than ``most`` points every n-th is taken. Raises InputError naming the file.
+    """
+    if not path.exists():
+        raise InputError(f"{path}: no such point cloud; give a .laz, .las or .ply file")
+    try:
+        if path.suffix.lower() == ".ply":
+            return _read_ply(path, most), None
+        return _read_las(path, most)
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"{path}: not a readable point cloud: {error}") from None
+
+
+def _read_las(path: Path, most: int) -> tuple[np.ndarray, str | None]:
+    with laspy.open(path) as reader:
+        step = -(-reader.header.point_count // most)
+        crs = reader.header.parse_crs()
+        parts: list[np.ndarray] = []
+        for chunk in reader.chunk_iterator(1_000_000):
+            parts.append(np.column_stack([chunk.x, chunk.y, chunk.z])[:: max(1, step)])
+    if crs is not None and crs.is_compound:
+        crs = crs.sub_crs_list[0]
+    code = crs.to_epsg() if crs is not None else None
+    return np.concatenate([np.zeros((0, 3)), *parts]), None if code is None else f"EPSG:{code}"
+
+
+def _read_ply(path: Path, most: int) -> np.ndarray:
+    from tiegraph.scene.cloudfile import read_cloud
+
+    xyz = read_cloud(path).xyz_m
+    return np.asarray(xyz)[:: max(1, -(-len(xyz) // most))]

@@ -1,0 +1,33 @@
+"""Settings of the evaluate stage."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from tiegraph.settings import Section
+
+
+class EvaluateSettings(Section):
+    """What the result is measured against; everything is optional."""
+
+    reference: Path | None = None
+    """Reference poses: a COLMAP model folder (by image name), a TUM file, or a folder of TUM files, one a pass."""
+
+    reference_cloud: Path | None = None
+    """Reference point cloud (.laz, .las or .ply), for instance a LiDAR scan."""
+
+    reference_origin: tuple[float, float, float] | None = None
+    """Latitude, longitude (deg), ellipsoidal height (m) of references given in local east-north-up metres about it."""
+
+    alignment: Literal["rigid", "similarity", "none"] = "rigid"
+    """How the cloud is laid on the reference: by the matched poses without scale, with scale, or as it is."""
+
+    distances_m: tuple[Annotated[float, Field(gt=0)], ...] = Field((0.02, 0.05, 0.10, 0.20), min_length=1)
+    """Distances (m) at which accuracy, completeness and F-score of the cloud are stated."""
+
+    range_m: float = Field(50.0, gt=0)
+    """Only the part of the reference cloud nearer than this (m) to a registered camera counts for completeness."""
+
+    rpe_m: tuple[Annotated[float, Field(gt=0)], ...] = Field((1.0, 10.0, 100.0), min_length=1)
+    """Travelled distances (m) over which the relative pose error is stated."""

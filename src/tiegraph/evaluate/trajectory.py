@@ -1,0 +1,229 @@
+"""Trajectory error: ATE after alignment, RPE over travelled distances, yaw drift, registered shares."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tiegraph.geometry import transforms
+from tiegraph.geometry.align import Similarity, robust_umeyama, umeyama
+from tiegraph.scene.results import Metric
+
+WITHIN_M = 0.3  # an image nearer than this to its true place, after a robust alignment, is called right
+_MIN_DRIFT_M = 5.0  # below this travelled distance a drift per 100 m means nothing
+_NAN = float("nan")
+
+
+@dataclass(frozen=True)
+class PoseMatch:
+    """K poses of a model beside the reference's, each world_from_body (K, 4, 4); group (K,) numbers the sequence a pose
+    belongs to (a camera on a pass), -1 = none; order (K,) sorts within it; labels are the groups' names."""
+
+    estimate: np.ndarray
+    reference: np.ndarray
+    group: np.ndarray
+    order: np.ndarray
+    labels: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.estimate)
+
+    def sequences(self) -> Iterator[np.ndarray]:
+        """Row numbers of each sequence in order."""
+        for g in np.unique(self.group[self.group >= 0]):
+            rows = np.flatnonzero(self.group == g)
+            yield rows[np.argsort(self.order[rows], kind="stable")]
+
+
+@dataclass(frozen=True)
+class PositionError:
+    """Distances between aligned and reference positions, metres; ``scale`` is the alignment's."""
+
+    rmse_m: float
+    median_m: float
+    p90_m: float
+    max_m: float
+    scale: float
+    errors_m: np.ndarray  # (K,)
+
+
+@dataclass(frozen=True)
+class RelativeError:
+    """Relative pose error over one travelled distance: root mean squares over ``count`` pairs of poses."""
+
+    distance_m: float
+    translation_m: float
+    rotation_deg: float
+    count: int
+
+
+@dataclass(frozen=True)
+class TrajectoryError:
+    """All of it. sim3/se3: after a least-squares alignment with and without scale; absolute: no alignment (None when
+    the frames differ); within: share of matched poses nearer than WITHIN_M after a robust Sim3; groups: (label,
+    matched, rmse, median, max after SE3)."""
+
+    matched: int
+    sim3: PositionError
+    se3: PositionError
+    absolute: PositionError | None
+    absolute_enu_m: tuple[float, float, float] | None
+    within: float
+    relative: tuple[RelativeError, ...]
+    yaw_drift_deg_per_100m: float
+    groups: tuple[tuple[str, int, float, float, float], ...]
+    similarity: Similarity
+    rigid: Similarity
+
+    def metrics(self) -> list[Metric]:
+        """The figures of merit."""
+        out = [
+            Metric("ate_sim3_rmse", self.sim3.rmse_m, "m", "low"),
+            Metric("ate_sim3_median", self.sim3.median_m, "m", "low"),
+            Metric("ate_sim3_max", self.sim3.max_m, "m", "low"),
+            Metric("ate_se3_rmse", self.se3.rmse_m, "m", "low"),
+            Metric("scale_error", abs(self.sim3.scale - 1) * 100, "%", "low"),
+            Metric(f"images_within_{WITHIN_M:g}m", 100 * self.within, "%", "high", 100.0),
+            Metric("yaw_drift", self.yaw_drift_deg_per_100m, "deg/100 m", "low"),
+        ]
+        if self.absolute is not None:
+            out.insert(4, Metric("absolute_rmse", self.absolute.rmse_m, "m", "low"))
+        for r in self.relative:
+            if r.count:
+                out.append(Metric(f"rpe_{r.distance_m:g}m_translation", r.translation_m, "m", "low"))
+                out.append(Metric(f"rpe_{r.distance_m:g}m_rotation", r.rotation_deg, "deg", "low"))
+        return out
+
+    def tables(self) -> dict[str, dict]:
+        """Tables for metrics.json."""
+        relative = [[r.distance_m, r.translation_m, r.rotation_deg, r.count] for r in self.relative]
+        return {
+            "trajectory by pass and camera": {
+                "columns": ["sequence", "matched", "rmse m", "median m", "max m"],
+                "rows": [list(g) for g in self.groups],
+            },
+            "relative pose error": {
+                "columns": ["distance m", "translation m", "rotation deg", "pose pairs"],
+                "rows": relative,
+            },
+        }
+
+
+def evaluate_trajectory(match: PoseMatch, distances_m: tuple[float, ...], same_frame: bool = False) -> TrajectoryError:
+    """Errors of K matched poses; with ``same_frame`` also the absolute error (both are in one world).
+
+    Raises ValueError below three poses. Alignment: Umeyama least squares over all positions, no outlier rejection, so
+    that a wrong pose counts; RPE and yaw drift use the rotations and the scale as they are after SE3.
+    """
+    est, ref = match.estimate[:, :3, 3], match.reference[:, :3, 3]
+    similarity, rigid = umeyama(est, ref), umeyama(est, ref, with_scale=False)
+    se3 = position_error(rigid(est), ref)
+    off = est - ref
+    aligned = transforms.rigid(rigid.rotation @ match.estimate[:, :3, :3], rigid(est))
+    return TrajectoryError(
+        matched=len(match),
+        sim3=position_error(similarity(est), ref, similarity.scale),
+        se3=se3,
+        absolute=position_error(est, ref) if same_frame else None,
+        absolute_enu_m=tuple(np.sqrt(np.mean(off**2, axis=0)).tolist()) if same_frame else None,
+        within=within(est, ref),
+        relative=tuple(relative_error(match, d) for d in distances_m),
+        yaw_drift_deg_per_100m=yaw_drift(match, aligned),
+        groups=_by_group(match, se3.errors_m),
+        similarity=similarity,
+        rigid=rigid,
+    )
+
+
+def position_error(estimate: np.ndarray, reference: np.ndarray, scale: float = 1.0) -> PositionError:
+    """Statistics of the distances between positions (K, 3) in one frame."""
+    e = np.linalg.norm(estimate - reference, axis=1)
+    return PositionError(
+        float(np.sqrt(np.mean(e**2))), float(np.median(e)), float(np.quantile(e, 0.9)), float(e.max()), scale, e
+    )
+
+
+def within(estimate: np.ndarray, reference: np.ndarray, limit_m: float = WITHIN_M) -> float:
+    """Share of positions (K, 3) nearer than ``limit_m`` to the reference after a robust similarity."""
+    fit, _ = robust_umeyama(estimate, reference, limit_m / 3)
+    return float(np.mean(np.linalg.norm(fit(estimate) - reference, axis=1) < limit_m))
+
+
+def relative_error(match: PoseMatch, distance_m: float) -> RelativeError:
+    """RPE over a travelled distance: E = (ref_i^-1 ref_j)^-1 (est_i^-1 est_j), j the first pose at that distance.
+
+    Path length is the reference's. Pairs whose real distance is over 1.5 times the wanted one are left out, so frames
+    2 m apart give no figure for 1 m (count 0, NaN).
+    """
+    moved, turned = [], []
+    for rows in match.sequences():
+        ref, est = match.reference[rows], match.estimate[rows]
+        path = path_length(ref[:, :3, 3])
+        to = np.searchsorted(path, path + distance_m - 1e-9)
+        first = np.flatnonzero(to < len(rows))
+        first = first[path[to[first]] - path[first] <= 1.5 * distance_m]
+        last = to[first]
+        step_ref = transforms.invert(ref[first]) @ ref[last]
+        error = transforms.invert(step_ref) @ transforms.invert(est[first]) @ est[last]
+        moved.append(np.sum(error[:, :3, 3] ** 2, axis=1))
+        turned.append(transforms.angle_deg(error[:, :3, :3], np.broadcast_to(np.eye(3), (len(first), 3, 3))) ** 2)
+    t, r = (np.concatenate([*x, np.zeros(0)]) for x in (moved, turned))
+    if not len(t):
+        return RelativeError(distance_m, _NAN, _NAN, 0)
+    return RelativeError(distance_m, float(np.sqrt(t.mean())), float(np.sqrt(r.mean())), len(t))
+
+
+def yaw_drift(match: PoseMatch, aligned: np.ndarray) -> float:
+    """Median over the sequences of |slope| of the heading error against the travelled distance, degrees per 100 m.
+
+    Heading error: rotation about the reference world's third axis (up) of R_est R_ref^T. NaN when no sequence of
+    three poses is at least 5 m long.
+    """
+    slopes = []
+    for rows in match.sequences():
+        path = path_length(match.reference[rows, :3, 3])
+        if len(rows) < 3 or path[-1] < _MIN_DRIFT_M:
+            continue
+        turn = aligned[rows, :3, :3] @ np.swapaxes(match.reference[rows, :3, :3], 1, 2)
+        yaw = np.degrees(np.unwrap(Rotation.from_matrix(turn).as_rotvec()[:, 2]))
+        slopes.append(abs(np.polyfit(path, yaw, 1)[0]) * 100)
+    return float(np.median(slopes)) if slopes else _NAN
+
+
+def path_length(positions: np.ndarray) -> np.ndarray:
+    """Travelled distance (T,) along positions (T, 3), starting at 0."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
+
+
+def registered_table(registered: np.ndarray, labels: list[tuple[str, str]], sections: np.ndarray) -> dict[str, dict]:
+    """Registered of all images by pass, by camera and by section: registered (N,) bool, labels N of (pass, camera)."""
+    names = {"pass": [t or "(loose)" for t, _ in labels], "camera": [s for _, s in labels]}
+    if np.any(sections >= 0):
+        names["section"] = [f"{s}" if s >= 0 else "(none)" for s in sections]
+    out = {}
+    for kind, values in names.items():
+        column = np.array(values)
+        rows = []
+        for value in dict.fromkeys(values):
+            of = column == value
+            rows.append([value, int(registered[of].sum()), int(of.sum()), float(100 * registered[of].mean())])
+        out[f"registered by {kind}"] = {"columns": [kind, "registered", "images", "%"], "rows": rows}
+    return out
+
+
+def registered_metric(registered: np.ndarray) -> Metric:
+    """Share of the images that are in the model, percent."""
+    share = 100 * float(np.mean(registered)) if len(registered) else _NAN
+    return Metric("registered_images", share, "%", "high", 100.0)
+
+
+def _by_group(match: PoseMatch, errors_m: np.ndarray) -> tuple[tuple[str, int, float, float, float], ...]:
+    out = []
+    for g in np.unique(match.group):
+        e = errors_m[match.group == g]
+        label = match.labels[g] if 0 <= g < len(match.labels) else "loose"
+        out.append((label, len(e), float(np.sqrt(np.mean(e**2))), float(np.median(e)), float(e.max())))
+    return tuple(out)

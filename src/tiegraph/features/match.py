@@ -1,0 +1,288 @@
+"""Matching and geometric verification of exactly the listed pairs, by COLMAP in a child process, block by block."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from tiegraph.child import run_in_child
+from tiegraph.errors import InputError, ReconstructionError, SettingsError
+from tiegraph.features.database import feature_counts, pair_ids, reading, transaction
+from tiegraph.features.settings import MatchSettings
+from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.scene import Scene
+
+BLOCK_PAIRS = 256  # what a killed run loses at most, and the step of the progress
+_SEED = 0  # of RANSAC: the same matches give the same inliers
+_WATERMARK = int(pycolmap.TwoViewGeometryConfiguration.WATERMARK)
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class MatchTable:
+    """What the database holds of P pairs: feature matches, verified matches, COLMAP's configuration; -1 = nothing."""
+
+    matches: np.ndarray
+    inliers: np.ndarray
+    config: np.ndarray
+
+
+@dataclass(frozen=True)
+class MatchReport:
+    """What was asked of the matcher and what came back."""
+
+    asked: int
+    matched: int  # pairs compared, now or in an earlier run
+    verified: int
+    resumed: int  # of the matched, found finished in the database
+    lost: tuple[tuple[str, str], ...]  # ("image1 image2", reason) of the asked pairs that were not compared
+    configurations: dict[str, int]  # matched pairs by COLMAP's kind of two-view geometry
+    matches: int  # feature matches before verification, over all pairs
+    inliers: int  # verified matches, over all pairs
+    seconds: float
+
+
+def match_pairs(
+    database: Path,
+    scene: Scene,
+    pairs: Pairs,
+    settings: MatchSettings,
+    log: Path,
+    on_progress: Progress | None = None,
+    threads: int = -1,
+) -> tuple[Pairs, MatchReport]:
+    """Match and verify the kept pairs. Pairs finished in the database are not done again, others in it are deleted.
+
+    Returns the table with ``inliers`` of the kept pairs (0 = compared and not verified, -1 = could not be compared;
+    both are dropped for "match") and the report. ``threads`` -1 = all cores. Raises InputError for a database of
+    another scene or a full disk, ReconstructionError if COLMAP's process ends or no pair at all is verified.
+    """
+    started = time.perf_counter()
+    _check(database, scene, settings)
+    kept = pairs.kept()
+    counts = feature_counts(database)
+    usable = np.array([counts.get(k, 0) > 0 for k in range(len(scene))], bool)
+    possible = usable[kept.i] & usable[kept.j]
+    finished = _forget_others(database, kept) & possible
+    done, total = int(finished.sum()), int(possible.sum())
+    tell = on_progress or (lambda done, total: None)
+    tell(done, total)
+    blocks = _blocks(scene, kept.where(possible & ~finished), settings.rig_verification)
+    if blocks:
+        _run(database, scene, blocks, settings, threads, log, lambda more: tell(done + more, total))
+    _strike_watermarks(database)
+    table = read_matches(database, kept)
+    report = _report(scene, kept, table, counts, done, time.perf_counter() - started)
+    if report.verified == 0:
+        raise ReconstructionError(_nothing_verified(report, settings, log))
+    return _filled(pairs, table), report
+
+
+def _run(
+    database: Path,
+    scene: Scene,
+    blocks: list[np.ndarray],
+    settings: MatchSettings,
+    threads: int,
+    log: Path,
+    on_message: Callable[[int], None],
+) -> None:
+    aliases = any(len(name.split()) != 1 or name.startswith("#") for name in scene.names)
+    if aliases:  # COLMAP's pair list cannot hold such names
+        _rename(database, [_alias(k) for k in range(len(scene))])
+    pair_list = _pair_list(database)
+    try:
+        pair_list.parent.mkdir(exist_ok=True)
+        names = [_alias(k) for k in range(len(scene))] if aliases else list(scene.names)
+        texts = ["".join(f"{names[a]} {names[b]}\n" for a, b in block) for block in blocks]
+        run_in_child(
+            match_blocks, str(database), texts, settings, threads, log=log, on_message=on_message, task="match"
+        )
+    except ReconstructionError as error:
+        if "database or disk is full" in str(error) or "No space left" in str(error):
+            raise InputError(
+                f"no room on the disk for {database}: free some and run again, what is finished is kept"
+            ) from error
+        raise
+    finally:
+        shutil.rmtree(pair_list.parent, ignore_errors=True)
+        if aliases:
+            _rename(database, list(scene.names))
+
+
+def _pair_list(database: Path) -> Path:
+    return database.with_name(database.name + ".match") / "pairs.txt"
+
+
+def match_blocks(
+    database: str, blocks: list[str], settings: MatchSettings, threads: int, send: Callable[[int], None]
+) -> None:
+    """Match blocks of pairs (text of COLMAP's pair list each); sends the pairs done so far. Runs in a child process."""
+    pycolmap.logging.minloglevel = 1
+    matching, verification = colmap_options(settings, threads)
+    done = 0
+    pair_list = _pair_list(Path(database))
+    for block in blocks:
+        pair_list.write_text(block)
+        pycolmap.match_image_pairs(
+            database,
+            matching_options=matching,
+            pairing_options=pycolmap.ImportedPairingOptions(match_list_path=pair_list, block_size=block.count("\n")),
+            verification_options=verification,
+        )
+        done += block.count("\n")
+        send(done)
+
+
+def colmap_options(
+    settings: MatchSettings, threads: int
+) -> tuple[pycolmap.FeatureMatchingOptions, pycolmap.TwoViewGeometryOptions]:
+    """COLMAP's options of our settings."""
+    matching = pycolmap.FeatureMatchingOptions(num_threads=threads, use_gpu=False)
+    matching.guided_matching = settings.guided
+    matching.rig_verification = settings.rig_verification
+    matching.skip_image_pairs_in_same_frame = False  # what is listed is matched: the network decides
+    matching.sift.max_ratio = settings.max_ratio
+    verification = pycolmap.TwoViewGeometryOptions(min_num_inliers=settings.min_inliers)
+    verification.ransac.max_error = settings.max_error_px
+    verification.ransac.random_seed = _SEED
+    verification.filter_stationary_matches = settings.stationary
+    return matching, verification
+
+
+def _blocks(scene: Scene, pairs: Pairs, whole_frames: bool) -> list[np.ndarray]:
+    """Blocks (B, 2) of scene indices; with ``whole_frames`` all image pairs of two frames are in one block."""
+    index = np.stack([pairs.i, pairs.j], axis=1)
+    if len(index) == 0:
+        return []
+    if not whole_frames:
+        return np.split(index, np.arange(BLOCK_PAIRS, len(index), BLOCK_PAIRS))
+    frames = np.sort(scene.frame[index], axis=1)
+    order = np.lexsort((frames[:, 1], frames[:, 0]))
+    index, frames = index[order], frames[order]
+    starts = np.flatnonzero(np.any(np.diff(frames, axis=0) != 0, axis=1)) + 1
+    cuts, last = [], 0
+    for start in starts.tolist():
+        if start - last >= BLOCK_PAIRS:
+            cuts.append(start)
+            last = start
+    return np.split(index, cuts)
+
+
+def _check(database: Path, scene: Scene, settings: MatchSettings) -> None:
+    with reading(database) as cursor:
+        names = dict(cursor.execute("SELECT image_id - 1, name FROM images").fetchall())
+    if set(names) != set(range(len(scene))) or any(n not in (scene.names[k], _alias(k)) for k, n in names.items()):
+        raise InputError(f"{database} holds other images than the scene: delete it and run the features stage again")
+    if any(names[k] != name for k, name in enumerate(scene.names)):  # a run was killed between two names
+        _rename(database, list(scene.names))
+    if settings.rig_verification and not all(rig.known() for rig in scene.rigs):
+        raise SettingsError("match.rig_verification needs the extrinsics of every sensor of the rig: switch it off")
+
+
+def _alias(index: int) -> str:
+    return f"tiegraph:{index + 1}"
+
+
+def _rename(database: Path, names: list[str]) -> None:
+    with transaction(database) as cursor:
+        cursor.executemany("UPDATE images SET name = ? WHERE image_id = ?", [(n, k + 1) for k, n in enumerate(names)])
+
+
+def _forget_others(database: Path, pairs: Pairs) -> np.ndarray:
+    """(P,) bool: finished in the database. What it holds of other pairs, and halves of a pair, are deleted.
+
+    The mapper takes every pair in the database: one left from another list would enter the model unasked.
+    """
+    asked = pair_ids(pairs)
+    with transaction(database) as cursor:
+        matched = _column(cursor.execute("SELECT pair_id FROM matches"))
+        verified = _column(cursor.execute("SELECT pair_id FROM two_view_geometries"))
+        finished = np.intersect1d(np.intersect1d(matched, verified), asked)
+        for table, there in (("matches", matched), ("two_view_geometries", verified)):
+            gone = np.setdiff1d(there, finished)
+            cursor.executemany(f"DELETE FROM {table} WHERE pair_id = ?", [(int(k),) for k in gone])
+    return np.isin(asked, finished)
+
+
+def _column(rows: object) -> np.ndarray:
+    return np.array([row[0] for row in rows], np.int64)  # type: ignore[attr-defined]
+
+
+def _strike_watermarks(database: Path) -> None:
+    # Most matches lie in the image border and moved alike: a caption or a part of the platform. COLMAP's mappers would
+    # still take the pair.
+    with transaction(database) as cursor:
+        cursor.execute("UPDATE two_view_geometries SET rows = 0, data = NULL WHERE config = ?", (_WATERMARK,))
+
+
+def read_matches(database: Path, pairs: Pairs) -> MatchTable:
+    """What the database holds of the pairs."""
+    with reading(database) as cursor:
+        matches = np.array(cursor.execute("SELECT pair_id, rows FROM matches").fetchall(), np.int64)
+        rows = cursor.execute("SELECT pair_id, rows, config FROM two_view_geometries").fetchall()
+    asked = pair_ids(pairs)
+    verified = np.array(rows, np.int64).reshape(-1, 3)
+    return MatchTable(
+        _looked_up(asked, *matches.reshape(-1, 2).T),
+        _looked_up(asked, verified[:, 0], verified[:, 1]),
+        _looked_up(asked, verified[:, 0], verified[:, 2]),
+    )
+
+
+def _looked_up(asked: np.ndarray, keys: np.ndarray, values: np.ndarray) -> np.ndarray:
+    order = np.argsort(keys)
+    keys, values = np.append(keys[order], -1), np.append(values[order], -1)
+    place = np.searchsorted(keys[:-1], asked)
+    return np.where(keys[place] == asked, values[place], -1)
+
+
+def _filled(pairs: Pairs, table: MatchTable) -> Pairs:
+    inliers = pairs.inliers.copy()
+    kept = pairs.dropped == 0
+    inliers[kept] = table.inliers
+    filled = pairs.with_(inliers=inliers)
+    return filled.drop(kept & (inliers <= 0), "match")
+
+
+def _report(
+    scene: Scene, kept: Pairs, table: MatchTable, counts: dict[int, int], resumed: int, seconds: float
+) -> MatchReport:
+    matched = table.inliers >= 0
+    lost = []
+    for k in np.flatnonzero(~matched):
+        empty = [scene.names[m] for m in (kept.i[k], kept.j[k]) if counts.get(int(m), 0) == 0]
+        reason = f"no features in {' and '.join(empty)}" if empty else "COLMAP gave no result: see the log"
+        lost.append((f"{scene.names[kept.i[k]]} {scene.names[kept.j[k]]}", reason))
+    kinds = pycolmap.TwoViewGeometryConfiguration.__members__
+    codes = {int(value): name.lower() for name, value in kinds.items()}
+    found, number = np.unique(table.config[matched], return_counts=True)
+    return MatchReport(
+        asked=len(kept),
+        matched=int(matched.sum()),
+        verified=int((table.inliers > 0).sum()),
+        resumed=resumed,
+        lost=tuple(lost),
+        configurations={codes.get(int(c), str(c)): int(n) for c, n in zip(found, number)},
+        matches=int(table.matches[matched].clip(0).sum()),
+        inliers=int(table.inliers[matched].sum()),
+        seconds=seconds,
+    )
+
+
+def _nothing_verified(report: MatchReport, settings: MatchSettings, log: Path) -> str:
+    if report.asked == 0:
+        return "no pair verified: the pair list is empty. Loosen the network or design settings, or give a pair file"
+    why = f"; {report.lost[0][0]}: {report.lost[0][1]}" if report.lost else ""
+    return (
+        f"no pair verified: {report.asked} asked, {report.matched} compared, {report.matches} feature matches, and no "
+        f"pair has {settings.min_inliers} of them that agree on one geometry{why}. Check that the images overlap and "
+        f"are not masked away, then try a lower match.min_inliers or other pair sources (log: {log})"
+    )

@@ -1,0 +1,190 @@
+"""Low-resolution previews: ORB features and brightness of an image, and cheap counts of what two images share.
+
+The counts say which images tie; the rotations are coarse (median error near 10 degrees on flat facades) and serve only
+to be voted on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import pycolmap
+
+from tiegraph.features.preview_settings import PreviewSettings
+
+BINS = 16  # of the brightness histogram
+MIN_MATCHES = 8  # fewer tentative matches than this are not worth a RANSAC
+_EDGE_PX = 12  # ORB's patch needs 31 px, but OpenCV mirrors the border: wide-angle neighbours share only the rims
+_FAST_THRESHOLD = 7  # dark stretches under bridges have little contrast
+_OVERSAMPLE = 3  # ORB features found for each one kept, so that the spreading has a choice
+_CELLS = 8  # grid cells along the longest side for the spreading
+_MAX_HAMMING = 72  # of 256 bits; unrelated ORB descriptors differ by 128 +- 8... and repeated texture by less
+_CONFIDENCE = 0.99
+_MAX_TRIALS = 200
+
+
+@dataclass(frozen=True)
+class Preview:
+    """Features and brightness of one reduced image.
+
+    xy (K, 2) f4 pixels of the full image, (0, 0) = corner of the first pixel (COLMAP); descriptors (K, 32) u1 ORB;
+    scale: reduced pixels a full pixel; brightness: mean grey of the whole image without mask, 0..255; shares (16,) f4
+    histogram of the grey values, sum 1.
+    """
+
+    xy: np.ndarray
+    descriptors: np.ndarray
+    width: int
+    height: int
+    scale: float
+    brightness: float
+    shares: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.xy)
+
+    def to_npz(self) -> dict[str, np.ndarray]:
+        """Arrays for ``np.savez``."""
+        head = np.array([self.width, self.height, self.scale, self.brightness], np.float64)
+        return {"xy": self.xy, "descriptors": self.descriptors, "head": head, "shares": self.shares}
+
+    @staticmethod
+    def from_npz(data: dict[str, np.ndarray]) -> Preview:
+        """Inverse of ``to_npz``."""
+        width, height, scale, brightness = (float(v) for v in data["head"])
+        return Preview(
+            np.asarray(data["xy"], np.float32),
+            np.asarray(data["descriptors"], np.uint8),
+            int(width),
+            int(height),
+            scale,
+            brightness,
+            np.asarray(data["shares"], np.float32),
+        )
+
+
+@dataclass(frozen=True)
+class PreviewMatch:
+    """What two previews share: inliers of one epipolar geometry, and cam_b_from_cam_a rotation (3, 3) if calibrated."""
+
+    inliers: int
+    rotation: np.ndarray | None = None
+
+
+def extract_preview(gray: np.ndarray, mask: np.ndarray | None, settings: PreviewSettings) -> Preview:
+    """Preview of a grey image (H, W) u1; ``mask`` (H, W) True = use, None = use all. Raises ValueError on bad shapes."""
+    if gray.ndim != 2 or gray.dtype != np.uint8:
+        raise ValueError(f"a preview needs a grey (H, W) uint8 image, got {gray.shape} {gray.dtype}")
+    if mask is not None and mask.shape != gray.shape:
+        raise ValueError(f"the mask {mask.shape} does not have the size of the image {gray.shape}")
+    height, width = gray.shape
+    scale = min(1.0, settings.size_px / max(height, width))
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    small = gray if scale == 1.0 else cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
+    use = None if mask is None else _small_mask(mask, size)
+    points, descriptors = _spread_orb(small, use, settings)
+    # OpenCV counts from the centre of the first pixel, COLMAP from its corner.
+    xy = (points + 0.5) * np.array([width / size[0], height / size[1]])
+    histogram = np.bincount(small.ravel() >> 4, minlength=BINS).astype(np.float32)
+    shares = histogram / max(1, small.size)
+    return Preview(xy.astype(np.float32), descriptors, width, height, scale, float(small.mean()), shares)
+
+
+def _small_mask(mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    share = cv2.resize(mask.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA)
+    return np.where(share >= 128, 255, 0).astype(np.uint8)
+
+
+def _spread_orb(small: np.ndarray, use: np.ndarray | None, settings: PreviewSettings) -> tuple[np.ndarray, np.ndarray]:
+    """Points (K, 2) and descriptors (K, 32) of the strongest ORB features of each grid cell, round robin."""
+    orb = cv2.ORB_create(
+        nfeatures=_OVERSAMPLE * settings.features, edgeThreshold=_EDGE_PX, fastThreshold=_FAST_THRESHOLD
+    )
+    found, descriptors = orb.detectAndCompute(small, use)
+    if descriptors is None or not len(found):
+        return np.zeros((0, 2)), np.zeros((0, 32), np.uint8)
+    points = np.array([k.pt for k in found])
+    response = np.array([k.response for k in found])
+    cell = np.floor(points / (max(small.shape) / _CELLS)).astype(int)
+    keep = spread(cell[:, 0] + cell[:, 1] * 2 * _CELLS, response, settings.features)
+    return points[keep], descriptors[keep]
+
+
+def spread(cell: np.ndarray, response: np.ndarray, count: int) -> np.ndarray:
+    """Indices of at most ``count`` items: the strongest of every cell first, then the second of every cell, ..."""
+    order = np.lexsort((-response, cell))
+    first = np.r_[True, np.diff(cell[order]) != 0]
+    rank = np.arange(len(order)) - np.maximum.accumulate(np.where(first, np.arange(len(order)), 0))
+    chosen = np.lexsort((-response[order], rank))[:count]
+    return np.sort(order[chosen])
+
+
+def match_previews(
+    a: Preview,
+    b: Preview,
+    camera_a: pycolmap.Camera | None,
+    camera_b: pycolmap.Camera | None,
+    settings: PreviewSettings,
+) -> PreviewMatch:
+    """Inliers of the essential matrix of two previews, or of the fundamental matrix when a camera is unknown."""
+    left, right = tentative(a, b, settings)
+    if len(left) < MIN_MATCHES:
+        return PreviewMatch(0)
+    cv2.setRNGSeed(0)  # the same pair gives the same count in any process and order
+    if camera_a is None or camera_b is None:
+        return _fundamental(a.xy[left] * a.scale, b.xy[right] * b.scale, settings)
+    rays_a = np.asarray(camera_a.cam_from_img(a.xy[left].astype(np.float64)))
+    rays_b = np.asarray(camera_b.cam_from_img(b.xy[right].astype(np.float64)))
+    good = np.isfinite(rays_a).all(axis=1) & np.isfinite(rays_b).all(axis=1)
+    if good.sum() < MIN_MATCHES:
+        return PreviewMatch(0)
+    focal = 0.5 * (camera_a.mean_focal_length() * a.scale + camera_b.mean_focal_length() * b.scale)
+    return _essential(rays_a[good], rays_b[good], settings.max_error_px / focal)
+
+
+def match_many(
+    previews: Sequence[Preview],
+    cameras: Sequence[pycolmap.Camera | None],
+    pairs: np.ndarray,
+    settings: PreviewSettings,
+) -> list[PreviewMatch]:
+    """``match_previews`` of pairs (P, 2), rows index ``previews`` and ``cameras`` (one entry an image)."""
+    return [match_previews(previews[i], previews[j], cameras[i], cameras[j], settings) for i, j in pairs]
+
+
+def tentative(a: Preview, b: Preview, settings: PreviewSettings) -> tuple[np.ndarray, np.ndarray]:
+    """Indices (M,), (M,) of descriptors that match by ratio test; each feature of b is used once."""
+    nothing = np.zeros(0, int)
+    if len(a) < 2 or len(b) < 2:
+        return nothing, nothing
+    distance, nearest = cv2.batchDistance(a.descriptors, b.descriptors, cv2.CV_32S, normType=cv2.NORM_HAMMING, K=2)
+    query, train = np.arange(len(a)), nearest[:, 0]
+    best, second = distance[:, 0], distance[:, 1]
+    good = (best <= settings.ratio * second) & (best <= _MAX_HAMMING)
+    query, train, best = query[good], train[good], best[good]
+    order = np.lexsort((best, train))
+    once = order[np.r_[True, np.diff(train[order]) != 0]] if len(order) else nothing
+    return query[once], train[once]
+
+
+def _fundamental(xy_a: np.ndarray, xy_b: np.ndarray, settings: PreviewSettings) -> PreviewMatch:
+    _, inliers = cv2.findFundamentalMat(
+        xy_a, xy_b, cv2.USAC_FAST, settings.max_error_px, _CONFIDENCE, 5 * _MAX_TRIALS
+    )
+    return PreviewMatch(0 if inliers is None else int(inliers.sum()))
+
+
+def _essential(rays_a: np.ndarray, rays_b: np.ndarray, max_error: float) -> PreviewMatch:
+    """``rays`` (M, 2) normalised image coordinates; five-point RANSAC (Nister 2004)."""
+    eye = np.eye(3)
+    matrix, inliers = cv2.findEssentialMat(rays_a, rays_b, eye, cv2.USAC_FAST, _CONFIDENCE, max_error, _MAX_TRIALS)
+    if matrix is None or inliers is None or matrix.shape != (3, 3):
+        return PreviewMatch(0)
+    count = int(inliers.sum())
+    if count < MIN_MATCHES:
+        return PreviewMatch(count)
+    _, rotation, _, _ = cv2.recoverPose(matrix, rays_a, rays_b, eye, mask=inliers.copy())
+    return PreviewMatch(count, rotation)

@@ -1,0 +1,79 @@
+"""SIFT by OpenCV, in the form COLMAP's own extractor writes (Lowe 2004; RootSIFT: Arandjelovic & Zisserman 2012)."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from tiegraph.features.settings import FeaturesSettings
+
+OCTAVE_LAYERS = 3  # Lowe 2004, section 3.3; both extractors divide the contrast threshold by it
+# COLMAP stores root-SIFT scaled by 512 in one byte (colmap/feature/utils.cc); its matcher counts on that length.
+_DESCRIPTOR_NORM = 512.0
+
+
+def extract_sift(
+    gray: np.ndarray, mask: np.ndarray | None, settings: FeaturesSettings
+) -> tuple[np.ndarray, np.ndarray]:
+    """SIFT features of a grey image (H, W) u1; none are kept where ``mask`` (H, W) bool is False.
+
+    Returns keypoints (K, 4) f4: x, y (pixels, corner convention), scale (pixels, one sigma), orientation (radians, from
+    +x to +y), strongest first, and descriptors (K, 128) u1. K = 0 is legal: a blank or masked image.
+    """
+    check_input(gray, mask)
+    small = shrunk(gray, settings.max_image_size)
+    to_full = np.array([gray.shape[1] / small.shape[1], gray.shape[0] / small.shape[0]])
+    # Without the precise upscale OpenCV's key points lie 0.25 pixels too far right and down.
+    sift = cv2.SIFT.create(
+        nfeatures=0,
+        nOctaveLayers=OCTAVE_LAYERS,
+        contrastThreshold=settings.contrast,
+        enable_precise_upscale=True,
+    )
+    # One call: computing the descriptors of the kept ones alone would build the pyramid a second time.
+    found, descriptors = sift.detectAndCompute(small, None)
+    if not found:
+        return np.zeros((0, 4), np.float32), np.zeros((0, 128), np.uint8)
+    keypoints = np.empty((len(found), 4))
+    keypoints[:, :2] = (np.array([k.pt for k in found]) + 0.5) * to_full
+    # OpenCV's size is twice the sigma of the key point.
+    keypoints[:, 2] = np.array([k.size for k in found]) / 2 * np.sqrt(to_full.prod())
+    keypoints[:, 3] = np.radians([k.angle for k in found])
+    # Strongest first; ties by place, so that OpenCV's threads cannot change the order.
+    response = np.array([k.response for k in found])
+    order = np.lexsort((keypoints[:, 3], keypoints[:, 0], keypoints[:, 1], -response))
+    # OpenCV would cut to the strongest before it looks at a mask: we mask first.
+    chosen = order[on_mask(keypoints[order, :2], mask)][: settings.max_features]
+    return keypoints[chosen].astype(np.float32), root_sift(descriptors[chosen])
+
+
+def root_sift(descriptors: np.ndarray) -> np.ndarray:
+    """Square root of L1-normalised SIFT (K, 128), times 512, one byte each: COLMAP's L1_ROOT."""
+    descriptors = np.asarray(descriptors, np.float32)
+    total = np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12)
+    return np.clip(np.rint(_DESCRIPTOR_NORM * np.sqrt(descriptors / total)), 0, 255).astype(np.uint8)
+
+
+def check_input(gray: np.ndarray, mask: np.ndarray | None) -> None:
+    """Raise ValueError unless the image is grey 8-bit and the mask a boolean array of its size."""
+    if gray.ndim != 2 or gray.dtype != np.uint8:
+        raise ValueError(f"SIFT needs a grey 8-bit image, got {gray.shape} {gray.dtype}")
+    if mask is not None and (mask.shape != gray.shape or mask.dtype != bool):
+        raise ValueError(f"mask {mask.shape} {mask.dtype} does not fit the image {gray.shape}")
+
+
+def on_mask(xy: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
+    """(K,) bool: which points (K, 2), corner convention, lie on a pixel that is True; all without a mask."""
+    if mask is None:
+        return np.ones(len(xy), bool)
+    column, row = np.floor(xy).astype(int).T
+    return mask[np.clip(row, 0, mask.shape[0] - 1), np.clip(column, 0, mask.shape[1] - 1)]
+
+
+def shrunk(gray: np.ndarray, max_image_size: int) -> np.ndarray:
+    """The image, or a smaller one whose longer side is ``max_image_size``."""
+    factor = max_image_size / max(gray.shape)
+    if factor >= 1:
+        return gray
+    size = (max(1, round(gray.shape[1] * factor)), max(1, round(gray.shape[0] * factor)))
+    return cv2.resize(gray, size, interpolation=cv2.INTER_AREA)

@@ -1,0 +1,112 @@
+"""How good masks are: against masks made by hand or known to be true, per camera (paper 001, table 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from tiegraph.errors import InputError
+from tiegraph.masks.folder import find_mask, read_mask_file
+
+ALL = "all"
+COLUMNS = ("camera", "images", "accuracy %", "IoU %", "useful lost %", "useless kept %")
+
+
+@dataclass(frozen=True)
+class MaskRow:
+    """Figures of one camera, or of all; shares 0..1 over all pixels of its images, NaN where there is none to count."""
+
+    camera: str
+    images: int
+    accuracy: float  # pixels that are the same in both masks
+    iou: float  # of the used area: used in both / used in either
+    useful_lost: float  # of the truly useful pixels: masked
+    useless_kept: float  # of the truly useless pixels: used
+
+
+@dataclass(frozen=True)
+class MaskComparison:
+    """Rows per camera, sorted by name, the last for all of them together."""
+
+    rows: tuple[MaskRow, ...]
+
+    def table(self) -> dict:
+        """{"columns": [...], "rows": [[...]]}, shares in percent with one decimal."""
+        return {"columns": list(COLUMNS), "rows": [_cells(r) for r in self.rows]}
+
+    def text(self) -> str:
+        """The table as aligned text."""
+        lines = [list(COLUMNS)] + [[c if isinstance(c, str) else str(c) for c in _cells(r)] for r in self.rows]
+        wide = [max(len(line[k]) for line in lines) for k in range(len(COLUMNS))]
+        return "\n".join(
+            "  ".join(c.ljust(w) if k == 0 else c.rjust(w) for k, (c, w) in enumerate(zip(line, wide)))
+            for line in lines
+        )  # fmt: skip
+
+
+def compare(
+    found: Path, truth: Path, cameras: Mapping[str, str] | None = None, keep_labels: Sequence[int] = ()
+) -> MaskComparison:
+    """Compare the masks of two folders, found by image name as in ``folder.candidates``.
+
+    ``cameras``: image name -> camera; None takes the images ``found`` has masks <name>.png for, and their folder's name
+    as camera. Images without a true mask are left out. ``keep_labels``: the useful labels if ``truth`` has class
+    labels. Raises InputError if nothing can be compared, or a mask is missing, unreadable or of another size.
+    """
+    names = _names(found) if cameras is None else dict(cameras)
+    sums: dict[str, np.ndarray] = {}
+    for name, camera in sorted(names.items()):
+        true_path = find_mask(truth, name)
+        if true_path is None:
+            continue
+        path = find_mask(found, name)
+        if path is None:
+            raise InputError(f"{found}: no mask for {name}, which has a true one ({true_path})")
+        mask, true = read_mask_file(path), read_mask_file(true_path, keep_labels)
+        if mask.shape != true.shape:
+            sizes = [f"{m.shape[1]} x {m.shape[0]}" for m in (mask, true)]
+            raise InputError(f"{path}: {sizes[0]} pixels, but {true_path} has {sizes[1]}")
+        sums[camera] = sums.get(camera, 0) + _counts(mask, true)
+    if not sums:
+        raise InputError(
+            f"{truth}: no true mask for any of {len(names)} images of {found}: are these the right folders?"
+        )
+    rows = [_row(camera, sums[camera]) for camera in sorted(sums)]
+    return MaskComparison((*rows, _row(ALL, np.sum(list(sums.values()), axis=0))))
+
+
+def _names(found: Path) -> dict[str, str]:
+    if not Path(found).is_dir():
+        raise InputError(f"{found}: there is no such folder of masks")
+    names = [p.relative_to(found).as_posix()[: -len(".png")] for p in Path(found).rglob("*.png")]
+    return {n: PurePosixPath(n).parent.name or "camera" for n in names}
+
+
+def _counts(mask: np.ndarray, true: np.ndarray) -> np.ndarray:
+    both = np.count_nonzero(mask & true)
+    return np.array([1, mask.size, np.count_nonzero(true), np.count_nonzero(mask), both], np.int64)
+
+
+def _row(camera: str, counts: np.ndarray) -> MaskRow:
+    images, pixels, true, used, both = (int(c) for c in counts)
+    neither = pixels - true - used + both
+    return MaskRow(
+        camera,
+        images,
+        accuracy=_share(both + neither, pixels),
+        iou=_share(both, true + used - both),
+        useful_lost=_share(true - both, true),
+        useless_kept=_share(used - both, pixels - true),
+    )
+
+
+def _share(part: int, whole: int) -> float:
+    return part / whole if whole else float("nan")
+
+
+def _cells(row: MaskRow) -> list:
+    shares = (row.accuracy, row.iou, row.useful_lost, row.useless_kept)
+    return [row.camera, row.images, *(round(100 * s, 1) for s in shares)]

@@ -1,0 +1,122 @@
+"""Masks from a folder of the user's: finding the one of an image, reading it, and saying clearly what is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+from PIL import Image
+
+from tiegraph.errors import InputError
+from tiegraph.scene.images import IMAGES_FOLDER, decode_deep, open_image
+
+_LISTED = 5  # missing masks named in an error
+_TWO_LEVELS = ({0, 255}, {0, 1})
+
+
+def candidates(name: str) -> list[str]:
+    """Where the mask of image ``name`` (POSIX) is looked for below the folder, best first.
+
+    For up/cam0/a.jpg: up/cam0/a.jpg.png (COLMAP), up/cam0/a_mask.png, up/cam0/a.png, then one mask a camera:
+    up/cam0.png, cam0.png, up.png. A leading images/ of the name may be left away.
+    """
+    path = PurePosixPath(name)
+    found = [f"{path}.png", str(path.with_name(f"{path.stem}_mask.png")), str(path.with_suffix(".png"))]
+    folders = path.parts[:-1]
+    found += [str(PurePosixPath(*folders[:k])) + ".png" for k in range(len(folders), 1, -1)]
+    found += [f"{folder}.png" for folder in reversed(folders)]
+    if folders and folders[0] == IMAGES_FOLDER:
+        found += candidates(str(PurePosixPath(*path.parts[1:])))
+    return list(dict.fromkeys(found))
+
+
+def find_mask(folder: Path, name: str) -> Path | None:
+    """The mask file of an image, None if there is none."""
+    return next((folder / c for c in candidates(name) if (folder / c).is_file()), None)
+
+
+def check_folder(folder: Path, names: Sequence[str]) -> None:
+    """Raise InputError if the folder is not there or lacks the mask of an image."""
+    if not Path(folder).is_dir():
+        raise InputError(f"{folder}: there is no such folder; masks.folder must be the folder of the masks")
+    missing = [n for n in names if find_mask(folder, n) is None]
+    if missing:
+        raise _missing(folder, missing, len(names))
+
+
+def read_folder_mask(
+    folder: Path, name: str, size: tuple[int, int], keep_labels: Sequence[int] = ()
+) -> np.ndarray:  # (H, W) bool, True = use
+    """Mask of image ``name``, whose ``size`` is (height, width); ``keep_labels``: see ``read_mask_file``.
+
+    Raises InputError naming the file if it is missing, unreadable, of another size, or no mask.
+    """
+    path = find_mask(folder, name)
+    if path is None:
+        raise _missing(folder, [name], 1)
+    mask = read_mask_file(path, keep_labels)
+    if mask.shape != tuple(size):
+        raise InputError(
+            f"{path}: the mask has {mask.shape[1]} x {mask.shape[0]} pixels, its image {name} has {size[1]} x {size[0]} "
+            "(after cropping, undistortion and turning upright): make the mask in the size of the image"
+        )
+    return mask
+
+
+def read_mask_file(path: Path, keep_labels: Sequence[int] = ()) -> np.ndarray:
+    """(H, W) bool, True = use, of a mask of two levels, {0, 255} or {0, 1}; or of class labels, of which some are kept.
+
+    Raises InputError if the file cannot be read, has colours, or other values.
+    """
+    values = _read_values(path, bool(keep_labels))
+    found = np.unique(values)
+    if keep_labels:
+        if set(found.tolist()) == {0, 255} and not {0, 255} & set(keep_labels):
+            raise InputError(f"{path}: this is a mask of 0 and 255, not class labels; leave masks.keep_labels away")
+        return np.isin(values, list(keep_labels))
+    if not any(set(found.tolist()) <= levels for levels in _TWO_LEVELS):
+        shown = ", ".join(str(v) for v in found[:6]) + (f", ... {found[-1]}" if len(found) > 6 else "")
+        raise InputError(
+            f"{path}: {len(found)} different values ({shown}); a mask has 0 = ignore and 255 (or 1) = use, saved without "
+            "smoothing or JPEG compression. For class labels name those to use: masks.keep_labels"
+        )
+    return values > 0
+
+
+def _read_values(path: Path, labels: bool) -> np.ndarray:
+    try:
+        data = Path(path).read_bytes()
+        image = open_image(data)
+        if image.mode.startswith("I"):  # 16 bits, which PIL does not convert
+            values = decode_deep(data)
+        else:
+            values = _grey(image, labels, path)
+    except InputError:
+        raise
+    except Exception as error:  # decoders raise OSError, SyntaxError, ValueError, struct.error and more
+        raise InputError(f"{path}: this mask cannot be read ({error})") from None
+    if values is None or values.ndim != 2:
+        raise InputError(f"{path}: this mask cannot be read as a grey image")
+    return values
+
+
+def _grey(image: Image.Image, labels: bool, path: Path) -> np.ndarray:
+    if image.mode == "P":  # label images keep their labels in the palette's indices, masks in its colours
+        return np.asarray(image if labels else image.convert("RGB").convert("L"))
+    if image.mode in ("1", "L"):
+        return np.asarray(image.convert("L"))
+    bands = np.asarray(image.convert("RGBA"))
+    if (bands[..., 3] < 255).any():
+        raise InputError(f"{path}: the mask is partly transparent; save it as a grey image, 0 = ignore, 255 = use")
+    if (bands[..., :2] != bands[..., 1:3]).any():
+        raise InputError(f"{path}: the mask has colours; save it as a grey image, 0 = ignore, 255 = use")
+    return bands[..., 0]
+
+
+def _missing(folder: Path, missing: Sequence[str], total: int) -> InputError:
+    more = f" and {len(missing) - _LISTED} more" if len(missing) > _LISTED else ""
+    return InputError(
+        f"{folder}: no mask for {len(missing)} of {total} images: {', '.join(missing[:_LISTED])}{more}. "
+        f"For {missing[0]} these were looked for: {', '.join(candidates(missing[0]))}"
+    )

@@ -1,0 +1,101 @@
+"""Reading images for masks at a reduced size, and choosing the two frames of a camera that are compared."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from tiegraph.errors import InputError
+from tiegraph.scene.images import open_image
+
+WORK_PX = 640
+"""Longer side, in pixels, at which masks are computed; all pixel sizes of this package refer to it."""
+
+_EQUAL_GREY = 1.0  # two frames whose grey values differ less than this on average are one picture, not two
+_MOST_TRIES = 12  # unreadable, differently sized or equal frames passed over before a camera is given up
+
+_log = logging.getLogger(__name__)
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """(height, width) of an image file from its header. Raises InputError if it cannot be read."""
+    return _size(path, _bytes(path))
+
+
+def read_small(path: Path) -> np.ndarray:
+    """(h, w, 3) u1 BGR, the longer side reduced to WORK_PX (never enlarged). Raises InputError if it cannot be read."""
+    data = _bytes(path)
+    height, width = _size(path, data)
+    longer = max(height, width)
+    flags = cv2.IMREAD_COLOR
+    for factor, reduced in _REDUCED:
+        if longer >= factor * WORK_PX:
+            flags = reduced
+            break
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), flags | cv2.IMREAD_IGNORE_ORIENTATION)
+    if image is None:
+        raise InputError(f"{path}: the image is broken; it was readable before: scan again")
+    scale = min(1.0, WORK_PX / longer)
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    return image if image.shape[1::-1] == size else cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+
+
+# The JPEG decoder leaves out what is not needed: large photographs are opened several times faster.
+_REDUCED = ((8, cv2.IMREAD_REDUCED_COLOR_8), (4, cv2.IMREAD_REDUCED_COLOR_4), (2, cv2.IMREAD_REDUCED_COLOR_2))
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
+
+
+def _size(path: Path, data: bytes) -> tuple[int, int]:
+    try:
+        image = open_image(data)
+    except Exception as error:  # decoders raise OSError, SyntaxError, ValueError, struct.error and more
+        raise InputError(f"{path}: not a readable image ({type(error).__name__})") from None
+    return image.height, image.width
+
+
+def grey(image: np.ndarray) -> np.ndarray:
+    """(h, w) u1 of (h, w, 3) u1 BGR."""
+    return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+
+
+def full_size(mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """A mask (h, w) bool made at reduced size, at ``size`` = (height, width) of the image."""
+    if mask.shape == tuple(size):
+        return mask
+    return cv2.resize(mask.astype(np.uint8), (size[1], size[0]), interpolation=cv2.INTER_NEAREST) > 0
+
+
+def two_frames(images: Sequence[Path]) -> tuple[np.ndarray, np.ndarray] | None:
+    """Grey (h, w) u1 of the first and the last image of a camera (paper 001: "typically the first and the last").
+
+    Images that cannot be read are passed over for the next one; the second is the last one of equal size that is not
+    the same picture (a camera at rest). None, with a warning, if there are no two such images.
+    """
+    first = next(_readable(images), None)
+    if first is None:
+        _log.warning("no image of this camera can be read: no mask from two frames")
+        return None
+    place, a = first
+    for _, b in _readable(images[:place:-1]):
+        if b.shape == a.shape and float(cv2.absdiff(a, b).mean()) >= _EQUAL_GREY:
+            return a, b
+    _log.warning("%s: no second, different image of this camera: no mask from two frames", images[place])
+    return None
+
+
+def _readable(images: Sequence[Path]) -> Iterator[tuple[int, np.ndarray]]:
+    for place, path in enumerate(images[:_MOST_TRIES]):
+        try:
+            yield place, grey(read_small(path))
+        except InputError as error:
+            _log.warning("%s", error)

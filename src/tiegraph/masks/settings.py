@@ -1,0 +1,48 @@
+"""Settings of the masks stage."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from tiegraph.settings import Section
+
+
+class MasksSettings(Section):
+    """Which pixels of an image may become features and depths."""
+
+    source: Literal["auto", "meguro2025", "meguro2024", "sky", "folder", "none"] = "auto"
+    """Where masks come from: meguro2025 = similar parts of first and last frame, sky, overexposure (paper 001);
+    meguro2024 = equal parts of first and last frame (paper 000); sky = only sky and overexposure; folder = your own;
+    none = all is used; auto = folder if given, else meguro2025 for rigs on a path, else none."""
+
+    folder: Path | None = None
+    """Folder of your own masks; for up/cam0/a.jpg the first of up/cam0/a.jpg.png, up/cam0/a_mask.png, up/cam0/a.png, or
+    one mask a camera: up/cam0.png, cam0.png. 0 = ignore, 255 or 1 = use; the size of the image."""
+
+    keep_labels: tuple[int, ...] = ()
+    """Label values to use, if the folder holds class labels instead of masks; all other labels are ignored."""
+
+    difference: int = Field(default=8, ge=1, le=254)
+    """meguro2024: pixels that differ less than this between the two frames are masked (grey levels, 255 = white)."""
+
+    similarity: float = Field(default=0.6, gt=0, lt=1)
+    """meguro2025: pixels whose structural similarity (SSIM, 1 = equal) between the two frames is higher are masked."""
+
+    sky_edge: float = Field(default=8.0, gt=0, le=255)
+    """meguro2025, sky: from the top of the image down to the first edge this strong is sky (grey levels a pixel)."""
+
+    overexposed: int = Field(default=250, ge=128, le=255)
+    """meguro2025, sky: pixels at least this bright are masked (grey levels, 255 = white)."""
+
+    @model_validator(mode="after")
+    def _folder_goes_with_source(self) -> MasksSettings:
+        if self.source == "folder" and self.folder is None:
+            raise ValueError("source = folder needs the setting folder: where the masks are")
+        if self.folder is not None and self.source not in ("folder", "auto"):
+            raise ValueError(f"folder is given, but source = {self.source} does not read it: leave one of them away")
+        if self.keep_labels and self.folder is None:
+            raise ValueError("keep_labels needs the setting folder: where the label images are")
+        return self

@@ -1,0 +1,121 @@
+"""Mask sources by name: each prepares once a camera, then makes the mask of one image after another."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tiegraph.errors import InputError
+from tiegraph.masks.difference import prepare_difference
+from tiegraph.masks.folder import check_folder, read_folder_mask
+from tiegraph.masks.frames import full_size, image_size, read_small
+from tiegraph.masks.settings import MasksSettings
+from tiegraph.masks.sky import final_mask
+from tiegraph.masks.ssim import prepare_ssim
+from tiegraph.scene.scene import Scene
+
+MIN_FRAMES = 5
+"""Frames a camera must have before ``auto`` compares its first with its last."""
+
+_MIN_USED_SHARE = 0.5
+# auto: an initial mask that leaves less of the image says that the two frames are too alike to tell the platform from
+# the scene (open sky above an upward camera, dark streets, a boat back at its berth); only the final stage is used.
+# Measured, share of true key points lost with and without the initial mask: canal_demo, upward camera (it leaves 37 %):
+# 0.62 and 0.14. The cameras it helps leave 59-81 %, the three of pandaset whose streets and walls it takes 24-41 %.
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class MaskSource:
+    """One way to make masks.
+
+    ``prepare(images, settings)`` is called once for the images (paths, in order) of a sensor and returns what all their
+    masks share, (h, w) bool at reduced size, or None. ``mask(image, prepared, settings, name)`` returns (H, W) bool,
+    True = use, at the size of the image; ``name`` is that of the user's file, for sources that look it up.
+    """
+
+    prepare: Callable[[Sequence[Path], MasksSettings], np.ndarray | None]
+    mask: Callable[[Path, np.ndarray | None, MasksSettings, str], np.ndarray]
+
+
+def explain_source(scene: Scene, settings: MasksSettings) -> tuple[str, str]:
+    """(name of the source, why) for a scene.
+
+    ``auto`` masks only cameras of a rig that moves along a path: for loose photographs and single cameras the first and
+    the last frame have nothing in common but chance, and of the true matches between neighbours the masks of paper 000
+    cost 25 % (strecha) to 42 % (oppaiyama). Between neighbours of rigs paper 001 costs 1-15 % (canal, kitti, pandaset;
+    pandaset's are mostly clouds) and takes half of the features on the platform. Raises InputError if a folder of masks
+    lacks one of the images.
+    """
+    name, why = settings.source, "as the setting says"
+    if name == "auto":
+        name, why = _automatic(scene, settings)
+    if name == "folder" and settings.folder is not None:
+        check_folder(settings.folder, [scene.source_name(k) for k in range(len(scene))])
+    return name, why
+
+
+def resolve_source(scene: Scene, settings: MasksSettings) -> str:
+    """Name of the source for a scene, see ``explain_source``."""
+    return explain_source(scene, settings)[0]
+
+
+def _automatic(scene: Scene, settings: MasksSettings) -> tuple[str, str]:
+    if settings.folder is not None:
+        return "folder", "a folder of masks is given"
+    if (scene.track < 0).any():
+        return "none", "loose photographs share no platform that could be masked"
+    if all(len(r.sensors) < 2 for r in scene.rigs):
+        return "none", "a single camera: name a mask source if its platform is in view"
+    fewest = int(np.bincount(scene.sensor_key, minlength=len(scene.all_sensors)).min())
+    if fewest < MIN_FRAMES:
+        return "none", f"a camera has only {fewest} frames, fewer than {MIN_FRAMES}"
+    return "meguro2025", "a rig that moves along a path"
+
+
+def _prepare_meguro2025(images: Sequence[Path], settings: MasksSettings) -> np.ndarray | None:
+    initial = prepare_ssim(images, settings)
+    if initial is None or settings.source != "auto" or initial.mean() >= _MIN_USED_SHARE:
+        return initial
+    _log.info("%s ...: first and last frame are too alike, only sky and overexposure are masked", images[0])
+    return None
+
+
+def _prepare_nothing(images: Sequence[Path], settings: MasksSettings) -> None:
+    return None
+
+
+def _mask_of_camera(image: Path, prepared: np.ndarray | None, settings: MasksSettings, name: str) -> np.ndarray:
+    size = image_size(image)
+    return np.ones(size, bool) if prepared is None else full_size(prepared, size)
+
+
+def _mask_with_sky(image: Path, prepared: np.ndarray | None, settings: MasksSettings, name: str) -> np.ndarray:
+    small = read_small(image)
+    if prepared is not None and prepared.shape != small.shape[:2]:
+        raise InputError(f"{image}: not of the shape of the other images of its camera, which share a mask")
+    return full_size(final_mask(small, prepared, settings), image_size(image))
+
+
+def _mask_of_folder(image: Path, prepared: np.ndarray | None, settings: MasksSettings, name: str) -> np.ndarray:
+    if settings.folder is None:
+        raise InputError("masks.source = folder needs masks.folder: where the masks are")
+    return read_folder_mask(settings.folder, name, image_size(image), settings.keep_labels)
+
+
+def _mask_nothing(image: Path, prepared: np.ndarray | None, settings: MasksSettings, name: str) -> np.ndarray:
+    return np.ones(image_size(image), bool)
+
+
+SOURCES: dict[str, MaskSource] = {
+    "meguro2024": MaskSource(prepare_difference, _mask_of_camera),
+    "meguro2025": MaskSource(_prepare_meguro2025, _mask_with_sky),
+    "sky": MaskSource(_prepare_nothing, _mask_with_sky),
+    "folder": MaskSource(_prepare_nothing, _mask_of_folder),
+    "none": MaskSource(_prepare_nothing, _mask_nothing),
+}

@@ -1,0 +1,140 @@
+"""Preview evidence between two passes on a coarse lattice of frames, smoothed and interpolated to every frame.
+
+One preview is a poor witness: at 12 inliers it keeps 85 % of the pairs that SIFT verifies and a third of what it keeps is
+false. Overlap changes slowly along a pass, so the kernel mean over neighbouring frame pairs decides: measured on 120
+rendered images, the same recall at 0.8 instead of 0.5 precision, from a ninth of the previews.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from tiegraph.network.passes import Pass, PreviewBook
+
+SIGMA_NODES = 0.8  # kernel width in lattice nodes; 0.5 .. 1.5 serve alike
+FLOOR = 2 / 3  # share of min_matches that unrelated images reach by chance
+CEILING = 2.0  # share of min_matches above which more matches say nothing more
+_TRUNCATE = 2.5  # kernel cut, in sigmas
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Evidence between passes p and q: ``inliers[c, d, a, b]`` of sensor c in frame rows[a] of p and sensor d in frame
+    columns[b] of q, NaN = not measured; ``allowed[c, d]`` = the optical axes permit a match."""
+
+    p: Pass
+    q: Pass
+    rows: np.ndarray  # (A,) ranks of frames
+    columns: np.ndarray  # (B,)
+    allowed: np.ndarray  # (S, T) bool
+    inliers: np.ndarray  # (S, T, A, B) f4
+
+    @property
+    def same(self) -> bool:
+        """Whether both passes are one."""
+        return self.p is self.q
+
+    def exists(self) -> np.ndarray:
+        """(S, T, A, B) bool: both images exist, differ, and the axes allow the pair."""
+        left = self.p.images[:, None, self.rows, None]
+        right = self.q.images[None, :, None, self.columns]
+        return (left >= 0) & (right >= 0) & (left != right) & self.allowed[:, :, None, None]
+
+    def images(self, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Images i (K,), j (K,) of the nodes of a mask (S, T, A, B), in C order."""
+        c, d, a, b = np.nonzero(nodes)
+        return self.p.images[c, self.rows[a]], self.q.images[d, self.columns[b]]
+
+    def measured(self, nodes: np.ndarray, book: PreviewBook) -> Lattice:
+        """With the nodes of a mask (S, T, A, B) previewed; nodes that do not exist are left out."""
+        nodes = nodes & self.exists() & np.isnan(self.inliers)
+        if not nodes.any():
+            return self
+        inliers = self.inliers.copy()
+        inliers[nodes] = book.measure(*self.images(nodes))
+        if self.same:  # (c, a)-(d, b) is (d, b)-(c, a)
+            inliers = np.fmax(inliers, inliers.transpose(1, 0, 3, 2))
+        return replace(self, inliers=inliers)
+
+    def smoothed(self, min_matches: int) -> np.ndarray:
+        """(S, T, A, B) f4 kernel mean of the counts, limited to FLOOR .. CEILING times ``min_matches``; NaN where the
+        node was not measured. An image counts as tied to itself, which carries evidence to its neighbours in time."""
+        low, high = FLOOR * min_matches, CEILING * min_matches
+        inliers = self.inliers
+        if self.same:
+            left = self.p.images[:, None, self.rows, None]
+            right = self.q.images[None, :, None, self.columns]
+            inliers = np.where((left == right) & (left >= 0), high, inliers)
+        known = np.isfinite(inliers)
+        excess = np.where(known, np.clip(inliers, low, high) - low, 0)
+        kernel = {"sigma": (0, 0, SIGMA_NODES, SIGMA_NODES), "truncate": _TRUNCATE, "mode": "constant"}
+        weight = gaussian_filter(known.astype(np.float32), **kernel)
+        mean = gaussian_filter(excess.astype(np.float32), **kernel) / np.maximum(weight, 1e-6)
+        return np.where(known, low + mean, np.nan).astype(np.float32)
+
+    def frontier(self, smooth: np.ndarray, min_matches: float) -> np.ndarray:
+        """(S, T, A, B) bool: unmeasured neighbours of nodes whose smoothed count reaches ``min_matches``."""
+        hot = np.nan_to_num(smooth) >= min_matches
+        grown = np.zeros_like(hot)
+        for da in (-1, 0, 1):
+            for db in (-1, 0, 1):
+                grown |= _shifted(hot, da, db)
+        return grown & self.exists() & np.isnan(self.inliers)
+
+    def interpolated(self, smooth: np.ndarray, threshold: float) -> tuple[np.ndarray, ...]:
+        """Frame pairs between the nodes: c, d, rank in p, rank in q and bilinear count, all (K,), of those that reach
+        ``threshold``. Unmeasured corners count as unrelated."""
+        low = FLOOR * threshold
+        surface = np.where(np.isfinite(smooth), smooth, low)
+        fine_rows, u, v_rows = _between(self.rows)
+        fine_columns, w, v_columns = _between(self.columns)
+        out = []
+        for c, d in np.argwhere(self.allowed):
+            grid = surface[c, d]
+            hot_rows = _reach(grid.max(axis=1) >= threshold)[u] if len(grid) else np.zeros(0, bool)
+            take = np.flatnonzero(hot_rows)
+            at = grid[u[take]] * (1 - v_rows[take, None]) + grid[np.minimum(u[take] + 1, len(grid) - 1)] * v_rows[take, None]
+            fine = at[:, w] * (1 - v_columns) + at[:, np.minimum(w + 1, grid.shape[1] - 1)] * v_columns
+            k, n = np.nonzero(fine >= threshold)
+            full = np.full(len(k), c), np.full(len(k), d), fine_rows[take[k]], fine_columns[n], fine[k, n]
+            out.append(full)
+        if not out:
+            return tuple(np.zeros(0, int) for _ in range(4)) + (np.zeros(0),)
+        return tuple(np.concatenate(part) for part in zip(*out))
+
+
+def make_lattice(p: Pass, q: Pass, stride: int, allowed: np.ndarray) -> Lattice:
+    """An empty lattice with every ``stride``-th frame and the last one."""
+    rows, columns = _every(len(p), stride), _every(len(q), stride)
+    inliers = np.full((len(p.images), len(q.images), len(rows), len(columns)), np.nan, np.float32)
+    return Lattice(p, q, rows, columns, allowed, inliers)
+
+
+def _every(n: int, stride: int) -> np.ndarray:
+    return np.unique(np.r_[np.arange(0, n, stride), n - 1])
+
+
+def _between(nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Every rank from the first to the last node: ranks (K,), node below (K,), share of the way to the next (K,)."""
+    ranks = np.arange(nodes[-1] + 1)
+    below = np.clip(np.searchsorted(nodes, ranks, side="right") - 1, 0, len(nodes) - 1)
+    above = np.minimum(below + 1, len(nodes) - 1)
+    gap = np.maximum(nodes[above] - nodes[below], 1)
+    return ranks, below, (ranks - nodes[below]) / gap
+
+
+def _reach(hot: np.ndarray) -> np.ndarray:
+    """Nodes that are hot or stand just before a hot one: the cells a hot node touches."""
+    return hot | np.append(hot[1:], False)
+
+
+def _shifted(mask: np.ndarray, da: int, db: int) -> np.ndarray:
+    out = np.zeros_like(mask)
+    a, b = mask.shape[-2:]
+    target = (..., slice(max(da, 0), a + min(da, 0)), slice(max(db, 0), b + min(db, 0)))
+    source = (..., slice(max(-da, 0), a + min(-da, 0)), slice(max(-db, 0), b + min(-db, 0)))
+    out[target] = mask[source]
+    return out

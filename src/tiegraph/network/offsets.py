@@ -1,0 +1,367 @@
+"""Source ``offsets``: which frame of a pass a camera shares with which frame of the same or another pass.
+
+Papers 000 (section c) and 001 (section b) vote, for every two cameras, on one constant frame offset and match a limited
+range around it: mode ``constant``. Mode ``local`` (default) follows the offset along the pass, because the speed of two
+passes is never equal: previews on a coarse lattice of frames, grown where they hit, smoothed and interpolated.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tiegraph.network.axes import angles_deg, allowed_within, yaw_between
+from tiegraph.network.lattice import CEILING, FLOOR, Lattice, make_lattice
+from tiegraph.network.passes import Pass, PreviewBook
+from tiegraph.network.settings import NetworkSettings
+from tiegraph.scene.pairs import REASONS, Pairs
+
+LADDER = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)  # frame distances at which the reach of a camera is measured
+MAX_STRIDE = 16
+WINDOW_NODES = 10  # seeds reach this far from the path, in lattice nodes
+FLOOD_EXCESS = 1.1  # the lattice grows from nodes this much above min_matches: noise alone must not spread
+PREVIEW_SHARE = 0.04  # of all image pairs: the most that previews may take
+MIN_BUDGET = 6000  # previews that are always affordable (half a minute on one core)
+COARSE_NODES = 24  # lattice nodes a side of the first look between two passes
+MAX_COLUMNS = 120  # constant offsets: frames of the other pass a sampled frame is compared with
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class OffsetCurve:
+    """Votes against frame offset for two cameras: offset = n - m, or n + m when the other pass runs the other way.
+
+    offsets (K,) i4; votes (K,) f4 mean preview matches above chance; best: offset with most votes; accepted: whether the
+    camera pair gave candidates at all.
+    """
+
+    pass_a: str
+    pass_b: str
+    sensor_a: str
+    sensor_b: str
+    offsets: np.ndarray
+    votes: np.ndarray
+    best: int
+    accepted: bool
+    reversed: bool
+
+
+@dataclass(frozen=True)
+class OffsetResult:
+    """Pairs of the source, its curves, and what people should know."""
+
+    pairs: Pairs
+    curves: tuple[OffsetCurve, ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Survey:
+    """One finished lattice: smoothed counts, direction, yaw of q against p."""
+
+    lattice: Lattice
+    smooth: np.ndarray
+    reversed: bool
+    notes: tuple[str, ...] = ()
+
+
+def estimate_offsets(passes: Sequence[Pass], book: PreviewBook, images: int, settings: NetworkSettings) -> OffsetResult:
+    """Candidate pairs within and between passes by the mode of ``settings.offsets``."""
+    couples = [(a, b) for k, a in enumerate(passes) for b in passes[k:]]
+    if settings.offsets == "constant":
+        parts = [_constant(p, q, book, settings) for p, q in couples]
+    else:
+        budget = len(book) + max(MIN_BUDGET, int(PREVIEW_SHARE * images * (images - 1) / 2))
+        strides = {id(p): _stride(p, book, settings) for p in passes}
+        parts = []
+        for k, (p, q) in enumerate(couples):
+            share = (budget - len(book)) // (len(couples) - k)
+            survey = _survey(p, q, min(strides[id(p)], strides[id(q)]), book, settings, len(book) + share)
+            parts.append(_local(survey, settings))
+    pairs = Pairs.empty()
+    for part in parts:
+        pairs = pairs | part.pairs
+    return OffsetResult(pairs, sum((r.curves for r in parts), ()), sum((r.notes for r in parts), ()))
+
+
+# ---------------------------------------------------------------- local offsets
+
+
+def _stride(p: Pass, book: PreviewBook, settings: NetworkSettings) -> int:
+    """Lattice stride in frames: a quarter of the frames over which a typical camera keeps seeing the same things."""
+    reach = []
+    starts = _sampled(len(p), settings.sample_frames)
+    for images in p.images:
+        best = 0
+        for step in LADDER:
+            start = starts[starts + step < len(p)]
+            left, right = images[start], images[start + step]
+            there = (left >= 0) & (right >= 0)
+            if not there.any():
+                break
+            if np.median(book.measure(left[there], right[there])) < settings.min_matches:
+                break
+            best = step
+        reach.append(best)
+    return int(np.clip(round(float(np.median(reach)) / 4 + 1), 1, min(MAX_STRIDE, max(1, len(p) // 4))))
+
+
+def _sampled(n: int, count: int) -> np.ndarray:
+    return np.unique(np.linspace(0, n - 1, min(n, count)).round().astype(int))
+
+
+def _survey(p: Pass, q: Pass, stride: int, book: PreviewBook, settings: NetworkSettings, budget: int) -> _Survey:
+    """Seed the lattice, then grow it from every hit until nothing new ties or the budget of previews is spent."""
+    if p is q:
+        lattice, backwards, notes = _seed_same(p, stride, book, settings), False, ()
+    else:
+        lattice, backwards, notes = _seed_across(p, q, stride, book, settings, budget)
+    while True:
+        smooth = lattice.smoothed(settings.min_matches)
+        frontier = lattice.frontier(smooth, FLOOD_EXCESS * settings.min_matches)
+        if p is q:
+            frontier &= _upper(lattice)
+        if not frontier.any():
+            return _Survey(lattice, smooth, backwards, notes)
+        if len(book) + int(frontier.sum()) > budget:
+            text = f"{p.name} - {q.name}: the budget of previews was spent before every hit was followed"
+            return _Survey(lattice, smooth, backwards, (*notes, text))
+        lattice = lattice.measured(frontier, book)
+
+
+def _upper(lattice: Lattice) -> np.ndarray:
+    """(S, T, A, B) bool: one of the two nodes that hold the same image pair when both passes are one."""
+    c, d, a, b = np.ogrid[tuple(slice(n) for n in lattice.inliers.shape)]
+    return (c < d) | ((c == d) & (a < b))
+
+
+def _seed_same(p: Pass, stride: int, book: PreviewBook, settings: NetworkSettings) -> Lattice:
+    """Sampled frames against the frames around them, for every two cameras that the axes permit."""
+    lattice = make_lattice(p, p, stride, allowed_within(p.rig, settings.axes_deg))
+    a, b = np.ogrid[: len(lattice.rows), : len(lattice.columns)]
+    sampled = np.isin(np.arange(len(lattice.rows)), _sampled(len(lattice.rows), settings.sample_frames))
+    near = sampled[:, None] & (np.abs(a - b) <= WINDOW_NODES)
+    return lattice.measured(_upper(lattice) & near, book)
+
+
+def _seed_across(
+    p: Pass, q: Pass, stride: int, book: PreviewBook, settings: NetworkSettings, budget: int
+) -> tuple[Lattice, bool, tuple[str, ...]]:
+    """A coarse grid over both passes gives the path and the heading; then sampled frames around the path."""
+    lattice = make_lattice(p, q, stride, np.ones((len(p.images), len(q.images)), bool))
+    cameras = len(p.images) * len(q.images)
+    nodes = min(COARSE_NODES, max(4, int(np.sqrt(max(0, budget - len(book)) / 2 / cameras))))
+    coarse = np.isin(np.arange(len(lattice.rows)), _sampled(len(lattice.rows), nodes))[:, None] & np.isin(
+        np.arange(len(lattice.columns)), _sampled(len(lattice.columns), nodes)
+    )
+    lattice = lattice.measured(np.broadcast_to(coarse, lattice.inliers.shape), book)
+    excess = np.maximum(0, np.nan_to_num(lattice.smoothed(settings.min_matches)) - settings.min_matches)
+    backwards = _runs_backwards(lattice, excess.sum(axis=(0, 1)))
+    allowed, note = _heading(lattice, excess.sum(axis=(2, 3)), backwards, settings)
+    lattice = Lattice(p, q, lattice.rows, lattice.columns, allowed, lattice.inliers)
+    centre = _path(lattice, excess.sum(axis=(0, 1)))
+    if centre is None:
+        return lattice, backwards, (*note, f"{p.name} - {q.name}: no common view was found")
+    sampled = np.isin(np.arange(len(lattice.rows)), _sampled(len(lattice.rows), settings.sample_frames))
+    near = np.abs(np.arange(len(lattice.columns)) - centre[:, None]) <= WINDOW_NODES
+    return lattice.measured(np.broadcast_to(sampled[:, None] & near, lattice.inliers.shape), book), backwards, note
+
+
+def _runs_backwards(lattice: Lattice, weight: np.ndarray) -> bool:
+    """Whether frames of q run against those of p: sign of the weighted correlation of their ranks."""
+    if weight.sum() <= 0:
+        return False
+    share = weight / weight.sum()
+    m, n = share.sum(axis=1) @ lattice.rows, share.sum(axis=0) @ lattice.columns
+    return bool((lattice.rows - m) @ share @ (lattice.columns - n) < 0)
+
+
+def _heading(
+    lattice: Lattice, evidence: np.ndarray, backwards: bool, settings: NetworkSettings
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Camera pairs (S, T) whose axes permit a match once the heading of q against p is known, and a note."""
+    p, q = lattice.p, lattice.q
+    everything = np.ones(evidence.shape, bool)
+    if p.rig_index != q.rig_index or not p.rig.known() or len(p.images) < 2:
+        return everything, ()
+    yaw = yaw_between(p.rig, evidence)
+    if yaw is None:
+        return everything, ()
+    allowed = angles_deg(p.rig, yaw) <= settings.axes_deg
+    way = "runs back along" if backwards else "follows"
+    return allowed, (f"{q.name} {way} {p.name}, turned by about {yaw:.0f} deg (voted by previews)",)
+
+
+def _path(lattice: Lattice, weight: np.ndarray) -> np.ndarray | None:
+    """(A,) column node that a row of p shares most with, interpolated between the rows that have evidence."""
+    rows = np.flatnonzero(weight.sum(axis=1) > 0)
+    if not len(rows):
+        return None
+    columns = np.arange(weight.shape[1])
+    centre = weight[rows] @ columns / weight[rows].sum(axis=1)
+    return np.interp(np.arange(weight.shape[0]), rows, centre)
+
+
+def _local(survey: _Survey, settings: NetworkSettings) -> OffsetResult:
+    """Pairs kept by the interpolated surface; measured pairs that were not kept, with the reason."""
+    lattice = survey.lattice
+    c, d, m, n, count = lattice.interpolated(survey.smooth, settings.min_matches)
+    i, j = lattice.p.images[c, m], lattice.q.images[d, n]
+    there = (i >= 0) & (j >= 0) & (i != j)
+    kept = Pairs.make(i[there], j[there], "offsets", score=count[there])
+    seen = np.isfinite(lattice.inliers)
+    # A pair that is strong by itself is kept whatever its neighbours say.
+    strong = np.nan_to_num(lattice.inliers) >= CEILING * settings.min_matches
+    voted = np.nan_to_num(survey.smooth).max(axis=(2, 3), initial=0) >= settings.min_matches
+    reason = np.where(voted | strong.any(axis=(2, 3)), REASONS.index("weak"), REASONS.index("votes"))
+    code = np.where(strong, 0, np.broadcast_to(reason[:, :, None, None], seen.shape))
+    measured = Pairs.make(*lattice.images(seen), "offsets", score=lattice.inliers[seen], dropped=code[seen])
+    curves = _curves(lattice, survey.reversed, voted, settings)
+    return OffsetResult(measured | kept, curves, survey.notes)
+
+
+# ---------------------------------------------------------------- curves
+
+
+def _curves(
+    lattice: Lattice, backwards: bool, accepted: np.ndarray, settings: NetworkSettings
+) -> tuple[OffsetCurve, ...]:
+    p, q = lattice.p, lattice.q
+    out = []
+    for c, d in np.argwhere(lattice.allowed):
+        if lattice.same and c >= d:
+            continue
+        offsets, votes = _votes(lattice, int(c), int(d), backwards, settings.min_matches)
+        if not len(offsets):
+            continue
+        best = int(offsets[np.argmax(votes)])
+        names = p.rig.sensors[c].name, q.rig.sensors[d].name
+        out.append(OffsetCurve(p.name, q.name, *names, offsets, votes, best, bool(accepted[c, d]), backwards))
+    return tuple(out)
+
+
+def _votes(
+    lattice: Lattice, c: int, d: int, backwards: bool, min_matches: int, total: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
+    """Offsets (K,) and matches above chance at each, mean over the frames looked at (or their sum)."""
+    inliers = lattice.inliers[c, d]
+    m, n = np.meshgrid(lattice.rows, lattice.columns, indexing="ij")
+    offset = (n + m if backwards else n - m)[np.isfinite(inliers)]
+    value = np.maximum(0, inliers[np.isfinite(inliers)] - FLOOR * min_matches)
+    offsets, at = np.unique(offset, return_inverse=True)
+    votes = np.bincount(at, value, minlength=len(offsets))
+    if not total:
+        votes = votes / np.maximum(np.bincount(at, minlength=len(offsets)), 1)
+    return offsets.astype(np.int32), votes.astype(np.float32)
+
+
+# ---------------------------------------------------------------- constant offsets (papers 000, 001)
+
+
+def _constant(p: Pass, q: Pass, book: PreviewBook, settings: NetworkSettings) -> OffsetResult:
+    """One offset a camera pair: votes on sampled frames, then every frame within the range around the winner."""
+    if p is q and len(p.images) == 1:
+        return OffsetResult(Pairs.empty(), (), ())
+    lattice, notes = _vote_constant(p, q, book, settings)
+    backwards = p is not q and _backwards_by_votes(lattice, settings)
+    voted = np.zeros(lattice.allowed.shape, bool)
+    best = np.zeros(lattice.allowed.shape, int)
+    for c, d in np.argwhere(lattice.allowed):
+        offsets, votes = _votes(lattice, int(c), int(d), backwards, settings.min_matches, total=True)
+        if not len(offsets):
+            continue
+        best[c, d] = offsets[np.argmax(votes)]
+        voted[c, d] = _supported(lattice, (int(c), int(d), int(best[c, d])), backwards, settings)
+    seen = np.isfinite(lattice.inliers)
+    why = np.where(voted, REASONS.index("offset"), REASONS.index("votes"))
+    code = np.broadcast_to(why[:, :, None, None], seen.shape)
+    looked_at = Pairs.make(*lattice.images(seen), "offsets", score=lattice.inliers[seen], dropped=code[seen])
+    blocks = [_around(lattice, (int(c), int(d), int(best[c, d])), backwards, book, settings) for c, d in np.argwhere(voted)]
+    for block in blocks:
+        # Where both know a pair, the range decides: "offset" holds only outside of it.
+        looked_at = looked_at.where(~_contained(looked_at, block)) | block
+    return OffsetResult(looked_at, _curves(lattice, backwards, voted, settings), notes)
+
+
+def _vote_constant(
+    p: Pass, q: Pass, book: PreviewBook, settings: NetworkSettings
+) -> tuple[Lattice, tuple[str, ...]]:
+    every = max(1, -(-len(q) // MAX_COLUMNS))
+    allowed = allowed_within(p.rig, settings.axes_deg) if p is q else np.ones((len(p.images), len(q.images)), bool)
+    empty = make_lattice(p, q, every, allowed)
+    rows = _sampled(len(p), settings.sample_frames)
+    shape = (*allowed.shape, len(rows), len(empty.columns))
+    lattice = Lattice(p, q, rows, empty.columns, allowed, np.full(shape, np.nan, np.float32))
+    c, d = np.ogrid[: shape[0], : shape[1]]
+    wanted = np.broadcast_to((c < d) if p is q else np.ones((1, 1), bool), allowed.shape)[:, :, None, None]
+    notes: tuple[str, ...] = ()
+    if p is not q:  # three frames show the heading, then the axes rule pairs of cameras out
+        few = np.isin(np.arange(len(rows)), _sampled(len(rows), 3))[:, None]
+        lattice = _measured_oblong(lattice, wanted & few, book)
+        excess = np.maximum(0, np.nan_to_num(lattice.inliers) - settings.min_matches)
+        backwards = _runs_backwards(lattice, excess.sum(axis=(0, 1)))
+        allowed, notes = _heading(lattice, excess.sum(axis=(2, 3)), backwards, settings)
+        lattice = Lattice(p, q, rows, lattice.columns, allowed, lattice.inliers)
+    return _measured_oblong(lattice, wanted, book), notes
+
+
+def _measured_oblong(lattice: Lattice, nodes: np.ndarray, book: PreviewBook) -> Lattice:
+    """``Lattice.measured`` without mirroring: rows and columns are different frames."""
+    nodes = np.broadcast_to(nodes, lattice.inliers.shape) & lattice.exists() & np.isnan(lattice.inliers)
+    inliers = lattice.inliers.copy()
+    inliers[nodes] = book.measure(*lattice.images(nodes))
+    return Lattice(lattice.p, lattice.q, lattice.rows, lattice.columns, lattice.allowed, inliers)
+
+
+def _backwards_by_votes(lattice: Lattice, settings: NetworkSettings) -> bool:
+    """The direction in which the votes pile up higher."""
+    height = [0.0, 0.0]
+    for c, d in np.argwhere(lattice.allowed):
+        for k, backwards in enumerate((False, True)):
+            votes = _votes(lattice, int(c), int(d), backwards, settings.min_matches, total=True)[1]
+            height[k] += float(votes.max(initial=0))
+    return height[1] > height[0]
+
+
+def _supported(lattice: Lattice, block: tuple[int, int, int], backwards: bool, settings: NetworkSettings) -> bool:
+    """Whether at least two sampled frames have enough matches within the range around the best offset."""
+    c, d, best = block
+    m, n = np.meshgrid(lattice.rows, lattice.columns, indexing="ij")
+    near = np.abs((n + m if backwards else n - m) - best) <= max(1, settings.offset_range)
+    hits = near & (np.nan_to_num(lattice.inliers[c, d]) >= settings.min_matches)
+    return int(hits.any(axis=1).sum()) >= 2
+
+
+def _around(
+    lattice: Lattice, block: tuple[int, int, int], backwards: bool, book: PreviewBook, settings: NetworkSettings
+) -> Pairs:
+    """All frames of a camera pair within the range around its offset; of these the best by preview if so set."""
+    c, d, best = block
+    p, q = lattice.p, lattice.q
+    m, r = np.meshgrid(np.arange(len(p)), np.arange(-settings.offset_range, settings.offset_range + 1), indexing="ij")
+    n = best + r - m if backwards else best + r + m
+    there = (n >= 0) & (n < len(q))
+    i = p.images[c, m[there]]
+    j = q.images[d, n[there]]
+    exists = (i >= 0) & (j >= 0) & (i != j)
+    i, j = i[exists], j[exists]
+    if settings.offset_best == 0:
+        return Pairs.make(i, j, "offsets", score=book.known(i, j))
+    score = book.measure(i, j)
+    order = np.lexsort((-score, i))
+    first = np.r_[True, np.diff(i[order]) != 0]
+    start = np.maximum.accumulate(np.where(first, np.arange(len(order)), 0))
+    rank = np.empty(len(order), int)
+    rank[order] = np.arange(len(order)) - start
+    keep = (rank < settings.offset_best) & (score >= settings.min_matches)
+    return Pairs.make(i, j, "offsets", score=score, dropped=np.where(keep, 0, REASONS.index("weak")))
+
+
+def _contained(pairs: Pairs, other: Pairs) -> np.ndarray:
+    """(P,) bool: rows of ``pairs`` that are in ``other`` too."""
+    key = pairs.i.astype(np.int64) << 32 | pairs.j
+    return np.isin(key, other.i.astype(np.int64) << 32 | other.j)

@@ -1,0 +1,108 @@
+"""Passes as tables of images: which image a sensor took in the k-th frame of a pass."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tiegraph.scene.rig import Rig
+from tiegraph.scene.scene import Scene
+
+_ROTATION_INLIERS = 20  # preview rotations below this many inliers are mostly wrong
+
+MatchFunction = Callable[[np.ndarray], Sequence[Any]]
+
+
+@dataclass(frozen=True)
+class Pass:
+    """Frames of one rig on one track, in order: ``images[s, k]`` = image of sensor s in the k-th frame, -1 = none."""
+
+    name: str
+    track: int
+    rig_index: int
+    rig: Rig
+    frames: np.ndarray  # (n,) i4 frame indices by step
+    images: np.ndarray  # (S, n) i4
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+
+def find_passes(scene: Scene) -> tuple[Pass, ...]:
+    """The passes of a scene; two rigs on one track are two passes, for their frames are not numbered together."""
+    found = []
+    ids = sorted({(int(t), int(r)) for t, r in zip(scene.track, scene.rig) if t >= 0})
+    image_of = np.full((scene.frames, max((len(r.sensors) for r in scene.rigs), default=1)), -1, np.int32)
+    image_of[scene.frame, scene.sensor] = np.arange(len(scene))
+    for track, rig in ids:
+        frames = np.flatnonzero((scene.track == track) & (scene.rig == rig))
+        frames = frames[np.argsort(scene.step[frames], kind="stable")]
+        images = image_of[frames, : len(scene.rigs[rig].sensors)].T
+        name = scene.tracks[track] if track < len(scene.tracks) else f"pass {track}"
+        several = sum(t == track for t, _ in ids) > 1
+        name = f"{name} ({scene.rigs[rig].name})" if several else name
+        found.append(Pass(name, track, rig, scene.rigs[rig], frames, images))
+    return tuple(found)
+
+
+def loose_images(scene: Scene) -> np.ndarray:
+    """Indices of the images that are on no pass."""
+    return np.flatnonzero(scene.track[scene.frame] < 0)
+
+
+def _usable(result: Any) -> bool:
+    return result.rotation is not None and result.inliers >= _ROTATION_INLIERS
+
+
+class PreviewBook:
+    """Preview counts measured so far; each pair is matched once, many at a time.
+
+    The one object with a memory here: it stands between the sources so that none measures what another knows.
+    """
+
+    def __init__(self, match: MatchFunction, images: int) -> None:
+        self._match = match
+        self._images = images
+        self._keys = np.zeros(0, np.int64)
+        self._counts = np.zeros(0, np.float32)
+        self._rotations: dict[int, np.ndarray] = {}
+
+    def __len__(self) -> int:
+        return len(self._keys)
+
+    def _key(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+        return np.minimum(i, j).astype(np.int64) * self._images + np.maximum(i, j)
+
+    def measure(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+        """Inliers (K,) f4 of image pairs (K,), (K,)."""
+        keys = self._key(np.asarray(i), np.asarray(j))
+        new = np.setdiff1d(keys, self._keys)
+        if len(new):
+            pairs = np.stack([new // self._images, new % self._images], axis=1).astype(np.int32)
+            results = self._match(pairs)
+            counts = np.array([r.inliers for r in results], np.float32)
+            self._rotations.update({int(k): r.rotation for k, r in zip(new, results) if _usable(r)})
+            order = np.argsort(np.concatenate([self._keys, new]), kind="stable")
+            self._keys = np.concatenate([self._keys, new])[order]
+            self._counts = np.concatenate([self._counts, counts])[order]
+        return self.known(i, j)
+
+    def known(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+        """Inliers (K,) f4 of image pairs; NaN = not measured."""
+        keys = self._key(np.asarray(i), np.asarray(j))
+        if not len(self._keys):
+            return np.full(len(keys), np.nan, np.float32)
+        at = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)
+        return np.where(self._keys[at] == keys, self._counts[at], np.nan).astype(np.float32)
+
+    def rotation(self, i: int, j: int) -> np.ndarray | None:
+        """cam_j_from_cam_i (3, 3) of a measured pair, if there is one."""
+        known = self._rotations.get(int(self._key(np.array(i), np.array(j))))
+        return known if known is None or i < j else known.T
+
+    def pairs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Everything measured: i (K,), j (K,), inliers (K,)."""
+        return self._keys // self._images, self._keys % self._images, self._counts

@@ -1,0 +1,50 @@
+"""Settings of the network and design stages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field
+
+from tiegraph.settings import Section
+
+SourceName = Literal["auto", "sequence", "exhaustive", "file", "offsets", "poses"]
+
+
+class NetworkSettings(Section):
+    """Which images may tie: where candidate pairs come from and how they are tested."""
+
+    sources: tuple[SourceName, ...] = ("auto",)
+    """Pair sources, merged; auto: sequence and offsets for passes, poses where priors are known, exhaustive for few loose photos."""
+    pairs_file: Path | None = None
+    """COLMAP pair list (two image names a line) for the source file."""
+    sequence_frames: int = Field(2, ge=0, le=1000)
+    """Source sequence: following frames of the same camera that every image is tied to, frames."""
+    sequence_cameras: bool = False
+    """Source sequence: also tie neighbouring cameras of the rig over these frames."""
+    offsets: Literal["local", "constant"] = "local"
+    """Source offsets: best frame offset found along the whole pass (local) or one for each camera pair (constant, papers 000, 001)."""
+    offset_range: int = Field(5, ge=0, le=1000)
+    """Constant offsets: frames either side of the best offset that are candidates, frames."""
+    offset_best: int = Field(0, ge=0, le=100)
+    """Constant offsets: best matching frames kept an image and camera pair by preview (paper 000); 0 keeps the whole range."""
+    sample_frames: int = Field(12, ge=2, le=200)
+    """Frames of a pass on which the offsets are voted."""
+    min_matches: int = Field(11, ge=6, le=500)
+    """Preview matches two images need to count as tied, averaged over neighbouring frames; unrelated images reach 9."""
+    axes_deg: float = Field(110.0, ge=10, le=180)
+    """Optical axes further apart than this make a match impossible: such pairs are never tried, degrees."""
+    range_m: float = Field(0.0, ge=0)
+    """Source poses: usual distance from camera to object (paper 003), metres; 0 = ten times the distance between frames."""
+    sections: Literal["off", "link", "split"] = "link"
+    """Bridge and open sections by the up camera's brightness: not cut, cut with ties kept between them, or cut apart (paper 001)."""
+
+
+class DesignSettings(Section):
+    """Which of the candidate pairs are matched at full resolution."""
+
+    method: Literal["all", "top"] = "all"
+    """all: every kept pair; top: the best pairs of each image, and a spanning forest so that nothing falls apart."""
+    pairs_per_image: int = Field(40, ge=1, le=1000)
+    """Method top: pairs an image keeps at most because of its own ranking."""

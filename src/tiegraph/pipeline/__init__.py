@@ -1,0 +1,29 @@
+"""The pipeline: the table of stages. Whoever has read it has seen the program.
+
+The glue functions read artefacts, call engines and write artefacts; nothing else does.
+"""
+
+from tiegraph.pipeline.capture import masks, preview, scan
+from tiegraph.pipeline.model import features, forget_matches, georef, match, sparse
+from tiegraph.pipeline.result import evaluate, report
+from tiegraph.pipeline.surface import cloud, dense
+from tiegraph.pipeline.ties import design, network
+from tiegraph.project.stages import Stage
+
+__all__ = ["STAGES"]
+
+STAGES = (
+    Stage("scan", scan, (), ("scene.json", "images"), "image"),
+    Stage("masks", masks, ("scan",), ("masks",), "image"),
+    Stage("preview", preview, ("scan", "masks"), ("preview",), "image"),
+    Stage("network", network, ("scan", "preview"), ("network.npz", "network.csv", "network")),
+    Stage("design", design, ("network",), ("pairs.npz", "pairs.txt", "pairs")),
+    Stage("features", features, ("scan", "masks"), ("database.db",), "image"),
+    Stage("match", match, ("network", "design", "features"), ("match.npz",), "block of pairs", clear=forget_matches),
+    Stage("sparse", sparse, ("network", "match"), ("sparse",)),
+    Stage("georef", georef, ("network", "sparse"), ("sparse/world", "world.json")),
+    Stage("dense", dense, ("masks", "georef"), ("depth",), "image"),
+    Stage("cloud", cloud, ("dense",), ("cloud.laz", "cloud.ply")),
+    Stage("evaluate", evaluate, ("masks", "match", "georef", "dense", "cloud"), ("metrics.json",)),
+    Stage("report", report, ("evaluate",), ("report.html",)),
+)

@@ -1,0 +1,105 @@
+"""Glue of scan, masks and preview: from a folder to images, masks and low-resolution features."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from tiegraph.features.preview import extract_preview
+from tiegraph.features.settings import PreviewSettings
+from tiegraph.masks.settings import MasksSettings
+from tiegraph.masks.sources import SOURCES, resolve_source
+from tiegraph.pipeline.files import mask_path, read_image, read_mask, save_npz, save_png, scanned
+from tiegraph.project.run import Run
+from tiegraph.project.stages import Outcome, write_atomic
+from tiegraph.scene.rig import Sensor
+from tiegraph.scene.scan import ScanInputs, build_scene, find_images, prepare_image, probe_image
+from tiegraph.scene.settings import ScanSettings
+
+
+def scan(run: Run) -> Outcome:
+    """Open every image once, sort them into rigs, frames and passes, and lay the usable ones below images/."""
+    given = run.inputs
+    names = find_images(given.images)
+    run.reporter.total(2 * len(names))
+    probes = run.map(probe_image, [given.images / n for n in names])
+    inputs = ScanInputs(given.images, given.rig, given.gnss, given.trajectory, given.times)
+    scene = build_scene(inputs, names, probes, run.settings.scan)
+    todo = [(scene.source_name(k), name, scene.sensor_of(k)) for k, name in enumerate(scene.names)]
+    run.map(_prepare_item, todo, given.images, run.path("images"), run.settings.scan)
+    write_atomic(run.path("scene.json"), scene.to_json())
+    counts = {"found": len(names), "images": len(scene), "frames": scene.frames, "passes": len(scene.tracks)}
+    return Outcome(
+        {**counts, "cameras": len(scene.all_sensors), "positions": _placed(scene.world_from_rig)},
+        dropped=tuple((d.name, d.reason) for d in scene.dropped),
+        notes=scene.notes,
+    )
+
+
+def _placed(world_from_rig: np.ndarray) -> int:
+    return int(np.isfinite(world_from_rig[:, :3, 3]).all(axis=1).sum())
+
+
+def _prepare_item(item: tuple[str, str, Sensor], source: Path, target: Path, settings: ScanSettings) -> None:
+    found, name, sensor = item
+    if not (target / name).exists():
+        prepare_image(source / found, target / name, sensor, settings)
+
+
+def masks(run: Run) -> Outcome:
+    """One mask an image: what is learnt once a camera, then applied image by image."""
+    scene, settings = scanned(run), run.settings.masks
+    source = resolve_source(scene, settings)
+    folder = run.path("images")
+    prepared = {}
+    todo = [n for n in scene.names if not mask_path(run.folder, n).exists()]
+    for key in sorted({int(scene.sensor_key[scene.image_index[n]]) for n in todo}):
+        own = [folder / n for k, n in enumerate(scene.names) if scene.sensor_key[k] == key]
+        prepared[key] = SOURCES[source].prepare(own, settings)
+    keyed = {n: int(scene.sensor_key[k]) for k, n in enumerate(scene.names)}
+    run.make_missing(_mask_item, scene.names, lambda n: mask_path(run.folder, n), run.folder, source, settings, prepared, keyed)
+    shares = np.array(run.map(_mask_share, list(scene.names), run.folder))
+    empty = [n for n, s in zip(scene.names, shares) if s == 0]
+    rows = [[sensor.name, float(100 * shares[scene.sensor_key == k].mean())] for k, sensor in enumerate(scene.all_sensors)]
+    return Outcome(
+        {"images": len(scene), "used_percent": round(float(100 * shares.mean()), 1)},
+        dropped=tuple((n, "the mask leaves nothing of it") for n in empty),
+        notes=(f"source: {source}",),
+        tables={"used share of the images": {"columns": ["camera", "used %"], "rows": rows}},
+    )
+
+
+def _mask_item(
+    name: str,
+    folder: Path,
+    source: str,
+    settings: MasksSettings,
+    prepared: dict[int, np.ndarray | None],
+    keyed: dict[str, int],
+) -> None:
+    keep = SOURCES[source].mask(folder / "images" / name, prepared[keyed[name]], settings, name)
+    save_png(mask_path(folder, name), np.where(keep, 255, 0).astype(np.uint8))
+
+
+def _mask_share(name: str, folder: Path) -> float:
+    return float(read_mask(folder, name).mean())
+
+
+def preview(run: Run) -> Outcome:
+    """Low-resolution features and brightness of every image, under its mask."""
+    scene = scanned(run)
+    run.make_missing(
+        _preview_item, scene.names, lambda n: preview_path(run.folder, n), run.folder, run.settings.preview
+    )
+    return Outcome({"images": len(scene)})
+
+
+def preview_path(folder: Path, name: str) -> Path:
+    """Where the preview of an image is."""
+    return folder / "preview" / f"{name}.npz"
+
+
+def _preview_item(name: str, folder: Path, settings: PreviewSettings) -> None:
+    found = extract_preview(read_image(folder / "images" / name), read_mask(folder, name), settings)
+    save_npz(preview_path(folder, name), **found.to_npz())

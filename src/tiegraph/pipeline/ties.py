@@ -1,0 +1,89 @@
+"""Glue of network and design: from previews to the pair list."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from tiegraph.features.preview import Preview, PreviewMatch, match_previews
+from tiegraph.features.settings import PreviewSettings
+from tiegraph.network.design import design as select_pairs
+from tiegraph.network.network import estimate_network
+from tiegraph.pipeline.capture import preview_path
+from tiegraph.pipeline.files import checked, pairs_of, save_npz, scanned
+from tiegraph.project.run import Run
+from tiegraph.project.stages import Outcome, write_atomic
+from tiegraph.scene.scene import Scene
+
+_CACHED_PREVIEWS = 1024  # of about 40 kB each, in every worker
+
+
+def network(run: Run) -> Outcome:
+    """Candidate pairs from every source, judged by previews; the rig checked against them; sections cut."""
+    scene = scanned(run)
+    brightness = np.array(run.map(_brightness, list(scene.names), run.folder))
+    matched = [0]
+
+    def match(pairs: np.ndarray) -> list[PreviewMatch]:
+        matched[0] += len(pairs)
+        run.reporter.total(matched[0], matched[0] - len(pairs))
+        return run.map(_match_item, [(int(i), int(j)) for i, j in pairs], run.folder, run.settings.preview)
+
+    found = estimate_network(scene, brightness, match, run.settings.network)
+    save_npz(run.path("network.npz"), **found.pairs.to_npz())
+    write_atomic(run.path("network.csv"), found.pairs.to_csv(scene.names))
+    write_atomic(run.path("network", "scene.json"), found.scene.to_json())
+    for name, picture in found.pictures():
+        write_atomic(run.path("network", f"{name}.png"), picture)
+    funnel = found.pairs.funnel()
+    counts = {"previews": matched[0], "candidates": funnel["candidates"], "kept": funnel["used"]}
+    return Outcome({**counts, "sections": len(found.sections)}, notes=found.notes, tables={"funnel": _table(funnel)})
+
+
+def _brightness(name: str, folder: Path) -> float:
+    with np.load(preview_path(folder, name)) as data:
+        return Preview.from_npz(dict(data)).brightness
+
+
+def _match_item(pair: tuple[int, int], folder: Path, settings: PreviewSettings) -> PreviewMatch:
+    scene = _scene(folder)
+    i, j = pair
+    cameras = [scene.sensor_of(k).camera for k in pair]
+    # A guessed focal length would make a calibrated test refuse true pairs.
+    known = all(c is not None and c.has_prior_focal_length for c in cameras)
+    a, b = (cameras[0], cameras[1]) if known else (None, None)
+    return match_previews(_preview(folder, scene.names[i]), _preview(folder, scene.names[j]), a, b, settings)
+
+
+@lru_cache(maxsize=2)
+def _scene(folder: Path) -> Scene:
+    return Scene.from_json((folder / "scene.json").read_text())
+
+
+@lru_cache(maxsize=_CACHED_PREVIEWS)
+def _preview(folder: Path, name: str) -> Preview:
+    with np.load(preview_path(folder, name)) as data:
+        return Preview.from_npz(dict(data))
+
+
+def design(run: Run) -> Outcome:
+    """Which of the candidate pairs are matched at full resolution; COLMAP pair lists, one a section and one for all."""
+    scene = checked(run)
+    pairs = select_pairs(pairs_of(run, "network.npz"), scene, run.settings.design)
+    save_npz(run.path("pairs.npz"), **pairs.to_npz())
+    write_atomic(run.path("pairs.txt"), pairs.to_text(scene.names))
+    run.path("pairs").mkdir(exist_ok=True)
+    section = scene.section[scene.frame]
+    for number in np.unique(section):
+        own = pairs.where((section[pairs.i] == number) | (section[pairs.j] == number))
+        write_atomic(run.path("pairs", f"section_{max(number, 0)}.txt"), own.to_text(scene.names))
+    funnel = pairs.funnel()
+    alone = int(np.sum(pairs.degree(len(scene)) == 0))
+    notes = (f"{alone} images have no pair",) if alone else ()
+    return Outcome({"pairs": funnel["used"], "images_without": alone}, notes=notes, tables={"funnel": _table(funnel)})
+
+
+def _table(funnel: dict[str, int]) -> dict:
+    return {"columns": ["step", "pairs"], "rows": [[k, v] for k, v in funnel.items()]}

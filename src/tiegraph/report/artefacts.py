@@ -1,0 +1,267 @@
+"""What a run folder holds, read as far as it is there: a report of a run that stopped early must work too."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import laspy
+import numpy as np
+
+from tiegraph.errors import InputError
+from tiegraph.geometry import transforms
+from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.scene import Scene
+
+log = logging.getLogger(__name__)
+T = TypeVar("T")
+
+STAGES = (
+    "scan", "masks", "preview", "network", "design", "features", "match", "sparse", "georef", "dense", "cloud",
+    "evaluate", "report",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Model:
+    """Facts of a sparse model; rows of the arrays follow the scene's images, NaN = not registered."""
+
+    folder: str
+    world_from_camera: np.ndarray  # (N, 4, 4)
+    points: int
+    reprojection_px: float
+    track_length: float
+    observations: float  # per image
+    cameras: dict[int, dict]  # scene sensor_key -> {"model", "size", "focal_px", "params", "names"}
+    sensor_from_rig: dict[int, np.ndarray]  # scene sensor_key -> (4, 4)
+    xyz: np.ndarray  # (K, 3) sample of the sparse points
+    rgb: np.ndarray  # (K, 3) u1
+    others: tuple[int, ...] = ()  # registered images of the further models
+
+    @property
+    def registered(self) -> np.ndarray:
+        """(N,) bool."""
+        return np.isfinite(self.world_from_camera[:, 0, 0])
+
+    @property
+    def centres(self) -> np.ndarray:
+        """(N, 3) projection centres."""
+        return self.world_from_camera[:, :3, 3]
+
+
+@dataclass(frozen=True)
+class CloudSample:
+    """A sample of a point cloud file and what holds for the whole."""
+
+    name: str
+    count: int
+    bytes: int
+    xyz: np.ndarray  # (K, 3), world
+    rgb: np.ndarray  # (K, 3) u1
+    sigma_m: np.ndarray  # (K,), NaN = unknown
+    views: np.ndarray  # (K,), 0 = unknown
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """The artefacts of a run; None or empty where a stage has not made them."""
+
+    path: Path
+    receipts: dict[str, dict]
+    scene: Scene | None = None
+    network: Pairs | None = None
+    pairs: Pairs | None = None
+    world: dict | None = None
+    metrics: dict | None = None
+    model: Model | None = None
+    cloud: CloudSample | None = None
+
+    def counts(self, stage: str) -> dict[str, Any]:
+        """The counts of a stage's receipt."""
+        return self.receipts.get(stage, {}).get("counts") or {}
+
+    def done(self, stage: str) -> bool:
+        """Whether a stage has finished."""
+        return "key" in self.receipts.get(stage, {})
+
+    @property
+    def georeferenced(self) -> bool:
+        """Whether world coordinates are on the Earth."""
+        return bool(self.world and self.world.get("crs"))
+
+
+def read_run(folder: Path, cloud_points: int = 1_000_000) -> RunFolder:
+    """Everything a report needs. Raises InputError if the folder holds no run."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such run folder; give a folder made by `tiegraph run`")
+    receipts = {s: r for s in STAGES if (r := _json(folder / "receipts" / f"{s}.json"))}
+    scene = _try(folder / "scene.json", lambda p: Scene.from_json(p.read_text()))
+    if not receipts and scene is None:
+        raise InputError(f"{folder}: no run in it (no receipts/, no scene.json); give a folder made by `tiegraph run`")
+    world = _json(folder / "world.json")
+    model = read_model(folder, scene) if scene is not None else None
+    cloud = _try(folder / "cloud.laz", lambda p: read_cloud_sample(p, cloud_points))
+    return RunFolder(
+        path=folder,
+        receipts=receipts,
+        scene=scene,
+        network=_try(folder / "network.npz", read_pairs),
+        pairs=_try(folder / "match.npz", read_pairs) or _try(folder / "pairs.npz", read_pairs),
+        world=world or None,
+        metrics=_json(folder / "metrics.json") or None,
+        model=model,
+        cloud=_in_world(cloud, model, world),
+    )
+
+
+def _json(path: Path) -> dict:
+    found = _try(path, lambda p: json.loads(p.read_text()))
+    return found if isinstance(found, dict) else {}
+
+
+def _try(path: Path, read: Callable[[Path], T]) -> T | None:
+    """What ``read`` makes of a file; None if it is missing or damaged (then the log says so)."""
+    if not path.exists():
+        return None
+    try:
+        return read(path)
+    except Exception as error:
+        log.warning("report: %s cannot be read and is left out: %s", path, error)
+        return None
+
+
+def read_pairs(path: Path) -> Pairs | None:
+    """The pair table of an npz file; None if it holds something else."""
+    with np.load(path) as data:
+        if not set(Pairs.columns()) <= set(data.files):
+            return None
+        return Pairs.from_npz(dict(data))
+
+
+def read_model(folder: Path, scene: Scene) -> Model | None:
+    """The world model, or the largest of the models if there is none."""
+    numbered = sorted((p for p in (folder / "sparse").glob("[0-9]*") if p.is_dir()), key=lambda p: int(p.name))
+    parts = [(p, r) for p in numbered if (r := _reconstruction(p)) is not None]
+    parts.sort(key=lambda part: -part[1].num_reg_images())
+    world = _reconstruction(folder / "sparse" / "world")
+    if world is None and not parts:
+        return None
+    path, chosen = (folder / "sparse" / "world", world) if world is not None else parts[0]
+    others = tuple(r.num_reg_images() for _, r in parts[1:])
+    return _model_facts(chosen, scene, path.relative_to(folder).as_posix(), others)
+
+
+def _reconstruction(path: Path) -> Any:
+    import pycolmap
+
+    if not any((path / f"images.{kind}").exists() for kind in ("bin", "txt")):
+        return None
+    return _try(path, lambda p: pycolmap.Reconstruction(p))
+
+
+def _model_facts(model: Any, scene: Scene, folder: str, others: tuple[int, ...]) -> Model:
+    poses = np.full((len(scene), 4, 4), np.nan)
+    sensor_from_rig: dict[int, np.ndarray] = {}
+    cameras: dict[int, dict] = {}
+    for image in model.images.values():
+        k = scene.image_index.get(image.name)
+        if k is None or not image.has_pose:
+            continue
+        poses[k] = transforms.invert(_matrix(image.cam_from_world()))
+        key = int(scene.sensor_key[k])
+        if key not in cameras:
+            cameras[key] = _camera_facts(model.cameras[image.camera_id])
+        if key not in sensor_from_rig:
+            found = _extrinsics(model, image)
+            if found is not None:
+                sensor_from_rig[key] = found
+    xyz, rgb = _sparse_points(model)
+    return Model(
+        folder=folder,
+        world_from_camera=poses,
+        points=model.num_points3D(),
+        reprojection_px=model.compute_mean_reprojection_error(),
+        track_length=model.compute_mean_track_length(),
+        observations=model.compute_mean_observations_per_reg_image(),
+        cameras=cameras,
+        sensor_from_rig=sensor_from_rig,
+        xyz=xyz,
+        rgb=rgb,
+        others=others,
+    )
+
+
+def _matrix(rigid3d: Any) -> np.ndarray:
+    return np.vstack([rigid3d.matrix(), [0, 0, 0, 1]])
+
+
+def _camera_facts(camera: Any) -> dict:
+    info = camera.params_info
+    names = [n.strip() for n in str(info() if callable(info) else info).split(",")]
+    return {
+        "model": camera.model.name,
+        "size": f"{camera.width}\u00a0×\u00a0{camera.height}",
+        "focal_px": camera.mean_focal_length(),
+        "params": [float(p) for p in camera.params],
+        "names": names,
+    }
+
+
+def _extrinsics(model: Any, image: Any) -> np.ndarray | None:
+    rig = model.rigs[image.frame.rig_id]
+    if rig.num_sensors() < 2:
+        return None
+    sensor = image.data_id.sensor_id
+    if rig.is_ref_sensor(sensor):
+        return np.eye(4)
+    return _matrix(rig.sensor_from_rig(sensor)) if rig.has_sensor_from_rig(sensor) else None
+
+
+def _sparse_points(model: Any, most: int = 200_000) -> tuple[np.ndarray, np.ndarray]:
+    ids = list(model.point3D_ids())
+    ids = ids[:: max(1, -(-len(ids) // most))]
+    points = [model.points3D[k] for k in ids]
+    xyz = np.array([p.xyz for p in points], float).reshape(-1, 3)
+    return xyz, np.array([p.color for p in points], np.uint8).reshape(-1, 3)
+
+
+def read_cloud_sample(path: Path, most: int) -> CloudSample:
+    """Every n-th point of a LAS or LAZ file, at most ``most``, in the file's coordinates."""
+    parts: dict[str, list[np.ndarray]] = {n: [] for n in ("xyz", "rgb", "sigma", "views")}
+    with laspy.open(path) as reader:
+        count = reader.header.point_count
+        step = max(1, -(-count // most))
+        names = list(reader.header.point_format.dimension_names)
+        sigma = next((n for n in names if "sigma" in n.lower()), None)
+        views = next((n for n in names if "view" in n.lower() and "angle" not in n.lower()), None)
+        for chunk in reader.chunk_iterator(1_000_000):
+            part = chunk[::step]
+            parts["xyz"].append(np.column_stack([part.x, part.y, part.z]))
+            parts["rgb"].append(_colours(part) if "red" in names else np.full((len(part), 3), 160, np.uint8))
+            parts["sigma"].append(np.asarray(part[sigma], float) if sigma else np.full(len(part), np.nan))
+            parts["views"].append(np.asarray(part[views], float) if views else np.zeros(len(part)))
+    empty = {"xyz": np.zeros((0, 3)), "rgb": np.zeros((0, 3), np.uint8), "sigma": np.zeros(0), "views": np.zeros(0)}
+    all_ = {n: np.concatenate([empty[n], *p]) for n, p in parts.items()}
+    size = path.stat().st_size
+    return CloudSample(path.name, count, size, all_["xyz"], all_["rgb"].astype(np.uint8), all_["sigma"], all_["views"])
+
+
+def _in_world(cloud: CloudSample | None, model: Model | None, world: dict) -> CloudSample | None:
+    """The cloud with the recorded shift taken off if it was written in full CRS coordinates."""
+    shift = np.array(world.get("shift_m") or (0.0, 0.0, 0.0), float)
+    if cloud is None or not len(cloud.xyz) or not shift.any():
+        return cloud
+    middle = np.median(cloud.xyz, axis=0)
+    near = np.nanmedian(model.centres, axis=0) if model is not None and model.registered.any() else np.zeros(3)
+    if np.linalg.norm(middle - shift - near) < np.linalg.norm(middle - near):
+        return replace(cloud, xyz=cloud.xyz - shift)
+    return cloud
+
+
+def _colours(points: Any) -> np.ndarray:
+    rgb = np.column_stack([points.red, points.green, points.blue])
+    return (rgb >> 8 if rgb.size and rgb.max() > 255 else rgb).astype(np.uint8)

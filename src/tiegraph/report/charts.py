@@ -1,0 +1,271 @@
+"""Charts of the report by matplotlib, as data URIs; readable at 900 pixels of width."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import ListedColormap, LogNorm
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from tiegraph.report.pictures import data_uri
+from tiegraph.scene.pairs import REASONS, Pairs
+from tiegraph.scene.scene import Scene
+
+USED, VERIFIED, DROPPED, ALERT, INK = "#2b7a9b", "#0b4f6c", "#c9ced6", "#c8442b", "#2a3138"
+# Okabe and Ito 2008: told apart by colour-blind readers too
+PASSES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5c99", "#5b6770")
+STYLE: Any = {
+    "font.family": "DejaVu Sans",
+    "font.size": 10,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#8b949e",
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "axes.grid": True,
+    "grid.color": "#e4e7eb",
+    "axes.axisbelow": True,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "tiegraph",
+}
+_WIDTH_IN = 9.0
+_MATRIX_PX = 700
+
+
+def figure_axes(
+    height_in: float, columns: int = 1, width_ratios: Sequence[float] | None = None
+) -> tuple[Figure, list[Axes]]:
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(_WIDTH_IN, height_in), layout="constrained")
+        FigureCanvasAgg(figure)
+        made = figure.subplots(1, columns, squeeze=False, width_ratios=width_ratios)
+    return figure, list(made[0])
+
+
+def saved(figure: Figure, kind: str = "svg") -> str:
+    """A figure as a data URI; "png" for many points."""
+    out = io.BytesIO()
+    with matplotlib.rc_context(STYLE):
+        options: dict = {"metadata": {"Date": None}} if kind == "svg" else {"dpi": 200}
+        figure.savefig(out, format=kind, **options)
+    return data_uri(out.getvalue(), "svg+xml" if kind == "svg" else "png")
+
+
+def bars(names: Sequence[str], values: Sequence[float], colours: Sequence[str], label: str) -> str:
+    """Horizontal bars from top to bottom with their numbers."""
+    figure, (ax,) = figure_axes(0.9 + 0.34 * len(names))
+    y = np.arange(len(names))
+    ax.barh(y, values, color=list(colours), height=0.68)
+    ax.set_yticks(y, list(names))
+    ax.invert_yaxis()
+    ax.grid(axis="y", visible=False)
+    ax.set_xlabel(label)
+    top = max([*values, 1])
+    for k, v in enumerate(values):
+        ax.text(v + top * 0.008, k, f"{v:,.0f}".replace(",", " "), va="center", fontsize=9)
+    ax.set_xlim(0, top * 1.1)
+    return saved(figure)
+
+
+def stage_times(rows: Sequence[tuple[str, float, float, float]]) -> str:
+    """(stage, wall s, CPU s, peak MiB) as two panels of bars."""
+    figure, (left, right) = figure_axes(0.9 + 0.36 * len(rows), 2, (1.7, 1))
+    y = np.arange(len(rows))
+    names, wall, cpu, peak = zip(*rows)
+    unit, label = (60, "minutes") if max(*wall, *cpu) > 600 else (1, "seconds")
+    left.barh(y - 0.19, np.array(wall) / unit, 0.36, color=USED, label="wall time")
+    left.barh(y + 0.19, np.array(cpu) / unit, 0.36, color="#a9cbd8", label="CPU time")
+    right.barh(y, np.array(peak) / 1024, 0.5, color="#8b949e")
+    for ax, text in ((left, label), (right, "peak memory, GiB")):
+        ax.set_yticks(y, names if ax is left else [""] * len(y))
+        ax.invert_yaxis()
+        ax.set_xlabel(text)
+        ax.grid(axis="y", visible=False)
+    left.legend(frameon=False, loc="best")
+    return saved(figure)
+
+
+def matrices(before: Pairs, after: Pairs, scene: Scene) -> str:
+    """Correspondence matrices: every pair looked at and why it was dropped, and what the full resolution verified."""
+    order, ticks, edges = image_order(scene)
+    size = min(len(scene), _MATRIX_PX)
+    figure, (left, right) = figure_axes(4.4, 2)
+    matched = bool(np.any(after.inliers >= 0))
+    _looked_at(left, _cells(before, order, size), before, size)
+    left.set_title(f"Looked at: {_count(len(before))} pairs", fontsize=11, loc="left")
+    kept = after.kept()
+    if matched:
+        verified = kept.where(kept.inliers > 0)
+        values = np.full((size, size), np.nan)
+        _fill(values, verified, _place(verified, order, size), verified.inliers.astype(float))
+        shown = right.imshow(
+            values,
+            cmap="viridis_r",
+            norm=LogNorm(15, max(400, np.nanmax(values, initial=400))),
+            interpolation="nearest",
+        )
+        bar = figure.colorbar(shown, ax=right, shrink=0.75, label="verified matches")
+        marks = [m for m in (15, 30, 60, 100, 200, 400, 1000, 2000, 5000) if m <= norm.vmax]
+        bar.set_ticks(marks, labels=[str(m) for m in marks])
+        bar.minorticks_off()
+        right.set_title(f"Verified: {_count(len(verified))} pairs", fontsize=11, loc="left")
+    else:
+        values = np.full((size, size), np.nan)
+        _fill(values, kept, _place(kept, order, size), np.ones(len(kept)))
+        right.imshow(values, cmap=ListedColormap([USED]), interpolation="nearest")
+        right.set_title(f"To be matched: {_count(len(kept))} pairs", fontsize=11, loc="left")
+    for ax in (left, right):
+        _matrix_axes(ax, ticks, edges, size / max(len(scene), 1), ax is left)
+    return saved(figure, "png")
+
+
+def image_order(scene: Scene) -> tuple[np.ndarray, list[tuple[float, str]], list[int]]:
+    """Rank (N,) of each image by pass, camera and step; (middle, label) of each block and the blocks' borders."""
+    track = scene.track[scene.frame]
+    sequence = np.lexsort((scene.step[scene.frame], scene.sensor_key, track))
+    rank = np.empty(len(scene), int)
+    rank[sequence] = np.arange(len(scene))
+    labels = scene.image_label()
+    names = [" ".join(labels[k]).strip() for k in sequence]
+    starts = [0, *(k for k in range(1, len(names)) if names[k] != names[k - 1]), len(names)]
+    ticks = [((a + b - 1) / 2, names[a]) for a, b in zip(starts[:-1], starts[1:])] if len(names) else []
+    return rank, ticks, starts[1:-1]
+
+
+def _cells(pairs: Pairs, order: np.ndarray, size: int) -> np.ndarray:
+    """(size, size) class of each cell: NaN not looked at, 0 dropped, 1 kept; kept wins."""
+    values = np.full((size, size), np.nan)
+    _fill(values, pairs, _place(pairs, order, size), (pairs.dropped == 0).astype(float))
+    return values
+
+
+def _place(pairs: Pairs, order: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+    return order[pairs.i] * size // max(len(order), 1), order[pairs.j] * size // max(len(order), 1)
+
+
+def _fill(values: np.ndarray, pairs: Pairs, place: tuple[np.ndarray, np.ndarray], column: np.ndarray) -> None:
+    rising = np.argsort(column, kind="stable")  # the largest is written last
+    row, col = place[0][rising], place[1][rising]
+    values[row, col] = values[col, row] = column[rising]
+
+
+def _looked_at(ax: Axes, cells: np.ndarray, pairs: Pairs, size: int) -> None:
+    ax.imshow(cells, cmap=ListedColormap([DROPPED, USED]), vmin=0, vmax=1, interpolation="nearest")
+    handles = [matplotlib.patches.Patch(color=c, label=t) for c, t in ((USED, "kept"), (DROPPED, "dropped"))]
+    ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.02), ncols=2, frameon=False, fontsize=9)
+
+
+def _matrix_axes(ax: Axes, ticks: list[tuple[float, str]], edges: list[int], zoom: float, named: bool) -> None:
+    ax.grid(visible=False)
+    for edge in edges:
+        ax.axhline(edge * zoom - 0.5, color="#9aa3ad", lw=0.4)
+        ax.axvline(edge * zoom - 0.5, color="#9aa3ad", lw=0.4)
+    shown = ticks if len(ticks) <= 24 else []
+    ax.set_xticks([])
+    ax.set_yticks([t * zoom for t, _ in shown] if named else [], [n for _, n in shown] if named else [], fontsize=8)
+    for spine in ax.spines.values():
+        spine.set_visible(True)
+
+
+def funnel_rows(pairs: Pairs, network: Pairs | None) -> list[tuple[str, int, str]]:
+    """(what, pairs, colour) from all candidates to the verified ones, in the order of the filters."""
+    funnel = pairs.funnel()
+    start = max(len(network) if network is not None else 0, funnel["candidates"])
+    rows = [("candidates", start, "#8b949e")]
+    gone = {k: v for k, v in funnel.items() if k not in ("candidates", "used", "match")}
+    if network is not None and len(network) > len(pairs):
+        rows.append(("dropped in the network", len(network) - len(pairs), DROPPED))
+    rows += [(f"dropped: {REASON_TEXT.get(k, k)}", v, DROPPED) for k, v in gone.items()]
+    matched = bool(np.any(pairs.inliers >= 0))
+    if not matched:
+        return [*rows, ("pairs to match", funnel["used"], USED)]
+    lost = funnel.get("match", 0)
+    verified = int(np.sum((pairs.dropped == 0) & (pairs.inliers > 0)))
+    rows.append(("matched at full resolution", funnel["used"] + lost, USED))
+    return [*rows, ("verified", verified, VERIFIED)]
+
+
+REASON_TEXT = dict(
+    zip(
+        REASONS,
+        (
+            "kept",
+            "optical axes",
+            "too far apart",
+            "base-to-distance ratio",
+            "no line of sight",
+            "outside the frame offset",
+            "no offset voted",
+            "other section",
+            "weak preview",
+            "base too short",
+            "cut by the design",
+            "not verified",
+        ),
+    )
+)
+
+
+def degrees(pairs: Pairs, images: int) -> str:
+    """Histogram of how many verified (or else planned) pairs an image has."""
+    kept = pairs.kept()
+    if np.any(pairs.inliers >= 0):
+        kept = kept.where(kept.inliers > 0)
+    degree = kept.degree(images)
+    figure, (ax,) = figure_axes(2.5)
+    top = int(degree.max(initial=1))
+    edges = np.arange(-0.5, top + 1 + max(1, top // 40), max(1, top // 40)).tolist()
+    ax.hist(degree, bins=edges, color=USED)
+    ax.hist(degree[degree < 3], bins=edges, color=ALERT)
+    ax.set_xlabel("ties of an image (red: fewer than 3)")
+    ax.set_ylabel("images")
+    return saved(figure)
+
+
+def residuals(frames: np.ndarray, enu_m: np.ndarray, track: np.ndarray, tracks: Sequence[str], unit: str) -> str:
+    """Residuals (K, 3) of the frames' positions, one panel a component."""
+    figure = Figure(figsize=(_WIDTH_IN, 4.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    with matplotlib.rc_context(STYLE):
+        axes = figure.subplots(3, 1, sharex=True)
+        for c, (ax, name) in enumerate(zip(axes, ("east", "north", "up"))):
+            ax.axhline(0, color="#8b949e", lw=0.8)
+            for t in np.unique(track):
+                of = track == t
+                label = (tracks[t] if 0 <= t < len(tracks) else "frames") if c == 0 else None
+                ax.plot(frames[of], enu_m[of, c], ".", ms=5, color=PASSES[t % len(PASSES)], label=label)
+            ax.set_ylabel(f"{name}, {unit}")
+            ax.margins(y=0.12)
+            ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes[-1].set_xlabel("frame")
+        axes[0].legend(frameon=False, ncols=6, loc="lower left", bbox_to_anchor=(0, 1.0), fontsize=9)
+    return saved(figure, "svg" if len(frames) < 1500 else "png")
+
+
+def shares(rows: Sequence[Sequence[float]]) -> str:
+    """(distance m, accuracy %, completeness %, F %) as grouped bars."""
+    figure, (ax,) = figure_axes(2.8)
+    x = np.arange(len(rows))
+    for k, (name, colour) in enumerate((("accuracy", "#a9cbd8"), ("completeness", USED), ("F-score", VERIFIED))):
+        values = [r[k + 1] or 0 for r in rows]
+        drawn = ax.bar(x + (k - 1) * 0.27, values, 0.25, color=colour, label=name)
+        ax.bar_label(drawn, fmt="%.0f", fontsize=8)
+    ax.set_xticks(x, [f"{r[0]:g} m" for r in rows])
+    ax.set_ylim(0, 112)
+    ax.set_ylabel("% of points")
+    ax.grid(axis="x", visible=False)
+    ax.legend(frameon=False, ncols=3, loc="lower left", bbox_to_anchor=(0, 1.0))
+    return saved(figure)
+
+
+def _count(number: int) -> str:
+    return f"{number:,}".replace(",", " ")

@@ -1,0 +1,224 @@
+"""Two or more runs side by side: the papers' tables (000 tables 1-2, 001 tables 1-5, 002 table 1)."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table as RichTable
+
+from tiegraph.errors import InputError
+from tiegraph.report import words
+from tiegraph.report.artefacts import STAGES, RunFolder, read_run
+from tiegraph.report.facts import metric_values
+from tiegraph.scene.pairs import REASONS
+
+_CLOUD_POINTS = 1000  # only the count is wanted
+
+# row -> the stages it adds up; names as in paper 000 table 1 and paper 001 table 5
+_TIMES: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("Mask image creation", ("masks",)),
+    ("Matching search", ("preview", "network")),
+    ("Matching list creation", ("design",)),
+    ("Feature extraction", ("features",)),
+    ("Feature matching", ("match",)),
+    ("Reconstruction and georeferencing", ("sparse", "georef")),
+    ("SfM, all of it", ("preview", "network", "design", "features", "match", "sparse", "georef")),
+    ("MVS (dense and cloud)", ("dense", "cloud")),
+    ("Scan, evaluation, report", ("scan", "evaluate", "report")),
+    ("Total time", STAGES),
+)
+_METRICS = (
+    ("backprojection_rmse", "Back-projection RMSE, m"),
+    ("ate_sim3_rmse", "ATE after Sim3, m"),
+    ("ate_se3_rmse", "ATE after SE3, m"),
+    ("absolute_rmse", "Absolute position error, m"),
+    ("images_within_0.3m", "Images within 0.3 m, %"),
+    ("cloud_to_cloud_median", "Cloud to reference, median, m"),
+    ("fscore_0.1m", "F-score at 0.1 m, %"),
+    ("ghosts", "Ghost points, %"),
+)
+
+
+@dataclass(frozen=True)
+class Block:
+    """A table: title, rows of (name, value per run; NaN = not known), and how a value is printed."""
+
+    title: str
+    rows: tuple[tuple[str, tuple[float, ...]], ...]
+    text: Callable[[float], str]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Runs side by side."""
+
+    names: tuple[str, ...]
+    blocks: tuple[Block, ...]
+    notes: tuple[str, ...]
+
+
+def compare_runs(folders: Sequence[Path], html: Path | None = None) -> str:
+    """Text for the terminal of two or more run folders side by side; with ``html`` also one self-contained page.
+
+    With two runs a column gives first / second. Raises InputError for fewer than two folders or one without a run.
+    """
+    comparison = compared(folders)
+    if html is not None:
+        temporary = html.with_name(f".{html.name}.{os.getpid()}.tmp")
+        try:
+            html.parent.mkdir(parents=True, exist_ok=True)
+            temporary.write_text(to_html(comparison), encoding="utf-8")
+            os.replace(temporary, html)
+        except OSError as error:
+            raise InputError(f"cannot write {html}: {error.strerror}; choose another file for --html") from error
+        finally:
+            temporary.unlink(missing_ok=True)
+    return to_text(comparison)
+
+
+def compared(folders: Sequence[Path]) -> Comparison:
+    """The tables of the runs."""
+    if len(folders) < 2:
+        raise InputError("tiegraph compare needs at least two run folders")
+    runs = [read_run(Path(f), _CLOUD_POINTS) for f in folders]
+    blocks = (
+        _block("Wall time", _times(runs, "seconds"), words.seconds),
+        _block("CPU time", _times(runs, "cpu_s"), words.seconds),
+        _block("Images and points", _sizes(runs), words.count),
+        _block("Pairs of images", _funnel(runs), words.count),
+        _block("Errors", _errors(runs), words.number),
+    )
+    return Comparison(_names(folders), tuple(b for b in blocks if b.rows), tuple(_notes(runs)))
+
+
+def _names(folders: Sequence[Path]) -> tuple[str, ...]:
+    paths = [Path(f).resolve() for f in folders]
+    short = [p.name for p in paths]
+    return tuple(short if len(set(short)) == len(short) else ["/".join(p.parts[-2:]) for p in paths])
+
+
+def _block(title: str, rows: list[tuple[str, list[float]]], text: Callable[[float], str]) -> Block:
+    known = [(name, tuple(values)) for name, values in rows if np.isfinite(values).any()]
+    return Block(title, tuple(known), text)
+
+
+def _times(runs: Sequence[RunFolder], key: str) -> list[tuple[str, list[float]]]:
+    return [(name, [_sum(run, stages, key) for run in runs]) for name, stages in _TIMES]
+
+
+def _sum(run: RunFolder, stages: tuple[str, ...], key: str) -> float:
+    found = [run.receipts[s][key] for s in stages if isinstance(run.receipts.get(s, {}).get(key), (int, float))]
+    return float(sum(found)) if found else np.nan
+
+
+def _sizes(runs: Sequence[RunFolder]) -> list[tuple[str, list[float]]]:
+    peak = [max((r.get("peak_mib") or 0 for r in run.receipts.values()), default=np.nan) for run in runs]
+    return [
+        ("Input images", [len(r.scene) if r.scene else np.nan for r in runs]),
+        ("Used images", [_used(r) for r in runs]),
+        ("Separate models", [1 + len(r.model.others) if r.model else np.nan for r in runs]),
+        ("Sparse points", [r.model.points if r.model else np.nan for r in runs]),
+        ("Dense points", [r.cloud.count if r.cloud else np.nan for r in runs]),
+        ("Peak memory, MiB", peak),
+    ]
+
+
+def _used(run: RunFolder) -> float:
+    return float(run.model.registered.sum()) if run.model is not None else np.nan
+
+
+def _funnel(runs: Sequence[RunFolder]) -> list[tuple[str, list[float]]]:
+    def of(run: RunFolder, count: Callable[[RunFolder], float]) -> float:
+        return count(run) if run.pairs is not None else np.nan
+
+    funnels = [r.pairs.funnel() if r.pairs is not None else {} for r in runs]
+    start = [_candidates(r) for r in runs]
+    rows: list[tuple[str, list[float]]] = [("Candidates", start)]
+    for reason in REASONS[1:-1]:
+        values = [float(f.get(reason, 0)) if f else np.nan for f in funnels]
+        if any(v > 0 for v in values):
+            rows.append((f"  dropped: {reason}", values))
+    rows.append(("Matched at full resolution", [f["used"] + f.get("match", 0) if f else np.nan for f in funnels]))
+    verified = [of(r, lambda x: float(np.sum((x.pairs.dropped == 0) & (x.pairs.inliers > 0)))) for r in runs]  # type: ignore[union-attr]
+    rows.append(("Verified", verified if any(v > 0 for v in verified) else [np.nan] * len(runs)))
+    return rows
+
+
+def _candidates(run: RunFolder) -> float:
+    sizes = [len(p) for p in (run.network, run.pairs) if p is not None]
+    return float(max(sizes)) if sizes else np.nan
+
+
+def _errors(runs: Sequence[RunFolder]) -> list[tuple[str, list[float]]]:
+    known = [metric_values(r) for r in runs]
+    rows = [(label, [float(k.get(name, np.nan)) for k in known]) for name, label in _METRICS]
+    pixels = [r.model.reprojection_px if r.model else np.nan for r in runs]
+    return [("Mean reprojection error, px", pixels), *rows]
+
+
+def _notes(runs: Sequence[RunFolder]) -> list[str]:
+    """What keeps the columns from being compared as they stand."""
+    out = []
+    scenes = [set(r.scene.names) for r in runs if r.scene is not None]
+    if len(scenes) > 1 and any(s != scenes[0] for s in scenes[1:]):
+        out.append("The runs are on different images.")
+    used = [_used(r) for r in runs]
+    if np.isfinite(used).sum() > 1 and np.nanmax(used) > 1.05 * np.nanmin(used):
+        out.append("The runs used different numbers of images: less time may mean less surveyed.")
+    if any("backprojection_rmse" in metric_values(r) for r in runs):
+        out.append(
+            "Back-projection RMSE is the papers' round trip: it grows with depth / focal length, is taken on different "
+            "points in each run, and says nothing about the poses."
+        )
+    return out
+
+
+def ratio(values: Sequence[float]) -> str:
+    """First / second of two values."""
+    if len(values) != 2 or not np.isfinite(values).all() or values[1] == 0:
+        return words.NONE if len(values) == 2 else ""
+    return f"{words.number(values[0] / values[1], 2)} x"
+
+
+def to_text(comparison: Comparison) -> str:
+    """Tables for a terminal, plain text."""
+    out = io.StringIO()
+    console = Console(file=out, width=max(80, 44 + 18 * len(comparison.names)), force_terminal=False, highlight=False)
+    two = len(comparison.names) == 2
+    for block in comparison.blocks:
+        table = RichTable(
+            title=block.title, box=box.SIMPLE_HEAD, title_justify="left", title_style="bold", pad_edge=False
+        )
+        table.add_column("")
+        for name in (*comparison.names, *(["ratio"] if two else [])):
+            table.add_column(name, justify="right", overflow="fold")
+        for name, values in block.rows:
+            table.add_row(name, *(block.text(v) for v in values), *([ratio(values)] if two else []))
+        console.print(table)
+    for note in comparison.notes:
+        console.print(f"Note: {note}")
+    return "\n".join(line.rstrip() for line in out.getvalue().splitlines()) + "\n"
+
+
+def to_html(comparison: Comparison) -> str:
+    """One self-contained page."""
+    from tiegraph.report.html import environment
+
+    two = len(comparison.names) == 2
+    tables = []
+    for block in comparison.blocks:
+        columns = ("", *comparison.names, *(("ratio",) if two else ()))
+        rows = tuple(
+            (name.strip(), *(block.text(v) for v in values), *((ratio(values),) if two else ()))
+            for name, values in block.rows
+        )
+        tables.append(words.Table(columns, rows, (False, *[True] * (len(columns) - 1)), block.title))
+    template = environment().get_template("compare.html.jinja")
+    return template.render(names=comparison.names, tables=tables, notes=comparison.notes)

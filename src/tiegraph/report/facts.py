@@ -1,0 +1,330 @@
+"""What the report says in words: the verdict, the numbers at the top, the warnings and the tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tiegraph.geometry import transforms
+from tiegraph.report import words
+from tiegraph.report.artefacts import STAGES, RunFolder
+from tiegraph.report.words import Table
+
+GOOD_SHARE, POOR_SHARE = 0.95, 0.6  # of the images registered
+_FEW_TIES = 3  # an image with fewer ties hangs loosely
+_HELDOUT_FACTOR = 2.0  # held-out positions this much worse than those used: the model bends to its control
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The box at the top: level good, check, poor or open; sentences; warnings."""
+
+    level: str
+    headline: str
+    sentences: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A number at the top."""
+
+    value: str
+    label: str
+
+
+def verdict(run: RunFolder) -> Verdict:
+    """The result in plain words, from what is there."""
+    if run.model is None or run.scene is None:
+        last = [s for s in STAGES if run.done(s) and s != "report"]
+        stop = f"The run has finished the stage {last[-1]}." if last else "No stage has finished."
+        return Verdict("open", "No model yet", (stop, *_pairs_sentence(run)), tuple(warnings(run)))
+    registered, total = int(run.model.registered.sum()), len(run.scene)
+    share = registered / max(total, 1)
+    found = tuple(warnings(run))
+    serious = run.model.others or (run.done("georef") and not run.georeferenced)
+    level = "poor" if share < POOR_SHARE else "check" if share < GOOD_SHARE or serious else "good"
+    headline = {
+        "good": "The survey is complete",
+        "check": "The survey is usable with care",
+        "poor": "A large part of the survey is missing",
+    }[level]
+    sentences = (_registered_sentence(run, registered, total), _world_sentence(run), *_accuracy_sentences(run))
+    return Verdict(level, headline, tuple(s for s in sentences if s), found)
+
+
+def _pairs_sentence(run: RunFolder) -> tuple[str, ...]:
+    if run.pairs is None or run.scene is None:
+        return ()
+    kept, n = int(np.sum(run.pairs.dropped == 0)), len(run.scene)
+    every = n * (n - 1) // 2
+    text = f"{words.count(kept)} of {words.count(every)} possible pairs of {words.count(n)} images are to be matched."
+    return (text,) if every else ()
+
+
+def _registered_sentence(run: RunFolder, registered: int, total: int) -> str:
+    assert run.model is not None
+    share = words.percent(registered / max(total, 1))
+    text = f"{words.count(registered)} of {words.count(total)} images ({share}) are in one connected model"
+    if not run.model.others:
+        return text + "."
+    rest = ", ".join(map(words.count, run.model.others[:4])) + (" ..." if len(run.model.others) > 4 else "")
+    several = len(run.model.others) + 1
+    return text + f", the largest of {several}; the others have {rest} images and are not in the products."
+
+
+def _world_sentence(run: RunFolder) -> str:
+    world = run.world or {}
+    scale = source_text(world.get("scale_from"))
+    if not run.georeferenced:
+        based = f", with the scale from {scale}" if scale else " and without scale"
+        return f"It is not georeferenced: coordinates are in the model's own frame{based}."
+    text = f"It is georeferenced in {crs_text(world.get('crs'))}"
+    text += f"; position and scale come from {scale}." if scale else "."
+    shift = world.get("shift_m") or [0, 0, 0]
+    if any(shift):
+        east, north, up = (f"{v:.0f}" for v in shift)
+        text += f" To keep numbers short, world coordinates are CRS coordinates minus ({east}, {north}, {up}) m."
+    return text
+
+
+def source_text(source: Any) -> str:
+    """Where scale or position come from, in words; "" if from nowhere."""
+    names = {"gnss": "the GNSS positions", "exif": "the GPS positions in the images", "trajectory": "the trajectory"}
+    names["rig"] = "the distances between the rig's cameras"
+    return "" if source in (None, "", "none") else names.get(str(source).lower(), str(source))
+
+
+def crs_text(crs: Any) -> str:
+    """Code and name of a CRS."""
+    if str(crs).upper() == "ENU":
+        return "a local east-north-up frame (ENU) about the stated origin"
+    try:
+        import pyproj
+
+        return f"{crs} ({pyproj.CRS.from_user_input(crs).name})"
+    except Exception:
+        return str(crs)
+
+
+def _accuracy_sentences(run: RunFolder) -> list[str]:
+    world, out = run.world or {}, []
+    residual = residual_text(world.get("residual_rms_m"))
+    if residual:
+        source = source_text(world.get("scale_from")) or "the given positions"
+        text = f"The cameras fit {source} with residuals of {residual} (root mean square)"
+        held = _scalar(world.get("heldout_rms_m"))
+        if held is not None:
+            text += f"; positions left out of the fit are met within {words.length(held)}, an independent check"
+        out.append(text + ".")
+    sigma = sigma_text(world.get("sigma"))
+    if sigma:
+        out.append(f"Expected standard deviation (1 sigma, from the residuals and the adjustment): {sigma}.")
+    known = metric_values(run)
+    if "ate_se3_rmse" in known:
+        text = f"Against the reference poses the cameras are off by {words.length(known['ate_se3_rmse'])} (RMSE, rigid "
+        text += f"alignment), {words.length(known.get('ate_sim3_rmse'))} with the scale set free"
+        if "absolute_rmse" in known:
+            text += f", {words.length(known['absolute_rmse'])} without any alignment"
+        out.append(text + ".")
+    if "cloud_to_cloud_median" in known:
+        half, most = words.length(known["cloud_to_cloud_median"]), words.length(known.get("cloud_to_cloud_90"))
+        out.append(f"Half of the cloud lies within {half} of the reference cloud, 90 % within {most}.")
+    if not out and run.done("georef"):
+        out.append("Nothing independent is there to state an accuracy from: no GNSS residuals and no reference.")
+    return out
+
+
+def residual_text(value: Any) -> str:
+    """Residuals per axis or as one number, in words; "" if unknown."""
+    if isinstance(value, dict):
+        parts = [f"{words.length(v)} {k.replace('_m', '').replace('_', ' ')}" for k, v in value.items() if _is(v)]
+        return ", ".join(parts)
+    if isinstance(value, (list, tuple)) and len(value) == 3 and all(_is(v) for v in value):
+        return ", ".join(f"{words.length(v)} {n}" for v, n in zip(value, ("east", "north", "up")))
+    return words.length(value) if _is(value) else ""
+
+
+def sigma_text(value: Any) -> str:
+    """Standard deviations with their units read from the names (..._m, ..._deg, ..._ppm); "" if unknown."""
+    if not isinstance(value, dict):
+        return residual_text(value)
+    parts = []
+    for name, v in value.items():
+        base, _, unit = name.rpartition("_")
+        if isinstance(v, (list, tuple)) and len(v) == 3 and unit in ("m", ""):
+            parts.append(f"{(base or name).replace('_', ' ')} {residual_text(v)}")
+        elif _is(v) and unit == "m":
+            parts.append(f"{base.replace('_', ' ')} {words.length(v)}")
+        elif _is(v) and unit in ("deg", "ppm"):
+            parts.append(f"{base.replace('_', ' ')} {words.number(v, 2)} {'°' if unit == 'deg' else unit}")
+        elif _is(v):
+            parts.append(f"{name.replace('_', ' ')} {words.number(v, 2)}")
+    return "; ".join(parts)
+
+
+def warnings(run: RunFolder) -> Iterable[str]:
+    """What a user should look at before using the products."""
+    for stage, receipt in run.receipts.items():
+        if "key" not in receipt and stage != "report":
+            yield f"The stage {stage} was interrupted; run the same command again to finish it."
+    dropped = dropped_images(run)
+    if dropped:
+        yield f"{words.plural(len(dropped), 'image file')} could not be used; the reasons are listed below."
+    if run.scene is not None and run.model is not None:
+        yield from _coverage_warnings(run)
+    if run.pairs is not None and run.scene is not None and np.any(run.pairs.inliers >= 0):
+        kept = run.pairs.kept()
+        ties = kept.where(kept.inliers > 0).degree(len(run.scene))
+        few = int(np.sum(ties < _FEW_TIES))
+        if few:
+            verb = "has" if few == 1 else "have"
+            yield f"{words.plural(few, 'image')} {verb} fewer than {_FEW_TIES} verified ties to other images."
+    world = run.world or {}
+    if run.done("georef") and not run.georeferenced:
+        yield "The model is not georeferenced: give --gnss (or images with GPS) for coordinates on the Earth."
+    held, fit = _scalar(world.get("heldout_rms_m")), _scalar(world.get("residual_rms_m"))
+    if held is not None and fit is not None and held > _HELDOUT_FACTOR * fit:
+        text = f"Positions left out of the fit are met {words.number(held / fit, 2)} times worse than those used"
+        yield text + ": the model bends towards its control."
+
+
+def _coverage_warnings(run: RunFolder) -> Iterable[str]:
+    assert run.scene is not None and run.model is not None
+    if run.model.others:
+        parts = len(run.model.others) + 1
+        yield f"The images fell into {parts} separate models: the parts do not share enough ties."
+    registered = run.model.registered
+    labels = np.array([" ".join(x).strip() for x in run.scene.image_label()])
+    for label in dict.fromkeys(labels):
+        of = labels == label
+        if label and np.mean(registered[of]) < 0.5:
+            yield f"Of {label} only {int(registered[of].sum())} of {int(of.sum())} images are in the model."
+
+
+def tiles(run: RunFolder) -> list[Tile]:
+    """The numbers at the top."""
+    out = []
+    if run.scene is not None:
+        n = len(run.scene)
+        used = f"{int(run.model.registered.sum())} / {n}" if run.model is not None else words.count(n)
+        out.append(Tile(used, "images in the model" if run.model is not None else "images"))
+    if run.pairs is not None:
+        kept = run.pairs.kept()
+        matched = bool(np.any(kept.inliers >= 0))
+        amount = int(np.sum(kept.inliers > 0)) if matched else len(kept)
+        out.append(Tile(words.count(amount), "verified pairs" if matched else "pairs to match"))
+    if run.model is not None:
+        out.append(Tile(words.count(run.model.points), "sparse points"))
+        out.append(Tile(f"{words.number(run.model.reprojection_px, 2)} px", "mean reprojection error"))
+    if run.cloud is not None:
+        out.append(Tile(words.count(run.cloud.count), "points in the cloud"))
+    residual = _scalar((run.world or {}).get("residual_rms_m"))
+    if residual is not None:
+        out.append(Tile(words.length(residual), "residual to the positions (RMS)"))
+    known = metric_values(run)
+    if "ate_se3_rmse" in known:
+        out.append(Tile(words.length(known["ate_se3_rmse"]), "error against reference poses"))
+    total = sum(r.get("seconds") or 0 for r in run.receipts.values())
+    if total:
+        out.append(Tile(words.seconds(total), "computing time"))
+    return out
+
+
+def metric_values(run: RunFolder) -> dict[str, float]:
+    """name -> value of the known figures of merit."""
+    found = (run.metrics or {}).get("metrics") or []
+    return {m["name"]: m["value"] for m in found if isinstance(m, dict) and _is(m.get("value"))}
+
+
+def dropped_images(run: RunFolder) -> list[tuple[str, str]]:
+    """Files left out by the scan, with reasons."""
+    if run.scene is not None and run.scene.dropped:
+        return [(d.name, d.reason) for d in run.scene.dropped]
+    return [(str(d[0]), str(d[1])) for d in run.receipts.get("scan", {}).get("dropped") or [] if len(d) >= 2]
+
+
+def registered_tables(run: RunFolder) -> list[Table]:
+    """Registered of all images: a matrix of passes and cameras, and by section."""
+    if run.scene is None or run.model is None:
+        return []
+    scene, registered = run.scene, run.model.registered
+    labels = scene.image_label()
+    cameras = list(dict.fromkeys(c for _, c in labels))
+    passes = [t for t in (*scene.tracks, "") if t in {p for p, _ in labels}]
+    names = np.array(labels).reshape(-1, 2)
+    rows = []
+    for camera in [*cameras, None]:
+        row: list[Any] = [camera if camera is not None else "all cameras"]
+        for track in [*passes, None] if len(passes) > 1 else [None]:
+            of = np.ones(len(scene), bool)
+            of &= names[:, 1] == camera if camera is not None else True
+            of &= names[:, 0] == track if track is not None else True
+            row.append(f"{int(registered[of].sum())} of {int(of.sum())}" if of.any() else words.NONE)
+        rows.append(row)
+    columns = ["camera", *([p or "(loose)" for p in passes] if len(passes) > 1 else []), "all images"]
+    out = [Table(tuple(columns), tuple(map(tuple, rows)), (False, *[True] * (len(columns) - 1)), "Registered images")]
+    sections = scene.section[scene.frame]
+    if np.any(sections >= 0):
+        body = []
+        for s in np.unique(sections):
+            of = sections == s
+            count = words.count(int(of.sum()))
+            body.append((str(s) if s >= 0 else "(none)", words.count(int(registered[of].sum())), count))
+        out.append(Table(("section", "registered", "images"), tuple(body), (False, True, True), "By section"))
+    return out
+
+
+def rig_table(run: RunFolder) -> Table | None:
+    """Cameras: model, focal length, place on the rig as refined, and how far that is from the nominal one."""
+    if run.scene is None or run.model is None:
+        return None
+    unit = "mm" if run.georeferenced or (run.world or {}).get("scale_from") not in (None, "none") else "units"
+    factor = 1000 if unit == "mm" else 1
+    rows = []
+    for key, sensor in enumerate(run.scene.all_sensors):
+        camera = run.model.cameras.get(key)
+        pose, nominal = run.model.sensor_from_rig.get(key), sensor.sensor_from_rig
+        from_first = turn = moved = bent = None
+        if pose is not None:
+            from_first = factor * float(np.linalg.norm(transforms.centre(pose)))
+            turn = float(transforms.angle_deg(pose[:3, :3], np.eye(3)))
+            if nominal is not None:
+                moved = factor * float(np.linalg.norm(transforms.centre(pose) - transforms.centre(nominal)))
+                bent = float(transforms.angle_deg(pose[:3, :3], nominal[:3, :3]))
+        rows.append([
+            sensor.name, camera["model"] if camera else None, camera["size"] if camera else None,
+            camera["focal_px"] if camera else None, from_first, turn, moved, bent,
+        ])  # fmt: skip
+    columns = ["camera", "model", "size px", "focal px", f"to first {unit}", "turned °"]
+    columns += [f"moved from nominal {unit}", "turned from it °"]
+    data = {"columns": columns, "rows": rows}
+    return words.table(data, "Cameras as adjusted")
+
+
+def stage_rows(run: RunFolder) -> list[tuple[str, float, float, float]]:
+    """(stage, wall s, CPU s, peak MiB) of the stages that have finished."""
+    out = []
+    for stage in STAGES:
+        r = run.receipts.get(stage, {})
+        if _is(r.get("seconds")):
+            out.append((stage, float(r["seconds"]), float(r.get("cpu_s") or 0), float(r.get("peak_mib") or 0)))
+    return out
+
+
+def _scalar(value: Any) -> float | None:
+    """One number for a residual: itself, its "total", or the length of its components."""
+    if isinstance(value, dict):
+        if _is(value.get("total")):
+            return float(value["total"])
+        value = [v for v in value.values() if _is(v)]
+    if isinstance(value, (list, tuple)):
+        return float(np.linalg.norm(value)) if len(value) and all(_is(v) for v in value) else None
+    return float(value) if _is(value) else None
+
+
+def _is(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and bool(np.isfinite(value))

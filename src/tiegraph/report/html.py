@@ -1,0 +1,322 @@
+"""report.html: one self-contained file made of receipts and artefacts only."""
+
+from __future__ import annotations
+
+import json
+import os
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+
+from tiegraph.report import charts, facts, plan, viewer, words
+from tiegraph.report.artefacts import STAGES, RunFolder, read_run
+from tiegraph.report.cloudview import standard_views, with_scale_bar
+from tiegraph.report.pictures import file_uri, jpeg, mask_share, masked_thumbnail
+from tiegraph.report.settings import ReportSettings
+from tiegraph.scene.scene import Scene
+
+_MASKS_READ = 25  # masks opened for a camera's mean share
+_DROPPED_SHOWN = 200
+_CAPTIONS = {
+    "matrix": "Correspondence matrix: images by pass, camera and frame along both sides.",
+    "curves": "Frame-offset curves: preview matches of two cameras against the frame offset between them. A clear peak "
+    "is the offset the pair range is laid around; a flat curve means the two never see the same place.",
+    "sections": "Brightness of the upward camera along the way, and the sections cut from it.",
+}
+_TITLES = {"network": "Network", "design": "Design", "match": "Matching", "masks": "Masks", "sparse": "Sparse model"}
+
+
+def write_report(folder: Path, settings: ReportSettings) -> Path:
+    """Write ``folder/report.html`` from what the folder holds; stages that have not run are left out.
+
+    Raises InputError if the folder holds no run or cannot be written to.
+    """
+    run = read_run(folder, settings.view_points)
+    text = render(run, settings)
+    target = folder / "report.html"
+    temporary = folder / f".report.{os.getpid()}.tmp"
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        os.replace(temporary, target)
+    finally:
+        temporary.unlink(missing_ok=True)
+    return target
+
+
+def render(run: RunFolder, settings: ReportSettings) -> str:
+    """The page as text."""
+    context = {
+        "title": settings.title or run.path.resolve().name,
+        "made": datetime.now(timezone.utc).strftime("%d %B %Y, %H:%M UTC"),
+        "verdict": facts.verdict(run),
+        "tiles": facts.tiles(run),
+        "scan": _scan(run),
+        "masks": _masks(run, settings),
+        "network": _network(run),
+        "model": _model(run),
+        "evaluation": _evaluation(run),
+        "effort": _effort(run),
+        **_three_d(run, settings),
+    }
+    return environment().get_template("template.html.jinja").render(context)
+
+
+def environment() -> jinja2.Environment:
+    """Templates of this package, everything escaped."""
+    loader = jinja2.PackageLoader("tiegraph.report", ".")
+    return jinja2.Environment(
+        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+
+
+def _scan(run: RunFolder) -> dict[str, Any]:
+    scene, receipt = run.scene, run.receipts.get("scan", {})
+    notes = list(dict.fromkeys([*(scene.notes if scene else ()), *map(str, receipt.get("notes") or [])]))
+    dropped = facts.dropped_images(run)
+    facts_ = []
+    if scene is not None:
+        rigs = ", ".join(f"{r.name} ({len(r.sensors)} cameras)" if len(r.sensors) > 1 else r.name for r in scene.rigs)
+        facts_ = [
+            ("images", words.count(len(scene))),
+            ("frames", words.count(scene.frames)),
+            ("rig", rigs[:200] + (" …" if len(rigs) > 200 else "")),
+            ("passes", ", ".join(scene.tracks[:12]) or "none: loose photographs"),
+            ("prior poses", {"none": "none"}.get(scene.prior, scene.prior)),
+        ]
+    return {
+        "facts": facts_,
+        "notes": notes,
+        "dropped": dropped[:_DROPPED_SHOWN],
+        "more": max(0, len(dropped) - _DROPPED_SHOWN),
+        "tables": _tables(receipt),
+    }
+
+
+def _masks(run: RunFolder, settings: ReportSettings) -> dict[str, Any]:
+    receipt = run.receipts.get("masks", {})
+    strips: list[dict[str, Any]] = []
+    if run.scene is not None and (run.path / "images").is_dir():
+        for key, sensor in enumerate(run.scene.all_sensors[:24]):
+            strips.extend(_mask_strip(run, run.scene, key, sensor.name, settings.mask_images))
+    return {
+        "strips": strips,
+        "any": any(s["share"] is not None for s in strips),
+        "notes": receipt.get("notes") or [],
+        "tables": _tables(receipt),
+    }
+
+
+def _mask_strip(run: RunFolder, scene: Scene, key: int, name: str, shown: int) -> list[dict[str, Any]]:
+    images = np.flatnonzero(scene.sensor_key == key)
+    if not len(images) or not shown:
+        return []
+    spread = images[np.unique(np.linspace(0, len(images) - 1, _MASKS_READ).astype(int))]
+    shares = [s for k in spread if (s := mask_share(_mask_path(run, scene.names[k]))) is not None]
+    out = []
+    for place in (np.arange(shown) + 0.5) / shown:
+        image = scene.names[images[int(place * len(images))]]
+        made = masked_thumbnail(run.path / "images" / image, _mask_path(run, image))
+        if made is not None:
+            mean = float(np.mean(shares)) if shares else None
+            text = words.percent(mean) if mean is not None else ""
+            out.append({"picture": made[0], "camera": name, "image": image, "share": made[1], "mean": text})
+    return out
+
+
+def _mask_path(run: RunFolder, image: str) -> Path:
+    return run.path / "masks" / f"{image}.png"
+
+
+def _network(run: RunFolder) -> dict[str, Any]:
+    out: dict[str, Any] = {"matrix": None, "funnel": None, "degrees": None, "pictures": [], "tables": [], "notes": []}
+    pairs = run.pairs if run.pairs is not None else run.network
+    if pairs is not None and run.scene is not None and len(pairs):
+        before = run.network if run.network is not None else pairs
+        out["matrix"] = charts.matrices(before, pairs, run.scene)
+        rows = charts.funnel_rows(pairs, run.network)
+        names, values, colours = zip(*rows)
+        out["funnel"] = charts.bars(names, values, colours, "pairs of images")
+        n = len(run.scene)
+        every = n * (n - 1) / 2
+        body = [[name, value, 100 * value / every if every else None] for name, value, _ in rows]
+        out["table"] = words.table({"columns": ["step", "pairs", "% of all possible"], "rows": body})
+        out["degrees"] = charts.degrees(pairs, n)
+    for path in sorted((run.path / "network").glob("*.png")):
+        if path.stem == "matrix" and out["matrix"]:
+            continue  # drawn above, with what was verified beside it
+        uri = file_uri(path)
+        if uri:
+            caption = next((c for k, c in _CAPTIONS.items() if k.rstrip("s") in path.stem), path.stem.replace("_", " "))
+            out["pictures"].append((uri, caption))
+    for stage in ("preview", "network", "design", "features", "match"):
+        receipt = run.receipts.get(stage, {})
+        out["tables"] += _tables(receipt, _TITLES.get(stage, stage.capitalize()))
+        out["notes"] += [f"{stage}: {n}" for n in receipt.get("notes") or []]
+    return out
+
+
+def _model(run: RunFolder) -> dict[str, Any]:
+    out: dict[str, Any] = {"there": run.model is not None, "facts": [], "tables": [], "notes": [], "residuals": None}
+    for stage in ("sparse", "georef"):
+        receipt = run.receipts.get(stage, {})
+        out["tables"] += _tables(receipt)
+        out["notes"] += [str(n) for n in receipt.get("notes") or []]
+    out["notes"] = list(dict.fromkeys([*out["notes"], *map(str, (run.world or {}).get("notes") or [])]))
+    if run.model is None:
+        return out
+    m = run.model
+    out["facts"] = [
+        ("registered images", f"{words.count(int(m.registered.sum()))} of {words.count(len(m.registered))}"),
+        ("sparse points", words.count(m.points)),
+        ("observations of an image", words.number(m.observations)),
+        ("images of a point (track length)", words.number(m.track_length)),
+        ("mean reprojection error", f"{words.number(m.reprojection_px)} px"),
+        ("models", words.count(1 + len(m.others))),
+    ]
+    rig = facts.rig_table(run)
+    out["tables"] = [*facts.registered_tables(run), *([rig] if rig else []), *out["tables"]]
+    out["residuals"] = _residuals(run)
+    return out
+
+
+def _residuals(run: RunFolder) -> str | None:
+    rows = [r for r in (run.world or {}).get("frames") or [] if isinstance(r, dict) and _three(r.get("residual_m"))]
+    if run.scene is None or len(rows) < 2:
+        return None
+    frames = np.array([int(r.get("frame", k)) for k, r in enumerate(rows)])
+    track = np.array([run.scene.track[f] if 0 <= f < run.scene.frames else -1 for f in frames])
+    return charts.residuals(frames, np.array([r["residual_m"] for r in rows], float), track, run.scene.tracks, "m")
+
+
+def _three(value: Any) -> bool:
+    return isinstance(value, (list, tuple)) and len(value) == 3 and all(isinstance(v, (int, float)) for v in value)
+
+
+def _three_d(run: RunFolder, settings: ReportSettings) -> dict[str, Any]:
+    """The plan, the static views and the interactive view."""
+    out: dict[str, Any] = {"plan": None, "views": [], "viewer": None, "viewer_script": "", "cloud": None}
+    if run.scene is None or run.model is None or not run.model.registered.any():
+        return out
+    upright = np.eye(3) if run.georeferenced else _upright(run.model.world_from_camera)
+    unit = "m" if run.georeferenced or (run.world or {}).get("scale_from") not in (None, "none") else "units"
+    xyz, rgb = (run.cloud.xyz, run.cloud.rgb) if run.cloud is not None else (run.model.xyz, run.model.rgb)
+    xyz = xyz @ upright.T
+    found = plan.tracks(run.scene, plan.frame_positions(run.scene, run.model.centres @ upright.T))
+    prior = run.scene.world_from_rig[:, :3, 3]
+    gnss = prior[np.isfinite(prior[:, 0])] if run.georeferenced else np.zeros((0, 3))
+    axes = ("east", "north") if run.georeferenced else ("x", "y")
+    if not run.georeferenced:  # prior positions are in another frame than the model
+        found = [plan.Track(t.name, t.positions, t.missing[:0]) for t in found]
+    out["plan"] = plan.plan_chart(found, gnss, xyz, unit, axes)
+    if run.cloud is not None:
+        path = run.model.centres[run.model.registered] @ upright.T
+        views = standard_views(xyz, rgb, path, settings.view_px)
+        out["views"] = [(v.name, jpeg(with_scale_bar(v, unit))) for v in views]
+        out["cloud"] = _cloud_facts(run)
+    data = viewer.viewer_data(xyz, rgb, found, settings.viewer_points, unit)
+    if data is not None:
+        out["viewer"] = json.dumps(data).replace("<", "\\u003c")
+        out["viewer_script"] = viewer.viewer_script()
+    return out
+
+
+def _upright(world_from_camera: np.ndarray) -> np.ndarray:
+    """Rotation (3, 3) that stands a free model up: images are taken upright on the whole, so "up" is their mean -y."""
+    up = -np.nanmean(world_from_camera[:, :3, 1], axis=0)
+    up = up / max(float(np.linalg.norm(up)), 1e-9)
+    side = np.cross(up, [1.0, 0, 0] if abs(up[0]) < 0.9 else [0, 1.0, 0])
+    side /= np.linalg.norm(side)
+    return np.stack([side, np.cross(up, side), up])
+
+
+def _cloud_facts(run: RunFolder) -> dict[str, Any]:
+    c = run.cloud
+    assert c is not None
+    rows = [("file", f"{c.name}, {words.size(c.bytes)}"), ("points", words.count(c.count))]
+    if np.isfinite(c.sigma_m).any():
+        rows.append(("median standard deviation of a point", words.length(float(np.nanmedian(c.sigma_m)))))
+    if c.views.any():
+        rows.append(("images that saw a point, median", words.number(float(np.median(c.views)), 2)))
+    tables, notes = [], []
+    for stage in ("dense", "cloud"):
+        receipt = run.receipts.get(stage, {})
+        tables += _tables(receipt)
+        notes += [str(n) for n in receipt.get("notes") or []]
+    return {"facts": rows, "tables": tables, "notes": notes}
+
+
+def _evaluation(run: RunFolder) -> dict[str, Any]:
+    data = run.metrics or {}
+    out: dict[str, Any] = {"there": bool(data), "metrics": None, "tables": [], "notes": data.get("notes") or []}
+    rows = [
+        [metric_text(str(m["name"])), words.cell(m.get("value")), m.get("unit") or ""]
+        for m in data.get("metrics") or []
+        if isinstance(m, dict) and "name" in m
+    ]
+    if rows:
+        body = tuple(tuple(str(v) for v in r) for r in rows)
+        out["metrics"] = words.Table(("figure", "value", "unit"), body, (False, True, False))
+    tables = data.get("tables") or {}
+    out["tables"] = [t for n, d in tables.items() if (t := words.table(d, n.capitalize())) is not None]
+    against = (tables.get("cloud against reference") or {}).get("rows")
+    out["shares"] = charts.shares(against) if against else None
+    return out
+
+
+_METRICS = {
+    "registered_images": "registered images",
+    "backprojection_rmse": "back-projection RMSE (round trip, see the note)",
+    "backprojection_rounding": "... of which rounding to the pixel alone",
+    "ate_sim3_rmse": "camera positions after similarity alignment, RMSE (ATE Sim3)",
+    "ate_sim3_median": "... median",
+    "ate_sim3_max": "... largest",
+    "ate_se3_rmse": "camera positions after rigid alignment, RMSE (ATE SE3)",
+    "absolute_rmse": "camera positions without alignment, RMSE",
+    "scale_error": "scale error",
+    "yaw_drift": "heading drift",
+    "cloud_to_cloud_median": "cloud to reference cloud, median distance",
+    "cloud_to_cloud_90": "cloud to reference cloud, 90 % of points within",
+    "ghosts": "ghost points",
+}
+
+
+def metric_text(name: str) -> str:
+    """A figure of merit in words."""
+    if name in _METRICS:
+        return _METRICS[name]
+    text = name.replace("_", " ")
+    for short, full in (("rpe ", "relative pose error over "), ("fscore ", "F-score at "), ("within ", "within ")):
+        text = text.replace(short, full)
+    return text
+
+
+def _effort(run: RunFolder) -> dict[str, Any]:
+    rows = facts.stage_rows(run)
+    body = []
+    for stage, wall, cpu, peak in rows:
+        counts = run.counts(stage)
+        text = ", ".join(f"{words.cell(v)} {str(k).replace('_', ' ')}" for k, v in counts.items())
+        body.append((stage, words.seconds(wall), words.seconds(cpu), words.count(peak), text))
+    columns = ("stage", "wall time", "CPU time", "peak MiB", "counts")
+    table = words.Table(columns, tuple(body), (False, True, True, True, False)) if body else None
+    settings = [(s, run.receipts[s]["settings"]) for s in STAGES if run.receipts.get(s, {}).get("settings")]
+    software: dict[str, str] = {}
+    for s in STAGES:
+        software.update(run.receipts.get(s, {}).get("software") or {})
+    return {
+        "chart": charts.stage_times(rows) if rows else None,
+        "table": table,
+        "settings": [(s, [(k, words.cell(v)) for k, v in values.items()]) for s, values in settings],
+        "software": sorted(software.items()),
+    }
+
+
+def _tables(receipt: dict, prefix: str = "") -> list[words.Table]:
+    found = receipt.get("tables")
+    if not isinstance(found, dict):
+        return []
+    named = ((f"{prefix}: {n}" if prefix else n.capitalize(), data) for n, data in found.items())
+    return [t for n, data in named if (t := words.table(data, n.replace("_", " "))) is not None]

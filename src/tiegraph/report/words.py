@@ -1,0 +1,131 @@
+"""Numbers in words a surveyor reads: units, sensible digits, spaces between thousands."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+NONE = "–"  # an en dash: not known
+_NOTHING = 1e-9  # smaller numbers are rounding errors
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table ready to print: texts, and which columns are numbers."""
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    numeric: tuple[bool, ...]
+    title: str = ""
+
+
+def count(value: Any) -> str:
+    """A whole number with thin spaces between thousands."""
+    return NONE if not _known(value) else f"{round(value):,}".replace(",", "\u202f")
+
+
+def number(value: Any, digits: int = 3) -> str:
+    """A number with about three significant digits, never in powers of ten unless tiny."""
+    if not _known(value):
+        return NONE
+    value = float(value)
+    if abs(value) < _NOTHING:
+        return "0"
+    magnitude = math.floor(math.log10(abs(value)))
+    if magnitude >= digits - 1:
+        return count(value)
+    if magnitude < -5:
+        return f"{value:.{digits - 1}e}"
+    return f"{value:.{digits - 1 - magnitude}f}"
+
+
+def length(value: Any, unit: str = "m") -> str:
+    """A length; below half a metre in centimetres or millimetres when the unit is metres."""
+    if not _known(value) or unit != "m" or value == 0:
+        return f"{number(value)} {unit}" if _known(value) else NONE
+    if abs(value) < 0.01:
+        return f"{number(1000 * value, 2)} mm"
+    if abs(value) < 0.5:
+        return f"{100 * value:.1f} cm"
+    return f"{number(value)} m"
+
+
+def plural(amount: int, one: str, many: str = "") -> str:
+    """ "1 image", "2 images"."""
+    return f"{count(amount)} {one if amount == 1 else many or one + 's'}"
+
+
+def percent(share: Any) -> str:
+    """A share 0..1 in percent; 100 % only when it is all."""
+    if not _known(share):
+        return NONE
+    text = f"{100 * share:.0f}" if share in (0, 1) or 0.1 < share < 0.99 else f"{100 * share:.1f}"
+    return f"{'99.9' if text == '100.0' and share < 1 else text} %"
+
+
+def seconds(value: Any) -> str:
+    """A duration."""
+    if not _known(value):
+        return NONE
+    if value < 10:
+        return f"{value:.1f} s"
+    if value < 120:
+        return f"{value:.0f} s"
+    minutes, rest = divmod(round(value), 60)
+    return f"{minutes} min {rest:02d} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def size(value: Any) -> str:
+    """Bytes in MB or GB."""
+    if not _known(value):
+        return NONE
+    return f"{value / 1e9:.2f} GB" if value >= 1e9 else f"{number(value / 1e6, 2)} MB"
+
+
+def table(data: Any, title: str = "") -> Table | None:
+    """A Table from {"columns": [..], "rows": [[..], ..]}; None if it is not one or has no rows."""
+    if not isinstance(data, dict) or not data.get("rows") or not data.get("columns"):
+        return None
+    rows = [list(row) if isinstance(row, (list, tuple)) else [row] for row in data["rows"]]
+    columns = [str(c).replace("_", " ") for c in data["columns"]]
+    rows = [(row + [None] * len(columns))[: len(columns)] for row in rows]
+    numeric = tuple(all(v is None or _is_number(v) for v in column) for column in zip(*rows))
+    printed = [_column(list(column)) if n else [cell(v) for v in column] for column, n in zip(zip(*rows), numeric)]
+    return Table(tuple(columns), tuple(zip(*printed)), numeric, title)
+
+
+def _column(values: list[Any]) -> list[str]:
+    """Numbers of one column with the same number of decimals, unless they are of very different size."""
+    sizes = sorted(abs(v) for v in values if _known(v) and abs(v) > _NOTHING)
+    if not sizes or all(isinstance(v, int) or not _known(v) or float(v).is_integer() for v in values):
+        return [cell(v) for v in values]
+    if sizes[-1] > 3000 * sizes[0]:
+        return [cell(v) for v in values]
+    middle = sizes[len(sizes) // 2]
+    digits = min(max(0, 2 - math.floor(math.log10(middle))), 6)
+    return [f"{v:,.{digits}f}".replace(",", "\u202f") if _known(v) else NONE for v in values]
+
+
+def cell(value: Any) -> str:
+    """A value of a table as text."""
+    value = value.item() if hasattr(value, "item") else value
+    if value is None:
+        return NONE
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int) or (isinstance(value, float) and value.is_integer() and abs(value) < 1e15):
+        return count(value)
+    if isinstance(value, float):
+        return number(value)
+    if isinstance(value, (list, tuple)):
+        return ", ".join(cell(v) for v in value)
+    return str(value)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _known(value: Any) -> bool:
+    return _is_number(value) and math.isfinite(value)

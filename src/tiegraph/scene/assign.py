@@ -1,0 +1,201 @@
+"""Which sensor and pass each image belongs to: by the rig file, a preset, or a guess."""
+
+from __future__ import annotations
+
+import difflib
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from tiegraph.errors import InputError
+from tiegraph.scene.exif import Exif
+from tiegraph.scene.folders import UP_WORDS, Layout, Place, guess_layout, is_loose, natural, place_by_folders, words
+from tiegraph.scene.images import Probe
+from tiegraph.scene.rigfile import read_rig_file
+from tiegraph.scene.rigspec import RigSpec, SensorSpec, preset, preset_sizes
+from tiegraph.scene.scene import Dropped
+from tiegraph.scene.settings import ScanSettings
+
+_NAMED = 4  # how many names a note shows
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One usable image on its way into the scene."""
+
+    image: int
+    rig: int
+    sensor: int
+    track: str  # "" = loose
+    stem: str
+    key: str = ""
+
+
+@dataclass(frozen=True)
+class Survey:
+    """The images assigned to rigs, before cameras are known."""
+
+    specs: tuple[RigSpec, ...]
+    shots: tuple[Shot, ...]
+    loose: bool
+
+
+class Report:
+    """What scan says and leaves out, collected over its steps."""
+
+    def __init__(self) -> None:
+        self.notes: list[str] = []
+        self.dropped: list[Dropped] = []
+
+    def drop(self, names: Iterable[str], reason: str) -> None:
+        self.dropped += [Dropped(n, reason) for n in names]
+
+
+@dataclass(frozen=True)
+class Usable:
+    """The usable images: their numbers, names and what their probes say; parallel."""
+
+    images: tuple[int, ...]
+    names: tuple[str, ...]
+    probes: tuple[Probe, ...]
+
+    def loose(self, places: Sequence[Place | None], layout: str) -> tuple[bool, str]:
+        """Whether these are loose photographs, and why."""
+        return is_loose(self.names, places, *self.facts(), layout)
+
+    def facts(self) -> tuple[list[Exif], list[tuple[int, int]]]:
+        """EXIF and upright sizes."""
+        return [p.exif for p in self.probes], [p.upright_size() for p in self.probes]
+
+
+def assign(rig: str | None, usable: Usable, settings: ScanSettings, report: Report) -> Survey:
+    """Rig, sensor and pass of each usable image. Raises InputError for a rig that is wrong or does not fit."""
+    cameras = preset_sizes(rig) if rig else ()
+    layout = guess_layout(usable.names, *usable.facts(), settings.layout, cameras)
+    if rig is None:
+        spec = _guessed_rig(layout)
+        report.notes.append(f"layout guessed: {layout.note}")
+        if len(layout.folders) > 1:
+            report.notes.append(
+                f"no rig given: how the {len(layout.folders)} cameras stand to each other is unknown and has to come "
+                "from the images; --rig takes a file or ladybug5, ring:N, stereo"
+            )
+    elif cameras:
+        spec = preset(rig, layout.folders)
+        report.notes.append(f"layout guessed: {layout.note}; rig preset {rig}: nominal axes and centres")
+    else:
+        return _assign_by_file(Path(rig), usable, settings, report)
+    index = {s.folder: k for k, s in enumerate(spec.sensors)}
+    shots = tuple(
+        _shot(image, name, (0, index[place.folder]), "" if layout.loose else place.track)
+        for image, name, place in zip(usable.images, usable.names, layout.places)
+    )
+    return _by_camera(spec, shots, usable, report) if layout.loose else Survey((spec,), shots, False)
+
+
+def _shot(image: int, name: str, owner: tuple[int, int], track: str) -> Shot:
+    return Shot(image, *owner, track, PurePosixPath(name).stem)
+
+
+def _guessed_rig(layout: Layout) -> RigSpec:
+    if layout.folders == ("",):
+        sensor = SensorSpec("camera", "", body_from_sensor=np.eye(4))
+        return RigSpec("camera", (sensor,), body_is_reference=True)
+    sensors = tuple(
+        SensorSpec(f, f, "up" if words(f) & UP_WORDS else "side", np.eye(4) if k == 0 else None)
+        for k, f in enumerate(layout.folders)
+    )
+    return RigSpec("rig", sensors, body_is_reference=True)
+
+
+def _assign_by_file(file: Path, usable: Usable, settings: ScanSettings, report: Report) -> Survey:
+    specs = tuple(_bound(_checked(s), usable.names) for s in read_rig_file(file))
+    owner = {(s.folder or ""): (r, k) for r, spec in enumerate(specs) for k, s in enumerate(spec.sensors)}
+    if len(owner) < sum(len(spec.sensors) for spec in specs):
+        raise InputError(f"{file}: two sensors have the same folder ({', '.join(owner)}): give each its own")
+    places = place_by_folders(usable.names, list(owner))
+    _all_found(file, specs, places, usable.names)
+    stray = [name for name, place in zip(usable.names, places) if place is None]
+    report.drop(stray, f"below no sensor folder of {file.name} ({', '.join(owner)})")
+    loose, why = usable.loose(places, settings.layout) if len(owner) == 1 else (False, "")
+    report.notes.append(f"rig file {file.name}: {len(owner)} sensor(s)" + (f"; {why}" if why else ""))
+    shots = [
+        _shot(image, name, owner[place.folder], "" if loose else place.track)
+        for image, name, place in zip(usable.images, usable.names, places)
+        if place is not None
+    ]
+    return Survey(specs, tuple(shots), loose)
+
+
+def _checked(spec: RigSpec) -> RigSpec:
+    poses = [s.body_from_sensor is not None for s in spec.sensors]
+    first = spec.sensors[0]
+    if not poses[0] and (any(poses) or spec.axes != "camera"):
+        raise InputError(
+            f"{spec.file}: the first sensor, {first.name!r}, is the reference and needs an orientation, because "
+            + ("other sensors have one" if any(poses) else f"axes = {spec.axes} says the body frame is not its own")
+        )
+    if not poses[0]:
+        sensors = (replace(first, body_from_sensor=np.eye(4)), *spec.sensors[1:])
+        return replace(spec, sensors=sensors, body_is_reference=True)
+    return spec
+
+
+def _bound(spec: RigSpec, names: Sequence[str]) -> RigSpec:
+    """The rig with each sensor's folder written out; a lone sensor without a folder of its name takes every image."""
+    parts = {p for n in names for p in PurePosixPath(n).parts[:-1]}
+    lone = len(spec.sensors) == 1
+    sensors = [
+        replace(s, folder=s.folder if s.folder is not None else "" if lone and s.name not in parts else s.name)
+        for s in spec.sensors
+    ]
+    return replace(spec, sensors=tuple(sensors))
+
+
+def _all_found(file: Path, specs: Sequence[RigSpec], places: Sequence[Place | None], names: Sequence[str]) -> None:
+    found = {p.folder for p in places if p is not None}
+    there = sorted({p for n in names for p in PurePosixPath(n).parts[:-1]}, key=natural)
+    for spec in specs:
+        for sensor in spec.sensors:
+            if sensor.folder in found:
+                continue
+            near = difflib.get_close_matches(sensor.folder or "", there, n=1)
+            hint = f" Perhaps you meant {near[0]!r}?" if near else ""
+            raise InputError(
+                f"{file}: sensor {sensor.name!r}: no usable image below a folder {sensor.folder!r}; folders here: "
+                f"{', '.join(there) or 'none'}.{hint} Mend folder, or take the sensor out of the file"
+            )
+
+
+def _by_camera(spec: RigSpec, shots: tuple[Shot, ...], usable: Usable, report: Report) -> Survey:
+    """Loose photographs of several cameras (or sizes, or focal lengths) as rigs of one sensor each."""
+    probe_of = dict(zip(usable.images, usable.probes))
+
+    def camera(shot: Shot) -> tuple:
+        p = probe_of[shot.image]
+        focal = round(p.exif.focal_px) if np.isfinite(p.exif.focal_px) else 0
+        return p.upright_size(), p.exif.make, p.exif.model, focal
+
+    kinds = Counter(camera(s) for s in shots)
+    order = [kind for kind, _ in kinds.most_common()]
+    if len(order) == 1:
+        return Survey((spec,), shots, True)
+    specs: list[RigSpec] = []
+    for k, ((width, height), make, model, focal) in enumerate(order):
+        label = " ".join(filter(None, (make, model))) or "camera"
+        name = f"{label} {width}x{height}" + (f" f{focal}" if focal else "")
+        specs.append(RigSpec(f"{k}: {name}", (replace(spec.sensors[0], name=f"{k}: {name}"),), body_is_reference=True))
+    report.notes.append(
+        f"{len(order)} cameras by make, model, image size and EXIF focal length: "
+        + some(f"{s.name} ({kinds[o]})" for s, o in zip(specs, order))
+    )
+    return Survey(tuple(specs), tuple(replace(s, rig=order.index(camera(s))) for s in shots), True)
+
+
+def some(texts: Iterable[str]) -> str:
+    """The first few texts and how many more there are."""
+    listed = list(texts)
+    return ", ".join(listed[:_NAMED]) + (f" and {len(listed) - _NAMED} more" if len(listed) > _NAMED else "")

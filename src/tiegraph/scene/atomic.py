@@ -1,0 +1,38 @@
+"""Files that appear whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from tiegraph.errors import TiegraphError
+
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+_NO_ROOM_BYTES = 1 << 20
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A temporary path beside ``path`` that takes its place when the block ends well, and is removed otherwise.
+
+    Raises TiegraphError when the disk is full (the libraries below report that in many ways).
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    except Exception as error:
+        full = isinstance(error, OSError) and error.errno in _FULL
+        if full or (not isinstance(error, TiegraphError) and shutil.disk_usage(path.parent).free < _NO_ROOM_BYTES):
+            raise TiegraphError(
+                f"no space left while writing {path}: free some space or choose another output folder, then run again; "
+                "what is finished is kept"
+            ) from error
+        raise
+    finally:
+        temporary.unlink(missing_ok=True)

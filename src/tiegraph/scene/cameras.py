@@ -1,0 +1,153 @@
+"""The camera of a sensor: from the rig file, from EXIF, from a preset's field of view, or guessed and said so."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pycolmap
+
+from tiegraph.errors import InputError
+from tiegraph.scene.folders import words
+from tiegraph.scene.prepare import crop_camera, pinhole_camera
+from tiegraph.scene.rig import Source
+from tiegraph.scene.rigspec import SensorSpec
+from tiegraph.scene.settings import ScanSettings
+
+# COLMAP's ImageReaderOptions.default_focal_length_factor: a guess of 45 degrees of view.
+GUESSED_FOCAL_FACTOR = 1.2
+_SAME_SHAPE = 0.01  # relative difference of two aspect ratios that rounding to whole pixels may cause
+_MIN_SIDE_PX = 32
+
+
+@dataclass(frozen=True)
+class FileFacts:
+    """What the probes say about the images of one sensor."""
+
+    size: tuple[int, int]  # width, height of most of them, upright if ``upright``
+    focal_px: float  # median of EXIF, NaN = none
+    upright: bool
+    bits: int
+    loose: bool
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """Camera of the prepared images, how to prepare them, and where the focal length comes from (for people)."""
+
+    camera: pycolmap.Camera
+    source: Source | None
+    how: str
+
+
+def calibrate(spec: SensorSpec, facts: FileFacts, file: str, settings: ScanSettings) -> Calibrated:
+    """Camera of a sensor; ``file`` is the rig file, "" for presets and guesses.
+
+    Raises InputError if the rig file's camera does not fit the images, if cropping leaves nothing, or if undistortion
+    is asked for a camera that is not calibrated.
+    """
+    camera, how = _file_camera(spec, facts, file, settings)
+    crop = spec.crop_px or settings.crop_px
+    crop = (crop[0], crop[1], crop[2], crop[3])
+    prepared = camera
+    if any(crop):
+        left, top, right, bottom = crop
+        if min(crop) < 0 or min(camera.width - left - right, camera.height - top - bottom) < _MIN_SIDE_PX:
+            raise InputError(
+                f"crop_px = {list(crop)} of sensor {spec.name!r} leaves less than {_MIN_SIDE_PX} px of "
+                f"{camera.width} x {camera.height}: left, top, right, bottom are the pixels to cut off"
+            )
+        prepared = crop_camera(camera, crop)
+    if settings.undistort:
+        if spec.params is None:
+            raise InputError(
+                f"undistort: sensor {spec.name!r} has no calibrated camera; give its model and params in a rig file, "
+                "or leave undistort off: the distortion is then estimated with the model"
+            )
+        if not prepared.is_undistorted():
+            prepared = pinhole_camera(prepared)
+    changed = any(crop) or prepared.model != camera.model or not facts.upright or facts.bits > 8
+    source = Source(camera, crop, facts.upright, facts.bits) if changed else None
+    return Calibrated(prepared, source, how)
+
+
+def _file_camera(spec: SensorSpec, facts: FileFacts, file: str, settings: ScanSettings) -> tuple[pycolmap.Camera, str]:
+    if spec.params is not None and spec.model is not None:
+        return _from_params(spec.model, spec.params, spec, facts, file)
+    model = spec.model or _default_model(spec, facts, settings)
+    fisheye = "FISHEYE" in model
+    width, height = facts.size
+    if spec.focal_px is not None:
+        scale = _scale(spec, facts, file)
+        return _camera(model, spec.focal_px * scale, facts, True), f"focal length from {file}{_scaled(scale)}"
+    if spec.hfov_deg is not None and file:
+        return _camera(model, _from_hfov(spec.hfov_deg, width, fisheye), facts, True), f"field of view from {file}"
+    if np.isfinite(facts.focal_px):
+        return _camera(model, facts.focal_px, facts, True), "focal length from EXIF"
+    if spec.hfov_deg is not None:
+        how = f"focal length from the preset's nominal field of view of {spec.hfov_deg:g} degrees"
+        return _camera(model, _from_hfov(spec.hfov_deg, width, fisheye), facts, False), how
+    if fisheye:
+        return _camera(model, width / np.pi, facts, False), "focal length guessed: a fisheye of 180 degrees across"
+    guess = GUESSED_FOCAL_FACTOR * max(width, height)
+    how = f"focal length guessed as {GUESSED_FOCAL_FACTOR} x the longer side (no EXIF, no rig file with a camera)"
+    return _camera(model, guess, facts, False), how
+
+
+def _from_params(
+    model: str, params: tuple[float, ...], spec: SensorSpec, facts: FileFacts, file: str
+) -> tuple[pycolmap.Camera, str]:
+    scale = _scale(spec, facts, file)
+    width, height = spec.size or facts.size
+    camera = pycolmap.Camera(model=model, width=width, height=height, params=list(params))
+    cx, cy = camera.principal_point_x, camera.principal_point_y
+    if not (0 < cx < width and 0 < cy < height) or camera.mean_focal_length() <= 0:
+        raise InputError(
+            f"{file}: sensor {spec.name!r}: the principal point ({cx:g}, {cy:g}) is not inside the {width} x {height} "
+            "image. If the parameters belong to another image size, give it as size = [width, height] in a rig.toml"
+        )
+    if (width, height) != facts.size:
+        camera.rescale(*facts.size)
+    camera.has_prior_focal_length = True
+    return camera, f"camera from {file}{_scaled(scale)}"
+
+
+def _scale(spec: SensorSpec, facts: FileFacts, file: str) -> float:
+    """Images' width over the width the rig file speaks of."""
+    if spec.size is None or spec.size == facts.size:
+        return 1.0
+    across, down = facts.size[0] / spec.size[0], facts.size[1] / spec.size[1]
+    if abs(across / down - 1) > _SAME_SHAPE:
+        raise InputError(
+            f"{file}: the camera of sensor {spec.name!r} is for {spec.size[0]} x {spec.size[1]} images, but its images "
+            f"have {facts.size[0]} x {facts.size[1]}: another shape, so the parameters cannot be rescaled. Give the "
+            "parameters of these images, or leave the camera away"
+        )
+    return across
+
+
+def _scaled(scale: float) -> str:
+    return "" if scale == 1 else f", rescaled by {scale:.4g} to the size of the images"
+
+
+def _from_hfov(hfov_deg: float, width: int, fisheye: bool) -> float:
+    half = np.radians(hfov_deg) / 2
+    return float(width / 2 / (half if fisheye else np.tan(half)))
+
+
+def _default_model(spec: SensorSpec, facts: FileFacts, settings: ScanSettings) -> str:
+    if settings.camera_model != "auto":
+        return settings.camera_model
+    if "fisheye" in words(spec.folder or spec.name):
+        return "OPENCV_FISHEYE"
+    # Loose photographs: few images of a camera, so one distortion parameter. Rigs and sequences: wide lenses need two,
+    # but on the nearly straight tracks of a survey fy and the tangential terms of OPENCV are hardly observable (they
+    # trade against the rotations) and bend the model.
+    return "SIMPLE_RADIAL" if facts.loose else "RADIAL"
+
+
+def _camera(model: str, focal_px: float, facts: FileFacts, prior: bool) -> pycolmap.Camera:
+    made = pycolmap.Camera.create_from_model_name(0, model, float(focal_px), *facts.size)
+    camera = pycolmap.Camera(model=model, width=facts.size[0], height=facts.size[1], params=made.params)
+    camera.has_prior_focal_length = prior
+    return camera

@@ -1,0 +1,291 @@
+"""Point clouds as LAS/LAZ 1.4 (point format 7) and binary PLY, in double precision and with their CRS.
+
+In a file coordinates are those of the CRS: world + the recorded shift. ENU and free worlds have no shift.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import chain
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import laspy
+import numpy as np
+import pyproj
+
+from tiegraph.errors import InputError
+from tiegraph.geometry.geodesy import ENU, Origin, geodetic_from_world, parse_crs
+from tiegraph.scene.atomic import replacing
+from tiegraph.scene.results import Cloud
+
+_SCALE_M = 0.001
+_SMALL = 1e-8  # scale of a world without units, as a share of its extent: 32-bit integers hold 2e9 steps
+_FAR = 1e5  # coordinates beyond this get an offset of their own
+_EXTRA = (("sigma_m", "f4"), ("views", "u1"), ("NormalX", "f4"), ("NormalY", "f4"), ("NormalZ", "f4"))
+_CHUNK = 1_000_000
+_PLY = (
+    ("x", "<f8", "double"), ("y", "<f8", "double"), ("z", "<f8", "double"),
+    ("nx", "<f4", "float"), ("ny", "<f4", "float"), ("nz", "<f4", "float"),
+    ("red", "u1", "uchar"), ("green", "u1", "uchar"), ("blue", "u1", "uchar"),
+    ("sigma_m", "<f4", "float"), ("views", "u1", "uchar"),
+)  # fmt: skip
+_PLY_TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
+    "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
+    "double": "f8", "float64": "f8",
+}  # fmt: skip
+
+
+def write_cloud(clouds: Cloud | Iterable[Cloud], path: Path) -> tuple[str, ...]:
+    """Write .las, .laz or .ply by the name's ending; returns remarks for people. Raises InputError for other endings."""
+    if path.suffix.lower() == ".ply":
+        return write_ply(clouds, path)
+    if path.suffix.lower() in (".las", ".laz"):
+        return write_las(clouds, path)
+    raise InputError(f"{path}: clouds are written as .laz, .las or .ply")
+
+
+def read_cloud(path: Path, origin: Origin | None = None) -> Cloud:
+    """Read .las, .laz or .ply; columns a file lacks are grey, NaN or 0.
+
+    ``origin`` states the world wanted: its shift is taken off. Without it a LAS file's own CRS makes an origin, if it
+    has one. Raises InputError for an unreadable file.
+    """
+    if not path.exists():
+        raise InputError(f"{path}: no such file")
+    try:
+        if path.suffix.lower() == ".ply":
+            return _read_ply(path, origin)
+        if path.suffix.lower() in (".las", ".laz"):
+            return _read_las(path, origin)
+    except InputError:
+        raise
+    except Exception as error:  # laspy and lazrs raise many kinds for damaged files
+        raise InputError(f"{path} cannot be read as a point cloud: {type(error).__name__}: {error}") from error
+    raise InputError(f"{path}: clouds are read from .laz, .las or .ply")
+
+
+def write_las(clouds: Cloud | Iterable[Cloud], path: Path) -> tuple[str, ...]:
+    """Write LAS 1.4, point format 7, compressed if the name ends with .laz; scale 1 mm with an origin.
+
+    Parts are written one after another, so an iterable of clouds needs the memory of one part. sigma_m, views and the
+    normal are extra dimensions. Raises TiegraphError when the disk is full.
+    """
+    parts, first = _parts(clouds)
+    header, notes = _las_header(first)
+    with replacing(path) as temporary, laspy.open(temporary, mode="w", header=header, do_compress=_is_laz(path)) as out:
+        for part in chain([first], parts):
+            for start in range(0, len(part), _CHUNK):
+                out.write_points(_las_points(part.where(slice(start, start + _CHUNK)), header))  # type: ignore[arg-type]
+    return notes
+
+
+def write_ply(clouds: Cloud | Iterable[Cloud], path: Path) -> tuple[str, ...]:
+    """Write binary little-endian PLY, positions as double; CRS and shift stand in comments. The positions are the
+    file's CRS coordinates. Raises TiegraphError when the disk is full."""
+    parts, first = _parts(clouds)
+    shift = _shift(first.origin)
+    with replacing(path) as temporary, open(temporary, "wb") as out:
+        out.write(_ply_header(first.origin, 0))
+        count = 0
+        for part in chain([first], parts):
+            out.write(_ply_rows(part, shift).tobytes())
+            count += len(part)
+        out.seek(0)
+        out.write(_ply_header(first.origin, count))
+    return () if first.origin is None or first.origin.crs != ENU else (_enu_note(first.origin),)
+
+
+def _parts(clouds: Cloud | Iterable[Cloud]) -> tuple[Iterator[Cloud], Cloud]:
+    parts = iter([clouds] if isinstance(clouds, Cloud) else clouds)
+    first = next(parts, None)
+    return parts, Cloud.empty() if first is None else first
+
+
+def _is_laz(path: Path) -> bool:
+    return path.suffix.lower() == ".laz"
+
+
+def _shift(origin: Origin | None) -> np.ndarray:
+    return np.zeros(3) if origin is None else np.asarray(origin.shift_m, float)
+
+
+def _enu_note(origin: Origin) -> str:
+    return (
+        f"the cloud has no CRS: east-north-up metres about lat {origin.lat_deg:.8f}, lon {origin.lon_deg:.8f}, "
+        f"height {origin.height_m:.3f} m (WGS84)"
+    )
+
+
+def _las_header(first: Cloud) -> tuple[laspy.LasHeader, tuple[str, ...]]:
+    header = laspy.LasHeader(point_format=7, version="1.4")
+    header.generating_software = "tiegraph"
+    header.add_extra_dims([laspy.ExtraBytesParams(name, kind) for name, kind in _EXTRA])
+    offset = _shift(first.origin)
+    middle = first.xyz_m.mean(axis=0) if len(first) else np.zeros(3)
+    header.offsets = offset + np.where(np.abs(middle) > _FAR, np.round(middle), 0)
+    header.scales = np.full(3, _SCALE_M)
+    if first.origin is None:
+        extent = float(np.ptp(first.xyz_m, axis=0).max()) if len(first) else 1.0
+        header.scales = np.full(3, 10.0 ** np.clip(np.floor(np.log10(max(extent, 1e-9) * _SMALL * 10)), -12, -3))
+        return header, ("the cloud has no CRS: the model's own frame and scale",)
+    if first.origin.crs == ENU:
+        return header, (_enu_note(first.origin),)
+    header.add_crs(parse_crs(first.origin.crs), keep_compatibility=True)
+    return header, (f"{first.origin.crs}; heights are above the WGS84 ellipsoid",)
+
+
+def _las_points(cloud: Cloud, header: laspy.LasHeader) -> laspy.ScaleAwarePointRecord:
+    record = laspy.ScaleAwarePointRecord.zeros(len(cloud), header=header)
+    record.x, record.y, record.z = (cloud.xyz_m + _shift(cloud.origin)).T
+    record.red, record.green, record.blue = (cloud.rgb.astype(np.uint16) * 257).T
+    record["sigma_m"], record["views"] = cloud.sigma_m, cloud.views
+    for k, name in enumerate(("NormalX", "NormalY", "NormalZ")):
+        record[name] = cloud.normal[:, k]
+    record["return_number"] = record["number_of_returns"] = np.ones(len(cloud), np.uint8)
+    return record
+
+
+def _read_las(path: Path, origin: Origin | None) -> Cloud:
+    las = laspy.read(path)
+    xyz = np.stack([np.asarray(las.x), np.asarray(las.y), np.asarray(las.z)], axis=1).astype(float)
+    names = set(las.point_format.dimension_names)
+    rgb = np.full((len(xyz), 3), 128, np.uint8)
+    if {"red", "green", "blue"} <= names:
+        wide = np.stack([np.asarray(las[c]) for c in ("red", "green", "blue")], axis=1)
+        rgb = (wide >> 8 if wide.size and wide.max() > 255 else wide).astype(np.uint8)
+    columns: dict[str, Any] = {name: np.asarray(las[name]) for name, _ in _EXTRA if name in names}
+    if origin is None:
+        origin = _origin_of(las.header, xyz)
+    return _cloud(xyz, rgb, columns, origin)
+
+
+def _cloud(xyz: np.ndarray, rgb: np.ndarray, columns: dict[str, np.ndarray], origin: Origin | None) -> Cloud:
+    missing = np.full(len(xyz), np.nan, np.float32)
+    normal = [columns.get(name, missing) for name in ("NormalX", "NormalY", "NormalZ")]
+    return Cloud(
+        xyz_m=xyz - _shift(origin),
+        rgb=rgb,
+        normal=np.stack(normal, axis=1).astype(np.float32),
+        sigma_m=columns.get("sigma_m", missing).astype(np.float32),
+        views=columns.get("views", np.zeros(len(xyz), np.uint8)).astype(np.uint8),
+        origin=origin,
+    )
+
+
+def _origin_of(header: laspy.LasHeader, xyz: np.ndarray) -> Origin | None:
+    """The origin a LAS file itself states: its CRS, if projected and metric, and its offsets as the shift."""
+    try:
+        crs = header.parse_crs(prefer_wkt=True)
+    except pyproj.exceptions.CRSError:
+        return None
+    if crs is not None and crs.is_compound:
+        crs = crs.sub_crs_list[0]
+    authority = None if crs is None else crs.to_authority(min_confidence=70)
+    if authority is None or len(xyz) == 0:
+        return None
+    name = ":".join(authority)
+    try:
+        parse_crs(name)
+    except InputError:
+        return None
+    shift = tuple(float(s) for s in header.offsets)
+    draft = Origin(0.0, 0.0, 0.0, name, (shift[0], shift[1], shift[2]))
+    lat, lon, height = geodetic_from_world(np.zeros((1, 3)), draft)[0]
+    return Origin(float(lat), float(lon), float(height), name, draft.shift_m)
+
+
+def _ply_header(origin: Origin | None, count: int) -> bytes:
+    lines = ["ply", "format binary_little_endian 1.0", "comment tiegraph"]
+    if origin is None:
+        lines.append("comment crs none (the model's own frame and scale)")
+    else:
+        lines.append(f"comment crs {origin.crs}")
+        lines.append(f"comment origin_lat_lon_height {origin.lat_deg!r} {origin.lon_deg!r} {origin.height_m!r}")
+        lines.append("comment shift_m {!r} {!r} {!r} (taken off in the model, added in this file)".format(*origin.shift_m))
+    # The count is known at the end only: padded, so that the header keeps its length.
+    lines.append(f"element vertex {count:<15d}")
+    lines += [f"property {kind} {name}" for name, _, kind in _PLY]
+    return ("\n".join([*lines, "end_header"]) + "\n").encode("ascii")
+
+
+def _ply_rows(cloud: Cloud, shift: np.ndarray) -> np.ndarray:
+    rows = np.zeros(len(cloud), dtype=[(name, kind) for name, kind, _ in _PLY])
+    for k, name in enumerate("xyz"):
+        rows[name] = cloud.xyz_m[:, k] + shift[k]
+        rows[f"n{name}"] = cloud.normal[:, k]
+    for k, name in enumerate(("red", "green", "blue")):
+        rows[name] = cloud.rgb[:, k]
+    rows["sigma_m"], rows["views"] = cloud.sigma_m, cloud.views
+    return rows
+
+
+def _read_ply(path: Path, origin: Origin | None) -> Cloud:
+    with open(path, "rb") as file:
+        header = _read_ply_header(file, path)
+        rows = _read_ply_body(file, path, *header[:3])
+    if not {"x", "y", "z"} <= set(rows.dtype.names or ()):
+        raise InputError(f"{path}: its vertices have no x, y, z")
+    xyz = np.stack([rows[c].astype(float) for c in "xyz"], axis=1)
+    names = rows.dtype.names or ()
+    rgb = np.full((len(rows), 3), 128, np.uint8)
+    if {"red", "green", "blue"} <= set(names):
+        rgb = np.stack([rows[c] for c in ("red", "green", "blue")], axis=1).astype(np.uint8)
+    columns = {new: rows[old] for old, new in _PLY_NAMES.items() if old in names}
+    return _cloud(xyz, rgb, columns, origin if origin is not None else header[3])
+
+
+_PLY_NAMES = {"nx": "NormalX", "ny": "NormalY", "nz": "NormalZ", "sigma_m": "sigma_m", "views": "views"}
+
+
+def _read_ply_header(file: BinaryIO, path: Path) -> tuple[str, int, list[tuple[str, str]], Origin | None]:
+    """(format, number of vertices, their (name, type), origin from our own comments)."""
+    if file.readline().strip() != b"ply":
+        raise InputError(f"{path} is not a PLY file: it does not begin with 'ply'")
+    kind, count, properties, element, comments = "", 0, [], "", {}
+    for raw in file:
+        words = raw.decode("ascii", "replace").split()
+        if words == ["end_header"]:
+            break
+        if words[:1] == ["format"]:
+            kind = words[1]
+        elif words[:1] == ["element"]:
+            if words[1] == "vertex":
+                count = int(words[2])
+            elif not properties:
+                raise InputError(f"{path}: element {words[1]!r} stands before the vertices; save the points alone")
+            element = words[1]
+        elif words[:1] == ["property"] and element == "vertex":
+            if words[1] == "list" or words[1] not in _PLY_TYPES:
+                raise InputError(f"{path}: property type {words[1]!r} of a vertex is not a plain number")
+            properties.append((words[2], _PLY_TYPES[words[1]]))
+        elif words[:1] == ["comment"] and len(words) > 2:
+            comments[words[1]] = words[2:]
+    return kind, count, properties, _ply_origin(comments)
+
+
+def _ply_origin(comments: dict[str, list[str]]) -> Origin | None:
+    try:
+        lat, lon, height = (float(w) for w in comments["origin_lat_lon_height"][:3])
+        east, north, up = (float(w) for w in comments["shift_m"][:3])
+        return Origin(lat, lon, height, comments["crs"][0], (east, north, up))
+    except (KeyError, ValueError, IndexError):
+        return None
+
+
+def _read_ply_body(file: BinaryIO, path: Path, kind: str, count: int, properties: list[tuple[str, str]]) -> np.ndarray:
+    order = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}.get(kind)
+    if order is None:
+        raise InputError(f"{path}: unknown PLY format {kind!r}")
+    dtype = np.dtype([(name, order + code) for name, code in properties])
+    if kind == "ascii":
+        table = np.loadtxt(file, max_rows=count, ndmin=2) if count else np.zeros((0, len(properties)))
+        rows = np.zeros(len(table), dtype)
+        for k, (name, _) in enumerate(properties):
+            rows[name] = table[:, k]
+    else:
+        rows = np.frombuffer(file.read(count * dtype.itemsize), dtype)
+    if len(rows) != count:
+        raise InputError(f"{path} is cut short: {len(rows)} of {count} points")
+    return rows

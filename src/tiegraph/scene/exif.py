@@ -1,0 +1,131 @@
+"""What a camera wrote into its file: focal length, position, time, orientation."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from datetime import datetime, timedelta, timezone
+from typing import Any
+
+NAN = float("nan")
+# Tags of the EXIF 2.32 standard (CIPA DC-008).
+_EXIF_IFD, _GPS_IFD = 0x8769, 0x8825
+_MAKE, _MODEL, _ORIENTATION, _DATE_TIME = 0x010F, 0x0110, 0x0112, 0x0132
+_TIME_ORIGINAL, _SUBSEC_ORIGINAL, _OFFSET_ORIGINAL = 0x9003, 0x9291, 0x9011
+_FOCAL_MM, _FOCAL_35MM = 0x920A, 0xA405
+_PLANE_X, _PLANE_UNIT, _EXIF_WIDTH, _EXIF_HEIGHT = 0xA20E, 0xA210, 0xA002, 0xA003
+_UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
+_DIAGONAL_35MM = 43.27  # mm; CIPA DC-008 compares the diagonals of the fields of view
+_PLAUSIBLE = (0.2, 20.0)  # focal length over the longer image side: 136 degrees of view ... a 700 mm lens
+
+
+@dataclass(frozen=True)
+class Exif:
+    """EXIF facts in SI units; NaN or "" = not written or not believable."""
+
+    orientation: int = 1  # 1..8
+    focal_px: float = NAN  # pixels of the image as stored
+    lat_deg: float = NAN
+    lon_deg: float = NAN
+    height_m: float = NAN
+    position_sigma_m: float = NAN
+    time_s: float = NAN  # seconds since 1970; in the camera's own clock and zone unless time_utc
+    time_utc: bool = False
+    make: str = ""
+    model: str = ""
+
+
+def read_exif(image: Any) -> Exif:
+    """EXIF of an opened PIL image; damaged entries count as not written."""
+    try:
+        base = image.getexif()
+        detail, gps = base.get_ifd(_EXIF_IFD), base.get_ifd(_GPS_IFD)
+    except Exception:  # a damaged EXIF block makes PIL raise anything from struct.error to SyntaxError
+        return Exif()
+    orientation = _number(base.get(_ORIENTATION, 1))
+    lat, lon = _angle(gps, 2, 1, "S"), _angle(gps, 4, 3, "W")
+    if not (abs(lat) <= 90 and abs(lon) <= 180) or (
+        lat == 0 and lon == 0
+    ):  # 0, 0 is what a receiver without fix writes
+        lat = lon = NAN
+    time_s, utc = _time(base, detail)
+    return Exif(
+        orientation=int(orientation) if orientation in range(1, 9) else 1,
+        focal_px=_focal(detail, *image.size),
+        lat_deg=lat,
+        lon_deg=lon,
+        height_m=_height(gps),
+        position_sigma_m=_positive(gps.get(31)),
+        time_s=time_s,
+        time_utc=utc,
+        make=_text(base.get(_MAKE)),
+        model=_text(base.get(_MODEL)),
+    )
+
+
+def _focal(detail: dict, width: int, height: int) -> float:
+    longer = max(width, height)
+    equivalent = _positive(detail.get(_FOCAL_35MM))
+    focal = equivalent / _DIAGONAL_35MM * (width**2 + height**2) ** 0.5
+    if _believable(focal, longer):
+        return focal
+    mm, density = _positive(detail.get(_FOCAL_MM)), _positive(detail.get(_PLANE_X))
+    unit_mm = _UNIT_MM.get(int(_number(detail.get(_PLANE_UNIT, 2), 2)), 25.4)
+    written = max(_positive(detail.get(_EXIF_WIDTH)), _positive(detail.get(_EXIF_HEIGHT)))
+    # The density counts the pixels the camera took; the image may have been made smaller since.
+    focal = mm * density / unit_mm * (longer / written if written == written else 1.0)
+    return focal if _believable(focal, longer) else NAN
+
+
+def _believable(focal_px: float, longer_px: int) -> bool:
+    return _PLAUSIBLE[0] * longer_px <= focal_px <= _PLAUSIBLE[1] * longer_px
+
+
+def _angle(gps: dict, key: int, reference_key: int, negative: str) -> float:
+    try:
+        degrees, minutes, seconds = (float(v) for v in gps[key])
+    except (KeyError, TypeError, ValueError, ZeroDivisionError):
+        return NAN
+    sign = -1.0 if _text(gps.get(reference_key)).upper().startswith(negative) else 1.0
+    return sign * (degrees + minutes / 60 + seconds / 3600)
+
+
+def _height(gps: dict) -> float:
+    height = _number(gps.get(6), NAN)
+    reference = gps.get(5)
+    below = reference in (1, b"\x01")
+    return -height if below else height
+
+
+def _time(base: Any, detail: dict) -> tuple[float, bool]:
+    text = _text(detail.get(_TIME_ORIGINAL)) or _text(base.get(_DATE_TIME))
+    try:
+        stamp = datetime.strptime(text[:19], "%Y:%m:%d %H:%M:%S")
+    except ValueError:
+        return NAN, False
+    fraction = _text(detail.get(_SUBSEC_ORIGINAL))
+    seconds = float(f"0.{fraction}") if fraction.isdigit() else 0.0
+    offset = re.fullmatch(r"([+-])(\d\d):(\d\d)", _text(detail.get(_OFFSET_ORIGINAL)))
+    shift = timedelta()
+    if offset:
+        shift = timedelta(hours=int(offset[2]), minutes=int(offset[3])) * (1 if offset[1] == "+" else -1)
+    utc = (stamp - shift).replace(tzinfo=timezone.utc)
+    return utc.timestamp() + seconds, offset is not None
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bytes):
+        value = value.decode("latin-1")
+    return value.strip("\0 ") if isinstance(value, str) else ""
+
+
+def _number(value: Any, otherwise: float = NAN) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError, ZeroDivisionError):
+        return otherwise
+
+
+def _positive(value: Any) -> float:
+    number = _number(value)
+    return number if 0 < number < float("inf") else NAN

@@ -1,0 +1,230 @@
+"""What the folders mean: which part of an image's path is the camera and which the pass."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+
+from tiegraph.scene.exif import Exif
+
+_CAMERA_WORDS = frozenset(
+    "cam camera lens sensor image img fisheye left right front rear back top zenith port starboard l r".split()
+)
+_PASS_WORDS = frozenset(
+    "pass run track line strip leg flight up down upstream downstream forward backward outbound inbound return day "
+    "session survey lap section mission media dcim go river".split()
+)
+UP_WORDS = frozenset("up top sky zenith".split())
+# Names that cameras give to single photographs; video frames and industrial cameras count from a plain word or nothing.
+_PHOTO_NAME = re.compile(r"^(img|dsc|dscn|dscf|dji|p|pict|gopr|mvi|sam|_mg|_dsc|photo|cimg|r)_?\d", re.IGNORECASE)
+_GENERIC_WORDS = _CAMERA_WORDS | frozenset("images cameras data photos pictures input jpg jpeg png frames raw".split())
+_LONE_PASS = "all"
+_FEW = 30  # below this, matching everything with everything costs less than a wrong guess of the order
+_REGULAR = 0.9  # share of equal steps in the numbers, or in the times, of a sequence
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where an image belongs: sensor folder ("" = none) and pass."""
+
+    folder: str
+    track: str
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Reading of a folder tree: the place of each image, the sensor folders in natural order, and order."""
+
+    places: tuple[Place, ...]
+    folders: tuple[str, ...]
+    loose: bool
+    note: str
+
+
+def natural(text: str) -> list[tuple[int, int, str]]:
+    """Sort key that puts cam2 before cam10."""
+    parts = re.split(r"(\d+)", text)
+    return [(0, int(p), p) if p.isdigit() else (1, 0, p.lower()) for p in parts if p]
+
+
+def words(name: str) -> set[str]:
+    """Words of a folder name without its numbers: Front_Camera2 -> front, camera."""
+    return set(re.findall(r"[a-z]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower()))
+
+
+def place_by_folders(names: Sequence[str], folders: Sequence[str]) -> list[Place | None]:
+    """Places of images below known sensor folders; a folder "" takes what no other folder takes.
+
+    A sensor folder may have several levels and stand above or below the pass; the longest and deepest match counts.
+    """
+    wanted = sorted((tuple(f.split("/")) for f in folders if f), key=len, reverse=True)
+    places: list[tuple[str, tuple[str, ...]] | None] = []
+    for name in names:
+        parts = PurePosixPath(name).parts[:-1]
+        match = next((_without(parts, w) for w in wanted if _position(parts, w) >= 0), None)
+        if match is not None:
+            places.append(match)
+        else:
+            places.append(("", parts) if "" in folders else None)
+    common = _common([p[1] for p in places if p is not None])
+    return [p and Place(p[0], _pass_name(p[1], common)) for p in places]
+
+
+def _pass_name(parts: tuple[str, ...], common: int) -> str:
+    """Folders of a pass without those that all images share; of a lone pass the last shared one that means something."""
+    if parts[common:]:
+        return "/".join(parts[common:])
+    telling = [p for p in parts if not words(p) & _GENERIC_WORDS]
+    return telling[-1] if telling else _LONE_PASS
+
+
+def _position(parts: tuple[str, ...], wanted: tuple[str, ...]) -> int:
+    for at in range(len(parts) - len(wanted), -1, -1):
+        if parts[at : at + len(wanted)] == wanted:
+            return at
+    return -1
+
+
+def _without(parts: tuple[str, ...], wanted: tuple[str, ...]) -> tuple[str, tuple[str, ...]]:
+    at = _position(parts, wanted)
+    return "/".join(wanted), parts[:at] + parts[at + len(wanted) :]
+
+
+def _common(paths: Sequence[tuple[str, ...]]) -> int:
+    shared = 0
+    for level in zip(*paths):
+        if len(set(level)) > 1:
+            break
+        shared += 1
+    return shared
+
+
+def guess_layout(
+    names: Sequence[str],
+    exif: Sequence[Exif],
+    sizes: Sequence[tuple[int, int]],
+    kind: str,
+    cameras: tuple[int, ...] = (),
+) -> Layout:
+    """Reading of a folder tree without a rig file; ``kind`` is ScanSettings.layout.
+
+    ``cameras`` are the numbers of cameras that a preset asks for: a folder level of so many names is preferred.
+    """
+    paths = [PurePosixPath(n).parts[:-1] for n in names]
+    common = _common(paths)
+    tails = [p[common:] for p in paths]
+    level, why = _camera_level(tails, [PurePosixPath(n).stem for n in names], kind, cameras)
+    if level is not None:
+        at = common + level
+        rest = [p[:at] + p[at + 1 :] for p in paths]
+        shared = _common(rest)
+        places = tuple(Place(p[at], _pass_name(r, shared)) for p, r in zip(paths, rest))
+        folders = tuple(sorted({p.folder for p in places}, key=natural))
+        passes = len({p.track for p in places})
+        return Layout(places, folders, False, f"{len(folders)} cameras, {passes} pass(es): {why}")
+    places = tuple(Place("", _pass_name(p, common)) for p in paths)
+    loose, why = is_loose(names, places, exif, sizes, kind)
+    return Layout(places, ("",), loose, why)
+
+
+def _camera_level(
+    tails: Sequence[tuple[str, ...]], stems: Sequence[str], kind: str, cameras: tuple[int, ...]
+) -> tuple[int | None, str]:
+    depth = min(len(t) for t in tails)
+    if kind in ("sequence", "loose") or depth == 0:
+        return None, ""
+    levels = [sorted({t[k] for t in tails}) for k in range(depth)]
+    if kind == "passes":
+        return depth - 1, "camera folders below pass folders, as the layout setting says"
+    if kind == "cameras":
+        return 0, "camera folders at the top, as the layout setting says"
+    fitting = [k for k in range(depth) if len(levels[k]) in cameras]
+    if len(fitting) == 1:
+        return fitting[0], f"the folders {_some(levels[fitting[0]])} are as many as the rig has cameras"
+    likeness = [sum(bool(words(f) & _CAMERA_WORDS) for f in level) / len(level) for level in levels]
+    best = max(range(depth), key=lambda k: (likeness[k], k))
+    if likeness[best] >= 0.5 and (len(levels[best]) > 1 or depth > 1):
+        return best, f"the folders {_some(levels[best])} are named like cameras"
+    return _camera_level_by_structure(tails, stems, levels)
+
+
+def _camera_level_by_structure(
+    tails: Sequence[tuple[str, ...]], stems: Sequence[str], levels: list[list[str]]
+) -> tuple[int | None, str]:
+    uniform = len({len(t) for t in tails}) == 1
+    if uniform and len(levels) == 1 and len(levels[0]) > 1:
+        likeness = sum(bool(words(f) & _PASS_WORDS) for f in levels[0]) / len(levels[0])
+        groups = [{s for t, s in zip(tails, stems) if t[0] == f} for f in levels[0]]
+        shared = len(set.intersection(*groups)) / min(len(g) for g in groups)
+        if likeness < 0.5 and shared >= 0.5:
+            return 0, f"the folders {_some(levels[0])} hold equal file names"
+    if uniform and len(levels) == 2:
+        below = [{t[1] for t in tails if t[0] == f} for f in levels[0]]
+        if len(below) > 1 and len(below[0]) > 1 and all(b == below[0] for b in below):
+            return 1, f"each of the folders {_some(levels[0])} holds the folders {_some(levels[1])}"
+    return None, ""
+
+
+def _some(names: Sequence[str]) -> str:
+    names = sorted(names, key=natural)
+    return ", ".join(names) if len(names) <= 6 else f"{', '.join(names[:5])} ... {names[-1]}"
+
+
+def is_loose(
+    names: Sequence[str],
+    places: Sequence[Place | None],
+    exif: Sequence[Exif],
+    sizes: Sequence[tuple[int, int]],
+    kind: str,
+) -> tuple[bool, str]:
+    """Whether images of one camera are loose photographs rather than sequences, and why (for people)."""
+    if kind in ("loose", "sequence", "passes", "cameras"):
+        word = "loose photographs" if kind == "loose" else "a sequence of one camera"
+        return kind == "loose", f"{word}, as the layout setting says"
+    passes = len({p.track for p in places if p})
+    as_sequence = f"a sequence of one camera in {passes} pass(es)"
+    if len(names) < _FEW:
+        return True, f"loose photographs: fewer than {_FEW}, so their order does not matter"
+    if len({(e.make, e.model, *s) for e, s in zip(exif, sizes)}) > 1:
+        return True, "loose photographs: taken by different cameras or in different sizes"
+    regular = _regular_times([e.time_s for e in exif])
+    if regular is not None:
+        return not regular, f"{as_sequence}: taken at regular times" if regular else (
+            "loose photographs: taken at irregular times"
+        )
+    stems = [PurePosixPath(n).stem for n in names]
+    if all(_PHOTO_NAME.match(s) for s in stems):
+        return True, "loose photographs: numbered as a camera numbers single photographs"
+    if _regular_numbers(names):
+        return False, f"{as_sequence}: numbered in equal steps"
+    return True, "loose photographs: neither times nor numbers show an order"
+
+
+def _regular_times(times: Sequence[float]) -> bool | None:
+    if any(t != t for t in times):
+        return None
+    ordered = sorted(times)
+    steps = sorted(b - a for a, b in zip(ordered, ordered[1:]))
+    middle = steps[len(steps) // 2]
+    # EXIF often has whole seconds only: one second of play.
+    equal = sum(abs(s - middle) <= max(0.25 * middle, 1.0) for s in steps) / len(steps)
+    return middle > 0 and equal >= _REGULAR if ordered[-1] > ordered[0] else None
+
+
+def _regular_numbers(names: Sequence[str]) -> bool:
+    steps: list[int] = []
+    by_folder: dict[str, list[int]] = {}
+    for name in names:
+        numbers = re.findall(r"\d+", PurePosixPath(name).stem)
+        if not numbers:
+            return False
+        by_folder.setdefault(str(PurePosixPath(name).parent), []).append(int(numbers[-1]))
+    for values in by_folder.values():
+        values = sorted(values)
+        steps += [b - a for a, b in zip(values, values[1:])]
+    if not steps:
+        return False
+    usual = max(set(steps), key=steps.count)
+    return usual > 0 and steps.count(usual) / len(steps) >= _REGULAR

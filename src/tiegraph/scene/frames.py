@@ -1,0 +1,59 @@
+"""Which images of a rig were taken together: frames, matched by file name, by the number in it, or by order."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from tiegraph.scene.folders import natural
+
+_ENOUGH = 0.5  # share of frames that must agree before a way of matching is believed
+
+
+@dataclass(frozen=True)
+class FrameKeys:
+    """Frame label of each image of one pass, by sensor; ``how`` is name, number or order."""
+
+    keys: dict[int, list[str]]
+    how: str
+    shared: float  # share of the images of the sensor with fewest partners that have a partner in the fullest one
+
+
+def match_frames(stems: Mapping[int, Sequence[str]], how: str = "auto") -> FrameKeys:
+    """Frame labels of one pass from the file stems of each sensor.
+
+    Auto: equal names if at least half agree; else equal last numbers in the names, which are frame numbers in the
+    papers' data (paper 000 figure 8: image0up_168035.jpg); else the place in the natural order of names.
+    """
+    if how in ("auto", "name"):
+        by_name = {sensor: list(s) for sensor, s in stems.items()}
+        shared = _shared(by_name)
+        if how == "name" or shared >= _ENOUGH:
+            return FrameKeys(by_name, "name", shared)
+    if how in ("auto", "number"):
+        by_number = {sensor: [_last_number(s) for s in names] for sensor, names in stems.items()}
+        shared = _shared(by_number)
+        if how == "number" or (shared >= _ENOUGH and _mostly_unique(by_number)):
+            return FrameKeys(by_number, "number", shared)
+    by_order = {}
+    for sensor, names in stems.items():
+        rank = {s: k for k, s in enumerate(sorted(set(names), key=natural))}
+        by_order[sensor] = [f"{rank[s]:06d}" for s in names]
+    return FrameKeys(by_order, "order", _shared(by_order))
+
+
+def _last_number(stem: str) -> str:
+    numbers = re.findall(r"\d+", stem)
+    return str(int(numbers[-1])) if numbers else stem
+
+
+def _shared(keys: dict[int, list[str]]) -> float:
+    sets = [set(k) for k in keys.values()]
+    fullest = max(sets, key=len)
+    return min(len(s & fullest) / len(s) for s in sets)
+
+
+def _mostly_unique(keys: dict[int, list[str]]) -> bool:
+    return all(sum(c == 1 for c in Counter(k).values()) >= 0.9 * len(set(k)) for k in keys.values())

@@ -1,0 +1,172 @@
+"""Finding images and opening each of them once."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from PIL import Image, ImageFile
+
+from tiegraph.errors import InputError
+from tiegraph.scene.exif import Exif, read_exif
+
+SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".pgm")
+# Photographs nobody here can decode: found, and refused by name, so that they are not missed silently.
+UNREADABLE = (".heic", ".heif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".gif", ".jp2")
+IMAGES_FOLDER = "images"
+_IGNORED = ("thumbs.db", "desktop.ini", "__macosx")
+_MIN_SIDE_PX = 32
+_LARGEST_PX = 1_000_000_000  # PIL refuses more than 179 Mpx as an attack; survey cameras and mosaics go beyond
+
+
+@dataclass(frozen=True)
+class Probe:
+    """What one look at an image file found. ``reason`` is not empty if the image cannot be used."""
+
+    width: int = 0  # as stored in the file
+    height: int = 0
+    channels: int = 0
+    bits: int = 8  # significant bits of the brightest pixel, 8 for common files
+    exif: Exif = Exif()
+    digest: str = ""  # of the file's bytes
+    reason: str = ""
+
+    def upright_size(self) -> tuple[int, int]:
+        """(width, height) after the turn that the EXIF orientation asks for."""
+        return (self.height, self.width) if self.exif.orientation >= 5 else (self.width, self.height)
+
+
+def find_images(root: Path) -> list[str]:
+    """Names (POSIX, relative to ``root``, sorted) of the image files below a folder.
+
+    Hidden files and folders, ``._*``, ``Thumbs.db`` and the like are passed over. If ``root`` has a folder ``images``
+    only that is searched, so that masks and depth maps beside it are not taken for photographs. Raises InputError if
+    the folder does not exist, is empty, or has no image.
+    """
+    root = Path(root)
+    if not root.exists():
+        raise InputError(f"{root}: there is no such folder; give the folder that holds the images")
+    if not root.is_dir():
+        raise InputError(f"{root} is a file; give the folder that holds the images")
+    start = root / IMAGES_FOLDER if (root / IMAGES_FOLDER).is_dir() else root
+    names, others = [], 0
+    for folder, subfolders, files in os.walk(start, followlinks=True):
+        subfolders[:] = sorted(s for s in subfolders if not _ignored(s))
+        for file in files:
+            if _ignored(file):
+                continue
+            if Path(file).suffix.lower() in SUFFIXES + UNREADABLE:
+                names.append((Path(folder) / file).relative_to(root).as_posix())
+            else:
+                others += 1
+    if not names:
+        found = f"{others} files, none of them an image" if others else "an empty folder"
+        raise InputError(f"{root}: {found}; images end in {' '.join(SUFFIXES)}")
+    return sorted(names)
+
+
+def _ignored(name: str) -> bool:
+    return name.startswith(".") or name.lower() in _IGNORED
+
+
+def probe_image(path: Path) -> Probe:
+    """Read, decode and describe one image file; the pixels are let go again. Never raises: see ``Probe.reason``."""
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        return Probe(reason=f"cannot be read: {error.strerror or error}")
+    if not data:
+        return Probe(reason="zero bytes")
+    digest = hashlib.blake2b(data, digest_size=16).hexdigest()
+    if path.suffix.lower() in UNREADABLE:
+        return Probe(digest=digest, reason=f"{path.suffix} files are not read: convert to JPEG, PNG or TIFF")
+    try:
+        return _describe(data, digest)
+    except _Unusable as error:
+        return Probe(digest=digest, reason=str(error))
+
+
+class _Unusable(Exception):
+    pass
+
+
+def _describe(data: bytes, digest: str) -> Probe:
+    try:
+        image = open_image(data)
+    except Image.UnidentifiedImageError:
+        return _describe_array(data, digest)
+    except Exception as error:
+        raise _broken(error) from None
+    try:
+        image.load()
+    except Exception as error:  # decoders raise OSError, SyntaxError, ValueError, struct.error and more
+        raise _broken(error) from None
+    if min(image.size) < _MIN_SIDE_PX:
+        raise _Unusable(f"only {image.width} x {image.height} pixels")
+    if image.mode == "F":
+        raise _Unusable("floating-point pixels: convert to 8 or 16 bits")
+    return Probe(
+        width=image.width,
+        height=image.height,
+        channels=len(image.getbands()),
+        bits=_significant_bits(image, data),
+        exif=read_exif(image),
+        digest=digest,
+    )
+
+
+def _broken(error: Exception) -> _Unusable:
+    word = "truncated" if "truncated" in str(error).lower() else "broken"
+    return _Unusable(f"{word}: {error}")
+
+
+def open_image(data: bytes) -> Image.Image:
+    """PIL image of a file's bytes, not yet decoded; decoding will fail rather than fill in what is missing."""
+    ImageFile.LOAD_TRUNCATED_IMAGES = False
+    Image.MAX_IMAGE_PIXELS = _LARGEST_PX
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return Image.open(io.BytesIO(data))
+
+
+def deep_png(data: bytes) -> bool:
+    """Whether a file is a PNG of 16 bits a channel (PIL hides that for colour images)."""
+    return data[:8] == b"\x89PNG\r\n\x1a\n" and data[24:25] == b"\x10"
+
+
+def decode_deep(data: bytes) -> np.ndarray | None:
+    """Pixels of a file as stored, with their depth, by OpenCV; None if it cannot."""
+    try:
+        return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION)
+    except cv2.error:
+        return None
+
+
+def _significant_bits(image: Image.Image, data: bytes) -> int:
+    if not image.mode.startswith("I") and not deep_png(data):
+        return 8
+    pixels = decode_deep(data) if deep_png(data) else np.asarray(image)
+    return _bits(pixels if pixels is not None else np.asarray(image))
+
+
+def _bits(pixels: np.ndarray) -> int:
+    return 8 if pixels.dtype == np.uint8 else max(8, min(16, int(pixels.max()).bit_length()))
+
+
+def _describe_array(data: bytes, digest: str) -> Probe:
+    # Some 16-bit colour TIFF files are read by OpenCV only.
+    pixels = decode_deep(data)
+    if pixels is None:
+        raise _Unusable("not an image file")
+    if pixels.dtype not in (np.uint8, np.uint16):
+        raise _Unusable(f"{pixels.dtype} pixels: convert to 8 or 16 bits")
+    height, width = pixels.shape[:2]
+    channels = 1 if pixels.ndim == 2 else pixels.shape[2]
+    return Probe(width=width, height=height, channels=channels, bits=_bits(pixels), digest=digest)

@@ -1,0 +1,166 @@
+"""From a photograph to the image the other stages read: a link, or turned, cropped, undistorted, made 8-bit."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pycolmap
+from PIL import Image
+
+from tiegraph.errors import InputError
+from tiegraph.scene.images import decode_deep, deep_png, open_image
+from tiegraph.scene.rig import Sensor, Source, camera_from_dict, camera_to_dict
+from tiegraph.scene.settings import ScanSettings
+
+# Formats that OpenCV and COLMAP both read by themselves.
+LINKED_FORMATS = {"JPEG": (".jpg", ".jpeg"), "MPO": (".jpg", ".jpeg"), "PNG": (".png",), "TIFF": (".tif", ".tiff"),
+                  "BMP": (".bmp",)}  # fmt: skip
+KEPT_SUFFIXES = tuple(s for suffixes in LINKED_FORMATS.values() for s in suffixes)
+_JPEG_QUALITY = 98
+_ORIENTATION = 0x0112
+
+
+def prepare_image(source: Path, target: Path, sensor: Sensor, settings: ScanSettings) -> None:
+    """Make ``target`` the image that ``sensor.camera`` describes: a link to ``source``, or its changed pixels.
+
+    Grey and RGB of 8 bits stay as they are; 16 bits, CMYK, palettes, transparency and EXIF-turned images are converted.
+    Written atomically. Raises InputError if the file can no longer be read.
+    """
+    source, target = Path(source).resolve(), Path(target)
+    how = sensor.source or Source()
+    target.parent.mkdir(parents=True, exist_ok=True)
+    partial = target.with_name(f".{os.getpid()}-{target.name}")
+    try:
+        pixels = _changed_pixels(source, how, sensor, settings, target.suffix.lower())
+        partial.unlink(missing_ok=True)
+        if pixels is None:
+            _link(source, partial)
+        else:
+            _write(partial, pixels)
+        os.replace(partial, target)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def crop_camera(camera: pycolmap.Camera, crop_px: tuple[int, int, int, int]) -> pycolmap.Camera:
+    """Camera of an image with pixels cut off (left, top, right, bottom)."""
+    left, top, right, bottom = crop_px
+    data = camera_to_dict(camera) or {}
+    data["width"] -= left + right
+    data["height"] -= top + bottom
+    cx, cy = camera.principal_point_idxs()
+    data["params"][cx] -= left
+    data["params"][cy] -= top
+    out = camera_from_dict(data)
+    assert out is not None
+    return out
+
+
+def pinhole_camera(camera: pycolmap.Camera) -> pycolmap.Camera:
+    """PINHOLE camera of the undistorted image, without blank pixels (as COLMAP's image_undistorter)."""
+    out = pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), camera)
+    out.has_prior_focal_length = camera.has_prior_focal_length
+    return out
+
+
+def _changed_pixels(
+    path: Path, how: Source, sensor: Sensor, settings: ScanSettings, suffix: str
+) -> np.ndarray | None:  # (H, W) or (H, W, 3) RGB u1; None = nothing to change
+    try:
+        data = path.read_bytes()
+        image = _opened(data)
+        bend = settings.undistort and how.camera is not None and not how.camera.is_undistorted()
+        if image is not None and not bend and not any(how.crop_px) and _plain(image, data, suffix):
+            return None
+        pixels = _eight_bit(image, data, how.bits)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error}); it was readable before: scan again") from None
+    if image is not None and how.upright:
+        pixels = _turn(pixels, image.getexif().get(_ORIENTATION, 1))
+    left, top, right, bottom = how.crop_px
+    pixels = pixels[top : pixels.shape[0] - bottom, left : pixels.shape[1] - right]
+    if bend and how.camera is not None and sensor.camera is not None:
+        pixels = _undistort(pixels, crop_camera(how.camera, how.crop_px), sensor.camera)
+    return pixels
+
+
+def _opened(data: bytes) -> Image.Image | None:
+    try:
+        return open_image(data)
+    except Image.UnidentifiedImageError:  # read by OpenCV only
+        return None
+
+
+def _plain(image: Image.Image, data: bytes, suffix: str) -> bool:
+    turned = image.getexif().get(_ORIENTATION, 1) not in (0, 1)
+    kept = suffix in LINKED_FORMATS.get(image.format or "", ())
+    return kept and image.mode in ("L", "RGB") and not deep_png(data) and not turned
+
+
+def _eight_bit(image: Image.Image | None, data: bytes, bits: int) -> np.ndarray:
+    pixels: Any
+    if image is not None and not image.mode.startswith("I") and not deep_png(data):
+        return np.asarray(image.convert("L" if image.mode in ("1", "L", "LA") else "RGB"))
+    pixels = decode_deep(data)
+    if pixels is None:
+        pixels = np.asarray(image)
+    if pixels.ndim == 3:
+        pixels = cv2.cvtColor(pixels, cv2.COLOR_BGRA2RGB if pixels.shape[2] == 4 else cv2.COLOR_BGR2RGB)
+    if pixels.dtype != np.uint8:
+        pixels = np.minimum(pixels >> max(bits - 8, 0), 255).astype(np.uint8)
+    return pixels
+
+
+def _turn(pixels: np.ndarray, orientation: int) -> np.ndarray:
+    # EXIF: the number says where the first row and column of the file lie in the upright picture.
+    if orientation in (5, 6, 7, 8):
+        pixels = np.swapaxes(pixels, 0, 1)
+    if orientation in (2, 3, 6, 7):
+        pixels = pixels[:, ::-1]
+    if orientation in (3, 4, 7, 8):
+        pixels = pixels[::-1]
+    return pixels
+
+
+def _undistort(pixels: np.ndarray, camera: pycolmap.Camera, pinhole: pycolmap.Camera) -> np.ndarray:
+    x, y = _undistortion_map(_frozen_camera(camera), _frozen_camera(pinhole))
+    return cv2.remap(pixels, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+
+
+def _frozen_camera(camera: pycolmap.Camera) -> tuple:
+    return camera.model.name, camera.width, camera.height, tuple(camera.params)
+
+
+@lru_cache(maxsize=1)  # images come sensor by sensor; one map of 6 Mpx takes 48 MiB
+def _undistortion_map(camera: tuple, pinhole: tuple) -> tuple[np.ndarray, np.ndarray]:
+    model, width, height, params = camera
+    original = pycolmap.Camera(model=model, width=width, height=height, params=params)
+    _, new_width, new_height, (fx, fy, cx, cy) = pinhole
+    maps = np.empty((2, new_height, new_width), np.float32)
+    u = (np.arange(new_width) + 0.5 - cx) / fx
+    for row in range(new_height):
+        rays = np.stack([u, np.full(new_width, (row + 0.5 - cy) / fy), np.ones(new_width)], axis=1)
+        maps[:, row] = (original.img_from_cam(rays) - 0.5).T  # OpenCV counts from the centre of the first pixel
+    return maps[0], maps[1]
+
+
+def _link(source: Path, target: Path) -> None:
+    for make in (os.symlink, os.link, shutil.copyfile):
+        try:
+            make(source, target)
+            return
+        except (OSError, NotImplementedError):
+            if make is shutil.copyfile:
+                raise
+
+
+def _write(target: Path, pixels: np.ndarray) -> None:
+    suffix = target.suffix.lower()
+    options: dict[str, Any] = {"quality": _JPEG_QUALITY, "subsampling": 0} if suffix in (".jpg", ".jpeg") else {}
+    Image.fromarray(np.ascontiguousarray(pixels)).save(target, **options)

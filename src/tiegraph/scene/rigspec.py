@@ -1,0 +1,145 @@
+"""A rig as a person or a preset describes it, before the images' sizes are known."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tiegraph.errors import InputError
+from tiegraph.geometry.transforms import rigid
+
+# Rows: the camera-like axes right, down, forward of the body, written in the body's own axes.
+AXES = {
+    "camera": np.eye(3),  # x right, y down, z forward
+    "flu": np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]),  # x forward, y left, z up (ROS)
+    "frd": np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]),  # x forward, y right, z down (aviation)
+    "rfu": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),  # x right, y forward, z up (surveying)
+}
+LADYBUG_SIDES = 5
+_LADYBUG_HFOV_DEG = 90.0  # of a rectified side image, about
+
+
+@dataclass(frozen=True)
+class SensorSpec:
+    """One sensor of a rig file or preset."""
+
+    name: str
+    folder: str | None = None  # None: a folder called like the sensor
+    role: str = "side"
+    body_from_sensor: np.ndarray | None = None  # (4, 4); None = unknown
+    model: str | None = None
+    size: tuple[int, int] | None = None  # width, height that params belong to; None: those of the images
+    params: tuple[float, ...] | None = None
+    focal_px: float | None = None
+    hfov_deg: float | None = None
+    crop_px: tuple[int, int, int, int] | None = None
+
+
+@dataclass(frozen=True)
+class RigSpec:
+    """A rig of a file or preset. ``antenna_m`` is in the body frame, whose axes ``axes`` names."""
+
+    name: str
+    sensors: tuple[SensorSpec, ...]
+    fixed: bool = False
+    nominal: bool = False
+    antenna_m: tuple[float, float, float] | None = None
+    axes: str = "camera"
+    file: str = ""  # "" = preset
+    body_is_reference: bool = False  # the body frame is sensor 0's frame whether or not its pose is written
+
+    def rig_from_body(self) -> np.ndarray | None:
+        """(4, 4) from the body frame to the reference sensor's frame = the rig frame; None = unknown."""
+        pose = self.sensors[0].body_from_sensor
+        return None if pose is None else np.linalg.inv(pose)
+
+
+def orient(yaw_deg: float, pitch_deg: float, roll_deg: float, axes: str = "camera") -> np.ndarray:
+    """Rotation body_from_sensor (3, 3) of a camera turned out of the body's forward direction.
+
+    yaw to the right (clockwise seen from above), then pitch up, then roll clockwise as seen by the camera.
+    """
+    y, p, r = np.radians([yaw_deg, pitch_deg, roll_deg])
+    # In right, down, forward: yaw turns forward (z) to right (x), pitch forward to up (-y), roll right (x) to down (y).
+    yaw = np.array([[np.cos(y), 0, np.sin(y)], [0, 1, 0], [-np.sin(y), 0, np.cos(y)]])
+    pitch = np.array([[1, 0, 0], [0, np.cos(p), -np.sin(p)], [0, np.sin(p), np.cos(p)]])
+    roll = np.array([[np.cos(r), -np.sin(r), 0], [np.sin(r), np.cos(r), 0], [0, 0, 1]])
+    return AXES[axes].T @ yaw @ pitch @ roll
+
+
+def yaw_pitch_roll_deg(body_from_sensor: np.ndarray, axes: str = "camera") -> tuple[float, float, float]:
+    """Inverse of ``orient``; looking straight up or down, roll is 0."""
+    rotation = AXES[axes] @ body_from_sensor[:3, :3]
+    forward = rotation[:, 2]
+    pitch = np.arctan2(-forward[1], np.hypot(forward[0], forward[2]))
+    if abs(np.cos(pitch)) < 1e-9:
+        yaw = np.arctan2(-rotation[2, 0], rotation[0, 0])
+    else:
+        yaw = np.arctan2(forward[0], forward[2])
+    level = orient(np.degrees(yaw), np.degrees(pitch), 0.0)
+    rest = level.T @ rotation
+    return float(np.degrees(yaw)), float(np.degrees(pitch)), float(np.degrees(np.arctan2(rest[1, 0], rest[0, 0])))
+
+
+def preset_sizes(text: str) -> tuple[int, ...]:
+    """Numbers of cameras that a preset may have; () if ``text`` is no preset. Raises InputError for a bad number."""
+    word, _, number = text.strip().lower().partition(":")
+    if word == "ring":
+        count = _number(number, text)
+        if count != int(count) or not 2 <= count <= 360:
+            raise InputError(f"--rig {text}: a ring has 2 or more cameras, for example ring:5")
+        return (int(count),)
+    if word == "stereo":
+        return (2,)
+    return {"ladybug5": (LADYBUG_SIDES + 1, LADYBUG_SIDES), "single": (1,)}.get(text.strip().lower(), ())
+
+
+def preset(text: str, folders: tuple[str, ...]) -> RigSpec:
+    """Rig of a preset for the camera folders found.
+
+    ``ladybug5``, ``ring:N``, ``stereo[:baseline in m]``, ``single``. All are nominal: axes are degrees off, centres
+    coincide (paper 000 eq. 1-3), and the sense of rotation is an assumption for the network stage to check. Raises
+    InputError if the number of folders does not fit.
+    """
+    sizes = preset_sizes(text)
+    if len(folders) not in sizes:
+        found = ", ".join(folders) if any(folders) else "none"
+        raise InputError(
+            f"--rig {text}: the preset has {' or '.join(map(str, sizes))} camera(s), but the camera folders found are: "
+            f"{found}. Put each camera's images into a folder of its own, choose another preset, or write a rig.toml"
+        )
+    word, _, number = text.strip().lower().partition(":")
+    if word == "ring":
+        return _named(f"ring of {sizes[0]}", _ring(sizes[0]), folders)
+    if word == "stereo":
+        baseline = _number(number, text) if number else 0.0
+        right = rigid(np.eye(3), np.array([baseline, 0.0, 0.0]))
+        left_first = sorted(folders, key=lambda f: not re.search(r"left|(^|[^a-z])l([^a-z]|$)", f.lower()))
+        return _named("stereo", [np.eye(4), right], tuple(left_first))
+    if word == "single":
+        return _named("single", [np.eye(4)], folders)
+    poses = _ring(LADYBUG_SIDES) + [rigid(orient(0, 90, 0), np.zeros(3))]
+    rig = _named("ladybug5", poses[: len(folders)], folders)
+    sensors = [replace(s, hfov_deg=_LADYBUG_HFOV_DEG) for s in rig.sensors]
+    sensors[LADYBUG_SIDES:] = [replace(s, role="up") for s in sensors[LADYBUG_SIDES:]]
+    return replace(rig, sensors=tuple(sensors))
+
+
+def _ring(count: int) -> list[np.ndarray]:
+    return [rigid(orient(360.0 / count * k, 0, 0), np.zeros(3)) for k in range(count)]
+
+
+def _named(name: str, poses: list[np.ndarray], folders: tuple[str, ...]) -> RigSpec:
+    sensors = tuple(SensorSpec(f or "camera", f, body_from_sensor=p) for f, p in zip(folders, poses))
+    return RigSpec(name, sensors, nominal=len(poses) > 1, body_is_reference=True)
+
+
+def _number(text: str, whole: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(
+            f"--rig {whole}: expected a number after the colon, for example ring:5 or stereo:0.54"
+        ) from None

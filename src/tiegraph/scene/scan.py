@@ -1,0 +1,325 @@
+"""The scan stage: from a folder of images and what came with it to a Scene."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from tiegraph.errors import InputError
+from tiegraph.scene.assign import Report, Shot, Survey, Usable, assign, some
+from tiegraph.scene.cameras import FileFacts, calibrate
+from tiegraph.scene.folders import natural
+from tiegraph.scene.frames import match_frames
+from tiegraph.scene.images import IMAGES_FOLDER, Probe, find_images, probe_image
+from tiegraph.scene.prepare import KEPT_SUFFIXES, prepare_image
+from tiegraph.scene.priors import Frames, estimate_priors
+from tiegraph.scene.rig import Rig, Sensor
+from tiegraph.scene.rigspec import RigSpec
+from tiegraph.scene.scene import Scene
+from tiegraph.scene.settings import ScanSettings
+from tiegraph.scene.times import FrameRow
+
+__all__ = ["Probe", "ScanInputs", "build_scene", "find_images", "prepare_image", "probe_image"]
+
+
+@dataclass(frozen=True)
+class ScanInputs:
+    """What the user gave: the folder of images, and optional rig (file or preset), GNSS, trajectory and times."""
+
+    images: Path
+    rig: str | None = None
+    gnss: Path | None = None
+    trajectory: Path | None = None
+    times: Path | None = None
+
+
+def build_scene(inputs: ScanInputs, names: Sequence[str], probes: Sequence[Probe], settings: ScanSettings) -> Scene:
+    """The scene of a survey from its images' names (as of ``find_images``) and probes (parallel).
+
+    Images that cannot be used go to ``Scene.dropped``. Raises InputError for fewer than two usable images and for rig,
+    GNSS, trajectory and times files that are wrong or do not fit.
+    """
+    report = Report()
+    if Path(inputs.images, IMAGES_FOLDER).is_dir():
+        report.notes.append(f"only the folder {IMAGES_FOLDER}/ was searched for images")
+    usable = _usable(names, probes, report)
+    survey = assign(inputs.rig, usable, settings, report)
+    survey = _one_size(survey, names, probes, report)
+    survey = _into_frames(survey, names, settings, report)
+    _need_two(len(survey.shots), report)
+    rigs, survey = _rigs(survey, probes, settings, report)
+    return _scene(inputs, names, probes, rigs, survey, settings, report)
+
+
+# --- which images can be used ---------------------------------------------------------------------------------------
+
+
+def _usable(names: Sequence[str], probes: Sequence[Probe], report: Report) -> Usable:
+    first: dict[str, str] = {}
+    usable = []
+    for k, (name, probe) in enumerate(zip(names, probes)):
+        if probe.reason:
+            report.drop([name], probe.reason)
+        elif probe.digest in first:
+            report.drop([name], f"the same file as {first[probe.digest]}")
+        else:
+            first[probe.digest] = name
+            usable.append(k)
+    _need_two(len(usable), report)
+    return Usable(tuple(usable), tuple(names[k] for k in usable), tuple(probes[k] for k in usable))
+
+
+def _need_two(count: int, report: Report) -> None:
+    if count < 2:
+        why = "; ".join(f"{d.name}: {d.reason}" for d in report.dropped[:3])
+        raise InputError(
+            f"{count} usable image(s): at least 2 are needed, and about 10 for a model. "
+            + (f"Left out {len(report.dropped)}: {why}" if why else "Give a folder with more images")
+        )
+
+
+# --- sizes and frames -----------------------------------------------------------------------------------------------
+
+
+def _sensors(survey: Survey) -> dict[tuple[int, int], list[Shot]]:
+    groups: dict[tuple[int, int], list[Shot]] = {}
+    for shot in survey.shots:
+        groups.setdefault((shot.rig, shot.sensor), []).append(shot)
+    return dict(sorted(groups.items()))
+
+
+def _upright(shots: Sequence[Shot], probes: Sequence[Probe], loose: bool) -> bool:
+    # A mounted camera has one calibration: if its EXIF orientations differ (they come from gravity), keep its own rows.
+    return loose or len({probes[s.image].exif.orientation for s in shots}) == 1
+
+
+def _size(probe: Probe, upright: bool) -> tuple[int, int]:
+    return probe.upright_size() if upright else (probe.width, probe.height)
+
+
+def _one_size(survey: Survey, names: Sequence[str], probes: Sequence[Probe], report: Report) -> Survey:
+    kept: list[Shot] = []
+    for (rig, sensor), shots in _sensors(survey).items():
+        upright = _upright(shots, probes, survey.loose)
+        name = survey.specs[rig].sensors[sensor].name
+        if not upright:
+            report.notes.append(f"{name}: images with different EXIF orientations are kept as the sensor wrote them")
+        sizes = [_size(probes[s.image], upright) for s in shots]
+        usual = Counter(sizes).most_common(1)[0][0]
+        for shot, size in zip(shots, sizes):
+            if size == usual:
+                kept.append(shot)
+            else:
+                reason = f"{size[0]} x {size[1]} pixels, but most images of {name} have {usual[0]} x {usual[1]}"
+                report.drop([names[shot.image]], reason)
+    return replace(survey, shots=tuple(sorted(kept, key=lambda s: s.image)))
+
+
+def _into_frames(survey: Survey, names: Sequence[str], settings: ScanSettings, report: Report) -> Survey:
+    groups: dict[tuple[int, str], list[Shot]] = {}
+    for shot in survey.shots:
+        groups.setdefault((shot.rig, shot.track), []).append(shot)
+    out: list[Shot] = []
+    for (_, track), shots in groups.items():
+        if survey.loose:
+            out += [replace(s, key=names[s.image]) for s in shots]
+            continue
+        sensors = sorted({s.sensor for s in shots})
+        stems = {k: [s.stem for s in shots if s.sensor == k] for k in sensors}
+        matched = match_frames(stems, settings.frames)
+        _say_frames(track, matched.how, stems, settings, report)
+        for sensor in sensors:
+            mine = [s for s in shots if s.sensor == sensor]
+            out += _without_twins([replace(s, key=key) for s, key in zip(mine, matched.keys[sensor])], names, report)
+    return replace(survey, shots=tuple(sorted(out, key=lambda s: s.image)))
+
+
+def _say_frames(track: str, how: str, stems: dict[int, list[str]], settings: ScanSettings, report: Report) -> None:
+    if len(stems) < 2:
+        return
+    counts = sorted({len(s) for s in stems.values()})
+    if how == "number" and settings.frames == "auto":
+        report.notes.append(f"pass {track}: images of one frame found by the last number in their names")
+    if how == "order":
+        text = f"pass {track}: file names do not say which images belong together; taken in the order of names"
+        if len(counts) > 1:
+            text += f", although the cameras have {counts[0]} to {counts[-1]} images: check, or rename them"
+        report.notes.append(text)
+
+
+def _without_twins(shots: list[Shot], names: Sequence[str], report: Report) -> list[Shot]:
+    first: dict[str, Shot] = {}
+    for shot in shots:
+        if shot.key in first:
+            report.drop(
+                [names[shot.image]], f"a second image of frame {shot.key}; {names[first[shot.key].image]} is used"
+            )
+        else:
+            first[shot.key] = shot
+    return list(first.values())
+
+
+# --- cameras and rigs -----------------------------------------------------------------------------------------------
+
+
+def _rigs(
+    survey: Survey, probes: Sequence[Probe], settings: ScanSettings, report: Report
+) -> tuple[tuple[Rig, ...], Survey]:
+    groups = _sensors(survey)
+    hows: dict[str, list[str]] = {}
+    rigs: list[Rig] = []
+    renumber: dict[tuple[int, int], tuple[int, int]] = {}
+    for r, spec in enumerate(survey.specs):
+        present = [k for k in range(len(spec.sensors)) if (r, k) in groups]
+        if not present:
+            continue
+        sensors: list[Sensor] = []
+        for k in present:
+            sensor = spec.sensors[k]
+            renumber[r, k] = len(rigs), len(sensors)
+            facts = _facts(groups[r, k], probes, survey.loose)
+            calibrated = calibrate(sensor, facts, spec.file, settings)
+            hows.setdefault(calibrated.how, []).append(sensor.name)
+            pose = _sensor_from_rig(spec, k, present[0])
+            sensors.append(
+                Sensor(sensor.name, calibrated.camera, pose, sensor.role, sensor.folder or "", calibrated.source)
+            )
+        rigs.append(Rig(spec.name, tuple(sensors), spec.fixed, spec.nominal, _antenna(spec, present[0])))
+    report.notes += [f"{some(names)}: {how}" for how, names in hows.items()]
+    shots = tuple(
+        replace(s, rig=renumber[s.rig, s.sensor][0], sensor=renumber[s.rig, s.sensor][1]) for s in survey.shots
+    )
+    kept = tuple(spec for r, spec in enumerate(survey.specs) if any(key[0] == r for key in groups))
+    return tuple(rigs), replace(survey, specs=kept, shots=shots)
+
+
+def _facts(shots: list[Shot], probes: Sequence[Probe], loose: bool) -> FileFacts:
+    upright = _upright(shots, probes, loose)
+    of = [probes[s.image] for s in shots]
+    focal = [p.exif.focal_px for p in of if np.isfinite(p.exif.focal_px)]
+    bits = max(p.bits for p in of)
+    return FileFacts(_size(of[0], upright), float(np.median(focal)) if focal else float("nan"), upright, bits, loose)
+
+
+def _sensor_from_rig(spec: RigSpec, sensor: int, reference: int) -> np.ndarray | None:
+    if sensor == reference:
+        return np.eye(4)
+    mine, first = spec.sensors[sensor].body_from_sensor, spec.sensors[reference].body_from_sensor
+    return None if mine is None or first is None else np.linalg.inv(mine) @ first
+
+
+def _antenna(spec: RigSpec, reference: int) -> tuple[float, float, float] | None:
+    pose = spec.sensors[reference].body_from_sensor
+    if spec.antenna_m is None or pose is None:
+        return None
+    x, y, z, _ = np.linalg.inv(pose) @ np.array([*spec.antenna_m, 1.0])
+    return float(x), float(y), float(z)
+
+
+# --- the scene ------------------------------------------------------------------------------------------------------
+
+
+def _scene(
+    inputs: ScanInputs, names: Sequence[str], probes: Sequence[Probe], rigs: tuple[Rig, ...], survey: Survey,
+    settings: ScanSettings, report: Report,
+) -> Scene:  # fmt: skip
+    safe = safe_names([names[s.image] for s in survey.shots])
+    order = sorted(range(len(safe)), key=lambda k: safe[k])
+    shots, sources = [survey.shots[k] for k in order], tuple(names[survey.shots[k].image] for k in order)
+    tracks = tuple(sorted({s.track for s in shots} - {""}, key=natural))
+    rows = _frame_rows(shots, tracks)
+    frames = Frames(rows, tracks, sources, tuple(probes[s.image].exif for s in shots), rigs, survey.specs)
+    priors = estimate_priors(frames, inputs.gnss, inputs.trajectory, inputs.times, settings)
+    rows, priors_order = _in_time_order(rows, priors.time_s, report)
+    _say_incomplete(rows, rigs, report)
+    frame = np.zeros(len(shots), int)
+    for k, row in enumerate(rows):
+        frame[list(row.images)] = k
+    ordered = tuple(safe[k] for k in order)
+    if ordered != sources:
+        renamed = sum(a != b for a, b in zip(ordered, sources))
+        report.notes.append(f"{renamed} images renamed (blanks, # or formats that COLMAP's lists do not take)")
+    return Scene(
+        rigs=rigs,
+        names=ordered,
+        frame=frame,
+        sensor=np.array([s.sensor for s in shots]),
+        rig=np.array([r.rig for r in rows]),
+        track=np.array([r.track for r in rows]),
+        step=_steps(rows),
+        time_s=priors.time_s[priors_order],
+        world_from_rig=priors.world_from_rig[priors_order],
+        position_sigma_m=priors.position_sigma_m[priors_order],
+        section=np.full(len(rows), -1),
+        tracks=tracks,
+        origin=priors.origin,
+        prior=priors.prior,
+        dropped=tuple(sorted(report.dropped, key=lambda d: d.name)),
+        notes=(*report.notes, *priors.notes),
+        sources=() if ordered == sources else sources,
+    )
+
+
+def safe_names(names: Sequence[str]) -> list[str]:
+    """Names that COLMAP's pair lists and readers take: no blanks, no #, a suffix both libraries know; unique."""
+    taken: set[str] = set(names)
+    out = []
+    for name in names:
+        safe = re.sub(r"[\s#\\]", "_", name)
+        suffix = PurePosixPath(safe).suffix
+        if suffix.lower() not in KEPT_SUFFIXES:
+            safe = safe[: -len(suffix)] + ".png"
+        base, number = safe, 2
+        while safe != name and safe in taken:
+            path = PurePosixPath(base)
+            safe = str(path.with_name(f"{path.stem}_{number}{path.suffix}"))
+            number += 1
+        taken.add(safe)
+        out.append(safe)
+    return out
+
+
+def _frame_rows(shots: Sequence[Shot], tracks: tuple[str, ...]) -> tuple[FrameRow, ...]:
+    frames: dict[tuple[int, int, str], list[int]] = {}
+    for k, shot in enumerate(shots):
+        track = tracks.index(shot.track) if shot.track else -1
+        frames.setdefault((track, shot.rig, shot.key), []).append(k)
+    ordered = sorted(frames, key=lambda f: (f[0], natural(f[2]), f[1]))
+    return tuple(
+        FrameRow(rig, track, key, tuple(sorted(frames[track, rig, key], key=lambda k: shots[k].sensor)))
+        for track, rig, key in ordered
+    )
+
+
+def _in_time_order(
+    rows: tuple[FrameRow, ...], time_s: np.ndarray, report: Report
+) -> tuple[tuple[FrameRow, ...], np.ndarray]:
+    """Frames of each pass by time where all times are known and the names say otherwise; else as they are."""
+    order = np.arange(len(rows))
+    for track in sorted({r.track for r in rows} - {-1}):
+        mine = np.array([k for k, r in enumerate(rows) if r.track == track])
+        times = time_s[mine]
+        if np.isfinite(times).all() and np.any(np.diff(times) < 0):
+            order[mine] = mine[np.argsort(times, kind="stable")]
+            report.notes.append("frames of a pass are ordered by time; their names are in another order")
+    return tuple(rows[k] for k in order), order
+
+
+def _steps(rows: Sequence[FrameRow]) -> np.ndarray:
+    seen: Counter = Counter()
+    out = np.zeros(len(rows), int)
+    for k, row in enumerate(rows):
+        out[k] = seen[row.track]
+        seen[row.track] += 1
+    return out
+
+
+def _say_incomplete(rows: Sequence[FrameRow], rigs: Sequence[Rig], report: Report) -> None:
+    missing = sum(len(r.images) < len(rigs[r.rig].sensors) for r in rows)
+    if missing:
+        report.notes.append(f"{missing} of {len(rows)} frames lack the image of some camera")

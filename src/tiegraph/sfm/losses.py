@@ -1,0 +1,103 @@
+"""What a reconstruction lost and why, and the tables and remarks that say so."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pycolmap
+
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.database import ViewGraph
+
+MIN_FOCAL, MAX_FOCAL = 0.2, 5.0  # times the longer image side: outside, no lens of a survey camera
+MAX_CENTRE_OFF = 0.25  # of the image size that a principal point may lie off the middle
+
+
+def unregistered(scene: Scene, graph: ViewGraph, registered: Sequence[np.ndarray]) -> list[tuple[str, str]]:
+    """(image name, reason) of each image that is not in the first model.
+
+    ``registered`` holds the scene indices of each model's images, the first model first.
+    """
+    main = np.zeros(len(scene), bool)
+    main[registered[0]] = True
+    home = graph.component[registered[0]]
+    home = home[home >= 0]
+    component = np.bincount(home).argmax() if len(home) else -1
+    other: dict[int, int] = {}
+    for number in range(len(registered) - 1, 0, -1):
+        other.update({int(k): number for k in registered[number]})
+    out = []
+    for k in np.flatnonzero(~main):
+        if graph.features[k] == 0:
+            reason = "no features (masked, blank or unreadable)"
+        elif graph.degree[k] == 0:
+            reason = "no verified pair"
+        elif int(k) in other:
+            reason = f"in model {other[int(k)]}, not joined to the first"
+        elif graph.component[k] != component:
+            reason = "in another connected part of the view graph, without a model of its own"
+        else:
+            reason = f"{graph.degree[k]} verified pairs, but no pose was accepted by the mapper"
+        out.append((scene.names[k], reason))
+    return out
+
+
+def no_model_text(scene: Scene, graph: ViewGraph, why: str) -> str:
+    """Counts and remedies for a reconstruction that came to nothing."""
+    with_features = int(np.sum(graph.features > 0))
+    components = graph.components
+    return (
+        f"no model: {why}. Of {len(scene)} images {with_features} have features; {len(graph.pairs)} pairs are verified "
+        f"with {int(graph.inliers.sum())} matches in all (median {_median(graph.inliers)} a pair), the largest connected "
+        f"part holds {components[0] if components else 0} images. Remedies: look whether the images overlap and the "
+        f"masks leave enough of them, match more pairs (network.sources = exhaustive for a small set), raise "
+        f"features.max_features, lower sparse.min_matches"
+    )
+
+
+def camera_notes(reconstruction: pycolmap.Reconstruction, scene: Scene) -> list[str]:
+    """Remarks on adjusted cameras that no real lens has: the model is bent there."""
+    names = {k + 1: s.name for k, s in enumerate(scene.all_sensors)}
+    notes = []
+    for camera_id in sorted({reconstruction.image(i).camera_id for i in reconstruction.reg_image_ids()}):
+        camera = reconstruction.camera(camera_id)
+        size = max(camera.width, camera.height)
+        ratio = camera.mean_focal_length() / size
+        off = max(
+            abs(camera.principal_point_x / camera.width - 0.5), abs(camera.principal_point_y / camera.height - 0.5)
+        )
+        label = names.get(camera_id, str(camera_id))
+        if not MIN_FOCAL <= ratio <= MAX_FOCAL:
+            notes.append(
+                f"camera {label}: focal length {camera.mean_focal_length():.0f} px is {ratio:.2f} x the image size; do "
+                f"not trust the model round it: give the calibration and set sparse.refine_intrinsics = false"
+            )
+        if off > MAX_CENTRE_OFF:
+            notes.append(f"camera {label}: the principal point lies {off:.0%} of the image off its middle")
+    return notes
+
+
+def camera_table(reconstruction: pycolmap.Reconstruction, scene: Scene) -> dict:
+    """Table of the cameras: focal length before and after, distortion."""
+    before = {k + 1: s for k, s in enumerate(scene.all_sensors)}
+    rows = []
+    for camera_id in sorted({reconstruction.image(i).camera_id for i in reconstruction.reg_image_ids()}):
+        camera = reconstruction.camera(camera_id)
+        sensor = before.get(camera_id)
+        given = sensor.camera.mean_focal_length() if sensor is not None and sensor.camera is not None else float("nan")
+        extra = [float(f"{camera.params[i]:.5g}") for i in camera.extra_params_idxs()]
+        rows.append(
+            [
+                str(camera_id) if sensor is None else sensor.name,
+                camera.model.name,
+                None if np.isnan(given) else round(given, 2),
+                round(camera.mean_focal_length(), 2),
+                " ".join(f"{e:g}" for e in extra),
+            ]
+        )
+    return {"columns": ["camera", "model", "focal px given", "focal px adjusted", "distortion"], "rows": rows}
+
+
+def _median(values: np.ndarray) -> int:
+    return int(np.median(values)) if len(values) else 0

@@ -1,0 +1,319 @@
+"""From the verified matches to models: COLMAP's mappers with the rig, in child processes, and what came of each image."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from tiegraph.child import run_in_child
+from tiegraph.errors import ReconstructionError
+from tiegraph.scene.rig import Rig
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.covariance import PositionSigma, position_sigma
+from tiegraph.sfm.database import ViewGraph
+from tiegraph.sfm.losses import camera_notes, camera_table, no_model_text, unregistered
+from tiegraph.sfm.model import MIN_OBSERVATIONS, image_poses, observations, registration_tables
+from tiegraph.sfm.rig import DerivedRig, derive_rig, rig_modes, rig_table
+from tiegraph.sfm.run import Request, run_mapper
+from tiegraph.sfm.settings import SparseSettings
+
+_log = logging.getLogger(__name__)
+
+GLOBAL_FROM_IMAGES = 60
+CLEARLY_FEWER = 0.8  # share of the largest connected part below which the other mapper is tried too
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Model:
+    """One model on disk: which images it holds and how good it is by its own account."""
+
+    folder: Path
+    images: np.ndarray  # scene indices of the registered images
+    seeing: int  # of these, how many see >= 10 of the model's points; the others hang on the rig alone
+    frames: int
+    points: int
+    reprojection_px: float
+    track_length: float
+
+
+@dataclass(frozen=True)
+class SparseResult:
+    """The models, most images first, and the account of everything that is not in them."""
+
+    models: tuple[Model, ...]
+    mapper: str
+    rig: str  # absent, fixed, refined, derived (or several joined by +)
+    scene: Scene  # as given, with derived extrinsics filled in
+    components: tuple[int, ...]  # images of each connected part of the view graph
+    dropped: tuple[tuple[str, str], ...]  # image name, why it is not in the first model
+    notes: tuple[str, ...]
+    tables: dict[str, dict]
+    counts: dict[str, float]
+    sigma: PositionSigma | None  # of the first model's frames, model units
+
+    def load(self, model: int = 0) -> pycolmap.Reconstruction:
+        """Read a model from disk."""
+        return pycolmap.Reconstruction(self.models[model].folder)
+
+
+@dataclass(frozen=True)
+class _Job:
+    """All that the runs of one reconstruction share."""
+
+    database: Path
+    images: Path
+    out: Path
+    scene: Scene
+    settings: SparseSettings
+    log: Path
+    on_progress: Progress
+    graph: ViewGraph
+    runs: list[list]  # rows of the table of runs
+    notes: list[str]
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    mapper: str
+    folders: list[Path]
+    registered: int  # images of the first model that see its points
+
+
+def reconstruct(  # noqa: PLR0913 - the agreed signature of an engine that reports progress
+    database: Path,
+    images: Path,
+    out: Path,
+    scene: Scene,
+    settings: SparseSettings,
+    log: Path,
+    on_progress: Progress = lambda registered, total: None,
+) -> SparseResult:
+    """Map the images of a database with verified matches; models go to ``out/0``, ``out/1``, ... by size.
+
+    The database is read, never changed. ``on_progress(registered, total)`` counts images. Raises ReconstructionError,
+    with the counts and remedies, when no model can be made; SettingsError for a fixed rig without extrinsics.
+    """
+    modes = rig_modes(scene, settings.rig)
+    graph = ViewGraph(database, scene, settings.min_matches)
+    if len(graph.pairs) == 0:
+        raise ReconstructionError(no_model_text(scene, graph, "no pair of images has enough verified matches"))
+    out.mkdir(parents=True, exist_ok=True)
+    for old in (p for p in out.iterdir() if p.is_dir() and p.name.isdigit()):
+        shutil.rmtree(old)
+    job = _Job(database, images, out, scene, settings, log, on_progress, graph, [], [])
+    try:
+        return _reconstruct(job, modes)
+    finally:
+        for scratch in out.glob("run-*"):
+            shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _reconstruct(job: _Job, modes: dict[int, str]) -> SparseResult:
+    rigs = {k: job.scene.rigs[k] for k, mode in modes.items() if mode != "derived"}
+    outcome = None
+    unknown = [k for k, mode in modes.items() if mode == "derived"]
+    if unknown:
+        outcome = _map(job, rigs, modes, "without the unknown rig")
+        derived = _derive(job, unknown, outcome)
+        if derived:
+            rigs = {**rigs, **derived}
+            job = replace(job, scene=job.scene.with_(rigs=tuple(rigs.get(k, r) for k, r in enumerate(job.scene.rigs))))
+            outcome = None
+    if outcome is None:
+        outcome = _map(job, rigs, modes, "")
+    used = "+".join(sorted({modes[k] for k in rigs})) or "absent"
+    return _account(job, outcome, used)
+
+
+def _derive(job: _Job, unknown: list[int], outcome: _Outcome) -> dict[int, Rig]:
+    models = [pycolmap.Reconstruction(folder) for folder in outcome.folders]
+    rigs = {}
+    for index in unknown:
+        result = derive_rig(job.scene, index, models)
+        job.notes.append(_derived_note(job.scene.rigs[index], result))
+        if result.rig is not None:
+            rigs[index] = result.rig
+    return rigs
+
+
+def _derived_note(rig: Rig, result: DerivedRig) -> str:
+    if result.rig is None:
+        return f"rig {rig.name}: its extrinsics could not be found ({result.reason}); mapped without rig"
+    worst = max(result.scatter, key=lambda s: s.scatter_deg)
+    return (
+        f"rig {rig.name}: extrinsics found from a model without rig and then adjusted; largest scatter over the frames "
+        f"{worst.scatter_deg:.2f} deg ({worst.sensor}, {worst.frames} frames)"
+    )
+
+
+def choose_mapper(scene: Scene, settings: SparseSettings, constrained: bool) -> str:
+    """The mapper of the setting, or of the rule behind "auto"."""
+    if settings.mapper != "auto":
+        return settings.mapper
+    if settings.use_positions and scene.has_positions():
+        return "incremental"  # only it takes position priors
+    return "global" if len(scene) >= GLOBAL_FROM_IMAGES else "incremental"
+
+
+def _map(job: _Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -> _Outcome:
+    """Run the chosen mapper, and under "auto" the other one too when clearly fewer images come back than could."""
+    first = choose_mapper(job.scene, job.settings, bool(rigs))
+    outcome = _run(job, first, rigs, modes, label)
+    reachable = job.graph.components[0]
+    if job.settings.mapper == "auto" and outcome.registered < CLEARLY_FEWER * reachable:
+        other = "incremental" if first == "global" else "global"
+        second = _run(job, other, rigs, modes, label)
+        better, worse = (second, outcome) if second.registered > outcome.registered else (outcome, second)
+        job.notes.append(
+            f"{first} mapping {label} placed {outcome.registered} of {reachable} connected images, so {other} mapping "
+            f"was tried too ({second.registered}): kept {better.mapper}"
+        )
+        outcome = better
+    if not outcome.folders:
+        raise ReconstructionError(
+            no_model_text(job.scene, job.graph, "the mapper found no two images to start from, or nothing held together")
+        )
+    return outcome
+
+
+def _run(job: _Job, mapper: str, rigs: dict[int, Rig], modes: dict[int, str], label: str) -> _Outcome:
+    scene = job.scene
+    positions = mapper == "incremental" and job.settings.use_positions and scene.has_positions()
+    request = Request(
+        mapper=mapper,
+        database=job.database,
+        images=job.images,
+        folder=job.out / f"run-{len(job.runs)}-{mapper}",
+        scene=scene.to_json(),
+        rigs=Request.rigs_of(rigs),
+        fixed=tuple(k for k in rigs if modes[k] == "fixed"),
+        positions=positions,
+        refine_intrinsics=job.settings.refine_intrinsics,
+        min_matches=job.settings.min_matches,
+    )
+    total = len(scene)
+    per_frame = total / max(scene.frames, 1) if rigs else 1.0
+    job.on_progress(0, total)
+    start = time.monotonic()
+    folders = run_in_child(
+        run_mapper,
+        request,
+        log=job.log,
+        on_message=lambda frames: job.on_progress(min(total, round(frames * per_frame)), total),
+        task=f"{mapper} mapping",
+    )
+    seconds = time.monotonic() - start
+    registered, points = _seeing(folders[0], scene) if folders else (0, 0)
+    rig = "+".join(sorted({modes[k] for k in rigs})) or "absent"
+    held = "positions" if positions else "none"
+    job.runs.append([mapper, rig, held, label, len(folders), registered, points, round(seconds, 1)])
+    _log.info("%s mapping, rig %s: %d images in the first of %d models", mapper, rig, registered, len(folders))
+    return _Outcome(mapper, folders, registered)
+
+
+def _seeing(folder: Path, scene: Scene) -> tuple[int, int]:
+    reconstruction = pycolmap.Reconstruction(folder)
+    return int(np.sum(observations(reconstruction, scene) >= MIN_OBSERVATIONS)), reconstruction.num_points3D()
+
+
+def _account(job: _Job, outcome: _Outcome, rig: str) -> SparseResult:
+    """Move the models to their place and say what is in them and what is not."""
+    scene, models = job.scene, []
+    for number, folder in enumerate(outcome.folders):
+        target = job.out / str(number)
+        folder.rename(target)
+        models.append(_model(pycolmap.Reconstruction(target), target, scene))
+    main = pycolmap.Reconstruction(models[0].folder)
+    _colour(main, job.images, models[0].folder, job.notes)
+    poses = image_poses(main, scene)
+    sigma = _sigma(main, job.settings, job.notes)
+    tables = {
+        "models": _models_table(models),
+        "runs": {
+            "columns": ["mapper", "rig", "priors", "", "models", "images seeing points", "points", "seconds"],
+            "rows": job.runs,
+        },
+        **registration_tables(scene, poses, observations(main, scene)),
+        "cameras": camera_table(main, scene),
+        "rig": rig_table(scene, main),
+    }
+    first = models[0]
+    counts: dict[str, float] = {
+        "images": len(scene),
+        "registered": len(first.images),
+        "seeing_points": first.seeing,
+        "frames": first.frames,
+        "models": len(models),
+        "components": len(job.graph.components),
+        "points": first.points,
+        "pairs_verified": len(job.graph.pairs),
+        "reprojection_px": round(first.reprojection_px, 4),
+        "track_length": round(first.track_length, 3),
+    }
+    return SparseResult(
+        models=tuple(models),
+        mapper=outcome.mapper,
+        rig=rig,
+        scene=scene,
+        components=tuple(job.graph.components),
+        dropped=tuple(unregistered(scene, job.graph, [m.images for m in models])),
+        notes=(*job.notes, *camera_notes(main, scene)),
+        tables=tables,
+        counts=counts,
+        sigma=sigma,
+    )
+
+
+def _model(reconstruction: pycolmap.Reconstruction, folder: Path, scene: Scene) -> Model:
+    registered = np.isfinite(image_poses(reconstruction, scene)).all(axis=(1, 2))
+    seeing = observations(reconstruction, scene) >= MIN_OBSERVATIONS
+    return Model(
+        folder=folder,
+        images=np.flatnonzero(registered),
+        seeing=int(seeing.sum()),
+        frames=reconstruction.num_reg_frames(),
+        points=reconstruction.num_points3D(),
+        reprojection_px=float(reconstruction.compute_mean_reprojection_error()),
+        track_length=float(reconstruction.compute_mean_track_length()),
+    )
+
+
+def _models_table(models: list[Model]) -> dict:
+    rows = [
+        [k, len(m.images), m.seeing, m.frames, m.points, round(m.reprojection_px, 3), round(m.track_length, 2)]
+        for k, m in enumerate(models)
+    ]
+    columns = ["model", "images", f"seeing {MIN_OBSERVATIONS} points", "frames", "points", "reprojection px", "track length"]
+    return {"columns": columns, "rows": rows}
+
+
+def _colour(reconstruction: pycolmap.Reconstruction, images: Path, folder: Path, notes: list[str]) -> None:
+    """Colours of the points of the first model; a model without colours is still a model."""
+    try:
+        reconstruction.extract_colors_for_all_images(images)
+        reconstruction.write(folder)
+    except (RuntimeError, ValueError) as error:
+        notes.append(f"the points have no colours: {error}")
+
+
+def _sigma(reconstruction: pycolmap.Reconstruction, settings: SparseSettings, notes: list[str]) -> PositionSigma | None:
+    frames = reconstruction.num_reg_frames()
+    if settings.covariance_frames == 0:
+        return None
+    if frames > settings.covariance_frames:
+        notes.append(f"position sigmas not computed: {frames} frames, more than sparse.covariance_frames")
+        return None
+    try:
+        return position_sigma(reconstruction)
+    except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
+        notes.append(f"position sigmas could not be computed: {error}")
+        return None

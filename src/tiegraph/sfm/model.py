@@ -1,0 +1,117 @@
+"""Reading a COLMAP model back into the scene's frames, images and sensors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pycolmap
+
+from tiegraph.geometry import transforms
+from tiegraph.scene.scene import Scene
+
+HELD_OUT_EVERY = 5  # ALGORITHMS: leave every fifth position out of the fit and look at its residual
+MIN_POSITIONS_TO_HOLD_OUT = 10  # below, a fit without a fifth of them says little
+MIN_OBSERVATIONS = 10  # an image that sees fewer model points has its pose from the rig alone
+
+
+def matrix(transform: pycolmap.Rigid3d) -> np.ndarray:
+    """(4, 4) of a COLMAP rigid transform."""
+    return np.vstack([transform.matrix(), [0.0, 0.0, 0.0, 1.0]])
+
+
+def rigid3d(target_from_source: np.ndarray) -> pycolmap.Rigid3d:
+    """COLMAP rigid transform of (4, 4)."""
+    rotation = pycolmap.Rotation3d(transforms.quaternion_xyzw(target_from_source[:3, :3]))
+    return pycolmap.Rigid3d(rotation, np.asarray(target_from_source[:3, 3], float))
+
+
+def image_poses(reconstruction: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
+    """cam_from_world (N, 4, 4) of the scene's images, model units; NaN = not registered. Images go by name."""
+    poses = np.full((len(scene), 4, 4), np.nan)
+    for image_id in reconstruction.reg_image_ids():
+        image = reconstruction.image(image_id)
+        index = scene.image_index.get(image.name)
+        if index is not None:
+            poses[index] = matrix(image.cam_from_world())
+    return poses
+
+
+def observations(reconstruction: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
+    """(N,) i8: model points that each image of the scene sees."""
+    counts = np.zeros(len(scene), int)
+    for image_id in reconstruction.reg_image_ids():
+        image = reconstruction.image(image_id)
+        index = scene.image_index.get(image.name)
+        if index is not None:
+            counts[index] = image.num_points3D
+    return counts
+
+
+def rig_from_sensor(scene: Scene, scale: float = 1.0) -> np.ndarray:
+    """(N, 4, 4) of each image by the scene's extrinsics, lengths times ``scale``; NaN = unknown."""
+    out = np.full((len(scene), 4, 4), np.nan)
+    for k in range(len(scene)):
+        extrinsics = scene.sensor_of(k).sensor_from_rig
+        if extrinsics is None and scene.sensor[k] == 0:
+            extrinsics = np.eye(4)
+        if extrinsics is not None:
+            out[k] = transforms.invert(extrinsics)
+    out[:, :3, 3] *= scale
+    return out
+
+
+def frame_poses(cam_from_world: np.ndarray, scene: Scene, metres_per_unit: float = 1.0) -> np.ndarray:
+    """world_from_rig (F, 4, 4) of the scene's frames, model units; NaN = not registered.
+
+    The reference sensor's image gives the pose; where it is not registered, the first registered image with known
+    extrinsics does (``metres_per_unit`` of the model brings the rig's lengths to model units).
+    """
+    rig_from_cam = rig_from_sensor(scene, 1.0 / metres_per_unit)
+    usable = np.isfinite(cam_from_world).all(axis=(1, 2)) & np.isfinite(rig_from_cam).all(axis=(1, 2))
+    poses = np.full((scene.frames, 4, 4), np.nan)
+    order = np.flatnonzero(usable)
+    order = order[np.argsort(-scene.sensor[order].astype(int), kind="stable")]  # the reference is written last
+    for k in order:
+        poses[scene.frame[k]] = transforms.invert(rig_from_cam[k] @ cam_from_world[k])
+    return poses
+
+
+def held_out_frames(scene: Scene) -> np.ndarray:
+    """(F,) bool: every fifth frame with a prior position, in the order of the passes; none when there are few.
+
+    These positions take part in the final alignment only, neither in the mapping nor in the fit they are checked with.
+    """
+    out = np.zeros(scene.frames, bool)
+    has = np.flatnonzero(np.isfinite(scene.world_from_rig[:, :3, 3]).all(axis=1))
+    if len(has) < MIN_POSITIONS_TO_HOLD_OUT:
+        return out
+    order = has[np.lexsort((scene.step[has], scene.track[has]))]
+    out[order[HELD_OUT_EVERY // 2 :: HELD_OUT_EVERY]] = True
+    return out
+
+
+def registration_tables(scene: Scene, cam_from_world: np.ndarray, seen_points: np.ndarray) -> dict[str, dict]:
+    """Tables of images, registered images and images that see >= 10 points, per camera, pass and section.
+
+    A registered image may have its pose from the rig alone; the last column tells.
+    """
+    registered = np.isfinite(cam_from_world).all(axis=(1, 2))
+    seeing = registered & (seen_points >= MIN_OBSERVATIONS)
+    labels = scene.image_label()
+    sections = scene.section[scene.frame]
+    groups = {
+        "camera": [camera for _, camera in labels],
+        "pass": [track for track, _ in labels],
+        "section": [str(s) if s >= 0 else "" for s in sections],
+    }
+    tables = {}
+    for name, values in groups.items():
+        column = np.array(values)
+        rows = []
+        for value in sorted(set(values)):
+            of = column == value
+            rows.append([value or "-", int(of.sum()), int(registered[of].sum()), int(seeing[of].sum())])
+        tables[f"registered_per_{name}"] = {
+            "columns": [name, "images", "registered", f"seeing {MIN_OBSERVATIONS} points"],
+            "rows": rows,
+        }
+    return tables

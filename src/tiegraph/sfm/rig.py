@@ -1,0 +1,215 @@
+"""The rig in the mapping: how it is used, its extrinsics from a model made without it, and how far a model moved them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pycolmap
+from scipy.spatial.transform import Rotation
+
+from tiegraph.errors import SettingsError
+from tiegraph.geometry import transforms
+from tiegraph.scene.rig import Rig
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.model import image_poses, matrix
+
+MIN_FRAMES = 3  # frames that show a sensor with its reference; fewer tell nothing of their scatter
+MAX_SCATTER_DEG = 1.0  # MAD of the relative rotation; above: not rigid, not synchronised, or a bent model
+MAX_OUTLIERS = 0.4  # share of frames farther than OUTLIER_DEG from the average
+OUTLIER_DEG = 5.0
+
+
+def rig_modes(scene: Scene, choice: str) -> dict[int, str]:
+    """How each rig with several sensors is to be used: "fixed", "refined" or "derived"; an absent rig has no entry.
+
+    ``choice`` is the setting; "auto": fixed if the rig file says so, refined if the extrinsics are given (nominal ones
+    too), else derived from a first model. Raises SettingsError for "fixed" without extrinsics.
+    """
+    modes: dict[int, str] = {}
+    for index, rig in enumerate(scene.rigs):
+        if len(rig.sensors) < 2 or choice == "absent":
+            continue
+        if choice == "fixed":
+            if not rig.known():
+                raise SettingsError(
+                    f"sparse.rig = 'fixed', but rig {rig.name!r} has sensors without extrinsics: "
+                    f"give them in the rig file, or choose auto, refined or absent"
+                )
+            modes[index] = "fixed"
+        elif not rig.known():
+            modes[index] = "derived"
+        else:
+            modes[index] = "fixed" if rig.fixed and choice == "auto" else "refined"
+    return modes
+
+
+@dataclass(frozen=True)
+class SensorScatter:
+    """One sensor against its rig, over the frames that show both: robust average and how the frames scatter."""
+
+    sensor: str
+    frames: int
+    scatter_deg: float  # MAD of the rotation angle to the average
+    scatter_baseline: float  # MAD of the position, in parts of its baseline
+    outliers: float  # share of frames farther than 5 degrees from the average
+
+    def rigid(self) -> bool:
+        """Whether the frames agree on one mounting."""
+        enough = self.frames >= MIN_FRAMES
+        return enough and self.scatter_deg <= MAX_SCATTER_DEG and self.outliers <= MAX_OUTLIERS
+
+
+@dataclass(frozen=True)
+class DerivedRig:
+    """Extrinsics from a model made without the rig; ``rig`` is None when the frames do not agree on them."""
+
+    rig: Rig | None
+    scatter: tuple[SensorScatter, ...]
+    reason: str = ""
+
+
+def derive_rig(scene: Scene, index: int, models: Sequence[pycolmap.Reconstruction]) -> DerivedRig:
+    """Extrinsics of rig ``index`` by robust averages over the frames of models made without it.
+
+    R: Weiszfeld's L1 mean of R_c R_ref^T; t: median, each model scaled to the first by the median baseline (ALGORITHMS
+    section 4). A sensor never seen together with the reference is joined through one that was. Lengths are in units of
+    the first model. The MAD of each sensor is the test of rigidity and synchronisation.
+    """
+    poses = [image_poses(m, scene) for m in models]
+    rig = scene.rigs[index]
+    found: dict[int, np.ndarray] = {0: np.eye(4)}
+    scatter: dict[int, SensorScatter] = {}
+    relative = _relative_poses(scene, index, poses)
+    while len(found) < len(rig.sensors):
+        candidates = {(a, b): t for (a, b), t in relative.items() if a in found and b not in found}
+        if not candidates:
+            break
+        (a, b), stack = max(candidates.items(), key=lambda item: (len(item[1]), -item[0][0], -item[0][1]))
+        average, sensor_scatter = _average(stack, rig.sensors[b].name)
+        found[b], scatter[b] = average @ found[a], sensor_scatter
+    rows = tuple(scatter[s] for s in sorted(scatter))
+    missing = [s.name for k, s in enumerate(rig.sensors) if k not in found]
+    reason = _why_not_rigid(rows, missing)
+    if reason:
+        return DerivedRig(None, rows, reason)
+    sensors = tuple(replace(s, sensor_from_rig=found[k]) for k, s in enumerate(rig.sensors))
+    return DerivedRig(replace(rig, sensors=sensors, fixed=False, nominal=True), rows)
+
+
+def _why_not_rigid(rows: Sequence[SensorScatter], missing: list[str]) -> str:
+    if missing:
+        return f"no frame shows {', '.join(missing)} together with the other cameras"
+    few = [r.sensor for r in rows if r.frames < MIN_FRAMES]
+    if few:
+        return f"fewer than {MIN_FRAMES} frames show {', '.join(few)} together with the other cameras"
+    loose = [f"{r.sensor} ({r.scatter_deg:.2f} deg, {r.outliers:.0%} outliers)" for r in rows if not r.rigid()]
+    if loose:
+        return f"not rigid, not synchronised, or the first model is bent: scatter of {', '.join(loose)}"
+    return ""
+
+
+def _relative_poses(scene: Scene, index: int, poses: Sequence[np.ndarray]) -> dict[tuple[int, int], np.ndarray]:
+    """b_from_a (K, 4, 4) of every two sensors over all frames and models, baselines scaled to the first model's."""
+    of_rig = np.flatnonzero(scene.rig[scene.frame] == index)
+    by_frame: dict[int, list[int]] = {}
+    for k in of_rig:
+        by_frame.setdefault(int(scene.frame[k]), []).append(int(k))
+    out: dict[tuple[int, int], list[np.ndarray]] = {}
+    unit = np.nan
+    for model in poses:
+        pairs = [(a, b) for members in by_frame.values() for a in members for b in members if a != b]
+        steps = [(a, b, model[b] @ transforms.invert(model[a])) for a, b in pairs if np.isfinite(model[[a, b]]).all()]
+        if not steps:
+            continue
+        length = float(np.median([np.linalg.norm(step[:3, 3]) for _, _, step in steps]))
+        unit = length if np.isnan(unit) else unit
+        for a, b, step in steps:
+            scaled = step.copy()
+            scaled[:3, 3] *= unit / length if length > 0 else 1.0
+            out.setdefault((int(scene.sensor[a]), int(scene.sensor[b])), []).append(scaled)
+    return {key: np.stack(steps) for key, steps in out.items()}
+
+
+def _average(stack: np.ndarray, name: str) -> tuple[np.ndarray, SensorScatter]:
+    rotation = l1_mean_rotation(stack[:, :3, :3])
+    angles = transforms.angle_deg(stack[:, :3, :3], rotation)
+    close = angles < OUTLIER_DEG
+    translations = stack[close if close.any() else slice(None), :3, 3]
+    translation = np.median(translations, axis=0)
+    length = max(float(np.linalg.norm(translation)), 1e-12)
+    off = float(np.median(np.linalg.norm(translations - translation, axis=1))) / length
+    scatter = SensorScatter(name, len(stack), float(np.median(angles)), off, float(np.mean(~close)))
+    return transforms.rigid(rotation, translation), scatter
+
+
+def l1_mean_rotation(rotations: np.ndarray, iterations: int = 50) -> np.ndarray:
+    """Geodesic L1 mean (3, 3) of rotations (K, 3, 3): Weiszfeld's algorithm (Hartley, Aftab, Trumpf 2011).
+
+    Starts at the member with the least summed angle, so that up to half of them may be wrong.
+    """
+    sample = rotations[:: max(1, len(rotations) // 200)]
+    sums = [np.sum(transforms.angle_deg(sample, candidate)) for candidate in sample]
+    mean = sample[int(np.argmin(sums))]
+    for _ in range(iterations):
+        logs = Rotation.from_matrix(rotations @ mean.T).as_rotvec()
+        weights = 1 / np.maximum(np.linalg.norm(logs, axis=1), 1e-9)
+        step = np.sum(weights[:, None] * logs, axis=0) / np.sum(weights)
+        mean = Rotation.from_rotvec(step).as_matrix() @ mean
+        if np.linalg.norm(step) < 1e-10:
+            break
+    return mean
+
+
+def model_extrinsics(reconstruction: pycolmap.Reconstruction, scene: Scene, index: int) -> list[np.ndarray | None]:
+    """sensor_from_rig (4, 4) of each sensor of rig ``index`` as the model has it; None = not in the model's rig.
+
+    Re-expressed to the scene's rig frame when the model had to take another sensor as reference.
+    """
+    rig = scene.rigs[index]
+    first_key = int(sum(len(r.sensors) for r in scene.rigs[:index]))
+    camera_of = {int(scene.sensor_key[scene.image_index[i.name]]): i.camera_id
+                 for i in reconstruction.images.values() if i.name in scene.image_index}  # fmt: skip
+    out: list[np.ndarray | None] = [None] * len(rig.sensors)
+    cameras = {s: camera_of[first_key + s] for s in range(len(rig.sensors)) if first_key + s in camera_of}
+    for row in reconstruction.rigs.values():
+        if row.num_sensors() < 2 or row.ref_sensor_id.id not in cameras.values():
+            continue
+        reference = next(s for s, c in cameras.items() if c == row.ref_sensor_id.id)
+        back = rig.sensors[reference].sensor_from_rig
+        back = np.eye(4) if reference == 0 or back is None else back
+        out[reference] = back
+        by_camera = {key.id: pose for key, pose in row.non_ref_sensors.items()}
+        for s, camera in cameras.items():
+            if by_camera.get(camera) is not None:
+                out[s] = matrix(by_camera[camera]) @ back
+    return out
+
+
+def rig_with(rig: Rig, extrinsics: Sequence[np.ndarray | None]) -> Rig:
+    """The rig with the extrinsics that are not None."""
+    sensors = tuple(s if e is None else replace(s, sensor_from_rig=e) for s, e in zip(rig.sensors, extrinsics))
+    return replace(rig, sensors=sensors)
+
+
+def rig_table(scene: Scene, reconstruction: pycolmap.Reconstruction, metres_per_unit: float = 1.0) -> dict:
+    """Table of each sensor's turn and shift against the rig that was given; empty rows without a given rig."""
+    rows = []
+    for index, rig in enumerate(scene.rigs):
+        extrinsics = model_extrinsics(reconstruction, scene, index)
+        for sensor, adjusted in zip(rig.sensors[1:], extrinsics[1:]):
+            if adjusted is None:
+                continue
+            baseline = float(np.linalg.norm(transforms.centre(adjusted))) * metres_per_unit
+            turn, shift = float("nan"), float("nan")
+            if sensor.sensor_from_rig is not None:
+                turn = float(transforms.angle_deg(adjusted[:3, :3], sensor.sensor_from_rig[:3, :3]))
+                moved = transforms.centre(adjusted) * metres_per_unit - transforms.centre(sensor.sensor_from_rig)
+                shift = float(np.linalg.norm(moved))
+            rows.append([rig.name, sensor.name, _finite(turn, 3), _finite(shift, 4), _finite(baseline, 4)])
+    return {"columns": ["rig", "camera", "turned deg", "moved", "baseline"], "rows": rows}
+
+
+def _finite(value: float, digits: int) -> float | None:
+    return round(value, digits) if np.isfinite(value) else None

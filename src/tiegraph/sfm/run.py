@@ -1,0 +1,100 @@
+"""One run of a COLMAP mapper, inside a child process: working copy of the database, mapping, models to disk."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pycolmap
+
+from tiegraph.scene.rig import Rig, rig_from_dict, rig_to_dict
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.database import write_working_copy
+
+SEED = 0  # of every random choice of the mappers: the same input gives the same model
+MIN_MODEL_IMAGES = 3
+
+
+@dataclass(frozen=True)
+class Request:
+    """What one run needs, in picklable form."""
+
+    mapper: str  # incremental or global
+    database: Path
+    images: Path
+    folder: Path  # scratch; models go to folder/0, folder/1, ...
+    scene: str  # JSON
+    rigs: dict[int, dict]  # rig index -> rig with all extrinsics, as a dict
+    fixed: tuple[int, ...]  # rig indices whose extrinsics must not move
+    positions: bool
+    refine_intrinsics: bool
+    min_matches: int
+
+    @staticmethod
+    def rigs_of(rigs: Mapping[int, Rig]) -> dict[int, dict]:
+        """Rigs in picklable form."""
+        return {k: rig_to_dict(r) for k, r in rigs.items()}
+
+
+def run_mapper(request: Request, send: Callable[[Any], None]) -> list[Path]:
+    """Run one mapper; returns the folders of its models, most registered images first. Sends the frames done so far."""
+    shutil.rmtree(request.folder, ignore_errors=True)
+    request.folder.mkdir(parents=True)
+    working = request.folder / "working.db"
+    scene = Scene.from_json(request.scene)
+    rigs = {k: rig_from_dict(r) for k, r in request.rigs.items()}
+    write_working_copy(request.database, working, scene, rigs, request.positions)
+    raw = request.folder / "raw"
+    raw.mkdir()
+    models = _incremental(request, working, raw, send) if request.mapper == "incremental" else _global(request, working, raw)
+    ordered = sorted(models.values(), key=lambda m: (-m.num_reg_images(), -m.num_points3D()))
+    folders = []
+    for number, model in enumerate(m for m in ordered if m.num_reg_images() >= 2):
+        folder = request.folder / str(number)
+        folder.mkdir()
+        model.write(folder)
+        folders.append(folder)
+    shutil.rmtree(raw)
+    working.unlink()
+    return folders
+
+
+def _incremental(
+    request: Request, working: Path, raw: Path, send: Callable[[Any], None]
+) -> dict[int, pycolmap.Reconstruction]:
+    options = pycolmap.IncrementalPipelineOptions(
+        random_seed=SEED,
+        min_num_matches=request.min_matches,
+        min_model_size=MIN_MODEL_IMAGES,
+        extract_colors=False,
+        ba_refine_focal_length=request.refine_intrinsics,
+        ba_refine_extra_params=request.refine_intrinsics,
+        ba_refine_sensor_from_rig=len(request.fixed) < len(request.rigs),
+        constant_rigs={k + 1 for k in request.fixed},
+        use_prior_position=request.positions,
+        use_robust_loss_on_prior_position=True,
+    )
+    done = [0]
+
+    def count(new: int) -> None:
+        done[0] += new
+        send(done[0])
+
+    return pycolmap.incremental_mapping(
+        working, request.images, raw, options,
+        initial_image_pair_callback=lambda: count(2), next_image_callback=lambda: count(1),
+    )  # fmt: skip
+
+
+def _global(request: Request, working: Path, raw: Path) -> dict[int, pycolmap.Reconstruction]:
+    refine_rig = len(request.fixed) < len(request.rigs)
+    mapper = pycolmap.GlobalMapperOptions(random_seed=SEED, refine_sensor_from_rig=refine_rig)
+    mapper.bundle_adjustment.refine_focal_length = request.refine_intrinsics
+    mapper.bundle_adjustment.refine_extra_params = request.refine_intrinsics
+    options = pycolmap.GlobalPipelineOptions(
+        random_seed=SEED, min_num_matches=request.min_matches, min_model_size=MIN_MODEL_IMAGES, mapper=mapper
+    )
+    return pycolmap.global_mapping(working, request.images, raw, options)

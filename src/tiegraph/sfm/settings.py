@@ -1,0 +1,44 @@
+"""Settings of the sparse and georef stages."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from tiegraph.settings import Section
+
+
+class SparseSettings(Section):
+    """How the images become a model: poses, points and cameras (COLMAP)."""
+
+    mapper: Literal["auto", "incremental", "global"] = "auto"
+    """Mapper: incremental (one image after the other), global (all at once, GLOMAP), auto = by rig and priors."""
+
+    rig: Literal["auto", "fixed", "refined", "absent"] = "auto"
+    """Rig: fixed = as given, refined = adjusted with the model, absent = ignored, auto = by how well it is known."""
+
+    use_positions: bool = True
+    """Let GNSS, EXIF or trajectory positions hold the incremental mapper; every fifth is kept back as a check."""
+
+    refine_intrinsics: bool = True
+    """Adjust focal lengths and distortion with the model; off: the calibration given is believed."""
+
+    min_matches: int = Field(15, ge=4, le=1000)
+    """Pairs with fewer verified matches are not used."""
+
+    covariance_frames: int = Field(500, ge=0, le=3000)
+    """Largest model, in frames, whose position sigmas are computed from the bundle adjustment (0 = never)."""
+
+
+class GeorefSettings(Section):
+    """How the model is put into the world."""
+
+    antenna: Literal["auto", "given", "estimated", "ignored"] = "auto"
+    """GNSS lever arm: as the rig file gives it, estimated from the passes, or ignored; auto = given, else ignored."""
+
+    sigma_floor_m: float = Field(0.05, gt=0, le=10)
+    """Smallest sigma believed of a prior position, metres (receivers are optimistic)."""
+
+    level: bool = True
+    """Without positions: turn the model so that the cameras' mean upward direction is up."""

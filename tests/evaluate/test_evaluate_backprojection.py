@@ -1,0 +1,57 @@
+"""The round trip of paper 000, eq. 4-6: rounding to the pixel is all that is left."""
+
+import numpy as np
+import pytest
+
+from tiegraph.evaluate.backprojection import View, backproject, backprojection_rmse, project
+from tiegraph.geometry import transforms
+from tiegraph.scene.results import Cloud, DepthMap
+
+K = np.array([[500.0, 0, 320], [0, 510.0, 240], [0, 0, 1]])
+
+
+def looking(angle_deg: float, at: tuple[float, float, float] = (0, 0, 0)) -> np.ndarray:
+    a = np.radians(angle_deg)
+    rotation = np.array([[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]])
+    return transforms.invert(transforms.rigid(rotation, np.array(at, float)))
+
+
+def wall(depth: float, points: int = 20000) -> np.ndarray:
+    rng = np.random.default_rng(0)
+    return np.column_stack([rng.uniform(-20, 20, points), rng.uniform(-8, 8, points), np.full(points, depth)])
+
+
+def test_backproject_inverts_project() -> None:
+    points = wall(12.0, 100)
+    assert np.allclose(backproject(project(points, K), points[:, 2], K), points)
+
+
+@pytest.mark.parametrize("depth", [5.0, 20.0])
+def test_error_is_the_rounding_alone(depth: float) -> None:
+    views = [View("a.jpg", K, looking(0), 640, 480), View("b.jpg", K, looking(8, (1, 0, 0)), 640, 480)]
+    result = backprojection_rmse(wall(depth), views)
+    expected = depth * np.sqrt(2 / 12) / 505
+    assert 0.95 * expected < result.rmse_m < 1.05 * expected
+    assert 0.95 < result.rmse_m / result.rounding_m < 1.05
+    assert result.points == sum(n for _, n, _ in result.images) > 1000
+
+
+def test_a_wrong_pose_does_not_show() -> None:
+    """The reason the figure proves nothing: a view a metre off has the same error."""
+    right = backprojection_rmse(wall(20.0), [View("a.jpg", K, looking(0), 640, 480)])
+    wrong = backprojection_rmse(wall(20.0), [View("a.jpg", K, looking(0, (1, 0, 0)), 640, 480)])
+    assert abs(wrong.rmse_m / right.rmse_m - 1) < 0.05
+
+
+def test_depth_maps_and_clouds_are_accepted() -> None:
+    xyz = wall(10.0, 5000)
+    depth = np.full((480, 640), 10.0, np.float32)
+    view = DepthMap("a.jpg", depth, depth, depth.astype(np.uint8), K, looking(0))
+    empty = np.zeros(len(xyz), np.float32)
+    cloud = Cloud(xyz, np.zeros((len(xyz), 3), np.uint8), np.zeros((len(xyz), 3), np.float32), empty, empty)
+    assert 0.005 < backprojection_rmse(cloud, [view]).rmse_m < 0.012
+
+
+def test_nothing_seen_is_nan_not_zero() -> None:
+    result = backprojection_rmse(wall(10.0, 100), [View("behind.jpg", K, looking(180), 640, 480)])
+    assert result.points == 0 and np.isnan(result.rmse_m) and result.images[0][:2] == ("behind.jpg", 0)

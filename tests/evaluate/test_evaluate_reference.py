@@ -1,0 +1,218 @@
+"""References are read, matched and brought into the world of the run."""
+
+import os
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pycolmap
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tiegraph.errors import InputError
+from tiegraph.evaluate import evaluate_survey, reference
+from tiegraph.evaluate.backprojection import View
+from tiegraph.evaluate.metrics import metrics_from_dict, metrics_to_dict
+from tiegraph.evaluate.reference import ModelPoses, ReferencePoses
+from tiegraph.evaluate.settings import EvaluateSettings
+from tiegraph.evaluate.survey import pinhole_views
+from tiegraph.geometry import geodesy, transforms
+from tiegraph.scene.results import Cloud, Metric
+from tiegraph.scene.rig import Rig, Sensor
+from tiegraph.scene.scene import Scene, simple_scene
+
+FRAMES = 12
+DATA = Path(os.environ.get("TIEGRAPH_DATA", "../shared/data"))
+TURN = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # a camera looking along x, z up
+
+
+def rig_poses() -> np.ndarray:
+    s = 2.0 * np.arange(FRAMES)
+    heading = Rotation.from_rotvec(np.outer(0.02 * s, [0, 0, 1])).as_matrix()
+    return transforms.rigid(heading @ TURN, np.column_stack([s, np.sin(s / 5), 0 * s + 2]))
+
+
+def make_scene(times: bool = False) -> Scene:
+    rig = Rig(
+        "pair", (Sensor("cam0", None, np.eye(4)), Sensor("cam1", None, transforms.rigid(np.eye(3), [-0.5, 0, 0])))
+    )
+    names = [f"up/cam{c}/{f:04d}.jpg" for c in range(2) for f in range(FRAMES)]
+    time_s = 100.0 + np.arange(FRAMES) if times else np.full(FRAMES, np.nan)
+    frame, sensor = np.tile(np.arange(FRAMES), 2), np.repeat([0, 1], FRAMES)
+    return simple_scene(rig, names, frame, sensor, np.zeros(FRAMES), tracks=("up",), time_s=time_s)
+
+
+def make_model(scene: Scene, missing: int = 0) -> pycolmap.Reconstruction:
+    """The scene's images at their true poses, the first ``missing`` frames of cam1 left out."""
+    model = pycolmap.Reconstruction()
+    camera = pycolmap.Camera(model="PINHOLE", width=640, height=480, params=[500, 500, 320, 240], camera_id=1)
+    model.add_camera_with_trivial_rig(camera)
+    for k, name in enumerate(scene.names):
+        if scene.sensor[k] == 1 and scene.frame[k] < missing:
+            continue
+        pose = scene.sensor_of(k).sensor_from_rig @ transforms.invert(rig_poses()[scene.frame[k]])
+        image = pycolmap.Image(name=name, camera_id=1, image_id=k + 1)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose[:3]))
+    return model
+
+
+def write_tum(path: Path, time_s: np.ndarray, poses: np.ndarray) -> Path:
+    q = transforms.quaternion_xyzw(poses[:, :3, :3])
+    np.savetxt(path, np.column_stack([time_s, poses[:, :3, 3], q]), fmt="%.9f", header="time pose")
+    return path
+
+
+def a_cloud() -> Cloud:
+    rng = np.random.default_rng(0)
+    xyz = np.column_stack([rng.uniform(0, 30, 20000), np.full(20000, 8.0), rng.uniform(0, 6, 20000)])
+    zero = np.zeros(len(xyz), np.float32)
+    return Cloud(xyz, np.zeros((len(xyz), 3), np.uint8), np.zeros((len(xyz), 3), np.float32), zero, zero)
+
+
+def test_model_poses_follow_the_scene() -> None:
+    scene = make_scene()
+    model = reference.model_poses(make_model(scene, missing=3), scene)
+    assert model.registered.sum() == 2 * FRAMES - 3
+    assert np.allclose(model.world_from_rig, rig_poses())
+    assert np.linalg.norm(model.world_from_camera[-1, :3, 3] - rig_poses()[-1, :3, 3]) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_a_colmap_model_is_matched_by_name(tmp_path: Path, binary: bool) -> None:
+    scene = make_scene()
+    truth = make_model(scene)
+    (truth.write_binary if binary else truth.write_text)(tmp_path)
+    model = reference.model_poses(make_model(scene, missing=3), scene)
+    match, said = reference.match_poses(reference.read_reference_poses(tmp_path), model, scene)
+    assert len(match) == 21 and "21 registered of 24" in said and match.labels == ("up cam0", "up cam1")
+    assert np.allclose(match.estimate, match.reference, atol=1e-6)
+
+
+@pytest.mark.parametrize("times", [True, False])
+def test_tum_by_time_or_in_order_with_other_body_axes(tmp_path: Path, times: bool) -> None:
+    scene = make_scene(times)
+    body = rig_poses() @ transforms.rigid(TURN.T, np.zeros(3))  # the vehicle's axes: x forward, z up
+    write_tum(tmp_path / "rig_up.tum", 100.0 + np.arange(FRAMES), body)
+    model = reference.model_poses(make_model(scene), scene)
+    match, said = reference.match_poses(reference.read_reference_poses(tmp_path), model, scene)
+    assert len(match) == FRAMES and ("by time" if times else "in order") in said
+    assert np.allclose(match.estimate, match.reference, atol=1e-5)
+
+
+def test_unusable_references_say_why(tmp_path: Path) -> None:
+    scene = make_scene()
+    model = reference.model_poses(make_model(scene), scene)
+    with pytest.raises(InputError, match="neither a COLMAP model"):
+        reference.read_reference_poses(tmp_path)
+    with pytest.raises(InputError, match="no such reference"):
+        reference.read_reference_poses(tmp_path / "none")
+    bad = tmp_path / "bad.tum"
+    bad.write_text("# time\n1 2 3\n")
+    with pytest.raises(InputError, match=r"bad.tum:2: expected"):
+        reference.read_tum(bad)
+    bad.write_text("# nothing\n")
+    with pytest.raises(InputError, match="no poses"):
+        reference.read_tum(bad)
+    short = write_tum(tmp_path / "short.tum", np.arange(5.0), rig_poses()[:5])
+    with pytest.raises(InputError, match="5 poses for 12 frames"):
+        reference.match_poses(reference.read_reference_poses(short), model, scene)
+    with pytest.raises(InputError, match="only 0 registered"):
+        reference.match_poses(ReferencePoses({}, {"other": reference.read_tum(short)}, tmp_path), model, scene)
+    (tmp_path / "colmap").mkdir()
+    (tmp_path / "colmap" / "images.bin").write_bytes(b"nonsense")
+    with pytest.raises(InputError, match="not a readable COLMAP model"):
+        reference.read_reference_poses(tmp_path / "colmap")
+
+
+def test_local_metres_become_world_metres() -> None:
+    world = geodesy.make_origin(35.6965, 139.7695, 37.0)
+    local = reference.enu_origin((35.6965, 139.7695, 37.0))
+    points = np.array([[0.0, 0, 0], [100, 0, 0], [0, 100, 5]])
+    moved = reference.to_world(points, local, world)
+    assert 99.9 < np.linalg.norm(moved[1] - moved[0]) < 100.1
+    assert np.allclose(reference.to_world(moved, world, local), points, atol=1e-4)
+
+
+def test_points_are_read_with_their_crs(tmp_path: Path) -> None:
+    import pyproj
+
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales = np.full(3, 0.001)
+    header.add_crs(pyproj.CRS("EPSG:6691"))
+    las = laspy.LasData(header)
+    las.xyz = np.arange(30.0).reshape(10, 3)
+    las.write(tmp_path / "scan.laz")
+    xyz, crs = reference.read_points(tmp_path / "scan.laz")
+    assert crs == "EPSG:6691" and np.allclose(xyz, np.arange(30.0).reshape(10, 3))
+    assert len(reference.read_points(tmp_path / "scan.laz", most=4)[0]) == 4
+    (tmp_path / "broken.laz").write_bytes(b"LASF")
+    with pytest.raises(InputError, match="broken.laz: not a readable"):
+        reference.read_points(tmp_path / "broken.laz")
+    with pytest.raises(InputError, match="no such point cloud"):
+        reference.read_points(tmp_path / "none.laz")
+
+
+def test_a_survey_is_evaluated_whole(tmp_path: Path) -> None:
+    scene = make_scene()
+    make_model(scene).write_text(tmp_path)
+    las = laspy.LasData(laspy.LasHeader(point_format=2, version="1.2"))
+    las.xyz = a_cloud().xyz_m
+    las.write(tmp_path / "lidar.laz")
+    settings = EvaluateSettings(reference=tmp_path, reference_cloud=tmp_path / "lidar.laz", range_m=100)
+    model = make_model(scene, missing=3)
+    data = evaluate_survey(scene, model, a_cloud(), pinhole_views(model), settings)
+    values = {m.name: m.value for m in metrics_from_dict(data)}
+    assert values["registered_images"] == pytest.approx(87.5) and values["ate_se3_rmse"] < 1e-6
+    assert 0.001 < values["backprojection_rmse"] < 0.1 and values["fscore_0.02m"] > 99
+    assert data["tables"]["registered by camera"]["rows"] == [["cam0", 12, 12, 100.0], ["cam1", 9, 12, 75.0]]
+    assert any("round" in note for note in data["notes"])
+
+
+def test_a_survey_without_references_or_cloud(tmp_path: Path) -> None:
+    scene = make_scene()
+    data = evaluate_survey(scene, make_model(scene), None, [], EvaluateSettings())
+    assert [m["name"] for m in data["metrics"]] == ["registered_images"]
+
+
+def test_absolute_error_in_a_common_crs(tmp_path: Path) -> None:
+    """A model in UTM beside a reference in local metres: the absolute error is that of the model, not of the frames."""
+    lat_lon_height = (35.6965, 139.7695, 37.0)
+    world = geodesy.make_origin(*lat_lon_height)
+    scene = make_scene()
+    write_tum(tmp_path / "up.tum", np.arange(FRAMES), rig_poses())
+    model = make_model(scene)
+    local = reference.enu_origin(lat_lon_height)
+    inside = reference.to_world(rig_poses()[:, :3, 3], local, world)
+    poses = transforms.rigid(rig_poses()[:, :3, :3], inside + [0.2, 0, 0])
+    found = ModelPoses(poses[scene.frame], poses)
+    match, _ = reference.match_poses(reference.read_reference_poses(tmp_path), found, scene)
+    match = reference.poses_to_world(match, local, world)
+    from tiegraph.evaluate.trajectory import evaluate_trajectory
+
+    result = evaluate_trajectory(match, (2.0,), same_frame=True)
+    assert result.absolute is not None and result.absolute.rmse_m == pytest.approx(0.2, abs=1e-3)
+    settings = EvaluateSettings(reference=tmp_path / "up.tum", reference_origin=lat_lon_height)
+    data = evaluate_survey(scene, model, None, [], settings, world)
+    assert "absolute_rmse" in [m["name"] for m in data["metrics"]]
+
+
+def test_metrics_survive_json() -> None:
+    data = metrics_to_dict([Metric("a", float("nan"), "m", "low"), Metric("b", np.float64(2), "m", "low", 1.0)])
+    assert data["metrics"][0]["value"] is None and data["metrics"][0]["target"] is None
+    back = metrics_from_dict(data)
+    assert np.isnan(back[0].value) and (back[1].value, back[1].target) == (2.0, 1.0)
+
+
+def test_the_rendered_canal_matches_itself() -> None:
+    folder = DATA / "canal_demo" / "gt" / "colmap"
+    if not folder.exists():
+        pytest.skip("canal_demo is not there")
+    poses = reference.read_reference_poses(folder)
+    assert len(poses.by_image) == 120
+    time_s, body = reference.read_tum(DATA / "canal_demo" / "gt" / "rig_up.tum")
+    assert len(time_s) == 10 and np.all(np.isfinite(body))
+
+
+def test_view_of_pinhole() -> None:
+    views = pinhole_views(make_model(make_scene()))
+    assert len(views) == 24 and isinstance(views[0], View) and views[0].K[0, 0] == 500

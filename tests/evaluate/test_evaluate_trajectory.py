@@ -1,0 +1,93 @@
+"""ATE, RPE and yaw drift on trajectories with known errors."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tiegraph.evaluate import trajectory
+from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory, registered_metric, registered_table
+from tiegraph.geometry import transforms
+
+
+def river(frames: int = 60, step_m: float = 1.0) -> np.ndarray:
+    """Poses (T, 4, 4) along a gentle bend, heading along it, z up."""
+    s = np.arange(frames) * step_m
+    heading = 0.004 * s
+    turn = Rotation.from_rotvec(np.outer(heading, [0, 0, 1])).as_matrix()
+    return transforms.rigid(turn, np.column_stack([s, 10 * np.sin(s / 40), 0.05 * np.sin(s)]))
+
+
+def matched(estimate: np.ndarray, reference: np.ndarray) -> PoseMatch:
+    n = len(reference)
+    return PoseMatch(estimate, reference, np.zeros(n, int), np.arange(n), ("up cam0",))
+
+
+def moved(poses: np.ndarray, scale: float, seed: int = 0) -> np.ndarray:
+    rotation = Rotation.random(random_state=seed).as_matrix()
+    shift = np.array([100.0, -40, 7])
+    return transforms.rigid(rotation @ poses[:, :3, :3], scale * poses[:, :3, 3] @ rotation.T + shift)
+
+
+def test_a_similarity_is_no_error_but_its_scale_shows() -> None:
+    result = evaluate_trajectory(matched(moved(river(), 0.9), river()), (1.0, 10.0))
+    assert result.sim3.rmse_m < 1e-9 and abs(result.sim3.scale - 1 / 0.9) < 1e-9
+    assert 1.0 < result.se3.rmse_m < 2.5
+    assert 0.05 < result.relative[0].translation_m < 0.2 and 0.8 < result.relative[1].translation_m < 1.3
+    assert result.within == 1.0 and result.absolute is None
+
+
+def test_noise_comes_out_as_it_went_in() -> None:
+    truth = river(400)
+    noisy = truth.copy()
+    noisy[:, :3, 3] += np.random.default_rng(1).normal(0, 0.1, (400, 3))
+    result = evaluate_trajectory(matched(moved(noisy, 1.0), truth), (10.0,))
+    assert 0.16 < result.se3.rmse_m < 0.19  # 0.1 sqrt(3)
+    assert 0.22 < result.relative[0].translation_m < 0.27  # two ends
+    assert result.relative[0].rotation_deg < 1e-3
+    assert 0.5 < result.within < 1
+
+
+def test_one_wrong_image_counts_in_ate_but_not_for_the_others() -> None:
+    wrong = river()
+    wrong[30, 2, 3] += 50
+    result = evaluate_trajectory(matched(wrong, river()), (1.0,))
+    assert result.sim3.max_m > 20 and result.within == pytest.approx(59 / 60)
+
+
+def test_yaw_drift_is_read_per_100_m() -> None:
+    truth = river(120)
+    turn = Rotation.from_rotvec(np.outer(np.radians(0.02 * np.arange(120)), [0, 0, 1])).as_matrix()
+    drifting = transforms.rigid(turn @ truth[:, :3, :3], truth[:, :3, 3])
+    result = evaluate_trajectory(matched(drifting, truth), (1.0,))
+    length = trajectory.path_length(truth[:, :3, 3])[-1]
+    assert result.yaw_drift_deg_per_100m == pytest.approx(0.02 * 119 / length * 100, rel=0.02)
+    assert np.isnan(evaluate_trajectory(matched(truth[:4], truth[:4]), (1.0,)).yaw_drift_deg_per_100m)
+
+
+def test_absolute_error_sees_the_shift() -> None:
+    shifted = river()
+    shifted[:, :3, 3] += [0.3, 0, 0.4]
+    result = evaluate_trajectory(matched(shifted, river()), (1.0,), same_frame=True)
+    assert result.absolute is not None and result.absolute_enu_m is not None
+    assert result.absolute.rmse_m == pytest.approx(0.5) and result.se3.rmse_m < 1e-9
+    assert result.absolute_enu_m == pytest.approx((0.3, 0, 0.4))
+    assert "absolute_rmse" in [m.name for m in result.metrics()]
+
+
+def test_a_distance_no_step_fits_has_no_figure() -> None:
+    far = trajectory.relative_error(matched(river(10, 5.0), river(10, 5.0)), 1.0)
+    assert far.count == 0 and np.isnan(far.translation_m)
+
+
+def test_two_poses_cannot_be_aligned() -> None:
+    with pytest.raises(ValueError, match="at least 3"):
+        evaluate_trajectory(matched(river(2), river(2)), (1.0,))
+
+
+def test_registered_shares() -> None:
+    labels = [("up", "cam0"), ("up", "cam1"), ("down", "cam0"), ("down", "cam1")]
+    registered = np.array([True, False, True, True])
+    tables = registered_table(registered, labels, np.array([0, 0, 1, -1]))
+    assert tables["registered by pass"]["rows"] == [["up", 1, 2, 50.0], ["down", 2, 2, 100.0]]
+    assert tables["registered by section"]["rows"][2] == ["(none)", 1, 1, 100.0]
+    assert registered_metric(registered).value == 75.0

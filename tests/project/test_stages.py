@@ -1,0 +1,180 @@
+"""Receipts and resume on a table of small stages that write files."""
+
+import json
+from pathlib import Path
+
+import pytest
+from pydantic import Field
+
+from tiegraph.errors import InputError
+from tiegraph.project.pool import map_items, open_pool
+from tiegraph.project.run import Inputs, Run, locked, run_stages, status
+from tiegraph.project.stages import Outcome, Stage, stage_keys, write_atomic
+from tiegraph.settings import Section
+
+
+class One(Section):
+    value: int = Field(default=1, ge=0)
+
+
+class Two(Section):
+    file: Path | None = None
+
+
+class All(Section):
+    first: One = One()
+    second: Two = Two()
+    third: One = One()
+
+
+def fail(text):
+    raise RuntimeError(text)
+
+
+def first(run):
+    for k in range(3):
+        path = run.path("first", f"{k}.txt")
+        if not path.exists():
+            if k == 2 and run.path("trip").exists():
+                fail("power cut")
+            write_atomic(path, str(run.settings.first.value))
+            with run.path("work.log").open("a") as log:
+                log.write(f"{k} ")
+    return Outcome({"items": 3})
+
+
+def second(run):
+    write_atomic(run.path("second.txt"), "2")
+    return Outcome(notes=("a note",))
+
+
+def third(run):
+    write_atomic(run.path("third.txt"), run.path("first", "0.txt").read_text())
+    return Outcome()
+
+
+STAGES = (
+    Stage("first", first, (), ("first",), "file"),
+    Stage("second", second, (), ("second.txt",)),
+    Stage("third", third, ("first",), ("third.txt",)),
+)
+
+
+@pytest.fixture
+def make(tmp_path):
+    images = tmp_path / "images"
+    images.mkdir()
+    (images / "a.jpg").write_bytes(b"x")
+
+    def run(**sections):
+        return Run(tmp_path / "out", Inputs(images), All(**sections), pool="serial")
+
+    return run
+
+
+def worked(run):
+    log = run.path("work.log")
+    text = log.read_text() if log.exists() else ""
+    log.unlink(missing_ok=True)
+    return text.split()
+
+
+def test_second_run_does_nothing_and_changes_reach_only_what_depends_on_them(make):
+    assert run_stages(STAGES, make()) == ["first", "second", "third"]
+    assert run_stages(STAGES, make()) == []
+    assert run_stages(STAGES, make(first=One(value=5))) == ["first", "third"]
+    assert make().path("third.txt").read_text() == "5"
+    assert run_stages(STAGES, make(first=One(value=5), third=One(value=9))) == ["third"]
+
+
+def test_a_changed_or_missing_artefact_and_a_changed_source_run_again(make):
+    run_stages(STAGES, make())
+    make().path("third.txt").unlink()
+    assert run_stages(STAGES, make()) == ["third"]
+    (make().inputs.images / "b.jpg").write_bytes(b"y")
+    assert run_stages(STAGES, make()) == ["first", "second", "third"]
+
+
+def test_a_file_named_by_a_setting_counts_with_its_content_stamp(make, tmp_path):
+    listed = tmp_path / "pairs.txt"
+    listed.write_text("a b")
+    two = Two(file=listed)
+    run_stages(STAGES, make(second=two))
+    assert run_stages(STAGES, make(second=two)) == []
+    listed.write_text("a b c")
+    assert run_stages(STAGES, make(second=two)) == ["second"]
+
+
+def test_interrupted_work_goes_on_where_it_stopped(make):
+    run = make()
+    run.folder.mkdir()
+    run.path("trip").touch()
+    with pytest.raises(RuntimeError, match="power cut"):
+        run_stages(STAGES, run)
+    assert worked(run) == ["0", "1"]
+    assert status(STAGES, run)[0][1] == "was interrupted"
+    run.path("trip").unlink()
+    run_stages(STAGES, make())
+    assert worked(run) == ["2"]
+
+
+def test_interrupted_work_of_other_settings_is_not_reused(make):
+    run = make()
+    run.folder.mkdir()
+    run.path("trip").touch()
+    with pytest.raises(RuntimeError):
+        run_stages(STAGES, run)
+    run.path("trip").unlink()
+    run_stages(STAGES, make(first=One(value=7)))
+    assert worked(run) == ["0", "1", "0", "1", "2"]
+    assert run.path("first", "0.txt").read_text() == "7"
+
+
+def test_until_runs_only_what_the_target_needs(make):
+    assert run_stages(STAGES, make(), until="third") == ["first", "third"]
+    with pytest.raises(InputError, match="unknown stage 'nope'"):
+        run_stages(STAGES, make(), until="nope")
+
+
+def test_receipt_says_what_happened(make):
+    run = make()
+    run_stages(STAGES, run)
+    receipt = json.loads(run.path("receipts", "second.json").read_text())
+    assert receipt["notes"] == ["a note"] and receipt["software"]["tiegraph"]
+    assert 0 <= receipt["seconds"] < 60 and receipt["peak_mib"] > 5
+    assert receipt["key"] == stage_keys(STAGES, run.settings, run.inputs.key())["second"]
+
+
+def test_two_runs_in_one_folder_are_refused(make):
+    run = make()
+    with locked(run.folder), pytest.raises(InputError, match="another tiegraph run"):
+        run_stages(STAGES, run)
+
+
+def test_full_disk_leaves_no_half_file(tmp_path, monkeypatch):
+    target = tmp_path / "a.txt"
+    target.write_text("old")
+
+    def full(self, data):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(InputError, match=r"a\.txt.*No space left on device"):
+        write_atomic(target, b"new")
+    monkeypatch.undo()
+    assert target.read_text() == "old" and [p.name for p in tmp_path.iterdir()] == ["a.txt"]
+
+
+def square(x, power):
+    if x == 13:
+        raise InputError("13 is unlucky")
+    return x**power
+
+
+@pytest.mark.parametrize("spec", ["serial", "local:2"])
+def test_pools_give_the_same_results_in_order(spec):
+    executor, workers = open_pool(spec)
+    with executor:
+        assert map_items(executor, workers, square, list(range(12)), (2,)) == [x * x for x in range(12)]
+        with pytest.raises(InputError, match="unlucky"):
+            map_items(executor, workers, square, list(range(20)), (2,))

@@ -1,0 +1,66 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tiegraph.scene.pairs import REASONS, Pairs
+
+rows = st.lists(st.tuples(st.integers(0, 12), st.integers(0, 12)), max_size=40)
+
+
+def table(pairs, source="sequence"):
+    array = np.array(pairs, dtype=int).reshape(-1, 2)
+    return Pairs.make(array[:, 0], array[:, 1], source)
+
+
+@given(rows)
+def test_always_sorted_unique_and_without_self_pairs(pairs):
+    made = table(pairs)
+    want = sorted({(min(p), max(p)) for p in pairs if p[0] != p[1]})
+    assert list(zip(made.i.tolist(), made.j.tolist())) == want
+
+
+@given(rows, rows)
+def test_union_keeps_every_pair_and_both_sources(a, b):
+    both = table(a) | table(b, "offsets")
+    names = {tuple(p): k for k, p in enumerate(zip(both.i.tolist(), both.j.tolist()))}
+    for pairs, source in ((a, "sequence"), (b, "offsets")):
+        for p in pairs:
+            if p[0] != p[1]:
+                assert both.from_source(source)[names[tuple(sorted(p))]]
+    assert len(names) == len({tuple(sorted(p)) for p in a + b if p[0] != p[1]})
+
+
+@given(rows, st.data())
+def test_filters_only_drop_and_the_first_reason_stays(pairs, data):
+    made = table(pairs)
+    mask = np.array(data.draw(st.lists(st.booleans(), min_size=len(made), max_size=len(made))), bool)
+    dropped = made.drop(mask, "weak").drop(np.ones(len(made), bool), "cut")
+    assert len(dropped) == len(made) and len(dropped.kept()) == 0
+    assert (dropped.dropped[mask] == REASONS.index("weak")).all()
+    funnel = made.drop(mask, "weak").funnel()
+    assert funnel["candidates"] - funnel.get("weak", 0) == funnel["used"]
+
+
+def test_a_pair_kept_by_one_source_is_kept_and_known_numbers_win():
+    a = Pairs.make([0, 1], [1, 2], "offsets", score=np.array([3.0, 7.0])).drop(np.array([True, False]), "weak")
+    both = a | Pairs.make([1], [0], "sequence")
+    assert both.dropped.tolist() == [0, 0]
+    assert both.score.tolist() == [3.0, 7.0]
+
+
+def test_best_score_of_duplicates_and_round_trips():
+    made = Pairs.make([1, 0, 0], [0, 1, 2], "file", score=np.array([2.0, 9.0, np.nan]))
+    assert made.score[0] == 9
+    again = Pairs.from_npz(made.to_npz())
+    assert again.to_csv(("a", "b", "c")) == made.to_csv(("a", "b", "c"))
+    assert made.to_text(("a", "b", "c")) == "a b\na c\n"
+    assert made.matrix(3).tolist() == [[0, 1, 1], [1, 0, 0], [1, 0, 0]]
+
+
+def test_unsorted_columns_are_refused():
+    good = Pairs.make([0, 0], [1, 2], "file")
+    with pytest.raises(ValueError, match="sorted and unique"):
+        good.where(np.array([1, 0]))
+    with pytest.raises(ValueError, match="read-only"):
+        good.i[0] = 5

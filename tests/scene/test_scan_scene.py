@@ -1,0 +1,287 @@
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from scan_worlds import data, exif_of, papers_rig, picture, scan
+
+from tiegraph.errors import InputError
+from tiegraph.scene.images import find_images, probe_image
+from tiegraph.scene.scan import ScanInputs, build_scene, safe_names
+from tiegraph.scene.scene import Scene
+from tiegraph.scene.settings import ScanSettings
+
+
+def reasons(scene: Scene) -> dict[str, str]:
+    return {d.name: d.reason for d in scene.dropped}
+
+
+def frame_names(scene: Scene) -> list[list[str]]:
+    return [[scene.names[k] for k in np.flatnonzero(scene.frame == f)] for f in range(scene.frames)]
+
+
+def test_papers_layout(tmp_path: Path) -> None:
+    scene = scan(papers_rig(tmp_path))
+    assert (len(scene), scene.frames, scene.tracks) == (18, 6, ("down", "up"))
+    assert scene.names == tuple(sorted(scene.names)) and scene.names[0] == "down/cam0/000000.jpg"
+    assert scene.step.tolist() == [0, 1, 2, 0, 1, 2] and scene.track.tolist() == [0, 0, 0, 1, 1, 1]
+    for names in frame_names(scene):
+        assert len({n.split("/")[0] for n in names}) == len({n.split("/")[2] for n in names}) == 1 and len(names) == 3
+    assert [scene.sensor_of(k).name for k in range(18)] == [n.split("/")[1] for n in scene.names]
+    rig = scene.rigs[0]
+    assert rig.sensors[0].sensor_from_rig is not None and rig.sensors[1].sensor_from_rig is None
+    assert any("layout guessed: 3 cameras, 2 pass(es)" in n for n in scene.notes)
+    assert any("no rig given" in n for n in scene.notes) and any("1.2 x the longer side" in n for n in scene.notes)
+
+
+@pytest.mark.parametrize(
+    "folders, cameras, passes",
+    [
+        (("left", "right"), 2, 1),
+        (("image_0", "image_1"), 2, 1),
+        (("front_camera", "back_camera"), 2, 1),
+        (("aft", "bow"), 2, 1),  # equal file names
+        (("up", "down"), 1, 2),  # named like passes
+        (("cam0/up", "cam1/up", "cam0/down", "cam1/down"), 2, 2),
+        (("up/cam0", "up/cam1", "down/cam0", "down/cam1"), 2, 2),
+        (("mon/a", "mon/b", "tue/a", "tue/b"), 2, 2),  # a product
+        (("survey/2023/up/cam0", "survey/2023/up/cam1"), 2, 1),
+        (("survey/2023/up/cam0", "survey/2024/up/cam1"), 2, 2),
+    ],
+)
+def test_folder_layouts(tmp_path: Path, folders: tuple[str, ...], cameras: int, passes: int) -> None:
+    for folder in folders:
+        for k in range(30):
+            picture(tmp_path / folder / f"{k:04d}.png")
+    scene = scan(tmp_path)
+    assert (len(scene.rigs), len(scene.rigs[0].sensors), len(scene.tracks)) == (1, cameras, passes)
+    assert len(scene) == 30 * len(folders) and not scene.dropped
+
+
+def test_cameras_are_in_natural_order(tmp_path: Path) -> None:
+    scene = scan(papers_rig(tmp_path, ("up",), 11, 1))
+    assert [s.name for s in scene.all_sensors] == [f"cam{k}" for k in range(11)]
+
+
+def test_the_layout_can_be_forced(tmp_path: Path) -> None:
+    for folder in ("a/x", "a/y"):
+        for k in range(3):
+            picture(tmp_path / folder / f"{folder[-1]}{k}.jpg")
+    assert len(scan(tmp_path, ScanSettings(layout="cameras")).all_sensors) == 2
+    assert scan(tmp_path, ScanSettings(layout="sequence")).tracks == ("x", "y")
+    assert (scan(tmp_path, ScanSettings(layout="loose")).track == -1).all()
+
+
+def test_frames_by_last_number_as_in_paper_000_figure_8(tmp_path: Path) -> None:
+    for camera, numbers in enumerate(([168035, 168040, 168045], [168035, 168040, 168050])):
+        for number in numbers:
+            picture(tmp_path / "up" / f"cam{camera}" / f"image{camera}up_{number}.jpg")
+    scene = scan(tmp_path)
+    assert [len(f) for f in frame_names(scene)] == [2, 2, 1, 1]
+    assert any("by the last number" in n for n in scene.notes) and any("2 of 4 frames lack" in n for n in scene.notes)
+
+
+def test_frames_by_order_are_said_and_unequal_counts_too(tmp_path: Path) -> None:
+    for camera, count in ((0, 3), (1, 4)):
+        for k in range(count):
+            picture(tmp_path / f"cam{camera}" / f"x{1000 * camera + 7 * k}.jpg")
+    scene = scan(tmp_path)
+    assert [len(f) for f in frame_names(scene)] == [2, 2, 2, 1]
+    assert any("in the order of names, although the cameras have 3 to 4 images" in n for n in scene.notes)
+
+
+@pytest.mark.parametrize("how, frames", [("name", 6), ("number", 3), ("order", 3)])
+def test_frame_matching_can_be_forced(tmp_path: Path, how: str, frames: int) -> None:
+    for camera in range(2):
+        for k in range(3):
+            picture(tmp_path / f"cam{camera}" / f"c{camera}_{k}.jpg")
+    assert scan(tmp_path, ScanSettings(frames=how)).frames == frames  # type: ignore[arg-type]
+
+
+def test_bad_images_are_listed_with_a_reason_and_never_fatal(tmp_path: Path) -> None:
+    papers_rig(tmp_path, ("up",), 2, 6)
+    cam0 = tmp_path / "up" / "cam0"
+    whole = (cam0 / "000001.jpg").read_bytes()
+    (cam0 / "000001.jpg").write_bytes(whole[: len(whole) // 2])
+    (cam0 / "000002.jpg").write_bytes(b"")
+    (cam0 / "000003.jpg").write_text("not an image")
+    shutil.copy(cam0 / "000004.jpg", cam0 / "000009.jpg")
+    picture(cam0 / "000005.png")
+    picture(tmp_path / "up" / "cam1" / "000006.jpg", (80, 60))
+    scene = scan(tmp_path)
+    found = reasons(scene)
+    assert "truncated" in found["up/cam0/000001.jpg"]
+    assert found["up/cam0/000002.jpg"] == "zero bytes"
+    assert found["up/cam0/000003.jpg"] == "not an image file"
+    assert found["up/cam0/000009.jpg"] == "the same file as up/cam0/000004.jpg"
+    assert "a second image of frame 000005; up/cam0/000005.jpg is used" == found["up/cam0/000005.png"]
+    assert "80 x 60 pixels, but most images of cam1 have 64 x 48" == found["up/cam1/000006.jpg"]
+    assert len(found) == 6 and len(scene) == 9 and scene.frames == 6
+
+
+def test_fewer_than_two_usable_images_is_an_error_that_says_why(tmp_path: Path) -> None:
+    picture(tmp_path / "a.jpg")
+    (tmp_path / "b.jpg").write_bytes(b"")
+    with pytest.raises(InputError, match=r"1 usable image.*b.jpg: zero bytes"):
+        scan(tmp_path)
+
+
+def test_two_images_are_enough(tmp_path: Path) -> None:
+    for name in "ab":
+        picture(tmp_path / f"{name}.jpg")
+    assert len(scan(tmp_path)) == 2
+
+
+def test_a_sensor_whose_images_are_all_broken_leaves_the_rig(tmp_path: Path) -> None:
+    papers_rig(tmp_path, ("up",), 3, 2)
+    for path in (tmp_path / "up" / "cam0").iterdir():
+        path.write_bytes(b"")
+    scene = scan(tmp_path, rig="ring:2")
+    assert [s.name for s in scene.all_sensors] == ["cam1", "cam2"] and len(scene.dropped) == 2
+
+
+@pytest.mark.parametrize(
+    "pattern, count, loose",
+    [
+        ("{:04d}.jpg", 10, True),  # few
+        ("{:04d}.jpg", 40, False),
+        ("frame_{:05d}.jpg", 40, False),
+        ("IMG_{:04d}.jpg", 40, True),
+        ("DJI_{:04d}.jpg", 40, True),
+        ("survey{}.jpg", 40, False),
+    ],
+)
+def test_loose_or_sequence_by_the_numbers(tmp_path: Path, pattern: str, count: int, loose: bool) -> None:
+    for k in range(count):
+        picture(tmp_path / pattern.format(5 * k))
+    scene = scan(tmp_path)
+    assert bool((scene.track == -1).all()) == loose
+    assert scene.frames == count and any(("loose" if loose else "sequence") in n for n in scene.notes)
+    camera = scene.sensor_of(0).camera
+    assert camera is not None and camera.model.name == ("SIMPLE_RADIAL" if loose else "RADIAL")
+    if not loose:
+        assert scene.tracks == ("all",) and scene.step.tolist() == list(range(count))
+
+
+@pytest.mark.parametrize("regular", [True, False])
+def test_loose_or_sequence_by_the_times(tmp_path: Path, regular: bool) -> None:
+    rng = np.random.default_rng(1)
+    clock = np.cumsum(np.full(35, 2) if regular else rng.integers(1, 60, 35))
+    for k, t in enumerate(clock):
+        stamp = f"2024:05:01 10:{t // 60:02d}:{t % 60:02d}"
+        picture(tmp_path / f"IMG_{k:04d}.jpg", exif=exif_of(time=stamp))
+    scene = scan(tmp_path)
+    assert bool((scene.track == -1).all()) != regular
+    assert np.allclose(np.diff(np.sort(scene.time_s)), np.diff(clock))
+
+
+def test_loose_photographs_of_several_cameras_are_several_rigs(tmp_path: Path) -> None:
+    for k in range(3):
+        picture(tmp_path / f"a{k}.jpg", exif=exif_of(make="Canon", model="EOS", focal_35mm=50))
+        picture(tmp_path / f"b{k}.jpg", exif=exif_of(make="Canon", model="EOS", focal_35mm=85))
+        picture(tmp_path / f"c{k}.jpg", (80, 60))
+    picture(tmp_path / "d0.jpg", exif=exif_of(make="Canon", model="EOS", focal_35mm=50, orientation=6))
+    scene = scan(tmp_path)
+    assert len(scene.rigs) == 4 and scene.frames == 10 and not scene.dropped
+    for k, name in enumerate(scene.names):
+        camera = scene.sensor_of(k).camera
+        assert camera is not None and camera.has_prior_focal_length == (name[0] != "c")
+        assert (camera.width, camera.height) == {"c": (80, 60), "d": (48, 64)}.get(name[0], (64, 48))
+    assert len({scene.sensor_key[scene.names.index(n)] for n in ("a0.jpg", "b0.jpg", "c0.jpg", "d0.jpg")}) == 4
+
+
+def test_mixed_orientations_of_a_mounted_camera_keep_the_sensor_rows(tmp_path: Path) -> None:
+    for k in range(3):
+        picture(tmp_path / "cam0" / f"{k}.jpg", exif=exif_of(orientation=6 if k else 1))
+        picture(tmp_path / "cam1" / f"{k}.jpg", exif=exif_of(orientation=8))
+    scene = scan(tmp_path)
+    assert len(scene) == 6
+    first, second = scene.all_sensors
+    assert first.source is not None and not first.source.upright and second.source is None
+    assert first.camera is not None and second.camera is not None
+    assert (first.camera.width, second.camera.width) == (64, 48)
+
+
+def test_names_with_blanks_are_renamed_and_remember_their_file(tmp_path: Path) -> None:
+    for name in ("DCIM 100/a b.jpg", "DCIM 100/a_b.jpg", "DCIM_100/a b.jpg", "#1/c.webp"):
+        picture(tmp_path / name)
+    scene = scan(tmp_path)
+    assert set(scene.sources) == {"DCIM 100/a b.jpg", "DCIM 100/a_b.jpg", "DCIM_100/a b.jpg", "#1/c.webp"}
+    assert len(set(scene.names)) == 4 and not any(c in n for n in scene.names for c in " #")
+    assert "_1/c.png" in scene.names and scene.names == tuple(sorted(scene.names))
+    assert scene.source_name(scene.names.index("_1/c.png")) == "#1/c.webp"
+    assert any("renamed" in n for n in scene.notes)
+
+
+def test_safe_names_leave_good_names_alone() -> None:
+    assert safe_names(["a/b.jpg", "a/B.JPEG", "ü/é.png"]) == ["a/b.jpg", "a/B.JPEG", "ü/é.png"]
+    assert safe_names(["a b.jpg", "a_b.jpg", "a\tb.jpg"]) == ["a_b_2.jpg", "a_b.jpg", "a_b_3.jpg"]
+
+
+def test_crop_and_undistort_settings(tmp_path: Path) -> None:
+    papers_rig(tmp_path, ("up",), 2, 2)
+    scene = scan(tmp_path, ScanSettings(crop_px=(2, 4, 6, 8)))
+    camera = scene.sensor_of(0).camera
+    assert camera is not None and (camera.width, camera.height) == (56, 36)
+    assert (camera.principal_point_x, camera.principal_point_y) == (30, 20)
+    with pytest.raises(InputError, match="leaves less than 32 px"):
+        scan(tmp_path, ScanSettings(crop_px=(30, 0, 30, 0)))
+    with pytest.raises(InputError, match="'cam0' has no calibrated camera"):
+        scan(tmp_path, ScanSettings(undistort=True))
+
+
+def test_camera_model_setting_and_fisheye_folders(tmp_path: Path) -> None:
+    for name in ("fisheye_left", "fisheye_right"):
+        picture(tmp_path / name / "0.jpg")
+    camera = scan(tmp_path).sensor_of(0).camera
+    assert camera is not None and camera.model.name == "OPENCV_FISHEYE" and not camera.has_prior_focal_length
+    assert camera.mean_focal_length() == pytest.approx(64 / np.pi)
+    camera = scan(tmp_path, ScanSettings(camera_model="OPENCV")).sensor_of(0).camera
+    assert camera is not None and camera.model.name == "OPENCV"
+    assert camera.mean_focal_length() == pytest.approx(1.2 * 64)
+
+
+def test_deep_images_tell_their_depth(tmp_path: Path) -> None:
+    for k in range(2):
+        pixels = np.full((48, 64), 900 + k, np.uint16)
+        Image.fromarray(pixels).save(tmp_path / f"{k}.png")
+    source = scan(tmp_path).sensor_of(0).source
+    assert source is not None and source.bits == 10
+
+
+def test_scene_survives_json(tmp_path: Path) -> None:
+    papers_rig(tmp_path / "in")
+    picture(tmp_path / "in" / "up" / "cam0" / "x y.jpg")
+    (tmp_path / "in" / "up" / "cam0" / "z.jpg").write_bytes(b"")
+    scene = scan(tmp_path / "in", ScanSettings(crop_px=(1, 1, 1, 1)), rig="ring:3")
+    again = Scene.from_json(scene.to_json())
+    assert again.to_json() == scene.to_json()
+    assert again.sources == scene.sources and again.dropped == scene.dropped and again.notes == scene.notes
+    source, other = again.sensor_of(0).source, scene.sensor_of(0).source
+    assert source is not None and other is not None and source.crop_px == other.crop_px == (1, 1, 1, 1)
+
+
+def test_four_thousand_images_take_seconds() -> None:
+    probe = probe_image(data("canal_demo", "images", "up", "cam0", "000000.jpg"))
+    from dataclasses import replace
+
+    names = [f"{p}/cam{c}/{f:06d}.jpg" for p in ("up", "down") for c in range(6) for f in range(334)]
+    probes = [replace(probe, digest=str(k)) for k in range(len(names))]
+    scene = build_scene(ScanInputs(Path("nowhere"), rig="ladybug5"), names, probes, ScanSettings())
+    assert (len(scene), scene.frames) == (4008, 668)
+
+
+@pytest.mark.parametrize(
+    "folder, rigs, sensors, frames, loose",
+    [
+        (("canal_demo", "images"), 1, 6, 20, False),
+        (("kitti_stereo",), 1, 2, 51, False),
+        (("strecha", "fountain-P11"), 1, 1, 11, True),
+    ],
+)
+def test_real_folders(folder: tuple[str, ...], rigs: int, sensors: int, frames: int, loose: bool) -> None:
+    scene = scan(data(*folder))
+    assert (len(scene.rigs), len(scene.all_sensors), scene.frames, scene.dropped) == (rigs, sensors, frames, ())
+    assert bool((scene.track == -1).all()) == loose
+    assert len(find_images(data(*folder))) == len(scene)
