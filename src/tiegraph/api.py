@@ -118,14 +118,17 @@ def open_project(
     run = {**stored.pop("run", {}), **{k: str(v) for k, v in inputs.items() if v is not None}}
     if images is None and "images" not in run:
         raise InputError(f"{folder} is not a run folder (no {project_settings.FILE}): start with `tiegraph run IMAGES`")
-    found = Path(images if images is not None else run["images"])
+    # Absolute, so that the run folder can be used from anywhere.
+    found = Path(images if images is not None else run["images"]).resolve()
+    if "rig" in run and Path(run["rig"]).is_file():
+        run["rig"] = str(Path(run["rig"]).resolve())
     name = preset or run.get("preset", "default")
     if isinstance(settings, Settings):
         complete = settings
     else:
         where = str(folder / project_settings.FILE) if stored else "settings"
         complete = project_settings.merged(project_settings.preset(name), stored, settings or {}, where=where)
-    paths = {n: Path(run[n]) if n in run else None for n in _PATHS}
+    paths = {n: Path(run[n]).resolve() if n in run else None for n in _PATHS}
     return Project(folder, Inputs(found, run.get("rig"), **paths), complete, name, pool)
 
 

@@ -16,6 +16,7 @@ from typing import Any
 from tiegraph.errors import ReconstructionError, TiegraphError
 
 _TAIL_LINES = 12
+_STACK_TRACE = ("@ ", "PC: @", "***")
 
 
 def die_with_parent() -> None:
@@ -88,12 +89,16 @@ def _child_main(sender: Any, log: str, function: Callable[..., Any], args: tuple
     except TiegraphError as error:
         sender.send(("error", error))
     except Exception as error:
-        sender.send(("error", ReconstructionError(f"{function.__name__}: {type(error).__name__}: {error} (log: {log})")))
+        sender.send(
+            ("error", ReconstructionError(f"{function.__name__}: {type(error).__name__}: {error} (log: {log})"))
+        )
 
 
 def _abort_text(task: str, exitcode: int | None, log: Path) -> str:
     how = f"exit code {exitcode}"
     if exitcode is not None and exitcode < 0:
         how = f"signal {signal.Signals(-exitcode).name}"
-    lines = log.read_text(errors="replace").splitlines()[-_TAIL_LINES:] if log.exists() else []
+    text = log.read_text(errors="replace") if log.exists() else ""
+    # glog ends with a stack trace of the library, which would push the message out of the tail.
+    lines = [line for line in text.splitlines() if not line.lstrip().startswith(_STACK_TRACE)][-_TAIL_LINES:]
     return f"{task}: the native library ended its process ({how}). Last lines of {log}:\n  " + "\n  ".join(lines)

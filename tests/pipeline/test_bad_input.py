@@ -73,7 +73,7 @@ def test_empty_folder(run: Run, tmp_path: Path) -> None:
     empty = tmp_path / "empty"
     empty.mkdir()
     code, said = run(folder=empty)
-    assert code == 2 and str(empty) in said and "no image" in said
+    assert code == 2 and str(empty) in said and "empty folder" in said
 
 
 def test_folder_without_images(run: Run, tmp_path: Path) -> None:
@@ -112,7 +112,8 @@ def test_broken_and_truncated_images_are_left_out_with_a_reason(run: Run, images
     assert code == 0, said
     dropped = _dropped(tmp_path / "out")
     assert set(dropped) == {"up/cam0/000001.jpg", "up/cam1/000002.jpg", "up/cam1/000003.jpg"}
-    assert "truncated" in dropped["up/cam1/000002.jpg"] and "empty" in dropped["up/cam1/000003.jpg"]
+    assert "truncated" in dropped["up/cam1/000002.jpg"] and "zero bytes" in dropped["up/cam1/000003.jpg"]
+    assert dropped["up/cam0/000001.jpg"]
     scene = tiegraph.open(out=tmp_path / "out").scene()
     assert len(scene) == 5 and scene.frames == 4, "the partners of a broken image stay"
 

@@ -158,9 +158,8 @@ def write_model(folder: Path, scene: Scene) -> None:
         frame = pycolmap.Frame(frame_id=f + 1, rig_id=1)
         members = [k for k in range(len(scene)) if scene.frame[k] == f]
         for k in members:
-            frame.add_data_id(
-                pycolmap.data_t(pycolmap.sensor_t(pycolmap.SensorType.CAMERA, int(scene.sensor[k]) + 1), k + 1)
-            )
+            sensor_id = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, int(scene.sensor[k]) + 1)
+            frame.add_data_id(pycolmap.data_t(sensor_id, k + 1))
         frame.rig_from_world = pycolmap.Rigid3d(transforms.invert(pose)[:3])
         model.add_frame(frame)
         for k in members:

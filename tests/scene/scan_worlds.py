@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ def data(*parts: str) -> Path:
     return path
 
 
-def picture(path: Path, size: tuple[int, int] = (64, 48), mode: str = "RGB", **save: object) -> Path:
+def picture(path: Path, size: tuple[int, int] = (64, 48), mode: str = "RGB", **save: Any) -> Path:
     """An image whose content depends on its path, so that no two files are equal."""
     rng = np.random.default_rng(zlib.crc32(str(path).encode()))
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -35,7 +36,7 @@ def picture(path: Path, size: tuple[int, int] = (64, 48), mode: str = "RGB", **s
 
 
 def exif_of(**tags: object) -> Image.Exif:
-    """EXIF block: make, model, orientation, time, subsec, offset, focal_35mm, focal_mm, plane_x, width, lat, lon, alt."""
+    """EXIF block from any of the names below and lat, lon, alt."""
     exif = Image.Exif()
     base = {"make": 0x010F, "model": 0x0110, "orientation": 0x0112}
     detail = {"time": 0x9003, "subsec": 0x9291, "offset": 0x9011, "focal_35mm": 0xA405, "focal_mm": 0x920A,

@@ -25,7 +25,9 @@ def test_a_folder_images_beside_masks_is_the_only_one_searched(tmp_path: Path) -
     assert find_images(tmp_path) == ["images/cam0/0.jpg"]
 
 
-@pytest.mark.parametrize("make, message", [("none", "no such folder"), ("empty", "an empty folder"), ("text", "none of them an image")])
+@pytest.mark.parametrize(
+    "make, message", [("none", "no such folder"), ("empty", "an empty folder"), ("text", "none of them an image")]
+)
 def test_no_images_is_an_error_with_a_remedy(tmp_path: Path, make: str, message: str) -> None:
     folder = tmp_path / "in"
     if make != "none":
@@ -57,7 +59,9 @@ def test_truncated_images_are_found(tmp_path: Path, suffix: str, quality: dict, 
     assert probe_image(path).reason != ""
 
 
-@pytest.mark.parametrize("content, message", [(b"", "zero bytes"), (b"hello", "not an image"), (b"\xff\xd8\xff\xe0" + b"0" * 99, "")])
+@pytest.mark.parametrize(
+    "content, message", [(b"", "zero bytes"), (b"hello", "not an image"), (b"\xff\xd8\xff\xe0" + b"0" * 99, "")]
+)
 def test_files_that_are_no_images(tmp_path: Path, content: bytes, message: str) -> None:
     path = tmp_path / "a.jpg"
     path.write_bytes(content)
@@ -87,7 +91,15 @@ def test_significant_bits_of_deep_images(tmp_path: Path, top: int, bits: int, ch
 
 def test_exif_position_time_and_focal_length(tmp_path: Path) -> None:
     exif = exif_of(
-        make="Canon\0", model="EOS", time="2023:09:15 10:00:00", subsec="25", offset="+09:00", focal_35mm=50, lat=35.5, lon=-120.25, alt=-3
+        make="Canon\0",
+        model="EOS",
+        time="2023:09:15 10:00:00",
+        subsec="25",
+        offset="+09:00",
+        focal_35mm=50,
+        lat=35.5,
+        lon=-120.25,
+        alt=-3,
     )
     found = probe_image(picture(tmp_path / "a.jpg", (3000, 2000), exif=exif)).exif
     assert found.focal_px == pytest.approx(50 / 43.27 * np.hypot(3000, 2000), rel=1e-9)

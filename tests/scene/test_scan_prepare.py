@@ -22,7 +22,9 @@ def prepared(source: Path, sensor: Sensor = PLAIN, settings: ScanSettings | None
     return target
 
 
-@pytest.mark.parametrize("mode, suffix", [("RGB", ".jpg"), ("L", ".jpg"), ("RGB", ".png"), ("L", ".tif"), ("RGB", ".bmp")])
+@pytest.mark.parametrize(
+    "mode, suffix", [("RGB", ".jpg"), ("L", ".jpg"), ("RGB", ".png"), ("L", ".tif"), ("RGB", ".bmp")]
+)
 def test_common_images_are_linked_not_copied(tmp_path: Path, mode: str, suffix: str) -> None:
     source = picture(tmp_path / f"a{suffix}", mode=mode)
     target = prepared(source)
@@ -41,7 +43,10 @@ def test_a_file_system_without_links_gets_copies(tmp_path: Path, monkeypatch: py
     assert not target.is_symlink() and target.read_bytes() == source.read_bytes()
 
 
-@pytest.mark.parametrize("mode, suffix, channels", [("RGBA", ".png", 3), ("CMYK", ".jpg", 3), ("P", ".png", 3), ("LA", ".png", 1), ("1", ".png", 1)])
+@pytest.mark.parametrize(
+    "mode, suffix, channels",
+    [("RGBA", ".png", 3), ("CMYK", ".jpg", 3), ("P", ".png", 3), ("LA", ".png", 1), ("1", ".png", 1)],
+)
 def test_odd_modes_become_eight_bit_grey_or_rgb(tmp_path: Path, mode: str, suffix: str, channels: int) -> None:
     source = picture(tmp_path / f"a{suffix}", mode=mode)
     target = prepared(source)
@@ -85,7 +90,9 @@ def test_crop_moves_the_principal_point(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.asarray(Image.open(target)), np.asarray(Image.open(source))[6:46, 4:54])
 
 
-@pytest.mark.parametrize("model, extra", [("OPENCV", [-0.2, 0.05, 0.002, -0.001]), ("OPENCV_FISHEYE", [0.02, -0.01, 0.002, 0.0])])
+@pytest.mark.parametrize(
+    "model, extra", [("OPENCV", [-0.2, 0.05, 0.002, -0.001]), ("OPENCV_FISHEYE", [0.02, -0.01, 0.002, 0.0])]
+)
 def test_undistorted_pixels_are_where_the_pinhole_camera_says(tmp_path: Path, model: str, extra: list[float]) -> None:
     camera = pycolmap.Camera(model=model, width=320, height=240, params=[200, 201, 163, 118, *extra])
     pinhole = pinhole_camera(camera)
@@ -95,7 +102,9 @@ def test_undistorted_pixels_are_where_the_pinhole_camera_says(tmp_path: Path, mo
     for u, v in camera.img_from_cam(points):
         image += np.exp(-((xx - u) ** 2 + (yy - v) ** 2) / 8)
     Image.fromarray((255 * image).astype(np.uint8)).save(tmp_path / "a.png")
-    target = prepared(tmp_path / "a.png", Sensor("camera", pinhole, source=Source(camera)), ScanSettings(undistort=True))
+    target = prepared(
+        tmp_path / "a.png", Sensor("camera", pinhole, source=Source(camera)), ScanSettings(undistort=True)
+    )
     out = np.asarray(Image.open(target), float)
     assert out.shape == (pinhole.height, pinhole.width)
     yy, xx = np.mgrid[: out.shape[0], : out.shape[1]] + 0.5

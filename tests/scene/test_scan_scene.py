@@ -64,6 +64,16 @@ def test_cameras_are_in_natural_order(tmp_path: Path) -> None:
     assert [s.name for s in scene.all_sensors] == [f"cam{k}" for k in range(11)]
 
 
+def test_strays_beside_the_camera_folders_do_not_spoil_the_rig(tmp_path: Path) -> None:
+    papers_rig(tmp_path, ("up",), 3, 4)
+    picture(tmp_path / "overview.jpg")
+    picture(tmp_path / "up" / "cam0" / "thumbs" / "x.jpg")
+    scene = scan(tmp_path)
+    assert (len(scene.all_sensors), scene.frames, len(scene)) == (3, 4, 12)
+    assert set(reasons(scene)) == {"overview.jpg", "up/cam0/thumbs/x.jpg"}
+    assert "outside the camera folders (cam0, cam1, cam2)" in reasons(scene)["overview.jpg"]
+
+
 def test_the_layout_can_be_forced(tmp_path: Path) -> None:
     for folder in ("a/x", "a/y"):
         for k in range(3):

@@ -51,6 +51,7 @@ def main(arguments: list[str]) -> int:
         "reference": truth / "colmap",
         "reference_cloud": truth / "reference.laz",
         "reference_masks": truth / "masks",
+        "mask_labels": (4,),
         "reference_origin": _ORIGIN,
     }
     project = open_project(

@@ -53,6 +53,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(error, FAILED)
     except KeyboardInterrupt:
         return _fail("stopped; finished work is kept: run the same command again to go on", FAILED)
+    except BrokenPipeError:  # `tiegraph ... | head`
+        sys.stderr.close()
+        return DONE
     except SystemExit as stop:  # the argument parser: 0 after --help, 2 after a wrong option
         return stop.code if isinstance(stop.code, int) else MISUSE
     except Exception as error:

@@ -20,6 +20,12 @@ class EvaluateSettings(Section):
     reference_origin: tuple[float, float, float] | None = None
     """Latitude, longitude (deg), ellipsoidal height (m) of references given in local east-north-up metres about it."""
 
+    reference_masks: Path | None = None
+    """Hand-made masks, named as masks.folder describes: the table of mask accuracy of paper 001."""
+
+    mask_labels: tuple[int, ...] = ()
+    """If the reference masks hold class labels: the label values that are useful, everything else should be masked."""
+
     alignment: Literal["rigid", "similarity", "none"] = "rigid"
     """How the cloud is laid on the reference: by the matched poses without scale, with scale, or as it is."""
 

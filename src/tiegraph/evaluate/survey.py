@@ -11,7 +11,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.evaluate import backprojection, reference
 from tiegraph.evaluate.backprojection import View, backprojection_rmse
-from tiegraph.evaluate.cloud import cloud_to_cloud
+from tiegraph.evaluate.cloud import cloud_to_cloud, thin
 from tiegraph.evaluate.metrics import metrics_to_dict
 from tiegraph.evaluate.reference import ModelPoses
 from tiegraph.evaluate.settings import EvaluateSettings
@@ -109,8 +109,9 @@ def _cloud(
     assert path is not None
     points, crs = reference.read_points(path)
     source = _origin_of(settings, crs)
-    if source is not None and origin is not None:
-        points = reference.to_world(points, source, origin)
+    if source is not None and origin is not None and len(points):
+        # thinned first: the way through geodetic coordinates costs more than the comparison
+        points = reference.to_world(thin(points, min(settings.distances_m) / 2)[0], source, origin)
     alignment, how = _alignment(settings, trajectory)
     try:
         result = cloud_to_cloud(cloud, points, settings.distances_m, alignment, model.centres(), settings.range_m)

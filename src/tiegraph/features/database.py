@@ -260,6 +260,8 @@ def _explained(path: Path, error: Exception) -> TiegraphError:
     text = str(error)
     if "full" in text or "No space left" in text or "disk I/O" in text:
         return InputError(f"no room on the disk for {path} ({text}): free some and run again, what is finished is kept")
+    if "factory" in text or "readonly" in text or "unable to open" in text:  # all that COLMAP says of its reason
+        return InputError(f"{path} cannot be written ({text}): is the disk full or the folder read-only?")
     if "locked" in text:
         return TiegraphError(f"{path} is in use by another program ({text}): close it and run again")
     if "malformed" in text or "not a database" in text:

@@ -106,7 +106,7 @@ def _run(
             match_blocks, str(database), texts, settings, threads, log=log, on_message=on_message, task="match"
         )
     except ReconstructionError as error:
-        if "database or disk is full" in str(error) or "No space left" in str(error):
+        if "disk is full" in str(error) or "disk I/O error" in str(error):
             raise InputError(
                 f"no room on the disk for {database}: free some and run again, what is finished is kept"
             ) from error

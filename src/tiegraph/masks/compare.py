@@ -34,12 +34,12 @@ class MaskComparison:
     rows: tuple[MaskRow, ...]
 
     def table(self) -> dict:
-        """{"columns": [...], "rows": [[...]]}, shares in percent with one decimal."""
+        """{"columns": [...], "rows": [[...]]}, shares in percent with one decimal, None for NaN."""
         return {"columns": list(COLUMNS), "rows": [_cells(r) for r in self.rows]}
 
     def text(self) -> str:
         """The table as aligned text."""
-        lines = [list(COLUMNS)] + [[c if isinstance(c, str) else str(c) for c in _cells(r)] for r in self.rows]
+        lines = [list(COLUMNS), *([_shown(c) for c in _cells(r)] for r in self.rows)]
         wide = [max(len(line[k]) for line in lines) for k in range(len(COLUMNS))]
         return "\n".join(
             "  ".join(c.ljust(w) if k == 0 else c.rjust(w) for k, (c, w) in enumerate(zip(line, wide)))
@@ -109,4 +109,8 @@ def _share(part: int, whole: int) -> float:
 
 def _cells(row: MaskRow) -> list:
     shares = (row.accuracy, row.iou, row.useful_lost, row.useless_kept)
-    return [row.camera, row.images, *(round(100 * s, 1) for s in shares)]
+    return [row.camera, row.images, *(None if s != s else round(100 * s, 1) for s in shares)]
+
+
+def _shown(cell: str | float | None) -> str:
+    return "-" if cell is None else str(cell)

@@ -58,8 +58,9 @@ def read_folder_mask(
     mask = read_mask_file(path, keep_labels)
     if mask.shape != tuple(size):
         raise InputError(
-            f"{path}: the mask has {mask.shape[1]} x {mask.shape[0]} pixels, its image {name} has {size[1]} x {size[0]} "
-            "(after cropping, undistortion and turning upright): make the mask in the size of the image"
+            f"{path}: the mask has {mask.shape[1]} x {mask.shape[0]} pixels, its image {name} has "
+            f"{size[1]} x {size[0]} (after cropping, undistortion and turning upright): "
+            "make the mask in the size of the image"
         )
     return mask
 
@@ -78,8 +79,8 @@ def read_mask_file(path: Path, keep_labels: Sequence[int] = ()) -> np.ndarray:
     if not any(set(found.tolist()) <= levels for levels in _TWO_LEVELS):
         shown = ", ".join(str(v) for v in found[:6]) + (f", ... {found[-1]}" if len(found) > 6 else "")
         raise InputError(
-            f"{path}: {len(found)} different values ({shown}); a mask has 0 = ignore and 255 (or 1) = use, saved without "
-            "smoothing or JPEG compression. For class labels name those to use: masks.keep_labels"
+            f"{path}: {len(found)} different values ({shown}); a mask has 0 = ignore and 255 (or 1) = use, saved "
+            "without smoothing or JPEG compression. For class labels name those to use: masks.keep_labels"
         )
     return values > 0
 

@@ -39,9 +39,14 @@ def read_small(path: Path) -> np.ndarray:
     image = cv2.imdecode(np.frombuffer(data, np.uint8), flags | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
         raise InputError(f"{path}: the image is broken; it was readable before: scan again")
-    scale = min(1.0, WORK_PX / longer)
-    size = (max(1, round(width * scale)), max(1, round(height * scale)))
-    return image if image.shape[1::-1] == size else cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    shape = small_shape((height, width))
+    return image if image.shape[:2] == shape else cv2.resize(image, shape[::-1], interpolation=cv2.INTER_AREA)
+
+
+def small_shape(size: tuple[int, int]) -> tuple[int, int]:
+    """(h, w) at which the mask of an image of ``size`` = (height, width) is computed."""
+    scale = min(1.0, WORK_PX / max(size))
+    return max(1, round(size[0] * scale)), max(1, round(size[1] * scale))
 
 
 # The JPEG decoder leaves out what is not needed: large photographs are opened several times faster.

@@ -22,7 +22,10 @@ def without_small(white: np.ndarray, min_area: int) -> np.ndarray:
 
 
 def block_share(white: np.ndarray, size_px: int) -> np.ndarray:
-    """Share of white pixels in each block of ``size_px``, (ceil(h / size), ceil(w / size)) f8; edge blocks are smaller."""
+    """Share of white pixels in each block of ``size_px``, (ceil(h / size), ceil(w / size)) f8.
+
+    Blocks at the right and at the bottom may be smaller.
+    """
     height, width = white.shape
     rows, columns = np.arange(0, height, size_px), np.arange(0, width, size_px)
     counts = np.add.reduceat(np.add.reduceat(white.astype(np.int64), rows, axis=0), columns, axis=1)

@@ -12,7 +12,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.masks.difference import prepare_difference
 from tiegraph.masks.folder import check_folder, read_folder_mask
-from tiegraph.masks.frames import full_size, image_size, read_small
+from tiegraph.masks.frames import full_size, image_size, read_small, small_shape
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sky import final_mask
 from tiegraph.masks.ssim import prepare_ssim
@@ -21,11 +21,12 @@ from tiegraph.scene.scene import Scene
 MIN_FRAMES = 5
 """Frames a camera must have before ``auto`` compares its first with its last."""
 
-_MIN_USED_SHARE = 0.5
+_MIN_USED_SHARE = 0.4
 # auto: an initial mask that leaves less of the image says that the two frames are too alike to tell the platform from
 # the scene (open sky above an upward camera, dark streets, a boat back at its berth); only the final stage is used.
 # Measured, share of true key points lost with and without the initial mask: canal_demo, upward camera (it leaves 37 %):
-# 0.62 and 0.14. The cameras it helps leave 59-81 %, the three of pandaset whose streets and walls it takes 24-41 %.
+# 0.61 and 0.13; pandaset, true matches: 0.14 and 0.10, by the two cameras whose walls and streets it takes (24 % left).
+# The side cameras of the canal are left 59-77 %.
 
 _log = logging.getLogger(__name__)
 
@@ -46,15 +47,13 @@ class MaskSource:
 def explain_source(scene: Scene, settings: MasksSettings) -> tuple[str, str]:
     """(name of the source, why) for a scene.
 
-    ``auto`` masks only cameras of a rig that moves along a path: for loose photographs and single cameras the first and
-    the last frame have nothing in common but chance, and of the true matches between neighbours the masks of paper 000
-    cost 25 % (strecha) to 42 % (oppaiyama). Between neighbours of rigs paper 001 costs 1-15 % (canal, kitti, pandaset;
-    pandaset's are mostly clouds) and takes half of the features on the platform. Raises InputError if a folder of masks
-    lacks one of the images.
+    ``auto`` masks the cameras of a rig on a path. Loose photographs and single cameras are left alone: their first and
+    last frame share nothing but chance; of the true matches between neighbours paper 000 costs 25 % (strecha) to 42 %
+    (oppaiyama), paper 001 5 % and 0 %. On rigs paper 001 costs 5-7 % (canal, kitti), on pandaset 10 %, and takes half or more of the features on the platform (canal).
+    Raises InputError if a folder of masks lacks one of the images.
     """
-    name, why = settings.source, "as the setting says"
-    if name == "auto":
-        name, why = _automatic(scene, settings)
+    automatic = settings.source == "auto"
+    name, why = _automatic(scene, settings) if automatic else (settings.source, "as the setting says")
     if name == "folder" and settings.folder is not None:
         check_folder(settings.folder, [scene.source_name(k) for k in range(len(scene))])
     return name, why
@@ -92,14 +91,22 @@ def _prepare_nothing(images: Sequence[Path], settings: MasksSettings) -> None:
 
 def _mask_of_camera(image: Path, prepared: np.ndarray | None, settings: MasksSettings, name: str) -> np.ndarray:
     size = image_size(image)
+    _check_shape(image, size, prepared)
     return np.ones(size, bool) if prepared is None else full_size(prepared, size)
 
 
 def _mask_with_sky(image: Path, prepared: np.ndarray | None, settings: MasksSettings, name: str) -> np.ndarray:
-    small = read_small(image)
-    if prepared is not None and prepared.shape != small.shape[:2]:
-        raise InputError(f"{image}: not of the shape of the other images of its camera, which share a mask")
-    return full_size(final_mask(small, prepared, settings), image_size(image))
+    size = image_size(image)
+    _check_shape(image, size, prepared)
+    return full_size(final_mask(read_small(image), prepared, settings), size)
+
+
+def _check_shape(image: Path, size: tuple[int, int], prepared: np.ndarray | None) -> None:
+    if prepared is not None and prepared.shape != small_shape(size):
+        raise InputError(
+            f"{image}: {size[1]} x {size[0]} pixels, not the shape of the other images of its camera, which share "
+            "a mask; put images of another camera into another folder, or set masks.source = sky or none"
+        )
 
 
 def _mask_of_folder(image: Path, prepared: np.ndarray | None, settings: MasksSettings, name: str) -> np.ndarray:

@@ -21,7 +21,9 @@ def vertical(rig: Rig) -> np.ndarray:
 
     With fewer than three side cameras, or axes that span no plane, the reference camera is taken to be level.
     """
-    axes = np.stack([s.optical_axis() for s in rig.sensors if s.role != "up"] or [s.optical_axis() for s in rig.sensors])
+    axes = np.stack(
+        [s.optical_axis() for s in rig.sensors if s.role != "up"] or [s.optical_axis() for s in rig.sensors]
+    )
     up = np.array([0.0, -1.0, 0.0])
     if len(axes) < 3 or not np.isfinite(axes).all():
         return up

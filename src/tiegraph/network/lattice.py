@@ -96,7 +96,10 @@ class Lattice:
             grid = surface[c, d]
             hot_rows = _reach(grid.max(axis=1) >= threshold)[u] if len(grid) else np.zeros(0, bool)
             take = np.flatnonzero(hot_rows)
-            at = grid[u[take]] * (1 - v_rows[take, None]) + grid[np.minimum(u[take] + 1, len(grid) - 1)] * v_rows[take, None]
+            at = (
+                grid[u[take]] * (1 - v_rows[take, None])
+                + grid[np.minimum(u[take] + 1, len(grid) - 1)] * v_rows[take, None]
+            )
             fine = at[:, w] * (1 - v_columns) + at[:, np.minimum(w + 1, grid.shape[1] - 1)] * v_columns
             k, n = np.nonzero(fine >= threshold)
             full = np.full(len(k), c), np.full(len(k), d), fine_rows[take[k]], fine_columns[n], fine[k, n]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiegraph.network.axes import angles_deg, allowed_within, yaw_between
+from tiegraph.network.axes import allowed_within, angles_deg, yaw_between
 from tiegraph.network.lattice import CEILING, FLOOR, Lattice, make_lattice
 from tiegraph.network.passes import Pass, PreviewBook
 from tiegraph.network.settings import NetworkSettings
@@ -280,16 +280,16 @@ def _constant(p: Pass, q: Pass, book: PreviewBook, settings: NetworkSettings) ->
     why = np.where(voted, REASONS.index("offset"), REASONS.index("votes"))
     code = np.broadcast_to(why[:, :, None, None], seen.shape)
     looked_at = Pairs.make(*lattice.images(seen), "offsets", score=lattice.inliers[seen], dropped=code[seen])
-    blocks = [_around(lattice, (int(c), int(d), int(best[c, d])), backwards, book, settings) for c, d in np.argwhere(voted)]
+    blocks = [
+        _around(lattice, (int(c), int(d), int(best[c, d])), backwards, book, settings) for c, d in np.argwhere(voted)
+    ]
     for block in blocks:
         # Where both know a pair, the range decides: "offset" holds only outside of it.
         looked_at = looked_at.where(~_contained(looked_at, block)) | block
     return OffsetResult(looked_at, _curves(lattice, backwards, voted, settings), notes)
 
 
-def _vote_constant(
-    p: Pass, q: Pass, book: PreviewBook, settings: NetworkSettings
-) -> tuple[Lattice, tuple[str, ...]]:
+def _vote_constant(p: Pass, q: Pass, book: PreviewBook, settings: NetworkSettings) -> tuple[Lattice, tuple[str, ...]]:
     every = max(1, -(-len(q) // MAX_COLUMNS))
     allowed = allowed_within(p.rig, settings.axes_deg) if p is q else np.ones((len(p.images), len(q.images)), bool)
     empty = make_lattice(p, q, every, allowed)

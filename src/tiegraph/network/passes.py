@@ -11,8 +11,6 @@ import numpy as np
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 
-_ROTATION_INLIERS = 20  # preview rotations below this many inliers are mostly wrong
-
 MatchFunction = Callable[[np.ndarray], Sequence[Any]]
 
 
@@ -53,10 +51,6 @@ def loose_images(scene: Scene) -> np.ndarray:
     return np.flatnonzero(scene.track[scene.frame] < 0)
 
 
-def _usable(result: Any) -> bool:
-    return result.rotation is not None and result.inliers >= _ROTATION_INLIERS
-
-
 class PreviewBook:
     """Preview counts measured so far; each pair is matched once, many at a time.
 
@@ -68,7 +62,6 @@ class PreviewBook:
         self._images = images
         self._keys = np.zeros(0, np.int64)
         self._counts = np.zeros(0, np.float32)
-        self._rotations: dict[int, np.ndarray] = {}
 
     def __len__(self) -> int:
         return len(self._keys)
@@ -84,7 +77,6 @@ class PreviewBook:
             pairs = np.stack([new // self._images, new % self._images], axis=1).astype(np.int32)
             results = self._match(pairs)
             counts = np.array([r.inliers for r in results], np.float32)
-            self._rotations.update({int(k): r.rotation for k, r in zip(new, results) if _usable(r)})
             order = np.argsort(np.concatenate([self._keys, new]), kind="stable")
             self._keys = np.concatenate([self._keys, new])[order]
             self._counts = np.concatenate([self._counts, counts])[order]
@@ -98,10 +90,9 @@ class PreviewBook:
         at = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)
         return np.where(self._keys[at] == keys, self._counts[at], np.nan).astype(np.float32)
 
-    def rotation(self, i: int, j: int) -> np.ndarray | None:
-        """cam_j_from_cam_i (3, 3) of a measured pair, if there is one."""
-        known = self._rotations.get(int(self._key(np.array(i), np.array(j))))
-        return known if known is None or i < j else known.T
+    def results(self, i: np.ndarray, j: np.ndarray) -> list[Any]:
+        """Whole results of image pairs (K,), (K,) with i < j, matched anew and not remembered."""
+        return list(self._match(np.stack([i, j], axis=1).astype(np.int32)))
 
     def pairs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Everything measured: i (K,), j (K,), inliers (K,)."""

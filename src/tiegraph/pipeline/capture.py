@@ -9,7 +9,7 @@ import numpy as np
 from tiegraph.features.preview import extract_preview
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.masks.settings import MasksSettings
-from tiegraph.masks.sources import SOURCES, resolve_source
+from tiegraph.masks.sources import SOURCES, explain_source
 from tiegraph.pipeline.files import mask_path, read_image, read_mask, save_npz, save_png, scanned
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
@@ -50,14 +50,14 @@ def _prepare_item(item: tuple[str, str, Sensor], source: Path, target: Path, set
 def masks(run: Run) -> Outcome:
     """One mask an image: what is learnt once a camera, then applied image by image."""
     scene, settings = scanned(run), run.settings.masks
-    source = resolve_source(scene, settings)
+    source, why = explain_source(scene, settings)
     folder = run.path("images")
     prepared = {}
     todo = [n for n in scene.names if not mask_path(run.folder, n).exists()]
     for key in sorted({int(scene.sensor_key[scene.image_index[n]]) for n in todo}):
         own = [folder / n for k, n in enumerate(scene.names) if scene.sensor_key[k] == key]
         prepared[key] = SOURCES[source].prepare(own, settings)
-    keyed = {n: int(scene.sensor_key[k]) for k, n in enumerate(scene.names)}
+    keyed = {n: (int(scene.sensor_key[k]), scene.source_name(k)) for k, n in enumerate(scene.names)}
     run.make_missing(_mask_item, scene.names, lambda n: mask_path(run.folder, n), run.folder, source, settings, prepared, keyed)
     shares = np.array(run.map(_mask_share, list(scene.names), run.folder))
     empty = [n for n, s in zip(scene.names, shares) if s == 0]
@@ -65,7 +65,7 @@ def masks(run: Run) -> Outcome:
     return Outcome(
         {"images": len(scene), "used_percent": round(float(100 * shares.mean()), 1)},
         dropped=tuple((n, "the mask leaves nothing of it") for n in empty),
-        notes=(f"source: {source}",),
+        notes=(f"source {source}: {why}",),
         tables={"used share of the images": {"columns": ["camera", "used %"], "rows": rows}},
     )
 
@@ -76,9 +76,10 @@ def _mask_item(
     source: str,
     settings: MasksSettings,
     prepared: dict[int, np.ndarray | None],
-    keyed: dict[str, int],
+    keyed: dict[str, tuple[int, str]],
 ) -> None:
-    keep = SOURCES[source].mask(folder / "images" / name, prepared[keyed[name]], settings, name)
+    key, found = keyed[name]
+    keep = SOURCES[source].mask(folder / "images" / name, prepared[key], settings, found)
     save_png(mask_path(folder, name), np.where(keep, 255, 0).astype(np.uint8))
 
 

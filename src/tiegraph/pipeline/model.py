@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from tiegraph.features import colmap, database
+from tiegraph.features import database
+from tiegraph.features.extract import extract_image
 from tiegraph.features.match import match_pairs
 from tiegraph.features.settings import FeaturesSettings
-from tiegraph.features.sift import extract_sift
-from tiegraph.pipeline.files import checked, mask_path, pairs_of, read_image, read_mask, save_npz, scanned
+from tiegraph.pipeline.files import checked, mask_path, pairs_of, save_npz, scanned
 from tiegraph.project.run import Run, save_json
-from tiegraph.project.stages import Outcome, remove
+from tiegraph.project.stages import Outcome, remove, write_atomic
 from tiegraph.sfm.georef import georeference
 from tiegraph.sfm.mapper import reconstruct
 
@@ -24,27 +24,22 @@ def features(run: Run) -> Outcome:
     scene, path = scanned(run), run.path("database.db")
     if not path.exists():
         database.create_database(path, scene)
-    settings = run.settings.features
     there = database.images_with_features(path)
-    todo = [k for k in range(len(scene)) if k not in there]
+    todo = [(k, n) for k, n in enumerate(scene.names) if k not in there]
     run.reporter.total(len(scene), len(there))
-    if settings.engine == "colmap":
-        colmap.extract_features(path, run.path("images"), run.path("masks"), scene, settings, run.log)
-    else:
-        step = _SLAB_IMAGES * run.workers
-        for start in range(0, len(todo), step):
-            slab = [(k, scene.names[k]) for k in todo[start : start + step]]
-            database.write_features(path, run.map(_sift_item, slab, run.folder, settings))
+    step = _SLAB_IMAGES * run.workers
+    for start in range(0, len(todo), step):
+        found = run.map(_features_item, todo[start : start + step], run.folder, run.settings.features)
+        database.write_features(path, found)
     counts = np.array(list(database.feature_counts(path).values()))
     lost = database.lost_features(path, scene, range(len(scene)))
     out = {"images": len(scene), "features": int(counts.sum()), "median_features": float(np.median(counts))}
     return Outcome(out, dropped=tuple(lost))
 
 
-def _sift_item(item: tuple[int, str], folder: Path, settings: FeaturesSettings) -> database.Features:
+def _features_item(item: tuple[int, str], folder: Path, settings: FeaturesSettings) -> database.Features:
     index, name = item
-    keypoints, descriptors = extract_sift(read_image(folder / "images" / name), read_mask(folder, name), settings)
-    return index, keypoints, descriptors
+    return index, *extract_image(folder / "images" / name, mask_path(folder, name), settings)
 
 
 def forget_matches(folder: Path) -> None:
@@ -74,3 +69,22 @@ def match(run: Run) -> Outcome:
 def _some(names: tuple[str, ...], indices: np.ndarray, most: int = 5) -> str:
     shown = ", ".join(names[k] for k in indices[:most])
     return shown + (f" and {len(indices) - most} more" if len(indices) > most else "")
+
+
+def sparse(run: Run) -> Outcome:
+    """The models, with the rig, by COLMAP's mappers."""
+
+    def progress(registered: int, total: int) -> None:
+        run.reporter.total(total, registered)
+
+    scene = checked(run)
+    made = reconstruct(
+        run.path("database.db"), run.path("images"), run.path("sparse"), scene, run.settings.sparse, run.log, progress
+    )
+    write_atomic(run.path("sparse", "scene.json"), made.scene.to_json())
+    return Outcome(made.counts, dropped=made.dropped, notes=made.notes, tables=made.tables)
+
+
+def georef(run: Run) -> Outcome:
+    """The main model put into the world."""
+    return Outcome()

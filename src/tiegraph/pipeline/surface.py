@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import pycolmap
 
@@ -13,10 +16,12 @@ from tiegraph.dense.depth import confirmed_map, depth_map
 from tiegraph.dense.neighbours import plan_images
 from tiegraph.dense.plan import ImagePlan
 from tiegraph.dense.settings import DenseSettings
-from tiegraph.pipeline.files import checked, save_npz
+from tiegraph.dense.undistort import load_view
+from tiegraph.pipeline.files import checked
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, remove
-from tiegraph.scene.cloudfile import write_las, write_ply
+from tiegraph.scene.cloudfile import write_cloud
+from tiegraph.scene.depthfile import load_depth, save_depth
 from tiegraph.scene.results import DepthMap
 
 FIRST = ".first"  # depth maps before they are compared with each other; removed when the stage is done
@@ -29,38 +34,76 @@ def depth_path(folder: Path, name: str, step: str = "") -> Path:
 
 def dense(run: Run) -> Outcome:
     """A depth map of every image that has partners: matched, then compared with its neighbours'."""
-    plan = plan_images(pycolmap.Reconstruction(str(run.path("sparse", "world"))), run.settings.dense)
+    plan = _plan(run)
     names = sorted(plan.images)
     args = (run.folder, plan.images, run.settings.dense)
     todo = [n for n in names if not depth_path(run.folder, n).exists()]
-    run.reporter.total(2 * len(names), 2 * (len(names) - len(todo)))
-    # A map that is confirmed may still be asked for as a witness, so all first maps stay until the end.
-    run.map(_first_item, [n for n in names if not depth_path(run.folder, n, FIRST).exists()], *args)
-    kept = run.map(_confirm_item, todo, *args)
+    first = [n for n in names if not depth_path(run.folder, n, FIRST).exists()] if todo else []
+    run.reporter.total(2 * len(names), 2 * len(names) - len(first) - len(todo))
+    run.map(_first_item, first, *args)
+    run.map(_confirm_item, todo, *args)
+    # A confirmed map's first form may still be asked for as a witness, so all of them stay until the end.
     remove(run.path("depth", FIRST))
-    counts = {"images": len(names), "pixels": sum(k for k, _ in kept), "matched_pixels": sum(b for _, b in kept)}
-    refused = {"columns": ["reason", "pairs"], "rows": [[k, n] for k, n in Counter(plan.refused).most_common()]}
+    pixels = run.map(_known_pixels, names, run.folder)
+    refused = {"columns": ["reason", "stereo pairs"], "rows": [[k, n] for k, n in plan.refused.items()]}
+    counts = {"images": len(names), "pixels": int(sum(pixels)), "images_without": len(plan.dropped)}
     return Outcome(counts, plan.dropped, plan.notes, {"refused stereo pairs": refused})
 
 
+def _plan(run: Run) -> Any:
+    return plan_images(pycolmap.Reconstruction(str(run.path("sparse", "world"))), run.settings.dense)
+
+
 def _first_item(name: str, folder: Path, plans: dict[str, ImagePlan], settings: DenseSettings) -> None:
-    found = depth_map(plans[name], folder / "images", folder / "masks", settings)
-    save_npz(depth_path(folder, name, FIRST), **found.to_npz())
+    found = depth_map(plans[name], folder / "images", folder / "masks", settings, cv2.getNumThreads())
+    save_depth(found, depth_path(folder, name, FIRST))
 
 
-def _confirm_item(name: str, folder: Path, plans: dict[str, ImagePlan], settings: DenseSettings) -> tuple[int, int]:
+def _confirm_item(name: str, folder: Path, plans: dict[str, ImagePlan], settings: DenseSettings) -> None:
     def load(other: str) -> DepthMap | None:
         path = depth_path(folder, other, FIRST)
-        return read_depth(path) if path.exists() else None
+        return load_depth(path) if path.exists() else None
 
     first = load(name)
     assert first is not None
-    confirmed, counts = confirmed_map(plans[name], first, load, settings)
-    save_npz(depth_path(folder, name), **confirmed.to_npz())
-    return counts.kept, counts.before
+    confirmed, _ = confirmed_map(plans[name], first, load, settings)
+    save_depth(confirmed, depth_path(folder, name))
 
 
-def read_depth(path: Path) -> DepthMap:
-    """A depth map from its file."""
-    with np.load(path) as data:
-        return DepthMap.from_npz(dict(data))
+def _known_pixels(name: str, folder: Path) -> int:
+    return int(np.isfinite(load_depth(depth_path(folder, name)).depth_m).sum())
+
+
+def cloud(run: Run) -> Outcome:
+    """One cloud of all depth maps, tile by tile, as LAZ and PLY."""
+    plans = {n: p for n, p in _plan(run).images.items() if depth_path(run.folder, n).exists()}
+    scratch = run.path(".tiles")
+    remove(scratch)
+    scratch.mkdir(parents=True)
+    load = partial(_load_coloured, folder=run.folder, plans=plans, settings=run.settings.dense)
+    fused = fuse(sorted(plans), load, scratch, run.settings.cloud, checked(run).origin, _mapper(run))
+    notes: list[str] = []
+    for name in ("cloud.laz", "cloud.ply"):
+        notes += write_cloud(fused.clouds(), run.path(name))
+    remove(scratch)
+    counts = {"points": fused.counts["points"], **{k: v for k, v in fused.counts.items() if k != "points"}}
+    return Outcome({**counts, "voxel": float(f"{fused.voxel:.3g}")}, notes=tuple(dict.fromkeys(notes)))
+
+
+def _mapper(run: Run) -> Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]:
+    def apply(function: Callable[[Any], Any], items: Sequence[Any]) -> Iterable[Any]:
+        run.reporter.total(len(items))
+        return run.map(_call, list(items), function)
+
+    return apply
+
+
+def _call(item: Any, function: Callable[[Any], Any]) -> Any:
+    return function(item)
+
+
+def _load_coloured(
+    name: str, folder: Path, plans: dict[str, ImagePlan], settings: DenseSettings
+) -> tuple[DepthMap, np.ndarray] | None:
+    view = load_view(plans[name].view, folder / "images", None, settings)
+    return load_depth(depth_path(folder, name)), cv2.cvtColor(view.image_bgr, cv2.COLOR_BGR2RGB)

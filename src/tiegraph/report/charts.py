@@ -107,14 +107,10 @@ def matrices(before: Pairs, after: Pairs, scene: Scene) -> str:
         verified = kept.where(kept.inliers > 0)
         values = np.full((size, size), np.nan)
         _fill(values, verified, _place(verified, order, size), verified.inliers.astype(float))
-        shown = right.imshow(
-            values,
-            cmap="viridis_r",
-            norm=LogNorm(15, max(400, np.nanmax(values, initial=400))),
-            interpolation="nearest",
-        )
+        norm = LogNorm(15, max(400, float(np.nanmax(values, initial=400))))
+        shown = right.imshow(values, cmap="viridis_r", norm=norm, interpolation="nearest")
         bar = figure.colorbar(shown, ax=right, shrink=0.75, label="verified matches")
-        marks = [m for m in (15, 30, 60, 100, 200, 400, 1000, 2000, 5000) if m <= norm.vmax]
+        marks = [m for m in (15, 30, 60, 100, 200, 400, 1000, 2000, 5000) if m <= float(norm.vmax or 0)]
         bar.set_ticks(marks, labels=[str(m) for m in marks])
         bar.minorticks_off()
         right.set_title(f"Verified: {_count(len(verified))} pairs", fontsize=11, loc="left")

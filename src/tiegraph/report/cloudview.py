@@ -36,9 +36,9 @@ def standard_views(xyz: np.ndarray, rgb: np.ndarray, path: np.ndarray, width: in
         return []
     rgb = brightened(rgb) if np.ptp(rgb) > 8 else by_height(xyz[:, 2])
     along = main_axis_deg(path if len(path) > 2 else xyz)
-    top = CloudView("Top view", *render(xyz, rgb, 0.0, 90.0, width))
-    sides = [(along + 60.0, "Oblique view, one side"), (along + 240.0, "Oblique view, other side")]
-    return [top, *(CloudView(f"{n}, from {compass(a)}", *render(xyz, rgb, a, 32.0, width)) for a, n in sides)]
+    top = CloudView("Top view, north up", *render(xyz, rgb, 0.0, 90.0, width))
+    sides = (along + 60.0, along + 240.0)
+    return [top, *(CloudView(f"Oblique view from {compass(a)}", *render(xyz, rgb, a, 32.0, width)) for a in sides)]
 
 
 def inliers(xyz: np.ndarray, share: float = 0.99, margin: float = 0.15) -> np.ndarray:

@@ -193,9 +193,7 @@ def to_text(comparison: Comparison) -> str:
     console = Console(file=out, width=max(80, 44 + 18 * len(comparison.names)), force_terminal=False, highlight=False)
     two = len(comparison.names) == 2
     for block in comparison.blocks:
-        table = RichTable(
-            title=block.title, box=box.SIMPLE_HEAD, title_justify="left", title_style="bold", pad_edge=False
-        )
+        table = RichTable(title=block.title, box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)
         table.add_column("")
         for name in (*comparison.names, *(["ratio"] if two else [])):
             table.add_column(name, justify="right", overflow="fold")
@@ -215,10 +213,7 @@ def to_html(comparison: Comparison) -> str:
     tables = []
     for block in comparison.blocks:
         columns = ("", *comparison.names, *(("ratio",) if two else ()))
-        rows = tuple(
-            (name.strip(), *(block.text(v) for v in values), *((ratio(values),) if two else ()))
-            for name, values in block.rows
-        )
-        tables.append(words.Table(columns, rows, (False, *[True] * (len(columns) - 1)), block.title))
+        rows = [(n.strip(), *(block.text(v) for v in vs), *((ratio(vs),) if two else ())) for n, vs in block.rows]
+        tables.append(words.Table(columns, tuple(rows), (False, *[True] * (len(columns) - 1)), block.title))
     template = environment().get_template("compare.html.jinja")
     return template.render(names=comparison.names, tables=tables, notes=comparison.notes)

@@ -82,7 +82,7 @@ def _world_sentence(run: RunFolder) -> str:
     if not run.georeferenced:
         based = f", with the scale from {scale}" if scale else " and without scale"
         return f"It is not georeferenced: coordinates are in the model's own frame{based}."
-    text = f"It is georeferenced in {crs_text(world.get('crs'))}"
+    text = f"It is georeferenced in {crs_text(world.get('crs'), world.get('origin'))}"
     text += f"; position and scale come from {scale}." if scale else "."
     shift = world.get("shift_m") or [0, 0, 0]
     if any(shift):
@@ -98,10 +98,14 @@ def source_text(source: Any) -> str:
     return "" if source in (None, "", "none") else names.get(str(source).lower(), str(source))
 
 
-def crs_text(crs: Any) -> str:
-    """Code and name of a CRS."""
+def crs_text(crs: Any, origin: Any = None) -> str:
+    """Code and name of a CRS; of a local frame its origin."""
     if str(crs).upper() == "ENU":
-        return "a local east-north-up frame (ENU) about the stated origin"
+        at = [(origin or {}).get(k) for k in ("lat_deg", "lon_deg", "height_m")]
+        place = "its origin"
+        if all(map(_is, at)):
+            place = f"latitude {at[0]:.6f}°, longitude {at[1]:.6f}°, height {at[2]:.2f} m"
+        return f"a local east-north-up frame about {place} (WGS 84)"
     try:
         import pyproj
 
@@ -115,7 +119,9 @@ def _accuracy_sentences(run: RunFolder) -> list[str]:
     residual = residual_text(world.get("residual_rms_m"))
     if residual:
         source = source_text(world.get("scale_from")) or "the given positions"
-        text = f"The cameras fit {source} with residuals of {residual} (root mean square)"
+        frames = len(world.get("frames") or [])
+        over = f" over {words.plural(frames, 'frame')}" if frames else ""
+        text = f"The cameras fit {source} with residuals of {residual} (root mean square{over})"
         held = _scalar(world.get("heldout_rms_m"))
         if held is not None:
             text += f"; positions left out of the fit are met within {words.length(held)}, an independent check"
@@ -219,7 +225,8 @@ def tiles(run: RunFolder) -> list[Tile]:
         out.append(Tile(words.count(amount), "verified pairs" if matched else "pairs to match"))
     if run.model is not None:
         out.append(Tile(words.count(run.model.points), "sparse points"))
-        out.append(Tile(f"{words.number(run.model.reprojection_px, 2)} px", "mean reprojection error"))
+        if run.model.reprojection_px > 0:
+            out.append(Tile(f"{words.number(run.model.reprojection_px, 2)} px", "mean reprojection error"))
     if run.cloud is not None:
         out.append(Tile(words.count(run.cloud.count), "points in the cloud"))
     residual = _scalar((run.world or {}).get("residual_rms_m"))
@@ -301,7 +308,8 @@ def rig_table(run: RunFolder) -> Table | None:
         ])  # fmt: skip
     columns = ["camera", "model", "size px", "focal px", f"to first {unit}", "turned °"]
     columns += [f"moved from nominal {unit}", "turned from it °"]
-    data = {"columns": columns, "rows": rows}
+    filled = [c for c in range(len(columns)) if any(r[c] is not None for r in rows)]
+    data = {"columns": [columns[c] for c in filled], "rows": [[r[c] for c in filled] for r in rows]}
     return words.table(data, "Cameras as adjusted")
 
 

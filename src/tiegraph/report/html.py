@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -116,7 +117,7 @@ def _mask_strip(run: RunFolder, scene: Scene, key: int, name: str, shown: int) -
     spread = images[np.unique(np.linspace(0, len(images) - 1, _MASKS_READ).astype(int))]
     shares = [s for k in spread if (s := mask_share(_mask_path(run, scene.names[k]))) is not None]
     out = []
-    for place in (np.arange(shown) + 0.5) / shown:
+    for place in (np.arange(shown) + 0.3) / shown:
         image = scene.names[images[int(place * len(images))]]
         made = masked_thumbnail(run.path / "images" / image, _mask_path(run, image))
         if made is not None:
@@ -288,9 +289,10 @@ def metric_text(name: str) -> str:
     if name in _METRICS:
         return _METRICS[name]
     text = name.replace("_", " ")
-    for short, full in (("rpe ", "relative pose error over "), ("fscore ", "F-score at "), ("within ", "within ")):
+    for short, full in (("rpe ", "relative pose error over "), ("fscore ", "F-score at ")):
         text = text.replace(short, full)
-    return text
+    text = re.sub(r"(\d)m\b", r"\1 m", text)
+    return text.replace(" m translation", " m, translation").replace(" m rotation", " m, rotation")
 
 
 def _effort(run: RunFolder) -> dict[str, Any]:

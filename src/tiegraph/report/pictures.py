@@ -54,10 +54,7 @@ def masked_thumbnail(image: Path, mask: Path, width: int = 320) -> tuple[str, fl
     share = float(np.mean(use > 0))
     small = cv2.resize(use, picture.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
     red = (0.45 * picture + 0.55 * np.array(_IGNORED_BGR)).astype(np.uint8)
-    shown = np.where(small[..., None], picture, red)
-    edge = cv2.morphologyEx(small.astype(np.uint8), cv2.MORPH_GRADIENT, np.ones((2, 2), np.uint8)) > 0
-    shown[edge] = (255, 255, 255)
-    return jpeg(shown[..., ::-1]), share
+    return jpeg(np.where(small[..., None], picture, red)[..., ::-1]), share
 
 
 def mask_share(mask: Path) -> float | None:

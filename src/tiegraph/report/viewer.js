@@ -38,7 +38,7 @@
     return { p: buffer(p), c: buffer(c), n: p.length / 3, line: t.line };
   });
 
-  const start = { azimuth: -2.2, elevation: 0.6, distance: 1.6 * radius, target: [0, 0, 0] };
+  const start = { azimuth: -2.2, elevation: 0.6, distance: 1.25 * radius, target: [0, 0, 0] };
   let view = copy(start), size = 1, byHeight = false, showPaths = true, marks = [], queued = false;
 
   function copy(v) { return { azimuth: v.azimuth, elevation: v.elevation, distance: v.distance, target: v.target.slice() }; }

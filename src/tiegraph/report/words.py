@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 NONE = "–"  # an en dash: not known
-_NOTHING = 1e-9  # smaller numbers are rounding errors
+_NOTHING = 1e-7  # smaller numbers are rounding errors
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def number(value: Any, digits: int = 3) -> str:
 
 def length(value: Any, unit: str = "m") -> str:
     """A length; below half a metre in centimetres or millimetres when the unit is metres."""
-    if not _known(value) or unit != "m" or value == 0:
+    if not _known(value) or unit != "m" or abs(value) < _NOTHING:
         return f"{number(value)} {unit}" if _known(value) else NONE
     if abs(value) < 0.01:
         return f"{number(1000 * value, 2)} mm"

@@ -92,7 +92,10 @@ def assign(rig: str | None, usable: Usable, settings: ScanSettings, report: Repo
     shots = tuple(
         _shot(image, name, (0, index[place.folder]), "" if layout.loose else place.track)
         for image, name, place in zip(usable.images, usable.names, layout.places)
+        if place is not None
     )
+    strays = [name for name, place in zip(usable.names, layout.places) if place is None]
+    report.drop(strays, f"outside the camera folders ({some(layout.folders)})")
     return _by_camera(spec, shots, usable, report) if layout.loose else Survey((spec,), shots, False)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
@@ -22,6 +23,7 @@ _PHOTO_NAME = re.compile(r"^(img|dsc|dscn|dscf|dji|p|pict|gopr|mvi|sam|_mg|_dsc|
 _GENERIC_WORDS = _CAMERA_WORDS | frozenset("images cameras data photos pictures input jpg jpeg png frames raw".split())
 _LONE_PASS = "all"
 _FEW = 30  # below this, matching everything with everything costs less than a wrong guess of the order
+_MOST = 0.75  # share of images at one depth of folders that makes the others strays
 _REGULAR = 0.9  # share of equal steps in the numbers, or in the times, of a sequence
 
 
@@ -37,7 +39,7 @@ class Place:
 class Layout:
     """Reading of a folder tree: the place of each image, the sensor folders in natural order, and order."""
 
-    places: tuple[Place, ...]
+    places: tuple[Place | None, ...]  # None: a stray, outside the camera folders
     folders: tuple[str, ...]
     loose: bool
     note: str
@@ -73,7 +75,7 @@ def place_by_folders(names: Sequence[str], folders: Sequence[str]) -> list[Place
 
 
 def _pass_name(parts: tuple[str, ...], common: int) -> str:
-    """Folders of a pass without those that all images share; of a lone pass the last shared one that means something."""
+    """Folders of a pass without those that all images share; of a lone pass the last telling one."""
     if parts[common:]:
         return "/".join(parts[common:])
     telling = [p for p in parts if not words(p) & _GENERIC_WORDS]
@@ -113,20 +115,35 @@ def guess_layout(
     ``cameras`` are the numbers of cameras that a preset asks for: a folder level of so many names is preferred.
     """
     paths = [PurePosixPath(n).parts[:-1] for n in names]
+    depth, count = Counter(len(p) for p in paths).most_common(1)[0]
+    inside = [k for k, p in enumerate(paths) if len(p) == depth or count < _MOST * len(paths)]
+    found = _by_camera_level([names[k] for k in inside], kind, cameras)
+    if found is None and len(inside) < len(names):
+        inside = list(range(len(names)))
+        found = _by_camera_level(names, kind, cameras)
+    if found is not None:
+        inner, why = found
+        places: list[Place | None] = [None] * len(names)
+        for k, place in zip(inside, inner):
+            places[k] = place
+        folders = tuple(sorted({p.folder for p in inner}, key=natural))
+        passes = len({p.track for p in inner})
+        return Layout(tuple(places), folders, False, f"{len(folders)} cameras, {passes} pass(es): {why}")
+    lone = tuple(Place("", _pass_name(p, _common(paths))) for p in paths)
+    loose, why = is_loose(names, lone, exif, sizes, kind)
+    return Layout(lone, ("",), loose, why)
+
+
+def _by_camera_level(names: Sequence[str], kind: str, cameras: tuple[int, ...]) -> tuple[list[Place], str] | None:
+    paths = [PurePosixPath(n).parts[:-1] for n in names]
     common = _common(paths)
-    tails = [p[common:] for p in paths]
-    level, why = _camera_level(tails, [PurePosixPath(n).stem for n in names], kind, cameras)
-    if level is not None:
-        at = common + level
-        rest = [p[:at] + p[at + 1 :] for p in paths]
-        shared = _common(rest)
-        places = tuple(Place(p[at], _pass_name(r, shared)) for p, r in zip(paths, rest))
-        folders = tuple(sorted({p.folder for p in places}, key=natural))
-        passes = len({p.track for p in places})
-        return Layout(places, folders, False, f"{len(folders)} cameras, {passes} pass(es): {why}")
-    places = tuple(Place("", _pass_name(p, common)) for p in paths)
-    loose, why = is_loose(names, places, exif, sizes, kind)
-    return Layout(places, ("",), loose, why)
+    level, why = _camera_level([p[common:] for p in paths], [PurePosixPath(n).stem for n in names], kind, cameras)
+    if level is None:
+        return None
+    at = common + level
+    rest = [p[:at] + p[at + 1 :] for p in paths]
+    shared = _common(rest)
+    return [Place(p[at], _pass_name(r, shared)) for p, r in zip(paths, rest)], why
 
 
 def _camera_level(

@@ -19,6 +19,7 @@ from tiegraph.scene.settings import ScanSettings
 from tiegraph.scene.times import FrameRow, exif_times, frame_by_image, name_times, read_times
 from tiegraph.scene.trajectory import read_trajectory, same_start, trajectory_files
 
+_SCALE_ROUNDS = 10  # the scale converges linearly, by the ratio of the lever arm to the length of the track
 _UNKNOWN_HEIGHT_SIGMA_M = 100.0  # a photograph with latitude and longitude but no height
 
 
@@ -340,18 +341,20 @@ def _lay_on_gnss(
     """
     rig, spec = frames.rigs[frames.rows[rows[0]].rig], frames.specs[frames.rows[rows[0]].rig]
     rig_from_body, axes = _body(spec)
-    up = np.mean(poses[:, :3, :3], axis=0) @ rig_from_body[:3, :3] @ -AXES[axes][1]
+    body = poses @ rig_from_body  # odometry that is not metric scales the body's path, not the rig on the body
+    up = np.mean(body[:, :3, :3], axis=0) @ -AXES[axes][1]
     level = _turn_to_z(up / np.linalg.norm(up))
-    antenna = np.array(rig.antenna_m or (0.0, 0.0, 0.0))
-    path = (poses[:, :3, :3] @ antenna + poses[:, :3, 3]) @ level.T
+    arm = np.zeros(3)
+    if rig.antenna_m is not None:
+        arm = (np.linalg.inv(rig_from_body) @ [*rig.antenna_m, 1.0])[:3]
+    arm, centre = body[:, :3, :3] @ arm @ level.T, body[:, :3, 3] @ level.T
     good = np.isfinite(target[:, 0])
     if good.sum() < 3 or np.ptp(target[good, :2], axis=0).max() < 3 * np.median(sigma[good, 0]):
         return None
-    turn, scale, shift, rms = _fit_level(path[good], target[good], sigma[good])
-    rotation = turn @ level @ poses[:, :3, :3]
-    # The lever arm is metric whatever the scale of the odometry: from the rig's centre with the final rotation.
-    centre = scale * (poses[:, :3, 3] @ level.T) @ turn.T + shift
-    return rotation, centre + rotation @ antenna, scale, rms
+    scale = 1.0
+    for _ in range(_SCALE_ROUNDS):  # the lever arm is in metres, the odometry need not be
+        turn, scale, shift, rms = _fit_level((centre + arm / scale)[good], target[good], sigma[good])
+    return turn @ level @ poses[:, :3, :3], (scale * centre + arm) @ turn.T + shift, scale, rms
 
 
 def _turn_to_z(up: np.ndarray) -> np.ndarray:

@@ -106,6 +106,22 @@ class Scene:
         """Whether any frame has a full prior pose."""
         return bool(np.isfinite(self.world_from_rig[:, :3]).all(axis=(1, 2)).any())
 
+    def pose_world(self) -> np.ndarray:
+        """(F,) i4: prior poses of frames with the same number may be compared; -1 = no prior position."""
+        world = np.where(self.prior == "odometry", self.track, 0)
+        return np.where(np.isfinite(self.world_from_rig[:, :3, 3]).all(axis=1), world, -1).astype(np.int32)
+
+    def measured_positions(self) -> np.ndarray:
+        """(F,) bool: frames whose prior position was measured and may hold or judge a model.
+
+        Not among them: positions carried over a GNSS gap by a trajectory (sigma NaN), and odometry with a world
+        of its own for each pass.
+        """
+        there = np.isfinite(self.world_from_rig[:, :3, 3]).all(axis=1)
+        if self.prior in ("gnss", "exif"):
+            return there & np.isfinite(self.position_sigma_m).all(axis=1)
+        return there & (self.prior == "trajectory")
+
     def image_priors(self) -> np.ndarray:
         """(N, 4, 4) world_from_sensor by prior pose and rig extrinsics, NaN where either is unknown."""
         rig_from_sensor = np.full((len(self), 4, 4), np.nan)

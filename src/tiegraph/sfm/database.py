@@ -22,8 +22,8 @@ _UNKNOWN_SIGMA_M = 10.0  # of a position whose source gives none (hand-held GPS)
 def write_working_copy(source: Path, target: Path, scene: Scene, with_rig: Mapping[int, Rig], positions: bool) -> None:
     """Copy what a mapper needs of ``source`` to a new database ``target``.
 
-    ``with_rig`` maps rig indices to the rigs to constrain by, their extrinsics known; the images of other rigs become
-    frames of their own. ``positions``: write the scene's prior positions (world metres) for the mapper, all but the
+    ``with_rig`` maps rig indices to the rigs to constrain by; images of other rigs, and of sensors whose extrinsics are
+    unknown there, become frames of their own. ``positions``: write the scene's prior positions (world metres) for the mapper, all but the
     held-out ones. Descriptors and raw matches, most of the bytes, stay behind.
     """
     target.unlink(missing_ok=True)
@@ -53,41 +53,42 @@ def _scene_images(database: pycolmap.Database, scene: Scene) -> dict[int, pycolm
 def _write_rigs(
     database: pycolmap.Database, scene: Scene, images: dict[int, pycolmap.Image], with_rig: Mapping[int, Rig]
 ) -> None:
-    """One rig and its frames for each constrained rig; one rig a camera, one frame an image for all others."""
+    """One rig and its frames for each constrained rig; one rig a camera, one frame an image for everything else."""
     camera_of = {int(scene.sensor_key[k]): image.camera_id for k, image in images.items()}
     first_key = np.cumsum([0] + [len(r.sensors) for r in scene.rigs])
+    bound: set[int] = set()
     for index, rig in with_rig.items():
-        cameras = [camera_of.get(int(first_key[index]) + s) for s in range(len(rig.sensors))]
-        if any(c is not None for c in cameras):
+        known = [s for s, sensor in enumerate(rig.sensors) if sensor.sensor_from_rig is not None]
+        cameras = {s: camera_of[key] for s in known if (key := int(first_key[index]) + s) in camera_of}
+        if cameras:
             database.write_rig(_colmap_rig(index + 1, rig, cameras), use_rig_id=True)
-    rig_of_image = {k: int(scene.rig[scene.frame[k]]) for k in images}
-    alone = sorted({image.camera_id for k, image in images.items() if rig_of_image[k] not in with_rig})
-    for camera in alone:  # ids above those of the constrained rigs
-        row = pycolmap.Rig(rig_id=len(scene.rigs) + camera)
+            bound |= set(cameras.values())
+    for camera in sorted({image.camera_id for image in images.values()} - bound):
+        row = pycolmap.Rig(rig_id=len(scene.rigs) + camera)  # ids above those of the constrained rigs
         row.add_ref_sensor(_sensor_id(camera))
         database.write_rig(row, use_rig_id=True)
     members: dict[tuple[int, int], list[pycolmap.Image]] = {}
     for k, image in images.items():
-        if rig_of_image[k] in with_rig:
-            members.setdefault((int(scene.frame[k]) + 1, rig_of_image[k] + 1), []).append(image)
+        if image.camera_id in bound:
+            frame = int(scene.frame[k])
+            members.setdefault((frame + 1, int(scene.rig[frame]) + 1), []).append(image)
         else:
             members[scene.frames + image.image_id, len(scene.rigs) + image.camera_id] = [image]
     for (frame_id, rig_id), of_frame in members.items():
-        frame = pycolmap.Frame(frame_id=frame_id, rig_id=rig_id)
+        row = pycolmap.Frame(frame_id=frame_id, rig_id=rig_id)
         for image in of_frame:
-            frame.add_data_id(image.data_id)
-        database.write_frame(frame, use_frame_id=True)
+            row.add_data_id(image.data_id)
+        database.write_frame(row, use_frame_id=True)
 
 
-def _colmap_rig(rig_id: int, rig: Rig, cameras: list[int | None]) -> pycolmap.Rig:
+def _colmap_rig(rig_id: int, rig: Rig, cameras: dict[int, int]) -> pycolmap.Rig:
     """COLMAP's rig of the sensors that have images; without images of the reference, the next sensor takes its part."""
-    present = [s for s, camera in enumerate(cameras) if camera is not None]
     row = pycolmap.Rig(rig_id=rig_id)
-    row.add_ref_sensor(_sensor_id(cameras[present[0]]))
-    reference = rig.sensors[present[0]].sensor_from_rig
-    for s in present[1:]:
-        extrinsics = rig.sensors[s].sensor_from_rig
-        assert extrinsics is not None and reference is not None
+    first, *others = sorted(cameras)
+    row.add_ref_sensor(_sensor_id(cameras[first]))
+    reference = np.asarray(rig.sensors[first].sensor_from_rig)
+    for s in others:
+        extrinsics = np.asarray(rig.sensors[s].sensor_from_rig)
         row.add_sensor(_sensor_id(cameras[s]), rigid3d(extrinsics @ np.linalg.inv(reference)))
     return row
 
@@ -115,8 +116,7 @@ def _write_positions(database: pycolmap.Database, scene: Scene, images: dict[int
         database.write_pose_prior(prior, use_pose_prior_id=True)
 
 
-def _sensor_id(camera_id: int | None) -> pycolmap.sensor_t:
-    assert camera_id is not None
+def _sensor_id(camera_id: int) -> pycolmap.sensor_t:
     return pycolmap.sensor_t(pycolmap.SensorType.CAMERA, camera_id)
 
 

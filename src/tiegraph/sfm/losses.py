@@ -8,9 +8,9 @@ import numpy as np
 import pycolmap
 
 from tiegraph.scene.scene import Scene
+from tiegraph.sfm.adjust import FOCAL_RANGE
 from tiegraph.sfm.database import ViewGraph
 
-MIN_FOCAL, MAX_FOCAL = 0.2, 5.0  # times the longer image side: outside, no lens of a survey camera
 MAX_CENTRE_OFF = 0.25  # of the image size that a principal point may lie off the middle
 
 
@@ -68,7 +68,7 @@ def camera_notes(reconstruction: pycolmap.Reconstruction, scene: Scene) -> list[
             abs(camera.principal_point_x / camera.width - 0.5), abs(camera.principal_point_y / camera.height - 0.5)
         )
         label = names.get(camera_id, str(camera_id))
-        if not MIN_FOCAL <= ratio <= MAX_FOCAL:
+        if not FOCAL_RANGE[0] <= ratio <= FOCAL_RANGE[1]:
             notes.append(
                 f"camera {label}: focal length {camera.mean_focal_length():.0f} px is {ratio:.2f} x the image size; do "
                 f"not trust the model round it: give the calibration and set sparse.refine_intrinsics = false"

@@ -16,12 +16,12 @@ from tiegraph.child import run_in_child
 from tiegraph.errors import ReconstructionError
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.covariance import PositionSigma, position_sigma
+from tiegraph.sfm.covariance import PositionSigma
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.losses import camera_notes, camera_table, no_model_text, unregistered
 from tiegraph.sfm.model import MIN_OBSERVATIONS, image_poses, observations, registration_tables
 from tiegraph.sfm.rig import DerivedRig, derive_rig, rig_modes, rig_table
-from tiegraph.sfm.run import Request, run_mapper
+from tiegraph.sfm.run import FinishRequest, Request, finish_model, run_mapper
 from tiegraph.sfm.settings import SparseSettings
 
 _log = logging.getLogger(__name__)
@@ -131,7 +131,8 @@ def _reconstruct(job: _Job, modes: dict[int, str]) -> SparseResult:
     if outcome is None:
         outcome = _map(job, rigs, modes, "")
     used = "+".join(sorted({modes[k] for k in rigs})) or "absent"
-    return _account(job, outcome, used)
+    sigma = _finish(job, outcome, tuple(k for k in rigs if modes[k] == "fixed"))
+    return _account(job, outcome, used, sigma)
 
 
 def _derive(job: _Job, unknown: list[int], outcome: _Outcome) -> dict[int, Rig]:
@@ -146,16 +147,19 @@ def _derive(job: _Job, unknown: list[int], outcome: _Outcome) -> dict[int, Rig]:
 
 
 def _derived_note(rig: Rig, result: DerivedRig) -> str:
+    lost = "; ".join(f"{name}: {why}" for name, why in result.left_out)
     if result.rig is None:
-        return f"rig {rig.name}: its extrinsics could not be found ({result.reason}); mapped without rig"
-    worst = max(result.scatter, key=lambda s: s.scatter_deg)
+        return f"rig {rig.name}: its extrinsics could not be found, mapped without rig ({lost})"
+    held = [s for s in result.scatter if s.rigid()]
+    worst = max(held, key=lambda s: s.scatter_deg)
     return (
-        f"rig {rig.name}: extrinsics found from a model without rig and then adjusted; largest scatter over the frames "
-        f"{worst.scatter_deg:.2f} deg ({worst.sensor}, {worst.frames} frames)"
+        f"rig {rig.name}: extrinsics of {len(held) + 1} of {len(rig.sensors)} cameras found from a model without rig and "
+        f"then adjusted; largest scatter over the frames {worst.scatter_deg:.2f} deg ({worst.sensor}, {worst.frames} "
+        f"frames)" + (f"; left out: {lost}" if lost else "")
     )
 
 
-def choose_mapper(scene: Scene, settings: SparseSettings, constrained: bool) -> str:
+def choose_mapper(scene: Scene, settings: SparseSettings) -> str:
     """The mapper of the setting, or of the rule behind "auto"."""
     if settings.mapper != "auto":
         return settings.mapper
@@ -166,7 +170,7 @@ def choose_mapper(scene: Scene, settings: SparseSettings, constrained: bool) -> 
 
 def _map(job: _Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -> _Outcome:
     """Run the chosen mapper, and under "auto" the other one too when clearly fewer images come back than could."""
-    first = choose_mapper(job.scene, job.settings, bool(rigs))
+    first = choose_mapper(job.scene, job.settings)
     outcome = _run(job, first, rigs, modes, label)
     reachable = job.graph.components[0]
     if job.settings.mapper == "auto" and outcome.registered < CLEARLY_FEWER * reachable:
@@ -225,17 +229,32 @@ def _seeing(folder: Path, scene: Scene) -> tuple[int, int]:
     return int(np.sum(observations(reconstruction, scene) >= MIN_OBSERVATIONS)), reconstruction.num_points3D()
 
 
-def _account(job: _Job, outcome: _Outcome, rig: str) -> SparseResult:
-    """Move the models to their place and say what is in them and what is not."""
-    scene, models = job.scene, []
+def _finish(job: _Job, outcome: _Outcome, fixed: tuple[int, ...]) -> PositionSigma | None:
+    """Adjust, colour and write the models to their place; the sigma of the first."""
+    sigmas = []
     for number, folder in enumerate(outcome.folders):
-        target = job.out / str(number)
-        folder.rename(target)
-        models.append(_model(pycolmap.Reconstruction(target), target, scene))
-    main = pycolmap.Reconstruction(models[0].folder)
-    _colour(main, job.images, models[0].folder, job.notes)
+        request = FinishRequest(
+            folder=folder,
+            target=job.out / str(number),
+            images=job.images,
+            fixed=fixed,
+            refine_intrinsics=job.settings.refine_intrinsics,
+            covariance_frames=0 if number else job.settings.covariance_frames,
+        )
+        sigma, notes = run_in_child(finish_model, request, log=job.log, task="final adjustment")
+        sigmas.append(sigma)
+        if number == 0:
+            job.notes.extend(notes)
+    return sigmas[0]
+
+
+def _account(job: _Job, outcome: _Outcome, rig: str, sigma: PositionSigma | None) -> SparseResult:
+    """Say what is in the models and what is not."""
+    scene = job.scene
+    folders = [job.out / str(k) for k in range(len(outcome.folders))]
+    models = [_model(pycolmap.Reconstruction(f), f, scene) for f in folders]
+    main = pycolmap.Reconstruction(folders[0])
     poses = image_poses(main, scene)
-    sigma = _sigma(main, job.settings, job.notes)
     tables = {
         "models": _models_table(models),
         "runs": {
@@ -294,26 +313,3 @@ def _models_table(models: list[Model]) -> dict:
     ]
     columns = ["model", "images", f"seeing {MIN_OBSERVATIONS} points", "frames", "points", "reprojection px", "track length"]
     return {"columns": columns, "rows": rows}
-
-
-def _colour(reconstruction: pycolmap.Reconstruction, images: Path, folder: Path, notes: list[str]) -> None:
-    """Colours of the points of the first model; a model without colours is still a model."""
-    try:
-        reconstruction.extract_colors_for_all_images(images)
-        reconstruction.write(folder)
-    except (RuntimeError, ValueError) as error:
-        notes.append(f"the points have no colours: {error}")
-
-
-def _sigma(reconstruction: pycolmap.Reconstruction, settings: SparseSettings, notes: list[str]) -> PositionSigma | None:
-    frames = reconstruction.num_reg_frames()
-    if settings.covariance_frames == 0:
-        return None
-    if frames > settings.covariance_frames:
-        notes.append(f"position sigmas not computed: {frames} frames, more than sparse.covariance_frames")
-        return None
-    try:
-        return position_sigma(reconstruction)
-    except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
-        notes.append(f"position sigmas could not be computed: {error}")
-        return None

@@ -60,14 +60,23 @@ class SensorScatter:
         enough = self.frames >= MIN_FRAMES
         return enough and self.scatter_deg <= MAX_SCATTER_DEG and self.outliers <= MAX_OUTLIERS
 
+    def why_not(self) -> str:
+        """Why ``rigid`` says no."""
+        if self.frames < MIN_FRAMES:
+            return f"only {self.frames} frames show it together with the others"
+        return (
+            f"its rotation scatters by {self.scatter_deg:.2f} deg with {self.outliers:.0%} outliers over {self.frames} "
+            f"frames: not rigid, not synchronised, or the model without rig is bent there"
+        )
+
 
 @dataclass(frozen=True)
 class DerivedRig:
-    """Extrinsics from a model made without the rig; ``rig`` is None when the frames do not agree on them."""
+    """Extrinsics from a model made without the rig; sensors that do not keep still against it stay without."""
 
-    rig: Rig | None
+    rig: Rig | None  # None: no two sensors hold together
     scatter: tuple[SensorScatter, ...]
-    reason: str = ""
+    left_out: tuple[tuple[str, str], ...]  # sensor name, why it is not in the rig
 
 
 def derive_rig(scene: Scene, index: int, models: Sequence[pycolmap.Reconstruction]) -> DerivedRig:
@@ -75,39 +84,33 @@ def derive_rig(scene: Scene, index: int, models: Sequence[pycolmap.Reconstructio
 
     R: Weiszfeld's L1 mean of R_c R_ref^T; t: median, each model scaled to the first by the median baseline (ALGORITHMS
     section 4). A sensor never seen together with the reference is joined through one that was. Lengths are in units of
-    the first model. The MAD of each sensor is the test of rigidity and synchronisation.
+    the first model. The MAD of each sensor is the test of rigidity and synchronisation; one that fails it is left out.
     """
     poses = [image_poses(m, scene) for m in models]
     rig = scene.rigs[index]
     found: dict[int, np.ndarray] = {0: np.eye(4)}
-    scatter: dict[int, SensorScatter] = {}
+    rows: list[SensorScatter] = []
+    left_out: dict[int, str] = {}
     relative = _relative_poses(scene, index, poses)
-    while len(found) < len(rig.sensors):
-        candidates = {(a, b): t for (a, b), t in relative.items() if a in found and b not in found}
-        if not candidates:
+    while True:
+        ready = {(a, b): t for (a, b), t in relative.items() if a in found and b not in found and b not in left_out}
+        if not ready:
             break
-        (a, b), stack = max(candidates.items(), key=lambda item: (len(item[1]), -item[0][0], -item[0][1]))
-        average, sensor_scatter = _average(stack, rig.sensors[b].name)
-        found[b], scatter[b] = average @ found[a], sensor_scatter
-    rows = tuple(scatter[s] for s in sorted(scatter))
-    missing = [s.name for k, s in enumerate(rig.sensors) if k not in found]
-    reason = _why_not_rigid(rows, missing)
-    if reason:
-        return DerivedRig(None, rows, reason)
-    sensors = tuple(replace(s, sensor_from_rig=found[k]) for k, s in enumerate(rig.sensors))
-    return DerivedRig(replace(rig, sensors=sensors, fixed=False, nominal=True), rows)
-
-
-def _why_not_rigid(rows: Sequence[SensorScatter], missing: list[str]) -> str:
-    if missing:
-        return f"no frame shows {', '.join(missing)} together with the other cameras"
-    few = [r.sensor for r in rows if r.frames < MIN_FRAMES]
-    if few:
-        return f"fewer than {MIN_FRAMES} frames show {', '.join(few)} together with the other cameras"
-    loose = [f"{r.sensor} ({r.scatter_deg:.2f} deg, {r.outliers:.0%} outliers)" for r in rows if not r.rigid()]
-    if loose:
-        return f"not rigid, not synchronised, or the first model is bent: scatter of {', '.join(loose)}"
-    return ""
+        (a, b), stack = max(ready.items(), key=lambda item: (len(item[1]), -item[0][0], -item[0][1]))
+        average, scatter = _average(stack, rig.sensors[b].name)
+        rows.append(scatter)
+        if scatter.rigid():
+            found[b] = average @ found[a]
+        else:
+            left_out[b] = scatter.why_not()
+    for b in range(len(rig.sensors)):
+        if b not in found:
+            left_out.setdefault(b, "no frame shows it together with the others in one model")
+    names = tuple((rig.sensors[b].name, why) for b, why in sorted(left_out.items()))
+    if len(found) < 2:
+        return DerivedRig(None, tuple(rows), names)
+    sensors = tuple(replace(s, sensor_from_rig=found.get(k)) for k, s in enumerate(rig.sensors))
+    return DerivedRig(replace(rig, sensors=sensors, fixed=False, nominal=True), tuple(rows), names)
 
 
 def _relative_poses(scene: Scene, index: int, poses: Sequence[np.ndarray]) -> dict[tuple[int, int], np.ndarray]:

@@ -1,0 +1,241 @@
+"""Pair sources by name: each proposes pairs with a score and, where it refused one, the reason."""
+
+from __future__ import annotations
+
+import difflib
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tiegraph.errors import InputError, SettingsError
+from tiegraph.network.axes import allowed_within
+from tiegraph.network.loose import scored_pairs
+from tiegraph.network.offsets import OffsetCurve, estimate_offsets
+from tiegraph.network.passes import Pass, PreviewBook, loose_images
+from tiegraph.network.poses import pose_pairs
+from tiegraph.network.settings import NetworkSettings
+from tiegraph.scene.pairs import REASONS, Pairs
+from tiegraph.scene.scene import Scene
+
+FEW_PHOTOS = 120  # loose photographs that are all compared with one another: 7140 pairs
+NEAREST = 10  # loose photographs with positions: nearest ones that are kept whatever the preview says
+SURE = 1.3  # times min_matches: a single preview must be surer than an average over neighbouring frames
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a source may use."""
+
+    scene: Scene
+    passes: tuple[Pass, ...]
+    book: PreviewBook
+    settings: NetworkSettings
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """What a source proposes."""
+
+    pairs: Pairs
+    notes: tuple[str, ...] = ()
+    curves: tuple[OffsetCurve, ...] = ()
+
+
+def sequence(context: Context) -> Proposal:
+    """Each image with the next frames of its camera; of a rig also with the neighbouring cameras, if so set."""
+    settings = context.settings
+    i, j = [], []
+    for p in context.passes:
+        for images in p.images:
+            there = images[images >= 0]
+            for step in range(1, settings.sequence_frames + 1):
+                i.append(there[:-step]), j.append(there[step:])
+        if settings.sequence_cameras:
+            a, b = _neighbouring_cameras(p, settings)
+            i.append(a), j.append(b)
+    if not i:
+        return Proposal(Pairs.empty(), ("sequence: the images have no order",))
+    return Proposal(Pairs.make(np.concatenate(i), np.concatenate(j), "sequence"))
+
+
+def _neighbouring_cameras(p: Pass, settings: NetworkSettings) -> tuple[np.ndarray, np.ndarray]:
+    out = []
+    for c, d in np.argwhere(allowed_within(p.rig, settings.axes_deg)):
+        if c == d:
+            continue
+        for step in range(0, min(settings.sequence_frames, len(p) - 1) + 1):
+            left, right = p.images[c, : len(p) - step], p.images[d, step:]
+            there = (left >= 0) & (right >= 0)
+            out.append(np.stack([left[there], right[there]]))
+    both = np.concatenate(out, axis=1) if out else np.zeros((2, 0), int)
+    return both[0], both[1]
+
+
+def exhaustive(context: Context) -> Proposal:
+    """Every image with every other one."""
+    i, j = np.triu_indices(len(context.scene), k=1)
+    return Proposal(Pairs.make(i, j, "exhaustive"))
+
+
+def from_file(context: Context) -> Proposal:
+    """Pairs of a COLMAP pair list. Raises SettingsError without a file, InputError for one that cannot be used."""
+    path = context.settings.pairs_file
+    if path is None:
+        raise SettingsError("network.sources has 'file', but network.pairs_file names none")
+    pairs, notes = read_pair_list(path, context.scene)
+    return Proposal(pairs, notes)
+
+
+def read_pair_list(path: Path, scene: Scene) -> tuple[Pairs, tuple[str, ...]]:
+    """Pairs of a COLMAP pair list: two image names a line, ``#`` starts a comment; self pairs and repeats are counted.
+
+    Raises InputError naming file, line and name for an unknown image, a line without exactly two names, an unreadable
+    file, or a file without pairs.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read as a pair list: {error}") from error
+    rows: list[tuple[int, int]] = []
+    for number, line in enumerate(lines, start=1):
+        words = line.split("#", 1)[0].split()
+        if words:
+            rows.append(_pair_of(words, f"{path}, line {number}", scene))
+    if not rows:
+        raise InputError(f"{path}: holds no pairs; expected two image names a line")
+    both = np.array(rows)
+    pairs = Pairs.make(both[:, 0], both[:, 1], "file")
+    selves = int(np.sum(both[:, 0] == both[:, 1]))
+    repeats = len(rows) - selves - len(pairs)
+    ignored = f"; ignored: {selves} self pairs, {repeats} repeated" if selves or repeats else ""
+    return pairs, (f"file: {len(pairs)} pairs from {path.name}{ignored}",)
+
+
+def _pair_of(words: list[str], place: str, scene: Scene) -> tuple[int, int]:
+    if len(words) != 2:
+        raise InputError(f"{place}: expected two image names, found {len(words)} words: {' '.join(words)!r}")
+    index = []
+    for name in words:
+        if name not in scene.image_index:
+            near = difflib.get_close_matches(name, scene.names, n=1, cutoff=0.3)
+            hint = f"; perhaps {near[0]!r}?" if near else ""
+            lost = next((d.reason for d in scene.dropped if d.name == name), None)
+            why = f" (left out by scan: {lost})" if lost else hint
+            raise InputError(f"{place}: the survey has no image {name!r}{why}")
+        index.append(scene.image_index[name])
+    return index[0], index[1]
+
+
+def offsets(context: Context) -> Proposal:
+    """Frame-offset voting within and between passes (papers 000, 001)."""
+    found = estimate_offsets(context.passes, context.book, len(context.scene), context.settings)
+    return Proposal(found.pairs, found.notes, found.curves)
+
+
+def poses(context: Context) -> Proposal:
+    """Pairs by prior poses (paper 003); frames without prior fall back on previews, so that none is lost."""
+    found = pose_pairs(context.scene, context.passes, context.settings)
+    notes = list(found.notes)
+    pairs = found.pairs
+    if len(found.without) and "auto" not in context.settings.sources:
+        rest = offsets(context).pairs | sequence(context).pairs
+        alone = np.intersect1d(loose_images(context.scene), _images_of(context.scene, found.without))
+        rest = rest | scored_pairs(context.scene, alone, context.book, context.settings)
+        lost = np.isin(context.scene.frame, found.without)
+        rest = rest.where(lost[rest.i] | lost[rest.j])
+        notes.append(f"poses: frames without prior are tied by previews and order instead: {len(rest.kept())} pairs")
+        pairs = pairs | rest
+    return Proposal(pairs, tuple(notes))
+
+
+def _images_of(scene: Scene, frames: np.ndarray) -> np.ndarray:
+    return np.flatnonzero(np.isin(scene.frame, frames))
+
+
+SOURCES: dict[str, Callable[[Context], Proposal]] = {
+    "sequence": sequence,
+    "exhaustive": exhaustive,
+    "file": from_file,
+    "offsets": offsets,
+    "poses": poses,
+}
+
+
+def automatic(context: Context) -> Proposal:
+    """What suits the scene: passes by order and offsets, priors where there are some, loose photographs by previews."""
+    scene = context.scene
+    loose = loose_images(scene)
+    parts: list[Proposal] = []
+    said: list[str] = []
+    if len(loose) == len(scene) and len(loose) <= FEW_PHOTOS:
+        said.append("exhaustive")
+        parts.append(exhaustive(context))
+    else:
+        if context.passes:
+            said += ["sequence", "offsets"]
+            parts += [sequence(context), offsets(context)]
+        if scene.has_positions():
+            said.append("poses")
+            parts.append(confirmed(poses(context), context))
+        blind = loose[~np.isfinite(scene.world_from_rig[scene.frame[loose], :3, 3]).all(axis=1)]
+        if len(blind):
+            said.append("previews of loose photographs")
+            parts.append(Proposal(scored_pairs(scene, blind, context.book, context.settings)))
+    pairs = Pairs.empty()
+    for part in parts:
+        pairs = pairs | part.pairs
+    notes = (f"sources chosen: {', '.join(said)}", *(n for part in parts for n in part.notes))
+    return Proposal(pairs, notes, sum((part.curves for part in parts), ()))
+
+
+def confirmed(proposal: Proposal, context: Context) -> Proposal:
+    """A proposal with its kept pairs previewed: those that share too little are dropped as ``weak``.
+
+    Of a loose photograph the nearest ones stay whatever the preview says.
+    """
+    pairs = proposal.pairs
+    kept = np.flatnonzero(pairs.dropped == 0)
+    score = pairs.score.copy()
+    score[kept] = context.book.measure(pairs.i[kept], pairs.j[kept])
+    weak = score < SURE * context.settings.min_matches
+    loose = context.scene.track[context.scene.frame] < 0
+    near = _nearest(pairs.with_(score=score), len(context.scene)) & loose[pairs.i] & loose[pairs.j]
+    return Proposal(pairs.with_(score=score).drop(weak & ~near, "weak"), proposal.notes, proposal.curves)
+
+
+def _nearest(pairs: Pairs, images: int) -> np.ndarray:
+    """(P,) bool: among the NEAREST shortest kept bases of either image."""
+    row = np.tile(np.arange(len(pairs)), 2)
+    image = np.concatenate([pairs.i, pairs.j])
+    base = np.concatenate([pairs.baseline_m, pairs.baseline_m])
+    kept = pairs.dropped[row] == 0
+    row, image, base = row[kept], image[kept], base[kept]
+    order = np.lexsort((base, image))
+    start = np.searchsorted(image[order], np.arange(images))
+    rank = np.arange(len(order)) - start[image[order]]
+    out = np.zeros(len(pairs), bool)
+    out[row[order[rank < NEAREST]]] = True
+    return out
+
+
+def axes_rows(passes: Sequence[Pass], settings: NetworkSettings) -> tuple[np.ndarray, np.ndarray]:
+    """Image pairs (K,), (K,) of one pass whose optical axes make a match impossible: never tried."""
+    out = [np.zeros((2, 0), int)]
+    for p in passes:
+        for c, d in np.argwhere(~allowed_within(p.rig, settings.axes_deg)):
+            if c < d:
+                left, right = np.repeat(p.images[c], len(p)), np.tile(p.images[d], len(p))
+                out.append(np.stack([left, right])[:, (left >= 0) & (right >= 0)])
+    both = np.concatenate(out, axis=1)
+    return both[0], both[1]
+
+
+def axes_pairs(passes: Sequence[Pass], settings: NetworkSettings) -> Pairs:
+    """``axes_rows`` as dropped pairs."""
+    i, j = axes_rows(passes, settings)
+    return Pairs.make(i, j, "offsets", dropped=np.full(len(i), REASONS.index("axes")))

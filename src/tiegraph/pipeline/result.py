@@ -1,0 +1,52 @@
+"""Glue of evaluate and report: how good it is, and the page that says so."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pycolmap
+
+from tiegraph.evaluate.settings import EvaluateSettings
+from tiegraph.evaluate.survey import evaluate_survey
+from tiegraph.masks.compare import compare
+from tiegraph.pipeline.files import checked
+from tiegraph.pipeline.surface import depth_path
+from tiegraph.project.run import Run, save_json
+from tiegraph.project.stages import Outcome
+from tiegraph.report.html import write_report
+from tiegraph.scene.cloudfile import read_cloud
+from tiegraph.scene.depthfile import load_depth
+from tiegraph.scene.results import DepthMap
+from tiegraph.scene.scene import Scene
+
+
+def evaluate(run: Run) -> Outcome:
+    """Figures of merit of the masks, the model and the cloud, against references where they are given."""
+    scene, settings = checked(run), run.settings.evaluate
+    model = pycolmap.Reconstruction(str(run.path("sparse", "world")))
+    cloud = read_cloud(run.path("cloud.laz"), scene.origin)
+    result = evaluate_survey(scene, model, cloud, _depth_maps(run, scene), settings, scene.origin)
+    if settings.reference_masks is not None:
+        result["tables"]["mask accuracy"] = _masks(run, scene, settings)
+    save_json(run.path("metrics.json"), result)
+    shown = {m["name"]: m["value"] for m in result["metrics"] if m["value"] is not None}
+    return Outcome({k: float(f"{v:.4g}") for k, v in shown.items()}, notes=tuple(result["notes"]))
+
+
+def _depth_maps(run: Run, scene: Scene) -> Iterator[DepthMap]:
+    for name in scene.names:
+        path = depth_path(run.folder, name)
+        if path.exists():
+            yield load_depth(path)
+
+
+def _masks(run: Run, scene: Scene, settings: EvaluateSettings) -> dict:
+    assert settings.reference_masks is not None
+    cameras = {n: sensor for n, (_, sensor) in zip(scene.names, scene.image_label())}
+    return compare(run.path("masks"), settings.reference_masks, cameras, settings.mask_labels).table()
+
+
+def report(run: Run) -> Outcome:
+    """One HTML page from receipts and artefacts."""
+    path = write_report(run.folder, run.settings.report)
+    return Outcome({"bytes": path.stat().st_size})

@@ -1,0 +1,242 @@
+"""Robust least squares for the similarity from a model to the world."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import OptimizeResult, least_squares
+from scipy.spatial.transform import Rotation
+
+from tiegraph.geometry.align import Similarity, robust_umeyama
+from tiegraph.sfm.gravity import Up
+
+INLIER_SIGMAS = 3.0
+# Orientations of a trajectory are not independent from frame to frame: together they weigh as much as four of 3 deg.
+_ORIENTATION_SIGMA_DEG, _ORIENTATION_FREEDOM = 3.0, 4
+_ANTENNA_SIGMA_M = 2.0  # weak prior of an estimated lever arm: no boat or car carries it farther
+_ROUNDS = 6
+_BLOCKS = 6
+_MAX_LOG_SCALE = 5.0  # from the start: keeps a step of the solver finite
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What is known of K frames: model poses (K, 4, 4), positions (K, 3) and sigmas (K, 3) in the world, and the rest.
+
+    ``orientation`` (K, 3, 3) world_from_rig, NaN = unknown; ``antenna`` (3,) in the rig frame; ``log_scale`` None =
+    the rig says nothing of the scale.
+    """
+
+    frame: np.ndarray
+    pose: np.ndarray
+    position: np.ndarray
+    sigma: np.ndarray
+    orientation: np.ndarray
+    antenna: np.ndarray
+    estimate_antenna: bool
+    log_scale: float | None
+    log_scale_sigma: float
+
+    def where(self, mask: np.ndarray) -> Evidence:
+        """The frames of a mask (K,)."""
+        columns = ("frame", "pose", "position", "sigma", "orientation")
+        return replace(self, **{n: getattr(self, n)[mask] for n in columns})
+
+    def position_residuals(self, similarity: Similarity, antenna: np.ndarray) -> np.ndarray:
+        """(K, 3) metres: antenna by the model minus the prior position, X + R l - p (ALGORITHMS section 4)."""
+        lever = self.pose[:, :3, :3] @ antenna @ similarity.rotation.T
+        return similarity(self.pose[:, :3, 3]) + lever - self.position
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The similarity, which positions agree with it, and its uncertainty."""
+
+    similarity: Similarity
+    antenna: np.ndarray
+    inlier: np.ndarray
+    sigma: dict[str, float]
+    roll_sigma_deg: float  # about the direction in which the positions spread most
+    tilt_sigma_deg: float
+    sigma_positions_scale: float  # of the logarithm of the scale, from the positions alone
+    chi2_per_dof: float
+
+
+def fit_similarity(evidence: Evidence, up: Up | None) -> Fit:
+    """Best similarity from all evidence: robust first, then least squares on what lies within three sigmas.
+
+    Started from the positions alone and once more turned upright about the track, as a straight track has two minima.
+    """
+    spread = evidence.pose[:, :3, 3]
+    reach = np.linalg.norm(evidence.antenna)
+    loose = np.linalg.norm(evidence.sigma, axis=1) + reach + (_ANTENNA_SIGMA_M if evidence.estimate_antenna else 0)
+    start = robust_umeyama(spread, evidence.position, loose)[0]
+    starts = [start]
+    if up is not None:
+        starts += [_turned(start, evidence, up, angle) for angle in (0.0, np.pi)]
+    if np.isfinite(evidence.orientation).all(axis=(1, 2)).any():
+        starts.append(_by_orientation(evidence, start.scale))
+    fits = [_refine(evidence, up, s) for s in starts]
+    return min(fits, key=lambda f: f[0])[1]
+
+
+def _turned(start: Similarity, evidence: Evidence, up: Up, extra: float) -> Similarity:
+    """The start turned about the track so that the cameras' upward direction is up."""
+    axis, middle = _track(evidence, start)
+    angle = roll_to_upright(start.rotation @ up.direction, axis) + extra
+    turn = Rotation.from_rotvec(angle * axis).as_matrix()
+    return Similarity(start.scale, turn @ start.rotation, turn @ (start.translation - middle) + middle)
+
+
+def roll_to_upright(upward: np.ndarray, axis: np.ndarray) -> float:
+    """Angle (rad) by which to turn about ``axis`` so that ``upward`` comes closest to the vertical."""
+    a, b = upward - axis * (upward @ axis), np.array([0.0, 0.0, 1.0]) - axis * axis[2]
+    return float(np.arctan2(axis @ np.cross(a, b), a @ b))
+
+
+def _to_upright(upward: np.ndarray) -> np.ndarray:
+    """Rotation vector (east, north parts) that brings ``upward`` to the vertical."""
+    cross = np.cross(upward, [0.0, 0.0, 1.0])[:2]
+    sine = float(np.linalg.norm(cross))
+    return cross * (np.arctan2(sine, upward[2]) / sine if sine > 1e-12 else 1.0)
+
+
+def _by_orientation(evidence: Evidence, scale: float) -> Similarity:
+    known = np.isfinite(evidence.orientation).all(axis=(1, 2))
+    turns = evidence.orientation[known] @ np.swapaxes(evidence.pose[known, :3, :3], 1, 2)
+    rotation = Rotation.from_matrix(turns).mean().as_matrix()
+    offset = np.median(evidence.position - scale * evidence.pose[:, :3, 3] @ rotation.T, axis=0)
+    return Similarity(scale, rotation, offset)
+
+
+def _track(evidence: Evidence, similarity: Similarity) -> tuple[np.ndarray, np.ndarray]:
+    """Unit direction (3,) in which the positions spread most, in the world, and their middle."""
+    world = similarity(evidence.pose[:, :3, 3])
+    middle = world.mean(axis=0)
+    return np.linalg.svd(world - middle)[2][0], middle
+
+
+def jackknife_sigma(evidence: Evidence, up: Up | None, fit: Fit, order: np.ndarray) -> dict[str, float]:
+    """The larger of the formal sigmas and a block jackknife's: positions err together, not one by one.
+
+    ``order`` (K,) sorts the frames along the passes; each of up to six runs of neighbours is left out in turn.
+    """
+    blocks = np.array_split(order, min(_BLOCKS, len(order) // 3))
+    if len(blocks) < 3:
+        return fit.sigma
+    middle = evidence.pose[:, :3, 3].mean(axis=0)
+    full = fit.similarity
+    rows = []
+    for block in blocks:
+        keep = np.ones(len(order), bool)
+        keep[block] = False
+        other = fit_similarity(evidence.where(keep), up).similarity
+        turn = Rotation.from_matrix(other.rotation @ full.rotation.T).as_rotvec()
+        rows.append([*(other(middle) - full(middle)), *turn, np.log(other.scale / full.scale)])
+    count = len(blocks)
+    sd = np.sqrt((count - 1) / count * np.sum((np.array(rows) - np.mean(rows, axis=0)) ** 2, axis=0))
+    blockwise = {
+        "position_m": np.hypot(sd[0], sd[1]),
+        "height_m": sd[2],
+        "yaw_deg": np.degrees(sd[5]),
+        "tilt_deg": np.degrees(np.hypot(sd[3], sd[4])),
+        "scale": sd[6],
+    }
+    return {n: round(max(float(blockwise[n]), v), 6) for n, v in fit.sigma.items()}
+
+
+class _Problem:
+    """Unknowns: turn (3,) in the world about the middle, shift of the middle (3,), log scale, lever arm (3,) if asked."""
+
+    def __init__(self, evidence: Evidence, up: Up | None, start: Similarity) -> None:
+        self.evidence, self.up, self.start = evidence, up, start
+        self.middle = evidence.pose[:, :3, 3].mean(axis=0)
+        self.axis = _track(evidence, start)[0]
+        known = np.isfinite(evidence.orientation).all(axis=(1, 2))
+        self.oriented = np.flatnonzero(known)
+        spread = np.sqrt(max(1.0, known.sum() / _ORIENTATION_FREEDOM))
+        self.orientation_sigma = np.radians(_ORIENTATION_SIGMA_DEG) * spread
+
+    def unpack(self, x: np.ndarray) -> tuple[Similarity, np.ndarray]:
+        rotation = Rotation.from_rotvec(x[:3]).as_matrix() @ self.start.rotation
+        scale = self.start.scale * np.exp(np.clip(x[6], -_MAX_LOG_SCALE, _MAX_LOG_SCALE))
+        middle_world = self.start(self.middle) + x[3:6]
+        antenna = self.evidence.antenna + (x[7:10] if self.evidence.estimate_antenna else 0.0)
+        return Similarity(float(scale), rotation, middle_world - scale * rotation @ self.middle), antenna
+
+    def positions(self, x: np.ndarray) -> np.ndarray:
+        similarity, antenna = self.unpack(x)
+        return self.evidence.position_residuals(similarity, antenna) / self.evidence.sigma
+
+    def others(self, x: np.ndarray, with_scale: bool = True) -> np.ndarray:
+        similarity, _ = self.unpack(x)
+        parts = [1e-3 * x[:3]]  # keeps the system regular where nothing holds a turn
+        if len(self.oriented):
+            inverse = np.swapaxes(self.evidence.orientation[self.oriented], 1, 2)
+            turns = similarity.rotation @ self.evidence.pose[self.oriented, :3, :3] @ inverse
+            parts.append(Rotation.from_matrix(turns).as_rotvec().ravel() / self.orientation_sigma)
+        if self.up is not None:
+            upward = similarity.rotation @ self.up.direction
+            if self.up.ring:
+                parts.append(_to_upright(upward) / np.radians(self.up.sigma_deg))
+            else:
+                parts.append(np.array([roll_to_upright(upward, self.axis) / np.radians(self.up.sigma_deg)]))
+        if self.evidence.log_scale is not None and with_scale:
+            off = np.log(similarity.scale) - self.evidence.log_scale
+            parts.append(np.array([off / self.evidence.log_scale_sigma]))
+        if self.evidence.estimate_antenna:
+            parts.append(x[7:10] / _ANTENNA_SIGMA_M)
+        return np.concatenate(parts)
+
+
+def _refine(evidence: Evidence, up: Up | None, start: Similarity) -> tuple[float, Fit]:
+    problem = _Problem(evidence, up, start)
+    x = np.zeros(10 if evidence.estimate_antenna else 7)
+    for scale in (4.0, 1.0):  # Cauchy over the whole vector: an outlier in height is one in plan too
+        for _ in range(_ROUNDS):
+            weight = 1 / np.sqrt(1 + (np.linalg.norm(problem.positions(x), axis=1) / (scale * INLIER_SIGMAS)) ** 2)
+            x = _solve(problem, x, weight).x
+    inlier = np.linalg.norm(problem.positions(x), axis=1) < INLIER_SIGMAS * np.sqrt(3)
+    for _ in range(_ROUNDS):
+        if inlier.sum() < 3:
+            inlier[:] = True
+        x = _solve(problem, x, inlier.astype(float)).x
+        again = np.linalg.norm(problem.positions(x), axis=1) < INLIER_SIGMAS * np.sqrt(3)
+        if np.array_equal(again, inlier):
+            break
+        inlier = again
+    solution = _solve(problem, x, inlier.astype(float))
+    distance = np.linalg.norm(problem.positions(solution.x), axis=1)
+    cost = float(np.sum(np.log1p((distance / INLIER_SIGMAS) ** 2)) * INLIER_SIGMAS**2 + 0.5 * np.sum(problem.others(x) ** 2))
+    return cost, _report(problem, solution, inlier)
+
+
+def _solve(problem: _Problem, x: np.ndarray, weight: np.ndarray, with_scale: bool = True) -> OptimizeResult:
+    def residuals(y: np.ndarray) -> np.ndarray:
+        return np.concatenate([(problem.positions(y) * weight[:, None]).ravel(), problem.others(y, with_scale)])
+
+    return least_squares(residuals, x, x_scale="jac", method="trf")
+
+
+def _report(problem: _Problem, solution: OptimizeResult, inlier: np.ndarray) -> Fit:
+    similarity, antenna = problem.unpack(solution.x)
+    freedom = max(1, 3 * int(inlier.sum()) - len(solution.x))
+    chi2 = float(np.sum(problem.positions(solution.x)[inlier] ** 2)) / freedom
+    covariance = np.linalg.pinv(solution.jac.T @ solution.jac) * max(1.0, chi2)
+    sd = np.sqrt(np.clip(np.diag(covariance), 0, None))
+    roll = float(np.degrees(np.sqrt(max(0.0, problem.axis @ covariance[:3, :3] @ problem.axis))))
+    alone = solution.jac
+    if problem.evidence.log_scale is not None:
+        weight = inlier.astype(float)
+        alone = _solve(problem, solution.x, weight, with_scale=False).jac
+    scale_alone = np.linalg.pinv(alone.T @ alone)[6, 6] * max(1.0, chi2)
+    sigma = {
+        "position_m": float(np.hypot(sd[3], sd[4])),
+        "height_m": float(sd[5]),
+        "yaw_deg": float(np.degrees(sd[2])),
+        "tilt_deg": float(np.degrees(np.hypot(sd[0], sd[1]))),
+        "scale": float(sd[6]),
+    }
+    sigma = {n: round(v, 6) for n, v in sigma.items()}
+    return Fit(similarity, antenna, inlier, sigma, roll, sigma["tilt_deg"], float(np.sqrt(scale_alone)), chi2)

@@ -1,0 +1,209 @@
+"""The database: ids, rigs, priors, transactions, losses; what COLMAP's mappers make of it."""
+
+import os
+import resource
+import signal
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+from features_world import FRAMES, features, filled_database, poses, rig, scene
+
+from tiegraph.errors import InputError
+from tiegraph.features import database as db
+from tiegraph.geometry import transforms
+from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.rig import Rig, Sensor
+
+
+def opened(path):
+    return pycolmap.Database.open(path)
+
+
+def test_ids_names_frames_and_rig_are_those_of_the_scene(tmp_path):
+    world = scene()
+    db.create_database(tmp_path / "database.db", world)
+    with opened(tmp_path / "database.db") as database:
+        images = {i.image_id - 1: i for i in database.read_all_images()}
+        (row,) = database.read_all_rigs()
+        frames = {f.frame_id: {d.id for d in f.data_ids} for f in database.read_all_frames()}
+        assert database.num_cameras() == 2
+    assert [images[k].name for k in range(len(world))] == list(world.names)
+    assert [images[k].camera_id - 1 for k in range(len(world))] == world.sensor_key.tolist()
+    assert frames == {f + 1: {2 * f + 1, 2 * f + 2} for f in range(FRAMES)}
+    sensor = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, 2)
+    assert row.rig_id == 1 and row.ref_sensor_id.id == 1
+    np.testing.assert_allclose(row.sensor_from_rig(sensor).matrix(), rig().sensors[1].sensor_from_rig[:3], atol=1e-12)
+
+
+@pytest.mark.parametrize(("known", "with_rig"), [(False, True), (True, False)])
+def test_sensors_without_extrinsics_stand_alone(tmp_path, known, with_rig):
+    db.create_database(tmp_path / "database.db", scene(known), with_rig)
+    with opened(tmp_path / "database.db") as database:
+        rigs = {r.rig_id: r.num_sensors() for r in database.read_all_rigs()}
+        frames = {f.frame_id: [d.id for d in f.data_ids] for f in database.read_all_frames()}
+    assert rigs == {1: 1, 3: 1}
+    alone = {FRAMES + k + 1: [k + 1] for k in range(1, 2 * FRAMES, 2)}
+    assert frames == {**{f + 1: [2 * f + 1] for f in range(FRAMES)}, **alone}
+
+
+def test_two_rigs_do_not_share_ids(tmp_path):
+    one = scene()
+    other = Rig("other", tuple(Sensor(f"b{k}", s.camera, s.sensor_from_rig) for k, s in enumerate(rig().sensors)))
+    both = one.with_(rigs=(*one.rigs, other), rig=np.arange(FRAMES) % 2)
+    db.create_database(tmp_path / "database.db", both)
+    with opened(tmp_path / "database.db") as database:
+        frames = {f.frame_id: f.rig_id for f in database.read_all_frames()}
+        cameras = [i.camera_id for i in database.read_all_images()]
+    assert frames == {f + 1: f % 2 + 1 for f in range(FRAMES)}
+    assert cameras[:4] == [1, 2, 3, 4]
+
+
+def with_positions(rotation_known, sigma_m=0.05):
+    world_from_rig = transforms.invert(poses())
+    world_from_rig[0, :3, 3] = np.nan
+    if not rotation_known:
+        world_from_rig[:, :3, :3] = np.nan
+    return scene().with_(world_from_rig=world_from_rig, position_sigma_m=np.full((FRAMES, 3), sigma_m))
+
+
+def test_one_position_prior_a_frame_on_its_reference_image(tmp_path):
+    world = with_positions(rotation_known=False)
+    db.create_database(tmp_path / "database.db", world)
+    with opened(tmp_path / "database.db") as database:
+        priors = {p.corr_data_id.id: p for p in database.read_all_pose_priors()}
+    assert sorted(priors) == [2 * f + 1 for f in range(1, FRAMES)]
+    np.testing.assert_allclose(priors[3].position, world.world_from_rig[1, :3, 3])
+    np.testing.assert_allclose(priors[3].position_covariance, np.eye(3) * 0.05**2)
+    assert priors[3].coordinate_system == pycolmap.PosePriorCoordinateSystem.CARTESIAN
+
+
+@pytest.mark.parametrize(("rotation_known", "sigma_m", "stands_in"), [(True, 0.05, 1), (False, 0.05, 0), (False, 1, 1)])
+def test_prior_without_reference_image(rotation_known, sigma_m, stands_in):
+    world = with_positions(rotation_known, sigma_m)
+    rest = [k for k in range(len(world)) if k != 2]  # the reference image of frame 1 is missing
+    names = tuple(world.names[k] for k in rest)
+    short = world.with_(names=names, frame=world.frame[rest], sensor=world.sensor[rest])
+    here = [p for p in db.position_priors(short) if p.pose_prior_id == 2]
+    assert len(here) == stands_in
+    if rotation_known:
+        centre = transforms.centre(rig().sensors[1].sensor_from_rig @ poses()[1])
+        np.testing.assert_allclose(here[0].position, centre, atol=1e-12)
+
+
+def test_sensor_without_a_camera_is_an_input_error(tmp_path):
+    world = scene()
+    blind = Rig("pair", (world.rigs[0].sensors[0], Sensor("cam1")))
+    with pytest.raises(InputError, match="'cam1' has no camera"):
+        db.create_database(tmp_path / "database.db", world.with_(rigs=(blind,)))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_new_database_replaces_the_old_one_and_its_log(tmp_path):
+    path = tmp_path / "database.db"
+    filled_database(path, scene())
+    stale = Path(f"{path}-wal")
+    stale.write_bytes(b"stale log of another file")
+    db.create_database(path, scene())
+    assert db.images_with_features(path) == set()
+    assert not stale.exists() or stale.stat().st_size == 0
+
+
+def test_features_come_back_as_written_and_colmap_reads_them(tmp_path):
+    path = filled_database(tmp_path / "database.db", scene(), empty=(3,))
+    batch = features(empty=(3,))
+    with opened(path) as database:
+        for k, keypoints, descriptors in batch:
+            assert np.array_equal(database.read_keypoints(k + 1), keypoints)
+            assert np.array_equal(database.read_descriptors(k + 1).data, descriptors)
+    assert db.feature_counts(path) == {k: len(keypoints) for k, keypoints, _ in batch}
+    assert db.images_with_features(path) == set(range(2 * FRAMES))
+    assert db.lost_features(path, scene(), range(2 * FRAMES)) == [
+        ("cam1/img_01.jpg", "no features were found (blank, blurred or fully masked image)")
+    ]
+
+
+def test_forgotten_features_take_their_matches_along(tmp_path):
+    path = filled_database(tmp_path / "database.db", scene())
+    with opened(path) as database:
+        for a, b in ((1, 2), (2, 3), (3, 4)):
+            database.write_matches(a, b, np.array([[0, 0]], np.uint32))
+    db.forget_features(path, [0])
+    assert db.lost_features(path, scene(), [0, 1]) == [("cam0/img_00.jpg", "no features were written")]
+    with opened(path) as database:
+        assert database.num_matched_image_pairs() == 2
+    db.clear_matches(path)
+    assert len(db.images_with_features(path)) == 2 * FRAMES - 1
+    db.forget_features(path)
+    assert db.images_with_features(path) == set()
+
+
+def test_pair_ids_are_colmaps():
+    pairs = Pairs.make(np.array([0, 4]), np.array([1, 9]), "file")
+    assert db.pair_ids(pairs).tolist() == [pycolmap.image_pair_to_pair_id(1, 2), pycolmap.image_pair_to_pair_id(5, 10)]
+
+
+def test_a_batch_is_written_whole_or_not_at_all(tmp_path):
+    path = tmp_path / "database.db"
+    db.create_database(path, scene())
+    with pytest.raises(RuntimeError, match="stop"), db.transaction(path) as cursor:
+        cursor.execute("INSERT INTO keypoints VALUES (1, 0, 4, NULL)")
+        raise RuntimeError("stop")
+    with pytest.raises(ValueError, match="descriptors"):
+        db.write_features(path, [(0, np.zeros((2, 4)), np.zeros((3, 128), np.uint8))])
+    assert db.images_with_features(path) == set()
+
+
+def test_sigkill_while_writing_keeps_whole_images_only(tmp_path):
+    path = tmp_path / "database.db"
+    db.create_database(path, scene())
+    script = (
+        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        "import numpy as np; from pathlib import Path; from tiegraph.features.database import write_features\n"
+        f"path = Path({str(path)!r})\n"
+        "for n in range(100000):\n"
+        "    k = n % 12\n"
+        "    write_features(path, [(k, np.full((3000 + n, 4), k), np.full((3000 + n, 128), k, np.uint8))])\n"
+        "    print(n, flush=True)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as writer:
+        assert writer.stdout is not None
+        while int(writer.stdout.readline()) < 5:
+            pass
+        writer.send_signal(signal.SIGKILL)
+    counts = db.feature_counts(path)
+    assert len(counts) >= 6
+    connection = sqlite3.connect(path)
+    assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+    with opened(path) as database:
+        for k in counts:
+            assert (database.read_descriptors(k + 1).data == k).all()
+            assert (database.read_keypoints(k + 1) == k).all()
+
+
+def test_full_disk_is_an_input_error_and_earlier_batches_stay(tmp_path):
+    path = filled_database(tmp_path / "database.db", scene())
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (os.path.getsize(path) // 2, limits[1]))
+    try:
+        with pytest.raises(InputError, match="no room on the disk for .*database.db"):
+            db.write_features(path, [(0, np.zeros((90000, 4)), np.zeros((90000, 128), np.uint8))])
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20000, limits[1]))
+        with pytest.raises(InputError, match="other.db cannot be written .*disk full"):
+            db.create_database(tmp_path / "other.db", scene())
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert db.feature_counts(path)[0] == len(features()[0][1])
+    assert [p.name for p in tmp_path.iterdir() if "other" in p.name] == []
+
+
+def test_missing_or_damaged_database_is_explained(tmp_path):
+    with pytest.raises(InputError, match="does not exist"):
+        db.feature_counts(tmp_path / "none.db")
+    (tmp_path / "bad.db").write_bytes(b"this is no database at all" * 200)
+    with pytest.raises(InputError, match="bad.db is damaged"):
+        db.feature_counts(tmp_path / "bad.db")

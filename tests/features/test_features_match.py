@@ -1,0 +1,196 @@
+"""Matching of listed pairs: exactly those, resumed, compared with what was asked, the same each time."""
+
+import os
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+from features_world import FRAMES, features, filled_database, scene
+
+from tiegraph.errors import InputError, ReconstructionError, SettingsError
+from tiegraph.features import match as match_module
+from tiegraph.features.database import create_database, images_with_features, pair_ids, write_features
+from tiegraph.features.match import match_pairs, read_matches
+from tiegraph.features.settings import MatchSettings
+from tiegraph.scene.pairs import REASONS, Pairs
+
+SETTINGS = MatchSettings()
+EMPTY = 5  # the image without features: cam1 of frame 2
+
+
+def listed() -> Pairs:
+    """Same camera, next two frames; pairs of the last frame were dropped by the design."""
+    index = [(a, b) for a in range(2 * FRAMES) for b in (a + 2, a + 4) if b < 2 * FRAMES]
+    first, second = np.array(index).T
+    pairs = Pairs.make(first, second, "sequence")
+    return pairs.drop(pairs.j >= 2 * (FRAMES - 1), "cut")
+
+
+def rows(path, table="two_view_geometries"):
+    return sqlite3.connect(path).execute(f"SELECT * FROM {table} ORDER BY 1").fetchall()
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    """The listed pairs, matched: folder, pairs, report, progress."""
+    folder = tmp_path_factory.mktemp("match")
+    path = filled_database(folder / "database.db", scene(), empty=(EMPTY,))
+    progress: list[tuple[int, int]] = []
+    pairs, report = match_pairs(
+        path, scene(), listed(), SETTINGS, folder / "log.txt", lambda a, b: progress.append((a, b)), threads=1
+    )
+    return folder, pairs, report, progress
+
+
+def test_exactly_the_kept_pairs_are_matched_and_counted(done):
+    folder, pairs, report, progress = done
+    kept = listed().dropped == 0
+    without = kept & ((pairs.i == EMPTY) | (pairs.j == EMPTY))
+    assert without.sum() > 0
+    assert [r[0] for r in rows(folder / "database.db")] == sorted(pair_ids(pairs.where(kept & ~without)))
+    assert (pairs.inliers[kept & ~without] > 60).all()
+    assert (pairs.inliers[without] == -1).all()
+    assert (pairs.inliers[~kept] == -1).all()
+    assert {REASONS[d] for d in pairs.dropped[without]} == {"match"}
+    assert {REASONS[d] for d in pairs.dropped[~kept]} == {"cut"}
+    assert (report.asked, report.matched, report.verified, report.resumed) == (
+        kept.sum(),
+        (kept & ~without).sum(),
+        (kept & ~without).sum(),
+        0,
+    )
+    assert report.inliers == pairs.inliers[kept & ~without].sum() <= report.matches
+    assert sum(report.configurations.values()) == report.matched
+    assert progress[0] == (0, report.matched) and progress[-1] == (report.matched, report.matched)
+
+
+def test_lost_pairs_are_listed_with_the_reason(done):
+    _, pairs, report, _ = done
+    name = scene().names[EMPTY]
+    assert len(report.lost) == report.asked - report.matched
+    assert all(name in both and f"no features in {name}" in reason for both, reason in report.lost)
+
+
+def test_inliers_tie_the_same_points_and_the_database_opens_in_colmap(done):
+    folder, pairs, _, _ = done
+    descriptors = {k: d for k, _, d in features(empty=(EMPTY,))}
+    with pycolmap.Database.open(folder / "database.db") as database:
+        geometry = database.read_two_view_geometry(1, 3)
+    a, b = geometry.inlier_matches.T
+    assert np.mean((descriptors[0][a] == descriptors[2][b]).all(axis=1)) == 1.0
+    assert len(a) == pairs.inliers[(pairs.i == 0) & (pairs.j == 2)][0]
+
+
+def test_a_second_run_does_nothing_and_gives_the_same(done, monkeypatch):
+    folder, pairs, report, _ = done
+    monkeypatch.setattr(match_module, "run_in_child", lambda *a, **k: pytest.fail("matched again"))
+    again, second = match_pairs(folder / "database.db", scene(), listed(), SETTINGS, folder / "log.txt")
+    assert second.resumed == report.matched
+    assert all(np.array_equal(getattr(again, n), getattr(pairs, n)) for n in ("i", "j", "dropped", "inliers"))
+
+
+def test_pairs_of_another_list_and_half_written_pairs_leave_the_database(tmp_path):
+    path = filled_database(tmp_path / "database.db", scene())
+    with pycolmap.Database.open(path) as database:
+        database.write_matches(1, 12, np.array([[0, 0]], np.uint32))  # not asked
+        database.write_matches(1, 3, np.array([[0, 0]], np.uint32))  # asked, no two-view geometry
+    pairs = Pairs.make([0], [2], "file")
+    result, report = match_pairs(path, scene(), pairs, SETTINGS, tmp_path / "log.txt")
+    assert report.resumed == 0 and result.inliers[0] > 60
+    assert [r[0] for r in rows(path, "matches")] == pair_ids(pairs).tolist()
+
+
+@pytest.mark.slow
+def test_killed_run_resumes_to_the_same_database_and_survives_names_with_spaces(tmp_path, done):
+    """The parent is killed after the first block; names with spaces cannot stand in COLMAP's pair list."""
+    path = filled_database(tmp_path / "database.db", scene(space=True), empty=(EMPTY,))
+    script = tmp_path / "run.py"
+    script.write_text(
+        f"import os, signal, sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        "from pathlib import Path\nfrom test_features_match import *\n"
+        "def stop(done, total):\n    if done:\n        os.kill(os.getpid(), signal.SIGKILL)\n"
+        "if __name__ == '__main__':\n"
+        f"    match_module.BLOCK_PAIRS = 4\n    folder = Path({str(tmp_path)!r})\n"
+        "    match_pairs(folder / 'database.db', scene(space=True), listed(), SETTINGS, folder / 'log.txt', stop)\n"
+    )
+    assert subprocess.run([sys.executable, str(script)]).returncode == -9
+    pairs, report = match_pairs(path, scene(space=True), listed(), SETTINGS, tmp_path / "log.txt", threads=2)
+    folder, expected, full, _ = done
+    assert report.resumed >= 4
+    assert report.matched == full.matched
+    assert np.array_equal(pairs.inliers, expected.inliers)
+    assert rows(path) == rows(folder / "database.db")
+    assert rows(path, "matches") == rows(folder / "database.db", "matches")
+    assert [r[1] for r in rows(path, "images")] == list(scene(space=True).names)
+    assert not [name for name in os.listdir(tmp_path) if "match" in name]
+
+
+def test_no_verified_pair_is_an_error_with_the_counts(tmp_path):
+    path = tmp_path / "database.db"
+    create_database(path, scene())
+    rng = np.random.default_rng(0)
+    noise = [(k, rng.random((50, 4)) * 400, rng.integers(0, 90, (50, 128)).astype(np.uint8)) for k in range(4)]
+    write_features(path, noise)
+    with pytest.raises(ReconstructionError, match="no pair verified: 1 asked, 1 compared.*lower match.min_inliers"):
+        match_pairs(path, scene(), Pairs.make([0], [2], "file"), SETTINGS, tmp_path / "log.txt")
+    with pytest.raises(ReconstructionError, match="no features in cam0/img_03.jpg"):
+        match_pairs(path, scene(), Pairs.make([0], [6], "file"), SETTINGS, tmp_path / "log.txt")
+    with pytest.raises(ReconstructionError, match="the pair list is empty"):
+        match_pairs(path, scene(), Pairs.empty(), SETTINGS, tmp_path / "log.txt")
+    assert images_with_features(path) == {0, 1, 2, 3}
+
+
+def test_database_of_another_scene_is_refused(tmp_path):
+    path = filled_database(tmp_path / "database.db", scene())
+    renamed = scene().with_(names=tuple(f"x{n}" for n in scene().names))
+    with pytest.raises(InputError, match="other images than the scene"):
+        match_pairs(path, renamed, listed(), SETTINGS, tmp_path / "log.txt")
+
+
+def test_rig_verification_needs_extrinsics(tmp_path):
+    path = filled_database(tmp_path / "database.db", scene(known=False))
+    with pytest.raises(SettingsError, match="extrinsics of every sensor"):
+        match_pairs(path, scene(known=False), listed(), MatchSettings(rig_verification=True), tmp_path / "log.txt")
+
+
+def test_blocks_keep_frames_whole_for_rig_verification(monkeypatch):
+    monkeypatch.setattr(match_module, "BLOCK_PAIRS", 3)
+    pairs = listed()
+    for whole in (False, True):
+        blocks = match_module._blocks(scene(), pairs, whole)
+        together = np.concatenate(blocks)
+        assert sorted(map(tuple, together.tolist())) == list(zip(pairs.i.tolist(), pairs.j.tolist()))
+        keys = [{tuple(sorted(k)) for k in (scene().frame[b]).tolist()} for b in blocks]
+        shared = sum(len(a & b) for n, a in enumerate(keys) for b in keys[n + 1 :])
+        assert (shared == 0) == whole
+    assert match_module._blocks(scene(), Pairs.empty(), False) == []
+
+
+def test_watermarks_are_struck_out(tmp_path):
+    path = filled_database(tmp_path / "database.db", scene())
+    geometry = pycolmap.TwoViewGeometry()
+    geometry.config = int(pycolmap.TwoViewGeometryConfiguration.WATERMARK)
+    geometry.inlier_matches = np.zeros((20, 2), np.uint32)
+    with pycolmap.Database.open(path) as database:
+        database.write_matches(1, 3, np.zeros((20, 2), np.uint32))
+        database.write_two_view_geometry(1, 3, geometry)
+    pairs = Pairs.make([0], [2], "file")
+    with pytest.raises(ReconstructionError, match="1 compared, 20 feature matches"):
+        match_pairs(path, scene(), pairs, SETTINGS, tmp_path / "log.txt")
+    table = read_matches(path, pairs)
+    assert (table.matches[0], table.inliers[0], table.config[0]) == (20, 0, geometry.config)
+
+
+def test_full_disk_while_matching_is_an_input_error(tmp_path, monkeypatch):
+    path = filled_database(tmp_path / "database.db", scene())
+
+    def abort(*args, **kwargs):
+        raise ReconstructionError("match: ... (signal SIGABRT). Last lines: SQLite error: database or disk is full")
+
+    monkeypatch.setattr(match_module, "run_in_child", abort)
+    with pytest.raises(InputError, match="no room on the disk"):
+        match_pairs(path, scene(), listed(), SETTINGS, tmp_path / "log.txt")

@@ -1,0 +1,154 @@
+"""SIFT of both engines: place, scale, normalisation, masks, limits, order."""
+
+import cv2
+import numpy as np
+import pytest
+
+from tiegraph.errors import InputError
+from tiegraph.features.colmap import extract_colmap
+from tiegraph.features.extract import EXTRACTORS, extract_image, read_mask
+from tiegraph.features.settings import FeaturesSettings
+from tiegraph.features.sift import extract_sift, root_sift
+
+SETTINGS = FeaturesSettings()
+engines = pytest.mark.parametrize("extract", EXTRACTORS.values(), ids=EXTRACTORS.keys())
+
+
+def blobs(size=(360, 400), seed=0):
+    """Image (H, W) u1 of Gaussian blobs at known places (N, 2), corner convention, with known sigmas (N,)."""
+    rng = np.random.default_rng(seed)
+    height, width = size
+    y, x = np.mgrid[:height, :width] + 0.5
+    image, places, sigmas = np.full(size, 60.0), [], []
+    for v in range(30, height - 25, 40):
+        for u in range(30, width - 25, 40):
+            place, sigma = (u + rng.random(), v + rng.random()), rng.uniform(2, 5)
+            image += 120 * np.exp(-((x - place[0]) ** 2 + (y - place[1]) ** 2) / 2 / sigma**2)
+            places.append(place)
+            sigmas.append(sigma)
+    return np.clip(image, 0, 255).round().astype(np.uint8), np.array(places), np.array(sigmas)
+
+
+def nearest(keypoints, places):
+    distance = np.linalg.norm(keypoints[:, None, :2] - places[None], axis=2)
+    found = distance.min(axis=0) < 1.5
+    return distance.argmin(axis=0)[found], found
+
+
+def texture(height=240, width=320, seed=1):
+    noise = np.random.default_rng(seed).random((height, width)).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), 2.5)
+    return cv2.normalize(smooth, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+
+
+@engines
+def test_blobs_are_found_where_they_are_in_the_corner_convention(extract):
+    image, places, sigmas = blobs()
+    keypoints, descriptors = extract(image, None, SETTINGS)
+    at, found = nearest(keypoints, places)
+    error_px = keypoints[at, :2] - places[found]
+    assert found.mean() > 0.9
+    assert np.abs(error_px.mean(axis=0)).max() < 0.02  # OpenCV's own default: 0.25
+    assert 0 < error_px.std() < 0.05
+    assert 0.8 < np.median(keypoints[at, 2] / sigmas[found]) < 1.0  # a blob peaks at sigma less the assumed blur
+    assert descriptors.shape == (len(keypoints), 128)
+
+
+@engines
+def test_shrunk_images_give_positions_of_the_full_image(extract):
+    image, places, _ = blobs((360, 401))
+    big = cv2.resize(image, (802, 720), interpolation=cv2.INTER_CUBIC)
+    keypoints, _ = extract(big, None, FeaturesSettings(max_image_size=401))
+    at, found = nearest(keypoints / 2, places)
+    assert found.mean() > 0.8
+    assert np.abs((keypoints[at, :2] / 2 - places[found]).mean(axis=0)).max() < 0.03
+
+
+def test_both_engines_agree_on_orientation_and_descriptor():
+    image = texture()
+    ours, ours_d = extract_sift(image, None, SETTINGS)
+    colmaps, colmaps_d = extract_colmap(image, None, SETTINGS)
+    far = np.linalg.norm(ours[:, None, :2] - colmaps[None, :, :2], axis=2)
+    far += 5 * np.abs(np.log(ours[:, None, 2] / colmaps[None, :, 2]))
+    turn = np.abs((ours[:, None, 3] - colmaps[None, :, 3] + np.pi) % (2 * np.pi) - np.pi)
+    a, b = np.nonzero((far < 0.5) & (turn < 0.2))
+    assert len(set(a)) > 0.6 * len(ours)
+    cosine = np.sum(ours_d[a].astype(float) * colmaps_d[b], axis=1) / 512**2
+    assert np.median(cosine) > 0.98
+
+
+def test_root_sift_has_colmaps_length_and_survives_zeros():
+    vectors = np.random.default_rng(0).gamma(0.5, 40, (50, 128))
+    assert np.abs(np.linalg.norm(root_sift(vectors).astype(float), axis=1) - 512).max() < 3
+    assert root_sift(np.zeros((1, 128))).sum() == 0
+
+
+@engines
+def test_no_feature_lies_on_a_masked_pixel(extract):
+    image = texture()
+    mask = np.zeros(image.shape, bool)
+    mask[:100, 50:] = True
+    free, _ = extract(image, None, SETTINGS)
+    keypoints, descriptors = extract(image, mask, SETTINGS)
+    inside = (free[:, 1] < 100) & (free[:, 0] >= 50)
+    assert len(keypoints) == len(descriptors) == inside.sum() > 20
+
+
+def test_masked_features_do_not_use_up_the_limit():
+    image = texture()
+    mask = np.zeros(image.shape, bool)
+    mask[:120] = True
+    keypoints, _ = extract_sift(image, mask, FeaturesSettings(max_features=64))
+    assert len(keypoints) == 64
+    assert keypoints[:, 1].max() < 120
+
+
+@engines
+def test_blank_or_fully_masked_images_give_none(extract):
+    for image, mask in ((np.full((90, 120), 7, np.uint8), None), (texture(), np.zeros((240, 320), bool))):
+        keypoints, descriptors = extract(image, mask, SETTINGS)
+        assert keypoints.shape == (0, 4) and keypoints.dtype == np.float32
+        assert descriptors.shape == (0, 128) and descriptors.dtype == np.uint8
+
+
+def test_threads_do_not_change_the_order():
+    image = texture()
+    before = cv2.getNumThreads()
+    try:
+        cv2.setNumThreads(1)
+        one = extract_sift(image, None, SETTINGS)
+        cv2.setNumThreads(4)
+        four = extract_sift(image, None, SETTINGS)
+    finally:
+        cv2.setNumThreads(before)
+    assert np.array_equal(one[0], four[0]) and np.array_equal(one[1], four[1])
+
+
+def test_wrong_arrays_are_refused():
+    with pytest.raises(ValueError, match="grey 8-bit"):
+        extract_sift(np.zeros((10, 10, 3), np.uint8), None, SETTINGS)
+    with pytest.raises(ValueError, match="mask"):
+        extract_sift(np.zeros((10, 12), np.uint8), np.ones((12, 10), bool), SETTINGS)
+
+
+def test_files_are_read_with_their_mask(tmp_path):
+    image = texture()
+    mask = np.zeros(image.shape, np.uint8)
+    mask[:, :100] = 1  # any value but 0 counts as use, as in COLMAP
+    cv2.imwrite(str(tmp_path / "a.png"), image)
+    cv2.imwrite(str(tmp_path / "a.png.png"), mask)
+    keypoints, _ = extract_image(tmp_path / "a.png", tmp_path / "a.png.png", SETTINGS)
+    assert 0 < len(keypoints) and keypoints[:, 0].max() < 100
+
+
+def test_file_errors_name_the_file_and_a_remedy(tmp_path):
+    (tmp_path / "broken.jpg").write_bytes(b"no image")
+    with pytest.raises(InputError, match="broken.jpg cannot be read"):
+        extract_image(tmp_path / "broken.jpg", None, SETTINGS)
+    with pytest.raises(InputError, match="a.png.png is missing"):
+        read_mask(tmp_path / "a.png.png", (10, 10))
+    with pytest.raises(InputError, match="broken.jpg cannot be read"):
+        read_mask(tmp_path / "broken.jpg", (10, 10))
+    cv2.imwrite(str(tmp_path / "m.png"), np.zeros((5, 8), np.uint8))
+    with pytest.raises(InputError, match="m.png is 8x5, its image 16x10 pixels"):
+        read_mask(tmp_path / "m.png", (10, 16))

@@ -1,0 +1,58 @@
+import cv2
+import numpy as np
+from masks_world import CLOUD_BGR, DECK, HORIZON, SHAPE, frame, share
+
+from tiegraph.masks.frames import grey
+from tiegraph.masks.settings import MasksSettings
+from tiegraph.masks.sky import blue_sky, edge_sky, final_mask
+
+SETTINGS = MasksSettings()
+
+
+def test_sky_goes_down_to_the_first_strong_edge_of_each_column():
+    image = np.full((60, 40), 200, np.uint8)
+    image[20:, :20] = 90
+    image[35:, 20:] = 90
+    sky = edge_sky(image, 8)
+    assert (sky[:, :18].sum(axis=0) == 19).all() and (sky[:, 22:].sum(axis=0) == 34).all()
+
+
+def test_edge_strength_is_in_grey_levels_a_pixel():
+    ramp = np.repeat(np.arange(100, 200, 5, dtype=np.uint8)[:, None], 30, axis=1)
+    assert edge_sky(ramp, 5.1)[:18].all()
+    assert not edge_sky(ramp, 4.9)[1:].any()
+
+
+def test_a_column_without_an_edge_is_sky():
+    assert edge_sky(np.full((30, 30), 120, np.uint8), 8).all()
+
+
+def test_blue_range():
+    sky, wall, shade, grass = (220, 150, 90), (120, 160, 200), (210, 195, 180), (60, 180, 90)
+    assert blue_sky(np.uint8([[sky, wall, shade, grass]])).tolist() == [[True, False, False, False]]
+    assert not blue_sky(cv2.merge([grey(frame(0))] * 3)).any()
+
+
+def test_final_mask_takes_sky_and_burnt_out_areas_and_leaves_the_scene():
+    image = frame(0)
+    image[20:40, 50:120] = CLOUD_BGR
+    image[100:132, 200:232] = 255
+    mask = final_mask(image, None, SETTINGS)
+    assert mask.shape == SHAPE
+    assert share(mask, slice(0, HORIZON - 8)) < 0.15
+    assert not mask[104:128, 204:228].any()
+    assert 0.9 < share(mask, slice(HORIZON + 8, None)) < 1.0
+
+
+def test_final_mask_merges_the_initial_one():
+    initial = np.ones(SHAPE, bool)
+    initial[DECK:] = False
+    mask = final_mask(frame(0), initial, SETTINGS)
+    assert share(mask, slice(DECK + 8, None)) == 0
+    assert share(mask, slice(HORIZON + 8, DECK - 8)) > 0.9
+
+
+def test_result_is_made_of_whole_blocks():
+    mask = final_mask(frame(0), None, SETTINGS)
+    blocks = mask.reshape(SHAPE[0] // 8, 8, SHAPE[1] // 8, 8).mean(axis=(1, 3))
+    assert set(np.unique(blocks)) <= {0.0, 1.0}

@@ -1,0 +1,90 @@
+"""A run that is killed (SIGKILL) in every stage goes on where it stopped and ends with the same pair lists."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+import worlds
+
+import tiegraph
+from tiegraph.pipeline import STAGES
+
+pytestmark = pytest.mark.slow
+_PATIENCE_S = 240
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("survey")
+    made = worlds.make_survey(folder / "images", frames=5)
+    worlds.write_gnss(made, folder / "gnss.csv")
+    worlds.write_times(made, folder / "times.csv")
+    return folder
+
+
+def command(survey: Path, out: Path) -> list[str]:
+    given = ["--gnss", str(survey / "gnss.csv"), "--times", str(survey / "times.csv"), "--pool", "local:2"]
+    return [sys.executable, "-m", "tiegraph.cli.main", "run", str(survey / "images"), "-o", str(out), *given]
+
+
+def kill_in(stage, survey: Path, out: Path) -> None:
+    """Start the run and kill it as soon as the stage has begun (and, if it has items, finished one)."""
+    process = subprocess.Popen(command(survey, out), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    receipt = out / "receipts" / f"{stage.name}.json"
+    end = time.monotonic() + _PATIENCE_S
+    while time.monotonic() < end:
+        assert process.poll() is None, f"the run ended before it could be killed in {stage.name}"
+        if receipt.exists() and "began" in receipt.read_text():
+            break
+        time.sleep(0.005)
+    while stage.item == "image" and time.monotonic() < end and not files(out, stage.makes[-1]):
+        time.sleep(0.005)
+        if process.poll() is not None or "key" in json.loads(receipt.read_text()):
+            break
+    below = psutil.Process(process.pid).children(recursive=True) if process.poll() is None else []
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    _, alive = psutil.wait_procs(below, timeout=20)
+    assert not alive, f"orphans keep working after a kill in {stage.name}: {alive}"
+
+
+def files(out: Path, artefact: str) -> dict[str, int]:
+    """Finished files of an artefact folder and when they were written."""
+    found = [p for p in (out / artefact).rglob("*") if p.is_file() and not p.name.startswith(".")]
+    return {p.relative_to(out).as_posix(): p.stat().st_mtime_ns for p in found}
+
+
+def test_killed_in_every_stage(survey, tmp_path):
+    clean, broken = tmp_path / "clean", tmp_path / "broken"
+    subprocess.run(command(survey, clean), check=True, capture_output=True)
+    for stage in STAGES:
+        kill_in(stage, survey, broken)
+        before = files(broken, stage.makes[-1]) if stage.item == "image" else {}
+        done = {s.name: tiegraph.open(out=broken).receipt(s.name).get("finished") for s in STAGES}
+        subprocess.run([*command(survey, broken), "--until", stage.name], check=True, capture_output=True)
+        after = files(broken, stage.makes[-1])
+        assert before.items() <= after.items() or stage.name == "features", f"{stage.name} made finished items again"
+        for name, finished in done.items():
+            if finished:
+                assert tiegraph.open(out=broken).receipt(name)["finished"] == finished, f"{name} ran again"
+    for name in ("pairs.txt", "network.csv"):
+        assert (broken / name).read_bytes() == (clean / name).read_bytes()
+    a, b = (tiegraph.open(out=out).pairs() for out in (clean, broken))
+    assert a.to_csv(tuple(map(str, range(99)))) == b.to_csv(tuple(map(str, range(99))))
+    assert tiegraph.open(out=clean).model().num_reg_images() == tiegraph.open(out=broken).model().num_reg_images()
+
+
+def test_second_run_does_nothing(survey, tmp_path):
+    out = tmp_path / "out"
+    subprocess.run([*command(survey, out), "--until", "design"], check=True, capture_output=True)
+    stamps = {p: p.stat().st_mtime_ns for p in out.rglob("*") if p.is_file() and p.name not in ("log.txt", ".lock")}
+    again = subprocess.run([*command(survey, out), "--until", "design"], check=True, capture_output=True, text=True)
+    assert again.stderr.count("up to date") == 5
+    assert stamps == {p: p.stat().st_mtime_ns for p in stamps}
+    assert os.listdir(out).count("report.html") == 0

@@ -1,0 +1,68 @@
+"""Runs side by side: the papers' tables."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fake_survey_run import make_run
+
+from tiegraph.errors import InputError
+from tiegraph.report.compare import compare_runs, compared, ratio
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    base = tmp_path_factory.mktemp("runs")
+    return [make_run(base / "conventional", seed=2), make_run(base / "meguro2024")]
+
+
+def test_the_papers_tables(runs: list[Path], tmp_path: Path) -> None:
+    text = compare_runs(runs, tmp_path / "deep" / "compare.html")
+    for name in ("Mask image creation", "Matching list creation", "Feature matching", "MVS", "Total time"):
+        assert name in text, name
+    for name in ("Used images", "Dense points", "Candidates", "Verified", "Back-projection RMSE", "ATE after SE3"):
+        assert name in text, name
+    assert "conventional" in text and "1.6 x" in text and "round trip" in text
+    page = (tmp_path / "deep" / "compare.html").read_text()
+    assert "meguro2024" in page and "Total time" in page and "https://" not in page
+
+
+def test_sums_are_of_the_right_stages(runs: list[Path]) -> None:
+    wall = {name: values for name, values in compared(runs).blocks[0].rows}
+    parts = ("Mask image creation", "SfM, all of it", "MVS (dense and cloud)", "Scan, evaluation, report")
+    total = np.sum([wall[p] for p in parts], axis=0)
+    assert np.allclose(total, wall["Total time"])
+    sfm = ("Matching search", "Matching list creation", "Feature extraction", "Feature matching")
+    inside = np.sum([wall[p] for p in (*sfm, "Reconstruction and georeferencing")], axis=0)
+    assert np.allclose(inside, wall["SfM, all of it"])
+    assert wall["Total time"][0] > wall["Total time"][1]
+
+
+def test_unequal_runs_are_called_so(runs: list[Path], tmp_path: Path) -> None:
+    stopped = make_run(tmp_path / "stopped", "design")
+    scene = (stopped / "scene.json").read_text().replace("up/cam0/000000.jpg", "up/cam0/000000x.jpg")
+    (stopped / "scene.json").write_text(scene)
+    three = compared([*runs, stopped])
+    assert "The runs are on different images." in three.notes
+    points = {n: v for b in three.blocks for n, v in b.rows}["Dense points"]
+    assert points[0] == 40_000 and np.isnan(points[2])
+    assert "–" in compare_runs([*runs, stopped])
+
+
+def test_names_are_told_apart(tmp_path: Path) -> None:
+    folders = [make_run(tmp_path / a / "out", "scan") for a in ("a", "b")]
+    assert compared(folders).names == ("a/out", "b/out")
+
+
+def test_misuse(runs: list[Path], tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="at least two"):
+        compare_runs(runs[:1])
+    with pytest.raises(InputError, match="no such run folder"):
+        compare_runs([runs[0], tmp_path / "none"])
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(InputError, match="cannot write"):
+        compare_runs(runs, tmp_path / "file" / "x.html")
+
+
+def test_ratio() -> None:
+    assert ratio((30.0, 10.0)) == "3.0 x" and ratio((1.0, 0.0)) == "–" and ratio((1.0, 2.0, 3.0)) == ""

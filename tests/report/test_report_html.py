@@ -1,0 +1,185 @@
+"""The report is one file, is complete, works for runs that stopped early, and escapes what it prints."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fake_survey_run import FRAMES, make_run
+
+from tiegraph.errors import InputError
+from tiegraph.report import charts, facts, viewer, words
+from tiegraph.report.artefacts import read_run
+from tiegraph.report.html import metric_text, write_report
+from tiegraph.report.plan import frame_positions, tracks
+from tiegraph.report.settings import ReportSettings
+
+SMALL = ReportSettings(view_px=400, viewer_points=2000)
+
+
+@pytest.fixture(scope="module")
+def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_run(tmp_path_factory.mktemp("run") / "quay survey")
+
+
+@pytest.fixture(scope="module")
+def page(full: Path) -> str:
+    return write_report(full, SMALL).read_text(encoding="utf-8")
+
+
+def test_the_whole_report(page: str) -> None:
+    for text in (
+        "<h1>quay survey</h1>",
+        "54 of 60 images (90 %) are in one connected model",
+        "EPSG:32654 (WGS 84 / UTM zone 54N)",
+        "21.0 cm east, 19.0 cm north, 42.0 cm up",
+        "over 18 frames",
+        "an independent check",
+        "position 6.0 cm east",
+        "off by 12.1 cm (RMSE, rigid",
+        "truncated &amp; unreadable &lt;JPEG&gt;",
+        "no GNSS under the bridge",
+        "9 of 10",
+        "cam2",
+        "back-projection RMSE (round trip",
+        "Oblique view from",
+        "a note of network",
+        "Settings of every stage",
+        "39 % usable",
+    ):
+        assert text in page, text
+
+
+def test_it_is_one_offline_file(page: str) -> None:
+    assert not re.search(r'(?:src|href)\s*=\s*"(?!data:)', page)
+    assert "http://" not in page and "https://" not in page
+    assert page.count("data:image/") > 10 and len(page) < 6e6
+
+
+def test_nothing_is_left_unescaped_or_unfilled(page: str) -> None:
+    assert "<of>" not in page and "ring &lt;of&gt; 3" in page
+    visible = page.split("<script")[0]
+    assert "nan" not in re.sub(r'"data:[^"]*"', "", visible).lower().replace("finance", "")
+    assert "None" not in visible and "{{" not in visible
+
+
+def test_the_viewer_gets_the_points_it_can_unpack(full: Path, page: str) -> None:
+    data = json.loads(re.search(r'id="viewer-data">(.*?)</script>', page, re.S)[1])  # type: ignore[index]
+    import base64
+
+    steps = np.frombuffer(base64.b64decode(data["xyz"]), "<u2").reshape(-1, 3)
+    points = steps * data["step"] + data["low"]
+    assert len(points) == data["count"] == 2000
+    assert points[:, 1].min() < -6.5 and points[:, 1].max() > 7.5 and np.abs(points).max() < 30
+    assert [t["name"] for t in data["tracks"]] == ["up", "down"] and len(data["tracks"][0]["xyz"]) == 3 * (FRAMES - 1)
+    assert "webgl" in viewer.viewer_script()
+
+
+@pytest.mark.parametrize("until", ["scan", "masks", "network", "design", "match", "sparse", "georef", "cloud"])
+def test_a_run_that_stopped_early(tmp_path: Path, until: str) -> None:
+    text = write_report(make_run(tmp_path / "run", until), SMALL).read_text(encoding="utf-8")
+    assert ("No model yet" in text) == (until in ("scan", "masks", "network", "design", "match"))
+    assert ("Point cloud" in text) == (until in ("sparse", "georef", "cloud"))
+    if until == "sparse":
+        assert "not georeferenced" in text and "These are the sparse points" in text
+    if until == "design":
+        assert "The run has finished the stage design." in text and "pairs to match" in text
+
+
+def test_missing_and_damaged_pieces_are_left_out(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run")
+    for name in ("cloud.laz", "network.npz", "metrics.json", "receipts/masks.json"):
+        (run / name).write_bytes(b"damaged")
+    (run / "sparse" / "world" / "points3D.bin").write_bytes(b"")
+    (run / "images" / "up" / "cam0" / "000000.jpg").unlink()
+    (run / "receipts" / "sparse.json").write_text('{"stage": "sparse", "began": "x"}')
+    (run / "receipts" / "georef.json").write_text('{"key": "x", "tables": {"odd": 3}, "counts": null, "notes": null}')
+    text = write_report(run, SMALL).read_text(encoding="utf-8")
+    assert "The stage sparse was interrupted" in text
+
+
+def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such run folder"):
+        write_report(tmp_path / "none", SMALL)
+    with pytest.raises(InputError, match="no run in it"):
+        write_report(tmp_path, SMALL)
+
+
+def test_verdict_levels(tmp_path: Path, full: Path) -> None:
+    run = read_run(full)
+    assert facts.verdict(run).level == "check"
+    assert run.model is not None
+    from dataclasses import replace
+
+    everything = np.where(np.isnan(run.model.world_from_camera), np.eye(4), run.model.world_from_camera)
+    complete = replace(run, model=replace(run.model, world_from_camera=everything))
+    assert facts.verdict(complete).level == "good"
+    few = run.model.world_from_camera.copy()
+    few[20:] = np.nan
+    poor = facts.verdict(replace(run, model=replace(run.model, world_from_camera=few, others=(12, 8))))
+    assert poor.level == "poor" and "the largest of 3; the others have 12, 8 images" in poor.sentences[0]
+    assert any("3 separate models" in w for w in poor.warnings)
+    free = facts.verdict(replace(complete, world=None))
+    assert free.level == "check" and any("not georeferenced" in w for w in free.warnings)
+    bent = facts.verdict(replace(complete, world={**(run.world or {}), "heldout_rms_m": 3.0}))
+    assert any("times worse" in w for w in bent.warnings)
+
+
+def test_residuals_and_sigmas_in_any_form() -> None:
+    assert facts.residual_text(0.034) == "3.4 cm"
+    assert facts.residual_text([0.01, 0.02, 1.5]) == "1.0 cm east, 2.0 cm north, 1.50 m up"
+    assert facts.residual_text({"east_m": 0.3, "up": None}) == "30.0 cm east"
+    assert facts.residual_text(None) == facts.sigma_text(None) == facts.sigma_text({}) == ""
+    assert facts.sigma_text({"scale_ppm": 120.0, "heading_deg": 0.1, "position_m": 0.02}) == (
+        "scale 120 ppm; heading 0.10 °; position 2.0 cm"
+    )
+
+
+def test_missing_frames_are_put_between_their_neighbours(full: Path) -> None:
+    run = read_run(full)
+    assert run.scene is not None and run.model is not None
+    positions = frame_positions(run.scene, run.model.centres)
+    assert np.isnan(positions[:, 0]).sum() == 2
+    up, down = tracks(run.scene, positions)
+    assert len(up.missing) == len(down.missing) == 1
+    assert np.allclose(up.missing[0, 0], 8.0, atol=0.2) and -2.2 < up.missing[0, 1] < -0.5
+
+
+def test_the_cloud_comes_back_into_the_world(full: Path) -> None:
+    run = read_run(full, 5000)
+    assert run.cloud is not None and run.cloud.count == 40_000 and 4000 <= len(run.cloud.xyz) <= 5000
+    assert np.abs(run.cloud.xyz).max() < 30 and run.cloud.rgb.max() > 150
+    assert 0.01 < np.median(run.cloud.sigma_m) < 0.05 and run.cloud.views.min() >= 3
+
+
+def test_funnel_rows_add_up(full: Path) -> None:
+    run = read_run(full)
+    assert run.pairs is not None
+    rows = charts.funnel_rows(run.pairs, run.network)
+    counts = {name: n for name, n, _ in rows}
+    gone = sum(n for name, n, _ in rows if name.startswith("dropped"))
+    assert counts["candidates"] - gone == counts["matched at full resolution"] > counts["verified"] > 0
+
+
+def test_words() -> None:
+    assert words.count(1698971) == "1\u202f698\u202f971" and words.count(None) == words.NONE
+    assert [words.number(v) for v in (0.02341, 2.345, 23.45, 1234.5, 0, float("nan"))] == [
+        "0.0234", "2.35", "23.4", "1\u202f234", "0", words.NONE,
+    ]  # fmt: skip
+    assert [words.length(v) for v in (0.0042, 0.034, 0.55, 12.3)] == ["4.2 mm", "3.4 cm", "0.550 m", "12.3 m"]
+    assert words.length(2.0, "units") == "2.00 units"
+    assert [words.seconds(v) for v in (3.21, 75, 245, 7500)] == ["3.2 s", "75 s", "4 min 05 s", "2 h 05 min"]
+    assert [words.percent(v) for v in (1.0, 0.9999, 0.5, 0.054)] == ["100 %", "99.9 %", "50 %", "5.4 %"]
+    assert words.size(3.2e9) == "3.20 GB" and words.size(4.2e6) == "4.2 MB"
+    assert words.plural(1, "image") == "1 image" and words.plural(2, "image") == "2 images"
+    table = words.table({"columns": ["camera_name", "iou"], "rows": [["a", 0.5], ["b", None], ["c", 0.1234]]})
+    assert table is not None and table.numeric == (False, True) and table.columns[0] == "camera name"
+    assert [row[1] for row in table.rows] == ["0.500", words.NONE, "0.123"]
+    assert words.table({"columns": ["a"], "rows": []}) is None and words.table(3) is None
+    assert words.table({"columns": ["a", "b"], "rows": [[1]]}).rows == (("1", words.NONE),)  # type: ignore[union-attr]
+
+
+def test_metrics_in_words() -> None:
+    assert metric_text("rpe_10m_translation") == "relative pose error over 10 m, translation"
+    assert metric_text("fscore_0.05m") == "F-score at 0.05 m"

@@ -1,0 +1,113 @@
+"""The child process runner: results, messages, errors, aborts, and no orphans."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tiegraph.child import run_in_child
+from tiegraph.errors import InputError, ReconstructionError, TiegraphError
+
+
+def add_loudly(a, b, send):
+    send(a)
+    send(b)
+    sys.stdout.write("adding\n")
+    sys.stdout.flush()
+    return a + b
+
+
+def abort(send):
+    os.write(2, b"E20260101 reason of the abort\n*** SIGABRT received; stack trace: ***\n    @ 0x7f01 frame\n")
+    os.abort()
+
+
+def raise_input_error(send):
+    raise InputError("mask a.png is missing")
+
+
+def raise_something(send):
+    raise KeyError("no such key")
+
+
+def exit_quietly(send):
+    os._exit(3)
+
+
+def sleep_long(pid_file, send):
+    Path(pid_file).write_text(str(os.getpid()))
+    send("up")
+    time.sleep(60)
+
+
+def test_result_messages_and_log_come_back(tmp_path):
+    messages = []
+    log = tmp_path / "logs" / "log.txt"
+    assert run_in_child(add_loudly, 2, 3, log=log, on_message=messages.append) == 5
+    assert messages == [2, 3]
+    assert "adding" in log.read_text()
+
+
+def test_abort_becomes_an_error_with_signal_and_log_tail_without_the_stack_trace(tmp_path):
+    with pytest.raises(ReconstructionError) as error:
+        run_in_child(abort, log=tmp_path / "log.txt", task="match")
+    text = str(error.value)
+    assert "match" in text and "SIGABRT" in text and "reason of the abort" in text
+    assert "0x7f01" not in text
+
+
+def test_quiet_exit_names_its_code(tmp_path):
+    with pytest.raises(ReconstructionError, match="exit code 3"):
+        run_in_child(exit_quietly, log=tmp_path / "log.txt")
+
+
+def test_own_errors_keep_their_type_and_foreign_ones_are_named(tmp_path):
+    with pytest.raises(InputError, match="a.png"):
+        run_in_child(raise_input_error, log=tmp_path / "log.txt")
+    with pytest.raises(TiegraphError, match="KeyError.*no such key"):
+        run_in_child(raise_something, log=tmp_path / "log.txt")
+
+
+def test_error_in_the_message_handler_ends_the_child(tmp_path):
+    pid_file = tmp_path / "pid"
+
+    def refuse(message):
+        raise RuntimeError("stop")
+
+    with pytest.raises(RuntimeError, match="stop"):
+        run_in_child(sleep_long, str(pid_file), log=tmp_path / "log.txt", on_message=refuse)
+    assert _gone(int(pid_file.read_text()))
+
+
+def test_child_dies_with_its_parent(tmp_path):
+    pid_file = tmp_path / "pid"
+    script = tmp_path / "parent.py"
+    script.write_text(
+        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        "from pathlib import Path\n"
+        "from test_child import run_in_child, sleep_long\n"
+        "if __name__ == '__main__':\n"
+        f"    run_in_child(sleep_long, {str(pid_file)!r}, log=Path({str(tmp_path / 'log.txt')!r}),\n"
+        "                 on_message=lambda m: print(m, flush=True))\n"
+    )
+    with subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        assert parent.stdout.readline().strip() == "up"
+        parent.kill()
+    assert _gone(int(pid_file.read_text()))
+
+
+def _gone(pid: int) -> bool:
+    for _ in range(100):
+        try:
+            # A killed child of a killed parent may stay as a zombie until its reaper looks.
+            if Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z":
+                return True
+            os.kill(pid, 0)
+        except (OSError, FileNotFoundError):
+            return True
+        time.sleep(0.05)
+    return False
