@@ -34,6 +34,7 @@ def evaluate(models: list[Path], dataset: Dataset, world: Origin | None = None) 
         "images": len(dataset.cam_from_world),
         "registered": len(everything),
         "components": len(poses),
+        "largest": len(poses[0]) if poses else 0,
         "registered_in_models": [len(p) for p in poses],
         "registered_by_folder": dict(sorted(Counter(str(PurePosixPath(n).parent) for n in everything).items())),
     }

@@ -10,8 +10,8 @@ from statistics import median
 from typing import Any
 
 COLUMNS = (
-    "competitor", "status", "CPU s", "ratio", "wall s", "ratio", "pairs matched", "verified", "registered", "models",
-    "points", "reproj. px", "ATE m", "ratio", "median of all m", "within 0.3 m",
+    "competitor", "status", "CPU s", "ratio", "wall s", "ratio", "pairs matched", "verified", "registered",
+    "largest model", "models", "points", "reproj. px", "ATE m", "ratio", "median of all m", "within 0.3 m",
 )  # fmt: skip
 
 
@@ -52,7 +52,8 @@ def _cells(label: tuple[str, str], rows: list[dict[str, Any]], base: list[dict[s
     return [
         name, status, _text(value("cpu_s"), 0), ratio("cpu_s"), _text(value("wall_s"), 0), ratio("wall_s"),
         _text(value("pairs.matched"), 0), _text(value("pairs.verified"), 0),
-        f"{_text(value('registered'), 0)}/{_text(value('images'), 0)}", _text(value("components"), 0),
+        f"{_text(value('registered'), 0)}/{_text(value('images'), 0)}", _text(value("largest"), 0),
+        _text(value("components"), 0),
         _text(value("points"), 0), _text(value("reprojection_px"), 3), _text(value("ate_m"), 3), ratio("ate_m"),
         _text(value("robust.median_of_all_m"), 3), _share(value("robust.within_m.0.3")),
     ]  # fmt: skip

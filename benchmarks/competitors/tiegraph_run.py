@@ -10,6 +10,8 @@ from typing import Any
 
 from colmap import Stages, arguments, pairs_of
 
+from tiegraph.pipeline import STAGES
+
 
 def main() -> None:
     """Run the command, then hand over what its receipts say."""
@@ -29,8 +31,9 @@ def main() -> None:
 
 def figures(out: Path) -> dict[str, Any]:
     """Stages (wall, CPU, memory, counts), pairs, models and origin of a run folder, as far as the run came."""
-    receipts = [json.loads(path.read_text()) for path in sorted((out / "receipts").glob("*.json"))]
-    receipts.sort(key=lambda receipt: receipt["finished"])
+    paths = [out / "receipts" / f"{stage.name}.json" for stage in STAGES]
+    receipts = [json.loads(path.read_text()) for path in paths if path.exists()]
+    receipts = [receipt for receipt in receipts if "finished" in receipt]
     data: dict[str, Any] = {"stages": [_row(receipt) for receipt in receipts], "models": _models(out / "sparse")}
     if (out / "database.db").exists():
         data["pairs"] = pairs_of(out / "database.db")

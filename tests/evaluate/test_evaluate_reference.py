@@ -120,6 +120,9 @@ def test_unusable_references_say_why(tmp_path: Path) -> None:
         reference.match_poses(ReferencePoses({}, {"other": reference.read_tum(short)}, tmp_path), model, scene)
     (tmp_path / "colmap").mkdir()
     (tmp_path / "colmap" / "images.bin").write_bytes(b"nonsense")
+    with pytest.raises(InputError, match="images.bin: the file is cut off"):
+        reference.read_reference_poses(tmp_path / "colmap")
+    (tmp_path / "colmap" / "images.bin").write_bytes(bytes(8))
     with pytest.raises(InputError, match="not a readable COLMAP model"):
         reference.read_reference_poses(tmp_path / "colmap")
 

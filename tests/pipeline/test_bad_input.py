@@ -5,6 +5,8 @@ from __future__ import annotations
 import errno
 import os
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -296,6 +298,35 @@ def test_disk_full_says_so_and_the_next_run_goes_on(
     code, said = run("--masks.source", "meguro2024", until="masks")
     assert code == 0, said
     assert all(path.stat().st_mtime_ns == when for path, when in before.items()), "finished masks were made again"
+
+
+_LIMITED = """
+import resource, sys
+limit = int(sys.argv[1])  # bytes of a file; a write past it fails, as on a full disk
+resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+from tiegraph.cli.main import main
+sys.exit(main(sys.argv[2:]))
+"""
+
+
+@pytest.mark.slow
+def test_database_that_cannot_grow_says_so_and_the_next_run_goes_on(run: Run, images: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    command = ["run", str(images), "-o", str(out), "--pool", "serial", "--until", "match"]
+    limited = subprocess.run(
+        [sys.executable, "-c", _LIMITED, "400000", *command], capture_output=True, text=True, timeout=300, check=False
+    )
+    assert limited.returncode in (1, 2), limited.stderr
+    assert (
+        "Traceback" not in limited.stderr
+        and "no room on the disk" in limited.stderr
+        and "database.db" in limited.stderr
+    )
+    scanned = (out / "receipts/scan.json").read_bytes()
+    code, said = run(until="match")
+    assert code == 0, said
+    assert (out / "receipts/scan.json").read_bytes() == scanned, "finished stages were made again"
+    assert tiegraph.open(out=out).receipt("features")["counts"]["images"] == 8
 
 
 def test_output_folder_that_cannot_be_made(images: Path, tmp_path: Path) -> None:

@@ -19,9 +19,9 @@ def test_the_upper_plate_hides_the_lower() -> None:
     for order in (1, -1):
         parts = [(low, low_rgb), (high, high_rgb)][::order]
         picture, scale = render(np.vstack([p for p, _ in parts]), np.vstack([c for _, c in parts]), 0, 90, 300)
-        middle, corner = picture[picture.shape[0] // 2, 150], picture[30, 30]
+        middle, corner = picture[picture.shape[0] // 2, 120], picture[30, 30]
         assert middle[2] > 150 > middle[0] and corner[0] > 150 > corner[2]
-        assert 13 < scale < 15.1
+        assert 11 < scale < 12
 
 
 def test_north_is_up_and_east_right() -> None:
@@ -38,7 +38,7 @@ def test_edges_are_darker_than_surfaces() -> None:
     (low, low_rgb), (high, high_rgb) = plate(0, 10, RED), plate(2, 4, RED)
     picture, _ = render(np.vstack([low, high]), np.vstack([low_rgb, high_rgb]), 0, 90, 300)
     row = picture[picture.shape[0] // 2, :, 0].astype(int)
-    assert row[60:80].mean() > 180 and row[30:270].min() < 150
+    assert row[25:55].mean() > 180 and row[20:220].min() < 150
 
 
 def test_three_views_of_a_cloud_without_colour() -> None:
@@ -52,7 +52,8 @@ def test_three_views_of_a_cloud_without_colour() -> None:
 
 def test_helpers() -> None:
     assert compass(0) == "the east" and compass(-90) == "the south" and compass(450) == "the north"
-    assert abs(abs(cloudview.main_axis_deg(np.array([[0, 0, 0], [5.0, 5, 0], [9, 9, 1]]))) - 45) in (0, 90) or True
+    diagonal = cloudview.main_axis_deg(np.array([[0, 0, 0], [5.0, 5, 0], [9, 9, 1]]))
+    assert abs(diagonal % 180 - 45) < 1e-6
     colours = by_height(np.linspace(0, 5, 100))
     assert colours.shape == (100, 3) and not np.array_equal(colours[0], colours[-1])
     bar = with_scale_bar(CloudView("x", np.full((200, 400, 3), 247, np.uint8), 10.0), "m")

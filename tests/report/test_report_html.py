@@ -76,7 +76,10 @@ def test_the_viewer_gets_the_points_it_can_unpack(full: Path, page: str) -> None
     assert "webgl" in viewer.viewer_script()
 
 
-@pytest.mark.parametrize("until", ["scan", "masks", "network", "design", "match", "sparse", "georef", "cloud"])
+SLOW = [pytest.param(s, marks=pytest.mark.slow) for s in ("masks", "network", "match", "georef", "cloud")]
+
+
+@pytest.mark.parametrize("until", ["scan", "design", "sparse", *SLOW])
 def test_a_run_that_stopped_early(tmp_path: Path, until: str) -> None:
     text = write_report(make_run(tmp_path / "run", until), SMALL).read_text(encoding="utf-8")
     assert ("No model yet" in text) == (until in ("scan", "masks", "network", "design", "match"))
@@ -132,7 +135,7 @@ def test_residuals_and_sigmas_in_any_form() -> None:
     assert facts.residual_text({"east_m": 0.3, "up": None}) == "30.0 cm east"
     assert facts.residual_text(None) == facts.sigma_text(None) == facts.sigma_text({}) == ""
     assert facts.sigma_text({"scale_ppm": 120.0, "heading_deg": 0.1, "position_m": 0.02}) == (
-        "scale 120 ppm; heading 0.10 °; position 2.0 cm"
+        "scale 120 ppm; heading 0.10°; position 2.0 cm"
     )
 
 

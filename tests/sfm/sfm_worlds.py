@@ -17,7 +17,9 @@ from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.sfm.model import image_poses, matrix
 
 
-def make_world(path: Path, cameras: int = 3, frames: int = 8, noise_px: float = 0.3) -> tuple[pycolmap.Reconstruction, Scene]:
+def make_world(
+    path: Path, cameras: int = 3, frames: int = 8, noise_px: float = 0.3
+) -> tuple[pycolmap.Reconstruction, Scene]:
     """A database with one rig, its truth, and its scene (extrinsics exact, cameras as given, no positions)."""
     pycolmap.set_random_seed(3)
     pycolmap.logging.minloglevel = 2

@@ -7,14 +7,11 @@ import numpy as np
 
 from tiegraph.dense.settings import DenseSettings
 
-_MODES = {
-    "fast": cv2.STEREO_SGBM_MODE_SGBM_3WAY,
-    "normal": cv2.STEREO_SGBM_MODE_SGBM,
-    "high": cv2.STEREO_SGBM_MODE_HH,
-}
+_MODES = {3: cv2.STEREO_SGBM_MODE_SGBM_3WAY, 5: cv2.STEREO_SGBM_MODE_SGBM, 8: cv2.STEREO_SGBM_MODE_HH}
 _BLOCK = 5
+_SMALL_JUMP, _LARGE_JUMP = 8 * _BLOCK**2, 32 * _BLOCK**2  # P1 and P2, per pixel of the block as OpenCV recommends
 _UNIQUENESS_PERCENT = 5
-_PREFILTER_CAP = 31
+_PREFILTER_CAP = 63
 _SPECKLE_PX = 100  # paper 004, section 5.2.2: patches below 100 pixels with jumps above 1 pixel are errors
 _LEFT_RIGHT_PX = 1.0  # paper 004, section 5.2.2
 _SUBPIXEL = 16  # OpenCV's fixed point
@@ -40,17 +37,17 @@ def match_sgbm(left: np.ndarray, right: np.ndarray, disparities: int, settings: 
 
 
 def _run(left: np.ndarray, right: np.ndarray, count: int, settings: DenseSettings) -> np.ndarray:
-    matcher = cv2.StereoSGBM_create(
+    matcher = cv2.StereoSGBM_create(  # type: ignore[attr-defined]
         minDisparity=0,
         numDisparities=count,
         blockSize=_BLOCK,
-        P1=8 * _BLOCK**2,
-        P2=32 * _BLOCK**2,
+        P1=_SMALL_JUMP,
+        P2=_LARGE_JUMP,
         disp12MaxDiff=-1,
         preFilterCap=_PREFILTER_CAP,
         uniquenessRatio=_UNIQUENESS_PERCENT,
         speckleWindowSize=0,
-        mode=_MODES[settings.quality],
+        mode=_MODES[settings.paths],
     )
     fixed = matcher.compute(left, right)
     return np.where(fixed < 0, np.float32(np.nan), fixed.astype(np.float32) / _SUBPIXEL)

@@ -14,10 +14,10 @@ from tiegraph.evaluate.trajectory import PoseMatch
 from tiegraph.geometry import geodesy, transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.geometry.geodesy import Origin
+from tiegraph.scene.colmapmodel import is_model, read_model
 from tiegraph.scene.scene import Scene
 
 _MAX_GAP_S = 2.0  # a reference with a gap wider than this is not interpolated across it
-_COLMAP_FILES = ("images.bin", "images.txt")
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def _matrix(rigid3d: Any) -> np.ndarray:
 
 def read_reference_poses(path: Path) -> ReferencePoses:
     """Read a COLMAP model folder, a TUM file or a folder of TUM files. Raises InputError naming the file."""
-    if path.is_dir() and any((path / f).exists() for f in _COLMAP_FILES):
+    if path.is_dir() and is_model(path):
         return ReferencePoses(_read_colmap(path), {}, path)
     if path.is_dir():
         files = sorted(p for p in path.iterdir() if p.suffix in (".tum", ".txt"))
@@ -87,12 +87,7 @@ def read_reference_poses(path: Path) -> ReferencePoses:
 
 
 def _read_colmap(folder: Path) -> dict[str, np.ndarray]:
-    import pycolmap
-
-    try:
-        model = pycolmap.Reconstruction(folder)
-    except Exception as error:
-        raise InputError(f"{folder}: not a readable COLMAP model: {error}") from None
+    model = read_model(folder)
     posed = (i for i in model.images.values() if i.has_pose)
     return {i.name: transforms.invert(_matrix(i.cam_from_world())) for i in posed}
 

@@ -35,22 +35,22 @@ def evaluate_survey(
     scene: Scene,
     reconstruction: Any,
     cloud: Cloud | None,
-    views: Iterable[View | DepthMap],
+    views: Iterable[View | DepthMap] | None,
     settings: EvaluateSettings,
     origin: Origin | None = None,
 ) -> dict[str, Any]:
     """The content of metrics.json for a run.
 
     ``reconstruction``: pycolmap model in the world frame; ``views``: undistorted images (or their depth maps) for the
-    back-projection; ``origin``: the world's (None: the model's own frame). Raises InputError for references that cannot
-    be read or matched.
+    back-projection, None = the model's images as pinholes; ``origin``: the world's (None: the model's own frame).
+    Raises InputError for references that cannot be read or matched.
     """
     found = _Findings()
     model = reference.model_poses(reconstruction, scene)
     found.metrics.append(registered_metric(model.registered))
     found.tables.update(registered_table(model.registered, scene.image_label(), scene.section[scene.frame]))
     if cloud is not None and len(cloud):
-        result = backprojection_rmse(cloud, views)
+        result = backprojection_rmse(cloud, pinhole_views(reconstruction) if views is None else views)
         found.metrics.extend(result.metrics())
         found.notes.append(backprojection.MEANING)
     trajectory = None

@@ -77,7 +77,7 @@ class PreviewMatch:
 
 
 def extract_preview(gray: np.ndarray, mask: np.ndarray | None, settings: PreviewSettings) -> Preview:
-    """Preview of a grey image (H, W) u1; ``mask`` (H, W) True = use, None = use all. Raises ValueError on bad shapes."""
+    """Preview of a grey image (H, W) u1; ``mask`` (H, W) bool, True = use. Raises ValueError on bad shapes."""
     if gray.ndim != 2 or gray.dtype != np.uint8:
         raise ValueError(f"a preview needs a grey (H, W) uint8 image, got {gray.shape} {gray.dtype}")
     if mask is not None and mask.shape != gray.shape:
@@ -90,7 +90,7 @@ def extract_preview(gray: np.ndarray, mask: np.ndarray | None, settings: Preview
     points, descriptors = _spread_orb(small, use, settings)
     # OpenCV counts from the centre of the first pixel, COLMAP from its corner.
     xy = (points + 0.5) * np.array([width / size[0], height / size[1]])
-    histogram = np.bincount(small.ravel() >> 4, minlength=BINS).astype(np.float32)
+    histogram = np.bincount(np.asarray(small).ravel() // (256 // BINS), minlength=BINS).astype(np.float32)
     shares = histogram / max(1, small.size)
     return Preview(xy.astype(np.float32), descriptors, width, height, scale, float(small.mean()), shares)
 
@@ -102,7 +102,7 @@ def _small_mask(mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 def _spread_orb(small: np.ndarray, use: np.ndarray | None, settings: PreviewSettings) -> tuple[np.ndarray, np.ndarray]:
     """Points (K, 2) and descriptors (K, 32) of the strongest ORB features of each grid cell, round robin."""
-    orb = cv2.ORB_create(
+    orb = cv2.ORB.create(
         nfeatures=_OVERSAMPLE * settings.features, edgeThreshold=_EDGE_PX, fastThreshold=_FAST_THRESHOLD
     )
     found, descriptors = orb.detectAndCompute(small, use)

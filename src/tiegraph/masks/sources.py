@@ -49,7 +49,8 @@ def explain_source(scene: Scene, settings: MasksSettings) -> tuple[str, str]:
 
     ``auto`` masks the cameras of a rig on a path. Loose photographs and single cameras are left alone: their first and
     last frame share nothing but chance; of the true matches between neighbours paper 000 costs 25 % (strecha) to 42 %
-    (oppaiyama), paper 001 5 % and 0 %. On rigs paper 001 costs 5-7 % (canal, kitti), on pandaset 10 %, and takes half or more of the features on the platform (canal).
+    (oppaiyama), paper 001 5 % and 0 %. On rigs paper 001 costs 5-7 % (canal, kitti), on pandaset 10 %, and takes half
+    or more of the features on the platform (canal).
     Raises InputError if a folder of masks lacks one of the images.
     """
     automatic = settings.source == "auto"

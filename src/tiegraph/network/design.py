@@ -41,8 +41,8 @@ def _forest(pairs: Pairs, rows: np.ndarray, images: int) -> np.ndarray:
 def _top(pairs: Pairs, rows: np.ndarray, scene: Scene, count: int) -> np.ndarray:
     """Places in ``rows`` of the ``count`` best pairs of each image.
 
-    An image ranks its partners round robin over their passes and cameras, the strongest of each first: by strength alone
-    the next frames of the same camera would fill the list, and short bases hold a network together badly.
+    An image ranks its partners round robin over their passes and cameras, the strongest of each first: by strength
+    alone the next frames of the same camera would fill the list, and short bases hold a network together badly.
     """
     i, j = pairs.i[rows], pairs.j[rows]
     place = np.tile(np.arange(len(rows)), 2)

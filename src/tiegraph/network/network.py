@@ -26,7 +26,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Network:
-    """Candidate pairs, the scene with sections and checked rig, offset curves, sections, and what people should know."""
+    """Candidate pairs, the scene with sections and checked rig, offset curves, and what people should know."""
 
     pairs: Pairs
     scene: Scene
@@ -37,7 +37,7 @@ class Network:
     threshold: float  # grey value between bridge and open sky, NaN = one section
 
     def pictures(self) -> list[tuple[str, bytes]]:
-        """(name, PNG) of the correspondence matrix, the offset curves and the section brightness, where there is one."""
+        """(name, PNG) of the correspondence matrix, the offset curves and the section brightness."""
         out = [("matrix", draw.matrix_png(self.pairs, self.scene))]
         if self.curves:
             out.append(("offsets", draw.curves_png(self)))
@@ -50,7 +50,7 @@ def estimate_network(scene: Scene, brightness: np.ndarray, match: MatchFunction,
     """Candidate pairs of a scene from the sources of the settings.
 
     ``brightness`` (N,) mean grey of each image; ``match`` takes image pairs (P, 2) i4 and returns P preview matches
-    (``inliers``, ``rotation``, ``shift``). Raises SettingsError for an unknown source and InputError for a bad pair list.
+    (``inliers``, ``rotation``, ``shift``). Raises SettingsError for an unknown source, InputError for a bad pair list.
     """
     book = PreviewBook(match, len(scene))
     scene, rig_notes = _checked(scene, book, settings)

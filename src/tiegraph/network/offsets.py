@@ -35,8 +35,8 @@ log = logging.getLogger(__name__)
 class OffsetCurve:
     """Votes against frame offset for two cameras: offset = n - m, or n + m when the other pass runs the other way.
 
-    offsets (K,) i4; votes (K,) f4 mean preview matches above chance; best: offset with most votes; accepted: whether the
-    camera pair gave candidates at all.
+    offsets (K,) i4; votes (K,) f4 mean preview matches above chance; best: offset with most votes; accepted: whether
+    the camera pair gave candidates at all.
     """
 
     pass_a: str
@@ -92,7 +92,7 @@ def estimate_offsets(passes: Sequence[Pass], book: PreviewBook, images: int, set
 
 
 def _stride(p: Pass, book: PreviewBook, settings: NetworkSettings) -> int:
-    """Lattice stride in frames: a quarter of the frames over which a typical camera keeps seeing the same things."""
+    """Lattice stride in frames: a fifth of the frames over which a typical camera keeps seeing the same things."""
     reach = []
     starts = _sampled(len(p), settings.sample_frames)
     for images in p.images:
@@ -107,7 +107,7 @@ def _stride(p: Pass, book: PreviewBook, settings: NetworkSettings) -> int:
                 break
             best = step
         reach.append(best)
-    return int(np.clip(round(float(np.median(reach)) / 4 + 1), 1, min(MAX_STRIDE, max(1, len(p) // 4))))
+    return int(np.clip(round(float(np.median(reach)) / 5 + 1), 1, min(MAX_STRIDE, max(1, len(p) // 4))))
 
 
 def _sampled(n: int, count: int) -> np.ndarray:
@@ -116,8 +116,9 @@ def _sampled(n: int, count: int) -> np.ndarray:
 
 def _survey(p: Pass, q: Pass, stride: int, book: PreviewBook, settings: NetworkSettings, budget: int) -> _Survey:
     """Seed the lattice, then grow it from every hit until nothing new ties or the budget of previews is spent."""
+    notes: tuple[str, ...] = ()
     if p is q:
-        lattice, backwards, notes = _seed_same(p, stride, book, settings), False, ()
+        lattice, backwards = _seed_same(p, stride, book, settings), False
     else:
         lattice, backwards, notes = _seed_across(p, q, stride, book, settings, budget)
     while True:
@@ -209,14 +210,15 @@ def _path(lattice: Lattice, weight: np.ndarray) -> np.ndarray | None:
 def _local(survey: _Survey, settings: NetworkSettings) -> OffsetResult:
     """Pairs kept by the interpolated surface; measured pairs that were not kept, with the reason."""
     lattice = survey.lattice
-    c, d, m, n, count = lattice.interpolated(survey.smooth, settings.min_matches)
+    smooth = lattice.confirmed(survey.smooth, settings.min_matches)
+    c, d, m, n, count = lattice.interpolated(smooth, settings.min_matches)
     i, j = lattice.p.images[c, m], lattice.q.images[d, n]
     there = (i >= 0) & (j >= 0) & (i != j)
     kept = Pairs.make(i[there], j[there], "offsets", score=count[there])
     seen = np.isfinite(lattice.inliers)
     # A pair that is strong by itself is kept whatever its neighbours say.
     strong = np.nan_to_num(lattice.inliers) >= CEILING * settings.min_matches
-    voted = np.nan_to_num(survey.smooth).max(axis=(2, 3), initial=0) >= settings.min_matches
+    voted = np.nan_to_num(smooth).max(axis=(2, 3), initial=0) >= settings.min_matches
     reason = np.where(voted | strong.any(axis=(2, 3)), REASONS.index("weak"), REASONS.index("votes"))
     code = np.where(strong, 0, np.broadcast_to(reason[:, :, None, None], seen.shape))
     measured = Pairs.make(*lattice.images(seen), "offsets", score=lattice.inliers[seen], dropped=code[seen])
@@ -253,7 +255,7 @@ def _votes(
     offset = (n + m if backwards else n - m)[np.isfinite(inliers)]
     value = np.maximum(0, inliers[np.isfinite(inliers)] - FLOOR * min_matches)
     offsets, at = np.unique(offset, return_inverse=True)
-    votes = np.bincount(at, value, minlength=len(offsets))
+    votes = np.bincount(at, value, minlength=len(offsets)).astype(np.float64)
     if not total:
         votes = votes / np.maximum(np.bincount(at, minlength=len(offsets)), 1)
     return offsets.astype(np.int32), votes.astype(np.float32)

@@ -11,6 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
 
 from tiegraph.network.offsets import OffsetCurve
 from tiegraph.scene.pairs import REASONS, Pairs
@@ -29,10 +30,10 @@ COLOURS = {
     "distance": "#d9c7e8",
     "baseline": "#b79ad1",
     "sight": "#c9d8b6",
-    "offset": "#f0d9a8",
-    "votes": "#e3b7a0",
+    "offset": "#eee0a0",
+    "votes": "#dcc9bd",
     "section": "#d08c8c",
-    "weak": "#f2a65a",
+    "weak": "#f3c892",
     "similar": "#9fd3c7",
     "cut": "#8fb8de",
     "match": "#c0392b",
@@ -57,8 +58,8 @@ def matrix_png(pairs: Pairs, scene: Scene) -> bytes:
     """Correspondence matrix (paper 003): images by pass, camera and frame; colour = kept or why it was dropped."""
     order = np.lexsort((scene.step[scene.frame], scene.sensor_key, scene.track[scene.frame]))
     cells, reduced = _matrix(pairs, order, len(scene))
-    figure = Figure(figsize=(9.6, 7.6), dpi=DPI)
-    axes = figure.add_axes((0.11, 0.08, 0.64, 0.81))
+    figure = Figure(figsize=(10.8, 7.6), dpi=DPI)
+    axes = figure.add_axes((0.07, 0.08, 0.62, 0.81))
     colours = ListedColormap([NEVER, *(COLOURS[r] for r in REASONS)])
     norm = BoundaryNorm(np.arange(-0.5, len(REASONS) + 1.5), len(REASONS) + 1)
     axes.imshow(cells, cmap=colours, norm=norm, interpolation="nearest", extent=(0, len(scene), len(scene), 0))
@@ -68,11 +69,11 @@ def matrix_png(pairs: Pairs, scene: Scene) -> bytes:
     handles = [Patch(facecolor=COLOURS[r], label=f"{WORDS[r]}: {_count(pairs, r)}") for r in present]
     never = len(scene) * (len(scene) - 1) // 2 - len(pairs)
     handles.append(Patch(facecolor=NEVER, edgecolor="#999999", label=f"not looked at: {never}"))
-    figure.legend(handles=handles, loc="upper left", bbox_to_anchor=(0.765, 0.9), frameon=False, fontsize=9)
+    figure.legend(handles=handles, loc="upper left", bbox_to_anchor=(0.715, 0.9), frameon=False, fontsize=9)
     title = f"Which images tie to which: {funnel['used']} of {len(scene) * (len(scene) - 1) // 2} pairs"
     axes.set_title(title, fontsize=12, loc="left", pad=26)
     if reduced > 1:
-        figure.text(0.765, 0.12, f"one dot = {reduced} x {reduced} images", fontsize=8, color="#666666")
+        figure.text(0.725, 0.12, f"one dot = {reduced} x {reduced} images", fontsize=8, color="#666666")
     return _png(figure)
 
 
@@ -137,7 +138,7 @@ def curves_png(network: Network) -> bytes:
     figure = Figure(figsize=(12, sum(heights) + 0.9), dpi=DPI)
     top = max((float(c.votes.max(initial=0)) for c in curves), default=1.0)
     grid = figure.add_gridspec(
-        len(heights), columns, height_ratios=heights, hspace=0.75, wspace=0.14,
+        len(heights), columns, height_ratios=heights, hspace=0.95, wspace=0.14,
         left=0.055, right=0.985, top=1 - 0.62 / (sum(heights) + 0.9), bottom=0.45 / (sum(heights) + 0.9),
     )  # fmt: skip
     row = 0
@@ -171,12 +172,19 @@ def _draw_curve(axes: object, curve: OffsetCurve, top: float, left: bool) -> Non
         axes.axvline(curve.best, color="#c0392b", lw=0.8)  # type: ignore[attr-defined]
     best = f" ({curve.best:+d})" if curve.accepted else " (rejected)"
     axes.set_title(f"{curve.sensor_a} \N{EN DASH} {curve.sensor_b}{best}", fontsize=8, pad=2)  # type: ignore[attr-defined]
+    axes.set_yscale("function", functions=(_root, np.square))  # type: ignore[attr-defined]
     axes.set_ylim(0, top * 1.05)  # type: ignore[attr-defined]
+    axes.set_yticks([v for v in (0, 5, 20, 50, 100, 200, 500, 1000) if v <= top])  # type: ignore[attr-defined]
     axes.tick_params(labelsize=7, length=2)  # type: ignore[attr-defined]
     if not left:
         axes.set_yticklabels([])  # type: ignore[attr-defined]
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)  # type: ignore[attr-defined]
+
+
+def _root(values: np.ndarray) -> np.ndarray:
+    """Square root, for an axis on which faint peaks stay visible."""
+    return np.sqrt(np.maximum(values, 0))
 
 
 def sections_png(network: Network) -> bytes:
@@ -210,6 +218,7 @@ def sections_png(network: Network) -> bytes:
         )
     axes.set_xlim(-0.5, len(frames) - 0.5)
     axes.set_ylim(0, 255)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_xlabel("frame, pass after pass", fontsize=9)
     axes.set_ylabel("mean grey of the up camera", fontsize=9)
     axes.set_title("Bridge and open sections by the up camera's brightness", fontsize=12, loc="left")

@@ -81,7 +81,7 @@ def _spacing(position: np.ndarray, passes: Sequence[Pass]) -> float:
     if len(gaps):
         return float(np.median(gaps))
     known = position[np.isfinite(position).all(axis=1)]
-    nearest = cKDTree(known).query(known, k=2)[0][:, 1]
+    nearest = np.asarray(cKDTree(known).query(known, k=2)[0])[:, 1]
     return max(float(np.median(nearest)), 1e-3)
 
 
@@ -100,7 +100,7 @@ def _with_headings(scene: Scene, passes: Sequence[Pass]) -> tuple[np.ndarray, np
             continue
         sigma = np.nan_to_num(np.nanmax(scene.position_sigma_m[p.frames], axis=1, initial=0.0))
         for k in np.flatnonzero(unknown):
-            way = _direction(where, sigma, k)
+            way = _direction(where, sigma, int(k))
             if way is not None and np.isfinite(where[k]).all():
                 poses[p.frames[k], :3, :3] = _upright(way, vertical(p.rig) if p.rig.known() else -np.eye(3)[1])
                 poses[p.frames[k], 3] = (0, 0, 0, 1)
@@ -144,7 +144,7 @@ def _frame_pairs(scene: Scene, frames: np.ndarray, radius: float) -> tuple[np.nd
         member = np.flatnonzero(groups == group)
         count = min(NEIGHBOURS + 1, len(member))
         distance, near = cKDTree(position[member]).query(position[member], k=count)
-        distance, near = distance.reshape(len(member), -1), near.reshape(len(member), -1)
+        distance, near = np.reshape(distance, (len(member), -1)), np.reshape(near, (len(member), -1))
         a, b = np.nonzero(distance <= 2 * radius)
         out.append(np.stack([frames[member[a]], frames[member[near[a, b]]]], axis=1))
     pairs = np.unique(np.sort(np.concatenate(out), axis=1), axis=0)

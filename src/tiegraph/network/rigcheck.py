@@ -108,19 +108,20 @@ def _collect(rig: Rig, passes: Sequence[Pass], book: PreviewBook, settings: Netw
     allowed = allowed_within(rig, settings.axes_deg)
     couples = [(a, b) for a, b in np.argwhere(allowed) if a < b]
     each = max(1, FRAMES // max(1, len(passes)))
-    a, b, i, j = [], [], [], []
+    rows = []
     for p in passes:
         for k in np.unique(np.linspace(0, len(p) - 1, min(len(p), each)).round().astype(int)):
             for c, d in couples:
                 if p.images[c, k] >= 0 and p.images[d, k] >= 0:
-                    a.append(c), b.append(d), i.append(p.images[c, k]), j.append(p.images[d, k])
-    if not i:
+                    rows.append((c, d, p.images[c, k], p.images[d, k]))
+    if not rows:
         return _Votes(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2)), np.zeros(0))
-    results = book.results(np.array(i), np.array(j))
+    a, b, i, j = np.array(rows).T
+    results = book.results(i, j)
     enough = [k for k, r in enumerate(results) if r.inliers >= INLIERS * settings.min_matches and r.shift is not None]
     angle = [np.nan if results[k].rotation is None else _axis_angle(results[k].rotation) for k in enough]
     shift = np.array([results[k].shift for k in enough]).reshape(-1, 2)
-    return _Votes(np.array(a, int)[enough], np.array(b, int)[enough], shift, np.array(angle, float))
+    return _Votes(a[enough], b[enough], shift, np.array(angle, float))
 
 
 def _axis_angle(rotation: np.ndarray) -> float:

@@ -16,7 +16,8 @@ class NetworkSettings(Section):
     """Which images may tie: where candidate pairs come from and how they are tested."""
 
     sources: tuple[SourceName, ...] = ("auto",)
-    """Pair sources, merged; auto: sequence and offsets for passes, poses where priors are known, exhaustive for few loose photos."""
+    """Pair sources, merged; auto: sequence and offsets for passes, poses where priors are known, exhaustive for few
+    loose photographs, previews for many."""
     pairs_file: Path | None = None
     """COLMAP pair list (two image names a line) for the source file."""
     sequence_frames: int = Field(2, ge=0, le=1000)
@@ -24,11 +25,13 @@ class NetworkSettings(Section):
     sequence_cameras: bool = False
     """Source sequence: also tie neighbouring cameras of the rig over these frames."""
     offsets: Literal["local", "constant"] = "local"
-    """Source offsets: best frame offset found along the whole pass (local) or one for each camera pair (constant, papers 000, 001)."""
+    """Source offsets: the best frame offset is followed along the pass (local), or one holds for each camera pair
+    (constant, as in papers 000 and 001)."""
     offset_range: int = Field(5, ge=0, le=1000)
     """Constant offsets: frames either side of the best offset that are candidates, frames."""
     offset_best: int = Field(0, ge=0, le=100)
-    """Constant offsets: best matching frames kept an image and camera pair by preview (paper 000); 0 keeps the whole range."""
+    """Constant offsets: best matching frames an image keeps for each camera, by preview (paper 000); 0 keeps the whole
+    range."""
     sample_frames: int = Field(12, ge=2, le=200)
     """Frames of a pass on which the offsets are voted."""
     min_matches: int = Field(11, ge=6, le=500)
@@ -36,9 +39,11 @@ class NetworkSettings(Section):
     axes_deg: float = Field(110.0, ge=10, le=180)
     """Optical axes further apart than this make a match impossible: such pairs are never tried, degrees."""
     range_m: float = Field(0.0, ge=0)
-    """Source poses: usual distance from camera to object (paper 003), metres; 0 = ten times the distance between frames."""
+    """Source poses: usual distance from camera to object (paper 003), metres; 0 = ten times the distance between
+    frames."""
     sections: Literal["off", "link", "split"] = "link"
-    """Bridge and open sections by the up camera's brightness: not cut, cut with ties kept between them, or cut apart (paper 001)."""
+    """Bridge and open sections by the up camera's brightness: not cut (off), cut with ties kept between them (link), or
+    cut apart (split, paper 001)."""
 
 
 class DesignSettings(Section):

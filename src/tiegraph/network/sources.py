@@ -49,22 +49,22 @@ class Proposal:
 def sequence(context: Context) -> Proposal:
     """Each image with the next frames of its camera; of a rig also with the neighbouring cameras, if so set."""
     settings = context.settings
-    i, j = [], []
+    out = []
     for p in context.passes:
         for images in p.images:
             there = images[images >= 0]
             for step in range(1, settings.sequence_frames + 1):
-                i.append(there[:-step]), j.append(there[step:])
+                out.append(np.stack([there[:-step], there[step:]]))
         if settings.sequence_cameras:
-            a, b = _neighbouring_cameras(p, settings)
-            i.append(a), j.append(b)
-    if not i:
+            out.append(_neighbouring_cameras(p, settings))
+    if not context.passes:
         return Proposal(Pairs.empty(), ("sequence: the images have no order",))
-    return Proposal(Pairs.make(np.concatenate(i), np.concatenate(j), "sequence"))
+    i, j = np.concatenate([np.zeros((2, 0), int), *out], axis=1)
+    return Proposal(Pairs.make(i, j, "sequence"))
 
 
-def _neighbouring_cameras(p: Pass, settings: NetworkSettings) -> tuple[np.ndarray, np.ndarray]:
-    out = []
+def _neighbouring_cameras(p: Pass, settings: NetworkSettings) -> np.ndarray:
+    out = [np.zeros((2, 0), int)]
     for c, d in np.argwhere(allowed_within(p.rig, settings.axes_deg)):
         if c == d:
             continue
@@ -72,8 +72,7 @@ def _neighbouring_cameras(p: Pass, settings: NetworkSettings) -> tuple[np.ndarra
             left, right = p.images[c, : len(p) - step], p.images[d, step:]
             there = (left >= 0) & (right >= 0)
             out.append(np.stack([left[there], right[there]]))
-    both = np.concatenate(out, axis=1) if out else np.zeros((2, 0), int)
-    return both[0], both[1]
+    return np.concatenate(out, axis=1)
 
 
 def exhaustive(context: Context) -> Proposal:

@@ -6,6 +6,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+import pycolmap
 
 from tiegraph.features.preview import Preview, PreviewMatch, match_previews
 from tiegraph.features.settings import PreviewSettings
@@ -50,11 +51,15 @@ def _brightness(name: str, folder: Path) -> float:
 def _match_item(pair: tuple[int, int], folder: Path, settings: PreviewSettings) -> PreviewMatch:
     scene = _scene(folder)
     i, j = pair
-    cameras = [scene.sensor_of(k).camera for k in pair]
-    # A guessed focal length would make a calibrated test refuse true pairs.
-    known = all(c is not None and c.has_prior_focal_length for c in cameras)
-    a, b = (cameras[0], cameras[1]) if known else (None, None)
+    a, b = (_calibrated(scene, k) for k in pair)
     return match_previews(_preview(folder, scene.names[i]), _preview(folder, scene.names[j]), a, b, settings)
+
+
+def _calibrated(scene: Scene, image: int) -> pycolmap.Camera | None:
+    """The camera of an image unless its focal length is a mere guess, which would make the test refuse true pairs."""
+    rig, sensor = scene.rigs[scene.rig[scene.frame[image]]], scene.sensor_of(image)
+    stated = rig.known() and len(rig.sensors) > 1  # a rig file or preset states at least the field of view
+    return sensor.camera if sensor.camera is not None and (sensor.camera.has_prior_focal_length or stated) else None
 
 
 @lru_cache(maxsize=2)

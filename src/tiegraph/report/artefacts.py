@@ -14,6 +14,8 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
+from tiegraph.scene.colmapmodel import is_model
+from tiegraph.scene.colmapmodel import read_model as read_reconstruction
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 
@@ -24,6 +26,7 @@ STAGES = (
     "scan", "masks", "preview", "network", "design", "features", "match", "sparse", "georef", "dense", "cloud",
     "evaluate", "report",
 )  # fmt: skip
+_WORLD_NAMES = {"scale_from": "scale_source", "residual_rms_m": "rms_m", "heldout_rms_m": "held_out_rms_m"}
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,7 @@ class Model:
 
     folder: str
     world_from_camera: np.ndarray  # (N, 4, 4)
+    seen: np.ndarray  # (N,) sparse points an image sees; 0 = placed by its rig alone, or not registered
     points: int
     reprojection_px: float
     track_length: float
@@ -72,7 +76,8 @@ class RunFolder:
 
     path: Path
     receipts: dict[str, dict]
-    scene: Scene | None = None
+    scene: Scene | None = None  # rig checked and sections cut, if `network` has run
+    scanned: Scene | None = None  # as the scan found it: the rig as given
     network: Pairs | None = None
     pairs: Pairs | None = None
     world: dict | None = None
@@ -93,22 +98,29 @@ class RunFolder:
         """Whether world coordinates are on the Earth."""
         return bool(self.world and self.world.get("crs"))
 
+    @property
+    def metric(self) -> bool:
+        """Whether lengths are in metres."""
+        return self.georeferenced or (self.world or {}).get("scale_from") not in (None, "", "none")
+
 
 def read_run(folder: Path, cloud_points: int = 1_000_000) -> RunFolder:
     """Everything a report needs. Raises InputError if the folder holds no run."""
     if not folder.is_dir():
         raise InputError(f"{folder}: no such run folder; give a folder made by `tiegraph run`")
     receipts = {s: r for s in STAGES if (r := _json(folder / "receipts" / f"{s}.json"))}
-    scene = _try(folder / "scene.json", lambda p: Scene.from_json(p.read_text()))
+    scanned = _try(folder / "scene.json", lambda p: Scene.from_json(p.read_text()))
+    scene = _try(folder / "network" / "scene.json", lambda p: Scene.from_json(p.read_text())) or scanned
     if not receipts and scene is None:
         raise InputError(f"{folder}: no run in it (no receipts/, no scene.json); give a folder made by `tiegraph run`")
-    world = _json(folder / "world.json")
+    world = _world(_json(folder / "world.json"))
     model = read_model(folder, scene) if scene is not None else None
     cloud = _try(folder / "cloud.laz", lambda p: read_cloud_sample(p, cloud_points))
     return RunFolder(
         path=folder,
         receipts=receipts,
         scene=scene,
+        scanned=scanned or scene,
         network=_try(folder / "network.npz", read_pairs),
         pairs=_try(folder / "match.npz", read_pairs) or _try(folder / "pairs.npz", read_pairs),
         world=world or None,
@@ -121,6 +133,16 @@ def read_run(folder: Path, cloud_points: int = 1_000_000) -> RunFolder:
 def _json(path: Path) -> dict:
     found = _try(path, lambda p: json.loads(p.read_text()))
     return found if isinstance(found, dict) else {}
+
+
+def _world(data: dict) -> dict:
+    """world.json under the names the report uses; what it does not know stays as it is."""
+    out = dict(data)
+    for ours, theirs in _WORLD_NAMES.items():
+        out.setdefault(ours, data.get(theirs))
+    if out.get("shift_m") is None:
+        out["shift_m"] = (data.get("origin") or {}).get("shift_m")
+    return out if data else {}
 
 
 def _try(path: Path, read: Callable[[Path], T]) -> T | None:
@@ -156,15 +178,12 @@ def read_model(folder: Path, scene: Scene) -> Model | None:
 
 
 def _reconstruction(path: Path) -> Any:
-    import pycolmap
-
-    if not any((path / f"images.{kind}").exists() for kind in ("bin", "txt")):
-        return None
-    return _try(path, lambda p: pycolmap.Reconstruction(p))
+    return _try(path, read_reconstruction) if is_model(path) else None
 
 
 def _model_facts(model: Any, scene: Scene, folder: str, others: tuple[int, ...]) -> Model:
     poses = np.full((len(scene), 4, 4), np.nan)
+    seen = np.zeros(len(scene), int)
     sensor_from_rig: dict[int, np.ndarray] = {}
     cameras: dict[int, dict] = {}
     for image in model.images.values():
@@ -172,6 +191,7 @@ def _model_facts(model: Any, scene: Scene, folder: str, others: tuple[int, ...])
         if k is None or not image.has_pose:
             continue
         poses[k] = transforms.invert(_matrix(image.cam_from_world()))
+        seen[k] = image.num_points3D
         key = int(scene.sensor_key[k])
         if key not in cameras:
             cameras[key] = _camera_facts(model.cameras[image.camera_id])
@@ -183,6 +203,7 @@ def _model_facts(model: Any, scene: Scene, folder: str, others: tuple[int, ...])
     return Model(
         folder=folder,
         world_from_camera=poses,
+        seen=seen,
         points=model.num_points3D(),
         reprojection_px=model.compute_mean_reprojection_error(),
         track_length=model.compute_mean_track_length(),

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import ListedColormap, LogNorm
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from tiegraph.report.pictures import data_uri
@@ -21,6 +22,21 @@ from tiegraph.scene.scene import Scene
 USED, VERIFIED, DROPPED, ALERT, INK = "#2b7a9b", "#0b4f6c", "#c9ced6", "#c8442b", "#2a3138"
 # Okabe and Ito 2008: told apart by colour-blind readers too
 PASSES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5c99", "#5b6770")
+# why a pair was dropped: (words, colour)
+REASON_LOOKS = {
+    "kept": ("kept", "#1b6ca8"),
+    "axes": ("axes too far apart", "#ececec"),
+    "distance": ("too far apart", "#d9c7e8"),
+    "baseline": ("base-to-distance ratio", "#b79ad1"),
+    "sight": ("no line of sight", "#c9d8b6"),
+    "offset": ("outside the frame offset", "#f0d9a8"),
+    "votes": ("cameras without votes", "#e3b7a0"),
+    "section": ("different sections", "#d08c8c"),
+    "weak": ("too few preview matches", "#f2a65a"),
+    "similar": ("base too short", "#9fd3c7"),
+    "cut": ("cut by the design", "#8fb8de"),
+    "match": ("not verified", "#c0392b"),
+}
 STYLE: Any = {
     "font.family": "DejaVu Sans",
     "font.size": 10,
@@ -98,9 +114,9 @@ def matrices(before: Pairs, after: Pairs, scene: Scene) -> str:
     """Correspondence matrices: every pair looked at and why it was dropped, and what the full resolution verified."""
     order, ticks, edges = image_order(scene)
     size = min(len(scene), _MATRIX_PX)
-    figure, (left, right) = figure_axes(4.4, 2)
+    figure, (left, right) = figure_axes(4.6, 2)
     matched = bool(np.any(after.inliers >= 0))
-    _looked_at(left, _cells(before, order, size), before, size)
+    _looked_at(left, _cells(before, order, size), before)
     left.set_title(f"Looked at: {_count(len(before))} pairs", fontsize=11, loc="left")
     kept = after.kept()
     if matched:
@@ -138,9 +154,9 @@ def image_order(scene: Scene) -> tuple[np.ndarray, list[tuple[float, str]], list
 
 
 def _cells(pairs: Pairs, order: np.ndarray, size: int) -> np.ndarray:
-    """(size, size) class of each cell: NaN not looked at, 0 dropped, 1 kept; kept wins."""
+    """(size, size) class of each cell: NaN not looked at, else minus the index into REASONS; kept (0) wins."""
     values = np.full((size, size), np.nan)
-    _fill(values, pairs, _place(pairs, order, size), (pairs.dropped == 0).astype(float))
+    _fill(values, pairs, _place(pairs, order, size), -pairs.dropped.astype(float))
     return values
 
 
@@ -154,10 +170,14 @@ def _fill(values: np.ndarray, pairs: Pairs, place: tuple[np.ndarray, np.ndarray]
     values[row, col] = values[col, row] = column[rising]
 
 
-def _looked_at(ax: Axes, cells: np.ndarray, pairs: Pairs, size: int) -> None:
-    ax.imshow(cells, cmap=ListedColormap([DROPPED, USED]), vmin=0, vmax=1, interpolation="nearest")
-    handles = [matplotlib.patches.Patch(color=c, label=t) for c, t in ((USED, "kept"), (DROPPED, "dropped"))]
-    ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.02), ncols=2, frameon=False, fontsize=9)
+def _looked_at(ax: Axes, cells: np.ndarray, pairs: Pairs) -> None:
+    colours = ListedColormap([REASON_LOOKS[r][1] for r in REASONS])
+    ax.imshow(-cells, cmap=colours, vmin=-0.5, vmax=len(REASONS) - 0.5, interpolation="nearest")
+    present = [REASONS[k] for k in np.unique(pairs.dropped)]
+    handles = [
+        Patch(facecolor=REASON_LOOKS[r][1], edgecolor="#b6bec7", lw=0.5, label=REASON_LOOKS[r][0]) for r in present
+    ]
+    ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(0, -0.02), ncols=2, frameon=False, fontsize=8)
 
 
 def _matrix_axes(ax: Axes, ticks: list[tuple[float, str]], edges: list[int], zoom: float, named: bool) -> None:
@@ -180,7 +200,7 @@ def funnel_rows(pairs: Pairs, network: Pairs | None) -> list[tuple[str, int, str
     gone = {k: v for k, v in funnel.items() if k not in ("candidates", "used", "match")}
     if network is not None and len(network) > len(pairs):
         rows.append(("dropped in the network", len(network) - len(pairs), DROPPED))
-    rows += [(f"dropped: {REASON_TEXT.get(k, k)}", v, DROPPED) for k, v in gone.items()]
+    rows += [(f"dropped: {REASON_LOOKS[k][0]}", v, DROPPED) for k, v in gone.items()]
     matched = bool(np.any(pairs.inliers >= 0))
     if not matched:
         return [*rows, ("pairs to match", funnel["used"], USED)]
@@ -188,27 +208,6 @@ def funnel_rows(pairs: Pairs, network: Pairs | None) -> list[tuple[str, int, str
     verified = int(np.sum((pairs.dropped == 0) & (pairs.inliers > 0)))
     rows.append(("matched at full resolution", funnel["used"] + lost, USED))
     return [*rows, ("verified", verified, VERIFIED)]
-
-
-REASON_TEXT = dict(
-    zip(
-        REASONS,
-        (
-            "kept",
-            "optical axes",
-            "too far apart",
-            "base-to-distance ratio",
-            "no line of sight",
-            "outside the frame offset",
-            "no offset voted",
-            "other section",
-            "weak preview",
-            "base too short",
-            "cut by the design",
-            "not verified",
-        ),
-    )
-)
 
 
 def degrees(pairs: Pairs, images: int) -> str:
@@ -227,8 +226,8 @@ def degrees(pairs: Pairs, images: int) -> str:
     return saved(figure)
 
 
-def residuals(frames: np.ndarray, enu_m: np.ndarray, track: np.ndarray, tracks: Sequence[str], unit: str) -> str:
-    """Residuals (K, 3) of the frames' positions, one panel a component."""
+def residuals(frames: np.ndarray, enu_m: np.ndarray, used: np.ndarray, track: np.ndarray, tracks: Sequence[str]) -> str:
+    """Residuals (K, 3) of the frames' positions, one panel a component; outliers, not ``used`` (K,), as crosses."""
     figure = Figure(figsize=(_WIDTH_IN, 4.2), layout="constrained")
     FigureCanvasAgg(figure)
     with matplotlib.rc_context(STYLE):
@@ -239,7 +238,9 @@ def residuals(frames: np.ndarray, enu_m: np.ndarray, track: np.ndarray, tracks: 
                 of = track == t
                 label = (tracks[t] if 0 <= t < len(tracks) else "frames") if c == 0 else None
                 ax.plot(frames[of], enu_m[of, c], ".", ms=5, color=PASSES[t % len(PASSES)], label=label)
-            ax.set_ylabel(f"{name}, {unit}")
+            if not used.all():
+                ax.plot(frames[~used], enu_m[~used, c], "x", ms=7, color=ALERT, label=None if c else "outlier")
+            ax.set_ylabel(f"{name}, m")
             ax.margins(y=0.12)
             ax.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes[-1].set_xlabel("frame")

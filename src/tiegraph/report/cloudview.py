@@ -67,7 +67,7 @@ def by_height(z: np.ndarray) -> np.ndarray:
     """Colours (N, 3) u1 by height, for clouds without colour."""
     low, high = np.quantile(z, [0.02, 0.98]) if len(z) else (0.0, 1.0)
     level = np.clip((z - low) / max(high - low, 1e-9), 0, 1)
-    table = cv2.applyColorMap(np.arange(256, dtype=np.uint8), cv2.COLORMAP_VIRIDIS)[:, 0, ::-1]
+    table = cv2.applyColorMap(np.arange(256, dtype=np.uint8), cv2.COLORMAP_VIRIDIS).reshape(256, 3)[:, ::-1]
     return table[(255 * level).astype(np.uint8)]
 
 
@@ -133,7 +133,7 @@ def _splat_radius(column: np.ndarray, row: np.ndarray, size: tuple[int, int]) ->
     count = np.bincount(cell, minlength=cells[0] * cells[1]).reshape(cells).astype(np.float32)
     drawn = (count > 0).astype(np.float32)
     smooth = cv2.blur(count, (3, 3)) / np.maximum(cv2.blur(drawn, (3, 3)), 1e-6)
-    return np.minimum(1.0 * np.sqrt(64 / np.maximum(smooth.ravel()[cell], 1.0)), _MAX_RADIUS_PX)
+    return np.minimum(1.25 * np.sqrt(64 / np.maximum(smooth.ravel()[cell], 1.0)), _MAX_RADIUS_PX)
 
 
 def _shaded(picture: np.ndarray, buffer: np.ndarray) -> np.ndarray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ from tiegraph.errors import InputError
 from tiegraph.report import words
 from tiegraph.report.artefacts import STAGES, RunFolder, read_run
 from tiegraph.report.facts import metric_values
+from tiegraph.scene.atomic import replacing
 from tiegraph.scene.pairs import REASONS
 
 _CLOUD_POINTS = 1000  # only the count is wanted
@@ -71,15 +71,11 @@ def compare_runs(folders: Sequence[Path], html: Path | None = None) -> str:
     """
     comparison = compared(folders)
     if html is not None:
-        temporary = html.with_name(f".{html.name}.{os.getpid()}.tmp")
         try:
-            html.parent.mkdir(parents=True, exist_ok=True)
-            temporary.write_text(to_html(comparison), encoding="utf-8")
-            os.replace(temporary, html)
+            with replacing(html) as temporary:
+                temporary.write_text(to_html(comparison), encoding="utf-8")
         except OSError as error:
             raise InputError(f"cannot write {html}: {error.strerror}; choose another file for --html") from error
-        finally:
-            temporary.unlink(missing_ok=True)
     return to_text(comparison)
 
 

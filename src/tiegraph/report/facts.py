@@ -14,6 +14,8 @@ from tiegraph.report.artefacts import STAGES, RunFolder
 from tiegraph.report.words import Table
 
 GOOD_SHARE, POOR_SHARE = 0.95, 0.6  # of the images registered
+SEEING = 10  # sparse points below which an image's place rests on its rig
+_WEAK = {"yaw_deg": (1.0, "heading", "°"), "tilt_deg": (1.0, "tilt", "°"), "scale": (0.01, "scale", "")}
 _FEW_TIES = 3  # an image with fewer ties hangs loosely
 _HELDOUT_FACTOR = 2.0  # held-out positions this much worse than those used: the model bends to its control
 
@@ -45,7 +47,7 @@ def verdict(run: RunFolder) -> Verdict:
     registered, total = int(run.model.registered.sum()), len(run.scene)
     share = registered / max(total, 1)
     found = tuple(warnings(run))
-    serious = run.model.others or (run.done("georef") and not run.georeferenced)
+    serious = run.model.others or (run.done("georef") and not run.georeferenced) or weak_placement(run)
     level = "poor" if share < POOR_SHARE else "check" if share < GOOD_SHARE or serious else "good"
     headline = {
         "good": "The survey is complete",
@@ -69,6 +71,9 @@ def _registered_sentence(run: RunFolder, registered: int, total: int) -> str:
     assert run.model is not None
     share = words.percent(registered / max(total, 1))
     text = f"{words.count(registered)} of {words.count(total)} images ({share}) are in one connected model"
+    by_rig = int(np.sum(run.model.registered & (run.model.seen < SEEING)))
+    if by_rig and run.model.points:
+        text += f"; {by_rig} of them see fewer than {SEEING} of its points, so their place rests on the rig"
     if not run.model.others:
         return text + "."
     rest = ", ".join(map(words.count, run.model.others[:4])) + (" ..." if len(run.model.others) > 4 else "")
@@ -79,11 +84,17 @@ def _registered_sentence(run: RunFolder, registered: int, total: int) -> str:
 def _world_sentence(run: RunFolder) -> str:
     world = run.world or {}
     scale = source_text(world.get("scale_from"))
+    if not run.georeferenced and world.get("placed"):
+        return f"It lies in the frame of {scale or 'the given positions'}, which is not tied to the Earth."
     if not run.georeferenced:
         based = f", with the scale from {scale}" if scale else " and without scale"
         return f"It is not georeferenced: coordinates are in the model's own frame{based}."
     text = f"It is georeferenced in {crs_text(world.get('crs'), world.get('origin'))}"
-    text += f"; position and scale come from {scale}." if scale else "."
+    prior = source_text(run.scene.prior) if run.scene is not None else ""
+    if prior and scale and prior != scale:
+        text += f"; the position comes from {prior}, the scale from {scale}."
+    else:
+        text += f"; position and scale come from {scale}." if scale else "."
     shift = world.get("shift_m") or [0, 0, 0]
     if any(shift):
         east, north, up = (f"{v:.0f}" for v in shift)
@@ -94,7 +105,7 @@ def _world_sentence(run: RunFolder) -> str:
 def source_text(source: Any) -> str:
     """Where scale or position come from, in words; "" if from nowhere."""
     names = {"gnss": "the GNSS positions", "exif": "the GPS positions in the images", "trajectory": "the trajectory"}
-    names["rig"] = "the distances between the rig's cameras"
+    names["rig baseline"] = names["rig"] = "the distances between the rig's cameras"
     return "" if source in (None, "", "none") else names.get(str(source).lower(), str(source))
 
 
@@ -119,16 +130,24 @@ def _accuracy_sentences(run: RunFolder) -> list[str]:
     residual = residual_text(world.get("residual_rms_m"))
     if residual:
         source = source_text(world.get("scale_from")) or "the given positions"
-        frames = len(world.get("frames") or [])
-        over = f" over {words.plural(frames, 'frame')}" if frames else ""
+        rows = [r for r in world.get("frames") or [] if isinstance(r, dict)]
+        used = sum(bool(r.get("inlier", True)) for r in rows)
+        over = f" over {words.plural(used, 'frame')}" if used else ""
+        if used < len(rows):
+            over += f"; {len(rows) - used} more were taken for outliers"
+        source = source_text(run.scene.prior) if run.scene is not None and run.scene.prior != "none" else source
         text = f"The cameras fit {source} with residuals of {residual} (root mean square{over})"
-        held = _scalar(world.get("heldout_rms_m"))
-        if held is not None:
-            text += f"; positions left out of the fit are met within {words.length(held)}, an independent check"
+        held = residual_text(world.get("heldout_rms_m"))
+        if held:
+            text += f"; positions left out of the fit are met within {held}, which is an independent check"
         out.append(text + ".")
     sigma = sigma_text(world.get("sigma"))
     if sigma:
-        out.append(f"Expected standard deviation (1 sigma, from the residuals and the adjustment): {sigma}.")
+        text = f"Expected error of the placement (1 sigma, from the scatter of these residuals): {sigma}."
+        inside = (world.get("model_sigma") or {}).get("median")
+        if _is(inside):
+            text += f" Inside the model a camera is known to {words.length(inside)} (median of the bundle adjustment)."
+        out.append(text)
     known = metric_values(run)
     if "ate_se3_rmse" in known:
         text = f"Against the reference poses the cameras are off by {words.length(known['ate_se3_rmse'])} (RMSE, rigid "
@@ -166,7 +185,10 @@ def sigma_text(value: Any) -> str:
         elif _is(v) and unit == "m":
             parts.append(f"{base.replace('_', ' ')} {words.length(v)}")
         elif _is(v) and unit in ("deg", "ppm"):
-            parts.append(f"{base.replace('_', ' ')} {words.number(v, 2)} {'°' if unit == 'deg' else unit}")
+            base = "heading" if base == "yaw" else base.replace("_", " ")
+            parts.append(f"{base} {words.number(v, 2)}{'°' if unit == 'deg' else ' ' + unit}")
+        elif _is(v) and name == "scale":
+            parts.append(f"scale {words.number(100 * v, 2)} %")
         elif _is(v):
             parts.append(f"{name.replace('_', ' ')} {words.number(v, 2)}")
     return "; ".join(parts)
@@ -190,8 +212,11 @@ def warnings(run: RunFolder) -> Iterable[str]:
             verb = "has" if few == 1 else "have"
             yield f"{words.plural(few, 'image')} {verb} fewer than {_FEW_TIES} verified ties to other images."
     world = run.world or {}
-    if run.done("georef") and not run.georeferenced:
+    if run.done("georef") and not run.georeferenced and not world.get("placed"):
         yield "The model is not georeferenced: give --gnss (or images with GPS) for coordinates on the Earth."
+    weak = weak_placement(run)
+    if weak:
+        yield f"The placement in the world is weak: known only in {weak}. More or better positions along the way help."
     held, fit = _scalar(world.get("heldout_rms_m")), _scalar(world.get("residual_rms_m"))
     if held is not None and fit is not None and held > _HELDOUT_FACTOR * fit:
         text = f"Positions left out of the fit are met {words.number(held / fit, 2)} times worse than those used"
@@ -209,6 +234,19 @@ def _coverage_warnings(run: RunFolder) -> Iterable[str]:
         of = labels == label
         if label and np.mean(registered[of]) < 0.5:
             yield f"Of {label} only {int(registered[of].sum())} of {int(of.sum())} images are in the model."
+
+
+def weak_placement(run: RunFolder) -> str:
+    """What of the placement in the world is poorly known, in words; "" if nothing."""
+    sigma = (run.world or {}).get("sigma")
+    if not isinstance(sigma, dict):
+        return ""
+    parts = []
+    for name, (limit, text, unit) in _WEAK.items():
+        value = sigma.get(name, 0.0)
+        if _is(value) and value > limit:
+            parts.append(f"{text} to {words.number(value, 2)}{unit}" if unit else f"{text} to {words.percent(value)}")
+    return ", ".join(parts)
 
 
 def tiles(run: RunFolder) -> list[Tile]:
@@ -272,10 +310,14 @@ def registered_tables(run: RunFolder) -> list[Table]:
             of &= names[:, 0] == track if track is not None else True
             row.append(f"{int(registered[of].sum())} of {int(of.sum())}" if of.any() else words.NONE)
         rows.append(row)
+    for row, camera in zip(rows, [*cameras, None]):
+        of = registered & (names[:, 1] == camera if camera is not None else True)
+        row.append(f"{int(np.sum(of & (run.model.seen >= SEEING)))} of {int(of.sum())}")
     columns = ["camera", *([p or "(loose)" for p in passes] if len(passes) > 1 else []), "all images"]
+    columns.append(f"of these, seeing {SEEING} points or more")
     out = [Table(tuple(columns), tuple(map(tuple, rows)), (False, *[True] * (len(columns) - 1)), "Registered images")]
     sections = scene.section[scene.frame]
-    if np.any(sections >= 0):
+    if len(np.unique(sections)) > 1:
         body = []
         for s in np.unique(sections):
             of = sections == s
@@ -289,12 +331,13 @@ def rig_table(run: RunFolder) -> Table | None:
     """Cameras: model, focal length, place on the rig as refined, and how far that is from the nominal one."""
     if run.scene is None or run.model is None:
         return None
-    unit = "mm" if run.georeferenced or (run.world or {}).get("scale_from") not in (None, "none") else "units"
+    unit = "mm" if run.metric else "units"
+    given = (run.scanned or run.scene).all_sensors
     factor = 1000 if unit == "mm" else 1
     rows = []
     for key, sensor in enumerate(run.scene.all_sensors):
         camera = run.model.cameras.get(key)
-        pose, nominal = run.model.sensor_from_rig.get(key), sensor.sensor_from_rig
+        pose, nominal = run.model.sensor_from_rig.get(key), given[key].sensor_from_rig
         from_first = turn = moved = bent = None
         if pose is not None:
             from_first = factor * float(np.linalg.norm(transforms.centre(pose)))

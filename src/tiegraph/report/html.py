@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 from datetime import datetime, timezone
 from pathlib import Path
@@ -17,15 +16,16 @@ from tiegraph.report.artefacts import STAGES, RunFolder, read_run
 from tiegraph.report.cloudview import standard_views, with_scale_bar
 from tiegraph.report.pictures import file_uri, jpeg, mask_share, masked_thumbnail
 from tiegraph.report.settings import ReportSettings
+from tiegraph.scene.atomic import replacing
 from tiegraph.scene.scene import Scene
 
 _MASKS_READ = 25  # masks opened for a camera's mean share
 _DROPPED_SHOWN = 200
 _CAPTIONS = {
     "matrix": "Correspondence matrix: images by pass, camera and frame along both sides.",
-    "curves": "Frame-offset curves: preview matches of two cameras against the frame offset between them. A clear peak "
+    "offset": "Frame-offset curves: preview matches of two cameras against the frame offset between them. A clear peak "
     "is the offset the pair range is laid around; a flat curve means the two never see the same place.",
-    "sections": "Brightness of the upward camera along the way, and the sections cut from it.",
+    "section": "Brightness of the upward camera along the way, and the sections cut from it.",
 }
 _TITLES = {"network": "Network", "design": "Design", "match": "Matching", "masks": "Masks", "sparse": "Sparse model"}
 
@@ -33,17 +33,13 @@ _TITLES = {"network": "Network", "design": "Design", "match": "Matching", "masks
 def write_report(folder: Path, settings: ReportSettings) -> Path:
     """Write ``folder/report.html`` from what the folder holds; stages that have not run are left out.
 
-    Raises InputError if the folder holds no run or cannot be written to.
+    Raises InputError if the folder holds no run, TiegraphError if the disk is full.
     """
     run = read_run(folder, settings.view_points)
     text = render(run, settings)
     target = folder / "report.html"
-    temporary = folder / f".report.{os.getpid()}.tmp"
-    try:
+    with replacing(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
-        os.replace(temporary, target)
-    finally:
-        temporary.unlink(missing_ok=True)
     return target
 
 
@@ -150,20 +146,23 @@ def _network(run: RunFolder) -> dict[str, Any]:
             continue  # drawn above, with what was verified beside it
         uri = file_uri(path)
         if uri:
-            caption = next((c for k, c in _CAPTIONS.items() if k.rstrip("s") in path.stem), path.stem.replace("_", " "))
+            known = (c for k, c in _CAPTIONS.items() if k in path.stem.replace("curve", "offset"))
+            caption = next(known, path.stem.replace("_", " "))
             out["pictures"].append((uri, caption))
     for stage in ("preview", "network", "design", "features", "match"):
         receipt = run.receipts.get(stage, {})
         out["tables"] += _tables(receipt, _TITLES.get(stage, stage.capitalize()))
-        out["notes"] += [f"{stage}: {n}" for n in receipt.get("notes") or []]
+        if receipt.get("notes"):
+            out["notes"].append((_TITLES.get(stage, stage.capitalize()), [str(n) for n in receipt["notes"]]))
     return out
 
 
 def _model(run: RunFolder) -> dict[str, Any]:
     out: dict[str, Any] = {"there": run.model is not None, "facts": [], "tables": [], "notes": [], "residuals": None}
+    out["more"] = []
     for stage in ("sparse", "georef"):
         receipt = run.receipts.get(stage, {})
-        out["tables"] += _tables(receipt)
+        out["more"] += _tables(receipt)
         out["notes"] += [str(n) for n in receipt.get("notes") or []]
     out["notes"] = list(dict.fromkeys([*out["notes"], *map(str, (run.world or {}).get("notes") or [])]))
     if run.model is None:
@@ -178,7 +177,7 @@ def _model(run: RunFolder) -> dict[str, Any]:
         ("models", words.count(1 + len(m.others))),
     ]
     rig = facts.rig_table(run)
-    out["tables"] = [*facts.registered_tables(run), *([rig] if rig else []), *out["tables"]]
+    out["tables"] = [*facts.registered_tables(run), *([rig] if rig else [])]
     out["residuals"] = _residuals(run)
     return out
 
@@ -189,7 +188,8 @@ def _residuals(run: RunFolder) -> str | None:
         return None
     frames = np.array([int(r.get("frame", k)) for k, r in enumerate(rows)])
     track = np.array([run.scene.track[f] if 0 <= f < run.scene.frames else -1 for f in frames])
-    return charts.residuals(frames, np.array([r["residual_m"] for r in rows], float), track, run.scene.tracks, "m")
+    used = np.array([bool(r.get("inlier", True)) for r in rows])
+    return charts.residuals(frames, np.array([r["residual_m"] for r in rows], float), used, track, run.scene.tracks)
 
 
 def _three(value: Any) -> bool:
@@ -201,15 +201,16 @@ def _three_d(run: RunFolder, settings: ReportSettings) -> dict[str, Any]:
     out: dict[str, Any] = {"plan": None, "views": [], "viewer": None, "viewer_script": "", "cloud": None}
     if run.scene is None or run.model is None or not run.model.registered.any():
         return out
-    upright = np.eye(3) if run.georeferenced else _upright(run.model.world_from_camera)
-    unit = "m" if run.georeferenced or (run.world or {}).get("scale_from") not in (None, "none") else "units"
+    upright = np.eye(3) if run.world else _upright(run.model.world_from_camera)
+    unit = "m" if run.metric else "units"
+    placed = run.georeferenced or bool((run.world or {}).get("placed"))
     xyz, rgb = (run.cloud.xyz, run.cloud.rgb) if run.cloud is not None else (run.model.xyz, run.model.rgb)
     xyz = xyz @ upright.T
     found = plan.tracks(run.scene, plan.frame_positions(run.scene, run.model.centres @ upright.T))
     prior = run.scene.world_from_rig[:, :3, 3]
-    gnss = prior[np.isfinite(prior[:, 0])] if run.georeferenced else np.zeros((0, 3))
+    gnss = prior[np.isfinite(prior[:, 0])] if placed else np.zeros((0, 3))
     axes = ("east", "north") if run.georeferenced else ("x", "y")
-    if not run.georeferenced:  # prior positions are in another frame than the model
+    if not placed:  # prior positions are in another frame than the model
         found = [plan.Track(t.name, t.positions, t.missing[:0]) for t in found]
     out["plan"] = plan.plan_chart(found, gnss, xyz, unit, axes)
     if run.cloud is not None:
@@ -320,5 +321,6 @@ def _tables(receipt: dict, prefix: str = "") -> list[words.Table]:
     found = receipt.get("tables")
     if not isinstance(found, dict):
         return []
-    named = ((f"{prefix}: {n}" if prefix else n.capitalize(), data) for n, data in found.items())
+    # the funnel is drawn and printed from the pair table, up to the verified pairs
+    named = ((f"{prefix}: {n}" if prefix else n.capitalize(), data) for n, data in found.items() if n != "funnel")
     return [t for n, data in named if (t := words.table(data, n.replace("_", " "))) is not None]

@@ -64,7 +64,8 @@ def plan_chart(found: list[Track], gnss: np.ndarray, backdrop: np.ndarray, unit:
         near = np.all((backdrop[:, :2] > low) & (backdrop[:, :2] < high), axis=1) if len(backdrop) else []
         if np.any(near):
             dots = backdrop[near][:: max(1, int(np.sum(near)) // _BACKDROP)]
-            ax.plot(dots[:, 0], dots[:, 1], ".", ms=0.9, mew=0, color="#aab2bc", zorder=1)
+            size = 0.9 if len(dots) > _BACKDROP / 3 else 2.2
+            ax.plot(dots[:, 0], dots[:, 1], ".", ms=size, mew=0, color="#aab2bc", zorder=1)
         if len(gnss):
             ax.plot(gnss[:, 0], gnss[:, 1], "+", color="#6b7280", ms=6, mew=0.9, label="GNSS or prior", zorder=2)
         for k, track in enumerate(found):
@@ -105,5 +106,5 @@ def _extent(found: list[Track], gnss: np.ndarray) -> tuple[np.ndarray, np.ndarra
         points = gnss[:, :2] if len(gnss) else np.zeros((1, 2))
     low, high = points.min(axis=0), points.max(axis=0)
     size = max(float(np.max(high - low)), 1e-6)
-    pad = 0.15 * size + np.maximum(0, 0.6 * size - (high - low)) / 2
+    pad = 0.22 * size + np.maximum(0, 0.6 * size - (high - low)) / 2
     return low - pad, high + pad

@@ -31,15 +31,15 @@ class Adjustment:
 
 
 def final_adjustment(
-    model: pycolmap.Reconstruction, fixed_rigs: Collection[int] = (), refine_intrinsics: bool = True
+    model: pycolmap.Reconstruction, fixed_rigs: Collection[int] = (), constant_cameras: Collection[int] = ()
 ) -> Adjustment:
     """Adjust poses, points, rig and intrinsics with principal points: plain, filtered at 2 px, then Cauchy at 0.5 px.
 
-    ``fixed_rigs``: COLMAP rig ids whose extrinsics stay. Cameras with fewer than 10 images keep their intrinsics. A
-    result with impossible intrinsics is refused and said so.
+    ``fixed_rigs``: COLMAP rig ids whose extrinsics stay. ``constant_cameras``, and those with fewer than 10 images,
+    keep their intrinsics (KITTI, driving straight on: free principal points run off by 30 px). A result with impossible intrinsics is refused and said so.
     """
     adjusted = pycolmap.Reconstruction(model)
-    free = _free_cameras(adjusted) if refine_intrinsics else set()
+    free = _free_cameras(adjusted) - set(constant_cameras)
     _solve(adjusted, fixed_rigs, free, robust=False)
     pycolmap.ObservationManager(adjusted).filter_all_points3D(FILTER_PX, FILTER_ANGLE_DEG)
     _solve(adjusted, fixed_rigs, free, robust=True)

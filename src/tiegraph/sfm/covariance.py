@@ -37,7 +37,9 @@ class PositionSigma:
         return float(np.percentile(np.linalg.norm(self.sigma, axis=1), 90))
 
 
-def position_sigma(model: pycolmap.Reconstruction, free_intrinsics: bool = True, free_rig: bool = True) -> PositionSigma:
+def position_sigma(
+    model: pycolmap.Reconstruction, free_intrinsics: bool = True, free_rig: bool = True
+) -> PositionSigma:
     """Position sigmas of the registered frames from the normal equations of the bundle adjustment.
 
     Points are eliminated (Schur), intrinsics and rig extrinsics are unknowns unless told otherwise. The gauge is taken
@@ -62,12 +64,12 @@ def position_sigma(model: pycolmap.Reconstruction, free_intrinsics: bool = True,
 
 
 class _Layout:
-    """Columns of the unknowns: six a frame (shift of its centre, rotation), then sensors (same six), then intrinsics."""
+    """Columns of the unknowns: six a frame (shift of its centre, rotation), six a sensor, then the intrinsics."""
 
     def __init__(self, model: pycolmap.Reconstruction, free_intrinsics: bool, free_rig: bool) -> None:
         self.frame_ids = tuple(sorted(model.reg_frame_ids()))
         self.frame = {f: 6 * k for k, f in enumerate(self.frame_ids)}
-        self.centres = np.stack([model.frame(f).rig_from_world.tgt_origin_in_src() for f in self.frame_ids])
+        self.centres = np.stack([_pose(model.frame(f)).tgt_origin_in_src() for f in self.frame_ids])
         self.size = 6 * len(self.frame_ids)
         self.sensor: dict[int, int] = {}
         self.sensor_centre: dict[int, np.ndarray] = {}
@@ -140,13 +142,15 @@ def _of_image(
 
     A pose T = (R, c) moves as R Exp(-w) (X - c - v): the unknown v is the shift of the centre itself.
     """
+    camera, frame = image.camera, image.frame
+    assert camera is not None and frame is not None
     pose = matrix(image.cam_from_world())
     world, measured = np.stack([x for _, x, _ in rows]), np.stack([xy for _, _, xy in rows])
     in_camera = world @ pose[:3, :3].T + pose[:3, 3]
-    to_camera = _by_point(image.camera, in_camera)
+    to_camera = _by_point(camera, in_camera)
     of_point = to_camera @ pose[:3, :3]
-    rig_from_world = matrix(image.frame.rig_from_world)
-    lever = world - image.frame.rig_from_world.tgt_origin_in_src()
+    rig_from_world = matrix(_pose(frame))
+    lever = world - _pose(frame).tgt_origin_in_src()
     parts = [-of_point, of_point @ _skew(lever)]
     columns = [layout.frame[image.frame_id] + np.arange(6)]
     if image.camera_id in layout.sensor:
@@ -156,14 +160,20 @@ def _of_image(
         parts += [-of_rig, of_rig @ _skew(in_rig - layout.sensor_centre[image.camera_id])]
         columns.append(layout.sensor[image.camera_id] + np.arange(6))
     if image.camera_id in layout.camera:
-        parts.append(_by_params(image.camera, in_camera))
-        columns.append(layout.camera[image.camera_id] + np.arange(len(image.camera.params)))
+        parts.append(_by_params(camera, in_camera))
+        columns.append(layout.camera[image.camera_id] + np.arange(len(camera.params)))
     dense = np.concatenate(parts, axis=2)
-    residual = image.camera.img_from_cam(in_camera) - measured
+    residual = camera.img_from_cam(in_camera) - measured
     bad = ~(np.isfinite(dense).all(axis=(1, 2)) & np.isfinite(residual).all(axis=1))
     dense[bad], residual[bad] = 0.0, 0.0
     of_point = np.where(bad[:, None, None], 0.0, of_point)
     return dense, np.concatenate(columns), of_point, residual
+
+
+def _pose(frame: pycolmap.Frame) -> pycolmap.Rigid3d:
+    pose = frame.rig_from_world
+    assert pose is not None  # only registered frames come here
+    return pose
 
 
 def _by_point(camera: pycolmap.Camera, xyz: np.ndarray) -> np.ndarray:

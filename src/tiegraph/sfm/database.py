@@ -23,8 +23,8 @@ def write_working_copy(source: Path, target: Path, scene: Scene, with_rig: Mappi
     """Copy what a mapper needs of ``source`` to a new database ``target``.
 
     ``with_rig`` maps rig indices to the rigs to constrain by; images of other rigs, and of sensors whose extrinsics are
-    unknown there, become frames of their own. ``positions``: write the scene's prior positions (world metres) for the mapper, all but the
-    held-out ones. Descriptors and raw matches, most of the bytes, stay behind.
+    unknown there, become frames of their own. ``positions``: write the scene's prior positions (world metres) for the
+    mapper, all but the held-out ones. Descriptors and raw matches, most of the bytes, stay behind.
     """
     target.unlink(missing_ok=True)
     pycolmap.Database.open(target).close()  # COLMAP makes the tables
@@ -75,10 +75,10 @@ def _write_rigs(
         else:
             members[scene.frames + image.image_id, len(scene.rigs) + image.camera_id] = [image]
     for (frame_id, rig_id), of_frame in members.items():
-        row = pycolmap.Frame(frame_id=frame_id, rig_id=rig_id)
+        group = pycolmap.Frame(frame_id=frame_id, rig_id=rig_id)
         for image in of_frame:
-            row.add_data_id(image.data_id)
-        database.write_frame(row, use_frame_id=True)
+            group.add_data_id(image.data_id)
+        database.write_frame(group, use_frame_id=True)
 
 
 def _colmap_rig(rig_id: int, rig: Rig, cameras: dict[int, int]) -> pycolmap.Rig:

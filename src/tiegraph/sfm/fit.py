@@ -17,6 +17,7 @@ _ORIENTATION_SIGMA_DEG, _ORIENTATION_FREEDOM = 3.0, 4
 _ANTENNA_SIGMA_M = 2.0  # weak prior of an estimated lever arm: no boat or car carries it farther
 _ROUNDS = 6
 _BLOCKS = 6
+_CONVERGED = 1e-5  # radians, metres, log scale
 _MAX_LOG_SCALE = 5.0  # from the start: keeps a step of the solver finite
 
 
@@ -63,11 +64,14 @@ class Fit:
     chi2_per_dof: float
 
 
-def fit_similarity(evidence: Evidence, up: Up | None) -> Fit:
+def fit_similarity(evidence: Evidence, up: Up | None, near: Similarity | None = None) -> Fit:
     """Best similarity from all evidence: robust first, then least squares on what lies within three sigmas.
 
-    Started from the positions alone and once more turned upright about the track, as a straight track has two minima.
+    Started from the positions alone and once more turned upright about the track, as a straight track has two minima;
+    or from ``near`` only.
     """
+    if near is not None:
+        return _refine(evidence, up, near)[1]
     spread = evidence.pose[:, :3, 3]
     reach = np.linalg.norm(evidence.antenna)
     loose = np.linalg.norm(evidence.sigma, axis=1) + reach + (_ANTENNA_SIGMA_M if evidence.estimate_antenna else 0)
@@ -131,7 +135,7 @@ def jackknife_sigma(evidence: Evidence, up: Up | None, fit: Fit, order: np.ndarr
     for block in blocks:
         keep = np.ones(len(order), bool)
         keep[block] = False
-        other = fit_similarity(evidence.where(keep), up).similarity
+        other = fit_similarity(evidence.where(keep), up, near=full).similarity
         turn = Rotation.from_matrix(other.rotation @ full.rotation.T).as_rotvec()
         rows.append([*(other(middle) - full(middle)), *turn, np.log(other.scale / full.scale)])
     count = len(blocks)
@@ -147,7 +151,7 @@ def jackknife_sigma(evidence: Evidence, up: Up | None, fit: Fit, order: np.ndarr
 
 
 class _Problem:
-    """Unknowns: turn (3,) in the world about the middle, shift of the middle (3,), log scale, lever arm (3,) if asked."""
+    """Unknowns: turn (3,) in the world about the middle, its shift (3,), log scale, lever arm (3,) if asked."""
 
     def __init__(self, evidence: Evidence, up: Up | None, start: Similarity) -> None:
         self.evidence, self.up, self.start = evidence, up, start
@@ -196,7 +200,9 @@ def _refine(evidence: Evidence, up: Up | None, start: Similarity) -> tuple[float
     for scale in (4.0, 1.0):  # Cauchy over the whole vector: an outlier in height is one in plan too
         for _ in range(_ROUNDS):
             weight = 1 / np.sqrt(1 + (np.linalg.norm(problem.positions(x), axis=1) / (scale * INLIER_SIGMAS)) ** 2)
-            x = _solve(problem, x, weight).x
+            before, x = x, _solve(problem, x, weight).x
+            if np.abs(x - before).max() < _CONVERGED:
+                break
     inlier = np.linalg.norm(problem.positions(x), axis=1) < INLIER_SIGMAS * np.sqrt(3)
     for _ in range(_ROUNDS):
         if inlier.sum() < 3:
@@ -208,7 +214,9 @@ def _refine(evidence: Evidence, up: Up | None, start: Similarity) -> tuple[float
         inlier = again
     solution = _solve(problem, x, inlier.astype(float))
     distance = np.linalg.norm(problem.positions(solution.x), axis=1)
-    cost = float(np.sum(np.log1p((distance / INLIER_SIGMAS) ** 2)) * INLIER_SIGMAS**2 + 0.5 * np.sum(problem.others(x) ** 2))
+    cost = float(
+        np.sum(np.log1p((distance / INLIER_SIGMAS) ** 2)) * INLIER_SIGMAS**2 + 0.5 * np.sum(problem.others(x) ** 2)
+    )
     return cost, _report(problem, solution, inlier)
 
 

@@ -131,7 +131,9 @@ def _first_guess(images: np.ndarray, scene: Scene, scale: RigScale | None) -> np
     return frame_poses(images, scene, 1.0 if scale is None else scale.metres_per_unit)
 
 
-def _placed(images: np.ndarray, scene: Scene, settings: GeorefSettings, up: Up | None, scale: RigScale) -> Georeference:
+def _placed(
+    images: np.ndarray, scene: Scene, settings: GeorefSettings, up: Up | None, scale: RigScale | None
+) -> Georeference:
     notes: list[str] = []
     arm, estimate = _lever_arm(scene, settings, notes)
     frames = _first_guess(images, scene, scale)
@@ -152,6 +154,7 @@ def _placed(images: np.ndarray, scene: Scene, settings: GeorefSettings, up: Up |
     source = scene.prior if scene.prior != "none" else "positions"
     if scale is not None and scale.trusted and scale.sigma < 0.5 * fit.sigma_positions_scale:
         source = "rig baseline"
+    order = np.lexsort((scene.step[evidence.frame], scene.track[evidence.frame]))
     notes += _remarks(fit, scene, scale, len(evidence.frame))
     return Georeference(
         world_from_model=fit.similarity,
@@ -160,7 +163,9 @@ def _placed(images: np.ndarray, scene: Scene, settings: GeorefSettings, up: Up |
         residual_m=residual,
         inlier=inlier,
         held_out_m=held_out,
-        sigma=jackknife_sigma(evidence, used_up, fit, np.lexsort((scene.step[evidence.frame], scene.track[evidence.frame]))),
+        sigma=jackknife_sigma(
+            evidence, used_up, fit, np.lexsort((scene.step[evidence.frame], scene.track[evidence.frame]))
+        ),
         antenna_m=tuple(float(v) for v in fit.antenna) if arm is not None or estimate else None,  # type: ignore[arg-type]
         notes=tuple(notes),
     )
@@ -210,8 +215,8 @@ def up_to_use(evidence: Evidence, up: Up | None, notes: list[str]) -> Up | None:
     alone = fit_similarity(evidence, None)
     if up.ring and alone.tilt_sigma_deg > up.sigma_deg / 2:
         notes.append(
-            f"the positions leave the tilt open (known to {min(alone.tilt_sigma_deg, 90):.1f} deg): the upward direction "
-            f"of {up.cameras} holds it, to about {up.sigma_deg:.0f} deg"
+            f"the positions leave the tilt open (known to {min(alone.tilt_sigma_deg, 90):.1f} deg): the upward "
+            f"direction of {up.cameras} holds it, to about {up.sigma_deg:.0f} deg"
         )
     elif not up.ring and alone.roll_sigma_deg > ROLL_LIMIT_DEG:
         notes.append(
@@ -227,8 +232,8 @@ def _remarks(fit: Fit, scene: Scene, scale: RigScale | None, positions: int) -> 
     notes = []
     if fit.inlier.sum() < 0.7 * positions:
         notes.append(
-            f"only {int(fit.inlier.sum())} of {positions} positions agree with the model within three sigmas: the model "
-            f"is bent, or the sigmas are too small"
+            f"only {int(fit.inlier.sum())} of {positions} positions agree with the model within three sigmas: the "
+            f"model is bent, or the sigmas are too small"
         )
     if fit.chi2_per_dof > 4:
         notes.append(
@@ -246,7 +251,9 @@ def _remarks(fit: Fit, scene: Scene, scale: RigScale | None, positions: int) -> 
     return notes
 
 
-def _levelled(scene: Scene, settings: GeorefSettings, up: Up | None, scale: RigScale | None, found: int) -> Georeference:
+def _levelled(
+    scene: Scene, settings: GeorefSettings, up: Up | None, scale: RigScale | None, found: int
+) -> Georeference:
     """No placement: turned so that up is up, scaled by the rig where that can be trusted."""
     notes = [f"not georeferenced: {found} registered frames have a prior position, {MIN_POSITIONS} are needed"]
     rotation, factor, source = np.eye(3), 1.0, "none"

@@ -49,8 +49,8 @@ def no_model_text(scene: Scene, graph: ViewGraph, why: str) -> str:
     components = graph.components
     return (
         f"no model: {why}. Of {len(scene)} images {with_features} have features; {len(graph.pairs)} pairs are verified "
-        f"with {int(graph.inliers.sum())} matches in all (median {_median(graph.inliers)} a pair), the largest connected "
-        f"part holds {components[0] if components else 0} images. Remedies: look whether the images overlap and the "
+        f"with {int(graph.inliers.sum())} matches in all (median {_median(graph.inliers)} a pair), the largest "
+        f"connected part holds {components[0] if components else 0} images. Remedies: look whether the images overlap and the "
         f"masks leave enough of them, match more pairs (network.sources = exhaustive for a small set), raise "
         f"features.max_features, lower sparse.min_matches"
     )
@@ -71,7 +71,7 @@ def camera_notes(reconstruction: pycolmap.Reconstruction, scene: Scene) -> list[
         if not FOCAL_RANGE[0] <= ratio <= FOCAL_RANGE[1]:
             notes.append(
                 f"camera {label}: focal length {camera.mean_focal_length():.0f} px is {ratio:.2f} x the image size; do "
-                f"not trust the model round it: give the calibration and set sparse.refine_intrinsics = false"
+                f"not trust the model round it: give the calibration and set sparse.refine_intrinsics = no"
             )
         if off > MAX_CENTRE_OFF:
             notes.append(f"camera {label}: the principal point lies {off:.0%} of the image off its middle")

@@ -1,4 +1,4 @@
-"""From the verified matches to models: COLMAP's mappers with the rig, in child processes, and what came of each image."""
+"""From the verified matches to models: COLMAP's mappers with the rig, in child processes, and what became of images."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class _Outcome:
     registered: int  # images of the first model that see its points
 
 
-def reconstruct(  # noqa: PLR0913 - the agreed signature of an engine that reports progress
+def reconstruct(
     database: Path,
     images: Path,
     out: Path,
@@ -153,24 +153,41 @@ def _derived_note(rig: Rig, result: DerivedRig) -> str:
     held = [s for s in result.scatter if s.rigid()]
     worst = max(held, key=lambda s: s.scatter_deg)
     return (
-        f"rig {rig.name}: extrinsics of {len(held) + 1} of {len(rig.sensors)} cameras found from a model without rig and "
-        f"then adjusted; largest scatter over the frames {worst.scatter_deg:.2f} deg ({worst.sensor}, {worst.frames} "
+        f"rig {rig.name}: extrinsics of {len(held) + 1} of {len(rig.sensors)} cameras found from a model without rig "
+        f"and then adjusted; largest scatter over the frames {worst.scatter_deg:.2f} deg ({worst.sensor}, {worst.frames} "
         f"frames)" + (f"; left out: {lost}" if lost else "")
     )
 
 
-def choose_mapper(scene: Scene, settings: SparseSettings) -> str:
-    """The mapper of the setting, or of the rule behind "auto"."""
+def choose_mapper(scene: Scene, settings: SparseSettings, constrained: bool) -> str:
+    """The mapper of the setting, or of the rule behind "auto": global with a rig or from 60 images, else incremental.
+
+    Measured on canal_demo (120 images, nominal rig, 1500 verified pairs): trajectory error 0.09 m in 51 s global, 2.4 m
+    in 589 s incremental, whose first adjustments of few images bend an uncertain rig. Below some tens of images the
+    incremental mapper is as fast, and it can use position priors (PYCOLMAP section 4).
+    """
     if settings.mapper != "auto":
         return settings.mapper
-    if settings.use_positions and scene.has_positions():
-        return "incremental"  # only it takes position priors
-    return "global" if len(scene) >= GLOBAL_FROM_IMAGES else "incremental"
+    return "global" if constrained or len(scene) >= GLOBAL_FROM_IMAGES else "incremental"
+
+
+def believed_cameras(scene: Scene, settings: SparseSettings) -> tuple[int, ...]:
+    """COLMAP ids of the cameras whose intrinsics stay as given: under "auto" those of a rig calibrated as a whole."""
+    if settings.refine_intrinsics == "yes":
+        return ()
+    out, key = [], 0
+    for rig in scene.rigs:
+        for sensor in rig.sensors:
+            key += 1
+            calibrated = rig.fixed and sensor.camera is not None and sensor.camera.has_prior_focal_length
+            if settings.refine_intrinsics == "no" or calibrated:
+                out.append(key)
+    return tuple(out)
 
 
 def _map(job: _Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -> _Outcome:
     """Run the chosen mapper, and under "auto" the other one too when clearly fewer images come back than could."""
-    first = choose_mapper(job.scene, job.settings)
+    first = choose_mapper(job.scene, job.settings, bool(rigs))
     outcome = _run(job, first, rigs, modes, label)
     reachable = job.graph.components[0]
     if job.settings.mapper == "auto" and outcome.registered < CLEARLY_FEWER * reachable:
@@ -184,13 +201,16 @@ def _map(job: _Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -> 
         outcome = better
     if not outcome.folders:
         raise ReconstructionError(
-            no_model_text(job.scene, job.graph, "the mapper found no two images to start from, or nothing held together")
+            no_model_text(
+                job.scene, job.graph, "the mapper found no two images to start from, or nothing held together"
+            )
         )
     return outcome
 
 
 def _run(job: _Job, mapper: str, rigs: dict[int, Rig], modes: dict[int, str], label: str) -> _Outcome:
     scene = job.scene
+    constant = believed_cameras(scene, job.settings)
     positions = mapper == "incremental" and job.settings.use_positions and scene.has_positions()
     request = Request(
         mapper=mapper,
@@ -201,7 +221,8 @@ def _run(job: _Job, mapper: str, rigs: dict[int, Rig], modes: dict[int, str], la
         rigs=Request.rigs_of(rigs),
         fixed=tuple(k for k in rigs if modes[k] == "fixed"),
         positions=positions,
-        refine_intrinsics=job.settings.refine_intrinsics,
+        constant_cameras=constant,
+        all_constant=len(constant) == len(scene.all_sensors),
         min_matches=job.settings.min_matches,
     )
     total = len(scene)
@@ -232,13 +253,15 @@ def _seeing(folder: Path, scene: Scene) -> tuple[int, int]:
 def _finish(job: _Job, outcome: _Outcome, fixed: tuple[int, ...]) -> PositionSigma | None:
     """Adjust, colour and write the models to their place; the sigma of the first."""
     sigmas = []
+    constant = believed_cameras(job.scene, job.settings)
     for number, folder in enumerate(outcome.folders):
         request = FinishRequest(
             folder=folder,
             target=job.out / str(number),
             images=job.images,
             fixed=fixed,
-            refine_intrinsics=job.settings.refine_intrinsics,
+            constant_cameras=constant,
+            all_constant=len(constant) == len(job.scene.all_sensors),
             covariance_frames=0 if number else job.settings.covariance_frames,
         )
         sigma, notes = run_in_child(finish_model, request, log=job.log, task="final adjustment")
@@ -311,5 +334,13 @@ def _models_table(models: list[Model]) -> dict:
         [k, len(m.images), m.seeing, m.frames, m.points, round(m.reprojection_px, 3), round(m.track_length, 2)]
         for k, m in enumerate(models)
     ]
-    columns = ["model", "images", f"seeing {MIN_OBSERVATIONS} points", "frames", "points", "reprojection px", "track length"]
+    columns = [
+        "model",
+        "images",
+        f"seeing {MIN_OBSERVATIONS} points",
+        "frames",
+        "points",
+        "reprojection px",
+        "track length",
+    ]
     return {"columns": columns, "rows": rows}

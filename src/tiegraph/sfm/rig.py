@@ -1,4 +1,4 @@
-"""The rig in the mapping: how it is used, its extrinsics from a model made without it, and how far a model moved them."""
+"""The rig in the mapping: how it is used, its extrinsics from a model made without it, how far a model moved them."""
 
 from __future__ import annotations
 

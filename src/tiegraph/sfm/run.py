@@ -33,7 +33,8 @@ class Request:
     rigs: dict[int, dict]  # rig index -> rig with all extrinsics, as a dict
     fixed: tuple[int, ...]  # rig indices whose extrinsics must not move
     positions: bool
-    refine_intrinsics: bool
+    constant_cameras: tuple[int, ...]  # COLMAP camera ids whose calibration is believed
+    all_constant: bool
     min_matches: int
 
     @staticmethod
@@ -50,7 +51,8 @@ class FinishRequest:
     target: Path
     images: Path
     fixed: tuple[int, ...]
-    refine_intrinsics: bool
+    constant_cameras: tuple[int, ...]
+    all_constant: bool
     covariance_frames: int  # 0: no sigmas wanted
 
 
@@ -64,7 +66,9 @@ def run_mapper(request: Request, send: Callable[[Any], None]) -> list[Path]:
     write_working_copy(request.database, working, scene, rigs, request.positions)
     raw = request.folder / "raw"
     raw.mkdir()
-    models = _incremental(request, working, raw, send) if request.mapper == "incremental" else _global(request, working, raw)
+    models = (
+        _incremental(request, working, raw, send) if request.mapper == "incremental" else _global(request, working, raw)
+    )
     ordered = sorted(models.values(), key=lambda m: (-m.num_reg_images(), -m.num_points3D()))
     folders = []
     for number, model in enumerate(m for m in ordered if m.num_reg_images() >= 2):
@@ -82,7 +86,7 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> tuple[P
     model = pycolmap.Reconstruction(request.folder)
     notes: list[str] = []
     try:
-        adjustment = final_adjustment(model, [k + 1 for k in request.fixed], request.refine_intrinsics)
+        adjustment = final_adjustment(model, [k + 1 for k in request.fixed], request.constant_cameras)
         model = adjustment.model
         notes.append(adjustment.note)
     except (RuntimeError, ValueError) as error:
@@ -99,7 +103,7 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> tuple[P
             notes.append(f"position sigmas not computed: {frames} frames, more than sparse.covariance_frames")
         return None, notes
     try:
-        return position_sigma(model, request.refine_intrinsics, not request.fixed), notes
+        return position_sigma(model, not request.all_constant, not request.fixed), notes
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         notes.append(f"position sigmas could not be computed: {error}")
         return None, notes
@@ -113,8 +117,9 @@ def _incremental(
         min_num_matches=request.min_matches,
         min_model_size=MIN_MODEL_IMAGES,
         extract_colors=False,
-        ba_refine_focal_length=request.refine_intrinsics,
-        ba_refine_extra_params=request.refine_intrinsics,
+        ba_refine_focal_length=not request.all_constant,
+        ba_refine_extra_params=not request.all_constant,
+        constant_cameras=set(request.constant_cameras),
         ba_refine_sensor_from_rig=len(request.fixed) < len(request.rigs),
         constant_rigs={k + 1 for k in request.fixed},
         use_prior_position=request.positions,
@@ -135,8 +140,8 @@ def _incremental(
 def _global(request: Request, working: Path, raw: Path) -> dict[int, pycolmap.Reconstruction]:
     refine_rig = len(request.fixed) < len(request.rigs)
     mapper = pycolmap.GlobalMapperOptions(random_seed=SEED, refine_sensor_from_rig=refine_rig)
-    mapper.bundle_adjustment.refine_focal_length = request.refine_intrinsics
-    mapper.bundle_adjustment.refine_extra_params = request.refine_intrinsics
+    mapper.bundle_adjustment.refine_focal_length = not request.all_constant  # it knows no single constant cameras
+    mapper.bundle_adjustment.refine_extra_params = not request.all_constant
     options = pycolmap.GlobalPipelineOptions(
         random_seed=SEED, min_num_matches=request.min_matches, min_model_size=MIN_MODEL_IMAGES, mapper=mapper
     )

@@ -21,8 +21,8 @@ class SparseSettings(Section):
     use_positions: bool = True
     """Let GNSS, EXIF or trajectory positions hold the incremental mapper; every fifth is kept back as a check."""
 
-    refine_intrinsics: bool = True
-    """Adjust focal lengths and distortion with the model; off: the calibration given is believed."""
+    refine_intrinsics: Literal["auto", "yes", "no"] = "auto"
+    """Adjust focal length, principal point, distortion with the model; auto = yes, but not of a fixed (calibrated) rig."""
 
     min_matches: int = Field(15, ge=4, le=1000)
     """Pairs with fewer verified matches are not used."""

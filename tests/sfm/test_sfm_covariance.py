@@ -1,0 +1,94 @@
+"""Predicted position sigmas against errors that really happen, and the final adjustment."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+from sfm_worlds import make_world, true_frames
+
+from tiegraph.geometry.align import umeyama
+from tiegraph.sfm.adjust import final_adjustment
+from tiegraph.sfm.covariance import position_sigma
+from tiegraph.sfm.model import frame_poses, image_poses
+
+import pycolmap  # isort: skip
+
+
+def _noisy(truth: pycolmap.Reconstruction, sigma_px: float, seed: int) -> pycolmap.Reconstruction:
+    """The true model with other noise in its key points, adjusted again (poses and points)."""
+    model = pycolmap.Reconstruction(truth)
+    rng = np.random.default_rng(seed)
+    for image_id in model.reg_image_ids():
+        image = model.image(image_id)
+        for k in range(image.num_points2D()):
+            point = image.points2D[k]
+            if point.has_point3D():
+                true = image.project_point(model.point3D(point.point3D_id).xyz)
+                point.xy = true + sigma_px * rng.standard_normal(2)
+    options = pycolmap.BundleAdjustmentOptions(print_summary=False, refine_focal_length=False)
+    options.refine_extra_params = False
+    options.refine_sensor_from_rig = False
+    pycolmap.bundle_adjustment(model, options)
+    return model
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    return make_world(tmp_path_factory.mktemp("world") / "database.db", cameras=2, frames=6, noise_px=0.0)
+
+
+def test_predicted_sigma_is_the_scatter_of_many_adjustments(world) -> None:
+    truth, scene = world
+    true = true_frames(truth, scene)[:, :3, 3]
+    squares = []
+    predicted = None
+    for seed in range(12):
+        model = _noisy(truth, 0.5, seed)
+        predicted = position_sigma(model, free_intrinsics=False, free_rig=False)
+        found = frame_poses(image_poses(model, scene), scene)[:, :3, 3]
+        squares.append(np.sum((umeyama(found, true)(found) - true) ** 2, axis=1))
+    actual = np.sqrt(np.mean(squares))
+    expected = np.sqrt(np.mean(np.sum(predicted.sigma**2, axis=1)))
+    assert 0.4 < predicted.pixel_sigma < 0.6
+    assert expected == pytest.approx(actual, rel=0.25)
+
+
+def test_unknown_intrinsics_and_rig_widen_the_sigmas(world) -> None:
+    truth, _ = world
+    model = _noisy(truth, 0.5, 0)
+    known, free = position_sigma(model, False, False), position_sigma(model)
+    assert known.median < free.median < 50 * known.median
+    assert free.median <= free.p90
+
+
+def test_two_frames_have_no_sigma(tmp_path) -> None:
+    truth, _ = make_world(tmp_path / "database.db", cameras=1, frames=2)
+    with pytest.raises(ValueError, match="at least 3 frames"):
+        position_sigma(truth)
+
+
+def test_final_adjustment_finds_the_principal_point(tmp_path) -> None:
+    """A principal point assumed 8 px off its place: the mappers keep it, the final adjustment finds it."""
+    truth, scene = make_world(tmp_path / "database.db", cameras=2, frames=12, noise_px=0.2)
+    wrong = pycolmap.Reconstruction(truth)
+    camera = wrong.camera(1)
+    right = copy.copy(camera).params
+    camera.principal_point_x += 8
+    before = wrong.compute_mean_reprojection_error()
+    wrong.update_point_3d_errors()
+    result = final_adjustment(wrong)
+    assert result.accepted and "principal points moved" in result.note
+    found = result.model.camera(1)
+    assert abs(found.principal_point_x - right[1]) < 2.0
+    assert result.model.compute_mean_reprojection_error() < max(before, 1.0)
+    kept = final_adjustment(wrong, constant_cameras=[1]).model.camera(1)
+    assert kept.principal_point_x == camera.principal_point_x
+
+
+def test_impossible_intrinsics_are_refused(world, monkeypatch) -> None:
+    truth, _ = world
+    monkeypatch.setattr("tiegraph.sfm.adjust._impossible", lambda *_: 2)
+    result = final_adjustment(truth)
+    assert not result.accepted and result.model is truth and "camera 2" in result.note

@@ -1,0 +1,143 @@
+"""Placing a model in the world: scale, lever arm, held-out check, straight tracks, rig scale, levelling."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from sfm_worlds import make_world, true_frames, with_positions
+
+from tiegraph.geometry.align import Similarity
+from tiegraph.sfm.fit import Evidence, fit_similarity
+from tiegraph.sfm.georef import georeference, georeference_all
+from tiegraph.sfm.gravity import Up
+from tiegraph.sfm.model import frame_poses, image_poses
+from tiegraph.sfm.settings import GeorefSettings
+
+import pycolmap  # isort: skip
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    return make_world(tmp_path_factory.mktemp("world") / "database.db", cameras=3, frames=20)
+
+
+def _moved(truth):
+    """The truth in another frame and unit, as a mapper would give it."""
+    model = pycolmap.Reconstruction(truth)
+    turn = Rotation.from_rotvec([0.4, -1.1, 0.7]).as_quat()
+    model.transform(pycolmap.Sim3d(0.37, pycolmap.Rotation3d(turn), np.array([5.0, -3.0, 2.0])))
+    return model
+
+
+def test_positions_bring_the_model_back(world) -> None:
+    truth, scene = world
+    true = true_frames(truth, scene)[:, :3, 3]
+    noise = 0.1 * np.random.default_rng(0).standard_normal(true.shape)
+    noise[3] = [8, 0, 0]  # an outlier
+    survey = with_positions(scene, true + noise, 0.1)
+    found = georeference(_moved(truth), survey, GeorefSettings())
+    placed = frame_poses(image_poses(found.apply(_moved(truth)), scene), scene)[:, :3, 3]
+    error = np.sqrt(np.mean(np.sum((placed - true) ** 2, axis=1)))
+    assert found.placed and found.scale_source == "gnss"
+    assert found.world_from_model.scale == pytest.approx(1 / 0.37, rel=0.03)
+    assert 0.005 < error < 0.12  # better than one position, not perfect
+    assert not found.inlier[3] and found.inlier.sum() >= 18
+    assert 0.05 < np.hypot(*list(found.rms_m().values())[:2]) < 0.25
+    held = np.isfinite(found.held_out_m).all(axis=1)
+    assert held.sum() == 4 and 0.03 < found.held_out_rms_m()["east"] < 0.3
+    assert 0.01 < found.sigma["position_m"] < 0.1 and 0.1 < found.sigma["yaw_deg"] < 5
+    assert error < 5 * found.sigma["position_m"]
+
+
+def test_apply_scales_the_rig_too(world) -> None:
+    truth, scene = world
+    survey = with_positions(scene, true_frames(truth, scene)[:, :3, 3], 0.05)
+    model = _moved(truth)
+    placed = georeference(model, survey, GeorefSettings()).apply(model)
+    for sensor, pose in truth.rig(1).non_ref_sensors.items():
+        np.testing.assert_allclose(placed.rig(1).sensor_from_rig(sensor).translation, pose.translation, atol=1e-4)
+
+
+def test_lever_arm_given_and_estimated(world) -> None:
+    truth, scene = world
+    true = true_frames(truth, scene)
+    arm = np.array([0.9, -0.4, 0.5])
+    survey = with_positions(scene, true[:, :3, 3] + true[:, :3, :3] @ arm, 0.05)
+    given = survey.with_(rigs=(replace(scene.rigs[0], antenna_m=tuple(arm)),))
+    without = georeference(_moved(truth), survey, GeorefSettings())
+    with_arm = georeference(_moved(truth), given, GeorefSettings())
+    assert max(with_arm.rms_m().values()) < 1e-3 < 0.05 < max(without.rms_m().values())
+    estimated = georeference(_moved(truth), survey, GeorefSettings(antenna="estimated"))
+    np.testing.assert_allclose(estimated.antenna_m, arm, atol=0.1)
+    assert any("estimated" in n for n in estimated.notes)
+
+
+def test_fixed_rig_alone_gives_the_scale(world) -> None:
+    truth, scene = world
+    found = georeference(_moved(truth), scene, GeorefSettings())
+    assert not found.placed and found.scale_source == "rig baseline" and found.origin is None
+    assert found.world_from_model.scale == pytest.approx(1 / 0.37, rel=1e-6)
+    nominal = scene.with_(rigs=(replace(scene.rigs[0], nominal=True),))
+    other = georeference(_moved(truth), nominal, GeorefSettings())
+    assert other.scale_source == "none" and any("nominal" in n for n in other.notes)
+    shrink = np.array([[1, 1, 1, 0.02]] * 3 + [[1, 1, 1, 1]])
+    short = tuple(replace(s, sensor_from_rig=s.sensor_from_rig * shrink) for s in scene.rigs[0].sensors)
+    near = georeference(_moved(truth), scene.with_(rigs=(replace(scene.rigs[0], sensors=short),)), GeorefSettings())
+    assert near.scale_source == "none" and any("no scale taken from the rig" in n for n in near.notes)
+
+
+def test_trajectory_orientations_hold_the_roll(world) -> None:
+    truth, scene = world
+    poses = true_frames(truth, scene)
+    survey = scene.with_(world_from_rig=poses, position_sigma_m=np.full((scene.frames, 3), 0.1), prior="trajectory")
+    found = georeference(_moved(truth), survey, GeorefSettings())
+    assert found.scale_source in ("trajectory", "rig baseline")
+    placed = frame_poses(image_poses(found.apply(_moved(truth)), scene), scene)
+    np.testing.assert_allclose(placed, poses, atol=1e-3)
+
+
+def test_to_dict_is_json_and_two_models_share_a_world(world) -> None:
+    truth, scene = world
+    survey = with_positions(scene, true_frames(truth, scene)[:, :3, 3], 0.05)
+    first, second = georeference_all([_moved(truth), truth], survey, GeorefSettings())
+    text = json.dumps(first.to_dict(), allow_nan=False)
+    assert json.loads(text)["positions"] == 20
+    assert second.world_from_model.scale == pytest.approx(1, abs=1e-3)
+    assert first.counts()["inliers"] == 20
+
+
+def _straight(noise_m: float, seed: int = 0) -> tuple[Evidence, Similarity]:
+    """Thirty poses on a straight level line, upright; the model is turned, scaled and moved."""
+    rng = np.random.default_rng(seed)
+    true = Similarity(2.5, Rotation.from_euler("xyz", [0.6, 0.3, -1.0]).as_matrix(), np.array([10.0, 20.0, 3.0]))
+    world = np.zeros((30, 3))
+    world[:, 0] = np.linspace(0, 100, 30)
+    world[:, 1] = 0.3 * np.linspace(0, 100, 30)
+    pose = np.tile(np.eye(4), (30, 1, 1))
+    pose[:, :3, 3] = (world - true.translation) @ true.rotation / true.scale
+    upright = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], float)
+    pose[:, :3, :3] = true.rotation.T @ upright
+    evidence = Evidence(
+        frame=np.arange(30), pose=pose, position=world + noise_m * rng.standard_normal((30, 3)),
+        sigma=np.full((30, 3), max(noise_m, 0.05)), orientation=np.full((30, 3, 3), np.nan), antenna=np.zeros(3),
+        estimate_antenna=False, log_scale=None, log_scale_sigma=np.nan,
+    )  # fmt: skip
+    return evidence, true
+
+
+def test_straight_track_needs_the_upward_direction() -> None:
+    evidence, true = _straight(noise_m=0.3)
+    up = Up(true.rotation.T @ np.array([0.0, 0.0, 1.0]), 3.0, True, "the ring")
+    alone = fit_similarity(evidence, None)
+    held = fit_similarity(evidence, up)
+    tilt = lambda fit: np.degrees(np.arccos((fit.similarity.rotation @ up.direction)[2]))  # noqa: E731
+    assert alone.roll_sigma_deg > 20
+    assert tilt(held) < 1.0
+    assert 0.1 < held.roll_sigma_deg < 5
+    assert held.similarity.scale == pytest.approx(true.scale, rel=0.02)
+    lone = fit_similarity(evidence, replace(up, ring=False, sigma_deg=10.0))
+    assert tilt(lone) < 1.0

@@ -1,0 +1,139 @@
+"""Mapping a synthetic rig survey: fixed, derived and absent rig, losses with reasons, and the errors."""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sfm_worlds import make_world, true_frames, with_positions, without_extrinsics
+
+from tiegraph.errors import ReconstructionError, SettingsError
+from tiegraph.geometry import transforms
+from tiegraph.geometry.align import umeyama
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.mapper import SparseResult, choose_mapper, reconstruct
+from tiegraph.sfm.model import frame_poses, held_out_frames, image_poses
+from tiegraph.sfm.rig import model_extrinsics, rig_modes
+from tiegraph.sfm.settings import SparseSettings
+
+
+def _run(folder: Path, scene: Scene, **settings: object) -> SparseResult:
+    return reconstruct(
+        folder / "database.db", folder, folder / "sparse", scene, SparseSettings(**settings), folder / "log.txt"
+    )
+
+
+def _centre_error(result: SparseResult, scene: Scene, truth: object) -> float:
+    found = frame_poses(image_poses(result.load(), scene), scene)[:, :3, 3]
+    true = true_frames(truth, scene)[:, :3, 3]
+    return float(np.sqrt(np.mean(np.sum((umeyama(found, true)(found) - true) ** 2, axis=1))))
+
+
+def test_fixed_rig_keeps_its_metric_size(tmp_path: Path) -> None:
+    truth, scene = make_world(tmp_path / "database.db")
+    before = (tmp_path / "database.db").read_bytes()
+    seen: list[tuple[int, int]] = []
+    result = reconstruct(
+        tmp_path / "database.db", tmp_path, tmp_path / "sparse", scene, SparseSettings(mapper="incremental"),
+        tmp_path / "log.txt", lambda done, total: seen.append((done, total)),
+    )  # fmt: skip
+    assert (tmp_path / "database.db").read_bytes() == before
+    assert result.rig == "fixed" and result.mapper == "incremental"
+    assert result.counts["registered"] == len(scene) and result.dropped == ()
+    assert seen[0] == (0, len(scene)) and 0.5 * len(scene) <= seen[-1][0] <= len(scene)
+    found = frame_poses(image_poses(result.load(), scene), scene)[:, :3, 3]
+    scale = umeyama(found, true_frames(truth, scene)[:, :3, 3]).scale
+    assert scale == pytest.approx(1, abs=0.01)  # the baselines, 0.5 m at 3-5 m, hold it
+    extrinsics = model_extrinsics(result.load(), scene, 0)
+    for sensor, pose in zip(scene.rigs[0].sensors, extrinsics):
+        np.testing.assert_allclose(pose, sensor.sensor_from_rig, atol=1e-9)
+    assert 0 < _centre_error(result, scene, truth) < 0.02
+    assert result.sigma is not None and 1e-5 < result.sigma.median < 0.02
+    assert sorted(p.name for p in (tmp_path / "sparse").iterdir()) == ["0"]
+    assert [row[1:3] for row in result.tables["registered_per_camera"]["rows"]] == [[8, 8]] * 3
+
+
+@pytest.mark.slow
+def test_unknown_rig_is_found_and_used(tmp_path: Path) -> None:
+    truth, scene = make_world(tmp_path / "database.db", noise_px=0.2)
+    unknown = without_extrinsics(scene)
+    result = _run(tmp_path, unknown)
+    assert result.rig == "derived" and result.mapper == "global"
+    extrinsics = model_extrinsics(result.load(), result.scene, 0)
+    for sensor, pose in zip(scene.rigs[0].sensors[1:], extrinsics[1:]):
+        assert pose is not None
+        assert 0 < transforms.angle_deg(pose[:3, :3], sensor.sensor_from_rig[:3, :3]) < 0.5
+    assert any("found from a model without rig" in n for n in result.notes)
+    assert 0 < _centre_error(result, result.scene, truth) < 0.03
+
+
+@pytest.mark.slow
+def test_absent_rig_and_lost_images_keep_their_reason(tmp_path: Path) -> None:
+    _, scene = make_world(tmp_path / "database.db", cameras=2, frames=6)
+    with sqlite3.connect(tmp_path / "database.db") as db:
+        last, before = db.execute("SELECT image_id FROM images ORDER BY image_id DESC LIMIT 2").fetchall()
+        name = db.execute("SELECT name FROM images WHERE image_id = ?", last).fetchone()[0]
+        name_before = db.execute("SELECT name FROM images WHERE image_id = ?", before).fetchone()[0]
+        db.execute("UPDATE keypoints SET rows = 0, data = x'' WHERE image_id = ?", last)
+        for lost in (last[0], before[0]):
+            db.execute(
+                "DELETE FROM two_view_geometries WHERE pair_id / 2147483647 = ? OR pair_id % 2147483647 = ?",
+                (lost, lost),
+            )
+    result = _run(tmp_path, scene, rig="absent")
+    assert result.rig == "absent" and result.mapper == "incremental"
+    assert dict(result.dropped) == {
+        name: "no features (masked, blank or unreadable)",
+        name_before: "no verified pair",
+    }
+    assert result.components == (10,)
+
+
+@pytest.mark.slow
+def test_the_same_input_gives_the_same_model(tmp_path: Path) -> None:
+    _, scene = make_world(tmp_path / "database.db", cameras=2, frames=6)
+    poses = [image_poses(_run(tmp_path, scene, mapper="global", covariance_frames=0).load(), scene) for _ in range(2)]
+    np.testing.assert_allclose(poses[0], poses[1], atol=1e-7)  # threads add up in any order
+
+
+def test_no_verified_pair_says_what_is_there(tmp_path: Path) -> None:
+    _, scene = make_world(tmp_path / "database.db", cameras=2, frames=4)
+    with sqlite3.connect(tmp_path / "database.db") as db:
+        db.execute("DELETE FROM two_view_geometries")
+    with pytest.raises(ReconstructionError, match=r"Of 8 images 8 have features; 0 pairs .*Remedies"):
+        _run(tmp_path, scene)
+
+
+def test_fixed_rig_needs_extrinsics(tmp_path: Path) -> None:
+    _, scene = make_world(tmp_path / "database.db", cameras=2, frames=4)
+    with pytest.raises(SettingsError, match="sensors without extrinsics"):
+        _run(tmp_path, without_extrinsics(scene), rig="fixed")
+
+
+def test_rules_of_auto(tmp_path: Path) -> None:
+    _, scene = make_world(tmp_path / "database.db", cameras=2, frames=4)
+    assert rig_modes(scene, "auto") == {0: "fixed"}
+    assert rig_modes(scene, "refined") == {0: "refined"}
+    assert rig_modes(without_extrinsics(scene), "refined") == {0: "derived"}
+    assert rig_modes(scene, "absent") == {}
+    assert choose_mapper(scene, SparseSettings(), constrained=True) == "global"
+    assert choose_mapper(scene, SparseSettings(), constrained=False) == "incremental"
+    assert choose_mapper(scene, SparseSettings(mapper="incremental"), constrained=True) == "incremental"
+
+
+@pytest.mark.slow
+def test_positions_put_the_incremental_model_into_the_world(tmp_path: Path) -> None:
+    """With priors the model comes out metric and in place, though one position is 30 m off; every fifth is held out."""
+    truth, scene = make_world(tmp_path / "database.db", cameras=1, frames=12)
+    true = true_frames(truth, scene)[:, :3, 3]
+    given = true + 0.02 * np.random.default_rng(0).standard_normal(true.shape)
+    given[7] += 30
+    given[held := np.flatnonzero(held_out_frames(scene_held := with_positions(scene, given, 0.02)))] += 100
+    assert len(held) == 2
+    result = _run(tmp_path, scene_held.with_(world_from_rig=with_positions(scene, given, 0.02).world_from_rig))
+    assert result.mapper == "incremental" and result.tables["runs"]["rows"][0][2] == "positions"
+    found = frame_poses(image_poses(result.load(), scene), scene)[:, :3, 3]
+    error = np.linalg.norm(found - true, axis=1)
+    assert 0.001 < np.median(error) < 0.2
