@@ -10,9 +10,9 @@ from pathlib import Path
 
 import psutil
 import pytest
-import worlds
 
 import tiegraph
+import worlds
 from tiegraph.pipeline import STAGES
 
 pytestmark = pytest.mark.slow

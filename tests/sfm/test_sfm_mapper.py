@@ -125,15 +125,13 @@ def test_rules_of_auto(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_positions_put_the_incremental_model_into_the_world(tmp_path: Path) -> None:
-    """With priors the model comes out metric and in place, though one position is 30 m off; every fifth is held out."""
+    """With priors the model comes out metric and in place; held-out positions, 100 m off here, have no part in it."""
     truth, scene = make_world(tmp_path / "database.db", cameras=1, frames=12)
     true = true_frames(truth, scene)[:, :3, 3]
-    given = true + 0.02 * np.random.default_rng(0).standard_normal(true.shape)
-    given[7] += 30
-    given[held := np.flatnonzero(held_out_frames(scene_held := with_positions(scene, given, 0.02)))] += 100
-    assert len(held) == 2
-    result = _run(tmp_path, scene_held.with_(world_from_rig=with_positions(scene, given, 0.02).world_from_rig))
+    held = held_out_frames(with_positions(scene, true, 0.02))
+    assert held.sum() == 2
+    given = true + 0.02 * np.random.default_rng(0).standard_normal(true.shape) + 100 * held[:, None]
+    result = _run(tmp_path, with_positions(scene, given, 0.02))
     assert result.mapper == "incremental" and result.tables["runs"]["rows"][0][2] == "positions"
     found = frame_poses(image_poses(result.load(), scene), scene)[:, :3, 3]
-    error = np.linalg.norm(found - true, axis=1)
-    assert 0.001 < np.median(error) < 0.2
+    assert 0.001 < np.median(np.linalg.norm(found - true, axis=1)) < 0.1

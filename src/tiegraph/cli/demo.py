@@ -12,7 +12,6 @@ from tiegraph.api import open_project
 from tiegraph.cli.run import Common, finish
 from tiegraph.errors import InputError
 
-
 _ORIGIN = (35.6965, 139.7695, 37.0)  # of the truth's east-north-up metres (truth/meta.json)
 
 

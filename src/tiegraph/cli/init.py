@@ -54,11 +54,17 @@ def main(arguments: list[str]) -> int:
 
 def describe(scene: Scene) -> list[str]:
     """What a scan found, in lines for people."""
-    lines = [f"{len(scene)} images in {scene.frames} frames; passes: {', '.join(scene.tracks) or 'none (loose photographs)'}"]
+    lines = [
+        f"{len(scene)} images in {scene.frames} frames; passes: {', '.join(scene.tracks) or 'none (loose photographs)'}"
+    ]
     for rig in scene.rigs:
         for sensor in rig.sensors:
             camera = sensor.camera
-            seen = f"{camera.width} x {camera.height}, {camera.model.name}, f = {camera.mean_focal_length():.0f} px" if camera else "no image"
+            seen = (
+                f"{camera.width} x {camera.height}, {camera.model.name}, f = {camera.mean_focal_length():.0f} px"
+                if camera
+                else "no image"
+            )
             lines.append(f"  {rig.name}/{sensor.name} ({sensor.role}): {seen}")
     lines += [f"  . {note}" for note in scene.notes]
     lines += [f"  left out: {d.name}: {d.reason}" for d in scene.dropped]
@@ -70,6 +76,8 @@ def _write_rigs(scene: Scene, folder: Path) -> list[Path]:
     for number, rig in enumerate(scene.rigs):
         path = folder / ("rig.toml" if len(scene.rigs) == 1 else f"rig_{number}.toml")
         if len(rig.sensors) > 1 and not path.exists():
-            write_rig_toml(rig, path, "A guess from the folders and images: check the orientations, then use it by --rig.")
+            write_rig_toml(
+                rig, path, "A guess from the folders and images: check the orientations, then use it by --rig."
+            )
             written.append(path)
     return written

@@ -74,9 +74,7 @@ def main(arguments: list[str]) -> int:
 
     images, options, settings = _cli(run, "tiegraph run", arguments)
     inputs = {n: getattr(options, n) for n in ("rig", "gnss", "trajectory", "times")}
-    project = open_project(
-        images, options.out, preset=options.preset, pool=options.pool, settings=settings, **inputs
-    )
+    project = open_project(images, options.out, preset=options.preset, pool=options.pool, settings=settings, **inputs)
     return finish(project, options.until, options.reporter())
 
 

@@ -44,9 +44,10 @@ def statistical_inliers(
     """(M,) bool: mean distance to the nearest ``neighbours`` at most the mean of all plus ``ratio`` deviations."""
     if ratio == 0 or tree.n <= neighbours:
         return np.ones(len(xyz), bool)
-    mean = np.concatenate([
-        tree.query(xyz[s : s + _CHUNK], k=neighbours + 1)[0][:, 1:].mean(axis=1) for s in range(0, len(xyz), _CHUNK)
-    ])  # fmt: skip
+    mean = np.empty(len(xyz))
+    for s in range(0, len(xyz), _CHUNK):
+        part = slice(s, s + _CHUNK)
+        mean[part] = np.asarray(tree.query(xyz[part], k=neighbours + 1)[0])[:, 1:].mean(axis=1)
     mean = mean / spacing
     # A few points very far away would enlarge the deviation and save the others: distances are held at 10 medians.
     held = np.minimum(mean, 10 * np.median(mean))
@@ -61,6 +62,7 @@ def radius_inliers(xyz: np.ndarray, radius: np.ndarray, tree: cKDTree, neighbour
     for s in range(0, len(xyz), _CHUNK):
         part = slice(s, s + _CHUNK)
         # The distance to the n-th neighbour answers without listing all within the radius.
-        distance = tree.query(xyz[part], k=[neighbours + 1], distance_upper_bound=float(radius[part].max()) * 1.001)[0]
-        found[part] = distance[:, 0] <= radius[part]
+        limit = 1.001 * float(radius[part].max())
+        distance = tree.query(xyz[part], k=[neighbours + 1], distance_upper_bound=limit)[0]
+        found[part] = np.asarray(distance)[:, 0] <= radius[part]
     return found

@@ -18,8 +18,8 @@ LEVELS = 6
 
 @dataclass(frozen=True, eq=False)
 class Voxels:
-    """V voxels: level (V,) u1; index (V, 3) i8 at that level; weight (V,) f8; sums, weighted (V, c) f8 of position (less
-    the voxel's corner, in its sizes), colour, normal, sigma; views (V,) u1 the most."""
+    """V voxels: level (V,) u1; index (V, 3) i8 at that level; weight (V,) f8; sums, weighted (V, c) f8 of position
+    (from the voxel's corner, in its sizes), colour, normal, sigma; views (V,) u1 the most."""
 
     level: np.ndarray
     index: np.ndarray

@@ -16,7 +16,7 @@ SIGMA_DISPARITY_PX = 0.3
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """What one partner proposes: inverse (H, W) f4 inverse depth, unit (H, W) f4 inverse depth of one pixel; NaN = none.
+    """What one partner proposes: inverse (H, W) f4 inverse depth, unit (H, W) f4 that of one pixel; NaN = none.
 
     Inverse depth is the natural variable: disparities are linear in it, and so are their errors.
     """

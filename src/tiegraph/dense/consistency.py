@@ -39,51 +39,64 @@ def check(
     ``partners`` in the order of the bits of ``depth.support``; ``load`` returns a depth map by name or None where there
     is none. An image that has fewer witnesses than ``min_views`` asks for all of them.
     """
-    height, width = depth.depth_m.shape
+    shape = depth.depth_m.shape
     known = np.isfinite(depth.depth_m)
-    support = np.zeros((height, width), np.uint8) if depth.support is None else depth.support
-    views = depth.views.astype(np.int16)
-    against = np.zeros((height, width), np.int16)
+    support = np.zeros(shape, np.uint8) if depth.support is None else depth.support
     inverse = np.where(known, 1 / depth.depth_m, 0).astype(np.float64)
     variance = np.square(np.where(known, depth.sigma_m * inverse**2, 1.0))
-    mean_sum, weight_sum, maps = inverse / variance, 1 / variance, np.ones((height, width), np.int16)
+    none, one = np.zeros(shape, np.int16), np.ones(shape, np.int16)
+    tally = _Tally(depth.views.astype(np.int16), none, one, inverse / variance, 1 / variance)
     images = set(partners)
     for name in witnesses:
         other = load(name)
         if other is None:
             continue
         images.add(name)
-        agrees, through, said, said_variance = _compare(depth, other, settings.tolerance_px)
-        new = agrees
-        if name in partners:
-            new = agrees & ((support >> np.uint8(list(partners).index(name))) & 1 == 0)  # else it is counted already
-        views += new
-        against += through
-        mean_sum += np.where(agrees, said / said_variance, 0)
-        weight_sum += np.where(agrees, 1 / said_variance, 0)
-        maps += agrees
-    needed = min(settings.min_views, 1 + len(images))
-    few = known & (views < needed)
-    floating = known & ~few & (against >= views)
+        counted = (support >> np.uint8(partners.index(name))) & 1 > 0 if name in partners else np.zeros(shape, bool)
+        tally = tally.heard(*_compare(depth, other, settings.tolerance_px), counted)
+    few = known & (tally.views < min(settings.min_views, 1 + len(images)))
+    floating = known & ~few & (tally.against >= tally.views)
     kept = known & ~few & ~floating
-    mean = mean_sum / weight_sum
-    # Depth maps of neighbours come from the same image pairs: the average gains only by the images that are new.
-    gain = np.maximum(depth.views.astype(float) - 1, 1) / np.maximum(views - 1, 1)
-    sigma = np.sqrt(maps / weight_sum * gain)
-    result = _replaced(depth, kept, mean, sigma, views)
+    result = _replaced(depth, kept, tally)
     return result, Consistency(int(known.sum()), int(kept.sum()), int(few.sum()), int(floating.sum()))
 
 
-def _replaced(
-    depth: DepthMap, kept: np.ndarray, inverse: np.ndarray, sigma: np.ndarray, views: np.ndarray
-) -> DepthMap:
+@dataclass(frozen=True, eq=False)
+class _Tally:
+    """What the images say of each pixel (H, W): how many agree, how many see through it, how many depth maps are in the
+    mean, and the sums of inverse depth by precision and of precision."""
+
+    views: np.ndarray
+    against: np.ndarray
+    maps: np.ndarray
+    weighted: np.ndarray
+    weight: np.ndarray
+
+    def heard(
+        self, agrees: np.ndarray, through: np.ndarray, said: np.ndarray, variance: np.ndarray, counted: np.ndarray
+    ) -> _Tally:
+        """With one more witness; ``counted`` = its image is in ``views`` already."""
+        return _Tally(
+            self.views + (agrees & ~counted),
+            self.against + through,
+            self.maps + agrees,
+            self.weighted + np.where(agrees, said / variance, 0),
+            self.weight + np.where(agrees, 1 / variance, 0),
+        )
+
+
+def _replaced(depth: DepthMap, kept: np.ndarray, tally: _Tally) -> DepthMap:
+    # Depth maps of neighbours come from the same image pairs: the mean has the variance of one of them, less only by
+    # what the images add that are new.
+    gain = np.maximum(depth.views.astype(float) - 1, 1) / np.maximum(tally.views - 1, 1)
+    sigma = np.sqrt(tally.maps / tally.weight * gain)
+    safe = np.where(kept, tally.weighted / tally.weight, 1.0)
     nan = np.float32(np.nan)
-    safe = np.where(kept, inverse, 1.0)
     return replace(
         depth,
         depth_m=np.where(kept, 1 / safe, nan).astype(np.float32),
         sigma_m=np.where(kept, sigma / safe**2, nan).astype(np.float32),
-        views=np.where(kept, np.minimum(views, 255), 0).astype(np.uint8),
+        views=np.where(kept, np.minimum(tally.views, 255), 0).astype(np.uint8),
         support=None,
     )
 

@@ -59,7 +59,10 @@ def plan_images(reconstruction: pycolmap.Reconstruction, settings: DenseSettings
     """
     table = _table(reconstruction)
     shared = _shared_counts(table)
-    images, dropped, notes, refused = {}, [], [], Counter()
+    images: dict[str, ImagePlan] = {}
+    dropped: list[tuple[str, str]] = []
+    notes: list[str] = []
+    refused: Counter[str] = Counter()
     lonely = 0
     for k, view in enumerate(table.views):
         candidates = _candidates(table, shared, k, settings)
@@ -93,12 +96,14 @@ def _table(reconstruction: pycolmap.Reconstruction) -> _Table:
     images = sorted((reconstruction.image(i) for i in reconstruction.reg_image_ids()), key=lambda image: image.name)
     row = {image.image_id: k for k, image in enumerate(images)}
     cameras = {c: CameraModel.of(camera) for c, camera in reconstruction.cameras.items()}
-    views, focal = [], []
+    views: list[ViewPlan] = []
+    focal: list[float] = []
     for image in images:
         pose = np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]])
         views.append(ViewPlan(image.name, cameras[image.camera_id], pose))
         focal.append(reconstruction.camera(image.camera_id).mean_focal_length())
-    xyz, observed = [], [[] for _ in images]
+    xyz: list[np.ndarray] = []
+    observed: list[list[int]] = [[] for _ in images]
     for number, point in enumerate(reconstruction.points3D.values()):
         xyz.append(point.xyz)
         for image_id in {element.image_id for element in point.track.elements}:
@@ -120,7 +125,7 @@ def _shared_counts(table: _Table) -> sparse.csr_matrix:
     rows = np.repeat(np.arange(len(length)), length)
     columns = np.concatenate(table.points) if table.points else np.zeros(0, np.int64)
     seen = sparse.csr_matrix((np.ones(len(rows), np.int32), (rows, columns)), (len(length), len(table.xyz)))
-    return (seen @ seen.T).tocsr()
+    return sparse.csr_matrix(seen @ seen.T)
 
 
 def _candidates(table: _Table, shared: sparse.csr_matrix, image: int, settings: DenseSettings) -> list[Partner]:

@@ -36,9 +36,7 @@ def with_normals(depth: DepthMap, radius: int = _RADIUS) -> DepthMap:
     return replace(depth, normal=normal)
 
 
-def _plane(
-    known: np.ndarray, w: np.ndarray, radius: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _plane(known: np.ndarray, w: np.ndarray, radius: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Coefficients (a, b, c) of w = a du + b dv + c in the window about each pixel, and where the fit is good."""
     k0 = np.ones(2 * radius + 1)
     k1 = np.arange(-radius, radius + 1, dtype=float)

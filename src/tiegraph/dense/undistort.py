@@ -51,8 +51,8 @@ def load_view(view: ViewPlan, images: Path, masks: Path | None, settings: DenseS
     mask = np.full(image.shape[:2], 255, np.uint8)
     if mask_path is not None and mask_path.exists():
         mask = _read(mask_path, cv2.IMREAD_GRAYSCALE, camera)
-    K, _ = pinhole_of(camera, settings)
-    x, y, valid = _maps(camera, settings.max_image_size, settings.max_fov_deg)
+    K, size = pinhole_of(camera, settings)
+    x, y, valid = _maps(camera, (K[0, 0], K[1, 1], K[0, 2], K[1, 2]), size)
     image, scale_x, scale_y = _reduced(image, K, camera)
     at_x, at_y = (x * scale_x - 0.5).astype(np.float32), (y * scale_y - 0.5).astype(np.float32)
     bgr = cv2.remap(image, at_x, at_y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
@@ -97,21 +97,24 @@ def _central_focal(camera: CameraModel) -> float:
     """Pixels per unit of tangent at the optical axis."""
     step = 1e-4
     around = np.array([[step, 0, 1], [-step, 0, 1], [0, step, 1], [0, -step, 1]])
-    at = camera.pycolmap().img_from_cam(around)
+    at = np.asarray(camera.pycolmap().img_from_cam(around))
     return float((np.linalg.norm(at[0] - at[1]) + np.linalg.norm(at[2] - at[3])) / (4 * step))
 
 
 @lru_cache(maxsize=_MAX_CACHED_MAPS)
-def _maps(camera: CameraModel, max_image_size: int, max_fov_deg: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Original pixel coordinates x, y (H, W) f4 of each undistorted pixel, and which lie in the image (H, W) bool."""
-    settings = DenseSettings(max_image_size=max_image_size, max_fov_deg=max_fov_deg)
-    K, (width, height) = pinhole_of(camera, settings)
+def _maps(
+    camera: CameraModel, pinhole: tuple[float, float, float, float], size: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Original pixel coordinates x, y (H, W) f4 of each undistorted pixel of the pinhole (fx, fy, cx, cy), and which
+    lie in the image (H, W) bool."""
+    fx, fy, cx, cy = pinhole
+    width, height = size
     u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    rays = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones_like(u)], axis=-1).reshape(-1, 3)
+    rays = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones_like(u)], axis=-1).reshape(-1, 3)
     model = camera.pycolmap()
-    at = model.img_from_cam(rays)
+    at = np.asarray(model.img_from_cam(rays))
     inside = (at >= 0).all(axis=1) & (at[:, 0] <= camera.width) & (at[:, 1] <= camera.height)
-    back = model.cam_ray_from_img(np.where(inside[:, None], at, 0.0))
+    back = np.asarray(model.cam_ray_from_img(np.where(inside[:, None], at, 0.0)))
     back = back[:, :2] / np.maximum(back[:, 2:], 1e-6)
     error = np.abs(back - rays[:, :2]).max(axis=1) * model.mean_focal_length()
     valid = (inside & (error < _ROUND_TRIP_PX * (1 + np.sum(rays[:, :2] ** 2, axis=1)))).reshape(height, width)

@@ -83,7 +83,8 @@ def extract_preview(gray: np.ndarray, mask: np.ndarray | None, settings: Preview
     if mask is not None and mask.shape != gray.shape:
         raise ValueError(f"the mask {mask.shape} does not have the size of the image {gray.shape}")
     height, width = gray.shape
-    scale = min(1.0, settings.size_px / max(height, width))
+    # By area and not by the longest side: a narrow strip would leave so few rows that chance matches fit any geometry.
+    scale = min(1.0, settings.size_px * float(np.sqrt(0.75 / (height * width))))
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     small = gray if scale == 1.0 else cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
     use = None if mask is None else _small_mask(mask, size)

@@ -9,7 +9,7 @@ class PreviewSettings(Section):
     """Low-resolution features: cheap evidence of which images see the same things."""
 
     size_px: int = Field(400, ge=160, le=1600)
-    """Longest side of the reduced image, pixels; smaller images are not enlarged."""
+    """Longest side of a reduced 4:3 image, pixels; other shapes get the same area, smaller images are not enlarged."""
     features: int = Field(600, ge=100, le=5000)
     """ORB features kept an image, spread over it."""
     ratio: float = Field(0.85, gt=0, le=1)

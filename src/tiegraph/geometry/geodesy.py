@@ -116,7 +116,7 @@ def geodetic_from_world(world_m: np.ndarray, origin: Origin) -> np.ndarray:
     if origin.crs == ENU:
         return _from_enu(world_m, origin)
     xyz = world_m + np.asarray(origin.shift_m)
-    return np.stack(_to_crs(origin.crs).transform(*xyz.T, direction="INVERSE"), axis=-1)
+    return np.stack(_to_crs(origin.crs).transform(xyz[:, 0], xyz[:, 1], xyz[:, 2], direction="INVERSE"), axis=-1)
 
 
 def crs_coordinates(world_m: np.ndarray, origin: Origin) -> np.ndarray:
@@ -147,4 +147,4 @@ def _to_enu(lat: np.ndarray, lon: np.ndarray, height: np.ndarray, origin: Origin
 def _from_enu(enu_m: np.ndarray, origin: Origin) -> np.ndarray:
     zero = np.array(_ECEF.transform(origin.lat_deg, origin.lon_deg, origin.height_m))
     ecef = enu_m @ _enu_axes(origin) + zero
-    return np.stack(_ECEF.transform(*ecef.T, direction="INVERSE"), axis=-1)
+    return np.stack(_ECEF.transform(ecef[:, 0], ecef[:, 1], ecef[:, 2], direction="INVERSE"), axis=-1)

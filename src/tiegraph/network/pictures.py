@@ -58,8 +58,12 @@ def matrix_png(pairs: Pairs, scene: Scene) -> bytes:
     """Correspondence matrix (paper 003): images by pass, camera and frame; colour = kept or why it was dropped."""
     order = np.lexsort((scene.step[scene.frame], scene.sensor_key, scene.track[scene.frame]))
     cells, reduced = _matrix(pairs, order, len(scene))
-    figure = Figure(figsize=(10.8, 7.6), dpi=DPI)
-    axes = figure.add_axes((0.07, 0.08, 0.62, 0.81))
+    # Long camera names need room; the square of the matrix keeps its size.
+    room = 0.35 + 0.075 * max(len(s.name) for s in scene.all_sensors)
+    width, height = 6.2 + room + 3.6, 6.2 + room + 0.8
+    figure = Figure(figsize=(width, height), dpi=DPI)
+    axes = figure.add_axes((room / width, room / height, 6.2 / width, 6.2 / height))
+    right = (room + 6.55) / width
     colours = ListedColormap([NEVER, *(COLOURS[r] for r in REASONS)])
     norm = BoundaryNorm(np.arange(-0.5, len(REASONS) + 1.5), len(REASONS) + 1)
     axes.imshow(cells, cmap=colours, norm=norm, interpolation="nearest", extent=(0, len(scene), len(scene), 0))
@@ -69,11 +73,11 @@ def matrix_png(pairs: Pairs, scene: Scene) -> bytes:
     handles = [Patch(facecolor=COLOURS[r], label=f"{WORDS[r]}: {_count(pairs, r)}") for r in present]
     never = len(scene) * (len(scene) - 1) // 2 - len(pairs)
     handles.append(Patch(facecolor=NEVER, edgecolor="#999999", label=f"not looked at: {never}"))
-    figure.legend(handles=handles, loc="upper left", bbox_to_anchor=(0.715, 0.9), frameon=False, fontsize=9)
+    figure.legend(handles=handles, loc="upper left", bbox_to_anchor=(right, (room + 6.3) / height), frameon=False, fontsize=9)
     title = f"Which images tie to which: {funnel['used']} of {len(scene) * (len(scene) - 1) // 2} pairs"
     axes.set_title(title, fontsize=12, loc="left", pad=26)
     if reduced > 1:
-        figure.text(0.725, 0.12, f"one dot = {reduced} x {reduced} images", fontsize=8, color="#666666")
+        figure.text(right, room / height, f"one dot = {reduced} x {reduced} images", fontsize=8, color="#666666")
     return _png(figure)
 
 
@@ -116,7 +120,7 @@ def _matrix_grid(axes: object, scene: Scene, order: np.ndarray) -> None:
         axes.set_yticks(middles, labels, fontsize=8)  # type: ignore[attr-defined]
         axes.set_xticks(middles, labels, fontsize=8, rotation=90)  # type: ignore[attr-defined]
         axes.tick_params(length=0)  # type: ignore[attr-defined]
-    if len(scene.tracks) and len(pass_edges) <= 13:
+    if len(scene.tracks) > 1 and len(pass_edges) <= 13:
         for a, b in zip(pass_edges[:-1], pass_edges[1:]):
             name = scene.tracks[track[a]] if track[a] >= 0 else "loose"
             axes.text((a + b) / 2, -0.012 * n, name, ha="center", va="bottom", fontsize=10)  # type: ignore[attr-defined]

@@ -58,10 +58,14 @@ def masks(run: Run) -> Outcome:
         own = [folder / n for k, n in enumerate(scene.names) if scene.sensor_key[k] == key]
         prepared[key] = SOURCES[source].prepare(own, settings)
     keyed = {n: (int(scene.sensor_key[k]), scene.source_name(k)) for k, n in enumerate(scene.names)}
-    run.make_missing(_mask_item, scene.names, lambda n: mask_path(run.folder, n), run.folder, source, settings, prepared, keyed)
+    run.make_missing(
+        _mask_item, scene.names, lambda n: mask_path(run.folder, n), run.folder, source, settings, prepared, keyed
+    )
     shares = np.array(run.map(_mask_share, list(scene.names), run.folder))
     empty = [n for n, s in zip(scene.names, shares) if s == 0]
-    rows = [[sensor.name, float(100 * shares[scene.sensor_key == k].mean())] for k, sensor in enumerate(scene.all_sensors)]
+    rows = [
+        [sensor.name, float(100 * shares[scene.sensor_key == k].mean())] for k, sensor in enumerate(scene.all_sensors)
+    ]
     return Outcome(
         {"images": len(scene), "used_percent": round(float(100 * shares.mean()), 1)},
         dropped=tuple((n, "the mask leaves nothing of it") for n in empty),

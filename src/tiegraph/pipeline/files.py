@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -31,7 +32,7 @@ def pairs_of(run: Run, name: str) -> Pairs:
         return Pairs.from_npz(dict(data))
 
 
-def save_npz(path: Path, **arrays: np.ndarray) -> None:
+def save_npz(path: Path, **arrays: Any) -> None:
     """Write a compressed NPZ atomically."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)

@@ -80,7 +80,13 @@ def sparse(run: Run) -> Outcome:
         run.reporter.total(total, registered)
 
     made = reconstruct(
-        run.path("database.db"), run.path("images"), run.path("sparse"), checked(run), run.settings.sparse, run.log, progress
+        run.path("database.db"),
+        run.path("images"),
+        run.path("sparse"),
+        checked(run),
+        run.settings.sparse,
+        run.log,
+        progress,
     )
     # Extrinsics found from the images are part of the result.
     write_atomic(run.path("sparse", "scene.json"), made.scene.to_json())
@@ -115,5 +121,7 @@ def georef(run: Run) -> Outcome:
 
 
 def _other_note(number: int, model: pycolmap.Reconstruction, placed: Georeference) -> str:
-    where = "can be placed in the same world by its positions" if placed.placed else "has too few positions to be placed"
+    where = (
+        "can be placed in the same world by its positions" if placed.placed else "has too few positions to be placed"
+    )
     return f"model {number} ({model.num_reg_images()} images, in sparse/{number}) {where}; it is not in the cloud"

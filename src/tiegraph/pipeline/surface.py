@@ -46,7 +46,7 @@ def dense(run: Run) -> Outcome:
     remove(run.path("depth", FIRST))
     pixels = run.map(_known_pixels, names, run.folder)
     refused = {"columns": ["reason", "stereo pairs"], "rows": [[k, n] for k, n in plan.refused.items()]}
-    counts = {"images": len(names), "pixels": int(sum(pixels)), "images_without": len(plan.dropped)}
+    counts: dict[str, float] = {"images": len(names), "pixels": int(sum(pixels)), "images_without": len(plan.dropped)}
     return Outcome(counts, plan.dropped, plan.notes, {"refused stereo pairs": refused})
 
 

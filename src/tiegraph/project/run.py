@@ -19,7 +19,7 @@ from tiegraph import __version__
 from tiegraph.errors import InputError, TiegraphError
 from tiegraph.project.pool import map_items, open_pool
 from tiegraph.project.progress import Meter, Reporter
-from tiegraph.project.stages import Outcome, Receipts, Stage, stage_keys, stamp, digest, write_atomic
+from tiegraph.project.stages import Receipts, Stage, digest, stage_keys, stamp, write_atomic
 
 log = logging.getLogger("tiegraph")
 
@@ -56,7 +56,9 @@ class Inputs:
 class Run:
     """What the glue of a stage works with: the folder, the settings, the pool and the progress."""
 
-    def __init__(self, folder: Path, inputs: Inputs, settings: Any, pool: str = "local", reporter: Reporter | None = None):
+    def __init__(
+        self, folder: Path, inputs: Inputs, settings: Any, pool: str = "local", reporter: Reporter | None = None
+    ):
         self.folder = folder
         self.inputs = inputs
         self.settings = settings
@@ -92,7 +94,9 @@ class Run:
             return []
         return map_items(self._open(), self._workers, function, items, args, self.reporter.advance)
 
-    def make_missing(self, function: Callable[..., Any], items: Sequence[str], artefact: Callable[[str], Path], *args: Any) -> list[Any]:
+    def make_missing(
+        self, function: Callable[..., Any], items: Sequence[str], artefact: Callable[[str], Path], *args: Any
+    ) -> list[Any]:
         """``map`` over the items whose artefact is not there yet; results of those only."""
         todo = [item for item in items if not artefact(item).exists()]
         self.reporter.total(len(items), len(items) - len(todo))
@@ -180,7 +184,8 @@ def _say_done(stage: Stage, receipt: dict, reporter: Reporter) -> None:
 def status(stages: Sequence[Stage], run: Run) -> list[tuple[str, str, dict]]:
     """(stage, why it is not up to date or "", its receipt), without running anything."""
     keys = stage_keys(stages, run.settings, run.inputs.key())
-    rows, stale = [], set()
+    stale: set[str] = set()
+    rows = []
     for stage in stages:
         why = run.receipts.why(stage, keys[stage.name])
         if not why and stale & set(stage.needs):
@@ -253,4 +258,3 @@ def _now() -> str:
 def save_json(path: Path, data: Any) -> None:
     """Write JSON atomically."""
     write_atomic(path, json.dumps(data, indent=1, default=lambda v: v.tolist() if hasattr(v, "tolist") else str(v)))
-

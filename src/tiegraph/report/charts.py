@@ -174,9 +174,8 @@ def _looked_at(ax: Axes, cells: np.ndarray, pairs: Pairs) -> None:
     colours = ListedColormap([REASON_LOOKS[r][1] for r in REASONS])
     ax.imshow(-cells, cmap=colours, vmin=-0.5, vmax=len(REASONS) - 0.5, interpolation="nearest")
     present = [REASONS[k] for k in np.unique(pairs.dropped)]
-    handles = [
-        Patch(facecolor=REASON_LOOKS[r][1], edgecolor="#b6bec7", lw=0.5, label=REASON_LOOKS[r][0]) for r in present
-    ]
+    looks = [REASON_LOOKS[r] for r in present]
+    handles = [Patch(facecolor=colour, edgecolor="#b6bec7", lw=0.5, label=text) for text, colour in looks]
     ax.legend(handles=handles, loc="upper left", bbox_to_anchor=(0, -0.02), ncols=2, frameon=False, fontsize=8)
 
 

@@ -262,7 +262,9 @@ def _evaluation(run: RunFolder) -> dict[str, Any]:
         body = tuple(tuple(str(v) for v in r) for r in rows)
         out["metrics"] = words.Table(("figure", "value", "unit"), body, (False, True, False))
     tables = data.get("tables") or {}
-    out["tables"] = [t for n, d in tables.items() if (t := words.table(d, n.capitalize())) is not None]
+    # who is registered stands in the model section
+    shown = {n: d for n, d in tables.items() if not n.startswith("registered by")}
+    out["tables"] = [t for n, d in shown.items() if (t := words.table(d, n.capitalize())) is not None]
     against = (tables.get("cloud against reference") or {}).get("rows")
     out["shares"] = charts.shares(against) if against else None
     return out

@@ -38,7 +38,8 @@
     return { p: buffer(p), c: buffer(c), n: p.length / 3, line: t.line };
   });
 
-  const start = { azimuth: -2.2, elevation: 0.6, distance: 1.25 * radius, target: [0, 0, 0] };
+  const middle = data.middle.map((v, c) => v - low[c] - half[c]);
+  const start = { azimuth: -2.2, elevation: 0.6, distance: 2.4 * data.reach, target: middle };
   let view = copy(start), size = 1, byHeight = false, showPaths = true, marks = [], queued = false;
 
   function copy(v) { return { azimuth: v.azimuth, elevation: v.elevation, distance: v.distance, target: v.target.slice() }; }
@@ -74,7 +75,7 @@
     gl.enable(gl.DEPTH_TEST);
     gl.useProgram(program);
     gl.uniformMatrix4fv(uniform.m, false, matrix());
-    const spacing = radius / Math.sqrt(n); // grows with the gaps between the points
+    const spacing = 2 * data.reach / Math.sqrt(n); // grows with the gaps between the points
     gl.uniform1f(uniform.k, h * focal * spacing);
     gl.uniform1f(uniform.round, 0);
     gl.uniform1f(uniform.s, size);

@@ -38,7 +38,15 @@ def viewer_data(xyz: np.ndarray, rgb: np.ndarray, tracks: list[Track], most: int
         "rgb": base64.b64encode(np.ascontiguousarray(colour, np.uint8).tobytes()).decode(),
         "tracks": [_track(t, PASSES[k % len(PASSES)]) for k, t in enumerate(tracks)],
         "unit": unit,
+        **_focus(points),
     }
+
+
+def _focus(points: np.ndarray) -> dict[str, Any]:
+    """What the view shows first: the middle of the points, and how far most of them reach from it."""
+    middle = np.median(points, axis=0)
+    reach = float(np.quantile(np.linalg.norm(points - middle, axis=1), 0.85))
+    return {"middle": middle.tolist(), "reach": max(reach, 1e-6)}
 
 
 def _track(track: Track, colour: str) -> dict[str, Any]:

@@ -38,7 +38,7 @@ _PLY_TYPES = {
 
 
 def write_cloud(clouds: Cloud | Iterable[Cloud], path: Path) -> tuple[str, ...]:
-    """Write .las, .laz or .ply by the name's ending; returns remarks for people. Raises InputError for other endings."""
+    """Write .las, .laz or .ply by the name's ending; returns remarks. Raises InputError for other endings."""
     if path.suffix.lower() == ".ply":
         return write_ply(clouds, path)
     if path.suffix.lower() in (".las", ".laz"):
@@ -203,7 +203,7 @@ def _ply_header(origin: Origin | None, count: int) -> bytes:
     else:
         lines.append(f"comment crs {origin.crs}")
         lines.append(f"comment origin_lat_lon_height {origin.lat_deg!r} {origin.lon_deg!r} {origin.height_m!r}")
-        lines.append("comment shift_m {!r} {!r} {!r} (taken off in the model, added in this file)".format(*origin.shift_m))
+        lines.append("comment shift_m {!r} {!r} {!r} (added in this file)".format(*origin.shift_m))
     # The count is known at the end only: padded, so that the header keeps its length.
     lines.append(f"element vertex {count:<15d}")
     lines += [f"property {kind} {name}" for name, _, kind in _PLY]
@@ -243,7 +243,9 @@ def _read_ply_header(file: BinaryIO, path: Path) -> tuple[str, int, list[tuple[s
     """(format, number of vertices, their (name, type), origin from our own comments)."""
     if file.readline().strip() != b"ply":
         raise InputError(f"{path} is not a PLY file: it does not begin with 'ply'")
-    kind, count, properties, element, comments = "", 0, [], "", {}
+    kind, count, element = "", 0, ""
+    properties: list[tuple[str, str]] = []
+    comments: dict[str, list[str]] = {}
     for raw in file:
         words = raw.decode("ascii", "replace").split()
         if words == ["end_header"]:

@@ -36,7 +36,8 @@ def final_adjustment(
     """Adjust poses, points, rig and intrinsics with principal points: plain, filtered at 2 px, then Cauchy at 0.5 px.
 
     ``fixed_rigs``: COLMAP rig ids whose extrinsics stay. ``constant_cameras``, and those with fewer than 10 images,
-    keep their intrinsics (KITTI, driving straight on: free principal points run off by 30 px). A result with impossible intrinsics is refused and said so.
+    keep their intrinsics (KITTI, driving straight on: free principal points run off by 30 px). A result with impossible
+    intrinsics is refused and said so.
     """
     adjusted = pycolmap.Reconstruction(model)
     free = _free_cameras(adjusted) - set(constant_cameras)

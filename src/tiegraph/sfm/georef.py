@@ -163,9 +163,7 @@ def _placed(
         residual_m=residual,
         inlier=inlier,
         held_out_m=held_out,
-        sigma=jackknife_sigma(
-            evidence, used_up, fit, np.lexsort((scene.step[evidence.frame], scene.track[evidence.frame]))
-        ),
+        sigma=jackknife_sigma(evidence, used_up, fit, order),
         antenna_m=tuple(float(v) for v in fit.antenna) if arm is not None or estimate else None,  # type: ignore[arg-type]
         notes=tuple(notes),
     )

@@ -154,7 +154,7 @@ def _derived_note(rig: Rig, result: DerivedRig) -> str:
     worst = max(held, key=lambda s: s.scatter_deg)
     return (
         f"rig {rig.name}: extrinsics of {len(held) + 1} of {len(rig.sensors)} cameras found from a model without rig "
-        f"and then adjusted; largest scatter over the frames {worst.scatter_deg:.2f} deg ({worst.sensor}, {worst.frames} "
+        f"and then adjusted; largest scatter over frames {worst.scatter_deg:.2f} deg ({worst.sensor}, {worst.frames} "
         f"frames)" + (f"; left out: {lost}" if lost else "")
     )
 
