@@ -1,8 +1,8 @@
-"""tiegraph: from a folder of survey images to a georeferenced point cloud, by first estimating which images tie to which.
+"""From a folder of survey images to a georeferenced point cloud, by first estimating which images tie to which.
 
-    import tiegraph
-    project = tiegraph.open("survey/images", rig="ladybug5")
-    print(project.run(until="design").pairs().funnel())
+import tiegraph
+project = tiegraph.open("survey/images", rig="ladybug5")
+print(project.run(until="design").pairs().funnel())
 """
 
 # zlib must be loaded before pycolmap: its extension module exports a second zlib, and libz would bind to it and

@@ -22,7 +22,7 @@ class InitOptions(Common):
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """The run folder to prepare (default: <IMAGES>_tiegraph beside the images)."""
     rig: str | None = None
-    """A rig.toml, a COLMAP rig_config.json, or a preset: ladybug5, ring:N, stereo, single (default: guessed, and said)."""
+    """A rig.toml, a COLMAP rig_config.json, or ladybug5, ring:N, stereo, single (default: guessed, and said)."""
 
 
 def main(arguments: list[str]) -> int:

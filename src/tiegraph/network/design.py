@@ -88,8 +88,17 @@ def component_notes(pairs: Pairs, scene: Scene) -> tuple[str, ...]:
     parts = np.flatnonzero(size > 1)
     if len(parts) > 1:
         named = [f"{size[k]} images with {scene.names[int(np.argmax(labels == k))]}" for k in parts]
-        notes.append(f"the pairs fall into {len(parts)} components: {some(named)}")
+        held = "; the frames of the rig hold them together" if _frames_connected(pairs, scene) else ""
+        notes.append(f"the pairs fall into {len(parts)} components: {some(named)}{held}")
     return tuple(notes)
+
+
+def _frames_connected(pairs: Pairs, scene: Scene) -> bool:
+    """Whether all frames are one component, every image standing for its frame."""
+    kept = pairs.kept()
+    ends = scene.frame[kept.i], scene.frame[kept.j]
+    graph = coo_array((np.ones(len(kept)), ends), shape=(scene.frames, scene.frames))
+    return int(connected_components(graph.tocsr(), directed=False)[0]) == 1
 
 
 def some(names: list[str], limit: int = 10) -> str:

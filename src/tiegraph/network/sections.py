@@ -13,7 +13,7 @@ from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 
 MIN_FRAMES = 8  # with an up camera, or nothing can be learnt
-MIN_SEPARATION = 0.66  # share of the variance the two classes must explain (a normal distribution: 0.64)
+MIN_SEPARATION = 0.7  # share of the variance the two classes must explain (a normal distribution: 0.64 to 0.67)
 MIN_RATIO = 1.25  # mean brightness of the open class over that of the bridge class
 SMOOTH_FRAMES = 3  # median window
 MIN_RUN = 2  # shorter runs belong to their neighbours

@@ -178,7 +178,8 @@ def automatic(context: Context) -> Proposal:
         if context.passes:
             said += ["sequence", "offsets"]
             parts += [sequence(context), offsets(context)]
-        if scene.has_positions():
+        # Along a pass previews know more than positions alone.
+        if scene.has_orientations() or (len(loose) and scene.has_positions()):
             said.append("poses")
             parts.append(confirmed(poses(context), context))
         blind = loose[~np.isfinite(scene.world_from_rig[scene.frame[loose], :3, 3]).all(axis=1)]

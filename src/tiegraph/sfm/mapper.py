@@ -26,7 +26,7 @@ from tiegraph.sfm.settings import SparseSettings
 
 _log = logging.getLogger(__name__)
 
-GLOBAL_FROM_IMAGES = 60
+GLOBAL_FROM_IMAGES = 60  # without a rig: below some tens of images the incremental mapper is as fast (PYCOLMAP 4)
 CLEARLY_FEWER = 0.8  # share of the largest connected part below which the other mapper is tried too
 
 Progress = Callable[[int, int], None]

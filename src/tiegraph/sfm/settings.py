@@ -13,7 +13,7 @@ class SparseSettings(Section):
     """How the images become a model: poses, points and cameras (COLMAP)."""
 
     mapper: Literal["auto", "incremental", "global"] = "auto"
-    """Mapper: incremental (one image after the other), global (all at once, GLOMAP), auto = by rig and priors."""
+    """Mapper: incremental (one image after the other), global (all at once, GLOMAP), auto = by rig and image count."""
 
     rig: Literal["auto", "fixed", "refined", "absent"] = "auto"
     """Rig: fixed = as given, refined = adjusted with the model, absent = ignored, auto = by how well it is known."""
@@ -24,10 +24,10 @@ class SparseSettings(Section):
     refine_intrinsics: Literal["auto", "yes", "no"] = "auto"
     """Adjust focal length, principal point, distortion with the model; auto = yes but for fixed rigs."""
 
-    min_matches: int = Field(15, ge=4, le=1000)
+    min_matches: int = Field(default=15, ge=4, le=1000)
     """Pairs with fewer verified matches are not used."""
 
-    covariance_frames: int = Field(500, ge=0, le=3000)
+    covariance_frames: int = Field(default=500, ge=0, le=3000)
     """Largest model, in frames, whose position sigmas are computed from the bundle adjustment (0 = never)."""
 
 
@@ -37,7 +37,7 @@ class GeorefSettings(Section):
     antenna: Literal["auto", "given", "estimated", "ignored"] = "auto"
     """GNSS lever arm: as the rig file gives it, estimated from the passes, or ignored; auto = given, else ignored."""
 
-    sigma_floor_m: float = Field(0.05, gt=0, le=10)
+    sigma_floor_m: float = Field(default=0.05, gt=0, le=10)
     """Smallest sigma believed of a prior position, metres (receivers are optimistic)."""
 
     level: bool = True
