@@ -100,12 +100,20 @@ def run_one(
     row |= _run_process(command, work / "log.txt", args.timeout)
     said = json.loads((work / "figures.json").read_text()) if (work / "figures.json").exists() else {}
     row |= _outcome(row.pop("returncode"), said)
-    row |= {key: said[key] for key in ("stages", "pairs") if key in said}
+    row |= {key: _without_paths(said[key], folder, work, dataset.images) for key in ("stages", "pairs") if key in said}
     world = Origin.from_dict(said["world"]) if said.get("world") else None
     row |= accuracy.evaluate([Path(m) for m in said.get("models", [])], dataset, world)
     if not args.keep:
         shutil.rmtree(work)
     return row
+
+
+def _without_paths(value: Any, *places: Path) -> Any:
+    """The same with the folders of this machine taken out of all texts."""
+    text = json.dumps(value)
+    for place in places:
+        text = text.replace(json.dumps(f"{place.resolve()}/")[1:-1], "").replace(json.dumps(f"{place}/")[1:-1], "")
+    return json.loads(text)
 
 
 def _given(dataset: datasets.Dataset, competitor: str, args: argparse.Namespace) -> bool:

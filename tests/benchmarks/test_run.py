@@ -61,3 +61,9 @@ def test_unknown_competitor_is_refused(capsys: pytest.CaptureFixture[str]) -> No
     with pytest.raises(SystemExit):
         run.main(["--sets", "canal_demo", "--competitors", "colmpa", "-o", "x.json"])
     assert "colmap_exhaustive" in capsys.readouterr().err
+
+
+def test_results_hold_no_paths_of_the_machine(tmp_path: Path) -> None:
+    said = [{"stage": "scan", "notes": [f"camera from {tmp_path}/inputs/rig.toml"], "cpu_s": 1.5}]
+    cleaned = run._without_paths(said, tmp_path)
+    assert cleaned == [{"stage": "scan", "notes": ["camera from inputs/rig.toml"], "cpu_s": 1.5}]

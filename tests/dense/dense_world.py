@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pycolmap
-from worlds import Survey, make_survey
 
 from tiegraph.geometry import transforms
+from worlds import Survey, make_survey
 
 _STEP_PX = 20  # one sparse point in every 20 x 20 pixels of every second image
 _SAME_SURFACE = 0.01

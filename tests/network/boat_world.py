@@ -80,7 +80,8 @@ class World:
         relative = transforms.invert(self.world_from_sensor[j]) @ self.world_from_sensor[i]
         same = self.scene.frame[i] == self.scene.frame[j]
         return [
-            Result(int(c), r[:3, :3], _shift(r[:3, :3]) if s else np.zeros(2)) for c, r, s in zip(counts, relative, same)
+            Result(int(c), r[:3, :3], _shift(r[:3, :3]) if s else np.zeros(2))
+            for c, r, s in zip(counts, relative, same)
         ]
 
 
@@ -91,7 +92,9 @@ def _shift(b_from_a: np.ndarray) -> np.ndarray:
     return (middle_b[:2] / max(middle_b[2], 0.1) - middle_a[:2] / max(middle_a[2], 0.1)) / 2
 
 
-def boat(frames: tuple[int, ...] = (12, 12), spacing_m: tuple[float, ...] = (2.0, 2.0), rig: Rig | None = None) -> World:
+def boat(
+    frames: tuple[int, ...] = (12, 12), spacing_m: tuple[float, ...] = (2.0, 2.0), rig: Rig | None = None
+) -> World:
     """Passes along the canal, every second one back; ``spacing_m`` is the speed of each pass."""
     rig = rig or ring()
     names, frame, sensor, track, step, poses = [], [], [], [], [], []

@@ -40,7 +40,7 @@ def main(arguments: list[str]) -> int:
     """Run the example: a boat with six cameras, up and down a canal, under a bridge."""
 
     def demo(options: Annotated[DemoOptions, tyro.conf.arg(name="")]) -> DemoOptions:
-        """The example survey from images to the report: 6 cameras, 2 passes, 120 images, GNSS, truth to compare with."""
+        """The example survey from images to the report: 6 cameras, 2 passes, 120 images, GNSS, truth."""
         return options
 
     options = tyro.cli(demo, prog="tiegraph demo", args=arguments)

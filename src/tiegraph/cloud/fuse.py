@@ -16,7 +16,7 @@ import numpy as np
 
 from tiegraph.cloud.filter import filter_points
 from tiegraph.cloud.settings import CloudSettings
-from tiegraph.cloud.voxels import LEVELS, Voxels, add_up, voxels_of, without_coarse_duplicates
+from tiegraph.cloud.voxels import LEVELS, Voxels, add_up, row_numbers, voxels_of, without_coarse_duplicates
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.geometry.transforms import apply, invert
@@ -146,11 +146,10 @@ def _scatter_one(
         return set(), 0, uncertain
     voxels = voxels_of(cloud, spacing, voxel)
     tile = _tile_of(voxels)
-    keys, inverse = np.unique(tile, axis=0, return_inverse=True)
-    inverse = inverse.ravel()
+    _, first, inverse = np.unique(row_numbers(tile), return_index=True, return_inverse=True)
     touched = set()
-    for k, key in enumerate(keys):
-        at: Tile = (int(key[0]), int(key[1]), int(key[2]))
+    for k, row in enumerate(first):
+        at: Tile = (int(tile[row, 0]), int(tile[row, 1]), int(tile[row, 2]))
         _save(_tile_path(scratch, at, f"{number:06d}"), voxels.where(inverse == k))
         touched.add(at)
     return touched, len(cloud), uncertain

@@ -64,7 +64,7 @@ class Voxels:
 
 def voxels_of(cloud: Cloud, spacing: np.ndarray, voxel: float) -> Voxels:
     """Points as voxels, added up; spacing (M,) is the distance between neighbouring points that is justified."""
-    level = np.clip(np.ceil(np.log2(np.maximum(spacing / voxel, 1e-9))), 0, LEVELS - 1).astype(np.uint8)
+    level = np.clip(np.rint(np.log2(np.maximum(spacing / voxel, 1e-9))), 0, LEVELS - 1).astype(np.uint8)
     cell = cloud.xyz_m / (voxel * 2.0 ** level[:, None].astype(float))
     index = np.floor(cell).astype(np.int64)
     # Relative to the voxel, so that the weights of one part do not depend on its units.
@@ -89,10 +89,10 @@ def add_up(voxels: Voxels) -> Voxels:
     """One row a voxel, sorted by level and index."""
     if len(voxels) == 0:
         return voxels
-    order = np.lexsort((*voxels.index.T[::-1], voxels.level))
+    keys = row_numbers(np.column_stack([voxels.level.astype(np.int64), voxels.index]))
+    order = np.argsort(keys, kind="stable")
     level, index = voxels.level[order], voxels.index[order]
-    new = np.r_[True, (np.diff(level.astype(np.int16)) != 0) | (np.diff(index, axis=0) != 0).any(axis=1)]
-    start = np.flatnonzero(new)
+    start = np.flatnonzero(np.r_[True, np.diff(keys[order]) != 0])
 
     def total(values: np.ndarray) -> np.ndarray:
         return np.add.reduceat(values[order], start, axis=0)
@@ -109,6 +109,18 @@ def add_up(voxels: Voxels) -> Voxels:
     )
 
 
+def row_numbers(rows: np.ndarray) -> np.ndarray:
+    """(V,) i8: one number for each distinct row (V, c) of integers, in the order of the rows."""
+    low = rows.min(axis=0)
+    span = rows.max(axis=0) - low + 1
+    if np.prod(span.astype(float)) >= 2.0**62:  # does not fit one integer: number the rows that occur
+        return np.unique(rows, axis=0, return_inverse=True)[1].ravel()
+    number = np.zeros(len(rows), np.int64)
+    for k, width in enumerate(span):
+        number = number * width + (rows[:, k] - low[k])
+    return number
+
+
 def without_coarse_duplicates(voxels: Voxels) -> Voxels:
     """Leave out a coarse voxel in which a finer one lies: the finer knows the place better."""
     keep = np.ones(len(voxels), bool)
@@ -119,12 +131,6 @@ def without_coarse_duplicates(voxels: Voxels) -> Voxels:
             continue
         up = (level - voxels.level[finer]).astype(np.int64)
         parents = voxels.index[finer] >> up[:, None]
-        keep[mine] = ~_contained(voxels.index[mine], np.unique(parents, axis=0))
+        number = row_numbers(np.concatenate([parents, voxels.index[mine]]))
+        keep[mine] = ~np.isin(number[len(parents) :], number[: len(parents)])
     return voxels.where(keep)
-
-
-def _contained(rows: np.ndarray, table: np.ndarray) -> np.ndarray:
-    both = np.concatenate([table, rows])
-    _, number = np.unique(both, axis=0, return_inverse=True)
-    number = number.ravel()
-    return np.isin(number[len(table) :], number[: len(table)])

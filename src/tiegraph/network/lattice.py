@@ -95,27 +95,24 @@ class Lattice:
         return out
 
     def interpolated(self, smooth: np.ndarray, threshold: float) -> tuple[np.ndarray, ...]:
-        """Frame pairs between the nodes: c, d, rank in p, rank in q and bilinear count, all (K,), of those that reach
-        ``threshold``. Unmeasured corners count as unrelated."""
+        """Frame pairs between the nodes whose bilinear ``smooth`` reaches ``threshold``: c, d, rank in p, rank in q and
+        bilinear preview matches, all (K,). Unmeasured corners count as unrelated."""
         low = FLOOR * threshold
         surface = np.where(np.isfinite(smooth), smooth, low)
-        fine_rows, u, v_rows = _between(self.rows)
-        fine_columns, w, v_columns = _between(self.columns)
-        out = []
+        # The count between an image and itself is not known: as high as any of its neighbours'.
+        counts = np.where(np.isfinite(self.inliers), self.inliers, np.where(np.isfinite(smooth), smooth, low))
+        fine_rows, row, row_share = _between(self.rows)
+        fine_columns, column, column_share = _between(self.columns)
+        out = [(np.zeros(0, int),) * 4 + (np.zeros(0),)]
         for c, d in np.argwhere(self.allowed):
-            grid = surface[c, d]
-            hot_rows = _reach(grid.max(axis=1) >= threshold)[u] if len(grid) else np.zeros(0, bool)
-            take = np.flatnonzero(hot_rows)
-            at = (
-                grid[u[take]] * (1 - v_rows[take, None])
-                + grid[np.minimum(u[take] + 1, len(grid) - 1)] * v_rows[take, None]
-            )
-            fine = at[:, w] * (1 - v_columns) + at[:, np.minimum(w + 1, grid.shape[1] - 1)] * v_columns
-            k, n = np.nonzero(fine >= threshold)
-            full = np.full(len(k), c), np.full(len(k), d), fine_rows[take[k]], fine_columns[n], fine[k, n]
-            out.append(full)
-        if not out:
-            return tuple(np.zeros(0, int) for _ in range(4)) + (np.zeros(0),)
+            hot = _reach(surface[c, d].max(axis=1) >= threshold)
+            take = np.flatnonzero(hot[row])
+            if (self.same and c > d) or not len(take):
+                continue
+            places = row[take], row_share[take], column, column_share
+            k, n = np.nonzero(_bilinear(surface[c, d], *places) >= threshold)
+            value = _bilinear(counts[c, d], *places)[k, n]
+            out.append((np.full(len(k), c), np.full(len(k), d), fine_rows[take[k]], fine_columns[n], value))
         return tuple(np.concatenate(part) for part in zip(*out))
 
 
@@ -130,6 +127,15 @@ def _blurred(grid: np.ndarray) -> np.ndarray:
     """(S, T, A, B) f4 Gaussian over the last two axes, zero outside."""
     sigma = (0, 0, SIGMA_NODES, SIGMA_NODES)
     return gaussian_filter(grid.astype(np.float32), sigma, mode="constant", truncate=_TRUNCATE)
+
+
+def _bilinear(
+    grid: np.ndarray, row: np.ndarray, row_share: np.ndarray, column: np.ndarray, column_share: np.ndarray
+) -> np.ndarray:
+    """(K, L) values of a grid (A, B) at rows (K,) and columns (L,) plus a share (0 .. 1) of the way to the next."""
+    below, right = np.minimum(row + 1, len(grid) - 1), np.minimum(column + 1, grid.shape[1] - 1)
+    rows = grid[row] * (1 - row_share[:, None]) + grid[below] * row_share[:, None]
+    return rows[:, column] * (1 - column_share) + rows[:, right] * column_share
 
 
 def _every(n: int, stride: int) -> np.ndarray:

@@ -13,18 +13,19 @@ from tiegraph.scene.scene import Scene
 ALL_LIMIT = 400  # images that are all previewed with one another: 80 000 previews, minutes
 BEST = 5  # pairs of an image kept whatever their count, so that no image stands alone
 SURE = 1.2  # times min_matches: a single preview must be surer than an average over neighbouring frames
-RANDOM = 40  # random partners an image starts with
+BY_NAME = 6  # next photographs by name an image starts with: a camera numbers its pictures
+RANDOM = 20  # random partners an image starts with, and gets again while it has few ties
+FEW_TIES = 4
 FRIENDS = 40  # neighbours of neighbours an image is previewed with in one round
-ROUNDS = 6
-MIN_GAIN = 0.02  # rounds end when they add less than this share of pairs
+PREVIEW_SHARE = 0.06  # of all pairs: the most that previews may take beyond ALL_LIMIT images
 EVERY = 4  # of the frames of passes, those compared with loose photographs
 
 
 def scored_pairs(scene: Scene, images: np.ndarray, book: PreviewBook, settings: NetworkSettings) -> Pairs:
     """Pairs of loose images (K,) among each other and with the images of passes, by preview counts.
 
-    Up to ALL_LIMIT images every pair is previewed; beyond, random pairs first and then neighbours of neighbours
-    (sample and propagate, Cui et al. 2017). Dropped pairs carry ``weak``.
+    Up to ALL_LIMIT images every pair is previewed; beyond, some pairs first and then neighbours of neighbours (sample
+    and propagate, Cui et al. 2017). Dropped pairs carry ``weak``.
     """
     if len(images) == 0:
         return Pairs.empty()
@@ -45,21 +46,29 @@ def scored_pairs(scene: Scene, images: np.ndarray, book: PreviewBook, settings: 
 def _propagated(
     nodes: np.ndarray, loose: np.ndarray, book: PreviewBook, settings: NetworkSettings
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rounds of previews: neighbours by name and random partners first, then neighbours of neighbours; images that
+    still have few ties get more random partners while the budget lasts."""
     rng = np.random.default_rng(0)
     count = len(nodes)
-    starts = np.repeat(np.flatnonzero(loose), RANDOM)
-    key = _keys(starts, rng.integers(0, count, len(starts)), count)
-    ties = 0
-    for _ in range(ROUNDS):
+    budget = max(ALL_LIMIT**2 // 2, int(PREVIEW_SHARE * count * (count - 1) / 2))
+    own = np.flatnonzero(loose)
+    near = np.concatenate([np.stack([own[:-step], own[step:]]) for step in range(1, BY_NAME + 1)], axis=1)
+    key = np.union1d(_keys(near[0], near[1], count), _random(own, count, rng))
+    while True:
         a, b = key // count, key % count
-        score = book.measure(nodes[a], nodes[b])
-        tied = score >= SURE * settings.min_matches
-        if tied.sum() <= (1 + MIN_GAIN) * ties:
-            break
-        ties = int(tied.sum())
-        key = np.union1d(key, _friends(a[tied], b[tied], loose))
-    a, b = key // count, key % count
-    return nodes[a], nodes[b], book.measure(nodes[a], nodes[b])
+        tied = book.measure(nodes[a], nodes[b]) >= SURE * settings.min_matches
+        degree = np.bincount(np.r_[a[tied], b[tied]], minlength=count)
+        more = np.union1d(_friends(a[tied], b[tied], loose), _random(own[degree[own] < FEW_TIES], count, rng))
+        new = np.setdiff1d(more, key)
+        if not len(new) or len(key) + len(new) > budget:
+            return nodes[a], nodes[b], book.measure(nodes[a], nodes[b])
+        key = np.union1d(key, new)
+
+
+def _random(starts: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Keys of RANDOM partners for each start."""
+    repeated = np.repeat(starts, RANDOM)
+    return _keys(repeated, rng.integers(0, count, len(repeated)), count)
 
 
 def _keys(a: np.ndarray, b: np.ndarray, count: int) -> np.ndarray:

@@ -67,6 +67,7 @@ class _Survey:
     smooth: np.ndarray
     reversed: bool
     notes: tuple[str, ...] = ()
+    complete: bool = True  # False: the budget of previews was spent before every hit was followed
 
 
 def estimate_offsets(passes: Sequence[Pass], book: PreviewBook, images: int, settings: NetworkSettings) -> OffsetResult:
@@ -79,8 +80,12 @@ def estimate_offsets(passes: Sequence[Pass], book: PreviewBook, images: int, set
         strides = {id(p): _stride(p, book, settings) for p in passes}
         parts = []
         for k, (p, q) in enumerate(couples):
-            share = (budget - len(book)) // (len(couples) - k)
-            survey = _survey(p, q, min(strides[id(p)], strides[id(q)]), book, settings, len(book) + share)
+            share = max(0, budget - len(book)) // (len(couples) - k)
+            stride = min(strides[id(p)], strides[id(q)])
+            survey = _survey(p, q, stride, book, settings, len(book) + share)
+            while not survey.complete and 4 * stride < max(len(p), len(q)):
+                stride *= 2  # coarser: the nodes of the finer lattice are known and cost nothing
+                survey = _survey(p, q, stride, book, settings, len(book) + share)
             parts.append(_local(survey, settings))
     pairs = Pairs.empty()
     for part in parts:
@@ -130,7 +135,7 @@ def _survey(p: Pass, q: Pass, stride: int, book: PreviewBook, settings: NetworkS
             return _Survey(lattice, smooth, backwards, notes)
         if len(book) + int(frontier.sum()) > budget:
             text = f"{p.name} - {q.name}: the budget of previews was spent before every hit was followed"
-            return _Survey(lattice, smooth, backwards, (*notes, text))
+            return _Survey(lattice, smooth, backwards, (*notes, text), complete=False)
         lattice = lattice.measured(frontier, book)
 
 
@@ -230,8 +235,9 @@ def _local(survey: _Survey, settings: NetworkSettings) -> OffsetResult:
 
 
 def _curves(
-    lattice: Lattice, backwards: bool, accepted: np.ndarray, settings: NetworkSettings
+    lattice: Lattice, backwards: bool, accepted: np.ndarray, settings: NetworkSettings, best: np.ndarray | None = None
 ) -> tuple[OffsetCurve, ...]:
+    """One curve a camera pair; ``best`` (S, T) is the offset that was voted, where one was."""
     p, q = lattice.p, lattice.q
     out = []
     for c, d in np.argwhere(lattice.allowed):
@@ -240,9 +246,9 @@ def _curves(
         offsets, votes = _votes(lattice, int(c), int(d), backwards, settings.min_matches)
         if not len(offsets):
             continue
-        best = int(offsets[np.argmax(votes)])
+        winner = int(offsets[np.argmax(votes)] if best is None else best[c, d])
         names = p.rig.sensors[c].name, q.rig.sensors[d].name
-        out.append(OffsetCurve(p.name, q.name, *names, offsets, votes, best, bool(accepted[c, d]), backwards))
+        out.append(OffsetCurve(p.name, q.name, *names, offsets, votes, winner, bool(accepted[c, d]), backwards))
     return tuple(out)
 
 
@@ -288,7 +294,7 @@ def _constant(p: Pass, q: Pass, book: PreviewBook, settings: NetworkSettings) ->
     for block in blocks:
         # Where both know a pair, the range decides: "offset" holds only outside of it.
         looked_at = looked_at.where(~_contained(looked_at, block)) | block
-    return OffsetResult(looked_at, _curves(lattice, backwards, voted, settings), notes)
+    return OffsetResult(looked_at, _curves(lattice, backwards, voted, settings, best), notes)
 
 
 def _vote_constant(p: Pass, q: Pass, book: PreviewBook, settings: NetworkSettings) -> tuple[Lattice, tuple[str, ...]]:
@@ -330,12 +336,14 @@ def _backwards_by_votes(lattice: Lattice, settings: NetworkSettings) -> bool:
 
 
 def _supported(lattice: Lattice, block: tuple[int, int, int], backwards: bool, settings: NetworkSettings) -> bool:
-    """Whether at least two sampled frames have enough matches within the range around the best offset."""
+    """Whether the best offset has enough matches on average, over at least two sampled frames."""
     c, d, best = block
     m, n = np.meshgrid(lattice.rows, lattice.columns, indexing="ij")
-    near = np.abs((n + m if backwards else n - m) - best) <= max(1, settings.offset_range)
-    hits = near & (np.nan_to_num(lattice.inliers[c, d]) >= settings.min_matches)
-    return int(hits.any(axis=1).sum()) >= 2
+    step = int(np.max(np.diff(lattice.columns), initial=1))
+    inliers = lattice.inliers[c, d]
+    near = (np.abs((n + m if backwards else n - m) - best) <= step) & np.isfinite(inliers)
+    count = np.clip(inliers[near], FLOOR * settings.min_matches, CEILING * settings.min_matches)
+    return int(near.any(axis=1).sum()) >= 2 and float(count.mean()) >= settings.min_matches
 
 
 def _around(

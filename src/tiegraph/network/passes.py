@@ -41,7 +41,7 @@ def find_passes(scene: Scene) -> tuple[Pass, ...]:
         images = image_of[frames, : len(scene.rigs[rig].sensors)].T
         name = scene.tracks[track] if track < len(scene.tracks) else f"pass {track}"
         several = sum(t == track for t, _ in ids) > 1
-        name = f"{name} ({scene.rigs[rig].name})" if several else name
+        name = f"{name} (rig {rig + 1}, {scene.rigs[rig].name})" if several else name
         found.append(Pass(name, track, rig, scene.rigs[rig], frames, images))
     return tuple(found)
 

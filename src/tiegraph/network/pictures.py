@@ -73,7 +73,9 @@ def matrix_png(pairs: Pairs, scene: Scene) -> bytes:
     handles = [Patch(facecolor=COLOURS[r], label=f"{WORDS[r]}: {_count(pairs, r)}") for r in present]
     never = len(scene) * (len(scene) - 1) // 2 - len(pairs)
     handles.append(Patch(facecolor=NEVER, edgecolor="#999999", label=f"not looked at: {never}"))
-    figure.legend(handles=handles, loc="upper left", bbox_to_anchor=(right, (room + 6.3) / height), frameon=False, fontsize=9)
+    figure.legend(
+        handles=handles, loc="upper left", bbox_to_anchor=(right, (room + 6.3) / height), frameon=False, fontsize=9
+    )
     title = f"Which images tie to which: {funnel['used']} of {len(scene) * (len(scene) - 1) // 2} pairs"
     axes.set_title(title, fontsize=12, loc="left", pad=26)
     if reduced > 1:

@@ -24,6 +24,7 @@ FRAMES = 16  # frames whose images are compared
 MIN_VOTES = 6  # image pairs with enough matches
 AGREEMENT = 0.5  # mean cosine between predicted and seen motion that counts as agreement
 MARGIN = 0.5  # a hypothesis must beat the nominal rig by this much to replace it
+TIE = 0.03  # agreements this close are the same
 INLIERS = 1.3  # times min_matches: a single preview must be surer than an average of many
 FAR = 10.0  # assumed distance of things, in baselines
 
@@ -70,7 +71,8 @@ def check_rig(rig: Rig, passes: Sequence[Pass], book: PreviewBook, settings: Net
         text = f"rig {rig.name}: its axes could not be checked against the images: too few matches"
         return RigCheck(rig, False, f"{text} ({len(votes.a)} of {MIN_VOTES} pairs of one frame)")
     score = {name: _agreement(variant, votes) for name, variant in _hypotheses(rig)}
-    best = max(score, key=lambda name: score[name])
+    # Of explanations that fit alike the first: side cameras of a ring cannot tell "mirrored" from "upside down".
+    best = next(name for name, s in score.items() if s >= max(score.values()) - TIE)
     angles = _angles(rig, votes)
     if score["nominal"] >= AGREEMENT or best == "nominal":
         how = "agree with" if score["nominal"] >= AGREEMENT else "neither prove nor contradict"

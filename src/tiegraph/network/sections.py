@@ -47,7 +47,7 @@ def find_sections(scene: Scene, passes: Sequence[Pass], brightness: np.ndarray) 
         return _one(scene, by_frame, "no camera looks up" if not len(known) else "too few frames with an up camera")
     threshold, separation, ratio = otsu(known)
     if separation < MIN_SEPARATION or ratio < MIN_RATIO:
-        return _one(scene, by_frame, "the up camera's brightness does not fall into two classes: no bridge")
+        return _one(scene, by_frame, "the up camera's brightness does not fall into two clear classes")
     of_frame = np.full(scene.frames, -1)
     sections: list[Section] = []
     for p in passes:

@@ -49,7 +49,7 @@ class NetworkSettings(Section):
 class DesignSettings(Section):
     """Which of the candidate pairs are matched at full resolution."""
 
-    method: Literal["all", "top"] = "all"
+    method: Literal["all", "top"] = "top"
     """all: every kept pair; top: the best pairs of each image, and a spanning forest so that nothing falls apart."""
     pairs_per_image: int = Field(40, ge=1, le=1000)
     """Method top: pairs an image keeps at most because of its own ranking."""

@@ -13,8 +13,7 @@ from tiegraph.features.match import match_pairs
 from tiegraph.features.settings import FeaturesSettings
 from tiegraph.pipeline.files import checked, mask_path, pairs_of, save_npz, scanned
 from tiegraph.project.run import Run, save_json
-from tiegraph.project.stages import Outcome, remove, write_atomic
-from tiegraph.scene.scene import Scene
+from tiegraph.project.stages import Outcome, remove
 from tiegraph.sfm.georef import Georeference, georeference_all
 from tiegraph.sfm.mapper import reconstruct
 
@@ -25,7 +24,7 @@ def features(run: Run) -> Outcome:
     """SIFT of every image under its mask, into COLMAP's database."""
     scene, path = scanned(run), run.path("database.db")
     if not path.exists():
-        database.create_database(path, scene)
+        database.create_database(path, scene.measured())
     there = database.images_with_features(path)
     todo = [(k, n) for k, n in enumerate(scene.names) if k not in there]
     run.reporter.total(len(scene), len(there))
@@ -83,13 +82,11 @@ def sparse(run: Run) -> Outcome:
         run.path("database.db"),
         run.path("images"),
         run.path("sparse"),
-        checked(run),
+        checked(run).measured(),
         run.settings.sparse,
         run.log,
         progress,
     )
-    # Extrinsics found from the images are part of the result.
-    write_atomic(run.path("sparse", "scene.json"), made.scene.to_json())
     counts = dict(made.counts)
     if made.sigma is not None:
         counts |= {"position_sigma_median": made.sigma.median, "position_sigma_p90": made.sigma.p90}
@@ -98,7 +95,7 @@ def sparse(run: Run) -> Outcome:
 
 def georef(run: Run) -> Outcome:
     """The largest model into the world; what the others would say is noted."""
-    scene = Scene.from_json(run.path("sparse", "scene.json").read_text())
+    scene = checked(run).measured()
     folders = sorted((p for p in run.path("sparse").iterdir() if p.name.isdigit()), key=lambda p: int(p.name))
     models = [pycolmap.Reconstruction(str(p)) for p in folders]
     placed = georeference_all(models, scene, run.settings.georef)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
 
 import pycolmap
 
@@ -10,13 +10,10 @@ from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.evaluate.survey import evaluate_survey
 from tiegraph.masks.compare import compare
 from tiegraph.pipeline.files import checked
-from tiegraph.pipeline.surface import depth_path
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome
 from tiegraph.report.html import write_report
 from tiegraph.scene.cloudfile import read_cloud
-from tiegraph.scene.depthfile import load_depth
-from tiegraph.scene.results import DepthMap
 from tiegraph.scene.scene import Scene
 
 
@@ -25,19 +22,14 @@ def evaluate(run: Run) -> Outcome:
     scene, settings = checked(run), run.settings.evaluate
     model = pycolmap.Reconstruction(str(run.path("sparse", "world")))
     cloud = read_cloud(run.path("cloud.laz"), scene.origin)
-    result = evaluate_survey(scene, model, cloud, _depth_maps(run, scene), settings, scene.origin)
+    placed = json.loads(run.path("world.json").read_text())["placed"]
+    # Against its own points a camera model without depth maps says the same, and needs no reading of them.
+    result = evaluate_survey(scene, model, cloud, None, settings, scene.origin if placed else None)
     if settings.reference_masks is not None:
         result["tables"]["mask accuracy"] = _masks(run, scene, settings)
     save_json(run.path("metrics.json"), result)
     shown = {m["name"]: m["value"] for m in result["metrics"] if m["value"] is not None}
-    return Outcome({k: float(f"{v:.4g}") for k, v in shown.items()}, notes=tuple(result["notes"]))
-
-
-def _depth_maps(run: Run, scene: Scene) -> Iterator[DepthMap]:
-    for name in scene.names:
-        path = depth_path(run.folder, name)
-        if path.exists():
-            yield load_depth(path)
+    return Outcome({k: float(f"{v:.4g}") for k, v in shown.items()})
 
 
 def _masks(run: Run, scene: Scene, settings: EvaluateSettings) -> dict:

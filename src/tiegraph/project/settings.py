@@ -119,7 +119,41 @@ def _explain(error: Any) -> str:
     return f"unknown setting {name!r}: {hint}"
 
 
-# Filled in below the class so that the table reads as one: what each named way of working changes.
+# What each named way of working changes. The papers adjust no rig and use GNSS for the scale afterwards only.
+_PAPER_MODEL: dict[str, Any] = {"rig": "absent", "mapper": "incremental", "use_positions": False}
 PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "default": {},
+    # The papers' baseline: brute force, no masks, no rig (paper 000 a, paper 001 c).
+    "conventional": {
+        "masks": {"source": "none"},
+        "network": {"sources": ("exhaustive",), "sections": "off"},
+        "design": {"method": "all"},
+        "sparse": _PAPER_MODEL,
+    },
+    # Paper 000: two-image difference; one frame offset for each two cameras, the best matches around it.
+    "meguro2024": {
+        "masks": {"source": "meguro2024"},
+        "network": {
+            "sources": ("offsets",),
+            "offsets": "constant",
+            "offset_range": 5,
+            "offset_best": 2,
+            "sections": "off",
+        },
+        "design": {"method": "all"},
+        "sparse": _PAPER_MODEL,
+    },
+    # Paper 001: two-stage masks; neighbouring frames of a camera and the range around the best offset; sections apart.
+    "meguro2025": {
+        "masks": {"source": "meguro2025"},
+        "network": {
+            "sources": ("sequence", "offsets"),
+            "sequence_frames": 5,
+            "offsets": "constant",
+            "offset_range": 5,
+            "sections": "split",
+        },
+        "design": {"method": "all"},
+        "sparse": _PAPER_MODEL,
+    },
 }

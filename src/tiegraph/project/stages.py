@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import os
 import shutil
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -18,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from tiegraph.errors import InputError
+from tiegraph.scene.atomic import replacing
 
 
 @dataclass(frozen=True)
@@ -68,16 +68,15 @@ def settings_key(section: Any) -> Any:
 
 
 def write_atomic(path: Path, data: bytes | str) -> None:
-    """Write a whole file or none of it. A full disk becomes an InputError naming the file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    """Write a whole file or none of it. A full disk or a folder that cannot be made is an InputError naming the file."""
     try:
-        temporary.write_bytes(data.encode() if isinstance(data, str) else data)
-        os.replace(temporary, path)
+        with replacing(path) as temporary:
+            temporary.write_bytes(data.encode() if isinstance(data, str) else data)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise InputError(f"cannot write {path}: {error.strerror}; free some space or choose another -o folder, "
-                         "then run the same command again: finished work is kept") from error  # fmt: skip
+        raise InputError(
+            f"cannot write {path}: {error.strerror or error}; choose another output folder, then run again: "
+            "what is finished is kept"
+        ) from error
 
 
 def remove(path: Path) -> None:

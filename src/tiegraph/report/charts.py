@@ -60,6 +60,7 @@ _MATRIX_PX = 700
 def figure_axes(
     height_in: float, columns: int = 1, width_ratios: Sequence[float] | None = None
 ) -> tuple[Figure, list[Axes]]:
+    """A figure as wide as the page and its axes side by side."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(_WIDTH_IN, height_in), layout="constrained")
         FigureCanvasAgg(figure)

@@ -24,8 +24,10 @@ class CloudView:
     px_per_m: float
 
 
-def standard_views(xyz: np.ndarray, rgb: np.ndarray, path: np.ndarray, width: int) -> list[CloudView]:
-    """Top view (north up) and two obliques from either side of the path (K, 3) of the cameras; up is +z.
+def standard_views(
+    xyz: np.ndarray, rgb: np.ndarray, path: np.ndarray, width: int, north_up: bool = True
+) -> list[CloudView]:
+    """Top view and two obliques from either side of the path (K, 3) of the cameras; up is +z, +y is north if so told.
 
     Points (N, 3), colours (N, 3) u1. Views are cropped to the middle 98 % of the points, so that a few strays do not
     shrink the rest.
@@ -36,9 +38,10 @@ def standard_views(xyz: np.ndarray, rgb: np.ndarray, path: np.ndarray, width: in
         return []
     rgb = brightened(rgb) if np.ptp(rgb) > 8 else by_height(xyz[:, 2])
     along = main_axis_deg(path if len(path) > 2 else xyz)
-    top = CloudView("Top view, north up", *render(xyz, rgb, 0.0, 90.0, width))
+    top = CloudView("Top view, north up" if north_up else "Top view", *render(xyz, rgb, 0.0, 90.0, width))
     sides = (along + 60.0, along + 240.0)
-    return [top, *(CloudView(f"Oblique view from {compass(a)}", *render(xyz, rgb, a, 32.0, width)) for a in sides)]
+    names = [f"Oblique view from {compass(a)}" if north_up else f"Oblique view {k + 1}" for k, a in enumerate(sides)]
+    return [top, *(CloudView(n, *render(xyz, rgb, a, 32.0, width)) for n, a in zip(names, sides))]
 
 
 def inliers(xyz: np.ndarray, share: float = 0.99, margin: float = 0.15) -> np.ndarray:

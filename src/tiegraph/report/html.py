@@ -215,7 +215,7 @@ def _three_d(run: RunFolder, settings: ReportSettings) -> dict[str, Any]:
     out["plan"] = plan.plan_chart(found, gnss, xyz, unit, axes)
     if run.cloud is not None:
         path = run.model.centres[run.model.registered] @ upright.T
-        views = standard_views(xyz, rgb, path, settings.view_px)
+        views = standard_views(xyz, rgb, path, settings.view_px, run.georeferenced)
         out["views"] = [(v.name, jpeg(with_scale_bar(v, unit))) for v in views]
         out["cloud"] = _cloud_facts(run)
     data = viewer.viewer_data(xyz, rgb, found, settings.viewer_points, unit)

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from tiegraph.errors import TiegraphError
+from tiegraph.errors import InputError, TiegraphError
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _NO_ROOM_BYTES = 1 << 20
@@ -19,7 +19,7 @@ _NO_ROOM_BYTES = 1 << 20
 def replacing(path: Path) -> Iterator[Path]:
     """A temporary path beside ``path`` that takes its place when the block ends well, and is removed otherwise.
 
-    Raises TiegraphError when the disk is full (the libraries below report that in many ways).
+    Raises InputError when the disk is full (the libraries below report that in many ways).
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
@@ -29,9 +29,9 @@ def replacing(path: Path) -> Iterator[Path]:
     except Exception as error:
         full = isinstance(error, OSError) and error.errno in _FULL
         if full or (not isinstance(error, TiegraphError) and shutil.disk_usage(path.parent).free < _NO_ROOM_BYTES):
-            raise TiegraphError(
-                f"no space left while writing {path}: free some space or choose another output folder, then run again; "
-                "what is finished is kept"
+            raise InputError(
+                f"cannot write {path}: No space left on device; free some space or choose another output folder, "
+                "then run again: what is finished is kept"
             ) from error
         raise
     finally:

@@ -287,7 +287,8 @@ def _read_ply_body(file: BinaryIO, path: Path, kind: str, count: int, properties
         for k, (name, _) in enumerate(properties):
             rows[name] = table[:, k]
     else:
-        rows = np.frombuffer(file.read(count * dtype.itemsize), dtype)
+        data = file.read(count * dtype.itemsize)
+        rows = np.frombuffer(data[: len(data) // dtype.itemsize * dtype.itemsize], dtype)
     if len(rows) != count:
         raise InputError(f"{path} is cut short: {len(rows)} of {count} points")
     return rows

@@ -38,7 +38,7 @@ def save_depth(depth: DepthMap, path: Path) -> None:
     ):
         for name, values in columns.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as stream:
-                np.lib.format.write_array(stream, np.ascontiguousarray(values), allow_pickle=False)
+                np.lib.format.write_array(stream, np.asarray(values, order="C"), allow_pickle=False)
 
 
 def load_depth(path: Path) -> DepthMap:

@@ -31,8 +31,8 @@ class Pairs:
     """P pairs of images i < j, sorted and unique; columns (P,), read-only.
 
     ``source`` is a bit set over SOURCES, ``dropped`` an index into REASONS (0 = kept), ``score`` the preview matches
-    (NaN = not previewed), ``inliers`` the verified matches at full resolution (-1 = not matched). Lengths in metres
-    when the poses are metric.
+    (between previewed frames of a pass estimated from them; NaN = unknown), ``inliers`` the verified matches at full
+    resolution (-1 = not matched). Lengths in metres when the poses are metric.
     """
 
     i: np.ndarray

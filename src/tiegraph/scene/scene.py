@@ -122,6 +122,14 @@ class Scene:
             return there & np.isfinite(self.position_sigma_m).all(axis=1)
         return there & (self.prior == "trajectory")
 
+    def measured(self) -> Scene:
+        """This scene with only the measured prior positions: what a model may be held by and judged with."""
+        keep = self.measured_positions()
+        pose = np.array(self.world_from_rig)
+        pose[~keep, :3, 3] = np.nan
+        sigma = np.where(keep[:, None], self.position_sigma_m, np.nan)
+        return replace(self, world_from_rig=pose, position_sigma_m=sigma)
+
     def image_priors(self) -> np.ndarray:
         """(N, 4, 4) world_from_sensor by prior pose and rig extrinsics, NaN where either is unknown."""
         rig_from_sensor = np.full((len(self), 4, 4), np.nan)

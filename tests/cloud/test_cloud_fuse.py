@@ -1,0 +1,148 @@
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from tiegraph.cloud import fuse as fuse_module
+from tiegraph.cloud.filter import filter_points
+from tiegraph.cloud.fuse import automatic_voxel, fuse, map_points
+from tiegraph.cloud.settings import CloudSettings
+from tiegraph.cloud.voxels import Voxels, add_up, voxels_of, without_coarse_duplicates
+from tiegraph.errors import ReconstructionError
+from tiegraph.geometry import transforms
+from tiegraph.scene.results import Cloud, DepthMap
+
+SETTINGS = CloudSettings()
+SHAPE = (90, 120)
+K = np.array([[100.0, 0, 60], [0, 100, 45], [0, 0, 1]])
+RED = np.broadcast_to(np.array([200, 30, 10], np.uint8), (*SHAPE, 3))
+
+
+def wall(name, x, noise_m=0.02, seed=0):
+    """Depth map of the wall z = 10.05 from (x, 0, 0), with noise and its sigma."""
+    depth = 10.05 + noise_m * np.random.default_rng(seed).normal(size=SHAPE)
+    pose = transforms.rigid(np.eye(3), [-x, 0.0, 0.0])
+    normal = np.zeros((*SHAPE, 3), np.float32)
+    normal[..., 2] = -1
+    sigma = np.full(SHAPE, max(noise_m, 0.001), np.float32)
+    return DepthMap(name, depth.astype(np.float32), sigma, np.full(SHAPE, 3, np.uint8), K, pose, normal)
+
+
+WALLS = {f"{k}": wall(f"{k}", x, seed=k) for k, x in enumerate((0.0, 1.0, 2.0, 3.0))}
+
+
+def load(name):
+    return (WALLS[name], RED) if name in WALLS else None
+
+
+def test_overlapping_maps_become_one_even_surface(tmp_path):
+    fused = fuse(list(WALLS), load, tmp_path, SETTINGS)
+    cloud = fused.cloud()
+    assert fused.voxel == pytest.approx(0.1, rel=0.01)
+    cells = 15 * 9 / 0.1**2  # 12 m + 3 m wide, 9 m high, in cells of the spacing
+    assert 0.85 * cells < len(cloud) < 1.35 * cells
+    error = cloud.xyz_m[:, 2] - 10.05
+    assert 0.004 < error.std() < 0.02  # four maps with 0.02 m of noise, averaged where they overlap
+    assert abs(error.mean()) < 0.001
+    nearest = cKDTree(cloud.xyz_m).query(cloud.xyz_m, k=2)[0][:, 1]
+    assert np.median(nearest) > 0.05
+    assert (cloud.rgb == [200, 30, 10]).all()
+    np.testing.assert_allclose(cloud.normal, np.broadcast_to([0, 0, -1], cloud.normal.shape), atol=1e-6)
+    assert (cloud.views == 3).all()
+    np.testing.assert_allclose(cloud.sigma_m, 0.02, rtol=1e-3)
+    assert fused.counts["pixels"] == 4 * SHAPE[0] * SHAPE[1]
+    assert fused.counts["points"] == len(cloud)
+
+
+def test_tiles_do_not_change_the_points(tmp_path, monkeypatch):
+    whole = fuse(list(WALLS), load, tmp_path / "a", SETTINGS)
+    monkeypatch.setattr(fuse_module, "TILE_VOXELS", 32)
+    tiled = fuse(list(WALLS), load, tmp_path / "b", SETTINGS)
+    assert len(tiled.tiles) > 3 * len(whole.tiles)
+    a, b = whole.cloud().xyz_m, tiled.cloud().xyz_m
+    distance, _ = cKDTree(b).query(a)
+    assert abs(len(a) - len(b)) < 0.01 * len(a)  # the average spacing of a tile decides what is an outlier
+    assert (distance < 1e-9).mean() > 0.99
+
+
+def test_parts_are_merged_in_bounded_memory(tmp_path, monkeypatch):
+    whole = fuse(list(WALLS), load, tmp_path / "a", SETTINGS).cloud()
+    monkeypatch.setattr(fuse_module, "_MERGE_ROWS", 1000)
+    parts = fuse(list(WALLS), load, tmp_path / "b", SETTINGS).cloud()
+    np.testing.assert_allclose(whole.xyz_m, parts.xyz_m, atol=1e-12)
+
+
+def test_uncertain_points_are_left_out_and_counted():
+    far = wall("far", 0, noise_m=0.5)
+    cloud, _, uncertain = map_points(far, RED, SETTINGS)
+    assert len(cloud) + uncertain == SHAPE[0] * SHAPE[1]
+    assert uncertain > 0.9 * SHAPE[0] * SHAPE[1]
+
+
+def test_missing_and_empty_maps(tmp_path):
+    assert len(fuse(["0", "missing"], load, tmp_path, SETTINGS).cloud()) > 1000
+    empty = DepthMap("e", np.full(SHAPE, np.nan, np.float32), WALLS["0"].sigma_m, WALLS["0"].views, K, np.eye(4))
+    with pytest.raises(ReconstructionError, match="empty"):
+        fuse(["e"], {"e": (empty, RED)}.get, tmp_path / "e", SETTINGS)
+    with pytest.raises(ReconstructionError, match="min-views"):
+        fuse(["e"], {"e": (empty, RED)}.get, tmp_path / "f", CloudSettings(voxel_size=0.1))
+
+
+def test_automatic_voxel_is_the_size_of_a_pixel():
+    assert automatic_voxel(list(WALLS), load) == pytest.approx(10 / 100, rel=0.01)
+
+
+def cloud_of(xyz, sigma=0.01):
+    n = len(xyz)
+    return Cloud(
+        np.asarray(xyz, float), np.full((n, 3), 100, np.uint8), np.full((n, 3), np.nan, np.float32),
+        np.full(n, sigma, np.float32), np.full(n, 3, np.uint8),
+    )  # fmt: skip
+
+
+def test_sums_of_parts_are_sums_of_the_whole():
+    xyz = np.random.default_rng(0).uniform(-1, 1, (500, 3))
+    spacing = np.random.default_rng(1).choice([0.1, 0.3], 500)
+    whole = voxels_of(cloud_of(xyz), spacing, 0.1)
+    a, b = voxels_of(cloud_of(xyz[:200]), spacing[:200], 0.1), voxels_of(cloud_of(xyz[200:]), spacing[200:], 0.1)
+    again = add_up(Voxels.concatenate([b, a]))
+    np.testing.assert_array_equal(whole.index, again.index)
+    np.testing.assert_allclose(whole.position, again.position)
+    mean = whole.cloud(0.1)
+    assert np.isnan(mean.normal).all()
+    assert (np.floor(mean.xyz_m / whole.spacing(0.1)[:, None] + 1e-9) - whole.index <= 1).all()
+
+
+def test_a_coarse_point_yields_to_finer_ones():
+    fine = voxels_of(cloud_of([[0.05, 0.05, 0.05]]), np.array([0.1]), 0.1)
+    coarse = voxels_of(cloud_of([[0.3, 0.3, 0.3], [5.0, 5.0, 5.0]], 0.3), np.array([0.4, 0.4]), 0.1)
+    left = without_coarse_duplicates(add_up(Voxels.concatenate([fine, coarse])))
+    assert sorted(left.level.tolist()) == [0, 2]
+    np.testing.assert_allclose(left.cloud(0.1).xyz_m[1], [5, 5, 5])
+
+
+def test_filters_drop_outliers_and_keep_the_surface():
+    x, y = np.meshgrid(np.arange(60) * 0.1, np.arange(60) * 0.1)
+    surface = np.c_[x.ravel(), y.ravel(), np.random.default_rng(0).normal(0, 0.01, x.size)]
+    outliers = np.random.default_rng(1).uniform((0, 0, 1), (6, 6, 9), (40, 3))
+    spacing = np.full(len(surface) + 40, 0.1)
+    result = filter_points(np.r_[surface, outliers], spacing, SETTINGS)
+    assert result.keep[: len(surface)].mean() > 0.97
+    assert result.keep[len(surface) :].mean() < 0.05
+    assert (~result.keep).sum() == result.statistical + result.radius
+    only_radius = filter_points(np.r_[surface, outliers], spacing, CloudSettings(statistical_ratio=0))
+    assert only_radius.keep[: len(surface)].all() and not only_radius.keep[len(surface) :].any()
+    off = filter_points(np.r_[surface, outliers], spacing, CloudSettings(statistical_ratio=0, radius_neighbours=0))
+    assert off.keep.all()
+    assert len(filter_points(np.zeros((0, 3)), np.zeros(0), SETTINGS).keep) == 0
+
+
+def test_the_surroundings_of_a_tile_count_as_neighbours():
+    lonely = np.array([[0.0, 0, 0]])
+    around = np.random.default_rng(0).normal(0, 0.05, (30, 3))
+    assert not filter_points(lonely, np.array([0.1]), SETTINGS).keep[0]
+    assert filter_points(lonely, np.array([0.1]), SETTINGS, around).keep[0]
+
+
+def test_voxels_far_apart_are_told_apart():
+    far = voxels_of(cloud_of([[1e9, 1e9, 1e9], [-1e9, -1e9, -1e9], [1e9, 1e9, 1e9]]), np.full(3, 0.001), 0.001)
+    assert len(far) == 2

@@ -1,0 +1,96 @@
+import numpy as np
+import pycolmap
+import pytest
+from dense_world import model_of
+
+from tiegraph.dense.neighbours import EPIPOLE, ONE_CENTRE, SCALE, WIDE, choose_partners, plan_images
+from tiegraph.dense.settings import DenseSettings
+from tiegraph.errors import ReconstructionError
+from tiegraph.geometry import transforms
+
+SETTINGS = DenseSettings()
+CAMERA = pycolmap.Camera(model="PINHOLE", width=640, height=480, params=[500, 500, 320, 240])
+
+
+def model(positions, turns_deg=None, cameras=None, count=400, seed=0):
+    """Cameras that look along +z (turned about y) at points between z = 9 and 11."""
+    rng = np.random.default_rng(seed)
+    world = np.c_[rng.uniform(-6, 6, count), rng.uniform(-4, 4, count), rng.uniform(9, 11, count)]
+    turns = np.radians(turns_deg if turns_deg is not None else np.zeros(len(positions)))
+    poses, seen = [], []
+    cameras = cameras or [CAMERA] * len(positions)
+    for position, turn, camera in zip(positions, turns, cameras, strict=True):
+        c, s = np.cos(turn), np.sin(turn)
+        rotation = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
+        pose = transforms.rigid(rotation, -rotation @ np.asarray(position, float))
+        there = transforms.apply(pose, world)
+        pixel = np.full((count, 2), np.nan)
+        front = there[:, 2] > 0
+        pixel[front] = camera.img_from_cam(there[front])
+        inside = ((pixel >= 0) & (pixel <= (camera.width, camera.height))).all(axis=1)
+        poses.append(pose)
+        seen.append(np.where(inside[:, None], pixel, np.nan))
+    return model_of([f"{k}.jpg" for k in range(len(positions))], cameras, poses, world, seen)
+
+
+def by_name(partners):
+    return {p.view.name: p for p in partners}
+
+
+def test_partners_at_good_angles_are_preferred():
+    line = model([(x, 0, 0) for x in (0, 0.05, 0.3, 1.2, 2.0, 5.0)])
+    partners = choose_partners(line, DenseSettings(partners=2))["0.jpg"]
+    used = [p.view.name for p in partners if p.used]
+    assert used == ["3.jpg", "4.jpg"]
+    assert 5 < partners[0].angle_deg < 9
+    assert by_name(partners)["1.jpg"].reason == ONE_CENTRE
+
+
+def test_forward_motion_wide_angle_and_scale_are_refused():
+    close = pycolmap.Camera(model="PINHOLE", width=2000, height=1500, params=[1500, 1500, 1000, 750])
+    odd = model([(0, 0, 0), (0.05, 0, 2.5), (9.5, 0, 1), (1, 0, 0)], [0, 0, -45, 0], [CAMERA, CAMERA, CAMERA, close])
+    partners = by_name(choose_partners(odd, SETTINGS)["0.jpg"])
+    assert partners["1.jpg"].reason == EPIPOLE
+    assert partners["2.jpg"].reason == WIDE
+    assert partners["3.jpg"].reason == SCALE
+
+
+def test_depth_range_holds_the_points_with_margin():
+    plan = plan_images(model([(x, 0, 0) for x in (0, 1, 2)]), SETTINGS)
+    near, far = plan.images["1.jpg"].depth_range.near, plan.images["1.jpg"].depth_range.far
+    assert 5 < near < 9
+    assert 11 < far < 20
+
+
+def test_refused_images_still_witness():
+    plan = plan_images(model([(0, 0, 0), (1, 0, 0), (0.05, 0, 2.5)]), SETTINGS)
+    assert [v.name for v in plan.images["0.jpg"].partners] == ["1.jpg"]
+    assert "2.jpg" in plan.images["0.jpg"].witnesses
+    assert plan.refused[EPIPOLE] >= 2
+    assert any("one partner" in note for note in plan.notes)
+
+
+def test_an_image_without_partner_is_dropped_with_its_reason():
+    plan = plan_images(model([(0, 0, 0), (1, 0, 0), (0, 0, -1)], [0, 0, 180]), SETTINGS)
+    assert sorted(plan.images) == ["0.jpg", "1.jpg"]
+    assert plan.dropped[0][0] == "2.jpg"
+    assert "sparse points" in plan.dropped[0][1]
+
+
+def test_no_partner_at_all_is_an_error_with_a_remedy():
+    with pytest.raises(ReconstructionError, match="different places"):
+        plan_images(model([(0, 0, 0), (0.001, 0, 0)]), SETTINGS)
+    with pytest.raises(ReconstructionError, match="no image"):
+        plan_images(pycolmap.Reconstruction(), SETTINGS)
+
+
+@pytest.mark.slow
+def test_many_images_take_seconds_not_minutes():
+    import time
+
+    positions = [(0.02 * k, 0, 0) for k in range(300)]
+    big = model(positions, count=600)
+    start = time.process_time()
+    plan = plan_images(big, SETTINGS)
+    assert len(plan.images) == 300
+    assert time.process_time() - start < 10

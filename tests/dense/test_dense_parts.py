@@ -1,0 +1,154 @@
+"""Matching, combination, comparison and normals, each on surfaces with exact truth."""
+
+import cv2
+import numpy as np
+import pytest
+
+from tiegraph.dense.combine import SIGMA_DISPARITY_PX, Candidates, combine
+from tiegraph.dense.consistency import check
+from tiegraph.dense.normals import with_normals
+from tiegraph.dense.settings import DenseSettings
+from tiegraph.dense.sgbm import match_sgbm
+from tiegraph.geometry import transforms
+from tiegraph.scene.results import DepthMap
+
+SETTINGS = DenseSettings()
+K = np.array([[200.0, 0, 80], [0, 200, 60], [0, 0, 1]])
+SHAPE = (120, 160)
+
+
+def texture(shape, seed=0):
+    noise = np.random.default_rng(seed).uniform(0, 255, shape).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), 1.2)
+    return cv2.normalize(smooth, None, 0, 255, cv2.NORM_MINMAX)
+
+
+@pytest.mark.parametrize("paths", [3, 5, 8])
+@pytest.mark.parametrize("shift", [0.0, 7.0, 20.5])
+def test_matcher_finds_a_shift(paths, shift):
+    disparities = 40
+    wide = texture((100, 300))
+    right = wide[:, : 200 + disparities]
+    # left x shows what right x + disparities - shift shows
+    left = cv2.warpAffine(
+        wide, np.array([[1.0, 0, -(disparities - shift)], [0, 1, 0]]), (200, 100), flags=cv2.INTER_CUBIC
+    )
+    found = match_sgbm(
+        np.clip(left, 0, 255).astype(np.uint8), right.astype(np.uint8), disparities, DenseSettings(paths=paths)
+    )
+    assert found.shape == (100, 200)
+    inner = found[5:-5, 5:-5]
+    assert np.isfinite(inner).mean() > 0.95
+    assert abs(np.nanmedian(inner) - shift) < 0.1
+    assert np.nanmean(np.abs(inner - shift) > 1) < 0.01
+
+
+def test_matcher_refuses_what_the_other_image_does_not_show():
+    left, right = texture((80, 160), 1), texture((80, 192), 2)
+    found = match_sgbm(left.astype(np.uint8), right.astype(np.uint8), 32, SETTINGS)
+    assert np.isfinite(found).mean() < 0.15
+
+
+def candidate(inverse, unit=0.001):
+    shape = (4, 5)
+    return Candidates(np.full(shape, inverse, np.float32), np.full(shape, unit, np.float32))
+
+
+def test_agreeing_partners_outvote_a_wrong_one():
+    inverse, sigma, support = combine([candidate(0.1), candidate(0.13, 0.0001), candidate(0.1005)], 1.0)
+    np.testing.assert_allclose(inverse, 0.10025, rtol=1e-5)
+    assert (support == 0b101).all()
+    np.testing.assert_allclose(sigma, SIGMA_DISPARITY_PX * 0.001 / np.sqrt(2), rtol=0.2)
+
+
+def test_the_precise_partner_weighs_more():
+    inverse, sigma, _ = combine([candidate(0.1, 0.0001), candidate(0.1004, 0.001)], 1.0)
+    assert (np.abs(inverse - 0.1) < 0.00001).all()
+    assert (sigma < SIGMA_DISPARITY_PX * 0.0002).all()
+
+
+def test_nothing_proposed_gives_nothing():
+    inverse, sigma, support = combine([Candidates.nothing((4, 5)), Candidates.nothing((4, 5))], 1.0)
+    assert np.isnan(inverse).all() and np.isnan(sigma).all() and (support == 0).all()
+    one = combine([Candidates.nothing((4, 5)), candidate(0.2)], 1.0)
+    assert (one[2] == 0b10).all()
+
+
+def plane_map(name, position, normal=(0.2, -0.1, -1.0), distance=8.0, noise=0.0, views=2):
+    """Depth map of the world plane normal . x = -distance from a camera at a position, axes of the world."""
+    normal = np.asarray(normal) / np.linalg.norm(normal)
+    u, v = np.meshgrid(np.arange(SHAPE[1]) + 0.5, np.arange(SHAPE[0]) + 0.5)
+    rays = np.stack([(u - 80) / 200, (v - 60) / 200, np.ones_like(u)], axis=-1)
+    depth = -(distance + np.asarray(position) @ normal) / (rays @ normal)
+    depth = depth * (1 + noise * np.random.default_rng(len(name)).normal(size=SHAPE))
+    pose = transforms.rigid(np.eye(3), -np.asarray(position, float))
+    full = np.full(SHAPE, views, np.uint8)
+    return DepthMap(name, depth.astype(np.float32), (0.005 * depth).astype(np.float32), full, K, pose)
+
+
+def test_witnesses_confirm_average_and_refine():
+    maps = {n: plane_map(n, (x, 0, 0), noise=0.003) for n, x in (("a", 0), ("bb", 0.5), ("ccc", -0.5))}
+    result, counts = check(maps["a"], [], ["bb", "ccc"], maps.get, SETTINGS)
+    true = plane_map("a", (0, 0, 0)).depth_m
+    inner = np.s_[20:-20, 30:-30]
+    assert (result.views[inner] == 4).mean() > 0.98  # two of its own, two witnesses
+    before = np.std((maps["a"].depth_m / true)[inner])
+    after = np.nanstd((result.depth_m / true)[inner])
+    assert 0.4 * before < after < 0.75 * before
+    assert (result.sigma_m[inner] < maps["a"].sigma_m[inner]).mean() > 0.98
+    assert counts.kept == np.isfinite(result.depth_m).sum()
+
+
+def test_partners_that_counted_do_not_count_twice():
+    a, b = plane_map("a", (0, 0, 0)), plane_map("bb", (0.5, 0, 0))
+    counted = DepthMap(**{**a.__dict__, "support": np.full(SHAPE, 1, np.uint8)})
+    settings = DenseSettings(min_views=2)
+    again, _ = check(counted, ["bb"], ["bb"], {"bb": b}.get, settings)
+    new, _ = check(
+        DepthMap(**{**a.__dict__, "support": np.full(SHAPE, 2, np.uint8)}), ["bb"], ["bb"], {"bb": b}.get, settings
+    )
+    assert again.views[60, 80] == 2
+    assert new.views[60, 80] == 3
+
+
+def test_a_wrong_patch_is_dropped_and_said_why():
+    maps = {n: plane_map(n, (x, 0, 0)) for n, x in (("a", 0), ("bb", 0.5), ("ccc", -0.5))}
+    depth = maps["a"].depth_m.copy()
+    depth[50:70, 70:90] *= 0.7
+    views = np.full(SHAPE, 3, np.uint8)
+    views[50:60] = 2
+    wrong = DepthMap("a", depth, maps["a"].sigma_m, views, K, maps["a"].cam_from_world)
+    result, counts = check(wrong, [], ["bb", "ccc"], maps.get, SETTINGS)
+    assert np.isnan(result.depth_m[50:60, 70:90]).all()  # two views only
+    assert counts.few_views >= 200
+    hovering = plane_map("a", (0, 0, 0), distance=5.0, views=3)
+    witnesses = {n: plane_map(n, (x, 0, 0)) for n, x in (("bb", 0.2), ("ccc", -0.2), ("d", 0.1), ("e", -0.1))}
+    result, counts = check(hovering, [], list(witnesses), witnesses.get, SETTINGS)
+    assert counts.seen_through > 0.8 * hovering.depth_m.size
+    assert np.isnan(result.depth_m[30:-30, 40:-40]).all()
+
+
+def test_an_image_with_one_neighbour_needs_only_that():
+    a, b = plane_map("a", (0, 0, 0), views=1), plane_map("bb", (0.5, 0, 0))
+    result, _ = check(a, [], ["bb", "missing"], {"bb": b}.get, SETTINGS)
+    assert result.views.max() == 2
+
+
+def test_normal_of_a_plane_is_exact_with_holes():
+    depth = plane_map("a", (0, 0, 0))
+    holes = np.where(np.random.default_rng(0).random(SHAPE) < 0.2, np.float32(np.nan), depth.depth_m)
+    result = with_normals(DepthMap("a", holes, depth.sigma_m, depth.views, K, depth.cam_from_world))
+    truth = np.array([0.2, -0.1, -1.0]) / np.linalg.norm([0.2, -0.1, -1.0])
+    known = np.isfinite(result.normal).all(axis=-1)
+    assert known.sum() > 0.99 * np.isfinite(holes).sum()
+    angle = np.degrees(np.arccos(np.clip(result.normal[known] @ truth, -1, 1)))
+    assert angle.max() < 0.5
+
+
+def test_normal_at_an_edge_is_unknown():
+    depth = plane_map("a", (0, 0, 0), normal=(0, 0, -1.0)).depth_m.copy()
+    depth[:, 80:] *= 0.6
+    base = plane_map("a", (0, 0, 0))
+    result = with_normals(DepthMap("a", depth, base.sigma_m, base.views, K, base.cam_from_world))
+    assert np.isnan(result.normal[60, 79]).all()
+    assert np.isfinite(result.normal[60, 60]).all()

@@ -1,0 +1,137 @@
+"""Previews on a textured plane with known camera motion."""
+
+import cv2
+import numpy as np
+import pycolmap
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tiegraph.features.preview import (
+    Preview,
+    extract_preview,
+    match_many,
+    match_previews,
+    spread,
+)
+from tiegraph.features.preview_settings import PreviewSettings
+from tiegraph.geometry.transforms import angle_deg
+
+SETTINGS = PreviewSettings()
+CAMERA = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[500.0, 320.0, 240.0])
+K = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
+
+
+def texture(seed: int, size: int = 1400) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    out = np.full((size, size), 128, np.uint8)
+    for _ in range(1500):
+        x, y, w, h = rng.integers(0, size, 2).tolist() + rng.integers(6, 60, 2).tolist()
+        cv2.rectangle(out, (x, y), (x + w, y + h), int(rng.integers(0, 255)), -1)
+    return cv2.GaussianBlur(out, (0, 0), 1.0)
+
+
+def view(paper: np.ndarray, rotation: np.ndarray, centre: tuple[float, float, float]) -> np.ndarray:
+    """A corner of two planes (z = 4 m, the right half leaning away), so that the essential matrix is well defined."""
+    rows, columns = np.mgrid[0:480, 0:640]
+    rays = np.stack([columns + 0.5, rows + 0.5, np.ones_like(rows)], axis=-1) @ np.linalg.inv(K).T @ rotation
+    origin = np.array(centre)
+    flat = (4.0 - origin[2]) / rays[..., 2]
+    leaning = (4.0 - origin[2] - 0.8 * origin[0]) / (rays[..., 2] + 0.8 * rays[..., 0])
+    length = np.where(origin[0] + flat * rays[..., 0] < 0, flat, leaning)
+    point = origin + length[..., None] * rays
+    u = (point[..., 0] * 150 + 700).astype(np.float32)
+    v = (point[..., 1] * 150 + 700).astype(np.float32)
+    return cv2.remap(paper, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+
+
+@pytest.fixture(scope="module")
+def views() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    turn = Rotation.from_euler("y", 8, degrees=True).as_matrix()
+    paper = texture(1)
+    return view(paper, np.eye(3), (0, 0, 0)), view(paper, turn, (0.6, 0.1, 0)), turn
+
+
+def test_same_place_matches_with_its_rotation(views) -> None:
+    a, b = (extract_preview(v, None, SETTINGS) for v in views[:2])
+    found = match_previews(a, b, CAMERA, CAMERA, SETTINGS)
+    assert 40 < found.inliers <= SETTINGS.features
+    assert angle_deg(found.rotation, views[2]) < 3.0
+    assert match_previews(a, b, CAMERA, CAMERA, SETTINGS).inliers == found.inliers
+
+
+def test_unrelated_images_stay_at_chance() -> None:
+    previews = [extract_preview(view(texture(s), np.eye(3), (0, 0, 0)), None, SETTINGS) for s in range(2, 7)]
+    pairs = np.array([(a, b) for a in range(5) for b in range(a)])
+    counts = [m.inliers for m in match_many(previews, [CAMERA] * 5, pairs, SETTINGS)]
+    assert max(counts) < 16
+    assert np.median(counts) < 12
+
+
+def test_unknown_camera_counts_alike_but_gives_no_rotation(views) -> None:
+    a, b = (extract_preview(v, None, SETTINGS) for v in views[:2])
+    known, guessed = match_previews(a, b, CAMERA, CAMERA, SETTINGS), match_previews(a, b, None, None, SETTINGS)
+    assert guessed.rotation is None and known.rotation is not None
+    assert 0.6 * known.inliers < guessed.inliers < 1.6 * known.inliers
+
+
+def test_shift_points_the_way_things_move(views) -> None:
+    a, b = (extract_preview(v, None, SETTINGS) for v in views[:2])
+    there, back = (match_previews(p, q, CAMERA, CAMERA, SETTINGS) for p, q in ((a, b), (b, a)))
+    assert np.sign(there.shift[0]) == -np.sign(back.shift[0]) != 0
+    assert abs(there.shift[0] + back.shift[0]) < 0.03
+
+
+def test_mask_keeps_features_out_and_brightness_whole(views) -> None:
+    mask = np.zeros((480, 640), bool)
+    mask[:, :320] = True
+    whole, half = extract_preview(views[0], None, SETTINGS), extract_preview(views[0], mask, SETTINGS)
+    assert len(half) > 50
+    assert half.xy[:, 0].max() <= 324
+    assert whole.xy[:, 0].max() > 600
+    assert half.brightness == whole.brightness
+    assert abs(whole.brightness - views[0].mean()) < 1
+    assert abs(whole.shares.sum() - 1) < 1e-5
+
+
+def test_pixels_are_full_size_and_count_from_the_corner() -> None:
+    image = np.zeros((960, 1280), np.uint8)
+    image[400:, 600:] = 255  # a corner of the picture at (600, 400)
+    preview = extract_preview(image, None, SETTINGS)
+    nearest = np.min(np.linalg.norm(preview.xy - (600, 400), axis=1))
+    assert 0 <= nearest < 2 * 1280 / 400
+    assert preview.scale == pytest.approx(400 / 1280)
+
+
+def test_flat_or_tiny_images_match_nothing() -> None:
+    flat = extract_preview(np.full((480, 640), 90, np.uint8), None, SETTINGS)
+    tiny = extract_preview(np.full((3, 5), 90, np.uint8), None, SETTINGS)
+    assert len(flat) == len(tiny) == 0
+    assert match_previews(flat, tiny, CAMERA, CAMERA, SETTINGS).inliers == 0
+
+
+def test_npz_round_trip(views, tmp_path) -> None:
+    preview = extract_preview(views[0], None, SETTINGS)
+    np.savez(tmp_path / "p.npz", **preview.to_npz())
+    with np.load(tmp_path / "p.npz") as data:
+        again = Preview.from_npz(dict(data))
+    assert np.array_equal(again.xy, preview.xy) and np.array_equal(again.descriptors, preview.descriptors)
+    assert (again.width, again.height, again.scale) == (640, 480, preview.scale)
+    assert again.brightness == preview.brightness
+
+
+@pytest.mark.parametrize("gray", [np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), np.float32)])
+def test_wrong_images_are_refused(gray) -> None:
+    with pytest.raises(ValueError, match="grey"):
+        extract_preview(gray, None, SETTINGS)
+
+
+def test_mask_of_another_size_is_refused() -> None:
+    with pytest.raises(ValueError, match="mask"):
+        extract_preview(np.zeros((4, 4), np.uint8), np.ones((4, 5), bool), SETTINGS)
+
+
+def test_spread_takes_the_best_of_each_cell_first() -> None:
+    cell, response = np.array([0, 0, 0, 1, 2]), np.array([9.0, 8.0, 7.0, 1.0, 2.0])
+    assert spread(cell, response, 3).tolist() == [0, 3, 4]
+    assert spread(cell, response, 4).tolist() == [0, 1, 3, 4]
+    assert spread(cell, response, 99).tolist() == [0, 1, 2, 3, 4]

@@ -1,0 +1,180 @@
+"""Offset voting on a synthetic boat survey with exact overlap."""
+
+import numpy as np
+import pytest
+from boat_world import boat, ring
+
+from tiegraph.network.axes import angles_deg, vertical, yaw_between
+from tiegraph.network.network import estimate_network
+from tiegraph.network.passes import PreviewBook, find_passes, loose_images
+from tiegraph.network.settings import NetworkSettings
+from tiegraph.scene.pairs import REASONS
+
+
+def kept_matrix(pairs, n) -> np.ndarray:
+    out = np.zeros((n, n), bool)
+    kept = pairs.kept()
+    out[kept.i, kept.j] = True
+    return out
+
+
+def measure(world, settings, least=0.15):
+    """Recall, precision, recall between passes, and the network."""
+    n = len(world.scene)
+    network = estimate_network(world.scene, np.full(n, 120.0), world.match, settings)
+    i, j = np.triu_indices(n, 1)
+    useful = np.maximum(world.overlap(i, j), world.overlap(j, i)) >= least
+    kept = kept_matrix(network.pairs, n)[i, j]
+    track = world.scene.track[world.scene.frame]
+    across = useful & (track[i] != track[j])
+    recall, cross = (kept & useful).sum() / useful.sum(), (kept & across).sum() / max(across.sum(), 1)
+    return recall, (kept & useful).sum() / kept.sum(), cross, network
+
+
+def test_default_finds_the_return_pass_at_another_speed() -> None:
+    world = boat((24, 15), (1.5, 2.4))
+    recall, precision, cross, network = measure(world, NetworkSettings())
+    assert recall > 0.95 and cross > 0.95
+    assert 0.5 < precision < 1.0
+    assert world.asked < 0.25 * len(world.scene) ** 2 / 2
+    assert any("runs back along" in note and "180" in note for note in network.notes)
+    assert (network.pairs.degree(len(world.scene)) > 0).all()
+
+
+def test_constant_offsets_lose_what_local_ones_keep() -> None:
+    paper = NetworkSettings(sources=("sequence", "offsets"), offsets="constant", axes_deg=90, offset_range=3)
+    slow = measure(boat((24, 24), (1.5, 1.5)), paper)
+    other = measure(boat((24, 12), (1.5, 3.0)), paper)
+    ours = measure(boat((24, 12), (1.5, 3.0)), NetworkSettings())
+    assert 0.1 < slow[2] < 0.9 and 0.1 < other[2] < 0.9
+    assert ours[0] > other[0] + 0.2 and ours[2] > other[2] + 0.3  # one offset is exact only at equal speed
+    reasons = slow[3].pairs.funnel()
+    assert reasons["offset"] > 0 and reasons["votes"] > 0 and reasons["axes"] > 0
+
+
+def test_constant_offsets_stay_in_their_range() -> None:
+    world = boat((20, 20), (1.5, 1.5))
+    settings = NetworkSettings(sources=("offsets",), offsets="constant", axes_deg=90, offset_range=2)
+    network = estimate_network(world.scene, np.full(len(world.scene), 120.0), world.match, settings)
+    best = {(c.pass_a, c.pass_b, c.sensor_a, c.sensor_b): c for c in network.curves if c.accepted}
+    kept = network.pairs.kept()
+    label = world.scene.image_label()
+    step = world.scene.step[world.scene.frame]
+    assert len(kept)
+    for i, j in zip(kept.i, kept.j):
+        if (label[i][0], label[j][0], label[i][1], label[j][1]) not in best:
+            i, j = j, i
+        curve = best[label[i][0], label[j][0], label[i][1], label[j][1]]
+        offset = step[j] + step[i] if curve.reversed else step[j] - step[i]
+        assert abs(offset - curve.best) <= 2
+    assert {c.reversed for c in network.curves if c.pass_a != c.pass_b} == {True}
+
+
+def test_paper_000_keeps_the_best_partner_of_each_camera() -> None:
+    world = boat((16, 16), (1.5, 1.5))
+    settings = NetworkSettings(
+        sources=("offsets",), offsets="constant", axes_deg=90, offset_range=4, offset_best=1, sections="off"
+    )
+    network = estimate_network(world.scene, np.full(len(world.scene), 120.0), world.match, settings)
+    kept = network.pairs.kept()
+    assert len(kept) and (kept.score >= settings.min_matches).all()
+    cameras = len(world.scene.rigs[0].sensors)
+    assert len(kept) <= len(world.scene) * 2 * cameras
+    assert network.pairs.funnel()["weak"] > 0
+
+
+def test_axes_that_forbid_a_match_are_never_previewed() -> None:
+    world = boat((10,), (2.0,))
+    world.pairs_asked = set()
+    _, _, _, network = measure(world, NetworkSettings(axes_deg=100))
+    asked = world.pairs_asked
+    angle = world.scene.rigs[0].axis_angles_deg()
+    sensor = world.scene.sensor
+    assert max(angle[sensor[i], sensor[j]] for i, j in asked) <= 100
+    rejected = network.pairs.where(network.pairs.dropped == REASONS.index("axes"))
+    assert len(rejected) == 5 * 10 * 10  # five camera pairs of the ring look 144 degrees apart
+    assert np.isnan(rejected.score).all()
+
+
+def test_single_pass_and_unknown_rig_work() -> None:
+    world = boat((20,), (1.5,))
+    bare = tuple(type(s)(s.name, s.camera, None, s.role) for s in world.scene.rigs[0].sensors)
+    world.scene = world.scene.with_(rigs=(type(world.scene.rigs[0])("rig", bare),))
+    recall, precision, _, network = measure(world, NetworkSettings())
+    assert recall > 0.95 and precision > 0.4
+    assert not any("runs back" in n for n in network.notes)
+
+
+def test_missing_images_and_frames_are_no_obstacle() -> None:
+    world = boat((16, 16), (1.5, 1.5))
+    keep = np.random.default_rng(0).random(len(world.scene)) > 0.15
+    keep[world.scene.frame == 5] = False
+    scene = world.scene
+    frames = np.unique(scene.frame[keep])
+    place = np.full(scene.frames, -1)
+    place[frames] = np.arange(len(frames))
+    columns = {n: getattr(scene, n)[frames] for n in ("rig", "track", "step", "time_s", "world_from_rig", "section")}
+    columns["position_sigma_m"] = scene.position_sigma_m[frames]
+    names = tuple(np.array(scene.names)[keep])
+    world.scene = scene.with_(names=names, frame=place[scene.frame[keep]], sensor=scene.sensor[keep], **columns)
+    world.world_from_sensor = world.world_from_sensor[keep]
+    recall, _, _, network = measure(world, NetworkSettings())
+    assert recall > 0.9
+    assert network.pairs.j.max() < keep.sum()
+
+
+def test_result_does_not_depend_on_how_often_it_is_asked() -> None:
+    one, two = (measure(boat((12, 9), (2.0, 2.6)), NetworkSettings())[3] for _ in range(2))
+    for name in one.pairs.columns():
+        assert np.array_equal(getattr(one.pairs, name), getattr(two.pairs, name), equal_nan=True)
+
+
+@pytest.mark.slow
+def test_four_thousand_images_need_few_previews() -> None:
+    world = boat((335, 250), (0.5, 0.67))
+    n = len(world.scene)
+    network = estimate_network(world.scene, np.full(n, 120.0), world.match, NetworkSettings())
+    rng = np.random.default_rng(1)
+    i, j = rng.integers(0, n, 60000), rng.integers(0, n, 60000)
+    i, j = i[i < j], j[i < j]
+    useful = np.maximum(world.overlap(i, j), world.overlap(j, i)) >= 0.15
+    kept = network.pairs.kept()
+    found = np.isin(i * n + j, kept.i.astype(np.int64) * n + kept.j)
+    assert (found & useful).sum() / useful.sum() > 0.95
+    assert 0.002 < world.asked / (n * (n - 1) / 2) < 0.03
+    assert not np.any(network.pairs.dropped == REASONS.index("axes"))
+    assert any("never tried" in note for note in network.notes)
+
+
+def test_yaw_and_vertical_of_a_ring() -> None:
+    rig = ring()
+    assert np.allclose(vertical(rig), (0, -1, 0))
+    evidence = np.zeros((6, 6))
+    evidence[0, 2] = evidence[0, 3] = evidence[1, 3] = evidence[1, 4] = 1.0
+    assert yaw_between(rig, evidence) == pytest.approx(180, abs=12)
+    assert yaw_between(rig, np.eye(6)) == pytest.approx(0, abs=12)
+    assert yaw_between(rig, np.zeros((6, 6))) is None
+    assert np.allclose(np.diag(angles_deg(rig, 180))[:5], 180)
+
+
+def test_book_asks_each_pair_once() -> None:
+    world = boat((6,), (2.0,))
+    book = PreviewBook(world.match, len(world.scene))
+    i, j = np.array([3, 1, 3, 5]), np.array([1, 3, 9, 4])
+    first = book.measure(i, j)
+    assert world.asked == 3 and len(book) == 3
+    assert np.array_equal(book.measure(j, i), first) and world.asked == 3
+    assert np.isnan(book.known(np.array([0]), np.array([2])))
+    assert first[0] == first[1]
+
+
+def test_passes_of_two_rigs_on_one_track_are_two() -> None:
+    world = boat((4,), (2.0,))
+    assert len(find_passes(world.scene)) == 1
+    rigs = (world.scene.rigs[0], world.scene.rigs[0])
+    scene = world.scene.with_(rigs=rigs, rig=np.array([0, 1, 0, 1]))
+    passes = find_passes(scene)
+    assert [len(p) for p in passes] == [2, 2]
+    assert passes[0].name != passes[1].name
+    loose = scene.with_(track=np.array([0, 0, -1, -1]))
+    assert set(scene.frame[loose_images(loose)]) == {2, 3}

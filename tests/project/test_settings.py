@@ -1,0 +1,68 @@
+"""Settings are strict, layered, and come back from their file."""
+
+import pytest
+
+from tiegraph.api import open_project
+from tiegraph.errors import InputError, SettingsError
+from tiegraph.project.settings import FILE, PRESETS, Settings, changed, merged, preset
+
+
+def test_every_preset_is_valid_and_changes_what_it_says():
+    for name, sections in PRESETS.items():
+        settings = merged(preset(name))
+        for section, values in sections.items():
+            for key, value in values.items():
+                assert getattr(getattr(settings, section), key) == value
+
+
+def test_typos_are_refused_with_the_nearest_name():
+    with pytest.raises(SettingsError, match=r"unknown setting 'masks.sorce': perhaps you meant 'source'"):
+        merged({"masks": {"sorce": "none"}})
+    with pytest.raises(SettingsError, match=r"unknown setting 'mask': perhaps you meant 'masks'"):
+        merged({"mask": {"source": "none"}})
+    with pytest.raises(SettingsError, match=r"masks.difference = 999.*254"):
+        merged({"masks": {"difference": 999}})
+    with pytest.raises(SettingsError, match="unknown preset 'meguro2O24'.*meguro2024"):
+        preset("meguro2O24")
+
+
+def test_about_seventy_settings_at_most():
+    count = sum(len(type(f.default).model_fields) for f in Settings.model_fields.values())
+    assert count <= 90, "a constant that nobody should change is a constant"
+
+
+def test_precedence_defaults_preset_file_call(tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / FILE).write_text('[masks]\nsource = "sky"\n[dense]\npartners = 2\n')
+    project = open_project(tmp_path, out, preset="conventional", settings={"dense": {"partners": 3}})
+    assert project.settings.network.sources == ("exhaustive",)
+    assert project.settings.masks.source == "sky"
+    assert project.settings.dense.partners == 3
+
+
+def test_a_project_remembers_inputs_preset_and_settings(tmp_path):
+    out = tmp_path / "out"
+    first = open_project(tmp_path, out, preset="meguro2024", rig="ladybug5", settings={"masks": {"source": "none"}})
+    first.save()
+    again = open_project(out=out)
+    assert again.settings == first.settings
+    assert again.inputs == first.inputs
+    assert again.preset == "meguro2024"
+    assert set(changed(again.settings)) >= {"masks", "network", "sparse"} or again.settings.masks.source == "none"
+    before = (out / FILE).stat().st_mtime_ns
+    again.save()
+    assert (out / FILE).stat().st_mtime_ns == before
+
+
+def test_misuse(tmp_path):
+    with pytest.raises(InputError, match="not a run folder"):
+        open_project(out=tmp_path)
+    with pytest.raises(SettingsError, match="unknown input 'gps'"):
+        open_project(tmp_path, gps="a.csv")
+    (tmp_path / FILE).write_text("[masks\n")
+    with pytest.raises(SettingsError, match="not valid TOML"):
+        open_project(tmp_path, tmp_path)
+    (tmp_path / FILE).write_text("masks = 3\n")
+    with pytest.raises(SettingsError, match="'masks' must be a section"):
+        open_project(tmp_path, tmp_path)

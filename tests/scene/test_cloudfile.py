@@ -1,0 +1,169 @@
+import errno
+
+import laspy
+import numpy as np
+import pytest
+
+from tiegraph.errors import InputError, TiegraphError
+from tiegraph.geometry.geodesy import Origin, make_origin
+from tiegraph.scene import cloudfile
+from tiegraph.scene.atomic import replacing
+from tiegraph.scene.cloudfile import read_cloud, write_cloud, write_las
+from tiegraph.scene.depthfile import load_depth, save_depth
+from tiegraph.scene.results import Cloud, DepthMap
+
+UTM = make_origin(35.6965, 139.7695, 40.0, "EPSG:6691")
+ENU = Origin(35.6965, 139.7695, 37.0)
+
+
+def cloud(origin=None, count=500, scale=30.0):
+    rng = np.random.default_rng(0)
+    normal = rng.normal(size=(count, 3))
+    return Cloud(
+        rng.normal(0, scale, (count, 3)),
+        rng.integers(0, 256, (count, 3), dtype=np.uint8),
+        (normal / np.linalg.norm(normal, axis=1, keepdims=True)).astype(np.float32),
+        rng.uniform(0.001, 0.5, count).astype(np.float32),
+        rng.integers(2, 9, count, dtype=np.uint8),
+        origin,
+    )
+
+
+@pytest.mark.parametrize("suffix", ["las", "laz", "ply"])
+@pytest.mark.parametrize("origin", [UTM, ENU, None], ids=["utm", "enu", "free"])
+def test_clouds_come_back(tmp_path, suffix, origin):
+    path = tmp_path / f"c.{suffix}"
+    before = cloud(origin)
+    write_cloud(before, path)
+    after = read_cloud(path, origin)
+    np.testing.assert_allclose(after.xyz_m, before.xyz_m, atol=0.00051 if suffix != "ply" else 1e-9)
+    np.testing.assert_array_equal(after.rgb, before.rgb)
+    np.testing.assert_array_equal(after.normal, before.normal)
+    np.testing.assert_array_equal(after.sigma_m, before.sigma_m)
+    np.testing.assert_array_equal(after.views, before.views)
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_las_states_crs_version_and_full_coordinates(tmp_path):
+    notes = write_cloud(cloud(UTM), tmp_path / "c.laz")
+    assert "EPSG:6691" in notes[0]
+    las = laspy.read(tmp_path / "c.laz")
+    assert str(las.header.version) == "1.4" and las.header.point_format.id == 7
+    assert las.header.parse_crs().to_epsg() == 6691
+    np.testing.assert_allclose(las.header.scales, 0.001)
+    np.testing.assert_allclose(las.header.offsets, UTM.shift_m)
+    np.testing.assert_allclose(np.mean(las.x), cloud().xyz_m[:, 0].mean() + UTM.shift_m[0], atol=0.001)
+    assert UTM.shift_m[0] > 100_000 and UTM.shift_m[1] > 3_000_000
+    assert las.red.max() > 60_000
+
+
+def test_world_is_found_again_from_the_file_alone(tmp_path):
+    for name in ("c.laz", "c.ply"):
+        write_cloud(cloud(UTM), tmp_path / name)
+        after = read_cloud(tmp_path / name)
+        np.testing.assert_allclose(after.xyz_m, cloud().xyz_m, atol=0.00051)
+        assert after.origin.crs == "EPSG:6691" and after.origin.shift_m == UTM.shift_m
+        assert after.origin.lat_deg == pytest.approx(UTM.lat_deg, abs=0.01)
+
+
+def test_enu_has_no_crs_and_says_so(tmp_path):
+    for name in ("c.las", "c.ply"):
+        assert "35.69650000" in write_cloud(cloud(ENU), tmp_path / name)[0]
+    assert laspy.read(tmp_path / "c.las").header.parse_crs() is None
+
+
+def test_small_and_far_worlds_keep_their_precision(tmp_path):
+    small = cloud(scale=0.003)
+    write_cloud(small, tmp_path / "s.laz")
+    np.testing.assert_allclose(read_cloud(tmp_path / "s.laz").xyz_m, small.xyz_m, atol=1e-8)
+    far = Cloud(**{**cloud().__dict__, "xyz_m": cloud().xyz_m + [4e6, 3e6, 5e6]})
+    write_cloud(far, tmp_path / "f.laz")
+    np.testing.assert_allclose(read_cloud(tmp_path / "f.laz").xyz_m, far.xyz_m, atol=0.001)
+
+
+@pytest.mark.parametrize("suffix", ["laz", "ply"])
+def test_parts_are_written_one_after_another(tmp_path, suffix):
+    path, whole = tmp_path / f"c.{suffix}", cloud(UTM)
+    write_cloud((whole.where(slice(k, k + 100)) for k in range(0, 500, 100)), path)
+    np.testing.assert_allclose(read_cloud(path, UTM).xyz_m, whole.xyz_m, atol=0.00051)
+    write_cloud(iter([]), path)
+    assert len(read_cloud(path)) == 0
+
+
+def test_files_of_others_lack_columns(tmp_path):
+    header = laspy.LasHeader(point_format=0, version="1.2")
+    header.scales = [0.01] * 3
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = np.arange(30.0).reshape(3, 10)
+    las.write(tmp_path / "other.las")
+    found = read_cloud(tmp_path / "other.las")
+    np.testing.assert_allclose(found.xyz_m[:, 1], np.arange(10, 20))
+    assert np.isnan(found.normal).all() and np.isnan(found.sigma_m).all() and (found.rgb == 128).all()
+    text = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    (tmp_path / "other.ply").write_text(text + "1 2 3\n4 5 6\n")
+    np.testing.assert_allclose(read_cloud(tmp_path / "other.ply").xyz_m, [[1, 2, 3], [4, 5, 6]])
+
+
+def test_unreadable_files_are_named(tmp_path):
+    with pytest.raises(InputError, match="no such file"):
+        read_cloud(tmp_path / "none.laz")
+    for name, content in (("a.laz", b"LASF nonsense"), ("b.ply", b"solid"), ("c.txt", b"1 2 3")):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(InputError, match=name):
+            read_cloud(tmp_path / name)
+    write_cloud(cloud(), tmp_path / "d.ply")
+    (tmp_path / "d.ply").write_bytes((tmp_path / "d.ply").read_bytes()[:-100])
+    with pytest.raises(InputError, match="cut short"):
+        read_cloud(tmp_path / "d.ply")
+    with pytest.raises(InputError, match="laz"):
+        write_cloud(cloud(), tmp_path / "c.xyz")
+
+
+@pytest.mark.parametrize("suffix", ["laz", "ply"])
+def test_a_full_disk_is_said_and_leaves_the_old_file(tmp_path, monkeypatch, suffix):
+    path = tmp_path / f"c.{suffix}"
+    write_cloud(cloud(), path)
+    before = path.read_bytes()
+
+    def full(*args, **kwargs):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(cloudfile, "_ply_rows" if suffix == "ply" else "_las_points", full)
+    with pytest.raises(TiegraphError, match="No space left"):
+        write_cloud(cloud(), path)
+    assert path.read_bytes() == before
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_other_errors_pass_and_clean_up(tmp_path):
+    with pytest.raises(ZeroDivisionError), replacing(tmp_path / "x.bin") as temporary:
+        temporary.write_bytes(b"half")
+        raise ZeroDivisionError
+    assert not list(tmp_path.iterdir())
+
+
+def test_las_needs_no_memory_for_all(tmp_path, monkeypatch):
+    monkeypatch.setattr(cloudfile, "_CHUNK", 64)
+    write_las(cloud(UTM), tmp_path / "c.las")
+    assert len(read_cloud(tmp_path / "c.las")) == 500
+
+
+def test_depth_maps_come_back(tmp_path):
+    rng = np.random.default_rng(0)
+    depth = rng.uniform(1, 50, (40, 50)).astype(np.float32)
+    depth[:10] = np.nan
+    normal = rng.normal(size=(40, 50, 3))
+    normal = np.where(np.isfinite(depth)[..., None], normal / np.linalg.norm(normal, axis=-1, keepdims=True), np.nan)
+    before = DepthMap(
+        "a/b.jpg", depth, depth * 0.01, np.full((40, 50), 3, np.uint8), np.eye(3), np.eye(4), normal.astype(np.float32)
+    )
+    save_depth(before, tmp_path / "a" / "b.jpg.npz")
+    after = load_depth(tmp_path / "a" / "b.jpg.npz")
+    assert after.image == "a/b.jpg" and after.support is None
+    np.testing.assert_allclose(after.depth_m, depth, rtol=3e-5)
+    np.testing.assert_allclose(after.sigma_m, before.sigma_m, rtol=2e-3)
+    assert np.nanmax(np.abs(after.normal - before.normal)) < 0.01
+    np.testing.assert_array_equal(np.isnan(after.normal), np.isnan(before.normal))
+    (tmp_path / "bad.npz").write_bytes(b"nothing")
+    with pytest.raises(InputError, match="bad.npz"):
+        load_depth(tmp_path / "bad.npz")
