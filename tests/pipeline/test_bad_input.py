@@ -18,7 +18,7 @@ import tiegraph
 import worlds
 from tiegraph.cli.main import main
 from tiegraph.errors import InputError, ReconstructionError, SettingsError
-from tiegraph.project import stages
+from tiegraph.scene import atomic
 from tiegraph.scene.rigfile import write_rig_toml
 
 Run = Callable[..., tuple[int, str]]
@@ -290,10 +290,10 @@ def test_disk_full_says_so_and_the_next_run_goes_on(
         real(source, target)  # type: ignore[arg-type]
 
     with monkeypatch.context() as patch:
-        patch.setattr(stages.os, "replace", full)
+        patch.setattr(atomic.os, "replace", full)
         code, said = run("--masks.source", "meguro2024", until="masks")
     assert code == 2 and artefact in said and "No space left" in said and "space" in said
-    assert not list((tmp_path / "out").rglob("*.tmp")), "no half-written file stays"
+    assert not list((tmp_path / "out").rglob("*.part*")), "no half-written file stays"
     before = {p: p.stat().st_mtime_ns for p in map(Path, made) if p.suffix == ".png" and p.exists()}
     code, said = run("--masks.source", "meguro2024", until="masks")
     assert code == 0, said

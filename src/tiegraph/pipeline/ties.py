@@ -6,10 +6,10 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-import pycolmap
 
 from tiegraph.features.preview import Preview, PreviewMatch, match_previews
 from tiegraph.features.settings import PreviewSettings
+from tiegraph.network.design import component_notes
 from tiegraph.network.design import design as select_pairs
 from tiegraph.network.network import estimate_network
 from tiegraph.pipeline.capture import preview_path
@@ -51,15 +51,8 @@ def _brightness(name: str, folder: Path) -> float:
 def _match_item(pair: tuple[int, int], folder: Path, settings: PreviewSettings) -> PreviewMatch:
     scene = _scene(folder)
     i, j = pair
-    a, b = (_calibrated(scene, k) for k in pair)
+    a, b = (scene.sensor_of(k).camera for k in pair)  # a guessed focal length serves as well
     return match_previews(_preview(folder, scene.names[i]), _preview(folder, scene.names[j]), a, b, settings)
-
-
-def _calibrated(scene: Scene, image: int) -> pycolmap.Camera | None:
-    """The camera of an image unless its focal length is a mere guess, which would make the test refuse true pairs."""
-    rig, sensor = scene.rigs[scene.rig[scene.frame[image]]], scene.sensor_of(image)
-    stated = rig.known() and len(rig.sensors) > 1  # a rig file or preset states at least the field of view
-    return sensor.camera if sensor.camera is not None and (sensor.camera.has_prior_focal_length or stated) else None
 
 
 @lru_cache(maxsize=2)
@@ -86,8 +79,10 @@ def design(run: Run) -> Outcome:
         write_atomic(run.path("pairs", f"section_{max(number, 0)}.txt"), own.to_text(scene.names))
     funnel = pairs.funnel()
     alone = int(np.sum(pairs.degree(len(scene)) == 0))
-    notes = (f"{alone} images have no pair",) if alone else ()
-    return Outcome({"pairs": funnel["used"], "images_without": alone}, notes=notes, tables={"funnel": _table(funnel)})
+    notes = component_notes(pairs, scene)
+    return Outcome(
+        {"pairs": funnel["used"], "images_without": alone}, notes=tuple(notes), tables={"funnel": _table(funnel)}
+    )
 
 
 def _table(funnel: dict[str, int]) -> dict:

@@ -130,14 +130,17 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
         "design": {"method": "all"},
         "sparse": _PAPER_MODEL,
     },
-    # Paper 000: two-image difference; one frame offset for each two cameras, the best matches around it.
+    # Paper 000: two-image difference; one frame offset for each two cameras, the best match around it. The papers print
+    # no ranges: 90 degrees gives the camera pairs of paper 000 figure 8, the others are our reading.
     "meguro2024": {
         "masks": {"source": "meguro2024"},
         "network": {
-            "sources": ("offsets",),
+            "sources": ("sequence", "offsets"),
+            "sequence_frames": 1,
             "offsets": "constant",
-            "offset_range": 5,
-            "offset_best": 2,
+            "offset_range": 10,
+            "offset_best": 1,
+            "axes_deg": 90.0,
             "sections": "off",
         },
         "design": {"method": "all"},
@@ -151,6 +154,7 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
             "sequence_frames": 5,
             "offsets": "constant",
             "offset_range": 5,
+            "axes_deg": 90.0,
             "sections": "split",
         },
         "design": {"method": "all"},

@@ -68,7 +68,7 @@ def settings_key(section: Any) -> Any:
 
 
 def write_atomic(path: Path, data: bytes | str) -> None:
-    """Write a whole file or none of it. A full disk or a folder that cannot be made is an InputError naming the file."""
+    """Write a whole file or none of it. Raises InputError for a full disk or a folder that cannot be made."""
     try:
         with replacing(path) as temporary:
             temporary.write_bytes(data.encode() if isinstance(data, str) else data)
