@@ -56,8 +56,9 @@ def kill_in(stage, survey: Path, out: Path) -> None:
 
 def files(out: Path, artefact: str) -> dict[str, int]:
     """Finished files of an artefact folder and when they were written."""
-    found = [p for p in (out / artefact).rglob("*") if p.is_file() and not p.name.startswith(".")]
-    return {p.relative_to(out).as_posix(): p.stat().st_mtime_ns for p in found}
+    names = [p.relative_to(out) for p in (out / artefact).rglob("*")]
+    shown = [n for n in names if not any(part.startswith(".") for part in n.parts) and (out / n).is_file()]
+    return {n.as_posix(): (out / n).stat().st_mtime_ns for n in shown}
 
 
 def test_killed_in_every_stage(survey, tmp_path):
