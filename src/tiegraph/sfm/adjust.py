@@ -44,6 +44,10 @@ def final_adjustment(
     _solve(adjusted, fixed_rigs, free, robust=False)
     pycolmap.ObservationManager(adjusted).filter_all_points3D(FILTER_PX, FILTER_ANGLE_DEG)
     _solve(adjusted, fixed_rigs, free, robust=True)
+    # The robust loss lets go of some points; those that went behind a camera have an infinite error.
+    manager = pycolmap.ObservationManager(adjusted)
+    manager.filter_observations_with_negative_depth()
+    manager.filter_all_points3D(FILTER_PX, FILTER_ANGLE_DEG)
     adjusted.update_point_3d_errors()
     bad = _impossible(model, adjusted, free)
     if bad:

@@ -22,7 +22,7 @@ class SparseSettings(Section):
     """Let GNSS, EXIF or trajectory positions hold the incremental mapper; every fifth is kept back as a check."""
 
     refine_intrinsics: Literal["auto", "yes", "no"] = "auto"
-    """Adjust focal length, principal point, distortion with the model; auto = yes but for fixed rigs."""
+    """Adjust focal length, principal point, distortion with the model; auto = yes but for calibrated cameras."""
 
     min_matches: int = Field(default=15, ge=4, le=1000)
     """Pairs with fewer verified matches are not used."""
