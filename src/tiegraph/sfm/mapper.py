@@ -195,17 +195,20 @@ def _calibrated(camera: pycolmap.Camera) -> bool:
 
 
 def _map(job: _Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -> _Outcome:
-    """Run the chosen mapper, and under "auto" the other one too when clearly fewer images come back than could."""
+    """Run the chosen mapper; under "auto", when clearly fewer images come back than could, again with another seed
+    (threads make runs differ: one in a dozen on the example fell apart), then the other mapper."""
     first = choose_mapper(job.scene, job.settings, bool(rigs))
     outcome = _run(job, first, rigs, modes, label)
     reachable = job.graph.components[0]
-    if job.settings.mapper == "auto" and outcome.registered < CLEARLY_FEWER * reachable:
-        other = "incremental" if first == "global" else "global"
-        second = _run(job, other, rigs, modes, label)
-        better, worse = (second, outcome) if second.registered > outcome.registered else (outcome, second)
+    other = "incremental" if first == "global" else "global"
+    for mapper, seed in ((first, 1), (other, 0)):
+        if job.settings.mapper != "auto" or outcome.registered >= CLEARLY_FEWER * reachable:
+            break
+        second = _run(job, mapper, rigs, modes, label, seed)
+        better = second if second.registered > outcome.registered else outcome
         job.notes.append(
-            f"{first} mapping {label} placed {outcome.registered} of {reachable} connected images, so {other} mapping "
-            f"was tried too ({second.registered}): kept {better.mapper}"
+            f"{outcome.mapper} mapping {label} placed {outcome.registered} of {reachable} connected images, so "
+            f"{mapper} mapping was tried too ({second.registered}): kept {better.mapper}"
         )
         outcome = better
     if not outcome.folders:
@@ -217,12 +220,13 @@ def _map(job: _Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -> 
     return outcome
 
 
-def _run(job: _Job, mapper: str, rigs: dict[int, Rig], modes: dict[int, str], label: str) -> _Outcome:
+def _run(job: _Job, mapper: str, rigs: dict[int, Rig], modes: dict[int, str], label: str, seed: int = 0) -> _Outcome:
     scene = job.scene
     constant = believed_cameras(scene, job.settings)
     positions = mapper == "incremental" and job.settings.use_positions and scene.has_positions()
     request = Request(
         mapper=mapper,
+        seed=seed,
         database=job.database,
         images=job.images,
         folder=job.out / f"run-{len(job.runs)}-{mapper}",

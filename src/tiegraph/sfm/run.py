@@ -17,7 +17,6 @@ from tiegraph.sfm.adjust import final_adjustment
 from tiegraph.sfm.covariance import PositionSigma, position_sigma
 from tiegraph.sfm.database import write_working_copy
 
-SEED = 0  # of every random choice of the mappers: the same input gives the same model
 MIN_MODEL_IMAGES = 3
 
 
@@ -26,6 +25,7 @@ class Request:
     """What one run needs, in picklable form."""
 
     mapper: str  # incremental or global
+    seed: int  # of every random choice: the same input gives the same model, but for the order of threads
     database: Path
     images: Path
     folder: Path  # scratch; models go to folder/0, folder/1, ...
@@ -113,7 +113,7 @@ def _incremental(
     request: Request, working: Path, raw: Path, send: Callable[[Any], None]
 ) -> dict[int, pycolmap.Reconstruction]:
     options = pycolmap.IncrementalPipelineOptions(
-        random_seed=SEED,
+        random_seed=request.seed,
         min_num_matches=request.min_matches,
         min_model_size=MIN_MODEL_IMAGES,
         extract_colors=False,
@@ -139,10 +139,10 @@ def _incremental(
 
 def _global(request: Request, working: Path, raw: Path) -> dict[int, pycolmap.Reconstruction]:
     refine_rig = len(request.fixed) < len(request.rigs)
-    mapper = pycolmap.GlobalMapperOptions(random_seed=SEED, refine_sensor_from_rig=refine_rig)
+    mapper = pycolmap.GlobalMapperOptions(random_seed=request.seed, refine_sensor_from_rig=refine_rig)
     mapper.bundle_adjustment.refine_focal_length = not request.all_constant  # it knows no single constant cameras
     mapper.bundle_adjustment.refine_extra_params = not request.all_constant
     options = pycolmap.GlobalPipelineOptions(
-        random_seed=SEED, min_num_matches=request.min_matches, min_model_size=MIN_MODEL_IMAGES, mapper=mapper
+        random_seed=request.seed, min_num_matches=request.min_matches, min_model_size=MIN_MODEL_IMAGES, mapper=mapper
     )
     return pycolmap.global_mapping(working, request.images, raw, options)
