@@ -20,7 +20,7 @@ STAGES = (
     Stage("design", design, ("network",), ("pairs.npz", "pairs.txt", "pairs")),
     Stage("features", features, ("scan", "masks"), ("database.db",), "image"),
     Stage("match", match, ("network", "design", "features"), ("match.npz",), "block of pairs", clear=forget_matches),
-    Stage("sparse", sparse, ("network", "match"), ("sparse",), version=2),
+    Stage("sparse", sparse, ("network", "match"), ("sparse",), version=3),
     Stage("georef", georef, ("network", "sparse"), ("sparse/world", "world.json")),
     Stage("dense", dense, ("masks", "georef"), ("depth",), "image"),
     Stage("cloud", cloud, ("dense",), ("cloud.laz", "cloud.ply")),

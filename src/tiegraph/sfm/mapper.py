@@ -20,7 +20,7 @@ from tiegraph.sfm.covariance import PositionSigma
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.losses import camera_notes, camera_table, no_model_text, unregistered
 from tiegraph.sfm.model import MIN_OBSERVATIONS, image_poses, observations, registration_tables
-from tiegraph.sfm.rig import DerivedRig, derive_rig, rig_modes, rig_table
+from tiegraph.sfm.rig import DerivedRig, calibrated, derive_rig, rig_modes, rig_table
 from tiegraph.sfm.run import FinishRequest, Request, finish_model, run_mapper
 from tiegraph.sfm.settings import SparseSettings
 
@@ -183,15 +183,10 @@ def believed_cameras(scene: Scene, settings: SparseSettings) -> tuple[int, ...]:
     for rig in scene.rigs:
         for sensor in rig.sensors:
             key += 1
-            calibrated = sensor.camera is not None and _calibrated(sensor.camera)
-            if settings.refine_intrinsics == "no" or calibrated:
+            believed = sensor.camera is not None and calibrated(sensor.camera)
+            if settings.refine_intrinsics == "no" or believed:
                 out.append(key)
     return tuple(out)
-
-
-def _calibrated(camera: pycolmap.Camera) -> bool:
-    middle = camera.principal_point_x == camera.width / 2 and camera.principal_point_y == camera.height / 2
-    return camera.has_prior_focal_length and not middle
 
 
 def _map(job: _Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -> _Outcome:

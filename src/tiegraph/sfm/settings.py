@@ -16,7 +16,7 @@ class SparseSettings(Section):
     """Mapper: incremental (one image after the other), global (all at once, GLOMAP), auto = by rig and image count."""
 
     rig: Literal["auto", "fixed", "refined", "absent"] = "auto"
-    """Rig: fixed = as given, refined = adjusted with the model, absent = ignored, auto = by how well it is known."""
+    """Rig: fixed = as given, refined = adjusted with the model, absent = ignored, auto = fixed if calibrated."""
 
     use_positions: bool = True
     """Let GNSS, EXIF or trajectory positions hold the incremental mapper; every fifth is kept back as a check."""
