@@ -37,7 +37,9 @@ def rig_modes(scene: Scene, choice: str) -> dict[int, str]:
 
     ``choice`` is the setting; "auto": fixed if it was calibrated, refined if the extrinsics are given otherwise
     (nominal), else derived from a first model. A calibrated rig that is refined runs off where the vehicle hardly
-    turns: PandaSet's positions by 0.44 m (0.06 m fixed), its cameras by 1 m. Raises SettingsError for "fixed" without extrinsics.
+    turns: PandaSet's positions by 0.44 m (0.06 m fixed), its cameras by 1 m.
+
+    Raises SettingsError for "fixed" without extrinsics.
     """
     modes: dict[int, str] = {}
     for index, rig in enumerate(scene.rigs):
