@@ -183,7 +183,9 @@ def believed_cameras(scene: Scene, settings: SparseSettings) -> tuple[int, ...]:
     for rig in scene.rigs:
         for sensor in rig.sensors:
             key += 1
-            believed = sensor.camera is not None and calibrated(sensor.camera)
+            camera = sensor.camera
+            stated = camera is not None and rig.fixed and camera.has_prior_focal_length
+            believed = stated or (camera is not None and calibrated(camera))
             if settings.refine_intrinsics == "no" or believed:
                 out.append(key)
     return tuple(out)
