@@ -7,18 +7,13 @@ from boat_world import boat
 from PIL import Image
 
 from tiegraph.network.network import estimate_network
-from tiegraph.network.pictures import COLOURS, WORDS, _matrix, matrix_png
+from tiegraph.network.pictures import _matrix, matrix_png
 from tiegraph.network.settings import NetworkSettings
-from tiegraph.scene.pairs import REASONS, Pairs
+from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs
 
 
 def opened(data: bytes) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
-
-
-def test_every_reason_has_a_colour_and_a_word() -> None:
-    assert set(COLOURS) == set(WORDS) == set(REASONS)
-    assert len(set(COLOURS.values())) == len(COLOURS)
 
 
 def test_pictures_of_a_survey() -> None:
@@ -30,13 +25,18 @@ def test_pictures_of_a_survey() -> None:
     for data in pictures.values():
         image = opened(data)
         assert 300 < image.shape[0] < 4000 and 800 < image.shape[1] < 2000
-    blue = np.array([int(COLOURS["kept"][k : k + 2], 16) for k in (1, 3, 5)])
+    blue = np.array([int(REASON_LOOKS["kept"][1][k : k + 2], 16) for k in (1, 3, 5)])
     share = (np.abs(opened(pictures["matrix"]).astype(int) - blue).max(axis=-1) < 8).mean()
     assert 0.02 < share < 0.4
 
 
 def test_kept_pairs_win_where_cells_are_shared() -> None:
-    pairs = Pairs.make([0, 1, 2], [2401, 2402, 2403], "offsets", dropped=np.array([8, 0, 8]))
+    pairs = Pairs.make(
+        [0, 1, 2],
+        [2401, 2402, 2403],
+        "offsets",
+        dropped=np.array([REASONS.index("section"), 0, REASONS.index("section")]),
+    )
     cells, step = _matrix(pairs, np.arange(2404), 2404)
     assert step == 3 and cells.shape == (802, 802)
     assert cells[0, 800] == 1 and cells[800, 0] == 1

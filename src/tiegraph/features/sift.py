@@ -9,7 +9,7 @@ from tiegraph.features.settings import FeaturesSettings
 
 OCTAVE_LAYERS = 3  # Lowe 2004, section 3.3; both extractors divide the contrast threshold by it
 # COLMAP stores root-SIFT scaled by 512 in one byte (colmap/feature/utils.cc); its matcher counts on that length.
-_DESCRIPTOR_NORM = 512.0
+DESCRIPTOR_NORM = 512.0
 
 
 def extract_sift(
@@ -51,7 +51,7 @@ def root_sift(descriptors: np.ndarray) -> np.ndarray:
     """Square root of L1-normalised SIFT (K, 128), times 512, one byte each: COLMAP's L1_ROOT."""
     descriptors = np.asarray(descriptors, np.float32)
     total = np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-12)
-    return np.clip(np.rint(_DESCRIPTOR_NORM * np.sqrt(descriptors / total)), 0, 255).astype(np.uint8)
+    return np.clip(np.rint(DESCRIPTOR_NORM * np.sqrt(descriptors / total)), 0, 255).astype(np.uint8)
 
 
 def check_input(gray: np.ndarray, mask: np.ndarray | None) -> None:

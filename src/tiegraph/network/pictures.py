@@ -14,7 +14,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from tiegraph.network.offsets import OffsetCurve
-from tiegraph.scene.pairs import REASONS, Pairs
+from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs
 from tiegraph.scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -24,34 +24,6 @@ DPI = 110
 MATRIX_CELLS = 1200  # cells a side at most: larger matrices are reduced by their most telling entry
 MAX_PANELS = 60
 NEVER = "#ffffff"
-COLOURS = {
-    "kept": "#1b6ca8",
-    "axes": "#ececec",
-    "distance": "#d9c7e8",
-    "baseline": "#b79ad1",
-    "sight": "#c9d8b6",
-    "offset": "#eee0a0",
-    "votes": "#dcc9bd",
-    "section": "#d08c8c",
-    "weak": "#f3c892",
-    "similar": "#9fd3c7",
-    "cut": "#8fb8de",
-    "match": "#c0392b",
-}
-WORDS = {
-    "kept": "kept",
-    "axes": "axes too far apart",
-    "distance": "too far apart",
-    "baseline": "base too short",
-    "sight": "no line of sight",
-    "offset": "outside the offset range",
-    "votes": "cameras without votes",
-    "section": "different sections",
-    "weak": "too few preview matches",
-    "similar": "too similar",
-    "cut": "cut by the design",
-    "match": "not verified",
-}
 
 
 def matrix_png(pairs: Pairs, scene: Scene) -> bytes:
@@ -64,13 +36,13 @@ def matrix_png(pairs: Pairs, scene: Scene) -> bytes:
     figure = Figure(figsize=(width, height), dpi=DPI)
     axes = figure.add_axes((room / width, room / height, 6.2 / width, 6.2 / height))
     right = (room + 6.55) / width
-    colours = ListedColormap([NEVER, *(COLOURS[r] for r in REASONS)])
+    colours = ListedColormap([NEVER, *(REASON_LOOKS[r][1] for r in REASONS)])
     norm = BoundaryNorm(np.arange(-0.5, len(REASONS) + 1.5), len(REASONS) + 1)
     axes.imshow(cells, cmap=colours, norm=norm, interpolation="nearest", extent=(0, len(scene), len(scene), 0))
     _matrix_grid(axes, scene, order)
     funnel = pairs.funnel()
     present = [r for k, r in enumerate(REASONS) if np.any(pairs.dropped == k)]
-    handles = [Patch(facecolor=COLOURS[r], label=f"{WORDS[r]}: {_count(pairs, r)}") for r in present]
+    handles = [Patch(facecolor=REASON_LOOKS[r][1], label=f"{REASON_LOOKS[r][0]}: {_count(pairs, r)}") for r in present]
     never = len(scene) * (len(scene) - 1) // 2 - len(pairs)
     handles.append(Patch(facecolor=NEVER, edgecolor="#999999", label=f"not looked at: {never}"))
     figure.legend(

@@ -16,27 +16,12 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from tiegraph.report.pictures import data_uri
-from tiegraph.scene.pairs import REASONS, Pairs
+from tiegraph.scene.pairs import AFTER_MATCHING, REASON_LOOKS, REASONS, Pairs
 from tiegraph.scene.scene import Scene
 
 USED, VERIFIED, DROPPED, ALERT, INK = "#2b7a9b", "#0b4f6c", "#c9ced6", "#c8442b", "#2a3138"
 # Okabe and Ito 2008: told apart by colour-blind readers too
 PASSES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5c99", "#5b6770")
-# why a pair was dropped: (words, colour)
-REASON_LOOKS = {
-    "kept": ("kept", "#1b6ca8"),
-    "axes": ("axes too far apart", "#ececec"),
-    "distance": ("too far apart", "#d9c7e8"),
-    "baseline": ("base-to-distance ratio", "#b79ad1"),
-    "sight": ("no line of sight", "#c9d8b6"),
-    "offset": ("outside the frame offset", "#f0d9a8"),
-    "votes": ("cameras without votes", "#e3b7a0"),
-    "section": ("different sections", "#d08c8c"),
-    "weak": ("too few preview matches", "#f2a65a"),
-    "similar": ("base too short", "#9fd3c7"),
-    "cut": ("cut by the design", "#8fb8de"),
-    "match": ("not verified", "#c0392b"),
-}
 STYLE: Any = {
     "font.family": "DejaVu Sans",
     "font.size": 10,
@@ -197,16 +182,17 @@ def funnel_rows(pairs: Pairs, network: Pairs | None) -> list[tuple[str, int, str
     funnel = pairs.funnel()
     start = max(len(network) if network is not None else 0, funnel["candidates"])
     rows = [("candidates", start, "#8b949e")]
-    gone = {k: v for k, v in funnel.items() if k not in ("candidates", "used", "match")}
+    gone = {k: v for k, v in funnel.items() if k not in ("candidates", "used", *AFTER_MATCHING)}
     if network is not None and len(network) > len(pairs):
         rows.append(("dropped in the network", len(network) - len(pairs), DROPPED))
     rows += [(f"dropped: {REASON_LOOKS[k][0]}", v, DROPPED) for k, v in gone.items()]
     matched = bool(np.any(pairs.inliers >= 0))
     if not matched:
         return [*rows, ("pairs to match", funnel["used"], USED)]
-    lost = funnel.get("match", 0)
+    lost = sum(funnel.get(reason, 0) for reason in AFTER_MATCHING)
     verified = int(np.sum((pairs.dropped == 0) & (pairs.inliers > 0)))
     rows.append(("matched at full resolution", funnel["used"] + lost, USED))
+    rows += [(REASON_LOOKS[k][0], funnel[k], ALERT) for k in AFTER_MATCHING if k in funnel]
     return [*rows, ("verified", verified, VERIFIED)]
 
 

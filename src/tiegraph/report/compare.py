@@ -17,7 +17,7 @@ from tiegraph.report import words
 from tiegraph.report.artefacts import STAGES, RunFolder, read_run
 from tiegraph.report.facts import metric_values
 from tiegraph.scene.atomic import replacing
-from tiegraph.scene.pairs import REASONS
+from tiegraph.scene.pairs import AFTER_MATCHING, REASONS
 
 _CLOUD_POINTS = 1000  # only the count is wanted
 
@@ -137,11 +137,16 @@ def _funnel(runs: Sequence[RunFolder]) -> list[tuple[str, list[float]]]:
     funnels = [r.pairs.funnel() if r.pairs is not None else {} for r in runs]
     start = [_candidates(r) for r in runs]
     rows: list[tuple[str, list[float]]] = [("Candidates", start)]
-    for reason in REASONS[1:-1]:
+    for reason in (r for r in REASONS[1:] if r not in AFTER_MATCHING):
         values = [float(f.get(reason, 0)) if f else np.nan for f in funnels]
         if any(v > 0 for v in values):
             rows.append((f"  dropped: {reason}", values))
-    rows.append(("Matched at full resolution", [f["used"] + f.get("match", 0) if f else np.nan for f in funnels]))
+    rows.append(
+        (
+            "Matched at full resolution",
+            [f["used"] + sum(f.get(r, 0) for r in AFTER_MATCHING) if f else np.nan for f in funnels],
+        )
+    )
     verified = [of(r, lambda x: float(np.sum((x.pairs.dropped == 0) & (x.pairs.inliers > 0)))) for r in runs]  # type: ignore[union-attr]
     rows.append(("Verified", verified if any(v > 0 for v in verified) else [np.nan] * len(runs)))
     return rows

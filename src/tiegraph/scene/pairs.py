@@ -8,22 +8,27 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-SOURCES = ("sequence", "exhaustive", "file", "offsets", "poses", "rig")
-REASONS = (
-    "kept",
-    "axes",  # the optical axes make a match impossible
-    "distance",  # too far apart (paper 003)
-    "baseline",  # base-to-distance ratio out of range (paper 003)
-    "sight",  # line of sight: no common view (paper 003)
-    "offset",  # outside the range around the best frame offset (papers 000, 001)
-    "votes",  # the camera pair has no offset with enough preview matches (papers 000, 001)
-    "section",  # the images are in different sections (paper 001)
-    "weak",  # too few preview matches
-    "similar",  # base too short against the distance (paper 002)
-    "cut",  # cut by the network design
-    "match",  # matched at full resolution and not verified
-)
-NUMBERS = ("score", "baseline_m", "angle_deg", "h_over_b", "sigma_m")
+SOURCES = ("sequence", "exhaustive", "file", "offsets", "poses", "retrieval", "model")
+# Why a pair was dropped, in the order of the filters: words and colour for reports and pictures.
+REASON_LOOKS = {
+    "kept": ("kept", "#1b6ca8"),
+    "axes": ("axes too far apart", "#ececec"),
+    "distance": ("too far apart", "#d9c7e8"),  # paper 003
+    "baseline": ("base-to-distance ratio", "#b79ad1"),  # paper 003
+    "sight": ("no line of sight", "#c9d8b6"),  # paper 003
+    "overlap": ("too little shared surface", "#dfe7cf"),  # by poses of a model or a prior
+    "offset": ("outside the frame offset", "#f0d9a8"),  # papers 000, 001
+    "votes": ("cameras without votes", "#e3b7a0"),  # papers 000, 001
+    "section": ("different sections", "#d08c8c"),  # paper 001
+    "weak": ("too few preview matches", "#f2a65a"),
+    "similar": ("base too short", "#9fd3c7"),  # paper 002
+    "cut": ("cut by the design", "#8fb8de"),
+    "match": ("not verified", "#c0392b"),  # matched at full resolution
+    "repeat": ("contradicts the rig or loops of frames", "#7b2d8b"),  # verified, but on repeated texture
+}
+REASONS = tuple(REASON_LOOKS)
+AFTER_MATCHING = ("match", "repeat")  # pairs dropped for these were matched at full resolution
+NUMBERS = ("score", "overlap", "baseline_m", "angle_deg", "h_over_b", "sigma_m")
 
 
 @dataclass(frozen=True)
@@ -31,8 +36,9 @@ class Pairs:
     """P pairs of images i < j, sorted and unique; columns (P,), read-only.
 
     ``source`` is a bit set over SOURCES, ``dropped`` an index into REASONS (0 = kept), ``score`` the preview matches
-    (between previewed frames of a pass estimated from them; NaN = unknown), ``inliers`` the verified matches at full
-    resolution (-1 = not matched). Lengths in metres when the poses are metric.
+    (between previewed frames of a pass estimated from them; NaN = unknown), ``overlap`` the predicted share of the
+    surface one image sees that the other sees too (larger of the two directions), ``inliers`` the verified matches at
+    full resolution (-1 = not matched). Lengths in metres when the poses are metric.
     """
 
     i: np.ndarray
@@ -40,6 +46,7 @@ class Pairs:
     source: np.ndarray
     dropped: np.ndarray
     score: np.ndarray
+    overlap: np.ndarray
     baseline_m: np.ndarray
     angle_deg: np.ndarray
     h_over_b: np.ndarray

@@ -1,0 +1,77 @@
+"""Ties: which preview features of two images match, for every pair that was previewed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Ties:
+    """Preview matches of T image pairs i < j, sorted and unique, read-only.
+
+    ``matches`` (M, 2) u2: feature of image i, feature of image j (rows of the two images' previews), inliers of one
+    two-view geometry; the matches of pair t are rows ``start[t]`` to ``start[t + 1]``. A pair that was previewed
+    without success has none.
+    """
+
+    i: np.ndarray  # (T,) i4
+    j: np.ndarray  # (T,) i4
+    start: np.ndarray  # (T + 1,) i8
+    matches: np.ndarray  # (M, 2) u2
+
+    def __post_init__(self) -> None:
+        dtypes = {"i": np.int32, "j": np.int32, "start": np.int64, "matches": np.uint16}
+        for name, dtype in dtypes.items():
+            column = np.array(getattr(self, name), dtype=dtype)
+            column.setflags(write=False)
+            object.__setattr__(self, name, column)
+        key = self.i.astype(np.int64) << 32 | self.j
+        if np.any(self.i >= self.j) or np.any(np.diff(key) <= 0) or len(self.start) != len(self.i) + 1:
+            raise ValueError("ties must have i < j and be sorted and unique: build them with Ties.make")
+
+    @staticmethod
+    def make(i: np.ndarray, j: np.ndarray, matches: Sequence[np.ndarray]) -> Ties:
+        """Ties from any order of pairs (T,), (T,) with i < j and the matches (K, 2) of each; the first of repeated
+        pairs stays."""
+        i, j = np.asarray(i, np.int64).ravel(), np.asarray(j, np.int64).ravel()
+        order = np.unique(i << 32 | j, return_index=True)[1]
+        chosen = [np.asarray(matches[k], np.uint16).reshape(-1, 2) for k in order]
+        start = np.concatenate([[0], np.cumsum([len(m) for m in chosen])])
+        rows = np.concatenate([np.zeros((0, 2), np.uint16), *chosen])
+        return Ties(i[order], j[order], start, rows)
+
+    @staticmethod
+    def empty() -> Ties:
+        """No ties."""
+        return Ties.make(np.zeros(0, int), np.zeros(0, int), [])
+
+    def __len__(self) -> int:
+        return len(self.i)
+
+    def counts(self) -> np.ndarray:
+        """(T,) matches of each pair."""
+        return np.diff(self.start)
+
+    def of(self, t: int) -> np.ndarray:
+        """(K, 2) matches of the t-th pair."""
+        return self.matches[self.start[t] : self.start[t + 1]]
+
+    def find(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+        """(K,) row of image pairs (K,), (K,) in any order of their ends; -1 = not previewed."""
+        low, high = np.minimum(i, j).astype(np.int64), np.maximum(i, j).astype(np.int64)
+        own = self.i.astype(np.int64) << 32 | self.j
+        at = np.searchsorted(own, low << 32 | high)
+        at = np.minimum(at, max(len(own) - 1, 0))
+        return np.where(own[at] == (low << 32 | high), at, -1) if len(own) else np.full(len(low), -1)
+
+    def to_npz(self) -> dict[str, np.ndarray]:
+        """Columns for ``np.savez``."""
+        return {"i": self.i, "j": self.j, "start": self.start, "matches": self.matches}
+
+    @staticmethod
+    def from_npz(data: dict[str, np.ndarray]) -> Ties:
+        """Inverse of ``to_npz``; other entries are ignored."""
+        return Ties(**{n: data[n] for n in ("i", "j", "start", "matches")})
