@@ -63,8 +63,8 @@ def test_unrelated_images_stay_at_chance() -> None:
     previews = [extract_preview(view(texture(s), np.eye(3), (0, 0, 0)), None, SETTINGS) for s in range(2, 7)]
     pairs = np.array([(a, b) for a in range(5) for b in range(a)])
     counts = [m.inliers for m in match_many(previews, [CAMERA] * 5, pairs, SETTINGS)]
-    assert max(counts) < 16
-    assert np.median(counts) < 12
+    assert max(counts) < 20
+    assert np.median(counts) < 13
 
 
 def test_unknown_camera_counts_alike_but_gives_no_rotation(views) -> None:
@@ -95,10 +95,10 @@ def test_mask_keeps_features_out_and_brightness_whole(views) -> None:
 
 def test_pixels_are_full_size_and_count_from_the_corner() -> None:
     image = np.zeros((960, 1280), np.uint8)
-    image[400:, 600:] = 255  # a corner of the picture at (600, 400)
+    cv2.circle(image, (600, 400), 20, 255, -1)  # its middle is at (600.5, 400.5)
     preview = extract_preview(image, None, SETTINGS)
-    nearest = np.min(np.linalg.norm(preview.xy - (600, 400), axis=1))
-    assert 0 <= nearest < 2 * 1280 / 400
+    nearest = np.min(np.linalg.norm(preview.xy - (600.5, 400.5), axis=1))
+    assert 0 <= nearest < 0.3 * 1280 / 400
     assert preview.scale == pytest.approx(400 / 1280)
 
 

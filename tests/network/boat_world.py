@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pycolmap
@@ -24,6 +24,7 @@ class Result:
     inliers: int
     rotation: np.ndarray | None = None
     shift: np.ndarray | None = None
+    matches: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.uint16))
 
 
 def ring(count: int = 5, up: bool = True, nominal: bool = True) -> Rig:

@@ -1,13 +1,17 @@
-"""Bridge and open sections from the up camera's brightness."""
+"""Bridge and open sections from the up camera, and whether they are tied to each other."""
+
+from dataclasses import replace
 
 import numpy as np
+import pytest
 from boat_world import boat, ring
 
+from tiegraph.network.light import GAMMA, UpLight, by_up_frame, otsu, two_states
 from tiegraph.network.network import estimate_network
 from tiegraph.network.passes import find_passes
-from tiegraph.network.sections import find_sections, otsu
+from tiegraph.network.sections import Section, find_sections, section_links
 from tiegraph.network.settings import NetworkSettings
-from tiegraph.scene.pairs import REASONS
+from tiegraph.scene.pairs import REASONS, Pairs
 
 
 def survey(frames: int = 20, dark: tuple[int, int] = (8, 13)):
@@ -18,6 +22,15 @@ def survey(frames: int = 20, dark: tuple[int, int] = (8, 13)):
     under = (there >= dark[0]) & (there < dark[1])
     noise = np.random.default_rng(0).normal(0, 4, len(world.scene))
     return world, np.where(under, 60, 150) + noise, under
+
+
+def bridges(found, frames: int) -> np.ndarray:
+    """(F,) bool: frames in a bridge section."""
+    out = np.zeros(frames, bool)
+    for section in found.sections:
+        if section.kind == "bridge":
+            out[list(section.frames)] = True
+    return out
 
 
 def test_bridge_is_found_and_joined_over_both_passes() -> None:
@@ -44,12 +57,72 @@ def test_split_cuts_between_sections_and_link_does_not() -> None:
     assert any("components" in note for note in split.notes)
 
 
-def test_even_brightness_is_one_section() -> None:
+def test_even_light_is_one_section_and_says_why() -> None:
     world, _, _ = survey()
-    even = np.random.default_rng(1).normal(150, 5, len(world.scene))
-    found = find_sections(world.scene, find_passes(world.scene), even)
-    assert len(found.sections) == 1 and "two clear classes" in found.notes[0]
+    rng = np.random.default_rng(1)
+    light = UpLight(rng.normal(150, 5, len(world.scene)), rng.normal(0.8, 0.03, len(world.scene)))
+    found = find_sections(world.scene, find_passes(world.scene), light)
+    assert len(found.sections) == 1 and "two clear classes" in found.notes[0] and "needed" in found.notes[0]
     assert (found.of_frame == 0).all() and np.isnan(found.threshold)
+
+
+def test_slow_change_of_light_is_no_bridge() -> None:
+    world, _, _ = survey(30)
+    dusk = 150 - 0.5 * world.scene.frame
+    found = find_sections(world.scene, find_passes(world.scene), dusk)
+    assert len(found.sections) == 1
+
+
+def test_automatic_exposure_hides_the_bridge_from_brightness_but_not_from_the_sky_share() -> None:
+    """The camera opens within three frames: the deck becomes as bright as the sky was, and the sky then burns out."""
+    world, _, under = survey()
+    scene = world.scene
+    frame_under = by_up_frame(scene, under.astype(float)) > 0.5
+    rng = np.random.default_rng(3)
+    grey = np.zeros(scene.frames)
+    gain = 1.0
+    for f in range(scene.frames):
+        light = 40.0 if frame_under[f] else 130.0
+        grey[f] = min(255.0, light * gain) + rng.normal(0, 4)
+        gain *= (130.0 / (light * gain)) ** 0.6
+    sky = np.where(frame_under, 0.12, 0.8) + rng.normal(0, 0.05, scene.frames)
+    passes = find_passes(scene)
+    alone = find_sections(scene, passes, grey[scene.frame])
+    both = find_sections(scene, passes, UpLight(grey[scene.frame], sky[scene.frame]))
+    assert np.mean(bridges(alone, scene.frames) == frame_under) < 0.9
+    assert np.array_equal(bridges(both, scene.frames), frame_under)
+    assert len(both.cues) == 2 and both.cues[0].decided
+
+
+def test_exif_exposure_gives_the_light_itself() -> None:
+    world, _, under = survey()
+    rng = np.random.default_rng(4)
+    exposure = np.where(under, 1 / 60, 1 / 600) * np.exp(rng.normal(0, 0.1, len(under)))
+    luminance = np.where(under, 8.0, 80.0)
+    grey = 255 * np.clip(luminance * exposure, 0, 1) ** (1 / GAMMA) + rng.normal(0, 2, len(under))
+    passes = find_passes(world.scene)
+    found = find_sections(world.scene, passes, UpLight(grey, None, exposure))
+    truth = by_up_frame(world.scene, under.astype(float)) > 0.5
+    assert np.array_equal(bridges(found, world.scene.frames), truth)
+    assert [c.name for c in found.cues] == ["luminance by EXIF exposure"]
+    half = np.where(world.scene.frame % 2 == 0, exposure, np.nan)  # too few images carry it
+    cues = find_sections(world.scene, passes, UpLight(grey, None, half)).cues
+    assert [c.name for c in cues] == ["brightness"]
+
+
+def test_each_pass_has_its_own_threshold_and_a_clouded_pass_is_not_a_bridge() -> None:
+    world, brightness, under = survey()
+    back = world.scene.track[world.scene.frame] == 1
+    passes = find_passes(world.scene)
+    found = find_sections(world.scene, passes, np.where(back, 0.45, 1.0) * brightness)
+    truth = by_up_frame(world.scene, under.astype(float)) > 0.5
+    assert np.array_equal(bridges(found, world.scene.frames), truth)
+    first, second = (found.cues[0].threshold[p.frames[0]] for p in passes)
+    assert first > 1.7 * second
+    clouded = np.where(back, 60 + 0.1 * brightness, brightness)  # the whole way back as dark as the bridge was
+    found = find_sections(world.scene, passes, clouded)
+    there = bridges(found, world.scene.frames)
+    assert there[passes[0].frames].any() and not there[passes[1].frames].any()
 
 
 def test_no_up_camera_and_off_are_one_section() -> None:
@@ -70,8 +143,62 @@ def test_a_single_dark_frame_is_no_bridge() -> None:
     assert all(3 not in s.frames for s in found.sections if s.kind == "bridge")
 
 
+def test_missing_up_images_take_the_state_of_their_neighbours() -> None:
+    world, brightness, under = survey()
+    gone = (world.scene.sensor == 5) & np.isin(world.scene.frame, (2, 10))
+    found = find_sections(world.scene, find_passes(world.scene), np.where(gone, np.nan, brightness))
+    truth = by_up_frame(world.scene, under.astype(float)) > 0.5
+    assert np.array_equal(bridges(found, world.scene.frames), truth)
+
+
 def test_otsu_splits_two_heaps() -> None:
     rng = np.random.default_rng(0)
-    threshold, separation, ratio = otsu(np.r_[rng.normal(60, 5, 30), rng.normal(150, 8, 70)])
-    assert 75 < threshold < 130 and 0.9 < separation <= 1 and 2.2 < ratio < 2.8
+    threshold, separation, low, high = otsu(np.r_[rng.normal(60, 5, 30), rng.normal(150, 8, 70)])
+    assert 75 < threshold < 130 and 0.9 < separation <= 1 and 2.2 < high / low < 2.8
     assert otsu(np.full(9, 7.0))[1] == 0.0
+
+
+@pytest.mark.parametrize(("say", "dark"), [((-4, 4, -4, -4), 0), ((-4, 4, 4, -4), 2), ((-1, 1, 1, -1), 0), ((), 0)])
+def test_two_states_need_more_than_one_frame(say: tuple, dark: int) -> None:
+    assert two_states(np.array(say, float)).sum() == dark
+
+
+def three_sections():
+    """One pass of 12 frames, six cameras, cut into open, bridge, open."""
+    scene = boat((12,), (2.0,)).scene
+    cuts = (range(4), range(4, 8), range(8, 12))
+    kinds = ("open", "bridge", "open")
+    return scene, tuple(Section(f"{k} {n}", k, tuple(c)) for n, (k, c) in enumerate(zip(kinds, cuts)))
+
+
+def image(scene, frame: int, sensor: int) -> int:
+    return int(np.flatnonzero((scene.frame == frame) & (scene.sensor == sensor))[0])
+
+
+def test_section_links_counts_independent_ties_and_names_the_border() -> None:
+    scene, sections = three_sections()
+    ties = [
+        (image(scene, 3, 0), image(scene, 4, 0)),
+        (image(scene, 2, 1), image(scene, 5, 2)),
+        (image(scene, 7, 0), image(scene, 8, 0)),  # both of these hang on one image
+        (image(scene, 7, 0), image(scene, 9, 0)),
+        (image(scene, 1, 0), image(scene, 10, 0)),  # over the bridge: no tie of neighbours
+    ]
+    pairs = Pairs.make(*np.array(ties).T, "offsets")
+    table, notes = section_links(pairs, scene, sections)
+    assert [row[-3:] for row in table["rows"]] == [[2, 2, True], [2, 1, False]]
+    assert len(notes) == 1 and "bridge 1 and open 2" in notes[0] and "0007.jpg" in notes[0] and "0008.jpg" in notes[0]
+    matched = pairs.with_(inliers=np.where(np.arange(len(pairs)) == 0, 40, 0))
+    rows, notes = section_links(matched, scene, sections)
+    assert sum(row[-3] for row in rows["rows"]) <= 1 and len(notes) == 2
+    none = section_links(Pairs.empty(), scene, sections)
+    assert [row[-3] for row in none[0]["rows"]] == [0, 0] and all("are not tied" in n for n in none[1])
+
+
+def test_one_section_has_no_borders() -> None:
+    scene, sections = three_sections()
+    whole = (replace(sections[0], frames=tuple(range(12))),)
+    assert section_links(Pairs.empty(), scene, whole) == (
+        {"columns": ["pass", "before", "after", "last image", "first image", "pairs", "independent", "tied"], "rows": []},
+        (),
+    )

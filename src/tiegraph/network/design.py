@@ -2,52 +2,137 @@
 
 from __future__ import annotations
 
-import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
+from dataclasses import dataclass, field
+from typing import Any
 
-from tiegraph.network.settings import DesignSettings
+import numpy as np
+
+from tiegraph.network.coverage import component_notes, components, coverage, some
+from tiegraph.network.design_settings import DesignSettings
+from tiegraph.network.expected import expected_matches
+from tiegraph.network.fuse2014 import fuse2014
+from tiegraph.network.graph import cuts, forest, frame_links, groups, parts, two_links
+from tiegraph.network.hybrid import Budget, Choice, choose
+from tiegraph.network.tracks import Candidates
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.ties import Ties
+
+__all__ = ["DesignResult", "component_notes", "components", "design", "some"]
 
 
-def design(pairs: Pairs, scene: Scene, settings: DesignSettings) -> Pairs:
-    """The table with pairs cut (reason ``cut``) by the method of the settings; what was connected stays connected."""
-    if settings.method == "all":
-        return pairs
+@dataclass(frozen=True)
+class DesignResult:
+    """The pair table with the pairs left out dropped (``cut``, ``similar``, ``weak``), what people should know, figures
+    by name, and tables {"columns", "rows"} by name."""
+
+    pairs: Pairs
+    notes: tuple[str, ...] = ()
+    counts: dict[str, float] = field(default_factory=dict)
+    tables: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+
+def design(pairs: Pairs, scene: Scene, ties: Ties | None, settings: DesignSettings) -> DesignResult:
+    """Choose by the method of the settings; what was connected stays connected, but for ``fuse2014``.
+
+    ``ties``: preview matches of the pairs that were previewed; for the others matches are expected from the score or
+    the overlap. Methods hybrid, tree and top keep a maximum spanning forest of the images, two pairs without a common
+    image from every camera, pass and section to the rest, and a second link wherever frames would hang on one.
+    """
     kept = np.flatnonzero(pairs.dropped == 0)
-    chosen = np.zeros(len(pairs), bool)
-    chosen[kept[_forest(pairs, kept, len(scene))]] = True
-    chosen[kept[_top(pairs, kept, scene, settings.pairs_per_image)]] = True
-    return pairs.drop(~chosen, "cut")
+    if settings.method == "all" or not len(kept):
+        return _judged(pairs, pairs, scene, (), {})
+    expected = expected_matches(pairs, ties)
+    if settings.method in ("fuse2014", "fuse2014_safe"):
+        thin = fuse2014(pairs, scene, expected, safe=settings.method == "fuse2014_safe")
+        return _judged(pairs, thin.pairs, scene, thin.notes, dict(thin.counts))
+    i, j, strength = pairs.i[kept], pairs.j[kept], expected[kept]
+    start = _start(i, j, strength, scene)
+    if settings.method == "top":
+        chosen = np.union1d(start, _top(i, j, strength, scene, settings.pairs_per_image))
+        choice = Choice(chosen, np.nan, 0)
+    else:
+        candidates = Candidates.make(i, j, strength, ties, len(scene))
+        choice = choose(candidates, start, _budget(settings, scene), by_tracks=settings.method == "hybrid")
+    second = _second_links(i, j, strength, choice.places, scene)
+    keep = np.zeros(len(pairs), bool)
+    keep[kept[np.concatenate([choice.places, second])]] = True
+    counts = {"start": float(len(start)), "second_links": float(len(second)), "rounds": float(choice.rounds)}
+    if np.isfinite(choice.loss):
+        counts["predicted_loss_percent"] = round(100 * choice.loss, 2)
+    notes = _budget_notes(choice, settings, len(start), len(kept), len(scene))
+    return _judged(pairs, pairs.drop(~keep, "cut"), scene, notes, counts)
 
 
-def _strength(pairs: Pairs, rows: np.ndarray) -> np.ndarray:
-    """Preview matches of rows; a pair that was never previewed ranks below every one that was."""
-    return np.nan_to_num(pairs.score[rows].astype(float), nan=0.0)
+def _budget(settings: DesignSettings, scene: Scene) -> Budget:
+    if settings.budget == "loss":
+        return Budget(np.iinfo(np.int64).max, settings.loss_percent / 100)
+    return Budget(_pairs_allowed(settings, len(scene)))
 
 
-def _forest(pairs: Pairs, rows: np.ndarray, images: int) -> np.ndarray:
-    """Places in ``rows`` of a maximum spanning forest by strength."""
-    strength = _strength(pairs, rows)
-    cost = strength.max(initial=0.0) + 1.0 - strength  # positive: scipy takes zeros for missing edges
-    graph = coo_array((cost, (pairs.i[rows], pairs.j[rows])), shape=(images, images))
-    tree = minimum_spanning_tree(graph.tocsr()).tocoo()
-    key = pairs.i[rows].astype(np.int64) * images + pairs.j[rows]
-    low, high = np.minimum(*tree.coords).astype(np.int64), np.maximum(*tree.coords)
-    return np.flatnonzero(np.isin(key, low * images + high))
+def _pairs_allowed(settings: DesignSettings, images: int) -> int:
+    if settings.budget == "pairs":
+        return int(images * settings.pairs_per_image / 2)
+    return int(settings.seconds * settings.pairs_per_second)
 
 
-def _top(pairs: Pairs, rows: np.ndarray, scene: Scene, count: int) -> np.ndarray:
-    """Places in ``rows`` of the ``count`` best pairs of each image.
+def _budget_notes(choice: Choice, settings: DesignSettings, start: int, kept: int, images: int) -> tuple[str, ...]:
+    if settings.method == "top":
+        return ()
+    share = f"{settings.method}: {len(choice.places)} of {kept} pairs ({100 * len(choice.places) / kept:.1f} %)"
+    if settings.budget == "loss":
+        return (f"{share}, predicted loss of accuracy {100 * choice.loss:.1f} % (asked: {settings.loss_percent:g} %)",)
+    allowed = _pairs_allowed(settings, images)
+    if start > allowed:
+        return (f"{share}: the budget of {allowed} pairs does not suffice to hold the images together",)
+    return (share,)
+
+
+def _judged(
+    before: Pairs, after: Pairs, scene: Scene, notes: tuple[str, ...], counts: dict[str, float]
+) -> DesignResult:
+    """The result with its funnel and its weak links."""
+    funnel = after.funnel()
+    table = {"columns": ["step", "pairs"], "rows": [[k, v] for k, v in funnel.items()]}
+    found = coverage(after, scene)
+    figures = {"candidates": float(np.sum(before.dropped == 0)), "pairs": float(funnel["used"]), **counts}
+    figures.update({k: float(v) for k, v in found.counts.items() if k not in ("images", "pairs")})
+    said = () if found.sound else found.lines
+    return DesignResult(after, (*notes, *said), figures, {"funnel": table, "weak links": found.table})
+
+
+def _start(i: np.ndarray, j: np.ndarray, strength: np.ndarray, scene: Scene) -> np.ndarray:
+    """Places of the pairs every design keeps: a maximum spanning forest, and two links of every group."""
+    places = [forest(i, j, strength, len(scene))]
+    places += [two_links(i, j, group.member, strength) for group in groups(scene)]
+    return np.unique(np.concatenate(places))
+
+
+def _second_links(i: np.ndarray, j: np.ndarray, strength: np.ndarray, chosen: np.ndarray, scene: Scene) -> np.ndarray:
+    """Places of pairs that give every single link between frames a second one, where there is a candidate for it.
+
+    A spanning forest over the pieces that hold together doubly: it crosses every cut that the chosen pairs cross once
+    and another candidate crosses too (Nagamochi and Ibaraki 1992).
+    """
+    links = frame_links(i[chosen], j[chosen], scene)
+    bridge = cuts(links.a, links.b, scene.frames, links.independent > 1).bridge
+    piece = parts(links.a[~bridge], links.b[~bridge], scene.frames)[scene.frame]
+    free = np.setdiff1d(np.arange(len(i)), chosen)
+    single = chosen[links.row[bridge]]  # a second link should not start from the images of the first
+    weaker = np.isin(i[free], np.r_[i[single], j[single]]) | np.isin(j[free], np.r_[i[single], j[single]])
+    own = strength[free] / np.where(weaker, strength.max(initial=1.0), 1.0)
+    return free[forest(piece[i[free]], piece[j[free]], own, len(scene))]
+
+
+def _top(i: np.ndarray, j: np.ndarray, strength: np.ndarray, scene: Scene, count: int) -> np.ndarray:
+    """Places of the ``count`` best pairs of each image.
 
     An image ranks its partners round robin over their passes and cameras, the strongest of each first: by strength
     alone the next frames of the same camera would fill the list, and short bases hold a network together badly.
     """
-    i, j = pairs.i[rows], pairs.j[rows]
-    place = np.tile(np.arange(len(rows)), 2)
+    place = np.tile(np.arange(len(i)), 2)
     image, partner = np.concatenate([i, j]), np.concatenate([j, i])
-    strength = np.tile(_strength(pairs, rows), 2)
+    strength = np.tile(strength, 2)
     sensors = len(scene.all_sensors)
     group = (scene.track[scene.frame].astype(np.int64) + 1) * sensors + scene.sensor_key
     order = np.lexsort((partner, -strength, group[partner], image))
@@ -63,45 +148,3 @@ def _rank(keys: np.ndarray) -> np.ndarray:
     first = np.ones(n, bool)
     first[1:] = np.any(np.diff(keys, axis=1) != 0, axis=0)
     return np.arange(n) - np.maximum.accumulate(np.where(first, np.arange(n), 0))
-
-
-def components(pairs: Pairs, images: int) -> np.ndarray:
-    """(N,) component of every image in the graph of kept pairs, the largest is 0."""
-    kept = pairs.kept()
-    graph = coo_array((np.ones(len(kept)), (kept.i, kept.j)), shape=(images, images))
-    labels = connected_components(graph.tocsr(), directed=False)[1]
-    size = np.bincount(labels, minlength=1)
-    order = np.argsort(-size, kind="stable")
-    rename = np.empty(len(order), int)
-    rename[order] = np.arange(len(order))
-    return rename[labels]
-
-
-def component_notes(pairs: Pairs, scene: Scene) -> tuple[str, ...]:
-    """What falls apart: images without a pair, by name, and the components of the rest."""
-    labels = components(pairs, len(scene))
-    size = np.bincount(labels, minlength=1)
-    notes = []
-    lonely = [scene.names[k] for k in np.flatnonzero(size[labels] == 1)] if len(scene) > 1 else []
-    if lonely:
-        notes.append(f"{len(lonely)} images have no pair: {some(lonely)}")
-    parts = np.flatnonzero(size > 1)
-    if len(parts) > 1:
-        named = [f"{size[k]} images with {scene.names[int(np.argmax(labels == k))]}" for k in parts]
-        held = "; the frames of the rig hold them together" if _frames_connected(pairs, scene) else ""
-        notes.append(f"the pairs fall into {len(parts)} components: {some(named)}{held}")
-    return tuple(notes)
-
-
-def _frames_connected(pairs: Pairs, scene: Scene) -> bool:
-    """Whether all frames are one component, every image standing for its frame."""
-    kept = pairs.kept()
-    ends = scene.frame[kept.i], scene.frame[kept.j]
-    graph = coo_array((np.ones(len(kept)), ends), shape=(scene.frames, scene.frames))
-    return int(connected_components(graph.tocsr(), directed=False)[0]) == 1
-
-
-def some(names: list[str], limit: int = 10) -> str:
-    """The first names of a list, and how many more there are."""
-    more = f" and {len(names) - limit} more" if len(names) > limit else ""
-    return ", ".join(names[:limit]) + more

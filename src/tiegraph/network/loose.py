@@ -1,93 +1,183 @@
-"""Loose photographs without order or position: previews find their neighbours, and neighbours' neighbours."""
+"""Loose photographs without order or position: look-alikes are previewed first, then neighbours of neighbours.
+
+Sample and propagate (Cui et al. 2017) with visual words as the prior. What is kept is decided as on the lattice of a
+pass, only that here the neighbours in the graph of previews take the place of those in time: measured on 120 rendered
+images and 79 photographs, a pair with 12 matches is true in 46 to 85 % of cases if the two images tie to the same
+others, in 6 to 50 % if they do not.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_array
 
 from tiegraph.network.passes import PreviewBook
 from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.words import ImageWords
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
 
-ALL_LIMIT = 400  # images that are all previewed with one another: 80 000 previews, minutes
+ALL_LIMIT = 100  # images that are all previewed with one another: 4950 previews, half a minute
 BEST = 5  # pairs of an image kept whatever their count, so that no image stands alone
 SURE = 1.2  # times min_matches: a single preview must be surer than an average over neighbouring frames
-BY_NAME = 6  # next photographs by name an image starts with: a camera numbers its pictures
-RANDOM = 20  # random partners an image starts with, and gets again while it has few ties
-FEW_TIES = 4
-FRIENDS = 40  # neighbours of neighbours an image is previewed with in one round
-PREVIEW_SHARE = 0.06  # of all pairs: the most that previews may take beyond ALL_LIMIT images
+PER_IMAGE = 25  # previews an image, the most beyond ALL_LIMIT images
+START = 8  # look-alikes an image starts with: nine of ten share something
+BY_NAME = 2  # next photographs by name an image starts with: a camera numbers its pictures
+FRIENDS = 6  # neighbours of neighbours an image is previewed with in one round
+HIT_RATE = 0.15  # a round in which fewer previews tie is the last
+FEW_TIES = 4  # an image with fewer goes further down its list of look-alikes
 EVERY = 4  # of the frames of passes, those compared with loose photographs
+# Kept: count / min_matches, between the limits of the lattice, plus SUPPORT times the cosine of the two images' ties
+# reaches ENOUGH. Measured: recall 0.82 at precision 0.74 (rendered), 0.87 at 0.96 (photographs); the count alone at
+# equal precision 0.79 and 0.84.
+FLOOR, CEILING = 2 / 3, 2.0
+SUPPORT, ENOUGH = 3.0, 2.0
+# Without words, random partners take the place of look-alikes and need many more previews.
+RANDOM = 20
+BLIND_SHARE = 0.06  # of all pairs
+BLIND_BUDGET = 80_000
+BLOCK = 512  # rows of the graph that are multiplied at once
 
 
-def scored_pairs(scene: Scene, images: np.ndarray, book: PreviewBook, settings: NetworkSettings) -> Pairs:
-    """Pairs of loose images (K,) among each other and with the images of passes, by preview counts.
+@dataclass(frozen=True)
+class _Nodes:
+    """Images (N,) that take part, which of them are loose, and the words of all images of the scene."""
 
-    Up to ALL_LIMIT images every pair is previewed; beyond, some pairs first and then neighbours of neighbours (sample
-    and propagate, Cui et al. 2017). Dropped pairs carry ``weak``.
+    image: np.ndarray
+    loose: np.ndarray
+    words: ImageWords | None
+
+    def __len__(self) -> int:
+        return len(self.image)
+
+    def keys(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """Sorted unique numbers of node pairs of which one at least is loose."""
+        low, high = np.minimum(a, b).astype(np.int64), np.maximum(a, b)
+        wanted = (low != high) & (self.loose[low] | self.loose[high])
+        return np.unique((low * len(self) + high)[wanted])
+
+    def split(self, key: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Nodes a, b of pair numbers."""
+        return key // len(self), key % len(self)
+
+    def measure(self, key: np.ndarray, book: PreviewBook) -> np.ndarray:
+        """Counts (K,) of pair numbers."""
+        a, b = self.split(key)
+        return book.measure(self.image[a], self.image[b])
+
+
+def scored_pairs(
+    scene: Scene, images: np.ndarray, book: PreviewBook, settings: NetworkSettings, words: ImageWords | None = None
+) -> Pairs:
+    """Pairs of loose images (K,) among each other and with the images of passes, by previews.
+
+    Up to ALL_LIMIT images every pair is previewed; beyond, PER_IMAGE an image: look-alikes by ``words`` (of all images
+    of the scene) and then neighbours of neighbours. Dropped pairs carry ``weak``.
     """
     if len(images) == 0:
         return Pairs.empty()
     ordered = np.flatnonzero((scene.track[scene.frame] >= 0) & (scene.step[scene.frame] % EVERY == 0))
-    nodes = np.unique(np.concatenate([images, ordered]))
-    loose = np.isin(nodes, images)
+    chosen = np.unique(np.concatenate([images, ordered]))
+    nodes = _Nodes(chosen, np.isin(chosen, images), words)
     if len(nodes) <= ALL_LIMIT:
-        a, b = np.triu_indices(len(nodes), k=1)
-        wanted = loose[a] | loose[b]
-        i, j = nodes[a[wanted]], nodes[b[wanted]]
-        score = book.measure(i, j)
+        key = nodes.keys(*np.triu_indices(len(nodes), k=1))
     else:
-        i, j, score = _propagated(nodes, loose, book, settings)
-    keep = (score >= SURE * settings.min_matches) | _best(i, j, score, len(scene))
-    return Pairs.make(i, j, "exhaustive", score=score, dropped=np.where(keep, 0, REASONS.index("weak")))
+        key = _propagated(nodes, book, settings)
+    a, b = nodes.split(key)
+    i, j = nodes.image[a], nodes.image[b]
+    score = nodes.measure(key, book)
+    keep = supported(a, b, score, len(nodes), settings.min_matches) | _best(i, j, score, len(scene))
+    source = "exhaustive" if words is None else "retrieval"
+    return Pairs.make(i, j, source, score=score, dropped=np.where(keep, 0, REASONS.index("weak")))
 
 
-def _propagated(
-    nodes: np.ndarray, loose: np.ndarray, book: PreviewBook, settings: NetworkSettings
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rounds of previews: neighbours by name and random partners first, then neighbours of neighbours; images that
-    still have few ties get more random partners while the budget lasts."""
-    rng = np.random.default_rng(0)
+def supported(a: np.ndarray, b: np.ndarray, score: np.ndarray, count: int, min_matches: int) -> np.ndarray:
+    """(K,) bool: whether node pairs a, b (K,), (K,) of ``count`` nodes tie, by their preview counts (K,) and by the
+    cosine between the rows of their ties to all nodes; a node counts as tied to itself."""
+    level = np.clip(score / min_matches, FLOOR, CEILING)
+    enough = np.zeros(len(a), bool)
+    graph = _graph(a, b, score, count, min_matches, own=1.0)
+    length = np.sqrt(np.asarray((graph * graph).sum(axis=1)).ravel())
+    for start in range(0, len(a), BLOCK * 64):
+        part = slice(start, start + BLOCK * 64)
+        common = np.asarray((graph[a[part]] * graph[b[part]]).sum(axis=1)).ravel()
+        cosine = common / (length[a[part]] * length[b[part]])
+        enough[part] = level[part] + SUPPORT * cosine >= ENOUGH
+    return enough & (score >= FLOOR * min_matches)
+
+
+def _graph(a: np.ndarray, b: np.ndarray, score: np.ndarray, count: int, min_matches: int, own: float = 0) -> csr_array:
+    """(N, N) sparse: 0 at ``min_matches`` and below, 1 at twice as many and above; ``own`` on the diagonal."""
+    weight = np.clip(score / min_matches - 1, 0, 1)
+    tied = weight > 0
+    every = np.arange(count) if own else np.zeros(0, int)
+    row, column = np.r_[a[tied], b[tied], every], np.r_[b[tied], a[tied], every]
+    return csr_array((np.r_[weight[tied], weight[tied], np.full(len(every), own)], (row, column)), shape=(count, count))
+
+
+def _propagated(nodes: _Nodes, book: PreviewBook, settings: NetworkSettings) -> np.ndarray:
+    """Numbers of the node pairs that were previewed: look-alikes and neighbours by name first, then, while previews
+    hit and the budget lasts, neighbours of neighbours; images with few ties go further down their list."""
     count = len(nodes)
-    budget = max(ALL_LIMIT**2 // 2, int(PREVIEW_SHARE * count * (count - 1) / 2))
-    own = np.flatnonzero(loose)
-    near = np.concatenate([np.stack([own[:-step], own[step:]]) for step in range(1, BY_NAME + 1)], axis=1)
-    key = np.union1d(_keys(near[0], near[1], count), _random(own, count, rng))
+    budget = PER_IMAGE * count if nodes.words else max(BLIND_BUDGET, int(BLIND_SHARE * count * (count - 1) / 2))
+    rng = np.random.default_rng(0)
+    own = np.flatnonzero(nodes.loose)
+    near = [nodes.keys(own[:-step], own[step:]) for step in range(1, BY_NAME + 1)]
+    key = np.unique(np.concatenate([*near, _starts(nodes, own, 0, rng)]))
+    depth = 0
     while True:
-        a, b = key // count, key % count
-        tied = book.measure(nodes[a], nodes[b]) >= SURE * settings.min_matches
+        score = nodes.measure(key, book)
+        a, b = nodes.split(key)
+        tied = score >= SURE * settings.min_matches
         degree = np.bincount(np.r_[a[tied], b[tied]], minlength=count)
-        more = np.union1d(_friends(a[tied], b[tied], loose), _random(own[degree[own] < FEW_TIES], count, rng))
-        new = np.setdiff1d(more, key)
+        depth += 1
+        lonely = own[degree[own] < FEW_TIES]
+        deeper = _starts(nodes, lonely, depth, rng)
+        friends = _friends(nodes, a, b, score, settings.min_matches)
+        new = np.setdiff1d(np.union1d(friends, deeper), key)
         if not len(new) or len(key) + len(new) > budget:
-            return nodes[a], nodes[b], book.measure(nodes[a], nodes[b])
+            return key
+        hits = nodes.measure(new, book) >= SURE * settings.min_matches
         key = np.union1d(key, new)
+        if nodes.words and hits.mean() < HIT_RATE:
+            return key
 
 
-def _random(starts: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Keys of RANDOM partners for each start."""
-    repeated = np.repeat(starts, RANDOM)
-    return _keys(repeated, rng.integers(0, count, len(repeated)), count)
+def _starts(nodes: _Nodes, start: np.ndarray, depth: int, rng: np.random.Generator) -> np.ndarray:
+    """Numbers of each start's START look-alikes of places depth * START onwards; without words RANDOM partners."""
+    if nodes.words is None:
+        repeated = np.repeat(start, RANDOM)
+        return nodes.keys(repeated, rng.integers(0, len(nodes), len(repeated)))
+    if not len(start):
+        return np.zeros(0, np.int64)
+    other, _ = nodes.words.among(nodes.image).nearest(START * (depth + 1), start)
+    other = other[:, START * depth :]
+    repeated = np.repeat(start, other.shape[1])[other.ravel() >= 0]
+    return nodes.keys(repeated, other.ravel()[other.ravel() >= 0])
 
 
-def _keys(a: np.ndarray, b: np.ndarray, count: int) -> np.ndarray:
-    low, high = np.minimum(a, b).astype(np.int64), np.maximum(a, b)
-    return np.unique((low * count + high)[low != high])
-
-
-def _friends(a: np.ndarray, b: np.ndarray, loose: np.ndarray) -> np.ndarray:
-    """Keys of the FRIENDS node pairs of each node with most common neighbours."""
-    count = len(loose)
-    graph = csr_array((np.ones(2 * len(a)), (np.r_[a, b], np.r_[b, a])), shape=(count, count))
-    common = (graph @ graph).tocoo()
-    row, column, value = common.coords[0], common.coords[1], common.data
-    wanted = (row != column) & (loose[row] | loose[column])
-    row, column, value = row[wanted], column[wanted], value[wanted]
-    order = np.lexsort((-value, row))
-    rank = np.arange(len(order)) - np.searchsorted(row[order], row[order])
-    chosen = order[rank < FRIENDS]
-    return _keys(row[chosen], column[chosen], count)
+def _friends(nodes: _Nodes, a: np.ndarray, b: np.ndarray, score: np.ndarray, min_matches: int) -> np.ndarray:
+    """Numbers of the FRIENDS new pairs of each node with most in common: ties to the same nodes, times likeness."""
+    count = len(nodes)
+    graph = _graph(a, b, score, count, min_matches)
+    known = csr_array((np.ones(2 * len(a)), (np.r_[a, b], np.r_[b, a])), shape=(count, count))
+    out = [np.zeros(0, np.int64)]
+    for start in range(0, count, BLOCK):
+        rows = np.arange(start, min(start + BLOCK, count))
+        common = (graph[rows] @ graph).tocoo()
+        row, column, value = common.coords[0] + start, common.coords[1], common.data
+        fresh = (row != column) & (nodes.loose[row] | nodes.loose[column])
+        fresh &= ~np.asarray(known[row, column]).ravel().astype(bool)
+        row, column, value = row[fresh], column[fresh], value[fresh]
+        if nodes.words is not None:
+            value = value * nodes.words.between(nodes.image[row], nodes.image[column])
+        order = np.lexsort((column, -value, row))
+        rank = np.arange(len(order)) - np.searchsorted(row[order], row[order])
+        chosen = order[rank < FRIENDS]
+        out.append(nodes.keys(row[chosen], column[chosen]))
+    return np.unique(np.concatenate(out))
 
 
 def _best(i: np.ndarray, j: np.ndarray, score: np.ndarray, images: int) -> np.ndarray:

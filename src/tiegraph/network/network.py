@@ -10,6 +10,7 @@ import numpy as np
 from tiegraph.errors import choose
 from tiegraph.network import pictures as draw
 from tiegraph.network.design import component_notes
+from tiegraph.network.model import ModelFunction, SurveyModel, by_model
 from tiegraph.network.offsets import OffsetCurve
 from tiegraph.network.passes import MatchFunction, PreviewBook, find_passes
 from tiegraph.network.rigcheck import check_rigs
@@ -18,6 +19,7 @@ from tiegraph.network.settings import NetworkSettings
 from tiegraph.network.sources import SOURCES, Context, Proposal, automatic, axes_pairs, axes_rows
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.ties import Ties
 
 AXES_ROWS_LIMIT = 1000  # images: beyond, pairs that the axes rule out are counted and not listed
 
@@ -35,6 +37,8 @@ class Network:
     notes: tuple[str, ...]
     brightness: np.ndarray  # (F,) of the up camera, NaN = none
     threshold: float  # grey value between bridge and open sky, NaN = one section
+    ties: Ties  # of everything that was previewed
+    model: SurveyModel | None = None  # the preview model
 
     def pictures(self) -> list[tuple[str, bytes]]:
         """(name, PNG) of the correspondence matrix, the offset curves and the section brightness."""
@@ -46,11 +50,18 @@ class Network:
         return out
 
 
-def estimate_network(scene: Scene, brightness: np.ndarray, match: MatchFunction, settings: NetworkSettings) -> Network:
+def estimate_network(
+    scene: Scene,
+    brightness: np.ndarray,
+    match: MatchFunction,
+    settings: NetworkSettings,
+    make_model: ModelFunction | None = None,
+) -> Network:
     """Candidate pairs of a scene from the sources of the settings.
 
     ``brightness`` (N,) mean grey of each image; ``match`` takes image pairs (P, 2) i4 and returns P preview matches
-    (``inliers``, ``rotation``, ``shift``). Raises SettingsError for an unknown source, InputError for a bad pair list.
+    (``inliers``, ``rotation``, ``shift``, ``matches``); ``make_model`` makes a small model of ties. Raises
+    SettingsError for an unknown source, InputError for a bad pair list.
     """
     book = PreviewBook(match, len(scene))
     scene, rig_notes = _checked(scene, book, settings)
@@ -58,6 +69,11 @@ def estimate_network(scene: Scene, brightness: np.ndarray, match: MatchFunction,
     proposal = _propose(Context(scene, passes, book, settings))
     pairs = proposal.pairs
     notes = [*rig_notes, *proposal.notes]
+    model = None
+    if settings.model and make_model is not None and _uses_axes(settings):
+        result = by_model(pairs, scene, book, settings, make_model)
+        pairs, scene, model = result.pairs, result.scene, result.model
+        notes += result.notes
     if settings.offsets and _uses_axes(settings):
         pairs, said = _with_axes(pairs, scene, passes, settings)
         notes += said
@@ -69,7 +85,9 @@ def estimate_network(scene: Scene, brightness: np.ndarray, match: MatchFunction,
     total = len(scene) * (len(scene) - 1) / 2
     notes += [*cut.notes, *component_notes(pairs, scene)]
     notes.append(f"{len(book)} previews were matched, {100 * len(book) / max(total, 1):.1f} % of all pairs of images")
-    return Network(pairs, scene, proposal.curves, cut.sections, tuple(notes), cut.brightness, cut.threshold)
+    return Network(
+        pairs, scene, proposal.curves, cut.sections, tuple(notes), cut.brightness, cut.threshold, book.ties(), model
+    )
 
 
 def _uses_axes(settings: NetworkSettings) -> bool:

@@ -23,8 +23,8 @@ LADDER = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)  # frame distances at which the 
 MAX_STRIDE = 16
 WINDOW_NODES = 10  # seeds reach this far from the path, in lattice nodes
 FLOOD_EXCESS = 1.1  # the lattice grows from nodes this much above min_matches: noise alone must not spread
-PREVIEW_SHARE = 0.04  # of all image pairs: the most that previews may take
-MIN_BUDGET = 6000  # previews that are always affordable (half a minute on one core)
+PREVIEWS_PER_IMAGE = 25  # the most that previews may take: linear in the number of images
+MIN_BUDGET = 6000  # previews that are always affordable (less than a minute on one core)
 COARSE_NODES = 24  # lattice nodes a side of the first look between two passes
 MAX_COLUMNS = 120  # constant offsets: frames of the other pass a sampled frame is compared with
 
@@ -76,7 +76,7 @@ def estimate_offsets(passes: Sequence[Pass], book: PreviewBook, images: int, set
     if settings.offsets == "constant":
         parts = [_constant(p, q, book, settings) for p, q in couples]
     else:
-        budget = len(book) + max(MIN_BUDGET, int(PREVIEW_SHARE * images * (images - 1) / 2))
+        budget = len(book) + max(MIN_BUDGET, PREVIEWS_PER_IMAGE * images)
         strides = {id(p): _stride(p, book, settings) for p in passes}
         parts = []
         for k, (p, q) in enumerate(couples):

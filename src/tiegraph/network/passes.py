@@ -10,8 +10,9 @@ import numpy as np
 
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.ties import Ties
 
-MatchFunction = Callable[[np.ndarray], Sequence[Any]]
+MatchFunction = Callable[[np.ndarray], Sequence[Any]]  # pairs (P, 2) -> P features.preview.PreviewMatch
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,7 @@ class PreviewBook:
         self._images = images
         self._keys = np.zeros(0, np.int64)
         self._counts = np.zeros(0, np.float32)
+        self._matches: dict[int, np.ndarray] = {}
 
     def __len__(self) -> int:
         return len(self._keys)
@@ -77,6 +79,7 @@ class PreviewBook:
             pairs = np.stack([new // self._images, new % self._images], axis=1).astype(np.int32)
             results = self._match(pairs)
             counts = np.array([r.inliers for r in results], np.float32)
+            self._matches.update((int(k), r.matches) for k, r in zip(new, results) if r.inliers)
             order = np.argsort(np.concatenate([self._keys, new]), kind="stable")
             self._keys = np.concatenate([self._keys, new])[order]
             self._counts = np.concatenate([self._counts, counts])[order]
@@ -93,6 +96,12 @@ class PreviewBook:
     def results(self, i: np.ndarray, j: np.ndarray) -> list[Any]:
         """Whole results of image pairs (K,), (K,) with i < j, matched anew and not remembered."""
         return list(self._match(np.stack([i, j], axis=1).astype(np.int32)))
+
+    def ties(self) -> Ties:
+        """The matches of everything measured."""
+        nothing = np.zeros((0, 2), np.uint16)
+        matches = [self._matches.get(int(k), nothing) for k in self._keys]
+        return Ties.make(self._keys // self._images, self._keys % self._images, matches)
 
     def pairs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Everything measured: i (K,), j (K,), inliers (K,)."""

@@ -1,26 +1,31 @@
-"""Pictures of the network as PNG bytes: correspondence matrix, offset curves, section brightness."""
+"""Pictures of the network as PNG bytes: correspondence matrix and offset curves; the others by name from here too."""
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from matplotlib.ticker import MaxNLocator
 
 from tiegraph.network.offsets import OffsetCurve
+from tiegraph.network.pictures_common import DPI, png
+from tiegraph.network.pictures_funnel import funnel_png, funnel_table
+from tiegraph.network.pictures_map import map_png, weak_pairs
+from tiegraph.network.pictures_sections import draw_sections, sections_png
+from tiegraph.network.pictures_surfaces import surfaces_png
 from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs
 from tiegraph.scene.scene import Scene
 
 if TYPE_CHECKING:
     from tiegraph.network.network import Network
 
-DPI = 110
+__all__ = [
+    "curves_png", "draw_sections", "funnel_png", "funnel_table", "map_png", "matrix_png", "sections_png", "surfaces_png",
+    "weak_pairs",
+]  # fmt: skip
 MATRIX_CELLS = 1200  # cells a side at most: larger matrices are reduced by their most telling entry
 MAX_PANELS = 60
 NEVER = "#ffffff"
@@ -52,7 +57,7 @@ def matrix_png(pairs: Pairs, scene: Scene) -> bytes:
     axes.set_title(title, fontsize=12, loc="left", pad=26)
     if reduced > 1:
         figure.text(right, room / height, f"one dot = {reduced} x {reduced} images", fontsize=8, color="#666666")
-    return _png(figure)
+    return png(figure)
 
 
 def _count(pairs: Pairs, reason: str) -> int:
@@ -131,7 +136,7 @@ def curves_png(network: Network) -> bytes:
     text = "Preview matches above chance against frame offset (blue: candidates, grey: camera pair rejected)"
     more = f"; {hidden} weaker camera pairs not shown" if hidden else ""
     figure.text(0.055, 1 - 0.32 / (sum(heights) + 0.9), text + more, fontsize=12)
-    return _png(figure)
+    return png(figure)
 
 
 def _group_title(group: tuple[str, str], curves: Sequence[OffsetCurve]) -> str:
@@ -163,47 +168,3 @@ def _draw_curve(axes: object, curve: OffsetCurve, top: float, left: bool) -> Non
 def _root(values: np.ndarray) -> np.ndarray:
     """Square root, for an axis on which faint peaks stay visible."""
     return np.sqrt(np.maximum(values, 0))
-
-
-def sections_png(network: Network) -> bytes:
-    """Brightness of the up camera along the frames, the threshold, and the sections."""
-    scene = network.scene
-    frames = np.lexsort((scene.step, scene.track))
-    frames = frames[np.isfinite(network.brightness[frames])]
-    figure = Figure(figsize=(10, 3.4), dpi=DPI)
-    axes = figure.add_axes((0.07, 0.17, 0.91, 0.66))
-    place = np.arange(len(frames))
-    of_frame = scene.section[frames]
-    kinds = [s.kind for s in network.sections]
-    edges = np.r_[0, 1 + np.flatnonzero((np.diff(of_frame) != 0) | (np.diff(scene.track[frames]) != 0)), len(frames)]
-    for a, b in zip(edges[:-1], edges[1:]):
-        number = of_frame[a]
-        dark = 0 <= number < len(kinds) and kinds[number] == "bridge"
-        axes.axvspan(a - 0.5, b - 0.5, color="#d8cfc4" if dark else "#e8f1f8", lw=0)
-        if b - a >= max(2, 0.03 * len(frames)) and 0 <= number < len(kinds):
-            axes.text((a + b - 1) / 2, 6, network.sections[number].name, ha="center", fontsize=8, color="#444444")
-    for track in np.unique(scene.track[frames]):
-        own = scene.track[frames] == track
-        axes.plot(place[own], network.brightness[frames[own]], "o-", ms=3, lw=1.2, color="#1b6ca8")
-        name = scene.tracks[track] if 0 <= track < len(scene.tracks) else "loose"
-        axes.text(place[own].mean(), 248, name, ha="center", va="top", fontsize=10)
-    for e in 1 + np.flatnonzero(np.diff(scene.track[frames])):
-        axes.axvline(e - 0.5, color="#444444", lw=1.2)
-    if np.isfinite(network.threshold):
-        axes.axhline(network.threshold, color="#c0392b", lw=1, ls="--")
-        axes.text(
-            len(frames) - 0.6, network.threshold + 3, f"threshold {network.threshold:.0f}", ha="right", fontsize=8
-        )
-    axes.set_xlim(-0.5, len(frames) - 0.5)
-    axes.set_ylim(0, 255)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.set_xlabel("frame, pass after pass", fontsize=9)
-    axes.set_ylabel("mean grey of the up camera", fontsize=9)
-    axes.set_title("Bridge and open sections by the up camera's brightness", fontsize=12, loc="left")
-    return _png(figure)
-
-
-def _png(figure: Figure) -> bytes:
-    out = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(out)
-    return out.getvalue()

@@ -1,22 +1,18 @@
-"""Bridge and open-sky sections from the brightness of the up camera (paper 001, section b)."""
+"""Bridge and open-sky sections from the up camera (paper 001, section b), and whether they are tied to each other."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import median_filter
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import maximum_bipartite_matching
 
-from tiegraph.network.passes import Pass
+from tiegraph.network.light import Cue, UpLight, read_cues, two_states
+from tiegraph.network.passes import Pass, find_passes
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
-
-MIN_FRAMES = 8  # with an up camera, or nothing can be learnt
-MIN_SEPARATION = 0.7  # share of the variance the two classes must explain (a normal distribution: 0.64 to 0.67)
-MIN_RATIO = 1.25  # mean brightness of the open class over that of the bridge class
-SMOOTH_FRAMES = 3  # median window
-MIN_RUN = 2  # shorter runs belong to their neighbours
 
 
 @dataclass(frozen=True)
@@ -35,74 +31,69 @@ class SectionResult:
     sections: tuple[Section, ...]
     of_frame: np.ndarray
     brightness: np.ndarray
-    threshold: float  # grey value; NaN = everything is one section
+    threshold: float  # grey value, mean over the passes; NaN = brightness did not decide
     notes: tuple[str, ...]
+    cues: tuple[Cue, ...] = ()
 
 
-def find_sections(scene: Scene, passes: Sequence[Pass], brightness: np.ndarray) -> SectionResult:
-    """Sections of a scene from the mean grey value (N,) of its images; one section, and why, where nothing tells."""
-    by_frame = _up_brightness(scene, brightness)
-    known = by_frame[np.isfinite(by_frame)]
-    if len(known) < MIN_FRAMES:
-        return _one(scene, by_frame, "no camera looks up" if not len(known) else "too few frames with an up camera")
-    threshold, separation, ratio = otsu(known)
-    if separation < MIN_SEPARATION or ratio < MIN_RATIO:
-        return _one(scene, by_frame, "the up camera's brightness does not fall into two clear classes")
+def find_sections(scene: Scene, passes: Sequence[Pass], light: UpLight | np.ndarray) -> SectionResult:
+    """Sections of a scene from the cues of its up cameras, or from the mean grey value (N,) of its images alone.
+
+    One section, and the figures that say why, where nothing tells bridge from open sky.
+    """
+    light = light if isinstance(light, UpLight) else UpLight(np.asarray(light, float))
+    cues = read_cues(scene, passes, light)
+    if not cues:
+        return whole_survey(scene, cues, "no camera looks up")
+    if not any(c.decided for c in cues):
+        figures = "; ".join(c.figure for c in cues)
+        return whole_survey(scene, cues, f"the up camera shows no two clear classes ({figures})")
     of_frame = np.full(scene.frames, -1)
     sections: list[Section] = []
+    evidence = np.sum([c.evidence for c in cues], axis=0)
     for p in passes:
-        for first, last, dark in _runs(by_frame[p.frames], threshold):
+        for first, last, dark in _runs(two_states(evidence[p.frames])):
             kind = "bridge" if dark else "open"
             number = 1 + sum(s.kind == kind for s in sections)
             frames = p.frames[first:last]
             of_frame[frames] = len(sections)
             sections.append(Section(f"{kind} {number} ({p.name})", kind, tuple(int(f) for f in frames)))
     bridges = sum(s.kind == "bridge" for s in sections)
-    text = f"up camera: {bridges} bridge and {len(sections) - bridges} open sections, threshold {threshold:.0f} of 255"
-    return SectionResult(tuple(sections), of_frame, by_frame, threshold, (text,))
+    if not bridges:
+        return whole_survey(scene, cues, "no two frames in a row are under a bridge")
+    text = f"up camera: {bridges} bridge and {len(sections) - bridges} open sections; {_thresholds(cues, passes)}"
+    return SectionResult(tuple(sections), of_frame, *_grey(scene, cues), (text,), cues)
 
 
-def _up_brightness(scene: Scene, brightness: np.ndarray) -> np.ndarray:
-    out = np.full(scene.frames, np.nan)
-    up = np.array([s.role == "up" for s in scene.all_sensors])[scene.sensor_key]
-    out[scene.frame[up]] = np.asarray(brightness, float)[up]
-    return out
-
-
-def _one(scene: Scene, by_frame: np.ndarray, why: str) -> SectionResult:
+def whole_survey(scene: Scene, cues: tuple[Cue, ...] = (), why: str = "") -> SectionResult:
+    """One section with every frame, and why."""
     whole = Section("whole survey", "open", tuple(range(scene.frames)))
-    return SectionResult((whole,), np.zeros(scene.frames, int), by_frame, float("nan"), (f"one section: {why}",))
+    notes = (f"one section: {why}",) if why else ()
+    grey = _grey(scene, cues)[0]
+    return SectionResult((whole,), np.zeros(scene.frames, int), grey, float("nan"), notes, cues)
 
 
-def otsu(values: np.ndarray) -> tuple[float, float, float]:
-    """Threshold that splits values best (Otsu 1979), the share of the variance it explains, and the ratio of means."""
-    values = np.sort(np.asarray(values, float))
-    n, total = len(values), values.sum()
-    low_count = np.arange(1, n)
-    low_sum = np.cumsum(values)[:-1]
-    low_mean, high_mean = low_sum / low_count, (total - low_sum) / (n - low_count)
-    between = low_count * (n - low_count) / n**2 * (high_mean - low_mean) ** 2
-    k = int(np.argmax(between))
-    variance = float(values.var())
-    separation = float(between[k]) / variance if variance > 0 else 0.0
-    return float(0.5 * (values[k] + values[k + 1])), separation, float(high_mean[k] / max(low_mean[k], 1e-6))
+def _grey(scene: Scene, cues: Sequence[Cue]) -> tuple[np.ndarray, float]:
+    for cue in cues:
+        if cue.name == "brightness":
+            return cue.values, float(np.nanmean(cue.threshold)) if cue.decided else float("nan")
+    return np.full(scene.frames, np.nan), float("nan")
 
 
-def _runs(values: np.ndarray, threshold: float) -> list[tuple[int, int, bool]]:
-    """(first, end, dark) of the runs of a pass; NaN takes the class of the frame before."""
-    known = np.flatnonzero(np.isfinite(values))
-    if not len(known):
-        return [(0, len(values), False)] if len(values) else []
-    filled = values[known[np.clip(np.searchsorted(known, np.arange(len(values)), side="right") - 1, 0, None)]]
-    dark = median_filter((filled < threshold).astype(np.uint8), SMOOTH_FRAMES, mode="nearest") > 0
-    edges = np.r_[0, np.flatnonzero(np.diff(dark.astype(int))) + 1, len(dark)]
-    runs: list[tuple[int, int, bool]] = []
-    for first, end in zip(edges[:-1], edges[1:]):
-        if runs and (end - first < MIN_RUN or bool(dark[first]) == runs[-1][2]):
-            runs[-1] = (runs[-1][0], int(end), runs[-1][2])
-        else:
-            runs.append((int(first), int(end), bool(dark[first])))
-    return runs
+def _thresholds(cues: Sequence[Cue], passes: Sequence[Pass]) -> str:
+    parts = []
+    for cue in cues:
+        known = {p.name: float(cue.threshold[p.frames[0]]) for p in passes if np.isfinite(cue.threshold[p.frames[0]])}
+        each = ", ".join(f"{value:.3g}{cue.unit} ({name})" for name, value in list(known.items())[:6])
+        more = f" and {len(known) - 6} more passes" if len(known) > 6 else ""
+        parts.append(f"{cue.name} below {each}{more}" if known else f"no say: {cue.figure}")
+    return "; ".join(parts)
+
+
+def _runs(dark: np.ndarray) -> list[tuple[int, int, bool]]:
+    """(first, end, dark) of the runs of a pass."""
+    edges = np.r_[0, np.flatnonzero(np.diff(dark.astype(int))) + 1, len(dark)] if len(dark) else np.zeros(0, int)
+    return [(int(a), int(b), bool(dark[a])) for a, b in zip(edges[:-1], edges[1:])]
 
 
 def join_places(result: SectionResult, scene: Scene, pairs: Pairs) -> SectionResult:
@@ -144,8 +135,8 @@ def _renamed(result: SectionResult, place: np.ndarray) -> SectionResult:
         of_frame[list(frames)] = len(sections)
         sections.append(Section(f"{kind} {1 + sum(s.kind == kind for s in sections)}", kind, frames))
     named = ", ".join(f"{s.name} ({len(s.frames)} frames)" for s in sections)
-    return SectionResult(
-        tuple(sections), of_frame, result.brightness, result.threshold, (*result.notes, f"sections: {named}")
+    return replace(
+        result, sections=tuple(sections), of_frame=of_frame, notes=(*result.notes, f"sections: {named}")
     )
 
 
@@ -153,3 +144,66 @@ def split(pairs: Pairs, scene: Scene) -> Pairs:
     """Pairs whose images lie in different sections dropped for ``section`` (paper 001: one list a section)."""
     of_image = scene.section[scene.frame]
     return pairs.drop(of_image[pairs.i] != of_image[pairs.j], "section")
+
+
+# ---------------------------------------------------------------- continuity
+
+MIN_LINKS = 2  # independent ties across a border
+
+
+def section_links(pairs: Pairs, scene: Scene, sections: Sequence[Section]) -> tuple[dict, tuple[str, ...]]:
+    """Whether neighbouring sections of each pass are tied across their border: a table, and notes on those that are not.
+
+    Counted are kept pairs (verified ones once matching has run) between the two runs of frames that meet at a border,
+    and how many of them share no image (a matching): two of these is what a chain of models needs to hold together.
+    """
+    columns = ["pass", "before", "after", "last image", "first image", "pairs", "independent", "tied"]
+    rows: list[list] = []
+    notes = []
+    kept = pairs.kept()
+    if np.any(pairs.inliers >= 0):
+        kept = kept.where(kept.inliers > 0)
+    of_frame = np.full(scene.frames, -1)
+    for number, section in enumerate(sections):
+        of_frame[list(section.frames)] = number
+    for p in find_passes(scene):
+        edges = np.r_[0, 1 + np.flatnonzero(np.diff(of_frame[p.frames])), len(p)]
+        for a, b, c in zip(edges[:-2], edges[1:-1], edges[2:]):
+            count, free = _across(kept, scene, p.frames[a:b], p.frames[b:c])
+            names = [sections[of_frame[p.frames[k]]].name if of_frame[p.frames[k]] >= 0 else "-" for k in (b - 1, b)]
+            ends = [_first_image(scene, p, k) for k in (b - 1, b)]
+            rows.append([p.name, *names, *ends, count, free, free >= MIN_LINKS])
+            if free < MIN_LINKS:
+                notes.append(_untied(p.name, names, ends, count, free))
+    return {"columns": columns, "rows": rows}, tuple(notes)
+
+
+def _across(kept: Pairs, scene: Scene, before: np.ndarray, after: np.ndarray) -> tuple[int, int]:
+    """Kept pairs between two sets of frames, and the most of them that share no image."""
+    side = np.zeros(scene.frames, int)
+    side[before], side[after] = 1, 2
+    i, j = side[scene.frame[kept.i]], side[scene.frame[kept.j]]
+    rows = np.flatnonzero((i + j == 3) & (i > 0) & (j > 0))
+    if not len(rows):
+        return 0, 0
+    left = np.where(i[rows] == 1, kept.i[rows], kept.j[rows])
+    right = np.where(i[rows] == 1, kept.j[rows], kept.i[rows])
+    a, b = (np.unique(x, return_inverse=True)[1] for x in (left, right))
+    graph = coo_array((np.ones(len(rows)), (a, b))).tocsr()
+    return len(rows), int(np.sum(maximum_bipartite_matching(graph, perm_type="column") >= 0))
+
+
+def _first_image(scene: Scene, p: Pass, rank: int) -> str:
+    images = p.images[:, rank]
+    return scene.names[int(images[images >= 0][0])] if (images >= 0).any() else "-"
+
+
+def _untied(name: str, sections: Sequence[str], ends: Sequence[str], count: int, free: int) -> str:
+    if not count:
+        how = "are not tied"
+    elif free < 2 and count > 1:
+        how = f"hang on one image ({count} pairs)"
+    else:
+        how = "hang on a single pair"
+    where = f"between {ends[0]} and {ends[1]}"
+    return f"pass {name}: {sections[0]} and {sections[1]} {how} across their border, {where}"

@@ -1,4 +1,4 @@
-"""Settings of the network and design stages."""
+"""Settings of the network stage; those of the design stage are found here too."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ from typing import Literal
 
 from pydantic import Field
 
+from tiegraph.network.design_settings import DesignSettings
 from tiegraph.settings import Section
+
+__all__ = ["DesignSettings", "NetworkSettings", "SourceName"]
 
 SourceName = Literal["auto", "sequence", "exhaustive", "file", "offsets", "poses"]
 
@@ -34,8 +37,14 @@ class NetworkSettings(Section):
     range."""
     sample_frames: int = Field(12, ge=2, le=200)
     """Frames of a pass on which the offsets are voted."""
-    min_matches: int = Field(11, ge=6, le=500)
-    """Preview matches two images need to count as tied, averaged over neighbouring frames; unrelated images reach 9."""
+    min_matches: int = Field(12, ge=6, le=500)
+    """Preview matches two images need to count as tied, averaged over neighbouring frames; unrelated images reach 10."""
+    model: bool = True
+    """Make a small model of the best previews and let it say which images see the same surface."""
+    model_pairs: int = Field(10, ge=2, le=100)
+    """Preview model: best pairs of each image that it is made of."""
+    min_overlap: float = Field(0.1, ge=0.01, le=0.9)
+    """Preview model: share of the surface one image sees that another must see too to be its candidate."""
     axes_deg: float = Field(110.0, ge=10, le=180)
     """Optical axes further apart than this make a match impossible: such pairs are never tried, degrees."""
     range_m: float = Field(0.0, ge=0)
@@ -44,12 +53,3 @@ class NetworkSettings(Section):
     sections: Literal["off", "link", "split"] = "link"
     """Bridge and open sections by the up camera's brightness: not cut (off), cut with ties kept between them (link), or
     cut apart (split, paper 001)."""
-
-
-class DesignSettings(Section):
-    """Which of the candidate pairs are matched at full resolution."""
-
-    method: Literal["all", "top"] = "top"
-    """all: every kept pair; top: the best pairs of each image, and a spanning forest so that nothing falls apart."""
-    pairs_per_image: int = Field(40, ge=1, le=1000)
-    """Method top: pairs an image keeps at most because of its own ranking."""

@@ -14,6 +14,7 @@ from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.ties import Ties
 
 
 def scanned(run: Run) -> Scene:
@@ -30,6 +31,12 @@ def pairs_of(run: Run, name: str) -> Pairs:
     """The pair table of ``network.npz``, ``pairs.npz`` or ``match.npz``."""
     with np.load(run.path(name)) as data:
         return Pairs.from_npz(dict(data))
+
+
+def ties_of(run: Run) -> Ties:
+    """The preview matches that ``network`` saw."""
+    with np.load(run.path("network", "ties.npz")) as data:
+        return Ties.from_npz(dict(data))
 
 
 def save_npz(path: Path, **arrays: Any) -> None:

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+import logging
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
 
+from tiegraph.errors import ReconstructionError
 from tiegraph.features.preview import Preview, PreviewMatch, match_previews
+from tiegraph.features.preview_database import write_preview_database
 from tiegraph.features.settings import PreviewSettings
-from tiegraph.network.design import component_notes
 from tiegraph.network.design import design as select_pairs
+from tiegraph.network.model import SurveyModel
 from tiegraph.network.network import estimate_network
 from tiegraph.pipeline.capture import preview_path
-from tiegraph.pipeline.files import checked, pairs_of, save_npz, scanned
+from tiegraph.pipeline.files import checked, pairs_of, save_npz, scanned, ties_of
 from tiegraph.project.run import Run
-from tiegraph.project.stages import Outcome, write_atomic
+from tiegraph.project.stages import Outcome, remove, write_atomic
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.ties import Ties
+from tiegraph.sfm.mapper import reconstruct
+from tiegraph.sfm.model import image_poses, model_rigs, tracks
+
+log = logging.getLogger(__name__)
 
 _CACHED_PREVIEWS = 1024  # of about 40 kB each, in every worker
 
@@ -32,8 +40,9 @@ def network(run: Run) -> Outcome:
         run.reporter.total(matched[0], matched[0] - len(pairs))
         return run.map(_match_item, [(int(i), int(j)) for i, j in pairs], run.folder, run.settings.preview)
 
-    found = estimate_network(scene, brightness, match, run.settings.network)
+    found = estimate_network(scene, brightness, match, run.settings.network, partial(_survey_model, run))
     save_npz(run.path("network.npz"), **found.pairs.to_npz())
+    save_npz(run.path("network", "ties.npz"), **found.ties.to_npz())
     write_atomic(run.path("network.csv"), found.pairs.to_csv(scene.names))
     write_atomic(run.path("network", "scene.json"), found.scene.to_json())
     for name, picture in found.pictures():
@@ -55,6 +64,33 @@ def _match_item(pair: tuple[int, int], folder: Path, settings: PreviewSettings) 
     return match_previews(_preview(folder, scene.names[i]), _preview(folder, scene.names[j]), a, b, settings)
 
 
+def _survey_model(run: Run, scene: Scene, ties: Ties) -> SurveyModel | None:
+    """A model of the survey made of previews, in ``network/model``; None where COLMAP finds none."""
+    folder = run.path("network", "model")
+    remove(folder)
+    folder.mkdir(parents=True)
+    database = folder / "database.db"
+    previews = [_preview(run.folder, name) for name in scene.names]
+    write_preview_database(database, scene, previews, ties, min_matches=1)
+    settings = run.settings.sparse.model_copy(update={"covariance_frames": 0, "use_positions": False})
+    try:
+        made = reconstruct(database, run.path("images"), folder, scene.measured(), settings, run.log)
+    except ReconstructionError as error:
+        log.warning("preview model: %s", error)
+        return None
+    finally:
+        database.unlink(missing_ok=True)
+    model = made.load(0)
+    cameras = {k: model.cameras[k] for k in model.cameras}
+    own = [s.camera for s in scene.all_sensors]
+    return SurveyModel(
+        image_poses(model, scene),
+        tuple(cameras.get(int(key) + 1, own[int(key)]) for key in scene.sensor_key),
+        *tracks(model, scene),
+        model_rigs(model, scene),
+    )
+
+
 @lru_cache(maxsize=2)
 def _scene(folder: Path) -> Scene:
     return Scene.from_json((folder / "scene.json").read_text())
@@ -69,7 +105,8 @@ def _preview(folder: Path, name: str) -> Preview:
 def design(run: Run) -> Outcome:
     """Which of the candidate pairs are matched at full resolution; COLMAP pair lists, one a section and one for all."""
     scene = checked(run)
-    pairs = select_pairs(pairs_of(run, "network.npz"), scene, run.settings.design)
+    made = select_pairs(pairs_of(run, "network.npz"), scene, ties_of(run), run.settings.design)
+    pairs = made.pairs
     save_npz(run.path("pairs.npz"), **pairs.to_npz())
     write_atomic(run.path("pairs.txt"), pairs.to_text(scene.names))
     run.path("pairs").mkdir(exist_ok=True)
@@ -79,10 +116,8 @@ def design(run: Run) -> Outcome:
         write_atomic(run.path("pairs", f"section_{max(number, 0)}.txt"), own.to_text(scene.names))
     funnel = pairs.funnel()
     alone = int(np.sum(pairs.degree(len(scene)) == 0))
-    notes = component_notes(pairs, scene)
-    return Outcome(
-        {"pairs": funnel["used"], "images_without": alone}, notes=tuple(notes), tables={"funnel": _table(funnel)}
-    )
+    counts = {"pairs": funnel["used"], "images_without": alone, **made.counts}
+    return Outcome(counts, notes=made.notes, tables={"funnel": _table(funnel), **made.tables})
 
 
 def _table(funnel: dict[str, int]) -> dict:

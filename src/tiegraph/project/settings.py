@@ -126,7 +126,7 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     # The papers' baseline: brute force, no masks, no rig (paper 000 a, paper 001 c).
     "conventional": {
         "masks": {"source": "none"},
-        "network": {"sources": ("exhaustive",), "sections": "off"},
+        "network": {"sources": ("exhaustive",), "model": False, "sections": "off"},
         "design": {"method": "all"},
         "sparse": _PAPER_MODEL,
     },
@@ -136,6 +136,7 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
         "masks": {"source": "meguro2024"},
         "network": {
             "sources": ("sequence", "offsets"),
+            "model": False,
             "sequence_frames": 1,
             "offsets": "constant",
             "offset_range": 10,
@@ -151,6 +152,7 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
         "masks": {"source": "meguro2025"},
         "network": {
             "sources": ("sequence", "offsets"),
+            "model": False,
             "sequence_frames": 5,
             "offsets": "constant",
             "offset_range": 5,

@@ -184,16 +184,50 @@ def funnel_rows(pairs: Pairs, network: Pairs | None) -> list[tuple[str, int, str
     rows = [("candidates", start, "#8b949e")]
     gone = {k: v for k, v in funnel.items() if k not in ("candidates", "used", *AFTER_MATCHING)}
     if network is not None and len(network) > len(pairs):
-        rows.append(("dropped in the network", len(network) - len(pairs), DROPPED))
-    rows += [(f"dropped: {REASON_LOOKS[k][0]}", v, DROPPED) for k, v in gone.items()]
+        rows.append(("dropped: in the network", len(network) - len(pairs), DROPPED))
+    rows += [(f"dropped: {REASON_LOOKS[k][0]}", v, REASON_LOOKS[k][1]) for k, v in gone.items()]
     matched = bool(np.any(pairs.inliers >= 0))
     if not matched:
         return [*rows, ("pairs to match", funnel["used"], USED)]
     lost = sum(funnel.get(reason, 0) for reason in AFTER_MATCHING)
     verified = int(np.sum((pairs.dropped == 0) & (pairs.inliers > 0)))
     rows.append(("matched at full resolution", funnel["used"] + lost, USED))
-    rows += [(REASON_LOOKS[k][0], funnel[k], ALERT) for k in AFTER_MATCHING if k in funnel]
+    rows += [(f"dropped: {REASON_LOOKS[k][0]}", funnel[k], REASON_LOOKS[k][1]) for k in AFTER_MATCHING if k in funnel]
     return [*rows, ("verified", verified, VERIFIED)]
+
+
+def is_loss(name: str) -> bool:
+    """Whether a row of the funnel says what a filter dropped, not what is there."""
+    return name.startswith("dropped")
+
+
+def pairs_left(rows: Sequence[tuple[str, int, str]]) -> list[int]:
+    """Pairs left after each row of the funnel (paper 002, table 1)."""
+    out: list[int] = []
+    for name, value, _ in rows:
+        out.append(out[-1] - value if is_loss(name) and out else value)
+    return out
+
+
+def funnel(rows: Sequence[tuple[str, int, str]]) -> str:
+    """What every filter leaves, with what it drops in the colour it has in the matrix."""
+    figure, (ax,) = figure_axes(0.9 + 0.34 * len(rows))
+    y = np.arange(len(rows))
+    left = pairs_left(rows)
+    lost = [value if is_loss(name) else 0 for name, value, _ in rows]
+    ax.barh(y, left, color=["#d5e4ea" if is_loss(name) else colour for name, _, colour in rows], height=0.68)
+    edge = ["#9aa3ad" if k else "none" for k in lost]
+    ax.barh(y, lost, left=left, color=[c for _, _, c in rows], height=0.68, edgecolor=edge, lw=0.6)
+    ax.set_yticks(y, [name for name, _, _ in rows])
+    ax.invert_yaxis()
+    ax.grid(axis="y", visible=False)
+    ax.set_xlabel("pairs of images")
+    top = max([*left, 1])
+    for k, (n, gone) in enumerate(zip(left, lost)):
+        text = f"\N{MINUS SIGN}{_count(gone)}, leaves {_count(n)}" if gone else _count(n)
+        ax.text(n + gone + top * 0.008, k, text, va="center", fontsize=9)
+    ax.set_xlim(0, top * 1.22)
+    return saved(figure)
 
 
 def degrees(pairs: Pairs, images: int) -> str:

@@ -14,20 +14,14 @@ import numpy as np
 from tiegraph.report import charts, facts, plan, viewer, words
 from tiegraph.report.artefacts import STAGES, RunFolder, read_run
 from tiegraph.report.cloudview import standard_views, with_scale_bar
-from tiegraph.report.pictures import file_uri, jpeg, mask_share, masked_thumbnail
+from tiegraph.report.pictures import jpeg, mask_share, masked_thumbnail
 from tiegraph.report.settings import ReportSettings
+from tiegraph.report.ties import network_part
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.scene import Scene
 
 _MASKS_READ = 25  # masks opened for a camera's mean share
 _DROPPED_SHOWN = 200
-_CAPTIONS = {
-    "matrix": "Correspondence matrix: images by pass, camera and frame along both sides.",
-    "offset": "Frame-offset curves: preview matches of two cameras against the frame offset between them. A clear peak "
-    "is the offset the pair range is laid around; a flat curve means the two never see the same place.",
-    "section": "Brightness of the upward camera along the way, and the sections cut from it.",
-}
-_TITLES = {"network": "Network", "design": "Design", "match": "Matching", "masks": "Masks", "sparse": "Sparse model"}
 
 
 def write_report(folder: Path, settings: ReportSettings) -> Path:
@@ -52,7 +46,7 @@ def render(run: RunFolder, settings: ReportSettings) -> str:
         "tiles": facts.tiles(run),
         "scan": _scan(run),
         "masks": _masks(run, settings),
-        "network": _network(run),
+        "network": network_part(run),
         "model": _model(run),
         "evaluation": _evaluation(run),
         "effort": _effort(run),
@@ -125,36 +119,6 @@ def _mask_strip(run: RunFolder, scene: Scene, key: int, name: str, shown: int) -
 
 def _mask_path(run: RunFolder, image: str) -> Path:
     return run.path / "masks" / f"{image}.png"
-
-
-def _network(run: RunFolder) -> dict[str, Any]:
-    out: dict[str, Any] = {"matrix": None, "funnel": None, "degrees": None, "pictures": [], "tables": [], "notes": []}
-    pairs = run.pairs if run.pairs is not None else run.network
-    if pairs is not None and run.scene is not None and len(pairs):
-        before = run.network if run.network is not None else pairs
-        out["matrix"] = charts.matrices(before, pairs, run.scene)
-        rows = charts.funnel_rows(pairs, run.network)
-        names, values, colours = zip(*rows)
-        out["funnel"] = charts.bars(names, values, colours, "pairs of images")
-        n = len(run.scene)
-        every = n * (n - 1) / 2
-        body = [[name, value, 100 * value / every if every else None] for name, value, _ in rows]
-        out["table"] = words.table({"columns": ["step", "pairs", "% of all possible"], "rows": body})
-        out["degrees"] = charts.degrees(pairs, n)
-    for path in sorted((run.path / "network").glob("*.png")):
-        if path.stem == "matrix" and out["matrix"]:
-            continue  # drawn above, with what was verified beside it
-        uri = file_uri(path)
-        if uri:
-            known = (c for k, c in _CAPTIONS.items() if k in path.stem.replace("curve", "offset"))
-            caption = next(known, path.stem.replace("_", " "))
-            out["pictures"].append((uri, caption))
-    for stage in ("preview", "network", "design", "features", "match"):
-        receipt = run.receipts.get(stage, {})
-        out["tables"] += _tables(receipt, _TITLES.get(stage, stage.capitalize()))
-        if receipt.get("notes"):
-            out["notes"].append((_TITLES.get(stage, stage.capitalize()), [str(n) for n in receipt["notes"]]))
-    return out
 
 
 def _model(run: RunFolder) -> dict[str, Any]:

@@ -59,6 +59,11 @@ class Ties:
         """(K, 2) matches of the t-th pair."""
         return self.matches[self.start[t] : self.start[t + 1]]
 
+    def where(self, mask: np.ndarray) -> Ties:
+        """The pairs of a mask (T,) bool."""
+        rows = np.flatnonzero(mask)
+        return Ties.make(self.i[rows], self.j[rows], [self.of(int(t)) for t in rows])
+
     def find(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
         """(K,) row of image pairs (K,), (K,) in any order of their ends; -1 = not previewed."""
         low, high = np.minimum(i, j).astype(np.int64), np.maximum(i, j).astype(np.int64)

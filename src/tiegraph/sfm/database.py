@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Mapping
+from copy import copy
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,7 @@ def write_working_copy(source: Path, target: Path, scene: Scene, with_rig: Mappi
         connection.close()
     with pycolmap.Database.open(target) as database, pycolmap.DatabaseTransaction(database):
         images = _scene_images(database, scene)
+        _update_cameras(database, scene, images)
         _write_rigs(database, scene, images, with_rig)
         if positions:
             _write_positions(database, scene, images)
@@ -48,6 +50,15 @@ def _scene_images(database: pycolmap.Database, scene: Scene) -> dict[int, pycolm
     """Images of the database by scene index; one whose name the scene does not have is left out of every frame."""
     found = {scene.image_index.get(image.name): image for image in database.read_all_images()}
     return {index: image for index, image in sorted((k, i) for k, i in found.items() if k is not None)}
+
+
+def _update_cameras(database: pycolmap.Database, scene: Scene, images: dict[int, pycolmap.Image]) -> None:
+    """The scene's cameras: what the previews found of a guessed focal length is a better start than the guess."""
+    for k, camera_id in {int(scene.sensor_key[k]): image.camera_id for k, image in images.items()}.items():
+        camera = copy(scene.all_sensors[k].camera)
+        if camera is not None:
+            camera.camera_id = camera_id
+            database.update_camera(camera)
 
 
 def _write_rigs(

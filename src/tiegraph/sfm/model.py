@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
+from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 
 HELD_OUT_EVERY = 5  # ALGORITHMS: leave every fifth position out of the fit and look at its residual
@@ -44,6 +48,43 @@ def observations(reconstruction: pycolmap.Reconstruction, scene: Scene) -> np.nd
         if index is not None:
             counts[index] = image.num_points3D
     return counts
+
+
+def tracks(reconstruction: pycolmap.Reconstruction, scene: Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points (P, 3), model units, and who sees them: image (M,) scene index, point (M,) row."""
+    ids = list(reconstruction.points3D)
+    xyz = np.array([reconstruction.points3D[k].xyz for k in ids]).reshape(-1, 3)
+    row = {k: n for n, k in enumerate(ids)}
+    seen: list[tuple[int, int]] = []
+    for image_id in reconstruction.reg_image_ids():
+        image = reconstruction.image(image_id)
+        index = scene.image_index.get(image.name)
+        if index is not None:
+            seen += [(index, row[p.point3D_id]) for p in image.get_observation_points2D()]
+    both = np.array(seen, int).reshape(-1, 2)
+    return xyz, both[:, 0], both[:, 1]
+
+
+def model_rigs(reconstruction: pycolmap.Reconstruction, scene: Scene) -> tuple[Rig, ...]:
+    """The scene's rigs with the cameras and extrinsics of a model (its units); what it does not hold stays as given."""
+    out, key = [], 0
+    for index, rig in enumerate(scene.rigs):
+        sensors = [
+            replace(s, camera=_get(reconstruction.cameras, key + 1 + k, s.camera)) for k, s in enumerate(rig.sensors)
+        ]
+        held = _get(reconstruction.rigs, index + 1, None)
+        ids = [pycolmap.sensor_t(pycolmap.SensorType.CAMERA, key + 1 + k) for k in range(len(sensors))]
+        if held is not None and held.is_ref_sensor(ids[0]):
+            for k in range(1, len(sensors)):
+                if held.has_sensor_from_rig(ids[k]):
+                    sensors[k] = replace(sensors[k], sensor_from_rig=matrix(held.sensor_from_rig(ids[k])))
+        out.append(replace(rig, sensors=tuple(sensors)))
+        key += len(sensors)
+    return tuple(out)
+
+
+def _get(table: Any, key: int, otherwise: Any) -> Any:
+    return table[key] if key in table else otherwise
 
 
 def rig_from_sensor(scene: Scene, scale: float = 1.0) -> np.ndarray:

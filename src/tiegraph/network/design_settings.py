@@ -1,0 +1,30 @@
+"""Settings of the design stage."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from tiegraph.settings import Section
+
+MethodName = Literal["hybrid", "tree", "top", "all", "fuse2014", "fuse2014_safe"]
+
+
+class DesignSettings(Section):
+    """Which of the candidate pairs are matched at full resolution."""
+
+    method: MethodName = "hybrid"
+    """hybrid: pairs that join new tracks where the network is weak; tree: the same by match counts alone, faster; top:
+    the best pairs of each image; all: every kept pair; fuse2014: minimum cuts as in paper 002, which may disconnect;
+    fuse2014_safe: the same, kept together."""
+    budget: Literal["loss", "pairs", "seconds"] = "loss"
+    """Methods hybrid and tree stop at loss_percent (loss), pairs_per_image (pairs) or seconds (seconds)."""
+    loss_percent: float = Field(5.0, ge=0, le=1000)
+    """Budget loss: predicted increase of the position sigma over using all candidates, percent."""
+    pairs_per_image: int = Field(40, ge=1, le=1000)
+    """Budget pairs: pairs an image has on average; method top: pairs an image keeps because of its own ranking."""
+    seconds: float = Field(3600.0, gt=0)
+    """Budget seconds: wall time the matching at full resolution may take, seconds."""
+    pairs_per_second: float = Field(20.0, gt=0)
+    """Budget seconds: pairs this machine matches in a second; the receipt of an earlier match stage tells it."""

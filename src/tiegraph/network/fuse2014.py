@@ -1,0 +1,156 @@
+"""Paper 002: image pairs thinned by weak matches, similar images and minimum cuts of the image connectivity graph."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import breadth_first_order, maximum_flow
+
+from tiegraph.network.graph import forest, parts
+from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.scene import Scene
+
+WEAK = 25  # matches, paper 002 section 4.2.1
+SIMILAR = 500.0  # distance to the object over base length, paper 002 section 4.2.2
+PARTS = 5  # consecutive partial graphs cut beside the whole one, paper 002 section 4.2.3
+_LARGEST = 2.0e9  # scipy's maximum flow counts in 32 bit integers
+
+
+@dataclass(frozen=True)
+class Fuse:
+    """The thinned table and what paper 002 prints: counts by step, components before and after, images removed."""
+
+    pairs: Pairs
+    notes: tuple[str, ...]
+    counts: dict[str, int]
+
+
+def fuse2014(pairs: Pairs, scene: Scene, expected: np.ndarray, safe: bool) -> Fuse:
+    """Thin the pairs as paper 002 does; ``safe`` takes back what holds together images that were connected.
+
+    expected (P,) preview matches. Taken literally each cut severs its graph between the first and the last image: the
+    numbers the paper prints (1161 edges by 6 cuts, at 17 edges a node) are those of complete severings too.
+    """
+    before = pairs.kept()
+    weak = pairs.drop(expected < WEAK, "weak")
+    order = image_order(scene)
+    similar = weak.drop(_touches(weak, _similar_images(weak, order)), "similar")
+    thin = similar.drop(_cut_rows(similar, capacities(similar, expected), order), "cut")
+    taken_back = 0
+    if safe:
+        thin, taken_back = _reconnected(pairs, thin, expected, len(scene))
+    kept, n = thin.kept(), len(scene)
+    counts = {
+        "weak": _count(pairs, weak),
+        "similar": _count(weak, similar),
+        "cut": _count(similar, thin) if not safe else _count(similar, thin) + taken_back,
+        "components_before": _pieces(before, n),
+        "components": _pieces(kept, n),
+    }
+    note = f"fuse2014: {counts['components_before']} components of the pairs before, {counts['components']} after"
+    more = f"; {taken_back} pairs taken back to keep it together" if safe else ""
+    surrogate = (
+        ""
+        if np.isfinite(pairs.sigma_m).any()
+        else (
+            "fuse2014: no accuracy of the pairs is known, capacities are matches (B/H)^2, the textbook stand-in for the "
+            "paper's two-view bundle adjustment"
+        )
+    )
+    return Fuse(thin, tuple(n for n in (note + more, surrogate) if n), counts)
+
+
+def image_order(scene: Scene) -> np.ndarray:
+    """(N,) images in order of pass, step and camera: the paper's first to last frame."""
+    return np.lexsort((scene.sensor_key, scene.step[scene.frame], scene.track[scene.frame]))
+
+
+def capacities(pairs: Pairs, expected: np.ndarray) -> np.ndarray:
+    """(P,) the paper's accuracy of a pair, 1 / |T - T'|^2, up to one factor for all pairs.
+
+    1 / sigma^2 where the pair's sigma is known. Else the precision of the direction of a unit base, known from n
+    matches: (f / sigma_px)^2 n (B/H)^2 (Kraus, Photogrammetry: normal case), n alone where H/B is not known.
+    """
+    ratio = np.where(np.isfinite(pairs.h_over_b), pairs.h_over_b, np.nan)
+    usual = float(np.nanmedian(ratio)) if np.isfinite(ratio).any() else 1.0
+    guess = np.maximum(expected, 1.0) / np.maximum(np.where(np.isnan(ratio), usual, ratio), 1e-3) ** 2
+    known = np.isfinite(pairs.sigma_m)
+    if not known.any():
+        return guess
+    exact = 1.0 / np.maximum(pairs.sigma_m, 1e-6) ** 2
+    scale = float(np.median(exact[known] / guess[known]))
+    return np.where(known, exact, guess * scale)
+
+
+def _similar_images(pairs: Pairs, order: np.ndarray) -> np.ndarray:
+    """(N,) bool images removed: of two whose base is too short for their distance the later one goes (002, 2.3)."""
+    place = np.argsort(order)
+    gone = np.zeros(len(order), bool)
+    for k in np.flatnonzero((pairs.dropped == 0) & (pairs.h_over_b > SIMILAR)):
+        i, j = pairs.i[k], pairs.j[k]
+        if not gone[i] and not gone[j]:
+            gone[i if place[i] > place[j] else j] = True
+    return gone
+
+
+def _touches(pairs: Pairs, gone: np.ndarray) -> np.ndarray:
+    return gone[pairs.i] | gone[pairs.j]
+
+
+def _cut_rows(pairs: Pairs, capacity: np.ndarray, order: np.ndarray) -> np.ndarray:
+    """(P,) bool: pairs in the minimum cut of the whole graph or of one of its parts (002, 3.2 and 4.2.3)."""
+    used = np.zeros(len(order), bool)
+    kept = pairs.dropped == 0
+    used[pairs.i[kept]] = used[pairs.j[kept]] = True
+    nodes = order[used[order]]  # paper 002: the nodes are the images left
+    out = np.zeros(len(pairs), bool)
+    for part in [nodes, *np.array_split(nodes, PARTS)]:
+        out |= _minimum_cut(pairs, kept, capacity, part)
+    return out
+
+
+def _minimum_cut(pairs: Pairs, kept: np.ndarray, capacity: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """(P,) bool: pairs whose removal separates the first node from the last at the least capacity."""
+    if len(nodes) < 2:
+        return np.zeros(len(pairs), bool)
+    number = np.full(int(max(pairs.j.max(initial=0), nodes.max())) + 1, -1)
+    number[nodes] = np.arange(len(nodes))
+    a, b = number[pairs.i], number[pairs.j]
+    rows = kept & (a >= 0) & (b >= 0)
+    a, b, n = a[rows], b[rows], len(nodes)
+    degree = np.bincount(a, capacity[rows], n) + np.bincount(b, capacity[rows], n)
+    whole = np.maximum(np.rint(capacity[rows] * (_LARGEST / max(float(degree.max(initial=0.0)), 1e-300))), 1)
+    graph = coo_array((np.tile(whole, 2), (np.r_[a, b], np.r_[b, a])), shape=(n, n)).tocsr()
+    graph = csr_array((graph.data.astype(np.int32), graph.indices, graph.indptr), shape=(n, n))
+    if n - 1 not in breadth_first_order(graph, 0, return_predecessors=False):
+        return np.zeros(len(pairs), bool)  # apart already
+    left = csr_array(graph - maximum_flow(graph, 0, n - 1, method="dinic").flow)
+    left.data = (left.data > 0).astype(np.int8)
+    left.eliminate_zeros()
+    near = np.zeros(n, bool)
+    near[breadth_first_order(left, 0, return_predecessors=False)] = True
+    out = np.zeros(len(pairs), bool)
+    out[np.flatnonzero(rows)[near[a] != near[b]]] = True
+    return out
+
+
+def _reconnected(pairs: Pairs, thin: Pairs, expected: np.ndarray, images: int) -> tuple[Pairs, int]:
+    """Give back the strongest dropped pairs that tie what was connected before; how many."""
+    label = parts(thin.kept().i, thin.kept().j, images)
+    lost = np.flatnonzero((pairs.dropped == 0) & (thin.dropped != 0))
+    back = lost[forest(label[pairs.i[lost]], label[pairs.j[lost]], expected[lost], images)]
+    dropped = thin.dropped.copy()
+    dropped[back] = 0
+    return thin.with_(dropped=dropped), len(back)
+
+
+def _count(before: Pairs, after: Pairs) -> int:
+    return int(np.sum(before.dropped == 0) - np.sum(after.dropped == 0))
+
+
+def _pieces(kept: Pairs, images: int) -> int:
+    """Components of the images that have any pair."""
+    label = parts(kept.i, kept.j, images)
+    return len(np.unique(label[np.concatenate([kept.i, kept.j])]))

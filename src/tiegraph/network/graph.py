@@ -1,0 +1,183 @@
+"""Graphs of images and frames: forests, components, bridges, articulation points, links between groups."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
+
+from tiegraph.scene.scene import Scene
+
+
+def parts(i: np.ndarray, j: np.ndarray, nodes: int) -> np.ndarray:
+    """(nodes,) component of every node under links i, j (K,), in no particular order."""
+    graph = coo_array((np.ones(len(i), np.int8), (i, j)), shape=(nodes, nodes))
+    return connected_components(graph.tocsr(), directed=False)[1]
+
+
+def forest(i: np.ndarray, j: np.ndarray, strength: np.ndarray, nodes: int) -> np.ndarray:
+    """Places of a maximum spanning forest by strength (K,) of links i, j (K,); parallel links and loops may occur."""
+    low, high = np.minimum(i, j).astype(np.int64), np.maximum(i, j).astype(np.int64)
+    order = np.lexsort((-strength, low * nodes + high))
+    key = (low * nodes + high)[order]
+    best = order[np.concatenate([[True], np.diff(key) != 0])[: len(order)] & (low != high)[order]]
+    if not len(best):
+        return best
+    cost = strength[best].max() + 1.0 - strength[best]  # positive: scipy takes zeros for missing links
+    tree = minimum_spanning_tree(coo_array((cost, (low[best], high[best])), shape=(nodes, nodes)).tocsr()).tocoo()
+    ends = np.minimum(*tree.coords).astype(np.int64) * nodes + np.maximum(*tree.coords)
+    return best[np.isin(low[best] * nodes + high[best], ends)]
+
+
+@dataclass(frozen=True)
+class FrameLinks:
+    """Links between frames a < b (K,): ``row`` the first pair that makes the link, ``pairs`` how many there are, and
+    ``independent``: 2 if two of them have no image in common, else 1."""
+
+    a: np.ndarray
+    b: np.ndarray
+    row: np.ndarray
+    pairs: np.ndarray
+    independent: np.ndarray
+
+
+def frame_links(i: np.ndarray, j: np.ndarray, scene: Scene) -> FrameLinks:
+    """The links between frames that pairs of images i, j (P,) make; pairs within a frame make none."""
+    swap = scene.frame[i] > scene.frame[j]
+    i, j = np.where(swap, j, i), np.where(swap, i, j)
+    key = scene.frame[i].astype(np.int64) * scene.frames + scene.frame[j]
+    order = np.argsort(key, kind="stable")
+    order = order[scene.frame[i[order]] != scene.frame[j[order]]]
+    _, first, count = np.unique(key[order], return_index=True, return_counts=True)
+    if not len(order):
+        none = np.zeros(0, int)
+        return FrameLinks(none, none, none, none, none)
+
+    def varied(image: np.ndarray) -> np.ndarray:
+        return np.minimum.reduceat(image[order], first) < np.maximum.reduceat(image[order], first)
+
+    row = order[first]
+    return FrameLinks(scene.frame[i[row]], scene.frame[j[row]], row, count, 1 + (varied(i) & varied(j)))
+
+
+@dataclass(frozen=True)
+class Cuts:
+    """Bridges (K,) bool of links, articulation points (n,) bool of nodes, ``side`` (K,) nodes that hang on a bridge
+    (the smaller side; 0 = no bridge) and ``falls`` (n,) nodes that fall off if an articulation point is lost."""
+
+    bridge: np.ndarray
+    joint: np.ndarray
+    side: np.ndarray
+    falls: np.ndarray
+
+
+def cuts(a: np.ndarray, b: np.ndarray, nodes: int, double: np.ndarray | None = None) -> Cuts:
+    """Bridges and articulation points of a graph of links a, b (K,) without parallels; a link that is ``double`` (K,)
+    is no bridge. Depth first search (Tarjan 1972) without recursion."""
+    double = np.zeros(len(a), bool) if double is None else double
+    start, other, link = _adjacency(a, b, nodes)
+    found, low, size, parent = [-1] * nodes, [0] * nodes, [1] * nodes, [-1] * nodes
+    into = [-1] * nodes  # link to the parent
+    place = start.copy()
+    order: list[int] = []
+    for root in range(nodes):
+        if found[root] >= 0:
+            continue
+        stack = [root]
+        found[root] = low[root] = len(order)
+        order.append(root)
+        while stack:
+            v = stack[-1]
+            if place[v] == start[v + 1]:
+                stack.pop()
+                continue
+            w, e = other[place[v]], link[place[v]]
+            place[v] += 1
+            if found[w] < 0:
+                found[w] = low[w] = len(order)
+                order.append(w)
+                parent[w], into[w] = v, e
+                stack.append(w)
+            elif e != into[v]:
+                low[v] = min(low[v], found[w])
+    for v in reversed(order):
+        if parent[v] >= 0:
+            size[parent[v]] += size[v]
+            low[parent[v]] = min(low[parent[v]], low[v])
+    return _judged(np.array([parent, into, found, low, size]), parts(a, b, nodes), double)
+
+
+def _adjacency(a: np.ndarray, b: np.ndarray, nodes: int) -> tuple[list[int], list[int], list[int]]:
+    ends = np.concatenate([a, b])
+    order = np.argsort(ends, kind="stable")
+    start = np.concatenate([[0], np.cumsum(np.bincount(ends.astype(np.int64), minlength=nodes))])
+    return start.tolist(), np.concatenate([b, a])[order].tolist(), np.tile(np.arange(len(a)), 2)[order].tolist()
+
+
+def _judged(tree: np.ndarray, part: np.ndarray, double: np.ndarray) -> Cuts:
+    """Bridges and articulation points from the search tree: parent, link to it, number, low point, subtree size."""
+    parent, into, found, low, size = tree
+    whole = np.bincount(part)[part] if len(part) else np.zeros(0, int)
+    bridge, side = np.zeros(len(double), bool), np.zeros(len(double), int)
+    child = np.flatnonzero(parent >= 0)
+    hangs = child[low[child] > found[parent[child]]]
+    hangs = hangs[~double[into[hangs]]]
+    bridge[into[hangs]] = True
+    side[into[hangs]] = np.minimum(size[hangs], whole[hangs] - size[hangs])
+    below = child[low[child] >= found[parent[child]]]  # subtrees that reach no further up than their parent
+    count = np.bincount(parent[below], minlength=len(part))
+    lost = np.bincount(parent[below], size[below], minlength=len(part)).astype(int)
+    root = parent < 0
+    joint = np.where(root, count > 1, count > 0)
+    biggest = np.zeros(len(part), int)
+    np.maximum.at(biggest, parent[below], size[below])
+    rest = np.maximum(biggest, whole - 1 - lost)  # what stays together is the biggest piece
+    return Cuts(bridge, joint, side, np.where(joint, whole - 1 - rest, 0))
+
+
+@dataclass(frozen=True)
+class Group:
+    """Images that belong together and must be tied to the others: a camera, a pass or a section."""
+
+    kind: str
+    name: str
+    member: np.ndarray  # (N,) bool
+
+
+def groups(scene: Scene) -> Iterator[Group]:
+    """Cameras, passes and sections of a scene, each kind only where there are at least two of it."""
+    names = [s.name for s in scene.all_sensors]
+    for kind, label in (
+        ("camera", scene.sensor_key),
+        ("pass", scene.track[scene.frame]),
+        ("section", scene.section[scene.frame]),
+    ):
+        numbers = np.unique(label)
+        if len(numbers) < 2:
+            continue
+        for k in numbers[numbers >= 0]:
+            name = names[k] if kind == "camera" else scene.tracks[k] if kind == "pass" and scene.tracks else f"{k}"
+            yield Group(kind, name, label == k)
+
+
+def two_links(i: np.ndarray, j: np.ndarray, member: np.ndarray, strength: np.ndarray) -> np.ndarray:
+    """Places of up to two pairs that tie a group (N,) bool to the rest and have no image in common, the strongest.
+
+    One if all pairs across share an image, none if there is no pair across.
+    """
+    across = np.flatnonzero(member[i] != member[j])
+    if not len(across):
+        return across
+    across = across[np.argsort(-strength[across], kind="stable")]
+    inner, outer = np.where(member[i], i, j)[across], np.where(member[i], j, i)[across]
+    free = np.flatnonzero((inner != inner[0]) & (outer != outer[0]))
+    if len(free):
+        return across[[0, free[0]]]
+    same_inner = np.flatnonzero((inner == inner[0]) & (outer != outer[0]))
+    same_outer = np.flatnonzero((inner != inner[0]) & (outer == outer[0]))
+    if len(same_inner) and len(same_outer):  # both meet the strongest pair, at different ends: they do without it
+        return across[[same_inner[0], same_outer[0]]]
+    return across[:1]

@@ -1,0 +1,203 @@
+"""What the up camera says about sky or bridge above, and the two states that follow from it (paper 001, section b).
+
+The paper thresholds the brightness of the up camera. An automatic exposure undoes that: under a bridge it opens until
+the deck is as bright as the sky was. So every cue that does not depend on the exposure is asked too, each has a
+threshold of its own in every pass, and a cue that shows no clear contrast has no say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tiegraph.network.passes import Pass
+from tiegraph.scene.scene import Scene
+
+MIN_FRAMES = 8  # of a pass with an up camera, or nothing can be learnt from it alone
+MIN_SEPARATION = 0.7  # share of the variance the two classes must explain (a normal distribution: 0.64 to 0.67)
+MIN_CLASS = 2  # frames of the smaller class
+GAMMA = 2.2  # of grey values, to make them proportional to light
+KNOWN_EXPOSURE = 0.9  # share of the up images that must carry their exposure
+FRAME_SAY = 4.0  # log likelihood ratio of one frame at most: none decides alone ...
+SWITCH_COST = 2.5  # ... against leaving a state and coming back
+_NARROWEST = 1 / 6  # of the contrast: least scatter within a class that is believed
+
+
+@dataclass(frozen=True)
+class UpLight:
+    """Cues of each image (N,), NaN = unknown; only those of up cameras are read.
+
+    brightness: mean grey value 0..255; sky_share: share of the picture that the masks leave out (sky and burnt out, in
+    an up camera), exposure: exposure time in s x ISO / (f-number squared) as EXIF gives them.
+    """
+
+    brightness: np.ndarray
+    sky_share: np.ndarray | None = None
+    exposure: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Cue:
+    """One cue by frame and what it decides.
+
+    values (F,) NaN = none; threshold (F,) of the frame's pass, NaN = this pass is not decided by the cue; evidence (F,)
+    log likelihood ratio of bridge against open; figure: what was found, for people.
+    """
+
+    name: str
+    unit: str
+    values: np.ndarray
+    threshold: np.ndarray
+    evidence: np.ndarray
+    figure: str
+
+    @property
+    def decided(self) -> bool:
+        """Whether the cue tells bridge from open in any pass."""
+        return bool(np.isfinite(self.threshold).any())
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """How a cue is read: ``contrast`` its classes must differ by (log2 where ``log``), and whether its scale is one and
+    the same in all passes, whatever the exposure."""
+
+    name: str
+    unit: str
+    contrast: float
+    log: bool
+    absolute: bool
+
+
+_SKY = _Kind("open share of the masks", "", 0.3, False, True)
+_LUMINANCE = _Kind("luminance by EXIF exposure", "", 1.0, True, True)
+_BRIGHTNESS = _Kind("brightness", " of 255", float(np.log2(1.25)), True, False)
+
+
+@dataclass(frozen=True)
+class _Split:
+    threshold: float
+    low: float
+    high: float
+    scatter: float
+    separation: float
+
+    def clear(self, kind: _Kind) -> bool:
+        return self.separation >= MIN_SEPARATION and self.high - self.low >= kind.contrast
+
+
+def read_cues(scene: Scene, passes: Sequence[Pass], light: UpLight) -> tuple[Cue, ...]:
+    """The cues that the up cameras of a scene offer; none where no camera looks up."""
+    grey = by_up_frame(scene, light.brightness)
+    if not np.isfinite(grey).any():
+        return ()
+    cues = []
+    if light.sky_share is not None:
+        cues.append(_cue(_SKY, by_up_frame(scene, light.sky_share), passes))
+    stop = None if light.exposure is None else by_up_frame(scene, light.exposure)
+    known = np.isfinite(grey)
+    if stop is not None and np.mean(np.isfinite(stop[known]) & (stop[known] > 0)) >= KNOWN_EXPOSURE:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            luminance = np.where(stop > 0, (grey / 255) ** GAMMA / stop, np.nan)
+        cues.append(_cue(_LUMINANCE, luminance, passes))
+    else:
+        cues.append(_cue(_BRIGHTNESS, grey, passes))
+    return tuple(c for c in cues if np.isfinite(c.values).any())
+
+
+def by_up_frame(scene: Scene, values: np.ndarray) -> np.ndarray:
+    """(F,) mean of the values (N,) of the up cameras of each frame; NaN = none."""
+    up = np.array([s.role == "up" for s in scene.all_sensors], bool)[scene.sensor_key]
+    values = np.asarray(values, float)
+    use = up & np.isfinite(values)
+    count = np.bincount(scene.frame[use], minlength=scene.frames)
+    total = np.bincount(scene.frame[use], values[use], minlength=scene.frames)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _cue(kind: _Kind, values: np.ndarray, passes: Sequence[Pass]) -> Cue:
+    scaled = np.log2(np.maximum(values, 1e-9)) if kind.log else values
+    splits = [_split(scaled[p.frames]) for p in passes]
+    clear = [s for s in splits if s is not None and s.clear(kind)]
+    on_passes = np.concatenate([p.frames for p in passes]) if passes else np.zeros(0, int)
+    whole = _split(scaled[on_passes])
+    if not clear and kind.absolute and whole is not None and whole.clear(kind):
+        clear = [whole]
+    threshold, evidence = np.full(len(values), np.nan), np.zeros(len(values))
+    for p, own in zip(passes, splits):
+        if own is None or not own.clear(kind):
+            # A pass without a contrast of its own: another pass's threshold holds only where exposure plays no part.
+            own = _median(clear) if clear and kind.absolute else None
+        if own is not None:
+            threshold[p.frames] = 2**own.threshold if kind.log else own.threshold
+            gain = (own.high - own.low) / max(own.scatter, _NARROWEST * (own.high - own.low)) ** 2
+            say = gain * (0.5 * (own.low + own.high) - scaled[p.frames])
+            evidence[p.frames] = np.clip(np.nan_to_num(say), -FRAME_SAY, FRAME_SAY)
+    shown = clear or [s for s in splits if s is not None] or ([whole] if whole is not None else [])
+    best = max(shown, key=lambda s: s.separation, default=None)
+    return Cue(kind.name, kind.unit, values, threshold, evidence, _figure(kind, best))
+
+
+def _figure(kind: _Kind, split: _Split | None) -> str:
+    if split is None:
+        return f"{kind.name}: too few frames"
+    contrast = split.high - split.low
+    apart = f"{2**contrast:.2f} times ({2**kind.contrast:.2f} needed)" if kind.log else f"{contrast:.2f} "
+    apart = apart if kind.log else f"{apart}({kind.contrast:.2f} needed)"
+    return (
+        f"{kind.name}: two classes {apart} apart, explaining {np.floor(100 * split.separation):.0f} % of the variance "
+        f"({100 * MIN_SEPARATION:.0f} % needed)"
+    )
+
+
+def _median(splits: Sequence[_Split]) -> _Split:
+    """The split with the middle threshold."""
+    return sorted(splits, key=lambda s: s.threshold)[len(splits) // 2]
+
+
+def _split(values: np.ndarray) -> _Split | None:
+    known = values[np.isfinite(values)]
+    if len(known) < MIN_FRAMES:
+        return None
+    threshold, separation, low, high = otsu(known)
+    below, above = known[known < threshold], known[known >= threshold]
+    if min(len(below), len(above)) < MIN_CLASS:
+        separation = 0.0
+    scatter = float(np.sqrt(max(0.0, (1 - separation) * known.var())))
+    return _Split(threshold, low, high, scatter, separation)
+
+
+def otsu(values: np.ndarray) -> tuple[float, float, float, float]:
+    """Threshold that splits values best (Otsu 1979), the share of the variance it explains, and the classes' means."""
+    values = np.sort(np.asarray(values, float))
+    n, total = len(values), values.sum()
+    low_count = np.arange(1, n)
+    low_sum = np.cumsum(values)[:-1]
+    low_mean, high_mean = low_sum / low_count, (total - low_sum) / (n - low_count)
+    between = low_count * (n - low_count) / n**2 * (high_mean - low_mean) ** 2
+    k = int(np.argmax(between))
+    variance = float(values.var())
+    separation = float(between[k]) / variance if variance > 1e-12 else 0.0
+    return float(0.5 * (values[k] + values[k + 1])), separation, float(low_mean[k]), float(high_mean[k])
+
+
+def two_states(evidence: np.ndarray) -> np.ndarray:
+    """(n,) bool: the likeliest run of bridge (True) and open frames for log likelihood ratios (n,) along a pass.
+
+    Two hidden states with a price for every change (Viterbi 1967): a single odd frame changes nothing.
+    """
+    say = np.clip(np.asarray(evidence, float), -FRAME_SAY, FRAME_SAY)
+    n = len(say)
+    cost, back = np.zeros(2), np.zeros((n, 2), int)
+    for k in range(n):
+        stay, move = cost, cost[::-1] + (SWITCH_COST if k else 0.0)
+        back[k] = np.where(stay <= move, [0, 1], [1, 0])
+        cost = np.minimum(stay, move) + np.array([0.5, -0.5]) * say[k]
+    state = np.zeros(n, bool)
+    at = int(np.argmin(cost))
+    for k in range(n - 1, -1, -1):
+        state[k] = at == 1
+        at = int(back[k, at])
+    return state

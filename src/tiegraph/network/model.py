@@ -1,0 +1,171 @@
+"""The preview model: a small model of the survey, made of previews, says which images see the same surface.
+
+Counts of preview matches cannot tell true ties from repeated walls: on ``canal`` (rendered, repeated facades) 40 % of
+the pairs that share nothing reach the count of those that do. Geometry can. The best pairs of each image make a small
+model, poses and points of that model predict the shared surface of every two images, and the prediction replaces the
+count wherever the model is trusted.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pycolmap
+
+from tiegraph.geometry import transforms
+from tiegraph.network.passes import PreviewBook
+from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.strongest import strongest_pairs
+from tiegraph.network.visible import Overlap, observed_proxy, shared_surface
+from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.rig import Rig
+from tiegraph.scene.scene import Scene
+from tiegraph.scene.ties import Ties
+
+MIN_MATCHES = 15  # a tie of the model
+NEAR_STEPS = 2  # frames of a pass: images this near each other show whether the model is right there
+ENOUGH = 0.8  # share of the images in the model from which its calibration is believed
+TRUSTED = 0.5  # share of a frame's strong near previews that the model must explain
+NO_MODEL = "preview model: none could be made; pairs are chosen by preview counts alone"
+SURE = 1.6  # times min_matches: previews this strong between near frames are true
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class SurveyModel:
+    """A model of the survey in its own frame and units.
+
+    cam_from_world (N, 4, 4), NaN = not in the model; cameras: one an image; points (P, 3); image (M,), point (M,):
+    which image sees which point; rigs: with the extrinsics and cameras of the model.
+    """
+
+    cam_from_world: np.ndarray
+    cameras: tuple[pycolmap.Camera, ...]
+    points: np.ndarray
+    image: np.ndarray
+    point: np.ndarray
+    rigs: tuple[Rig, ...]
+
+    def placed(self) -> np.ndarray:
+        """(N,) bool: images in the model."""
+        return np.isfinite(self.cam_from_world).all(axis=(1, 2))
+
+    def overlap(self) -> Overlap:
+        """Predicted shared surface of every two images of the model."""
+        proxy = observed_proxy(self.points, self.image, self.point, self.cam_from_world)
+        return shared_surface(self.cam_from_world, self.cameras, proxy)
+
+
+ModelFunction = Callable[[Scene, Ties], SurveyModel | None]
+
+
+@dataclass(frozen=True)
+class ModelResult:
+    """Pairs judged by the model, the model (None: there is none to believe), and what people should know."""
+
+    pairs: Pairs
+    scene: Scene  # with the rig as the model found it
+    model: SurveyModel | None
+    notes: tuple[str, ...]
+
+
+def by_model(
+    pairs: Pairs, scene: Scene, book: PreviewBook, settings: NetworkSettings, make: ModelFunction
+) -> ModelResult:
+    """Pairs by the predicted shared surface where a model of the best ties is trusted, unchanged elsewhere.
+
+    Kept pairs that share less than ``settings.min_overlap`` are dropped for ``overlap``; all others that share as much
+    are added with the source ``model``.
+    """
+    best = strongest_pairs(pairs, scene, settings.model_pairs)
+    book.measure(best.i, best.j)
+    ties = book.ties()
+    used = ties.where(np.isin(ties.i.astype(np.int64) << 32 | ties.j, best.i.astype(np.int64) << 32 | best.j))
+    used = used.where(used.counts() >= MIN_MATCHES)
+    model = make(scene, used) if len(used) else None
+    if model is None or not model.placed().any():
+        return ModelResult(pairs, scene, None, (NO_MODEL,))
+    overlap = model.overlap()
+    placed = model.placed()
+    trusted, agreement = _trusted(scene, book, overlap, placed, settings)
+    judged = _judged(pairs, overlap, trusted, settings)
+    notes = _notes(scene, model, len(used), trusted, agreement)
+    if placed.sum() < ENOUGH * len(scene):
+        return ModelResult(judged, scene, model, notes)
+    rigs, moved = calibrated_rigs(scene.rigs, model.rigs)
+    return ModelResult(judged, scene.with_(rigs=rigs), model, notes + moved)
+
+
+def calibrated_rigs(given: Sequence[Rig], found: Sequence[Rig]) -> tuple[tuple[Rig, ...], tuple[str, ...]]:
+    """Rigs with what was only guessed replaced by what the model found: cameras without a known focal length, and of a
+    nominal rig the rotations (its centres nearly coincide: the model's lever arms have no scale to be told by)."""
+    rigs, notes = [], []
+    for old, new in zip(given, found):
+        sensors = []
+        turned = []
+        for a, b in zip(old.sensors, new.sensors):
+            known = a.camera is None or a.camera.has_prior_focal_length
+            camera = a.camera if known else b.camera
+            extrinsics = a.sensor_from_rig
+            if old.nominal and extrinsics is not None and b.sensor_from_rig is not None:
+                centre = transforms.centre(extrinsics)
+                rotation = b.sensor_from_rig[:3, :3]
+                turned.append(transforms.angle_deg(extrinsics[:3, :3], rotation))
+                extrinsics = transforms.rigid(rotation, -rotation @ centre)
+            elif extrinsics is None:
+                extrinsics = b.sensor_from_rig
+            sensors.append(replace(a, camera=camera, sensor_from_rig=extrinsics))
+        guessed = old.nominal or not old.known()
+        rigs.append(replace(old, sensors=tuple(sensors), nominal=guessed))
+        if turned:
+            notes.append(f"rig {old.name}: its cameras turned by up to {max(turned):.2f} deg from nominal")
+    return tuple(rigs), tuple(notes)
+
+
+def _trusted(
+    scene: Scene, book: PreviewBook, overlap: Overlap, placed: np.ndarray, settings: NetworkSettings
+) -> tuple[np.ndarray, float]:
+    """(N,) bool: images of the model where it explains the strong previews between near frames; share explained.
+
+    A model that tore, or put a frame at a repeated wall, contradicts the images next to it: there it is not asked.
+    """
+    i, j, count = book.pairs()
+    a, b = scene.frame[i], scene.frame[j]
+    near = (scene.track[a] == scene.track[b]) & (scene.track[a] >= 0) & (a != b) & (scene.rig[a] == scene.rig[b])
+    near &= np.abs(scene.step[a] - scene.step[b]) <= NEAR_STEPS
+    strong = near & (count >= SURE * settings.min_matches) & placed[i] & placed[j]
+    right = overlap.between(i[strong], j[strong]) >= settings.min_overlap
+    ends = np.concatenate([a[strong], b[strong]])
+    total = np.bincount(ends, minlength=scene.frames)
+    good = np.bincount(ends, np.tile(right, 2), minlength=scene.frames)
+    doubtful = good < TRUSTED * total
+    return placed & ~doubtful[scene.frame], float(right.mean()) if len(right) else float("nan")
+
+
+def _judged(pairs: Pairs, overlap: Overlap, trusted: np.ndarray, settings: NetworkSettings) -> Pairs:
+    share = np.where(trusted[pairs.i] & trusted[pairs.j], overlap.between(pairs.i, pairs.j), np.nan)
+    judged = pairs.with_(overlap=share).drop(share < settings.min_overlap, "overlap")
+    enough = (overlap.share >= settings.min_overlap) & trusted[overlap.i] & trusted[overlap.j]
+    return judged | Pairs.make(overlap.i[enough], overlap.j[enough], "model", overlap=overlap.share[enough])
+
+
+def _notes(scene: Scene, model: SurveyModel, ties: int, trusted: np.ndarray, agreement: float) -> tuple[str, ...]:
+    placed = model.placed()
+    size = f"{int(placed.sum())} of {len(scene)} images, {len(model.points)} points from {ties} pairs"
+    agrees = (
+        "" if np.isnan(agreement) else f"; {100 * agreement:.0f} % of the strong previews of near frames agree with it"
+    )
+    notes = [f"preview model: {size}{agrees}"]
+    doubtful = np.unique(scene.frame[placed & ~trusted])
+    if len(doubtful):
+        names = [scene.names[int(np.argmax(scene.frame == f))] for f in doubtful[:5]]
+        more = f" and {len(doubtful) - 5} more" if len(doubtful) > 5 else ""
+        notes.append(
+            f"preview model: not believed at {len(doubtful)} frames, where it contradicts their neighbours (with "
+            f"{', '.join(names)}{more}); there the preview counts decide"
+        )
+    return tuple(notes)

@@ -1,0 +1,105 @@
+"""Evidence between the frames of two passes, ready to be drawn: one surface for the rig and one a camera pair."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from tiegraph.network.lattice import FLOOR, SIGMA_NODES, Lattice
+
+MAX_CAMERA_PAIRS = 12  # of a couple of passes: those with the most evidence
+_TOP = 6.0  # times the threshold: more matches say nothing more
+_COARSE = 0.15  # share of the nodes of the densest camera pair
+_FAINT = 0.003  # share of the strongest camera pair below which one is not shown
+_BEND = 0.02  # price of a path moving one node aside, as a share of the highest evidence
+
+
+@dataclass(frozen=True)
+class OffsetSurface:
+    """Evidence that frames of two passes see the same, what is kept of it, and the path through it.
+
+    rows (A,), columns (B,): ranks of the frames of pass a and b; evidence (A, B) f4 preview matches above chance, of
+    all cameras together for the rig, NaN = not looked at; kept (A, B) bool; path (A,) rank in pass b that a row shares
+    most with, NaN = none (and within one pass); sensors: the camera pair, "" = the whole rig.
+    """
+
+    pass_a: str
+    pass_b: str
+    rows: np.ndarray
+    columns: np.ndarray
+    evidence: np.ndarray
+    kept: np.ndarray
+    path: np.ndarray
+    sensors: str = ""
+
+
+def surfaces_of(lattice: Lattice, smooth: np.ndarray, threshold: float) -> tuple[OffsetSurface, ...]:
+    """The surface of the rig and of its strongest camera pairs; ``smooth`` (S, T, A, B) as ``Lattice.smoothed``, kept
+    where it reaches ``threshold``."""
+    kept = np.nan_to_num(smooth) >= threshold
+    excess = _excess(lattice, threshold)
+    if lattice.same:  # a frame and itself
+        excess = np.where(np.equal.outer(lattice.rows, lattice.columns), np.nan, excess)
+    # Cameras that share next to nothing were looked at on a coarser grid: they would only add its pattern.
+    looked = np.isfinite(excess).sum(axis=(2, 3))
+    voted = looked >= _COARSE * looked.max(initial=0)
+    total = np.nansum(excess[voted], axis=0)
+    seen = np.isfinite(excess[voted]).any(axis=0)
+    path = np.full(len(lattice.rows), np.nan)
+    if not lattice.same:
+        node = ridge(total, kept.any(axis=(0, 1)))
+        path = np.where(np.isnan(node), np.nan, lattice.columns[np.nan_to_num(node).astype(int)])
+    out = [_surface(lattice, np.where(seen, total, np.nan), kept.any(axis=(0, 1)), path, "")]
+    weight = np.nansum(np.where(kept, excess, 0), axis=(2, 3))
+    for flat in np.argsort(-weight, axis=None, kind="stable"):
+        c, d = (int(x) for x in np.unravel_index(flat, weight.shape))
+        if len(out) > MAX_CAMERA_PAIRS or weight[c, d] <= _FAINT * weight.max() or weight.size == 1:
+            break
+        if not (lattice.same and c > d):
+            names = lattice.p.rig.sensors[c].name, lattice.q.rig.sensors[d].name
+            out.append(_surface(lattice, excess[c, d], kept[c, d], path, " \N{EN DASH} ".join(names)))
+    return tuple(out)
+
+
+def _excess(lattice: Lattice, threshold: float) -> np.ndarray:
+    """(S, T, A, B) f4 matches above chance, smoothed over frames but not cut off so soon as for the decision."""
+    known = np.isfinite(lattice.inliers)
+    above = np.where(known, np.clip(lattice.inliers, FLOOR * threshold, _TOP * threshold) - FLOOR * threshold, 0)
+    sigma = (0, 0, SIGMA_NODES, SIGMA_NODES)
+    weight = gaussian_filter(known.astype(np.float32), sigma, mode="constant")
+    mean = gaussian_filter(above.astype(np.float32), sigma, mode="constant") / np.maximum(weight, 1e-6)
+    return np.where(known, mean, np.nan).astype(np.float32)
+
+
+def _surface(lattice: Lattice, evidence: np.ndarray, kept: np.ndarray, path: np.ndarray, sensors: str) -> OffsetSurface:
+    names = lattice.p.name, lattice.q.name
+    return OffsetSurface(*names, lattice.rows, lattice.columns, evidence.astype(np.float32), kept, path, sensors)
+
+
+def ridge(evidence: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """(A,) column of the strongest path through evidence (A, B) from the first to the last row; NaN in rows of which
+    nothing is ``kept`` (A, B). Dynamic programme; moving aside has a price, so that a lone peak does not catch it."""
+    gain = np.nan_to_num(evidence)
+    rows, columns = gain.shape
+    lane = _BEND * float(gain.max(initial=0)) * np.arange(columns)
+    cost, came = -gain[0], np.zeros((rows, columns), int)
+    for a in range(1, rows):
+        left, left_at = _running_least(cost - lane)
+        right, right_at = _running_least((cost + lane)[::-1])
+        right, right_at = right[::-1], columns - 1 - right_at[::-1]
+        from_left = left + lane <= right - lane
+        came[a] = np.where(from_left, left_at, right_at)
+        cost = np.where(from_left, left + lane, right - lane) - gain[a]
+    path = np.zeros(rows, int)
+    path[-1] = int(np.argmin(cost))
+    for a in range(rows - 1, 0, -1):
+        path[a - 1] = came[a, path[a]]
+    return np.where(kept.any(axis=1), path.astype(float), np.nan)
+
+
+def _running_least(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least value up to each place, and where it stands."""
+    least = np.minimum.accumulate(values)
+    return least, np.maximum.accumulate(np.where(values == least, np.arange(len(values)), 0))

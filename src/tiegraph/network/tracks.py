@@ -1,0 +1,182 @@
+"""Tracks of the design: which preview features are joined by the chosen pairs, and what one more pair would join."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array, csr_array, diags_array
+
+from tiegraph.scene.ties import Ties
+
+_BLOCK = 1 << 22  # matches looked at together: bounds the memory
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """E pairs a design may choose from, in an order of their own.
+
+    ``expected`` (E,) matches of the previews, measured or expected, > 0; the matches of pair e are ``left`` and
+    ``right`` (nodes: features that match anything, numbered image by image) from ``start[e]`` to ``start[e + 1]``;
+    ``seen`` (E,): previewed, so that its matches are known; ``first`` (N + 1,) first node of every image.
+    """
+
+    i: np.ndarray
+    j: np.ndarray
+    expected: np.ndarray
+    seen: np.ndarray
+    start: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+    first: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.i)
+
+    @property
+    def images(self) -> int:
+        """Number of images."""
+        return len(self.first) - 1
+
+    @staticmethod
+    def make(i: np.ndarray, j: np.ndarray, expected: np.ndarray, ties: Ties | None, images: int) -> Candidates:
+        """Candidates of pairs i < j (E,) from the preview matches of those that were previewed."""
+        ties = Ties.empty() if ties is None else ties
+        row = ties.find(i, j)
+        count = np.where(row >= 0, ties.counts()[row], 0) if len(ties) else np.zeros(len(i), np.int64)
+        start = np.concatenate([[0], np.cumsum(count)])
+        at = np.repeat(ties.start[row] if len(ties) else 0, count) + np.arange(start[-1]) - np.repeat(start[:-1], count)
+        match = ties.matches[at]
+        width = int(match.max(initial=0)) + 1
+        left = np.repeat(i.astype(np.int64), count) * width + match[:, 0]
+        right = np.repeat(j.astype(np.int64), count) * width + match[:, 1]
+        used = np.zeros(images * width + 1, bool)
+        used[left] = used[right] = True
+        number = np.concatenate([[0], np.cumsum(used[:-1], dtype=np.int32)]).astype(np.int32)
+        first = number[::width][: images + 1].copy()
+        seen = (row >= 0) & (count > 0)
+        return Candidates(i, j, np.maximum(expected, 1.0), seen, start, number[left], number[right], first)
+
+
+class Tracks:
+    """Sets of nodes joined so far (union-find), and for pairs without a preview the tracks they are expected to join.
+
+    The design's only state that changes: ``choose`` joins. What an unseen pair (i, j) would join is its expected
+    matches less the tracks that hold both images already, ``J``. Choosing it joins ``v`` tracks nobody can name, so the
+    expectation is carried: ``extra`` of (i, j) grows by v, and of every candidate (i, k) by v times the share of j's
+    features that k shares with j (one step, as if these v were any of j's features).
+    """
+
+    def __init__(self, candidates: Candidates) -> None:
+        self.candidates = candidates
+        self.parent = np.arange(len_of(candidates), dtype=np.int32)
+        self.extra = np.zeros(len(candidates))
+        self.chosen = np.zeros(len(candidates), bool)
+        self.shared = np.zeros(len(candidates))  # J of unseen pairs
+        most = np.zeros(candidates.images)
+        np.maximum.at(most, candidates.i, candidates.expected)
+        np.maximum.at(most, candidates.j, candidates.expected)
+        self.features = np.maximum(np.diff(candidates.first), most)
+
+    def new(self) -> np.ndarray:
+        """(E,) tracks each pair would join: counted where its matches are known, else expected."""
+        c = self.candidates
+        out = np.maximum(c.expected - self.shared - self.extra, 0.0)
+        known = self._counted()
+        out[c.seen] = np.maximum(known[c.seen] - self.extra[c.seen], 0.0)
+        out[self.chosen] = 0.0
+        return out
+
+    def _counted(self) -> np.ndarray:
+        """(E,) matches whose two nodes are not joined yet."""
+        c = self.candidates
+        apart = np.zeros(int(c.start[-1]), bool)
+        for k in range(0, len(apart), _BLOCK):
+            block = slice(k, k + _BLOCK)
+            apart[block] = self.parent[c.left[block]] != self.parent[c.right[block]]
+        total = np.concatenate([[0], np.cumsum(apart, dtype=np.int32)])
+        return np.diff(total[c.start]).astype(float)
+
+    def choose(self, places: np.ndarray, new: np.ndarray) -> None:
+        """Join the tracks of the candidates at places (K,), which were to join ``new`` (E,)."""
+        c = self.candidates
+        self.chosen[places] = True
+        self._join(places[c.seen[places]])
+        unseen = places[~c.seen[places]]
+        if not c.seen.all():
+            matrix = self.joint()
+            wanted = np.flatnonzero(~c.seen & ~self.chosen)
+            self.shared[wanted] = entries(matrix, c.i[wanted], c.j[wanted])
+            if len(unseen):
+                self._expect(unseen, new[unseen], matrix)
+
+    def _join(self, places: np.ndarray) -> None:
+        c = self.candidates
+        count = np.diff(c.start)[places]
+        at = np.repeat(c.start[places] - np.cumsum(count) + count, count) + np.arange(count.sum())
+        a, b = self.parent[c.left[at]], self.parent[c.right[at]]
+        while True:
+            apart = a != b
+            if not apart.any():
+                break
+            low, high = np.minimum(a[apart], b[apart]), np.maximum(a[apart], b[apart])
+            self.parent[high] = low  # of several partners the last wins; the others come back in the next turn
+            a, b = self._root(low), self._root(high)
+        self.parent = self._root(self.parent)
+
+    def _root(self, nodes: np.ndarray) -> np.ndarray:
+        up = self.parent[nodes]
+        while True:
+            higher = self.parent[up]
+            if np.array_equal(higher, up):
+                return up
+            up = higher
+
+    def _expect(self, places: np.ndarray, new: np.ndarray, joint: csr_array) -> None:
+        """Carry the tracks joined by unseen pairs over to the pairs beside them."""
+        c, n = self.candidates, self.candidates.images
+        self.extra[places] += new
+        v = _symmetric(c.i[places], c.j[places], new, n)
+        both = joint + _symmetric(c.i, c.j, self.extra, n)
+        share = diags_array(1.0 / np.maximum(self.features, 1.0)) @ both
+        share.data = np.minimum(share.data, 1.0)
+        carried = csr_array(v @ share)
+        carried.sum_duplicates()
+        self.extra += entries(carried, c.i, c.j) + entries(carried, c.j, c.i)
+
+    def incidence(self) -> csr_array:
+        """(N, T) observations of the tracks of at least two nodes in each image."""
+        size = np.bincount(self.parent, minlength=len(self.parent))
+        kept = size[self.parent] >= 2
+        number = np.cumsum(size >= 2) - 1
+        column = number[self.parent[kept]]
+        start = np.concatenate([[0], np.cumsum(kept)])[self.candidates.first]
+        shape = (self.candidates.images, int(np.sum(size >= 2)))
+        return csr_array((np.ones(len(column), np.float32), column, start), shape=shape)
+
+    def joint(self) -> csr_array:
+        """(N, N) tracks that two images share."""
+        seen = self.incidence()
+        return csr_array(seen @ seen.T)
+
+
+def len_of(candidates: Candidates) -> int:
+    """Number of nodes."""
+    return int(candidates.first[-1])
+
+
+def _symmetric(i: np.ndarray, j: np.ndarray, value: np.ndarray, n: int) -> csr_array:
+    row, column = np.concatenate([i, j]), np.concatenate([j, i])
+    return coo_array((np.tile(value, 2), (row, column)), shape=(n, n)).tocsr()
+
+
+def entries(matrix: csr_array, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+    """(K,) entries of a sparse matrix at rows i and columns j (K,), zero where it has none."""
+    if not len(i) or not matrix.nnz:
+        return np.zeros(len(i))
+    matrix.sort_indices()
+    n = matrix.shape[1]
+    key = np.repeat(np.arange(matrix.shape[0], dtype=np.int64), np.diff(matrix.indptr)) * n + matrix.indices
+    wanted = i.astype(np.int64) * n + j
+    at = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
+    return np.where(key[at] == wanted, matrix.data[at], 0.0)
