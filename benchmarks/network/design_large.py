@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import resource
+import sys
 import time
 
 import numpy as np
@@ -21,7 +22,7 @@ from tiegraph.scene.ties import Ties
 
 CAMERAS = 5
 SEEN = 240  # landmarks in the view of an image
-STEP = 24  # landmarks from frame to frame
+STEP = 16  # landmarks from frame to frame
 DETECTED, MATCHED = 0.6, 0.55  # chance of a feature, and of a match of two features in images that look the same way
 _BLOCK = 20_000  # pairs drawn together
 
@@ -102,6 +103,11 @@ def _peak_mib() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
+def _say(*words: object) -> None:
+    sys.stdout.write(" ".join(str(w) for w in words) + "\n")
+    sys.stdout.flush()
+
+
 def main() -> None:
     """Print candidates, pairs kept, seconds and peak memory."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -114,14 +120,16 @@ def main() -> None:
     given = parser.parse_args()
     scene, pairs, ties = large_survey(given.images, given.partners, given.previewed)
     made = _peak_mib()
-    print(f"{len(scene)} images, {len(pairs)} candidates, {len(ties)} previewed, {len(ties.matches)} matches", flush=True)
+    _say(
+        f"{len(scene)} images, {len(pairs)} candidates, {len(ties)} previewed, {len(ties.matches)} matches", flush=True
+    )
     settings = DesignSettings(method=given.method, budget=given.budget, pairs_per_image=given.pairs_per_image)
     began = time.process_time()
     found = design(pairs, scene, ties, settings)
     seconds = time.process_time() - began
-    print(f"{seconds:.1f} CPU s, peak {_peak_mib():.0f} MiB ({made:.0f} MiB before the design)")
-    print(found.counts)
-    print("\n".join(found.notes))
+    _say(f"{seconds:.1f} CPU s, peak {_peak_mib():.0f} MiB ({made:.0f} MiB before the design)")
+    _say(found.counts)
+    _say("\n".join(found.notes))
 
 
 if __name__ == "__main__":

@@ -156,14 +156,15 @@ def position_sigma(world: Survey, chosen: np.ndarray, rigid: bool = False) -> fl
     a, p = _jacobians(world, image, point, base[unit])
     n, tracks = int(unit.max()) + 1, int(track.max(initial=-1)) + 1
     inverse = np.linalg.inv(_summed(np.einsum("nki,nkj->nij", p, p), track, tracks) + 1e-6 * np.eye(3))
+    mixed = np.einsum("nki,nkj->nij", a, p) @ np.linalg.cholesky(inverse)[track]
     row = (6 * unit[image][:, None, None] + np.arange(6)[None, :, None]) + np.zeros((1, 1, 3), int)
     column = (3 * track[:, None, None] + np.arange(3)[None, None]) + np.zeros((1, 6, 1), int)
-    mixed = np.einsum("nki,nkj->nij", a, p)
-    cross = coo_array((mixed.ravel(), (row.ravel(), column.ravel())), shape=(6 * n, 3 * tracks)).tocsr()
+    cross = coo_array((mixed.ravel(), (row.ravel(), column.ravel())), shape=(6 * n, 3 * tracks)).tocsc()
     own = _summed(np.einsum("nki,nkj->nij", a, a), unit[image], n)
     normal = bsr_array((own, np.arange(n), np.arange(n + 1)), shape=(6 * n, 6 * n)).toarray()
-    points = bsr_array((inverse, np.arange(tracks), np.arange(tracks + 1)), shape=(3 * tracks, 3 * tracks)).tocsr()
-    normal -= csr_array(cross @ points @ cross.T).toarray()
+    for k in range(0, 3 * tracks, 3000):
+        block = cross[:, k : k + 3000].toarray()
+        normal -= block @ block.T
     return _sigma(normal / SIGMA_PX**2, base)
 
 

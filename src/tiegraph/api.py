@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from tiegraph.errors import InputError, SettingsError
+from tiegraph.network.coverage import Coverage, coverage
 from tiegraph.pipeline import STAGES
 from tiegraph.project import settings as project_settings
 from tiegraph.project.progress import Reporter
@@ -61,6 +62,17 @@ class Project:
         checked = self.folder / "network" / "scene.json"
         path = checked if checked.exists() else self._needed("scene.json", "scan")
         return Scene.from_json(path.read_text())
+
+    def candidates(self) -> Pairs:
+        """The pair table after `network`: every pair that was looked at, and why it was dropped."""
+        import numpy as np
+
+        with np.load(self._needed("network.npz", "network")) as data:
+            return Pairs.from_npz(dict(data))
+
+    def coverage(self) -> Coverage:
+        """Do the candidate pairs hold the survey together, and where are they weak (paper 003's check on site)?"""
+        return coverage(self.candidates(), self.scene())
 
     def pairs(self) -> Pairs:
         """The pair table: after `match` with inliers, else after `design`."""

@@ -9,6 +9,7 @@ import numpy as np
 from boat_world import CHANCE, Result
 
 from tiegraph.network.passes import Pass, find_passes
+from tiegraph.network.words import ImageWords, image_words
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 
@@ -36,7 +37,7 @@ class Places:
         """(K,) share of landmarks of image i that image j sees too."""
         apart = np.abs(self.centre[i] - self.centre[j])
         if self.around:
-            apart = np.minimum(apart, self.around - apart)
+            apart = np.minimum(apart % self.around, self.around - apart % self.around)
         return np.maximum(0, 1 - apart / FEATURES)
 
     def match(self, pairs: np.ndarray) -> list[Result]:
@@ -74,6 +75,17 @@ def _landmark(number: int) -> np.ndarray:
     return _known[number]
 
 
+_words: dict[bytes, ImageWords] = {}
+
+
+def words_of(world: Places) -> ImageWords:
+    """Words of a world, learnt once for all tests."""
+    key = np.append(world.centre, world.around).astype(float).tobytes()
+    if key not in _words:
+        _words[key] = image_words(world.descriptors())
+    return _words[key]
+
+
 def shuffled_ring(count: int, spacing: float = 12.0) -> Places:
     """Photographs at equal distances on a ring, in no order."""
     return Places(np.random.default_rng(1).permutation(count) * spacing, around=count * spacing)
@@ -89,7 +101,9 @@ def video(count: int) -> Scene:
     """Frames of one camera."""
     rig = Rig("camera", (Sensor("camera"),))
     names = [f"clip/{k:05d}.jpg" for k in range(count)]
-    return simple_scene(rig, names, np.arange(count), np.zeros(count), np.zeros(count), np.arange(count), tracks=("clip",))
+    return simple_scene(
+        rig, names, np.arange(count), np.zeros(count), np.zeros(count), np.arange(count), tracks=("clip",)
+    )
 
 
 def passes_of(count: int) -> tuple[Pass, ...]:

@@ -9,7 +9,7 @@ from boat_world import boat, ring
 from tiegraph.network.light import GAMMA, UpLight, by_up_frame, otsu, two_states
 from tiegraph.network.network import estimate_network
 from tiegraph.network.passes import find_passes
-from tiegraph.network.sections import Section, find_sections, section_links
+from tiegraph.network.sections import Section, SectionResult, find_sections, join_places, section_links
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.scene.pairs import REASONS, Pairs
 
@@ -163,6 +163,28 @@ def test_two_states_need_more_than_one_frame(say: tuple, dark: int) -> None:
     assert two_states(np.array(say, float)).sum() == dark
 
 
+@pytest.mark.parametrize("back", [False, True])
+def test_places_are_joined_in_order_even_where_everything_sees_everything(back: bool) -> None:
+    """Two passes cut into open, bridge, open; every image of every section is tied, the true place a little more."""
+    scene = boat((9, 9), (2.0, 2.0)).scene
+    cuts = [range(0, 3), range(3, 6), range(6, 9), range(9, 12), range(12, 15), range(15, 18)]
+    sections = tuple(
+        Section(f"{k} {n}", k, tuple(c)) for n, (k, c) in enumerate(zip(("open", "bridge", "open") * 2, cuts))
+    )
+    of_frame = np.repeat(np.arange(6), 3)
+    i, j = np.triu_indices(len(scene), 1)
+    a, b = of_frame[scene.frame[i]], of_frame[scene.frame[j]]
+    place = np.array([0, 1, 2, 2, 1, 0] if back else [0, 1, 2, 0, 1, 2])
+    pairs = Pairs.make(i, j, "model", overlap=np.where(place[a] == place[b], 0.55, 0.5))
+    result = SectionResult(sections, of_frame, np.zeros(18), 1.0, ())
+    joined = join_places(result, scene, pairs)
+    assert joined.of_frame.tolist() == np.repeat(place, 3).tolist()
+    apart = join_places(
+        result, scene, pairs.where(scene.track[scene.frame[pairs.i]] == scene.track[scene.frame[pairs.j]])
+    )
+    assert len(apart.sections) == 6
+
+
 def three_sections():
     """One pass of 12 frames, six cameras, cut into open, bridge, open."""
     scene = boat((12,), (2.0,)).scene
@@ -198,7 +220,5 @@ def test_section_links_counts_independent_ties_and_names_the_border() -> None:
 def test_one_section_has_no_borders() -> None:
     scene, sections = three_sections()
     whole = (replace(sections[0], frames=tuple(range(12))),)
-    assert section_links(Pairs.empty(), scene, whole) == (
-        {"columns": ["pass", "before", "after", "last image", "first image", "pairs", "independent", "tied"], "rows": []},
-        (),
-    )
+    table, notes = section_links(Pairs.empty(), scene, whole)
+    assert table["rows"] == [] and notes == ()

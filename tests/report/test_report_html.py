@@ -4,6 +4,7 @@ import json
 import re
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from fake_survey_run import FRAMES, make_run
@@ -14,6 +15,7 @@ from tiegraph.report.artefacts import read_run
 from tiegraph.report.html import metric_text, write_report
 from tiegraph.report.plan import frame_positions, tracks
 from tiegraph.report.settings import ReportSettings
+from tiegraph.report.ties import network_part
 
 SMALL = ReportSettings(view_px=400, viewer_points=2000)
 
@@ -161,8 +163,44 @@ def test_funnel_rows_add_up(full: Path) -> None:
     assert run.pairs is not None
     rows = charts.funnel_rows(run.pairs, run.network)
     counts = {name: n for name, n, _ in rows}
-    gone = sum(n for name, n, _ in rows if name.startswith("dropped"))
+    names = [name for name, _, _ in rows]
+    before = names.index("matched at full resolution")
+    gone = sum(n for name, n, _ in rows[:before] if charts.is_loss(name))
     assert counts["candidates"] - gone == counts["matched at full resolution"] > counts["verified"] > 0
+    left = charts.pairs_left(rows)
+    assert left[before] == counts["matched at full resolution"] and left[-1] == left[-2] == counts["verified"]
+
+
+def test_the_network_says_whether_it_holds(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run", "design")
+    for stage, more in (
+        ("network", {"notes": ["preview model: 60 of 60 images", "odd light"], "tables": {"section links": _LINKS}}),
+        ("design", {"tables": {"weak links": _WEAK}}),
+    ):
+        path = run / "receipts" / f"{stage}.json"
+        path.write_text(json.dumps({**json.loads(path.read_text()), **more}))
+    picture = np.zeros((40, 60, 3), np.uint8)
+    for name in ("surfaces", "map", "funnel", "sections"):
+        cv2.imwrite(str(run / "network" / f"{name}.png"), picture)
+    part = network_part(read_run(run))
+    assert part["model"] == ["Preview model: 60 of 60 images."] and ("Network", ["odd light"]) in part["notes"]
+    assert [c.split()[0] for _, c in part["pictures"]] == ["The", "What", "Frame-offset", "What"]  # the funnel is drawn
+    assert [t.rows[0][1] for t in part["links"]] == ["open 1", "up/cam0/000003.jpg"] and part["sound"] is None
+    text = write_report(run, SMALL).read_text(encoding="utf-8")
+    assert "Are neighbouring sections tied" in text and "Weak links: places where" in text
+    assert "1 border between sections is not tied" in text
+
+
+_WEAK = {"columns": ["kind", "where"], "rows": [["joint", "up/cam0/000003.jpg"]]}
+_LINKS = {"columns": ["pass", "before", "tied"], "rows": [["up", "open 1", False]]}
+
+
+def test_a_sound_network_is_said_to_be_sound(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "run", "design")
+    path = run / "receipts" / "design.json"
+    nothing = {"weak links": {"columns": ["kind"], "rows": []}}
+    path.write_text(json.dumps({**json.loads(path.read_text()), "tables": nothing}))
+    assert network_part(read_run(run))["sound"].startswith("No weak links")
 
 
 def test_words() -> None:

@@ -54,8 +54,8 @@ class RunOptions(Common):
 
 def main(arguments: list[str]) -> int:
     """`tiegraph run`."""
-    images, known = _preparse(arguments)
-    before = open_project(images, known.out, preset=known.preset) if images else None
+    known = preparsed(arguments)
+    before = open_project(known.folder, known.out, preset=known.preset) if known.folder else None
     default = before.settings if before else Settings()
 
     def run(
@@ -80,7 +80,7 @@ def main(arguments: list[str]) -> int:
 
 def main_stage(stage: str, arguments: list[str]) -> int:
     """`tiegraph <stage> OUT`: one stage and what it needs, in a run folder that exists."""
-    folder, _ = _preparse(arguments)
+    folder = preparsed(arguments).folder
     default = open_project(None, folder).settings if folder else Settings()
 
     def run_stage(
@@ -117,8 +117,17 @@ def _cli(function: Any, program: str, arguments: list[str]) -> Any:
         raise SettingsError(f"setting {error.title}.{name} = {first.get('input')!r}: {first['msg']}") from None
 
 
-def _preparse(arguments: list[str]) -> tuple[Path | None, argparse.Namespace]:
-    """The folder and preset the settings' defaults come from, before the full parse."""
+@dataclass(frozen=True)
+class Known:
+    """What is read of the arguments before the full parse: where the settings' defaults come from."""
+
+    folder: Path | None  # the first positional argument
+    out: Path | None
+    preset: str | None
+
+
+def preparsed(arguments: list[str]) -> Known:
+    """The folder, output and preset of the arguments. Raises SettingsError for an unknown preset."""
     parser = argparse.ArgumentParser(add_help=False, exit_on_error=False)
     parser.add_argument("-o", "--out", type=Path)
     parser.add_argument("--preset", choices=None)
@@ -126,4 +135,4 @@ def _preparse(arguments: list[str]) -> tuple[Path | None, argparse.Namespace]:
     first = Path(rest[0]) if rest and not rest[0].startswith("-") else None
     if known.preset is not None and known.preset not in PRESETS:
         open_project(first or ".", known.out, preset=known.preset)  # raises, naming the presets there are
-    return first, known
+    return Known(first, known.out, known.preset)

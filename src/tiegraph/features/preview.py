@@ -32,8 +32,8 @@ class Preview:
     """Features and brightness of one reduced image.
 
     xy (K, 2) f4 pixels of the full image, (0, 0) = corner of the first pixel (COLMAP); descriptors (K, 128) u1
-    root-SIFT; scale: reduced pixels a full pixel; brightness: mean grey of the whole image without mask, 0..255; shares (16,) f4
-    histogram of the grey values, sum 1.
+    root-SIFT; scale: reduced pixels a full pixel; brightness: mean grey of the whole image without mask, 0..255; shares
+    (16,) f4 histogram of the grey values, sum 1.
     """
 
     xy: np.ndarray

@@ -30,8 +30,9 @@ class Fuse:
 def fuse2014(pairs: Pairs, scene: Scene, expected: np.ndarray, safe: bool) -> Fuse:
     """Thin the pairs as paper 002 does; ``safe`` takes back what holds together images that were connected.
 
-    expected (P,) preview matches. Taken literally each cut severs its graph between the first and the last image: the
-    numbers the paper prints (1161 edges by 6 cuts, at 17 edges a node) are those of complete severings too.
+    expected (P,) preview matches. Taken literally each cut severs its graph between the first and the last image; the
+    numbers the paper prints (1161 edges by 6 cuts, at 17 edges a node) are those of complete severings too. The parts
+    may still hang together through each other, the whole does not.
     """
     before = pairs.kept()
     weak = pairs.drop(expected < WEAK, "weak")
@@ -46,10 +47,10 @@ def fuse2014(pairs: Pairs, scene: Scene, expected: np.ndarray, safe: bool) -> Fu
         "weak": _count(pairs, weak),
         "similar": _count(weak, similar),
         "cut": _count(similar, thin) if not safe else _count(similar, thin) + taken_back,
-        "components_before": _pieces(before, n),
-        "components": _pieces(kept, n),
+        "pieces_before": _pieces(before, before, n),
+        "pieces": _pieces(kept, before, n),
     }
-    note = f"fuse2014: {counts['components_before']} components of the pairs before, {counts['components']} after"
+    note = f"fuse2014: {counts['pieces_before']} components of the pairs before, {counts['pieces']} after"
     more = f"; {taken_back} pairs taken back to keep it together" if safe else ""
     surrogate = (
         ""
@@ -150,7 +151,7 @@ def _count(before: Pairs, after: Pairs) -> int:
     return int(np.sum(before.dropped == 0) - np.sum(after.dropped == 0))
 
 
-def _pieces(kept: Pairs, images: int) -> int:
-    """Components of the images that have any pair."""
+def _pieces(kept: Pairs, before: Pairs, images: int) -> int:
+    """Components of the images that had any pair before; an image left alone is one."""
     label = parts(kept.i, kept.j, images)
-    return len(np.unique(label[np.concatenate([kept.i, kept.j])]))
+    return len(np.unique(label[np.concatenate([before.i, before.j])]))

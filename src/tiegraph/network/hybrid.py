@@ -24,9 +24,13 @@ from tiegraph.network.tracks import Candidates, Tracks, entries
 _log = logging.getLogger(__name__)
 
 _KNOWN = 0.05  # worth of a match whose track is joined already: another observation against outliers
+_LEAST = 0.01  # of what an unseen pair was expected to join is counted always: no chosen pair ties nothing
 _FINE, _COARSE, _MANY = 0.03, 0.10, 20_000  # growth of a round for small networks and for those of many images
 _LOOK = 0.10  # growth of a large network between two predictions of its accuracy, which cost more than a round
-_DRIFT = 2.0  # power from the ratio of predicted sigmas to that of adjusted ones: rotations drift too; see ``_loss``
+_DRIFT = {
+    "hybrid": 2.5,
+    "tree": 1.7,
+}  # power from the ratio of predicted sigmas to that of adjusted ones: ``Predictor``
 
 
 @dataclass(frozen=True)
@@ -52,7 +56,7 @@ def choose(candidates: Candidates, start: np.ndarray, budget: Budget, by_tracks:
 
     ``by_tracks``: gain by new tracks (hybrid), else by matches (tree-connectivity).
     """
-    goal = predicted_variance(candidates, np.ones(len(candidates), bool)) if budget.loss is not None else np.nan
+    predictor = Predictor(candidates) if budget.loss is not None else None
     tracks = Tracks(candidates)
     chosen, weight = np.zeros(len(candidates), bool), np.zeros(len(candidates))
     chosen[start] = True
@@ -63,10 +67,10 @@ def choose(candidates: Candidates, start: np.ndarray, budget: Budget, by_tracks:
     while True:
         count = int(chosen.sum())
         done = count == len(candidates)
-        if budget.loss is not None and (candidates.images <= EXACT or done or count >= (1 + _LOOK) * looked):
-            loss, looked = _loss(tracks, goal), count
+        if predictor is not None and (candidates.images <= EXACT or done or count >= (1 + _LOOK) * looked):
+            loss, looked = predictor.loss(tracks, _DRIFT["hybrid" if by_tracks else "tree"]), count
             _log.info("round %d: %d of %d pairs, predicted loss %.1f %%", rounds, count, len(chosen), 100 * loss)
-            if loss <= budget.loss:
+            if budget.loss is not None and loss <= budget.loss:
                 break
         room = min(budget.pairs, len(candidates)) - count
         if room <= 0:
@@ -108,30 +112,54 @@ def _apart(c: Candidates, gain: np.ndarray, count: int) -> np.ndarray:
         width = len(live)
 
 
-def _loss(tracks: Tracks, goal: float) -> float:
-    """Predicted increase of the position sigma over all candidates, a share.
+class Predictor:
+    """Mean position variance of the images for any choice of candidates, by the one-dimensional adjustment of
+    ``resistance``.
 
-    The power was fitted to exact bundle adjustment covariances (benchmarks/network/design_simulated.py).
+    Seen pairs count by the tracks they join. What unseen pairs are expected to join, beside the tracks that hold both
+    images already, counts one a match, as far as the seen pairs have left tracks of the images apart: a feature counts
+    once, however many pairs hope for it.
     """
-    value = predicted_variance(tracks.candidates, tracks.chosen, tracks)
-    return max((value / goal) ** (0.5 * _DRIFT) - 1.0, 0.0) if goal > 0 else 0.0
+
+    def __init__(self, candidates: Candidates) -> None:
+        self._candidates = candidates
+        tracks = _joined(candidates, np.ones(len(candidates), bool))
+        self._final = tracks.pieces()
+        self._all = self.variance(np.ones(len(candidates), bool), tracks)
+        self._seen = float(candidates.seen.mean()) if len(candidates) else 1.0
+
+    def loss(self, tracks: Tracks, drift: float) -> float:
+        """Predicted increase of the position sigma over all candidates, a share: ratio of sigmas ** power - 1.
+
+        The levelling net knows no rotations, whose errors add to those of positions, and a choice is judged by the very
+        tracks it was made by: power ``drift``, fitted to exact covariances of bundle adjustments of full tracks at
+        losses of 5 to 30 % (benchmarks/network/design_simulated.py). Where few pairs were seen the net makes losses too
+        large instead, and the power goes down to 1.
+        """
+        power = 1.0 + (drift - 1.0) * self._seen**2
+        value = self.variance(tracks.chosen, tracks)
+        return max((value / self._all) ** (0.5 * power) - 1.0, 0.0) if self._all > 0 else 0.0
+
+    def variance(self, chosen: np.ndarray, tracks: Tracks | None = None) -> float:
+        """Variance in units of no meaning for chosen (E,) bool; ``tracks``: theirs, if they are joined already."""
+        c = self._candidates
+        tracks = _joined(c, chosen) if tracks is None else tracks
+        seen = tracks.incidence()
+        matrix = of_tracks(seen)
+        unseen = np.flatnonzero(chosen & ~c.seen)
+        if len(unseen):
+            i, j, expected = c.i[unseen], c.j[unseen], c.expected[unseen]
+            new = np.maximum(expected - entries(csr_array(seen @ seen.T), i, j), _LEAST * expected)
+            apart = np.maximum(tracks.pieces() - self._final, 0.0)
+            asked = np.bincount(i, new, c.images) + np.bincount(j, new, c.images)
+            share = np.minimum(apart / np.maximum(asked, 1e-9), 1.0)
+            new *= np.maximum(np.minimum(share[i], share[j]), _LEAST)
+            matrix = csr_array(matrix + laplacian(i, j, new, c.images))
+        return Net(matrix).variance()
 
 
-def predicted_variance(candidates: Candidates, chosen: np.ndarray, tracks: Tracks | None = None) -> float:
-    """Mean position variance of the images by the tracks of the chosen pairs (E,) bool, in units of no meaning.
-
-    The one-dimensional bundle adjustment of ``resistance``; the tracks an unseen pair is expected to join beside those
-    that hold both images already count as tracks of two.
-    """
-    c = candidates
-    if tracks is None:
-        tracks = Tracks(c)
-        tracks.choose(np.flatnonzero(chosen & c.seen), np.zeros(len(c)))
-    seen = tracks.incidence()
-    matrix = of_tracks(seen)
-    unseen = np.flatnonzero(chosen & ~c.seen)
-    if len(unseen):
-        shared = entries(csr_array(seen @ seen.T), c.i[unseen], c.j[unseen])
-        new = np.maximum(c.expected[unseen] - shared, _KNOWN * c.expected[unseen])
-        matrix = csr_array(matrix + laplacian(c.i[unseen], c.j[unseen], new / 2, c.images))
-    return Net(matrix).variance()
+def _joined(candidates: Candidates, chosen: np.ndarray) -> Tracks:
+    """The tracks of the seen ones among the chosen pairs."""
+    tracks = Tracks(candidates)
+    tracks.join(np.flatnonzero(chosen & candidates.seen))
+    return tracks

@@ -121,7 +121,9 @@ def _propagated(nodes: _Nodes, book: PreviewBook, settings: NetworkSettings) -> 
     """Numbers of the node pairs that were previewed: look-alikes and neighbours by name first, then, while previews
     hit and the budget lasts, neighbours of neighbours; images with few ties go further down their list."""
     count = len(nodes)
-    budget = PER_IMAGE * count if nodes.words else max(BLIND_BUDGET, int(BLIND_SHARE * count * (count - 1) / 2))
+    budget = PER_IMAGE * count
+    if nodes.words is None:
+        budget = max(BLIND_BUDGET, int(BLIND_SHARE * count * (count - 1) / 2))
     rng = np.random.default_rng(0)
     own = np.flatnonzero(nodes.loose)
     near = [nodes.keys(own[:-step], own[step:]) for step in range(1, BY_NAME + 1)]
@@ -141,7 +143,7 @@ def _propagated(nodes: _Nodes, book: PreviewBook, settings: NetworkSettings) -> 
             return key
         hits = nodes.measure(new, book) >= SURE * settings.min_matches
         key = np.union1d(key, new)
-        if nodes.words and hits.mean() < HIT_RATE:
+        if nodes.words is not None and hits.mean() < HIT_RATE:
             return key
 
 
@@ -162,14 +164,14 @@ def _friends(nodes: _Nodes, a: np.ndarray, b: np.ndarray, score: np.ndarray, min
     """Numbers of the FRIENDS new pairs of each node with most in common: ties to the same nodes, times likeness."""
     count = len(nodes)
     graph = _graph(a, b, score, count, min_matches)
-    known = csr_array((np.ones(2 * len(a)), (np.r_[a, b], np.r_[b, a])), shape=(count, count))
+    known = nodes.keys(a, b)
     out = [np.zeros(0, np.int64)]
     for start in range(0, count, BLOCK):
         rows = np.arange(start, min(start + BLOCK, count))
         common = (graph[rows] @ graph).tocoo()
         row, column, value = common.coords[0] + start, common.coords[1], common.data
         fresh = (row != column) & (nodes.loose[row] | nodes.loose[column])
-        fresh &= ~np.asarray(known[row, column]).ravel().astype(bool)
+        fresh &= ~np.isin(np.minimum(row, column).astype(np.int64) * count + np.maximum(row, column), known)
         row, column, value = row[fresh], column[fresh], value[fresh]
         if nodes.words is not None:
             value = value * nodes.words.between(nodes.image[row], nodes.image[column])

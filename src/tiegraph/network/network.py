@@ -3,20 +3,32 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from tiegraph.errors import choose
+from tiegraph.geometry import transforms
 from tiegraph.network import pictures as draw
 from tiegraph.network.design import component_notes
+from tiegraph.network.light import Cue, UpLight
 from tiegraph.network.model import ModelFunction, SurveyModel, by_model
 from tiegraph.network.offsets import OffsetCurve
 from tiegraph.network.passes import MatchFunction, PreviewBook, find_passes
 from tiegraph.network.rigcheck import check_rigs
-from tiegraph.network.sections import Section, SectionResult, find_sections, join_places, split
+from tiegraph.network.sections import Section, SectionResult, find_sections, join_places, section_links, split
 from tiegraph.network.settings import NetworkSettings
-from tiegraph.network.sources import SOURCES, Context, Proposal, automatic, axes_pairs, axes_rows
+from tiegraph.network.sources import (
+    FEW_PHOTOS,
+    SOURCES,
+    Context,
+    Descriptors,
+    Proposal,
+    automatic,
+    axes_pairs,
+    axes_rows,
+)
+from tiegraph.network.surface import OffsetSurface
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Ties
@@ -39,54 +51,91 @@ class Network:
     threshold: float  # grey value between bridge and open sky, NaN = one section
     ties: Ties  # of everything that was previewed
     model: SurveyModel | None = None  # the preview model
+    cues: tuple[Cue, ...] = ()  # of the sections
+    surfaces: tuple[OffsetSurface, ...] = ()
+    tables: dict[str, dict] = field(default_factory=dict)
 
     def pictures(self) -> list[tuple[str, bytes]]:
         """(name, PNG) of the correspondence matrix, the offset curves and the section brightness."""
         out = [("matrix", draw.matrix_png(self.pairs, self.scene))]
+        out.append(("map", draw.map_png(self.pairs, self.positions(), self.scene, unit=self.unit())))
+        if self.surfaces:
+            out.append(("surfaces", draw.surfaces_png(self.surfaces)))
         if self.curves:
             out.append(("offsets", draw.curves_png(self)))
-        if np.isfinite(self.brightness).any():
+        if self.cues:
             out.append(("sections", draw.sections_png(self)))
+        out.append(("funnel", draw.funnel_png(self.pairs, len(self.scene))))
         return out
+
+    def positions(self) -> np.ndarray | None:
+        """(F, 3) of the frames: from the prior where most have one, else from the preview model; None = nowhere."""
+        prior = self.scene.world_from_rig[:, :3, 3]
+        if np.isfinite(prior).all(axis=1).mean() >= 0.5 or self.model is None:
+            return prior if np.isfinite(prior).all(axis=1).any() else None
+        centre = transforms.centre(self.model.cam_from_world)
+        out = np.full((self.scene.frames, 3), np.nan)
+        for k in np.flatnonzero(np.isfinite(centre).all(axis=1))[::-1]:
+            out[self.scene.frame[k]] = centre[k]
+        return out
+
+    def unit(self) -> str:
+        """Unit of the positions: metres of the prior, or the model's own."""
+        prior = self.scene.world_from_rig[:, :3, 3]
+        return "m" if np.isfinite(prior).all(axis=1).mean() >= 0.5 or self.model is None else "units"
 
 
 def estimate_network(
     scene: Scene,
-    brightness: np.ndarray,
+    light: UpLight | np.ndarray,
     match: MatchFunction,
     settings: NetworkSettings,
     make_model: ModelFunction | None = None,
+    descriptors: Descriptors | None = None,
 ) -> Network:
     """Candidate pairs of a scene from the sources of the settings.
 
-    ``brightness`` (N,) mean grey of each image; ``match`` takes image pairs (P, 2) i4 and returns P preview matches
-    (``inliers``, ``rotation``, ``shift``, ``matches``); ``make_model`` makes a small model of ties. Raises
-    SettingsError for an unknown source, InputError for a bad pair list.
+    ``light``: what up cameras show, or the mean grey (N,) of each image alone; ``match`` takes image pairs (P, 2) i4
+    and returns P preview matches (``inliers``, ``rotation``, ``shift``, ``matches``); ``make_model`` makes a small
+    model of ties; ``descriptors`` gives those of all previews, for retrieval. Raises SettingsError for an unknown
+    source, InputError for a bad pair list.
     """
     book = PreviewBook(match, len(scene))
     scene, rig_notes = _checked(scene, book, settings)
     passes = find_passes(scene)
-    proposal = _propose(Context(scene, passes, book, settings))
+    proposal = _propose(Context(scene, passes, book, settings, descriptors))
     pairs = proposal.pairs
     notes = [*rig_notes, *proposal.notes]
     model = None
-    if settings.model and make_model is not None and _uses_axes(settings):
+    if settings.model and make_model is not None and _uses_axes(settings) and len(scene) > FEW_PHOTOS:
         result = by_model(pairs, scene, book, settings, make_model)
         pairs, scene, model = result.pairs, result.scene, result.model
-        notes += result.notes
+        notes += list(result.notes)
     if settings.offsets and _uses_axes(settings):
-        pairs, said = _with_axes(pairs, scene, passes, settings)
-        notes += said
+        pairs, text = _with_axes(pairs, scene, passes, settings)
+        notes += text
     pairs = pairs.with_(score=np.where(np.isnan(pairs.score), book.known(pairs.i, pairs.j), pairs.score))
-    cut = _sections(scene, brightness, pairs, settings)
+    cut = _sections(scene, light, pairs, settings)
     scene = scene.with_(section=cut.of_frame)
     if settings.sections == "split" and len(cut.sections) > 1:
         pairs = split(pairs, scene)
     total = len(scene) * (len(scene) - 1) / 2
     notes += [*cut.notes, *component_notes(pairs, scene)]
     notes.append(f"{len(book)} previews were matched, {100 * len(book) / max(total, 1):.1f} % of all pairs of images")
+    links, said = section_links(pairs, scene, cut.sections)
     return Network(
-        pairs, scene, proposal.curves, cut.sections, tuple(notes), cut.brightness, cut.threshold, book.ties(), model
+        pairs,
+        scene,
+        proposal.curves,
+        cut.sections,
+        (*notes, *said),
+        cut.brightness,
+        cut.threshold,
+        book.ties(),
+        model,
+        cut.cues,
+        proposal.surfaces,
+        {"section links": links} if links["rows"] else {},
     )
 
 
@@ -107,7 +156,7 @@ def _propose(context: Context) -> Proposal:
     merged = Proposal(Pairs.empty())
     for name in dict.fromkeys(context.settings.sources):
         found = choose("pair source", name, table)(context)  # type: ignore[operator]
-        merged = Proposal(merged.pairs | found.pairs, merged.notes + found.notes, merged.curves + found.curves)
+        merged = merged | found
     return merged
 
 
@@ -121,9 +170,9 @@ def _with_axes(pairs: Pairs, scene: Scene, passes: tuple, settings: NetworkSetti
     return pairs | axes_pairs(passes, settings), [said]
 
 
-def _sections(scene: Scene, brightness: np.ndarray, pairs: Pairs, settings: NetworkSettings) -> SectionResult:
+def _sections(scene: Scene, light: UpLight | np.ndarray, pairs: Pairs, settings: NetworkSettings) -> SectionResult:
     passes = find_passes(scene)
-    found = find_sections(scene, passes, brightness)
+    found = find_sections(scene, passes, light)
     if settings.sections == "off":
         whole = Section("whole survey", "open", tuple(range(scene.frames)))
         return replace(found, sections=(whole,), of_frame=np.zeros(scene.frames, int), threshold=float("nan"), notes=())

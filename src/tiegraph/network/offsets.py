@@ -17,6 +17,7 @@ from tiegraph.network.axes import allowed_within, angles_deg, yaw_between
 from tiegraph.network.lattice import CEILING, FLOOR, Lattice, make_lattice
 from tiegraph.network.passes import Pass, PreviewBook
 from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.surface import OffsetSurface, surfaces_of
 from tiegraph.scene.pairs import REASONS, Pairs
 
 LADDER = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)  # frame distances at which the reach of a camera is measured
@@ -57,6 +58,7 @@ class OffsetResult:
     pairs: Pairs
     curves: tuple[OffsetCurve, ...]
     notes: tuple[str, ...]
+    surfaces: tuple[OffsetSurface, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,8 @@ def estimate_offsets(passes: Sequence[Pass], book: PreviewBook, images: int, set
     pairs = Pairs.empty()
     for part in parts:
         pairs = pairs | part.pairs
-    return OffsetResult(pairs, sum((r.curves for r in parts), ()), sum((r.notes for r in parts), ()))
+    curves, notes, surfaces = (sum((getattr(r, n) for r in parts), ()) for n in ("curves", "notes", "surfaces"))
+    return OffsetResult(pairs, curves, notes, surfaces)
 
 
 # ---------------------------------------------------------------- local offsets
@@ -228,7 +231,8 @@ def _local(survey: _Survey, settings: NetworkSettings) -> OffsetResult:
     code = np.where(strong, 0, np.broadcast_to(reason[:, :, None, None], seen.shape))
     measured = Pairs.make(*lattice.images(seen), "offsets", score=lattice.inliers[seen], dropped=code[seen])
     curves = _curves(lattice, survey.reversed, voted, settings)
-    return OffsetResult(measured | kept, curves, survey.notes)
+    surfaces = surfaces_of(lattice, smooth, settings.min_matches)
+    return OffsetResult(measured | kept, curves, survey.notes, surfaces)
 
 
 # ---------------------------------------------------------------- curves

@@ -73,17 +73,29 @@ class PreviewBook:
 
     def measure(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
         """Inliers (K,) f4 of image pairs (K,), (K,)."""
-        keys = self._key(np.asarray(i), np.asarray(j))
-        new = np.setdiff1d(keys, self._keys)
+        new = np.setdiff1d(self._key(np.asarray(i), np.asarray(j)), self._keys)
         if len(new):
-            pairs = np.stack([new // self._images, new % self._images], axis=1).astype(np.int32)
-            results = self._match(pairs)
-            counts = np.array([r.inliers for r in results], np.float32)
-            self._matches.update((int(k), r.matches) for k, r in zip(new, results) if r.inliers)
-            order = np.argsort(np.concatenate([self._keys, new]), kind="stable")
-            self._keys = np.concatenate([self._keys, new])[order]
-            self._counts = np.concatenate([self._counts, counts])[order]
+            self._remember(new, self._matched(new))
         return self.known(i, j)
+
+    def results(self, i: np.ndarray, j: np.ndarray) -> list[Any]:
+        """Whole results of image pairs (K,), (K,) with i < j, matched anew; their counts and matches are remembered."""
+        keys = self._key(np.asarray(i), np.asarray(j))
+        unique, place = np.unique(keys, return_inverse=True)
+        found = self._matched(unique)
+        new = ~np.isin(unique, self._keys)
+        self._remember(unique[new], [r for r, n in zip(found, new) if n])
+        return [found[k] for k in place]
+
+    def _matched(self, keys: np.ndarray) -> Sequence[Any]:
+        return self._match(np.stack([keys // self._images, keys % self._images], axis=1).astype(np.int32))
+
+    def _remember(self, keys: np.ndarray, results: Sequence[Any]) -> None:
+        counts = np.array([r.inliers for r in results], np.float32)
+        self._matches.update((int(k), r.matches) for k, r in zip(keys, results) if r.inliers)
+        order = np.argsort(np.concatenate([self._keys, keys]), kind="stable")
+        self._keys = np.concatenate([self._keys, keys])[order]
+        self._counts = np.concatenate([self._counts, counts])[order]
 
     def known(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
         """Inliers (K,) f4 of image pairs; NaN = not measured."""
@@ -92,10 +104,6 @@ class PreviewBook:
             return np.full(len(keys), np.nan, np.float32)
         at = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)
         return np.where(self._keys[at] == keys, self._counts[at], np.nan).astype(np.float32)
-
-    def results(self, i: np.ndarray, j: np.ndarray) -> list[Any]:
-        """Whole results of image pairs (K,), (K,) with i < j, matched anew and not remembered."""
-        return list(self._match(np.stack([i, j], axis=1).astype(np.int32)))
 
     def ties(self) -> Ties:
         """The matches of everything measured."""

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from tiegraph.network.network import Network
 
 __all__ = [
-    "curves_png", "draw_sections", "funnel_png", "funnel_table", "map_png", "matrix_png", "sections_png", "surfaces_png",
-    "weak_pairs",
+    "curves_png", "draw_sections", "funnel_png", "funnel_table", "map_png", "matrix_png", "sections_png",
+    "surfaces_png", "weak_pairs",
 ]  # fmt: skip
 MATRIX_CELLS = 1200  # cells a side at most: larger matrices are reduced by their most telling entry
 MAX_PANELS = 60

@@ -158,7 +158,8 @@ def _joined(place: np.ndarray, scene: Scene) -> _Nodes:
     known = np.isfinite(place).all(axis=1)
     step = max(1, -(-int(known.sum()) // MAX_NODES))
     of_frame = np.full(scene.frames, -1)
-    places, tracks = [], []
+    places: list[np.ndarray] = []
+    tracks: list[int] = []
     for t in np.unique(scene.track):
         own = np.flatnonzero((scene.track == t) & known)
         own = own[np.argsort(scene.step[own], kind="stable")]
@@ -305,9 +306,25 @@ def _dots(axes: Axes, scene: Scene, nodes: _Nodes, kept: Pairs) -> None:
         own = nodes.track == t
         axes.plot(*nodes.place[own].T, color=INK, lw=0.6 if t >= 0 else 0, alpha=0.5, zorder=3)
         colour = _PASSES[k % len(_PASSES)]
-        axes.scatter(*nodes.place[own & tied].T, s=size, color=colour, zorder=4, lw=0.3, edgecolor="white")
+        axes.scatter(
+            nodes.place[own & tied, 0],
+            nodes.place[own & tied, 1],
+            s=size,
+            color=colour,
+            zorder=4,
+            lw=0.3,
+            edgecolor="white",
+        )
         if (own & ~tied).any():
-            axes.scatter(*nodes.place[own & ~tied].T, s=3 * size, facecolor="white", edgecolor=RED, zorder=5, lw=1)
+            axes.scatter(
+                nodes.place[own & ~tied, 0],
+                nodes.place[own & ~tied, 1],
+                s=3 * size,
+                facecolor="white",
+                edgecolor=RED,
+                zorder=5,
+                lw=1,
+            )
 
 
 def _names(axes: Axes, scene: Scene, nodes: _Nodes, named: bool) -> None:
@@ -320,7 +337,8 @@ def _names(axes: Axes, scene: Scene, nodes: _Nodes, named: bool) -> None:
         first = nodes.place[np.flatnonzero(nodes.track == t)[0]]
         x, y = (first - (left, low)) / span
         above = y > 0.5 or span[1] < 0.2 * span[0] and k % 2 == 0
-        axes.annotate(f"{scene.tracks[t]} starts", first, (0, (16 + 12 * (k // 2)) * (1 if above else -1)), textcoords="offset points",
+        away = (16 + 12 * (k // 2)) * (1 if above else -1)
+        axes.annotate(f"{scene.tracks[t]} starts", first, (0, away), textcoords="offset points",
                       ha="left" if x < 0.34 else "right" if x > 0.66 else "center", va="bottom" if above else "top",
                       fontsize=8.5, color=_PASSES[k % len(_PASSES)], zorder=7,
                       arrowprops={"arrowstyle": "-", "color": INK, "lw": 0.5, "shrinkB": 3})  # fmt: skip
@@ -333,12 +351,10 @@ def _weak(axes: Axes, nodes: _Nodes, frames: np.ndarray) -> None:
         return
     axes.add_collection(LineCollection(list(nodes.place[ends]), color=RED, linewidths=2.2, alpha=0.9, zorder=6))
     here = nodes.place[np.unique(ends)]
-    axes.scatter(*here.T, s=40, facecolor="none", edgecolor=RED, lw=1.4, zorder=6)
+    axes.scatter(here[:, 0], here[:, 1], s=40, facecolor="none", edgecolor=RED, lw=1.4, zorder=6)
 
 
-def _words(
-    kept: Pairs, scene: Scene, nodes: _Nodes, links: np.ndarray, ties: dict[str, _Ties]
-) -> tuple[str, str]:
+def _words(kept: Pairs, scene: Scene, nodes: _Nodes, links: np.ndarray, ties: dict[str, _Ties]) -> tuple[str, str]:
     inside = int(np.sum(scene.frame[kept.i] == scene.frame[kept.j]))
     lost = int(np.sum(nodes.of_frame < 0))
     parts = [f"one dot = {nodes.step} frames" if nodes.step > 1 else "one dot = one frame"]

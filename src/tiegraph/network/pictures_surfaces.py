@@ -72,7 +72,8 @@ def _draw(axes: Axes, s: OffsetSurface, most: float, line: float) -> None:
     if min(s.kept.shape) > 1 and s.kept.any() and not s.kept.all():
         axes.contour(s.columns, s.rows, s.kept.astype(float), levels=[0.5], colors="#222222", linewidths=0.7)
     axes.plot(s.path, s.rows, color=RED, lw=line)
-    axes.set_xlim(edges_of(s.columns)[[0, -1]])
-    axes.set_ylim(edges_of(s.rows)[[-1, 0]])
+    across, down = edges_of(s.columns), edges_of(s.rows)
+    axes.set_xlim(float(across[0]), float(across[-1]))
+    axes.set_ylim(float(down[-1]), float(down[0]))
     axes.xaxis.set_major_locator(MaxNLocator(nbins=4, integer=True))
     axes.yaxis.set_major_locator(MaxNLocator(nbins=4, integer=True))

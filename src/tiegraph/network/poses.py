@@ -1,4 +1,9 @@
-"""Source ``poses``: pairs from prior positions and orientations by distance, line of sight and baseline (paper 003)."""
+"""Source ``poses``: pairs from prior positions and orientations by distance, line of sight and baseline (paper 003).
+
+Paper 003 tests the distance between cameras, the line of sight and the length of the base. Here the line of sight is
+the shared visible surface (``visible``) of points at an assumed range, and a prior refuses only what it knows: frames
+whose places are less certain than the test needs are not refused by it.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +11,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pycolmap
 from scipy.spatial import cKDTree
 
-from tiegraph.geometry import transforms
-from tiegraph.network.axes import vertical
+from tiegraph.network.headings import with_headings
 from tiegraph.network.passes import Pass
 from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.visible import Overlap, Proxy, assumed_proxy, shared_surface
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
 
@@ -19,42 +25,76 @@ RANGE_SPACINGS = 10.0  # assumed distance to the object, in distances between fr
 FAR_RANGES = 2.0  # frames further apart than this many ranges share nothing that matches
 NEAR_RANGES = 1 / 500  # a shorter base of one camera measures nothing
 NEIGHBOURS = 40  # nearest frames of a frame that are looked at
-FIELD = 0.35  # probe points stand at this share of the field of view off the axis
-MIN_SHARE = 0.4  # of the probe points of either image that the other must see
-RANGE_RATIO = 3.0  # a thing seen from further than this times the range matches no more
-_UP = np.array([0.0, 0.0, 1.0])
+DRIFT = 0.01  # of the path between two frames: error of a trajectory without given accuracy (odometry: about 1 %)
+UNSURE = 0.25  # of the range: less certain than this, two frames are not refused by sight
+SLACK_RAD = 0.3  # most that an uncertain position widens a field of view
+GUESSED_VIEW_DEG = 70.0  # of a camera whose focal length is a guess and that has no neighbour on its rig
+SHARED_VIEW = 1.25  # field of view of such a camera over the angle to the next one on its rig: they overlap
 
 
 @dataclass(frozen=True)
 class PoseResult:
-    """Pairs of the source, frames without a prior position, and what people should know."""
+    """Pairs of the source, frames without a usable prior, what people should know, and the assumed range."""
 
     pairs: Pairs
     without: np.ndarray  # (W,) frame indices
     notes: tuple[str, ...]
+    range_m: float = float("nan")
 
 
-def pose_pairs(scene: Scene, passes: Sequence[Pass], settings: NetworkSettings) -> PoseResult:
+@dataclass(frozen=True)
+class Views:
+    """Prior views of N images: where they are, where they look, and how far they may be off.
+
+    ``pose`` (N, 4, 4) world_from_sensor, rotation NaN = unknown; ``trusted`` (N,): rotation measured, and not taken
+    from the track; ``sigma_m`` (N,) of the position; ``path_m`` (N,) length of the trajectory up to there, NaN = none;
+    ``world`` (N,): poses of one number may be compared, -1 = no position.
+    """
+
+    pose: np.ndarray
+    trusted: np.ndarray
+    sigma_m: np.ndarray
+    path_m: np.ndarray
+    world: np.ndarray
+
+    def centre(self) -> np.ndarray:
+        """(N, 3) projection centres; of the frame where the extrinsics are unknown."""
+        return self.pose[:, :3, 3]
+
+    def axis(self) -> np.ndarray:
+        """(N, 3) optical axes, NaN = unknown."""
+        return self.pose[:, :3, 2]
+
+    def uncertainty_m(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+        """(K,) standard deviation of the distance of image pairs."""
+        drift = DRIFT * np.abs(self.path_m[i] - self.path_m[j])
+        return np.sqrt(self.sigma_m[i] ** 2 + self.sigma_m[j] ** 2 + np.nan_to_num(drift) ** 2)
+
+
+def pose_pairs(
+    scene: Scene, passes: Sequence[Pass], settings: NetworkSettings, proxy: Proxy | None = None
+) -> PoseResult:
     """Pairs of images by their prior poses; those that a test refused carry its reason.
 
-    Distance (reason ``distance``), angle between optical axes (``axes``), a common view at the assumed range
-    (``sight``), too short a base of one camera (``baseline``). Tests that need an unknown orientation are left out.
+    Distance (reason ``distance``), angle between optical axes (``axes``), too short a base of one camera
+    (``baseline``), no shared surface (``sight``) or too little (``overlap``). ``proxy``: points of the surface in the
+    world of the prior; without them points at an assumed range. Tests that need what is unknown are left out.
     """
-    position = scene.world_from_rig[:, :3, 3]
-    with_prior = np.isfinite(position).all(axis=1)
+    with_prior = np.isfinite(scene.world_from_rig[:, :3, 3]).all(axis=1)
     without = np.flatnonzero(~with_prior)
     if with_prior.sum() < 2:
         return PoseResult(Pairs.empty(), without, ("poses: fewer than two frames have a prior position",))
-    poses, headings = _with_headings(scene, passes)
-    reach = settings.range_m or RANGE_SPACINGS * _spacing(position, passes)
-    first, second = _frame_pairs(scene, np.flatnonzero(with_prior), FAR_RANGES * reach)
-    i, j = _image_pairs(scene, first, second)
-    axis, centre, trusted = _views(scene, poses, headings)
-    code = _tests(scene, (i, j), (axis, centre, trusted), reach, settings)
-    angle = _angle(axis[i], axis[j])
-    base = np.linalg.norm(centre[i] - centre[j], axis=1)
-    pairs = Pairs.make(i, j, "poses", dropped=code, baseline_m=base, angle_deg=angle)
-    return PoseResult(pairs, without, _notes(scene, settings, reach, headings, without))
+    poses, headings = with_headings(scene, passes)
+    reach = settings.range_m or assumed_range(scene, passes)
+    views = prior_views(scene, poses, headings, passes)
+    found = predicted_overlap(scene, views, reach, settings, proxy)
+    i, j = _candidates(scene, np.flatnonzero(with_prior), FAR_RANGES * reach, found)
+    code, share = _tests(scene, (i, j), views, found, reach, settings)
+    base = np.linalg.norm(views.centre()[i] - views.centre()[j], axis=1)
+    pairs = Pairs.make(
+        i, j, "poses", dropped=code, overlap=share, baseline_m=base, angle_deg=_angle(views.axis()[i], views.axis()[j])
+    )
+    return PoseResult(pairs, without, _notes(scene, settings, reach, headings, without), reach)
 
 
 def _notes(
@@ -73,63 +113,96 @@ def _notes(
     return tuple(notes)
 
 
-def _spacing(position: np.ndarray, passes: Sequence[Pass]) -> float:
-    """Median distance between successive frames; of loose photographs, to the nearest one."""
+def assumed_range(scene: Scene, passes: Sequence[Pass]) -> float:
+    """Ten times the median distance between successive frames; of loose photographs, to the nearest one."""
+    position = scene.world_from_rig[:, :3, 3]
     steps = [np.linalg.norm(np.diff(position[p.frames], axis=0), axis=1) for p in passes if len(p) > 1]
     gaps = np.concatenate(steps) if steps else np.zeros(0)
     gaps = gaps[np.isfinite(gaps) & (gaps > 0)]
-    if len(gaps):
-        return float(np.median(gaps))
-    known = position[np.isfinite(position).all(axis=1)]
-    nearest = np.asarray(cKDTree(known).query(known, k=2)[0])[:, 1]
-    return max(float(np.median(nearest)), 1e-3)
+    if not len(gaps):
+        known = position[np.isfinite(position).all(axis=1)]
+        gaps = np.asarray(cKDTree(known).query(known, k=2)[0])[:, 1]
+    return RANGE_SPACINGS * max(float(np.median(gaps)), 1e-3)
 
 
-def _with_headings(scene: Scene, passes: Sequence[Pass]) -> tuple[np.ndarray, np.ndarray]:
-    """Poses (F, 4, 4) with unknown rotations of passes filled by the direction of travel, and where (F,) bool.
+def prior_views(scene: Scene, poses: np.ndarray, headings: np.ndarray, passes: Sequence[Pass]) -> Views:
+    """Views of the images by ``poses`` (F, 4, 4) of the rig, of which ``headings`` (F,) come from the track."""
+    pose = scene.with_(world_from_rig=poses).image_priors()
+    known = np.isfinite(pose[:, :3]).all(axis=(1, 2))
+    pose[~known, :3, :3] = np.nan
+    pose[~known, :3, 3] = poses[scene.frame[~known], :3, 3]
+    sigma = np.nan_to_num(scene.position_sigma_m).max(axis=1)
+    path = _path(scene, poses, passes)
+    if np.isfinite(scene.position_sigma_m).any():
+        path = np.full(scene.frames, np.nan)  # the accuracy is given
+    frame = scene.frame
+    world = np.where(np.isfinite(poses[:, :3, 3]).all(axis=1), scene.pose_world(), -1)
+    return Views(pose, known & ~headings[frame], sigma[frame], path[frame], world[frame])
 
-    Reference camera forward, rig upright: wrong by a constant turn about the vertical if it is mounted otherwise, which
-    angles between axes do not notice.
-    """
-    poses = scene.world_from_rig.copy()
-    filled = np.zeros(scene.frames, bool)
+
+def _path(scene: Scene, poses: np.ndarray, passes: Sequence[Pass]) -> np.ndarray:
+    """(F,) length of the way up to each frame, pass after pass; NaN on no pass or without position."""
+    out = np.full(scene.frames, np.nan)
+    gone = 0.0
     for p in passes:
-        unknown = np.isnan(poses[p.frames][:, :3, :3]).any(axis=(1, 2))
-        where = poses[p.frames][:, :3, 3]
-        if not unknown.any() or len(p) < 2:
-            continue
-        sigma = np.nan_to_num(np.nanmax(scene.position_sigma_m[p.frames], axis=1, initial=0.0))
-        for k in np.flatnonzero(unknown):
-            way = _direction(where, sigma, int(k))
-            if way is not None and np.isfinite(where[k]).all():
-                poses[p.frames[k], :3, :3] = _upright(way, vertical(p.rig) if p.rig.known() else -np.eye(3)[1])
-                poses[p.frames[k], 3] = (0, 0, 0, 1)
-                filled[p.frames[k]] = True
-    return poses, filled
+        frames = p.frames[np.isfinite(poses[p.frames][:, :3, 3]).all(axis=1)]
+        if len(frames):
+            steps = np.linalg.norm(np.diff(poses[frames][:, :3, 3], axis=0), axis=1)
+            out[frames] = gone + np.concatenate([[0.0], np.cumsum(steps)])
+            gone = out[frames[-1]]
+    return out
 
 
-def _direction(where: np.ndarray, sigma: np.ndarray, k: int) -> np.ndarray | None:
-    """Horizontal unit vector of travel at frame k over the shortest stretch that is longer than its noise."""
-    for half in range(1, len(where)):
-        a, b = max(0, k - half), min(len(where) - 1, k + half)
-        step = (where[b] - where[a]) * (1, 1, 0)
-        if np.isfinite(step).all() and np.linalg.norm(step) > 4 * max(sigma[a], sigma[b], 1e-3):
-            return step / np.linalg.norm(step)
-        if a == 0 and b == len(where) - 1:
-            return None
-    return None
+def view_cameras(scene: Scene) -> list[pycolmap.Camera | None]:
+    """The camera of each image as wide as it may be: a guessed focal length must not hide what is seen.
+
+    The cameras of a rig are mounted to overlap, so that a guess is widened to SHARED_VIEW of the angle to the next one.
+    """
+    made: list[pycolmap.Camera | None] = []
+    for rig in scene.rigs:
+        angles = rig.axis_angles_deg()
+        angles = np.where(angles > 5, angles, np.nan)
+        for k, sensor in enumerate(rig.sensors):
+            next_ = np.nanmin(angles[k]) if np.isfinite(angles[k]).any() else np.nan
+            made.append(_wide_enough(sensor.camera, float(next_)))
+    return [made[k] for k in scene.sensor_key]
 
 
-def _upright(way: np.ndarray, up_in_rig: np.ndarray) -> np.ndarray:
-    """world_from_rig (3, 3) that takes the rig's vertical to the world's and the reference axis towards ``way``."""
-    ahead = np.array([0.0, 0.0, 1.0])
-    ahead = ahead - (ahead @ up_in_rig) * up_in_rig
-    if np.linalg.norm(ahead) < 1e-3:  # the reference camera looks up: any direction in the plane serves
-        ahead = np.cross(up_in_rig, [1.0, 0.0, 0.0])
-    ahead /= np.linalg.norm(ahead)
-    rig = np.stack([ahead, np.cross(up_in_rig, ahead), up_in_rig], axis=1)
-    world = np.stack([way, np.cross(_UP, way), _UP], axis=1)
-    return world @ rig.T
+def _wide_enough(camera: pycolmap.Camera | None, next_deg: float) -> pycolmap.Camera | None:
+    if camera is None or camera.has_prior_focal_length:
+        return camera
+    view = max(GUESSED_VIEW_DEG, min(SHARED_VIEW * next_deg, 120.0) if np.isfinite(next_deg) else 0.0)
+    focal = camera.width / 2 / np.tan(np.radians(view) / 2)
+    if camera.mean_focal_length() <= focal:
+        return camera
+    params = [focal, camera.width / 2, camera.height / 2]
+    return pycolmap.Camera(model="SIMPLE_PINHOLE", width=camera.width, height=camera.height, params=params)
+
+
+def predicted_overlap(
+    scene: Scene, views: Views, reach: float, settings: NetworkSettings, proxy: Proxy | None = None
+) -> Overlap:
+    """Shared surface of all images whose poses are trusted, world by world."""
+    cameras = view_cameras(scene)
+    cam_from_world = np.full((len(scene), 4, 4), np.nan)
+    cam_from_world[views.trusted] = np.linalg.inv(views.pose[views.trusted])
+    slack = np.minimum(views.sigma_m / reach, SLACK_RAD)
+    parts = []
+    for world in np.unique(views.world[views.world >= 0]):
+        own = np.where((views.world == world)[:, None, None], cam_from_world, np.nan)
+        points = proxy if proxy is not None else assumed_proxy(own, cameras, reach)
+        parts.append(shared_surface(own, cameras, points, max_angle_deg=settings.axes_deg, slack_rad=slack))
+    columns = [np.concatenate([getattr(p, n) for p in parts]) for n in Overlap.__dataclass_fields__]
+    order = np.lexsort((columns[1], columns[0]))
+    return Overlap(*(c[order] for c in columns))
+
+
+def _candidates(scene: Scene, frames: np.ndarray, radius: float, found: Overlap) -> tuple[np.ndarray, np.ndarray]:
+    """Image pairs i < j to be judged: of near frames, and all that share surface."""
+    i, j = _image_pairs(scene, *_frame_pairs(scene, frames, radius))
+    i, j = np.concatenate([np.minimum(i, j), found.i]), np.concatenate([np.maximum(i, j), found.j])
+    key = np.unique(i.astype(np.int64) << 32 | j)
+    return key >> 32, key & 0xFFFFFFFF
 
 
 def _frame_pairs(scene: Scene, frames: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
@@ -137,11 +210,10 @@ def _frame_pairs(scene: Scene, frames: np.ndarray, radius: float) -> tuple[np.nd
 
     Odometry of one pass knows nothing of another pass, and is never compared with it.
     """
-    position = scene.world_from_rig[frames, :3, 3]
-    groups = scene.track[frames] if scene.prior == "odometry" else np.zeros(len(frames), int)
+    position, world = scene.world_from_rig[frames, :3, 3], scene.pose_world()[frames]
     out = [np.stack([frames, frames], axis=1)]
-    for group in np.unique(groups):
-        member = np.flatnonzero(groups == group)
+    for group in np.unique(world):
+        member = np.flatnonzero(world == group)
         count = min(NEIGHBOURS + 1, len(member))
         distance, near = cKDTree(position[member]).query(position[member], k=count)
         distance, near = np.reshape(distance, (len(member), -1)), np.reshape(near, (len(member), -1))
@@ -162,15 +234,6 @@ def _image_pairs(scene: Scene, first: np.ndarray, second: np.ndarray) -> tuple[n
     return i[there], j[there]
 
 
-def _views(scene: Scene, poses: np.ndarray, headings: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Optical axis (N, 3), NaN = unknown; centre (N, 3); whether the axis is known absolutely (N,) bool."""
-    prior = scene.with_(world_from_rig=poses).image_priors()
-    axis = prior[:, :3, 2]
-    known = np.isfinite(axis).all(axis=1)
-    centre = np.where(known[:, None], prior[:, :3, 3], poses[scene.frame][:, :3, 3])
-    return axis, centre, known & ~headings[scene.frame]
-
-
 def _angle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.degrees(np.arccos(np.clip(np.einsum("ij,ij->i", a, b), -1, 1)))
 
@@ -178,50 +241,32 @@ def _angle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def _tests(
     scene: Scene,
     pairs: tuple[np.ndarray, np.ndarray],
-    views: tuple[np.ndarray, np.ndarray, np.ndarray],
+    views: Views,
+    found: Overlap,
     reach: float,
     settings: NetworkSettings,
-) -> np.ndarray:
-    """Index into REASONS of each pair (K,): the first test that refuses it, 0 = none does."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Index into REASONS of each pair (K,), the first test that refuses it, 0 = none does; predicted overlap (K,)."""
     i, j = pairs
-    axis, centre, trusted = views
-    base = np.linalg.norm(centre[i] - centre[j], axis=1)
+    base = np.linalg.norm(views.centre()[i] - views.centre()[j], axis=1)
+    sigma = views.uncertainty_m(i, j)
     code = np.zeros(len(i), int)
-    both = trusted[i] & trusted[j]
+    axis = views.axis()
     # Without orientation nothing but the number of neighbours limits the distance (as COLMAP's spatial matching does).
     oriented = np.isfinite(axis[i]).all(axis=1) & np.isfinite(axis[j]).all(axis=1)
-    _refuse(code, oriented & (base > FAR_RANGES * reach), "distance")
+    _refuse(code, oriented & (base - 2 * sigma > FAR_RANGES * reach), "distance")
     _refuse(code, _angle(axis[i], axis[j]) > settings.axes_deg, "axes")
-    same_camera = (scene.sensor_key[i] == scene.sensor_key[j]) & (scene.frame[i] != scene.frame[j])
-    _refuse(code, same_camera & oriented & (base < NEAR_RANGES * reach), "baseline")
-    open_ = np.flatnonzero(both & (code == 0) & (scene.frame[i] != scene.frame[j]))
-    if len(open_):
-        half = np.radians([s.field_of_view_deg() / 2 for s in scene.all_sensors])
-        half = np.where(np.isfinite(half), half, np.radians(30))[scene.sensor_key]
-        prior = scene.image_priors()
-        seen = [_share(prior, half, a[open_], b[open_], reach) for a, b in ((i, j), (j, i))]
-        blind = np.zeros(len(i), bool)
-        blind[open_] = np.maximum(*seen) < MIN_SHARE
-        _refuse(code, blind, "sight")
-    return code
+    apart = scene.frame[i] != scene.frame[j]
+    same_camera = (scene.sensor_key[i] == scene.sensor_key[j]) & apart
+    _refuse(code, same_camera & oriented & (base + 2 * sigma < NEAR_RANGES * reach), "baseline")
+    both = views.trusted[i] & views.trusted[j]
+    share = np.where(both, found.between(i, j), np.nan)
+    sure = both & apart & (sigma < UNSURE * reach)
+    _refuse(code, sure & (share <= 0), "sight")
+    _refuse(code, sure & (share < settings.min_overlap), "overlap")
+    return code, share
 
 
 def _refuse(code: np.ndarray, mask: np.ndarray, reason: str) -> None:
     """Mark rows of a local array that no earlier test refused."""
     code[mask & (code == 0)] = REASONS.index(reason)
-
-
-def _share(prior: np.ndarray, half: np.ndarray, i: np.ndarray, j: np.ndarray, reach: float) -> np.ndarray:
-    """(K,) share of five probe points of image i, on its axis and towards its rims at the range, that image j sees."""
-    off = np.tan(2 * FIELD * np.minimum(half[i], np.radians(70)))
-    seen = np.zeros(len(i))
-    sensor_from_world = transforms.invert(prior[j])
-    for dx, dy in ((0, 0), (1, 0), (-1, 0), (0, 0.6), (0, -0.6)):
-        ray = np.stack([dx * off, dy * off, np.ones(len(i))], axis=1)
-        ray *= reach / np.linalg.norm(ray, axis=1, keepdims=True)
-        point = np.einsum("kab,kb->ka", prior[i, :3, :3], ray) + prior[i, :3, 3]
-        local = np.einsum("kab,kb->ka", sensor_from_world[:, :3, :3], point) + sensor_from_world[:, :3, 3]
-        distance = np.linalg.norm(local, axis=1)
-        inside = local[:, 2] > np.cos(np.minimum(1.15 * half[j], np.pi)) * distance
-        seen += inside & (distance < RANGE_RATIO * reach) & (distance > reach / RANGE_RATIO)
-    return seen / 5

@@ -155,6 +155,8 @@ def _predicted_shift(rig: Rig, a: int, b: int) -> np.ndarray:
 
 
 def _angles(rig: Rig, votes: _Votes) -> str:
+    if any(s.camera is None or not s.camera.has_prior_focal_length for s in rig.sensors):
+        return ""  # angles from a guessed focal length mean nothing
     nominal = rig.axis_angles_deg()
     parts = []
     for a, b in sorted(set(zip(votes.a.tolist(), votes.b.tolist()))):

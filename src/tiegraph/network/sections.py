@@ -14,6 +14,8 @@ from tiegraph.network.passes import Pass, find_passes
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 
+MIN_SHARED = 0.2  # of the density of pairs within sections: what two sections must share to be one place
+
 
 @dataclass(frozen=True)
 class Section:
@@ -99,7 +101,8 @@ def _runs(dark: np.ndarray) -> list[tuple[int, int, bool]]:
 def join_places(result: SectionResult, scene: Scene, pairs: Pairs) -> SectionResult:
     """Sections of different passes that show one place (the same bridge, there and back) become one section.
 
-    Two sections of one kind are one place when each is the other's densest partner in kept pairs.
+    The sections of two passes are aligned in order, or in reversed order where that gathers more kept pairs: on a short
+    survey everything sees everything, and the most pairs alone would join a bridge's two banks crosswise.
     """
     count = len(result.sections)
     if count < 2:
@@ -107,22 +110,54 @@ def join_places(result: SectionResult, scene: Scene, pairs: Pairs) -> SectionRes
     kept = pairs.kept()
     a, b = (result.of_frame[scene.frame[k]] for k in (kept.i, kept.j))
     there = (a >= 0) & (b >= 0)
+    known = np.isfinite(kept.overlap)
+    weight = np.where(known, kept.overlap, np.median(kept.overlap[known]) if known.any() else 1.0)
     table = np.zeros((count, count))
-    np.add.at(table, (a[there], b[there]), 1.0)
+    np.add.at(table, (a[there], b[there]), weight[there])
     size = np.array([len(s.frames) for s in result.sections], float)
     density = (table + table.T) / np.outer(size, size)
-    passes = np.array([int(scene.track[s.frames[0]]) for s in result.sections])
+    own = np.sqrt(np.outer(density.diagonal(), density.diagonal()))
     kinds = np.array([s.kind for s in result.sections])
-    density[(passes[:, None] == passes[None]) | (kinds[:, None] != kinds[None])] = 0.0
+    density[(kinds[:, None] != kinds[None]) | (density < MIN_SHARED * own)] = 0.0
+    passes = np.array([int(scene.track[s.frames[0]]) for s in result.sections])
     place = np.arange(count)
-    for one in range(count):
-        for track in np.unique(passes):
-            there_ = np.where(passes == track, density[one], 0.0)
-            other = int(np.argmax(there_))
-            back = np.where(passes == passes[one], density[other], 0.0)
-            if there_[other] > 0 and int(np.argmax(back)) == one:
-                place[place == place[other]] = place[one]
+    for one, other in _aligned(density, passes):
+        members = np.flatnonzero((place == place[one]) | (place == place[other]))
+        if len(np.unique(passes[members])) == len(members):  # never two sections of one pass
+            place[members] = place[members].min()
     return _renamed(result, place)
+
+
+def _aligned(density: np.ndarray, passes: np.ndarray) -> list[tuple[int, int]]:
+    """Sections (one, other) of two passes that stand for each other, those that share most first."""
+    found: list[tuple[int, int]] = []
+    tracks = np.unique(passes)
+    for k, p in enumerate(tracks):
+        for q in tracks[k + 1 :]:
+            own, others = np.flatnonzero(passes == p), np.flatnonzero(passes == q)
+            ways = [_best_order(density[np.ix_(own, o)], own, o) for o in (others, others[::-1])]
+            found += max(ways, key=lambda way: sum(density[x, y] for x, y in way))
+    return sorted(found, key=lambda pair: -density[pair])
+
+
+def _best_order(gain: np.ndarray, own: np.ndarray, others: np.ndarray) -> list[tuple[int, int]]:
+    """The alignment of two sequences, both in order, with the largest sum of gains (A, B) (Needleman, Wunsch 1970)."""
+    rows, columns = gain.shape
+    best = np.zeros((rows + 1, columns + 1))
+    for x in range(rows):
+        for y in range(columns):
+            best[x + 1, y + 1] = max(best[x, y + 1], best[x + 1, y], best[x, y] + gain[x, y])
+    out = []
+    x, y = rows, columns
+    while x and y:
+        if gain[x - 1, y - 1] > 0 and best[x, y] == best[x - 1, y - 1] + gain[x - 1, y - 1]:
+            out.append((int(own[x - 1]), int(others[y - 1])))
+            x, y = x - 1, y - 1
+        elif best[x, y] == best[x - 1, y]:
+            x -= 1
+        else:
+            y -= 1
+    return out
 
 
 def _renamed(result: SectionResult, place: np.ndarray) -> SectionResult:
@@ -135,9 +170,7 @@ def _renamed(result: SectionResult, place: np.ndarray) -> SectionResult:
         of_frame[list(frames)] = len(sections)
         sections.append(Section(f"{kind} {1 + sum(s.kind == kind for s in sections)}", kind, frames))
     named = ", ".join(f"{s.name} ({len(s.frames)} frames)" for s in sections)
-    return replace(
-        result, sections=tuple(sections), of_frame=of_frame, notes=(*result.notes, f"sections: {named}")
-    )
+    return replace(result, sections=tuple(sections), of_frame=of_frame, notes=(*result.notes, f"sections: {named}"))
 
 
 def split(pairs: Pairs, scene: Scene) -> Pairs:
@@ -152,7 +185,7 @@ MIN_LINKS = 2  # independent ties across a border
 
 
 def section_links(pairs: Pairs, scene: Scene, sections: Sequence[Section]) -> tuple[dict, tuple[str, ...]]:
-    """Whether neighbouring sections of each pass are tied across their border: a table, and notes on those that are not.
+    """Whether neighbouring sections of each pass are tied across their border: a table, and notes where they are not.
 
     Counted are kept pairs (verified ones once matching has run) between the two runs of frames that meet at a border,
     and how many of them share no image (a matching): two of these is what a chain of models needs to hold together.

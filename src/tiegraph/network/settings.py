@@ -12,7 +12,7 @@ from tiegraph.settings import Section
 
 __all__ = ["DesignSettings", "NetworkSettings", "SourceName"]
 
-SourceName = Literal["auto", "sequence", "exhaustive", "file", "offsets", "poses"]
+SourceName = Literal["auto", "sequence", "exhaustive", "file", "offsets", "poses", "retrieval"]
 
 
 class NetworkSettings(Section):
@@ -38,7 +38,7 @@ class NetworkSettings(Section):
     sample_frames: int = Field(12, ge=2, le=200)
     """Frames of a pass on which the offsets are voted."""
     min_matches: int = Field(12, ge=6, le=500)
-    """Preview matches two images need to count as tied, averaged over neighbouring frames; unrelated images reach 10."""
+    """Preview matches two images need to count as tied, averaged over neighbouring frames; chance gives 10."""
     model: bool = True
     """Make a small model of the best previews and let it say which images see the same surface."""
     model_pairs: int = Field(10, ge=2, le=100)

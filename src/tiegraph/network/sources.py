@@ -5,7 +5,9 @@ from __future__ import annotations
 import difflib
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import reduce
+from operator import or_
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +18,17 @@ from tiegraph.network.loose import scored_pairs
 from tiegraph.network.offsets import OffsetCurve, estimate_offsets
 from tiegraph.network.passes import Pass, PreviewBook, loose_images
 from tiegraph.network.poses import pose_pairs
+from tiegraph.network.retrieval import retrieve
 from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.surface import OffsetSurface
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
 
-FEW_PHOTOS = 120  # loose photographs that are all compared with one another: 7140 pairs
+FEW_PHOTOS = 30  # loose photographs that are all compared with one another: 435 pairs
 NEAREST = 10  # loose photographs with positions: nearest ones that are kept whatever the preview says
 SURE = 1.3  # times min_matches: a single preview must be surer than an average over neighbouring frames
+
+Descriptors = Callable[[], Sequence[np.ndarray]]  # (K, 128) u1 of every image
 
 log = logging.getLogger(__name__)
 
@@ -35,6 +41,7 @@ class Context:
     passes: tuple[Pass, ...]
     book: PreviewBook
     settings: NetworkSettings
+    descriptors: Descriptors | None = None  # of all previews; None = there is no looking for look-alikes
 
 
 @dataclass(frozen=True)
@@ -44,6 +51,15 @@ class Proposal:
     pairs: Pairs
     notes: tuple[str, ...] = ()
     curves: tuple[OffsetCurve, ...] = ()
+    surfaces: tuple[OffsetSurface, ...] = ()
+
+    def __or__(self, other: Proposal) -> Proposal:
+        return Proposal(
+            self.pairs | other.pairs,
+            self.notes + other.notes,
+            self.curves + other.curves,
+            self.surfaces + other.surfaces,
+        )
 
 
 def sequence(context: Context) -> Proposal:
@@ -133,7 +149,7 @@ def _pair_of(words: list[str], place: str, scene: Scene) -> tuple[int, int]:
 def offsets(context: Context) -> Proposal:
     """Frame-offset voting within and between passes (papers 000, 001)."""
     found = estimate_offsets(context.passes, context.book, len(context.scene), context.settings)
-    return Proposal(found.pairs, found.notes, found.curves)
+    return Proposal(found.pairs, found.notes, found.curves, found.surfaces)
 
 
 def poses(context: Context) -> Proposal:
@@ -156,12 +172,22 @@ def _images_of(scene: Scene, frames: np.ndarray) -> np.ndarray:
     return np.flatnonzero(np.isin(scene.frame, frames))
 
 
+def retrieval(context: Context, known: Pairs | None = None) -> Proposal:
+    """Look-alikes: loose photographs, and loops of passes away from the ``known`` pairs. Raises SettingsError if the
+    caller has no descriptors."""
+    if context.descriptors is None:
+        raise SettingsError("network.sources has 'retrieval', but the previews' descriptors are not at hand")
+    found = retrieve(context.scene, context.passes, context.book, context.settings, context.descriptors, known)
+    return Proposal(found.pairs, found.notes)
+
+
 SOURCES: dict[str, Callable[[Context], Proposal]] = {
     "sequence": sequence,
     "exhaustive": exhaustive,
     "file": from_file,
     "offsets": offsets,
     "poses": poses,
+    "retrieval": retrieval,
 }
 
 
@@ -173,7 +199,7 @@ def automatic(context: Context) -> Proposal:
     said: list[str] = []
     if len(loose) == len(scene) and len(loose) <= FEW_PHOTOS:
         said.append("exhaustive")
-        parts.append(exhaustive(context))
+        parts.append(_counted(exhaustive(context), context))
     else:
         if context.passes:
             said += ["sequence", "offsets"]
@@ -182,15 +208,23 @@ def automatic(context: Context) -> Proposal:
         if scene.has_orientations() or (len(loose) and scene.has_positions()):
             said.append("poses")
             parts.append(confirmed(poses(context), context))
-        blind = loose[~np.isfinite(scene.world_from_rig[scene.frame[loose], :3, 3]).all(axis=1)]
-        if len(blind):
+        if context.descriptors is not None:
+            said.append("retrieval")
+            known = reduce(or_, (p.pairs for p in parts), Pairs.empty())
+            parts.append(retrieval(context, known))
+        elif len(loose):
             said.append("previews of loose photographs")
-            parts.append(Proposal(scored_pairs(scene, blind, context.book, context.settings)))
-    pairs = Pairs.empty()
+            parts.append(Proposal(scored_pairs(scene, loose, context.book, context.settings)))
+    merged = Proposal(Pairs.empty(), (f"sources chosen: {', '.join(said)}",))
     for part in parts:
-        pairs = pairs | part.pairs
-    notes = (f"sources chosen: {', '.join(said)}", *(n for part in parts for n in part.notes))
-    return Proposal(pairs, notes, sum((part.curves for part in parts), ()))
+        merged = merged | part
+    return merged
+
+
+def _counted(proposal: Proposal, context: Context) -> Proposal:
+    """A proposal with its pairs previewed and none dropped: the design needs to know what they share."""
+    pairs = proposal.pairs
+    return replace(proposal, pairs=pairs.with_(score=context.book.measure(pairs.i, pairs.j)))
 
 
 def confirmed(proposal: Proposal, context: Context) -> Proposal:
@@ -205,7 +239,7 @@ def confirmed(proposal: Proposal, context: Context) -> Proposal:
     weak = score < SURE * context.settings.min_matches
     loose = context.scene.track[context.scene.frame] < 0
     near = _nearest(pairs.with_(score=score), len(context.scene)) & loose[pairs.i] & loose[pairs.j]
-    return Proposal(pairs.with_(score=score).drop(weak & ~near, "weak"), proposal.notes, proposal.curves)
+    return Proposal(pairs.with_(score=score).drop(weak & ~near, "weak"), proposal.notes)
 
 
 def _nearest(pairs: Pairs, images: int) -> np.ndarray:

@@ -43,9 +43,9 @@ class Candidates:
         """Candidates of pairs i < j (E,) from the preview matches of those that were previewed."""
         ties = Ties.empty() if ties is None else ties
         row = ties.find(i, j)
-        count = np.where(row >= 0, ties.counts()[row], 0) if len(ties) else np.zeros(len(i), np.int64)
+        count = np.where(row >= 0, np.append(ties.counts(), 0)[row], 0)
         start = np.concatenate([[0], np.cumsum(count)])
-        at = np.repeat(ties.start[row] if len(ties) else 0, count) + np.arange(start[-1]) - np.repeat(start[:-1], count)
+        at = np.repeat(ties.start[row] - start[:-1], count) + np.arange(start[-1])
         match = ties.matches[at]
         width = int(match.max(initial=0)) + 1
         left = np.repeat(i.astype(np.int64), count) * width + match[:, 0]
@@ -101,7 +101,7 @@ class Tracks:
         """Join the tracks of the candidates at places (K,), which were to join ``new`` (E,)."""
         c = self.candidates
         self.chosen[places] = True
-        self._join(places[c.seen[places]])
+        self.join(places[c.seen[places]])
         unseen = places[~c.seen[places]]
         if not c.seen.all():
             matrix = self.joint()
@@ -110,7 +110,8 @@ class Tracks:
             if len(unseen):
                 self._expect(unseen, new[unseen], matrix)
 
-    def _join(self, places: np.ndarray) -> None:
+    def join(self, places: np.ndarray) -> None:
+        """Join the matches of the candidates at places (K,), all of them seen."""
         c = self.candidates
         count = np.diff(c.start)[places]
         at = np.repeat(c.start[places] - np.cumsum(count) + count, count) + np.arange(count.sum())
@@ -153,6 +154,14 @@ class Tracks:
         start = np.concatenate([[0], np.cumsum(kept)])[self.candidates.first]
         shape = (self.candidates.images, int(np.sum(size >= 2)))
         return csr_array((np.ones(len(column), np.float32), column, start), shape=shape)
+
+    def pieces(self) -> np.ndarray:
+        """(N,) tracks and single features by image, a track shared out among its observations; an image that was never
+        previewed has as many single features as its pairs expect."""
+        size = np.bincount(self.parent, minlength=len(self.parent))
+        first = self.candidates.first
+        total = np.concatenate([[0.0], np.cumsum(1.0 / size[self.parent])])
+        return np.diff(total[first]) + np.maximum(self.features - np.diff(first), 0.0)
 
     def joint(self) -> csr_array:
         """(N, N) tracks that two images share."""

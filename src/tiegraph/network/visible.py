@@ -17,54 +17,20 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from tiegraph.geometry import transforms
+from tiegraph.network.proxy import Proxy, assumed_proxy, observed_proxy, points_proxy
+from tiegraph.network.view import View
+
+__all__ = ["Overlap", "Proxy", "assumed_proxy", "observed_proxy", "points_proxy", "shared_surface"]
 
 CELLS = (24, 18)  # image cells across and down: votes and occlusion
 BEHIND = 1.2  # a point further than this times the nearest one of its cell is hidden
-FAR_OBSERVERS = 2.0  # a point is not seen from further than this times its farthest observer
 FRONT_COS = -0.3  # cosine between the ray and the mean direction to the observers; below it the back is seen
-MIN_TRACK = 3  # observers a point needs, where enough points have so many
 MEAN_VISIBLE = (700, 2500)  # points an image sees on average, in the largest surveys and in small ones
 SIGHTS = 3_000_000  # of all images together: bounds memory
 ANGLE_POINTS = 400  # points an image sees on average that the mean angles and scales are taken from
-ASSUMED_GRID = (6, 5)  # rays across and down an image for a proxy at an assumed range
-ASSUMED_RANGES = (0.5, 1.0, 2.0)  # of the assumed range
-ASSUMED_REACH = 3.0  # ranges from which such a point is still seen
 _LEAF = 64  # points of a box that is tested as one
 _BLOCK = 128  # rows of the pair table worked out at once
-_GUESSED_HALF_VIEW = np.radians(30)
-
-
-@dataclass(frozen=True)
-class Proxy:
-    """P points that stand for the surface, with what is known of their observers.
-
-    ``reach``: distance from which a point is still seen, inf = any; ``towards``: mean unit vector to its observers,
-    zero = not known; ``image``/``point`` (O,): observations. ``assumed``: the points are not measured, each stands for
-    the one image that observes it: they hide nothing, and an image votes with its own points only.
-    """
-
-    points: np.ndarray  # (P, 3)
-    reach: np.ndarray  # (P,)
-    towards: np.ndarray  # (P, 3)
-    image: np.ndarray  # (O,)
-    point: np.ndarray  # (O,)
-    assumed: bool = False
-
-    def __len__(self) -> int:
-        return len(self.points)
-
-    def keep(self, mask: np.ndarray) -> Proxy:
-        """Only the points of a mask (P,)."""
-        number = np.cumsum(mask) - 1
-        seen = mask[self.point]
-        return Proxy(
-            self.points[mask],
-            self.reach[mask],
-            self.towards[mask],
-            self.image[seen],
-            number[self.point[seen]],
-            self.assumed,
-        )
+_OWNERS = 256  # images whose assumed points are worked out at once
 
 
 @dataclass(frozen=True)
@@ -94,107 +60,13 @@ class Overlap:
         return Overlap(*(getattr(self, n)[mask] for n in self.__dataclass_fields__))
 
 
-def observed_proxy(points: np.ndarray, image: np.ndarray, point: np.ndarray, cam_from_world: np.ndarray) -> Proxy:
-    """Proxy of model points (P, 3) and their observations: ``image`` (O,) sees ``point`` (O,).
-
-    Points with fewer than MIN_TRACK observers are left out, unless that would take more than half of them.
-    """
-    centre = transforms.centre(cam_from_world)
-    known = np.isfinite(centre[image]).all(axis=1)
-    image, point = np.asarray(image)[known], np.asarray(point)[known]
-    ray = centre[image] - points[point]
-    distance = np.maximum(np.linalg.norm(ray, axis=1), 1e-12)
-    towards = np.zeros((len(points), 3))
-    np.add.at(towards, point, ray / distance[:, None])
-    towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
-    reach = np.zeros(len(points))
-    np.maximum.at(reach, point, FAR_OBSERVERS * distance)
-    track = np.bincount(point, minlength=len(points))
-    proxy = Proxy(points, np.where(track > 0, reach, np.inf), towards, image, point)
-    good = track >= MIN_TRACK
-    return proxy.keep(good) if good.sum() >= 0.5 * len(points) else proxy
-
-
-def points_proxy(points: np.ndarray) -> Proxy:
-    """Proxy of bare points (P, 3), such as a laser scan, of which no observer is known."""
-    none = np.zeros(0, int)
-    return Proxy(points, np.full(len(points), np.inf), np.zeros((len(points), 3)), none, none)
-
-
-def assumed_proxy(
-    cam_from_world: np.ndarray, cameras: Sequence[pycolmap.Camera | None], range_m: float | np.ndarray
-) -> Proxy:
-    """Proxy from poses alone (paper 003): points on a grid of rays of every image, about an assumed range.
-
-    ``range_m`` one for all or (N,), in the unit of the poses.
-    """
-    known = np.flatnonzero(np.isfinite(cam_from_world[:, :3]).all(axis=(1, 2)))
-    ranges = np.broadcast_to(np.asarray(range_m, float), (len(cam_from_world),))
-    rays = {id(c): _grid_rays(c) for c in cameras}
-    steps = np.array(ASSUMED_RANGES)
-    points, towards, reach, image = [], [], [], []
-    for k in known:
-        world = rays[id(cameras[k])] @ cam_from_world[k, :3, :3]
-        centre = transforms.centre(cam_from_world[k])
-        points.append((centre + world[None] * (steps * ranges[k])[:, None, None]).reshape(-1, 3))
-        towards.append(np.tile(-world, (len(steps), 1)))
-        reach.append(np.full(len(world) * len(steps), ASSUMED_REACH * ranges[k]))
-        image.append(np.full(len(world) * len(steps), k))
-    if not points:
-        return Proxy(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)), np.zeros(0, int), np.zeros(0, int), True)
-    count = len(points) * len(points[0])
-    return Proxy(
-        np.concatenate(points),
-        np.concatenate(reach),
-        np.concatenate(towards),
-        np.concatenate(image),
-        np.arange(count),
-        True,
-    )
-
-
-def _grid_rays(camera: pycolmap.Camera | None) -> np.ndarray:
-    """(G, 3) unit rays through the centres of a grid of the image; those the camera model cannot invert are left out."""
-    u, v = (np.arange(n) + 0.5 for n in ASSUMED_GRID)
-    grid = np.stack(np.meshgrid(u / ASSUMED_GRID[0], v / ASSUMED_GRID[1]), axis=-1).reshape(-1, 2)
-    rays = _View.of(camera).rays(grid)
-    return rays[np.isfinite(rays).all(axis=1)]
-
-
 @dataclass(frozen=True)
-class _View:
-    """A camera as this module needs it: projection to image shares 0..1 and the half angle of a cone round it."""
+class _Eye:
+    """One image: its pose cam_from_world (4, 4), camera, and how far off its pose may be, radians."""
 
-    camera: pycolmap.Camera | None
-    half: float  # radians, to the corners
-
-    @staticmethod
-    def of(camera: pycolmap.Camera | None) -> _View:
-        if camera is None:
-            return _View(None, float(np.arctan(np.sqrt(2) * np.tan(_GUESSED_HALF_VIEW))))
-        rim = np.array([(x, y) for x in (0, 0.5, 1) for y in (0, 0.5, 1)])
-        rays = _View(camera, 0.0).rays(rim)
-        half = np.nanmax(np.arccos(np.clip(rays[:, 2], -1, 1)), initial=0.0)
-        return _View(camera, float(half) if half > 0 else np.radians(89))
-
-    def rays(self, shares: np.ndarray) -> np.ndarray:
-        """(K, 3) unit rays of places given in shares of the image (K, 2); NaN where the model has no inverse."""
-        if self.camera is None:
-            xy = (2 * shares - 1) * np.tan(_GUESSED_HALF_VIEW)
-        else:
-            xy = np.asarray(self.camera.cam_from_img(shares * (self.camera.width, self.camera.height)), float)
-        rays = np.column_stack([xy, np.ones(len(xy))])
-        return rays / np.linalg.norm(rays, axis=1, keepdims=True)
-
-    def project(self, local: np.ndarray) -> np.ndarray:
-        """(K, 2) shares of the image, NaN = not in it, of points (K, 3) in the camera frame with z > 0."""
-        if self.camera is None:
-            shares = (local[:, :2] / local[:, 2:] / np.tan(_GUESSED_HALF_VIEW) + 1) / 2
-        else:
-            shares = np.asarray(self.camera.img_from_cam(local), float) / (self.camera.width, self.camera.height)
-        with np.errstate(invalid="ignore"):
-            inside = ((shares >= 0) & (shares < 1)).all(axis=1)
-        return np.where(inside[:, None], shares, np.nan)
+    pose: np.ndarray
+    view: View
+    slack: float
 
 
 class _Boxes:
@@ -231,21 +103,26 @@ class _Sight:
     distance: np.ndarray
 
 
-def _sight(pose: np.ndarray, view: _View, proxy: Proxy, boxes: _Boxes, own: np.ndarray) -> _Sight:
-    centre = transforms.centre(pose)
-    near = boxes.near(centre, pose[2, :3], 1.05 * view.half)
-    ray = proxy.points[near] - centre
+def _visible(eye: _Eye, proxy: Proxy, near: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of points ``near`` (K,): whether in view and not seen from behind (K,) bool, image cell, distance."""
+    pose, half = eye.pose, 1.05 * eye.view.half + eye.slack
+    ray = proxy.points[near] - transforms.centre(pose)
     distance = np.linalg.norm(ray, axis=1)
     local = ray @ pose[:3, :3].T
-    ahead = (local[:, 2] > max(np.cos(1.05 * view.half), 1e-6) * distance) & (distance < proxy.reach[near])
-    facing = -np.einsum("kc,kc->k", ray, proxy.towards[near])
-    known = proxy.towards[near].any(axis=1)
-    rows = np.flatnonzero(ahead & (~known | (facing > FRONT_COS * distance)))
-    shares = view.project(local[rows])
-    inside = np.isfinite(shares).all(axis=1)
-    rows, shares = rows[inside], shares[inside]
-    cell = (shares * CELLS).astype(int) @ (1, CELLS[0])
-    point, distance = near[rows], distance[rows]
+    ahead = (local[:, 2] > max(np.cos(min(half, np.pi)), 1e-6) * distance) & (distance < proxy.reach[near])
+    towards = proxy.towards[near]
+    facing = -np.einsum("kc,kc->k", ray, towards) > FRONT_COS * distance
+    seen = ahead & (facing | ~towards.any(axis=1))
+    shares = np.full((len(near), 2), np.nan)
+    shares[seen] = eye.view.project(local[seen], eye.slack)
+    seen &= np.isfinite(shares).all(axis=1)
+    return seen, (np.where(seen[:, None], shares, 0.0) * CELLS).astype(int) @ (1, CELLS[0]), distance
+
+
+def _sight(eye: _Eye, proxy: Proxy, boxes: _Boxes, own: np.ndarray) -> _Sight:
+    near = boxes.near(transforms.centre(eye.pose), eye.pose[2, :3], 1.05 * eye.view.half + eye.slack)
+    seen, cell, distance = _visible(eye, proxy, near)
+    point, cell, distance = near[seen], cell[seen], distance[seen]
     if not proxy.assumed:
         nearest = np.full(CELLS[0] * CELLS[1], np.inf)
         np.minimum.at(nearest, cell, distance)
@@ -261,24 +138,36 @@ def shared_surface(
     floor: float = 0.02,
     max_angle_deg: float = 90.0,
     max_scale: float = 4.0,
+    slack_rad: np.ndarray | float = 0.0,
 ) -> Overlap:
     """Pairs of images whose predicted overlap reaches ``floor``.
 
     ``cam_from_world`` (N, 4, 4), NaN = unknown (such images are in no pair); ``cameras`` one an image, None = unknown
     (60 degrees of view assumed). Pairs whose rays to the shared surface meet at more than ``max_angle_deg``, or whose
-    distances to it differ by more than ``max_scale``, match no more and are left out.
+    distances to it differ by more than ``max_scale``, match no more and are left out. ``slack_rad`` (N,): images see so
+    much more on every side, for poses that are not sure.
     """
     known = np.flatnonzero(np.isfinite(cam_from_world[:, :3]).all(axis=(1, 2)))
-    empty = Overlap(*(np.zeros(0, int),) * 2, *(np.zeros(0),) * 3)
     if len(known) < 2 or not len(proxy):
-        return empty
-    poses = cam_from_world[known]
-    views = {id(c): _View.of(c) for c in cameras}
-    seen = _all_sights(poses, [views[id(cameras[k])] for k in known], known, proxy)
-    found = _pairs(seen, transforms.centre(poses), floor)
+        return Overlap(*(np.zeros(0, int),) * 2, *(np.zeros(0),) * 3)
+    views = {id(c): View.of(c) for c in cameras}
+    slack = np.broadcast_to(np.asarray(slack_rad, float), (len(cam_from_world),))
+    eyes = [_Eye(cam_from_world[k], views[id(cameras[int(k)])], float(slack[k])) for k in known]
+    centre = transforms.centre(cam_from_world[known])
+    parts = _by_owner(proxy, known, centre) if proxy.assumed else [proxy]
+    found = _undirected(np.concatenate([_directed(_all_sights(eyes, known, p), centre, floor) for p in parts], axis=1))
     too_much = (found.angle_deg > max_angle_deg) | (np.abs(np.log(found.scale)) > np.log(max_scale))
     found = found.where(~too_much)
     return Overlap(known[found.i], known[found.j], found.share, found.angle_deg, found.scale)
+
+
+def _by_owner(proxy: Proxy, images: np.ndarray, centre: np.ndarray) -> list[Proxy]:
+    """An assumed proxy in parts, each of the images of one neighbourhood: bounds memory."""
+    order = images[np.asarray(cKDTree(centre, leafsize=16).indices)]
+    owner = np.full(len(proxy), -1)
+    owner[proxy.point] = proxy.image
+    parts = [order[k : k + _OWNERS] for k in range(0, len(order), _OWNERS)]
+    return [proxy.keep(mask) for p in parts if (mask := np.isin(owner, p)).any()]
 
 
 @dataclass(frozen=True)
@@ -293,12 +182,12 @@ class _Table:
     points: np.ndarray  # (P, 3)
 
 
-def _all_sights(poses: np.ndarray, views: list[_View], images: np.ndarray, proxy: Proxy) -> _Table:
-    proxy, boxes = _thinned(poses, views, proxy)
+def _all_sights(eyes: list[_Eye], images: np.ndarray, proxy: Proxy) -> _Table:
+    proxy, boxes = _thinned(eyes, proxy)
     own = _owned(proxy, images)
-    sights = [_sight(poses[k], views[k], proxy, boxes, own[k]) for k in range(len(poses))]
+    sights = [_sight(eye, proxy, boxes, seen) for eye, seen in zip(eyes, own)]
     counts = [len(s.point) for s in sights]
-    image = np.repeat(np.arange(len(poses), dtype=np.int32), counts)
+    image = np.repeat(np.arange(len(eyes), dtype=np.int32), counts)
     point = np.concatenate([s.point for s in sights]).astype(np.int32)
     cell = np.concatenate([s.cell for s in sights]).astype(np.int32)
     distance = np.concatenate([s.distance for s in sights]).astype(np.float32)
@@ -307,7 +196,7 @@ def _all_sights(poses: np.ndarray, views: list[_View], images: np.ndarray, proxy
         owner = np.full(len(proxy), -1)
         owner[proxy.point] = proxy.image
         voter = owner[point] == images[image]
-    return _Table((len(poses), len(proxy)), image, point, distance, _votes(image, cell, voter), proxy.points)
+    return _Table((len(eyes), len(proxy)), image, point, distance, _votes(image, cell, voter), proxy.points)
 
 
 def _owned(proxy: Proxy, images: np.ndarray) -> list[np.ndarray]:
@@ -318,18 +207,19 @@ def _owned(proxy: Proxy, images: np.ndarray) -> list[np.ndarray]:
     return [point[a:b] for a, b in zip(low, high)]
 
 
-def _thinned(poses: np.ndarray, views: list[_View], proxy: Proxy) -> tuple[Proxy, _Boxes]:
+def _thinned(eyes: list[_Eye], proxy: Proxy) -> tuple[Proxy, _Boxes]:
     """A random part of the points, where images would see far more than is needed."""
     boxes = _Boxes(proxy)
-    enough = float(np.clip(SIGHTS / len(poses), *MEAN_VISIBLE))
+    enough = float(np.clip(SIGHTS / len(eyes), *MEAN_VISIBLE))
     if proxy.assumed or len(proxy) <= enough:
         return proxy, boxes
     rng = np.random.default_rng(0)
-    sample = rng.choice(len(poses), min(len(poses), 40), replace=False)
+    sample = rng.choice(len(eyes), min(len(eyes), 40), replace=False)
     none = np.zeros(0, int)
-    count = np.mean([len(_sight(poses[k], views[k], proxy, boxes, none).point) for k in sample])
+    count = np.mean([len(_sight(eyes[k], proxy, boxes, none).point) for k in sample])
     if count <= 1.2 * enough:
         return proxy, boxes
+    # At random: spread evenly over the surface they predicted worse on ``canal`` (textured near surfaces tie).
     proxy = proxy.keep(rng.random(len(proxy)) < enough / count)
     return proxy, _Boxes(proxy)
 
@@ -346,20 +236,22 @@ def _votes(image: np.ndarray, cell: np.ndarray, voter: np.ndarray) -> np.ndarray
 
 
 class _Products:
-    """Sparse tables (images, points) and (points, images) of the same entries with different values."""
+    """Sparse tables of the same entries with different values: of those that vote (images, points), of all turned."""
 
     def __init__(self, seen: _Table) -> None:
         self.shape = seen.shape
-        self.starts = np.searchsorted(seen.image, np.arange(seen.shape[0] + 1))
-        self.point = seen.point
-        numbers = csr_array((np.arange(len(seen.point)), seen.point, self.starts), shape=seen.shape)
-        turned = numbers.T.tocsr()
+        self.votes = np.flatnonzero(seen.vote > 0)
+        self.point = seen.point[self.votes]
+        every = np.arange(seen.shape[0] + 1)
+        self.starts = np.searchsorted(seen.image[self.votes], every)
+        starts = np.searchsorted(seen.image, every)
+        turned = csr_array((np.arange(len(seen.point)), seen.point, starts), shape=seen.shape).T.tocsr()
         self.order, self.image, self.point_starts = turned.data, turned.indices, turned.indptr
 
     def rows(self, values: np.ndarray, first: int, last: int) -> csr_array:
         """Images first..last by points."""
         a, b = self.starts[first], self.starts[last]
-        part = (values[a:b], self.point[a:b], self.starts[first : last + 1] - a)
+        part = (values[self.votes[a:b]], self.point[a:b], self.starts[first : last + 1] - a)
         return csr_array(part, shape=(last - first, self.shape[1]))
 
     def turned(self, values: np.ndarray) -> csr_array:
@@ -367,8 +259,11 @@ class _Products:
         return csr_array((values[self.order], self.image, self.point_starts), shape=self.shape[::-1])
 
 
-def _pairs(seen: _Table, centre: np.ndarray, floor: float) -> Overlap:
-    """Sparse products of the votes with what is seen; for the angle and the scale, weighted by rays and distances."""
+def _directed(seen: _Table, centre: np.ndarray, floor: float) -> np.ndarray:
+    """Rows (5, K) i, j, share of i that j sees, cosine of the rays, log ratio of the distances; share >= floor.
+
+    Sparse products of the votes with what is seen; for the angle and the scale, weighted by rays and distances.
+    """
     sample = _sampled(seen)
     ray = ((sample.points[sample.point] - centre[sample.image]) / sample.distance[:, None]).astype(np.float32)
     log_distance = np.log(sample.distance)
@@ -377,9 +272,11 @@ def _pairs(seen: _Table, centre: np.ndarray, floor: float) -> Overlap:
     ones = few.turned(np.ones(len(sample.image), np.float32))
     right = [few.turned(ray[:, a]) for a in range(3)]
     depth = few.turned(log_distance)
-    rows = []
+    rows = [np.zeros((5, 0))]
     for start in range(0, seen.shape[0], _BLOCK):
         part = (start, min(start + _BLOCK, seen.shape[0]))
+        if all_.starts[part[0]] == all_.starts[part[1]]:
+            continue
         share = (all_.rows(seen.vote, *part) @ share_right).toarray()
         a, b = np.nonzero(share >= floor)
         own = few.rows(sample.vote, *part)
@@ -387,13 +284,13 @@ def _pairs(seen: _Table, centre: np.ndarray, floor: float) -> Overlap:
         cosine = sum((few.rows(sample.vote * ray[:, k], *part) @ right[k]).toarray()[a, b] for k in range(3)) / weight
         ratio = (few.rows(sample.vote * log_distance, *part) @ ones).toarray() - (own @ depth).toarray()
         rows.append(np.stack([a + start, b, share[a, b], cosine, ratio[a, b] / weight]))
-    return _undirected(np.concatenate(rows, axis=1))
+    return np.concatenate(rows, axis=1)
 
 
 def _sampled(seen: _Table) -> _Table:
     """The sights of a random part of the points: mean angles need fewer than shares."""
     part = ANGLE_POINTS * seen.shape[0] / max(len(seen.image), 1)
-    if part >= 0.7:
+    if part >= 0.7 or np.any(seen.vote == 0):  # assumed points are few
         return seen
     keep = (np.random.default_rng(1).random(len(seen.points)) < part)[seen.point]
     return _Table(seen.shape, seen.image[keep], seen.point[keep], seen.distance[keep], seen.vote[keep], seen.points)
@@ -412,3 +309,30 @@ def _undirected(rows: np.ndarray) -> Overlap:
     keep = order[first]
     angle = np.degrees(np.arccos(np.clip(rows[3, keep], -1, 1)))
     return Overlap(i[first], j[first], np.minimum(rows[2, keep], 1.0), angle, np.exp(ratio[keep]))
+
+
+def pair_share(
+    cam_from_world: np.ndarray,
+    cameras: Sequence[pycolmap.Camera | None],
+    i: np.ndarray,
+    j: np.ndarray,
+    range_m: float,
+) -> np.ndarray:
+    """(K,) predicted overlap of a few given pairs by poses alone, at an assumed range; NaN where a pose is unknown.
+
+    The same measure as ``shared_surface`` of an ``assumed_proxy``, one pair after another.
+    """
+    proxy = assumed_proxy(cam_from_world, cameras, range_m)
+    views = {id(c): View.of(c) for c in cameras}
+    order = np.argsort(proxy.image, kind="stable")
+    starts = np.searchsorted(proxy.image[order], np.arange(len(cameras) + 1))
+    known = np.isfinite(cam_from_world[:, :3]).all(axis=(1, 2))
+    out = np.full(len(i), np.nan)
+    for k in np.flatnonzero(known[i] & known[j]):
+        seen = []
+        for a, b in ((i[k], j[k]), (j[k], i[k])):
+            own = order[starts[a] : starts[a + 1]]
+            eye = _Eye(cam_from_world[b], views[id(cameras[b])], 0.0)
+            seen.append(np.mean(_visible(eye, proxy, own)[0]) if len(own) else 0.0)
+        out[k] = max(seen)
+    return out

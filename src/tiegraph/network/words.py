@@ -2,7 +2,7 @@
 
 Two small two-level vocabularies (Nister & Stewenius 2006) instead of VLAD (Jegou 2010; Arandjelovic 2013): measured on
 300 rendered images, 40 retrieved images hold 0.35 instead of 0.31 of the pairs that share 15 % of their surface, on 79
-photographs 0.84 instead of 0.79 of the pairs that SIFT verifies; whitening by the few images of one survey makes VLAD
+photographs 0.83 instead of 0.79 of the pairs that SIFT verifies; whitening by the few images of one survey makes VLAD
 worse (0.23). Nothing is downloaded.
 """
 

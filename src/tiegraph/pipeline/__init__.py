@@ -15,9 +15,9 @@ __all__ = ["STAGES"]
 STAGES = (
     Stage("scan", scan, (), ("scene.json", "images"), "image"),
     Stage("masks", masks, ("scan",), ("masks",), "image"),
-    Stage("preview", preview, ("scan", "masks"), ("preview",), "image"),
-    Stage("network", network, ("scan", "preview"), ("network.npz", "network.csv", "network")),
-    Stage("design", design, ("network",), ("pairs.npz", "pairs.txt", "pairs")),
+    Stage("preview", preview, ("scan", "masks"), ("preview",), "image", version=2),
+    Stage("network", network, ("scan", "preview"), ("network.npz", "network.csv", "network"), version=2),
+    Stage("design", design, ("network",), ("pairs.npz", "pairs.txt", "pairs", "design"), version=2),
     Stage("features", features, ("scan", "masks"), ("database.db",), "image"),
     Stage("match", match, ("network", "design", "features"), ("match.npz",), "block of pairs", clear=forget_matches),
     Stage("sparse", sparse, ("network", "match"), ("sparse",), version=3),

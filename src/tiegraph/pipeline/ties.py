@@ -5,18 +5,22 @@ from __future__ import annotations
 import logging
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import cast
 
 import numpy as np
+import pycolmap
 
 from tiegraph.errors import ReconstructionError
 from tiegraph.features.preview import Preview, PreviewMatch, match_previews
 from tiegraph.features.preview_database import write_preview_database
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.network.design import design as select_pairs
+from tiegraph.network.light import UpLight
 from tiegraph.network.model import SurveyModel
 from tiegraph.network.network import estimate_network
+from tiegraph.network.pictures import map_png, weak_pairs
 from tiegraph.pipeline.capture import preview_path
-from tiegraph.pipeline.files import checked, pairs_of, save_npz, scanned, ties_of
+from tiegraph.pipeline.files import checked, pairs_of, read_mask, save_npz, scanned, ties_of
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, remove, write_atomic
 from tiegraph.scene.scene import Scene
@@ -32,7 +36,7 @@ _CACHED_PREVIEWS = 1024  # of about 40 kB each, in every worker
 def network(run: Run) -> Outcome:
     """Candidate pairs from every source, judged by previews; the rig checked against them; sections cut."""
     scene = scanned(run)
-    brightness = np.array(run.map(_brightness, list(scene.names), run.folder))
+    light = UpLight(*np.array(run.map(_light, list(scene.names), run.folder)).reshape(-1, 2).T)
     matched = [0]
 
     def match(pairs: np.ndarray) -> list[PreviewMatch]:
@@ -40,7 +44,11 @@ def network(run: Run) -> Outcome:
         run.reporter.total(matched[0], matched[0] - len(pairs))
         return run.map(_match_item, [(int(i), int(j)) for i, j in pairs], run.folder, run.settings.preview)
 
-    found = estimate_network(scene, brightness, match, run.settings.network, partial(_survey_model, run))
+    def descriptors() -> list[np.ndarray]:
+        return [_preview(run.folder, name).descriptors for name in scene.names]
+
+    make_model = partial(_survey_model, run)
+    found = estimate_network(scene, light, match, run.settings.network, make_model, descriptors)
     save_npz(run.path("network.npz"), **found.pairs.to_npz())
     save_npz(run.path("network", "ties.npz"), **found.ties.to_npz())
     write_atomic(run.path("network.csv"), found.pairs.to_csv(scene.names))
@@ -49,12 +57,18 @@ def network(run: Run) -> Outcome:
         write_atomic(run.path("network", f"{name}.png"), picture)
     funnel = found.pairs.funnel()
     counts = {"previews": matched[0], "candidates": funnel["candidates"], "kept": funnel["used"]}
-    return Outcome({**counts, "sections": len(found.sections)}, notes=found.notes, tables={"funnel": _table(funnel)})
+    return Outcome(
+        {**counts, "sections": len(found.sections)},
+        notes=found.notes,
+        tables={"funnel": _table(funnel), **found.tables},
+    )
 
 
-def _brightness(name: str, folder: Path) -> float:
-    with np.load(preview_path(folder, name)) as data:
-        return Preview.from_npz(dict(data)).brightness
+def _light(name: str, folder: Path) -> tuple[float, float]:
+    """Mean grey of an image, and the share of an up camera's picture that its mask leaves out (sky)."""
+    scene = _scene(folder)
+    up = scene.sensor_of(scene.image_index[name]).role == "up"
+    return _preview(folder, name).brightness, 1.0 - float(read_mask(folder, name).mean()) if up else float("nan")
 
 
 def _match_item(pair: tuple[int, int], folder: Path, settings: PreviewSettings) -> PreviewMatch:
@@ -82,7 +96,7 @@ def _survey_model(run: Run, scene: Scene, ties: Ties) -> SurveyModel | None:
         database.unlink(missing_ok=True)
     model = made.load(0)
     cameras = {k: model.cameras[k] for k in model.cameras}
-    own = [s.camera for s in scene.all_sensors]
+    own = [cast(pycolmap.Camera, s.camera) for s in scene.all_sensors]  # the scan gave each sensor one
     return SurveyModel(
         image_poses(model, scene),
         tuple(cameras.get(int(key) + 1, own[int(key)]) for key in scene.sensor_key),
@@ -117,6 +131,11 @@ def design(run: Run) -> Outcome:
     funnel = pairs.funnel()
     alone = int(np.sum(pairs.degree(len(scene)) == 0))
     counts = {"pairs": funnel["used"], "images_without": alone, **made.counts}
+    run.path("design").mkdir(exist_ok=True)
+    positions = scene.world_from_rig[:, :3, 3]
+    weak = weak_pairs(made.tables.get("weak links", {}), scene)
+    picture = map_png(pairs, positions if np.isfinite(positions).any() else None, scene, weak=weak)
+    write_atomic(run.path("design", "map.png"), picture)
     return Outcome(counts, notes=made.notes, tables={"funnel": _table(funnel), **made.tables})
 
 

@@ -21,6 +21,7 @@ from tiegraph.report.settings import ReportSettings
 from tiegraph.scene.settings import ScanSettings
 from tiegraph.settings import Section
 from tiegraph.sfm.settings import GeorefSettings, SparseSettings
+from tiegraph.verify.settings import VerifySettings
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -40,6 +41,7 @@ class Settings(Section):
     design: DesignSettings = DesignSettings()
     features: FeaturesSettings = FeaturesSettings()
     match: MatchSettings = MatchSettings()
+    verify: VerifySettings = VerifySettings()
     sparse: SparseSettings = SparseSettings()
     georef: GeorefSettings = GeorefSettings()
     dense: DenseSettings = DenseSettings()

@@ -62,22 +62,6 @@ def saved(figure: Figure, kind: str = "svg") -> str:
     return data_uri(out.getvalue(), "svg+xml" if kind == "svg" else "png")
 
 
-def bars(names: Sequence[str], values: Sequence[float], colours: Sequence[str], label: str) -> str:
-    """Horizontal bars from top to bottom with their numbers."""
-    figure, (ax,) = figure_axes(0.9 + 0.34 * len(names))
-    y = np.arange(len(names))
-    ax.barh(y, values, color=list(colours), height=0.68)
-    ax.set_yticks(y, list(names))
-    ax.invert_yaxis()
-    ax.grid(axis="y", visible=False)
-    ax.set_xlabel(label)
-    top = max([*values, 1])
-    for k, v in enumerate(values):
-        ax.text(v + top * 0.008, k, f"{v:,.0f}".replace(",", " "), va="center", fontsize=9)
-    ax.set_xlim(0, top * 1.1)
-    return saved(figure)
-
-
 def stage_times(rows: Sequence[tuple[str, float, float, float]]) -> str:
     """(stage, wall s, CPU s, peak MiB) as two panels of bars."""
     figure, (left, right) = figure_axes(0.9 + 0.36 * len(rows), 2, (1.7, 1))

@@ -204,6 +204,10 @@ def warnings(run: RunFolder) -> Iterable[str]:
         yield f"{words.plural(len(dropped), 'image file')} could not be used; the reasons are listed below."
     if run.scene is not None and run.model is not None:
         yield from _coverage_warnings(run)
+    untied = _untied_borders(run)
+    if untied:
+        borders = words.plural(untied, "border") + " between sections " + ("is" if untied == 1 else "are")
+        yield f"{borders} not tied by two independent pairs: the model may bend or part there."
     if run.pairs is not None and run.scene is not None and np.any(run.pairs.inliers >= 0):
         kept = run.pairs.kept()
         ties = kept.where(kept.inliers > 0).degree(len(run.scene))
@@ -221,6 +225,16 @@ def warnings(run: RunFolder) -> Iterable[str]:
     if held is not None and fit is not None and held > _HELDOUT_FACTOR * fit:
         text = f"Positions left out of the fit are met {words.number(held / fit, 2)} times worse than those used"
         yield text + ": the model bends towards its control."
+
+
+def _untied_borders(run: RunFolder) -> int:
+    """Rows of the table of section links that say "not tied"."""
+    found = run.receipts.get("network", {}).get("tables")
+    table = next((t for n, t in found.items() if "section" in n), None) if isinstance(found, dict) else None
+    if not isinstance(table, dict) or "tied" not in (table.get("columns") or []):
+        return 0
+    place = table["columns"].index("tied")
+    return sum(row[place] is False for row in table.get("rows") or [] if len(row) > place)
 
 
 def _coverage_warnings(run: RunFolder) -> Iterable[str]:

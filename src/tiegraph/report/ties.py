@@ -12,10 +12,10 @@ STAGES = ("preview", "network", "design", "features", "match", "verify")
 TITLES = {"network": "Network", "design": "Design", "match": "Matching", "verify": "Verification"}
 # Pictures of the network folder in the order they are shown; the first word found in the file's name decides.
 CAPTIONS = {
-    "matrix": "Correspondence matrix: images by pass, camera and frame along both sides; the colour says why a pair was "
-    "dropped.",
-    "map": "The tie graph on the map, by kind of tie: thick bundles hold the survey together, a red line is a place that "
-    "hangs on one link.",
+    "matrix": "Correspondence matrix: images by pass, camera and frame along both sides; the colour says why a pair "
+    "was dropped.",
+    "map": "The tie graph on the map, by kind of tie: thick bundles hold the survey together, a red line is a place "
+    "that hangs on one link.",
     "surface": "What the frames of two passes share: the dark ridge is where both see the same place, the red path "
     "follows it although speed and direction differ.",
     "offset": "Frame-offset curves: preview matches of two cameras against the frame offset between them. A clear peak "

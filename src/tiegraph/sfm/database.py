@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from pathlib import Path
 
@@ -20,12 +20,20 @@ _COPIED = ("cameras", "images", "keypoints", "two_view_geometries")  # all a map
 _UNKNOWN_SIGMA_M = 10.0  # of a position whose source gives none (hand-held GPS)
 
 
-def write_working_copy(source: Path, target: Path, scene: Scene, with_rig: Mapping[int, Rig], positions: bool) -> None:
+def write_working_copy(
+    source: Path,
+    target: Path,
+    scene: Scene,
+    with_rig: Mapping[int, Rig],
+    positions: bool,
+    refused: Sequence[tuple[int, int]] = (),
+) -> None:
     """Copy what a mapper needs of ``source`` to a new database ``target``.
 
     ``with_rig`` maps rig indices to the rigs to constrain by; images of other rigs, and of sensors whose extrinsics are
     unknown there, become frames of their own. ``positions``: write the scene's prior positions (world metres) for the
-    mapper, all but the held-out ones. Descriptors and raw matches, most of the bytes, stay behind.
+    mapper, all but the held-out ones. ``refused`` are pairs of scene indices whose ties the mapper must not see.
+    Descriptors and raw matches, most of the bytes, stay behind.
     """
     target.unlink(missing_ok=True)
     pycolmap.Database.open(target).close()  # COLMAP makes the tables
@@ -36,6 +44,11 @@ def write_working_copy(source: Path, target: Path, scene: Scene, with_rig: Mappi
         with connection:
             for table in _COPIED:
                 connection.execute(f"INSERT INTO {table} SELECT * FROM source.{table}")
+            names = {name: image_id for image_id, name in connection.execute("SELECT image_id, name FROM images")}
+            gone = [sorted(names.get(scene.names[k], 0) for k in pair) for pair in refused]
+            connection.executemany(
+                "DELETE FROM two_view_geometries WHERE pair_id = ?", [(_MAX_IMAGES * low + high,) for low, high in gone]
+            )
     finally:
         connection.close()
     with pycolmap.Database.open(target) as database, pycolmap.DatabaseTransaction(database):
@@ -134,8 +147,10 @@ def _sensor_id(camera_id: int) -> pycolmap.sensor_t:
 class ViewGraph:
     """What the database holds of each image: key points, verified pairs, and the component it is in."""
 
-    def __init__(self, database_path: Path, scene: Scene, min_matches: int) -> None:
-        """Read the counts; indices are the scene's, -1 in ``component`` = no verified pair."""
+    def __init__(
+        self, database_path: Path, scene: Scene, min_matches: int, refused: Sequence[tuple[int, int]] = ()
+    ) -> None:
+        """Read the counts; indices are the scene's, -1 in ``component`` = no verified pair but ``refused`` ones."""
         connection = sqlite3.connect(f"{database_path.absolute().as_uri()}?mode=ro", uri=True)
         try:
             names = dict(connection.execute("SELECT image_id, name FROM images"))
@@ -152,7 +167,8 @@ class ViewGraph:
         table = np.array([(*_pair(pair_id), inliers) for pair_id, inliers in pairs], int).reshape(-1, 3)
         table = table[table[:, 2] >= min_matches]
         ends = np.array([[index.get(a, -1), index.get(b, -1)] for a, b, _ in table], int).reshape(-1, 2)
-        inside = (ends >= 0).all(axis=1)
+        away = {(min(pair), max(pair)) for pair in refused}
+        inside = (ends >= 0).all(axis=1) & np.array([(min(e), max(e)) not in away for e in ends.tolist()], bool)
         self.pairs, self.inliers = ends[inside], table[inside, 2]
         self.degree = np.bincount(self.pairs.ravel(), minlength=count)
         graph = coo_matrix((np.ones(len(self.pairs)), self.pairs.T), shape=(count, count))

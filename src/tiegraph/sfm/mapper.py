@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -79,6 +79,7 @@ class _Job:
     graph: ViewGraph
     runs: list[list]  # rows of the table of runs
     notes: list[str]
+    refused: tuple[tuple[int, int], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ class _Outcome:
     registered: int  # images of the first model that see its points
 
 
-def reconstruct(
+def reconstruct(  # noqa: PLR0913 - the pairs to leave out came with the stage verify
     database: Path,
     images: Path,
     out: Path,
@@ -96,20 +97,22 @@ def reconstruct(
     settings: SparseSettings,
     log: Path,
     on_progress: Progress = lambda registered, total: None,
+    refused: Sequence[tuple[int, int]] = (),
 ) -> SparseResult:
     """Map the images of a database with verified matches; models go to ``out/0``, ``out/1``, ... by size.
 
-    The database is read, never changed. ``on_progress(registered, total)`` counts images. Raises ReconstructionError,
+    The database is read, never changed; ``refused`` are pairs of scene indices in it that are not used.
+    ``on_progress(registered, total)`` counts images. Raises ReconstructionError,
     with the counts and remedies, when no model can be made; SettingsError for a fixed rig without extrinsics.
     """
     modes = rig_modes(scene, settings.rig)
-    graph = ViewGraph(database, scene, settings.min_matches)
+    graph = ViewGraph(database, scene, settings.min_matches, refused)
     if len(graph.pairs) == 0:
         raise ReconstructionError(no_model_text(scene, graph, "no pair of images has enough verified matches"))
     out.mkdir(parents=True, exist_ok=True)
     for old in (p for p in out.iterdir() if p.is_dir() and p.name.isdigit()):
         shutil.rmtree(old)
-    job = _Job(database, images, out, scene, settings, log, on_progress, graph, [], [])
+    job = _Job(database, images, out, scene, settings, log, on_progress, graph, [], [], tuple(refused))
     try:
         return _reconstruct(job, modes)
     finally:
@@ -234,6 +237,7 @@ def _run(job: _Job, mapper: str, rigs: dict[int, Rig], modes: dict[int, str], la
         constant_cameras=constant,
         all_constant=len(constant) == len(scene.all_sensors),
         min_matches=job.settings.min_matches,
+        refused=job.refused,
     )
     total = len(scene)
     per_frame = total / max(scene.frames, 1) if rigs else 1.0

@@ -36,6 +36,7 @@ class Request:
     constant_cameras: tuple[int, ...]  # COLMAP camera ids whose calibration is believed
     all_constant: bool
     min_matches: int
+    refused: tuple[tuple[int, int], ...] = ()  # scene indices of pairs the mapper must not see
 
     @staticmethod
     def rigs_of(rigs: Mapping[int, Rig]) -> dict[int, dict]:
@@ -63,7 +64,7 @@ def run_mapper(request: Request, send: Callable[[Any], None]) -> list[Path]:
     working = request.folder / "working.db"
     scene = Scene.from_json(request.scene)
     rigs = {k: rig_from_dict(r) for k, r in request.rigs.items()}
-    write_working_copy(request.database, working, scene, rigs, request.positions)
+    write_working_copy(request.database, working, scene, rigs, request.positions, request.refused)
     raw = request.folder / "raw"
     raw.mkdir()
     models = (

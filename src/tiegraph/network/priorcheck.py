@@ -1,0 +1,259 @@
+"""Whether a prior may be believed: a sample of pairs it proposes and refuses is previewed, so that a wrong prior (other
+axes, inverted poses, mirrored, shifted in time) is noticed and loses no pair silently."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import spearmanr
+
+from tiegraph.geometry import transforms
+from tiegraph.network.headings import with_headings
+from tiegraph.network.passes import Pass, PreviewBook
+from tiegraph.network.poses import PoseResult, pose_pairs, prior_views, view_cameras
+from tiegraph.network.proxy import Proxy
+from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.visible import pair_share
+from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.scene import Scene
+
+SAMPLE = 40  # previews of each kind: proposed or refused, by where the two images are on the passes
+NEAR_STEPS = 3  # frames of a pass no further apart are near in sequence
+STRONG = 1.3  # times min_matches: a single preview must be surer than an average over neighbouring frames
+ENOUGH = 15  # pairs proposed and refused, below which nothing can be said
+BAD_RATIO = 0.6  # of the ties among the proposed: a prior whose refused pairs tie more often tells nothing
+FEW_TIES = 8  # ties among both, below which a kind of pairs tells nothing
+BETTER = 0.06  # by how much another reading of the prior must correlate better with the previews to be named
+SURE_FIT = 0.45  # and how well in all
+SHIFTS = (-8, -5, -3, -2, -1, 1, 2, 3, 5, 8)  # frames
+KINDS = ("near in sequence", "same pass", "other pass", "loose photographs")
+# rig axes (columns) in the axes the trajectory may use instead of the camera's x right, y down, z forward
+_AXES = {
+    "its axes are x forward, y left, z up (vehicle, ROS)": np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]),
+    "its axes are x forward, y right, z down (NED)": np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]),
+    "its axes are x right, y up, z backward (OpenGL)": np.diag([1.0, -1, -1]),
+}
+
+Reading = Callable[[np.ndarray, Sequence[Pass]], np.ndarray]
+
+
+@dataclass(frozen=True)
+class PriorCheck:
+    """How good a prior is, by previews.
+
+    ``table``: (kind, pairs proposed, of them tied, refused, of them tied); ``fit`` = rank correlation
+    of predicted overlap and preview matches (NaN = cannot be said); ``better``: the reading that fits better, "" =
+    none, with its ``better_fit``.
+    """
+
+    good: bool
+    table: tuple[tuple[str, int, int, int, int], ...]
+    fit: float
+    better: str
+    better_fit: float
+    notes: tuple[str, ...]
+
+
+def checked_pose_pairs(
+    scene: Scene, passes: Sequence[Pass], book: PreviewBook, settings: NetworkSettings, proxy: Proxy | None = None
+) -> PoseResult:
+    """``pose_pairs``, checked. A bad prior refuses nothing: all its frames count as without prior (``without``), its
+    proposals stay, and so do all sampled pairs that tie."""
+    result = pose_pairs(scene, passes, settings, proxy)
+    if not len(result.pairs):
+        return result
+    check = check_prior(scene, passes, book, result, settings)
+    if check.good:
+        return replace(result, notes=(*result.notes, *check.notes))
+    known = book.known(result.pairs.i, result.pairs.j)
+    keep = (result.pairs.dropped == 0) | (known >= STRONG * settings.min_matches)
+    pairs = result.pairs.with_(dropped=np.zeros(len(result.pairs))).where(keep)
+    return replace(result, pairs=pairs, without=np.arange(scene.frames), notes=(*result.notes, *check.notes))
+
+
+def check_prior(
+    scene: Scene, passes: Sequence[Pass], book: PreviewBook, result: PoseResult, settings: NetworkSettings
+) -> PriorCheck:
+    """Preview a sample of what a prior proposes and refuses, and compare with other readings of the same prior."""
+    i, j, proposed, kind = _sample(scene, result.pairs)
+    count = book.measure(i, j) if len(i) else np.zeros(0)
+    tied = count >= STRONG * settings.min_matches
+    rows = [(k, _counts(proposed[kind == k], tied[kind == k])) for k in range(len(KINDS)) if np.any(kind == k)]
+    fit, better, better_fit = _readings(scene, passes, (i, j, count, kind), result.range_m)
+    bad = [KINDS[k] for k, counts in rows if not _tells(*counts)]
+    table = tuple((KINDS[k], *counts) for k, counts in rows)
+    notes = _notes(table, bad, (fit, better, better_fit))
+    return PriorCheck(not bad and not better, table, fit, better, better_fit, notes)
+
+
+def _sample(scene: Scene, pairs: Pairs) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Pairs i, j (K,) to preview, whether the prior proposes them, and their kind: up to SAMPLE of each.
+
+    Refused are also pairs too far apart to be listed, drawn from all pairs of images with a prior position.
+    """
+    rng = np.random.default_rng(0)
+    placed = np.flatnonzero(np.isin(scene.frame, np.flatnonzero(scene.pose_world() >= 0)))
+    a, b = rng.choice(placed, 4000), rng.choice(placed, 4000)
+    i, j = np.concatenate([pairs.i, np.minimum(a, b)]), np.concatenate([pairs.j, np.maximum(a, b)])
+    offered = np.concatenate([pairs.dropped == 0, np.zeros(len(a), bool)])
+    world = scene.pose_world()[scene.frame]
+    _, first = np.unique(i.astype(np.int64) << 32 | j, return_index=True)
+    first = first[(scene.frame[i[first]] != scene.frame[j[first]]) & (world[i[first]] == world[j[first]])]
+    i, j, offered = i[first], j[first], offered[first]
+    kind = _kind(scene, i, j)
+    rows = [np.zeros(0, int)]
+    for k in range(len(KINDS)):
+        for side in (True, False):
+            of_kind = np.flatnonzero((kind == k) & (offered == side))
+            rows.append(rng.choice(of_kind, min(SAMPLE, len(of_kind)), replace=False))
+    take = np.sort(np.concatenate(rows))
+    return i[take], j[take], offered[take], kind[take]
+
+
+def _kind(scene: Scene, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+    """(K,) index into KINDS."""
+    track, step = scene.track[scene.frame], scene.step[scene.frame]
+    same = (track[i] == track[j]) & (track[i] >= 0)
+    near = same & (np.abs(step[i] - step[j]) <= NEAR_STEPS)
+    loose = (track[i] < 0) & (track[j] < 0)
+    return np.where(near, 0, np.where(same, 1, np.where(loose, 3, 2)))
+
+
+def _counts(proposed: np.ndarray, tied: np.ndarray) -> tuple[int, int, int, int]:
+    return (
+        int(proposed.sum()),
+        int((proposed & tied).sum()),
+        int((~proposed).sum()),
+        int((~proposed & tied).sum()),
+    )
+
+
+def _tells(proposed: int, tied: int, refused: int, lost: int) -> bool:
+    """Whether a prior knows something of a kind of pairs: what it refuses ties much more rarely than what it proposes.
+
+    With too few pairs or ties nothing speaks against it.
+    """
+    if proposed < ENOUGH or refused < ENOUGH or tied + lost < FEW_TIES:
+        return True
+    yes, no = tied / proposed, lost / refused
+    mean = (tied + lost) / (proposed + refused)
+    error = np.sqrt(mean * (1 - mean) * (1 / proposed + 1 / refused))
+    return bool(yes - no > 2 * error and no < BAD_RATIO * yes)
+
+
+def _readings(
+    scene: Scene, passes: Sequence[Pass], sample: tuple[np.ndarray, ...], range_m: float
+) -> tuple[float, str, float]:
+    """How well the prior as given predicts the previews, the reading that does it better ("" = none), and how well."""
+    i, j, count, kind = sample
+    given = _share(scene, passes, scene.world_from_rig, (i, j), range_m)
+    fit = _fit(given, count, kind)
+    if np.isnan(fit):
+        return fit, "", fit
+    fits = {}
+    for name, read in _possible(scene.has_orientations()).items():
+        fits[name] = _fit(
+            _share(scene, passes, read(np.array(scene.world_from_rig), passes), (i, j), range_m), count, kind
+        )
+    best = max(fits.values(), key=lambda f: np.nan_to_num(f, nan=-1.0))
+    if not best > fit + BETTER or best < SURE_FIT:
+        return fit, "", fit
+    return fit, " or ".join([n for n, f in fits.items() if f > best - 0.01][:2]), best
+
+
+def _possible(oriented: bool) -> dict[str, Reading]:
+    """The likely mistakes by what to say about them."""
+    out: dict[str, Reading] = {}
+    if oriented:
+        out["it holds world-to-camera poses (expected: camera-to-world)"] = _inverted
+        out.update({name: _turned(axes) for name, axes in _AXES.items()})
+    for letter, mirror in zip("xyz", (np.diag([-1.0, 1, 1]), np.diag([1.0, -1, 1]), np.diag([1.0, 1, -1]))):
+        if oriented or letter != "z":
+            out[f"its positions are mirrored in {letter}"] = _mirrored(mirror)
+    for step in SHIFTS:
+        out[f"it is {abs(step)} frames too {'early' if step < 0 else 'late'}"] = _shifted(step)
+    return out
+
+
+def _inverted(poses: np.ndarray, passes: Sequence[Pass]) -> np.ndarray:
+    return np.where(np.isfinite(poses[:, :3]).all(axis=(1, 2))[:, None, None], transforms.invert(poses), np.nan)
+
+
+def _turned(axes: np.ndarray) -> Reading:
+    return lambda poses, passes: _with_rotation(poses, poses[:, :3, :3] @ axes)
+
+
+def _mirrored(mirror: np.ndarray) -> Reading:
+    """Positions alone: where rotations are mirrored too, the same pairs overlap."""
+
+    def read(poses: np.ndarray, passes: Sequence[Pass]) -> np.ndarray:
+        out = poses.copy()
+        out[:, :3, 3] = poses[:, :3, 3] @ mirror
+        return out
+
+    return read
+
+
+def _with_rotation(poses: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    out = poses.copy()
+    out[:, :3, :3] = rotation
+    return out
+
+
+def _shifted(step: int) -> Reading:
+    """Each frame takes the pose ``step`` frames later; beyond the ends of a pass it goes on as it did there."""
+
+    def read(poses: np.ndarray, passes: Sequence[Pass]) -> np.ndarray:
+        out = poses.copy()
+        for p in passes:
+            if len(p) < 2:
+                continue
+            at = np.arange(len(p)) + step
+            inside = np.clip(at, 0, len(p) - 1)
+            own = poses[p.frames]
+            way = np.where((at < 0)[:, None], own[1, :3, 3] - own[0, :3, 3], own[-1, :3, 3] - own[-2, :3, 3])
+            out[p.frames] = own[inside]
+            out[p.frames, :3, 3] += (at - inside)[:, None] * way
+        return out
+
+    return read
+
+
+def _share(
+    scene: Scene, passes: Sequence[Pass], poses: np.ndarray, pairs: tuple[np.ndarray, np.ndarray], range_m: float
+) -> np.ndarray:
+    """(K,) predicted overlap of pairs by a reading of the prior."""
+    read = scene.with_(world_from_rig=poses)
+    full, headings = with_headings(read, passes)
+    pose = prior_views(read, full, headings, passes).pose
+    return pair_share(transforms.invert(pose), view_cameras(scene), *pairs, range_m)
+
+
+def _fit(share: np.ndarray, count: np.ndarray, kind: np.ndarray) -> float:
+    """Rank correlation of predicted overlap and preview matches, mean over the kinds; NaN = too few to say."""
+    found = []
+    for k in range(len(KINDS)):
+        there = (kind == k) & np.isfinite(share)
+        if there.sum() >= 2 * ENOUGH and np.ptp(count[there]) > 0:
+            varied = np.ptp(share[there]) > 0
+            found.append(float(spearmanr(share[there], count[there]).statistic) if varied else 0.0)
+    return float(np.mean(found)) if found else float("nan")
+
+
+def _notes(table: tuple, bad: list[str], readings: tuple[float, str, float]) -> tuple[str, ...]:
+    fit, better, better_fit = readings
+    if not table:
+        return ()
+    parts = "; ".join(f"{name}: {pt} of {p} and {rt} of {r}" for name, p, pt, r, rt in table)
+    notes = [f"prior checked by previews, ties among pairs it proposes and among pairs it refuses: {parts}"]
+    if better:
+        notes.append(
+            f"the prior looks wrong: {better}. Read so, its predicted overlap and the preview matches correlate by "
+            f"{better_fit:.2f}, as given by {fit:.2f}. Check the trajectory"
+        )
+    if bad or better:
+        where = f" ({', '.join(bad)}: the pairs it refuses tie about as often as those it proposes)" if bad else ""
+        notes.append(f"the prior is not believed{where}: it refuses nothing, previews and order find the pairs")
+    return tuple(notes)

@@ -1,0 +1,29 @@
+"""Glue of verify: matched pairs that contradict the rig or loops of frames are refused before the mapping."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from tiegraph.pipeline.files import checked, pairs_of, save_npz
+from tiegraph.project.run import Run
+from tiegraph.project.stages import Outcome
+from tiegraph.verify.verify import verify_pairs
+
+
+def verify(run: Run) -> Outcome:
+    """Pairs whose matches agree with one motion of the rig and with loops; the database stays as `match` left it."""
+    done = [0]
+
+    def on_total(items: int) -> None:
+        run.reporter.total(done[0] + items, done[0])
+        done[0] += items
+
+    def run_map(function: Callable[..., Any], items: Sequence[Any], *args: Any) -> list[Any]:
+        return run.map(function, items, *args)
+
+    found = verify_pairs(
+        run.path("database.db"), checked(run), pairs_of(run, "match.npz"), run.settings.verify, run_map, on_total
+    )
+    save_npz(run.path("verify.npz"), **found.pairs.to_npz(), undecided=found.undecided, **found.motions.to_npz())
+    return Outcome(found.counts, notes=(f"method: {found.method}", *found.notes), tables=found.tables)

@@ -1,0 +1,127 @@
+"""Matches as bearing vectors, read from COLMAP's database frame pair by frame pair, in whichever process needs them."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from tiegraph.errors import InputError
+from tiegraph.geometry import transforms
+from tiegraph.scene.rig import camera_from_dict, camera_to_dict
+from tiegraph.scene.scene import Scene
+from tiegraph.verify.motion import Rays
+
+_MAX_IMAGES = 2147483647  # COLMAP: pair_id = 2147483647 * smaller image_id + larger image_id; image_id = index + 1
+_CACHED_IMAGES = 512  # of about 100 kB each, in every worker
+PER_PAIR = 150  # matches of one camera pair that are looked at: enough to tell, spread over them all
+
+Task = tuple[int, int, tuple[tuple[int, int], ...]]
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Cameras and extrinsics by sensor key, and which sensor and unit (frame, or image for itself) an image belongs to.
+
+    Picklable. ``rig_from_sensor`` (S, 4, 4) is the identity for units that are images.
+    """
+
+    cameras: tuple[dict, ...]
+    rig_from_sensor: np.ndarray
+    sensor: np.ndarray  # (N,) sensor key
+    unit: np.ndarray  # (N,)
+
+    @staticmethod
+    def of(scene: Scene, by_frame: bool) -> Calibration:
+        """Units are frames of the rig, or images."""
+        sensors = scene.all_sensors
+        cameras = tuple(camera_to_dict(s.camera) or {} for s in sensors)
+        poses = [np.eye(4) if not by_frame or s.sensor_from_rig is None else s.sensor_from_rig for s in sensors]
+        unit = scene.frame if by_frame else np.arange(len(scene))
+        inverse = transforms.invert(np.stack(poses))
+        return Calibration(cameras, inverse, np.asarray(scene.sensor_key), np.asarray(unit))
+
+    def turned(self, turns: np.ndarray) -> Calibration:
+        """The same with each sensor's rays turned in the rig frame by a rotation (S, 3, 3)."""
+        pose = self.rig_from_sensor.copy()
+        pose[:, :3, :3] = turns @ pose[:, :3, :3]
+        return replace(self, rig_from_sensor=pose)
+
+    def focal_px(self) -> float:
+        """Mean focal length."""
+        return float(np.mean([_camera(i, self.cameras).mean_focal_length() for i in range(len(self.cameras))]))
+
+    def size(self) -> float:
+        """Largest distance of a centre from the rig's origin."""
+        return float(np.linalg.norm(self.rig_from_sensor[:, :3, 3], axis=1).max())
+
+
+def _camera(key: int, cameras: Sequence[dict]) -> pycolmap.Camera:
+    camera = camera_from_dict(cameras[key])
+    if camera is None or not cameras[key]:
+        raise InputError(f"sensor {key} has no camera: no image of it was found, take it off the rig")
+    return camera
+
+
+def load(task: Task, database: str, calibration: Calibration) -> Rays:
+    """The matches of all image pairs (i, j) of two units, i in the first: at most PER_PAIR of each, spread evenly."""
+    parts: list[list[np.ndarray]] = [[] for _ in range(5)]
+    for number, (i, j) in enumerate(task[2]):
+        matches = _matches(database, i, j)
+        if len(matches) > PER_PAIR:
+            matches = matches[np.linspace(0, len(matches) - 1, PER_PAIR).astype(int)]
+        for side, (image, column) in enumerate(((i, 0), (j, 1))):
+            key = int(calibration.sensor[image])
+            pose = calibration.rig_from_sensor[key]
+            camera = tuple(sorted((k, _frozen(v)) for k, v in calibration.cameras[key].items()))
+            rays = _rays(database, image, camera)[matches[:, column]]
+            parts[side].append(rays @ pose[:3, :3].T)
+            parts[2 + side].append(np.broadcast_to(pose[:3, 3], rays.shape))
+        parts[4].append(np.full(len(matches), number))
+    return Rays(*(np.concatenate(p) for p in parts))
+
+
+def _frozen(value: object) -> object:
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _matches(database: str, i: int, j: int) -> np.ndarray:
+    low, high = min(i, j) + 1, max(i, j) + 1
+    query = "SELECT rows, data FROM two_view_geometries WHERE pair_id = ?"
+    row = _connection(database).execute(query, (_MAX_IMAGES * low + high,)).fetchone()
+    if row is None or not row[0]:
+        return np.zeros((0, 2), np.int64)
+    matches = np.frombuffer(row[1], np.uint32).reshape(-1, 2).astype(np.int64)
+    return matches if i < j else matches[:, ::-1]
+
+
+@lru_cache(maxsize=2)
+def _connection(database: str) -> sqlite3.Connection:
+    if not Path(database).is_file():
+        raise InputError(f"database {database} does not exist: run the features stage first")
+    return sqlite3.connect(f"{Path(database).absolute().as_uri()}?mode=ro", uri=True, check_same_thread=False)
+
+
+def forget() -> None:
+    """Close the database and drop cached rays of this process."""
+    _connection.cache_clear()
+    _rays.cache_clear()
+
+
+@lru_cache(maxsize=_CACHED_IMAGES)
+def _rays(database: str, image: int, camera: tuple) -> np.ndarray:
+    """(K, 3) unit rays of an image's key points in the sensor frame."""
+    query = "SELECT rows, cols, data FROM keypoints WHERE image_id = ?"
+    row = _connection(database).execute(query, (image + 1,)).fetchone()
+    if row is None or not row[0]:
+        return np.zeros((0, 3))
+    points = np.frombuffer(row[2], np.float32).reshape(row[0], row[1])[:, :2].astype(float)
+    plane = np.asarray(_camera(0, [dict(camera)]).cam_from_img(points))
+    rays = np.column_stack([plane, np.ones(len(plane))])
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    return np.nan_to_num(rays)

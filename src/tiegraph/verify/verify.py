@@ -1,0 +1,329 @@
+"""From verified matches of image pairs to pairs that agree with one motion of the rig and with loops of frames.
+
+1. The rig against the images (rigcheck): refined if its cameras are turned, given up if its frames do not move as one.
+2. Each two units (frames of the rig, or images): the motion most of their matches agree with (motion).
+3. The rotations of all motions against each other by votes and loops (averaging).
+4. A pair is refused only if closed loops predict another rotation, and neither its units under that rotation nor the
+   pair for itself can be reconciled with it. What loops cannot tell is kept and counted as undecided.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.scene import Scene
+from tiegraph.verify import bearings
+from tiegraph.verify.averaging import Averaged, average
+from tiegraph.verify.bearings import Calibration, Task
+from tiegraph.verify.judge import Judged, Measured, judge, measure
+from tiegraph.verify.rigcheck import RigCheck, check_rig
+from tiegraph.verify.settings import VerifySettings
+
+_log = logging.getLogger(__name__)
+
+Map = Callable[..., list[Any]]  # (function, items, *args) -> results in the order of the items
+
+SAMPLE_TASKS = 24  # frame pairs the rig is checked on
+MIN_SAMPLE = 3
+TURN_DEG = 0.3  # a camera turned by more is refined, if the images then agree better
+GAIN = 0.02  # of the median share of agreeing matches: less is noise, and the turn is not observable
+RIG_SHARE = 0.6  # below, frames do not move as one: 0.89 on canal, 0.95 on PandaSet, 0.18 with a wrong focal length
+NOISY_DEG = 10.0  # loops that close no better than this decide nothing
+LOOP_SIGMAS = 5.0
+NEIGHBOURS = 2.0  # weight of ties between neighbours of a pass, over their support
+NEIGHBOUR_STEPS = 2
+IMAGE_LOOPS = 2.0  # single images have no rig to lean on: the bound of loops is wider by this
+
+
+@dataclass(frozen=True)
+class Motions:
+    """Motions of M pairs of units that agree with the loops: n_from_m, lengths of t arbitrary for a coincident rig."""
+
+    units: np.ndarray  # (M, 2) frames, or image indices with ``by_frame`` False
+    n_from_m: np.ndarray  # (M, 4, 4)
+    support: np.ndarray  # (M,) matches, at most 100 of an image pair
+    by_frame: bool
+
+    def to_npz(self) -> dict[str, np.ndarray]:
+        """Columns for ``np.savez``."""
+        return {
+            "motion_units": self.units,
+            "motion_n_from_m": self.n_from_m,
+            "motion_support": self.support,
+            "motion_by_frame": np.array(self.by_frame),
+        }
+
+
+@dataclass(frozen=True)
+class Verification:
+    """The pair table with reason "repeat" and what was found on the way."""
+
+    pairs: Pairs
+    motions: Motions
+    method: str  # rig, rig refined, images, off
+    undecided: np.ndarray  # (P,) bool: kept, though its units contradict, because no loop tells
+    counts: dict[str, float]
+    notes: tuple[str, ...]
+    tables: dict[str, dict]
+
+
+@dataclass(frozen=True)
+class _Work:
+    """What all steps share."""
+
+    database: str
+    scene: Scene
+    pairs: Pairs  # kept ones only
+    settings: VerifySettings
+    run_map: Map
+    on_total: Callable[[int], None]
+
+
+def verify_pairs(
+    database: Path,
+    scene: Scene,
+    pairs: Pairs,
+    settings: VerifySettings,
+    run_map: Map,
+    on_total: Callable[[int], None] = lambda total: None,
+) -> Verification:
+    """Refuse ("repeat") the kept pairs that contradict the rig or loops of frames; the database is read only.
+
+    ``run_map(function, items, *args)`` runs items anywhere; ``on_total(items)`` is told of their number before each
+    round. Raises InputError for a missing database or camera, SettingsError from the scene's rig.
+    """
+    kept = pairs.kept()
+    work = _Work(str(database), scene, kept, settings, run_map, on_total)
+    if settings.method == "off" or len(kept) == 0:
+        return _nothing(pairs, scene)
+    bearings.forget()
+    calibration, method, notes, rows = _calibrated(work)
+    by_frame = method != "images"
+    refused, undecided, motions, more = _decide(work, calibration, by_frame)
+    bearings.forget()
+    table = np.zeros(len(pairs), bool)
+    table[np.flatnonzero(pairs.dropped == 0)[refused]] = True
+    flagged = np.zeros(len(pairs), bool)
+    flagged[np.flatnonzero(pairs.dropped == 0)[undecided]] = True
+    out = pairs.drop(table, "repeat")
+    counts = {"pairs": len(kept), "kept": len(kept) - int(refused.sum()), "refused": int(refused.sum())}
+    counts |= {"undecided": int(undecided.sum()), "motions": len(motions.units)}
+    tables = {"camera pairs": _table(scene, kept, refused)}
+    if rows:
+        tables["rig against images"] = {"columns": ["camera", "turned deg", "agrees", "turned, agrees"], "rows": rows}
+    return Verification(out, motions, method, flagged, counts, (*notes, *more), tables)
+
+
+def _nothing(pairs: Pairs, scene: Scene) -> Verification:
+    empty = Motions(np.zeros((0, 2), int), np.zeros((0, 4, 4)), np.zeros(0), False)
+    kept = pairs.kept()
+    counts: dict[str, float] = {"pairs": len(kept), "kept": len(kept), "refused": 0}
+    none = np.zeros(len(pairs), bool)
+    return Verification(pairs, empty, "off", none, counts, ("nothing was verified",), {})
+
+
+def _units(scene: Scene, by_frame: bool) -> np.ndarray:
+    """(N,) what moves as one: the frame; an image for itself where its sensor has no extrinsics."""
+    alone = scene.frames + np.arange(len(scene))
+    if not by_frame:
+        return alone
+    known = np.array([s.sensor_from_rig is not None for s in scene.all_sensors])
+    return np.where(known[scene.sensor_key] | (scene.sensor == 0), scene.frame, alone)
+
+
+def _tasks(work: _Work, unit: np.ndarray) -> tuple[list[Task], list[np.ndarray]]:
+    """Pairs of units with their image pairs (first image in the first unit), and the rows of the pair table of each."""
+    i, j = work.pairs.i.astype(int), work.pairs.j.astype(int)
+    swap = unit[i] > unit[j]
+    i, j = np.where(swap, j, i), np.where(swap, i, j)
+    rows = np.flatnonzero(unit[i] != unit[j])
+    order = rows[np.lexsort((j[rows], i[rows], unit[j[rows]], unit[i[rows]]))]
+    ends = np.stack([unit[i[order]], unit[j[order]]], axis=1)
+    cuts = np.flatnonzero(np.any(np.diff(ends, axis=0) != 0, axis=1)) + 1
+    groups = [g for g in np.split(order, cuts) if len(g)]
+    tasks = [
+        (int(unit[i[g[0]]]), int(unit[j[g[0]]]), tuple(zip(i[g].tolist(), j[g].tolist())))
+        for g in groups
+    ]  # fmt: skip
+    return tasks, groups
+
+
+def _calibrated(work: _Work) -> tuple[Calibration, str, list[str], list[list]]:
+    """Cameras and extrinsics to verify with, "rig", "rig refined" or "images", and why."""
+    scene, settings = work.scene, work.settings
+    lone = _with_units(scene, by_frame=False)
+    several = [r for r in scene.rigs if sum(s.sensor_from_rig is not None for s in r.sensors) > 1]
+    if settings.method == "images":
+        return lone, "images", [], []
+    if not several:
+        why = "no rig with known extrinsics: images are verified one by one, by loops of images"
+        return lone, "images", [why], []
+    calibration = _with_units(scene, by_frame=True)
+    tasks = sorted(_tasks(work, calibration.unit)[0], key=lambda t: (-len(t[2]), t[:2]))[:SAMPLE_TASKS]
+    tasks = [t for t in tasks if len(t[2]) > 1]
+    if len(tasks) < MIN_SAMPLE:
+        note = f"only {len(tasks)} frame pairs are tied by several cameras: the rig could not be checked, it is believed"
+        return calibration, "rig", [note], []
+    check = check_rig(tasks, work.database, calibration, settings.max_error_px / calibration.focal_px())
+    rows = [
+        [s.name, round(float(d), 2), _share(b), _share(a)]
+        for s, d, b, a in zip(scene.all_sensors, check.turn_deg, check.share_before, check.share_after)
+    ]
+    found, method, note = _choose(check, calibration, scene, settings)
+    notes = [note] if note else []
+    return (lone if method == "images" else found), method, notes, rows
+
+
+def _with_units(scene: Scene, by_frame: bool) -> Calibration:
+    calibration = Calibration.of(scene, by_frame)
+    return Calibration(calibration.cameras, calibration.rig_from_sensor, calibration.sensor, _units(scene, by_frame))
+
+
+def _share(value: float) -> float | None:
+    return round(float(value), 3) if np.isfinite(value) else None
+
+
+def _choose(check: RigCheck, given: Calibration, scene: Scene, settings: VerifySettings) -> tuple[Calibration, str, str]:
+    """Which rig to go on with, and a note."""
+    names = [s.name for s in scene.all_sensors]
+    worst = int(np.argmax(check.turn_deg))
+    better = check.total_after > check.total_before + GAIN and check.turn_deg[worst] > TURN_DEG
+    turned = f"{names[worst]} is turned by {check.turn_deg[worst]:.1f} deg"
+    shares = f"{check.total_before:.0%} of the matches agree with common motions as given, {check.total_after:.0%} turned"
+    best = check.total_after if better and settings.refine_rig else check.total_before
+    if best < RIG_SHARE and settings.method != "rig":
+        low = int(np.nanargmin(np.where(check.matches > 0, check.share_after, np.nan)))
+        return given, "images", (
+            f"the rig does not hold: {shares}; least {names[low]} ({check.share_after[low]:.0%}), and {turned} against "
+            f"{names[0]}. Extrinsics, focal lengths or synchronisation are wrong: its images are verified one by one, "
+            f"which refuses far less"
+        )  # fmt: skip
+    if better and settings.refine_rig:
+        return given.turned(check.turns), "rig refined", f"rig refined from the matches: {turned}; {shares}"
+    return given, "rig", ""
+
+
+def _decide(
+    work: _Work, calibration: Calibration, by_frame: bool
+) -> tuple[np.ndarray, np.ndarray, Motions, list[str]]:
+    """(P,) refused, (P,) undecided, the motions, and notes."""
+    settings = work.settings
+    bound = settings.max_error_px / calibration.focal_px()
+    tasks, groups = _tasks(work, calibration.unit)
+    work.on_total(len(tasks))
+    measured: list[Measured] = work.run_map(measure, tasks, work.database, calibration, bound)
+    _log.info("%d pairs of units measured", len(tasks))
+    loops, tolerance = _loops(work.scene, tasks, measured, settings, by_frame)
+    notes = []
+    if tolerance > NOISY_DEG:
+        notes.append(
+            f"loops of {'frames' if by_frame else 'images'} close no better than {tolerance / LOOP_SIGMAS:.1f} deg "
+            f"(median): the cameras' focal lengths are probably wrong. No pair was refused"
+        )
+    items = [] if tolerance > NOISY_DEG else _doubts(tasks, measured, loops, tolerance, settings)
+    work.on_total(len(items))
+    asked = [(tasks[k], rotation, doubtful) for k, rotation, doubtful in items]
+    judged: list[Judged] = work.run_map(judge, asked, work.database, calibration, bound, tolerance)
+    refused, undecided = np.zeros(len(work.pairs), bool), np.zeros(len(work.pairs), bool)
+    motion = {k: m.motion for k, m in enumerate(measured) if m.motion is not None and loops.residual_deg[k] < tolerance}
+    support = {k: measured[k].support() for k in motion}
+    for (k, _, doubtful), verdict in zip(items, judged):
+        agrees = _agrees(verdict.agree, measured[k].total, settings) | (verdict.own_deg < tolerance)
+        refused[groups[k][doubtful & ~agrees]] = True
+        if k not in motion and verdict.motion is not None and np.any(doubtful & agrees):
+            motion[k], support[k] = verdict.motion, float(np.minimum(verdict.agree, 100).sum())
+    for k in range(len(tasks)):
+        if not loops.reliable[k] and not loops.residual_deg[k] < tolerance:
+            undecided[groups[k]] = True
+    if undecided.any():
+        notes.append(f"{int(undecided.sum())} pairs have no loops to tell by and contradict others: kept")
+    keys = sorted(motion)
+    ends = np.array([tasks[k][:2] for k in keys], int).reshape(-1, 2)
+    if not by_frame:
+        ends = ends - work.scene.frames
+    matrices = np.array([motion[k] for k in keys]).reshape(-1, 4, 4)
+    return refused, undecided, Motions(ends, matrices, np.array([support[k] for k in keys]), by_frame), notes
+
+
+def _agrees(agree: np.ndarray, total: np.ndarray, settings: VerifySettings) -> np.ndarray:
+    """(P,) bool: enough matches agree with a motion, in number and in share. A pair of few matches needs their most."""
+    enough = np.minimum(settings.min_agree, np.maximum(np.ceil(0.6 * total), 5))
+    return (agree >= enough) & (agree >= settings.min_share * total)
+
+
+def _loops(
+    scene: Scene, tasks: Sequence[Task], measured: Sequence[Measured], settings: VerifySettings, by_frame: bool
+) -> tuple[Averaged, float]:
+    """Rotations of all units by votes, and how far a true tie may be off them, degrees."""
+    ends = np.array([t[:2] for t in tasks], int).reshape(-1, 2)
+    used, compact = np.unique(ends, return_inverse=True)
+    compact = compact.reshape(-1, 2)
+    rotations = np.array([np.eye(3) if m.motion is None else m.motion[:3, :3] for m in measured]).reshape(-1, 3, 3)
+    weight = np.array([m.support() for m in measured])
+    near = _neighbours(scene, ends)
+    weight = weight * np.where(near, NEIGHBOURS, 1.0)
+    wide = settings.max_loop_deg * (1.0 if by_frame else IMAGE_LOOPS)
+    loops = average(len(used), compact, rotations, weight, wide)
+    there = np.isfinite(loops.residual_deg) & loops.reliable
+    basis = there & near if np.sum(there & near) >= 10 else there
+    spread = float(np.median(loops.residual_deg[basis])) if basis.any() else 0.0
+    tolerance = max(wide, LOOP_SIGMAS * spread)
+    return _Predictor.of(loops, compact), tolerance
+
+
+@dataclass(frozen=True)
+class _Predictor(Averaged):
+    """Averaged rotations with the ends of the edges they judge."""
+
+    ends: np.ndarray
+
+    @staticmethod
+    def of(loops: Averaged, ends: np.ndarray) -> _Predictor:
+        return _Predictor(loops.unit_from_world, loops.component, loops.residual_deg, loops.reliable, ends)
+
+    def of_edge(self, k: int) -> np.ndarray:
+        """Predicted n_from_m (3, 3) of an edge."""
+        return self.predicted(int(self.ends[k, 0]), int(self.ends[k, 1]))
+
+
+def _neighbours(scene: Scene, ends: np.ndarray) -> np.ndarray:
+    """(E,) bool: units of one pass at most two steps apart."""
+    frame = np.concatenate([np.arange(scene.frames), scene.frame])[ends]
+    track, step = scene.track[frame], scene.step[frame]
+    close = np.abs(step[:, 0].astype(int) - step[:, 1]) <= NEIGHBOUR_STEPS
+    return (track[:, 0] == track[:, 1]) & (track[:, 0] >= 0) & close
+
+
+def _doubts(
+    tasks: Sequence[Task], measured: Sequence[Measured], loops: Averaged, tolerance: float, settings: VerifySettings
+) -> list[tuple[int, np.ndarray, np.ndarray]]:
+    """(task, predicted rotation, doubtful pairs) of everything that contradicts and can be decided."""
+    assert isinstance(loops, _Predictor)
+    items = []
+    for k, found in enumerate(measured):
+        if not loops.reliable[k]:
+            continue
+        fits = bool(loops.residual_deg[k] < tolerance)
+        good = _agrees(found.agree, found.total, settings) if fits else np.zeros(len(found.total), bool)
+        doubtful = ~good & (found.total > 0)
+        if doubtful.any():
+            items.append((k, loops.of_edge(k), doubtful))
+    return items
+
+
+def _table(scene: Scene, kept: Pairs, refused: np.ndarray) -> dict:
+    """Pairs and refused ones by camera pair."""
+    names = [s.name for s in scene.all_sensors]
+    keys = np.sort(np.stack([scene.sensor_key[kept.i], scene.sensor_key[kept.j]], axis=1), axis=1)
+    found, place = np.unique(keys, axis=0, return_inverse=True)
+    asked = np.bincount(place.ravel(), minlength=len(found))
+    gone = np.bincount(place.ravel(), weights=refused, minlength=len(found)).astype(int)
+    rows = [[names[a], names[b], int(n), int(g)] for (a, b), n, g in zip(found, asked, gone)]
+    return {"columns": ["camera", "camera", "pairs", "refused"], "rows": rows}

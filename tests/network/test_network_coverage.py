@@ -1,0 +1,117 @@
+"""Weak links of hand-made networks."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_network_design import photos
+
+from tiegraph.network.coverage import coverage
+from tiegraph.network.graph import cuts, frame_links, parts
+from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.rig import Rig, Sensor
+from tiegraph.scene.scene import simple_scene
+
+
+def pairs_of(text: str) -> Pairs:
+    ends = np.array([[int(c) for c in pair] for pair in text.split()])
+    return Pairs.make(ends[:, 0], ends[:, 1], "file")
+
+
+def rig_scene(frames: int, cameras: int = 2, tracks: tuple[int, ...] = ()):
+    names = [f"{f}_{c}.jpg" for f in range(frames) for c in range(cameras)]
+    frame, sensor = np.repeat(np.arange(frames), cameras), np.tile(np.arange(cameras), frames)
+    rig = Rig("rig", tuple(Sensor(f"cam{c}") for c in range(cameras)))
+    if not tracks:
+        return simple_scene(rig, names, frame, sensor)
+    names_of = tuple(f"pass{k}" for k in range(max(tracks) + 1))
+    return simple_scene(rig, names, frame, sensor, np.array(tracks), tracks=names_of)
+
+
+def test_a_ring_is_sound() -> None:
+    found = coverage(pairs_of("01 12 23 03"), photos(4))
+    assert found.sound
+    assert found.lines == ("4 pairs hold 4 images together; no place hangs on a single link",)
+    assert found.table["rows"] == []
+
+
+def test_two_rings_on_one_pair() -> None:
+    found = coverage(pairs_of("01 02 12 23 34 35 45"), photos(6))
+    assert not found.sound
+    rows = found.table["rows"]
+    assert ["single link", "002.jpg - 003.jpg", 3, 1] in rows
+    assert [r[1:3] for r in rows if r[0] == "joint"] == [["002.jpg", 3], ["003.jpg", 3]] or [
+        r[1:3] for r in rows if r[0] == "joint"
+    ] == [["002.jpg", 2], ["003.jpg", 2]]
+    assert any("1 single link" in line and "002.jpg - 003.jpg (3 frames)" in line for line in found.lines)
+
+
+def test_two_rings_on_one_image() -> None:
+    found = coverage(pairs_of("01 02 12 23 24 34"), photos(5))
+    assert found.counts["bridges"] == 0
+    assert found.table["rows"] == [["joint", "002.jpg", 2, 1]]
+    assert "1 joint" in found.lines[0]
+    assert "002.jpg (2 frames)" in found.lines[0]
+
+
+def test_a_chain_hangs_on_every_pair() -> None:
+    found = coverage(pairs_of("01 12 23"), photos(4))
+    assert found.counts["bridges"] == 3
+    assert found.counts["joints"] == 2
+    assert found.table["rows"][0] == ["single link", "001.jpg - 002.jpg", 2, 1]  # the worst first
+
+
+def test_a_link_of_two_pairs_is_single_if_they_share_an_image() -> None:
+    scene = rig_scene(2)  # images 0, 1 of the first frame, 2, 3 of the second
+    shared = Pairs.make([0, 0], [2, 3], "file")
+    own = Pairs.make([0, 1], [2, 3], "file")
+    assert coverage(shared, scene).counts["bridges"] == 1
+    assert coverage(own, scene).counts["bridges"] == 0
+    assert frame_links(own.i, own.j, scene).pairs.tolist() == [2]
+
+
+def test_images_of_a_frame_hold_together() -> None:
+    found = coverage(Pairs.make([0, 3, 4], [2, 5, 1], "file"), rig_scene(3))  # a ring of three frames
+    assert found.counts["components"] == 1
+    assert found.counts["bridges"] == 0
+    assert found.counts["weak_groups"] == 2  # only one pair ties the cameras to each other
+    assert "only one independent link ties camera cam0, cam1 to the others" in found.lines[-1]
+
+
+def test_passes_on_one_link_or_none_are_named() -> None:
+    scene = rig_scene(4, 1, (0, 0, 1, 1))
+    one = coverage(Pairs.make([0, 1, 2], [1, 2, 3], "file"), scene)
+    assert "only one independent link ties pass pass0, pass1 to the others" in one.lines
+    none = coverage(Pairs.make([0, 2], [1, 3], "file"), scene)
+    assert "no pair ties pass pass0, pass1 to the others" in none.lines
+    assert none.counts["components"] == 2
+    assert none.table["rows"][0][:2] == ["pass", "pass0"]
+
+
+def test_dropped_pairs_do_not_count() -> None:
+    pairs = pairs_of("01 12 02").drop(np.array([False, True, False]), "cut")
+    found = coverage(pairs, photos(3))
+    assert found.counts["pairs"] == 2
+    assert found.counts["bridges"] == 2
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(1, 14), st.integers(0, 30), st.integers(0, 999))
+def test_bridges_and_joints_are_what_their_removal_says(nodes, links, seed) -> None:
+    rng = np.random.default_rng(seed)
+    pairs = Pairs.make(rng.integers(0, nodes, links), rng.integers(0, nodes, links), "file")
+    a, b = pairs.i, pairs.j
+    found = cuts(a, b, nodes)
+    whole = parts(a, b, nodes)
+    pieces = whole.max() + 1
+    for k in range(len(a)):
+        others = np.arange(len(a)) != k
+        label = parts(a[others], b[others], nodes)
+        assert found.bridge[k] == (label.max() + 1 > pieces)
+        if found.bridge[k]:
+            assert found.side[k] == min(np.sum(label == label[a[k]]), np.sum(label == label[b[k]]))
+    for v in range(nodes):
+        others = (a != v) & (b != v)
+        label = np.delete(parts(a[others], b[others], nodes), v)
+        mine = label[np.delete(whole == whole[v], v)]
+        assert found.joint[v] == (len(np.unique(mine)) > 1)
+        assert found.falls[v] == (len(mine) - np.bincount(mine).max() if len(np.unique(mine)) > 1 else 0)

@@ -1,0 +1,83 @@
+"""Paper 002: weak pairs, similar images, minimum cuts."""
+
+import numpy as np
+from test_network_design import photos
+
+from tiegraph.network.design import components, design
+from tiegraph.network.design_settings import DesignSettings
+from tiegraph.network.fuse2014 import capacities
+from tiegraph.scene.pairs import Pairs
+
+
+def video(count: int = 60, window: int = 6, seed: int = 0, **columns) -> Pairs:
+    """Frames of a camera tied to the next ones, fewer matches over longer bases."""
+    i = np.repeat(np.arange(count), window)
+    j = i + np.tile(np.arange(1, window + 1), count)
+    inside = j < count
+    rng = np.random.default_rng(seed)
+    score = 200.0 - 25 * (j - i) + rng.integers(0, 20, len(i))
+    columns = {k: v[inside] for k, v in columns.items()}
+    return Pairs.make(i[inside], j[inside], "sequence", score=score[inside], **columns)
+
+
+def reasons(pairs: Pairs) -> dict[str, int]:
+    return pairs.funnel()
+
+
+def test_weak_pairs_go_first() -> None:
+    pairs = video()
+    weak = int(np.sum(pairs.score < 25))
+    pairs = pairs.with_(score=np.where(np.arange(len(pairs)) % 10 == 3, 24.0, pairs.score))
+    found = design(pairs, photos(60), None, DesignSettings(method="fuse2014"))
+    assert reasons(found.pairs)["weak"] == weak + np.sum(np.arange(len(pairs)) % 10 == 3) == found.counts["weak"]
+
+
+def test_the_cuts_sever_the_video() -> None:
+    pairs = video()
+    found = design(pairs, photos(60), None, DesignSettings(method="fuse2014"))
+    assert found.counts["pieces_before"] == 1
+    assert 2 <= found.counts["pieces"] <= 7  # a part that was severed may hang together through its neighbours
+    assert f"{int(found.counts['pieces'])} after" in found.notes[0]
+    assert 6 <= found.counts["cut"] <= 6 * 21  # a complete severing of a window of six crosses 21 pairs
+
+
+def test_the_safe_variant_keeps_it_together() -> None:
+    pairs = video()
+    found = design(pairs, photos(60), None, DesignSettings(method="fuse2014_safe"))
+    literal = design(pairs, photos(60), None, DesignSettings(method="fuse2014"))
+    assert found.counts["pieces"] == 1
+    assert len(np.unique(components(found.pairs, 60))) == 1
+    back = len(found.pairs.kept()) - len(literal.pairs.kept())
+    assert 1 <= back <= literal.counts["pieces"]
+
+
+def test_a_cut_takes_the_pairs_of_least_capacity() -> None:
+    # two triangles on two weak pairs; the cuts of the parts (one or two images each) take what is between them
+    i, j = np.array([0, 0, 1, 3, 3, 4, 2, 1]), np.array([1, 2, 2, 4, 5, 5, 3, 4])
+    sigma = np.array([0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 1.0, 1.0])
+    pairs = Pairs.make(i, j, "file", score=np.full(8, 100.0), sigma_m=sigma)
+    found = design(pairs, photos(6), None, DesignSettings(method="fuse2014")).pairs
+    dropped = {(int(a), int(b)) for a, b in zip(found.i[found.dropped != 0], found.j[found.dropped != 0])}
+    assert {(2, 3), (1, 4)} <= dropped
+    assert {(0, 2), (1, 2), (3, 4), (3, 5)} & dropped == set()
+
+
+def test_similar_images_lose_all_their_pairs() -> None:
+    pairs = video(20, 3)
+    ratio = np.full(len(pairs), 30.0)
+    ratio[(pairs.i == 7) & (pairs.j == 8)] = 501.0
+    found = design(pairs.with_(h_over_b=ratio), photos(20), None, DesignSettings(method="fuse2014"))
+    touches = (pairs.i == 8) | (pairs.j == 8)
+    assert found.counts["similar"] == np.sum(touches)
+    assert np.all(found.pairs.dropped[touches] != 0)
+    safe = design(pairs.with_(h_over_b=ratio), photos(20), None, DesignSettings(method="fuse2014_safe"))
+    assert np.sum(safe.pairs.dropped[touches] == 0) >= 1
+
+
+def test_capacity_is_the_known_accuracy_else_matches_and_base() -> None:
+    pairs = Pairs.make([0, 0, 1], [1, 2, 2], "file", sigma_m=np.array([0.1, 0.2, np.nan]))
+    value = capacities(pairs, np.array([100.0, 100.0, 50.0]))
+    assert np.allclose(value[:2], [100.0, 25.0])
+    assert 10 < value[2] < 60
+    by_base = capacities(pairs.with_(sigma_m=np.full(3, np.nan), h_over_b=np.array([10.0, 20, 10])), np.full(3, 80.0))
+    assert np.allclose(by_base / by_base[0], [1, 0.25, 1])

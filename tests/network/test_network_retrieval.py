@@ -1,0 +1,160 @@
+"""Retrieval: look-alikes by visual words, and loops nobody expects."""
+
+import numpy as np
+import pytest
+from boat_world import boat
+from place_world import Places, found, passes_of, photos, shuffled_ring, video, words_of
+
+from tiegraph.network.passes import PreviewBook, find_passes
+from tiegraph.network.retrieval import loop_candidates, nearest_images, retrieve
+from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.words import ImageWords, image_words
+from tiegraph.scene.pairs import REASONS, Pairs
+
+SETTINGS = NetworkSettings()
+
+
+def loops(world: Places, known: Pairs | None = None, book: PreviewBook | None = None):
+    book = book or PreviewBook(world.match, len(world))
+    return loop_candidates(passes_of(len(world)), words_of(world), book, SETTINGS, known)
+
+
+def far(world: Places, frames: int) -> tuple:
+    """Useful pairs that many frames apart."""
+    i, j, useful = world.useful()
+    return i, j, useful & (j - i >= frames)
+
+
+def test_look_alikes_share_what_they_see() -> None:
+    world = shuffled_ring(120)
+    index, cosine = nearest_images(world.descriptors(), 10)
+    assert index.shape == cosine.shape == (120, 10)
+    overlap = world.overlap(np.repeat(np.arange(120), 10), index.ravel())
+    assert (overlap >= 0.15).mean() > 0.98
+    assert (np.diff(cosine, axis=1) <= 0).all() and cosine.max() < 1
+    assert not (index == np.arange(120)[:, None]).any()
+
+
+def test_words_are_the_same_every_time_and_do_not_care_for_order_of_features() -> None:
+    descriptors = shuffled_ring(40).descriptors()
+    one, two = (nearest_images(descriptors, 5) for _ in range(2))
+    assert np.array_equal(one[0], two[0]) and np.array_equal(one[1], two[1])
+    words = image_words([np.concatenate([descriptors[0], descriptors[0][::-1]])] * 2 + descriptors)
+    assert words.between(np.array([0]), np.array([1]))[0] == pytest.approx(1)
+
+
+def test_blank_images_have_no_look_alikes() -> None:
+    blank = np.zeros((0, 128), np.uint8)
+    descriptors = [blank, *shuffled_ring(20).descriptors(), blank]
+    index, cosine = nearest_images(descriptors, 50)
+    assert index.shape == (22, 21)
+    assert (index[[0, -1]] == -1).all() and (cosine[[0, -1]] == 0).all()
+    assert not np.isin(index, [0, 21]).any()
+    assert (nearest_images([blank] * 3, 2)[0] == -1).all()
+    assert nearest_images([], 5)[0].shape == (0, 0)
+    assert nearest_images(descriptors[1:2], 5)[0].shape == (1, 0)
+
+
+def test_nearest_answers_queries_among_wanted_images() -> None:
+    words = image_words(shuffled_ring(60).descriptors())
+    everyone, _ = words.nearest(59)
+    some = np.array([7, 3])
+    assert np.array_equal(words.nearest(4, some)[0], everyone[some, :4])
+    even, _ = words.nearest(5, some, lambda rows: np.broadcast_to(np.arange(60) % 2 == 0, (len(rows), 60)))
+    assert (even[even >= 0] % 2 == 0).all() and (even[:, 0] >= 0).all()
+    first = ImageWords(words.weights).among(np.arange(10))
+    assert len(first) == 10 and first.between(np.array([1]), np.array([2])) == words.between([1], [2])
+
+
+@pytest.mark.parametrize("ghosts", [0.0, 0.2])
+def test_a_video_that_comes_back_is_tied_to_its_start(ghosts) -> None:
+    world = Places(np.arange(400) * 12.0, around=3600, ghosts=ghosts)
+    result = loops(world)
+    recall, precision = found(result.pairs, far(world, 100))
+    assert recall > 0.95 and precision > 0.8
+    assert world.asked < 5 * len(world)
+    assert len(result.notes) == 1
+    assert "clip frames 0.." in result.notes[0] and "..398 see the same place" in result.notes[0]
+    assert result.pairs.from_source("retrieval").all()
+
+
+def test_a_slow_video_is_sampled_and_the_frames_between_are_filled() -> None:
+    world = Places(np.arange(400) * 4.0, around=1200)
+    result = loops(world)
+    recall, precision = found(result.pairs, far(world, 100))
+    assert recall > 0.9 and precision > 0.75
+    assert world.asked < len(world)
+    assert len(result.pairs.kept()) > 5 * world.asked
+
+
+def test_single_false_look_alikes_are_not_believed() -> None:
+    world = Places(np.arange(300) * 12.0, ghosts=0.2)
+    result = loops(world)
+    assert len(result.pairs.kept()) == 0
+    assert np.mean(result.pairs.score >= 15) > 0.15
+    assert (result.pairs.dropped == REASONS.index("weak")).all()
+    assert "no loops: none of" in result.notes[0]
+
+
+def test_known_loops_are_not_looked_at_again() -> None:
+    world = Places(np.arange(400) * 12.0, around=3600)
+    i, j, useful = far(world, 100)
+    result = loops(world, Pairs.make(i[useful], j[useful], "offsets"))
+    assert len(result.pairs.kept()) == 0
+    overlap = world.overlap(result.pairs.i, result.pairs.j)
+    assert not (overlap >= 0.15).any()
+
+
+def test_budget_of_previews_is_kept_and_said(monkeypatch) -> None:
+    monkeypatch.setattr("tiegraph.network.retrieval.PREVIEWS_AN_IMAGE", 4)
+    world = Places(np.arange(200) * 12.0, around=600)
+    result = loops(world)
+    assert world.asked <= 4 * 200
+    assert any("budget of previews was spent" in note for note in result.notes)
+
+
+def test_the_return_pass_of_a_rig_is_found_without_any_order() -> None:
+    survey = boat((14, 10), (2.0, 2.8))
+    count = len(survey.scene)
+    words = _words_by(survey, count)
+    result = loop_candidates(find_passes(survey.scene), words, PreviewBook(survey.match, count), SETTINGS)
+    i, j = np.triu_indices(count, 1)
+    track = survey.scene.track[survey.scene.frame]
+    useful = (np.maximum(survey.overlap(i, j), survey.overlap(j, i)) >= 0.15) & (track[i] != track[j])
+    recall, precision = found(result.pairs, (i, j, useful))
+    assert recall > 0.6 and precision > 0.6
+    assert survey.asked < 16 * count
+
+
+def _words_by(survey, count: int) -> ImageWords:
+    """Words that are as alike as the images overlap: rows of a matrix with the overlaps as products, nearly."""
+    from scipy.sparse import csr_array
+
+    i, j = np.indices((count, count)).reshape(2, -1)
+    share = np.maximum(survey.overlap(i, j), survey.overlap(j, i)).reshape(count, count)
+    np.fill_diagonal(share, 1)
+    rows = share / np.linalg.norm(share, axis=1, keepdims=True)
+    return ImageWords(csr_array(rows.astype(np.float32)))
+
+
+def test_scenes_without_passes_or_photographs() -> None:
+    world = shuffled_ring(30)
+    book = PreviewBook(world.match, 30)
+    words = image_words(world.descriptors())
+    assert loop_candidates((), words, book, SETTINGS).notes == ()
+    alone = loop_candidates(passes_of(2), image_words(world.descriptors()[:2]), book, SETTINGS)
+    assert len(alone.pairs) == 0
+    result = retrieve(photos(30), (), book, SETTINGS, world.descriptors)
+    assert found(result.pairs, world.useful())[0] == 1
+    assert "30 loose photographs" in result.notes[0]
+    clip = video(30)
+    moving = retrieve(clip, find_passes(clip), PreviewBook(world.match, 30), SETTINGS, world.descriptors)
+    assert all("loose" not in note for note in moving.notes)
+
+
+@pytest.mark.slow
+def test_four_thousand_images_are_looked_up_in_linear_memory() -> None:
+    world = Places(np.arange(4000) * 12.0, around=12000)
+    index, _ = nearest_images(world.descriptors(), 20)
+    rows = np.repeat(np.arange(4000), 20)
+    assert (world.overlap(rows, index.ravel()) >= 0.1).mean() > 0.9

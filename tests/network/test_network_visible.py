@@ -1,0 +1,170 @@
+"""Shared visible surface: corridors and rings with exact truth, occlusion, backs of walls, unknown poses, size."""
+
+import numpy as np
+import pycolmap
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tiegraph.geometry import transforms
+from tiegraph.network import visible
+from tiegraph.network.visible import (
+    Overlap,
+    Proxy,
+    assumed_proxy,
+    observed_proxy,
+    pair_share,
+    points_proxy,
+    shared_surface,
+)
+
+CAMERA = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[320.0, 320.0, 240.0])  # 90 x 74 degrees
+
+
+def look(centres: np.ndarray, yaw_deg: np.ndarray) -> np.ndarray:
+    """cam_from_world (N, 4, 4), z up in the world: yaw 0 looks along y, 90 along -x."""
+    level = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    out = []
+    for centre, yaw in zip(centres, yaw_deg):
+        rotation = level @ Rotation.from_euler("z", -yaw, degrees=True).as_matrix()
+        out.append(transforms.rigid(rotation, -rotation @ centre))
+    return np.stack(out)
+
+
+def wall(count: int = 6000, distance: float = 10.0, width: float = 60.0, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return np.column_stack([rng.uniform(-5, width - 5, count), np.full(count, distance), rng.uniform(-6, 6, count)])
+
+
+def observers(points: np.ndarray, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Image and point of every observation by projection alone."""
+    local = np.einsum("nab,pb->npa", poses[:, :3, :3], points) + poses[:, None, :3, 3]
+    x, y, z = np.moveaxis(local, -1, 0)
+    seen = (z > 0) & (np.abs(x) < z) & (np.abs(y) < 0.75 * z)
+    return np.nonzero(seen)
+
+
+def row_of_cameras(count: int = 10, step: float = 4.0) -> np.ndarray:
+    return look(np.column_stack([np.arange(count) * step, np.zeros(count), np.zeros(count)]), np.zeros(count))
+
+
+def test_share_of_a_wall_is_that_of_the_geometry() -> None:
+    poses = row_of_cameras()
+    points = wall()
+    proxy = observed_proxy(points, *observers(points, poses), poses)
+    found = shared_surface(poses, [CAMERA] * 10, proxy)
+    # 20 m of wall in view from 10 m; images k * 4 m apart share 1 - k * 0.2 of it
+    for k, share in ((1, 0.8), (2, 0.6), (3, 0.4), (4, 0.2)):
+        assert found.between(np.array([3]), np.array([3 + k]))[0] == pytest.approx(share, abs=0.06)
+    assert found.between(np.array([0]), np.array([9]))[0] == 0
+    assert (found.i < found.j).all() and len(found) == len(set(zip(found.i, found.j)))
+
+
+def test_angle_and_scale_of_the_shared_surface() -> None:
+    poses = look(np.array([[0.0, 0, 0], [0, -10, 0], [10, 10, 0]]), np.array([0.0, 0, 90]))
+    points = np.random.default_rng(0).normal([0, 10, 0], 0.5, (500, 3))
+    found = shared_surface(poses, [CAMERA] * 3, points_proxy(points), max_angle_deg=180)
+    pairs = {(a, b): k for k, (a, b) in enumerate(zip(found.i, found.j))}
+    assert found.angle_deg[pairs[0, 2]] == pytest.approx(90, abs=3)
+    assert found.angle_deg[pairs[0, 1]] < 5
+    assert found.scale[pairs[0, 1]] == pytest.approx(0.5, abs=0.03)
+    assert (0, 2) not in set(zip(*_pairs(shared_surface(poses, [CAMERA] * 3, points_proxy(points), max_angle_deg=60))))
+    assert len(shared_surface(poses, [CAMERA] * 3, points_proxy(points), max_scale=1.5, max_angle_deg=60)) == 0
+
+
+def _pairs(found: Overlap) -> tuple[np.ndarray, np.ndarray]:
+    return found.i, found.j
+
+
+def test_a_nearer_wall_hides_the_one_behind() -> None:
+    poses = look(np.array([[0.0, 0, 0], [0, 20.5, 0]]), np.array([0.0, 0.0]))
+    behind = wall(4000, 30.0)
+    screen = wall(4000, 20.0, seed=1)
+    cameras = [CAMERA, CAMERA]
+    open_ = shared_surface(poses, cameras, points_proxy(behind), max_scale=10)
+    hidden = shared_surface(poses, cameras, points_proxy(np.concatenate([behind, screen])), max_scale=10)
+    assert open_.share.max() > 0.9
+    assert len(hidden) == 0
+
+
+def test_a_wall_is_not_seen_from_behind() -> None:
+    front = look(np.array([[0.0, 0, 0], [2, 0, 0], [4, 0, 0]]), np.zeros(3))
+    back = look(np.array([[0.0, 20, 0]]), np.array([180.0]))
+    points = wall(3000, width=10.0) * (1, 1, 0.2)
+    proxy = observed_proxy(points, *observers(points, front), np.concatenate([front, back]))
+    found = shared_surface(np.concatenate([front, back]), [CAMERA] * 4, proxy, max_angle_deg=180)
+    assert set(zip(found.i, found.j)) == {(0, 1), (0, 2), (1, 2)}
+
+
+def test_images_without_observations_and_without_pose() -> None:
+    poses = row_of_cameras()
+    points = wall()
+    image, point = observers(points, poses)
+    mine = image != 4
+    proxy = observed_proxy(points, image[mine], point[mine], poses)
+    lost = poses.copy()
+    lost[7] = np.nan
+    found = shared_surface(lost, [CAMERA] * 10, proxy)
+    assert found.between(np.array([4]), np.array([5]))[0] > 0.7
+    assert not np.isin(7, np.concatenate([found.i, found.j]))
+
+
+def test_a_cluster_of_points_does_not_stand_for_the_image() -> None:
+    poses = row_of_cameras(2, 12.0)
+    rng = np.random.default_rng(0)
+    cluster = np.column_stack([rng.normal(9.0, 0.3, 1500), np.full(1500, 10.0), rng.normal(0, 0.3, 1500)])
+    points = np.concatenate([wall(4000), cluster])
+    found = shared_surface(poses, [CAMERA] * 2, points_proxy(points))
+    assert found.share[0] == pytest.approx(0.4, abs=0.08)
+
+
+def test_assumed_range_of_a_ring_looking_in_and_out() -> None:
+    angle = np.radians(np.arange(0, 360, 15))
+    where = 10 * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    inwards = look(where, np.degrees(angle) + 90)
+    outwards = look(where, np.degrees(angle) - 90)
+    one = np.ones(len(angle), int)
+    at, opposite, beside = 0 * one[:1], 12 * one[:1], one[:1]
+    seen_in = shared_surface(inwards, [CAMERA] * 24, assumed_proxy(inwards, [CAMERA] * 24, 10.0), max_angle_deg=120)
+    seen_out = shared_surface(outwards, [CAMERA] * 24, assumed_proxy(outwards, [CAMERA] * 24, 10.0))
+    assert seen_in.between(at, beside)[0] > 0.6 and seen_out.between(at, beside)[0] > 0.4
+    assert seen_in.between(at, opposite)[0] < 0.1 and seen_out.between(at, opposite)[0] == 0
+    assert seen_in.between(at, 4 * beside)[0] > 0.3 > seen_out.between(at, 8 * beside)[0]
+
+
+def test_pair_share_is_the_same_measure(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(visible, "_OWNERS", 3)  # several parts
+    poses = row_of_cameras(8)
+    found = shared_surface(poses, [CAMERA] * 8, assumed_proxy(poses, [CAMERA] * 8, 10.0))
+    i, j = np.triu_indices(8, 1)
+    direct = pair_share(poses, [CAMERA] * 8, i, j, 10.0)
+    listed = found.between(i, j)
+    # votes are by image cell there and by point here
+    assert np.abs(np.where(direct < 0.02, 0, direct) - listed).max() < 0.08
+
+
+def test_slack_widens_the_view_of_unsure_poses() -> None:
+    poses = row_of_cameras(2, 22.0)
+    cameras = [CAMERA] * 2
+    proxy = points_proxy(wall())
+    assert len(shared_surface(poses, cameras, proxy, max_angle_deg=180)) == 0
+    assert len(shared_surface(poses, cameras, proxy, slack_rad=0.3, max_angle_deg=180)) == 1
+
+
+def test_many_points_are_thinned_without_loss(monkeypatch: pytest.MonkeyPatch) -> None:
+    poses = row_of_cameras()
+    proxy = points_proxy(wall(60000))
+    found = shared_surface(poses, [CAMERA] * 10, proxy)
+    assert found.between(np.array([3]), np.array([4]))[0] == pytest.approx(0.8, abs=0.05)
+    monkeypatch.setattr(visible, "MEAN_VISIBLE", (300, 300))
+    fewer = shared_surface(poses, [CAMERA] * 10, proxy)
+    assert fewer.between(np.array([3]), np.array([4]))[0] == pytest.approx(0.8, abs=0.12)
+
+
+def test_nothing_in_nothing_out() -> None:
+    poses = row_of_cameras(3)
+    empty = Proxy(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)), np.zeros(0, int), np.zeros(0, int))
+    assert len(shared_surface(poses, [None] * 3, empty)) == 0
+    assert len(shared_surface(np.full((3, 4, 4), np.nan), [CAMERA] * 3, points_proxy(wall(10)))) == 0
+    assert len(assumed_proxy(np.full((3, 4, 4), np.nan), [CAMERA] * 3, 5.0)) == 0
+    without_camera = shared_surface(poses, [None] * 3, points_proxy(wall()))
+    assert without_camera.share[:2] == pytest.approx([0.65, 0.31], abs=0.06)  # 60 degrees of view, 4 m apart
