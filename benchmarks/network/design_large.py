@@ -120,9 +120,7 @@ def main() -> None:
     given = parser.parse_args()
     scene, pairs, ties = large_survey(given.images, given.partners, given.previewed)
     made = _peak_mib()
-    _say(
-        f"{len(scene)} images, {len(pairs)} candidates, {len(ties)} previewed, {len(ties.matches)} matches", flush=True
-    )
+    _say(f"{len(scene)} images, {len(pairs)} candidates, {len(ties)} previewed, {len(ties.matches)} matches")
     settings = DesignSettings(method=given.method, budget=given.budget, pairs_per_image=given.pairs_per_image)
     began = time.process_time()
     found = design(pairs, scene, ties, settings)

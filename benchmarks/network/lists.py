@@ -1,7 +1,7 @@
 """One competitor's pair list, in a process of its own: ``python lists.py METHOD --run FOLDER --out list.txt``.
 
-``FOLDER`` is a run folder that ``tiegraph`` has brought to the stage ``preview`` (names, frames, positions, features). The
-COLMAP methods are pycolmap's own pair generators with their defaults on a database without features.
+``FOLDER`` is a run folder that ``tiegraph`` has brought to the stage ``preview`` (names, frames, positions, features).
+The COLMAP methods are pycolmap's own pair generators with their defaults on a database without features.
 """
 
 from __future__ import annotations

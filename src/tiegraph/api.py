@@ -75,11 +75,11 @@ class Project:
         return coverage(self.candidates(), self.scene())
 
     def pairs(self) -> Pairs:
-        """The pair table: after `match` with inliers, else after `design`."""
+        """The pair table of the last stage that made one: `verify`, `match` (both with inliers) or `design`."""
         import numpy as np
 
-        matched = self.folder / "match.npz"
-        with np.load(matched if matched.exists() else self._needed("pairs.npz", "design")) as data:
+        there = [p for n in ("verify.npz", "match.npz") if (p := self.folder / n).exists()]
+        with np.load(there[0] if there else self._needed("pairs.npz", "design")) as data:
             return Pairs.from_npz(dict(data))
 
     def model(self) -> Any:

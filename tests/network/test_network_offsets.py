@@ -1,10 +1,14 @@
 """Offset voting on a synthetic boat survey with exact overlap."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from boat_world import boat, ring
 
 from tiegraph.network.axes import angles_deg, vertical, yaw_between
+from tiegraph.network.commonview import direction, in_words, strangers, votes, without_chance, yaw
+from tiegraph.network.lattice import make_lattice
 from tiegraph.network.network import estimate_network
 from tiegraph.network.passes import PreviewBook, find_passes, loose_images
 from tiegraph.network.settings import NetworkSettings
@@ -83,17 +87,17 @@ def test_paper_000_keeps_the_best_partner_of_each_camera() -> None:
     assert network.pairs.funnel()["weak"] > 0
 
 
-def test_axes_that_forbid_a_match_are_never_previewed() -> None:
+def test_axes_that_forbid_a_match_are_previewed_only_to_check_the_rig() -> None:
     world = boat((10,), (2.0,))
     world.pairs_asked = set()
     _, _, _, network = measure(world, NetworkSettings(axes_deg=100))
-    asked = world.pairs_asked
     angle = world.scene.rigs[0].axis_angles_deg()
-    sensor = world.scene.sensor
-    assert max(angle[sensor[i], sensor[j]] for i, j in asked) <= 100
+    sensor, frame = world.scene.sensor, world.scene.frame
+    forbidden = [(i, j) for i, j in world.pairs_asked if angle[sensor[i], sensor[j]] > 100]
+    assert len(forbidden) == 5 * 10 and all(frame[i] == frame[j] for i, j in forbidden)
     rejected = network.pairs.where(network.pairs.dropped == REASONS.index("axes"))
     assert len(rejected) == 5 * 10 * 10  # five camera pairs of the ring look 144 degrees apart
-    assert np.isnan(rejected.score).all()
+    assert np.isfinite(rejected.score).sum() == len(forbidden)
 
 
 def test_single_pass_and_unknown_rig_work() -> None:
@@ -144,6 +148,37 @@ def test_four_thousand_images_need_few_previews() -> None:
     assert 0.002 < world.asked / (n * (n - 1) / 2) < 0.03
     assert not np.any(network.pairs.dropped == REASONS.index("axes"))
     assert any("never tried" in note for note in network.notes)
+
+
+def test_chance_gives_neither_heading_nor_direction() -> None:
+    world = boat((20, 20), (1.5, 1.5))
+    p, q = find_passes(world.scene)
+    lattice = make_lattice(p, q, 2, np.ones((6, 6), bool))
+    rng = np.random.default_rng(3)
+    few = np.zeros(lattice.inliers.shape)
+    few[tuple(rng.integers(0, n, 6) for n in few.shape)] = 1.0
+    assert votes(few) == pytest.approx(6) and votes(np.zeros(3)) == 0
+    assert yaw(lattice, few) is None and in_words(lattice, few) == ""
+    smooth = np.where(few > 0, 13.0, 8.0).astype(np.float32)
+    smooth[few > 0] *= np.linspace(1, 3, 6)
+    lattice = replace(lattice, inliers=smooth)
+    assert without_chance(lattice, smooth, 12).max() == pytest.approx(8)
+    back = np.zeros(few.shape)
+    for c, d in [(0, 2), (0, 3), (1, 1), (4, 4), (2, 0), (3, 0)]:
+        back[c, d, np.arange(10), 9 - np.arange(10)] = 1.0
+    assert direction(lattice, back) == (True, True)
+    said = in_words(lattice, back)
+    assert "runs back along" in said and "turned by about" in said and "common view" not in said
+    back[:, :, 5:] = 0
+    assert "common view: frames 1 to 9 of 20" in in_words(lattice, back)
+
+
+def test_couples_of_passes_without_common_view_are_one_note() -> None:
+    assert strangers([]) == ()
+    (note,) = strangers([f"a - b{k}" for k in range(20)])
+    assert note.startswith("no common view was found: a - b0, a - b1") and note.endswith(
+        "and 12 more couples of passes"
+    )
 
 
 def test_yaw_and_vertical_of_a_ring() -> None:

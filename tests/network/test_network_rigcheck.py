@@ -18,6 +18,7 @@ from tiegraph.features.preview_settings import PreviewSettings
 from tiegraph.geometry import transforms
 from tiegraph.network.passes import PreviewBook, find_passes
 from tiegraph.network.rigcheck import check_rig, check_rigs
+from tiegraph.network.rigorder import orders
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
@@ -91,6 +92,132 @@ def test_rigs_without_poses_are_left_alone() -> None:
     assert notes == () and checked.rigs[0] is bare
 
 
+def swapped(rig: Rig, order: list[int]) -> Rig:
+    """The rig file with the poses of its cameras in another order."""
+    poses = [rig.sensors[k].sensor_from_rig @ np.linalg.inv(rig.sensors[order[0]].sensor_from_rig) for k in order]
+    return replace(rig, sensors=tuple(replace(s, sensor_from_rig=p) for s, p in zip(rig.sensors, poses)))
+
+
+ORDERS = [[0, 2, 1, 3, 4, 5], [0, 2, 4, 1, 3, 5], [1, 0, 2, 3, 4, 5], [3, 0, 2, 1, 4, 5]]
+
+
+def relative(rig: Rig) -> np.ndarray:
+    """Angles of the side cameras' axes to those of the first one, about the vertical."""
+    ahead = axes(rig)[:5]
+    return np.degrees(np.arctan2(np.cross(ahead[0], ahead)[:, 1], ahead @ ahead[0]))
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_cameras_in_another_order_are_put_right(order: list[int]) -> None:
+    world = boat((10, 10), (2.0, 2.0))
+    scene = world.scene.with_(rigs=(swapped(ring(), order),))
+    checked, notes = check_rigs(scene, find_passes(scene), PreviewBook(world.match, len(scene)), SETTINGS)
+    turn = relative(checked.rigs[0]) - relative(ring())
+    assert np.allclose((turn + 180) % 360 - 180, 0, atol=1e-6)
+    assert "corrected; check the rig file" in notes[0] and "correlation of matches and axes" in notes[0]
+    assert ("seem to be swapped" in notes[0]) == (order in (ORDERS[0], ORDERS[2]))
+    assert world.asked <= 260
+
+
+def test_a_new_reference_camera_takes_poses_and_antenna_along() -> None:
+    world = boat((10, 10), (2.0, 2.0))
+    rig = replace(swapped(ring(), [1, 0, 2, 3, 4, 5]), antenna_m=(0.5, -1.0, 2.0))
+    pose = transforms.rigid(Rotation.from_euler("y", 30, degrees=True).as_matrix(), np.array([5.0, 6, 7]))
+    poses = np.tile(pose, (world.scene.frames, 1, 1))
+    poses[3, :3, :3] = np.nan  # a position alone
+    scene = world.scene.with_(rigs=(rig,), world_from_rig=poses)
+    checked, _ = check_rigs(scene, find_passes(scene), PreviewBook(world.match, len(scene)), SETTINGS)
+    new = checked.rigs[0]
+    assert np.allclose(new.sensors[0].sensor_from_rig, np.eye(4))
+    # Where the antenna and the camera that stays (cam2) are in the world does not change.
+    old_in_world, new_in_world = (
+        transforms.apply(p, np.array([r.antenna_m])) for p, r in ((pose, rig), (checked.world_from_rig[0], new))
+    )
+    assert np.allclose(old_in_world, new_in_world)
+    stays = [
+        p @ transforms.invert(r.sensors[2].sensor_from_rig) for p, r in ((pose, rig), (checked.world_from_rig[0], new))
+    ]
+    assert np.allclose(*stays)
+    assert np.allclose(checked.world_from_rig[3, :3, 3], (5, 6, 7)) and np.isnan(checked.world_from_rig[3, 0, 0])
+
+
+def test_a_calibrated_rig_in_another_order_is_told_of_and_kept() -> None:
+    world = boat((10, 10), (2.0, 2.0))
+    rig = replace(swapped(ring(), ORDERS[0]), fixed=True)
+    outcome = check_rig(rig, find_passes(world.scene), PreviewBook(world.match, len(world.scene)), SETTINGS)
+    assert not outcome.changed and outcome.rig is rig
+    assert "cam1 and cam2 seem to be swapped" in outcome.note and "it is calibrated and kept" in outcome.note
+
+
+def test_many_cameras_are_put_right_by_swaps() -> None:
+    rig = ring(9, up=False)
+    angle = rig.axis_angles_deg()
+    evidence = np.tile(np.maximum(0, np.cos(np.radians(angle))), (2, 1, 1))
+    assert orders(rig, evidence) == []
+    (found, *_) = orders(swapped(rig, [0, 1, 6, 3, 4, 5, 2, 7, 8]), evidence)
+    assert found.place == (0, 1, 6, 3, 4, 5, 2, 7, 8) and found.fit > 0.99
+    assert orders(rig, np.full_like(evidence, np.nan)) == []
+
+
+def lagging(late: dict[int, int], frames: int = 20, flow: float = 0.06) -> tuple[Scene, PreviewBook]:
+    """A ring whose neighbours match best in the same moment; things move by ``flow`` of the image from frame to frame."""
+    world = boat((frames,), (1.5,))
+    scene = world.scene
+    step, sensor = scene.step[scene.frame], scene.sensor
+    moment = step - np.array([late.get(int(s), 0) for s in sensor])
+
+    def match(pairs: np.ndarray) -> list[Result]:
+        out = []
+        for i, j in pairs.tolist():
+            turn = (sensor[j] - sensor[i]) % 5
+            if turn not in (1, 4) or 5 in (sensor[i], sensor[j]):
+                out.append(Result(9))
+                continue
+            apart = moment[j] - moment[i]
+            sign = -1 if turn == 1 else 1
+            out.append(Result(int(9 + 50 * 0.7 ** abs(apart)), None, np.array([sign * 0.7 + flow * apart, 0.0])))
+        return out
+
+    return scene, PreviewBook(match, len(scene))
+
+
+@pytest.mark.parametrize("late", [{2: 1}, {2: 4}, {0: -3}, {1: 2, 3: -2}, {4: 6}])
+def test_cameras_that_run_late_are_named_with_the_figure(late: dict[int, int]) -> None:
+    scene, book = lagging(late)
+    _, notes = check_rigs(scene, find_passes(scene), book, SETTINGS)
+    said = [n for n in notes if "seems to run" in n]
+    assert len(said) == len(late)
+    for camera, lag in late.items():
+        frames = f"{abs(lag)} frame{'s' if abs(lag) > 1 else ''} {'late' if lag > 0 else 'early'}"
+        assert any(n.startswith(f"pass there0: cam{camera} seems to run {frames}") for n in said)
+
+
+def test_cameras_in_step_are_looked_at_in_the_same_frame_only() -> None:
+    scene, book = lagging({})
+    _, notes = check_rigs(scene, find_passes(scene), book, SETTINGS)
+    assert not any("seems to run" in n for n in notes)
+    assert len(book) <= 300
+
+
+def test_evidence_without_fitting_motion_is_no_lag() -> None:
+    """What one camera sees two frames after another is no lag while things jump between them as the axes say now."""
+    scene, book = lagging({2: 2}, flow=0.0)
+    moved = PreviewBook(lambda p: [replace(r, shift=None) for r in book._match(p)], len(scene))
+    assert any("cam2 seems to run 2" in n for n in check_rigs(scene, find_passes(scene), book, SETTINGS)[1])
+    assert any("cam2 seems to run 2" in n for n in check_rigs(scene, find_passes(scene), moved, SETTINGS)[1])
+    step, sensor = scene.step[scene.frame], scene.sensor
+
+    def now(pairs: np.ndarray) -> list[Result]:
+        out = []
+        for (i, j), r in zip(pairs.tolist(), book._match(pairs)):
+            apart = 0.06 * (step[j] - step[i])
+            out.append(r if r.shift is None else replace(r, shift=r.shift + np.array([apart, 0.0])))
+        return out
+
+    notes = check_rigs(scene, find_passes(scene), PreviewBook(now, len(scene)), SETTINGS)[1]
+    assert not any("seems to run" in n for n in notes)
+
+
 def canal_demo(mirrored: bool) -> tuple[Scene, PreviewBook]:
     folder = DATA / "canal_demo"
     if not (folder / "images").is_dir():
@@ -139,3 +266,28 @@ def test_real_images_tell_a_mirrored_preset(mirrored: bool) -> None:
     checked, notes = check_rigs(scene, find_passes(scene), book, SETTINGS)
     assert np.allclose(axes(checked.rigs[0]), axes(truth), atol=1e-6)
     assert ("mirrored: corrected" in notes[0]) == mirrored
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("camera, late", [(0, 2), (1, -2), (3, 1)])
+def test_real_images_tell_a_camera_that_runs_late(camera: int, late: int) -> None:
+    scene, book = canal_demo(False)
+    step, track = scene.step[scene.frame], scene.track[scene.frame]
+    at = np.arange(len(scene))
+    for k in np.flatnonzero(scene.sensor == camera):
+        own = (scene.sensor == camera) & (track == track[k]) & (step == np.clip(step[k] - late, 0, step.max()))
+        at[k] = np.flatnonzero(own)[0]
+    lagged = PreviewBook(lambda pairs: book._match(at[pairs]), len(scene))
+    notes = check_rigs(scene, find_passes(scene), lagged, SETTINGS)[1]
+    frames = f"{abs(late)} frame{'s' if abs(late) > 1 else ''} {'late' if late > 0 else 'early'}"
+    assert sum("seems to run" in n for n in notes) == 1
+    assert any(f"cam{camera} seems to run {frames}" in n for n in notes)
+
+
+@pytest.mark.slow
+def test_real_images_tell_swapped_cameras() -> None:
+    scene, book = canal_demo(False)
+    wrong = scene.with_(rigs=(swapped(scene.rigs[0], ORDERS[0]),))
+    checked, notes = check_rigs(wrong, find_passes(scene), book, SETTINGS)
+    assert np.allclose(axes(checked.rigs[0]), axes(scene.rigs[0]), atol=1e-6)
+    assert "cam1 and cam2 seem to be swapped" in notes[0]

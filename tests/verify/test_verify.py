@@ -18,7 +18,7 @@ from tiegraph.verify.verify import verify_pairs
 
 @pytest.fixture(scope="module")
 def repeated():
-    return add_repeats(world(frames=6))
+    return add_repeats(world())
 
 
 def _shares(result, false):
@@ -30,7 +30,7 @@ def test_true_pairs_stay_and_repeats_go(repeated, tmp_path):
     result, false = repeated.run(tmp_path)
     true_kept, false_kept = _shares(result, false)
     assert result.method == "rig"
-    assert false.sum() > 30
+    assert false.sum() > 10
     assert true_kept >= 0.99
     assert false_kept <= 0.05
     assert result.counts["refused"] == np.sum(result.pairs.dropped > 0) > 0.9 * false.sum()
@@ -47,7 +47,7 @@ def test_frame_motions_are_true(tmp_path):
 
 
 def test_wide_rig(tmp_path):
-    result, false = add_repeats(world(frames=5, radius_m=1.0)).run(tmp_path)
+    result, false = add_repeats(world(radius_m=1.0)).run(tmp_path)
     true_kept, false_kept = _shares(result, false)
     assert true_kept >= 0.99
     assert false_kept <= 0.1
@@ -67,7 +67,7 @@ def test_wrong_focal_length_falls_back_loudly(repeated, tmp_path):
     camera = pycolmap.Camera(model="PINHOLE", width=640, height=480, params=[768, 768, 320, 240])
     rig = replace(rig, sensors=tuple(replace(s, camera=camera) for s in rig.sensors))
     result, false = repeated.run(tmp_path, repeated.scene.with_(rigs=(rig,)))
-    assert result.method == "images"
+    assert result.method == "rig does not hold"
     assert "does not hold" in result.notes[0] and "cam" in result.notes[0]
     assert _shares(result, false)[0] >= 0.97
 
@@ -81,7 +81,7 @@ def test_unknown_rig_goes_by_loops_of_images(repeated, tmp_path):
 
 
 def test_lone_camera_in_loops(tmp_path):
-    result, false = world(frames=8, sensors=1).run(tmp_path)
+    result, false = world(frames=7, sensors=1).run(tmp_path)
     assert result.method == "images"
     assert not false.any()
     assert _shares_true(result) >= 0.99
@@ -100,7 +100,7 @@ def test_off_keeps_all(repeated, tmp_path):
 
 
 def test_same_input_same_result(tmp_path):
-    made = add_repeats(world(frames=5))
+    made = add_repeats(world(frames=4, sensors=3))
     a, _ = made.run(tmp_path)
     b, _ = made.run(tmp_path)
     assert np.array_equal(a.pairs.dropped, b.pairs.dropped)

@@ -64,14 +64,14 @@ def rig(sensors: int, radius_m: float) -> Rig:
     camera = pycolmap.Camera(model="PINHOLE", width=640, height=480, params=[310, 310, 320, 240])
     out = []
     for k in range(sensors):
-        turn = Rotation.from_euler("y", -360.0 * k / max(sensors, 1), degrees=True).as_matrix()
+        turn = Rotation.from_euler("y", -72.0 * k, degrees=True).as_matrix()
         out.append(Sensor(f"cam{k}", camera, transforms.rigid(turn, np.array([0.0, 0.0, -radius_m]))))
     reference = out[0].sensor_from_rig
     out = [replace(s, sensor_from_rig=s.sensor_from_rig @ transforms.invert(reference)) for s in out]
     return Rig("ring", tuple(out))
 
 
-def world(frames: int = 8, sensors: int = 5, radius_m: float = 0.06, seed: int = 0, cloud: int = 900) -> World:
+def world(frames: int = 5, sensors: int = 4, radius_m: float = 0.06, seed: int = 0, cloud: int = 500) -> World:
     """A gently winding drive of 1.5 m steps between walls 6 m away."""
     rng = np.random.default_rng(seed)
     x = np.column_stack(
@@ -105,14 +105,14 @@ def world(frames: int = 8, sensors: int = 5, radius_m: float = 0.06, seed: int =
     return World(scene, points, matches, set())
 
 
-def add_repeats(made: World, share: float = 0.5, seed: int = 1) -> World:
-    """Give frame pairs 5 and more apart false pairs: matches of one consistent, wrong motion each, new key points."""
+def add_repeats(made: World, share: float = 0.35, seed: int = 1) -> World:
+    """Give frame pairs 2 and more apart false pairs: matches of one consistent, wrong motion each, new key points."""
     rng = np.random.default_rng(seed)
     scene = made.scene
     for i in range(len(scene)):
         for j in range(i + 1, len(scene)):
             apart = scene.frame[j] - scene.frame[i]
-            if apart < 3 or scene.sensor[i] == scene.sensor[j] or (i, j) in made.matches or rng.random() > share:
+            if apart < 2 or scene.sensor[i] == scene.sensor[j] or (i, j) in made.matches or rng.random() > share:
                 continue
             turn = Rotation.from_rotvec(rng.normal(size=3) * 0.15).as_matrix()
             x = np.column_stack([rng.uniform(-3, 3, 60), rng.uniform(-2, 2, 60), rng.uniform(5, 8, 60)])

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tiegraph.geometry import transforms
 from tiegraph.scene.rig import Rig
 
 YAW_STEP_DEG = 12.0
+FAR = 10.0  # assumed distance of things, in baselines
 
 
 def allowed_within(rig: Rig, limit_deg: float) -> np.ndarray:
@@ -52,3 +54,15 @@ def yaw_between(rig: Rig, evidence: np.ndarray) -> float | None:
     yaws = np.arange(0, 360, YAW_STEP_DEG)
     score = [np.sum(evidence * np.cos(np.radians(angles_deg(rig, y)))) for y in yaws]
     return float(yaws[int(np.argmax(score))])
+
+
+def predicted_shift(rig: Rig, a: int, b: int) -> np.ndarray:
+    """(2,) motion in the picture from camera a to b of a thing that stands midway between their axes."""
+    pose_a, pose_b = rig.sensors[a].sensor_from_rig, rig.sensors[b].sensor_from_rig
+    assert pose_a is not None and pose_b is not None
+    centres = transforms.centre(pose_a), transforms.centre(pose_b)
+    baseline = float(np.linalg.norm(centres[1] - centres[0]))
+    middle = rig.sensors[a].optical_axis() + rig.sensors[b].optical_axis()
+    thing = 0.5 * (centres[0] + centres[1]) + FAR * max(baseline, 1e-3) * middle / max(np.linalg.norm(middle), 1e-9)
+    seen = [transforms.apply(pose, thing[None])[0] for pose in (pose_a, pose_b)]
+    return seen[1][:2] / max(seen[1][2], 1e-3) - seen[0][:2] / max(seen[0][2], 1e-3)

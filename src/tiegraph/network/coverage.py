@@ -37,8 +37,8 @@ class Coverage:
 def coverage(pairs: Pairs, scene: Scene) -> Coverage:
     """Weak places of the kept pairs: images without pair, parts that are apart, single links, joints, loose groups.
 
-    The images of a frame are one node, for the rig holds them. A single link (bridge) is a pair, or pairs that share one
-    image, without which frames come apart; a joint (articulation point) is a frame without which they do.
+    The images of a frame are one node, for the rig holds them. A single link (bridge) is a pair, or pairs that share
+    one image, without which frames come apart; a joint (articulation point) is a frame without which they do.
     """
     kept = pairs.kept()
     links = frame_links(kept.i, kept.j, scene)

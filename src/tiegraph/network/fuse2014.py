@@ -56,8 +56,8 @@ def fuse2014(pairs: Pairs, scene: Scene, expected: np.ndarray, safe: bool) -> Fu
         ""
         if np.isfinite(pairs.sigma_m).any()
         else (
-            "fuse2014: no accuracy of the pairs is known, capacities are matches (B/H)^2, the textbook stand-in for the "
-            "paper's two-view bundle adjustment"
+            "fuse2014: no accuracy of the pairs is known, capacities are matches (B/H)^2 in place of the paper's "
+            "two-view bundle adjustment"
         )
     )
     return Fuse(thin, tuple(n for n in (note + more, surrogate) if n), counts)

@@ -5,9 +5,9 @@ network chosen so far: log(1 + R (new + 0.05 n)). That is the growth of the log-
 (tree-connectivity: Khosoussi et al. 2016, arXiv 1611.00889) with the matches that bundle adjustment does not have yet.
 Tree-connectivity itself is log(1 + R n). Both shrink as pairs are chosen, so choosing greedily is near the optimum.
 
-Pairs are chosen in rounds that grow the network by 3 to 10 %, each image at most once a round, so that all gains can be
-computed together and a pair chosen does not make its neighbours' gains stale. Measured on simulated surveys of 150 and
-200 images, rounds of 3 % give the sigma of one pair at a time within 1 %.
+Pairs are chosen in rounds that grow the network by 3 to 10 %, each image once a round while pairs are few: all gains
+are computed together, and a pair chosen does not make its neighbours' gains stale. Measured on simulated surveys of
+150 and 200 images, rounds of 3 % give the sigma of one pair at a time within 1 %.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array
 
-from tiegraph.network.resistance import EXACT, Net, laplacian, of_tracks
+from tiegraph.network.resistance import Net, laplacian, of_tracks
 from tiegraph.network.tracks import Candidates, Tracks, entries
 
 _log = logging.getLogger(__name__)
@@ -26,7 +26,9 @@ _log = logging.getLogger(__name__)
 _KNOWN = 0.05  # worth of a match whose track is joined already: another observation against outliers
 _LEAST = 0.01  # of what an unseen pair was expected to join is counted always: no chosen pair ties nothing
 _FINE, _COARSE, _MANY = 0.03, 0.10, 20_000  # growth of a round for small networks and for those of many images
-_LOOK = 0.10  # growth of a large network between two predictions of its accuracy, which cost more than a round
+_DENSE = 4  # pairs an image from which on rounds are coarse in small networks too
+_LOOK = 0.10  # growth of the network between two predictions of its accuracy, which cost more than a round
+_HALVINGS = 3  # of the last step, to find where the budget was met
 _DRIFT = {
     "hybrid": 2.5,
     "tree": 1.7,
@@ -62,23 +64,29 @@ def choose(candidates: Candidates, start: np.ndarray, budget: Budget, by_tracks:
     chosen[start] = True
     weight[start] = candidates.expected[start]
     tracks.choose(start, tracks.new())
-    order, loss, rounds, looked = [start], np.nan, 0, 0
+    order, loss, rounds, looked, before = [start], np.nan, 0, 0, 0
+    drift = _DRIFT["hybrid" if by_tracks else "tree"]
     growth = _FINE if candidates.images <= _MANY else _COARSE
     while True:
         count = int(chosen.sum())
         done = count == len(candidates)
-        if predictor is not None and (candidates.images <= EXACT or done or count >= (1 + _LOOK) * looked):
-            loss, looked = predictor.loss(tracks, _DRIFT["hybrid" if by_tracks else "tree"]), count
+        if predictor is not None and (done or count >= (1 + _LOOK) * looked):
+            before, looked = looked, count
+            loss = predictor.loss(tracks.chosen, drift, tracks)
             _log.info("round %d: %d of %d pairs, predicted loss %.1f %%", rounds, count, len(chosen), 100 * loss)
             if budget.loss is not None and loss <= budget.loss:
-                break
+                places = np.concatenate(order)
+                end, loss = _shortest(places, (max(before, len(start)), count), loss, budget.loss, (predictor, drift))
+                return Choice(places[:end], loss, rounds)
         room = min(budget.pairs, len(candidates)) - count
         if room <= 0:
             break
         new = tracks.new() if by_tracks else np.where(chosen, 0.0, candidates.expected)
         worth = new + _KNOWN * candidates.expected if by_tracks else new
         gain = np.where(chosen, -1.0, np.log1p(_resistance(candidates, weight) * worth))
-        picked = _apart(candidates, gain, min(max(1, int(growth * count)), room))
+        pace = growth if count < _DENSE * candidates.images else _COARSE
+        each = max(1, round(2 * pace * count / candidates.images))
+        picked = _apart(candidates, gain, min(max(1, int(pace * count)), room), each)
         tracks.choose(picked, new)
         chosen[picked] = True
         weight[picked] = np.maximum(new[picked], _KNOWN * candidates.expected[picked])
@@ -87,14 +95,31 @@ def choose(candidates: Candidates, start: np.ndarray, budget: Budget, by_tracks:
     return Choice(np.concatenate(order), loss, rounds)
 
 
+def _shortest(
+    places: np.ndarray, between: tuple[int, int], loss: float, allowed: float, by: tuple[Predictor, float]
+) -> tuple[int, float]:
+    """The least number of the first places, within bounds, whose predicted loss is allowed, and that loss."""
+    low, high = between
+    predictor, drift = by
+    for _ in range(_HALVINGS):
+        middle = (low + high) // 2
+        if middle <= low:
+            break
+        chosen = np.zeros(predictor.pairs, bool)
+        chosen[places[:middle]] = True
+        there = predictor.loss(chosen, drift)
+        low, high, loss = (low, middle, there) if there <= allowed else (middle, high, loss)
+    return high, loss
+
+
 def _resistance(c: Candidates, weight: np.ndarray) -> np.ndarray:
     net = Net(laplacian(c.i, c.j, weight, c.images))
     return np.where(np.isfinite(r := net.resistance(c.i, c.j)), r, 0.0)
 
 
-def _apart(c: Candidates, gain: np.ndarray, count: int) -> np.ndarray:
-    """Places of up to count pairs of the largest gain of which no two have an image in common."""
-    free = np.ones(c.images, bool)
+def _apart(c: Candidates, gain: np.ndarray, count: int, each: int) -> np.ndarray:
+    """Places of up to count pairs of the largest gain, at most ``each`` of an image."""
+    free = [each] * c.images
     picked: list[int] = []
     live = np.flatnonzero(gain >= 0)
     width = min(len(live), 20 * count)  # sorting all for each round would cost more than choosing
@@ -103,7 +128,8 @@ def _apart(c: Candidates, gain: np.ndarray, count: int) -> np.ndarray:
         top = top[np.argsort(-gain[top], kind="stable")]
         for e, i, j in zip(top.tolist(), c.i[top].tolist(), c.j[top].tolist()):
             if free[i] and free[j]:
-                free[i] = free[j] = False
+                free[i] -= 1
+                free[j] -= 1
                 picked.append(e)
                 if len(picked) == count:
                     break
@@ -128,7 +154,12 @@ class Predictor:
         self._all = self.variance(np.ones(len(candidates), bool), tracks)
         self._seen = float(candidates.seen.mean()) if len(candidates) else 1.0
 
-    def loss(self, tracks: Tracks, drift: float) -> float:
+    @property
+    def pairs(self) -> int:
+        """Number of candidates."""
+        return len(self._candidates)
+
+    def loss(self, chosen: np.ndarray, drift: float, tracks: Tracks | None = None) -> float:
         """Predicted increase of the position sigma over all candidates, a share: ratio of sigmas ** power - 1.
 
         The levelling net knows no rotations, whose errors add to those of positions, and a choice is judged by the very
@@ -137,7 +168,7 @@ class Predictor:
         large instead, and the power goes down to 1.
         """
         power = 1.0 + (drift - 1.0) * self._seen**2
-        value = self.variance(tracks.chosen, tracks)
+        value = self.variance(chosen, tracks)
         return max((value / self._all) ** (0.5 * power) - 1.0, 0.0) if self._all > 0 else 0.0
 
     def variance(self, chosen: np.ndarray, tracks: Tracks | None = None) -> float:
@@ -149,7 +180,7 @@ class Predictor:
         unseen = np.flatnonzero(chosen & ~c.seen)
         if len(unseen):
             i, j, expected = c.i[unseen], c.j[unseen], c.expected[unseen]
-            new = np.maximum(expected - entries(csr_array(seen @ seen.T), i, j), _LEAST * expected)
+            new = np.maximum(expected - entries(tracks.joint(), i, j), _LEAST * expected)
             apart = np.maximum(tracks.pieces() - self._final, 0.0)
             asked = np.bincount(i, new, c.images) + np.bincount(j, new, c.images)
             share = np.minimum(apart / np.maximum(asked, 1e-9), 1.0)

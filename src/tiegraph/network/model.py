@@ -27,6 +27,7 @@ from tiegraph.scene.ties import Ties
 
 MIN_MATCHES = 15  # a tie of the model
 NEAR_STEPS = 2  # frames of a pass: images this near each other show whether the model is right there
+MIN_POINTS = 10  # an image that sees fewer says nothing of its distances
 ENOUGH = 0.8  # share of the images in the model from which its calibration is believed
 TRUSTED = 0.5  # share of a frame's strong near previews that the model must explain
 NO_MODEL = "preview model: none could be made; pairs are chosen by preview counts alone"
@@ -54,6 +55,17 @@ class SurveyModel:
         """(N,) bool: images in the model."""
         return np.isfinite(self.cam_from_world).all(axis=(1, 2))
 
+    def reach(self) -> np.ndarray:
+        """(N, 2) distances to the nearest and farthest points an image sees (5 % and 95 %); NaN without points."""
+        centre = transforms.centre(self.cam_from_world)
+        distance = np.linalg.norm(self.points[self.point] - centre[self.image], axis=1)
+        out = np.full((len(self.cam_from_world), 2), np.nan)
+        order = np.argsort(self.image, kind="stable")
+        ends = np.searchsorted(self.image[order], np.arange(len(out) + 1))
+        for k in np.flatnonzero(np.diff(ends) >= MIN_POINTS):
+            out[k] = np.percentile(distance[order[ends[k] : ends[k + 1]]], (5, 95))
+        return out
+
     def overlap(self) -> Overlap:
         """Predicted shared surface of every two images of the model."""
         proxy = observed_proxy(self.points, self.image, self.point, self.cam_from_world)
@@ -71,6 +83,7 @@ class ModelResult:
     scene: Scene  # with the rig as the model found it
     model: SurveyModel | None
     notes: tuple[str, ...]
+    trusted: np.ndarray  # (N,) bool: images where the model is believed
 
 
 def by_model(
@@ -88,16 +101,16 @@ def by_model(
     used = used.where(used.counts() >= MIN_MATCHES)
     model = make(scene, used) if len(used) else None
     if model is None or not model.placed().any():
-        return ModelResult(pairs, scene, None, (NO_MODEL,))
+        return ModelResult(pairs, scene, None, (NO_MODEL,), np.zeros(len(scene), bool))
     overlap = model.overlap()
     placed = model.placed()
     trusted, agreement = _trusted(scene, book, overlap, placed, settings)
     judged = _judged(pairs, overlap, trusted, settings)
     notes = _notes(scene, model, len(used), trusted, agreement)
     if placed.sum() < ENOUGH * len(scene):
-        return ModelResult(judged, scene, model, notes)
+        return ModelResult(judged, scene, model, notes, trusted)
     rigs, moved = calibrated_rigs(scene.rigs, model.rigs)
-    return ModelResult(judged, scene.with_(rigs=rigs), model, notes + moved)
+    return ModelResult(judged, scene.with_(rigs=rigs), model, notes + moved, trusted)
 
 
 def calibrated_rigs(given: Sequence[Rig], found: Sequence[Rig]) -> tuple[tuple[Rig, ...], tuple[str, ...]]:

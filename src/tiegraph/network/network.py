@@ -54,6 +54,7 @@ class Network:
     cues: tuple[Cue, ...] = ()  # of the sections
     surfaces: tuple[OffsetSurface, ...] = ()
     tables: dict[str, dict] = field(default_factory=dict)
+    trusted: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))  # (N,) images where the model is believed
 
     def pictures(self) -> list[tuple[str, bytes]]:
         """(name, PNG) of the correspondence matrix, the offset curves and the section brightness."""
@@ -106,10 +107,10 @@ def estimate_network(
     proposal = _propose(Context(scene, passes, book, settings, descriptors))
     pairs = proposal.pairs
     notes = [*rig_notes, *proposal.notes]
-    model = None
+    model, trusted = None, np.zeros(len(scene), bool)
     if settings.model and make_model is not None and _uses_axes(settings) and len(scene) > FEW_PHOTOS:
         result = by_model(pairs, scene, book, settings, make_model)
-        pairs, scene, model = result.pairs, result.scene, result.model
+        pairs, scene, model, trusted = result.pairs, result.scene, result.model, result.trusted
         notes += list(result.notes)
     if settings.offsets and _uses_axes(settings):
         pairs, text = _with_axes(pairs, scene, passes, settings)
@@ -136,6 +137,7 @@ def estimate_network(
         cut.cues,
         proposal.surfaces,
         {"section links": links} if links["rows"] else {},
+        trusted,
     )
 
 

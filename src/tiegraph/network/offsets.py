@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tiegraph.network.axes import allowed_within, angles_deg, yaw_between
+from tiegraph.network import commonview
+from tiegraph.network.axes import allowed_within, angles_deg
+from tiegraph.network.copies import find_copies
 from tiegraph.network.lattice import CEILING, FLOOR, Lattice, make_lattice
 from tiegraph.network.passes import Pass, PreviewBook
 from tiegraph.network.settings import NetworkSettings
@@ -59,6 +61,7 @@ class OffsetResult:
     curves: tuple[OffsetCurve, ...]
     notes: tuple[str, ...]
     surfaces: tuple[OffsetSurface, ...] = ()
+    stranger: str = ""  # the couple of passes, where it has no common view
 
 
 @dataclass(frozen=True)
@@ -88,12 +91,13 @@ def estimate_offsets(passes: Sequence[Pass], book: PreviewBook, images: int, set
             while not survey.complete and 4 * stride < max(len(p), len(q)):
                 stride *= 2  # coarser: the nodes of the finer lattice are known and cost nothing
                 survey = _survey(p, q, stride, book, settings, len(book) + share)
-            parts.append(_local(survey, settings))
+            parts.append(_without_copies(_local(survey, settings), survey.lattice, book, settings))
     pairs = Pairs.empty()
     for part in parts:
         pairs = pairs | part.pairs
     curves, notes, surfaces = (sum((getattr(r, n) for r in parts), ()) for n in ("curves", "notes", "surfaces"))
-    return OffsetResult(pairs, curves, notes, surfaces)
+    lost = commonview.strangers([r.stranger for r in parts if r.stranger])
+    return OffsetResult(pairs, curves, (*notes, *lost), surfaces)
 
 
 # ---------------------------------------------------------------- local offsets
@@ -124,21 +128,20 @@ def _sampled(n: int, count: int) -> np.ndarray:
 
 def _survey(p: Pass, q: Pass, stride: int, book: PreviewBook, settings: NetworkSettings, budget: int) -> _Survey:
     """Seed the lattice, then grow it from every hit until nothing new ties or the budget of previews is spent."""
-    notes: tuple[str, ...] = ()
     if p is q:
         lattice, backwards = _seed_same(p, stride, book, settings), False
     else:
-        lattice, backwards, notes = _seed_across(p, q, stride, book, settings, budget)
+        lattice, backwards = _seed_across(p, q, stride, book, settings, budget)
     while True:
         smooth = lattice.smoothed(settings.min_matches)
         frontier = lattice.frontier(smooth, FLOOD_EXCESS * settings.min_matches)
         if p is q:
             frontier &= _upper(lattice)
         if not frontier.any():
-            return _Survey(lattice, smooth, backwards, notes)
+            return _Survey(lattice, smooth, backwards)
         if len(book) + int(frontier.sum()) > budget:
             text = f"{p.name} - {q.name}: the budget of previews was spent before every hit was followed"
-            return _Survey(lattice, smooth, backwards, (*notes, text), complete=False)
+            return _Survey(lattice, smooth, backwards, (text,), complete=False)
         lattice = lattice.measured(frontier, book)
 
 
@@ -159,7 +162,7 @@ def _seed_same(p: Pass, stride: int, book: PreviewBook, settings: NetworkSetting
 
 def _seed_across(
     p: Pass, q: Pass, stride: int, book: PreviewBook, settings: NetworkSettings, budget: int
-) -> tuple[Lattice, bool, tuple[str, ...]]:
+) -> tuple[Lattice, bool]:
     """A coarse grid over both passes gives the path and the heading; then sampled frames around the path."""
     lattice = make_lattice(p, q, stride, np.ones((len(p.images), len(q.images)), bool))
     cameras = len(p.images) * len(q.images)
@@ -168,41 +171,23 @@ def _seed_across(
         np.arange(len(lattice.columns)), _sampled(len(lattice.columns), nodes)
     )
     lattice = lattice.measured(np.broadcast_to(coarse, lattice.inliers.shape), book)
-    excess = np.maximum(0, np.nan_to_num(lattice.smoothed(settings.min_matches)) - settings.min_matches)
-    backwards = _runs_backwards(lattice, excess.sum(axis=(0, 1)))
-    allowed, note = _heading(lattice, excess.sum(axis=(2, 3)), backwards, settings)
-    lattice = Lattice(p, q, lattice.rows, lattice.columns, allowed, lattice.inliers)
+    excess = commonview.above(lattice, lattice.smoothed(settings.min_matches), settings.min_matches)
+    backwards, _ = commonview.direction(lattice, excess)
+    lattice = Lattice(p, q, lattice.rows, lattice.columns, _facing(lattice, excess, settings), lattice.inliers)
     centre = _path(lattice, excess.sum(axis=(0, 1)))
     if centre is None:
-        return lattice, backwards, (*note, f"{p.name} - {q.name}: no common view was found")
+        return lattice, backwards
     sampled = np.isin(np.arange(len(lattice.rows)), _sampled(len(lattice.rows), settings.sample_frames))
     near = np.abs(np.arange(len(lattice.columns)) - centre[:, None]) <= WINDOW_NODES
-    return lattice.measured(np.broadcast_to(sampled[:, None] & near, lattice.inliers.shape), book), backwards, note
+    return lattice.measured(np.broadcast_to(sampled[:, None] & near, lattice.inliers.shape), book), backwards
 
 
-def _runs_backwards(lattice: Lattice, weight: np.ndarray) -> bool:
-    """Whether frames of q run against those of p: sign of the weighted correlation of their ranks."""
-    if weight.sum() <= 0:
-        return False
-    share = weight / weight.sum()
-    m, n = share.sum(axis=1) @ lattice.rows, share.sum(axis=0) @ lattice.columns
-    return bool((lattice.rows - m) @ share @ (lattice.columns - n) < 0)
-
-
-def _heading(
-    lattice: Lattice, evidence: np.ndarray, backwards: bool, settings: NetworkSettings
-) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Camera pairs (S, T) whose axes permit a match once the heading of q against p is known, and a note."""
-    p, q = lattice.p, lattice.q
-    everything = np.ones(evidence.shape, bool)
-    if p.rig_index != q.rig_index or not p.rig.known() or len(p.images) < 2:
-        return everything, ()
-    yaw = yaw_between(p.rig, evidence)
+def _facing(lattice: Lattice, excess: np.ndarray, settings: NetworkSettings) -> np.ndarray:
+    """(S, T) bool: camera pairs whose axes permit a match at the heading of q against p; all, while that is unknown."""
+    yaw = commonview.yaw(lattice, excess)
     if yaw is None:
-        return everything, ()
-    allowed = angles_deg(p.rig, yaw) <= settings.axes_deg
-    way = "runs back along" if backwards else "follows"
-    return allowed, (f"{q.name} {way} {p.name}, turned by about {yaw:.0f} deg (voted by previews)",)
+        return np.ones(excess.shape[:2], bool)
+    return angles_deg(lattice.p.rig, yaw) <= settings.axes_deg
 
 
 def _path(lattice: Lattice, weight: np.ndarray) -> np.ndarray | None:
@@ -219,6 +204,7 @@ def _local(survey: _Survey, settings: NetworkSettings) -> OffsetResult:
     """Pairs kept by the interpolated surface; measured pairs that were not kept, with the reason."""
     lattice = survey.lattice
     smooth = lattice.confirmed(survey.smooth, settings.min_matches)
+    smooth = commonview.without_chance(lattice, smooth, settings.min_matches)
     c, d, m, n, count = lattice.interpolated(smooth, settings.min_matches)
     i, j = lattice.p.images[c, m], lattice.q.images[d, n]
     there = (i >= 0) & (j >= 0) & (i != j)
@@ -232,7 +218,31 @@ def _local(survey: _Survey, settings: NetworkSettings) -> OffsetResult:
     measured = Pairs.make(*lattice.images(seen), "offsets", score=lattice.inliers[seen], dropped=code[seen])
     curves = _curves(lattice, survey.reversed, voted, settings)
     surfaces = surfaces_of(lattice, smooth, settings.min_matches)
-    return OffsetResult(measured | kept, curves, survey.notes, surfaces)
+    note, stranger = _said(lattice, smooth, settings)
+    return OffsetResult(measured | kept, curves, (*survey.notes, *note), surfaces, stranger)
+
+
+def _said(lattice: Lattice, smooth: np.ndarray, settings: NetworkSettings) -> tuple[tuple[str, ...], str]:
+    """How two passes lie to each other as a note, or their names if they have nothing in common."""
+    if lattice.same:
+        return (), ""
+    excess = commonview.above(lattice, smooth, settings.min_matches)
+    if not excess.any():
+        return (), f"{lattice.p.name} - {lattice.q.name}"
+    said = commonview.in_words(lattice, excess)
+    return ((said,) if said else ()), ""
+
+
+def _without_copies(
+    result: OffsetResult, lattice: Lattice, book: PreviewBook, settings: NetworkSettings
+) -> OffsetResult:
+    """Pairs of one picture twice are dropped: they match best of all and have no base."""
+    copies = find_copies(lattice, book, settings.min_matches)
+    if copies is None:
+        return result
+    twins = Pairs.make(copies.i, copies.j, "offsets", score=book.known(copies.i, copies.j))
+    pairs = result.pairs | twins
+    return replace(result, pairs=pairs.drop(_contained(pairs, twins), "similar"), notes=(*result.notes, copies.note))
 
 
 # ---------------------------------------------------------------- curves
@@ -314,9 +324,9 @@ def _vote_constant(p: Pass, q: Pass, book: PreviewBook, settings: NetworkSetting
     if p is not q:  # three frames show the heading, then the axes rule pairs of cameras out
         few = np.isin(np.arange(len(rows)), _sampled(len(rows), 3))[:, None]
         lattice = _measured_oblong(lattice, wanted & few, book)
-        excess = np.maximum(0, np.nan_to_num(lattice.inliers) - settings.min_matches)
-        backwards = _runs_backwards(lattice, excess.sum(axis=(0, 1)))
-        allowed, notes = _heading(lattice, excess.sum(axis=(2, 3)), backwards, settings)
+        excess = commonview.above(lattice, lattice.inliers, settings.min_matches)
+        allowed, said = _facing(lattice, excess, settings), commonview.in_words(lattice, excess)
+        notes = (said,) if said else ()
         lattice = Lattice(p, q, rows, lattice.columns, allowed, lattice.inliers)
     return _measured_oblong(lattice, wanted, book), notes
 

@@ -87,7 +87,7 @@ def assumed_proxy(
     """
     known = np.flatnonzero(np.isfinite(cam_from_world[:, :3]).all(axis=(1, 2)))
     ranges = np.broadcast_to(np.asarray(range_m, float), (len(cam_from_world),))
-    rays = {id(c): _grid_rays(c) for c in cameras}
+    rays = {key: _grid_rays(c) for key, c in {id(c): c for c in cameras}.items()}
     steps = np.array(ASSUMED_RANGES)
     points, towards, reach, image = [], [], [], []
     for k in known:

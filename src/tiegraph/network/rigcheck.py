@@ -2,71 +2,100 @@
 
 A preset may turn the wrong way round (mirrored), or its images may lie on their side (rolled). Each of these hypotheses
 predicts which way a thing moves in the picture from one camera to the next; the previews of same-frame pairs vote.
+A rig file may also name its cameras in another order: then the wrong ones match. All pairs of cameras are sampled, for
+wrong axes forbid the very pairs that would tell.
 """
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
-from tiegraph.network.axes import allowed_within
+from tiegraph.network.axes import allowed_within, predicted_shift
 from tiegraph.network.passes import Pass, PreviewBook
+from tiegraph.network.rigorder import Order, in_words, orders, reordered
+from tiegraph.network.rigsync import frame_notes, lag_notes
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 
-FRAMES = 16  # frames whose images are compared
+FRAMES = 16  # frames whose images are compared, at most
+SAMPLES = 250  # pairs of images compared, about
 MIN_VOTES = 6  # image pairs with enough matches
 AGREEMENT = 0.5  # mean cosine between predicted and seen motion that counts as agreement
 MARGIN = 0.5  # a hypothesis must beat the nominal rig by this much to replace it
 TIE = 0.03  # agreements this close are the same
 INLIERS = 1.3  # times min_matches: a single preview must be surer than an average of many
-FAR = 10.0  # assumed distance of things, in baselines
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class RigCheck:
-    """Outcome for one rig: the rig to use from here on, whether it was changed, and what was found."""
+    """Outcome for one rig: the rig to use from here on, whether it was changed, and what was found.
+
+    old_from_new (4, 4): the old rig frame from the new one; ordered: False if its cameras seem to be in another order.
+    """
 
     rig: Rig
     changed: bool
     note: str
+    old_from_new: np.ndarray = field(default_factory=lambda: np.eye(4))
+    ordered: bool = True
 
 
 @dataclass(frozen=True)
 class _Votes:
-    """K same-frame pairs: sensors a, b, shift (K, 2), rotation angle of the axes in degrees (NaN = unknown)."""
+    """K same-frame pairs: sensors a, b, shift (K, 2), rotation angle of the axes in degrees (NaN = unknown).
+
+    evidence (2, S, S): mean matches above ``min_matches`` in units of it, limited to 0 .. 2, of either half of the
+    frames; NaN = not looked at.
+    """
 
     a: np.ndarray
     b: np.ndarray
     shift: np.ndarray
     angle_deg: np.ndarray
+    evidence: np.ndarray
 
 
 def check_rigs(
     scene: Scene, passes: Sequence[Pass], book: PreviewBook, settings: NetworkSettings
 ) -> tuple[Scene, tuple[str, ...]]:
-    """The scene with rigs whose sense of rotation or roll the images contradict corrected, and what was found."""
-    rigs, notes = list(scene.rigs), []
+    """The scene with rigs whose order, sense of rotation or roll the images contradict corrected, and what was found.
+
+    Cameras with fewer frames than others and cameras that seem to run late are told of.
+    """
+    rigs, notes, poses = list(scene.rigs), list(frame_notes(passes, scene.names)), scene.world_from_rig
     for k, rig in enumerate(scene.rigs):
         if len(rig.sensors) < 2 or not rig.known():
             continue
-        outcome = check_rig(rig, [p for p in passes if p.rig_index == k], book, settings)
+        own = [p for p in passes if p.rig_index == k]
+        outcome = check_rig(rig, own, book, settings)
         rigs[k] = outcome.rig
+        if not np.array_equal(outcome.old_from_new, np.eye(4)):
+            turned = (scene.rig == k) & np.isfinite(poses).all(axis=(1, 2))  # a position alone stays where it is
+            poses = np.where(turned[:, None, None], poses @ outcome.old_from_new, poses)
         notes.append(outcome.note)
-    return scene.with_(rigs=tuple(rigs)), tuple(notes)
+        if outcome.ordered:
+            notes += lag_notes([replace(p, rig=outcome.rig) for p in own], book, settings)
+    if any(a is not b for a, b in zip(rigs, scene.rigs)):
+        scene = scene.with_(rigs=tuple(rigs), world_from_rig=poses)
+    return scene, tuple(notes)
 
 
 def check_rig(rig: Rig, passes: Sequence[Pass], book: PreviewBook, settings: NetworkSettings) -> RigCheck:
-    """Vote on mirrored and rolled versions of a rig with same-frame previews; a calibrated rig is never changed."""
-    votes = _collect(rig, passes, book, settings)
+    """Vote on other orders, mirrored and rolled versions of a rig with previews; a calibrated rig is never changed."""
+    everything = _collect(rig, passes, book, settings)
+    found = orders(rig, everything.evidence)
+    if found:
+        return _out_of_order(rig, found, everything, settings)
+    votes = _facing(everything, rig, settings)
     if len(votes.a) < MIN_VOTES:
         text = f"rig {rig.name}: its axes could not be checked against the images: too few matches"
         return RigCheck(rig, False, f"{text} ({len(votes.a)} of {MIN_VOTES} pairs of one frame)")
@@ -83,6 +112,18 @@ def check_rig(rig: Rig, passes: Sequence[Pass], book: PreviewBook, settings: Net
         return RigCheck(rig, False, f"rig {rig.name}: the images say it is {best}, but it is calibrated: kept{angles}")
     corrected = dict(_hypotheses(rig))[best]
     return RigCheck(corrected, True, f"rig {rig.name}: the images show it {best}: corrected{_angles(corrected, votes)}")
+
+
+def _out_of_order(rig: Rig, found: Sequence[Order], votes: _Votes, settings: NetworkSettings) -> RigCheck:
+    """Of orders with the same neighbours the one whose sense of rotation the images show; of those the first."""
+    tried = [reordered(rig, order.place)[0] for order in found]
+    score = [_agreement(r, _facing(votes, r, settings)) for r in tried]
+    order = found[next(k for k, s in enumerate(score) if s >= max(score) - TIE)]
+    text = f"rig {rig.name}: {in_words(rig, order, votes.evidence)}"
+    if rig.fixed:
+        return RigCheck(rig, False, f"{text}: it is calibrated and kept; check the rig file", ordered=False)
+    corrected, old_from_new = reordered(rig, order.place)
+    return RigCheck(corrected, True, f"{text}: corrected; check the rig file", old_from_new)
 
 
 def _hypotheses(rig: Rig) -> list[tuple[str, Rig]]:
@@ -107,23 +148,60 @@ def _variant(rig: Rig, turn: np.ndarray, mirror: bool) -> Rig:
 
 
 def _collect(rig: Rig, passes: Sequence[Pass], book: PreviewBook, settings: NetworkSettings) -> _Votes:
-    allowed = allowed_within(rig, settings.axes_deg)
-    couples = [(a, b) for a, b in np.argwhere(allowed) if a < b]
-    each = max(1, FRAMES // max(1, len(passes)))
-    rows = []
-    for p in passes:
-        for k in np.unique(np.linspace(0, len(p) - 1, min(len(p), each)).round().astype(int)):
-            for c, d in couples:
-                if p.images[c, k] >= 0 and p.images[d, k] >= 0:
-                    rows.append((c, d, p.images[c, k], p.images[d, k]))
-    if not rows:
-        return _Votes(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2)), np.zeros(0))
-    a, b, i, j = np.array(rows).T
-    results = book.results(i, j)
-    enough = [k for k, r in enumerate(results) if r.inliers >= INLIERS * settings.min_matches and r.shift is not None]
+    """Previews of every two cameras in sampled frames; where next to none match, also from a frame to the next one."""
+    couples = np.array([(a, b) for a in range(len(rig.sensors)) for b in range(a + 1, len(rig.sensors))])
+    rows = _sampled(passes, couples, 0)
+    results = book.results(rows[2], rows[3]) if rows.size else []
+    a, b, _, _, half = rows
+    inliers = np.array([r.inliers for r in results], float)
+    sure = inliers >= INLIERS * settings.min_matches
+    enough = [k for k, r in enumerate(results) if sure[k] and r.shift is not None]
     angle = [np.nan if results[k].rotation is None else _axis_angle(results[k].rotation) for k in enough]
     shift = np.array([results[k].shift for k in enough]).reshape(-1, 2)
-    return _Votes(a[enough], b[enough], shift, np.array(angle, float))
+    if sure.sum() < MIN_VOTES:
+        both = np.concatenate([couples, couples[:, ::-1]])
+        following = _sampled(passes, both, 1)
+        inliers = np.append(inliers, book.measure(following[2], following[3]))
+        rows = np.concatenate([rows, following], axis=1)
+    evidence = _evidence(rows, inliers, len(rig.sensors), settings.min_matches)
+    return _Votes(a[enough], b[enough], shift, np.array(angle, float), evidence)
+
+
+def _facing(votes: _Votes, rig: Rig, settings: NetworkSettings) -> _Votes:
+    """Votes of the cameras whose axes permit a match: on repeated walls the others match by chance."""
+    use = allowed_within(rig, settings.axes_deg)[votes.a, votes.b]
+    return replace(votes, a=votes.a[use], b=votes.b[use], shift=votes.shift[use], angle_deg=votes.angle_deg[use])
+
+
+def _sampled(passes: Sequence[Pass], couples: np.ndarray, step: int) -> np.ndarray:
+    """(5, K) sensors a, b, images i < j at frames k and k + ``step``, and which half of the frames (0, 1) it is of."""
+    frames = int(np.clip(SAMPLES // max(1, len(couples)), 4, FRAMES))
+    some = [passes[k] for k in np.unique(np.linspace(0, len(passes) - 1, min(len(passes), frames)).round().astype(int))]
+    each = max(1, frames // max(1, len(some)))
+    out = [np.zeros((5, 0), int)]
+    number = 0
+    for p in some:
+        last = len(p) - 1 - step
+        for k in np.unique(np.linspace(0, last, min(last + 1, each)).round().astype(int)) if last >= 0 else ():
+            a, b = couples.T
+            i, j = p.images[a, k], p.images[b, k + step]
+            rows = np.stack([a, b, i, j, np.full(len(a), number % 2)])
+            number += 1
+            swap = i > j
+            rows[:4, swap] = rows[[1, 0, 3, 2]][:, swap]
+            out.append(rows[:, (i >= 0) & (j >= 0)])
+    return np.concatenate(out, axis=1)
+
+
+def _evidence(rows: np.ndarray, inliers: np.ndarray, sensors: int, min_matches: int) -> np.ndarray:
+    """(2, S, S) mean clipped excess of matches of either half of the frames, the same both ways; NaN = none."""
+    a, b, half = rows[0], rows[1], rows[4]
+    total, count = np.zeros((2, sensors, sensors)), np.zeros((2, sensors, sensors))
+    value = np.clip(inliers / min_matches - 1, 0, 2)
+    np.add.at(total, (half, a, b), value)
+    np.add.at(count, (half, a, b), 1)
+    total, count = total + total.transpose(0, 2, 1), count + count.transpose(0, 2, 1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 def _axis_angle(rotation: np.ndarray) -> float:
@@ -134,24 +212,12 @@ def _agreement(rig: Rig, votes: _Votes) -> float:
     """Mean cosine between predicted and seen motion of the shared things, every camera pair with the same weight."""
     cosine = []
     for a, b in sorted(set(zip(votes.a.tolist(), votes.b.tolist()))):
-        predicted = _predicted_shift(rig, a, b)
+        predicted = predicted_shift(rig, a, b)
         seen = votes.shift[(votes.a == a) & (votes.b == b)]
         length = np.linalg.norm(seen, axis=1) * np.linalg.norm(predicted)
         if np.linalg.norm(predicted) > 1e-9:
             cosine.append(float(np.mean(seen @ predicted / np.maximum(length, 1e-9))))
     return float(np.mean(cosine)) if cosine else 0.0
-
-
-def _predicted_shift(rig: Rig, a: int, b: int) -> np.ndarray:
-    """(2,) motion in the picture from camera a to b of a thing that stands midway between their axes."""
-    pose_a, pose_b = rig.sensors[a].sensor_from_rig, rig.sensors[b].sensor_from_rig
-    assert pose_a is not None and pose_b is not None
-    centres = transforms.centre(pose_a), transforms.centre(pose_b)
-    baseline = float(np.linalg.norm(centres[1] - centres[0]))
-    middle = rig.sensors[a].optical_axis() + rig.sensors[b].optical_axis()
-    thing = 0.5 * (centres[0] + centres[1]) + FAR * max(baseline, 1e-3) * middle / max(np.linalg.norm(middle), 1e-9)
-    seen = [transforms.apply(pose, thing[None])[0] for pose in (pose_a, pose_b)]
-    return seen[1][:2] / max(seen[1][2], 1e-3) - seen[0][:2] / max(seen[0][2], 1e-3)
 
 
 def _angles(rig: Rig, votes: _Votes) -> str:

@@ -73,6 +73,7 @@ class Tracks:
         self.extra = np.zeros(len(candidates))
         self.chosen = np.zeros(len(candidates), bool)
         self.shared = np.zeros(len(candidates))  # J of unseen pairs
+        self._joint: csr_array | None = None
         most = np.zeros(candidates.images)
         np.maximum.at(most, candidates.i, candidates.expected)
         np.maximum.at(most, candidates.j, candidates.expected)
@@ -112,6 +113,7 @@ class Tracks:
 
     def join(self, places: np.ndarray) -> None:
         """Join the matches of the candidates at places (K,), all of them seen."""
+        self._joint = None
         c = self.candidates
         count = np.diff(c.start)[places]
         at = np.repeat(c.start[places] - np.cumsum(count) + count, count) + np.arange(count.sum())
@@ -164,9 +166,12 @@ class Tracks:
         return np.diff(total[first]) + np.maximum(self.features - np.diff(first), 0.0)
 
     def joint(self) -> csr_array:
-        """(N, N) tracks that two images share."""
-        seen = self.incidence()
-        return csr_array(seen @ seen.T)
+        """(N, N) tracks that two images share; worked out once after each joining, for it costs more than the rest."""
+        if self._joint is None:
+            seen = self.incidence()
+            self._joint = csr_array(seen @ seen.T)
+            self._joint.sort_indices()
+        return self._joint
 
 
 def len_of(candidates: Candidates) -> int:

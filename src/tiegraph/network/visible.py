@@ -150,7 +150,7 @@ def shared_surface(
     known = np.flatnonzero(np.isfinite(cam_from_world[:, :3]).all(axis=(1, 2)))
     if len(known) < 2 or not len(proxy):
         return Overlap(*(np.zeros(0, int),) * 2, *(np.zeros(0),) * 3)
-    views = {id(c): View.of(c) for c in cameras}
+    views = {key: View.of(c) for key, c in {id(c): c for c in cameras}.items()}
     slack = np.broadcast_to(np.asarray(slack_rad, float), (len(cam_from_world),))
     eyes = [_Eye(cam_from_world[k], views[id(cameras[int(k)])], float(slack[k])) for k in known]
     centre = transforms.centre(cam_from_world[known])
@@ -322,8 +322,9 @@ def pair_share(
 
     The same measure as ``shared_surface`` of an ``assumed_proxy``, one pair after another.
     """
-    proxy = assumed_proxy(cam_from_world, cameras, range_m)
-    views = {id(c): View.of(c) for c in cameras}
+    asked = np.isin(np.arange(len(cameras)), np.concatenate([i, j]))
+    proxy = assumed_proxy(np.where(asked[:, None, None], cam_from_world, np.nan), cameras, range_m)
+    views = {key: View.of(c) for key, c in {id(c): c for c in cameras}.items()}
     order = np.argsort(proxy.image, kind="stable")
     starts = np.searchsorted(proxy.image[order], np.arange(len(cameras) + 1))
     known = np.isfinite(cam_from_world[:, :3]).all(axis=(1, 2))

@@ -8,6 +8,7 @@ from tiegraph.pipeline.model import features, forget_matches, georef, match, spa
 from tiegraph.pipeline.result import evaluate, report
 from tiegraph.pipeline.surface import cloud, dense
 from tiegraph.pipeline.ties import design, network
+from tiegraph.pipeline.verification import verify
 from tiegraph.project.stages import Stage
 
 __all__ = ["STAGES"]
@@ -20,10 +21,11 @@ STAGES = (
     Stage("design", design, ("network",), ("pairs.npz", "pairs.txt", "pairs", "design"), version=2),
     Stage("features", features, ("scan", "masks"), ("database.db",), "image"),
     Stage("match", match, ("network", "design", "features"), ("match.npz",), "block of pairs", clear=forget_matches),
-    Stage("sparse", sparse, ("network", "match"), ("sparse",), version=3),
+    Stage("verify", verify, ("network", "match"), ("verify.npz",), "pair"),
+    Stage("sparse", sparse, ("network", "match", "verify"), ("sparse",), version=4),
     Stage("georef", georef, ("network", "sparse"), ("sparse/world", "world.json")),
     Stage("dense", dense, ("masks", "georef"), ("depth",), "image"),
     Stage("cloud", cloud, ("dense",), ("cloud.laz", "cloud.ply")),
-    Stage("evaluate", evaluate, ("masks", "match", "georef", "dense", "cloud"), ("metrics.json",)),
+    Stage("evaluate", evaluate, ("masks", "verify", "georef", "dense", "cloud"), ("metrics.json",)),
     Stage("report", report, ("evaluate",), ("report.html",)),
 )

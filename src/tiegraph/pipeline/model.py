@@ -14,6 +14,7 @@ from tiegraph.features.settings import FeaturesSettings
 from tiegraph.pipeline.files import checked, mask_path, pairs_of, save_npz, scanned
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome, remove
+from tiegraph.scene.pairs import REASONS
 from tiegraph.sfm.georef import Georeference, georeference_all
 from tiegraph.sfm.mapper import reconstruct
 
@@ -78,6 +79,9 @@ def sparse(run: Run) -> Outcome:
     def progress(registered: int, total: int) -> None:
         run.reporter.total(total, registered)
 
+    verified = pairs_of(run, "verify.npz")
+    away = verified.where(verified.dropped == REASONS.index("repeat"))
+    refused = tuple(zip(away.i.tolist(), away.j.tolist()))
     made = reconstruct(
         run.path("database.db"),
         run.path("images"),
@@ -86,6 +90,7 @@ def sparse(run: Run) -> Outcome:
         run.settings.sparse,
         run.log,
         progress,
+        refused,
     )
     counts = dict(made.counts)
     if made.sigma is not None:

@@ -51,6 +51,9 @@ def network(run: Run) -> Outcome:
     found = estimate_network(scene, light, match, run.settings.network, make_model, descriptors)
     save_npz(run.path("network.npz"), **found.pairs.to_npz())
     save_npz(run.path("network", "ties.npz"), **found.ties.to_npz())
+    if found.model is not None:
+        poses, reach = found.model.cam_from_world, found.model.reach()
+        save_npz(run.path("network", "model.npz"), cam_from_world=poses, reach=reach, trusted=found.trusted)
     write_atomic(run.path("network.csv"), found.pairs.to_csv(scene.names))
     write_atomic(run.path("network", "scene.json"), found.scene.to_json())
     for name, picture in found.pictures():

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
+
 from tiegraph.pipeline.files import checked, pairs_of, save_npz
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
+from tiegraph.verify.prior import Prior
 from tiegraph.verify.verify import verify_pairs
 
 
@@ -22,8 +25,17 @@ def verify(run: Run) -> Outcome:
     def run_map(function: Callable[..., Any], items: Sequence[Any], *args: Any) -> list[Any]:
         return run.map(function, items, *args)
 
-    found = verify_pairs(
-        run.path("database.db"), checked(run), pairs_of(run, "match.npz"), run.settings.verify, run_map, on_total
-    )
+    scene, pairs, settings = checked(run), pairs_of(run, "match.npz"), run.settings.verify
+    found = verify_pairs(run.path("database.db"), scene, pairs, settings, run_map, on_total, _prior(run))
     save_npz(run.path("verify.npz"), **found.pairs.to_npz(), undecided=found.undecided, **found.motions.to_npz())
-    return Outcome(found.counts, notes=(f"method: {found.method}", *found.notes), tables=found.tables)
+    return Outcome(found.counts, notes=found.notes, tables=found.tables)
+
+
+def _prior(run: Run) -> Prior | None:
+    """The preview model, where it is trusted."""
+    path = run.path("network", "model.npz")
+    if not path.exists():
+        return None
+    with np.load(path) as data:
+        poses = np.where(data["trusted"][:, None, None], data["cam_from_world"], np.nan)
+        return Prior(poses, data["reach"])

@@ -61,17 +61,49 @@ def build_scene(inputs: ScanInputs, names: Sequence[str], probes: Sequence[Probe
 
 def _usable(names: Sequence[str], probes: Sequence[Probe], report: Report) -> Usable:
     first: dict[str, str] = {}
-    usable = []
+    usable, repeated = [], []
     for k, (name, probe) in enumerate(zip(names, probes)):
         if probe.reason:
             report.drop([name], probe.reason)
         elif probe.digest in first:
             report.drop([name], f"the same file as {first[probe.digest]}")
+            repeated.append((name, first[probe.digest]))
         else:
             first[probe.digest] = name
             usable.append(k)
+    report.notes += _say_repeated(repeated, names)
     _need_two(len(usable), report)
     return Usable(tuple(usable), tuple(names[k] for k in usable), tuple(probes[k] for k in usable))
+
+
+def _say_repeated(repeated: Sequence[tuple[str, str]], names: Sequence[str]) -> list[str]:
+    """One note for every two folders of which one repeats files of the other: a pass that was copied."""
+    heads = Counter(_heads(name, original) for name, original in repeated)
+    out = []
+    for (copy, original), count in heads.items():
+        total = sum(name.startswith(f"{copy}/") for name in names) if copy else len(names)
+        if copy == original:
+            out.append(
+                f"folder {copy or '.'}: {count} of {total} images repeat others of it (identical files): left out"
+            )
+        else:
+            kind = "folder" if "/" in copy + original else "pass"
+            text = (
+                f"{kind} {copy or '.'} repeats {kind} {original or '.'}: {count} of {total} images are identical files"
+            )
+            out.append(f"{text}; pairs between them carry no base, so they are left out")
+    return out
+
+
+def _heads(name: str, other: str) -> tuple[str, str]:
+    """The folders of two files without what they end on alike: (B, A) for B/cam0/1.jpg and A/cam0/1.jpg."""
+    mine, its = list(PurePosixPath(name).parent.parts), list(PurePosixPath(other).parent.parts)
+    if mine == its:
+        return "/".join(mine), "/".join(its)
+    while mine and its and mine[-1] == its[-1]:
+        mine.pop()
+        its.pop()
+    return "/".join(mine), "/".join(its)
 
 
 def _need_two(count: int, report: Report) -> None:

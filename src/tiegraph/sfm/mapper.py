@@ -23,6 +23,7 @@ from tiegraph.sfm.model import MIN_OBSERVATIONS, image_poses, observations, regi
 from tiegraph.sfm.rig import DerivedRig, calibrated, derive_rig, rig_modes, rig_table
 from tiegraph.sfm.run import FinishRequest, Request, finish_model, run_mapper
 from tiegraph.sfm.settings import SparseSettings
+from tiegraph.sfm.support import ties_of, unsupported_sensors
 
 _log = logging.getLogger(__name__)
 
@@ -80,6 +81,7 @@ class _Job:
     runs: list[list]  # rows of the table of runs
     notes: list[str]
     refused: tuple[tuple[int, int], ...] = ()
+    alone: tuple[int, ...] = ()  # keys of sensors placed by the rig as given
 
 
 @dataclass(frozen=True)
@@ -112,7 +114,14 @@ def reconstruct(  # noqa: PLR0913 - the pairs to leave out came with the stage v
     out.mkdir(parents=True, exist_ok=True)
     for old in (p for p in out.iterdir() if p.is_dir() and p.name.isdigit()):
         shutil.rmtree(old)
-    job = _Job(database, images, out, scene, settings, log, on_progress, graph, [], [], tuple(refused))
+    alone = unsupported_sensors(scene, graph, modes)
+    notes = []
+    if alone:
+        names = ", ".join(scene.all_sensors[k].name for k in alone)
+        notes.append(f"too few ties of {names}: placed by the rig as given, its own ties are not used")
+        refused = (*refused, *ties_of(scene, graph, alone))
+        graph = ViewGraph(database, scene, settings.min_matches, refused)
+    job = _Job(database, images, out, scene, settings, log, on_progress, graph, [], notes, tuple(refused), alone)
     try:
         return _reconstruct(job, modes)
     finally:
@@ -277,6 +286,8 @@ def _finish(job: _Job, outcome: _Outcome, fixed: tuple[int, ...]) -> PositionSig
             constant_cameras=constant,
             all_constant=len(constant) == len(job.scene.all_sensors),
             covariance_frames=0 if number else job.settings.covariance_frames,
+            scene=job.scene.to_json(),
+            alone=job.alone,
         )
         sigma, notes = run_in_child(finish_model, request, log=job.log, task="final adjustment")
         sigmas.append(sigma)

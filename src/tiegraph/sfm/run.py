@@ -16,6 +16,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjust import final_adjustment
 from tiegraph.sfm.covariance import PositionSigma, position_sigma
 from tiegraph.sfm.database import write_working_copy
+from tiegraph.sfm.support import place_as_given
 
 MIN_MODEL_IMAGES = 3
 
@@ -55,6 +56,8 @@ class FinishRequest:
     constant_cameras: tuple[int, ...]
     all_constant: bool
     covariance_frames: int  # 0: no sigmas wanted
+    scene: str  # JSON
+    alone: tuple[int, ...] = ()  # keys of sensors placed by the rig as given
 
 
 def run_mapper(request: Request, send: Callable[[Any], None]) -> list[Path]:
@@ -92,6 +95,8 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> tuple[P
         notes.append(adjustment.note)
     except (RuntimeError, ValueError) as error:
         notes.append(f"the final adjustment failed, the mapper's own stays: {error}")
+    if request.alone:
+        place_as_given(model, Scene.from_json(request.scene), request.alone)
     try:
         model.extract_colors_for_all_images(request.images)
     except (RuntimeError, ValueError) as error:

@@ -38,7 +38,7 @@ class Averaged:
 
 
 def average(units: int, ends: np.ndarray, rotations: np.ndarray, weight: np.ndarray, bound_deg: float) -> Averaged:
-    """Average n_from_m rotations (E, 3, 3) of edges ``ends`` (E, 2); an edge of weight 0 has none and is only judged."""
+    """Average n_from_m rotations (E, 3, 3) of edges ``ends`` (E, 2); one of weight 0 has none and is only judged."""
     there = np.flatnonzero(weight > 0)
     rotation, label = _Clusters(units, ends[there], rotations[there], weight[there], bound_deg).join()
     rotation = _polished(rotation, label, ends[there], rotations[there], weight[there])

@@ -10,6 +10,8 @@ from tiegraph.geometry import transforms
 from tiegraph.verify.bearings import Calibration, Task, load
 from tiegraph.verify.motion import Rays, agreeing, counts, search, support, with_rotation
 
+_AS_GOOD = 0.65  # of the matches of a pair's free motion, that make a motion of the predicted rotation as good
+
 
 @dataclass(frozen=True)
 class Measured:
@@ -45,29 +47,33 @@ def measure(task: Task, database: str, calibration: Calibration, bound_rad: floa
 
 
 def judge(
-    item: tuple[Task, np.ndarray, np.ndarray], database: str, calibration: Calibration, bound_rad: float, turn_deg: float
+    item: tuple[Task, np.ndarray, np.ndarray],
+    database: str,
+    calibration: Calibration,
+    bound_rad: float,
+    turn_deg: float,
 ) -> Judged:
     """Ask two units under a predicted rotation (3, 3), and each doubtful image pair (P,) bool for its own rotation."""
     task, rotation, doubtful = item
     rays, size = load(task, database, calibration), calibration.size()
     pairs = len(task[2])
-    motion = with_rotation(rays, rotation, bound_rad, size)
+    motion = with_rotation(rays, rotation, bound_rad, size, turn_deg)
     agree = np.zeros(pairs, int)
-    if motion is not None and transforms.angle_deg(motion[:3, :3], rotation) < turn_deg:
+    if motion is not None:
         agree = counts(rays, agreeing(rays, motion, bound_rad), pairs)
     own = np.full(pairs, np.nan)
     for k in np.flatnonzero(doubtful):
-        own[k] = _own_angle(rays.where(rays.pair == k), rotation, bound_rad, size)
+        own[k] = _own_angle(rays.where(rays.pair == k), rotation, bound_rad, size, turn_deg)
     return Judged(motion, agree, own)
 
 
-def _own_angle(rays: Rays, rotation: np.ndarray, bound_rad: float, size: float) -> float:
+def _own_angle(rays: Rays, rotation: np.ndarray, bound_rad: float, size: float, turn_deg: float) -> float:
     """Degrees between a pair's own rotation and the prediction; of the two a plane allows, the better one counts."""
     free = search(rays, bound_rad, size)
-    held = with_rotation(rays, rotation, bound_rad, size)
+    held = with_rotation(rays, rotation, bound_rad, size, turn_deg)
     if free is None:
         return float("nan")
     best = int(agreeing(rays, free, bound_rad).sum())
-    if held is not None and int(agreeing(rays, held, bound_rad).sum()) >= 0.8 * best:
+    if held is not None and int(agreeing(rays, held, bound_rad).sum()) >= _AS_GOOD * best:
         return float(transforms.angle_deg(held[:3, :3], rotation))
     return float(transforms.angle_deg(free[:3, :3], rotation))

@@ -1,8 +1,8 @@
-"""The common motion of two rigs from bearing vectors: central five-point hypotheses, refined with every camera's centre.
+"""The common motion of two rigs from bearing vectors: central five-point hypotheses, refined with all centres.
 
-A match is two unit rays in their rig frames with the centres they start at. A motion is n_from_m: x_n = R x_m + t. With
-centres that nearly coincide (a panoramic head: 6 cm of base against 15 m of range) the length of t is not observable and
-stays where the search began; that changes no residual.
+A match is two unit rays in their rig frames and the centres they start at. A motion is n_from_m: x_n = R x_m + t. With
+centres that nearly coincide (a panoramic head: 6 cm of base against 15 m of range) the length of t is not observable;
+it stays near where the search began, which changes no residual.
 """
 
 from __future__ import annotations
@@ -24,6 +24,9 @@ _LOOSE = 2.0  # the five-point search takes all centres as one: its bound is wid
 _SCALES = (3.0, 10.0, 40.0, 200.0)  # first lengths of t in rig sizes
 _CAP = 100  # matches of one camera pair that count in a vote: a wall full of windows is one opinion
 _DIRECTIONS = 200  # samples of a translation under a given rotation
+_STEPS = 6  # of Gauss-Newton
+_SMALL = 1e-6  # step of differences
+_SMALL_TURNS = Rotation.from_rotvec(_SMALL * np.eye(3)).as_matrix()
 
 
 @dataclass(frozen=True)
@@ -88,7 +91,7 @@ def search(rays: Rays, bound_rad: float, size: float) -> np.ndarray | None:
     return refine(rays, transforms.rigid(pose.rotation.matrix(), pose.translation), bound_rad, size)
 
 
-def refine(rays: Rays, motion: np.ndarray, bound_rad: float, size: float, steps: int = 6) -> np.ndarray:
+def refine(rays: Rays, motion: np.ndarray, bound_rad: float, size: float, turning: bool = True) -> np.ndarray:
     """Least squares (Gauss-Newton, Cauchy weights) from a motion whose translation has the right direction only.
 
     ``size``: of the rig, in the unit of its centres; 0 = all centres are one.
@@ -98,15 +101,20 @@ def refine(rays: Rays, motion: np.ndarray, bound_rad: float, size: float, steps:
     starts = [transforms.rigid(motion[:3, :3], direction * length) for length in lengths]
     rays = _thinned(rays, _FIT)
     best = min(starts, key=lambda m: _cost(rays, m, bound_rad))
-    return adjust(rays, best, bound_rad, steps)
+    return adjust(rays, best, bound_rad, turning)
 
 
-def adjust(rays: Rays, motion: np.ndarray, bound_rad: float, steps: int = 6) -> np.ndarray:
-    """Gauss-Newton with Cauchy weights from a whole motion; the kernel narrows to half the bound."""
+def adjust(rays: Rays, motion: np.ndarray, bound_rad: float, turning: bool = True) -> np.ndarray:
+    """Gauss-Newton with Cauchy weights from a whole motion; the kernel narrows to half the bound.
+
+    ``turning`` False: the rotation stays.
+    """
     cost = _cost(rays, motion, bound_rad)
-    for k in range(steps):
+    for k in range(_STEPS):
         scale = bound_rad * max(0.5, 1.5 - 0.5 * k)
         value, jacobian = residuals(rays, motion), _jacobian(rays, motion)
+        if not turning:
+            jacobian[:, :3] = 0.0
         weight = 1 / (1 + (value / scale) ** 2)
         normal = jacobian.T @ (weight[:, None] * jacobian)
         damping = 1e-6 * np.trace(normal) * np.eye(6) + 1e-12 * np.eye(6)
@@ -121,8 +129,14 @@ def adjust(rays: Rays, motion: np.ndarray, bound_rad: float, steps: int = 6) -> 
     return motion
 
 
-def with_rotation(rays: Rays, rotation: np.ndarray, bound_rad: float, size: float) -> np.ndarray | None:
-    """The motion of a given rotation (3, 3) that most matches agree with, its translation sampled from two matches."""
+def with_rotation(
+    rays: Rays, rotation: np.ndarray, bound_rad: float, size: float, turn_deg: float
+) -> np.ndarray | None:
+    """The motion within ``turn_deg`` of a rotation (3, 3) that most matches agree with; None if no parallax tells.
+
+    Its translation is sampled from two matches. Where refinement turns it away (a narrow view hardly tells a turn from
+    a step aside), only the translation is refined.
+    """
     normal = cross(rays.ray_m @ rotation.T, rays.ray_n)
     length = np.linalg.norm(normal, axis=1)
     usable = np.flatnonzero(length > bound_rad)  # nearly parallel rays do not tell where the other rig is
@@ -137,8 +151,15 @@ def with_rotation(rays: Rays, rotation: np.ndarray, bound_rad: float, size: floa
         return None
     hits = (np.abs(unit @ directions.T) < 3 * bound_rad).sum(axis=0)
     best = directions[int(np.argmax(hits))]
-    both = [refine(rays, transforms.rigid(rotation, sign * best), bound_rad, size) for sign in (1.0, -1.0)]
+    both = [_held(rays, transforms.rigid(rotation, sign * best), bound_rad, size, turn_deg) for sign in (1.0, -1.0)]
     return max(both, key=lambda m: int(agreeing(rays, m, bound_rad).sum()))
+
+
+def _held(rays: Rays, motion: np.ndarray, bound_rad: float, size: float, turn_deg: float) -> np.ndarray:
+    free = refine(rays, motion, bound_rad, size)
+    if transforms.angle_deg(free[:3, :3], motion[:3, :3]) < turn_deg:
+        return free
+    return refine(rays, motion, bound_rad, size, turning=False)
 
 
 def _thinned(rays: Rays, most: int) -> Rays:
@@ -149,14 +170,11 @@ def _thinned(rays: Rays, most: int) -> Rays:
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Row-wise cross product (K, 3); several times faster than NumPy's."""
-    return np.stack(
-        [
-            a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1],
-            a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2],
-            a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0],
-        ],
-        axis=1,
-    )
+    out = np.empty(a.shape)
+    out[:, 0] = a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1]
+    out[:, 1] = a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]
+    out[:, 2] = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    return out
 
 
 def _cost(rays: Rays, motion: np.ndarray, bound_rad: float) -> float:
@@ -171,5 +189,14 @@ def _moved(motion: np.ndarray, step: np.ndarray) -> np.ndarray:
 
 def _jacobian(rays: Rays, motion: np.ndarray) -> np.ndarray:
     """(K, 6) of rotation, then translation in parts of its length; by forward differences."""
-    base, step = residuals(rays, motion), 1e-6
-    return np.stack([(residuals(rays, _moved(motion, step * e)) - base) / step for e in np.eye(6)], axis=1)
+    base, length = residuals(rays, motion), max(float(np.linalg.norm(motion[:3, 3])), 1e-9)
+    columns = []
+    for turn in _SMALL_TURNS:
+        rotated = motion.copy()
+        rotated[:3, :3] = turn @ motion[:3, :3]
+        columns.append(residuals(rays, rotated) - base)
+    for axis in range(3):
+        moved = motion.copy()
+        moved[axis, 3] += _SMALL * length
+        columns.append(residuals(rays, moved) - base)
+    return np.stack(columns, axis=1) / _SMALL

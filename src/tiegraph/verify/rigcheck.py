@@ -1,7 +1,8 @@
 """The rig against the images: do its cameras move as one, and by how much is each of them turned?
 
 Least squares over the epipolar residuals of many frame pairs at once: one motion each (eliminated, Schur) and one small
-rotation for each camera. No points and no model are needed; a straight drive is enough where cameras see what others saw.
+rotation for each camera. No points and no model are needed; a straight drive is enough where cameras see what others
+saw.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from tiegraph.verify.bearings import Calibration, Task, load
 from tiegraph.verify.motion import Rays, adjust, agreeing, counts, residuals, search
 
-# Bounds of the rounds in multiples of the final one: a camera that is 3 degrees off starts 16 px (f = 310) off the lines.
+# Bounds of the rounds in multiples of the final one: a camera 3 degrees off starts 16 px (f = 310) off the lines.
 _WIDE = 6.0
 _BOUNDS = (6.0, 4.0, 3.0, 2.0, 1.5, 1.0, 1.0, 1.0)
 _PRIOR_RAD = 0.1  # a camera without ties stays where it is

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,8 @@ from tiegraph.verify import bearings
 from tiegraph.verify.averaging import Averaged, average
 from tiegraph.verify.bearings import Calibration, Task
 from tiegraph.verify.judge import Judged, Measured, judge, measure
+from tiegraph.verify.prior import MAX_REFUSED, Prior, agreement
+from tiegraph.verify.prior import MIN_SHARE as MIN_MODEL_SHARE
 from tiegraph.verify.rigcheck import RigCheck, check_rig
 from tiegraph.verify.settings import VerifySettings
 
@@ -30,16 +32,21 @@ _log = logging.getLogger(__name__)
 
 Map = Callable[..., list[Any]]  # (function, items, *args) -> results in the order of the items
 
+MIN_AGREE = 12  # matches of a pair with the common motion; of a pair of few, most of them
+MIN_SHARE = 0.3  # of a pair's matches: right ones 0.35 to 1 on canal, others mostly 0
 SAMPLE_TASKS = 24  # frame pairs the rig is checked on
 MIN_SAMPLE = 3
 TURN_DEG = 0.3  # a camera turned by more is refined, if the images then agree better
+MAX_TURN_DEG = 8.0  # no mounting is off by more: wrong focal lengths of a ring look like that (20 deg on canal)
 GAIN = 0.02  # of the median share of agreeing matches: less is noise, and the turn is not observable
 RIG_SHARE = 0.6  # below, frames do not move as one: 0.89 on canal, 0.95 on PandaSet, 0.18 with a wrong focal length
 NOISY_DEG = 10.0  # loops that close no better than this decide nothing
 LOOP_SIGMAS = 5.0
 NEIGHBOURS = 2.0  # weight of ties between neighbours of a pass, over their support
 NEIGHBOUR_STEPS = 2
-IMAGE_LOOPS = 2.0  # single images have no rig to lean on: the bound of loops is wider by this
+# Bounds of loops are wider by: single images have no rig to lean on; after a rig that does not hold, the focal lengths
+# may be wrong, and every rotation with them.
+LOOP_WIDTH = {"rig": 1.0, "rig refined": 1.0, "images": 2.0, "rig does not hold": 4.0}
 
 
 @dataclass(frozen=True)
@@ -67,7 +74,7 @@ class Verification:
 
     pairs: Pairs
     motions: Motions
-    method: str  # rig, rig refined, images, off
+    method: str  # rig, rig refined, images, rig does not hold (images, wider), off
     undecided: np.ndarray  # (P,) bool: kept, though its units contradict, because no loop tells
     counts: dict[str, float]
     notes: tuple[str, ...]
@@ -93,9 +100,11 @@ def verify_pairs(
     settings: VerifySettings,
     run_map: Map,
     on_total: Callable[[int], None] = lambda total: None,
+    prior: Prior | None = None,
 ) -> Verification:
     """Refuse ("repeat") the kept pairs that contradict the rig or loops of frames; the database is read only.
 
+    Pairs of images that both are in the ``prior``, a rough model, are judged by it; all others by the rig and loops.
     ``run_map(function, items, *args)`` runs items anywhere; ``on_total(items)`` is told of their number before each
     round. Raises InputError for a missing database or camera, SettingsError from the scene's rig.
     """
@@ -104,21 +113,52 @@ def verify_pairs(
     if settings.method == "off" or len(kept) == 0:
         return _nothing(pairs, scene)
     bearings.forget()
-    calibration, method, notes, rows = _calibrated(work)
-    by_frame = method != "images"
-    refused, undecided, motions, more = _decide(work, calibration, by_frame)
+    asked, contradicts, said = _by_prior(work, prior)
+    calibration, method, notes, rows = _calibrated(work, asked)
+    rest = replace(work, pairs=kept.where(~asked))
+    others, open_, motions, more = _decide(rest, calibration, method)
     bearings.forget()
+    refused, undecided = contradicts, np.zeros(len(kept), bool)
+    refused[~asked], undecided[~asked] = others, open_
+    notes = [*said, *notes]
     table = np.zeros(len(pairs), bool)
     table[np.flatnonzero(pairs.dropped == 0)[refused]] = True
     flagged = np.zeros(len(pairs), bool)
     flagged[np.flatnonzero(pairs.dropped == 0)[undecided]] = True
     out = pairs.drop(table, "repeat")
-    counts = {"pairs": len(kept), "kept": len(kept) - int(refused.sum()), "refused": int(refused.sum())}
+    counts: dict[str, float] = {
+        "pairs": len(kept),
+        "kept": len(kept) - int(refused.sum()),
+        "refused": int(refused.sum()),
+    }
     counts |= {"undecided": int(undecided.sum()), "motions": len(motions.units)}
     tables = {"camera pairs": _table(scene, kept, refused)}
     if rows:
         tables["rig against images"] = {"columns": ["camera", "turned deg", "agrees", "turned, agrees"], "rows": rows}
     return Verification(out, motions, method, flagged, counts, (*notes, *more), tables)
+
+
+def _by_prior(work: _Work, prior: Prior | None) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """(P,) judged by the prior, (P,) contradicted, notes. A prior that contradicts many pairs is not believed."""
+    pairs, nothing = work.pairs, np.zeros(len(work.pairs), bool)
+    if prior is None or work.settings.method != "auto":
+        return nothing, nothing.copy(), []
+    known = prior.known()
+    rows = np.flatnonzero(known[pairs.i] & known[pairs.j])
+    if not len(rows):
+        return nothing, nothing.copy(), []
+    work.on_total(len(rows))
+    items = [(int(pairs.i[k]), int(pairs.j[k])) for k in rows]
+    lone = Calibration.of(work.scene, by_frame=False)
+    share = np.array(work.run_map(agreement, items, work.database, lone, prior))
+    wrong = share < MIN_MODEL_SHARE
+    figures = f"the preview model agrees with {len(rows) - int(wrong.sum())} of {len(rows)} pairs"
+    if wrong.mean() > MAX_REFUSED:
+        return nothing, nothing.copy(), [f"{figures}: too few, so it is not asked"]
+    asked, contradicts = nothing, nothing.copy()
+    asked[rows] = True
+    contradicts[rows[wrong]] = True
+    return asked, contradicts, [figures]
 
 
 def _nothing(pairs: Pairs, scene: Scene) -> Verification:
@@ -155,10 +195,12 @@ def _tasks(work: _Work, unit: np.ndarray) -> tuple[list[Task], list[np.ndarray]]
     return tasks, groups
 
 
-def _calibrated(work: _Work) -> tuple[Calibration, str, list[str], list[list]]:
-    """Cameras and extrinsics to verify with, "rig", "rig refined" or "images", and why."""
+def _calibrated(work: _Work, asked: np.ndarray) -> tuple[Calibration, str, list[str], list[list]]:
+    """Cameras and extrinsics to verify with, a key of LOOP_WIDTH, and why; ``asked`` (P,): judged already."""
     scene, settings = work.scene, work.settings
     lone = _with_units(scene, by_frame=False)
+    if asked.all():
+        return lone, "images", [], []
     several = [r for r in scene.rigs if sum(s.sensor_from_rig is not None for s in r.sensors) > 1]
     if settings.method == "images":
         return lone, "images", [], []
@@ -169,7 +211,9 @@ def _calibrated(work: _Work) -> tuple[Calibration, str, list[str], list[list]]:
     tasks = sorted(_tasks(work, calibration.unit)[0], key=lambda t: (-len(t[2]), t[:2]))[:SAMPLE_TASKS]
     tasks = [t for t in tasks if len(t[2]) > 1]
     if len(tasks) < MIN_SAMPLE:
-        note = f"only {len(tasks)} frame pairs are tied by several cameras: the rig could not be checked, it is believed"
+        note = (
+            f"only {len(tasks)} frame pairs are tied by several cameras: the rig could not be checked, it is believed"
+        )
         return calibration, "rig", [note], []
     check = check_rig(tasks, work.database, calibration, settings.max_error_px / calibration.focal_px())
     rows = [
@@ -178,7 +222,7 @@ def _calibrated(work: _Work) -> tuple[Calibration, str, list[str], list[list]]:
     ]
     found, method, note = _choose(check, calibration, scene, settings)
     notes = [note] if note else []
-    return (lone if method == "images" else found), method, notes, rows
+    return (lone if method == "rig does not hold" else found), method, notes, rows
 
 
 def _with_units(scene: Scene, by_frame: bool) -> Calibration:
@@ -190,44 +234,47 @@ def _share(value: float) -> float | None:
     return round(float(value), 3) if np.isfinite(value) else None
 
 
-def _choose(check: RigCheck, given: Calibration, scene: Scene, settings: VerifySettings) -> tuple[Calibration, str, str]:
+def _choose(
+    check: RigCheck, given: Calibration, scene: Scene, settings: VerifySettings
+) -> tuple[Calibration, str, str]:
     """Which rig to go on with, and a note."""
     names = [s.name for s in scene.all_sensors]
     worst = int(np.argmax(check.turn_deg))
     better = check.total_after > check.total_before + GAIN and check.turn_deg[worst] > TURN_DEG
     turned = f"{names[worst]} is turned by {check.turn_deg[worst]:.1f} deg"
-    shares = f"{check.total_before:.0%} of the matches agree with common motions as given, {check.total_after:.0%} turned"
-    best = check.total_after if better and settings.refine_rig else check.total_before
-    if best < RIG_SHARE and settings.method != "rig":
+    before, after = f"{check.total_before:.0%}", f"{check.total_after:.0%}"
+    shares = f"{before} of a pair's matches (median) agree with common motions as given, {after} turned"
+    best = check.total_after if better else check.total_before
+    absurd = better and check.turn_deg[worst] > MAX_TURN_DEG
+    if (best < RIG_SHARE or absurd) and settings.method != "rig":
         low = int(np.nanargmin(np.where(check.matches > 0, check.share_after, np.nan)))
-        return given, "images", (
+        return given, "rig does not hold", (
             f"the rig does not hold: {shares}; least {names[low]} ({check.share_after[low]:.0%}), and {turned} against "
             f"{names[0]}. Extrinsics, focal lengths or synchronisation are wrong: its images are verified one by one, "
             f"which refuses far less"
         )  # fmt: skip
-    if better and settings.refine_rig:
+    if better and not absurd:
         return given.turned(check.turns), "rig refined", f"rig refined from the matches: {turned}; {shares}"
     return given, "rig", ""
 
 
-def _decide(
-    work: _Work, calibration: Calibration, by_frame: bool
-) -> tuple[np.ndarray, np.ndarray, Motions, list[str]]:
+def _decide(work: _Work, calibration: Calibration, method: str) -> tuple[np.ndarray, np.ndarray, Motions, list[str]]:
     """(P,) refused, (P,) undecided, the motions, and notes."""
-    settings = work.settings
+    settings, by_frame = work.settings, method.startswith("rig") and method != "rig does not hold"
     bound = settings.max_error_px / calibration.focal_px()
     tasks, groups = _tasks(work, calibration.unit)
     work.on_total(len(tasks))
     measured: list[Measured] = work.run_map(measure, tasks, work.database, calibration, bound)
     _log.info("%d pairs of units measured", len(tasks))
-    loops, tolerance = _loops(work.scene, tasks, measured, settings, by_frame)
+    loops, tolerance, spread = _loops(work.scene, tasks, measured, settings.max_loop_deg * LOOP_WIDTH[method])
+    noisy = LOOP_SIGMAS * spread > NOISY_DEG
     notes = []
-    if tolerance > NOISY_DEG:
+    if noisy:
         notes.append(
-            f"loops of {'frames' if by_frame else 'images'} close no better than {tolerance / LOOP_SIGMAS:.1f} deg "
+            f"loops of {'frames' if by_frame else 'images'} close no better than {spread:.1f} deg "
             f"(median): the cameras' focal lengths are probably wrong. No pair was refused"
         )
-    items = [] if tolerance > NOISY_DEG else _doubts(tasks, measured, loops, tolerance, settings)
+    items = [] if noisy else _doubts(tasks, measured, loops, tolerance)
     work.on_total(len(items))
     asked = [(tasks[k], rotation, doubtful) for k, rotation, doubtful in items]
     judged: list[Judged] = work.run_map(judge, asked, work.database, calibration, bound, tolerance)
@@ -235,7 +282,7 @@ def _decide(
     motion = {k: m.motion for k, m in enumerate(measured) if m.motion is not None and loops.residual_deg[k] < tolerance}
     support = {k: measured[k].support() for k in motion}
     for (k, _, doubtful), verdict in zip(items, judged):
-        agrees = _agrees(verdict.agree, measured[k].total, settings) | (verdict.own_deg < tolerance)
+        agrees = _agrees(verdict.agree, measured[k].total) | (verdict.own_deg < tolerance)
         refused[groups[k][doubtful & ~agrees]] = True
         if k not in motion and verdict.motion is not None and np.any(doubtful & agrees):
             motion[k], support[k] = verdict.motion, float(np.minimum(verdict.agree, 100).sum())
@@ -252,16 +299,16 @@ def _decide(
     return refused, undecided, Motions(ends, matrices, np.array([support[k] for k in keys]), by_frame), notes
 
 
-def _agrees(agree: np.ndarray, total: np.ndarray, settings: VerifySettings) -> np.ndarray:
+def _agrees(agree: np.ndarray, total: np.ndarray) -> np.ndarray:
     """(P,) bool: enough matches agree with a motion, in number and in share. A pair of few matches needs their most."""
-    enough = np.minimum(settings.min_agree, np.maximum(np.ceil(0.6 * total), 5))
-    return (agree >= enough) & (agree >= settings.min_share * total)
+    enough = np.minimum(MIN_AGREE, np.maximum(np.ceil(0.6 * total), 5))
+    return (agree >= enough) & (agree >= MIN_SHARE * total)
 
 
 def _loops(
-    scene: Scene, tasks: Sequence[Task], measured: Sequence[Measured], settings: VerifySettings, by_frame: bool
-) -> tuple[Averaged, float]:
-    """Rotations of all units by votes, and how far a true tie may be off them, degrees."""
+    scene: Scene, tasks: Sequence[Task], measured: Sequence[Measured], wide: float
+) -> tuple[Averaged, float, float]:
+    """Rotations of all units by votes, how far a true tie may be off them, and how far half of them are; degrees."""
     ends = np.array([t[:2] for t in tasks], int).reshape(-1, 2)
     used, compact = np.unique(ends, return_inverse=True)
     compact = compact.reshape(-1, 2)
@@ -269,13 +316,12 @@ def _loops(
     weight = np.array([m.support() for m in measured])
     near = _neighbours(scene, ends)
     weight = weight * np.where(near, NEIGHBOURS, 1.0)
-    wide = settings.max_loop_deg * (1.0 if by_frame else IMAGE_LOOPS)
     loops = average(len(used), compact, rotations, weight, wide)
     there = np.isfinite(loops.residual_deg) & loops.reliable
     basis = there & near if np.sum(there & near) >= 10 else there
     spread = float(np.median(loops.residual_deg[basis])) if basis.any() else 0.0
     tolerance = max(wide, LOOP_SIGMAS * spread)
-    return _Predictor.of(loops, compact), tolerance
+    return _Predictor.of(loops, compact), tolerance, spread
 
 
 @dataclass(frozen=True)
@@ -302,7 +348,7 @@ def _neighbours(scene: Scene, ends: np.ndarray) -> np.ndarray:
 
 
 def _doubts(
-    tasks: Sequence[Task], measured: Sequence[Measured], loops: Averaged, tolerance: float, settings: VerifySettings
+    tasks: Sequence[Task], measured: Sequence[Measured], loops: Averaged, tolerance: float
 ) -> list[tuple[int, np.ndarray, np.ndarray]]:
     """(task, predicted rotation, doubtful pairs) of everything that contradicts and can be decided."""
     assert isinstance(loops, _Predictor)
@@ -311,7 +357,7 @@ def _doubts(
         if not loops.reliable[k]:
             continue
         fits = bool(loops.residual_deg[k] < tolerance)
-        good = _agrees(found.agree, found.total, settings) if fits else np.zeros(len(found.total), bool)
+        good = _agrees(found.agree, found.total) if fits else np.zeros(len(found.total), bool)
         doubtful = ~good & (found.total > 0)
         if doubtful.any():
             items.append((k, loops.of_edge(k), doubtful))

@@ -1,0 +1,101 @@
+"""What two passes have in common: heading and direction of one against the other, said only where votes are many.
+
+Chance alone leaves a few nodes above the threshold: on two synthetic passes that share nothing 2 to 8 effective votes
+and yaws 1 to 2 standard deviations above those of cameras paired at random; of true ones hundreds of votes and 9 to 17.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tiegraph.network.axes import angles_deg, yaw_between
+from tiegraph.network.lattice import FLOOR, Lattice
+
+LEAST_VOTES = 4.0  # effective number of nodes that speak for a common view
+LEAST_SHARE = 0.02  # of the nodes looked at: enough where passes are short
+SURE_YAW = 4.0  # standard deviations above cameras paired at random, the best of 30 yaws
+SURE_DIRECTION = 3.0  # standard deviations of a rank correlation
+WHOLE = 0.9  # share of a pass above which the frames in common are not named
+RIM = 0.05  # share of the best row's evidence below which a frame is not counted
+COUPLES_NAMED = 8
+
+
+def votes(excess: np.ndarray) -> float:
+    """Effective number of independent votes (Kish) in evidence of any shape: (sum w)^2 / sum w^2."""
+    total = float(excess.sum())
+    return total * total / float(np.sum(excess.astype(float) ** 2)) if total > 0 else 0.0
+
+
+def direction(lattice: Lattice, excess: np.ndarray) -> tuple[bool, bool]:
+    """Whether frames of q run against those of p (sign of the rank correlation), and whether that is significant."""
+    weight = excess.sum(axis=(0, 1)).astype(float)
+    if weight.sum() <= 0:
+        return False, False
+    share = weight / weight.sum()
+    m, n = lattice.rows - share.sum(axis=1) @ lattice.rows, lattice.columns - share.sum(axis=0) @ lattice.columns
+    spread = float(np.sqrt((m**2 @ share.sum(axis=1)) * (n**2 @ share.sum(axis=0))))
+    correlation = float(m @ share @ n) / max(spread, 1e-12)
+    return correlation < 0, abs(correlation) * np.sqrt(votes(excess)) >= SURE_DIRECTION
+
+
+def yaw(lattice: Lattice, excess: np.ndarray) -> float | None:
+    """Heading of q against p in degrees by which cameras match; None where rigs differ or the votes are too few."""
+    p, q = lattice.p, lattice.q
+    if p.rig_index != q.rig_index or not p.rig.known() or len(p.images) < 2:
+        return None
+    side = np.array([s.role != "up" for s in p.rig.sensors])
+    level = side[:, None] & side[None, :]
+    evidence = excess.sum(axis=(2, 3)) * level
+    best = yaw_between(p.rig, evidence)
+    if best is None:
+        return None
+    cosine = np.cos(np.radians(angles_deg(p.rig, best)))
+    mean = float(np.sum(evidence * cosine) / evidence.sum())
+    sigma = float(cosine[level].std()) / np.sqrt(votes(excess[level]))
+    return best if mean - float(cosine[level].mean()) >= SURE_YAW * sigma > 0 else None
+
+
+def in_words(lattice: Lattice, excess: np.ndarray) -> str:
+    """How pass q lies to pass p by evidence (S, T, A, B) above the threshold; empty where there is nothing to say."""
+    turned, (backwards, sure) = yaw(lattice, excess), direction(lattice, excess)
+    if turned is None and not sure:
+        return ""
+    way = ("runs back along" if backwards else "follows") if sure else "shares views with"
+    heading = "" if turned is None else f", turned by about {turned:.0f} deg"
+    return f"{lattice.q.name} {way} {lattice.p.name}{heading} (voted by previews){_frames(lattice, excess)}"
+
+
+def _frames(lattice: Lattice, excess: np.ndarray) -> str:
+    """The frames in common, where they are not nearly all of both passes."""
+    weight = excess.sum(axis=(0, 1))
+    said, partly = [], False
+    for p, ranks, own in (
+        (lattice.p, lattice.rows, weight.sum(axis=1)),
+        (lattice.q, lattice.columns, weight.sum(axis=0)),
+    ):
+        hot = ranks[own > RIM * own.max()]
+        partly |= bool(hot[-1] - hot[0] + 1 < WHOLE * len(p))
+        said.append(f"frames {hot[0] + 1} to {hot[-1] + 1} of {len(p)} of {p.name}")
+    return f"; common view: {' and '.join(said)}" if partly else ""
+
+
+def above(lattice: Lattice, smooth: np.ndarray, min_matches: int) -> np.ndarray:
+    """(S, T, A, B) smoothed matches above ``min_matches``, 0 where less or not measured."""
+    return np.maximum(0, np.nan_to_num(smooth) - min_matches)
+
+
+def without_chance(lattice: Lattice, smooth: np.ndarray, min_matches: int) -> np.ndarray:
+    """``smooth`` lowered to chance between two passes when too few nodes of all are above ``min_matches``."""
+    least = min(LEAST_VOTES, LEAST_SHARE * int(np.isfinite(lattice.inliers).sum()))
+    if lattice.same or votes(above(lattice, smooth, min_matches)) >= least:
+        return smooth
+    return np.where(np.isnan(smooth), smooth, np.minimum(smooth, FLOOR * min_matches)).astype(np.float32)
+
+
+def strangers(couples: list[str]) -> tuple[str, ...]:
+    """One note for all couples of passes without a common view."""
+    if not couples:
+        return ()
+    more = len(couples) - COUPLES_NAMED
+    rest = f" and {more} more couples of passes" if more > 0 else ""
+    return (f"no common view was found: {', '.join(couples[:COUPLES_NAMED])}{rest}",)

@@ -1,0 +1,89 @@
+"""Two passes that hold the same pictures (copied, or written anew from one video): they tie without any base.
+
+Files that are the same byte for byte never get here: scan leaves them out. Of others the previews tell: nothing has
+moved and nearly every feature is found again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tiegraph.network.lattice import Lattice
+from tiegraph.network.passes import Pass, PreviewBook
+
+STILL = 0.003  # of the image size: median motion of a copy
+TURN_DEG = 1.0  # rotation of a copy
+AGAIN = 0.6  # share of the features that a copy shows again
+STRONG = 3.0  # times min_matches: less is no ground to look closer
+SAMPLES = 6  # frames looked at first
+MANY = 0.5  # share of copies among them that makes a repeated pass
+
+
+@dataclass(frozen=True)
+class Copies:
+    """Image pairs i, j (K,) that show the same picture, and what to say."""
+
+    i: np.ndarray
+    j: np.ndarray
+    note: str
+
+
+def is_copy(result: Any, min_matches: int) -> bool:
+    """Whether a preview match is of one picture twice. A camera that stood still looks the same, and has no base."""
+    if result.inliers < STRONG * min_matches or result.shift is None or not len(result.matches):
+        return False
+    if result.rotation is not None:
+        cosine = (np.trace(result.rotation) - 1) / 2
+        if np.degrees(np.arccos(np.clip(cosine, -1, 1))) > TURN_DEG:
+            return False
+    features = 1 + int(np.max(result.matches))  # the last feature that is found again
+    return bool(np.linalg.norm(result.shift) <= STILL and result.inliers >= AGAIN * features)
+
+
+def find_copies(lattice: Lattice, book: PreviewBook, min_matches: int) -> Copies | None:
+    """Same pictures in two passes of one rig; None within a pass and where the first look finds none."""
+    p, q = lattice.p, lattice.q
+    if lattice.same or len(p.images) != len(q.images):
+        return None
+    camera, offset = _best_offset(lattice, min_matches)
+    for step in dict.fromkeys((0, *offset)):
+        m = np.arange(max(0, -step), min(len(p), len(q) - step))
+        some = m[np.unique(np.linspace(0, len(m) - 1, min(len(m), SAMPLES)).round().astype(int))] if len(m) else m
+        if camera is None or not len(some):
+            continue
+        first = _copies(p.images[camera, some], q.images[camera, some + step], book, min_matches)
+        if first.sum() >= max(2, MANY * len(some)):
+            return _all(p, q, m, step, book, min_matches)
+    return None
+
+
+def _best_offset(lattice: Lattice, min_matches: int) -> tuple[int | None, tuple[int, ...]]:
+    """The camera that matches itself best, and frame offsets n - m of its best nodes; None = no strong match."""
+    own = np.stack([np.nan_to_num(lattice.inliers[c, c]) for c in range(len(lattice.inliers))])
+    camera = int(own.max(axis=(1, 2)).argmax())
+    a, b = np.nonzero(own[camera] >= max(STRONG * min_matches, 0.8 * own.max()))
+    if not len(a):
+        return None, ()
+    values, counts = np.unique(lattice.columns[b] - lattice.rows[a], return_counts=True)
+    return camera, tuple(int(v) for v in values[np.argsort(-counts, kind="stable")][:2])
+
+
+def _copies(i: np.ndarray, j: np.ndarray, book: PreviewBook, min_matches: int) -> np.ndarray:
+    """(K,) bool."""
+    there = np.flatnonzero((i >= 0) & (j >= 0))
+    out = np.zeros(len(i), bool)
+    if len(there):
+        results = book.results(np.minimum(i, j)[there], np.maximum(i, j)[there])
+        out[there] = [is_copy(r, min_matches) for r in results]
+    return out
+
+
+def _all(p: Pass, q: Pass, m: np.ndarray, step: int, book: PreviewBook, min_matches: int) -> Copies:
+    i, j = p.images[:, m].ravel(), q.images[:, m + step].ravel()
+    same = _copies(i, j, book, min_matches)
+    count, total = int(same.sum()), int((q.images >= 0).sum())
+    note = f"pass {q.name} repeats pass {p.name}: {count} of {total} images show the same picture; "
+    return Copies(i[same], j[same], note + "pairs of them carry no base and are dropped: leave one of the passes out")

@@ -1,0 +1,90 @@
+"""Sensors with too few ties to carry their own calibration: their place in the rig stays as given.
+
+A camera that looks at sky and bridge decks has few true ties and some false ones. Refined with the rig it runs off: on
+``canal`` the up camera's focal length by a factor of four and its place by 24 m, and nothing in the error tells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pycolmap
+
+from tiegraph.geometry import transforms
+from tiegraph.scene.rig import Rig
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.database import ViewGraph
+from tiegraph.sfm.model import image_poses, matrix, rigid3d
+
+MIN_TIES = 2  # verified pairs of an image that count as support
+MIN_SHARE = 0.5  # of a sensor's images that must have them
+SIGMAS = 10.0  # apart are two positions whose distance tells the scale
+_PAIRS = 2000
+
+
+def unsupported_sensors(scene: Scene, graph: ViewGraph, modes: Mapping[int, str]) -> tuple[int, ...]:
+    """Keys of sensors of refined rigs most of whose images have fewer than two verified pairs; never a reference."""
+    out = []
+    first = 0
+    for index, rig in enumerate(scene.rigs):
+        if modes.get(index) == "refined":
+            for place in range(1, len(rig.sensors)):
+                degree = graph.degree[scene.sensor_key == first + place]
+                if len(degree) and np.mean(degree >= MIN_TIES) < MIN_SHARE:
+                    out.append(first + place)
+        first += len(rig.sensors)
+    return tuple(out)
+
+
+def ties_of(scene: Scene, graph: ViewGraph, sensors: tuple[int, ...]) -> tuple[tuple[int, int], ...]:
+    """Verified pairs (scene indices) with an image of these sensors."""
+    of = np.isin(scene.sensor_key, sensors)
+    rows = of[graph.pairs[:, 0]] | of[graph.pairs[:, 1]]
+    return tuple((int(a), int(b)) for a, b in graph.pairs[rows])
+
+
+def place_as_given(model: pycolmap.Reconstruction, scene: Scene, sensors: tuple[int, ...]) -> None:
+    """Set the extrinsics of sensors without observations as given, lengths in the model's units."""
+    scale = units_per_metre(model, scene)
+    key = 0
+    for index, rig in enumerate(scene.rigs):
+        held = model.rigs[index + 1] if index + 1 in model.rigs else None
+        for place, sensor in enumerate(rig.sensors):
+            identity = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, key + 1)
+            if key in sensors and place and held is not None and held.has_sensor_from_rig(identity):
+                extrinsics = np.array(sensor.sensor_from_rig, float)
+                extrinsics[:3, 3] *= scale
+                held.set_sensor_from_rig(identity, rigid3d(extrinsics))
+            key += 1
+
+
+def units_per_metre(model: pycolmap.Reconstruction, scene: Scene) -> float:
+    """Model units of a metre: by prior positions far enough apart, else by the median baseline of the rig, else 1."""
+    centre = transforms.centre(image_poses(model, scene))
+    position = scene.world_from_rig[scene.frame, :3, 3]
+    sigma = np.nan_to_num(np.nanmax(scene.position_sigma_m, axis=1, initial=0.0))[scene.frame]
+    known = np.flatnonzero(np.isfinite(centre).all(axis=1) & np.isfinite(position).all(axis=1) & (scene.sensor == 0))
+    rng = np.random.default_rng(0)
+    if len(known) >= 3:
+        a, b = rng.choice(known, (2, _PAIRS))
+        apart = np.linalg.norm(position[a] - position[b], axis=1)
+        far = apart > SIGMAS * np.maximum(sigma[a] + sigma[b], 0.01)
+        if far.sum() >= 10:
+            return float(np.median(np.linalg.norm(centre[a] - centre[b], axis=1)[far] / apart[far]))
+    return _by_baselines(model, scene.rigs)
+
+
+def _by_baselines(model: pycolmap.Reconstruction, rigs: tuple[Rig, ...]) -> float:
+    ratios = []
+    key = 0
+    for index, rig in enumerate(rigs):
+        held = model.rigs[index + 1] if index + 1 in model.rigs else None
+        for sensor in rig.sensors:
+            identity = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, key + 1)
+            if held is not None and held.has_sensor_from_rig(identity) and sensor.sensor_from_rig is not None:
+                given = np.linalg.norm(transforms.centre(sensor.sensor_from_rig))
+                if given > 0:
+                    ratios.append(float(np.linalg.norm(matrix(held.sensor_from_rig(identity))[:3, 3]) / given))
+            key += 1
+    return float(np.median(ratios)) if ratios else 1.0
