@@ -13,8 +13,8 @@ import time
 
 import numpy as np
 
-from tiegraph.network.design import design
-from tiegraph.network.design_settings import DesignSettings
+from tiegraph.design.design import design
+from tiegraph.design.settings import DesignSettings
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene

@@ -14,12 +14,12 @@ import time
 import numpy as np
 
 from benchmarks.network.simulated import Survey, position_sigma, survey
-from tiegraph.network.design import design
-from tiegraph.network.design_settings import DesignSettings
-from tiegraph.network.expected import expected_matches
-from tiegraph.network.graph import forest
-from tiegraph.network.hybrid import Budget, choose
-from tiegraph.network.tracks import Candidates
+from tiegraph.design.design import design
+from tiegraph.design.expected import expected_matches
+from tiegraph.design.hybrid import Budget, choose
+from tiegraph.design.settings import DesignSettings
+from tiegraph.design.tracks import Candidates
+from tiegraph.scene.graph import forest
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.ties import Ties
 

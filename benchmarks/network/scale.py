@@ -29,8 +29,8 @@ import numpy as np
 import tiegraph  # noqa: F401  before pycolmap
 from benchmarks.network.canalworld import CanalWorld, canal_world
 from benchmarks.network.measure import measured
+from tiegraph.design.design import design
 from tiegraph.features.preview import PreviewMatch
-from tiegraph.network.design import design
 from tiegraph.network.model import SurveyModel
 from tiegraph.network.network import Network, estimate_network
 from tiegraph.pipeline.ties import _preview, _survey_model

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from tiegraph.design.coverage import Coverage, coverage
 from tiegraph.errors import InputError, SettingsError
-from tiegraph.network.coverage import Coverage, coverage
 from tiegraph.pipeline import STAGES
 from tiegraph.project import settings as project_settings
 from tiegraph.project.progress import Reporter

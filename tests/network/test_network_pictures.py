@@ -22,8 +22,8 @@ from tiegraph.network.pictures import (
     surfaces_png,
     weak_pairs,
 )
-from tiegraph.network.pictures_common import edges_of
-from tiegraph.network.pictures_map import _aggregated, _joined, _layout
+from tiegraph.network.pictures.common import edges_of
+from tiegraph.network.pictures.map import _aggregated, _joined, _layout
 from tiegraph.network.sections import find_sections
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.network.surface import ridge, surfaces_of

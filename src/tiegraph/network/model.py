@@ -17,13 +17,14 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.network.passes import PreviewBook
+from tiegraph.network.proxy import Proxy
 from tiegraph.network.settings import NetworkSettings
-from tiegraph.network.strongest import strongest_pairs
-from tiegraph.network.visible import Overlap, observed_proxy, shared_surface
+from tiegraph.network.visible import Overlap, observed_proxy, shared_surface, visible_points
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.ties import Ties
+from tiegraph.scene.strongest import strongest_pairs
+from tiegraph.scene.ties import Sights, Ties
 
 MIN_MATCHES = 15  # a tie of the model
 NEAR_STEPS = 2  # frames of a pass: images this near each other show whether the model is right there
@@ -66,10 +67,17 @@ class SurveyModel:
             out[k] = np.percentile(distance[order[ends[k] : ends[k + 1]]], (5, 95))
         return out
 
+    def proxy(self) -> Proxy:
+        """Its points as the surface."""
+        return observed_proxy(self.points, self.image, self.point, self.cam_from_world)
+
     def overlap(self) -> Overlap:
         """Predicted shared surface of every two images of the model."""
-        proxy = observed_proxy(self.points, self.image, self.point, self.cam_from_world)
-        return shared_surface(self.cam_from_world, self.cameras, proxy)
+        return shared_surface(self.cam_from_world, self.cameras, self.proxy())
+
+    def sights(self) -> Sights:
+        """The points each image should see."""
+        return Sights(*visible_points(self.cam_from_world, self.cameras, self.proxy()))
 
 
 ModelFunction = Callable[[Scene, Ties], SurveyModel | None]

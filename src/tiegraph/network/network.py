@@ -10,7 +10,6 @@ import numpy as np
 from tiegraph.errors import choose
 from tiegraph.geometry import transforms
 from tiegraph.network import pictures as draw
-from tiegraph.network.design import component_notes
 from tiegraph.network.light import Cue, UpLight
 from tiegraph.network.model import ModelFunction, SurveyModel, by_model
 from tiegraph.network.offsets import OffsetCurve
@@ -29,6 +28,7 @@ from tiegraph.network.sources import (
     axes_rows,
 )
 from tiegraph.network.surface import OffsetSurface
+from tiegraph.scene.graph import component_notes
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Ties

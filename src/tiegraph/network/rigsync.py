@@ -100,7 +100,7 @@ class _Steps:
 def lag_notes(passes: Sequence[Pass], book: PreviewBook, settings: NetworkSettings) -> list[str]:
     """Cameras that by the images run some frames late or early against the others, one note a camera and lag.
 
-    In most surveys only the same frames are looked at: other offsets where those look odd.
+    In most surveys only the same frames are looked at; other offsets where those look odd, and for a stereo rig.
     """
     found: dict[tuple[int, int], list[tuple[str, str]]] = {}
     chosen = np.unique(np.linspace(0, len(passes) - 1, min(len(passes), LAG_PASSES)).round().astype(int))
@@ -165,13 +165,14 @@ def _expected(rig: Rig, c: int, d: int) -> np.ndarray:
 
 
 def _odd(now: _Steps, p: Pass) -> bool:
-    """Whether the same frames give reason to look at others: unequal counts, faint camera pairs, wrong shifts."""
+    """Whether the same frames give reason to look at others: unequal counts, wrong shifts, a camera none matches."""
     counts = {int(n) for s, n in zip(p.rig.sensors, (p.images >= 0).sum(axis=1)) if s.role != "up"}
     evidence = now.evidence[:, 0]
     faint = evidence < max(FAINT * float(np.median(evidence)), LEAST)
+    alone = [faint[(now.couples == c).any(axis=1)].all() for c in np.unique(now.couples)]
     factor = now.factor(np.ones(len(evidence), bool))
     off = now.residual(factor)[:, 0] > OFF
-    return bool(len(counts) > 1 or faint.any() or off.any())
+    return bool(len(counts) > 1 or off.any() or any(alone))
 
 
 def _lags(steps: _Steps, sensors: int) -> np.ndarray:

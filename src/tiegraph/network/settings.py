@@ -7,10 +7,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from tiegraph.network.design_settings import DesignSettings
 from tiegraph.settings import Section
-
-__all__ = ["DesignSettings", "NetworkSettings", "SourceName"]
 
 SourceName = Literal["auto", "sequence", "exhaustive", "file", "offsets", "poses", "retrieval"]
 

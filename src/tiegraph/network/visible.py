@@ -150,15 +150,39 @@ def shared_surface(
     known = np.flatnonzero(np.isfinite(cam_from_world[:, :3]).all(axis=(1, 2)))
     if len(known) < 2 or not len(proxy):
         return Overlap(*(np.zeros(0, int),) * 2, *(np.zeros(0),) * 3)
-    views = {key: View.of(c) for key, c in {id(c): c for c in cameras}.items()}
-    slack = np.broadcast_to(np.asarray(slack_rad, float), (len(cam_from_world),))
-    eyes = [_Eye(cam_from_world[k], views[id(cameras[int(k)])], float(slack[k])) for k in known]
+    eyes = _eyes(cam_from_world, cameras, known, slack_rad)
     centre = transforms.centre(cam_from_world[known])
     parts = _by_owner(proxy, known, centre) if proxy.assumed else [proxy]
     found = _undirected(np.concatenate([_directed(_all_sights(eyes, known, p), centre, floor) for p in parts], axis=1))
     too_much = (found.angle_deg > max_angle_deg) | (np.abs(np.log(found.scale)) > np.log(max_scale))
     found = found.where(~too_much)
     return Overlap(known[found.i], known[found.j], found.share, found.angle_deg, found.scale)
+
+
+def visible_points(
+    cam_from_world: np.ndarray, cameras: Sequence[pycolmap.Camera | None], proxy: Proxy
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which points of a proxy each image sees: ``start`` (N + 1,), ``point`` (S,) increasing within an image, numbered
+    among those that were looked at (a random part of very many)."""
+    known = np.flatnonzero(np.isfinite(cam_from_world[:, :3]).all(axis=(1, 2)))
+    if not len(known) or not len(proxy):
+        return np.zeros(len(cam_from_world) + 1, np.int64), np.zeros(0, np.int32)
+    seen = _all_sights(_eyes(cam_from_world, cameras, known, 0.0), known, proxy)
+    image = known[seen.image]
+    order = np.lexsort((seen.point, image))
+    start = np.searchsorted(image[order], np.arange(len(cam_from_world) + 1))
+    return start, seen.point[order].astype(np.int32)
+
+
+def _eyes(
+    cam_from_world: np.ndarray,
+    cameras: Sequence[pycolmap.Camera | None],
+    known: np.ndarray,
+    slack_rad: np.ndarray | float,
+) -> list[_Eye]:
+    views = {key: View.of(c) for key, c in {id(c): c for c in cameras}.items()}
+    slack = np.broadcast_to(np.asarray(slack_rad, float), (len(cam_from_world),))
+    return [_Eye(cam_from_world[k], views[id(cameras[int(k)])], float(slack[k])) for k in known]
 
 
 def _by_owner(proxy: Proxy, images: np.ndarray, centre: np.ndarray) -> list[Proxy]:

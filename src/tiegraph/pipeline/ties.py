@@ -10,11 +10,11 @@ from typing import cast
 import numpy as np
 import pycolmap
 
+from tiegraph.design.design import design as select_pairs
 from tiegraph.errors import ReconstructionError
 from tiegraph.features.preview import Preview, PreviewMatch, match_previews
 from tiegraph.features.preview_database import write_preview_database
 from tiegraph.features.settings import PreviewSettings
-from tiegraph.network.design import design as select_pairs
 from tiegraph.network.light import UpLight
 from tiegraph.network.model import SurveyModel
 from tiegraph.network.network import estimate_network
@@ -24,7 +24,7 @@ from tiegraph.pipeline.files import checked, pairs_of, read_mask, save_npz, scan
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, remove, write_atomic
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.ties import Ties
+from tiegraph.scene.ties import Sights, Ties
 from tiegraph.sfm.mapper import reconstruct
 from tiegraph.sfm.model import image_poses, model_rigs, tracks
 
@@ -54,6 +54,8 @@ def network(run: Run) -> Outcome:
     if found.model is not None:
         poses, reach = found.model.cam_from_world, found.model.reach()
         save_npz(run.path("network", "model.npz"), cam_from_world=poses, reach=reach, trusted=found.trusted)
+        sights = found.model.sights()
+        save_npz(run.path("network", "sights.npz"), start=sights.start, point=sights.point)
     write_atomic(run.path("network.csv"), found.pairs.to_csv(scene.names))
     write_atomic(run.path("network", "scene.json"), found.scene.to_json())
     for name, picture in found.pictures():
@@ -122,7 +124,7 @@ def _preview(folder: Path, name: str) -> Preview:
 def design(run: Run) -> Outcome:
     """Which of the candidate pairs are matched at full resolution; COLMAP pair lists, one a section and one for all."""
     scene = checked(run)
-    made = select_pairs(pairs_of(run, "network.npz"), scene, ties_of(run), run.settings.design)
+    made = select_pairs(pairs_of(run, "network.npz"), scene, ties_of(run), run.settings.design, _sights(run))
     pairs = made.pairs
     save_npz(run.path("pairs.npz"), **pairs.to_npz())
     write_atomic(run.path("pairs.txt"), pairs.to_text(scene.names))
@@ -140,6 +142,15 @@ def design(run: Run) -> Outcome:
     picture = map_png(pairs, positions if np.isfinite(positions).any() else None, scene, weak=weak)
     write_atomic(run.path("design", "map.png"), picture)
     return Outcome(counts, notes=made.notes, tables={"funnel": _table(funnel), **made.tables})
+
+
+def _sights(run: Run) -> Sights | None:
+    """What each image sees of the preview model, if there is one."""
+    path = run.path("network", "sights.npz")
+    if not path.exists():
+        return None
+    with np.load(path) as data:
+        return Sights(data["start"], data["point"])
 
 
 def _table(funnel: dict[str, int]) -> dict:

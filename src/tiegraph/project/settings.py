@@ -12,11 +12,12 @@ from pydantic import ValidationError
 
 from tiegraph.cloud.settings import CloudSettings
 from tiegraph.dense.settings import DenseSettings
+from tiegraph.design.settings import DesignSettings
 from tiegraph.errors import SettingsError, choose
 from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.features.settings import FeaturesSettings, MatchSettings, PreviewSettings
 from tiegraph.masks.settings import MasksSettings
-from tiegraph.network.settings import DesignSettings, NetworkSettings
+from tiegraph.network.settings import NetworkSettings
 from tiegraph.report.settings import ReportSettings
 from tiegraph.scene.settings import ScanSettings
 from tiegraph.settings import Section

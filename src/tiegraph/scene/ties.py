@@ -1,4 +1,4 @@
-"""Ties: which preview features of two images match, for every pair that was previewed."""
+"""Ties: which preview features of two images match; sights: which points of a rough model an image sees."""
 
 from __future__ import annotations
 
@@ -80,3 +80,15 @@ class Ties:
     def from_npz(data: dict[str, np.ndarray]) -> Ties:
         """Inverse of ``to_npz``; other entries are ignored."""
         return Ties(**{n: data[n] for n in ("i", "j", "start", "matches")})
+
+
+@dataclass(frozen=True)
+class Sights:
+    """Points each image sees: those of image k are ``point[start[k]:start[k + 1]]``, increasing."""
+
+    start: np.ndarray  # (N + 1,)
+    point: np.ndarray  # (S,)
+
+    def of(self, image: int) -> np.ndarray:
+        """Points of an image."""
+        return self.point[self.start[image] : self.start[image + 1]]

@@ -82,9 +82,10 @@ def _by_baselines(model: pycolmap.Reconstruction, rigs: tuple[Rig, ...]) -> floa
         held = model.rigs[index + 1] if index + 1 in model.rigs else None
         for sensor in rig.sensors:
             identity = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, key + 1)
-            if held is not None and held.has_sensor_from_rig(identity) and sensor.sensor_from_rig is not None:
+            found = held.sensor_from_rig(identity) if held and held.has_sensor_from_rig(identity) else None
+            if found is not None and sensor.sensor_from_rig is not None:
                 given = np.linalg.norm(transforms.centre(sensor.sensor_from_rig))
                 if given > 0:
-                    ratios.append(float(np.linalg.norm(matrix(held.sensor_from_rig(identity))[:3, 3]) / given))
+                    ratios.append(float(np.linalg.norm(matrix(found)[:3, 3]) / given))
             key += 1
     return float(np.median(ratios)) if ratios else 1.0

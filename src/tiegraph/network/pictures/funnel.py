@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from tiegraph.network.pictures_common import BLUE, DPI, grouped, png
+from tiegraph.network.pictures.common import BLUE, DPI, grouped, png
 from tiegraph.scene.pairs import REASON_LOOKS, Pairs
 
 

@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from tiegraph.network.coverage import component_notes, components, coverage, some
-from tiegraph.network.design_settings import DesignSettings
-from tiegraph.network.expected import expected_matches
-from tiegraph.network.fuse2014 import fuse2014
-from tiegraph.network.graph import cuts, forest, frame_links, groups, parts, two_links
-from tiegraph.network.hybrid import Budget, Choice, choose
-from tiegraph.network.tracks import Candidates
+from tiegraph.design.coverage import coverage
+from tiegraph.design.expected import expected_matches
+from tiegraph.design.foreseen import foreseen_ties
+from tiegraph.design.fuse2014 import fuse2014
+from tiegraph.design.hybrid import Budget, Choice, choose
+from tiegraph.design.settings import DesignSettings
+from tiegraph.design.tracks import Candidates
+from tiegraph.scene.graph import cuts, forest, frame_links, groups, parts, two_links
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.ties import Ties
-
-__all__ = ["DesignResult", "component_notes", "components", "design", "some"]
+from tiegraph.scene.strongest import strongest_places
+from tiegraph.scene.ties import Sights, Ties
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,15 @@ class DesignResult:
     tables: dict[str, dict[str, Any]] = field(default_factory=dict)
 
 
-def design(pairs: Pairs, scene: Scene, ties: Ties | None, settings: DesignSettings) -> DesignResult:
+def design(
+    pairs: Pairs, scene: Scene, ties: Ties | None, settings: DesignSettings, sights: Sights | None = None
+) -> DesignResult:
     """Choose by the method of the settings; what was connected stays connected, but for ``fuse2014``.
 
     ``ties``: preview matches of the pairs that were previewed; for the others matches are expected from the score or
-    the overlap. Methods hybrid, tree and top keep a maximum spanning forest of the images, two pairs without a common
-    image from every camera, pass and section to the rest, and a second link wherever frames would hang on one.
+    the overlap. ``sights``, the points of a preview model each image sees, tell which tracks all of them would join.
+    Methods hybrid, tree and top keep a maximum spanning forest of the images, two pairs without a common image from
+    every camera, pass and section to the rest, and a second link wherever frames would hang on one.
     """
     kept = np.flatnonzero(pairs.dropped == 0)
     if settings.method == "all" or not len(kept):
@@ -49,10 +52,11 @@ def design(pairs: Pairs, scene: Scene, ties: Ties | None, settings: DesignSettin
     i, j, strength = pairs.i[kept], pairs.j[kept], expected[kept]
     start = _start(i, j, strength, scene)
     if settings.method == "top":
-        chosen = np.union1d(start, _top(i, j, strength, scene, settings.pairs_per_image))
+        chosen = np.union1d(start, strongest_places(i, j, strength, scene, settings.pairs_per_image))
         choice = Choice(chosen, np.nan, 0)
     else:
-        candidates = Candidates.make(i, j, strength, ties, len(scene))
+        known = ties if sights is None else foreseen_ties(i, j, strength, sights)
+        candidates = Candidates.make(i, j, strength, known, len(scene))
         choice = choose(candidates, start, _budget(settings, scene), by_tracks=settings.method == "hybrid")
     second = _second_links(i, j, strength, choice.places, scene)
     keep = np.zeros(len(pairs), bool)
@@ -122,29 +126,3 @@ def _second_links(i: np.ndarray, j: np.ndarray, strength: np.ndarray, chosen: np
     weaker = np.isin(i[free], np.r_[i[single], j[single]]) | np.isin(j[free], np.r_[i[single], j[single]])
     own = strength[free] / np.where(weaker, strength.max(initial=1.0), 1.0)
     return free[forest(piece[i[free]], piece[j[free]], own, len(scene))]
-
-
-def _top(i: np.ndarray, j: np.ndarray, strength: np.ndarray, scene: Scene, count: int) -> np.ndarray:
-    """Places of the ``count`` best pairs of each image.
-
-    An image ranks its partners round robin over their passes and cameras, the strongest of each first: by strength
-    alone the next frames of the same camera would fill the list, and short bases hold a network together badly.
-    """
-    place = np.tile(np.arange(len(i)), 2)
-    image, partner = np.concatenate([i, j]), np.concatenate([j, i])
-    strength = np.tile(strength, 2)
-    sensors = len(scene.all_sensors)
-    group = (scene.track[scene.frame].astype(np.int64) + 1) * sensors + scene.sensor_key
-    order = np.lexsort((partner, -strength, group[partner], image))
-    turn = _rank(np.stack([image[order], group[partner[order]]]))
-    again = np.lexsort((-strength[order], turn, image[order]))
-    rank = _rank(image[order][again][None])
-    return np.unique(place[order[again[rank < count]]])
-
-
-def _rank(keys: np.ndarray) -> np.ndarray:
-    """(K,) place of each column within its run of equal columns (R, K)."""
-    n = keys.shape[1]
-    first = np.ones(n, bool)
-    first[1:] = np.any(np.diff(keys, axis=1) != 0, axis=0)
-    return np.arange(n) - np.maximum.accumulate(np.where(first, np.arange(n), 0))

@@ -11,11 +11,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from tiegraph.network.offsets import OffsetCurve
-from tiegraph.network.pictures_common import DPI, png
-from tiegraph.network.pictures_funnel import funnel_png, funnel_table
-from tiegraph.network.pictures_map import map_png, weak_pairs
-from tiegraph.network.pictures_sections import draw_sections, sections_png
-from tiegraph.network.pictures_surfaces import surfaces_png
+from tiegraph.network.pictures.common import DPI, png
+from tiegraph.network.pictures.funnel import funnel_png, funnel_table
+from tiegraph.network.pictures.map import map_png, weak_pairs
+from tiegraph.network.pictures.sections import draw_sections, sections_png
+from tiegraph.network.pictures.surfaces import surfaces_png
 from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs
 from tiegraph.scene.scene import Scene
 

@@ -3,9 +3,10 @@
 import numpy as np
 from test_network_design import photos
 
-from tiegraph.network.design import components, design
-from tiegraph.network.design_settings import DesignSettings
-from tiegraph.network.fuse2014 import capacities
+from tiegraph.design.design import design
+from tiegraph.design.fuse2014 import capacities
+from tiegraph.design.settings import DesignSettings
+from tiegraph.scene.graph import components
 from tiegraph.scene.pairs import Pairs
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
-from tiegraph.network.graph import forest, parts
+from tiegraph.scene.graph import forest, parts
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 

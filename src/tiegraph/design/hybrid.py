@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array
 
-from tiegraph.network.resistance import Net, laplacian, of_tracks
-from tiegraph.network.tracks import Candidates, Tracks, entries
+from tiegraph.design.resistance import Net, laplacian, of_tracks
+from tiegraph.design.tracks import Candidates, Tracks, entries
 
 _log = logging.getLogger(__name__)
 

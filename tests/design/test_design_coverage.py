@@ -5,8 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_network_design import photos
 
-from tiegraph.network.coverage import coverage
-from tiegraph.network.graph import cuts, frame_links, parts
+from tiegraph.design.coverage import coverage
+from tiegraph.scene.graph import cuts, frame_links, parts
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import simple_scene

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 
+from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 
 
@@ -181,3 +182,42 @@ def two_links(i: np.ndarray, j: np.ndarray, member: np.ndarray, strength: np.nda
     if len(same_inner) and len(same_outer):  # both meet the strongest pair, at different ends: they do without it
         return across[[same_inner[0], same_outer[0]]]
     return across[:1]
+
+
+def components(pairs: Pairs, images: int) -> np.ndarray:
+    """(N,) component of every image in the graph of kept pairs, the largest is 0."""
+    kept = pairs.kept()
+    labels = parts(kept.i, kept.j, images)
+    size = np.bincount(labels, minlength=1)
+    order = np.argsort(-size, kind="stable")
+    rename = np.empty(len(order), int)
+    rename[order] = np.arange(len(order))
+    return rename[labels]
+
+
+def component_notes(pairs: Pairs, scene: Scene) -> tuple[str, ...]:
+    """What falls apart: images without a pair, by name, and the components of the rest."""
+    labels = components(pairs, len(scene))
+    size = np.bincount(labels, minlength=1)
+    notes = []
+    lonely = [scene.names[k] for k in np.flatnonzero(size[labels] == 1)] if len(scene) > 1 else []
+    if lonely:
+        notes.append(f"{len(lonely)} images have no pair: {some(lonely)}")
+    several = np.flatnonzero(size > 1)
+    if len(several) > 1:
+        named = [f"{size[k]} images with {scene.names[int(np.argmax(labels == k))]}" for k in several]
+        held = "; the frames of the rig hold them together" if _frames_connected(pairs, scene) else ""
+        notes.append(f"the pairs fall into {len(several)} components: {some(named)}{held}")
+    return tuple(notes)
+
+
+def _frames_connected(pairs: Pairs, scene: Scene) -> bool:
+    """Whether all frames are one component, every image standing for its frame."""
+    kept = pairs.kept()
+    return int(parts(scene.frame[kept.i], scene.frame[kept.j], scene.frames).max(initial=0)) == 0
+
+
+def some(names: list[str], limit: int = 10) -> str:
+    """The first names of a list, and how many more there are."""
+    more = f" and {len(names) - limit} more" if len(names) > limit else ""
+    return ", ".join(names[:limit]) + more

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from tiegraph.network.light import Cue
-from tiegraph.network.pictures_common import BLUE, DPI, INK, RED, png
+from tiegraph.network.pictures.common import BLUE, DPI, INK, RED, png
 from tiegraph.network.sections import Section
 from tiegraph.scene.scene import Scene
 

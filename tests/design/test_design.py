@@ -6,14 +6,14 @@ from boat_world import boat
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tiegraph.network.design import component_notes, components, design
-from tiegraph.network.design_settings import DesignSettings
-from tiegraph.network.expected import expected_matches
-from tiegraph.network.graph import cuts, groups, two_links
-from tiegraph.network.hybrid import Predictor
+from tiegraph.design.design import design
+from tiegraph.design.expected import expected_matches
+from tiegraph.design.hybrid import Predictor
+from tiegraph.design.settings import DesignSettings
+from tiegraph.design.tracks import Candidates, Tracks
 from tiegraph.network.network import estimate_network
 from tiegraph.network.settings import NetworkSettings
-from tiegraph.network.tracks import Candidates, Tracks
+from tiegraph.scene.graph import component_notes, components, cuts, groups, two_links
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from tiegraph.network.pictures_common import DPI, RED, edges_of, png
+from tiegraph.network.pictures.common import DPI, RED, edges_of, png
 from tiegraph.network.surface import OffsetSurface
 
 MAX_COUPLES = 8  # couples of passes in one picture

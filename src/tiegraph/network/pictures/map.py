@@ -16,7 +16,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import laplacian
 from scipy.sparse.linalg import eigsh
 
-from tiegraph.network.pictures_common import DPI, INK, RED, grouped, png
+from tiegraph.network.pictures.common import DPI, INK, RED, grouped, png
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 
