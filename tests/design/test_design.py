@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from boat_world import boat
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from boat_world import boat, photos
 from tiegraph.design.design import design
 from tiegraph.design.expected import expected_matches
 from tiegraph.design.hybrid import Predictor
@@ -20,12 +20,6 @@ from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.scene.ties import Ties
 
 METHODS = ("hybrid", "tree", "top", "fuse2014_safe")
-
-
-def photos(count: int):
-    return simple_scene(
-        Rig("camera", (Sensor("camera"),)), [f"{k:03d}.jpg" for k in range(count)], np.arange(count), np.zeros(count)
-    )
 
 
 def graph(count: int, edges: int, seed: int) -> Pairs:

@@ -3,8 +3,8 @@
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_network_design import photos
 
+from boat_world import photos
 from tiegraph.design.coverage import coverage
 from tiegraph.scene.graph import cuts, frame_links, parts
 from tiegraph.scene.pairs import Pairs

@@ -1,8 +1,8 @@
 """Paper 002: weak pairs, similar images, minimum cuts."""
 
 import numpy as np
-from test_network_design import photos
 
+from boat_world import photos
 from tiegraph.design.design import design
 from tiegraph.design.fuse2014 import capacities
 from tiegraph.design.settings import DesignSettings

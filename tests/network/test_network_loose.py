@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from boat_world import Result
 from place_world import Places, found, photos, shuffled_ring, video, words_of
 
+from boat_world import Result
 from tiegraph.network.loose import ALL_LIMIT, PER_IMAGE, scored_pairs, supported
 from tiegraph.network.passes import PreviewBook
 from tiegraph.network.settings import NetworkSettings

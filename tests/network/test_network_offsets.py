@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from boat_world import boat, ring
 
+from boat_world import boat, ring
 from tiegraph.network.axes import angles_deg, vertical, yaw_between
 from tiegraph.network.commonview import direction, in_words, strangers, votes, without_chance, yaw
 from tiegraph.network.lattice import make_lattice
@@ -166,7 +166,7 @@ def test_chance_gives_neither_heading_nor_direction() -> None:
     smooth[1, 1, 0, :3] = 20
     assert without_chance(measured, smooth, 12) is smooth
     back = np.zeros(few.shape)
-    for c, d in [(0, 2), (0, 3), (1, 1), (4, 4), (2, 0), (3, 0)]:
+    for c, d in [(0, 2), (0, 3), (1, 3), (1, 4), (2, 0), (3, 0)]:
         back[c, d, np.arange(10), 9 - np.arange(10)] = 1.0
     assert direction(lattice, back) == (True, True)
     said = in_words(lattice, back)

@@ -5,9 +5,9 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from boat_world import World, boat, ring
 from PIL import Image
 
+from boat_world import World, boat, ring
 from tiegraph.network.lattice import make_lattice
 from tiegraph.network.light import UpLight
 from tiegraph.network.network import Network, estimate_network
@@ -78,7 +78,7 @@ def test_kept_pairs_win_where_cells_are_shared() -> None:
 
 
 def test_loose_photographs_have_a_matrix_and_a_map() -> None:
-    from test_network_design import photos
+    from boat_world import photos
 
     pairs = Pairs.make([0, 1, 2, 3], [1, 2, 3, 4], "exhaustive")
     assert opened(matrix_png(pairs, photos(5))).size

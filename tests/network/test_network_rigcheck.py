@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 import pycolmap
 import pytest
-from boat_world import Result, boat, ring
 from scipy.spatial.transform import Rotation
 
-from tiegraph.features.preview import extract_preview, match_previews
+from boat_world import Result, boat, ring
+from tiegraph.features.preview import Preview, PreviewMatch, extract_preview, match_previews
 from tiegraph.features.preview_settings import PreviewSettings
 from tiegraph.geometry import transforms
 from tiegraph.network import rigsync
@@ -215,19 +215,31 @@ def test_evidence_without_fitting_motion_is_no_lag(monkeypatch: pytest.MonkeyPat
     assert not any("seems to run" in n for n in notes)
 
 
+DEMO_CAMERA = pycolmap.Camera(model="SIMPLE_PINHOLE", width=480, height=360, params=[0.48 * 480, 240, 180])
+
+
+@cache
+def _preview(path: Path) -> Preview:
+    return extract_preview(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), None, PreviewSettings())
+
+
+@cache
+def _matched(a: Path, b: Path) -> PreviewMatch:
+    return match_previews(_preview(a), _preview(b), DEMO_CAMERA, DEMO_CAMERA, PreviewSettings())
+
+
 def canal_demo(mirrored: bool) -> tuple[Scene, PreviewBook]:
     folder = DATA / "canal_demo"
     if not (folder / "images").is_dir():
         pytest.skip(f"{folder} not there")
     names = sorted(p.relative_to(folder / "images").as_posix() for p in (folder / "images").rglob("*.jpg"))
-    camera = pycolmap.Camera(model="SIMPLE_PINHOLE", width=480, height=360, params=[0.48 * 480, 240, 180])
     table = json.loads((folder / "sensors" / "rig_nominal.json").read_text())
     poses = [
         transforms.from_quaternion_wxyz(np.array(p["cam_from_body_qwxyz"]), np.array(p["cam_from_body_t"]))
         for _, p in sorted(table.items())
     ]
     from_rig = [p @ np.linalg.inv(poses[0]) for p in poses]
-    sensors = [Sensor(f"cam{k}", camera, from_rig[k], "up" if k == 5 else "side") for k in range(6)]
+    sensors = [Sensor(f"cam{k}", DEMO_CAMERA, from_rig[k], "up" if k == 5 else "side") for k in range(6)]
     rig = Rig("ladybug5", tuple(sensors), nominal=True)
     if mirrored:
         rig = changed(rig, np.diag([-1.0, 1, 1]))
@@ -243,14 +255,9 @@ def canal_demo(mirrored: bool) -> tuple[Scene, PreviewBook]:
         np.array([int(f[1].split(".")[0]) for f in frames]),
         tracks=tuple(tracks),
     )
-    settings = PreviewSettings()
-
-    @cache
-    def preview(k: int) -> object:
-        return extract_preview(cv2.imread(str(folder / "images" / names[k]), cv2.IMREAD_GRAYSCALE), None, settings)
 
     def match(pairs: np.ndarray) -> list:
-        return [match_previews(preview(i), preview(j), camera, camera, settings) for i, j in pairs.tolist()]
+        return [_matched(folder / "images" / names[i], folder / "images" / names[j]) for i, j in pairs.tolist()]
 
     return scene, PreviewBook(match, len(scene))
 

@@ -13,7 +13,7 @@ from tiegraph.errors import ReconstructionError, SettingsError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.mapper import SparseResult, choose_mapper, reconstruct
+from tiegraph.sfm.mapper import Source, SparseResult, choose_mapper, reconstruct
 from tiegraph.sfm.model import frame_poses, held_out_frames, image_poses
 from tiegraph.sfm.rig import model_extrinsics, rig_modes
 from tiegraph.sfm.settings import SparseSettings
@@ -21,7 +21,7 @@ from tiegraph.sfm.settings import SparseSettings
 
 def _run(folder: Path, scene: Scene, **settings: object) -> SparseResult:
     return reconstruct(
-        folder / "database.db", folder, folder / "sparse", scene, SparseSettings(**settings), folder / "log.txt"
+        Source(folder / "database.db", folder), folder / "sparse", scene, SparseSettings(**settings), folder / "log.txt"
     )
 
 
@@ -36,7 +36,7 @@ def test_fixed_rig_keeps_its_metric_size(tmp_path: Path) -> None:
     before = (tmp_path / "database.db").read_bytes()
     seen: list[tuple[int, int]] = []
     result = reconstruct(
-        tmp_path / "database.db", tmp_path, tmp_path / "sparse", scene, SparseSettings(mapper="incremental"),
+        Source(tmp_path / "database.db", tmp_path), tmp_path / "sparse", scene, SparseSettings(mapper="incremental"),
         tmp_path / "log.txt", lambda done, total: seen.append((done, total)),
     )  # fmt: skip
     assert (tmp_path / "database.db").read_bytes() == before

@@ -15,8 +15,9 @@ from tiegraph.network.lattice import Lattice
 from tiegraph.network.passes import Pass, PreviewBook
 
 STILL = 0.003  # of the image size: median motion of a copy
-TURN_DEG = 1.0  # rotation of a copy
-AGAIN = 0.6  # share of the features that a copy shows again
+AGAIN = (
+    0.55  # share of the features that a copy shows again; measured: JPEG quality 60 .. 95: 0.59 .. 0.9, next frame 0.5
+)
 STRONG = 3.0  # times min_matches: less is no ground to look closer
 SAMPLES = 6  # frames looked at first
 MANY = 0.5  # share of copies among them that makes a repeated pass
@@ -35,10 +36,7 @@ def is_copy(result: Any, min_matches: int) -> bool:
     """Whether a preview match is of one picture twice. A camera that stood still looks the same, and has no base."""
     if result.inliers < STRONG * min_matches or result.shift is None or not len(result.matches):
         return False
-    if result.rotation is not None:
-        cosine = (np.trace(result.rotation) - 1) / 2
-        if np.degrees(np.arccos(np.clip(cosine, -1, 1))) > TURN_DEG:
-            return False
+    # No look at the rotation: the essential matrix of points that do not move is arbitrary.
     features = 1 + int(np.max(result.matches))  # the last feature that is found again
     return bool(np.linalg.norm(result.shift) <= STILL and result.inliers >= AGAIN * features)
 

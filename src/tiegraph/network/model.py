@@ -30,7 +30,8 @@ MIN_MATCHES = 15  # a tie of the model
 NEAR_STEPS = 2  # frames of a pass: images this near each other show whether the model is right there
 MIN_POINTS = 10  # an image that sees fewer says nothing of its distances
 ENOUGH = 0.8  # share of the images in the model from which its calibration is believed
-TRUSTED = 0.5  # share of a frame's strong near previews that the model must explain
+TRUSTED = 0.5  # share of a frame's strong previews with those before, and after it, that the model must explain
+FEW = 3  # fewer of them tell nothing
 NO_MODEL = "preview model: none could be made; pairs are chosen by preview counts alone"
 SURE = 1.6  # times min_matches: previews this strong between near frames are true
 
@@ -160,10 +161,13 @@ def _trusted(
     near &= np.abs(scene.step[a] - scene.step[b]) <= NEAR_STEPS
     strong = near & (count >= SURE * settings.min_matches) & placed[i] & placed[j]
     right = overlap.between(i[strong], j[strong]) >= settings.min_overlap
-    ends = np.concatenate([a[strong], b[strong]])
-    total = np.bincount(ends, minlength=scene.frames)
-    good = np.bincount(ends, np.tile(right, 2), minlength=scene.frames)
-    doubtful = good < TRUSTED * total
+    later = scene.step[a] > scene.step[b]
+    doubtful = np.zeros(scene.frames, bool)
+    # Forwards and backwards by themselves: at a tear one half of a frame's neighbours are where they should be.
+    for ends in (np.where(later, b, a)[strong], np.where(later, a, b)[strong]):
+        total = np.bincount(ends, minlength=scene.frames)
+        good = np.bincount(ends, right, minlength=scene.frames)
+        doubtful |= (good < TRUSTED * total) & (total >= FEW)
     return placed & ~doubtful[scene.frame], float(right.mean()) if len(right) else float("nan")
 
 

@@ -166,7 +166,7 @@ def _with_axes(pairs: Pairs, scene: Scene, passes: tuple, settings: NetworkSetti
     count = len(axes_rows(passes, settings)[0])
     if not count:
         return pairs, []
-    said = f"axes more than {settings.axes_deg:.0f} deg apart: {count} pairs of images of one pass were never tried"
+    said = f"axes more than {settings.axes_deg:.0f} deg apart: {count} pairs of images of one pass are not tried"
     if len(scene) > AXES_ROWS_LIMIT:
         return pairs, [f"{said} (not listed one by one)"]
     return pairs | axes_pairs(passes, settings), [said]

@@ -16,7 +16,7 @@ from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome, remove
 from tiegraph.scene.pairs import REASONS
 from tiegraph.sfm.georef import Georeference, georeference_all
-from tiegraph.sfm.mapper import reconstruct
+from tiegraph.sfm.mapper import Source, reconstruct
 
 _SLAB_IMAGES = 16  # images a worker extracts before their features are written: bounds memory and what a kill loses
 
@@ -83,14 +83,12 @@ def sparse(run: Run) -> Outcome:
     away = verified.where(verified.dropped == REASONS.index("repeat"))
     refused = tuple(zip(away.i.tolist(), away.j.tolist()))
     made = reconstruct(
-        run.path("database.db"),
-        run.path("images"),
+        Source(run.path("database.db"), run.path("images"), refused),
         run.path("sparse"),
         checked(run).measured(),
         run.settings.sparse,
         run.log,
         progress,
-        refused,
     )
     counts = dict(made.counts)
     if made.sigma is not None:

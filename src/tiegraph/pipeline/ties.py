@@ -25,7 +25,7 @@ from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, remove, write_atomic
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Sights, Ties
-from tiegraph.sfm.mapper import reconstruct
+from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.model import image_poses, model_rigs, tracks
 
 log = logging.getLogger(__name__)
@@ -93,7 +93,7 @@ def _survey_model(run: Run, scene: Scene, ties: Ties) -> SurveyModel | None:
     write_preview_database(database, scene, previews, ties, min_matches=1)
     settings = run.settings.sparse.model_copy(update={"covariance_frames": 0, "use_positions": False})
     try:
-        made = reconstruct(database, run.path("images"), folder, scene.measured(), settings, run.log)
+        made = reconstruct(Source(database, run.path("images")), folder, scene.measured(), settings, run.log)
     except ReconstructionError as error:
         log.warning("preview model: %s", error)
         return None

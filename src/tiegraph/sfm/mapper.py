@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import shutil
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -91,22 +91,29 @@ class _Outcome:
     registered: int  # images of the first model that see its points
 
 
-def reconstruct(  # noqa: PLR0913 - the pairs to leave out came with the stage verify
-    database: Path,
-    images: Path,
+@dataclass(frozen=True)
+class Source:
+    """What to map: a database with verified matches, the image folder (colours), pairs (scene indices) not to use."""
+
+    database: Path
+    images: Path
+    refused: tuple[tuple[int, int], ...] = ()
+
+
+def reconstruct(
+    source: Source,
     out: Path,
     scene: Scene,
     settings: SparseSettings,
     log: Path,
     on_progress: Progress = lambda registered, total: None,
-    refused: Sequence[tuple[int, int]] = (),
 ) -> SparseResult:
     """Map the images of a database with verified matches; models go to ``out/0``, ``out/1``, ... by size.
 
-    The database is read, never changed; ``refused`` are pairs of scene indices in it that are not used.
-    ``on_progress(registered, total)`` counts images. Raises ReconstructionError,
+    The database is read, never changed. ``on_progress(registered, total)`` counts images. Raises ReconstructionError,
     with the counts and remedies, when no model can be made; SettingsError for a fixed rig without extrinsics.
     """
+    database, images, refused = source.database, source.images, source.refused
     modes = rig_modes(scene, settings.rig)
     graph = ViewGraph(database, scene, settings.min_matches, refused)
     if len(graph.pairs) == 0:

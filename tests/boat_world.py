@@ -81,7 +81,7 @@ class World:
         relative = transforms.invert(self.world_from_sensor[j]) @ self.world_from_sensor[i]
         same = self.scene.frame[i] == self.scene.frame[j]
         return [
-            Result(int(c), r[:3, :3], _shift(r[:3, :3]) if s else np.zeros(2))
+            Result(int(c), r[:3, :3], _shift(r[:3, :3]) if s else np.zeros(2), np.zeros((int(c), 2), np.uint16))
             for c, r, s in zip(counts, relative, same)
         ]
 
@@ -123,3 +123,10 @@ def boat(
     true = ring(sum(s.role != "up" for s in rig.sensors), any(s.role == "up" for s in rig.sensors))
     from_rig = np.stack([transforms.invert(s.sensor_from_rig) for s in true.sensors])
     return World(scene, np.stack(poses)[frame_] @ from_rig[sensor_])
+
+
+def photos(count: int) -> Scene:
+    """Loose photographs of one camera."""
+    return simple_scene(
+        Rig("camera", (Sensor("camera"),)), [f"{k:03d}.jpg" for k in range(count)], np.arange(count), np.zeros(count)
+    )

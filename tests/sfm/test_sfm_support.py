@@ -1,0 +1,59 @@
+"""Sensors without ties are placed by the rig as given, in the model's units."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from sfm_worlds import make_world, true_frames, with_positions
+
+from tiegraph.geometry import transforms
+from tiegraph.sfm.model import model_rigs
+from tiegraph.sfm.support import place_as_given, ties_of, units_per_metre, unsupported_sensors
+
+
+@pytest.fixture
+def world(tmp_path):
+    return make_world(tmp_path / "database.db")
+
+
+def graph_of(scene, lonely: int):
+    """Every image tied to its neighbours, but those of one sensor, of which a quarter have a single tie."""
+    pairs = [(a, b) for a in range(len(scene)) for b in range(a + 1, min(a + 6, len(scene)))]
+    pairs = [p for p in pairs if lonely not in scene.sensor[list(p)]]
+    own = np.flatnonzero(scene.sensor == lonely)
+    pairs += [(int(k), int(k) + 1) for k in own[: len(own) // 4]]
+    ends = np.array(pairs)
+    return SimpleNamespace(pairs=ends, degree=np.bincount(ends.ravel(), minlength=len(scene)))
+
+
+def test_a_sensor_without_ties_is_found_and_its_ties_listed(world) -> None:
+    scene = world[1]
+    graph = graph_of(scene, lonely=2)
+    assert unsupported_sensors(scene, graph, {0: "refined"}) == (2,)
+    assert unsupported_sensors(scene, graph, {0: "fixed"}) == ()
+    refused = ties_of(scene, graph, (2,))
+    assert len(refused) == np.sum(scene.sensor == 2) // 4
+    assert all(2 in scene.sensor[list(pair)] for pair in refused)
+
+
+def test_scale_by_positions_and_by_baselines(world) -> None:
+    truth, scene = world
+    metric = with_positions(scene, 3.0 * true_frames(truth, scene)[:, :3, 3], 0.01)
+    assert units_per_metre(truth, metric) == pytest.approx(1 / 3, rel=0.02)
+    assert units_per_metre(truth, scene) == pytest.approx(1.0, rel=1e-6)
+
+
+def test_its_place_is_as_given(world) -> None:
+    truth, scene = world
+    sensor = scene.rigs[0].sensors[1]
+    moved = np.array(sensor.sensor_from_rig)
+    moved[:3, 3] += 0.4
+    sensors = (scene.rigs[0].sensors[0], replace(sensor, sensor_from_rig=moved), *scene.rigs[0].sensors[2:])
+    given = scene.with_(rigs=(replace(scene.rigs[0], sensors=sensors),))
+    metric = with_positions(given, true_frames(truth, scene)[:, :3, 3] / 2.0, 0.01)
+    place_as_given(truth, metric, (1,))
+    found = model_rigs(truth, scene)[0].sensors
+    assert np.allclose(found[1].sensor_from_rig[:3, :3], moved[:3, :3], atol=1e-9)
+    assert np.allclose(found[1].sensor_from_rig[:3, 3], 2.0 * moved[:3, 3], rtol=0.02)
+    assert np.allclose(transforms.centre(found[2].sensor_from_rig), transforms.centre(sensors[2].sensor_from_rig))
