@@ -107,8 +107,8 @@ def test_sequence_bridges_a_lost_image() -> None:
 
 
 def test_few_photographs_are_compared_with_one_another() -> None:
-    network = estimate_network(photos(11), np.zeros(11), lambda p: pytest.fail("asked"), NetworkSettings())
-    assert len(network.pairs.kept()) == 55
+    network = estimate_network(photos(11), np.zeros(11), lambda p: [Result(0)] * len(p), NetworkSettings())
+    assert len(network.pairs.kept()) == 55  # whatever the previews say
     assert len(exhaustive(context(photos(11), NetworkSettings())).pairs) == 55
     assert "sources chosen: exhaustive" in network.notes
 
