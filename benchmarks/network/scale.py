@@ -224,6 +224,7 @@ def main(argv: list[str] | None = None) -> int:
                 "--one",
                 str(figures),
             ]
+            command += ["--skip", *given.skip] if given.skip else []
             if given.profile is not None:
                 given.profile.mkdir(parents=True, exist_ok=True)
                 command += ["--profile", str(given.profile / f"{images}.txt")]
