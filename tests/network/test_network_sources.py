@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from boat_world import Result, boat
 
+from boat_world import Result, boat
 from tiegraph.errors import InputError, SettingsError
 from tiegraph.network.network import estimate_network
 from tiegraph.network.passes import PreviewBook, find_passes

@@ -27,8 +27,8 @@ STRIDES_A_REACH = 3  # sampled frames within a reach
 NEAR_REACHES = 3  # frames of one pass closer than this many reaches are no loop
 LOOK_ALIKES = 4  # far images that each sampled image is previewed with
 # Pairs borne out side by side, or none of them is believed. Simulated, four seeds of 300 frames: false patches reach 9
-# where one unrelated preview in five hits. That many would cost true loops; what is false the preview model sorts out.
-PATCH = 4
+# where one unrelated preview in five hits, 12 where three in ten do. On ``canal`` it costs two patches of 6 and 9.
+PATCH = 10
 NAMED = 5  # places named one by one in the notes
 PREVIEWS_AN_IMAGE = 16  # sampled: the most that looking for loops may take
 MAX_CELLS = 3000  # cells along all passes in which known ties are marked

@@ -16,8 +16,8 @@ from tiegraph.verify.bearings import Calibration, load
 STEPS = 24  # distances between the nearest and the farthest at which a ray is followed
 MARGIN = 2.0  # distances outside those of the image's model points by this factor are still possible
 TOLERANCE_DEG = 1.0  # preview key points are good to 0.2 deg, their model's rotations to 0.15 deg (canal)
-# Share of a pair's matches that must agree with the model. On ``canal`` (chosen there) it keeps 99.1 % of the pairs most
-# of whose matches are true and 4 of 217 of which hardly any is; on ``canal_demo`` 98.6 % and 0 of 4.
+# Share of a pair's matches that must agree with the model. On ``canal`` (chosen there) it keeps 99.1 % of the pairs
+# most of whose matches are true and 4 of 217 of which hardly any is; on ``canal_demo`` 98.6 % and 0 of 4.
 MIN_SHARE = 0.25
 MAX_REFUSED = 0.2  # of the judged pairs: a model that contradicts more of them is wrong itself
 
