@@ -19,7 +19,7 @@ from tiegraph.network.copies import find_copies
 from tiegraph.network.lattice import CEILING, FLOOR, Lattice, make_lattice
 from tiegraph.network.passes import Pass, PreviewBook
 from tiegraph.network.settings import NetworkSettings
-from tiegraph.network.surface import OffsetSurface, surfaces_of
+from tiegraph.network.surface import OffsetSurface, ridge, surfaces_of
 from tiegraph.scene.pairs import REASONS, Pairs
 
 LADDER = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)  # frame distances at which the reach of a camera is measured
@@ -28,6 +28,7 @@ WINDOW_NODES = 10  # seeds reach this far from the path, in lattice nodes
 FLOOD_EXCESS = 1.1  # the lattice grows from nodes this much above min_matches: noise alone must not spread
 PREVIEWS_PER_IMAGE = 25  # the most that previews may take: linear in the number of images
 MIN_BUDGET = 6000  # previews that are always affordable (less than a minute on one core)
+LONG = 60  # frames from which on most frames of a pass share nothing: evidence counts near its path only
 COARSE_NODES = 24  # lattice nodes a side of the first look between two passes
 MAX_COLUMNS = 120  # constant offsets: frames of the other pass a sampled frame is compared with
 
@@ -73,6 +74,7 @@ class _Survey:
     reversed: bool
     notes: tuple[str, ...] = ()
     complete: bool = True  # False: the budget of previews was spent before every hit was followed
+    path: np.ndarray | None = None  # (A,) column node of each row, where evidence far from it does not count
 
 
 def estimate_offsets(passes: Sequence[Pass], book: PreviewBook, images: int, settings: NetworkSettings) -> OffsetResult:
@@ -129,20 +131,30 @@ def _sampled(n: int, count: int) -> np.ndarray:
 def _survey(p: Pass, q: Pass, stride: int, book: PreviewBook, settings: NetworkSettings, budget: int) -> _Survey:
     """Seed the lattice, then grow it from every hit until nothing new ties or the budget of previews is spent."""
     if p is q:
-        lattice, backwards = _seed_same(p, stride, book, settings), False
+        lattice, backwards, path = _seed_same(p, stride, book, settings), False, None
+        path = np.arange(len(lattice.rows), dtype=float)
     else:
-        lattice, backwards = _seed_across(p, q, stride, book, settings, budget)
+        lattice, backwards, path = _seed_across(p, q, stride, book, settings, budget)
+    path = path if min(len(p), len(q)) >= LONG else None
     while True:
         smooth = lattice.smoothed(settings.min_matches)
-        frontier = lattice.frontier(smooth, FLOOD_EXCESS * settings.min_matches)
+        frontier = lattice.frontier(smooth, FLOOD_EXCESS * settings.min_matches) & _beside(lattice, path)
         if p is q:
             frontier &= _upper(lattice)
         if not frontier.any():
-            return _Survey(lattice, smooth, backwards)
+            return _Survey(lattice, smooth, backwards, path=path)
         if len(book) + int(frontier.sum()) > budget:
             text = f"{p.name} - {q.name}: the budget of previews was spent before every hit was followed"
-            return _Survey(lattice, smooth, backwards, (text,), complete=False)
+            return _Survey(lattice, smooth, backwards, (text,), complete=False, path=path)
         lattice = lattice.measured(frontier, book)
+
+
+def _beside(lattice: Lattice, path: np.ndarray | None) -> np.ndarray:
+    """(A, B) bool: nodes near the path, or all without one. What a long pass shares with itself or another elsewhere is
+    a loop: repeated walls look the same, so it takes more than a lattice to believe it (``retrieval``)."""
+    if path is None:
+        return np.ones((len(lattice.rows), len(lattice.columns)), bool)
+    return np.abs(np.arange(len(lattice.columns)) - path[:, None]) <= WINDOW_NODES + 2
 
 
 def _upper(lattice: Lattice) -> np.ndarray:
@@ -162,7 +174,7 @@ def _seed_same(p: Pass, stride: int, book: PreviewBook, settings: NetworkSetting
 
 def _seed_across(
     p: Pass, q: Pass, stride: int, book: PreviewBook, settings: NetworkSettings, budget: int
-) -> tuple[Lattice, bool]:
+) -> tuple[Lattice, bool, np.ndarray | None]:
     """A coarse grid over both passes gives the path and the heading; then sampled frames around the path."""
     lattice = make_lattice(p, q, stride, np.ones((len(p.images), len(q.images)), bool))
     cameras = len(p.images) * len(q.images)
@@ -172,14 +184,35 @@ def _seed_across(
     )
     lattice = lattice.measured(np.broadcast_to(coarse, lattice.inliers.shape), book)
     excess = commonview.above(lattice, lattice.smoothed(settings.min_matches), settings.min_matches)
+    centre = None
+    if min(len(p), len(q)) >= LONG:
+        centre = _ridge_path(lattice, settings.min_matches)
+        excess = excess * _beside(lattice, centre)
     backwards, _ = commonview.direction(lattice, excess)
     lattice = Lattice(p, q, lattice.rows, lattice.columns, _facing(lattice, excess, settings), lattice.inliers)
-    centre = _path(lattice, excess.sum(axis=(0, 1)))
+    centre = _path(lattice, excess.sum(axis=(0, 1))) if centre is None else centre
     if centre is None:
-        return lattice, backwards
+        return lattice, backwards, None
     sampled = np.isin(np.arange(len(lattice.rows)), _sampled(len(lattice.rows), settings.sample_frames))
     near = np.abs(np.arange(len(lattice.columns)) - centre[:, None]) <= WINDOW_NODES
-    return lattice.measured(np.broadcast_to(sampled[:, None] & near, lattice.inliers.shape), book), backwards
+    return lattice.measured(np.broadcast_to(sampled[:, None] & near, lattice.inliers.shape), book), backwards, centre
+
+
+def _ridge_path(lattice: Lattice, min_matches: int) -> np.ndarray:
+    """(A,) column node of each row on the strongest path through what the whole rig shares above the rest of the grid.
+
+    Most frames of two long passes share nothing: their median is what chance and repeated walls give.
+    """
+    low, high = FLOOR * min_matches, CEILING * min_matches
+    known = np.isfinite(lattice.inliers)
+    excess = np.where(known, np.clip(lattice.inliers, low, high) - low, 0).sum(axis=(0, 1))
+    mean = excess / np.maximum(known.sum(axis=(0, 1)), 1)
+    rows = np.flatnonzero(known.any(axis=(0, 1, 3)))
+    columns = np.flatnonzero(known.any(axis=(0, 1, 2)))
+    grid = mean[np.ix_(rows, columns)]
+    evidence = np.maximum(grid - np.median(grid), 0)
+    node = ridge(evidence, np.ones(evidence.shape, bool))
+    return np.interp(np.arange(len(lattice.rows)), rows, columns[node.astype(int)])
 
 
 def _facing(lattice: Lattice, excess: np.ndarray, settings: NetworkSettings) -> np.ndarray:
@@ -208,10 +241,13 @@ def _local(survey: _Survey, settings: NetworkSettings) -> OffsetResult:
     c, d, m, n, count = lattice.interpolated(smooth, settings.min_matches)
     i, j = lattice.p.images[c, m], lattice.q.images[d, n]
     there = (i >= 0) & (j >= 0) & (i != j)
+    if survey.path is not None:
+        beside = np.interp(m, lattice.rows, np.interp(survey.path, np.arange(len(lattice.columns)), lattice.columns))
+        there &= np.abs(n - beside) <= (WINDOW_NODES + 2) * float(np.median(np.diff(lattice.columns)))
     kept = Pairs.make(i[there], j[there], "offsets", score=count[there])
     seen = np.isfinite(lattice.inliers)
     # A pair that is strong by itself is kept whatever its neighbours say.
-    strong = np.nan_to_num(lattice.inliers) >= CEILING * settings.min_matches
+    strong = (np.nan_to_num(lattice.inliers) >= CEILING * settings.min_matches) & _beside(lattice, survey.path)
     voted = np.nan_to_num(smooth).max(axis=(2, 3), initial=0) >= settings.min_matches
     reason = np.where(voted | strong.any(axis=(2, 3)), REASONS.index("weak"), REASONS.index("votes"))
     code = np.where(strong, 0, np.broadcast_to(reason[:, :, None, None], seen.shape))
