@@ -17,7 +17,7 @@ from tiegraph.network.axes import allowed_within
 from tiegraph.network.loose import scored_pairs
 from tiegraph.network.offsets import OffsetCurve, estimate_offsets
 from tiegraph.network.passes import Pass, PreviewBook, loose_images
-from tiegraph.network.poses import pose_pairs
+from tiegraph.network.priorcheck import checked_pose_pairs
 from tiegraph.network.retrieval import retrieve
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.network.surface import OffsetSurface
@@ -153,8 +153,9 @@ def offsets(context: Context) -> Proposal:
 
 
 def poses(context: Context) -> Proposal:
-    """Pairs by prior poses (paper 003); frames without prior fall back on previews, so that none is lost."""
-    found = pose_pairs(context.scene, context.passes, context.settings)
+    """Pairs by prior poses (paper 003), which a sample of previews checks; frames without prior, or with a wrong one,
+    fall back on previews, so that none is lost."""
+    found = checked_pose_pairs(context.scene, context.passes, context.book, context.settings)
     notes = list(found.notes)
     pairs = found.pairs
     if len(found.without) and "auto" not in context.settings.sources:
@@ -207,7 +208,8 @@ def automatic(context: Context) -> Proposal:
         # Along a pass previews know more than positions alone.
         if scene.has_orientations() or (len(loose) and scene.has_positions()):
             said.append("poses")
-            parts.append(confirmed(poses(context), context))
+            # Poses along a pass are judged by the preview model; of loose photographs every pair is looked at.
+            parts.append(confirmed(poses(context), context) if len(loose) else poses(context))
         if context.descriptors is not None:
             said.append("retrieval")
             known = reduce(or_, (p.pairs for p in parts), Pairs.empty())
