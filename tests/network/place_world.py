@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from boat_world import CHANCE, Result
 
+from boat_world import CHANCE, Result
 from tiegraph.network.passes import Pass, find_passes
 from tiegraph.network.words import ImageWords, image_words
 from tiegraph.scene.rig import Rig, Sensor

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from boat_world import Result, World, boat, ring
 from place_world import Places, found, photos, shuffled_ring, video
 
+from boat_world import Result, World, boat, ring
 from tiegraph.network.network import Network, estimate_network
 from tiegraph.network.passes import PreviewBook, find_passes
 from tiegraph.network.retrieval import retrieve

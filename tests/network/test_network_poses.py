@@ -3,8 +3,8 @@
 import numpy as np
 import pycolmap
 import pytest
-from boat_world import World, boat
 
+from boat_world import World, boat
 from tiegraph.geometry import transforms
 from tiegraph.network.network import estimate_network
 from tiegraph.network.passes import PreviewBook, find_passes

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from boat_world import boat
 from place_world import Places, found, passes_of, photos, shuffled_ring, video, words_of
 
+from boat_world import boat
 from tiegraph.network.passes import PreviewBook, find_passes
 from tiegraph.network.retrieval import loop_candidates, nearest_images, retrieve
 from tiegraph.network.settings import NetworkSettings

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from boat_world import boat, ring
 
+from boat_world import boat, ring
 from tiegraph.network.light import GAMMA, UpLight, by_up_frame, otsu, two_states
 from tiegraph.network.network import estimate_network
 from tiegraph.network.passes import find_passes

@@ -10,9 +10,9 @@ import numpy as np
 from tiegraph.errors import choose
 from tiegraph.geometry import transforms
 from tiegraph.network import pictures as draw
+from tiegraph.network.curves import OffsetCurve
 from tiegraph.network.light import Cue, UpLight
 from tiegraph.network.model import ModelFunction, SurveyModel, by_model
-from tiegraph.network.offsets import OffsetCurve
 from tiegraph.network.passes import MatchFunction, PreviewBook, find_passes
 from tiegraph.network.rigcheck import check_rigs
 from tiegraph.network.sections import Section, SectionResult, find_sections, join_places, section_links, split

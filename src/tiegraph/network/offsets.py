@@ -14,12 +14,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tiegraph.network import commonview
-from tiegraph.network.axes import allowed_within, angles_deg
+from tiegraph.network.axes import allowed_within
+from tiegraph.network.constant import constant_offsets
 from tiegraph.network.copies import find_copies
+from tiegraph.network.curves import OffsetResult, contained, curves_of, facing, sampled_ranks
 from tiegraph.network.lattice import CEILING, FLOOR, Lattice, make_lattice
 from tiegraph.network.passes import Pass, PreviewBook
 from tiegraph.network.settings import NetworkSettings
-from tiegraph.network.surface import OffsetSurface, ridge, surfaces_of
+from tiegraph.network.surface import ridge, surfaces_of
 from tiegraph.scene.pairs import REASONS, Pairs
 
 LADDER = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)  # frame distances at which the reach of a camera is measured
@@ -30,39 +32,8 @@ PREVIEWS_PER_IMAGE = 25  # the most that previews may take: linear in the number
 MIN_BUDGET = 6000  # previews that are always affordable (less than a minute on one core)
 LONG = 60  # frames from which on most frames of a pass share nothing: evidence counts near its path only
 COARSE_NODES = 24  # lattice nodes a side of the first look between two passes
-MAX_COLUMNS = 120  # constant offsets: frames of the other pass a sampled frame is compared with
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class OffsetCurve:
-    """Votes against frame offset for two cameras: offset = n - m, or n + m when the other pass runs the other way.
-
-    offsets (K,) i4; votes (K,) f4 mean preview matches above chance; best: offset with most votes; accepted: whether
-    the camera pair gave candidates at all.
-    """
-
-    pass_a: str
-    pass_b: str
-    sensor_a: str
-    sensor_b: str
-    offsets: np.ndarray
-    votes: np.ndarray
-    best: int
-    accepted: bool
-    reversed: bool
-
-
-@dataclass(frozen=True)
-class OffsetResult:
-    """Pairs of the source, its curves, and what people should know."""
-
-    pairs: Pairs
-    curves: tuple[OffsetCurve, ...]
-    notes: tuple[str, ...]
-    surfaces: tuple[OffsetSurface, ...] = ()
-    stranger: str = ""  # the couple of passes, where it has no common view
 
 
 @dataclass(frozen=True)
@@ -81,7 +52,7 @@ def estimate_offsets(passes: Sequence[Pass], book: PreviewBook, images: int, set
     """Candidate pairs within and between passes by the mode of ``settings.offsets``."""
     couples = [(a, b) for k, a in enumerate(passes) for b in passes[k:]]
     if settings.offsets == "constant":
-        parts = [_constant(p, q, book, settings) for p, q in couples]
+        parts = [constant_offsets(p, q, book, settings) for p, q in couples]
     else:
         budget = len(book) + max(MIN_BUDGET, PREVIEWS_PER_IMAGE * images)
         strides = {id(p): _stride(p, book, settings) for p in passes}
@@ -102,13 +73,10 @@ def estimate_offsets(passes: Sequence[Pass], book: PreviewBook, images: int, set
     return OffsetResult(pairs, curves, (*notes, *lost), surfaces)
 
 
-# ---------------------------------------------------------------- local offsets
-
-
 def _stride(p: Pass, book: PreviewBook, settings: NetworkSettings) -> int:
     """Lattice stride in frames: a fifth of the frames over which a typical camera keeps seeing the same things."""
     reach = []
-    starts = _sampled(len(p), settings.sample_frames)
+    starts = sampled_ranks(len(p), settings.sample_frames)
     for images in p.images:
         best = 0
         for step in LADDER:
@@ -122,10 +90,6 @@ def _stride(p: Pass, book: PreviewBook, settings: NetworkSettings) -> int:
             best = step
         reach.append(best)
     return int(np.clip(round(float(np.median(reach)) / 5 + 1), 1, min(MAX_STRIDE, max(1, len(p) // 4))))
-
-
-def _sampled(n: int, count: int) -> np.ndarray:
-    return np.unique(np.linspace(0, n - 1, min(n, count)).round().astype(int))
 
 
 def _survey(p: Pass, q: Pass, stride: int, book: PreviewBook, settings: NetworkSettings, budget: int) -> _Survey:
@@ -167,7 +131,7 @@ def _seed_same(p: Pass, stride: int, book: PreviewBook, settings: NetworkSetting
     """Sampled frames against the frames around them, for every two cameras that the axes permit."""
     lattice = make_lattice(p, p, stride, allowed_within(p.rig, settings.axes_deg))
     a, b = np.ogrid[: len(lattice.rows), : len(lattice.columns)]
-    sampled = np.isin(np.arange(len(lattice.rows)), _sampled(len(lattice.rows), settings.sample_frames))
+    sampled = np.isin(np.arange(len(lattice.rows)), sampled_ranks(len(lattice.rows), settings.sample_frames))
     near = sampled[:, None] & (np.abs(a - b) <= WINDOW_NODES)
     return lattice.measured(_upper(lattice) & near, book)
 
@@ -179,8 +143,8 @@ def _seed_across(
     lattice = make_lattice(p, q, stride, np.ones((len(p.images), len(q.images)), bool))
     cameras = len(p.images) * len(q.images)
     nodes = min(COARSE_NODES, max(4, int(np.sqrt(max(0, budget - len(book)) / 2 / cameras))))
-    coarse = np.isin(np.arange(len(lattice.rows)), _sampled(len(lattice.rows), nodes))[:, None] & np.isin(
-        np.arange(len(lattice.columns)), _sampled(len(lattice.columns), nodes)
+    coarse = np.isin(np.arange(len(lattice.rows)), sampled_ranks(len(lattice.rows), nodes))[:, None] & np.isin(
+        np.arange(len(lattice.columns)), sampled_ranks(len(lattice.columns), nodes)
     )
     lattice = lattice.measured(np.broadcast_to(coarse, lattice.inliers.shape), book)
     excess = commonview.above(lattice, lattice.smoothed(settings.min_matches), settings.min_matches)
@@ -189,11 +153,11 @@ def _seed_across(
         centre = _ridge_path(lattice, settings.min_matches)
         excess = excess * _beside(lattice, centre)
     backwards, _ = commonview.direction(lattice, excess)
-    lattice = Lattice(p, q, lattice.rows, lattice.columns, _facing(lattice, excess, settings), lattice.inliers)
+    lattice = Lattice(p, q, lattice.rows, lattice.columns, facing(lattice, excess, settings), lattice.inliers)
     centre = _path(lattice, excess.sum(axis=(0, 1))) if centre is None else centre
     if centre is None:
         return lattice, backwards, None
-    sampled = np.isin(np.arange(len(lattice.rows)), _sampled(len(lattice.rows), settings.sample_frames))
+    sampled = np.isin(np.arange(len(lattice.rows)), sampled_ranks(len(lattice.rows), settings.sample_frames))
     near = np.abs(np.arange(len(lattice.columns)) - centre[:, None]) <= WINDOW_NODES
     return lattice.measured(np.broadcast_to(sampled[:, None] & near, lattice.inliers.shape), book), backwards, centre
 
@@ -213,14 +177,6 @@ def _ridge_path(lattice: Lattice, min_matches: int) -> np.ndarray:
     evidence = np.maximum(grid - np.median(grid), 0)
     node = ridge(evidence, np.ones(evidence.shape, bool))
     return np.interp(np.arange(len(lattice.rows)), rows, columns[node.astype(int)])
-
-
-def _facing(lattice: Lattice, excess: np.ndarray, settings: NetworkSettings) -> np.ndarray:
-    """(S, T) bool: camera pairs whose axes permit a match at the heading of q against p; all, while that is unknown."""
-    yaw = commonview.yaw(lattice, excess)
-    if yaw is None:
-        return np.ones(excess.shape[:2], bool)
-    return angles_deg(lattice.p.rig, yaw) <= settings.axes_deg
 
 
 def _path(lattice: Lattice, weight: np.ndarray) -> np.ndarray | None:
@@ -252,7 +208,7 @@ def _local(survey: _Survey, settings: NetworkSettings) -> OffsetResult:
     reason = np.where(voted | strong.any(axis=(2, 3)), REASONS.index("weak"), REASONS.index("votes"))
     code = np.where(strong, 0, np.broadcast_to(reason[:, :, None, None], seen.shape))
     measured = Pairs.make(*lattice.images(seen), "offsets", score=lattice.inliers[seen], dropped=code[seen])
-    curves = _curves(lattice, survey.reversed, voted, settings)
+    curves = curves_of(lattice, survey.reversed, voted, settings)
     surfaces = surfaces_of(lattice, smooth, settings.min_matches)
     note, stranger = _said(lattice, smooth, settings)
     return OffsetResult(measured | kept, curves, (*survey.notes, *note), surfaces, stranger)
@@ -278,150 +234,4 @@ def _without_copies(
         return result
     twins = Pairs.make(copies.i, copies.j, "offsets", score=book.known(copies.i, copies.j))
     pairs = result.pairs | twins
-    return replace(result, pairs=pairs.drop(_contained(pairs, twins), "similar"), notes=(*result.notes, copies.note))
-
-
-# ---------------------------------------------------------------- curves
-
-
-def _curves(
-    lattice: Lattice, backwards: bool, accepted: np.ndarray, settings: NetworkSettings, best: np.ndarray | None = None
-) -> tuple[OffsetCurve, ...]:
-    """One curve a camera pair; ``best`` (S, T) is the offset that was voted, where one was."""
-    p, q = lattice.p, lattice.q
-    out = []
-    for c, d in np.argwhere(lattice.allowed):
-        if lattice.same and c >= d:
-            continue
-        offsets, votes = _votes(lattice, int(c), int(d), backwards, settings.min_matches)
-        if not len(offsets):
-            continue
-        winner = int(offsets[np.argmax(votes)] if best is None else best[c, d])
-        names = p.rig.sensors[c].name, q.rig.sensors[d].name
-        out.append(OffsetCurve(p.name, q.name, *names, offsets, votes, winner, bool(accepted[c, d]), backwards))
-    return tuple(out)
-
-
-def _votes(
-    lattice: Lattice, c: int, d: int, backwards: bool, min_matches: int, total: bool = False
-) -> tuple[np.ndarray, np.ndarray]:
-    """Offsets (K,) and matches above chance at each, mean over the frames looked at (or their sum)."""
-    inliers = lattice.inliers[c, d]
-    m, n = np.meshgrid(lattice.rows, lattice.columns, indexing="ij")
-    offset = (n + m if backwards else n - m)[np.isfinite(inliers)]
-    value = np.maximum(0, inliers[np.isfinite(inliers)] - FLOOR * min_matches)
-    offsets, at = np.unique(offset, return_inverse=True)
-    votes = np.bincount(at, value, minlength=len(offsets)).astype(np.float64)
-    if not total:
-        votes = votes / np.maximum(np.bincount(at, minlength=len(offsets)), 1)
-    return offsets.astype(np.int32), votes.astype(np.float32)
-
-
-# ---------------------------------------------------------------- constant offsets (papers 000, 001)
-
-
-def _constant(p: Pass, q: Pass, book: PreviewBook, settings: NetworkSettings) -> OffsetResult:
-    """One offset a camera pair: votes on sampled frames, then every frame within the range around the winner."""
-    if p is q and len(p.images) == 1:
-        return OffsetResult(Pairs.empty(), (), ())
-    lattice, notes = _vote_constant(p, q, book, settings)
-    backwards = p is not q and _backwards_by_votes(lattice, settings)
-    voted = np.zeros(lattice.allowed.shape, bool)
-    best = np.zeros(lattice.allowed.shape, int)
-    for c, d in np.argwhere(lattice.allowed):
-        offsets, votes = _votes(lattice, int(c), int(d), backwards, settings.min_matches, total=True)
-        if not len(offsets):
-            continue
-        best[c, d] = offsets[np.argmax(votes)]
-        voted[c, d] = _supported(lattice, (int(c), int(d), int(best[c, d])), backwards, settings)
-    seen = np.isfinite(lattice.inliers)
-    why = np.where(voted, REASONS.index("offset"), REASONS.index("votes"))
-    code = np.broadcast_to(why[:, :, None, None], seen.shape)
-    looked_at = Pairs.make(*lattice.images(seen), "offsets", score=lattice.inliers[seen], dropped=code[seen])
-    blocks = [
-        _around(lattice, (int(c), int(d), int(best[c, d])), backwards, book, settings) for c, d in np.argwhere(voted)
-    ]
-    for block in blocks:
-        # Where both know a pair, the range decides: "offset" holds only outside of it.
-        looked_at = looked_at.where(~_contained(looked_at, block)) | block
-    return OffsetResult(looked_at, _curves(lattice, backwards, voted, settings, best), notes)
-
-
-def _vote_constant(p: Pass, q: Pass, book: PreviewBook, settings: NetworkSettings) -> tuple[Lattice, tuple[str, ...]]:
-    every = max(1, -(-len(q) // MAX_COLUMNS))
-    allowed = allowed_within(p.rig, settings.axes_deg) if p is q else np.ones((len(p.images), len(q.images)), bool)
-    empty = make_lattice(p, q, every, allowed)
-    rows = _sampled(len(p), settings.sample_frames)
-    shape = (*allowed.shape, len(rows), len(empty.columns))
-    lattice = Lattice(p, q, rows, empty.columns, allowed, np.full(shape, np.nan, np.float32))
-    c, d = np.ogrid[: shape[0], : shape[1]]
-    wanted = np.broadcast_to((c < d) if p is q else np.ones((1, 1), bool), allowed.shape)[:, :, None, None]
-    notes: tuple[str, ...] = ()
-    if p is not q:  # three frames show the heading, then the axes rule pairs of cameras out
-        few = np.isin(np.arange(len(rows)), _sampled(len(rows), 3))[:, None]
-        lattice = _measured_oblong(lattice, wanted & few, book)
-        excess = commonview.above(lattice, lattice.inliers, settings.min_matches)
-        allowed, said = _facing(lattice, excess, settings), commonview.in_words(lattice, excess)
-        notes = (said,) if said else ()
-        lattice = Lattice(p, q, rows, lattice.columns, allowed, lattice.inliers)
-    return _measured_oblong(lattice, wanted, book), notes
-
-
-def _measured_oblong(lattice: Lattice, nodes: np.ndarray, book: PreviewBook) -> Lattice:
-    """``Lattice.measured`` without mirroring: rows and columns are different frames."""
-    nodes = np.broadcast_to(nodes, lattice.inliers.shape) & lattice.exists() & np.isnan(lattice.inliers)
-    inliers = lattice.inliers.copy()
-    inliers[nodes] = book.measure(*lattice.images(nodes))
-    return Lattice(lattice.p, lattice.q, lattice.rows, lattice.columns, lattice.allowed, inliers)
-
-
-def _backwards_by_votes(lattice: Lattice, settings: NetworkSettings) -> bool:
-    """The direction in which the votes pile up higher."""
-    height = [0.0, 0.0]
-    for c, d in np.argwhere(lattice.allowed):
-        for k, backwards in enumerate((False, True)):
-            votes = _votes(lattice, int(c), int(d), backwards, settings.min_matches, total=True)[1]
-            height[k] += float(votes.max(initial=0))
-    return height[1] > height[0]
-
-
-def _supported(lattice: Lattice, block: tuple[int, int, int], backwards: bool, settings: NetworkSettings) -> bool:
-    """Whether the best offset has enough matches on average, over at least two sampled frames."""
-    c, d, best = block
-    m, n = np.meshgrid(lattice.rows, lattice.columns, indexing="ij")
-    step = int(np.max(np.diff(lattice.columns), initial=1))
-    inliers = lattice.inliers[c, d]
-    near = (np.abs((n + m if backwards else n - m) - best) <= step) & np.isfinite(inliers)
-    count = np.clip(inliers[near], FLOOR * settings.min_matches, CEILING * settings.min_matches)
-    return int(near.any(axis=1).sum()) >= 2 and float(count.mean()) >= settings.min_matches
-
-
-def _around(
-    lattice: Lattice, block: tuple[int, int, int], backwards: bool, book: PreviewBook, settings: NetworkSettings
-) -> Pairs:
-    """All frames of a camera pair within the range around its offset; of these the best by preview if so set."""
-    c, d, best = block
-    p, q = lattice.p, lattice.q
-    m, r = np.meshgrid(np.arange(len(p)), np.arange(-settings.offset_range, settings.offset_range + 1), indexing="ij")
-    n = best + r - m if backwards else best + r + m
-    there = (n >= 0) & (n < len(q))
-    i = p.images[c, m[there]]
-    j = q.images[d, n[there]]
-    exists = (i >= 0) & (j >= 0) & (i != j)
-    i, j = i[exists], j[exists]
-    if settings.offset_best == 0:
-        return Pairs.make(i, j, "offsets", score=book.known(i, j))
-    score = book.measure(i, j)
-    order = np.lexsort((-score, i))
-    first = np.r_[True, np.diff(i[order]) != 0]
-    start = np.maximum.accumulate(np.where(first, np.arange(len(order)), 0))
-    rank = np.empty(len(order), int)
-    rank[order] = np.arange(len(order)) - start
-    keep = (rank < settings.offset_best) & (score >= settings.min_matches)
-    return Pairs.make(i, j, "offsets", score=score, dropped=np.where(keep, 0, REASONS.index("weak")))
-
-
-def _contained(pairs: Pairs, other: Pairs) -> np.ndarray:
-    """(P,) bool: rows of ``pairs`` that are in ``other`` too."""
-    key = pairs.i.astype(np.int64) << 32 | pairs.j
-    return np.isin(key, other.i.astype(np.int64) << 32 | other.j)
+    return replace(result, pairs=pairs.drop(contained(pairs, twins), "similar"), notes=(*result.notes, copies.note))

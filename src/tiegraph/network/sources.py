@@ -14,8 +14,9 @@ import numpy as np
 
 from tiegraph.errors import InputError, SettingsError
 from tiegraph.network.axes import allowed_within
+from tiegraph.network.curves import OffsetCurve
 from tiegraph.network.loose import scored_pairs
-from tiegraph.network.offsets import OffsetCurve, estimate_offsets
+from tiegraph.network.offsets import estimate_offsets
 from tiegraph.network.passes import Pass, PreviewBook, loose_images
 from tiegraph.network.priorcheck import checked_pose_pairs
 from tiegraph.network.retrieval import retrieve

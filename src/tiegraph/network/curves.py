@@ -1,0 +1,96 @@
+"""What frame-offset voting gives: curves, pairs, and the helpers of its two modes (local and constant)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tiegraph.network import commonview
+from tiegraph.network.axes import angles_deg
+from tiegraph.network.lattice import FLOOR, Lattice
+from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.surface import OffsetSurface
+from tiegraph.scene.pairs import Pairs
+
+
+@dataclass(frozen=True)
+class OffsetCurve:
+    """Votes against frame offset for two cameras: offset = n - m, or n + m when the other pass runs the other way.
+
+    offsets (K,) i4; votes (K,) f4 mean preview matches above chance; best: offset with most votes; accepted: whether
+    the camera pair gave candidates at all.
+    """
+
+    pass_a: str
+    pass_b: str
+    sensor_a: str
+    sensor_b: str
+    offsets: np.ndarray
+    votes: np.ndarray
+    best: int
+    accepted: bool
+    reversed: bool
+
+
+@dataclass(frozen=True)
+class OffsetResult:
+    """Pairs of the source, its curves, and what people should know."""
+
+    pairs: Pairs
+    curves: tuple[OffsetCurve, ...]
+    notes: tuple[str, ...]
+    surfaces: tuple[OffsetSurface, ...] = ()
+    stranger: str = ""  # the couple of passes, where it has no common view
+
+
+def sampled_ranks(n: int, count: int) -> np.ndarray:
+    """At most ``count`` of n ranks, evenly spread, with the first and the last."""
+    return np.unique(np.linspace(0, n - 1, min(n, count)).round().astype(int))
+
+
+def facing(lattice: Lattice, excess: np.ndarray, settings: NetworkSettings) -> np.ndarray:
+    """(S, T) bool: camera pairs whose axes permit a match at the heading of q against p; all, while that is unknown."""
+    yaw = commonview.yaw(lattice, excess)
+    if yaw is None:
+        return np.ones(excess.shape[:2], bool)
+    return angles_deg(lattice.p.rig, yaw) <= settings.axes_deg
+
+
+def curves_of(
+    lattice: Lattice, backwards: bool, accepted: np.ndarray, settings: NetworkSettings, best: np.ndarray | None = None
+) -> tuple[OffsetCurve, ...]:
+    """One curve a camera pair; ``best`` (S, T) is the offset that was voted, where one was."""
+    p, q = lattice.p, lattice.q
+    out = []
+    for c, d in np.argwhere(lattice.allowed):
+        if lattice.same and c >= d:
+            continue
+        offsets, votes = votes_of(lattice, int(c), int(d), backwards, settings.min_matches)
+        if not len(offsets):
+            continue
+        winner = int(offsets[np.argmax(votes)] if best is None else best[c, d])
+        names = p.rig.sensors[c].name, q.rig.sensors[d].name
+        out.append(OffsetCurve(p.name, q.name, *names, offsets, votes, winner, bool(accepted[c, d]), backwards))
+    return tuple(out)
+
+
+def votes_of(
+    lattice: Lattice, c: int, d: int, backwards: bool, min_matches: int, total: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
+    """Offsets (K,) and matches above chance at each, mean over the frames looked at (or their sum)."""
+    inliers = lattice.inliers[c, d]
+    m, n = np.meshgrid(lattice.rows, lattice.columns, indexing="ij")
+    offset = (n + m if backwards else n - m)[np.isfinite(inliers)]
+    value = np.maximum(0, inliers[np.isfinite(inliers)] - FLOOR * min_matches)
+    offsets, at = np.unique(offset, return_inverse=True)
+    votes = np.bincount(at, value, minlength=len(offsets)).astype(np.float64)
+    if not total:
+        votes = votes / np.maximum(np.bincount(at, minlength=len(offsets)), 1)
+    return offsets.astype(np.int32), votes.astype(np.float32)
+
+
+def contained(pairs: Pairs, other: Pairs) -> np.ndarray:
+    """(P,) bool: rows of ``pairs`` that are in ``other`` too."""
+    key = pairs.i.astype(np.int64) << 32 | pairs.j
+    return np.isin(key, other.i.astype(np.int64) << 32 | other.j)
