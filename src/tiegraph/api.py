@@ -65,10 +65,7 @@ class Project:
 
     def candidates(self) -> Pairs:
         """The pair table after `network`: every pair that was looked at, and why it was dropped."""
-        import numpy as np
-
-        with np.load(self._needed("network.npz", "network")) as data:
-            return Pairs.from_npz(dict(data))
+        return _read_pairs(self._needed("network.npz", "network"))
 
     def coverage(self) -> Coverage:
         """Do the candidate pairs hold the survey together, and where are they weak (paper 003's check on site)?"""
@@ -76,11 +73,8 @@ class Project:
 
     def pairs(self) -> Pairs:
         """The pair table of the last stage that made one: `verify`, `match` (both with inliers) or `design`."""
-        import numpy as np
-
         there = [p for n in ("verify.npz", "match.npz") if (p := self.folder / n).exists()]
-        with np.load(there[0] if there else self._needed("pairs.npz", "design")) as data:
-            return Pairs.from_npz(dict(data))
+        return _read_pairs(there[0] if there else self._needed("pairs.npz", "design"))
 
     def model(self) -> Any:
         """The georeferenced model, a ``pycolmap.Reconstruction``."""
@@ -142,6 +136,13 @@ def open_project(
         complete = project_settings.merged(project_settings.preset(name), stored, settings or {}, where=where)
     paths = {n: Path(run[n]).resolve() if n in run else None for n in _PATHS}
     return Project(folder, Inputs(found, run.get("rig"), **paths), complete, name, pool)
+
+
+def _read_pairs(path: Path) -> Pairs:
+    import numpy as np
+
+    with np.load(path) as data:
+        return Pairs.from_npz(dict(data))
 
 
 def _folder(images: str | Path | None, out: str | Path | None) -> Path:

@@ -8,9 +8,10 @@ import pytest
 
 from boat_world import HALF_WIDTH_M, World, boat
 from tiegraph.geometry import transforms
-from tiegraph.network.model import NO_MODEL, SurveyModel, calibrated_rigs
+from tiegraph.network.model import NO_MODEL, SurveyModel, _judged, calibrated_rigs
 from tiegraph.network.network import estimate_network
 from tiegraph.network.settings import NetworkSettings
+from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.rig import Rig, Sensor
 
 SETTINGS = NetworkSettings(sections="off")
@@ -90,6 +91,17 @@ def test_a_torn_model_is_not_asked_at_the_tear(world) -> None:
     near = torn.pairs.where(at_tear[torn.pairs.i] & at_tear[torn.pairs.j])
     assert np.sum(near.dropped == 0) > 20
     assert whole.trusted.all()
+
+
+def test_copies_of_a_picture_stay_out_though_they_share_all_their_surface(world) -> None:
+    model = true_model(world)
+    overlap = model.overlap()
+    best = int(np.argmax(overlap.share))
+    twin = np.array([overlap.i[best]]), np.array([overlap.j[best]])
+    copy = Pairs.make(*twin, "offsets", dropped=np.array([REASONS.index("similar")]))
+    judged = _judged(copy, overlap, model.placed(), SETTINGS)
+    assert judged.dropped[(judged.i == twin[0]) & (judged.j == twin[1])].tolist() == [REASONS.index("similar")]
+    assert len(judged.kept()) > 100
 
 
 def test_without_a_model_counts_decide(world) -> None:

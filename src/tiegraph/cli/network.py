@@ -44,5 +44,5 @@ def _show(project: Project, as_json: bool) -> int:
             table.add_row(*(str(v) for v in row))
         console.print(table)
     if len(rows) > _ROWS:
-        console.print(f"... and {len(rows) - _ROWS} more: the table weak_links of the design stage has all")
+        console.print(f"... and {len(rows) - _ROWS} more: the report has all")
     return 0 if found.sound else 1

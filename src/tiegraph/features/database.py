@@ -25,11 +25,10 @@ import pycolmap
 
 from tiegraph.errors import InputError, TiegraphError
 from tiegraph.geometry import transforms
+from tiegraph.scene.colmapmodel import MAX_IMAGES
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 
-# COLMAP: pair_id = 2147483647 * smaller image_id + larger image_id (colmap/util/types.h, kMaxNumImages).
-MAX_IMAGES = 2147483647
 _LOCK_S = 60.0
 
 Features = tuple[int, np.ndarray, np.ndarray]

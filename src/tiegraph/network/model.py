@@ -16,11 +16,12 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
+from tiegraph.network.curves import contained
 from tiegraph.network.passes import PreviewBook
 from tiegraph.network.proxy import Proxy
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.network.visible import Overlap, observed_proxy, shared_surface, visible_points
-from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.strongest import strongest_pairs
@@ -178,7 +179,9 @@ def _judged(pairs: Pairs, overlap: Overlap, trusted: np.ndarray, settings: Netwo
     share = np.where(trusted[pairs.i] & trusted[pairs.j], overlap.between(pairs.i, pairs.j), np.nan)
     judged = pairs.with_(overlap=share).drop(share < settings.min_overlap, "overlap")
     enough = (overlap.share >= settings.min_overlap) & trusted[overlap.i] & trusted[overlap.j]
-    return judged | Pairs.make(overlap.i[enough], overlap.j[enough], "model", overlap=overlap.share[enough])
+    found = Pairs.make(overlap.i[enough], overlap.j[enough], "model", overlap=overlap.share[enough])
+    copies = pairs.where(pairs.dropped == REASONS.index("similar"))  # share all their surface, and have no base
+    return judged | found.where(~contained(found, copies))
 
 
 def _never_tied(pairs: Pairs, scene: Scene, book: PreviewBook, settings: NetworkSettings) -> np.ndarray:

@@ -133,15 +133,13 @@ def design(run: Run) -> Outcome:
     for number in np.unique(section):
         own = pairs.where((section[pairs.i] == number) | (section[pairs.j] == number))
         write_atomic(run.path("pairs", f"section_{max(number, 0)}.txt"), own.to_text(scene.names))
-    funnel = pairs.funnel()
-    alone = int(np.sum(pairs.degree(len(scene)) == 0))
-    counts = {"pairs": funnel["used"], "images_without": alone, **made.counts}
+    counts = {"images_without": int(np.sum(pairs.degree(len(scene)) == 0)), **made.counts}
     run.path("design").mkdir(exist_ok=True)
     positions = scene.world_from_rig[:, :3, 3]
     weak = weak_pairs(made.tables.get("weak links", {}), scene)
     picture = map_png(pairs, positions if np.isfinite(positions).any() else None, scene, weak=weak)
     write_atomic(run.path("design", "map.png"), picture)
-    return Outcome(counts, notes=made.notes, tables={"funnel": _table(funnel), **made.tables})
+    return Outcome(counts, notes=made.notes, tables=made.tables)
 
 
 def _sights(run: Run) -> Sights | None:

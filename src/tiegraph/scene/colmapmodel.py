@@ -1,4 +1,4 @@
-"""Reading COLMAP models of any origin: a damaged one is an error, never a hang."""
+"""COLMAP's files: models of any origin (a damaged one is an error, never a hang), ids in its database."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from typing import Any
 
 from tiegraph.errors import InputError
 
+# COLMAP: pair_id = 2147483647 * smaller image_id + larger image_id (colmap/util/types.h, kMaxNumImages).
+MAX_IMAGES = 2147483647
 _RECORD_BYTES = {"cameras.bin": 24, "images.bin": 73, "points3D.bin": 51}  # least bytes of a record
 
 

@@ -12,6 +12,7 @@ import pycolmap
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from tiegraph.scene.colmapmodel import MAX_IMAGES
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import held_out_frames, rigid3d
@@ -47,7 +48,7 @@ def write_working_copy(
             names = {name: image_id for image_id, name in connection.execute("SELECT image_id, name FROM images")}
             gone = [sorted(names.get(scene.names[k], 0) for k in pair) for pair in refused]
             connection.executemany(
-                "DELETE FROM two_view_geometries WHERE pair_id = ?", [(_MAX_IMAGES * low + high,) for low, high in gone]
+                "DELETE FROM two_view_geometries WHERE pair_id = ?", [(MAX_IMAGES * low + high,) for low, high in gone]
             )
     finally:
         connection.close()
@@ -181,8 +182,5 @@ class ViewGraph:
         return sorted(np.bincount(self.component[self.component >= 0]).tolist(), reverse=True)
 
 
-_MAX_IMAGES = 2147483647  # COLMAP: pair_id = 2147483647 * smaller image_id + larger image_id
-
-
 def _pair(pair_id: int) -> tuple[int, int]:
-    return pair_id // _MAX_IMAGES, pair_id % _MAX_IMAGES
+    return pair_id // MAX_IMAGES, pair_id % MAX_IMAGES

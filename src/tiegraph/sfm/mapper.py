@@ -121,14 +121,15 @@ def reconstruct(
     out.mkdir(parents=True, exist_ok=True)
     for old in (p for p in out.iterdir() if p.is_dir() and p.name.isdigit()):
         shutil.rmtree(old)
-    alone = unsupported_sensors(scene, graph, modes)
-    notes = []
-    if alone:
+    alone, notes = unsupported_sensors(scene, graph, modes), []
+    without = (*refused, *ties_of(scene, graph, alone))
+    if alone and len(without) - len(refused) < len(graph.pairs):  # else nothing would be left to map
         names = ", ".join(scene.all_sensors[k].name for k in alone)
         notes.append(f"too few ties of {names}: placed by the rig as given, its own ties are not used")
-        refused = (*refused, *ties_of(scene, graph, alone))
-        graph = ViewGraph(database, scene, settings.min_matches, refused)
-    job = _Job(database, images, out, scene, settings, log, on_progress, graph, [], notes, tuple(refused), alone)
+        refused, graph = without, ViewGraph(database, scene, settings.min_matches, without)
+    else:
+        alone = ()
+    job = _Job(database, images, out, scene, settings, log, on_progress, graph, [], notes, refused, alone)
     try:
         return _reconstruct(job, modes)
     finally:

@@ -13,11 +13,11 @@ import pycolmap
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
+from tiegraph.scene.colmapmodel import MAX_IMAGES
 from tiegraph.scene.rig import camera_from_dict, camera_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.verify.motion import Rays
 
-_MAX_IMAGES = 2147483647  # COLMAP: pair_id = 2147483647 * smaller image_id + larger image_id; image_id = index + 1
 _CACHED_IMAGES = 512  # of about 100 kB each, in every worker
 PER_PAIR = 150  # matches of one camera pair that are looked at: enough to tell, spread over them all
 
@@ -93,7 +93,7 @@ def _frozen(value: object) -> object:
 def _matches(database: str, i: int, j: int) -> np.ndarray:
     low, high = min(i, j) + 1, max(i, j) + 1
     query = "SELECT rows, data FROM two_view_geometries WHERE pair_id = ?"
-    row = _connection(database).execute(query, (_MAX_IMAGES * low + high,)).fetchone()
+    row = _connection(database).execute(query, (MAX_IMAGES * low + high,)).fetchone()
     if row is None or not row[0]:
         return np.zeros((0, 2), np.int64)
     matches = np.frombuffer(row[1], np.uint32).reshape(-1, 2).astype(np.int64)
