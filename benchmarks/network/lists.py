@@ -21,7 +21,7 @@ import pycolmap
 
 from tiegraph.features.database import create_database
 from tiegraph.features.preview import Preview
-from tiegraph.network.retrieval import nearest_images
+from tiegraph.network.looks.retrieval import nearest_images
 from tiegraph.scene.scene import Scene
 
 NEAREST = 40  # images retrieved for each

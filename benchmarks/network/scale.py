@@ -31,7 +31,7 @@ from benchmarks.network.canalworld import CanalWorld, canal_world
 from benchmarks.network.measure import measured
 from tiegraph.design.design import design
 from tiegraph.features.preview import PreviewMatch
-from tiegraph.network.model import SurveyModel
+from tiegraph.network.model.survey import SurveyModel
 from tiegraph.network.network import Network, estimate_network
 from tiegraph.pipeline.ties import _preview, _survey_model
 from tiegraph.project.run import Inputs, Run

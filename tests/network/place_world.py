@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from boat_world import CHANCE, Result
+from tiegraph.network.looks.words import ImageWords, image_words
 from tiegraph.network.passes import Pass, find_passes
-from tiegraph.network.words import ImageWords, image_words
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 

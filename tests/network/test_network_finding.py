@@ -7,9 +7,9 @@ import pytest
 from place_world import Places, found, photos, shuffled_ring, video
 
 from boat_world import Result, World, boat, ring
+from tiegraph.network.looks.retrieval import retrieve
 from tiegraph.network.network import Network, estimate_network
 from tiegraph.network.passes import PreviewBook, find_passes
-from tiegraph.network.retrieval import retrieve
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.scene.pairs import REASONS
 from tiegraph.scene.rig import Rig

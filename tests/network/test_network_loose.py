@@ -5,10 +5,10 @@ import pytest
 from place_world import Places, found, photos, shuffled_ring, video, words_of
 
 from boat_world import Result
-from tiegraph.network.loose import ALL_LIMIT, PER_IMAGE, scored_pairs, supported
+from tiegraph.network.looks.loose import ALL_LIMIT, PER_IMAGE, scored_pairs, supported
+from tiegraph.network.looks.words import image_words
 from tiegraph.network.passes import PreviewBook
 from tiegraph.network.settings import NetworkSettings
-from tiegraph.network.words import image_words
 from tiegraph.scene.graph import components
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene

@@ -8,7 +8,7 @@ import pytest
 
 from boat_world import HALF_WIDTH_M, World, boat
 from tiegraph.geometry import transforms
-from tiegraph.network.model import NO_MODEL, SurveyModel, _judged, calibrated_rigs
+from tiegraph.network.model.survey import NO_MODEL, SurveyModel, _judged, calibrated_rigs
 from tiegraph.network.network import estimate_network
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.scene.pairs import REASONS, Pairs

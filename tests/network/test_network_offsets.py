@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from boat_world import boat, ring
-from tiegraph.network.axes import angles_deg, vertical, yaw_between
-from tiegraph.network.commonview import direction, in_words, strangers, votes, without_chance, yaw
-from tiegraph.network.lattice import make_lattice
 from tiegraph.network.network import estimate_network
+from tiegraph.network.offsets.lattice import make_lattice
 from tiegraph.network.passes import PreviewBook, find_passes, loose_images
+from tiegraph.network.rig.axes import angles_deg, vertical, yaw_between
+from tiegraph.network.rig.commonview import direction, in_words, strangers, votes, without_chance, yaw
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.scene.pairs import REASONS
 

@@ -8,9 +8,9 @@ import pytest
 from PIL import Image
 
 from boat_world import World, boat, ring
-from tiegraph.network.lattice import make_lattice
-from tiegraph.network.light import UpLight
 from tiegraph.network.network import Network, estimate_network
+from tiegraph.network.offsets.lattice import make_lattice
+from tiegraph.network.offsets.surface import ridge, surfaces_of
 from tiegraph.network.passes import PreviewBook, find_passes
 from tiegraph.network.pictures import (
     _matrix,
@@ -24,9 +24,9 @@ from tiegraph.network.pictures import (
 )
 from tiegraph.network.pictures.common import edges_of
 from tiegraph.network.pictures.map import _aggregated, _joined, _layout
-from tiegraph.network.sections import find_sections
+from tiegraph.network.sections.light import UpLight
+from tiegraph.network.sections.sections import find_sections
 from tiegraph.network.settings import NetworkSettings
-from tiegraph.network.surface import ridge, surfaces_of
 from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs
 
 RED, ORANGE = (192, 57, 43), (213, 94, 0)

@@ -8,8 +8,8 @@ from boat_world import World, boat
 from tiegraph.geometry import transforms
 from tiegraph.network.network import estimate_network
 from tiegraph.network.passes import PreviewBook, find_passes
-from tiegraph.network.poses import pose_pairs, view_cameras
-from tiegraph.network.priorcheck import check_prior, checked_pose_pairs
+from tiegraph.network.poses.check import check_prior, checked_pose_pairs
+from tiegraph.network.poses.poses import pose_pairs, view_cameras
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.rig import Rig, Sensor

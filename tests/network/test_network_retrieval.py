@@ -5,10 +5,10 @@ import pytest
 from place_world import Places, found, passes_of, photos, shuffled_ring, video, words_of
 
 from boat_world import boat
+from tiegraph.network.looks.retrieval import loop_candidates, nearest_images, retrieve
+from tiegraph.network.looks.words import ImageWords, image_words
 from tiegraph.network.passes import PreviewBook, find_passes
-from tiegraph.network.retrieval import loop_candidates, nearest_images, retrieve
 from tiegraph.network.settings import NetworkSettings
-from tiegraph.network.words import ImageWords, image_words
 from tiegraph.scene.pairs import REASONS, Pairs
 
 SETTINGS = NetworkSettings()
@@ -106,7 +106,7 @@ def test_known_loops_are_not_looked_at_again() -> None:
 
 
 def test_budget_of_previews_is_kept_and_said(monkeypatch) -> None:
-    monkeypatch.setattr("tiegraph.network.retrieval.PREVIEWS_AN_IMAGE", 4)
+    monkeypatch.setattr("tiegraph.network.looks.retrieval.PREVIEWS_AN_IMAGE", 4)
     world = Places(np.arange(200) * 12.0, around=600)
     result = loops(world)
     assert world.asked <= 4 * 200

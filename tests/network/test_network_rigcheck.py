@@ -16,10 +16,10 @@ from boat_world import Result, boat, ring
 from tiegraph.features.preview import Preview, PreviewMatch, extract_preview, match_previews
 from tiegraph.features.preview_settings import PreviewSettings
 from tiegraph.geometry import transforms
-from tiegraph.network import rigsync
 from tiegraph.network.passes import PreviewBook, find_passes
-from tiegraph.network.rigcheck import check_rig, check_rigs
-from tiegraph.network.rigorder import orders
+from tiegraph.network.rig import sync as rigsync
+from tiegraph.network.rig.check import check_rig, check_rigs
+from tiegraph.network.rig.order import orders
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from boat_world import boat, ring
-from tiegraph.network.light import GAMMA, UpLight, by_up_frame, otsu, two_states
 from tiegraph.network.network import estimate_network
 from tiegraph.network.passes import find_passes
-from tiegraph.network.sections import Section, SectionResult, find_sections, join_places, section_links
+from tiegraph.network.sections.light import GAMMA, UpLight, by_up_frame, otsu, two_states
+from tiegraph.network.sections.sections import Section, SectionResult, find_sections, join_places, section_links
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.scene.pairs import REASONS, Pairs
 

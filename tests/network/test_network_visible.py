@@ -6,8 +6,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
-from tiegraph.network import visible
-from tiegraph.network.visible import (
+from tiegraph.network.model import visible
+from tiegraph.network.model.visible import (
     Overlap,
     Proxy,
     assumed_proxy,

@@ -10,12 +10,13 @@ import numpy as np
 from tiegraph.errors import choose
 from tiegraph.geometry import transforms
 from tiegraph.network import pictures as draw
-from tiegraph.network.curves import OffsetCurve
-from tiegraph.network.light import Cue, UpLight
-from tiegraph.network.model import ModelFunction, SurveyModel, by_model
+from tiegraph.network.model.survey import ModelFunction, SurveyModel, by_model
+from tiegraph.network.offsets.curves import OffsetCurve
+from tiegraph.network.offsets.surface import OffsetSurface
 from tiegraph.network.passes import MatchFunction, PreviewBook, find_passes
-from tiegraph.network.rigcheck import check_rigs
-from tiegraph.network.sections import Section, SectionResult, find_sections, join_places, section_links, split
+from tiegraph.network.rig.check import check_rigs
+from tiegraph.network.sections.light import Cue, UpLight
+from tiegraph.network.sections.sections import Section, SectionResult, find_sections, join_places, section_links, split
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.network.sources import (
     FEW_PHOTOS,
@@ -27,7 +28,6 @@ from tiegraph.network.sources import (
     axes_pairs,
     axes_rows,
 )
-from tiegraph.network.surface import OffsetSurface
 from tiegraph.scene.graph import component_notes
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene

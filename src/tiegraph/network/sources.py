@@ -13,15 +13,15 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.errors import InputError, SettingsError
-from tiegraph.network.axes import allowed_within
-from tiegraph.network.curves import OffsetCurve
-from tiegraph.network.loose import scored_pairs
-from tiegraph.network.offsets import estimate_offsets
+from tiegraph.network.looks.loose import scored_pairs
+from tiegraph.network.looks.retrieval import retrieve
+from tiegraph.network.offsets.curves import OffsetCurve
+from tiegraph.network.offsets.offsets import estimate_offsets
+from tiegraph.network.offsets.surface import OffsetSurface
 from tiegraph.network.passes import Pass, PreviewBook, loose_images
-from tiegraph.network.priorcheck import checked_pose_pairs
-from tiegraph.network.retrieval import retrieve
+from tiegraph.network.poses.check import checked_pose_pairs
+from tiegraph.network.rig.axes import allowed_within
 from tiegraph.network.settings import NetworkSettings
-from tiegraph.network.surface import OffsetSurface
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
 

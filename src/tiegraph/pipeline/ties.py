@@ -15,10 +15,10 @@ from tiegraph.errors import ReconstructionError
 from tiegraph.features.preview import Preview, PreviewMatch, match_previews
 from tiegraph.features.preview_database import write_preview_database
 from tiegraph.features.settings import PreviewSettings
-from tiegraph.network.light import UpLight
-from tiegraph.network.model import SurveyModel
+from tiegraph.network.model.survey import SurveyModel
 from tiegraph.network.network import estimate_network
 from tiegraph.network.pictures import map_png, weak_pairs
+from tiegraph.network.sections.light import UpLight
 from tiegraph.pipeline.capture import preview_path
 from tiegraph.pipeline.files import checked, pairs_of, read_mask, save_npz, scanned, ties_of
 from tiegraph.project.run import Run

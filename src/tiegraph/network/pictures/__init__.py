@@ -10,7 +10,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from tiegraph.network.curves import OffsetCurve
+from tiegraph.network.offsets.curves import OffsetCurve
 from tiegraph.network.pictures.common import DPI, png
 from tiegraph.network.pictures.funnel import funnel_png, funnel_table
 from tiegraph.network.pictures.map import map_png, weak_pairs

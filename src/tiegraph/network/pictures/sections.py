@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from tiegraph.network.light import Cue
 from tiegraph.network.pictures.common import BLUE, DPI, INK, RED, png
-from tiegraph.network.sections import Section
+from tiegraph.network.sections.light import Cue
+from tiegraph.network.sections.sections import Section
 from tiegraph.scene.scene import Scene
 
 _PANEL_IN = 2.2

@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from tiegraph.network.offsets.surface import OffsetSurface
 from tiegraph.network.pictures.common import DPI, RED, edges_of, png
-from tiegraph.network.surface import OffsetSurface
 
 MAX_COUPLES = 8  # couples of passes in one picture
 _SMALL = 12  # panels of camera pairs beside the rig's

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array
 
+from tiegraph.network.looks.words import ImageWords
 from tiegraph.network.passes import PreviewBook
 from tiegraph.network.settings import NetworkSettings
-from tiegraph.network.words import ImageWords
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiegraph.network import commonview
-from tiegraph.network.axes import angles_deg
-from tiegraph.network.lattice import FLOOR, Lattice
+from tiegraph.network.offsets.lattice import FLOOR, Lattice
+from tiegraph.network.offsets.surface import OffsetSurface
+from tiegraph.network.rig import commonview
+from tiegraph.network.rig.axes import angles_deg
 from tiegraph.network.settings import NetworkSettings
-from tiegraph.network.surface import OffsetSurface
 from tiegraph.scene.pairs import Pairs
 
 

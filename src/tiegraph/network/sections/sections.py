@@ -9,8 +9,8 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
-from tiegraph.network.light import Cue, UpLight, read_cues, two_states
 from tiegraph.network.passes import Pass, find_passes
+from tiegraph.network.sections.light import Cue, UpLight, read_cues, two_states
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 

@@ -17,8 +17,8 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from tiegraph.geometry import transforms
-from tiegraph.network.proxy import Proxy, assumed_proxy, observed_proxy, points_proxy
-from tiegraph.network.view import View
+from tiegraph.network.model.proxy import Proxy, assumed_proxy, observed_proxy, points_proxy
+from tiegraph.network.model.view import View
 
 __all__ = ["Overlap", "Proxy", "assumed_proxy", "observed_proxy", "points_proxy", "shared_surface"]
 

@@ -14,10 +14,10 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from tiegraph.network.loose import CEILING, FLOOR, SURE, scored_pairs
+from tiegraph.network.looks.loose import CEILING, FLOOR, SURE, scored_pairs
+from tiegraph.network.looks.words import ImageWords, image_words
 from tiegraph.network.passes import Pass, PreviewBook, loose_images
 from tiegraph.network.settings import NetworkSettings
-from tiegraph.network.words import ImageWords, image_words
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from tiegraph.network.lattice import FLOOR, SIGMA_NODES, Lattice
+from tiegraph.network.offsets.lattice import FLOOR, SIGMA_NODES, Lattice
 
 MAX_CAMERA_PAIRS = 12  # of a couple of passes: those with the most evidence
 _TOP = 6.0  # times the threshold: more matches say nothing more

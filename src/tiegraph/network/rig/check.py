@@ -16,10 +16,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
-from tiegraph.network.axes import allowed_within, predicted_shift
 from tiegraph.network.passes import Pass, PreviewBook
-from tiegraph.network.rigorder import Order, in_words, orders, reordered
-from tiegraph.network.rigsync import frame_notes, lag_notes
+from tiegraph.network.rig.axes import allowed_within, predicted_shift
+from tiegraph.network.rig.order import Order, in_words, orders, reordered
+from tiegraph.network.rig.sync import frame_notes, lag_notes
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tiegraph.network.axes import angles_deg, yaw_between
-from tiegraph.network.lattice import FLOOR, Lattice
+from tiegraph.network.offsets.lattice import FLOOR, Lattice
+from tiegraph.network.rig.axes import angles_deg, yaw_between
 
 LEAST_VOTES = 4.0  # effective number of nodes that speak for a common view
 LEAST_SHARE = 0.02  # of the nodes looked at: enough where passes are short

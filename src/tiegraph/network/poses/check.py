@@ -10,12 +10,12 @@ import numpy as np
 from scipy.stats import spearmanr
 
 from tiegraph.geometry import transforms
-from tiegraph.network.headings import with_headings
+from tiegraph.network.model.proxy import Proxy
+from tiegraph.network.model.visible import pair_share
 from tiegraph.network.passes import Pass, PreviewBook
-from tiegraph.network.poses import PoseResult, pose_pairs, prior_views, view_cameras
-from tiegraph.network.proxy import Proxy
+from tiegraph.network.poses.headings import with_headings
+from tiegraph.network.poses.poses import PoseResult, pose_pairs, prior_views, view_cameras
 from tiegraph.network.settings import NetworkSettings
-from tiegraph.network.visible import pair_share
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 

@@ -9,7 +9,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
-from tiegraph.network.view import View
+from tiegraph.network.model.view import View
 
 FAR_OBSERVERS = 2.0  # a point is not seen from further than this times its farthest observer
 MIN_TRACK = 3  # observers a point needs, where enough points have so many

@@ -13,15 +13,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tiegraph.network import commonview
-from tiegraph.network.axes import allowed_within
-from tiegraph.network.constant import constant_offsets
-from tiegraph.network.copies import find_copies
-from tiegraph.network.curves import OffsetResult, contained, curves_of, facing, sampled_ranks
-from tiegraph.network.lattice import CEILING, FLOOR, Lattice, make_lattice
+from tiegraph.network.looks.copies import find_copies
+from tiegraph.network.offsets.constant import constant_offsets
+from tiegraph.network.offsets.curves import OffsetResult, contained, curves_of, facing, sampled_ranks
+from tiegraph.network.offsets.lattice import CEILING, FLOOR, Lattice, make_lattice
+from tiegraph.network.offsets.surface import ridge, surfaces_of
 from tiegraph.network.passes import Pass, PreviewBook
+from tiegraph.network.rig import commonview
+from tiegraph.network.rig.axes import allowed_within
 from tiegraph.network.settings import NetworkSettings
-from tiegraph.network.surface import ridge, surfaces_of
 from tiegraph.scene.pairs import REASONS, Pairs
 
 LADDER = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)  # frame distances at which the reach of a camera is measured

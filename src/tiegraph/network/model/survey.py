@@ -16,11 +16,11 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
-from tiegraph.network.curves import contained
+from tiegraph.network.model.proxy import Proxy
+from tiegraph.network.model.visible import Overlap, observed_proxy, shared_surface, visible_points
+from tiegraph.network.offsets.curves import contained
 from tiegraph.network.passes import PreviewBook
-from tiegraph.network.proxy import Proxy
 from tiegraph.network.settings import NetworkSettings
-from tiegraph.network.visible import Overlap, observed_proxy, shared_surface, visible_points
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene

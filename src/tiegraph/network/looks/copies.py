@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tiegraph.network.lattice import Lattice
+from tiegraph.network.offsets.lattice import Lattice
 from tiegraph.network.passes import Pass, PreviewBook
 
 STILL = 0.003  # of the image size: median motion of a copy

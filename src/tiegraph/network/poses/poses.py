@@ -14,10 +14,10 @@ import numpy as np
 import pycolmap
 from scipy.spatial import cKDTree
 
-from tiegraph.network.headings import with_headings
+from tiegraph.network.model.visible import Overlap, Proxy, assumed_proxy, shared_surface
 from tiegraph.network.passes import Pass
+from tiegraph.network.poses.headings import with_headings
 from tiegraph.network.settings import NetworkSettings
-from tiegraph.network.visible import Overlap, Proxy, assumed_proxy, shared_surface
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
 

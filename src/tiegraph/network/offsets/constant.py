@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from tiegraph.network import commonview
-from tiegraph.network.axes import allowed_within
-from tiegraph.network.curves import OffsetResult, contained, curves_of, facing, sampled_ranks, votes_of
-from tiegraph.network.lattice import CEILING, FLOOR, Lattice, make_lattice
+from tiegraph.network.offsets.curves import OffsetResult, contained, curves_of, facing, sampled_ranks, votes_of
+from tiegraph.network.offsets.lattice import CEILING, FLOOR, Lattice, make_lattice
 from tiegraph.network.passes import Pass, PreviewBook
+from tiegraph.network.rig import commonview
+from tiegraph.network.rig.axes import allowed_within
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.scene.pairs import REASONS, Pairs
 

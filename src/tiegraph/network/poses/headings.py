@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tiegraph.network.axes import vertical
 from tiegraph.network.passes import Pass
+from tiegraph.network.rig.axes import vertical
 from tiegraph.scene.scene import Scene
 
 _UP = np.array([0.0, 0.0, 1.0])

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiegraph.network.axes import predicted_shift
 from tiegraph.network.passes import Pass, PreviewBook
+from tiegraph.network.rig.axes import predicted_shift
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.scene.rig import Rig
 

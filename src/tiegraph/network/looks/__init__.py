@@ -1,0 +1,1 @@
+"""Which images look alike: words learnt on the set itself, loose photographs, copies."""

@@ -1,0 +1,1 @@
+"""The preview model of the survey and the surface its images share."""

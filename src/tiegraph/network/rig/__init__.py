@@ -1,0 +1,1 @@
+"""What the images say about the rig: which cameras can see the same, their order, their time."""

@@ -1,0 +1,1 @@
+"""Bridge and open-sky sections from the light in the upper camera."""
