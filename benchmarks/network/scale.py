@@ -31,9 +31,9 @@ from benchmarks.network.canalworld import CanalWorld, canal_world
 from benchmarks.network.measure import measured
 from tiegraph.design.design import design
 from tiegraph.features.preview import PreviewMatch
-from tiegraph.network.model.survey import SurveyModel
+from tiegraph.network.model.surveymodel import SurveyModel
 from tiegraph.network.network import Network, estimate_network
-from tiegraph.pipeline.ties import _preview, _survey_model
+from tiegraph.pipeline.ties import _Descriptors, _survey_model
 from tiegraph.project.run import Inputs, Run
 from tiegraph.project.settings import Settings
 from tiegraph.scene.pairs import Pairs
@@ -97,15 +97,12 @@ def one(
         previews[0] += len(pairs)
         return world.match(pairs)
 
-    def descriptors() -> list[np.ndarray]:
-        return [_preview(folder, name).descriptors for name in world.scene.names]
-
     model = None if "model" in skip else clock.timed("model", partial(_survey_model, run))
     watch = cProfile.Profile()
     if profile is not None:
         watch.enable()
     found: Network = clock.timed("network", _network)(
-        world, clock.timed("match", match), model, run.settings.network, descriptors
+        world, clock.timed("match", match), model, run.settings.network, partial(_Descriptors, folder, world.scene)
     )  # fmt: skip
     if "pictures" not in skip:
         clock.timed("pictures", found.pictures)()
@@ -143,7 +140,7 @@ def _network(
     match: Callable[[np.ndarray], list[PreviewMatch]],
     model: Callable[[Scene, Ties], SurveyModel | None] | None,
     settings: Any,
-    descriptors: Callable[[], list[np.ndarray]],
+    descriptors: Callable[[], Sequence[np.ndarray]],
 ) -> Network:
     return estimate_network(world.scene, world.brightness, match, settings, model, descriptors)
 

@@ -8,7 +8,8 @@ import pytest
 
 from boat_world import HALF_WIDTH_M, World, boat
 from tiegraph.geometry import transforms
-from tiegraph.network.model.survey import NO_MODEL, SurveyModel, _judged, calibrated_rigs
+from tiegraph.network.model.survey import NO_MODEL, _judged, calibrated_rigs
+from tiegraph.network.model.surveymodel import SurveyModel
 from tiegraph.network.network import estimate_network
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.scene.pairs import REASONS, Pairs
@@ -99,7 +100,7 @@ def test_copies_of_a_picture_stay_out_though_they_share_all_their_surface(world)
     best = int(np.argmax(overlap.share))
     twin = np.array([overlap.i[best]]), np.array([overlap.j[best]])
     copy = Pairs.make(*twin, "offsets", dropped=np.array([REASONS.index("similar")]))
-    judged = _judged(copy, overlap, model.placed(), SETTINGS)
+    judged = _judged(copy, overlap, np.where(model.placed(), 0, -1), SETTINGS)
     assert judged.dropped[(judged.i == twin[0]) & (judged.j == twin[1])].tolist() == [REASONS.index("similar")]
     assert len(judged.kept()) > 100
 

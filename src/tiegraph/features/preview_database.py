@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from tiegraph.scene.ties import Ties
 
 
 def write_preview_database(
-    path: Path, scene: Scene, previews: Sequence[Preview], ties: Ties, min_matches: int
+    path: Path, scene: Scene, previews: Iterable[Preview], ties: Ties, min_matches: int
 ) -> np.ndarray:
     """Database of the scene with the previews' key points (full-resolution pixels) and their ties as verified matches.
 

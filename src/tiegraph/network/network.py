@@ -10,7 +10,8 @@ import numpy as np
 from tiegraph.errors import choose
 from tiegraph.geometry import transforms
 from tiegraph.network import pictures as draw
-from tiegraph.network.model.survey import ModelFunction, SurveyModel, by_model
+from tiegraph.network.model.survey import by_model
+from tiegraph.network.model.surveymodel import ModelFunction, SurveyModel
 from tiegraph.network.offsets.curves import OffsetCurve
 from tiegraph.network.offsets.surface import OffsetSurface
 from tiegraph.network.passes import MatchFunction, PreviewBook, find_passes
@@ -25,8 +26,8 @@ from tiegraph.network.sources import (
     Descriptors,
     Proposal,
     automatic,
+    axes_count,
     axes_pairs,
-    axes_rows,
 )
 from tiegraph.scene.graph import component_notes
 from tiegraph.scene.pairs import Pairs
@@ -163,7 +164,7 @@ def _propose(context: Context) -> Proposal:
 
 
 def _with_axes(pairs: Pairs, scene: Scene, passes: tuple, settings: NetworkSettings) -> tuple[Pairs, list[str]]:
-    count = len(axes_rows(passes, settings)[0])
+    count = axes_count(passes, settings)
     if not count:
         return pairs, []
     said = f"axes more than {settings.axes_deg:.0f} deg apart: {count} pairs of images of one pass are not tried"

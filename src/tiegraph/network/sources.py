@@ -260,19 +260,22 @@ def _nearest(pairs: Pairs, images: int) -> np.ndarray:
     return out
 
 
-def axes_rows(passes: Sequence[Pass], settings: NetworkSettings) -> tuple[np.ndarray, np.ndarray]:
-    """Image pairs (K,), (K,) of one pass whose optical axes make a match impossible: never tried."""
-    out = [np.zeros((2, 0), int)]
+def axes_count(passes: Sequence[Pass], settings: NetworkSettings) -> int:
+    """How many image pairs of one pass have optical axes that make a match impossible: never tried."""
+    count = 0
     for p in passes:
-        for c, d in np.argwhere(~allowed_within(p.rig, settings.axes_deg)):
-            if c < d:
-                left, right = np.repeat(p.images[c], len(p)), np.tile(p.images[d], len(p))
-                out.append(np.stack([left, right])[:, (left >= 0) & (right >= 0)])
-    both = np.concatenate(out, axis=1)
-    return both[0], both[1]
+        there = np.sum(p.images >= 0, axis=1)
+        apart = np.triu(~allowed_within(p.rig, settings.axes_deg), 1)
+        count += int(there @ apart @ there)
+    return count
 
 
 def axes_pairs(passes: Sequence[Pass], settings: NetworkSettings) -> Pairs:
-    """``axes_rows`` as dropped pairs."""
-    i, j = axes_rows(passes, settings)
+    """The pairs of ``axes_count``, dropped for their reason: a table that grows with the square of a pass."""
+    out = [np.zeros((2, 0), int)]
+    for p in passes:
+        for c, d in np.argwhere(np.triu(~allowed_within(p.rig, settings.axes_deg), 1)):
+            left, right = np.repeat(p.images[c], len(p)), np.tile(p.images[d], len(p))
+            out.append(np.stack([left, right])[:, (left >= 0) & (right >= 0)])
+    i, j = np.concatenate(out, axis=1)
     return Pairs.make(i, j, "offsets", dropped=np.full(len(i), REASONS.index("axes")))

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pycolmap
@@ -15,7 +16,7 @@ from tiegraph.errors import ReconstructionError
 from tiegraph.features.preview import Preview, PreviewMatch, match_previews
 from tiegraph.features.preview_database import write_preview_database
 from tiegraph.features.settings import PreviewSettings
-from tiegraph.network.model.survey import SurveyModel
+from tiegraph.network.model.surveymodel import SurveyModel
 from tiegraph.network.network import estimate_network
 from tiegraph.network.pictures import map_png, weak_pairs
 from tiegraph.network.sections.light import UpLight
@@ -30,7 +31,7 @@ from tiegraph.sfm.model import image_poses, model_rigs, tracks
 
 log = logging.getLogger(__name__)
 
-_CACHED_PREVIEWS = 1024  # of about 40 kB each, in every worker
+_CACHED_PREVIEWS = 1024  # of about 110 kB each, in every worker
 
 
 def network(run: Run) -> Outcome:
@@ -44,10 +45,7 @@ def network(run: Run) -> Outcome:
         run.reporter.total(matched[0], matched[0] - len(pairs))
         return run.map(_match_item, [(int(i), int(j)) for i, j in pairs], run.folder, run.settings.preview)
 
-    def descriptors() -> list[np.ndarray]:
-        return [_preview(run.folder, name).descriptors for name in scene.names]
-
-    make_model = partial(_survey_model, run)
+    make_model, descriptors = partial(_survey_model, run), partial(_Descriptors, run.folder, scene)
     found = estimate_network(scene, light, match, run.settings.network, make_model, descriptors)
     save_npz(run.path("network.npz"), **found.pairs.to_npz())
     save_npz(run.path("network", "ties.npz"), **found.ties.to_npz())
@@ -89,7 +87,7 @@ def _survey_model(run: Run, scene: Scene, ties: Ties) -> SurveyModel | None:
     remove(folder)
     folder.mkdir(parents=True)
     database = folder / "database.db"
-    previews = [_preview(run.folder, name) for name in scene.names]
+    previews = (_read_preview(run.folder, name) for name in scene.names)  # one after another: bounds the memory
     write_preview_database(database, scene, previews, ties, min_matches=1)
     settings = run.settings.sparse.model_copy(update={"covariance_frames": 0, "use_positions": False})
     try:
@@ -115,8 +113,25 @@ def _scene(folder: Path) -> Scene:
     return Scene.from_json((folder / "scene.json").read_text())
 
 
+class _Descriptors(Sequence[np.ndarray]):
+    """Descriptors (K, 128) u1 of every image, read when asked for: those of thousands of images would fill memory."""
+
+    def __init__(self, folder: Path, scene: Scene) -> None:
+        self._folder, self._names = folder, scene.names
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __getitem__(self, image: Any) -> Any:
+        return _read_preview(self._folder, self._names[image]).descriptors
+
+
 @lru_cache(maxsize=_CACHED_PREVIEWS)
 def _preview(folder: Path, name: str) -> Preview:
+    return _read_preview(folder, name)
+
+
+def _read_preview(folder: Path, name: str) -> Preview:
     with np.load(preview_path(folder, name)) as data:
         return Preview.from_npz(dict(data))
 

@@ -143,6 +143,13 @@ class Scene:
         """A copy with some fields replaced."""
         return replace(self, **changes)
 
+    def only(self, images: np.ndarray) -> Scene:
+        """A scene of some images (K,), increasing, and their frames; rigs and passes keep their numbers."""
+        frames, frame = np.unique(self.frame[images], return_inverse=True)
+        columns = {name: getattr(self, name)[frames] for name in _COLUMNS if name not in ("frame", "sensor")}
+        names, sources = (tuple(column[k] for k in images) if column else () for column in (self.names, self.sources))
+        return replace(self, names=names, sources=sources, frame=frame, sensor=self.sensor[images], **columns)
+
     def to_json(self) -> str:
         """Text of scene.json; NaN becomes null."""
         columns = {name: _listed(getattr(self, name)) for name in _COLUMNS}

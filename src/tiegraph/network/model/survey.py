@@ -9,15 +9,15 @@ count wherever the model is trusted.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pycolmap
 
 from tiegraph.geometry import transforms
-from tiegraph.network.model.proxy import Proxy
-from tiegraph.network.model.visible import Overlap, observed_proxy, shared_surface, visible_points
+from tiegraph.network.model.assembled import survey_models
+from tiegraph.network.model.surveymodel import ModelFunction, SurveyModel
+from tiegraph.network.model.visible import Overlap
 from tiegraph.network.offsets.curves import contained
 from tiegraph.network.passes import PreviewBook
 from tiegraph.network.settings import NetworkSettings
@@ -25,11 +25,9 @@ from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.strongest import strongest_pairs
-from tiegraph.scene.ties import Sights, Ties
 
 MIN_MATCHES = 15  # a tie of the model
 NEAR_STEPS = 2  # frames of a pass: images this near each other show whether the model is right there
-MIN_POINTS = 10  # an image that sees fewer says nothing of its distances
 ENOUGH = 0.8  # share of the images in the model from which its calibration is believed
 TRUSTED = 0.5  # share of a frame's strong previews with those before, and after it, that the model must explain
 ENOUGH_LOOKS = 8  # previews of two cameras where the model predicts a common view, to say that they never tie
@@ -39,52 +37,6 @@ NO_MODEL = "preview model: none could be made; pairs are chosen by preview count
 SURE = 1.6  # times min_matches: previews this strong between near frames are true
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class SurveyModel:
-    """A model of the survey in its own frame and units.
-
-    cam_from_world (N, 4, 4), NaN = not in the model; cameras: one an image; points (P, 3); image (M,), point (M,):
-    which image sees which point; rigs: with the extrinsics and cameras of the model.
-    """
-
-    cam_from_world: np.ndarray
-    cameras: tuple[pycolmap.Camera, ...]
-    points: np.ndarray
-    image: np.ndarray
-    point: np.ndarray
-    rigs: tuple[Rig, ...]
-
-    def placed(self) -> np.ndarray:
-        """(N,) bool: images in the model."""
-        return np.isfinite(self.cam_from_world).all(axis=(1, 2))
-
-    def reach(self) -> np.ndarray:
-        """(N, 2) distances to the nearest and farthest points an image sees (5 % and 95 %); NaN without points."""
-        centre = transforms.centre(self.cam_from_world)
-        distance = np.linalg.norm(self.points[self.point] - centre[self.image], axis=1)
-        out = np.full((len(self.cam_from_world), 2), np.nan)
-        order = np.argsort(self.image, kind="stable")
-        ends = np.searchsorted(self.image[order], np.arange(len(out) + 1))
-        for k in np.flatnonzero(np.diff(ends) >= MIN_POINTS):
-            out[k] = np.percentile(distance[order[ends[k] : ends[k + 1]]], (5, 95))
-        return out
-
-    def proxy(self) -> Proxy:
-        """Its points as the surface."""
-        return observed_proxy(self.points, self.image, self.point, self.cam_from_world)
-
-    def overlap(self) -> Overlap:
-        """Predicted shared surface of every two images of the model."""
-        return shared_surface(self.cam_from_world, self.cameras, self.proxy())
-
-    def sights(self) -> Sights:
-        """The points each image should see."""
-        return Sights(*visible_points(self.cam_from_world, self.cameras, self.proxy()))
-
-
-ModelFunction = Callable[[Scene, Ties], SurveyModel | None]
 
 
 @dataclass(frozen=True)
@@ -111,16 +63,19 @@ def by_model(
     ties = book.ties()
     used = ties.where(np.isin(ties.i.astype(np.int64) << 32 | ties.j, best.i.astype(np.int64) << 32 | best.j))
     used = used.where(used.counts() >= MIN_MATCHES)
-    model = make(scene, used) if len(used) else None
-    if model is None or not model.placed().any():
-        return ModelResult(pairs, scene, None, (NO_MODEL,), np.zeros(len(scene), bool))
-    overlap = model.overlap()
-    placed = model.placed()
-    trusted, agreement = _trusted(scene, book, overlap, placed, settings)
-    judged = _judged(pairs, overlap, trusted, settings)
+    models, said = survey_models(scene, used, make) if len(used) else ((), ())
+    if not models:
+        return ModelResult(pairs, scene, None, (NO_MODEL, *said), np.zeros(len(scene), bool))
+    part = np.full(len(scene), -1)
+    for k, one in enumerate(models):
+        part[one.placed()] = k
+    overlap = Overlap.together([one.overlap() for one in models])
+    trusted, agreement = _trusted(scene, book, overlap, part >= 0, settings)
+    judged = _judged(pairs, overlap, np.where(trusted, part, -1), settings)
     judged = judged.drop(_never_tied(judged, scene, book, settings), "votes")
-    notes = _notes(scene, model, len(used), trusted, agreement)
-    if placed.sum() < ENOUGH * len(scene):
+    model = models[0]
+    notes = (*_notes(scene, models, len(used), trusted, agreement), *said)
+    if model.placed().sum() < ENOUGH * len(scene):
         return ModelResult(judged, scene, model, notes, trusted)
     rigs, moved = calibrated_rigs(scene.rigs, model.rigs)
     return ModelResult(judged, scene.with_(rigs=rigs), model, notes + moved, trusted)
@@ -175,10 +130,12 @@ def _trusted(
     return placed & ~doubtful[scene.frame], float(right.mean()) if len(right) else float("nan")
 
 
-def _judged(pairs: Pairs, overlap: Overlap, trusted: np.ndarray, settings: NetworkSettings) -> Pairs:
-    share = np.where(trusted[pairs.i] & trusted[pairs.j], overlap.between(pairs.i, pairs.j), np.nan)
+def _judged(pairs: Pairs, overlap: Overlap, part: np.ndarray, settings: NetworkSettings) -> Pairs:
+    """Pairs by the overlap, where both images are trusted and in one part (N,) of the model; -1 = not trusted."""
+    both = (part[pairs.i] >= 0) & (part[pairs.i] == part[pairs.j])
+    share = np.where(both, overlap.between(pairs.i, pairs.j), np.nan)
     judged = pairs.with_(overlap=share).drop(share < settings.min_overlap, "overlap")
-    enough = (overlap.share >= settings.min_overlap) & trusted[overlap.i] & trusted[overlap.j]
+    enough = (overlap.share >= settings.min_overlap) & (part[overlap.i] >= 0) & (part[overlap.j] >= 0)
     found = Pairs.make(overlap.i[enough], overlap.j[enough], "model", overlap=overlap.share[enough])
     copies = pairs.where(pairs.dropped == REASONS.index("similar"))  # share all their surface, and have no base
     return judged | found.where(~contained(found, copies))
@@ -202,9 +159,12 @@ def _never_tied(pairs: Pairs, scene: Scene, book: PreviewBook, settings: Network
     return never[group] & ~pairs.from_source("sequence") & ~(np.nan_to_num(count) >= settings.min_matches)
 
 
-def _notes(scene: Scene, model: SurveyModel, ties: int, trusted: np.ndarray, agreement: float) -> tuple[str, ...]:
-    placed = model.placed()
-    size = f"{int(placed.sum())} of {len(scene)} images, {len(model.points)} points from {ties} pairs"
+def _notes(
+    scene: Scene, models: Sequence[SurveyModel], ties: int, trusted: np.ndarray, agreement: float
+) -> tuple[str, ...]:
+    placed = np.any([m.placed() for m in models], axis=0)
+    points = sum(len(m.points) for m in models)
+    size = f"{int(placed.sum())} of {len(scene)} images, {points} points from {ties} pairs"
     agrees = (
         "" if np.isnan(agreement) else f"; {100 * agreement:.0f} % of the strong previews of near frames agree with it"
     )

@@ -55,6 +55,13 @@ class Overlap:
         at = np.minimum(np.searchsorted(own, key), len(own) - 1)
         return np.where(own[at] == key, self.share[at], 0.0)
 
+    @staticmethod
+    def together(parts: Sequence[Overlap]) -> Overlap:
+        """One list of several that have no pair in common."""
+        columns = [np.concatenate([getattr(p, n) for p in parts]) for n in Overlap.__dataclass_fields__]
+        order = np.lexsort((columns[1], columns[0]))
+        return Overlap(*(c[order] for c in columns))
+
     def where(self, mask: np.ndarray) -> Overlap:
         """The rows of a mask (K,)."""
         return Overlap(*(getattr(self, n)[mask] for n in self.__dataclass_fields__))

@@ -1,0 +1,172 @@
+"""A large survey in blocks of bounded size, so that the time to map it grows linearly with its images.
+
+The frames are a graph, linked by the preview matches of their images and by their order. Normalised cuts (Shi & Malik
+2000), nested until every part is small enough, keep what sees the same place together: both passes there, whatever
+their order. Each part then takes from its neighbours the frames it is tied to best; by these, which two blocks share,
+they are joined again (as in Zhu et al. 2018, Very large-scale global SfM by distributed motion averaging).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array, csr_array, diags_array
+from scipy.sparse.linalg import splu
+
+from tiegraph.scene.graph import parts
+from tiegraph.scene.scene import Scene
+from tiegraph.scene.ties import Ties
+
+MOST = 600  # images that are mapped in one piece
+CORE = 420  # images a block has of its own, at most
+LEAST = 30  # images of a block
+LENT = 60  # images that a block takes from each of its neighbours
+LEAST_FRAMES = 4  # and the least frames of them
+LEAST_TIES = 10  # pairs of images between two parts that make them neighbours
+MARGIN = 0.2  # of a part: a cut may be so far from where it would halve it, to be where ties are few
+_ORDER = 0.05  # of the mean link: what the order of a pass alone links its frames with
+_POWERS = 12  # inverse iterations for the second eigenvector
+
+
+@dataclass(frozen=True)
+class Block:
+    """Images mapped together: ``images`` (K,) increasing; ``own`` (K,) bool, the others are lent by neighbours."""
+
+    images: np.ndarray
+    own: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+    def part_of(self, scene: Scene, ties: Ties) -> tuple[Scene, Ties]:
+        """The scene of the block's images and the ties between them, numbered in that scene."""
+        number = np.full(len(scene), -1)
+        number[self.images] = np.arange(len(self))
+        inside = ties.where((number[ties.i] >= 0) & (number[ties.j] >= 0))
+        return scene.only(self.images), Ties(number[inside.i], number[inside.j], inside.start, inside.matches)
+
+
+def blocks_of(scene: Scene, ties: Ties) -> tuple[Block, ...]:
+    """Blocks of a survey by its ties; one that holds everything up to MOST images. Every image is some block's own, but
+    for those of pieces smaller than LEAST that nothing ties to the rest."""
+    everything = np.arange(len(scene))
+    if len(scene) <= MOST:
+        return (Block(everything, np.ones(len(scene), bool)),)
+    size = np.bincount(scene.frame, minlength=scene.frames)
+    graph, ties_between = _links(scene, ties)
+    label = _cut(graph, size)
+    lent = _lent(graph, ties_between, label, size)
+    out = []
+    for k in range(label.max() + 1):
+        inside = label[scene.frame] == k
+        images = np.flatnonzero(inside | lent[k][scene.frame])
+        if len(images) >= LEAST:
+            out.append(Block(images, inside[images]))
+    return tuple(out)
+
+
+def _links(scene: Scene, ties: Ties) -> tuple[csr_array, csr_array]:
+    """(F, F) strength of the links between frames by preview matches and order; (F, F) pairs of images that tie."""
+    a, b, count = scene.frame[ties.i], scene.frame[ties.j], ties.counts().astype(float)
+    apart = a != b
+    matches = _symmetric(a[apart], b[apart], count[apart], scene.frames)
+    pairs = _symmetric(a[apart], b[apart], np.ones(int(apart.sum())), scene.frames)
+    order = np.lexsort((scene.step, scene.rig, scene.track))
+    before, after = order[:-1], order[1:]
+    next_ = (scene.track[before] == scene.track[after]) & (scene.rig[before] == scene.rig[after])
+    next_ &= scene.track[before] >= 0
+    level = _ORDER * float(matches.data.mean()) if matches.nnz else 1.0
+    path = _symmetric(before[next_], after[next_], np.full(int(next_.sum()), level), scene.frames)
+    return csr_array(matches + path), pairs
+
+
+def _symmetric(a: np.ndarray, b: np.ndarray, value: np.ndarray, n: int) -> csr_array:
+    ends = np.concatenate([a, b]), np.concatenate([b, a])
+    return coo_array((np.tile(value, 2), ends), shape=(n, n)).tocsr()
+
+
+# ---------------------------------------------------------------- cutting
+
+
+def _cut(graph: csr_array, size: np.ndarray) -> np.ndarray:
+    """(F,) part of every frame; none has more than CORE images, unless one frame has."""
+    label = np.zeros(len(size), int)
+    todo = [np.flatnonzero(piece) for piece in _pieces(graph)]
+    done: list[np.ndarray] = []
+    while todo:
+        frames = todo.pop()
+        count = -(-int(size[frames].sum()) // CORE)
+        if count < 2 or len(frames) < 2:
+            done.append(frames)
+            continue
+        first = _first_side(csr_array(graph[frames][:, frames]), size[frames], (count // 2) / count)
+        todo += [frames[first], frames[~first]]
+    for k, frames in enumerate(done):
+        label[frames] = k
+    return label
+
+
+def _pieces(graph: csr_array) -> list[np.ndarray]:
+    """(F,) bool of each connected piece."""
+    coo = graph.tocoo()
+    label = parts(*coo.coords, graph.shape[0])
+    return [label == k for k in range(label.max() + 1)]
+
+
+def _first_side(graph: csr_array, size: np.ndarray, share: float) -> np.ndarray:
+    """(F,) bool: the side that has about a ``share`` of the images, cut where least is cut."""
+    order = np.argsort(_second_vector(graph), kind="stable")
+    place = np.empty(len(order), int)
+    place[order] = np.arange(len(order))
+    coo = graph.tocoo()
+    low, high = np.minimum(*place[np.stack(coo.coords)]), np.maximum(*place[np.stack(coo.coords)])
+    # What a cut after place k severs: the links from k or before to behind it.
+    severed = np.cumsum(np.bincount(low, coo.data, len(order)) - np.bincount(high, coo.data, len(order)))[:-1]
+    done = np.cumsum(size[order])[:-1] / size.sum()
+    allowed = np.abs(done - share) <= MARGIN * min(share, 1 - share)
+    allowed[np.argmin(np.abs(done - share))] = True
+    volume = np.cumsum(np.bincount(place[coo.coords[0]], coo.data, len(order)))
+    cost = severed / np.maximum(np.minimum(volume[:-1], volume[-1] - volume[:-1]), 1e-12)
+    return place <= np.argmin(np.where(allowed, cost, np.inf))
+
+
+def _second_vector(graph: csr_array) -> np.ndarray:
+    """(F,) second eigenvector of the normalised Laplacian over the root of the degrees: neighbours have near values."""
+    degree = np.asarray(graph.sum(axis=1)).ravel()
+    root = np.sqrt(np.maximum(degree, 1e-12))
+    normal = diags_array(1 / root) @ graph @ diags_array(1 / root)
+    solve = splu((diags_array(np.full(len(root), 1.0 + 1e-9)) - normal).tocsc()).solve
+    first = root / np.linalg.norm(root)
+    # A block of vectors: the next eigenvalues of a long path lie close together.
+    block = np.random.default_rng(0).normal(size=(len(root), 4))
+    for _ in range(_POWERS):
+        block = solve(block)
+        block -= np.outer(first, first @ block)
+        block = np.linalg.qr(block)[0]
+    _, turn = np.linalg.eigh(block.T @ (normal @ block))
+    return (block @ turn[:, -1]) / root
+
+
+# ---------------------------------------------------------------- lending
+
+
+def _lent(graph: csr_array, pairs: csr_array, label: np.ndarray, size: np.ndarray) -> list[np.ndarray]:
+    """For every part (F,) bool: the frames it takes from its neighbours, of each those that it is tied to best."""
+    count = label.max() + 1
+    member = csr_array((np.ones(len(label)), label, np.arange(len(label) + 1)), shape=(len(label), count))
+    between = (member.T @ pairs @ member).toarray()
+    strength = csr_array(graph @ member).tocsc()  # of every frame to every part
+    out = []
+    for k in range(count):
+        taken = np.zeros(len(label), bool)
+        column = slice(strength.indptr[k], strength.indptr[k + 1])
+        tied, value = strength.indices[column], strength.data[column]
+        for other in np.flatnonzero(between[k] >= LEAST_TIES):
+            mine = label[tied] == other
+            if other != k:
+                frames = tied[mine][np.argsort(-value[mine], kind="stable")]
+                enough = np.maximum(np.searchsorted(np.cumsum(size[frames]), LENT) + 1, LEAST_FRAMES)
+                taken[frames[:enough]] = True
+        out.append(taken)
+    return out

@@ -1,0 +1,214 @@
+"""Models of blocks put into one frame by the images they share; where these disagree, the survey is torn, and said so.
+
+Two models of the same images differ by a similarity. Its rotation comes from the images' own rotations, for the centres
+of a straight path leave the turn about the path open; its scale and shift then from the centres. All blocks together:
+logarithms of the scales, rotations and shifts by least squares over all joins, one after another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tiegraph.geometry import transforms
+from tiegraph.geometry.align import Similarity
+from tiegraph.scene.graph import forest, parts
+
+SHARED = 12  # images of two models that a join needs
+AGREE = 0.6  # share of the shared images that must agree
+TURN_DEG = 3.0  # by which the poses of an image in two models may differ
+SHIFT = 0.06  # likewise, as a share of the distance to what the images see
+DRIFT = 0.1  # of the survey's extent, by which the places of a join may differ along a chain of others
+_ROUNDS = 10  # of the rotations of all blocks
+
+
+@dataclass(frozen=True)
+class Poses:
+    """What joining needs of a model: ``images`` (K,) increasing numbers, ``cam_from_world`` (K, 4, 4) without NaN,
+    ``range_`` usual distance to what they see, in units of the model."""
+
+    images: np.ndarray
+    cam_from_world: np.ndarray
+    range_: float
+
+
+@dataclass(frozen=True)
+class Join:
+    """Two models a, b: ``b_from_a``, how many images they share, how many of them agree with it, and ``middle`` (3,) of
+    their centres in the frame of a."""
+
+    a: int
+    b: int
+    b_from_a: Similarity
+    shared: int
+    agree: int
+    middle: np.ndarray
+
+    @property
+    def holds(self) -> bool:
+        """Whether enough of the shared images agree."""
+        return self.agree >= max(SHARED, AGREE * self.shared)
+
+
+@dataclass(frozen=True)
+class Joined:
+    """``world_from`` each model, ``part`` (M,): number of the connected part it is in, 0 = the one with most images;
+    worlds of different parts have nothing to do with each other. ``joins``: all, those too that do not hold."""
+
+    world_from: tuple[Similarity, ...]
+    part: np.ndarray
+    joins: tuple[Join, ...]
+
+
+def join_models(models: Sequence[Poses]) -> Joined:
+    """Put models into one frame, that of the first model of each part."""
+    joins = tuple(j for a in range(len(models)) for b in range(a) if (j := join(a, b, models[a], models[b])))
+    good = _consistent([j for j in joins if j.holds], len(models))
+    joins = tuple(j if not j.holds or any(j is g for g in good) else replace(j, agree=0) for j in joins)
+    part = parts(np.array([j.a for j in good], int), np.array([j.b for j in good], int), len(models))
+    size = np.bincount(part, [len(m.images) for m in models])
+    rank = np.empty(len(size), int)
+    rank[np.argsort(-size, kind="stable")] = np.arange(len(size))
+    return Joined(_adjusted(good, len(models)), rank[part], joins)
+
+
+def join(a: int, b: int, first: Poses, second: Poses) -> Join | None:
+    """How the frame of the second model follows from that of the first; None if they share too few images."""
+    shared, at_a, at_b = np.intersect1d(first.images, second.images, assume_unique=True, return_indices=True)
+    if len(shared) < SHARED:
+        return None
+    pose_a, pose_b = first.cam_from_world[at_a], second.cam_from_world[at_b]
+    turns = np.swapaxes(pose_b[:, :3, :3], 1, 2) @ pose_a[:, :3, :3]
+    turn, same = _mean_turn(turns)
+    x, y = transforms.centre(pose_a), transforms.centre(pose_b)
+    x_turned = x @ turn.T
+    scale = _scale(x_turned, y, first.range_, second.range_)
+    limit = SHIFT * second.range_
+    shift = np.median((y - scale * x_turned)[same], axis=0)
+    agree = same & (np.linalg.norm(scale * x_turned + shift - y, axis=1) < limit)
+    for _ in range(3):
+        if agree.sum() < SHARED:
+            break
+        scale, shift = _fitted(x_turned[agree], y[agree], scale, limit)
+        agree = same & (np.linalg.norm(scale * x_turned + shift - y, axis=1) < limit)
+    return Join(a, b, Similarity(scale, turn, shift), len(shared), int(agree.sum()), np.median(x, axis=0))
+
+
+def _mean_turn(turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean of the rotations (K, 3, 3) that agree with the one most agree with, and which (K,) do."""
+    some = turns[np.unique(np.linspace(0, len(turns) - 1, min(len(turns), 40)).round().astype(int))]
+    near = transforms.angle_deg(some[:, None], turns[None]) < TURN_DEG
+    same = near[np.argmax(near.sum(axis=1))]
+    mean = Rotation.from_matrix(turns[same]).mean().as_matrix()
+    return mean, transforms.angle_deg(mean[None], turns) < TURN_DEG
+
+
+def _scale(x: np.ndarray, y: np.ndarray, range_x: float, range_y: float) -> float:
+    """Median ratio of the distances between centres y and x (K, 3), of the longer half; where the images hardly moved,
+    ratio of the distances to what they see."""
+    i, j = np.triu_indices(len(x), 1)
+    dx, dy = np.linalg.norm(x[i] - x[j], axis=1), np.linalg.norm(y[i] - y[j], axis=1)
+    long = dx >= np.median(dx)
+    if np.median(dx[long]) < SHIFT * range_x:
+        return range_y / range_x
+    return float(np.median(dy[long] / dx[long]))
+
+
+def _fitted(x: np.ndarray, y: np.ndarray, scale: float, limit: float) -> tuple[float, np.ndarray]:
+    """Scale and shift that take x to y (K, 3), with least squares; the scale stays where the images hardly moved."""
+    dx, dy = x - x.mean(axis=0), y - y.mean(axis=0)
+    if scale**2 * np.mean(np.sum(dx**2, axis=1)) > limit**2:
+        scale = max(float(np.sum(dx * dy) / np.sum(dx**2)), 1e-12)
+    return scale, y.mean(axis=0) - scale * x.mean(axis=0)
+
+
+# ---------------------------------------------------------------- all blocks together
+
+
+def _consistent(joins: list[Join], models: int) -> list[Join]:
+    """The joins without those that contradict the strongest tree of them: walls that repeat can tie two blocks wrongly,
+    and all the images they share alike."""
+    if not joins:
+        return joins
+    i, j = (np.array([getattr(x, n) for x in joins]) for n in ("a", "b"))
+    tree = forest(i, j, np.array([x.agree for x in joins], float), models)
+    world_from = _along_tree([joins[k] for k in tree], models)
+    here = np.stack([world_from[x.a](x.middle[None])[0] for x in joins])
+    there = np.stack([world_from[x.b](x.b_from_a(x.middle[None]))[0] for x in joins])
+    off = np.linalg.norm(here - there, axis=1) / max(float(np.linalg.norm(np.ptp(here, axis=0))), 1e-12)
+    turned = [world_from[x.a].rotation.T @ world_from[x.b].rotation @ x.b_from_a.rotation for x in joins]
+    off_deg = transforms.angle_deg(np.stack(turned), np.eye(3)) / np.sqrt(len(tree))
+    good = ((off < DRIFT) & (off_deg < TURN_DEG)) | np.isin(np.arange(len(joins)), tree)
+    return [x for x, fine in zip(joins, good) if fine]
+
+
+def _along_tree(tree: list[Join], models: int) -> list[Similarity]:
+    """world_from each model along joins without loops; the first model of each part is its world."""
+    at: list[Similarity | None] = [None] * models
+    beside: list[list[tuple[int, Similarity]]] = [[] for _ in range(models)]
+    for x in tree:
+        beside[x.a].append((x.b, _inverse(x.b_from_a)))  # a_from_b
+        beside[x.b].append((x.a, x.b_from_a))
+    for root in range(models):
+        if at[root] is not None:
+            continue
+        at[root] = Similarity(1.0, np.eye(3), np.zeros(3))
+        todo = [root]
+        while todo:
+            here = todo.pop()
+            for there, here_from_there in beside[here]:
+                if at[there] is None:
+                    at[there] = _after(at[here], here_from_there)  # type: ignore[arg-type]
+                    todo.append(there)
+    return at  # type: ignore[return-value]
+
+
+def _adjusted(joins: list[Join], models: int) -> tuple[Similarity, ...]:
+    """world_from each model by all joins."""
+    i, j = (np.array([getattr(x, n) for x in joins], int) for n in ("a", "b"))
+    weight = np.array([x.agree for x in joins], float)
+    tree = forest(i, j, weight, models) if len(joins) else np.zeros(0, int)
+    start = _along_tree([joins[k] for k in tree], models)
+    if len(tree) == len(joins):  # no loops: nothing to share out
+        return tuple(start)
+    solve = _Solver(i, j, np.sqrt(weight), models)
+    log_scale = solve(np.log([x.b_from_a.scale for x in joins])[:, None])[:, 0]
+    scale = np.exp(log_scale)
+    turn = np.stack([s.rotation for s in start])
+    measured = np.stack([x.b_from_a.rotation for x in joins])
+    for _ in range(_ROUNDS):
+        # world_from_a = world_from_b b_from_a; what is missing, as a rotation vector in the world.
+        missing = Rotation.from_matrix(turn[j] @ measured @ np.swapaxes(turn[i], 1, 2)).as_rotvec()
+        turn = Rotation.from_rotvec(solve(missing)).as_matrix() @ turn
+    shift = np.stack([x.b_from_a.translation for x in joins])
+    shift = solve(scale[j, None] * np.einsum("kab,kb->ka", turn[j], shift))
+    return tuple(Similarity(float(s), r, t) for s, r, t in zip(scale, turn, shift))
+
+
+class _Solver:
+    """Least squares of values v with v[i] - v[j] = given (K, D), the first of each part zero."""
+
+    def __init__(self, i: np.ndarray, j: np.ndarray, weight: np.ndarray, count: int) -> None:
+        held = np.unique(parts(i, j, count), return_index=True)[1]
+        rows = np.zeros((len(i) + len(held), count))
+        rows[np.arange(len(i)), i] = weight
+        rows[np.arange(len(i)), j] = -weight
+        rows[len(i) + np.arange(len(held)), held] = weight.max()
+        self._weight, self._inverse = weight, np.linalg.pinv(rows)
+
+    def __call__(self, given: np.ndarray) -> np.ndarray:
+        return self._inverse[:, : len(given)] @ (self._weight[:, None] * given)
+
+
+def _inverse(s: Similarity) -> Similarity:
+    back = s.rotation.T
+    return Similarity(1 / s.scale, back, -back @ s.translation / s.scale)
+
+
+def _after(c_from_b: Similarity, b_from_a: Similarity) -> Similarity:
+    """c_from_a."""
+    shift = c_from_b.scale * c_from_b.rotation @ b_from_a.translation + c_from_b.translation
+    return Similarity(c_from_b.scale * b_from_a.scale, c_from_b.rotation @ b_from_a.rotation, shift)

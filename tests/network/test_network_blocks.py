@@ -1,0 +1,238 @@
+"""Large surveys in blocks: what is cut where, how the models of blocks come together, and what is said of tears."""
+
+from __future__ import annotations
+
+import numpy as np
+import pycolmap
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tiegraph.geometry import transforms
+from tiegraph.geometry.align import Similarity, umeyama
+from tiegraph.network.model import blocks
+from tiegraph.network.model.assembled import survey_models
+from tiegraph.network.model.blocks import blocks_of
+from tiegraph.network.model.joining import Poses, join, join_models
+from tiegraph.network.model.surveymodel import SurveyModel
+from tiegraph.scene.rig import Rig, Sensor
+from tiegraph.scene.scene import Scene, simple_scene
+from tiegraph.scene.ties import Ties
+
+FRAMES = 240  # of each of two passes, there and back, of two cameras: 960 images
+SEES = 25.0  # frames
+STEP_M = 2.0
+WALL_M = 12.0
+CAMERA = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[310.0, 320, 240])
+
+
+def survey() -> tuple[Scene, np.ndarray]:
+    """Scene and true cam_from_world (N, 4, 4): along a gentle bend and back, a camera to either side."""
+    rig = Rig("pair", (Sensor("left", CAMERA, np.eye(4)), Sensor("right", CAMERA, np.diag([-1.0, 1, -1, 1]))))
+    frame, sensor = np.repeat(np.arange(2 * FRAMES), 2), np.tile([0, 1], 2 * FRAMES)
+    names = [f"{'back' if f >= FRAMES else 'there'}/{s}/{f % FRAMES:04d}.jpg" for f, s in zip(frame, sensor)]
+    order = np.array(sorted(range(len(names)), key=lambda k: names[k]))
+    frame, sensor = frame[order], sensor[order]
+    track, step = np.repeat([1, 0], FRAMES), np.tile(np.arange(FRAMES), 2)
+    scene = simple_scene(rig, [names[k] for k in order], frame, sensor, track, step, tracks=("back", "there"))
+    return scene, np.stack([pose(int(f), int(s)) for f, s in zip(frame, sensor)])
+
+
+def place(frame: int) -> float:
+    """How far along the way a frame was taken, in frames."""
+    return float(2 * FRAMES - 1 - frame if frame >= FRAMES else frame)
+
+
+def pose(frame: int, sensor: int) -> np.ndarray:
+    along, bend = STEP_M * place(frame), np.radians(0.2) * place(frame)
+    heading = bend + (np.pi if frame >= FRAMES else 0.0)
+    yaw = heading + (np.pi / 2 if sensor == 0 else -np.pi / 2)
+    ahead, right = np.array([np.cos(yaw), np.sin(yaw), 0]), np.array([np.sin(yaw), -np.cos(yaw), 0])
+    rotation = np.stack([right, [0, 0, -1.0], ahead])
+    centre = [along * np.cos(bend / 2), along * np.sin(bend / 2), 0.3 if frame >= FRAMES else 0.0]
+    return transforms.rigid(rotation, -rotation @ centre)
+
+
+def ties_of(scene: Scene) -> Ties:
+    """Images that look to one side tie over SEES frames of the way, the more the nearer; of both passes."""
+    where = np.array([place(int(f)) for f in scene.frame])
+    side = (scene.sensor == 0) ^ (scene.frame >= FRAMES)
+    i, j = np.triu_indices(len(scene), 1)
+    apart = np.abs(where[i] - where[j])
+    good = np.flatnonzero((apart < SEES) & (side[i] == side[j]) & (np.random.default_rng(0).random(len(i)) < 0.3))
+    count = (15 + 60 * (1 - apart[good] / SEES)).astype(int)
+    start = np.concatenate([[0], np.cumsum(count)])
+    return Ties(i[good], j[good], start, np.zeros((start[-1], 2), np.uint16))
+
+
+class Mapper:
+    """Makes exact models in frames and units of their own; ``broken``: number of a block that tears in the middle."""
+
+    def __init__(self, scene: Scene, truth: np.ndarray, noise_m: float = 0.0, broken: int | None = None) -> None:
+        self.truth = dict(zip(scene.names, truth))
+        self.rng = np.random.default_rng(3)
+        self.noise_m, self.broken = noise_m, broken
+        self.sizes: list[int] = []
+
+    def __call__(self, scene: Scene, ties: Ties) -> SurveyModel:
+        assert ties.i.max() < len(scene)
+        pose = np.stack([self.truth[name] for name in scene.names])
+        centre = transforms.centre(pose) + self.rng.normal(0, self.noise_m, (len(pose), 3))
+        if self.broken == len(self.sizes):
+            late = np.linalg.norm(centre, axis=1) > np.median(np.linalg.norm(centre, axis=1))
+            centre[late] += 30.0 * self.rng.normal(size=3)
+            turn = Rotation.from_rotvec([0.0, 0.0, 0.5]).as_matrix()
+            pose[late, :3, :3] = pose[late, :3, :3] @ turn.T
+        self.sizes.append(len(scene))
+        own = Similarity(
+            self.rng.uniform(0.2, 5), Rotation.random(random_state=len(self.sizes)).as_matrix(), self.rng.normal(size=3)
+        )
+        rotation = pose[:, :3, :3] @ own.rotation.T
+        moved = own(centre)
+        point = own(centre + WALL_M * pose[:, 2, :3])
+        cam_from_own = transforms.rigid(rotation, -np.einsum("kab,kb->ka", rotation, moved))
+        # Every image observes its own wall point twelve times, and that of the next image once.
+        n = np.arange(len(pose))
+        image, seen = np.concatenate([np.repeat(n, 12), n[1:]]), np.concatenate([np.repeat(n, 12), n[:-1]])
+        return SurveyModel(cam_from_own, (CAMERA,) * len(pose), point, image, seen, scene.rigs)
+
+
+@pytest.fixture(scope="module")
+def world() -> tuple[Scene, np.ndarray, Ties]:
+    scene, truth = survey()
+    return scene, truth, ties_of(scene)
+
+
+def error_m(model: SurveyModel, truth: np.ndarray) -> np.ndarray:
+    """(K,) distances of the placed images from the truth after the best similarity."""
+    there = model.placed()
+    found, true = transforms.centre(model.cam_from_world[there]), transforms.centre(truth[there])
+    return np.linalg.norm(umeyama(found, true)(found) - true, axis=1)
+
+
+def test_both_passes_of_a_place_are_in_one_block(world) -> None:
+    scene, _, ties = world
+    found = blocks_of(scene, ties)
+    assert len(found) in (3, 4)
+    assert max(map(len, found)) <= blocks.MOST
+    own = np.concatenate([b.images[b.own] for b in found])
+    assert np.array_equal(np.sort(own), np.arange(len(scene)))
+    for block in found:
+        where = np.array([place(int(f)) for f in scene.frame[block.images[block.own]]])
+        back = scene.frame[block.images[block.own]] >= FRAMES
+        assert abs(np.mean(where[back]) - np.mean(where[~back])) < 6
+        assert np.ptp(where) < 1.3 * block.own.sum() / 4
+        assert 1.0 <= len(block) / block.own.sum() < 1.7
+
+
+def test_a_small_survey_is_mapped_whole(world) -> None:
+    scene, truth, ties = world
+    few = np.flatnonzero(scene.frame % FRAMES < 100)
+    block = blocks.Block(few, np.ones(len(few), bool))
+    small, inside = block.part_of(scene, ties)
+    mapper = Mapper(scene, truth)
+    models, notes = survey_models(small, inside, mapper)
+    assert mapper.sizes == [len(few)] and len(models) == 1 and notes == ()
+    assert [small.names[k] for k in (0, 7)] == [scene.names[few[k]] for k in (0, 7)]
+    assert np.array_equal(small.step[small.frame], scene.step[scene.frame[few]])
+
+
+def test_blocks_come_together_in_one_frame(world) -> None:
+    scene, truth, ties = world
+    mapper = Mapper(scene, truth, noise_m=0.02)
+    (model,), notes = survey_models(scene, ties, mapper)
+    assert len(mapper.sizes) > 2 and max(mapper.sizes) <= blocks.MOST
+    assert model.placed().all()
+    assert 0.005 < np.median(error_m(model, truth)) < 0.5  # of 480 m
+    turned = np.swapaxes(truth[:, :3, :3], 1, 2) @ model.cam_from_world[:, :3, :3]  # of the frame, alike for all
+    assert transforms.angle_deg(turned, turned[:1]).max() < 0.1
+    assert "blocks" in notes[0] and "100 %" in notes[0] and len(notes) == 1
+    seen = np.bincount(model.image, minlength=len(scene))
+    assert seen.min() >= 12  # nobody lost his points
+    assert len(model.points) < 1.1 * len(scene)  # and hardly any is there twice
+
+
+def test_a_torn_block_is_said_and_the_parts_stay_usable(world) -> None:
+    scene, truth, ties = world
+    models, notes = survey_models(scene, ties, Mapper(scene, truth, broken=1))
+    assert len(models) >= 2
+    assert any("not joined there" in n for n in notes) and any("torn into" in n for n in notes)
+    both = np.sum([m.placed() for m in models], axis=0)
+    assert both.max() == 1  # no image twice
+    assert models[0].placed().sum() >= models[1].placed().sum() > 0
+
+
+def test_a_block_that_cannot_be_mapped_is_said(world) -> None:
+    scene, truth, ties = world
+    mapper = Mapper(scene, truth)
+
+    def make(part: Scene, inside: Ties) -> SurveyModel | None:
+        model = mapper(part, inside)
+        return None if len(mapper.sizes) == 2 else model
+
+    models, notes = survey_models(scene, ties, make)
+    assert any("none could be made" in n for n in notes)
+    assert 0.4 < sum(m.placed().sum() for m in models) / len(scene) < 0.95
+
+
+def _models(
+    truth: np.ndarray, ends: list[tuple[int, int]], rng: np.random.Generator
+) -> tuple[list[Poses], list[Similarity]]:
+    models, own = [], []
+    for a, b in ends:
+        s = Similarity(rng.uniform(0.5, 2), Rotation.random(random_state=a).as_matrix(), rng.normal(0, 9, 3))
+        rotation = truth[a:b, :3, :3] @ s.rotation.T
+        centre = s(transforms.centre(truth[a:b]))
+        models.append(
+            Poses(
+                np.arange(a, b),
+                transforms.rigid(rotation, -np.einsum("kab,kb->ka", rotation, centre)),
+                WALL_M * s.scale,
+            )
+        )
+        own.append(s)
+    return models, own
+
+
+def test_a_join_finds_the_similarity_along_a_straight_line() -> None:
+    """The turn about the line is open to the centres alone."""
+    truth = np.stack([transforms.rigid(np.eye(3), [-2.0 * k, 0, 0]) for k in range(40)])
+    (a, b), (own_a, own_b) = _models(truth, [(0, 25), (10, 40)], np.random.default_rng(1))
+    found = join(0, 1, a, b)
+    assert found is not None and found.holds and found.shared == found.agree == 15
+    point = np.array([[7.0, 5.0, 3.0]])
+    assert np.allclose(found.b_from_a(own_a(point)), own_b(point), atol=1e-6)
+    assert join(0, 1, a, Poses(b.images + 20, b.cam_from_world, b.range_)) is None  # share too few
+
+
+def test_images_that_stood_still_take_the_scale_from_what_they_see() -> None:
+    turns = Rotation.from_euler("z", np.arange(30)[:, None] * 12, degrees=True).as_matrix()
+    truth = transforms.rigid(turns, np.zeros((30, 3)))
+    (a, b), (own_a, own_b) = _models(truth, [(0, 30), (0, 30)], np.random.default_rng(1))
+    found = join(0, 1, a, b)
+    assert found is not None and found.holds
+    assert found.b_from_a.scale == pytest.approx(own_b.scale / own_a.scale, rel=1e-6)
+
+
+def test_a_loop_of_blocks_closes_and_a_false_join_is_refused() -> None:
+    angle = np.linspace(0, 2 * np.pi, 240, endpoint=False)
+    turns = Rotation.from_euler("z", angle[:, None]).as_matrix()
+    centre = 50 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    truth = transforms.rigid(turns, -np.einsum("kab,kb->ka", turns, centre))
+    rng = np.random.default_rng(2)
+    models, own = _models(truth, [(0, 80), (60, 140), (120, 200), (180, 240)], rng)
+    again = np.arange(0, 20)  # the last block sees the first frames again
+    last, _ = _models(truth[np.r_[180:240, again]], [(0, 80)], rng)
+    order = np.argsort(np.r_[180:240, again])
+    models[3] = Poses(np.r_[180:240, again][order], last[0].cam_from_world[order], last[0].range_)
+    joined = join_models(models)
+    assert len(joined.joins) == 4 and all(j.holds for j in joined.joins) and joined.part.tolist() == [0, 0, 0, 0]
+    for k in (1, 2):
+        scale = joined.world_from[k].scale * own[k].scale
+        assert scale == pytest.approx(own[0].scale, rel=1e-6)
+    # The last block takes twenty images of the second for its own: a wall that repeats, twenty frames on.
+    wrong = Poses(np.r_[180:240, 90:110], models[3].cam_from_world[order.argsort()], models[3].range_)
+    wrong = Poses(np.sort(wrong.images), wrong.cam_from_world[np.argsort(wrong.images)], wrong.range_)
+    joined = join_models([*models[:3], wrong])
+    refused = [j for j in joined.joins if not j.holds]
+    assert [(j.a, j.b) for j in refused] == [(3, 1)]
+    assert joined.part.tolist() == [0, 0, 0, 0]
