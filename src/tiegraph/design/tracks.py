@@ -9,6 +9,7 @@ from scipy.sparse import coo_array, csr_array, diags_array
 
 from tiegraph.scene.ties import Ties
 
+WIDE = 300  # images of a track; COLMAP's mapper takes none of more than 100
 _BLOCK = 1 << 22  # matches looked at together: bounds the memory
 
 
@@ -148,12 +149,26 @@ class Tracks:
         self.extra += entries(carried, c.i, c.j) + entries(carried, c.j, c.i)
 
     def incidence(self) -> csr_array:
-        """(N, T) observations of the tracks of at least two nodes in each image."""
-        size = np.bincount(self.parent, minlength=len(self.parent))
-        kept = size[self.parent] >= 2
+        """(N, T) observations of the tracks of at least two nodes in each image.
+
+        A few wrong matches are enough to make one track of a large part of all features. It would link every image
+        with every other: a track of more than WIDE images counts as one track for each WIDE images in a row.
+        """
+        label, first = self.parent, self.candidates.first
+        size = np.bincount(label, minlength=len(label))
+        wide = np.flatnonzero(size[label] > WIDE)
+        if len(wide):
+            image = np.searchsorted(first, wide, side="right") - 1
+            views = np.bincount(np.unique(label[wide].astype(np.int64) << 32 | image) >> 32, minlength=len(size))
+            wide, image = wide[views[label[wide]] > WIDE], image[views[label[wide]] > WIDE]
+            piece = np.unique(label[wide].astype(np.int64) << 32 | image // WIDE, return_inverse=True)[1]
+            label = label.copy()
+            label[wide] = len(size) + piece
+            size = np.bincount(label)
+        kept = size[label] >= 2
         number = np.cumsum(size >= 2) - 1
-        column = number[self.parent[kept]]
-        start = np.concatenate([[0], np.cumsum(kept)])[self.candidates.first]
+        column = number[label[kept]]
+        start = np.concatenate([[0], np.cumsum(kept)])[first]
         shape = (self.candidates.images, int(np.sum(size >= 2)))
         return csr_array((np.ones(len(column), np.float32), column, start), shape=shape)
 
