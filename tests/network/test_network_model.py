@@ -1,5 +1,6 @@
 """The preview model on a simulated boat survey: it decides where it is right, and is not asked where it tore."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 
 from boat_world import HALF_WIDTH_M, World, boat
 from tiegraph.geometry import transforms
-from tiegraph.network.model.survey import NO_MODEL, _judged, calibrated_rigs
+from tiegraph.network.model.survey import NO_MODEL, TRIES, _judged, calibrated_rigs
 from tiegraph.network.model.surveymodel import SurveyModel
 from tiegraph.network.network import estimate_network
 from tiegraph.network.settings import NetworkSettings
@@ -18,13 +19,14 @@ from tiegraph.scene.rig import Rig, Sensor
 SETTINGS = NetworkSettings(sections="off")
 
 
-def true_model(world: World, broken_at: int | None = None) -> SurveyModel:
+def true_model(world: World, broken_at: int | None = None, shifted_m: float = 0.0) -> SurveyModel:
     """A model with exact poses and points on both walls; with ``broken_at`` all frames of a pass from that step on are
-    shifted by 60 m, which tears it."""
+    shifted by 60 m, which tears it; with ``shifted_m`` the whole second pass is shifted along the canal."""
     scene = world.scene
     pose = world.world_from_sensor.copy()
     if broken_at is not None:
         pose[scene.step[scene.frame] >= broken_at, 0, 3] += 60.0
+    pose[scene.track[scene.frame] == 1, 0, 3] += shifted_m
     rng = np.random.default_rng(0)
     x, z = rng.uniform(-15, 120, 6000), rng.uniform(-1, 9, 6000)
     points = np.stack([x, np.where(rng.random(6000) < 0.5, -1, 1) * HALF_WIDTH_M, z], axis=1)
@@ -41,12 +43,13 @@ def true_model(world: World, broken_at: int | None = None) -> SurveyModel:
     )
 
 
-def network_of(world: World, model: SurveyModel | None):
+def network_of(world: World, model: SurveyModel | Callable[[], SurveyModel] | None):
+    """The network with a model, the same each time or the next one; the ties that the models were made of."""
     asked = []
 
     def make(scene, ties):
         asked.append(ties)
-        return model
+        return model() if callable(model) else model
 
     return estimate_network(world.scene, np.full(len(world.scene), 128.0), world.match, SETTINGS, make), asked
 
@@ -83,15 +86,50 @@ def test_pairs_that_share_nothing_are_dropped_with_their_reason(world) -> None:
     assert found.pairs.funnel().get("overlap", 0) > 0
 
 
-def test_a_torn_model_is_not_asked_at_the_tear(world) -> None:
-    whole, _ = network_of(world, true_model(world))
-    torn, _ = network_of(world, true_model(world, broken_at=6))
-    at_tear = np.isin(world.scene.step[world.scene.frame], (5, 6))
-    assert not torn.trusted[at_tear].any()
-    assert any("not believed" in note for note in torn.notes)
-    near = torn.pairs.where(at_tear[torn.pairs.i] & at_tear[torn.pairs.j])
-    assert np.sum(near.dropped == 0) > 20
+def test_a_torn_model_is_made_again_and_believed_on_one_side_of_the_tear(world) -> None:
+    whole, once = network_of(world, true_model(world))
+    torn, asked = network_of(world, true_model(world, broken_at=7))
+    assert len(once) == 1 and len(asked) == TRIES
+    step = world.scene.step[world.scene.frame]
+    assert torn.trusted[step < 6].all() and not torn.trusted[step >= 6].any()
+    assert any("not believed" in note for note in torn.notes) and any("made 3 times" in note for note in torn.notes)
+    across = (step[torn.pairs.i] >= 7) != (step[torn.pairs.j] >= 7)
+    assert np.isnan(torn.pairs.overlap[across]).all()
+    assert np.sum(across & (torn.pairs.dropped == 0)) > 20
     assert whole.trusted.all()
+
+
+def test_a_model_is_made_again_until_it_holds(world) -> None:
+    models = iter((true_model(world, broken_at=7), true_model(world)))
+    found, asked = network_of(world, lambda: next(models))
+    assert len(asked) == 2
+    assert found.trusted.all()
+    assert any("made 2 times" in note for note in found.notes)
+
+
+def test_a_pass_put_some_metres_further_is_noticed_and_made_again_without_what_drew_it_there(world) -> None:
+    folded = true_model(world, shifted_m=30.0)
+    track = world.scene.track[world.scene.frame]
+    found, asked = network_of(world, folded)
+    assert len(asked) == TRIES and len(asked[1]) < len(asked[0])
+    assert len(np.unique(track[found.trusted])) == 1
+    across = track[found.pairs.i] != track[found.pairs.j]
+    assert np.isnan(found.pairs.overlap[across]).all()
+    models = iter((folded, true_model(world)))
+    found, asked = network_of(world, lambda: next(models))
+    assert found.trusted.all() and len(asked) == 2
+
+
+def test_frames_of_one_camera_that_follow_each_other_always_tie_the_model(world) -> None:
+    _, asked = network_of(world, true_model(world))
+    scene = world.scene
+    track, step = scene.track[scene.frame], scene.step[scene.frame]
+    i, j = asked[0].i, asked[0].j
+    near = (track[i] == track[j]) & (scene.sensor_key[i] == scene.sensor_key[j]) & (np.abs(step[i] - step[j]) == 1)
+    a, b = np.triu_indices(len(scene), k=1)
+    possible = (track[a] == track[b]) & (scene.sensor_key[a] == scene.sensor_key[b]) & (np.abs(step[a] - step[b]) == 1)
+    possible &= world.overlap(a, b) >= 0.5
+    assert near.sum() >= 0.9 * possible.sum()
 
 
 def test_copies_of_a_picture_stay_out_though_they_share_all_their_surface(world) -> None:

@@ -70,7 +70,7 @@ def _together(
     cameras: list = [None] * len(scene)
     points, image, point = [np.zeros((0, 3))], [np.zeros(0, int)], [np.zeros(0, int)]
     count = 0
-    members = np.flatnonzero(joined.part == part)
+    members = [int(k) for k in np.flatnonzero(joined.part == part)]
     for k, (block, model) in enumerate(made):
         for n, camera in zip(block.images, model.cameras):
             cameras[n] = camera if cameras[n] is None or whose[n] == k else cameras[n]

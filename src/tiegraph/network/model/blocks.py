@@ -110,7 +110,8 @@ def _cut(graph: csr_array, size: np.ndarray) -> np.ndarray:
 def _pieces(graph: csr_array) -> list[np.ndarray]:
     """(F,) bool of each connected piece."""
     coo = graph.tocoo()
-    label = parts(*coo.coords, graph.shape[0])
+    row, column = coo.coords
+    label = parts(row, column, graph.shape[0])
     return [label == k for k in range(label.max() + 1)]
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from tiegraph.geometry import transforms
 from tiegraph.network.model.assembled import survey_models
 from tiegraph.network.model.surveymodel import ModelFunction, SurveyModel
+from tiegraph.network.model.trust import Trust, trust
 from tiegraph.network.model.visible import Overlap
 from tiegraph.network.offsets.curves import contained
 from tiegraph.network.passes import PreviewBook
@@ -25,16 +26,15 @@ from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.strongest import strongest_pairs
+from tiegraph.scene.ties import Ties
 
 MIN_MATCHES = 15  # a tie of the model
-NEAR_STEPS = 2  # frames of a pass: images this near each other show whether the model is right there
 ENOUGH = 0.8  # share of the images in the model from which its calibration is believed
-TRUSTED = 0.5  # share of a frame's strong previews with those before, and after it, that the model must explain
+TRIES = 3  # models made, where the first are torn or suspect
+MORE = 1.5  # times the pairs an image of a torn model
 ENOUGH_LOOKS = 8  # previews of two cameras where the model predicts a common view, to say that they never tie
 NEVER = 0.1  # share of them that chance ties
-FEW = 3  # fewer of them tell nothing
 NO_MODEL = "preview model: none could be made; pairs are chosen by preview counts alone"
-SURE = 1.6  # times min_matches: previews this strong between near frames are true
 
 log = logging.getLogger(__name__)
 
@@ -58,27 +58,77 @@ def by_model(
     Kept pairs that share less than ``settings.min_overlap`` are dropped for ``overlap``; all others that share as much
     are added with the source ``model``.
     """
-    best = strongest_pairs(pairs, scene, settings.model_pairs)
+    tries = _tries(pairs, scene, book, settings, make)
+    best = max(tries, key=lambda t: t.trust.explained)
+    again = len(tries) - 1
+    said = (f"preview model: made {again + 1} times, the first did not agree with its ties",) if again else ()
+    if not best.models:
+        return ModelResult(pairs, scene, None, (NO_MODEL, *best.notes), np.zeros(len(scene), bool))
+    judged = _judged(pairs, best.overlap, np.where(best.trust.images, best.part, -1), settings)
+    judged = judged.drop(_never_tied(judged, scene, book, settings), "votes")
+    model = best.models[0]
+    notes = (*_notes(scene, best), *best.notes, *said)
+    if model.placed().sum() < ENOUGH * len(scene):
+        return ModelResult(judged, scene, model, notes, best.trust.images)
+    rigs, moved = calibrated_rigs(scene.rigs, model.rigs)
+    return ModelResult(judged, scene.with_(rigs=rigs), model, notes + moved, best.trust.images)
+
+
+@dataclass(frozen=True)
+class _Try:
+    """Models made of the best previews, none of which shares an image with another, and how far they are believed."""
+
+    models: tuple[SurveyModel, ...]
+    part: np.ndarray  # (N,) number of the model that holds an image, -1 = none
+    overlap: Overlap
+    trust: Trust
+    ties: int  # pairs it was made of
+    notes: tuple[str, ...]
+
+
+def _tries(pairs: Pairs, scene: Scene, book: PreviewBook, settings: NetworkSettings, make: ModelFunction) -> list[_Try]:
+    """Models until one is sound and agrees with most ties everywhere.
+
+    A model that is torn is made again of more pairs. One that explains the smaller part of the ties between two
+    stretches of passes, as if it had put one of them a wall too far, is made again without the ties that drew it there.
+    """
+    tries: list[_Try] = []
+    per_image, without = float(settings.model_pairs), np.zeros(0, np.int64)
+    while len(tries) < TRIES:
+        ties = _ties(strongest_pairs(pairs, scene, round(per_image)), book, without)
+        made = _try(ties, scene, book, settings, make)
+        tries.append(made)
+        suspects = _key(*made.trust.suspects)
+        if not made.models or (made.trust.sound and not len(suspects)):
+            break
+        if len(suspects):
+            without = np.union1d(without, suspects)
+        else:
+            per_image *= MORE
+    return tries
+
+
+def _ties(best: Pairs, book: PreviewBook, without: np.ndarray) -> Ties:
+    """The preview matches of the best pairs, those whose keys (K,) are not to be used left out."""
     book.measure(best.i, best.j)
     ties = book.ties()
-    used = ties.where(np.isin(ties.i.astype(np.int64) << 32 | ties.j, best.i.astype(np.int64) << 32 | best.j))
-    used = used.where(used.counts() >= MIN_MATCHES)
-    models, said = survey_models(scene, used, make) if len(used) else ((), ())
-    if not models:
-        return ModelResult(pairs, scene, None, (NO_MODEL, *said), np.zeros(len(scene), bool))
+    key = _key(ties.i, ties.j)
+    return ties.where(np.isin(key, _key(best.i, best.j)) & ~np.isin(key, without) & (ties.counts() >= MIN_MATCHES))
+
+
+def _try(ties: Ties, scene: Scene, book: PreviewBook, settings: NetworkSettings, make: ModelFunction) -> _Try:
+    models, notes = survey_models(scene, ties, make) if len(ties) else ((), ())
     part = np.full(len(scene), -1)
+    if not models:
+        return _Try((), part, Overlap.together(()), Trust.none(len(scene)), len(ties), notes)
     for k, one in enumerate(models):
         part[one.placed()] = k
     overlap = Overlap.together([one.overlap() for one in models])
-    trusted, agreement = _trusted(scene, book, overlap, part >= 0, settings)
-    judged = _judged(pairs, overlap, np.where(trusted, part, -1), settings)
-    judged = judged.drop(_never_tied(judged, scene, book, settings), "votes")
-    model = models[0]
-    notes = (*_notes(scene, models, len(used), trusted, agreement), *said)
-    if model.placed().sum() < ENOUGH * len(scene):
-        return ModelResult(judged, scene, model, notes, trusted)
-    rigs, moved = calibrated_rigs(scene.rigs, model.rigs)
-    return ModelResult(judged, scene.with_(rigs=rigs), model, notes + moved, trusted)
+    return _Try(models, part, overlap, trust(scene, book, overlap, part, settings), len(ties), notes)
+
+
+def _key(i: np.ndarray, j: np.ndarray) -> np.ndarray:
+    return i.astype(np.int64) << 32 | j
 
 
 def calibrated_rigs(given: Sequence[Rig], found: Sequence[Rig]) -> tuple[tuple[Rig, ...], tuple[str, ...]]:
@@ -105,29 +155,6 @@ def calibrated_rigs(given: Sequence[Rig], found: Sequence[Rig]) -> tuple[tuple[R
         if turned:
             notes.append(f"rig {old.name}: its cameras turned by up to {max(turned):.2f} deg from nominal")
     return tuple(rigs), tuple(notes)
-
-
-def _trusted(
-    scene: Scene, book: PreviewBook, overlap: Overlap, placed: np.ndarray, settings: NetworkSettings
-) -> tuple[np.ndarray, float]:
-    """(N,) bool: images of the model where it explains the strong previews between near frames; share explained.
-
-    A model that tore, or put a frame at a repeated wall, contradicts the images next to it: there it is not asked.
-    """
-    i, j, count = book.pairs()
-    a, b = scene.frame[i], scene.frame[j]
-    near = (scene.track[a] == scene.track[b]) & (scene.track[a] >= 0) & (a != b) & (scene.rig[a] == scene.rig[b])
-    near &= np.abs(scene.step[a] - scene.step[b]) <= NEAR_STEPS
-    strong = near & (count >= SURE * settings.min_matches) & placed[i] & placed[j]
-    right = overlap.between(i[strong], j[strong]) >= settings.min_overlap
-    later = scene.step[a] > scene.step[b]
-    doubtful = np.zeros(scene.frames, bool)
-    # Forwards and backwards by themselves: at a tear one half of a frame's neighbours are where they should be.
-    for ends in (np.where(later, b, a)[strong], np.where(later, a, b)[strong]):
-        total = np.bincount(ends, minlength=scene.frames)
-        good = np.bincount(ends, right, minlength=scene.frames)
-        doubtful |= (good < TRUSTED * total) & (total >= FEW)
-    return placed & ~doubtful[scene.frame], float(right.mean()) if len(right) else float("nan")
 
 
 def _judged(pairs: Pairs, overlap: Overlap, part: np.ndarray, settings: NetworkSettings) -> Pairs:
@@ -159,22 +186,19 @@ def _never_tied(pairs: Pairs, scene: Scene, book: PreviewBook, settings: Network
     return never[group] & ~pairs.from_source("sequence") & ~(np.nan_to_num(count) >= settings.min_matches)
 
 
-def _notes(
-    scene: Scene, models: Sequence[SurveyModel], ties: int, trusted: np.ndarray, agreement: float
-) -> tuple[str, ...]:
-    placed = np.any([m.placed() for m in models], axis=0)
-    points = sum(len(m.points) for m in models)
-    size = f"{int(placed.sum())} of {len(scene)} images, {points} points from {ties} pairs"
-    agrees = (
-        "" if np.isnan(agreement) else f"; {100 * agreement:.0f} % of the strong previews of near frames agree with it"
-    )
+def _notes(scene: Scene, made: _Try) -> tuple[str, ...]:
+    placed, trusted = made.part >= 0, made.trust.images
+    points = sum(len(m.points) for m in made.models)
+    size = f"{int(placed.sum())} of {len(scene)} images, {points} points from {made.ties} pairs"
+    share = made.trust.agreement
+    agrees = "" if np.isnan(share) else f"; {100 * share:.0f} % of the strong previews of near frames agree with it"
     notes = [f"preview model: {size}{agrees}"]
     doubtful = np.unique(scene.frame[placed & ~trusted])
     if len(doubtful):
         names = [scene.names[int(np.argmax(scene.frame == f))] for f in doubtful[:5]]
         more = f" and {len(doubtful) - 5} more" if len(doubtful) > 5 else ""
         notes.append(
-            f"preview model: not believed at {len(doubtful)} frames, where it contradicts their neighbours (with "
-            f"{', '.join(names)}{more}); there the preview counts decide"
+            f"preview model: not believed at {len(doubtful)} frames, where it contradicts their neighbours or is torn "
+            f"from the rest (with {', '.join(names)}{more}); there the preview counts decide"
         )
     return tuple(notes)

@@ -58,6 +58,8 @@ class Overlap:
     @staticmethod
     def together(parts: Sequence[Overlap]) -> Overlap:
         """One list of several that have no pair in common."""
+        if not parts:
+            return Overlap(*np.zeros((2, 0), np.int32), *np.zeros((3, 0)))
         columns = [np.concatenate([getattr(p, n) for p in parts]) for n in Overlap.__dataclass_fields__]
         order = np.lexsort((columns[1], columns[0]))
         return Overlap(*(c[order] for c in columns))
