@@ -30,7 +30,7 @@ from tiegraph.scene.ties import Ties
 
 MIN_MATCHES = 15  # a tie of the model
 ENOUGH = 0.8  # share of the images in the model from which its calibration is believed
-TRIES = 3  # models made, where the first are torn or suspect
+TRIES = 4  # models made, where the first are torn or suspect
 MORE = 1.5  # times the pairs an image of a torn model
 ENOUGH_LOOKS = 8  # previews of two cameras where the model predicts a common view, to say that they never tie
 NEVER = 0.1  # share of them that chance ties

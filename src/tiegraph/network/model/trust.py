@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
 from tiegraph.network.model.visible import Overlap
 from tiegraph.network.passes import PreviewBook
@@ -48,34 +50,36 @@ class Trust:
 def trust(scene: Scene, book: PreviewBook, overlap: Overlap, part: np.ndarray, settings: NetworkSettings) -> Trust:
     """How far a model is believed. ``part`` (N,): the part of it that holds an image, -1 = none.
 
-    A frame is doubtful if the model contradicts most of its strong previews with the frames before, or after it. Such
-    frames cut their pass into stretches. Where a model tore, or was folded onto a repeated wall, stretches are wrong to
-    each other though each is right in itself: only the largest set of stretches is believed that do not contradict the
-    strong previews between them.
+    Walls may repeat anywhere but hardly from one frame to the next. So a pass is cut into stretches where the model
+    contradicts the strong previews between near frames. Two stretches that are torn apart cannot both be right to a
+    third: the fewest matches that hold them together all the same (minimum cut) are false, and suspects. On canal a
+    model tore at a bridge into two right halves, for the ties across the change of light had fewer matches than those
+    of one half to a wall like its own. Only the largest set of stretches that hold together is believed.
     """
     i, j, count = book.pairs()
     tied = (count >= settings.min_matches) & (part[i] >= 0) & (part[j] >= 0)
     i, j, count = i[tied], j[tied], count[tied]
     strong = count >= SURE * settings.min_matches
     right = overlap.between(i, j) >= settings.min_overlap
-    near = _near(scene, i, j)
-    sure = near & strong
-    placed = part >= 0
-    believed = placed & ~_doubtful(scene, i[sure], j[sure], right[sure])[scene.frame]
-    stretch = _stretches(scene, np.where(believed, part, -1))
-    n = max(int(stretch.max(initial=-1)) + 1, 1)
-    couple = np.where((stretch[i] >= 0) & (stretch[j] >= 0), stretch[i] * n + stretch[j], n * n)
-    total = _couples(couple[strong], count[strong], n)
-    share = _couples(couple[strong], (count * right)[strong], n) / np.maximum(total, 1e-12)
+    sure = _near(scene, i, j) & strong
+    stretch = _stretches(scene, part, *_doubts(scene, i[sure], j[sure], right[sure]))
+    n = int(stretch.max(initial=0)) + 1
+    couple = stretch[i] * n + stretch[j]
+    total, good = (_couples(couple[strong], c[strong], n) for c in (count, count * right))
+    near_total, near_good = (_couples(couple[sure], c[sure], n) for c in (count, count * right))
     told = (total >= FEW * SURE * settings.min_matches) & ~np.eye(n, dtype=bool)
-    suspect = np.append((told & (share < SUSPECT)).ravel(), False)[couple] & right
-    believed = _largest(stretch, told & (share >= LINKED), told & (share < LINKED))
+    torn = (near_total > 0) & (near_good < TRUSTED * near_total) & ~np.eye(n, dtype=bool)
+    linked = np.where(told & (good >= LINKED * total), good, 0.0)
+    held = _without_false(linked, torn)
+    suspect = (told & (good < SUSPECT * total)) | (held != linked)
+    believed = _largest(stretch, held > 0, (held != linked) | torn | (told & (linked == 0)))
+    drawn = right & suspect.ravel()[couple]
     return Trust(
         believed,
         float(right[sure].mean()) if sure.any() else float("nan"),
         float((count * right)[strong].sum() / max(count[strong].sum(), 1e-12)),
-        (i[suspect], j[suspect]),
-        bool(believed.sum() >= SOUND * placed.sum()),
+        (i[drawn], j[drawn]),
+        bool(believed.sum() >= SOUND * np.sum(part >= 0)),
     )
 
 
@@ -85,36 +89,54 @@ def _near(scene: Scene, i: np.ndarray, j: np.ndarray) -> np.ndarray:
     return same & (np.abs(scene.step[a] - scene.step[b]) <= NEAR_STEPS)
 
 
-def _doubtful(scene: Scene, i: np.ndarray, j: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """(F,) bool: frames of whose near previews (K,) with those before, or those after, most are not explained."""
+def _doubts(scene: Scene, i: np.ndarray, j: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(F,), (F,) bool: frames of whose near previews (K,) with those before, and with those after, most are not
+    explained."""
     a, b = scene.frame[i], scene.frame[j]
     later = scene.step[a] > scene.step[b]
-    out = np.zeros(scene.frames, bool)
+    out = []
     # Forwards and backwards by themselves: at a tear one half of a frame's neighbours are where they should be.
-    for ends in (np.where(later, b, a), np.where(later, a, b)):
+    for ends in (np.where(later, a, b), np.where(later, b, a)):
         total = np.bincount(ends, minlength=scene.frames)
         good = np.bincount(ends, right, minlength=scene.frames)
-        out |= (good < TRUSTED * total) & (total >= FEW)
-    return out
+        out.append((good < TRUSTED * total) & (total >= FEW))
+    return out[0], out[1]
 
 
-def _stretches(scene: Scene, part: np.ndarray) -> np.ndarray:
-    """(N,) number of the stretch of a pass that an image is on, -1 for those in no part; loose images are one."""
+def _stretches(scene: Scene, part: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """(N,) number of the stretch of a pass that an image is on, -1 for those in no part; loose images are one. Passes
+    are cut before and after frames (F,) bool."""
     whole = np.full(scene.frames, -1)
     np.maximum.at(whole, scene.frame, part)
     order = np.lexsort((scene.step, scene.rig, scene.track))
     key = np.stack([scene.track, scene.rig, whole])[:, order]
+    cut = np.any(np.diff(key, axis=1) != 0, axis=0) | before[order][1:] | after[order][:-1]
     number = np.empty(scene.frames, int)
-    number[order] = np.cumsum(np.append(True, np.any(np.diff(key, axis=1) != 0, axis=0)))
+    number[order] = np.cumsum(np.append(True, cut))
     number[scene.track < 0] = -whole[scene.track < 0]
-    out = np.unique(np.where(part >= 0, number[scene.frame], number.max() + 1), return_inverse=True)[1]
-    return np.where(part >= 0, out, -1)
+    out = np.where(part >= 0, number[scene.frame], number.max() + 1)
+    return np.where(part >= 0, np.unique(out, return_inverse=True)[1], -1)
 
 
 def _couples(couple: np.ndarray, weight: np.ndarray, n: int) -> np.ndarray:
     """(n, n) sum of weights (K,) of each couple of stretches, in both orders."""
-    table = np.bincount(couple, weight, minlength=n * n + 1)[: n * n].reshape(n, n)
+    table = np.bincount(couple, weight, minlength=n * n).reshape(n, n)
     return table + table.T
+
+
+def _without_false(linked: np.ndarray, torn: np.ndarray) -> np.ndarray:
+    """(n, n) matches that hold stretches together, without the fewest that must be false if torn ones are apart."""
+    held = linked.copy()
+    held[torn] = 0
+    for a, b in zip(*np.nonzero(np.triu(torn))):
+        capacity = csr_array(np.ceil(held).astype(np.int32))
+        rest = capacity - maximum_flow(capacity, a, b).flow
+        rest.data[rest.data < 0] = 0
+        rest.eliminate_zeros()
+        side = np.zeros(len(held), bool)
+        side[breadth_first_order(rest, a, return_predecessors=False)] = True
+        held[side[:, None] != side[None]] = 0
+    return held
 
 
 def _largest(stretch: np.ndarray, agree: np.ndarray, contradict: np.ndarray) -> np.ndarray:
