@@ -38,7 +38,7 @@ class NetworkSettings(Section):
     """Preview matches two images need to count as tied, averaged over neighbouring frames; chance gives 10."""
     model: bool = True
     """Make a small model of the best previews and let it say which images see the same surface."""
-    model_pairs: int = Field(10, ge=2, le=100)
+    model_pairs: int = Field(8, ge=2, le=100)
     """Preview model: best pairs of each image that it is made of."""
     min_overlap: float = Field(0.1, ge=0.01, le=0.9)
     """Preview model: share of the surface one image sees that another must see too to be its candidate."""
