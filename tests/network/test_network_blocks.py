@@ -73,8 +73,8 @@ class Mapper:
         self.noise_m, self.broken = noise_m, broken
         self.sizes: list[int] = []
 
-    def __call__(self, scene: Scene, ties: Ties) -> SurveyModel:
-        assert ties.i.max() < len(scene)
+    def __call__(self, scene: Scene, ties: Ties, rough: bool) -> SurveyModel:
+        assert ties.i.max() < len(scene) and rough == (len(scene) < len(self.truth))
         pose = np.stack([self.truth[name] for name in scene.names])
         centre = transforms.centre(pose) + self.rng.normal(0, self.noise_m, (len(pose), 3))
         if self.broken == len(self.sizes):
@@ -129,7 +129,7 @@ def test_a_small_survey_is_mapped_whole(world) -> None:
     few = np.flatnonzero(scene.frame % FRAMES < 100)
     block = blocks.Block(few, np.ones(len(few), bool))
     small, inside = block.part_of(scene, ties)
-    mapper = Mapper(scene, truth)
+    mapper = Mapper(small, truth[few])
     models, notes = survey_models(small, inside, mapper)
     assert mapper.sizes == [len(few)] and len(models) == 1 and notes == ()
     assert [small.names[k] for k in (0, 7)] == [scene.names[few[k]] for k in (0, 7)]
@@ -165,8 +165,8 @@ def test_a_block_that_cannot_be_mapped_is_said(world) -> None:
     scene, truth, ties = world
     mapper = Mapper(scene, truth)
 
-    def make(part: Scene, inside: Ties) -> SurveyModel | None:
-        model = mapper(part, inside)
+    def make(part: Scene, inside: Ties, rough: bool) -> SurveyModel | None:
+        model = mapper(part, inside, rough)
         return None if len(mapper.sizes) == 2 else model
 
     models, notes = survey_models(scene, ties, make)

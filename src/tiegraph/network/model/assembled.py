@@ -27,11 +27,11 @@ def survey_models(scene: Scene, ties: Ties, make: ModelFunction) -> tuple[tuple[
     """
     blocks = blocks_of(scene, ties)
     if len(blocks) == 1 and len(blocks[0]) == len(scene):
-        model = make(scene, ties)
+        model = make(scene, ties, False)
         return (() if model is None or not model.placed().any() else (model,)), ()
     made: list[tuple[Block, SurveyModel]] = []
     for number, block in enumerate(blocks, start=1):
-        model = make(*block.part_of(scene, ties))
+        model = make(*block.part_of(scene, ties), True)
         placed = 0 if model is None else int(model.placed().sum())
         log.info("block %d of %d: %d of %d images in its model", number, len(blocks), placed, len(block))
         if model is not None and placed:
