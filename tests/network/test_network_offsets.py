@@ -7,7 +7,9 @@ import pytest
 
 from boat_world import boat, ring
 from tiegraph.network.network import estimate_network
+from tiegraph.network.offsets import offsets
 from tiegraph.network.offsets.lattice import make_lattice
+from tiegraph.network.offsets.offsets import estimate_offsets
 from tiegraph.network.passes import PreviewBook, find_passes, loose_images
 from tiegraph.network.rig.axes import angles_deg, vertical, yaw_between
 from tiegraph.network.rig.commonview import direction, in_words, strangers, votes, without_chance, yaw
@@ -148,6 +150,36 @@ def test_four_thousand_images_need_few_previews() -> None:
     assert 0.002 < world.asked / (n * (n - 1) / 2) < 0.03
     assert not np.any(network.pairs.dropped == REASONS.index("axes"))
     assert any("not tried" in note for note in network.notes)
+    assert len(network.pairs) < 200 * n  # rows of the table, dropped ones too: bounded by the image
+
+
+def test_pairs_and_previews_grow_with_the_images_and_not_with_their_square() -> None:
+    rows, asked = [], []
+    for frames in (80, 240):
+        world = boat((frames, frames), (1.0, 1.0), ring(3, up=False))
+        n = len(world.scene)
+        book = PreviewBook(world.match, n)
+        found = estimate_offsets(find_passes(world.scene), book, n, NetworkSettings())
+        rows.append(len(found.pairs) / n)
+        asked.append(len(book) / n)
+    assert 0.5 < rows[1] / rows[0] < 1.3
+    assert asked[1] / asked[0] < 1.3
+
+
+def test_a_coarser_lattice_looks_no_further_from_the_path(monkeypatch) -> None:
+    """Out of its budget of previews the lattice takes every second frame, and still as many frames beside the path."""
+    world = boat((120, 120), (1.0, 1.0), ring(3, up=False))
+    n = len(world.scene)
+    spread = []
+    for budget in (1000, 12):
+        monkeypatch.setattr(offsets, "PREVIEWS_PER_IMAGE", budget)
+        monkeypatch.setattr(offsets, "MIN_BUDGET", 0)
+        found = estimate_offsets(find_passes(world.scene), PreviewBook(world.match, n), n, NetworkSettings())
+        kept = found.pairs.kept()
+        step, track = world.scene.step[world.scene.frame], world.scene.track[world.scene.frame]
+        same = track[kept.i] == track[kept.j]
+        spread.append(np.abs(step[kept.i] - step[kept.j])[same].max())
+    assert spread[1] <= 1.3 * spread[0]
 
 
 def test_chance_gives_neither_heading_nor_direction() -> None:
