@@ -29,6 +29,7 @@ _log = logging.getLogger(__name__)
 
 GLOBAL_FROM_IMAGES = 60  # without a rig: below some tens of images the incremental mapper is as fast (PYCOLMAP 4)
 CLEARLY_FEWER = 0.8  # share of the largest connected part below which the other mapper is tried too
+ROUGHLY_FEWER = 0.5  # likewise in a rough model, where more images see few of its fewer points
 
 Progress = Callable[[int, int], None]
 
@@ -220,9 +221,10 @@ def _map(job: _Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -> 
     first = choose_mapper(job.scene, job.settings, bool(rigs))
     outcome = _run(job, first, rigs, modes, label)
     reachable = job.graph.components[0]
+    enough = (ROUGHLY_FEWER if job.rough else CLEARLY_FEWER) * reachable
     other = "incremental" if first == "global" else "global"
     for mapper, seed in ((first, 1), (other, 0))[: 1 if job.rough else 2]:  # a rough model is not worth the slow mapper
-        if job.settings.mapper != "auto" or outcome.registered >= CLEARLY_FEWER * reachable:
+        if job.settings.mapper != "auto" or outcome.registered >= enough:
             break
         second = _run(job, mapper, rigs, modes, label, seed)
         better = second if second.registered > outcome.registered else outcome
