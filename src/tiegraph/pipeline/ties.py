@@ -31,7 +31,7 @@ from tiegraph.sfm.model import image_poses, model_rigs, tracks
 
 log = logging.getLogger(__name__)
 
-_CACHED_PREVIEWS = 1024  # of about 110 kB each, in every worker
+_CACHED_PREVIEWS = 512  # of about 110 kB each, in every worker; reading one costs a fifteenth of matching it
 
 
 def network(run: Run) -> Outcome:
