@@ -31,14 +31,12 @@ from benchmarks.network.canalworld import CanalWorld, canal_world
 from benchmarks.network.measure import measured
 from tiegraph.design.design import design
 from tiegraph.features.preview import PreviewMatch
-from tiegraph.network.model.surveymodel import SurveyModel
+from tiegraph.network.model.surveymodel import ModelFunction
 from tiegraph.network.network import Network, estimate_network
 from tiegraph.pipeline.ties import _Descriptors, _survey_model
 from tiegraph.project.run import Inputs, Run
 from tiegraph.project.settings import Settings
 from tiegraph.scene.pairs import Pairs
-from tiegraph.scene.scene import Scene
-from tiegraph.scene.ties import Ties
 
 SIZES = (500, 1000, 2000, 4000)
 PREVIEW_S = 0.006  # of one match of two previews, CPU
@@ -138,7 +136,7 @@ def one(
 def _network(
     world: CanalWorld,
     match: Callable[[np.ndarray], list[PreviewMatch]],
-    model: Callable[[Scene, Ties], SurveyModel | None] | None,
+    model: ModelFunction | None,
     settings: Any,
     descriptors: Callable[[], Sequence[np.ndarray]],
 ) -> Network:

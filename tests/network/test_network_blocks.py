@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.network.model import blocks
-from tiegraph.network.model.assembled import survey_models
+from tiegraph.network.model.assembled import SurveyMapper
 from tiegraph.network.model.blocks import blocks_of
 from tiegraph.network.model.joining import Poses, join, join_models
 from tiegraph.network.model.surveymodel import SurveyModel
@@ -73,8 +73,8 @@ class Mapper:
         self.noise_m, self.broken = noise_m, broken
         self.sizes: list[int] = []
 
-    def __call__(self, scene: Scene, ties: Ties) -> SurveyModel:
-        assert ties.i.max() < len(scene)
+    def __call__(self, scene: Scene, ties: Ties, rough: bool) -> SurveyModel:
+        assert ties.i.max() < len(scene) and rough == (len(scene) < len(self.truth))
         pose = np.stack([self.truth[name] for name in scene.names])
         centre = transforms.centre(pose) + self.rng.normal(0, self.noise_m, (len(pose), 3))
         if self.broken == len(self.sizes):
@@ -129,8 +129,8 @@ def test_a_small_survey_is_mapped_whole(world) -> None:
     few = np.flatnonzero(scene.frame % FRAMES < 100)
     block = blocks.Block(few, np.ones(len(few), bool))
     small, inside = block.part_of(scene, ties)
-    mapper = Mapper(scene, truth)
-    models, notes = survey_models(small, inside, mapper)
+    mapper = Mapper(small, truth[few])
+    models, notes = SurveyMapper(small, mapper)(inside)
     assert mapper.sizes == [len(few)] and len(models) == 1 and notes == ()
     assert [small.names[k] for k in (0, 7)] == [scene.names[few[k]] for k in (0, 7)]
     assert np.array_equal(small.step[small.frame], scene.step[scene.frame[few]])
@@ -139,7 +139,7 @@ def test_a_small_survey_is_mapped_whole(world) -> None:
 def test_blocks_come_together_in_one_frame(world) -> None:
     scene, truth, ties = world
     mapper = Mapper(scene, truth, noise_m=0.02)
-    (model,), notes = survey_models(scene, ties, mapper)
+    (model,), notes = SurveyMapper(scene, mapper)(ties)
     assert len(mapper.sizes) > 2 and max(mapper.sizes) <= blocks.MOST
     assert model.placed().all()
     assert 0.005 < np.median(error_m(model, truth)) < 0.5  # of 480 m
@@ -153,7 +153,7 @@ def test_blocks_come_together_in_one_frame(world) -> None:
 
 def test_a_torn_block_is_said_and_the_parts_stay_usable(world) -> None:
     scene, truth, ties = world
-    models, notes = survey_models(scene, ties, Mapper(scene, truth, broken=1))
+    models, notes = SurveyMapper(scene, Mapper(scene, truth, broken=1))(ties)
     assert len(models) >= 2
     assert any("not joined there" in n for n in notes) and any("torn into" in n for n in notes)
     both = np.sum([m.placed() for m in models], axis=0)
@@ -165,13 +165,25 @@ def test_a_block_that_cannot_be_mapped_is_said(world) -> None:
     scene, truth, ties = world
     mapper = Mapper(scene, truth)
 
-    def make(part: Scene, inside: Ties) -> SurveyModel | None:
-        model = mapper(part, inside)
+    def make(part: Scene, inside: Ties, rough: bool) -> SurveyModel | None:
+        model = mapper(part, inside, rough)
         return None if len(mapper.sizes) == 2 else model
 
-    models, notes = survey_models(scene, ties, make)
+    models, notes = SurveyMapper(scene, make)(ties)
     assert any("none could be made" in n for n in notes)
     assert 0.4 < sum(m.placed().sum() for m in models) / len(scene) < 0.95
+
+
+def test_a_block_whose_ties_did_not_change_is_not_mapped_again(world) -> None:
+    scene, truth, ties = world
+    mapper = Mapper(scene, truth)
+    models_of = SurveyMapper(scene, mapper)
+    models_of(ties)
+    blocks_made = len(mapper.sizes)
+    first = np.array([place(int(f)) for f in scene.frame]) < 20  # at one end: in one block
+    (model,), _ = models_of(ties.where(~(first[ties.i] & first[ties.j] & (ties.i % 5 == 0))))
+    assert len(mapper.sizes) == blocks_made + 1
+    assert model.placed().all() and np.median(error_m(model, truth)) < 0.5
 
 
 def _models(

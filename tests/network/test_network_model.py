@@ -47,7 +47,8 @@ def network_of(world: World, model: SurveyModel | Callable[[], SurveyModel] | No
     """The network with a model, the same each time or the next one; the ties that the models were made of."""
     asked = []
 
-    def make(scene, ties):
+    def make(scene, ties, rough):
+        assert not rough
         asked.append(ties)
         return model() if callable(model) else model
 

@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from boat_world import boat, ring
+from boat_world import Result, boat, ring
 from tiegraph.network.network import estimate_network
+from tiegraph.network.offsets import offsets
 from tiegraph.network.offsets.lattice import make_lattice
+from tiegraph.network.offsets.offsets import estimate_offsets
 from tiegraph.network.passes import PreviewBook, find_passes, loose_images
 from tiegraph.network.rig.axes import angles_deg, vertical, yaw_between
 from tiegraph.network.rig.commonview import direction, in_words, strangers, votes, without_chance, yaw
@@ -148,6 +150,42 @@ def test_four_thousand_images_need_few_previews() -> None:
     assert 0.002 < world.asked / (n * (n - 1) / 2) < 0.03
     assert not np.any(network.pairs.dropped == REASONS.index("axes"))
     assert any("not tried" in note for note in network.notes)
+    assert len(network.pairs) < 200 * n  # rows of the table, dropped ones too: bounded by the image
+
+
+def test_pairs_and_previews_grow_with_the_images_and_not_with_their_square() -> None:
+    rows, asked = [], []
+    for frames in (80, 240):
+        world = boat((frames, frames), (1.0, 1.0), ring(3, up=False))
+        n = len(world.scene)
+        book = PreviewBook(world.match, n)
+        found = estimate_offsets(find_passes(world.scene), book, n, NetworkSettings())
+        rows.append(len(found.pairs) / n)
+        asked.append(len(book) / n)
+    assert 0.5 < rows[1] / rows[0] < 1.3
+    assert asked[1] / asked[0] < 1.3
+
+
+def test_a_coarser_lattice_looks_no_further_from_the_path(monkeypatch) -> None:
+    """Out of its budget of previews the lattice takes every second frame, and still as many frames beside the path,
+    though walls repeat all along it."""
+    world = boat((160,), (1.0,), ring(3, up=False))
+    n, step = len(world.scene), world.scene.step[world.scene.frame]
+
+    def match(pairs: np.ndarray) -> list[Result]:
+        apart = np.abs(step[pairs[:, 0]] - step[pairs[:, 1]])
+        return [Result(30 if a <= 6 or a >= 20 else 9) for a in apart]
+
+    monkeypatch.setattr(offsets, "MIN_BUDGET", 0)
+    furthest, previews = [], []
+    for budget in (1000, 4):
+        monkeypatch.setattr(offsets, "PREVIEWS_PER_IMAGE", budget)
+        book = PreviewBook(match, n)
+        kept = estimate_offsets(find_passes(world.scene), book, n, NetworkSettings()).pairs.kept()
+        furthest.append(np.abs(step[kept.i] - step[kept.j]).max())
+        previews.append(len(book))
+    assert previews[1] < previews[0]
+    assert 20 <= furthest[1] <= 1.3 * furthest[0]
 
 
 def test_chance_gives_neither_heading_nor_direction() -> None:

@@ -10,7 +10,8 @@ from tiegraph.errors import InputError, SettingsError
 from tiegraph.network.network import estimate_network
 from tiegraph.network.passes import PreviewBook, find_passes
 from tiegraph.network.settings import NetworkSettings
-from tiegraph.network.sources import Context, exhaustive, read_pair_list, sequence
+from tiegraph.network.sources import Context, axes_count, axes_pairs, exhaustive, read_pair_list, sequence
+from tiegraph.scene.pairs import REASONS
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Dropped, Scene, simple_scene
 
@@ -152,3 +153,12 @@ def test_sources_are_merged() -> None:
 def test_unknown_source_is_refused() -> None:
     with pytest.raises(ValueError):
         NetworkSettings(sources=("offset",))  # type: ignore[arg-type]
+
+
+def test_pairs_that_the_axes_rule_out_are_counted_without_a_table() -> None:
+    world = boat((12, 9), (2.0, 2.0))
+    passes = find_passes(world.scene)
+    settings = NetworkSettings(axes_deg=80)
+    listed = axes_pairs(passes, settings)
+    assert axes_count(passes, settings) == len(listed) > 100
+    assert np.all(listed.dropped == REASONS.index("axes"))

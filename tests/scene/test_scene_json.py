@@ -38,3 +38,14 @@ def test_rig_geometry_and_priors():
     priors = scene().with_(world_from_rig=pose).image_priors()
     np.testing.assert_allclose(np.linalg.inv(priors[2]), rig.sensors[1].sensor_from_rig, atol=1e-12)
     assert np.isnan(priors[1]).all()
+
+
+def test_a_part_of_a_scene_keeps_what_its_images_are():
+    whole = scene().with_(sources=("p", "q", "r"))
+    part = whole.only(np.array([1, 2]))
+    assert part.names == ("a/1", "b/0") and part.sources == ("q", "r") and part.frames == 2
+    assert part.frame.tolist() == [1, 0] and part.step[part.frame].tolist() == [1, 0]
+    assert part.sensor_key.tolist() == whole.sensor_key[1:].tolist()
+    last = whole.only(np.array([1]))
+    assert last.frames == 1 and last.frame.tolist() == [0] and np.isnan(last.time_s).all()
+    assert last.world_from_rig.shape == (1, 4, 4) and last.origin == whole.origin

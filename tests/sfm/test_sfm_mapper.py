@@ -55,6 +55,16 @@ def test_fixed_rig_keeps_its_metric_size(tmp_path: Path) -> None:
     assert [row[1:3] for row in result.tables["registered_per_camera"]["rows"]] == [[8, 8]] * 3
 
 
+def test_a_rough_model_needs_no_images_and_no_final_adjustment(tmp_path: Path) -> None:
+    truth, scene = make_world(tmp_path / "database.db")
+    source = Source(tmp_path / "database.db", None, rough=True)
+    settings = SparseSettings(covariance_frames=0)
+    result = reconstruct(source, tmp_path / "sparse", scene, settings, tmp_path / "log.txt")
+    assert result.mapper == "global" and result.counts["registered"] == len(scene)
+    assert 0.02 < _centre_error(result, scene, truth) < 0.4  # of a few metres: 100 points, and nothing adjusted
+    assert not any("adjust" in note for note in result.notes)
+
+
 @pytest.mark.slow
 def test_unknown_rig_is_found_and_used(tmp_path: Path) -> None:
     truth, scene = make_world(tmp_path / "database.db", noise_px=0.2)

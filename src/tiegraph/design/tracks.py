@@ -170,7 +170,9 @@ class Tracks:
         column = number[label[kept]]
         start = np.concatenate([[0], np.cumsum(kept)])[first]
         shape = (self.candidates.images, int(np.sum(size >= 2)))
-        return csr_array((np.ones(len(column), np.float32), column, start), shape=shape)
+        out = csr_array((np.ones(len(column), np.float32), column, start), shape=shape)
+        out.sum_duplicates()  # a wrong track has many features of one image, and products would take them one by one
+        return out
 
     def pieces(self) -> np.ndarray:
         """(N,) tracks and single features by image, a track shared out among its observations; an image that was never

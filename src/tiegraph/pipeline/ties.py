@@ -31,7 +31,7 @@ from tiegraph.sfm.model import image_poses, model_rigs, tracks
 
 log = logging.getLogger(__name__)
 
-_CACHED_PREVIEWS = 1024  # of about 110 kB each, in every worker
+_CACHED_PREVIEWS = 512  # of about 110 kB each, in every worker; reading one costs a fifteenth of matching it
 
 
 def network(run: Run) -> Outcome:
@@ -81,8 +81,8 @@ def _match_item(pair: tuple[int, int], folder: Path, settings: PreviewSettings) 
     return match_previews(_preview(folder, scene.names[i]), _preview(folder, scene.names[j]), a, b, settings)
 
 
-def _survey_model(run: Run, scene: Scene, ties: Ties) -> SurveyModel | None:
-    """A model of the survey made of previews, in ``network/model``; None where COLMAP finds none."""
+def _survey_model(run: Run, scene: Scene, ties: Ties, rough: bool) -> SurveyModel | None:
+    """A model of the survey or a block of it made of previews, in ``network/model``; None where COLMAP finds none."""
     folder = run.path("network", "model")
     remove(folder)
     folder.mkdir(parents=True)
@@ -91,7 +91,7 @@ def _survey_model(run: Run, scene: Scene, ties: Ties) -> SurveyModel | None:
     write_preview_database(database, scene, previews, ties, min_matches=1)
     settings = run.settings.sparse.model_copy(update={"covariance_frames": 0, "use_positions": False})
     try:
-        made = reconstruct(Source(database, run.path("images")), folder, scene.measured(), settings, run.log)
+        made = reconstruct(Source(database, None, rough=rough), folder, scene.measured(), settings, run.log)
     except ReconstructionError as error:
         log.warning("preview model: %s", error)
         return None

@@ -29,6 +29,7 @@ _log = logging.getLogger(__name__)
 
 GLOBAL_FROM_IMAGES = 60  # without a rig: below some tens of images the incremental mapper is as fast (PYCOLMAP 4)
 CLEARLY_FEWER = 0.8  # share of the largest connected part below which the other mapper is tried too
+ROUGHLY_FEWER = 0.5  # likewise in a rough model, where more images see few of its fewer points
 
 Progress = Callable[[int, int], None]
 
@@ -71,7 +72,8 @@ class _Job:
     """All that the runs of one reconstruction share."""
 
     database: Path
-    images: Path
+    images: Path | None
+    rough: bool
     out: Path
     scene: Scene
     settings: SparseSettings
@@ -93,11 +95,13 @@ class _Outcome:
 
 @dataclass(frozen=True)
 class Source:
-    """What to map: a database with verified matches, the image folder (colours), pairs (scene indices) not to use."""
+    """What to map: a database with verified matches, the image folder (None: the points get no colours), pairs (scene
+    indices) not to use; ``rough``: poses good to 0.1 degrees will do, a fifth of the time."""
 
     database: Path
-    images: Path
+    images: Path | None
     refused: tuple[tuple[int, int], ...] = ()
+    rough: bool = False
 
 
 def reconstruct(
@@ -129,7 +133,7 @@ def reconstruct(
         refused, graph = without, ViewGraph(database, scene, settings.min_matches, without)
     else:
         alone = ()
-    job = _Job(database, images, out, scene, settings, log, on_progress, graph, [], notes, refused, alone)
+    job = _Job(database, images, source.rough, out, scene, settings, log, on_progress, graph, [], notes, refused, alone)
     try:
         return _reconstruct(job, modes)
     finally:
@@ -217,9 +221,10 @@ def _map(job: _Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -> 
     first = choose_mapper(job.scene, job.settings, bool(rigs))
     outcome = _run(job, first, rigs, modes, label)
     reachable = job.graph.components[0]
+    enough = (ROUGHLY_FEWER if job.rough else CLEARLY_FEWER) * reachable
     other = "incremental" if first == "global" else "global"
-    for mapper, seed in ((first, 1), (other, 0)):
-        if job.settings.mapper != "auto" or outcome.registered >= CLEARLY_FEWER * reachable:
+    for mapper, seed in ((first, 1), (other, 0))[: 1 if job.rough else 2]:  # a rough model is not worth the slow mapper
+        if job.settings.mapper != "auto" or outcome.registered >= enough:
             break
         second = _run(job, mapper, rigs, modes, label, seed)
         better = second if second.registered > outcome.registered else outcome
@@ -255,6 +260,7 @@ def _run(job: _Job, mapper: str, rigs: dict[int, Rig], modes: dict[int, str], la
         all_constant=len(constant) == len(scene.all_sensors),
         min_matches=job.settings.min_matches,
         refused=job.refused,
+        rough=job.rough,
     )
     total = len(scene)
     per_frame = total / max(scene.frames, 1) if rigs else 1.0
@@ -296,6 +302,7 @@ def _finish(job: _Job, outcome: _Outcome, fixed: tuple[int, ...]) -> PositionSig
             covariance_frames=0 if number else job.settings.covariance_frames,
             scene=job.scene.to_json(),
             alone=job.alone,
+            rough=job.rough,
         )
         sigma, notes = run_in_child(finish_model, request, log=job.log, task="final adjustment")
         sigmas.append(sigma)

@@ -19,6 +19,9 @@ from tiegraph.sfm.database import write_working_copy
 from tiegraph.sfm.support import place_as_given
 
 MIN_MODEL_IMAGES = 3
+# Tracks that every image takes part in at least, longest first, in a rough model. Simulated block of 372 previews: 15
+# instead of 69 CPU s, centres good to 0.15 instead of 0.01 m, rotations to 0.05 instead of 0.03 deg (medians).
+ROUGH_TRACKS = 100
 
 
 @dataclass(frozen=True)
@@ -28,7 +31,7 @@ class Request:
     mapper: str  # incremental or global
     seed: int  # of every random choice: the same input gives the same model, but for the order of threads
     database: Path
-    images: Path
+    images: Path | None  # for colours; None = none are wanted
     folder: Path  # scratch; models go to folder/0, folder/1, ...
     scene: str  # JSON
     rigs: dict[int, dict]  # rig index -> rig with all extrinsics, as a dict
@@ -38,6 +41,7 @@ class Request:
     all_constant: bool
     min_matches: int
     refused: tuple[tuple[int, int], ...] = ()  # scene indices of pairs the mapper must not see
+    rough: bool = False  # few tracks, none found later
 
     @staticmethod
     def rigs_of(rigs: Mapping[int, Rig]) -> dict[int, dict]:
@@ -51,13 +55,14 @@ class FinishRequest:
 
     folder: Path
     target: Path
-    images: Path
+    images: Path | None  # None = no colours
     fixed: tuple[int, ...]
     constant_cameras: tuple[int, ...]
     all_constant: bool
     covariance_frames: int  # 0: no sigmas wanted
     scene: str  # JSON
     alone: tuple[int, ...] = ()  # keys of sensors placed by the rig as given
+    rough: bool = False  # as the mapper left it
 
 
 def run_mapper(request: Request, send: Callable[[Any], None]) -> list[Path]:
@@ -89,16 +94,14 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> tuple[P
     """Final adjustment, colours and position sigmas of one model; writes it to its target folder. Returns notes too."""
     model = pycolmap.Reconstruction(request.folder)
     notes: list[str] = []
-    try:
-        adjustment = final_adjustment(model, [k + 1 for k in request.fixed], request.constant_cameras)
-        model = adjustment.model
-        notes.append(adjustment.note)
-    except (RuntimeError, ValueError) as error:
-        notes.append(f"the final adjustment failed, the mapper's own stays: {error}")
+    if not request.rough:
+        model, note = _adjusted(model, request)
+        notes.append(note)
     if request.alone:
         place_as_given(model, Scene.from_json(request.scene), request.alone)
     try:
-        model.extract_colors_for_all_images(request.images)
+        if request.images is not None:
+            model.extract_colors_for_all_images(request.images)
     except (RuntimeError, ValueError) as error:
         notes.append(f"the points have no colours: {error}")
     request.target.mkdir(parents=True, exist_ok=True)
@@ -113,6 +116,14 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> tuple[P
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         notes.append(f"position sigmas could not be computed: {error}")
         return None, notes
+
+
+def _adjusted(model: pycolmap.Reconstruction, request: FinishRequest) -> tuple[pycolmap.Reconstruction, str]:
+    try:
+        adjustment = final_adjustment(model, [k + 1 for k in request.fixed], request.constant_cameras)
+        return adjustment.model, adjustment.note
+    except (RuntimeError, ValueError) as error:
+        return model, f"the final adjustment failed, the mapper's own stays: {error}"
 
 
 def _incremental(
@@ -138,7 +149,7 @@ def _incremental(
         send(done[0])
 
     return pycolmap.incremental_mapping(
-        working, request.images, raw, options,
+        working, request.images or raw, raw, options,
         initial_image_pair_callback=lambda: count(2), next_image_callback=lambda: count(1),
     )  # fmt: skip
 
@@ -148,7 +159,10 @@ def _global(request: Request, working: Path, raw: Path) -> dict[int, pycolmap.Re
     mapper = pycolmap.GlobalMapperOptions(random_seed=request.seed, refine_sensor_from_rig=refine_rig)
     mapper.bundle_adjustment.refine_focal_length = not request.all_constant  # it knows no single constant cameras
     mapper.bundle_adjustment.refine_extra_params = not request.all_constant
+    if request.rough:
+        mapper.track_required_tracks_per_view = ROUGH_TRACKS
+        mapper.skip_retriangulation = True
     options = pycolmap.GlobalPipelineOptions(
         random_seed=request.seed, min_num_matches=request.min_matches, min_model_size=MIN_MODEL_IMAGES, mapper=mapper
     )
-    return pycolmap.global_mapping(working, request.images, raw, options)
+    return pycolmap.global_mapping(working, request.images or raw, raw, options)

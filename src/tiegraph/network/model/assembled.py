@@ -20,27 +20,49 @@ NAMED = 5  # tears named one by one in the notes
 log = logging.getLogger(__name__)
 
 
-def survey_models(scene: Scene, ties: Ties, make: ModelFunction) -> tuple[tuple[SurveyModel, ...], tuple[str, ...]]:
-    """Models of the survey, most images first, none of which shares an image with another, and what people should know.
+class SurveyMapper:
+    """Makes models of one survey, of other ties each time it is asked.
 
-    One, if it was mapped whole or all blocks hold together; more where it is torn; none if nothing could be mapped.
+    Blocks stay as they were cut the first time, and a block whose ties are those of the last time is not mapped again:
+    where a few ties were wrong, only what they touch costs anything.
     """
-    blocks = blocks_of(scene, ties)
-    if len(blocks) == 1 and len(blocks[0]) == len(scene):
-        model = make(scene, ties)
-        return (() if model is None or not model.placed().any() else (model,)), ()
-    made: list[tuple[Block, SurveyModel]] = []
-    for number, block in enumerate(blocks, start=1):
-        model = make(*block.part_of(scene, ties))
-        placed = 0 if model is None else int(model.placed().sum())
-        log.info("block %d of %d: %d of %d images in its model", number, len(blocks), placed, len(block))
-        if model is not None and placed:
-            made.append((block, model))
-    joined = join_models([_poses(block, model) for block, model in made])
-    whose = _whose(scene, made, joined.part)
-    models = [_together(scene, made, joined, whose, k) for k in range(int(joined.part.max(initial=-1)) + 1)]
-    models.sort(key=lambda m: -int(m.placed().sum()))
-    return tuple(m for m in models if m.placed().any()), _notes(scene, blocks, made, joined)
+
+    def __init__(self, scene: Scene, make: ModelFunction) -> None:
+        self._scene = scene
+        self._make = make
+        self._blocks: tuple[Block, ...] | None = None
+        self._last: dict[int, tuple[Ties, SurveyModel | None]] = {}
+
+    def __call__(self, ties: Ties) -> tuple[tuple[SurveyModel, ...], tuple[str, ...]]:
+        """Models of the survey, most images first, none of which shares an image with another, and what people should
+        know. One, if the survey was mapped whole or all blocks hold together; more where it is torn; perhaps none."""
+        scene = self._scene
+        blocks = self._blocks = blocks_of(scene, ties) if self._blocks is None else self._blocks
+        if len(blocks) == 1 and len(blocks[0]) == len(scene):
+            model = self._make(scene, ties, False)
+            return (() if model is None or not model.placed().any() else (model,)), ()
+        made: list[tuple[Block, SurveyModel]] = []
+        for number, block in enumerate(blocks):
+            model = self._of_block(number, ties)
+            placed = 0 if model is None else int(model.placed().sum())
+            log.info("block %d of %d: %d of %d images in its model", number + 1, len(blocks), placed, len(block))
+            if model is not None and placed:
+                made.append((block, model))
+        joined = join_models([_poses(block, model) for block, model in made])
+        whose = _whose(scene, made, joined.part)
+        models = [_together(scene, made, joined, whose, k) for k in range(int(joined.part.max(initial=-1)) + 1)]
+        models.sort(key=lambda m: -int(m.placed().sum()))
+        return tuple(m for m in models if m.placed().any()), _notes(scene, blocks, made, joined)
+
+    def _of_block(self, number: int, ties: Ties) -> SurveyModel | None:
+        assert self._blocks is not None
+        part, inside = self._blocks[number].part_of(self._scene, ties)
+        before = self._last.get(number)
+        if before is not None and np.array_equal(before[0].i, inside.i) and np.array_equal(before[0].j, inside.j):
+            return before[1]
+        model = self._make(part, inside, True) if len(inside) else None
+        self._last[number] = inside, model
+        return model
 
 
 def _poses(block: Block, model: SurveyModel) -> Poses:

@@ -100,7 +100,7 @@ def _cut(graph: csr_array, size: np.ndarray) -> np.ndarray:
         if count < 2 or len(frames) < 2:
             done.append(frames)
             continue
-        first = _first_side(csr_array(graph[frames][:, frames]), size[frames], (count // 2) / count)
+        first = _first_side(csr_array(graph[frames][:, frames]), size[frames], (count // 2, count))
         todo += [frames[first], frames[~first]]
     for k, frames in enumerate(done):
         label[frames] = k
@@ -115,8 +115,9 @@ def _pieces(graph: csr_array) -> list[np.ndarray]:
     return [label == k for k in range(label.max() + 1)]
 
 
-def _first_side(graph: csr_array, size: np.ndarray, share: float) -> np.ndarray:
-    """(F,) bool: the side that has about a ``share`` of the images, cut where least is cut."""
+def _first_side(graph: csr_array, size: np.ndarray, blocks: tuple[int, int]) -> np.ndarray:
+    """(F,) bool: the side for the first of so many ``blocks``, (some, all), cut where least is cut."""
+    share, total = blocks[0] / blocks[1], float(size.sum())
     order = np.argsort(_second_vector(graph), kind="stable")
     place = np.empty(len(order), int)
     place[order] = np.arange(len(order))
@@ -124,8 +125,10 @@ def _first_side(graph: csr_array, size: np.ndarray, share: float) -> np.ndarray:
     low, high = np.minimum(*place[np.stack(coo.coords)]), np.maximum(*place[np.stack(coo.coords)])
     # What a cut after place k severs: the links from k or before to behind it.
     severed = np.cumsum(np.bincount(low, coo.data, len(order)) - np.bincount(high, coo.data, len(order)))[:-1]
-    done = np.cumsum(size[order])[:-1] / size.sum()
+    done = np.cumsum(size[order])[:-1] / total
     allowed = np.abs(done - share) <= MARGIN * min(share, 1 - share)
+    # Neither side may need one block more than it was meant to: a block too many costs more than a cut through ties.
+    allowed &= (done * total <= blocks[0] * CORE) & ((1 - done) * total <= (blocks[1] - blocks[0]) * CORE)
     allowed[np.argmin(np.abs(done - share))] = True
     volume = np.cumsum(np.bincount(place[coo.coords[0]], coo.data, len(order)))
     cost = severed / np.maximum(np.minimum(volume[:-1], volume[-1] - volume[:-1]), 1e-12)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tiegraph.geometry import transforms
-from tiegraph.network.model.assembled import survey_models
+from tiegraph.network.model.assembled import SurveyMapper
 from tiegraph.network.model.surveymodel import ModelFunction, SurveyModel
 from tiegraph.network.model.trust import Trust, trust
 from tiegraph.network.model.visible import Overlap
@@ -93,10 +93,11 @@ def _tries(pairs: Pairs, scene: Scene, book: PreviewBook, settings: NetworkSetti
     stretches of passes, as if it had put one of them a wall too far, is made again without the ties that drew it there.
     """
     tries: list[_Try] = []
+    mapper = SurveyMapper(scene, make)
     per_image, without = float(settings.model_pairs), np.zeros(0, np.int64)
     while len(tries) < TRIES:
         ties = _ties(strongest_pairs(pairs, scene, round(per_image)), book, without)
-        made = _try(ties, scene, book, settings, make)
+        made = _try(ties, scene, book, settings, mapper)
         tries.append(made)
         suspects = _key(*made.trust.suspects)
         if not made.models or (made.trust.sound and not len(suspects)):
@@ -116,8 +117,8 @@ def _ties(best: Pairs, book: PreviewBook, without: np.ndarray) -> Ties:
     return ties.where(np.isin(key, _key(best.i, best.j)) & ~np.isin(key, without) & (ties.counts() >= MIN_MATCHES))
 
 
-def _try(ties: Ties, scene: Scene, book: PreviewBook, settings: NetworkSettings, make: ModelFunction) -> _Try:
-    models, notes = survey_models(scene, ties, make) if len(ties) else ((), ())
+def _try(ties: Ties, scene: Scene, book: PreviewBook, settings: NetworkSettings, mapper: SurveyMapper) -> _Try:
+    models, notes = mapper(ties) if len(ties) else ((), ())
     part = np.full(len(scene), -1)
     if not models:
         return _Try((), part, Overlap.together(()), Trust.none(len(scene)), len(ties), notes)

@@ -61,4 +61,5 @@ class SurveyModel:
         return Sights(*visible_points(self.cam_from_world, self.cameras, self.proxy()))
 
 
-ModelFunction = Callable[[Scene, Ties], SurveyModel | None]
+# Scene and ties of the survey, or of a block of it; whether a rough model will do. None = none could be made.
+ModelFunction = Callable[[Scene, Ties, bool], SurveyModel | None]

@@ -27,6 +27,7 @@ from tiegraph.scene.pairs import REASONS, Pairs
 LADDER = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)  # frame distances at which the reach of a camera is measured
 MAX_STRIDE = 16
 WINDOW_NODES = 10  # seeds reach this far from the path, in lattice nodes
+LEAST_WINDOW = 3
 FLOOD_EXCESS = 1.1  # the lattice grows from nodes this much above min_matches: noise alone must not spread
 PREVIEWS_PER_IMAGE = 25  # the most that previews may take: linear in the number of images
 MIN_BUDGET = 6000  # previews that are always affordable (less than a minute on one core)
@@ -46,6 +47,7 @@ class _Survey:
     notes: tuple[str, ...] = ()
     complete: bool = True  # False: the budget of previews was spent before every hit was followed
     path: np.ndarray | None = None  # (A,) column node of each row, where evidence far from it does not count
+    window: int = WINDOW_NODES  # nodes from the path within which it does
 
 
 def estimate_offsets(passes: Sequence[Pass], book: PreviewBook, images: int, settings: NetworkSettings) -> OffsetResult:
@@ -59,11 +61,13 @@ def estimate_offsets(passes: Sequence[Pass], book: PreviewBook, images: int, set
         parts = []
         for k, (p, q) in enumerate(couples):
             share = max(0, budget - len(book)) // (len(couples) - k)
-            stride = min(strides[id(p)], strides[id(q)])
-            survey = _survey(p, q, stride, book, settings, len(book) + share)
+            stride = finest = min(strides[id(p)], strides[id(q)])
+            survey = _survey(p, q, (stride, WINDOW_NODES), book, settings, len(book) + share)
             while not survey.complete and 4 * stride < max(len(p), len(q)):
                 stride *= 2  # coarser: the nodes of the finer lattice are known and cost nothing
-                survey = _survey(p, q, stride, book, settings, len(book) + share)
+                # As many frames from the path as before: else pairs, and previews, would grow faster than the images.
+                window = max(LEAST_WINDOW, WINDOW_NODES * finest // stride)
+                survey = _survey(p, q, (stride, window), book, settings, len(book) + share)
             parts.append(_without_copies(_local(survey, settings), survey.lattice, book, settings))
     pairs = Pairs.empty()
     for part in parts:
@@ -92,8 +96,14 @@ def _stride(p: Pass, book: PreviewBook, settings: NetworkSettings) -> int:
     return int(np.clip(round(float(np.median(reach)) / 5 + 1), 1, min(MAX_STRIDE, max(1, len(p) // 4))))
 
 
-def _survey(p: Pass, q: Pass, stride: int, book: PreviewBook, settings: NetworkSettings, budget: int) -> _Survey:
-    """Seed the lattice, then grow it from every hit until nothing new ties or the budget of previews is spent."""
+def _survey(
+    p: Pass, q: Pass, grid: tuple[int, int], book: PreviewBook, settings: NetworkSettings, budget: int
+) -> _Survey:
+    """Seed the lattice, then grow it from every hit until nothing new ties or the budget of previews is spent.
+
+    ``grid``: stride in frames, and nodes from the path of long passes within which evidence counts.
+    """
+    stride, window = grid
     if p is q:
         lattice, backwards, path = _seed_same(p, stride, book, settings), False, None
         path = np.arange(len(lattice.rows), dtype=float)
@@ -102,23 +112,23 @@ def _survey(p: Pass, q: Pass, stride: int, book: PreviewBook, settings: NetworkS
     path = path if min(len(p), len(q)) >= LONG else None
     while True:
         smooth = lattice.smoothed(settings.min_matches)
-        frontier = lattice.frontier(smooth, FLOOD_EXCESS * settings.min_matches) & _beside(lattice, path)
+        frontier = lattice.frontier(smooth, FLOOD_EXCESS * settings.min_matches) & _beside(lattice, path, window)
         if p is q:
             frontier &= _upper(lattice)
         if not frontier.any():
-            return _Survey(lattice, smooth, backwards, path=path)
+            return _Survey(lattice, smooth, backwards, path=path, window=window)
         if len(book) + int(frontier.sum()) > budget:
             text = f"{p.name} - {q.name}: the budget of previews was spent before every hit was followed"
-            return _Survey(lattice, smooth, backwards, (text,), complete=False, path=path)
+            return _Survey(lattice, smooth, backwards, (text,), complete=False, path=path, window=window)
         lattice = lattice.measured(frontier, book)
 
 
-def _beside(lattice: Lattice, path: np.ndarray | None) -> np.ndarray:
+def _beside(lattice: Lattice, path: np.ndarray | None, window: int = WINDOW_NODES) -> np.ndarray:
     """(A, B) bool: nodes near the path, or all without one. What a long pass shares with itself or another elsewhere is
     a loop: repeated walls look the same, so it takes more than a lattice to believe it (``retrieval``)."""
     if path is None:
         return np.ones((len(lattice.rows), len(lattice.columns)), bool)
-    return np.abs(np.arange(len(lattice.columns)) - path[:, None]) <= WINDOW_NODES + 2
+    return np.abs(np.arange(len(lattice.columns)) - path[:, None]) <= window + 2
 
 
 def _upper(lattice: Lattice) -> np.ndarray:
@@ -199,11 +209,13 @@ def _local(survey: _Survey, settings: NetworkSettings) -> OffsetResult:
     there = (i >= 0) & (j >= 0) & (i != j)
     if survey.path is not None:
         beside = np.interp(m, lattice.rows, np.interp(survey.path, np.arange(len(lattice.columns)), lattice.columns))
-        there &= np.abs(n - beside) <= (WINDOW_NODES + 2) * float(np.median(np.diff(lattice.columns)))
+        there &= np.abs(n - beside) <= (survey.window + 2) * float(np.median(np.diff(lattice.columns)))
     kept = Pairs.make(i[there], j[there], "offsets", score=count[there])
     seen = np.isfinite(lattice.inliers)
     # A pair that is strong by itself is kept whatever its neighbours say.
-    strong = (np.nan_to_num(lattice.inliers) >= CEILING * settings.min_matches) & _beside(lattice, survey.path)
+    strong = (np.nan_to_num(lattice.inliers) >= CEILING * settings.min_matches) & _beside(
+        lattice, survey.path, survey.window
+    )
     voted = np.nan_to_num(smooth).max(axis=(2, 3), initial=0) >= settings.min_matches
     reason = np.where(voted | strong.any(axis=(2, 3)), REASONS.index("weak"), REASONS.index("votes"))
     code = np.where(strong, 0, np.broadcast_to(reason[:, :, None, None], seen.shape))
