@@ -112,13 +112,14 @@ def open_project(
 ) -> Project:
     """A project over a folder of images, or (``images=None``) the one that a run folder ``out`` remembers.
 
-    ``inputs``: rig (file or preset), gnss, trajectory, times. ``settings``: {section: {name: value}} on top of the
+    ``inputs``: rig (file or preset), gnss, gcp, trajectory, times. ``settings``: {section: {name: value}} on top of the
     preset and of ``out``/tiegraph.toml, or complete Settings. ``out`` defaults to ``<images>_tiegraph``.
     Raises InputError and SettingsError.
     """
-    unknown = set(inputs) - {"rig", *_PATHS}
+    unknown = set(inputs) - {"rig", "gcp", *_PATHS}
     if unknown:
-        raise SettingsError(f"unknown input {sorted(unknown)[0]!r}: known are rig, {', '.join(_PATHS)}")
+        raise SettingsError(f"unknown input {sorted(unknown)[0]!r}: known are rig, gcp, {', '.join(_PATHS)}")
+    gcp = inputs.pop("gcp", None)
     folder = _folder(images, out)
     stored = project_settings.read_file(folder / project_settings.FILE)
     run = {**stored.pop("run", {}), **{k: str(v) for k, v in inputs.items() if v is not None}}
@@ -134,6 +135,9 @@ def open_project(
     else:
         where = str(folder / project_settings.FILE) if stored else "settings"
         complete = project_settings.merged(project_settings.preset(name), stored, settings or {}, where=where)
+    if gcp is not None:  # a setting of georef, so that only what follows it runs again when the points change
+        georef = complete.georef.model_copy(update={"gcp": Path(gcp).resolve()})
+        complete = complete.model_copy(update={"georef": georef})
     paths = {n: Path(run[n]).resolve() if n in run else None for n in _PATHS}
     return Project(folder, Inputs(found, run.get("rig"), **paths), complete, name, pool)
 

@@ -44,6 +44,8 @@ class RunOptions(Common):
     """CSV of positions: time, lat, lon, height, sigma."""
     trajectory: Path | None = None
     """Poses in TUM format: a file, or a folder with one file a pass."""
+    gcp: Path | None = None
+    """Ground control and check points: ODM's gcp_list.txt, or a CSV of points and marks (sets georef.gcp)."""
     times: Path | None = None
     """CSV of the frames' times, where EXIF has none: pass, frame, time (or image, time)."""
     until: str | None = None
@@ -73,7 +75,7 @@ def main(arguments: list[str]) -> int:
         return images, options, settings
 
     images, options, settings = _cli(run, "tiegraph run", arguments)
-    inputs = {n: getattr(options, n) for n in ("rig", "gnss", "trajectory", "times")}
+    inputs = {n: getattr(options, n) for n in ("rig", "gnss", "gcp", "trajectory", "times")}
     project = open_project(images, options.out, preset=options.preset, pool=options.pool, settings=settings, **inputs)
     return finish(project, options.until, options.reporter())
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 import pyproj
+from pyproj.transformer import TransformerGroup
 
 from tiegraph.errors import InputError
 
@@ -75,9 +77,47 @@ def parse_crs(crs: str) -> pyproj.CRS:
 
 
 @lru_cache(maxsize=16)
+def crs_transformer(crs: str) -> pyproj.Transformer:
+    """From WGS84 lon, lat, ellipsoidal height to a CRS as east, north, height (whatever its own axis order)."""
+    target = pyproj.CRS.from_user_input(crs)
+    check_vertical(crs)
+    return pyproj.Transformer.from_crs("EPSG:4979", _three_dimensional(target), always_xy=True)
+
+
+@lru_cache(maxsize=16)
+def check_vertical(crs: str) -> None:
+    """Raise InputError for a compound CRS whose geoid grid is not installed: PROJ would leave heights as they are."""
+    parsed = pyproj.CRS.from_user_input(crs)
+    if not parsed.is_compound:
+        return
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # says the same as best_available
+        group = TransformerGroup("EPSG:4979", parsed)
+    if group.transformers and "ballpark vertical" not in group.transformers[0].description:
+        return
+    grids = sorted({g.short_name for o in group.unavailable_operations for g in o.grids if not g.available})
+    raise InputError(
+        f"CRS {crs!r} ({parsed.name}) has heights above a geoid, but PROJ has no grid for it"
+        + (f" ({', '.join(grids)}: install it with projsync or set PROJ_NETWORK=ON)" if grids else "")
+        + "; or choose the horizontal CRS alone: heights then stay above the ellipsoid"
+    )
+
+
+def vertical_note(crs: str) -> str:
+    """What the heights of a CRS count from, in words."""
+    if crs.upper() == ENU:
+        return "heights from the tangent plane at the origin (ellipsoidal near it)"
+    parsed = pyproj.CRS.from_user_input(crs)
+    if parsed.is_compound:
+        return f"heights are {parsed.sub_crs_list[-1].name}"
+    return "heights are above the ellipsoid, as GNSS gives them; no geoid is applied"
+
+
+@lru_cache(maxsize=16)
 def _to_crs(crs: str) -> pyproj.Transformer:
     # always_xy stays off for the geographic side (lat, lon) and is undone for the projected side by its axis order.
     target = parse_crs(crs)
+    check_vertical(crs)
     forward = pyproj.Transformer.from_crs("EPSG:4979", _three_dimensional(target), always_xy=False)
     if target.axis_info[0].direction.lower() == "north":
         return _Swapped(forward)  # type: ignore[return-value]

@@ -4,11 +4,12 @@ The glue functions read artefacts, call engines and write artefacts; nothing els
 """
 
 from tiegraph.pipeline.capture import masks, preview, scan
-from tiegraph.pipeline.model import features, forget_matches, georef, match, sparse
+from tiegraph.pipeline.model import features, forget_matches, match, sparse
 from tiegraph.pipeline.result import evaluate, report
 from tiegraph.pipeline.surface import cloud, dense
 from tiegraph.pipeline.ties import design, network
 from tiegraph.pipeline.verification import verify
+from tiegraph.pipeline.world import georef
 from tiegraph.project.stages import Stage
 
 __all__ = ["STAGES"]
@@ -23,7 +24,7 @@ STAGES = (
     Stage("match", match, ("network", "design", "features"), ("match.npz",), "block of pairs", clear=forget_matches),
     Stage("verify", verify, ("network", "match"), ("verify.npz",), "pair"),
     Stage("sparse", sparse, ("network", "match", "verify"), ("sparse",), version=4),
-    Stage("georef", georef, ("network", "sparse"), ("sparse/world", "world.json")),
+    Stage("georef", georef, ("network", "sparse"), ("sparse/world", "world.json"), version=2),
     Stage("dense", dense, ("masks", "georef"), ("depth",), "image"),
     Stage("cloud", cloud, ("dense",), ("cloud.laz", "cloud.ply")),
     Stage("evaluate", evaluate, ("masks", "verify", "georef", "dense", "cloud"), ("metrics.json",)),

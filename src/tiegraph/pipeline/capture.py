@@ -11,6 +11,7 @@ from tiegraph.features.settings import PreviewSettings
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import SOURCES, explain_source
 from tiegraph.pipeline.files import mask_path, read_image, read_mask, save_npz, save_png, scanned
+from tiegraph.pipeline.world import control_points
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scene.rig import Sensor
@@ -26,6 +27,7 @@ def scan(run: Run) -> Outcome:
     probes = run.map(probe_image, [given.images / n for n in names])
     inputs = ScanInputs(given.images, given.rig, given.gnss, given.trajectory, given.times)
     scene = build_scene(inputs, names, probes, run.settings.scan)
+    control_points(run, scene)  # a wrong file is better said now than after hours
     todo = [(scene.source_name(k), name, scene.sensor_of(k)) for k, name in enumerate(scene.names)]
     run.map(_prepare_item, todo, given.images, run.path("images"), run.settings.scan)
     write_atomic(run.path("scene.json"), scene.to_json())

@@ -5,17 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pycolmap
 
 from tiegraph.features import database
 from tiegraph.features.extract import extract_image
 from tiegraph.features.match import match_pairs
 from tiegraph.features.settings import FeaturesSettings
 from tiegraph.pipeline.files import checked, mask_path, pairs_of, save_npz, scanned
-from tiegraph.project.run import Run, save_json
-from tiegraph.project.stages import Outcome, remove
+from tiegraph.project.run import Run
+from tiegraph.project.stages import Outcome
 from tiegraph.scene.pairs import REASONS
-from tiegraph.sfm.georef import Georeference, georeference_all
 from tiegraph.sfm.mapper import Source, reconstruct
 
 _SLAB_IMAGES = 16  # images a worker extracts before their features are written: bounds memory and what a kill loses
@@ -94,34 +92,3 @@ def sparse(run: Run) -> Outcome:
     if made.sigma is not None:
         counts |= {"position_sigma_median": made.sigma.median, "position_sigma_p90": made.sigma.p90}
     return Outcome(counts, dropped=made.dropped, notes=made.notes, tables=made.tables)
-
-
-def georef(run: Run) -> Outcome:
-    """The largest model into the world; what the others would say is noted."""
-    scene = checked(run).measured()
-    folders = sorted((p for p in run.path("sparse").iterdir() if p.name.isdigit()), key=lambda p: int(p.name))
-    models = [pycolmap.Reconstruction(str(p)) for p in folders]
-    placed = georeference_all(models, scene, run.settings.georef)
-    main = placed[0]
-    notes = [*main.notes, *(_other_note(k, m, g) for k, (m, g) in enumerate(zip(models, placed)) if k)]
-    world = main.to_dict()
-    sigma = run.receipts.read("sparse").get("counts", {})
-    if "position_sigma_median" in sigma:
-        # Of the bundle adjustment, in the model's units: the shape of the survey, not its place on the Earth.
-        scaled = {n: main.world_from_model.scale * sigma[f"position_sigma_{n}"] for n in ("median", "p90")}
-        world["model_sigma"] = scaled
-    scratch = run.path("sparse", ".world")
-    remove(scratch)
-    scratch.mkdir()
-    main.apply(models[0]).write(str(scratch))
-    remove(run.path("sparse", "world"))
-    scratch.rename(run.path("sparse", "world"))
-    save_json(run.path("world.json"), {**world, "notes": notes})
-    return Outcome(main.counts(), notes=tuple(notes))
-
-
-def _other_note(number: int, model: pycolmap.Reconstruction, placed: Georeference) -> str:
-    where = (
-        "can be placed in the same world by its positions" if placed.placed else "has too few positions to be placed"
-    )
-    return f"model {number} ({model.num_reg_images()} images, in sparse/{number}) {where}; it is not in the cloud"

@@ -22,7 +22,7 @@ from tiegraph.network.pictures import map_png, weak_pairs
 from tiegraph.network.sections.light import UpLight
 from tiegraph.pipeline.capture import preview_path
 from tiegraph.pipeline.files import checked, pairs_of, read_mask, save_npz, scanned, ties_of
-from tiegraph.project.run import Run
+from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome, remove, write_atomic
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Sights, Ties
@@ -56,6 +56,8 @@ def network(run: Run) -> Outcome:
         save_npz(run.path("network", "sights.npz"), start=sights.start, point=sights.point)
     write_atomic(run.path("network.csv"), found.pairs.to_csv(scene.names))
     write_atomic(run.path("network", "scene.json"), found.scene.to_json())
+    cut = [{"number": k, "name": s.name, "kind": s.kind} for k, s in enumerate(found.sections)]
+    save_json(run.path("network", "sections.json"), cut)
     for name, picture in found.pictures():
         write_atomic(run.path("network", f"{name}.png"), picture)
     funnel = found.pairs.funnel()

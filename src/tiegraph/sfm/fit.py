@@ -8,13 +8,14 @@ import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial.transform import Rotation
 
-from tiegraph.geometry.align import Similarity, robust_umeyama
+from tiegraph.geometry.align import Similarity, robust_umeyama, umeyama
 from tiegraph.sfm.gravity import Up
 
 INLIER_SIGMAS = 3.0
 # Orientations of a trajectory are not independent from frame to frame: together they weigh as much as four of 3 deg.
 _ORIENTATION_SIGMA_DEG, _ORIENTATION_FREEDOM = 3.0, 4
-_ANTENNA_SIGMA_M = 2.0  # weak prior of an estimated lever arm: no boat or car carries it farther
+ANTENNA_SIGMA_M = 1.0  # weak prior of a lever arm that no file gives: boats and cars carry it not much farther
+OFFSET_SIGMA_S = 1.0  # weak prior of the receiver's clock against the cameras'
 _ROUNDS = 6
 _BLOCKS = 6
 _CONVERGED = 1e-5  # radians, metres, log scale
@@ -23,10 +24,12 @@ _MAX_LOG_SCALE = 5.0  # from the start: keeps a step of the solver finite
 
 @dataclass(frozen=True)
 class Evidence:
-    """What is known of K frames: model poses (K, 4, 4), positions (K, 3) and sigmas (K, 3) in the world, and the rest.
+    """K places known in the model and in the world: model poses (K, 4, 4), positions (K, 3) and sigmas (K, 3).
 
-    ``orientation`` (K, 3, 3) world_from_rig, NaN = unknown; ``antenna`` (3,) in the rig frame; ``log_scale`` None =
-    the rig says nothing of the scale.
+    A pose may be a weighted sum of frames' poses, and that of a control point has no rotation (zeros): its lever arm is
+    nothing. ``frame`` (K,) -1 = control point; ``speed`` (K, 4, 4) derivative of the pose by time; ``orientation``
+    (K, 3, 3) world_from_rig, NaN = unknown; ``antenna`` (3,) in the rig frame; ``log_scale`` None = the rig says
+    nothing of the scale.
     """
 
     frame: np.ndarray
@@ -38,16 +41,19 @@ class Evidence:
     estimate_antenna: bool
     log_scale: float | None
     log_scale_sigma: float
+    speed: np.ndarray | None = None
+    estimate_offset: bool = False
 
     def where(self, mask: np.ndarray) -> Evidence:
-        """The frames of a mask (K,)."""
-        columns = ("frame", "pose", "position", "sigma", "orientation")
+        """The rows of a mask (K,)."""
+        columns = ("frame", "pose", "position", "sigma", "orientation", *(("speed",) if self.speed is not None else ()))
         return replace(self, **{n: getattr(self, n)[mask] for n in columns})
 
-    def position_residuals(self, similarity: Similarity, antenna: np.ndarray) -> np.ndarray:
+    def position_residuals(self, similarity: Similarity, antenna: np.ndarray, offset_s: float = 0.0) -> np.ndarray:
         """(K, 3) metres: antenna by the model minus the prior position, X + R l - p (ALGORITHMS section 4)."""
-        lever = self.pose[:, :3, :3] @ antenna @ similarity.rotation.T
-        return similarity(self.pose[:, :3, 3]) + lever - self.position
+        pose = self.pose if self.speed is None or not offset_s else self.pose + offset_s * self.speed
+        lever = pose[:, :3, :3] @ antenna @ similarity.rotation.T
+        return similarity(pose[:, :3, 3]) + lever - self.position
 
 
 @dataclass(frozen=True)
@@ -56,8 +62,12 @@ class Fit:
 
     similarity: Similarity
     antenna: np.ndarray
+    offset_s: float
     inlier: np.ndarray
     sigma: dict[str, float]
+    antenna_covariance: np.ndarray  # (3, 3) in the rig frame, square metres; NaN = not estimated
+    offset_sigma_s: float
+    cost: float  # robust, in squared sigmas
     roll_sigma_deg: float  # about the direction in which the positions spread most
     tilt_sigma_deg: float
     sigma_positions_scale: float  # of the logarithm of the scale, from the positions alone
@@ -74,9 +84,12 @@ def fit_similarity(evidence: Evidence, up: Up | None, near: Similarity | None = 
         return _refine(evidence, up, near)[1]
     spread = evidence.pose[:, :3, 3]
     reach = np.linalg.norm(evidence.antenna)
-    loose = np.linalg.norm(evidence.sigma, axis=1) + reach + (_ANTENNA_SIGMA_M if evidence.estimate_antenna else 0)
+    loose = np.linalg.norm(evidence.sigma, axis=1) + reach + (ANTENNA_SIGMA_M if evidence.estimate_antenna else 0)
     start = robust_umeyama(spread, evidence.position, loose)[0]
     starts = [start]
+    points = evidence.frame < 0
+    if points.sum() >= 3:  # few and good beside many and poor: alone they are the better start
+        starts.append(umeyama(spread[points], evidence.position[points], 1 / evidence.sigma[points, 0] ** 2))
     if up is not None:
         starts += [_turned(start, evidence, up, angle) for angle in (0.0, np.pi)]
     if np.isfinite(evidence.orientation).all(axis=(1, 2)).any():
@@ -124,7 +137,8 @@ def _track(evidence: Evidence, similarity: Similarity) -> tuple[np.ndarray, np.n
 def jackknife_sigma(evidence: Evidence, up: Up | None, fit: Fit, order: np.ndarray) -> dict[str, float]:
     """The larger of the formal sigmas and a block jackknife's: positions err together, not one by one.
 
-    ``order`` (K,) sorts the frames along the passes; each of up to six runs of neighbours is left out in turn.
+    ``order`` sorts the positions along the passes; each of up to six runs of neighbours is left out in turn. Rows that
+    are not in it (control points) stay.
     """
     blocks = np.array_split(order, min(_BLOCKS, len(order) // 3))
     if len(blocks) < 3:
@@ -133,7 +147,7 @@ def jackknife_sigma(evidence: Evidence, up: Up | None, fit: Fit, order: np.ndarr
     full = fit.similarity
     rows = []
     for block in blocks:
-        keep = np.ones(len(order), bool)
+        keep = np.ones(len(evidence.frame), bool)
         keep[block] = False
         other = fit_similarity(evidence.where(keep), up, near=full).similarity
         turn = Rotation.from_matrix(other.rotation @ full.rotation.T).as_rotvec()
@@ -151,7 +165,7 @@ def jackknife_sigma(evidence: Evidence, up: Up | None, fit: Fit, order: np.ndarr
 
 
 class _Problem:
-    """Unknowns: turn (3,) in the world about the middle, its shift (3,), log scale, lever arm (3,) if asked."""
+    """Unknowns: turn (3,) in the world about the middle, shift (3,), log scale, and if asked lever arm (3,), clock."""
 
     def __init__(self, evidence: Evidence, up: Up | None, start: Similarity) -> None:
         self.evidence, self.up, self.start = evidence, up, start
@@ -169,9 +183,18 @@ class _Problem:
         antenna = self.evidence.antenna + (x[7:10] if self.evidence.estimate_antenna else 0.0)
         return Similarity(float(scale), rotation, middle_world - scale * rotation @ self.middle), antenna
 
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return 7 + 3 * self.evidence.estimate_antenna + self.evidence.estimate_offset
+
+    def offset(self, x: np.ndarray) -> float:
+        """Seconds by which the receiver's clock is behind the cameras'."""
+        return float(x[-1]) if self.evidence.estimate_offset else 0.0
+
     def positions(self, x: np.ndarray) -> np.ndarray:
         similarity, antenna = self.unpack(x)
-        return self.evidence.position_residuals(similarity, antenna) / self.evidence.sigma
+        return self.evidence.position_residuals(similarity, antenna, self.offset(x)) / self.evidence.sigma
 
     def others(self, x: np.ndarray, with_scale: bool = True) -> np.ndarray:
         similarity, _ = self.unpack(x)
@@ -190,13 +213,15 @@ class _Problem:
             off = np.log(similarity.scale) - self.evidence.log_scale
             parts.append(np.array([off / self.evidence.log_scale_sigma]))
         if self.evidence.estimate_antenna:
-            parts.append(x[7:10] / _ANTENNA_SIGMA_M)
+            parts.append(x[7:10] / ANTENNA_SIGMA_M)
+        if self.evidence.estimate_offset:
+            parts.append(x[-1:] / OFFSET_SIGMA_S)
         return np.concatenate(parts)
 
 
 def _refine(evidence: Evidence, up: Up | None, start: Similarity) -> tuple[float, Fit]:
     problem = _Problem(evidence, up, start)
-    x = np.zeros(10 if evidence.estimate_antenna else 7)
+    x = np.zeros(problem.size)
     for scale in (4.0, 1.0):  # Cauchy over the whole vector: an outlier in height is one in plan too
         for _ in range(_ROUNDS):
             weight = 1 / np.sqrt(1 + (np.linalg.norm(problem.positions(x), axis=1) / (scale * INLIER_SIGMAS)) ** 2)
@@ -217,7 +242,7 @@ def _refine(evidence: Evidence, up: Up | None, start: Similarity) -> tuple[float
     cost = float(
         np.sum(np.log1p((distance / INLIER_SIGMAS) ** 2)) * INLIER_SIGMAS**2 + 0.5 * np.sum(problem.others(x) ** 2)
     )
-    return cost, _report(problem, solution, inlier)
+    return cost, _report(problem, solution, inlier, cost)
 
 
 def _solve(problem: _Problem, x: np.ndarray, weight: np.ndarray, with_scale: bool = True) -> OptimizeResult:
@@ -227,7 +252,7 @@ def _solve(problem: _Problem, x: np.ndarray, weight: np.ndarray, with_scale: boo
     return least_squares(residuals, x, x_scale="jac", method="trf")
 
 
-def _report(problem: _Problem, solution: OptimizeResult, inlier: np.ndarray) -> Fit:
+def _report(problem: _Problem, solution: OptimizeResult, inlier: np.ndarray, cost: float) -> Fit:
     similarity, antenna = problem.unpack(solution.x)
     freedom = max(1, 3 * int(inlier.sum()) - len(solution.x))
     chi2 = float(np.sum(problem.positions(solution.x)[inlier] ** 2)) / freedom
@@ -247,4 +272,18 @@ def _report(problem: _Problem, solution: OptimizeResult, inlier: np.ndarray) -> 
         "scale": float(sd[6]),
     }
     sigma = {n: round(v, 6) for n, v in sigma.items()}
-    return Fit(similarity, antenna, inlier, sigma, roll, sigma["tilt_deg"], float(np.sqrt(scale_alone)), chi2)
+    arm, clock = problem.evidence.estimate_antenna, problem.evidence.estimate_offset
+    return Fit(
+        similarity=similarity,
+        antenna=antenna,
+        offset_s=problem.offset(solution.x),
+        inlier=inlier,
+        sigma=sigma,
+        antenna_covariance=covariance[7:10, 7:10] if arm else np.full((3, 3), np.nan),
+        offset_sigma_s=float(sd[-1]) if clock else float("nan"),
+        cost=cost,
+        roll_sigma_deg=roll,
+        tilt_sigma_deg=sigma["tilt_deg"],
+        sigma_positions_scale=float(np.sqrt(scale_alone)),
+        chi2_per_dof=chi2,
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pycolmap
@@ -11,17 +11,17 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
-from tiegraph.geometry.geodesy import Origin
+from tiegraph.geometry.geodesy import Origin, vertical_note
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.fit import Evidence, Fit, fit_similarity, jackknife_sigma
+from tiegraph.sfm.fit import Fit, jackknife_sigma
+from tiegraph.sfm.fixes import Fixes, Given
 from tiegraph.sfm.gravity import Up, up_vector
-from tiegraph.sfm.model import frame_poses, held_out_frames, image_poses
+from tiegraph.sfm.marks import point_table, targets
+from tiegraph.sfm.model import image_poses
+from tiegraph.sfm.placing import MIN_POSITIONS, ROLL_LIMIT_DEG, Model, Placing, place
 from tiegraph.sfm.scale import RigScale, rig_scale
 from tiegraph.sfm.settings import GeorefSettings
 
-MIN_POSITIONS = 3
-_UNKNOWN_SIGMA_M = 10.0  # of a position whose source gives none (hand-held GPS)
-ROLL_LIMIT_DEG = 10.0  # sigma of the roll about the track above which lone cameras' upright direction is used
 _AXES = ("east", "north", "up")
 
 
@@ -38,6 +38,11 @@ class Georeference:
     sigma: dict[str, float]  # position_m, height_m, yaw_deg, tilt_deg, scale of the placement; {} = not placed
     antenna_m: tuple[float, float, float] | None  # lever arm used, rig frame
     notes: tuple[str, ...]
+    control: tuple[dict, ...] = ()  # per control and check point: off_m east, north, up (model minus survey), rms_px
+    accuracy: dict[str, dict[str, float]] = field(default_factory=dict)  # gcp, check: RMSE, CE90, LE90
+    offset_s: float = 0.0  # the receiver's clock behind the cameras'
+    adjusted: bool = False  # by a bundle adjustment with the positions, not by the similarity alone
+    placing: Placing | None = None
 
     @property
     def placed(self) -> bool:
@@ -60,6 +65,8 @@ class Georeference:
         out.update({f"rms_{a}_m": v for a, v in self.rms_m().items()})
         out.update({f"held_out_rms_{a}_m": v for a, v in self.held_out_rms_m().items()})
         out.update({f"sigma_{n}": v for n, v in self.sigma.items()})
+        for role, values in self.accuracy.items():
+            out.update({f"{role}_{n}": v for n, v in values.items() if n in ("points", "rmse_m", "ce90_m", "le90_m")})
         return {n: round(v, 6) for n, v in out.items()}
 
     def to_dict(self) -> dict:
@@ -89,6 +96,11 @@ class Georeference:
             "held_out_rms_m": self.held_out_rms_m(),
             "sigma": self.sigma,
             "antenna_m": None if self.antenna_m is None else list(self.antenna_m),
+            "clock_offset_s": round(self.offset_s, 4),
+            "adjusted": self.adjusted,
+            "vertical": None if self.origin is None else vertical_note(self.origin.crs),
+            "control": list(self.control),
+            "accuracy": self.accuracy,
             "frames": rows,
             "notes": list(self.notes),
         }
@@ -102,160 +114,143 @@ class Georeference:
         return moved
 
 
-def georeference(model: pycolmap.Reconstruction, scene: Scene, settings: GeorefSettings) -> Georeference:
-    """Place a model by the scene's prior positions; without three of them, level it by its cameras.
+def georeference(
+    model: pycolmap.Reconstruction, scene: Scene, settings: GeorefSettings, given: Given | None = None
+) -> Georeference:
+    """Place a model by positions and control points; without three of them, level it by its cameras.
 
-    Robust least squares over rotation, translation, scale (and lever arm) from: positions weighted by their sigmas with
-    the antenna's lever arm turned by the model's own orientations; prior orientations of a trajectory; the rig's
-    baselines where they are known and long enough; the cameras' upward direction where the positions leave the roll
-    about a straight track open.
+    Robust least squares over rotation, translation, scale, lever arm and clock from: positions weighted by their sigmas
+    (stretched to what their residuals say) with the antenna's lever arm turned by the model's own orientations; control
+    points where their marks' rays meet; prior orientations; the rig's baselines where they are known and long enough;
+    the cameras' upward direction where the positions leave the roll about a straight track open.
     """
+    given = given or Given()
     images = image_poses(model, scene)
-    scale = rig_scale(model, images, scene)
-    up = up_vector(images, scene)
-    guess = _first_guess(images, scene, scale)
-    has = np.isfinite(guess).all(axis=(1, 2)) & np.isfinite(scene.world_from_rig[:, :3, 3]).all(axis=1)
-    if has.sum() < MIN_POSITIONS:
-        return _levelled(scene, settings, up, scale, int(has.sum()))
-    return _placed(images, scene, settings, up, scale)
+    found = targets(model, scene, given.control) if given.control is not None else []
+    view = Model(images, up_vector(images, scene), rig_scale(model, images, scene), found, scene.names)
+    placing = place(view, scene, settings, given)
+    if placing is None:
+        frames = np.isfinite(view.frames(scene)).all(axis=(1, 2))
+        here = int((frames & np.isfinite(scene.world_from_rig[:, :3, 3]).all(axis=1)).sum())
+        return _levelled(scene, view.up, view.scale, here)
+    return _placed(placing, view, scene, given)
 
 
 def georeference_all(
-    models: Sequence[pycolmap.Reconstruction], scene: Scene, settings: GeorefSettings
+    models: Sequence[pycolmap.Reconstruction], scene: Scene, settings: GeorefSettings, given: Given | None = None
 ) -> list[Georeference]:
     """Each model by itself; those that are ``placed`` share one world even where no image joins them."""
-    return [georeference(model, scene, settings) for model in models]
+    return [georeference(model, scene, settings, given) for model in models]
 
 
-def _first_guess(images: np.ndarray, scene: Scene, scale: RigScale | None) -> np.ndarray:
-    return frame_poses(images, scene, 1.0 if scale is None else scale.metres_per_unit)
-
-
-def _placed(
-    images: np.ndarray, scene: Scene, settings: GeorefSettings, up: Up | None, scale: RigScale | None
-) -> Georeference:
-    notes: list[str] = []
-    arm, estimate = _lever_arm(scene, settings, notes)
-    frames = _first_guess(images, scene, scale)
-    for _ in range(2):  # the second time with the true scale for frames known through another camera than the first
-        evidence = _evidence(frames, scene, settings, arm, estimate, scale)
-        fit = fit_similarity(evidence, up_to_use(evidence, up, notes=[]))
-        frames = frame_poses(images, scene, fit.similarity.scale)
-    used_up = up_to_use(evidence, up, notes)
-    held = held_out_frames(scene)[evidence.frame]
-    held_out = np.full((scene.frames, 3), np.nan)
-    if held.any() and (~held).sum() >= MIN_POSITIONS:
-        blind = fit_similarity(evidence.where(~held), used_up)
-        held_out[evidence.frame[held]] = evidence.where(held).position_residuals(blind.similarity, blind.antenna)
-    residual = np.full((scene.frames, 3), np.nan)
-    residual[evidence.frame] = evidence.position_residuals(fit.similarity, fit.antenna)
+def _placed(placing: Placing, view: Model, scene: Scene, given: Given) -> Georeference:
+    fit, evidence, fixes = placing.fit, placing.evidence, placing.fixes
+    count = len(fixes)
+    here = evidence.position_residuals(fit.similarity, fit.antenna, fit.offset_s)
+    at = _row_of_frames(fixes, scene.frames)
+    has = np.flatnonzero(at >= 0)
+    residual, held_out = np.full((scene.frames, 3), np.nan), np.full((scene.frames, 3), np.nan)
+    residual[has] = here[at[has]]
     inlier = np.zeros(scene.frames, bool)
-    inlier[evidence.frame[fit.inlier]] = True
-    source = scene.prior if scene.prior != "none" else "positions"
-    if scale is not None and scale.trusted and scale.sigma < 0.5 * fit.sigma_positions_scale:
-        source = "rig baseline"
-    order = np.lexsort((scene.step[evidence.frame], scene.track[evidence.frame]))
-    notes += _remarks(fit, scene, scale, len(evidence.frame))
+    inlier[has] = fit.inlier[at[has]]
+    if placing.blind is not None:
+        blind = placing.blind
+        off = evidence.position_residuals(blind.similarity, blind.antenna, blind.offset_s)
+        held = has[fixes.held[at[has]]]
+        held_out[held] = off[at[held]]
+    order = np.lexsort((scene.step[fixes.home], scene.track[fixes.home]))  # control points stay in every part
+    points, sums, lines = _points(view, given, fit)
     return Georeference(
         world_from_model=fit.similarity,
-        scale_source=source,
-        origin=scene.origin,
+        scale_source=_scale_source(fit, scene, view, count),
+        origin=scene.origin or (given.control.origin if given.control is not None else None),
         residual_m=residual,
         inlier=inlier,
         held_out_m=held_out,
-        sigma=jackknife_sigma(evidence, used_up, fit, order),
-        antenna_m=tuple(float(v) for v in fit.antenna) if arm is not None or estimate else None,  # type: ignore[arg-type]
-        notes=tuple(notes),
+        sigma=jackknife_sigma(evidence, placing.up, fit, order),
+        antenna_m=tuple(float(v) for v in fit.antenna) if fit.antenna.any() else None,  # type: ignore[arg-type]
+        notes=(*placing.notes, *_remarks(placing, scene, view.scale), *lines),
+        control=tuple(points),
+        accuracy=sums,
+        offset_s=fit.offset_s,
+        placing=placing,
     )
 
 
-def _lever_arm(scene: Scene, settings: GeorefSettings, notes: list[str]) -> tuple[np.ndarray | None, bool]:
-    """The given lever arm or None, and whether to estimate it."""
-    if scene.prior == "trajectory" or settings.antenna == "ignored":
-        return None, False
-    given = next((r.antenna_m for r in scene.rigs if r.antenna_m is not None), None)
-    if settings.antenna == "estimated":
-        notes.append("the antenna's lever arm was estimated; its height cannot be told from the height of the world")
-        return None if given is None else np.array(given), True
-    if settings.antenna == "given" and given is None:
-        notes.append("georef.antenna = 'given', but the rig file gives no antenna: the cameras are taken to be there")
-    return None if given is None else np.array(given), False
+def _row_of_frames(fixes: Fixes, frames: int) -> np.ndarray:
+    """(F,) the fix nearest to each frame; -1 = none."""
+    out, best = np.full(frames, -1), np.zeros(frames)
+    weight = np.abs(fixes.weights).max(axis=1)
+    for k, home in enumerate(fixes.home):
+        if weight[k] > best[home]:
+            out[home], best[home] = k, weight[k]
+    return out
 
 
-def _evidence(
-    frames: np.ndarray,
-    scene: Scene,
-    settings: GeorefSettings,
-    arm: np.ndarray | None,
-    estimate: bool,
-    scale: RigScale | None,
-) -> Evidence:
-    prior = scene.world_from_rig
-    use = np.flatnonzero(np.isfinite(frames).all(axis=(1, 2)) & np.isfinite(prior[:, :3, 3]).all(axis=1))
-    sigma = np.where(np.isfinite(scene.position_sigma_m[use]), scene.position_sigma_m[use], _UNKNOWN_SIGMA_M)
-    return Evidence(
-        frame=use,
-        pose=frames[use],
-        position=prior[use, :3, 3],
-        sigma=np.maximum(sigma, settings.sigma_floor_m),
-        orientation=prior[use, :3, :3],
-        antenna=np.zeros(3) if arm is None else arm,
-        estimate_antenna=estimate,
-        log_scale=np.log(scale.metres_per_unit) if scale is not None and scale.trusted else None,
-        log_scale_sigma=scale.sigma if scale is not None else np.nan,
-    )
+def _points(view: Model, given: Given, fit: Fit) -> tuple[list[dict], dict, list[str]]:
+    """Table of control and check points, their accuracy, and what could not be used, with file and line."""
+    control = given.control
+    if control is None:
+        return [], {}, []
+    place = np.array([t.place for t in view.targets]).reshape(-1, 3)
+    off = fit.similarity(place) - control.world_m
+    rows, sums = point_table(control, view.targets, off, view.names)
+    lines = list(control.notes)
+    for k, target in enumerate(view.targets):
+        if target.why_not:
+            where = control.line[control.point == k]
+            line = f" (marks in line {', '.join(map(str, where[:4]))})" if len(where) else ""
+            lines.append(f"point {control.names[k]!r} is not used: {target.why_not}{line}")
+    return rows, sums, lines
 
 
-def up_to_use(evidence: Evidence, up: Up | None, notes: list[str]) -> Up | None:
-    """The cameras' upward direction if the positions need it: a straight track leaves the roll about it open."""
-    if up is None or np.isfinite(evidence.orientation).all(axis=(1, 2)).any():
-        return None
-    alone = fit_similarity(evidence, None)
-    if up.ring and alone.tilt_sigma_deg > up.sigma_deg / 2:
+def _scale_source(fit: Fit, scene: Scene, view: Model, fixes: int) -> str:
+    if view.scale is not None and view.scale.trusted and view.scale.sigma < 0.5 * fit.sigma_positions_scale:
+        return "rig baseline"
+    if not fixes:
+        return "control points"
+    return scene.prior if scene.prior != "none" else "positions"
+
+
+def _remarks(placing: Placing, scene: Scene, scale: RigScale | None) -> list[str]:
+    notes, fit = [], placing.fit
+    rows = len(fit.inlier)
+    if fit.inlier.sum() < 0.7 * rows:
         notes.append(
-            f"the positions leave the tilt open (known to {min(alone.tilt_sigma_deg, 90):.1f} deg): the upward "
-            f"direction of {up.cameras} holds it, to about {up.sigma_deg:.0f} deg"
-        )
-    elif not up.ring and alone.roll_sigma_deg > ROLL_LIMIT_DEG:
-        notes.append(
-            f"the positions lie nearly on a straight line (roll about it known to {min(alone.roll_sigma_deg, 90):.0f} "
-            f"deg): the upward direction of {up.cameras} holds it, to about {up.sigma_deg:.0f} deg"
-        )
-    else:
-        return None
-    return up
-
-
-def _remarks(fit: Fit, scene: Scene, scale: RigScale | None, positions: int) -> list[str]:
-    notes = []
-    if fit.inlier.sum() < 0.7 * positions:
-        notes.append(
-            f"only {int(fit.inlier.sum())} of {positions} positions agree with the model within three sigmas: the "
+            f"only {int(fit.inlier.sum())} of {rows} positions agree with the model within three sigmas: the "
             f"model is bent, or the sigmas are too small"
         )
-    if fit.chi2_per_dof > 4:
-        notes.append(
-            f"residuals are {np.sqrt(fit.chi2_per_dof):.1f} times what the positions' sigmas allow; the sigmas given "
-            f"here were widened by it"
-        )
+    for level in placing.levels:
+        if level.factor > 1.5 and level.count >= 6:
+            notes.append(
+                f"positions of stated sigma {level.sigma_m:.2f} m scatter {level.factor:.1f} times as much "
+                f"(correlation of neighbours {level.correlation:.1f}): believed accordingly"
+            )
     if fit.roll_sigma_deg > ROLL_LIMIT_DEG:
         notes.append(f"the roll about the track is known to {min(fit.roll_sigma_deg, 90):.0f} deg only")
     if scale is not None and scale.trusted:
         ratio = scale.metres_per_unit / fit.similarity.scale
         if abs(np.log(ratio)) > 3 * np.hypot(scale.sigma, fit.sigma["scale"]):
             notes.append(f"the rig's baselines want a scale {ratio:.3f} times that of the positions")
-    if scene.origin is None:
+    if scene.origin is None and not len(placing.points):
         notes.append("the positions are not on the Earth: the world is the trajectory's own frame")
+    notes += _passes_without(placing, scene)
     return notes
 
 
-def _levelled(
-    scene: Scene, settings: GeorefSettings, up: Up | None, scale: RigScale | None, found: int
-) -> Georeference:
+def _passes_without(placing: Placing, scene: Scene) -> list[str]:
+    """Passes none of whose frames has a position: they hang on the others through the images alone."""
+    if not len(placing.fixes) or len(scene.tracks) < 2:
+        return []
+    lost = [name for k, name in enumerate(scene.tracks) if not np.any(scene.track[placing.fixes.home] == k)]
+    return [f"pass {name!r} has no position: its place rests on its ties to the others" for name in lost]
+
+
+def _levelled(scene: Scene, up: Up | None, scale: RigScale | None, found: int) -> Georeference:
     """No placement: turned so that up is up, scaled by the rig where that can be trusted."""
     notes = [f"not georeferenced: {found} registered frames have a prior position, {MIN_POSITIONS} are needed"]
     rotation, factor, source = np.eye(3), 1.0, "none"
-    if settings.level and up is not None:
+    if up is not None:
         rotation = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up.direction])[0].as_matrix()
         notes.append(f"levelled by the upward direction of {up.cameras}, to about {up.sigma_deg:.0f} deg")
     if scale is not None and scale.trusted:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal
 
 from pydantic import Field
@@ -34,11 +35,14 @@ class SparseSettings(Section):
 class GeorefSettings(Section):
     """How the model is put into the world."""
 
+    gcp: Path | None = None
+    """Ground control and check points: an ODM gcp_list.txt, or a CSV of points and marks; also given by --gcp."""
+
     antenna: Literal["auto", "given", "estimated", "ignored"] = "auto"
-    """GNSS lever arm: as the rig file gives it, estimated from the passes, or ignored; auto = given, else ignored."""
+    """GNSS lever arm: as the rig file gives it, estimated, or ignored; auto = given, else estimated if observable."""
+
+    adjust: Literal["auto", "yes", "no"] = "auto"
+    """Bundle adjustment with positions and control points, against drift; auto = kept if the held-out check agrees."""
 
     sigma_floor_m: float = Field(default=0.05, gt=0, le=10)
     """Smallest sigma believed of a prior position, metres (receivers are optimistic)."""
-
-    level: bool = True
-    """Without positions: turn the model so that the cameras' mean upward direction is up."""

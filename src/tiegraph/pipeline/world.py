@@ -1,0 +1,96 @@
+"""Glue of georef: the model into the world, with everything that was measured there."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pycolmap
+
+from tiegraph.errors import InputError
+from tiegraph.geometry.geodesy import world_from_geodetic
+from tiegraph.pipeline.files import checked
+from tiegraph.project.run import Run, save_json
+from tiegraph.project.stages import Outcome, remove
+from tiegraph.scene.control import Control, locate
+from tiegraph.scene.gcp import read_gcps
+from tiegraph.scene.gnss import read_gnss
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.fixes import Given, PositionRows
+from tiegraph.sfm.georef import Georeference, georeference_all
+
+
+def georef(run: Run) -> Outcome:
+    """The largest model into the world; what the others would say is noted."""
+    scene = checked(run).measured()
+    given = Given(_rows(run, scene), control_points(run, scene), _covered(run, scene))
+    folders = sorted((p for p in run.path("sparse").iterdir() if p.name.isdigit()), key=lambda p: int(p.name))
+    models = [pycolmap.Reconstruction(str(p)) for p in folders]
+    placed = georeference_all(models, scene, run.settings.georef, given)
+    main = placed[0]
+    notes = [*main.notes, *(_other_note(k, m, g) for k, (m, g) in enumerate(zip(models, placed)) if k)]
+    world = main.to_dict()
+    sigma = run.receipts.read("sparse").get("counts", {})
+    if "position_sigma_median" in sigma:
+        # Of the bundle adjustment, in the model's units: the shape of the survey, not its place on the Earth.
+        scaled = {n: main.world_from_model.scale * sigma[f"position_sigma_{n}"] for n in ("median", "p90")}
+        world["model_sigma"] = scaled
+    scratch = run.path("sparse", ".world")
+    remove(scratch)
+    scratch.mkdir()
+    main.apply(models[0]).write(str(scratch))
+    remove(run.path("sparse", "world"))
+    scratch.rename(run.path("sparse", "world"))
+    save_json(run.path("world.json"), {**world, "notes": notes})
+    return Outcome(main.counts(), notes=tuple(notes), tables=_tables(main))
+
+
+def control_points(run: Run, scene: Scene) -> Control | None:
+    """The control points of the settings in the scene's world; None without a file."""
+    path = run.settings.georef.gcp
+    if path is None:
+        return None
+    if not path.exists():
+        raise InputError(f"--gcp {path}: no such file")
+    return locate(read_gcps(path), scene, run.settings.scan.crs)
+
+
+def _rows(run: Run, scene: Scene) -> PositionRows | None:
+    """All rows of a GNSS file with times: a receiver writes more often than cameras fire."""
+    if scene.prior != "gnss" or scene.origin is None or run.inputs.gnss is None:
+        return None
+    gnss = read_gnss(run.inputs.gnss)
+    if gnss.names:
+        return None
+    return PositionRows(gnss.time_s, world_from_geodetic(gnss.lat_lon_height, scene.origin), gnss.sigma_m)
+
+
+def _covered(run: Run, scene: Scene) -> np.ndarray | None:
+    """(F,) frames in sections under a bridge, as the network stage wrote them."""
+    path = run.path("network", "sections.json")
+    if not path.exists():
+        return None
+    bridges = [row["number"] for row in json.loads(path.read_text()) if row["kind"] == "bridge"]
+    return np.isin(scene.section, bridges)
+
+
+def _tables(placed: Georeference) -> dict[str, dict]:
+    """Control and check points, one a row, and their accuracy."""
+    if not placed.control:
+        return {}
+    rows = []
+    for point in placed.control:
+        off = point["off_m"] or [None, None, None]
+        rows.append([point["name"], point["role"], point["marks"], *off, point["rms_px"], point["why_not"]])
+    columns = ["point", "role", "marks", "dE m", "dN m", "dU m", "px", "not used because"]
+    sums = [[role, *values.values()] for role, values in placed.accuracy.items()]
+    heads = ["", "points", "east m", "north m", "up m", "plan m", "RMSE m", "CE90 m", "LE90 m"]
+    out = {"control and check points": {"columns": columns, "rows": rows}}
+    return {**out, "accuracy of points (model minus survey)": {"columns": heads, "rows": sums}} if sums else out
+
+
+def _other_note(number: int, model: pycolmap.Reconstruction, placed: Georeference) -> str:
+    where = (
+        "can be placed in the same world by its positions" if placed.placed else "has too few positions to be placed"
+    )
+    return f"model {number} ({model.num_reg_images()} images, in sparse/{number}) {where}; it is not in the cloud"

@@ -1,0 +1,201 @@
+"""Control points in the survey: places in its world, marks as pixels of its prepared images."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from pathlib import PurePosixPath
+
+import numpy as np
+import pycolmap
+import pyproj
+
+from tiegraph.errors import InputError
+from tiegraph.geometry.geodesy import ENU, Origin, crs_transformer, make_origin, vertical_note, world_from_geodetic
+from tiegraph.scene.gcp import GcpFile
+from tiegraph.scene.rig import Sensor, Source
+from tiegraph.scene.scene import Scene
+
+FAR_M = 100_000.0  # farther from the survey's positions than this, the coordinates are of another CRS or axis order
+_SHOWN = 3
+
+
+@dataclass(frozen=True)
+class Control:
+    """P surveyed points and M marks. Arrays: world_m (P, 3), sigma_m (P, 3), check (P,) bool; point, image (M,), xy_px
+    (M, 2) in COLMAP's pixels of the prepared image; line (M,) in the file."""
+
+    names: tuple[str, ...]
+    world_m: np.ndarray
+    sigma_m: np.ndarray
+    check: np.ndarray
+    point: np.ndarray
+    image: np.ndarray
+    xy_px: np.ndarray
+    line: np.ndarray
+    origin: Origin | None = None
+    notes: tuple[str, ...] = field(default_factory=tuple)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+def locate(file: GcpFile, scene: Scene, crs: str = "auto") -> Control:
+    """The points of a file in the scene's world and their marks in its images.
+
+    Without positions in the scene the world is made from the points, in ``crs`` ("auto": the file's own if it is
+    projected, else the UTM zone). Marks in images that are not here are left out and said with file and line. Raises
+    InputError if no mark is in an image of the survey, if coordinates lie outside their CRS, or far from the survey.
+    """
+    notes = list(file.notes)
+    image, keep = _images(file, scene, notes)
+    marks = [file.marks[k] for k in keep]
+    origin = scene.origin or _origin_of_points(file, crs)
+    world = _world(file, scene, origin)
+    _check_place(file, world, scene)
+    vertical = vertical_note(file.crs or origin.crs)
+    notes.append(f"{file.path.name}: {len(file.points)} points in {file.crs or origin.crs}; {vertical}")
+    rows = {p.name: k for k, p in enumerate(file.points)}
+    xy = [prepared_pixel(m.xy, scene.sensor_of(int(i))) for m, i in zip(marks, image)]
+    return Control(
+        names=tuple(p.name for p in file.points),
+        world_m=world,
+        sigma_m=np.array([p.sigma_m for p in file.points], float).reshape(-1, 3),
+        check=np.array([p.check for p in file.points], bool),
+        point=np.array([rows[m.name] for m in marks], int),
+        image=image,
+        xy_px=np.array(xy, float).reshape(-1, 2),
+        line=np.array([m.line for m in marks], int),
+        origin=origin,
+        notes=tuple(notes),
+    )
+
+
+def _images(file: GcpFile, scene: Scene, notes: list[str]) -> tuple[np.ndarray, list[int]]:
+    """Scene index of each mark's image and the rows of the marks that have one."""
+    lookup = image_lookup(scene)
+    found, keep, unknown = [], [], []
+    for k, mark in enumerate(file.marks):
+        index = lookup.get(mark.image.replace("\\", "/"))
+        if index is None:
+            unknown.append(mark)
+        else:
+            found.append(index)
+            keep.append(k)
+    if not keep:
+        example = f" (line {unknown[0].line}: {unknown[0].image!r})" if unknown else ""
+        raise InputError(
+            f"--gcp {file.path}: no mark is in an image of this survey{example}; images are named below the image "
+            f"folder, such as {scene.source_name(0)}, or by file name where that is unique"
+        )
+    for mark in unknown[:_SHOWN]:
+        notes.append(f"{file.path.name}, line {mark.line}: image {mark.image!r} is not in the survey; mark left out")
+    if len(unknown) > _SHOWN:
+        notes.append(f"{file.path.name}: {len(unknown)} marks in all name images that are not in the survey")
+    return np.array(found, int), keep
+
+
+def image_lookup(scene: Scene) -> dict[str, int]:
+    """Scene index by image name, the user's own file name, and by bare file name or stem where that is unique."""
+    short: Counter[str] = Counter()
+    out: dict[str, int] = {}
+    for k in range(len(scene)):
+        path = PurePosixPath(scene.source_name(k))
+        for key in {path.name, path.stem}:
+            short[key] += 1
+            out[key] = k
+    out = {key: k for key, k in out.items() if short[key] == 1}
+    for k, name in enumerate(scene.names):
+        out[scene.source_name(k)] = out[name] = k
+    return out
+
+
+def _origin_of_points(file: GcpFile, crs: str) -> Origin:
+    if file.crs is None:
+        if crs in ("auto", ENU):
+            raise InputError(
+                f"--gcp {file.path}: nothing says in which CRS its coordinates are, and the survey has no positions: "
+                "begin the file with a line '# EPSG:n', or set --scan.crs"
+            )
+        own = crs
+    else:
+        own = file.crs
+    keep = own.startswith("EPSG") and pyproj.CRS.from_user_input(own).is_projected
+    chosen = own if crs == "auto" and keep else crs
+    llh = _geodetic(np.array([p.xyz for p in file.points], float), own, file)
+    lat, lon, height = (float(v) for v in np.median(llh, axis=0))
+    return make_origin(lat, lon, height, chosen)
+
+
+def _geodetic(xyz: np.ndarray, crs: str, file: GcpFile) -> np.ndarray:
+    """(N, 3) lat, lon, ellipsoidal height of file coordinates."""
+    if file.geographic:
+        lat, lon = xyz[:, 0], xyz[:, 1]
+        bad = np.flatnonzero((np.abs(lat) > 90) | (np.abs(lon) > 360))
+        if len(bad):
+            where = f"{file.path}, line {file.points[bad[0]].line}"
+            raise InputError(f"{where}: latitude {lat[bad[0]]:g}, longitude {lon[bad[0]]:g}: exchanged?")
+        if file.crs == "EPSG:4979":
+            return xyz
+        xyz = xyz[:, [1, 0, 2]]
+    x, y, z = xyz.T
+    out = np.stack(crs_transformer(crs).transform(x, y, z, direction="INVERSE"), axis=-1)
+    bad = np.flatnonzero(~np.isfinite(out).all(axis=1))
+    if len(bad):
+        point = file.points[bad[0]]
+        raise InputError(
+            f"{file.path}, line {point.line}: {point.xyz} lies outside {crs}: wrong CRS or exchanged axes?"
+        )
+    return out[:, [1, 0, 2]]
+
+
+def _world(file: GcpFile, scene: Scene, origin: Origin) -> np.ndarray:
+    xyz = np.array([p.xyz for p in file.points], float).reshape(-1, 3)
+    crs = file.crs or origin.crs
+    if crs == origin.crs:
+        return xyz - np.asarray(origin.shift_m)
+    return world_from_geodetic(_geodetic(xyz, crs, file), origin)
+
+
+def _check_place(file: GcpFile, world: np.ndarray, scene: Scene) -> None:
+    """Points must lie where the survey's positions are; says so where exchanged axes would bring them there."""
+    prior = scene.world_from_rig[:, :3, 3]
+    prior = prior[np.isfinite(prior).all(axis=1)]
+    if scene.origin is None or not len(prior):
+        return
+    middle = np.median(prior, axis=0)
+    away = np.linalg.norm(world[:, :2] - middle[:2], axis=1)
+    far = np.flatnonzero(away > FAR_M)
+    if not len(far):
+        return
+    point = file.points[far[0]]
+    swapped = (point.xyz[1], point.xyz[0], point.xyz[2])
+    hint = ": wrong CRS in the file?"
+    try:
+        turned = _world(
+            GcpFile(file.path, file.crs, file.geographic, (replace(point, xyz=swapped),), ()), scene, scene.origin
+        )
+        if np.linalg.norm(turned[0, :2] - middle[:2]) < FAR_M:
+            hint = f": its first two coordinates are exchanged ({'lon, lat' if file.geographic else 'north, east'})"
+    except InputError:
+        pass
+    raise InputError(
+        f"{file.path}, line {point.line}: point {point.name!r} lies {away[far[0]] / 1000:.0f} km from the survey's "
+        f"positions{hint}"
+    )
+
+
+def prepared_pixel(xy: tuple[float, float], sensor: Sensor) -> tuple[float, float]:
+    """Pixel in the prepared image of a mark in the user's upright image: cropped and undistorted as that was."""
+    source = sensor.source or Source()
+    left, top, _, _ = source.crop_px
+    if source.camera is not None and sensor.camera is not None and _resampled(source.camera, sensor.camera):
+        ray = source.camera.cam_from_img(np.array(xy, float))
+        if ray is not None:
+            moved = sensor.camera.img_from_cam(np.append(ray, 1.0))
+            return float(moved[0]), float(moved[1])
+    return xy[0] - left, xy[1] - top
+
+
+def _resampled(before: pycolmap.Camera, after: pycolmap.Camera) -> bool:
+    return not before.is_undistorted() and after.is_undistorted()

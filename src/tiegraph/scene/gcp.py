@@ -1,0 +1,204 @@
+"""Ground control and check points: surveyed places and the pixels where they were marked.
+
+Two forms are read. OpenDroneMap's ``gcp_list.txt``: first line the CRS, then ``x y z px py image [name] [more]``. And a
+CSV with a header that holds points (name, x, y, z or lat, lon, height; sigma_xy, sigma_z, role) and marks (name, image,
+px, py), in rows of either kind or of both at once. Pixels count from the outer corner of the upright image's first
+pixel: its centre is (0.5, 0.5).
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyproj
+
+from tiegraph.errors import InputError
+from tiegraph.scene.table import Table, read_table
+
+DEFAULT_SIGMA_M = (0.02, 0.02, 0.03)  # of a surveyed point whose file says nothing: network RTK with a pole
+_CHECK = ("check", "checkpoint", "check_point", "checkpoints", "cp", "chk")
+_CONTROL = ("", "gcp", "control", "control_point", "controlpoint")
+_NAME = ("name", "point", "gcp", "gcp_name", "label", "id", "point_name")
+_IMAGE = ("image", "file", "filename", "file_name", "image_name", "photo")
+_X, _Y, _Z = ("x", "east", "easting", "e", "geo_x"), ("y", "north", "northing", "n", "geo_y"), ("z", "geo_z")
+_LAT, _LON = ("lat", "latitude", "lat_deg"), ("lon", "long", "lng", "longitude", "lon_deg")
+_HEIGHT = ("height", "h", "alt", "altitude", "elevation", "height_m", *_Z)
+_PX, _PY = ("px", "im_x", "pixel_x", "u", "col", "column"), ("py", "im_y", "pixel_y", "v", "row")
+_SIGMA, _SIGMA_XY, _SIGMA_Z = ("sigma", "sigma_m"), ("sigma_xy", "sigma_h", "sigma_xy_m"), ("sigma_z", "sigma_v")
+
+
+@dataclass(frozen=True)
+class FilePoint:
+    """A surveyed point as its file gives it: coordinates in ``crs`` (east, north, height or lat, lon, height)."""
+
+    name: str
+    xyz: tuple[float, float, float]
+    sigma_m: tuple[float, float, float]
+    check: bool
+    line: int
+
+
+@dataclass(frozen=True)
+class FileMark:
+    """One mark: point name, image name, pixel."""
+
+    name: str
+    image: str
+    xy: tuple[float, float]
+    line: int
+
+
+@dataclass(frozen=True)
+class GcpFile:
+    """A control point file as read; ``crs`` None = that of the survey's world."""
+
+    path: Path
+    crs: str | None
+    geographic: bool  # coordinates are lat, lon, height in degrees
+    points: tuple[FilePoint, ...]
+    marks: tuple[FileMark, ...]
+    notes: tuple[str, ...] = ()
+
+
+def read_gcps(path: Path) -> GcpFile:
+    """Read a control point file of either form.
+
+    Raises InputError, naming file and line, for an unreadable file, an unknown CRS, numbers that are none, marks of a
+    point without coordinates, and a name with two places.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8-sig", errors="replace")
+    except OSError as error:
+        raise InputError(f"--gcp {path}: cannot be read ({error.strerror})") from None
+    lines = [(k + 1, line.strip()) for k, line in enumerate(text.splitlines()) if line.strip()]
+    if not lines:
+        raise InputError(f"--gcp {path}: the file is empty")
+    found = _read_csv(path, lines) if _has_header(lines) else _read_odm(path, lines)
+    if not found.points:
+        raise InputError(f"--gcp {path}: no point with coordinates in it")
+    return found
+
+
+def _has_header(lines: list[tuple[int, str]]) -> bool:
+    """Whether the first line that is no comment names columns; the CRS in the first line of the other form does not."""
+    header = next((line for _, line in lines if line[0] not in "#%"), "")
+    words = {re.sub(r"[^a-z0-9_]+", "", w) for w in re.split(r"[,;\t ]+", header.lower())}
+    known = {*_NAME, *_IMAGE, *_X, *_Y, *_HEIGHT, *_LAT, *_LON, *_PX, *_PY}
+    return len(words & known) >= 3 and "+proj" not in header
+
+
+# --- OpenDroneMap ---------------------------------------------------------------------------------------------------
+
+
+def _read_odm(path: Path, lines: list[tuple[int, str]]) -> GcpFile:
+    crs = parse_crs_line(lines[0][1], f"{path}, line {lines[0][0]}")
+    points: dict[str, FilePoint] = {}
+    by_place: dict[tuple[float, ...], str] = {}
+    marks = []
+    for number, line in lines[1:]:
+        if line[0] in "#%":
+            continue
+        words = line.split()
+        if len(words) < 6:
+            raise InputError(f"{path}, line {number}: expected x y z px py image [name], got {line!r}")
+        x, y, z, px, py = (_number(w, path, number) for w in words[:5])
+        place = (y, x, z) if crs.is_geographic else (x, y, z)  # its x is the longitude
+        name = words[6] if len(words) > 6 else by_place.setdefault(place, f"point {len(by_place) + 1}")
+        check = len(words) > 7 and words[7].lower() in _CHECK
+        known = points.setdefault(name, FilePoint(name, place, DEFAULT_SIGMA_M, check, number))
+        if known.xyz != place:
+            raise InputError(f"{path}, line {number}: point {name!r} has another place than in line {known.line}")
+        marks.append(FileMark(name, words[5], (px, py), number))
+    return GcpFile(path, crs.srs, crs.is_geographic, tuple(points.values()), tuple(marks))
+
+
+def parse_crs_line(text: str, where: str) -> pyproj.CRS:
+    """The CRS of an ODM header: an EPSG code, a PROJ string, WKT, or "WGS84 UTM 54N". Raises InputError."""
+    utm = re.fullmatch(r"(?i)\s*WGS\s*_?84\s*[/,]?\s*UTM\s*(?:zone\s*)?(\d{1,2})\s*([NS])\s*", text)
+    try:
+        if utm:
+            return pyproj.CRS.from_epsg((32600 if utm[2].upper() == "N" else 32700) + int(utm[1]))
+        return pyproj.CRS.from_user_input(text.strip().lstrip("#").strip())
+    except pyproj.exceptions.CRSError:
+        raise InputError(
+            f"{where}: {text!r} is no coordinate system; the first line of a gcp_list.txt is one, such as EPSG:32654, "
+            "WGS84 UTM 54N or +proj=utm +zone=54 +datum=WGS84 +units=m"
+        ) from None
+
+
+def _number(text: str, path: Path, line: int) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not np.isfinite(value):
+        raise InputError(f"{path}, line {line}: {text!r} is no number")
+    return value
+
+
+# --- CSV ------------------------------------------------------------------------------------------------------------
+
+
+def _read_csv(path: Path, lines: list[tuple[int, str]]) -> GcpFile:
+    table = read_table(path, "control point file")
+    geographic = table.find(_LAT) is not None and table.find(_LON) is not None
+    columns = [table.find(a) for a in ((_LAT, _LON, _HEIGHT) if geographic else (_X, _Y, _Z))]
+    name, image, px, py = (table.find(a) for a in (_NAME, _IMAGE, _PX, _PY))
+    if name is None or None in columns:
+        raise InputError(
+            f"{path}: found the columns {', '.join(table.columns)}; expected name, x, y, z (or lat, lon, height) and "
+            "image, px, py, and optionally sigma_xy, sigma_z, role (gcp or check)"
+        )
+    points: dict[str, FilePoint] = {}
+    marks = []
+    for row, (line, _) in enumerate(table.rows):
+        label = table.cell(row, name)
+        if table.cell(row, columns[0]):
+            place = tuple(_number(table.cell(row, c), path, line) for c in columns)
+            _add(points, FilePoint(label, place, *_row_facts(table, row), line), path)  # type: ignore[arg-type]
+        if table.cell(row, image):
+            xy = _number(table.cell(row, px), path, line), _number(table.cell(row, py), path, line)
+            marks.append(FileMark(label, table.cell(row, image), xy, line))
+    lost = next((m for m in marks if m.name not in points), None)
+    if lost is not None:
+        raise InputError(
+            f"{path}, line {lost.line}: a mark of point {lost.name!r}, which has no coordinates in the file"
+        )
+    return GcpFile(path, _csv_crs(lines, path, geographic), geographic, tuple(points.values()), tuple(marks))
+
+
+def _add(points: dict[str, FilePoint], new: FilePoint, path: Path) -> None:
+    known = points.setdefault(new.name, new)
+    if known.xyz != new.xyz:
+        raise InputError(f"{path}, line {new.line}: point {new.name!r} has another place than in line {known.line}")
+
+
+def _row_facts(table: Table, row: int) -> tuple[tuple[float, float, float], bool]:
+    def number(aliases: tuple[str, ...], otherwise: float) -> float:
+        try:
+            value = float(table.cell(row, table.find(aliases)))
+        except ValueError:
+            return otherwise
+        return value if value > 0 else otherwise
+
+    flat = number(_SIGMA_XY, number(_SIGMA, DEFAULT_SIGMA_M[0]))
+    up = number(_SIGMA_Z, number(_SIGMA, DEFAULT_SIGMA_M[2]))
+    role = table.cell(row, table.find(("role", "type", "kind"))).lower().replace(" ", "_")
+    if role not in (*_CHECK, *_CONTROL):
+        raise InputError(f"{table.path}, line {table.rows[row][0]}: role {role!r} is neither gcp nor check")
+    return (flat, flat, up), role in _CHECK
+
+
+def _csv_crs(lines: list[tuple[int, str]], path: Path, geographic: bool) -> str | None:
+    """A comment line ``# crs: EPSG:n`` before the header."""
+    for number, line in lines:
+        if line[0] not in "#%":
+            break
+        named = re.fullmatch(r"[#%]\s*(?:crs\s*[:=]?\s*)?(EPSG:\d+(?:\+\d+)?|\+proj.*|WGS\s*84\s*UTM.*)", line, re.I)
+        if named:
+            return parse_crs_line(named[1], f"{path}, line {number}").srs
+    return "EPSG:4979" if geographic else None

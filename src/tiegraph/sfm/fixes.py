@@ -1,0 +1,187 @@
+"""Measured positions of the antenna, each tied to the poses of the frames about its time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tiegraph.scene.control import Control
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.model import held_out_frames
+
+ROWS_PER_FRAME = 5  # of the receiver that are used between two frames: more say the same once more
+NODES = 4  # frames that carry a position between frames: a cubic through them
+_MAX_STEP = 3.0  # median steps of a pass: no interpolation across wider gaps between frames
+_UNKNOWN_SIGMA_M = 10.0  # of a position whose source gives none (hand-held GPS)
+_GAP = 3.0  # intervals of the receiver: a longer pause is an outage
+_RECOVERY_S = 10.0  # after an outage a receiver's sigma is not to be believed (ambiguities are fixed anew)
+OUTAGE_FACTOR = 3.0  # on the sigma just before and after an outage
+COVERED_FACTOR = 10.0  # on the sigma under a bridge (ALGORITHMS section 4)
+
+
+@dataclass(frozen=True)
+class PositionRows:
+    """What a receiver wrote, in the world: time_s (G,), position_m (G, 3), sigma_m (G, 3), NaN = not given."""
+
+    time_s: np.ndarray
+    position_m: np.ndarray
+    sigma_m: np.ndarray
+
+
+@dataclass(frozen=True)
+class Given:
+    """What is known of the world beyond the scene: the receiver's rows, control points, frames (F,) under bridges."""
+
+    rows: PositionRows | None = None
+    control: Control | None = None
+    covered: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Fixes:
+    """K positions. The antenna at a fix is the weighted sum of its places at up to four frames.
+
+    frames (K, 4) scene frames (repeated where fewer), weights and rates (K, 4): rates are the weights' derivatives by
+    time, 1/s; home (K,) the nearest frame; position, sigma (K, 3) metres; level (K,) i4: fixes of one number share one
+    factor of their sigma; held (K,) bool kept back for the check.
+    """
+
+    frames: np.ndarray
+    weights: np.ndarray
+    rates: np.ndarray
+    home: np.ndarray
+    time_s: np.ndarray
+    position: np.ndarray
+    sigma: np.ndarray
+    level: np.ndarray
+    held: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.home)
+
+    def where(self, mask: np.ndarray) -> Fixes:
+        """The fixes of a mask (K,)."""
+        return Fixes(**{name: getattr(self, name)[mask] for name in Fixes.__dataclass_fields__})
+
+    def stretched(self, factor: np.ndarray) -> Fixes:
+        """The same with sigmas times a factor (K,)."""
+        return replace(self, sigma=self.sigma * factor[:, None])
+
+    def blend(self, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(K, 4, 4) weighted sums of frame poses (F, 4, 4) and their derivatives by time (K, 4, 4).
+
+        Not rigid between frames: the sums of rotations are what carries a lever arm along with the positions.
+        """
+        there = np.nan_to_num(poses)[self.frames]
+        moved = np.einsum("kn,knij->kij", self.weights, there)
+        return moved, np.einsum("kn,knij->kij", self.rates, there)
+
+
+def make_fixes(scene: Scene, registered: np.ndarray, given: Given, floor_m: float) -> Fixes:
+    """Fixes of the receiver's rows, or of the scene's prior positions where there are none with times.
+
+    ``registered`` (F,) frames with a pose. Sigmas are at least ``floor_m``, times 3 next to outages and 10 under
+    bridges.
+    """
+    parts, rows = [], given.rows
+    if rows is not None and np.isfinite(scene.time_s).any():
+        parts = [p for t in np.unique(scene.track) if (p := _of_track(scene, registered, rows, int(t))) is not None]
+    fixes = _joined(parts) if parts else _of_frames(scene, registered)
+    sigma = np.where(np.isfinite(fixes.sigma), fixes.sigma, _UNKNOWN_SIGMA_M)
+    level = np.round(2 * np.log2(np.maximum(sigma[:, 0], 1e-3))).astype(int)
+    sigma = np.maximum(sigma, floor_m) * _doubt(fixes, rows, given.covered)[:, None]
+    held = held_out_frames(scene)[fixes.home]
+    return replace(fixes, sigma=sigma, level=level, held=held)
+
+
+def _of_frames(scene: Scene, registered: np.ndarray) -> Fixes:
+    position = scene.world_from_rig[:, :3, 3]
+    use = np.flatnonzero(registered & np.isfinite(position).all(axis=1))
+    weights = np.zeros((len(use), NODES))
+    weights[:, 0] = 1.0
+    frames = np.repeat(use[:, None], NODES, axis=1)
+    return _fixes(
+        frames, weights, np.zeros_like(weights), scene.time_s[use], position[use], scene.position_sigma_m[use]
+    )
+
+
+def _of_track(scene: Scene, registered: np.ndarray, rows: PositionRows, track: int) -> Fixes | None:
+    mine = np.flatnonzero((scene.track == track) & registered & np.isfinite(scene.time_s))
+    mine = mine[np.argsort(scene.time_s[mine], kind="stable")]
+    time = scene.time_s[mine]
+    mine, time = mine[np.concatenate([[True], np.diff(time) > 1e-6])] if len(mine) else mine, np.unique(time)
+    if len(mine) < 2:
+        return None
+    step = float(np.median(np.diff(time)))
+    inside = np.flatnonzero((rows.time_s >= time[0] - 1e-6) & (rows.time_s <= time[-1] + 1e-6))
+    left = np.clip(np.searchsorted(time, rows.time_s[inside], side="right") - 1, 0, len(time) - 2)
+    near = time[left + 1] - time[left] <= _MAX_STEP * step
+    inside, left = inside[near], left[near]
+    thin = _thinned(left, np.abs(rows.time_s[inside][:, None] - time[None, :]).min(axis=1) < 1e-3)
+    inside, left = inside[thin], left[thin]
+    if not len(inside):
+        return None
+    table = [_nodes(time, int(k), float(t), step) for k, t in zip(left, rows.time_s[inside])]
+    frames = np.array([mine[n] for n, _, _ in table])
+    weights, rates = np.array([w for _, w, _ in table]), np.array([r for _, _, r in table])
+    return _fixes(frames, weights, rates, rows.time_s[inside], rows.position_m[inside], rows.sigma_m[inside])
+
+
+def _thinned(left: np.ndarray, at_frame: np.ndarray) -> np.ndarray:
+    """(R,) bool: rows at frames, and at most ROWS_PER_FRAME of each interval."""
+    keep = at_frame.copy()
+    for k in np.unique(left):
+        of = np.flatnonzero(left == k)
+        keep[of[np.unique(np.linspace(0, len(of) - 1, min(ROWS_PER_FRAME, len(of))).astype(int))]] = True
+    return keep
+
+
+def _nodes(time: np.ndarray, left: int, t: float, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Four places in ``time``, their Lagrange weights at t and the weights' derivatives."""
+    first, last = left, left + 1
+    if left > 0 and time[left] - time[left - 1] <= _MAX_STEP * step:
+        first -= 1
+    if last + 1 < len(time) and time[last + 1] - time[last] <= _MAX_STEP * step:
+        last += 1
+    at = np.arange(first, last + 1)
+    weights, rates = _lagrange(time[at], t)
+    fill = NODES - len(at)
+    return np.append(at, np.full(fill, at[-1])), np.append(weights, np.zeros(fill)), np.append(rates, np.zeros(fill))
+
+
+def _lagrange(nodes: np.ndarray, t: float) -> tuple[np.ndarray, np.ndarray]:
+    """Weights (n,) of the interpolating polynomial at t and their derivatives."""
+    count = len(nodes)
+    weights, rates = np.ones(count), np.zeros(count)
+    for i in range(count):
+        others = [j for j in range(count) if j != i]
+        scale = float(np.prod([nodes[i] - nodes[j] for j in others]))
+        weights[i] = np.prod([t - nodes[j] for j in others]) / scale
+        rates[i] = sum(np.prod([t - nodes[j] for j in others if j != k]) for k in others) / scale
+    return weights, rates
+
+
+def _fixes(frames: np.ndarray, weights: np.ndarray, rates: np.ndarray, *columns: np.ndarray) -> Fixes:
+    time, position, sigma = columns
+    home = frames[np.arange(len(frames)), np.argmax(np.abs(weights), axis=1)]
+    empty = np.zeros(len(frames))
+    return Fixes(frames, weights, rates, home, time, position, sigma, empty.astype(int), empty.astype(bool))
+
+
+def _joined(parts: list[Fixes]) -> Fixes:
+    return Fixes(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in Fixes.__dataclass_fields__})
+
+
+def _doubt(fixes: Fixes, rows: PositionRows | None, covered: np.ndarray | None) -> np.ndarray:
+    """(K,) factor on the sigma: next to an outage of the receiver, and under bridges."""
+    factor = np.ones(len(fixes))
+    if rows is not None and len(rows.time_s) > 2:
+        interval = float(np.median(np.diff(rows.time_s)))
+        long = np.flatnonzero(np.diff(rows.time_s) > _GAP * interval)
+        for k in long:
+            before, after = rows.time_s[k], rows.time_s[k + 1]
+            inside = (fixes.time_s >= after - 1e-6) & (fixes.time_s <= after + _RECOVERY_S)
+            inside |= np.abs(fixes.time_s - before) <= _GAP * interval
+            factor[inside] = OUTAGE_FACTOR
+    return factor if covered is None else np.where(covered[fixes.home], COVERED_FACTOR, factor)

@@ -1,0 +1,140 @@
+"""Marked points in the model: where their rays meet, how well, and what is left in the images and in the world."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pycolmap
+from scipy.optimize import least_squares
+
+from tiegraph.geometry import transforms
+from tiegraph.scene.control import Control
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.model import matrix
+
+MARK_SIGMA_PX = 1.0  # of a mark set by hand
+MIN_ANGLE_DEG = 1.0  # between rays, to believe where they meet
+MAX_MARK_PX = 20.0  # a mark this far from its point is a wrong click or a wrong image
+_CE90, _LE90 = 2.146, 1.645  # 90 % of a two-dimensional and of a one-dimensional normal error, in sigmas
+
+
+@dataclass(frozen=True)
+class Target:
+    """A marked point in a model: its place (3,), formal covariance (3, 3), model units; rows of its marks; residuals
+    (M, 2) pixels, model minus mark; why it cannot be used, "" if it can."""
+
+    place: np.ndarray
+    covariance: np.ndarray
+    marks: np.ndarray
+    residual_px: np.ndarray
+    why_not: str = ""
+
+
+def targets(model: pycolmap.Reconstruction, scene: Scene, control: Control) -> list[Target]:
+    """The points of a control file in the model, in its order.
+
+    A mark farther than 20 px from where the others put the point is left out where three or more remain.
+    """
+    views = {k: v for k in np.unique(control.image) if (v := _view(model, scene.names[k])) is not None}
+    out = []
+    for point in range(len(control)):
+        rows = np.array([r for r in np.flatnonzero(control.point == point) if control.image[r] in views], int)
+        out.append(_target([views[k] for k in control.image[rows]], control.xy_px[rows], rows))
+    return out
+
+
+def _view(model: pycolmap.Reconstruction, name: str) -> tuple[np.ndarray, Any] | None:
+    image = model.find_image_with_name(name)
+    if image is None or not image.has_pose:
+        return None
+    return matrix(image.cam_from_world()), image.camera
+
+
+def _target(views: list, xy: np.ndarray, rows: np.ndarray) -> Target:
+    nowhere = Target(np.full(3, np.nan), np.full((3, 3), np.nan), rows, np.full((len(rows), 2), np.nan))
+    if len(rows) < 2:
+        return Target(**{**nowhere.__dict__, "why_not": f"{len(rows)} marks in registered images, 2 are needed"})
+    solution = _meet(views, xy)
+    if len(rows) > 2:
+        off = np.linalg.norm(solution.fun.reshape(-1, 2), axis=1)
+        worst = int(np.argmax(off))
+        if off[worst] > MAX_MARK_PX:
+            keep = np.arange(len(rows)) != worst
+            return _target([v for k, v in enumerate(views) if keep[k]], xy[keep], rows[keep])
+    place = solution.x
+    rays = np.array([place - transforms.centre(pose) for pose, _ in views])
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    angle = float(np.degrees(np.arccos(np.clip((rays @ rays.T).min(), -1, 1))))
+    residual = solution.fun.reshape(-1, 2)
+    if angle < MIN_ANGLE_DEG:
+        return Target(place, nowhere.covariance, rows, residual, f"its rays meet at {angle:.1f} deg only")
+    if np.median(np.linalg.norm(residual, axis=1)) > MAX_MARK_PX:
+        worst_px = float(np.median(np.linalg.norm(residual, axis=1)))
+        return Target(place, nowhere.covariance, rows, residual, f"its rays miss each other by {worst_px:.0f} px")
+    covariance = MARK_SIGMA_PX**2 * np.linalg.pinv(solution.jac.T @ solution.jac)
+    return Target(place, covariance, rows, residual)
+
+
+def _meet(views: list, xy: np.ndarray) -> Any:
+    """Least squares over pixels from the linear meeting point of the rays."""
+    normal, right = np.zeros((3, 3)), np.zeros(3)
+    for (pose, camera), mark in zip(views, xy):
+        ray = np.append(camera.cam_from_img(mark), 1.0) @ pose[:3, :3]
+        across = np.eye(3) - np.outer(ray, ray) / (ray @ ray)
+        normal += across
+        right += across @ transforms.centre(pose)
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        parts = []
+        for (pose, camera), mark in zip(views, xy):
+            seen = pose[:3, :3] @ x + pose[:3, 3]
+            found = camera.img_from_cam(seen) if seen[2] > 0 else None
+            parts.append(np.full(2, 1e4) if found is None else np.nan_to_num(np.ravel(found) - mark, nan=1e4))
+        return np.concatenate(parts)
+
+    return least_squares(residuals, np.linalg.pinv(normal) @ right, loss="soft_l1", f_scale=3.0, x_scale="jac")
+
+
+def point_table(
+    control: Control, found: list[Target], off_m: np.ndarray, images: tuple[str, ...]
+) -> tuple[list[dict], dict]:
+    """Per point dE, dN, dU (model minus survey, metres) and pixels; and RMSE, CE90 and LE90 of control and check points.
+
+    ``off_m`` (P, 3), NaN = not in the model. CE90 and LE90 are those of a normal error of this RMSE (2.146, 1.645
+    times), with the points' own number said beside them.
+    """
+    rows = []
+    for k, name in enumerate(control.names):
+        target = found[k]
+        px = np.linalg.norm(target.residual_px, axis=1)
+        row: dict[str, Any] = {"name": name, "role": "check" if control.check[k] else "gcp", "marks": len(target.marks)}
+        row["off_m"] = [round(float(v), 4) for v in off_m[k]] if np.isfinite(off_m[k]).all() else None
+        row["rms_px"] = round(float(np.sqrt(np.mean(px**2))), 3) if len(px) and np.isfinite(px).all() else None
+        row["worst_image"] = images[int(control.image[target.marks[int(np.argmax(px))]])] if len(px) else None
+        row["why_not"] = target.why_not
+        rows.append(row)
+    sums = {}
+    for role, mask in (("gcp", ~control.check), ("check", control.check)):
+        known = off_m[mask & np.isfinite(off_m).all(axis=1)]
+        if len(known):
+            sums[role] = accuracy(known)
+    return rows, sums
+
+
+def accuracy(off_m: np.ndarray) -> dict[str, float]:
+    """RMSE by axis, in plan and in space, CE90 and LE90, metres, of differences (P, 3)."""
+    rmse = np.sqrt(np.mean(off_m**2, axis=0))
+    flat = float(np.hypot(rmse[0], rmse[1]))
+    values = {
+        "points": float(len(off_m)),
+        "rmse_east_m": rmse[0],
+        "rmse_north_m": rmse[1],
+        "rmse_up_m": rmse[2],
+        "rmse_plan_m": flat,
+        "rmse_m": float(np.linalg.norm(rmse)),
+        "ce90_m": _CE90 * flat / np.sqrt(2),
+        "le90_m": _LE90 * rmse[2],
+    }
+    return {n: round(float(v), 4) for n, v in values.items()}

@@ -1,0 +1,82 @@
+"""How much worse positions are than their sigmas say: factors by level of the stated sigma, and their correlation.
+
+Receivers state sigmas that hold from one epoch to the next; multipath and float ambiguities wander over seconds. Each
+level of the stated sigma gets one factor from the residuals of its fixes (variance components), and one for the
+correlation of neighbours in time, so that many rows of one wandering solution do not outweigh a few good ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+MEDIAN_CHI2_3 = 2.366  # median of chi-square with three degrees of freedom
+MAX_FACTOR = 30.0
+_MIN_ROWS = 6  # of a level, to say anything of its factor
+_MAX_CORRELATION = 0.9
+
+
+@dataclass(frozen=True)
+class Level:
+    """Fixes of like stated sigma: their number, that sigma, by how much it is too small, lag-one correlation."""
+
+    count: int
+    sigma_m: float
+    factor: float
+    correlation: float
+
+
+def factors(residual: np.ndarray, level: np.ndarray, time_s: np.ndarray) -> np.ndarray:
+    """(K,) by which sigmas are to be multiplied, from residuals over sigma (K, 3); at least 1.
+
+    The median of squares per level, so that single outliers are left to the robust loss; times sqrt((1 + r) / (1 - r))
+    for the correlation r of neighbours in time (the effective number of a first-order process).
+    """
+    out = np.ones(len(level))
+    for rows in _levels(level):
+        if len(rows) < _MIN_ROWS:
+            rows_of = np.ones(len(level), bool) if len(level) >= _MIN_ROWS else np.zeros(len(level), bool)
+            if rows_of.any():
+                out[rows] = _scatter(residual)
+            continue
+        r = correlation(residual[rows], time_s[rows])
+        out[rows] = min(_scatter(residual[rows]) * float(np.sqrt((1 + r) / (1 - r))), MAX_FACTOR)
+    return out
+
+
+def levels(residual: np.ndarray, level: np.ndarray, sigma: np.ndarray, time_s: np.ndarray) -> list[Level]:
+    """The levels there are, best first, for the report."""
+    out = []
+    for rows in _levels(level):
+        r = correlation(residual[rows], time_s[rows])
+        out.append(Level(len(rows), float(np.median(sigma[rows, 0])), _scatter(residual[rows]), r))
+    return sorted(out, key=lambda v: v.sigma_m)
+
+
+def _levels(level: np.ndarray) -> list[np.ndarray]:
+    return [np.flatnonzero(level == v) for v in np.unique(level)]
+
+
+def _scatter(residual: np.ndarray) -> float:
+    squares = np.sum(residual**2, axis=1)
+    return max(1.0, float(np.sqrt(np.median(squares) / MEDIAN_CHI2_3)))
+
+
+def correlation(residual: np.ndarray, time_s: np.ndarray) -> float:
+    """Correlation of residuals (K, 3) with those of the next in time, 0 to 0.9; 0 without times.
+
+    Not about their mean: an offset common to all is the strongest correlation there is.
+    """
+    known = np.flatnonzero(np.isfinite(time_s))
+    if len(known) < _MIN_ROWS:
+        return 0.0
+    order = known[np.argsort(time_s[known], kind="stable")]
+    step = np.diff(time_s[order])
+    near = step <= 1.5 * np.median(step)
+    a, b = residual[order[:-1]][near], residual[order[1:]][near]
+    size = np.sqrt(np.sum(a**2, axis=1) * np.sum(b**2, axis=1))
+    cap = max(float(np.median(size)) * 4, 1e-12)  # an outlier must not decide
+    product = np.sum(a * b, axis=1) * np.minimum(1.0, cap / np.maximum(size, 1e-12))
+    total = np.minimum(0.5 * (np.sum(a**2, axis=1) + np.sum(b**2, axis=1)), cap)
+    return float(np.clip(product.sum() / max(total.sum(), 1e-12), 0.0, _MAX_CORRELATION))

@@ -1,0 +1,269 @@
+"""Placing a model: which evidence there is, how noisy it is, whether lever arm and clock can be told from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tiegraph.geometry.align import umeyama
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm import noise
+from tiegraph.sfm.fit import ANTENNA_SIGMA_M, Evidence, Fit, fit_similarity
+from tiegraph.sfm.fixes import Fixes, Given, make_fixes
+from tiegraph.sfm.gravity import Up
+from tiegraph.sfm.marks import Target
+from tiegraph.sfm.model import frame_poses
+from tiegraph.sfm.scale import RigScale
+from tiegraph.sfm.settings import GeorefSettings
+
+MIN_POSITIONS = 3
+ROLL_LIMIT_DEG = 10.0  # sigma of the roll about the track above which lone cameras' upright direction is used
+ARM_GAIN, CLOCK_GAIN = 16.3, 10.8  # chi-square of 3 and of 1 degrees of freedom at 0.1 %
+ARM_SIGMA_M = 0.5  # of ANTENNA_SIGMA_M: known better than that in plan, the lever arm is observable
+CLOCK_SIGMAS = 4.0
+_NOISE_ROUNDS = 3
+_MANY_POINTS = 8  # control points among which a wrong one does not hide
+_AT_FRAME = 0.9  # weight of one frame in a fix, to compare orientations
+
+
+@dataclass(frozen=True)
+class Placing:
+    """All a placement rests on; rows of ``evidence`` are the fixes, then the control points."""
+
+    evidence: Evidence  # sigmas as believed
+    fixes: Fixes  # sigmas as stated, with doubt about outages and bridges
+    fit: Fit
+    up: Up | None  # used to hold the tilt
+    points: np.ndarray  # (C,) control points in the evidence: rows of the control file
+    blind: Fit | None  # without the held-out fixes
+    levels: tuple[noise.Level, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def factor(self) -> np.ndarray:
+        """(K,) by which the fixes' sigmas were multiplied."""
+        count = len(self.fixes)
+        return self.evidence.sigma[:count, 0] / self.fixes.sigma[:, 0] if count else np.zeros(0)
+
+
+@dataclass(frozen=True)
+class Model:
+    """What of the model a placement needs."""
+
+    images: np.ndarray  # cam_from_world (N, 4, 4)
+    up: Up | None
+    scale: RigScale | None
+    targets: list[Target]
+    names: tuple[str, ...] = ()  # of the images
+
+    def frames(self, scene: Scene, metres_per_unit: float | None = None) -> np.ndarray:
+        """world_from_rig (F, 4, 4), by the rig's scale if none is given."""
+        guess = 1.0 if self.scale is None else self.scale.metres_per_unit
+        return frame_poses(self.images, scene, metres_per_unit or guess)
+
+
+def place(model: Model, scene: Scene, settings: GeorefSettings, given: Given) -> Placing | None:
+    """Fit the model to everything measured in the world; None with fewer than three positions and points."""
+    notes: list[str] = []
+    frames = model.frames(scene)
+    registered = np.isfinite(frames).all(axis=(1, 2))
+    fixes = make_fixes(scene, registered, given, settings.sigma_floor_m)
+    points = _usable_points(model, given)
+    if len(fixes) + len(points) < MIN_POSITIONS:
+        return None
+    arm, estimate = _lever_arm(scene, settings, notes)
+    metres = 1.0 if model.scale is None else model.scale.metres_per_unit
+    for _ in range(2):  # the second time with the true scale for frames known through another camera than the first
+        evidence = _evidence(frames, fixes, scene, (arm, estimate is True), model.scale)
+        evidence = _with_points(evidence, model, given, points, metres)
+        fit = fit_similarity(evidence, up_to_use(evidence, model.up, []))
+        metres = fit.similarity.scale
+        frames = model.frames(scene, metres)
+    evidence, fit = _believed(evidence, fixes, model.up)
+    if estimate is None:
+        evidence, fit = _try_lever_arm(evidence, fit, fixes, model.up, notes)
+    elif estimate:
+        notes.append(_arm_text(evidence, fit))
+    if given.rows is not None and settings.antenna != "ignored":
+        evidence, fit = _try_clock(evidence, fit, fixes, model.up, notes)
+    up = up_to_use(evidence, model.up, notes)
+    blind = None
+    held = np.zeros(len(evidence.frame), bool)
+    held[: len(fixes)] = fixes.held
+    if held.any() and (~held).sum() >= MIN_POSITIONS:
+        blind = fit_similarity(evidence.where(~held), up)
+    count = len(fixes)
+    residual = evidence.position_residuals(fit.similarity, fit.antenna, fit.offset_s)[:count]
+    found = noise.levels(residual / fixes.sigma, fixes.level, fixes.sigma, fixes.time_s)
+    return Placing(evidence, fixes, fit, up, points, blind, tuple(found), tuple(notes))
+
+
+def _usable_points(model: Model, given: Given) -> np.ndarray:
+    """Rows of the control points that enter the placement."""
+    if given.control is None:
+        return np.zeros(0, int)
+    usable = [k for k, t in enumerate(model.targets) if not t.why_not and not given.control.check[k]]
+    return np.array(usable, int)
+
+
+def _evidence(
+    frames: np.ndarray,
+    fixes: Fixes,
+    scene: Scene,
+    antenna: tuple[np.ndarray | None, bool],
+    scale: RigScale | None,
+) -> Evidence:
+    pose, speed = fixes.blend(frames)
+    orientation = scene.world_from_rig[fixes.home, :3, :3].copy()
+    orientation[fixes.weights.max(axis=1) < _AT_FRAME] = np.nan
+    arm, estimate = antenna
+    return Evidence(
+        frame=fixes.home,
+        pose=pose,
+        position=fixes.position,
+        sigma=fixes.sigma,
+        orientation=orientation,
+        antenna=np.zeros(3) if arm is None else arm,
+        estimate_antenna=estimate,
+        log_scale=np.log(scale.metres_per_unit) if scale is not None and scale.trusted else None,
+        log_scale_sigma=scale.sigma if scale is not None else np.nan,
+        speed=speed,
+    )
+
+
+def _with_points(evidence: Evidence, model: Model, given: Given, points: np.ndarray, metres: float) -> Evidence:
+    """The evidence with control points added: rows without rotation, so that no lever arm acts."""
+    if not len(points) or given.control is None:
+        return evidence
+    control = given.control
+    pose = np.zeros((len(points), 4, 4))
+    pose[:, :3, 3] = [model.targets[k].place for k in points]
+    spread = np.array([np.sqrt(np.trace(model.targets[k].covariance) / 3) for k in points]) * metres
+    sigma = np.hypot(control.sigma_m[points], spread[:, None])
+    sigma *= _point_factor(pose[:, :3, 3], control.world_m[points], sigma)
+    return replace(
+        evidence,
+        frame=np.append(evidence.frame, np.full(len(points), -1)),
+        pose=np.concatenate([evidence.pose, pose]),
+        speed=None if evidence.speed is None else np.concatenate([evidence.speed, np.zeros_like(pose)]),
+        position=np.concatenate([evidence.position, control.world_m[points]]),
+        sigma=np.concatenate([evidence.sigma, sigma]),
+        orientation=np.concatenate([evidence.orientation, np.full((len(points), 3, 3), np.nan)]),
+    )
+
+
+def _point_factor(place: np.ndarray, world: np.ndarray, sigma: np.ndarray) -> float:
+    """By how much control points disagree with each other more than their sigmas say; 1 with three of them."""
+    count = len(place)
+    if count < MIN_POSITIONS + 1:
+        return 1.0
+    off = umeyama(place, world, 1 / sigma[:, 0] ** 2)(place) - world
+    squares = np.sum((off / sigma) ** 2, axis=1)
+    typical = float(np.mean(squares)) if count < _MANY_POINTS else float(np.median(squares)) * 3 / noise.MEDIAN_CHI2_3
+    return max(1.0, float(np.sqrt(typical * count / (3 * count - 7))))
+
+
+def _believed(evidence: Evidence, fixes: Fixes, up: Up | None) -> tuple[Evidence, Fit]:
+    """The evidence with the fixes' sigmas stretched to what their residuals say, and its fit."""
+    used = up_to_use(evidence, up, [])
+    fit = fit_similarity(evidence, used)
+    count = len(fixes)
+    for _ in range(_NOISE_ROUNDS if count else 0):
+        residual = evidence.position_residuals(fit.similarity, fit.antenna, fit.offset_s)[:count] / fixes.sigma
+        stretched = fixes.stretched(noise.factors(residual, fixes.level, fixes.time_s))
+        evidence = replace(evidence, sigma=np.concatenate([stretched.sigma, evidence.sigma[count:]]))
+        fit = fit_similarity(evidence, used, near=fit.similarity)
+    return evidence, fit
+
+
+def _lever_arm(scene: Scene, settings: GeorefSettings, notes: list[str]) -> tuple[np.ndarray | None, bool | None]:
+    """The given lever arm or None, and whether to estimate it (None: if the positions can tell)."""
+    if scene.prior in ("trajectory", "exif", "none") or settings.antenna == "ignored":
+        return None, False
+    arm = next((r.antenna_m for r in scene.rigs if r.antenna_m is not None), None)
+    given = None if arm is None else np.array(arm)
+    if settings.antenna == "estimated":
+        return given, True
+    if settings.antenna == "given" and given is None:
+        notes.append("georef.antenna = 'given', but the rig file gives no antenna: the cameras are taken to be there")
+    return given, False if given is not None or settings.antenna == "given" else None
+
+
+def _try_lever_arm(evidence: Evidence, fit: Fit, fixes: Fixes, up: Up | None, notes: list[str]) -> tuple[Evidence, Fit]:
+    """Estimate the lever arm if the positions tell it in plan and agree clearly better with it."""
+    richer, other = _believed(replace(evidence, estimate_antenna=True), fixes, up)
+    plain = fit_similarity(replace(richer, estimate_antenna=False), up_to_use(richer, up, []), near=fit.similarity)
+    plan_sigma = arm_sigma(richer, other)[0]
+    if plan_sigma < ARM_SIGMA_M * ANTENNA_SIGMA_M and plain.cost - other.cost > ARM_GAIN:
+        notes.append(_arm_text(richer, other))
+        return richer, other
+    why = (
+        f"it is known to {plan_sigma:.2f} m only: that needs headings that differ, such as a return pass"
+        if plan_sigma >= ARM_SIGMA_M * ANTENNA_SIGMA_M
+        else "with one the positions fit no better"
+    )
+    notes.append(f"no lever arm given and none estimated ({why}): the antenna is taken to be at the reference camera")
+    return evidence, fit
+
+
+def arm_sigma(evidence: Evidence, fit: Fit) -> tuple[float, float]:
+    """Sigmas (m) of an estimated lever arm: the larger one in plan, and along the vertical."""
+    turn = np.einsum("ij,kjl->kil", fit.similarity.rotation, evidence.pose[evidence.frame >= 0, :3, :3])
+    upward = turn[:, 2, :].mean(axis=0)
+    upward /= max(float(np.linalg.norm(upward)), 1e-12)
+    flat = np.eye(3) - np.outer(upward, upward)
+    plan = flat @ fit.antenna_covariance @ flat
+    return float(np.sqrt(np.linalg.eigvalsh(plan)[-1])), float(np.sqrt(upward @ fit.antenna_covariance @ upward))
+
+
+def _arm_text(evidence: Evidence, fit: Fit) -> str:
+    plan, height = arm_sigma(evidence, fit)
+    x, y, z = fit.antenna
+    text = f"lever arm estimated: {x:.2f} {y:.2f} {z:.2f} m in the reference camera's frame, to {plan:.2f} m in plan"
+    if height > ARM_SIGMA_M * ANTENNA_SIGMA_M:
+        text += (
+            f"; its height cannot be told from the height of the world (known to {height:.1f} m by assumption): "
+            "measure the antenna's height above the cameras where heights matter"
+        )
+    return text
+
+
+def _try_clock(evidence: Evidence, fit: Fit, fixes: Fixes, up: Up | None, notes: list[str]) -> tuple[Evidence, Fit]:
+    """Estimate the offset of the receiver's clock if it is observable and differs from nothing."""
+    richer, other = _believed(replace(evidence, estimate_offset=True), fixes, up)
+    plain = fit_similarity(replace(richer, estimate_offset=False), up_to_use(richer, up, []), near=fit.similarity)
+    sigma, value = other.offset_sigma_s, other.offset_s
+    speed = np.linalg.norm(evidence.speed[: len(fixes), :3, 3], axis=1) if evidence.speed is not None else np.zeros(1)
+    metres = sigma * float(np.median(speed)) * fit.similarity.scale
+    if not metres < ARM_SIGMA_M * ANTENNA_SIGMA_M:
+        notes.append(
+            f"the receiver's clock against the cameras' cannot be told (to {sigma:.2f} s, {metres:.2f} m on the way): "
+            "at constant speed it is the lever arm along the track"
+        )
+    elif abs(value) > CLOCK_SIGMAS * sigma and plain.cost - other.cost > CLOCK_GAIN:
+        notes.append(f"the receiver's clock is {value:+.3f} s (sigma {sigma:.3f}) off the cameras': taken into account")
+        return richer, other
+    else:
+        notes.append(f"the receiver's clock agrees with the cameras' ({value:+.3f} s, sigma {sigma:.3f})")
+    return evidence, fit
+
+
+def up_to_use(evidence: Evidence, up: Up | None, notes: list[str]) -> Up | None:
+    """The cameras' upward direction if the positions need it: a straight track leaves the roll about it open."""
+    if up is None or np.isfinite(evidence.orientation).all(axis=(1, 2)).any():
+        return None
+    alone = fit_similarity(evidence, None)
+    if up.ring and alone.tilt_sigma_deg > up.sigma_deg / 2:
+        notes.append(
+            f"the positions leave the tilt open (known to {min(alone.tilt_sigma_deg, 90):.1f} deg): the upward "
+            f"direction of {up.cameras} holds it, to about {up.sigma_deg:.0f} deg"
+        )
+    elif not up.ring and alone.roll_sigma_deg > ROLL_LIMIT_DEG:
+        notes.append(
+            f"the positions lie nearly on a straight line (roll about it known to {min(alone.roll_sigma_deg, 90):.0f} "
+            f"deg): the upward direction of {up.cameras} holds it, to about {up.sigma_deg:.0f} deg"
+        )
+    else:
+        return None
+    return up
