@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pycolmap
 
+from tiegraph.child import run_in_child
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import world_from_geodetic
 from tiegraph.pipeline.files import checked
@@ -18,6 +19,9 @@ from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.fixes import Given, PositionRows
 from tiegraph.sfm.georef import Georeference, georeference_all
+from tiegraph.sfm.ground import GroundRequest, Held, ground
+from tiegraph.sfm.mapper import believed_cameras
+from tiegraph.sfm.rig import rig_modes
 
 
 def georef(run: Run) -> Outcome:
@@ -25,20 +29,22 @@ def georef(run: Run) -> Outcome:
     scene = checked(run).measured()
     given = Given(_rows(run, scene), control_points(run, scene), _covered(run, scene))
     folders = sorted((p for p in run.path("sparse").iterdir() if p.name.isdigit()), key=lambda p: int(p.name))
-    models = [pycolmap.Reconstruction(str(p)) for p in folders]
-    placed = georeference_all(models, scene, run.settings.georef, given)
-    main = placed[0]
-    notes = [*main.notes, *(_other_note(k, m, g) for k, (m, g) in enumerate(zip(models, placed)) if k)]
+    scratch = run.path("sparse", ".world")
+    remove(scratch)
+    sparse = run.settings.sparse
+    rigs = tuple(k + 1 for k, mode in rig_modes(scene, sparse.rig).items() if mode == "fixed")
+    held = Held(rigs, believed_cameras(scene, sparse))
+    request = GroundRequest(folders[0], scratch, scene.to_json(), run.settings.georef, given, held)
+    main = run_in_child(ground, request, log=run.log, task="georeferencing")
+    others = [pycolmap.Reconstruction(str(p)) for p in folders[1:]]
+    placed = georeference_all(others, scene, run.settings.georef, given)
+    notes = [*main.notes, *(_other_note(k + 1, m, g) for k, (m, g) in enumerate(zip(others, placed)))]
     world = main.to_dict()
     sigma = run.receipts.read("sparse").get("counts", {})
     if "position_sigma_median" in sigma:
         # Of the bundle adjustment, in the model's units: the shape of the survey, not its place on the Earth.
         scaled = {n: main.world_from_model.scale * sigma[f"position_sigma_{n}"] for n in ("median", "p90")}
         world["model_sigma"] = scaled
-    scratch = run.path("sparse", ".world")
-    remove(scratch)
-    scratch.mkdir()
-    main.apply(models[0]).write(str(scratch))
     remove(run.path("sparse", "world"))
     scratch.rename(run.path("sparse", "world"))
     save_json(run.path("world.json"), {**world, "notes": notes})

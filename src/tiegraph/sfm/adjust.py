@@ -40,7 +40,7 @@ def final_adjustment(
     intrinsics is refused and said so.
     """
     adjusted = pycolmap.Reconstruction(model)
-    free = _free_cameras(adjusted) - set(constant_cameras)
+    free = free_cameras(adjusted) - set(constant_cameras)
     _solve(adjusted, fixed_rigs, free, robust=False)
     pycolmap.ObservationManager(adjusted).filter_all_points3D(FILTER_PX, FILTER_ANGLE_DEG)
     _solve(adjusted, fixed_rigs, free, robust=True)
@@ -61,7 +61,8 @@ def final_adjustment(
     return Adjustment(adjusted, True, note)
 
 
-def _free_cameras(model: pycolmap.Reconstruction) -> set[int]:
+def free_cameras(model: pycolmap.Reconstruction) -> set[int]:
+    """COLMAP ids of the cameras with at least 10 images that see points: the others keep their intrinsics."""
     images = [model.image(i) for i in model.reg_image_ids()]
     cameras = [i.camera_id for i in images if i.num_points3D >= MIN_OBSERVATIONS]
     return {c for c in set(cameras) if cameras.count(c) >= MIN_IMAGES}

@@ -147,7 +147,7 @@ def _placed(placing: Placing, view: Model, scene: Scene, given: Given) -> Georef
     fit, evidence, fixes = placing.fit, placing.evidence, placing.fixes
     count = len(fixes)
     here = evidence.position_residuals(fit.similarity, fit.antenna, fit.offset_s)
-    at = _row_of_frames(fixes, scene.frames)
+    at = row_of_frames(fixes, scene.frames)
     has = np.flatnonzero(at >= 0)
     residual, held_out = np.full((scene.frames, 3), np.nan), np.full((scene.frames, 3), np.nan)
     residual[has] = here[at[has]]
@@ -177,7 +177,7 @@ def _placed(placing: Placing, view: Model, scene: Scene, given: Given) -> Georef
     )
 
 
-def _row_of_frames(fixes: Fixes, frames: int) -> np.ndarray:
+def row_of_frames(fixes: Fixes, frames: int) -> np.ndarray:
     """(F,) the fix nearest to each frame; -1 = none."""
     out, best = np.full(frames, -1), np.zeros(frames)
     weight = np.abs(fixes.weights).max(axis=1)

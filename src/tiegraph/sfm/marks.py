@@ -100,7 +100,7 @@ def _meet(views: list, xy: np.ndarray) -> Any:
 def point_table(
     control: Control, found: list[Target], off_m: np.ndarray, images: tuple[str, ...]
 ) -> tuple[list[dict], dict]:
-    """Per point dE, dN, dU (model minus survey, metres) and pixels; and RMSE, CE90 and LE90 of control and check points.
+    """Per point dE, dN, dU (model minus survey, metres) and pixels; RMSE, CE90 and LE90 of control and check points.
 
     ``off_m`` (P, 3), NaN = not in the model. CE90 and LE90 are those of a normal error of this RMSE (2.146, 1.645
     times), with the points' own number said beside them.

@@ -1,0 +1,214 @@
+"""From a model to the world: the similarity, then the adjustment with positions where it stands its check."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pycolmap
+
+from tiegraph.geometry.align import Similarity
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm import worldadjust
+from tiegraph.sfm.fixes import Fixes, Given
+from tiegraph.sfm.georef import Georeference, georeference, row_of_frames
+from tiegraph.sfm.marks import point_table, targets
+from tiegraph.sfm.model import image_poses
+from tiegraph.sfm.placing import Placing
+from tiegraph.sfm.settings import GeorefSettings
+from tiegraph.sfm.worldadjust import Adjusted, Constraints, adjust_in_world
+
+NOT_WORSE = 1.01  # times the held-out residual of the similarity
+_CLIP = 5.0  # sigmas: an outlier among the held-out positions counts as that
+_MIN_HELD = 3  # held-out positions below which their check says nothing
+
+
+@dataclass(frozen=True)
+class Held:
+    """What an adjustment must leave as it is: COLMAP ids of rigs with calibrated extrinsics, and of such cameras."""
+
+    rigs: Collection[int] = ()
+    cameras: Collection[int] = ()
+
+
+def georeference_model(
+    model: pycolmap.Reconstruction,
+    scene: Scene,
+    settings: GeorefSettings,
+    given: Given | None = None,
+    held: Held | None = None,
+) -> tuple[Georeference, pycolmap.Reconstruction]:
+    """The georeference of a model and the model in the world.
+
+    First the similarity of ``georeference``. Then a bundle adjustment with the positions and control points takes out
+    drift, which no similarity can; it is kept only if positions it did not know (every fifth) are met at least as well
+    as with the similarity, and the images no worse. What was decided, and why, is in the notes.
+    """
+    given, held = given or Given(), held or Held()
+    first = georeference(model, scene, settings, given)
+    world = first.apply(model)
+    placing = first.placing
+    if placing is None or settings.adjust == "no":
+        return first, world
+    if not worldadjust.available():
+        return _with(first, "not adjusted with the positions: the package pyceres is not installed"), world
+    constraints = _constraints(world, scene, first, placing, given, held)
+    checked, why = _check(world, scene, placing, constraints)
+    if not checked and settings.adjust == "auto":
+        return _with(first, f"the similarity stays, a bundle adjustment with the positions was refused: {why}"), world
+    made = adjust_in_world(world, scene, constraints)
+    if made.after_px > worldadjust.WORSE_PIXELS * made.before_px and settings.adjust == "auto":
+        text = f"the images fit worse with it ({made.before_px:.3f} -> {made.after_px:.3f} px)"
+        return _with(first, f"the similarity stays, a bundle adjustment with the positions was refused: {text}"), world
+    return _adjusted(first, made, model, world, scene, given, why), made.model
+
+
+@dataclass(frozen=True)
+class GroundRequest:
+    """What a child process needs to bring a model on disk into the world; picklable."""
+
+    folder: Path
+    target: Path
+    scene: str  # JSON
+    settings: GeorefSettings
+    given: Given
+    held: Held
+
+
+def ground(request: GroundRequest, send: Callable[[Any], None]) -> Georeference:
+    """``georeference_model`` from folder to folder."""
+    model = pycolmap.Reconstruction(str(request.folder))
+    found, world = georeference_model(
+        model, Scene.from_json(request.scene), request.settings, request.given, request.held
+    )
+    request.target.mkdir(parents=True, exist_ok=True)
+    world.write(str(request.target))
+    return found
+
+
+def _with(georeference: Georeference, note: str) -> Georeference:
+    return replace(georeference, notes=(*georeference.notes, note))
+
+
+def _constraints(
+    world: pycolmap.Reconstruction, scene: Scene, first: Georeference, placing: Placing, given: Given, held: Held
+) -> Constraints:
+    evidence, control = placing.evidence, given.control
+    up = placing.up
+    if up is not None:
+        up = replace(up, direction=np.array([0.0, 0.0, 1.0]))  # it was brought there by the similarity
+    stretch = 1.0
+    if control is not None and len(placing.points):
+        stretch = float(np.median(evidence.sigma[len(placing.fixes) :] / control.sigma_m[placing.points]))
+    return Constraints(
+        fixes=placing.fixes,
+        factor=placing.factor,
+        antenna=placing.fit.antenna,
+        offset_s=placing.fit.offset_s,
+        free_antenna=evidence.estimate_antenna,
+        free_offset=evidence.estimate_offset,
+        control=control,
+        targets=targets(world, scene, control) if control is not None else (),
+        point_factor=stretch,
+        up=up,
+        fixed_rigs=held.rigs,
+        constant_cameras=held.cameras,
+    )
+
+
+def _check(
+    world: pycolmap.Reconstruction, scene: Scene, placing: Placing, constraints: Constraints
+) -> tuple[bool, str]:
+    """Whether an adjustment without the held-out positions meets them at least as well as such a similarity; and how.
+
+    The model starts from the similarity that did not know them either.
+    """
+    fixes, blind = placing.fixes, placing.blind
+    out = np.flatnonzero(fixes.held)
+    if blind is None or len(out) < _MIN_HELD:
+        if len(placing.points) and not len(fixes):
+            return True, "control points only: nothing was held out"
+        return False, "too few positions to hold some back as a check"
+    start = pycolmap.Reconstruction(world)
+    start.transform(_between(placing.fit.similarity, blind.similarity))
+    keep = ~fixes.held
+    known = replace(
+        constraints,
+        fixes=fixes.where(keep),
+        factor=placing.factor[keep],
+        antenna=blind.antenna,
+        offset_s=blind.offset_s,
+    )
+    made = adjust_in_world(start, scene, known, rounds=1)
+    held = fixes.where(fixes.held)
+    sigma = held.sigma * placing.factor[out, None]
+    before = worldadjust.residuals(start, scene, held, blind.antenna, blind.offset_s) / sigma
+    after = worldadjust.residuals(made.model, scene, held, made.antenna, made.offset_s) / sigma
+    a, b = _score(before), _score(after)
+    lengths = [
+        float(np.sqrt(np.mean(np.minimum(r**2, (_CLIP * held.sigma) ** 2)))) for r in (after * sigma, before * sigma)
+    ]
+    text = f"{len(out)} positions held back are met within {lengths[0]:.3f} m, with the similarity {lengths[1]:.3f} m"
+    return b <= NOT_WORSE * a, text
+
+
+def _score(residual: np.ndarray) -> float:
+    """Root mean square per axis in sigmas, single outliers clipped."""
+    distance = np.minimum(np.linalg.norm(residual, axis=1), _CLIP * np.sqrt(3))
+    return float(np.sqrt(np.mean(distance**2) / 3))
+
+
+def _between(first: Similarity, second: Similarity) -> pycolmap.Sim3d:
+    """From the world of one similarity to that of another."""
+    scale, rotation = second.scale / first.scale, second.rotation @ first.rotation.T
+    shift = second.translation - scale * rotation @ first.translation
+    return worldadjust.sim3d(Similarity(scale, rotation, shift))
+
+
+def _adjusted(
+    first: Georeference,
+    made: Adjusted,
+    model: pycolmap.Reconstruction,
+    world: pycolmap.Reconstruction,
+    scene: Scene,
+    given: Given,
+    why: str,
+) -> Georeference:
+    assert first.placing is not None
+    fixes: Fixes = first.placing.fixes
+    at = row_of_frames(fixes, scene.frames)
+    has = np.flatnonzero(at >= 0)
+    residual, inlier = np.full((scene.frames, 3), np.nan), np.zeros(scene.frames, bool)
+    residual[has] = made.residual[at[has]]
+    sigma = fixes.sigma * made.factor[:, None] if len(fixes) else fixes.sigma
+    inlier[has] = np.linalg.norm(made.residual / sigma, axis=1)[at[has]] < 3 * np.sqrt(3)
+    control, accuracy = list(first.control), first.accuracy
+    if given.control is not None:
+        found = targets(made.model, scene, given.control)
+        off = np.array([t.place for t in found]).reshape(-1, 3) - given.control.world_m
+        control, accuracy = point_table(given.control, found, off, scene.names)
+    moved = np.linalg.norm(_centres(world, scene) - _centres(made.model, scene), axis=1)
+    note = (
+        f"adjusted with the positions: frames moved by {np.nanmedian(moved):.3f} m (at most {np.nanmax(moved):.3f} m), "
+        f"reprojection {made.before_px:.3f} -> {made.after_px:.3f} px; {why}"
+    )
+    return replace(
+        first,
+        world_from_model=worldadjust.similarity_to(model, made.model, first.world_from_model),
+        residual_m=residual,
+        inlier=inlier,
+        antenna_m=tuple(float(v) for v in made.antenna) if made.antenna.any() else None,  # type: ignore[arg-type]
+        offset_s=made.offset_s,
+        control=tuple(control),
+        accuracy=accuracy,
+        adjusted=True,
+        notes=(*first.notes, note),
+    )
+
+
+def _centres(model: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
+    poses = image_poses(model, scene)
+    return -np.einsum("nji,nj->ni", poses[:, :3, :3], poses[:, :3, 3])

@@ -1,0 +1,271 @@
+"""The bundle adjustment in the world: images, positions and control points together, against drift and bending."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pycolmap
+
+from tiegraph.geometry import transforms
+from tiegraph.geometry.align import Similarity, umeyama
+from tiegraph.scene.control import Control
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm import costs, noise
+from tiegraph.sfm.adjust import FILTER_ANGLE_DEG, FILTER_PX, ROBUST_PX, free_cameras
+from tiegraph.sfm.fit import ANTENNA_SIGMA_M, INLIER_SIGMAS, OFFSET_SIGMA_S
+from tiegraph.sfm.fixes import Fixes
+from tiegraph.sfm.gravity import Up
+from tiegraph.sfm.marks import MARK_SIGMA_PX, Target
+from tiegraph.sfm.model import frame_poses, image_poses, matrix
+
+ROUNDS = 2  # of adjustment and new noise factors
+ITERATIONS = 15
+TOLERANCE = 1e-5  # of the cost: the model was adjusted before, only the positions are new
+MIN_PIXEL_SIGMA = 0.1
+WORSE_PIXELS = 1.05  # times the reprojection error before: more, and the positions bend the model
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """What holds a model in the world besides its images; lengths in metres."""
+
+    fixes: Fixes  # sigmas as stated
+    factor: np.ndarray  # (K,) by which they are believed to be too small
+    antenna: np.ndarray  # (3,)
+    offset_s: float
+    free_antenna: bool
+    free_offset: bool
+    control: Control | None = None
+    targets: Sequence[Target] = ()
+    point_factor: float = 1.0
+    up: Up | None = None  # in the world: holds the tilt where positions do not
+    fixed_rigs: Collection[int] = ()
+    constant_cameras: Collection[int] = ()
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """The model after it, lever arm, clock, residuals (K, 3) of the fixes (metres), factors, and pixel errors."""
+
+    model: pycolmap.Reconstruction
+    antenna: np.ndarray
+    offset_s: float
+    residual: np.ndarray
+    factor: np.ndarray
+    before_px: float
+    after_px: float
+
+
+def available() -> bool:
+    """Whether own residuals can be added to COLMAP's problem (package pyceres, of the same pybind11 as pycolmap)."""
+    if costs.pyceres is None:
+        return False
+    try:
+        pycolmap.BundleAdjustmentOptions().ceres.create_loss_function()
+    except TypeError:
+        return False
+    return True
+
+
+def adjust_in_world(world: pycolmap.Reconstruction, scene: Scene, given: Constraints, rounds: int = ROUNDS) -> Adjusted:
+    """Adjust a model that stands in the world by images, positions and control points.
+
+    Positions have a Cauchy loss at three sigmas over the vector; reprojections one at 0.5 px. Both weigh by their
+    sigmas: that of a pixel comes from the residuals before. Between rounds, the factors of the positions' sigmas are
+    estimated anew: where the images allow the model to follow the positions, they shrink; where they do not, they stay.
+    """
+    model = pycolmap.Reconstruction(world)
+    before = float(model.compute_mean_reprojection_error())
+    factor, arm, clock = given.factor, np.array(given.antenna, float), np.array([given.offset_s])
+    residual = residuals(model, scene, given.fixes, arm, float(clock[0]))
+    for _ in range(rounds):
+        _solve(model, scene, replace(given, factor=factor), arm, clock)
+        residual = residuals(model, scene, given.fixes, arm, float(clock[0]))
+        if len(given.fixes):
+            factor = noise.factors(residual / given.fixes.sigma, given.fixes.level, given.fixes.time_s)
+    manager = pycolmap.ObservationManager(model)
+    manager.filter_observations_with_negative_depth()
+    manager.filter_all_points3D(FILTER_PX, FILTER_ANGLE_DEG)
+    model.update_point_3d_errors()
+    after = float(model.compute_mean_reprojection_error())
+    return Adjusted(model, arm, float(clock[0]), residual, factor, before, after)
+
+
+def residuals(
+    model: pycolmap.Reconstruction, scene: Scene, fixes: Fixes, antenna: np.ndarray, offset_s: float
+) -> np.ndarray:
+    """(K, 3) metres: antenna by a model in the world minus the measured positions."""
+    pose, speed = fixes.blend(frame_poses(image_poses(model, scene), scene))
+    moved = pose + offset_s * speed
+    return moved[:, :3, 3] + moved[:, :3, :3] @ antenna - fixes.position
+
+
+def pixel_sigma(model: pycolmap.Reconstruction) -> float:
+    """Standard deviation of an image coordinate, robust, from the mean errors of the points."""
+    errors = np.array([p.error for p in model.points3D.values()], float)
+    errors = errors[np.isfinite(errors) & (errors >= 0)]
+    # A Rayleigh variable's median is 1.177 sigma; a point's error is the mean over its images.
+    return max(float(np.median(errors)) / 1.253, MIN_PIXEL_SIGMA) if len(errors) else 0.5
+
+
+def _solve(
+    model: pycolmap.Reconstruction, scene: Scene, given: Constraints, arm: np.ndarray, clock: np.ndarray
+) -> None:
+    """One adjustment; changes the model, the lever arm (3,) and the clock (1,)."""
+    options = pycolmap.BundleAdjustmentOptions(print_summary=False, refine_principal_point=True)
+    options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
+    options.ceres.loss_function_scale = ROBUST_PX
+    solver = options.ceres.solver_options
+    solver.max_num_iterations = ITERATIONS
+    solver.function_tolerance = TOLERANCE
+    solver.num_threads = 1  # the Python residuals need the interpreter's lock, which this thread holds
+    options.ceres.solver_options = solver
+    config = pycolmap.BundleAdjustmentConfig()
+    for image_id in model.reg_image_ids():
+        config.add_image(image_id)
+    free = free_cameras(model) - set(given.constant_cameras)
+    for camera_id in model.cameras:
+        if camera_id not in free:
+            config.set_constant_cam_intrinsics(camera_id)
+    for rig_id in given.fixed_rigs:
+        for sensor in model.rigs[rig_id].non_ref_sensors if rig_id in model.rigs else ():
+            config.set_constant_sensor_from_rig_pose(sensor)
+    adjuster = pycolmap.create_default_ceres_bundle_adjuster(options, config, model)
+    sigma_px = pixel_sigma(model)
+    kept = _add_positions(adjuster.problem, model, scene, given, (arm, clock, sigma_px))
+    kept += _add_points(adjuster.problem, model, scene, given, sigma_px)
+    kept += _add_up(adjuster.problem, model, scene, given, sigma_px)
+    adjuster.solve()
+    del kept  # the problem only borrows the residuals written in Python
+
+
+def _frames_of(model: pycolmap.Reconstruction, scene: Scene) -> dict[int, tuple[Any, np.ndarray]]:
+    """The model's pose block of each scene frame, and frame_from_rig: the scene's rig frame in the model's frame."""
+    rigs = frame_poses(image_poses(model, scene), scene)
+    out: dict[int, tuple[Any, np.ndarray]] = {}
+    order = np.argsort(-scene.sensor.astype(int), kind="stable")  # the reference's image is looked at last
+    for k in order:
+        image = model.find_image_with_name(scene.names[k])
+        if image is None or not image.has_pose or not np.isfinite(rigs[scene.frame[k]]).all():
+            continue
+        block = _pose(model, image)
+        out[int(scene.frame[k])] = block, matrix(block) @ rigs[scene.frame[k]]
+    return out
+
+
+def _add_positions(
+    problem: Any, model: pycolmap.Reconstruction, scene: Scene, given: Constraints, unknown: tuple
+) -> list:
+    """Residuals of the positions. A scene frame's pose must move with its images: lengths of the rig are metres now."""
+    arm, clock, sigma_px = unknown
+    fixes, kept = given.fixes, []
+    blocks = _frames_of(model, scene)
+    for k in range(len(fixes)):
+        use = [n for n in range(fixes.weights.shape[1]) if fixes.weights[k, n] or fixes.rates[k, n]]
+        poses = [blocks[int(fixes.frames[k, n])] for n in use]
+        sigma = fixes.sigma[k] * given.factor[k] / sigma_px
+        cost = costs.PositionCost(
+            fixes.weights[k, use], fixes.rates[k, use], np.stack([t for _, t in poses]), fixes.position[k], sigma
+        )
+        loss = costs.pyceres.CauchyLoss(INLIER_SIGMAS * sigma_px)
+        _add(problem, cost, loss, [p.params for p, _ in poses], [arm, clock])
+        kept += [cost, loss]
+    if not len(fixes):
+        return kept
+    for block, free, sigma in ((arm, given.free_antenna, ANTENNA_SIGMA_M), (clock, given.free_offset, OFFSET_SIGMA_S)):
+        if free:
+            prior = costs.PriorCost(np.zeros(len(block)), sigma / sigma_px)
+            problem.add_residual_block(prior, None, [block])
+            kept.append(prior)
+        else:
+            problem.set_parameter_block_constant(block)
+    return kept
+
+
+def _add(problem: Any, cost: Any, loss: Any, old: list, new: list, new_first: bool = False) -> None:
+    """Add a residual over blocks of COLMAP's and new ones. What COLMAP left out (held, unobserved) is held here too."""
+    held = [b for b in old if not problem.has_parameter_block(b)]
+    problem.add_residual_block(cost, loss, [*new, *old] if new_first else [*old, *new])
+    for block in held:
+        problem.set_parameter_block_constant(block)
+
+
+def _add_points(
+    problem: Any, model: pycolmap.Reconstruction, scene: Scene, given: Constraints, sigma_px: float
+) -> list:
+    """Marks of the control points (check points never), each point held at its survey."""
+    from pycolmap import cost_functions
+
+    control, kept = given.control, []
+    for row, target in enumerate(given.targets):
+        if control is None or control.check[row] or target.why_not:
+            continue
+        place = np.array(control.world_m[row], float)
+        weight = (MARK_SIGMA_PX / sigma_px) ** 2 * np.eye(2)
+        for mark in target.marks:
+            image = model.find_image_with_name(scene.names[control.image[mark]])
+            blocks = _blocks_of(model, image)
+            kind = cost_functions.ReprojErrorCost if len(blocks) == 2 else cost_functions.RigReprojErrorCost
+            cost = kind(model.cameras[image.camera_id].model, weight, control.xy_px[mark])
+            loss = costs.pyceres.CauchyLoss(INLIER_SIGMAS * sigma_px)
+            _add(problem, cost, loss, blocks, [place], new_first=True)
+            kept += [cost, loss]
+        prior = costs.PriorCost(place, control.sigma_m[row] * given.point_factor / sigma_px)
+        problem.add_residual_block(prior, None, [place])
+        kept += [prior, place]
+    return kept
+
+
+def _pose(model: pycolmap.Reconstruction, image: Any) -> pycolmap.Rigid3d:
+    """rig_from_world of an image's frame, in COLMAP's memory."""
+    pose = model.frame(image.frame_id).rig_from_world
+    assert pose is not None  # only registered frames come here
+    return pose
+
+
+def _blocks_of(model: pycolmap.Reconstruction, image: Any) -> list[np.ndarray]:
+    """Parameter blocks of an image after the point: [cam_from_rig,] rig_from_world, intrinsics, in COLMAP's memory."""
+    pose = _pose(model, image).params
+    params = model.cameras[image.camera_id].params
+    rig = model.rigs[image.frame.rig_id]
+    for sensor, extrinsics in rig.non_ref_sensors.items():  # the accessor by id hands out a copy
+        if sensor == image.data_id.sensor_id and extrinsics is not None:
+            return [extrinsics.params, pose, params]
+    return [pose, params]
+
+
+def _add_up(problem: Any, model: pycolmap.Reconstruction, scene: Scene, given: Constraints, sigma_px: float) -> list:
+    """The upward direction of the cameras in the middle frame, where the positions leave the tilt open."""
+    blocks = _frames_of(model, scene)
+    if given.up is None or not blocks:
+        return []
+    centres = {f: transforms.centre(matrix(b)) for f, (b, _) in blocks.items()}
+    places = np.array(list(centres.values()))
+    middle = list(centres)[int(np.argmin(np.linalg.norm(places - np.median(places, axis=0), axis=1)))]
+    block = blocks[middle][0]
+    upright = matrix(block)[:3, :3] @ given.up.direction
+    axes = np.eye(3)[:2]
+    if not given.up.ring:  # only the roll about the track is held
+        track = np.linalg.svd(places - places.mean(axis=0), full_matrices=False)[2][0]
+        axes = np.cross([0.0, 0.0, 1.0], track)[None] / max(float(np.linalg.norm(track[:2])), 1e-9)
+    cost = costs.UpCost(upright, axes, np.radians(given.up.sigma_deg) / sigma_px)
+    problem.add_residual_block(cost, None, [block.params])
+    return [cost]
+
+
+def similarity_to(before: pycolmap.Reconstruction, after: pycolmap.Reconstruction, first: Similarity) -> Similarity:
+    """The similarity from the model as mapped to the world that comes closest to the adjusted one."""
+    names = [i for i in before.reg_image_ids() if i in after.images and after.image(i).has_pose]
+    a = np.array([before.image(i).projection_center() for i in names])
+    b = np.array([after.image(i).projection_center() for i in names])
+    moved = umeyama(first(a), b)
+    return Similarity(moved.scale * first.scale, moved.rotation @ first.rotation, moved(first.translation[None])[0])
+
+
+def sim3d(similarity: Similarity) -> pycolmap.Sim3d:
+    """COLMAP's form of a similarity."""
+    rotation = pycolmap.Rotation3d(transforms.quaternion_xyzw(similarity.rotation))
+    return pycolmap.Sim3d(similarity.scale, rotation, np.asarray(similarity.translation, float))

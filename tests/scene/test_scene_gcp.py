@@ -1,0 +1,113 @@
+"""Control points: both file forms, CRS, images, and what is wrong with them said with file and line."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tiegraph.errors import InputError
+from tiegraph.geometry.geodesy import crs_coordinates, make_origin, vertical_note, world_from_geodetic
+from tiegraph.scene.control import locate, prepared_pixel
+from tiegraph.scene.gcp import read_gcps
+from tiegraph.scene.rig import Rig, Sensor, Source
+from tiegraph.scene.scene import Scene, simple_scene
+
+import pycolmap  # isort: skip
+
+ORIGIN = make_origin(35.6965, 139.7695, 40.0)
+
+
+def _scene(positions: bool = True) -> Scene:
+    names = [f"a/{k:03d}.jpg" for k in range(4)]
+    scene = simple_scene(Rig("lone", (Sensor("cam"),)), names, np.arange(4), np.zeros(4))
+    if not positions:
+        return scene
+    poses = np.full((4, 4, 4), np.nan)
+    poses[:, :3, 3] = world_from_geodetic(np.tile([35.6965, 139.7695, 40.0], (4, 1)), ORIGIN)
+    return scene.with_(world_from_rig=poses, origin=ORIGIN, prior="gnss", position_sigma_m=np.full((4, 3), 0.05))
+
+
+def _odm(tmp_path, lines: str, first: str = "EPSG:32654"):
+    path = tmp_path / "gcp_list.txt"
+    path.write_text(f"{first}\n{lines}")
+    return read_gcps(path)
+
+
+EAST, NORTH, _ = crs_coordinates(np.zeros(3), ORIGIN)
+
+
+def test_odm_list_with_and_without_names(tmp_path) -> None:
+    found = _odm(
+        tmp_path,
+        f"{EAST} {NORTH} 3 10.5 20 000.jpg\n{EAST} {NORTH} 3 11 21 001.jpg\n{EAST + 5} {NORTH} 4 1 2 a/002.jpg\n",
+        "WGS84 UTM 54N",
+    )
+    assert [p.name for p in found.points] == ["point 1", "point 2"] and len(found.marks) == 3
+    control = locate(found, _scene())
+    np.testing.assert_allclose(control.world_m[1] - control.world_m[0], [5, 0, 1], atol=1e-6)
+    np.testing.assert_array_equal(control.image, [0, 1, 2])
+    assert any("EPSG:32654" in n and "ellipsoid" in n for n in control.notes)
+
+
+def test_csv_of_points_and_marks_with_roles(tmp_path) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text(
+        "# crs: EPSG:32654\nname,x,y,z,sigma_xy,sigma_z,role,image,px,py\n"
+        f"A,{EAST},{NORTH},1,0.01,0.02,gcp,,,\nB,{EAST + 2},{NORTH},1,,,check,,,\n"
+        "A,,,,,,,000.jpg,5,6\nB,,,,,,,001.jpg,7,8\n"
+    )
+    control = locate(read_gcps(path), _scene())
+    assert control.names == ("A", "B")
+    np.testing.assert_array_equal(control.check, [False, True])
+    np.testing.assert_allclose(control.sigma_m, [[0.01, 0.01, 0.02], [0.02, 0.02, 0.03]])
+    np.testing.assert_allclose(control.xy_px, [[5, 6], [7, 8]])
+
+
+def test_geographic_points_and_a_world_of_their_own(tmp_path) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text("name,lat,lon,height,image,px,py\nA,35.6965,139.7695,40,000.jpg,1,1\n")
+    np.testing.assert_allclose(locate(read_gcps(path), _scene()).world_m, _scene().world_from_rig[:1, :3, 3], atol=1e-6)
+    alone = locate(_odm(tmp_path, f"{EAST} {NORTH} 3 1 1 000.jpg\n", "EPSG:32654"), _scene(positions=False))
+    assert alone.origin is not None and alone.origin.crs == "EPSG:32654"
+    np.testing.assert_allclose(crs_coordinates(alone.world_m, alone.origin)[0, :2], [EAST, NORTH], atol=1e-3)
+
+
+def test_wrong_files_say_where(tmp_path) -> None:
+    good = f"{EAST} {NORTH} 3 1 1 000.jpg\n"
+    with pytest.raises(InputError, match=r"gcp_list.txt, line 1: 'nonsense' is no coordinate system"):
+        _odm(tmp_path, good, "nonsense")
+    with pytest.raises(InputError, match=r"line 3: expected x y z px py image"):
+        _odm(tmp_path, good + "1 2 3\n")
+    with pytest.raises(InputError, match=r"line 2: 'x' is no number"):
+        _odm(tmp_path, "1 x 3 1 1 000.jpg\n")
+    with pytest.raises(InputError, match=r"no mark is in an image of this survey \(line 2: 'z.jpg'\)"):
+        locate(_odm(tmp_path, f"{EAST} {NORTH} 3 1 1 z.jpg\n"), _scene())
+    control = locate(_odm(tmp_path, good + f"{EAST} {NORTH} 3 1 1 z.jpg\n"), _scene())
+    assert any("gcp_list.txt, line 3: image 'z.jpg' is not in the survey" in n for n in control.notes)
+    with pytest.raises(InputError, match=r"line 2: point 'point 1' lies .* km .* wrong CRS"):
+        locate(_odm(tmp_path, good, "EPSG:32653"), _scene())
+    with pytest.raises(InputError, match=r"exchanged \(north, east\)"):
+        locate(_odm(tmp_path, f"{NORTH} {EAST} 3 1 1 000.jpg\n"), _scene())
+    (tmp_path / "m.csv").write_text("name,x,y,z,image,px,py\nA,,,,000.jpg,1,2\n")
+    with pytest.raises(InputError, match=r"line 2: a mark of point 'A', which has no coordinates"):
+        read_gcps(tmp_path / "m.csv")
+
+
+def test_heights_above_a_geoid_need_its_grid() -> None:
+    assert "ellipsoid" in vertical_note("EPSG:6677")
+    assert "JGD2011 (vertical)" in vertical_note("EPSG:6677+6695")
+    try:
+        origin = make_origin(35.7, 139.8, 40.0, "EPSG:6677+6695")
+    except InputError as error:
+        assert "grid" in str(error) and "projsync" in str(error)
+    else:  # the grid is installed here
+        assert abs(origin.shift_m[2] - 40.0) > 20
+
+
+def test_marks_follow_cropping_and_undistortion() -> None:
+    camera = pycolmap.Camera(model="SIMPLE_RADIAL", width=100, height=80, params=[80, 50, 40, -0.1])
+    pinhole = pycolmap.Camera(model="PINHOLE", width=90, height=70, params=[80, 80, 45, 35])
+    assert prepared_pixel((20, 30), Sensor("c", camera, source=Source(camera, (5, 3, 0, 0)))) == (15, 27)
+    moved = prepared_pixel((20, 30), Sensor("c", pinhole, source=Source(camera)))
+    ray = np.append(camera.cam_from_img(np.array([20.0, 30.0])), 1.0)
+    np.testing.assert_allclose(moved, pinhole.img_from_cam(ray), atol=1e-9)
