@@ -140,9 +140,10 @@ def jackknife_sigma(evidence: Evidence, up: Up | None, fit: Fit, order: np.ndarr
     ``order`` sorts the positions along the passes; each of up to six runs of neighbours is left out in turn. Rows that
     are not in it (control points) stay.
     """
-    blocks = np.array_split(order, min(_BLOCKS, len(order) // 3))
-    if len(blocks) < 3:
+    parts = min(_BLOCKS, len(order) // 3)
+    if parts < 3:
         return fit.sigma
+    blocks = np.array_split(order, parts)
     middle = evidence.pose[:, :3, 3].mean(axis=0)
     full = fit.similarity
     rows = []

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tiegraph.errors import InputError
 from tiegraph.geometry.align import umeyama
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm import noise
@@ -20,6 +21,7 @@ from tiegraph.sfm.settings import GeorefSettings
 MIN_POSITIONS = 3
 ROLL_LIMIT_DEG = 10.0  # sigma of the roll about the track above which lone cameras' upright direction is used
 ARM_GAIN, CLOCK_GAIN = 16.3, 10.8  # chi-square of 3 and of 1 degrees of freedom at 0.1 %
+MIRROR_GAIN = 4.0  # times nearer with exchanged axes: no noise does that
 ARM_SIGMA_M = 0.5  # of ANTENNA_SIGMA_M: known better than that in plan, the lever arm is observable
 CLOCK_SIGMAS = 4.0
 _NOISE_ROUNDS = 3
@@ -68,7 +70,7 @@ def place(model: Model, scene: Scene, settings: GeorefSettings, given: Given) ->
     notes: list[str] = []
     frames = model.frames(scene)
     registered = np.isfinite(frames).all(axis=(1, 2))
-    fixes = make_fixes(scene, registered, given, settings.sigma_floor_m)
+    fixes = stated = make_fixes(scene, registered, given, settings.sigma_floor_m)
     points = _usable_points(model, given)
     if len(fixes) + len(points) < MIN_POSITIONS:
         return None
@@ -80,7 +82,9 @@ def place(model: Model, scene: Scene, settings: GeorefSettings, given: Given) ->
         fit = fit_similarity(evidence, up_to_use(evidence, model.up, []))
         metres = fit.similarity.scale
         frames = model.frames(scene, metres)
+        fixes = stated.widened(frames, metres)
     evidence, fit = _believed(evidence, fixes, model.up)
+    _refuse_exchanged(evidence, fit)
     if estimate is None:
         evidence, fit = _try_lever_arm(evidence, fit, fixes, model.up, notes)
     elif estimate:
@@ -175,6 +179,25 @@ def _believed(evidence: Evidence, fixes: Fixes, up: Up | None) -> tuple[Evidence
         evidence = replace(evidence, sigma=np.concatenate([stretched.sigma, evidence.sigma[count:]]))
         fit = fit_similarity(evidence, used, near=fit.similarity)
     return evidence, fit
+
+
+def _refuse_exchanged(evidence: Evidence, fit: Fit) -> None:
+    """Raise InputError where the positions fit clearly better with east and north exchanged: a mirror image.
+
+    A straight track is its own mirror image, so that nothing can be said of it.
+    """
+    mirrored = replace(evidence, position=evidence.position[:, [1, 0, 2]])
+    other = fit_similarity(mirrored, None)
+    sizes = [
+        float(np.median(np.linalg.norm(e.position_residuals(f.similarity, f.antenna)[:, :2], axis=1)))
+        for e, f in ((evidence, fit), (mirrored, other))
+    ]
+    if sizes[1] < sizes[0] / MIRROR_GAIN and sizes[0] > ANTENNA_SIGMA_M:
+        raise InputError(
+            f"the positions are a mirror image of the survey: they miss the model by {sizes[0]:.2f} m (median), with "
+            f"their first two coordinates exchanged by {sizes[1]:.2f} m; are latitude and longitude, or north and "
+            "east, exchanged in the GNSS file?"
+        )
 
 
 def _lever_arm(scene: Scene, settings: GeorefSettings, notes: list[str]) -> tuple[np.ndarray | None, bool | None]:

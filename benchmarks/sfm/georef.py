@@ -1,0 +1,308 @@
+"""Georeferencing against truth, from models that ``benchmarks/run.py --keep`` left: ``python benchmarks/sfm/georef.py``.
+
+Three ways on the same model: ``frames`` (similarity to one interpolated position a frame, antenna at the camera),
+``rows`` (every row of the receiver, lever arm and clock where observable), ``adjusted`` (then the bundle adjustment, if
+it stands its check). ``--cases``: bad positions on a set, and a simulated corridor with an outage.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+import numpy as np
+
+import tiegraph  # noqa: F401  before pycolmap
+
+import pycolmap  # isort: skip
+from scipy.spatial.transform import Rotation
+
+from benchmarks import datasets
+from benchmarks.sfm.corridor import Corridor, corridor
+from tiegraph.errors import TiegraphError
+from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.geodesy import geodetic_from_world, world_from_geodetic
+from tiegraph.project.settings import Settings
+from tiegraph.scene.control import Control, locate
+from tiegraph.scene.gcp import read_gcps
+from tiegraph.scene.gnss import read_gnss
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.adjust import final_adjustment
+from tiegraph.sfm.fixes import Given, PositionRows
+from tiegraph.sfm.georef import Georeference
+from tiegraph.sfm.ground import Held, georeference_model
+from tiegraph.sfm.mapper import believed_cameras
+from tiegraph.sfm.model import frame_poses, image_poses
+from tiegraph.sfm.rig import rig_modes
+from tiegraph.sfm.settings import GeorefSettings
+
+WAYS = ("frames", "rows", "adjusted")
+SETS = ("canal", "canal_demo", "pandaset", "oppaiyama")
+
+
+class Survey:
+    """A data set with the model, scene and positions of one kept run."""
+
+    def __init__(self, name: str, out: Path, work: Path) -> None:
+        self.dataset = datasets.load(name, work)
+        self.scene = Scene.from_json((out / "network" / "scene.json").read_text()).measured()
+        self.model = pycolmap.Reconstruction(str(out / "sparse" / "0"))
+        sparse = Settings().sparse
+        rigs = tuple(k + 1 for k, mode in rig_modes(self.scene, sparse.rig).items() if mode == "fixed")
+        self.held = Held(rigs, believed_cameras(self.scene, sparse))
+        self.covered = _covered(out, self.scene)
+        counts = json.loads((out / "receipts" / "sparse.json").read_text())["counts"]
+        self.inner_sigma = counts.get("position_sigma_median")
+
+    def rows(self) -> PositionRows | None:
+        """The receiver's rows in the scene's world."""
+        if self.dataset.gnss is None or self.scene.prior != "gnss" or self.scene.origin is None:
+            return None
+        gnss = read_gnss(self.dataset.gnss)
+        place = world_from_geodetic(gnss.lat_lon_height, self.scene.origin)
+        return PositionRows(gnss.time_s, place, gnss.sigma_m)
+
+    def control(self) -> Control | None:
+        """Surveyed points of the set."""
+        path = self.dataset.images.parent / "gcp_list.txt"
+        return locate(read_gcps(path), self.scene) if path.exists() else None
+
+
+def _covered(out: Path, scene: Scene) -> np.ndarray | None:
+    path = out / "network" / "sections.json"
+    if not path.exists():
+        return None
+    return np.isin(scene.section, [r["number"] for r in json.loads(path.read_text()) if r["kind"] == "bridge"])
+
+
+def georeferenced(survey: Survey, way: str, given: Given) -> tuple[Georeference, Any, float]:
+    """Georeference, model in the world, CPU seconds."""
+    start = time.process_time()
+    if way == "frames":
+        settings, given = GeorefSettings(adjust="no", antenna="ignored"), replace(given, rows=None)
+    else:
+        settings = GeorefSettings(adjust="auto" if way == "adjusted" else "no")
+    found, world = georeference_model(survey.model, survey.scene, settings, given, survey.held)
+    return found, world, time.process_time() - start
+
+
+def errors(survey: Survey, found: Georeference, world: Any) -> dict[str, Any]:
+    """Distances of projection centres to the truth: after SE3, after Sim3, and as placed; and what was predicted."""
+    dataset = survey.dataset
+    names = [n for n in dataset.cam_from_world if (i := world.find_image_with_name(n)) is not None and i.has_pose]
+    here = np.array([world.find_image_with_name(n).projection_center() for n in names])
+    true = np.array([dataset.centres_m()[n] for n in names])
+    rigid, free = umeyama(here, true, with_scale=False), umeyama(here, true)
+    se3, sim3 = (np.linalg.norm(f(here) - true, axis=1) for f in (rigid, free))
+    out: dict[str, Any] = {"images": len(names), "ate_se3_m": _rms(se3), "ate_se3_max_m": float(se3.max())}
+    out |= {"ate_sim3_m": _rms(sim3), "scale_off": float(free.scale - 1), "predicted": found.sigma}
+    if survey.inner_sigma is not None:
+        out["predicted_inner_m"] = survey.inner_sigma * found.world_from_model.scale
+        out["actual_inner_m"] = float(np.median(sim3))
+    if dataset.truth_origin is not None and found.origin is not None:
+        placed = world_from_geodetic(geodetic_from_world(here, found.origin), dataset.truth_origin)
+        off = placed - true
+        fit = umeyama(placed, true)
+        lean = Rotation.from_matrix(fit.rotation).as_rotvec(degrees=True)
+        middle = off.mean(axis=0)
+        out["actual"] = {
+            "position_m": float(np.hypot(middle[0], middle[1])), "height_m": float(abs(middle[2])),
+            "yaw_deg": float(abs(lean[2])), "tilt_deg": float(np.hypot(*lean[:2])), "scale": float(abs(fit.scale - 1)),
+        }  # fmt: skip
+        out["absolute_plan_m"] = _rms(np.linalg.norm(off[:, :2], axis=1))
+        out["absolute_height_m"] = _rms(off[:, 2])
+    return out
+
+
+def held_out(found: Georeference) -> dict[str, float]:
+    """Held-out positions by the blind similarity: robust root mean square per axis in stated sigmas, and how many."""
+    placing = found.placing
+    if placing is None or placing.blind is None:
+        return {}
+    fixes, blind = placing.fixes, placing.blind
+    off = placing.evidence.position_residuals(blind.similarity, blind.antenna, blind.offset_s)[: len(fixes)]
+    squares = np.sum((off / fixes.sigma) ** 2, axis=1)[fixes.held]
+    return {"held_out": int(fixes.held.sum()), "held_out_sigmas": float(np.sqrt(np.median(squares) / 2.366))}
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def measure_set(survey: Survey, ways: tuple[str, ...] = WAYS) -> dict[str, Any]:
+    """All ways on one set."""
+    out = {}
+    for way in ways:
+        given = Given(survey.rows(), survey.control(), survey.covered)
+        found, world, cpu = georeferenced(survey, way, given)
+        row = errors(survey, found, world) | held_out(found)
+        row |= {"cpu_s": round(cpu, 1), "adjusted": found.adjusted, "antenna_m": found.antenna_m}
+        row |= {"clock_s": found.offset_s, "accuracy": found.accuracy, "notes": list(found.notes)}
+        out[way] = row
+    return out
+
+
+# --- bad positions --------------------------------------------------------------------------------------------------
+
+
+def bad_cases(survey: Survey, way: str = "adjusted") -> dict[str, Any]:
+    """What becomes of a set whose positions are spoilt in one way each."""
+    rows = survey.rows()
+    assert rows is not None
+    out = {}
+    for name, spoilt in _spoilt(rows, survey).items():
+        scene = survey.scene
+        try:
+            bad = _with_rows(survey, spoilt)
+            found, world, _ = georeferenced(bad, way, Given(spoilt, None, survey.covered))
+            out[name] = errors(bad, found, world) | {"notes": list(found.notes), "adjusted": found.adjusted}
+        except TiegraphError as error:
+            out[name] = {"error": str(error)}
+        survey.scene = scene
+    return out
+
+
+def _spoilt(rows: PositionRows, survey: Survey) -> dict[str, PositionRows]:
+    rng = np.random.default_rng(5)
+    outliers = rows.position_m.copy()
+    bad = rng.random(len(outliers)) < 0.1
+    outliers[bad] += 20 * rng.standard_normal((int(bad.sum()), 3))
+    half = rows.time_s < np.median(rows.time_s)
+    drift = rows.position_m.copy()
+    late = (rows.time_s > np.quantile(rows.time_s, 0.15)) & (rows.time_s < np.quantile(rows.time_s, 0.3))
+    drift[late] += [1.5, -1.0, 2.0]
+    first = PositionRows(*(v[half] for v in (rows.time_s, rows.position_m, rows.sigma_m)))
+    return {
+        "as it is": rows,
+        "10 % gross outliers (20 m)": replace(rows, position_m=outliers),
+        "a pass without GNSS": first,
+        "multipath: 15 % of the time 2.7 m off, sigma as before": replace(rows, position_m=drift),
+        "east and north exchanged": replace(rows, position_m=rows.position_m[:, [1, 0, 2]]),
+        "sigma stated ten times too small": replace(rows, sigma_m=rows.sigma_m / 10),
+        "clock 0.3 s off": replace(rows, time_s=rows.time_s + 0.3),
+    }
+
+
+def _with_rows(survey: Survey, rows: PositionRows) -> Survey:
+    """The survey whose scene has the positions that these rows give its frames."""
+    scene = survey.scene
+    at = np.full((scene.frames, 3), np.nan)
+    sigma = np.full((scene.frames, 3), np.nan)
+    for f, t in enumerate(scene.time_s):
+        k = int(np.argmin(np.abs(rows.time_s - t)))
+        if abs(rows.time_s[k] - t) < 0.5:
+            at[f], sigma[f] = rows.position_m[k], rows.sigma_m[k]
+    poses = np.full((scene.frames, 4, 4), np.nan)
+    poses[:, :3, 3] = at
+    survey.scene = scene.with_(world_from_rig=poses, position_sigma_m=sigma)
+    return survey
+
+
+# --- simulated corridor ---------------------------------------------------------------------------------------------
+
+
+def outage(length_m: float, gap_m: float, radial: float, seed: int) -> dict[str, Any]:
+    """A corridor without positions over ``gap_m`` in its middle: error in the gap, over its length."""
+    made = corridor(length_m, radial=radial, seed=seed)
+    model = final_adjustment(made.model, [1], range(1, 5)).model
+    rows = _receiver(made, gap_m, seed)
+    scene = _positions(made.scene, rows)
+    s = np.arange(len(made.truth)) * 2.0
+    inside = np.abs(s - length_m / 2) < gap_m / 2
+    out: dict[str, Any] = {"length_m": length_m, "gap_m": gap_m, "radial": radial, "seed": seed}
+    for way, adjust in (("similarity", "no"), ("adjusted", "yes")):
+        settings = GeorefSettings(adjust=adjust, sigma_floor_m=0.02)
+        start = time.process_time()
+        found, world = georeference_model(model, scene, settings, Given(rows), Held((1,), range(1, 5)))
+        place = frame_poses(image_poses(world, scene), scene)[:, :3, 3]
+        off = np.linalg.norm(place - made.truth[:, :3, 3], axis=1)
+        row = {"rms_m": _rms(off), "worst_in_gap_m": float(off[inside].max()), "cpu_s": time.process_time() - start}
+        row["drift"] = row["worst_in_gap_m"] / gap_m
+        out[way] = {n: round(v, 5) for n, v in row.items()} | {"predicted_m": found.sigma.get("position_m")}
+    return out
+
+
+def _receiver(made: Corridor, gap_m: float, seed: int, sigma_m: float = 0.02) -> PositionRows:
+    rng = np.random.default_rng(seed + 100)
+    time_s, place = made.scene.time_s, made.truth[:, :3, 3]
+    fine = np.arange(time_s[0], time_s[-1], 0.2)
+    at = np.stack([np.interp(fine, time_s, place[:, k]) for k in range(3)], axis=1)
+    s = 1.5 * fine
+    open_sky = np.abs(s - s[-1] / 2) > gap_m / 2
+    noise = sigma_m * rng.standard_normal(at.shape) * [1, 1, 2]
+    sigma = np.tile([sigma_m, sigma_m, 2 * sigma_m], (len(at), 1))
+    return PositionRows(fine[open_sky], (at + noise)[open_sky], sigma[open_sky])
+
+
+def _positions(scene: Scene, rows: PositionRows) -> Scene:
+    poses = np.full((scene.frames, 4, 4), np.nan)
+    sigma = np.full((scene.frames, 3), np.nan)
+    for f, t in enumerate(scene.time_s):
+        k = int(np.argmin(np.abs(rows.time_s - t)))
+        if abs(rows.time_s[k] - t) < 0.3:
+            poses[f, :3, 3], sigma[f] = rows.position_m[k], rows.sigma_m[k]
+    return scene.with_(world_from_rig=poses, position_sigma_m=sigma, prior="gnss")
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--runs", type=Path, required=True, help="folder with <set>-tiegraph-0/out or <set>/out")
+    parser.add_argument("--sets", nargs="*", default=list(SETS))
+    parser.add_argument("--ways", nargs="*", default=list(WAYS))
+    parser.add_argument("--cases", nargs="*", default=[], help="bad, outage")
+    parser.add_argument("-o", "--out", type=Path)
+    options = parser.parse_args()
+    logging.basicConfig(level=logging.WARNING)
+    results: dict[str, Any] = json.loads(options.out.read_text()) if options.out and options.out.exists() else {}
+    with tempfile.TemporaryDirectory() as work:
+        for name in options.sets:
+            found = [
+                p for p in (options.runs / f"{name}-tiegraph-0" / "out", options.runs / name / "out") if p.is_dir()
+            ]
+            survey = Survey(name, found[0], Path(work))
+            results.setdefault("sets", {})[name] = measure_set(survey, tuple(options.ways))
+            if "bad" in options.cases and survey.rows() is not None:
+                results.setdefault("bad", {})[name] = bad_cases(survey)
+    if "outage" in options.cases:
+        results["outage"] = [outage(400.0, 100.0, r, seed) for r in (0.0, 0.005) for seed in range(3)]
+    text = json.dumps(results, indent=1, default=float)
+    if options.out:
+        options.out.write_text(text + "\n")
+    print(table(results))  # noqa: T201
+
+
+def table(results: dict[str, Any]) -> str:
+    """The figures in lines."""
+    lines = []
+    for name, ways in results.get("sets", {}).items():
+        for way, r in ways.items():
+            lines.append(
+                f"{name:11s} {way:9s} SE3 {r['ate_se3_m']:.4f} max {r['ate_se3_max_m']:.3f} Sim3 {r['ate_sim3_m']:.4f} "
+                f"plan {r.get('absolute_plan_m', float('nan')):.3f} height {r.get('absolute_height_m', float('nan')):.3f}"
+                f" held-out {r.get('held_out_sigmas', float('nan')):.2f} sigma, CPU {r['cpu_s']} s, adjusted {r['adjusted']}"
+            )
+            for key, actual in (r.get("actual") or {}).items():
+                lines.append(f"{'':21s} {key}: predicted {r['predicted'][key]:.4f} actual {actual:.4f}")
+    for name, cases in results.get("bad", {}).items():
+        for case, r in cases.items():
+            lines.append(f"{name}: {case}: " + (r.get("error") or f"SE3 {r['ate_se3_m']:.4f}, plan "
+                         f"{r.get('absolute_plan_m', float('nan')):.3f}, adjusted {r['adjusted']}"))  # fmt: skip
+    for r in results.get("outage", []):
+        lines.append(f"outage {r['gap_m']} m of {r['length_m']} m, radial {r['radial']}, seed {r['seed']}: " + "; ".join(
+            f"{w} worst {r[w]['worst_in_gap_m']:.3f} m = {100 * r[w]['drift']:.3f} %" for w in ("similarity", "adjusted")
+        ))  # fmt: skip
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()
