@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm import noise
 from tiegraph.sfm.fit import ANTENNA_SIGMA_M, Evidence, Fit, fit_similarity
@@ -83,7 +83,7 @@ def place(model: Model, scene: Scene, settings: GeorefSettings, given: Given) ->
         metres = fit.similarity.scale
         frames = model.frames(scene, metres)
         fixes = stated.widened(frames, metres)
-    evidence, fit = _believed(evidence, fixes, model.up)
+    evidence, fit = _believed(evidence, fixes, model.up, fit.similarity)
     _refuse_exchanged(evidence, fit)
     if estimate is None:
         evidence, fit = _try_lever_arm(evidence, fit, fixes, model.up, notes)
@@ -91,12 +91,12 @@ def place(model: Model, scene: Scene, settings: GeorefSettings, given: Given) ->
         notes.append(_arm_text(evidence, fit))
     if given.rows is not None and settings.antenna != "ignored":
         evidence, fit = _try_clock(evidence, fit, fixes, model.up, notes)
-    up = up_to_use(evidence, model.up, notes)
+    up = up_to_use(evidence, model.up, notes, fit.similarity)
     blind = None
     held = np.zeros(len(evidence.frame), bool)
     held[: len(fixes)] = fixes.held
     if held.any() and (~held).sum() >= MIN_POSITIONS:
-        blind = fit_similarity(evidence.where(~held), up)
+        blind = fit_similarity(evidence.where(~held), up, fit.similarity)
     count = len(fixes)
     residual = evidence.position_residuals(fit.similarity, fit.antenna, fit.offset_s)[:count]
     found = noise.levels(residual / fixes.sigma, fixes.level, fixes.sigma, fixes.time_s)
@@ -168,10 +168,10 @@ def _point_factor(place: np.ndarray, world: np.ndarray, sigma: np.ndarray) -> fl
     return max(1.0, float(np.sqrt(typical * count / (3 * count - 7))))
 
 
-def _believed(evidence: Evidence, fixes: Fixes, up: Up | None) -> tuple[Evidence, Fit]:
+def _believed(evidence: Evidence, fixes: Fixes, up: Up | None, near: Similarity) -> tuple[Evidence, Fit]:
     """The evidence with the fixes' sigmas stretched to what their residuals say, and its fit."""
-    used = up_to_use(evidence, up, [])
-    fit = fit_similarity(evidence, used)
+    used = up_to_use(evidence, up, [], near)
+    fit = fit_similarity(evidence, used, near)
     count = len(fixes)
     for _ in range(_NOISE_ROUNDS if count else 0):
         residual = evidence.position_residuals(fit.similarity, fit.antenna, fit.offset_s)[:count] / fixes.sigma
@@ -186,6 +186,8 @@ def _refuse_exchanged(evidence: Evidence, fit: Fit) -> None:
 
     A straight track is its own mirror image, so that nothing can be said of it.
     """
+    if np.median(np.linalg.norm(evidence.position_residuals(fit.similarity, fit.antenna), axis=1)) < ANTENNA_SIGMA_M:
+        return
     mirrored = replace(evidence, position=evidence.position[:, [1, 0, 2]])
     other = fit_similarity(mirrored, None)
     sizes = [
@@ -215,8 +217,10 @@ def _lever_arm(scene: Scene, settings: GeorefSettings, notes: list[str]) -> tupl
 
 def _try_lever_arm(evidence: Evidence, fit: Fit, fixes: Fixes, up: Up | None, notes: list[str]) -> tuple[Evidence, Fit]:
     """Estimate the lever arm if the positions tell it in plan and agree clearly better with it."""
-    richer, other = _believed(replace(evidence, estimate_antenna=True), fixes, up)
-    plain = fit_similarity(replace(richer, estimate_antenna=False), up_to_use(richer, up, []), near=fit.similarity)
+    richer, other = _believed(replace(evidence, estimate_antenna=True), fixes, up, fit.similarity)
+    plain = fit_similarity(
+        replace(richer, estimate_antenna=False), up_to_use(richer, up, [], other.similarity), near=fit.similarity
+    )
     plan_sigma = arm_sigma(richer, other)[0]
     if plan_sigma < ARM_SIGMA_M * ANTENNA_SIGMA_M and plain.cost - other.cost > ARM_GAIN:
         notes.append(_arm_text(richer, other))
@@ -254,8 +258,10 @@ def _arm_text(evidence: Evidence, fit: Fit) -> str:
 
 def _try_clock(evidence: Evidence, fit: Fit, fixes: Fixes, up: Up | None, notes: list[str]) -> tuple[Evidence, Fit]:
     """Estimate the offset of the receiver's clock if it is observable and differs from nothing."""
-    richer, other = _believed(replace(evidence, estimate_offset=True), fixes, up)
-    plain = fit_similarity(replace(richer, estimate_offset=False), up_to_use(richer, up, []), near=fit.similarity)
+    richer, other = _believed(replace(evidence, estimate_offset=True), fixes, up, fit.similarity)
+    plain = fit_similarity(
+        replace(richer, estimate_offset=False), up_to_use(richer, up, [], other.similarity), near=fit.similarity
+    )
     sigma, value = other.offset_sigma_s, other.offset_s
     speed = np.linalg.norm(evidence.speed[: len(fixes), :3, 3], axis=1) if evidence.speed is not None else np.zeros(1)
     metres = sigma * float(np.median(speed)) * fit.similarity.scale
@@ -272,11 +278,14 @@ def _try_clock(evidence: Evidence, fit: Fit, fixes: Fixes, up: Up | None, notes:
     return evidence, fit
 
 
-def up_to_use(evidence: Evidence, up: Up | None, notes: list[str]) -> Up | None:
-    """The cameras' upward direction if the positions need it: a straight track leaves the roll about it open."""
+def up_to_use(evidence: Evidence, up: Up | None, notes: list[str], near: Similarity | None = None) -> Up | None:
+    """The cameras' upward direction if the positions need it: a straight track leaves the roll about it open.
+
+    ``near``: a similarity that is known to be about right saves looking for a start.
+    """
     if up is None or np.isfinite(evidence.orientation).all(axis=(1, 2)).any():
         return None
-    alone = fit_similarity(evidence, None)
+    alone = fit_similarity(evidence, None, near)
     if up.ring and alone.tilt_sigma_deg > up.sigma_deg / 2:
         notes.append(
             f"the positions leave the tilt open (known to {min(alone.tilt_sigma_deg, 90):.1f} deg): the upward "
