@@ -10,6 +10,7 @@ from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.evaluate.survey import evaluate_survey
 from tiegraph.masks.compare import compare
 from tiegraph.pipeline.files import checked
+from tiegraph.pipeline.world import world_origin
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome
 from tiegraph.report.html import write_report
@@ -21,10 +22,11 @@ def evaluate(run: Run) -> Outcome:
     """Figures of merit of the masks, the model and the cloud, against references where they are given."""
     scene, settings = checked(run), run.settings.evaluate
     model = pycolmap.Reconstruction(str(run.path("sparse", "world")))
-    cloud = read_cloud(run.path("cloud.laz"), scene.origin)
+    origin = world_origin(run)
+    cloud = read_cloud(run.path("cloud.laz"), origin)
     placed = json.loads(run.path("world.json").read_text())["placed"]
     # Against its own points a camera model without depth maps says the same, and needs no reading of them.
-    result = evaluate_survey(scene, model, cloud, None, settings, scene.origin if placed else None)
+    result = evaluate_survey(scene, model, cloud, None, settings, origin if placed else None)
     if settings.reference_masks is not None:
         result["tables"]["mask accuracy"] = _masks(run, scene, settings)
     save_json(run.path("metrics.json"), result)

@@ -17,13 +17,14 @@ from tiegraph.dense.neighbours import plan_images
 from tiegraph.dense.plan import ImagePlan
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.undistort import load_view
-from tiegraph.pipeline.files import checked
+from tiegraph.pipeline.world import placement_error, world_origin
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, remove
 from tiegraph.scene.cloudfile import write_cloud
 from tiegraph.scene.depthfile import load_depth, save_depth
-from tiegraph.scene.results import DepthMap
+from tiegraph.scene.results import Cloud, DepthMap
 
+_EVERY = 50  # points of the cloud looked at for its sigma in the world
 FIRST = ".first"  # depth maps before they are compared with each other; removed when the stage is done
 
 
@@ -81,13 +82,29 @@ def cloud(run: Run) -> Outcome:
     remove(scratch)
     scratch.mkdir(parents=True)
     load = partial(_load_coloured, folder=run.folder, plans=plans, settings=run.settings.dense)
-    fused = fuse(sorted(plans), load, scratch, run.settings.cloud, checked(run).origin, _mapper(run))
+    fused = fuse(sorted(plans), load, scratch, run.settings.cloud, world_origin(run), _mapper(run))
     notes: list[str] = []
     for name in ("cloud.laz", "cloud.ply"):
         notes += write_cloud(fused.clouds(), run.path(name))
+    world = _world_sigma(run, fused.clouds())
     remove(scratch)
-    counts = {"points": fused.counts["points"], **{k: v for k, v in fused.counts.items() if k != "points"}}
+    counts = {"points": fused.counts["points"], **{k: v for k, v in fused.counts.items() if k != "points"}, **world}
     return Outcome({**counts, "voxel": float(f"{fused.voxel:.3g}")}, notes=tuple(dict.fromkeys(notes)))
+
+
+def _world_sigma(run: Run, parts: Iterable[Cloud]) -> dict[str, float]:
+    """Median and 90th percentile of the points' sigma in the world: of the matching and of the placement together."""
+    error, found = placement_error(run), []
+    if error is None:
+        return {}
+    for part in parts:
+        some = part.where(np.arange(0, len(part), _EVERY))
+        placed = np.linalg.norm(error.sigma(some.xyz_m), axis=1)
+        found.append(np.hypot(placed, np.nan_to_num(some.sigma_m)))
+    both = np.concatenate(found) if found else np.zeros(0)
+    if not len(both):
+        return {}
+    return {f"world_sigma_{n}_m": round(float(np.percentile(both, p)), 4) for n, p in (("median", 50), ("p90", 90))}
 
 
 def _mapper(run: Run) -> Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]:

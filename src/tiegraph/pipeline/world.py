@@ -9,7 +9,7 @@ import pycolmap
 
 from tiegraph.child import run_in_child
 from tiegraph.errors import InputError
-from tiegraph.geometry.geodesy import world_from_geodetic
+from tiegraph.geometry.geodesy import Origin, world_from_geodetic
 from tiegraph.pipeline.files import checked
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome, remove
@@ -17,6 +17,7 @@ from tiegraph.scene.control import Control, locate
 from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.scene import Scene
+from tiegraph.sfm.accuracy import PlacementError
 from tiegraph.sfm.fixes import Given, PositionRows
 from tiegraph.sfm.georef import Georeference, georeference_all
 from tiegraph.sfm.ground import GroundRequest, Held, ground
@@ -49,6 +50,18 @@ def georef(run: Run) -> Outcome:
     scratch.rename(run.path("sparse", "world"))
     save_json(run.path("world.json"), {**world, "notes": notes})
     return Outcome(main.counts(), notes=tuple(notes), tables=_tables(main))
+
+
+def world_origin(run: Run) -> Origin | None:
+    """Where the world is on the Earth: by the scene's positions, or by control points alone."""
+    data = json.loads(run.path("world.json").read_text()).get("origin")
+    return None if data is None else Origin.from_dict(data)
+
+
+def placement_error(run: Run) -> PlacementError | None:
+    """How well the placement is known; None = not placed."""
+    data = json.loads(run.path("world.json").read_text()).get("placement_error")
+    return None if data is None else PlacementError.from_dict(data)
 
 
 def control_points(run: Run, scene: Scene) -> Control | None:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tiegraph.geometry import transforms
-from tiegraph.report import words
+from tiegraph.report import ground, words
 from tiegraph.report.artefacts import STAGES, RunFolder
 from tiegraph.report.words import Table
 
@@ -141,6 +141,7 @@ def _accuracy_sentences(run: RunFolder) -> list[str]:
         if held:
             text += f"; positions left out of the fit are met within {held}, which is an independent check"
         out.append(text + ".")
+    out += ground.sentences(world)
     sigma = sigma_text(world.get("sigma"))
     if sigma:
         text = f"Expected error of the placement (1 sigma, from the scatter of these residuals): {sigma}."

@@ -124,9 +124,9 @@ def _mask_path(run: RunFolder, image: str) -> Path:
 def _model(run: RunFolder) -> dict[str, Any]:
     out: dict[str, Any] = {"there": run.model is not None, "facts": [], "tables": [], "notes": [], "residuals": None}
     out["more"] = []
-    for stage in ("sparse", "georef"):
+    for stage, place in (("sparse", "more"), ("georef", "tables")):
         receipt = run.receipts.get(stage, {})
-        out["more"] += _tables(receipt)
+        out[place] += _tables(receipt)
         out["notes"] += [str(n) for n in receipt.get("notes") or []]
     out["notes"] = list(dict.fromkeys([*out["notes"], *map(str, (run.world or {}).get("notes") or [])]))
     if run.model is None:
@@ -141,7 +141,7 @@ def _model(run: RunFolder) -> dict[str, Any]:
         ("models", words.count(1 + len(m.others))),
     ]
     rig = facts.rig_table(run)
-    out["tables"] = [*facts.registered_tables(run), *([rig] if rig else [])]
+    out["tables"] = [*out["tables"], *facts.registered_tables(run), *([rig] if rig else [])]
     out["residuals"] = _residuals(run)
     return out
 

@@ -72,6 +72,8 @@ class Fit:
     tilt_sigma_deg: float
     sigma_positions_scale: float  # of the logarithm of the scale, from the positions alone
     chi2_per_dof: float
+    covariance: np.ndarray  # (7, 7) of turn, shift and log scale about ``middle``
+    middle: np.ndarray  # (3,) of the positions, in the world
 
 
 def fit_similarity(evidence: Evidence, up: Up | None, near: Similarity | None = None) -> Fit:
@@ -287,4 +289,6 @@ def _report(problem: _Problem, solution: OptimizeResult, inlier: np.ndarray, cos
         tilt_sigma_deg=sigma["tilt_deg"],
         sigma_positions_scale=float(np.sqrt(scale_alone)),
         chi2_per_dof=chi2,
+        covariance=covariance[:7, :7],
+        middle=similarity(problem.middle),
     )

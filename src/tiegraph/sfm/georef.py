@@ -13,6 +13,7 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.geodesy import Origin, vertical_note
 from tiegraph.scene.scene import Scene
+from tiegraph.sfm.accuracy import PlacementError, widened
 from tiegraph.sfm.fit import Fit, jackknife_sigma
 from tiegraph.sfm.fixes import Fixes, Given
 from tiegraph.sfm.gravity import Up, up_vector
@@ -43,6 +44,7 @@ class Georeference:
     offset_s: float = 0.0  # the receiver's clock behind the cameras'
     adjusted: bool = False  # by a bundle adjustment with the positions, not by the similarity alone
     placing: Placing | None = None
+    error: PlacementError | None = None
 
     @property
     def placed(self) -> bool:
@@ -99,6 +101,7 @@ class Georeference:
             "clock_offset_s": round(self.offset_s, 4),
             "adjusted": self.adjusted,
             "vertical": None if self.origin is None else vertical_note(self.origin.crs),
+            "placement_error": None if self.error is None else self.error.to_dict(),
             "control": list(self.control),
             "accuracy": self.accuracy,
             "frames": rows,
@@ -160,6 +163,7 @@ def _placed(placing: Placing, view: Model, scene: Scene, given: Given) -> Georef
         held_out[held] = off[at[held]]
     order = np.lexsort((scene.step[fixes.home], scene.track[fixes.home]))  # control points stay in every part
     points, sums, lines = _points(view, given, fit)
+    sigma = jackknife_sigma(evidence, placing.up, fit, order)
     return Georeference(
         world_from_model=fit.similarity,
         scale_source=_scale_source(fit, scene, view, count),
@@ -167,13 +171,14 @@ def _placed(placing: Placing, view: Model, scene: Scene, given: Given) -> Georef
         residual_m=residual,
         inlier=inlier,
         held_out_m=held_out,
-        sigma=jackknife_sigma(evidence, placing.up, fit, order),
+        sigma=sigma,
         antenna_m=tuple(float(v) for v in fit.antenna) if fit.antenna.any() else None,  # type: ignore[arg-type]
         notes=(*placing.notes, *_remarks(placing, scene, view.scale), *lines),
         control=tuple(points),
         accuracy=sums,
         offset_s=fit.offset_s,
         placing=placing,
+        error=PlacementError(fit.middle, widened(fit.covariance, sigma)),
     )
 
 

@@ -1,0 +1,56 @@
+"""How well any point of the world is known: the covariance of the placement, carried to points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class PlacementError:
+    """Covariance (7, 7) of turn (rad, about east, north, up), shift (m) and log scale, all about ``middle`` (3,)."""
+
+    middle: np.ndarray
+    covariance: np.ndarray
+
+    def sigma(self, points: np.ndarray) -> np.ndarray:
+        """(N, 3) sigmas of places in the world (N, 3), east, north, up, metres: what the placement leaves uncertain.
+
+        The model's own errors (of poses, of the dense matching) come on top.
+        """
+        from_middle = np.asarray(points, float).reshape(-1, 3) - self.middle
+        jacobian = np.zeros((len(from_middle), 3, 7))
+        x, y, z = from_middle.T
+        jacobian[:, 0, 1], jacobian[:, 0, 2] = z, -y
+        jacobian[:, 1, 0], jacobian[:, 1, 2] = -z, x
+        jacobian[:, 2, 0], jacobian[:, 2, 1] = y, -x
+        jacobian[:, :, 3:6] = np.eye(3)
+        jacobian[:, :, 6] = from_middle
+        variance = np.einsum("nij,jk,nik->ni", jacobian, self.covariance, jacobian)
+        return np.sqrt(np.clip(variance, 0, None))
+
+    def to_dict(self) -> dict:
+        """JSON-ready."""
+        return {"middle": self.middle.tolist(), "covariance": self.covariance.tolist()}
+
+    @staticmethod
+    def from_dict(data: dict) -> PlacementError:
+        """Inverse of ``to_dict``."""
+        return PlacementError(np.array(data["middle"], float), np.array(data["covariance"], float))
+
+
+def widened(covariance: np.ndarray, wanted: dict[str, float]) -> np.ndarray:
+    """A covariance (7, 7) scaled so that its sigmas are those of the placement, correlations kept.
+
+    ``wanted``: position_m, height_m, yaw_deg, tilt_deg, scale, as the jackknife gives them.
+    """
+    sd = np.sqrt(np.clip(np.diag(covariance), 1e-18, None))
+    formal = {
+        "tilt_deg": np.degrees(np.hypot(sd[0], sd[1])), "yaw_deg": np.degrees(sd[2]),
+        "position_m": np.hypot(sd[3], sd[4]), "height_m": sd[5], "scale": sd[6],
+    }  # fmt: skip
+    ratio = {n: max(1.0, wanted[n] / formal[n]) for n in formal}
+    names = ("tilt_deg", "tilt_deg", "yaw_deg", "position_m", "position_m", "height_m", "scale")
+    factor = np.array([ratio[n] for n in names])
+    return covariance * factor[:, None] * factor[None, :]
