@@ -260,6 +260,7 @@ def main() -> None:
     parser.add_argument("--sets", nargs="*", default=list(SETS))
     parser.add_argument("--ways", nargs="*", default=list(WAYS))
     parser.add_argument("--cases", nargs="*", default=[], help="bad, outage")
+    parser.add_argument("--seeds", type=int, default=2, help="of the corridor")
     parser.add_argument("--bad-way", default="adjusted", help="way of the bad cases: rows or adjusted")
     parser.add_argument("-o", "--out", type=Path)
     options = parser.parse_args()
@@ -271,11 +272,11 @@ def main() -> None:
                 p for p in (options.runs / f"{name}-tiegraph-0" / "out", options.runs / name / "out") if p.is_dir()
             ]
             survey = Survey(name, found[0], Path(work))
-            results.setdefault("sets", {})[name] = measure_set(survey, tuple(options.ways))
+            results.setdefault("sets", {}).setdefault(name, {}).update(measure_set(survey, tuple(options.ways)))
             if "bad" in options.cases and survey.rows() is not None:
                 results.setdefault("bad", {})[name] = bad_cases(survey, options.bad_way)
     if "outage" in options.cases:
-        results["outage"] = [outage(400.0, 100.0, r, seed) for r in (0.0, 0.005) for seed in range(2)]
+        results["outage"] = [outage(400.0, 100.0, r, seed) for r in (0.0, 0.005) for seed in range(options.seeds)]
     text = json.dumps(results, indent=1, default=float)
     if options.out:
         options.out.write_text(text + "\n")
