@@ -13,10 +13,11 @@ from tiegraph.settings import Section
 class MasksSettings(Section):
     """Which pixels of an image may become features and depths."""
 
-    source: Literal["auto", "meguro2025", "meguro2024", "sky", "folder", "none"] = "auto"
-    """Where masks come from: meguro2025 = similar parts of first and last frame, sky, overexposure (paper 001);
-    meguro2024 = equal parts of first and last frame (paper 000); sky = only sky and overexposure; folder = your own;
-    none = all is used; auto = folder if given, else meguro2025 for rigs on a path, else none."""
+    source: Literal["auto", "learnt", "meguro2025", "meguro2024", "sky", "folder", "none"] = "auto"
+    """Where masks come from: learnt = platform, sky and water learnt from the whole sequence; meguro2025 = similar
+    parts of first and last frame, sky, overexposure (paper 001); meguro2024 = equal parts of first and last frame
+    (paper 000); sky = only sky and overexposure; folder = your own; none = all is used; auto = folder if given, else
+    meguro2025 for rigs on a path, else none."""
 
     folder: Path | None = None
     """Folder of your own masks; for up/cam0/a.jpg the first of up/cam0/a.jpg.png, up/cam0/a_mask.png, up/cam0/a.png, or
@@ -35,7 +36,11 @@ class MasksSettings(Section):
     """meguro2025, sky: from the top of the image down to the first edge this strong is sky (grey levels a pixel)."""
 
     overexposed: int = Field(default=250, ge=128, le=255)
-    """meguro2025, sky: pixels at least this bright are masked (grey levels, 255 = white)."""
+    """learnt, meguro2025, sky: pixels at least this bright are masked (grey levels, 255 = white)."""
+
+    leave_out: Literal["none", "blurred", "similar", "both"] = "none"
+    """Flagged images that are left out of everything: much more blurred than their neighbours, or hardly different from
+    the image before. They are flagged in masks.csv and in the report in any case."""
 
     @model_validator(mode="after")
     def _folder_goes_with_source(self) -> MasksSettings:

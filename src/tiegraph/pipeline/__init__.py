@@ -3,7 +3,8 @@
 The glue functions read artefacts, call engines and write artefacts; nothing else does.
 """
 
-from tiegraph.pipeline.capture import masks, preview, scan
+from tiegraph.pipeline.capture import preview, scan
+from tiegraph.pipeline.masking import masks
 from tiegraph.pipeline.model import features, forget_matches, georef, match, sparse
 from tiegraph.pipeline.result import evaluate, report
 from tiegraph.pipeline.surface import cloud, dense
@@ -15,7 +16,7 @@ __all__ = ["STAGES"]
 
 STAGES = (
     Stage("scan", scan, (), ("scene.json", "images"), "image"),
-    Stage("masks", masks, ("scan",), ("masks",), "image"),
+    Stage("masks", masks, ("scan",), ("masks", "classes", "masks.csv"), "image", version=2),
     Stage("preview", preview, ("scan", "masks"), ("preview",), "image", version=2),
     Stage("network", network, ("scan", "preview"), ("network.npz", "network.csv", "network"), version=2),
     Stage("design", design, ("network",), ("pairs.npz", "pairs.txt", "pairs", "design"), version=2),
