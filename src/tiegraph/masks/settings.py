@@ -51,3 +51,11 @@ class MasksSettings(Section):
         if self.keep_labels and self.folder is None:
             raise ValueError("keep_labels needs the setting folder: where the label images are")
         return self
+
+
+class RemaskSettings(Section):
+    """Final masks, for depth maps: the first ones with what the model knows of water and horizon."""
+
+    geometry: Literal["auto", "off"] = "auto"
+    """auto = masks that know sky and water are corrected by the waterline and the horizon of the model, if its cameras
+    show which way is up; off = the first masks are the final ones."""

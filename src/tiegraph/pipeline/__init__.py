@@ -6,6 +6,7 @@ The glue functions read artefacts, call engines and write artefacts; nothing els
 from tiegraph.pipeline.capture import preview, scan
 from tiegraph.pipeline.masking import masks
 from tiegraph.pipeline.model import features, forget_matches, georef, match, sparse
+from tiegraph.pipeline.remasking import remask
 from tiegraph.pipeline.result import evaluate, report
 from tiegraph.pipeline.surface import cloud, dense
 from tiegraph.pipeline.ties import design, network
@@ -25,8 +26,9 @@ STAGES = (
     Stage("verify", verify, ("network", "match"), ("verify.npz",), "pair"),
     Stage("sparse", sparse, ("network", "match", "verify"), ("sparse",), version=4),
     Stage("georef", georef, ("network", "sparse"), ("sparse/world", "world.json")),
-    Stage("dense", dense, ("masks", "georef"), ("depth",), "image"),
+    Stage("remask", remask, ("masks", "georef"), ("remask",), "image"),
+    Stage("dense", dense, ("georef", "remask"), ("depth",), "image"),
     Stage("cloud", cloud, ("dense",), ("cloud.laz", "cloud.ply")),
-    Stage("evaluate", evaluate, ("masks", "verify", "georef", "dense", "cloud"), ("metrics.json",)),
+    Stage("evaluate", evaluate, ("verify", "georef", "remask", "dense", "cloud"), ("metrics.json",)),
     Stage("report", report, ("evaluate",), ("report.html",)),
 )
