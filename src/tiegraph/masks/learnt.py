@@ -25,6 +25,7 @@ _MOST_PAIRS = 24  # of neighbouring frames, from which it is learnt what matches
 _SEED_IMAGES = 40  # from which appearance is learnt
 _STATIC_PX = 5  # around a matched feature all is static scene
 _SKY_CREDIT = 0.5  # log ratio from which a place is sky
+_SKY_AROUND = 0.5  # share of its surroundings that must be sky for a burnt-out area to be sky
 _SAME_GREY = 14.0  # at its edge the sky goes on as long as the brightness does
 _SMALL = 0.002  # of the image: smaller pieces of sky or holes in it are not believed
 
@@ -55,7 +56,8 @@ def learn(
     found = iter(list(apply(_pair, [pair for own in pairs for pair in own])))
     seen = {k: [e for _ in own for e in next(found)] for k, own in zip(keys, pairs)}
     zones = {k: never_matching([] if k in upward else seen[k], platforms[k].mask) for k in keys}
-    water = water_priors({k: zones[k] for k in keys if k not in upward})
+    level = {k: zones[k] for k in keys if k not in upward}
+    water = {} if settings.water == "off" else water_priors(level, settings.water == "on")
     jobs = [
         _SeedJob(k, image, evidence, zones[k].mask if k in water else None, platforms[k].mask, k in upward)
         for k in keys
@@ -159,9 +161,11 @@ def classify(image: np.ndarray, learnt: Learnt, settings: MasksSettings) -> np.n
     found = appearance.bins(image)
     look = learnt.appearance
     sky_ratio = cv2.blur(look.ratio(found, SKY, USE), (5, 5))
+    white = grey(image) >= settings.overexposed
+    sky = _with_white(_grown(_cleaned(sky_ratio > _SKY_CREDIT), image), white)
     labels = np.full(shape, USE, np.uint8)
-    labels[_cleaned(grey(image) >= settings.overexposed)] = OVEREXPOSED
-    labels[_grown(_cleaned(sky_ratio > _SKY_CREDIT), image)] = SKY
+    labels[_cleaned(white)] = OVEREXPOSED
+    labels[sky] = SKY
     if learnt.water is not None:
         prior = cv2.resize(learnt.water, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
         ratio = look.ratio(found, WATER, USE) + prior
@@ -196,6 +200,18 @@ def _grown(sky: np.ndarray, image: np.ndarray) -> np.ndarray:
     inside = sky.astype(np.float32)
     mean = cv2.blur(light * inside, (11, 11)) / np.maximum(cv2.blur(inside, (11, 11)), 1e-6)
     return sky | (_dilated(sky, 7) & (np.abs(light - mean) < _SAME_GREY))
+
+
+def _with_white(sky: np.ndarray, white: np.ndarray) -> np.ndarray:
+    """The sky with the sun and burnt-out clouds: white areas with sky round them."""
+    count, labels, _, _ = cv2.connectedComponentsWithStats(white.astype(np.uint8), connectivity=4)
+    ring = cv2.dilate(labels.astype(np.float32), np.ones((5, 5), np.uint8)).astype(np.int32)
+    ring[white] = 0
+    around = np.bincount(ring.ravel(), minlength=count)
+    held = np.bincount(ring[sky], minlength=count)
+    belongs = held > _SKY_AROUND * around
+    belongs[0] = False
+    return sky | belongs[labels]
 
 
 def _cleaned(mask: np.ndarray) -> np.ndarray:

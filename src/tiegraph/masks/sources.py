@@ -16,6 +16,7 @@ from tiegraph.masks.difference import prepare_difference
 from tiegraph.masks.folder import check_folder, read_folder_mask
 from tiegraph.masks.frames import full_size, image_size, read_small, small_shape
 from tiegraph.masks.learnt import Learnt, Map, classes_of, learn
+from tiegraph.masks.plugin import Model, model_classes, read_model
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sky import final_mask
 from tiegraph.masks.ssim import prepare_ssim
@@ -156,11 +157,27 @@ def _mask_learnt(image: Path, prepared: Learnt, settings: MasksSettings, name: s
     return full_size(_classes_learnt(image, prepared, settings, name) == USE, image_size(image))
 
 
+def _prepare_model(cameras: Mapping[int, Camera], settings: MasksSettings, apply: Map = map) -> dict[int, Model]:
+    if settings.model is None:
+        raise InputError("masks.source = model needs masks.model: the TOML file of your segmentation model")
+    model = read_model(settings.model)
+    return {key: model for key in cameras}
+
+
+def _classes_model(image: Path, prepared: Model, settings: MasksSettings, name: str) -> np.ndarray:
+    return model_classes(read_small(image), prepared)
+
+
+def _mask_model(image: Path, prepared: Model, settings: MasksSettings, name: str) -> np.ndarray:
+    return full_size(_classes_model(image, prepared, settings, name) == USE, image_size(image))
+
+
 SOURCES: dict[str, MaskSource] = {
     "learnt": MaskSource(_prepare_learnt, _mask_learnt, _classes_learnt),
     "meguro2024": MaskSource(_each(prepare_difference), _mask_of_camera),
     "meguro2025": MaskSource(_each(_prepare_meguro2025), _mask_with_sky),
     "sky": MaskSource(_each(_prepare_nothing), _mask_with_sky),
+    "model": MaskSource(_prepare_model, _mask_model, _classes_model),
     "folder": MaskSource(_each(_prepare_nothing), _mask_of_folder),
     "none": MaskSource(_each(_prepare_nothing), _mask_nothing),
 }

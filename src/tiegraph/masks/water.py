@@ -15,8 +15,10 @@ _REACH = 1.5  # sigma of the map, in its cells
 # Share of features found again in the next frame: 0.01 .. 0.03 on water, 0.24 .. 0.38 on the scene (rendered canal),
 # 0.1 .. 0.25 on streets (PandaSet, KITTI); less at the sides, where the scene leaves the image.
 _WATER_RATE, _LEAST_RATE, _MOST_RATE = 0.02, 0.025, 0.25
-_LEAST_FEATURES = 60  # in the zones of all cameras together before water is believed
-_MOST_MATCHED = 0.06  # of them
+# Before water is believed without being asked for: cameras that look level, the share of them with a zone, and what the
+# zones together say, as log of P(features | water) / P(features | scene). A road ahead does not match either when the
+# car is fast (KITTI, CamVid), so cameras that look one way only prove nothing; to the side a road matches.
+_LEAST_CAMERAS, _LEAST_SHARE, _LEAST_SAYS, _ZONE_SAYS = 3, 0.6, 40.0, 8.0
 _LEAST_AREA = 0.02  # of the image
 _HIGHEST = 0.25  # share of the height: a zone that reaches above it is no water seen from above it
 _PRIOR_CLIP = 1.0
@@ -27,13 +29,12 @@ _MOST_CREDIT = 3.0  # one pixel's log ratio counts this much at most
 
 @dataclass(frozen=True)
 class Zone:
-    """Where in a camera's images nothing ever matches: ``mask`` (60, 80) bool, features in it and how many matched;
-    ``prior`` (60, 80) f4, log of P(matches there | water) / P(matches there | scene)."""
+    """Where in a camera's images nothing ever matches: ``mask`` (60, 80) bool; ``says``: log of P(its features | water)
+    / P(its features | scene); ``prior`` (60, 80) f4: the same by place, clipped."""
 
     mask: np.ndarray
     prior: np.ndarray
-    features: int
-    matched: int
+    says: float
 
 
 def never_matching(evidence: Sequence[Evidence], ego: np.ndarray | None) -> Zone:
@@ -49,13 +50,13 @@ def never_matching(evidence: Sequence[Evidence], ego: np.ndarray | None) -> Zone
     platform = np.zeros(_GRID, bool) if ego is None else _shrunk(ego)
     matched[platform] = missed[platform] = 0
     rate = _scene_rate(matched, missed)
-    says = matched * np.log(_WATER_RATE / rate) + missed * np.log((1 - _WATER_RATE) / (1 - rate))
-    says = cv2.GaussianBlur(says, (0, 0), _REACH) * (2 * np.pi * _REACH**2) / 4
+    exact = matched * np.log(_WATER_RATE / rate) + missed * np.log((1 - _WATER_RATE) / (1 - rate))
+    says = cv2.GaussianBlur(exact, (0, 0), _REACH) * (2 * np.pi * _REACH**2) / 4
     zone = below_waterline(says, platform, (1, 1))
     top = np.where(zone.any(axis=0), zone.argmax(axis=0), _GRID[0])
     zone = _large(zone & (top >= _HIGHEST * _GRID[0])[None])
     prior = np.clip(says, -_PRIOR_CLIP, _PRIOR_CLIP)
-    return Zone(zone, prior, int((missed + matched)[zone].sum()), int(matched[zone].sum()))
+    return Zone(zone, prior, float(exact[zone].sum()))
 
 
 def _scene_rate(matched: np.ndarray, missed: np.ndarray) -> np.ndarray:
@@ -76,17 +77,19 @@ def _large(zone: np.ndarray) -> np.ndarray:
     return large[labels]
 
 
-def water_priors(zones: Mapping[int, Zone]) -> dict[int, np.ndarray]:
-    """The prior of water in the images of each camera; {} if no water is believed.
+def water_priors(zones: Mapping[int, Zone], asked: bool) -> dict[int, np.ndarray]:
+    """The prior of water in the images of each level camera; {} if no water is believed.
 
-    All cameras together must show it. One whose own matches are too few to say where has the others' by rows.
+    Believed if most of at least three cameras say so, or if there is any zone and water was ``asked`` for. A camera
+    whose own matches are too few to say where has the others' prior by rows.
     """
-    features, matched = np.sum([(z.features, z.matched) for z in zones.values()] or [(0, 0)], axis=0)
-    if features < _LEAST_FEATURES or matched > _MOST_MATCHED * features:
+    wet = [z for z in zones.values() if z.says >= _ZONE_SAYS]
+    several = len(zones) >= _LEAST_CAMERAS and len(wet) >= _LEAST_SHARE * len(zones)
+    if not wet or not asked and not (several and sum(z.says for z in wet) >= _LEAST_SAYS):
         return {}
-    rows = np.mean([z.prior.mean(axis=1) for z in zones.values() if z.mask.any()], axis=0)
+    rows = np.mean([z.prior.mean(axis=1) for z in wet], axis=0)
     borrowed = np.repeat(rows[:, None], _GRID[1], axis=1).astype(np.float32)
-    return {k: z.prior if z.mask.any() else borrowed for k, z in zones.items()}
+    return {k: z.prior if z.says >= _ZONE_SAYS else borrowed for k, z in zones.items()}
 
 
 def below_waterline(
