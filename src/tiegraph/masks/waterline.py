@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import pycolmap
 from scipy.spatial import cKDTree
 
 from tiegraph.masks.classes import EGO, SKY, USE, WATER
@@ -44,6 +45,15 @@ class View:
 def columns(width: int) -> np.ndarray:
     """The columns (C,) in which the bank is sought."""
     return np.arange(COLUMN_PX // 2, width, COLUMN_PX)
+
+
+def camera_rays(camera: pycolmap.Camera, shape: tuple[int, ...]) -> np.ndarray:
+    """Unit rays (h, C, 3) of the pixels of ``columns(w)`` of an image reduced to ``shape`` = (h, w), in camera axes."""
+    across, down = np.meshgrid(columns(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
+    pixels = np.stack([across * camera.width / shape[1], down * camera.height / shape[0]], axis=-1)
+    plane = np.asarray(camera.cam_from_img(pixels.reshape(-1, 2)))
+    rays = np.concatenate([plane, np.ones((len(plane), 1))], axis=1)
+    return (rays / np.linalg.norm(rays, axis=1, keepdims=True)).reshape(*across.shape, 3)
 
 
 @dataclass(frozen=True)

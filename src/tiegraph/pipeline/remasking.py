@@ -15,7 +15,7 @@ from tiegraph.masks.waterline import (
     Lines,
     View,
     Water,
-    columns,
+    camera_rays,
     final_classes,
     find_water,
     first_line,
@@ -83,19 +83,10 @@ def _views(run: Run, scene: Scene, model: pycolmap.Reconstruction, matrices: np.
         camera = ids[name]
         if camera not in grids:
             shape = read_image(classes_path(run.folder, name)).shape[:2]
-            grids[camera] = _grid(model.cameras[camera], shape)
+            grids[camera] = camera_rays(model.cameras[camera], shape)
         rotation, shift = matrices[k, :3, :3], matrices[k, :3, 3]
         views[name] = View(grids[camera] @ rotation, -rotation.T @ shift)
     return views
-
-
-def _grid(camera: pycolmap.Camera, shape: tuple[int, ...]) -> np.ndarray:
-    """Unit rays (h, C, 3) of the columns of a reduced image, in the camera's axes; NaN where the camera has none."""
-    across, down = np.meshgrid(columns(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
-    pixels = np.stack([across * camera.width / shape[1], down * camera.height / shape[0]], axis=-1)
-    plane = np.asarray(camera.cam_from_img(pixels.reshape(-1, 2)))
-    rays = np.concatenate([plane, np.ones((len(plane), 1))], axis=1)
-    return (rays / np.linalg.norm(rays, axis=1, keepdims=True)).reshape(*across.shape, 3)
 
 
 def _water(
