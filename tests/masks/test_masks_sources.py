@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from tiegraph.errors import InputError
 from tiegraph.masks.compare import compare
 from tiegraph.masks.settings import MasksSettings
-from tiegraph.masks.sources import SOURCES, explain_source, resolve_source
+from tiegraph.masks.sources import SOURCES, Camera, explain_source, resolve_source
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import simple_scene
 
@@ -24,7 +24,7 @@ def scene(cameras=2, frames=6, loose=False):
 
 def all_masks(name, images, **settings):
     chosen = MasksSettings(source=name, **settings)
-    prepared = SOURCES[name].prepare(images, chosen)
+    prepared = SOURCES[name].prepare({0: Camera(tuple(images))}, chosen, map)[0]
     return [SOURCES[name].mask(p, prepared, chosen, p.name) for p in images]
 
 
@@ -87,9 +87,13 @@ def test_auto_does_not_trust_two_frames_that_are_too_alike(tmp_path):
     still = frame(0)
     images = [write(tmp_path / "a.png", still), write(tmp_path / "b.png", cv2.add(still, (2, 2, 2, 0)))]
     source = SOURCES["meguro2025"]
-    assert source.prepare(images, MasksSettings()) is None
-    assert source.prepare(images, MasksSettings(source="meguro2025")).mean() < 0.1
-    assert source.prepare(sequence(tmp_path / "moving"), MasksSettings()) is not None
+
+    def prepared(paths, settings):
+        return source.prepare({0: Camera(tuple(paths))}, settings, map)[0]
+
+    assert prepared(images, MasksSettings()) is None
+    assert prepared(images, MasksSettings(source="meguro2025")).mean() < 0.1
+    assert prepared(sequence(tmp_path / "moving"), MasksSettings()) is not None
 
 
 @pytest.mark.parametrize("name", ["meguro2024", "meguro2025"])

@@ -14,7 +14,7 @@ DONE, FAILED, MISUSE = 0, 1, 2
 
 def verbs() -> dict[str, tuple[Callable[[list[str]], int], str]]:
     """Every verb: the function that takes its arguments, and one line of help."""
-    from tiegraph.cli import compare, demo, doctor, evaluate, init, network, run, status
+    from tiegraph.cli import compare, demo, doctor, evaluate, init, masks, network, run, status
     from tiegraph.pipeline import STAGES
 
     table: dict[str, tuple[Callable[[list[str]], int], str]] = {
@@ -28,6 +28,7 @@ def verbs() -> dict[str, tuple[Callable[[list[str]], int], str]]:
     for stage in STAGES:
         table[stage.name] = (_stage_verb(stage.name), f"stage: makes {', '.join(stage.makes)}")
     table["network"] = (network.main, "stage: makes network.npz, network.csv; --coverage: is anything missing, on site")
+    table["masks"] = (masks.main, "stage: makes masks, classes, masks.csv; --compare FOLDER: against true masks")
     table["evaluate"] = (evaluate.main, "stage: makes metrics.json; or a point cloud against a reference cloud")
     return table
 

@@ -6,10 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
+import cv2
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.masks.folder import find_mask, read_mask_file
+from tiegraph.masks.classes import NAMES
+from tiegraph.masks.folder import find_mask, read_labels, read_mask_file
 
 ALL = "all"
 COLUMNS = ("camera", "images", "accuracy %", "IoU %", "useful lost %", "useless kept %")
@@ -39,12 +41,7 @@ class MaskComparison:
 
     def text(self) -> str:
         """The table as aligned text."""
-        lines = [list(COLUMNS), *([_shown(c) for c in _cells(r)] for r in self.rows)]
-        wide = [max(len(line[k]) for line in lines) for k in range(len(COLUMNS))]
-        return "\n".join(
-            "  ".join(c.ljust(w) if k == 0 else c.rjust(w) for k, (c, w) in enumerate(zip(line, wide)))
-            for line in lines
-        )  # fmt: skip
+        return table_text(self.table())
 
 
 def compare(
@@ -76,6 +73,59 @@ def compare(
         )
     rows = [_row(camera, sums[camera]) for camera in sorted(sums)]
     return MaskComparison((*rows, _row(ALL, np.sum(list(sums.values()), axis=0))))
+
+
+@dataclass(frozen=True)
+class ClassComparison:
+    """Intersection over union (R, L) of the classes ``labels`` for the cameras ``rows``, the last for all; NaN where
+    a class is in neither."""
+
+    rows: tuple[str, ...]
+    labels: tuple[str, ...]
+    iou: np.ndarray
+
+    def table(self) -> dict:
+        """{"columns": [...], "rows": [[...]]}, shares in percent with one decimal, None for NaN."""
+        cells = [[None if v != v else round(100 * float(v), 1) for v in row] for row in self.iou]
+        heads = ["camera", *(f"{name} IoU %" for name in self.labels)]
+        return {"columns": heads, "rows": [[camera, *own] for camera, own in zip(self.rows, cells)]}
+
+
+def compare_classes(
+    found: Path, truth: Path, labels: Mapping[str, int], cameras: Mapping[str, str] | None = None
+) -> ClassComparison:
+    """Compare the classes <name>.png of a folder with labels, each class ``masks.classes.NAMES`` with its true label.
+
+    Images without labels are left out; classes are brought to the size of the labels. Raises InputError if a class is
+    unknown or nothing can be compared.
+    """
+    unknown = [n for n in labels if n not in NAMES[1:]]
+    if unknown:
+        raise InputError(f"there is no class {unknown[0]!r}: the classes are {', '.join(NAMES[1:])}")
+    sums: dict[str, np.ndarray] = {}
+    for name, camera in sorted((_names(found) if cameras is None else dict(cameras)).items()):
+        path = find_mask(truth, name)
+        if path is None or not (found / f"{name}.png").is_file():
+            continue
+        true, own = read_labels(path), read_labels(found / f"{name}.png")
+        own = cv2.resize(own, true.shape[::-1], interpolation=cv2.INTER_NEAREST)
+        pairs = [(own == NAMES.index(n), true == label) for n, label in labels.items()]
+        counts = np.array([[np.count_nonzero(a & b), np.count_nonzero(a | b)] for a, b in pairs], np.int64)
+        sums[camera] = sums.get(camera, 0) + counts
+    if not sums:
+        raise InputError(f"{truth}: no labels for any image that has classes in {found}")
+    every = [*(sums[c] for c in sorted(sums)), np.sum(list(sums.values()), axis=0)]
+    iou = np.array([[a / u if u else np.nan for a, u in counts] for counts in every])
+    return ClassComparison((*sorted(sums), ALL), tuple(labels), iou)
+
+
+def table_text(table: dict) -> str:
+    """A table {"columns", "rows"} as aligned text."""
+    lines = [list(table["columns"]), *([_shown(c) for c in row] for row in table["rows"])]
+    wide = [max(len(line[k]) for line in lines) for k in range(len(lines[0]))]
+    return "\n".join(
+        "  ".join(c.ljust(w) if k == 0 else c.rjust(w) for k, (c, w) in enumerate(zip(line, wide))) for line in lines
+    )
 
 
 def _names(found: Path) -> dict[str, str]:

@@ -85,6 +85,14 @@ def read_mask_file(path: Path, keep_labels: Sequence[int] = ()) -> np.ndarray:
     return values > 0
 
 
+def read_labels(path: Path) -> np.ndarray:
+    """Class labels (H, W) u1 of a file. Raises InputError if it cannot be read as such."""
+    values = _read_values(path, True)
+    if values.max(initial=0) > 255:
+        raise InputError(f"{path}: labels above 255")
+    return values.astype(np.uint8)
+
+
 def _read_values(path: Path, labels: bool) -> np.ndarray:
     try:
         data = Path(path).read_bytes()

@@ -26,26 +26,35 @@ def image_size(path: Path) -> tuple[int, int]:
     return _size(path, _bytes(path))
 
 
-def read_small(path: Path) -> np.ndarray:
-    """(h, w, 3) u1 BGR, the longer side reduced to WORK_PX (never enlarged). Raises InputError if it cannot be read."""
+def read_small(path: Path, longer_px: int = WORK_PX) -> np.ndarray:
+    """(h, w, 3) u1 BGR, the longer side reduced to ``longer_px`` (never enlarged). Raises InputError if unreadable."""
     data = _bytes(path)
     height, width = _size(path, data)
     longer = max(height, width)
     flags = cv2.IMREAD_COLOR
     for factor, reduced in _REDUCED:
-        if longer >= factor * WORK_PX:
+        if longer >= factor * longer_px:
             flags = reduced
             break
     image = cv2.imdecode(np.frombuffer(data, np.uint8), flags | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
         raise InputError(f"{path}: the image is broken; it was readable before: scan again")
-    shape = small_shape((height, width))
+    shape = small_shape((height, width), longer_px)
     return image if image.shape[:2] == shape else cv2.resize(image, shape[::-1], interpolation=cv2.INTER_AREA)
 
 
-def small_shape(size: tuple[int, int]) -> tuple[int, int]:
+def read_frames(paths: Sequence[Path], longer_px: int = WORK_PX) -> Iterator[tuple[Path, np.ndarray]]:
+    """The images that can be read, reduced as by ``read_small``; the others are passed over with a warning."""
+    for path in paths:
+        try:
+            yield path, read_small(path, longer_px)
+        except InputError as error:
+            _log.warning("%s", error)
+
+
+def small_shape(size: tuple[int, int], longer_px: int = WORK_PX) -> tuple[int, int]:
     """(h, w) at which the mask of an image of ``size`` = (height, width) is computed."""
-    scale = min(1.0, WORK_PX / max(size))
+    scale = min(1.0, longer_px / max(size))
     return max(1, round(size[0] * scale)), max(1, round(size[1] * scale))
 
 

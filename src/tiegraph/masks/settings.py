@@ -13,9 +13,10 @@ from tiegraph.settings import Section
 class MasksSettings(Section):
     """Which pixels of an image may become features and depths."""
 
-    source: Literal["auto", "meguro2025", "meguro2024", "sky", "folder", "none"] = "auto"
-    """Where masks come from: meguro2025 = similar parts of first and last frame, sky, overexposure (paper 001);
-    meguro2024 = equal parts of first and last frame (paper 000); sky = only sky and overexposure; folder = your own;
+    source: Literal["auto", "learnt", "meguro2025", "meguro2024", "sky", "model", "folder", "none"] = "auto"
+    """Where masks come from: learnt = platform, sky and water learnt from the whole sequence; meguro2025 = similar
+    parts of first and last frame, sky, overexposure (paper 001); meguro2024 = equal parts of first and last frame
+    (paper 000); sky = only sky and overexposure; model = a segmentation model of yours; folder = masks of yours;
     none = all is used; auto = folder if given, else meguro2025 for rigs on a path, else none."""
 
     folder: Path | None = None
@@ -24,6 +25,10 @@ class MasksSettings(Section):
 
     keep_labels: tuple[int, ...] = ()
     """Label values to use, if the folder holds class labels instead of masks; all other labels are ignored."""
+
+    model: Path | None = None
+    """TOML file of your segmentation model: onnx = file, size = [width, height], mean, deviation, and [classes] with
+    its labels for sky, water, platform, overexposed. Needs ONNX Runtime: pip install 'tiegraph[onnx]'."""
 
     difference: int = Field(default=8, ge=1, le=254)
     """meguro2024: pixels that differ less than this between the two frames are masked (grey levels, 255 = white)."""
@@ -35,14 +40,32 @@ class MasksSettings(Section):
     """meguro2025, sky: from the top of the image down to the first edge this strong is sky (grey levels a pixel)."""
 
     overexposed: int = Field(default=250, ge=128, le=255)
-    """meguro2025, sky: pixels at least this bright are masked (grey levels, 255 = white)."""
+    """learnt, meguro2025, sky: pixels at least this bright are masked (grey levels, 255 = white)."""
+
+    water: Literal["auto", "on", "off"] = "auto"
+    """learnt: auto = water is masked if three or more cameras of a rig show it; on = if any camera does (a single
+    forward camera cannot tell it from a road passed fast); off = never."""
+
+    leave_out: Literal["none", "blurred", "similar", "both"] = "none"
+    """Flagged images that are left out of everything: much more blurred than their neighbours, or hardly different from
+    the image before. They are flagged in masks.csv and in the report in any case."""
 
     @model_validator(mode="after")
     def _folder_goes_with_source(self) -> MasksSettings:
         if self.source == "folder" and self.folder is None:
             raise ValueError("source = folder needs the setting folder: where the masks are")
+        if self.source == "model" and self.model is None:
+            raise ValueError("source = model needs the setting model: the TOML file of your segmentation model")
         if self.folder is not None and self.source not in ("folder", "auto"):
             raise ValueError(f"folder is given, but source = {self.source} does not read it: leave one of them away")
         if self.keep_labels and self.folder is None:
             raise ValueError("keep_labels needs the setting folder: where the label images are")
         return self
+
+
+class RemaskSettings(Section):
+    """Final masks, for depth maps: the first ones with what the model knows of water and horizon."""
+
+    geometry: Literal["auto", "off"] = "auto"
+    """auto = masks that know sky and water are corrected by the waterline and the horizon of the model, if its cameras
+    show which way is up; off = the first masks are the final ones."""

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tiegraph.errors import InputError
+from tiegraph.masks.classes import USE
 from tiegraph.masks.difference import prepare_difference
 from tiegraph.masks.folder import check_folder, read_folder_mask
 from tiegraph.masks.frames import full_size, image_size, read_small, small_shape
+from tiegraph.masks.learnt import Learnt, Map, classes_of, learn
+from tiegraph.masks.plugin import Model, model_classes, read_model
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sky import final_mask
 from tiegraph.masks.ssim import prepare_ssim
@@ -32,16 +36,34 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
+class Camera:
+    """The images of one sensor, paths in order; ``upward``: it looks up."""
+
+    images: tuple[Path, ...]
+    upward: bool = False
+
+
+@dataclass(frozen=True)
 class MaskSource:
     """One way to make masks.
 
-    ``prepare(images, settings)`` is called once for the images (paths, in order) of a sensor and returns what all their
-    masks share, (h, w) bool at reduced size, or None. ``mask(image, prepared, settings, name)`` returns (H, W) bool,
-    True = use, at the size of the image; ``name`` is that of the user's file, for sources that look it up.
+    ``prepare(cameras, settings, apply)`` is called once for all sensors and returns what the masks of each have in
+    common; ``apply`` maps a function over items. ``mask(image, prepared, settings, name)`` returns (H, W) bool,
+    True = use, at the size of the image, from what was prepared for its sensor; ``name`` is that of the user's file,
+    for sources that look it up. ``classes`` with the same arguments returns the class (h, w) u1 of each pixel at
+    reduced size (``masks.classes``), for sources that know it. What is prepared may say of itself in ``note``.
     """
 
-    prepare: Callable[[Sequence[Path], MasksSettings], np.ndarray | None]
-    mask: Callable[[Path, np.ndarray | None, MasksSettings, str], np.ndarray]
+    prepare: Callable[[Mapping[int, Camera], MasksSettings, Map], dict[int, Any]]
+    mask: Callable[[Path, Any, MasksSettings, str], np.ndarray]
+    classes: Callable[[Path, Any, MasksSettings, str], np.ndarray] | None = None
+
+
+def _each(prepare: Callable[[Sequence[Path], MasksSettings], Any]) -> Callable[..., dict[int, Any]]:
+    def prepare_all(cameras: Mapping[int, Camera], settings: MasksSettings, apply: Map = map) -> dict[int, Any]:
+        return {key: prepare(camera.images, settings) for key, camera in cameras.items()}
+
+    return prepare_all
 
 
 def explain_source(scene: Scene, settings: MasksSettings) -> tuple[str, str]:
@@ -120,10 +142,42 @@ def _mask_nothing(image: Path, prepared: np.ndarray | None, settings: MasksSetti
     return np.ones(image_size(image), bool)
 
 
+def _prepare_learnt(cameras: Mapping[int, Camera], settings: MasksSettings, apply: Map = map) -> dict[int, Learnt]:
+    upward = [key for key, camera in cameras.items() if camera.upward]
+    return learn({key: camera.images for key, camera in cameras.items()}, settings, upward, apply)
+
+
+def _classes_learnt(image: Path, prepared: Learnt, settings: MasksSettings, name: str) -> np.ndarray:
+    size = image_size(image)
+    _check_shape(image, size, prepared.ego)
+    return classes_of(image, prepared, settings, small_shape(size))
+
+
+def _mask_learnt(image: Path, prepared: Learnt, settings: MasksSettings, name: str) -> np.ndarray:
+    return full_size(_classes_learnt(image, prepared, settings, name) == USE, image_size(image))
+
+
+def _prepare_model(cameras: Mapping[int, Camera], settings: MasksSettings, apply: Map = map) -> dict[int, Model]:
+    if settings.model is None:
+        raise InputError("masks.source = model needs masks.model: the TOML file of your segmentation model")
+    model = read_model(settings.model)
+    return {key: model for key in cameras}
+
+
+def _classes_model(image: Path, prepared: Model, settings: MasksSettings, name: str) -> np.ndarray:
+    return model_classes(read_small(image), prepared)
+
+
+def _mask_model(image: Path, prepared: Model, settings: MasksSettings, name: str) -> np.ndarray:
+    return full_size(_classes_model(image, prepared, settings, name) == USE, image_size(image))
+
+
 SOURCES: dict[str, MaskSource] = {
-    "meguro2024": MaskSource(prepare_difference, _mask_of_camera),
-    "meguro2025": MaskSource(_prepare_meguro2025, _mask_with_sky),
-    "sky": MaskSource(_prepare_nothing, _mask_with_sky),
-    "folder": MaskSource(_prepare_nothing, _mask_of_folder),
-    "none": MaskSource(_prepare_nothing, _mask_nothing),
+    "learnt": MaskSource(_prepare_learnt, _mask_learnt, _classes_learnt),
+    "meguro2024": MaskSource(_each(prepare_difference), _mask_of_camera),
+    "meguro2025": MaskSource(_each(_prepare_meguro2025), _mask_with_sky),
+    "sky": MaskSource(_each(_prepare_nothing), _mask_with_sky),
+    "model": MaskSource(_prepare_model, _mask_model, _classes_model),
+    "folder": MaskSource(_each(_prepare_nothing), _mask_of_folder),
+    "none": MaskSource(_each(_prepare_nothing), _mask_nothing),
 }

@@ -3,8 +3,10 @@
 The glue functions read artefacts, call engines and write artefacts; nothing else does.
 """
 
-from tiegraph.pipeline.capture import masks, preview, scan
+from tiegraph.pipeline.capture import preview, scan
+from tiegraph.pipeline.masking import masks
 from tiegraph.pipeline.model import features, forget_matches, match, sparse
+from tiegraph.pipeline.remasking import remask
 from tiegraph.pipeline.result import evaluate, report
 from tiegraph.pipeline.surface import cloud, dense
 from tiegraph.pipeline.ties import design, network
@@ -16,7 +18,7 @@ __all__ = ["STAGES"]
 
 STAGES = (
     Stage("scan", scan, (), ("scene.json", "images"), "image"),
-    Stage("masks", masks, ("scan",), ("masks",), "image"),
+    Stage("masks", masks, ("scan",), ("masks", "classes", "masks.csv"), "image", version=2),
     Stage("preview", preview, ("scan", "masks"), ("preview",), "image", version=2),
     Stage("network", network, ("scan", "preview"), ("network.npz", "network.csv", "network"), version=2),
     Stage("design", design, ("network",), ("pairs.npz", "pairs.txt", "pairs", "design"), version=2),
@@ -25,8 +27,9 @@ STAGES = (
     Stage("verify", verify, ("network", "match"), ("verify.npz",), "pair"),
     Stage("sparse", sparse, ("network", "match", "verify"), ("sparse",), version=4),
     Stage("georef", georef, ("network", "sparse"), ("sparse/world", "world.json"), version=2),
-    Stage("dense", dense, ("masks", "georef"), ("depth",), "image"),
+    Stage("remask", remask, ("masks", "georef"), ("remask",), "image"),
+    Stage("dense", dense, ("georef", "remask"), ("depth",), "image"),
     Stage("cloud", cloud, ("dense",), ("cloud.laz", "cloud.ply")),
-    Stage("evaluate", evaluate, ("masks", "verify", "georef", "dense", "cloud"), ("metrics.json",)),
+    Stage("evaluate", evaluate, ("verify", "georef", "remask", "dense", "cloud"), ("metrics.json",)),
     Stage("report", report, ("evaluate",), ("report.html",)),
 )

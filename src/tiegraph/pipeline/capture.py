@@ -1,4 +1,4 @@
-"""Glue of scan, masks and preview: from a folder to images, masks and low-resolution features."""
+"""Glue of scan and preview: from a folder to images and low-resolution features."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ import numpy as np
 
 from tiegraph.features.preview import extract_preview
 from tiegraph.features.settings import PreviewSettings
-from tiegraph.masks.settings import MasksSettings
-from tiegraph.masks.sources import SOURCES, explain_source
-from tiegraph.pipeline.files import mask_path, read_image, read_mask, save_npz, save_png, scanned
+from tiegraph.pipeline.files import read_image, read_mask, save_npz, scanned
 from tiegraph.pipeline.world import control_points
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
@@ -47,50 +45,6 @@ def _prepare_item(item: tuple[str, str, Sensor], source: Path, target: Path, set
     found, name, sensor = item
     if not (target / name).exists():
         prepare_image(source / found, target / name, sensor, settings)
-
-
-def masks(run: Run) -> Outcome:
-    """One mask an image: what is learnt once a camera, then applied image by image."""
-    scene, settings = scanned(run), run.settings.masks
-    source, why = explain_source(scene, settings)
-    folder = run.path("images")
-    prepared = {}
-    todo = [n for n in scene.names if not mask_path(run.folder, n).exists()]
-    for key in sorted({int(scene.sensor_key[scene.image_index[n]]) for n in todo}):
-        own = [folder / n for k, n in enumerate(scene.names) if scene.sensor_key[k] == key]
-        prepared[key] = SOURCES[source].prepare(own, settings)
-    keyed = {n: (int(scene.sensor_key[k]), scene.source_name(k)) for k, n in enumerate(scene.names)}
-    run.make_missing(
-        _mask_item, scene.names, lambda n: mask_path(run.folder, n), run.folder, source, settings, prepared, keyed
-    )
-    shares = np.array(run.map(_mask_share, list(scene.names), run.folder))
-    empty = [n for n, s in zip(scene.names, shares) if s == 0]
-    rows = [
-        [sensor.name, float(100 * shares[scene.sensor_key == k].mean())] for k, sensor in enumerate(scene.all_sensors)
-    ]
-    return Outcome(
-        {"images": len(scene), "used_percent": round(float(100 * shares.mean()), 1)},
-        dropped=tuple((n, "the mask leaves nothing of it") for n in empty),
-        notes=(f"source {source}: {why}",),
-        tables={"used share of the images": {"columns": ["camera", "used %"], "rows": rows}},
-    )
-
-
-def _mask_item(
-    name: str,
-    folder: Path,
-    source: str,
-    settings: MasksSettings,
-    prepared: dict[int, np.ndarray | None],
-    keyed: dict[str, tuple[int, str]],
-) -> None:
-    key, found = keyed[name]
-    keep = SOURCES[source].mask(folder / "images" / name, prepared[key], settings, found)
-    save_png(mask_path(folder, name), np.where(keep, 255, 0).astype(np.uint8))
-
-
-def _mask_share(name: str, folder: Path) -> float:
-    return float(read_mask(folder, name).mean())
 
 
 def preview(run: Run) -> Outcome:

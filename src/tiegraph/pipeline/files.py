@@ -56,6 +56,15 @@ def mask_path(folder: Path, name: str) -> Path:
     return folder / "masks" / f"{name}.png"
 
 
+def classes_path(folder: Path, name: str) -> Path:
+    """Where the classes of an image's pixels are (``masks.classes``, reduced size); not from every source."""
+    return folder / "classes" / f"{name}.png"
+
+
+FINAL = "remask"
+"""Folder of the final masks and classes, laid out like the run folder."""
+
+
 def read_image(path: Path, flag: int = cv2.IMREAD_GRAYSCALE) -> np.ndarray:
     """Pixels (H, W) u1, or (H, W, 3) with IMREAD_COLOR, as stored: the EXIF orientation was dealt with by the scan."""
     image = cv2.imread(str(path), flag | cv2.IMREAD_IGNORE_ORIENTATION)

@@ -9,7 +9,7 @@ import pycolmap
 from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.evaluate.survey import evaluate_survey
 from tiegraph.masks.compare import compare
-from tiegraph.pipeline.files import checked
+from tiegraph.pipeline.files import FINAL, checked
 from tiegraph.pipeline.world import world_origin
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome
@@ -37,7 +37,7 @@ def evaluate(run: Run) -> Outcome:
 def _masks(run: Run, scene: Scene, settings: EvaluateSettings) -> dict:
     assert settings.reference_masks is not None
     cameras = {n: sensor for n, (_, sensor) in zip(scene.names, scene.image_label())}
-    return compare(run.path("masks"), settings.reference_masks, cameras, settings.mask_labels).table()
+    return compare(run.path(FINAL, "masks"), settings.reference_masks, cameras, settings.mask_labels).table()
 
 
 def report(run: Run) -> Outcome:

@@ -17,6 +17,7 @@ from tiegraph.dense.neighbours import plan_images
 from tiegraph.dense.plan import ImagePlan
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.undistort import load_view
+from tiegraph.pipeline.files import FINAL
 from tiegraph.pipeline.world import placement_error, world_origin
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, remove
@@ -56,7 +57,7 @@ def _plan(run: Run) -> Any:
 
 
 def _first_item(name: str, folder: Path, plans: dict[str, ImagePlan], settings: DenseSettings) -> None:
-    found = depth_map(plans[name], folder / "images", folder / "masks", settings, cv2.getNumThreads())
+    found = depth_map(plans[name], folder / "images", folder / FINAL / "masks", settings, cv2.getNumThreads())
     save_depth(found, depth_path(folder, name, FIRST))
 
 

@@ -16,7 +16,7 @@ from tiegraph.design.settings import DesignSettings
 from tiegraph.errors import SettingsError, choose
 from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.features.settings import FeaturesSettings, MatchSettings, PreviewSettings
-from tiegraph.masks.settings import MasksSettings
+from tiegraph.masks.settings import MasksSettings, RemaskSettings
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.report.settings import ReportSettings
 from tiegraph.scene.settings import ScanSettings
@@ -45,6 +45,7 @@ class Settings(Section):
     verify: VerifySettings = VerifySettings()
     sparse: SparseSettings = SparseSettings()
     georef: GeorefSettings = GeorefSettings()
+    remask: RemaskSettings = RemaskSettings()
     dense: DenseSettings = DenseSettings()
     cloud: CloudSettings = CloudSettings()
     evaluate: EvaluateSettings = EvaluateSettings()

@@ -14,7 +14,7 @@ import numpy as np
 from tiegraph.report import charts, facts, plan, viewer, words
 from tiegraph.report.artefacts import STAGES, RunFolder, read_run
 from tiegraph.report.cloudview import standard_views, with_scale_bar
-from tiegraph.report.pictures import jpeg, mask_share, masked_thumbnail
+from tiegraph.report.pictures import CLASSES, jpeg, mask_share, masked_thumbnail
 from tiegraph.report.settings import ReportSettings
 from tiegraph.report.ties import network_part
 from tiegraph.scene.atomic import replacing
@@ -87,7 +87,7 @@ def _scan(run: RunFolder) -> dict[str, Any]:
 
 
 def _masks(run: RunFolder, settings: ReportSettings) -> dict[str, Any]:
-    receipt = run.receipts.get("masks", {})
+    receipt, final = run.receipts.get("masks", {}), run.receipts.get("remask", {})
     strips: list[dict[str, Any]] = []
     if run.scene is not None and (run.path / "images").is_dir():
         for key, sensor in enumerate(run.scene.all_sensors[:24]):
@@ -95,8 +95,9 @@ def _masks(run: RunFolder, settings: ReportSettings) -> dict[str, Any]:
     return {
         "strips": strips,
         "any": any(s["share"] is not None for s in strips),
-        "notes": receipt.get("notes") or [],
-        "tables": _tables(receipt),
+        "classes": CLASSES[1:] if any((run.path / "classes").rglob("*.png")) else [],
+        "notes": [*(receipt.get("notes") or []), *(final.get("notes") or [])],
+        "tables": [*_tables(receipt), *_tables(final)],
     }
 
 
@@ -109,7 +110,9 @@ def _mask_strip(run: RunFolder, scene: Scene, key: int, name: str, shown: int) -
     out = []
     for place in (np.arange(shown) + 0.3) / shown:
         image = scene.names[images[int(place * len(images))]]
-        made = masked_thumbnail(run.path / "images" / image, _mask_path(run, image))
+        mask = _mask_path(run, image)
+        classes = mask.parents[len(Path(image).parts)] / "classes" / f"{image}.png"
+        made = masked_thumbnail(run.path / "images" / image, mask, classes)
         if made is not None:
             mean = float(np.mean(shares)) if shares else None
             text = words.percent(mean) if mean is not None else ""
@@ -118,7 +121,9 @@ def _mask_strip(run: RunFolder, scene: Scene, key: int, name: str, shown: int) -
 
 
 def _mask_path(run: RunFolder, image: str) -> Path:
-    return run.path / "masks" / f"{image}.png"
+    """The final mask of an image, else the first one."""
+    final = run.path / "remask" / "masks" / f"{image}.png"
+    return final if final.exists() else run.path / "masks" / f"{image}.png"
 
 
 def _model(run: RunFolder) -> dict[str, Any]:

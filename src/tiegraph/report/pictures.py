@@ -9,6 +9,13 @@ import cv2
 import numpy as np
 
 _IGNORED_BGR = (60, 40, 210)  # red: what the mask takes out
+CLASSES = (  # by number, as the masks stage writes them: name, colour
+    ("used", "#000000"),
+    ("sky", "#2a78d6"),
+    ("water", "#12a594"),
+    ("platform", "#d2283c"),
+    ("overexposed", "#e8b200"),
+)
 
 
 def data_uri(data: bytes, kind: str) -> str:
@@ -42,8 +49,11 @@ def file_uri(path: Path, width: int = 1400) -> str | None:
     return png(_shrunk(image, width)[..., ::-1])
 
 
-def masked_thumbnail(image: Path, mask: Path, width: int = 320) -> tuple[str, float | None] | None:
-    """The image with ignored areas in red and the share of usable pixels (None without a mask); None if unreadable."""
+def masked_thumbnail(
+    image: Path, mask: Path, classes: Path | None = None, width: int = 320
+) -> tuple[str, float | None] | None:
+    """The image with ignored areas in red, or in the colours of their ``classes``, and the share of usable pixels (None
+    without a mask); None if it cannot be read."""
     picture = cv2.imread(str(image), cv2.IMREAD_COLOR)
     if picture is None:
         return None
@@ -53,8 +63,18 @@ def masked_thumbnail(image: Path, mask: Path, width: int = 320) -> tuple[str, fl
         return jpeg(picture[..., ::-1]), None
     share = float(np.mean(use > 0))
     small = cv2.resize(use, picture.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
-    red = (0.45 * picture + 0.55 * np.array(_IGNORED_BGR)).astype(np.uint8)
-    return jpeg(np.where(small[..., None], picture, red)[..., ::-1]), share
+    colour = (0.45 * picture + 0.55 * _colours(classes, picture.shape)).astype(np.uint8)
+    return jpeg(np.where(small[..., None], picture, colour)[..., ::-1]), share
+
+
+def _colours(classes: Path | None, shape: tuple[int, ...]) -> np.ndarray:
+    labels = cv2.imread(str(classes), cv2.IMREAD_GRAYSCALE) if classes is not None and classes.exists() else None
+    if labels is None:
+        return np.array(_IGNORED_BGR)
+    table = np.array([[int(c[k : k + 2], 16) for k in (5, 3, 1)] for _, c in CLASSES])
+    table[0] = _IGNORED_BGR  # used by its class, but left out
+    small = cv2.resize(labels, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST)
+    return table[np.minimum(small, len(table) - 1)]
 
 
 def mask_share(mask: Path) -> float | None:

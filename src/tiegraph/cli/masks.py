@@ -1,0 +1,74 @@
+"""`tiegraph masks OUT` (the stage) and `tiegraph masks OUT --compare FOLDER` (how good the masks are)."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import tyro
+
+from tiegraph.cli.run import main_stage
+from tiegraph.errors import InputError
+from tiegraph.masks.compare import compare, compare_classes, table_text
+from tiegraph.scene.scene import Scene
+
+
+def main(arguments: list[str]) -> int:
+    """The stage for a run folder; with ``--compare`` the comparison of its masks with true ones."""
+    if not any(a == "--compare" or a.startswith("--compare=") for a in arguments):
+        return main_stage("masks", arguments)
+
+    def masks(
+        out: tyro.conf.Positional[Path],
+        compare: Path,
+        keep_labels: tuple[int, ...] = (),
+        classes: tuple[str, ...] = (),
+        first: bool = False,
+        json: bool = False,
+    ) -> dict:
+        """How good the masks of a run are: pixel accuracy, IoU, useful area lost, by camera.
+
+        Args:
+            out: The run folder.
+            compare: Folder of true masks, named as masks.folder describes: 0 = ignore; or of class labels.
+            keep_labels: The useful labels, if the folder holds class labels.
+            classes: True labels of the classes, such as sky=0 water=1 platform=2: IoU of each.
+            first: Judge the first masks, even if there are final ones.
+            json: Print JSON.
+        """
+        return locals()
+
+    given = tyro.cli(masks, prog="tiegraph masks", args=arguments)
+    tables = _tables(**given)
+    if given["json"]:
+        sys.stdout.write(json.dumps(tables) + "\n")
+    else:
+        sys.stdout.write("\n\n".join(f"{name}\n{table_text(table)}" for name, table in tables.items()) + "\n")
+    return 0
+
+
+def _tables(
+    out: Path, compare: Path, keep_labels: tuple[int, ...], classes: tuple[str, ...], first: bool, json: bool
+) -> dict[str, dict]:
+    folder = out / "remask" if (out / "remask" / "masks").is_dir() and not first else out
+    if not (folder / "masks").is_dir() or not (out / "scene.json").is_file():
+        raise InputError(f"{out}: no masks here; run `tiegraph masks` first")
+    scene = Scene.from_json((out / "scene.json").read_text())
+    cameras = {n: sensor for n, (_, sensor) in zip(scene.names, scene.image_label())}
+    which = "final masks" if folder != out else "first masks"
+    tables = {which: _compared(folder, compare, cameras, keep_labels)}
+    if classes:
+        tables["classes"] = compare_classes(folder / "classes", compare, _labels(classes), cameras).table()
+    return tables
+
+
+def _compared(folder: Path, truth: Path, cameras: dict[str, str], keep_labels: tuple[int, ...]) -> dict:
+    return compare(folder / "masks", truth, cameras, keep_labels).table()
+
+
+def _labels(classes: tuple[str, ...]) -> dict[str, int]:
+    try:
+        return {name: int(label) for name, label in (c.split("=") for c in classes)}
+    except ValueError:
+        raise InputError(f"--classes {' '.join(classes)}: give name=label, such as sky=0 water=1 platform=2") from None

@@ -1,0 +1,210 @@
+"""The waterline from geometry: a level plane below the cameras, out to the banks that the sparse model knows.
+
+Everything is in the model's units. The plane's height is measured where the waterlines of the first masks meet the
+banks, so it needs neither scale nor GNSS; the first masks' errors average out over thousands of rays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import pycolmap
+from scipy.spatial import cKDTree
+
+from tiegraph.masks.classes import EGO, SKY, USE, WATER
+
+COLUMN_PX = 8
+"""The bank is sought in every such column of the reduced image."""
+_CELLS = 400  # of the plan along its longer side
+_FULL = 2  # points in a cell and its neighbours from which it is bank
+_STEPS = 1.5  # cells a step along a ray
+_LEAST_HEIGHTS = 100  # waterline rays that met a bank, before a height is believed
+_MOST_SPREAD = 0.35  # of the height below the cameras: half width of the middle half of what single rays say
+_BAND = 1.5  # bank: points less than this many camera heights above the water
+_LOWER = 0.05  # slope from which a ray certainly goes down: up is known to about 3 degrees
+_LEVEL_SLOPE = 0.02  # flatter rays meet the plane too far off to measure its height
+
+
+@dataclass(frozen=True)
+class View:
+    """A registered image: ``rays`` (h, C, 3) unit vectors of the pixels of ``columns(w)`` in the model's axes, and its
+    ``centre`` (3,)."""
+
+    rays: np.ndarray
+    centre: np.ndarray
+
+    def slopes(self, up: np.ndarray) -> np.ndarray:
+        """Rise over run (h, C) of the rays."""
+        rise = self.rays @ up
+        return rise / np.maximum(np.sqrt(np.maximum(1 - rise * rise, 0)), 1e-6)
+
+
+def columns(width: int) -> np.ndarray:
+    """The columns (C,) in which the bank is sought."""
+    return np.arange(COLUMN_PX // 2, width, COLUMN_PX)
+
+
+def camera_rays(camera: pycolmap.Camera, shape: tuple[int, ...]) -> np.ndarray:
+    """Unit rays (h, C, 3) of the pixels of ``columns(w)`` of an image reduced to ``shape`` = (h, w), in camera axes."""
+    across, down = np.meshgrid(columns(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
+    pixels = np.stack([across * camera.width / shape[1], down * camera.height / shape[0]], axis=-1)
+    plane = np.asarray(camera.cam_from_img(pixels.reshape(-1, 2)))
+    rays = np.concatenate([plane, np.ones((len(plane), 1))], axis=1)
+    return (rays / np.linalg.norm(rays, axis=1, keepdims=True)).reshape(*across.shape, 3)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Banks from above: ``full`` (n, m) bool cells of ``cell`` units from ``corner`` (2,), along ``axes`` (2, 3)."""
+
+    axes: np.ndarray
+    corner: np.ndarray
+    cell: float
+    full: np.ndarray
+
+    def distance(self, centre: np.ndarray, towards: np.ndarray) -> np.ndarray:
+        """Horizontal distance (K,) from ``centre`` to the first bank along each of ``towards`` (K, 3); inf = none."""
+        flat = towards @ self.axes.T
+        flat = flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-9)
+        length = np.arange(2, 1.5 * max(self.full.shape) / _STEPS) * _STEPS
+        start = (self.axes @ centre - self.corner) / self.cell
+        place = np.floor(start[None, None] + flat[:, None] * length[None, :, None]).astype(int)  # (K, L, 2)
+        inside = ((place >= 0) & (place < self.full.shape)).all(axis=2)
+        place = np.where(inside[..., None], place, 0)
+        met = self.full[place[..., 0], place[..., 1]] & inside
+        return np.where(met.any(axis=1), length[met.argmax(axis=1)] * self.cell, np.inf)
+
+
+@dataclass(frozen=True)
+class Water:
+    """The water: ``up`` (3,) unit vector, ``level`` its height along it, ``depth`` below the cameras, ``spread`` of
+    what single rays say of it, how many ``rays`` did, and the banks in plan."""
+
+    up: np.ndarray
+    level: float
+    depth: float
+    spread: float
+    rays: int
+    plan: Plan
+
+
+def first_line(classes: np.ndarray) -> np.ndarray:
+    """First row (C,) of water in classes (h, w) u1, at ``columns(w)``; NaN where there is none or where the platform
+    hides the bank."""
+    own = classes[:, columns(classes.shape[1])]
+    water = own == WATER
+    row = water.argmax(axis=0)
+    above = own[np.maximum(row - 3, 0), np.arange(len(row))]
+    return np.where(water.any(axis=0) & (row > 0) & (above != EGO), row, np.nan)
+
+
+def find_water(views: Sequence[View], lines: Sequence[np.ndarray], points: np.ndarray, up: np.ndarray) -> Water | None:
+    """The water's plane and the banks, from ``first_line`` of level views and the points (P, 3) of the model.
+
+    ``up``: unit vector (3,). None if too few waterlines meet a bank, or disagree. Done twice: first the banks are all
+    points round the cameras' height, then those just above the water.
+    """
+    if not len(views) or not len(points):
+        return None
+    centres = np.stack([v.centre for v in views])
+    camera, heights = float(np.median(centres @ up)), points @ up
+    below = heights[heights < camera]
+    if not len(below):
+        return None
+    level, spread, count = float(np.quantile(below, 0.05)), 0.0, 0
+    for _ in range(2):
+        plan = _plan(points, up, (level, level + _BAND * (camera - level)), centres)
+        found = np.concatenate([_heights(v, line, plan, up) for v, line in zip(views, lines)])
+        if len(found) < _LEAST_HEIGHTS:
+            return None
+        low, level, high = (float(q) for q in np.quantile(found, (0.25, 0.5, 0.75)))
+        spread, count = (high - low) / 2, len(found)
+        if level >= camera:
+            return None
+    if spread > _MOST_SPREAD * (camera - level):
+        return None
+    return Water(up, level, camera - level, spread, count, plan)
+
+
+def _plan(points: np.ndarray, up: np.ndarray, band: tuple[float, float], centres: np.ndarray) -> Plan:
+    """The banks: where points (P, 3) stand whose height is within ``band``, within reach of the cameras."""
+    axes = _level_axes(up)
+    height = points @ up
+    flat = points[(height > band[0]) & (height < band[1])] @ axes.T
+    path = centres @ axes.T
+    reach = max(float(np.ptp(path, axis=0).max()), 10 * (band[1] - band[0]))
+    if len(flat):
+        flat = flat[cKDTree(path).query(flat, distance_upper_bound=reach)[0] < reach]
+    if not len(flat):
+        return Plan(axes, np.zeros(2), 1.0, np.zeros((1, 1), bool))
+    corner = np.minimum(flat.min(axis=0), path.min(axis=0))
+    size = np.maximum(flat.max(axis=0), path.max(axis=0)) - corner
+    cell = max(float(size.max()) / _CELLS, 1e-9)
+    place = np.floor((flat - corner) / cell).astype(int)
+    count = np.zeros(place.max(axis=0) + 1, np.float32)
+    np.add.at(count, (place[:, 0], place[:, 1]), 1)
+    return Plan(axes, corner, cell, cv2.blur(count, (3, 3), borderType=cv2.BORDER_CONSTANT) * 9 > _FULL - 0.5)
+
+
+def _level_axes(up: np.ndarray) -> np.ndarray:
+    first = np.cross(up, [1.0, 0, 0] if abs(up[0]) < 0.9 else [0, 1.0, 0])
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(up, first)])
+
+
+def _heights(view: View, line: np.ndarray, plan: Plan, up: np.ndarray) -> np.ndarray:
+    """Heights at which the waterline of an image meets the banks."""
+    known = np.flatnonzero(np.isfinite(line))
+    if not len(known):
+        return np.zeros(0)
+    rows = np.clip(line[known].astype(int), 0, len(view.rays) - 1)
+    slope = view.slopes(up)[rows, known]
+    distance = plan.distance(view.centre, view.rays[rows, known])
+    use = np.isfinite(distance) & (slope < -_LEVEL_SLOPE)
+    return view.centre @ up + slope[use] * distance[use]
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Of one image, by geometry: first row (C,) of water (NaN = no bank is known there) and of what is below the
+    horizon, at ``columns(w)``; the height of the image if a column has none."""
+
+    water: np.ndarray
+    horizon: np.ndarray
+
+
+def lines_of(view: View, up: np.ndarray, water: Water | None) -> Lines:
+    """Where in an image the water and the lower half of the world begin."""
+    slopes = view.slopes(up)
+    horizon = _first(slopes < -_LOWER)
+    if water is None:
+        return Lines(np.full(slopes.shape[1], np.nan), horizon)
+    across = np.arange(slopes.shape[1])
+    distance = water.plan.distance(view.centre, view.rays[np.argmin(np.abs(slopes), axis=0), across])
+    drop = water.level - float(view.centre @ up)
+    row = _first(slopes < (drop / distance)[None])
+    return Lines(np.where(np.isfinite(distance) & (drop < 0), row, np.nan), horizon)
+
+
+def _first(below: np.ndarray) -> np.ndarray:
+    return np.where(below.any(axis=0), below.argmax(axis=0), len(below)).astype(np.float64)
+
+
+def final_classes(first: np.ndarray, lines: Lines) -> np.ndarray:
+    """The classes (h, w) u1 of the first pass, with the water from geometry where that knows, and no sky below the
+    horizon. The platform stays as it was learnt."""
+    height, width = first.shape
+    row = np.arange(height)[:, None]
+    at = columns(width)
+    below = row >= np.interp(np.arange(width), at, lines.horizon)[None]
+    known = np.isfinite(lines.water)
+    out = np.where((first == SKY) & below | (first == WATER) & ~below, USE, first)
+    if known.any():
+        line = np.interp(np.arange(width), at[known], lines.water[known])
+        inside = np.interp(np.arange(width), at, known.astype(float)) > 0.5
+        water = (row >= line[None]) & inside[None]
+        out = np.where(water, WATER, np.where((out == WATER) & inside[None], USE, out))
+    return np.where(first == EGO, EGO, out).astype(np.uint8)

@@ -1,0 +1,139 @@
+"""Glue of masks: from images to the pixels that are worth a feature."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tiegraph.masks.classes import NAMES, USE
+from tiegraph.masks.frames import full_size, image_size
+from tiegraph.masks.quality import Quality, flags, image_quality
+from tiegraph.masks.settings import MasksSettings
+from tiegraph.masks.sources import SOURCES, Camera, explain_source
+from tiegraph.pipeline.files import classes_path, mask_path, read_image, read_mask, save_png, scanned
+from tiegraph.project.run import Run
+from tiegraph.project.stages import Outcome, write_atomic
+from tiegraph.scene.scene import Scene
+
+
+def masks(run: Run) -> Outcome:
+    """One mask an image: what is learnt from the whole sequence, then applied image by image."""
+    scene, settings = scanned(run), run.settings.masks
+    source, why = explain_source(scene, settings)
+    run.path("classes").mkdir(parents=True, exist_ok=True)
+    prepared: dict[int, Any] = {}
+    if any(not mask_path(run.folder, n).exists() for n in scene.names):
+        prepared = SOURCES[source].prepare(_cameras(scene, run.path("images")), settings, _apply(run))
+    keyed = {n: (int(scene.sensor_key[k]), scene.source_name(k)) for k, n in enumerate(scene.names)}
+    run.make_missing(
+        _mask_item, scene.names, lambda n: mask_path(run.folder, n), run.folder, source, settings, prepared, keyed
+    )
+    shares = np.array(run.map(_shares, list(scene.names), run.folder))  # (N, classes)
+    flagged = _flagged(run, scene)
+    left_out = {n: why for n, why in flagged.items() if why.split(":")[0] in _LEFT_OUT[settings.leave_out]}
+    for name in left_out:
+        save_png(mask_path(run.folder, name), np.zeros_like(read_mask(run.folder, name), np.uint8))
+    write_atomic(run.path("masks.csv"), _table(scene, shares, flagged))
+    empty = {n: "the mask leaves nothing of it" for n, s in zip(scene.names, shares[:, USE]) if s == 0}
+    learnt = [f"{s.name}: {n}" for k, s in enumerate(scene.all_sensors) if (n := getattr(prepared.get(k), "note", ""))]
+    return Outcome(
+        {"images": len(scene), "used_percent": round(float(100 * shares[:, USE].mean()), 1), "flagged": len(flagged)},
+        dropped=tuple((empty | left_out).items()),
+        notes=(f"source {source}: {why}", *learnt, *_flag_note(flagged, left_out)),
+        tables={"shares of the images": _by_camera(scene, shares)},
+    )
+
+
+_LEFT_OUT = {"none": (), "blurred": ("blurred",), "similar": ("similar",), "both": ("blurred", "similar")}
+
+
+def _cameras(scene: Scene, folder: Path) -> dict[int, Camera]:
+    order = np.lexsort((scene.step[scene.frame], scene.track[scene.frame]))
+    return {
+        key: Camera(tuple(folder / scene.names[k] for k in order if scene.sensor_key[k] == key), sensor.role == "up")
+        for key, sensor in enumerate(scene.all_sensors)
+        if (scene.sensor_key == key).any()
+    }
+
+
+def _apply(run: Run) -> Callable[[Callable, Sequence], list]:
+    def apply(function: Callable, items: Sequence) -> list:
+        return run.map(function, list(items))
+
+    return apply
+
+
+def _mask_item(
+    name: str,
+    folder: Path,
+    source: str,
+    settings: MasksSettings,
+    prepared: dict[int, Any],
+    keyed: dict[str, tuple[int, str]],
+) -> None:
+    key, found = keyed[name]
+    made, image = SOURCES[source], folder / "images" / name
+    if made.classes is None:
+        keep = made.mask(image, prepared[key], settings, found)
+    else:
+        classes = made.classes(image, prepared[key], settings, found)
+        save_png(classes_path(folder, name), classes)
+        keep = full_size(classes == USE, image_size(image))
+    save_png(mask_path(folder, name), np.where(keep, 255, 0).astype(np.uint8))
+
+
+def _shares(name: str, folder: Path) -> np.ndarray:
+    """Shares of the classes; of a source without classes only the used one is known, the others are NaN."""
+    if not classes_path(folder, name).exists():
+        return np.array([read_mask(folder, name).mean(), *[np.nan] * (len(NAMES) - 1)])
+    classes = read_image(classes_path(folder, name))
+    return np.bincount(classes.ravel(), minlength=len(NAMES)) / classes.size
+
+
+def _flagged(run: Run, scene: Scene) -> dict[str, str]:
+    """Images hardly worth keeping, with the reason."""
+    found = {}
+    for camera in _cameras(scene, Path()).values():
+        names = [p.as_posix() for p in camera.images]
+        quality = run.map(_quality, list(zip(names, [None, *names[:-1]])), run.folder)
+        found.update({n: why for n, why in zip(names, flags(quality)) if why})
+    return dict(sorted(found.items()))
+
+
+def _quality(pair: tuple[str, str | None], folder: Path) -> Quality:
+    name, before = pair
+    images = folder / "images"
+    return image_quality(images / name, None if before is None else images / before, read_mask(folder, name))
+
+
+def _flag_note(flagged: dict[str, str], left_out: dict[str, str]) -> list[str]:
+    if not flagged:
+        return []
+    kinds = {kind: sum(why.startswith(kind) for why in flagged.values()) for kind in ("blurred", "similar")}
+    text = " and ".join(f"{n} {kind}" for kind, n in kinds.items() if n)
+    done = f"{len(left_out)} of them left out" if left_out else "kept; masks.leave_out leaves them out"
+    return [f"hardly worth keeping: {text} images ({done}); masks.csv names them"]
+
+
+def _table(scene: Scene, shares: np.ndarray, flagged: dict[str, str]) -> str:
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(["image", *(f"{n}_percent" for n in NAMES), "flag"])
+    for name, own in zip(scene.names, shares):
+        rows.writerow([name, *("" if np.isnan(s) else f"{100 * s:.1f}" for s in own), flagged.get(name, "")])
+    return text.getvalue()
+
+
+def _by_camera(scene: Scene, shares: np.ndarray) -> dict:
+    known = [k for k in range(len(NAMES)) if np.isfinite(shares[:, k]).any()]
+    rows = [
+        [sensor.name, *(float(100 * shares[scene.sensor_key == key][:, k].mean()) for k in known)]
+        for key, sensor in enumerate(scene.all_sensors)
+        if (scene.sensor_key == key).any()
+    ]
+    return {"columns": ["camera", *(f"{NAMES[k]} %" for k in known)], "rows": rows}

@@ -1,0 +1,155 @@
+"""Glue of remask: the first masks, corrected by what the model knows."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from tiegraph.masks.classes import NAMES, USE, WATER
+from tiegraph.masks.frames import full_size
+from tiegraph.masks.waterline import (
+    Lines,
+    View,
+    Water,
+    camera_rays,
+    final_classes,
+    find_water,
+    first_line,
+    lines_of,
+)
+from tiegraph.pipeline.files import FINAL, checked, classes_path, mask_path, read_image, read_mask, save_png
+from tiegraph.project.run import Run
+from tiegraph.project.stages import Outcome
+from tiegraph.scene.atomic import replacing
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.gravity import up_vector
+
+_MOST_VIEWS = 240  # whose waterlines measure the water's height
+_LEAST_TRACK = 3  # images that must see a point of the banks
+
+
+def remask(run: Run) -> Outcome:
+    """Final masks: waterline and horizon of the model where a mask knows its classes, the first masks elsewhere."""
+    scene = checked(run)
+    lines: dict[str, Lines] = {}
+    notes: tuple[str, ...] = ("the first masks are the final ones, as the setting says",)
+    if run.settings.remask.geometry == "auto":
+        lines, notes = _lines(run, scene)
+    todo = [(n, lines.get(n)) for n in scene.names if not mask_path(run.path(FINAL), n).exists()]
+    run.reporter.total(len(scene), len(scene) - len(todo))
+    run.map(_final_item, todo, run.folder)
+    used = np.array(run.map(_used, list(scene.names), run.folder))  # (N, 2): before, now
+    changed = int((used[:, 0] != used[:, 1]).sum())
+    counts = {"images": len(scene), "changed": changed, "used_percent": round(float(100 * used[:, 1].mean()), 1)}
+    return Outcome(counts, notes=notes, tables=_tables(run, scene))
+
+
+def _lines(run: Run, scene: Scene) -> tuple[dict[str, Lines], tuple[str, ...]]:
+    """Waterline and horizon of each registered image by the model, with what is to be said of them."""
+    if not any(classes_path(run.folder, n).exists() for n in scene.names):
+        return {}, ("the first masks do not say what is sky and water: they are the final ones",)
+    model = pycolmap.Reconstruction(str(run.path("sparse", "world")))
+    poses = {i.name: i.cam_from_world() for i in model.images.values() if i.has_pose}
+    matrices = np.full((len(scene), 4, 4), np.nan)
+    for k, name in enumerate(scene.names):
+        if name in poses:
+            matrices[k] = np.vstack([poses[name].matrix(), [0, 0, 0, 1]])
+    up = up_vector(matrices, scene)
+    if up is None or not up.ring:
+        return {}, ("no ring of cameras shows which way is up: the first masks are the final ones",)
+    views = _views(run, scene, model, matrices)
+    water = _water(run, scene, views, model, up.direction)
+    lines = {name: lines_of(view, up.direction, water) for name, view in views.items()}
+    if water is None:
+        return lines, ("no sky below the horizon; no water level was found, so the water stays as it was learnt",)
+    return lines, (
+        f"water {water.depth:.3g} units below the cameras (middle half of {water.rays} rays: +-{water.spread:.2g}), "
+        "out to the banks of the model; no sky below the horizon",
+    )
+
+
+def _views(run: Run, scene: Scene, model: pycolmap.Reconstruction, matrices: np.ndarray) -> dict[str, View]:
+    grids: dict[int, np.ndarray] = {}
+    ids = {i.name: i.camera_id for i in model.images.values()}
+    views = {}
+    for k in np.flatnonzero(np.isfinite(matrices).all(axis=(1, 2))):
+        name = scene.names[k]
+        if not classes_path(run.folder, name).exists():
+            continue
+        camera = ids[name]
+        if camera not in grids:
+            shape = read_image(classes_path(run.folder, name)).shape[:2]
+            grids[camera] = camera_rays(model.cameras[camera], shape)
+        rotation, shift = matrices[k, :3, :3], matrices[k, :3, 3]
+        views[name] = View(grids[camera] @ rotation, -rotation.T @ shift)
+    return views
+
+
+def _water(
+    run: Run, scene: Scene, views: dict[str, View], model: pycolmap.Reconstruction, up: np.ndarray
+) -> Water | None:
+    level = [n for n in views if scene.sensor_of(scene.image_index[n]).role == "side"]
+    chosen = [level[k] for k in np.unique(np.linspace(0, len(level) - 1, min(_MOST_VIEWS, len(level))).astype(int))]
+    lines = [first_line(c) for c in run.map(_first_classes, chosen, run.folder)]
+    points = [p.xyz for p in model.points3D.values() if p.track.length() >= _LEAST_TRACK]
+    return find_water([views[n] for n in chosen], lines, np.array(points).reshape(-1, 3), up)
+
+
+def _first_classes(name: str, folder: Path) -> np.ndarray:
+    return read_image(classes_path(folder, name))
+
+
+def _final_item(item: tuple[str, Lines | None], folder: Path) -> None:
+    name, lines = item
+    final = folder / FINAL
+    classes, mask = classes_path(folder, name), mask_path(folder, name)
+    if lines is not None and classes.exists():
+        first, use = _first_classes(name, folder), read_mask(folder, name)
+        found = final_classes(first, lines)
+        if use.any() and (found != first).any():
+            save_png(classes_path(final, name), found)
+            keep = full_size(found == USE, use.shape)  # type: ignore[arg-type]
+            save_png(mask_path(final, name), np.where(keep, 255, 0).astype(np.uint8))
+            return
+    if classes.exists():
+        _link(classes, classes_path(final, name))
+    _link(mask, mask_path(final, name))
+
+
+def _link(source: Path, target: Path) -> None:
+    """The same file in another place, without a second copy where the file system can."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(target) as temporary:
+        temporary.unlink(missing_ok=True)
+        try:
+            os.link(source, temporary)
+        except OSError:
+            shutil.copyfile(source, temporary)
+
+
+def _used(name: str, folder: Path) -> tuple[float, float]:
+    return float(read_mask(folder, name).mean()), float(read_mask(folder / FINAL, name).mean())
+
+
+def _tables(run: Run, scene: Scene) -> dict[str, dict]:
+    names = [n for n in scene.names if classes_path(run.path(FINAL), n).exists()]
+    if not names:
+        return {}
+    before, now = (np.array(run.map(_shares, names, f)) for f in (run.folder, run.path(FINAL)))
+    key = scene.sensor_key[[scene.image_index[n] for n in names]]
+    rows = [
+        [s.name, *(float(100 * x[key == k][:, c].mean()) for c in (USE, WATER) for x in (before, now))]
+        for k, s in enumerate(scene.all_sensors)
+        if (key == k).any()
+    ]
+    heads = [f"{NAMES[c]} {when} %" for c in (USE, WATER) for when in ("before", "now")]
+    return {"final masks": {"columns": ["camera", *heads], "rows": rows}}
+
+
+def _shares(name: str, folder: Path) -> np.ndarray:
+    classes = read_image(classes_path(folder, name))
+    return np.bincount(classes.ravel(), minlength=len(NAMES)) / classes.size

@@ -1,0 +1,165 @@
+import cv2
+import numpy as np
+import pytest
+from masks_world import write
+
+from tiegraph.masks import appearance
+from tiegraph.masks.classes import EGO, NAMES, OVEREXPOSED, SKY, USE, WATER
+from tiegraph.masks.evidence import Evidence, choose_pairs, pair_evidence
+from tiegraph.masks.learnt import classes_of, learn
+from tiegraph.masks.settings import MasksSettings
+from tiegraph.masks.skyline import border_sky, calm_sky
+from tiegraph.masks.water import below_waterline, never_matching, water_priors
+
+SIZE = (240, 320)
+SKYLINE, SHORE, DECK = 70, 150, 215  # rows
+
+
+def _noise(seed, shape, cells):
+    coarse = np.random.default_rng(seed).uniform(0, 1, cells).astype(np.float32)
+    return cv2.resize(coarse, shape[::-1], interpolation=cv2.INTER_CUBIC)
+
+
+WALL = {c: _noise(c, (SHORE - SKYLINE, 2000), (40, 900)) for c in range(4)}
+
+
+def river(camera, k):
+    """Frame k of a boat's camera: sky, a wall that passes, water that is new in every frame, a deck; u1 BGR."""
+    image = np.zeros((*SIZE, 3), np.float32)
+    image[:SKYLINE] = np.float32([225, 190, 160]) + 6 * _noise(9, (SKYLINE, 320), (3, 4))[..., None]
+    wall = WALL[camera][:, 40 + 14 * k : 360 + 14 * k]
+    image[SKYLINE:SHORE] = (40 + 150 * wall)[..., None] * np.float32([0.6, 0.75, 1.0])
+    ripples = _noise(1000 * camera + k, (DECK - SHORE, 320), (26, 70))
+    image[SHORE:DECK] = (20 + 130 * ripples)[..., None] * np.float32([0.8, 1.0, 0.7])
+    image[DECK:] = 170
+    rng = np.random.default_rng(k)
+    return np.clip(image * rng.uniform(0.85, 1.1) + rng.normal(0, 1.5, image.shape), 0, 255).astype(np.uint8)
+
+
+@pytest.fixture(scope="module")
+def boat(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("boat")
+    return {c: [write(folder / f"cam{c}/{k:03d}.png", river(c, k)) for k in range(9)] for c in range(3)}
+
+
+@pytest.fixture(scope="module")
+def learnt(boat):
+    return learn(boat, MasksSettings(source="learnt"))
+
+
+def truth():
+    rows = np.repeat([SKY, USE, WATER, EGO], [SKYLINE, SHORE - SKYLINE, DECK - SHORE, SIZE[0] - DECK])
+    return np.repeat(rows[:, None], SIZE[1], axis=1)
+
+
+def test_sky_water_and_platform_of_a_boat(boat, learnt):
+    for camera, images in boat.items():
+        assert "platform" in learnt[camera].note and learnt[camera].note.endswith(", water")
+        for image in images[::5]:
+            found = classes_of(image, learnt[camera], MasksSettings(), SIZE)
+            assert ((found == USE) == (truth() == USE)).mean() > 0.93
+            for label in (SKY, WATER, EGO):
+                both, either = ((found == label) & (truth() == label)).sum(), (found == label) | (truth() == label)
+                assert both / either.sum() > 0.75, NAMES[label]
+
+
+def test_water_only_where_it_is_asked_for_or_seen_by_several_cameras(boat):
+    one = {0: boat[0]}
+    assert learn(one, MasksSettings(water="on"))[0].note.endswith(", water")
+    again = [learn(one, MasksSettings())[0] for _ in range(2)]
+    assert all(a.note.endswith("no water seen") for a in again)
+    a, b = (classes_of(boat[0][3], x, MasksSettings(), SIZE) for x in again)
+    assert (a == b).all(), "twice the same"
+
+
+@pytest.mark.parametrize("kind", ["grey", "deep", "all sky", "one", "still", "dark"])
+def test_odd_sequences_give_a_result_and_invent_nothing(tmp_path, kind):
+    frames = {
+        "grey": lambda k: river(0, k)[..., 1],
+        "deep": lambda k: river(0, k).astype(np.uint16) * 257,
+        "all sky": lambda k: np.full((*SIZE, 3), (230, 190, 150), np.uint8),
+        "one": lambda k: river(0, 0),
+        "still": lambda k: river(0, 0),
+        "dark": lambda k: np.zeros((*SIZE, 3), np.uint8),
+    }[kind]
+    images = [write(tmp_path / f"{k:02d}.png", frames(k)) for k in range(1 if kind == "one" else 8)]
+    prepared = learn({0: images}, MasksSettings())[0]
+    found = classes_of(images[0], prepared, MasksSettings(), SIZE)
+    assert found.shape == SIZE and not (found == WATER).any()
+    if kind in ("one", "still", "all sky", "dark"):
+        assert prepared.ego is None and "no platform learnt" in prepared.note
+    if kind == "dark":
+        assert (found == USE).all()
+    elif kind != "all sky":
+        assert (found[SKYLINE + 10 : SHORE] == USE).mean() > 0.9
+
+
+def test_burnt_out_areas_are_masked(tmp_path):
+    images = [write(tmp_path / f"{k}.png", river(0, k)) for k in range(2)]
+    image = cv2.imread(str(images[0]))
+    image[90:130, 100:180] = 255
+    burnt = write(tmp_path / "burnt.png", image)
+    found = classes_of(burnt, learn({0: images}, MasksSettings())[0], MasksSettings(), SIZE)
+    assert (found[94:126, 104:176] == OVEREXPOSED).all()
+
+
+def test_border_of_the_sky():
+    sky = border_sky(river(0, 0))
+    assert sky is not None and sky[: SKYLINE - 8].mean() > 0.95 and sky[SKYLINE + 4 :].mean() < 0.02
+    assert border_sky(river(0, 0)[SKYLINE:DECK]) is None
+    assert border_sky(np.full((*SIZE, 3), 128, np.uint8)) is None
+
+
+def test_calm_sky_of_an_upward_camera():
+    image = river(0, 0)
+    sky = calm_sky(image[:SHORE], np.zeros((SHORE, 320), bool))
+    assert sky is not None and sky[: SKYLINE - 8].mean() > 0.9 and sky[SKYLINE + 8 :].mean() < 0.05
+    assert calm_sky(image // 4, np.zeros(SIZE, bool)) is None, "a dark calm area is a bridge"
+
+
+def test_pairs_tell_what_matches(boat):
+    found_in_both = pair_evidence(boat[0][3], boat[0][4])
+    assert len(found_in_both) == 2
+    for found in found_in_both:
+        row = found.xy[:, 1] * SIZE[0]
+        wall, water = (row > SKYLINE) & (row < SHORE - 6), (row > SHORE + 6) & (row < DECK - 6)
+        assert found.matched[wall].mean() > 0.15 and found.matched[water].mean() < 0.05
+    assert pair_evidence(boat[0][0], boat[1][0]) == ()
+    assert [len(p) for p in choose_pairs([boat[0], boat[1][:1], []], 6)] == [2, 0, 0]
+
+
+def test_a_zone_that_never_matches():
+    rng = np.random.default_rng(0)
+    xy = rng.uniform(0, 1, (4000, 2)).astype(np.float32)
+    matched = (xy[:, 1] < 0.6) & (rng.uniform(size=4000) < 0.3)
+    zone = never_matching([Evidence(None, xy, matched)], None)
+    rows = zone.mask.mean(axis=1)
+    assert rows[:33].max() == 0 and rows[39:].min() > 0.9 and zone.says > 100
+    everywhere = never_matching([Evidence(None, xy, rng.uniform(size=4000) < 0.3)], None)
+    assert everywhere.says < 8
+    assert water_priors({0: zone, 1: zone}, asked=False) == {}
+    assert set(water_priors({0: zone, 1: zone, 2: everywhere}, asked=False)) == {0, 1, 2}
+    assert water_priors({0: everywhere}, asked=True) == {} and water_priors({}, asked=True) == {}
+
+
+def test_waterline_is_the_best_line_and_spares_the_platform():
+    rng = np.random.default_rng(2)
+    ratio = np.where(np.arange(120)[:, None] < 70, -1.0, 1.0) + rng.normal(0, 2, (120, 160))
+    ego = np.zeros((120, 160), bool)
+    ego[110:, 40:] = True
+    water = below_waterline(ratio.astype(np.float32), ego)
+    assert not water[ego].any() and np.abs(water.argmax(axis=0) - 70).max() <= 8
+    assert not below_waterline(np.full((120, 160), -1, np.float32), None).any()
+
+
+def test_appearance_is_learnt_from_counts():
+    blue, grey = np.full((8, 8, 3), (220, 150, 90), np.uint8), np.full((8, 8, 3), 120, np.uint8)
+    counts = {
+        SKY: np.bincount(appearance.bins(blue).ravel(), minlength=appearance.BINS),
+        USE: np.bincount(appearance.bins(grey).ravel(), minlength=appearance.BINS),
+        WATER: np.zeros(appearance.BINS),
+    }
+    look = appearance.learn(counts)
+    assert look.ratio(appearance.bins(blue), SKY, USE).min() > 2
+    assert look.ratio(appearance.bins(grey), SKY, USE).max() < -2
+    assert not look.ratio(appearance.bins(blue), WATER, USE).any()
