@@ -20,15 +20,16 @@ def _noise(seed, shape, cells):
     return cv2.resize(coarse, shape[::-1], interpolation=cv2.INTER_CUBIC)
 
 
-WALL = {c: _noise(c, (SHORE - SKYLINE, 2000), (40, 900)) for c in range(4)}
+WALL = {c: _noise(c, (SHORE - SKYLINE + 8, 2000), (44, 900)) for c in range(4)}
 
 
 def river(camera, k):
     """Frame k of a boat's camera: sky, a wall that passes, water that is new in every frame, a deck; u1 BGR."""
     image = np.zeros((*SIZE, 3), np.float32)
     image[:SKYLINE] = np.float32([225, 190, 160]) + 6 * _noise(9, (SKYLINE, 320), (3, 4))[..., None]
-    wall = WALL[camera][:, 40 + 14 * k : 360 + 14 * k]
-    image[SKYLINE:SHORE] = (40 + 150 * wall)[..., None] * np.float32([0.6, 0.75, 1.0])
+    roof = SKYLINE - 8 + 5 * (k % 3)  # what passes is not of one height
+    wall = WALL[camera][roof - SKYLINE + 8 :, 40 + 14 * k : 360 + 14 * k]
+    image[roof:SHORE] = (40 + 150 * wall)[..., None] * np.float32([0.6, 0.75, 1.0])
     ripples = _noise(1000 * camera + k, (DECK - SHORE, 320), (26, 70))
     image[SHORE:DECK] = (20 + 130 * ripples)[..., None] * np.float32([0.8, 1.0, 0.7])
     image[DECK:] = 170
@@ -105,7 +106,7 @@ def test_burnt_out_areas_are_masked(tmp_path):
 
 def test_border_of_the_sky():
     sky = border_sky(river(0, 0))
-    assert sky is not None and sky[: SKYLINE - 8].mean() > 0.95 and sky[SKYLINE + 4 :].mean() < 0.02
+    assert sky is not None and sky[: SKYLINE - 16].mean() > 0.95 and sky[SKYLINE + 4 :].mean() < 0.02
     assert border_sky(river(0, 0)[SKYLINE:DECK]) is None
     assert border_sky(np.full((*SIZE, 3), 128, np.uint8)) is None
 

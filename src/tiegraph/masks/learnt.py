@@ -21,7 +21,7 @@ from tiegraph.masks.water import below_waterline, never_matching, water_priors
 
 LOOK_PX = 320
 """Longer side at which appearance is looked up."""
-_MOST_PAIRS = 24  # of neighbouring frames, from which it is learnt what matches
+_MOST_PAIRS = 36  # of neighbouring frames, from which it is learnt what matches
 _SEED_IMAGES = 40  # from which appearance is learnt
 _STATIC_PX = 5  # around a matched feature all is static scene
 _SKY_CREDIT = 0.5  # log ratio from which a place is sky

@@ -16,9 +16,9 @@ _REACH = 1.5  # sigma of the map, in its cells
 # 0.1 .. 0.25 on streets (PandaSet, KITTI); less at the sides, where the scene leaves the image.
 _WATER_RATE, _LEAST_RATE, _MOST_RATE = 0.02, 0.025, 0.25
 # Before water is believed without being asked for: cameras that look level, the share of them with a zone, and what the
-# zones together say, as log of P(features | water) / P(features | scene). A road ahead does not match either when the
+# zone of each says, as log of P(features | water) / P(features | scene). A road ahead does not match either when the
 # car is fast (KITTI, CamVid), so cameras that look one way only prove nothing; to the side a road matches.
-_LEAST_CAMERAS, _LEAST_SHARE, _LEAST_SAYS, _ZONE_SAYS = 3, 0.6, 40.0, 8.0
+_LEAST_CAMERAS, _LEAST_SHARE, _ZONE_SAYS, _LEAST_SAYS = 3, 0.6, 8.0, 120.0
 _LEAST_AREA = 0.02  # of the image
 _HIGHEST = 0.25  # share of the height: a zone that reaches above it is no water seen from above it
 _PRIOR_CLIP = 1.0
@@ -85,7 +85,8 @@ def water_priors(zones: Mapping[int, Zone], asked: bool) -> dict[int, np.ndarray
     """
     wet = [z for z in zones.values() if z.says >= _ZONE_SAYS]
     several = len(zones) >= _LEAST_CAMERAS and len(wet) >= _LEAST_SHARE * len(zones)
-    if not wet or not asked and not (several and sum(z.says for z in wet) >= _LEAST_SAYS):
+    sure = several and sum(z.says for z in wet) >= _LEAST_SAYS
+    if not wet or not (asked or sure):
         return {}
     rows = np.mean([z.prior.mean(axis=1) for z in wet], axis=0)
     borrowed = np.repeat(rows[:, None], _GRID[1], axis=1).astype(np.float32)
