@@ -29,7 +29,7 @@ def all_masks(name, images, **settings):
 
 
 def test_auto():
-    assert resolve_source(scene(), MasksSettings()) == "meguro2025"
+    assert resolve_source(scene(), MasksSettings()) == "learnt"
     for other in (scene(loose=True), scene(cameras=1), scene(frames=3)):
         name, why = explain_source(other, MasksSettings())
         assert name == "none" and why
@@ -81,19 +81,6 @@ def test_folder_source(tmp_path):
         write(tmp_path / "masks" / f"{path.name}.png", labels)
     for mask in all_masks("folder", images, folder=tmp_path / "masks", keep_labels=(4,)):
         assert mask[:DECK].all() and not mask[DECK:].any()
-
-
-def test_auto_does_not_trust_two_frames_that_are_too_alike(tmp_path):
-    still = frame(0)
-    images = [write(tmp_path / "a.png", still), write(tmp_path / "b.png", cv2.add(still, (2, 2, 2, 0)))]
-    source = SOURCES["meguro2025"]
-
-    def prepared(paths, settings):
-        return source.prepare({0: Camera(tuple(paths))}, settings, map)[0]
-
-    assert prepared(images, MasksSettings()) is None
-    assert prepared(images, MasksSettings(source="meguro2025")).mean() < 0.1
-    assert prepared(sequence(tmp_path / "moving"), MasksSettings()) is not None
 
 
 @pytest.mark.parametrize("name", ["meguro2024", "meguro2025"])

@@ -17,7 +17,7 @@ class MasksSettings(Section):
     """Where masks come from: learnt = platform, sky and water learnt from the whole sequence; meguro2025 = similar
     parts of first and last frame, sky, overexposure (paper 001); meguro2024 = equal parts of first and last frame
     (paper 000); sky = only sky and overexposure; model = a segmentation model of yours; folder = masks of yours;
-    none = all is used; auto = folder if given, else meguro2025 for rigs on a path, else none."""
+    none = all is used; auto = folder if given, else learnt for rigs on a path, else none."""
 
     folder: Path | None = None
     """Folder of your own masks; for up/cam0/a.jpg the first of up/cam0/a.jpg.png, up/cam0/a_mask.png, up/cam0/a.png, or

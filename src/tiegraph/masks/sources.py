@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,16 +22,7 @@ from tiegraph.masks.ssim import prepare_ssim
 from tiegraph.scene.scene import Scene
 
 MIN_FRAMES = 5
-"""Frames a camera must have before ``auto`` compares its first with its last."""
-
-_MIN_USED_SHARE = 0.4
-# auto: an initial mask that leaves less of the image says that the two frames are too alike to tell the platform from
-# the scene (open sky above an upward camera, dark streets, a boat back at its berth); only the final stage is used.
-# Measured, share of true key points lost with and without the initial mask: canal_demo, upward camera (it leaves 37 %):
-# 0.61 and 0.13; pandaset, true matches: 0.14 and 0.10, by the two cameras whose walls and streets it takes (24 % left).
-# The side cameras of the canal are left 59-77 %.
-
-_log = logging.getLogger(__name__)
+"""Frames every camera must have before ``auto`` learns masks from them."""
 
 
 @dataclass(frozen=True)
@@ -69,10 +59,8 @@ def _each(prepare: Callable[[Sequence[Path], MasksSettings], Any]) -> Callable[.
 def explain_source(scene: Scene, settings: MasksSettings) -> tuple[str, str]:
     """(name of the source, why) for a scene.
 
-    ``auto`` masks the cameras of a rig on a path. Loose photographs and single cameras are left alone: their first and
-    last frame share nothing but chance; of the true matches between neighbours paper 000 costs 25 % (strecha) to 42 %
-    (oppaiyama), paper 001 5 % and 0 %. On rigs paper 001 costs 5-7 % (canal, kitti), on pandaset 10 %, and takes half
-    or more of the features on the platform (canal).
+    ``auto`` masks the cameras of a rig on a path, by what is learnt from them. Loose photographs and single cameras are
+    left alone: they share no platform, and a single camera cannot tell water from a road.
     Raises InputError if a folder of masks lacks one of the images.
     """
     automatic = settings.source == "auto"
@@ -97,15 +85,7 @@ def _automatic(scene: Scene, settings: MasksSettings) -> tuple[str, str]:
     fewest = int(np.bincount(scene.sensor_key, minlength=len(scene.all_sensors)).min())
     if fewest < MIN_FRAMES:
         return "none", f"a camera has only {fewest} frames, fewer than {MIN_FRAMES}"
-    return "meguro2025", "a rig that moves along a path"
-
-
-def _prepare_meguro2025(images: Sequence[Path], settings: MasksSettings) -> np.ndarray | None:
-    initial = prepare_ssim(images, settings)
-    if initial is None or settings.source != "auto" or initial.mean() >= _MIN_USED_SHARE:
-        return initial
-    _log.info("%s ...: first and last frame are too alike, only sky and overexposure are masked", images[0])
-    return None
+    return "learnt", "a rig that moves along a path"
 
 
 def _prepare_nothing(images: Sequence[Path], settings: MasksSettings) -> None:
@@ -175,7 +155,7 @@ def _mask_model(image: Path, prepared: Model, settings: MasksSettings, name: str
 SOURCES: dict[str, MaskSource] = {
     "learnt": MaskSource(_prepare_learnt, _mask_learnt, _classes_learnt),
     "meguro2024": MaskSource(_each(prepare_difference), _mask_of_camera),
-    "meguro2025": MaskSource(_each(_prepare_meguro2025), _mask_with_sky),
+    "meguro2025": MaskSource(_each(prepare_ssim), _mask_with_sky),
     "sky": MaskSource(_each(_prepare_nothing), _mask_with_sky),
     "model": MaskSource(_prepare_model, _mask_model, _classes_model),
     "folder": MaskSource(_each(_prepare_nothing), _mask_of_folder),
