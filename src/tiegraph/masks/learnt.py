@@ -26,6 +26,8 @@ _SEED_IMAGES = 40  # from which appearance is learnt
 _STATIC_PX = 5  # around a matched feature all is static scene
 _SKY_CREDIT = 0.5  # log ratio from which a place is sky
 _SKY_AROUND = 0.5  # share of its surroundings that must be sky for a burnt-out area to be sky
+_MATCHED_SKY = 0.25  # matched features on it, as a share of those on an equal area of the image
+_SKY_MARGIN = 0.03  # of the height, below the lowest sky seen
 _SAME_GREY = 14.0  # at its edge the sky goes on as long as the brightness does
 _SMALL = 0.002  # of the image: smaller pieces of sky or holes in it are not believed
 
@@ -39,6 +41,7 @@ class Learnt:
     ego: np.ndarray | None  # (h, w) bool at reduced size, True = platform
     appearance: Appearance
     water: np.ndarray | None  # (r, c) f4 prior of water in its images, log ratio; None = no water seen
+    sky_rows: float  # share of the height below which no sky was seen in any image
     note: str
 
 
@@ -63,8 +66,11 @@ def learn(
         for k in keys
         for image, evidence in _seed_images(cameras[k], seen[k], max(2, _SEED_IMAGES // len(keys)))
     ]
-    known = _appearances(jobs, list(apply(_seeds, jobs)), upward)
-    first = {k: Learnt(platforms[k].mask, known[k], water.get(k), "") for k in keys}
+    seeds = list(apply(_seeds, jobs))
+    known = _appearances(jobs, [counts for counts, _ in seeds], upward)
+    lowest = max((low for job, (_, low) in zip(jobs, seeds) if not job.upward), default=0.0)
+    rows = {k: 1.0 if k in upward else lowest for k in keys}
+    first = {k: Learnt(platforms[k].mask, known[k], water.get(k), rows[k], "") for k in keys}
     # Once more, with what the first try calls water, sky and scene as seeds: they cover the images, the first did not.
     refined = _appearances(jobs, list(apply(_reseed, [(job, first[job.camera], settings) for job in jobs])), upward)
     return {k: replace(first[k], appearance=refined[k], note=_note(platforms[k], k in water)) for k in keys}
@@ -115,22 +121,32 @@ def _appearances(jobs: Sequence[_SeedJob], counts: Sequence[Counts], upward: set
     return {job.camera: above if job.upward else level for job in jobs}  # type: ignore[misc]
 
 
-def _seeds(job: _SeedJob) -> Counts:
-    """Counts (BINS,) by class of the seed pixels of one image."""
+def _seeds(job: _SeedJob) -> tuple[Counts, float]:
+    """Counts (BINS,) by class of the seed pixels of one image, and how far down its sky goes (share of the height)."""
     image = read_small(job.image, LOOK_PX)
     shape = image.shape[:2]
     static = _matched(job.evidence, shape)
     water = np.zeros(shape, bool) if job.zone is None else _scaled(job.zone, shape)
     sky = calm_sky(image, static) if job.upward else border_sky(image)
-    if sky is None:
+    if sky is None or not job.upward and not _unmatched(sky, job.evidence):
         sky = np.zeros(shape, bool)
     else:  # what is well off the sky is scene or water
         sky &= ~static
         static = static | ~_dilated(sky, 9)
     free = np.ones(shape, bool) if job.ego is None else ~_scaled(job.ego, shape)
-    return _counted(
-        appearance.bins(image), {USE: static & free & ~water, WATER: water & free, SKY: sky & free & ~water}
-    )
+    masks = {USE: static & free & ~water, WATER: water & free, SKY: sky & free & ~water}
+    rows = np.flatnonzero(masks[SKY].mean(axis=1) > 0.02)
+    return _counted(appearance.bins(image), masks), float(rows[-1] + 1) / shape[0] if len(rows) else 0.0
+
+
+def _unmatched(sky: np.ndarray, evidence: Evidence | None) -> bool:
+    """Whether hardly a feature in what looks like sky matches: a bright wall has as many as other walls."""
+    if evidence is None:
+        return False
+    place = (evidence.xy[evidence.matched] * np.array(sky.shape[::-1], np.float32)).astype(int)
+    inner = cv2.erode(sky.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    inside = inner[place[:, 1].clip(0, sky.shape[0] - 1), place[:, 0].clip(0, sky.shape[1] - 1)]
+    return float(inside.mean()) < _MATCHED_SKY * float(inner.mean())
 
 
 def _matched(evidence: Evidence | None, shape: tuple[int, ...]) -> np.ndarray:
@@ -162,7 +178,8 @@ def classify(image: np.ndarray, learnt: Learnt, settings: MasksSettings) -> np.n
     look = learnt.appearance
     sky_ratio = cv2.blur(look.ratio(found, SKY, USE), (5, 5))
     white = grey(image) >= settings.overexposed
-    sky = _with_white(_grown(_cleaned(sky_ratio > _SKY_CREDIT), image), white)
+    high = np.arange(shape[0])[:, None] < (learnt.sky_rows + _SKY_MARGIN) * shape[0]
+    sky = _with_white(_grown(_cleaned((sky_ratio > _SKY_CREDIT) & high), image), white)
     labels = np.full(shape, USE, np.uint8)
     labels[_cleaned(white)] = OVEREXPOSED
     labels[sky] = SKY
