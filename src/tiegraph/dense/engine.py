@@ -19,6 +19,7 @@ from tiegraph.dense.combine import Candidates, combine
 from tiegraph.dense.plan import DepthRange
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.sgbm import match_sgbm
+from tiegraph.dense.tsgm import match_tsgm
 from tiegraph.geometry.stereo import Pinhole, Rectification, rectify
 from tiegraph.scene.results import DepthMap
 
@@ -89,7 +90,10 @@ def rectified_engine(
     )
 
 
-ENGINES: dict[str, DenseEngine] = {"sgbm": partial(rectified_engine, matcher=match_sgbm)}
+ENGINES: dict[str, DenseEngine] = {
+    "tsgm": partial(rectified_engine, matcher=match_tsgm),
+    "sgbm": partial(rectified_engine, matcher=match_sgbm),
+}
 
 
 def _match_pair(

@@ -10,8 +10,8 @@ from tiegraph.settings import Section
 class DenseSettings(Section):
     """Depth maps by matching each image with a few well placed partners."""
 
-    engine: Literal["sgbm"] = "sgbm"
-    """Dense matcher: sgbm = semi-global matching of OpenCV."""
+    engine: Literal["tsgm", "sgbm"] = "sgbm"
+    """Dense matcher: tsgm = own semi-global matching, hierarchical (paper 004); sgbm = OpenCV's."""
     paths: Literal[3, 5, 8] = 3
     """Directions in which the matching cost is gathered: 5 takes a quarter, 8 twice more time, for little gain."""
     max_image_size: int = Field(1600, ge=64, le=20000)
