@@ -8,8 +8,6 @@ extern const Kernel kernel_plain;
 extern const Kernel kernel_sse41;
 extern const Kernel kernel_avx2;
 extern const Kernel kernel_avx512;
-#elif defined(SGM_NEON)
-extern const Kernel kernel_neon;
 #endif
 
 static int list_kernels(Kernel* out) {
@@ -21,8 +19,6 @@ static int list_kernels(Kernel* out) {
   if (wide) out[n++] = kernel_avx512;
   if (__builtin_cpu_supports("avx2")) out[n++] = kernel_avx2;
   if (__builtin_cpu_supports("sse4.1")) out[n++] = kernel_sse41;
-#elif defined(SGM_NEON)
-  out[n++] = kernel_neon;
 #endif
   out[n++] = kernel_plain;
   return n;

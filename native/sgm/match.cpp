@@ -63,7 +63,9 @@ void check(const Image& left, const Image& right, const Ranges& r, const u8* mut
   }
 }
 
-int padded_count(const Ranges& r, const Kernel& kernel) { return (r.count + kernel.lanes - 1) / kernel.lanes * kernel.lanes; }
+int padded_count(const Ranges& r, const Kernel& kernel) {
+  return (r.count + kernel.lanes - 1) / kernel.lanes * kernel.lanes;
+}
 
 // Edge pixels repeated on all sides; mirrored if asked. Returns pixel (0, 0).
 u8* padded_image(Arena& arena, const Image& image, int above, bool mirror, std::ptrdiff_t* stride) {
@@ -213,9 +215,22 @@ const Kernel& find_kernel(const std::string& name) {
   throw std::invalid_argument("this machine cannot run the kernel " + name);
 }
 
+namespace {
+
+// The best kernel, or the next one where its wider vectors would stay empty by more than a quarter of the range.
+const Kernel& choose_kernel(const Ranges& r, const Options& o) {
+  const Kernel& best = find_kernel(o.kernel);
+  int n = 0;
+  const Kernel* list = kernels(&n);
+  if (!o.kernel.empty() || r.first || n < 2 || r.count < 1) return best;
+  return 4 * padded_count(r, best) > 5 * padded_count(r, list[1]) ? list[1] : best;
+}
+
+}  // namespace
+
 u64 volume_bytes(const Image& left, const Ranges& ranges, const Options& options) {
   const u64 pixels = static_cast<u64>(left.width) * left.height;
-  u64 cells = pixels * static_cast<u64>(padded_count(ranges, find_kernel(options.kernel)));
+  u64 cells = pixels * static_cast<u64>(padded_count(ranges, choose_kernel(ranges, options)));
   if (ranges.blocks) {
     cells = 0;
     for (u64 i = 0; i < pixels; ++i) cells += ranges.blocks[i];
@@ -227,7 +242,7 @@ u64 volume_bytes(const Image& left, const Ranges& ranges, const Options& options
 void match(const Image& left, const Image& right, const Ranges& ranges, const u8* mutual, const Options& options,
            Workspace& workspace, float* disparity, u16* score) {
   check(left, right, ranges, mutual, options);
-  const Kernel& kernel = find_kernel(options.kernel);
+  const Kernel& kernel = choose_kernel(ranges, options);
   Arena arena;
   Job job = make_job(arena, left, right, ranges, options, kernel);
   const std::vector<u64> at = row_offsets(job);

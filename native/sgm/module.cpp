@@ -6,6 +6,7 @@
 #include <nanobind/stl/vector.h>
 
 #include "match.h"
+#include "pyramid.h"
 
 #include <optional>
 
@@ -68,6 +69,33 @@ Ranges dense_range(int low, int count) {
   return r;
 }
 
+Out<u8> half(const In<u8>& image) {
+  u8* data;
+  auto out = new_array<u8>((image.shape(0) + 1) / 2, (image.shape(1) + 1) / 2, &data);
+  nb::gil_scoped_release free;
+  halve(image_of(image), data);
+  return out;
+}
+
+nb::tuple ranges(const In<float>& coarse, int width, int height, const RangeRules& rules,
+                 const std::optional<In<float>>& extra) {
+  for (const auto* a : {&coarse, extra ? &*extra : &coarse}) {
+    if (static_cast<int>(a->shape(0)) != (height + 1) / 2 || static_cast<int>(a->shape(1)) != (width + 1) / 2) {
+      throw std::invalid_argument("the coarser level has half the size, rounded up");
+    }
+  }
+  i16* first;
+  u8* blocks;
+  auto firsts = new_array<i16>(height, width, &first);
+  auto counts = new_array<u8>(height, width, &blocks);
+  u64 cells;
+  {
+    nb::gil_scoped_release free;
+    cells = find_ranges(coarse.data(), extra ? extra->data() : nullptr, width, height, rules, first, blocks);
+  }
+  return nb::make_tuple(firsts, counts, cells);
+}
+
 std::vector<std::string> kernel_names() {
   int n = 0;
   const Kernel* list = kernels(&n);
@@ -97,6 +125,17 @@ NB_MODULE(_sgm, m) {
       .def(nb::init<>())
       .def("release", &Workspace::release)
       .def_prop_ro("bytes", &Workspace::bytes);
+  nb::class_<RangeRules>(m, "RangeRules")
+      .def(nb::init<>())
+      .def_rw("low", &RangeRules::low)
+      .def_rw("count", &RangeRules::count)
+      .def_rw("reach", &RangeRules::reach)
+      .def_rw("margin", &RangeRules::margin)
+      .def_rw("hole_limit", &RangeRules::hole_limit);
+  m.def("halve", &half, "image"_a.noconvert(), "Means of 2 x 2 pixels.");
+  m.def("ranges", &ranges, "coarse"_a.noconvert(), "width"_a, "height"_a, "rules"_a,
+        "extra"_a.noconvert() = nb::none(),
+        "First disparity and blocks of 16 of each pixel, and their number in all.");
   m.def("kernels", &kernel_names, "Names of the kernels this machine can run, best first.");
   m.def(
       "match_dense",

@@ -94,10 +94,13 @@ static u32 ragged_long(const Sweep& w, const Row& before_row, const Row& here, c
     u8* to = k < 3 ? here.path[k] + here.at[p.x] : s.beside[0];
     const B least = hmin_all(low[k]);
     far.store(s.lines[k] + p.n);
-    for (int b = 0; b < p.n; b += kBlock) {
-      const u8* line = s.lines[k] + b;
-      const B near = adds(vmin(B::load(line - 1), B::load(line + 1)), small);
-      vmin(sub(vmin(B::load(line), near), least), large).store(to + b);
+    B previous = far, current = B::load(s.lines[k]);
+    for (int b = 0; b < p.n; b += kBlock) {  // whole blocks only: shifted loads would wait for the stores above
+      const B next = B::load(s.lines[k] + b + kBlock);
+      const B near = adds(vmin(before(previous, current), after(current, next)), small);
+      vmin(sub(vmin(current, near), least), large).store(to + b);
+      previous = current;
+      current = next;
     }
     large.store(to + p.n);
   }

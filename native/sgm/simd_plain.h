@@ -32,6 +32,9 @@ static inline B lookup(B table, B index) { SGM_LANES(table.v[index.v[i]]); }
 static inline B before(B a) { SGM_LANES(i == 0 ? 255 : a.v[i - 1]); }
 static inline B after(B a) { SGM_LANES(i == 15 ? 255 : a.v[i + 1]); }
 static inline B shifted(B a, int by) { SGM_LANES(i + by >= 0 && i + by < 16 ? a.v[i + by] : 0); }
+// Lanes moved by one across neighbouring vectors.
+static inline B before(B previous, B a) { SGM_LANES(i == 0 ? previous.v[15] : a.v[i - 1]); }
+static inline B after(B a, B next) { SGM_LANES(i == 15 ? next.v[0] : a.v[i + 1]); }
 #undef SGM_LANES
 static inline u8 hmin(B a) {
   u8 m = 255;

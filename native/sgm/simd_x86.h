@@ -54,6 +54,9 @@ static inline B steps(B a) {
 static inline B lookup(B table, B index) { return {_mm_shuffle_epi8(table.v, index.v)}; }
 static inline B before(B a) { return {_mm_alignr_epi8(a.v, _mm_set1_epi8(-1), 15)}; }
 static inline B after(B a) { return {_mm_alignr_epi8(_mm_set1_epi8(-1), a.v, 1)}; }
+// Lanes moved by one across neighbouring vectors.
+static inline B before(B previous, B a) { return {_mm_alignr_epi8(a.v, previous.v, 15)}; }
+static inline B after(B a, B next) { return {_mm_alignr_epi8(next.v, a.v, 1)}; }
 static inline B shifted(B a, int by) {
   return {_mm_shuffle_epi8(a.v, _mm_loadu_si128(reinterpret_cast<const __m128i*>(kShift + 24 + by)))};
 }

@@ -31,8 +31,9 @@ def options(kernel, **changes):
 def same(found, expected):
     """Equal in every bit; where the disparity is NaN only that counts."""
     np.testing.assert_array_equal(found[1], expected[1])
-    np.testing.assert_array_equal(found[0].view(np.uint32) * ~np.isnan(found[0]),
-                                  expected[0].view(np.uint32) * ~np.isnan(expected[0]))
+    np.testing.assert_array_equal(
+        found[0].view(np.uint32) * ~np.isnan(found[0]), expected[0].view(np.uint32) * ~np.isnan(expected[0])
+    )
     np.testing.assert_array_equal(np.isnan(found[0]), np.isnan(expected[0]))
 
 
@@ -113,8 +114,10 @@ def test_threads_do_not_change_a_bit(kernel):
 def test_a_dense_range_and_equal_ragged_ranges_agree():
     left, right = pair(40, 90, 100, seed=2)
     first, blocks = np.full(left.shape, -5, np.int16), np.full(left.shape, 3, np.uint8)
-    same(sgm.match_ragged(left, right, first, blocks, sgm.Options(), sgm.Workspace()),
-         sgm.match_dense(left, right, -5, 48, sgm.Options(), sgm.Workspace()))
+    same(
+        sgm.match_ragged(left, right, first, blocks, sgm.Options(), sgm.Workspace()),
+        sgm.match_dense(left, right, -5, 48, sgm.Options(), sgm.Workspace()),
+    )
 
 
 @pytest.mark.parametrize(
@@ -143,11 +146,13 @@ def test_shapes_and_types_are_checked():
     with pytest.raises(ValueError, match="height"):
         sgm.match_dense(left, right[:4], 0, 16, sgm.Options(), sgm.Workspace())
     with pytest.raises(ValueError, match="shape of the left"):
-        sgm.match_ragged(left, right, np.zeros((8, 19), np.int16), np.ones((8, 19), np.uint8), sgm.Options(),
-                         sgm.Workspace())
+        sgm.match_ragged(
+            left, right, np.zeros((8, 19), np.int16), np.ones((8, 19), np.uint8), sgm.Options(), sgm.Workspace()
+        )
     with pytest.raises(ValueError, match="one block"):
-        sgm.match_ragged(left, right, np.zeros((8, 20), np.int16), np.zeros((8, 20), np.uint8), sgm.Options(),
-                         sgm.Workspace())
+        sgm.match_ragged(
+            left, right, np.zeros((8, 20), np.int16), np.zeros((8, 20), np.uint8), sgm.Options(), sgm.Workspace()
+        )
     with pytest.raises(ValueError, match="one pixel"):
         sgm.match_dense(left[:, :0], right, 0, 16, sgm.Options(), sgm.Workspace())
     with pytest.raises(TypeError):

@@ -63,4 +63,3 @@ def _left_right(forward: np.ndarray, backward: np.ndarray, count: int) -> np.nda
     back = np.take_along_axis(backward, np.clip(column, 0, backward.shape[1] - 1), axis=1)
     agrees = np.abs(back - forward) <= _LEFT_RIGHT_PX  # NaN compares false
     return np.where(known & agrees, forward, np.float32(np.nan))
-
