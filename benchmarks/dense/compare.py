@@ -91,8 +91,7 @@ def main() -> None:
         results[key] = compare(pair, arguments.repeats, arguments.methods)
         for name, row in results[key].items():
             words = " ".join(f"{k} {v}" for k, v in row.items())
-            sys.stdout.write(f"{key:24s} {name:12s} {words}
-")
+            sys.stdout.write(f"{key:24s} {name:12s} {words}" + chr(10))
             sys.stdout.flush()
     if arguments.output:
         about = {"machine": platform.machine(), "kernels": _sgm.kernels(), "opencv": cv2.__version__, "threads": 1}
