@@ -29,16 +29,17 @@ _STATIC = 4  # class of the truth masks that has a depth worth comparing
 
 def true_depth(plan: ImagePlan, folder: Path, settings: DenseSettings) -> np.ndarray | None:
     """Depth at the pixels of the undistorted image, NaN = unknown or an edge; None = no truth for the image."""
-    depth = cv2.imread(str((folder / plan.view.name).with_suffix(".png")), cv2.IMREAD_UNCHANGED)
-    if depth is None:
+    path = (folder / plan.view.name).with_suffix(".png")
+    if not path.exists():
         return None
+    depth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     mask = cv2.imread(str((folder.parent / "masks" / plan.view.name).with_suffix(".png")), cv2.IMREAD_UNCHANGED)
     metres = depth.astype(np.float32) / _DEPTH_SCALE
     metres[metres <= 0] = np.nan
     if mask is not None:
         metres[mask != _STATIC] = np.nan
     low, high = cv2.erode(metres, np.ones((3, 3))), cv2.dilate(metres, np.ones((3, 3)))
-    metres = np.where(high < 1.1 * low, metres, np.float32(np.nan))
+    metres = np.where(high < 1.1 * np.minimum(low, 1e6), metres, np.float32(np.nan))
     K, (width, height) = pinhole_of(plan.view.camera, settings)
     u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     rays = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones_like(u)], -1).reshape(-1, 3)
