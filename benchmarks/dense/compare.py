@@ -79,6 +79,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--methods", nargs="+", default=list(METHODS), choices=list(METHODS))
     parser.add_argument("--large", action="store_true", help="also 2448 x 2048 with 512 disparities")
+    parser.add_argument("--only", default="", help="pairs whose name contains this")
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
     root = Path(os.environ.get("TIEGRAPH_DATA", "../shared/data")) / "stereo_gt"
@@ -86,7 +87,7 @@ def main() -> None:
     if arguments.large:
         pairs.append(rendered(root, 2448, 2048, 512, seed=200))
     results = {}
-    for number, pair in enumerate(pairs):
+    for number, pair in enumerate(p for p in pairs if arguments.only in p.name):
         key = pair.name if pair.name not in results else f"{pair.name} ({number})"
         results[key] = compare(pair, arguments.repeats, arguments.methods)
         for name, row in results[key].items():
