@@ -7,12 +7,17 @@ python=${PYTHON:-python3}
     echo "tiegraph needs Python 3.10 or newer; $("$python" --version) found. Set PYTHON=/path/to/python3." >&2
     exit 1
 }
-if ! "$python" -c 'import ensurepip, venv' 2>/dev/null; then
-    # Debian and Ubuntu ship venv in a package of its own.
+install() {
     as_root=""
     [ "$(id -u)" = 0 ] || as_root=sudo
-    $as_root apt-get update -q
-    $as_root apt-get install -q -y python3-venv
+    $as_root apt-get update -q && $as_root apt-get install -q -y "$@"
+}
+# Debian and Ubuntu ship venv in a package of its own.
+"$python" -c 'import ensurepip, venv' 2>/dev/null || install python3-venv
+# The dense matcher is built here; without a compiler everything else still installs.
+headers='import os, sys, sysconfig; sys.exit(not os.path.exists(os.path.join(sysconfig.get_path("include"), "Python.h")))'
+if ! command -v "${CXX:-c++}" >/dev/null || ! "$python" -c "$headers"; then
+    install g++ python3-dev || echo "No C++ compiler: the dense stage will use OpenCV's matcher." >&2
 fi
 [ -x .venv/bin/python ] || "$python" -m venv .venv
 if [ "${1:-}" = dev ]; then

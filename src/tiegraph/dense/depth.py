@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 
 from tiegraph.dense.consistency import Consistency, LoadDepth, check
-from tiegraph.dense.engine import ENGINES
+from tiegraph.dense.engine import ENGINES, installed
 from tiegraph.dense.normals import with_normals
 from tiegraph.dense.plan import ImagePlan
 from tiegraph.dense.settings import DenseSettings
@@ -22,7 +22,7 @@ def depth_map(plan: ImagePlan, images: Path, masks: Path | None, settings: Dense
     ``threads`` limits OpenCV in this process. Raises InputError for an image that cannot be read.
     """
     cv2.setNumThreads(threads)
-    engine = choose("dense engine", settings.engine, ENGINES)
+    engine = choose("dense engine", installed(settings.engine)[0], ENGINES)
     reference = load_view(plan.view, images, masks, settings)
     partners = [load_view(view, images, masks, settings) for view in plan.partners]
     return engine(reference, partners, plan.depth_range, settings)  # type: ignore[operator]

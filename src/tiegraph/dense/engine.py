@@ -19,6 +19,7 @@ from tiegraph.dense.combine import Candidates, combine
 from tiegraph.dense.plan import DepthRange
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.sgbm import match_sgbm
+from tiegraph.dense.tsgm import available, match_tsgm
 from tiegraph.geometry.stereo import Pinhole, Rectification, rectify
 from tiegraph.scene.results import DepthMap
 
@@ -89,7 +90,20 @@ def rectified_engine(
     )
 
 
-ENGINES: dict[str, DenseEngine] = {"sgbm": partial(rectified_engine, matcher=match_sgbm)}
+ENGINES: dict[str, DenseEngine] = {
+    "tsgm": partial(rectified_engine, matcher=match_tsgm),
+    "sgbm": partial(rectified_engine, matcher=match_sgbm),
+}
+
+
+def installed(name: str) -> tuple[str, str]:
+    """(name of the engine that can be used here, remark): OpenCV's stands in where the native module was not built."""
+    if name == "tsgm" and not available():
+        return "sgbm", (
+            "the native matcher was not built (no C++ compiler at installation): depth maps by OpenCV's; "
+            "install a compiler and tiegraph again for tsgm"
+        )
+    return name, ""
 
 
 def _match_pair(

@@ -10,10 +10,10 @@ from tiegraph.settings import Section
 class DenseSettings(Section):
     """Depth maps by matching each image with a few well placed partners."""
 
-    engine: Literal["sgbm"] = "sgbm"
-    """Dense matcher: sgbm = semi-global matching of OpenCV."""
+    engine: Literal["tsgm", "sgbm"] = "tsgm"
+    """Dense matcher: tsgm = own hierarchical semi-global matching (paper 004); sgbm = OpenCV's."""
     paths: Literal[3, 5, 8] = 3
-    """Directions in which the matching cost is gathered: 5 takes a quarter, 8 twice more time, for little gain."""
+    """Directions in which sgbm gathers its costs: 5 takes a quarter, 8 twice more time, for little gain."""
     max_image_size: int = Field(1600, ge=64, le=20000)
     """Longer side of the images that are matched, in pixels; larger images are reduced to it."""
     max_fov_deg: float = Field(100.0, ge=20, le=140)

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from tiegraph.dense.settings import DenseSettings
+from tiegraph.dense.speckles import without_speckles
 
 _MODES = {3: cv2.STEREO_SGBM_MODE_SGBM_3WAY, 5: cv2.STEREO_SGBM_MODE_SGBM, 8: cv2.STEREO_SGBM_MODE_HH}
 # OpenCV's rule gives the penalties 72 and 288 for 3 x 3 blocks, the most exact ones on the Middlebury pairs; larger
@@ -14,7 +15,6 @@ _BLOCK = 3
 _SMALL_JUMP, _LARGE_JUMP = 120, 480
 _UNIQUENESS_PERCENT = 5
 _PREFILTER_CAP = 63
-_SPECKLE_PX = 100  # paper 004, section 5.2.2: patches below 100 pixels with jumps above 1 pixel are errors
 _LEFT_RIGHT_PX = 1.0  # paper 004, section 5.2.2
 _SUBPIXEL = 16  # OpenCV's fixed point
 
@@ -35,7 +35,7 @@ def match_sgbm(left: np.ndarray, right: np.ndarray, disparities: int, settings: 
     mirror_right = np.ascontiguousarray(cv2.copyMakeBorder(wide_left, 0, 0, 0, count, cv2.BORDER_REPLICATE)[:, ::-1])
     backward = _run(mirror_left, mirror_right, count, settings)[:, count:][:, ::-1]
     checked = _left_right(forward, backward, count)
-    return _without_speckles(checked)
+    return without_speckles(checked)
 
 
 def _run(left: np.ndarray, right: np.ndarray, count: int, settings: DenseSettings) -> np.ndarray:
@@ -63,9 +63,3 @@ def _left_right(forward: np.ndarray, backward: np.ndarray, count: int) -> np.nda
     back = np.take_along_axis(backward, np.clip(column, 0, backward.shape[1] - 1), axis=1)
     agrees = np.abs(back - forward) <= _LEFT_RIGHT_PX  # NaN compares false
     return np.where(known & agrees, forward, np.float32(np.nan))
-
-
-def _without_speckles(disparity: np.ndarray) -> np.ndarray:
-    fixed = np.where(np.isfinite(disparity), disparity * _SUBPIXEL, -_SUBPIXEL).astype(np.int16)
-    cv2.filterSpeckles(fixed, -_SUBPIXEL, _SPECKLE_PX, _SUBPIXEL)
-    return np.where(fixed < 0, np.float32(np.nan), disparity)

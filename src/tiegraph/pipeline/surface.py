@@ -13,6 +13,7 @@ import pycolmap
 
 from tiegraph.cloud.fuse import fuse
 from tiegraph.dense.depth import confirmed_map, depth_map
+from tiegraph.dense.engine import installed
 from tiegraph.dense.neighbours import plan_images
 from tiegraph.dense.plan import ImagePlan
 from tiegraph.dense.settings import DenseSettings
@@ -49,7 +50,9 @@ def dense(run: Run) -> Outcome:
     pixels = run.map(_known_pixels, names, run.folder)
     refused = {"columns": ["reason", "stereo pairs"], "rows": [[k, n] for k, n in plan.refused.items()]}
     counts: dict[str, float] = {"images": len(names), "pixels": int(sum(pixels)), "images_without": len(plan.dropped)}
-    return Outcome(counts, plan.dropped, plan.notes, {"refused stereo pairs": refused})
+    remark = installed(run.settings.dense.engine)[1]
+    notes = (*plan.notes, remark) if remark else plan.notes
+    return Outcome(counts, plan.dropped, notes, {"refused stereo pairs": refused})
 
 
 def _plan(run: Run) -> Any:

@@ -1,0 +1,1 @@
+"""Stereo matching: our matcher beside OpenCV's and CNES libsgm."""

@@ -1,0 +1,103 @@
+"""Methods side by side on the same pairs, interleaved, in processor time of this process on one thread.
+
+python -m benchmarks.dense.compare -o benchmarks/results/dense_pairs.json
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from benchmarks.dense.data import Pair, middlebury, rendered
+from benchmarks.dense.score import score
+from tiegraph.dense import _sgm
+from tiegraph.dense.speckles import without_speckles
+from tiegraph.dense.tsgm import Tuning, match
+
+Method = Callable[[Pair], np.ndarray]
+_MAX_HH_CELLS = 700e6  # OpenCV's 8-path mode holds about 4 bytes a cell: larger pairs are left out
+
+
+def opencv(mode: int) -> Method:
+    """StereoSGBM with 3 x 3 blocks and the penalties OpenCV's documentation derives from them, left-right check 1."""
+
+    def run(pair: Pair) -> np.ndarray:
+        matcher = cv2.StereoSGBM_create(0, pair.disparities, 3, 72, 288, 1, 63, 5, 0, 0, mode)
+        found = matcher.compute(pair.left, pair.right).astype(np.float32) / 16
+        return np.where(found < 0, np.float32(np.nan), found)
+
+    return run
+
+
+def ours(tuning: Tuning) -> Method:
+    """The native matcher."""
+    return lambda pair: match(pair.left, pair.right, 0, pair.disparities, tuning)
+
+
+FULL = Tuning(dense_below=1 << 20, full_range=1 << 20, cost="census")
+METHODS: dict[str, Method] = {
+    "SGBM HH": opencv(cv2.STEREO_SGBM_MODE_HH),
+    "SGBM 3WAY": opencv(cv2.STEREO_SGBM_MODE_SGBM_3WAY),
+    "full": ours(FULL),
+    "tsgm": ours(Tuning()),
+    "tsgm census": ours(Tuning(cost="census")),
+    "tsgm mutual": ours(Tuning(cost="mutual")),
+}
+
+
+def fits(name: str, pair: Pair) -> bool:
+    """Whether the method's memory for the pair is bearable."""
+    return name not in ("SGBM HH", "full") or pair.left.size * pair.disparities <= _MAX_HH_CELLS
+
+
+def compare(pair: Pair, repeats: int, names: list[str]) -> dict[str, dict[str, float]]:
+    """Scores after the same speckle filter, and the least processor time of the matching alone, in milliseconds."""
+    names = [n for n in names if fits(n, pair)]
+    least = dict.fromkeys(names, float("inf"))
+    found = {}
+    for _ in range(repeats):
+        for name in names:
+            start = time.process_time()
+            found[name] = METHODS[name](pair)
+            least[name] = min(least[name], time.process_time() - start)
+    return {n: {"cpu_ms": round(1000 * least[n], 1), **score(without_speckles(found[n]), pair)} for n in names}
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-o", "--output", type=Path)
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--methods", nargs="+", default=list(METHODS), choices=list(METHODS))
+    parser.add_argument("--large", action="store_true", help="also 2448 x 2048 with 512 disparities")
+    parser.add_argument("--only", default="", help="pairs whose name contains this")
+    arguments = parser.parse_args()
+    cv2.setNumThreads(1)
+    root = Path(os.environ.get("TIEGRAPH_DATA", "../shared/data")) / "stereo_gt"
+    pairs = [*middlebury(root), rendered(root, 1224, 1024, 256), rendered(root, 1224, 1024, 256, seed=100)]
+    if arguments.large:
+        pairs.append(rendered(root, 2448, 2048, 512, seed=200))
+    results = {}
+    for number, pair in enumerate(p for p in pairs if arguments.only in p.name):
+        key = pair.name if pair.name not in results else f"{pair.name} ({number})"
+        results[key] = compare(pair, arguments.repeats, arguments.methods)
+        for name, row in results[key].items():
+            words = " ".join(f"{k} {v}" for k, v in row.items())
+            sys.stdout.write(f"{key:24s} {name:12s} {words}" + chr(10))
+            sys.stdout.flush()
+    if arguments.output:
+        about = {"machine": platform.machine(), "kernels": _sgm.kernels(), "opencv": cv2.__version__, "threads": 1}
+        arguments.output.write_text(json.dumps({"about": about, "pairs": results}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,178 @@
+"""Hierarchical semi-global matching of a rectified pair, tSGM (paper 004, section 5.2; kernels in the native module).
+
+A pyramid level is matched over the full range where that is cheap; below it each pixel keeps the disparities its
+neighbourhood had on the level above. The costs are census, on the last level blended with mutual information.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from tiegraph.dense.mutual import mutual_information
+from tiegraph.dense.settings import DenseSettings
+from tiegraph.dense.speckles import without_speckles
+from tiegraph.errors import EngineMissing
+
+try:
+    from tiegraph.dense import _sgm
+except ImportError:  # installed without a C++ compiler
+    _sgm = None  # type: ignore[assignment]
+
+_memory = threading.local()
+_log = logging.getLogger(__name__)
+
+_FULL_RANGE = 128  # disparities at most of the level that is matched over its full range
+_DENSE_BELOW = 16  # with so few disparities per-pixel ranges save nothing
+_STRIP_PIXELS = 24_000_000  # larger levels are matched in strips
+_STRIP_OVERLAP = 64  # rows after which a path has forgotten where it began
+_MODES = {"census": 0, "blend": 1, "mutual": 2}
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Parameters of the matcher that are the same for every user; benchmarks/dense/README.md says how they were found.
+
+    radius: of the census window; small, large: P1 and P2; P2 falls with the grey step, from ``knee`` grey values on, to
+    ``floor`` of itself; reach: pixels of the coarser level around a pixel whose disparities it is given; hole_limit:
+    disparities at most where the coarser level has none; parabola or equiangular lines below the pixel; cost: on the
+    last level census, mutual or the mean of both; full_range: disparities at most of the level matched over its full
+    range; dense_below: with so few, there is one level only; kernel: empty = the fastest.
+    """
+
+    radius: tuple[int, int] = (4, 3)
+    small: int = 20
+    large: int = 120
+    floor: float = 0.25
+    knee: float = 6.0
+    reach: int = 3
+    hole_limit: int = 128
+    uniqueness: int = 0
+    parabola: bool = False
+    cost: str = "blend"
+    full_range: int = _FULL_RANGE
+    dense_below: int = _DENSE_BELOW
+    coarse_speckle_px: int = 0
+    kernel: str = ""
+
+
+def available() -> bool:
+    """Whether the native module is installed."""
+    return _sgm is not None
+
+
+def match_tsgm(left: np.ndarray, right: np.ndarray, disparities: int, settings: DenseSettings) -> np.ndarray:
+    """Disparity (h, w) f4 px of each left pixel, NaN = none: the ``PairMatcher`` contract of ``dense.engine``.
+
+    left (h, w) u1; right (h, w + disparities) u1, whose column ``disparities`` lies under the left's column 0: left
+    (x, y) shows what right (x + disparities - d, y) shows, 0 <= d < disparities. Raises EngineMissing where the native
+    module was not built.
+    """
+    found = match(left, right, disparities, disparities, Tuning())
+    return without_speckles(found)
+
+
+def match(left: np.ndarray, right: np.ndarray, shift: int, disparities: int, tuning: Tuning) -> np.ndarray:
+    """Disparity (h, w) f4, NaN = none, checked left to right: left (x, y) shows what right (x + shift - d, y) shows.
+
+    left (h, w) u1, right (h, any) u1, 0 <= d < disparities.
+    """
+    if _sgm is None:
+        raise EngineMissing(
+            "the native matcher is not installed: install a C++ compiler and tiegraph again, or use --dense.engine sgbm"
+        )
+    levels = _levels(disparities, tuning)
+    aligned = -(-shift >> levels) << levels  # so that every level's shift is whole
+    right = cv2.copyMakeBorder(right, 0, 0, aligned - shift, 0, cv2.BORDER_REPLICATE)
+    lefts, rights = [np.ascontiguousarray(left)], [np.ascontiguousarray(right)]
+    for _ in range(levels):
+        lefts.append(_sgm.halve(lefts[-1]))
+        rights.append(_sgm.halve(rights[-1]))
+    workspace = _workspace()
+    found = None
+    for level in range(levels, -1, -1):
+        rules = _sgm.RangeRules()
+        rules.low, rules.count = -(aligned >> level), -(-disparities >> level)
+        rules.reach, rules.hole_limit = tuning.reach, tuning.hole_limit
+        pair = _Level(lefts[level], rights[level], rules, _options(tuning, level == 0 and levels > 0), workspace)
+        if found is None:
+            found = pair.full()
+        else:
+            above = (lefts[level + 1], rights[level + 1], found)
+            found = pair.within(found, mutual_information(*above) if level == 0 and tuning.cost != "census" else None)
+        if level and tuning.coarse_speckle_px:
+            found = without_speckles(found - rules.low, tuning.coarse_speckle_px) + rules.low
+    assert found is not None
+    found = found + np.float32(aligned)
+    inside = (found > -0.5) & (found < disparities - 0.5)  # whole blocks reach a little over the range
+    return np.where(inside, found, np.float32(np.nan))
+
+
+def _workspace() -> _sgm.Workspace:
+    """This thread's memory for cost volumes: fetching it anew for each pair would take a tenth of the time."""
+    if not hasattr(_memory, "workspace"):
+        _memory.workspace = _sgm.Workspace()
+    return _memory.workspace
+
+
+def _levels(disparities: int, tuning: Tuning) -> int:
+    """Halvings until the full range is cheap; at least one unless there are few disparities anyway."""
+    levels = 0 if disparities <= tuning.dense_below else 1
+    while disparities >> levels > tuning.full_range:
+        levels += 1
+    return levels
+
+
+def _options(tuning: Tuning, last: bool) -> _sgm.Options:
+    options = _sgm.Options()
+    options.radius_x, options.radius_y = tuning.radius
+    options.small, options.large = tuning.small, tuning.large
+    steps = [max(1.0, 4 * k + 2) for k in range(16)]
+    options.large_by_step = [
+        max(tuning.small, round(tuning.large * max(tuning.floor, min(1.0, tuning.knee / step)))) for step in steps
+    ]
+    options.parabola = tuning.parabola
+    options.uniqueness = tuning.uniqueness if last else 0
+    options.mode = _MODES[tuning.cost] if last else 0
+    options.kernel = tuning.kernel
+    return options
+
+
+@dataclass(frozen=True, eq=False)
+class _Level:
+    """One level of the pyramid: images, the disparities there, options."""
+
+    left: np.ndarray
+    right: np.ndarray
+    rules: _sgm.RangeRules
+    options: _sgm.Options
+    workspace: _sgm.Workspace
+
+    def full(self) -> np.ndarray:
+        """Every disparity at every pixel."""
+        cells = self.left.size * self.rules.count
+        _log.debug("full range at %s: %.0f MB of cost volumes", self.left.shape, 3e-6 * cells)
+        found, _ = _sgm.match_dense(
+            self.left, self.right, self.rules.low, self.rules.count, self.options, self.workspace
+        )
+        return found
+
+    def within(self, coarse: np.ndarray, mutual: np.ndarray | None) -> np.ndarray:
+        """The disparities that the coarser level leaves."""
+        height, width = self.left.shape
+        first, blocks, cells = _sgm.ranges(coarse, width, height, self.rules)
+        _log.debug("%.1f disparities a pixel at %s: %.0f MB", cells / self.left.size, self.left.shape, 3e-6 * cells)
+        rows = max(4 * _STRIP_OVERLAP, _STRIP_PIXELS // width)
+        parts = []
+        for top in range(0, height, rows):
+            low, high = max(0, top - _STRIP_OVERLAP), min(height, top + rows + _STRIP_OVERLAP)
+            strip = slice(low, high)
+            found, _ = _sgm.match_ragged(
+                self.left[strip], self.right[strip], first[strip], blocks[strip], self.options, self.workspace, mutual
+            )
+            parts.append(found[top - low : top - low + rows])
+        return np.concatenate(parts)

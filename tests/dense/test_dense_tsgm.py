@@ -1,0 +1,158 @@
+"""The pyramid between the levels, mutual information, and the hierarchical matcher as a whole."""
+
+import cv2
+import numpy as np
+import pytest
+
+from tiegraph.dense import engine, tsgm
+from tiegraph.dense.mutual import mutual_information
+from tiegraph.dense.settings import DenseSettings
+from tiegraph.errors import EngineMissing
+
+sgm = pytest.importorskip("tiegraph.dense._sgm")
+SETTINGS = DenseSettings()
+
+
+def texture(shape, seed=0, sigma=1.2):
+    noise = np.random.default_rng(seed).uniform(0, 255, shape).astype(np.float32)
+    return cv2.normalize(cv2.GaussianBlur(noise, (0, 0), sigma), None, 0, 255, cv2.NORM_MINMAX)
+
+
+def grey(image):
+    return np.clip(image, 0, 255).astype(np.uint8)
+
+
+def rules(**changes):
+    r = sgm.RangeRules()
+    for name, value in {"low": -8, "count": 100, "reach": 1, "margin": 1, "hole_limit": 32, **changes}.items():
+        setattr(r, name, value)
+    return r
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 6), (5, 1), (8, 10), (7, 9)])
+def test_half_the_image_is_the_mean_of_four(shape):
+    image = np.random.default_rng(1).integers(0, 256, shape, np.uint8)
+    even = np.pad(image.astype(int), ((0, shape[0] % 2), (0, shape[1] % 2)), mode="edge")
+    mean = (even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2] + 2) // 4
+    np.testing.assert_array_equal(sgm.halve(image), mean)
+
+
+def test_ranges_hold_what_the_neighbourhood_had():
+    coarse = (texture((13, 17), 2, 3.0) / 10 + 3).astype(np.float32)
+    first, blocks, cells = sgm.ranges(coarse, 33, 25, rules())
+    assert cells == 16 * blocks.astype(int).sum()
+    for y in range(25):
+        for x in range(33):
+            v, u = y // 2, x // 2
+            near = coarse[max(0, v - 1) : v + 2, max(0, u - 1) : u + 2]
+            low, high = np.floor(2 * near).min() - 1, np.ceil(2 * near).max() + 1
+            assert first[y, x] <= low and first[y, x] + 16 * blocks[y, x] > high
+            assert 16 * blocks[y, x] - (high - low + 1) < 16
+
+
+def test_holes_ask_their_surroundings_and_stay_bounded():
+    coarse = np.full((40, 40), 20, np.float32)
+    coarse[:, 20:] = 5
+    coarse[5:35, 5:35] = np.nan
+    first, blocks, _ = sgm.ranges(coarse, 80, 80, rules(hole_limit=500))
+    assert first[40, 40] <= 9 and first[40, 40] + 16 * blocks[40, 40] > 41
+    first, blocks, _ = sgm.ranges(coarse, 80, 80, rules(hole_limit=10))
+    assert blocks[40, 40] == 1
+
+
+def test_nothing_known_means_the_whole_range():
+    first, blocks, _ = sgm.ranges(np.full((3, 3), np.nan, np.float32), 5, 6, rules())
+    assert (first <= -8).all() and (first + 16 * blocks.astype(int) >= 92).all()
+
+
+def test_further_disparities_are_united_in():
+    coarse, extra = np.full((9, 9), 4, np.float32), np.full((9, 9), np.nan, np.float32)
+    extra[4, 4] = 30
+    first, blocks, _ = sgm.ranges(coarse, 18, 18, rules(), extra)
+    assert first[8, 8] + 16 * blocks[8, 8] > 61 and first[8, 8] <= 7
+    assert blocks[0, 0] == 1
+
+
+@pytest.mark.parametrize(
+    ("size", "changes", "says"),
+    [((5, 5), {}, "half the size"), ((4, 4), {"count": 0}, "disparities"), ((4, 4), {"low": 30000}, "20000")],
+)
+def test_impossible_ranges_are_refused(size, changes, says):
+    with pytest.raises(ValueError, match=says):
+        sgm.ranges(np.zeros((2, 2), np.float32), *size, rules(**changes))
+
+
+def test_mutual_information_knows_any_relation_of_greys():
+    left = grey(texture((80, 120)))
+    right = 255 - left // 2  # as unlike as it can be, but a function of it
+    table = mutual_information(left, right, np.zeros(left.shape, np.float32))
+    true = table[left, right].mean()
+    wrong = table[left, np.roll(right, 30, axis=1)].mean()
+    assert true + 10 < wrong
+    assert mutual_information(left, right, np.full(left.shape, np.nan, np.float32)).shape == (256, 256)
+
+
+@pytest.mark.parametrize("shift", [0.0, 7.0, 20.5, 80.25])
+def test_matcher_finds_a_shift(shift):
+    disparities = 100
+    wide = texture((100, 420))
+    right = wide[:, : 240 + disparities]
+    move = np.array([[1.0, 0, -(disparities - shift)], [0, 1, 0]])
+    left = cv2.warpAffine(wide, move, (240, 100), flags=cv2.INTER_CUBIC)
+    found = tsgm.match_tsgm(grey(left), grey(right), disparities, SETTINGS)
+    inner = found[5:-5, 5:-5]
+    assert found.shape == (100, 240) and found.dtype == np.float32
+    assert np.isfinite(inner).mean() > 0.95
+    assert abs(np.nanmedian(inner) - shift) < 0.2  # quarters are drawn towards whole pixels
+    assert np.nanmean(np.abs(inner - shift) > 1) < 0.01
+
+
+def test_a_thin_bar_before_the_wall_is_kept():
+    wall, bar = texture((160, 500), 1), texture((160, 500), 2)
+    left, right = wall[:, 110:410].copy(), wall[:, 100:400].copy()  # 10 px
+    left[:, 150:160], right[:, 70:80] = bar[:, :10], bar[:, :10]  # 80 px
+    padded = cv2.copyMakeBorder(right, 0, 0, 128, 0, cv2.BORDER_REPLICATE)
+    found = tsgm.match_tsgm(grey(left), grey(padded), 128, SETTINGS)
+    assert np.mean(np.abs(found[:, 152:158] - 80) < 2) > 0.8
+    assert np.mean(np.abs(found[20:-20, 200:280] + 10) < 2) < 0.01
+    assert np.mean(np.abs(found[20:-20, 20:140] - (-10)) < 2) < 0.01
+
+
+def test_matcher_refuses_what_the_other_image_does_not_show():
+    left, right = texture((120, 200), 1), texture((120, 264), 2)
+    found = tsgm.match_tsgm(grey(left), grey(right), 64, SETTINGS)
+    assert np.isfinite(found).mean() < 0.25
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 50), (40, 1), (3, 200), (17, 16)])
+@pytest.mark.parametrize("disparities", [1, 16, 33, 700])
+def test_tiny_images_and_wide_ranges_do_no_harm(shape, disparities):
+    left = np.zeros(shape, np.uint8)
+    right = np.zeros((shape[0], shape[1] + disparities), np.uint8)
+    found = tsgm.match_tsgm(left, right, disparities, SETTINGS)
+    assert found.shape == shape
+    assert not np.any((found < -1) | (found > disparities))
+
+
+def test_strips_change_almost_nothing(monkeypatch):
+    wide = texture((700, 260))
+    left, right = grey(wide[:, 20:220]), grey(wide)[:, :240]
+    padded = cv2.copyMakeBorder(right, 0, 0, 40, 0, cv2.BORDER_REPLICATE)
+    whole = tsgm.match_tsgm(left, padded, 80, SETTINGS)
+    monkeypatch.setattr(tsgm, "_STRIP_PIXELS", 1000)
+    strips = tsgm.match_tsgm(left, padded, 80, SETTINGS)
+    assert np.mean((whole == strips) | (np.isnan(whole) & np.isnan(strips))) > 0.999
+
+
+def test_without_the_native_module_the_remedy_is_named(monkeypatch):
+    monkeypatch.setattr(tsgm, "_sgm", None)
+    assert not tsgm.available()
+    with pytest.raises(EngineMissing, match="compiler"):
+        tsgm.match_tsgm(np.zeros((4, 4), np.uint8), np.zeros((4, 8), np.uint8), 4, SETTINGS)
+    name, remark = engine.installed("tsgm")
+    assert name == "sgbm" and "compiler" in remark
+
+
+def test_the_chosen_engine_is_used_where_it_is_installed():
+    assert engine.installed("tsgm") == ("tsgm", "")
+    assert engine.installed("sgbm") == ("sgbm", "")
