@@ -72,7 +72,7 @@ def place(model: Model, scene: Scene, settings: GeorefSettings, given: Given) ->
     registered = np.isfinite(frames).all(axis=(1, 2))
     fixes = stated = make_fixes(scene, registered, given, settings.sigma_floor_m)
     points = _usable_points(model, given)
-    if len(fixes) + len(points) < MIN_POSITIONS:
+    if len(np.unique(fixes.home)) + len(points) < MIN_POSITIONS:
         return None
     arm, estimate = _lever_arm(scene, settings, notes)
     metres = 1.0 if model.scale is None else model.scale.metres_per_unit
