@@ -107,7 +107,7 @@ def errors(survey: Survey, found: Georeference, world: Any) -> dict[str, Any]:
     out |= {"ate_sim3_m": _rms(sim3), "scale_off": float(free.scale - 1), "predicted": found.sigma}
     if survey.inner_sigma is not None:
         out["predicted_inner_m"] = survey.inner_sigma * found.world_from_model.scale
-        out["actual_inner_m"] = float(np.median(sim3))
+        out["actual_inner_m"] = _inner(survey, names, here, true)
     if dataset.truth_origin is not None and found.origin is not None:
         placed = world_from_geodetic(geodetic_from_world(here, found.origin), dataset.truth_origin)
         off = placed - true
@@ -121,6 +121,13 @@ def errors(survey: Survey, found: Georeference, world: Any) -> dict[str, Any]:
         out["absolute_plan_m"] = _rms(np.linalg.norm(off[:, :2], axis=1))
         out["absolute_height_m"] = _rms(off[:, 2])
     return out
+
+
+def _inner(survey: Survey, names: list[str], here: np.ndarray, true: np.ndarray) -> float:
+    """Median error of the reference cameras by their own Sim3: of the frames, without the rig's extrinsics."""
+    scene = survey.scene
+    of = np.array([scene.sensor[scene.image_index[n]] == 0 if n in scene.image_index else False for n in names])
+    return float(np.median(np.linalg.norm(umeyama(here[of], true[of])(here[of]) - true[of], axis=1)))
 
 
 def held_out(found: Georeference) -> dict[str, float]:

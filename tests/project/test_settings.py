@@ -66,3 +66,18 @@ def test_misuse(tmp_path):
     (tmp_path / FILE).write_text("masks = 3\n")
     with pytest.raises(SettingsError, match="'masks' must be a section"):
         open_project(tmp_path, tmp_path)
+
+
+def test_control_points_are_an_input_and_a_setting(tmp_path):
+    from tiegraph.api import open_project
+
+    (tmp_path / "images").mkdir()
+    points = tmp_path / "gcp_list.txt"
+    points.write_text("EPSG:32654\n")
+    project = open_project(tmp_path / "images", tmp_path / "out", gcp=points)
+    assert project.settings.georef.gcp == points.resolve()
+    project.save()
+    again = open_project(None, tmp_path / "out")
+    assert again.settings.georef.gcp == points.resolve()
+    with pytest.raises(SettingsError, match="known are rig, gcp"):
+        open_project(tmp_path / "images", tmp_path / "out", gcps=points)

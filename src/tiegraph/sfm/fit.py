@@ -15,6 +15,7 @@ INLIER_SIGMAS = 3.0
 # Orientations of a trajectory are not independent from frame to frame: together they weigh as much as four of 3 deg.
 _ORIENTATION_SIGMA_DEG, _ORIENTATION_FREEDOM = 3.0, 4
 ANTENNA_SIGMA_M = 1.0  # weak prior of a lever arm that no file gives: boats and cars carry it not much farther
+_HELD_M = 1e-3  # a lever arm's height that the positions do not tell stays: a valley that flat has no bottom
 OFFSET_SIGMA_S = 1.0  # weak prior of the receiver's clock against the cameras'
 _ROUNDS = 6
 _BLOCKS = 6
@@ -43,6 +44,7 @@ class Evidence:
     log_scale_sigma: float
     speed: np.ndarray | None = None
     estimate_offset: bool = False
+    level: np.ndarray | None = None  # (3,) upward in the rig frame, along which the lever arm is held
 
     def where(self, mask: np.ndarray) -> Evidence:
         """The rows of a mask (K,)."""
@@ -217,6 +219,8 @@ class _Problem:
             parts.append(np.array([off / self.evidence.log_scale_sigma]))
         if self.evidence.estimate_antenna:
             parts.append(x[7:10] / ANTENNA_SIGMA_M)
+            if self.evidence.level is not None:
+                parts.append(np.array([x[7:10] @ self.evidence.level / _HELD_M]))
         if self.evidence.estimate_offset:
             parts.append(x[-1:] / OFFSET_SIGMA_S)
         return np.concatenate(parts)
@@ -269,7 +273,7 @@ def _report(problem: _Problem, solution: OptimizeResult, inlier: np.ndarray, cos
     scale_alone = np.linalg.pinv(alone.T @ alone)[6, 6] * max(1.0, chi2)
     sigma = {
         "position_m": float(np.hypot(sd[3], sd[4])),
-        "height_m": float(sd[5]),
+        "height_m": float(sd[5] if problem.evidence.level is None else np.hypot(sd[5], ANTENNA_SIGMA_M)),
         "yaw_deg": float(np.degrees(sd[2])),
         "tilt_deg": float(np.degrees(np.hypot(sd[0], sd[1]))),
         "scale": float(sd[6]),

@@ -98,10 +98,14 @@ def make_fixes(scene: Scene, registered: np.ndarray, given: Given, floor_m: floa
     ``registered`` (F,) frames with a pose. Sigmas are at least ``floor_m``, times 3 next to outages and 10 under
     bridges.
     """
-    parts, rows = [], given.rows
+    rows, parts, left = given.rows, [], registered.copy()
     if rows is not None and np.isfinite(scene.time_s).any():
-        parts = [p for t in np.unique(scene.track) if (p := _of_track(scene, registered, rows, int(t))) is not None]
-    fixes = _joined(parts) if parts else _of_frames(scene, registered)
+        for track in np.unique(scene.track[scene.track >= 0]):
+            part = _of_track(scene, registered, rows, int(track))
+            if part is not None:
+                parts.append(part)
+                left &= scene.track != track
+    fixes = _joined([*parts, _of_frames(scene, left)])  # loose photographs have nothing between them
     sigma = np.where(np.isfinite(fixes.sigma), fixes.sigma, _UNKNOWN_SIGMA_M)
     level = np.round(2 * np.log2(np.maximum(sigma[:, 0], 1e-3))).astype(int)
     sigma = np.maximum(sigma, floor_m) * _doubt(fixes, rows, given.covered)[:, None]
@@ -132,7 +136,8 @@ def _of_track(scene: Scene, registered: np.ndarray, rows: PositionRows, track: i
     left = np.clip(np.searchsorted(time, rows.time_s[inside], side="right") - 1, 0, len(time) - 2)
     near = time[left + 1] - time[left] <= _MAX_STEP * step
     inside, left = inside[near], left[near]
-    thin = _thinned(left, np.abs(rows.time_s[inside][:, None] - time[None, :]).min(axis=1) < 1e-3)
+    t = rows.time_s[inside]
+    thin = _thinned(left, np.minimum(np.abs(t - time[left]), np.abs(t - time[left + 1])) < 1e-3)
     inside, left = inside[thin], left[thin]
     if not len(inside):
         return None

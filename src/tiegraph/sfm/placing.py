@@ -72,7 +72,7 @@ def place(model: Model, scene: Scene, settings: GeorefSettings, given: Given) ->
     registered = np.isfinite(frames).all(axis=(1, 2))
     fixes = stated = make_fixes(scene, registered, given, settings.sigma_floor_m)
     points = _usable_points(model, given)
-    if len(fixes) + len(points) < MIN_POSITIONS:
+    if len(np.unique(fixes.home)) + len(points) < MIN_POSITIONS:
         return None
     arm, estimate = _lever_arm(scene, settings, notes)
     metres = 1.0 if model.scale is None else model.scale.metres_per_unit
@@ -88,6 +88,7 @@ def place(model: Model, scene: Scene, settings: GeorefSettings, given: Given) ->
     if estimate is None:
         evidence, fit = _try_lever_arm(evidence, fit, fixes, model.up, notes)
     elif estimate:
+        evidence, fit = _with_lever_arm(evidence, fit, fixes, model.up)
         notes.append(_arm_text(evidence, fit))
     if given.rows is not None and settings.antenna != "ignored":
         evidence, fit = _try_clock(evidence, fit, fixes, model.up, notes)
@@ -217,7 +218,7 @@ def _lever_arm(scene: Scene, settings: GeorefSettings, notes: list[str]) -> tupl
 
 def _try_lever_arm(evidence: Evidence, fit: Fit, fixes: Fixes, up: Up | None, notes: list[str]) -> tuple[Evidence, Fit]:
     """Estimate the lever arm if the positions tell it in plan and agree clearly better with it."""
-    richer, other = _believed(replace(evidence, estimate_antenna=True), fixes, up, fit.similarity)
+    richer, other = _with_lever_arm(evidence, fit, fixes, up)
     plain = fit_similarity(
         replace(richer, estimate_antenna=False), up_to_use(richer, up, [], other.similarity), near=fit.similarity
     )
@@ -234,11 +235,25 @@ def _try_lever_arm(evidence: Evidence, fit: Fit, fixes: Fixes, up: Up | None, no
     return evidence, fit
 
 
-def arm_sigma(evidence: Evidence, fit: Fit) -> tuple[float, float]:
-    """Sigmas (m) of an estimated lever arm: the larger one in plan, and along the vertical."""
+def _with_lever_arm(evidence: Evidence, fit: Fit, fixes: Fixes, up: Up | None) -> tuple[Evidence, Fit]:
+    """The fit with the lever arm as unknown, without its height where that cannot be told."""
+    richer, other = _believed(replace(evidence, estimate_antenna=True), fixes, up, fit.similarity)
+    if arm_sigma(richer, other)[1] > ARM_SIGMA_M * ANTENNA_SIGMA_M:
+        held = replace(richer, level=_upward(richer, other))
+        return _believed(held, fixes, up, fit.similarity)
+    return richer, other
+
+
+def _upward(evidence: Evidence, fit: Fit) -> np.ndarray:
+    """Mean upward direction (3,) in the rig frame."""
     turn = np.einsum("ij,kjl->kil", fit.similarity.rotation, evidence.pose[evidence.frame >= 0, :3, :3])
     upward = turn[:, 2, :].mean(axis=0)
-    upward /= max(float(np.linalg.norm(upward)), 1e-12)
+    return upward / max(float(np.linalg.norm(upward)), 1e-12)
+
+
+def arm_sigma(evidence: Evidence, fit: Fit) -> tuple[float, float]:
+    """Sigmas (m) of an estimated lever arm: the larger one in plan, and along the vertical."""
+    upward = _upward(evidence, fit)
     flat = np.eye(3) - np.outer(upward, upward)
     plan = flat @ fit.antenna_covariance @ flat
     return float(np.sqrt(np.linalg.eigvalsh(plan)[-1])), float(np.sqrt(upward @ fit.antenna_covariance @ upward))
@@ -248,9 +263,9 @@ def _arm_text(evidence: Evidence, fit: Fit) -> str:
     plan, height = arm_sigma(evidence, fit)
     x, y, z = fit.antenna
     text = f"lever arm estimated: {x:.2f} {y:.2f} {z:.2f} m in the reference camera's frame, to {plan:.2f} m in plan"
-    if height > ARM_SIGMA_M * ANTENNA_SIGMA_M:
+    if evidence.level is not None or height > ARM_SIGMA_M * ANTENNA_SIGMA_M:
         text += (
-            f"; its height cannot be told from the height of the world (known to {height:.1f} m by assumption): "
+            "; its height cannot be told from the height of the world (taken as that of the camera, to 1 m): "
             "measure the antenna's height above the cameras where heights matter"
         )
     return text
