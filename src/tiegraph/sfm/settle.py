@@ -14,7 +14,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adopt import adopt
 from tiegraph.sfm.database import write_working_copy
 from tiegraph.sfm.repair import Repair, label, points_anew, repair
-from tiegraph.sfm.verified import read_verified
+from tiegraph.sfm.verified import image_ids, read_verified
 
 ROUNDS = 4  # of placing what is missing: each lets the next lean on it
 
@@ -54,8 +54,7 @@ def settle(
 
     if repair(work):
         anew()
-    with pycolmap.Database.open(database) as opened:
-        ids = {scene.image_index[i.name]: i.image_id for i in opened.read_all_images() if i.name in scene.image_index}
+    ids = image_ids(database, scene)
     adopted: dict[int, int] = {}
     for _ in range(ROUNDS):
         found = adopt(work, ids)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
+from tiegraph.scene.colmapmodel import MAX_IMAGES
 from tiegraph.scene.scene import Scene
 
 TOLERANCE_RAD = 0.006  # between a ray and the other's epipolar line: about 2 px of a survey camera
@@ -32,22 +34,44 @@ class Verified:
         return Verified(self.pairs[chosen], tuple(self.matches[k] for k in chosen), self.xy)
 
 
+def _read_only(database: Path) -> sqlite3.Connection:
+    """COLMAP's own opening writes to the file."""
+    return sqlite3.connect(f"{database.absolute().as_uri()}?mode=ro", uri=True)
+
+
+def image_ids(database: Path, scene: Scene) -> dict[int, int]:
+    """COLMAP's image ids by scene index."""
+    connection = _read_only(database)
+    try:
+        rows = connection.execute("SELECT image_id, name FROM images").fetchall()
+    finally:
+        connection.close()
+    return {scene.image_index[name]: image_id for image_id, name in rows if name in scene.image_index}
+
+
 def read_verified(database: Path, scene: Scene, refused: Sequence[tuple[int, int]] = ()) -> Verified:
     """All verified matches but those of refused pairs (scene indices)."""
     away = {(min(p), max(p)) for p in refused}
-    with pycolmap.Database.open(database) as source:
-        index = {i.image_id: scene.image_index[i.name] for i in source.read_all_images() if i.name in scene.image_index}
+    index = {image_id: k for k, image_id in image_ids(database, scene).items()}
+    connection = _read_only(database)
+    try:
         found: dict[tuple[int, int], np.ndarray] = {}
-        for pair_id, geometry in zip(*source.read_two_view_geometries()):
-            ids = pycolmap.pair_id_to_image_pair(pair_id)
-            if ids[0] not in index or ids[1] not in index or not len(geometry.inlier_matches):
+        for pair_id, rows, data in connection.execute(
+            "SELECT pair_id, rows, data FROM two_view_geometries WHERE rows > 0"
+        ):
+            ends = index.get(pair_id // MAX_IMAGES), index.get(pair_id % MAX_IMAGES)
+            if ends[0] is None or ends[1] is None:
                 continue
-            ends = (index[ids[0]], index[ids[1]])
-            matches = np.asarray(geometry.inlier_matches, np.int64)
-            key = (min(ends), max(ends))
+            matches = np.frombuffer(data, np.uint32).reshape(rows, 2).astype(np.int64)
+            key = (min(ends[0], ends[1]), max(ends[0], ends[1]))
             if key not in away:
                 found[key] = matches if ends[0] < ends[1] else matches[:, ::-1]
-        xy = {k: np.asarray(source.read_keypoints(i), float)[:, :2] for i, k in index.items()}
+        xy = {}
+        for image_id, rows, columns, data in connection.execute("SELECT image_id, rows, cols, data FROM keypoints"):
+            if image_id in index:
+                xy[index[image_id]] = np.frombuffer(data, np.float32).reshape(rows, columns)[:, :2].astype(float)
+    finally:
+        connection.close()
     pairs = np.array(sorted(found), int).reshape(-1, 2)
     return Verified(pairs, tuple(found[int(a), int(b)] for a, b in pairs), xy)
 
