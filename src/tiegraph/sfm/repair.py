@@ -207,6 +207,7 @@ def _set(work: Repair, frame: int, old: np.ndarray, pose: np.ndarray, why: str) 
 
 
 def label(scene: Scene, frame: int) -> str:
+    """A frame by its first image."""
     return scene.names[int(np.flatnonzero(scene.frame == frame)[0])]
 
 
