@@ -19,7 +19,7 @@ import worlds
 from tiegraph.cli.main import main
 from tiegraph.errors import InputError, ReconstructionError, SettingsError
 from tiegraph.scene import atomic
-from tiegraph.scene.rigfile import write_rig_toml
+from tiegraph.scene.rigwrite import write_rig_toml
 
 Run = Callable[..., tuple[int, str]]
 

@@ -9,9 +9,10 @@ from scan_worlds import data, papers_rig, picture, scan
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import angle_deg, from_quaternion_wxyz, invert
-from tiegraph.scene.rig import Rig, Sensor
-from tiegraph.scene.rigfile import read_rig_file, write_rig_config, write_rig_toml
+from tiegraph.scene.rig import Rig, Sensor, rig_from_dict, rig_to_dict
+from tiegraph.scene.rigfile import read_rig_file
 from tiegraph.scene.rigspec import AXES, orient, preset, yaw_pitch_roll_deg
+from tiegraph.scene.rigwrite import write_rig_config, write_rig_toml
 
 TOML = """
 name = "boat"
@@ -327,3 +328,54 @@ def test_poses_from_a_drawing_become_a_rig_toml(tmp_path: Path) -> None:
         cam_from_body = from_quaternion_wxyz(np.array(nominal[name]["cam_from_body_qwxyz"]), np.zeros(3))[:3, :3]
         assert sensor.body_from_sensor is not None
         assert angle_deg(reference @ sensor.body_from_sensor[:3, :3], cam_from_body.T) < 1e-4
+
+
+def test_sigmas_and_pairs_go_to_the_file_and_back(tmp_path: Path) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text(
+        """
+[[sensors]]
+name = "a"
+yaw_pitch_roll_deg = [0, 0, 0]
+[[sensors]]
+name = "b"
+position_m = [0.5, 0, 0]
+yaw_pitch_roll_deg = [90, 0, 0]
+sigma_deg = 0.1
+sigma_m = 0.002
+[[pairs]]
+sensors = ["a", "b"]
+baseline_m = 0.5
+baseline_sigma_m = 0.001
+"""
+    )
+    (spec,) = read_rig_file(path)
+    assert spec.sensors[1].sigma_deg == 0.1 and spec.sensors[0].sigma_m is None
+    assert spec.pairs[0].sensors == ("a", "b") and spec.pairs[0].axis_deg is None
+    poses = [s.body_from_sensor for s in spec.sensors]
+    sensors = tuple(
+        Sensor(s.name, None, np.linalg.inv(p), sigma_deg=s.sigma_deg, sigma_m=s.sigma_m)
+        for s, p in zip(spec.sensors, poses)
+    )
+    rig = Rig("r", sensors, pairs=spec.pairs)
+    assert rig.soft() and not Rig("r", sensors, fixed=True, pairs=spec.pairs).soft()
+    assert rig_from_dict(rig_to_dict(rig)).pairs == rig.pairs
+    write_rig_toml(rig, tmp_path / "again.toml")
+    (again,) = read_rig_file(tmp_path / "again.toml")
+    assert again.pairs == spec.pairs and again.sensors[1].sigma_m == 0.002
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('sensors = ["a", "c"]', "expected two of a, b"),
+        ('sensors = ["a", "b"]\nbaseline_m = 0.5', "baseline_m and baseline_sigma_m belong together"),
+        ('sensors = ["a", "b"]\naxis_deg = -3', "0 or more"),
+        ('sensors = ["a", "b"]\nlength = 3', "unknown key"),
+    ],
+)
+def test_a_pair_that_says_nothing_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text(f'[[sensors]]\nname = "a"\n[[sensors]]\nname = "b"\n[[pairs]]\n{text}\n')
+    with pytest.raises(InputError, match=message):
+        read_rig_file(path)

@@ -15,6 +15,7 @@ from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
 from tiegraph.scene.pairs import REASONS
 from tiegraph.sfm.mapper import Source, reconstruct
+from tiegraph.sfm.model import frame_poses
 
 _SLAB_IMAGES = 16  # images a worker extracts before their features are written: bounds memory and what a kill loses
 
@@ -81,7 +82,7 @@ def sparse(run: Run) -> Outcome:
     away = verified.where(verified.dropped == REASONS.index("repeat"))
     refused = tuple(zip(away.i.tolist(), away.j.tolist()))
     made = reconstruct(
-        Source(run.path("database.db"), run.path("images"), refused),
+        Source(run.path("database.db"), run.path("images"), refused, preview=_preview_positions(run)),
         run.path("sparse"),
         checked(run).measured(),
         run.settings.sparse,
@@ -92,3 +93,13 @@ def sparse(run: Run) -> Outcome:
     if made.sigma is not None:
         counts |= {"position_sigma_median": made.sigma.median, "position_sigma_p90": made.sigma.p90}
     return Outcome(counts, dropped=made.dropped, notes=made.notes, tables=made.tables)
+
+
+def _preview_positions(run: Run) -> np.ndarray | None:
+    """(F, 3) where the trusted part of the preview model has the frames, None without one."""
+    path = run.path("network", "model.npz")
+    if not path.exists():
+        return None
+    with np.load(path) as data:
+        poses = np.where(data["trusted"][:, None, None], data["cam_from_world"], np.nan)
+    return frame_poses(poses, checked(run))[:, :3, 3]

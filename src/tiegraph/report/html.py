@@ -15,6 +15,7 @@ from tiegraph.report import charts, facts, plan, viewer, words
 from tiegraph.report.artefacts import STAGES, RunFolder, read_run
 from tiegraph.report.cloudview import standard_views, with_scale_bar
 from tiegraph.report.pictures import CLASSES, jpeg, mask_share, masked_thumbnail
+from tiegraph.report.righealth import rig_health
 from tiegraph.report.settings import ReportSettings
 from tiegraph.report.ties import network_part
 from tiegraph.scene.atomic import replacing
@@ -128,7 +129,7 @@ def _mask_path(run: RunFolder, image: str) -> Path:
 
 def _model(run: RunFolder) -> dict[str, Any]:
     out: dict[str, Any] = {"there": run.model is not None, "facts": [], "tables": [], "notes": [], "residuals": None}
-    out["more"] = []
+    out["more"], out["rig_health"] = [], rig_health(run)
     for stage, place in (("sparse", "more"), ("georef", "tables")):
         receipt = run.receipts.get(stage, {})
         out[place] += _tables(receipt)

@@ -32,6 +32,12 @@ class Sensor:
     role: str = "side"  # "up": looks at the sky or the bridge above; sections are cut by its brightness
     folder: str = ""  # its folder below each pass
     source: Source | None = None  # None: the files are the images
+    sigma_deg: float | None = None  # of each axis of the given rotation; None = not said
+    sigma_m: float | None = None  # of each coordinate of the given place
+
+    def soft(self) -> bool:
+        """Whether its extrinsics are given with a sigma, to be adjusted about."""
+        return self.sensor_from_rig is not None and bool(self.sigma_deg or self.sigma_m)
 
     def optical_axis(self) -> np.ndarray:
         """Unit vector (3,) of the viewing direction in the rig frame; NaN if the extrinsics are unknown."""
@@ -46,6 +52,20 @@ class Sensor:
         return float(np.degrees(2 * np.arctan(self.camera.width / 2 / self.camera.mean_focal_length())))
 
 
+PAIR_KEYS = ("baseline_m", "baseline_sigma_m", "axis_deg", "axis_sigma_deg")
+
+
+@dataclass(frozen=True)
+class SensorPair:
+    """What was measured between two sensors of a rig (paper 001: fixed baseline and optical axes); None = not."""
+
+    sensors: tuple[str, str]
+    baseline_m: float | None = None
+    baseline_sigma_m: float | None = None
+    axis_deg: float | None = None
+    axis_sigma_deg: float | None = None
+
+
 @dataclass(frozen=True)
 class Rig:
     """Sensors bolted together; ``sensors[0]`` is the reference: its frame is the rig frame."""
@@ -55,6 +75,11 @@ class Rig:
     fixed: bool = False  # True: the extrinsics are calibrated and must not be refined
     nominal: bool = False  # True: the extrinsics are a preset or a guess (degrees off)
     antenna_m: tuple[float, float, float] | None = None  # GNSS antenna in the rig frame (lever arm)
+    pairs: tuple[SensorPair, ...] = ()
+
+    def soft(self) -> bool:
+        """Whether some of its geometry is given with a sigma, to be adjusted about; a nominal rig's is a guess."""
+        return not (self.fixed or self.nominal) and (bool(self.pairs) or any(s.soft() for s in self.sensors[1:]))
 
     def known(self) -> bool:
         """Whether every sensor has extrinsics."""
@@ -111,6 +136,7 @@ def rig_to_dict(rig: Rig) -> dict:
         "fixed": rig.fixed,
         "nominal": rig.nominal,
         "antenna_m": rig.antenna_m,
+        "pairs": [{"sensors": list(p.sensors), **{k: getattr(p, k) for k in PAIR_KEYS}} for p in rig.pairs],
         "sensors": [
             {
                 "name": s.name,
@@ -119,6 +145,7 @@ def rig_to_dict(rig: Rig) -> dict:
                 "source": _source_to_dict(s.source),
                 "camera": camera_to_dict(s.camera),
                 "sensor_from_rig": None if s.sensor_from_rig is None else s.sensor_from_rig.tolist(),
+                "sigma": [s.sigma_deg, s.sigma_m],
             }
             for s in rig.sensors
         ],
@@ -135,11 +162,14 @@ def rig_from_dict(data: dict) -> Rig:
             role=s["role"],
             folder=s["folder"],
             source=_source_from_dict(s.get("source")),
+            sigma_deg=s.get("sigma", (None, None))[0],
+            sigma_m=s.get("sigma", (None, None))[1],
         )
         for s in data["sensors"]
     )
     antenna = None if data["antenna_m"] is None else tuple(data["antenna_m"])
-    return Rig(data["name"], sensors, data["fixed"], data["nominal"], antenna)
+    pairs = tuple(SensorPair(tuple(p["sensors"]), **{k: p[k] for k in PAIR_KEYS}) for p in data.get("pairs", ()))
+    return Rig(data["name"], sensors, data["fixed"], data["nominal"], antenna, pairs)
 
 
 def _source_to_dict(source: Source | None) -> dict | None:

@@ -20,8 +20,17 @@ rig.toml::
     position_m = [0, 0, 0.06]                # projection centre in the body frame
     yaw_pitch_roll_deg = [0, 0, 0]           # yaw to the right, pitch up, roll clockwise as the camera sees it
     # or body_from_sensor_wxyz = [1, 0, 0, 0], or body_from_sensor = 3 rows of 3 (rotation) or 4 numbers (with position)
+    sigma_deg = 0.1                          # optional: how well its orientation and its place are known;
+    sigma_m = 0.002                          # a sensor with sigmas is adjusted about what is given
     crop_px = [0, 0, 0, 0]                   # optional: left, top, right, bottom
     camera = {hfov_deg = 90}                 # optional: instead of the shared one
+
+    [[pairs]]                # optional: what was measured between two sensors, with its sigma
+    sensors = ["cam0", "cam2"]
+    baseline_m = 0.152       # distance of the projection centres
+    baseline_sigma_m = 0.001
+    axis_deg = 144.0         # angle between the optical axes
+    axis_sigma_deg = 0.1
 
 The frame of a trajectory given beside a rig file is this body frame. Without orientation a sensor's place is unknown.
 """
@@ -39,8 +48,8 @@ import numpy as np
 import pycolmap
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.transforms import from_quaternion_wxyz, invert, quaternion_xyzw, rigid
-from tiegraph.scene.rig import ROLES, Rig
+from tiegraph.geometry.transforms import from_quaternion_wxyz, invert, rigid
+from tiegraph.scene.rig import PAIR_KEYS, ROLES, SensorPair
 from tiegraph.scene.rigspec import AXES, RigSpec, SensorSpec, orient
 
 if sys.version_info >= (3, 11):
@@ -48,10 +57,10 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-_RIG_KEYS = ("name", "axes", "fixed", "nominal", "antenna_m", "camera", "sensors")
+_RIG_KEYS = ("name", "axes", "fixed", "nominal", "antenna_m", "camera", "sensors", "pairs")
 _SENSOR_KEYS = (
     "name", "folder", "role", "position_m", "yaw_pitch_roll_deg", "body_from_sensor_wxyz", "body_from_sensor",
-    "crop_px", "camera",
+    "crop_px", "camera", "sigma_deg", "sigma_m",
 )  # fmt: skip
 _CAMERA_KEYS = ("model", "size", "params", "focal_px", "hfov_deg")
 _COLMAP_KEYS = (
@@ -180,6 +189,7 @@ class _TomlReader(_Reader):
             nominal=self.choice(data, "nominal", (False, True)),
             antenna_m=self.numbers(data, "antenna_m", (3,)),  # type: ignore[arg-type]
             axes=axes,
+            pairs=self.pairs(data.get("pairs", []), [s.name for s in sensors]),
             file=str(self.path),
         )
 
@@ -202,8 +212,35 @@ class _TomlReader(_Reader):
             role=self.choice(data, "role", ROLES, *at),
             body_from_sensor=self.pose(data, axes, *at),
             crop_px=None if crop is None else tuple(int(c) for c in crop),  # type: ignore[arg-type]
+            sigma_deg=self.positive(data, "sigma_deg", *at),
+            sigma_m=self.positive(data, "sigma_m", *at),
             **camera,
         )
+
+    def pairs(self, tables: Any, names: list[str]) -> tuple[SensorPair, ...]:
+        if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
+            raise self.fail("pairs", "pairs: expected [[pairs]] tables")
+        out = []
+        for number, data in enumerate(tables):
+            at = (r"\s*\[\[\s*pairs\s*\]\]", number)
+            self.known(data, ("sensors", *PAIR_KEYS), f"pair {number + 1}", *at)
+            both = data.get("sensors")
+            if not isinstance(both, list) or len(both) != 2 or both[0] == both[1] or not set(both) <= set(names):
+                raise self.fail("sensors", f"sensors = {both!r}: expected two of {', '.join(names)}", *at)
+            values = {key: self.positive(data, key, *at) for key in PAIR_KEYS}
+            for value, sigma in (PAIR_KEYS[:2], PAIR_KEYS[2:]):
+                if (values[value] is None) != (values[sigma] is None):
+                    raise self.fail(value, f"pair {both[0]} - {both[1]}: {value} and {sigma} belong together", *at)
+            out.append(SensorPair((both[0], both[1]), **values))
+        return tuple(out)
+
+    def positive(self, data: dict, key: str, table: str, number: int) -> float | None:
+        value = data.get(key)
+        if value is None:
+            return None
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value < np.inf:
+            raise self.fail(key, f"{key} = {value!r}: expected a number, 0 or more", table, number)
+        return float(value)
 
     def pose(self, data: dict, axes: str, table: str, number: int) -> np.ndarray | None:
         turns = [t for t in _TURNS if t in data]
@@ -328,58 +365,3 @@ class _ColmapReader(_Reader):
         if q is None or t is None:
             raise self.fail("image_prefix", "cam_from_rig_rotation and cam_from_rig_translation belong together", *at)
         return invert(rigid(self.quaternion(q, "cam_from_rig_rotation", *at), np.array(t)))
-
-
-def write_rig_config(rig: Rig, path: Path) -> None:
-    """Write a rig as COLMAP's rig_config.json (image prefixes are the sensors' folders, quaternions w first)."""
-    cameras: list[dict] = []
-    for number, sensor in enumerate(rig.sensors):
-        camera: dict[str, Any] = {"image_prefix": f"{sensor.folder}/" if sensor.folder else ""}
-        if number == 0:
-            camera["ref_sensor"] = True
-        elif sensor.sensor_from_rig is not None:
-            camera["cam_from_rig_rotation"] = np.roll(quaternion_xyzw(sensor.sensor_from_rig[:3, :3]), 1).tolist()
-            camera["cam_from_rig_translation"] = sensor.sensor_from_rig[:3, 3].tolist()
-        if sensor.camera is not None:
-            camera["camera_model_name"] = sensor.camera.model.name
-            camera["camera_params"] = [float(p) for p in sensor.camera.params]
-        cameras.append(camera)
-    Path(path).write_text(json.dumps([{"cameras": cameras}], indent=2) + "\n", encoding="utf-8")
-
-
-def write_rig_toml(rig: Rig, path: Path, comment: str = "") -> None:
-    """Write a rig as rig.toml; its body frame is the reference sensor's (axes = camera)."""
-    lines = [f"# {line}" for line in comment.splitlines()]
-    lines += [
-        f"name = {json.dumps(rig.name, ensure_ascii=False)}",
-        'axes = "camera"',
-        f"fixed = {str(rig.fixed).lower()}",
-    ]
-    lines.append(f"nominal = {str(rig.nominal).lower()}")
-    if rig.antenna_m is not None:
-        lines.append(f"antenna_m = {_toml(rig.antenna_m)}")
-    for sensor in rig.sensors:
-        lines += [
-            "",
-            "[[sensors]]",
-            f"name = {json.dumps(sensor.name, ensure_ascii=False)}",
-            f"folder = {json.dumps(sensor.folder, ensure_ascii=False)}",
-        ]
-        lines.append(f"role = {json.dumps(sensor.role)}")
-        if sensor.sensor_from_rig is not None:
-            pose = invert(sensor.sensor_from_rig)
-            lines.append(f"position_m = {_toml(pose[:3, 3])}")
-            lines.append(f"body_from_sensor_wxyz = {_toml(np.roll(quaternion_xyzw(pose[:3, :3]), 1))}")
-        camera = sensor.camera
-        if sensor.source is not None and sensor.source.camera is not None:
-            camera = sensor.source.camera  # the file describes what comes from the camera, not what scan made of it
-        if sensor.source is not None and any(sensor.source.crop_px):
-            lines.append(f"crop_px = {list(sensor.source.crop_px)}")
-        if camera is not None:
-            lines += ["[sensors.camera]", f'model = "{camera.model.name}"', f"size = [{camera.width}, {camera.height}]"]
-            lines.append(f"params = {_toml(camera.params)}")
-    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def _toml(values: Any) -> str:
-    return "[" + ", ".join(repr(float(v)) for v in values) + "]"

@@ -9,6 +9,7 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import rigid
+from tiegraph.scene.rig import SensorPair
 
 # Rows: the camera-like axes right, down, forward of the body, written in the body's own axes.
 AXES = {
@@ -35,6 +36,8 @@ class SensorSpec:
     focal_px: float | None = None
     hfov_deg: float | None = None
     crop_px: tuple[int, int, int, int] | None = None
+    sigma_deg: float | None = None
+    sigma_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,7 @@ class RigSpec:
     antenna_m: tuple[float, float, float] | None = None
     axes: str = "camera"
     file: str = ""  # "" = preset
+    pairs: tuple[SensorPair, ...] = ()
     body_is_reference: bool = False  # the body frame is sensor 0's frame whether or not its pose is written
 
     def rig_from_body(self) -> np.ndarray | None:

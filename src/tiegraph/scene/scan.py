@@ -218,10 +218,11 @@ def _rigs(
             calibrated = calibrate(sensor, facts, spec.file, settings)
             hows.setdefault(calibrated.how, []).append(sensor.name)
             pose = _sensor_from_rig(spec, k, present[0])
-            sensors.append(
-                Sensor(sensor.name, calibrated.camera, pose, sensor.role, sensor.folder or "", calibrated.source)
-            )
-        rigs.append(Rig(spec.name, tuple(sensors), spec.fixed, spec.nominal, _antenna(spec, present[0])))
+            made = Sensor(sensor.name, calibrated.camera, pose, sensor.role, sensor.folder or "", calibrated.source)
+            sensors.append(replace(made, sigma_deg=sensor.sigma_deg, sigma_m=sensor.sigma_m))
+        there = {s.name for s in sensors}
+        pairs = tuple(p for p in spec.pairs if set(p.sensors) <= there)
+        rigs.append(Rig(spec.name, tuple(sensors), spec.fixed, spec.nominal, _antenna(spec, present[0]), pairs))
     report.notes += [f"{some(names)}: {how}" for how, names in hows.items()]
     shots = tuple(
         replace(s, rig=renumber[s.rig, s.sensor][0], sensor=renumber[s.rig, s.sensor][1]) for s in survey.shots

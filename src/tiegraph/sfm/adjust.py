@@ -9,6 +9,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.sfm.model import MIN_OBSERVATIONS
+from tiegraph.sfm.soft import Soft, add_soft
 
 # A principal point 6 px off in a 232 px lens turns its camera by 1.5 degrees against the rig and bends the model: on
 # canal_demo (nominal rig, guessed intrinsics) this step brings the trajectory error from 0.06-0.09 m to 0.01-0.03 m.
@@ -31,19 +32,22 @@ class Adjustment:
 
 
 def final_adjustment(
-    model: pycolmap.Reconstruction, fixed_rigs: Collection[int] = (), constant_cameras: Collection[int] = ()
+    model: pycolmap.Reconstruction,
+    fixed_rigs: Collection[int] = (),
+    constant_cameras: Collection[int] = (),
+    soft: Soft | None = None,
 ) -> Adjustment:
     """Adjust poses, points, rig and intrinsics with principal points: plain, filtered at 2 px, then Cauchy at 0.5 px.
 
     ``fixed_rigs``: COLMAP rig ids whose extrinsics stay. ``constant_cameras``, and those with fewer than 10 images,
-    keep their intrinsics (KITTI, driving straight on: free principal points run off by 30 px). A result with impossible
-    intrinsics is refused and said so.
+    keep their intrinsics (KITTI, driving straight on: free principal points run off by 30 px). ``soft``: what is known
+    of poses with a sigma. A result with impossible intrinsics is refused and said so.
     """
     adjusted = pycolmap.Reconstruction(model)
     free = free_cameras(adjusted) - set(constant_cameras)
-    _solve(adjusted, fixed_rigs, free, robust=False)
+    _solve(adjusted, fixed_rigs, free, False, soft)
     pycolmap.ObservationManager(adjusted).filter_all_points3D(FILTER_PX, FILTER_ANGLE_DEG)
-    _solve(adjusted, fixed_rigs, free, robust=True)
+    _solve(adjusted, fixed_rigs, free, True, soft)
     # The robust loss lets go of some points; those that went behind a camera have an infinite error.
     manager = pycolmap.ObservationManager(adjusted)
     manager.filter_observations_with_negative_depth()
@@ -68,13 +72,17 @@ def free_cameras(model: pycolmap.Reconstruction) -> set[int]:
     return {c for c in set(cameras) if cameras.count(c) >= MIN_IMAGES}
 
 
-def _solve(model: pycolmap.Reconstruction, fixed_rigs: Collection[int], free: set[int], robust: bool) -> None:
+def _solve(
+    model: pycolmap.Reconstruction, fixed_rigs: Collection[int], free: set[int], robust: bool, soft: Soft | None
+) -> None:
     options = pycolmap.BundleAdjustmentOptions(print_summary=False, refine_principal_point=True)
     if robust:
         options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
         options.ceres.loss_function_scale = ROBUST_PX
     solver = options.ceres.solver_options
     solver.max_num_iterations = ROBUST_ITERATIONS if robust else FIRST_ITERATIONS
+    if soft and soft.in_python():
+        solver.num_threads = 1  # costs written in Python would wait for the lock this thread holds
     options.ceres.solver_options = solver
     config = pycolmap.BundleAdjustmentConfig()
     for image_id in model.reg_image_ids():
@@ -87,9 +95,23 @@ def _solve(model: pycolmap.Reconstruction, fixed_rigs: Collection[int], free: se
         for sensor in model.rigs[rig_id].non_ref_sensors if rig_id in model.rigs else ():
             config.set_constant_sensor_from_rig_pose(sensor)
             held = True
-    if not held:  # a rig of fixed size fixes the scale; two fixed cameras would fix it once more
+    if soft:  # lengths are among what is known: only place and attitude are free
+        config.set_constant_rig_from_world_pose(_anchor(model))
+    elif not held:  # a rig of fixed size fixes the scale; two fixed cameras would fix it once more
         config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
-    pycolmap.create_default_ceres_bundle_adjuster(options, config, model).solve()
+    adjuster = pycolmap.create_default_ceres_bundle_adjuster(options, config, model)
+    kept = add_soft(adjuster, model, soft) if soft else []
+    adjuster.solve()
+    del kept
+
+
+def _anchor(model: pycolmap.Reconstruction) -> int:
+    """A frame to hold still: the one that sees most points."""
+    seen = dict.fromkeys(model.reg_frame_ids(), 0)
+    for i in model.reg_image_ids():
+        image = model.image(i)
+        seen[image.frame_id] += image.num_points3D
+    return max(seen, key=lambda f: (seen[f], -f))
 
 
 def _centre_shift(before: pycolmap.Reconstruction, after: pycolmap.Reconstruction, camera_id: int) -> float:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pycolmap
@@ -10,14 +11,17 @@ import pycolmap
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjust import FOCAL_RANGE
 from tiegraph.sfm.database import ViewGraph
+from tiegraph.sfm.model import MIN_OBSERVATIONS
 
 MAX_CENTRE_OFF = 0.25  # of the image size that a principal point may lie off the middle
 
 
-def unregistered(scene: Scene, graph: ViewGraph, registered: Sequence[np.ndarray]) -> list[tuple[str, str]]:
+def unregistered(
+    scene: Scene, graph: ViewGraph, registered: Sequence[np.ndarray], known: Mapping[str, str] | None = None
+) -> list[tuple[str, str]]:
     """(image name, reason) of each image that is not in the first model.
 
-    ``registered`` holds the scene indices of each model's images, the first model first.
+    ``registered`` holds the scene indices of each model's images, the first model first; ``known`` reasons by name.
     """
     main = np.zeros(len(scene), bool)
     main[registered[0]] = True
@@ -29,7 +33,9 @@ def unregistered(scene: Scene, graph: ViewGraph, registered: Sequence[np.ndarray
         other.update({int(k): number for k in registered[number]})
     out = []
     for k in np.flatnonzero(~main):
-        if graph.features[k] == 0:
+        if known and scene.names[k] in known:
+            reason = known[scene.names[k]]
+        elif graph.features[k] == 0:
             reason = "no features (masked, blank or unreadable)"
         elif graph.degree[k] == 0:
             reason = "no verified pair"
@@ -38,7 +44,9 @@ def unregistered(scene: Scene, graph: ViewGraph, registered: Sequence[np.ndarray
         elif graph.component[k] != component:
             reason = "in another connected part of the view graph, without a model of its own"
         else:
-            reason = f"{graph.degree[k]} verified pairs, but no pose was accepted by the mapper"
+            reason = (
+                f"{graph.degree[k]} verified pairs, but neither the mapper nor its matches gave it a place that holds"
+            )
         out.append((scene.names[k], reason))
     return out
 
@@ -76,6 +84,24 @@ def camera_notes(reconstruction: pycolmap.Reconstruction, scene: Scene) -> list[
         if off > MAX_CENTRE_OFF:
             notes.append(f"camera {label}: the principal point lies {off:.0%} of the image off its middle")
     return notes
+
+
+def models_table(models: Sequence[Any]) -> dict:
+    """Table of the models (``mapper.Model``), most images first."""
+    rows = [
+        [k, len(m.images), m.seeing, m.frames, m.points, round(m.reprojection_px, 3), round(m.track_length, 2)]
+        for k, m in enumerate(models)
+    ]
+    columns = [
+        "model",
+        "images",
+        f"seeing {MIN_OBSERVATIONS} points",
+        "frames",
+        "points",
+        "reprojection px",
+        "track length",
+    ]
+    return {"columns": columns, "rows": rows}
 
 
 def camera_table(reconstruction: pycolmap.Reconstruction, scene: Scene) -> dict:

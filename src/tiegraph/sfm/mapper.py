@@ -18,10 +18,11 @@ from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.covariance import PositionSigma
 from tiegraph.sfm.database import ViewGraph
-from tiegraph.sfm.losses import camera_notes, camera_table, no_model_text, unregistered
+from tiegraph.sfm.finish import Finished, FinishRequest, finish_model
+from tiegraph.sfm.losses import camera_notes, camera_table, models_table, no_model_text, unregistered
 from tiegraph.sfm.model import MIN_OBSERVATIONS, image_poses, observations, registration_tables
-from tiegraph.sfm.rig import DerivedRig, calibrated, derive_rig, rig_modes, rig_table
-from tiegraph.sfm.run import FinishRequest, Request, finish_model, run_mapper
+from tiegraph.sfm.rig import DerivedRig, calibrated, derive_rig, held_by_mapper, rig_modes, rig_table
+from tiegraph.sfm.run import Request, run_mapper
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.support import ties_of, unsupported_sensors
 
@@ -84,6 +85,7 @@ class _Job:
     notes: list[str]
     refused: tuple[tuple[int, int], ...] = ()
     alone: tuple[int, ...] = ()  # keys of sensors placed by the rig as given
+    preview: tuple | None = None
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,7 @@ class Source:
     images: Path | None
     refused: tuple[tuple[int, int], ...] = ()
     rough: bool = False
+    preview: np.ndarray | None = None  # (F, 3) positions of the frames in a rough model that is believed; NaN = none
 
 
 def reconstruct(
@@ -133,7 +136,23 @@ def reconstruct(
         refused, graph = without, ViewGraph(database, scene, settings.min_matches, without)
     else:
         alone = ()
-    job = _Job(database, images, source.rough, out, scene, settings, log, on_progress, graph, [], notes, refused, alone)
+    preview = None if source.preview is None else tuple(map(tuple, source.preview.tolist()))
+    job = _Job(
+        database,
+        images,
+        source.rough,
+        out,
+        scene,
+        settings,
+        log,
+        on_progress,
+        graph,
+        [],
+        notes,
+        refused,
+        alone,
+        preview,
+    )
     try:
         return _reconstruct(job, modes)
     finally:
@@ -155,8 +174,8 @@ def _reconstruct(job: _Job, modes: dict[int, str]) -> SparseResult:
     if outcome is None:
         outcome = _map(job, rigs, modes, "")
     used = "+".join(sorted({modes[k] for k in rigs})) or "absent"
-    sigma = _finish(job, outcome, tuple(k for k in rigs if modes[k] == "fixed"))
-    return _account(job, outcome, used, sigma)
+    finished = _finish(job, outcome, {k: modes[k] for k in rigs})
+    return _account(job, outcome, used, finished)
 
 
 def _derive(job: _Job, unknown: list[int], outcome: _Outcome) -> dict[int, Rig]:
@@ -254,7 +273,7 @@ def _run(job: _Job, mapper: str, rigs: dict[int, Rig], modes: dict[int, str], la
         folder=job.out / f"run-{len(job.runs)}-{mapper}",
         scene=scene.to_json(),
         rigs=Request.rigs_of(rigs),
-        fixed=tuple(k for k in rigs if modes[k] == "fixed"),
+        fixed=tuple(k for k in rigs if held_by_mapper(rigs[k], modes[k])),
         positions=positions,
         constant_cameras=constant,
         all_constant=len(constant) == len(scene.all_sensors),
@@ -287,31 +306,34 @@ def _seeing(folder: Path, scene: Scene) -> tuple[int, int]:
     return int(np.sum(observations(reconstruction, scene) >= MIN_OBSERVATIONS)), reconstruction.num_points3D()
 
 
-def _finish(job: _Job, outcome: _Outcome, fixed: tuple[int, ...]) -> PositionSigma | None:
-    """Adjust, colour and write the models to their place; the sigma of the first."""
-    sigmas = []
+def _finish(job: _Job, outcome: _Outcome, modes: dict[int, str]) -> Finished:
+    """Adjust, check, colour and write the models to their place; what there is to say of the first."""
+    out = []
     constant = believed_cameras(job.scene, job.settings)
     for number, folder in enumerate(outcome.folders):
         request = FinishRequest(
             folder=folder,
             target=job.out / str(number),
             images=job.images,
-            fixed=fixed,
+            fixed=tuple(k for k, mode in modes.items() if mode == "fixed"),
             constant_cameras=constant,
             all_constant=len(constant) == len(job.scene.all_sensors),
             covariance_frames=0 if number else job.settings.covariance_frames,
             scene=job.scene.to_json(),
             alone=job.alone,
             rough=job.rough,
+            soft=tuple(k for k, mode in modes.items() if mode == "soft"),
+            rigs=() if job.rough else tuple(modes),
+            database=None if number or job.rough else job.database,
+            refused=job.refused,
+            preview=job.preview,
         )
-        sigma, notes = run_in_child(finish_model, request, log=job.log, task="final adjustment")
-        sigmas.append(sigma)
-        if number == 0:
-            job.notes.extend(notes)
-    return sigmas[0]
+        out.append(run_in_child(finish_model, request, log=job.log, task="final adjustment"))
+    job.notes.extend(out[0].notes)
+    return out[0]
 
 
-def _account(job: _Job, outcome: _Outcome, rig: str, sigma: PositionSigma | None) -> SparseResult:
+def _account(job: _Job, outcome: _Outcome, rig: str, finished: Finished) -> SparseResult:
     """Say what is in the models and what is not."""
     scene = job.scene
     folders = [job.out / str(k) for k in range(len(outcome.folders))]
@@ -319,7 +341,7 @@ def _account(job: _Job, outcome: _Outcome, rig: str, sigma: PositionSigma | None
     main = pycolmap.Reconstruction(folders[0])
     poses = image_poses(main, scene)
     tables = {
-        "models": _models_table(models),
+        "models": models_table(models),
         "runs": {
             "columns": ["mapper", "rig", "priors", "", "models", "images seeing points", "points", "seconds"],
             "rows": job.runs,
@@ -327,6 +349,7 @@ def _account(job: _Job, outcome: _Outcome, rig: str, sigma: PositionSigma | None
         **registration_tables(scene, poses, observations(main, scene)),
         "cameras": camera_table(main, scene),
         "rig": rig_table(scene, main),
+        **finished.tables,
     }
     first = models[0]
     counts: dict[str, float] = {
@@ -347,11 +370,11 @@ def _account(job: _Job, outcome: _Outcome, rig: str, sigma: PositionSigma | None
         rig=rig,
         scene=scene,
         components=tuple(job.graph.components),
-        dropped=tuple(unregistered(scene, job.graph, [m.images for m in models])),
+        dropped=tuple(unregistered(scene, job.graph, [m.images for m in models], dict(finished.dropped))),
         notes=(*job.notes, *camera_notes(main, scene)),
         tables=tables,
         counts=counts,
-        sigma=sigma,
+        sigma=finished.sigma,
     )
 
 
@@ -367,20 +390,3 @@ def _model(reconstruction: pycolmap.Reconstruction, folder: Path, scene: Scene) 
         reprojection_px=float(reconstruction.compute_mean_reprojection_error()),
         track_length=float(reconstruction.compute_mean_track_length()),
     )
-
-
-def _models_table(models: list[Model]) -> dict:
-    rows = [
-        [k, len(m.images), m.seeing, m.frames, m.points, round(m.reprojection_px, 3), round(m.track_length, 2)]
-        for k, m in enumerate(models)
-    ]
-    columns = [
-        "model",
-        "images",
-        f"seeing {MIN_OBSERVATIONS} points",
-        "frames",
-        "points",
-        "reprojection px",
-        "track length",
-    ]
-    return {"columns": columns, "rows": rows}

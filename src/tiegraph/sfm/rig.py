@@ -32,12 +32,22 @@ def _measured(rig: Rig) -> bool:
     return rig.fixed or (not rig.nominal and all(s.camera is not None and calibrated(s.camera) for s in rig.sensors))
 
 
-def rig_modes(scene: Scene, choice: str) -> dict[int, str]:
-    """How each rig with several sensors is to be used: "fixed", "refined" or "derived"; an absent rig has no entry.
+TIGHT_DEG = 0.5  # extrinsics known better than this lead the mapper as they are; worse ones it may refine
 
-    ``choice`` is the setting; "auto": fixed if it was calibrated, refined if the extrinsics are given otherwise
-    (nominal), else derived from a first model. A calibrated rig that is refined runs off where the vehicle hardly
-    turns: PandaSet's positions by 0.44 m (0.06 m fixed), its cameras by 1 m.
+
+def held_by_mapper(rig: Rig, mode: str) -> bool:
+    """Whether a mapper keeps the extrinsics as given; soft ones are let go in the final adjustment only."""
+    if mode == "soft":
+        return all((s.sigma_deg or 0.0) <= TIGHT_DEG for s in rig.sensors[1:])
+    return mode == "fixed"
+
+
+def rig_modes(scene: Scene, choice: str) -> dict[int, str]:
+    """How each rig with several sensors is used: "fixed", "soft", "refined" or "derived"; an absent rig has no entry.
+
+    ``choice`` is the setting; "auto": soft if something is given with a sigma, fixed if it was calibrated, refined if
+    the extrinsics are given otherwise (nominal), else derived from a first model. A calibrated rig that is refined runs
+    off where the vehicle hardly turns: PandaSet's positions by 0.44 m (0.06 m fixed), its cameras by 1 m.
 
     Raises SettingsError for "fixed" without extrinsics.
     """
@@ -54,6 +64,8 @@ def rig_modes(scene: Scene, choice: str) -> dict[int, str]:
             modes[index] = "fixed"
         elif not rig.known():
             modes[index] = "derived"
+        elif rig.soft():
+            modes[index] = "soft"
         else:
             modes[index] = "fixed" if _measured(rig) and choice == "auto" else "refined"
     return modes

@@ -8,15 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pycolmap
 
 from tiegraph.scene.rig import Rig, rig_from_dict, rig_to_dict
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adjust import final_adjustment
-from tiegraph.sfm.covariance import PositionSigma, position_sigma
 from tiegraph.sfm.database import write_working_copy
-from tiegraph.sfm.support import place_as_given
 
 MIN_MODEL_IMAGES = 3
 # Tracks that every image takes part in at least, longest first, in a rough model. Simulated block of 372 previews: 15
@@ -49,22 +45,6 @@ class Request:
         return {k: rig_to_dict(r) for k, r in rigs.items()}
 
 
-@dataclass(frozen=True)
-class FinishRequest:
-    """What the finishing of one model needs, in picklable form."""
-
-    folder: Path
-    target: Path
-    images: Path | None  # None = no colours
-    fixed: tuple[int, ...]
-    constant_cameras: tuple[int, ...]
-    all_constant: bool
-    covariance_frames: int  # 0: no sigmas wanted
-    scene: str  # JSON
-    alone: tuple[int, ...] = ()  # keys of sensors placed by the rig as given
-    rough: bool = False  # as the mapper left it
-
-
 def run_mapper(request: Request, send: Callable[[Any], None]) -> list[Path]:
     """Run one mapper; returns the folders of its models, most registered images first. Sends the frames done so far."""
     shutil.rmtree(request.folder, ignore_errors=True)
@@ -88,42 +68,6 @@ def run_mapper(request: Request, send: Callable[[Any], None]) -> list[Path]:
     shutil.rmtree(raw)
     working.unlink()
     return folders
-
-
-def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> tuple[PositionSigma | None, list[str]]:
-    """Final adjustment, colours and position sigmas of one model; writes it to its target folder. Returns notes too."""
-    model = pycolmap.Reconstruction(request.folder)
-    notes: list[str] = []
-    if not request.rough:
-        model, note = _adjusted(model, request)
-        notes.append(note)
-    if request.alone:
-        place_as_given(model, Scene.from_json(request.scene), request.alone)
-    try:
-        if request.images is not None:
-            model.extract_colors_for_all_images(request.images)
-    except (RuntimeError, ValueError) as error:
-        notes.append(f"the points have no colours: {error}")
-    request.target.mkdir(parents=True, exist_ok=True)
-    model.write(request.target)
-    frames = model.num_reg_frames()
-    if frames > request.covariance_frames:
-        if request.covariance_frames > 0:
-            notes.append(f"position sigmas not computed: {frames} frames, more than sparse.covariance_frames")
-        return None, notes
-    try:
-        return position_sigma(model, not request.all_constant, not request.fixed), notes
-    except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
-        notes.append(f"position sigmas could not be computed: {error}")
-        return None, notes
-
-
-def _adjusted(model: pycolmap.Reconstruction, request: FinishRequest) -> tuple[pycolmap.Reconstruction, str]:
-    try:
-        adjustment = final_adjustment(model, [k + 1 for k in request.fixed], request.constant_cameras)
-        return adjustment.model, adjustment.note
-    except (RuntimeError, ValueError) as error:
-        return model, f"the final adjustment failed, the mapper's own stays: {error}"
 
 
 def _incremental(

@@ -1,0 +1,72 @@
+"""Rig files written: tiegraph's rig.toml and COLMAP's rig_config.json."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tiegraph.geometry.transforms import invert, quaternion_xyzw
+from tiegraph.scene.rig import PAIR_KEYS, Rig
+
+
+def write_rig_config(rig: Rig, path: Path) -> None:
+    """Write a rig as COLMAP's rig_config.json (image prefixes are the sensors' folders, quaternions w first)."""
+    cameras: list[dict] = []
+    for number, sensor in enumerate(rig.sensors):
+        camera: dict[str, Any] = {"image_prefix": f"{sensor.folder}/" if sensor.folder else ""}
+        if number == 0:
+            camera["ref_sensor"] = True
+        elif sensor.sensor_from_rig is not None:
+            camera["cam_from_rig_rotation"] = np.roll(quaternion_xyzw(sensor.sensor_from_rig[:3, :3]), 1).tolist()
+            camera["cam_from_rig_translation"] = sensor.sensor_from_rig[:3, 3].tolist()
+        if sensor.camera is not None:
+            camera["camera_model_name"] = sensor.camera.model.name
+            camera["camera_params"] = [float(p) for p in sensor.camera.params]
+        cameras.append(camera)
+    Path(path).write_text(json.dumps([{"cameras": cameras}], indent=2) + "\n", encoding="utf-8")
+
+
+def write_rig_toml(rig: Rig, path: Path, comment: str = "") -> None:
+    """Write a rig as rig.toml; its body frame is the reference sensor's (axes = camera)."""
+    lines = [f"# {line}" for line in comment.splitlines()]
+    lines += [
+        f"name = {json.dumps(rig.name, ensure_ascii=False)}",
+        'axes = "camera"',
+        f"fixed = {str(rig.fixed).lower()}",
+    ]
+    lines.append(f"nominal = {str(rig.nominal).lower()}")
+    if rig.antenna_m is not None:
+        lines.append(f"antenna_m = {_toml(rig.antenna_m)}")
+    for sensor in rig.sensors:
+        lines += [
+            "",
+            "[[sensors]]",
+            f"name = {json.dumps(sensor.name, ensure_ascii=False)}",
+            f"folder = {json.dumps(sensor.folder, ensure_ascii=False)}",
+        ]
+        lines.append(f"role = {json.dumps(sensor.role)}")
+        if sensor.sensor_from_rig is not None:
+            pose = invert(sensor.sensor_from_rig)
+            lines.append(f"position_m = {_toml(pose[:3, 3])}")
+            lines.append(f"body_from_sensor_wxyz = {_toml(np.roll(quaternion_xyzw(pose[:3, :3]), 1))}")
+        sigmas = (("sigma_deg", sensor.sigma_deg), ("sigma_m", sensor.sigma_m))
+        lines += [f"{key} = {float(value)!r}" for key, value in sigmas if value is not None]
+        camera = sensor.camera
+        if sensor.source is not None and sensor.source.camera is not None:
+            camera = sensor.source.camera  # the file describes what comes from the camera, not what scan made of it
+        if sensor.source is not None and any(sensor.source.crop_px):
+            lines.append(f"crop_px = {list(sensor.source.crop_px)}")
+        if camera is not None:
+            lines += ["[sensors.camera]", f'model = "{camera.model.name}"', f"size = [{camera.width}, {camera.height}]"]
+            lines.append(f"params = {_toml(camera.params)}")
+    for pair in rig.pairs:
+        lines += ["", "[[pairs]]", f"sensors = {json.dumps(list(pair.sensors), ensure_ascii=False)}"]
+        lines += [f"{key} = {float(v)!r}" for key in PAIR_KEYS if (v := getattr(pair, key)) is not None]
+    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _toml(values: Any) -> str:
+    return "[" + ", ".join(repr(float(v)) for v in values) + "]"

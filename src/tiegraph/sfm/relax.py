@@ -1,0 +1,159 @@
+"""A rig whose cameras do not fire at one instant: let go of, and held as it really is.
+
+Every image becomes a frame of its own, tied to its frame's reference by the extrinsics, moved by time offset x motion,
+with one offset and one constant error of the mounting for each camera as unknowns of the adjustment. The rig is never
+bent to take up what is motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pycolmap
+from scipy.spatial.transform import Rotation
+
+from tiegraph.geometry import transforms
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.adjust import final_adjustment
+from tiegraph.sfm.model import frame_poses, image_poses, model_rigs
+from tiegraph.sfm.release import released
+from tiegraph.sfm.soft import Soft, SoftTie
+from tiegraph.sfm.sync import Motion, TimeOffset, rig_motion, time_offset
+from tiegraph.sfm.timed import Timed, TimedTie, expected
+
+LOOSE_DEG, LOOSE_M = 0.05, 0.003  # a mounting and a trigger keep from frame to frame
+LOOSE_S = 0.001
+EXPECTED_S = 0.1  # offsets before the images speak
+# error of calibrated extrinsics: a measured lever, a turn that shares with the lens
+EXPECTED_M, EXPECTED_DEG = 0.001, 0.1
+NOMINAL_M, NOMINAL_DEG = 0.02, 1.0  # of extrinsics that this model found
+
+
+@dataclass(frozen=True)
+class Relaxed:
+    """A released model, and when each camera fires against its frame's reference (key -> offset)."""
+
+    model: pycolmap.Reconstruction
+    offsets: Mapping[int, TimeOffset]
+    note: str
+
+
+@dataclass(frozen=True)
+class _Setting:
+    scene: Scene
+    index: int  # of the rig
+    metres_per_unit: float
+    motion: Motion
+    extrinsics: np.ndarray  # (S, 4, 4) sensor_from_rig, model units
+    calibrated: bool
+    loose: Mapping[int, float]
+
+    def columns(self, image: int) -> np.ndarray:
+        """(6,) place in model units and attitude a second, of the rig at an image's frame."""
+        found = np.nan_to_num(self.motion.columns(np.array([self.scene.frame[image]]))[0])
+        return np.concatenate([found[:3] / self.metres_per_unit, found[3:]])
+
+    def covariance(self, image: int) -> np.ndarray:
+        """(6, 6) of how far a camera is off from frame to frame."""
+        speed = float(np.linalg.norm(self.columns(image)[:3]))
+        place = LOOSE_M / self.metres_per_unit + LOOSE_S * speed
+        turn = max(LOOSE_DEG, self.loose.get(int(self.scene.sensor_key[image]), 0.0))
+        return np.diag([np.radians(turn) ** 2] * 3 + [place**2] * 3)
+
+
+def relax(
+    model: pycolmap.Reconstruction,
+    scene: Scene,
+    index: int,
+    given: tuple[float, bool],
+    constant_cameras: Collection[int] = (),
+    loose: Mapping[int, float] | None = None,
+) -> Relaxed:
+    """Release rig ``index`` of a model in which it was rigid; its cameras' offsets and constants are estimated.
+
+    ``given``: metres of a model unit, and whether the extrinsics are believed but for a small constant. ``loose``:
+    scatter in degrees of cameras (sensor keys) that do not keep still. Needs pyceres (``soft.available``).
+    """
+    metres_per_unit, calibrated = given
+    rigs = model_rigs(model, scene)
+    metric = frame_poses(image_poses(model, scene), scene.with_(rigs=rigs))
+    metric[:, :3, 3] *= metres_per_unit
+    places = [np.eye(4) if s.sensor_from_rig is None else s.sensor_from_rig for s in rigs[index].sensors]
+    motion = rig_motion(metric, scene)
+    setting = _Setting(scene, index, metres_per_unit, motion, np.stack(places), calibrated, loose or {})
+    free = released(model, [index + 1], scene)
+    soft = _soft(free, setting)
+    assert soft.timed is not None
+    found = final_adjustment(free, (), constant_cameras, soft)
+    return Relaxed(found.model, _offsets(found.model, setting, soft.timed), found.note)
+
+
+def _soft(model: pycolmap.Reconstruction, setting: _Setting) -> Soft:
+    """One tie from the first registered image of each frame to each other; timed where it is the reference."""
+    scene, timed, ties = setting.scene, [], []
+    for first, other, ids in _pairs(model, setting):
+        relative = setting.extrinsics[scene.sensor[other]] @ transforms.invert(setting.extrinsics[scene.sensor[first]])
+        covariance = setting.covariance(other)
+        if scene.sensor[first] == 0:
+            key = int(scene.sensor_key[other])
+            timed.append(TimedTie(*ids, key, relative, setting.columns(other), covariance))
+        else:
+            covariance[3:, 3:] += np.eye(3) * (EXPECTED_S * np.linalg.norm(setting.columns(other)[:3])) ** 2
+            ties.append(SoftTie(*ids, relative, covariance))
+    place, turn = (EXPECTED_M, EXPECTED_DEG) if setting.calibrated else (NOMINAL_M, NOMINAL_DEG)
+    sigma = np.array([EXPECTED_S, *[place / setting.metres_per_unit] * 3, *[np.radians(turn)] * 3])
+    return Soft(ties=ties, timed=Timed(timed, {t.sensor: np.zeros(7) for t in timed}, sigma))
+
+
+def _pairs(model: pycolmap.Reconstruction, setting: _Setting) -> Iterator[tuple[int, int, tuple[int, int]]]:
+    """(first, other) scene indices of each frame's registered images, with their COLMAP ids."""
+    scene = setting.scene
+    ids = {scene.image_index[model.image(i).name]: i for i in model.reg_image_ids()}
+    frames: dict[int, list[int]] = {}
+    for k in sorted(ids, key=lambda k: int(scene.sensor[k])):
+        if scene.rig[scene.frame[k]] == setting.index:
+            frames.setdefault(int(scene.frame[k]), []).append(k)
+    for first, *others in frames.values():
+        for other in others:
+            yield first, other, (ids[first], ids[other])
+
+
+def _offsets(model: pycolmap.Reconstruction, setting: _Setting, timed: Timed) -> dict[int, TimeOffset]:
+    """The unknowns with a sigma from how the frames scatter about them."""
+    rows: dict[int, list[np.ndarray]] = {}
+    columns: dict[int, list[np.ndarray]] = {}
+    scale = np.array([setting.metres_per_unit] * 3 + [1.0] * 3)
+    for tie in timed.ties:
+        poses = [model.image(i).cam_from_world() for i in (tie.first, tie.second)]
+        relative = np.vstack([(poses[1] * poses[0].inverse()).matrix(), [0, 0, 0, 1]])
+        left = (
+            transforms.invert(expected(tie, timed.unknowns[tie.sensor])) @ relative
+        )  # the frame as the camera sees it
+        back = transforms.invert(left)
+        lever = transforms.centre(tie.sensor_from_first)
+        moved = transforms.apply(back, lever[None])[0] - lever
+        rows.setdefault(tie.sensor, []).append(
+            np.concatenate([moved, Rotation.from_matrix(back[:3, :3]).as_rotvec()]) * scale
+        )
+        columns.setdefault(tie.sensor, []).append(tie.columns * scale)
+    return {key: _offset(timed.unknowns[key], np.array(rows[key]), np.array(columns[key]), scale) for key in rows}
+
+
+def _offset(unknowns: np.ndarray, left: np.ndarray, columns: np.ndarray, scale: np.ndarray) -> TimeOffset:
+    spread = np.maximum(1.4826 * np.median(np.abs(left), axis=0), 1e-7)
+    covariance = np.tile(np.diag(spread**2), (len(left), 1, 1))
+    again = time_offset(left, covariance, columns)
+    sigma = np.inf if again is None else float(np.hypot(again.sigma_s, again.offset_s))
+    top = float(np.max(np.linalg.norm(columns[:, :3], axis=1)))
+    late = float(unknowns[0])
+    return TimeOffset(late, sigma, unknowns[1:] * scale, spread, abs(late) * top)
+
+
+def with_sightings_of(model: pycolmap.Reconstruction, mapped: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
+    """The mapped model with the cameras of the adjusted one, which lost the sightings of a loose camera."""
+    out = pycolmap.Reconstruction(mapped)
+    for key, camera in model.cameras.items():
+        out.camera(key).params = camera.params
+    return out

@@ -1,0 +1,221 @@
+"""Doubtful frames are placed again, missing ones placed, and the points made anew where something moved."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pycolmap
+
+from tiegraph.geometry import transforms
+from tiegraph.geometry.align import umeyama
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.model import frame_poses, image_poses, matrix, model_rigs, rigid3d
+from tiegraph.sfm.placement import Doubt, Judgement, judge, votes
+from tiegraph.sfm.resect import MIN_INLIERS, Placed, correspondences, place
+from tiegraph.sfm.steps import Course, course
+from tiegraph.sfm.verified import Seen, Verified, agreement, seen_by
+
+BLOCK_FRAMES = 4  # fewer are placed one by one, more as a rigid block
+MAX_LOST = 0.2  # of the frames that may be left out for their place; more is a model that fell apart, and is said so
+ROUNDS = 3
+
+
+@dataclass
+class Repair:
+    """A model in work: its poses, what was done and why."""
+
+    model: pycolmap.Reconstruction
+    scene: Scene
+    verified: Verified
+    preview: np.ndarray | None  # (F, 3) positions of the preview model, units of its own
+    moved: list[tuple[int, float, str]] = field(default_factory=list)  # frame, how far, why
+    left_out: list[tuple[int, str]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def poses(self) -> np.ndarray:
+        """world_from_rig (F, 4, 4), model units."""
+        scene = self.scene.with_(rigs=model_rigs(self.model, self.scene))
+        return frame_poses(image_poses(self.model, self.scene), scene)
+
+    def way(self) -> Course:
+        """The course of the passes."""
+        return course(self.poses()[:, :3, 3], self.scene, self.preview)
+
+    def judged(self) -> Judgement:
+        """Which frames stand where they should."""
+        said = votes(self.verified, agreement(self.verified, seen_by(self.model, self.scene)), self.scene)
+        return judge(self.poses()[:, :3, 3], self.scene, self.way(), said)
+
+
+def repair(work: Repair) -> bool:
+    """Place doubtful frames again or leave them out; whether anything changed. Points are left to the caller."""
+    changed = False
+    for _ in range(ROUNDS):
+        judged = work.judged()
+        if not judged.doubts:
+            break
+        lost = sum(len(d.frames) for d in judged.doubts)
+        if lost > 0.5 * work.scene.frames:
+            work.notes.append(f"{lost} of {work.scene.frames} frames stand in doubt: nothing is moved; see the map")
+            break
+        before = len(work.moved) + len(work.left_out)
+        for doubt in judged.doubts:
+            _settle(work, doubt, judged)
+        if len(work.moved) + len(work.left_out) == before:
+            break
+        changed = True
+    return changed
+
+
+def _settle(work: Repair, doubt: Doubt, judged: Judgement) -> None:
+    main = set(judged.main)
+    seen = only_frames(seen_by(work.model, work.scene), work.scene, main)
+    poses, way = work.poses(), work.way()
+    if len(doubt.frames) >= BLOCK_FRAMES:
+        motion = _block_motion(work, doubt, seen)
+        if motion is not None and _ends_fit(doubt.frames, motion, poses, work.scene, way, main):
+            for frame in doubt.frames:
+                _set(work, frame, poses[frame], motion @ poses[frame], doubt.why)
+            return
+    for frame in doubt.frames:
+        found = place_frame(work, frame, seen)
+        holds = found is not None and found.holds()
+        if found and holds and near_course(frame, found.pose[:3, 3], poses, work.scene, way, main):
+            _set(work, frame, poses[frame], found.pose, doubt.why)
+            main.add(frame)
+        elif len(work.left_out) < MAX_LOST * work.scene.frames:
+            work.model.deregister_frame(_frame_ids(work, frame)[0])
+            work.left_out.append((frame, f"{doubt.why}; its ties to the others give no other place"))
+        else:
+            work.notes.append(f"frame {label(work.scene, frame)} stands in doubt and was kept: {doubt.why}")
+
+
+def only_frames(seen: Seen, scene: Scene, frames: set[int]) -> Seen:
+    """What the images of some frames see."""
+    inside = {k for k in seen.point if int(scene.frame[k]) in frames}
+    return Seen(
+        seen.cameras,
+        {k: v for k, v in seen.cam_from_world.items() if k in inside},
+        {k: v for k, v in seen.point.items() if k in inside},
+        seen.reach,
+        seen.xyz,
+    )
+
+
+def place_frame(work: Repair, frame: int, seen: Seen) -> Placed | None:
+    """A frame from its matches with points of the frames in ``seen``."""
+    return place_images(work, np.flatnonzero(work.scene.frame == frame).tolist(), seen)
+
+
+def place_images(work: Repair, images: Sequence[int], seen: Seen) -> Placed | None:
+    """Images of one frame, bolted together, from their matches with points of the images in ``seen``.
+
+    A lone image is its own rig, whatever the scene's rig says.
+    """
+    rows = correspondences(images, work.verified, seen)
+    if len(rows.image) < MIN_INLIERS:
+        return None
+    sensors = model_rigs(work.model, work.scene)[work.scene.rig[work.scene.frame[images[0]]]].sensors
+    cam_from_rig = {}
+    for k in images:
+        extrinsics = sensors[work.scene.sensor[k]].sensor_from_rig
+        if len(images) == 1 or work.scene.sensor[k] == 0:
+            extrinsics = np.eye(4)
+        if extrinsics is not None:
+            cam_from_rig[int(k)] = extrinsics
+    cameras = {int(k): c for k in cam_from_rig if (c := sensors[work.scene.sensor[k]].camera) is not None}
+    return place(rows, cameras, cam_from_rig)
+
+
+def near_course(frame: int, position: np.ndarray, poses: np.ndarray, scene: Scene, way: Course, main: set[int]) -> bool:
+    """Whether a position suits the nearest frames before and after on the pass; frames of no pass always do."""
+    track = int(scene.track[frame])
+    if track not in way.usual:
+        return True
+    moved = poses[:, :3, 3].copy()
+    moved[frame] = position
+    others = [f for f in main if scene.track[f] == track and f != frame and np.isfinite(moved[f]).all()]
+    before = max((f for f in others if scene.step[f] < scene.step[frame]), key=lambda f: scene.step[f], default=None)
+    after = min((f for f in others if scene.step[f] > scene.step[frame]), key=lambda f: scene.step[f], default=None)
+    return all(not way.jumps(f, frame, moved, track) for f in (before, after) if f is not None)
+
+
+def _ends_fit(
+    frames: Sequence[int], motion: np.ndarray, poses: np.ndarray, scene: Scene, way: Course, main: set[int]
+) -> bool:
+    """Whether a moved block suits the main part where it meets it."""
+    moved = {f: (motion @ poses[f])[:3, 3] for f in frames}
+    return any(near_course(f, moved[f], poses, scene, way, main) for f in (min(frames), max(frames)))
+
+
+def _block_motion(work: Repair, doubt: Doubt, seen: Seen) -> np.ndarray | None:
+    """main_from_block (4, 4): points of the block on points of the main part that verified ties say are the same."""
+    whole = seen_by(work.model, work.scene)
+    inside = set(doubt.frames)
+    a, b = [], []
+    ends = work.scene.frame[work.verified.pairs]
+    for row, (i, j) in enumerate(work.verified.pairs.tolist()):
+        sides = [int(f) in inside for f in ends[row]]
+        if sum(sides) != 1:
+            continue
+        own, other = (i, j) if sides[0] else (j, i)
+        if own not in whole.point or other not in seen.point:
+            continue
+        matches = work.verified.matches[row] if sides[0] else work.verified.matches[row][:, ::-1]
+        p, q = whole.point[own][matches[:, 0]], whole.point[other][matches[:, 1]]
+        both = (p >= 0) & (q >= 0) & (p != q)
+        a += [whole.xyz[int(x)] for x in p[both]]
+        b += [whole.xyz[int(x)] for x in q[both]]
+    if len(a) < MIN_INLIERS:
+        return None
+    source, target = np.array(a), np.array(b)
+    size = float(np.median([r[0] for r in whole.reach.values()])) if whole.reach else 1.0
+    options = pycolmap.RANSACOptions(max_error=0.1 * size, random_seed=0, max_num_trials=2000)
+    found: Any = pycolmap.estimate_sim3d_robust(source, target, options)
+    if found is None or not 0.9 < found["tgt_from_src"].scale < 1.1:
+        return None
+    mapped = transforms.apply(np.vstack([found["tgt_from_src"].matrix(), [0, 0, 0, 1]]), source)
+    close = np.linalg.norm(mapped - target, axis=1) < 0.1 * size
+    if close.sum() < MIN_INLIERS:
+        return None
+    rigid = umeyama(source[close], target[close], with_scale=False)
+    return transforms.rigid(rigid.rotation, rigid.translation)
+
+
+def _frame_ids(work: Repair, frame: int) -> list[int]:
+    """COLMAP frames of a scene's frame: one, or one an image without a rig."""
+    images = [work.scene.names[k] for k in np.flatnonzero(work.scene.frame == frame)]
+    found = [work.model.find_image_with_name(n) for n in images]
+    return sorted({i.frame_id for i in found if i is not None})
+
+
+def _set(work: Repair, frame: int, old: np.ndarray, pose: np.ndarray, why: str) -> None:
+    """Put a frame somewhere else; its sightings go, to be made anew."""
+    step = pose @ transforms.invert(old)
+    for frame_id in _frame_ids(work, frame):
+        held = work.model.frame(frame_id)
+        assert held.rig_from_world is not None
+        now = matrix(held.rig_from_world)
+        work.model.deregister_frame(frame_id)
+        work.model.frame(frame_id).rig_from_world = rigid3d(now @ transforms.invert(step))
+        work.model.register_frame(frame_id)
+    work.moved.append((frame, float(np.linalg.norm(pose[:3, 3] - old[:3, 3])), why))
+
+
+def label(scene: Scene, frame: int) -> str:
+    """A frame by its first image."""
+    return scene.names[int(np.flatnonzero(scene.frame == frame)[0])]
+
+
+def points_anew(model: pycolmap.Reconstruction, database: Path, images: Path, scratch: Path) -> pycolmap.Reconstruction:
+    """All points of a model from its poses and the verified matches of the mapper's database."""
+    scratch.mkdir(parents=True, exist_ok=True)
+    # The final adjustment follows: a long refinement under poses that stay is of no use.
+    options = pycolmap.IncrementalPipelineOptions(
+        extract_colors=False, ba_global_max_refinements=1, ba_global_max_num_iterations=5
+    )
+    return pycolmap.triangulate_points(model, database, images, scratch, clear_points=True, options=options)

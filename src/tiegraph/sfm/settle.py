@@ -1,0 +1,101 @@
+"""Placement and completeness of a mapped model, before its final adjustment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from tiegraph.scene.rig import Rig
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.adopt import adopt
+from tiegraph.sfm.database import write_working_copy
+from tiegraph.sfm.repair import Repair, label, points_anew, repair
+from tiegraph.sfm.verified import image_ids, read_verified
+
+ROUNDS = 4  # of placing what is missing: each lets the next lean on it
+
+
+@dataclass(frozen=True)
+class Settled:
+    """The model, and what became of frames: notes, table of what was moved, images left out with their reason."""
+
+    model: pycolmap.Reconstruction
+    notes: list[str] = field(default_factory=list)
+    table: dict | None = None
+    dropped: list[tuple[str, str]] = field(default_factory=list)
+
+
+def settle(
+    model: pycolmap.Reconstruction,
+    scene: Scene,
+    source: tuple[Path, Path, Sequence[tuple[int, int]]],
+    rigs: dict[int, Rig],
+    scratch: Path,
+    preview: np.ndarray | None,
+) -> Settled:
+    """Test the place of every frame, place the doubtful again or leave them out, place what is missing.
+
+    ``source``: database, images, refused pairs; ``preview``: (F, 3) positions of a rough model that is believed.
+    """
+    database, images, refused = source
+    work = Repair(model, scene, read_verified(database, scene, refused), preview)
+    registered = model.num_reg_images()
+    scratch.mkdir(parents=True, exist_ok=True)
+    working = scratch / "placement.db"
+
+    def anew() -> None:
+        if not working.exists():
+            write_working_copy(database, working, scene, rigs, False, refused)
+        work.model = points_anew(work.model, working, images, scratch)
+
+    if repair(work):
+        anew()
+    ids = image_ids(database, scene)
+    adopted: dict[int, int] = {}
+    for _ in range(ROUNDS):
+        found = adopt(work, ids)
+        if not found:
+            break
+        adopted.update(found)
+        anew()
+    working.unlink(missing_ok=True)
+    return Settled(work.model, _notes(work, registered, adopted), _table(work, adopted), _dropped(work))
+
+
+def _notes(work: Repair, registered: int, adopted: dict[int, int]) -> list[str]:
+    notes = list(work.notes)
+    if work.moved:
+        far = max(distance for _, distance, _ in work.moved)
+        frames = ", ".join(label(work.scene, f) for f, _, _ in work.moved[:4]) + (" ..." if len(work.moved) > 4 else "")
+        notes.append(
+            f"{len(work.moved)} frames stood at a wrong place and were placed again, up to {far:.2f} units: {frames}"
+        )
+    if work.left_out:
+        notes.append(
+            f"{len(work.left_out)} frames stood at a doubtful place and were left out; see the table of placement"
+        )
+    if adopted:
+        notes.append(
+            f"{len(adopted)} images that the mapper left out were placed by their matches ({registered} before)"
+        )
+    return notes
+
+
+def _table(work: Repair, adopted: dict[int, int]) -> dict | None:
+    rows = [[label(work.scene, f), "placed again", round(d, 3), why] for f, d, why in work.moved]
+    rows += [[label(work.scene, f), "left out", None, why] for f, why in work.left_out]
+    rows += [
+        [work.scene.names[k], "placed", None, f"{n} points of its frame agree"] for k, n in sorted(adopted.items())
+    ]
+    return {"columns": ["frame or image", "what", "by (units)", "why"], "rows": rows} if rows else None
+
+
+def _dropped(work: Repair) -> list[tuple[str, str]]:
+    out = []
+    for frame, why in work.left_out:
+        out += [(work.scene.names[k], f"left out: {why}") for k in np.flatnonzero(work.scene.frame == frame)]
+    return out

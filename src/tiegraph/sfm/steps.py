@@ -1,0 +1,85 @@
+"""Does a model move as its passes do? Steps between neighbouring frames against the usual, and the pieces they cut."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tiegraph.scene.scene import Scene
+
+JUMP = 2.0  # usual steps beyond twice the expected; a wall's period is more in a survey that overlaps
+BRISK = 80  # percentile of the steps that is called usual: vehicles also stand
+MIN_FRAMES = 5  # of a pass, to speak of a usual step
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Frames of one pass that follow one another without a jump."""
+
+    track: int
+    frames: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Course:
+    """The usual step of each pass (model units) and how far two of its frames should be apart."""
+
+    usual: dict[int, float]
+    clock: np.ndarray  # (F,) time or step
+    interval: dict[int, float]  # usual difference of clock between neighbours
+    preview: np.ndarray  # (F, 3) positions of a rough model that is believed, NaN = none
+    scale: float  # model units of a unit of the preview
+
+    def expected(self, a: int, b: int, track: int) -> float:
+        """Length of the way between two frames of a pass; by the preview where it has both."""
+        apart = float(np.linalg.norm(self.preview[a] - self.preview[b])) * self.scale
+        if np.isfinite(apart):
+            return apart
+        return self.usual[track] * abs(self.clock[b] - self.clock[a]) / self.interval[track]
+
+    def jumps(self, a: int, b: int, positions: np.ndarray, track: int) -> bool:
+        """Whether two frames are farther apart than the way between them allows."""
+        length = float(np.linalg.norm(positions[a] - positions[b]))
+        expected = self.expected(a, b, track)
+        return length > 2 * expected + JUMP * self.usual[track]
+
+
+def course(positions: np.ndarray, scene: Scene, preview: np.ndarray | None = None) -> Course:
+    """Usual steps from positions (F, 3), NaN = not registered; ``preview`` (F, 3) in units of its own."""
+    timed = scene.frames > 0 and bool(np.isfinite(scene.time_s).all()) and float(np.ptp(scene.time_s)) > 0
+    clock = scene.time_s if timed else scene.step.astype(float)
+    usual, interval, ratios = {}, {}, []
+    rough = np.full((scene.frames, 3), np.nan) if preview is None else preview
+    for track in np.unique(scene.track[scene.track >= 0]):
+        order = in_order(scene, positions, int(track))
+        if len(order) < MIN_FRAMES:
+            continue
+        steps = np.linalg.norm(np.diff(positions[order], axis=0), axis=1)
+        gaps = np.diff(clock[order])
+        interval[int(track)] = max(float(np.median(gaps)), 1e-9)
+        usual[int(track)] = float(np.percentile(steps, BRISK))
+        seen = np.linalg.norm(np.diff(rough[order], axis=0), axis=1)
+        ratios += (steps[seen > 0] / seen[seen > 0]).tolist()
+    return Course(usual, clock, interval, rough, float(np.median(ratios)) if ratios else np.nan)
+
+
+def in_order(scene: Scene, positions: np.ndarray, track: int) -> np.ndarray:
+    """Registered frames of a pass in the order of its steps."""
+    members = np.flatnonzero((scene.track == track) & np.isfinite(positions).all(axis=1))
+    return members[np.argsort(scene.step[members], kind="stable")]
+
+
+def pieces(positions: np.ndarray, scene: Scene, way: Course) -> list[Piece]:
+    """The passes cut at jumps; a frame that jumps out and back is a piece of its own, and the rest stays together."""
+    out: list[Piece] = []
+    for track in way.usual:
+        groups: list[list[int]] = []
+        for frame in in_order(scene, positions, track).tolist():
+            fits = [g for g in groups if not way.jumps(g[-1], frame, positions, track)]
+            if fits:
+                max(fits, key=lambda g: (way.clock[g[-1]], len(g))).append(frame)
+            else:
+                groups.append([frame])
+        out += [Piece(track, tuple(g)) for g in groups]
+    return out

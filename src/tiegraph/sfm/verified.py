@@ -1,0 +1,147 @@
+"""The verified matches of a database, and which of them a model explains."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from tiegraph.geometry import transforms
+from tiegraph.scene.colmapmodel import MAX_IMAGES
+from tiegraph.scene.scene import Scene
+
+TOLERANCE_RAD = 0.006  # between a ray and the other's epipolar line: about 2 px of a survey camera
+REACH = 3.0  # times the nearest and farthest points an image sees: matches must meet in between
+CAP = 100  # matches of one image pair that count: a wall full of windows is one opinion
+FEW = 8  # matches below which a pair has no opinion
+
+
+@dataclass(frozen=True)
+class Verified:
+    """Image pairs (P, 2), scene indices, low first, their matches (M, 2) and the images' key points (K, 2) px."""
+
+    pairs: np.ndarray
+    matches: tuple[np.ndarray, ...]
+    xy: dict[int, np.ndarray]
+
+    def where(self, rows: np.ndarray) -> Verified:
+        """Some of the pairs (boolean or index array)."""
+        chosen = np.flatnonzero(rows) if rows.dtype == bool else rows
+        return Verified(self.pairs[chosen], tuple(self.matches[k] for k in chosen), self.xy)
+
+
+def _read_only(database: Path) -> sqlite3.Connection:
+    """COLMAP's own opening writes to the file."""
+    return sqlite3.connect(f"{database.absolute().as_uri()}?mode=ro", uri=True)
+
+
+def image_ids(database: Path, scene: Scene) -> dict[int, int]:
+    """COLMAP's image ids by scene index."""
+    connection = _read_only(database)
+    try:
+        rows = connection.execute("SELECT image_id, name FROM images").fetchall()
+    finally:
+        connection.close()
+    return {scene.image_index[name]: image_id for image_id, name in rows if name in scene.image_index}
+
+
+def read_verified(database: Path, scene: Scene, refused: Sequence[tuple[int, int]] = ()) -> Verified:
+    """All verified matches but those of refused pairs (scene indices)."""
+    away = {(min(p), max(p)) for p in refused}
+    index = {image_id: k for k, image_id in image_ids(database, scene).items()}
+    connection = _read_only(database)
+    try:
+        found: dict[tuple[int, int], np.ndarray] = {}
+        for pair_id, rows, data in connection.execute(
+            "SELECT pair_id, rows, data FROM two_view_geometries WHERE rows > 0"
+        ):
+            ends = index.get(pair_id // MAX_IMAGES), index.get(pair_id % MAX_IMAGES)
+            if ends[0] is None or ends[1] is None:
+                continue
+            matches = np.frombuffer(data, np.uint32).reshape(rows, 2).astype(np.int64)
+            key = (min(ends[0], ends[1]), max(ends[0], ends[1]))
+            if key not in away:
+                found[key] = matches if ends[0] < ends[1] else matches[:, ::-1]
+        xy = {}
+        for image_id, rows, columns, data in connection.execute("SELECT image_id, rows, cols, data FROM keypoints"):
+            if image_id in index:
+                xy[index[image_id]] = np.frombuffer(data, np.float32).reshape(rows, columns)[:, :2].astype(float)
+    finally:
+        connection.close()
+    pairs = np.array(sorted(found), int).reshape(-1, 2)
+    return Verified(pairs, tuple(found[int(a), int(b)] for a, b in pairs), xy)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What the images of a model know: camera, pose, point of each key point (-1 = none), reach (nearest, farthest)."""
+
+    cameras: dict[int, pycolmap.Camera]  # by scene index
+    cam_from_world: dict[int, np.ndarray]
+    point: dict[int, np.ndarray]
+    reach: dict[int, np.ndarray]
+    xyz: dict[int, np.ndarray]
+
+
+def seen_by(model: pycolmap.Reconstruction, scene: Scene) -> Seen:
+    """The registered images of a model that the scene knows."""
+    xyz = {int(k): p.xyz for k, p in model.points3D.items()}
+    cameras, poses, point, reach = {}, {}, {}, {}
+    for image_id in model.reg_image_ids():
+        image = model.image(image_id)
+        k = scene.image_index.get(image.name)
+        if k is None:
+            continue
+        cameras[k] = model.camera(image.camera_id)
+        poses[k] = np.vstack([image.cam_from_world().matrix(), [0.0, 0, 0, 1]])
+        point[k] = np.array([int(p.point3D_id) if p.has_point3D() else -1 for p in image.points2D], np.int64)
+        own = np.array([xyz[int(p)] for p in point[k][point[k] >= 0]]).reshape(-1, 3)
+        if len(own) >= FEW:
+            depth = np.linalg.norm(transforms.apply(poses[k], own), axis=1)
+            reach[k] = np.percentile(depth, [2, 98])
+    return Seen(cameras, poses, point, reach, xyz)
+
+
+def agreement(verified: Verified, seen: Seen) -> np.ndarray:
+    """(P, 2): matches of each pair that the model's poses explain, and all of them, both capped; 0, 0 = no opinion."""
+    rays: dict[int, np.ndarray] = {}
+
+    def of(k: int) -> np.ndarray:
+        if k not in rays:
+            flat = np.nan_to_num(np.asarray(seen.cameras[k].cam_from_img(verified.xy[k]), float))
+            local = np.concatenate([flat, np.ones((len(flat), 1))], axis=1)
+            rays[k] = local / np.linalg.norm(local, axis=1, keepdims=True)
+        return rays[k]
+
+    usual = np.median(list(seen.reach.values()), axis=0) if seen.reach else np.array([0.0, np.inf])
+    out = np.zeros((len(verified.pairs), 2))
+    for row, ((i, j), matches) in enumerate(zip(verified.pairs.tolist(), verified.matches)):
+        if i not in seen.cameras or j not in seen.cameras or len(matches) < FEW:
+            continue
+        j_from_i = seen.cam_from_world[j] @ transforms.invert(seen.cam_from_world[i])
+        far = (seen.reach.get(i, usual), seen.reach.get(j, usual))
+        share = float(np.mean(_explained(of(i)[matches[:, 0]], of(j)[matches[:, 1]], j_from_i, far)))
+        out[row] = min(len(matches), CAP) * np.array([share, 1.0])
+    return out
+
+
+def _explained(a: np.ndarray, b: np.ndarray, b_from_a: np.ndarray, reach: Sequence[np.ndarray]) -> np.ndarray:
+    """(M,) bool: rays a and b (M, 3) meet, ahead of both and within reach (or far off, without parallax)."""
+    turned = a @ b_from_a[:3, :3].T
+    step = b_from_a[:3, 3]
+    normal = np.cross(turned, b)
+    squared = np.maximum(np.sum(normal**2, axis=1), 1e-18)
+    # turned * s + step = b * t in least squares
+    s = np.sum(np.cross(b, step) * normal, axis=1) / squared
+    t = np.sum(np.cross(turned, step) * normal, axis=1) / squared
+    gap = np.linalg.norm(turned * s[:, None] + step - b * t[:, None], axis=1)
+    meets = gap < TOLERANCE_RAD * np.maximum(np.abs(s), np.abs(t))
+    near, far = np.array([reach[0][0], reach[1][0]]) / REACH, np.array([reach[0][1], reach[1][1]]) * REACH
+    inside = (s > near[0]) & (s < far[0]) & (t > near[1]) & (t < far[1])
+    parallel = (np.sqrt(squared) < TOLERANCE_RAD) & (np.sum(turned * b, axis=1) > 0)
+    parallel &= np.linalg.norm(step) < TOLERANCE_RAD * 3 * max(far)
+    return (meets & inside) | parallel

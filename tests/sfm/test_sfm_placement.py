@@ -1,0 +1,124 @@
+"""Frames at a wrong place are found and placed again or left out; missing ones are placed; a good model is let be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+from moving_world import moving_world, write_database
+
+from tiegraph.geometry import transforms
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.model import image_poses, rigid3d
+from tiegraph.sfm.placement import Votes, judge
+from tiegraph.sfm.settle import Settled, settle
+from tiegraph.sfm.steps import course
+
+
+@pytest.fixture
+def world(tmp_path: Path) -> tuple[pycolmap.Reconstruction, Scene]:
+    model, scene = moving_world(frames=14)
+    write_database(model, tmp_path / "database.db")
+    return model, scene
+
+
+def _settle(model: pycolmap.Reconstruction, scene: Scene, folder: Path, preview: np.ndarray | None = None) -> Settled:
+    rigs = dict(enumerate(scene.rigs))
+    return settle(model, scene, (folder / "database.db", folder, ()), rigs, folder / "scratch", preview)
+
+
+def _centres(model: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
+    poses = image_poses(model, scene)[: scene.frames]  # cam0 is the rig
+    return transforms.centre(poses)
+
+
+def _shift(model: pycolmap.Reconstruction, frames: range, by_m: float) -> None:
+    """Frames along the road to another place, with points of their own there, as a repeated wall does it."""
+    move = transforms.rigid(np.eye(3), np.array([0.0, 0, by_m]))
+    inside = {i for i in model.reg_image_ids() if model.image(i).frame_id - 1 in frames}
+    for key, point in list(model.points3D.items()):
+        place = np.array(point.xyz)
+        elements = [(e.image_id, e.point2D_idx) for e in point.track.elements]
+        own, rest = [e for e in elements if e[0] in inside], [e for e in elements if e[0] not in inside]
+        if own:
+            model.delete_point3D(key)
+            for part, xyz in ((own, place + move[:3, 3]), (rest, place)):
+                if len(part) >= 2:
+                    model.add_point3D(xyz, pycolmap.Track([pycolmap.TrackElement(*e) for e in part]))
+    for f in frames:
+        pose = model.frame(f + 1).rig_from_world
+        now = np.vstack([pose.matrix(), [0, 0, 0, 1]])
+        model.frame(f + 1).rig_from_world = rigid3d(now @ transforms.invert(move))
+
+
+def test_a_good_model_is_let_be(world, tmp_path: Path) -> None:
+    model, scene = world
+    settled = _settle(model, scene, tmp_path)
+    assert settled.notes == [] and settled.table is None and settled.dropped == []
+    assert not (tmp_path / "scratch" / "placement.db").exists()
+
+
+@pytest.mark.parametrize("previewed", [True, False])
+def test_a_frame_at_a_repeated_wall_is_placed_again(world, tmp_path: Path, previewed: bool) -> None:
+    model, scene = world
+    true = _centres(model, scene)
+    _shift(model, range(6, 7), 12.0)
+    settled = _settle(model, scene, tmp_path, 0.2 * true if previewed else None)
+    assert any("wrong place" in n for n in settled.notes)
+    assert [row[1] for row in settled.table["rows"]] == ["placed again"]
+    assert np.linalg.norm(_centres(settled.model, scene) - true, axis=1).max() < 0.05
+    assert settled.model.image(1 + 3 * 6).num_points3D > 50  # it sees the points of the others again
+
+
+def test_a_block_is_moved_as_one(world, tmp_path: Path) -> None:
+    model, scene = world
+    true = _centres(model, scene)
+    _shift(model, range(9, 14), 15.0)
+    settled = _settle(model, scene, tmp_path)
+    assert [row[1] for row in settled.table["rows"]] == ["placed again"] * 5
+    assert np.linalg.norm(_centres(settled.model, scene) - true, axis=1).max() < 0.1
+
+
+def test_a_frame_without_true_ties_is_left_out_with_its_reason(world, tmp_path: Path) -> None:
+    """Its matches with the others are shuffled: nothing says where it belongs."""
+    model, scene = world
+    _shift(model, range(6, 7), 12.0)
+    rng = np.random.default_rng(0)
+    with pycolmap.Database.open(tmp_path / "database.db") as database:
+        for pair_id, geometry in zip(*database.read_two_view_geometries()):
+            a, b = pycolmap.pair_id_to_image_pair(pair_id)
+            if sum(model.image(i).frame_id == 7 for i in (a, b)) == 1:
+                matches = np.array(geometry.inlier_matches)
+                geometry.inlier_matches = np.stack([matches[:, 0], rng.permutation(matches[:, 1])], axis=1)
+                database.update_two_view_geometry(a, b, geometry)
+    settled = _settle(model, scene, tmp_path)
+    assert {name for name, _ in settled.dropped} == {f"cam{s}/006.jpg" for s in range(3)}
+    assert all("left out: " in why and "no other place" in why for _, why in settled.dropped)
+    assert settled.model.num_reg_images() == len(scene) - 3
+
+
+def test_missing_frames_are_placed_by_their_matches(world, tmp_path: Path) -> None:
+    model, scene = world
+    true = _centres(model, scene)
+    for frame in (3, 8, 9):
+        model.deregister_frame(frame + 1)
+    model.write(tmp_path)
+    settled = _settle(pycolmap.Reconstruction(tmp_path), scene, tmp_path)  # reading forgets what is not registered
+    assert settled.model.num_reg_images() == len(scene)
+    assert any("9 images" in n for n in settled.notes)
+    assert np.linalg.norm(_centres(settled.model, scene) - true, axis=1).max() < 0.05
+
+
+def test_blocks_never_join_over_a_jump() -> None:
+    """Two passes torn at one place: each half stays with its half, although false ties bind the halves as well."""
+    _, scene = moving_world(frames=12)
+    scene = scene.with_(track=np.repeat([0, 1], 6), step=np.tile(np.arange(6), 2), tracks=("up", "down"))
+    scene = scene.with_(time_s=np.full(12, np.nan))
+    along = np.tile([0.0, 1, 2, 23, 24, 25], 2)
+    positions = np.stack([along, np.zeros(12), np.zeros(12)], axis=1)
+    agree = {(0, 6): 500.0, (1, 7): 500.0, (2, 8): 500.0, (3, 9): 400.0, (4, 10): 400.0, (2, 9): 90.0}
+    found = judge(positions, scene, course(positions, scene), Votes(agree, {}))
+    assert found.main == (0, 1, 2, 6, 7, 8)
+    assert [d.frames for d in found.doubts] == [(3, 4, 5, 9, 10, 11)]
