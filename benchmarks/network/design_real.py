@@ -1,16 +1,17 @@
-"""Share of pairs kept against accuracy on real sets: ``python benchmarks/network/design_real.py --sets canal_demo -o x.json``.
+"""Share of pairs kept against accuracy on real sets.
+
+    python benchmarks/network/design_real.py --sets canal_demo --work WORK -o x.json
 
 All candidates of a set are matched once (``tiegraph run --design.method all --until verify``). Each design method then
 chooses from the previews, as the stage does, and its choice is judged in two ways: the predicted sigma of the frames'
-positions, by the exact covariance of the bundle adjustment over the tracks that the chosen pairs make, and the error of a
-model mapped from these pairs alone, against the truth.
+positions, by the exact covariance of the bundle adjustment over the tracks that the chosen pairs make, and the error
+of a model mapped from these pairs alone, against the truth.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import time
 from collections.abc import Iterator
@@ -28,7 +29,7 @@ import pycolmap  # isort: skip
 from benchmarks import accuracy, datasets, run
 from benchmarks.network.design_plot import plot
 from benchmarks.network.matched import Run, Tracks
-from benchmarks.network.measure import run_tiegraph
+from benchmarks.network.measure import add_row, run_tiegraph
 from tiegraph.design.design import design
 from tiegraph.design.expected import expected_matches
 from tiegraph.design.settings import DesignSettings
@@ -71,7 +72,7 @@ def main(argv: list[str] | None = None) -> int:
         judge = Judge(name, work, Run.read(base), datasets.load(name.partition(":")[0], work / "inputs"))
         for choice in choices(judge.run, args.methods, args.shares):
             row = {**judge.row(choice, mapped=not args.sigma_only and choice.seed == 0), "set": name}
-            _add(results, row, args.output)
+            add_row(results, row, ("set", "method", "asked_share", "seed"), args.output)
             sys.stderr.write(f"{name} {choice.name}: {_short(row)}\n")
     plot(results["runs"], args.output.with_suffix(".png"))
     sys.stdout.write(markdown(results["runs"]) + "\n")
@@ -253,15 +254,6 @@ class Judge:
 
 
 # ---------------------------------------------------------------------------------------------- results
-
-
-def _add(results: dict[str, Any], row: dict[str, Any], path: Path) -> None:
-    key = ("set", "method", "asked_share", "seed")
-    results["runs"] = [old for old in results["runs"] if any(old[k] != row[k] for k in key)] + [row]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_suffix(".part")
-    temporary.write_text(json.dumps(run._rounded(results), indent=1) + "\n")
-    os.replace(temporary, path)
 
 
 def relative(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:

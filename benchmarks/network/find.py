@@ -26,7 +26,7 @@ from benchmarks import datasets, run
 from benchmarks.network import overlap as truths
 from benchmarks.network.lists import METHODS as LISTS
 from benchmarks.network.lists import NEED_PREVIEWS
-from benchmarks.network.measure import measured, run_tiegraph
+from benchmarks.network.measure import add_row, measured, run_tiegraph
 from tiegraph.errors import InputError
 from tiegraph.pipeline import STAGES
 from tiegraph.scene.pairs import Pairs
@@ -83,7 +83,7 @@ def main(argv: list[str] | None = None) -> int:
                     row |= _verified(method, row, work / method, truth, database)
                 failed |= row["status"] != "done"
                 row.pop("out", None)
-                _add(results, row, args.output)
+                add_row(results, row, ("set", "method"), args.output)
                 sys.stderr.write(f"{name} {method}: {row['status']}\n")
     sys.stdout.write(markdown(results) + "\n")
     return int(failed)
@@ -278,16 +278,6 @@ def _verified(method: str, row: dict[str, Any], folder: Path, truth: Truth, data
 
 
 # ---------------------------------------------------------------------------------------------- results
-
-
-def _add(results: dict[str, Any], row: dict[str, Any], path: Path) -> None:
-    """Add a run in the place of an earlier one of the same set and method, and write the file in one step."""
-    others = [r for r in results["runs"] if (r["set"], r["method"]) != (row["set"], row["method"])]
-    results["runs"] = [*others, row]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_suffix(".part")
-    temporary.write_text(json.dumps(run._rounded(results), indent=1) + "\n")
-    os.replace(temporary, path)
 
 
 def markdown(results: dict[str, Any]) -> str:

@@ -42,7 +42,7 @@ class Run:
             Pairs.from_npz(_npz(folder / "network.npz")),
             Pairs.from_npz(_npz(folder / "verify.npz")),
             Ties.from_npz(_npz(folder / "network" / "ties.npz")),
-            Sights(**{k: _npz(sights)[k] for k in ("start", "point")}) if sights.exists() else None,
+            Sights.from_npz(_npz(sights)) if sights.exists() else None,
         )
 
     def settings(self) -> SparseSettings:
@@ -132,8 +132,9 @@ class Tracks:
         return used, connected_components(graph.tocsr(), directed=False)[1]
 
     def sigma(self, rows: np.ndarray) -> dict[str, float]:
-        """Position sigma of the frames, model units, of the bundle adjustment over the tracks of the pairs of rows alone:
-        exact covariance at the poses and points of the full model, free gauge, an observation as good as there.
+        """Position sigma of the frames, model units, of the bundle adjustment over the tracks of the pairs of rows.
+
+        Exact covariance at the poses and points of the full model, free gauge, an observation as good as there:
 
         ``rms`` and ``median`` over the frames (infinite where frames fall apart), observations, tracks, components of
         frames.

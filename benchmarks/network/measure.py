@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.datasets import Dataset
+from benchmarks.run import _rounded as rounded
 
 _POLL_S = 0.5
 
@@ -54,7 +55,7 @@ def run_tiegraph(dataset: Dataset, folder: Path, options: list[str], timeout_s: 
     for name, value in files.items():
         if value is not None:
             # Copied: a temporary path that changes from run to run would make the folder start anew.
-            if isinstance(value, Path):
+            if isinstance(value, Path) and value.is_file():
                 kept = folder / value.name
                 if not kept.exists():
                     shutil.copy(value, kept)
@@ -67,6 +68,15 @@ def run_tiegraph(dataset: Dataset, folder: Path, options: list[str], timeout_s: 
     said["cpu_s"] = max(said["cpu_s"], sum(r["cpu_s"] for r in spent))
     said["peak_mib"] = max([said["peak_mib"], *(r["peak_mib"] for r in spent)])
     return said
+
+
+def add_row(results: dict[str, Any], row: dict[str, Any], key: tuple[str, ...], path: Path) -> None:
+    """Add a run in the place of an earlier one with the same key, and write the file in one step."""
+    results["runs"] = [old for old in results["runs"] if any(old[k] != row[k] for k in key)] + [row]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_suffix(".part")
+    temporary.write_text(json.dumps(rounded(results), indent=1) + "\n")
+    os.replace(temporary, path)
 
 
 def _children_cpu_s() -> float:

@@ -52,8 +52,7 @@ def network(run: Run) -> Outcome:
     if found.model is not None:
         poses, reach = found.model.cam_from_world, found.model.reach()
         save_npz(run.path("network", "model.npz"), cam_from_world=poses, reach=reach, trusted=found.trusted)
-        sights = found.model.sights()
-        save_npz(run.path("network", "sights.npz"), start=sights.start, point=sights.point)
+        save_npz(run.path("network", "sights.npz"), **found.model.sights().to_npz())
     write_atomic(run.path("network.csv"), found.pairs.to_csv(scene.names))
     write_atomic(run.path("network", "scene.json"), found.scene.to_json())
     cut = [{"number": k, "name": s.name, "kind": s.kind} for k, s in enumerate(found.sections)]
@@ -165,7 +164,7 @@ def _sights(run: Run) -> Sights | None:
     if not path.exists():
         return None
     with np.load(path) as data:
-        return Sights(data["start"], data["point"])
+        return Sights.from_npz(dict(data))
 
 
 def _table(funnel: dict[str, int]) -> dict:
