@@ -162,6 +162,8 @@ def _chosen(matched: Run, method: str, share: float, seed: int) -> Choice:
             settings = DesignSettings(method=method, pairs_per_image=_top(matched, count))
         elif share:  # a budget of pairs to the pair
             settings = DesignSettings(method=method, budget="seconds", seconds=count, pairs_per_second=1.0)
+        if method.startswith("fuse2014"):
+            pairs = matched.with_accuracy()
         found = design(pairs, matched.scene, matched.ties, settings, matched.sights)
         rows, counts = np.flatnonzero(found.pairs.dropped == 0), dict(found.counts)
     return Choice(method, share, seed, rows, time.process_time() - began, counts)

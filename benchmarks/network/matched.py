@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pycolmap
@@ -11,6 +13,7 @@ from scipy.sparse import coo_array, csr_matrix, vstack
 from scipy.sparse.csgraph import connected_components
 
 from tiegraph.features.database import pair_ids, reading
+from tiegraph.pipeline.accuracy import with_accuracy
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Sights, Ties
@@ -44,6 +47,14 @@ class Run:
             Ties.from_npz(_npz(folder / "network" / "ties.npz")),
             Sights.from_npz(_npz(sights)) if sights.exists() else None,
         )
+
+    def with_accuracy(self) -> Pairs:
+        """The pairs with the accuracy that paper 002 gives them."""
+
+        def in_turn(function: Callable[..., Any], items: Sequence[Any], *args: Any) -> list[Any]:
+            return [function(item, *args) for item in items]
+
+        return with_accuracy(self.pairs, self.scene, self.ties, self.folder, in_turn)
 
     def settings(self) -> SparseSettings:
         """Those of the mapping: the defaults, no GNSS, so that only the pairs count."""
