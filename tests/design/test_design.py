@@ -150,8 +150,11 @@ def test_an_image_that_hangs_by_little_does_not_rule_the_loss_of_a_known_rig() -
     ties = Ties.make(i, j, [strong, strong, strong + 100, strong[:1]])
     candidates = Candidates.make(i, j, ties.counts().astype(float), ties, 5)
     chosen = np.array([True, True, False, True])
-    alone = Predictor(candidates).loss(chosen, 1.0)
-    held = Predictor(candidates, np.array([0, 0, 1, 1, 2])).loss(chosen, 1.0)
+
+    def loss(predictor: Predictor) -> float:
+        return float(np.sqrt(predictor.variance(chosen) / predictor.variance(np.ones(4, bool)))) - 1
+
+    alone, held = loss(Predictor(candidates)), loss(Predictor(candidates, np.array([0, 0, 1, 1, 2])))
     assert 0 <= alone < 0.02, "the loose image is nearly all of the variance, with and without the third pair"
     assert 0.1 < held < 0.6
 

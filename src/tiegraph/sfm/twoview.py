@@ -19,7 +19,8 @@ _ITERATIONS = 20
 @dataclass(frozen=True)
 class TwoView:
     """``moved``: |T - T'| of unit bases, T of the reconstruction from the essential matrix, T' after the adjustment
-    (paper 002, section 2.4); ``range``: mean distance of the points from the first image, in bases (its equation 1)."""
+    (paper 002, section 2.4); ``range``: distance of the points from the first image, in bases (its equation 1, but the
+    median: at a short base a few points come out so far away that they alone make the mean)."""
 
     moved: float
     range: float
@@ -56,7 +57,7 @@ def two_view(
     moved = _adjusted((xy_a[good][ahead], xy_b[good][ahead]), (camera_a, camera_b), b_from_a, xyz)
     before = b_from_a[:3, 3] / np.linalg.norm(b_from_a[:3, 3])
     after = moved / max(float(np.linalg.norm(moved)), 1e-12)
-    distance = float(np.mean(np.linalg.norm(xyz, axis=1)))
+    distance = float(np.median(np.linalg.norm(xyz, axis=1)))
     return TwoView(float(np.linalg.norm(before - after)), distance)
 
 
