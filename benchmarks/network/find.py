@@ -26,7 +26,7 @@ from benchmarks import datasets, run
 from benchmarks.network import overlap as truths
 from benchmarks.network.lists import METHODS as LISTS
 from benchmarks.network.lists import NEED_PREVIEWS
-from benchmarks.network.measure import measured
+from benchmarks.network.measure import add_row, measured, run_tiegraph
 from tiegraph.errors import InputError
 from tiegraph.pipeline import STAGES
 from tiegraph.scene.pairs import Pairs
@@ -71,7 +71,7 @@ def main(argv: list[str] | None = None) -> int:
             dataset = datasets.load(name, Path(folder) / "inputs")
             work = (args.keep or Path(folder)) / name
             work.mkdir(parents=True, exist_ok=True)
-            base = _tiegraph(dataset, work / "base", ["--until", "preview"])
+            base = run_tiegraph(dataset, work / "base", ["--until", "preview"])
             scene = Scene.from_json((work / "base" / "out" / "scene.json").read_text())
             database = _exhaustive_database(dataset, work, args)
             truth = _truth(dataset, scene, database)
@@ -83,7 +83,7 @@ def main(argv: list[str] | None = None) -> int:
                     row |= _verified(method, row, work / method, truth, database)
                 failed |= row["status"] != "done"
                 row.pop("out", None)
-                _add(results, row, args.output)
+                add_row(results, row, ("set", "method"), args.output)
                 sys.stderr.write(f"{name} {method}: {row['status']}\n")
     sys.stdout.write(markdown(results) + "\n")
     return int(failed)
@@ -137,38 +137,14 @@ def _found(
             said["peak_mib"] = max(said["peak_mib"], base["peak_mib"])
     else:
         options = [] if method == TIEGRAPH else ["--preset", method]
-        said = _tiegraph(dataset, work / method, [*options, "--until", "network"], args.timeout)
+        said = run_tiegraph(dataset, work / method, [*options, "--until", "network"], args.timeout)
         if args.verified and said["returncode"] == 0:
             last = "verify" if any(stage.name == "verify" for stage in STAGES) else "match"
-            more = _tiegraph(dataset, work / method, [*options, "--until", last], args.timeout)
+            more = run_tiegraph(dataset, work / method, [*options, "--until", last], args.timeout)
             said["verified_cpu_s"] = more["cpu_s"]
     code = said.pop("returncode")
     status = {"status": "done"} if code == 0 else {"status": "timeout" if code is None else "failed"}
     return {**status, **said}
-
-
-def _tiegraph(dataset: datasets.Dataset, folder: Path, options: list[str], timeout_s: float = 7200.0) -> dict[str, Any]:
-    """``tiegraph run`` with the files a user has; CPU and memory of all stages so far, by their receipts (a run that
-    continues another then costs what both cost) and not less than the process tree itself needed."""
-    folder.mkdir(parents=True, exist_ok=True)
-    files = {"rig": dataset.rig, "gnss": dataset.gnss, "trajectory": dataset.trajectory, "times": dataset.times}
-    command = [str(Path(sys.executable).with_name("tiegraph")), "run", str(dataset.images), "-o", str(folder / "out")]
-    for name, value in files.items():
-        if value is not None:
-            # Copied: a temporary path that changes from run to run would make the folder start anew.
-            if isinstance(value, Path):
-                kept = folder / value.name
-                if not kept.exists():
-                    shutil.copy(value, kept)
-                value = kept
-            command += [f"--{name}", str(value)]
-    said = measured([*command, *options], folder / "log.txt", timeout_s)
-    spent = [json.loads(p.read_text()) for p in sorted((folder / "out" / "receipts").glob("*.json"))]
-    spent = [r for r in spent if "finished" in r]
-    said["stages"] = [{k: r[k] for k in ("stage", "seconds", "cpu_s", "peak_mib", "counts")} for r in spent]
-    said["cpu_s"] = max(said["cpu_s"], sum(r["cpu_s"] for r in spent))
-    said["peak_mib"] = max([said["peak_mib"], *(r["peak_mib"] for r in spent)])
-    return said
 
 
 def _exhaustive_database(dataset: datasets.Dataset, work: Path, args: argparse.Namespace) -> Path | None:
@@ -302,16 +278,6 @@ def _verified(method: str, row: dict[str, Any], folder: Path, truth: Truth, data
 
 
 # ---------------------------------------------------------------------------------------------- results
-
-
-def _add(results: dict[str, Any], row: dict[str, Any], path: Path) -> None:
-    """Add a run in the place of an earlier one of the same set and method, and write the file in one step."""
-    others = [r for r in results["runs"] if (r["set"], r["method"]) != (row["set"], row["method"])]
-    results["runs"] = [*others, row]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_suffix(".part")
-    temporary.write_text(json.dumps(run._rounded(results), indent=1) + "\n")
-    os.replace(temporary, path)
 
 
 def markdown(results: dict[str, Any]) -> str:

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import os
 import resource
+import shutil
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
+
+from benchmarks.datasets import Dataset
+from benchmarks.run import _rounded as rounded
 
 _POLL_S = 0.5
 
@@ -38,6 +44,39 @@ def measured(command: list[str], log: Path, timeout_s: float = 7200.0) -> dict[s
     return {
         "returncode": returncode, "wall_s": wall_s, "cpu_s": _children_cpu_s() - before, "peak_mib": peak
     }  # fmt: skip
+
+
+def run_tiegraph(dataset: Dataset, folder: Path, options: list[str], timeout_s: float = 7200.0) -> dict[str, Any]:
+    """``tiegraph run`` with the files a user has; CPU and memory of all stages so far, by their receipts (a run that
+    continues another then costs what both cost) and not less than the process tree itself needed."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files = {"rig": dataset.rig, "gnss": dataset.gnss, "trajectory": dataset.trajectory, "times": dataset.times}
+    command = [str(Path(sys.executable).with_name("tiegraph")), "run", str(dataset.images), "-o", str(folder / "out")]
+    for name, value in files.items():
+        if value is not None:
+            # Copied: a temporary path that changes from run to run would make the folder start anew.
+            if isinstance(value, Path) and value.is_file():
+                kept = folder / value.name
+                if not kept.exists():
+                    shutil.copy(value, kept)
+                value = kept
+            command += [f"--{name}", str(value)]
+    said = measured([*command, *options], folder / "log.txt", timeout_s)
+    spent = [json.loads(p.read_text()) for p in sorted((folder / "out" / "receipts").glob("*.json"))]
+    spent = [r for r in spent if "finished" in r]
+    said["stages"] = [{k: r[k] for k in ("stage", "seconds", "cpu_s", "peak_mib", "counts")} for r in spent]
+    said["cpu_s"] = max(said["cpu_s"], sum(r["cpu_s"] for r in spent))
+    said["peak_mib"] = max([said["peak_mib"], *(r["peak_mib"] for r in spent)])
+    return said
+
+
+def add_row(results: dict[str, Any], row: dict[str, Any], key: tuple[str, ...], path: Path) -> None:
+    """Add a run in the place of an earlier one with the same key, and write the file in one step."""
+    results["runs"] = [old for old in results["runs"] if any(old[k] != row[k] for k in key)] + [row]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_suffix(".part")
+    temporary.write_text(json.dumps(rounded(results), indent=1) + "\n")
+    os.replace(temporary, path)
 
 
 def _children_cpu_s() -> float:

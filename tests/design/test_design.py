@@ -144,6 +144,21 @@ def test_hybrid_predicts_less_loss_than_top_at_the_same_number_of_pairs() -> Non
     assert variance(pairs) < variance(own) < 0.95 * variance(top)
 
 
+def test_an_image_that_hangs_by_little_does_not_rule_the_loss_of_a_known_rig() -> None:
+    i, j = np.array([0, 2, 0, 1]), np.array([2, 4, 4, 3])  # images 0, 2, 4 see much; 1 and 3 of the same frames little
+    strong = np.stack([np.arange(40)] * 2, axis=1)
+    ties = Ties.make(i, j, [strong, strong, strong + 100, strong[:1]])
+    candidates = Candidates.make(i, j, ties.counts().astype(float), ties, 5)
+    chosen = np.array([True, True, False, True])
+
+    def loss(predictor: Predictor) -> float:
+        return float(np.sqrt(predictor.variance(chosen) / predictor.variance(np.ones(4, bool)))) - 1
+
+    alone, held = loss(Predictor(candidates)), loss(Predictor(candidates, np.array([0, 0, 1, 1, 2])))
+    assert 0 <= alone < 0.02, "the loose image is nearly all of the variance, with and without the third pair"
+    assert 0.1 < held < 0.6
+
+
 def test_budgets_of_pairs_and_seconds_are_kept_to() -> None:
     scene, pairs, ties = corridor()
     by_pairs = design(pairs, scene, ties, DesignSettings(budget="pairs", pairs_per_image=6))

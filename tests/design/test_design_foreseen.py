@@ -1,27 +1,66 @@
 """Expected matches of pairs that were never previewed, from the points both images see."""
 
 import numpy as np
+import pytest
 
-from tiegraph.design.foreseen import foreseen_ties
+from tiegraph.design.foreseen import foresee
 from tiegraph.scene.ties import Sights
 
+NOT_PREVIEWED = np.full(3, np.nan)
 
-def sights() -> Sights:
+
+def sights(x: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Sights:
+    """Three images on a line before a wall 10 away; the first two share 200 points, the third sees others."""
     points = [np.arange(0, 400), np.arange(200, 600), np.arange(1000, 1100)]
-    return Sights(np.cumsum([0] + [len(p) for p in points]), np.concatenate(points))
+    xyz = np.random.default_rng(0).uniform((-3, -3, 10), (3, 3, 10), (1100, 3))
+    centre = np.array([[v, 0.0, 0.0] for v in x])
+    return Sights(np.cumsum([0] + [len(p) for p in points]), np.concatenate(points), xyz, centre)
 
 
-def test_as_many_matches_as_expected_among_the_common_points() -> None:
-    ties = foreseen_ties(np.array([0, 0, 1]), np.array([1, 2, 2]), np.array([50.0, 10.0, 10.0]), sights())
-    assert ties.i.tolist() == [0] and ties.j.tolist() == [1]  # the others share nothing
-    assert 30 <= ties.counts()[0] <= 70
-    left, right = ties.of(0).T
+def test_matches_are_among_the_common_points_and_always_the_same() -> None:
+    found = foresee(np.array([0, 0, 1]), np.array([1, 2, 2]), NOT_PREVIEWED, sights())
+    assert found.ties.i.tolist() == [0] and found.ties.j.tolist() == [1]  # the others share nothing
+    assert np.isnan(found.expected).tolist() == [False, True, True]
+    assert 70 <= found.ties.counts()[0] <= 130  # half of 200
+    left, right = found.ties.of(0).T
     assert np.array_equal(sights().of(0)[left], sights().of(1)[right])
     assert left.min() >= 200
+    again = foresee(np.array([0, 0, 1]), np.array([1, 2, 2]), NOT_PREVIEWED, sights())
+    assert np.array_equal(found.ties.matches, again.ties.matches)
 
 
-def test_never_more_than_there_are_and_always_the_same() -> None:
-    pair = np.array([0]), np.array([1]), np.array([9999.0])
-    assert foreseen_ties(*pair, sights()).counts().tolist() == [200]
-    few = np.array([0]), np.array([1]), np.array([20.0])
-    assert np.array_equal(foreseen_ties(*few, sights()).matches, foreseen_ties(*few, sights()).matches)
+def test_fewer_where_the_rays_meet_at_a_larger_angle() -> None:
+    pair = np.array([0]), np.array([1]), np.array([np.nan])
+    counts = [foresee(*pair, sights((0.0, base, 0.0))).expected[0] for base in (0.0, 2.0, 6.0)]
+    assert counts[0] == pytest.approx(200) and 0.4 * counts[0] < counts[1] < 0.9 * counts[0]
+    assert counts[2] < 0.2 * counts[0]
+
+
+def test_the_previewed_pairs_tell_how_fast_chances_fall() -> None:
+    n, rng = 60, np.random.default_rng(1)
+    xyz = rng.uniform((-10, -3, 10), (70, 3, 10), (4000, 3))
+    centre = np.stack([np.arange(n, dtype=float), np.zeros(n), np.zeros(n)], axis=1)
+    own = [np.flatnonzero(np.abs(xyz[:, 0] - c) < 10) for c in centre[:, 0]]
+    seen = Sights(np.cumsum([0] + [len(p) for p in own]), np.concatenate(own), xyz, centre)
+    i, j = np.triu_indices(n, 1)
+    near = j - i < 15
+    i, j = i[near], j[near]
+
+    def true(width_deg: float) -> np.ndarray:
+        out = []
+        for a, b in zip(i, j):
+            p = np.intersect1d(own[a], own[b])
+            rays = [xyz[p] - centre[k] for k in (a, b)]
+            far = [np.linalg.norm(r, axis=1) for r in rays]
+            angle = np.degrees(np.arccos(np.sum(rays[0] * rays[1], axis=1) / far[0] / far[1]))
+            octaves = np.log2(far[0] / far[1])
+            out.append(8 + 0.2 * np.sum(np.exp(-((angle / width_deg) ** 2) - (octaves / 0.7) ** 2)))
+        return np.array(out)
+
+    for width in (10.0, 28.0):
+        count = true(width)
+        known = np.where(rng.random(len(i)) < 0.3, rng.poisson(count), np.nan)
+        found = foresee(i, j, known, seen).expected
+        hidden = np.isnan(known) & (count > 20)
+        assert np.corrcoef(found[hidden], count[hidden] - 8)[0, 1] > 0.98
+        assert np.median(found[hidden] / (count[hidden] - 8)) == pytest.approx(1.0, abs=0.15)

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from tiegraph.design.coverage import coverage
-from tiegraph.design.expected import expected_matches
-from tiegraph.design.foreseen import foreseen_ties
+from tiegraph.design.expected import counted_matches, expected_matches
+from tiegraph.design.foreseen import foresee
 from tiegraph.design.fuse2014 import fuse2014
 from tiegraph.design.hybrid import Budget, Choice, choose
 from tiegraph.design.settings import DesignSettings
@@ -50,14 +50,17 @@ def design(
         thin = fuse2014(pairs, scene, expected, safe=settings.method == "fuse2014_safe")
         return _judged(pairs, thin.pairs, scene, thin.notes, dict(thin.counts))
     i, j, strength = pairs.i[kept], pairs.j[kept], expected[kept]
+    known = ties
+    if sights is not None:
+        seen = foresee(i, j, counted_matches(pairs, ties)[kept], sights)
+        known, strength = seen.ties, np.where(np.isfinite(seen.expected), seen.expected, strength)
     start = _start(i, j, strength, scene)
     if settings.method == "top":
         chosen = np.union1d(start, strongest_places(i, j, strength, scene, settings.pairs_per_image))
         choice = Choice(chosen, np.nan, 0)
     else:
-        known = ties if sights is None else foreseen_ties(i, j, strength, sights)
         candidates = Candidates.make(i, j, strength, known, len(scene))
-        choice = choose(candidates, start, _budget(settings, scene), by_tracks=settings.method == "hybrid")
+        choice = choose(candidates, start, _budget(settings, scene), settings.method == "hybrid", _units(scene))
     second = _second_links(i, j, strength, choice.places, scene)
     keep = np.zeros(len(pairs), bool)
     keep[kept[np.concatenate([choice.places, second])]] = True
@@ -66,6 +69,12 @@ def design(
         counts["predicted_loss_percent"] = round(100 * choice.loss, 2)
     notes = _budget_notes(choice, settings, len(start), len(kept), len(scene))
     return _judged(pairs, pairs.drop(~keep, "cut"), scene, notes, counts)
+
+
+def _units(scene: Scene) -> np.ndarray:
+    """(N,) images that move as one: those of a frame whose rig is known; others have numbers of their own."""
+    known = np.array([r.known() for r in scene.rigs], bool)[scene.rig[scene.frame]]
+    return np.where(known, scene.frame, scene.frames + np.arange(len(scene)))
 
 
 def _budget(settings: DesignSettings, scene: Scene) -> Budget:

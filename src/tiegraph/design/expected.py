@@ -20,15 +20,20 @@ def expected_matches(pairs: Pairs, ties: Ties | None) -> np.ndarray:
     monotone curve through bins); else the median of what is known. A measured count below a quarter of what the overlap
     promises is lifted to that.
     """
-    counted = np.full(len(pairs), np.nan)
-    if ties is not None and len(ties):
-        row = ties.find(pairs.i, pairs.j)
-        counted = np.where(row >= 0, ties.counts()[row], np.nan)
+    counted = counted_matches(pairs, ties)
     measured = np.where(np.isnan(counted), pairs.score, counted)
     by_overlap = _curve(pairs.overlap, measured)(pairs.overlap)
     usual = float(np.nanmedian(measured)) if np.isfinite(measured).any() else 1.0
     out = np.where(np.isfinite(measured), np.fmax(measured, _FLOOR * by_overlap), by_overlap)
     return np.maximum(np.where(np.isfinite(out), out, usual), 1.0)
+
+
+def counted_matches(pairs: Pairs, ties: Ties | None) -> np.ndarray:
+    """(P,) preview matches of the pairs that were previewed, NaN for the others."""
+    if ties is None or not len(ties):
+        return np.full(len(pairs), np.nan)
+    row = ties.find(pairs.i, pairs.j)
+    return np.where(row >= 0, ties.counts()[row], np.nan)
 
 
 class _Curve:

@@ -1,31 +1,119 @@
 """The matches a pair may be expected to have, from the points of the preview model that both images should see.
 
-Only a part of the candidates is ever previewed. Which tracks an unseen pair would join cannot be told from its expected
-number of matches alone; the model's points can tell, for all candidates in the same way.
+Only a part of the candidates is ever previewed, and a preview says little of what full resolution will find. How often
+a point is found again in a second image falls with the angle between the two rays and with the ratio of the distances:
+the previewed pairs tell how fast, and all pairs are foreseen by it in the same way.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from scipy.optimize import nnls
 
 from tiegraph.scene.ties import Sights, Ties
 
 _MIX = (np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB))  # splitmix64
+_FOUND_AGAIN = 0.5  # of the points both images see, at equal angle and distance: 0.7 in each (SIFT's repeatability)
+_ANGLES_DEG = (3.5, 5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0)  # tried: where chances fall to 1 / e
+_OCTAVES = (0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 3.0)
+_USUAL = (20.0, 0.7)  # where too few pairs were previewed to tell
+_CELL_DEG, _CELL_OCTAVES, _CELLS = 1.75, 0.1, (40, 30)  # of the tables the law is fitted to
+_SAMPLE = 3000  # previewed pairs are enough for its four numbers
+_FEWEST = 30
+_POISSON = 5.0  # matches: the variance of a count is itself, and not less than this
 
 
-def foreseen_ties(i: np.ndarray, j: np.ndarray, expected: np.ndarray, sights: Sights) -> Ties:
-    """Ties of pairs i < j (P,): of the points both images see, as many as matches are expected (P,), chosen at random
-    but always the same ones. Pairs without a common point have none and are left out."""
+@dataclass(frozen=True)
+class Foreseen:
+    """``ties`` of the pairs with a common point, ``expected`` (P,) preview matches of them, NaN for the others."""
+
+    ties: Ties
+    expected: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Law:
+    """Matches of a preview = by_chance + rate * sum over common points of exp(-(angle / a)^2 - (octaves / o)^2)."""
+
+    angle_deg: float
+    octaves: float
+    rate: float
+    by_chance: float
+
+    def likely(self, angle_deg: np.ndarray, octaves: np.ndarray) -> np.ndarray:
+        """(K,) how likely points are found again, 1 where angle and distance are equal."""
+        return np.exp(-((angle_deg / self.angle_deg) ** 2) - (octaves / self.octaves) ** 2)
+
+
+def foresee(i: np.ndarray, j: np.ndarray, measured: np.ndarray, sights: Sights) -> Foreseen:
+    """Ties and expected matches of pairs i < j (P,); ``measured`` (P,) preview matches, NaN = not previewed.
+
+    Which of the common points match is drawn at random, but always in the same way, with the chance of each point. A
+    measured count and what the points promise are taken together by their geometric mean.
+    """
+    law = _fitted(i, j, measured, sights)
+    expected = np.full(len(i), np.nan)
     kept_i, kept_j, matches = [], [], []
-    for a, b, count in zip(i.tolist(), j.tolist(), expected.tolist()):
-        common, left, right = np.intersect1d(sights.of(a), sights.of(b), assume_unique=True, return_indices=True)
+    for n, (a, b) in enumerate(zip(i.tolist(), j.tolist())):
+        common, left, right, likely = _common(a, b, sights, law)
         if not len(common):
             continue
-        chosen = _uniform(common, a, b) < count / len(common)
+        promised = law.rate * float(likely.sum())
+        count = promised
+        if np.isfinite(measured[n]):
+            count = float(np.sqrt((max(measured[n] - law.by_chance, 0.0) + 1.0) * (promised + 1.0))) - 1.0
+        expected[n] = max(count, 1.0)
+        chosen = _uniform(common, a, b) < _FOUND_AGAIN * likely * min(count / max(promised, 1e-9), 1 / _FOUND_AGAIN)
         kept_i.append(a)
         kept_j.append(b)
         matches.append(np.stack([left[chosen], right[chosen]], axis=1).astype(np.uint16))
-    return Ties.make(np.array(kept_i, int), np.array(kept_j, int), matches)
+    return Foreseen(Ties.make(np.array(kept_i, int), np.array(kept_j, int), matches), expected)
+
+
+def _common(a: int, b: int, sights: Sights, law: _Law) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Points (K,) both images see, their rows in the two images' sights, and how likely each is found again."""
+    common, left, right = np.intersect1d(sights.of(a), sights.of(b), assume_unique=True, return_indices=True)
+    return common, left, right, law.likely(*_geometry(common, a, b, sights))
+
+
+def _geometry(common: np.ndarray, a: int, b: int, sights: Sights) -> tuple[np.ndarray, np.ndarray]:
+    """(K,) angles between the rays of two images to their common points, degrees; octaves between the distances."""
+    ray_a, ray_b = sights.xyz[common] - sights.centre[a], sights.xyz[common] - sights.centre[b]
+    far_a, far_b = np.linalg.norm(ray_a, axis=1), np.linalg.norm(ray_b, axis=1)
+    cosine = np.sum(ray_a * ray_b, axis=1) / np.maximum(far_a * far_b, 1e-12)
+    octaves = np.abs(np.log2(np.maximum(far_a, 1e-12) / np.maximum(far_b, 1e-12)))
+    return np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))), octaves
+
+
+def _fitted(i: np.ndarray, j: np.ndarray, measured: np.ndarray, sights: Sights) -> _Law:
+    """The law that explains the previewed pairs best (weighted least squares, no number below zero)."""
+    known = np.flatnonzero(np.isfinite(measured))
+    if len(known) > _SAMPLE:
+        known = np.random.default_rng(0).choice(known, _SAMPLE, replace=False)
+    table = np.zeros((len(known), _CELLS[0] * _CELLS[1]), np.float32)
+    for n, k in enumerate(known.tolist()):
+        common = np.intersect1d(sights.of(int(i[k])), sights.of(int(j[k])), assume_unique=True)
+        angle, octaves = _geometry(common, int(i[k]), int(j[k]), sights)
+        row = np.minimum((angle / _CELL_DEG).astype(int), _CELLS[0] - 1)
+        column = np.minimum((octaves / _CELL_OCTAVES).astype(int), _CELLS[1] - 1)
+        table[n] = np.bincount(row * _CELLS[1] + column, minlength=table.shape[1])
+    filled = table.any(axis=1)
+    if filled.sum() < _FEWEST:
+        return _Law(*_USUAL, 1.0, 0.0)
+    table, count = table[filled], measured[known][filled]
+    weight = 1.0 / np.sqrt(np.maximum(count, _POISSON))
+    angle = (np.arange(_CELLS[0])[:, None] + 0.5) * _CELL_DEG
+    octave = (np.arange(_CELLS[1])[None] + 0.5) * _CELL_OCTAVES
+    best, least = _Law(*_USUAL, 1.0, 0.0), np.inf
+    for a in _ANGLES_DEG:
+        for o in _OCTAVES:
+            likely = table @ np.exp(-((angle / a) ** 2) - (octave / o) ** 2).ravel()
+            found, residual = nnls(np.stack([likely, np.ones(len(count))], axis=1) * weight[:, None], count * weight)
+            if residual < least and found[0] > 0:
+                best, least = _Law(a, o, float(found[0]), float(found[1])), residual
+    return best
 
 
 def _uniform(point: np.ndarray, a: int, b: int) -> np.ndarray:

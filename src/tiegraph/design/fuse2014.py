@@ -52,13 +52,12 @@ def fuse2014(pairs: Pairs, scene: Scene, expected: np.ndarray, safe: bool) -> Fu
     }
     note = f"fuse2014: {counts['pieces_before']} components of the pairs before, {counts['pieces']} after"
     more = f"; {taken_back} pairs taken back to keep it together" if safe else ""
+    known, all_ = int(np.isfinite(before.sigma_m).sum()), len(before)
     surrogate = (
         ""
-        if np.isfinite(pairs.sigma_m).any()
-        else (
-            "fuse2014: no accuracy of the pairs is known, capacities are matches (B/H)^2 in place of the paper's "
-            "two-view bundle adjustment"
-        )
+        if known == all_
+        else f"fuse2014: capacities by two-view bundle adjustment of {known} of {all_} pairs, of the others matches "
+        "(B/H)^2 in its place"
     )
     return Fuse(thin, tuple(n for n in (note + more, surrogate) if n), counts)
 

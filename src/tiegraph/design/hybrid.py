@@ -34,6 +34,9 @@ _DRIFT = {
     "tree": 1.7,
 }  # power from the ratio of predicted sigmas to that of adjusted ones: ``Predictor``
 
+_RIG_DRIFT = 8.0  # the same for frames of a known rig, whose net is stiffer than their adjustment: 2 on KITTI, 11 on
+# PandaSet, 16 on canal_demo, where rig and intrinsics are adjusted too (design_real.py); too large costs only pairs
+
 
 @dataclass(frozen=True)
 class Choice:
@@ -53,12 +56,15 @@ class Budget:
     loss: float | None = None
 
 
-def choose(candidates: Candidates, start: np.ndarray, budget: Budget, by_tracks: bool = True) -> Choice:
+def choose(
+    candidates: Candidates, start: np.ndarray, budget: Budget, by_tracks: bool = True, unit: np.ndarray | None = None
+) -> Choice:
     """Greedy design from the candidates at start (K,), which must connect what is connectable; never fewer than those.
 
-    ``by_tracks``: gain by new tracks (hybrid), else by matches (tree-connectivity).
+    ``by_tracks``: gain by new tracks (hybrid), else by matches (tree-connectivity). ``unit`` (N,): images of one number
+    move as one (the frame of a known rig); by default each by itself.
     """
-    predictor = Predictor(candidates) if budget.loss is not None else None
+    predictor = Predictor(candidates, unit) if budget.loss is not None else None
     tracks = Tracks(candidates)
     chosen, weight = np.zeros(len(candidates), bool), np.zeros(len(candidates))
     chosen[start] = True
@@ -144,11 +150,16 @@ class Predictor:
 
     Seen pairs count by the tracks they join. What unseen pairs are expected to join, beside the tracks that hold both
     images already, counts one a match, as far as the seen pairs have left tracks of the images apart: a feature counts
-    once, however many pairs hope for it.
+    once, however many pairs hope for it. Images of one ``unit`` share one unknown: of a rig, the positions of frames
+    count, and a camera that sees little hangs on the others.
     """
 
-    def __init__(self, candidates: Candidates) -> None:
+    def __init__(self, candidates: Candidates, unit: np.ndarray | None = None) -> None:
         self._candidates = candidates
+        n = candidates.images
+        number = np.arange(n) if unit is None else np.unique(unit, return_inverse=True)[1]
+        self._rigid = int(number.max(initial=-1)) + 1 < n
+        self._unit = csr_array((np.ones(n), (number, np.arange(n))), shape=(int(number.max(initial=-1)) + 1, n))
         tracks = _joined(candidates, np.ones(len(candidates), bool))
         self._final = tracks.pieces()
         self._all = self.variance(np.ones(len(candidates), bool), tracks)
@@ -167,7 +178,7 @@ class Predictor:
         losses of 5 to 30 % (benchmarks/network/design_simulated.py). Where few pairs were seen the net makes losses too
         large instead, and the power goes down to 1.
         """
-        power = 1.0 + (drift - 1.0) * self._seen**2
+        power = 1.0 + ((_RIG_DRIFT if self._rigid else drift) - 1.0) * self._seen**2
         value = self.variance(chosen, tracks)
         return max((value / self._all) ** (0.5 * power) - 1.0, 0.0) if self._all > 0 else 0.0
 
@@ -186,7 +197,7 @@ class Predictor:
             share = np.minimum(apart / np.maximum(asked, 1e-9), 1.0)
             new *= np.maximum(np.minimum(share[i], share[j]), _LEAST)
             matrix = csr_array(matrix + laplacian(i, j, new, c.images))
-        return Net(matrix).variance()
+        return Net(csr_array(self._unit @ matrix @ self._unit.T)).variance()
 
 
 def _joined(candidates: Candidates, chosen: np.ndarray) -> Tracks:

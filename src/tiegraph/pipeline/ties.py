@@ -20,6 +20,7 @@ from tiegraph.network.model.surveymodel import SurveyModel
 from tiegraph.network.network import estimate_network
 from tiegraph.network.pictures import map_png, weak_pairs
 from tiegraph.network.sections.light import UpLight
+from tiegraph.pipeline.accuracy import with_accuracy
 from tiegraph.pipeline.capture import preview_path
 from tiegraph.pipeline.files import checked, pairs_of, read_mask, save_npz, scanned, ties_of
 from tiegraph.project.run import Run, save_json
@@ -52,8 +53,7 @@ def network(run: Run) -> Outcome:
     if found.model is not None:
         poses, reach = found.model.cam_from_world, found.model.reach()
         save_npz(run.path("network", "model.npz"), cam_from_world=poses, reach=reach, trusted=found.trusted)
-        sights = found.model.sights()
-        save_npz(run.path("network", "sights.npz"), start=sights.start, point=sights.point)
+        save_npz(run.path("network", "sights.npz"), **found.model.sights().to_npz())
     write_atomic(run.path("network.csv"), found.pairs.to_csv(scene.names))
     write_atomic(run.path("network", "scene.json"), found.scene.to_json())
     cut = [{"number": k, "name": s.name, "kind": s.kind} for k, s in enumerate(found.sections)]
@@ -141,7 +141,10 @@ def _read_preview(folder: Path, name: str) -> Preview:
 def design(run: Run) -> Outcome:
     """Which of the candidate pairs are matched at full resolution; COLMAP pair lists, one a section and one for all."""
     scene = checked(run)
-    made = select_pairs(pairs_of(run, "network.npz"), scene, ties_of(run), run.settings.design, _sights(run))
+    candidates, ties = pairs_of(run, "network.npz"), ties_of(run)
+    if run.settings.design.method.startswith("fuse2014"):
+        candidates = with_accuracy(candidates, scene, ties, run.folder, run.map)
+    made = select_pairs(candidates, scene, ties, run.settings.design, _sights(run))
     pairs = made.pairs
     save_npz(run.path("pairs.npz"), **pairs.to_npz())
     write_atomic(run.path("pairs.txt"), pairs.to_text(scene.names))
@@ -165,7 +168,7 @@ def _sights(run: Run) -> Sights | None:
     if not path.exists():
         return None
     with np.load(path) as data:
-        return Sights(data["start"], data["point"])
+        return Sights.from_npz(dict(data))
 
 
 def _table(funnel: dict[str, int]) -> dict:

@@ -87,8 +87,19 @@ class Sights:
     """Points each image sees: those of image k are ``point[start[k]:start[k + 1]]``, increasing."""
 
     start: np.ndarray  # (N + 1,)
-    point: np.ndarray  # (S,)
+    point: np.ndarray  # (S,) rows of xyz
+    xyz: np.ndarray  # (P, 3) in the model's frame and units
+    centre: np.ndarray  # (N, 3) of the images, NaN = not in the model
 
     def of(self, image: int) -> np.ndarray:
         """Points of an image."""
         return self.point[self.start[image] : self.start[image + 1]]
+
+    def to_npz(self) -> dict[str, np.ndarray]:
+        """Columns for ``np.savez``."""
+        return {"start": self.start, "point": self.point, "xyz": self.xyz, "centre": self.centre}
+
+    @staticmethod
+    def from_npz(data: dict[str, np.ndarray]) -> Sights:
+        """Inverse of ``to_npz``."""
+        return Sights(**{n: data[n] for n in ("start", "point", "xyz", "centre")})

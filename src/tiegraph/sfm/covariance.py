@@ -47,7 +47,7 @@ def position_sigma(
     truth. False matches and correlated key point errors are not in it: it is a lower bound. (pycolmap's
     estimate_ba_covariance refuses rigs.) Raises ValueError for a model without redundancy.
     """
-    layout = _Layout(model, free_intrinsics, free_rig)
+    layout = Layout(model, free_intrinsics, free_rig)
     if len(layout.frame_ids) < 3:
         raise ValueError("needs at least 3 frames")
     points, share = _sample(model)
@@ -57,13 +57,13 @@ def position_sigma(
         raise ValueError("no redundancy")
     # A robust variance: the adjustment was robust too, and a few bad observations must not widen every sigma.
     variance = max((1.4826 * float(np.median(np.abs(residual)))) ** 2 * len(residual) / redundancy, 1e-12)
-    normal = _reduced(jc, jp) / share / variance + layout.prior()
-    covariance = _positions_free_gauge(normal, layout)
+    normal = reduced(jc, jp) / share / variance + layout.prior()
+    covariance = positions_free_gauge(normal, layout)
     diagonal = np.clip(np.diag(covariance), 0, None).reshape(-1, 3)
     return PositionSigma(layout.frame_ids, np.sqrt(diagonal), float(np.sqrt(variance)))
 
 
-class _Layout:
+class Layout:
     """Columns of the unknowns: six a frame (shift of its centre, rotation), six a sensor, then the intrinsics."""
 
     def __init__(self, model: pycolmap.Reconstruction, free_intrinsics: bool, free_rig: bool) -> None:
@@ -108,7 +108,7 @@ def _sample(model: pycolmap.Reconstruction) -> tuple[list[int], float]:
 
 
 def _jacobians(
-    model: pycolmap.Reconstruction, layout: _Layout, point_ids: list[int]
+    model: pycolmap.Reconstruction, layout: Layout, point_ids: list[int]
 ) -> tuple[sparse.csr_matrix, sparse.csr_matrix, np.ndarray]:
     """Jacobians of all observations to poses and intrinsics (2O, C) and to points (2O, 3P), and residuals (2O,)."""
     seen: dict[int, list[tuple[int, np.ndarray, np.ndarray]]] = {}
@@ -119,7 +119,7 @@ def _jacobians(
             seen.setdefault(element.image_id, []).append((k, point.xyz, xy))
     parts_c, parts_p, residuals = [], [], []
     for image_id, rows in sorted(seen.items()):
-        dense, columns, of_point, residual = _of_image(model, layout, model.image(image_id), rows)
+        dense, columns, of_point, residual = of_image(model, layout, model.image(image_id), rows)
         count = len(residual)
         index = np.repeat(np.arange(2 * count), len(columns))
         parts_c.append(
@@ -135,8 +135,8 @@ def _jacobians(
     return sparse.vstack(parts_c).tocsr(), sparse.vstack(parts_p).tocsr(), np.concatenate(residuals)
 
 
-def _of_image(
-    model: pycolmap.Reconstruction, layout: _Layout, image: pycolmap.Image, rows: list
+def of_image(
+    model: pycolmap.Reconstruction, layout: Layout, image: pycolmap.Image, rows: list
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Jacobian (O, 2, D) over the columns (D,), Jacobian to the points (O, 2, 3) and residuals (O, 2) of one image.
 
@@ -201,7 +201,7 @@ def _by_params(camera: pycolmap.Camera, xyz: np.ndarray) -> np.ndarray:
     return out
 
 
-def _reduced(jc: sparse.csr_matrix, jp: sparse.csr_matrix) -> np.ndarray:
+def reduced(jc: sparse.csr_matrix, jp: sparse.csr_matrix) -> np.ndarray:
     """Reduced camera system: Jc'Jc - Jc'Jp (Jp'Jp)^-1 Jp'Jc, dense."""
     points = jp.shape[1] // 3
     blocks = (jp.T @ jp).tobsr(blocksize=(3, 3))
@@ -213,7 +213,7 @@ def _reduced(jc: sparse.csr_matrix, jp: sparse.csr_matrix) -> np.ndarray:
     return (jc.T @ jc - cross @ h_inv @ cross.T).toarray()
 
 
-def _positions_free_gauge(normal: np.ndarray, layout: _Layout) -> np.ndarray:
+def positions_free_gauge(normal: np.ndarray, layout: Layout) -> np.ndarray:
     """Covariance (3F, 3F) of the positions, with similarities of the whole taken out (S-transformation).
 
     The seven gauge directions span the null space of ``normal`` (6 of them where a fixed rig holds the scale). Any

@@ -58,7 +58,7 @@ class SurveyModel:
 
     def sights(self) -> Sights:
         """The points each image should see."""
-        return Sights(*visible_points(self.cam_from_world, self.cameras, self.proxy()))
+        return visible_points(self.cam_from_world, self.cameras, self.proxy())
 
 
 # Scene and ties of the survey, or of a block of it; whether a rough model will do. None = none could be made.

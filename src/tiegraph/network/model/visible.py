@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 from tiegraph.geometry import transforms
 from tiegraph.network.model.proxy import Proxy, assumed_proxy, observed_proxy, points_proxy
 from tiegraph.network.model.view import View
+from tiegraph.scene.ties import Sights
 
 __all__ = ["Overlap", "Proxy", "assumed_proxy", "observed_proxy", "points_proxy", "shared_surface"]
 
@@ -168,19 +169,18 @@ def shared_surface(
     return Overlap(known[found.i], known[found.j], found.share, found.angle_deg, found.scale)
 
 
-def visible_points(
-    cam_from_world: np.ndarray, cameras: Sequence[pycolmap.Camera | None], proxy: Proxy
-) -> tuple[np.ndarray, np.ndarray]:
-    """Which points of a proxy each image sees: ``start`` (N + 1,), ``point`` (S,) increasing within an image, numbered
-    among those that were looked at (a random part of very many)."""
+def visible_points(cam_from_world: np.ndarray, cameras: Sequence[pycolmap.Camera | None], proxy: Proxy) -> Sights:
+    """Which points of a proxy each image sees; of very many points a random part."""
+    centre = transforms.centre(cam_from_world)
     known = np.flatnonzero(np.isfinite(cam_from_world[:, :3]).all(axis=(1, 2)))
     if not len(known) or not len(proxy):
-        return np.zeros(len(cam_from_world) + 1, np.int64), np.zeros(0, np.int32)
+        none = np.zeros(0, np.int32)
+        return Sights(np.zeros(len(cam_from_world) + 1, np.int64), none, np.zeros((0, 3)), centre)
     seen = _all_sights(_eyes(cam_from_world, cameras, known, 0.0), known, proxy)
     image = known[seen.image]
     order = np.lexsort((seen.point, image))
     start = np.searchsorted(image[order], np.arange(len(cam_from_world) + 1))
-    return start, seen.point[order].astype(np.int32)
+    return Sights(start, seen.point[order].astype(np.int32), seen.points, centre)
 
 
 def _eyes(

@@ -1,0 +1,62 @@
+"""Glue of paper 002's design: the accuracy of every previewed pair, by a bundle adjustment of its two images."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tiegraph.features.preview import Preview
+from tiegraph.pipeline.capture import preview_path
+from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.scene import Scene
+from tiegraph.scene.ties import Ties
+from tiegraph.sfm.twoview import MIN_POINTS, TwoView, two_view
+
+_CACHED_PREVIEWS = 1024
+
+
+def with_accuracy(pairs: Pairs, scene: Scene, ties: Ties, folder: Path, run_map: Callable[..., list[Any]]) -> Pairs:
+    """The pairs with ``sigma_m`` (how far the adjustment moves the base) and ``h_over_b`` of those that were previewed.
+
+    The base between two frames of a pass is as long as their numbers are apart (002, 2.3), else one: lengths are in
+    frames, not metres. ``run_map``: map over a pool.
+    """
+    row = ties.find(pairs.i, pairs.j)
+    usable = np.flatnonzero((pairs.dropped == 0) & (np.where(row >= 0, ties.counts()[row], 0) >= MIN_POINTS))
+    items = [(int(pairs.i[k]), int(pairs.j[k]), ties.of(int(row[k]))) for k in usable]
+    found: list[TwoView | None] = run_map(_two_view_item, items, folder)
+    sigma, ratio = np.array(pairs.sigma_m), np.array(pairs.h_over_b)
+    frame_i, frame_j = scene.frame[pairs.i], scene.frame[pairs.j]
+    apart = np.where(scene.track[frame_i] == scene.track[frame_j], np.abs(scene.step[frame_i] - scene.step[frame_j]), 1)
+    base = np.maximum(apart, 1)
+    for k, one in zip(usable, found):
+        if one is not None:
+            sigma[k] = one.moved * base[k]
+            if np.isnan(ratio[k]) and frame_i[k] != frame_j[k]:  # images of one frame are no copies of each other
+                ratio[k] = one.range
+    return pairs.with_(sigma_m=sigma, h_over_b=ratio)
+
+
+def _two_view_item(item: tuple[int, int, np.ndarray], folder: Path) -> TwoView | None:
+    i, j, match = item
+    scene = _scene(folder)
+    a, b = _preview(folder, scene.names[i]), _preview(folder, scene.names[j])
+    cameras = [scene.sensor_of(k).camera for k in (i, j)]
+    if cameras[0] is None or cameras[1] is None:
+        return None
+    return two_view(a.xy[match[:, 0]], b.xy[match[:, 1]], cameras[0], cameras[1], 1.0 / min(a.scale, b.scale))
+
+
+@lru_cache(maxsize=2)
+def _scene(folder: Path) -> Scene:
+    return Scene.from_json((folder / "network" / "scene.json").read_text())
+
+
+@lru_cache(maxsize=_CACHED_PREVIEWS)
+def _preview(folder: Path, name: str) -> Preview:
+    with np.load(preview_path(folder, name)) as data:
+        return Preview.from_npz(dict(data))

@@ -1,0 +1,38 @@
+"""Paper 002's accuracy of the previewed pairs, from the previews in a run folder."""
+
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from tiegraph.features.preview import Preview
+from tiegraph.pipeline.accuracy import with_accuracy
+from tiegraph.pipeline.capture import preview_path
+from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.rig import Rig, Sensor
+from tiegraph.scene.scene import simple_scene
+from tiegraph.scene.ties import Ties
+
+
+def test_previewed_pairs_get_their_accuracy_and_base(tmp_path: Path) -> None:
+    camera = pycolmap.Camera(model="PINHOLE", width=640, height=480, params=[500, 500, 320, 240])
+    rng = np.random.default_rng(0)
+    xyz = rng.uniform((-4, -3, 8), (4, 3, 12), (60, 3))
+    names = [f"{k}.jpg" for k in range(3)]
+    scene = simple_scene(Rig("c", (Sensor("c", camera),)), names, np.arange(3), np.zeros(3), np.zeros(3),
+                         tracks=("video",))  # fmt: skip
+    (tmp_path / "network").mkdir()
+    (tmp_path / "network" / "scene.json").write_text(scene.to_json())
+    for k, name in enumerate(names):
+        xy = np.asarray(camera.img_from_cam(xyz - [k, 0, 0])) + rng.normal(0, 0.5, (60, 2))
+        shares = np.full(16, 1 / 16, np.float32)
+        preview = Preview(xy.astype(np.float32), np.zeros((60, 128), np.uint8), 640, 480, 0.5, 100.0, shares)
+        preview_path(tmp_path, name).parent.mkdir(parents=True, exist_ok=True)
+        np.savez(preview_path(tmp_path, name), **preview.to_npz())
+    all_points = np.stack([np.arange(60)] * 2, axis=1)
+    pairs = Pairs.make([0, 0, 1], [1, 2, 2], "sequence")
+    ties = Ties.make([0, 0], [1, 2], [all_points, all_points])
+    found = with_accuracy(pairs, scene, ties, tmp_path, lambda f, items, *args: [f(item, *args) for item in items])
+    assert np.isfinite(found.sigma_m).tolist() == [True, True, False], "the third was not previewed"
+    assert np.all(found.sigma_m[:2] > 0) and np.all(found.sigma_m[:2] < 1.5)
+    assert 8 < found.h_over_b[0] < 13 and 4 < found.h_over_b[1] < 6.5
