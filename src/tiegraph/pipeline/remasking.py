@@ -22,6 +22,7 @@ from tiegraph.masks.waterline import (
     lines_of,
 )
 from tiegraph.pipeline.files import FINAL, checked, classes_path, mask_path, read_image, read_mask, save_png
+from tiegraph.pipeline.world import world_unit
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
 from tiegraph.scene.atomic import replacing
@@ -66,8 +67,9 @@ def _lines(run: Run, scene: Scene) -> tuple[dict[str, Lines], tuple[str, ...]]:
     lines = {name: lines_of(view, up.direction, water) for name, view in views.items()}
     if water is None:
         return lines, ("no sky below the horizon; no water level was found, so the water stays as it was learnt",)
+    unit = world_unit(run)
     return lines, (
-        f"water {water.depth:.3g} units below the cameras (middle half of {water.rays} rays: +-{water.spread:.2g}), "
+        f"water {water.depth:.3g} {unit} below the cameras (middle half of {water.rays} rays: +-{water.spread:.2g}), "
         "out to the banks of the model; no sky below the horizon",
     )
 

@@ -58,6 +58,11 @@ def world_origin(run: Run) -> Origin | None:
     return None if data is None else Origin.from_dict(data)
 
 
+def world_unit(run: Run) -> str:
+    """Unit of lengths in the world: m, or "units" where nothing told the scale."""
+    return "units" if json.loads(run.path("world.json").read_text())["scale_source"] == "none" else "m"
+
+
 def placement_error(run: Run) -> PlacementError | None:
     """How well the placement is known; None = not placed."""
     data = json.loads(run.path("world.json").read_text()).get("placement_error")
