@@ -148,6 +148,7 @@ def test_colmap_lists() -> None:
     assert 3 in steps and 4 not in steps
 
 
+@pytest.mark.slow
 def test_cost_counts_children(tmp_path: Path) -> None:
     spin = "import time\nwhile time.process_time() < 1.0: pass"  # memory is looked at twice a second
     code = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {spin!r}])"

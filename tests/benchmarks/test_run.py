@@ -10,6 +10,7 @@ import pytest
 from benchmarks import run
 
 
+@pytest.mark.slow
 def test_time_limit_ends_the_process_and_its_children(tmp_path: Path) -> None:
     marker = tmp_path / "alive"
     child = f"import time, pathlib; time.sleep(2); pathlib.Path({str(marker)!r}).touch()"
@@ -21,6 +22,7 @@ def test_time_limit_ends_the_process_and_its_children(tmp_path: Path) -> None:
     assert not marker.exists()
 
 
+@pytest.mark.slow
 def test_cpu_time_counts_children(tmp_path: Path) -> None:
     busy = "import time\nt = time.process_time()\nwhile time.process_time() - t < 0.4: pass"
     parent = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {busy!r}], check=True)"
