@@ -37,13 +37,13 @@ from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjust import final_adjustment
-from tiegraph.sfm.fixes import Given, PositionRows
-from tiegraph.sfm.georef import Georeference
-from tiegraph.sfm.ground import Held, georeference_model
 from tiegraph.sfm.mapper import believed_cameras
 from tiegraph.sfm.model import frame_poses, image_poses
-from tiegraph.sfm.rig import rig_modes
+from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.settings import GeorefSettings
+from tiegraph.sfm.world.fixes import Given, PositionRows
+from tiegraph.sfm.world.georef import Georeference
+from tiegraph.sfm.world.ground import Held, georeference_model
 
 WAYS = ("frames", "rows", "adjusted")
 SETS = ("canal", "canal_demo", "pandaset", "oppaiyama")

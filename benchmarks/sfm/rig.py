@@ -31,9 +31,9 @@ from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.finish import FinishRequest, finish_model
 from tiegraph.sfm.mapper import believed_cameras
 from tiegraph.sfm.model import frame_poses, image_poses
-from tiegraph.sfm.rig import rig_modes
+from tiegraph.sfm.rig.rig import rig_modes
+from tiegraph.sfm.rig.support import ties_of, unsupported_sensors
 from tiegraph.sfm.settings import SparseSettings
-from tiegraph.sfm.support import ties_of, unsupported_sensors
 
 
 def main() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 from tiegraph.report.righealth import rig_health
-from tiegraph.sfm.health import COLUMNS
+from tiegraph.sfm.rig.health import COLUMNS
 
 
 def test_the_curve_is_drawn_where_the_file_is(tmp_path: Path) -> None:

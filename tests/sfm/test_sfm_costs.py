@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tiegraph.sfm.costs import PositionCost, PriorCost, UpCost, back_rotated
+from tiegraph.sfm.world.costs import PositionCost, PriorCost, UpCost, back_rotated
 
 _STEP = 1e-6
 

@@ -11,11 +11,11 @@ from scipy.spatial.transform import Rotation
 from sfm_worlds import make_world, true_frames, with_positions
 
 from tiegraph.geometry.align import Similarity
-from tiegraph.sfm.fit import Evidence, fit_similarity
-from tiegraph.sfm.georef import georeference, georeference_all
-from tiegraph.sfm.gravity import Up
 from tiegraph.sfm.model import frame_poses, image_poses
 from tiegraph.sfm.settings import GeorefSettings
+from tiegraph.sfm.world.fit import Evidence, fit_similarity
+from tiegraph.sfm.world.georef import georeference, georeference_all
+from tiegraph.sfm.world.gravity import Up
 
 import pycolmap  # isort: skip
 

@@ -15,13 +15,13 @@ from tiegraph.geometry.geodesy import Origin
 from tiegraph.scene.control import Control
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
-from tiegraph.sfm import worldadjust
-from tiegraph.sfm.fixes import Given, PositionRows, make_fixes
-from tiegraph.sfm.georef import georeference
-from tiegraph.sfm.ground import georeference_model
 from tiegraph.sfm.model import frame_poses, image_poses
-from tiegraph.sfm.placing import Model, place
 from tiegraph.sfm.settings import GeorefSettings
+from tiegraph.sfm.world import worldadjust
+from tiegraph.sfm.world.fixes import Given, PositionRows, make_fixes
+from tiegraph.sfm.world.georef import georeference
+from tiegraph.sfm.world.ground import georeference_model
+from tiegraph.sfm.world.placing import Model, place
 
 import pycolmap  # isort: skip
 

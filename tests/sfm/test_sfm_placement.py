@@ -12,9 +12,9 @@ from moving_world import moving_world, write_database
 from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import image_poses, rigid3d
-from tiegraph.sfm.placement import Votes, judge
-from tiegraph.sfm.settle import Settled, settle
-from tiegraph.sfm.steps import course
+from tiegraph.sfm.placement.placement import Votes, judge
+from tiegraph.sfm.placement.settle import Settled, settle
+from tiegraph.sfm.placement.steps import course
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ from sfm_worlds import make_world, without_extrinsics
 
 from tiegraph.geometry import transforms
 from tiegraph.sfm.model import rigid3d
-from tiegraph.sfm.rig import derive_rig, l1_mean_rotation
+from tiegraph.sfm.rig.rig import derive_rig, l1_mean_rotation
 
 
 def test_l1_mean_ignores_a_third_of_outliers() -> None:

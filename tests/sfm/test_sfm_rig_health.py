@@ -9,12 +9,12 @@ from moving_world import moving_world
 
 from tiegraph.geometry import transforms
 from tiegraph.sfm.adjust import final_adjustment
-from tiegraph.sfm.diagnosis import diagnose
-from tiegraph.sfm.health import COLUMNS, resect_all, sensor_health
 from tiegraph.sfm.model import image_poses
-from tiegraph.sfm.relax import relax
-from tiegraph.sfm.soft import available
-from tiegraph.sfm.sync import rig_motion, time_offset
+from tiegraph.sfm.rig.diagnosis import diagnose
+from tiegraph.sfm.rig.health import COLUMNS, resect_all, sensor_health
+from tiegraph.sfm.rig.relax import relax
+from tiegraph.sfm.rig.soft import available
+from tiegraph.sfm.rig.sync import rig_motion, time_offset
 
 LATE_S = 0.04
 

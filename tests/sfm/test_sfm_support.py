@@ -9,7 +9,7 @@ from sfm_worlds import make_world, true_frames, with_positions
 
 from tiegraph.geometry import transforms
 from tiegraph.sfm.model import model_rigs
-from tiegraph.sfm.support import place_as_given, ties_of, units_per_metre, unsupported_sensors
+from tiegraph.sfm.rig.support import place_as_given, ties_of, units_per_metre, unsupported_sensors
 
 
 @pytest.fixture

@@ -27,7 +27,7 @@ from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.gravity import up_vector
+from tiegraph.sfm.world.gravity import up_vector
 
 _MOST_VIEWS = 240  # whose waterlines measure the water's height
 _LEAST_TRACK = 3  # images that must see a point of the banks

@@ -17,12 +17,12 @@ from tiegraph.scene.control import Control, locate
 from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.accuracy import PlacementError
-from tiegraph.sfm.fixes import Given, PositionRows
-from tiegraph.sfm.georef import Georeference, georeference_all
-from tiegraph.sfm.ground import GroundRequest, Held, ground
 from tiegraph.sfm.mapper import believed_cameras
-from tiegraph.sfm.rig import rig_modes
+from tiegraph.sfm.rig.rig import rig_modes
+from tiegraph.sfm.world.accuracy import PlacementError
+from tiegraph.sfm.world.fixes import Given, PositionRows
+from tiegraph.sfm.world.georef import Georeference, georeference_all
+from tiegraph.sfm.world.ground import GroundRequest, Held, ground
 
 
 def georef(run: Run) -> Outcome:

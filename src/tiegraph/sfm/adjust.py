@@ -9,7 +9,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.sfm.model import MIN_OBSERVATIONS
-from tiegraph.sfm.soft import Soft, add_soft
+from tiegraph.sfm.rig.soft import Soft, add_soft
 
 # A principal point 6 px off in a 232 px lens turns its camera by 1.5 degrees against the rig and bends the model: on
 # canal_demo (nominal rig, guessed intrinsics) this step brings the trajectory error from 0.06-0.09 m to 0.01-0.03 m.

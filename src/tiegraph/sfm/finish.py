@@ -12,15 +12,15 @@ import numpy as np
 import pycolmap
 
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm import soft
 from tiegraph.sfm.adjust import final_adjustment
 from tiegraph.sfm.covariance import PositionSigma, position_sigma
-from tiegraph.sfm.diagnosis import Diagnosis, diagnose
-from tiegraph.sfm.given import given_geometry
-from tiegraph.sfm.health import COLUMNS
-from tiegraph.sfm.relax import Relaxed, relax, with_sightings_of
-from tiegraph.sfm.settle import Settled, settle
-from tiegraph.sfm.support import place_as_given, units_per_metre
+from tiegraph.sfm.placement.settle import Settled, settle
+from tiegraph.sfm.rig import soft
+from tiegraph.sfm.rig.diagnosis import Diagnosis, diagnose
+from tiegraph.sfm.rig.given import given_geometry
+from tiegraph.sfm.rig.health import COLUMNS
+from tiegraph.sfm.rig.relax import Relaxed, relax, with_sightings_of
+from tiegraph.sfm.rig.support import place_as_given, units_per_metre
 
 HEALTH_FILE = "rig_health.csv"
 

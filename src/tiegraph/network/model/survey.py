@@ -89,8 +89,8 @@ class _Try:
 def _tries(pairs: Pairs, scene: Scene, book: PreviewBook, settings: NetworkSettings, make: ModelFunction) -> list[_Try]:
     """Models until one is sound and agrees with most ties everywhere.
 
-    A model that is torn is made again of more pairs. One that explains the smaller part of the ties between two
-    stretches of passes, as if it had put one of them a wall too far, is made again without the ties that drew it there.
+    Where stretches of passes contradict each other, as if one had been put a wall too far, the ties that drew it there
+    are left out the next time (``trust``); a model that is not sound for other reasons is made of more pairs.
     """
     tries: list[_Try] = []
     mapper = SurveyMapper(scene, make)

@@ -12,14 +12,14 @@ import pycolmap
 
 from tiegraph.geometry.align import Similarity
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm import worldadjust
-from tiegraph.sfm.fixes import Fixes, Given
-from tiegraph.sfm.georef import Georeference, georeference, row_of_frames
-from tiegraph.sfm.marks import point_table, targets
 from tiegraph.sfm.model import image_poses
-from tiegraph.sfm.placing import Placing
 from tiegraph.sfm.settings import GeorefSettings
-from tiegraph.sfm.worldadjust import Adjusted, Constraints, adjust_in_world
+from tiegraph.sfm.world import worldadjust
+from tiegraph.sfm.world.fixes import Fixes, Given
+from tiegraph.sfm.world.georef import Georeference, georeference, row_of_frames
+from tiegraph.sfm.world.marks import point_table, targets
+from tiegraph.sfm.world.placing import Placing
+from tiegraph.sfm.world.worldadjust import Adjusted, Constraints, adjust_in_world
 
 NOT_WORSE = 1.01  # times the held-out residual of the similarity
 _CLIP = 5.0  # sigmas: an outlier among the held-out positions counts as that

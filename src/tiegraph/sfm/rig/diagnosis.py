@@ -10,9 +10,9 @@ import numpy as np
 import pycolmap
 
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.health import SensorHealth, resect_all, sensor_health, table_rows
 from tiegraph.sfm.model import frame_poses, image_poses, model_rigs, observations
-from tiegraph.sfm.sync import TimeOffset, rig_motion, time_offset
+from tiegraph.sfm.rig.health import SensorHealth, resect_all, sensor_health, table_rows
+from tiegraph.sfm.rig.sync import TimeOffset, rig_motion, time_offset
 
 MIN_SIGHTINGS = 200  # of a camera in all its images, to judge what an adjustment left of them
 MIN_KEPT = 0.6

@@ -14,10 +14,10 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses, image_poses, matrix, model_rigs, rigid3d
-from tiegraph.sfm.placement import Doubt, Judgement, judge, votes
-from tiegraph.sfm.resect import MIN_INLIERS, Placed, correspondences, place
-from tiegraph.sfm.steps import Course, course
-from tiegraph.sfm.verified import Seen, Verified, agreement, seen_by
+from tiegraph.sfm.placement.placement import Doubt, Judgement, judge, votes
+from tiegraph.sfm.placement.resect import MIN_INLIERS, Placed, correspondences, place
+from tiegraph.sfm.placement.steps import Course, course
+from tiegraph.sfm.placement.verified import Seen, Verified, agreement, seen_by
 
 BLOCK_FRAMES = 4  # fewer are placed one by one, more as a rigid block
 MAX_LOST = 0.2  # of the frames that may be left out for their place; more is a model that fell apart, and is said so

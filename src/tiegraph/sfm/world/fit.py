@@ -9,7 +9,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry.align import Similarity, robust_umeyama, umeyama
-from tiegraph.sfm.gravity import Up
+from tiegraph.sfm.world.gravity import Up
 
 INLIER_SIGMAS = 3.0
 # Orientations of a trajectory are not independent from frame to frame: together they weigh as much as four of 3 deg.

@@ -10,7 +10,7 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.sfm.model import matrix, rigid3d
-from tiegraph.sfm.verified import CAP, Seen, Verified
+from tiegraph.sfm.placement.verified import CAP, Seen, Verified
 
 SEARCH_PX = 6.0
 MIN_INLIERS = 20  # points, of two partner images or more

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import matrix, model_rigs
-from tiegraph.sfm.sightings import Sightings, retriangulate, sightings
+from tiegraph.sfm.rig.sightings import Sightings, retriangulate, sightings
 
 MIN_POINTS = 12  # of the other cameras that an image sees, to be resected
 MAX_POINT_SPREAD_PX = 1.5  # uncertainty of a point in the image that is resected, for 1 px sightings

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.steps import Course, Piece, pieces
-from tiegraph.sfm.verified import Verified
+from tiegraph.sfm.placement.steps import Course, Piece, pieces
+from tiegraph.sfm.placement.verified import Verified
 
 NEAR = 3  # steps of a pass within which a tie is one of the neighbours'
 AGREES, CONTRADICTS = 0.5, 0.25  # share of a pair's matches that the model explains

@@ -9,14 +9,14 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm import noise
-from tiegraph.sfm.fit import ANTENNA_SIGMA_M, Evidence, Fit, fit_similarity
-from tiegraph.sfm.fixes import Fixes, Given, make_fixes
-from tiegraph.sfm.gravity import Up
-from tiegraph.sfm.marks import Target
 from tiegraph.sfm.model import frame_poses
-from tiegraph.sfm.scale import RigScale
 from tiegraph.sfm.settings import GeorefSettings
+from tiegraph.sfm.world import noise
+from tiegraph.sfm.world.fit import ANTENNA_SIGMA_M, Evidence, Fit, fit_similarity
+from tiegraph.sfm.world.fixes import Fixes, Given, make_fixes
+from tiegraph.sfm.world.gravity import Up
+from tiegraph.sfm.world.marks import Target
+from tiegraph.sfm.world.scale import RigScale
 
 MIN_POSITIONS = 3
 ROLL_LIMIT_DEG = 10.0  # sigma of the roll about the track above which lone cameras' upright direction is used

@@ -10,7 +10,7 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.soft import PairPrior, SensorPrior, Soft
+from tiegraph.sfm.rig.soft import PairPrior, SensorPrior, Soft
 
 LEAST_DEG, LEAST_M = 0.001, 0.0001  # a sigma of 0 means "exactly": as hard as the solver bears
 FREE_DEG, FREE_M = 30.0, 1.0  # of a sensor of a soft rig without sigmas of its own, held by pairs only

@@ -13,15 +13,15 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.geodesy import Origin, vertical_note
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.accuracy import PlacementError, widened
-from tiegraph.sfm.fit import Fit, jackknife_sigma
-from tiegraph.sfm.fixes import Fixes, Given
-from tiegraph.sfm.gravity import Up, up_vector
-from tiegraph.sfm.marks import point_table, targets
 from tiegraph.sfm.model import image_poses
-from tiegraph.sfm.placing import MIN_POSITIONS, ROLL_LIMIT_DEG, Model, Placing, place
-from tiegraph.sfm.scale import RigScale, rig_scale
 from tiegraph.sfm.settings import GeorefSettings
+from tiegraph.sfm.world.accuracy import PlacementError, widened
+from tiegraph.sfm.world.fit import Fit, jackknife_sigma
+from tiegraph.sfm.world.fixes import Fixes, Given
+from tiegraph.sfm.world.gravity import Up, up_vector
+from tiegraph.sfm.world.marks import point_table, targets
+from tiegraph.sfm.world.placing import MIN_POSITIONS, ROLL_LIMIT_DEG, Model, Placing, place
+from tiegraph.sfm.world.scale import RigScale, rig_scale
 
 _AXES = ("east", "north", "up")
 

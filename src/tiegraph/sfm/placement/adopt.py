@@ -9,9 +9,9 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.sfm.model import rigid3d
-from tiegraph.sfm.repair import Repair, near_course, place_images
-from tiegraph.sfm.resect import Placed
-from tiegraph.sfm.verified import seen_by
+from tiegraph.sfm.placement.repair import Repair, near_course, place_images
+from tiegraph.sfm.placement.resect import Placed
+from tiegraph.sfm.placement.verified import seen_by
 
 
 @dataclass(frozen=True)

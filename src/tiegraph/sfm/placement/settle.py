@@ -11,10 +11,10 @@ import pycolmap
 
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adopt import adopt
 from tiegraph.sfm.database import write_working_copy
-from tiegraph.sfm.repair import Repair, label, points_anew, repair
-from tiegraph.sfm.verified import image_ids, read_verified
+from tiegraph.sfm.placement.adopt import adopt
+from tiegraph.sfm.placement.repair import Repair, label, points_anew, repair
+from tiegraph.sfm.placement.verified import image_ids, read_verified
 
 ROUNDS = 4  # of placing what is missing: each lets the next lean on it
 

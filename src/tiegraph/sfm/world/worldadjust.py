@@ -13,13 +13,13 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.control import Control
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm import costs, noise
 from tiegraph.sfm.adjust import FILTER_ANGLE_DEG, FILTER_PX, ROBUST_PX, free_cameras
-from tiegraph.sfm.fit import ANTENNA_SIGMA_M, INLIER_SIGMAS, OFFSET_SIGMA_S
-from tiegraph.sfm.fixes import Fixes
-from tiegraph.sfm.gravity import Up
-from tiegraph.sfm.marks import MARK_SIGMA_PX, Target
 from tiegraph.sfm.model import frame_poses, image_poses, matrix
+from tiegraph.sfm.world import costs, noise
+from tiegraph.sfm.world.fit import ANTENNA_SIGMA_M, INLIER_SIGMAS, OFFSET_SIGMA_S
+from tiegraph.sfm.world.fixes import Fixes
+from tiegraph.sfm.world.gravity import Up
+from tiegraph.sfm.world.marks import MARK_SIGMA_PX, Target
 
 ROUNDS = 2  # of adjustment and new noise factors
 ITERATIONS = 15

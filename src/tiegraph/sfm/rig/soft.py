@@ -15,7 +15,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.sfm.model import rigid3d
-from tiegraph.sfm.timed import Timed, add_timed, pose_block
+from tiegraph.sfm.rig.timed import Timed, add_timed, pose_block
 
 # The reprojection errors are in pixels and not divided by their sigma; so that both weigh what they should, the priors
 # are multiplied by it.

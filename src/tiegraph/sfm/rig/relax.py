@@ -18,10 +18,10 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjust import final_adjustment
 from tiegraph.sfm.model import frame_poses, image_poses, model_rigs
-from tiegraph.sfm.release import released
-from tiegraph.sfm.soft import Soft, SoftTie
-from tiegraph.sfm.sync import Motion, TimeOffset, rig_motion, time_offset
-from tiegraph.sfm.timed import Timed, TimedTie, expected
+from tiegraph.sfm.rig.release import released
+from tiegraph.sfm.rig.soft import Soft, SoftTie
+from tiegraph.sfm.rig.sync import Motion, TimeOffset, rig_motion, time_offset
+from tiegraph.sfm.rig.timed import Timed, TimedTie, expected
 
 LOOSE_DEG, LOOSE_M = 0.05, 0.003  # a mounting and a trigger keep from frame to frame
 LOOSE_S = 0.001
