@@ -84,7 +84,10 @@ def _match_item(pair: tuple[int, int], folder: Path, settings: PreviewSettings) 
 
 
 def _survey_model(run: Run, scene: Scene, ties: Ties, rough: bool) -> SurveyModel | None:
-    """A model of the survey or a block of it made of previews, in ``network/model``; None where COLMAP finds none."""
+    """A model of the survey or a block of it, made of previews; None where COLMAP finds none.
+
+    Its files go: a block of a model, or one that tore and was made again, would be taken for the model of the network.
+    """
     folder = run.path("network", "model")
     remove(folder)
     folder.mkdir(parents=True)
@@ -94,12 +97,12 @@ def _survey_model(run: Run, scene: Scene, ties: Ties, rough: bool) -> SurveyMode
     settings = run.settings.sparse.model_copy(update={"covariance_frames": 0, "use_positions": False})
     try:
         made = reconstruct(Source(database, None, rough=rough), folder, scene.measured(), settings, run.log)
+        model = made.load(0)
     except ReconstructionError as error:
         log.warning("preview model: %s", error)
         return None
     finally:
-        database.unlink(missing_ok=True)
-    model = made.load(0)
+        remove(folder)
     cameras = {k: model.cameras[k] for k in model.cameras}
     own = [cast(pycolmap.Camera, s.camera) for s in scene.all_sensors]  # the scan gave each sensor one
     return SurveyModel(
