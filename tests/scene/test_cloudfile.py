@@ -167,3 +167,12 @@ def test_depth_maps_come_back(tmp_path):
     (tmp_path / "bad.npz").write_bytes(b"nothing")
     with pytest.raises(InputError, match="bad.npz"):
         load_depth(tmp_path / "bad.npz")
+
+
+def test_a_cloud_without_units_may_begin_with_one_point(tmp_path):
+    far = cloud(scale=5000.0)
+    lone = far.where(slice(0, 1))
+    write_las(iter([lone, far]), tmp_path / "c.laz", spacing=0.02)
+    after = read_cloud(tmp_path / "c.laz")
+    assert len(after) == len(far) + 1
+    np.testing.assert_allclose(after.xyz_m[1:], far.xyz_m, atol=0.02 / 100)

@@ -22,7 +22,7 @@ class InitOptions(Common):
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """The run folder to prepare (default: <IMAGES>_tiegraph beside the images)."""
     rig: str | None = None
-    """A rig.toml, a COLMAP rig_config.json, or ladybug5, ring:N, stereo, single (default: guessed, and said)."""
+    """A rig.toml, a COLMAP rig_config.json, or ladybug5, ring:N, stereo, single, panorama (default: guessed)."""
 
 
 def main(arguments: list[str]) -> int:
@@ -75,7 +75,8 @@ def _write_rigs(scene: Scene, folder: Path) -> list[Path]:
     written = []
     for number, rig in enumerate(scene.rigs):
         path = folder / ("rig.toml" if len(scene.rigs) == 1 else f"rig_{number}.toml")
-        if len(rig.sensors) > 1 and not path.exists():
+        given = any(s.source is not None and s.source.panorama for s in rig.sensors)
+        if len(rig.sensors) > 1 and not given and not path.exists():
             write_rig_toml(
                 rig, path, "A guess from the folders and images: check the orientations, then use it by --rig."
             )

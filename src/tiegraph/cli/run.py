@@ -39,7 +39,7 @@ class RunOptions(Common):
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """The run folder (default: <IMAGES>_tiegraph beside the images)."""
     rig: str | None = None
-    """A rig.toml, a COLMAP rig_config.json, or ladybug5, ring:N, stereo, single (default: guessed, and said)."""
+    """A rig.toml, a COLMAP rig_config.json, or ladybug5, ring:N, stereo, single, panorama (default: guessed)."""
     gnss: Path | None = None
     """CSV of positions: time, lat, lon, height, sigma."""
     trajectory: Path | None = None

@@ -26,8 +26,10 @@ def scan(run: Run) -> Outcome:
     inputs = ScanInputs(given.images, given.rig, given.gnss, given.trajectory, given.times)
     scene = build_scene(inputs, names, probes, run.settings.scan)
     control_points(run, scene)  # a wrong file is better said now than after hours
-    todo = [(scene.source_name(k), name, scene.sensor_of(k)) for k, name in enumerate(scene.names)]
-    run.map(_prepare_item, todo, given.images, run.path("images"), run.settings.scan)
+    todo: dict[str, list[tuple[str, Sensor]]] = {}  # a panorama is read once for all its views
+    for k, name in enumerate(scene.names):
+        todo.setdefault(scene.source_name(k), []).append((name, scene.sensor_of(k)))
+    run.map(_prepare_item, list(todo.items()), given.images, run.path("images"), run.settings.scan)
     write_atomic(run.path("scene.json"), scene.to_json())
     counts = {"found": len(names), "images": len(scene), "frames": scene.frames, "passes": len(scene.tracks)}
     return Outcome(
@@ -41,10 +43,13 @@ def _placed(world_from_rig: np.ndarray) -> int:
     return int(np.isfinite(world_from_rig[:, :3, 3]).all(axis=1).sum())
 
 
-def _prepare_item(item: tuple[str, str, Sensor], source: Path, target: Path, settings: ScanSettings) -> None:
-    found, name, sensor = item
-    if not (target / name).exists():
-        prepare_image(source / found, target / name, sensor, settings)
+def _prepare_item(
+    item: tuple[str, list[tuple[str, Sensor]]], source: Path, target: Path, settings: ScanSettings
+) -> None:
+    found, images = item
+    for name, sensor in images:
+        if not (target / name).exists():
+            prepare_image(source / found, target / name, sensor, settings)
 
 
 def preview(run: Run) -> Outcome:

@@ -89,7 +89,7 @@ def cloud(run: Run) -> Outcome:
     fused = fuse(sorted(plans), load, scratch, run.settings.cloud, world_origin(run), _mapper(run))
     notes: list[str] = []
     for name in ("cloud.laz", "cloud.ply"):
-        notes += write_cloud(fused.clouds(), run.path(name))
+        notes += write_cloud(fused.clouds(), run.path(name), fused.voxel)
     world = _world_sigma(run, fused.clouds())
     remove(scratch)
     counts = {"points": fused.counts["points"], **{k: v for k, v in fused.counts.items() if k != "points"}, **world}

@@ -66,8 +66,8 @@ def calibrate(spec: SensorSpec, facts: FileFacts, file: str, settings: ScanSetti
             )
         if not prepared.is_undistorted():
             prepared = pinhole_camera(prepared)
-    changed = any(crop) or prepared.model != camera.model or not facts.upright or facts.bits > 8
-    source = Source(camera, crop, facts.upright, facts.bits) if changed else None
+    changed = spec.of_panorama or any(crop) or prepared.model != camera.model or not facts.upright or facts.bits > 8
+    source = Source(camera, crop, facts.upright, facts.bits, spec.of_panorama) if changed else None
     return Calibrated(prepared, source, how)
 
 
@@ -109,7 +109,8 @@ def _from_params(
     if (width, height) != facts.size:
         camera.rescale(*facts.size)
     camera.has_prior_focal_length = True
-    return camera, f"camera from {file}{_scaled(scale)}"
+    origin = "an exact view of the panoramas" if spec.of_panorama else f"camera from {file}"
+    return camera, f"{origin}{_scaled(scale)}"
 
 
 def _scale(spec: SensorSpec, facts: FileFacts, file: str) -> float:

@@ -20,7 +20,9 @@ from tiegraph.scene.atomic import replacing
 from tiegraph.scene.results import Cloud
 
 _SCALE_M = 0.001
-_SMALL = 1e-8  # scale of a world without units, as a share of its extent: 32-bit integers hold 2e9 steps
+# Scale of a world without units, as a share of its points' spacing or, if that is not said, of the first part's extent:
+# 32-bit integers hold 2e9 steps, and other parts may lie far from the first.
+_OF_SPACING, _OF_EXTENT = 1e-2, 1e-6
 _FAR = 1e5  # coordinates beyond this get an offset of their own
 _EXTRA = (("sigma_m", "f4"), ("views", "u1"), ("NormalX", "f4"), ("NormalY", "f4"), ("NormalZ", "f4"))
 _CHUNK = 1_000_000
@@ -37,12 +39,15 @@ _PLY_TYPES = {
 }  # fmt: skip
 
 
-def write_cloud(clouds: Cloud | Iterable[Cloud], path: Path) -> tuple[str, ...]:
-    """Write .las, .laz or .ply by the name's ending; returns remarks. Raises InputError for other endings."""
+def write_cloud(clouds: Cloud | Iterable[Cloud], path: Path, spacing: float | None = None) -> tuple[str, ...]:
+    """Write .las, .laz or .ply by the name's ending; returns remarks. Raises InputError for other endings.
+
+    ``spacing`` of the points (units of the world) decides the resolution of LAS where the world has no units.
+    """
     if path.suffix.lower() == ".ply":
         return write_ply(clouds, path)
     if path.suffix.lower() in (".las", ".laz"):
-        return write_las(clouds, path)
+        return write_las(clouds, path, spacing)
     raise InputError(f"{path}: clouds are written as .laz, .las or .ply")
 
 
@@ -66,14 +71,15 @@ def read_cloud(path: Path, origin: Origin | None = None) -> Cloud:
     raise InputError(f"{path}: clouds are read from .laz, .las or .ply")
 
 
-def write_las(clouds: Cloud | Iterable[Cloud], path: Path) -> tuple[str, ...]:
-    """Write LAS 1.4, point format 7, compressed if the name ends with .laz; scale 1 mm with an origin.
+def write_las(clouds: Cloud | Iterable[Cloud], path: Path, spacing: float | None = None) -> tuple[str, ...]:
+    """Write LAS 1.4, point format 7, compressed if the name ends with .laz; scale 1 mm with an origin, else by
+    ``spacing`` (see ``write_cloud``).
 
     Parts are written one after another, so an iterable of clouds needs the memory of one part. sigma_m, views and the
     normal are extra dimensions. Raises TiegraphError when the disk is full.
     """
     parts, first = _parts(clouds)
-    header, notes = _las_header(first)
+    header, notes = _las_header(first, spacing)
     with replacing(path) as temporary, laspy.open(temporary, mode="w", header=header, do_compress=_is_laz(path)) as out:
         for part in chain([first], parts):
             for start in range(0, len(part), _CHUNK):
@@ -118,7 +124,7 @@ def _enu_note(origin: Origin) -> str:
     )
 
 
-def _las_header(first: Cloud) -> tuple[laspy.LasHeader, tuple[str, ...]]:
+def _las_header(first: Cloud, spacing: float | None) -> tuple[laspy.LasHeader, tuple[str, ...]]:
     header = laspy.LasHeader(point_format=7, version="1.4")
     header.generating_software = "tiegraph"
     header.add_extra_dims([laspy.ExtraBytesParams(name, kind) for name, kind in _EXTRA])
@@ -128,7 +134,8 @@ def _las_header(first: Cloud) -> tuple[laspy.LasHeader, tuple[str, ...]]:
     header.scales = np.full(3, _SCALE_M)
     if first.origin is None:
         extent = float(np.ptp(first.xyz_m, axis=0).max()) if len(first) else 1.0
-        header.scales = np.full(3, 10.0 ** np.clip(np.floor(np.log10(max(extent, 1e-9) * _SMALL * 10)), -12, -3))
+        step = spacing * _OF_SPACING if spacing else max(extent, 1e-9) * _OF_EXTENT
+        header.scales = np.full(3, 10.0 ** np.clip(np.floor(np.log10(step)), -12, -3))
         return header, ("the cloud has no CRS: the model's own frame and scale",)
     if first.origin.crs == ENU:
         return header, (_enu_note(first.origin),)

@@ -15,6 +15,7 @@ from PIL import Image, ImageFile
 
 from tiegraph.errors import InputError
 from tiegraph.scene.exif import Exif, read_exif
+from tiegraph.scene.panorama import is_equirectangular
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".pgm")
 # Photographs nobody here can decode: found, and refused by name, so that they are not missed silently.
@@ -35,6 +36,7 @@ class Probe:
     bits: int = 8  # significant bits of the brightest pixel, 8 for common files
     exif: Exif = Exif()
     digest: str = ""  # of the file's bytes
+    panorama: bool = False  # equirectangular, the whole sphere
     reason: str = ""
 
     def upright_size(self) -> tuple[int, int]:
@@ -119,6 +121,7 @@ def _describe(data: bytes, digest: str) -> Probe:
         bits=_significant_bits(image, data),
         exif=read_exif(image),
         digest=digest,
+        panorama=is_equirectangular(image),
     )
 
 

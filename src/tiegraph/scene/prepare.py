@@ -15,6 +15,7 @@ from PIL import Image
 
 from tiegraph.errors import InputError
 from tiegraph.scene.images import decode_deep, deep_png, open_image
+from tiegraph.scene.panorama import render_view
 from tiegraph.scene.rig import Sensor, Source, camera_from_dict, camera_to_dict
 from tiegraph.scene.settings import ScanSettings
 
@@ -72,6 +73,8 @@ def pinhole_camera(camera: pycolmap.Camera) -> pycolmap.Camera:
 def _changed_pixels(
     path: Path, how: Source, sensor: Sensor, settings: ScanSettings, suffix: str
 ) -> np.ndarray | None:  # (H, W) or (H, W, 3) RGB u1; None = nothing to change
+    if how.panorama:
+        return _cropped(_view(path, how, sensor), how)
     try:
         data = path.read_bytes()
         image = _opened(data)
@@ -80,14 +83,36 @@ def _changed_pixels(
             return None
         pixels = _eight_bit(image, data, how.bits)
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error}); it was readable before: scan again") from None
+        raise _gone(path, error) from None
     if image is not None and how.upright:
         pixels = _turn(pixels, image.getexif().get(_ORIENTATION, 1))
-    left, top, right, bottom = how.crop_px
-    pixels = pixels[top : pixels.shape[0] - bottom, left : pixels.shape[1] - right]
+    pixels = _cropped(pixels, how)
     if bend and how.camera is not None and sensor.camera is not None:
         pixels = _undistort(pixels, crop_camera(how.camera, how.crop_px), sensor.camera)
     return pixels
+
+
+def _gone(path: Path, error: OSError) -> InputError:
+    return InputError(f"{path}: cannot be read ({error}); it was readable before: scan again")
+
+
+def _cropped(pixels: np.ndarray, how: Source) -> np.ndarray:
+    left, top, right, bottom = how.crop_px
+    return pixels[top : pixels.shape[0] - bottom, left : pixels.shape[1] - right]
+
+
+def _view(path: Path, how: Source, sensor: Sensor) -> np.ndarray:
+    assert how.camera is not None and sensor.sensor_from_rig is not None
+    return render_view(_panorama(path, how.bits), how.camera, sensor.sensor_from_rig[:3, :3])
+
+
+@lru_cache(maxsize=1)  # its views are made one after another
+def _panorama(path: Path, bits: int) -> np.ndarray:
+    try:
+        data = path.read_bytes()
+        return _eight_bit(_opened(data), data, bits)
+    except OSError as error:
+        raise _gone(path, error) from None
 
 
 def _opened(data: bytes) -> Image.Image | None:

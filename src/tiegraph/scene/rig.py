@@ -20,6 +20,7 @@ class Source:
     crop_px: tuple[int, int, int, int] = (0, 0, 0, 0)  # cut off left, top, right, bottom
     upright: bool = True  # turn by the EXIF orientation; False: keep the sensor's own rows and columns
     bits: int = 8  # significant bits of a pixel in the file, reduced to 8 the same way for all images of a sensor
+    panorama: bool = False  # the file is an equirectangular panorama; the image is a view of it along the rig's sensor
 
 
 @dataclass(frozen=True)
@@ -176,11 +177,13 @@ def _source_to_dict(source: Source | None) -> dict | None:
     if source is None:
         return None
     camera = camera_to_dict(source.camera)
-    return {"camera": camera, "crop_px": list(source.crop_px), "upright": source.upright, "bits": source.bits}
+    rest = {"upright": source.upright, "bits": source.bits, "panorama": source.panorama}
+    return {"camera": camera, "crop_px": list(source.crop_px), **rest}
 
 
 def _source_from_dict(data: dict | None) -> Source | None:
     if data is None:
         return None
     crop = tuple(int(p) for p in data["crop_px"])
-    return Source(camera_from_dict(data["camera"]), crop, data["upright"], data["bits"])  # type: ignore[arg-type]
+    rest = data["upright"], data["bits"], data.get("panorama", False)
+    return Source(camera_from_dict(data["camera"]), crop, *rest)  # type: ignore[arg-type]

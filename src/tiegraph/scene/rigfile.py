@@ -78,7 +78,7 @@ def read_rig_file(path: Path) -> tuple[RigSpec, ...]:
     path = Path(path)
     if not path.is_file():
         raise InputError(
-            f"--rig {path}: no such file, and no preset: ladybug5, ring:N, stereo, stereo:BASELINE, single"
+            f"--rig {path}: no such file, and no preset: ladybug5, ring:N, stereo, stereo:BASELINE, single, panorama"
         )
     try:
         text = path.read_text(encoding="utf-8-sig")

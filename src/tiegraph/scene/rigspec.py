@@ -38,6 +38,7 @@ class SensorSpec:
     crop_px: tuple[int, int, int, int] | None = None
     sigma_deg: float | None = None
     sigma_m: float | None = None
+    of_panorama: bool = False  # a view that is rendered from an equirectangular panorama
 
 
 @dataclass(frozen=True)

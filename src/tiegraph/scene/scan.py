@@ -13,6 +13,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.scene.assign import Report, Shot, Survey, Usable, assign, some
 from tiegraph.scene.cameras import FileFacts, calibrate
+from tiegraph.scene.exif import Exif
 from tiegraph.scene.folders import natural
 from tiegraph.scene.frames import match_frames
 from tiegraph.scene.images import IMAGES_FOLDER, Probe, find_images, probe_image
@@ -23,6 +24,7 @@ from tiegraph.scene.rigspec import RigSpec
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.settings import ScanSettings
 from tiegraph.scene.times import FrameRow
+from tiegraph.scene.unfold import unfold
 
 __all__ = ["Probe", "ScanInputs", "build_scene", "find_images", "prepare_image", "probe_image"]
 
@@ -48,12 +50,18 @@ def build_scene(inputs: ScanInputs, names: Sequence[str], probes: Sequence[Probe
     if Path(inputs.images, IMAGES_FOLDER).is_dir():
         report.notes.append(f"only the folder {IMAGES_FOLDER}/ was searched for images")
     usable = _usable(names, probes, report)
-    survey = assign(inputs.rig, usable, settings, report)
+    views = unfold(usable, inputs.rig, settings, report)
+    if views is None:
+        files: Sequence[str] = names
+        survey = assign(inputs.rig, usable, settings, report)
+    else:
+        names, probes, files, survey = views.names, views.probes, views.files, views.survey
     survey = _one_size(survey, names, probes, report)
-    survey = _into_frames(survey, names, settings, report)
+    survey = _into_frames(survey, files, settings, report)
     _need_two(len(survey.shots), report)
     rigs, survey = _rigs(survey, probes, settings, report)
-    return _scene(inputs, names, probes, rigs, survey, settings, report)
+    exif = [probes[s.image].exif for s in survey.shots]
+    return _scene(inputs, _Named.of(survey, names, files), exif, rigs, survey, settings, report)
 
 
 # --- which images can be used ---------------------------------------------------------------------------------------
@@ -152,14 +160,14 @@ def _one_size(survey: Survey, names: Sequence[str], probes: Sequence[Probe], rep
     return replace(survey, shots=tuple(sorted(kept, key=lambda s: s.image)))
 
 
-def _into_frames(survey: Survey, names: Sequence[str], settings: ScanSettings, report: Report) -> Survey:
+def _into_frames(survey: Survey, files: Sequence[str], settings: ScanSettings, report: Report) -> Survey:
     groups: dict[tuple[int, str], list[Shot]] = {}
     for shot in survey.shots:
         groups.setdefault((shot.rig, shot.track), []).append(shot)
     out: list[Shot] = []
     for (_, track), shots in groups.items():
         if survey.loose:
-            out += [replace(s, key=names[s.image]) for s in shots]
+            out += [replace(s, key=files[s.image]) for s in shots]
             continue
         sensors = sorted({s.sensor for s in shots})
         stems = {k: [s.stem for s in shots if s.sensor == k] for k in sensors}
@@ -167,7 +175,7 @@ def _into_frames(survey: Survey, names: Sequence[str], settings: ScanSettings, r
         _say_frames(track, matched.how, stems, settings, report)
         for sensor in sensors:
             mine = [s for s in shots if s.sensor == sensor]
-            out += _without_twins([replace(s, key=key) for s, key in zip(mine, matched.keys[sensor])], names, report)
+            out += _without_twins([replace(s, key=key) for s, key in zip(mine, matched.keys[sensor])], files, report)
     return replace(survey, shots=tuple(sorted(out, key=lambda s: s.image)))
 
 
@@ -257,29 +265,44 @@ def _antenna(spec: RigSpec, reference: int) -> tuple[float, float, float] | None
 # --- the scene ------------------------------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True)
+class _Named:
+    """Order of the shots by their names in the scene, those names, and each one's file; parallel."""
+
+    order: tuple[int, ...]
+    names: tuple[str, ...]
+    files: tuple[str, ...]
+    renamed: int
+
+    @staticmethod
+    def of(survey: Survey, names: Sequence[str], files: Sequence[str]) -> _Named:
+        given = [names[s.image] for s in survey.shots]
+        safe = safe_names(given)
+        order = sorted(range(len(safe)), key=lambda k: safe[k])
+        renamed = sum(a != b for a, b in zip(given, safe))
+        of = tuple(files[survey.shots[k].image] for k in order)
+        return _Named(tuple(order), tuple(safe[k] for k in order), of, renamed)
+
+
 def _scene(
-    inputs: ScanInputs, names: Sequence[str], probes: Sequence[Probe], rigs: tuple[Rig, ...], survey: Survey,
+    inputs: ScanInputs, named: _Named, exif: Sequence[Exif], rigs: tuple[Rig, ...], survey: Survey,
     settings: ScanSettings, report: Report,
 ) -> Scene:  # fmt: skip
-    safe = safe_names([names[s.image] for s in survey.shots])
-    order = sorted(range(len(safe)), key=lambda k: safe[k])
-    shots, sources = [survey.shots[k] for k in order], tuple(names[survey.shots[k].image] for k in order)
+    shots, sources = [survey.shots[k] for k in named.order], named.files
     tracks = tuple(sorted({s.track for s in shots} - {""}, key=natural))
     rows = _frame_rows(shots, tracks)
-    frames = Frames(rows, tracks, sources, tuple(probes[s.image].exif for s in shots), rigs, survey.specs)
+    frames = Frames(rows, tracks, sources, tuple(exif[k] for k in named.order), rigs, survey.specs)
     priors = estimate_priors(frames, inputs.gnss, inputs.trajectory, inputs.times, settings)
     rows, priors_order = _in_time_order(rows, priors.time_s, report)
     _say_incomplete(rows, rigs, report)
     frame = np.zeros(len(shots), int)
     for k, row in enumerate(rows):
         frame[list(row.images)] = k
-    ordered = tuple(safe[k] for k in order)
-    if ordered != sources:
-        renamed = sum(a != b for a, b in zip(ordered, sources))
-        report.notes.append(f"{renamed} images renamed (blanks, # or formats that COLMAP's lists do not take)")
+    if named.renamed:
+        report.notes.append(f"{named.renamed} images renamed (blanks, # or formats that COLMAP's lists do not take)")
     return Scene(
         rigs=rigs,
-        names=ordered,
+        names=named.names,
         frame=frame,
         sensor=np.array([s.sensor for s in shots]),
         rig=np.array([r.rig for r in rows]),
@@ -294,7 +317,7 @@ def _scene(
         prior=priors.prior,
         dropped=tuple(sorted(report.dropped, key=lambda d: d.name)),
         notes=(*report.notes, *priors.notes),
-        sources=() if ordered == sources else sources,
+        sources=() if named.names == sources else sources,
     )
 
 
