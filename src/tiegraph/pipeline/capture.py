@@ -6,37 +6,62 @@ from pathlib import Path
 
 import numpy as np
 
+from tiegraph.errors import InputError
 from tiegraph.features.preview import extract_preview
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.pipeline.files import read_image, read_mask, save_npz, scanned
 from tiegraph.pipeline.world import control_points
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
+from tiegraph.scene.images import has_images
 from tiegraph.scene.rig import Sensor
 from tiegraph.scene.scan import ScanInputs, build_scene, find_images, prepare_image, probe_image
 from tiegraph.scene.settings import ScanSettings
+from tiegraph.scene.video import find_videos, picture_folders, take_pictures
 
 
 def scan(run: Run) -> Outcome:
     """Open every image once, sort them into rigs, frames and passes, and lay the usable ones below images/."""
     given = run.inputs
-    names = find_images(given.images)
+    root, said = _photographs(run)
+    names = find_images(root)
     run.reporter.total(2 * len(names))
-    probes = run.map(probe_image, [given.images / n for n in names])
-    inputs = ScanInputs(given.images, given.rig, given.gnss, given.trajectory, given.times)
+    probes = run.map(probe_image, [root / n for n in names])
+    inputs = ScanInputs(root, given.rig, given.gnss, given.trajectory, given.times)
     scene = build_scene(inputs, names, probes, run.settings.scan)
     control_points(run, scene)  # a wrong file is better said now than after hours
     todo: dict[str, list[tuple[str, Sensor]]] = {}  # a panorama is read once for all its views
     for k, name in enumerate(scene.names):
         todo.setdefault(scene.source_name(k), []).append((name, scene.sensor_of(k)))
-    run.map(_prepare_item, list(todo.items()), given.images, run.path("images"), run.settings.scan)
+    run.map(_prepare_item, list(todo.items()), root, run.path("images"), run.settings.scan)
     write_atomic(run.path("scene.json"), scene.to_json())
     counts = {"found": len(names), "images": len(scene), "frames": scene.frames, "passes": len(scene.tracks)}
     return Outcome(
         {**counts, "cameras": len(scene.all_sensors), "positions": _placed(scene.world_from_rig)},
         dropped=tuple((d.name, d.reason) for d in scene.dropped),
-        notes=scene.notes,
+        notes=(*said, *scene.notes),
     )
+
+
+def _photographs(run: Run) -> tuple[Path, tuple[str, ...]]:
+    """The folder of images: the user's own, or of the pictures taken from the videos in it; and what to say of them."""
+    images = run.inputs.images
+    videos = find_videos(images)
+    if not videos:
+        return images, ()
+    if has_images(images):
+        return images, (f"{len(videos)} videos beside the images are left out: give them in a folder of their own",)
+    run.reporter.total(len(videos))
+    folder = run.path("images") / ".video"
+    todo = [(images / v, folder / f) for v, f in zip(videos, picture_folders(videos))]
+    said = run.map(_take_pictures, todo, run.settings.scan.video_fps)
+    if not has_images(folder):
+        raise InputError(f"{images}: {'; '.join(said)}")
+    return folder, tuple(s for s in said if s)
+
+
+def _take_pictures(item: tuple[Path, Path], per_second: float) -> str:
+    return take_pictures(*item, per_second)
 
 
 def _placed(world_from_rig: np.ndarray) -> int:

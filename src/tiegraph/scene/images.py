@@ -73,6 +73,14 @@ def find_images(root: Path) -> list[str]:
     return sorted(names)
 
 
+def has_images(root: Path) -> bool:
+    """Whether ``find_images`` finds any."""
+    try:
+        return bool(find_images(root))
+    except InputError:
+        return False
+
+
 def _ignored(name: str) -> bool:
     return name.startswith(".") or name.lower() in _IGNORED
 

@@ -33,6 +33,9 @@ class ScanSettings(Section):
     max_gap_s: float = Field(default=3.0, gt=0, le=3600)
     """Longest gap (s) between two GNSS or trajectory rows across which a frame's position is interpolated."""
 
+    video_fps: float = Field(default=2.0, gt=0, le=60)
+    """Pictures taken of a second of video (in a folder with videos and no images): the sharpest of each stretch."""
+
     crop_px: tuple[int, int, int, int] = (0, 0, 0, 0)
     """Pixels cut off every image: left, top, right, bottom (a rig file may give this for each sensor)."""
 
