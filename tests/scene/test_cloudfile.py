@@ -128,7 +128,7 @@ def test_a_full_disk_is_said_and_leaves_the_old_file(tmp_path, monkeypatch, suff
     def full(*args, **kwargs):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(cloudfile, "_ply_rows" if suffix == "ply" else "_las_points", full)
+    monkeypatch.setattr(cloudfile, "_ply_rows" if suffix == "ply" else "las_points", full)
     with pytest.raises(TiegraphError, match="No space left"):
         write_cloud(cloud(), path)
     assert path.read_bytes() == before

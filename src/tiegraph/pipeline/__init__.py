@@ -29,7 +29,7 @@ STAGES = (
     Stage("georef", georef, ("network", "sparse"), ("sparse/world", "world.json"), version=2),
     Stage("remask", remask, ("masks", "georef"), ("remask",), "image"),
     Stage("dense", dense, ("georef", "remask"), ("depth",), "image"),
-    Stage("cloud", cloud, ("dense",), ("cloud.laz", "cloud.ply")),
+    Stage("cloud", cloud, ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply")),
     Stage("evaluate", evaluate, ("verify", "georef", "remask", "dense", "cloud"), ("metrics.json",)),
     Stage("report", report, ("evaluate",), ("report.html",)),
 )

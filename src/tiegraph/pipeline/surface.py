@@ -22,7 +22,9 @@ from tiegraph.pipeline.files import FINAL
 from tiegraph.pipeline.world import placement_error, world_origin
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, remove
+from tiegraph.scene.atomic import same_file
 from tiegraph.scene.cloudfile import write_cloud
+from tiegraph.scene.copc import write_copc
 from tiegraph.scene.depthfile import load_depth, save_depth
 from tiegraph.scene.results import Cloud, DepthMap
 
@@ -87,9 +89,9 @@ def cloud(run: Run) -> Outcome:
     scratch.mkdir(parents=True)
     load = partial(_load_coloured, folder=run.folder, plans=plans, settings=run.settings.dense)
     fused = fuse(sorted(plans), load, scratch, run.settings.cloud, world_origin(run), _mapper(run))
-    notes: list[str] = []
-    for name in ("cloud.laz", "cloud.ply"):
-        notes += write_cloud(fused.clouds(), run.path(name), fused.voxel)
+    notes = [*write_copc(fused.clouds, run.path("cloud.copc.laz"), fused.voxel)]
+    same_file(run.path("cloud.copc.laz"), run.path("cloud.laz"))
+    notes += write_cloud(fused.clouds(), run.path("cloud.ply"))
     world = _world_sigma(run, fused.clouds())
     remove(scratch)
     counts = {"points": fused.counts["points"], **{k: v for k, v in fused.counts.items() if k != "points"}, **world}

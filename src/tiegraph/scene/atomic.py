@@ -36,3 +36,12 @@ def replacing(path: Path) -> Iterator[Path]:
         raise
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def same_file(path: Path, other: Path) -> None:
+    """Give a file a second name (a hard link, or a copy where the file system has none)."""
+    with replacing(other) as temporary:
+        try:
+            os.link(path, temporary)
+        except OSError:
+            shutil.copyfile(path, temporary)

@@ -79,11 +79,11 @@ def write_las(clouds: Cloud | Iterable[Cloud], path: Path, spacing: float | None
     normal are extra dimensions. Raises TiegraphError when the disk is full.
     """
     parts, first = _parts(clouds)
-    header, notes = _las_header(first, spacing)
+    header, notes = las_header(first, spacing)
     with replacing(path) as temporary, laspy.open(temporary, mode="w", header=header, do_compress=_is_laz(path)) as out:
         for part in chain([first], parts):
             for start in range(0, len(part), _CHUNK):
-                out.write_points(_las_points(part.where(slice(start, start + _CHUNK)), header))  # type: ignore[arg-type]
+                out.write_points(las_points(part.where(slice(start, start + _CHUNK)), header))  # type: ignore[arg-type]
     return notes
 
 
@@ -91,7 +91,7 @@ def write_ply(clouds: Cloud | Iterable[Cloud], path: Path) -> tuple[str, ...]:
     """Write binary little-endian PLY, positions as double; CRS and shift stand in comments. The positions are the
     file's CRS coordinates. Raises TiegraphError when the disk is full."""
     parts, first = _parts(clouds)
-    shift = _shift(first.origin)
+    shift = shift_of(first.origin)
     with replacing(path) as temporary, open(temporary, "wb") as out:
         out.write(_ply_header(first.origin, 0))
         count = 0
@@ -113,7 +113,8 @@ def _is_laz(path: Path) -> bool:
     return path.suffix.lower() == ".laz"
 
 
-def _shift(origin: Origin | None) -> np.ndarray:
+def shift_of(origin: Origin | None) -> np.ndarray:
+    """(3,) what the world lacks to the coordinates of its CRS."""
     return np.zeros(3) if origin is None else np.asarray(origin.shift_m, float)
 
 
@@ -124,11 +125,12 @@ def _enu_note(origin: Origin) -> str:
     )
 
 
-def _las_header(first: Cloud, spacing: float | None) -> tuple[laspy.LasHeader, tuple[str, ...]]:
+def las_header(first: Cloud, spacing: float | None) -> tuple[laspy.LasHeader, tuple[str, ...]]:
+    """Header of LAS 1.4 for clouds such as the first part, and remarks; see ``write_cloud``."""
     header = laspy.LasHeader(point_format=7, version="1.4")
     header.generating_software = "tiegraph"
     header.add_extra_dims([laspy.ExtraBytesParams(name, kind) for name, kind in _EXTRA])
-    offset = _shift(first.origin)
+    offset = shift_of(first.origin)
     middle = first.xyz_m.mean(axis=0) if len(first) else np.zeros(3)
     header.offsets = offset + np.where(np.abs(middle) > _FAR, np.round(middle), 0)
     header.scales = np.full(3, _SCALE_M)
@@ -143,9 +145,10 @@ def _las_header(first: Cloud, spacing: float | None) -> tuple[laspy.LasHeader, t
     return header, (f"{first.origin.crs}; heights are above the WGS84 ellipsoid",)
 
 
-def _las_points(cloud: Cloud, header: laspy.LasHeader) -> laspy.ScaleAwarePointRecord:
+def las_points(cloud: Cloud, header: laspy.LasHeader) -> laspy.ScaleAwarePointRecord:
+    """Point records of a cloud."""
     record = laspy.ScaleAwarePointRecord.zeros(len(cloud), header=header)
-    record.x, record.y, record.z = (cloud.xyz_m + _shift(cloud.origin)).T
+    record.x, record.y, record.z = (cloud.xyz_m + shift_of(cloud.origin)).T
     record.red, record.green, record.blue = (cloud.rgb.astype(np.uint16) * 257).T
     record["sigma_m"], record["views"] = cloud.sigma_m, cloud.views
     for k, name in enumerate(("NormalX", "NormalY", "NormalZ")):
@@ -172,7 +175,7 @@ def _cloud(xyz: np.ndarray, rgb: np.ndarray, columns: dict[str, np.ndarray], ori
     missing = np.full(len(xyz), np.nan, np.float32)
     normal = [columns.get(name, missing) for name in ("NormalX", "NormalY", "NormalZ")]
     return Cloud(
-        xyz_m=xyz - _shift(origin),
+        xyz_m=xyz - shift_of(origin),
         rgb=rgb,
         normal=np.stack(normal, axis=1).astype(np.float32),
         sigma_m=columns.get("sigma_m", missing).astype(np.float32),

@@ -1,0 +1,178 @@
+"""Cloud Optimized Point Clouds: a LAZ file whose chunks are the nodes of an octree (COPC 1.0, copc.io)."""
+
+from __future__ import annotations
+
+import struct
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import laspy
+import lazrs
+import numpy as np
+
+from tiegraph.scene.atomic import replacing
+from tiegraph.scene.cloudfile import las_header, las_points, shift_of
+from tiegraph.scene.results import Cloud
+
+_CELLS = 128  # cells along the edge of a node, of which each keeps one point: a surface fills some 16 000
+_DEEPEST = 13  # 128 cells x 2^13 in 21 bits a coordinate
+_BATCH = 2_000_000  # points compressed at once
+_INFO = struct.Struct("<5d2Q2d88x")
+_ENTRY = np.dtype([("key", "<i4", 4), ("offset", "<u8"), ("bytes", "<i4"), ("points", "<i4")])
+_EVLR = struct.Struct("<H16sHQ32s")
+
+
+@dataclass(frozen=True)
+class _Octree:
+    """The root cube in the file's coordinates, and the level at which all points that are left are kept."""
+
+    low: np.ndarray  # (3,)
+    side: float
+    depth: int
+
+    def keys(self, xyz: np.ndarray) -> np.ndarray:
+        """(N, 4) level, x, y, z of the node that keeps each point: the coarsest with a free cell."""
+        where = np.clip((xyz - self.low) / self.side, 0, 1 - 1e-12)
+        level = np.full(len(xyz), self.depth)
+        rest = np.random.default_rng(0).permutation(len(xyz))
+        for k in range(self.depth):
+            cell = (where[rest] * (_CELLS << k)).astype(np.int64)
+            _, first = np.unique(cell[:, 0] << 42 | cell[:, 1] << 21 | cell[:, 2], return_index=True)
+            level[rest[first]] = k
+            rest = np.delete(rest, first)
+        node = (where * (1 << level)[:, None]).astype(np.int64)
+        return np.column_stack([level, node]).astype(np.int32)
+
+
+@dataclass(frozen=True)
+class _Spill:
+    """Point records sorted by node within each part, in one file, and where the run of each node and part is."""
+
+    rows: np.ndarray  # memory map of records
+    keys: np.ndarray  # (S, 4) node of each run
+    start: np.ndarray
+    count: np.ndarray
+
+    def nodes(self) -> Iterator[tuple[np.ndarray, bytes]]:
+        """(key, records) of each node, coarse ones first."""
+        order = np.lexsort(self.keys.T[::-1])
+        keys = self.keys[order]
+        begin = _beginnings(keys)
+        for first, last in zip(begin, np.r_[begin[1:], len(keys)]):
+            runs = [self.rows[self.start[r] : self.start[r] + self.count[r]].tobytes() for r in order[first:last]]
+            yield keys[first], b"".join(runs)
+
+
+def _beginnings(keys: np.ndarray) -> np.ndarray:
+    """Where a run of equal rows begins."""
+    return np.flatnonzero(np.r_[True, (np.diff(keys, axis=0) != 0).any(axis=1)][: len(keys)])
+
+
+def write_copc(parts: Callable[[], Iterator[Cloud]], path: Path, spacing: float) -> tuple[str, ...]:
+    """Write a cloud as COPC: any reader of LAZ 1.4 reads it, viewers show it without loading all of it.
+
+    ``parts()`` gives the cloud part by part, each time it is called; ``spacing`` of the points (units of the world)
+    sets how deep the octree is. Memory is that of one part and a batch of nodes; the disk holds the
+    records once more while it is written. Returns remarks as ``write_cloud``. Raises TiegraphError when the disk is full.
+    """
+    first, low, high, count = _extent(parts())
+    header, notes = las_header(first, spacing)
+    if not count:
+        low, high = np.zeros(3), np.ones(3)
+    low, high = (v + shift_of(first.origin) for v in (low, high))
+    side = float(max((high - low).max(), _CELLS * spacing)) * (1 + 1e-6)
+    depth = int(np.clip(np.ceil(np.log2(side / _CELLS / spacing)), 0, _DEEPEST))
+    tree = _Octree((low + high) / 2 - side / 2, side, depth)
+    with replacing(path) as temporary, tempfile.TemporaryDirectory(dir=path.parent, prefix=".copc-") as scratch:
+        spill = _spilled(parts(), tree, header, Path(scratch) / "records")
+        with open(temporary, "w+b") as out:
+            _write(out, header, tree, spill, low, high)
+    return notes
+
+
+def _extent(parts: Iterator[Cloud]) -> tuple[Cloud, np.ndarray, np.ndarray, int]:
+    low, high, count = np.full(3, np.inf), np.full(3, -np.inf), 0
+    first: Cloud | None = None
+    for part in parts:
+        first = part if first is None else first
+        if len(part):
+            low, high = np.minimum(low, part.xyz_m.min(axis=0)), np.maximum(high, part.xyz_m.max(axis=0))
+            count += len(part)
+    return first or Cloud.empty(), low, high, count
+
+
+def _spilled(parts: Iterator[Cloud], tree: _Octree, header: laspy.LasHeader, path: Path) -> _Spill:
+    keys, start, count, done = [np.zeros((0, 4), np.int32)], [np.zeros(0, int)], [np.zeros(0, int)], 0
+    dtype = header.point_format.dtype()
+    with open(path, "wb") as out:
+        for part in parts:
+            record = las_points(part, header)
+            node = tree.keys(np.column_stack([record.x, record.y, record.z]))
+            order = np.lexsort(node.T[::-1])
+            node = node[order]
+            begin = _beginnings(node)
+            out.write(record.array[order].tobytes())
+            keys.append(node[begin])
+            start.append(begin + done)
+            count.append(np.diff(np.r_[begin, len(node)]))
+            done += len(node)
+    rows = np.memmap(path, dtype, "r", shape=(done,)) if done else np.zeros(0, dtype)
+    return _Spill(rows, np.concatenate(keys), np.concatenate(start), np.concatenate(count))
+
+
+def _write(
+    out: BinaryIO, header: laspy.LasHeader, tree: _Octree, spill: _Spill, low: np.ndarray, high: np.ndarray
+) -> None:
+    laz = lazrs.LazVlr.new_for_compression(header.point_format.id, header.point_format.num_extra_bytes, True)
+    info = laspy.VLR("copc", 1, "COPC info VLR", bytes(_INFO.size))  # the standard wants it to be the first
+    header.vlrs.insert(0, info)
+    header.vlrs.append(laspy.VLR("laszip encoded", 22204, "lazperf variant", bytes(laz.record_data())))
+    header.are_points_compressed = True
+    header.point_count = len(spill.rows)
+    header.number_of_points_by_return[0] = len(spill.rows)
+    header.mins, header.maxs = low, high
+    header.write_to(out)
+    keys = _compressed(out, laz, spill, header.point_format.size)
+    entries = _entries(out, laz, keys, header.offset_to_point_data)
+    out.seek(0, 2)
+    header.start_of_first_evlr, header.number_of_evlrs = out.tell(), 1
+    out.write(_EVLR.pack(0, b"copc", 1000, entries.nbytes, b"EPT hierarchy"))
+    where = out.tell()
+    out.write(entries.tobytes())
+    centre, half = tree.low + tree.side / 2, tree.side / 2
+    info.record_data = _INFO.pack(*centre, half, tree.side / _CELLS, where, entries.nbytes, 0.0, 0.0)
+    out.seek(0)
+    header.write_to(out, ensure_same_size=True)
+
+
+def _compressed(out: BinaryIO, laz: lazrs.LazVlr, spill: _Spill, size: int) -> list[np.ndarray]:
+    """Write each node as a chunk; the nodes in their order."""
+    compressor = lazrs.ParLasZipCompressor(out, laz)
+    compressor.reserve_offset_to_chunk_table()
+    keys: list[np.ndarray] = []
+    held: list[bytes] = []
+    for key, records in spill.nodes():
+        keys.append(key)
+        held.append(records)
+        if sum(map(len, held)) > _BATCH * size:
+            compressor.compress_chunks(held)
+            held = []
+    if held:
+        compressor.compress_chunks(held)
+    compressor.done()
+    return keys
+
+
+def _entries(out: BinaryIO, laz: lazrs.LazVlr, keys: list[np.ndarray], first: int) -> np.ndarray:
+    """The hierarchy: where the chunk of each node is, by the chunk table that LAZ has."""
+    entries = np.zeros(len(keys), _ENTRY)
+    if not keys:
+        return entries
+    out.seek(first)
+    table = np.array(lazrs.read_chunk_table(out, laz), np.int64).reshape(-1, 2)
+    entries["key"], entries["points"], entries["bytes"] = np.stack(keys), table[:, 0], table[:, 1]
+    entries["offset"] = first + 8 + np.r_[0, np.cumsum(table[:-1, 1])]  # 8: where the chunk table is
+    return entries
