@@ -76,7 +76,7 @@ def write_copc(parts: Callable[[], Iterator[Cloud]], path: Path, spacing: float)
 
     ``parts()`` gives the cloud part by part, each time it is called; ``spacing`` of the points (units of the world)
     sets how deep the octree is. Memory is that of one part and a batch of nodes; the disk holds the
-    records once more while it is written. Returns remarks as ``write_cloud``. Raises TiegraphError when the disk is full.
+    records once more while it is written. Returns remarks as ``write_cloud``. Raises TiegraphError for a full disk.
     """
     first, low, high, count = _extent(parts())
     header, notes = las_header(first, spacing)
