@@ -14,24 +14,24 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from tiegraph.network.looks.evidence import seen_by_the_rig, unrelated
 from tiegraph.network.looks.loose import CEILING, FLOOR, SURE, scored_pairs
+from tiegraph.network.looks.timeline import Timeline, timeline
 from tiegraph.network.looks.words import ImageWords, image_words
+from tiegraph.network.offsets.lattice import Level
 from tiegraph.network.passes import Pass, PreviewBook, loose_images
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
 
-LADDER = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96)  # frame distances at which likeness along a pass is measured
-REACH_SHARE = 0.25  # of the likeness of consecutive frames, above that of distant ones, that ends the reach
-STRIDES_A_REACH = 3  # sampled frames within a reach
 NEAR_REACHES = 3  # frames of one pass closer than this many reaches are no loop
 LOOK_ALIKES = 4  # far images that each sampled image is previewed with
 # Pairs borne out side by side, or none of them is believed. Simulated, four seeds of 300 frames: false patches reach 9
-# where one unrelated preview in five hits, 12 where three in ten do. On ``canal`` it costs two patches of 6 and 9.
+# where one unrelated preview in five hits, 12 where three in ten do. On ``canal`` it costs two patches of 6 and 9. In
+# long surveys the whole rig must bear them out too (``evidence``): there walls that repeat make patches of any size.
 PATCH = 10
 NAMED = 5  # places named one by one in the notes
 PREVIEWS_AN_IMAGE = 16  # sampled: the most that looking for loops may take
-MAX_CELLS = 3000  # cells along all passes in which known ties are marked
 # Gaussian of 0.8 strides over the 3 x 3 neighbouring frame pairs, as on the lattice of ``network.lattice``.
 _STEPS = np.array([(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1)])
 _WEIGHT = np.where(np.any(_STEPS, axis=1), np.exp(-np.sum(_STEPS**2, axis=1) / (2 * 0.8**2)), 0)
@@ -43,36 +43,6 @@ class RetrievalResult:
 
     pairs: Pairs
     notes: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class _Timeline:
-    """All passes one after another: ``image_at[g, s]`` = image of sensor s at place g, -1 = none; of every place its
-    pass, the stride of its samples and its cell; of every image its place (-1 = loose) and sensor."""
-
-    image_at: np.ndarray  # (G, S)
-    of_pass: np.ndarray  # (G,)
-    rank: np.ndarray  # (G,) frame of the pass
-    stride: np.ndarray  # (G,)
-    cell: np.ndarray  # (G,)
-    cell_pass: np.ndarray  # (C,)
-    place: np.ndarray  # (N,)
-    sensor: np.ndarray  # (N,)
-
-    def sampled(self) -> np.ndarray:
-        """Images of every stride-th frame."""
-        images = self.image_at[self.rank % self.stride == 0]
-        return np.sort(images[images >= 0])
-
-    def stepped(self, places: np.ndarray, frames: np.ndarray) -> np.ndarray:
-        """(K,) the place some frames on (K,) in the same pass; -1 = none."""
-        there = np.clip(places + frames, 0, len(self.of_pass) - 1)
-        return np.where((there == places + frames) & (self.of_pass[there] == self.of_pass[places]), there, -1)
-
-    def moved(self, images: np.ndarray, frames: np.ndarray) -> np.ndarray:
-        """(K,) the image of the same camera some frames on (K,); -1 = none."""
-        there = self.stepped(self.place[images], frames)
-        return np.where(there >= 0, self.image_at[there, self.sensor[images]], -1)
 
 
 def nearest_images(descriptors: Sequence[np.ndarray], count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -117,14 +87,17 @@ def loop_candidates(
     passes = [p for p in passes if len(p) > 1]
     if not passes:
         return RetrievalResult(Pairs.empty(), ())
-    line = _timeline(passes, words)
+    line = timeline(passes, words)
     blocked = _blocked(line, known)
+    level = unrelated(line, blocked, book, settings.min_matches)
     i, j = _look_alikes(line, words, blocked)
-    i, j, spent = _grown(line, i, j, blocked, book, settings)
+    i, j, spent = _grown(line, (i, j), blocked, book, settings, level)
     count = book.known(i, j)
-    sure = _borne_out(line, i, j, book, settings.min_matches)
+    sure = _borne_out(line, (i, j), book, settings.min_matches, level)
     patch = _patches(line, i[sure], j[sure])
     large = np.bincount(patch) >= PATCH
+    if level is not None:
+        large &= seen_by_the_rig(line, (i[sure], j[sure]), patch, book, level)
     sure[sure] = large[patch]
     patch = np.unique(patch[large[patch]], return_inverse=True)[1]
     measured = Pairs.make(i, j, "retrieval", score=count, dropped=np.where(sure, 0, REASONS.index("weak")))
@@ -137,43 +110,10 @@ def loop_candidates(
     return RetrievalResult(pairs, notes)
 
 
-# ---------------------------------------------------------------- places along the passes
+# ---------------------------------------------------------------- finding, growing, confirming
 
 
-def _timeline(passes: Sequence[Pass], words: ImageWords) -> _Timeline:
-    sensors = max(len(p.images) for p in passes)
-    length = np.array([len(p) for p in passes])
-    image_at = np.full((length.sum(), sensors), -1, np.int64)
-    reach = np.array([_reach(p, words) for p in passes])
-    size = np.maximum(reach, -(-length.sum() // MAX_CELLS))
-    of_pass = np.repeat(np.arange(len(passes)), length)
-    rank = np.concatenate([np.arange(n) for n in length])
-    for k, p in enumerate(passes):
-        image_at[of_pass == k, : len(p.images)] = p.images.T
-    cells = -(-length // size)
-    cell = (np.cumsum(cells) - cells)[of_pass] + rank // size[of_pass]
-    place, sensor = np.full(len(words), -1, np.int64), np.zeros(len(words), np.int64)
-    g, s = np.nonzero(image_at >= 0)
-    place[image_at[g, s]], sensor[image_at[g, s]] = g, s
-    stride = np.maximum(1, reach // STRIDES_A_REACH)[of_pass]
-    cell_pass = np.repeat(np.arange(len(passes)), cells)
-    return _Timeline(image_at, of_pass, rank, stride, cell, cell_pass, place, sensor)
-
-
-def _reach(p: Pass, words: ImageWords) -> int:
-    """Frames over which the images of a camera look alike."""
-    steps = [s for s in LADDER if s < len(p)]
-    alike = []
-    for step in steps:
-        left, right = p.images[:, :-step].ravel(), p.images[:, step:].ravel()
-        there = (left >= 0) & (right >= 0)
-        alike.append(float(words.between(left[there], right[there]).mean()) if there.any() else 0.0)
-    level = min(alike) + REACH_SHARE * (alike[0] - min(alike))
-    below = [s for s, value in zip(steps, alike) if value < level]
-    return below[0] if below else steps[-1]
-
-
-def _blocked(line: _Timeline, known: Pairs | None) -> np.ndarray:
+def _blocked(line: Timeline, known: Pairs | None) -> np.ndarray:
     """(C, C) bool: cells in which a pair is no news: near in one pass, or next to known pairs."""
     count = len(line.cell_pass)
     cell = np.arange(count)
@@ -192,10 +132,7 @@ def _blocked(line: _Timeline, known: Pairs | None) -> np.ndarray:
     return blocked
 
 
-# ---------------------------------------------------------------- finding, growing, confirming
-
-
-def _look_alikes(line: _Timeline, words: ImageWords, blocked: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _look_alikes(line: Timeline, words: ImageWords, blocked: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Pairs i < j (K,), (K,) of sampled images that look most alike outside the blocked cells."""
     images = line.sampled()
     cell = line.cell[line.place[images]]
@@ -210,24 +147,29 @@ def _unique(i: np.ndarray, j: np.ndarray, images: int) -> tuple[np.ndarray, np.n
 
 
 def _grown(
-    line: _Timeline, i: np.ndarray, j: np.ndarray, blocked: np.ndarray, book: PreviewBook, settings: NetworkSettings
+    line: Timeline,
+    seeds: tuple[np.ndarray, np.ndarray],
+    blocked: np.ndarray,
+    book: PreviewBook,
+    settings: NetworkSettings,
+    level: Level | None,
 ) -> tuple[np.ndarray, np.ndarray, bool]:
     """Pairs previewed: the given ones, and the neighbours of every hit until nothing new hits; whether the budget of
     previews was spent before."""
     images = len(line.place)
     budget = PREVIEWS_AN_IMAGE * len(line.sampled())
     done = np.zeros(0, np.int64)
-    key = i * images + j
+    key = seeds[0] * images + seeds[1]
     first = True
     while len(key):
         if len(done) + len(key) > budget and len(done):
             return done // images, done % images, True
-        count = book.measure(key // images, key % images)
+        book.measure(key // images, key % images)
         done = np.union1d(done, key)
         # Every first hit is looked at from all sides; from there on only what its surroundings bear out spreads.
-        hit = key[count >= SURE * settings.min_matches]
+        hit = key[_hits(line, (key // images, key % images), book, settings.min_matches, level)]
         if not first:
-            own = _borne_out(line, done // images, done % images, book, settings.min_matches)
+            own = _borne_out(line, (done // images, done % images), book, settings.min_matches, level)
             hit = done[own]
         first = False
         a, b = _around(line, hit // images, hit % images)
@@ -239,7 +181,7 @@ def _grown(
     return done // images, done % images, False
 
 
-def _around(line: _Timeline, i: np.ndarray, j: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _around(line: Timeline, i: np.ndarray, j: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The 9 image pairs (K, 9), (K, 9) one stride around each pair, in the order of _STEPS; -1 = no image."""
     stride_i, stride_j = line.stride[line.place[i]], line.stride[line.place[j]]
     a = np.stack([line.moved(i, da * stride_i) for da, _ in _STEPS], axis=-1)
@@ -247,20 +189,35 @@ def _around(line: _Timeline, i: np.ndarray, j: np.ndarray) -> tuple[np.ndarray, 
     return a, b
 
 
-def _borne_out(line: _Timeline, i: np.ndarray, j: np.ndarray, book: PreviewBook, min_matches: int) -> np.ndarray:
+def _hits(
+    line: Timeline, ends: tuple[np.ndarray, np.ndarray], book: PreviewBook, min_matches: int, level: Level | None
+) -> np.ndarray:
+    """(K,) bool: previews that tie by themselves, above the level of unrelated images."""
+    count = book.known(*ends)
+    if level is None:
+        return count >= SURE * min_matches
+    cameras = line.sensor[ends[0]], line.sensor[ends[1]]
+    return level.above(np.clip(count, level.lowest, level.highest), cameras) >= SURE * min_matches
+
+
+def _borne_out(
+    line: Timeline, ends: tuple[np.ndarray, np.ndarray], book: PreviewBook, min_matches: int, level: Level | None
+) -> np.ndarray:
     """(K,) bool: previews that tie and so does the weighted mean of those around them, themselves left out.
 
     Of unrelated pairs with one hit in five, one in 75 is borne out (simulated).
     """
-    a, b = _around(line, i, j)
+    a, b = _around(line, *ends)
     count = book.known(np.maximum(a, 0).ravel(), np.maximum(b, 0).ravel()).reshape(a.shape)
     seen = np.isfinite(count) & (a >= 0) & (b >= 0)
-    level = np.clip(np.nan_to_num(count), FLOOR * min_matches, CEILING * min_matches)
-    mean = (level * seen) @ _WEIGHT / np.maximum(seen @ _WEIGHT, 1e-9)
-    return (mean >= SURE * min_matches) & (book.known(i, j) >= SURE * min_matches)
+    limited = np.clip(np.nan_to_num(count), FLOOR * min_matches, CEILING * min_matches)
+    mean = (limited * seen) @ _WEIGHT / np.maximum(seen @ _WEIGHT, 1e-9)
+    if level is not None:
+        mean = level.above(mean, (line.sensor[ends[0]], line.sensor[ends[1]]))
+    return (mean >= SURE * min_matches) & _hits(line, ends, book, min_matches, level)
 
 
-def _patches(line: _Timeline, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+def _patches(line: Timeline, i: np.ndarray, j: np.ndarray) -> np.ndarray:
     """(K,) patch of frame pairs side by side that each pair of images lies in, of whatever cameras."""
     count = len(line.of_pass)
     a, b = np.minimum(line.place[i], line.place[j]), np.maximum(line.place[i], line.place[j])
@@ -278,7 +235,7 @@ def _patches(line: _Timeline, i: np.ndarray, j: np.ndarray) -> np.ndarray:
     return label[at]
 
 
-def _filled(line: _Timeline, i: np.ndarray, j: np.ndarray, count: np.ndarray) -> Pairs:
+def _filled(line: Timeline, i: np.ndarray, j: np.ndarray, count: np.ndarray) -> Pairs:
     """The frames between the sampled ones take the count of the nearest sampled pair."""
     parts = [(i, j, count)]
     most = int(line.stride.max(initial=1)) // 2
@@ -292,7 +249,7 @@ def _filled(line: _Timeline, i: np.ndarray, j: np.ndarray, count: np.ndarray) ->
     return Pairs.make(a, b, "retrieval", score=score)
 
 
-def _notes(line: _Timeline, passes: Sequence[Pass], i: np.ndarray, j: np.ndarray, patch: np.ndarray) -> tuple[str, ...]:
+def _notes(line: Timeline, passes: Sequence[Pass], i: np.ndarray, j: np.ndarray, patch: np.ndarray) -> tuple[str, ...]:
     """What was found where: the largest patches of confirmed pairs (K,), (K,)."""
     out = []
     size = np.bincount(patch)

@@ -19,12 +19,32 @@ FLOOR = 2 / 3  # share of min_matches that unrelated images reach by chance
 CEILING = 2.0  # share of min_matches above which more matches say nothing more
 PEAK = 1.2  # times min_matches: what a patch of evidence must reach somewhere
 _TRUNCATE = 2.5  # kernel cut, in sigmas
+_MOST_LEVEL = 0.8  # of the way to CEILING: a level of unrelated frames so high that nothing can be told from it
+
+
+@dataclass(frozen=True)
+class Level:
+    """What previews of unrelated frames reach: ``mean`` (S, T) of the counts of two cameras, limited to ``lowest`` ..
+    ``highest``; hardly any one preview reaches ``most``."""
+
+    mean: np.ndarray
+    most: float
+    lowest: float
+    highest: float
+
+    def above(self, mean: np.ndarray, cameras: tuple) -> np.ndarray:
+        """Means of limited counts of ``cameras`` (an index of ``self.mean``): ``lowest`` where they are no higher than
+        this level, and what stands above it keeps its share of the way to the highest."""
+        span = self.highest - self.lowest
+        level = np.clip(self.mean, self.lowest, self.lowest + _MOST_LEVEL * span)[cameras]
+        return self.lowest + np.maximum(mean - level, 0) * span / (self.highest - level)
 
 
 @dataclass(frozen=True)
 class Lattice:
     """Evidence between passes p and q: ``inliers[c, d, a, b]`` of sensor c in frame rows[a] of p and sensor d in frame
-    columns[b] of q, NaN = not measured; ``allowed[c, d]`` = the optical axes permit a match."""
+    columns[b] of q, NaN = not measured; ``allowed[c, d]`` = the optical axes permit a match; ``level``: what unrelated
+    frames reach, None where it cannot be told (chance)."""
 
     p: Pass
     q: Pass
@@ -32,6 +52,7 @@ class Lattice:
     columns: np.ndarray  # (B,)
     allowed: np.ndarray  # (S, T) bool
     inliers: np.ndarray  # (S, T, A, B) f4
+    level: Level | None = None
 
     @property
     def same(self) -> bool:
@@ -61,8 +82,9 @@ class Lattice:
         return replace(self, inliers=inliers)
 
     def smoothed(self, min_matches: int) -> np.ndarray:
-        """(S, T, A, B) f4 kernel mean of the counts, limited to FLOOR .. CEILING times ``min_matches``; NaN where the
-        node was not measured. An image counts as tied to itself, which carries evidence to its neighbours in time."""
+        """(S, T, A, B) f4 kernel mean of the counts, limited to FLOOR .. CEILING times ``min_matches``, above the level
+        of unrelated frames; NaN where the node was not measured. An image counts as tied to itself, which carries
+        evidence to its neighbours in time."""
         low, high = FLOOR * min_matches, CEILING * min_matches
         inliers = self.inliers
         if self.same:
@@ -72,7 +94,14 @@ class Lattice:
         known = np.isfinite(inliers)
         excess = np.where(known, np.clip(inliers, low, high) - low, 0)
         mean = _blurred(excess) / np.maximum(_blurred(known), 1e-6)
-        return np.where(known, low + mean, np.nan).astype(np.float32)
+        mean = low + mean
+        if self.level is not None:
+            mean = self.level.above(mean, np.index_exp[:, :, None, None])
+        return np.where(known, mean, np.nan).astype(np.float32)
+
+    def sure(self, min_matches: int) -> float:
+        """Matches by which a pair is believed whatever its neighbours say."""
+        return CEILING * min_matches if self.level is None else self.level.most
 
     def frontier(self, smooth: np.ndarray, min_matches: float) -> np.ndarray:
         """(S, T, A, B) bool: unmeasured neighbours of nodes whose smoothed count reaches ``min_matches``."""
@@ -116,11 +145,11 @@ class Lattice:
         return tuple(np.concatenate(part) for part in zip(*out))
 
 
-def make_lattice(p: Pass, q: Pass, stride: int, allowed: np.ndarray) -> Lattice:
+def make_lattice(p: Pass, q: Pass, stride: int, allowed: np.ndarray, level: Level | None = None) -> Lattice:
     """An empty lattice with every ``stride``-th frame and the last one."""
     rows, columns = _every(len(p), stride), _every(len(q), stride)
     inliers = np.full((len(p.images), len(q.images), len(rows), len(columns)), np.nan, np.float32)
-    return Lattice(p, q, rows, columns, allowed, inliers)
+    return Lattice(p, q, rows, columns, allowed, inliers, level)
 
 
 def _blurred(grid: np.ndarray) -> np.ndarray:

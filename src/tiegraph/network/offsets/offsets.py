@@ -14,9 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tiegraph.network.looks.copies import find_copies
+from tiegraph.network.offsets.background import LONG, level_away, level_within
 from tiegraph.network.offsets.constant import constant_offsets
 from tiegraph.network.offsets.curves import OffsetResult, contained, curves_of, facing, sampled_ranks
-from tiegraph.network.offsets.lattice import CEILING, FLOOR, Lattice, make_lattice
+from tiegraph.network.offsets.lattice import CEILING, FLOOR, Lattice, Level, make_lattice
 from tiegraph.network.offsets.surface import ridge, surfaces_of
 from tiegraph.network.passes import Pass, PreviewBook
 from tiegraph.network.rig import commonview
@@ -31,7 +32,6 @@ LEAST_WINDOW = 3
 FLOOD_EXCESS = 1.1  # the lattice grows from nodes this much above min_matches: noise alone must not spread
 PREVIEWS_PER_IMAGE = 25  # the most that previews may take: linear in the number of images
 MIN_BUDGET = 6000  # previews that are always affordable (less than a minute on one core)
-LONG = 60  # frames from which on most frames of a pass share nothing: evidence counts near its path only
 COARSE_NODES = 24  # lattice nodes a side of the first look between two passes
 
 log = logging.getLogger(__name__)
@@ -81,7 +81,8 @@ def _stride(p: Pass, book: PreviewBook, settings: NetworkSettings) -> int:
     """Lattice stride in frames: a fifth of the frames over which a typical camera keeps seeing the same things."""
     reach = []
     starts = sampled_ranks(len(p), settings.sample_frames)
-    for images in p.images:
+    level = level_within(p, allowed_within(p.rig, settings.axes_deg), book, settings.min_matches)
+    for camera, images in enumerate(p.images):
         best = 0
         for step in LADDER:
             start = starts[starts + step < len(p)]
@@ -89,11 +90,19 @@ def _stride(p: Pass, book: PreviewBook, settings: NetworkSettings) -> int:
             there = (left >= 0) & (right >= 0)
             if not there.any():
                 break
-            if np.median(book.measure(left[there], right[there])) < settings.min_matches:
+            if _usual(book.measure(left[there], right[there]), camera, level, settings) < settings.min_matches:
                 break
             best = step
         reach.append(best)
     return int(np.clip(round(float(np.median(reach)) / 5 + 1), 1, min(MAX_STRIDE, max(1, len(p) // 4))))
+
+
+def _usual(count: np.ndarray, camera: int, level: Level | None, settings: NetworkSettings) -> float:
+    """What the previews (K,) of one camera at one distance reach, above what its unrelated frames do."""
+    if level is None:
+        return float(np.median(count))
+    mean = np.clip(count, FLOOR * settings.min_matches, CEILING * settings.min_matches).mean()
+    return float(level.above(mean, (camera, camera)))
 
 
 def _survey(
@@ -139,7 +148,8 @@ def _upper(lattice: Lattice) -> np.ndarray:
 
 def _seed_same(p: Pass, stride: int, book: PreviewBook, settings: NetworkSettings) -> Lattice:
     """Sampled frames against the frames around them, for every two cameras that the axes permit."""
-    lattice = make_lattice(p, p, stride, allowed_within(p.rig, settings.axes_deg))
+    allowed = allowed_within(p.rig, settings.axes_deg)
+    lattice = make_lattice(p, p, stride, allowed, level_within(p, allowed, book, settings.min_matches))
     a, b = np.ogrid[: len(lattice.rows), : len(lattice.columns)]
     sampled = np.isin(np.arange(len(lattice.rows)), sampled_ranks(len(lattice.rows), settings.sample_frames))
     near = sampled[:, None] & (np.abs(a - b) <= WINDOW_NODES)
@@ -157,13 +167,15 @@ def _seed_across(
         np.arange(len(lattice.columns)), sampled_ranks(len(lattice.columns), nodes)
     )
     lattice = lattice.measured(np.broadcast_to(coarse, lattice.inliers.shape), book)
-    excess = commonview.above(lattice, lattice.smoothed(settings.min_matches), settings.min_matches)
     centre = None
+    beside = np.ones(lattice.inliers.shape[2:], bool)
     if min(len(p), len(q)) >= LONG:
         centre = _ridge_path(lattice, settings.min_matches)
-        excess = excess * _beside(lattice, centre)
+        beside = _beside(lattice, centre)
+        lattice = replace(lattice, level=level_away(lattice, beside, settings.min_matches))
+    excess = commonview.above(lattice, lattice.smoothed(settings.min_matches), settings.min_matches) * beside
     backwards, _ = commonview.direction(lattice, excess)
-    lattice = Lattice(p, q, lattice.rows, lattice.columns, facing(lattice, excess, settings), lattice.inliers)
+    lattice = replace(lattice, allowed=facing(lattice, excess, settings))
     centre = _path(lattice, excess.sum(axis=(0, 1))) if centre is None else centre
     if centre is None:
         return lattice, backwards, None
@@ -213,9 +225,8 @@ def _local(survey: _Survey, settings: NetworkSettings) -> OffsetResult:
     kept = Pairs.make(i[there], j[there], "offsets", score=count[there])
     seen = np.isfinite(lattice.inliers)
     # A pair that is strong by itself is kept whatever its neighbours say.
-    strong = (np.nan_to_num(lattice.inliers) >= CEILING * settings.min_matches) & _beside(
-        lattice, survey.path, survey.window
-    )
+    strong = np.nan_to_num(lattice.inliers) >= lattice.sure(settings.min_matches)
+    strong &= _beside(lattice, survey.path, survey.window)
     voted = np.nan_to_num(smooth).max(axis=(2, 3), initial=0) >= settings.min_matches
     reason = np.where(voted | strong.any(axis=(2, 3)), REASONS.index("weak"), REASONS.index("votes"))
     code = np.where(strong, 0, np.broadcast_to(reason[:, :, None, None], seen.shape))

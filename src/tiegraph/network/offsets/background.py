@@ -1,0 +1,69 @@
+"""What a couple of cameras reach where their frames share nothing: chance, and walls that repeat.
+
+Most frames of a long pass share nothing with a given other frame, so that this can be measured, and what speaks for a
+tie is only what stands above it. Simulated canal with walls that come again every 12 m: half of the previews of one
+camera in frames 50 m and more apart reach the count of a tie; without this every camera seemed to see the same for 60
+frames.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tiegraph.network.offsets.lattice import CEILING, FLOOR, Lattice, Level
+from tiegraph.network.passes import Pass, PreviewBook
+
+LONG = 60  # frames from which on most frames of a pass share nothing: evidence counts near its path only
+FAR_SHARE = 1 / 3  # of a pass: frames so far apart share nothing
+SAMPLES = 40  # far frame pairs of a pass that are previewed, for every two cameras
+ENOUGH = 12  # previews of two cameras that tell their own level; of fewer, that of all
+OUTSTANDING = 0.99  # share of the previews of far frames that a pair passes that is believed by itself
+
+
+@dataclass(frozen=True)
+class Far:
+    """Previews of frames that share nothing: cameras c (K,), d (K,), inliers (K,)."""
+
+    c: np.ndarray
+    d: np.ndarray
+    count: np.ndarray
+
+    def level(self, shape: tuple[int, ...], min_matches: int) -> Level:
+        """The level of every two cameras, (S, T) of them."""
+        low, high = FLOOR * min_matches, CEILING * min_matches
+        value = np.clip(self.count, low, high)
+        key = self.c * shape[1] + self.d
+        number = np.bincount(key, minlength=shape[0] * shape[1])
+        mean = np.bincount(key, value, minlength=len(number)) / np.maximum(number, 1)
+        mean = np.where(number >= ENOUGH, mean, value.mean()).reshape(shape)
+        return Level(mean, max(high, float(np.quantile(self.count, OUTSTANDING))), low, high)
+
+
+def level_within(p: Pass, allowed: np.ndarray, book: PreviewBook, min_matches: int) -> Level | None:
+    """The level between frames of one pass far from each other, for cameras that are ``allowed`` (S, S); None for a
+    short pass."""
+    if len(p) < LONG:
+        return None
+    rng = np.random.default_rng(len(p))
+    least = int(np.ceil(FAR_SHARE * len(p)))
+    a = rng.integers(0, len(p) - least, SAMPLES)
+    b = rng.integers(a + least, len(p))
+    a, b = np.where(rng.random(SAMPLES) < 0.5, (a, b), (b, a))
+    c, d = np.nonzero(np.triu(allowed))
+    c, d, a, b = np.repeat(c, SAMPLES), np.repeat(d, SAMPLES), np.tile(a, len(c)), np.tile(b, len(c))
+    left, right = p.images[c, a], p.images[d, b]
+    there = (left >= 0) & (right >= 0)
+    if not there.any():
+        return None
+    count, c, d = book.measure(left[there], right[there]), c[there], d[there]
+    return Far(np.concatenate([c, d]), np.concatenate([d, c]), np.tile(count, 2)).level(allowed.shape, min_matches)
+
+
+def level_away(lattice: Lattice, beside: np.ndarray, min_matches: int) -> Level | None:
+    """The level of the measured nodes that are not ``beside`` (A, B) the path between two passes."""
+    c, d, a, b = np.nonzero(np.isfinite(lattice.inliers) & ~beside)
+    if not len(c):
+        return None
+    return Far(c, d, lattice.inliers[c, d, a, b]).level(lattice.allowed.shape, min_matches)
