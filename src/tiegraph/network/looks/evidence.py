@@ -11,7 +11,7 @@ import numpy as np
 
 from tiegraph.network.looks.timeline import Timeline
 from tiegraph.network.offsets.background import ENOUGH, LONG, SAMPLES, Far
-from tiegraph.network.offsets.lattice import CEILING, FLOOR, Level
+from tiegraph.network.offsets.lattice import Level
 from tiegraph.network.passes import PreviewBook
 
 FRAME_PAIRS = 8  # of a loop that all cameras are previewed at
