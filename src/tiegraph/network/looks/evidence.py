@@ -14,8 +14,8 @@ from tiegraph.network.offsets.background import ENOUGH, LONG, SAMPLES, Far
 from tiegraph.network.offsets.lattice import Level
 from tiegraph.network.passes import PreviewBook
 
-FRAME_PAIRS = 8  # of a loop that all cameras are previewed at
-SPEAKS = 0.35  # of the way from the level of unrelated frames to the highest: what a camera must reach there
+FRAME_PAIRS = 12  # of a loop that all cameras are previewed at
+SPEAKS = 0.4  # of the way from the level of unrelated frames to the highest: what a camera must reach there
 MOST_CAMERAS = 0.5  # share of a rig's cameras that must
 PLACES_A_LOOP = 16  # of the survey's places: so many loops are looked at so closely
 
@@ -65,15 +65,34 @@ def _frame_pairs(line: Timeline, i: np.ndarray, j: np.ndarray) -> tuple[np.ndarr
 
 
 def _share_speaking(line: Timeline, a: np.ndarray, b: np.ndarray, book: PreviewBook, level: Level) -> float:
-    """Share of the cameras that tie, in the mean over places a (K,), b (K,), with any camera at the other place; of the
-    two places the lower one."""
-    left, right = line.image_at[a][:, :, None], line.image_at[b][:, None, :]
-    left, right = np.broadcast_arrays(left, right)  # (K, S, S)
+    """Share of the cameras that tie at places a (K,), b (K,) with a camera of the other place; of both the lower one.
+
+    Which camera that is, one end of the loop says, and whether they tie the other end: the best of several chances
+    would speak for any two places, and neighbouring frames see the same wall.
+    """
+    left, right = np.broadcast_arrays(line.image_at[a][:, :, None], line.image_at[b][:, None, :])  # (K, S, S)
     there = (left >= 0) & (right >= 0)
-    count = np.zeros(left.shape)
+    count = np.full(left.shape, np.nan)
     count[there] = book.measure(left[there], right[there])
     high = level.highest
-    value = np.where(there, np.clip(count, level.lowest, high), 0).sum(axis=0) / np.maximum(there.sum(axis=0), 1)
-    speaks = (value - level.mean >= SPEAKS * (high - level.mean)) & there.any(axis=0)
-    cameras = [there.any(axis=(0, 2)), there.any(axis=(0, 1))]
-    return min(float(speaks.any(axis=axis)[c].mean()) for axis, c in zip((1, 0), cameras))
+    above = (np.clip(count, level.lowest, high) - level.mean) / np.maximum(high - level.mean, 1e-9)
+    middle = len(a) // 2
+    halves = [_mean(above[:middle]), _mean(above[middle:])] if middle else [_mean(above)] * 2
+    shares = []
+    for axis in (1, 2):
+        told = [_at_best(choose, judge, axis - 1) for choose, judge in (halves, halves[::-1])]
+        cameras = there.any(axis=(0, axis))
+        shares.append(float(np.mean((np.mean(told, axis=0) >= SPEAKS)[cameras])))
+    return min(shares)
+
+
+def _mean(above: np.ndarray) -> np.ndarray:
+    """(S, S) mean of what is known (K, S, S), -1 where nothing is."""
+    known = np.isfinite(above)
+    return np.where(known.any(axis=0), np.nansum(above, axis=0) / np.maximum(known.sum(axis=0), 1), -1.0)
+
+
+def _at_best(choose: np.ndarray, judge: np.ndarray, axis: int) -> np.ndarray:
+    """(S,) of ``judge`` (S, S) where ``choose`` is highest along an axis."""
+    best = np.argmax(choose, axis=axis, keepdims=True)
+    return np.take_along_axis(judge, best, axis).squeeze(axis)

@@ -11,14 +11,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
-from tiegraph.network.offsets.lattice import CEILING, FLOOR, Lattice, Level
+from tiegraph.network.offsets.lattice import CEILING, FLOOR, SIGMA_NODES, Lattice, Level
 from tiegraph.network.passes import Pass, PreviewBook
 
 LONG = 60  # frames from which on most frames of a pass share nothing: evidence counts near its path only
 FAR_SHARE = 1 / 3  # of a pass: frames so far apart share nothing
 SAMPLES = 40  # far frame pairs of a pass that are previewed, for every two cameras
 ENOUGH = 12  # previews of two cameras that tell their own level; of fewer, that of all
+BAND = 0.15  # of the way from the level to the highest: what the frames at one distance from the path reach on average
 OUTSTANDING = 0.99  # share of the previews of far frames that a pair passes that is believed by itself
 
 
@@ -67,3 +69,32 @@ def level_away(lattice: Lattice, beside: np.ndarray, min_matches: int) -> Level 
     if not len(c):
         return None
     return Far(c, d, lattice.inliers[c, d, a, b]).level(lattice.allowed.shape, min_matches)
+
+
+def band(lattice: Lattice, path: np.ndarray, window: int) -> np.ndarray:
+    """(S, T, A, B) bool: nodes as far from the ``path`` (A,) of two long passes as their cameras tie all along it.
+
+    What two cameras share changes slowly along a pass, so that all its frames together tell at which distances they
+    tie; a repeated wall ties frames at any distance, but only some of them.
+    """
+    level = lattice.level
+    beside = np.rint(np.arange(len(lattice.columns)) - path[:, None]).astype(int) + window  # (A, B) bin
+    inside = (beside >= 0) & (beside <= 2 * window)
+    if level is None:
+        return np.broadcast_to(inside, lattice.inliers.shape)
+    c, d, a, b = np.nonzero(np.isfinite(lattice.inliers) & inside)
+    shape = (*lattice.allowed.shape, 2 * window + 1)
+    key = np.ravel_multi_index((c, d, beside[a, b]), shape)
+    value = np.clip(lattice.inliers[c, d, a, b], level.lowest, level.highest)
+    total, number = (np.bincount(key, w, np.prod(shape)).reshape(shape) for w in (value, np.ones(len(key))))
+    total, number = (gaussian_filter1d(x, SIGMA_NODES, axis=2, mode="constant") for x in (total, number))
+    span = np.maximum(level.highest - level.mean, 1e-9)[..., None]
+    share = np.where(number > 0, (total / np.maximum(number, 1e-9) - level.mean[..., None]) / span, -1.0)
+    ties = share >= BAND
+    peak = np.argmax(share, axis=2)
+    ahead, back = np.arange(shape[2]) >= peak[..., None], np.arange(shape[2]) <= peak[..., None]
+    # Of each two cameras the run of distances that holds the best one.
+    upto = np.logical_and.accumulate(ties | ~ahead, axis=2) & ahead
+    downto = np.logical_and.accumulate((ties | ~back)[..., ::-1], axis=2)[..., ::-1] & back
+    run = (upto | downto) & ties
+    return run[:, :, np.clip(beside, 0, 2 * window)] & inside

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tiegraph.network.looks.copies import find_copies
-from tiegraph.network.offsets.background import LONG, level_away, level_within
+from tiegraph.network.offsets.background import LONG, band, level_away, level_within
 from tiegraph.network.offsets.constant import constant_offsets
 from tiegraph.network.offsets.curves import OffsetResult, contained, curves_of, facing, sampled_ranks
 from tiegraph.network.offsets.lattice import CEILING, FLOOR, Lattice, Level, make_lattice
@@ -216,6 +216,10 @@ def _local(survey: _Survey, settings: NetworkSettings) -> OffsetResult:
     lattice = survey.lattice
     smooth = lattice.confirmed(survey.smooth, settings.min_matches)
     smooth = commonview.without_chance(lattice, smooth, settings.min_matches)
+    near = None
+    if survey.path is not None:
+        near = band(lattice, survey.path, survey.window + 2)
+        smooth = np.where(near | np.isnan(smooth), smooth, np.minimum(smooth, FLOOR * settings.min_matches))
     c, d, m, n, count = lattice.interpolated(smooth, settings.min_matches)
     i, j = lattice.p.images[c, m], lattice.q.images[d, n]
     there = (i >= 0) & (j >= 0) & (i != j)
@@ -226,7 +230,8 @@ def _local(survey: _Survey, settings: NetworkSettings) -> OffsetResult:
     seen = np.isfinite(lattice.inliers)
     # A pair that is strong by itself is kept whatever its neighbours say.
     strong = np.nan_to_num(lattice.inliers) >= lattice.sure(settings.min_matches)
-    strong &= _beside(lattice, survey.path, survey.window)
+    if near is not None:
+        strong &= near
     voted = np.nan_to_num(smooth).max(axis=(2, 3), initial=0) >= settings.min_matches
     reason = np.where(voted | strong.any(axis=(2, 3)), REASONS.index("weak"), REASONS.index("votes"))
     code = np.where(strong, 0, np.broadcast_to(reason[:, :, None, None], seen.shape))
