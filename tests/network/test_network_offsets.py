@@ -167,14 +167,13 @@ def test_pairs_and_previews_grow_with_the_images_and_not_with_their_square() -> 
 
 
 def test_a_coarser_lattice_looks_no_further_from_the_path(monkeypatch) -> None:
-    """Out of its budget of previews the lattice takes every second frame, and still as many frames beside the path,
-    though walls repeat all along it."""
+    """Out of its budget of previews the lattice takes every second frame, and still as many frames beside the path."""
     world = boat((160,), (1.0,), ring(3, up=False))
     n, step = len(world.scene), world.scene.step[world.scene.frame]
 
     def match(pairs: np.ndarray) -> list[Result]:
         apart = np.abs(step[pairs[:, 0]] - step[pairs[:, 1]])
-        return [Result(30 if a <= 6 or a >= 20 else 9) for a in apart]
+        return [Result(30 if a <= 25 else 9) for a in apart]
 
     monkeypatch.setattr(offsets, "MIN_BUDGET", 0)
     furthest, previews = [], []

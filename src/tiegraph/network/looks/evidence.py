@@ -75,7 +75,7 @@ def _share_speaking(line: Timeline, a: np.ndarray, b: np.ndarray, book: PreviewB
     count = np.full(left.shape, np.nan)
     count[there] = book.measure(left[there], right[there])
     high = level.highest
-    above = (np.clip(count, level.lowest, high) - level.mean) / np.maximum(high - level.mean, 1e-9)
+    above = (np.clip(count, level.lowest, high) - level.told) / (high - level.told)
     middle = len(a) // 2
     halves = [_mean(above[:middle]), _mean(above[middle:])] if middle else [_mean(above)] * 2
     shares = []

@@ -88,8 +88,8 @@ def band(lattice: Lattice, path: np.ndarray, window: int) -> np.ndarray:
     value = np.clip(lattice.inliers[c, d, a, b], level.lowest, level.highest)
     total, number = (np.bincount(key, w, np.prod(shape)).reshape(shape) for w in (value, np.ones(len(key))))
     total, number = (gaussian_filter1d(x, SIGMA_NODES, axis=2, mode="constant") for x in (total, number))
-    span = np.maximum(level.highest - level.mean, 1e-9)[..., None]
-    share = np.where(number > 0, (total / np.maximum(number, 1e-9) - level.mean[..., None]) / span, -1.0)
+    span = (level.highest - level.told)[..., None]
+    share = np.where(number > 0, (total / np.maximum(number, 1e-9) - level.told[..., None]) / span, -1.0)
     ties = share >= BAND
     peak = np.argmax(share, axis=2)
     ahead, back = np.arange(shape[2]) >= peak[..., None], np.arange(shape[2]) <= peak[..., None]

@@ -19,7 +19,7 @@ FLOOR = 2 / 3  # share of min_matches that unrelated images reach by chance
 CEILING = 2.0  # share of min_matches above which more matches say nothing more
 PEAK = 1.2  # times min_matches: what a patch of evidence must reach somewhere
 _TRUNCATE = 2.5  # kernel cut, in sigmas
-_MOST_LEVEL = 0.8  # of the way to CEILING: a level of unrelated frames so high that nothing can be told from it
+_MOST_LEVEL = 0.8  # of the way to CEILING: the highest level of unrelated frames that is taken off
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,16 @@ class Level:
     lowest: float
     highest: float
 
+    @property
+    def told(self) -> np.ndarray:
+        """(S, T) the mean, held below the highest: of cameras whose far frames all reach that nothing can be told."""
+        return np.clip(self.mean, self.lowest, self.lowest + _MOST_LEVEL * (self.highest - self.lowest))
+
     def above(self, mean: np.ndarray, cameras: tuple) -> np.ndarray:
         """Means of limited counts of ``cameras`` (an index of ``self.mean``): ``lowest`` where they are no higher than
         this level, and what stands above it keeps its share of the way to the highest."""
-        span = self.highest - self.lowest
-        level = np.clip(self.mean, self.lowest, self.lowest + _MOST_LEVEL * span)[cameras]
-        return self.lowest + np.maximum(mean - level, 0) * span / (self.highest - level)
+        level = self.told[cameras]
+        return self.lowest + np.maximum(mean - level, 0) * (self.highest - self.lowest) / (self.highest - level)
 
 
 @dataclass(frozen=True)
