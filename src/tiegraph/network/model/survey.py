@@ -59,7 +59,7 @@ def by_model(
     are added with the source ``model``.
     """
     tries = _tries(pairs, scene, book, settings, make)
-    best = max(tries, key=lambda t: t.trust.explained)
+    best = max(tries, key=lambda t: (t.right(), t.trust.explained))
     again = len(tries) - 1
     said = (f"preview model: made {again + 1} times, the first did not agree with its ties",) if again else ()
     if not best.models:
@@ -85,6 +85,10 @@ class _Try:
     ties: int  # pairs it was made of
     notes: tuple[str, ...]
 
+    def right(self) -> bool:
+        """Whether it holds together and no tie is suspect; a torn one may explain more matches, the false ones too."""
+        return bool(self.models) and self.trust.sound and not len(self.trust.suspects[0])
+
 
 def _tries(pairs: Pairs, scene: Scene, book: PreviewBook, settings: NetworkSettings, make: ModelFunction) -> list[_Try]:
     """Models until one is sound and agrees with most ties everywhere.
@@ -100,7 +104,7 @@ def _tries(pairs: Pairs, scene: Scene, book: PreviewBook, settings: NetworkSetti
         made = _try(ties, scene, book, settings, mapper)
         tries.append(made)
         suspects = _key(*made.trust.suspects)
-        if not made.models or (made.trust.sound and not len(suspects)):
+        if not made.models or made.right():
             break
         if len(suspects):
             without = np.union1d(without, suspects)

@@ -17,7 +17,7 @@ from tiegraph.network.offsets.lattice import CEILING, FLOOR, SIGMA_NODES, Lattic
 from tiegraph.network.passes import Pass, PreviewBook
 
 LONG = 60  # frames from which on most frames of a pass share nothing: evidence counts near its path only
-FAR_SHARE = 1 / 3  # of a pass: frames so far apart share nothing
+FAR_SHARE = (0.4, 0.6)  # of a pass: frames so far apart share nothing, also where its end is its beginning
 SAMPLES = 40  # far frame pairs of a pass that are previewed, for every two cameras
 ENOUGH = 12  # previews of two cameras that tell their own level; of fewer, that of all
 BAND = 0.15  # of the way from the level to the highest: what the frames at one distance from the path reach on average
@@ -49,9 +49,9 @@ def level_within(p: Pass, allowed: np.ndarray, book: PreviewBook, min_matches: i
     if len(p) < LONG:
         return None
     rng = np.random.default_rng(len(p))
-    least = int(np.ceil(FAR_SHARE * len(p)))
-    a = rng.integers(0, len(p) - least, SAMPLES)
-    b = rng.integers(a + least, len(p))
+    apart = rng.integers(int(FAR_SHARE[0] * len(p)), int(FAR_SHARE[1] * len(p)) + 1, SAMPLES)
+    a = rng.integers(0, len(p) - apart)
+    b = a + apart
     a, b = np.where(rng.random(SAMPLES) < 0.5, (a, b), (b, a))
     c, d = np.nonzero(np.triu(allowed))
     c, d, a, b = np.repeat(c, SAMPLES), np.repeat(d, SAMPLES), np.tile(a, len(c)), np.tile(b, len(c))
