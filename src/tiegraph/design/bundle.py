@@ -95,16 +95,14 @@ class Bundle:
 
     @staticmethod
     def possible(candidates: Candidates, sights: Sights | None, scene: Scene) -> bool:
-        """Whether the preview model holds nearly all images and the survey is small enough."""
+        """Whether images share unknowns (else the net of resistances chooses as well, and faster), the preview model holds
+        nearly all of them, and the survey is small enough."""
         if sights is None or sights.rotation is None or not len(candidates):
             return False
         placed = np.isfinite(sights.centre).all(axis=1)
         used = np.unique(np.concatenate([candidates.i, candidates.j]))
-        return bool(placed[used].mean() >= _PLACED) and _Columns.make(scene).size <= MOST
-
-    def shared(self) -> bool:
-        """Whether images share unknowns; if not, the net of resistances chooses as well and faster."""
-        return self._columns.size > 6 * self._columns.frames
+        columns = _Columns.make(scene)
+        return bool(placed[used].mean() >= _PLACED) and 6 * columns.frames < columns.size <= MOST
 
     # ------------------------------------------------------------------------------------------ linear equations
 

@@ -83,20 +83,17 @@ def _measure(
     scene: Scene,
     settings: DesignSettings,
 ) -> Measure:
-    """The worth of pairs: by the bundle adjustment where its unknowns are few enough and shared, else by the net of
-    resistances; the loss is predicted by the bundle adjustment in both cases, if it is small enough."""
-    hybrid = settings.method == "hybrid"
-    by_net = Predictor(candidates, hybrid, _units(scene)) if settings.budget == "loss" else None
-    if sights is None or foreseen is None or not Bundle.possible(candidates, sights, scene):
-        return ByNet(candidates, hybrid, by_net)
+    """The bundle adjustment where images share unknowns and these are few enough, else the net of resistances."""
+    hybrid, by_loss = settings.method == "hybrid", settings.budget == "loss"
+    if not hybrid or sights is None or foreseen is None or not Bundle.possible(candidates, sights, scene):
+        return ByNet(candidates, hybrid, Predictor(candidates, hybrid, _units(scene)) if by_loss else None)
     chance, judge = verified_chance(candidates.expected), None
-    if by_net is not None:
+    if by_loss:
         i, j = candidates.i, candidates.j
         ties = foresee(i, j, measured, sights, draw=1).ties
         again = Candidates.make(i, j, candidates.expected, ties, len(scene))
-        judge = Judge(Bundle(again, ties, sights, scene), chance, by_net)
-    bundle = Bundle(candidates, foreseen, sights, scene)
-    return ByBundle(bundle, chance, judge) if hybrid and bundle.shared() else ByNet(candidates, hybrid, judge)
+        judge = Judge(Bundle(again, ties, sights, scene), chance)
+    return ByBundle(Bundle(candidates, foreseen, sights, scene), chance, judge)
 
 
 def _units(scene: Scene) -> np.ndarray:

@@ -65,22 +65,21 @@ class ByNet:
 
 class Judge:
     """The loss by the exact covariance of the bundle adjustment, over tracks drawn anew and without the pairs that are
-    not verified: by the very tracks it was made by, a choice looks too good. Foreseen tracks break less than real ones
-    where much is seen from many frames (PandaSet), so what the net of resistances says counts if it is more."""
+    not verified: by the very tracks it was made by, a choice looks too good."""
 
-    def __init__(self, again: Bundle, chance: np.ndarray, net: Loss) -> None:
+    def __init__(self, again: Bundle, chance: np.ndarray) -> None:
         """``again``: the candidates with another draw of ties; ``chance`` (E,) of each to be verified."""
-        self._again, self._net = again, net
+        self._again = again
         self._comes = np.random.default_rng(_SEED).random(len(chance)) < chance
         self._all = self._variances(np.ones(len(chance), bool))
 
     def loss(self, chosen: np.ndarray, tracks: Tracks | None = None) -> float:
         """Frames that all pairs leave as good as free do not count."""
-        by_net, held = self._net.loss(chosen, tracks), self._all < _FREE**2
+        held = self._all < _FREE**2
         if not held.any():
-            return by_net
+            return 0.0
         ratio = self._variances(chosen)[held].mean() / self._all[held].mean()
-        return max(float(np.sqrt(ratio)) - 1.0, by_net)
+        return max(float(np.sqrt(ratio)) - 1.0, 0.0)
 
     def _variances(self, chosen: np.ndarray) -> np.ndarray:
         tracks = joined(self._again.candidates, chosen & self._comes)
