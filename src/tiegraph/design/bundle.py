@@ -23,7 +23,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Sights, Ties
 
 MOST = 800  # unknowns: an inverse a round costs 0.2 s then
-_POINTS = 2500  # of the preview model, drawn at random: enough for the information of all
+_POINTS = 1200  # of the preview model, drawn at random: enough for the information of all
 _MATCHES = 4  # of a pair stand for all of them: as many as two images have degrees of freedom, less one
 _BLOCK = 2000  # pairs looked at together: bounds the memory
 _PLACED = 0.9  # of the images with candidates must be in the preview model
@@ -216,10 +216,11 @@ class Bundle:
         for k in np.flatnonzero(np.diff(ends)):
             own, columns = slice(ends[k], ends[k + 1]), self._columns.of_image[k]
             flat = jacobian[own].reshape(-1, jacobian.shape[2])
-            np.add.at(out, (columns[:, None], columns[None]), flat.T @ flat)
-            mixed = np.einsum("kif,kip->fkp", jacobian[own], by_point[own])
-            np.add.at(cross, (columns[:, None], track[own][None]), mixed)
-        weighted = np.einsum("utp,tpq->utq", cross, inverse).reshape(total, -1)
+            # No index comes twice but that of the row of nothing, which is cut off: no need of the slow add.at.
+            out[columns[:, None], columns[None]] += flat.T @ flat
+            mixed = np.swapaxes(jacobian[own], 1, 2) @ by_point[own]
+            cross[columns[:, None], track[own][None]] += np.swapaxes(mixed, 0, 1)
+        weighted = np.swapaxes(np.swapaxes(cross, 0, 1) @ inverse, 0, 1).reshape(total, -1)
         out -= weighted @ cross.reshape(total, -1).T
         return out[:-1, :-1] / self._share
 

@@ -12,7 +12,7 @@ from tiegraph.design.resistance import Net, laplacian
 from tiegraph.design.tracks import Candidates, Tracks
 
 KNOWN = 0.05  # worth of a match whose track is joined already: another observation against outliers
-_AGAIN = 0.10  # growth of the network after which the bundle's information is made anew from its tracks
+_AGAIN = 0.20  # growth of the network after which the bundle's information is made anew from its tracks
 _ALL = 0.5  # growth after which the gains of all pairs are computed anew; between, of those that were best
 _SEED = 0
 _FREE = 0.1  # sigma of a frame that nothing holds, in sizes of the survey
