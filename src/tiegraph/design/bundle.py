@@ -23,7 +23,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Sights, Ties
 
 MOST = 800  # unknowns: an inverse a round costs 0.2 s then
-_POINTS = 1200  # of the preview model, drawn at random: enough for the information of all
+_POINTS = 2500  # of the preview model, drawn at random: enough for the information of all
 _MATCHES = 4  # of a pair stand for all of them: as many as two images have degrees of freedom, less one
 _BLOCK = 2000  # pairs looked at together: bounds the memory
 _PLACED = 0.9  # of the images with candidates must be in the preview model
@@ -95,8 +95,8 @@ class Bundle:
 
     @staticmethod
     def possible(candidates: Candidates, sights: Sights | None, scene: Scene) -> bool:
-        """Whether images share unknowns (else the net of resistances chooses as well, and faster), the preview model holds
-        nearly all of them, and the survey is small enough."""
+        """Whether images share unknowns (else the net of resistances chooses as well, and faster), the preview model
+        holds nearly all of them, and the survey is small enough."""
         if sights is None or sights.rotation is None or not len(candidates):
             return False
         placed = np.isfinite(sights.centre).all(axis=1)
