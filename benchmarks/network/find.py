@@ -26,7 +26,7 @@ from benchmarks import datasets, run
 from benchmarks.network import overlap as truths
 from benchmarks.network.lists import METHODS as LISTS
 from benchmarks.network.lists import NEED_PREVIEWS
-from benchmarks.network.measure import add_row, measured, run_tiegraph
+from benchmarks.network.measure import add_row, finished_tiegraph, measured, run_tiegraph
 from tiegraph.errors import InputError
 from tiegraph.pipeline import STAGES
 from tiegraph.scene.pairs import Pairs
@@ -71,7 +71,7 @@ def main(argv: list[str] | None = None) -> int:
             dataset = datasets.load(name, Path(folder) / "inputs")
             work = (args.keep or Path(folder)) / name
             work.mkdir(parents=True, exist_ok=True)
-            base = run_tiegraph(dataset, work / "base", ["--until", "preview"])
+            base = _base(dataset, work / "base", args)
             scene = Scene.from_json((work / "base" / "out" / "scene.json").read_text())
             database = _exhaustive_database(dataset, work, args)
             truth = _truth(dataset, scene, database)
@@ -98,6 +98,8 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--exhaustive-db", type=Path, metavar="PATH",
                         help="COLMAP database of exhaustive matching; SET in the path stands for the set's name; "
                         "default: made here, which takes long")  # fmt: skip
+    parser.add_argument("--runs", type=Path, metavar="FOLDER",
+                        help="take the default runs that benchmarks/run.py --keep FOLDER left there")  # fmt: skip
     parser.add_argument("--verified", action="store_true", help="run tiegraph on to its last verification of pairs")
     parser.add_argument("--keep", type=Path, help="keep the work folders below this folder, and continue what is there")
     parser.add_argument("--work", type=Path, help="where temporary folders go")
@@ -121,6 +123,20 @@ def _row(dataset: datasets.Dataset, method: str, work: Path, args: argparse.Name
     }
 
 
+def _kept(dataset: datasets.Dataset, args: argparse.Namespace) -> Path | None:
+    """A finished default run of the set, where there is one."""
+    out = args.runs / f"{dataset.name}-tiegraph-0" / "out" if args.runs else None
+    return out if out is not None and (out / "verify.npz").exists() else None
+
+
+def _base(dataset: datasets.Dataset, folder: Path, args: argparse.Namespace) -> dict[str, Any]:
+    """A run up to the previews, which some lists are made of."""
+    kept = _kept(dataset, args)
+    if kept is not None:
+        return finished_tiegraph(kept, folder, "preview")
+    return run_tiegraph(dataset, folder, ["--until", "preview"])
+
+
 def _found(
     dataset: datasets.Dataset, method: str, work: Path, base: dict[str, Any], args: argparse.Namespace
 ) -> dict[str, Any]:
@@ -135,6 +151,9 @@ def _found(
         if method in NEED_PREVIEWS:
             said["cpu_s"] += base["cpu_s"]
             said["peak_mib"] = max(said["peak_mib"], base["peak_mib"])
+    elif method == TIEGRAPH and (kept := _kept(dataset, args)) is not None:
+        said = finished_tiegraph(kept, work / method, "network")
+        said["verified_cpu_s"] = finished_tiegraph(kept, work / method, "verify")["cpu_s"]
     else:
         options = [] if method == TIEGRAPH else ["--preset", method]
         said = run_tiegraph(dataset, work / method, [*options, "--until", "network"], args.timeout)

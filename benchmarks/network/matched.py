@@ -38,14 +38,14 @@ class Run:
     @staticmethod
     def read(folder: Path) -> Run:
         """A run with ``--design.method all`` up to the stage ``verify``."""
-        sights = folder / "network" / "sights.npz"
+        sights, model = folder / "network" / "sights.npz", folder / "network" / "model.npz"
         return Run(
             folder,
             Scene.from_json((folder / "network" / "scene.json").read_text()).measured(),
             Pairs.from_npz(_npz(folder / "network.npz")),
             Pairs.from_npz(_npz(folder / "verify.npz")),
             Ties.from_npz(_npz(folder / "network" / "ties.npz")),
-            Sights.from_npz(_npz(sights)) if sights.exists() else None,
+            Sights.from_npz(_npz(sights), _npz(model)["cam_from_world"]) if sights.exists() else None,
         )
 
     def with_accuracy(self) -> Pairs:

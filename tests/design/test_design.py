@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from boat_world import boat, photos
 from tiegraph.design.design import design
 from tiegraph.design.expected import expected_matches
-from tiegraph.design.hybrid import Predictor
+from tiegraph.design.predict import Predictor
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates, Tracks
 from tiegraph.network.network import estimate_network
@@ -154,7 +154,7 @@ def test_an_image_that_hangs_by_little_does_not_rule_the_loss_of_a_known_rig() -
     def loss(predictor: Predictor) -> float:
         return float(np.sqrt(predictor.variance(chosen) / predictor.variance(np.ones(4, bool)))) - 1
 
-    alone, held = loss(Predictor(candidates)), loss(Predictor(candidates, np.array([0, 0, 1, 1, 2])))
+    alone, held = loss(Predictor(candidates)), loss(Predictor(candidates, unit=np.array([0, 0, 1, 1, 2])))
     assert 0 <= alone < 0.02, "the loose image is nearly all of the variance, with and without the third pair"
     assert 0.1 < held < 0.6
 

@@ -32,7 +32,7 @@ def test_matches_are_among_the_common_points_and_always_the_same() -> None:
 def test_fewer_where_the_rays_meet_at_a_larger_angle() -> None:
     pair = np.array([0]), np.array([1]), np.array([np.nan])
     counts = [foresee(*pair, sights((0.0, base, 0.0))).expected[0] for base in (0.0, 2.0, 6.0)]
-    assert counts[0] == pytest.approx(200) and 0.4 * counts[0] < counts[1] < 0.9 * counts[0]
+    assert counts[0] == pytest.approx(100) and 0.4 * counts[0] < counts[1] < 0.9 * counts[0]
     assert counts[2] < 0.2 * counts[0]
 
 

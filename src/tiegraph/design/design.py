@@ -7,11 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from tiegraph.design.bundle import Bundle
 from tiegraph.design.coverage import coverage
 from tiegraph.design.expected import counted_matches, expected_matches
-from tiegraph.design.foreseen import foresee
+from tiegraph.design.foreseen import foresee, verified_chance
 from tiegraph.design.fuse2014 import fuse2014
 from tiegraph.design.hybrid import Budget, Choice, choose
+from tiegraph.design.measure import ByBundle, ByNet, Judge, Measure
+from tiegraph.design.predict import Predictor
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates
 from tiegraph.scene.graph import cuts, forest, frame_links, groups, parts, two_links
@@ -50,9 +53,9 @@ def design(
         thin = fuse2014(pairs, scene, expected, safe=settings.method == "fuse2014_safe")
         return _judged(pairs, thin.pairs, scene, thin.notes, dict(thin.counts))
     i, j, strength = pairs.i[kept], pairs.j[kept], expected[kept]
-    known = ties
+    known, measured = ties, counted_matches(pairs, ties)[kept]
     if sights is not None:
-        seen = foresee(i, j, counted_matches(pairs, ties)[kept], sights)
+        seen = foresee(i, j, measured, sights)
         known, strength = seen.ties, np.where(np.isfinite(seen.expected), seen.expected, strength)
     start = _start(i, j, strength, scene)
     if settings.method == "top":
@@ -60,7 +63,8 @@ def design(
         choice = Choice(chosen, np.nan, 0)
     else:
         candidates = Candidates.make(i, j, strength, known, len(scene))
-        choice = choose(candidates, start, _budget(settings, scene), settings.method == "hybrid", _units(scene))
+        measure = _measure(candidates, known, measured, sights, scene, settings)
+        choice = choose(candidates, start, _budget(settings, scene), settings.method == "hybrid", measure)
     second = _second_links(i, j, strength, choice.places, scene)
     keep = np.zeros(len(pairs), bool)
     keep[kept[np.concatenate([choice.places, second])]] = True
@@ -69,6 +73,27 @@ def design(
         counts["predicted_loss_percent"] = round(100 * choice.loss, 2)
     notes = _budget_notes(choice, settings, len(start), len(kept), len(scene))
     return _judged(pairs, pairs.drop(~keep, "cut"), scene, notes, counts)
+
+
+def _measure(
+    candidates: Candidates,
+    foreseen: Ties | None,
+    measured: np.ndarray,
+    sights: Sights | None,
+    scene: Scene,
+    settings: DesignSettings,
+) -> Measure:
+    """The bundle adjustment where images share unknowns and these are few enough, else the net of resistances."""
+    hybrid, by_loss = settings.method == "hybrid", settings.budget == "loss"
+    if not hybrid or sights is None or foreseen is None or not Bundle.possible(candidates, sights, scene):
+        return ByNet(candidates, hybrid, Predictor(candidates, hybrid, _units(scene)) if by_loss else None)
+    chance, judge = verified_chance(candidates.expected), None
+    if by_loss:
+        i, j = candidates.i, candidates.j
+        ties = foresee(i, j, measured, sights, draw=1).ties
+        again = Candidates.make(i, j, candidates.expected, ties, len(scene))
+        judge = Judge(Bundle(again, ties, sights, scene), chance)
+    return ByBundle(Bundle(candidates, foreseen, sights, scene), chance, judge)
 
 
 def _units(scene: Scene) -> np.ndarray:

@@ -15,13 +15,13 @@ from scipy.optimize import nnls
 from tiegraph.scene.ties import Sights, Ties
 
 _MIX = (np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB))  # splitmix64
-_FOUND_AGAIN = 0.5  # of the points both images see, at equal angle and distance: 0.7 in each (SIFT's repeatability)
 _ANGLES_DEG = (3.5, 5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0)  # tried: where chances fall to 1 / e
 _OCTAVES = (0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 3.0)
-_USUAL = (20.0, 0.7)  # where too few pairs were previewed to tell
+_USUAL = (20.0, 0.7, 0.5)  # where too few pairs were previewed to tell; 0.7 found in each image, as SIFT repeats
 _CELL_DEG, _CELL_OCTAVES, _CELLS = 1.75, 0.1, (40, 30)  # of the tables the law is fitted to
 _SAMPLE = 3000  # previewed pairs are enough for its four numbers
 _FEWEST = 30
+_HALF = 7.5  # preview matches with which every second pair is verified: full images find twice as many, 15 are needed
 _POISSON = 5.0  # matches: the variance of a count is itself, and not less than this
 
 
@@ -47,13 +47,21 @@ class _Law:
         return np.exp(-((angle_deg / self.angle_deg) ** 2) - (octaves / self.octaves) ** 2)
 
 
-def foresee(i: np.ndarray, j: np.ndarray, measured: np.ndarray, sights: Sights) -> Foreseen:
+def verified_chance(expected: np.ndarray) -> np.ndarray:
+    """(P,) how likely pairs of so many expected preview matches come through verification at full resolution."""
+    return expected**2 / (expected**2 + _HALF**2)
+
+
+def foresee(i: np.ndarray, j: np.ndarray, measured: np.ndarray, sights: Sights, draw: int = 0) -> Foreseen:
     """Ties and expected matches of pairs i < j (P,); ``measured`` (P,) preview matches, NaN = not previewed.
 
-    Which of the common points match is drawn at random, but always in the same way, with the chance of each point. A
-    measured count and what the points promise are taken together by their geometric mean.
+    Which of the common points match is drawn at random, with the chance of each point, and always in the same way for
+    the same ``draw``: a choice is judged by another draw than it was made by. A measured count and what the points
+    promise are taken together by their geometric mean.
     """
     law = _fitted(i, j, measured, sights)
+    image = np.repeat(np.arange(len(sights.centre)), np.diff(sights.start))
+    detected = _uniform(sights.point, image, image, draw) < np.sqrt(law.rate)  # alike for all its pairs
     expected = np.full(len(i), np.nan)
     kept_i, kept_j, matches = [], [], []
     for n, (a, b) in enumerate(zip(i.tolist(), j.tolist())):
@@ -65,7 +73,8 @@ def foresee(i: np.ndarray, j: np.ndarray, measured: np.ndarray, sights: Sights) 
         if np.isfinite(measured[n]):
             count = float(np.sqrt((max(measured[n] - law.by_chance, 0.0) + 1.0) * (promised + 1.0))) - 1.0
         expected[n] = max(count, 1.0)
-        chosen = _uniform(common, a, b) < _FOUND_AGAIN * likely * min(count / max(promised, 1e-9), 1 / _FOUND_AGAIN)
+        chosen = detected[sights.start[a] + left] & detected[sights.start[b] + right]
+        chosen &= _uniform(common, a, b, draw) < likely * (count / max(promised, 1e-9))
         kept_i.append(a)
         kept_j.append(b)
         matches.append(np.stack([left[chosen], right[chosen]], axis=1).astype(np.uint16))
@@ -101,12 +110,12 @@ def _fitted(i: np.ndarray, j: np.ndarray, measured: np.ndarray, sights: Sights) 
         table[n] = np.bincount(row * _CELLS[1] + column, minlength=table.shape[1])
     filled = table.any(axis=1)
     if filled.sum() < _FEWEST:
-        return _Law(*_USUAL, 1.0, 0.0)
+        return _Law(*_USUAL, 0.0)
     table, count = table[filled], measured[known][filled]
     weight = 1.0 / np.sqrt(np.maximum(count, _POISSON))
     angle = (np.arange(_CELLS[0])[:, None] + 0.5) * _CELL_DEG
     octave = (np.arange(_CELLS[1])[None] + 0.5) * _CELL_OCTAVES
-    best, least = _Law(*_USUAL, 1.0, 0.0), np.inf
+    best, least = _Law(*_USUAL, 0.0), np.inf
     for a in _ANGLES_DEG:
         for o in _OCTAVES:
             likely = table @ np.exp(-((angle / a) ** 2) - (octave / o) ** 2).ravel()
@@ -116,10 +125,11 @@ def _fitted(i: np.ndarray, j: np.ndarray, measured: np.ndarray, sights: Sights) 
     return best
 
 
-def _uniform(point: np.ndarray, a: int, b: int) -> np.ndarray:
-    """(K,) numbers in [0, 1) that depend on points and pair alone."""
+def _uniform(point: np.ndarray, a: int | np.ndarray, b: int | np.ndarray, draw: int) -> np.ndarray:
+    """(K,) numbers in [0, 1) that depend on points, pair and draw alone."""
     with np.errstate(over="ignore"):
-        x = point.astype(np.uint64) * _MIX[0] + np.uint64(a) * _MIX[1] + np.uint64(b) * _MIX[2]
+        x = (point.astype(np.uint64) + np.uint64(draw << 40)) * _MIX[0]
+        x = x + np.asarray(a, np.uint64) * _MIX[1] + np.asarray(b, np.uint64) * _MIX[2]
         x = (x ^ (x >> np.uint64(30))) * _MIX[1]
         x = (x ^ (x >> np.uint64(27))) * _MIX[2]
         x ^= x >> np.uint64(31)

@@ -33,6 +33,13 @@ def apply(target_from_source: np.ndarray, points: np.ndarray) -> np.ndarray:
     return points @ target_from_source[:3, :3].T + target_from_source[:3, 3]
 
 
+def skew(v: np.ndarray) -> np.ndarray:
+    """(N, 3, 3) with skew(v) @ x = v x x for vectors v (N, 3)."""
+    out = np.zeros((len(v), 3, 3))
+    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
+    return out - np.swapaxes(out, 1, 2)
+
+
 def from_quaternion_wxyz(q_wxyz: np.ndarray, translation: np.ndarray) -> np.ndarray:
     """(..., 4, 4) from a quaternion (..., 4), w first, and a translation (..., 3)."""
     q = np.asarray(q_wxyz, float)

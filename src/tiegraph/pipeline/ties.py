@@ -167,11 +167,11 @@ def design(run: Run) -> Outcome:
 
 def _sights(run: Run) -> Sights | None:
     """What each image sees of the preview model, if there is one."""
-    path = run.path("network", "sights.npz")
+    path, model = run.path("network", "sights.npz"), run.path("network", "model.npz")
     if not path.exists():
         return None
-    with np.load(path) as data:
-        return Sights.from_npz(dict(data))
+    with np.load(path) as data, np.load(model) as poses:
+        return Sights.from_npz(dict(data), poses["cam_from_world"])
 
 
 def _table(funnel: dict[str, int]) -> dict:

@@ -18,7 +18,7 @@ REASON_LOOKS = {
     "sight": ("no line of sight", "#c9d8b6"),  # paper 003
     "overlap": ("too little shared surface", "#dfe7cf"),  # by poses of a model or a prior
     "offset": ("outside the frame offset", "#f0d9a8"),  # papers 000, 001
-    "votes": ("cameras without votes", "#e3b7a0"),  # papers 000, 001
+    "votes": ("cameras that hardly match", "#e3b7a0"),  # papers 000, 001
     "section": ("different sections", "#d08c8c"),  # paper 001
     "weak": ("too few preview matches", "#f2a65a"),
     "similar": ("base too short", "#9fd3c7"),  # paper 002

@@ -86,6 +86,11 @@ class Rig:
         """Whether every sensor has extrinsics."""
         return all(s.sensor_from_rig is not None for s in self.sensors)
 
+    def measured(self) -> bool:
+        """Whether it comes from a calibration: said so, or with measured intrinsics and not called nominal."""
+        given = all(s.camera is not None and calibrated(s.camera) for s in self.sensors)
+        return self.fixed or (not self.nominal and given)
+
     def axis_angles_deg(self) -> np.ndarray:
         """(S, S) angles between the optical axes, NaN where unknown."""
         axes = np.stack([s.optical_axis() for s in self.sensors])
@@ -106,6 +111,12 @@ class Rig:
     def with_cameras(self, cameras: dict[str, pycolmap.Camera]) -> Rig:
         """The same rig with cameras filled in by sensor name."""
         return replace(self, sensors=tuple(replace(s, camera=cameras.get(s.name, s.camera)) for s in self.sensors))
+
+
+def calibrated(camera: pycolmap.Camera) -> bool:
+    """Whether a camera's intrinsics were measured. EXIF gives a focal length too, but the middle as principal point."""
+    middle = camera.principal_point_x == camera.width / 2 and camera.principal_point_y == camera.height / 2
+    return camera.has_prior_focal_length and not middle
 
 
 def camera_to_dict(camera: pycolmap.Camera | None) -> dict | None:

@@ -9,6 +9,7 @@ import numpy as np
 import pycolmap
 from scipy import sparse
 
+from tiegraph.geometry.transforms import skew
 from tiegraph.sfm.model import matrix
 
 MAX_POINTS = 20_000  # a random part of the points is enough for the sigmas; the normal equations are scaled up
@@ -151,13 +152,13 @@ def of_image(
     of_point = to_camera @ pose[:3, :3]
     rig_from_world = matrix(_pose(frame))
     lever = world - _pose(frame).tgt_origin_in_src()
-    parts = [-of_point, of_point @ _skew(lever)]
+    parts = [-of_point, of_point @ skew(lever)]
     columns = [layout.frame[image.frame_id] + np.arange(6)]
     if image.camera_id in layout.sensor:
         rotation = pose[:3, :3] @ rig_from_world[:3, :3].T  # sensor from rig
         in_rig = world @ rig_from_world[:3, :3].T + rig_from_world[:3, 3]
         of_rig = to_camera @ rotation
-        parts += [-of_rig, of_rig @ _skew(in_rig - layout.sensor_centre[image.camera_id])]
+        parts += [-of_rig, of_rig @ skew(in_rig - layout.sensor_centre[image.camera_id])]
         columns.append(layout.sensor[image.camera_id] + np.arange(6))
     if image.camera_id in layout.camera:
         parts.append(_by_params(camera, in_camera))
@@ -226,7 +227,7 @@ def positions_free_gauge(normal: np.ndarray, layout: Layout) -> np.ndarray:
     positions, rotations = at[:, :3].ravel(), at[:, 3:]
     gauge = np.zeros((layout.size, 7))
     gauge[positions] = np.concatenate(
-        [np.tile(np.eye(3), (frames, 1)), -_skew(local / size).reshape(-1, 3), (local / size).reshape(-1, 1)], axis=1
+        [np.tile(np.eye(3), (frames, 1)), -skew(local / size).reshape(-1, 3), (local / size).reshape(-1, 1)], axis=1
     )
     gauge[rotations, 3:6] = np.eye(3)
     for sensor, column in layout.sensor.items():
@@ -243,10 +244,3 @@ def positions_free_gauge(normal: np.ndarray, layout: Layout) -> np.ndarray:
     q = np.linalg.qr(gauge[positions])[0]
     covariance -= q @ (q.T @ covariance)
     return covariance - (covariance @ q) @ q.T
-
-
-def _skew(v: np.ndarray) -> np.ndarray:
-    """(N, 3, 3) with skew(v) @ x = v x x."""
-    out = np.zeros((len(v), 3, 3))
-    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
-    return out - np.swapaxes(out, 1, 2)

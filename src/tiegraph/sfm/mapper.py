@@ -14,14 +14,14 @@ import pycolmap
 
 from tiegraph.child import run_in_child
 from tiegraph.errors import ReconstructionError
-from tiegraph.scene.rig import Rig
+from tiegraph.scene.rig import Rig, calibrated
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.covariance import PositionSigma
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.finish import Finished, FinishRequest, finish_model
 from tiegraph.sfm.losses import camera_notes, camera_table, models_table, no_model_text, unregistered
 from tiegraph.sfm.model import MIN_OBSERVATIONS, image_poses, observations, registration_tables
-from tiegraph.sfm.rig.rig import DerivedRig, calibrated, derive_rig, held_by_mapper, rig_modes, rig_table
+from tiegraph.sfm.rig.rig import DerivedRig, derive_rig, held_by_mapper, rig_modes, rig_table
 from tiegraph.sfm.rig.support import ties_of, unsupported_sensors
 from tiegraph.sfm.run import Request, run_mapper
 from tiegraph.sfm.settings import SparseSettings

@@ -359,7 +359,7 @@ def _words(kept: Pairs, scene: Scene, nodes: _Nodes, links: np.ndarray, ties: di
     lost = int(np.sum(nodes.of_frame < 0))
     parts = [f"one dot = {nodes.step} frames" if nodes.step > 1 else "one dot = one frame"]
     parts += [f"{grouped(inside)} pairs within a frame are not drawn"] if inside else []
-    parts += [f"{lost} frames without a position are left out"] if lost else []
+    parts += [f"{lost} frame{'s are' if lost > 1 else ' is'} left out, without a position"] if lost else []
     if any(len(t.a) >= MAX_LINES for t in ties.values()):
         parts.append(f"the {MAX_LINES} strongest lines of each kind")
     parts += [f"red: {len(links)} weak links"] if len(links) else []

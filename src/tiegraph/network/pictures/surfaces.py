@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os.path
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,6 +16,7 @@ from tiegraph.network.pictures.common import DPI, RED, edges_of, png
 MAX_COUPLES = 8  # couples of passes in one picture
 _SMALL = 12  # panels of camera pairs beside the rig's
 _UNSEEN = "#eeeeee"
+_LONG = 19  # characters that fit above a small panel
 _BAND_IN = 3.5  # height of a couple
 
 
@@ -56,13 +58,21 @@ def _band(figure: Figure, surfaces: Sequence[OffsetSurface], top: float, height:
     large.set_ylabel(f"frame in {a}", fontsize=9)
     large.tick_params(labelsize=8, length=2)
     most = max((float(np.nanmax(s.evidence, initial=1)) for s in surfaces[1:]), default=1.0)
+    ending = _ending([name for s in surfaces[1:] for name in s.sensors.split(" – ")])
     for k, surface in enumerate(surfaces[1 : 1 + _SMALL]):
         row, column = divmod(k, 6)
         left, low = 0.3 + 0.115 * column, bottom + (1.93 - 1.43 * row) * inch
         small = figure.add_axes((left, low, 0.095, 1.12 * inch))
         _draw(small, surface, most, 0.7)
-        small.set_title(surface.sensors, fontsize=8, pad=2)
+        label = surface.sensors.replace(ending, "") if len(surface.sensors) > _LONG else surface.sensors
+        small.set_title(label, fontsize=min(8.0, 8.0 * _LONG / len(label)), pad=2)
         small.tick_params(labelsize=6, length=1.5, pad=1)
+
+
+def _ending(names: Sequence[str]) -> str:
+    """What all names end with, as in left_camera and right_camera; a name of its own stays whole."""
+    end = os.path.commonprefix([name[::-1] for name in names])[::-1]
+    return end if end and all(len(name) > len(end) for name in names) else "\n"
 
 
 def _draw(axes: Axes, s: OffsetSurface, most: float, line: float) -> None:

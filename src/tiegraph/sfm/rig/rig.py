@@ -19,19 +19,6 @@ MIN_FRAMES = 3  # frames that show a sensor with its reference; fewer tell nothi
 MAX_SCATTER_DEG = 1.0  # MAD of the relative rotation; above: not rigid, not synchronised, or a bent model
 MAX_OUTLIERS = 0.4  # share of frames farther than OUTLIER_DEG from the average
 OUTLIER_DEG = 5.0
-
-
-def calibrated(camera: pycolmap.Camera) -> bool:
-    """Whether a camera's intrinsics were measured. EXIF gives a focal length too, but the middle as principal point."""
-    middle = camera.principal_point_x == camera.width / 2 and camera.principal_point_y == camera.height / 2
-    return camera.has_prior_focal_length and not middle
-
-
-def _measured(rig: Rig) -> bool:
-    """Whether a rig comes from a calibration: said so, or with measured intrinsics and not called nominal."""
-    return rig.fixed or (not rig.nominal and all(s.camera is not None and calibrated(s.camera) for s in rig.sensors))
-
-
 TIGHT_DEG = 0.5  # extrinsics known better than this lead the mapper as they are; worse ones it may refine
 
 
@@ -67,7 +54,7 @@ def rig_modes(scene: Scene, choice: str) -> dict[int, str]:
         elif rig.soft():
             modes[index] = "soft"
         else:
-            modes[index] = "fixed" if _measured(rig) and choice == "auto" else "refined"
+            modes[index] = "fixed" if rig.measured() and choice == "auto" else "refined"
     return modes
 
 
