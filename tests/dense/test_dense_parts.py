@@ -4,11 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
-from tiegraph.dense.combine import SIGMA_DISPARITY_PX, Candidates, combine
 from tiegraph.dense.consistency import check
 from tiegraph.dense.normals import with_normals
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.sgbm import match_sgbm
+from tiegraph.dense.triangulate import SIGMA_DISPARITY_PX, Candidates, triangulate
 from tiegraph.geometry import transforms
 from tiegraph.scene.results import DepthMap
 
@@ -55,22 +55,22 @@ def candidate(inverse, unit=0.001):
 
 
 def test_agreeing_partners_outvote_a_wrong_one():
-    inverse, sigma, support = combine([candidate(0.1), candidate(0.13, 0.0001), candidate(0.1005)], 1.0)
+    inverse, sigma, support = triangulate([candidate(0.1), candidate(0.13, 0.0001), candidate(0.1005)], 1.0)
     np.testing.assert_allclose(inverse, 0.10025, rtol=1e-5)
     assert (support == 0b101).all()
     np.testing.assert_allclose(sigma, SIGMA_DISPARITY_PX * 0.001 / np.sqrt(2), rtol=0.2)
 
 
 def test_the_precise_partner_weighs_more():
-    inverse, sigma, _ = combine([candidate(0.1, 0.0001), candidate(0.1004, 0.001)], 1.0)
+    inverse, sigma, _ = triangulate([candidate(0.1, 0.0001), candidate(0.1004, 0.001)], 1.0)
     assert (np.abs(inverse - 0.1) < 0.00001).all()
     assert (sigma < SIGMA_DISPARITY_PX * 0.0002).all()
 
 
 def test_nothing_proposed_gives_nothing():
-    inverse, sigma, support = combine([Candidates.nothing((4, 5)), Candidates.nothing((4, 5))], 1.0)
+    inverse, sigma, support = triangulate([Candidates.nothing((4, 5)), Candidates.nothing((4, 5))], 1.0)
     assert np.isnan(inverse).all() and np.isnan(sigma).all() and (support == 0).all()
-    one = combine([Candidates.nothing((4, 5)), candidate(0.2)], 1.0)
+    one = triangulate([Candidates.nothing((4, 5)), candidate(0.2)], 1.0)
     assert (one[2] == 0b10).all()
 
 
@@ -130,8 +130,62 @@ def test_a_wrong_patch_is_dropped_and_said_why():
 
 def test_an_image_with_one_neighbour_needs_only_that():
     a, b = plane_map("a", (0, 0, 0), views=1), plane_map("bb", (0.5, 0, 0))
-    result, _ = check(a, [], ["bb", "missing"], {"bb": b}.get, SETTINGS)
+    result, counts = check(a, [], ["bb", "missing"], {"bb": b}.get, SETTINGS)
     assert result.views.max() == 2
+    assert counts.two_rays == counts.kept > 0
+
+
+def test_two_rays_suffice_only_where_no_third_image_looks():
+    maps = {n: plane_map(n, (x, 0, 0), views=1) for n, x in (("a", 0), ("right", 4.0), ("far", -4.0))}
+    silent = plane_map("far", (-4.0, 0, 0))
+    silent = DepthMap(**{**silent.__dict__, "depth_m": np.full(SHAPE, np.nan, np.float32)})
+    result, _ = check(maps["a"], [], ["right", "far"], {"right": maps["right"], "far": silent}.get, SETTINGS)
+    kept = np.isfinite(result.depth_m)
+    # 8 m away and 4 m aside, a witness sees 100 of the 160 columns: the outer ones are seen by one witness each.
+    assert kept[60, 130:155].all() and not kept[60, 5:50].any() and not kept[60, 75:85].any()
+    assert (result.views[kept] == 2).all()
+
+
+def test_a_disparity_beyond_the_others_is_left_out_and_one_within_taken_in():
+    # The proposal that most agree with is not the mean: who takes part is decided by the mean.
+    unit = 0.001
+    near, middle, rim, wrong = candidate(0.1000), candidate(0.1008), candidate(0.1016), candidate(0.1035)
+    inverse, _, support = triangulate([near, middle, rim, wrong], 1.0)
+    assert (support == 0b0111).all()
+    assert (np.abs(inverse - 0.1008) < 0.1 * unit).all()
+
+
+def test_triangulation_is_the_linear_solution_of_the_rays():
+    # Three cameras to the right of, above, and left of the base; the point's pixel in each with an error of its own.
+    rng = np.random.default_rng(0)
+    focal, depth = 1000.0, 8.0
+    base = np.array([0.1, -0.05])  # the base ray, z = 1
+    centres = np.array([[0.5, 0, 0], [0, 0.7, 0], [-0.4, 0, 0]])
+    errors = rng.normal(0, 0.2, len(centres))
+    inverse, unit = [], []
+    for c, e in zip(centres, errors, strict=True):
+        along = c[:2] / np.linalg.norm(c)
+        true_shift = focal * np.linalg.norm(c) / depth + e  # disparity towards the partner
+        unit.append(1 / (focal * np.linalg.norm(c)))
+        inverse.append(true_shift * unit[-1])
+        assert abs(along @ along - 1) < 1e-12
+    found, sigma, _ = triangulate([candidate(i, u) for i, u in zip(inverse, unit, strict=True)], 1.0)
+    # Least squares over the point on the base ray, by brute force over its depth, errors in the partners' pixels.
+    tried = 1 / np.linspace(1 / 8.2, 1 / 7.8, 40001)
+
+    def cost(z):
+        point = np.array([base[0] * z, base[1] * z, z])
+        total = 0.0
+        for c, e in zip(centres, errors, strict=True):
+            along = c[:2] / np.linalg.norm(c)
+            at = focal * (point - c)[:2] / z
+            measured = focal * (np.array([*base * depth]) - c[:2]) / depth - e * along
+            total += ((at - measured) @ along) ** 2
+        return total
+
+    best = tried[np.argmin([cost(z) for z in tried[::40]]) * 40]
+    assert abs(1 / found[0, 0] - best) < 3e-3 * depth
+    assert 0.5 < abs(1 / found[0, 0] - depth) / (sigma[0, 0] * depth**2) + 0.5 < 3.5
 
 
 def test_normal_of_a_plane_is_exact_with_holes():

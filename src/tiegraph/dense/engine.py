@@ -1,7 +1,7 @@
 """The engine interface of the dense stage, and the engines that match rectified pairs.
 
 An engine makes the depth map of one reference view from its partner views (``DenseEngine``). The engines here share
-rectification, masking, the way back into the reference and the combination of partners; they differ only in the
+rectification, masking, the way back into the reference and the triangulation over all partners; they differ only in the
 matcher of a rectified pair (``PairMatcher``). An engine that matches otherwise is one more entry of ``ENGINES``.
 """
 
@@ -15,10 +15,10 @@ from functools import partial
 import cv2
 import numpy as np
 
-from tiegraph.dense.combine import Candidates, combine
 from tiegraph.dense.plan import DepthRange
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.sgbm import match_sgbm
+from tiegraph.dense.triangulate import Candidates, triangulate
 from tiegraph.dense.tsgm import available, match_tsgm
 from tiegraph.geometry.stereo import Pinhole, Rectification, rectify
 from tiegraph.scene.results import DepthMap
@@ -63,18 +63,31 @@ def rectified_engine(
     settings: DenseSettings,
     matcher: PairMatcher,
 ) -> DepthMap:
-    """Depth map of the reference: each rectified pair matched, the partners' depths combined where they agree.
+    """Depth map of the reference: each rectified pair matched, the rays of all partners intersected.
 
     Keeps pixels on which at least one partner's match stands, with the number of images that agree in ``views``; the
     demand for ``min_views`` comes after the comparison of depth maps (``consistency``), which adds witnesses.
     """
-    candidates = []
-    for partner in partners:
-        found = _match_pair(reference, partner, depth_range, settings, matcher)
-        candidates.append(found if found is not None else Candidates.nothing(reference.mask.shape))
-    if not candidates:
-        candidates = [Candidates.nothing(reference.mask.shape)]
-    inverse, sigma, support = combine(candidates, settings.tolerance_px)
+    candidates = propose(reference, partners, depth_range, settings, matcher)
+    return solve(reference, candidates, settings)
+
+
+def propose(
+    reference: DenseView,
+    partners: Sequence[DenseView],
+    depth_range: DepthRange,
+    settings: DenseSettings,
+    matcher: PairMatcher,
+) -> list[Candidates]:
+    """What each partner says of each pixel of the reference; at least one entry."""
+    shape = reference.mask.shape
+    found = [_match_pair(reference, partner, depth_range, settings, matcher) for partner in partners]
+    return [f if f is not None else Candidates.nothing(shape) for f in found] or [Candidates.nothing(shape)]
+
+
+def solve(reference: DenseView, candidates: Sequence[Candidates], settings: DenseSettings) -> DepthMap:
+    """The depth map of the reference from its partners' proposals (``triangulate``)."""
+    inverse, sigma, support = triangulate(candidates, settings.tolerance_px)
     inverse = np.where(reference.mask, inverse, np.float32(np.nan))
     depth = (1.0 / inverse).astype(np.float32)
     views = _BITS[support] + np.uint8(1)
