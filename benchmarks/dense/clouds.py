@@ -68,10 +68,10 @@ def first_maps(plan: ImagePlan, out: Path, store: Path, variants: Sequence[str])
     partners = [load_view(v, out / "images", masks, _SETTINGS) for v in plan.partners]
     reading = time.process_time() - start
     spent, candidates = {}, {}
-    for name, matcher in (("sgbm", match_sgbm), ("tsgm", match_tsgm)):
+    for name, matcher, cells in (("sgbm", match_sgbm, 800e6), ("tsgm", match_tsgm, np.inf)):
         if name == "tsgm" or "sgbm" in variants:
             start = time.process_time()
-            candidates[name] = propose(reference, partners, plan.depth_range, _SETTINGS, matcher)
+            candidates[name] = propose(reference, partners, plan.depth_range, _SETTINGS, matcher, cells)
             spent[name] = reading + time.process_time() - start
     ways: dict[str, Callable[[], tuple[str, list[Candidates]]]] = {
         "sgbm": lambda: ("sgbm", candidates["sgbm"]),

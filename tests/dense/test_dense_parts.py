@@ -54,23 +54,47 @@ def candidate(inverse, unit=0.001):
     return Candidates(np.full(shape, inverse, np.float32), np.full(shape, unit, np.float32))
 
 
+def solved(candidates, tolerance_px):
+    found = triangulate(candidates, tolerance_px)
+    return found.inverse, found.sigma, found.support
+
+
 def test_agreeing_partners_outvote_a_wrong_one():
-    inverse, sigma, support = triangulate([candidate(0.1), candidate(0.13, 0.0001), candidate(0.1005)], 1.0)
-    np.testing.assert_allclose(inverse, 0.10025, rtol=1e-5)
+    inverse, sigma, support = solved([candidate(0.1), candidate(0.13, 0.0001), candidate(0.1002)], 1.0)
+    np.testing.assert_allclose(inverse, 0.1001, rtol=1e-5)
     assert (support == 0b101).all()
-    np.testing.assert_allclose(sigma, SIGMA_DISPARITY_PX * 0.001 / np.sqrt(2), rtol=0.2)
+    # Seven tenths of the variance are each partner's own and average out.
+    np.testing.assert_allclose(sigma, SIGMA_DISPARITY_PX * 0.001 * np.sqrt(0.3 + 0.7 / 2), rtol=0.01)
+
+
+@pytest.mark.parametrize("true_px", [0.12, 0.25, 0.4])
+def test_an_image_tells_the_sigma_of_its_disparities(true_px):
+    # Errors of which 0.3 of the variance is the base image's, so the same in all pairs; a tenth are blunders.
+    rng = np.random.default_rng(1)
+    shape, true = (100, 120), 0.1
+    shared = np.sqrt(0.3) * true_px * rng.standard_normal(shape)
+    proposals = []
+    for unit in (0.0002, 0.0003, 0.00025):
+        error = shared + np.sqrt(0.7) * true_px * rng.standard_normal(shape)
+        error = np.where(rng.random(shape) < 0.1, rng.uniform(-50, 50, shape), error)
+        proposals.append(Candidates((true + unit * error).astype(np.float32), np.full(shape, unit, np.float32)))
+    found = triangulate(proposals, 1.0)
+    assert 0.8 * true_px < found.sigma_px < 1.15 * true_px
+    three = found.support == 0b111
+    ratio = (found.inverse[three] - true) / found.sigma[three]
+    assert 0.8 < np.std(ratio) < 1.2
 
 
 def test_the_precise_partner_weighs_more():
-    inverse, sigma, _ = triangulate([candidate(0.1, 0.0001), candidate(0.1004, 0.001)], 1.0)
+    inverse, sigma, _ = solved([candidate(0.1, 0.0001), candidate(0.1004, 0.001)], 1.0)
     assert (np.abs(inverse - 0.1) < 0.00001).all()
     assert (sigma < SIGMA_DISPARITY_PX * 0.0002).all()
 
 
 def test_nothing_proposed_gives_nothing():
-    inverse, sigma, support = triangulate([Candidates.nothing((4, 5)), Candidates.nothing((4, 5))], 1.0)
+    inverse, sigma, support = solved([Candidates.nothing((4, 5)), Candidates.nothing((4, 5))], 1.0)
     assert np.isnan(inverse).all() and np.isnan(sigma).all() and (support == 0).all()
-    one = triangulate([Candidates.nothing((4, 5)), candidate(0.2)], 1.0)
+    one = solved([Candidates.nothing((4, 5)), candidate(0.2)], 1.0)
     assert (one[2] == 0b10).all()
 
 
@@ -150,7 +174,7 @@ def test_a_disparity_beyond_the_others_is_left_out_and_one_within_taken_in():
     # The proposal that most agree with is not the mean: who takes part is decided by the mean.
     unit = 0.001
     near, middle, rim, wrong = candidate(0.1000), candidate(0.1008), candidate(0.1016), candidate(0.1035)
-    inverse, _, support = triangulate([near, middle, rim, wrong], 1.0)
+    inverse, _, support = solved([near, middle, rim, wrong], 1.0)
     assert (support == 0b0111).all()
     assert (np.abs(inverse - 0.1008) < 0.1 * unit).all()
 
@@ -169,7 +193,7 @@ def test_triangulation_is_the_linear_solution_of_the_rays():
         unit.append(1 / (focal * np.linalg.norm(c)))
         inverse.append(true_shift * unit[-1])
         assert abs(along @ along - 1) < 1e-12
-    found, sigma, _ = triangulate([candidate(i, u) for i, u in zip(inverse, unit, strict=True)], 1.0)
+    found, sigma, _ = solved([candidate(i, u) for i, u in zip(inverse, unit, strict=True)], 1.0)
     # Least squares over the point on the base ray, by brute force over its depth, errors in the partners' pixels.
     tried = 1 / np.linspace(1 / 8.2, 1 / 7.8, 40001)
 

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from tiegraph.dense.settings import DenseSettings
-from tiegraph.dense.triangulate import MAX_RELATIVE, SIGMA_DISPARITY_PX
+from tiegraph.dense.triangulate import MAX_RELATIVE
 from tiegraph.geometry.transforms import invert
 from tiegraph.scene.results import DepthMap
 
@@ -153,7 +153,7 @@ def _compare_rows(depth: DepthMap, surface: _Surface, top: int, rows: int, toler
     possible = (column >= 0) & (column <= width) & (row >= 0) & (row <= height)  # NaN compares false
     inverse, relative_sigma = surface.at(column, row)
     relative = 1 / (inverse * their_z) - 1  # their surface behind our point, as a share of its depth; NaN = not seen
-    spread = np.hypot(sigma_z / z, relative_sigma) / SIGMA_DISPARITY_PX
+    spread = np.hypot(sigma_z / z / np.float32(depth.sigma_px), relative_sigma / np.float32(other.sigma_px))
     tolerance = np.clip(tolerance_px * spread, _MIN_RELATIVE, MAX_RELATIVE)
     agrees = np.abs(relative) <= tolerance
     through = relative > _THROUGH * tolerance

@@ -25,7 +25,7 @@ from tiegraph.scene.results import DepthMap
 
 _MAX_DISPARITIES = 1024  # the 16-bit fixed point of the matcher ends at 2047
 _MAX_PIXELS_RATIO = 1.5  # rectified pixels per pixel of the reference
-_MAX_VOLUME = 800e6  # cells of the largest cost volume: 8-path matching holds about 3 bytes for each
+_SGBM_CELLS = 800e6  # of the largest cost volume of OpenCV's matcher; tsgm bounds its own (tsgm.volume_bytes)
 _BLEND_PX = 1.0  # neighbouring disparities closer than this are interpolated, others are a depth jump
 
 _BITS = np.array([bin(k).count("1") for k in range(256)], np.uint8)
@@ -62,13 +62,14 @@ def rectified_engine(
     depth_range: DepthRange,
     settings: DenseSettings,
     matcher: PairMatcher,
+    max_cells: float = np.inf,
 ) -> DepthMap:
     """Depth map of the reference: each rectified pair matched, the rays of all partners intersected.
 
     Keeps pixels on which at least one partner's match stands, with the number of images that agree in ``views``; the
     demand for ``min_views`` comes after the comparison of depth maps (``consistency``), which adds witnesses.
     """
-    candidates = propose(reference, partners, depth_range, settings, matcher)
+    candidates = propose(reference, partners, depth_range, settings, matcher, max_cells)
     return solve(reference, candidates, settings)
 
 
@@ -78,34 +79,38 @@ def propose(
     depth_range: DepthRange,
     settings: DenseSettings,
     matcher: PairMatcher,
+    max_cells: float = np.inf,
 ) -> list[Candidates]:
-    """What each partner says of each pixel of the reference; at least one entry."""
+    """What each partner says of each pixel of the reference; at least one entry. Pairs with more pixels times
+    disparities than ``max_cells`` are matched at a coarser resolution."""
     shape = reference.mask.shape
-    found = [_match_pair(reference, partner, depth_range, settings, matcher) for partner in partners]
+    most = int(min(_MAX_DISPARITIES, max_cells / (shape[0] * shape[1] * _MAX_PIXELS_RATIO)))
+    found = [_match_pair(reference, p, depth_range, settings, matcher, max(most, 16)) for p in partners]
     return [f if f is not None else Candidates.nothing(shape) for f in found] or [Candidates.nothing(shape)]
 
 
 def solve(reference: DenseView, candidates: Sequence[Candidates], settings: DenseSettings) -> DepthMap:
     """The depth map of the reference from its partners' proposals (``triangulate``)."""
-    inverse, sigma, support = triangulate(candidates, settings.tolerance_px)
-    inverse = np.where(reference.mask, inverse, np.float32(np.nan))
+    found = triangulate(candidates, settings.tolerance_px)
+    inverse = np.where(reference.mask, found.inverse, np.float32(np.nan))
     depth = (1.0 / inverse).astype(np.float32)
-    views = _BITS[support] + np.uint8(1)
+    views = _BITS[found.support] + np.uint8(1)
     known = np.isfinite(depth)
     return DepthMap(
         image=reference.name,
         depth_m=depth,
-        sigma_m=np.where(known, sigma * depth * depth, np.float32(np.nan)).astype(np.float32),
+        sigma_m=np.where(known, found.sigma * depth * depth, np.float32(np.nan)).astype(np.float32),
         views=np.where(known, views, 0).astype(np.uint8),
         K=reference.K,
         cam_from_world=reference.cam_from_world,
-        support=np.where(known, support, 0).astype(np.uint8),
+        support=np.where(known, found.support, 0).astype(np.uint8),
+        sigma_px=found.sigma_px,
     )
 
 
 ENGINES: dict[str, DenseEngine] = {
     "tsgm": partial(rectified_engine, matcher=match_tsgm),
-    "sgbm": partial(rectified_engine, matcher=match_sgbm),
+    "sgbm": partial(rectified_engine, matcher=match_sgbm, max_cells=_SGBM_CELLS),
 }
 
 
@@ -120,16 +125,20 @@ def installed(name: str) -> tuple[str, str]:
 
 
 def _match_pair(
-    reference: DenseView, partner: DenseView, depth_range: DepthRange, settings: DenseSettings, matcher: PairMatcher
+    reference: DenseView,
+    partner: DenseView,
+    depth_range: DepthRange,
+    settings: DenseSettings,
+    matcher: PairMatcher,
+    most: int,
 ) -> Candidates | None:
     height, width = reference.mask.shape
-    most = min(_MAX_DISPARITIES, int(_MAX_VOLUME / (height * width * _MAX_PIXELS_RATIO)))
     pair = rectify(
         reference.pinhole,
         partner.pinhole,
         (depth_range.near, depth_range.far),
         _MAX_PIXELS_RATIO * height * width,
-        max(most, 16),
+        most,
     )
     if pair is None:
         _log.debug("%s and %s share no part that can be rectified", reference.name, partner.name)

@@ -18,6 +18,8 @@ from tiegraph.dense.neighbours import plan_images
 from tiegraph.dense.plan import ImagePlan
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.undistort import load_view
+from tiegraph.dense.workspace import write_workspace
+from tiegraph.errors import InputError
 from tiegraph.pipeline.files import FINAL
 from tiegraph.pipeline.world import placement_error, world_origin
 from tiegraph.project.run import Run
@@ -79,6 +81,20 @@ def _confirm_item(name: str, folder: Path, plans: dict[str, ImagePlan], settings
 
 def _known_pixels(name: str, folder: Path) -> int:
     return int(np.isfinite(load_depth(depth_path(folder, name)).depth_m).sum())
+
+
+def hand_over(run: Run, target: Path) -> int:
+    """The depth maps as a dense workspace of COLMAP below ``target``; their number. Raises InputError for a folder that
+    holds something."""
+    if target.exists() and (not target.is_dir() or any(target.iterdir())):
+        raise InputError(f"{target} is there and not empty: give a new folder for the workspace")
+
+    def load(name: str) -> DepthMap | None:
+        path = depth_path(run.folder, name)
+        return load_depth(path) if path.exists() else None
+
+    model = pycolmap.Reconstruction(str(run.path("sparse", "world")))
+    return write_workspace(target, model, run.path("images"), load, run.settings.dense)
 
 
 def cloud(run: Run) -> Outcome:
