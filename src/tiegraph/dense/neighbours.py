@@ -34,7 +34,6 @@ _BEYOND_ENOUGH = 0.3
 _WITNESSES = 8  # images whose depth maps are compared, partners included
 _RANGE_PERCENT = 1.0  # of the sparse points at either end of the depths are left out as possible errors
 _RANGE_MARGIN = 1.35  # factor on the inverse depths at both ends: sparse points do not cover everything
-_NEAR_MARGIN = 1.35
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +220,7 @@ def _witnesses(candidates: list[Partner]) -> tuple[str, ...]:
 def _depth_range(depths: np.ndarray) -> DepthRange:
     inverse = 1.0 / depths[depths > 0]
     low, high = np.percentile(inverse, [_RANGE_PERCENT, 100 - _RANGE_PERCENT])
-    return DepthRange(near=float(1 / (high * _NEAR_MARGIN)), far=float(_RANGE_MARGIN / low))
+    return DepthRange(near=float(1 / (high * _RANGE_MARGIN)), far=float(_RANGE_MARGIN / low))
 
 
 def _why_none(candidates: list[Partner]) -> str:
