@@ -19,7 +19,7 @@ from tiegraph.dense.plan import DepthRange
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.sgbm import match_sgbm
 from tiegraph.dense.triangulate import Candidates, triangulate
-from tiegraph.dense.tsgm import available, match_tsgm
+from tiegraph.dense.tsgm import available, match_tsgm, volume_bytes
 from tiegraph.geometry.stereo import Pinhole, Rectification, rectify
 from tiegraph.scene.results import DepthMap
 
@@ -122,6 +122,12 @@ def installed(name: str) -> tuple[str, str]:
             "install a compiler and tiegraph again for tsgm"
         )
     return name, ""
+
+
+def most_volume_bytes(size: tuple[int, int]) -> int:
+    """Most bytes of cost volumes that a pair of reference images (width, height) takes with tsgm."""
+    scale = np.sqrt(_MAX_PIXELS_RATIO)
+    return volume_bytes(int(np.ceil(scale * size[1])), int(np.ceil(scale * size[0])), _MAX_DISPARITIES)
 
 
 def _match_pair(
