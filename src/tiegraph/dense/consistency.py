@@ -59,7 +59,7 @@ def check(
     few = known & ((tally.views < needed) | alone)
     floating = known & ~few & (tally.against >= tally.views)
     kept = known & ~few & ~floating
-    counts = (np.count_nonzero(m) for m in (known, kept, few, floating, kept & (tally.views == 2)))
+    counts = [int(np.count_nonzero(m)) for m in (known, kept, few, floating, kept & (tally.views == 2))]
     return _replaced(depth, kept, tally), Consistency(*counts)
 
 

@@ -23,7 +23,7 @@ def save_depth(depth: DepthMap, path: Path) -> None:
         "depth_m": _rounded(depth.depth_m),
         "relative_sigma": np.where(known, depth.sigma_m / np.where(known, depth.depth_m, 1), np.nan).astype(np.float16),
         "views": depth.views,
-        "sigma_px": np.float32(depth.sigma_px),
+        "sigma_px": np.asarray(depth.sigma_px, np.float32),
         "K": depth.K,
         "cam_from_world": depth.cam_from_world,
     }
