@@ -8,6 +8,8 @@ extern const Kernel kernel_plain;
 extern const Kernel kernel_sse41;
 extern const Kernel kernel_avx2;
 extern const Kernel kernel_avx512;
+#elif defined(SGM_ARM64)
+extern const Kernel kernel_neon;
 #endif
 
 static int list_kernels(Kernel* out) {
@@ -19,6 +21,8 @@ static int list_kernels(Kernel* out) {
   if (wide) out[n++] = kernel_avx512;
   if (__builtin_cpu_supports("avx2")) out[n++] = kernel_avx2;
   if (__builtin_cpu_supports("sse4.1")) out[n++] = kernel_sse41;
+#elif defined(SGM_ARM64)
+  out[n++] = kernel_neon;
 #endif
   out[n++] = kernel_plain;
   return n;

@@ -89,15 +89,7 @@ static inline void interleave(const u8* planes, std::ptrdiff_t stride, u64* out)
   }
 }
 
-// Smallest value and its first place over a long row of totals, one vector after the other.
-struct Running {
-  u32 key = 0xffffffffu;
-  void see(Sum16 t, int at) {
-    const u32 k = argmin(t) + static_cast<u32>(at);
-    key = k < key ? k : key;
-  }
-  u32 result() const { return key; }
-};
+#include "running.inl"
 using V = B;
 
 }  // namespace SGM_ISA

@@ -163,14 +163,7 @@ static inline void interleave(const u8* planes, std::ptrdiff_t stride, u64* out)
 }
 
 #ifndef __AVX2__
-struct Running {
-  u32 key = 0xffffffffu;
-  void see(Sum16 t, int at) {
-    const u32 k = argmin(t) + static_cast<u32>(at);
-    key = k < key ? k : key;
-  }
-  u32 result() const { return key; }
-};
+#include "running.inl"
 using V = B;
 #endif
 

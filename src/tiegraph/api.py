@@ -8,6 +8,8 @@ from typing import Any
 from tiegraph.design.coverage import Coverage, coverage
 from tiegraph.errors import InputError, SettingsError
 from tiegraph.pipeline import STAGES
+from tiegraph.pipeline.shots import shots
+from tiegraph.pipeline.surface import hand_over
 from tiegraph.project import settings as project_settings
 from tiegraph.project.progress import Reporter
 from tiegraph.project.run import Inputs, Run, run_stages, status
@@ -56,6 +58,24 @@ class Project:
         path = self.folder / project_settings.FILE
         if not path.exists() or project_settings.read_file(path) != project_settings.parse(text):
             write_atomic(path, text)
+
+    def shots(
+        self, near_m: float | None = None, far_m: float | None = None, reporter: Reporter | None = None
+    ) -> list[Path]:
+        """A cloud for each shot of a calibrated rig, from the calibration alone (paper 004): the PLY files, in the
+        frame of the rig's first camera. Raises InputError for a rig that is not fully calibrated."""
+        self.run("scan", reporter)
+        run = Run(self.folder, self.inputs, self.settings, self.pool, reporter)
+        try:
+            return shots(run, near_m, far_m)
+        finally:
+            run.close()
+
+    def export(self, folder: str | Path) -> int:
+        """Write the depth maps as a dense workspace of COLMAP; their number. Raises InputError if there are none or the
+        folder holds something."""
+        self._needed("depth", "dense")
+        return hand_over(Run(self.folder, self.inputs, self.settings), Path(folder))
 
     def scene(self) -> Scene:
         """The images, frames and rigs (after `network`: with sections and a checked rig)."""

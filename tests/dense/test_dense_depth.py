@@ -65,16 +65,28 @@ def test_sigma_holds_for_certain_and_uncertain_points_alike(survey, made):
         assert 0.3 < 1.4826 * np.median(error[part]) / np.median(sigma[part]) < 3
 
 
-def test_most_of_the_image_is_covered_by_three_views(made):
+def test_most_of_the_image_is_covered_by_three_views_or_all_there_are(made):
     _, first, final = made
     for name in NAMES:
         depth, counts = final[name]
         known = np.isfinite(depth.depth_m)
         assert 0.45 < known.mean() < 1
-        assert depth.views[known].min() >= 3
+        assert depth.views[known].min() >= 2
+        assert counts.two_rays == (depth.views == 2).sum()
+        assert counts.two_rays < 0.5 * known.sum()  # five frames only: beside and ahead there is one neighbour
         assert (depth.views[~known] == 0).all()
         assert counts.before == np.isfinite(first[name].depth_m).sum()
         assert counts.before == counts.kept + counts.few_views + counts.seen_through
+
+
+def test_points_that_two_images_alone_can_see_are_as_exact_as_predicted(survey, made):
+    _, _, final = made
+    error = np.concatenate([np.abs(final[n][0].depth_m - truth(survey, n))[final[n][0].views == 2] for n in NAMES])
+    sigma = np.concatenate([final[n][0].sigma_m[final[n][0].views == 2] for n in NAMES])
+    known = np.isfinite(error)
+    assert known.sum() > 1000
+    assert 0.3 < 1.4826 * np.median(error[known]) / np.median(sigma[known]) < 3
+    assert np.mean(error[known] > 5 * sigma[known]) < 0.05
 
 
 def test_confirmation_removes_errors(survey, made):

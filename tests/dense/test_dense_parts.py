@@ -4,11 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
-from tiegraph.dense.combine import SIGMA_DISPARITY_PX, Candidates, combine
 from tiegraph.dense.consistency import check
 from tiegraph.dense.normals import with_normals
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.sgbm import match_sgbm
+from tiegraph.dense.triangulate import SIGMA_DISPARITY_PX, Candidates, triangulate
 from tiegraph.geometry import transforms
 from tiegraph.scene.results import DepthMap
 
@@ -54,23 +54,47 @@ def candidate(inverse, unit=0.001):
     return Candidates(np.full(shape, inverse, np.float32), np.full(shape, unit, np.float32))
 
 
+def solved(candidates, tolerance_px):
+    found = triangulate(candidates, tolerance_px)
+    return found.inverse, found.sigma, found.support
+
+
 def test_agreeing_partners_outvote_a_wrong_one():
-    inverse, sigma, support = combine([candidate(0.1), candidate(0.13, 0.0001), candidate(0.1005)], 1.0)
-    np.testing.assert_allclose(inverse, 0.10025, rtol=1e-5)
+    inverse, sigma, support = solved([candidate(0.1), candidate(0.13, 0.0001), candidate(0.1002)], 1.0)
+    np.testing.assert_allclose(inverse, 0.1001, rtol=1e-5)
     assert (support == 0b101).all()
-    np.testing.assert_allclose(sigma, SIGMA_DISPARITY_PX * 0.001 / np.sqrt(2), rtol=0.2)
+    # Seven tenths of the variance are each partner's own and average out.
+    np.testing.assert_allclose(sigma, SIGMA_DISPARITY_PX * 0.001 * np.sqrt(0.3 + 0.7 / 2), rtol=0.01)
+
+
+@pytest.mark.parametrize("true_px", [0.12, 0.25, 0.4])
+def test_an_image_tells_the_sigma_of_its_disparities(true_px):
+    # Errors of which 0.3 of the variance is the base image's, so the same in all pairs; a tenth are blunders.
+    rng = np.random.default_rng(1)
+    shape, true = (100, 120), 0.1
+    shared = np.sqrt(0.3) * true_px * rng.standard_normal(shape)
+    proposals = []
+    for unit in (0.0002, 0.0003, 0.00025):
+        error = shared + np.sqrt(0.7) * true_px * rng.standard_normal(shape)
+        error = np.where(rng.random(shape) < 0.1, rng.uniform(-50, 50, shape), error)
+        proposals.append(Candidates((true + unit * error).astype(np.float32), np.full(shape, unit, np.float32)))
+    found = triangulate(proposals, 1.0)
+    assert 0.8 * true_px < found.sigma_px < 1.15 * true_px
+    three = found.support == 0b111
+    ratio = (found.inverse[three] - true) / found.sigma[three]
+    assert 0.8 < np.std(ratio) < 1.2
 
 
 def test_the_precise_partner_weighs_more():
-    inverse, sigma, _ = combine([candidate(0.1, 0.0001), candidate(0.1004, 0.001)], 1.0)
+    inverse, sigma, _ = solved([candidate(0.1, 0.0001), candidate(0.1004, 0.001)], 1.0)
     assert (np.abs(inverse - 0.1) < 0.00001).all()
     assert (sigma < SIGMA_DISPARITY_PX * 0.0002).all()
 
 
 def test_nothing_proposed_gives_nothing():
-    inverse, sigma, support = combine([Candidates.nothing((4, 5)), Candidates.nothing((4, 5))], 1.0)
+    inverse, sigma, support = solved([Candidates.nothing((4, 5)), Candidates.nothing((4, 5))], 1.0)
     assert np.isnan(inverse).all() and np.isnan(sigma).all() and (support == 0).all()
-    one = combine([Candidates.nothing((4, 5)), candidate(0.2)], 1.0)
+    one = solved([Candidates.nothing((4, 5)), candidate(0.2)], 1.0)
     assert (one[2] == 0b10).all()
 
 
@@ -130,8 +154,62 @@ def test_a_wrong_patch_is_dropped_and_said_why():
 
 def test_an_image_with_one_neighbour_needs_only_that():
     a, b = plane_map("a", (0, 0, 0), views=1), plane_map("bb", (0.5, 0, 0))
-    result, _ = check(a, [], ["bb", "missing"], {"bb": b}.get, SETTINGS)
+    result, counts = check(a, [], ["bb", "missing"], {"bb": b}.get, SETTINGS)
     assert result.views.max() == 2
+    assert counts.two_rays == counts.kept > 0
+
+
+def test_two_rays_suffice_only_where_no_third_image_looks():
+    maps = {n: plane_map(n, (x, 0, 0), views=1) for n, x in (("a", 0), ("right", 4.0), ("far", -4.0))}
+    silent = plane_map("far", (-4.0, 0, 0))
+    silent = DepthMap(**{**silent.__dict__, "depth_m": np.full(SHAPE, np.nan, np.float32)})
+    result, _ = check(maps["a"], [], ["right", "far"], {"right": maps["right"], "far": silent}.get, SETTINGS)
+    kept = np.isfinite(result.depth_m)
+    # 8 m away and 4 m aside, a witness sees 100 of the 160 columns: the outer ones are seen by one witness each.
+    assert kept[60, 130:155].all() and not kept[60, 5:50].any() and not kept[60, 75:85].any()
+    assert (result.views[kept] == 2).all()
+
+
+def test_a_disparity_beyond_the_others_is_left_out_and_one_within_taken_in():
+    # The proposal that most agree with is not the mean: who takes part is decided by the mean.
+    unit = 0.001
+    near, middle, rim, wrong = candidate(0.1000), candidate(0.1008), candidate(0.1016), candidate(0.1035)
+    inverse, _, support = solved([near, middle, rim, wrong], 1.0)
+    assert (support == 0b0111).all()
+    assert (np.abs(inverse - 0.1008) < 0.1 * unit).all()
+
+
+def test_triangulation_is_the_linear_solution_of_the_rays():
+    # Three cameras to the right of, above, and left of the base; the point's pixel in each with an error of its own.
+    rng = np.random.default_rng(0)
+    focal, depth = 1000.0, 8.0
+    base = np.array([0.1, -0.05])  # the base ray, z = 1
+    centres = np.array([[0.5, 0, 0], [0, 0.7, 0], [-0.4, 0, 0]])
+    errors = rng.normal(0, 0.2, len(centres))
+    inverse, unit = [], []
+    for c, e in zip(centres, errors, strict=True):
+        along = c[:2] / np.linalg.norm(c)
+        true_shift = focal * np.linalg.norm(c) / depth + e  # disparity towards the partner
+        unit.append(1 / (focal * np.linalg.norm(c)))
+        inverse.append(true_shift * unit[-1])
+        assert abs(along @ along - 1) < 1e-12
+    found, sigma, _ = solved([candidate(i, u) for i, u in zip(inverse, unit, strict=True)], 1.0)
+    # Least squares over the point on the base ray, by brute force over its depth, errors in the partners' pixels.
+    tried = 1 / np.linspace(1 / 8.2, 1 / 7.8, 40001)
+
+    def cost(z):
+        point = np.array([base[0] * z, base[1] * z, z])
+        total = 0.0
+        for c, e in zip(centres, errors, strict=True):
+            along = c[:2] / np.linalg.norm(c)
+            at = focal * (point - c)[:2] / z
+            measured = focal * (np.array([*base * depth]) - c[:2]) / depth - e * along
+            total += ((at - measured) @ along) ** 2
+        return total
+
+    best = tried[np.argmin([cost(z) for z in tried[::40]]) * 40]
+    assert abs(1 / found[0, 0] - best) < 3e-3 * depth
+    assert 0.5 < abs(1 / found[0, 0] - depth) / (sigma[0, 0] * depth**2) + 0.5 < 3.5
 
 
 def test_normal_of_a_plane_is_exact_with_holes():

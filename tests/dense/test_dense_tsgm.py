@@ -139,9 +139,37 @@ def test_strips_change_almost_nothing(monkeypatch):
     left, right = grey(wide[:, 20:220]), grey(wide)[:, :240]
     padded = cv2.copyMakeBorder(right, 0, 0, 40, 0, cv2.BORDER_REPLICATE)
     whole = tsgm.match_tsgm(left, padded, 80, SETTINGS)
-    monkeypatch.setattr(tsgm, "_STRIP_PIXELS", 1000)
+    monkeypatch.setattr(tsgm, "_VOLUME_BYTES", 3 * 200 * 16 * 250)
     strips = tsgm.match_tsgm(left, padded, 80, SETTINGS)
-    assert np.mean((whole == strips) | (np.isnan(whole) & np.isnan(strips))) > 0.999
+    assert np.mean((whole == strips) | (np.isnan(whole) & np.isnan(strips))) > 0.998
+
+
+@pytest.mark.parametrize("limit", [1, 10_000, 100_000, 10**9])
+def test_strips_cover_every_row_once_and_stay_within_the_limit(monkeypatch, limit):
+    monkeypatch.setattr(tsgm, "_VOLUME_BYTES", limit)
+    cells = np.random.default_rng(0).integers(1, 60, 900)
+    strips = tsgm._strips(cells)
+    rows = np.concatenate([np.arange(900)[outer][inner] for outer, inner in strips])
+    np.testing.assert_array_equal(rows, np.arange(900))
+    for outer, _ in strips:
+        assert 3 * cells[outer].sum() <= limit or outer.stop - outer.start <= 3 * 64
+    if limit == 10**9:
+        assert len(strips) == 1
+
+
+def test_the_volumes_stay_within_what_is_said_before():
+    wide = texture((480, 900))
+    left, right = grey(wide[:, 200:840]), grey(wide)[:, :840]
+    workspace = tsgm._sgm.Workspace()
+    stated = tsgm.volume_bytes(480, 640, 200)
+    before = tsgm._memory.__dict__.pop("workspace", None)
+    tsgm._memory.workspace = workspace
+    tsgm.match_tsgm(left, right, 200, SETTINGS)
+    if before is not None:
+        tsgm._memory.workspace = before
+    assert 0.1 * stated < workspace.bytes < 1.3 * stated  # the rows in work come on top
+    assert tsgm.volume_bytes(2048, 2448, 512) <= 300e6
+    assert tsgm.volume_bytes(4000, 6000, 1000) <= 800e6
 
 
 def test_without_the_native_module_the_remedy_is_named(monkeypatch):

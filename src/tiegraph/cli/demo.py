@@ -24,7 +24,7 @@ class DemoOptions(Common):
     until: str | None = None
     """The last stage to run (default: all)."""
     preset: str | None = None
-    """A named way of working: default, conventional, meguro2024, meguro2025."""
+    """A named way of working: default, fast, close-range, conventional, meguro2024, meguro2025."""
 
 
 def example() -> Path:

@@ -14,7 +14,7 @@ DONE, FAILED, MISUSE = 0, 1, 2
 
 def verbs() -> dict[str, tuple[Callable[[list[str]], int], str]]:
     """Every verb: the function that takes its arguments, and one line of help."""
-    from tiegraph.cli import compare, demo, doctor, evaluate, init, masks, network, run, status
+    from tiegraph.cli import compare, demo, doctor, evaluate, export, init, masks, network, run, shots, status
     from tiegraph.pipeline import STAGES
 
     table: dict[str, tuple[Callable[[list[str]], int], str]] = {
@@ -23,6 +23,8 @@ def verbs() -> dict[str, tuple[Callable[[list[str]], int], str]]:
         "init": (init.main, "show what is found in a folder; write tiegraph.toml and rig.toml to edit"),
         "status": (status.main, "which stages of a run folder are up to date, and why not"),
         "compare": (compare.main, "two or more run folders side by side: the papers' tables"),
+        "shots": (shots.main, "a point cloud for each shot of a calibrated rig, without a sparse model"),
+        "export": (export.main, "the depth maps as a dense workspace for COLMAP's stereo_fusion"),
         "doctor": (doctor.main, "versions, cores, memory, and what is missing"),
     }
     for stage in STAGES:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import cv2
 import numpy as np
 
-from tiegraph.dense.combine import MAX_RELATIVE, SIGMA_DISPARITY_PX
 from tiegraph.dense.settings import DenseSettings
+from tiegraph.dense.triangulate import MAX_RELATIVE
 from tiegraph.geometry.transforms import invert
 from tiegraph.scene.results import DepthMap
 
@@ -18,16 +18,19 @@ LoadDepth = Callable[[str], "DepthMap | None"]
 _MIN_ALONG = 0.3  # cosine-like: a witness looking across our ray does not move our depth by more than 1 / 0.3
 _MIN_RELATIVE = 0.002  # agreement is never asked closer than this share of the depth: poses are not perfect
 _THROUGH = 1.5  # a witness sees through a point when its surface lies this many tolerances behind
+_STRIP_PIXELS = 1 << 16  # pixels compared together, so that the intermediate columns stay in the cache
 
 
 @dataclass(frozen=True)
 class Consistency:
-    """What the comparison did to a depth map: pixels before, kept, and dropped for two reasons."""
+    """What the comparison did to a depth map: pixels before, kept, dropped for two reasons; ``two_rays`` of the kept
+    are seen by two images because no more could see them."""
 
     before: int
     kept: int
     few_views: int
     seen_through: int
+    two_rays: int
 
 
 def check(
@@ -37,58 +40,86 @@ def check(
     dropped, as well as those that more witnesses see through than confirm.
 
     ``partners`` in the order of the bits of ``depth.support``; ``load`` returns a depth map by name or None where there
-    is none. An image that has fewer witnesses than ``min_views`` asks for all of them.
+    is none. Where fewer images than ``min_views`` have the point in their frame all of them must agree, two at least,
+    and one other depth map must say the same: ``views`` tells these points.
     """
-    shape = depth.depth_m.shape
-    known = np.isfinite(depth.depth_m)
-    support = np.zeros(shape, np.uint8) if depth.support is None else depth.support
-    inverse = np.where(known, 1 / depth.depth_m, 0).astype(np.float64)
-    variance = np.square(np.where(known, depth.sigma_m * inverse**2, 1.0))
-    none, one = np.zeros(shape, np.int16), np.ones(shape, np.int16)
-    tally = _Tally(depth.views.astype(np.int16), none, one, inverse / variance, 1 / variance)
-    images = set(partners)
+    tally = _Tally.begin(depth)
+    unseen = set(partners)
     for name in witnesses:
         other = load(name)
         if other is None:
             continue
-        images.add(name)
-        counted = (support >> np.uint8(partners.index(name))) & 1 > 0 if name in partners else np.zeros(shape, bool)
-        tally = tally.heard(*_compare(depth, other, settings.tolerance_px), counted)
-    few = known & (tally.views < min(settings.min_views, 1 + len(images)))
+        unseen.discard(name)
+        counted = _bit(depth, partners.index(name)) if name in partners else np.zeros(depth.depth_m.shape, bool)
+        tally = tally.heard(_compare(depth, other, settings.tolerance_px), counted)
+    known = np.isfinite(depth.depth_m)
+    possible = 1 + tally.possible + len(unseen)  # a partner without a depth map might see everything
+    needed = np.clip(possible, 2, settings.min_views)
+    alone = (needed < settings.min_views) & (tally.maps < 2)
+    few = known & ((tally.views < needed) | alone)
     floating = known & ~few & (tally.against >= tally.views)
     kept = known & ~few & ~floating
-    result = _replaced(depth, kept, tally)
-    return result, Consistency(int(known.sum()), int(kept.sum()), int(few.sum()), int(floating.sum()))
+    counts = [int(np.count_nonzero(m)) for m in (known, kept, few, floating, kept & (tally.views == 2))]
+    return _replaced(depth, kept, tally), Consistency(*counts)
+
+
+def _bit(depth: DepthMap, k: int) -> np.ndarray:
+    """(H, W) bool: the k-th partner took part."""
+    if depth.support is None:
+        return np.zeros(depth.depth_m.shape, bool)
+    return (depth.support >> np.uint8(k)) & np.uint8(1) > 0
+
+
+@dataclass(frozen=True, eq=False)
+class _Said:
+    """What one witness says of our pixels (H, W): whether its frame holds the point, agrees, sees through it; where it
+    agrees our inverse depth by its depth, and that one's variance."""
+
+    possible: np.ndarray
+    agrees: np.ndarray
+    through: np.ndarray
+    inverse: np.ndarray
+    variance: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
 class _Tally:
-    """What the images say of each pixel (H, W): how many agree, how many see through it, how many depth maps are in the
-    mean, and the sums of inverse depth by precision and of precision."""
+    """What the images say of each pixel (H, W): how many agree, see through it, could see it; how many depth maps are
+    in the mean, and the sums of inverse depth by precision and of precision."""
 
     views: np.ndarray
     against: np.ndarray
+    possible: np.ndarray
     maps: np.ndarray
     weighted: np.ndarray
     weight: np.ndarray
 
-    def heard(
-        self, agrees: np.ndarray, through: np.ndarray, said: np.ndarray, variance: np.ndarray, counted: np.ndarray
-    ) -> _Tally:
+    @staticmethod
+    def begin(depth: DepthMap) -> _Tally:
+        """Before any witness was heard."""
+        known = np.isfinite(depth.depth_m)
+        inverse = np.where(known, 1 / np.where(known, depth.depth_m, 1), 0).astype(np.float64)
+        weight = 1 / np.square(np.where(known, depth.sigma_m * inverse**2, 1.0))
+        none = np.zeros(known.shape, np.int16)
+        return _Tally(depth.views.astype(np.int16), none, none, none + np.int16(1), inverse * weight, weight)
+
+    def heard(self, said: _Said, counted: np.ndarray) -> _Tally:
         """With one more witness; ``counted`` = its image is in ``views`` already."""
+        weight = np.where(said.agrees, 1 / said.variance, 0)
         return _Tally(
-            self.views + (agrees & ~counted),
-            self.against + through,
-            self.maps + agrees,
-            self.weighted + np.where(agrees, said / variance, 0),
-            self.weight + np.where(agrees, 1 / variance, 0),
+            self.views + (said.agrees & ~counted),
+            self.against + said.through,
+            self.possible + (said.possible | counted),
+            self.maps + said.agrees,
+            self.weighted + said.inverse * weight,
+            self.weight + weight,
         )
 
 
 def _replaced(depth: DepthMap, kept: np.ndarray, tally: _Tally) -> DepthMap:
     # Depth maps of neighbours come from the same image pairs: the mean has the variance of one of them, less only by
     # what the images add that are new.
-    gain = np.maximum(depth.views.astype(float) - 1, 1) / np.maximum(tally.views - 1, 1)
+    gain = np.maximum(depth.views.astype(np.float32) - 1, 1) / np.maximum(tally.views - 1, 1)
     sigma = np.sqrt(tally.maps / tally.weight * gain)
     safe = np.where(kept, tally.weighted / tally.weight, 1.0)
     nan = np.float32(np.nan)
@@ -101,53 +132,76 @@ def _replaced(depth: DepthMap, kept: np.ndarray, tally: _Tally) -> DepthMap:
     )
 
 
-def _compare(
-    depth: DepthMap, other: DepthMap, tolerance_px: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(agrees, sees through) (H, W) bool, and what the other says at agreeing pixels: inverse depth, its variance."""
+def _compare(depth: DepthMap, other: DepthMap, tolerance_px: float) -> _Said:
+    """One witness beside our depth map, strip by strip."""
+    surface = _Surface.of(other)
+    rows = max(1, _STRIP_PIXELS // depth.depth_m.shape[1])
+    parts = [_compare_rows(depth, surface, top, rows, tolerance_px) for top in range(0, len(depth.depth_m), rows)]
+    return _Said(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Said)))
+
+
+def _compare_rows(depth: DepthMap, surface: _Surface, top: int, rows: int, tolerance_px: float) -> _Said:
+    z, sigma_z = depth.depth_m[top : top + rows], depth.sigma_m[top : top + rows]
+    other = surface.camera
     other_from_depth = other.cam_from_world @ invert(depth.cam_from_world)
-    along = _rays(depth) @ other_from_depth[:3, :3].T  # our rays in the other's frame, per unit of our depth
-    z = depth.depth_m.astype(float)
-    there = along * z[..., None] + other_from_depth[:3, 3]
-    front = there[..., 2] > 0
-    their_z = np.where(front, there[..., 2], np.nan)
-    column = other.K[0, 0] * there[..., 0] / their_z + other.K[0, 2]
-    row = other.K[1, 1] * there[..., 1] / their_z + other.K[1, 2]
-    inverse, sigma = _sample(other, column, row)
+    along = _along(depth, other_from_depth[:3, :3], top, len(z))  # our rays in the other's frame, per unit of depth
+    x, y, ahead = (a * z + np.float32(t) for a, t in zip(along, other_from_depth[:3, 3], strict=True))
+    their_z = np.where(ahead > 0, ahead, np.float32(np.nan))
+    column = np.float32(other.K[0, 0]) * x / their_z + np.float32(other.K[0, 2])
+    row = np.float32(other.K[1, 1]) * y / their_z + np.float32(other.K[1, 2])
+    height, width = other.depth_m.shape
+    possible = (column >= 0) & (column <= width) & (row >= 0) & (row <= height)  # NaN compares false
+    inverse, relative_sigma = surface.at(column, row)
     relative = 1 / (inverse * their_z) - 1  # their surface behind our point, as a share of its depth; NaN = not seen
-    spread = np.hypot(depth.sigma_m / z, sigma / inverse) / SIGMA_DISPARITY_PX
+    spread = np.hypot(sigma_z / z / np.float32(depth.sigma_px), relative_sigma / np.float32(other.sigma_px))
     tolerance = np.clip(tolerance_px * spread, _MIN_RELATIVE, MAX_RELATIVE)
     agrees = np.abs(relative) <= tolerance
     through = relative > _THROUGH * tolerance
     # Our ray meets their surface, taken as parallel to their image, a little further on; oblique rays are held back.
-    said = z + np.where(agrees, relative * their_z, 0) / np.maximum(along[..., 2], _MIN_ALONG)
+    said = z + np.where(agrees, relative * their_z, 0) / np.maximum(along[2], _MIN_ALONG)
     said = np.where(agrees, 1 / np.where(agrees, said, 1), 0)
-    variance = np.where(agrees, np.square(sigma / inverse * said), 1)
-    return agrees, through, said, variance
+    variance = np.where(agrees, np.square(relative_sigma * said), 1)
+    return _Said(possible, agrees, through, said, variance)
 
 
-def _rays(depth: DepthMap) -> np.ndarray:
-    """(H, W, 3) rays with z = 1 through the pixel centres."""
-    height, width = depth.depth_m.shape
-    u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    return np.stack([(u - depth.K[0, 2]) / depth.K[0, 0], (v - depth.K[1, 2]) / depth.K[1, 1], np.ones_like(u)], -1)
+def _along(depth: DepthMap, rotation: np.ndarray, top: int, rows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rays with z = 1 through the pixel centres of some rows, turned: three columns (rows, W) f4. They are affine in
+    the pixel, so each is a row plus a column."""
+    matrix = rotation @ np.linalg.inv(depth.K)
+    u = np.arange(depth.depth_m.shape[1]) + 0.5
+    v = np.arange(top, top + rows) + 0.5
+    x, y, z = ((m[0] * u)[None, :] + (m[1] * v + m[2])[:, None] for m in matrix)
+    return x.astype(np.float32), y.astype(np.float32), z.astype(np.float32)
 
 
-def _sample(other: DepthMap, column: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Inverse depth (linear between pixels of one surface, which is exact on planes; else the nearest pixel's) and its
-    sigma at positions of another depth map; NaN = nothing there."""
-    x = np.where(np.isfinite(column), column - 0.5, -9).astype(np.float32)
-    y = np.where(np.isfinite(row), row - 0.5, -9).astype(np.float32)
-    x, y = np.clip(x, -9, 32000), np.clip(y, -9, 32000)
+@dataclass(frozen=True, eq=False)
+class _Surface:
+    """A depth map to be looked up: inverse depth with 0 in holes, 1 where known, sigma as a share of the depth."""
 
-    def remap(values: np.ndarray, how: int, outside: float) -> np.ndarray:
-        return cv2.remap(values, x, y, how, borderMode=cv2.BORDER_CONSTANT, borderValue=outside)
+    camera: DepthMap
+    inverse: np.ndarray
+    known: np.ndarray
+    relative_sigma: np.ndarray
 
-    inverse = (1 / other.depth_m).astype(np.float32)
-    known = np.isfinite(inverse).astype(np.float32)
-    nearest = remap(inverse, cv2.INTER_NEAREST, np.nan)
-    linear = remap(np.where(known > 0, inverse, np.float32(0)), cv2.INTER_LINEAR, 0.0)
-    smooth = (remap(known, cv2.INTER_LINEAR, 0.0) > 0.999) & (np.abs(linear - nearest) < MAX_RELATIVE * nearest)
-    relative_sigma = remap((other.sigma_m / other.depth_m).astype(np.float32), cv2.INTER_NEAREST, np.nan)
-    inverse = np.where(smooth, linear, nearest)
-    return inverse, relative_sigma * inverse
+    @staticmethod
+    def of(depth: DepthMap) -> _Surface:
+        """Of a depth map."""
+        known = np.isfinite(depth.depth_m)
+        inverse = np.where(known, 1 / np.where(known, depth.depth_m, 1), 0).astype(np.float32)
+        return _Surface(depth, inverse, known.astype(np.float32), (depth.sigma_m * inverse).astype(np.float32))
+
+    def at(self, column: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Inverse depth (linear between pixels of one surface, which is exact on planes; else the nearest pixel's) and
+        its sigma as a share; NaN = nothing there."""
+        x = np.clip(np.where(np.isfinite(column), column - np.float32(0.5), -9), -9, 32000)
+        y = np.clip(np.where(np.isfinite(row), row - np.float32(0.5), -9), -9, 32000)
+
+        def look(values: np.ndarray, how: int, outside: float) -> np.ndarray:
+            return cv2.remap(values, x, y, how, borderMode=cv2.BORDER_CONSTANT, borderValue=outside)
+
+        near = look(self.inverse, cv2.INTER_NEAREST, 0.0)
+        linear = look(self.inverse, cv2.INTER_LINEAR, 0.0)
+        whole = look(self.known, cv2.INTER_LINEAR, 0.0) > 0.999
+        smooth = whole & (np.abs(linear - near) < MAX_RELATIVE * near)
+        relative_sigma = look(self.relative_sigma, cv2.INTER_NEAREST, np.nan)
+        return np.where(near > 0, np.where(smooth, linear, near), np.float32(np.nan)), relative_sigma

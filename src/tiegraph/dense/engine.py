@@ -1,7 +1,7 @@
 """The engine interface of the dense stage, and the engines that match rectified pairs.
 
 An engine makes the depth map of one reference view from its partner views (``DenseEngine``). The engines here share
-rectification, masking, the way back into the reference and the combination of partners; they differ only in the
+rectification, masking, the way back into the reference and the triangulation over all partners; they differ only in the
 matcher of a rectified pair (``PairMatcher``). An engine that matches otherwise is one more entry of ``ENGINES``.
 """
 
@@ -15,17 +15,17 @@ from functools import partial
 import cv2
 import numpy as np
 
-from tiegraph.dense.combine import Candidates, combine
 from tiegraph.dense.plan import DepthRange
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.sgbm import match_sgbm
-from tiegraph.dense.tsgm import available, match_tsgm
+from tiegraph.dense.triangulate import Candidates, triangulate
+from tiegraph.dense.tsgm import available, match_tsgm, volume_bytes
 from tiegraph.geometry.stereo import Pinhole, Rectification, rectify
 from tiegraph.scene.results import DepthMap
 
 _MAX_DISPARITIES = 1024  # the 16-bit fixed point of the matcher ends at 2047
 _MAX_PIXELS_RATIO = 1.5  # rectified pixels per pixel of the reference
-_MAX_VOLUME = 800e6  # cells of the largest cost volume: 8-path matching holds about 3 bytes for each
+_SGBM_CELLS = 800e6  # of the largest cost volume of OpenCV's matcher; tsgm bounds its own (tsgm.volume_bytes)
 _BLEND_PX = 1.0  # neighbouring disparities closer than this are interpolated, others are a depth jump
 
 _BITS = np.array([bin(k).count("1") for k in range(256)], np.uint8)
@@ -62,37 +62,55 @@ def rectified_engine(
     depth_range: DepthRange,
     settings: DenseSettings,
     matcher: PairMatcher,
+    max_cells: float = np.inf,
 ) -> DepthMap:
-    """Depth map of the reference: each rectified pair matched, the partners' depths combined where they agree.
+    """Depth map of the reference: each rectified pair matched, the rays of all partners intersected.
 
     Keeps pixels on which at least one partner's match stands, with the number of images that agree in ``views``; the
     demand for ``min_views`` comes after the comparison of depth maps (``consistency``), which adds witnesses.
     """
-    candidates = []
-    for partner in partners:
-        found = _match_pair(reference, partner, depth_range, settings, matcher)
-        candidates.append(found if found is not None else Candidates.nothing(reference.mask.shape))
-    if not candidates:
-        candidates = [Candidates.nothing(reference.mask.shape)]
-    inverse, sigma, support = combine(candidates, settings.tolerance_px)
-    inverse = np.where(reference.mask, inverse, np.float32(np.nan))
+    candidates = propose(reference, partners, depth_range, settings, matcher, max_cells)
+    return solve(reference, candidates, settings)
+
+
+def propose(
+    reference: DenseView,
+    partners: Sequence[DenseView],
+    depth_range: DepthRange,
+    settings: DenseSettings,
+    matcher: PairMatcher,
+    max_cells: float = np.inf,
+) -> list[Candidates]:
+    """What each partner says of each pixel of the reference; at least one entry. Pairs with more pixels times
+    disparities than ``max_cells`` are matched at a coarser resolution."""
+    shape = reference.mask.shape
+    most = int(min(_MAX_DISPARITIES, max_cells / (shape[0] * shape[1] * _MAX_PIXELS_RATIO)))
+    found = [_match_pair(reference, p, depth_range, settings, matcher, max(most, 16)) for p in partners]
+    return [f if f is not None else Candidates.nothing(shape) for f in found] or [Candidates.nothing(shape)]
+
+
+def solve(reference: DenseView, candidates: Sequence[Candidates], settings: DenseSettings) -> DepthMap:
+    """The depth map of the reference from its partners' proposals (``triangulate``)."""
+    found = triangulate(candidates, settings.tolerance_px)
+    inverse = np.where(reference.mask, found.inverse, np.float32(np.nan))
     depth = (1.0 / inverse).astype(np.float32)
-    views = _BITS[support] + np.uint8(1)
+    views = _BITS[found.support] + np.uint8(1)
     known = np.isfinite(depth)
     return DepthMap(
         image=reference.name,
         depth_m=depth,
-        sigma_m=np.where(known, sigma * depth * depth, np.float32(np.nan)).astype(np.float32),
+        sigma_m=np.where(known, found.sigma * depth * depth, np.float32(np.nan)).astype(np.float32),
         views=np.where(known, views, 0).astype(np.uint8),
         K=reference.K,
         cam_from_world=reference.cam_from_world,
-        support=np.where(known, support, 0).astype(np.uint8),
+        support=np.where(known, found.support, 0).astype(np.uint8),
+        sigma_px=found.sigma_px,
     )
 
 
 ENGINES: dict[str, DenseEngine] = {
     "tsgm": partial(rectified_engine, matcher=match_tsgm),
-    "sgbm": partial(rectified_engine, matcher=match_sgbm),
+    "sgbm": partial(rectified_engine, matcher=match_sgbm, max_cells=_SGBM_CELLS),
 }
 
 
@@ -106,17 +124,27 @@ def installed(name: str) -> tuple[str, str]:
     return name, ""
 
 
+def most_volume_bytes(size: tuple[int, int]) -> int:
+    """Most bytes of cost volumes that a pair of reference images (width, height) takes with tsgm."""
+    scale = np.sqrt(_MAX_PIXELS_RATIO)
+    return volume_bytes(int(np.ceil(scale * size[1])), int(np.ceil(scale * size[0])), _MAX_DISPARITIES)
+
+
 def _match_pair(
-    reference: DenseView, partner: DenseView, depth_range: DepthRange, settings: DenseSettings, matcher: PairMatcher
+    reference: DenseView,
+    partner: DenseView,
+    depth_range: DepthRange,
+    settings: DenseSettings,
+    matcher: PairMatcher,
+    most: int,
 ) -> Candidates | None:
     height, width = reference.mask.shape
-    most = min(_MAX_DISPARITIES, int(_MAX_VOLUME / (height * width * _MAX_PIXELS_RATIO)))
     pair = rectify(
         reference.pinhole,
         partner.pinhole,
         (depth_range.near, depth_range.far),
         _MAX_PIXELS_RATIO * height * width,
-        max(most, 16),
+        most,
     )
     if pair is None:
         _log.debug("%s and %s share no part that can be rectified", reference.name, partner.name)

@@ -138,7 +138,7 @@ def _candidates(table: _Table, shared: sparse.csr_matrix, image: int, settings: 
         return []
     depth = max(float(np.median(table.depths(image, table.points[image]))), 1e-12)
     rough_deg = np.degrees(np.linalg.norm(table.centres[others] - table.centres[image], axis=1) / depth)
-    order = np.argsort(-counts * _angle_weight(rough_deg), kind="stable")[:_CONSIDERED]
+    order = np.argsort(-counts * angle_weight(rough_deg), kind="stable")[:_CONSIDERED]
     looked = [_look(table, image, int(others[k]), int(counts[k]), settings) for k in order]
     good = [(partner, seen, weight) for partner, seen, weight in looked if partner.used]
     chosen = _choose(good, len(table.points[image]), settings.partners)
@@ -165,12 +165,13 @@ def _look(
     if rotations is not None:
         usable = usable_rays(from_a @ (rotations[0] @ a[:3, :3]).T) & usable_rays(from_b @ (rotations[1] @ b[:3, :3]).T)
     partner = Partner(table.views[other], count, float(np.median(angle)), scale)
-    reason = _reason(partner, float(usable.mean()), settings)
-    weight = _angle_weight(angle) * usable * min(scale, 1 / scale) * step
+    reason = refusal(partner, float(usable.mean()), settings)
+    weight = angle_weight(angle) * usable * min(scale, 1 / scale) * step
     return (_refuse(partner, reason) if reason else partner), seen, weight
 
 
-def _reason(partner: Partner, usable: float, settings: DenseSettings) -> str:
+def refusal(partner: Partner, usable: float, settings: DenseSettings) -> str:
+    """Why a pair is not matched, empty if it is; ``usable`` = share of the points far enough from the epipole."""
     if partner.angle_deg < settings.min_angle_deg:
         return ONE_CENTRE
     if usable < _MIN_USABLE:
@@ -186,7 +187,7 @@ def _refuse(partner: Partner, reason: str) -> Partner:
     return Partner(partner.view, partner.shared, partner.angle_deg, partner.scale, reason)
 
 
-def _angle_weight(angle_deg: np.ndarray) -> np.ndarray:
+def angle_weight(angle_deg: np.ndarray) -> np.ndarray:
     """1 at the best angles, falling on both sides."""
     low, high = _BEST_ANGLES_DEG
     narrow = np.clip(angle_deg / low, 0.01, 1.0)

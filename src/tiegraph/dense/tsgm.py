@@ -28,8 +28,10 @@ _log = logging.getLogger(__name__)
 
 _FULL_RANGE = 128  # disparities at most of the level that is matched over its full range
 _DENSE_BELOW = 16  # with so few disparities per-pixel ranges save nothing
-_STRIP_PIXELS = 24_000_000  # larger levels are matched in strips
-_STRIP_OVERLAP = 64  # rows after which a path has forgotten where it began
+_VOLUME_BYTES = 256_000_000  # of the cost volumes held at once; a level that needs more is matched in strips
+_CELL_BYTES = 3  # a cost of one byte and a sum of two for each pixel and disparity
+_STRIP_OVERLAP = 64  # rows after which a path has nearly forgotten where it began
+_BLOCK = 16  # disparities that the kernels take at once
 _MODES = {"census": 0, "blend": 1, "mutual": 2}
 
 
@@ -63,6 +65,24 @@ class Tuning:
 def available() -> bool:
     """Whether the native module is installed."""
     return _sgm is not None
+
+
+def volume_bytes(height: int, width: int, disparities: int) -> int:
+    """Most bytes of cost volumes that matching a pair of images (height, width) holds at once, known before it starts.
+
+    Levels that would need more than 256 MB are matched in strips; a strip has at least 192 rows.
+    """
+    tuning = Tuning()
+    levels = _levels(disparities, tuning)
+    most = 0
+    for level in range(levels + 1):
+        h, w = -(-height >> level), -(-width >> level)
+        count = -(-disparities >> level)
+        each = count if level == levels else min(count + _BLOCK, tuning.hole_limit + 2 * _BLOCK)
+        each = -(-each // _BLOCK) * _BLOCK
+        rows = min(h, 3 * _STRIP_OVERLAP)
+        most = max(most, min(h * w * each, max(_VOLUME_BYTES // _CELL_BYTES, rows * w * each)) * _CELL_BYTES)
+    return most
 
 
 def match_tsgm(left: np.ndarray, right: np.ndarray, disparities: int, settings: DenseSettings) -> np.ndarray:
@@ -154,25 +174,41 @@ class _Level:
 
     def full(self) -> np.ndarray:
         """Every disparity at every pixel."""
-        cells = self.left.size * self.rules.count
-        _log.debug("full range at %s: %.0f MB of cost volumes", self.left.shape, 3e-6 * cells)
-        found, _ = _sgm.match_dense(
-            self.left, self.right, self.rules.low, self.rules.count, self.options, self.workspace
-        )
-        return found
+        height, width = self.left.shape
+        low, count = self.rules.low, self.rules.count
+        parts = []
+        for strip, inner in _strips(np.full(height, width * count)):
+            found, _ = _sgm.match_dense(self.left[strip], self.right[strip], low, count, self.options, self.workspace)
+            parts.append(found[inner])
+        return np.concatenate(parts)
 
     def within(self, coarse: np.ndarray, mutual: np.ndarray | None) -> np.ndarray:
         """The disparities that the coarser level leaves."""
         height, width = self.left.shape
         first, blocks, cells = _sgm.ranges(coarse, width, height, self.rules)
-        _log.debug("%.1f disparities a pixel at %s: %.0f MB", cells / self.left.size, self.left.shape, 3e-6 * cells)
-        rows = max(4 * _STRIP_OVERLAP, _STRIP_PIXELS // width)
+        _log.debug("%.1f disparities a pixel at %s", cells / self.left.size, self.left.shape)
         parts = []
-        for top in range(0, height, rows):
-            low, high = max(0, top - _STRIP_OVERLAP), min(height, top + rows + _STRIP_OVERLAP)
-            strip = slice(low, high)
+        for strip, inner in _strips(_BLOCK * blocks.sum(axis=1, dtype=np.int64)):
             found, _ = _sgm.match_ragged(
                 self.left[strip], self.right[strip], first[strip], blocks[strip], self.options, self.workspace, mutual
             )
-            parts.append(found[top - low : top - low + rows])
+            parts.append(found[inner])
         return np.concatenate(parts)
+
+
+def _strips(cells: np.ndarray) -> list[tuple[slice, slice]]:
+    """Rows matched together, and which of the found ones count, so that the volumes of ``cells`` (h,) in each row stay
+    within _VOLUME_BYTES; a strip is never less than its overlap."""
+    height, limit = len(cells), _VOLUME_BYTES // _CELL_BYTES
+    before = np.concatenate([[0], np.cumsum(cells)])
+    if before[-1] <= limit:
+        return [(slice(0, height), slice(0, height))]
+    strips, top = [], 0
+    while top < height:
+        low = max(0, top - _STRIP_OVERLAP)
+        high = int(np.searchsorted(before, before[low] + limit, "right")) - 1
+        high = min(height, max(high, top + 2 * _STRIP_OVERLAP))
+        bottom = height if high == height else high - _STRIP_OVERLAP
+        strips.append((slice(low, high), slice(top - low, bottom - low)))
+        top = bottom
+    return strips

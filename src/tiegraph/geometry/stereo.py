@@ -76,7 +76,7 @@ def rectifying_rotation(reference_from_world: np.ndarray, partner_from_world: np
     """
     step = centre(partner_from_world) - centre(reference_from_world)
     baseline = float(np.linalg.norm(step))
-    if baseline == 0:
+    if not 0 < baseline < np.inf:  # NaN too
         return None
     x = step / baseline
     forward = reference_from_world[2, :3] + partner_from_world[2, :3]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
@@ -13,11 +14,13 @@ import pycolmap
 
 from tiegraph.cloud.fuse import fuse
 from tiegraph.dense.depth import confirmed_map, depth_map
-from tiegraph.dense.engine import installed
+from tiegraph.dense.engine import installed, most_volume_bytes
 from tiegraph.dense.neighbours import plan_images
 from tiegraph.dense.plan import ImagePlan
 from tiegraph.dense.settings import DenseSettings
-from tiegraph.dense.undistort import load_view
+from tiegraph.dense.undistort import load_view, pinhole
+from tiegraph.dense.workspace import write_workspace
+from tiegraph.errors import InputError
 from tiegraph.pipeline.files import FINAL
 from tiegraph.pipeline.world import placement_error, world_origin
 from tiegraph.project.run import Run
@@ -27,6 +30,8 @@ from tiegraph.scene.cloudfile import write_cloud
 from tiegraph.scene.copc import write_copc
 from tiegraph.scene.depthfile import load_depth, save_depth
 from tiegraph.scene.results import Cloud, DepthMap
+
+_log = logging.getLogger(__name__)
 
 _EVERY = 50  # points of the cloud looked at for its sigma in the world
 FIRST = ".first"  # depth maps before they are compared with each other; removed when the stage is done
@@ -44,6 +49,8 @@ def dense(run: Run) -> Outcome:
     args = (run.folder, plan.images, run.settings.dense)
     todo = [n for n in names if not depth_path(run.folder, n).exists()]
     first = [n for n in names if not depth_path(run.folder, n, FIRST).exists()] if todo else []
+    volumes = _volumes(plan.images, run.settings.dense)
+    _log.info("%d images; %s", len(names), volumes)
     run.reporter.total(2 * len(names), 2 * len(names) - len(first) - len(todo))
     run.map(_first_item, first, *args)
     run.map(_confirm_item, todo, *args)
@@ -53,12 +60,19 @@ def dense(run: Run) -> Outcome:
     refused = {"columns": ["reason", "stereo pairs"], "rows": [[k, n] for k, n in plan.refused.items()]}
     counts: dict[str, float] = {"images": len(names), "pixels": int(sum(pixels)), "images_without": len(plan.dropped)}
     remark = installed(run.settings.dense.engine)[1]
-    notes = (*plan.notes, remark) if remark else plan.notes
+    notes = (*plan.notes, volumes, *([remark] if remark else []))
     return Outcome(counts, plan.dropped, notes, {"refused stereo pairs": refused})
 
 
 def _plan(run: Run) -> Any:
     return plan_images(pycolmap.Reconstruction(str(run.path("sparse", "world"))), run.settings.dense)
+
+
+def _volumes(plans: dict[str, ImagePlan], settings: DenseSettings) -> str:
+    """What the matcher will hold at most, known before it starts."""
+    sizes = {plan.view.camera: pinhole(plan.view, settings).size for plan in plans.values()}
+    most = max((most_volume_bytes(size) for size in sizes.values()), default=0)
+    return f"cost volumes of a pair: at most {most / 1e6:.0f} MB in each worker"
 
 
 def _first_item(name: str, folder: Path, plans: dict[str, ImagePlan], settings: DenseSettings) -> None:
@@ -79,6 +93,20 @@ def _confirm_item(name: str, folder: Path, plans: dict[str, ImagePlan], settings
 
 def _known_pixels(name: str, folder: Path) -> int:
     return int(np.isfinite(load_depth(depth_path(folder, name)).depth_m).sum())
+
+
+def hand_over(run: Run, target: Path) -> int:
+    """The depth maps as a dense workspace of COLMAP below ``target``; their number. Raises InputError for a folder that
+    holds something."""
+    if target.exists() and (not target.is_dir() or any(target.iterdir())):
+        raise InputError(f"{target} is there and not empty: give a new folder for the workspace")
+
+    def load(name: str) -> DepthMap | None:
+        path = depth_path(run.folder, name)
+        return load_depth(path) if path.exists() else None
+
+    model = pycolmap.Reconstruction(str(run.path("sparse", "world")))
+    return write_workspace(target, model, run.path("images"), load, run.settings.dense)
 
 
 def cloud(run: Run) -> Outcome:

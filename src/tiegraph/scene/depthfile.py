@@ -23,6 +23,7 @@ def save_depth(depth: DepthMap, path: Path) -> None:
         "depth_m": _rounded(depth.depth_m),
         "relative_sigma": np.where(known, depth.sigma_m / np.where(known, depth.depth_m, 1), np.nan).astype(np.float16),
         "views": depth.views,
+        "sigma_px": np.asarray(depth.sigma_px, np.float32),
         "K": depth.K,
         "cam_from_world": depth.cam_from_world,
     }
@@ -57,6 +58,7 @@ def load_depth(path: Path) -> DepthMap:
             cam_from_world=data["cam_from_world"],
             normal=normal,
             support=data.get("support"),
+            sigma_px=float(data.get("sigma_px", DepthMap.sigma_px)),
         )
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise InputError(f"{path} is not a depth map: remove it and run the dense stage again ({error})") from None

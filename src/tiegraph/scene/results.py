@@ -29,7 +29,8 @@ class DepthMap:
     depth_m (H, W) f4, NaN = none; sigma_m (H, W) f4 one standard deviation of the depth; views (H, W) u1 number of
     images that agree (the reference counts); normal (H, W, 3) f4 in the camera frame, NaN = none; K (3, 3) and
     cam_from_world (4, 4) of the undistorted image. Lengths in world units (metres once georeferenced). support (H, W)
-    u1: bit k = the k-th partner image agreed (until depth maps are compared), None = not recorded.
+    u1: bit k = the k-th partner image agreed (until depth maps are compared), None = not recorded. sigma_px: standard
+    deviation of one disparity, from which sigma_m follows.
     """
 
     image: str
@@ -40,6 +41,7 @@ class DepthMap:
     cam_from_world: np.ndarray
     normal: np.ndarray | None = None
     support: np.ndarray | None = None
+    sigma_px: float = 0.3
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,260 @@
+"""Clouds of a finished model with three ways to a depth, against a reference cloud, depth truth, or each other.
+
+sgbm = OpenCV's matcher; pairs = our matcher, each pixel from its most exact partner alone; rays = our matcher, all
+partners' rays intersected (the dense stage). Same model, partners, masks and filters; `pairs` and `rays` even share the
+disparities.
+
+python -m benchmarks.dense.clouds OUT canal --images '*/cam[0-4]/00001[0-4].jpg' --truth CANAL/gt/depth
+python -m benchmarks.dense.clouds OUT Herz-Jesus-P25 --halves   # no reference: every second frame against the others
+"""
+
+from __future__ import annotations
+
+import argparse
+import fnmatch
+import json
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pycolmap
+
+from benchmarks.accuracy import pose_centre
+from benchmarks.datasets import Dataset, load
+from benchmarks.dense.survey import true_depth
+from tiegraph.cloud.fuse import fuse
+from tiegraph.cloud.settings import CloudSettings
+from tiegraph.dense.depth import confirmed_map
+from tiegraph.dense.engine import propose, solve
+from tiegraph.dense.neighbours import plan_images
+from tiegraph.dense.plan import ImagePlan
+from tiegraph.dense.settings import DenseSettings
+from tiegraph.dense.sgbm import match_sgbm
+from tiegraph.dense.triangulate import Candidates
+from tiegraph.dense.tsgm import match_tsgm
+from tiegraph.dense.undistort import load_view
+from tiegraph.evaluate.cloud import cloud_to_cloud, nearest
+from tiegraph.evaluate.reference import read_points
+from tiegraph.geometry.align import Similarity, umeyama
+from tiegraph.scene.cloudfile import write_cloud
+from tiegraph.scene.depthfile import load_depth, save_depth
+from tiegraph.scene.results import Cloud, DepthMap
+
+VARIANTS = ("sgbm", "pairs", "rays")
+_SETTINGS = DenseSettings()
+_DISTANCES_M = (0.02, 0.05, 0.10, 0.20)
+_BINS_M = (0.0, 5.0, 10.0, 20.0, 40.0, 1e9)  # distance from the camera
+
+
+def most_exact(candidates: Sequence[Candidates]) -> list[Candidates]:
+    """One proposal a pixel: that of the partner with the smallest unit."""
+    unit = np.stack([c.unit for c in candidates])
+    best = np.argmin(np.where(np.isfinite(unit), unit, np.inf), axis=0)
+    return [Candidates(np.where(best == k, c.inverse, np.float32(np.nan)), c.unit) for k, c in enumerate(candidates)]
+
+
+def first_maps(plan: ImagePlan, out: Path, store: Path, variants: Sequence[str]) -> dict[str, float]:
+    """Write the depth maps of one image before comparison; CPU seconds of each variant."""
+    masks = next(m for m in (out / "remask" / "masks", out / "masks") if m.exists())
+    start = time.process_time()
+    reference = load_view(plan.view, out / "images", masks, _SETTINGS)
+    partners = [load_view(v, out / "images", masks, _SETTINGS) for v in plan.partners]
+    reading = time.process_time() - start
+    spent, candidates = {}, {}
+    for name, matcher, cells in (("sgbm", match_sgbm, 800e6), ("tsgm", match_tsgm, np.inf)):
+        if name == "tsgm" or "sgbm" in variants:
+            start = time.process_time()
+            candidates[name] = propose(reference, partners, plan.depth_range, _SETTINGS, matcher, cells)
+            spent[name] = reading + time.process_time() - start
+    ways: dict[str, Callable[[], tuple[str, list[Candidates]]]] = {
+        "sgbm": lambda: ("sgbm", candidates["sgbm"]),
+        "pairs": lambda: ("tsgm", most_exact(candidates["tsgm"])),
+        "rays": lambda: ("tsgm", candidates["tsgm"]),
+    }
+    seconds = {}
+    for variant in variants:
+        start = time.process_time()
+        matched, proposals = ways[variant]()
+        save_depth(solve(reference, proposals, _SETTINGS), store / variant / "first" / f"{plan.view.name}.npz")
+        seconds[variant] = spent[matched] + time.process_time() - start
+    return seconds
+
+
+def confirm(plan: ImagePlan, folder: Path) -> tuple[DepthMap, dict[str, float]]:
+    """The depth map after comparison (written too) and what the comparison did."""
+
+    def load_first(name: str) -> DepthMap | None:
+        path = folder / "first" / f"{name}.npz"
+        return load_depth(path) if path.exists() else None
+
+    first = load_first(plan.view.name)
+    assert first is not None
+    start = time.process_time()
+    depth, counts = confirmed_map(plan, first, load_first, _SETTINGS)
+    seconds = time.process_time() - start
+    save_depth(depth, folder / f"{plan.view.name}.npz")
+    size = depth.depth_m.size
+    shares = {k: getattr(counts, k) / size for k in ("before", "kept", "few_views", "seen_through", "two_rays")}
+    return depth, {"confirm_cpu_s": seconds, **shares}
+
+
+def sigma_rows(depths: Sequence[DepthMap], truths: Sequence[np.ndarray]) -> list[dict[str, float]]:
+    """Error beside prediction by distance: medians of |error| (as a sigma), of sigma, share of blunders (> 5 sigmas and
+    > 2 %), and the same by number of views."""
+    error = np.concatenate([np.abs(d.depth_m - t).ravel() for d, t in zip(depths, truths, strict=True)])
+    sigma = np.concatenate([d.sigma_m.ravel() for d in depths])
+    views = np.concatenate([d.views.ravel() for d in depths])
+    truth = np.concatenate([t.ravel() for t in truths])
+    known = np.isfinite(error)
+    rows = []
+    groups = [(f"{a:g}-{b:g} m", (truth >= a) & (truth < b)) for a, b in zip(_BINS_M[:-1], _BINS_M[1:], strict=True)]
+    groups += [(f"{n} views", views == n) for n in (2, 3, 4)] + [("5 views or more", views >= 5)]
+    for label, group in groups:
+        at = known & group
+        if at.sum() < 200:
+            continue
+        e, s = error[at], sigma[at]
+        blunder = (e > 5 * s) & (e > 0.02 * truth[at])
+        actual, predicted = 1.4826 * float(np.median(e)), float(np.median(s))
+        rows.append({
+            "group": label, "pixels": int(at.sum()), "actual_m": round(actual, 4), "predicted_m": round(predicted, 4),
+            "within_1_sigma": round(float(np.mean(e < s)), 3), "within_2_sigma": round(float(np.mean(e < 2 * s)), 3),
+            "blunders_%": round(100 * float(blunder.mean()), 2),
+        })  # fmt: skip
+    return rows
+
+
+def alignment(reconstruction: pycolmap.Reconstruction, data: Dataset) -> Similarity:
+    """True world from the model's, by the projection centres of all images with a known pose."""
+    pairs = [
+        (image.projection_center(), pose_centre(data.cam_from_world[image.name]))
+        for image in reconstruction.images.values()
+        if image.has_pose and image.name in data.cam_from_world
+    ]
+    return umeyama(np.array([a for a, _ in pairs]), np.array([b for _, b in pairs]))
+
+
+def judged(cloud: Cloud, points: np.ndarray, fit: Similarity | None, cameras: np.ndarray) -> dict[str, Any]:
+    """Accuracy, completeness, F, ghosts, and the distance to the reference by predicted sigma (quarters)."""
+    found = cloud_to_cloud(cloud, points, _DISTANCES_M, fit, cameras)
+    rows = {
+        f"{d:g} m": [round(100 * x, 1) for x in (a, c, f)]
+        for d, a, c, f in zip(found.distances_m, found.accuracy, found.completeness, found.fscore, strict=True)
+    }
+    some = cloud.where(np.random.default_rng(0).permutation(len(cloud))[:200_000])
+    away = nearest(fit(some.xyz_m) if fit else some.xyz_m, points, 1.0)
+    order = np.array_split(np.argsort(some.sigma_m), 4)
+    quarters = [
+        [round(float(np.median(some.sigma_m[q])), 4), round(float(np.median(away[q])), 4)] for q in order if len(q)
+    ]
+    figures = {"median_m": found.median_m, "p90_m": found.p90_m, "ghosts_%": 100 * found.ghosts}
+    return {
+        "accuracy_completeness_F_%": rows,
+        **{k: round(v, 4) for k, v in figures.items()},
+        "sigma_and_distance_by_quarter_of_sigma": quarters,
+    }
+
+
+def _coloured(name: str, out: Path, folder: Path, plans: dict[str, ImagePlan]) -> tuple[DepthMap, np.ndarray]:
+    view = load_view(plans[name].view, out / "images", None, _SETTINGS)
+    return load_depth(folder / f"{name}.npz"), cv2.cvtColor(view.image_bgr, cv2.COLOR_BGR2RGB)
+
+
+def variant_cloud(out: Path, plans: dict[str, ImagePlan], folder: Path, truth: Path | None) -> tuple[Cloud, dict]:
+    """Second step and fusion of one variant: the cloud and its figures."""
+    rows, depths, truths = [], [], []
+    for plan in plans.values():
+        depth, row = confirm(plan, folder)
+        rows.append(row)
+        known = None if truth is None else true_depth(plan, truth, _SETTINGS)
+        if known is not None:
+            depths.append(depth)
+            truths.append(known)
+    start = time.process_time()
+    with tempfile.TemporaryDirectory() as scratch:
+        load_one = partial(_coloured, out=out, folder=folder, plans=plans)
+        fused = fuse(sorted(plans), load_one, Path(scratch), CloudSettings())
+        cloud = fused.cloud()
+    figures = {k: round(float(np.mean([r[k] for r in rows])), 4) for k in rows[0]}
+    figures |= {"fuse_cpu_s_an_image": round((time.process_time() - start) / len(plans), 3), "voxel": fused.voxel}
+    figures |= {"points": len(cloud), "median_sigma": round(float(np.median(cloud.sigma_m)), 5)}
+    if depths:
+        figures["sigma"] = sigma_rows(depths, truths)
+    return cloud, figures
+
+
+def one_set(out: Path, model: pycolmap.Reconstruction, pattern: str, store: Path, truth: Path | None, keep: list[str]):
+    """(clouds, figures) by variant of the images of a model that match a pattern."""
+    plans = {n: p for n, p in plan_images(model, _SETTINGS).images.items() if fnmatch.fnmatch(n, pattern)}
+    seconds = [first_maps(p, out, store, keep) for p in plans.values()]
+    clouds, figures = {}, {}
+    for variant in keep:
+        clouds[variant], figures[variant] = variant_cloud(out, plans, store / variant, truth)
+        spent = round(float(np.mean([s[variant] for s in seconds])), 3)
+        figures[variant] = {"images": len(plans), "match_cpu_s": spent, **figures[variant]}
+    return clouds, figures
+
+
+def half(model: pycolmap.Reconstruction, odd: int) -> pycolmap.Reconstruction:
+    """The model with every second frame only, in the order of the image names."""
+    part = pycolmap.Reconstruction(model)
+    named = sorted((min(part.image(d.id).name for d in part.frame(f).image_ids), f) for f in part.reg_frame_ids())
+    for _, frame in named[1 - odd :: 2]:
+        part.deregister_frame(frame)
+    return part
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("out", type=Path, help="a run folder with sparse/world")
+    parser.add_argument("set", help="data set whose truth is the reference (benchmarks/datasets.py)")
+    parser.add_argument("--images", default="*", help="pattern of image names")
+    parser.add_argument("--truth", type=Path, help="folder of true depth maps")
+    parser.add_argument("--variants", nargs="+", default=list(VARIANTS), choices=VARIANTS)
+    parser.add_argument("--halves", action="store_true", help="two halves of the frames against each other")
+    parser.add_argument("--store", type=Path, required=True, help="folder for depth maps and clouds")
+    parser.add_argument("-o", "--output", type=Path)
+    args = parser.parse_args()
+    cv2.setNumThreads(1)
+    model = pycolmap.Reconstruction(str(args.out / "sparse" / "world"))
+    data = load(args.set, args.store)
+    fit = alignment(model, data)
+    centres = np.array([i.projection_center() for i in model.images.values() if fnmatch.fnmatch(i.name, args.images)])
+    run = partial(one_set, args.out, pattern=args.images, truth=args.truth, keep=args.variants)
+    if args.halves:
+        clouds, figures = run(model=half(model, 0), store=args.store / "even")
+        others, _ = run(model=half(model, 1), store=args.store / "odd")
+        for name, cloud in clouds.items():
+            figures[name] |= judged(cloud, fit(others[name].xyz_m), fit, centres)
+    else:
+        clouds, figures = run(model=model, store=args.store)
+        if data.reference_cloud is not None:
+            points = reference_points(data.reference_cloud)
+            for name, cloud in clouds.items():
+                figures[name] |= judged(cloud, points, fit, centres)
+    for name, cloud in clouds.items():
+        write_cloud(cloud, args.store / f"{name}.ply")
+        sys.stdout.write(f"{name} {json.dumps(figures[name])}\n")
+    figures["peak_mib"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+    if args.output:
+        args.output.write_text(json.dumps(figures, indent=1) + "\n")
+
+
+def reference_points(path: Path) -> np.ndarray:
+    """Points (M, 3) in metres of a reference cloud: LAS, LAZ, PLY, or PandaSet's .npz of centimetres."""
+    if path.suffix != ".npz":
+        return read_points(path)[0]
+    with np.load(path) as file:
+        return file["xyz_cm"].astype(float) / 100
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,28 @@
+"""`tiegraph export OUT FOLDER`: the depth maps as a dense workspace of COLMAP."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import tyro
+
+from tiegraph.api import open_project
+
+
+def main(arguments: list[str]) -> int:
+    """`tiegraph export`."""
+
+    def export(out: tyro.conf.Positional[Path], folder: tyro.conf.Positional[Path]) -> tuple[Path, Path]:
+        """Write undistorted images, model, depth and normal maps for COLMAP's stereo_fusion and meshers.
+
+        Args:
+            out: A run folder with depth maps.
+            folder: The workspace to make; it must not exist or be empty.
+        """
+        return out, folder
+
+    out, folder = tyro.cli(export, prog="tiegraph export", args=arguments)
+    count = open_project(None, out).export(folder)
+    sys.stdout.write(f"{count} depth maps: {folder} (colmap stereo_fusion --workspace_path {folder} ...)\n")
+    return 0

@@ -1,0 +1,49 @@
+"""`tiegraph shots IMAGES --rig RIG`: a point cloud a shot from the rig's calibration alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from tiegraph.api import open_project
+from tiegraph.cli.run import Common
+
+
+@dataclass(frozen=True)
+class ShotOptions(Common):
+    """Options of `tiegraph shots`."""
+
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """The run folder (default: <IMAGES>_tiegraph beside the images)."""
+    rig: str | None = None
+    """A rig.toml or COLMAP rig_config.json with the intrinsics and the place of every camera."""
+    near: float | None = None
+    """Nearest distance of the object in metres (default: 5 times the longest baseline)."""
+    far: float | None = None
+    """Farthest distance of the object in metres (default: 100 times the longest baseline)."""
+    preset: str | None = None
+    """A named way of working; close-range keeps the full resolution."""
+
+
+def main(arguments: list[str]) -> int:
+    """`tiegraph shots`."""
+
+    def shots(
+        images: tyro.conf.Positional[Path], options: Annotated[ShotOptions, tyro.conf.arg(name="")]
+    ) -> tuple[Path, ShotOptions]:
+        """One point cloud for every shot of a calibrated rig, without a sparse model (shots/*.ply).
+
+        Args:
+            images: The folder that holds the images, one folder a camera.
+        """
+        return images, options
+
+    images, options = tyro.cli(shots, prog="tiegraph shots", args=arguments, config=(tyro.conf.FlagCreatePairsOff,))
+    project = open_project(images, options.out, preset=options.preset, pool=options.pool, rig=options.rig)
+    reporter = options.reporter()
+    made = project.shots(options.near, options.far, reporter)
+    reporter.say(f"{len(made)} clouds: {project.folder / 'shots'}")
+    return 0

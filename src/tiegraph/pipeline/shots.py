@@ -1,0 +1,94 @@
+"""Glue of the single-shot mode: a point cloud for each shot of a calibrated rig, without any sparse model."""
+
+from __future__ import annotations
+
+import tempfile
+from functools import partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from tiegraph.cloud.fuse import fuse
+from tiegraph.dense.depth import confirmed_map, depth_map
+from tiegraph.dense.plan import CameraModel, DensePlan, DepthRange, ViewPlan
+from tiegraph.dense.settings import DenseSettings
+from tiegraph.dense.shot import depth_range, plan_shot
+from tiegraph.dense.undistort import load_view
+from tiegraph.errors import InputError, ReconstructionError
+from tiegraph.pipeline.files import scanned
+from tiegraph.project.run import Run
+from tiegraph.project.settings import Settings
+from tiegraph.scene.atomic import replacing
+from tiegraph.scene.cloudfile import write_cloud
+from tiegraph.scene.depthfile import load_depth, save_depth
+from tiegraph.scene.results import DepthMap
+from tiegraph.scene.scene import Scene
+
+_FOLDER = "shots"
+
+
+def shots(run: Run, near: float | None, far: float | None) -> list[Path]:
+    """One cloud a shot (``shots/<pass>_<number>.ply``, in the frame of the rig's first camera) and its depth maps.
+
+    Finished shots are skipped. Raises InputError for a rig whose cameras are not all calibrated.
+    """
+    scene = scanned(run)
+    items = []
+    for frame in range(scene.frames):
+        views = shot_views(scene, frame)
+        items.append((_cloud_path(run.folder, scene, frame), views, depth_range(views, near, far)))
+    todo = [item for item in items if not item[0].exists()]
+    run.reporter.total(len(items), len(items) - len(todo))
+    run.map(partial(_shot, folder=run.folder, settings=run.settings), todo)
+    return [path for path, _, _ in items]
+
+
+def shot_views(scene: Scene, frame: int) -> list[ViewPlan]:
+    """The images of one frame with the poses of their sensors in the rig's frame.
+
+    Raises InputError for a sensor without intrinsics or place in the rig.
+    """
+    views = []
+    for image in np.flatnonzero(scene.frame == frame):
+        sensor = scene.sensor_of(int(image))
+        if sensor.sensor_from_rig is None or not np.isfinite(sensor.sensor_from_rig).all():
+            raise InputError(f"sensor {sensor.name}: its place in the rig is unknown; a shot needs it (rig.toml)")
+        if sensor.camera is None or not sensor.camera.has_prior_focal_length:
+            raise InputError(f"sensor {sensor.name}: its intrinsics are unknown; a shot needs them (rig.toml)")
+        views.append(ViewPlan(scene.names[image], CameraModel.of(sensor.camera), sensor.sensor_from_rig))
+    return views
+
+
+def _cloud_path(folder: Path, scene: Scene, frame: int) -> Path:
+    track = int(scene.track[frame])
+    name = scene.tracks[track].replace("/", "_") if track >= 0 else "shot"
+    return folder / _FOLDER / f"{name}_{frame:06d}.ply"
+
+
+def _shot(item: tuple[Path, list[ViewPlan], DepthRange], folder: Path, settings: Settings) -> None:
+    """Depth maps and cloud of one shot."""
+    path, views, sought = item
+    dense = settings.dense
+    plan = plan_shot(views, sought, dense)
+    masks = folder / "masks" if (folder / "masks").is_dir() else None
+    first = {n: depth_map(p, folder / "images", masks, dense, cv2.getNumThreads()) for n, p in plan.images.items()}
+    for name, image in plan.images.items():
+        save_depth(confirmed_map(image, first[name], first.get, dense)[0], _depth_path(folder, name))
+    load = partial(_coloured, folder=folder, plan=plan, settings=dense)
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".") as scratch:
+        try:
+            fused = fuse(sorted(plan.images), load, Path(scratch), settings.cloud)
+        except ReconstructionError as error:
+            raise ReconstructionError(f"{path.stem}: {error}") from None
+        with replacing(path) as temporary:
+            write_cloud(fused.clouds(), temporary)
+
+
+def _depth_path(folder: Path, name: str) -> Path:
+    return folder / _FOLDER / "depth" / f"{name}.npz"
+
+
+def _coloured(name: str, folder: Path, plan: DensePlan, settings: DenseSettings) -> tuple[DepthMap, np.ndarray]:
+    view = load_view(plan.images[name].view, folder / "images", None, settings)
+    return load_depth(_depth_path(folder, name)), cv2.cvtColor(view.image_bgr, cv2.COLOR_BGR2RGB)

@@ -1,0 +1,78 @@
+"""Single shots from folder to clouds: `Project.shots` and what it refuses."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pycolmap
+import pytest
+
+import tiegraph
+from tiegraph.errors import InputError
+from tiegraph.geometry.transforms import rigid
+from tiegraph.scene.cloudfile import read_cloud
+from tiegraph.scene.rig import Rig, Sensor
+from tiegraph.scene.rigwrite import write_rig_toml
+
+SIZE, FOCAL = (240, 180), 220.0
+PLACES = {"a": (0.0, 0, 0), "b": (0.075, 0, 0), "c": (0, 0.075, 0)}
+
+
+def plane(folder: Path, shots: int) -> None:
+    """A textured plane 0.7 m before three cameras."""
+    rng = np.random.default_rng(2)
+    texture = cv2.GaussianBlur(rng.uniform(0, 255, (700, 700)).astype(np.float32), (0, 0), 1.5)
+    texture = cv2.normalize(texture, None, 20, 235, cv2.NORM_MINMAX)
+    u, v = np.meshgrid(np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1]) + 0.5)
+    for name, place in PLACES.items():
+        (folder / name).mkdir(parents=True)
+        for k in range(shots):
+            x = place[0] + 0.1 * k + (u - SIZE[0] / 2) / FOCAL * 0.7
+            y = place[1] + (v - SIZE[1] / 2) / FOCAL * 0.7
+            at = [((w + 0.6) / 0.002).astype(np.float32) for w in (x, y)]
+            image = cv2.remap(texture, at[0], at[1], cv2.INTER_CUBIC) + rng.normal(0, 1.5, x.shape)
+            cv2.imwrite(str(folder / name / f"{k:03d}.png"), np.clip(image, 0, 255).astype(np.uint8))
+
+
+def rig_file(path: Path, calibrated: bool = True) -> Path:
+    params = [FOCAL, FOCAL, SIZE[0] / 2, SIZE[1] / 2]
+    camera = pycolmap.Camera(model="PINHOLE", width=SIZE[0], height=SIZE[1], params=params)
+    camera.has_prior_focal_length = True
+    sensors = tuple(
+        Sensor(n, camera if calibrated else None, rigid(np.eye(3), -np.array(p)), folder=n) for n, p in PLACES.items()
+    )
+    write_rig_toml(Rig("head", sensors, fixed=True), path)
+    return path
+
+
+def test_each_shot_becomes_a_metric_cloud(tmp_path):
+    plane(tmp_path / "images", 2)
+    rig = rig_file(tmp_path / "rig.toml")
+    project = tiegraph.open(tmp_path / "images", tmp_path / "out", rig=rig, pool="serial")
+    files = project.shots(0.5, 1.2)
+    assert len(files) == 2 and all(f.exists() for f in files)
+    cloud = read_cloud(files[0])
+    assert len(cloud) > 5000
+    assert abs(np.median(cloud.xyz_m[:, 2]) - 0.7) < 0.003
+    assert np.median(np.abs(cloud.xyz_m[:, 2] - 0.7)) < 0.01
+    assert (cloud.sigma_m > 0).all() and cloud.views.min() >= 2
+    before = files[0].stat().st_mtime_ns
+    assert project.shots(0.5, 1.2) == files and files[0].stat().st_mtime_ns == before  # finished shots stay
+
+
+def test_a_rig_without_calibration_is_refused(tmp_path):
+    plane(tmp_path / "images", 1)
+    rig = rig_file(tmp_path / "rig.toml", calibrated=False)
+    project = tiegraph.open(tmp_path / "images", tmp_path / "out", rig=rig, pool="serial")
+    with pytest.raises(InputError, match="intrinsics are unknown"):
+        project.shots(0.5, 1.2)
+
+
+def test_a_workspace_needs_depth_maps_and_an_empty_folder(tmp_path):
+    plane(tmp_path / "images", 1)
+    project = tiegraph.open(tmp_path / "images", tmp_path / "out", pool="serial")
+    with pytest.raises(InputError, match="dense"):
+        project.export(tmp_path / "workspace")
+    (tmp_path / "out" / "depth").mkdir(parents=True)
+    with pytest.raises(InputError, match="not empty"):
+        project.export(tmp_path / "images")
