@@ -6,7 +6,8 @@ from masks_world import write
 from tiegraph.masks import appearance
 from tiegraph.masks.classes import EGO, NAMES, OVEREXPOSED, SKY, USE, WATER
 from tiegraph.masks.evidence import Evidence, choose_pairs, pair_evidence
-from tiegraph.masks.learnt import classes_of, learn
+from tiegraph.masks.learnt import learn
+from tiegraph.masks.lookup import classes_of
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.skyline import border_sky, calm_sky
 from tiegraph.masks.water import below_waterline, never_matching, water_priors
