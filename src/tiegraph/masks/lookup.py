@@ -10,7 +10,7 @@ import numpy as np
 
 from tiegraph.masks.appearance import Appearance, bins
 from tiegraph.masks.classes import EGO, OVEREXPOSED, SKY, USE, WATER
-from tiegraph.masks.frames import grey, read_small
+from tiegraph.masks.frames import grey, read_small, small_shape
 from tiegraph.masks.morphology import dilated, scaled
 from tiegraph.masks.regions import calm_regions, pooled
 from tiegraph.masks.settings import MasksSettings
@@ -23,6 +23,10 @@ _SKY_AROUND = 0.5  # share of its surroundings that must be sky for a burnt-out 
 SKY_MARGIN = 0.1
 """Of the height: so far below the lowest certain sky there may be some."""
 _SAME_GREY = 14.0  # at its edge the sky goes on as long as the brightness does
+_BAND, _RIM = np.ones((7, 7), np.uint8), np.ones((3, 3), np.uint8)  # in which the edge of the sky is sought
+_AROUND = (17, 17)
+_TOLD_GREY = 8.0  # brightness of sky and scene differ by more, or the edge stays where it is
+_NOWHERE = 1e4
 _SMALL = 0.002  # of the image: smaller pieces of sky or holes in it are not believed
 
 
@@ -64,11 +68,34 @@ def classify(image: np.ndarray, learnt: Learnt, settings: MasksSettings) -> np.n
 
 def classes_of(path: Path, learnt: Learnt, settings: MasksSettings, shape: tuple[int, int]) -> np.ndarray:
     """Classes (h, w) u1 of an image at ``shape``, the reduced size of its mask."""
-    small = classify(read_small(path, LOOK_PX), learnt, settings)
-    labels = cv2.resize(small, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST)
+    image = read_small(path, max(shape))
+    small = small_shape(shape, LOOK_PX)
+    labels = classify(cv2.resize(image, small[::-1], interpolation=cv2.INTER_AREA), learnt, settings)
+    labels = cv2.resize(labels, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST)
+    if max(shape) > LOOK_PX:
+        labels = _snapped(labels, grey(image))
     if learnt.ego is not None:
         labels[scaled(learnt.ego, shape)] = EGO
     return labels
+
+
+def _snapped(labels: np.ndarray, light: np.ndarray) -> np.ndarray:
+    """Classes with the edge of the sky where the brightness has it: each pixel of a band goes to the side it is like."""
+    sky = (labels == SKY).astype(np.uint8)
+    band = cv2.dilate(sky, _BAND) - cv2.erode(sky, _BAND, borderValue=1)
+    outside = 1 - cv2.dilate(sky, _BAND)
+    above, below = (_local_mean(light, part) for part in (cv2.erode(sky, _RIM, borderValue=1), outside))
+    like = np.abs(light - above) < np.abs(light - below)
+    told = (band > 0) & (np.abs(above - below) > _TOLD_GREY)
+    found = np.where(told & ((labels == SKY) | (labels == USE)), np.where(like, SKY, USE), labels)
+    return found.astype(np.uint8)
+
+
+def _local_mean(light: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """Mean brightness (h, w) f4 of the pixels of ``part`` around each; far off from every other where there is none."""
+    count = cv2.boxFilter(part, cv2.CV_32F, _AROUND, normalize=False)
+    total = cv2.boxFilter(light * part, cv2.CV_32F, _AROUND, normalize=False)
+    return np.where(count > 0, total / np.maximum(count, 1), _NOWHERE).astype(np.float32)
 
 
 def _grown(sky: np.ndarray, image: np.ndarray) -> np.ndarray:
