@@ -33,7 +33,7 @@ _SHAKE_FRAMES = 14  # enough for a median and for the 70 % of it
 _MOVING = 0.45  # share of the textured frames in which the gradient has another direction
 _MIN_EDGE_PX = 16  # shorter edges are chance
 _OUTLINE = 0.33  # share of a region's outline that must be fixed edges; on scenes without platform 0 .. 0.14
-_RAILING_PX = 5  # narrower parts are not trimmed
+_RIM = 2 / 640  # of the longer side: the gradients are smoothed, and their kernel is three pixels wide
 _MIN_AREA = 0.003  # of the image
 _MAX_ENCLOSED_AREA = 0.06  # of the image: a larger hole is a window on the scene
 _STEADY_GREY = 14.0  # range of the grey value over the frames, whatever the light: black boxes, burnt-out decks
@@ -124,9 +124,10 @@ def ego_of_frames(frames: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _trimmed(platform: np.ndarray) -> np.ndarray:
-    """The platform without its outermost pixel, up to which its edges blur; railings stay."""
-    inner = cv2.erode(platform.astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=1) > 0
-    return inner | (platform & ~_opened(platform, _RAILING_PX))
+    """The platform without the rim into which its edges blur; what is narrower than a railing stays."""
+    side = 2 * round(_RIM * max(platform.shape)) + 1
+    inner = cv2.erode(platform.astype(np.uint8), np.ones((side, side), np.uint8), borderValue=1) > 0
+    return inner | (platform & ~_opened(platform, side + 2))
 
 
 class _Directions:

@@ -80,7 +80,7 @@ def classes_of(path: Path, learnt: Learnt, settings: MasksSettings, shape: tuple
 
 
 def _snapped(labels: np.ndarray, light: np.ndarray) -> np.ndarray:
-    """Classes with the edge of the sky where the brightness has it: each pixel of a band goes to the side it is like."""
+    """Classes with the edge of the sky where the brightness has it: pixels near it go to the side they are like."""
     sky = (labels == SKY).astype(np.uint8)
     band = cv2.dilate(sky, _BAND) - cv2.erode(sky, _BAND, borderValue=1)
     outside = 1 - cv2.dilate(sky, _BAND)
