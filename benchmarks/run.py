@@ -60,7 +60,7 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--sets", nargs="+", required=True, choices=sorted(datasets.LOADERS), metavar="SET")
     parser.add_argument(
         "--competitors", nargs="+", default=["tiegraph", "colmap_exhaustive"], type=_competitor,
-        help=f"{', '.join(_PROGRAMS)}; tiegraph:PRESET for one of its presets",
+        help=f"{', '.join(_PROGRAMS)}; tiegraph:PRESET, or tiegraph:masks.source=none for any setting",
     )  # fmt: skip
     parser.add_argument("--repeat", type=int, default=1, help="runs of each competitor")
     parser.add_argument("--until", default="georef", help="last stage of tiegraph (report: the whole way)")
@@ -128,7 +128,9 @@ def _command(dataset: datasets.Dataset, competitor: str, work: Path, args: argpa
         files = {"rig": dataset.rig, "gnss": dataset.gnss, "trajectory": dataset.trajectory, "times": dataset.times}
         for name, value in files.items():
             command += [f"--{name}", str(value)] if value is not None else []
-        return [*command, "--until", args.until, *(["--", "--preset", preset] if preset else [])]
+        name, is_setting, value = preset.partition("=")
+        options = [f"--{name}", value] if is_setting else ["--preset", preset]
+        return [*command, "--until", args.until, *(["--", *options] if preset else [])]
     if _given(dataset, competitor, args):
         (work / "cameras.json").write_text(json.dumps({k: _colmap_camera(c) for k, c in dataset.cameras.items()}))
         command += ["--cameras", str(work / "cameras.json")]

@@ -1,7 +1,7 @@
 """How good each mask source is, and what it costs: ``python benchmarks/masks/measure.py --sets canal -o x.json``.
 
 The sources take turns image by image in one process with one thread; times are CPU times. ``learnt+model`` is learnt,
-corrected by the waterline of a COLMAP model of the set (``--model``). Truth is opened only to compare.
+corrected by the waterline and the points of a COLMAP model of the set (``--model``). Truth is opened only to compare.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from tiegraph.masks.compare import compare, compare_classes, table_text
 from tiegraph.masks.frames import full_size, image_size
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import SOURCES, Camera
+from tiegraph.masks.solid import places, without_solid
 from tiegraph.masks.waterline import View, camera_rays, final_classes, find_water, first_line, lines_of
 
 PLAIN = ("meguro2024", "meguro2025", "learnt")
@@ -143,7 +144,10 @@ def _remask(data: MaskSet, camera_of: Mapping[str, str], folder: Path, out: Path
     points = np.array([p.xyz for p in model.points3D.values() if p.track.length() >= 3])
     water = find_water([views[n] for n in level], [first_line(first[n]) for n in level], points, up)
     for name in camera_of:
-        found = final_classes(first[name], lines_of(views[name], up, water)) if name in views else first[name]
+        found = first[name]
+        if name in views:
+            seen = places(images[name], model.cameras[images[name].camera_id], points)
+            found = without_solid(final_classes(found, lines_of(views[name], up, water)), seen)
         _save(out / GEOMETRY / "classes" / f"{name}.png", found)
         keep = full_size(found == USE, image_size(data.folder / name))
         _save(out / GEOMETRY / "masks" / f"{name}.png", np.where(keep, 255, 0).astype(np.uint8))

@@ -6,7 +6,8 @@ from masks_world import write
 from tiegraph.masks import appearance
 from tiegraph.masks.classes import EGO, NAMES, OVEREXPOSED, SKY, USE, WATER
 from tiegraph.masks.evidence import Evidence, choose_pairs, pair_evidence
-from tiegraph.masks.learnt import classes_of, learn
+from tiegraph.masks.learnt import learn
+from tiegraph.masks.lookup import classes_of
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.skyline import border_sky, calm_sky
 from tiegraph.masks.water import below_waterline, never_matching, water_priors
@@ -73,11 +74,12 @@ def test_water_only_where_it_is_asked_for_or_seen_by_several_cameras(boat):
     assert (a == b).all(), "twice the same"
 
 
-@pytest.mark.parametrize("kind", ["grey", "deep", "all sky", "one", "still", "dark"])
+@pytest.mark.parametrize("kind", ["grey", "deep", "exposures", "all sky", "one", "still", "dark"])
 def test_odd_sequences_give_a_result_and_invent_nothing(tmp_path, kind):
     frames = {
         "grey": lambda k: river(0, k)[..., 1],
         "deep": lambda k: river(0, k).astype(np.uint16) * 257,
+        "exposures": lambda k: np.clip(river(0, k) * (0.45, 1.0, 1.25)[k % 3], 0, 245).astype(np.uint8),
         "all sky": lambda k: np.full((*SIZE, 3), (230, 190, 150), np.uint8),
         "one": lambda k: river(0, 0),
         "still": lambda k: river(0, 0),

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tiegraph.masks.classes import EGO, SKY, USE, WATER
-from tiegraph.masks.waterline import View, columns, final_classes, find_water, first_line, lines_of
+from tiegraph.masks.waterline import Lines, View, columns, final_classes, find_water, first_line, lines_of
 
 SHAPE, FOCAL = (240, 320), 200.0
 DEPTH, BANK = 2.0, 10.0  # water below the cameras, banks to both sides; up = z, the boat goes along y
@@ -83,3 +83,16 @@ def test_first_line_ignores_what_the_platform_hides():
     line = first_line(classes)
     assert np.isnan(line[:2]).all() and (line[2:] == 20).all()
     assert np.isnan(first_line(np.zeros((40, 32), np.uint8))).all()
+
+
+def test_gaps_in_the_banks_are_bridged_and_their_ends_are_not():
+    first = np.full((60, 320), USE, np.uint8)
+    line = np.full(40, 30.0)
+    line[10:16] = np.nan  # a pier without points
+    line[:4] = np.nan  # nothing is known there
+    found = final_classes(first, Lines(line, np.zeros(40)))
+    assert (found[35:, 80:130] == WATER).all() and (found[:28] == USE).all()
+    assert (found[:, :16] == USE).all()
+    open_water = np.full(40, np.nan)
+    open_water[[0, 39]] = 30.0  # too wide to bridge
+    assert (final_classes(first, Lines(open_water, np.zeros(40)))[:, 80:240] == USE).all()

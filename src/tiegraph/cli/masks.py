@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import tyro
 
 from tiegraph.cli.run import main_stage
 from tiegraph.errors import InputError
 from tiegraph.masks.compare import compare, compare_classes, table_text
+from tiegraph.pipeline.masking import masks_by
 from tiegraph.scene.scene import Scene
 
 
@@ -25,6 +27,7 @@ def main(arguments: list[str]) -> int:
         keep_labels: tuple[int, ...] = (),
         classes: tuple[str, ...] = (),
         first: bool = False,
+        beside: tuple[str, ...] = (),
         json: bool = False,
     ) -> dict:
         """How good the masks of a run are: pixel accuracy, IoU, useful area lost, by camera.
@@ -35,6 +38,7 @@ def main(arguments: list[str]) -> int:
             keep_labels: The useful labels, if the folder holds class labels.
             classes: True labels of the classes, such as sky=0 water=1 platform=2: IoU of each.
             first: Judge the first masks, even if there are final ones.
+            beside: Other sources to make masks of the same images by and judge beside, such as meguro2024 meguro2025.
             json: Print JSON.
         """
         return locals()
@@ -49,7 +53,13 @@ def main(arguments: list[str]) -> int:
 
 
 def _tables(
-    out: Path, compare: Path, keep_labels: tuple[int, ...], classes: tuple[str, ...], first: bool, json: bool
+    out: Path,
+    compare: Path,
+    keep_labels: tuple[int, ...],
+    classes: tuple[str, ...],
+    first: bool,
+    beside: tuple[str, ...],
+    json: bool,
 ) -> dict[str, dict]:
     folder = out / "remask" if (out / "remask" / "masks").is_dir() and not first else out
     if not (folder / "masks").is_dir() or not (out / "scene.json").is_file():
@@ -58,6 +68,13 @@ def _tables(
     cameras = {n: sensor for n, (_, sensor) in zip(scene.names, scene.image_label())}
     which = "final masks" if folder != out else "first masks"
     tables = {which: _compared(folder, compare, cameras, keep_labels)}
+    if beside:
+        rows = [["this run", *tables[which]["rows"][-1][1:]]]
+        for source in beside:
+            with TemporaryDirectory() as scratch:
+                masks_by(source, scene, out / "images", Path(scratch) / "masks")
+                rows.append([source, *_compared(Path(scratch), compare, cameras, keep_labels)["rows"][-1][1:]])
+        tables["beside"] = {"columns": ["source", *tables[which]["columns"][1:]], "rows": rows}
     if classes:
         tables["classes"] = compare_classes(folder / "classes", compare, _labels(classes), cameras).table()
     return tables

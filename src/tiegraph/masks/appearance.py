@@ -16,6 +16,7 @@ _LIGHT, _COLOUR, _TEXTURE = 16, 12, 5  # bins of L, of a and b each, of texture
 _COLOUR_STEP = 5.0  # a and b: grey levels a bin, about neutral
 _TEXTURE_EDGES = np.array([0.8, 2.0, 4.5, 10.0], np.float32)  # standard deviation of L, grey levels
 _SMOOTH_BINS = (0.8, 0.7, 0.7, 0.6)
+_SHARED_PX = 50_000  # about one image
 _FLOOR = 1e-5  # probability of a bin no seed ever fell into
 BINS = _LIGHT * _COLOUR * _COLOUR * _TEXTURE
 
@@ -47,13 +48,26 @@ class Appearance:
         return (self.table[label] - self.table[other])[found]
 
 
-def learn(counts: dict[int, np.ndarray]) -> Appearance:
-    """From counts (BINS,) of seed pixels by class; classes without seeds are left out."""
+def learn(counts: dict[int, np.ndarray], shared: dict[int, np.ndarray] | None = None) -> Appearance:
+    """From counts (BINS,) of seed pixels by class; classes without seeds are left out.
+
+    ``shared``: counts of all cameras; they are as good as ``_SHARED_PX`` of a camera's own.
+    """
     table = {}
-    for label, count in counts.items():
-        if count.sum() == 0:
-            continue
-        smooth = gaussian_filter(count.reshape(_LIGHT, _COLOUR, _COLOUR, _TEXTURE).astype(np.float64), _SMOOTH_BINS)
-        share = smooth.ravel() / smooth.sum()
-        table[label] = np.log((1 - _FLOOR * BINS) * share + _FLOOR).astype(np.float32)
+    for label in counts:
+        own, every = _share(counts[label]), None if shared is None else _share(shared[label])
+        if own is None:
+            own = every
+        elif every is not None:
+            weight = counts[label].sum() / (counts[label].sum() + _SHARED_PX)
+            own = weight * own + (1 - weight) * every
+        if own is not None:
+            table[label] = np.log((1 - _FLOOR * BINS) * own + _FLOOR).astype(np.float32)
     return Appearance(table)
+
+
+def _share(count: np.ndarray) -> np.ndarray | None:
+    if count.sum() == 0:
+        return None
+    smooth = gaussian_filter(count.reshape(_LIGHT, _COLOUR, _COLOUR, _TEXTURE).astype(np.float64), _SMOOTH_BINS)
+    return smooth.ravel() / smooth.sum()

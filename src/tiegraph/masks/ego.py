@@ -33,6 +33,7 @@ _SHAKE_FRAMES = 14  # enough for a median and for the 70 % of it
 _MOVING = 0.45  # share of the textured frames in which the gradient has another direction
 _MIN_EDGE_PX = 16  # shorter edges are chance
 _OUTLINE = 0.33  # share of a region's outline that must be fixed edges; on scenes without platform 0 .. 0.14
+_RIM = 2 / 640  # of the longer side: the gradients are smoothed, and their kernel is three pixels wide
 _MIN_AREA = 0.003  # of the image
 _MAX_ENCLOSED_AREA = 0.06  # of the image: a larger hole is a window on the scene
 _STEADY_GREY = 14.0  # range of the grey value over the frames, whatever the light: black boxes, burnt-out decks
@@ -119,7 +120,14 @@ def ego_of_frames(frames: Sequence[np.ndarray]) -> np.ndarray:
     platform |= _outlined((steady | (moving < _MOVING)) & ~platform, platform, _OUTLINE)
     platform = _closed(platform, 7)
     platform = _at_border(platform)
-    return _at_border(_opened(platform | _enclosed(platform, moving), 3))
+    return _trimmed(_at_border(_opened(platform | _enclosed(platform, moving), 3)))
+
+
+def _trimmed(platform: np.ndarray) -> np.ndarray:
+    """The platform without the rim into which its edges blur; what is narrower than a railing stays."""
+    side = 2 * round(_RIM * max(platform.shape)) + 1
+    inner = cv2.erode(platform.astype(np.uint8), np.ones((side, side), np.uint8), borderValue=1) > 0
+    return inner | (platform & ~_opened(platform, side + 2))
 
 
 class _Directions:

@@ -43,3 +43,15 @@ def masked_neighbours(blocks: np.ndarray) -> np.ndarray:
     """Number of white blocks among the four beside each block, outside the image none, (r, c) i8."""
     padded = np.pad(blocks.astype(np.int8), 1)
     return padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:]
+
+
+def scaled(mask: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """A mask (h, w) bool at another ``shape``, nearest pixel."""
+    if mask.shape == shape:
+        return mask
+    return cv2.resize(mask.astype(np.uint8), (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST) > 0
+
+
+def dilated(mask: np.ndarray, size_px: int) -> np.ndarray:
+    """A mask (h, w) bool grown by half of ``size_px`` to each side."""
+    return cv2.dilate(mask.astype(np.uint8), np.ones((size_px, size_px), np.uint8)) > 0

@@ -25,6 +25,7 @@ _LEAST_HEIGHTS = 100  # waterline rays that met a bank, before a height is belie
 _MOST_SPREAD = 0.35  # of the height below the cameras: half width of the middle half of what single rays say
 _BAND = 1.5  # bank: points less than this many camera heights above the water
 _LOWER = 0.05  # slope from which a ray certainly goes down: up is known to about 3 degrees
+_WIDEST_GAP = 0.5  # of the width: so many columns without a bank are bridged
 _LEVEL_SLOPE = 0.02  # flatter rays meet the plane too far off to measure its height
 
 
@@ -200,11 +201,24 @@ def final_classes(first: np.ndarray, lines: Lines) -> np.ndarray:
     row = np.arange(height)[:, None]
     at = columns(width)
     below = row >= np.interp(np.arange(width), at, lines.horizon)[None]
-    known = np.isfinite(lines.water)
+    waterline = _bridged(lines.water)
+    known = np.isfinite(waterline)
     out = np.where((first == SKY) & below | (first == WATER) & ~below, USE, first)
     if known.any():
-        line = np.interp(np.arange(width), at[known], lines.water[known])
+        line = np.interp(np.arange(width), at[known], waterline[known])
         inside = np.interp(np.arange(width), at, known.astype(float)) > 0.5
         water = (row >= line[None]) & inside[None]
         out = np.where(water, WATER, np.where((out == WATER) & inside[None], USE, out))
     return np.where(first == EGO, EGO, out).astype(np.uint8)
+
+
+def _bridged(line: np.ndarray) -> np.ndarray:
+    """A line (C,) with its gaps filled straight: piers without texture and the far end of a canal have no points."""
+    known = np.flatnonzero(np.isfinite(line))
+    if not len(known):
+        return line
+    at = np.arange(len(line))
+    after = np.searchsorted(known, at).clip(1 if len(known) > 1 else 0, len(known) - 1)
+    gap = known[after] - known[np.maximum(after - 1, 0)]
+    inside = (at >= known[0]) & (at <= known[-1])
+    return np.where(inside & (gap <= _WIDEST_GAP * len(line)), np.interp(at, known, line[known]), line)

@@ -18,7 +18,7 @@ __all__ = ["STAGES"]
 
 STAGES = (
     Stage("scan", scan, (), ("scene.json", "images"), "image"),
-    Stage("masks", masks, ("scan",), ("masks", "classes", "masks.csv"), "image", version=2),
+    Stage("masks", masks, ("scan",), ("masks", "classes", "masks.csv"), "image", version=3),
     Stage("preview", preview, ("scan", "masks"), ("preview",), "image", version=2),
     Stage("network", network, ("scan", "preview"), ("network.npz", "network.csv", "network"), version=3),
     Stage("design", design, ("network",), ("pairs.npz", "pairs.txt", "pairs", "design"), version=3),
@@ -27,7 +27,7 @@ STAGES = (
     Stage("verify", verify, ("network", "match"), ("verify.npz",), "pair"),
     Stage("sparse", sparse, ("network", "match", "verify"), ("sparse",), version=6),
     Stage("georef", georef, ("network", "sparse"), ("sparse/world", "world.json"), version=2),
-    Stage("remask", remask, ("masks", "georef"), ("remask",), "image"),
+    Stage("remask", remask, ("masks", "georef"), ("remask",), "image", version=2),
     Stage("dense", dense, ("georef", "remask"), ("depth",), "image", version=2),
     Stage("cloud", cloud, ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply")),
     Stage("evaluate", evaluate, ("verify", "georef", "remask", "dense", "cloud"), ("metrics.json",)),

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from tiegraph.errors import choose
 from tiegraph.masks.classes import NAMES, USE
 from tiegraph.masks.frames import full_size, image_size
 from tiegraph.masks.quality import Quality, flags, image_quality
@@ -49,6 +50,18 @@ def masks(run: Run) -> Outcome:
     )
 
 
+def masks_by(source: str, scene: Scene, images: Path, target: Path) -> None:
+    """Masks ``target``/<image>.png of all images of a scene by another source, with its defaults, one after another."""
+    choose("mask source", source, {n: s for n, s in SOURCES.items() if n not in _NEED_A_FILE})
+    made = SOURCES[source]
+    settings = MasksSettings(source=source)  # type: ignore[arg-type]
+    prepared = made.prepare(_cameras(scene, images), settings, map)
+    for k, name in enumerate(scene.names):
+        keep = made.mask(images / name, prepared[int(scene.sensor_key[k])], settings, scene.source_name(k))
+        save_png(target / f"{name}.png", np.where(keep, 255, 0).astype(np.uint8))
+
+
+_NEED_A_FILE = ("folder", "model")
 _LEFT_OUT = {"none": (), "blurred": ("blurred",), "similar": ("similar",), "both": ("blurred", "similar")}
 
 

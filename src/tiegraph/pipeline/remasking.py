@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import os
 import shutil
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pycolmap
+from scipy.spatial import cKDTree
 
 from tiegraph.masks.classes import NAMES, USE, WATER
 from tiegraph.masks.frames import full_size
+from tiegraph.masks.solid import places, without_solid
 from tiegraph.masks.waterline import (
     Lines,
     View,
@@ -30,17 +33,18 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.world.gravity import up_vector
 
 _MOST_VIEWS = 240  # whose waterlines measure the water's height
-_LEAST_TRACK = 3  # images that must see a point of the banks
+_LEAST_TRACK = 3  # images that must see a point for it to be believed
+_MOST_POINTS = 20_000  # the nearest, that are looked for in the sky of an image
 
 
 def remask(run: Run) -> Outcome:
     """Final masks: waterline and horizon of the model where a mask knows its classes, the first masks elsewhere."""
     scene = checked(run)
-    lines: dict[str, Lines] = {}
+    known: dict[str, Known] = {}
     notes: tuple[str, ...] = ("the first masks are the final ones, as the setting says",)
     if run.settings.remask.geometry == "auto":
-        lines, notes = _lines(run, scene)
-    todo = [(n, lines.get(n)) for n in scene.names if not mask_path(run.path(FINAL), n).exists()]
+        known, notes = _known(run, scene)
+    todo = [(n, known.get(n)) for n in scene.names if not mask_path(run.path(FINAL), n).exists()]
     run.reporter.total(len(scene), len(scene) - len(todo))
     run.map(_final_item, todo, run.folder)
     used = np.array(run.map(_used, list(scene.names), run.folder))  # (N, 2): before, now
@@ -49,11 +53,41 @@ def remask(run: Run) -> Outcome:
     return Outcome(counts, notes=notes, tables=_tables(run, scene))
 
 
-def _lines(run: Run, scene: Scene) -> tuple[dict[str, Lines], tuple[str, ...]]:
-    """Waterline and horizon of each registered image by the model, with what is to be said of them."""
+@dataclass(frozen=True)
+class Known:
+    """What the model knows of an image: ``points`` (K, 2) f4 in it, shares of width and height, hidden ones too; its
+    waterline and horizon, None if no ring of cameras shows which way is up."""
+
+    points: np.ndarray
+    lines: Lines | None
+
+
+def _known(run: Run, scene: Scene) -> tuple[dict[str, Known], tuple[str, ...]]:
+    """What the model knows of each registered image, with what is to be said of it."""
     if not any(classes_path(run.folder, n).exists() for n in scene.names):
         return {}, ("the first masks do not say what is sky and water: they are the final ones",)
     model = pycolmap.Reconstruction(str(run.path("sparse", "world")))
+    points = np.array([p.xyz for p in model.points3D.values() if p.track.length() >= _LEAST_TRACK]).reshape(-1, 3)
+    seen = _seen(run, model, points)
+    lines, notes = _lines(run, scene, model, points)
+    return {n: Known(seen[n], lines.get(n)) for n in seen}, ("no sky where the model has points", *notes)
+
+
+def _seen(run: Run, model: pycolmap.Reconstruction, points: np.ndarray) -> dict[str, np.ndarray]:
+    tree = cKDTree(points) if len(points) > _MOST_POINTS else None
+    seen = {}
+    for image in model.images.values():
+        if not image.has_pose or not classes_path(run.folder, image.name).exists():
+            continue
+        near = points if tree is None else points[tree.query(image.projection_center(), _MOST_POINTS)[1]]
+        seen[image.name] = places(image, model.cameras[image.camera_id], near)
+    return seen
+
+
+def _lines(
+    run: Run, scene: Scene, model: pycolmap.Reconstruction, points: np.ndarray
+) -> tuple[dict[str, Lines], tuple[str, ...]]:
+    """Waterline and horizon of each registered image by the model, with what is to be said of them."""
     poses = {i.name: i.cam_from_world() for i in model.images.values() if i.has_pose}
     matrices = np.full((len(scene), 4, 4), np.nan)
     for k, name in enumerate(scene.names):
@@ -61,9 +95,9 @@ def _lines(run: Run, scene: Scene) -> tuple[dict[str, Lines], tuple[str, ...]]:
             matrices[k] = np.vstack([poses[name].matrix(), [0, 0, 0, 1]])
     up = up_vector(matrices, scene)
     if up is None or not up.ring:
-        return {}, ("no ring of cameras shows which way is up: the first masks are the final ones",)
+        return {}, ("no ring of cameras shows which way is up: the water stays as it was learnt",)
     views = _views(run, scene, model, matrices)
-    water = _water(run, scene, views, model, up.direction)
+    water = _water(run, scene, views, points, up.direction)
     lines = {name: lines_of(view, up.direction, water) for name, view in views.items()}
     if water is None:
         return lines, ("no sky below the horizon; no water level was found, so the water stays as it was learnt",)
@@ -91,27 +125,24 @@ def _views(run: Run, scene: Scene, model: pycolmap.Reconstruction, matrices: np.
     return views
 
 
-def _water(
-    run: Run, scene: Scene, views: dict[str, View], model: pycolmap.Reconstruction, up: np.ndarray
-) -> Water | None:
+def _water(run: Run, scene: Scene, views: dict[str, View], points: np.ndarray, up: np.ndarray) -> Water | None:
     level = [n for n in views if scene.sensor_of(scene.image_index[n]).role == "side"]
     chosen = [level[k] for k in np.unique(np.linspace(0, len(level) - 1, min(_MOST_VIEWS, len(level))).astype(int))]
     lines = [first_line(c) for c in run.map(_first_classes, chosen, run.folder)]
-    points = [p.xyz for p in model.points3D.values() if p.track.length() >= _LEAST_TRACK]
-    return find_water([views[n] for n in chosen], lines, np.array(points).reshape(-1, 3), up)
+    return find_water([views[n] for n in chosen], lines, points, up)
 
 
 def _first_classes(name: str, folder: Path) -> np.ndarray:
     return read_image(classes_path(folder, name))
 
 
-def _final_item(item: tuple[str, Lines | None], folder: Path) -> None:
-    name, lines = item
+def _final_item(item: tuple[str, Known | None], folder: Path) -> None:
+    name, known = item
     final = folder / FINAL
     classes, mask = classes_path(folder, name), mask_path(folder, name)
-    if lines is not None and classes.exists():
+    if known is not None and classes.exists():
         first, use = _first_classes(name, folder), read_mask(folder, name)
-        found = final_classes(first, lines)
+        found = without_solid(first if known.lines is None else final_classes(first, known.lines), known.points)
         if use.any() and (found != first).any():
             save_png(classes_path(final, name), found)
             keep = full_size(found == USE, use.shape)  # type: ignore[arg-type]

@@ -1,0 +1,128 @@
+"""Looking up an image in what was learnt: sky, water, platform and burnt-out areas."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from tiegraph.masks.appearance import Appearance, bins
+from tiegraph.masks.classes import EGO, OVEREXPOSED, SKY, USE, WATER
+from tiegraph.masks.frames import grey, read_small, small_shape
+from tiegraph.masks.morphology import dilated, scaled
+from tiegraph.masks.regions import calm_regions, pooled
+from tiegraph.masks.settings import MasksSettings
+from tiegraph.masks.water import below_waterline
+
+LOOK_PX = 320
+"""Longer side at which appearance is looked up."""
+_SKY_CREDIT = 1.0  # log ratio from which a place is sky
+_SKY_AROUND = 0.5  # share of its surroundings that must be sky for a burnt-out area to be sky
+SKY_MARGIN = 0.1
+"""Of the height: so far below the lowest certain sky there may be some."""
+_SAME_GREY = 14.0  # at its edge the sky goes on as long as the brightness does
+_BAND, _RIM = np.ones((7, 7), np.uint8), np.ones((3, 3), np.uint8)  # in which the edge of the sky is sought
+_AROUND = (17, 17)
+_TOLD_GREY = 8.0  # brightness of sky and scene differ by more, or the edge stays where it is
+_NOWHERE = 1e4
+_SMALL = 0.002  # of the image: smaller pieces of sky or holes in it are not believed
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """What one camera's images share; ``note`` says it in words."""
+
+    ego: np.ndarray | None  # (h, w) bool at reduced size, True = platform
+    appearance: Appearance
+    water: np.ndarray | None  # (r, c) f4 prior of water in its images, log ratio; None = no water seen
+    sky: np.ndarray | None  # (r, c) f4 prior of sky in its images, log ratio; None = it looks up
+    sky_rows: float  # share of the height below which no sky was seen in any image
+    note: str
+
+
+def classify(image: np.ndarray, learnt: Learnt, settings: MasksSettings) -> np.ndarray:
+    """Classes (h, w) u1 of an image (h, w, 3) u1 BGR at LOOK_PX, without the platform: see ``classes_of``."""
+    shape = image.shape[:2]
+    found = bins(image)
+    look = learnt.appearance
+    sky_ratio = cv2.blur(look.ratio(found, SKY, USE), (5, 5))
+    sky_ratio = sky_ratio + pooled(sky_ratio, calm_regions(grey(image)))
+    if learnt.sky is not None:
+        sky_ratio += cv2.resize(learnt.sky, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
+    white = grey(image) >= settings.overexposed
+    high = np.arange(shape[0])[:, None] < (learnt.sky_rows + SKY_MARGIN) * shape[0]
+    sky = _with_white(_grown(_cleaned((sky_ratio > _SKY_CREDIT) & high), image), white)
+    labels = np.full(shape, USE, np.uint8)
+    labels[_cleaned(white)] = OVEREXPOSED
+    labels[sky] = SKY
+    if learnt.water is not None:
+        prior = cv2.resize(learnt.water, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
+        ratio = look.ratio(found, WATER, USE) + prior
+        ratio = np.where(sky_ratio > _SKY_CREDIT, np.minimum(ratio, -0.5), ratio)
+        ego = None if learnt.ego is None else scaled(learnt.ego, shape)
+        labels[below_waterline(ratio, ego)] = WATER
+    return labels
+
+
+def classes_of(path: Path, learnt: Learnt, settings: MasksSettings, shape: tuple[int, int]) -> np.ndarray:
+    """Classes (h, w) u1 of an image at ``shape``, the reduced size of its mask."""
+    image = read_small(path, max(shape))
+    small = small_shape(shape, LOOK_PX)
+    labels = classify(cv2.resize(image, small[::-1], interpolation=cv2.INTER_AREA), learnt, settings)
+    labels = cv2.resize(labels, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST)
+    if max(shape) > LOOK_PX:
+        labels = _snapped(labels, grey(image))
+    if learnt.ego is not None:
+        labels[scaled(learnt.ego, shape)] = EGO
+    return labels
+
+
+def _snapped(labels: np.ndarray, light: np.ndarray) -> np.ndarray:
+    """Classes with the edge of the sky where the brightness has it: pixels near it go to the side they are like."""
+    sky = (labels == SKY).astype(np.uint8)
+    band = cv2.dilate(sky, _BAND) - cv2.erode(sky, _BAND, borderValue=1)
+    outside = 1 - cv2.dilate(sky, _BAND)
+    above, below = (_local_mean(light, part) for part in (cv2.erode(sky, _RIM, borderValue=1), outside))
+    like = np.abs(light - above) < np.abs(light - below)
+    told = (band > 0) & (np.abs(above - below) > _TOLD_GREY)
+    found = np.where(told & ((labels == SKY) | (labels == USE)), np.where(like, SKY, USE), labels)
+    return found.astype(np.uint8)
+
+
+def _local_mean(light: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """Mean brightness (h, w) f4 of the pixels of ``part`` around each; far off from every other where there is none."""
+    count = cv2.boxFilter(part, cv2.CV_32F, _AROUND, normalize=False)
+    total = cv2.boxFilter(light * part, cv2.CV_32F, _AROUND, normalize=False)
+    return np.where(count > 0, total / np.maximum(count, 1), _NOWHERE).astype(np.float32)
+
+
+def _grown(sky: np.ndarray, image: np.ndarray) -> np.ndarray:
+    """The sky up to its very edge, where texture told it apart from the sky: neighbours of the sky's own brightness."""
+    light = grey(image).astype(np.float32)
+    inside = sky.astype(np.float32)
+    mean = cv2.blur(light * inside, (11, 11)) / np.maximum(cv2.blur(inside, (11, 11)), 1e-6)
+    return sky | (dilated(sky, 7) & (np.abs(light - mean) < _SAME_GREY))
+
+
+def _with_white(sky: np.ndarray, white: np.ndarray) -> np.ndarray:
+    """The sky with the sun and burnt-out clouds: white areas with sky round them."""
+    count, labels, _, _ = cv2.connectedComponentsWithStats(white.astype(np.uint8), connectivity=4)
+    ring = cv2.dilate(labels.astype(np.float32), np.ones((5, 5), np.uint8)).astype(np.int32)
+    ring[white] = 0
+    around = np.bincount(ring.ravel(), minlength=count)
+    held = np.bincount(ring[sky], minlength=count)
+    belongs = held > _SKY_AROUND * around
+    belongs[0] = False
+    return sky | belongs[labels]
+
+
+def _cleaned(mask: np.ndarray) -> np.ndarray:
+    mask = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    for _ in range(2):  # small pieces go, then small holes
+        _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
+        small = stats[:, cv2.CC_STAT_AREA] < _SMALL * mask.size
+        small[0] = False
+        mask = 1 - np.where(small[labels], 0, mask).astype(np.uint8)
+    return mask > 0
