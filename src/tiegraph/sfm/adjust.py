@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pycolmap
 
+from tiegraph.sfm import lens
 from tiegraph.sfm.model import MIN_OBSERVATIONS
 from tiegraph.sfm.rig.soft import Soft, add_soft
 
@@ -40,11 +41,11 @@ def final_adjustment(
     """Adjust poses, points, rig and intrinsics with principal points: plain, filtered at 2 px, then Cauchy at 0.5 px.
 
     ``fixed_rigs``: COLMAP rig ids whose extrinsics stay. ``constant_cameras``, and those with fewer than 10 images,
-    keep their intrinsics (KITTI, driving straight on: free principal points run off by 30 px). ``soft``: what is known
-    of poses with a sigma. A result with impossible intrinsics is refused and said so.
+    keep their intrinsics (KITTI, driving straight on: free principal points run off by 30 px); free RADIAL ones become
+    OPENCV (``lens``). ``soft``: what is known of poses with a sigma. Impossible intrinsics are refused and said so.
     """
-    adjusted = pycolmap.Reconstruction(model)
-    free = free_cameras(adjusted) - set(constant_cameras)
+    free = free_cameras(model) - set(constant_cameras)
+    adjusted = lens.extended(model, lens.extensible(model, free))
     _solve(adjusted, fixed_rigs, free, False, soft)
     pycolmap.ObservationManager(adjusted).filter_all_points3D(FILTER_PX, FILTER_ANGLE_DEG)
     _solve(adjusted, fixed_rigs, free, True, soft)
@@ -101,6 +102,7 @@ def _solve(
         config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
     adjuster = pycolmap.create_default_ceres_bundle_adjuster(options, config, model)
     kept = add_soft(adjuster, model, soft) if soft else []
+    kept += lens.add_priors(adjuster.problem, model)
     adjuster.solve()
     del kept
 

@@ -12,7 +12,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adjust import final_adjustment
+from tiegraph.sfm.adjust import final_adjustment, free_cameras
 from tiegraph.sfm.covariance import PositionSigma, position_sigma
 from tiegraph.sfm.placement.settle import Settled, settle
 from tiegraph.sfm.rig import soft
@@ -81,7 +81,10 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> Finishe
     model.write(request.target)
     if settled.table is not None:
         tables["placement"] = settled.table
-    return Finished(_sigma(model, request, notes), notes, tables, settled.dropped)
+    sigma = _sigma(model, request, notes)
+    if sigma is not None and sigma.interior:
+        tables["interior orientation"] = sigma.table({k + 1: s.name for k, s in enumerate(scene.all_sensors)})
+    return Finished(sigma, notes, tables, settled.dropped)
 
 
 def _settled(model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest) -> Settled:
@@ -175,7 +178,8 @@ def _sigma(model: pycolmap.Reconstruction, request: FinishRequest, notes: list[s
             notes.append(f"position sigmas not computed: {frames} frames, more than sparse.covariance_frames")
         return None
     try:
-        return position_sigma(model, not request.all_constant, not request.fixed)
+        free = free_cameras(model) - set(request.constant_cameras)
+        return position_sigma(model, free, set(model.rigs) - {k + 1 for k in request.fixed})
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         notes.append(f"position sigmas could not be computed: {error}")
         return None
