@@ -139,7 +139,7 @@ def _solve(
     kept = _add_positions(adjuster.problem, model, scene, given, (arm, clock, sigma_px))
     kept += _add_points(adjuster.problem, model, scene, given, sigma_px)
     kept += _add_up(adjuster.problem, model, scene, given, sigma_px)
-    kept += lens.add_priors(adjuster.problem, model)
+    kept += lens.add_priors(adjuster.problem, model, {})
     adjuster.solve()
     del kept  # the problem only borrows the residuals written in Python
 
