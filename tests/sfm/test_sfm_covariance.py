@@ -6,11 +6,13 @@ import copy
 
 import numpy as np
 import pytest
+from moving_world import moving_world
 from sfm_worlds import make_world, true_frames
 
 from tiegraph.geometry.align import umeyama
 from tiegraph.sfm.adjust import _solve, final_adjustment
 from tiegraph.sfm.covariance import position_sigma
+from tiegraph.sfm.jacobians import Layout, Tie, skew
 from tiegraph.sfm.model import frame_poses, image_poses
 
 import pycolmap  # isort: skip
@@ -85,6 +87,22 @@ def test_sigma_is_right_for_errors_with_tails_that_tracks_share(tmp_path, draws)
         predicted.append(np.sum(position_sigma(model).sigma ** 2))
     ratio = float(np.sqrt(np.mean(actual) / np.mean(predicted)))
     assert (0.8 if draws > 20 else 0.7) < ratio < (1.25 if draws > 20 else 1.4), ratio
+
+
+def test_ties_hold_frames_that_nothing_else_holds() -> None:
+    """A tie's information knows nothing of a motion of the whole, and stops one frame from moving alone."""
+    model, _ = moving_world(frames=4)
+    layout = Layout(model, False, False)
+    first, second = layout.frame_ids[:2]
+    tied = layout.tied([Tie(first, second, 0.01, 0.001)])
+    whole = np.zeros((layout.size, 6))
+    for f, centre in zip(layout.frame_ids, layout.centres):
+        whole[layout.frame[f] + np.arange(3), :3] = np.eye(3)
+        whole[layout.frame[f] + np.arange(3), 3:] = -skew(centre[None])[0]
+        whole[layout.frame[f] + np.arange(3, 6), 3:] = np.eye(3)
+    assert np.abs(tied @ whole).max() < 1e-6 * np.abs(tied).max()
+    at = layout.frame[second]
+    assert tied[at, at] == pytest.approx(1e4) and tied[at + 3, at + 3] == pytest.approx(1e6)
 
 
 def test_interior_orientation_tells_sigmas_and_correlations(world) -> None:

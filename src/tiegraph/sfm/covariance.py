@@ -15,7 +15,7 @@ import numpy as np
 import pycolmap
 from scipy import sparse
 
-from tiegraph.sfm.jacobians import Layout, jacobians, skew
+from tiegraph.sfm.jacobians import Layout, Tie, jacobians, skew
 
 MAX_POINTS = 200_000  # more are not looked at one by one: a random part, and the sums are scaled up
 ROBUST_PX = 0.5  # Cauchy scale of the adjustment (sfm/adjust.py)
@@ -62,10 +62,12 @@ def position_sigma(
     model: pycolmap.Reconstruction,
     free_intrinsics: bool | Collection[int] = True,
     free_rig: bool | Collection[int] = True,
+    ties: Collection[Tie] = (),
 ) -> PositionSigma:
     """Position sigmas of the registered frames, and interior orientation, from the gradient of every point.
 
-    Intrinsics and rig extrinsics are unknowns unless told otherwise (ids of cameras, of rigs). The gauge is taken out
+    Intrinsics and rig extrinsics are unknowns unless told otherwise (ids of cameras, of rigs); ``ties`` hold
+    the frames of relaxed rigs. The gauge is taken out
     by the S-transformation over all positions, so a sigma is that of a position after the best alignment to the truth.
     What all points share (a lens unlike its model, a rig that moves, a false place) is not in it. (pycolmap's
     estimate_ba_covariance refuses rigs.) Raises ValueError for a model without redundancy.
@@ -79,7 +81,7 @@ def position_sigma(
     if redundancy <= 0:
         raise ValueError("no redundancy")
     variance = max((1.4826 * float(np.median(np.abs(residual)))) ** 2 * len(residual) / redundancy, 1e-12)
-    prior = variance * layout.prior()
+    prior = variance * (layout.prior() + layout.tied(ties))
     first, second = _robust_weights(residual)
     curvature = reduced(_scaled(jc, np.sqrt(second)), _scaled(jp, np.sqrt(second))) / share + prior
     of_point = _gradients(jc, jp, first * residual)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Collection
+from dataclasses import dataclass
 
 import numpy as np
 import pycolmap
@@ -14,6 +15,16 @@ from tiegraph.sfm.model import matrix
 
 _PRIOR_FOCAL = 0.2  # weak prior sigma of intrinsics, in parts of the focal length
 _PRIOR_EXTRA = 0.5  # weak prior sigma of distortion parameters
+
+
+@dataclass(frozen=True)
+class Tie:
+    """Two frames (ids) that keep together: sigma of the place, model units, and of the turn, rad."""
+
+    first: int
+    second: int
+    place: float
+    turn: float
 
 
 class Layout:
@@ -50,6 +61,23 @@ class Layout:
         for column, information in self._prior:
             columns = slice(column, column + len(information))
             out[columns, columns] = information
+        return out
+
+    def tied(self, ties: Collection[Tie]) -> np.ndarray:
+        """(C, C) information of frames that are tied to each other; what all ties of a camera share is not in it."""
+        out = np.zeros((self.size, self.size))
+        place = dict(zip(self.frame_ids, self.centres))
+        for tie in ties:
+            if tie.first not in self.frame or tie.second not in self.frame:
+                continue
+            a, b = self.frame[tie.first], self.frame[tie.second]
+            rows = np.zeros((6, 12))  # shift of the second beside what a turn of the first does; turn of both
+            rows[:3, :3], rows[:3, 6:9] = -np.eye(3), np.eye(3)
+            rows[:3, 3:6] = skew((place[tie.second] - place[tie.first])[None])[0]
+            rows[3:, 3:6], rows[3:, 9:] = -np.eye(3), np.eye(3)
+            rows /= np.repeat([tie.place, tie.turn], 3)[:, None]
+            at = np.concatenate([a + np.arange(6), b + np.arange(6)])
+            out[np.ix_(at, at)] += rows.T @ rows
         return out
 
 
@@ -132,6 +160,7 @@ def of_image(
 
 
 def frame_pose(frame: pycolmap.Frame) -> pycolmap.Rigid3d:
+    """rig_from_world of a registered frame."""
     pose = frame.rig_from_world
     assert pose is not None  # only registered frames come here
     return pose

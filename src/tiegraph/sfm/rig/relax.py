@@ -7,7 +7,7 @@ bent to take up what is motion.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjust import final_adjustment
+from tiegraph.sfm.jacobians import Tie
 from tiegraph.sfm.model import frame_poses, image_poses, model_rigs
 from tiegraph.sfm.rig.release import released
 from tiegraph.sfm.rig.soft import Soft, SoftTie
@@ -40,6 +41,7 @@ class Relaxed:
     model: pycolmap.Reconstruction
     offsets: Mapping[int, TimeOffset]
     note: str
+    ties: tuple[Tie, ...] = ()  # between the frames of ``model``
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,17 @@ def relax(
     assert soft.timed is not None
     # A calibrated rig's rotations are held now, so that distortion the calibration leaves out cannot hide in them.
     found = final_adjustment(free, (), constant_cameras, soft, constant_cameras if calibrated else ())
-    return Relaxed(found.model, _offsets(found.model, setting, soft.timed), found.note)
+    return Relaxed(found.model, _offsets(found.model, setting, soft.timed), found.note, _ties(found.model, soft))
+
+
+def _ties(model: pycolmap.Reconstruction, soft: Soft) -> tuple[Tie, ...]:
+    out = []
+    timed: Sequence[TimedTie | SoftTie] = soft.timed.ties if soft.timed is not None else ()
+    for tie in [*timed, *soft.ties]:
+        frames = [model.image(i).frame_id for i in (tie.first, tie.second)]
+        turn, place = np.sqrt(tie.covariance[0, 0]), np.sqrt(tie.covariance[3, 3])
+        out.append(Tie(frames[0], frames[1], float(place), float(turn)))
+    return tuple(out)
 
 
 def _soft(model: pycolmap.Reconstruction, setting: _Setting) -> Soft:
