@@ -18,7 +18,7 @@ from tiegraph.sfm.model import image_poses, matrix
 
 
 def make_world(
-    path: Path, cameras: int = 3, frames: int = 8, noise_px: float = 0.3
+    path: Path, cameras: int = 3, frames: int = 8, noise_px: float = 0.3, points: int = 150
 ) -> tuple[pycolmap.Reconstruction, Scene]:
     """A database with one rig, its truth, and its scene (extrinsics exact, cameras as given, no positions)."""
     pycolmap.set_random_seed(3)
@@ -27,7 +27,7 @@ def make_world(
         num_rigs=1,
         num_cameras_per_rig=cameras,
         num_frames_per_rig=frames,
-        num_points3D=150,
+        num_points3D=points,
         camera_has_prior_focal_length=True,
         sensor_from_rig_translation_stddev=0.3,
         sensor_from_rig_rotation_stddev=5.0,

@@ -20,6 +20,7 @@ from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.world import worldadjust
 from tiegraph.sfm.world.fixes import Given, PositionRows, make_fixes
 from tiegraph.sfm.world.georef import georeference
+from tiegraph.sfm.world.gravity import Up
 from tiegraph.sfm.world.ground import georeference_model
 from tiegraph.sfm.world.placing import Model, place
 
@@ -131,6 +132,40 @@ def test_exchanged_axes_are_said(world) -> None:
     true = true_frames(truth, scene)[:, [1, 0, 2], 3]
     with pytest.raises(InputError, match="exchanged"):
         georeference(_moved(truth), with_positions(scene, true, 0.05), GeorefSettings())
+
+
+def _straight(passes: int) -> tuple[Model, Scene, np.ndarray]:
+    """Passes there and back, 2.5 m apart, straight: model (the world itself), scene, positions."""
+    along = np.linspace(0, 48, 25)
+    rows = [(x, 0.0, 1.0) for x in along] + [(x, 2.5, -1.0) for x in along[::-1]]
+    poses = []
+    for x, y, ahead in rows[: 25 * passes]:
+        axes = np.stack([np.cross([0, 0, -1.0], [ahead, 0, 0]), [0, 0, -1.0], [ahead, 0, 0]], axis=1)
+        poses.append(transforms.rigid(axes, np.array([x, y, 2.0])))
+    count = len(poses)
+    rig = Rig("ring", (Sensor("cam0", None, np.eye(4), "side"),))
+    names = [f"cam0/{k:03d}.jpg" for k in range(count)]
+    track = np.arange(count) // 25
+    scene = simple_scene(
+        rig, names, np.arange(count), np.zeros(count, int), track, tracks=("up", "down")[:passes],
+        time_s=2.0 * np.arange(count),
+    )  # fmt: skip
+    place = np.array(poses)[:, :3, 3] + 0.02 * np.random.default_rng(0).standard_normal((count, 3))
+    up = Up(np.array([0.0, 0.0, 1.0]), 3.0, True, "the ring of side cameras")
+    return Model(transforms.invert(np.array(poses)), up, None, [], tuple(names)), scene, place
+
+
+def test_straight_passes_whose_mirror_image_hangs_upside_down_are_refused() -> None:
+    model, scene, place_m = _straight(2)
+    assert place(model, with_positions(scene, place_m, 0.02), GeorefSettings(), Given()) is not None
+    with pytest.raises(InputError, match="upside down"):
+        place(model, with_positions(scene, place_m[:, [1, 0, 2]], 0.02), GeorefSettings(), Given())
+
+
+def test_one_straight_pass_tells_no_mirror_image_and_that_is_said() -> None:
+    model, scene, place_m = _straight(1)
+    found = place(model, with_positions(scene, place_m[:, [1, 0, 2]], 0.02), GeorefSettings(), Given())
+    assert found is not None and any("exchanged cannot be told" in n for n in found.notes)
 
 
 def test_rows_between_frames_carry_lever_arm_and_clock() -> None:

@@ -22,7 +22,7 @@ class ScanSettings(Section):
         "auto", "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE"
     ] = "auto"
     """COLMAP camera model of sensors without one in the rig file; auto = RADIAL for rigs and sequences, SIMPLE_RADIAL
-    for loose photographs, OPENCV_FISHEYE for folders named fisheye."""
+    for loose photographs, OPENCV_FISHEYE for folders named fisheye. RADIAL becomes OPENCV in the final adjustment."""
 
     crs: str = "auto"
     """Coordinate system of the products: EPSG:n (projected, metres), ENU (tangent plane), or auto = the UTM zone."""

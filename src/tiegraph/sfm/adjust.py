@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import pycolmap
 
+from tiegraph.sfm import lens
 from tiegraph.sfm.model import MIN_OBSERVATIONS
 from tiegraph.sfm.rig.soft import Soft, add_soft
 
@@ -19,6 +20,7 @@ FILTER_PX = 2.0  # observations worse than this after the first pass go
 FILTER_ANGLE_DEG = 1.0
 FIRST_ITERATIONS, ROBUST_ITERATIONS = 30, 10
 MAX_CENTRE_SHIFT = 0.1  # of the image size; more is a bent model, not a lens
+LENS_GAIN = 0.03  # of the robust cost: what distortion must gain over a calibration to be believed against it
 FOCAL_RANGE = (0.2, 5.0)  # times the longer image side: outside, no lens of a survey camera
 
 
@@ -36,18 +38,21 @@ def final_adjustment(
     fixed_rigs: Collection[int] = (),
     constant_cameras: Collection[int] = (),
     soft: Soft | None = None,
+    doubted: Collection[int] = (),
 ) -> Adjustment:
     """Adjust poses, points, rig and intrinsics with principal points: plain, filtered at 2 px, then Cauchy at 0.5 px.
 
     ``fixed_rigs``: COLMAP rig ids whose extrinsics stay. ``constant_cameras``, and those with fewer than 10 images,
-    keep their intrinsics (KITTI, driving straight on: free principal points run off by 30 px). ``soft``: what is known
-    of poses with a sigma. A result with impossible intrinsics is refused and said so.
+    keep their intrinsics (KITTI, driving straight on: free principal points run off by 30 px); free RADIAL ones become
+    OPENCV (``lens``). ``soft``: what is known of poses with a sigma. ``doubted``: constant cameras whose calibration
+    gives way if that explains the images clearly better. Impossible intrinsics are refused and said so.
     """
-    adjusted = pycolmap.Reconstruction(model)
-    free = free_cameras(adjusted) - set(constant_cameras)
+    free = free_cameras(model) - set(constant_cameras)
+    adjusted = lens.extended(model, lens.extensible(model, free))
     _solve(adjusted, fixed_rigs, free, False, soft)
     pycolmap.ObservationManager(adjusted).filter_all_points3D(FILTER_PX, FILTER_ANGLE_DEG)
     _solve(adjusted, fixed_rigs, free, True, soft)
+    adjusted, lenses = _with_doubted(adjusted, fixed_rigs, free, free_cameras(adjusted) & set(doubted), soft)
     # The robust loss lets go of some points; those that went behind a camera have an infinite error.
     manager = pycolmap.ObservationManager(adjusted)
     manager.filter_observations_with_negative_depth()
@@ -62,7 +67,45 @@ def final_adjustment(
     note = f"final robust adjustment: mean reprojection error {before:.3f} -> {after:.3f} px"
     if moved:
         note += f", principal points moved by up to {max(moved):.1f} px"
-    return Adjustment(adjusted, True, note)
+    return Adjustment(adjusted, True, note + lenses)
+
+
+def _with_doubted(
+    model: pycolmap.Reconstruction, fixed_rigs: Collection[int], free: set[int], doubted: set[int], soft: Soft | None
+) -> tuple[pycolmap.Reconstruction, str]:
+    """The model adjusted with distortion of these calibrated cameras, if that explains the images better; a note."""
+    names = lens.extensible(model, doubted, lens.UNDISTORTED)
+    if not names:
+        return model, ""
+    trial = lens.extended(model, names)
+    given = {k: model.camera(k) for k in names}
+    _solve(trial, fixed_rigs, free | set(names), True, soft, given)
+    gain = 1 - robust_cost(trial) / max(robust_cost(model), 1e-12)
+    if gain < LENS_GAIN:
+        return model, ""
+    most = max(lens.difference_px(model.camera(k), trial.camera(k)) for k in names)
+    return trial, (
+        f"; the lenses are not as calibrated: distortion and small changes of the rest were estimated, up to "
+        f"{most:.1f} px (median over the image), and the robust sum of squares fell by {100 * gain:.0f} %"
+    )
+
+
+def robust_cost(model: pycolmap.Reconstruction) -> float:
+    """Mean Cauchy cost of an observation, px2: the measure of the robust adjustment."""
+    total, count = 0.0, 0
+    for image_id in model.reg_image_ids():
+        image = model.image(image_id)
+        seen = image.get_observation_points2D()
+        if not seen or image.camera is None:
+            continue
+        world = np.stack([model.point3D(p.point3D_id).xyz for p in seen])
+        pose = image.cam_from_world().matrix()
+        projected = np.asarray(image.camera.img_from_cam(world @ pose[:, :3].T + pose[:, 3]), float)
+        error = projected - np.stack([p.xy for p in seen])
+        square = np.sum(error[np.isfinite(error).all(axis=1)] ** 2, axis=1)
+        total += float(np.sum(ROBUST_PX**2 * np.log1p(square / ROBUST_PX**2)))
+        count += len(seen)
+    return total / max(count, 1)
 
 
 def free_cameras(model: pycolmap.Reconstruction) -> set[int]:
@@ -73,7 +116,12 @@ def free_cameras(model: pycolmap.Reconstruction) -> set[int]:
 
 
 def _solve(
-    model: pycolmap.Reconstruction, fixed_rigs: Collection[int], free: set[int], robust: bool, soft: Soft | None
+    model: pycolmap.Reconstruction,
+    fixed_rigs: Collection[int],
+    free: set[int],
+    robust: bool,
+    soft: Soft | None,
+    given: Mapping[int, pycolmap.Camera] | None = None,
 ) -> None:
     options = pycolmap.BundleAdjustmentOptions(print_summary=False, refine_principal_point=True)
     if robust:
@@ -101,6 +149,7 @@ def _solve(
         config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
     adjuster = pycolmap.create_default_ceres_bundle_adjuster(options, config, model)
     kept = add_soft(adjuster, model, soft) if soft else []
+    kept += lens.add_priors(adjuster.problem, model, given or {})
     adjuster.solve()
     del kept
 

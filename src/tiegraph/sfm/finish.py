@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,8 +12,9 @@ import numpy as np
 import pycolmap
 
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adjust import final_adjustment
+from tiegraph.sfm.adjust import final_adjustment, free_cameras
 from tiegraph.sfm.covariance import PositionSigma, position_sigma
+from tiegraph.sfm.jacobians import Tie
 from tiegraph.sfm.placement.settle import Settled, settle
 from tiegraph.sfm.rig import soft
 from tiegraph.sfm.rig.diagnosis import Diagnosis, diagnose
@@ -70,7 +71,7 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> Finishe
     except (RuntimeError, ValueError) as error:
         notes.append(f"the final adjustment failed, the mapper's own stays: {error}")
     request.target.mkdir(parents=True, exist_ok=True)
-    model, tables = _checked_rig(model, mapped, scene, request, notes)
+    model, tables, ties = _checked_rig(model, mapped, scene, request, notes)
     if request.alone:
         place_as_given(model, scene, request.alone)
     try:
@@ -81,7 +82,10 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> Finishe
     model.write(request.target)
     if settled.table is not None:
         tables["placement"] = settled.table
-    return Finished(_sigma(model, request, notes), notes, tables, settled.dropped)
+    sigma = _sigma(model, request, notes, ties)
+    if sigma is not None and sigma.interior:
+        tables["interior orientation"] = sigma.table({k + 1: s.name for k, s in enumerate(scene.all_sensors)})
+    return Finished(sigma, notes, tables, settled.dropped)
 
 
 def _settled(model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest) -> Settled:
@@ -127,16 +131,16 @@ def _checked_rig(
     scene: Scene,
     request: FinishRequest,
     notes: list[str],
-) -> tuple[pycolmap.Reconstruction, dict[str, dict]]:
+) -> tuple[pycolmap.Reconstruction, dict[str, dict], list[Tie]]:
     """Rig health into its file; a rig that moves is relaxed where that can be done, and said so."""
     if not request.rigs:
-        return model, {}
+        return model, {}, []
     metres = 1 / units_per_metre(model, scene)
     try:
         found = diagnose(model, scene, metres, mapped)
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
         notes.append(f"the rig could not be checked: {error}")
-        return model, {}
+        return model, {}, []
     with (request.target / HEALTH_FILE).open("w", newline="") as stream:
         csv.writer(stream).writerows([COLUMNS, *found.rows])
     notes += found.notes
@@ -151,7 +155,8 @@ def _checked_rig(
         relaxed[index] = relax(start, scene, index, (metres, calibrated), request.constant_cameras, found.loose)
         model = relaxed[index].model
         notes.append(_relaxed_note(scene, index, relaxed[index], found))
-    return model, {"rig health": found.table({k: o for r in relaxed.values() for k, o in r.offsets.items()})}
+    table = found.table({k: o for r in relaxed.values() for k, o in r.offsets.items()})
+    return model, {"rig health": table}, [t for r in relaxed.values() for t in r.ties]
 
 
 def _relaxed_note(scene: Scene, index: int, relaxed: Relaxed, found: Diagnosis) -> str:
@@ -168,14 +173,17 @@ def _relaxed_note(scene: Scene, index: int, relaxed: Relaxed, found: Diagnosis) 
     )
 
 
-def _sigma(model: pycolmap.Reconstruction, request: FinishRequest, notes: list[str]) -> PositionSigma | None:
+def _sigma(
+    model: pycolmap.Reconstruction, request: FinishRequest, notes: list[str], ties: Collection[Tie]
+) -> PositionSigma | None:
     frames = model.num_reg_frames()
     if frames > request.covariance_frames:
         if request.covariance_frames > 0:
             notes.append(f"position sigmas not computed: {frames} frames, more than sparse.covariance_frames")
         return None
     try:
-        return position_sigma(model, not request.all_constant, not request.fixed)
+        free = free_cameras(model) - set(request.constant_cameras)
+        return position_sigma(model, free, set(model.rigs) - {k + 1 for k in request.fixed}, ties)
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         notes.append(f"position sigmas could not be computed: {error}")
         return None

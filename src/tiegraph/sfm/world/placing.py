@@ -22,6 +22,7 @@ MIN_POSITIONS = 3
 ROLL_LIMIT_DEG = 10.0  # sigma of the roll about the track above which lone cameras' upright direction is used
 ARM_GAIN, CLOCK_GAIN = 16.3, 10.8  # chi-square of 3 and of 1 degrees of freedom at 0.1 %
 MIRROR_GAIN = 4.0  # times nearer with exchanged axes: no noise does that
+UPSIDE_DOWN = -0.7  # vertical part of a direction that ought to be up
 ARM_SIGMA_M = 0.5  # of ANTENNA_SIGMA_M: known better than that in plan, the lever arm is observable
 CLOCK_SIGMAS = 4.0
 _NOISE_ROUNDS = 3
@@ -85,6 +86,7 @@ def place(model: Model, scene: Scene, settings: GeorefSettings, given: Given) ->
         fixes = stated.widened(frames, metres)
     evidence, fit = _believed(evidence, fixes, model.up, fit.similarity)
     _refuse_exchanged(evidence, fit)
+    _refuse_upside_down(evidence, fixes, model.up)
     if estimate is None:
         evidence, fit = _try_lever_arm(evidence, fit, fixes, model.up, notes)
     elif estimate:
@@ -203,6 +205,30 @@ def _refuse_exchanged(evidence: Evidence, fit: Fit) -> None:
         )
 
 
+def _refuse_upside_down(evidence: Evidence, fixes: Fixes, up: Up | None) -> None:
+    """Raise InputError where the positions alone put a ring of cameras upside down: the mirror image of a track.
+
+    Two passes side by side and mirrored are the same passes turned over, so that the residuals of a fit tell nothing.
+    """
+    if up is None or not up.ring or len(fixes) < MIN_POSITIONS:
+        return
+    rows = np.arange(len(evidence.frame)) < len(fixes)
+    free = replace(evidence.where(rows), sigma=fixes.sigma, estimate_antenna=True)
+    free = replace(free, orientation=np.full_like(free.orientation, np.nan))
+    alone = fit_similarity(free, None)
+    residual = free.position_residuals(alone.similarity, alone.antenna) / fixes.sigma
+    free = replace(free, sigma=fixes.sigma * noise.factors(residual, fixes.level, fixes.time_s)[:, None])
+    alone = fit_similarity(free, None, alone.similarity)
+    lean = float((alone.similarity.rotation @ up.direction)[2])
+    if lean < UPSIDE_DOWN and alone.roll_sigma_deg < ROLL_LIMIT_DEG:
+        raise InputError(
+            "the positions turn the survey upside down: the tops of the side cameras' images point to the ground, "
+            f"though the roll about the track is known to {alone.roll_sigma_deg:.1f} deg; are latitude and longitude, "
+            "or north and east, exchanged in the GNSS file (a mirror image)? Or do the cameras hang upside down: then "
+            "turn the images"
+        )
+
+
 def _lever_arm(scene: Scene, settings: GeorefSettings, notes: list[str]) -> tuple[np.ndarray | None, bool | None]:
     """The given lever arm or None, and whether to estimate it (None: if the positions can tell)."""
     if scene.prior in ("trajectory", "exif", "none") or settings.antenna == "ignored":
@@ -304,7 +330,8 @@ def up_to_use(evidence: Evidence, up: Up | None, notes: list[str], near: Similar
     if up.ring and alone.tilt_sigma_deg > up.sigma_deg / 2:
         notes.append(
             f"the positions leave the tilt open (known to {min(alone.tilt_sigma_deg, 90):.1f} deg): the upward "
-            f"direction of {up.cameras} holds it, to about {up.sigma_deg:.0f} deg"
+            f"direction of {up.cameras} holds it, to about {up.sigma_deg:.0f} deg; whether east and north are "
+            "exchanged cannot be told along so straight a track"
         )
     elif not up.ring and alone.roll_sigma_deg > ROLL_LIMIT_DEG:
         notes.append(

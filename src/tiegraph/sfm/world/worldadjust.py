@@ -13,6 +13,7 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.control import Control
 from tiegraph.scene.scene import Scene
+from tiegraph.sfm import lens
 from tiegraph.sfm.adjust import FILTER_ANGLE_DEG, FILTER_PX, ROBUST_PX, free_cameras
 from tiegraph.sfm.model import frame_poses, image_poses, matrix
 from tiegraph.sfm.world import costs, noise
@@ -138,6 +139,7 @@ def _solve(
     kept = _add_positions(adjuster.problem, model, scene, given, (arm, clock, sigma_px))
     kept += _add_points(adjuster.problem, model, scene, given, sigma_px)
     kept += _add_up(adjuster.problem, model, scene, given, sigma_px)
+    kept += lens.add_priors(adjuster.problem, model, {})
     adjuster.solve()
     del kept  # the problem only borrows the residuals written in Python
 

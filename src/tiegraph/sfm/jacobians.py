@@ -1,0 +1,192 @@
+"""Derivatives of a model's reprojection errors by poses, rig, intrinsics and points."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+import pycolmap
+from scipy import sparse
+
+from tiegraph.geometry.transforms import skew
+from tiegraph.sfm import lens
+from tiegraph.sfm.model import matrix
+
+_PRIOR_FOCAL = 0.2  # weak prior sigma of intrinsics, in parts of the focal length
+_PRIOR_EXTRA = 0.5  # weak prior sigma of distortion parameters
+
+
+@dataclass(frozen=True)
+class Tie:
+    """Two frames (ids) that keep together: sigma of the place, model units, and of the turn, rad."""
+
+    first: int
+    second: int
+    place: float
+    turn: float
+
+
+class Layout:
+    """Columns of the unknowns: six a frame (shift of its centre, rotation), six a sensor, then the intrinsics."""
+
+    def __init__(
+        self, model: pycolmap.Reconstruction, free_intrinsics: bool | Collection[int], free_rig: bool | Collection[int]
+    ) -> None:
+        """``free_intrinsics``, ``free_rig``: ids of the cameras and rigs that are unknowns; True: all, False: none."""
+        self.frame_ids = tuple(sorted(model.reg_frame_ids()))
+        self.frame = {f: 6 * k for k, f in enumerate(self.frame_ids)}
+        self.centres = np.stack([frame_pose(model.frame(f)).tgt_origin_in_src() for f in self.frame_ids])
+        self.size = 6 * len(self.frame_ids)
+        self.sensor: dict[int, int] = {}
+        self.sensor_centre: dict[int, np.ndarray] = {}
+        images = [model.image(i) for i in model.reg_image_ids()]
+        for rig in (r for k, r in model.rigs.items() if _chosen(k, free_rig)):
+            for sensor, pose in rig.non_ref_sensors.items():
+                if pose is not None:
+                    self.sensor[sensor.id], self.sensor_centre[sensor.id] = self.size, pose.tgt_origin_in_src()
+                    self.size += 6
+        self.camera: dict[int, int] = {}
+        self.params: dict[int, np.ndarray] = {}
+        self._prior: list[tuple[int, np.ndarray]] = []
+        for camera_id in sorted(k for k in {i.camera_id for i in images} if _chosen(k, free_intrinsics)):
+            camera = model.camera(camera_id)
+            self.camera[camera_id], self.params[camera_id] = self.size, np.array(camera.params)
+            self._prior.append((self.size, np.linalg.inv(_expected(camera))))
+            self.size += len(camera.params)
+
+    def prior(self) -> np.ndarray:
+        """(C, C) information of what is expected of a lens before the images speak."""
+        out = np.zeros((self.size, self.size))
+        for column, information in self._prior:
+            columns = slice(column, column + len(information))
+            out[columns, columns] = information
+        return out
+
+    def tied(self, ties: Collection[Tie]) -> np.ndarray:
+        """(C, C) information of frames that are tied to each other; what all ties of a camera share is not in it."""
+        out = np.zeros((self.size, self.size))
+        place = dict(zip(self.frame_ids, self.centres))
+        for tie in ties:
+            if tie.first not in self.frame or tie.second not in self.frame:
+                continue
+            a, b = self.frame[tie.first], self.frame[tie.second]
+            rows = np.zeros((6, 12))  # shift of the second beside what a turn of the first does; turn of both
+            rows[:3, :3], rows[:3, 6:9] = -np.eye(3), np.eye(3)
+            rows[:3, 3:6] = skew((place[tie.second] - place[tie.first])[None])[0]
+            rows[3:, 3:6], rows[3:, 9:] = -np.eye(3), np.eye(3)
+            rows /= np.repeat([tie.place, tie.turn], 3)[:, None]
+            at = np.concatenate([a + np.arange(6), b + np.arange(6)])
+            out[np.ix_(at, at)] += rows.T @ rows
+        return out
+
+
+def _chosen(key: int, free: bool | Collection[int]) -> bool:
+    return free if isinstance(free, bool) else key in free
+
+
+def _expected(camera: pycolmap.Camera) -> np.ndarray:
+    """Covariance of a camera's parameters as the adjustment expects them; weak for models without priors there."""
+    if camera.model == pycolmap.CameraModelId.OPENCV:
+        return lens.covariance(camera.mean_focal_length())
+    pixels = set(camera.focal_length_idxs()) | set(camera.principal_point_idxs())
+    sigma = [
+        _PRIOR_FOCAL * camera.mean_focal_length() if p in pixels else _PRIOR_EXTRA for p in range(len(camera.params))
+    ]
+    return np.diag(np.square(sigma))
+
+
+def jacobians(
+    model: pycolmap.Reconstruction, layout: Layout, point_ids: list[int]
+) -> tuple[sparse.csr_matrix, sparse.csr_matrix, np.ndarray]:
+    """Jacobians of all observations to poses and intrinsics (2O, C) and to points (2O, 3P), and residuals (2O,)."""
+    seen: dict[int, list[tuple[int, np.ndarray, np.ndarray]]] = {}
+    for k, point_id in enumerate(point_ids):
+        point = model.point3D(point_id)
+        for element in point.track.elements:
+            xy = model.image(element.image_id).point2D(element.point2D_idx).xy
+            seen.setdefault(element.image_id, []).append((k, point.xyz, xy))
+    parts_c, parts_p, residuals = [], [], []
+    for image_id, rows in sorted(seen.items()):
+        dense, columns, of_point, residual = of_image(model, layout, model.image(image_id), rows)
+        count = len(residual)
+        index = np.repeat(np.arange(2 * count), len(columns))
+        parts_c.append(
+            sparse.csr_matrix((dense.ravel(), (index, np.tile(columns, 2 * count))), shape=(2 * count, layout.size))
+        )
+        number = np.array([k for k, _, _ in rows])
+        three = np.repeat(3 * number[:, None] + np.arange(3), 2, axis=0)
+        index = np.repeat(np.arange(2 * count), 3)
+        parts_p.append(
+            sparse.csr_matrix((of_point.ravel(), (index, three.ravel())), shape=(2 * count, 3 * len(point_ids)))
+        )
+        residuals.append(residual.ravel())
+    return sparse.vstack(parts_c).tocsr(), sparse.vstack(parts_p).tocsr(), np.concatenate(residuals)
+
+
+def of_image(
+    model: pycolmap.Reconstruction, layout: Layout, image: pycolmap.Image, rows: list
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Jacobian (O, 2, D) over the columns (D,), Jacobian to the points (O, 2, 3) and residuals (O, 2) of one image.
+
+    A pose T = (R, c) moves as R Exp(-w) (X - c - v): the unknown v is the shift of the centre itself.
+    """
+    camera, frame = image.camera, image.frame
+    assert camera is not None and frame is not None
+    pose = matrix(image.cam_from_world())
+    world, measured = np.stack([x for _, x, _ in rows]), np.stack([xy for _, _, xy in rows])
+    in_camera = world @ pose[:3, :3].T + pose[:3, 3]
+    to_camera = _by_point(camera, in_camera)
+    of_point = to_camera @ pose[:3, :3]
+    rig_from_world = matrix(frame_pose(frame))
+    lever = world - frame_pose(frame).tgt_origin_in_src()
+    parts = [-of_point, of_point @ skew(lever)]
+    columns = [layout.frame[image.frame_id] + np.arange(6)]
+    if image.camera_id in layout.sensor:
+        rotation = pose[:3, :3] @ rig_from_world[:3, :3].T  # sensor from rig
+        in_rig = world @ rig_from_world[:3, :3].T + rig_from_world[:3, 3]
+        of_rig = to_camera @ rotation
+        parts += [-of_rig, of_rig @ skew(in_rig - layout.sensor_centre[image.camera_id])]
+        columns.append(layout.sensor[image.camera_id] + np.arange(6))
+    if image.camera_id in layout.camera:
+        parts.append(_by_params(camera, in_camera))
+        columns.append(layout.camera[image.camera_id] + np.arange(len(camera.params)))
+    dense = np.concatenate(parts, axis=2)
+    residual = camera.img_from_cam(in_camera) - measured
+    bad = ~(np.isfinite(dense).all(axis=(1, 2)) & np.isfinite(residual).all(axis=1))
+    dense[bad], residual[bad] = 0.0, 0.0
+    of_point = np.where(bad[:, None, None], 0.0, of_point)
+    return dense, np.concatenate(columns), of_point, residual
+
+
+def frame_pose(frame: pycolmap.Frame) -> pycolmap.Rigid3d:
+    """rig_from_world of a registered frame."""
+    pose = frame.rig_from_world
+    assert pose is not None  # only registered frames come here
+    return pose
+
+
+def _by_point(camera: pycolmap.Camera, xyz: np.ndarray) -> np.ndarray:
+    """(O, 2, 3) of pixels by camera-frame coordinates, central differences: right for every camera model."""
+    out = np.empty((len(xyz), 2, 3))
+    step = 1e-5 * np.linalg.norm(xyz, axis=1, keepdims=True)
+    for axis in range(3):
+        shift = step * np.eye(3)[axis]
+        out[:, :, axis] = (camera.img_from_cam(xyz + shift) - camera.img_from_cam(xyz - shift)) / (2 * step)
+    return out
+
+
+def _by_params(camera: pycolmap.Camera, xyz: np.ndarray) -> np.ndarray:
+    """(O, 2, K) of pixels by the camera's parameters, central differences."""
+    params = np.array(camera.params)
+    out = np.empty((len(xyz), 2, len(params)))
+    for k, value in enumerate(params):
+        step = 1e-5 * max(abs(value), 1.0)
+        ends = []
+        for sign in (1, -1):
+            moved = copy.copy(camera)
+            moved.params = params + sign * step * np.eye(len(params))[k]
+            ends.append(moved.img_from_cam(xyz))
+        out[:, :, k] = (ends[0] - ends[1]) / (2 * step)
+    return out

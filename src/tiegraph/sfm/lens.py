@@ -1,0 +1,102 @@
+"""What lenses look like: aspect and decentring, which the mappers' cameras do not have, with priors.
+
+RADIAL has one focal length and no tangential terms. What a lens has of these goes into principal point and rig instead:
+on canal_demo and canal (aspect 0.1-0.2 %, decentring 2e-4 to 5e-4) it turned the cameras of the rig by up to 0.22 and
+0.12 deg. The priors keep the terms where the images do not tell them: on straight tracks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pycolmap
+
+# Sigma of fx / fy - 1 and of p1, p2: pixels are square, and lenses are centred to some hundredths of a millimetre.
+ASPECT, DECENTRING = 0.002, 0.0005
+LOOSE_FOCAL, LOOSE_CENTRE, LOOSE_RADIAL = 0.2, 0.1, 0.5  # of the rest: parts of f, parts of f, absolute
+# A calibration that the images contradict, parts of f; its distortion is not believed at all (PandaSet gives none).
+GIVEN_FOCAL, GIVEN_CENTRE, GIVEN_ASPECT, GIVEN_RADIAL = 0.001, 0.0015, 0.0005, 0.1
+UNDISTORTED = ("SIMPLE_PINHOLE", "PINHOLE")  # calibrations that say nothing of distortion
+SIGMA_PX = 0.5  # reprojection errors are not divided by their sigma, so the priors are multiplied by it
+
+
+@cache
+def available() -> bool:
+    """Whether priors of intrinsics can be added to Ceres' problem (package pyceres)."""
+    try:
+        import pyceres
+
+        return hasattr(pyceres.factors, "NormalPrior")
+    except (ImportError, AttributeError):
+        return False
+
+
+def extensible(
+    model: pycolmap.Reconstruction, cameras: Collection[int], kinds: Collection[str] = ("RADIAL",)
+) -> list[int]:
+    """Those of these cameras (COLMAP ids) whose model is of these kinds; none without pyceres."""
+    return [k for k in sorted(cameras) if available() and model.camera(k).model.name in kinds]
+
+
+def extended(model: pycolmap.Reconstruction, cameras: Collection[int]) -> pycolmap.Reconstruction:
+    """A copy in which these cameras have COLMAP's model OPENCV, with the projection they had."""
+    out = pycolmap.Reconstruction(model)
+    for key in cameras:
+        camera = out.camera(key)
+        params = _full(camera)
+        camera.model = pycolmap.CameraModelId.OPENCV
+        camera.params = params.tolist()
+    return out
+
+
+def _full(camera: pycolmap.Camera) -> np.ndarray:
+    """(8,) parameters of OPENCV with the projection of a pinhole or radial camera."""
+    rest = dict(zip(camera.params_info.replace(" ", "").split(","), camera.params))
+    radial = rest.get("k1", rest.get("k", 0.0)), rest.get("k2", 0.0)
+    focal = [camera.focal_length_x, camera.focal_length_y]
+    tangential = rest.get("p1", 0.0), rest.get("p2", 0.0)
+    return np.array([*focal, camera.principal_point_x, camera.principal_point_y, *radial, *tangential])
+
+
+def add_priors(problem: Any, model: pycolmap.Reconstruction, given: Mapping[int, pycolmap.Camera]) -> list[Any]:
+    """Add what is expected of the OPENCV cameras that are unknowns of the problem; keep what is returned.
+
+    ``given``: calibrations by camera id, believed but for small changes and distortion.
+    """
+    kept: list[Any] = []
+    for key, camera in model.cameras.items() if available() else ():
+        block = camera.params
+        if camera.model == pycolmap.CameraModelId.OPENCV and problem.has_parameter_block(block):
+            mean: np.ndarray = _full(given.get(key, camera))
+            if key not in given:
+                mean[:2], mean[6:] = mean[:2].mean(), 0.0
+            kept.append(_prior(mean, covariance(float(mean[0]), key in given)))
+            problem.add_residual_block(kept[-1], None, [block])
+    return kept
+
+
+def covariance(focal_px: float, calibrated: bool = False) -> np.ndarray:
+    """(8, 8) of OPENCV's parameters: what is expected of a lens before the images speak."""
+    focal, aspect = (GIVEN_FOCAL, GIVEN_ASPECT) if calibrated else (LOOSE_FOCAL, ASPECT)
+    centre, radial = (GIVEN_CENTRE, GIVEN_RADIAL) if calibrated else (LOOSE_CENTRE, LOOSE_RADIAL)
+    sigma = np.array([0.0, 0.0, centre * focal_px, centre * focal_px, radial, radial, DECENTRING, DECENTRING])
+    out = np.diag(sigma**2)
+    out[:2, :2] = (focal * focal_px) ** 2 + np.array([[1, -1], [-1, 1]]) * (aspect * focal_px / 2) ** 2
+    return out
+
+
+def difference_px(a: pycolmap.Camera, b: pycolmap.Camera) -> float:
+    """Median distance between the images of the same ray by two calibrations, over the image of ``a``."""
+    x, y = np.linspace(0, a.width, 9), np.linspace(0, a.height, 9)
+    grid = np.array([[u, v] for u in x for v in y])
+    rays = np.column_stack([a.cam_from_img(grid), np.ones(len(grid))])
+    return float(np.nanmedian(np.linalg.norm(b.img_from_cam(rays) - grid, axis=1)))
+
+
+def _prior(mean: np.ndarray, sigma: np.ndarray) -> Any:
+    import pyceres
+
+    return pyceres.factors.NormalPrior(mean, sigma / SIGMA_PX**2)
