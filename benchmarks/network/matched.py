@@ -18,7 +18,8 @@ from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Sights, Ties
 from tiegraph.sfm.covariance import Layout, of_image, positions_free_gauge, reduced
-from tiegraph.sfm.mapper import Source, believed_cameras, reconstruct
+from tiegraph.sfm.mapper import Source, reconstruct
+from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.settings import SparseSettings
 

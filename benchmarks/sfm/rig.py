@@ -29,7 +29,7 @@ from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.finish import FinishRequest, finish_model
-from tiegraph.sfm.mapper import believed_cameras
+from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.model import frame_poses, image_poses
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.rig.support import ties_of, unsupported_sensors

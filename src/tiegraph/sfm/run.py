@@ -8,11 +8,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pycolmap
 
 from tiegraph.scene.rig import Rig, rig_from_dict, rig_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import write_working_copy
+from tiegraph.sfm.placement.verified import read_verified
+from tiegraph.sfm.start.gate import why_not
+from tiegraph.sfm.start.poses import start_from
+from tiegraph.sfm.start.rounds import model_from
 
 MIN_MODEL_IMAGES = 3
 # Tracks that every image takes part in at least, longest first, in a rough model. Simulated block of 372 previews: 15
@@ -24,7 +29,7 @@ ROUGH_TRACKS = 100
 class Request:
     """What one run needs, in picklable form."""
 
-    mapper: str  # incremental or global
+    mapper: str  # incremental, global, or preview: from the poses of the preview model
     seed: int  # of every random choice: the same input gives the same model, but for the order of threads
     database: Path
     images: Path | None  # for colours; None = none are wanted
@@ -38,6 +43,7 @@ class Request:
     min_matches: int
     refused: tuple[tuple[int, int], ...] = ()  # scene indices of pairs the mapper must not see
     rough: bool = False  # few tracks, none found later
+    poses: np.ndarray | None = None  # (N, 4, 4) cam_from_world to start from (mapper "preview"); NaN = unknown
 
     @staticmethod
     def rigs_of(rigs: Mapping[int, Rig]) -> dict[int, dict]:
@@ -45,13 +51,24 @@ class Request:
         return {k: rig_to_dict(r) for k, r in rigs.items()}
 
 
-def run_mapper(request: Request, send: Callable[[Any], None]) -> list[Path]:
-    """Run one mapper; returns the folders of its models, most registered images first. Sends the frames done so far."""
+@dataclass(frozen=True)
+class Mapped:
+    """Folders of the models of one run, most registered images first; remarks; why there are none, if it is known."""
+
+    folders: list[Path]
+    notes: tuple[str, ...] = ()
+    refused: str = ""
+
+
+def run_mapper(request: Request, send: Callable[[Any], None]) -> Mapped:
+    """Run one mapper. Sends the frames done so far."""
     shutil.rmtree(request.folder, ignore_errors=True)
     request.folder.mkdir(parents=True)
     working = request.folder / "working.db"
     scene = Scene.from_json(request.scene)
     rigs = {k: rig_from_dict(r) for k, r in request.rigs.items()}
+    if request.mapper == "preview":
+        return _from_poses(request, working, scene, rigs, send)
     write_working_copy(request.database, working, scene, rigs, request.positions, request.refused)
     raw = request.folder / "raw"
     raw.mkdir()
@@ -67,25 +84,52 @@ def run_mapper(request: Request, send: Callable[[Any], None]) -> list[Path]:
         folders.append(folder)
     shutil.rmtree(raw)
     working.unlink()
-    return folders
+    return Mapped(folders)
+
+
+def _from_poses(
+    request: Request, working: Path, scene: Scene, rigs: dict[int, Rig], send: Callable[[Any], None]
+) -> Mapped:
+    """One model from the poses that are roughly known, if it passes the gate."""
+    assert request.poses is not None
+    verified = read_verified(request.database, scene, request.refused)
+    start = start_from(request.poses, scene, rigs, request.fixed, verified)
+    if start is None:
+        return Mapped([], refused="neither matches nor positions tell the length of its path against the rig")
+    write_working_copy(request.database, working, scene, start.rigs, False, request.refused)
+    model = model_from(working, scene, start, lambda free: _options(request, free), send)
+    working.unlink()
+    refused = why_not(model, scene, verified)
+    if refused:
+        return Mapped([], start.notes, refused)
+    folder = request.folder / "0"
+    folder.mkdir()
+    model.write(folder)
+    return Mapped([folder], start.notes)
+
+
+def _options(request: Request, free: bool) -> pycolmap.IncrementalPipelineOptions:
+    """``free``: intrinsics and extrinsics are adjusted, where the request lets them."""
+    lens = free and not request.all_constant
+    return pycolmap.IncrementalPipelineOptions(
+        random_seed=request.seed,
+        min_num_matches=request.min_matches,
+        min_model_size=MIN_MODEL_IMAGES,
+        extract_colors=False,
+        ba_refine_focal_length=lens,
+        ba_refine_extra_params=lens,
+        constant_cameras=set(request.constant_cameras),
+        ba_refine_sensor_from_rig=free and len(request.fixed) < len(request.rigs),
+        constant_rigs={k + 1 for k in request.fixed},
+        use_prior_position=request.positions,
+        use_robust_loss_on_prior_position=True,
+    )
 
 
 def _incremental(
     request: Request, working: Path, raw: Path, send: Callable[[Any], None]
 ) -> dict[int, pycolmap.Reconstruction]:
-    options = pycolmap.IncrementalPipelineOptions(
-        random_seed=request.seed,
-        min_num_matches=request.min_matches,
-        min_model_size=MIN_MODEL_IMAGES,
-        extract_colors=False,
-        ba_refine_focal_length=not request.all_constant,
-        ba_refine_extra_params=not request.all_constant,
-        constant_cameras=set(request.constant_cameras),
-        ba_refine_sensor_from_rig=len(request.fixed) < len(request.rigs),
-        constant_rigs={k + 1 for k in request.fixed},
-        use_prior_position=request.positions,
-        use_robust_loss_on_prior_position=True,
-    )
+    options = _options(request, True)
     done = [0]
 
     def count(new: int) -> None:
