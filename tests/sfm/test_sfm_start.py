@@ -72,7 +72,7 @@ def test_rough_poses_become_a_good_model(world, tmp_path: Path) -> None:
 def test_frames_without_a_pose_are_registered(world, tmp_path: Path) -> None:
     true, scene = world
     rough = _rough(true, scene)
-    rough[np.isin(scene.frame, (4, 5, 13))] = np.nan
+    rough[np.isin(scene.frame, (4, 13))] = np.nan
     mapped = _map(tmp_path, scene, rough)
     assert pycolmap.Reconstruction(mapped.folders[0]).num_reg_images() == len(scene)
     assert _error(mapped, true, scene)[0] < 0.004

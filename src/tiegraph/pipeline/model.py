@@ -80,8 +80,9 @@ def sparse(run: Run) -> Outcome:
     verified = pairs_of(run, "verify.npz")
     away = verified.where(verified.dropped == REASONS.index("repeat"))
     refused = tuple(zip(away.i.tolist(), away.j.tolist()))
+    source = Source(run.path("database.db"), run.path("images"), refused, preview=_preview_poses(run), run_map=run.map)
     made = reconstruct(
-        Source(run.path("database.db"), run.path("images"), refused, preview=_preview_poses(run)),
+        source,
         run.path("sparse"),
         checked(run).measured(),
         run.settings.sparse,

@@ -13,6 +13,7 @@ from tiegraph.child import run_in_child
 from tiegraph.errors import ReconstructionError
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
+from tiegraph.sfm.blockwise import RunMap, serially
 from tiegraph.sfm.covariance import PositionSigma
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.finish import Finished, FinishRequest, finish_model
@@ -67,6 +68,7 @@ class Source:
     refused: tuple[tuple[int, int], ...] = ()
     rough: bool = False
     preview: np.ndarray | None = None  # (N, 4, 4) cam_from_world of the images in a rough model that is believed
+    run_map: RunMap = serially  # for the blocks of a large survey
 
 
 def reconstruct(
@@ -113,6 +115,7 @@ def reconstruct(
         refused,
         alone,
         source.preview,
+        source.run_map,
     )
     try:
         return _reconstruct(job, modes)
@@ -167,7 +170,7 @@ def _finish(job: Job, outcome: Outcome, modes: dict[int, str]) -> Finished:
     """Adjust, check, colour and write the models to their place; what there is to say of the first."""
     out = []
     constant = believed_cameras(job.scene, job.settings)
-    course = None if job.preview is None else frame_poses(job.preview, job.scene)[:, :3, 3]
+    preview = None if job.preview is None else frame_poses(job.preview, job.scene)
     for number, folder in enumerate(outcome.folders):
         request = FinishRequest(
             folder=folder,
@@ -184,7 +187,7 @@ def _finish(job: Job, outcome: Outcome, modes: dict[int, str]) -> Finished:
             rigs=() if job.rough else tuple(modes),
             database=None if number or job.rough else job.database,
             refused=job.refused,
-            preview=None if course is None else tuple(map(tuple, course.tolist())),
+            preview=preview,
         )
         out.append(run_in_child(finish_model, request, log=job.log, task="final adjustment"))
     job.notes.extend(out[0].notes)

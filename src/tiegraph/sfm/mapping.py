@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +15,10 @@ from tiegraph.child import run_in_child
 from tiegraph.errors import ReconstructionError
 from tiegraph.scene.rig import Rig, calibrated
 from tiegraph.scene.scene import Scene
+from tiegraph.sfm.blockwise import RunMap, poses_by_blocks, serially
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.losses import no_model_text
-from tiegraph.sfm.model import MIN_OBSERVATIONS, observations
+from tiegraph.sfm.model import MIN_OBSERVATIONS, image_poses, observations
 from tiegraph.sfm.rig.rig import held_by_mapper
 from tiegraph.sfm.run import Mapped, Request, run_mapper
 from tiegraph.sfm.settings import SparseSettings
@@ -27,7 +28,8 @@ _log = logging.getLogger(__name__)
 GLOBAL_FROM_IMAGES = 60  # without a rig: below some tens of images the incremental mapper is as fast (PYCOLMAP 4)
 CLEARLY_FEWER = 0.8  # share of the largest connected part below which the other mapper is tried too
 ROUGHLY_FEWER = 0.5  # likewise in a rough model, where more images see few of its fewer points
-START_SHARE = 0.8  # of the images that the preview model must place, to start from it
+IN_BLOCKS = 1000  # images: above, a mapper makes rough models of blocks, and the model starts from their poses
+SECOND_SURVEY = 10  # images without any tie to the model that are mapped by themselves
 
 Progress = Callable[[int, int], None]
 
@@ -50,6 +52,7 @@ class Job:
     refused: tuple[tuple[int, int], ...] = ()
     alone: tuple[int, ...] = ()  # keys of sensors placed by the rig as given
     preview: np.ndarray | None = None  # (N, 4, 4) cam_from_world of the images in a rough model that is believed
+    run_map: RunMap = serially
 
 
 @dataclass(frozen=True)
@@ -96,20 +99,42 @@ def believed_cameras(scene: Scene, settings: SparseSettings) -> tuple[int, ...]:
 
 
 def map_images(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -> Outcome:
-    """Start from the preview model where there is one and it passes the gate; else, or where that fails, map."""
-    if not label and _can_start(job):
+    """Start from the preview model where there is one and it passes the gate; else map, a large survey in blocks."""
+    asked = job.settings.mapper in ("auto", "preview")
+    if not label and job.preview is not None and asked:
         outcome = _run(job, "preview", rigs, modes, label)
         if outcome.folders:
-            return outcome
+            return _with_others(job, outcome, rigs, modes)
         job.notes.append(f"the model could not start from the preview model: {outcome.refused}; mapped from nothing")
+    if not label and len(job.scene) > IN_BLOCKS and asked and not job.rough:
+        mapper = choose_mapper(job.scene, job.settings, bool(rigs))
+        request = replace(_request(job, mapper, rigs, modes), positions=False)
+        found = poses_by_blocks(request, job.scene, job.graph, job.log, job.run_map)
+        job.notes.extend(found.notes)
+        outcome = _run(replace(job, preview=found.cam_from_world), "preview", rigs, modes, "from blocks")
+        if outcome.folders:
+            return _with_others(job, outcome, rigs, modes)
+        job.notes.append(f"the blocks do not make one model: {outcome.refused}; mapped whole")
     return _mapped(job, rigs, modes, label)
 
 
-def _can_start(job: Job) -> bool:
-    if job.preview is None or job.settings.mapper not in ("auto", "preview"):
-        return False
-    known = np.isfinite(job.preview).all(axis=(1, 2))
-    return bool(known.sum() >= START_SHARE * len(job.scene))
+def _with_others(job: Job, outcome: Outcome, rigs: dict[int, Rig], modes: dict[int, str]) -> Outcome:
+    """Models of what nothing ties to the first one, added to it: a second survey in the folder, for one."""
+    there = np.isfinite(image_poses(pycolmap.Reconstruction(outcome.folders[0]), job.scene)).all(axis=(1, 2))
+    component = job.graph.component
+    known = np.unique(component[there])
+    rest = np.flatnonzero((component >= 0) & ~np.isin(component, known))
+    if len(rest) < SECOND_SURVEY:
+        return outcome
+    mapper = choose_mapper(job.scene, job.settings, bool(rigs))
+    other = _run(job, mapper, rigs, modes, "of what is not tied to it", only=rest)
+    names = f"{job.scene.names[rest[0]]} .. {job.scene.names[rest[-1]]}"
+    job.notes.append(
+        f"{len(rest)} images ({names}) have no verified pair with the first model: another survey, or too little "
+        f"overlap; {'mapped by themselves, see the table of models' if other.folders else 'they make no model'}"
+    )
+    both = sorted([*outcome.folders, *other.folders], key=lambda f: -pycolmap.Reconstruction(f).num_reg_images())
+    return replace(outcome, folders=both)
 
 
 def _mapped(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -> Outcome:
@@ -139,27 +164,38 @@ def _mapped(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -
     return outcome
 
 
-def _run(job: Job, mapper: str, rigs: dict[int, Rig], modes: dict[int, str], label: str, seed: int = 0) -> Outcome:
-    scene = job.scene
-    constant = believed_cameras(scene, job.settings)
-    positions = mapper == "incremental" and job.settings.use_positions and scene.has_positions()
-    request = Request(
+def _request(job: Job, mapper: str, rigs: dict[int, Rig], modes: dict[int, str], seed: int = 0) -> Request:
+    constant = believed_cameras(job.scene, job.settings)
+    return Request(
         mapper=mapper,
         seed=seed,
         database=job.database,
         images=job.images,
         folder=job.out / f"run-{len(job.runs)}-{mapper}",
-        scene=scene.to_json(),
+        scene=job.scene.to_json(),
         rigs=Request.rigs_of(rigs),
         fixed=tuple(k for k in rigs if held_by_mapper(rigs[k], modes[k])),
-        positions=positions,
+        positions=mapper == "incremental" and job.settings.use_positions and job.scene.has_positions(),
         constant_cameras=constant,
-        all_constant=len(constant) == len(scene.all_sensors),
+        all_constant=len(constant) == len(job.scene.all_sensors),
         min_matches=job.settings.min_matches,
         refused=job.refused,
         rough=job.rough,
         poses=job.preview if mapper == "preview" else None,
     )
+
+
+def _run(
+    job: Job,
+    mapper: str,
+    rigs: dict[int, Rig],
+    modes: dict[int, str],
+    label: str,
+    seed: int = 0,
+    only: np.ndarray | None = None,
+) -> Outcome:
+    scene = job.scene
+    request = replace(_request(job, mapper, rigs, modes, seed), only=only)
     total = len(scene)
     per_frame = total / max(scene.frames, 1) if rigs else 1.0
     job.on_progress(0, total)
@@ -176,7 +212,7 @@ def _run(job: Job, mapper: str, rigs: dict[int, Rig], modes: dict[int, str], lab
     job.notes.extend(f"{mapper} model: {note}" for note in mapped.notes)
     registered, points = _seeing(folders[0], scene) if folders else (0, 0)
     rig = "+".join(sorted({modes[k] for k in rigs})) or "absent"
-    held = "positions" if positions else "none"
+    held = "positions" if request.positions else "none"
     job.runs.append([mapper, rig, held, label, len(folders), registered, points, round(seconds, 1)])
     _log.info("%s mapping, rig %s: %d images in the first of %d models", mapper, rig, registered, len(folders))
     return Outcome(mapper, folders, registered, mapped.refused)

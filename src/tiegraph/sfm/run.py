@@ -16,13 +16,14 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import write_working_copy
 from tiegraph.sfm.placement.verified import read_verified
 from tiegraph.sfm.start.gate import why_not
-from tiegraph.sfm.start.poses import start_from
+from tiegraph.sfm.start.poses import largest_piece, start_from
 from tiegraph.sfm.start.rounds import model_from
 
 MIN_MODEL_IMAGES = 3
 # Tracks that every image takes part in at least, longest first, in a rough model. Simulated block of 372 previews: 15
 # instead of 69 CPU s, centres good to 0.15 instead of 0.01 m, rotations to 0.05 instead of 0.03 deg (medians).
 ROUGH_TRACKS = 100
+START_SHARE = 0.8  # of the images of one piece that must have a pose, to start from these
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,7 @@ class Request:
     min_matches: int
     refused: tuple[tuple[int, int], ...] = ()  # scene indices of pairs the mapper must not see
     rough: bool = False  # few tracks, none found later
+    only: np.ndarray | None = None  # scene indices of the images to map, None = all
     poses: np.ndarray | None = None  # (N, 4, 4) cam_from_world to start from (mapper "preview"); NaN = unknown
 
     @staticmethod
@@ -69,7 +71,7 @@ def run_mapper(request: Request, send: Callable[[Any], None]) -> Mapped:
     rigs = {k: rig_from_dict(r) for k, r in request.rigs.items()}
     if request.mapper == "preview":
         return _from_poses(request, working, scene, rigs, send)
-    write_working_copy(request.database, working, scene, rigs, request.positions, request.refused)
+    write_working_copy(request.database, working, scene, rigs, request.positions, request.refused, request.only)
     raw = request.folder / "raw"
     raw.mkdir()
     models = (
@@ -93,13 +95,18 @@ def _from_poses(
     """One model from the poses that are roughly known, if it passes the gate."""
     assert request.poses is not None
     verified = read_verified(request.database, scene, request.refused)
-    start = start_from(request.poses, scene, rigs, request.fixed, verified)
+    piece = largest_piece(request.poses, scene, rigs, verified.pairs)
+    poses = np.where(piece[:, None, None], request.poses, np.nan)
+    placed = np.isfinite(poses).all(axis=(1, 2))
+    if placed.sum() < START_SHARE * piece.sum():
+        return Mapped([], refused=f"it places {placed.sum()} of {piece.sum()} images that hold together")
+    start = start_from(poses, scene, rigs, request.fixed, verified)
     if start is None:
         return Mapped([], refused="neither matches nor positions tell the length of its path against the rig")
-    write_working_copy(request.database, working, scene, start.rigs, False, request.refused)
+    write_working_copy(request.database, working, scene, start.rigs, False, request.refused, request.only)
     model = model_from(working, scene, start, lambda free: _options(request, free), send)
     working.unlink()
-    refused = why_not(model, scene, verified)
+    refused = why_not(model, scene, verified, piece)
     if refused:
         return Mapped([], start.notes, refused)
     folder = request.folder / "0"

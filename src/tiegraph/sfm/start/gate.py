@@ -18,14 +18,14 @@ MIN_SEEING = 0.9  # share of the images with two verified pairs that see points
 MAX_ERROR_PX = 2.0  # mean reprojection error; observations are cut at 4 px
 
 
-def why_not(model: pycolmap.Reconstruction, scene: Scene, verified: Verified) -> str:
-    """Why the model is not good enough; "" if it is."""
+def why_not(model: pycolmap.Reconstruction, scene: Scene, verified: Verified, piece: np.ndarray) -> str:
+    """Why the model of a ``piece`` (N,) bool of the images is not good enough; "" if it is."""
     own = {k + 1: s.camera for k, s in enumerate(scene.all_sensors) if s.camera is not None}
     lens = impossible_camera(own, model.cameras, set(own) & set(model.cameras))
     if lens is not None:
         return f"no lens is like what became of camera {scene.all_sensors[lens - 1].name}"
     degree = np.bincount(verified.pairs.ravel(), minlength=len(scene))
-    tied = degree >= 2
+    tied = piece & (degree >= 2)
     seeing = observations(model, scene) >= MIN_OBSERVATIONS
     share = float(np.mean(seeing[tied])) if tied.any() else 0.0
     if share < MIN_SEEING:

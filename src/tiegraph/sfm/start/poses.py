@@ -9,12 +9,15 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
+from tiegraph.scene.graph import parts
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses, rigid3d
 from tiegraph.sfm.placement.verified import Verified
 from tiegraph.sfm.rig.rig import l1_mean_rotation
 from tiegraph.sfm.start.scale import path_scale
+
+MAX_LEVER_OFF = 0.5  # of a given lever arm that the poses may show it off; more, and the start takes the given one
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,17 @@ def start_from(
     return Start(fitted, frames, images, (note,) if abs(found.scale - 1) > 0.02 else ())
 
 
+def largest_piece(cam_from_world: np.ndarray, scene: Scene, rigs: Collection[int], pairs: np.ndarray) -> np.ndarray:
+    """(N,) bool: images of the piece with most known poses that verified pairs (P, 2) and rigs hold together. What
+    nothing ties to it would stay where a rough model had it, untested, and drift."""
+    bound = np.isin(scene.rig[scene.frame], list(rigs))
+    node = np.where(bound, scene.frame, scene.frames + np.arange(len(scene)))
+    label = parts(node[pairs[:, 0]], node[pairs[:, 1]], scene.frames + len(scene))[node]
+    known = np.isfinite(cam_from_world).all(axis=(1, 2))
+    largest = np.bincount(label[known]).argmax() if known.any() else -1
+    return label == largest
+
+
 def _cam_from_rig(scene: Scene) -> np.ndarray:
     """(N, 4, 4) of each image by the scene's extrinsics; NaN = unknown."""
     of = np.full((len(scene.all_sensors), 4, 4), np.nan)
@@ -87,11 +101,19 @@ def rig_of_poses(scene: Scene, index: int, rig: Rig, cam_from_world: np.ndarray)
     sensors = list(rig.sensors)
     for place, sensor in enumerate(rig.sensors):
         own = sensor.sensor_from_rig
+        if place in shown and own is not None and _ran_off(shown[place], own, units):
+            shown[place] = transforms.rigid(shown[place][:3, :3], units * own[:3, 3])
         if place in shown:
             sensors[place] = replace(sensor, sensor_from_rig=shown[place])
         elif own is not None and place:
             sensors[place] = replace(sensor, sensor_from_rig=transforms.rigid(own[:3, :3], units * own[:3, 3]))
     return replace(rig, sensors=tuple(sensors))
+
+
+def _ran_off(found: np.ndarray, given: np.ndarray, units: float) -> bool:
+    """Whether a lever arm is unlike the given one: a camera with few ties (canal's up camera, three times too long)."""
+    length = units * float(np.linalg.norm(given[:3, 3]))
+    return length > 0 and float(np.linalg.norm(found[:3, 3] - units * given[:3, 3])) > MAX_LEVER_OFF * length
 
 
 def _units(rig: Rig, shown: Mapping[int, np.ndarray]) -> float:

@@ -41,8 +41,8 @@ def path_scale(scene: Scene, cam_from_rig: np.ndarray, world_from_rig: np.ndarra
     """Scale of the path of the frames (F, 4, 4) for rigs whose extrinsics (N, 4, 4), one an image, stay: by the matches
     if they tell it, else by the prior positions, else unknown."""
     rays = _rays(scene, cam_from_rig, world_from_rig, verified)
-    for cap_rad in CAPS_RAD if rays is not None else ():
-        scale = _by_matches(rays, cap_rad)
+    told = (_by_matches(rays, cap_rad) for cap_rad in CAPS_RAD) if rays is not None else ()
+    for scale in told:
         if scale is not None:
             return PathScale(scale, "its matches")
     scale = _by_positions(scene, world_from_rig[:, :3, 3])
