@@ -91,7 +91,8 @@ def test_a_frame_that_looks_like_nothing_is_missing_with_its_reason(world, tmp_p
     settled = _settle(_lose(model, tmp_path, LOST), scene, tmp_path)
     assert settled.model.num_reg_images() == len(scene) - 3
     assert {name for name, _ in settled.dropped} == {f"cam{s}/{LOST:03d}.jpg" for s in range(3)}
-    assert all("its neighbours on the pass puts it" in why and "are needed" in why for _, why in settled.dropped)
+    reasons = {why for _, why in settled.dropped}
+    assert all("at the place that its neighbours on the pass give" in r and "are needed" in r for r in reasons)
 
 
 def test_an_image_that_hangs_on_the_rig_is_tied(world, tmp_path: Path) -> None:
@@ -123,7 +124,7 @@ def test_poses_are_predicted_by_the_preview_model_and_by_the_pass() -> None:
     preview = turn @ true
     preview[:, :3, 3] *= 0.3
     by_preview, by_pass = predicted(LOST, poses, preview, scene), predicted(LOST, poses, None, scene)
-    assert by_preview.by == "the preview model" and by_preview.slack_rad == BY_PREVIEW_RAD
+    assert by_preview.by == "poses of the preview model" and by_preview.slack_rad == BY_PREVIEW_RAD
     np.testing.assert_allclose(by_preview.pose, true[LOST], atol=1e-6)
     assert by_pass.slack_rad == BY_PASS_RAD and 1e-4 < np.linalg.norm((by_pass.pose - true[LOST])[:3, 3]) < 0.1
     alone = np.where((np.arange(FRAMES) < FRAMES - 1)[:, None, None], poses, np.nan)

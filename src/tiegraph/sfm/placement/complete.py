@@ -65,7 +65,7 @@ def _place_missing(work: Repair, image_ids: dict[int, int], descriptors: Descrip
         placed = place(rows_of(found, work.verified, seen), *mounts(work, unit.images))
         if placed is None or not _holds(placed, where):
             agree = 0 if placed is None else placed.inliers
-            text = f"guided matching near where {where.by} puts it: {agree} points agree, {MIN_INLIERS} are needed"
+            text = f"guided matching at the place that {where.by} give: {agree} points agree, {MIN_INLIERS} are needed"
             done.why.update(dict.fromkeys(unit.images, text))
             continue
         if not near_course(unit.frame, placed.pose[:3, 3], poses, scene, way, main):

@@ -32,7 +32,7 @@ def predicted(frame: int, poses: np.ndarray, preview: np.ndarray | None, scene: 
     if preview is not None and np.isfinite(preview[frame]).all():
         found = _by_preview(frame, poses, preview, known)
         if found is not None:
-            return Predicted(found, BY_PREVIEW_RAD, "the preview model")
+            return Predicted(found, BY_PREVIEW_RAD, "poses of the preview model")
     found = _by_pass(frame, poses, scene, known)
     return None if found is None else Predicted(found, BY_PASS_RAD, "its neighbours on the pass")
 
