@@ -29,14 +29,15 @@ def adopt(work: Repair, image_ids: dict[int, int]) -> list[tuple[int, int]]:
     index. The model gets the images with their key points, without observations.
     """
     scene, model = work.scene, work.model
+    lost = {frame for frame, _ in work.left_out}
+    units = [u for u in missing(work, tied_images(work)) if u.frame not in lost]
+    if not units:
+        return []
     seen = seen_by(model, scene)
     poses, way = work.poses(), work.way()
     main = {int(scene.frame[k]) for k in seen.point}
-    lost = {frame for frame, _ in work.left_out}
     out = []
-    for unit in missing(work, set(seen.point), tied_images(work)):
-        if unit.frame in lost:
-            continue
+    for unit in units:
         found = place_images(work, unit.images, seen)
         if found is None or not found.holds():
             continue
@@ -52,9 +53,10 @@ def tied_images(work: Repair) -> set[int]:
     return set(np.unique(work.verified.pairs).tolist()) if len(work.verified.pairs) else set()
 
 
-def missing(work: Repair, there: set[int], among: set[int]) -> list[Unit]:
+def missing(work: Repair, among: set[int]) -> list[Unit]:
     """What is not in the model, but for units none of whose images is ``among`` some."""
     scene, model = work.scene, work.model
+    there = {scene.image_index.get(model.image(i).name, -1) for i in model.reg_image_ids()}
     units: dict[tuple[int, int], list[int]] = {}
     for k in range(len(scene)):
         if k in there or int(scene.sensor_key[k]) + 1 not in model.cameras:

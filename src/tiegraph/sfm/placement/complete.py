@@ -49,11 +49,11 @@ def complete(work: Repair, image_ids: dict[int, int], descriptors: Descriptors, 
 
 def _place_missing(work: Repair, image_ids: dict[int, int], descriptors: Descriptors, done: Completed) -> None:
     scene = work.scene
-    seen = seen_by(work.model, scene)
     with_features = {k for k, xy in work.verified.xy.items() if len(xy)}
-    units = [u for u in missing(work, set(seen.point), with_features) if u.frame not in dict(work.left_out)]
+    units = [u for u in missing(work, with_features) if u.frame not in dict(work.left_out)]
     if not units:
         return
+    seen = seen_by(work.model, scene)
     poses, way = work.poses(), work.way()
     main = {int(scene.frame[k]) for k in seen.point}
     for unit in units:
