@@ -19,7 +19,7 @@ from tiegraph.sfm.model import frame_poses, image_poses
 from tiegraph.sfm.placement.verified import read_verified
 from tiegraph.sfm.run import Mapped, Request, run_mapper
 from tiegraph.sfm.settings import SparseSettings
-from tiegraph.sfm.start.poses import rig_of_poses
+from tiegraph.sfm.start.poses import rig_of_poses, start_from
 from tiegraph.sfm.start.scale import path_scale
 
 
@@ -123,6 +123,18 @@ def test_positions_tell_the_length_where_matches_do_not(world, tmp_path: Path) -
     assert found.by == "the positions" and found.scale == pytest.approx(1 / 3, rel=0.01)
     assert path_scale(placed, extrinsics, frames, alone).scale == 1.0
     assert path_scale(scene, extrinsics, stretched, verified).scale == pytest.approx(1 / 3, rel=0.03)
+
+
+def test_a_rig_of_one_centre_has_no_length_to_compare(world, tmp_path: Path) -> None:
+    """The views of a panorama: nothing fixes the scale, and nothing contradicts it."""
+    true, scene = world
+    sensors = [replace(s, sensor_from_rig=transforms.rigid(s.sensor_from_rig[:3, :3], np.zeros(3)))
+               for s in scene.rigs[0].sensors]  # fmt: skip
+    views = scene.with_(rigs=(replace(scene.rigs[0], sensors=tuple(sensors)),))
+    verified = read_verified(tmp_path / "database.db", views)
+    started = start_from(true, views, {0: views.rigs[0]}, (0,), verified)
+    assert started is not None and started.notes == ()
+    np.testing.assert_allclose(started.world_from_rig, frame_poses(true, scene), atol=1e-9)
 
 
 @pytest.mark.slow

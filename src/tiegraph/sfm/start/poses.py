@@ -17,6 +17,7 @@ from tiegraph.sfm.placement.verified import Verified
 from tiegraph.sfm.rig.rig import l1_mean_rotation
 from tiegraph.sfm.start.scale import path_scale
 
+ONE_CENTRE = 1e-6  # metres: shorter baselines are none
 MAX_LEVER_OFF = 0.5  # of a given lever arm that the poses may show it off; more, and the start takes the given one
 
 
@@ -44,9 +45,10 @@ def start_from(
     fitted = {k: rig if k in held else rig_of_poses(scene, k, rig, cam_from_world) for k, rig in rigs.items()}
     scene = scene.with_(rigs=tuple(fitted.get(k, r) for k, r in enumerate(scene.rigs)))
     frames = frame_poses(cam_from_world, scene)
-    if not held:
-        return Start(fitted, frames, cam_from_world)
-    found = path_scale(scene, _cam_from_rig(scene), frames, verified)
+    cam_from_rig = _cam_from_rig(scene)
+    if not held or np.nanmax(np.linalg.norm(cam_from_rig[:, :3, 3], axis=1), initial=0.0) < ONE_CENTRE:
+        return Start(fitted, frames, cam_from_world)  # nothing to compare the path with: panoramas, loose photographs
+    found = path_scale(scene, cam_from_rig, frames, verified)
     if not np.isfinite(found.scale):
         return None
     frames[:, :3, 3] *= found.scale

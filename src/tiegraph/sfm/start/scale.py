@@ -24,8 +24,8 @@ CAPS_RAD = (0.002, 0.006)  # beyond, a match says nothing: two pixels of a surve
 RANGE = 64.0  # times too long or too short a path may be
 NEAR = 1.25  # apart, two scales must differ in their votes for the scale to be known
 DIP = 0.03  # by which the votes must differ, as a share (KITTI's baseline 0.30, PandaSet's rig 0.000)
-SIGMAS = 10.0  # apart are two positions whose distance tells the scale
-CLEAR = 1.1  # times: a scale by positions that differs less from the rig's is not worth the change
+SIGMAS = 4.0  # apart are two positions whose distance tells the scale
+CLEAR = 1.1  # times, or three sigmas: a scale by positions that differs less from the rig's is not worth the change
 _PAIRS, _GRID, _FINE = 4000, 57, 21
 
 
@@ -45,9 +45,10 @@ def path_scale(scene: Scene, cam_from_rig: np.ndarray, world_from_rig: np.ndarra
     for scale in told:
         if scale is not None:
             return PathScale(scale, "its matches")
-    scale = _by_positions(scene, world_from_rig[:, :3, 3])
-    if scale is not None:
-        return PathScale(scale if abs(np.log(scale)) > np.log(CLEAR) else 1.0, "the positions")
+    placed = _by_positions(scene, world_from_rig[:, :3, 3])
+    if placed is not None:
+        clear = max(np.log(CLEAR), 3 * placed[1])
+        return PathScale(placed[0] if abs(np.log(placed[0])) > clear else 1.0, "the positions")
     return PathScale(float("nan"), "nothing")
 
 
@@ -111,7 +112,8 @@ def _by_matches(rays: _Rays, cap_rad: float) -> float | None:
     return float(np.exp(best)) if beside - lowest > DIP * max(lowest, 1e-9) else None
 
 
-def _by_positions(scene: Scene, centre: np.ndarray) -> float | None:
+def _by_positions(scene: Scene, centre: np.ndarray) -> tuple[float, float] | None:
+    """Scale and its sigma, as a share: that of one long distance, for a receiver's errors go together."""
     position = scene.world_from_rig[:, :3, 3]
     known = np.flatnonzero(np.isfinite(centre).all(axis=1) & np.isfinite(position).all(axis=1))
     if len(known) < 3:
@@ -120,5 +122,8 @@ def _by_positions(scene: Scene, centre: np.ndarray) -> float | None:
     a, b = np.random.default_rng(0).choice(len(known), (2, _PAIRS))
     apart = np.linalg.norm(position[known[a]] - position[known[b]], axis=1)
     own = np.linalg.norm(centre[known[a]] - centre[known[b]], axis=1)
-    far = (apart > SIGMAS * np.maximum(sigma[a] + sigma[b], 0.01)) & (own > 0)
-    return float(np.median(apart[far] / own[far])) if far.sum() >= 10 else None
+    noise = np.maximum(sigma[a] + sigma[b], 0.01)
+    far = (apart > SIGMAS * noise) & (own > 0)
+    if far.sum() < 10:
+        return None
+    return float(np.median(apart[far] / own[far])), float(np.median(noise[far] / apart[far]))
