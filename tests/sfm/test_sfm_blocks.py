@@ -75,7 +75,9 @@ def test_two_surveys_in_one_folder_become_two_models(world, tmp_path: Path) -> N
             if len(set(divmod(pair, MAX_IMAGES)) & late) == 1:
                 db.execute("DELETE FROM two_view_geometries WHERE pair_id = ?", (pair,))
     source = Source(tmp_path / "database.db", None, preview=true)
-    result = reconstruct(source, tmp_path / "sparse", scene, SparseSettings(covariance_frames=0), tmp_path / "log.txt")
+    result = reconstruct(
+        source, tmp_path / "sparse", scene, SparseSettings(mapper="preview", covariance_frames=0), tmp_path / "log.txt"
+    )
     assert result.mapper == "preview" and [len(m.images) for m in result.models] == [54, 18]
     assert any("18 images" in n and "another survey" in n for n in result.notes)
     assert {why for _, why in result.dropped} == {"in model 1, not joined to the first"}

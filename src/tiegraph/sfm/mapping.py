@@ -28,7 +28,9 @@ _log = logging.getLogger(__name__)
 GLOBAL_FROM_IMAGES = 60  # without a rig: below some tens of images the incremental mapper is as fast (PYCOLMAP 4)
 CLEARLY_FEWER = 0.8  # share of the largest connected part below which the other mapper is tried too
 ROUGHLY_FEWER = 0.5  # likewise in a rough model, where more images see few of its fewer points
-IN_BLOCKS = 1000  # images: above, a mapper makes rough models of blocks, and the model starts from their poses
+# Images: above, "auto" starts from the preview model, or from rough models of blocks. Below, it maps from nothing:
+# twice the time, but canal's up camera is then 11 mm off and not 24 (benchmarks/sfm/README.md).
+IN_BLOCKS = 1000
 SECOND_SURVEY = 10  # images without any tie to the model that are mapped by themselves
 
 Progress = Callable[[int, int], None]
@@ -99,14 +101,16 @@ def believed_cameras(scene: Scene, settings: SparseSettings) -> tuple[int, ...]:
 
 
 def map_images(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -> Outcome:
-    """Start from the preview model where there is one and it passes the gate; else map, a large survey in blocks."""
-    asked = job.settings.mapper in ("auto", "preview")
+    """Start from the preview model where that is asked for, or the survey is large; where there is none, or it does not
+    pass the gate, map, a large survey in blocks."""
+    large = len(job.scene) > IN_BLOCKS
+    asked = job.settings.mapper == "preview" or (job.settings.mapper == "auto" and large)
     if not label and job.preview is not None and asked:
         outcome = _run(job, "preview", rigs, modes, label)
         if outcome.folders:
             return _with_others(job, outcome, rigs, modes)
         job.notes.append(f"the model could not start from the preview model: {outcome.refused}; mapped from nothing")
-    if not label and len(job.scene) > IN_BLOCKS and asked and not job.rough:
+    if not label and large and asked and not job.rough:
         mapper = choose_mapper(job.scene, job.settings, bool(rigs))
         request = replace(_request(job, mapper, rigs, modes), positions=False)
         found = poses_by_blocks(request, job.scene, job.graph, job.log, job.run_map)

@@ -14,7 +14,7 @@ class SparseSettings(Section):
     """How the images become a model: poses, points and cameras (COLMAP)."""
 
     mapper: Literal["auto", "preview", "incremental", "global"] = "auto"
-    """Mapper: preview (from the preview model's poses), incremental, global (GLOMAP); auto = preview, else by count."""
+    """Mapper: preview (from the preview model: half the time), incremental, global (GLOMAP); auto = by rig and size."""
 
     rig: Literal["auto", "fixed", "refined", "absent"] = "auto"
     """Rig: fixed = as given, refined = adjusted with the model, absent = ignored, auto = fixed if calibrated."""
