@@ -12,6 +12,7 @@ import pycolmap
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import write_working_copy
+from tiegraph.sfm.losses import LEFT_OUT
 from tiegraph.sfm.placement.adopt import adopt
 from tiegraph.sfm.placement.complete import Completed, complete
 from tiegraph.sfm.placement.guided import Descriptors
@@ -114,5 +115,5 @@ def _table(work: Repair, adopted: dict[int, int], done: Completed) -> dict | Non
 def _dropped(work: Repair, done: Completed) -> list[tuple[str, str]]:
     out = [(work.scene.names[k], why) for k, why in sorted(done.why.items())]
     for frame, why in work.left_out:
-        out += [(work.scene.names[k], f"left out: {why}") for k in np.flatnonzero(work.scene.frame == frame)]
+        out += [(work.scene.names[k], f"{LEFT_OUT}{why}") for k in np.flatnonzero(work.scene.frame == frame)]
     return out
