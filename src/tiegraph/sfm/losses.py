@@ -22,8 +22,8 @@ def unregistered(
 ) -> list[tuple[str, str]]:
     """(image name, reason) of each image that is not in the first model.
 
-    ``registered`` holds the scene indices of each model's images, the first model first; ``known``: by name, why an image
-    was left out, or what else was tried.
+    ``registered`` holds the scene indices of each model's images, the first model first; ``known``: by name, why an
+    image was left out, or what else was tried.
     """
     main = np.zeros(len(scene), bool)
     main[registered[0]] = True
