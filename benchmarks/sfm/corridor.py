@@ -44,17 +44,17 @@ def corridor(
     """
     rng = np.random.default_rng(seed)
     s = np.arange(0.0, length_m, step_m)
-    truth = _path(s)
-    cameras = [_camera(k) for k in range(4)]
+    truth = path_of(s)
+    cameras = [camera_of(k) for k in range(4)]
     count = int(points_per_m * length_m)
     along, side = rng.uniform(-10, length_m + 10, count), rng.choice([-1.0, 1.0], count)
-    base = _path(along)
+    base = path_of(along)
     offset = np.stack([side * rng.uniform(9, 14, count), -rng.uniform(-1, 6, count), np.zeros(count)], axis=1)
     xyz = np.einsum("nij,nj->ni", base[:, :3, :3], offset) + base[:, :3, 3]
     names = [f"cam{c}/{k:05d}.jpg" for k in range(len(s)) for c in range(4)]
-    seen = _sights(truth, cameras, xyz, radial, rng)
-    rig = Rig("ring", tuple(Sensor(f"cam{c}", _pinhole(c + 1), p, folder=f"cam{c}") for c, p in enumerate(cameras)))
-    model = _model(_drifted(truth, rng), cameras, xyz + rng.normal(0, 0.05, xyz.shape), seen, names)
+    seen = sights(truth, cameras, xyz, radial, rng)
+    rig = Rig("ring", tuple(Sensor(f"cam{c}", pinhole(c + 1), p, folder=f"cam{c}") for c, p in enumerate(cameras)))
+    model = _model(drifted(truth, rng), cameras, xyz + rng.normal(0, 0.05, xyz.shape), seen, names)
     order = np.argsort(names, kind="stable")
     frame, sensor = np.repeat(np.arange(len(s)), 4)[order], np.tile(np.arange(4), len(s))[order]
     scene = simple_scene(
@@ -63,7 +63,7 @@ def corridor(
     return Corridor(truth, scene, model)
 
 
-def _path(s: np.ndarray) -> np.ndarray:
+def path_of(s: np.ndarray) -> np.ndarray:
     """world_from_rig along the canal: x right, y down, z forward."""
     heading = 0.4 * np.sin(s / 60)
     grid = np.arange(-20.0, float(np.max(s)) + 30, 0.1)
@@ -75,21 +75,21 @@ def _path(s: np.ndarray) -> np.ndarray:
     return transforms.rigid(np.stack([np.cross(down, ahead), down, ahead], axis=2), place)
 
 
-def _camera(k: int) -> np.ndarray:
+def camera_of(k: int) -> np.ndarray:
     """sensor_from_rig of a ring camera: 90 degrees apart, 10 cm from the middle; the first is the reference."""
     turn = Rotation.from_euler("y", -90.0 * k, degrees=True).as_matrix()
     centre = 0.1 * (turn.T @ [0.0, 0.0, 1.0] - [0.0, 0.0, 1.0])
     return transforms.rigid(turn, -turn @ centre)
 
 
-def _pinhole(camera_id: int) -> pycolmap.Camera:
+def pinhole(camera_id: int) -> pycolmap.Camera:
     params = [FOCAL, WIDTH / 2, HEIGHT / 2, 0.0]
     camera = pycolmap.Camera(model="SIMPLE_RADIAL", width=WIDTH, height=HEIGHT, params=params, camera_id=camera_id)
     camera.has_prior_focal_length = True
     return camera
 
 
-def _sights(truth, cameras, xyz, radial, rng) -> list[list[tuple[int, np.ndarray]]]:  # type: ignore[no-untyped-def]
+def sights(truth, cameras, xyz, radial, rng) -> list[list[tuple[int, np.ndarray]]]:  # type: ignore[no-untyped-def]
     """Per image (frame by frame, camera by camera): the points it sees and where."""
     out = []
     left = np.full((4, len(xyz)), SIGHT)
@@ -107,7 +107,7 @@ def _sights(truth, cameras, xyz, radial, rng) -> list[list[tuple[int, np.ndarray
     return out
 
 
-def _drifted(truth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def drifted(truth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """The poses with small steps wrong by a random walk, as a start."""
     steps = transforms.invert(truth[:-1]) @ truth[1:]
     turn = Rotation.from_rotvec(np.radians(0.02) * rng.standard_normal((len(steps), 3))).as_matrix()
@@ -122,7 +122,7 @@ def _model(poses, cameras, xyz, seen, names) -> pycolmap.Reconstruction:  # type
     model = pycolmap.Reconstruction()
     rig = pycolmap.Rig(rig_id=1)
     for c, sensor in enumerate(cameras):
-        model.add_camera(_pinhole(c + 1))
+        model.add_camera(pinhole(c + 1))
         identity = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, c + 1)
         if c == 0:
             rig.add_ref_sensor(identity)

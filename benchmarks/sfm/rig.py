@@ -29,7 +29,7 @@ from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.finish import FinishRequest, finish_model
-from tiegraph.sfm.mapper import believed_cameras
+from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.model import frame_poses, image_poses
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.rig.support import ties_of, unsupported_sensors
@@ -84,7 +84,6 @@ def _request(folder: Path, scene: Scene, scratch: Path) -> FinishRequest:
     alone = unsupported_sensors(scene, graph, modes)
     with np.load(folder / "network" / "model.npz") as data:
         poses = np.where(data["trusted"][:, None, None], data["cam_from_world"], np.nan)
-    preview = frame_poses(poses, scene)[:, :3, 3]
     return FinishRequest(
         folder=folder / "sparse" / "0",
         target=scratch / "finished",
@@ -99,7 +98,7 @@ def _request(folder: Path, scene: Scene, scratch: Path) -> FinishRequest:
         rigs=tuple(modes),
         database=folder / "database.db",
         refused=(*refused, *ties_of(scene, graph, alone)),
-        preview=tuple(map(tuple, preview.tolist())),
+        preview=frame_poses(poses, scene),
         scratch=scratch / "placement",
     )
 

@@ -9,11 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
-from tiegraph.network.model import blocks
 from tiegraph.network.model.assembled import SurveyMapper
-from tiegraph.network.model.blocks import blocks_of
-from tiegraph.network.model.joining import Poses, join, join_models
 from tiegraph.network.model.surveymodel import SurveyModel
+from tiegraph.scene import blocks
+from tiegraph.scene.blocks import blocks_of
+from tiegraph.scene.joining import Poses, join, join_models
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.scene.ties import Ties

@@ -13,7 +13,8 @@ from tiegraph.errors import ReconstructionError, SettingsError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.mapper import Source, SparseResult, choose_mapper, reconstruct
+from tiegraph.sfm.mapper import Source, SparseResult, reconstruct
+from tiegraph.sfm.mapping import choose_mapper
 from tiegraph.sfm.model import frame_poses, held_out_frames, image_poses
 from tiegraph.sfm.rig.rig import model_extrinsics, rig_modes
 from tiegraph.sfm.settings import SparseSettings

@@ -65,7 +65,9 @@ def test_a_frame_at_a_repeated_wall_is_placed_again(world, tmp_path: Path, previ
     model, scene = world
     true = _centres(model, scene)
     _shift(model, range(6, 7), 12.0)
-    settled = _settle(model, scene, tmp_path, 0.2 * true if previewed else None)
+    settled = _settle(
+        model, scene, tmp_path, transforms.rigid(np.tile(np.eye(3), (14, 1, 1)), 0.2 * true) if previewed else None
+    )
     assert any("wrong place" in n for n in settled.notes)
     assert [row[1] for row in settled.table["rows"]] == ["placed again"]
     assert np.linalg.norm(_centres(settled.model, scene) - true, axis=1).max() < 0.05

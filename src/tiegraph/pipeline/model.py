@@ -15,7 +15,6 @@ from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
 from tiegraph.scene.pairs import REASONS
 from tiegraph.sfm.mapper import Source, reconstruct
-from tiegraph.sfm.model import frame_poses
 
 _SLAB_IMAGES = 16  # images a worker extracts before their features are written: bounds memory and what a kill loses
 
@@ -81,8 +80,9 @@ def sparse(run: Run) -> Outcome:
     verified = pairs_of(run, "verify.npz")
     away = verified.where(verified.dropped == REASONS.index("repeat"))
     refused = tuple(zip(away.i.tolist(), away.j.tolist()))
+    source = Source(run.path("database.db"), run.path("images"), refused, preview=_preview_poses(run), run_map=run.map)
     made = reconstruct(
-        Source(run.path("database.db"), run.path("images"), refused, preview=_preview_positions(run)),
+        source,
         run.path("sparse"),
         checked(run).measured(),
         run.settings.sparse,
@@ -95,11 +95,10 @@ def sparse(run: Run) -> Outcome:
     return Outcome(counts, dropped=made.dropped, notes=made.notes, tables=made.tables)
 
 
-def _preview_positions(run: Run) -> np.ndarray | None:
-    """(F, 3) where the trusted part of the preview model has the frames, None without one."""
+def _preview_poses(run: Run) -> np.ndarray | None:
+    """(N, 4, 4) cam_from_world of the images in the trusted part of the preview model, None without one."""
     path = run.path("network", "model.npz")
     if not path.exists():
         return None
     with np.load(path) as data:
-        poses = np.where(data["trusted"][:, None, None], data["cam_from_world"], np.nan)
-    return frame_poses(poses, checked(run))[:, :3, 3]
+        return np.where(data["trusted"][:, None, None], data["cam_from_world"], np.nan)

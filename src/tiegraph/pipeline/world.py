@@ -17,7 +17,7 @@ from tiegraph.scene.control import Control, locate
 from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.mapper import believed_cameras
+from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.world.accuracy import PlacementError
 from tiegraph.sfm.world.fixes import Given, PositionRows

@@ -17,7 +17,13 @@ from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import held_out_frames, rigid3d
 
-_COPIED = ("cameras", "images", "keypoints", "two_view_geometries")  # all a mapper reads besides rigs, frames, priors
+# All a mapper reads besides rigs, frames and priors, and which rows of it some images need.
+_COPIED = {
+    "cameras": "",
+    "images": "WHERE image_id IN wanted",
+    "keypoints": "WHERE image_id IN wanted",
+    "two_view_geometries": f"WHERE pair_id / {MAX_IMAGES} IN wanted AND pair_id % {MAX_IMAGES} IN wanted",
+}
 _UNKNOWN_SIGMA_M = 10.0  # of a position whose source gives none (hand-held GPS)
 
 
@@ -28,13 +34,15 @@ def write_working_copy(
     with_rig: Mapping[int, Rig],
     positions: bool,
     refused: Sequence[tuple[int, int]] = (),
+    only: np.ndarray | None = None,
 ) -> None:
     """Copy what a mapper needs of ``source`` to a new database ``target``.
 
     ``with_rig`` maps rig indices to the rigs to constrain by; images of other rigs, and of sensors whose extrinsics are
     unknown there, become frames of their own. ``positions``: write the scene's prior positions (world metres) for the
     mapper, all but the held-out ones. ``refused`` are pairs of scene indices whose ties the mapper must not see.
-    Descriptors and raw matches, most of the bytes, stay behind.
+    ``only``: scene indices of the images to copy, None = all. Descriptors and raw matches, most of the bytes, stay
+    behind.
     """
     target.unlink(missing_ok=True)
     pycolmap.Database.open(target).close()  # COLMAP makes the tables
@@ -43,8 +51,14 @@ def write_working_copy(
         connection.execute("PRAGMA synchronous = OFF")
         connection.execute("ATTACH DATABASE ? AS source", (str(source),))
         with connection:
-            for table in _COPIED:
-                connection.execute(f"INSERT INTO {table} SELECT * FROM source.{table}")
+            connection.execute("CREATE TEMP TABLE wanted (image_id INTEGER PRIMARY KEY)")
+            chosen = None if only is None else {scene.names[k] for k in only.tolist()}
+            rows = connection.execute("SELECT image_id, name FROM source.images").fetchall()
+            ids = [(number,) for number, name in rows if chosen is None or name in chosen]
+            connection.executemany("INSERT INTO wanted VALUES (?)", ids)
+            for table, where in _COPIED.items():
+                part = "" if only is None else where
+                connection.execute(f"INSERT INTO {table} SELECT * FROM source.{table} {part}")
             names = {name: image_id for image_id, name in connection.execute("SELECT image_id, name FROM images")}
             gone = [sorted(names.get(scene.names[k], 0) for k in pair) for pair in refused]
             connection.executemany(

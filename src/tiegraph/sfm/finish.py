@@ -43,7 +43,7 @@ class FinishRequest:
     rigs: tuple[int, ...] = ()  # rig indices the model was made with
     database: Path | None = None  # None: the place of frames is not tested
     refused: tuple[tuple[int, int], ...] = ()
-    preview: tuple[tuple[float, float, float], ...] | None = None  # positions of the frames in a rough model
+    preview: np.ndarray | None = None  # (F, 4, 4) world_from_rig of the frames in a rough model
     scratch: Path | None = None  # None: below ``folder``
     rough: bool = False  # as the mapper left it
 
@@ -94,7 +94,6 @@ def _settled(model: pycolmap.Reconstruction, scene: Scene, request: FinishReques
     # COLMAP asks for a folder of images, though points need none.
     source = (request.database, request.images or request.folder, request.refused)
     rigs = {k: scene.rigs[k] for k in request.rigs}
-    preview = None if request.preview is None else np.array(request.preview, float)
     try:
         return settle(
             pycolmap.Reconstruction(model),
@@ -102,7 +101,8 @@ def _settled(model: pycolmap.Reconstruction, scene: Scene, request: FinishReques
             source,
             rigs,
             request.scratch or request.folder / "placement",
-            preview,
+            request.preview,
+            frozenset(request.alone),
         )
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
         return Settled(model, [f"the place of the frames could not be tested: {error}"])

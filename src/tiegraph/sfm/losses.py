@@ -13,6 +13,7 @@ from tiegraph.sfm.adjust import FOCAL_RANGE
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.model import MIN_OBSERVATIONS
 
+LEFT_OUT = "left out: "  # how the reason of an image begins that stood at a wrong place
 MAX_CENTRE_OFF = 0.25  # of the image size that a principal point may lie off the middle
 
 
@@ -21,7 +22,8 @@ def unregistered(
 ) -> list[tuple[str, str]]:
     """(image name, reason) of each image that is not in the first model.
 
-    ``registered`` holds the scene indices of each model's images, the first model first; ``known`` reasons by name.
+    ``registered`` holds the scene indices of each model's images, the first model first; ``known``: by name, why an
+    image was left out, or what else was tried.
     """
     main = np.zeros(len(scene), bool)
     main[registered[0]] = True
@@ -33,8 +35,9 @@ def unregistered(
         other.update({int(k): number for k in registered[number]})
     out = []
     for k in np.flatnonzero(~main):
-        if known and scene.names[k] in known:
-            reason = known[scene.names[k]]
+        said = (known or {}).get(scene.names[k], "")
+        if said.startswith(LEFT_OUT):
+            reason = said
         elif graph.features[k] == 0:
             reason = "no features (masked, blank or unreadable)"
         elif graph.degree[k] == 0:
@@ -47,7 +50,8 @@ def unregistered(
             reason = (
                 f"{graph.degree[k]} verified pairs, but neither the mapper nor its matches gave it a place that holds"
             )
-        out.append((scene.names[k], reason))
+        tried = f"; {said}" if said and not said.startswith(LEFT_OUT) else ""
+        out.append((scene.names[k], reason + tried))
     return out
 
 

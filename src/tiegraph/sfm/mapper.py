@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import logging
 import shutil
-import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,25 +11,18 @@ import pycolmap
 
 from tiegraph.child import run_in_child
 from tiegraph.errors import ReconstructionError
-from tiegraph.scene.rig import Rig, calibrated
+from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
+from tiegraph.sfm.blockwise import RunMap, serially
 from tiegraph.sfm.covariance import PositionSigma
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.finish import Finished, FinishRequest, finish_model
 from tiegraph.sfm.losses import camera_notes, camera_table, models_table, no_model_text, unregistered
-from tiegraph.sfm.model import MIN_OBSERVATIONS, image_poses, observations, registration_tables
-from tiegraph.sfm.rig.rig import DerivedRig, derive_rig, held_by_mapper, rig_modes, rig_table
+from tiegraph.sfm.mapping import Job, Outcome, Progress, believed_cameras, map_images
+from tiegraph.sfm.model import MIN_OBSERVATIONS, frame_poses, image_poses, observations, registration_tables
+from tiegraph.sfm.rig.rig import DerivedRig, derive_rig, rig_modes, rig_table
 from tiegraph.sfm.rig.support import ties_of, unsupported_sensors
-from tiegraph.sfm.run import Request, run_mapper
 from tiegraph.sfm.settings import SparseSettings
-
-_log = logging.getLogger(__name__)
-
-GLOBAL_FROM_IMAGES = 60  # without a rig: below some tens of images the incremental mapper is as fast (PYCOLMAP 4)
-CLEARLY_FEWER = 0.8  # share of the largest connected part below which the other mapper is tried too
-ROUGHLY_FEWER = 0.5  # likewise in a rough model, where more images see few of its fewer points
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -69,33 +59,6 @@ class SparseResult:
 
 
 @dataclass(frozen=True)
-class _Job:
-    """All that the runs of one reconstruction share."""
-
-    database: Path
-    images: Path | None
-    rough: bool
-    out: Path
-    scene: Scene
-    settings: SparseSettings
-    log: Path
-    on_progress: Progress
-    graph: ViewGraph
-    runs: list[list]  # rows of the table of runs
-    notes: list[str]
-    refused: tuple[tuple[int, int], ...] = ()
-    alone: tuple[int, ...] = ()  # keys of sensors placed by the rig as given
-    preview: tuple | None = None
-
-
-@dataclass(frozen=True)
-class _Outcome:
-    mapper: str
-    folders: list[Path]
-    registered: int  # images of the first model that see its points
-
-
-@dataclass(frozen=True)
 class Source:
     """What to map: a database with verified matches, the image folder (None: the points get no colours), pairs (scene
     indices) not to use; ``rough``: poses good to 0.1 degrees will do, a fifth of the time."""
@@ -104,7 +67,8 @@ class Source:
     images: Path | None
     refused: tuple[tuple[int, int], ...] = ()
     rough: bool = False
-    preview: np.ndarray | None = None  # (F, 3) positions of the frames in a rough model that is believed; NaN = none
+    preview: np.ndarray | None = None  # (N, 4, 4) cam_from_world of the images in a rough model that is believed
+    run_map: RunMap = serially  # for the blocks of a large survey
 
 
 def reconstruct(
@@ -136,8 +100,7 @@ def reconstruct(
         refused, graph = without, ViewGraph(database, scene, settings.min_matches, without)
     else:
         alone = ()
-    preview = None if source.preview is None else tuple(map(tuple, source.preview.tolist()))
-    job = _Job(
+    job = Job(
         database,
         images,
         source.rough,
@@ -151,7 +114,8 @@ def reconstruct(
         notes,
         refused,
         alone,
-        preview,
+        source.preview,
+        source.run_map,
     )
     try:
         return _reconstruct(job, modes)
@@ -160,25 +124,25 @@ def reconstruct(
             shutil.rmtree(scratch, ignore_errors=True)
 
 
-def _reconstruct(job: _Job, modes: dict[int, str]) -> SparseResult:
+def _reconstruct(job: Job, modes: dict[int, str]) -> SparseResult:
     rigs = {k: job.scene.rigs[k] for k, mode in modes.items() if mode != "derived"}
     outcome = None
     unknown = [k for k, mode in modes.items() if mode == "derived"]
     if unknown:
-        outcome = _map(job, rigs, modes, "without the unknown rig")
+        outcome = map_images(job, rigs, modes, "without the unknown rig")
         derived = _derive(job, unknown, outcome)
         if derived:
             rigs = {**rigs, **derived}
             job = replace(job, scene=job.scene.with_(rigs=tuple(rigs.get(k, r) for k, r in enumerate(job.scene.rigs))))
             outcome = None
     if outcome is None:
-        outcome = _map(job, rigs, modes, "")
+        outcome = map_images(job, rigs, modes, "")
     used = "+".join(sorted({modes[k] for k in rigs})) or "absent"
     finished = _finish(job, outcome, {k: modes[k] for k in rigs})
     return _account(job, outcome, used, finished)
 
 
-def _derive(job: _Job, unknown: list[int], outcome: _Outcome) -> dict[int, Rig]:
+def _derive(job: Job, unknown: list[int], outcome: Outcome) -> dict[int, Rig]:
     models = [pycolmap.Reconstruction(folder) for folder in outcome.folders]
     rigs = {}
     for index in unknown:
@@ -202,114 +166,11 @@ def _derived_note(rig: Rig, result: DerivedRig) -> str:
     )
 
 
-def choose_mapper(scene: Scene, settings: SparseSettings, constrained: bool) -> str:
-    """The mapper of the setting, or of the rule behind "auto": global with a rig or from 60 images, else incremental.
-
-    Measured on canal_demo (120 images, nominal rig, 1500 verified pairs): trajectory error 0.09 m in 51 s global, 2.4 m
-    in 589 s incremental, whose first adjustments of few images bend an uncertain rig. Below some tens of images the
-    incremental mapper is as fast, and it can use position priors (PYCOLMAP section 4).
-    """
-    if settings.mapper != "auto":
-        return settings.mapper
-    return "global" if constrained or len(scene) >= GLOBAL_FROM_IMAGES else "incremental"
-
-
-def believed_cameras(scene: Scene, settings: SparseSettings) -> tuple[int, ...]:
-    """COLMAP ids of the cameras whose intrinsics stay as given: under "auto" the calibrated ones.
-
-    Freed, they run off where a vehicle drives straight on: PandaSet's focal lengths by 8 %, KITTI's principal point by
-    30 px. A focal length from EXIF is no calibration: it comes with a principal point in the very middle.
-    """
-    if settings.refine_intrinsics == "yes":
-        return ()
-    out, key = [], 0
-    for rig in scene.rigs:
-        for sensor in rig.sensors:
-            key += 1
-            camera = sensor.camera
-            stated = camera is not None and rig.fixed and camera.has_prior_focal_length
-            believed = stated or (camera is not None and calibrated(camera))
-            if settings.refine_intrinsics == "no" or believed:
-                out.append(key)
-    return tuple(out)
-
-
-def _map(job: _Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -> _Outcome:
-    """Run the chosen mapper; under "auto", when clearly fewer images come back than could, again with another seed
-    (threads make runs differ: one in a dozen on the example fell apart), then the other mapper."""
-    first = choose_mapper(job.scene, job.settings, bool(rigs))
-    outcome = _run(job, first, rigs, modes, label)
-    reachable = job.graph.components[0]
-    enough = (ROUGHLY_FEWER if job.rough else CLEARLY_FEWER) * reachable
-    other = "incremental" if first == "global" else "global"
-    for mapper, seed in ((first, 1), (other, 0))[: 1 if job.rough else 2]:  # a rough model is not worth the slow mapper
-        if job.settings.mapper != "auto" or outcome.registered >= enough:
-            break
-        second = _run(job, mapper, rigs, modes, label, seed)
-        better = second if second.registered > outcome.registered else outcome
-        job.notes.append(
-            f"{outcome.mapper} mapping {label} placed {outcome.registered} of {reachable} connected images, so "
-            f"{mapper} mapping was tried too ({second.registered}): kept {better.mapper}"
-        )
-        outcome = better
-    if not outcome.folders:
-        raise ReconstructionError(
-            no_model_text(
-                job.scene, job.graph, "the mapper found no two images to start from, or nothing held together"
-            )
-        )
-    return outcome
-
-
-def _run(job: _Job, mapper: str, rigs: dict[int, Rig], modes: dict[int, str], label: str, seed: int = 0) -> _Outcome:
-    scene = job.scene
-    constant = believed_cameras(scene, job.settings)
-    positions = mapper == "incremental" and job.settings.use_positions and scene.has_positions()
-    request = Request(
-        mapper=mapper,
-        seed=seed,
-        database=job.database,
-        images=job.images,
-        folder=job.out / f"run-{len(job.runs)}-{mapper}",
-        scene=scene.to_json(),
-        rigs=Request.rigs_of(rigs),
-        fixed=tuple(k for k in rigs if held_by_mapper(rigs[k], modes[k])),
-        positions=positions,
-        constant_cameras=constant,
-        all_constant=len(constant) == len(scene.all_sensors),
-        min_matches=job.settings.min_matches,
-        refused=job.refused,
-        rough=job.rough,
-    )
-    total = len(scene)
-    per_frame = total / max(scene.frames, 1) if rigs else 1.0
-    job.on_progress(0, total)
-    start = time.monotonic()
-    folders = run_in_child(
-        run_mapper,
-        request,
-        log=job.log,
-        on_message=lambda frames: job.on_progress(min(total, round(frames * per_frame)), total),
-        task=f"{mapper} mapping",
-    )
-    seconds = time.monotonic() - start
-    registered, points = _seeing(folders[0], scene) if folders else (0, 0)
-    rig = "+".join(sorted({modes[k] for k in rigs})) or "absent"
-    held = "positions" if positions else "none"
-    job.runs.append([mapper, rig, held, label, len(folders), registered, points, round(seconds, 1)])
-    _log.info("%s mapping, rig %s: %d images in the first of %d models", mapper, rig, registered, len(folders))
-    return _Outcome(mapper, folders, registered)
-
-
-def _seeing(folder: Path, scene: Scene) -> tuple[int, int]:
-    reconstruction = pycolmap.Reconstruction(folder)
-    return int(np.sum(observations(reconstruction, scene) >= MIN_OBSERVATIONS)), reconstruction.num_points3D()
-
-
-def _finish(job: _Job, outcome: _Outcome, modes: dict[int, str]) -> Finished:
+def _finish(job: Job, outcome: Outcome, modes: dict[int, str]) -> Finished:
     """Adjust, check, colour and write the models to their place; what there is to say of the first."""
     out = []
     constant = believed_cameras(job.scene, job.settings)
+    preview = None if job.preview is None else frame_poses(job.preview, job.scene)
     for number, folder in enumerate(outcome.folders):
         request = FinishRequest(
             folder=folder,
@@ -326,14 +187,14 @@ def _finish(job: _Job, outcome: _Outcome, modes: dict[int, str]) -> Finished:
             rigs=() if job.rough else tuple(modes),
             database=None if number or job.rough else job.database,
             refused=job.refused,
-            preview=job.preview,
+            preview=preview,
         )
         out.append(run_in_child(finish_model, request, log=job.log, task="final adjustment"))
     job.notes.extend(out[0].notes)
     return out[0]
 
 
-def _account(job: _Job, outcome: _Outcome, rig: str, finished: Finished) -> SparseResult:
+def _account(job: Job, outcome: Outcome, rig: str, finished: Finished) -> SparseResult:
     """Say what is in the models and what is not."""
     scene = job.scene
     folders = [job.out / str(k) for k in range(len(outcome.folders))]

@@ -8,23 +8,29 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pycolmap
 
 from tiegraph.scene.rig import Rig, rig_from_dict, rig_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import write_working_copy
+from tiegraph.sfm.placement.verified import read_verified
+from tiegraph.sfm.start.gate import why_not
+from tiegraph.sfm.start.poses import largest_piece, start_from
+from tiegraph.sfm.start.rounds import model_from
 
 MIN_MODEL_IMAGES = 3
 # Tracks that every image takes part in at least, longest first, in a rough model. Simulated block of 372 previews: 15
 # instead of 69 CPU s, centres good to 0.15 instead of 0.01 m, rotations to 0.05 instead of 0.03 deg (medians).
 ROUGH_TRACKS = 100
+START_SHARE = 0.8  # of the images of one piece that must have a pose, to start from these
 
 
 @dataclass(frozen=True)
 class Request:
     """What one run needs, in picklable form."""
 
-    mapper: str  # incremental or global
+    mapper: str  # incremental, global, or preview: from the poses of the preview model
     seed: int  # of every random choice: the same input gives the same model, but for the order of threads
     database: Path
     images: Path | None  # for colours; None = none are wanted
@@ -38,6 +44,8 @@ class Request:
     min_matches: int
     refused: tuple[tuple[int, int], ...] = ()  # scene indices of pairs the mapper must not see
     rough: bool = False  # few tracks, none found later
+    only: np.ndarray | None = None  # scene indices of the images to map, None = all
+    poses: np.ndarray | None = None  # (N, 4, 4) cam_from_world to start from (mapper "preview"); NaN = unknown
 
     @staticmethod
     def rigs_of(rigs: Mapping[int, Rig]) -> dict[int, dict]:
@@ -45,14 +53,25 @@ class Request:
         return {k: rig_to_dict(r) for k, r in rigs.items()}
 
 
-def run_mapper(request: Request, send: Callable[[Any], None]) -> list[Path]:
-    """Run one mapper; returns the folders of its models, most registered images first. Sends the frames done so far."""
+@dataclass(frozen=True)
+class Mapped:
+    """Folders of the models of one run, most registered images first; remarks; why there are none, if it is known."""
+
+    folders: list[Path]
+    notes: tuple[str, ...] = ()
+    refused: str = ""
+
+
+def run_mapper(request: Request, send: Callable[[Any], None]) -> Mapped:
+    """Run one mapper. Sends the frames done so far."""
     shutil.rmtree(request.folder, ignore_errors=True)
     request.folder.mkdir(parents=True)
     working = request.folder / "working.db"
     scene = Scene.from_json(request.scene)
     rigs = {k: rig_from_dict(r) for k, r in request.rigs.items()}
-    write_working_copy(request.database, working, scene, rigs, request.positions, request.refused)
+    if request.mapper == "preview":
+        return _from_poses(request, working, scene, rigs, send)
+    write_working_copy(request.database, working, scene, rigs, request.positions, request.refused, request.only)
     raw = request.folder / "raw"
     raw.mkdir()
     models = (
@@ -67,25 +86,57 @@ def run_mapper(request: Request, send: Callable[[Any], None]) -> list[Path]:
         folders.append(folder)
     shutil.rmtree(raw)
     working.unlink()
-    return folders
+    return Mapped(folders)
+
+
+def _from_poses(
+    request: Request, working: Path, scene: Scene, rigs: dict[int, Rig], send: Callable[[Any], None]
+) -> Mapped:
+    """One model from the poses that are roughly known, if it passes the gate."""
+    assert request.poses is not None
+    verified = read_verified(request.database, scene, request.refused)
+    piece = largest_piece(request.poses, scene, rigs, verified.pairs)
+    poses = np.where(piece[:, None, None], request.poses, np.nan)
+    placed = np.isfinite(poses).all(axis=(1, 2))
+    if placed.sum() < START_SHARE * piece.sum():
+        return Mapped([], refused=f"it places {placed.sum()} of {piece.sum()} images that hold together")
+    start = start_from(poses, scene, rigs, request.fixed, verified)
+    if start is None:
+        return Mapped([], refused="neither matches nor positions tell the length of its path against the rig")
+    write_working_copy(request.database, working, scene, start.rigs, False, request.refused, request.only)
+    model = model_from(working, scene, start, lambda free: _options(request, free), send)
+    working.unlink()
+    refused = why_not(model, scene, verified, piece)
+    if refused:
+        return Mapped([], start.notes, refused)
+    folder = request.folder / "0"
+    folder.mkdir()
+    model.write(folder)
+    return Mapped([folder], start.notes)
+
+
+def _options(request: Request, free: bool) -> pycolmap.IncrementalPipelineOptions:
+    """``free``: intrinsics and extrinsics are adjusted, where the request lets them."""
+    lens = free and not request.all_constant
+    return pycolmap.IncrementalPipelineOptions(
+        random_seed=request.seed,
+        min_num_matches=request.min_matches,
+        min_model_size=MIN_MODEL_IMAGES,
+        extract_colors=False,
+        ba_refine_focal_length=lens,
+        ba_refine_extra_params=lens,
+        constant_cameras=set(request.constant_cameras),
+        ba_refine_sensor_from_rig=free and len(request.fixed) < len(request.rigs),
+        constant_rigs={k + 1 for k in request.fixed},
+        use_prior_position=request.positions,
+        use_robust_loss_on_prior_position=True,
+    )
 
 
 def _incremental(
     request: Request, working: Path, raw: Path, send: Callable[[Any], None]
 ) -> dict[int, pycolmap.Reconstruction]:
-    options = pycolmap.IncrementalPipelineOptions(
-        random_seed=request.seed,
-        min_num_matches=request.min_matches,
-        min_model_size=MIN_MODEL_IMAGES,
-        extract_colors=False,
-        ba_refine_focal_length=not request.all_constant,
-        ba_refine_extra_params=not request.all_constant,
-        constant_cameras=set(request.constant_cameras),
-        ba_refine_sensor_from_rig=len(request.fixed) < len(request.rigs),
-        constant_rigs={k + 1 for k in request.fixed},
-        use_prior_position=request.positions,
-        use_robust_loss_on_prior_position=True,
-    )
+    options = _options(request, True)
     done = [0]
 
     def count(new: int) -> None:

@@ -7,11 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tiegraph.geometry import transforms
-from tiegraph.geometry.align import Similarity
-from tiegraph.network.model.blocks import Block, blocks_of
-from tiegraph.network.model.joining import Joined, Poses, join_models
 from tiegraph.network.model.surveymodel import ModelFunction, SurveyModel
+from tiegraph.scene.blocks import Block, blocks_of
+from tiegraph.scene.joining import Joined, Poses, join_models, moved
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Ties
 
@@ -99,7 +97,7 @@ def _together(
         if k not in members:
             continue
         own = whose[block.images] == k
-        poses[block.images[own]] = _moved(model.cam_from_world[own], joined.world_from[k])
+        poses[block.images[own]] = moved(model.cam_from_world[own], joined.world_from[k])
         seen = np.bincount(model.point, minlength=len(model.points))
         keep = 2 * np.bincount(model.point, own[model.image], len(seen)) >= np.maximum(seen, 1)
         number = count + np.cumsum(keep) - 1
@@ -112,13 +110,6 @@ def _together(
     cameras = [scene.sensor_of(n).camera if c is None else c for n, c in enumerate(cameras)]
     joined_arrays = np.concatenate(points), np.concatenate(image), np.concatenate(point)
     return SurveyModel(poses, tuple(cameras), *joined_arrays, made[best][1].rigs)
-
-
-def _moved(cam_from_model: np.ndarray, world_from_model: Similarity) -> np.ndarray:
-    """cam_from_world (K, 4, 4) in units of the world."""
-    rotation = cam_from_model[:, :3, :3] @ world_from_model.rotation.T
-    centre = world_from_model(transforms.centre(cam_from_model))
-    return transforms.rigid(rotation, -np.einsum("kab,kb->ka", rotation, centre))
 
 
 def _notes(

@@ -10,12 +10,11 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.sfm.model import rigid3d
 from tiegraph.sfm.placement.repair import Repair, near_course, place_images
-from tiegraph.sfm.placement.resect import Placed
 from tiegraph.sfm.placement.verified import seen_by
 
 
 @dataclass(frozen=True)
-class _Unit:
+class Unit:
     """Images that are placed together: those of a frame whose rig the model knows, else one alone."""
 
     images: tuple[int, ...]
@@ -30,34 +29,41 @@ def adopt(work: Repair, image_ids: dict[int, int]) -> list[tuple[int, int]]:
     index. The model gets the images with their key points, without observations.
     """
     scene, model = work.scene, work.model
+    lost = {frame for frame, _ in work.left_out}
+    units = [u for u in missing(work, tied_images(work)) if u.frame not in lost]
+    if not units:
+        return []
     seen = seen_by(model, scene)
     poses, way = work.poses(), work.way()
     main = {int(scene.frame[k]) for k in seen.point}
-    lost = {frame for frame, _ in work.left_out}
     out = []
-    for unit in _missing(work, set(seen.point)):
-        if unit.frame in lost:
-            continue
+    for unit in units:
         found = place_images(work, unit.images, seen)
         if found is None or not found.holds():
             continue
         if unit.bound and not near_course(unit.frame, found.pose[:3, 3], poses, scene, way, main):
             continue
-        _register(work, unit, found, image_ids)
+        register(work, unit, found.pose, image_ids)
         out += [(k, found.inliers) for k in unit.images]
     return out
 
 
-def _missing(work: Repair, there: set[int]) -> list[_Unit]:
+def tied_images(work: Repair) -> set[int]:
+    """Images with a verified pair."""
+    return set(np.unique(work.verified.pairs).tolist()) if len(work.verified.pairs) else set()
+
+
+def missing(work: Repair, among: set[int]) -> list[Unit]:
+    """What is not in the model, but for units none of whose images is ``among`` some."""
     scene, model = work.scene, work.model
-    tied = set(np.unique(work.verified.pairs).tolist()) if len(work.verified.pairs) else set()
+    there = {scene.image_index.get(model.image(i).name, -1) for i in model.reg_image_ids()}
     units: dict[tuple[int, int], list[int]] = {}
     for k in range(len(scene)):
         if k in there or int(scene.sensor_key[k]) + 1 not in model.cameras:
             continue
         frame = int(scene.frame[k])
         units.setdefault((frame, -1) if _bound(work, k) else (frame, k), []).append(k)
-    return [_Unit(tuple(images), frame, alone < 0) for (frame, alone), images in units.items() if tied & set(images)]
+    return [Unit(tuple(images), frame, alone < 0) for (frame, alone), images in units.items() if among & set(images)]
 
 
 def _bound(work: Repair, image: int) -> bool:
@@ -66,8 +72,8 @@ def _bound(work: Repair, image: int) -> bool:
     return row in work.model.rigs and work.model.rigs[row].has_sensor(identity)
 
 
-def _register(work: Repair, unit: _Unit, found: Placed, image_ids: dict[int, int]) -> None:
-    """The numbers are those of the mapper's database (``sfm/database.py``)."""
+def register(work: Repair, unit: Unit, world_from_rig: np.ndarray, image_ids: dict[int, int]) -> None:
+    """Put a unit into the model; the numbers are those of the mapper's database (``sfm/database.py``)."""
     scene, model = work.scene, work.model
     camera = int(scene.sensor_key[unit.images[0]]) + 1
     if unit.bound:
@@ -93,14 +99,14 @@ def _register(work: Repair, unit: _Unit, found: Placed, image_ids: dict[int, int
         for image in images:
             frame.add_data_id(image.data_id)
         model.add_frame(frame)
-    model.frame(frame_id).rig_from_world = rigid3d(_in_model(work, unit, found.pose))
+    model.frame(frame_id).rig_from_world = rigid3d(_in_model(work, unit, world_from_rig))
     for image in images:
         if image.image_id not in model.images:
             model.add_image(image)
     model.register_frame(frame_id)
 
 
-def _in_model(work: Repair, unit: _Unit, world_from_rig: np.ndarray) -> np.ndarray:
+def _in_model(work: Repair, unit: Unit, world_from_rig: np.ndarray) -> np.ndarray:
     """rig_from_world of COLMAP's frame: its rig frame is that of its reference, which may not be the scene's."""
     rig_from_world = transforms.invert(world_from_rig)
     if not unit.bound:

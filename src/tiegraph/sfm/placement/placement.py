@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -30,11 +31,23 @@ class Votes:
 
     def of(self, frame: int, others: set[int] | None = None) -> tuple[float, float]:
         """Agreeing and contradicting matches of a frame with others."""
-        sums = []
-        for table in (self.agree, self.contradict):
-            own = {a + b - frame: v for (a, b), v in table.items() if frame in (a, b)}
-            sums.append(float(sum(v for other, v in own.items() if others is None or other in others)))
+        sums = [0.0, 0.0]
+        for side, table in enumerate(self._beside):
+            own = table.get(frame, {})
+            sums[side] = float(sum(v for other, v in own.items() if others is None or other in others))
         return sums[0], sums[1]
+
+    @cached_property
+    def _beside(self) -> tuple[dict[int, dict[int, float]], ...]:
+        """Both tables by frame: asking every frame must not read every pair."""
+        out = []
+        for table in (self.agree, self.contradict):
+            by_frame: dict[int, dict[int, float]] = {}
+            for (a, b), value in table.items():
+                by_frame.setdefault(a, {})[b] = value
+                by_frame.setdefault(b, {})[a] = value
+            out.append(by_frame)
+        return tuple(out)
 
 
 def votes(verified: Verified, agreed: np.ndarray, scene: Scene) -> Votes:
@@ -80,8 +93,9 @@ def judge(positions: np.ndarray, scene: Scene, way: Course, said: Votes) -> Judg
         f for block in blocks for p in block for f in p.frames
     }
     main |= unordered
+    near = _near(scene)
     for frame in sorted(main):
-        why = _contradicted(frame, scene, said, main)
+        why = _contradicted(frame, said, near[frame] & main)
         if why:
             doubts.append(Doubt((frame,), why))
     single = {f for d in doubts for f in d.frames}
@@ -93,14 +107,21 @@ def _torn(block: list[Piece], way: Course) -> str:
     return f"the course of its pass jumps there (a usual step is {usual:.3g} units)"
 
 
-def _contradicted(frame: int, scene: Scene, said: Votes, main: set[int]) -> str:
-    """Why the ties of a frame speak against its place; "" if they do not."""
-    near = {
-        int(f)
-        for f in np.flatnonzero((scene.track == scene.track[frame]) & (np.abs(scene.step - scene.step[frame]) <= NEAR))
-        if scene.track[frame] >= 0
-    } - {frame}
-    by_near, against_near = said.of(frame, near & main)
+def _near(scene: Scene) -> list[set[int]]:
+    """The frames within NEAR steps of each on its pass, without itself."""
+    order = np.lexsort((scene.step, scene.track))
+    key = scene.track[order].astype(np.int64) * (4 * NEAR + int(scene.step.max(initial=0))) + scene.step[order]
+    low, high = np.searchsorted(key, key - NEAR), np.searchsorted(key, key + NEAR, side="right")
+    out: list[set[int]] = [set() for _ in range(scene.frames)]
+    for place, frame in enumerate(order.tolist()):
+        if scene.track[frame] >= 0:
+            out[frame] = set(order[low[place] : high[place]].tolist()) - {frame}
+    return out
+
+
+def _contradicted(frame: int, said: Votes, near: set[int]) -> str:
+    """Why the ties of a frame speak against its place; "" if they do not. ``near``: believed frames close by."""
+    by_near, against_near = said.of(frame, near)
     agree, against = said.of(frame)
     if against_near >= MIN_VOTES and against_near > by_near:
         return f"its ties to its neighbours contradict its place ({against_near:.0f} matches to {by_near:.0f})"

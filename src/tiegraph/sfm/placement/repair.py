@@ -31,7 +31,7 @@ class Repair:
     model: pycolmap.Reconstruction
     scene: Scene
     verified: Verified
-    preview: np.ndarray | None  # (F, 3) positions of the preview model, units of its own
+    preview: np.ndarray | None  # (F, 4, 4) world_from_rig of the preview model, units of its own
     moved: list[tuple[int, float, str]] = field(default_factory=list)  # frame, how far, why
     left_out: list[tuple[int, str]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -43,7 +43,8 @@ class Repair:
 
     def way(self) -> Course:
         """The course of the passes."""
-        return course(self.poses()[:, :3, 3], self.scene, self.preview)
+        preview = None if self.preview is None else self.preview[:, :3, 3]
+        return course(self.poses()[:, :3, 3], self.scene, preview)
 
     def judged(self) -> Judgement:
         """Which frames stand where they should."""
@@ -119,6 +120,11 @@ def place_images(work: Repair, images: Sequence[int], seen: Seen) -> Placed | No
     rows = correspondences(images, work.verified, seen)
     if len(rows.image) < MIN_INLIERS:
         return None
+    return place(rows, *mounts(work, images))
+
+
+def mounts(work: Repair, images: Sequence[int]) -> tuple[dict[int, pycolmap.Camera], dict[int, np.ndarray]]:
+    """Cameras and cam_from_rig (4, 4), model units, of images of a frame, where known; a lone image is its own rig."""
     sensors = model_rigs(work.model, work.scene)[work.scene.rig[work.scene.frame[images[0]]]].sensors
     cam_from_rig = {}
     for k in images:
@@ -128,7 +134,7 @@ def place_images(work: Repair, images: Sequence[int], seen: Seen) -> Placed | No
         if extrinsics is not None:
             cam_from_rig[int(k)] = extrinsics
     cameras = {int(k): c for k in cam_from_rig if (c := sensors[work.scene.sensor[k]].camera) is not None}
-    return place(rows, cameras, cam_from_rig)
+    return cameras, cam_from_rig
 
 
 def near_course(frame: int, position: np.ndarray, poses: np.ndarray, scene: Scene, way: Course, main: set[int]) -> bool:

@@ -12,7 +12,10 @@ import pycolmap
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import write_working_copy
+from tiegraph.sfm.losses import LEFT_OUT
 from tiegraph.sfm.placement.adopt import adopt
+from tiegraph.sfm.placement.complete import Completed, complete
+from tiegraph.sfm.placement.guided import Descriptors
 from tiegraph.sfm.placement.repair import Repair, label, points_anew, repair
 from tiegraph.sfm.placement.verified import image_ids, read_verified
 
@@ -36,10 +39,12 @@ def settle(
     rigs: dict[int, Rig],
     scratch: Path,
     preview: np.ndarray | None,
+    skip: frozenset[int] = frozenset(),
 ) -> Settled:
     """Test the place of every frame, place the doubtful again or leave them out, place what is missing.
 
-    ``source``: database, images, refused pairs; ``preview``: (F, 3) positions of a rough model that is believed.
+    ``source``: database, images, refused pairs; ``preview``: (F, 4, 4) world_from_rig in a rough model that is
+    believed; ``skip``: keys of sensors that the rig alone places.
     """
     database, images, refused = source
     work = Repair(model, scene, read_verified(database, scene, refused), preview)
@@ -63,7 +68,18 @@ def settle(
         adopted.update(found)
         anew()
     working.unlink(missing_ok=True)
-    return Settled(work.model, _notes(work, registered, adopted), _table(work, adopted), _dropped(work))
+    done = complete(work, ids, Descriptors(database, ids), skip)
+    notes = [*_notes(work, registered, adopted), *_guided_notes(done)]
+    return Settled(work.model, notes, _table(work, adopted, done), _dropped(work, done))
+
+
+def _guided_notes(done: Completed) -> list[str]:
+    notes = []
+    if done.placed:
+        notes.append(f"{len(done.placed)} images were placed by guided matching where their neighbours predict them")
+    if done.tied:
+        notes.append(f"{len(done.tied)} images that hung on the rig were tied by guided matching")
+    return notes
 
 
 def _notes(work: Repair, registered: int, adopted: dict[int, int]) -> list[str]:
@@ -85,17 +101,19 @@ def _notes(work: Repair, registered: int, adopted: dict[int, int]) -> list[str]:
     return notes
 
 
-def _table(work: Repair, adopted: dict[int, int]) -> dict | None:
+def _table(work: Repair, adopted: dict[int, int], done: Completed) -> dict | None:
     rows = [[label(work.scene, f), "placed again", round(d, 3), why] for f, d, why in work.moved]
     rows += [[label(work.scene, f), "left out", None, why] for f, why in work.left_out]
     rows += [
         [work.scene.names[k], "placed", None, f"{n} points of its frame agree"] for k, n in sorted(adopted.items())
     ]
+    for what, table in (("placed, guided", done.placed), ("tied, guided", done.tied)):
+        rows += [[work.scene.names[k], what, None, f"sees {n} points"] for k, n in sorted(table.items())]
     return {"columns": ["frame or image", "what", "by (units)", "why"], "rows": rows} if rows else None
 
 
-def _dropped(work: Repair) -> list[tuple[str, str]]:
-    out = []
+def _dropped(work: Repair, done: Completed) -> list[tuple[str, str]]:
+    out = [(work.scene.names[k], why) for k, why in sorted(done.why.items())]
     for frame, why in work.left_out:
-        out += [(work.scene.names[k], f"left out: {why}") for k in np.flatnonzero(work.scene.frame == frame)]
+        out += [(work.scene.names[k], f"{LEFT_OUT}{why}") for k in np.flatnonzero(work.scene.frame == frame)]
     return out

@@ -69,7 +69,9 @@ def read_verified(database: Path, scene: Scene, refused: Sequence[tuple[int, int
         xy = {}
         for image_id, rows, columns, data in connection.execute("SELECT image_id, rows, cols, data FROM keypoints"):
             if image_id in index:
-                xy[index[image_id]] = np.frombuffer(data, np.float32).reshape(rows, columns)[:, :2].astype(float)
+                xy[index[image_id]] = (
+                    np.frombuffer(data or b"", np.float32).reshape(rows, columns or 2)[:, :2].astype(float)
+                )
     finally:
         connection.close()
     pairs = np.array(sorted(found), int).reshape(-1, 2)

@@ -75,6 +75,13 @@ def join_models(models: Sequence[Poses]) -> Joined:
     return Joined(_adjusted(good, len(models)), rank[part], joins)
 
 
+def moved(cam_from_model: np.ndarray, world_from_model: Similarity) -> np.ndarray:
+    """cam_from_world (K, 4, 4) in units of the world."""
+    rotation = cam_from_model[:, :3, :3] @ world_from_model.rotation.T
+    centre = world_from_model(transforms.centre(cam_from_model))
+    return transforms.rigid(rotation, -np.einsum("kab,kb->ka", rotation, centre))
+
+
 def join(a: int, b: int, first: Poses, second: Poses) -> Join | None:
     """How the frame of the second model follows from that of the first; None if they share too few images."""
     shared, at_a, at_b = np.intersect1d(first.images, second.images, assume_unique=True, return_indices=True)

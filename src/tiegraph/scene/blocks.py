@@ -9,6 +9,7 @@ they are joined again (as in Zhu et al. 2018, Very large-scale global SfM by dis
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy.sparse import coo_array, csr_array, diags_array
@@ -29,6 +30,19 @@ _ORDER = 0.05  # of the mean link: what the order of a pass alone links its fram
 _POWERS = 12  # inverse iterations for the second eigenvector
 
 
+class Links(Protocol):
+    """What ties two images i, j (T,), however it was found: so many matches."""
+
+    @property
+    def i(self) -> np.ndarray: ...
+
+    @property
+    def j(self) -> np.ndarray: ...
+
+    def counts(self) -> np.ndarray:
+        """(T,) matches."""
+
+
 @dataclass(frozen=True)
 class Block:
     """Images mapped together: ``images`` (K,) increasing; ``own`` (K,) bool, the others are lent by neighbours."""
@@ -47,7 +61,7 @@ class Block:
         return scene.only(self.images), Ties(number[inside.i], number[inside.j], inside.start, inside.matches)
 
 
-def blocks_of(scene: Scene, ties: Ties) -> tuple[Block, ...]:
+def blocks_of(scene: Scene, ties: Links) -> tuple[Block, ...]:
     """Blocks of a survey by its ties; one that holds everything up to MOST images. Every image is some block's own, but
     for those of pieces smaller than LEAST that nothing ties to the rest."""
     everything = np.arange(len(scene))
@@ -66,7 +80,7 @@ def blocks_of(scene: Scene, ties: Ties) -> tuple[Block, ...]:
     return tuple(out)
 
 
-def _links(scene: Scene, ties: Ties) -> tuple[csr_array, csr_array]:
+def _links(scene: Scene, ties: Links) -> tuple[csr_array, csr_array]:
     """(F, F) strength of the links between frames by preview matches and order; (F, F) pairs of images that tie."""
     a, b, count = scene.frame[ties.i], scene.frame[ties.j], ties.counts().astype(float)
     apart = a != b

@@ -1,0 +1,117 @@
+"""A large survey mapped in blocks, roughly and in parallel, for poses that the whole can start from.
+
+A mapper's time grows faster than its images, and so does what one false tie can bend. Blocks keep both passes of a
+place together and lend each other the frames at their borders (``scene/blocks.py``); their models are joined by the
+images they share (``scene/joining.py``). The start from their poses then adjusts all at once.
+"""
+
+from __future__ import annotations
+
+import logging
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pycolmap
+
+from tiegraph.child import run_in_child
+from tiegraph.errors import ReconstructionError
+from tiegraph.geometry import transforms
+from tiegraph.scene.blocks import Block, blocks_of
+from tiegraph.scene.joining import Joined, Poses, join_models, moved
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.database import ViewGraph
+from tiegraph.sfm.model import image_poses, tracks
+from tiegraph.sfm.run import Mapped, Request, run_mapper
+
+log = logging.getLogger(__name__)
+
+RunMap = Callable[..., list[Any]]  # function, items, further arguments: a result an item, perhaps in parallel
+
+
+def serially(function: Callable[..., Any], items: Sequence[Any], *args: Any) -> list[Any]:
+    """One item after the other."""
+    return [function(item, *args) for item in items]
+
+
+@dataclass(frozen=True)
+class BlockPoses:
+    """``cam_from_world`` (N, 4, 4) of the images, NaN = in no block of the largest part; remarks."""
+
+    cam_from_world: np.ndarray
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Links:
+    """The verified pairs of images."""
+
+    i: np.ndarray
+    j: np.ndarray
+    matches: np.ndarray
+
+    def counts(self) -> np.ndarray:
+        """(T,) matches."""
+        return self.matches
+
+
+def poses_by_blocks(request: Request, scene: Scene, graph: ViewGraph, log_file: Path, run_map: RunMap) -> BlockPoses:
+    """Poses of all images from rough models of blocks. ``request``: that of the whole; ``run_map`` runs the blocks."""
+    blocks = blocks_of(scene, _Links(graph.pairs[:, 0], graph.pairs[:, 1], graph.inliers))
+    parts = [
+        replace(request, folder=request.folder / f"block-{k}", rough=True, only=block.images)
+        for k, block in enumerate(blocks)
+    ]
+    request.folder.mkdir(parents=True, exist_ok=True)
+    made = [(blocks[k], m) for k, found in enumerate(run_map(_map_block, parts, log_file)) for m in found]
+    shutil.rmtree(request.folder, ignore_errors=True)
+    joined = join_models([m for _, m in made])
+    return BlockPoses(_together(len(scene), made, joined), _notes(blocks, made, joined))
+
+
+def _map_block(request: Request, log_file: Path) -> list[Poses]:
+    """The models of a block, roughly; none if COLMAP finds none or gives up."""
+    try:
+        mapped: Mapped = run_in_child(run_mapper, request, log=log_file, task="mapping of a block")
+    except ReconstructionError as error:
+        log.warning("%s: %s", request.folder.name, error)
+        return []
+    scene = Scene.from_json(request.scene)
+    found = [_poses(pycolmap.Reconstruction(folder), scene) for folder in mapped.folders]
+    shutil.rmtree(request.folder, ignore_errors=True)
+    return [m for m in found if m is not None]
+
+
+def _poses(model: pycolmap.Reconstruction, scene: Scene) -> Poses | None:
+    poses = image_poses(model, scene)
+    images = np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))
+    points, image, point = tracks(model, scene)
+    if not len(images) or not len(point):
+        return None
+    far = np.linalg.norm(points[point] - transforms.centre(poses)[image], axis=1)
+    return Poses(images, poses[images], float(np.median(far)))
+
+
+def _together(count: int, made: Sequence[tuple[Block, Poses]], joined: Joined) -> np.ndarray:
+    """(N, 4, 4) of the largest part; an image is taken from the block whose own it is, else from one that was lent
+    it."""
+    out = np.full((count, 4, 4), np.nan)
+    for own in (False, True):
+        for k, (block, model) in enumerate(made):
+            if joined.part[k] == 0:
+                rows = np.isin(model.images, block.images[block.own == own])
+                out[model.images[rows]] = moved(model.cam_from_world[rows], joined.world_from[k])
+    return out
+
+
+def _notes(blocks: Sequence[Block], made: Sequence[tuple[Block, Poses]], joined: Joined) -> tuple[str, ...]:
+    held = sum(j.holds for j in joined.joins)
+    placed = sum(joined.part[k] == 0 for k in range(len(made)))
+    text = (
+        f"mapped in {len(blocks)} blocks of up to {max(map(len, blocks), default=0)} images ({len(made)} models, "
+        f"{placed} of them in one part; {held} of {len(joined.joins)} joins hold)"
+    )
+    return (text,)

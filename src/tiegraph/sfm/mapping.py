@@ -1,0 +1,227 @@
+"""Which mapper makes the model, and what is tried when it loses images."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from tiegraph.child import run_in_child
+from tiegraph.errors import ReconstructionError
+from tiegraph.scene.rig import Rig, calibrated
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.blockwise import RunMap, poses_by_blocks, serially
+from tiegraph.sfm.database import ViewGraph
+from tiegraph.sfm.losses import no_model_text
+from tiegraph.sfm.model import MIN_OBSERVATIONS, image_poses, observations
+from tiegraph.sfm.rig.rig import held_by_mapper
+from tiegraph.sfm.run import Mapped, Request, run_mapper
+from tiegraph.sfm.settings import SparseSettings
+
+_log = logging.getLogger(__name__)
+
+GLOBAL_FROM_IMAGES = 60  # without a rig: below some tens of images the incremental mapper is as fast (PYCOLMAP 4)
+CLEARLY_FEWER = 0.8  # share of the largest connected part below which the other mapper is tried too
+ROUGHLY_FEWER = 0.5  # likewise in a rough model, where more images see few of its fewer points
+# Images: above, "auto" starts from the preview model, or from rough models of blocks. Below, it maps from nothing:
+# twice the time, but canal's up camera is then 11 mm off and not 24 (benchmarks/sfm/README.md).
+IN_BLOCKS = 1000
+SECOND_SURVEY = 10  # images without any tie to the model that are mapped by themselves
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Job:
+    """All that the runs of one reconstruction share."""
+
+    database: Path
+    images: Path | None
+    rough: bool
+    out: Path
+    scene: Scene
+    settings: SparseSettings
+    log: Path
+    on_progress: Progress
+    graph: ViewGraph
+    runs: list[list]  # rows of the table of runs
+    notes: list[str]
+    refused: tuple[tuple[int, int], ...] = ()
+    alone: tuple[int, ...] = ()  # keys of sensors placed by the rig as given
+    preview: np.ndarray | None = None  # (N, 4, 4) cam_from_world of the images in a rough model that is believed
+    run_map: RunMap = serially
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one run of a mapper left."""
+
+    mapper: str
+    folders: list[Path]
+    registered: int  # images of the first model that see its points
+    refused: str = ""  # why there is none
+
+
+def choose_mapper(scene: Scene, settings: SparseSettings, constrained: bool) -> str:
+    """The mapper of the setting, or of the rule behind "auto": global with a rig or from 60 images, else incremental.
+    "preview" names what comes first only; this is what takes its place.
+
+    Measured on canal_demo (120 images, nominal rig, 1500 verified pairs): trajectory error 0.09 m in 51 s global, 2.4 m
+    in 589 s incremental, whose first adjustments of few images bend an uncertain rig. Below some tens of images the
+    incremental mapper is as fast, and it can use position priors (PYCOLMAP section 4).
+    """
+    if settings.mapper in ("incremental", "global"):
+        return settings.mapper
+    return "global" if constrained or len(scene) >= GLOBAL_FROM_IMAGES else "incremental"
+
+
+def believed_cameras(scene: Scene, settings: SparseSettings) -> tuple[int, ...]:
+    """COLMAP ids of the cameras whose intrinsics stay as given: under "auto" the calibrated ones.
+
+    Freed, they run off where a vehicle drives straight on: PandaSet's focal lengths by 8 %, KITTI's principal point by
+    30 px. A focal length from EXIF is no calibration: it comes with a principal point in the very middle.
+    """
+    if settings.refine_intrinsics == "yes":
+        return ()
+    out, key = [], 0
+    for rig in scene.rigs:
+        for sensor in rig.sensors:
+            key += 1
+            camera = sensor.camera
+            stated = camera is not None and rig.fixed and camera.has_prior_focal_length
+            believed = stated or (camera is not None and calibrated(camera))
+            if settings.refine_intrinsics == "no" or believed:
+                out.append(key)
+    return tuple(out)
+
+
+def map_images(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -> Outcome:
+    """Start from the preview model where that is asked for, or the survey is large; where there is none, or it does not
+    pass the gate, map, a large survey in blocks."""
+    large = len(job.scene) > IN_BLOCKS
+    asked = job.settings.mapper == "preview" or (job.settings.mapper == "auto" and large)
+    if not label and job.preview is not None and asked:
+        outcome = _run(job, "preview", rigs, modes, label)
+        if outcome.folders:
+            return _with_others(job, outcome, rigs, modes)
+        job.notes.append(f"the model could not start from the preview model: {outcome.refused}; mapped from nothing")
+    if not label and large and asked and not job.rough:
+        mapper = choose_mapper(job.scene, job.settings, bool(rigs))
+        request = replace(_request(job, mapper, rigs, modes), positions=False)
+        found = poses_by_blocks(request, job.scene, job.graph, job.log, job.run_map)
+        job.notes.extend(found.notes)
+        outcome = _run(replace(job, preview=found.cam_from_world), "preview", rigs, modes, "from blocks")
+        if outcome.folders:
+            return _with_others(job, outcome, rigs, modes)
+        job.notes.append(f"the blocks do not make one model: {outcome.refused}; mapped whole")
+    return _mapped(job, rigs, modes, label)
+
+
+def _with_others(job: Job, outcome: Outcome, rigs: dict[int, Rig], modes: dict[int, str]) -> Outcome:
+    """Models of what nothing ties to the first one, added to it: a second survey in the folder, for one."""
+    there = np.isfinite(image_poses(pycolmap.Reconstruction(outcome.folders[0]), job.scene)).all(axis=(1, 2))
+    component = job.graph.component
+    known = np.unique(component[there])
+    rest = np.flatnonzero((component >= 0) & ~np.isin(component, known))
+    if len(rest) < SECOND_SURVEY:
+        return outcome
+    mapper = choose_mapper(job.scene, job.settings, bool(rigs))
+    other = _run(job, mapper, rigs, modes, "of what is not tied to it", only=rest)
+    names = f"{job.scene.names[rest[0]]} .. {job.scene.names[rest[-1]]}"
+    job.notes.append(
+        f"{len(rest)} images ({names}) have no verified pair with the first model: another survey, or too little "
+        f"overlap; {'mapped by themselves, see the table of models' if other.folders else 'they make no model'}"
+    )
+    both = sorted([*outcome.folders, *other.folders], key=lambda f: -pycolmap.Reconstruction(f).num_reg_images())
+    return replace(outcome, folders=both)
+
+
+def _mapped(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -> Outcome:
+    """Run the chosen mapper; under "auto", when clearly fewer images come back than could, again with another seed
+    (threads make runs differ: one in a dozen on the example fell apart), then the other mapper."""
+    first = choose_mapper(job.scene, job.settings, bool(rigs))
+    outcome = _run(job, first, rigs, modes, label)
+    reachable = job.graph.components[0]
+    enough = (ROUGHLY_FEWER if job.rough else CLEARLY_FEWER) * reachable
+    other = "incremental" if first == "global" else "global"
+    for mapper, seed in ((first, 1), (other, 0))[: 1 if job.rough else 2]:  # a rough model is not worth the slow mapper
+        if job.settings.mapper not in ("auto", "preview") or outcome.registered >= enough:
+            break
+        second = _run(job, mapper, rigs, modes, label, seed)
+        better = second if second.registered > outcome.registered else outcome
+        job.notes.append(
+            f"{outcome.mapper} mapping {label} placed {outcome.registered} of {reachable} connected images, so "
+            f"{mapper} mapping was tried too ({second.registered}): kept {better.mapper}"
+        )
+        outcome = better
+    if not outcome.folders:
+        raise ReconstructionError(
+            no_model_text(
+                job.scene, job.graph, "the mapper found no two images to start from, or nothing held together"
+            )
+        )
+    return outcome
+
+
+def _request(job: Job, mapper: str, rigs: dict[int, Rig], modes: dict[int, str], seed: int = 0) -> Request:
+    constant = believed_cameras(job.scene, job.settings)
+    return Request(
+        mapper=mapper,
+        seed=seed,
+        database=job.database,
+        images=job.images,
+        folder=job.out / f"run-{len(job.runs)}-{mapper}",
+        scene=job.scene.to_json(),
+        rigs=Request.rigs_of(rigs),
+        fixed=tuple(k for k in rigs if held_by_mapper(rigs[k], modes[k])),
+        positions=mapper == "incremental" and job.settings.use_positions and job.scene.has_positions(),
+        constant_cameras=constant,
+        all_constant=len(constant) == len(job.scene.all_sensors),
+        min_matches=job.settings.min_matches,
+        refused=job.refused,
+        rough=job.rough,
+        poses=job.preview if mapper == "preview" else None,
+    )
+
+
+def _run(
+    job: Job,
+    mapper: str,
+    rigs: dict[int, Rig],
+    modes: dict[int, str],
+    label: str,
+    seed: int = 0,
+    only: np.ndarray | None = None,
+) -> Outcome:
+    scene = job.scene
+    request = replace(_request(job, mapper, rigs, modes, seed), only=only)
+    total = len(scene)
+    per_frame = total / max(scene.frames, 1) if rigs else 1.0
+    job.on_progress(0, total)
+    start = time.monotonic()
+    mapped: Mapped = run_in_child(
+        run_mapper,
+        request,
+        log=job.log,
+        on_message=lambda frames: job.on_progress(min(total, round(frames * per_frame)), total),
+        task=f"{mapper} mapping",
+    )
+    seconds = time.monotonic() - start
+    folders = mapped.folders
+    job.notes.extend(f"{mapper} model: {note}" for note in mapped.notes)
+    registered, points = _seeing(folders[0], scene) if folders else (0, 0)
+    rig = "+".join(sorted({modes[k] for k in rigs})) or "absent"
+    held = "positions" if request.positions else "none"
+    job.runs.append([mapper, rig, held, label, len(folders), registered, points, round(seconds, 1)])
+    _log.info("%s mapping, rig %s: %d images in the first of %d models", mapper, rig, registered, len(folders))
+    return Outcome(mapper, folders, registered, mapped.refused)
+
+
+def _seeing(folder: Path, scene: Scene) -> tuple[int, int]:
+    reconstruction = pycolmap.Reconstruction(folder)
+    return int(np.sum(observations(reconstruction, scene) >= MIN_OBSERVATIONS)), reconstruction.num_points3D()

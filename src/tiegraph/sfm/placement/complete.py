@@ -1,0 +1,127 @@
+"""What verified matches could not place, or hardly tie, is asked once more by guided matching."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tiegraph.geometry import transforms
+from tiegraph.sfm.model import MIN_OBSERVATIONS, image_poses
+from tiegraph.sfm.placement.adopt import Unit, missing, register
+from tiegraph.sfm.placement.guided import Descriptors, Found, Sight, add_sightings, guided, rows_of
+from tiegraph.sfm.placement.predict import Predicted, predicted
+from tiegraph.sfm.placement.repair import Repair, mounts, near_course
+from tiegraph.sfm.placement.resect import MIN_INLIERS, Placed, place
+from tiegraph.sfm.placement.verified import Seen, seen_by
+
+ROUNDS = 2  # what is placed may help the next
+NEAR_PX = 8.0  # of an image that the rig places: how far off its points may be
+LEAST_PX = 6.0  # searched at least
+AGREE_PX = 4.0  # COLMAP's own limit of an observation
+AGREE_SHARE = 0.5  # of what was found that must agree with the rig's pose
+MAX_MISS = 3.0  # times the slack that a found pose may turn from the predicted one
+
+
+@dataclass(frozen=True)
+class Completed:
+    """Images placed and images tied more firmly, with how many points each sees now; why others stay missing."""
+
+    placed: dict[int, int] = field(default_factory=dict)
+    tied: dict[int, int] = field(default_factory=dict)
+    why: dict[int, str] = field(default_factory=dict)
+
+
+def complete(work: Repair, image_ids: dict[int, int], descriptors: Descriptors, skip: frozenset[int]) -> Completed:
+    """Place what is missing and tie what sees fewer than 10 points; changes the model of ``work``.
+
+    ``image_ids``: COLMAP's, by scene index; ``skip``: keys of sensors whose own ties are not believed.
+    """
+    done = Completed()
+    for _ in range(ROUNDS):
+        before = len(done.placed)
+        _place_missing(work, image_ids, descriptors, done)
+        if len(done.placed) == before:
+            break
+    _tie_weak(work, image_ids, descriptors, skip, done)
+    return done
+
+
+def _place_missing(work: Repair, image_ids: dict[int, int], descriptors: Descriptors, done: Completed) -> None:
+    scene = work.scene
+    with_features = {k for k, xy in work.verified.xy.items() if len(xy)}
+    units = [u for u in missing(work, with_features) if u.frame not in dict(work.left_out)]
+    if not units:
+        return
+    seen = seen_by(work.model, scene)
+    poses, way = work.poses(), work.way()
+    main = {int(scene.frame[k]) for k in seen.point}
+    for unit in units:
+        where = predicted(unit.frame, poses, work.preview, scene) if unit.bound or len(unit.images) == 1 else None
+        if where is None:
+            done.why.update(dict.fromkeys(unit.images, "neither a preview model nor neighbours say where it stands"))
+            continue
+        found = _search(work, unit, where, seen, descriptors)
+        placed = place(rows_of(found, work.verified, seen), *mounts(work, unit.images))
+        if placed is None or not _holds(placed, where):
+            agree = 0 if placed is None else placed.inliers
+            text = f"guided matching at the place that {where.by} give: {agree} points agree, {MIN_INLIERS} are needed"
+            done.why.update(dict.fromkeys(unit.images, text))
+            continue
+        if not near_course(unit.frame, placed.pose[:3, 3], poses, scene, way, main):
+            done.why.update(dict.fromkeys(unit.images, "guided matching puts it off the course of its pass"))
+            continue
+        register(work, unit, placed.pose, image_ids)
+        for one in found:
+            done.placed[one.image] = add_sightings(work.model, one, image_ids[one.image], AGREE_PX)
+            done.why.pop(one.image, None)
+
+
+def _search(work: Repair, unit: Unit, where: Predicted, seen: Seen, descriptors: Descriptors) -> list[Found]:
+    cameras, cam_from_rig = mounts(work, unit.images)
+    out = []
+    for k, camera in cameras.items():
+        slack_px = max(where.slack_rad * camera.mean_focal_length(), LEAST_PX)
+        sight = Sight(k, cam_from_rig[k] @ transforms.invert(where.pose), camera, slack_px)
+        out.append(guided(sight, seen, work.verified, descriptors))
+    return out
+
+
+def _holds(placed: Placed, where: Predicted) -> bool:
+    turned = np.radians(float(transforms.angle_deg(placed.pose[:3, :3], where.pose[:3, :3])))
+    return placed.holds() and turned < MAX_MISS * where.slack_rad
+
+
+def _tie_weak(
+    work: Repair, image_ids: dict[int, int], descriptors: Descriptors, skip: frozenset[int], done: Completed
+) -> None:
+    """Images that hang on the rig: they are searched for points where the rig says these are."""
+    scene, model = work.scene, work.model
+    poses = image_poses(model, scene)
+    weak = [
+        k
+        for k in np.flatnonzero(np.isfinite(poses).all(axis=(1, 2))).tolist()
+        if model.image(image_ids[k]).num_points3D < MIN_OBSERVATIONS
+        and int(scene.sensor_key[k]) not in skip
+        and len(work.verified.xy.get(k, ()))
+    ]
+    if not weak:
+        return
+    seen = seen_by(model, scene)
+    for k in weak:
+        sight = Sight(k, poses[k], model.camera(model.image(image_ids[k]).camera_id), NEAR_PX)
+        found = guided(sight, seen, work.verified, descriptors)
+        good = _agreeing(found, sight, seen, work.verified.xy[k])
+        if good.sum() >= MIN_OBSERVATIONS and good.mean() >= AGREE_SHARE:
+            added = add_sightings(model, found, image_ids[k], AGREE_PX)
+            if added:
+                done.tied[k] = int(model.image(image_ids[k]).num_points3D)
+
+
+def _agreeing(found: Found, sight: Sight, seen: Seen, xy: np.ndarray) -> np.ndarray:
+    """(K,) bool: what was found lies within AGREE_PX of its place."""
+    if not len(found.key):
+        return np.zeros(0, bool)
+    local = transforms.apply(sight.cam_from_world, np.array([seen.xyz[int(p)] for p in found.point]))
+    place_px = np.asarray(sight.camera.img_from_cam(local), float)
+    return np.linalg.norm(place_px - xy[found.key], axis=1) < AGREE_PX

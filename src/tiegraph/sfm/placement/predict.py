@@ -1,0 +1,71 @@
+"""Where a frame should stand that no match has placed: by the preview model, or by its neighbours on the pass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from tiegraph.geometry import transforms
+from tiegraph.scene.scene import Scene
+
+NEIGHBOURS = 8  # frames whose poses carry those of the preview model over: what it drifts, it drifts slowly
+AWAY = 4  # steps to a neighbour on the pass at most
+BY_PREVIEW_RAD, BY_PASS_RAD = 0.01, 0.04  # how far off a point may then be seen
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """world_from_rig (4, 4), how far off its sights may be (radians), and by what it was predicted."""
+
+    pose: np.ndarray
+    slack_rad: float
+    by: str
+
+
+def predicted(frame: int, poses: np.ndarray, preview: np.ndarray | None, scene: Scene) -> Predicted | None:
+    """The pose of a frame from those (F, 4, 4) of the others, NaN = not placed; ``preview`` (F, 4, 4) in units of its
+    own. None where neither tells."""
+    known = np.isfinite(poses).all(axis=(1, 2))
+    known[frame] = False
+    if preview is not None and np.isfinite(preview[frame]).all():
+        found = _by_preview(frame, poses, preview, known)
+        if found is not None:
+            return Predicted(found, BY_PREVIEW_RAD, "poses of the preview model")
+    found = _by_pass(frame, poses, scene, known)
+    return None if found is None else Predicted(found, BY_PASS_RAD, "its neighbours on the pass")
+
+
+def _by_preview(frame: int, poses: np.ndarray, preview: np.ndarray, known: np.ndarray) -> np.ndarray | None:
+    both = np.flatnonzero(known & np.isfinite(preview).all(axis=(1, 2)))
+    if len(both) < 3:
+        return None
+    distance = np.linalg.norm(preview[both, :3, 3] - preview[frame, :3, 3], axis=1)
+    near = both[np.argsort(distance, kind="stable")[:NEIGHBOURS]]
+    # The turn by the frames' own rotations: the positions of a straight pass leave the one about it open.
+    turn = Rotation.from_matrix(poses[near, :3, :3] @ np.swapaxes(preview[near, :3, :3], 1, 2)).mean().as_matrix()
+    source = preview[near, :3, 3] @ turn.T
+    target = poses[near, :3, 3]
+    spread = source - source.mean(axis=0)
+    length = float(np.sum(spread**2))
+    if length == 0:
+        return None
+    scale = float(np.sum(spread * (target - target.mean(axis=0)))) / length
+    place = target.mean(axis=0) + scale * (turn @ preview[frame, :3, 3] - source.mean(axis=0))
+    return transforms.rigid(turn @ preview[frame, :3, :3], place) if scale > 0 else None
+
+
+def _by_pass(frame: int, poses: np.ndarray, scene: Scene, known: np.ndarray) -> np.ndarray | None:
+    """Between the nearest frames before and after."""
+    if scene.track[frame] < 0:
+        return None
+    steps = scene.step - scene.step[frame]
+    same = known & (scene.track == scene.track[frame]) & (scene.rig == scene.rig[frame]) & (np.abs(steps) <= AWAY)
+    before, after = np.flatnonzero(same & (steps < 0)), np.flatnonzero(same & (steps > 0))
+    if not len(before) or not len(after):
+        return None
+    a, b = before[np.argmax(steps[before])], after[np.argmin(steps[after])]
+    part = -steps[a] / (steps[b] - steps[a])
+    turn = Slerp([0.0, 1.0], Rotation.from_matrix(poses[[a, b], :3, :3]))(part).as_matrix()
+    return transforms.rigid(turn, (1 - part) * poses[a, :3, 3] + part * poses[b, :3, 3])

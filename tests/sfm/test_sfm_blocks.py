@@ -1,0 +1,88 @@
+"""A large survey mapped in blocks, and what nothing ties to the first model."""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+from moving_world import moving_world, write_database
+
+from tiegraph.geometry import transforms
+from tiegraph.geometry.align import umeyama
+from tiegraph.scene import blocks
+from tiegraph.scene.colmapmodel import MAX_IMAGES
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm import mapping
+from tiegraph.sfm.database import write_working_copy
+from tiegraph.sfm.mapper import Source, reconstruct
+from tiegraph.sfm.model import image_poses
+from tiegraph.sfm.settings import SparseSettings
+
+
+@pytest.fixture
+def world(tmp_path: Path) -> tuple[np.ndarray, Scene]:
+    model, scene = moving_world(frames=24)
+    write_database(model, tmp_path / "database.db")
+    return image_poses(model, scene), scene
+
+
+def _error(found: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """(K,) of the centres after a similarity."""
+    a, b = transforms.centre(found), transforms.centre(true)
+    return np.linalg.norm(umeyama(a, b)(a) - b, axis=1)
+
+
+def test_a_working_copy_of_some_images_holds_nothing_else(world, tmp_path: Path) -> None:
+    _, scene = world
+    some = np.flatnonzero(scene.frame < 3)
+    write_working_copy(tmp_path / "database.db", tmp_path / "part.db", scene, {0: scene.rigs[0]}, False, (), some)
+    with sqlite3.connect(tmp_path / "part.db") as copy:
+        names = {name for (name,) in copy.execute("SELECT name FROM images")}
+        ends = {k for (p,) in copy.execute("SELECT pair_id FROM two_view_geometries") for k in divmod(p, MAX_IMAGES)}
+        frames = copy.execute("SELECT COUNT(*) FROM frames").fetchone()[0]
+        ids = {k for (k,) in copy.execute("SELECT image_id FROM images")}
+    assert names == {scene.names[k] for k in some} and frames == 3
+    assert ends == ids
+
+
+@pytest.mark.slow
+def test_blocks_make_one_model(world, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    true, scene = world
+    monkeypatch.setattr(mapping, "IN_BLOCKS", 30)
+    for name, value in (("MOST", 30), ("CORE", 40), ("LEAST", 6), ("LENT", 18)):
+        monkeypatch.setattr(blocks, name, value)
+    source = Source(tmp_path / "database.db", None)
+    result = reconstruct(source, tmp_path / "sparse", scene, SparseSettings(covariance_frames=0), tmp_path / "log.txt")
+    assert result.mapper == "preview" and result.counts["registered"] == len(scene) and result.counts["models"] == 1
+    assert any("mapped in 2 blocks" in n and "1 of 1 joins hold" in n for n in result.notes)
+    error = _error(image_poses(result.load(), scene), true)
+    assert 1e-5 < np.sqrt(np.mean(error**2)) < 0.006
+    assert not list((tmp_path / "sparse").glob("run-*"))
+
+
+@pytest.mark.slow
+def test_two_surveys_in_one_folder_become_two_models(world, tmp_path: Path) -> None:
+    """The preview model puts them side by side, but no verified pair ties them."""
+    true, scene = world
+    model_frames = scene.frame >= 18
+    with sqlite3.connect(tmp_path / "database.db") as db:
+        names = dict(db.execute("SELECT image_id, name FROM images"))
+        late = {i for i, n in names.items() if model_frames[scene.image_index[n]]}
+        for (pair,) in db.execute("SELECT pair_id FROM two_view_geometries").fetchall():
+            if len(set(divmod(pair, MAX_IMAGES)) & late) == 1:
+                db.execute("DELETE FROM two_view_geometries WHERE pair_id = ?", (pair,))
+    source = Source(tmp_path / "database.db", None, preview=true)
+    result = reconstruct(
+        source, tmp_path / "sparse", scene, SparseSettings(mapper="preview", covariance_frames=0), tmp_path / "log.txt"
+    )
+    assert result.mapper == "preview" and [len(m.images) for m in result.models] == [54, 18]
+    assert any("18 images" in n and "another survey" in n for n in result.notes)
+    assert len(result.dropped) == 18
+    assert all(why.startswith("in model 1, not joined to the first; guided matching") for _, why in result.dropped)
+    for m in range(2):
+        poses = image_poses(pycolmap.Reconstruction(result.models[m].folder), scene)
+        there = np.isfinite(poses).all(axis=(1, 2))
+        assert 1e-5 < np.sqrt(np.mean(_error(poses[there], true[there]) ** 2)) < 0.01

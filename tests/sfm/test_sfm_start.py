@@ -1,0 +1,164 @@
+"""A model from the roughly known poses of a preview model: its rounds, the length of its path, its gate."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+from moving_world import moving_world, write_database
+from scipy.spatial.transform import Rotation
+
+from tiegraph.geometry import transforms
+from tiegraph.geometry.align import umeyama
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.mapper import Source, reconstruct
+from tiegraph.sfm.model import frame_poses, image_poses
+from tiegraph.sfm.placement.verified import read_verified
+from tiegraph.sfm.run import Mapped, Request, run_mapper
+from tiegraph.sfm.settings import SparseSettings
+from tiegraph.sfm.start.poses import rig_of_poses, start_from
+from tiegraph.sfm.start.scale import path_scale
+
+
+@pytest.fixture
+def world(tmp_path: Path) -> tuple[np.ndarray, Scene]:
+    """True cam_from_world (N, 4, 4) and the scene; the verified matches are in the folder."""
+    model, scene = moving_world(frames=14)
+    write_database(model, tmp_path / "database.db")
+    return image_poses(model, scene), scene
+
+
+def _rough(true: np.ndarray, scene: Scene, turn_deg: float = 0.15, shift_m: float = 0.03) -> np.ndarray:
+    """Poses as a preview model has them: the frames a little off, the rig as it is."""
+    rng = np.random.default_rng(1)
+    turn = Rotation.from_rotvec(np.radians(turn_deg) * rng.standard_normal((scene.frames, 3)) / 1.7).as_matrix()
+    wrong = transforms.rigid(turn, shift_m * rng.standard_normal((scene.frames, 3)) / 1.7)
+    frames = frame_poses(true, scene) @ wrong
+    extrinsics = np.stack([scene.rigs[0].sensors[s].sensor_from_rig for s in scene.sensor])
+    return extrinsics @ transforms.invert(frames[scene.frame])
+
+
+def _map(folder: Path, scene: Scene, poses: np.ndarray, fixed: bool = True) -> Mapped:
+    request = Request(
+        mapper="preview", seed=0, database=folder / "database.db", images=None, folder=folder / "run",
+        scene=scene.to_json(), rigs=Request.rigs_of(dict(enumerate(scene.rigs))), fixed=(0,) if fixed else (),
+        positions=False, constant_cameras=(1, 2, 3), all_constant=True, min_matches=15, poses=poses,
+    )  # fmt: skip
+    return run_mapper(request, lambda frames: None)
+
+
+def _error(mapped: Mapped, true: np.ndarray, scene: Scene) -> tuple[float, float]:
+    """RMSE of the centres after a similarity, and its scale."""
+    found = transforms.centre(image_poses(pycolmap.Reconstruction(mapped.folders[0]), scene))
+    fit = umeyama(found, transforms.centre(true))
+    return float(np.sqrt(np.mean(np.sum((fit(found) - transforms.centre(true)) ** 2, axis=1)))), fit.scale
+
+
+def test_rough_poses_become_a_good_model(world, tmp_path: Path) -> None:
+    true, scene = world
+    rough = _rough(true, scene)
+    before = transforms.centre(rough) - transforms.centre(true)
+    assert 0.01 < np.sqrt(np.mean(np.sum(before**2, axis=1))) < 0.1
+    mapped = _map(tmp_path, scene, rough)
+    assert mapped.refused == "" and mapped.notes == ()
+    error, scale = _error(mapped, true, scene)
+    assert 1e-5 < error < 0.004 and scale == pytest.approx(1, abs=0.005)  # of a rig of 0.4 m
+    assert not (tmp_path / "run" / "working.db").exists()
+
+
+def test_frames_without_a_pose_are_registered(world, tmp_path: Path) -> None:
+    true, scene = world
+    rough = _rough(true, scene)
+    rough[np.isin(scene.frame, (4, 13))] = np.nan
+    mapped = _map(tmp_path, scene, rough)
+    assert pycolmap.Reconstruction(mapped.folders[0]).num_reg_images() == len(scene)
+    assert _error(mapped, true, scene)[0] < 0.004
+
+
+def test_a_refined_rig_takes_units_and_extrinsics_of_the_poses(world, tmp_path: Path) -> None:
+    true, scene = world
+    rough = _rough(true, scene)
+    rough[:, :3, 3] *= 0.2
+    nominal = [replace(s, sensor_from_rig=transforms.rigid(s.sensor_from_rig[:3, :3] @ _turned(k), np.zeros(3)))
+               for k, s in enumerate(scene.rigs[0].sensors)]  # fmt: skip
+    given = scene.with_(rigs=(replace(scene.rigs[0], sensors=tuple(nominal), fixed=False, nominal=True),))
+    rig = rig_of_poses(given, 0, given.rigs[0], rough)
+    for found, sensor in zip(rig.sensors, scene.rigs[0].sensors):
+        np.testing.assert_allclose(found.sensor_from_rig[:3, :3], sensor.sensor_from_rig[:3, :3], atol=1e-9)
+        np.testing.assert_allclose(found.sensor_from_rig[:3, 3], 0.2 * sensor.sensor_from_rig[:3, 3], atol=1e-9)
+    mapped = _map(tmp_path, given, rough, fixed=False)
+    assert mapped.refused == "" and 1e-5 < _error(mapped, true, scene)[0] < 0.006
+
+
+def _turned(k: int) -> np.ndarray:
+    return Rotation.from_rotvec([0.0, np.radians(2.0 * k), 0.0]).as_matrix()
+
+
+def test_a_path_too_long_for_its_rig_is_made_right(world, tmp_path: Path) -> None:
+    """A preview model had PandaSet's path 16 times too long against its rig; adjustment does not get out of that."""
+    true, scene = world
+    frames = frame_poses(true, scene)
+    frames[:, :3, 3] *= 8.0
+    extrinsics = np.stack([scene.rigs[0].sensors[s].sensor_from_rig for s in scene.sensor])
+    mapped = _map(tmp_path, scene, extrinsics @ transforms.invert(frames[scene.frame]))
+    assert mapped.refused == "" and "0.125 times as long, by its matches" in mapped.notes[0]
+    error, scale = _error(mapped, true, scene)
+    assert error < 0.004 and scale == pytest.approx(1, abs=0.005)
+
+
+def test_positions_tell_the_length_where_matches_do_not(world, tmp_path: Path) -> None:
+    true, scene = world
+    frames = frame_poses(true, scene)
+    verified = read_verified(tmp_path / "database.db", scene)
+    alone = verified.where(scene.sensor[verified.pairs].max(axis=1) == 0)  # the reference camera: no baselines
+    extrinsics = np.stack([scene.rigs[0].sensors[s].sensor_from_rig for s in scene.sensor])
+    stretched = frames.copy()
+    stretched[:, :3, 3] *= 3.0
+    assert np.isnan(path_scale(scene, extrinsics, stretched, alone).scale)
+    placed = scene.with_(world_from_rig=frames, position_sigma_m=np.full((scene.frames, 3), 0.02), prior="gnss")
+    found = path_scale(placed, extrinsics, stretched, alone)
+    assert found.by == "the positions" and found.scale == pytest.approx(1 / 3, rel=0.01)
+    assert path_scale(placed, extrinsics, frames, alone).scale == 1.0
+    assert path_scale(scene, extrinsics, stretched, verified).scale == pytest.approx(1 / 3, rel=0.03)
+
+
+def test_a_rig_of_one_centre_has_no_length_to_compare(world, tmp_path: Path) -> None:
+    """The views of a panorama: nothing fixes the scale, and nothing contradicts it."""
+    true, scene = world
+    sensors = [replace(s, sensor_from_rig=transforms.rigid(s.sensor_from_rig[:3, :3], np.zeros(3)))
+               for s in scene.rigs[0].sensors]  # fmt: skip
+    views = scene.with_(rigs=(replace(scene.rigs[0], sensors=tuple(sensors)),))
+    verified = read_verified(tmp_path / "database.db", views)
+    started = start_from(true, views, {0: views.rigs[0]}, (0,), verified)
+    assert started is not None and started.notes == ()
+    np.testing.assert_allclose(started.world_from_rig, frame_poses(true, scene), atol=1e-9)
+
+
+@pytest.mark.slow
+def test_poses_that_are_wrong_do_not_pass_the_gate(world, tmp_path: Path) -> None:
+    true, scene = world
+    wrong = _rough(true, scene)
+    wrong[:, :3, 3] += 6.0 * np.sin(scene.frame)[:, None]  # a frame here, the next elsewhere
+    source = Source(tmp_path / "database.db", None, preview=wrong)
+    result = reconstruct(
+        source, tmp_path / "sparse", scene, SparseSettings(mapper="preview", covariance_frames=0), tmp_path / "log.txt"
+    )
+    assert result.mapper == "global" and any("could not start from the preview model" in n for n in result.notes)
+    found = transforms.centre(image_poses(result.load(), scene))
+    assert np.linalg.norm(found - transforms.centre(true) @ np.eye(3), axis=1).size == len(scene)
+    assert [row[0] for row in result.tables["runs"]["rows"]][:2] == ["preview", "global"]
+
+
+@pytest.mark.slow
+def test_the_stage_starts_from_the_preview_model(world, tmp_path: Path) -> None:
+    true, scene = world
+    source = Source(tmp_path / "database.db", None, preview=_rough(true, scene))
+    result = reconstruct(source, tmp_path / "sparse", scene, SparseSettings(mapper="preview"), tmp_path / "log.txt")
+    assert result.mapper == "preview" and result.counts["registered"] == len(scene)
+    found = transforms.centre(image_poses(result.load(), scene))
+    error = umeyama(found, transforms.centre(true))(found) - transforms.centre(true)
+    assert 1e-5 < np.sqrt(np.mean(np.sum(error**2, axis=1))) < 0.004
+    assert result.sigma is not None and 1e-5 < result.sigma.median < 0.01
