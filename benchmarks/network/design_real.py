@@ -34,9 +34,9 @@ from tiegraph.design.design import design
 from tiegraph.design.expected import expected_matches
 from tiegraph.design.settings import DesignSettings
 from tiegraph.errors import InputError, TiegraphError
+from tiegraph.scan.rigwrite import write_rig_toml
 from tiegraph.scene.graph import forest
 from tiegraph.scene.rig import Rig, Sensor
-from tiegraph.scene.rigwrite import write_rig_toml
 
 SETS = ("canal_demo", "canal", "pandaset", "kitti_stereo", "kitti_stereo:image_l", "pandaset:front_camera")
 SHARES = (0.05, 0.1, 0.2, 0.4)

@@ -18,8 +18,8 @@ import tiegraph
 import worlds
 from tiegraph.cli.main import main
 from tiegraph.errors import InputError, ReconstructionError, SettingsError
+from tiegraph.scan.rigwrite import write_rig_toml
 from tiegraph.scene import atomic
-from tiegraph.scene.rigwrite import write_rig_toml
 
 Run = Callable[..., tuple[int, str]]
 

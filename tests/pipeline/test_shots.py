@@ -10,9 +10,9 @@ import pytest
 import tiegraph
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import rigid
+from tiegraph.scan.rigwrite import write_rig_toml
 from tiegraph.scene.cloudfile import read_cloud
 from tiegraph.scene.rig import Rig, Sensor
-from tiegraph.scene.rigwrite import write_rig_toml
 
 SIZE, FOCAL = (240, 180), 220.0
 PLACES = {"a": (0.0, 0, 0), "b": (0.075, 0, 0), "c": (0, 0.075, 0)}

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from tiegraph.api import open_project
 from tiegraph.cli.run import Common
-from tiegraph.scene.rigwrite import write_rig_toml
+from tiegraph.scan.rigwrite import write_rig_toml
 from tiegraph.scene.scene import Scene
 
 

@@ -13,11 +13,11 @@ from tiegraph.pipeline.files import read_image, read_mask, save_npz, scanned
 from tiegraph.pipeline.world import control_points
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
+from tiegraph.scan.scan import ScanInputs, build_scene, find_images, prepare_image, probe_image
+from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.video import find_videos, picture_folders, take_pictures
 from tiegraph.scene.images import has_images
 from tiegraph.scene.rig import Sensor
-from tiegraph.scene.scan import ScanInputs, build_scene, find_images, prepare_image, probe_image
-from tiegraph.scene.settings import ScanSettings
-from tiegraph.scene.video import find_videos, picture_folders, take_pictures
 
 
 def scan(run: Run) -> Outcome:

@@ -19,7 +19,7 @@ from tiegraph.features.settings import FeaturesSettings, MatchSettings, PreviewS
 from tiegraph.masks.settings import MasksSettings, RemaskSettings
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.report.settings import ReportSettings
-from tiegraph.scene.settings import ScanSettings
+from tiegraph.scan.settings import ScanSettings
 from tiegraph.settings import Section
 from tiegraph.sfm.settings import GeorefSettings, SparseSettings
 from tiegraph.verify.settings import VerifySettings

@@ -8,11 +8,11 @@ import numpy as np
 import pycolmap
 
 from tiegraph.errors import InputError
-from tiegraph.scene.folders import words
-from tiegraph.scene.prepare import crop_camera, pinhole_camera
+from tiegraph.scan.folders import words
+from tiegraph.scan.prepare import crop_camera, pinhole_camera
+from tiegraph.scan.rigspec import SensorSpec
+from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.rig import Source
-from tiegraph.scene.rigspec import SensorSpec
-from tiegraph.scene.settings import ScanSettings
 
 # COLMAP's ImageReaderOptions.default_focal_length_factor: a guess of 45 degrees of view.
 GUESSED_FOCAL_FACTOR = 1.2

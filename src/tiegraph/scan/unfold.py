@@ -10,11 +10,11 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import rigid
-from tiegraph.scene.assign import Report, Shot, Survey, Usable, some
-from tiegraph.scene.folders import guess_layout
+from tiegraph.scan.assign import Report, Shot, Survey, Usable, some
+from tiegraph.scan.folders import guess_layout
+from tiegraph.scan.rigspec import RigSpec, SensorSpec, orient
+from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.images import Probe
-from tiegraph.scene.rigspec import RigSpec, SensorSpec, orient
-from tiegraph.scene.settings import ScanSettings
 
 PRESET = "panorama"
 # Like the side cameras of a Ladybug: five around, seen by the same offsets and sections as such a rig; and one up. What

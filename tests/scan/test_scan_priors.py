@@ -8,13 +8,13 @@ from scipy.spatial.transform import Rotation
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import geodetic_from_world, make_origin, world_from_geodetic
 from tiegraph.geometry.transforms import angle_deg, rigid
+from tiegraph.scan.rigspec import AXES, orient
+from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.times import _time_in
+from tiegraph.scan.trajectory import read_trajectory, write_tum
 from tiegraph.scene.gnss import read_gnss
-from tiegraph.scene.rigspec import AXES, orient
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.settings import ScanSettings
 from tiegraph.scene.table import parse_time
-from tiegraph.scene.times import _time_in
-from tiegraph.scene.trajectory import read_trajectory, write_tum
 
 ORIGIN = make_origin(35.69, 139.77, 40.0, "ENU")
 ENU = ScanSettings(crs="ENU")

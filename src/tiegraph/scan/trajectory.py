@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import angle_deg, quaternion_xyzw, rigid
-from tiegraph.scene.folders import words
+from tiegraph.scan.folders import words
 from tiegraph.scene.results import Trajectory
 
 _TUM, _KITTI = 8, 12

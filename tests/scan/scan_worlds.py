@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tiegraph.scene.scan import ScanInputs, build_scene, find_images, probe_image
+from tiegraph.scan.scan import ScanInputs, build_scene, find_images, probe_image
+from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.settings import ScanSettings
 
 DATA = Path(os.environ.get("TIEGRAPH_DATA", Path(__file__).parents[3] / "shared" / "data"))
 

@@ -14,10 +14,10 @@ import pycolmap
 from PIL import Image
 
 from tiegraph.errors import InputError
+from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.images import decode_deep, deep_png, open_image
 from tiegraph.scene.panorama import render_view
 from tiegraph.scene.rig import Sensor, Source, camera_from_dict, camera_to_dict
-from tiegraph.scene.settings import ScanSettings
 
 # Formats that OpenCV and COLMAP both read by themselves.
 LINKED_FORMATS = {"JPEG": (".jpg", ".jpeg"), "MPO": (".jpg", ".jpeg"), "PNG": (".png",), "TIFF": (".tif", ".tiff"),

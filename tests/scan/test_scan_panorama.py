@@ -10,10 +10,10 @@ from PIL import Image
 from scan_worlds import exif_of, picture, scan
 
 from tiegraph.errors import InputError
+from tiegraph.scan.scan import prepare_image
+from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.panorama import is_equirectangular
-from tiegraph.scene.scan import prepare_image
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.settings import ScanSettings
 
 
 def colour(rays: np.ndarray, turn: float) -> np.ndarray:

@@ -8,9 +8,9 @@ from PIL import Image, ImageOps
 from scan_worlds import exif_of, picture, scan
 
 from tiegraph.errors import InputError
-from tiegraph.scene.prepare import crop_camera, pinhole_camera, prepare_image
+from tiegraph.scan.prepare import crop_camera, pinhole_camera, prepare_image
+from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.rig import Sensor, Source
-from tiegraph.scene.settings import ScanSettings
 
 PLAIN = Sensor("camera")
 

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from tiegraph.scene.folders import natural
+from tiegraph.scan.folders import natural
 
 _ENOUGH = 0.5  # share of frames that must agree before a way of matching is believed
 

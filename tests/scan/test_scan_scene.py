@@ -7,10 +7,10 @@ from PIL import Image
 from scan_worlds import data, exif_of, papers_rig, picture, scan
 
 from tiegraph.errors import InputError
+from tiegraph.scan.scan import ScanInputs, build_scene, safe_names
+from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.images import find_images, probe_image
-from tiegraph.scene.scan import ScanInputs, build_scene, safe_names
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.settings import ScanSettings
 
 
 def reasons(scene: Scene) -> dict[str, str]:

@@ -11,13 +11,13 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from tiegraph.errors import InputError
+from tiegraph.scan.folders import UP_WORDS, Layout, Place, guess_layout, is_loose, natural, place_by_folders, words
+from tiegraph.scan.rigfile import read_rig_file
+from tiegraph.scan.rigspec import RigSpec, SensorSpec, preset, preset_sizes
+from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.exif import Exif
-from tiegraph.scene.folders import UP_WORDS, Layout, Place, guess_layout, is_loose, natural, place_by_folders, words
 from tiegraph.scene.images import Probe
-from tiegraph.scene.rigfile import read_rig_file
-from tiegraph.scene.rigspec import RigSpec, SensorSpec, preset, preset_sizes
 from tiegraph.scene.scene import Dropped
-from tiegraph.scene.settings import ScanSettings
 
 _NAMED = 4  # how many names a note shows
 

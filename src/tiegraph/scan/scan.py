@@ -11,20 +11,20 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scene.assign import Report, Shot, Survey, Usable, assign, some
-from tiegraph.scene.cameras import FileFacts, calibrate
+from tiegraph.scan.assign import Report, Shot, Survey, Usable, assign, some
+from tiegraph.scan.cameras import FileFacts, calibrate
+from tiegraph.scan.folders import natural
+from tiegraph.scan.frames import match_frames
+from tiegraph.scan.prepare import KEPT_SUFFIXES, prepare_image
+from tiegraph.scan.priors import Frames, estimate_priors
+from tiegraph.scan.rigspec import RigSpec
+from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.times import FrameRow
+from tiegraph.scan.unfold import unfold
 from tiegraph.scene.exif import Exif
-from tiegraph.scene.folders import natural
-from tiegraph.scene.frames import match_frames
 from tiegraph.scene.images import IMAGES_FOLDER, Probe, find_images, probe_image
-from tiegraph.scene.prepare import KEPT_SUFFIXES, prepare_image
-from tiegraph.scene.priors import Frames, estimate_priors
 from tiegraph.scene.rig import Rig, Sensor
-from tiegraph.scene.rigspec import RigSpec
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.settings import ScanSettings
-from tiegraph.scene.times import FrameRow
-from tiegraph.scene.unfold import unfold
 
 __all__ = ["Probe", "ScanInputs", "build_scene", "find_images", "prepare_image", "probe_image"]
 

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from scan_worlds import scan
 
+from tiegraph.scan.video import find_videos, picture_folders, take_pictures
 from tiegraph.scene.images import has_images
-from tiegraph.scene.video import find_videos, picture_folders, take_pictures
 
 
 def film(path: Path, seconds: int, sharp: int = 3, seed: int = 0) -> Path:

@@ -49,8 +49,8 @@ import pycolmap
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import from_quaternion_wxyz, invert, rigid
+from tiegraph.scan.rigspec import AXES, RigSpec, SensorSpec, orient
 from tiegraph.scene.rig import PAIR_KEYS, ROLES, SensorPair
-from tiegraph.scene.rigspec import AXES, RigSpec, SensorSpec, orient
 
 if sys.version_info >= (3, 11):
     import tomllib

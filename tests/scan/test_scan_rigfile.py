@@ -9,10 +9,10 @@ from scan_worlds import data, papers_rig, picture, scan
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import angle_deg, from_quaternion_wxyz, invert
+from tiegraph.scan.rigfile import read_rig_file
+from tiegraph.scan.rigspec import AXES, orient, preset, yaw_pitch_roll_deg
+from tiegraph.scan.rigwrite import write_rig_config, write_rig_toml
 from tiegraph.scene.rig import Rig, Sensor, rig_from_dict, rig_to_dict
-from tiegraph.scene.rigfile import read_rig_file
-from tiegraph.scene.rigspec import AXES, orient, preset, yaw_pitch_roll_deg
-from tiegraph.scene.rigwrite import write_rig_config, write_rig_toml
 
 TOML = """
 name = "boat"

@@ -10,14 +10,14 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import Origin, make_origin, world_from_geodetic
 from tiegraph.geometry.transforms import interpolate, rigid
+from tiegraph.scan.rigspec import AXES, RigSpec
+from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.times import FrameRow, exif_times, frame_by_image, name_times, read_times
+from tiegraph.scan.trajectory import read_trajectory, same_start, trajectory_files
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.gnss import VERTICAL_FACTOR, Gnss, at_times, read_gnss
 from tiegraph.scene.results import Trajectory
 from tiegraph.scene.rig import Rig
-from tiegraph.scene.rigspec import AXES, RigSpec
-from tiegraph.scene.settings import ScanSettings
-from tiegraph.scene.times import FrameRow, exif_times, frame_by_image, name_times, read_times
-from tiegraph.scene.trajectory import read_trajectory, same_start, trajectory_files
 
 _SCALE_ROUNDS = 10  # the scale converges linearly, by the ratio of the lever arm to the length of the track
 _UNKNOWN_HEIGHT_SIGMA_M = 100.0  # a photograph with latitude and longitude but no height
