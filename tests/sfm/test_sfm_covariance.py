@@ -155,6 +155,6 @@ def test_final_adjustment_finds_the_principal_point(tmp_path) -> None:
 
 def test_impossible_intrinsics_are_refused(world, monkeypatch) -> None:
     truth, _ = world
-    monkeypatch.setattr("tiegraph.sfm.adjust._impossible", lambda *_: 2)
+    monkeypatch.setattr("tiegraph.sfm.adjust.impossible_camera", lambda *_: 2)
     result = final_adjustment(truth)
     assert not result.accepted and result.model is truth and "camera 2" in result.note
