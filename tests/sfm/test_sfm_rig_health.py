@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pycolmap
 import pytest
 from moving_world import moving_world
 
 from tiegraph.geometry import transforms
+from tiegraph.sfm import finish
 from tiegraph.sfm.adjust import final_adjustment
 from tiegraph.sfm.model import image_poses
-from tiegraph.sfm.rig.diagnosis import diagnose
-from tiegraph.sfm.rig.health import COLUMNS, resect_all, sensor_health
-from tiegraph.sfm.rig.relax import relax
+from tiegraph.sfm.rig.diagnosis import Diagnosis, diagnose
+from tiegraph.sfm.rig.health import (
+    COLUMNS,
+    MAX_RATIO,
+    Resections,
+    SensorHealth,
+    median_at_least,
+    resect_all,
+    sensor_health,
+)
+from tiegraph.sfm.rig.relax import Relaxed, lost_images, relax
 from tiegraph.sfm.rig.soft import available
 from tiegraph.sfm.rig.sync import rig_motion, time_offset
 
@@ -32,6 +43,61 @@ def test_a_good_rig_scatters_as_expected() -> None:
         assert 0.5 < h.scatter_ratio < 2.0
         assert 0.0005 < h.scatter_m < 0.05 and 0.002 < h.scatter_deg < 0.2
     assert all(len(row) == len(COLUMNS) for row in found.rows)
+
+
+def test_the_bound_of_a_median_holds_as_often_as_it_says() -> None:
+    rng = np.random.default_rng(0)
+    for draws in (5, 9, 18, 50):
+        above = [median_at_least(rng.chisquare(6, draws)) > 5.348 for _ in range(2000)]  # the median of chi2 of 6
+        assert 0.005 < np.mean(above) <= 0.05
+    assert median_at_least(np.full(4, 99.0)) == 0.0, "four frames tell nothing"
+    assert median_at_least(np.arange(1.0, 10)) == 2.0, "one of nine may lie below by chance, two not"
+
+
+def _scattered(frames: int, times: float, seed: int) -> SensorHealth:
+    """Health of a camera whose frames scatter ``times`` their expected sigma."""
+    _, scene = moving_world(frames=max(frames, 2))
+    rng = np.random.default_rng(seed)
+    sigma = np.array([0.01] * 3 + [0.002] * 3)  # m, rad
+    off = times * sigma * rng.standard_normal((frames, 6))
+    rows = np.array([scene.image_index[f"cam1/{f:03d}.jpg"] for f in range(frames)])
+    found = Resections(
+        image=rows, points=np.full(frames, 40), rms_px=np.full(frames, 0.5), shift_m=off[:, :3],
+        turn_deg=np.degrees(off[:, 3:]), sigma_m=np.tile(sigma[:3], (frames, 1)),
+        sigma_deg=np.degrees(np.tile(sigma[3:], (frames, 1))), covariance=np.tile(np.diag(sigma**2), (frames, 1, 1)),
+        rig_pose=np.tile(np.eye(4), (frames, 1, 1)), effect_px=np.zeros(frames),
+    )  # fmt: skip
+    return sensor_health(found, scene)[0]
+
+
+def test_few_frames_do_not_make_a_camera_loose() -> None:
+    """A scatter just above the bound is chance in nine frames and a finding in two hundred."""
+    few, many = (_scattered(frames, 1.3 * MAX_RATIO, 0) for frames in (9, 200))
+    assert few.scatter_ratio > MAX_RATIO > few.sure_ratio and few.rigid()
+    assert many.scatter_ratio > many.sure_ratio > MAX_RATIO and not many.rigid()
+    assert not _scattered(9, 4 * MAX_RATIO, 0).rigid(), "what is far out is found in nine frames too"
+    assert all(_scattered(9, MAX_RATIO, seed).rigid() for seed in range(10))
+
+
+def test_a_relaxed_model_that_loses_images_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    model, scene = moving_world(frames=6)
+    free = pycolmap.Reconstruction(model)
+    poor = scene.image_index["cam2/003.jpg"]
+    image = free.find_image_with_name(scene.names[poor])
+    for row, point in enumerate(image.points2D):
+        if point.has_point3D():
+            free.delete_observation(image.image_id, row)
+    assert lost_images(model, free, scene) == (poor,) and lost_images(free, model, scene) == ()
+    said = Diagnosis([], (), (0,), ["camera cam2 is not rigid"], True, {})
+    monkeypatch.setattr(finish, "diagnose", lambda *_: said)
+    monkeypatch.setattr(finish.soft, "available", lambda: True)
+    request = finish.FinishRequest(tmp_path, tmp_path, None, (0,), (), False, 0, scene.to_json(), rigs=(0,))
+    for relaxed, kept in ((free, model), (pycolmap.Reconstruction(model), None)):
+        monkeypatch.setattr(finish, "relax", lambda *_, to=relaxed: Relaxed(to, {}, ""))
+        notes: list[str] = []
+        result, _, _ = finish._checked_rig(model, model, scene, request, notes)
+        assert result is (kept or relaxed)
+        assert any("stays rigid" in n and scene.names[poor] in n for n in notes) == (kept is model)
 
 
 def test_a_loose_camera_is_named() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from tiegraph.sfm.rig import soft
 from tiegraph.sfm.rig.diagnosis import Diagnosis, diagnose
 from tiegraph.sfm.rig.given import given_geometry
 from tiegraph.sfm.rig.health import COLUMNS
-from tiegraph.sfm.rig.relax import Relaxed, relax, with_sightings_of
+from tiegraph.sfm.rig.relax import Relaxed, lost_images, relax, with_sightings_of
 from tiegraph.sfm.rig.support import place_as_given, units_per_metre
 
 HEALTH_FILE = "rig_health.csv"
@@ -152,11 +152,23 @@ def _checked_rig(
         calibrated = index in request.fixed or index in request.soft
         # What the rigid adjustment threw out is wanted here: the points the mapper had.
         start = with_sightings_of(model, mapped) if found.loose else model
-        relaxed[index] = relax(start, scene, index, (metres, calibrated), request.constant_cameras, found.loose)
-        model = relaxed[index].model
-        notes.append(_relaxed_note(scene, index, relaxed[index], found))
+        free = relax(start, scene, index, (metres, calibrated), request.constant_cameras, found.loose)
+        lost = lost_images(model, free.model, scene)
+        if lost:
+            notes.append(_lost_note(scene, index, lost))
+            continue
+        relaxed[index], model = free, free.model
+        notes.append(_relaxed_note(scene, index, free, found))
     table = found.table({k: o for r in relaxed.values() for k, o in r.offsets.items()})
     return model, {"rig health": table}, [t for r in relaxed.values() for t in r.ties]
+
+
+def _lost_note(scene: Scene, index: int, lost: Sequence[int]) -> str:
+    names = ", ".join(scene.names[k] for k in lost[:3]) + (" ..." if len(lost) > 3 else "")
+    return (
+        f"rig {scene.rigs[index].name} stays rigid all the same: relaxed, fewer images would have a place by points; "
+        f"{len(lost)} would lose theirs ({names})"
+    )
 
 
 def _relaxed_note(scene: Scene, index: int, relaxed: Relaxed, found: Diagnosis) -> str:

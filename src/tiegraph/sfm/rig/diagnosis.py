@@ -40,13 +40,14 @@ class Diagnosis:
                 *(round(v, 3) for v in (h.turn_deg, h.scatter_deg, h.expected_deg)),
                 round(h.scatter_px, 2),
                 round(h.scatter_ratio, 1),
+                round(h.sure_ratio, 1),
                 round(1000 * offsets[h.sensor].offset_s, 1) if h.sensor in offsets and self.timed else None,
             ]
             for h in self.health
         ]
         columns = [
             "camera", "frames", "off m", "scatter m", "expected m", "turned deg", "scatter deg", "expected deg",
-            "scatter px", "scatter / expected", "time offset ms",
+            "scatter px", "scatter / expected", "at least", "time offset ms",
         ]  # fmt: skip
         return {"columns": columns, "rows": rows}
 
@@ -81,7 +82,8 @@ def diagnose(
             loose[h.sensor] = h.scatter_deg
             notes.append(
                 f"camera {h.name} is not rigid or not synchronised: it scatters against the rig by {h.scatter_m:.3f} m "
-                f"and {h.scatter_deg:.2f} deg ({h.scatter_px:.1f} px), {h.scatter_ratio:.0f} x the expected"
+                f"and {h.scatter_deg:.2f} deg ({h.scatter_px:.1f} px), {h.scatter_ratio:.1f} x the expected, at least "
+                f"{h.sure_ratio:.1f} x by its {h.frames} frames"
             )
     if len(loose) > 1:
         notes.append("of several cameras that scatter, the one with the largest ratio is the cause: they share points")

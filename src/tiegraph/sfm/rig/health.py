@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pycolmap
 from scipy.spatial.transform import Rotation
+from scipy.stats import binom
 
 from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
@@ -24,6 +25,7 @@ MIN_FRAMES = 5  # resected, to speak of a camera's scatter
 SEARCH_PX = 6.0  # an inlier of the resection; a camera that is off as a whole still has most of its points within
 MAX_RATIO = 3.0  # scatter over its expected sigma (ALGORITHMS section 4 d)
 MIN_SCATTER_PX = 0.3  # less does no harm: points share their own errors, which the expected sigma leaves out
+CHANCE = 0.05  # that a camera within these bounds is called loose for the few frames that happened to tell of it
 _MAD = 1.4826
 COLUMNS = (
     "frame", "pass", "camera", "points", "rms_px", "right_m", "down_m", "forward_m", "turn_x_deg", "turn_y_deg",
@@ -73,10 +75,13 @@ class SensorHealth:
     expected_deg: float
     scatter_ratio: float  # scatter about the median over what the images allow: 1 = as good as they are
     scatter_px: float  # what that scatter moves in an image
+    sure_ratio: float  # the scatter ratio is at least this, at CHANCE: few frames tell little
 
     def rigid(self) -> bool:
-        """Whether the frames agree on one place: within what the images can tell, or too little to be seen."""
-        return self.scatter_ratio <= MAX_RATIO or self.scatter_px <= MIN_SCATTER_PX
+        """Whether the frames agree on one place, within what the images can tell and so many frames make sure of, or
+        too little to be seen."""
+        sure_px = self.scatter_px * self.sure_ratio / max(self.scatter_ratio, 1e-12)
+        return self.sure_ratio <= MAX_RATIO or sure_px <= MIN_SCATTER_PX
 
 
 def resect_all(reconstruction: pycolmap.Reconstruction, scene: Scene, metres_per_unit: float) -> Resections:
@@ -191,9 +196,20 @@ def sensor_health(found: Resections, scene: Scene) -> tuple[SensorHealth, ...]:
                 expected_deg=float(np.max(np.median(of.sigma_deg, axis=0))),
                 scatter_ratio=ratio,
                 scatter_px=ratio * pixel,
+                sure_ratio=float(np.sqrt(median_at_least(chi))),
             )
         )
     return tuple(out)
+
+
+def median_at_least(values: np.ndarray, chance: float = CHANCE) -> float:
+    """What the median of a distribution exceeds, but for ``chance``, given (n,) draws; 0 if they are too few to say.
+
+    The k-th smallest draw lies above the median if fewer than k draws lie below it, each with probability 1/2: the sign
+    test turned round, which asks nothing of the distribution (residuals of resections have long tails).
+    """
+    below = int(binom.ppf(chance, len(values), 0.5))  # the smallest b with P(draws below <= b) >= chance
+    return float(np.sort(values)[below - 1]) if below > 0 else 0.0
 
 
 def _spread(values: np.ndarray) -> np.ndarray:
