@@ -24,9 +24,13 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+import numpy as np
+
 import tiegraph  # noqa: F401  before pycolmap
 from benchmarks import accuracy, datasets, table
+from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import Origin
+from tiegraph.scan.rigfile import read_rig_file
 from tiegraph.scene.rig import camera_to_dict
 
 _COMPETITORS = Path(__file__).resolve().parent / "competitors"
@@ -34,6 +38,7 @@ _PROGRAMS = {
     "tiegraph": "tiegraph_run.py",
     "colmap_exhaustive": "colmap_exhaustive.py",
     "colmap_sequential": "colmap_sequential.py",
+    "colmap_rig": "colmap_rig.py",
 }
 _PACKAGES = ("tiegraph", "pycolmap", "opencv-python-headless", "numpy", "scipy")
 
@@ -134,7 +139,28 @@ def _command(dataset: datasets.Dataset, competitor: str, work: Path, args: argpa
     if _given(dataset, competitor, args):
         (work / "cameras.json").write_text(json.dumps({k: _colmap_camera(c) for k, c in dataset.cameras.items()}))
         command += ["--cameras", str(work / "cameras.json")]
+    if program == "colmap_rig" and dataset.rig is not None:
+        command += _colmap_rig(dataset.rig, work / "rig_config.json")
     return command
+
+
+def _colmap_rig(rig: Path, path: Path) -> list[str]:
+    """The options of a rig file for COLMAP: its own rig configuration, without intrinsics; none for a lone camera."""
+    (spec,) = read_rig_file(rig)
+    if len(spec.sensors) < 2:
+        return []
+    reference, cameras = spec.sensors[0].body_from_sensor, []
+    for k, sensor in enumerate(spec.sensors):
+        row: dict[str, Any] = {"image_prefix": f"{sensor.folder or sensor.name}/"}
+        if k == 0:
+            row["ref_sensor"] = True
+        elif reference is not None and sensor.body_from_sensor is not None:
+            pose = transforms.invert(sensor.body_from_sensor) @ reference
+            row["cam_from_rig_rotation"] = np.roll(transforms.quaternion_xyzw(pose[:3, :3]), 1).tolist()
+            row["cam_from_rig_translation"] = pose[:3, 3].tolist()
+        cameras.append(row)
+    path.write_text(json.dumps([{"cameras": cameras}]))
+    return ["--rig", str(path), *([] if spec.nominal else ["--hold-rig"])]
 
 
 def _colmap_camera(camera: Any) -> dict[str, Any]:

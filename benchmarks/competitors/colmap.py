@@ -1,4 +1,4 @@
-"""What the two COLMAP competitors share: pycolmap with its defaults, as its user would run it; no masks, no rig.
+"""What the COLMAP competitors share: pycolmap with its defaults, as its user would run it; no masks.
 
 The program writes ``--json`` again after each stage, so that a time-out or an abort of the native library loses only
 the stage that was running.
@@ -42,6 +42,11 @@ class Stages:
         self.save()
         return result
 
+    def fail(self, reason: str) -> None:
+        """Say why there is nothing to show."""
+        self.data |= {"status": "failed", "reason": reason}
+        self.save()
+
     def save(self) -> None:
         """Write the JSON file in one step."""
         temporary = self._path.with_suffix(".part")
@@ -64,30 +69,65 @@ def arguments(description: str) -> argparse.Namespace:
     for name in ("rig", "gnss", "trajectory", "times"):
         parser.add_argument(f"--{name}")
     parser.add_argument("--until", default="georef")
+    parser.add_argument("--hold-rig", action="store_true", help="the extrinsics of the rig are not refined")
     parser.add_argument("options", nargs="*", help="passed on to the competitor as they are")
     return parser.parse_args()
 
 
-def reconstruct(args: argparse.Namespace, match: Callable[[Path], None]) -> None:
-    """Extract, match, map with pycolmap's defaults: one camera a folder, incremental mapper."""
+def reconstruct(args: argparse.Namespace, match: Callable[[Path], None], with_rig: bool = False) -> None:
+    """Extract, match, map with pycolmap's defaults: one camera a folder, incremental mapper.
+
+    ``with_rig``: ``--rig`` is a rig_config.json, whose extrinsics the mapper refines (its default) unless they are
+    calibrated. A set without a rig has nothing to be run on and fails with that reason.
+    """
     stages = Stages(args.json)
-    database, sparse = args.out / "database.db", args.out / "sparse"
+    database, sparse, images, names = args.out / "database.db", args.out / "sparse", args.images, {}
     sparse.mkdir(parents=True, exist_ok=True)
-    stages.run("features", lambda: _extract(database, args))
+    options = pycolmap.IncrementalPipelineOptions(random_seed=SEED)
+    if with_rig:
+        if args.rig is None:
+            return stages.fail("the set has no rig")
+        images, names = _folders_of_sensors(args.images, Path(args.rig), args.out / "images")
+        options.ba_refine_sensor_from_rig = not args.hold_rig
+    stages.run("features", lambda: _extract(database, images, args))
+    if with_rig:
+        with pycolmap.Database.open(str(database)) as opened:
+            pycolmap.apply_rig_config(pycolmap.read_rig_config(args.rig), opened)
     stages.run("match", lambda: match(database))
     stages.data["pairs"] = pairs_of(database)
-    options = pycolmap.IncrementalPipelineOptions(random_seed=SEED)
-    models = stages.run("sparse", lambda: pycolmap.incremental_mapping(database, args.images, sparse, options))
+    models = stages.run("sparse", lambda: pycolmap.incremental_mapping(database, images, sparse, options))
+    for key, model in (models or {}).items():
+        for image in model.images.values():
+            image.name = names.get(image.name, image.name)
+        model.write(str(sparse / str(key)))
     stages.data["models"] = [str(sparse / str(key)) for key in models or {}]
     stages.data["software"] = {"pycolmap": pycolmap.__version__}
-    stages.data["status"] = "done" if stages.data["models"] else "failed"
     if not stages.data["models"]:
-        stages.data["reason"] = "no model"
+        return stages.fail("no model")
+    stages.data["status"] = "done"
     stages.save()
 
 
-def _extract(database: Path, args: argparse.Namespace) -> None:
-    pycolmap.extract_features(database, args.images, camera_mode=pycolmap.CameraMode.PER_FOLDER)
+def _folders_of_sensors(images: Path, rig: Path, target: Path) -> tuple[Path, dict[str, str]]:
+    """Links ``<sensor>/<pass>_<image>`` to images ``<pass>/<sensor>/<image>``, and the old names by the new ones.
+
+    COLMAP takes what follows the prefix for the frame; with the pass before it, each pass would be a rig of its own.
+    """
+    sensors = {Path(c["image_prefix"]).name for r in json.loads(rig.read_text()) for c in r["cameras"]}
+    names = {}
+    for path in sorted(p for p in images.rglob("*") if p.is_file()):
+        old = path.relative_to(images)
+        sensor = next((part for part in old.parts[:-1] if part in sensors), None)
+        if sensor is not None:
+            new = f"{sensor}/{'_'.join(part for part in old.parts if part != sensor)}"
+            (target / new).parent.mkdir(parents=True, exist_ok=True)
+            (target / new).symlink_to(path.resolve())
+            names[new] = old.as_posix()
+    return target, names
+
+
+def _extract(database: Path, images: Path, args: argparse.Namespace) -> None:
+    pycolmap.extract_features(database, images, camera_mode=pycolmap.CameraMode.PER_FOLDER)
     if args.cameras:
         _give_calibration(database, json.loads(args.cameras.read_text()))
 
