@@ -63,17 +63,45 @@ def test_blocks_make_one_model(world, tmp_path: Path, monkeypatch: pytest.Monkey
     assert not list((tmp_path / "sparse").glob("run-*"))
 
 
+def _cut(folder: Path, scene: Scene, frame: int) -> None:
+    """No verified pair between the frames before and from ``frame`` on."""
+    with sqlite3.connect(folder / "database.db") as db:
+        names = dict(db.execute("SELECT image_id, name FROM images"))
+        late = {i for i, n in names.items() if scene.frame[scene.image_index[n]] >= frame}
+        for (pair,) in db.execute("SELECT pair_id FROM two_view_geometries").fetchall():
+            if len(set(divmod(pair, MAX_IMAGES)) & late) == 1:
+                db.execute("DELETE FROM two_view_geometries WHERE pair_id = ?", (pair,))
+
+
+def test_two_surveys_in_one_folder_by_the_default_mapper(tmp_path: Path) -> None:
+    """The mapper makes two models by itself; that they are two surveys, and which images, is said."""
+    model, scene = moving_world(frames=12)
+    write_database(model, tmp_path / "database.db")
+    _cut(tmp_path, scene, 7)
+    settings = SparseSettings(covariance_frames=0)
+    result = reconstruct(
+        Source(tmp_path / "database.db", None), tmp_path / "sparse", scene, settings, tmp_path / "log.txt"
+    )
+    assert result.mapper == "global" and result.components == (21, 15)
+    assert [len(m.images) for m in result.models] == [21, 15]
+    (said,) = (n for n in result.notes if "another survey" in n)
+    assert said.startswith("15 images (cam0/007.jpg .. cam2/011.jpg) have no verified pair")
+    assert "mapped by themselves" in said and len(result.tables["runs"]["rows"]) == 1
+    assert result.tables["models"]["rows"][1][1] == 15
+    assert len(result.dropped) == 15, "nothing is lost without a word"
+    assert all(why.startswith("in model 1, not joined to the first") for _, why in result.dropped)
+    true = image_poses(model, scene)
+    for m in range(2):
+        poses = image_poses(pycolmap.Reconstruction(result.models[m].folder), scene)
+        there = np.isfinite(poses).all(axis=(1, 2))
+        assert 1e-5 < np.sqrt(np.mean(_error(poses[there], true[there]) ** 2)) < 0.2  # 5 frames, free lenses
+
+
 @pytest.mark.slow
 def test_two_surveys_in_one_folder_become_two_models(world, tmp_path: Path) -> None:
     """The preview model puts them side by side, but no verified pair ties them."""
     true, scene = world
-    model_frames = scene.frame >= 18
-    with sqlite3.connect(tmp_path / "database.db") as db:
-        names = dict(db.execute("SELECT image_id, name FROM images"))
-        late = {i for i, n in names.items() if model_frames[scene.image_index[n]]}
-        for (pair,) in db.execute("SELECT pair_id FROM two_view_geometries").fetchall():
-            if len(set(divmod(pair, MAX_IMAGES)) & late) == 1:
-                db.execute("DELETE FROM two_view_geometries WHERE pair_id = ?", (pair,))
+    _cut(tmp_path, scene, 18)
     source = Source(tmp_path / "database.db", None, preview=true)
     result = reconstruct(
         source, tmp_path / "sparse", scene, SparseSettings(mapper="preview", covariance_frames=0), tmp_path / "log.txt"

@@ -14,6 +14,8 @@ from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.model import MIN_OBSERVATIONS
 
 LEFT_OUT = "left out: "  # how the reason of an image begins that stood at a wrong place
+CLEARLY_FEWER = 0.8  # of the images tied to each other: fewer placed ask for a word on why
+MAX_TURNED_DEG = 3.0  # of a principal point; 1.5 at most in the right rigs of canal and kerry_park
 MAX_CENTRE_OFF = 0.25  # of the image size that a principal point may lie off the middle
 
 
@@ -88,6 +90,46 @@ def camera_notes(reconstruction: pycolmap.Reconstruction, scene: Scene) -> list[
         if off > MAX_CENTRE_OFF:
             notes.append(f"camera {label}: the principal point lies {off:.0%} of the image off its middle")
     return notes
+
+
+def rig_doubts(
+    reconstruction: pycolmap.Reconstruction, scene: Scene, held: Sequence[int], placed: int, tied: int
+) -> list[str]:
+    """Remarks on rigs (scene indices) whose extrinsics were held as given, though the images seem to say otherwise.
+
+    Extrinsics that contradict the images leave most of these without a place (``placed`` of ``tied``), or, where the
+    lens is free, turn up as a principal point that no lens has: both move a camera's picture as a whole.
+    """
+    notes, remedy = [], "check order, axes and angles in the rig file, or set sparse.rig = refined or absent"
+    names = ", ".join(scene.rigs[k].name for k in held)
+    if held and placed < CLEARLY_FEWER * tied:
+        notes.append(
+            f"rig {names} was held as given, and only {placed} of {tied} images that are tied found a place: the given "
+            f"extrinsics may contradict the images; {remedy}"
+        )
+    key = 0
+    for index, rig in enumerate(scene.rigs):
+        for sensor in rig.sensors:
+            key += 1
+            turned = _turned_deg(reconstruction.cameras, key, sensor.camera) if index in held else 0.0
+            if turned > MAX_TURNED_DEG:
+                notes.append(
+                    f"camera {sensor.name}: its principal point moved by as much as a turn of {turned:.1f} deg, in rig "
+                    f"{rig.name}, which was held as given: its extrinsics may contradict the images; {remedy}"
+                )
+    return notes
+
+
+def _turned_deg(cameras: Any, key: int, given: pycolmap.Camera | None) -> float:
+    """The angle by which the principal point of a model's camera lies off the given one, else off the middle."""
+    if key not in cameras:
+        return 0.0
+    camera = cameras[key]
+    x, y = (camera.width / 2, camera.height / 2)
+    if given is not None:
+        x, y = given.principal_point_x, given.principal_point_y
+    off = np.hypot(camera.principal_point_x - x, camera.principal_point_y - y)
+    return float(np.degrees(np.arctan(off / camera.mean_focal_length())))
 
 
 def models_table(models: Sequence[Any]) -> dict:

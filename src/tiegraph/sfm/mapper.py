@@ -17,7 +17,7 @@ from tiegraph.sfm.blockwise import RunMap, serially
 from tiegraph.sfm.covariance import PositionSigma
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.finish import Finished, FinishRequest, finish_model
-from tiegraph.sfm.losses import camera_notes, camera_table, models_table, no_model_text, unregistered
+from tiegraph.sfm.losses import camera_notes, camera_table, models_table, no_model_text, rig_doubts, unregistered
 from tiegraph.sfm.mapping import Job, Outcome, Progress, believed_cameras, map_images
 from tiegraph.sfm.model import MIN_OBSERVATIONS, frame_poses, image_poses, observations, registration_tables
 from tiegraph.sfm.rig.rig import DerivedRig, derive_rig, rig_modes, rig_table
@@ -213,6 +213,8 @@ def _account(job: Job, outcome: Outcome, rig: str, finished: Finished) -> Sparse
         **finished.tables,
     }
     first = models[0]
+    held = [k for k, mode in rig_modes(scene, job.settings.rig).items() if mode in ("fixed", "soft")]
+    doubts = [] if job.rough else rig_doubts(main, scene, held, first.seeing, job.graph.components[0])
     counts: dict[str, float] = {
         "images": len(scene),
         "registered": len(first.images),
@@ -232,7 +234,7 @@ def _account(job: Job, outcome: Outcome, rig: str, finished: Finished) -> Sparse
         scene=scene,
         components=tuple(job.graph.components),
         dropped=tuple(unregistered(scene, job.graph, [m.images for m in models], dict(finished.dropped))),
-        notes=(*job.notes, *camera_notes(main, scene)),
+        notes=(*job.notes, *camera_notes(main, scene), *doubts),
         tables=tables,
         counts=counts,
         sigma=finished.sigma,

@@ -17,7 +17,7 @@ from tiegraph.scene.rig import Rig, calibrated
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.blockwise import RunMap, poses_by_blocks, serially
 from tiegraph.sfm.database import ViewGraph
-from tiegraph.sfm.losses import no_model_text
+from tiegraph.sfm.losses import CLEARLY_FEWER, no_model_text
 from tiegraph.sfm.model import MIN_OBSERVATIONS, image_poses, observations
 from tiegraph.sfm.rig.rig import held_by_mapper
 from tiegraph.sfm.run import Mapped, Request, run_mapper
@@ -26,7 +26,6 @@ from tiegraph.sfm.settings import SparseSettings
 _log = logging.getLogger(__name__)
 
 GLOBAL_FROM_IMAGES = 60  # without a rig: below some tens of images the incremental mapper is as fast (PYCOLMAP 4)
-CLEARLY_FEWER = 0.8  # share of the largest connected part below which the other mapper is tried too
 ROUGHLY_FEWER = 0.5  # likewise in a rough model, where more images see few of its fewer points
 # Images: above, "auto" starts from the preview model, or from rough models of blocks. Below, it maps from nothing:
 # twice the time, but canal's up camera is then 11 mm off and not 24 (benchmarks/sfm/README.md).
@@ -119,26 +118,36 @@ def map_images(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str
         if outcome.folders:
             return _with_others(job, outcome, rigs, modes)
         job.notes.append(f"the blocks do not make one model: {outcome.refused}; mapped whole")
-    return _mapped(job, rigs, modes, label)
+    outcome = _mapped(job, rigs, modes, label)
+    # A rough model and one without the rig are steps on the way; what they leave out is dealt with at its end.
+    return outcome if label or job.rough else _with_others(job, outcome, rigs, modes)
 
 
 def _with_others(job: Job, outcome: Outcome, rigs: dict[int, Rig], modes: dict[int, str]) -> Outcome:
-    """Models of what nothing ties to the first one, added to it: a second survey in the folder, for one."""
-    there = np.isfinite(image_poses(pycolmap.Reconstruction(outcome.folders[0]), job.scene)).all(axis=(1, 2))
+    """Say what nothing ties to the first model: a second survey in the folder, for one.
+
+    A start from poses makes one model, so that the rest is mapped now; a mapper has made its models already.
+    """
+    first = np.isfinite(image_poses(pycolmap.Reconstruction(outcome.folders[0]), job.scene)).all(axis=(1, 2))
     component = job.graph.component
-    known = np.unique(component[there])
-    rest = np.flatnonzero((component >= 0) & ~np.isin(component, known))
-    if len(rest) < SECOND_SURVEY:
-        return outcome
-    mapper = choose_mapper(job.scene, job.settings, bool(rigs))
-    other = _run(job, mapper, rigs, modes, "of what is not tied to it", only=rest)
-    names = f"{job.scene.names[rest[0]]} .. {job.scene.names[rest[-1]]}"
-    job.notes.append(
-        f"{len(rest)} images ({names}) have no verified pair with the first model: another survey, or too little "
-        f"overlap; {'mapped by themselves, see the table of models' if other.folders else 'they make no model'}"
-    )
-    both = sorted([*outcome.folders, *other.folders], key=lambda f: -pycolmap.Reconstruction(f).num_reg_images())
-    return replace(outcome, folders=both)
+    rest = np.flatnonzero((component >= 0) & ~np.isin(component, np.unique(component[first])))
+    if outcome.mapper == "preview" and len(rest) >= SECOND_SURVEY:
+        mapper = choose_mapper(job.scene, job.settings, bool(rigs))
+        other = _run(job, mapper, rigs, modes, "of what is not tied to it", only=rest)
+        both = sorted([*outcome.folders, *other.folders], key=lambda f: -pycolmap.Reconstruction(f).num_reg_images())
+        outcome = replace(outcome, folders=both)
+    there = [np.isfinite(image_poses(pycolmap.Reconstruction(f), job.scene)).all(axis=(1, 2)) for f in outcome.folders]
+    for number in np.unique(component[rest]):
+        own = component == number
+        if own.sum() >= SECOND_SURVEY:
+            names = [job.scene.names[k] for k in np.flatnonzero(own)]
+            mapped = np.any(there, axis=0)[own].any()
+            job.notes.append(
+                f"{len(names)} images ({names[0]} .. {names[-1]}) have no verified pair with the first model: another "
+                f"survey, or too little overlap; "
+                f"{'mapped by themselves, see the table of models' if mapped else 'they make no model'}"
+            )
+    return outcome
 
 
 def _mapped(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -> Outcome:
