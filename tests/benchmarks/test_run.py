@@ -5,9 +5,17 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
+from benchmarks.competitors import colmap as competitor
+from scipy.spatial.transform import Rotation
 
 from benchmarks import run
+from tiegraph.geometry import transforms
+from tiegraph.scan.rigwrite import write_rig_toml
+from tiegraph.scene.rig import Rig, Sensor
+
+import pycolmap  # isort: skip
 
 
 @pytest.mark.slow
@@ -69,3 +77,34 @@ def test_results_hold_no_paths_of_the_machine(tmp_path: Path) -> None:
     said = [{"stage": "scan", "notes": [f"camera from {tmp_path}/inputs/rig.toml"], "cpu_s": 1.5}]
     cleaned = run._without_paths(said, tmp_path)
     assert cleaned == [{"stage": "scan", "notes": ["camera from inputs/rig.toml"], "cpu_s": 1.5}]
+
+
+def test_colmap_is_given_the_rig_of_the_set_as_one_rig_over_all_passes(tmp_path: Path) -> None:
+    places = [
+        np.eye(4),
+        transforms.rigid(Rotation.from_euler("y", 90, degrees=True).as_matrix(), np.array([0.1, 0, 0])),
+    ]
+    for nominal in (True, False):
+        sensors = tuple(Sensor(f"cam{k}", None, place, folder=f"cam{k}") for k, place in enumerate(places))
+        write_rig_toml(Rig("head", sensors, nominal=nominal), tmp_path / "rig.toml")
+        options = run._colmap_rig(tmp_path / "rig.toml", tmp_path / "rig_config.json")
+        assert ("--hold-rig" in options) == (not nominal)
+    (config,) = pycolmap.read_rig_config(tmp_path / "rig_config.json")
+    assert [c.image_prefix for c in config.cameras] == ["cam0/", "cam1/"] and config.cameras[0].ref_sensor
+    found = config.cameras[1].cam_from_rig
+    np.testing.assert_allclose(found.matrix(), places[1][:3], atol=1e-12)
+    for name in ("up/cam0/0.jpg", "up/cam1/0.jpg", "down/cam0/0.jpg", "gt/0.jpg"):
+        (tmp_path / "images" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "images" / name).touch()
+    laid, names = competitor._folders_of_sensors(tmp_path / "images", tmp_path / "rig_config.json", tmp_path / "laid")
+    assert names == {
+        "cam0/up_0.jpg": "up/cam0/0.jpg",
+        "cam1/up_0.jpg": "up/cam1/0.jpg",
+        "cam0/down_0.jpg": "down/cam0/0.jpg",
+    }
+    assert sorted(p.relative_to(laid).as_posix() for p in laid.rglob("*.jpg")) == sorted(names)
+
+
+def test_a_lone_camera_is_no_rig_for_colmap(tmp_path: Path) -> None:
+    write_rig_toml(Rig("photographs", (Sensor("camera", None),)), tmp_path / "rig.toml")
+    assert run._colmap_rig(tmp_path / "rig.toml", tmp_path / "rig_config.json") == []
