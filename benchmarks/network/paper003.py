@@ -3,13 +3,15 @@
     python benchmarks/network/paper003.py --sets canal_demo kitti_stereo --work WORK -o benchmarks/results/paper003.json
 
 Trajectories as a user would have them: ``canal`` and ``canal_demo`` their drifting odometry, one file a pass, laid
-on GNSS; KITTI and PandaSet their poses (GNSS/INS) as one TUM file. Features and mapping are the same for both. Dense
-points are left out (paper 003 found them equal); the points are those of the sparse model.
+on GNSS, with the nominal rig in the axes of the same body (x forward, y left, z up); KITTI and PandaSet their poses
+(GNSS/INS) as one TUM file. Both rows of a set run in one folder, so masks, previews and features are made once and
+are the same. Dense points are left out (paper 003 found them equal); the points are those of the sparse model.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -41,7 +43,8 @@ def with_trajectory(dataset: datasets.Dataset, work: Path) -> datasets.Dataset:
     """The set with its trajectory: its own odometry where it has some, else the poses of the reference camera."""
     odometry = dataset.images.parent / "sensors"
     if list(odometry.glob("vo_*.tum")):
-        return replace(dataset, trajectory=odometry)
+        rig = _body_rig(odometry / "rig_nominal.json", work / "rig_body.toml")
+        return replace(dataset, trajectory=odometry, rig=rig)
     names = sorted(n for n in dataset.cam_from_world if n.startswith(f"{REFERENCE[dataset.name]}/"))
     poses = np.stack([transforms.invert(dataset.cam_from_world[n]) for n in names])
     times = np.arange(len(names), dtype=float)
@@ -52,6 +55,40 @@ def with_trajectory(dataset: datasets.Dataset, work: Path) -> datasets.Dataset:
     path = work / "trajectory.tum"
     write_tum(path, times, poses)
     return replace(dataset, trajectory=path, gnss=None)
+
+
+def _body_rig(nominal: Path, path: Path) -> Path:
+    """The nominal rig in the axes of the body that the odometry follows: else its poses are read as those of cam0."""
+    lines = ['name = "ring"', 'axes = "flu"', "nominal = true"]
+    for name, pose in sorted(json.loads(nominal.read_text()).items()):
+        body = transforms.invert(
+            transforms.from_quaternion_wxyz(np.array(pose["cam_from_body_qwxyz"]), pose["cam_from_body_t"])
+        )
+        lines += ["", "[[sensors]]", f'name = "{name}"', f'role = "{"up" if name == "cam5" else "side"}"']
+        lines.append(f"body_from_sensor = {body[:3].tolist()}")
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def every_nth(dataset: datasets.Dataset, step: int, work: Path) -> datasets.Dataset:
+    """The set with every ``step``-th frame of each camera only (links); for sets of one pass."""
+    if step == 1:
+        return dataset
+    images = work / "images"
+    kept = {}
+    for camera in sorted({n.partition("/")[0] for n in dataset.cam_from_world}):
+        (images / camera).mkdir(parents=True, exist_ok=True)
+        own = sorted(n for n in dataset.cam_from_world if n.startswith(f"{camera}/"))[::step]
+        for name in own:
+            kept[name] = dataset.cam_from_world[name]
+            if not (images / name).exists():
+                (images / name).symlink_to((dataset.images / name).resolve())
+    times = dataset.times
+    if times is not None:
+        rows = [r for r in times.read_text().splitlines() if r == "image,time" or r.partition(",")[0] in kept]
+        times = work / "times.csv"
+        times.write_text("\n".join(rows) + "\n")
+    return replace(dataset, images=images, cam_from_world=kept, times=times)
 
 
 def one_run(dataset: datasets.Dataset, source: str, folder: Path) -> dict[str, Any]:
@@ -74,7 +111,14 @@ def one_run(dataset: datasets.Dataset, source: str, folder: Path) -> dict[str, A
         "sparse_cpu_s": stage["sparse"]["cpu_s"],
         "registered": sparse["registered"],
         "points": sparse["points"],
+        "prior": _about_prior(folder / "out"),
     }
+
+
+def _about_prior(out: Path) -> list[str]:
+    """What the run says of its prior: by previews, whether it was believed."""
+    notes = json.loads((out / "receipts" / "network.json").read_text())["notes"]
+    return [n for n in notes if "prior" in n]
 
 
 def table(rows: list[dict[str, Any]]) -> str:
@@ -103,6 +147,7 @@ def main(argv: list[str] | None = None) -> int:
     """Run the sets that are named, add to the results and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sets", nargs="+", default=list(SETS), choices=("canal", *SETS), metavar="SET")
+    parser.add_argument("--every", type=int, default=1, metavar="N", help="every N-th frame of kitti_stereo, pandaset")
     parser.add_argument("--work", type=Path, required=True, help="work folder; what is there is continued")
     parser.add_argument("--note", default="", help="said in the JSON, for instance what else the machine was doing")
     parser.add_argument("-o", "--output", type=Path, required=True, help="JSON file; runs are added to it")
@@ -110,9 +155,14 @@ def main(argv: list[str] | None = None) -> int:
     results = run._load(args.output, args.note)
     for name in args.sets:
         (args.work / name).mkdir(parents=True, exist_ok=True)
-        dataset = with_trajectory(datasets.load(name, args.work / "inputs"), args.work / name)
+        dataset = datasets.load(name, args.work / "inputs")
+        if name in REFERENCE:
+            dataset = every_nth(dataset, args.every, args.work / name)
+        dataset = with_trajectory(dataset, args.work / name)
         for source in reversed(SOURCES):
-            row = one_run(dataset, source, args.work / name / source)
+            row = one_run(dataset, source, args.work / name)
+            if name in REFERENCE:
+                row["every"] = args.every
             add_row(results, row, ("set", "source"), args.output)
             sys.stderr.write(f"{name} {source}: {row}\n")
     sys.stdout.write(table(results["runs"]) + "\n")

@@ -64,6 +64,8 @@ def test_a_pass_that_stops_half_way() -> None:
     recall, precision, across = quality(short, network)
     assert recall > 0.93 and across > 0.9 and precision > 0.5
     assert any("runs back along" in note and "common view: frames" in note for note in network.notes)
+    said = [note for note in network.notes if note.startswith("short passes")]
+    assert len(said) == 1 and "back1 has 11 frames, the others 24 (last: back1/cam0/0010.jpg)" in said[0]
 
 
 def test_a_camera_that_stopped_recording() -> None:

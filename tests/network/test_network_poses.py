@@ -173,6 +173,7 @@ def test_a_wrong_prior_is_noticed_and_named(name: str, canal: World) -> None:
     assert check.good == (name == "as it is")
     assert said in check.better and bool(said) == bool(check.better)
     assert "prior checked by previews" in check.notes[0]
+    assert any('axes = "flu"' in note for note in check.notes) == (name == "vehicle axes")
     if name == "as it is":
         assert check.fit > 0.5 and len(check.notes) == 1
 

@@ -291,6 +291,18 @@ def test_written_rigs_are_read_back(tmp_path: Path) -> None:
     near(rig, scan(images, rig=str(tmp_path / "again.json")).rigs[0])
 
 
+def test_a_written_rig_takes_a_vehicles_axes_by_one_word(tmp_path: Path) -> None:
+    spec = preset("ring:5", ("a", "b", "c", "d", "e"))
+    cameras = [Sensor(s.name, None, invert(s.body_from_sensor)) for s in spec.sensors]
+    path = tmp_path / "rig.toml"
+    write_rig_toml(Rig("ring", tuple(cameras)), path)
+    (as_camera,) = read_rig_file(path)
+    path.write_text(path.read_text().replace('axes = "camera"', 'axes = "flu"'))
+    (as_vehicle,) = read_rig_file(path)
+    for a, b in zip(as_camera.sensors, as_vehicle.sensors):
+        assert np.allclose(AXES["flu"].T @ a.body_from_sensor[:3, :3], b.body_from_sensor[:3, :3], atol=1e-9)
+
+
 def test_colmap_reads_what_we_write(tmp_path: Path) -> None:
     import pycolmap
 

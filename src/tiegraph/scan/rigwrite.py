@@ -9,7 +9,10 @@ from typing import Any
 import numpy as np
 
 from tiegraph.geometry.transforms import invert, quaternion_xyzw
+from tiegraph.scan.rigspec import yaw_pitch_roll_deg
 from tiegraph.scene.rig import PAIR_KEYS, Rig
+
+_ANGLE_DECIMALS = 9  # of a degree
 
 
 def write_rig_config(rig: Rig, path: Path) -> None:
@@ -51,7 +54,9 @@ def write_rig_toml(rig: Rig, path: Path, comment: str = "") -> None:
         if sensor.sensor_from_rig is not None:
             pose = invert(sensor.sensor_from_rig)
             lines.append(f"position_m = {_toml(pose[:3, 3])}")
-            lines.append(f"body_from_sensor_wxyz = {_toml(np.roll(quaternion_xyzw(pose[:3, :3]), 1))}")
+            # Angles and not a quaternion: these stay true when the body's axes are changed by hand.
+            angles = np.round(yaw_pitch_roll_deg(pose), _ANGLE_DECIMALS) + 0.0
+            lines.append(f"yaw_pitch_roll_deg = {_toml(angles)}")
         sigmas = (("sigma_deg", sensor.sigma_deg), ("sigma_m", sensor.sigma_m))
         lines += [f"{key} = {float(value)!r}" for key, value in sigmas if value is not None]
         camera = sensor.camera

@@ -35,6 +35,7 @@ _AXES = {
     "its axes are x forward, y right, z down (NED)": np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]),
     "its axes are x right, y up, z backward (OpenGL)": np.diag([1.0, -1, -1]),
 }
+_RIG_AXES = {"(vehicle, ROS)": "flu", "(NED)": "frd"}  # what a rig file calls them
 
 Reading = Callable[[np.ndarray, Sequence[Pass]], np.ndarray]
 
@@ -251,9 +252,22 @@ def _notes(table: tuple, bad: list[str], readings: tuple[float, str, float]) -> 
     if better:
         notes.append(
             f"the prior looks wrong: {better}. Read so, its predicted overlap and the preview matches correlate by "
-            f"{better_fit:.2f}, as given by {fit:.2f}. Check the trajectory"
+            f"{better_fit:.2f}, as given by {fit:.2f}. {_remedy(better)}"
         )
     if bad or better:
         where = f" ({', '.join(bad)}: the pairs it refuses tie about as often as those it proposes)" if bad else ""
         notes.append(f"the prior is not believed{where}: it refuses nothing, previews and order find the pairs")
     return tuple(notes)
+
+
+def _remedy(better: str) -> str:
+    """What a user can do about a reading that fits better."""
+    code = next((code for said, code in _RIG_AXES.items() if said in better), "")
+    if not code:
+        return "Check the trajectory"
+    return (
+        "The trajectory seems to follow a vehicle, the rig stands in the axes of its first camera. Say so in a "
+        f'rig.toml (`tiegraph init` writes one to edit): axes = "{code}", every yaw_pitch_roll_deg counted from the '
+        "vehicle's forward direction, every position_m in its axes; or turn the poses into the camera's axes (x right, "
+        "y down, z forward)"
+    )

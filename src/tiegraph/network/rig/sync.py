@@ -17,6 +17,7 @@ from tiegraph.network.settings import NetworkSettings
 from tiegraph.scene.rig import Rig
 
 NAMED = 8  # passes told of one by one
+SHORT = 0.6  # of the usual number of frames of the others: a pass that short may have ended early
 LAG_PASSES = 4  # passes whose cameras are compared
 LAG_FRAMES = 4  # frames of each
 MAX_LAG = 6  # frames
@@ -31,10 +32,30 @@ INLIERS = 1.3  # times min_matches: a single preview must be surer than an avera
 
 
 def frame_notes(passes: Sequence[Pass], names: Sequence[str]) -> tuple[str, ...]:
-    """One note a pass whose cameras have different frames: how many each has, and from where on they are missing."""
+    """One note a pass whose cameras have different frames: how many each has, and from where on they are missing; and
+    one on passes that are much shorter than the others."""
     out = [text for p in passes if (text := _lacking(p, names))]
     more = len(out) - NAMED
-    return (*out[:NAMED], f"in {more} more passes some cameras lack frames too") if more > 0 else tuple(out)
+    out = [*out[:NAMED], f"in {more} more passes some cameras lack frames too"] if more > 0 else out
+    return (*out, *_short(passes, names))
+
+
+def _short(passes: Sequence[Pass], names: Sequence[str]) -> tuple[str, ...]:
+    """A pass that ended early is as good as any to every later step, so only its length can tell."""
+    length = np.array([len(p) for p in passes])
+    parts = []
+    for k, p in enumerate(passes):
+        usual = float(np.median(np.delete(length, k))) if len(length) > 1 else 0.0
+        if 0 < len(p) < SHORT * usual:
+            last = p.images[:, -1]
+            parts.append(f"{p.name} has {len(p)} frames, the others {usual:g} (last: {names[last[last >= 0][0]]})")
+    if not parts:
+        return ()
+    more = f"; and {len(parts) - NAMED} more" if len(parts) > NAMED else ""
+    return (
+        f"short passes: {'; '.join(parts[:NAMED])}{more}. Did they end early? Where nothing is said of how one lies to "
+        "the others, it is too short to tell",
+    )
 
 
 def _lacking(p: Pass, names: Sequence[str]) -> str:
