@@ -68,6 +68,12 @@ def _dropped(out: Path) -> dict[str, str]:
     return dict(tiegraph.open(out=out).receipt("scan")["dropped"])
 
 
+def test_the_same_flags_again(run: Run) -> None:
+    for _ in range(2):  # the second time they are the folder's defaults
+        code, said = run("--network.no-model", "--match.guided")
+        assert code == 0, said
+
+
 # ------------------------------------------------------------------------------------------------------- the images
 
 

@@ -112,7 +112,8 @@ def finish(project: Project, until: str | None, reporter: Reporter) -> int:
 
 def _cli(function: Any, program: str, arguments: list[str]) -> Any:
     try:
-        return tyro.cli(function, prog=program, args=arguments, config=(tyro.conf.FlagCreatePairsOff,))
+        # Both forms of every flag: its default is what the folder was run with, and the same command must run again.
+        return tyro.cli(function, prog=program, args=arguments)
     except ValidationError as error:
         first = error.errors()[0]
         name = ".".join(str(part) for part in first["loc"])
