@@ -148,6 +148,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sets", nargs="+", default=list(SETS), choices=("canal", *SETS), metavar="SET")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="every N-th frame of kitti_stereo, pandaset")
+    parser.add_argument("--sources", nargs="+", default=list(reversed(SOURCES)), choices=SOURCES, metavar="SOURCE")
     parser.add_argument("--work", type=Path, required=True, help="work folder; what is there is continued")
     parser.add_argument("--note", default="", help="said in the JSON, for instance what else the machine was doing")
     parser.add_argument("-o", "--output", type=Path, required=True, help="JSON file; runs are added to it")
@@ -159,7 +160,7 @@ def main(argv: list[str] | None = None) -> int:
         if name in REFERENCE:
             dataset = every_nth(dataset, args.every, args.work / name)
         dataset = with_trajectory(dataset, args.work / name)
-        for source in reversed(SOURCES):
+        for source in args.sources:
             row = one_run(dataset, source, args.work / name)
             if name in REFERENCE:
                 row["every"] = args.every

@@ -4,7 +4,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from boat_world import World, boat
+from boat_world import World, boat, ring
 from tiegraph.geometry import transforms
 from tiegraph.network.network import estimate_network
 from tiegraph.network.passes import PreviewBook, find_passes
@@ -176,6 +176,16 @@ def test_a_wrong_prior_is_noticed_and_named(name: str, canal: World) -> None:
     assert any('axes = "flu"' in note for note in check.notes) == (name == "vehicle axes")
     if name == "as it is":
         assert check.fit > 0.5 and len(check.notes) == 1
+
+
+def test_a_right_prior_of_a_camera_that_looks_ahead_is_believed() -> None:
+    # All near frames share nearly all of their pictures: readings that only follow the distance correlate better.
+    world = boat((40,), (1.0,), ring(1, up=False))
+    scene = with_priors(world)
+    passes = find_passes(scene)
+    book = PreviewBook(world.match, len(scene))
+    check = check_prior(scene, passes, book, pose_pairs(scene, passes, SETTINGS), SETTINGS)
+    assert check.good and not check.better and check.fit < 0.6
 
 
 def test_a_bad_prior_loses_no_pair(canal: World) -> None:
