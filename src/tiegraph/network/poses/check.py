@@ -25,9 +25,9 @@ STRONG = 1.3  # times min_matches: a single preview must be surer than an averag
 ENOUGH = 15  # pairs proposed and refused, below which nothing can be said
 BAD_RATIO = 0.6  # of the ties among the proposed: a prior whose refused pairs tie more often tells nothing
 FEW_TIES = 8  # ties among both, below which a kind of pairs tells nothing
-BETTER = 0.06  # by how much another reading of the prior must correlate better with the previews to be named
+BETTER = 0.04  # by how much another reading of the prior must correlate better with the previews to be named
 SURE_FIT = 0.45  # and how well in all
-BETTER_TELLS = 0.02  # by how much it must tell the pairs that tie from those that do not better, too
+BETTER_TELLS = 0.03  # by how much it must tell the pairs that tie from those that do not better, too
 SHIFTS = (-8, -5, -3, -2, -1, 1, 2, 3, 5, 8)  # frames
 KINDS = ("near in sequence", "same pass", "other pass", "loose photographs")
 # rig axes (columns) in the axes the trajectory may use instead of the camera's x right, y down, z forward
