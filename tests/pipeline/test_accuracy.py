@@ -36,3 +36,9 @@ def test_previewed_pairs_get_their_accuracy_and_base(tmp_path: Path) -> None:
     assert np.isfinite(found.sigma_m).tolist() == [True, True, False], "the third was not previewed"
     assert np.all(found.sigma_m[:2] > 0) and np.all(found.sigma_m[:2] < 1.5)
     assert 8 < found.h_over_b[0] < 13 and 4 < found.h_over_b[1] < 6.5
+
+
+def test_pairs_without_previews_stay_as_they_are() -> None:
+    scene = simple_scene(Rig("camera", (Sensor("camera"),)), ["a.jpg", "b.jpg"], np.arange(2), np.zeros(2))
+    pairs = Pairs.make([0], [1], "sequence")
+    assert with_accuracy(pairs, scene, Ties.empty(), Path("."), lambda *_: []) is pairs

@@ -26,6 +26,8 @@ def with_accuracy(pairs: Pairs, scene: Scene, ties: Ties, folder: Path, run_map:
     frames, not metres. ``run_map``: map over a pool.
     """
     row = ties.find(pairs.i, pairs.j)
+    if not (row >= 0).any():  # nothing was previewed (pairs in sequence without a preview model)
+        return pairs
     usable = np.flatnonzero((pairs.dropped == 0) & (np.where(row >= 0, ties.counts()[row], 0) >= MIN_POINTS))
     items = [(int(pairs.i[k]), int(pairs.j[k]), ties.of(int(row[k]))) for k in usable]
     found: list[TwoView | None] = run_map(_two_view_item, items, folder)
