@@ -153,7 +153,7 @@ def test_without_a_model_counts_decide(world) -> None:
 
 def test_only_what_was_guessed_is_calibrated() -> None:
     guessed = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[768.0, 320, 240])
-    known = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[310.0, 320, 240])
+    known = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[310.0, 321.5, 240])
     known.has_prior_focal_length = True
     found = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[305.0, 318, 241])
     turn = transforms.rigid(np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]), np.array([0.1, 0.0, 0.2]))
@@ -166,5 +166,14 @@ def test_only_what_was_guessed_is_calibrated() -> None:
     assert np.allclose(out.sensors[1].sensor_from_rig[:3, :3], turn[:3, :3])
     assert np.allclose(transforms.centre(out.sensors[1].sensor_from_rig), transforms.centre(nominal))
     assert "90.00 deg" in notes[0]
+    sheet = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[320.0, 320, 240])
+    wrong = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[600.0, 320, 240])
+    for given, focal in ((sheet, 305.0), (wrong, 600.0)):
+        given.has_prior_focal_length = True
+        one = replace(rig, sensors=(Sensor("a", given, np.eye(4)),))
+        (lone,), _ = calibrated_rigs([one], [model])
+        camera = lone.sensors[0].camera
+        assert camera is not None and camera.params[0] == focal
+        assert camera.has_prior_focal_length == (focal == 600.0)
     (kept,), said = calibrated_rigs([replace(rig, nominal=False)], [model])
     assert np.allclose(kept.sensors[1].sensor_from_rig, nominal) and said == ()

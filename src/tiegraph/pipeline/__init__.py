@@ -20,7 +20,7 @@ STAGES = (
     Stage("scan", scan, (), ("scene.json", "images"), "image"),
     Stage("masks", masks, ("scan",), ("masks", "classes", "masks.csv"), "image", version=3),
     Stage("preview", preview, ("scan", "masks"), ("preview",), "image", version=2),
-    Stage("network", network, ("scan", "preview"), ("network.npz", "network.csv", "network"), version=3),
+    Stage("network", network, ("scan", "preview"), ("network.npz", "network.csv", "network"), version=4),
     Stage("design", design, ("network",), ("pairs.npz", "pairs.txt", "pairs", "design"), version=3),
     Stage("features", features, ("scan", "masks"), ("database.db",), "image"),
     Stage("match", match, ("network", "design", "features"), ("match.npz",), "block of pairs", clear=forget_matches),

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.network.model.assembled import SurveyMapper
@@ -23,7 +24,7 @@ from tiegraph.network.offsets.curves import contained
 from tiegraph.network.passes import PreviewBook
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.scene.pairs import REASONS, Pairs
-from tiegraph.scene.rig import Rig
+from tiegraph.scene.rig import Rig, calibrated, camera_from_dict, camera_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.strongest import strongest_pairs
 from tiegraph.scene.ties import Ties
@@ -34,6 +35,7 @@ TRIES = 4  # models made, where the first are torn or suspect
 MORE = 1.5  # times the pairs an image of a torn model
 ENOUGH_LOOKS = 8  # previews of two cameras where the model predicts a common view, to say that they never tie
 NEVER = 0.1  # share of them that chance ties
+MOST_FOCAL = 1.1  # by which a model may correct the focal length of a data sheet or of EXIF
 NO_MODEL = "preview model: none could be made; pairs are chosen by preview counts alone"
 
 log = logging.getLogger(__name__)
@@ -137,15 +139,14 @@ def _key(i: np.ndarray, j: np.ndarray) -> np.ndarray:
 
 
 def calibrated_rigs(given: Sequence[Rig], found: Sequence[Rig]) -> tuple[tuple[Rig, ...], tuple[str, ...]]:
-    """Rigs with what was only guessed replaced by what the model found: cameras without a known focal length, and of a
+    """Rigs with what was only guessed replaced by what the model found: cameras that were not calibrated, and of a
     nominal rig the rotations (its centres nearly coincide: the model's lever arms have no scale to be told by)."""
     rigs, notes = [], []
     for old, new in zip(given, found):
         sensors = []
         turned = []
         for a, b in zip(old.sensors, new.sensors):
-            known = a.camera is None or a.camera.has_prior_focal_length
-            camera = a.camera if known else b.camera
+            camera = _better_camera(a.camera, b.camera, old.fixed)
             extrinsics = a.sensor_from_rig
             if old.nominal and extrinsics is not None and b.sensor_from_rig is not None:
                 centre = transforms.centre(extrinsics)
@@ -160,6 +161,18 @@ def calibrated_rigs(given: Sequence[Rig], found: Sequence[Rig]) -> tuple[tuple[R
         if turned:
             notes.append(f"rig {old.name}: its cameras turned by up to {max(turned):.2f} deg from nominal")
     return tuple(rigs), tuple(notes)
+
+
+def _better_camera(given: pycolmap.Camera | None, found: pycolmap.Camera | None, fixed: bool) -> pycolmap.Camera | None:
+    """The camera to go on with. A focal length of a data sheet or of EXIF is right to some per cent and says nothing of
+    principal point and distortion; at the side of an image that is more than the degree ``verify`` allows."""
+    if given is None or found is None or not given.has_prior_focal_length:
+        return found if given is not None else None
+    change = found.mean_focal_length() / given.mean_focal_length()
+    if fixed or calibrated(given) or not 1 / MOST_FOCAL < change < MOST_FOCAL:
+        return given
+    # It was not calibrated: what follows may go on adjusting it.
+    return camera_from_dict({**(camera_to_dict(found) or {}), "prior_focal": False})
 
 
 def _judged(pairs: Pairs, overlap: Overlap, part: np.ndarray, settings: NetworkSettings) -> Pairs:
