@@ -6,12 +6,7 @@ the mapper: place of every frame, final adjustment, rig health, relaxing. Nothin
 
 from __future__ import annotations
 
-import argparse
 import json
-import os
-import platform
-import sys
-import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -24,6 +19,7 @@ import pycolmap  # isort: skip
 
 from benchmarks import datasets
 from benchmarks.accuracy import evaluate
+from benchmarks.sfm.finished import each_run
 from tiegraph.geometry import transforms
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
@@ -38,20 +34,7 @@ from tiegraph.sfm.settings import SparseSettings
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("runs", nargs="+", help="SET=FOLDER: data set and its run folder")
-    parser.add_argument("-o", "--output", type=Path)
-    arguments = parser.parse_args()
-    rows = []
-    for item in arguments.runs:
-        name, folder = item.split("=", 1)
-        with tempfile.TemporaryDirectory() as scratch:
-            rows.append(measure(name, Path(folder), Path(scratch)))
-        sys.stdout.write(json.dumps(rows[-1], indent=1) + "\n")
-        sys.stdout.flush()
-    if arguments.output:
-        machine = {"machine": platform.machine(), "cpus": os.cpu_count(), "load": os.getloadavg()[0]}
-        arguments.output.write_text(json.dumps({**machine, "rows": rows}, indent=1) + "\n")
+    each_run(__doc__, measure)
 
 
 def measure(name: str, folder: Path, scratch: Path) -> dict[str, Any]:

@@ -6,10 +6,7 @@ its positions are compared with the truth after the best similarity, as the pred
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
-import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -23,6 +20,7 @@ import tiegraph  # noqa: F401  (zlib before pycolmap)
 import pycolmap  # isort: skip
 
 from benchmarks import datasets
+from benchmarks.sfm.finished import each_run
 from benchmarks.sfm.rig import rotations
 from tiegraph.geometry.align import umeyama
 from tiegraph.scene.scene import Scene
@@ -37,19 +35,7 @@ EXPLAINED = 0.999  # of the predicted variance lies in the modes whose errors ar
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("runs", nargs="+", help="SET=FOLDER: data set and its run folder")
-    parser.add_argument("-o", "--output", type=Path)
-    arguments = parser.parse_args()
-    rows = []
-    for item in arguments.runs:
-        name, folder = item.split("=", 1)
-        with tempfile.TemporaryDirectory() as scratch:
-            rows.append(measure(name, Path(folder), Path(scratch)))
-        sys.stdout.write(json.dumps(rows[-1]) + "\n")
-        sys.stdout.flush()
-    if arguments.output:
-        arguments.output.write_text(json.dumps({"rows": rows}, indent=1) + "\n")
+    each_run(__doc__, measure)
 
 
 def measure(name: str, folder: Path, scratch: Path) -> dict[str, Any]:

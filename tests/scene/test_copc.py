@@ -33,7 +33,7 @@ def wall(count: int, seed: int, origin: Origin | None) -> Cloud:
 def test_the_whole_cloud_comes_back_from_any_reader(tmp_path: Path, origin: Origin | None) -> None:
     parts = [wall(30_000, 0, origin), wall(1, 3, origin), wall(20_000, 1, origin)]
     path = tmp_path / "c.copc.laz"
-    notes = write_copc(lambda: iter(parts), path, SPACING)
+    notes = write_copc(lambda: iter(parts), path, SPACING, tmp_path)
     assert notes and [p.name for p in tmp_path.iterdir()] == [path.name]
     before, after = Cloud.concatenate(parts), read_cloud(path, origin)
     assert len(after) == len(before)
@@ -48,7 +48,7 @@ def test_the_whole_cloud_comes_back_from_any_reader(tmp_path: Path, origin: Orig
 def test_levels_thin_the_cloud_evenly_and_boxes_are_found(tmp_path: Path) -> None:
     parts = [wall(60_000, 0, UTM), wall(60_000, 1, UTM)]
     path = tmp_path / "c.copc.laz"
-    write_copc(lambda: iter(parts), path, SPACING)
+    write_copc(lambda: iter(parts), path, SPACING, tmp_path)
     shift = np.asarray(UTM.shift_m)
     everything = Cloud.concatenate(parts).xyz_m
     with laspy.CopcReader.open(str(path)) as reader:
@@ -68,6 +68,8 @@ def test_levels_thin_the_cloud_evenly_and_boxes_are_found(tmp_path: Path) -> Non
 
 
 def test_an_empty_cloud_and_a_second_name(tmp_path: Path) -> None:
-    write_copc(lambda: iter([Cloud.empty(UTM)]), tmp_path / "c.copc.laz", SPACING)
+    write_copc(lambda: iter([Cloud.empty(UTM)]), tmp_path / "c.copc.laz", SPACING, tmp_path)
     same_file(tmp_path / "c.copc.laz", tmp_path / "c.laz")
     assert len(read_cloud(tmp_path / "c.laz", UTM)) == 0
+    with laspy.open(tmp_path / "c.laz") as file:
+        assert file.header.parse_crs().to_epsg() == 6691

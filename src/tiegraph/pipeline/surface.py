@@ -117,7 +117,7 @@ def cloud(run: Run) -> Outcome:
     scratch.mkdir(parents=True)
     load = partial(_load_coloured, folder=run.folder, plans=plans, settings=run.settings.dense)
     fused = fuse(sorted(plans), load, scratch, run.settings.cloud, world_origin(run), _mapper(run))
-    notes = [*write_copc(fused.clouds, run.path("cloud.copc.laz"), fused.voxel)]
+    notes = [*write_copc(fused.clouds, run.path("cloud.copc.laz"), fused.voxel, scratch)]
     same_file(run.path("cloud.copc.laz"), run.path("cloud.laz"))
     notes += write_cloud(fused.clouds(), run.path("cloud.ply"))
     world = _world_sigma(run, fused.clouds())

@@ -43,7 +43,7 @@ def prepare_image(source: Path, target: Path, sensor: Sensor, settings: ScanSett
         if pixels is None:
             _link(source, partial)
         else:
-            _write(partial, pixels)
+            write_pixels(partial, pixels)
         os.replace(partial, target)
     finally:
         partial.unlink(missing_ok=True)
@@ -185,7 +185,8 @@ def _link(source: Path, target: Path) -> None:
                 raise
 
 
-def _write(target: Path, pixels: np.ndarray) -> None:
+def write_pixels(target: Path, pixels: np.ndarray) -> None:
+    """Write RGB or grey pixels (H, W[, 3]) u1 by the suffix; JPEG nearly without loss. Raises OSError (full disk)."""
     suffix = target.suffix.lower()
     options: dict[str, Any] = {"quality": _JPEG_QUALITY, "subsampling": 0} if suffix in (".jpg", ".jpeg") else {}
     Image.fromarray(np.ascontiguousarray(pixels)).save(target, **options)

@@ -10,15 +10,16 @@ from pathlib import Path, PurePosixPath
 import cv2
 import numpy as np
 
+from tiegraph.scan.prepare import write_pixels
+from tiegraph.scene.images import files_below
+
 SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".webm")
 _SMALL_PX = 480  # width at which sharpness is compared
-_JPEG_QUALITY = 98
 
 
 def find_videos(root: Path) -> list[str]:
     """Names (POSIX, relative to ``root``, sorted) of the videos below a folder; hidden ones are passed over."""
-    found = (p.relative_to(root) for p in Path(root).rglob("*") if p.suffix.lower() in SUFFIXES and p.is_file())
-    return sorted(p.as_posix() for p in found if not any(part.startswith(".") for part in p.parts))
+    return sorted(f.relative_to(root).as_posix() for f in files_below(root) if f.suffix.lower() in SUFFIXES)
 
 
 def picture_folders(videos: Sequence[str]) -> list[str]:
@@ -43,9 +44,7 @@ def take_pictures(video: Path, folder: Path, per_second: float) -> str:
     count = 0
     try:
         for picture in _sharpest(capture, fps, per_second):
-            cv2.imwrite(
-                str(partial / f"{folder.name}_{count:06d}.jpg"), picture, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
-            )
+            write_pixels(partial / f"{folder.name}_{count:06d}.jpg", picture[..., ::-1])
             count += 1
         if count:
             os.replace(partial, folder)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,11 +70,11 @@ def _beginnings(keys: np.ndarray) -> np.ndarray:
     return np.flatnonzero(np.r_[True, (np.diff(keys, axis=0) != 0).any(axis=1)][: len(keys)])
 
 
-def write_copc(parts: Callable[[], Iterator[Cloud]], path: Path, spacing: float) -> tuple[str, ...]:
+def write_copc(parts: Callable[[], Iterator[Cloud]], path: Path, spacing: float, scratch: Path) -> tuple[str, ...]:
     """Write a cloud as COPC: any reader of LAZ 1.4 reads it, viewers show it without loading all of it.
 
     ``parts()`` gives the cloud part by part, each time it is called; ``spacing`` of the points (units of the world)
-    sets how deep the octree is. Memory is that of one part and a batch of nodes; the disk holds the
+    sets how deep the octree is. Memory is that of one part and a batch of nodes; the folder ``scratch`` holds the
     records once more while it is written. Returns remarks as ``write_cloud``. Raises TiegraphError for a full disk.
     """
     first, low, high, count = _extent(parts())
@@ -86,10 +85,14 @@ def write_copc(parts: Callable[[], Iterator[Cloud]], path: Path, spacing: float)
     side = float(max((high - low).max(), _CELLS * spacing)) * (1 + 1e-6)
     depth = int(np.clip(np.ceil(np.log2(side / _CELLS / spacing)), 0, _DEEPEST))
     tree = _Octree((low + high) / 2 - side / 2, side, depth)
-    with replacing(path) as temporary, tempfile.TemporaryDirectory(dir=path.parent, prefix=".copc-") as scratch:
-        spill = _spilled(parts(), tree, header, Path(scratch) / "records")
-        with open(temporary, "w+b") as out:
-            _write(out, header, tree, spill, low, high)
+    records = scratch / "records"
+    try:
+        with replacing(path) as temporary:
+            spill = _spilled(parts(), tree, header, records)
+            with open(temporary, "w+b") as out:
+                _write(out, header, tree, spill, low, high)
+    finally:
+        records.unlink(missing_ok=True)
     return notes
 
 
@@ -101,7 +104,7 @@ def _extent(parts: Iterator[Cloud]) -> tuple[Cloud, np.ndarray, np.ndarray, int]
         if len(part):
             low, high = np.minimum(low, part.xyz_m.min(axis=0)), np.maximum(high, part.xyz_m.max(axis=0))
             count += len(part)
-    return first or Cloud.empty(), low, high, count
+    return Cloud.empty() if first is None else first, low, high, count
 
 
 def _spilled(parts: Iterator[Cloud], tree: _Octree, header: laspy.LasHeader, path: Path) -> _Spill:
@@ -154,12 +157,14 @@ def _compressed(out: BinaryIO, laz: lazrs.LazVlr, spill: _Spill, size: int) -> l
     compressor.reserve_offset_to_chunk_table()
     keys: list[np.ndarray] = []
     held: list[bytes] = []
+    points = 0
     for key, records in spill.nodes():
         keys.append(key)
         held.append(records)
-        if sum(map(len, held)) > _BATCH * size:
+        points += len(records) // size
+        if points > _BATCH:
             compressor.compress_chunks(held)
-            held = []
+            held, points = [], 0
     if held:
         compressor.compress_chunks(held)
     compressor.done()

@@ -6,6 +6,7 @@ import hashlib
 import io
 import os
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -57,20 +58,19 @@ def find_images(root: Path) -> list[str]:
     if not root.is_dir():
         raise InputError(f"{root} is a file; give the folder that holds the images")
     start = root / IMAGES_FOLDER if (root / IMAGES_FOLDER).is_dir() else root
-    names, others = [], 0
-    for folder, subfolders, files in os.walk(start, followlinks=True):
-        subfolders[:] = sorted(s for s in subfolders if not _ignored(s))
-        for file in files:
-            if _ignored(file):
-                continue
-            if Path(file).suffix.lower() in SUFFIXES + UNREADABLE:
-                names.append((Path(folder) / file).relative_to(root).as_posix())
-            else:
-                others += 1
+    files = list(files_below(start))
+    names = [f.relative_to(root).as_posix() for f in files if f.suffix.lower() in SUFFIXES + UNREADABLE]
     if not names:
-        found = f"{others} files, none of them an image" if others else "an empty folder"
+        found = f"{len(files)} files, none of them an image" if files else "an empty folder"
         raise InputError(f"{root}: {found}; images end in {' '.join(SUFFIXES)}")
     return sorted(names)
+
+
+def files_below(folder: Path) -> Iterator[Path]:
+    """The files below a folder, without what hides or is the system's own."""
+    for inside, subfolders, files in os.walk(folder, followlinks=True):
+        subfolders[:] = sorted(s for s in subfolders if not _ignored(s))
+        yield from (Path(inside) / f for f in files if not _ignored(f))
 
 
 def has_images(root: Path) -> bool:

@@ -166,8 +166,10 @@ def calibrated_rigs(given: Sequence[Rig], found: Sequence[Rig]) -> tuple[tuple[R
 def _better_camera(given: pycolmap.Camera | None, found: pycolmap.Camera | None, fixed: bool) -> pycolmap.Camera | None:
     """The camera to go on with. A focal length of a data sheet or of EXIF is right to some per cent and says nothing of
     principal point and distortion; at the side of an image that is more than the degree ``verify`` allows."""
-    if given is None or found is None or not given.has_prior_focal_length:
-        return found if given is not None else None
+    if given is None or found is None:
+        return given
+    if not given.has_prior_focal_length:
+        return found
     change = found.mean_focal_length() / given.mean_focal_length()
     if fixed or calibrated(given) or not 1 / MOST_FOCAL < change < MOST_FOCAL:
         return given
