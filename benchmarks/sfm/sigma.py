@@ -63,7 +63,8 @@ def measure(name: str, folder: Path, scratch: Path) -> dict[str, Any]:
         "set": name, "frames": len(ids), "points": model.num_points3D(),
         "predicted_mm": round(1000 * fit.scale * predicted, 3), "actual_mm": round(1000 * fit.scale * actual, 3),
         "ratio": round(predicted / actual, 3), "widened": round(sigma.widened, 2),
-        **modes(sigma.covariance, rows, off), "rig_sigma_deg": {str(k): round(v, 4) for k, v in sigma.rig_deg.items()},
+        **modes(sigma.covariance, rows, off),
+        "rig_sigma_deg": {str(k): round(m.sigma_deg, 4) for k, m in sigma.mounting.items()},
         **rotations(model, scene, dataset), "note": found.note, "cpu_s": round(cpu, 1),
     }  # fmt: skip
 

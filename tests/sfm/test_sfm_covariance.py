@@ -11,7 +11,7 @@ from sfm_worlds import make_world, true_frames
 
 from tiegraph.geometry.align import umeyama
 from tiegraph.sfm.adjust import _solve, final_adjustment
-from tiegraph.sfm.covariance import position_sigma
+from tiegraph.sfm.covariance import MOUNTING, position_sigma
 from tiegraph.sfm.jacobians import Layout, Tie, skew
 from tiegraph.sfm.model import frame_poses, image_poses
 
@@ -111,8 +111,10 @@ def test_interior_orientation_tells_sigmas_and_correlations(world) -> None:
     assert {row[0] for row in found.interior} == set(truth.cameras)
     assert all(row[3] > 0 for row in found.interior)
     assert all(row[4] is None or 0.7 <= abs(row[4]) <= 1 for row in found.interior)
-    assert set(found.rig_deg) == {2} and 0 < found.rig_deg[2] < 1
-    assert found.table({1: "left"})["rows"][0][0] == "left"
+    assert set(found.mounting) == {2} and 0 < found.mounting[2].sigma_deg < 1
+    assert 0 < found.mounting[2].sigma < 0.1 * np.linalg.norm(found.mounting[2].centre) and not found.open_mountings()
+    tables = found.tables({1: "left"})
+    assert tables["interior orientation"]["rows"][0][0] == "left" and tables[MOUNTING]["rows"][0][0] == 2
     assert position_sigma(truth_noisy(truth), False, False).interior == ()
 
 

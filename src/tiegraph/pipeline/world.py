@@ -17,6 +17,7 @@ from tiegraph.scene.control import Control, locate
 from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.scene import Scene
+from tiegraph.sfm.covariance import MOUNTING
 from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.world.accuracy import PlacementError
@@ -41,7 +42,8 @@ def georef(run: Run) -> Outcome:
     placed = georeference_all(others, scene, run.settings.georef, given)
     notes = [*main.notes, *(_other_note(k + 1, m, g) for k, (m, g) in enumerate(zip(others, placed)))]
     world = main.to_dict()
-    sigma = run.receipts.read("sparse").get("counts", {})
+    receipt = run.receipts.read("sparse")
+    sigma = receipt.get("counts", {})
     if "position_sigma_median" in sigma:
         # Of the bundle adjustment, in the model's units: the shape of the survey, not its place on the Earth.
         scaled = {n: main.world_from_model.scale * sigma[f"position_sigma_{n}"] for n in ("median", "p90")}
@@ -49,7 +51,8 @@ def georef(run: Run) -> Outcome:
     remove(run.path("sparse", "world"))
     scratch.rename(run.path("sparse", "world"))
     save_json(run.path("world.json"), {**world, "notes": notes})
-    return Outcome(main.counts(), notes=tuple(notes), tables=_tables(main))
+    tables = {**_tables(main), **_mounting(receipt, main)}
+    return Outcome(main.counts(), notes=tuple(notes), tables=tables)
 
 
 def world_origin(run: Run) -> Origin | None:
@@ -111,6 +114,17 @@ def _tables(placed: Georeference) -> dict[str, dict]:
     heads = ["", "points", "east m", "north m", "up m", "plan m", "RMSE m", "CE90 m", "LE90 m"]
     out = {"control and check points": {"columns": columns, "rows": rows}}
     return {**out, "accuracy of points (model minus survey)": {"columns": heads, "rows": sums}} if sums else out
+
+
+def _mounting(receipt: dict, placed: Georeference) -> dict[str, dict]:
+    """Lever arms of the cameras with their sigmas in metres, where something told the scale."""
+    found = receipt.get("tables", {}).get(MOUNTING)
+    if found is None or placed.scale_source == "none":
+        return {}
+    scale = placed.world_from_model.scale
+    rows = [[row[0], *(round(scale * v, 5) for v in row[1:5]), round(row[5], 4)] for row in found["rows"]]
+    columns = ["camera", "x m", "y m", "z m", "sigma m", "sigma of the turn deg"]
+    return {"lever arms of the cameras, in the frame of the first": {"columns": columns, "rows": rows}}
 
 
 def _other_note(number: int, model: pycolmap.Reconstruction, placed: Georeference) -> str:

@@ -10,6 +10,7 @@ import pycolmap
 
 from tiegraph.sfm import lens
 from tiegraph.sfm.model import MIN_OBSERVATIONS
+from tiegraph.sfm.rig import compact
 from tiegraph.sfm.rig.soft import Soft, add_soft
 
 # A principal point 6 px off in a 232 px lens turns its camera by 1.5 degrees against the rig and bends the model: on
@@ -154,6 +155,7 @@ def _solve(
     adjuster = pycolmap.create_default_ceres_bundle_adjuster(options, config, model)
     kept = add_soft(adjuster, model, soft) if soft else []
     kept += lens.add_priors(adjuster.problem, model, given or {})
+    kept += compact.add_priors(adjuster.problem, model, soft.known_sensors() if soft else ())
     adjuster.solve()
     del kept
 

@@ -26,11 +26,20 @@ _STRONG = 0.7  # a correlation of interior orientation that is told
 
 
 @dataclass(frozen=True)
+class Mounting:
+    """A camera in its rig: centre (3,) in the frame of the reference, model units, sigma of it, sigma of the turn."""
+
+    centre: tuple[float, float, float]
+    sigma: float  # model units, root sum of squares
+    sigma_deg: float
+
+
+@dataclass(frozen=True)
 class PositionSigma:
     """One-sigma uncertainty of frames, model units, after the best similarity to the truth (free gauge), and of lenses.
 
     ``widened``: sigmas over those that independent errors of normal distribution would have (median of the frames).
-    ``interior``: rows of INTERIOR, one an adjusted parameter; ``rig_deg``: camera id -> sigma of its turn in the rig.
+    ``interior``: rows of INTERIOR, one an adjusted parameter; ``mounting``: of a camera in its rig, by camera id.
     """
 
     frame_ids: tuple[int, ...]  # of the model
@@ -38,7 +47,7 @@ class PositionSigma:
     pixel_sigma: float  # a posteriori sigma of one image coordinate, pixels, robust
     widened: float = 1.0
     interior: tuple[tuple, ...] = ()
-    rig_deg: dict[int, float] = field(default_factory=dict)
+    mounting: dict[int, Mounting] = field(default_factory=dict)
     covariance: np.ndarray | None = None  # (3F, 3F) of the positions, model units squared
 
     @property
@@ -51,11 +60,25 @@ class PositionSigma:
         """90th percentile of the frames' root sum of squares."""
         return float(np.percentile(np.linalg.norm(self.sigma, axis=1), 90))
 
-    def table(self, names: Mapping[int, str]) -> dict:
-        """The interior orientation as a table of the receipt; ``names`` of the cameras by id."""
-        return {"columns": list(INTERIOR), "rows": [[names.get(row[0], row[0]), *row[1:]] for row in self.interior]}
+    def tables(self, names: Mapping[int, str]) -> dict[str, dict]:
+        """Interior orientation and mounting as tables of the receipt; ``names`` of the cameras by id."""
+        out = {}
+        if self.interior:
+            rows = [[names.get(row[0], row[0]), *row[1:]] for row in self.interior]
+            out["interior orientation"] = {"columns": list(INTERIOR), "rows": rows}
+        if self.mounting:
+            named = [[names.get(k, k), *m.centre, m.sigma, m.sigma_deg] for k, m in self.mounting.items()]
+            out[MOUNTING] = {"columns": ["camera", "x", "y", "z", "sigma", "sigma of the turn deg"], "rows": named}
+        return out
+
+    def open_mountings(self) -> dict[int, float]:
+        """Camera id -> sigma of its place in the rig over its distance from the reference, where that is large."""
+        shares = {k: m.sigma / max(float(np.linalg.norm(m.centre)), 1e-12) for k, m in self.mounting.items()}
+        return {k: s for k, s in shares.items() if s > OPEN_SHARE and self.mounting[k].sigma > OPEN_TIMES * self.median}
 
 
+MOUNTING = "mounting in the rig, units of the model"
+OPEN_SHARE, OPEN_TIMES = 0.1, 3.0  # of the lever arm, of the sigma of the frames: beyond both, a place is hardly known
 INTERIOR = ("camera", "parameter", "value", "sigma", "strongest correlation", "with")
 
 
@@ -96,7 +119,7 @@ def position_sigma(
     wider = np.linalg.norm(sigma, axis=1) / np.maximum(np.linalg.norm(plain, axis=1), 1e-300)
     return PositionSigma(
         layout.frame_ids, sigma, float(np.sqrt(variance)), float(np.median(wider)), _interior(model, layout, full),
-        _rig_deg(layout, full), covariance,
+        _mounting(layout, full), covariance,
     )  # fmt: skip
 
 
@@ -149,11 +172,12 @@ def _interior(model: pycolmap.Reconstruction, layout: Layout, full: np.ndarray) 
 _MOUNTING = ("place x", "place y", "place z", "turn x", "turn y", "turn z")
 
 
-def _rig_deg(layout: Layout, full: np.ndarray) -> dict[int, float]:
+def _mounting(layout: Layout, full: np.ndarray) -> dict[int, Mounting]:
     out = {}
     for key, column in layout.sensor.items():
-        turn = np.diag(full)[column + 3 : column + 6]
-        out[key] = float(np.degrees(np.sqrt(np.clip(turn, 0, None).sum())))
+        place, turn = np.sqrt(np.clip(np.diag(full)[column : column + 6], 0, None).reshape(2, 3).sum(axis=1))
+        x, y, z = layout.sensor_centre[key].tolist()
+        out[key] = Mounting((x, y, z), float(place), float(np.degrees(turn)))
     return out
 
 

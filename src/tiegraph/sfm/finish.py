@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -83,8 +83,10 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> Finishe
     if settled.table is not None:
         tables["placement"] = settled.table
     sigma = _sigma(model, request, notes, ties)
-    if sigma is not None and sigma.interior:
-        tables["interior orientation"] = sigma.table({k + 1: s.name for k, s in enumerate(scene.all_sensors)})
+    if sigma is not None:
+        names = {k + 1: s.name for k, s in enumerate(scene.all_sensors)}
+        tables |= sigma.tables(names)
+        notes += _open_notes(sigma, names)
     return Finished(sigma, notes, tables, settled.dropped)
 
 
@@ -183,6 +185,14 @@ def _relaxed_note(scene: Scene, index: int, relaxed: Relaxed, found: Diagnosis) 
         f"rig {rig.name} relaxed: each camera has its own time, estimated from the motion against "
         f"{rig.sensors[0].name}: {times}; {relaxed.note}"
     )
+
+
+def _open_notes(sigma: PositionSigma, names: Mapping[int, str]) -> list[str]:
+    return [
+        f"the lever arm of {names.get(camera, camera)} is known to {100 * share:.0f} % of its length only, for hardly "
+        "a point ties it to the other cameras; measured and given in a rig file it would place its images"
+        for camera, share in sigma.open_mountings().items()
+    ]
 
 
 def _sigma(

@@ -13,6 +13,7 @@ from scipy import sparse
 from tiegraph.geometry.transforms import skew
 from tiegraph.sfm import lens
 from tiegraph.sfm.model import matrix
+from tiegraph.sfm.rig import compact
 
 _PRIOR_FOCAL = 0.2  # weak prior sigma of intrinsics, in parts of the focal length
 _PRIOR_EXTRA = 0.5  # weak prior sigma of distortion parameters
@@ -41,15 +42,17 @@ class Layout:
         self.size = 6 * len(self.frame_ids)
         self.sensor: dict[int, int] = {}
         self.sensor_centre: dict[int, np.ndarray] = {}
+        self._prior: list[tuple[int, np.ndarray]] = []
         images = [model.image(i) for i in model.reg_image_ids()]
         for rig in (r for k, r in model.rigs.items() if _chosen(k, free_rig)):
+            expected = compact.information(rig)
             for sensor, pose in rig.non_ref_sensors.items():
                 if pose is not None:
                     self.sensor[sensor.id], self.sensor_centre[sensor.id] = self.size, pose.tgt_origin_in_src()
+                    self._prior.append((self.size, expected.get(sensor.id, 0.0) * np.eye(3)))
                     self.size += 6
         self.camera: dict[int, int] = {}
         self.params: dict[int, np.ndarray] = {}
-        self._prior: list[tuple[int, np.ndarray]] = []
         for camera_id in sorted(k for k in {i.camera_id for i in images} if _chosen(k, free_intrinsics)):
             camera = model.camera(camera_id)
             self.camera[camera_id], self.params[camera_id] = self.size, np.array(camera.params)
@@ -57,7 +60,7 @@ class Layout:
             self.size += len(camera.params)
 
     def prior(self) -> np.ndarray:
-        """(C, C) information of what is expected of a lens before the images speak."""
+        """(C, C) information of what is expected of lenses and of places in a rig before the images speak."""
         out = np.zeros((self.size, self.size))
         for column, information in self._prior:
             columns = slice(column, column + len(information))

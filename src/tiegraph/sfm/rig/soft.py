@@ -66,6 +66,11 @@ class Soft:
     def __bool__(self) -> bool:
         return bool(self.ties or self.sensors or self.pairs or self.timed)
 
+    def known_sensors(self) -> frozenset[tuple[int, int]]:
+        """(rig id, camera id) of the sensors of whose place in the rig something is known."""
+        pairs = ((p.rig_id, c) for p in self.pairs for c in p.cameras)
+        return frozenset([*((s.rig_id, s.camera_id) for s in self.sensors), *pairs])
+
     def in_python(self) -> bool:
         """Whether some of its costs are written in Python: one thread then, others would wait for its lock."""
         return bool(self.pairs or self.timed)

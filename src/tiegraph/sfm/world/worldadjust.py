@@ -16,6 +16,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm import lens
 from tiegraph.sfm.adjust import FILTER_ANGLE_DEG, FILTER_PX, ROBUST_PX, free_cameras
 from tiegraph.sfm.model import frame_poses, image_poses, matrix
+from tiegraph.sfm.rig import compact
 from tiegraph.sfm.world import costs, noise
 from tiegraph.sfm.world.fit import ANTENNA_SIGMA_M, INLIER_SIGMAS, OFFSET_SIGMA_S
 from tiegraph.sfm.world.fixes import Fixes
@@ -140,6 +141,7 @@ def _solve(
     kept += _add_points(adjuster.problem, model, scene, given, sigma_px)
     kept += _add_up(adjuster.problem, model, scene, given, sigma_px)
     kept += lens.add_priors(adjuster.problem, model, {})
+    kept += compact.add_priors(adjuster.problem, model, ())
     adjuster.solve()
     del kept  # the problem only borrows the residuals written in Python
 
