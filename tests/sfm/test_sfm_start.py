@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.scene.scene import Scene
+from tiegraph.sfm import mapping
 from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.model import frame_poses, image_poses
 from tiegraph.sfm.placement.verified import read_verified
@@ -107,6 +108,26 @@ def test_a_path_too_long_for_its_rig_is_made_right(world, tmp_path: Path) -> Non
     assert mapped.refused == "" and "0.125 times as long, by its matches" in mapped.notes[0]
     error, scale = _error(mapped, true, scene)
     assert error < 0.004 and scale == pytest.approx(1, abs=0.005)
+
+
+def test_what_a_mapper_made_too_long_is_mapped_again(world, tmp_path: Path, monkeypatch) -> None:
+    true, scene = world
+    model = pycolmap.Reconstruction(_map(tmp_path, scene, _rough(true, scene)).folders[0])
+    for frame in model.frames.values():
+        frame.rig_from_world.translation *= 8.0
+    for point in model.points3D.values():
+        point.xyz = 8.0 * point.xyz
+    stretched = tmp_path / "stretched"
+    stretched.mkdir()
+    model.write(stretched)
+    monkeypatch.setattr(mapping, "_mapped", lambda *job: mapping.Outcome("global", [stretched], len(scene)))
+    source = Source(tmp_path / "database.db", None)
+    made = reconstruct(source, tmp_path / "sparse", scene, SparseSettings(mapper="global"), tmp_path / "log.txt")
+    assert any("0.125 times as long, by its matches" in note for note in made.notes)
+    again = Mapped([tmp_path / "sparse" / "0"], (), "")
+    error, scale = _error(again, true, scene)
+    assert error < 0.004 and scale == pytest.approx(1, abs=0.005)
+    assert "path as long as its rig says" in str(made.tables)
 
 
 def test_positions_tell_the_length_where_matches_do_not(world, tmp_path: Path) -> None:

@@ -18,10 +18,12 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.blockwise import RunMap, poses_by_blocks, serially
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.losses import CLEARLY_FEWER, no_model_text
-from tiegraph.sfm.model import MIN_OBSERVATIONS, image_poses, observations
+from tiegraph.sfm.model import MIN_OBSERVATIONS, frame_poses, image_poses, observations
+from tiegraph.sfm.placement.verified import read_verified
 from tiegraph.sfm.rig.rig import held_by_mapper
 from tiegraph.sfm.run import Mapped, Request, run_mapper
 from tiegraph.sfm.settings import SparseSettings
+from tiegraph.sfm.start.poses import length_of_path
 
 _log = logging.getLogger(__name__)
 
@@ -30,6 +32,7 @@ ROUGHLY_FEWER = 0.5  # likewise in a rough model, where more images see few of i
 # Images: above, "auto" starts from the preview model, or from rough models of blocks. Below, it maps from nothing:
 # twice the time, but canal's up camera is then 11 mm off and not 24 (benchmarks/sfm/README.md).
 IN_BLOCKS = 1000
+OTHER_LENGTH = 1.25  # times too long or too short a path is mapped again
 SECOND_SURVEY = 10  # images without any tie to the model that are mapped by themselves
 
 Progress = Callable[[int, int], None]
@@ -118,9 +121,32 @@ def map_images(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str
         if outcome.folders:
             return _with_others(job, outcome, rigs, modes)
         job.notes.append(f"the blocks do not make one model: {outcome.refused}; mapped whole")
-    outcome = _mapped(job, rigs, modes, label)
+    outcome = _as_long_as_its_rig(job, _mapped(job, rigs, modes, label), rigs, modes)
     # A rough model and one without the rig are steps on the way; what they leave out is dealt with at its end.
     return outcome if label or job.rough else _with_others(job, outcome, rigs, modes)
+
+
+def _as_long_as_its_rig(job: Job, outcome: Outcome, rigs: dict[int, Rig], modes: dict[int, str]) -> Outcome:
+    """Map again from the poses found where their path is of quite another length than a rig that must not change says.
+
+    Cameras that look away from each other hardly tell a mapper; PandaSet's preview model was 16 times too large.
+    """
+    held = [k for k in rigs if held_by_mapper(rigs[k], modes[k])]
+    if not held:
+        return outcome
+    verified = read_verified(job.database, job.scene, job.refused)
+    poses = image_poses(pycolmap.Reconstruction(outcome.folders[0]), job.scene)
+    length = length_of_path(frame_poses(poses, job.scene), job.scene, held, verified)
+    if length is None or not np.isfinite(length.scale) or 1 / OTHER_LENGTH < length.scale < OTHER_LENGTH:
+        return outcome
+    again = _run(replace(job, preview=poses), "preview", rigs, modes, "with its path as long as its rig says")
+    if again.registered < CLEARLY_FEWER * outcome.registered:
+        job.notes.append(
+            f"the model's path should be {length.scale:.3g} times as long for its rig, by {length.by}; made so, fewer "
+            f"images have a place ({again.registered} of {outcome.registered}): left as it is; {again.refused}"
+        )
+        return outcome
+    return again
 
 
 def _with_others(job: Job, outcome: Outcome, rigs: dict[int, Rig], modes: dict[int, str]) -> Outcome:

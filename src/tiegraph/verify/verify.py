@@ -27,7 +27,6 @@ from tiegraph.verify.prior import MAX_REFUSED, Prior, agreement
 from tiegraph.verify.prior import MIN_SHARE as MIN_MODEL_SHARE
 from tiegraph.verify.rigcheck import RigCheck, check_rig
 from tiegraph.verify.settings import VerifySettings
-from tiegraph.verify.unit import in_unit_of_rig
 
 _log = logging.getLogger(__name__)
 
@@ -153,9 +152,6 @@ def _by_prior(work: _Work, prior: Prior | None) -> tuple[np.ndarray, np.ndarray,
     items = [(int(pairs.i[k]), int(pairs.j[k])) for k in rows]
     lone = Calibration.of(work.scene, by_frame=False)
     share = np.array(work.run_map(agreement, items, work.database, lone, prior))
-    better, note = in_unit_of_rig(work.scene, pairs.where(judged), share, work.database, prior, work.run_map)
-    if note:
-        share = np.array(work.run_map(agreement, items, work.database, lone, better))
     wrong = share < MIN_MODEL_SHARE
     figures = f"the preview model agrees with {len(rows) - int(wrong.sum())} of {len(rows)} pairs"
     if wrong.mean() > MAX_REFUSED:
@@ -163,7 +159,7 @@ def _by_prior(work: _Work, prior: Prior | None) -> tuple[np.ndarray, np.ndarray,
     asked, contradicts = nothing, nothing.copy()
     asked[rows] = True
     contradicts[rows[wrong]] = True
-    return asked, contradicts, [*([note] if note else []), figures]
+    return asked, contradicts, [figures]
 
 
 def _nothing(pairs: Pairs, scene: Scene) -> Verification:

@@ -15,7 +15,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses, rigid3d
 from tiegraph.sfm.placement.verified import Verified
 from tiegraph.sfm.rig.rig import l1_mean_rotation
-from tiegraph.sfm.start.scale import path_scale
+from tiegraph.sfm.start.scale import PathScale, path_scale
 
 ONE_CENTRE = 1e-6  # metres: shorter baselines are none
 MAX_LEVER_OFF = 0.5  # of a given lever arm that the poses may show it off; more, and the start takes the given one
@@ -45,10 +45,9 @@ def start_from(
     fitted = {k: rig if k in held else rig_of_poses(scene, k, rig, cam_from_world) for k, rig in rigs.items()}
     scene = scene.with_(rigs=tuple(fitted.get(k, r) for k, r in enumerate(scene.rigs)))
     frames = frame_poses(cam_from_world, scene)
-    cam_from_rig = _cam_from_rig(scene)
-    if not held or np.nanmax(np.linalg.norm(cam_from_rig[:, :3, 3], axis=1), initial=0.0) < ONE_CENTRE:
-        return Start(fitted, frames, cam_from_world)  # nothing to compare the path with: panoramas, loose photographs
-    found = path_scale(scene, cam_from_rig, frames, verified)
+    found = length_of_path(frames, scene, held, verified)
+    if found is None:
+        return Start(fitted, frames, cam_from_world)
     if not np.isfinite(found.scale):
         return None
     frames[:, :3, 3] *= found.scale
@@ -56,6 +55,17 @@ def start_from(
     images[:, :3, 3] *= found.scale
     note = f"its path made {found.scale:.3g} times as long, by {found.by}"
     return Start(fitted, frames, images, (note,) if abs(found.scale - 1) > 0.02 else ())
+
+
+def length_of_path(
+    world_from_rig: np.ndarray, scene: Scene, held: Collection[int], verified: Verified
+) -> PathScale | None:
+    """What the path of frames (F, 4, 4) needs to be as long as the rigs (indices ``held``) that must not change say;
+    None where there is nothing to compare it with: panoramas, loose photographs."""
+    cam_from_rig = _cam_from_rig(scene)
+    if not held or np.nanmax(np.linalg.norm(cam_from_rig[:, :3, 3], axis=1), initial=0.0) < ONE_CENTRE:
+        return None
+    return path_scale(scene, cam_from_rig, world_from_rig, verified)
 
 
 def largest_piece(cam_from_world: np.ndarray, scene: Scene, rigs: Collection[int], pairs: np.ndarray) -> np.ndarray:
