@@ -21,7 +21,7 @@ from tiegraph.sfm.world import worldadjust
 from tiegraph.sfm.world.fixes import Given, PositionRows, make_fixes
 from tiegraph.sfm.world.georef import georeference
 from tiegraph.sfm.world.gravity import Up
-from tiegraph.sfm.world.ground import georeference_model
+from tiegraph.sfm.world.ground import Held, georeference_model
 from tiegraph.sfm.world.placing import Model, place
 
 import pycolmap  # isort: skip
@@ -109,6 +109,26 @@ def test_adjustment_meets_the_truth_and_says_what_it_did(world) -> None:
     assert 0.001 < _error(after, truth, scene) < 1.2 * _error(before, truth, scene) + 0.01
     np.testing.assert_allclose(found.antenna_m, arm, atol=0.1)
     assert any("positions held back are met within" in n for n in found.notes)
+
+
+@needs_pyceres
+def test_what_the_rig_file_gives_with_a_sigma_holds_among_the_positions_too(world) -> None:
+    truth, scene = world
+    frames = true_frames(truth, scene)[:, :3, 3]
+    noise = 0.01 * np.random.default_rng(5).standard_normal(frames.shape)
+    placed = with_positions(scene, frames + noise, 0.01)
+    given = np.array(scene.rigs[0].sensors[1].sensor_from_rig)
+    given[0, 3] += 0.05
+    places = []
+    for sigma, soft in ((0.001, (0,)), (1.0, (0,)), (0.001, ())):
+        sensor = replace(scene.rigs[0].sensors[1], sensor_from_rig=given, sigma_m=sigma, sigma_deg=10.0)
+        rig = replace(scene.rigs[0], sensors=(scene.rigs[0].sensors[0], sensor), fixed=False)
+        scene_given = placed.with_(rigs=(rig,))
+        _, model = georeference_model(truth, scene_given, GeorefSettings(adjust="yes"), None, Held(soft=soft))
+        places.append(next(p.translation[0] for p in model.rig(1).non_ref_sensors.values()))
+    tight, loose, unknown = places
+    assert abs(tight - given[0, 3]) < 0.005
+    assert abs(loose - given[0, 3]) > 0.015 and loose == pytest.approx(unknown, abs=0.003)
 
 
 def test_every_fifth_gross_outlier_and_a_pass_without_positions(world) -> None:

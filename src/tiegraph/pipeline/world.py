@@ -34,8 +34,10 @@ def georef(run: Run) -> Outcome:
     scratch = run.path("sparse", ".world")
     remove(scratch)
     sparse = run.settings.sparse
-    rigs = tuple(k + 1 for k, mode in rig_modes(scene, sparse.rig).items() if mode == "fixed")
-    held = Held(rigs, believed_cameras(scene, sparse))
+    modes = rig_modes(scene, sparse.rig)
+    rigs = tuple(k + 1 for k, mode in modes.items() if mode == "fixed")
+    soft = tuple(k for k, mode in modes.items() if mode == "soft")
+    held = Held(rigs, believed_cameras(scene, sparse), soft)
     request = GroundRequest(folders[0], scratch, scene.to_json(), run.settings.georef, given, held)
     main = run_in_child(ground, request, log=run.log, task="georeferencing")
     others = [pycolmap.Reconstruction(str(p)) for p in folders[1:]]

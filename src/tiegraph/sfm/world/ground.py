@@ -28,10 +28,12 @@ _MIN_HELD = 3  # held-out positions below which their check says nothing
 
 @dataclass(frozen=True)
 class Held:
-    """What an adjustment must leave as it is: COLMAP ids of rigs with calibrated extrinsics, and of such cameras."""
+    """What an adjustment must leave as it is: COLMAP ids of rigs with calibrated extrinsics, and of such cameras;
+    ``soft``: indices in the scene of rigs whose extrinsics are known with a sigma."""
 
     rigs: Collection[int] = ()
     cameras: Collection[int] = ()
+    soft: Collection[int] = ()
 
 
 def georeference_model(
@@ -116,6 +118,7 @@ def _constraints(
         up=up,
         fixed_rigs=held.rigs,
         constant_cameras=held.cameras,
+        soft_rigs=held.soft,
     )
 
 

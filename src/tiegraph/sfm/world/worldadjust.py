@@ -17,6 +17,8 @@ from tiegraph.sfm import lens
 from tiegraph.sfm.adjust import FILTER_ANGLE_DEG, FILTER_PX, ROBUST_PX, free_cameras
 from tiegraph.sfm.model import frame_poses, image_poses, matrix
 from tiegraph.sfm.rig import compact
+from tiegraph.sfm.rig.given import given_geometry
+from tiegraph.sfm.rig.soft import add_soft
 from tiegraph.sfm.world import costs, noise
 from tiegraph.sfm.world.fit import ANTENNA_SIGMA_M, INLIER_SIGMAS, OFFSET_SIGMA_S
 from tiegraph.sfm.world.fixes import Fixes
@@ -46,6 +48,7 @@ class Constraints:
     up: Up | None = None  # in the world: holds the tilt where positions do not
     fixed_rigs: Collection[int] = ()
     constant_cameras: Collection[int] = ()
+    soft_rigs: Collection[int] = ()  # indices in the scene: what their rig file gives with a sigma is believed so far
 
 
 @dataclass(frozen=True)
@@ -141,7 +144,9 @@ def _solve(
     kept += _add_points(adjuster.problem, model, scene, given, sigma_px)
     kept += _add_up(adjuster.problem, model, scene, given, sigma_px)
     kept += lens.add_priors(adjuster.problem, model, {})
-    kept += compact.add_priors(adjuster.problem, model, ())
+    known = given_geometry(model, scene, given.soft_rigs)
+    kept += add_soft(adjuster, model, known)
+    kept += compact.add_priors(adjuster.problem, model, known.known_sensors())
     adjuster.solve()
     del kept  # the problem only borrows the residuals written in Python
 
