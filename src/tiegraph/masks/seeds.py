@@ -12,7 +12,7 @@ import numpy as np
 from tiegraph.masks.appearance import BINS, bins
 from tiegraph.masks.classes import SKY, USE, WATER
 from tiegraph.masks.evidence import Evidence
-from tiegraph.masks.frames import read_small
+from tiegraph.masks.frames import grey, read_small
 from tiegraph.masks.lookup import LOOK_PX, Learnt, classify
 from tiegraph.masks.morphology import dilated, scaled
 from tiegraph.masks.settings import MasksSettings
@@ -23,6 +23,7 @@ PLACES = (12, 16)
 _STATIC_PX = 5  # around a matched feature all is static scene
 _MATCHED_SKY = 0.25  # matched features on it, as a share of those on an equal area of the image
 _LOW_SHARE = 0.02  # of a row that must be sky for sky to reach down to it
+_PALE_PERCENT = 5.0  # of the sky is darker than what may belong to it
 _WIDE = 0.12  # of the image's width: narrower pieces of sky are no seeds
 
 
@@ -58,7 +59,7 @@ def first_seeds(job: SeedJob) -> Seeds:
     if sky is None or not job.upward and not _unmatched(sky, job.evidence):
         sky = np.zeros(shape, bool)
     else:  # what is well off the sky is scene or water
-        static = static | ~dilated(sky, 9)
+        static = static | ~dilated(sky, 9) & ~_like_sky(image, sky, job.evidence)
     free = np.ones(shape, bool) if job.ego is None else ~scaled(job.ego, shape)
     rows = np.flatnonzero((sky & free & ~water & ~static).mean(axis=1) > _LOW_SHARE)
     low = float(rows[-1] + 1) / shape[0] if len(rows) else 0.0
@@ -76,7 +77,25 @@ def second_seeds(job: tuple[SeedJob, Learnt, MasksSettings]) -> Seeds:
     masks = {label: (labels == label) & free & ~static for label in (SKY, WATER)}
     doubtful = np.arange(len(image))[:, None] > learnt.sky_rows * len(image)  # at the horizon clouds pale
     masks[SKY] = masks[SKY] & ~doubtful
-    return _seeds(image, {USE: ((labels == USE) | static) & free, **masks})
+    scene = (labels == USE) & ~_like_sky(image, labels == SKY, seed.evidence)
+    return _seeds(image, {USE: (scene | static) & free, **masks})
+
+
+def _like_sky(image: np.ndarray, sky: np.ndarray, evidence: Evidence | None) -> np.ndarray:
+    """What is as bright as the sky, hangs together with it and hardly matches: pale clouds at the horizon, no wall."""
+    if evidence is None or not sky.any():
+        return np.zeros(sky.shape, bool)
+    light = grey(image)
+    bright = light >= np.percentile(light[sky], _PALE_PERCENT)
+    _, joined = cv2.connectedComponents((bright | sky).astype(np.uint8), connectivity=4)
+    touching = np.isin(joined, np.unique(joined[sky])) & ~sky & bright
+    _, pieces = cv2.connectedComponents(touching.astype(np.uint8), connectivity=4)
+    place = (evidence.xy[evidence.matched] * np.array(sky.shape[::-1], np.float32)).astype(int)
+    at = pieces[place[:, 1].clip(0, sky.shape[0] - 1), place[:, 0].clip(0, sky.shape[1] - 1)]
+    matched, area = np.bincount(at, minlength=pieces.max() + 1), np.bincount(pieces.ravel())
+    few = matched * pieces.size < _MATCHED_SKY * len(place) * area
+    few[0] = False
+    return few[pieces]
 
 
 def _seeds(image: np.ndarray, masks: Mapping[int, np.ndarray], low: float = 0.0) -> Seeds:
