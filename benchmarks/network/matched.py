@@ -13,7 +13,9 @@ from scipy.sparse import coo_array, csr_matrix, vstack
 from scipy.sparse.csgraph import connected_components
 
 from tiegraph.features.database import pair_ids, reading
+from tiegraph.features.settings import PreviewSettings
 from tiegraph.pipeline.accuracy import with_accuracy
+from tiegraph.pipeline.ties import with_previews
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Sights, Ties
@@ -41,22 +43,20 @@ class Run:
     def read(folder: Path) -> Run:
         """A run with ``--design.method all`` up to the stage ``verify``."""
         sights, model = folder / "network" / "sights.npz", folder / "network" / "model.npz"
+        pairs, ties = Pairs.from_npz(_npz(folder / "network.npz")), Ties.from_npz(_npz(folder / "network" / "ties.npz"))
+        pairs, ties, _ = with_previews(pairs, ties, folder, PreviewSettings(), _in_turn)
         return Run(
             folder,
             Scene.from_json((folder / "network" / "scene.json").read_text()).measured(),
-            Pairs.from_npz(_npz(folder / "network.npz")),
+            pairs,
             Pairs.from_npz(_npz(folder / "verify.npz")),
-            Ties.from_npz(_npz(folder / "network" / "ties.npz")),
+            ties,
             Sights.from_npz(_npz(sights), _npz(model)["cam_from_world"]) if sights.exists() else None,
         )
 
     def with_accuracy(self) -> Pairs:
         """The pairs with the accuracy that paper 002 gives them."""
-
-        def in_turn(function: Callable[..., Any], items: Sequence[Any], *args: Any) -> list[Any]:
-            return [function(item, *args) for item in items]
-
-        return with_accuracy(self.pairs, self.scene, self.ties, self.folder, in_turn)
+        return with_accuracy(self.pairs, self.scene, self.ties, self.folder, _in_turn)
 
     def settings(self) -> SparseSettings:
         """Those of the mapping: the defaults, no GNSS, so that only the pairs count."""
@@ -77,6 +77,10 @@ class Run:
         away = tuple(p for p in zip(self.pairs.i.tolist(), self.pairs.j.tolist()) if p not in kept)
         source = Source(self.folder / "database.db", self.folder / "images", away)
         return [m.folder for m in reconstruct(source, out, self.scene, self.settings(), log).models]
+
+
+def _in_turn(function: Callable[..., Any], items: Sequence[Any], *args: Any) -> list[Any]:
+    return [function(item, *args) for item in items]
 
 
 def _npz(path: Path) -> dict[str, np.ndarray]:

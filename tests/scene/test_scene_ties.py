@@ -29,6 +29,12 @@ def test_subset_and_round_trip() -> None:
     assert np.array_equal(again.matches, kept.matches) and np.array_equal(again.start, kept.start)
 
 
+def test_union_keeps_the_first_of_a_pair_in_both() -> None:
+    both = some() | Ties.make([0, 1], [1, 2], [np.array([[1, 1], [2, 2]]), np.array([[5, 6]])])
+    assert list(zip(both.i, both.j)) == [(0, 1), (0, 2), (1, 2), (3, 5)]
+    assert both.of(0).tolist() == [[7, 8]] and both.of(2).tolist() == [[5, 6]]
+
+
 def test_wrong_order_is_refused() -> None:
     with pytest.raises(ValueError, match="Ties.make"):
         Ties(np.array([2]), np.array([1]), np.array([0, 0]), np.zeros((0, 2)))

@@ -21,7 +21,7 @@ STAGES = (
     Stage("masks", masks, ("scan",), ("masks", "classes", "masks.csv"), "image", version=4),
     Stage("preview", preview, ("scan", "masks"), ("preview",), "image", version=2),
     Stage("network", network, ("scan", "preview"), ("network.npz", "network.csv", "network"), version=5),
-    Stage("design", design, ("network",), ("pairs.npz", "pairs.txt", "pairs", "design"), version=3),
+    Stage("design", design, ("network",), ("pairs.npz", "pairs.txt", "pairs", "design"), version=4),
     Stage("features", features, ("scan", "masks"), ("database.db",), "image"),
     Stage("match", match, ("network", "design", "features"), ("match.npz",), "block of pairs", clear=forget_matches),
     Stage("verify", verify, ("network", "match"), ("verify.npz",), "pair", version=2),

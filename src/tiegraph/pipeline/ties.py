@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, cast
@@ -25,6 +25,7 @@ from tiegraph.pipeline.capture import preview_path
 from tiegraph.pipeline.files import checked, pairs_of, read_mask, save_npz, scanned, ties_of
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome, remove, write_atomic
+from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Sights, Ties
 from tiegraph.sfm.mapper import Source, reconstruct
@@ -145,6 +146,9 @@ def design(run: Run) -> Outcome:
     """Which of the candidate pairs are matched at full resolution; COLMAP pair lists, one a section and one for all."""
     scene = checked(run)
     candidates, ties = pairs_of(run, "network.npz"), ties_of(run)
+    previews = 0
+    if run.settings.design.method != "all":
+        candidates, ties, previews = with_previews(candidates, ties, run.folder, run.settings.preview, run.map)
     if run.settings.design.method.startswith("fuse2014"):
         candidates = with_accuracy(candidates, scene, ties, run.folder, run.map)
     made = select_pairs(candidates, scene, ties, run.settings.design, _sights(run))
@@ -156,13 +160,34 @@ def design(run: Run) -> Outcome:
     for number in np.unique(section):
         own = pairs.where((section[pairs.i] == number) | (section[pairs.j] == number))
         write_atomic(run.path("pairs", f"section_{max(number, 0)}.txt"), own.to_text(scene.names))
-    counts = {"images_without": int(np.sum(pairs.degree(len(scene)) == 0)), **made.counts}
+    counts = {"images_without": int(np.sum(pairs.degree(len(scene)) == 0)), "previews": previews, **made.counts}
     run.path("design").mkdir(exist_ok=True)
     positions = scene.world_from_rig[:, :3, 3]
     weak = weak_pairs(made.tables.get("weak links", {}), scene)
     picture = map_png(pairs, positions if np.isfinite(positions).any() else None, scene, weak=weak)
     write_atomic(run.path("design", "map.png"), picture)
-    return Outcome(counts, notes=made.notes, tables=made.tables)
+    looked = (f"{previews} pairs of which nothing was known were previewed first",) if previews else ()
+    return Outcome(counts, notes=(*looked, *made.notes), tables=made.tables)
+
+
+def with_previews(
+    pairs: Pairs, ties: Ties, folder: Path, settings: PreviewSettings, run_map: Callable[..., list[Any]]
+) -> tuple[Pairs, Ties, int]:
+    """The pairs and ties after previews of every kept pair of which nothing is known, and how many these were.
+
+    Pairs by order, by a pair list or of everybody with everybody come without previews: a method that chooses would
+    choose blind. ``run_map``: map over a pool.
+    """
+    unknown = (pairs.dropped == 0) & np.isnan(pairs.score) & np.isnan(pairs.overlap)
+    rows = np.flatnonzero(unknown & (ties.find(pairs.i, pairs.j) < 0))
+    items = list(zip(pairs.i[rows].tolist(), pairs.j[rows].tolist()))
+    found: list[PreviewMatch] = run_map(_match_item, items, folder, settings)
+    if not found:
+        return pairs, ties, 0
+    score = pairs.score.copy()
+    score[rows] = [one.inliers for one in found]
+    new = Ties.make(pairs.i[rows], pairs.j[rows], [one.matches for one in found])
+    return pairs.with_(score=score), ties | new, len(rows)
 
 
 def _sights(run: Run) -> Sights | None:

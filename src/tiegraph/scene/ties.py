@@ -51,6 +51,11 @@ class Ties:
     def __len__(self) -> int:
         return len(self.i)
 
+    def __or__(self, other: Ties) -> Ties:
+        """The pairs of both; of a pair in both, the matches of the first."""
+        matches = [*map(self.of, range(len(self))), *map(other.of, range(len(other)))]
+        return Ties.make(np.concatenate([self.i, other.i]), np.concatenate([self.j, other.j]), matches)
+
     def counts(self) -> np.ndarray:
         """(T,) matches of each pair."""
         return np.diff(self.start)
