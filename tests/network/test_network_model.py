@@ -43,7 +43,7 @@ def true_model(world: World, broken_at: int | None = None, shifted_m: float = 0.
     )
 
 
-def network_of(world: World, model: SurveyModel | Callable[[], SurveyModel] | None):
+def network_of(world: World, model: SurveyModel | Callable[[], SurveyModel] | None, settings=SETTINGS):
     """The network with a model, the same each time or the next one; the ties that the models were made of."""
     asked = []
 
@@ -52,7 +52,7 @@ def network_of(world: World, model: SurveyModel | Callable[[], SurveyModel] | No
         asked.append(ties)
         return model() if callable(model) else model
 
-    return estimate_network(world.scene, np.full(len(world.scene), 128.0), world.match, SETTINGS, make), asked
+    return estimate_network(world.scene, np.full(len(world.scene), 128.0), world.match, settings, make), asked
 
 
 def shares(world: World, pairs) -> tuple[float, float]:
@@ -136,13 +136,22 @@ def test_frames_of_one_camera_that_follow_each_other_always_tie_the_model(world)
 
 def test_copies_of_a_picture_stay_out_though_they_share_all_their_surface(world) -> None:
     model = true_model(world)
-    overlap = model.overlap()
+    overlap = model.overlap(SETTINGS.axes_deg)
     best = int(np.argmax(overlap.share))
     twin = np.array([overlap.i[best]]), np.array([overlap.j[best]])
     copy = Pairs.make(*twin, "offsets", dropped=np.array([REASONS.index("similar")]))
     judged = _judged(copy, overlap, np.where(model.placed(), 0, -1), SETTINGS)
     assert judged.dropped[(judged.i == twin[0]) & (judged.j == twin[1])].tolist() == [REASONS.index("similar")]
     assert len(judged.kept()) > 100
+
+
+def test_one_limit_of_the_angle_holds_for_axes_and_for_the_views_of_a_surface(world) -> None:
+    model = true_model(world)
+    wide = model.overlap(180.0)
+    for limit, steeper in ((110.0, True), (50.0, False)):
+        found, _ = network_of(world, model, SETTINGS.model_copy(update={"axes_deg": limit}))
+        kept = found.pairs.matrix(len(world.scene))[wide.i, wide.j] == 1
+        assert np.any(kept & (wide.angle_deg > 55)) == steeper
 
 
 def test_without_a_model_counts_decide(world) -> None:

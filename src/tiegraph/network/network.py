@@ -12,7 +12,7 @@ from tiegraph.geometry import transforms
 from tiegraph.network import pictures as draw
 from tiegraph.network.model.survey import by_model
 from tiegraph.network.model.surveymodel import ModelFunction, SurveyModel
-from tiegraph.network.offsets.curves import OffsetCurve
+from tiegraph.network.offsets.curves import OffsetCurve, contained
 from tiegraph.network.offsets.surface import OffsetSurface
 from tiegraph.network.passes import MatchFunction, PreviewBook, find_passes
 from tiegraph.network.rig.check import check_rigs
@@ -164,13 +164,17 @@ def _propose(context: Context) -> Proposal:
 
 
 def _with_axes(pairs: Pairs, scene: Scene, passes: tuple, settings: NetworkSettings) -> tuple[Pairs, list[str]]:
+    """The pairs of one pass that the axes rule out added, but for those the model has found to share surface."""
     count = axes_count(passes, settings)
     if not count:
         return pairs, []
     said = f"axes more than {settings.axes_deg:.0f} deg apart: {count} pairs of images of one pass are not tried"
     if len(scene) > AXES_ROWS_LIMIT:
         return pairs, [f"{said} (not listed one by one)"]
-    return pairs | axes_pairs(passes, settings), [said]
+    apart = axes_pairs(passes, settings)
+    found = int(contained(apart, pairs.kept()).sum())
+    more = f", but for {found} whose shared surface is seen at less by the preview model" if found else ""
+    return pairs | apart, [said + more]
 
 
 def _sections(scene: Scene, light: UpLight | np.ndarray, pairs: Pairs, settings: NetworkSettings) -> SectionResult:

@@ -43,7 +43,8 @@ class NetworkSettings(Section):
     min_overlap: float = Field(0.1, ge=0.01, le=0.9)
     """Preview model: share of the surface one image sees that another must see too to be its candidate."""
     axes_deg: float = Field(110.0, ge=10, le=180)
-    """Optical axes further apart than this make a match impossible: such pairs are never tried, degrees."""
+    """Two views of a surface from directions further apart than this do not match, degrees: cameras of one pass whose
+    axes are so far apart are not tried, but for pairs whose views the model says meet at less."""
     range_m: float = Field(0.0, ge=0)
     """Source poses: usual distance from camera to object (paper 003), metres; 0 = ten times the distance between
     frames."""

@@ -130,7 +130,7 @@ def _try(ties: Ties, scene: Scene, book: PreviewBook, settings: NetworkSettings,
         return _Try((), part, Overlap.together(()), Trust.none(len(scene)), len(ties), notes)
     for k, one in enumerate(models):
         part[one.placed()] = k
-    overlap = Overlap.together([one.overlap() for one in models])
+    overlap = Overlap.together([one.overlap(settings.axes_deg) for one in models])
     return _Try(models, part, overlap, trust(scene, book, overlap, part, settings), len(ties), notes)
 
 

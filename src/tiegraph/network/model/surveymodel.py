@@ -52,9 +52,9 @@ class SurveyModel:
         """Its points as the surface."""
         return observed_proxy(self.points, self.image, self.point, self.cam_from_world)
 
-    def overlap(self) -> Overlap:
-        """Predicted shared surface of every two images of the model."""
-        return shared_surface(self.cam_from_world, self.cameras, self.proxy())
+    def overlap(self, max_angle_deg: float) -> Overlap:
+        """Predicted shared surface of every two images of the model whose rays to it meet at no more than that angle."""
+        return shared_surface(self.cam_from_world, self.cameras, self.proxy(), max_angle_deg=max_angle_deg)
 
     def sights(self) -> Sights:
         """The points each image should see."""

@@ -18,6 +18,7 @@ NEAR_STEPS = 2  # frames of a pass: images this near each other show whether the
 TRUSTED = 0.5  # share of a frame's strong previews with those before, and after it, that the model must explain
 FEW = 3  # fewer of them tell nothing
 SURE = 1.6  # times min_matches: previews this strong between near frames are true
+STEEP_DEG = 90.0  # no preview is strong where rays to the shared surface meet at more: such matches are a wall like it
 SOUND = 0.95  # share of a model's images that must be trusted: else it is torn
 # Shares of the matches in strong previews between two stretches of passes. On canal the truth explains 0.72 of those
 # between its two passes, the rest are repeated walls; models that put one pass a few walls further 0.2 to 0.35.
@@ -60,7 +61,8 @@ def trust(scene: Scene, book: PreviewBook, overlap: Overlap, part: np.ndarray, s
     tied = (count >= settings.min_matches) & (part[i] >= 0) & (part[j] >= 0)
     i, j, count = i[tied], j[tied], count[tied]
     strong = count >= SURE * settings.min_matches
-    right = overlap.between(i, j) >= settings.min_overlap
+    seen = overlap.where(~(overlap.angle_deg > STEEP_DEG))
+    right = seen.between(i, j) >= settings.min_overlap
     sure = _near(scene, i, j) & strong
     stretch = _stretches(scene, part, *_doubts(scene, i[sure], j[sure], right[sure]))
     n = int(stretch.max(initial=0)) + 1
