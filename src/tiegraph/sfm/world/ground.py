@@ -154,7 +154,10 @@ def _check(
     lengths = [
         float(np.sqrt(np.mean(np.minimum(r**2, (_CLIP * held.sigma) ** 2)))) for r in (after * sigma, before * sigma)
     ]
-    text = f"{len(out)} positions held back are met within {lengths[0]:.3f} m, with the similarity {lengths[1]:.3f} m"
+    text = (
+        f"{len(out)} positions held back are met within {lengths[0]:.3f} m ({b:.2f} of their sigmas), "
+        f"with the similarity {lengths[1]:.3f} m ({a:.2f})"
+    )
     return b <= NOT_WORSE * a, text
 
 
