@@ -14,7 +14,8 @@ TITLES = {"network": "Network", "design": "Design", "match": "Matching", "verify
 CAPTIONS = {
     "matrix": "Correspondence matrix: images by pass, camera and frame along both sides; the colour says why a pair "
     "was dropped.",
-    "map": "The tie graph on the map, by kind of tie: thick bundles hold the survey together, a red line is a place "
+    "map": "The tie graph on the map, by kind of tie, before the design: every pair that is thought to share surface.",
+    "design": "The ties that the design chose to match: thick bundles hold the survey together, a red line is a place "
     "that hangs on one link.",
     "surface": "What the frames of two passes share: the dark ridge is where both see the same place, the red path "
     "follows it although speed and direction differ.",
@@ -77,7 +78,8 @@ def _pictures(run: RunFolder, drawn: bool) -> list[tuple[str, str]]:
     order = list(CAPTIONS)
     paths = sorted(p for folder in ("network", "design") for p in (run.path / folder).glob("*.png"))
     for path in paths:
-        kind = next((k for k in order if k in path.stem.replace("curve", "offset")), "")
+        title = "design" if path.parent.name == "design" else path.stem.replace("curve", "offset")
+        kind = next((k for k in order if k in title), "")
         if drawn and kind in ("matrix", "funnel"):
             continue  # drawn above, with what was verified beside it
         uri = file_uri(path)
