@@ -12,6 +12,7 @@ from tiegraph.sfm import lens
 from tiegraph.sfm.model import MIN_OBSERVATIONS
 from tiegraph.sfm.rig import compact
 from tiegraph.sfm.rig.soft import Soft, add_soft
+from tiegraph.sfm.solver import factorised
 
 # A principal point 6 px off in a 232 px lens turns its camera by 1.5 degrees against the rig and bends the model: on
 # canal_demo (nominal rig, guessed intrinsics) this step brings the trajectory error from 0.06-0.09 m to 0.01-0.03 m.
@@ -137,6 +138,7 @@ def _solve(
     if soft and soft.in_python():
         solver.num_threads = 1  # costs written in Python would wait for the lock this thread holds
     options.ceres.solver_options = solver
+    factorised(options, model.num_reg_frames(), model.num_reg_images())
     config = pycolmap.BundleAdjustmentConfig()
     for image_id in model.reg_image_ids():
         config.add_image(image_id)

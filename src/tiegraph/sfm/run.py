@@ -15,6 +15,7 @@ from tiegraph.scene.rig import Rig, rig_from_dict, rig_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import write_working_copy
 from tiegraph.sfm.placement.verified import read_verified
+from tiegraph.sfm.solver import factorised
 from tiegraph.sfm.start.gate import why_not
 from tiegraph.sfm.start.poses import largest_piece, start_from
 from tiegraph.sfm.start.rounds import model_from
@@ -154,6 +155,8 @@ def _global(request: Request, working: Path, raw: Path) -> dict[int, pycolmap.Re
     mapper = pycolmap.GlobalMapperOptions(random_seed=request.seed, refine_sensor_from_rig=refine_rig)
     mapper.bundle_adjustment.refine_focal_length = not request.all_constant  # it knows no single constant cameras
     mapper.bundle_adjustment.refine_extra_params = not request.all_constant
+    with pycolmap.Database.open(working) as database:
+        factorised(mapper.bundle_adjustment, database.num_frames(), database.num_images())
     if request.rough:
         mapper.track_required_tracks_per_view = ROUGH_TRACKS
         mapper.skip_retriangulation = True

@@ -9,6 +9,7 @@ import pycolmap
 
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjust import free_cameras
+from tiegraph.sfm.solver import factorised
 from tiegraph.sfm.start.poses import Start, place_frames
 
 # What is adjusted beside poses and points: at first nothing, because lens and rig would soak up what is wrong with the
@@ -65,6 +66,7 @@ def _round(mapper: pycolmap.IncrementalMapper, options: Options, centre: bool) -
     solver.max_num_iterations = ITERATIONS
     solver.function_tolerance = TOLERANCE
     adjustment.ceres.solver_options = solver
+    factorised(adjustment, mapper.reconstruction.num_reg_frames(), mapper.reconstruction.num_reg_images())
     if centre:
         adjustment.refine_principal_point = True
         held.constant_cameras |= set(mapper.reconstruction.cameras) - free_cameras(mapper.reconstruction)

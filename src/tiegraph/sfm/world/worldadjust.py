@@ -19,6 +19,7 @@ from tiegraph.sfm.model import frame_poses, image_poses, matrix
 from tiegraph.sfm.rig import compact
 from tiegraph.sfm.rig.given import given_geometry
 from tiegraph.sfm.rig.soft import add_soft
+from tiegraph.sfm.solver import factorised
 from tiegraph.sfm.world import costs, noise
 from tiegraph.sfm.world.fit import ANTENNA_SIGMA_M, INLIER_SIGMAS, OFFSET_SIGMA_S
 from tiegraph.sfm.world.fixes import Fixes
@@ -128,6 +129,7 @@ def _solve(
     solver.function_tolerance = TOLERANCE
     solver.num_threads = 1  # the Python residuals need the interpreter's lock, which this thread holds
     options.ceres.solver_options = solver
+    factorised(options, model.num_reg_frames(), model.num_reg_images())
     config = pycolmap.BundleAdjustmentConfig()
     for image_id in model.reg_image_ids():
         config.add_image(image_id)
