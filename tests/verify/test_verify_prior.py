@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from verify_world import world
 
 from tiegraph.geometry import transforms
-from tiegraph.verify.prior import TOLERANCE_DEG, off_course_deg
+from tiegraph.verify.prior import ANY, MOUNT_DEG, TOLERANCE_DEG, Prior, held_by_rig, off_course_deg
 
 
 def two_views(shift_m: float = 0.0, base_m: float = 12.0) -> tuple[np.ndarray, ...]:
@@ -47,3 +48,49 @@ def test_a_repeated_wall_is_off_course_though_on_its_epipolar_line(shift_m: floa
 def test_points_behind_are_off_course() -> None:
     a, b, pose = two_views()
     assert off_course_deg(a, -b, pose, REACH).min() > 90
+
+
+def rig_poses(blind: list[int], frames: int = 5) -> tuple:
+    """A scene of a rig of four, its prior at the true extrinsics with the reach of images ``blind`` unknown."""
+    scene = world(frames=frames).scene
+    poses = []
+    for f, s in zip(scene.frame, scene.sensor):
+        turn = Rotation.from_euler("y", 180 * (f == frames - 1), degrees=True).as_matrix()
+        body = transforms.rigid(turn, np.array([1.5 * f, 0.0, 0.0]))
+        poses.append(scene.rigs[0].sensors[s].sensor_from_rig @ transforms.invert(body))
+    reach = np.tile([4.0, 20.0], (len(scene), 1))
+    reach[blind] = np.nan
+    return scene, Prior(np.stack(poses), reach)
+
+
+def test_images_without_points_are_judged_where_their_rig_holds_them() -> None:
+    scene, _ = rig_poses([])
+    third = np.flatnonzero(scene.sensor == 2)
+    scene, prior = rig_poses([int(third[1])])
+    wide = held_by_rig(prior, scene)
+    assert wide.known().all() and not prior.known()[third[1]]
+    assert wide.reach[third[1]].tolist() == [4.0 / ANY, 20.0 * ANY]
+    assert np.array_equal(np.flatnonzero(wide.mount_deg), third[1:2])
+
+
+def test_images_without_points_are_not_judged_if_their_sensor_or_frame_is_not_held() -> None:
+    scene, whole = rig_poses([])
+    assert held_by_rig(whole, scene) is whole
+    third, frame = np.flatnonzero(scene.sensor == 2), np.flatnonzero(scene.frame == 1)
+    for blind in (third[:3], frame):
+        scene, prior = rig_poses(blind.tolist())
+        assert not held_by_rig(prior, scene).known()[blind].any()
+    scene, none = rig_poses(list(range(len(scene))))
+    assert not held_by_rig(none, scene).known().any()
+
+
+def test_a_mounting_that_is_off_counts_as_far_as_the_images_are_turned() -> None:
+    scene, _ = rig_poses([])
+    third = np.flatnonzero(scene.sensor == 2)
+    scene, prior = rig_poses([int(third[1])])
+    wide = held_by_rig(prior, scene)
+    ahead, back, other = int(third[0]), int(third[-1]), int(np.flatnonzero(scene.sensor == 0)[0])
+    assert wide.tolerance_deg(int(third[1]), ahead, True) == pytest.approx(TOLERANCE_DEG)
+    assert wide.tolerance_deg(back, int(third[1]), True) == pytest.approx(TOLERANCE_DEG + 2 * MOUNT_DEG)
+    assert wide.tolerance_deg(int(third[1]), other, False) == pytest.approx(TOLERANCE_DEG + MOUNT_DEG)
+    assert wide.tolerance_deg(ahead, other, False) == TOLERANCE_DEG == prior.tolerance_deg(ahead, back, True)

@@ -23,7 +23,7 @@ from tiegraph.verify import bearings
 from tiegraph.verify.averaging import Averaged, average
 from tiegraph.verify.bearings import Calibration, Task
 from tiegraph.verify.judge import Judged, Measured, judge, measure
-from tiegraph.verify.prior import MAX_REFUSED, Prior, agreement
+from tiegraph.verify.prior import MAX_REFUSED, Prior, agreement, held_by_rig
 from tiegraph.verify.prior import MIN_SHARE as MIN_MODEL_SHARE
 from tiegraph.verify.rigcheck import RigCheck, check_rig
 from tiegraph.verify.settings import VerifySettings
@@ -143,6 +143,7 @@ def _by_prior(work: _Work, prior: Prior | None) -> tuple[np.ndarray, np.ndarray,
     pairs, nothing = work.pairs, np.zeros(len(work.pairs), bool)
     if prior is None or work.settings.method != "auto":
         return nothing, nothing.copy(), []
+    prior = held_by_rig(prior, work.scene)
     known = prior.known()
     judged = known[pairs.i] & known[pairs.j]
     rows = np.flatnonzero(judged)

@@ -53,7 +53,7 @@ class SurveyModel:
         return observed_proxy(self.points, self.image, self.point, self.cam_from_world)
 
     def overlap(self, max_angle_deg: float) -> Overlap:
-        """Predicted shared surface of every two images whose rays to it meet at no more than that angle."""
+        """Predicted shared surface of every two images whose rays to it meet at no more than an angle."""
         return shared_surface(self.cam_from_world, self.cameras, self.proxy(), max_angle_deg=max_angle_deg)
 
     def sights(self) -> Sights:
