@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from tiegraph.features.database import pair_ids, reading
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.pipeline.accuracy import with_accuracy
+from tiegraph.pipeline.model import preview_poses
 from tiegraph.pipeline.ties import with_previews
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
@@ -71,11 +72,11 @@ class Run:
         return self.verified.where(chosen & (self.verified.dropped == 0) & (self.verified.inliers > 0))
 
     def map(self, rows: np.ndarray, out: Path, log: Path) -> list[Path]:
-        """Models of the chosen pairs alone, by the same mapper and rig as in the pipeline."""
+        """Models of the chosen pairs alone as stage ``sparse`` makes them, from the preview model if there is one."""
         used = self.used(rows)
         kept = set(zip(used.i.tolist(), used.j.tolist()))
         away = tuple(p for p in zip(self.pairs.i.tolist(), self.pairs.j.tolist()) if p not in kept)
-        source = Source(self.folder / "database.db", self.folder / "images", away)
+        source = Source(self.folder / "database.db", self.folder / "images", away, preview=preview_poses(self.folder))
         return [m.folder for m in reconstruct(source, out, self.scene, self.settings(), log).models]
 
 

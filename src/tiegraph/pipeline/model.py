@@ -80,7 +80,9 @@ def sparse(run: Run) -> Outcome:
     verified = pairs_of(run, "verify.npz")
     away = verified.where(verified.dropped == REASONS.index("repeat"))
     refused = tuple(zip(away.i.tolist(), away.j.tolist()))
-    source = Source(run.path("database.db"), run.path("images"), refused, preview=_preview_poses(run), run_map=run.map)
+    source = Source(
+        run.path("database.db"), run.path("images"), refused, preview=preview_poses(run.folder), run_map=run.map
+    )
     made = reconstruct(
         source,
         run.path("sparse"),
@@ -95,9 +97,9 @@ def sparse(run: Run) -> Outcome:
     return Outcome(counts, dropped=made.dropped, notes=made.notes, tables=made.tables)
 
 
-def _preview_poses(run: Run) -> np.ndarray | None:
+def preview_poses(folder: Path) -> np.ndarray | None:
     """(N, 4, 4) cam_from_world of the images in the trusted part of the preview model, None without one."""
-    path = run.path("network", "model.npz")
+    path = folder / "network" / "model.npz"
     if not path.exists():
         return None
     with np.load(path) as data:
