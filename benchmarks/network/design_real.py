@@ -41,7 +41,7 @@ from tiegraph.scene.rig import Rig, Sensor
 SETS = ("canal_demo", "canal", "pandaset", "kitti_stereo", "kitti_stereo:image_l", "pandaset:front_camera")
 SHARES = (0.05, 0.1, 0.2, 0.4)
 METHODS = ("hybrid", "tree", "top", "random", "fuse2014", "fuse2014_safe", "all")
-SEEDS = 3  # of random choices; the first is mapped
+SEEDS = 3
 WINDOW = 20  # frames, paper 002
 
 
@@ -70,7 +70,7 @@ def main(argv: list[str] | None = None) -> int:
         work = args.work / name.replace(":", "_")
         base = _matched(name, work)
         judge = Judge(name, work, Run.read(base), datasets.load(name.partition(":")[0], work / "inputs"))
-        for choice in choices(judge.run, args.methods, args.shares):
+        for choice in choices(judge.run, args.methods, args.shares, args.seeds):
             row = {**judge.row(choice, mapped=not args.sigma_only and choice.seed == 0), "set": name}
             add_row(results, row, ("set", "method", "asked_share", "seed"), args.output)
             sys.stderr.write(f"{name} {choice.name}: {_short(row)}\n")
@@ -86,6 +86,7 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--methods", nargs="+", default=list(METHODS), choices=METHODS, metavar="METHOD",
                         help=", ".join(METHODS))  # fmt: skip
     parser.add_argument("--shares", nargs="+", type=float, default=list(SHARES), help="of the candidate pairs")
+    parser.add_argument("--seeds", type=int, default=SEEDS, help="random choices a share; the first is mapped")
     parser.add_argument("--sigma-only", action="store_true", help="map nothing but the model of all pairs")
     parser.add_argument("--work", type=Path, required=True, help="work folder; what is there is continued")
     parser.add_argument("--note", default="", help="said in the JSON, for instance what else the machine was doing")
@@ -136,7 +137,7 @@ def _video(dataset: datasets.Dataset, camera: str, work: Path) -> datasets.Datas
 # ---------------------------------------------------------------------------------------------- choosing
 
 
-def choices(matched: Run, methods: list[str], shares: list[float]) -> Iterator[Choice]:
+def choices(matched: Run, methods: list[str], shares: list[float], seeds: int) -> Iterator[Choice]:
     """What each method chooses from the previews; ``all`` comes first, for the others are judged by its model."""
     yield _chosen(matched, "all", 0.0, 0)
     for method in (m for m in methods if m != "all"):
@@ -144,7 +145,7 @@ def choices(matched: Run, methods: list[str], shares: list[float]) -> Iterator[C
             yield _chosen(matched, method, 0.0, 0)
             continue
         for share in shares:
-            for seed in range(SEEDS if method == "random" else 1):
+            for seed in range(seeds if method == "random" else 1):
                 yield _chosen(matched, method, share, seed)
     if "hybrid" in methods:
         yield _chosen(matched, "hybrid", 0.0, 0)  # the default: 5 % loss predicted
