@@ -28,6 +28,7 @@ import pycolmap
 
 from benchmarks.accuracy import pose_centre
 from benchmarks.datasets import Dataset, load
+from benchmarks.dense.scans import PandaScans
 from benchmarks.dense.survey import true_depth
 from tiegraph.cloud.fuse import fuse
 from tiegraph.cloud.settings import CloudSettings
@@ -46,6 +47,8 @@ from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.cloudfile import write_cloud
 from tiegraph.scene.depthfile import load_depth, save_depth
 from tiegraph.scene.results import Cloud, DepthMap
+
+Truth = Callable[[ImagePlan], "np.ndarray | None"]  # depth at the pixels of the undistorted image, NaN = unknown
 
 VARIANTS = ("sgbm", "pairs", "rays")
 _SETTINGS = DenseSettings()
@@ -167,13 +170,13 @@ def _coloured(name: str, out: Path, folder: Path, plans: dict[str, ImagePlan]) -
     return load_depth(folder / f"{name}.npz"), cv2.cvtColor(view.image_bgr, cv2.COLOR_BGR2RGB)
 
 
-def variant_cloud(out: Path, plans: dict[str, ImagePlan], folder: Path, truth: Path | None) -> tuple[Cloud, dict]:
+def variant_cloud(out: Path, plans: dict[str, ImagePlan], folder: Path, truth: Truth) -> tuple[Cloud, dict]:
     """Second step and fusion of one variant: the cloud and its figures."""
     rows, depths, truths = [], [], []
     for plan in plans.values():
         depth, row = confirm(plan, folder)
         rows.append(row)
-        known = None if truth is None else true_depth(plan, truth, _SETTINGS)
+        known = truth(plan)
         if known is not None:
             depths.append(depth)
             truths.append(known)
@@ -190,7 +193,7 @@ def variant_cloud(out: Path, plans: dict[str, ImagePlan], folder: Path, truth: P
     return cloud, figures
 
 
-def one_set(out: Path, model: pycolmap.Reconstruction, pattern: str, store: Path, truth: Path | None, keep: list[str]):
+def one_set(out: Path, model: pycolmap.Reconstruction, pattern: str, store: Path, truth: Truth, keep: list[str]):
     """(clouds, figures) by variant of the images of a model that match a pattern."""
     plans = {n: p for n, p in plan_images(model, _SETTINGS).images.items() if fnmatch.fnmatch(n, pattern)}
     seconds = [first_maps(p, out, store, keep) for p in plans.values()]
@@ -228,7 +231,8 @@ def main() -> None:
     data = load(args.set, args.store)
     fit = alignment(model, data)
     centres = np.array([i.projection_center() for i in model.images.values() if fnmatch.fnmatch(i.name, args.images)])
-    run = partial(one_set, args.out, pattern=args.images, truth=args.truth, keep=args.variants)
+    truth = depth_truth(data, fit, args.truth)
+    run = partial(one_set, args.out, pattern=args.images, truth=truth, keep=args.variants)
     if args.halves:
         clouds, figures = run(model=half(model, 0), store=args.store / "even")
         others, _ = run(model=half(model, 1), store=args.store / "odd")
@@ -246,6 +250,17 @@ def main() -> None:
     figures["peak_mib"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
     if args.output:
         args.output.write_text(json.dumps(figures, indent=1) + "\n")
+
+
+def depth_truth(data: Dataset, fit: Similarity, folder: Path | None) -> Truth:
+    """What is known of an image's depths: maps in a folder, PandaSet's laser scans, or nothing."""
+    if folder is not None:
+        return partial(true_depth, folder=folder, settings=_SETTINGS)
+    if data.name == "pandaset":
+        assert data.reference_cloud is not None
+        scans = PandaScans(data.reference_cloud.parent, reference_points(data.reference_cloud), fit)
+        return partial(scans, settings=_SETTINGS)
+    return lambda plan: None
 
 
 def reference_points(path: Path) -> np.ndarray:

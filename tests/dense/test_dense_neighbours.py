@@ -58,8 +58,23 @@ def test_forward_motion_wide_angle_and_scale_are_refused():
 def test_depth_range_holds_the_points_with_margin():
     plan = plan_images(model([(x, 0, 0) for x in (0, 1, 2)]), SETTINGS)
     near, far = plan.images["1.jpg"].depth_range.near, plan.images["1.jpg"].depth_range.far
-    assert 5 < near < 9
+    assert 4 < near < 6
     assert 11 < far < 20
+
+
+def test_points_that_no_partner_sees_do_not_set_the_depth_range():
+    close = np.array([[0.01 * k, 0, 0.05] for k in range(30)])  # what moved while the camera stood
+    rng = np.random.default_rng(0)
+    world = np.concatenate([np.c_[rng.uniform(-6, 6, 400), rng.uniform(-4, 4, 400), rng.uniform(9, 11, 400)], close])
+    poses = [transforms.rigid(np.eye(3), -np.array([x, 0.0, 0.0])) for x in (0, 0.001, 1)]
+    seen = []
+    for k, pose in enumerate(poses):
+        pixel = CAMERA.img_from_cam(transforms.apply(pose, world))
+        pixel[400:] = np.nan if k == 2 else 300.0
+        seen.append(pixel)
+    plan = plan_images(model_of(["0.jpg", "1.jpg", "2.jpg"], [CAMERA] * 3, poses, world, seen), SETTINGS)
+    assert [v.name for v in plan.images["0.jpg"].partners] == ["2.jpg"]
+    assert 3 < plan.images["0.jpg"].depth_range.near < 6
 
 
 def test_refused_images_still_witness():

@@ -33,7 +33,9 @@ _ENOUGH = 2  # a point seen by this many partners counts little for a further on
 _BEYOND_ENOUGH = 0.3
 _WITNESSES = 8  # images whose depth maps are compared, partners included
 _RANGE_PERCENT = 1.0  # of the sparse points at either end of the depths are left out as possible errors
-_RANGE_MARGIN = 1.35  # factor on the inverse depths at both ends: sparse points do not cover everything
+# Factors on the inverse depths at the near and the far end: sparse points do not cover everything. Twice as near costs
+# no time, because only the coarsest level is matched over the full range.
+_NEAR_MARGIN, _FAR_MARGIN = 2.0, 1.35
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +66,7 @@ def plan_images(reconstruction: pycolmap.Reconstruction, settings: DenseSettings
     notes: list[str] = []
     refused: Counter[str] = Counter()
     lonely = 0
+    row = {view.name: k for k, view in enumerate(table.views)}
     for k, view in enumerate(table.views):
         candidates = _candidates(table, shared, k, settings)
         used = [p for p in candidates if p.used]
@@ -76,7 +79,7 @@ def plan_images(reconstruction: pycolmap.Reconstruction, settings: DenseSettings
             view=view,
             partners=tuple(p.view for p in used),
             witnesses=_witnesses(candidates),
-            depth_range=_depth_range(table.depths(k, table.points[k])),
+            depth_range=_depth_range(table.depths(k, _in_common(table, k, [row[p.view.name] for p in used]))),
         )
     if not images:
         raise ReconstructionError(_no_partners(dropped))
@@ -217,10 +220,16 @@ def _witnesses(candidates: list[Partner]) -> tuple[str, ...]:
     return tuple((used + [p.view.name for p in rest])[: max(_WITNESSES, len(used))])
 
 
+def _in_common(table: _Table, image: int, partners: list[int]) -> np.ndarray:
+    """Points of an image that a partner sees too. Others may come from images closer to each other than the partners
+    are: while a vehicle stands, what moves past it is triangulated to a few centimetres before the camera."""
+    return np.intersect1d(table.points[image], np.concatenate([table.points[k] for k in partners]))
+
+
 def _depth_range(depths: np.ndarray) -> DepthRange:
     inverse = 1.0 / depths[depths > 0]
     low, high = np.percentile(inverse, [_RANGE_PERCENT, 100 - _RANGE_PERCENT])
-    return DepthRange(near=float(1 / (high * _RANGE_MARGIN)), far=float(_RANGE_MARGIN / low))
+    return DepthRange(near=float(1 / (high * _NEAR_MARGIN)), far=float(_FAR_MARGIN / low))
 
 
 def _why_none(candidates: list[Partner]) -> str:
