@@ -55,8 +55,8 @@ def held_by_rig(prior: Prior, scene: Scene) -> Prior:
     known: by the others of their frame, if most images of their sensor see points.
 
     That is what an up camera is below a bridge. Loops have little to say there: few images tie to it, and the beams of
-    one bridge are alike (``canal``: four of the five false pairs that were left have at most 7 % of their matches on course
-    at any distance, the thirteen true ones 55 % and more; the fifth is of two passes, whose tolerance is wider).
+    one bridge are alike. On ``canal`` four of the five false pairs that were left have at most 7 % of their matches on
+    course at any distance, the thirteen true ones 55 % and more; the fifth is of two passes: a wider tolerance.
     """
     placed, known = np.isfinite(prior.cam_from_world).all(axis=(1, 2)), prior.known()
     if not known.any() or known[placed].all():
