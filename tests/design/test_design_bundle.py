@@ -80,7 +80,7 @@ def all_pairs(scene: Scene, sights: Sights) -> tuple[Pairs, Ties, np.ndarray]:
     near = np.array(common) >= 8
     i, j = i[near], j[near]
     found = foresee(i, j, np.full(len(i), np.nan), sights)
-    return Pairs.make(i, j, "offsets", score=found.expected), found.ties, found.expected
+    return Pairs.make(i, j, "offsets", score=found.expected), found.ties[0], found.expected
 
 
 def made(nominal: bool, frames: int = 3, points: int = 900) -> tuple[Scene, Sights, Candidates, Ties]:
@@ -163,7 +163,7 @@ def test_a_pair_gains_what_its_equations_take_from_the_variance() -> None:
 def test_the_choice_knows_what_the_images_share() -> None:
     scene, sights = survey(12, True, cameras=3, points=1500)
     pairs, _, expected = all_pairs(scene, sights)
-    ties = foresee(pairs.i, pairs.j, np.full(len(pairs), np.nan), sights, draw=1).ties
+    ties = foresee(pairs.i, pairs.j, np.full(len(pairs), np.nan), sights, (1,)).ties[0]
     again = Candidates.make(pairs.i, pairs.j, expected, ties, len(scene))
     judge = Bundle(again, ties, sights, scene)
 

@@ -19,14 +19,14 @@ def sights(x: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Sights:
 
 def test_matches_are_among_the_common_points_and_always_the_same() -> None:
     found = foresee(np.array([0, 0, 1]), np.array([1, 2, 2]), NOT_PREVIEWED, sights())
-    assert found.ties.i.tolist() == [0] and found.ties.j.tolist() == [1]  # the others share nothing
+    assert found.ties[0].i.tolist() == [0] and found.ties[0].j.tolist() == [1]  # the others share nothing
     assert np.isnan(found.expected).tolist() == [False, True, True]
-    assert 70 <= found.ties.counts()[0] <= 130  # half of 200
-    left, right = found.ties.of(0).T
+    assert 70 <= found.ties[0].counts()[0] <= 130  # half of 200
+    left, right = found.ties[0].of(0).T
     assert np.array_equal(sights().of(0)[left], sights().of(1)[right])
     assert left.min() >= 200
     again = foresee(np.array([0, 0, 1]), np.array([1, 2, 2]), NOT_PREVIEWED, sights())
-    assert np.array_equal(found.ties.matches, again.ties.matches)
+    assert np.array_equal(found.ties[0].matches, again.ties[0].matches)
 
 
 def test_fewer_where_the_rays_meet_at_a_larger_angle() -> None:

@@ -94,13 +94,13 @@ class Bundle:
         self._basis = self._similarities()
 
     @staticmethod
-    def possible(candidates: Candidates, sights: Sights | None, scene: Scene) -> bool:
+    def possible(i: np.ndarray, j: np.ndarray, sights: Sights | None, scene: Scene) -> bool:
         """Whether images share unknowns (else the net of resistances chooses as well, and faster), the preview model
         holds nearly all of them, and the survey is small enough."""
-        if sights is None or sights.rotation is None or not len(candidates):
+        if sights is None or sights.rotation is None or not len(i):
             return False
         placed = np.isfinite(sights.centre).all(axis=1)
-        used = np.unique(np.concatenate([candidates.i, candidates.j]))
+        used = np.unique(np.concatenate([i, j]))
         columns = _Columns.make(scene)
         return bool(placed[used].mean() >= _PLACED) and 6 * columns.frames < columns.size <= MOST
 

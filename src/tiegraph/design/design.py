@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -53,17 +54,21 @@ def design(
         thin = fuse2014(pairs, scene, expected, safe=settings.method == "fuse2014_safe")
         return _judged(pairs, thin.pairs, scene, thin.notes, dict(thin.counts))
     i, j, strength = pairs.i[kept], pairs.j[kept], expected[kept]
-    known, measured = ties, counted_matches(pairs, ties)[kept]
+    known: tuple[Ties | None, ...] = (ties,)
+    bundle = settings.method == "hybrid" and Bundle.possible(i, j, sights, scene)
     if sights is not None:
-        seen = foresee(i, j, measured, sights)
+        seen = foresee(i, j, counted_matches(pairs, ties)[kept], sights, (0, 1) if bundle else (0,))
         known, strength = seen.ties, np.where(np.isfinite(seen.expected), seen.expected, strength)
     start = _start(i, j, strength, scene)
     if settings.method == "top":
         chosen = np.union1d(start, strongest_places(i, j, strength, scene, settings.pairs_per_image))
         choice = Choice(chosen, np.nan, 0)
     else:
-        candidates = Candidates.make(i, j, strength, known, len(scene))
-        measure = _measure(candidates, known, measured, sights, scene, settings)
+        candidates = Candidates.make(i, j, strength, known[0], len(scene))
+        if bundle and sights is not None:
+            measure: Measure = _by_bundle(candidates, known, sights, scene, settings.budget == "loss")
+        else:
+            measure = _by_net(candidates, scene, settings)
         choice = choose(candidates, start, _budget(settings, scene), settings.method == "hybrid", measure)
     second = _second_links(i, j, strength, choice.places, scene)
     keep = np.zeros(len(pairs), bool)
@@ -75,25 +80,24 @@ def design(
     return _judged(pairs, pairs.drop(~keep, "cut"), scene, notes, counts)
 
 
-def _measure(
-    candidates: Candidates,
-    foreseen: Ties | None,
-    measured: np.ndarray,
-    sights: Sights | None,
-    scene: Scene,
-    settings: DesignSettings,
-) -> Measure:
-    """The bundle adjustment where images share unknowns and these are few enough, else the net of resistances."""
-    hybrid, by_loss = settings.method == "hybrid", settings.budget == "loss"
-    if not hybrid or sights is None or foreseen is None or not Bundle.possible(candidates, sights, scene):
-        return ByNet(candidates, hybrid, Predictor(candidates, hybrid, _units(scene)) if by_loss else None)
-    chance, judge = verified_chance(candidates.expected), None
-    if by_loss:
-        i, j = candidates.i, candidates.j
-        ties = foresee(i, j, measured, sights, draw=1).ties
-        again = Candidates.make(i, j, candidates.expected, ties, len(scene))
-        judge = Judge(Bundle(again, ties, sights, scene), chance)
-    return ByBundle(Bundle(candidates, foreseen, sights, scene), chance, judge)
+def _by_bundle(
+    candidates: Candidates, foreseen: Sequence[Ties | None], sights: Sights, scene: Scene, judged: bool
+) -> ByBundle:
+    """The bundle adjustment, where images share unknowns and these are few enough; ``foreseen``: ties to choose by,
+    and others to judge the choice by."""
+    i, j, expected = candidates.i, candidates.j, candidates.expected
+    made: list[Bundle] = []
+    for ties in foreseen[: 1 + judged]:
+        assert ties is not None  # there are sights
+        own = Candidates.make(i, j, expected, ties, len(scene)) if made else candidates
+        made.append(Bundle(own, ties, sights, scene))
+    chance = verified_chance(expected)
+    return ByBundle(made[0], chance, Judge(made[1], chance) if judged else None)
+
+
+def _by_net(candidates: Candidates, scene: Scene, settings: DesignSettings) -> ByNet:
+    hybrid, judged = settings.method == "hybrid", settings.budget == "loss"
+    return ByNet(candidates, hybrid, Predictor(candidates, hybrid, _units(scene)) if judged else None)
 
 
 def _units(scene: Scene) -> np.ndarray:

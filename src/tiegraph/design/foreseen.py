@@ -7,6 +7,7 @@ the previewed pairs tell how fast, and all pairs are foreseen by it in the same 
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,10 +28,11 @@ _POISSON = 5.0  # matches: the variance of a count is itself, and not less than 
 
 @dataclass(frozen=True)
 class Foreseen:
-    """``ties`` of the pairs with a common point, ``expected`` (P,) preview matches of them, NaN for the others."""
+    """``expected`` (P,) preview matches of the pairs, NaN without a common point, and for each draw the ties of the
+    others."""
 
-    ties: Ties
     expected: np.ndarray
+    ties: tuple[Ties, ...]
 
 
 @dataclass(frozen=True)
@@ -52,44 +54,84 @@ def verified_chance(expected: np.ndarray) -> np.ndarray:
     return expected**2 / (expected**2 + _HALF**2)
 
 
-def foresee(i: np.ndarray, j: np.ndarray, measured: np.ndarray, sights: Sights, draw: int = 0) -> Foreseen:
+def foresee(
+    i: np.ndarray, j: np.ndarray, measured: np.ndarray, sights: Sights, draws: Sequence[int] = (0,)
+) -> Foreseen:
     """Ties and expected matches of pairs i < j (P,); ``measured`` (P,) preview matches, NaN = not previewed.
 
     Which of the common points match is drawn at random, with the chance of each point, and always in the same way for
-    the same ``draw``: a choice is judged by another draw than it was made by. A measured count and what the points
-    promise are taken together by their geometric mean.
+    the same draw: a choice is judged by another draw than it was made by. A measured count and what the points promise
+    are taken together by their geometric mean.
     """
     law = _fitted(i, j, measured, sights)
     image = np.repeat(np.arange(len(sights.centre)), np.diff(sights.start))
-    detected = _uniform(sights.point, image, image, draw) < np.sqrt(law.rate)  # alike for all its pairs
+    # Whether a point is detected in an image is alike for all its pairs.
+    detected = [_uniform(sights.point, image, image, draw) < np.sqrt(law.rate) for draw in draws]
     expected = np.full(len(i), np.nan)
-    kept_i, kept_j, matches = [], [], []
-    for n, (a, b) in enumerate(zip(i.tolist(), j.tolist())):
-        common, left, right, likely = _common(a, b, sights, law)
-        if not len(common):
-            continue
-        promised = law.rate * float(likely.sum())
-        count = promised
-        if np.isfinite(measured[n]):
-            count = float(np.sqrt((max(measured[n] - law.by_chance, 0.0) + 1.0) * (promised + 1.0))) - 1.0
-        expected[n] = max(count, 1.0)
-        chosen = detected[sights.start[a] + left] & detected[sights.start[b] + right]
-        chosen &= _uniform(common, a, b, draw) < likely * (count / max(promised, 1e-9))
-        kept_i.append(a)
-        kept_j.append(b)
-        matches.append(np.stack([left[chosen], right[chosen]], axis=1).astype(np.uint16))
-    return Foreseen(Ties.make(np.array(kept_i, int), np.array(kept_j, int), matches), expected)
+    rows: list[int] = []
+    matches: list[list[np.ndarray]] = [[] for _ in draws]
+    for both in _in_common(i, j, sights):
+        likely = law.likely(*_geometry(both, sights))
+        size = np.bincount(both.number, minlength=len(both.pairs))
+        promised = law.rate * np.bincount(both.number, likely, len(both.pairs))
+        looked = measured[both.pairs]
+        shared = np.sqrt((np.maximum(np.nan_to_num(looked) - law.by_chance, 0.0) + 1.0) * (promised + 1.0)) - 1.0
+        count = np.where(np.isfinite(looked), shared, promised)
+        there = size > 0
+        expected[both.pairs[there]] = np.maximum(count, 1.0)[there]
+        rows += both.pairs[there].tolist()
+        chance = likely * (count / np.maximum(promised, 1e-9))[both.number]
+        left, right = both.rows(sights)
+        for found, seen, draw in zip(matches, detected, draws):
+            chosen = seen[left] & seen[right] & (_uniform(both.point, both.image, both.other, draw) < chance)
+            own = np.bincount(both.number[chosen], minlength=len(both.pairs))
+            pair = np.stack([both.left[chosen], both.right[chosen]], axis=1).astype(np.uint16)
+            found += [m for m, kept in zip(np.split(pair, np.cumsum(own)[:-1]), there) if kept]
+    at = np.array(rows, int)
+    return Foreseen(expected, tuple(Ties.make(i[at], j[at], found) for found in matches))
 
 
-def _common(a: int, b: int, sights: Sights, law: _Law) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Points (K,) both images see, their rows in the two images' sights, and how likely each is found again."""
-    common, left, right = np.intersect1d(sights.of(a), sights.of(b), assume_unique=True, return_indices=True)
-    return common, left, right, law.likely(*_geometry(common, a, b, sights))
+@dataclass(frozen=True)
+class _Common:
+    """The points that one image shares with others, (K,) each: ``number`` of the pair among ``pairs`` (rows of the
+    table), ``point``, its places ``left`` and ``right`` among those that the image and the ``other`` see."""
+
+    image: int
+    pairs: np.ndarray
+    number: np.ndarray
+    other: np.ndarray
+    point: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+
+    def rows(self, sights: Sights) -> tuple[np.ndarray, np.ndarray]:
+        """(K,) rows of the image and of the other in the table of sights."""
+        return sights.start[self.image] + self.left, sights.start[self.other] + self.right
 
 
-def _geometry(common: np.ndarray, a: int, b: int, sights: Sights) -> tuple[np.ndarray, np.ndarray]:
+def _in_common(i: np.ndarray, j: np.ndarray, sights: Sights) -> Iterator[_Common]:
+    """What the pairs i, j (P,) see in common, image by image."""
+    place = np.full(len(sights.xyz), -1)
+    order = np.argsort(i, kind="stable")
+    first = np.flatnonzero(np.r_[True, np.diff(i[order]) != 0]) if len(i) else np.zeros(0, int)
+    for rows in np.split(order, first[1:]) if len(i) else ():
+        image = int(i[rows[0]])
+        own = sights.of(image)
+        place[own] = np.arange(len(own))
+        begin, count = sights.start[j[rows]], sights.start[j[rows] + 1] - sights.start[j[rows]]
+        number = np.repeat(np.arange(len(rows)), count)
+        right = np.arange(len(number)) - np.repeat(np.cumsum(count) - count, count)
+        point = sights.point[begin[number] + right]
+        left = place[point]
+        hit = left >= 0
+        place[own] = -1
+        yield _Common(image, rows, number[hit], j[rows][number[hit]], point[hit], left[hit], right[hit])
+
+
+def _geometry(both: _Common, sights: Sights) -> tuple[np.ndarray, np.ndarray]:
     """(K,) angles between the rays of two images to their common points, degrees; octaves between the distances."""
-    ray_a, ray_b = sights.xyz[common] - sights.centre[a], sights.xyz[common] - sights.centre[b]
+    xyz = sights.xyz[both.point]
+    ray_a, ray_b = xyz - sights.centre[both.image], xyz - sights.centre[both.other]
     far_a, far_b = np.linalg.norm(ray_a, axis=1), np.linalg.norm(ray_b, axis=1)
     cosine = np.sum(ray_a * ray_b, axis=1) / np.maximum(far_a * far_b, 1e-12)
     octaves = np.abs(np.log2(np.maximum(far_a, 1e-12) / np.maximum(far_b, 1e-12)))
@@ -101,13 +143,14 @@ def _fitted(i: np.ndarray, j: np.ndarray, measured: np.ndarray, sights: Sights) 
     known = np.flatnonzero(np.isfinite(measured))
     if len(known) > _SAMPLE:
         known = np.random.default_rng(0).choice(known, _SAMPLE, replace=False)
-    table = np.zeros((len(known), _CELLS[0] * _CELLS[1]), np.float32)
-    for n, k in enumerate(known.tolist()):
-        common = np.intersect1d(sights.of(int(i[k])), sights.of(int(j[k])), assume_unique=True)
-        angle, octaves = _geometry(common, int(i[k]), int(j[k]), sights)
+    cells = _CELLS[0] * _CELLS[1]
+    table = np.zeros((len(known), cells), np.float32)
+    for both in _in_common(i[known], j[known], sights):
+        angle, octaves = _geometry(both, sights)
         row = np.minimum((angle / _CELL_DEG).astype(int), _CELLS[0] - 1)
-        column = np.minimum((octaves / _CELL_OCTAVES).astype(int), _CELLS[1] - 1)
-        table[n] = np.bincount(row * _CELLS[1] + column, minlength=table.shape[1])
+        cell = row * _CELLS[1] + np.minimum((octaves / _CELL_OCTAVES).astype(int), _CELLS[1] - 1)
+        size = len(both.pairs) * cells
+        table[both.pairs] = np.bincount(both.number * cells + cell, minlength=size).reshape(-1, cells)
     filled = table.any(axis=1)
     if filled.sum() < _FEWEST:
         return _Law(*_USUAL, 0.0)
