@@ -15,6 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse
 
 from tiegraph.design.tracks import Candidates, Tracks
 from tiegraph.geometry import transforms
@@ -211,17 +212,19 @@ class Bundle:
         scale = np.maximum(np.trace(inner, axis1=1, axis2=2), 1e-12)[:, None, None]
         inverse = np.linalg.inv(inner + 1e-9 * scale * np.eye(3))
         total = self._columns.size + 1
-        out, cross = np.zeros((total, total)), np.zeros((total, max(count, 1), 3))
+        out = np.zeros((total, total))
         ends = np.searchsorted(image, np.arange(self._c.images + 1))
         for k in np.flatnonzero(np.diff(ends)):
-            own, columns = slice(ends[k], ends[k + 1]), self._columns.of_image[k]
-            flat = jacobian[own].reshape(-1, jacobian.shape[2])
+            columns = self._columns.of_image[k]
+            flat = jacobian[ends[k] : ends[k + 1]].reshape(-1, jacobian.shape[2])
             # No index comes twice but that of the row of nothing, which is cut off: no need of the slow add.at.
             out[columns[:, None], columns[None]] += flat.T @ flat
-            mixed = np.swapaxes(jacobian[own], 1, 2) @ by_point[own]
-            cross[columns[:, None], track[own][None]] += np.swapaxes(mixed, 0, 1)
-        weighted = np.swapaxes(np.swapaxes(cross, 0, 1) @ inverse, 0, 1).reshape(total, -1)
-        out -= weighted @ cross.reshape(total, -1).T
+        mixed = np.swapaxes(jacobian, 1, 2) @ by_point  # (K, 16, 3) of observations
+        half = np.swapaxes(mixed @ np.linalg.cholesky(inverse)[track], 1, 2)
+        row = np.broadcast_to(self._columns.of_image[image][:, None], half.shape)
+        column = np.broadcast_to((3 * track[:, None] + np.arange(3))[:, :, None], half.shape)
+        cross = sparse.csr_matrix((half.ravel(), (row.ravel(), column.ravel())), shape=(total, 3 * max(count, 1)))
+        out -= (cross @ cross.T).toarray()
         return out[:-1, :-1] / self._share
 
     def add(self, normal: np.ndarray, places: np.ndarray, worth: np.ndarray) -> np.ndarray:
