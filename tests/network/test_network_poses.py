@@ -9,7 +9,7 @@ from tiegraph.geometry import transforms
 from tiegraph.network.network import estimate_network
 from tiegraph.network.passes import PreviewBook, find_passes
 from tiegraph.network.poses.check import check_prior, checked_pose_pairs
-from tiegraph.network.poses.poses import pose_pairs, view_cameras
+from tiegraph.network.poses.poses import assumed_range, pose_pairs, view_cameras
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.rig import Rig, Sensor
@@ -110,6 +110,16 @@ def test_no_prior_at_all_is_said() -> None:
     world = boat((4,), (2.0,))
     result = pose_pairs(world.scene, find_passes(world.scene), SETTINGS)
     assert len(result.pairs) == 0 and len(result.without) == 4 and "fewer than two" in result.notes[0]
+
+
+def test_a_vehicle_that_mostly_stands_is_given_the_range_of_its_drive() -> None:
+    world = boat((10,), (2.0,))
+    scene, passes = with_priors(world), find_passes(world.scene)
+    steady = assumed_range(scene, passes)
+    assert steady == pytest.approx(20.0, rel=0.05)
+    poses = scene.world_from_rig.copy()
+    poses[passes[0].frames[:7], :3, 3] = poses[passes[0].frames[6], :3, 3] + np.linspace(0, 0.05, 7)[:, None]
+    assert assumed_range(scene.with_(world_from_rig=poses), passes) == pytest.approx(steady, rel=0.1)
 
 
 def test_an_unsure_prior_refuses_little_by_sight() -> None:
