@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pycolmap
 import pytest
+from scipy.spatial.transform import Rotation
 
 from boat_world import HALF_WIDTH_M, World, boat
 from tiegraph.geometry import transforms
@@ -120,6 +121,40 @@ def test_a_pass_put_some_metres_further_is_noticed_and_made_again_without_what_d
     models = iter((folded, true_model(world)))
     found, asked = network_of(world, lambda: next(models))
     assert found.trusted.all() and len(asked) == 2
+
+
+def turned_by(model: SurveyModel, degrees: float) -> SurveyModel:
+    """The model with the mounting of its second camera turned, and the images of that camera with it."""
+    turn = Rotation.from_euler("y", degrees, degrees=True).as_matrix()
+    one = model.rigs[0].sensors[1]
+    sensor = replace(one, sensor_from_rig=transforms.rigid(turn, np.zeros(3)) @ one.sensor_from_rig)
+    sensors = (model.rigs[0].sensors[0], sensor, *model.rigs[0].sensors[2:])
+    return replace(model, rigs=(replace(model.rigs[0], sensors=sensors),))
+
+
+def test_a_camera_that_only_one_model_turns_far_is_made_again(world) -> None:
+    right = true_model(world)
+    models = iter((turned_by(right, 55.0), right))
+    found, asked = network_of(world, lambda: next(models))
+    assert len(asked) == 2 and found.trusted.all()
+    assert any("turned a camera of the rig far" in note for note in found.notes)
+    # Two models that agree are right: it is the nominal rig that is wrong.
+    found, asked = network_of(world, turned_by(right, 55.0))
+    assert len(asked) == 2 and found.trusted.all()
+    mounted = found.scene.rigs[0].sensors[1].sensor_from_rig
+    assert transforms.angle_deg(mounted[:3, :3], world.scene.rigs[0].sensors[1].sensor_from_rig[:3, :3]) > 54
+
+
+def test_a_camera_that_every_model_turns_otherwise_stays_as_given_and_is_not_believed(world) -> None:
+    models = iter(turned_by(true_model(world), d) for d in (55.0, 35.0, 75.0, 20.0))
+    found, asked = network_of(world, lambda: next(models))
+    second = world.scene.sensor == 1
+    assert len(asked) == TRIES
+    assert not found.trusted[second].any() and found.trusted[~second].all()
+    assert np.array_equal(
+        found.scene.rigs[0].sensors[1].sensor_from_rig, world.scene.rigs[0].sensors[1].sensor_from_rig
+    )
+    assert any("not believed for cam1" in note for note in found.notes)
 
 
 def test_frames_of_one_camera_that_follow_each_other_always_tie_the_model(world) -> None:

@@ -36,6 +36,8 @@ MORE = 1.5  # times the pairs an image of a torn model
 ENOUGH_LOOKS = 8  # previews of two cameras where the model predicts a common view, to say that they never tie
 NEVER = 0.1  # share of them that chance ties
 MOST_FOCAL = 1.1  # by which a model may correct the focal length of a data sheet or of EXIF
+MOST_TURN_DEG = 15.0  # of a nominal mounting: further only if a second model turns the camera as far
+SAME_TURN_DEG = 3.0  # two models agree
 NO_MODEL = "preview model: none could be made; pairs are chosen by preview counts alone"
 
 log = logging.getLogger(__name__)
@@ -61,19 +63,20 @@ def by_model(
     are added with the source ``model``.
     """
     tries = _tries(pairs, scene, book, settings, make)
-    best = max(tries, key=lambda t: (t.right(), t.trust.explained))
-    again = len(tries) - 1
-    said = (f"preview model: made {again + 1} times, the first did not agree with its ties",) if again else ()
+    best = max(tries, key=lambda t: (t.right(), not t.loose(tries).any(), t.trust.explained))
+    said = (f"preview model: made {len(tries)} times, {tries[0].wrong()}",) if len(tries) > 1 else ()
     if not best.models:
         return ModelResult(pairs, scene, None, (NO_MODEL, *best.notes), np.zeros(len(scene), bool))
-    judged = _judged(pairs, best.overlap, np.where(best.trust.images, best.part, -1), settings)
+    loose = best.loose(tries)
+    trusted = best.trust.images & ~loose[scene.sensor_key]
+    judged = _judged(pairs, best.overlap, np.where(trusted, best.part, -1), settings)
     judged = judged.drop(_never_tied(judged, scene, book, settings), "votes")
     model = best.models[0]
-    notes = (*_notes(scene, best), *best.notes, *said)
+    notes = (*_notes(scene, best), *best.notes, *said, *_loose_notes(scene, loose, best.turned))
     if model.placed().sum() < ENOUGH * len(scene):
-        return ModelResult(judged, scene, model, notes, best.trust.images)
-    rigs, moved = calibrated_rigs(scene.rigs, model.rigs)
-    return ModelResult(judged, scene.with_(rigs=rigs), model, notes + moved, best.trust.images)
+        return ModelResult(judged, scene, model, notes, trusted)
+    rigs, moved = calibrated_rigs(scene.rigs, model.rigs, loose)
+    return ModelResult(judged, scene.with_(rigs=rigs), model, notes + moved, trusted)
 
 
 @dataclass(frozen=True)
@@ -86,6 +89,19 @@ class _Try:
     trust: Trust
     ties: int  # pairs it was made of
     notes: tuple[str, ...]
+    turned: np.ndarray  # (S,) degrees by which the first model turns the nominal mounting of a sensor, 0 = not nominal
+
+    def loose(self, tries: Sequence[_Try]) -> np.ndarray:
+        """(S,) bool: sensors turned further than a mounting is guessed wrong, and not so in another try: few points
+        hold them (an up camera was turned by 55 deg in one model of ``canal_demo`` in four, by 1 deg in the others)."""
+        out = self.turned > MOST_TURN_DEG
+        for other in (t for t in tries if t is not self and t.models):
+            out &= np.abs(other.turned - self.turned) > SAME_TURN_DEG
+        return out
+
+    def wrong(self) -> str:
+        """What was wrong with a try that was not the last."""
+        return "the first turned a camera of the rig far" if self.right() else "the first did not agree with its ties"
 
     def right(self) -> bool:
         """Whether it holds together and no tie is suspect; a torn one may explain more matches, the false ones too."""
@@ -106,7 +122,7 @@ def _tries(pairs: Pairs, scene: Scene, book: PreviewBook, settings: NetworkSetti
         made = _try(ties, scene, book, settings, mapper)
         tries.append(made)
         suspects = _key(*made.trust.suspects)
-        if not made.models or made.right():
+        if not made.models or (made.right() and not made.loose(tries).any()):
             break
         if len(suspects):
             without = np.union1d(without, suspects)
@@ -127,25 +143,47 @@ def _try(ties: Ties, scene: Scene, book: PreviewBook, settings: NetworkSettings,
     models, notes = mapper(ties) if len(ties) else ((), ())
     part = np.full(len(scene), -1)
     if not models:
-        return _Try((), part, Overlap.together(()), Trust.none(len(scene)), len(ties), notes)
+        none = np.zeros(len(scene.all_sensors))
+        return _Try((), part, Overlap.together(()), Trust.none(len(scene)), len(ties), notes, none)
     for k, one in enumerate(models):
         part[one.placed()] = k
     overlap = Overlap.together([one.overlap(settings.axes_deg) for one in models])
-    return _Try(models, part, overlap, trust(scene, book, overlap, part, settings), len(ties), notes)
+    believed = trust(scene, book, overlap, part, settings)
+    return _Try(models, part, overlap, believed, len(ties), notes, _turned_deg(scene.rigs, models[0].rigs))
+
+
+def _turned_deg(given: Sequence[Rig], found: Sequence[Rig]) -> np.ndarray:
+    """(S,) by how much the model turns each nominal mounting, 0 for those that are not nominal or not known."""
+    out = []
+    for old, new in zip(given, found):
+        for a, b in zip(old.sensors, new.sensors):
+            known = old.nominal and a.sensor_from_rig is not None and b.sensor_from_rig is not None
+            poses = np.stack(
+                [np.eye(4) if not known or p is None else p for p in (a.sensor_from_rig, b.sensor_from_rig)]
+            )
+            out.append(float(transforms.angle_deg(*poses[:, :3, :3])))
+    return np.array(out)
 
 
 def _key(i: np.ndarray, j: np.ndarray) -> np.ndarray:
     return i.astype(np.int64) << 32 | j
 
 
-def calibrated_rigs(given: Sequence[Rig], found: Sequence[Rig]) -> tuple[tuple[Rig, ...], tuple[str, ...]]:
+def calibrated_rigs(
+    given: Sequence[Rig], found: Sequence[Rig], loose: np.ndarray | None = None
+) -> tuple[tuple[Rig, ...], tuple[str, ...]]:
     """Rigs with what was only guessed replaced by what the model found: cameras that were not calibrated, and of a
-    nominal rig the rotations (its centres nearly coincide: the model's lever arms have no scale to be told by)."""
+    nominal rig the rotations (its centres nearly coincide: the model's lever arms have no scale to be told by).
+    Sensors that are ``loose`` (S,) in the model stay as given."""
     rigs, notes = [], []
+    held = iter(np.zeros(sum(len(r.sensors) for r in given), bool) if loose is None else loose)
     for old, new in zip(given, found):
         sensors = []
         turned = []
         for a, b in zip(old.sensors, new.sensors):
+            if next(held):
+                sensors.append(a)
+                continue
             camera = _better_camera(a.camera, b.camera, old.fixed)
             extrinsics = a.sensor_from_rig
             if old.nominal and extrinsics is not None and b.sensor_from_rig is not None:
@@ -204,6 +242,14 @@ def _never_tied(pairs: Pairs, scene: Scene, book: PreviewBook, settings: Network
     hits = np.bincount(group[seen], count[seen] >= settings.min_matches, minlength=sensors * sensors)
     never = (total >= ENOUGH_LOOKS) & (hits < NEVER * total)
     return never[group] & ~pairs.from_source("sequence") & ~(np.nan_to_num(count) >= settings.min_matches)
+
+
+def _loose_notes(scene: Scene, loose: np.ndarray, turned: np.ndarray) -> tuple[str, ...]:
+    """What is said of sensors (S,) that the models did not agree on."""
+    if not loose.any():
+        return ()
+    names = ", ".join(f"{scene.all_sensors[k].name} ({turned[k]:.0f} deg)" for k in np.flatnonzero(loose))
+    return (f"preview model: not believed for {names}, turned so far from nominal; there the preview counts decide",)
 
 
 def _notes(scene: Scene, made: _Try) -> tuple[str, ...]:
