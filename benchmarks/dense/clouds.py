@@ -104,7 +104,7 @@ def confirm(plan: ImagePlan, folder: Path) -> tuple[DepthMap, dict[str, float]]:
     seconds = time.process_time() - start
     save_depth(depth, folder / f"{plan.view.name}.npz")
     size = depth.depth_m.size
-    shares = {k: getattr(counts, k) / size for k in ("before", "kept", "few_views", "seen_through", "two_rays")}
+    shares = {k: getattr(counts, k) / size for k in ("before", "kept", "few_views", "contradicted", "two_rays")}
     return depth, {"confirm_cpu_s": seconds, **shares}
 
 
@@ -194,14 +194,15 @@ def variant_cloud(out: Path, plans: dict[str, ImagePlan], folder: Path, truth: T
 
 
 def one_set(out: Path, model: pycolmap.Reconstruction, pattern: str, store: Path, truth: Truth, keep: list[str]):
-    """(clouds, figures) by variant of the images of a model that match a pattern."""
+    """(clouds, figures) by variant of the images of a model that match a pattern; first maps in the store are used."""
     plans = {n: p for n, p in plan_images(model, _SETTINGS).images.items() if fnmatch.fnmatch(n, pattern)}
-    seconds = [first_maps(p, out, store, keep) for p in plans.values()]
+    todo = [p for n, p in plans.items() if not all((store / v / "first" / f"{n}.npz").exists() for v in keep)]
+    seconds = [first_maps(p, out, store, keep) for p in todo]
     clouds, figures = {}, {}
     for variant in keep:
         clouds[variant], figures[variant] = variant_cloud(out, plans, store / variant, truth)
-        spent = round(float(np.mean([s[variant] for s in seconds])), 3)
-        figures[variant] = {"images": len(plans), "match_cpu_s": spent, **figures[variant]}
+        spent = {"match_cpu_s": round(float(np.mean([s[variant] for s in seconds])), 3)} if seconds else {}
+        figures[variant] = {"images": len(plans), **spent, **figures[variant]}
     return clouds, figures
 
 
@@ -223,7 +224,7 @@ def main() -> None:
     parser.add_argument("--truth", type=Path, help="folder of true depth maps")
     parser.add_argument("--variants", nargs="+", default=list(VARIANTS), choices=VARIANTS)
     parser.add_argument("--halves", action="store_true", help="two halves of the frames against each other")
-    parser.add_argument("--store", type=Path, required=True, help="folder for depth maps and clouds")
+    parser.add_argument("--store", type=Path, required=True, help="folder for depth maps and clouds; kept first maps")
     parser.add_argument("-o", "--output", type=Path)
     args = parser.parse_args()
     cv2.setNumThreads(1)

@@ -145,11 +145,33 @@ def test_a_wrong_patch_is_dropped_and_said_why():
     result, counts = check(wrong, [], ["bb", "ccc"], maps.get, SETTINGS)
     assert np.isnan(result.depth_m[50:60, 70:90]).all()  # two views only
     assert counts.few_views >= 200
-    hovering = plane_map("a", (0, 0, 0), distance=5.0, views=3)
-    witnesses = {n: plane_map(n, (x, 0, 0)) for n, x in (("bb", 0.2), ("ccc", -0.2), ("d", 0.1), ("e", -0.1))}
+
+
+@pytest.mark.parametrize("distance", [5.0, 12.0])  # seen through by most, hidden from most
+def test_points_that_most_images_contradict_are_dropped(distance):
+    at = {"bb": 0.2, "ccc": -0.2, "d": 0.1, "e": -0.1}
+    others = {n: plane_map(n, (x, 0, 0)) for n, x in at.items()}
+    agreeing = {n: plane_map(n, (x, 0, 0), distance=distance) for n, x in (("f", 0.15), ("g", -0.15))}
+    hovering = plane_map("a", (0, 0, 0), distance=distance, views=1)
+    witnesses = others | agreeing
     result, counts = check(hovering, [], list(witnesses), witnesses.get, SETTINGS)
-    assert counts.seen_through > 0.8 * hovering.depth_m.size
+    assert counts.contradicted > 0.8 * hovering.depth_m.size
     assert np.isnan(result.depth_m[30:-30, 40:-40]).all()
+    few = {n: witnesses[n] for n in ("bb", "f", "g")}
+    result, _ = check(hovering, [], list(few), few.get, SETTINGS)
+    assert np.isfinite(result.depth_m[30:-30, 40:-40]).all()
+
+
+def test_what_the_partners_depth_maps_do_not_say_again_is_dropped():
+    maps = {n: plane_map(n, (x, 0, 0), views=3) for n, x in (("a", 0), ("bb", 0.5), ("ccc", -0.5))}
+    both = DepthMap(**{**maps["a"].__dict__, "support": np.full(SHAPE, 3, np.uint8)})
+    silent = DepthMap(**{**maps["bb"].__dict__, "depth_m": np.full(SHAPE, np.nan, np.float32)})
+    kept, _ = check(both, ["bb", "ccc"], ["bb", "ccc"], maps.get, SETTINGS)
+    dropped, _ = check(both, ["bb", "ccc"], ["bb", "ccc"], (maps | {"bb": silent}).get, SETTINGS)
+    mapless, _ = check(both, ["bb", "ccc"], ["bb", "ccc"], {"ccc": maps["ccc"]}.get, SETTINGS)
+    inner = np.s_[20:-20, 40:-40]
+    assert np.isfinite(kept.depth_m[inner]).all() and np.isfinite(mapless.depth_m[inner]).all()
+    assert np.isnan(dropped.depth_m[inner]).all()
 
 
 def test_an_image_with_one_neighbour_needs_only_that():
