@@ -104,7 +104,7 @@ def confirm(plan: ImagePlan, folder: Path) -> tuple[DepthMap, dict[str, float]]:
     seconds = time.process_time() - start
     save_depth(depth, folder / f"{plan.view.name}.npz")
     size = depth.depth_m.size
-    shares = {k: getattr(counts, k) / size for k in ("before", "kept", "few_views", "contradicted", "two_rays")}
+    shares = {k: getattr(counts, k) / size for k in ("before", "kept", "few_views", "seen_through", "two_rays")}
     return depth, {"confirm_cpu_s": seconds, **shares}
 
 

@@ -77,12 +77,9 @@ Out<u8> half(const In<u8>& image) {
   return out;
 }
 
-nb::tuple ranges(const In<float>& coarse, int width, int height, const RangeRules& rules,
-                 const std::optional<In<float>>& extra) {
-  for (const auto* a : {&coarse, extra ? &*extra : &coarse}) {
-    if (static_cast<int>(a->shape(0)) != (height + 1) / 2 || static_cast<int>(a->shape(1)) != (width + 1) / 2) {
-      throw std::invalid_argument("the coarser level has half the size, rounded up");
-    }
+nb::tuple ranges(const In<float>& coarse, int width, int height, const RangeRules& rules) {
+  if (static_cast<int>(coarse.shape(0)) != (height + 1) / 2 || static_cast<int>(coarse.shape(1)) != (width + 1) / 2) {
+    throw std::invalid_argument("the coarser level has half the size, rounded up");
   }
   i16* first;
   u8* blocks;
@@ -91,7 +88,7 @@ nb::tuple ranges(const In<float>& coarse, int width, int height, const RangeRule
   u64 cells;
   {
     nb::gil_scoped_release free;
-    cells = find_ranges(coarse.data(), extra ? extra->data() : nullptr, width, height, rules, first, blocks);
+    cells = find_ranges(coarse.data(), width, height, rules, first, blocks);
   }
   return nb::make_tuple(firsts, counts, cells);
 }
@@ -134,7 +131,6 @@ NB_MODULE(_sgm, m) {
       .def_rw("hole_limit", &RangeRules::hole_limit);
   m.def("halve", &half, "image"_a.noconvert(), "Means of 2 x 2 pixels.");
   m.def("ranges", &ranges, "coarse"_a.noconvert(), "width"_a, "height"_a, "rules"_a,
-        "extra"_a.noconvert() = nb::none(),
         "First disparity and blocks of 16 of each pixel, and their number in all.");
   m.def("kernels", &kernel_names, "Names of the kernels this machine can run, best first.");
   m.def(

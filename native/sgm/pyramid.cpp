@@ -33,12 +33,9 @@ void include(Grid& grid, std::size_t i, float disparity) {
   grid.most[i] = std::max(grid.most[i], static_cast<i16>(std::ceil(2 * disparity)));
 }
 
-Grid base_grid(const float* coarse, const float* extra, int width, int height) {
+Grid base_grid(const float* coarse, int width, int height) {
   Grid grid(width, height);
-  for (std::size_t i = 0; i < Grid::cells(width, height); ++i) {
-    include(grid, i, coarse[i]);
-    if (extra) include(grid, i, extra[i]);
-  }
+  for (std::size_t i = 0; i < Grid::cells(width, height); ++i) include(grid, i, coarse[i]);
   return grid;
 }
 
@@ -129,14 +126,13 @@ void halve(const Image& image, u8* out) {
   }
 }
 
-u64 find_ranges(const float* coarse, const float* extra, int width, int height, const RangeRules& rules, i16* first,
-                u8* blocks) {
+u64 find_ranges(const float* coarse, int width, int height, const RangeRules& rules, i16* first, u8* blocks) {
   if (width < 1 || height < 1) throw std::invalid_argument("an image has at least one pixel");
   if (rules.count < 1 || rules.count > kBlock * kMaxBlocks) throw std::invalid_argument("1 to 4080 disparities");
   if (rules.low < -20000 || rules.low + rules.count > 20000) throw std::invalid_argument("disparities beyond +-20000");
   if (rules.reach < 0 || rules.margin < 0 || rules.hole_limit < 1) throw std::invalid_argument("ranges below zero");
   const int w = (width + 1) / 2, h = (height + 1) / 2;
-  std::vector<Grid> grids{base_grid(coarse, extra, w, h)};
+  std::vector<Grid> grids{base_grid(coarse, w, h)};
   while (grids.back().width > 1 || grids.back().height > 1 || grids.size() <= kFirstHoleLevel) {
     grids.push_back(halved(grids.back(), grids.size() == 1));
   }

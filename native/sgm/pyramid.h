@@ -14,9 +14,8 @@ struct RangeRules {
 // Mean of 2 x 2 pixels; an odd last row or column stands for itself. out is (ceil(height / 2), ceil(width / 2)).
 void halve(const Image& image, u8* out);
 
-// coarse (ceil(height / 2), ceil(width / 2)) disparities, NaN = none; extra the same or null: further disparities that
-// the ranges must contain. Writes first and blocks (height, width); returns the disparities of all pixels together.
-u64 find_ranges(const float* coarse, const float* extra, int width, int height, const RangeRules& rules, i16* first,
-                u8* blocks);
+// coarse (ceil(height / 2), ceil(width / 2)) disparities, NaN = none. Writes first and blocks (height, width); returns the
+// disparities of all pixels together.
+u64 find_ranges(const float* coarse, int width, int height, const RangeRules& rules, i16* first, u8* blocks);
 
 }  // namespace sgm

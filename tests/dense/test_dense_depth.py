@@ -76,7 +76,7 @@ def test_most_of_the_image_is_covered_by_three_views_or_all_there_are(made):
         assert counts.two_rays < 0.5 * known.sum()  # five frames only: beside and ahead there is one neighbour
         assert (depth.views[~known] == 0).all()
         assert counts.before == np.isfinite(first[name].depth_m).sum()
-        assert counts.before == counts.kept + counts.few_views + counts.contradicted
+        assert counts.before == counts.kept + counts.few_views + counts.seen_through
 
 
 def test_points_that_two_images_alone_can_see_are_as_exact_as_predicted(survey, made):

@@ -65,14 +65,6 @@ def test_nothing_known_means_the_whole_range():
     assert (first <= -8).all() and (first + 16 * blocks.astype(int) >= 92).all()
 
 
-def test_further_disparities_are_united_in():
-    coarse, extra = np.full((9, 9), 4, np.float32), np.full((9, 9), np.nan, np.float32)
-    extra[4, 4] = 30
-    first, blocks, _ = sgm.ranges(coarse, 18, 18, rules(), extra)
-    assert first[8, 8] + 16 * blocks[8, 8] > 61 and first[8, 8] <= 7
-    assert blocks[0, 0] == 1
-
-
 @pytest.mark.parametrize(
     ("size", "changes", "says"),
     [((5, 5), {}, "half the size"), ((4, 4), {"count": 0}, "disparities"), ((4, 4), {"low": 30000}, "20000")],

@@ -17,19 +17,19 @@ LoadDepth = Callable[[str], "DepthMap | None"]
 
 _MIN_ALONG = 0.3  # cosine-like: a witness looking across our ray does not move our depth by more than 1 / 0.3
 _MIN_RELATIVE = 0.002  # agreement is never asked closer than this share of the depth: poses are not perfect
-_APART = 1.5  # a witness contradicts a point when its surface lies this many tolerances behind or before it
+_THROUGH = 1.5  # a witness sees through a point when its surface lies this many tolerances behind
 _STRIP_PIXELS = 1 << 16  # pixels compared together, so that the intermediate columns stay in the cache
 
 
 @dataclass(frozen=True)
 class Consistency:
-    """What the comparison did to a depth map: pixels before, kept, dropped because too few images agree, or because as
-    many contradict; ``two_rays`` of the kept are seen by two images because no more could see them."""
+    """What the comparison did to a depth map: pixels before, kept, dropped for two reasons; ``two_rays`` of the kept
+    are seen by two images because no more could see them."""
 
     before: int
     kept: int
     few_views: int
-    contradicted: int
+    seen_through: int
     two_rays: int
 
 
@@ -37,7 +37,8 @@ def check(
     depth: DepthMap, partners: Sequence[str], witnesses: Sequence[str], load: LoadDepth, settings: DenseSettings
 ) -> tuple[DepthMap, Consistency]:
     """The depth map with witnesses counted and averaged in, pixels dropped on which fewer than ``min_views`` depth maps
-    agree, and those that as many images contradict as confirm.
+    agree, and those that as many images see through as confirm. To be hidden from most images is no reason: the inside
+    of a porch is.
 
     The image's own matches do not count for this: two partners one step apart to either side mistake equal beams by the
     same depth, other images' depth maps hardly do. A partner without a depth map counts by its match.
@@ -60,9 +61,9 @@ def check(
     alone = (needed < settings.min_views) & (tally.maps < 2)
     mapless = [_bit(depth, k) for k, name in enumerate(partners) if name in unseen]
     few = known & ((tally.maps + np.sum(mapless, axis=0, dtype=np.int16) < needed) | alone)
-    outvoted = known & ~few & (tally.against >= tally.views)
-    kept = known & ~few & ~outvoted
-    counts = [int(np.count_nonzero(m)) for m in (known, kept, few, outvoted, kept & (tally.views == 2))]
+    floating = known & ~few & (tally.against >= tally.views)
+    kept = known & ~few & ~floating
+    counts = [int(np.count_nonzero(m)) for m in (known, kept, few, floating, kept & (tally.views == 2))]
     return _replaced(depth, kept, tally), Consistency(*counts)
 
 
@@ -75,20 +76,20 @@ def _bit(depth: DepthMap, k: int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class _Said:
-    """What one witness says of our pixels (H, W): whether its frame holds the point, agrees, contradicts; where it
+    """What one witness says of our pixels (H, W): whether its frame holds the point, agrees, sees through it; where it
     agrees our inverse depth by its depth, and that one's variance."""
 
     possible: np.ndarray
     agrees: np.ndarray
-    contradicts: np.ndarray
+    through: np.ndarray
     inverse: np.ndarray
     variance: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
 class _Tally:
-    """What the images say of each pixel (H, W): how many agree, contradict, could see it; how many depth maps are in
-    the mean, and the sums of inverse depth by precision and of precision."""
+    """What the images say of each pixel (H, W): how many agree, see through it, could see it; how many depth maps
+    are in the mean, and the sums of inverse depth by precision and of precision."""
 
     views: np.ndarray
     against: np.ndarray
@@ -111,7 +112,7 @@ class _Tally:
         weight = np.where(said.agrees, 1 / said.variance, 0)
         return _Tally(
             self.views + (said.agrees & ~counted),
-            self.against + said.contradicts,
+            self.against + said.through,
             self.possible + (said.possible | counted),
             self.maps + said.agrees,
             self.weighted + said.inverse * weight,
@@ -159,13 +160,12 @@ def _compare_rows(depth: DepthMap, surface: _Surface, top: int, rows: int, toler
     spread = np.hypot(sigma_z / z / np.float32(depth.sigma_px), relative_sigma / np.float32(other.sigma_px))
     tolerance = np.clip(tolerance_px * spread, _MIN_RELATIVE, MAX_RELATIVE)
     agrees = np.abs(relative) <= tolerance
-    # Behind: seen through. Before: hidden, which is no contradiction by itself, but few points are hidden from most.
-    contradicts = np.abs(relative) > _APART * tolerance
+    through = relative > _THROUGH * tolerance
     # Our ray meets their surface, taken as parallel to their image, a little further on; oblique rays are held back.
     said = z + np.where(agrees, relative * their_z, 0) / np.maximum(along[2], _MIN_ALONG)
     said = np.where(agrees, 1 / np.where(agrees, said, 1), 0)
     variance = np.where(agrees, np.square(relative_sigma * said), 1)
-    return _Said(possible, agrees, contradicts, said, variance)
+    return _Said(possible, agrees, through, said, variance)
 
 
 def _along(depth: DepthMap, rotation: np.ndarray, top: int, rows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -51,9 +51,10 @@ class DenseView:
 
 DenseEngine = Callable[[DenseView, Sequence[DenseView], DepthRange, DenseSettings], DepthMap]
 
-# (left (h, w) u1, right (h, w + disparities) u1, disparities, settings) -> (h, w) f4 disparity of left, NaN = none.
+# (left (h, w) u1, right (h, w + disparities) u1, disparities, settings, use (h, w) bool: where the disparity matters)
+# -> (h, w) f4 disparity of left, NaN = none.
 # Column ``disparities`` of right lies under column 0 of left; left x shows what right x + disparities - d shows.
-PairMatcher = Callable[[np.ndarray, np.ndarray, int, DenseSettings], np.ndarray]
+PairMatcher = Callable[[np.ndarray, np.ndarray, int, DenseSettings, np.ndarray], np.ndarray]
 
 
 def rectified_engine(
@@ -150,7 +151,10 @@ def _match_pair(
         _log.debug("%s and %s share no part that can be rectified", reference.name, partner.name)
         return None
     left, right, right_mask = _rectified_images(reference, partner, pair)
-    disparity = matcher(left, right, pair.disparities, settings)
+    use = _warp(
+        reference.mask.astype(np.uint8), pair.rect_from_reference, pair.size, cv2.INTER_NEAREST, replicate=False
+    )
+    disparity = matcher(left, right, pair.disparities, settings, use > 0)
     disparity = _within_partner(disparity, right_mask, pair.disparities)
     return _to_reference(disparity, pair, (height, width), depth_range)
 

@@ -19,8 +19,11 @@ _LEFT_RIGHT_PX = 1.0  # paper 004, section 5.2.2
 _SUBPIXEL = 16  # OpenCV's fixed point
 
 
-def match_sgbm(left: np.ndarray, right: np.ndarray, disparities: int, settings: DenseSettings) -> np.ndarray:
-    """Disparity (h, w) f4 px of each left pixel, NaN = none: the ``PairMatcher`` contract of ``dense.engine``.
+def match_sgbm(
+    left: np.ndarray, right: np.ndarray, disparities: int, settings: DenseSettings, use: np.ndarray | None = None
+) -> np.ndarray:
+    """Disparity (h, w) f4 px of each left pixel, NaN = none: the ``PairMatcher`` contract of ``dense.engine``; all
+    pixels are matched, in ``use`` or not.
 
     left (h, w) u1; right (h, w + disparities) u1, whose column ``disparities`` lies under the left's column 0: left
     (x, y) shows what right (x + disparities - d, y) shows, 0 <= d < disparities.

@@ -85,21 +85,31 @@ def volume_bytes(height: int, width: int, disparities: int) -> int:
     return most
 
 
-def match_tsgm(left: np.ndarray, right: np.ndarray, disparities: int, settings: DenseSettings) -> np.ndarray:
+def match_tsgm(
+    left: np.ndarray, right: np.ndarray, disparities: int, settings: DenseSettings, use: np.ndarray | None = None
+) -> np.ndarray:
     """Disparity (h, w) f4 px of each left pixel, NaN = none: the ``PairMatcher`` contract of ``dense.engine``.
 
     left (h, w) u1; right (h, w + disparities) u1, whose column ``disparities`` lies under the left's column 0: left
-    (x, y) shows what right (x + disparities - d, y) shows, 0 <= d < disparities. Raises EngineMissing where the native
-    module was not built.
+    (x, y) shows what right (x + disparities - d, y) shows, 0 <= d < disparities; use (h, w) bool: where the disparity
+    matters. Raises EngineMissing where the native module was not built.
     """
-    found = match(left, right, disparities, disparities, Tuning())
+    found = match(left, right, disparities, disparities, Tuning(), use)
     return without_speckles(found)
 
 
-def match(left: np.ndarray, right: np.ndarray, shift: int, disparities: int, tuning: Tuning) -> np.ndarray:
+def match(
+    left: np.ndarray,
+    right: np.ndarray,
+    shift: int,
+    disparities: int,
+    tuning: Tuning,
+    use: np.ndarray | None = None,
+) -> np.ndarray:
     """Disparity (h, w) f4, NaN = none, checked left to right: left (x, y) shows what right (x + shift - d, y) shows.
 
-    left (h, w) u1, right (h, any) u1, 0 <= d < disparities.
+    left (h, w) u1, right (h, any) u1, 0 <= d < disparities. Pixels not in use (h, w) bool get the least work: sky and
+    platform have no answer on the coarser level, and would be searched as holes, over 128 disparities.
     """
     if _sgm is None:
         raise EngineMissing(
@@ -108,10 +118,11 @@ def match(left: np.ndarray, right: np.ndarray, shift: int, disparities: int, tun
     levels = _levels(disparities, tuning)
     aligned = -(-shift >> levels) << levels  # so that every level's shift is whole
     right = cv2.copyMakeBorder(right, 0, 0, aligned - shift, 0, cv2.BORDER_REPLICATE)
-    lefts, rights = [np.ascontiguousarray(left)], [np.ascontiguousarray(right)]
+    lefts, rights, uses = [np.ascontiguousarray(left)], [np.ascontiguousarray(right)], [use]
     for _ in range(levels):
         lefts.append(_sgm.halve(lefts[-1]))
         rights.append(_sgm.halve(rights[-1]))
+        uses.append(_halved(uses[-1]))
     workspace = _workspace()
     found = None
     for level in range(levels, -1, -1):
@@ -123,13 +134,22 @@ def match(left: np.ndarray, right: np.ndarray, shift: int, disparities: int, tun
             found = pair.full()
         else:
             above = (lefts[level + 1], rights[level + 1], found)
-            found = pair.within(found, mutual_information(*above) if level == 0 and tuning.cost != "census" else None)
+            mutual = mutual_information(*above) if level == 0 and tuning.cost != "census" else None
+            found = pair.within(found, mutual, uses[level])
         if level and tuning.coarse_speckle_px:
             found = without_speckles(found - rules.low, tuning.coarse_speckle_px) + rules.low
     assert found is not None
     found = found + np.float32(aligned)
     inside = (found > -0.5) & (found < disparities - 0.5)  # whole blocks reach a little over the range
     return np.where(inside, found, np.float32(np.nan))
+
+
+def _halved(use: np.ndarray | None) -> np.ndarray | None:
+    """(ceil(h / 2), ceil(w / 2)) bool: any of the 2 x 2 pixels is in use."""
+    if use is None:
+        return None
+    even = np.pad(use, [(0, n % 2) for n in use.shape])
+    return even[::2, ::2] | even[1::2, ::2] | even[::2, 1::2] | even[1::2, 1::2]
 
 
 def _workspace() -> _sgm.Workspace:
@@ -182,11 +202,14 @@ class _Level:
             parts.append(found[inner])
         return np.concatenate(parts)
 
-    def within(self, coarse: np.ndarray, mutual: np.ndarray | None) -> np.ndarray:
+    def within(self, coarse: np.ndarray, mutual: np.ndarray | None, use: np.ndarray | None) -> np.ndarray:
         """The disparities that the coarser level leaves."""
         height, width = self.left.shape
-        first, blocks, cells = _sgm.ranges(coarse, width, height, self.rules)
-        _log.debug("%.1f disparities a pixel at %s", cells / self.left.size, self.left.shape)
+        first, blocks, _ = _sgm.ranges(coarse, width, height, self.rules)
+        if use is not None:  # one block in the middle of the range
+            first = np.where(use, first, first + _BLOCK // 2 * (blocks.astype(np.int16) - 1))
+            blocks = np.where(use, blocks, np.uint8(1))
+        _log.debug("%.1f disparities a pixel at %s", _BLOCK * blocks.mean(), self.left.shape)
         parts = []
         for strip, inner in _strips(_BLOCK * blocks.sum(axis=1, dtype=np.int64)):
             found, _ = _sgm.match_ragged(
