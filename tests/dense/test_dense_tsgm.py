@@ -99,6 +99,28 @@ def test_matcher_finds_a_shift(shift):
     assert np.nanmean(np.abs(inner - shift) > 1) < 0.01
 
 
+def test_pixels_not_in_use_are_hardly_searched_and_the_others_answered_as_before(monkeypatch):
+    wall, sky = texture((160, 500), 1), texture((60, 300), 2)
+    left, right = wall[:, 100:400].copy(), wall[:, 110:410].copy()  # 10 px
+    left[:60] = sky  # seen by this image alone
+    padded = cv2.copyMakeBorder(right, 0, 0, 128, 0, cv2.BORDER_REPLICATE)
+    searched = []
+    match = sgm.match_ragged
+
+    def counted(left, right, first, blocks, *rest):
+        searched.append(int(blocks.sum(dtype=np.int64)))
+        return match(left, right, first, blocks, *rest)
+
+    monkeypatch.setattr(sgm, "match_ragged", counted)
+    use = np.arange(160)[:, None] >= np.full(300, 60)
+    all_pixels = tsgm.match_tsgm(grey(left), grey(padded), 128, SETTINGS)
+    in_use = tsgm.match_tsgm(grey(left), grey(padded), 128, SETTINGS, use)
+    assert searched[1] < 0.75 * searched[0]
+    both = np.isfinite(all_pixels[66:]) & np.isfinite(in_use[66:])
+    assert both.mean() > 0.98 * np.isfinite(all_pixels[66:]).mean() > 0.8
+    assert np.mean(np.abs(all_pixels[66:] - in_use[66:])[both] > 0.5) < 0.005
+
+
 def test_a_thin_bar_before_the_wall_is_kept():
     wall, bar = texture((160, 500), 1), texture((160, 500), 2)
     left, right = wall[:, 110:410].copy(), wall[:, 100:400].copy()  # 10 px
