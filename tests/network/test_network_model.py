@@ -134,9 +134,10 @@ def turned_by(model: SurveyModel, degrees: float) -> SurveyModel:
 
 def test_a_camera_that_only_one_model_turns_far_is_made_again(world) -> None:
     right = true_model(world)
+    once, _ = network_of(world, right)
     models = iter((turned_by(right, 55.0), right))
     found, asked = network_of(world, lambda: next(models))
-    assert len(asked) == 2 and found.trusted.all()
+    assert len(asked) == 2 and found.trusted.all() and len(found.ties) == len(once.ties)
     assert any("turned a camera of the rig far" in note for note in found.notes)
     # Two models that agree are right: it is the nominal rig that is wrong.
     found, asked = network_of(world, turned_by(right, 55.0))

@@ -112,13 +112,17 @@ def _tries(pairs: Pairs, scene: Scene, book: PreviewBook, settings: NetworkSetti
     """Models until one is sound and agrees with most ties everywhere.
 
     Where stretches of passes contradict each other, as if one had been put a wall too far, the ties that drew it there
-    are left out the next time (``trust``); a model that is not sound for other reasons is made of more pairs.
+    are left out the next time (``trust``); a model that is not sound for other reasons is made of more pairs, one that
+    only turns a camera too far of more of those that were previewed.
     """
     tries: list[_Try] = []
     mapper = SurveyMapper(scene, make)
     per_image, without = float(settings.model_pairs), np.zeros(0, np.int64)
     while len(tries) < TRIES:
-        ties = _ties(strongest_pairs(pairs, scene, round(per_image)), book, without)
+        best = strongest_pairs(pairs, scene, round(per_image))
+        if any(t.right() for t in tries):  # only a camera was turned too far: no reason to look at more
+            best = best.where(np.isfinite(book.known(best.i, best.j)))
+        ties = _ties(best, book, without)
         made = _try(ties, scene, book, settings, mapper)
         tries.append(made)
         suspects = _key(*made.trust.suspects)
