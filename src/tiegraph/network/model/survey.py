@@ -93,7 +93,7 @@ class _Try:
 
     def loose(self, tries: Sequence[_Try]) -> np.ndarray:
         """(S,) bool: sensors turned further than a mounting is guessed wrong, and not so in another try: few points
-        hold them (two of seven models of ``canal_demo`` turned the up camera by 55 deg, the others by 1)."""
+        hold them (four of nine models of ``canal_demo`` turned the up camera by 55 deg, the others by 1)."""
         out = self.turned > MOST_TURN_DEG
         for other in (t for t in tries if t is not self and t.models):
             out &= np.abs(other.turned - self.turned) > SAME_TURN_DEG
