@@ -229,7 +229,7 @@ class Judge:
             "predicted_loss_percent": choice.counts.get("predicted_loss_percent"),
         }
         row["sigma"] = self.tracks().sigma(choice.rows)
-        if mapped or choice.method == "all":
+        if mapped or choice.method == "all" or self._is_mapped(choice):
             row["model"] = self._error(choice)
         return row
 
@@ -243,16 +243,22 @@ class Judge:
         figures = accuracy.trajectory_error(poses, self.truth)
         return {"registered": len(poses), "models": len(folders), "points": model.num_points3D(), **figures}
 
+    def _folder(self, choice: Choice) -> Path:
+        return self.work / "maps" / choice.name
+
+    def _is_mapped(self, choice: Choice) -> bool:
+        listed = self._folder(choice) / "rows.json"
+        return listed.exists() and json.loads(listed.read_text()) == choice.rows.tolist()
+
     def _map(self, choice: Choice) -> list[Path]:
         """Models of a choice, largest first; made anew when the choice is another one than last time."""
-        folder = self.work / "maps" / choice.name
+        folder = self._folder(choice)
         listed = folder / "rows.json"
-        rows = choice.rows.tolist()
-        if not listed.exists() or json.loads(listed.read_text()) != rows:
+        if not self._is_mapped(choice):
             folder.mkdir(parents=True, exist_ok=True)
             listed.unlink(missing_ok=True)
             self.run.map(choice.rows, folder, folder / "log.txt")
-            listed.write_text(json.dumps(rows))
+            listed.write_text(json.dumps(choice.rows.tolist()))
         return sorted((p for p in folder.iterdir() if p.name.isdigit()), key=lambda p: int(p.name))
 
 
@@ -264,7 +270,7 @@ def relative(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     everything = next(r for r in rows if r["method"] == "all")["sigma"]["rms"]
     out = []
     for method, share in dict.fromkeys((r["method"], r["asked_share"]) for r in rows):
-        own = [r for r in rows if (r["method"], r["asked_share"]) == (method, share)]
+        own = sorted((r for r in rows if (r["method"], r["asked_share"]) == (method, share)), key=lambda r: r["seed"])
         out.append({**own[0], "ratio": float(np.mean([r["sigma"]["rms"] for r in own])) / everything})
     return out
 
