@@ -35,7 +35,7 @@ def plot(rows: list[dict[str, Any]], path: Path) -> None:
         axes[0, column].set_title(name, fontsize=10)
         axes[1, column].set_xlabel("share of the candidate pairs kept, %")
     axes[0, 0].set_ylabel("predicted sigma / that of all pairs")
-    axes[1, 0].set_ylabel("ATE of the model, m")
+    axes[1, 0].set_ylabel("ATE of the model, mm")
     found = {label: handle for a in axes.flat for handle, label in zip(*a.get_legend_handles_labels())}
     figure.legend(found.values(), found.keys(), loc="lower center", ncols=len(found), fontsize=9, frameon=False)
     figure.tight_layout(rect=(0, 0.05, 1, 1))
@@ -48,23 +48,24 @@ def _panel(axis: plt.Axes, rows: list[dict[str, Any]], sigma: bool) -> None:
     for method, (label, colour, marker) in _LOOKS.items():
         points: dict[float, list[float]] = {}
         for r in (r for r in rows if r["method"] == method):
-            value = r["sigma"]["rms"] / everything if sigma else r.get("model", {}).get("ate_m")
-            if value is not None and np.isfinite(value):
+            value = r["sigma"]["rms"] / everything if sigma else 1000 * (r.get("model", {}).get("ate_m") or np.nan)
+            if np.isfinite(value):
                 points.setdefault(round(100 * r["share"], 1), []).append(value)
         x = sorted(points)
         line = "-" if len(x) > 1 else ""
         axis.plot(x, [np.mean(points[k]) for k in x], line, color=colour, marker=marker, ms=5, lw=1.2, label=label)
     axis.set_xscale("log")
-    axis.set_yscale("log")
     ticks = [5, 10, 20, 40, 100]
     axis.set_xticks(ticks, [str(t) for t in ticks])
     axis.minorticks_off()
     axis.grid(alpha=0.3, which="both")
-    if sigma:
-        axis.axhline(1.05, color="#1b6ca8", lw=0.8, ls=":")
-        axis.yaxis.set_major_formatter(matplotlib.ticker.FormatStrFormatter("%.3g"))
-    low, high = axis.get_ylim()
-    _even_ticks(axis, low, high)
+    if not sigma:
+        axis.set_ylim(0, 1.15 * axis.get_ylim()[1])  # from nothing: a millimetre more or less is none
+        return
+    axis.set_yscale("log")
+    axis.minorticks_off()
+    axis.axhline(1.05, color="#1b6ca8", lw=0.8, ls=":")
+    _even_ticks(axis, *axis.get_ylim())
 
 
 def _even_ticks(axis: plt.Axes, low: float, high: float) -> None:
