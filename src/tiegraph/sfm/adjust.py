@@ -10,8 +10,8 @@ import pycolmap
 
 from tiegraph.sfm import lens
 from tiegraph.sfm.model import MIN_OBSERVATIONS
-from tiegraph.sfm.rig import compact
-from tiegraph.sfm.rig.soft import Soft, add_soft
+from tiegraph.sfm.priors import add_priors
+from tiegraph.sfm.rig.soft import Soft
 from tiegraph.sfm.solver import factorised
 
 # A principal point 6 px off in a 232 px lens turns its camera by 1.5 degrees against the rig and bends the model: on
@@ -159,9 +159,7 @@ def _solve(
     elif not held:  # a rig of fixed size fixes the scale; two fixed cameras would fix it once more
         config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
     adjuster = pycolmap.create_default_ceres_bundle_adjuster(options, config, model)
-    kept = add_soft(adjuster, model, soft) if soft else []
-    kept += lens.add_priors(adjuster.problem, model, given or {})
-    kept += compact.add_priors(adjuster.problem, model, soft.known_sensors() if soft else ())
+    kept = add_priors(adjuster, model, soft, given)
     adjuster.solve()
     del kept
 

@@ -13,12 +13,10 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.control import Control
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm import lens
 from tiegraph.sfm.adjust import FILTER_ANGLE_DEG, FILTER_PX, ROBUST_PX, free_cameras
 from tiegraph.sfm.model import frame_poses, image_poses, matrix
-from tiegraph.sfm.rig import compact
+from tiegraph.sfm.priors import add_priors
 from tiegraph.sfm.rig.given import given_geometry
-from tiegraph.sfm.rig.soft import add_soft
 from tiegraph.sfm.solver import factorised
 from tiegraph.sfm.world import costs, noise
 from tiegraph.sfm.world.fit import ANTENNA_SIGMA_M, INLIER_SIGMAS, OFFSET_SIGMA_S
@@ -145,10 +143,7 @@ def _solve(
     kept = _add_positions(adjuster.problem, model, scene, given, (arm, clock, sigma_px))
     kept += _add_points(adjuster.problem, model, scene, given, sigma_px)
     kept += _add_up(adjuster.problem, model, scene, given, sigma_px)
-    kept += lens.add_priors(adjuster.problem, model, {})
-    known = given_geometry(model, scene, given.soft_rigs)
-    kept += add_soft(adjuster, model, known)
-    kept += compact.add_priors(adjuster.problem, model, known.known_sensors())
+    kept += add_priors(adjuster, model, given_geometry(model, scene, given.soft_rigs))
     adjuster.solve()
     del kept  # the problem only borrows the residuals written in Python
 
