@@ -8,7 +8,7 @@ from tiegraph.errors import InputError
 from tiegraph.features.colmap import extract_colmap
 from tiegraph.features.extract import EXTRACTORS, extract_image, read_mask
 from tiegraph.features.settings import FeaturesSettings
-from tiegraph.features.sift import extract_sift, root_sift
+from tiegraph.features.sift import SUPPORT, extract_sift, root_sift
 
 SETTINGS = FeaturesSettings()
 engines = pytest.mark.parametrize("extract", EXTRACTORS.values(), ids=EXTRACTORS.keys())
@@ -91,7 +91,11 @@ def test_no_feature_lies_on_a_masked_pixel(extract):
     free, _ = extract(image, None, SETTINGS)
     keypoints, descriptors = extract(image, mask, SETTINGS)
     inside = (free[:, 1] < 100) & (free[:, 0] >= 50)
-    assert len(keypoints) == len(descriptors) == inside.sum() > 20
+    whole = np.minimum(100 - free[:, 1], free[:, 0] - 50) > SUPPORT * free[:, 2] + 1
+    assert whole.sum() > 10
+    assert whole.sum() <= len(keypoints) == len(descriptors) < inside.sum()
+    margin = np.minimum(100 - keypoints[:, 1], keypoints[:, 0] - 50)
+    assert np.all(margin > SUPPORT * keypoints[:, 2] - 1)
 
 
 def test_masked_features_do_not_use_up_the_limit():

@@ -33,7 +33,7 @@ def extract_colmap(
     keypoints = np.array([[p.x, p.y, p.compute_scale(), p.compute_orientation()] for p in points]).reshape(-1, 4)
     keypoints[:, :2] *= to_full
     keypoints[:, 2] *= np.sqrt(to_full.prod())
-    inside = on_mask(keypoints[:, :2], mask)
+    inside = on_mask(keypoints, mask)
     return keypoints[inside].astype(np.float32), np.asarray(descriptors.data, np.uint8).reshape(-1, 128)[inside]
 
 

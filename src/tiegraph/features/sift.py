@@ -10,6 +10,9 @@ from tiegraph.features.settings import FeaturesSettings
 OCTAVE_LAYERS = 3  # Lowe 2004, section 3.3; both extractors divide the contrast threshold by it
 # COLMAP stores root-SIFT scaled by 512 in one byte (colmap/feature/utils.cc); its matcher counts on that length.
 DESCRIPTOR_NORM = 512.0
+# Sigmas of a key point that must be free: where a building ends against a masked sky, the place of a blob leans towards
+# it. On canal such key points turned the front camera against the rig by 0.01-0.02 deg; they are 5 % of all.
+SUPPORT = 3.0
 
 
 def extract_sift(
@@ -43,7 +46,7 @@ def extract_sift(
     response = np.array([k.response for k in found])
     order = np.lexsort((keypoints[:, 3], keypoints[:, 0], keypoints[:, 1], -response))
     # OpenCV would cut to the strongest before it looks at a mask: we mask first.
-    chosen = order[on_mask(keypoints[order, :2], mask)][: settings.max_features]
+    chosen = order[on_mask(keypoints[order, :3], mask)][: settings.max_features]
     return keypoints[chosen].astype(np.float32), root_sift(descriptors[chosen])
 
 
@@ -62,12 +65,18 @@ def check_input(gray: np.ndarray, mask: np.ndarray | None) -> None:
         raise ValueError(f"mask {mask.shape} {mask.dtype} does not fit the image {gray.shape}")
 
 
-def on_mask(xy: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
-    """(K,) bool: which points (K, 2), corner convention, lie on a pixel that is True; all without a mask."""
+def on_mask(keypoints: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
+    """(K,) bool: which key points (K, 3 or more: x, y in corner convention, scale) have a free support.
+
+    That is a circle of ``SUPPORT`` scales in which the mask (H, W) is True; all are kept without a mask.
+    """
     if mask is None:
-        return np.ones(len(xy), bool)
-    column, row = np.floor(xy).astype(int).T
-    return mask[np.clip(row, 0, mask.shape[0] - 1), np.clip(column, 0, mask.shape[1] - 1)]
+        return np.ones(len(keypoints), bool)
+    # The distance of a pixel's centre to that of the nearest masked pixel; what lies outside the image is no matter.
+    free = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    column, row = np.floor(keypoints[:, :2]).astype(int).T
+    distance = free[np.clip(row, 0, mask.shape[0] - 1), np.clip(column, 0, mask.shape[1] - 1)]
+    return np.asarray(distance > SUPPORT * keypoints[:, 2])
 
 
 def shrunk(gray: np.ndarray, max_image_size: int) -> np.ndarray:
