@@ -39,6 +39,7 @@ _PROGRAMS = {
     "colmap_exhaustive": "colmap_exhaustive.py",
     "colmap_sequential": "colmap_sequential.py",
     "colmap_rig": "colmap_rig.py",
+    "openmvg": "openmvg.py",
 }
 _PACKAGES = ("tiegraph", "pycolmap", "opencv-python-headless", "numpy", "scipy")
 
