@@ -76,6 +76,18 @@ def test_lever_arm_given_and_estimated(world) -> None:
     assert any("estimated" in n for n in estimated.notes)
 
 
+def test_a_stretch_of_multipath_does_not_hide_behind_the_lever_arm(world) -> None:
+    truth, scene = world
+    true, arm = true_frames(truth, scene), np.array([0.9, -0.4, 0.5])
+    antenna = true[:, :3, 3] + true[:, :3, :3] @ arm + 0.02 * np.random.default_rng(1).standard_normal((20, 3))
+    antenna[3:8] += [0.9, -0.6, 1.2]  # with the same sigma stated
+    found = georeference(_moved(truth), with_positions(scene, antenna, 0.02), GeorefSettings())
+    placed = frame_poses(image_poses(found.apply(_moved(truth)), scene), scene)[:, :3, 3]
+    assert 0.001 < np.sqrt(np.mean(np.sum((placed - true[:, :3, 3]) ** 2, axis=1))) < 0.04
+    np.testing.assert_allclose(found.antenna_m, arm, atol=0.05)
+    assert not found.inlier[3:8].any() and found.inlier.sum() >= 15
+
+
 def test_fixed_rig_alone_gives_the_scale(world) -> None:
     truth, scene = world
     found = georeference(_moved(truth), scene, GeorefSettings())

@@ -262,10 +262,16 @@ def _try_lever_arm(evidence: Evidence, fit: Fit, fixes: Fixes, up: Up | None, no
 
 
 def _with_lever_arm(evidence: Evidence, fit: Fit, fixes: Fixes, up: Up | None) -> tuple[Evidence, Fit]:
-    """The fit with the lever arm as unknown, without its height where that cannot be told."""
-    richer, other = _believed(replace(evidence, estimate_antenna=True), fixes, up, fit.similarity)
+    """The fit with the lever arm as unknown, without its height where that cannot be told.
+
+    It begins with the sigmas as stated: without the lever arm all positions looked bad, and among those that are bad
+    for another reason hide.
+    """
+    stated = np.concatenate([fixes.sigma, evidence.sigma[len(fixes) :]])
+    evidence = replace(evidence, sigma=stated, estimate_antenna=True)
+    richer, other = _believed(evidence, fixes, up, fit.similarity)
     if arm_sigma(richer, other)[1] > ARM_SIGMA_M * ANTENNA_SIGMA_M:
-        held = replace(richer, level=_upward(richer, other))
+        held = replace(evidence, level=_upward(richer, other))
         return _believed(held, fixes, up, fit.similarity)
     return richer, other
 
