@@ -8,7 +8,7 @@ from tiegraph.errors import InputError
 from tiegraph.features.colmap import extract_colmap
 from tiegraph.features.extract import EXTRACTORS, extract_image, read_mask
 from tiegraph.features.settings import FeaturesSettings
-from tiegraph.features.sift import SUPPORT, extract_sift, root_sift
+from tiegraph.features.sift import ENOUGH, SUPPORT, extract_sift, root_sift
 
 SETTINGS = FeaturesSettings()
 engines = pytest.mark.parametrize("extract", EXTRACTORS.values(), ids=EXTRACTORS.keys())
@@ -84,18 +84,29 @@ def test_root_sift_has_colmaps_length_and_survives_zeros():
 
 
 @engines
-def test_no_feature_lies_on_a_masked_pixel(extract):
+def test_no_support_reaches_into_the_mask(extract):
+    image = texture(360, 480)
+    mask = np.zeros(image.shape, bool)
+    mask[:220, 50:] = True
+    free, _ = extract(image, None, SETTINGS)
+    keypoints, descriptors = extract(image, mask, SETTINGS)
+    inside = (free[:, 1] < 220) & (free[:, 0] >= 50)
+    whole = np.minimum(220 - free[:, 1], free[:, 0] - 50) > SUPPORT * free[:, 2] + 1
+    assert whole.sum() > ENOUGH
+    assert whole.sum() <= len(keypoints) == len(descriptors) < inside.sum()
+    margin = np.minimum(220 - keypoints[:, 1], keypoints[:, 0] - 50)
+    assert np.all(margin > SUPPORT * keypoints[:, 2] - 1)
+
+
+@engines
+def test_few_features_are_all_kept_that_lie_on_free_pixels(extract):
     image = texture()
     mask = np.zeros(image.shape, bool)
     mask[:100, 50:] = True
     free, _ = extract(image, None, SETTINGS)
     keypoints, descriptors = extract(image, mask, SETTINGS)
     inside = (free[:, 1] < 100) & (free[:, 0] >= 50)
-    whole = np.minimum(100 - free[:, 1], free[:, 0] - 50) > SUPPORT * free[:, 2] + 1
-    assert whole.sum() > 10
-    assert whole.sum() <= len(keypoints) == len(descriptors) < inside.sum()
-    margin = np.minimum(100 - keypoints[:, 1], keypoints[:, 0] - 50)
-    assert np.all(margin > SUPPORT * keypoints[:, 2] - 1)
+    assert len(keypoints) == len(descriptors) == inside.sum() > 20
 
 
 def test_masked_features_do_not_use_up_the_limit():

@@ -13,6 +13,9 @@ DESCRIPTOR_NORM = 512.0
 # Sigmas of a key point that must be free: where a building ends against a masked sky, the place of a blob leans towards
 # it. On canal such key points turned the front camera against the rig by 0.01-0.02 deg; they are 5 % of all.
 SUPPORT = 3.0
+ENOUGH = (
+    500  # of such; an image with fewer (an up camera below an open sky sees little but roof lines) keeps the others
+)
 
 
 def extract_sift(
@@ -68,7 +71,8 @@ def check_input(gray: np.ndarray, mask: np.ndarray | None) -> None:
 def on_mask(keypoints: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
     """(K,) bool: which key points (K, 3 or more: x, y in corner convention, scale) have a free support.
 
-    That is a circle of ``SUPPORT`` scales in which the mask (H, W) is True; all are kept without a mask.
+    That is a circle of ``SUPPORT`` scales in which the mask (H, W) is True; where fewer than ``ENOUGH`` have one, their
+    pixels count. All are kept without a mask.
     """
     if mask is None:
         return np.ones(len(keypoints), bool)
@@ -76,7 +80,8 @@ def on_mask(keypoints: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
     free = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     column, row = np.floor(keypoints[:, :2]).astype(int).T
     distance = free[np.clip(row, 0, mask.shape[0] - 1), np.clip(column, 0, mask.shape[1] - 1)]
-    return np.asarray(distance > SUPPORT * keypoints[:, 2])
+    whole = np.asarray(distance > SUPPORT * keypoints[:, 2])
+    return whole if whole.sum() >= ENOUGH else np.asarray(distance > 0)
 
 
 def shrunk(gray: np.ndarray, max_image_size: int) -> np.ndarray:
