@@ -27,6 +27,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjust import final_adjustment, free_cameras
 from tiegraph.sfm.covariance import position_sigma
 from tiegraph.sfm.mapper import believed_cameras
+from tiegraph.sfm.rig.given import drawings, given_geometry
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.settings import SparseSettings
 
@@ -44,10 +45,12 @@ def measure(name: str, folder: Path, scratch: Path) -> dict[str, Any]:
     scene = Scene.from_json((folder / "network" / "scene.json").read_text()).measured()
     constant = believed_cameras(scene, SparseSettings())
     fixed = [k + 1 for k, mode in rig_modes(scene, "auto").items() if mode == "fixed"]
-    found = final_adjustment(pycolmap.Reconstruction(folder / "sparse" / "0"), fixed, constant)
+    mapped = pycolmap.Reconstruction(folder / "sparse" / "0")
+    found = final_adjustment(mapped, fixed, constant, given_geometry(mapped, scene, ()))
     model = found.model
     start = time.process_time()
-    sigma = position_sigma(model, free_cameras(model) - set(constant), set(model.rigs) - set(fixed))
+    rigs = set(model.rigs) - set(fixed)
+    sigma = position_sigma(model, free_cameras(model) - set(constant), rigs, (), drawings(model, scene))
     cpu = time.process_time() - start
     truth = reference_centres(model, dataset)
     rows = np.array([k for k, f in enumerate(sigma.frame_ids) if f in truth])

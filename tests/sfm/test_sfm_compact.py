@@ -63,6 +63,39 @@ def test_cameras_anywhere_on_a_vehicle_are_expected_anywhere() -> None:
     assert 0.7 < np.median(sigmas) < 1.4 and min(sigmas) > 0.2
 
 
+def test_a_drawing_tells_where_a_camera_of_any_rig_is_though_not_how_large_it_is() -> None:
+    rng = np.random.default_rng(2)
+    _, axes = _omnidirectional(0.0)
+    true = rng.normal(0, 1.0, (5, 3))
+    turn = Rotation.from_rotvec([0.02, -0.01, 0.03]).as_matrix()
+    drawing = {k: 40.0 * turn @ c for k, c in enumerate(true, start=2)}
+    centres = true + 0.002 * rng.standard_normal((5, 3))
+    centres[4] += [0.9, -0.6, 0.7]  # as the images had it
+    found, sigma = compact.expected_centres(_rig(centres, axes), drawing)[6]
+    assert np.linalg.norm(found - true[4]) < 0.02
+    assert 0.05 < sigma < 0.3
+    incomplete = {k: c for k, c in drawing.items() if k != 4}
+    assert compact.expected_centres(_rig(centres, axes), incomplete)[6][1] > 3 * sigma
+    mirrored = {k: c * [1, 1, -1] for k, c in drawing.items()}
+    assert compact.expected_centres(_rig(centres, axes), mirrored)[6][1] > 3 * sigma
+
+
+def test_what_a_rule_has_from_the_rig_itself_is_no_information() -> None:
+    centres, axes = _omnidirectional(0.001)
+    rig = _rig(centres, axes)
+    drawing = {k: 3.0 * c for k, c in enumerate(centres, start=2)}
+    keys, information = compact.information(rig, drawing)
+    assert keys == [2, 3, 4, 5, 6]
+    stiff = np.linalg.eigvalsh(information)
+    assert stiff[0] > -1e-6 * stiff[-1]
+    bigger = centres.ravel() / np.linalg.norm(centres)
+    assert bigger @ information @ bigger < 1e-9 * stiff[-1]  # its size is the model's
+    alone = np.zeros(15)
+    alone[-1] = 1.0
+    assert alone @ information @ alone > 0.2 * stiff[-1]
+    assert np.sum(stiff > 1e-6 * stiff[-1]) == 15 - 4
+
+
 def test_a_camera_that_the_images_place_stays(tmp_path: Path) -> None:
     truth, _ = make_world(tmp_path / "database.db", cameras=6, frames=10, noise_px=0.2, points=300)
     _, sigma = compact.expected_centres(truth.rig(1))[6]

@@ -17,6 +17,7 @@ from scipy import sparse
 
 from tiegraph.geometry.transforms import skew
 from tiegraph.sfm.jacobians import Layout, Tie, jacobians
+from tiegraph.sfm.rig.compact import Drawing
 
 MAX_POINTS = 200_000  # more are not looked at one by one: a random part, and the sums are scaled up
 ROBUST_PX = 0.5  # Cauchy scale of the adjustment (sfm/adjust.py)
@@ -87,16 +88,17 @@ def position_sigma(
     free_intrinsics: bool | Collection[int] = True,
     free_rig: bool | Collection[int] = True,
     ties: Collection[Tie] = (),
+    drawings: Mapping[int, Drawing] | None = None,
 ) -> PositionSigma:
     """Position sigmas of the registered frames, and interior orientation, from the gradient of every point.
 
     Intrinsics and rig extrinsics are unknowns unless told otherwise (ids of cameras, of rigs); ``ties`` hold
-    the frames of relaxed rigs. The gauge is taken out
+    the frames of relaxed rigs; ``drawings`` of nominal rigs by rig id. The gauge is taken out
     by the S-transformation over all positions, so a sigma is that of a position after the best alignment to the truth.
     What all points share (a lens unlike its model, a rig that moves, a false place) is not in it. (pycolmap's
     estimate_ba_covariance refuses rigs.) Raises ValueError for a model without redundancy.
     """
-    layout = Layout(model, free_intrinsics, free_rig)
+    layout = Layout(model, free_intrinsics, free_rig, drawings)
     if len(layout.frame_ids) < 3:
         raise ValueError("needs at least 3 frames")
     points, share = _sample(model)

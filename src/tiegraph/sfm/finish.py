@@ -18,7 +18,7 @@ from tiegraph.sfm.jacobians import Tie
 from tiegraph.sfm.placement.settle import Settled, settle
 from tiegraph.sfm.rig import soft
 from tiegraph.sfm.rig.diagnosis import Diagnosis, diagnose
-from tiegraph.sfm.rig.given import given_geometry
+from tiegraph.sfm.rig.given import drawings, given_geometry
 from tiegraph.sfm.rig.health import COLUMNS
 from tiegraph.sfm.rig.relax import Relaxed, lost_images, relax, with_sightings_of
 from tiegraph.sfm.rig.support import place_as_given, units_per_metre
@@ -82,7 +82,7 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> Finishe
     model.write(request.target)
     if settled.table is not None:
         tables["placement"] = settled.table
-    sigma = _sigma(model, request, notes, ties)
+    sigma = _sigma(model, scene, request, notes, ties)
     if sigma is not None:
         names = {k + 1: s.name for k, s in enumerate(scene.all_sensors)}
         tables |= sigma.tables(names)
@@ -113,7 +113,7 @@ def _settled(model: pycolmap.Reconstruction, scene: Scene, request: FinishReques
 def _adjusted(
     model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest, notes: list[str]
 ) -> pycolmap.Reconstruction:
-    known = None
+    known = given_geometry(model, scene, ())
     fixed = [k + 1 for k in request.fixed]
     if request.soft and soft.available():
         scale = 1 / units_per_metre(model, scene)
@@ -196,7 +196,7 @@ def _open_notes(sigma: PositionSigma, names: Mapping[int, str]) -> list[str]:
 
 
 def _sigma(
-    model: pycolmap.Reconstruction, request: FinishRequest, notes: list[str], ties: Collection[Tie]
+    model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest, notes: list[str], ties: Collection[Tie]
 ) -> PositionSigma | None:
     frames = model.num_reg_frames()
     if frames > request.covariance_frames:
@@ -205,7 +205,8 @@ def _sigma(
         return None
     try:
         free = free_cameras(model) - set(request.constant_cameras)
-        return position_sigma(model, free, set(model.rigs) - {k + 1 for k in request.fixed}, ties)
+        rigs = set(model.rigs) - {k + 1 for k in request.fixed}
+        return position_sigma(model, free, rigs, ties, drawings(model, scene))
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         notes.append(f"position sigmas could not be computed: {error}")
         return None

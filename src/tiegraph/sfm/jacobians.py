@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,38 +33,45 @@ class Layout:
     """Columns of the unknowns: six a frame (shift of its centre, rotation), six a sensor, then the intrinsics."""
 
     def __init__(
-        self, model: pycolmap.Reconstruction, free_intrinsics: bool | Collection[int], free_rig: bool | Collection[int]
+        self,
+        model: pycolmap.Reconstruction,
+        free_intrinsics: bool | Collection[int],
+        free_rig: bool | Collection[int],
+        drawings: Mapping[int, compact.Drawing] | None = None,
     ) -> None:
-        """``free_intrinsics``, ``free_rig``: ids of the cameras and rigs that are unknowns; True: all, False: none."""
+        """``free_intrinsics``, ``free_rig``: ids of the cameras and rigs that are unknowns; True: all, False: none.
+
+        ``drawings``: of nominal rigs by rig id.
+        """
         self.frame_ids = tuple(sorted(model.reg_frame_ids()))
         self.frame = {f: 6 * k for k, f in enumerate(self.frame_ids)}
         self.centres = np.stack([frame_pose(model.frame(f)).tgt_origin_in_src() for f in self.frame_ids])
         self.size = 6 * len(self.frame_ids)
         self.sensor: dict[int, int] = {}
         self.sensor_centre: dict[int, np.ndarray] = {}
-        self._prior: list[tuple[int, np.ndarray]] = []
+        self._prior: list[tuple[np.ndarray, np.ndarray]] = []
         images = [model.image(i) for i in model.reg_image_ids()]
         for rig in (r for k, r in model.rigs.items() if _chosen(k, free_rig)):
-            expected = compact.information(rig)
             for sensor, pose in rig.non_ref_sensors.items():
                 if pose is not None:
                     self.sensor[sensor.id], self.sensor_centre[sensor.id] = self.size, pose.tgt_origin_in_src()
-                    self._prior.append((self.size, expected.get(sensor.id, 0.0) * np.eye(3)))
                     self.size += 6
+            keys, expected = compact.information(rig, (drawings or {}).get(rig.rig_id))
+            self._prior.append((np.array([self.sensor[k] + axis for k in keys for axis in range(3)], int), expected))
         self.camera: dict[int, int] = {}
         self.params: dict[int, np.ndarray] = {}
         for camera_id in sorted(k for k in {i.camera_id for i in images} if _chosen(k, free_intrinsics)):
             camera = model.camera(camera_id)
             self.camera[camera_id], self.params[camera_id] = self.size, np.array(camera.params)
-            self._prior.append((self.size, np.linalg.inv(_expected(camera))))
+            columns = self.size + np.arange(len(camera.params))
+            self._prior.append((columns, np.linalg.inv(_expected(camera))))
             self.size += len(camera.params)
 
     def prior(self) -> np.ndarray:
         """(C, C) information of what is expected of lenses and of places in a rig before the images speak."""
         out = np.zeros((self.size, self.size))
-        for column, information in self._prior:
-            columns = slice(column, column + len(information))
-            out[columns, columns] = information
+        for columns, information in self._prior:
+            out[np.ix_(columns, columns)] += information
         return out
 
     def tied(self, ties: Collection[Tie]) -> np.ndarray:

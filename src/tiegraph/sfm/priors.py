@@ -21,4 +21,5 @@ def add_priors(
     """
     kept = add_soft(adjuster, model, soft) if soft else []
     kept += lens.add_priors(adjuster.problem, model, given or {})
-    return kept + compact.add_priors(adjuster.problem, model, soft.known_sensors() if soft else ())
+    known, drawings = (soft.known_sensors(), soft.drawings) if soft is not None else ((), {})
+    return kept + compact.add_priors(adjuster.problem, model, known, drawings)

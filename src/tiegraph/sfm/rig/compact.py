@@ -9,34 +9,59 @@ where the images tell the place they outweigh it.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
 import pycolmap
 
+from tiegraph.geometry.transforms import skew
 from tiegraph.sfm.lens import SIGMA_PX, available
 from tiegraph.sfm.model import rigid3d
 
 LEAST_OTHERS = 4  # cameras whose places tell something: twelve coordinates for the four unknowns of the rule
 UNEVEN = 1 / 3  # of the distance along the axis: no housing is a sphere
+INEXACT = 0.1  # of the distances in a drawing
 _ANY_RAD = 30.0  # nothing is expected of the turn
 _CAUCHY = 2.0  # sigmas
 
 
-def expected_centres(rig: pycolmap.Rig) -> dict[int, tuple[np.ndarray, float]]:
+Drawing = Mapping[int, np.ndarray]  # camera id -> nominal centre (3,) in the frame of the reference, in any unit
+
+
+def expected_centres(rig: pycolmap.Rig, drawing: Drawing | None = None) -> dict[int, tuple[np.ndarray, float]]:
     """Camera id -> where the other cameras let expect its centre in the rig (3,), and sigma of each coordinate.
 
     In model units; not for the reference. Empty for rigs of fewer than five cameras and for those of one centre.
     """
+    keys, centres, axes, drawn = _places(rig, drawing)
+    out = {}
+    for row, key in enumerate(keys, start=1) if len(keys) >= LEAST_OTHERS else ():
+        others = np.arange(len(centres)) != row
+        rules = [_outward(centres[others], axes[others], axes[row])]
+        if drawn is not None and np.ptp(drawn[others], axis=0).any():
+            rules.append(_as_drawn(centres[others], drawn[others], drawn[row]))
+        out[key] = min(rules, key=lambda rule: rule[1])
+    return {k: (centre, sigma) for k, (centre, sigma) in out.items() if sigma > 0}
+
+
+def _places(rig: pycolmap.Rig, drawing: Drawing | None) -> tuple[list[int], np.ndarray, np.ndarray, np.ndarray | None]:
+    """Ids of all cameras but the reference; centres, axes and drawn centres (N, 3) of the reference, then of these."""
     poses = {i.id: pose.inverse() for i, pose in rig.non_ref_sensors.items() if pose is not None}
     centres = np.array([np.zeros(3), *(p.translation for p in poses.values())])
     axes = np.array([[0.0, 0, 1], *(p.rotation.matrix()[:, 2] for p in poses.values())])
-    out = {}
-    for row, key in enumerate(poses, start=1) if len(poses) >= LEAST_OTHERS else ():
-        others = np.arange(len(centres)) != row
-        out[key] = _outward(centres[others], axes[others], axes[row])
-    return {k: (centre, sigma) for k, (centre, sigma) in out.items() if sigma > 0}
+    drawn = np.array([np.zeros(3), *((drawing or {}).get(k, np.full(3, np.nan)) for k in poses)])
+    return list(poses), centres, axes, drawn if np.isfinite(drawn).all() else None
+
+
+def _as_drawn(centres: np.ndarray, drawn: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, float]:
+    """Turn and size (about the reference, which is where it is) that fit the drawing (N, 3) best to these cameras."""
+    u, stretch, v = np.linalg.svd(centres.T @ drawn)
+    mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))])
+    size = float(np.sum(stretch * np.diag(mirror)) / np.sum(drawn**2))
+    left = centres - size * drawn @ (u @ mirror @ v).T
+    variance = float(np.sum(left**2)) / (left.size - 3 - 4) + (INEXACT * size) ** 2 * float(np.mean(drawn**2))
+    return size * u @ mirror @ v @ place, float(np.sqrt(variance))
 
 
 def _outward(centres: np.ndarray, axes: np.ndarray, axis: np.ndarray) -> tuple[np.ndarray, float]:
@@ -48,20 +73,39 @@ def _outward(centres: np.ndarray, axes: np.ndarray, axis: np.ndarray) -> tuple[n
     return centres.mean(axis=0) + distance * (axis - axes.mean(axis=0)), float(np.sqrt(variance))
 
 
-def information(rig: pycolmap.Rig) -> dict[int, float]:
-    """Camera id -> information of each coordinate of its centre that this expectation adds, 1 / model units squared."""
-    centres = {i.id: pose.inverse().translation for i, pose in rig.non_ref_sensors.items() if pose is not None}
-    out = {}
-    for key, (expected, sigma) in expected_centres(rig).items():
-        off = float(np.linalg.norm(centres[key] - expected)) / sigma
-        out[key] = 1 / (1 + (off / _CAUCHY) ** 2) / sigma**2
-    return out
+def information(rig: pycolmap.Rig, drawing: Drawing | None = None) -> tuple[list[int], np.ndarray]:
+    """Ids of cameras and the information (3N, 3N) of their centres that this expectation adds, 1 / model units squared.
+
+    Of how they deviate from the rule, not of what the rule has from themselves: middle and distance, or turn and size.
+    """
+    expected = expected_centres(rig, drawing)
+    keys, centres, axes, drawn = _places(rig, drawing)
+    if len(expected) < len(keys) or not keys:
+        return [], np.zeros((0, 0))
+    outward = _outward(centres, axes, axes[0])[1]
+    if drawn is not None and drawn.any() and _as_drawn(centres, drawn, drawn[0])[1] < outward:
+        turned = np.array([skew(c[None])[0] for c in centres])
+        basis = np.concatenate([turned, centres[:, :, None]], axis=2)
+    else:
+        basis = np.concatenate([np.tile(np.eye(3), (len(centres), 1, 1)), axes[:, :, None]], axis=2)
+    off = [np.linalg.norm(c - expected[k][0]) / expected[k][1] for k, c in zip(keys, centres[1:])]
+    weight = np.array([1 / (1 + (o / _CAUCHY) ** 2) / expected[k][1] ** 2 for o, k in zip(off, keys)])
+    each = np.repeat([float(weight.mean()), *weight], 3)
+    rows = basis.reshape(-1, 4)
+    taken = each[:, None] * rows
+    whole = np.diag(each) - taken @ np.linalg.pinv(rows.T @ taken, hermitian=True) @ taken.T
+    return keys, whole[3:, 3:]
 
 
-def add_priors(problem: Any, model: pycolmap.Reconstruction, known: Collection[tuple[int, int]]) -> list[Any]:
+def add_priors(
+    problem: Any,
+    model: pycolmap.Reconstruction,
+    known: Collection[tuple[int, int]],
+    drawings: Mapping[int, Drawing] | None = None,
+) -> list[Any]:
     """Expect the free sensors of the problem near the others of their rig; keep what is returned until it has solved.
 
-    ``known``: (rig id, camera id) of sensors of which more is known.
+    ``known``: (rig id, camera id) of sensors of which more is known; ``drawings`` of nominal rigs by rig id.
     """
     if not available():
         return []
@@ -70,7 +114,7 @@ def add_priors(problem: Any, model: pycolmap.Reconstruction, known: Collection[t
 
     kept: list[Any] = []
     for rig_id, rig in model.rigs.items():
-        expected = expected_centres(rig)
+        expected = expected_centres(rig, (drawings or {}).get(rig_id))
         for identity, pose in rig.non_ref_sensors.items():
             if identity.id not in expected or (rig_id, identity.id) in known:
                 continue

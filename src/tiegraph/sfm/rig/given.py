@@ -10,6 +10,7 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
+from tiegraph.sfm.rig.compact import Drawing
 from tiegraph.sfm.rig.soft import PairPrior, SensorPrior, Soft
 
 LEAST_DEG, LEAST_M = 0.001, 0.0001  # a sigma of 0 means "exactly": as hard as the solver bears
@@ -17,7 +18,10 @@ FREE_DEG, FREE_M = 30.0, 1.0  # of a sensor of a soft rig without sigmas of its 
 
 
 def given_geometry(model: pycolmap.Reconstruction, scene: Scene, rigs: Collection[int]) -> Soft:
-    """Priors of the rigs (scene indices) of a metric model. Sensors without sigma in a rig with some stay as given."""
+    """Priors of the rigs (scene indices) of a metric model, drawings of nominal ones of any.
+
+    Sensors without sigma in a rig with some stay as given.
+    """
     sensors: list[SensorPrior] = []
     pairs: list[PairPrior] = []
     first = 0
@@ -26,7 +30,23 @@ def given_geometry(model: pycolmap.Reconstruction, scene: Scene, rigs: Collectio
             sensors += _sensors(model.rigs[index + 1], rig, index, first)
             pairs += _pairs(rig, index, first)
         first += len(rig.sensors)
-    return Soft(sensors=sensors, pairs=pairs)
+    return Soft(sensors=sensors, pairs=pairs, drawings=drawings(model, scene))
+
+
+def drawings(model: pycolmap.Reconstruction, scene: Scene) -> dict[int, Drawing]:
+    """Centres that nominal rigs give, by rig id and camera id, in the frame of the model's reference, metres."""
+    out: dict[int, Drawing] = {}
+    first = 0
+    for index, rig in enumerate(scene.rigs):
+        if rig.nominal and index + 1 in model.rigs:
+            reference = rig.sensors[model.rigs[index + 1].ref_sensor_id.id - 1 - first].sensor_from_rig
+            out[index + 1] = {
+                first + k + 1: transforms.centre(s.sensor_from_rig @ transforms.invert(reference))
+                for k, s in enumerate(rig.sensors)
+                if s.sensor_from_rig is not None and reference is not None
+            }
+        first += len(rig.sensors)
+    return out
 
 
 def _sensors(row: pycolmap.Rig, rig: Rig, index: int, first: int) -> list[SensorPrior]:

@@ -6,8 +6,8 @@ beside it (the pycolmap wheel names these types but does not hold them).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.sfm.model import rigid3d
+from tiegraph.sfm.rig.compact import Drawing
 from tiegraph.sfm.rig.timed import Timed, add_timed, pose_block
 
 # The reprojection errors are in pixels and not divided by their sigma; so that both weigh what they should, the priors
@@ -56,12 +57,16 @@ class PairPrior:
 
 @dataclass(frozen=True)
 class Soft:
-    """All soft knowledge of one adjustment."""
+    """All soft knowledge of one adjustment; true where it holds lengths.
+
+    ``drawings``: of nominal rigs by rig id, centres by camera id (``rig/compact.py``); they tell no size.
+    """
 
     ties: Sequence[SoftTie] = ()
     sensors: Sequence[SensorPrior] = ()
     pairs: Sequence[PairPrior] = ()
     timed: Timed | None = None
+    drawings: Mapping[int, Drawing] = field(default_factory=dict)
 
     def __bool__(self) -> bool:
         return bool(self.ties or self.sensors or self.pairs or self.timed)
