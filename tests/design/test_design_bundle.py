@@ -7,7 +7,7 @@ import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tiegraph.design.bundle import Bundle
+from tiegraph.design.bundle import Bundle, _projected
 from tiegraph.design.design import design
 from tiegraph.design.foreseen import foresee, verified_chance
 from tiegraph.design.predict import joined
@@ -200,3 +200,28 @@ def test_images_outside_the_preview_model_are_tied_all_the_same() -> None:
 def test_chance_of_verification_rises_with_the_matches() -> None:
     chance = verified_chance(np.array([1.0, 7.5, 15.0, 100.0]))
     assert chance[0] < 0.03 and chance[1] == 0.5 and 0.7 < chance[2] < 0.9 and chance[3] > 0.99
+
+
+def test_rays_are_projected_as_their_derivatives_say_at_any_angle() -> None:
+    rng = np.random.default_rng(3)
+    local = rng.normal(size=(400, 3)) * [1, 1, 1.5]
+    (x, y), slope = _projected(local)
+    step = 1e-6
+    for axis in range(3):
+        ends = [np.array(_projected(local + sign * step * np.eye(3)[axis])[0]) for sign in (1, -1)]
+        numeric = ((ends[0] - ends[1]) / (2 * step)).T
+        same = np.linalg.norm(numeric, axis=1) < 1e3  # but for one that crosses from pinhole to fisheye
+        assert same.mean() > 0.98
+        np.testing.assert_allclose(slope[same, :, axis], numeric[same], rtol=1e-4, atol=1e-5)
+    assert np.hypot(x, y).max() < 5.0  # a pinhole's run to infinity
+
+
+def test_a_preview_model_that_holds_nothing_costs_no_pair() -> None:
+    scene, sights = survey(10, True)
+    pairs, _, _ = all_pairs(scene, sights)
+    few = np.isin(sights.point, np.unique(sights.point)[:3])
+    count = np.array([few[a:b].sum() for a, b in zip(sights.start[:-1], sights.start[1:])])
+    poor = replace(sights, start=np.cumsum([0, *count]), point=sights.point[few])
+    found = design(pairs, scene, None, DesignSettings(loss_percent=5.0), poor)
+    assert len(found.pairs.kept()) == len(pairs)
+    assert found.counts["predicted_loss_percent"] == 0

@@ -30,6 +30,7 @@ _BLOCK = 2000  # pairs looked at together: bounds the memory
 _PLACED = 0.9  # of the images with candidates must be in the preview model
 _SIGMA_PX = 0.5  # of a coordinate; counts only against the weak priors below
 _FOCAL, _EXTRA = 0.2, 0.5  # weak priors of intrinsics: of the focal length; of the distortion (as ``sfm.covariance``)
+_WIDE = 0.2  # cosine of the angle to the axis (78 deg) beyond which no lens is a pinhole
 _INTRINSICS = 4  # focal length, principal point, radial distortion
 _SEED = 0
 
@@ -139,10 +140,9 @@ class Bundle:
         world = self._sights.xyz[point]
         ray = world - self._sights.centre[image]
         local = np.einsum("kij,kj->ki", rotation, ray)
-        z = np.maximum(local[:, 2], 1e-3 * np.maximum(np.linalg.norm(ray, axis=1), 1e-12))
-        x, y, zero, one = local[:, 0] / z, local[:, 1] / z, np.zeros(len(z)), np.ones(len(z))
-        pixel = (f / z)[:, None, None] * np.stack([np.stack([one, zero, -x], 1), np.stack([zero, one, -y], 1)], 1)
-        by_point = pixel @ rotation
+        (x, y), by_ray = _projected(local)
+        zero, one = np.zeros(len(x)), np.ones(len(x))
+        by_point = f[:, None, None] * by_ray @ rotation
         rig = self._rig_axes[image]
         by_rig = by_point @ np.swapaxes(rig, 1, 2)
         lever = world - self._frame_centre[self._columns.frame[image]]
@@ -273,6 +273,27 @@ class Bundle:
             fall = rows @ moved[at] @ np.swapaxes(rows, 1, 2)
             out[k : k + _BLOCK] = np.trace(np.linalg.solve(inner, fall), axis1=1, axis2=2)
         return out / self._columns.frames
+
+
+def _projected(local: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Image coordinates (2, K), of focal length 1, of rays (K, 3) in the camera, and their derivatives (K, 2, 3).
+
+    A pinhole's; beyond ``_WIDE`` those of an equidistant fisheye, where a pinhole's run off to infinity.
+    """
+    length = np.maximum(np.linalg.norm(local, axis=1), 1e-12)
+    side = np.linalg.norm(local[:, :2], axis=1)
+    wide = local[:, 2] < _WIDE * length
+    z = np.where(wide, length, local[:, 2])
+    x, y, zero, one = local[:, 0] / z, local[:, 1] / z, np.zeros(len(z)), np.ones(len(z))
+    pinhole = np.stack([np.stack([one, zero, -x], 1), np.stack([zero, one, -y], 1)], 1) / z[:, None, None]
+    around = np.maximum(side, 1e-9 * length)
+    e = local[:, :2] / around[:, None]
+    angle = np.arctan2(side, local[:, 2])
+    outward = np.concatenate([local[:, 2:] * e, -side[:, None]], axis=1) / length[:, None] ** 2
+    turned = (np.eye(2) - e[:, :, None] * e[:, None]) * (angle / around)[:, None, None]
+    fisheye = e[:, :, None] * outward[:, None] + np.concatenate([turned, np.zeros((len(z), 2, 1))], axis=2)
+    xy = np.where(wide[:, None], angle[:, None] * e, np.stack([x, y], 1))
+    return xy.T, np.where(wide[:, None, None], fisheye, pinhole)
 
 
 def _normal4(by_point: np.ndarray) -> np.ndarray:

@@ -85,6 +85,8 @@ def choose(
         wanted = min(max(1, int(pace * count)), room)
         each = max(1, round(2 * pace * count / candidates.images))
         picked = _apart(candidates, measure.gains(chosen, tracks, new, wanted), wanted, each)
+        if not len(picked):  # nothing tells the rest apart
+            picked = np.flatnonzero(~chosen)[:room]
         measure.chose(picked, new)
         tracks.choose(picked, new)
         chosen[picked] = True

@@ -16,6 +16,7 @@ _AGAIN = 0.20  # growth of the network after which the bundle's information is m
 _ALL = 0.5  # growth after which the gains of all pairs are computed anew; between, of those that were best
 _SEED = 0
 _FREE = 0.1  # sigma of a frame that nothing holds, in sizes of the survey
+_LEAST_HELD = 0.5  # of the frames, for a loss to mean anything
 _TOP = (6.0, 400)  # times the number of pairs wanted, and more, whose gains are computed anew each round
 
 
@@ -74,10 +75,10 @@ class Judge:
         self._all = self._variances(np.ones(len(chance), bool))
 
     def loss(self, chosen: np.ndarray, tracks: Tracks | None = None) -> float:
-        """Frames that all pairs leave as good as free do not count."""
+        """Frames that all pairs leave as good as free do not count; where most are, nothing less than all will do."""
         held = self._all < _FREE**2
-        if not held.any():
-            return 0.0
+        if held.mean() < _LEAST_HELD:
+            return 0.0 if chosen.all() else np.inf
         ratio = self._variances(chosen)[held].mean() / self._all[held].mean()
         return max(float(np.sqrt(ratio)) - 1.0, 0.0)
 
@@ -114,8 +115,8 @@ class ByBundle:
         out = np.full(len(chosen), -1.0)
         out[free] = found
         other = ~chosen & ~self._bundle.usable
-        if other.any() and len(free):
-            out[other] = worth[other] * float(np.median(found / np.maximum(worth[free], 1e-9)))
+        a_match = float(np.median(found / np.maximum(worth[free], 1e-9))) if len(free) else 1.0
+        out[other] = worth[other] * max(a_match, 0.0)
         return out
 
     def chose(self, places: np.ndarray, new: np.ndarray) -> None:
