@@ -1,11 +1,15 @@
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 
 from tiegraph.masks.classes import SKY, USE
+from tiegraph.masks.evidence import Evidence
+from tiegraph.masks.learnt import lowest_agreed
 from tiegraph.masks.lookup import _snapped
 from tiegraph.masks.regions import calm_regions, pooled
-from tiegraph.masks.seeds import _wide
+from tiegraph.masks.seeds import _like_sky, _wide
 
 
 def test_regions_end_at_edges_and_hold_soft_clouds():
@@ -45,3 +49,25 @@ def test_narrow_strips_are_no_seeds():
     sky[30:90, 100:120] = True  # a border that ran down a pale wall
     wide = _wide(sky)
     assert (wide[:30, :200]).all() and not wide[30:].any()
+
+
+@pytest.mark.parametrize("bottom, cloud", [(100, True), (200, False)])
+def test_a_pale_piece_that_matches_is_a_cloud_above_the_horizon_and_a_wall_below_it(bottom, cloud):
+    image = np.full((240, 320, 3), 40, np.uint8)
+    image[:90] = 180  # the sky, of which the right part is not known yet
+    image[60:bottom, 200:] = 230
+    sky = np.zeros((240, 320), bool)
+    sky[:60] = True
+    across, down = np.meshgrid(np.linspace(0.65, 0.95, 12), np.linspace(0.3, 0.4, 8))
+    xy = np.stack([across.ravel(), down.ravel()], axis=1).astype(np.float32)
+    seen = Evidence(Path("a.jpg"), xy, np.ones(len(xy), bool))
+    found = _like_sky(image, sky, seen, lowest=60 / 240)
+    assert found[65:90, 210:310].all() == cloud
+    assert not found[:60].any() and not _like_sky(image, sky & False, seen, 0.3).any()
+
+
+def test_the_lowest_sky_is_what_several_images_agree_on():
+    rows = [0.0] * 20 + [0.3, 0.31, 0.33, 0.42, 0.43, 0.46]
+    assert lowest_agreed([*rows, 1.0]) == pytest.approx(0.46), "a border found on a road is alone"
+    assert lowest_agreed([*rows, 0.99, 1.0]) == pytest.approx(1.0)
+    assert lowest_agreed([0.0, 0.4]) == pytest.approx(0.4) and lowest_agreed([]) == lowest_agreed([0.0]) == 0

@@ -26,13 +26,13 @@ def bins(image: np.ndarray) -> np.ndarray:
     light, a, b = cv2.split(cv2.cvtColor(image, cv2.COLOR_BGR2Lab))
     fine = light.astype(np.float32)
     mean = cv2.blur(fine, (5, 5))
-    deviation = np.sqrt(np.maximum(cv2.blur(fine * fine, (5, 5)) - mean * mean, 0))
-    texture = np.searchsorted(_TEXTURE_EDGES, deviation.ravel()).reshape(light.shape)
-    index = _STEPS[a].astype(np.int32) * _COLOUR + _STEPS[b]
-    return ((light // (256 // _LIGHT)).astype(np.int32) * _COLOUR * _COLOUR + index) * _TEXTURE + texture
+    variance = cv2.blur(fine * fine, (5, 5)) - mean * mean
+    texture = sum(variance > edge for edge in _TEXTURE_EDGES * _TEXTURE_EDGES)
+    return _LIGHTS[light] + _STEPS[a] * _COLOUR + _STEPS[b] + texture
 
 
-_STEPS = np.clip((np.arange(256) - 128) / _COLOUR_STEP + _COLOUR / 2, 0, _COLOUR - 1).astype(np.uint8)
+_STEPS = np.clip((np.arange(256) - 128) / _COLOUR_STEP + _COLOUR / 2, 0, _COLOUR - 1).astype(np.int32) * _TEXTURE
+_LIGHTS = (np.arange(256) // (256 // _LIGHT) * _COLOUR * _COLOUR * _TEXTURE).astype(np.int32)
 
 
 @dataclass(frozen=True)

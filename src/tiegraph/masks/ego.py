@@ -135,8 +135,7 @@ class _Directions:
 
     def __init__(self, frames: Sequence[np.ndarray]) -> None:
         unit = [_unit_gradient(f) for f in frames]
-        self.sum_x = np.sum([u[0] for u in unit], axis=0)
-        self.sum_y = np.sum([u[1] for u in unit], axis=0)
+        self.sum_x, self.sum_y = sum(u[0] for u in unit), sum(u[1] for u in unit)
         count = len(frames)
         departs: np.ndarray = np.zeros(frames[0].shape, np.float32)
         textured: np.ndarray = np.zeros_like(departs)

@@ -23,6 +23,7 @@ _MOST_PAIRS = 36  # of neighbouring frames, from which it is learnt what matches
 _SEED_IMAGES = 40  # from which appearance is learnt
 _PLACE_SEEDS = 0.5  # images: as many say beforehand that a place is sky, and that it is none
 _PLACE_CLIP = 1.5
+_AGREED, _AGREED_SHARE = 0.05, 0.1  # of the height; of the images that show sky
 
 Map = Callable[[Callable, Sequence], Iterable]
 
@@ -50,7 +51,7 @@ def learn(
     ]
     seeds = list(apply(first_seeds, jobs))
     known = _appearances(jobs, seeds, upward)
-    lowest = max((s.low for job, s in zip(jobs, seeds) if not job.upward), default=0.0)
+    lowest = lowest_agreed([s.low for job, s in zip(jobs, seeds) if not job.upward])
     rows = {k: 1.0 if k in upward else lowest for k in keys}
     first = {k: Learnt(platforms[k].mask, known[k], water.get(k), None, rows[k], "") for k in keys}
     # Once more, with what the first try calls water, sky and scene as seeds: they cover the images, the first did not.
@@ -59,6 +60,17 @@ def learn(
     return {
         k: replace(first[k], appearance=known[k], sky=places.get(k), note=_note(platforms[k], k in water)) for k in keys
     }
+
+
+def lowest_agreed(rows: Sequence[float]) -> float:
+    """The largest of ``rows`` (shares of the height, 0 = no sky) that enough others come close to; 0 if there is none.
+
+    A border found in a wall or on a road lies anywhere; the horizon is in the same place in many images.
+    """
+    known = np.array([r for r in rows if r > 0])
+    near = [int(((known <= r) & (known > r - _AGREED)).sum()) for r in known]
+    agreed = known[np.array(near) >= max(2, _AGREED_SHARE * len(known))] if len(known) else known
+    return float(agreed.max()) if len(agreed) else float(known.max(initial=0))
 
 
 def _learn_ego(job: tuple[Sequence[Path], int]) -> Ego:

@@ -23,10 +23,9 @@ _SKY_AROUND = 0.5  # share of its surroundings that must be sky for a burnt-out 
 SKY_MARGIN = 0.1
 """Of the height: so far below the lowest certain sky there may be some."""
 _SAME_GREY = 14.0  # at its edge the sky goes on as long as the brightness does
-_BAND, _RIM = np.ones((7, 7), np.uint8), np.ones((3, 3), np.uint8)  # in which the edge of the sky is sought
-_AROUND = (17, 17)
-_TOLD_GREY = 8.0  # brightness of sky and scene differ by more, or the edge stays where it is
-_NOWHERE = 1e4
+_BAND = np.ones((9, 9), np.uint8)  # in which the edge of the sky is sought
+_AROUND_PX = 10  # to each side of a pixel: what its edge is learnt from
+_TOLD_GREY = 8.0  # brightness of sky and scene differ by more, or the edge hardly moves
 _SMALL = 0.002  # of the image: smaller pieces of sky or holes in it are not believed
 
 
@@ -80,22 +79,35 @@ def classes_of(path: Path, learnt: Learnt, settings: MasksSettings, shape: tuple
 
 
 def _snapped(labels: np.ndarray, light: np.ndarray) -> np.ndarray:
-    """Classes with the edge of the sky where the brightness has it: pixels near it go to the side they are like."""
+    """Classes with the edge of the sky where the brightness has it: a guided filter (He et al. 2013), near the edge.
+
+    Its lines are fitted at half the size (He and Sun 2015).
+    """
     sky = (labels == SKY).astype(np.uint8)
-    band = cv2.dilate(sky, _BAND) - cv2.erode(sky, _BAND, borderValue=1)
-    outside = 1 - cv2.dilate(sky, _BAND)
-    above, below = (_local_mean(light, part) for part in (cv2.erode(sky, _RIM, borderValue=1), outside))
-    like = np.abs(light - above) < np.abs(light - below)
-    told = (band > 0) & (np.abs(above - below) > _TOLD_GREY)
-    found = np.where(told & ((labels == SKY) | (labels == USE)), np.where(like, SKY, USE), labels)
-    return found.astype(np.uint8)
+    band = (cv2.dilate(sky, _BAND) - cv2.erode(sky, _BAND, borderValue=1)) > 0
+    rows = np.flatnonzero(band.any(axis=1))
+    if not len(rows):
+        return labels
+    part = slice(max(0, rows[0] - _AROUND_PX), rows[-1] + _AROUND_PX + 1)
+    guide, size = light[part].astype(np.float32), (labels.shape[1], len(labels[part]))
+    half = (max(1, size[0] // 2), max(1, size[1] // 2))
+    slope, shift = _lines(
+        *(cv2.resize(x, half, interpolation=cv2.INTER_AREA) for x in (guide, sky[part].astype(np.float32)))
+    )
+    like = cv2.resize(slope, size) * guide + cv2.resize(shift, size) > 0.5
+    told = band[part] & ((labels[part] == SKY) | (labels[part] == USE))
+    found = labels.copy()
+    found[part] = np.where(told, np.where(like, SKY, USE), labels[part])
+    return found
 
 
-def _local_mean(light: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """Mean brightness (h, w) f4 of the pixels of ``part`` around each; far off from every other where there is none."""
-    count = cv2.boxFilter(part, cv2.CV_32F, _AROUND, normalize=False)
-    total = cv2.boxFilter(light * part, cv2.CV_32F, _AROUND, normalize=False)
-    return np.where(count > 0, total / np.maximum(count, 1), _NOWHERE).astype(np.float32)
+def _lines(guide: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Slope and shift (h, w) f4 of the line that gives the share of sky from the brightness round each pixel."""
+    around = (_AROUND_PX + 1, _AROUND_PX + 1)
+    mean, mean_share = cv2.blur(guide, around), cv2.blur(share, around)
+    spread = cv2.blur(guide * guide, around) - mean * mean
+    slope = (cv2.blur(guide * share, around) - mean * mean_share) / (spread + _TOLD_GREY**2)
+    return cv2.blur(slope, around), cv2.blur(mean_share - slope * mean, around)
 
 
 def _grown(sky: np.ndarray, image: np.ndarray) -> np.ndarray:
@@ -108,7 +120,9 @@ def _grown(sky: np.ndarray, image: np.ndarray) -> np.ndarray:
 
 def _with_white(sky: np.ndarray, white: np.ndarray) -> np.ndarray:
     """The sky with the sun and burnt-out clouds: white areas with sky round them."""
-    count, labels, _, _ = cv2.connectedComponentsWithStats(white.astype(np.uint8), connectivity=4)
+    if not white.any() or not sky.any():
+        return sky
+    count, labels = cv2.connectedComponents(white.astype(np.uint8), connectivity=4)
     ring = cv2.dilate(labels.astype(np.float32), np.ones((5, 5), np.uint8)).astype(np.int32)
     ring[white] = 0
     around = np.bincount(ring.ravel(), minlength=count)
@@ -120,6 +134,8 @@ def _with_white(sky: np.ndarray, white: np.ndarray) -> np.ndarray:
 
 def _cleaned(mask: np.ndarray) -> np.ndarray:
     mask = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    if not mask.any():
+        return mask > 0
     for _ in range(2):  # small pieces go, then small holes
         _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
         small = stats[:, cv2.CC_STAT_AREA] < _SMALL * mask.size

@@ -24,6 +24,7 @@ _STATIC_PX = 5  # around a matched feature all is static scene
 _MATCHED_SKY = 0.25  # matched features on it, as a share of those on an equal area of the image
 _LOW_SHARE = 0.02  # of a row that must be sky for sky to reach down to it
 _PALE_PERCENT = 5.0  # of the sky is darker than what may belong to it
+_LOWER, _ON_GROUND = 0.15, 0.05  # of the height below all known sky; share of a piece there from which it is no cloud
 _WIDE = 0.12  # of the image's width: narrower pieces of sky are no seeds
 
 
@@ -59,7 +60,9 @@ def first_seeds(job: SeedJob) -> Seeds:
     if sky is None or not job.upward and not _unmatched(sky, job.evidence):
         sky = np.zeros(shape, bool)
     else:  # what is well off the sky is scene or water
-        static = static | ~dilated(sky, 9) & ~_like_sky(image, sky, job.evidence)
+        lowest = 1.0 if job.upward else _lowest_row(sky) / shape[0]
+        pale = _like_sky(image, sky, job.evidence, lowest)
+        static = (static | ~dilated(sky, 9)) & ~pale
     free = np.ones(shape, bool) if job.ego is None else ~scaled(job.ego, shape)
     rows = np.flatnonzero((sky & free & ~water & ~static).mean(axis=1) > _LOW_SHARE)
     low = float(rows[-1] + 1) / shape[0] if len(rows) else 0.0
@@ -77,25 +80,36 @@ def second_seeds(job: tuple[SeedJob, Learnt, MasksSettings]) -> Seeds:
     masks = {label: (labels == label) & free & ~static for label in (SKY, WATER)}
     doubtful = np.arange(len(image))[:, None] > learnt.sky_rows * len(image)  # at the horizon clouds pale
     masks[SKY] = masks[SKY] & ~doubtful
-    scene = (labels == USE) & ~_like_sky(image, labels == SKY, seed.evidence)
-    return _seeds(image, {USE: (scene | static) & free, **masks})
+    pale = _like_sky(image, labels == SKY, seed.evidence, learnt.sky_rows)
+    return _seeds(image, {USE: ((labels == USE) | static) & ~pale & free, **masks})
 
 
-def _like_sky(image: np.ndarray, sky: np.ndarray, evidence: Evidence | None) -> np.ndarray:
-    """What is as bright as the sky, hangs together with it and hardly matches: pale clouds at the horizon, no wall."""
-    if evidence is None or not sky.any():
+def _like_sky(image: np.ndarray, sky: np.ndarray, evidence: Evidence | None, lowest: float) -> np.ndarray:
+    """What is as bright as the sky, hangs together with it, and ends above the horizon or hardly matches.
+
+    Pale clouds straight ahead match from frame to frame as a wall does, as neither has a parallax; but a wall stands on
+    the ground, and no cloud hangs below ``lowest``, the share of the height down to which sky is seen.
+    """
+    if not sky.any():
         return np.zeros(sky.shape, bool)
     light = grey(image)
     bright = light >= np.percentile(light[sky], _PALE_PERCENT)
     _, joined = cv2.connectedComponents((bright | sky).astype(np.uint8), connectivity=4)
     touching = np.isin(joined, np.unique(joined[sky])) & ~sky & bright
-    _, pieces = cv2.connectedComponents(touching.astype(np.uint8), connectivity=4)
-    place = (evidence.xy[evidence.matched] * np.array(sky.shape[::-1], np.float32)).astype(int)
-    at = pieces[place[:, 1].clip(0, sky.shape[0] - 1), place[:, 0].clip(0, sky.shape[1] - 1)]
-    matched, area = np.bincount(at, minlength=pieces.max() + 1), np.bincount(pieces.ravel())
-    few = matched * pieces.size < _MATCHED_SKY * len(place) * area
-    few[0] = False
-    return few[pieces]
+    count, pieces, stats, _ = cv2.connectedComponentsWithStats(touching.astype(np.uint8), connectivity=4)
+    area = stats[:, cv2.CC_STAT_AREA]
+    row = min(len(sky), round((lowest + _LOWER) * len(sky)))
+    pale = np.bincount(pieces[row:].ravel(), minlength=count) <= _ON_GROUND * area
+    if evidence is not None:
+        place = (evidence.xy[evidence.matched] * np.array(sky.shape[::-1], np.float32)).astype(int)
+        at = pieces[place[:, 1].clip(0, sky.shape[0] - 1), place[:, 0].clip(0, sky.shape[1] - 1)]
+        pale |= np.bincount(at, minlength=count) * pieces.size < _MATCHED_SKY * len(place) * area
+    pale[0] = False
+    return pale[pieces]
+
+
+def _lowest_row(sky: np.ndarray) -> int:
+    return int(np.flatnonzero(sky.any(axis=1))[-1]) + 1 if sky.any() else 0
 
 
 def _seeds(image: np.ndarray, masks: Mapping[int, np.ndarray], low: float = 0.0) -> Seeds:

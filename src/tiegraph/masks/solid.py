@@ -45,6 +45,8 @@ def without_solid(classes: np.ndarray, points: np.ndarray) -> np.ndarray:
     solid = np.zeros(sky.shape, bool)
     for piece in range(1, count):
         window = _window(stats[piece], sky.shape)
+        if np.count_nonzero(hit[window]) < _LEAST_POINTS:
+            continue
         own = labels[window] == piece
         filled = cv2.morphologyEx(own.astype(np.uint8), cv2.MORPH_CLOSE, _square(_HOLE, sky.shape))
         inner = cv2.erode(filled, _square(_EDGE, sky.shape), borderValue=1) > 0

@@ -71,11 +71,12 @@ class Plan:
         flat = towards @ self.axes.T
         flat = flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-9)
         length = np.arange(2, 1.5 * max(self.full.shape) / _STEPS) * _STEPS
-        start = (self.axes @ centre - self.corner) / self.cell
-        place = np.floor(start[None, None] + flat[:, None] * length[None, :, None]).astype(int)  # (K, L, 2)
-        inside = ((place >= 0) & (place < self.full.shape)).all(axis=2)
-        place = np.where(inside[..., None], place, 0)
-        met = self.full[place[..., 0], place[..., 1]] & inside
+        start = (self.axes @ centre - self.corner) / self.cell + 1  # all round the plan is a cell without a bank
+        padded = np.pad(self.full, 1)
+        across, along = (
+            np.clip(start[k] + flat[:, k, None] * length, 0, padded.shape[k] - 1).astype(np.int32) for k in (0, 1)
+        )
+        met = padded[across, along]
         return np.where(met.any(axis=1), length[met.argmax(axis=1)] * self.cell, np.inf)
 
 
@@ -179,15 +180,20 @@ class Lines:
 
 def lines_of(view: View, up: np.ndarray, water: Water | None) -> Lines:
     """Where in an image the water and the lower half of the world begin."""
-    slopes = view.slopes(up)
-    horizon = _first(slopes < -_LOWER)
+    rise = view.rays @ up
+    horizon = _first(rise < _rise(-_LOWER))
     if water is None:
-        return Lines(np.full(slopes.shape[1], np.nan), horizon)
-    across = np.arange(slopes.shape[1])
-    distance = water.plan.distance(view.centre, view.rays[np.argmin(np.abs(slopes), axis=0), across])
+        return Lines(np.full(rise.shape[1], np.nan), horizon)
+    across = np.arange(rise.shape[1])
+    distance = water.plan.distance(view.centre, view.rays[np.argmin(np.abs(rise), axis=0), across])
     drop = water.level - float(view.centre @ up)
-    row = _first(slopes < (drop / distance)[None])
+    row = _first(rise < _rise(drop / distance))
     return Lines(np.where(np.isfinite(distance) & (drop < 0), row, np.nan), horizon)
+
+
+def _rise(slope: np.ndarray | float) -> np.ndarray:
+    """Rise of a unit vector with this rise over run."""
+    return np.asarray(slope / np.sqrt(1 + np.square(slope)))
 
 
 def _first(below: np.ndarray) -> np.ndarray:
@@ -198,18 +204,20 @@ def final_classes(first: np.ndarray, lines: Lines) -> np.ndarray:
     """The classes (h, w) u1 of the first pass, with the water from geometry where that knows, and no sky below the
     horizon. The platform stays as it was learnt."""
     height, width = first.shape
-    row = np.arange(height)[:, None]
+    row = np.arange(height, dtype=np.float32)[:, None]
     at = columns(width)
-    below = row >= np.interp(np.arange(width), at, lines.horizon)[None]
+    below = row >= np.interp(np.arange(width), at, lines.horizon).astype(np.float32)
     waterline = _bridged(lines.water)
     known = np.isfinite(waterline)
-    out = np.where((first == SKY) & below | (first == WATER) & ~below, USE, first)
+    out = first.copy()
+    out[((first == SKY) & below) | ((first == WATER) & ~below)] = USE
     if known.any():
         line = np.interp(np.arange(width), at[known], waterline[known])
         inside = np.interp(np.arange(width), at, known.astype(float)) > 0.5
-        water = (row >= line[None]) & inside[None]
-        out = np.where(water, WATER, np.where((out == WATER) & inside[None], USE, out))
-    return np.where(first == EGO, EGO, out).astype(np.uint8)
+        out[(out == WATER) & inside] = USE
+        out[row >= np.where(inside, line, np.inf).astype(np.float32)] = WATER
+    out[first == EGO] = EGO
+    return out
 
 
 def _bridged(line: np.ndarray) -> np.ndarray:
