@@ -80,3 +80,12 @@ def test_from_files_and_a_camera_without_platform(tmp_path):
     found = learn_ego(different_frames(bare), len(bare))
     assert found.mask is None and found.note == "no platform seen"
     assert SHAPE == SIZE
+
+
+def test_what_is_black_in_every_frame_round_a_fisheye_image_is_no_scene():
+    across, down = np.meshgrid(np.arange(SIZE[1]) - SIZE[1] / 2, np.arange(SIZE[0]) - SIZE[0] / 2)
+    radius = np.hypot(across, down) / SIZE[0]
+    frames = [np.random.default_rng(k).uniform(40, 210, (30, 40)).astype(np.float32) for k in range(10)]
+    frames = [np.where(radius > 0.48, 3, cv2.resize(f, SIZE[::-1])).astype(np.uint8) for f in frames]
+    mask = ego_of_frames(frames)
+    assert mask[radius > 0.48].mean() > 0.97 and mask[radius < 0.44].mean() < 0.02

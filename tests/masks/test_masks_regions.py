@@ -10,6 +10,7 @@ from tiegraph.masks.learnt import lowest_agreed
 from tiegraph.masks.lookup import _snapped
 from tiegraph.masks.regions import calm_regions, pooled
 from tiegraph.masks.seeds import _like_sky, _wide
+from tiegraph.masks.skyline import border_sky
 
 
 def test_regions_end_at_edges_and_hold_soft_clouds():
@@ -71,3 +72,26 @@ def test_the_lowest_sky_is_what_several_images_agree_on():
     assert lowest_agreed([*rows, 1.0]) == pytest.approx(0.46), "a border found on a road is alone"
     assert lowest_agreed([*rows, 0.99, 1.0]) == pytest.approx(1.0)
     assert lowest_agreed([0.0, 0.4]) == pytest.approx(0.4) and lowest_agreed([]) == lowest_agreed([0.0]) == 0
+
+
+def _street(fisheye):
+    image = np.full((240, 320, 3), (235, 200, 170), np.uint8)
+    image[100:] = np.random.default_rng(0).uniform(20, 120, (140, 320, 3)).astype(np.uint8)
+    if fisheye:
+        image[(np.hypot(*np.meshgrid(np.arange(320) - 160, np.arange(240) - 120)) > 118)] = 0
+    return image
+
+
+def test_the_sky_begins_below_the_surround_of_a_fisheye_lens():
+    image = _street(fisheye=True)
+    surround = (image == 0).all(axis=2)
+    assert border_sky(image) is None
+    sky = border_sky(image, surround)
+    assert sky[20:90, 130:190].all() and not sky[105:].any() and not (sky & surround).any()
+
+
+def test_sand_is_no_sky():
+    image = _street(fisheye=False)
+    assert border_sky(image) is not None
+    image[:100] = (150, 200, 220)
+    assert border_sky(image) is None

@@ -32,11 +32,14 @@ _SHAKES_PX = 0.7
 _SHAKE_FRAMES = 14  # enough for a median and for the 70 % of it
 _MOVING = 0.45  # share of the textured frames in which the gradient has another direction
 _MIN_EDGE_PX = 16  # shorter edges are chance
-_OUTLINE = 0.33  # share of a region's outline that must be fixed edges; on scenes without platform 0 .. 0.14
+_OUTLINE = (
+    0.35  # share of a region's outline that must be fixed edges; on scenes without platform 0 .. 0.14, dark roads 0.34
+)
 _RIM = 2 / 640  # of the longer side: the gradients are smoothed, and their kernel is three pixels wide
 _MIN_AREA = 0.003  # of the image
 _MAX_ENCLOSED_AREA = 0.06  # of the image: a larger hole is a window on the scene
 _STEADY_GREY = 14.0  # range of the grey value over the frames, whatever the light: black boxes, burnt-out decks
+_BLACK_GREY, _SURROUND = 12.0, 4 / 640  # round the image of a fisheye lens nothing is ever seen; blur of its rim
 
 
 @dataclass(frozen=True)
@@ -114,13 +117,16 @@ def ego_of_frames(frames: Sequence[np.ndarray]) -> np.ndarray:
     edges = evidence.coherence > _COHERENT
     fixed = _long(edges & (shake < still))
     moving = evidence.moving(edges & (shake > _SHAKES_PX))
-    steady = _range(frames) < _STEADY_GREY
+    low, high = _range(frames)
+    steady = high - low < _STEADY_GREY
     inside = _outlined((moving < _MOVING) & ~fixed, fixed, _OUTLINE)
     platform = inside | fixed
     platform |= _outlined((steady | (moving < _MOVING)) & ~platform, platform, _OUTLINE)
     platform = _closed(platform, 7)
     platform = _at_border(platform)
-    return _trimmed(_at_border(_opened(platform | _enclosed(platform, moving), 3)))
+    platform = _trimmed(_at_border(_opened(platform | _enclosed(platform, moving), 3)))
+    black = _at_border(high < _BLACK_GREY)
+    return platform | _grown(black, 2 * round(_SURROUND * max(black.shape)) + 1) if black.any() else platform
 
 
 def _trimmed(platform: np.ndarray) -> np.ndarray:
@@ -183,10 +189,12 @@ def _shake_px(frames: Sequence[np.ndarray]) -> np.ndarray:
     return np.partition(np.stack(steps), int(0.7 * (len(steps) - 1)), axis=0)[int(0.7 * (len(steps) - 1))]
 
 
-def _range(frames: Sequence[np.ndarray]) -> np.ndarray:
+def _range(frames: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Darkest and brightest grey (h, w) f4 of each pixel over the frames, a tenth of them left out at either end."""
     half = [cv2.resize(f, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) for f in frames]
     low, high = np.percentile(np.stack([cv2.GaussianBlur(h, (0, 0), 1) for h in half]), (10, 90), axis=0)
-    return cv2.resize((high - low).astype(np.float32), frames[0].shape[::-1], interpolation=cv2.INTER_LINEAR)
+    shape = frames[0].shape[::-1]
+    return cv2.resize(low.astype(np.float32), shape), cv2.resize(high.astype(np.float32), shape)
 
 
 def _long(edges: np.ndarray) -> np.ndarray:

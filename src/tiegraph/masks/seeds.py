@@ -56,7 +56,7 @@ def first_seeds(job: SeedJob) -> Seeds:
     shape = image.shape[:2]
     static = _matched(job.evidence, shape)
     water = np.zeros(shape, bool) if job.zone is None else scaled(job.zone, shape)
-    sky = calm_sky(image, static) if job.upward else border_sky(image)
+    sky = calm_sky(image, static) if job.upward else border_sky(image, job.ego)
     if sky is None or not job.upward and not _unmatched(sky, job.evidence):
         sky = np.zeros(shape, bool)
     else:  # what is well off the sky is scene or water

@@ -5,6 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from tiegraph.masks.morphology import dilated, scaled
+
 # Shen and Wang, section 3: thresholds from 5 to 600 in steps of 5, gamma = 2. Above 300 no border was ever chosen here.
 _THRESHOLDS = np.arange(5, 300, 10, dtype=np.float32)
 _GAMMA = 2.0
@@ -13,64 +15,80 @@ _MIN_SHARE, _MAX_SHARE = 0.02, 0.85
 _BRIGHTER = 12.0  # grey levels that the sky is brighter than what is below it
 _MIN_SKY_GREY = 60.0
 _CALM_GREY, _BRIGHT_GREY, _LARGE = 4.0, 90.0, 0.03  # of the sky above an upward camera
+_MOST_YELLOW = 10  # Lab b: sand and sunlit plaster are yellow, skies hardly ever
 _CALM = 0.5  # texture of the sky, as a share of that below
 
 
-def border_sky(image: np.ndarray) -> np.ndarray | None:
+def border_sky(image: np.ndarray, ego: np.ndarray | None = None) -> np.ndarray | None:
     """Sky (h, w) bool of an image (h, w, 3) u1 BGR from the top down to a border; None if none is believable.
 
-    A sky is calmer and brighter than what is below it. Clouds, bridges and up cameras break the border: this gives
-    the seeds from which the sky's appearance is learnt, not the mask.
+    A sky is calmer and brighter than what is below it, and not yellow. Clouds, bridges and up cameras break the border:
+    this gives the seeds from which the sky's appearance is learnt, not the mask. ``ego`` (h, w) bool: where the
+    platform, or the surround of a fisheye lens, reaches down from the top of the image, the sky begins below it.
     """
     scale = _SMALL_PX / max(image.shape[:2])
     small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    free = np.ones(small.shape[:2], bool)
+    if ego is not None:
+        free = ~np.logical_and.accumulate(scaled(ego, small.shape[:2]), axis=0)
     brightness = cv2.cvtColor(small, cv2.COLOR_BGR2GRAY).astype(np.float32)
     x, y = cv2.Sobel(brightness, cv2.CV_32F, 1, 0, ksize=3), cv2.Sobel(brightness, cv2.CV_32F, 0, 1, ksize=3)
     gradient = np.sqrt(x * x + y * y)
     gradient[0] = 0  # a border on the first row leaves nothing
+    gradient[dilated(~free, 5)] = 0
     edges = gradient[None] > _THRESHOLDS[:, None, None]
     borders = np.where(edges.any(axis=1), edges.argmax(axis=1), len(brightness))  # (T, w) first ground row
     borders = np.unique(borders, axis=0)
-    sky = _best(small, borders)
-    if sky is None or not _believable(brightness, gradient, sky):
+    sky = _best(small, borders, free)
+    if sky is None or not _believable(small, gradient, sky & free, ~sky & free):
         return None
-    sky = cv2.erode(sky.astype(np.uint8), np.ones((3, 3), np.uint8))
-    return cv2.resize(sky, image.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
+    sky = _inner(sky & free)
+    return cv2.resize(sky.astype(np.uint8), image.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
 
 
-def _best(image: np.ndarray, borders: np.ndarray) -> np.ndarray | None:
+def _inner(mask: np.ndarray, side: int = 3) -> np.ndarray:
+    """A mask (h, w) bool without its rim; the border of the image is none."""
+    return cv2.erode(mask.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
+
+
+def _best(image: np.ndarray, borders: np.ndarray, free: np.ndarray) -> np.ndarray | None:
     """The sky of the border with the largest energy J (equation 7), (h, w) bool; None if no border leaves two parts."""
     height, width = image.shape[:2]
     pixels = image.astype(np.float64)
-    moments = np.concatenate([pixels, (pixels[..., :, None] * pixels[..., None, :]).reshape(height, width, 9)], axis=2)
-    below_row = np.concatenate([np.zeros((1, width, 12)), np.cumsum(moments, axis=0)])  # sums of the rows above
+    products = (pixels[..., :, None] * pixels[..., None, :]).reshape(height, width, 9)
+    moments = np.concatenate([np.ones((height, width, 1)), pixels, products], axis=2) * free[..., None]
+    below_row = np.concatenate([np.zeros((1, width, 13)), np.cumsum(moments, axis=0)])  # sums of the rows above
     total = below_row[-1].sum(axis=0)
-    sums = below_row[borders, np.arange(width)].sum(axis=1)  # (T, 12)
-    count = borders.sum(axis=1)
-    share = count / (height * width)
+    sums = below_row[borders, np.arange(width)].sum(axis=1)  # (T, 13)
+    share = sums[:, 0] / max(total[0], 1)
     usable = (share > _MIN_SHARE) & (share < _MAX_SHARE)
     if not usable.any():
         return None
-    energy = 1 / (_GAMMA * _spread(sums, count) + _spread(total - sums, height * width - count) + 1e-9)
+    energy = 1 / (_GAMMA * _spread(sums) + _spread(total - sums) + 1e-9)
     best = int(np.argmax(np.where(usable, energy, -1)))
     return np.arange(height)[:, None] < borders[best]
 
 
-def _spread(sums: np.ndarray, count: np.ndarray) -> np.ndarray:
-    """|Sigma| + |lambda_1| of the colours, (T,), from sums (T, 12) over ``count`` pixels."""
-    count = np.maximum(count, 1)
-    mean = sums[:, :3] / count[:, None]
-    covariance = sums[:, 3:].reshape(-1, 3, 3) / count[:, None, None] - mean[:, :, None] * mean[:, None, :]
+def _spread(sums: np.ndarray) -> np.ndarray:
+    """|Sigma| + |lambda_1| of the colours, (T,), from sums (T, 13) of one, the colours and their products."""
+    count = np.maximum(sums[:, 0], 1)
+    mean = sums[:, 1:4] / count[:, None]
+    covariance = sums[:, 4:].reshape(-1, 3, 3) / count[:, None, None] - mean[:, :, None] * mean[:, None, :]
     values = np.maximum(np.linalg.eigvalsh(covariance), 0)
     return values.prod(axis=1) + values[:, -1]
 
 
-def _believable(brightness: np.ndarray, gradient: np.ndarray, sky: np.ndarray) -> bool:
-    above, below = brightness[sky], brightness[~sky]
-    if above.mean() < max(_MIN_SKY_GREY, below.mean() + _BRIGHTER):
+def _believable(image: np.ndarray, gradient: np.ndarray, sky: np.ndarray, ground: np.ndarray) -> bool:
+    inner = _inner(sky, 5)
+    if not inner.any() or not ground.any():
         return False
-    inner = cv2.erode(sky.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    return bool(inner.any()) and float(gradient[inner].mean()) < _CALM * float(gradient[~sky].mean())
+    yellow = cv2.cvtColor(image, cv2.COLOR_BGR2Lab)[..., 2]
+    brightness = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    if brightness[sky].mean() < max(_MIN_SKY_GREY, brightness[ground].mean() + _BRIGHTER):
+        return False
+    if np.median(yellow[sky]) > 128 + _MOST_YELLOW:
+        return False
+    return float(gradient[inner].mean()) < _CALM * float(gradient[ground].mean())
 
 
 def calm_sky(image: np.ndarray, matched: np.ndarray) -> np.ndarray | None:
