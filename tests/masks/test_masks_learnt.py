@@ -131,6 +131,14 @@ def test_pairs_tell_what_matches(boat):
     assert [len(p) for p in choose_pairs([boat[0], boat[1][:1], []], 6)] == [2, 0, 0]
 
 
+def test_matches_that_no_geometry_explains_are_none(boat, monkeypatch):
+    def refuse(*_):
+        raise cv2.error("(-215:Assertion failed) !model.empty() in function 'setModelParameters'")
+
+    monkeypatch.setattr(cv2, "findFundamentalMat", refuse)
+    assert pair_evidence(boat[0][3], boat[0][4]) == ()
+
+
 def test_a_zone_that_never_matches():
     rng = np.random.default_rng(0)
     xy = rng.uniform(0, 1, (4000, 2)).astype(np.float32)

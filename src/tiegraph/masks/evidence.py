@@ -49,12 +49,20 @@ def pair_evidence(first: Path, second: Path) -> tuple[Evidence, ...]:
     chosen = np.flatnonzero(good & moved)
     if len(chosen) < _MIN_INLIERS:
         return ()
-    cv2.setRNGSeed(_SEED)
-    _, inliers = cv2.findFundamentalMat(xy_a[chosen], xy_b[partner[chosen]], cv2.USAC_MAGSAC, _EPIPOLAR_PX, 0.999, 1000)
-    if inliers is None or inliers.sum() < _MIN_INLIERS:
+    found = chosen[_agreeing(xy_a[chosen], xy_b[partner[chosen]])]
+    if len(found) < _MIN_INLIERS:
         return ()
-    found = chosen[inliers.ravel() > 0]
     return _seen(first, xy_a, shape_a, found), _seen(second, xy_b, shape_b, partner[found])
+
+
+def _agreeing(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Which of the matches (K, 2) one epipolar geometry explains, (K,) bool."""
+    cv2.setRNGSeed(_SEED)
+    try:
+        _, inliers = cv2.findFundamentalMat(a, b, cv2.USAC_MAGSAC, _EPIPOLAR_PX, 0.999, 1000)
+    except cv2.error:  # where no geometry fits any sample, OpenCV 5 stops at an assertion of its own (model.empty())
+        return np.zeros(len(a), bool)
+    return np.zeros(len(a), bool) if inliers is None else inliers.ravel() > 0
 
 
 def _seen(image: Path, xy: np.ndarray, shape: tuple[int, int], found: np.ndarray) -> Evidence:
