@@ -18,7 +18,7 @@ __all__ = ["STAGES"]
 
 STAGES = (
     Stage("scan", scan, (), ("scene.json", "images"), "image"),
-    Stage("masks", masks, ("scan",), ("masks", "classes", "masks.csv"), "image", version=4),
+    Stage("masks", masks, ("scan",), ("masks", "classes", "masks.csv"), "image", version=5),
     Stage("preview", preview, ("scan", "masks"), ("preview",), "image", version=2),
     Stage("network", network, ("scan", "preview"), ("network.npz", "network.csv", "network"), version=5),
     Stage("design", design, ("network",), ("pairs.npz", "pairs.txt", "pairs", "design"), version=5),
