@@ -37,6 +37,7 @@ _OUTLINE = (
 )
 _RIM = 2 / 640  # of the longer side: the gradients are smoothed, and their kernel is three pixels wide
 _MIN_AREA = 0.003  # of the image
+_FEW_FRAMES, _FEW_AREA = 10, 0.03  # fewer frames agree by chance, at a pole straight ahead: up to 0.02 of the image
 _MAX_ENCLOSED_AREA = 0.06  # of the image: a larger hole is a window on the scene
 _STEADY_GREY = 14.0  # range of the grey value over the frames, whatever the light: black boxes, burnt-out decks
 _BLACK_GREY, _SURROUND = 12.0, 4 / 640  # round the image of a fisheye lens nothing is ever seen; blur of its rim
@@ -104,6 +105,8 @@ def learn_ego(different: Sequence[Path], found: int) -> Ego:
     shapes = [f.shape for f in frames]
     frames = [f for f in frames if f.shape == max(set(shapes), key=shapes.count)]
     mask = ego_of_frames(frames)
+    if len(frames) < _FEW_FRAMES:
+        mask = _at_border(mask, _FEW_AREA)
     if not mask.any():
         return Ego(None, len(frames), "no platform seen")
     return Ego(mask, len(frames), f"platform {100 * mask.mean():.0f} %")
@@ -217,10 +220,10 @@ def _outlined(region: np.ndarray, fixed: np.ndarray, share: float) -> np.ndarray
     return accepted[labels]
 
 
-def _at_border(platform: np.ndarray) -> np.ndarray:
+def _at_border(platform: np.ndarray, min_area: float = _MIN_AREA) -> np.ndarray:
     """Parts that are large enough and reach the border of the image, as whatever carries a camera does."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(platform.astype(np.uint8), connectivity=8)
-    accepted = _touches(stats, platform.shape) & (stats[:, cv2.CC_STAT_AREA] >= _MIN_AREA * platform.size)
+    accepted = _touches(stats, platform.shape) & (stats[:, cv2.CC_STAT_AREA] >= min_area * platform.size)
     accepted[0] = False
     return accepted[labels]
 
