@@ -60,8 +60,7 @@ def first_seeds(job: SeedJob) -> Seeds:
     if sky is None or not job.upward and not _unmatched(sky, job.evidence):
         sky = np.zeros(shape, bool)
     else:  # what is well off the sky is scene or water
-        lowest = 1.0 if job.upward else _lowest_row(sky) / shape[0]
-        pale = _like_sky(image, sky, job.evidence, lowest)
+        pale = _like_sky(image, sky, job.evidence)  # where the horizon is, is not known yet
         static = (static | ~dilated(sky, 9)) & ~pale
     free = np.ones(shape, bool) if job.ego is None else ~scaled(job.ego, shape)
     rows = np.flatnonzero((sky & free & ~water & ~static).mean(axis=1) > _LOW_SHARE)
@@ -84,8 +83,8 @@ def second_seeds(job: tuple[SeedJob, Learnt, MasksSettings]) -> Seeds:
     return _seeds(image, {USE: ((labels == USE) | static) & ~pale & free, **masks})
 
 
-def _like_sky(image: np.ndarray, sky: np.ndarray, evidence: Evidence | None, lowest: float) -> np.ndarray:
-    """What is as bright as the sky, hangs together with it, and ends above the horizon or hardly matches.
+def _like_sky(image: np.ndarray, sky: np.ndarray, evidence: Evidence | None, lowest: float = -1.0) -> np.ndarray:
+    """What is as bright as the sky, hangs together with it, and hardly matches or ends above the horizon.
 
     Pale clouds straight ahead match from frame to frame as a wall does, as neither has a parallax; but a wall stands on
     the ground, and no cloud hangs below ``lowest``, the share of the height down to which sky is seen.
@@ -98,7 +97,7 @@ def _like_sky(image: np.ndarray, sky: np.ndarray, evidence: Evidence | None, low
     touching = np.isin(joined, np.unique(joined[sky])) & ~sky & bright
     count, pieces, stats, _ = cv2.connectedComponentsWithStats(touching.astype(np.uint8), connectivity=4)
     area = stats[:, cv2.CC_STAT_AREA]
-    row = min(len(sky), round((lowest + _LOWER) * len(sky)))
+    row = int(np.clip(round((lowest + _LOWER) * len(sky)), 0, len(sky)))
     pale = np.bincount(pieces[row:].ravel(), minlength=count) <= _ON_GROUND * area
     if evidence is not None:
         place = (evidence.xy[evidence.matched] * np.array(sky.shape[::-1], np.float32)).astype(int)
@@ -106,10 +105,6 @@ def _like_sky(image: np.ndarray, sky: np.ndarray, evidence: Evidence | None, low
         pale |= np.bincount(at, minlength=count) * pieces.size < _MATCHED_SKY * len(place) * area
     pale[0] = False
     return pale[pieces]
-
-
-def _lowest_row(sky: np.ndarray) -> int:
-    return int(np.flatnonzero(sky.any(axis=1))[-1]) + 1 if sky.any() else 0
 
 
 def _seeds(image: np.ndarray, masks: Mapping[int, np.ndarray], low: float = 0.0) -> Seeds:
