@@ -30,7 +30,7 @@ from benchmarks.accuracy import pose_centre
 from benchmarks.datasets import Dataset, load
 from benchmarks.dense.scans import PandaScans
 from benchmarks.dense.survey import true_depth
-from tiegraph.cloud.fuse import fuse
+from tiegraph.cloud.fuse import Maps, fuse
 from tiegraph.cloud.settings import CloudSettings
 from tiegraph.dense.depth import confirmed_map
 from tiegraph.dense.engine import propose, solve
@@ -44,6 +44,7 @@ from tiegraph.dense.undistort import load_view
 from tiegraph.evaluate.cloud import cloud_to_cloud, nearest
 from tiegraph.evaluate.reference import read_points
 from tiegraph.geometry.align import Similarity, umeyama
+from tiegraph.pipeline.surface import coloured
 from tiegraph.scene.cloudfile import write_cloud
 from tiegraph.scene.depthfile import load_depth, save_depth
 from tiegraph.scene.results import Cloud, DepthMap
@@ -165,11 +166,6 @@ def judged(cloud: Cloud, points: np.ndarray, fit: Similarity | None, cameras: np
     }
 
 
-def _coloured(name: str, out: Path, folder: Path, plans: dict[str, ImagePlan]) -> tuple[DepthMap, np.ndarray]:
-    view = load_view(plans[name].view, out / "images", None, _SETTINGS)
-    return load_depth(folder / f"{name}.npz"), cv2.cvtColor(view.image_bgr, cv2.COLOR_BGR2RGB)
-
-
 def variant_cloud(out: Path, plans: dict[str, ImagePlan], folder: Path, truth: Truth) -> tuple[Cloud, dict]:
     """Second step and fusion of one variant: the cloud and its figures."""
     rows, depths, truths = [], [], []
@@ -182,8 +178,8 @@ def variant_cloud(out: Path, plans: dict[str, ImagePlan], folder: Path, truth: T
             truths.append(known)
     start = time.process_time()
     with tempfile.TemporaryDirectory() as scratch:
-        load_one = partial(_coloured, out=out, folder=folder, plans=plans)
-        fused = fuse(sorted(plans), load_one, Path(scratch), CloudSettings())
+        maps = Maps(lambda name: load_depth(folder / f"{name}.npz"), coloured(plans, out / "images", _SETTINGS))
+        fused = fuse(sorted(plans), maps, Path(scratch), CloudSettings())
         cloud = fused.cloud()
     figures = {k: round(float(np.mean([r[k] for r in rows])), 4) for k in rows[0]}
     figures |= {"fuse_cpu_s_an_image": round((time.process_time() - start) / len(plans), 3), "voxel": fused.voxel}

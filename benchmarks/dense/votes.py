@@ -1,10 +1,12 @@
 """What agreement is worth: errors of depths by the number of depth maps and of images that agree, against depth truth.
 
 Takes the first maps that `clouds` left in its store. `--pair A B`: both images matched with each other alone, judged by
-the confirmed maps of the store where six images or more agree.
+the confirmed maps of the store where six images or more agree. `--sigma`: first maps against these, error beside
+prediction by distance, for sets without depth truth.
 
 python -m benchmarks.dense.votes OUT canal --truth CANAL/gt/depth --store WORK
 python -m benchmarks.dense.votes OUT fountain-P11 --store WORK --pair 0004.jpg 0005.jpg
+python -m benchmarks.dense.votes OUT fountain-P11 --store WORK --sigma
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ import numpy as np
 import pycolmap
 
 from benchmarks.datasets import load
-from benchmarks.dense.clouds import Truth, alignment, depth_truth
+from benchmarks.dense.clouds import Truth, alignment, depth_truth, sigma_rows
 from tiegraph.dense.consistency import LoadDepth, _bit, _compare, _Tally, check
 from tiegraph.dense.depth import depth_map
 from tiegraph.dense.neighbours import plan_images
@@ -108,6 +110,16 @@ def pair_report(plans: dict[str, ImagePlan], pair: tuple[str, str], out: Path, s
     return "\n".join(lines) + "\n"
 
 
+def sigma_report(folder: Path) -> str:
+    """Depths of one image's own matches against the mean of all where six images or more agree."""
+    first, mean = [], []
+    for path in sorted((folder / "first").rglob("*.npz")):
+        first.append(load_depth(path))
+        sure = load_depth(folder / path.relative_to(folder / "first"))
+        mean.append(np.where(sure.views >= _SURE_VIEWS, sure.depth_m, np.nan))
+    return "".join(f"{row}\n" for row in sigma_rows(first, mean))
+
+
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -117,11 +129,15 @@ def main() -> None:
     parser.add_argument("--store", type=Path, required=True, help="the store of `clouds`")
     parser.add_argument("--variant", default="rays")
     parser.add_argument("--pair", nargs=2)
+    parser.add_argument("--sigma", action="store_true")
     args = parser.parse_args()
     cv2.setNumThreads(1)
     model = pycolmap.Reconstruction(str(args.out / "sparse" / "world"))
     plans = plan_images(model, _SETTINGS).images
     folder = args.store / args.variant
+    if args.sigma:
+        sys.stdout.write(sigma_report(folder))
+        return
 
     def load_from(where: Path, name: str):
         path = where / f"{name}.npz"

@@ -3,13 +3,15 @@ import pytest
 from scipy.spatial import cKDTree
 
 from tiegraph.cloud import fuse as fuse_module
+from tiegraph.cloud import voxels as voxels_module
 from tiegraph.cloud.filter import filter_points
-from tiegraph.cloud.fuse import automatic_voxel, fuse, map_points
+from tiegraph.cloud.fuse import Maps, automatic_voxel, fuse, map_points
 from tiegraph.cloud.settings import CloudSettings
-from tiegraph.cloud.voxels import Voxels, add_up, voxels_of, without_coarse_duplicates
+from tiegraph.cloud.voxels import add_up, rows_of, spacing, sums, without_coarse_duplicates
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry import transforms
 from tiegraph.scene.results import Cloud, DepthMap
+from tiegraph.scene.sorting import row_numbers
 
 SETTINGS = CloudSettings()
 SHAPE = (90, 120)
@@ -30,12 +32,15 @@ def wall(name, x, noise_m=0.02, seed=0):
 WALLS = {f"{k}": wall(f"{k}", x, seed=k) for k, x in enumerate((0.0, 1.0, 2.0, 3.0))}
 
 
-def load(name):
-    return (WALLS[name], RED) if name in WALLS else None
+def maps(depths):
+    return Maps(depths.get, lambda name: RED)
+
+
+MAPS = maps(WALLS)
 
 
 def test_overlapping_maps_become_one_even_surface(tmp_path):
-    fused = fuse(list(WALLS), load, tmp_path, SETTINGS)
+    fused = fuse(list(WALLS), MAPS, tmp_path, SETTINGS)
     cloud = fused.cloud()
     assert fused.voxel == pytest.approx(0.1, rel=0.01)
     cells = 15 * 9 / 0.1**2  # 12 m + 3 m wide, 9 m high, in cells of the spacing
@@ -54,21 +59,32 @@ def test_overlapping_maps_become_one_even_surface(tmp_path):
 
 
 def test_tiles_do_not_change_the_points(tmp_path, monkeypatch):
-    whole = fuse(list(WALLS), load, tmp_path / "a", SETTINGS)
+    whole = fuse(list(WALLS), MAPS, tmp_path / "a", SETTINGS)
+    a = whole.cloud().xyz_m
     monkeypatch.setattr(fuse_module, "TILE_VOXELS", 32)
-    tiled = fuse(list(WALLS), load, tmp_path / "b", SETTINGS)
+    monkeypatch.setattr(voxels_module, "TILE_VOXELS", 32)
+    tiled = fuse(list(WALLS), MAPS, tmp_path / "b", SETTINGS)
     assert len(tiled.tiles) > 3 * len(whole.tiles)
-    a, b = whole.cloud().xyz_m, tiled.cloud().xyz_m
+    b = tiled.cloud().xyz_m
     distance, _ = cKDTree(b).query(a)
     assert abs(len(a) - len(b)) < 0.01 * len(a)  # the average spacing of a tile decides what is an outlier
     assert (distance < 1e-9).mean() > 0.99
 
 
 def test_parts_are_merged_in_bounded_memory(tmp_path, monkeypatch):
-    whole = fuse(list(WALLS), load, tmp_path / "a", SETTINGS).cloud()
+    whole = fuse(list(WALLS), MAPS, tmp_path / "a", SETTINGS).cloud()
     monkeypatch.setattr(fuse_module, "_MERGE_ROWS", 1000)
-    parts = fuse(list(WALLS), load, tmp_path / "b", SETTINGS).cloud()
-    np.testing.assert_allclose(whole.xyz_m, parts.xyz_m, atol=1e-12)
+    parts = fuse(list(WALLS), MAPS, tmp_path / "b", SETTINGS).cloud()
+    np.testing.assert_allclose(whole.xyz_m, parts.xyz_m, atol=1e-6)
+
+
+def test_maps_are_added_up_in_groups(tmp_path, monkeypatch):
+    whole = fuse(list(WALLS), MAPS, tmp_path / "a", SETTINGS)
+    monkeypatch.setattr(fuse_module, "_MAPS_AT_ONCE", 1)
+    groups = fuse(list(WALLS), MAPS, tmp_path / "b", SETTINGS)
+    assert groups.counts == whole.counts
+    np.testing.assert_allclose(whole.cloud().xyz_m, groups.cloud().xyz_m, atol=1e-6)
+    assert not list((tmp_path / "b").glob("*.points"))
 
 
 def test_uncertain_points_are_left_out_and_counted():
@@ -79,16 +95,16 @@ def test_uncertain_points_are_left_out_and_counted():
 
 
 def test_missing_and_empty_maps(tmp_path):
-    assert len(fuse(["0", "missing"], load, tmp_path, SETTINGS).cloud()) > 1000
+    assert len(fuse(["0", "missing"], MAPS, tmp_path, SETTINGS).cloud()) > 1000
     empty = DepthMap("e", np.full(SHAPE, np.nan, np.float32), WALLS["0"].sigma_m, WALLS["0"].views, K, np.eye(4))
     with pytest.raises(ReconstructionError, match="empty"):
-        fuse(["e"], {"e": (empty, RED)}.get, tmp_path / "e", SETTINGS)
+        fuse(["e"], maps({"e": empty}), tmp_path / "e", SETTINGS)
     with pytest.raises(ReconstructionError, match="min-views"):
-        fuse(["e"], {"e": (empty, RED)}.get, tmp_path / "f", CloudSettings(voxel_size=0.1))
+        fuse(["e"], maps({"e": empty}), tmp_path / "f", CloudSettings(voxel_size=0.1))
 
 
 def test_automatic_voxel_is_the_size_of_a_pixel():
-    assert automatic_voxel(list(WALLS), load) == pytest.approx(10 / 100, rel=0.01)
+    assert automatic_voxel(list(WALLS), WALLS.get) == pytest.approx(10 / 100, rel=0.01)
 
 
 def cloud_of(xyz, sigma=0.01):
@@ -99,25 +115,43 @@ def cloud_of(xyz, sigma=0.01):
     )  # fmt: skip
 
 
+def tile_of(xyz, justified, voxel=0.1, sigma=0.01):
+    """The voxels of points that lie in one tile, and the tile."""
+    tile, rows = rows_of(cloud_of(xyz, sigma), np.asarray(justified, float), voxel)
+    assert (tile == tile[:, :1]).all()
+    return sums(rows, voxel), tuple(tile[:, 0].tolist())
+
+
 def test_sums_of_parts_are_sums_of_the_whole():
-    xyz = np.random.default_rng(0).uniform(-1, 1, (500, 3))
-    spacing = np.random.default_rng(1).choice([0.1, 0.3], 500)
-    whole = voxels_of(cloud_of(xyz), spacing, 0.1)
-    a, b = voxels_of(cloud_of(xyz[:200]), spacing[:200], 0.1), voxels_of(cloud_of(xyz[200:]), spacing[200:], 0.1)
-    again = add_up(Voxels.concatenate([b, a]))
-    np.testing.assert_array_equal(whole.index, again.index)
-    np.testing.assert_allclose(whole.position, again.position)
-    mean = whole.cloud(0.1)
+    xyz = np.random.default_rng(0).uniform(0, 2, (500, 3))
+    wide = np.random.default_rng(1).choice([0.1, 0.3], 500)
+    whole, tile = tile_of(xyz, wide)
+    again = add_up([tile_of(xyz[200:], wide[200:])[0], tile_of(xyz[:200], wide[:200])[0]])
+    np.testing.assert_array_equal(whole.cell, again.cell)
+    np.testing.assert_allclose(whole.place, again.place, rtol=1e-6)
+    mean = whole.cloud(tile, 0.1)
     assert np.isnan(mean.normal).all()
-    assert (np.floor(mean.xyz_m / whole.spacing(0.1)[:, None] + 1e-9) - whole.index <= 1).all()
+    size = spacing(whole.cell, 0.1)[:, None]
+    assert sorted(set(size.ravel())) == pytest.approx([0.1, 0.4])
+    expected = {tuple(np.floor(p / s).astype(int)) for p, s in zip(xyz, np.where(wide > 0.2, 0.4, 0.1), strict=True)}
+    assert {tuple(c) for c in np.floor(mean.xyz_m / size).astype(int)} == expected
+
+
+def test_points_keep_their_places_on_both_sides_of_the_origin():
+    xyz = np.random.default_rng(0).uniform(-1e5, 1e5, (300, 3))
+    tile, rows = rows_of(cloud_of(xyz), np.full(300, 0.01), 0.01)
+    back = np.concatenate(
+        [sums(rows[k : k + 1], 0.01).cloud(tuple(tile[:, k].tolist()), 0.01).xyz_m for k in range(300)]
+    )
+    np.testing.assert_allclose(back, xyz, atol=0.01 / 2**16)
 
 
 def test_a_coarse_point_yields_to_finer_ones():
-    fine = voxels_of(cloud_of([[0.05, 0.05, 0.05]]), np.array([0.1]), 0.1)
-    coarse = voxels_of(cloud_of([[0.3, 0.3, 0.3], [5.0, 5.0, 5.0]], 0.3), np.array([0.4, 0.4]), 0.1)
-    left = without_coarse_duplicates(add_up(Voxels.concatenate([fine, coarse])))
-    assert sorted(left.level.tolist()) == [0, 2]
-    np.testing.assert_allclose(left.cloud(0.1).xyz_m[1], [5, 5, 5])
+    fine, _ = tile_of([[0.05, 0.05, 0.05], [0.05, 3.25, 0.05]], [0.1, 0.1])
+    coarse, tile = tile_of([[0.3, 0.3, 0.3], [5.0, 5.0, 5.0], [0.1, 3.7, 0.1]], [0.4, 0.4, 3.2], sigma=0.3)
+    left = without_coarse_duplicates(add_up([fine, coarse]))
+    assert left.level.tolist() == [0, 0, 2]
+    np.testing.assert_allclose(left.cloud(tile, 0.1).xyz_m[2], [5, 5, 5], atol=1e-5)
 
 
 def test_filters_drop_outliers_and_keep_the_surface():
@@ -143,6 +177,7 @@ def test_the_surroundings_of_a_tile_count_as_neighbours():
     assert filter_points(lonely, np.array([0.1]), SETTINGS, around).keep[0]
 
 
-def test_voxels_far_apart_are_told_apart():
-    far = voxels_of(cloud_of([[1e9, 1e9, 1e9], [-1e9, -1e9, -1e9], [1e9, 1e9, 1e9]]), np.full(3, 0.001), 0.001)
-    assert len(far) == 2
+def test_tiles_far_apart_are_told_apart():
+    far = cloud_of([[1e9, 1e9, 1e9], [-1e9, -1e9, -1e9], [1e9, 1e9, 1e9]])
+    numbers = row_numbers(rows_of(far, np.full(3, 0.001), 0.001)[0])
+    assert numbers[0] == numbers[2] > numbers[1] >= 0

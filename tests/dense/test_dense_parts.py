@@ -1,5 +1,7 @@
 """Matching, combination, comparison and normals, each on surfaces with exact truth."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -252,3 +254,16 @@ def test_normal_at_an_edge_is_unknown():
     result = with_normals(DepthMap("a", depth, base.sigma_m, base.views, K, base.cam_from_world))
     assert np.isnan(result.normal[60, 79]).all()
     assert np.isfinite(result.normal[60, 60]).all()
+
+
+@pytest.mark.parametrize(("share", "stays"), [(0.003, True), (0.02, False)])
+def test_a_vague_depth_needs_one_map_more(share, stays):
+    maps = {n: plane_map(n, (x, 0, 0)) for n, x in (("a", 0), ("bb", 0.1), ("ccc", -0.1), ("d", 0.2))}
+    maps = {n: replace(m, sigma_m=(share * m.depth_m).astype(np.float32)) for n, m in maps.items()}
+    hole = np.full(SHAPE, np.nan, np.float32)
+    maps["d"] = replace(maps["d"], depth_m=hole, sigma_m=hole)  # sees the place and says nothing
+    inner = np.s_[30:-30, 40:-40]
+    result, _ = check(maps["a"], [], ["bb", "ccc", "d"], maps.get, SETTINGS)
+    assert (np.isfinite(result.depth_m[inner]) == stays).all()
+    result, _ = check(maps["a"], [], ["bb", "ccc"], maps.get, SETTINGS)  # no more images could see it
+    assert np.isfinite(result.depth_m[inner]).all()

@@ -28,41 +28,30 @@ def filter_points(
     xyz: np.ndarray, spacing: np.ndarray, settings: CloudSettings, around: np.ndarray | None = None
 ) -> Filtered:
     """Both filters on points (M, 3) with spacing (M,); ``around`` (K, 3): points of the surroundings, counted as
-    neighbours only, so that the border of a tile is not a border of the cloud."""
+    neighbours only, so that the border of a tile is not a border of the cloud.
+
+    *Statistical*: the mean distance to the nearest ``neighbours`` is at most the mean of all plus ``statistical_ratio``
+    deviations. *Radius*: ``radius_neighbours`` other points lie within ``radius_voxels`` spacings.
+    """
+    count, wanted = settings.neighbours, settings.radius_neighbours
     if len(xyz) == 0:
         return Filtered(np.zeros(0, bool), 0, 0)
     tree = cKDTree(xyz if around is None else np.concatenate([xyz, around]))
-    near = statistical_inliers(xyz, spacing, tree, settings.neighbours, settings.statistical_ratio)
-    dense = radius_inliers(xyz, settings.radius_voxels * spacing, tree, settings.radius_neighbours)
+    statistical = settings.statistical_ratio > 0 and tree.n > count
+    mean, furthest = np.zeros(len(xyz)), np.zeros(len(xyz))
+    for s in range(0, len(xyz) if statistical or wanted else 0, _CHUNK):
+        part = slice(s, s + _CHUNK)
+        # The distance to the n-th neighbour says whether n are within the radius.
+        distance = np.asarray(tree.query(xyz[part], k=1 + max(count if statistical else 0, wanted))[0])
+        furthest[part] = distance[:, wanted]
+        mean[part] = distance[:, 1 : count + 1] @ np.full(count, 1 / count) if statistical else 0
+    near = _statistical_inliers(mean / spacing, settings.statistical_ratio)
+    dense = furthest <= settings.radius_voxels * spacing
     keep = near & dense
     return Filtered(keep, int(np.count_nonzero(~near)), int(np.count_nonzero(near & ~dense)))
 
 
-def statistical_inliers(
-    xyz: np.ndarray, spacing: np.ndarray, tree: cKDTree, neighbours: int, ratio: float
-) -> np.ndarray:
-    """(M,) bool: mean distance to the nearest ``neighbours`` at most the mean of all plus ``ratio`` deviations."""
-    if ratio == 0 or tree.n <= neighbours:
-        return np.ones(len(xyz), bool)
-    mean = np.empty(len(xyz))
-    for s in range(0, len(xyz), _CHUNK):
-        part = slice(s, s + _CHUNK)
-        mean[part] = np.asarray(tree.query(xyz[part], k=neighbours + 1)[0])[:, 1:].mean(axis=1)
-    mean = mean / spacing
+def _statistical_inliers(mean: np.ndarray, ratio: float) -> np.ndarray:
     # A few points very far away would enlarge the deviation and save the others: distances are held at 10 medians.
     held = np.minimum(mean, 10 * np.median(mean))
     return mean <= held.mean() + ratio * held.std()
-
-
-def radius_inliers(xyz: np.ndarray, radius: np.ndarray, tree: cKDTree, neighbours: int) -> np.ndarray:
-    """(M,) bool: at least ``neighbours`` other points within radius (M,)."""
-    if neighbours == 0:
-        return np.ones(len(xyz), bool)
-    found = np.empty(len(xyz), bool)
-    for s in range(0, len(xyz), _CHUNK):
-        part = slice(s, s + _CHUNK)
-        # The distance to the n-th neighbour answers without listing all within the radius.
-        limit = 1.001 * float(radius[part].max())
-        distance = tree.query(xyz[part], k=[neighbours + 1], distance_upper_bound=limit)[0]
-        found[part] = np.asarray(distance)[:, 0] <= radius[part]
-    return found

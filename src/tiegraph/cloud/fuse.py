@@ -1,7 +1,8 @@
 """Depth maps to one cloud, tile by tile: memory is bounded by a tile, whatever the size of the survey.
 
-Steps, each over independent items through one function ``run`` (serial or a pool): depth map -> voxel sums of the
-tiles it touches (files); tile -> sums added up; tile -> outliers removed, with its neighbours' margins.
+Steps, each over independent items through one function ``run`` (serial or a pool): depth map -> its points by tile (a
+file); tile -> points added up by voxel; tile -> outliers removed, with its neighbours' margins. The first two go over
+some hundred depth maps at a time, which bounds the files.
 """
 
 from __future__ import annotations
@@ -16,35 +17,54 @@ import numpy as np
 
 from tiegraph.cloud.filter import filter_points
 from tiegraph.cloud.settings import CloudSettings
-from tiegraph.cloud.voxels import LEVELS, Voxels, add_up, row_numbers, voxels_of, without_coarse_duplicates
+from tiegraph.cloud.voxels import (
+    COLUMNS,
+    ROW,
+    TILE_VOXELS,
+    Voxels,
+    add_up,
+    positions,
+    rows_of,
+    spacing,
+    sums,
+    without_coarse_duplicates,
+)
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry.geodesy import Origin
-from tiegraph.geometry.transforms import apply, invert
+from tiegraph.geometry.transforms import invert
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.results import Cloud, DepthMap
+from tiegraph.scene.sorting import order_of, row_numbers, run_starts
 
 Tile = tuple[int, int, int]
-LoadMap = Callable[[str], "tuple[DepthMap, np.ndarray] | None"]  # depth map and colours (H, W, 3) u1 RGB, by image name
 Run = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]  # map over items, results in their order
 
-TILE_VOXELS = 512  # edge of a tile in finest voxels: a wall through it has a quarter of a million points
-_MERGE_ROWS = 4_000_000  # rows held before parts are added up: about 0.5 GB
-_SAMPLED_MAPS = 200  # depth maps that decide the automatic voxel size
+_MERGE_ROWS = 2_000_000  # points read before they are added up: about 0.3 GB
+_MAPS_AT_ONCE = 400  # depth maps whose points lie in files before they are added up: about 10 GB at 1.5 million points
+_SAMPLED_MAPS = 50  # depth maps that decide the automatic voxel size
+
+
+@dataclass(frozen=True)
+class Maps:
+    """Where depth maps and the colours (H, W, 3) u1 RGB of their images come from, by image name; None = no map."""
+
+    depth: Callable[[str], DepthMap | None]
+    colours: Callable[[str], np.ndarray]
 
 
 @dataclass(frozen=True)
 class Fused:
     """The cloud as tile files, the voxel edge, and counts for the receipt."""
 
-    tiles: tuple[Path, ...]
+    tiles: tuple[tuple[Tile, Path], ...]
     voxel: float
     counts: dict[str, int]
     origin: Origin | None
 
     def clouds(self) -> Iterator[Cloud]:
         """The cloud tile by tile."""
-        for path in self.tiles:
-            yield _load(path).cloud(self.voxel, self.origin)
+        for tile, path in self.tiles:
+            yield _load(path).cloud(tile, self.voxel, self.origin)
 
     def cloud(self) -> Cloud:
         """The whole cloud in memory."""
@@ -52,64 +72,79 @@ class Fused:
         return Cloud.concatenate(parts) if parts else Cloud.empty(self.origin)
 
 
+@dataclass(frozen=True)
+class _Scattered:
+    """Which rows of the file of a depth map lie in which tile: (tile, first row, number); pixels and uncertain ones."""
+
+    parts: tuple[tuple[Tile, int, int], ...] = ()
+    pixels: int = 0
+    uncertain: int = 0
+
+
 def fuse(
     names: Sequence[str],
-    load: LoadMap,
+    maps: Maps,
     scratch: Path,
     settings: CloudSettings,
     origin: Origin | None = None,
     run: Run = map,
 ) -> Fused:
-    """Fuse the depth maps of ``names`` (``load`` must be picklable if ``run`` uses processes). ``scratch`` is an empty
+    """Fuse the depth maps of ``names`` (``maps`` must be picklable if ``run`` uses processes). ``scratch`` is an empty
     folder for tile files, the result among them. Raises ReconstructionError if no depth map has a point."""
-    voxel = settings.voxel_size or automatic_voxel(names, load, run)
-    numbered = list(enumerate(names))
-    scattered = list(run(partial(_scatter_one, load=load, scratch=scratch, voxel=voxel, settings=settings), numbered))
-    tiles = sorted({tile for touched, _, _ in scattered for tile in touched})
-    if not tiles:
+    voxel = settings.voxel_size or automatic_voxel(names, maps.depth, run)
+    scattered: list[_Scattered] = []
+    merged: dict[Tile, int] = {}
+    for begin in range(0, len(names), _MAPS_AT_ONCE):
+        numbered = list(enumerate(names))[begin : begin + _MAPS_AT_ONCE]
+        found = list(run(partial(_scatter_one, maps=maps, scratch=scratch, voxel=voxel, settings=settings), numbered))
+        merged |= _merge(dict(zip([k for k, _ in numbered], found, strict=True)), scratch, voxel, run)
+        scattered += found
+    if not merged:
         raise ReconstructionError(
             "no depth map has a point that enough images agree on: lower --dense.min-views, "
             "raise --dense.tolerance-px, or look at the poses in the report"
         )
-    parts = [(tile, [k for k, (touched, _, _) in enumerate(scattered) if tile in touched]) for tile in tiles]
-    merged = list(run(partial(_merge_one, scratch=scratch), parts))
+    tiles = sorted(merged)
     filtered = list(run(partial(_filter_one, scratch=scratch, voxel=voxel, settings=settings), tiles))
     counts = {
-        "pixels": sum(p for _, p, _ in scattered),
-        "uncertain": sum(u for _, _, u in scattered),
-        "merged": sum(merged),
+        "pixels": sum(s.pixels for s in scattered),
+        "uncertain": sum(s.uncertain for s in scattered),
+        "merged": sum(merged.values()),
         "statistical": sum(s for _, s, _ in filtered),
         "radius": sum(r for _, _, r in filtered),
         "points": sum(n for n, _, _ in filtered),
     }
-    files = tuple(_tile_path(scratch, tile, "final") for tile, (n, _, _) in zip(tiles, filtered, strict=True) if n)
-    return Fused(files, voxel, counts, origin)
+    files = ((tile, _tile_path(scratch, tile, "final")) for tile, (n, _, _) in zip(tiles, filtered, strict=True) if n)
+    return Fused(tuple(files), voxel, counts, origin)
 
 
 def map_points(depth: DepthMap, rgb: np.ndarray, settings: CloudSettings) -> tuple[Cloud, np.ndarray, int]:
     """World points of a depth map, the spacing (M,) each justifies, and the number left out as too uncertain."""
     known = np.isfinite(depth.depth_m)
     sure = known & (depth.sigma_m <= settings.max_relative_sigma * np.where(known, depth.depth_m, 1))
-    rows, columns = np.nonzero(sure)
-    z = depth.depth_m[sure].astype(float)
-    rays = np.stack([columns + 0.5, rows + 0.5, np.ones(len(z))], axis=1) @ np.linalg.inv(depth.K).T
+    at = np.flatnonzero(sure)
+    z, sigma = (values.ravel()[at] for values in (depth.depth_m, depth.sigma_m))
     world_from_cam = invert(depth.cam_from_world)
-    normal = np.full((len(z), 3), np.nan, np.float32)
+    ray = world_from_cam[:3, :3] @ np.linalg.inv(depth.K)
+    row, column = np.divmod(at, known.shape[1])
+    xyz = np.empty((len(at), 3))
+    for k in range(3):
+        xyz[:, k] = ((column + 0.5) * ray[k, 0] + (row + 0.5) * ray[k, 1] + ray[k, 2]) * z + world_from_cam[k, 3]
+    normal = np.full((len(at), 3), np.nan, np.float32)
     if depth.normal is not None:
-        normal = (depth.normal[sure] @ world_from_cam[:3, :3].T).astype(np.float32)
-    sigma = depth.sigma_m[sure]
-    cloud = Cloud(apply(world_from_cam, rays * z[:, None]), rgb[sure], normal, sigma, depth.views[sure])
-    spacing = np.maximum(z / _focal(depth), sigma)
-    return cloud, spacing, int(np.count_nonzero(known & ~sure))
+        normal = np.take(depth.normal.reshape(-1, 3), at, axis=0) @ world_from_cam[:3, :3].T.astype(np.float32)
+    cloud = Cloud(xyz, np.take(rgb.reshape(-1, 3), at, axis=0), normal, sigma, depth.views.ravel()[at])
+    justified = np.maximum(z.astype(float) / _focal(depth), sigma)
+    return cloud, justified, int(np.count_nonzero(known & ~sure))
 
 
-def automatic_voxel(names: Sequence[str], load: LoadMap, run: Run = map) -> float:
+def automatic_voxel(names: Sequence[str], depth: Callable[[str], DepthMap | None], run: Run = map) -> float:
     """Median size of a pixel on the object over the depth maps: the spacing at which the images sample it.
 
     Raises ReconstructionError if no depth map has a depth.
     """
     step = -(-len(names) // _SAMPLED_MAPS) if names else 1
-    sizes = [s for s in run(partial(_sampling, load=load), list(names[::step])) if s is not None]
+    sizes = [s for s in run(partial(_sampling, depth=depth), list(names[::step])) if s is not None]
     if not sizes:
         raise ReconstructionError(
             "all depth maps are empty: lower --dense.min-views or raise --dense.tolerance-px, and look at the masks"
@@ -120,96 +155,121 @@ def automatic_voxel(names: Sequence[str], load: LoadMap, run: Run = map) -> floa
     return float(f"{size[order][half]:.3g}")
 
 
-def _sampling(name: str, load: LoadMap) -> tuple[float, int] | None:
-    found = load(name)
+def _sampling(name: str, depth: Callable[[str], DepthMap | None]) -> tuple[float, int] | None:
+    found = depth(name)
     if found is None:
         return None
-    depth = found[0]
-    known = depth.depth_m[np.isfinite(depth.depth_m)]
-    return (float(np.median(known)) / _focal(depth), len(known)) if len(known) else None
+    known = found.depth_m[np.isfinite(found.depth_m)]
+    return (float(np.median(known)) / _focal(found), len(known)) if len(known) else None
 
 
 def _focal(depth: DepthMap) -> float:
     return float(np.sqrt(depth.K[0, 0] * depth.K[1, 1]))
 
 
-def _scatter_one(
-    item: tuple[int, str], load: LoadMap, scratch: Path, voxel: float, settings: CloudSettings
-) -> tuple[set[Tile], int, int]:
-    """Write the voxel sums of one depth map, a file for each tile touched: (tiles, pixels, uncertain pixels)."""
+def _scatter_one(item: tuple[int, str], maps: Maps, scratch: Path, voxel: float, settings: CloudSettings) -> _Scattered:
+    """Write the points of one depth map, sorted by tile."""
     number, name = item
-    found = load(name)
-    if found is None:
-        return set(), 0, 0
-    cloud, spacing, uncertain = map_points(*found, settings)
+    depth = maps.depth(name)
+    if depth is None:
+        return _Scattered()
+    cloud, justified, uncertain = map_points(depth, maps.colours(name), settings)
     if len(cloud) == 0:
-        return set(), 0, uncertain
-    voxels = voxels_of(cloud, spacing, voxel)
-    tile = _tile_of(voxels)
-    _, first, inverse = np.unique(row_numbers(tile), return_index=True, return_inverse=True)
-    touched = set()
-    for k, row in enumerate(first):
-        at: Tile = (int(tile[row, 0]), int(tile[row, 1]), int(tile[row, 2]))
-        _save(_tile_path(scratch, at, f"{number:06d}"), voxels.where(inverse == k))
-        touched.add(at)
-    return touched, len(cloud), uncertain
+        return _Scattered(uncertain=uncertain)
+    tile, rows = rows_of(cloud, justified, voxel)
+    numbers = row_numbers(tile)
+    order = order_of(numbers)
+    with replacing(_map_path(scratch, number)) as temporary:
+        np.take(rows, order).tofile(temporary)
+    start = run_starts(numbers[order])
+    count = np.diff(start, append=len(order))
+    parts = [
+        ((int(x), int(y), int(z)), int(s), int(n))
+        for (x, y, z), s, n in zip(tile[:, order[start]].T, start, count, strict=True)
+    ]
+    return _Scattered(tuple(parts), len(cloud), uncertain)
 
 
-def _tile_of(voxels: Voxels) -> np.ndarray:
-    """(V, 3) tile of each voxel; a tile's edge is a whole number of voxels of every level."""
-    down = (TILE_VOXELS.bit_length() - 1) - voxels.level.astype(np.int64)
-    return voxels.index >> down[:, None]
+def _merge(scattered: dict[int, _Scattered], scratch: Path, voxel: float, run: Run) -> dict[Tile, int]:
+    """Add up the points of some depth maps, by their numbers: the number of voxels of the tiles they touch."""
+    parts: dict[Tile, list[tuple[int, int, int]]] = {}
+    for number, found in scattered.items():
+        for tile, start, count in found.parts:
+            parts.setdefault(tile, []).append((number, start, count))
+    tiles = sorted(parts)
+    sizes = list(run(partial(_merge_one, scratch=scratch, voxel=voxel), [(tile, parts[tile]) for tile in tiles]))
+    for number in scattered:
+        _map_path(scratch, number).unlink(missing_ok=True)
+    return dict(zip(tiles, sizes, strict=True))
 
 
-def _merge_one(item: tuple[Tile, list[int]], scratch: Path) -> int:
-    """Add up the parts of one tile, and remove them: the number of voxels."""
-    tile, numbers = item
-    held: list[Voxels] = []
-    for number in numbers:
-        held.append(_load(_tile_path(scratch, tile, f"{number:06d}")))
-        if sum(len(h) for h in held) > _MERGE_ROWS:
-            held = [add_up(Voxels.concatenate(held))]
-    merged = without_coarse_duplicates(add_up(Voxels.concatenate(held)))
-    _save(_tile_path(scratch, tile, "merged"), merged)
-    for number in numbers:
-        _tile_path(scratch, tile, f"{number:06d}").unlink()
+def _merge_one(item: tuple[Tile, list[tuple[int, int, int]]], scratch: Path, voxel: float) -> int:
+    """Add up the points of one tile, and what earlier depth maps left of it: the number of voxels."""
+    tile, parts = item
+    path = _tile_path(scratch, tile, "merged")
+    added = [_load(path)] if path.exists() else []
+    held: list[np.ndarray] = []
+    for k, (number, start, count) in enumerate(parts, 1):
+        held.append(np.fromfile(_map_path(scratch, number), ROW, count, offset=start * ROW.itemsize))
+        if k == len(parts) or sum(len(h) for h in held) > _MERGE_ROWS:
+            added = [add_up([*added, sums(np.concatenate(held), voxel)])]
+            held = []
+    merged = without_coarse_duplicates(added[0])
+    _save(path, merged)
     return len(merged)
 
 
 def _filter_one(tile: Tile, scratch: Path, voxel: float, settings: CloudSettings) -> tuple[int, int, int]:
     """Filter one merged tile among its neighbours: (points kept, dropped by the statistical, by the radius filter)."""
     voxels = _load(_tile_path(scratch, tile, "merged"))
-    around = _margin(tile, scratch, voxel, settings)
-    result = filter_points(voxels.cloud(voxel).xyz_m, voxels.spacing(voxel), settings, around)
+    justified = spacing(voxels.cell, voxel)
+    around = _margin(tile, scratch, voxel, settings.radius_voxels * float(justified.max()))
+    xyz = positions(voxels.cell, voxels.weight, voxels.place, tile, voxel)
+    result = filter_points(xyz, justified, settings, around)
     kept = voxels.where(result.keep)
     _save(_tile_path(scratch, tile, "final"), kept)
     return len(kept), result.statistical, result.radius
 
 
-def _margin(tile: Tile, scratch: Path, voxel: float, settings: CloudSettings) -> np.ndarray:
-    """Points (K, 3) of the neighbouring tiles within the filters' reach of the tile."""
-    reach = min(settings.radius_voxels * 2 ** (LEVELS - 1), TILE_VOXELS / 4) * voxel
+def _margin(tile: Tile, scratch: Path, voxel: float, reach: float) -> np.ndarray:
+    """Points (K, 3) of the neighbouring tiles within ``reach`` of the tile."""
+    reach = min(reach, TILE_VOXELS / 4 * voxel)
     low = np.array(tile) * TILE_VOXELS * voxel - reach
     high = low + TILE_VOXELS * voxel + 2 * reach
     found = [np.zeros((0, 3))]
     for step in np.ndindex(3, 3, 3):
-        other = tuple(int(t + s - 1) for t, s in zip(tile, step, strict=True))
-        path = _tile_path(scratch, other, "merged")  # type: ignore[arg-type]
+        other: Tile = (tile[0] + step[0] - 1, tile[1] + step[1] - 1, tile[2] + step[2] - 1)
+        path = _tile_path(scratch, other, "merged")
         if other != tile and path.exists():
-            xyz = _load(path).cloud(voxel).xyz_m
-            found.append(xyz[((xyz >= low) & (xyz <= high)).all(axis=1)])
+            cell, weight, place = _columns(path, 3)
+            xyz = positions(cell, weight, place, other, voxel)
+            near = np.ones(len(xyz), bool)
+            for k in range(3):
+                near &= (xyz[:, k] >= low[k]) & (xyz[:, k] <= high[k])
+            found.append(xyz[near])
     return np.concatenate(found)
 
 
 def _tile_path(scratch: Path, tile: Tile, what: str) -> Path:
-    return scratch / "_".join(str(t) for t in tile) / f"{what}.npz"
+    return scratch / f"{'_'.join(str(t) for t in tile)}.{what}"
+
+
+def _map_path(scratch: Path, number: int) -> Path:
+    return scratch / f"{number:06d}.points"
 
 
 def _save(path: Path, voxels: Voxels) -> None:
-    with replacing(path) as temporary:
-        np.savez(temporary, **voxels.__dict__)
+    with replacing(path) as temporary, open(temporary, "wb") as file:
+        for values in voxels.__dict__.values():
+            values.tofile(file)
 
 
 def _load(path: Path) -> Voxels:
-    with np.load(path) as data:
-        return Voxels(**{name: data[name] for name in data.files})
+    return Voxels(*_columns(path, len(COLUMNS)))
+
+
+def _columns(path: Path, count: int) -> list[np.ndarray]:
+    """The first columns of a tile file."""
+    rows = path.stat().st_size // sum(np.dtype(kind).itemsize for kind in COLUMNS)
+    with open(path, "rb") as file:
+        return [np.fromfile(file, kind, rows) for kind in COLUMNS[:count]]

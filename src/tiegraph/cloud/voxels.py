@@ -2,135 +2,172 @@
 
 Voxels have LEVELS sizes, each twice the one before: a point goes to the level that fits its sampling and its sigma, so
 that distant, uncertain points do not fill the cloud. Sums of parts are the sums of the whole, in any order of parts.
+Space is cut into cubic tiles, and a voxel is numbered within its tile: points and sums then take few bytes, and the
+coordinates of any survey fit.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.scene.results import Cloud
+from tiegraph.scene.sorting import order_of, run_starts
 
 LEVELS = 6
+TILE_VOXELS = 512  # edge of a tile in finest voxels: a wall through it has a quarter of a million points
+_BITS = 9  # of one coordinate of a voxel within its tile
+_MASK = (1 << _BITS) - 1
+_STEPS = 1 << 16  # places along the edge of a voxel that are told apart
+_UNIT = 32767  # a normal's coordinate of 1
+
+# One point of a depth map: number of its voxel within the tile, place within the voxel, colour, normal, sigma.
+ROW = np.dtype(
+    [("cell", "<u4"), ("place", "<u2", 3), ("rgb", "u1", 3), ("views", "u1"), ("normal", "<i2", 3), ("sigma", "<f4")]
+)
+# What a file holds of Voxels, column after column.
+COLUMNS = ("<u4", "<f4", "(3,)<f4", "(3,)<f4", "(3,)<f4", "<f4", "u1")
 
 
 @dataclass(frozen=True, eq=False)
 class Voxels:
-    """V voxels: level (V,) u1; index (V, 3) i8 at that level; weight (V,) f8; sums, weighted (V, c) f8 of position
-    (from the voxel's corner, in its sizes), colour, normal, sigma; views (V,) u1 the most."""
+    """V voxels of one tile, in the order of their numbers: cell (V,) u4; weight (V,) f4; sums, weighted: place (V, 3)
+    f4 from the voxel's corner in its sizes, rgb, normal (V, 3) f4 and sigma (V,) f4; views (V,) u1 the most."""
 
-    level: np.ndarray
-    index: np.ndarray
+    cell: np.ndarray
     weight: np.ndarray
-    position: np.ndarray
+    place: np.ndarray
     rgb: np.ndarray
     normal: np.ndarray
     sigma: np.ndarray
     views: np.ndarray
 
     def __len__(self) -> int:
-        return len(self.weight)
+        return len(self.cell)
+
+    @property
+    def level(self) -> np.ndarray:
+        """(V,) u4 level of each voxel, 0 = finest."""
+        return self.cell >> np.uint32(3 * _BITS)
 
     def where(self, mask: np.ndarray) -> Voxels:
-        """The voxels of a boolean mask or index array."""
-        return Voxels(*(getattr(self, f.name)[mask] for f in fields(self)))
+        """The voxels of a boolean mask."""
+        return Voxels(*(values[mask] for values in self.__dict__.values()))
 
-    @staticmethod
-    def concatenate(parts: list[Voxels]) -> Voxels:
-        """All voxels of several parts, not yet added up."""
-        return Voxels(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Voxels)))
-
-    def cloud(self, voxel: float, origin: Origin | None = None) -> Cloud:
+    def cloud(self, tile: tuple[int, int, int], voxel: float, origin: Origin | None = None) -> Cloud:
         """The mean point of each voxel. Sigma is the mean of the points' sigmas: neighbouring pixels err together."""
-        weight = self.weight[:, None]
-        size = voxel * 2.0 ** self.level[:, None].astype(float)
-        normal = self.normal / np.maximum(np.linalg.norm(self.normal, axis=1, keepdims=True), 1e-30)
-        normal = np.where(np.abs(self.normal).sum(axis=1, keepdims=True) > 0, normal, np.nan)
+        length = np.sqrt(np.square(self.normal) @ np.ones(3, np.float32))
+        normal = self.normal / np.where(length > 0, length, np.float32(np.nan))[:, None]
         return Cloud(
-            xyz_m=(self.index + self.position / weight) * size,
-            rgb=np.clip(np.rint(self.rgb / weight), 0, 255).astype(np.uint8),
+            xyz_m=positions(self.cell, self.weight, self.place, tile, voxel),
+            rgb=np.clip(np.rint(self.rgb / self.weight[:, None]), 0, 255).astype(np.uint8),
             normal=normal.astype(np.float32),
-            sigma_m=(self.sigma[:, 0] / self.weight).astype(np.float32),
+            sigma_m=self.sigma / self.weight,
             views=self.views,
             origin=origin,
         )
 
-    def spacing(self, voxel: float) -> np.ndarray:
-        """Edge (V,) of each voxel."""
-        return voxel * 2.0 ** self.level.astype(float)
+
+def positions(
+    cell: np.ndarray, weight: np.ndarray, place: np.ndarray, tile: tuple[int, int, int], voxel: float
+) -> np.ndarray:
+    """(V, 3) f8 mean point of each voxel of a tile."""
+    size = spacing(cell, voxel)
+    xyz = np.empty((len(cell), 3))
+    for k, index in enumerate(_indices(cell)):
+        xyz[:, k] = tile[k] * (TILE_VOXELS * voxel) + (index + place[:, k] / weight) * size
+    return xyz
 
 
-def voxels_of(cloud: Cloud, spacing: np.ndarray, voxel: float) -> Voxels:
-    """Points as voxels, added up; spacing (M,) is the distance between neighbouring points that is justified."""
-    level = np.clip(np.rint(np.log2(np.maximum(spacing / voxel, 1e-9))), 0, LEVELS - 1).astype(np.uint8)
-    cell = cloud.xyz_m / (voxel * 2.0 ** level[:, None].astype(float))
-    index = np.floor(cell).astype(np.int64)
+def spacing(cell: np.ndarray, voxel: float) -> np.ndarray:
+    """Edge (V,) of each voxel."""
+    return np.ldexp(voxel, (cell >> np.uint32(3 * _BITS)).astype(np.int32))
+
+
+def _indices(cell: np.ndarray) -> list[np.ndarray]:
+    """Three columns (V,) u4: a voxel's place in its tile, counted in voxels of its level."""
+    return [(cell >> np.uint32(shift * _BITS)) & np.uint32(_MASK) for shift in (2, 1, 0)]
+
+
+def rows_of(cloud: Cloud, justified: np.ndarray, voxel: float) -> tuple[np.ndarray, np.ndarray]:
+    """The tile (3, M) i8 of each point and its ROW; justified (M,) is the distance between neighbouring points."""
+    level = np.clip(np.rint(np.log2(np.maximum(justified / voxel, 1e-9))), 0, LEVELS - 1).astype(np.int32)
+    per_voxel = np.ldexp(1.0 / voxel, -level)
+    down = (TILE_VOXELS.bit_length() - 1) - level
+    rows = np.empty(len(cloud), ROW)
+    tile = np.empty((3, len(cloud)), np.int64)
+    number = level.astype(np.int64)
+    for k in range(3):
+        at = cloud.xyz_m[:, k] * per_voxel
+        index = np.floor(at)
+        rows["place"][:, k] = np.minimum((at - index) * _STEPS, _STEPS - 1)
+        index = index.astype(np.int64)
+        tile[k] = index >> down
+        number = number << _BITS | (index - (tile[k] << down))
+    rows["cell"], rows["rgb"], rows["views"], rows["sigma"] = number, cloud.rgb, cloud.views, cloud.sigma_m
+    rows["normal"] = np.rint(np.nan_to_num(cloud.normal) * np.float32(_UNIT))
+    return tile, rows
+
+
+def sums(rows: np.ndarray, voxel: float) -> Voxels:
+    """Points (M,) ROW of one tile added up by voxel."""
+    order = order_of(rows["cell"])
+    rows = np.take(rows, order)
+    start = run_starts(rows["cell"])
+    group = np.repeat(np.arange(len(start)), np.diff(start, append=len(rows)))
+    sigma = rows["sigma"].astype(float)
     # Relative to the voxel, so that the weights of one part do not depend on its units.
-    weight = 1.0 / np.square(np.maximum(cloud.sigma_m.astype(float) / voxel, 1e-6))
-    normal = np.nan_to_num(cloud.normal.astype(float))
-    column = weight[:, None]
-    return add_up(
-        Voxels(
-            level,
-            index,
-            weight,
-            (cell - index) * column,
-            cloud.rgb * column,
-            normal * column,
-            cloud.sigma_m[:, None] * column,
-            cloud.views,
-        )
-    )
-
-
-def add_up(voxels: Voxels) -> Voxels:
-    """One row a voxel, sorted by level and index."""
-    if len(voxels) == 0:
-        return voxels
-    keys = row_numbers(np.column_stack([voxels.level.astype(np.int64), voxels.index]))
-    order = np.argsort(keys, kind="stable")
-    level, index = voxels.level[order], voxels.index[order]
-    start = np.flatnonzero(np.r_[True, np.diff(keys[order]) != 0])
+    weight = 1.0 / np.square(np.maximum(sigma / voxel, 1e-6))
 
     def total(values: np.ndarray) -> np.ndarray:
-        return np.add.reduceat(values[order], start, axis=0)
+        return np.bincount(group, values * weight, len(start)).astype(np.float32)
+
+    def totals(values: np.ndarray, unit: float, shift: float = 0.0) -> np.ndarray:
+        return np.stack([total((values[:, k] + shift) / unit) for k in range(3)], axis=1)
 
     return Voxels(
-        level[start],
-        index[start],
-        total(voxels.weight),
-        total(voxels.position),
-        total(voxels.rgb),
-        total(voxels.normal),
-        total(voxels.sigma),
-        np.maximum.reduceat(voxels.views[order], start),
+        rows["cell"][start],
+        np.bincount(group, weight, len(start)).astype(np.float32),
+        totals(rows["place"], _STEPS, 0.5),
+        totals(rows["rgb"], 1.0),
+        totals(rows["normal"], _UNIT),
+        total(sigma),
+        np.maximum.reduceat(rows["views"], start) if len(start) else rows["views"],
     )
 
 
-def row_numbers(rows: np.ndarray) -> np.ndarray:
-    """(V,) i8: one number for each distinct row (V, c) of integers, in the order of the rows."""
-    low = rows.min(axis=0)
-    span = rows.max(axis=0) - low + 1
-    if np.prod(span.astype(float)) >= 2.0**62:  # does not fit one integer: number the rows that occur
-        return np.unique(rows, axis=0, return_inverse=True)[1].ravel()
-    number = np.zeros(len(rows), np.int64)
-    for k, width in enumerate(span):
-        number = number * width + (rows[:, k] - low[k])
-    return number
+def add_up(parts: list[Voxels]) -> Voxels:
+    """One voxel a number, of several parts of one tile."""
+    if len(parts) == 1:
+        return parts[0]
+    columns = [np.concatenate(values) for values in zip(*(p.__dict__.values() for p in parts), strict=True)]
+    order = order_of(columns[0])
+    cell = columns[0][order]
+    start = run_starts(cell)
+    added = [np.add.reduceat(values[order], start, axis=0) for values in columns[1:-1]]
+    return Voxels(*(cell[start], *added, np.maximum.reduceat(columns[-1][order], start)))
 
 
 def without_coarse_duplicates(voxels: Voxels) -> Voxels:
     """Leave out a coarse voxel in which a finer one lies: the finer knows the place better."""
     keep = np.ones(len(voxels), bool)
-    for level in range(1, LEVELS):
-        mine = np.flatnonzero(voxels.level == level)
-        finer = voxels.level < level
-        if len(mine) == 0 or not finer.any():
-            continue
-        up = (level - voxels.level[finer]).astype(np.int64)
-        parents = voxels.index[finer] >> up[:, None]
-        number = row_numbers(np.concatenate([parents, voxels.index[mine]]))
-        keep[mine] = ~np.isin(number[len(parents) :], number[: len(parents)])
-    return voxels.where(keep)
+    border = np.searchsorted(voxels.cell, np.arange(LEVELS + 1, dtype=np.uint64) << np.uint64(3 * _BITS))
+    taken = np.zeros(0, np.uint32)  # voxels of the level that hold a finer one, sorted
+    for level in range(LEVELS):
+        mine = voxels.cell[border[level] : border[level + 1]]
+        if len(taken):
+            at = np.minimum(np.searchsorted(taken, mine), len(taken) - 1)
+            keep[border[level] : border[level + 1]] = taken[at] != mine
+        taken = np.sort(_parents(np.concatenate([mine, taken]), level + 1))
+        taken = taken[run_starts(taken)]
+    return voxels if keep.all() else voxels.where(keep)
+
+
+def _parents(cell: np.ndarray, level: int) -> np.ndarray:
+    """The voxels of ``level`` that hold voxels of the level below."""
+    number = np.full(len(cell), level, np.uint32)
+    for index in _indices(cell):
+        number = number << np.uint32(_BITS) | index >> np.uint32(1)
+    return number

@@ -9,20 +9,18 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tiegraph.cloud.fuse import fuse
+from tiegraph.cloud.fuse import Maps, fuse
 from tiegraph.dense.depth import confirmed_map, depth_map
-from tiegraph.dense.plan import CameraModel, DensePlan, DepthRange, ViewPlan
-from tiegraph.dense.settings import DenseSettings
+from tiegraph.dense.plan import CameraModel, DepthRange, ViewPlan
 from tiegraph.dense.shot import depth_range, plan_shot
-from tiegraph.dense.undistort import load_view
 from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.pipeline.files import scanned
+from tiegraph.pipeline.surface import coloured
 from tiegraph.project.run import Run
 from tiegraph.project.settings import Settings
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.cloudfile import write_cloud
 from tiegraph.scene.depthfile import load_depth, save_depth
-from tiegraph.scene.results import DepthMap
 from tiegraph.scene.scene import Scene
 
 _FOLDER = "shots"
@@ -75,10 +73,10 @@ def _shot(item: tuple[Path, list[ViewPlan], DepthRange], folder: Path, settings:
     first = {n: depth_map(p, folder / "images", masks, dense, cv2.getNumThreads()) for n, p in plan.images.items()}
     for name, image in plan.images.items():
         save_depth(confirmed_map(image, first[name], first.get, dense)[0], _depth_path(folder, name))
-    load = partial(_coloured, folder=folder, plan=plan, settings=dense)
+    maps = Maps(lambda name: load_depth(_depth_path(folder, name)), coloured(plan.images, folder / "images", dense))
     with tempfile.TemporaryDirectory(dir=path.parent, prefix=".") as scratch:
         try:
-            fused = fuse(sorted(plan.images), load, Path(scratch), settings.cloud)
+            fused = fuse(sorted(plan.images), maps, Path(scratch), settings.cloud)
         except ReconstructionError as error:
             raise ReconstructionError(f"{path.stem}: {error}") from None
         with replacing(path) as temporary:
@@ -87,8 +85,3 @@ def _shot(item: tuple[Path, list[ViewPlan], DepthRange], folder: Path, settings:
 
 def _depth_path(folder: Path, name: str) -> Path:
     return folder / _FOLDER / "depth" / f"{name}.npz"
-
-
-def _coloured(name: str, folder: Path, plan: DensePlan, settings: DenseSettings) -> tuple[DepthMap, np.ndarray]:
-    view = load_view(plan.images[name].view, folder / "images", None, settings)
-    return load_depth(_depth_path(folder, name)), cv2.cvtColor(view.image_bgr, cv2.COLOR_BGR2RGB)

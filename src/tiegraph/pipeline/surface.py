@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pycolmap
 
-from tiegraph.cloud.fuse import fuse
+from tiegraph.cloud.fuse import Maps, fuse
 from tiegraph.dense.depth import confirmed_map, depth_map
 from tiegraph.dense.engine import installed, most_volume_bytes
 from tiegraph.dense.neighbours import plan_images
@@ -115,8 +115,8 @@ def cloud(run: Run) -> Outcome:
     scratch = run.path(".tiles")
     remove(scratch)
     scratch.mkdir(parents=True)
-    load = partial(_load_coloured, folder=run.folder, plans=plans, settings=run.settings.dense)
-    fused = fuse(sorted(plans), load, scratch, run.settings.cloud, world_origin(run), _mapper(run))
+    maps = Maps(partial(_depth, folder=run.folder), coloured(plans, run.path("images"), run.settings.dense))
+    fused = fuse(sorted(plans), maps, scratch, run.settings.cloud, world_origin(run), _mapper(run))
     notes = [*write_copc(fused.clouds, run.path("cloud.copc.laz"), fused.voxel, scratch)]
     same_file(run.path("cloud.copc.laz"), run.path("cloud.laz"))
     notes += write_cloud(fused.clouds(), run.path("cloud.ply"))
@@ -153,8 +153,14 @@ def _call(item: Any, function: Callable[[Any], Any]) -> Any:
     return function(item)
 
 
-def _load_coloured(
-    name: str, folder: Path, plans: dict[str, ImagePlan], settings: DenseSettings
-) -> tuple[DepthMap, np.ndarray] | None:
-    view = load_view(plans[name].view, folder / "images", None, settings)
-    return load_depth(depth_path(folder, name)), cv2.cvtColor(view.image_bgr, cv2.COLOR_BGR2RGB)
+def _depth(name: str, folder: Path) -> DepthMap:
+    return load_depth(depth_path(folder, name))
+
+
+def coloured(plans: dict[str, ImagePlan], images: Path, settings: DenseSettings) -> Callable[[str], np.ndarray]:
+    """Colours (H, W, 3) u1 RGB of the undistorted images by name."""
+    return partial(_colours, plans=plans, images=images, settings=settings)
+
+
+def _colours(name: str, plans: dict[str, ImagePlan], images: Path, settings: DenseSettings) -> np.ndarray:
+    return cv2.cvtColor(load_view(plans[name].view, images, None, settings).image_bgr, cv2.COLOR_BGR2RGB)

@@ -15,6 +15,7 @@ import numpy as np
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.cloudfile import las_header, las_points, shift_of
 from tiegraph.scene.results import Cloud
+from tiegraph.scene.sorting import order_of, row_numbers, run_starts
 
 _CELLS = 128  # cells along the edge of a node, of which each keeps one point: a surface fills some 16 000
 _DEEPEST = 13  # 128 cells x 2^13 in 21 bits a coordinate
@@ -33,17 +34,21 @@ class _Octree:
     depth: int
 
     def keys(self, xyz: np.ndarray) -> np.ndarray:
-        """(N, 4) level, x, y, z of the node that keeps each point: the coarsest with a free cell."""
-        where = np.clip((xyz - self.low) / self.side, 0, 1 - 1e-12)
+        """(4, N) level, x, y, z of the node that keeps each point: the coarsest with a free cell."""
+        finest = max(self.depth, 1) - 1
+        where = np.clip((xyz.T - self.low[:, None]) / self.side, 0, 1 - 1e-12)
+        cells = (where * (_CELLS << finest)).astype(np.int64)
         level = np.full(len(xyz), self.depth)
         rest = np.random.default_rng(0).permutation(len(xyz))
         for k in range(self.depth):
-            cell = (where[rest] * (_CELLS << k)).astype(np.int64)
-            _, first = np.unique(cell[:, 0] << 42 | cell[:, 1] << 21 | cell[:, 2], return_index=True)
+            cell = row_numbers(np.take(cells, rest, axis=1) >> (finest - k)) if len(rest) else rest
+            order = order_of(cell)
+            first = order[run_starts(cell[order])]
             level[rest[first]] = k
-            rest = np.delete(rest, first)
-        node = (where * (1 << level)[:, None]).astype(np.int64)
-        return np.column_stack([level, node]).astype(np.int32)
+            free = np.ones(len(rest), bool)
+            free[first] = False
+            rest = rest[free]
+        return np.vstack([level, (where * (1 << level)).astype(np.int64)]).astype(np.int32)
 
 
 @dataclass(frozen=True)
@@ -114,14 +119,14 @@ def _spilled(parts: Iterator[Cloud], tree: _Octree, header: laspy.LasHeader, pat
         for part in parts:
             record = las_points(part, header)
             node = tree.keys(np.column_stack([record.x, record.y, record.z]))
-            order = np.lexsort(node.T[::-1])
-            node = node[order]
-            begin = _beginnings(node)
-            out.write(record.array[order].tobytes())
-            keys.append(node[begin])
+            numbers = row_numbers(node) if len(part) else np.zeros(0, int)
+            order = order_of(numbers)
+            begin = run_starts(numbers[order])
+            out.write(np.take(record.array, order).tobytes())
+            keys.append(node[:, order[begin]].T)
             start.append(begin + done)
-            count.append(np.diff(np.r_[begin, len(node)]))
-            done += len(node)
+            count.append(np.diff(begin, append=len(order)))
+            done += len(order)
     rows = np.memmap(path, dtype, "r", shape=(done,)) if done else np.zeros(0, dtype)
     return _Spill(rows, np.concatenate(keys), np.concatenate(start), np.concatenate(count))
 

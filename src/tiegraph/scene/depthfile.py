@@ -73,5 +73,5 @@ def _rounded(depth: np.ndarray) -> np.ndarray:
 
 def _normal(stored: np.ndarray) -> np.ndarray:
     normal = stored.astype(np.float32)
-    length = np.linalg.norm(normal, axis=-1, keepdims=True)
-    return np.where(length > 0, normal / np.maximum(length, 1), np.float32(np.nan))
+    length = np.sqrt(np.square(normal) @ np.ones(3, np.float32))
+    return normal / np.where(length > 0, length, np.float32(np.nan))[..., None]

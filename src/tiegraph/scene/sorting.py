@@ -1,0 +1,32 @@
+"""Sorting of many whole numbers: points by voxel, tile or node."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def run_starts(numbers: np.ndarray) -> np.ndarray:
+    """Where a run of equal numbers begins."""
+    return np.flatnonzero(np.r_[True, numbers[1:] != numbers[:-1]][: len(numbers)])
+
+
+def order_of(numbers: np.ndarray) -> np.ndarray:
+    """What sorts whole numbers >= 0, equal ones in their order."""
+    if len(numbers) and int(numbers.max()) < 1 << 32 and len(numbers) < 1 << 31:
+        # Number and place in one integer: sorting these takes a fifth of the time of finding an order.
+        packed = numbers.astype(np.uint64) << np.uint64(32) | np.arange(len(numbers), dtype=np.uint64)
+        packed.sort()
+        return (packed & np.uint64(0xFFFFFFFF)).astype(np.int64)
+    return np.argsort(numbers, kind="stable")
+
+
+def row_numbers(columns: np.ndarray) -> np.ndarray:
+    """(V,) i8: one number >= 0 for each distinct column of integers (c, V), in the order of the columns."""
+    low = columns.min(axis=1)
+    span = columns.max(axis=1) - low + 1
+    if np.prod(span.astype(float)) >= 2.0**62:  # does not fit one integer: number the columns that occur
+        return np.unique(columns, axis=1, return_inverse=True)[1].ravel()
+    number = np.zeros(columns.shape[1], np.int64)
+    for values, least, width in zip(columns, low, span, strict=True):
+        number = number * width + (values - least)
+    return number
