@@ -59,7 +59,7 @@ struct Beside {
 
 template <int DIR>
 static u32 ragged_long(const Sweep& w, const Row& before_row, const Row& here, const Place& p, const Beside& beside,
-                       const u8* cost, u16* sum) {
+                       const u8* cost, u8* sum) {
   const Job& job = *w.job;
   Scratch& s = *w.scratch;
   const B small = B::set1(job.small), large = B::set1(job.large), far = B::set1(kFar);
@@ -86,9 +86,9 @@ static u32 ragged_long(const Sweep& w, const Row& before_row, const Row& here, c
       line.store(s.lines[k] + b);
       low[k] = vmin(low[k], line);
     }
-    const Sum16 four = pair_sum(add(part[0], part[1]), add(part[2], part[3]));
-    if (DIR > 0) four.store(sum + b);
-    else add(add(four, Sum16::load(sum + b)), eightfold(c)).store(s.total + b);
+    const B one = add(part[0], part[1]), two = add(part[2], part[3]);
+    if (DIR > 0) avg(one, two).store(sum + b);
+    else add(pair_sum(one, two), forward_sum(c, B::load(sum + b))).store(s.total + b);
   }
   for (int k = 0; k < 4; ++k) {
     u8* to = k < 3 ? here.path[k] + here.at[p.x] : s.beside[0];
@@ -117,7 +117,7 @@ static u32 ragged_long(const Sweep& w, const Row& before_row, const Row& here, c
 // One block of disparities, the usual case: nothing but registers and one load for each message.
 template <int DIR>
 static inline u32 ragged_short(const Sweep& w, const Row& before_row, const Row& here, const Place& p, Beside& beside,
-                               const u8* cost, u16* sum) {
+                               const u8* cost, u8* sum) {
   const Job& job = *w.job;
   Scratch& s = *w.scratch;
   const B small = B::set1(job.small), large = B::set1(job.large), c = B::load(cost);
@@ -137,12 +137,12 @@ static inline u32 ragged_short(const Sweep& w, const Row& before_row, const Row&
     message(l, hmin_all(l), small, large).store(here.path[k] + at);
     large.store(here.path[k] + at + kBlock);
   }
-  const Sum16 four = pair_sum(add(part[0], part[1]), add(part[2], part[3]));
+  const B one = add(part[0], part[1]), two = add(part[2], part[3]);
   if (DIR > 0) {
-    four.store(sum);
+    avg(one, two).store(sum);
     return 0;
   }
-  const Sum16 all = add(add(four, Sum16::load(sum)), eightfold(c));
+  const Sum16 all = add(pair_sum(one, two), forward_sum(c, B::load(sum)));
   all.store(s.total);
   return argmin(all);
 }
@@ -170,7 +170,7 @@ static void ragged_row(const Sweep& w, int row) {
   const u8* right_row = job.right + y * job.right_stride;
   const i16* first = job.first + static_cast<std::size_t>(y) * job.width;
   const u8* blocks = job.blocks + static_cast<std::size_t>(y) * job.width;
-  begin_row(w, y, DIR, row == 0, s);
+  begin_row<DIR>(w, y, row == 0, s);
   ragged_layout(job, y, here);
   const B large = B::set1(job.large);
   large.store(s.beside[0] - kBlock);
@@ -179,13 +179,14 @@ static void ragged_row(const Sweep& w, int row) {
   for (int i = 0; i < job.width; ++i) {
     const int x = DIR > 0 ? i : job.width - 1 - i;
     if (i % 32 == 0) {
-      wait_for_row_before(w, row, i);
+      publish(w, row, i);
+      wait_for(w, row - 1, i + 34);  // 32 pixels, and one beyond them
       if (i == 0) ragged_sources(job, y, DIR, row == 0, before_row, s);
     }
     const Place p = {x, y, first[x], kBlock * blocks[x]};
     if (DIR < 0) at -= static_cast<u64>(p.n);
     u8* cost = job.cost + at;
-    u16* sum = job.sum + at;
+    u8* sum = job.sum + at;
     if (DIR > 0) {
       at += static_cast<u64>(p.n);
       ragged_cost(w, p, left_row, right_row, cost);
@@ -208,5 +209,5 @@ static void ragged_row(const Sweep& w, int row) {
     }
   }
   if (DIR < 0) finish_row(w, y, s);
-  w.done[row].store(job.width, std::memory_order_release);
+  publish(w, row, job.width);
 }

@@ -4,30 +4,45 @@
 
 static inline int clamped(int x, int low, int high) { return x < low ? low : x > high ? high : x; }
 
-static inline B hamming_wide(const u64* right, u64 left, B*) { return hamming(right, left); }
+// Eight times the cost and twice the half sum of the first sweep.
+template <class T>
+static inline typename T::Sum forward_sum(T cost, T half) {
+  return add(eightfold(cost), pair_sum(half, half));
+}
+
+template <class T>
+static inline void least_of_four(const T* low, u8* least) {
+  for (int k = 0; k < 4; ++k) least[k] = hmin(low[k]);
+}
 
 // One bit for each pixel of the window around the centre: 1 where it is not brighter. `side` -1 reads the window
-// mirrored, so that bits of a mirrored image have the same meaning.
-static void census_row(const u8* row, std::ptrdiff_t stride, const Job& job, int width, int side, Scratch& s,
-                       u64* out) {
-  const int bits = (2 * job.radius_x + 1) * (2 * job.radius_y + 1) - 1;
-  for (int x = 0; x < width; x += V::N) {
-    const V centre = V::load(row + x);
-    V plane = V::set1(0);
-    int bit = 0;
-    for (int dy = -job.radius_y; dy <= job.radius_y; ++dy) {
-      for (int dx = -job.radius_x; dx <= job.radius_x; ++dx) {
-        if (dx == 0 && dy == 0) continue;
-        const V is = below_or_equal(V::load(row + x + dy * stride + side * dx), centre);
-        plane = sub(add(plane, plane), is);  // true is -1
-        if (++bit % 8 == 0 || bit == bits) {
-          plane.store(s.planes + ((bit - 1) / 8) * s.plane_stride + x);
-          plane = V::set1(0);
-        }
-      }
+// mirrored, so that bits of a mirrored image have the same meaning. Each byte of the bits has a plane of its own.
+static void census_row(const u8* row, std::ptrdiff_t stride, const Job& job, int width, int side, u8* planes,
+                       std::ptrdiff_t plane_stride) {
+  std::ptrdiff_t offset[64];
+  int n = 0;
+  for (int dy = -job.radius_y; dy <= job.radius_y; ++dy) {
+    for (int dx = -job.radius_x; dx <= job.radius_x; ++dx) {
+      if (dx || dy) offset[n++] = dy * stride + side * dx;
     }
   }
-  for (int x = 0; x < width; x += 16) interleave(s.planes + x, s.plane_stride, out + x);
+  const int whole = n / 8, rest = n % 8;
+  for (int x = 0; x < width; x += V::N) {
+    const u8* at = row + x;
+    const V centre = V::load(at);
+    u8* to = planes + x;
+    const auto next = [&](V plane, int k) {  // true is -1
+      return sub(add(plane, plane), below_or_equal(V::load(at + offset[k]), centre));
+    };
+    for (int k = 0; k < whole; ++k, to += plane_stride) {
+      V plane = V::set1(0);
+      for (int bit = 0; bit < 8; ++bit) plane = next(plane, 8 * k + bit);
+      plane.store(to);
+    }
+    V plane = V::set1(0);
+    for (int bit = 0; bit < rest; ++bit) plane = next(plane, 8 * whole + bit);
+    if (rest) plane.store(to);
+  }
 }
 
 // Adaptive P2 of a row towards the predecessors of its pixels on the four paths; 0 where there is none, which makes
@@ -79,11 +94,15 @@ static void mix(const Job& job, const u8* left_row, const u8* right_row, int x, 
 
 constexpr int kSpins = 64;  // then the processor is given to whoever has work
 
-static inline void wait_for_row_before(const Sweep& w, int row, int s) {
-  if (s) w.done[row].store(s, std::memory_order_release);
-  if (row == 0 || w.threads == 1) return;
-  const int ahead = s + 34, wanted = ahead < w.job->width ? ahead : w.job->width;
-  for (int spins = 0; w.done[row - 1].load(std::memory_order_acquire) < wanted; ++spins) {
+// Progress of a row (dense: of a band's last row) for the thread that works below it.
+static inline void publish(const Sweep& w, int row, int pixels) {
+  if (pixels > 0) w.done[row].store(pixels, std::memory_order_release);
+}
+
+static inline void wait_for(const Sweep& w, int row, int pixels) {
+  if (row < 0 || w.threads == 1) return;
+  const int wanted = pixels < w.job->width ? pixels : w.job->width;
+  for (int spins = 0; w.done[row].load(std::memory_order_acquire) < wanted; ++spins) {
     if (spins < kSpins) relax();
     else w.yield();
   }
@@ -126,14 +145,16 @@ static inline bool unique(const Job& job, const u16* total, int n, u32 key) {
 // Left-right check and sub-pixel part of a finished row.
 static void finish_row(const Sweep& w, int y, Scratch& s) {
   const Job& job = *w.job;
-  float* out = job.disparity + static_cast<std::size_t>(y) * job.width;
+  float* __restrict out = job.disparity + static_cast<std::size_t>(y) * job.width;
+  const i16* __restrict winner = s.best;
+  const u16 *__restrict left = s.around[0], *__restrict centre = s.around[1], *__restrict right = s.around[2];
   const float nan = __builtin_nanf("");
+  const int steep = job.parabola ? 0 : 1;
   for (int x = 0; x < job.width; ++x) {
-    const float before = s.around[0][x], at = s.around[1][x], next = s.around[2][x];
-    const float higher = before > next ? before : next;
-    const float bend = job.parabola ? before + next - 2 * at : higher - at;
-    const float part = bend > 0 ? (before - next) / (2 * bend) : 0.0f;
-    out[x] = s.best[x] == kNone ? nan : static_cast<float>(s.best[x]) + part;
+    const int before = left[x], at = centre[x], next = right[x], higher = before > next ? before : next;
+    const int bend = steep ? higher - at : before + next - 2 * at;  // 0 only where all three are equal
+    const float part = static_cast<float>(before - next) / static_cast<float>(2 * (bend > 0 ? bend : 1));
+    out[x] = winner[x] == kNone ? nan : static_cast<float>(winner[x]) + part;
   }
   if (job.score) {
     for (int x = 0; x < job.width; ++x) job.score[static_cast<std::size_t>(y) * job.width + x] = s.around[1][x];
@@ -151,13 +172,20 @@ static void finish_row(const Sweep& w, int y, Scratch& s) {
   }
 }
 
-static inline void begin_row(const Sweep& w, int y, int step, bool top, Scratch& s) {
+template <int DIR>
+static void begin_row(const Sweep& w, int y, bool top, Scratch& s) {
   const Job& job = *w.job;
-  penalties(job, y, step, top, s);
-  if (step > 0) {
-    census_row(job.left + y * job.left_stride, job.left_stride, job, job.width, 1, s, s.left_census);
-    census_row(job.right + y * job.right_stride, job.right_stride, job, job.right_width, -1, s, s.right_census);
-  } else {
-    for (int x = 0; x < job.right_width; ++x) s.right_best[x] = 0xffffffffu;
+  penalties(job, y, DIR, top, s);
+  if (DIR > 0 || !job.ragged) {
+    const u8 *left = job.left + y * job.left_stride, *right = job.right + y * job.right_stride;
+    census_row(left, job.left_stride, job, job.width, 1, s.left_planes, s.plane_stride);
+    census_row(right, job.right_stride, job, job.right_width, -1, s.right_planes, s.plane_stride);
+    for (int x = 0; job.ragged && x < job.width; x += 16) {
+      interleave(s.left_planes + x, s.plane_stride, s.left_census + x);
+    }
+    for (int x = 0; job.ragged && x < job.right_width; x += 16) {
+      interleave(s.right_planes + x, s.plane_stride, s.right_census + x);
+    }
   }
+  for (int x = 0; DIR < 0 && x < job.right_width; ++x) s.right_best[x] = 0xffffffffu;
 }

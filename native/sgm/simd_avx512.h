@@ -19,9 +19,12 @@ struct V64 {
   __m512i v;
   static V64 load(const u8* p) { return {_mm512_loadu_si512(p)}; }
   void store(u8* p) const { _mm512_storeu_si512(p, v); }
+  void stream(u8* p) const { _mm512_stream_si512(reinterpret_cast<__m512i*>(p), v); }
   static V64 set1(u8 a) { return {_mm512_set1_epi8(static_cast<char>(a))}; }
 };
 static inline V64 vmin(V64 a, V64 b) { return {_mm512_min_epu8(a.v, b.v)}; }
+static inline V64 bxor(V64 a, V64 b) { return {_mm512_xor_si512(a.v, b.v)}; }
+static inline V64 bits(V64 a) { return {_mm512_popcnt_epi8(a.v)}; }
 static inline V64 add(V64 a, V64 b) { return {_mm512_add_epi8(a.v, b.v)}; }
 static inline V64 sub(V64 a, V64 b) { return {_mm512_sub_epi8(a.v, b.v)}; }
 static inline V64 adds(V64 a, V64 b) { return {_mm512_adds_epu8(a.v, b.v)}; }
@@ -29,6 +32,21 @@ static inline V64 avg(V64 a, V64 b) { return {_mm512_avg_epu8(a.v, b.v)}; }
 static inline V64 below_or_equal(V64 a, V64 b) { return {_mm512_movm_epi8(_mm512_cmple_epu8_mask(a.v, b.v))}; }
 static inline u8 hmin(V64 a) {
   return hmin(V32{_mm256_min_epu8(_mm512_castsi512_si256(a.v), _mm512_extracti64x4_epi64(a.v, 1))});
+}
+// Least of each of four vectors: halves, quarters and so on of all four at once.
+static inline void least_of_four(const V64* low, u8* least) {
+  const __m512i a = low[0].v, b = low[1].v, c = low[2].v, d = low[3].v;
+  const __m512i p = _mm512_min_epu8(_mm512_shuffle_i64x2(a, b, 0x44), _mm512_shuffle_i64x2(a, b, 0xee));
+  const __m512i q = _mm512_min_epu8(_mm512_shuffle_i64x2(c, d, 0x44), _mm512_shuffle_i64x2(c, d, 0xee));
+  __m512i r = _mm512_min_epu8(_mm512_shuffle_i64x2(p, q, 0x88), _mm512_shuffle_i64x2(p, q, 0xdd));
+  r = _mm512_min_epu8(r, _mm512_bsrli_epi128(r, 8));
+  r = _mm512_min_epu8(r, _mm512_bsrli_epi128(r, 4));
+  r = _mm512_min_epu8(r, _mm512_bsrli_epi128(r, 2));
+  r = _mm512_min_epu8(r, _mm512_bsrli_epi128(r, 1));
+  const __m512i lanes = _mm512_castsi128_si512(_mm_setr_epi32(0, 4, 8, 12));
+  const __m128i words = _mm512_castsi512_si128(_mm512_permutexvar_epi32(lanes, r));
+  const int four = _mm_cvtsi128_si32(_mm_cvtepi32_epi8(words));
+  std::memcpy(least, &four, 4);
 }
 static inline __m512i quarters(__m512i a) {
   return _mm512_permutexvar_epi64(_mm512_setr_epi64(0, 4, 1, 5, 2, 6, 3, 7), a);
@@ -40,6 +58,11 @@ static inline Sum64 pair_sum(V64 a, V64 b) {
 static inline Sum64 eightfold(V64 a) {
   const __m512i zero = _mm512_setzero_si512(), p = quarters(a.v);
   return {_mm512_slli_epi16(_mm512_unpacklo_epi8(p, zero), 3), _mm512_slli_epi16(_mm512_unpackhi_epi8(p, zero), 3)};
+}
+static inline Sum64 forward_sum(V64 cost, V64 half) {
+  const __m512i times = _mm512_set1_epi16(0x0208), p = quarters(cost.v), q = quarters(half.v);
+  return {_mm512_maddubs_epi16(_mm512_unpacklo_epi8(p, q), times),
+          _mm512_maddubs_epi16(_mm512_unpackhi_epi8(p, q), times)};
 }
 static inline Sum64 add(Sum64 a, Sum64 b) { return {_mm512_add_epi16(a.a, b.a), _mm512_add_epi16(a.b, b.b)}; }
 
@@ -68,11 +91,6 @@ struct Running64 {
     return least << 16 | least_of(_mm512_mask_blend_epi16(is, _mm512_set1_epi16(-1), at));
   }
 };
-static inline V64 hamming_wide(const u64* right, u64 left, V64*) {
-  const V32 a = hamming_wide(right, left, static_cast<V32*>(nullptr));
-  const V32 b = hamming_wide(right + 32, left, static_cast<V32*>(nullptr));
-  return {_mm512_inserti64x4(_mm512_castsi256_si512(a.v), b.v, 1)};
-}
 using V = V64;
 using Running = Running64;
 

@@ -20,13 +20,18 @@ struct B {
   uint8x16_t v;
   static B load(const u8* p) { return {vld1q_u8(p)}; }
   void store(u8* p) const { vst1q_u8(p, v); }
+  void stream(u8* p) const { store(p); }
   static B set1(u8 a) { return {vdupq_n_u8(a)}; }
 };
 static inline B vmin(B a, B b) { return {vminq_u8(a.v, b.v)}; }
+static inline B bxor(B a, B b) { return {veorq_u8(a.v, b.v)}; }
+static inline B bits(B a) { return {vcntq_u8(a.v)}; }
+static inline void stream_end() {}
 static inline B add(B a, B b) { return {vaddq_u8(a.v, b.v)}; }
 static inline B sub(B a, B b) { return {vsubq_u8(a.v, b.v)}; }
 static inline B adds(B a, B b) { return {vqaddq_u8(a.v, b.v)}; }
 static inline B absdiff(B a, B b) { return {vabdq_u8(a.v, b.v)}; }
+static inline B avg(B a, B b) { return {vrhaddq_u8(a.v, b.v)}; }
 static inline B below_or_equal(B a, B b) { return {vcleq_u8(a.v, b.v)}; }
 static inline B steps(B a) { return {vminq_u8(vshrq_n_u8(a.v, kStepShift), vdupq_n_u8(15))}; }
 static inline B lookup(B table, B index) { return {vqtbl1q_u8(table.v, index.v)}; }

@@ -17,10 +17,12 @@ struct B {
   u8 v[16];
   static B load(const u8* p) { B r; std::memcpy(r.v, p, 16); return r; }
   void store(u8* p) const { std::memcpy(p, v, 16); }
+  void stream(u8* p) const { store(p); }
   static B set1(u8 a) { B r; std::memset(r.v, a, 16); return r; }
 };
 #define SGM_LANES(expr) B r; for (int i = 0; i < 16; ++i) r.v[i] = static_cast<u8>(expr); return r
 static inline B vmin(B a, B b) { SGM_LANES(a.v[i] < b.v[i] ? a.v[i] : b.v[i]); }
+static inline B bxor(B a, B b) { SGM_LANES(a.v[i] ^ b.v[i]); }
 static inline B add(B a, B b) { SGM_LANES(a.v[i] + b.v[i]); }
 static inline B sub(B a, B b) { SGM_LANES(a.v[i] - b.v[i]); }
 static inline B adds(B a, B b) { SGM_LANES(a.v[i] + b.v[i] > 255 ? 255 : a.v[i] + b.v[i]); }
@@ -35,7 +37,12 @@ static inline B shifted(B a, int by) { SGM_LANES(i + by >= 0 && i + by < 16 ? a.
 // Lanes moved by one across neighbouring vectors.
 static inline B before(B previous, B a) { SGM_LANES(i == 0 ? previous.v[15] : a.v[i - 1]); }
 static inline B after(B a, B next) { SGM_LANES(i == 15 ? next.v[0] : a.v[i + 1]); }
+static inline B bits(B a) {
+  SGM_LANES((a.v[i] & 1) + (a.v[i] >> 1 & 1) + (a.v[i] >> 2 & 1) + (a.v[i] >> 3 & 1) + (a.v[i] >> 4 & 1) +
+            (a.v[i] >> 5 & 1) + (a.v[i] >> 6 & 1) + (a.v[i] >> 7));
+}
 #undef SGM_LANES
+static inline void stream_end() {}
 static inline u8 hmin(B a) {
   u8 m = 255;
   for (int i = 0; i < 16; ++i) m = a.v[i] < m ? a.v[i] : m;

@@ -38,9 +38,21 @@ struct B {
   __m128i v;
   static B load(const u8* p) { return {_mm_loadu_si128(reinterpret_cast<const __m128i*>(p))}; }
   void store(u8* p) const { _mm_storeu_si128(reinterpret_cast<__m128i*>(p), v); }
+  void stream(u8* p) const { _mm_stream_si128(reinterpret_cast<__m128i*>(p), v); }
   static B set1(u8 a) { return {_mm_set1_epi8(static_cast<char>(a))}; }
 };
 static inline B vmin(B a, B b) { return {_mm_min_epu8(a.v, b.v)}; }
+static inline B bxor(B a, B b) { return {_mm_xor_si128(a.v, b.v)}; }
+static inline void stream_end() { _mm_sfence(); }
+static inline B bits(B a) {
+#if defined(__AVX512BITALG__)
+  return {_mm_popcnt_epi8(a.v)};
+#else
+  const __m128i lut = _mm_setr_epi8(0, 1, 1, 2, 1, 2, 2, 3, 1, 2, 2, 3, 2, 3, 3, 4), low = _mm_set1_epi8(15);
+  return {_mm_add_epi8(_mm_shuffle_epi8(lut, _mm_and_si128(a.v, low)),
+                       _mm_shuffle_epi8(lut, _mm_and_si128(_mm_srli_epi16(a.v, 4), low)))};
+#endif
+}
 static inline B add(B a, B b) { return {_mm_add_epi8(a.v, b.v)}; }
 static inline B sub(B a, B b) { return {_mm_sub_epi8(a.v, b.v)}; }
 static inline B adds(B a, B b) { return {_mm_adds_epu8(a.v, b.v)}; }

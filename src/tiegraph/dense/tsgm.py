@@ -29,7 +29,7 @@ _log = logging.getLogger(__name__)
 _FULL_RANGE = 128  # disparities at most of the level that is matched over its full range
 _DENSE_BELOW = 16  # with so few disparities per-pixel ranges save nothing
 _VOLUME_BYTES = 256_000_000  # of the cost volumes held at once; a level that needs more is matched in strips
-_CELL_BYTES = 3  # a cost of one byte and a sum of two for each pixel and disparity
+_CELL_BYTES = 2  # a cost and half a sum for each pixel and disparity; over the full range costs are made anew
 _STRIP_OVERLAP = 64  # rows after which a path has nearly forgotten where it began
 _BLOCK = 16  # disparities that the kernels take at once
 _MODES = {"census": 0, "blend": 1, "mutual": 2}
@@ -81,7 +81,8 @@ def volume_bytes(height: int, width: int, disparities: int) -> int:
         each = count if level == levels else min(count + _BLOCK, tuning.hole_limit + 2 * _BLOCK)
         each = -(-each // _BLOCK) * _BLOCK
         rows = min(h, 3 * _STRIP_OVERLAP)
-        most = max(most, min(h * w * each, max(_VOLUME_BYTES // _CELL_BYTES, rows * w * each)) * _CELL_BYTES)
+        cell = 1 if level == levels else _CELL_BYTES
+        most = max(most, min(h * w * each * cell, max(_VOLUME_BYTES, rows * w * each * cell)))
     return most
 
 
@@ -197,7 +198,7 @@ class _Level:
         height, width = self.left.shape
         low, count = self.rules.low, self.rules.count
         parts = []
-        for strip, inner in _strips(np.full(height, width * count)):
+        for strip, inner in _strips(np.full(height, width * count)):  # bytes
             found, _ = _sgm.match_dense(self.left[strip], self.right[strip], low, count, self.options, self.workspace)
             parts.append(found[inner])
         return np.concatenate(parts)
@@ -211,7 +212,7 @@ class _Level:
             blocks = np.where(use, blocks, np.uint8(1))
         _log.debug("%.1f disparities a pixel at %s", _BLOCK * blocks.mean(), self.left.shape)
         parts = []
-        for strip, inner in _strips(_BLOCK * blocks.sum(axis=1, dtype=np.int64)):
+        for strip, inner in _strips(_CELL_BYTES * _BLOCK * blocks.sum(axis=1, dtype=np.int64)):
             found, _ = _sgm.match_ragged(
                 self.left[strip], self.right[strip], first[strip], blocks[strip], self.options, self.workspace, mutual
             )
@@ -219,11 +220,11 @@ class _Level:
         return np.concatenate(parts)
 
 
-def _strips(cells: np.ndarray) -> list[tuple[slice, slice]]:
-    """Rows matched together, and which of the found ones count, so that the volumes of ``cells`` (h,) in each row stay
-    within _VOLUME_BYTES; a strip is never less than its overlap."""
-    height, limit = len(cells), _VOLUME_BYTES // _CELL_BYTES
-    before = np.concatenate([[0], np.cumsum(cells)])
+def _strips(volume: np.ndarray) -> list[tuple[slice, slice]]:
+    """Rows matched together, and which of the found ones count, so that the volumes of ``volume`` (h,) bytes in each row
+    stay within _VOLUME_BYTES; a strip is never less than its overlap."""
+    height, limit = len(volume), _VOLUME_BYTES
+    before = np.concatenate([[0], np.cumsum(volume)])
     if before[-1] <= limit:
         return [(slice(0, height), slice(0, height))]
     strips, top = [], 0
