@@ -72,24 +72,29 @@ static void penalties(const Job& job, int y, int step, bool top, Scratch& s) {
 // `outside`. j is the mirrored column of the first disparity.
 static void cost_anywhere(const Job& job, const Scratch& s, int x, int first, int n, u8* cost) {
   const int j0 = job.right_width - 1 - x + first;
-  for (int b = 0; b < n; b += B::N) {
-    hamming(s.right_census + clamped(j0 + b, -kBlock, job.right_width), s.left_census[x]).store(cost + b);
+  const int from = clamped(-j0, 0, n), to = clamped(job.right_width - j0, from, n);
+  for (int b = from / B::N * B::N; b < to; b += B::N) {
+    hamming(s.right_census + j0 + b, s.left_census[x]).store(cost + b);
   }
-  for (int d = 0; d < n; ++d) {
-    if (j0 + d < 0 || j0 + d >= job.right_width) cost[d] = job.outside;
+  if (from > 0) std::memset(cost, job.outside, from);
+  if (to < n) std::memset(cost + to, job.outside, n - to);
+}
+
+// Cost of each of n right grey values, or its mean with what is there.
+static inline void look_up(const u8* table, const u8* right, int n, bool mean, u8* cost, B*) {
+  if (mean) {
+    for (int d = 0; d < n; ++d) cost[d] = static_cast<u8>((cost[d] + table[right[d]] + 1) >> 1);
+  } else {
+    for (int d = 0; d < n; ++d) cost[d] = table[right[d]];
   }
 }
 
 // Blends the mutual information of the grey values in (CostMode).
-static void mix(const Job& job, const u8* left_row, const u8* right_row, int x, int first, int n, u8* cost) {
-  const u8* table = job.mutual + 256 * static_cast<int>(left_row[x]);
+static inline void mix(const Job& job, const u8* left_row, const u8* right_row, int x, int first, int n, u8* cost) {
   const int j0 = job.right_width - 1 - x + first;
-  const int from = clamped(-j0, 0, n), to = clamped(job.right_width - j0, 0, n);
-  if (job.mode == CostMode::mutual) {
-    for (int d = from; d < to; ++d) cost[d] = table[right_row[j0 + d]];
-  } else {
-    for (int d = from; d < to; ++d) cost[d] = static_cast<u8>((cost[d] + table[right_row[j0 + d]] + 1) >> 1);
-  }
+  const int from = clamped(-j0, 0, n), to = clamped(job.right_width - j0, from, n);
+  look_up(job.mutual + 256 * static_cast<int>(left_row[x]), right_row + j0 + from, to - from,
+          job.mode == CostMode::blend, cost + from, static_cast<V*>(nullptr));
 }
 
 constexpr int kSpins = 64;  // then the processor is given to whoever has work

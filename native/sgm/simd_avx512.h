@@ -91,6 +91,19 @@ struct Running64 {
     return least << 16 | least_of(_mm512_mask_blend_epi16(is, _mm512_set1_epi16(-1), at));
   }
 };
+// Cost of each of n right grey values, or its mean with what is there.
+static inline void look_up(const u8* table, const u8* right, int n, bool mean, u8* cost, V64*) {
+  const __m512i a = _mm512_loadu_si512(table), b = _mm512_loadu_si512(table + 64);
+  const __m512i c = _mm512_loadu_si512(table + 128), d = _mm512_loadu_si512(table + 192);
+  for (int at = 0; at < n; at += 64) {
+    const __mmask64 lanes = n - at < 64 ? (1ull << (n - at)) - 1 : ~0ull;
+    const __m512i grey = _mm512_maskz_loadu_epi8(lanes, right + at);
+    const __m512i dark = _mm512_permutex2var_epi8(a, grey, b), bright = _mm512_permutex2var_epi8(c, grey, d);
+    __m512i said = _mm512_mask_blend_epi8(_mm512_movepi8_mask(grey), dark, bright);
+    if (mean) said = _mm512_avg_epu8(said, _mm512_maskz_loadu_epi8(lanes, cost + at));
+    _mm512_mask_storeu_epi8(cost + at, lanes, said);
+  }
+}
 using V = V64;
 using Running = Running64;
 
