@@ -3,6 +3,15 @@
 //   message(d) = min(L(d), L(d - 1) + P1, L(d + 1) + P1, min L + P2) - min L,   P2 outside its range.
 // Two guard blocks of P2 enclose each message, so any offset between two ranges is one unaligned load.
 
+// What W, the vectors of long ranges, need where they are single blocks. Lanes from n on do not count.
+static inline B load_first(const u8* p, int, B) { return B::load(p); }
+static inline void store_first(B a, u8* p, int) { a.store(p); }
+
+// Lanes `at` and on of a message of `length` lanes, P2 outside.
+static inline B told(const u8* source, int at, int length, B) {
+  return B::load(source + clamped(at, -kBlock, length));
+}
+
 static inline B message(B line, B least, B small, B large) {
   const B near = adds(vmin(before(line), after(line)), small);
   return vmin(sub(vmin(line, near), least), large);
@@ -46,6 +55,8 @@ static void ragged_layout(const Job& job, int y, Row& row) {
   for (int k = 0; k < 3; ++k) guard.store(row.path[k]);
 }
 
+constexpr int kFetched = 1024;  // bytes by which costs and sums are fetched before they are needed on the way back
+
 struct Place {
   int x, y, first, n;
 };
@@ -62,8 +73,8 @@ static u32 ragged_long(const Sweep& w, const Row& before_row, const Row& here, c
                        const u8* cost, u8* sum) {
   const Job& job = *w.job;
   Scratch& s = *w.scratch;
-  const B small = B::set1(job.small), large = B::set1(job.large), far = B::set1(kFar);
-  B low[4] = {far, far, far, far};
+  const W small = W::set1(job.small), large = W::set1(job.large), far = W::set1(kFar), zero = W::set1(0);
+  W low[4] = {far, far, far, far};
   const u8* source[4];
   int offset[4], length[4];
   for (int k = 0; k < 3; ++k) {
@@ -76,42 +87,43 @@ static u32 ragged_long(const Sweep& w, const Row& before_row, const Row& here, c
   source[3] = s.beside[0];
   offset[3] = p.first - beside.first;
   length[3] = beside.n;
-  for (int b = 0; b < p.n; b += kBlock) {
-    const B c = B::load(cost + b);
-    B part[4];
+  RunningW best;
+  for (int b = 0; b < p.n; b += W::N) {
+    const int n = p.n - b;
+    const W c = load_first(cost + b, n, far);
+    W part[4];
     for (int k = 0; k < 4; ++k) {
-      const B told = s.penalty[k][p.x] ? B::load(source[k] + clamped(offset[k] + b, -kBlock, length[k])) : B::set1(0);
-      part[k] = vmin(told, B::set1(s.penalty[k][p.x]));
-      const B line = add(c, part[k]);
+      const u8 penalty = s.penalty[k][p.x];
+      part[k] = penalty ? vmin(told(source[k], offset[k] + b, length[k], large), W::set1(penalty)) : zero;
+      const W line = adds(c, part[k]);
       line.store(s.lines[k] + b);
       low[k] = vmin(low[k], line);
     }
-    const B one = add(part[0], part[1]), two = add(part[2], part[3]);
-    if (DIR > 0) avg(one, two).store(sum + b);
-    else add(pair_sum(one, two), forward_sum(c, B::load(sum + b))).store(s.total + b);
+    const W one = add(part[0], part[1]), two = add(part[2], part[3]);
+    if (DIR > 0) {
+      store_first(avg(one, two), sum + b, n);
+    } else {
+      const W::Sum all = add(pair_sum(one, two), forward_sum(c, load_first(sum + b, n, zero)));
+      all.store(s.total + b);
+      best.see(all, b);
+    }
   }
+  u8 least[4];
+  least_of_four(low, least);
   for (int k = 0; k < 4; ++k) {
     u8* to = k < 3 ? here.path[k] + here.at[p.x] : s.beside[0];
-    const B least = hmin_all(low[k]);
-    far.store(s.lines[k] + p.n);
-    B previous = far, current = B::load(s.lines[k]);
-    for (int b = 0; b < p.n; b += kBlock) {  // whole blocks only: shifted loads would wait for the stores above
-      const B next = B::load(s.lines[k] + b + kBlock);
-      const B near = adds(vmin(before(previous, current), after(current, next)), small);
-      vmin(sub(vmin(current, near), least), large).store(to + b);
+    const W base = W::set1(least[k]);
+    W previous = far, current = W::load(s.lines[k]);
+    for (int b = 0; b < p.n; b += W::N) {  // whole vectors only: shifted loads would wait for the stores above
+      const W next = b + W::N < p.n ? W::load(s.lines[k] + b + W::N) : far;
+      const W near = adds(vmin(before(previous, current), after(current, next)), small);
+      store_first(vmin(sub(vmin(current, near), base), large), to + b, p.n - b);
       previous = current;
       current = next;
     }
-    large.store(to + p.n);
+    B::set1(job.large).store(to + p.n);
   }
-  u32 best = 0xffffffffu;
-  if (DIR < 0) {
-    for (int b = 0; b < p.n; b += kBlock) {
-      const u32 key = argmin(Sum16::load(s.total + b)) + static_cast<u32>(b);
-      best = key < best ? key : best;
-    }
-  }
-  return best;
+  return DIR > 0 ? 0 : best.result();
 }
 
 // One block of disparities, the usual case: nothing but registers and one load for each message.
@@ -184,7 +196,13 @@ static void ragged_row(const Sweep& w, int row) {
       if (i == 0) ragged_sources(job, y, DIR, row == 0, before_row, s);
     }
     const Place p = {x, y, first[x], kBlock * blocks[x]};
-    if (DIR < 0) at -= static_cast<u64>(p.n);
+    if (DIR < 0) {
+      at -= static_cast<u64>(p.n);
+      for (int b = 0; b < p.n; b += 64) {
+        __builtin_prefetch(job.cost + at + b - kFetched);
+        __builtin_prefetch(job.sum + at + b - kFetched);
+      }
+    }
     u8* cost = job.cost + at;
     u8* sum = job.sum + at;
     if (DIR > 0) {

@@ -91,20 +91,50 @@ struct Running64 {
     return least << 16 | least_of(_mm512_mask_blend_epi16(is, _mm512_set1_epi16(-1), at));
   }
 };
+static inline __mmask64 first_lanes(int n) { return _bzhi_u64(~0ull, n < 0 ? 0u : n > 64 ? 64u : static_cast<u32>(n)); }
+// The first n lanes, whole blocks of 16: stores under a mask would be slow, and loads after them wait.
+static inline void store_first(V64 a, u8* p, int n) {
+  if (n >= 64) return a.store(p);
+  const __m256i upper = _mm512_extracti64x4_epi64(a.v, 1);
+  if (n >= 32) _mm256_storeu_si256(reinterpret_cast<__m256i*>(p), _mm512_castsi512_si256(a.v));
+  if (n == 48) _mm_storeu_si128(reinterpret_cast<__m128i*>(p + 32), _mm256_castsi256_si128(upper));
+  if (n == 16) _mm_storeu_si128(reinterpret_cast<__m128i*>(p), _mm512_castsi512_si128(a.v));
+}
+
 // Cost of each of n right grey values, or its mean with what is there.
 static inline void look_up(const u8* table, const u8* right, int n, bool mean, u8* cost, V64*) {
   const __m512i a = _mm512_loadu_si512(table), b = _mm512_loadu_si512(table + 64);
   const __m512i c = _mm512_loadu_si512(table + 128), d = _mm512_loadu_si512(table + 192);
   for (int at = 0; at < n; at += 64) {
-    const __mmask64 lanes = n - at < 64 ? (1ull << (n - at)) - 1 : ~0ull;
+    const __mmask64 lanes = first_lanes(n - at);
     const __m512i grey = _mm512_maskz_loadu_epi8(lanes, right + at);
     const __m512i dark = _mm512_permutex2var_epi8(a, grey, b), bright = _mm512_permutex2var_epi8(c, grey, d);
     __m512i said = _mm512_mask_blend_epi8(_mm512_movepi8_mask(grey), dark, bright);
     if (mean) said = _mm512_avg_epu8(said, _mm512_maskz_loadu_epi8(lanes, cost + at));
-    _mm512_mask_storeu_epi8(cost + at, lanes, said);
+    if (n % 16 == 0) store_first({said}, cost + at, n - at);
+    else _mm512_mask_storeu_epi8(cost + at, lanes, said);
   }
 }
+
+// Long ranges.
+static inline V64 load_first(const u8* p, int n, V64 rest) {
+  return {_mm512_mask_loadu_epi8(rest.v, first_lanes(n), p)};
+}
+static inline V64 told(const u8* source, int at, int length, V64 outside) {
+  return {_mm512_mask_loadu_epi8(outside.v, first_lanes(length - at) & ~first_lanes(-at), source + at)};
+}
+// Lanes moved by one across neighbouring vectors.
+static inline __m512i lanes_from(int first) {
+  alignas(64) static const u8 kLane[64] = {
+      0,  1,  2,  3,  4,  5,  6,  7,  8,  9,  10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31,
+      32, 33, 34, 35, 36, 37, 38, 39, 40, 41, 42, 43, 44, 45, 46, 47, 48, 49, 50, 51, 52, 53, 54, 55, 56, 57, 58, 59, 60, 61, 62, 63};
+  return _mm512_add_epi8(_mm512_load_si512(kLane), _mm512_set1_epi8(static_cast<char>(first)));
+}
+static inline V64 before(V64 previous, V64 a) { return {_mm512_permutex2var_epi8(previous.v, lanes_from(63), a.v)}; }
+static inline V64 after(V64 a, V64 next) { return {_mm512_permutex2var_epi8(a.v, lanes_from(1), next.v)}; }
 using V = V64;
+using W = V64;
+using RunningW = Running64;
 using Running = Running64;
 
 }  // namespace SGM_ISA

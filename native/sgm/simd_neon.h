@@ -102,6 +102,9 @@ static inline void interleave(const u8* planes, std::ptrdiff_t stride, u64* out)
 
 #include "running.inl"
 using V = B;
+using W = B;
+using Running = Running16;
+using RunningW = Running16;
 
 }  // namespace SGM_ISA
 }  // namespace sgm

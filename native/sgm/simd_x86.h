@@ -174,9 +174,14 @@ static inline void interleave(const u8* planes, std::ptrdiff_t stride, u64* out)
   }
 }
 
-#ifndef __AVX2__
 #include "running.inl"
+#ifndef __AVX2__
 using V = B;
+using Running = Running16;
+#endif
+#ifndef __AVX512BW__
+using W = B;
+using RunningW = Running16;
 #endif
 
 }  // namespace SGM_ISA
