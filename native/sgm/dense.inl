@@ -13,24 +13,6 @@ static inline int first_row(const Sweep& w, int band) {
   return static_cast<int>(static_cast<long long>(band) * w.job->height / w.bands);
 }
 
-// Matching costs of pixel x: bits in which the census differs, byte by byte of it.
-static inline void dense_cost(const Job& job, const Scratch& s, const u8* left_row, const u8* right_row, int x) {
-  const int j0 = job.right_width - 1 - x + job.low;
-  const int from = clamped(-j0, 0, job.count), to = clamped(job.right_width - j0, from, job.count);
-  V left[8];
-  for (int k = 0; k < 8; ++k) left[k] = V::set1(s.left_planes[k * s.plane_stride + x]);
-  for (int b = from / V::N * V::N; b < to; b += V::N) {
-    const u8* right = s.right_planes + j0 + b;
-    V n = bits(bxor(V::load(right), left[0]));
-    for (int k = 1; k < 8; ++k) n = add(n, bits(bxor(V::load(right + k * s.plane_stride), left[k])));
-    n.store(s.cost + b);
-  }
-  if (from > 0) std::memset(s.cost, job.outside, from);
-  if (to < job.count) std::memset(s.cost + to, job.outside, job.count - to);
-  if (job.mode != CostMode::census) mix(job, left_row, right_row, x, job.low, job.count, s.cost);
-  if (job.count < job.padded) std::memset(s.cost + job.count, kFar, job.padded - job.count);
-}
-
 template <int DIR>
 static inline u32 dense_paths(const Job& job, const Source* from, u8* const* to, u8* least, const u8* cost, u8* sum,
                               u16* total) {
@@ -77,7 +59,8 @@ static inline void dense_pixel(const Sweep& w, int y, int i, Scratch& s, const R
   const Job& job = *w.job;
   const int x = DIR > 0 ? i : job.width - 1 - i, pitch = job.padded + V::N;
   const std::size_t cell = (static_cast<std::size_t>(y) * job.width + x) * job.padded;
-  dense_cost(job, s, job.left + y * job.left_stride, job.right + y * job.right_stride, x);
+  costs(job, s, y, x, job.low, job.padded, s.cost, V());
+  if (job.count < job.padded) std::memset(s.cost + job.count, kFar, job.padded - job.count);
   Source from[4];
   for (int k = 0; k < 3; ++k) {
     const std::size_t at = clamped(i + k - 1, 0, job.width - 1) & before_mask;

@@ -153,8 +153,8 @@ Scratch make_scratch(Arena& arena, const Job& job, int most, int lanes) {
     s.right_census = arena.take<u64>(job.right_width + 2 * kBlock + 64) + kBlock;
   } else {
     s.near = make_row(arena, job, kSlots, 0, lanes);
-    s.cost = arena.take<u8>(job.padded);
   }
+  s.cost = arena.take<u8>(most);
   for (auto& p : s.penalty) p = arena.take<u8>(job.width + kMargin);
   for (auto& p : s.from) p = arena.take<u32>(job.width);
   for (auto& p : s.lines) p = arena.take<u8>(most + 2 * kMargin, kFar) + kMargin;

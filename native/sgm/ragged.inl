@@ -5,7 +5,6 @@
 
 // What W, the vectors of long ranges, need where they are single blocks. Lanes from n on do not count.
 static inline B load_first(const u8* p, int, B) { return B::load(p); }
-static inline void store_first(B a, u8* p, int) { a.store(p); }
 
 // Lanes `at` and on of a message of `length` lanes, P2 outside.
 static inline B told(const u8* source, int at, int length, B) {
@@ -70,9 +69,11 @@ struct Beside {
 
 template <int DIR>
 static u32 ragged_long(const Sweep& w, const Row& before_row, const Row& here, const Place& p, const Beside& beside,
-                       const u8* cost, u8* sum) {
+                       u8* cost, u8* sum) {
   const Job& job = *w.job;
   Scratch& s = *w.scratch;
+  if (DIR > 0) costs(job, s, p.y, p.x, p.first, p.n, s.cost, W());
+  const u8* from = DIR > 0 ? s.cost : cost;
   const W small = W::set1(job.small), large = W::set1(job.large), far = W::set1(kFar), zero = W::set1(0);
   W low[4] = {far, far, far, far};
   const u8* source[4];
@@ -90,7 +91,8 @@ static u32 ragged_long(const Sweep& w, const Row& before_row, const Row& here, c
   RunningW best;
   for (int b = 0; b < p.n; b += W::N) {
     const int n = p.n - b;
-    const W c = load_first(cost + b, n, far);
+    const W c = load_first(from + b, n, far);
+    if (DIR > 0) store_first(c, cost + b, n);
     W part[4];
     for (int k = 0; k < 4; ++k) {
       const u8 penalty = s.penalty[k][p.x];
@@ -117,7 +119,9 @@ static u32 ragged_long(const Sweep& w, const Row& before_row, const Row& here, c
     for (int b = 0; b < p.n; b += W::N) {  // whole vectors only: shifted loads would wait for the stores above
       const W next = b + W::N < p.n ? W::load(s.lines[k] + b + W::N) : far;
       const W near = adds(vmin(before(previous, current), after(current, next)), small);
-      store_first(vmin(sub(vmin(current, near), base), large), to + b, p.n - b);
+      const W told = vmin(sub(vmin(current, near), base), large);
+      if (k < 3) store_first(told, to + b, p.n - b);
+      else told.store(to + b);
       previous = current;
       current = next;
     }
@@ -159,16 +163,17 @@ static inline u32 ragged_short(const Sweep& w, const Row& before_row, const Row&
   return argmin(all);
 }
 
-static inline void ragged_cost(const Sweep& w, const Place& p, const u8* left_row, const u8* right_row, u8* cost) {
+static inline void ragged_cost(const Sweep& w, const Place& p, u8* cost) {  // of one block
   const Job& job = *w.job;
   const Scratch& s = *w.scratch;
   const int j0 = job.right_width - 1 - p.x + p.first;
-  if (p.n == kBlock && j0 >= 0 && j0 + kBlock <= job.right_width) {
-    hamming(s.right_census + j0, s.left_census[p.x]).store(cost);
+  if (j0 >= 0 && j0 + kBlock <= job.right_width) {
+    const u8* left = job.left + p.y * job.left_stride + p.x;
+    const B census = hamming(s.right_census + j0, s.left_census[p.x]);
+    with_greys(job, census, left, job.right + p.y * job.right_stride + j0).store(cost);
   } else {
-    cost_anywhere(job, s, p.x, p.first, p.n, cost);
+    costs(job, s, p.y, p.x, p.first, p.n, cost, B());
   }
-  if (job.mode != CostMode::census) mix(job, left_row, right_row, p.x, p.first, p.n, cost);
 }
 
 template <int DIR>
@@ -178,8 +183,6 @@ static void ragged_row(const Sweep& w, int row) {
   const int y = DIR > 0 ? row : job.height - 1 - row, ring = w.threads + 1;
   Row& here = w.ring[row % ring];
   const Row& before_row = w.ring[(row + ring - 1) % ring];
-  const u8* left_row = job.left + y * job.left_stride;
-  const u8* right_row = job.right + y * job.right_stride;
   const i16* first = job.first + static_cast<std::size_t>(y) * job.width;
   const u8* blocks = job.blocks + static_cast<std::size_t>(y) * job.width;
   begin_row<DIR>(w, y, row == 0, s);
@@ -207,7 +210,7 @@ static void ragged_row(const Sweep& w, int row) {
     u8* sum = job.sum + at;
     if (DIR > 0) {
       at += static_cast<u64>(p.n);
-      ragged_cost(w, p, left_row, right_row, cost);
+      if (p.n == kBlock) ragged_cost(w, p, cost);
     }
     u32 key;
     if (p.n == kBlock) {

@@ -68,33 +68,41 @@ static void penalties(const Job& job, int y, int step, bool top, Scratch& s) {
   }
 }
 
-// Costs of n disparities of pixel x from disparity `first` on, for any range: lanes outside the right image cost
-// `outside`. j is the mirrored column of the first disparity.
-static void cost_anywhere(const Job& job, const Scratch& s, int x, int first, int n, u8* cost) {
-  const int j0 = job.right_width - 1 - x + first;
+template <class T>
+static inline void store_first(T a, u8* p, int) { a.store(p); }
+
+// Cost of right grey values, or its mean with the census cost.
+template <class T>
+static inline T told_by_greys(T cost, const u8* table, const u8* right, bool mean) {
+  u8 c[T::N];
+  cost.store(c);
+  for (int d = 0; d < T::N; ++d) c[d] = mean ? static_cast<u8>((c[d] + table[right[d]] + 1) >> 1) : table[right[d]];
+  return T::load(c);
+}
+
+template <class T>
+static inline T with_greys(const Job& job, T cost, const u8* left, const u8* right) {
+  if (job.mode == CostMode::census) return cost;
+  return told_by_greys(cost, job.mutual + 256 * static_cast<int>(*left), right, job.mode == CostMode::blend);
+}
+
+// Costs of n disparities of pixel x from disparity `first` on, for any range, in whole vectors of T: lanes outside the
+// right image cost `outside`. The census differs in bits, added byte by byte of it.
+template <class T>
+static inline void costs(const Job& job, const Scratch& s, int y, int x, int first, int n, u8* cost, T) {
+  const u8 *left_row = job.left + y * job.left_stride, *right_row = job.right + y * job.right_stride;
+  const int j0 = job.right_width - 1 - x + first;  // mirrored column of the first disparity
   const int from = clamped(-j0, 0, n), to = clamped(job.right_width - j0, from, n);
-  for (int b = from / B::N * B::N; b < to; b += B::N) {
-    hamming(s.right_census + j0 + b, s.left_census[x]).store(cost + b);
+  T left[8];
+  for (int k = 0; k < 8; ++k) left[k] = T::set1(s.left_planes[k * s.plane_stride + x]);
+  for (int b = from / T::N * T::N; b < to; b += T::N) {
+    const u8* right = s.right_planes + j0 + b;
+    T c = bits(bxor(T::load(right), left[0]));
+    for (int k = 1; k < 8; ++k) c = add(c, bits(bxor(T::load(right + k * s.plane_stride), left[k])));
+    with_greys(job, c, left_row + x, right_row + j0 + b).store(cost + b);
   }
   if (from > 0) std::memset(cost, job.outside, from);
   if (to < n) std::memset(cost + to, job.outside, n - to);
-}
-
-// Cost of each of n right grey values, or its mean with what is there.
-static inline void look_up(const u8* table, const u8* right, int n, bool mean, u8* cost, B*) {
-  if (mean) {
-    for (int d = 0; d < n; ++d) cost[d] = static_cast<u8>((cost[d] + table[right[d]] + 1) >> 1);
-  } else {
-    for (int d = 0; d < n; ++d) cost[d] = table[right[d]];
-  }
-}
-
-// Blends the mutual information of the grey values in (CostMode).
-static inline void mix(const Job& job, const u8* left_row, const u8* right_row, int x, int first, int n, u8* cost) {
-  const int j0 = job.right_width - 1 - x + first;
-  const int from = clamped(-j0, 0, n), to = clamped(job.right_width - j0, from, n);
-  look_up(job.mutual + 256 * static_cast<int>(left_row[x]), right_row + j0 + from, to - from,
-          job.mode == CostMode::blend, cost + from, static_cast<V*>(nullptr));
 }
 
 constexpr int kSpins = 64;  // then the processor is given to whoever has work

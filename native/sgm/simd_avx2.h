@@ -80,11 +80,7 @@ struct Running32 {
   }
 };
 #ifndef __AVX512BW__
-static inline void look_up(const u8* table, const u8* right, int n, bool mean, u8* cost, B*);
 using V = V32;
-static inline void look_up(const u8* table, const u8* right, int n, bool mean, u8* cost, V32*) {
-  look_up(table, right, n, mean, cost, static_cast<B*>(nullptr));
-}
 using Running = Running32;
 #endif
 

@@ -101,19 +101,19 @@ static inline void store_first(V64 a, u8* p, int n) {
   if (n == 16) _mm_storeu_si128(reinterpret_cast<__m128i*>(p), _mm512_castsi512_si128(a.v));
 }
 
-// Cost of each of n right grey values, or its mean with what is there.
-static inline void look_up(const u8* table, const u8* right, int n, bool mean, u8* cost, V64*) {
+static inline __m512i of_table(const u8* table, __m512i grey) {
   const __m512i a = _mm512_loadu_si512(table), b = _mm512_loadu_si512(table + 64);
   const __m512i c = _mm512_loadu_si512(table + 128), d = _mm512_loadu_si512(table + 192);
-  for (int at = 0; at < n; at += 64) {
-    const __mmask64 lanes = first_lanes(n - at);
-    const __m512i grey = _mm512_maskz_loadu_epi8(lanes, right + at);
-    const __m512i dark = _mm512_permutex2var_epi8(a, grey, b), bright = _mm512_permutex2var_epi8(c, grey, d);
-    __m512i said = _mm512_mask_blend_epi8(_mm512_movepi8_mask(grey), dark, bright);
-    if (mean) said = _mm512_avg_epu8(said, _mm512_maskz_loadu_epi8(lanes, cost + at));
-    if (n % 16 == 0) store_first({said}, cost + at, n - at);
-    else _mm512_mask_storeu_epi8(cost + at, lanes, said);
-  }
+  const __m512i dark = _mm512_permutex2var_epi8(a, grey, b), bright = _mm512_permutex2var_epi8(c, grey, d);
+  return _mm512_mask_blend_epi8(_mm512_movepi8_mask(grey), dark, bright);
+}
+static inline V64 told_by_greys(V64 cost, const u8* table, const u8* right, bool mean) {
+  const V64 said = {of_table(table, _mm512_loadu_si512(right))};
+  return mean ? avg(cost, said) : said;
+}
+static inline B told_by_greys(B cost, const u8* table, const u8* right, bool mean) {
+  const B said = {_mm512_castsi512_si128(of_table(table, _mm512_castsi128_si512(B::load(right).v)))};
+  return mean ? avg(cost, said) : said;
 }
 
 // Long ranges.

@@ -73,7 +73,7 @@ struct Scratch {
   u8* right_planes;                // likewise, mirrored; kMargin readable before and after
   std::ptrdiff_t plane_stride;
   Row near;                        // dense: kSlots pixels of this row
-  u8* cost;                        // dense: costs of one pixel
+  u8* cost;                        // costs of one pixel
   u8* penalty[4];                  // adaptive P2 of each pixel towards its predecessor on each path
   u32* from[3];                    // ragged: where the predecessor's message is read
   u8* lines[4];                    // path costs of one pixel (kMargin before)
