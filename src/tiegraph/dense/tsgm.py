@@ -135,14 +135,16 @@ def match(
             found = pair.full()
         else:
             above = (lefts[level + 1], rights[level + 1], found)
-            mutual = mutual_information(*above) if level == 0 and tuning.cost != "census" else None
+            blended = level == 0 and tuning.cost != "census"
+            mutual = mutual_information(_sgm.joint_greys(*above)) if blended else None
             found = pair.within(found, mutual, uses[level])
         if level and tuning.coarse_speckle_px:
             found = without_speckles(found - rules.low, tuning.coarse_speckle_px) + rules.low
     assert found is not None
-    found = found + np.float32(aligned)
+    found += np.float32(aligned)
     inside = (found > -0.5) & (found < disparities - 0.5)  # whole blocks reach a little over the range
-    return np.where(inside, found, np.float32(np.nan))
+    found[~inside] = np.nan
+    return found
 
 
 def _halved(use: np.ndarray | None) -> np.ndarray | None:
@@ -201,23 +203,23 @@ class _Level:
         for strip, inner in _strips(np.full(height, width * count)):  # bytes
             found, _ = _sgm.match_dense(self.left[strip], self.right[strip], low, count, self.options, self.workspace)
             parts.append(found[inner])
-        return np.concatenate(parts)
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def within(self, coarse: np.ndarray, mutual: np.ndarray | None, use: np.ndarray | None) -> np.ndarray:
         """The disparities that the coarser level leaves."""
         height, width = self.left.shape
-        first, blocks, _ = _sgm.ranges(coarse, width, height, self.rules)
+        first, blocks, cells = _sgm.ranges(coarse, width, height, self.rules)
+        _log.debug("%.1f disparities a pixel at %s", cells / self.left.size, self.left.shape)
         if use is not None:  # one block in the middle of the range
             first = np.where(use, first, first + _BLOCK // 2 * (blocks.astype(np.int16) - 1))
             blocks = np.where(use, blocks, np.uint8(1))
-        _log.debug("%.1f disparities a pixel at %s", _BLOCK * blocks.mean(), self.left.shape)
         parts = []
         for strip, inner in _strips(_CELL_BYTES * _BLOCK * blocks.sum(axis=1, dtype=np.int64)):
             found, _ = _sgm.match_ragged(
                 self.left[strip], self.right[strip], first[strip], blocks[strip], self.options, self.workspace, mutual
             )
             parts.append(found[inner])
-        return np.concatenate(parts)
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _strips(volume: np.ndarray) -> list[tuple[slice, slice]]:
