@@ -43,7 +43,7 @@ def ours(tuning: Tuning) -> Method:
     return lambda pair: match(pair.left, pair.right, 0, pair.disparities, tuning)
 
 
-FULL = Tuning(dense_below=1 << 20, full_range=1 << 20, cost="census")
+FULL = Tuning(everywhere=True)
 METHODS: dict[str, Method] = {
     "SGBM HH": opencv(cv2.STEREO_SGBM_MODE_HH),
     "SGBM 3WAY": opencv(cv2.STEREO_SGBM_MODE_SGBM_3WAY),

@@ -54,7 +54,7 @@ static inline u32 dense_paths(const Job& job, const Source* from, u8* const* to,
 
 // The i-th pixel of a row in the order of the sweep. `before` and `here` keep path costs at places i & mask.
 template <int DIR>
-static inline void dense_pixel(const Sweep& w, int y, int i, Scratch& s, const Row* before, int before_mask,
+static inline __attribute__((always_inline)) void dense_pixel(const Sweep& w, int y, int i, Scratch& s, const Row* before, int before_mask,
                                const Row& here, int mask) {
   const Job& job = *w.job;
   const int x = DIR > 0 ? i : job.width - 1 - i, pitch = job.padded + V::N;
@@ -73,8 +73,7 @@ static inline void dense_pixel(const Sweep& w, int y, int i, Scratch& s, const R
   u8* to[4] = {here.path[0] + at, here.path[1] + at, here.path[2] + at, s.beside[~i & 1]};
   const u32 key = dense_paths<DIR>(job, from, to, here.least + 4 * place, s.cost, job.sum + cell, s.total);
   if (DIR < 0) {
-    keep(w, s, x, job.low, job.count, key);
-    if (job.uniqueness > 0 && !unique(job, s.total, job.count, key)) s.best[x] = kNone;
+    keep(w, s, x, job.low, job.count, key, V::Sum());
   }
 }
 

@@ -170,7 +170,7 @@ static inline void ragged_cost(const Sweep& w, const Place& p, u8* cost) {  // o
   if (j0 >= 0 && j0 + kBlock <= job.right_width) {
     const u8* left = job.left + p.y * job.left_stride + p.x;
     const B census = hamming(s.right_census + j0, s.left_census[p.x]);
-    with_greys(job, census, left, job.right + p.y * job.right_stride + j0).store(cost);
+    with_greys(job, census, greys_of(job, left), job.right + p.y * job.right_stride + j0).store(cost);
   } else {
     costs(job, s, p.y, p.x, p.first, p.n, cost, B());
   }
@@ -225,8 +225,8 @@ static void ragged_row(const Sweep& w, int row) {
       beside.n = p.n;
     }
     if (DIR < 0) {
-      keep(w, s, x, p.first, p.n, key);
-      if (job.uniqueness > 0 && !unique(job, s.total, p.n, key)) s.best[x] = kNone;
+      if (p.n == kBlock) keep(w, s, x, p.first, p.n, key, Sum16());
+      else keep(w, s, x, p.first, p.n, key, W::Sum());
     }
   }
   if (DIR < 0) finish_row(w, y, s);

@@ -15,6 +15,12 @@ static inline void least_of_four(const T* low, u8* least) {
   for (int k = 0; k < 4; ++k) least[k] = hmin(low[k]);
 }
 
+// Sets a bit, not set before, where a is not brighter than the centre.
+template <class T>
+static inline T with_bit(T plane, T a, T centre, int bit) {
+  return add(plane, band(below_or_equal(a, centre), T::set1(static_cast<u8>(1 << bit))));
+}
+
 // One bit for each pixel of the window around the centre: 1 where it is not brighter. `side` -1 reads the window
 // mirrored, so that bits of a mirrored image have the same meaning. Each byte of the bits has a plane of its own.
 static void census_row(const u8* row, std::ptrdiff_t stride, const Job& job, int width, int side, u8* planes,
@@ -31,16 +37,13 @@ static void census_row(const u8* row, std::ptrdiff_t stride, const Job& job, int
     const u8* at = row + x;
     const V centre = V::load(at);
     u8* to = planes + x;
-    const auto next = [&](V plane, int k) {  // true is -1
-      return sub(add(plane, plane), below_or_equal(V::load(at + offset[k]), centre));
-    };
     for (int k = 0; k < whole; ++k, to += plane_stride) {
       V plane = V::set1(0);
-      for (int bit = 0; bit < 8; ++bit) plane = next(plane, 8 * k + bit);
+      for (int bit = 0; bit < 8; ++bit) plane = with_bit(plane, V::load(at + offset[8 * k + bit]), centre, bit);
       plane.store(to);
     }
     V plane = V::set1(0);
-    for (int bit = 0; bit < rest; ++bit) plane = next(plane, 8 * whole + bit);
+    for (int bit = 0; bit < rest; ++bit) plane = with_bit(plane, V::load(at + offset[8 * whole + bit]), centre, bit);
     if (rest) plane.store(to);
   }
 }
@@ -71,19 +74,29 @@ static void penalties(const Job& job, int y, int step, bool top, Scratch& s) {
 template <class T>
 static inline void store_first(T a, u8* p, int) { a.store(p); }
 
+#ifndef __AVX512BW__
+struct Greys {
+  const u8* costs;
+  static Greys load(const u8* p) { return {p}; }
+};
+
 // Cost of right grey values, or its mean with the census cost.
 template <class T>
-static inline T told_by_greys(T cost, const u8* table, const u8* right, bool mean) {
-  u8 c[T::N];
-  cost.store(c);
-  for (int d = 0; d < T::N; ++d) c[d] = mean ? static_cast<u8>((c[d] + table[right[d]] + 1) >> 1) : table[right[d]];
-  return T::load(c);
+static inline T told_by_greys(T cost, const Greys& table, const u8* right, bool mean) {
+  u8 said[T::N];
+  for (int d = 0; d < T::N; ++d) said[d] = table.costs[right[d]];
+  return mean ? avg(cost, T::load(said)) : T::load(said);
+}
+#endif
+
+// The row of the table of mutual information for a left grey value; without such a table anything.
+static inline Greys greys_of(const Job& job, const u8* left) {
+  return Greys::load(job.mode == CostMode::census ? job.left : job.mutual + 256 * static_cast<int>(*left));
 }
 
 template <class T>
-static inline T with_greys(const Job& job, T cost, const u8* left, const u8* right) {
-  if (job.mode == CostMode::census) return cost;
-  return told_by_greys(cost, job.mutual + 256 * static_cast<int>(*left), right, job.mode == CostMode::blend);
+static inline T with_greys(const Job& job, T cost, const Greys& table, const u8* right) {
+  return job.mode == CostMode::census ? cost : told_by_greys(cost, table, right, job.mode == CostMode::blend);
 }
 
 // Costs of n disparities of pixel x from disparity `first` on, for any range, in whole vectors of T: lanes outside the
@@ -95,11 +108,12 @@ static inline void costs(const Job& job, const Scratch& s, int y, int x, int fir
   const int from = clamped(-j0, 0, n), to = clamped(job.right_width - j0, from, n);
   T left[8];
   for (int k = 0; k < 8; ++k) left[k] = T::set1(s.left_planes[k * s.plane_stride + x]);
+  const Greys greys = greys_of(job, left_row + x);
   for (int b = from / T::N * T::N; b < to; b += T::N) {
     const u8* right = s.right_planes + j0 + b;
     T c = bits(bxor(T::load(right), left[0]));
     for (int k = 1; k < 8; ++k) c = add(c, bits(bxor(T::load(right + k * s.plane_stride), left[k])));
-    with_greys(job, c, left_row + x, right_row + j0 + b).store(cost + b);
+    with_greys(job, c, greys, right_row + j0 + b).store(cost + b);
   }
   if (from > 0) std::memset(cost, job.outside, from);
   if (to < n) std::memset(cost + to, job.outside, n - to);
@@ -121,38 +135,35 @@ static inline void wait_for(const Sweep& w, int row, int pixels) {
   }
 }
 
-// Keeps the winner of pixel x: total[0..n) are its total costs, key = smallest << 16 | place.
-static inline void keep(const Sweep& w, Scratch& s, int x, int first, int n, u32 key) {
+// Whether no disparity but the best and its neighbours costs less than 100 / (100 - uniqueness) of the best.
+template <class Sum>
+static __attribute__((noinline)) bool unique(const Job& job, const u16* total, int n, u32 key) {
+  const int place = static_cast<int>(key & 0xffff), least = static_cast<int>(key >> 16);
+  for (int d = 0; d < n; ++d) {
+    const bool near = d >= place - 1 && d <= place + 1;
+    if (!near && total[Sum::at(d)] * (100 - job.uniqueness) < least * 100) return false;
+  }
+  return true;
+}
+
+// Keeps the winner of pixel x: total are its n total costs as a Sum stores them, key = smallest << 16 | place.
+template <class Sum>
+static inline void keep(const Sweep& w, Scratch& s, int x, int first, int n, u32 key, Sum) {
   const Job& job = *w.job;
   const u16* total = s.total;
   const int place = static_cast<int>(key & 0xffff);
   const u16 least = static_cast<u16>(key >> 16);
   const bool inner = place > 0 && place < n - 1;
-  s.around[0][x] = inner ? total[place - 1] : least;
+  s.around[0][x] = inner ? total[Sum::at(place - 1)] : least;
   s.around[1][x] = least;
-  s.around[2][x] = inner ? total[place + 1] : least;
+  s.around[2][x] = inner ? total[Sum::at(place + 1)] : least;
   s.best[x] = static_cast<i16>(first + place);
   const int at = x - first - place;
   if (at >= 0 && at < job.right_width) {
     const u32 mine = static_cast<u32>(least) << 16 | static_cast<u32>(first + place - w.lowest);
     if (mine < s.right_best[at]) s.right_best[at] = mine;
   }
-}
-
-// Whether no disparity but the best and its neighbours costs less than 100 / (100 - uniqueness) of the best.
-static inline bool unique(const Job& job, const u16* total, int n, u32 key) {
-  const int place = static_cast<int>(key & 0xffff);
-  const u32 wanted = ((key >> 16) * 100 + (100 - job.uniqueness) - 1) / (100 - job.uniqueness);
-  const u16 limit = static_cast<u16>(wanted);
-  int rivals = 0;
-  for (int b = 0; b < n; b += kBlock) {
-    u32 m = mask_below(Sum16::load(total + b), limit);
-    if (n - b < kBlock) m &= (1u << (n - b)) - 1;
-    const int near = place - b;
-    if (near >= -1 && near <= kBlock) m &= ~static_cast<u32>((7ull << (near + 1)) >> 2);
-    rivals |= static_cast<int>(m);
-  }
-  return rivals == 0;
+  if (job.uniqueness > 0 && !unique<Sum>(job, total, n, key)) s.best[x] = kNone;
 }
 
 // Left-right check and sub-pixel part of a finished row.
@@ -173,15 +184,13 @@ static void finish_row(const Sweep& w, int y, Scratch& s) {
     for (int x = 0; x < job.width; ++x) job.score[static_cast<std::size_t>(y) * job.width + x] = s.around[1][x];
   }
   if (job.left_right < 0) return;
+  const u32* __restrict right_best = s.right_best;
   for (int x = 0; x < job.width; ++x) {
-    const int at = x - s.best[x];
-    if (s.best[x] == kNone || at < 0 || at >= job.right_width) {
-      out[x] = nan;
-      continue;
-    }
-    const int other = static_cast<int>(s.right_best[at] & 0xffff) + w.lowest;
-    const int gap = other > s.best[x] ? other - s.best[x] : s.best[x] - other;
-    if (gap > job.left_right) out[x] = nan;
+    const int at = x - winner[x];
+    const bool inside = winner[x] != kNone && at >= 0 && at < job.right_width;
+    const int gap = static_cast<int>(right_best[inside ? at : 0] & 0xffff) + w.lowest - winner[x];
+    const bool agree = gap <= job.left_right && -gap <= job.left_right;
+    out[x] = inside && agree ? out[x] : nan;
   }
 }
 

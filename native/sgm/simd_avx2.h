@@ -15,6 +15,7 @@ struct Sum32 {
     _mm256_storeu_si256(reinterpret_cast<__m256i*>(p), a);
     _mm256_storeu_si256(reinterpret_cast<__m256i*>(p + 16), b);
   }
+  static int at(int d) { return d; }  // where disparity d is stored
 };
 struct V32 {
   enum { N = 32 };
@@ -26,6 +27,7 @@ struct V32 {
   static V32 set1(u8 a) { return {_mm256_set1_epi8(static_cast<char>(a))}; }
 };
 static inline V32 vmin(V32 a, V32 b) { return {_mm256_min_epu8(a.v, b.v)}; }
+static inline V32 band(V32 a, V32 b) { return {_mm256_and_si256(a.v, b.v)}; }
 static inline V32 bxor(V32 a, V32 b) { return {_mm256_xor_si256(a.v, b.v)}; }
 static inline V32 bits(V32 a) {
 #if defined(__AVX512BITALG__)

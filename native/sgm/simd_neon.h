@@ -13,6 +13,7 @@ struct Sum16 {
     vst1q_u16(p, a);
     vst1q_u16(p + 8, b);
   }
+  static int at(int d) { return d; }  // where disparity d is stored
 };
 struct B {
   enum { N = 16 };
@@ -24,6 +25,7 @@ struct B {
   static B set1(u8 a) { return {vdupq_n_u8(a)}; }
 };
 static inline B vmin(B a, B b) { return {vminq_u8(a.v, b.v)}; }
+static inline B band(B a, B b) { return {vandq_u8(a.v, b.v)}; }
 static inline B bxor(B a, B b) { return {veorq_u8(a.v, b.v)}; }
 static inline B bits(B a) { return {vcntq_u8(a.v)}; }
 static inline void stream_end() {}
@@ -70,12 +72,6 @@ static inline u32 argmin(Sum16 a) {
   const uint16x8_t p = vbslq_u16(vceqq_u16(a.a, l), vld1q_u16(kPlace), none);
   const uint16x8_t q = vbslq_u16(vceqq_u16(a.b, l), vld1q_u16(kPlace + 8), none);
   return static_cast<u32>(least) << 16 | vminvq_u16(vminq_u16(p, q));
-}
-static inline u32 mask_below(Sum16 a, u16 limit) {
-  alignas(16) static const u16 kBit[8] = {1, 2, 4, 8, 16, 32, 64, 128};
-  const uint16x8_t bit = vld1q_u16(kBit), l = vdupq_n_u16(limit);
-  const u32 p = vaddvq_u16(vandq_u16(vcltq_u16(a.a, l), bit)), q = vaddvq_u16(vandq_u16(vcltq_u16(a.b, l), bit));
-  return p | q << 8;
 }
 static inline void interleave(const u8* planes, std::ptrdiff_t stride, u64* out) {
   uint8x16_t p[8];

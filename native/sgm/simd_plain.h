@@ -10,6 +10,7 @@ struct Sum16 {
   u16 v[16];
   static Sum16 load(const u16* p) { Sum16 r; std::memcpy(r.v, p, 32); return r; }
   void store(u16* p) const { std::memcpy(p, v, 32); }
+  static int at(int d) { return d; }  // where disparity d is stored
 };
 struct B {
   enum { N = 16 };
@@ -22,6 +23,7 @@ struct B {
 };
 #define SGM_LANES(expr) B r; for (int i = 0; i < 16; ++i) r.v[i] = static_cast<u8>(expr); return r
 static inline B vmin(B a, B b) { SGM_LANES(a.v[i] < b.v[i] ? a.v[i] : b.v[i]); }
+static inline B band(B a, B b) { SGM_LANES(a.v[i] & b.v[i]); }
 static inline B bxor(B a, B b) { SGM_LANES(a.v[i] ^ b.v[i]); }
 static inline B add(B a, B b) { SGM_LANES(a.v[i] + b.v[i]); }
 static inline B sub(B a, B b) { SGM_LANES(a.v[i] - b.v[i]); }
@@ -82,11 +84,6 @@ static inline u32 argmin(Sum16 a) {
     best = key < best ? key : best;
   }
   return best;
-}
-static inline u32 mask_below(Sum16 a, u16 limit) {
-  u32 m = 0;
-  for (int i = 0; i < 16; ++i) m |= static_cast<u32>(a.v[i] < limit) << i;
-  return m;
 }
 static inline void interleave(const u8* planes, std::ptrdiff_t stride, u64* out) {
   for (int i = 0; i < 16; ++i) {

@@ -26,7 +26,7 @@ except ImportError:  # installed without a C++ compiler
 _memory = threading.local()
 _log = logging.getLogger(__name__)
 
-_FULL_RANGE = 128  # disparities at most of the level that is matched over its full range
+_FULL_RANGE = 256  # disparities at most of the level that is matched over its full range
 _DENSE_BELOW = 16  # with so few disparities per-pixel ranges save nothing
 _VOLUME_BYTES = 256_000_000  # of the cost volumes held at once; a level that needs more is matched in strips
 _CELL_BYTES = 2  # a cost and half a sum for each pixel and disparity; over the full range costs are made anew
@@ -43,7 +43,8 @@ class Tuning:
     ``floor`` of itself; reach: pixels of the coarser level around a pixel whose disparities it is given; hole_limit:
     disparities at most where the coarser level has none; parabola or equiangular lines below the pixel; cost: on the
     last level census, mutual or the mean of both; full_range: disparities at most of the level matched over its full
-    range; dense_below: with so few, there is one level only; kernel: empty = the fastest.
+    range; dense_below: with so few, there is one level only; everywhere: all levels are matched over their full range
+    (a reference for measurements); kernel: empty = the fastest.
     """
 
     radius: tuple[int, int] = (4, 3)
@@ -52,12 +53,13 @@ class Tuning:
     floor: float = 0.25
     knee: float = 6.0
     reach: int = 3
-    hole_limit: int = 128
+    hole_limit: int = 254
     uniqueness: int = 0
     parabola: bool = False
     cost: str = "blend"
     full_range: int = _FULL_RANGE
     dense_below: int = _DENSE_BELOW
+    everywhere: bool = False
     coarse_speckle_px: int = 0
     kernel: str = ""
 
@@ -137,7 +139,7 @@ def match(
             above = (lefts[level + 1], rights[level + 1], found)
             blended = level == 0 and tuning.cost != "census"
             mutual = mutual_information(_sgm.joint_greys(*above)) if blended else None
-            found = pair.within(found, mutual, uses[level])
+            found = pair.full(mutual) if tuning.everywhere else pair.within(found, mutual, uses[level])
         if level and tuning.coarse_speckle_px:
             found = without_speckles(found - rules.low, tuning.coarse_speckle_px) + rules.low
     assert found is not None
@@ -195,13 +197,15 @@ class _Level:
     options: _sgm.Options
     workspace: _sgm.Workspace
 
-    def full(self) -> np.ndarray:
+    def full(self, mutual: np.ndarray | None = None) -> np.ndarray:
         """Every disparity at every pixel."""
         height, width = self.left.shape
         low, count = self.rules.low, self.rules.count
         parts = []
         for strip, inner in _strips(np.full(height, width * count)):  # bytes
-            found, _ = _sgm.match_dense(self.left[strip], self.right[strip], low, count, self.options, self.workspace)
+            found, _ = _sgm.match_dense(
+                self.left[strip], self.right[strip], low, count, self.options, self.workspace, mutual
+            )
             parts.append(found[inner])
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
