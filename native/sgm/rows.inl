@@ -39,6 +39,7 @@ static void census_row(const u8* row, std::ptrdiff_t stride, const Job& job, int
     u8* to = planes + x;
     for (int k = 0; k < whole; ++k, to += plane_stride) {
       V plane = V::set1(0);
+#pragma GCC unroll 8
       for (int bit = 0; bit < 8; ++bit) plane = with_bit(plane, V::load(at + offset[8 * k + bit]), centre, bit);
       plane.store(to);
     }

@@ -28,6 +28,7 @@ _log = logging.getLogger(__name__)
 
 _FULL_RANGE = 256  # disparities at most of the level that is matched over its full range
 _DENSE_BELOW = 16  # with so few disparities per-pixel ranges save nothing
+_QUARTER = 2  # halvings to a quarter of the size
 _VOLUME_BYTES = 256_000_000  # of the cost volumes held at once; a level that needs more is matched in strips
 _CELL_BYTES = 2  # a cost and half a sum for each pixel and disparity; over the full range costs are made anew
 _STRIP_OVERLAP = 64  # rows after which a path has nearly forgotten where it began
@@ -43,8 +44,8 @@ class Tuning:
     ``floor`` of itself; reach: pixels of the coarser level around a pixel whose disparities it is given; hole_limit:
     disparities at most where the coarser level has none; parabola or equiangular lines below the pixel; cost: on the
     last level census, mutual or the mean of both; full_range: disparities at most of the level matched over its full
-    range; dense_below: with so few, there is one level only; everywhere: all levels are matched over their full range
-    (a reference for measurements); kernel: empty = the fastest.
+    range; dense_below: with so few, there is one level only; everywhere: matched over the full range (a reference for
+    measurements); kernel: empty = the fastest.
     """
 
     radius: tuple[int, int] = (4, 3)
@@ -128,7 +129,8 @@ def match(
         uses.append(_halved(uses[-1]))
     workspace = _workspace()
     found = None
-    for level in range(levels, -1, -1):
+    coarser = levels
+    for level in (levels, 0) if tuning.everywhere else range(levels, -1, -1):
         rules = _sgm.RangeRules()
         rules.low, rules.count = -(aligned >> level), -(-disparities >> level)
         rules.reach, rules.hole_limit = tuning.reach, tuning.hole_limit
@@ -136,12 +138,13 @@ def match(
         if found is None:
             found = pair.full()
         else:
-            above = (lefts[level + 1], rights[level + 1], found)
+            above = (lefts[coarser], rights[coarser], found)
             blended = level == 0 and tuning.cost != "census"
             mutual = mutual_information(_sgm.joint_greys(*above)) if blended else None
             found = pair.full(mutual) if tuning.everywhere else pair.within(found, mutual, uses[level])
         if level and tuning.coarse_speckle_px:
             found = without_speckles(found - rules.low, tuning.coarse_speckle_px) + rules.low
+        coarser = level
     assert found is not None
     found += np.float32(aligned)
     inside = (found > -0.5) & (found < disparities - 0.5)  # whole blocks reach a little over the range
@@ -165,7 +168,10 @@ def _workspace() -> _sgm.Workspace:
 
 
 def _levels(disparities: int, tuning: Tuning) -> int:
-    """Halvings until the full range is cheap; at least one unless there are few disparities anyway."""
+    """Halvings until the full range is cheap; at least one unless there are few disparities anyway. A match over the full
+    range on all levels has one of a quarter of the size, which tells what grey values belong together."""
+    if tuning.everywhere:
+        return _QUARTER
     levels = 0 if disparities <= tuning.dense_below else 1
     while disparities >> levels > tuning.full_range:
         levels += 1
