@@ -56,7 +56,7 @@ METHODS: dict[str, Method] = {
 
 def fits(name: str, pair: Pair) -> bool:
     """Whether the method's memory for the pair is bearable."""
-    return name not in ("SGBM HH", "full") or pair.left.size * pair.disparities <= _MAX_HH_CELLS
+    return name != "SGBM HH" or pair.left.size * pair.disparities <= _MAX_HH_CELLS
 
 
 def compare(pair: Pair, repeats: int, names: list[str]) -> dict[str, dict[str, float]]:

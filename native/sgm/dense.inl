@@ -7,7 +7,8 @@ struct Source {
   const u8 *line, *least, *penalty;
 };
 
-constexpr int kAhead = 4;  // pixels by which sums are fetched before they are needed: no hardware expects rows backwards
+// Pixels by which sums are fetched before they are needed: no hardware expects several rows backwards.
+constexpr int kAhead = 4;
 
 static inline int first_row(const Sweep& w, int band) {
   return static_cast<int>(static_cast<long long>(band) * w.job->height / w.bands);
@@ -54,8 +55,9 @@ static inline u32 dense_paths(const Job& job, const Source* from, u8* const* to,
 
 // The i-th pixel of a row in the order of the sweep. `before` and `here` keep path costs at places i & mask.
 template <int DIR>
-static inline __attribute__((always_inline)) void dense_pixel(const Sweep& w, int y, int i, Scratch& s, const Row* before, int before_mask,
-                               const Row& here, int mask) {
+static inline __attribute__((always_inline)) void dense_pixel(const Sweep& w, int y, int i, Scratch& s,
+                                                              const Row* before, int before_mask, const Row& here,
+                                                              int mask) {
   const Job& job = *w.job;
   const int x = DIR > 0 ? i : job.width - 1 - i, pitch = job.padded + V::N;
   const std::size_t cell = (static_cast<std::size_t>(y) * job.width + x) * job.padded;

@@ -1,4 +1,4 @@
-// The ragged form (tSGM, paper 004 section 5.2.4): every pixel has disparities of its own, a few blocks of 16. A pixel
+// The ragged form (tSGM, paper 004 section 5.2.4): every pixel has disparities of its own, some blocks of 16. A pixel
 // leaves a message to each of its four successors, which is all they need of it:
 //   message(d) = min(L(d), L(d - 1) + P1, L(d + 1) + P1, min L + P2) - min L,   P2 outside its range.
 // Two guard blocks of P2 enclose each message, so any offset between two ranges is one unaligned load.

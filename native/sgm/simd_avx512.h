@@ -103,7 +103,8 @@ static inline void store_first(V64 a, u8* p, int n) {
 struct Greys {
   __m512i a, b, c, d;
   static Greys load(const u8* p) {
-    return {_mm512_loadu_si512(p), _mm512_loadu_si512(p + 64), _mm512_loadu_si512(p + 128), _mm512_loadu_si512(p + 192)};
+    return {_mm512_loadu_si512(p), _mm512_loadu_si512(p + 64), _mm512_loadu_si512(p + 128),
+            _mm512_loadu_si512(p + 192)};
   }
   __m512i of(__m512i grey) const {
     const __m512i dark = _mm512_permutex2var_epi8(a, grey, b), bright = _mm512_permutex2var_epi8(c, grey, d);
@@ -129,8 +130,9 @@ static inline V64 told(const u8* source, int at, int length, V64 outside) {
 // Lanes moved by one across neighbouring vectors.
 static inline __m512i lanes_from(int first) {
   alignas(64) static const u8 kLane[64] = {
-      0,  1,  2,  3,  4,  5,  6,  7,  8,  9,  10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31,
-      32, 33, 34, 35, 36, 37, 38, 39, 40, 41, 42, 43, 44, 45, 46, 47, 48, 49, 50, 51, 52, 53, 54, 55, 56, 57, 58, 59, 60, 61, 62, 63};
+      0,  1,  2,  3,  4,  5,  6,  7,  8,  9,  10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21,
+      22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32, 33, 34, 35, 36, 37, 38, 39, 40, 41, 42, 43,
+      44, 45, 46, 47, 48, 49, 50, 51, 52, 53, 54, 55, 56, 57, 58, 59, 60, 61, 62, 63};
   return _mm512_add_epi8(_mm512_load_si512(kLane), _mm512_set1_epi8(static_cast<char>(first)));
 }
 static inline V64 before(V64 previous, V64 a) { return {_mm512_permutex2var_epi8(previous.v, lanes_from(63), a.v)}; }

@@ -168,8 +168,8 @@ def _workspace() -> _sgm.Workspace:
 
 
 def _levels(disparities: int, tuning: Tuning) -> int:
-    """Halvings until the full range is cheap; at least one unless there are few disparities anyway. A match over the full
-    range on all levels has one of a quarter of the size, which tells what grey values belong together."""
+    """Halvings until the full range is cheap; at least one unless there are few disparities anyway. A match over the
+    full range at full size has one of a quarter of it, which tells what grey values belong together."""
     if tuning.everywhere:
         return _QUARTER
     levels = 0 if disparities <= tuning.dense_below else 1
@@ -233,7 +233,7 @@ class _Level:
 
 
 def _strips(volume: np.ndarray) -> list[tuple[slice, slice]]:
-    """Rows matched together, and which of the found ones count, so that the volumes of ``volume`` (h,) bytes in each row
+    """Rows matched together, and which of the found ones count, so that the volumes, ``volume`` (h,) bytes in each row,
     stay within _VOLUME_BYTES; a strip is never less than its overlap."""
     height, limit = len(volume), _VOLUME_BYTES
     before = np.concatenate([[0], np.cumsum(volume)])

@@ -28,7 +28,7 @@ STAGES = (
     Stage("sparse", sparse, ("network", "match", "verify"), ("sparse",), version=12),
     Stage("georef", georef, ("network", "sparse"), ("sparse/world", "world.json"), version=4),
     Stage("remask", remask, ("masks", "georef"), ("remask",), "image", version=2),
-    Stage("dense", dense, ("georef", "remask"), ("depth",), "image", version=4),
+    Stage("dense", dense, ("georef", "remask"), ("depth",), "image", version=5),
     Stage("cloud", cloud, ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply")),
     Stage("evaluate", evaluate, ("verify", "georef", "remask", "dense", "cloud"), ("metrics.json",)),
     Stage("report", report, ("evaluate",), ("report.html",)),
