@@ -43,7 +43,7 @@ def ours(tuning: Tuning) -> Method:
     return lambda pair: match(pair.left, pair.right, 0, pair.disparities, tuning)
 
 
-FULL = Tuning(dense_below=1 << 20, full_range=1 << 20, cost="census")
+FULL = Tuning(everywhere=True)
 METHODS: dict[str, Method] = {
     "SGBM HH": opencv(cv2.STEREO_SGBM_MODE_HH),
     "SGBM 3WAY": opencv(cv2.STEREO_SGBM_MODE_SGBM_3WAY),
@@ -56,7 +56,7 @@ METHODS: dict[str, Method] = {
 
 def fits(name: str, pair: Pair) -> bool:
     """Whether the method's memory for the pair is bearable."""
-    return name not in ("SGBM HH", "full") or pair.left.size * pair.disparities <= _MAX_HH_CELLS
+    return name != "SGBM HH" or pair.left.size * pair.disparities <= _MAX_HH_CELLS
 
 
 def compare(pair: Pair, repeats: int, names: list[str]) -> dict[str, dict[str, float]]:

@@ -1,48 +1,30 @@
-// The dense form: every pixel has the same disparities. Path costs of a pixel are stored as they are, with a vector of
-// kFar between pixels, and the message to the next pixel is formed where it is read.
+// The dense form: every pixel has the same disparities. A band of rows is matched together, each row kBehind pixels
+// behind the one before it, so that path costs go from row to row within the first-level cache; only those of a band's
+// last row are written to memory, where its first row has read already. Path costs of a pixel are stored as they are,
+// with a vector of kFar between pixels, and the message to the next pixel is formed where it is read.
 
 struct Source {
-  const u8* line;
-  u8 least, penalty;
+  const u8 *line, *least, *penalty;
 };
 
-template <int DIR>
-static inline void dense_sources(const Job& job, const Scratch& s, const Row& before, const Source& beside, int x,
-                                 Source* from) {
-  const int pitch = job.padded + V::N;
-  for (int k = 0; k < 3; ++k) {
-    const int at = clamped(x + DIR * (k - 1), 0, job.width - 1);
-    from[k] = {before.path[k] + V::N + static_cast<std::size_t>(at) * pitch, before.least[k][at], s.penalty[k][x]};
-  }
-  from[3] = {beside.line, beside.least, s.penalty[3][x]};
-}
+// Pixels by which sums are fetched before they are needed: no hardware expects several rows backwards.
+constexpr int kAhead = 4;
 
-static inline void dense_cost(const Sweep& w, const Scratch& s, const u8* left_row, const u8* right_row, int x,
-                              u8* cost) {
-  const Job& job = *w.job;
-  const int j0 = job.right_width - 1 - x + job.low;
-  if (j0 >= 0 && j0 + job.padded <= job.right_width) {
-    for (int b = 0; b < job.padded; b += V::N) {
-      hamming_wide(s.right_census + j0 + b, s.left_census[x], static_cast<V*>(nullptr)).store(cost + b);
-    }
-  } else {
-    cost_anywhere(job, s, x, job.low, job.padded, cost);
-  }
-  if (job.mode != CostMode::census) mix(job, left_row, right_row, x, job.low, job.count, cost);
-  for (int d = job.count; d < job.padded; ++d) cost[d] = kFar;
+static inline int first_row(const Sweep& w, int band) {
+  return static_cast<int>(static_cast<long long>(band) * w.job->height / w.bands);
 }
 
 template <int DIR>
-static inline u32 dense_pixel(const Job& job, const Source* from, u8* const* to, u8* least, const u8* cost, u16* sum,
+static inline u32 dense_paths(const Job& job, const Source* from, u8* const* to, u8* least, const u8* cost, u8* sum,
                               u16* total) {
   const V small = V::set1(job.small);
   V low[4], jump[4], base[4];
   for (int k = 0; k < 4; ++k) {
-    const int over = from[k].least + from[k].penalty;
     low[k] = V::set1(kFar);
-    base[k] = V::set1(from[k].least);
-    jump[k] = V::set1(static_cast<u8>(over > 255 ? 255 : over));
+    base[k] = V::set1(*from[k].least);
+    jump[k] = adds(base[k], V::set1(*from[k].penalty));
   }
+  const std::ptrdiff_t ahead = kAhead * static_cast<std::ptrdiff_t>(job.padded);
   Running best;
   for (int b = 0; b < job.padded; b += V::N) {
     const V c = V::load(cost + b);
@@ -55,51 +37,68 @@ static inline u32 dense_pixel(const Job& job, const Source* from, u8* const* to,
       line.store(to[k] + b);
       low[k] = vmin(low[k], line);
     }
-    const V::Sum four = pair_sum(add(part[0], part[1]), add(part[2], part[3]));
+    const V one = add(part[0], part[1]), two = add(part[2], part[3]);
     if (DIR > 0) {
-      four.store(sum + b);
+      const V half = avg(one, two);
+      if (job.streamed) half.stream(sum + b);
+      else half.store(sum + b);
     } else {
-      const V::Sum all = add(add(four, V::Sum::load(sum + b)), eightfold(c));
+      __builtin_prefetch(sum + b - ahead);
+      const V::Sum all = add(pair_sum(one, two), forward_sum(c, V::load(sum + b)));
       all.store(total + b);
       best.see(all, b);
     }
   }
-  for (int k = 0; k < 4; ++k) least[k] = hmin(low[k]);
+  least_of_four(low, least);
   return DIR > 0 ? 0 : best.result();
 }
 
+// The i-th pixel of a row in the order of the sweep. `before` and `here` keep path costs at places i & mask.
 template <int DIR>
-static void dense_row(const Sweep& w, int row) {
+static inline __attribute__((always_inline)) void dense_pixel(const Sweep& w, int y, int i, Scratch& s,
+                                                              const Row* before, int before_mask, const Row& here,
+                                                              int mask) {
   const Job& job = *w.job;
-  Scratch& s = *w.scratch;
-  const int y = DIR > 0 ? row : job.height - 1 - row, ring = w.threads + 1, pitch = job.padded + V::N;
-  const Row& here = w.ring[row % ring];
-  const Row& before = w.ring[(row + ring - 1) % ring];
-  const u8* left_row = job.left + y * job.left_stride;
-  const u8* right_row = job.right + y * job.right_stride;
-  const std::size_t start = static_cast<std::size_t>(y) * job.width;
-  begin_row(w, y, DIR, row == 0, s);
-  Source beside = {s.zero, 0, 0};
-  for (int i = 0; i < job.width; ++i) {
-    const int x = DIR > 0 ? i : job.width - 1 - i;
-    if (i % 32 == 0) wait_for_row_before(w, row, i);
-    u8* cost = job.cost + (start + x) * job.padded;
-    u16* sum = job.sum + (start + x) * job.padded;
-    if (DIR > 0) dense_cost(w, s, left_row, right_row, x, cost);
-    Source from[4];
-    dense_sources<DIR>(job, s, before, beside, x, from);
-    const std::size_t at = V::N + static_cast<std::size_t>(x) * pitch;
-    u8* line = s.beside[i & 1];
-    u8* to[4] = {here.path[0] + at, here.path[1] + at, here.path[2] + at, line};
-    u8 least[4];
-    const u32 key = dense_pixel<DIR>(job, from, to, least, cost, sum, s.total);
-    for (int k = 0; k < 3; ++k) here.least[k][x] = least[k];
-    beside = {line, least[3], 0};
-    if (DIR < 0) {
-      keep(w, s, x, job.low, job.count, key);
-      if (job.uniqueness > 0 && !unique(job, s.total, job.count, key)) s.best[x] = kNone;
+  const int x = DIR > 0 ? i : job.width - 1 - i, pitch = job.padded + V::N;
+  const std::size_t cell = (static_cast<std::size_t>(y) * job.width + x) * job.padded;
+  costs(job, s, y, x, job.low, job.padded, s.cost, V());
+  if (job.count < job.padded) std::memset(s.cost + job.count, kFar, job.padded - job.count);
+  Source from[4];
+  for (int k = 0; k < 3; ++k) {
+    const std::size_t at = clamped(i + k - 1, 0, job.width - 1) & before_mask;
+    from[k] = {before ? before->path[k] + V::N + at * pitch : s.zero, before ? before->least + 4 * at + k : s.zero,
+               s.penalty[k] + x};
+  }
+  from[3] = {i ? s.beside[i & 1] : s.zero, i ? here.least + 4 * static_cast<std::size_t>((i - 1) & mask) + 3 : s.zero,
+             s.penalty[3] + x};
+  const std::size_t place = i & mask, at = V::N + place * pitch;
+  u8* to[4] = {here.path[0] + at, here.path[1] + at, here.path[2] + at, s.beside[~i & 1]};
+  const u32 key = dense_paths<DIR>(job, from, to, here.least + 4 * place, s.cost, job.sum + cell, s.total);
+  if (DIR < 0) {
+    keep(w, s, x, job.low, job.count, key, V::Sum());
+  }
+}
+
+template <int DIR>
+static void dense_band(const Sweep& w, int band) {
+  const Job& job = *w.job;
+  const int top = first_row(w, band), last = first_row(w, band + 1) - top - 1;
+  const auto row_of = [&](int r) { return DIR > 0 ? top + r : job.height - 1 - top - r; };
+  for (int r = 0; r <= last; ++r) begin_row<DIR>(w, row_of(r), top + r == 0, w.scratch[r]);
+  const int end = job.width + kBehind * last;
+  for (int t = 0; t < end; ++t) {
+    if (t % 32 == 0) {
+      publish(w, band, t - kBehind * last);
+      wait_for(w, band - 1, t + 34);  // 32 pixels, and one beyond them
+    }
+    const int oldest = t < job.width ? 0 : (t - job.width) / kBehind + 1;
+    for (int r = oldest; r <= last && kBehind * r <= t; ++r) {
+      Scratch& s = w.scratch[r];
+      const Row* before = top + r == 0 ? nullptr : r == 0 ? w.ring : &w.scratch[r - 1].near;
+      dense_pixel<DIR>(w, row_of(r), t - kBehind * r, s, before, r == 0 ? -1 : kSlots - 1, r == last ? *w.ring : s.near,
+                       r == last ? -1 : kSlots - 1);
     }
   }
-  if (DIR < 0) finish_row(w, y, s);
-  w.done[row].store(job.width, std::memory_order_release);
+  for (int r = 0; DIR < 0 && r <= last; ++r) finish_row(w, row_of(r), w.scratch[r]);
+  publish(w, band, job.width);
 }

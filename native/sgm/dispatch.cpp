@@ -17,7 +17,9 @@ static int list_kernels(Kernel* out) {
 #if defined(SGM_X86)
   __builtin_cpu_init();
   const bool wide = __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
-                    __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512vpopcntdq");
+                    __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512vpopcntdq") &&
+                    __builtin_cpu_supports("avx512bitalg") && __builtin_cpu_supports("bmi2") &&
+                    __builtin_cpu_supports("avx512vbmi");
   if (wide) out[n++] = kernel_avx512;
   if (__builtin_cpu_supports("avx2")) out[n++] = kernel_avx2;
   if (__builtin_cpu_supports("sse4.1")) out[n++] = kernel_sse41;

@@ -18,10 +18,9 @@ static inline void relax() {
 
 template <int DIR>
 static void sweep(const Sweep& w) {
-  for (int row = w.thread; row < w.job->height; row += w.threads) {
-    if (w.job->ragged) ragged_row<DIR>(w, row);
-    else dense_row<DIR>(w, row);
-  }
+  for (int row = w.thread; w.job->ragged && row < w.job->height; row += w.threads) ragged_row<DIR>(w, row);
+  for (int band = w.thread; !w.job->ragged && band < w.bands; band += w.threads) dense_band<DIR>(w, band);
+  if (DIR > 0 && w.job->streamed) stream_end();
 }
 
 }  // namespace SGM_ISA

@@ -18,6 +18,9 @@ namespace {
 
 constexpr u64 kPage = 2u << 20;
 constexpr int kMaxDisparity = 30000;
+constexpr int kFirstLevel = 16 << 10;  // bytes of the first-level cache that a thread may fill
+constexpr int kLinesInWork = 22;       // bytes for each disparity of a row in work: path costs, census, sums
+constexpr u64 kStreamed = 16u << 20;   // bytes of sums from which on they bypass the caches
 
 // Bytes handed out one after the other, each aligned to 64.
 class Arena {
@@ -128,25 +131,30 @@ Job make_job(Arena& arena, const Image& left, const Image& right, const Ranges& 
   return job;
 }
 
-Row make_row(Arena& arena, const Job& job, u64 longest, int lanes) {
+// Memory for path costs of `pixels` pixels; ragged: of `longest` cells in all.
+Row make_row(Arena& arena, const Job& job, int pixels, u64 longest, int lanes) {
   Row row{};
-  const u64 dense = static_cast<u64>(job.width + 1) * (job.padded + lanes);
-  const u64 ragged = longest + static_cast<u64>(job.width + 2) * kBlock;
-  for (int k = 0; k < 3; ++k) {
-    row.path[k] = arena.take<u8>(job.ragged ? ragged : dense, kFar);
-    row.least[k] = arena.take<u8>(job.ragged ? 1 : job.width);
-  }
-  row.at = arena.take<u32>(job.ragged ? job.width : 1);
+  const u64 dense = static_cast<u64>(pixels + 1) * (job.padded + lanes);
+  const u64 ragged = longest + static_cast<u64>(pixels + 2) * kBlock;
+  for (auto& path : row.path) path = arena.take<u8>(job.ragged ? ragged : dense, kFar);
+  row.least = arena.take<u8>(job.ragged ? 1 : 4 * static_cast<u64>(pixels));
+  row.at = arena.take<u32>(job.ragged ? pixels : 1);
   return row;
 }
 
-Scratch make_scratch(Arena& arena, const Job& job, int most) {
+Scratch make_scratch(Arena& arena, const Job& job, int most, int lanes) {
   Scratch s{};
   const int widest = std::max(job.width, job.right_width);
-  s.left_census = arena.take<u64>(job.width + 64);
-  s.right_census = arena.take<u64>(job.right_width + 2 * kBlock + 64) + kBlock;
-  s.plane_stride = widest + 2 * kMargin;
-  s.planes = arena.take<u8>(8 * s.plane_stride);
+  s.plane_stride = (widest + 2 * kMargin + 63) / 64 * 64;
+  s.left_planes = arena.take<u8>(8 * s.plane_stride) + kMargin;
+  s.right_planes = arena.take<u8>(8 * s.plane_stride) + kMargin;
+  if (job.ragged) {
+    s.left_census = arena.take<u64>(job.width + 64);
+    s.right_census = arena.take<u64>(job.right_width + 2 * kBlock + 64) + kBlock;
+  } else {
+    s.near = make_row(arena, job, kSlots, 0, lanes);
+  }
+  s.cost = arena.take<u8>(most);
   for (auto& p : s.penalty) p = arena.take<u8>(job.width + kMargin);
   for (auto& p : s.from) p = arena.take<u32>(job.width);
   for (auto& p : s.lines) p = arena.take<u8>(most + 2 * kMargin, kFar) + kMargin;
@@ -164,6 +172,11 @@ struct Extent {
   u64 longest = 0;    // cells of the longest row
   int lowest = 0;
 };
+
+// Rows matched together in the dense form, at least two: what they have in work fits the first-level cache.
+int band_rows(const Job& job, int lanes) {
+  return std::min(std::max(kFirstLevel / (kLinesInWork * (job.padded + lanes)), 2), 8);
+}
 
 Extent extent_of(const Job& job, const std::vector<u64>& at) {
   Extent e{job.padded, 0, job.low};
@@ -188,8 +201,8 @@ void Workspace::release() {
   sum = nullptr;
 }
 
-void Workspace::reserve(u64 cells) {
-  const u64 costs = (cells + kSlack + 63) / 64 * 64, needed = costs + 2 * (cells + kSlack);
+void Workspace::reserve(u64 costs, u64 sums) {
+  const u64 before = (costs + kSlack + 63) / 64 * 64, needed = before + sums + kSlack;
   if (needed > bytes_) {
     release();
     const u64 rounded = (needed + needed / 16 + kPage - 1) / kPage * kPage;
@@ -202,7 +215,7 @@ void Workspace::reserve(u64 cells) {
     bytes_ = rounded;
   }
   cost = static_cast<u8*>(memory_);
-  sum = reinterpret_cast<u16*>(static_cast<u8*>(memory_) + costs);
+  sum = cost + before;
 }
 
 const Kernel& find_kernel(const std::string& name) {
@@ -236,7 +249,7 @@ u64 volume_bytes(const Image& left, const Ranges& ranges, const Options& options
     for (u64 i = 0; i < pixels; ++i) cells += ranges.blocks[i];
     cells *= kBlock;
   }
-  return 3 * cells;
+  return ranges.blocks ? 2 * cells : cells;  // the dense form makes its costs anew
 }
 
 void match(const Image& left, const Image& right, const Ranges& ranges, const u8* mutual, const Options& options,
@@ -250,20 +263,25 @@ void match(const Image& left, const Image& right, const Ranges& ranges, const u8
   job.mutual = mutual;
   job.disparity = disparity;
   job.score = score;
-  workspace.reserve(at.back());
+  workspace.reserve(job.ragged ? at.back() : 0, at.back());
   job.cost = workspace.cost;
   job.sum = workspace.sum;
+  job.streamed = !job.ragged && at.back() >= kStreamed;
   const Extent extent = extent_of(job, at);
-  const int threads = std::min(options.threads, job.height);
+  const int bands = job.ragged ? job.height : std::max(1, job.height / band_rows(job, kernel.lanes));
+  const int threads = std::min(options.threads, bands), rows = (job.height + bands - 1) / bands;
   std::vector<Row> ring;
-  for (int i = 0; i <= threads; ++i) ring.push_back(make_row(arena, job, extent.longest, kernel.lanes));
+  for (int i = 0; i < (job.ragged ? threads + 1 : 1); ++i) {
+    ring.push_back(make_row(arena, job, job.width, extent.longest, kernel.lanes));
+  }
   std::vector<Scratch> scratch;
-  for (int i = 0; i < threads; ++i) scratch.push_back(make_scratch(arena, job, extent.most));
+  for (int i = 0; i < threads * rows; ++i) scratch.push_back(make_scratch(arena, job, extent.most, kernel.lanes));
   std::unique_ptr<std::atomic<int>[]> done(new std::atomic<int>[job.height]);
   for (auto sweep : {kernel.forward, kernel.backward}) {
     for (int y = 0; y < job.height; ++y) done[y].store(0);
     const auto work = [&](int t) {
-      sweep(Sweep{&job, t, threads, ring.data(), &scratch[t], done.get(), extent.lowest, [] { std::this_thread::yield(); }});
+      sweep(Sweep{&job, t, threads, ring.data(), bands, &scratch[t * rows], done.get(), extent.lowest,
+                  [] { std::this_thread::yield(); }});
     };
     std::vector<std::thread> others;
     for (int t = 1; t < threads; ++t) others.emplace_back(work, t);

@@ -31,11 +31,11 @@ class Workspace {
   Workspace(const Workspace&) = delete;
   Workspace& operator=(const Workspace&) = delete;
   ~Workspace();
-  void reserve(u64 cells);         // throws std::bad_alloc
+  void reserve(u64 costs, u64 sums);  // throws std::bad_alloc
   void release();
   u64 bytes() const { return bytes_; }
   u8* cost = nullptr;
-  u16* sum = nullptr;
+  u8* sum = nullptr;
 
  private:
   void* memory_ = nullptr;

@@ -8,6 +8,7 @@
 #include "match.h"
 #include "pyramid.h"
 
+#include <algorithm>
 #include <optional>
 
 namespace nb = nanobind;
@@ -93,6 +94,18 @@ nb::tuple ranges(const In<float>& coarse, int width, int height, const RangeRule
   return nb::make_tuple(firsts, counts, cells);
 }
 
+Out<u32> joint_greys(const In<u8>& left, const In<u8>& right, const In<float>& disparity) {
+  if (left.shape(0) != right.shape(0) || disparity.shape(0) != left.shape(0) || disparity.shape(1) != left.shape(1)) {
+    throw std::invalid_argument("images of the same height and a disparity for each pixel of the left one");
+  }
+  u32* counts;
+  auto out = new_array<u32>(256, 256, &counts);
+  nb::gil_scoped_release free;
+  std::fill(counts, counts + 256 * 256, 0);
+  count_greys(image_of(left), image_of(right), disparity.data(), counts);
+  return out;
+}
+
 std::vector<std::string> kernel_names() {
   int n = 0;
   const Kernel* list = kernels(&n);
@@ -132,6 +145,8 @@ NB_MODULE(_sgm, m) {
   m.def("halve", &half, "image"_a.noconvert(), "Means of 2 x 2 pixels.");
   m.def("ranges", &ranges, "coarse"_a.noconvert(), "width"_a, "height"_a, "rules"_a,
         "First disparity and blocks of 16 of each pixel, and their number in all.");
+  m.def("joint_greys", &joint_greys, "left"_a.noconvert(), "right"_a.noconvert(), "disparity"_a.noconvert(),
+        "How often (256, 256) a left and a right grey value lie upon each other.");
   m.def("kernels", &kernel_names, "Names of the kernels this machine can run, best first.");
   m.def(
       "match_dense",

@@ -18,8 +18,9 @@ struct Grid {
   std::vector<i16> least, most;
   std::vector<float> total, number;
 
-  Grid(int w, int h) : width(w), height(h), least(cells(w, h), kEmpty), most(cells(w, h), -kEmpty) {}
-  static std::size_t cells(int w, int h) { return static_cast<std::size_t>(w) * h; }
+  Grid(int w, int h)
+      : width(w), height(h), least(cells(), kEmpty), most(cells(), -kEmpty), total(cells()), number(cells()) {}
+  std::size_t cells() const { return static_cast<std::size_t>(width) * height; }
   std::size_t at(int x, int y) const { return static_cast<std::size_t>(y) * width + x; }
 };
 
@@ -27,25 +28,30 @@ struct Range {
   int least = kEmpty, most = -kEmpty;
 };
 
-void include(Grid& grid, std::size_t i, float disparity) {
-  if (!(std::fabs(disparity) < kEmpty / 2)) return;  // NaN too
-  grid.least[i] = std::min(grid.least[i], static_cast<i16>(std::floor(2 * disparity)));
-  grid.most[i] = std::max(grid.most[i], static_cast<i16>(std::ceil(2 * disparity)));
-}
-
 Grid base_grid(const float* coarse, int width, int height) {
   Grid grid(width, height);
-  for (std::size_t i = 0; i < Grid::cells(width, height); ++i) include(grid, i, coarse[i]);
+  i16 *__restrict least = grid.least.data(), *__restrict most = grid.most.data();
+  float *__restrict total = grid.total.data(), *__restrict number = grid.number.data();
+  for (std::size_t i = 0; i < grid.cells(); ++i) {
+    const bool known = std::fabs(coarse[i]) < kEmpty / 2;  // not NaN either
+    const float fine = known ? 2 * coarse[i] : 0.0f;
+    const int whole = static_cast<int>(fine);
+    const int low = whole - (static_cast<float>(whole) > fine), high = whole + (static_cast<float>(whole) < fine);
+    least[i] = static_cast<i16>(known ? low : kEmpty);
+    most[i] = static_cast<i16>(known ? high : -kEmpty);
+    total[i] = known ? 0.5f * static_cast<float>(low + high) : 0.0f;
+    number[i] = known ? 1.0f : 0.0f;
+  }
   return grid;
 }
 
 // Least and most within `reach` cells along one row of n values, `step` apart.
 template <class Better>
-void spread_line(const i16* in, i16* out, int n, int reach, Better better) {
-  for (int x = 0; x < n; ++x) {
-    i16 v = in[x];
-    for (int k = std::max(0, x - reach); k <= std::min(n - 1, x + reach); ++k) v = better(v, in[k]);
-    out[x] = v;
+void spread_line(const i16* __restrict in, i16* __restrict out, int n, int reach, Better better) {
+  std::copy(in, in + n, out);
+  for (int k = 1; k <= reach; ++k) {
+    for (int x = k; x < n; ++x) out[x] = better(out[x], in[x - k]);
+    for (int x = 0; x < n - k; ++x) out[x] = better(out[x], in[x + k]);
   }
 }
 
@@ -58,27 +64,27 @@ std::vector<i16> spread(const std::vector<i16>& in, int width, int height, int r
   }
   out = rows;
   for (int y = 0; y < height; ++y) {
-    i16* to = &out[static_cast<std::size_t>(y) * width];
+    i16* __restrict to = &out[static_cast<std::size_t>(y) * width];
     for (int k = std::max(0, y - reach); k <= std::min(height - 1, y + reach); ++k) {
-      const i16* from = &rows[static_cast<std::size_t>(k) * width];
+      const i16* __restrict from = &rows[static_cast<std::size_t>(k) * width];
       for (int x = 0; x < width; ++x) to[x] = better(to[x], from[x]);
     }
   }
   return out;
 }
 
-Grid halved(const Grid& fine, bool base) {
+Grid halved(const Grid& fine) {
   Grid g((fine.width + 1) / 2, (fine.height + 1) / 2);
-  g.total.assign(Grid::cells(g.width, g.height), 0);
-  g.number = g.total;
   for (int y = 0; y < fine.height; ++y) {
-    for (int x = 0; x < fine.width; ++x) {
-      const std::size_t i = fine.at(x, y), o = g.at(x / 2, y / 2);
-      if (fine.least[i] > fine.most[i]) continue;
-      g.least[o] = std::min(g.least[o], fine.least[i]);
-      g.most[o] = std::max(g.most[o], fine.most[i]);
-      g.total[o] += base ? 0.5f * static_cast<float>(fine.least[i] + fine.most[i]) : fine.total[i];
-      g.number[o] += base ? 1.0f : fine.number[i];
+    const std::size_t from = fine.at(0, y), to = g.at(0, y / 2);
+    const i16 *least = &fine.least[from], *most = &fine.most[from];
+    const float *total = &fine.total[from], *number = &fine.number[from];
+    for (int x = 0; x < g.width; ++x) {
+      const int a = 2 * x, b = std::min(2 * x + 1, fine.width - 1);
+      g.least[to + x] = std::min(g.least[to + x], std::min(least[a], least[b]));
+      g.most[to + x] = std::max(g.most[to + x], std::max(most[a], most[b]));
+      g.total[to + x] += total[a] + (b > a ? total[b] : 0.0f);
+      g.number[to + x] += number[a] + (b > a ? number[b] : 0.0f);
     }
   }
   return g;
@@ -134,7 +140,7 @@ u64 find_ranges(const float* coarse, int width, int height, const RangeRules& ru
   const int w = (width + 1) / 2, h = (height + 1) / 2;
   std::vector<Grid> grids{base_grid(coarse, w, h)};
   while (grids.back().width > 1 || grids.back().height > 1 || grids.size() <= kFirstHoleLevel) {
-    grids.push_back(halved(grids.back(), grids.size() == 1));
+    grids.push_back(halved(grids.back()));
   }
   const Grid& base = grids[0];
   const auto lower = [](i16 a, i16 b) { return b < a ? b : a; };
@@ -142,27 +148,49 @@ u64 find_ranges(const float* coarse, int width, int height, const RangeRules& ru
   const std::vector<i16> least = spread(base.least, w, h, rules.reach, lower);
   const std::vector<i16> most = spread(base.most, w, h, rules.reach, higher);
   const int last = rules.low + rules.count - 1;
+  std::vector<i16> lows(w), highs(w), starts(w);
+  std::vector<u8> many(w);
   u64 cells = 0;
   for (int v = 0; v < h; ++v) {
     for (int u = 0; u < w; ++u) {
       const std::size_t i = base.at(u, v);
       Range r{least[i], most[i]};
       if (base.least[i] > base.most[i]) r = of_hole(grids, u, v, rules.hole_limit);
-      if (r.least > r.most) r = {rules.low, last};
-      const int low = std::min(std::max(r.least - rules.margin, rules.low), last);
-      const int high = std::max(std::min(r.most + rules.margin, last), low);
-      const int n = high - low + 1, many = (n + kBlock - 1) / kBlock;
-      const i16 start = static_cast<i16>(low - (many * kBlock - n) / 2);
-      for (int y = 2 * v; y < std::min(2 * v + 2, height); ++y) {
-        for (int x = 2 * u; x < std::min(2 * u + 2, width); ++x) {
-          first[static_cast<std::size_t>(y) * width + x] = start;
-          blocks[static_cast<std::size_t>(y) * width + x] = static_cast<u8>(many);
-          cells += static_cast<u64>(many) * kBlock;
-        }
+      if (r.least > r.most) r = {rules.low + rules.margin, last - rules.margin};
+      lows[u] = static_cast<i16>(r.least);
+      highs[u] = static_cast<i16>(r.most);
+    }
+    for (int u = 0; u < w; ++u) {
+      const int low = std::min(std::max(lows[u] - rules.margin, rules.low), last);
+      const int high = std::max(std::min(highs[u] + rules.margin, last), low);
+      const int n = high - low + 1;
+      many[u] = static_cast<u8>((n + kBlock - 1) / kBlock);
+      starts[u] = static_cast<i16>(low - (many[u] * kBlock - n) / 2);
+    }
+    for (int y = 2 * v; y < std::min(2 * v + 2, height); ++y) {
+      i16* f = first + static_cast<std::size_t>(y) * width;
+      u8* b = blocks + static_cast<std::size_t>(y) * width;
+      for (int x = 0; x < width; ++x) {
+        f[x] = starts[x / 2];
+        b[x] = many[x / 2];
       }
+      for (int x = 0; x < width; ++x) cells += b[x];
     }
   }
-  return cells;
+  return kBlock * cells;
+}
+
+void count_greys(const Image& left, const Image& right, const float* disparity, u32* counts) {
+  for (int y = 0; y < left.height; ++y) {
+    const u8* a = left.data + static_cast<std::size_t>(y) * left.width;
+    const u8* b = right.data + static_cast<std::size_t>(y) * right.width;
+    const float* d = disparity + static_cast<std::size_t>(y) * left.width;
+    for (int x = 0; x < left.width; ++x) {
+      if (!(std::fabs(d[x]) < kEmpty)) continue;  // NaN too
+      const long there = x - std::lrint(d[x]);
+      if (there >= 0 && there < right.width) ++counts[256 * a[x] + b[there]];
+    }
+  }
 }
 
 }  // namespace sgm

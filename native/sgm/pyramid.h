@@ -18,4 +18,8 @@ void halve(const Image& image, u8* out);
 // disparities of all pixels together.
 u64 find_ranges(const float* coarse, int width, int height, const RangeRules& rules, i16* first, u8* blocks);
 
+// Adds to counts (256, 256) each pair of a left grey value and the right one that the disparity (x_left - x_right, NaN =
+// none) leads to. Images of the same height; the disparity has the left one's size.
+void count_greys(const Image& left, const Image& right, const float* disparity, u32* counts);
+
 }  // namespace sgm

@@ -1,7 +1,15 @@
-// The ragged form (tSGM, paper 004 section 5.2.4): every pixel has disparities of its own, a few blocks of 16. A pixel
+// The ragged form (tSGM, paper 004 section 5.2.4): every pixel has disparities of its own, some blocks of 16. A pixel
 // leaves a message to each of its four successors, which is all they need of it:
 //   message(d) = min(L(d), L(d - 1) + P1, L(d + 1) + P1, min L + P2) - min L,   P2 outside its range.
 // Two guard blocks of P2 enclose each message, so any offset between two ranges is one unaligned load.
+
+// What W, the vectors of long ranges, need where they are single blocks. Lanes from n on do not count.
+static inline B load_first(const u8* p, int, B) { return B::load(p); }
+
+// Lanes `at` and on of a message of `length` lanes, P2 outside.
+static inline B told(const u8* source, int at, int length, B) {
+  return B::load(source + clamped(at, -kBlock, length));
+}
 
 static inline B message(B line, B least, B small, B large) {
   const B near = adds(vmin(before(line), after(line)), small);
@@ -46,6 +54,8 @@ static void ragged_layout(const Job& job, int y, Row& row) {
   for (int k = 0; k < 3; ++k) guard.store(row.path[k]);
 }
 
+constexpr int kFetched = 1024;  // bytes by which costs and sums are fetched before they are needed on the way back
+
 struct Place {
   int x, y, first, n;
 };
@@ -59,11 +69,13 @@ struct Beside {
 
 template <int DIR>
 static u32 ragged_long(const Sweep& w, const Row& before_row, const Row& here, const Place& p, const Beside& beside,
-                       const u8* cost, u16* sum) {
+                       u8* cost, u8* sum) {
   const Job& job = *w.job;
   Scratch& s = *w.scratch;
-  const B small = B::set1(job.small), large = B::set1(job.large), far = B::set1(kFar);
-  B low[4] = {far, far, far, far};
+  if (DIR > 0) costs(job, s, p.y, p.x, p.first, p.n, s.cost, W());
+  const u8* from = DIR > 0 ? s.cost : cost;
+  const W small = W::set1(job.small), large = W::set1(job.large), far = W::set1(kFar), zero = W::set1(0);
+  W low[4] = {far, far, far, far};
   const u8* source[4];
   int offset[4], length[4];
   for (int k = 0; k < 3; ++k) {
@@ -76,48 +88,52 @@ static u32 ragged_long(const Sweep& w, const Row& before_row, const Row& here, c
   source[3] = s.beside[0];
   offset[3] = p.first - beside.first;
   length[3] = beside.n;
-  for (int b = 0; b < p.n; b += kBlock) {
-    const B c = B::load(cost + b);
-    B part[4];
+  RunningW best;
+  for (int b = 0; b < p.n; b += W::N) {
+    const int n = p.n - b;
+    const W c = load_first(from + b, n, far);
+    if (DIR > 0) store_first(c, cost + b, n);
+    W part[4];
     for (int k = 0; k < 4; ++k) {
-      const B told = s.penalty[k][p.x] ? B::load(source[k] + clamped(offset[k] + b, -kBlock, length[k])) : B::set1(0);
-      part[k] = vmin(told, B::set1(s.penalty[k][p.x]));
-      const B line = add(c, part[k]);
+      const u8 penalty = s.penalty[k][p.x];
+      part[k] = penalty ? vmin(told(source[k], offset[k] + b, length[k], large), W::set1(penalty)) : zero;
+      const W line = adds(c, part[k]);
       line.store(s.lines[k] + b);
       low[k] = vmin(low[k], line);
     }
-    const Sum16 four = pair_sum(add(part[0], part[1]), add(part[2], part[3]));
-    if (DIR > 0) four.store(sum + b);
-    else add(add(four, Sum16::load(sum + b)), eightfold(c)).store(s.total + b);
+    const W one = add(part[0], part[1]), two = add(part[2], part[3]);
+    if (DIR > 0) {
+      store_first(avg(one, two), sum + b, n);
+    } else {
+      const W::Sum all = add(pair_sum(one, two), forward_sum(c, load_first(sum + b, n, zero)));
+      all.store(s.total + b);
+      best.see(all, b);
+    }
   }
+  u8 least[4];
+  least_of_four(low, least);
   for (int k = 0; k < 4; ++k) {
     u8* to = k < 3 ? here.path[k] + here.at[p.x] : s.beside[0];
-    const B least = hmin_all(low[k]);
-    far.store(s.lines[k] + p.n);
-    B previous = far, current = B::load(s.lines[k]);
-    for (int b = 0; b < p.n; b += kBlock) {  // whole blocks only: shifted loads would wait for the stores above
-      const B next = B::load(s.lines[k] + b + kBlock);
-      const B near = adds(vmin(before(previous, current), after(current, next)), small);
-      vmin(sub(vmin(current, near), least), large).store(to + b);
+    const W base = W::set1(least[k]);
+    W previous = far, current = W::load(s.lines[k]);
+    for (int b = 0; b < p.n; b += W::N) {  // whole vectors only: shifted loads would wait for the stores above
+      const W next = b + W::N < p.n ? W::load(s.lines[k] + b + W::N) : far;
+      const W near = adds(vmin(before(previous, current), after(current, next)), small);
+      const W told = vmin(sub(vmin(current, near), base), large);
+      if (k < 3) store_first(told, to + b, p.n - b);
+      else told.store(to + b);
       previous = current;
       current = next;
     }
-    large.store(to + p.n);
+    B::set1(job.large).store(to + p.n);
   }
-  u32 best = 0xffffffffu;
-  if (DIR < 0) {
-    for (int b = 0; b < p.n; b += kBlock) {
-      const u32 key = argmin(Sum16::load(s.total + b)) + static_cast<u32>(b);
-      best = key < best ? key : best;
-    }
-  }
-  return best;
+  return DIR > 0 ? 0 : best.result();
 }
 
 // One block of disparities, the usual case: nothing but registers and one load for each message.
 template <int DIR>
 static inline u32 ragged_short(const Sweep& w, const Row& before_row, const Row& here, const Place& p, Beside& beside,
-                               const u8* cost, u16* sum) {
+                               const u8* cost, u8* sum) {
   const Job& job = *w.job;
   Scratch& s = *w.scratch;
   const B small = B::set1(job.small), large = B::set1(job.large), c = B::load(cost);
@@ -137,26 +153,27 @@ static inline u32 ragged_short(const Sweep& w, const Row& before_row, const Row&
     message(l, hmin_all(l), small, large).store(here.path[k] + at);
     large.store(here.path[k] + at + kBlock);
   }
-  const Sum16 four = pair_sum(add(part[0], part[1]), add(part[2], part[3]));
+  const B one = add(part[0], part[1]), two = add(part[2], part[3]);
   if (DIR > 0) {
-    four.store(sum);
+    avg(one, two).store(sum);
     return 0;
   }
-  const Sum16 all = add(add(four, Sum16::load(sum)), eightfold(c));
+  const Sum16 all = add(pair_sum(one, two), forward_sum(c, B::load(sum)));
   all.store(s.total);
   return argmin(all);
 }
 
-static inline void ragged_cost(const Sweep& w, const Place& p, const u8* left_row, const u8* right_row, u8* cost) {
+static inline void ragged_cost(const Sweep& w, const Place& p, u8* cost) {  // of one block
   const Job& job = *w.job;
   const Scratch& s = *w.scratch;
   const int j0 = job.right_width - 1 - p.x + p.first;
-  if (p.n == kBlock && j0 >= 0 && j0 + kBlock <= job.right_width) {
-    hamming(s.right_census + j0, s.left_census[p.x]).store(cost);
+  if (j0 >= 0 && j0 + kBlock <= job.right_width) {
+    const u8* left = job.left + p.y * job.left_stride + p.x;
+    const B census = hamming(s.right_census + j0, s.left_census[p.x]);
+    with_greys(job, census, greys_of(job, left), job.right + p.y * job.right_stride + j0).store(cost);
   } else {
-    cost_anywhere(job, s, p.x, p.first, p.n, cost);
+    costs(job, s, p.y, p.x, p.first, p.n, cost, B());
   }
-  if (job.mode != CostMode::census) mix(job, left_row, right_row, p.x, p.first, p.n, cost);
 }
 
 template <int DIR>
@@ -166,11 +183,9 @@ static void ragged_row(const Sweep& w, int row) {
   const int y = DIR > 0 ? row : job.height - 1 - row, ring = w.threads + 1;
   Row& here = w.ring[row % ring];
   const Row& before_row = w.ring[(row + ring - 1) % ring];
-  const u8* left_row = job.left + y * job.left_stride;
-  const u8* right_row = job.right + y * job.right_stride;
   const i16* first = job.first + static_cast<std::size_t>(y) * job.width;
   const u8* blocks = job.blocks + static_cast<std::size_t>(y) * job.width;
-  begin_row(w, y, DIR, row == 0, s);
+  begin_row<DIR>(w, y, row == 0, s);
   ragged_layout(job, y, here);
   const B large = B::set1(job.large);
   large.store(s.beside[0] - kBlock);
@@ -179,16 +194,23 @@ static void ragged_row(const Sweep& w, int row) {
   for (int i = 0; i < job.width; ++i) {
     const int x = DIR > 0 ? i : job.width - 1 - i;
     if (i % 32 == 0) {
-      wait_for_row_before(w, row, i);
+      publish(w, row, i);
+      wait_for(w, row - 1, i + 34);  // 32 pixels, and one beyond them
       if (i == 0) ragged_sources(job, y, DIR, row == 0, before_row, s);
     }
     const Place p = {x, y, first[x], kBlock * blocks[x]};
-    if (DIR < 0) at -= static_cast<u64>(p.n);
+    if (DIR < 0) {
+      at -= static_cast<u64>(p.n);
+      for (int b = 0; b < p.n; b += 64) {
+        __builtin_prefetch(job.cost + at + b - kFetched);
+        __builtin_prefetch(job.sum + at + b - kFetched);
+      }
+    }
     u8* cost = job.cost + at;
-    u16* sum = job.sum + at;
+    u8* sum = job.sum + at;
     if (DIR > 0) {
       at += static_cast<u64>(p.n);
-      ragged_cost(w, p, left_row, right_row, cost);
+      if (p.n == kBlock) ragged_cost(w, p, cost);
     }
     u32 key;
     if (p.n == kBlock) {
@@ -203,10 +225,10 @@ static void ragged_row(const Sweep& w, int row) {
       beside.n = p.n;
     }
     if (DIR < 0) {
-      keep(w, s, x, p.first, p.n, key);
-      if (job.uniqueness > 0 && !unique(job, s.total, p.n, key)) s.best[x] = kNone;
+      if (p.n == kBlock) keep(w, s, x, p.first, p.n, key, Sum16());
+      else keep(w, s, x, p.first, p.n, key, W::Sum());
     }
   }
   if (DIR < 0) finish_row(w, y, s);
-  w.done[row].store(job.width, std::memory_order_release);
+  publish(w, row, job.width);
 }

@@ -15,6 +15,7 @@ struct Sum32 {
     _mm256_storeu_si256(reinterpret_cast<__m256i*>(p), a);
     _mm256_storeu_si256(reinterpret_cast<__m256i*>(p + 16), b);
   }
+  static int at(int d) { return d; }  // where disparity d is stored
 };
 struct V32 {
   enum { N = 32 };
@@ -22,9 +23,22 @@ struct V32 {
   __m256i v;
   static V32 load(const u8* p) { return {_mm256_loadu_si256(reinterpret_cast<const __m256i*>(p))}; }
   void store(u8* p) const { _mm256_storeu_si256(reinterpret_cast<__m256i*>(p), v); }
+  void stream(u8* p) const { _mm256_stream_si256(reinterpret_cast<__m256i*>(p), v); }
   static V32 set1(u8 a) { return {_mm256_set1_epi8(static_cast<char>(a))}; }
 };
 static inline V32 vmin(V32 a, V32 b) { return {_mm256_min_epu8(a.v, b.v)}; }
+static inline V32 band(V32 a, V32 b) { return {_mm256_and_si256(a.v, b.v)}; }
+static inline V32 bxor(V32 a, V32 b) { return {_mm256_xor_si256(a.v, b.v)}; }
+static inline V32 bits(V32 a) {
+#if defined(__AVX512BITALG__)
+  return {_mm256_popcnt_epi8(a.v)};
+#else
+  const __m256i lut = _mm256_broadcastsi128_si256(_mm_setr_epi8(0, 1, 1, 2, 1, 2, 2, 3, 1, 2, 2, 3, 2, 3, 3, 4));
+  const __m256i low = _mm256_set1_epi8(15);
+  return {_mm256_add_epi8(_mm256_shuffle_epi8(lut, _mm256_and_si256(a.v, low)),
+                          _mm256_shuffle_epi8(lut, _mm256_and_si256(_mm256_srli_epi16(a.v, 4), low)))};
+#endif
+}
 static inline V32 add(V32 a, V32 b) { return {_mm256_add_epi8(a.v, b.v)}; }
 static inline V32 sub(V32 a, V32 b) { return {_mm256_sub_epi8(a.v, b.v)}; }
 static inline V32 adds(V32 a, V32 b) { return {_mm256_adds_epu8(a.v, b.v)}; }
@@ -67,9 +81,6 @@ struct Running32 {
     return least << 16 | (static_cast<u32>(_mm_cvtsi128_si32(_mm_minpos_epu16(first))) & 0xffff);
   }
 };
-static inline V32 hamming_wide(const u64* right, u64 left, V32*) {
-  return join(hamming(right, left), hamming(right + 16, left));
-}
 #ifndef __AVX512BW__
 using V = V32;
 using Running = Running32;

@@ -13,6 +13,7 @@ struct Sum16 {
     vst1q_u16(p, a);
     vst1q_u16(p + 8, b);
   }
+  static int at(int d) { return d; }  // where disparity d is stored
 };
 struct B {
   enum { N = 16 };
@@ -20,13 +21,19 @@ struct B {
   uint8x16_t v;
   static B load(const u8* p) { return {vld1q_u8(p)}; }
   void store(u8* p) const { vst1q_u8(p, v); }
+  void stream(u8* p) const { store(p); }
   static B set1(u8 a) { return {vdupq_n_u8(a)}; }
 };
 static inline B vmin(B a, B b) { return {vminq_u8(a.v, b.v)}; }
+static inline B band(B a, B b) { return {vandq_u8(a.v, b.v)}; }
+static inline B bxor(B a, B b) { return {veorq_u8(a.v, b.v)}; }
+static inline B bits(B a) { return {vcntq_u8(a.v)}; }
+static inline void stream_end() {}
 static inline B add(B a, B b) { return {vaddq_u8(a.v, b.v)}; }
 static inline B sub(B a, B b) { return {vsubq_u8(a.v, b.v)}; }
 static inline B adds(B a, B b) { return {vqaddq_u8(a.v, b.v)}; }
 static inline B absdiff(B a, B b) { return {vabdq_u8(a.v, b.v)}; }
+static inline B avg(B a, B b) { return {vrhaddq_u8(a.v, b.v)}; }
 static inline B below_or_equal(B a, B b) { return {vcleq_u8(a.v, b.v)}; }
 static inline B steps(B a) { return {vminq_u8(vshrq_n_u8(a.v, kStepShift), vdupq_n_u8(15))}; }
 static inline B lookup(B table, B index) { return {vqtbl1q_u8(table.v, index.v)}; }
@@ -66,12 +73,6 @@ static inline u32 argmin(Sum16 a) {
   const uint16x8_t q = vbslq_u16(vceqq_u16(a.b, l), vld1q_u16(kPlace + 8), none);
   return static_cast<u32>(least) << 16 | vminvq_u16(vminq_u16(p, q));
 }
-static inline u32 mask_below(Sum16 a, u16 limit) {
-  alignas(16) static const u16 kBit[8] = {1, 2, 4, 8, 16, 32, 64, 128};
-  const uint16x8_t bit = vld1q_u16(kBit), l = vdupq_n_u16(limit);
-  const u32 p = vaddvq_u16(vandq_u16(vcltq_u16(a.a, l), bit)), q = vaddvq_u16(vandq_u16(vcltq_u16(a.b, l), bit));
-  return p | q << 8;
-}
 static inline void interleave(const u8* planes, std::ptrdiff_t stride, u64* out) {
   uint8x16_t p[8];
   uint16x8_t q[8];
@@ -97,6 +98,9 @@ static inline void interleave(const u8* planes, std::ptrdiff_t stride, u64* out)
 
 #include "running.inl"
 using V = B;
+using W = B;
+using Running = Running16;
+using RunningW = Running16;
 
 }  // namespace SGM_ISA
 }  // namespace sgm

@@ -10,6 +10,7 @@ struct Sum16 {
   u16 v[16];
   static Sum16 load(const u16* p) { Sum16 r; std::memcpy(r.v, p, 32); return r; }
   void store(u16* p) const { std::memcpy(p, v, 32); }
+  static int at(int d) { return d; }  // where disparity d is stored
 };
 struct B {
   enum { N = 16 };
@@ -17,10 +18,13 @@ struct B {
   u8 v[16];
   static B load(const u8* p) { B r; std::memcpy(r.v, p, 16); return r; }
   void store(u8* p) const { std::memcpy(p, v, 16); }
+  void stream(u8* p) const { store(p); }
   static B set1(u8 a) { B r; std::memset(r.v, a, 16); return r; }
 };
 #define SGM_LANES(expr) B r; for (int i = 0; i < 16; ++i) r.v[i] = static_cast<u8>(expr); return r
 static inline B vmin(B a, B b) { SGM_LANES(a.v[i] < b.v[i] ? a.v[i] : b.v[i]); }
+static inline B band(B a, B b) { SGM_LANES(a.v[i] & b.v[i]); }
+static inline B bxor(B a, B b) { SGM_LANES(a.v[i] ^ b.v[i]); }
 static inline B add(B a, B b) { SGM_LANES(a.v[i] + b.v[i]); }
 static inline B sub(B a, B b) { SGM_LANES(a.v[i] - b.v[i]); }
 static inline B adds(B a, B b) { SGM_LANES(a.v[i] + b.v[i] > 255 ? 255 : a.v[i] + b.v[i]); }
@@ -35,7 +39,12 @@ static inline B shifted(B a, int by) { SGM_LANES(i + by >= 0 && i + by < 16 ? a.
 // Lanes moved by one across neighbouring vectors.
 static inline B before(B previous, B a) { SGM_LANES(i == 0 ? previous.v[15] : a.v[i - 1]); }
 static inline B after(B a, B next) { SGM_LANES(i == 15 ? next.v[0] : a.v[i + 1]); }
+static inline B bits(B a) {
+  SGM_LANES((a.v[i] & 1) + (a.v[i] >> 1 & 1) + (a.v[i] >> 2 & 1) + (a.v[i] >> 3 & 1) + (a.v[i] >> 4 & 1) +
+            (a.v[i] >> 5 & 1) + (a.v[i] >> 6 & 1) + (a.v[i] >> 7));
+}
 #undef SGM_LANES
+static inline void stream_end() {}
 static inline u8 hmin(B a) {
   u8 m = 255;
   for (int i = 0; i < 16; ++i) m = a.v[i] < m ? a.v[i] : m;
@@ -76,11 +85,6 @@ static inline u32 argmin(Sum16 a) {
   }
   return best;
 }
-static inline u32 mask_below(Sum16 a, u16 limit) {
-  u32 m = 0;
-  for (int i = 0; i < 16; ++i) m |= static_cast<u32>(a.v[i] < limit) << i;
-  return m;
-}
 static inline void interleave(const u8* planes, std::ptrdiff_t stride, u64* out) {
   for (int i = 0; i < 16; ++i) {
     u64 x = 0;
@@ -91,6 +95,9 @@ static inline void interleave(const u8* planes, std::ptrdiff_t stride, u64* out)
 
 #include "running.inl"
 using V = B;
+using W = B;
+using Running = Running16;
+using RunningW = Running16;
 
 }  // namespace SGM_ISA
 }  // namespace sgm

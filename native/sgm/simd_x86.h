@@ -18,6 +18,7 @@ struct Sum16 {
   __m256i v;
   static Sum16 load(const u16* p) { return {_mm256_loadu_si256(reinterpret_cast<const __m256i*>(p))}; }
   void store(u16* p) const { _mm256_storeu_si256(reinterpret_cast<__m256i*>(p), v); }
+  static int at(int d) { return d; }  // where disparity d is stored
 };
 #else
 struct Sum16 {
@@ -30,6 +31,7 @@ struct Sum16 {
     _mm_storeu_si128(reinterpret_cast<__m128i*>(p), a);
     _mm_storeu_si128(reinterpret_cast<__m128i*>(p + 8), b);
   }
+  static int at(int d) { return d; }  // where disparity d is stored
 };
 #endif
 struct B {
@@ -38,9 +40,22 @@ struct B {
   __m128i v;
   static B load(const u8* p) { return {_mm_loadu_si128(reinterpret_cast<const __m128i*>(p))}; }
   void store(u8* p) const { _mm_storeu_si128(reinterpret_cast<__m128i*>(p), v); }
+  void stream(u8* p) const { _mm_stream_si128(reinterpret_cast<__m128i*>(p), v); }
   static B set1(u8 a) { return {_mm_set1_epi8(static_cast<char>(a))}; }
 };
 static inline B vmin(B a, B b) { return {_mm_min_epu8(a.v, b.v)}; }
+static inline B band(B a, B b) { return {_mm_and_si128(a.v, b.v)}; }
+static inline B bxor(B a, B b) { return {_mm_xor_si128(a.v, b.v)}; }
+static inline void stream_end() { _mm_sfence(); }
+static inline B bits(B a) {
+#if defined(__AVX512BITALG__)
+  return {_mm_popcnt_epi8(a.v)};
+#else
+  const __m128i lut = _mm_setr_epi8(0, 1, 1, 2, 1, 2, 2, 3, 1, 2, 2, 3, 2, 3, 3, 4), low = _mm_set1_epi8(15);
+  return {_mm_add_epi8(_mm_shuffle_epi8(lut, _mm_and_si128(a.v, low)),
+                       _mm_shuffle_epi8(lut, _mm_and_si128(_mm_srli_epi16(a.v, 4), low)))};
+#endif
+}
 static inline B add(B a, B b) { return {_mm_add_epi8(a.v, b.v)}; }
 static inline B sub(B a, B b) { return {_mm_sub_epi8(a.v, b.v)}; }
 static inline B adds(B a, B b) { return {_mm_adds_epu8(a.v, b.v)}; }
@@ -137,11 +152,6 @@ static inline u32 argmin(Sum16 a) {
   const u32 x = p << 16 | p >> 16, y = (q << 16 | q >> 16) + 8;
   return x < y ? x : y;
 }
-static inline u32 mask_below(Sum16 a, u16 limit) {
-  const __m128i l = _mm_set1_epi16(static_cast<short>(limit));  // totals stay far below 32768
-  return static_cast<u32>(
-      _mm_movemask_epi8(_mm_packs_epi16(_mm_cmplt_epi16(lower(a), l), _mm_cmplt_epi16(upper(a), l))));
-}
 static inline void interleave(const u8* planes, std::ptrdiff_t stride, u64* out) {
   __m128i p[8], q[8], r[8];
   for (int k = 0; k < 8; ++k) p[k] = _mm_loadu_si128(reinterpret_cast<const __m128i*>(planes + k * stride));
@@ -162,9 +172,14 @@ static inline void interleave(const u8* planes, std::ptrdiff_t stride, u64* out)
   }
 }
 
-#ifndef __AVX2__
 #include "running.inl"
+#ifndef __AVX2__
 using V = B;
+using Running = Running16;
+#endif
+#ifndef __AVX512BW__
+using W = B;
+using RunningW = Running16;
 #endif
 
 }  // namespace SGM_ISA

@@ -3,6 +3,7 @@
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
+#include <cstring>
 
 namespace sgm {
 
@@ -47,8 +48,9 @@ struct Job {
   int left_right;                  // largest disagreement between both directions, < 0 = no check
   int parabola;                    // sub-pixel: 1 parabola, 0 equiangular lines
 
-  u8* cost;                        // (row_offset[height]) matching cost
-  u16* sum;                        // likewise: sums of the first sweep
+  u8* cost;                        // ragged (row_offset[height]): matching cost
+  u8* sum;                         // (row_offset[height]): half the sum of the first sweep's four paths, rounded up
+  bool streamed;                   // sums bypass the caches: they would only fill them
   float* disparity;                // out (height, width), NaN = none
   u16* score;                      // out (height, width) or null: smallest total cost
 };
@@ -56,16 +58,22 @@ struct Job {
 // Path costs of one row, read by the next one. Ragged: messages, kBlock guard bytes after each pixel.
 struct Row {
   u8* path[3];
-  u8* least[3];                    // dense: smallest path cost of each pixel
+  u8* least;                       // dense: smallest path costs of each pixel, a byte for each path
   u32* at;                         // ragged: where a pixel begins in path
 };
 
-// Private buffers of one thread.
+constexpr int kSlots = 4;          // dense: pixels of which a row of a band keeps path costs for the next row
+constexpr int kBehind = 2;         // dense: pixels by which a row of a band lags behind the row before it
+
+// Private buffers of one thread; dense: of one row of the band that a thread has in work.
 struct Scratch {
-  u64* left_census;
-  u64* right_census;               // stands at mirrored pixel 0; kBlock readable before and after
-  u8* planes;                      // 8 x plane_stride
+  u64* left_census;                // ragged
+  u64* right_census;               // ragged: stands at mirrored pixel 0; kBlock readable before and after
+  u8* left_planes;                 // 8 x plane_stride bytes of the census, the first is pixel 0
+  u8* right_planes;                // likewise, mirrored; kMargin readable before and after
   std::ptrdiff_t plane_stride;
+  Row near;                        // dense: kSlots pixels of this row
+  u8* cost;                        // costs of one pixel
   u8* penalty[4];                  // adaptive P2 of each pixel towards its predecessor on each path
   u32* from[3];                    // ragged: where the predecessor's message is read
   u8* lines[4];                    // path costs of one pixel (kMargin before)
@@ -80,9 +88,10 @@ struct Scratch {
 struct Sweep {
   const Job* job;
   int thread, threads;
-  Row* ring;                       // threads + 1 rows
-  Scratch* scratch;
-  std::atomic<int>* done;          // pixels finished in each row
+  Row* ring;                       // ragged: threads + 1 rows; dense: one, the last row of the band before
+  int bands;                       // dense: numbers of rows that are matched together
+  Scratch* scratch;                // dense: of each row of a band
+  std::atomic<int>* done;          // pixels finished in each row (dense: in the last row of each band)
   int lowest;                      // smallest disparity of the whole job
   void (*yield)();                 // lets another thread run
 };

@@ -54,10 +54,12 @@ def message(line, small, large):
 
 
 def totals(left, costs, first, options):
-    """[y][x] -> (n,) int: path costs of all eight directions summed."""
+    """[y][x] -> (n,) int: path costs of all eight directions summed, those of the first four rounded up to even."""
     h, w = left.shape
     total = [[8 * c for c in row] for row in costs]
     for sign in (1, -1):
+        if sign < 0:
+            total = [[t + (t & 1) for t in row] for row in total]
         for dx, dy in PATHS:
             told = {}
             for y in range(h)[::sign]:

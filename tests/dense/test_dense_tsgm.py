@@ -77,11 +77,28 @@ def test_impossible_ranges_are_refused(size, changes, says):
 def test_mutual_information_knows_any_relation_of_greys():
     left = grey(texture((80, 120)))
     right = 255 - left // 2  # as unlike as it can be, but a function of it
-    table = mutual_information(left, right, np.zeros(left.shape, np.float32))
+    table = mutual_information(sgm.joint_greys(left, right, np.zeros(left.shape, np.float32)))
     true = table[left, right].mean()
     wrong = table[left, np.roll(right, 30, axis=1)].mean()
     assert true + 10 < wrong
-    assert mutual_information(left, right, np.full(left.shape, np.nan, np.float32)).shape == (256, 256)
+    nothing = sgm.joint_greys(left, right, np.full(left.shape, np.nan, np.float32))
+    assert nothing.sum() == 0 and mutual_information(nothing).shape == (256, 256)
+
+
+def test_grey_values_are_counted_where_the_disparity_leads():
+    rng = np.random.default_rng(7)
+    left, right = (rng.integers(0, 256, (9, w), np.uint8) for w in (30, 41))
+    disparity = rng.uniform(-15, 15, left.shape).astype(np.float32)
+    disparity[rng.random(left.shape) < 0.2] = np.nan
+    disparity[0, :4] = [0.5, 1.5, -0.5, -1.5]  # halves go to the even number
+    expected = np.zeros((256, 256), int)
+    for y, x in np.argwhere(np.isfinite(disparity)):
+        there = x - int(np.rint(disparity[y, x]))
+        if 0 <= there < 41:
+            expected[left[y, x], right[y, there]] += 1
+    np.testing.assert_array_equal(sgm.joint_greys(left, right, disparity), expected)
+    with pytest.raises(ValueError, match="same height"):
+        sgm.joint_greys(left, right[1:], disparity)
 
 
 @pytest.mark.parametrize("shift", [0.0, 7.0, 20.5, 80.25])
@@ -153,7 +170,7 @@ def test_strips_change_almost_nothing(monkeypatch):
     left, right = grey(wide[:, 20:220]), grey(wide)[:, :240]
     padded = cv2.copyMakeBorder(right, 0, 0, 40, 0, cv2.BORDER_REPLICATE)
     whole = tsgm.match_tsgm(left, padded, 80, SETTINGS)
-    monkeypatch.setattr(tsgm, "_VOLUME_BYTES", 3 * 200 * 16 * 250)
+    monkeypatch.setattr(tsgm, "_VOLUME_BYTES", 2 * 200 * 16 * 250)
     strips = tsgm.match_tsgm(left, padded, 80, SETTINGS)
     assert np.mean((whole == strips) | (np.isnan(whole) & np.isnan(strips))) > 0.998
 
@@ -166,7 +183,7 @@ def test_strips_cover_every_row_once_and_stay_within_the_limit(monkeypatch, limi
     rows = np.concatenate([np.arange(900)[outer][inner] for outer, inner in strips])
     np.testing.assert_array_equal(rows, np.arange(900))
     for outer, _ in strips:
-        assert 3 * cells[outer].sum() <= limit or outer.stop - outer.start <= 3 * 64
+        assert cells[outer].sum() <= limit or outer.stop - outer.start <= 3 * 64
     if limit == 10**9:
         assert len(strips) == 1
 
@@ -181,7 +198,7 @@ def test_the_volumes_stay_within_what_is_said_before():
     tsgm.match_tsgm(left, right, 200, SETTINGS)
     if before is not None:
         tsgm._memory.workspace = before
-    assert 0.1 * stated < workspace.bytes < 1.3 * stated  # the rows in work come on top
+    assert 0.05 * stated < workspace.bytes < 1.3 * stated  # the rows in work come on top
     assert tsgm.volume_bytes(2048, 2448, 512) <= 300e6
     assert tsgm.volume_bytes(4000, 6000, 1000) <= 800e6
 

@@ -5,25 +5,19 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-_GREYS = 256
 _SMOOTHING_PX = 7  # window of the Gaussian that stands for the Parzen estimate, as in Hirschmueller 2008
 _WORST = 62  # the largest cost, that of two census windows of 9 x 7 which differ everywhere
 
 
-def mutual_information(left: np.ndarray, right: np.ndarray, disparity: np.ndarray) -> np.ndarray:
-    """Cost (256, 256) u1 of a left and a right grey value, from a pair (h, w), (h, any) u1 and its disparities (h, w)
-    f4, x_left - x_right, NaN = none. 0 = the most telling combination, _WORST = the least.
+def mutual_information(joint: np.ndarray) -> np.ndarray:
+    """Cost (256, 256) u1 of a left and a right grey value, from how often each two lie upon each other (256, 256). 0 =
+    the most telling combination, _WORST = the least.
     """
-    rows, columns = np.nonzero(np.isfinite(disparity))
-    there = columns - np.rint(disparity[rows, columns]).astype(np.int64)
-    inside = (there >= 0) & (there < right.shape[1])
-    rows, columns, there = rows[inside], columns[inside], there[inside]
-    joint = left[rows, columns].astype(np.int64) * _GREYS + right[rows, there]
-    count = np.bincount(joint, minlength=_GREYS**2).reshape(_GREYS, _GREYS).astype(np.float32)
-    share = count / max(1, len(rows))
+    count = joint.astype(np.float32)
+    share = count / max(1, joint.sum())
     entropy = _information(share)
     gain = entropy - _information(share.sum(axis=1))[:, None] - _information(share.sum(axis=0))[None, :]
-    low, high = np.percentile(gain[count > 0], [1, 99]) if len(rows) else (0.0, 1.0)
+    low, high = np.percentile(gain[count > 0], [1, 99]) if count.any() else (0.0, 1.0)
     scaled = (gain - low) / max(high - low, 1e-6) * (_WORST / 2)
     return np.clip(np.rint(scaled), 0, _WORST).astype(np.uint8)
 

@@ -26,10 +26,11 @@ except ImportError:  # installed without a C++ compiler
 _memory = threading.local()
 _log = logging.getLogger(__name__)
 
-_FULL_RANGE = 128  # disparities at most of the level that is matched over its full range
+_FULL_RANGE = 256  # disparities at most of the level that is matched over its full range
 _DENSE_BELOW = 16  # with so few disparities per-pixel ranges save nothing
+_QUARTER = 2  # halvings to a quarter of the size
 _VOLUME_BYTES = 256_000_000  # of the cost volumes held at once; a level that needs more is matched in strips
-_CELL_BYTES = 3  # a cost of one byte and a sum of two for each pixel and disparity
+_CELL_BYTES = 2  # a cost and half a sum for each pixel and disparity; over the full range costs are made anew
 _STRIP_OVERLAP = 64  # rows after which a path has nearly forgotten where it began
 _BLOCK = 16  # disparities that the kernels take at once
 _MODES = {"census": 0, "blend": 1, "mutual": 2}
@@ -43,7 +44,8 @@ class Tuning:
     ``floor`` of itself; reach: pixels of the coarser level around a pixel whose disparities it is given; hole_limit:
     disparities at most where the coarser level has none; parabola or equiangular lines below the pixel; cost: on the
     last level census, mutual or the mean of both; full_range: disparities at most of the level matched over its full
-    range; dense_below: with so few, there is one level only; kernel: empty = the fastest.
+    range; dense_below: with so few, there is one level only; everywhere: matched over the full range (a reference for
+    measurements); kernel: empty = the fastest.
     """
 
     radius: tuple[int, int] = (4, 3)
@@ -52,12 +54,13 @@ class Tuning:
     floor: float = 0.25
     knee: float = 6.0
     reach: int = 3
-    hole_limit: int = 128
+    hole_limit: int = 254
     uniqueness: int = 0
     parabola: bool = False
     cost: str = "blend"
     full_range: int = _FULL_RANGE
     dense_below: int = _DENSE_BELOW
+    everywhere: bool = False
     coarse_speckle_px: int = 0
     kernel: str = ""
 
@@ -81,7 +84,8 @@ def volume_bytes(height: int, width: int, disparities: int) -> int:
         each = count if level == levels else min(count + _BLOCK, tuning.hole_limit + 2 * _BLOCK)
         each = -(-each // _BLOCK) * _BLOCK
         rows = min(h, 3 * _STRIP_OVERLAP)
-        most = max(most, min(h * w * each, max(_VOLUME_BYTES // _CELL_BYTES, rows * w * each)) * _CELL_BYTES)
+        cell = 1 if level == levels else _CELL_BYTES
+        most = max(most, min(h * w * each * cell, max(_VOLUME_BYTES, rows * w * each * cell)))
     return most
 
 
@@ -125,7 +129,8 @@ def match(
         uses.append(_halved(uses[-1]))
     workspace = _workspace()
     found = None
-    for level in range(levels, -1, -1):
+    coarser = levels
+    for level in (levels, 0) if tuning.everywhere else range(levels, -1, -1):
         rules = _sgm.RangeRules()
         rules.low, rules.count = -(aligned >> level), -(-disparities >> level)
         rules.reach, rules.hole_limit = tuning.reach, tuning.hole_limit
@@ -133,15 +138,18 @@ def match(
         if found is None:
             found = pair.full()
         else:
-            above = (lefts[level + 1], rights[level + 1], found)
-            mutual = mutual_information(*above) if level == 0 and tuning.cost != "census" else None
-            found = pair.within(found, mutual, uses[level])
+            above = (lefts[coarser], rights[coarser], found)
+            blended = level == 0 and tuning.cost != "census"
+            mutual = mutual_information(_sgm.joint_greys(*above)) if blended else None
+            found = pair.full(mutual) if tuning.everywhere else pair.within(found, mutual, uses[level])
         if level and tuning.coarse_speckle_px:
             found = without_speckles(found - rules.low, tuning.coarse_speckle_px) + rules.low
+        coarser = level
     assert found is not None
-    found = found + np.float32(aligned)
+    found += np.float32(aligned)
     inside = (found > -0.5) & (found < disparities - 0.5)  # whole blocks reach a little over the range
-    return np.where(inside, found, np.float32(np.nan))
+    found[~inside] = np.nan
+    return found
 
 
 def _halved(use: np.ndarray | None) -> np.ndarray | None:
@@ -160,7 +168,10 @@ def _workspace() -> _sgm.Workspace:
 
 
 def _levels(disparities: int, tuning: Tuning) -> int:
-    """Halvings until the full range is cheap; at least one unless there are few disparities anyway."""
+    """Halvings until the full range is cheap; at least one unless there are few disparities anyway. A match over the
+    full range at full size has one of a quarter of it, which tells what grey values belong together."""
+    if tuning.everywhere:
+        return _QUARTER
     levels = 0 if disparities <= tuning.dense_below else 1
     while disparities >> levels > tuning.full_range:
         levels += 1
@@ -192,38 +203,40 @@ class _Level:
     options: _sgm.Options
     workspace: _sgm.Workspace
 
-    def full(self) -> np.ndarray:
+    def full(self, mutual: np.ndarray | None = None) -> np.ndarray:
         """Every disparity at every pixel."""
         height, width = self.left.shape
         low, count = self.rules.low, self.rules.count
         parts = []
-        for strip, inner in _strips(np.full(height, width * count)):
-            found, _ = _sgm.match_dense(self.left[strip], self.right[strip], low, count, self.options, self.workspace)
+        for strip, inner in _strips(np.full(height, width * count)):  # bytes
+            found, _ = _sgm.match_dense(
+                self.left[strip], self.right[strip], low, count, self.options, self.workspace, mutual
+            )
             parts.append(found[inner])
-        return np.concatenate(parts)
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def within(self, coarse: np.ndarray, mutual: np.ndarray | None, use: np.ndarray | None) -> np.ndarray:
         """The disparities that the coarser level leaves."""
         height, width = self.left.shape
-        first, blocks, _ = _sgm.ranges(coarse, width, height, self.rules)
+        first, blocks, cells = _sgm.ranges(coarse, width, height, self.rules)
+        _log.debug("%.1f disparities a pixel at %s", cells / self.left.size, self.left.shape)
         if use is not None:  # one block in the middle of the range
             first = np.where(use, first, first + _BLOCK // 2 * (blocks.astype(np.int16) - 1))
             blocks = np.where(use, blocks, np.uint8(1))
-        _log.debug("%.1f disparities a pixel at %s", _BLOCK * blocks.mean(), self.left.shape)
         parts = []
-        for strip, inner in _strips(_BLOCK * blocks.sum(axis=1, dtype=np.int64)):
+        for strip, inner in _strips(_CELL_BYTES * _BLOCK * blocks.sum(axis=1, dtype=np.int64)):
             found, _ = _sgm.match_ragged(
                 self.left[strip], self.right[strip], first[strip], blocks[strip], self.options, self.workspace, mutual
             )
             parts.append(found[inner])
-        return np.concatenate(parts)
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
-def _strips(cells: np.ndarray) -> list[tuple[slice, slice]]:
-    """Rows matched together, and which of the found ones count, so that the volumes of ``cells`` (h,) in each row stay
-    within _VOLUME_BYTES; a strip is never less than its overlap."""
-    height, limit = len(cells), _VOLUME_BYTES // _CELL_BYTES
-    before = np.concatenate([[0], np.cumsum(cells)])
+def _strips(volume: np.ndarray) -> list[tuple[slice, slice]]:
+    """Rows matched together, and which of the found ones count, so that the volumes, ``volume`` (h,) bytes in each row,
+    stay within _VOLUME_BYTES; a strip is never less than its overlap."""
+    height, limit = len(volume), _VOLUME_BYTES
+    before = np.concatenate([[0], np.cumsum(volume)])
     if before[-1] <= limit:
         return [(slice(0, height), slice(0, height))]
     strips, top = [], 0
