@@ -27,7 +27,7 @@ STAGES = (
     Stage("verify", verify, ("network", "match"), ("verify.npz",), "pair", version=2),
     Stage("sparse", sparse, ("network", "match", "verify"), ("sparse",), version=12),
     Stage("georef", georef, ("network", "sparse"), ("sparse/world", "world.json"), version=4),
-    Stage("remask", remask, ("masks", "georef"), ("remask",), "image", version=2),
+    Stage("remask", remask, ("masks", "georef"), ("remask",), "image", version=3),
     Stage("dense", dense, ("georef", "remask"), ("depth",), "image", version=5),
     Stage("cloud", cloud, ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply")),
     Stage("evaluate", evaluate, ("verify", "georef", "remask", "dense", "cloud"), ("metrics.json",)),
