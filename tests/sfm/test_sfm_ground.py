@@ -238,3 +238,14 @@ def _drive(time_s: np.ndarray) -> Scene:
     scene = simple_scene(Rig("lone", (Sensor("cam"),)), names, np.arange(count), np.zeros(count), np.zeros(count))
     place = _path(time_s)[:, :3, 3]
     return with_positions(scene.with_(tracks=("way",), time_s=time_s), place, 0.02)
+
+
+def test_a_relaxed_rig_is_not_adjusted_with_the_positions(world) -> None:
+    truth, scene = world
+    survey = with_positions(scene, true_frames(truth, scene)[:, :3, 3], 0.05)
+    assert georeference_model(_moved(truth), survey, GeorefSettings(adjust="yes"))[0].adjusted
+    other = np.flatnonzero(survey.sensor == 1)  # its images stand in other frames of the model than of the scene
+    frame = survey.frame.copy()
+    frame[other] = np.roll(frame[other], 1)
+    found, _ = georeference_model(_moved(truth), survey.with_(frame=frame), GeorefSettings(adjust="yes"))
+    assert not found.adjusted and any("relaxed" in n for n in found.notes)

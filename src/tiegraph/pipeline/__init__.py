@@ -26,7 +26,7 @@ STAGES = (
     Stage("match", match, ("network", "design", "features"), ("match.npz",), "block of pairs", clear=forget_matches),
     Stage("verify", verify, ("network", "match"), ("verify.npz",), "pair", version=2),
     Stage("sparse", sparse, ("network", "match", "verify"), ("sparse",), version=12),
-    Stage("georef", georef, ("network", "sparse"), ("sparse/world", "world.json"), version=4),
+    Stage("georef", georef, ("network", "sparse"), ("sparse/world", "world.json"), version=5),
     Stage("remask", remask, ("masks", "georef"), ("remask",), "image", version=3),
     Stage("dense", dense, ("georef", "remask"), ("depth",), "image", version=5),
     Stage("cloud", cloud, ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply")),
