@@ -21,7 +21,7 @@ class DenseSettings(Section):
     partners: int = Field(4, ge=1, le=8)
     """Images each image is matched with."""
     min_views: int = Field(3, ge=2, le=8)
-    """Images that must agree on a depth, the image itself included; one more where it is known to 0.5 % at best."""
+    """Images that must agree on a depth, the image itself included; one more where its sigma exceeds 0.5 % of it."""
     min_angle_deg: float = Field(1.0, ge=0.05, le=20)
     """Smallest median angle of intersection with a partner, in degrees; below it the images count as one centre."""
     tolerance_px: float = Field(1.0, ge=0.25, le=5)

@@ -13,9 +13,7 @@ DESCRIPTOR_NORM = 512.0
 # Sigmas of a key point that must be free: where a building ends against a masked sky, the place of a blob leans towards
 # it. On canal such key points turned the front camera against the rig by 0.01-0.02 deg; they are 5 % of all.
 SUPPORT = 3.0
-ENOUGH = (
-    500  # of such; an image with fewer (an up camera below an open sky sees little but roof lines) keeps the others
-)
+ENOUGH = 500  # of such; an image with fewer (an up camera, which sees little but roof lines) keeps the others too
 
 
 def extract_sift(

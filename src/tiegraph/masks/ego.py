@@ -32,9 +32,8 @@ _SHAKES_PX = 0.7
 _SHAKE_FRAMES = 14  # enough for a median and for the 70 % of it
 _MOVING = 0.45  # share of the textured frames in which the gradient has another direction
 _MIN_EDGE_PX = 16  # shorter edges are chance
-_OUTLINE = (
-    0.35  # share of a region's outline that must be fixed edges; on scenes without platform 0 .. 0.14, dark roads 0.34
-)
+# Share of a region's outline that must be fixed edges; on scenes without platform 0 .. 0.14, dark roads 0.34.
+_OUTLINE = 0.35
 _RIM = 2 / 640  # of the longer side: the gradients are smoothed, and their kernel is three pixels wide
 _MIN_AREA = 0.003  # of the image
 _FEW_FRAMES, _FEW_AREA = 10, 0.03  # fewer frames agree by chance, at a pole straight ahead: up to 0.02 of the image

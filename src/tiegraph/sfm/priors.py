@@ -19,7 +19,7 @@ def add_priors(
 
     ``given``: as of ``lens.add_priors``.
     """
-    kept = add_soft(adjuster, model, soft) if soft else []
+    soft = Soft() if soft is None else soft
+    kept = add_soft(adjuster, model, soft)
     kept += lens.add_priors(adjuster.problem, model, given or {})
-    known, drawings = (soft.known_sensors(), soft.drawings) if soft is not None else ((), {})
-    return kept + compact.add_priors(adjuster.problem, model, known, drawings)
+    return kept + compact.add_priors(adjuster.problem, model, soft.known_sensors(), soft.drawings)
