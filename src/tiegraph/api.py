@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,10 @@ from tiegraph.pipeline import STAGES
 from tiegraph.pipeline.shots import shots
 from tiegraph.pipeline.surface import hand_over
 from tiegraph.project import settings as project_settings
+from tiegraph.project.folder import SETTINGS, write_settings
 from tiegraph.project.progress import Reporter
 from tiegraph.project.run import Inputs, Run, run_stages, status
 from tiegraph.project.settings import Settings
-from tiegraph.project.stages import write_atomic
 from tiegraph.scene.cloudfile import read_cloud
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.results import Cloud
@@ -39,25 +40,28 @@ class Project:
         Raises InputError, SettingsError, ReconstructionError or EngineMissing; what was finished is kept.
         """
         self.inputs.check()
-        self.save()
-        run_stages(STAGES, Run(self.folder, self.inputs, self.settings, self.pool, reporter), until)
+        run_stages(STAGES, Run(self.folder, self.inputs, self.settings, self.pool, reporter), until, self.save)
         return self
 
     def status(self) -> list[tuple[str, str, dict]]:
         """(stage, why it is out of date or "", its receipt) for every stage, without running."""
         return status(STAGES, Run(self.folder, self.inputs, self.settings, self.pool))
 
-    def save(self) -> None:
-        """Write tiegraph.toml into the run folder if what it says differs from this project."""
+    def save(self) -> Callable[[], None]:
+        """Write tiegraph.toml into the run folder if what it says differs from this project; what takes it back.
+
+        A file that somebody else wrote or edited stays, as ``tiegraph.before-<n>.toml``.
+        """
         run: dict[str, Any] = {"images": str(self.inputs.images), "rig": self.inputs.rig, "preset": self.preset}
         run.update({n: None if getattr(self.inputs, n) is None else str(getattr(self.inputs, n)) for n in _PATHS})
         base = project_settings.merged(project_settings.preset(self.preset))
         own = project_settings.changed(self.settings)
         inherited = project_settings.changed(base)
         text = project_settings.file_text(run, _difference(own, inherited, self.settings))
-        path = self.folder / project_settings.FILE
-        if not path.exists() or project_settings.read_file(path) != project_settings.parse(text):
-            write_atomic(path, text)
+        path = self.folder / SETTINGS
+        if path.exists() and project_settings.read_file(path) == project_settings.parse(text):
+            return lambda: None
+        return write_settings(self.folder, text)
 
     def shots(
         self, near_m: float | None = None, far_m: float | None = None, reporter: Reporter | None = None
@@ -141,10 +145,10 @@ def open_project(
         raise SettingsError(f"unknown input {sorted(unknown)[0]!r}: known are rig, gcp, {', '.join(_PATHS)}")
     gcp = inputs.pop("gcp", None)
     folder = _folder(images, out)
-    stored = project_settings.read_file(folder / project_settings.FILE)
+    stored = project_settings.read_file(folder / SETTINGS)
     run = {**stored.pop("run", {}), **{k: str(v) for k, v in inputs.items() if v is not None}}
     if images is None and "images" not in run:
-        raise InputError(f"{folder} is not a run folder (no {project_settings.FILE}): start with `tiegraph run IMAGES`")
+        raise InputError(f"{folder} is not a run folder (no {SETTINGS}): start with `tiegraph run IMAGES`")
     # Absolute, so that the run folder can be used from anywhere.
     found = Path(images if images is not None else run["images"]).resolve()
     if "rig" in run and Path(run["rig"]).is_file():
@@ -153,7 +157,7 @@ def open_project(
     if isinstance(settings, Settings):
         complete = settings
     else:
-        where = str(folder / project_settings.FILE) if stored else "settings"
+        where = str(folder / SETTINGS) if stored else "settings"
         complete = project_settings.merged(project_settings.preset(name), stored, settings or {}, where=where)
     if gcp is not None:  # a setting of georef, so that only what follows it runs again when the points change
         georef = complete.georef.model_copy(update={"gcp": Path(gcp).resolve()})
@@ -171,7 +175,7 @@ def _read_pairs(path: Path) -> Pairs:
 
 def _folder(images: str | Path | None, out: str | Path | None) -> Path:
     if out is not None:
-        return Path(out)
+        return Path(out).absolute()
     if images is None:
         raise InputError("give the folder of the images, or a run folder by out=")
     path = Path(images).resolve()

@@ -1,5 +1,7 @@
 """The errors tiegraph raises: one root, and each text names the value at fault and the remedy."""
 
+from pathlib import Path
+
 
 class TiegraphError(Exception):
     """Root of all errors raised on purpose."""
@@ -7,6 +9,17 @@ class TiegraphError(Exception):
 
 class InputError(TiegraphError, ValueError):
     """A file or value given by the user cannot be used."""
+
+
+class UnreadableArtefact(InputError):
+    """A file that a stage made cannot be read any more; ``path`` says which, so that its stage can make it again."""
+
+    def __init__(self, path: object, why: object) -> None:
+        super().__init__(str(path), str(why))  # as they are, so that the error survives the way from another process
+        self.path = Path(str(path))
+
+    def __str__(self) -> str:
+        return f"{self.path} cannot be read any more ({self.args[1]})"
 
 
 class SettingsError(TiegraphError, ValueError):

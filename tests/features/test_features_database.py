@@ -205,5 +205,5 @@ def test_missing_or_damaged_database_is_explained(tmp_path):
     with pytest.raises(InputError, match="does not exist"):
         db.feature_counts(tmp_path / "none.db")
     (tmp_path / "bad.db").write_bytes(b"this is no database at all" * 200)
-    with pytest.raises(InputError, match="bad.db is damaged"):
+    with pytest.raises(InputError, match="bad.db cannot be read any more"):
         db.feature_counts(tmp_path / "bad.db")

@@ -4,7 +4,8 @@ import pytest
 
 from tiegraph.api import open_project
 from tiegraph.errors import InputError, SettingsError
-from tiegraph.project.settings import FILE, PRESETS, Settings, changed, merged, preset
+from tiegraph.project.folder import SETTINGS
+from tiegraph.project.settings import PRESETS, Settings, changed, merged, preset
 
 
 def test_every_preset_is_valid_and_changes_what_it_says():
@@ -34,7 +35,7 @@ def test_about_seventy_settings_at_most():
 def test_precedence_defaults_preset_file_call(tmp_path):
     out = tmp_path / "out"
     out.mkdir()
-    (out / FILE).write_text('[masks]\nsource = "sky"\n[dense]\npartners = 2\n')
+    (out / SETTINGS).write_text('[masks]\nsource = "sky"\n[dense]\npartners = 2\n')
     project = open_project(tmp_path, out, preset="conventional", settings={"dense": {"partners": 3}})
     assert project.settings.network.sources == ("exhaustive",)
     assert project.settings.masks.source == "sky"
@@ -50,9 +51,9 @@ def test_a_project_remembers_inputs_preset_and_settings(tmp_path):
     assert again.inputs == first.inputs
     assert again.preset == "meguro2024"
     assert set(changed(again.settings)) >= {"masks", "network", "sparse"} or again.settings.masks.source == "none"
-    before = (out / FILE).stat().st_mtime_ns
+    before = (out / SETTINGS).stat().st_mtime_ns
     again.save()
-    assert (out / FILE).stat().st_mtime_ns == before
+    assert (out / SETTINGS).stat().st_mtime_ns == before
 
 
 def test_misuse(tmp_path):
@@ -60,10 +61,10 @@ def test_misuse(tmp_path):
         open_project(out=tmp_path)
     with pytest.raises(SettingsError, match="unknown input 'gps'"):
         open_project(tmp_path, gps="a.csv")
-    (tmp_path / FILE).write_text("[masks\n")
+    (tmp_path / SETTINGS).write_text("[masks\n")
     with pytest.raises(SettingsError, match="not valid TOML"):
         open_project(tmp_path, tmp_path)
-    (tmp_path / FILE).write_text("masks = 3\n")
+    (tmp_path / SETTINGS).write_text("masks = 3\n")
     with pytest.raises(SettingsError, match="'masks' must be a section"):
         open_project(tmp_path, tmp_path)
 

@@ -7,8 +7,9 @@ import pytest
 from pydantic import Field
 
 from tiegraph.errors import InputError
+from tiegraph.project.folder import working_in
 from tiegraph.project.pool import map_items, open_pool
-from tiegraph.project.run import Inputs, Run, locked, run_stages, status
+from tiegraph.project.run import Inputs, Run, run_stages, status
 from tiegraph.project.stages import Outcome, Stage, stage_keys, write_atomic
 from tiegraph.settings import Section
 
@@ -35,10 +36,10 @@ def first(run):
     for k in range(3):
         path = run.path("first", f"{k}.txt")
         if not path.exists():
-            if k == 2 and run.path("trip").exists():
+            if k == 2 and (run.folder.parent / "trip").exists():
                 fail("power cut")
             write_atomic(path, str(run.settings.first.value))
-            with run.path("work.log").open("a") as log:
+            with (run.folder.parent / "work.log").open("a") as log:
                 log.write(f"{k} ")
     return Outcome({"items": 3})
 
@@ -73,7 +74,7 @@ def make(tmp_path):
 
 
 def worked(run):
-    log = run.path("work.log")
+    log = run.folder.parent / "work.log"
     text = log.read_text() if log.exists() else ""
     log.unlink(missing_ok=True)
     return text.split()
@@ -107,24 +108,22 @@ def test_a_file_named_by_a_setting_counts_with_its_content_stamp(make, tmp_path)
 
 def test_interrupted_work_goes_on_where_it_stopped(make):
     run = make()
-    run.folder.mkdir()
-    run.path("trip").touch()
+    (run.folder.parent / "trip").touch()
     with pytest.raises(RuntimeError, match="power cut"):
         run_stages(STAGES, run)
     assert worked(run) == ["0", "1"]
     assert status(STAGES, run)[0][1] == "was interrupted"
-    run.path("trip").unlink()
+    (run.folder.parent / "trip").unlink()
     run_stages(STAGES, make())
     assert worked(run) == ["2"]
 
 
 def test_interrupted_work_of_other_settings_is_not_reused(make):
     run = make()
-    run.folder.mkdir()
-    run.path("trip").touch()
+    (run.folder.parent / "trip").touch()
     with pytest.raises(RuntimeError):
         run_stages(STAGES, run)
-    run.path("trip").unlink()
+    (run.folder.parent / "trip").unlink()
     run_stages(STAGES, make(first=One(value=7)))
     assert worked(run) == ["0", "1", "0", "1", "2"]
     assert run.path("first", "0.txt").read_text() == "7"
@@ -147,7 +146,7 @@ def test_receipt_says_what_happened(make):
 
 def test_two_runs_in_one_folder_are_refused(make):
     run = make()
-    with locked(run.folder), pytest.raises(InputError, match="another tiegraph run"):
+    with working_in(run.folder), pytest.raises(InputError, match="another tiegraph run"):
         run_stages(STAGES, run)
 
 

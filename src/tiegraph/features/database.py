@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from tiegraph.errors import InputError, TiegraphError
+from tiegraph.errors import InputError, TiegraphError, UnreadableArtefact
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import MAX_IMAGES
 from tiegraph.scene.pairs import Pairs
@@ -264,7 +264,7 @@ def _explained(path: Path, error: Exception) -> TiegraphError:
     if "locked" in text:
         return TiegraphError(f"{path} is in use by another program ({text}): close it and run again")
     if "malformed" in text or "not a database" in text:
-        return InputError(f"{path} is damaged ({text}): delete it and run again")
+        return UnreadableArtefact(path, text)
     return TiegraphError(f"{path}: {text}")
 
 

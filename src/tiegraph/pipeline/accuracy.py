@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from tiegraph.features.preview import Preview
-from tiegraph.pipeline.capture import preview_path
+from tiegraph.pipeline.capture import read_preview
+from tiegraph.pipeline.files import load_scene
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Ties
@@ -55,10 +56,9 @@ def _two_view_item(item: tuple[int, int, np.ndarray], folder: Path) -> TwoView |
 
 @lru_cache(maxsize=2)
 def _scene(folder: Path) -> Scene:
-    return Scene.from_json((folder / "network" / "scene.json").read_text())
+    return load_scene(folder / "network" / "scene.json")
 
 
 @lru_cache(maxsize=_CACHED_PREVIEWS)
 def _preview(folder: Path, name: str) -> Preview:
-    with np.load(preview_path(folder, name)) as data:
-        return Preview.from_npz(dict(data))
+    return read_preview(folder, name)

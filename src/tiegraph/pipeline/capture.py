@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.features.preview import extract_preview
+from tiegraph.features.preview import Preview, extract_preview
 from tiegraph.features.settings import PreviewSettings
-from tiegraph.pipeline.files import read_image, read_mask, save_npz, scanned
+from tiegraph.pipeline.files import load_npz, read_image, read_mask, reading, save_npz, scanned
 from tiegraph.pipeline.world import control_points
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
@@ -89,6 +89,13 @@ def preview(run: Run) -> Outcome:
 def preview_path(folder: Path, name: str) -> Path:
     """Where the preview of an image is."""
     return folder / "preview" / f"{name}.npz"
+
+
+def read_preview(folder: Path, name: str) -> Preview:
+    """The preview of an image. Raises UnreadableArtefact."""
+    path = preview_path(folder, name)
+    with reading(path):
+        return Preview.from_npz(load_npz(path))
 
 
 def _preview_item(name: str, folder: Path, settings: PreviewSettings) -> None:

@@ -2,41 +2,99 @@
 
 from __future__ import annotations
 
+import errno
 import io
+import json
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+import pycolmap
 
-from tiegraph.errors import InputError
+from tiegraph.errors import UnreadableArtefact
 from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic
+from tiegraph.scene.colmapmodel import read_model
+from tiegraph.scene.depthfile import load_depth
 from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.results import DepthMap
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Ties
+
+_OURS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)  # the machine's limits say nothing of a file
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """What goes wrong while an artefact is read is said of the artefact, whose stage then makes it again."""
+    try:
+        yield
+    except UnreadableArtefact:
+        raise
+    except OSError as error:
+        if error.errno in _OURS:
+            raise
+        raise UnreadableArtefact(path, error) from error
+    except (ValueError, LookupError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise UnreadableArtefact(path, error) from error
+
+
+def load_npz(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of an NPZ file. Raises UnreadableArtefact."""
+    with reading(path), np.load(path) as data:
+        return dict(data)
+
+
+def load_json(path: Path) -> Any:
+    """The content of a JSON file. Raises UnreadableArtefact."""
+    with reading(path):
+        return json.loads(path.read_text())
+
+
+def load_scene(path: Path) -> Scene:
+    """A scene. Raises UnreadableArtefact."""
+    with reading(path):
+        return Scene.from_json(path.read_text())
+
+
+def load_model(folder: Path) -> pycolmap.Reconstruction:
+    """A COLMAP model. Raises UnreadableArtefact."""
+    with reading(folder):
+        return read_model(folder)
+
+
+def load_map(path: Path) -> DepthMap:
+    """A depth map. Raises UnreadableArtefact."""
+    with reading(path):
+        return load_depth(path)
 
 
 def scanned(run: Run) -> Scene:
     """The scene as the scan found it."""
-    return Scene.from_json(run.path("scene.json").read_text())
+    return load_scene(run.path("scene.json"))
 
 
 def checked(run: Run) -> Scene:
     """The scene after `network`: rig checked against the images, sections cut."""
-    return Scene.from_json(run.path("network", "scene.json").read_text())
+    return load_scene(run.path("network", "scene.json"))
 
 
 def pairs_of(run: Run, name: str) -> Pairs:
     """The pair table of ``network.npz``, ``pairs.npz`` or ``match.npz``."""
-    with np.load(run.path(name)) as data:
-        return Pairs.from_npz(dict(data))
+    with reading(run.path(name)):
+        return Pairs.from_npz(load_npz(run.path(name)))
 
 
 def ties_of(run: Run) -> Ties:
     """The preview matches that ``network`` saw."""
-    with np.load(run.path("network", "ties.npz")) as data:
-        return Ties.from_npz(dict(data))
+    path = run.path("network", "ties.npz")
+    with reading(path):
+        return Ties.from_npz(load_npz(path))
 
 
 def save_npz(path: Path, **arrays: Any) -> None:
@@ -69,7 +127,7 @@ def read_image(path: Path, flag: int = cv2.IMREAD_GRAYSCALE) -> np.ndarray:
     """Pixels (H, W) u1, or (H, W, 3) with IMREAD_COLOR, as stored: the EXIF orientation was dealt with by the scan."""
     image = cv2.imread(str(path), flag | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
-        raise InputError(f"{path}: cannot be read any more; it was readable when scanned: run `scan` again")
+        raise UnreadableArtefact(path, "it is no image now")
     return image
 
 

@@ -10,9 +10,10 @@ from tiegraph.features import database
 from tiegraph.features.extract import extract_image
 from tiegraph.features.match import match_pairs
 from tiegraph.features.settings import FeaturesSettings
-from tiegraph.pipeline.files import checked, mask_path, pairs_of, save_npz, scanned
+from tiegraph.pipeline.files import checked, load_npz, mask_path, pairs_of, reading, save_npz, scanned
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
+from tiegraph.scene.atomic import claim
 from tiegraph.scene.pairs import REASONS
 from tiegraph.sfm.mapper import Source, reconstruct
 
@@ -23,6 +24,7 @@ def features(run: Run) -> Outcome:
     """SIFT of every image under its mask, into COLMAP's database."""
     scene, path = scanned(run), run.path("database.db")
     if not path.exists():
+        claim(path)
         database.create_database(path, scene.measured())
     there = database.images_with_features(path)
     todo = [(k, n) for k, n in enumerate(scene.names) if k not in there]
@@ -102,5 +104,6 @@ def preview_poses(folder: Path) -> np.ndarray | None:
     path = folder / "network" / "model.npz"
     if not path.exists():
         return None
-    with np.load(path) as data:
+    with reading(path):
+        data = load_npz(path)
         return np.where(data["trusted"][:, None, None], data["cam_from_world"], np.nan)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,11 +22,11 @@ from tiegraph.masks.waterline import (
     first_line,
     lines_of,
 )
-from tiegraph.pipeline.files import FINAL, checked, classes_path, mask_path, read_image, read_mask, save_png
+from tiegraph.pipeline.files import FINAL, checked, classes_path, load_model, mask_path, read_image, read_mask, save_png
 from tiegraph.pipeline.world import world_unit
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
-from tiegraph.scene.atomic import replacing
+from tiegraph.scene.atomic import same_file
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.world.gravity import up_vector
 
@@ -66,7 +64,7 @@ def _known(run: Run, scene: Scene) -> tuple[dict[str, Known], tuple[str, ...]]:
     """What the model knows of each registered image, with what is to be said of it."""
     if not any(classes_path(run.folder, n).exists() for n in scene.names):
         return {}, ("the first masks do not say what is sky and water: they are the final ones",)
-    model = pycolmap.Reconstruction(str(run.path("sparse", "world")))
+    model = load_model(run.path("sparse", "world"))
     points = np.array([p.xyz for p in model.points3D.values() if p.track.length() >= _LEAST_TRACK]).reshape(-1, 3)
     seen = _seen(run, model, points)
     lines, notes = _lines(run, scene, model, points)
@@ -149,19 +147,8 @@ def _final_item(item: tuple[str, Known | None], folder: Path) -> None:
             save_png(mask_path(final, name), np.where(keep, 255, 0).astype(np.uint8))
             return
     if classes.exists():
-        _link(classes, classes_path(final, name))
-    _link(mask, mask_path(final, name))
-
-
-def _link(source: Path, target: Path) -> None:
-    """The same file in another place, without a second copy where the file system can."""
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(target) as temporary:
-        temporary.unlink(missing_ok=True)
-        try:
-            os.link(source, temporary)
-        except OSError:
-            shutil.copyfile(source, temporary)
+        same_file(classes, classes_path(final, name))
+    same_file(mask, mask_path(final, name))
 
 
 def _used(name: str, folder: Path) -> tuple[float, float]:

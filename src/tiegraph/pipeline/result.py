@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import json
-
-import pycolmap
-
 from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.evaluate.survey import evaluate_survey
 from tiegraph.masks.compare import compare
-from tiegraph.pipeline.files import FINAL, checked
+from tiegraph.pipeline.files import FINAL, checked, load_json, load_model, reading
 from tiegraph.pipeline.world import world_origin
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome
@@ -21,10 +17,11 @@ from tiegraph.scene.scene import Scene
 def evaluate(run: Run) -> Outcome:
     """Figures of merit of the masks, the model and the cloud, against references where they are given."""
     scene, settings = checked(run), run.settings.evaluate
-    model = pycolmap.Reconstruction(str(run.path("sparse", "world")))
+    model = load_model(run.path("sparse", "world"))
     origin = world_origin(run)
-    cloud = read_cloud(run.path("cloud.laz"), origin)
-    placed = json.loads(run.path("world.json").read_text())["placed"]
+    with reading(run.path("cloud.laz")):
+        cloud = read_cloud(run.path("cloud.laz"), origin)
+    placed = load_json(run.path("world.json"))["placed"]
     # Against its own points a camera model without depth maps says the same, and needs no reading of them.
     result = evaluate_survey(scene, model, cloud, None, settings, origin if placed else None)
     if settings.reference_masks is not None:

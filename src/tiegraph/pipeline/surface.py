@@ -10,7 +10,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import pycolmap
 
 from tiegraph.cloud.fuse import Maps, fuse
 from tiegraph.dense.depth import confirmed_map, depth_map
@@ -21,14 +20,14 @@ from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.undistort import load_view, pinhole
 from tiegraph.dense.workspace import write_workspace
 from tiegraph.errors import InputError
-from tiegraph.pipeline.files import FINAL
+from tiegraph.pipeline.files import FINAL, load_map, load_model
 from tiegraph.pipeline.world import placement_error, world_origin
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, remove
 from tiegraph.scene.atomic import same_file
 from tiegraph.scene.cloudfile import write_cloud
 from tiegraph.scene.copc import write_copc
-from tiegraph.scene.depthfile import load_depth, save_depth
+from tiegraph.scene.depthfile import save_depth
 from tiegraph.scene.results import Cloud, DepthMap
 
 _log = logging.getLogger(__name__)
@@ -65,7 +64,7 @@ def dense(run: Run) -> Outcome:
 
 
 def _plan(run: Run) -> Any:
-    return plan_images(pycolmap.Reconstruction(str(run.path("sparse", "world"))), run.settings.dense)
+    return plan_images(load_model(run.path("sparse", "world")), run.settings.dense)
 
 
 def _volumes(plans: dict[str, ImagePlan], settings: DenseSettings) -> str:
@@ -83,7 +82,7 @@ def _first_item(name: str, folder: Path, plans: dict[str, ImagePlan], settings: 
 def _confirm_item(name: str, folder: Path, plans: dict[str, ImagePlan], settings: DenseSettings) -> None:
     def load(other: str) -> DepthMap | None:
         path = depth_path(folder, other, FIRST)
-        return load_depth(path) if path.exists() else None
+        return load_map(path) if path.exists() else None
 
     first = load(name)
     assert first is not None
@@ -92,7 +91,7 @@ def _confirm_item(name: str, folder: Path, plans: dict[str, ImagePlan], settings
 
 
 def _known_pixels(name: str, folder: Path) -> int:
-    return int(np.isfinite(load_depth(depth_path(folder, name)).depth_m).sum())
+    return int(np.isfinite(load_map(depth_path(folder, name)).depth_m).sum())
 
 
 def hand_over(run: Run, target: Path) -> int:
@@ -103,9 +102,9 @@ def hand_over(run: Run, target: Path) -> int:
 
     def load(name: str) -> DepthMap | None:
         path = depth_path(run.folder, name)
-        return load_depth(path) if path.exists() else None
+        return load_map(path) if path.exists() else None
 
-    model = pycolmap.Reconstruction(str(run.path("sparse", "world")))
+    model = load_model(run.path("sparse", "world"))
     return write_workspace(target, model, run.path("images"), load, run.settings.dense)
 
 
@@ -154,7 +153,7 @@ def _call(item: Any, function: Callable[[Any], Any]) -> Any:
 
 
 def _depth(name: str, folder: Path) -> DepthMap:
-    return load_depth(depth_path(folder, name))
+    return load_map(depth_path(folder, name))
 
 
 def coloured(plans: dict[str, ImagePlan], images: Path, settings: DenseSettings) -> Callable[[str], np.ndarray]:

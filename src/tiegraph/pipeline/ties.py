@@ -21,8 +21,18 @@ from tiegraph.network.network import estimate_network
 from tiegraph.network.pictures import map_png, weak_pairs
 from tiegraph.network.sections.light import UpLight
 from tiegraph.pipeline.accuracy import with_accuracy
-from tiegraph.pipeline.capture import preview_path
-from tiegraph.pipeline.files import checked, pairs_of, read_mask, save_npz, scanned, ties_of
+from tiegraph.pipeline.capture import read_preview
+from tiegraph.pipeline.files import (
+    checked,
+    load_npz,
+    load_scene,
+    pairs_of,
+    read_mask,
+    reading,
+    save_npz,
+    scanned,
+    ties_of,
+)
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome, remove, write_atomic
 from tiegraph.scene.pairs import Pairs
@@ -93,7 +103,7 @@ def _survey_model(run: Run, scene: Scene, ties: Ties, rough: bool) -> SurveyMode
     remove(folder)
     folder.mkdir(parents=True)
     database = folder / "database.db"
-    previews = (_read_preview(run.folder, name) for name in scene.names)  # one after another: bounds the memory
+    previews = (read_preview(run.folder, name) for name in scene.names)  # one after another: bounds the memory
     write_preview_database(database, scene, previews, ties, min_matches=1)
     settings = run.settings.sparse.model_copy(update={"covariance_frames": 0, "use_positions": False})
     try:
@@ -116,7 +126,7 @@ def _survey_model(run: Run, scene: Scene, ties: Ties, rough: bool) -> SurveyMode
 
 @lru_cache(maxsize=2)
 def _scene(folder: Path) -> Scene:
-    return Scene.from_json((folder / "scene.json").read_text())
+    return load_scene(folder / "scene.json")
 
 
 class _Descriptors(Sequence[np.ndarray]):
@@ -129,17 +139,12 @@ class _Descriptors(Sequence[np.ndarray]):
         return len(self._names)
 
     def __getitem__(self, image: Any) -> Any:
-        return _read_preview(self._folder, self._names[image]).descriptors
+        return read_preview(self._folder, self._names[image]).descriptors
 
 
 @lru_cache(maxsize=_CACHED_PREVIEWS)
 def _preview(folder: Path, name: str) -> Preview:
-    return _read_preview(folder, name)
-
-
-def _read_preview(folder: Path, name: str) -> Preview:
-    with np.load(preview_path(folder, name)) as data:
-        return Preview.from_npz(dict(data))
+    return read_preview(folder, name)
 
 
 def design(run: Run) -> Outcome:
@@ -195,8 +200,8 @@ def _sights(run: Run) -> Sights | None:
     path, model = run.path("network", "sights.npz"), run.path("network", "model.npz")
     if not path.exists():
         return None
-    with np.load(path) as data, np.load(model) as poses:
-        return Sights.from_npz(dict(data), poses["cam_from_world"])
+    with reading(path):
+        return Sights.from_npz(load_npz(path), load_npz(model)["cam_from_world"])
 
 
 def _table(funnel: dict[str, int]) -> dict:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tiegraph.pipeline.files import checked, pairs_of, save_npz
+from tiegraph.pipeline.files import checked, load_npz, pairs_of, reading, save_npz
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
 from tiegraph.verify.prior import Prior
@@ -36,6 +36,7 @@ def _prior(run: Run) -> Prior | None:
     path = run.path("network", "model.npz")
     if not path.exists():
         return None
-    with np.load(path) as data:
+    with reading(path):
+        data = load_npz(path)
         poses = np.where(data["trusted"][:, None, None], data["cam_from_world"], np.nan)
         return Prior(poses, data["reach"])

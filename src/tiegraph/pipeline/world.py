@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pycolmap
 
 from tiegraph.child import run_in_child
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import Origin, world_from_geodetic
-from tiegraph.pipeline.files import checked
+from tiegraph.pipeline.files import checked, load_json, load_model
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome, remove
+from tiegraph.scene.atomic import claim
 from tiegraph.scene.control import Control, locate
 from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.gnss import read_gnss
@@ -40,7 +39,7 @@ def georef(run: Run) -> Outcome:
     held = Held(rigs, believed_cameras(scene, sparse), soft)
     request = GroundRequest(folders[0], scratch, scene.to_json(), run.settings.georef, given, held)
     main = run_in_child(ground, request, log=run.log, task="georeferencing")
-    others = [pycolmap.Reconstruction(str(p)) for p in folders[1:]]
+    others = [load_model(p) for p in folders[1:]]
     placed = georeference_all(others, scene, run.settings.georef, given)
     notes = [*main.notes, *(_other_note(k + 1, m, g) for k, (m, g) in enumerate(zip(others, placed)))]
     world = main.to_dict()
@@ -51,6 +50,7 @@ def georef(run: Run) -> Outcome:
         scaled = {n: main.world_from_model.scale * sigma[f"position_sigma_{n}"] for n in ("median", "p90")}
         world["model_sigma"] = scaled
     remove(run.path("sparse", "world"))
+    claim(run.path("sparse", "world"))
     scratch.rename(run.path("sparse", "world"))
     save_json(run.path("world.json"), {**world, "notes": notes})
     tables = {**_tables(main), **_mounting(receipt, main)}
@@ -59,18 +59,18 @@ def georef(run: Run) -> Outcome:
 
 def world_origin(run: Run) -> Origin | None:
     """Where the world is on the Earth: by the scene's positions, or by control points alone."""
-    data = json.loads(run.path("world.json").read_text()).get("origin")
+    data = load_json(run.path("world.json")).get("origin")
     return None if data is None else Origin.from_dict(data)
 
 
 def world_unit(run: Run) -> str:
     """Unit of lengths in the world: m, or "units" where nothing told the scale."""
-    return "units" if json.loads(run.path("world.json").read_text())["scale_source"] == "none" else "m"
+    return "units" if load_json(run.path("world.json"))["scale_source"] == "none" else "m"
 
 
 def placement_error(run: Run) -> PlacementError | None:
     """How well the placement is known; None = not placed."""
-    data = json.loads(run.path("world.json").read_text()).get("placement_error")
+    data = load_json(run.path("world.json")).get("placement_error")
     return None if data is None else PlacementError.from_dict(data)
 
 
@@ -99,7 +99,7 @@ def _covered(run: Run, scene: Scene) -> np.ndarray | None:
     path = run.path("network", "sections.json")
     if not path.exists():
         return None
-    bridges = [row["number"] for row in json.loads(path.read_text()) if row["kind"] == "bridge"]
+    bridges = [row["number"] for row in load_json(path) if row["kind"] == "bridge"]
     return np.isin(scene.section, bridges)
 
 

@@ -6,9 +6,8 @@ import json
 import logging
 import platform
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from importlib.metadata import PackageNotFoundError, version
@@ -16,10 +15,14 @@ from pathlib import Path
 from typing import Any
 
 from tiegraph import __version__
-from tiegraph.errors import InputError, TiegraphError
+from tiegraph.errors import InputError, SettingsError, TiegraphError, UnreadableArtefact
+from tiegraph.project.artefacts import Artefacts
+from tiegraph.project.folder import LOG, check_folder, check_inputs, working_in
 from tiegraph.project.pool import map_items, open_pool
 from tiegraph.project.progress import Meter, Reporter
-from tiegraph.project.stages import Receipts, Stage, digest, stage_keys, stamp, write_atomic
+from tiegraph.project.receipts import Receipts
+from tiegraph.project.stages import Stage, digest, stage_keys, stamp, write_atomic
+from tiegraph.scene.images import searched
 
 log = logging.getLogger("tiegraph")
 
@@ -39,8 +42,15 @@ class Inputs:
     def key(self) -> str:
         """Hash over names, sizes and times of all inputs."""
         rig = stamp(Path(self.rig)) if self.rig and Path(self.rig).exists() else None
-        files = [stamp(p) if p else None for p in (self.images, self.gnss, self.trajectory, self.times)]
+        images = searched(self.images)
+        files = [stamp(p) if p else None for p in (images, self.gnss, self.trajectory, self.times)]
         return digest([str(self.images), self.rig, rig, files])
+
+    def given(self) -> dict[str, Path]:
+        """What the user calls each input -> where it is."""
+        rig = Path(self.rig) if self.rig and Path(self.rig).exists() else None
+        files = {"--rig": rig, "--gnss": self.gnss, "--trajectory": self.trajectory, "--times": self.times}
+        return {"the image folder": searched(self.images), **{n: p for n, p in files.items() if p is not None}}
 
     def check(self) -> None:
         """Raise InputError for an input that is not there."""
@@ -75,7 +85,7 @@ class Run:
     @property
     def log(self) -> Path:
         """The run's log file."""
-        return self.folder / "log.txt"
+        return self.folder / LOG
 
     @property
     def workers(self) -> int:
@@ -109,23 +119,85 @@ class Run:
             self._executor = None
 
 
-def run_stages(stages: Sequence[Stage], run: Run, until: str | None = None) -> list[str]:
-    """Run what is out of date, up to and including ``until``; the names of the stages that ran."""
+def check(stages: Sequence[Stage], run: Run) -> None:
+    """Raise InputError, before anything is written, for a run folder that is not ours or where inputs lie."""
+    check_folder(run.folder)
+    given = run.inputs.given() | _given_by_settings(run.settings)
+    check_inputs(run.folder, given, [made for s in stages for made in (*s.makes, *s.scratch)])
+
+
+def _given_by_settings(settings: Any) -> dict[str, Path]:
+    sections = {name: getattr(settings, name) for name in type(settings).model_fields}
+    named = ((s, n, getattr(v, n)) for s, v in sections.items() for n in type(v).model_fields)
+    return {f"--{s}.{n.replace('_', '-')}": value for s, n, value in named if isinstance(value, Path)}
+
+
+def run_stages(
+    stages: Sequence[Stage],
+    run: Run,
+    until: str | None = None,
+    remember: Callable[[], Callable[[], None]] = lambda: lambda: None,
+) -> list[str]:
+    """Run what is out of date, up to and including ``until``; the names of the stages that ran.
+
+    ``remember`` keeps the settings in the run folder and gives what takes that back: done if they are refused before
+    any stage was finished with them. Raises InputError for files in the run folder that are not ours, and what the
+    stages raise.
+    """
     wanted = needed(stages, until)
+    check(stages, run)
     keys = stage_keys(stages, run.settings, run.inputs.key())
-    ran = []
-    with locked(run.folder), logged(run.log):
+    artefacts = Artefacts(run.folder, stages)
+    ran: list[str] = []
+    with working_in(run.folder):
+        take_back = remember()
         try:
+            artefacts.recover()
+            artefacts.look()
             for stage in wanted:
-                if run.receipts.current(stage, keys[stage.name]):
-                    run.reporter.say(f"{stage.name:>9}  up to date")
-                    run.reporter.event("skipped", stage=stage.name)
-                    continue
-                _run_one(stage, keys[stage.name], run)
-                ran.append(stage.name)
+                if artefacts.why(stage, keys[stage.name]):
+                    artefacts.refuse(stage)
+            while not _run_through(wanted, keys, run, artefacts, ran):
+                pass
+        except (InputError, SettingsError):
+            if not ran:
+                take_back()
+            raise
         finally:
             run.close()
     return ran
+
+
+def _run_through(wanted: list[Stage], keys: dict[str, str], run: Run, artefacts: Artefacts, ran: list[str]) -> bool:
+    """Run what is out of date; False if a stage could not read what another had made, which is then out of date."""
+    for stage in wanted:
+        if not artefacts.why(stage, keys[stage.name]):
+            if stage.name not in ran:
+                run.reporter.say(f"{stage.name:>9}  up to date")
+                run.reporter.event("skipped", stage=stage.name)
+            continue
+        try:
+            _run_one(stage, keys[stage.name], run, artefacts)
+        except Exception as error:
+            if ran.count(stage.name) < _TRIES and _damage(error, run.folder, artefacts):
+                ran.append(stage.name)
+                run.reporter.say(f"{stage.name:>9}  {error}")
+                return False
+            raise
+        ran.append(stage.name)
+    return True
+
+
+_TRIES = 3
+
+
+def _damage(error: Exception, folder: Path, artefacts: Artefacts) -> bool:
+    """Whether an error comes from a damaged artefact."""
+    if isinstance(error, UnreadableArtefact):
+        path = error.path.absolute()
+        inside = path.relative_to(folder.absolute()).as_posix() if folder.absolute() in path.parents else ""
+        return artefacts.report(inside, "cannot be read")
+    return artefacts.look(thorough=True)
 
 
 def needed(stages: Sequence[Stage], until: str | None) -> list[Stage]:
@@ -144,30 +216,38 @@ def needed(stages: Sequence[Stage], until: str | None) -> list[Stage]:
     return [s for s in stages if s.name in want]
 
 
-def _run_one(stage: Stage, key: str, run: Run) -> None:
-    run.receipts.begin(stage, key)
+def _run_one(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:
+    for text in artefacts.begin(stage, key):
+        run.reporter.say(f"{stage.name:>9}  {text}")
+        log.warning("stage %s: %s", stage.name, text)
     run.reporter.event("started", stage=stage.name)
     log.info("stage %s started", stage.name)
     start, meter = time.perf_counter(), Meter()
     try:
         with run.reporter.stage(stage.name):
             outcome = stage.run(run)
-    except TiegraphError as error:
-        log.error("stage %s: %s", stage.name, error)
-        raise
-    except OSError as error:
-        log.exception("stage %s", stage.name)
-        raise InputError(f"stage {stage.name}: {error}; finished work is kept, run the same command again") from error
-    except Exception:
-        log.exception("stage %s", stage.name)
+    except BaseException as error:
+        _log_error(stage, error)
+        artefacts.recover()
+        if isinstance(error, OSError):
+            raise InputError(
+                f"stage {stage.name}: {error}; finished work is kept, run the same command again"
+            ) from error
         raise
     finally:
         used = meter.stop()
     seconds = round(time.perf_counter() - start, 2)
     section = getattr(run.settings, stage.name).model_dump(mode="json")
     more = {"settings": section, "seconds": seconds, **used, "software": software(), "finished": _now()}
-    receipt = run.receipts.finish(stage, key, outcome, more)
+    receipt = artefacts.finish(stage, key, outcome, more)
     _say_done(stage, receipt, run.reporter)
+
+
+def _log_error(stage: Stage, error: BaseException) -> None:
+    if isinstance(error, (TiegraphError, KeyboardInterrupt)):
+        log.error("stage %s: %s", stage.name, error or "stopped")
+    else:
+        log.error("stage %s", stage.name, exc_info=error)
 
 
 def _say_done(stage: Stage, receipt: dict, reporter: Reporter) -> None:
@@ -184,15 +264,17 @@ def _say_done(stage: Stage, receipt: dict, reporter: Reporter) -> None:
 def status(stages: Sequence[Stage], run: Run) -> list[tuple[str, str, dict]]:
     """(stage, why it is not up to date or "", its receipt), without running anything."""
     keys = stage_keys(stages, run.settings, run.inputs.key())
+    artefacts = Artefacts(run.folder, stages)
+    artefacts.look()
     stale: set[str] = set()
     rows = []
     for stage in stages:
-        why = run.receipts.why(stage, keys[stage.name])
+        why = artefacts.why(stage, keys[stage.name])
         if not why and stale & set(stage.needs):
             why = f"{sorted(stale & set(stage.needs))[0]} is out of date"
         if why:
             stale.add(stage.name)
-        rows.append((stage.name, why, run.receipts.read(stage.name)))
+        rows.append((stage.name, why, artefacts.receipts.read(stage.name)))
     return rows
 
 
@@ -205,44 +287,6 @@ def software() -> dict[str, str]:
         except PackageNotFoundError:
             pass
     return out
-
-
-@contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Only one run works in a folder at a time. Raises InputError when another does."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        handle = open(folder / ".lock", "w")
-    except OSError as error:
-        raise InputError(f"cannot write into {folder}: {error.strerror}; choose another -o folder") from error
-    try:
-        try:
-            import fcntl
-
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except ImportError:  # Windows: no lock
-            pass
-        except OSError:
-            raise InputError(f"{folder}: another tiegraph run is working here; wait for it or stop it") from None
-        yield
-    finally:
-        handle.close()
-
-
-@contextmanager
-def logged(path: Path) -> Iterator[None]:
-    """Log records of tiegraph go to a file while a run goes on."""
-    handler = logging.FileHandler(path)
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
-    level = log.level
-    log.addHandler(handler)
-    log.setLevel(logging.INFO)
-    try:
-        yield
-    finally:
-        log.removeHandler(handler)
-        log.setLevel(level)
-        handler.close()
 
 
 def _short(value: Any) -> str:

@@ -29,8 +29,6 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-FILE = "tiegraph.toml"
-
 
 class Settings(Section):
     """Every setting, by stage."""

@@ -1,13 +1,11 @@
-"""A stage turns artefacts into artefacts; its receipt says what it was made from, so that a run resumes.
+"""A stage turns artefacts into artefacts. Knows no photogrammetry.
 
-Knows no photogrammetry. The receipt's key is a hash over the stage, its code version, its settings (files they name
-included) and the keys of what it needs. Same key and artefacts there: up to date. Interrupted with the same key:
-finished items stay. Another key: its artefacts are removed first.
+A stage's key is a hash over its name, its code version, its settings (files they name included) and the keys of what it
+needs: what it will be made from, before anything is made.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
 import shutil
@@ -39,7 +37,9 @@ class Stage:
     needs: tuple[str, ...]
     makes: tuple[str, ...]  # artefacts below the run folder
     item: str = ""  # what finished pieces are counted in, "" = all or nothing
-    clear: Callable[[Path], None] | None = None  # removes its part of an artefact it shares with other stages
+    changes: tuple[str, ...] = ()  # artefacts of other stages that it adds to
+    clear: Callable[[Path], None] | None = None  # removes from those what it added
+    scratch: tuple[str, ...] = ()  # what it keeps below the run folder only while it runs
     version: int = 1  # raise it when the stage's results change for the same settings
 
 
@@ -87,56 +87,6 @@ def remove(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-class Receipts:
-    """The receipts of a run folder."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-
-    def path(self, stage: str) -> Path:
-        """Where a stage's receipt is."""
-        return self.folder / "receipts" / f"{stage}.json"
-
-    def read(self, stage: str) -> dict:
-        """A stage's receipt, {} if there is none or it is damaged."""
-        try:
-            return json.loads(self.path(stage).read_text())
-        except (OSError, ValueError):
-            return {}
-
-    def begin(self, stage: Stage, key: str) -> None:
-        """Keep what an interrupted run with the same key has finished, remove what was made from something else."""
-        old = self.read(stage.name)
-        if old.get("key", old.get("began")) != key:
-            if stage.clear is not None:
-                stage.clear(self.folder)
-            for made in stage.makes:
-                remove(self.folder / made)
-        write_atomic(self.path(stage.name), json.dumps({"stage": stage.name, "began": key}))
-
-    def finish(self, stage: Stage, key: str, outcome: Outcome, more: dict) -> dict:
-        """Write the full receipt."""
-        receipt = {"stage": stage.name, "key": key, "version": stage.version, **more, **dataclasses.asdict(outcome)}
-        write_atomic(self.path(stage.name), json.dumps(receipt, indent=1, default=_plain))
-        return receipt
-
-    def current(self, stage: Stage, key: str) -> bool:
-        """Whether a stage is up to date."""
-        return self.read(stage.name).get("key") == key and all((self.folder / m).exists() for m in stage.makes)
-
-    def why(self, stage: Stage, key: str) -> str:
-        """Why a stage is not up to date, in words; "" if it is."""
-        receipt = self.read(stage.name)
-        if not receipt:
-            return "not run yet"
-        if receipt.get("key", receipt.get("began")) != key:
-            return "its inputs or settings changed"
-        if "key" not in receipt:
-            return "was interrupted"
-        missing = [m for m in stage.makes if not (self.folder / m).exists()]
-        return f"{missing[0]} is missing" if missing else ""
-
-
 def stage_keys(stages: Iterable[Stage], settings: Any, source_key: str) -> dict[str, str]:
     """The key of every stage."""
     keys = {"source": source_key}
@@ -144,11 +94,3 @@ def stage_keys(stages: Iterable[Stage], settings: Any, source_key: str) -> dict[
         section = settings_key(getattr(settings, stage.name))
         keys[stage.name] = digest([stage.name, stage.version, section, [keys[n] for n in ("source", *stage.needs)]])
     return keys
-
-
-def _plain(value: Any) -> Any:
-    if hasattr(value, "tolist"):
-        return value.tolist()
-    if isinstance(value, Path):
-        return str(value)
-    raise TypeError(f"not JSON: {type(value)}")

@@ -15,6 +15,7 @@ from PIL import Image
 
 from tiegraph.errors import InputError
 from tiegraph.scan.settings import ScanSettings
+from tiegraph.scene.atomic import replacing
 from tiegraph.scene.images import decode_deep, deep_png, open_image
 from tiegraph.scene.panorama import render_view
 from tiegraph.scene.rig import Sensor, Source, camera_from_dict, camera_to_dict
@@ -35,18 +36,12 @@ def prepare_image(source: Path, target: Path, sensor: Sensor, settings: ScanSett
     """
     source, target = Path(source).resolve(), Path(target)
     how = sensor.source or Source()
-    target.parent.mkdir(parents=True, exist_ok=True)
-    partial = target.with_name(f".{os.getpid()}-{target.name}")
-    try:
-        pixels = _changed_pixels(source, how, sensor, settings, target.suffix.lower())
-        partial.unlink(missing_ok=True)
+    pixels = _changed_pixels(source, how, sensor, settings, target.suffix.lower())
+    with replacing(target) as partial:
         if pixels is None:
             _link(source, partial)
         else:
             write_pixels(partial, pixels)
-        os.replace(partial, target)
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def crop_camera(camera: pycolmap.Camera, crop_px: tuple[int, int, int, int]) -> pycolmap.Camera:

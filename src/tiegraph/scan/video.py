@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from tiegraph.scan.prepare import write_pixels
+from tiegraph.scene.atomic import claim
 from tiegraph.scene.images import files_below
 
 SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".webm")
@@ -39,6 +40,8 @@ def take_pictures(video: Path, folder: Path, per_second: float) -> str:
     capture = cv2.VideoCapture(str(video))
     fps = float(capture.get(cv2.CAP_PROP_FPS)) if capture.isOpened() else 0.0
     partial = folder.with_name(f".{os.getpid()}-{folder.name}")
+    claim(partial)
+    claim(folder)
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
     count = 0

@@ -1,16 +1,26 @@
-"""Files that appear whole or not at all."""
+"""Files that appear whole or not at all, and the note that a run folder takes of each before it appears.
+
+A run folder is a folder with the mark ``receipts/folder.json``. Before anything is written into one, its name goes to
+``receipts/made.txt``: so it is known, after a kill at any moment, which files are ours and may be removed.
+"""
 
 from __future__ import annotations
 
 import errno
+import json
 import os
+import re
 import shutil
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from tiegraph.errors import InputError, TiegraphError
 
+MARK = "receipts/folder.json"
+JOURNAL = "receipts/made.txt"
+_TEMPORARY = re.compile(r"^\.[0-9a-f]{8}\.\d+\.part")
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _NO_ROOM_BYTES = 1 << 20
 
@@ -19,12 +29,16 @@ _NO_ROOM_BYTES = 1 << 20
 def replacing(path: Path) -> Iterator[Path]:
     """A temporary path beside ``path`` that takes its place when the block ends well, and is removed otherwise.
 
-    Raises InputError when the disk is full (the libraries below report that in many ways).
+    The content is on the disk before it has its name. Raises InputError when the disk is full (the libraries below
+    report that in many ways).
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    temporary = path.with_name(f".{zlib.crc32(os.fsencode(path.name)):08x}.{os.getpid()}.part{path.suffix}")
     try:
+        claim(path)
         yield temporary
+        if not temporary.is_symlink():
+            sync(temporary)
         os.replace(temporary, path)
     except Exception as error:
         full = isinstance(error, OSError) and error.errno in _FULL
@@ -36,6 +50,31 @@ def replacing(path: Path) -> Iterator[Path]:
         raise
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def is_temporary(name: str) -> bool:
+    """Whether a file's name is one of ``replacing``'s, left behind by a kill."""
+    return _TEMPORARY.match(name) is not None
+
+
+def sync(path: Path) -> None:
+    """Wait until a file (or the list of a folder's names) is on the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def claim(path: Path) -> None:
+    """Note in the journal of the run folder around ``path``, if there is one, that the file, or all that is going to be
+    below the folder ``path``, is ours. ``replacing`` does so by itself; what libraries write needs it said."""
+    path = path.absolute()
+    for folder in path.parents:
+        if (folder / MARK).exists():
+            with open(folder / JOURNAL, "a", encoding="ascii") as journal:
+                journal.write(json.dumps(path.relative_to(folder).as_posix()) + "\n")
+            return
 
 
 def same_file(path: Path, other: Path) -> None:

@@ -57,13 +57,17 @@ def find_images(root: Path) -> list[str]:
         raise InputError(f"{root}: there is no such folder; give the folder that holds the images")
     if not root.is_dir():
         raise InputError(f"{root} is a file; give the folder that holds the images")
-    start = root / IMAGES_FOLDER if (root / IMAGES_FOLDER).is_dir() else root
-    files = list(files_below(start))
+    files = list(files_below(searched(root)))
     names = [f.relative_to(root).as_posix() for f in files if f.suffix.lower() in SUFFIXES + UNREADABLE]
     if not names:
         found = f"{len(files)} files, none of them an image" if files else "an empty folder"
         raise InputError(f"{root}: {found}; images end in {' '.join(SUFFIXES)}")
     return sorted(names)
+
+
+def searched(root: Path) -> Path:
+    """The folder that is searched for images: ``images`` below ``root`` if there is one, else ``root`` itself."""
+    return root / IMAGES_FOLDER if (root / IMAGES_FOLDER).is_dir() else root
 
 
 def files_below(folder: Path) -> Iterator[Path]:

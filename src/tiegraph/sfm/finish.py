@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pycolmap
 
+from tiegraph.scene.atomic import claim
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjust import final_adjustment, free_cameras
 from tiegraph.sfm.covariance import PositionSigma, position_sigma
@@ -70,6 +71,7 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> Finishe
             model, mapped = _adjusted(model, scene, request, notes), model
     except (RuntimeError, ValueError) as error:
         notes.append(f"the final adjustment failed, the mapper's own stays: {error}")
+    claim(request.target)
     request.target.mkdir(parents=True, exist_ok=True)
     model, tables, ties = _checked_rig(model, mapped, scene, request, notes)
     if request.alone:

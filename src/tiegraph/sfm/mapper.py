@@ -18,7 +18,7 @@ from tiegraph.sfm.covariance import PositionSigma
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.finish import Finished, FinishRequest, finish_model
 from tiegraph.sfm.losses import camera_notes, camera_table, models_table, no_model_text, rig_doubts, unregistered
-from tiegraph.sfm.mapping import Job, Outcome, Progress, believed_cameras, map_images
+from tiegraph.sfm.mapping import SCRATCH, Job, Outcome, Progress, believed_cameras, map_images
 from tiegraph.sfm.model import MIN_OBSERVATIONS, frame_poses, image_poses, observations, registration_tables
 from tiegraph.sfm.rig.rig import DerivedRig, derive_rig, rig_modes, rig_table
 from tiegraph.sfm.rig.support import ties_of, unsupported_sensors
@@ -120,8 +120,7 @@ def reconstruct(
     try:
         return _reconstruct(job, modes)
     finally:
-        for scratch in out.glob("run-*"):
-            shutil.rmtree(scratch, ignore_errors=True)
+        shutil.rmtree(out / SCRATCH, ignore_errors=True)
 
 
 def _reconstruct(job: Job, modes: dict[int, str]) -> SparseResult:

@@ -25,6 +25,9 @@ from tiegraph.sfm.run import Mapped, Request, run_mapper
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.start.poses import length_of_path
 
+SCRATCH = ".run"
+"""Folder, beside the models, in which mappers work."""
+
 _log = logging.getLogger(__name__)
 
 GLOBAL_FROM_IMAGES = 60  # without a rig: below some tens of images the incremental mapper is as fast (PYCOLMAP 4)
@@ -211,7 +214,7 @@ def _request(job: Job, mapper: str, rigs: dict[int, Rig], modes: dict[int, str],
         seed=seed,
         database=job.database,
         images=job.images,
-        folder=job.out / f"run-{len(job.runs)}-{mapper}",
+        folder=job.out / SCRATCH / f"{len(job.runs)}-{mapper}",
         scene=job.scene.to_json(),
         rigs=Request.rigs_of(rigs),
         fixed=tuple(k for k in rigs if held_by_mapper(rigs[k], modes[k])),

@@ -1,0 +1,189 @@
+"""The artefacts of a run folder: which are up to date, which were lost or changed, and which files may be removed.
+
+A stage is up to date if its receipt has the same key, what it was made from is what there is, and all its files are as
+it left them. Interrupted with the same key: finished items stay. Else its files are removed, and nothing but its files:
+what its list does not name was not made by us and is refused; what was changed since is moved to ``set_aside/``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+from pathlib import Path, PurePosixPath
+
+from tiegraph.errors import InputError
+from tiegraph.project.ledger import (
+    Ledger,
+    covered,
+    digest_of,
+    files_below,
+    left_behind,
+    put_aside,
+    read_journal,
+    recorded,
+    take_away,
+    trouble,
+)
+from tiegraph.project.receipts import Receipts
+from tiegraph.project.stages import Outcome, Stage
+from tiegraph.scene.atomic import JOURNAL
+
+_SHOWN = 3
+
+
+class Artefacts:
+    """The artefacts that a table of stages makes below a run folder."""
+
+    def __init__(self, folder: Path, stages: Sequence[Stage]) -> None:
+        self.folder = folder
+        self.receipts = Receipts(folder)
+        self._stages = tuple(stages)
+        self._troubles: dict[str, dict[str, str]] = {}
+
+    # --- what is there ------------------------------------------------------------------------------------------------
+
+    def look(self, thorough: bool = False) -> bool:
+        """Find the files that were lost or changed since they were made; whether there are any. ``thorough``: also
+        reads those whose size and time are as they were."""
+        self._troubles = {}
+        for stage in self._stages:
+            for name, what in self._differences(stage, thorough):
+                for own in {stage.name, self._maker(name)} - {""}:
+                    self._troubles.setdefault(own, {})[name] = what
+        return bool(self._troubles)
+
+    def report(self, name: str, what: str) -> bool:
+        """Count a file as lost or changed, because it could not be read; whether it is an artefact."""
+        maker = self._maker(name)
+        if maker:
+            self._troubles.setdefault(maker, {})[name] = what
+        return bool(maker)
+
+    def why(self, stage: Stage, key: str) -> str:
+        """Why a stage is not up to date, in words; "" if it is."""
+        receipt = self.receipts.read(stage.name)
+        if self.receipts.damaged(stage.name) or self.receipts.files(stage.name) is None:
+            return "its receipt is damaged"
+        if not receipt:
+            return "not run yet"
+        if receipt.get("key", receipt.get("began")) != key:
+            return "its inputs or settings changed"
+        if "key" not in receipt:
+            return "was interrupted"
+        anew = [need for need, made in self._made_from(stage).items() if receipt.get("from", {}).get(need) != made]
+        if anew:
+            return f"{anew[0]} was made anew"
+        return next((f"{name} {what}" for name, what in self._troubles.get(stage.name, {}).items()), "")
+
+    def strangers(self, stage: Stage) -> list[str]:
+        """Files where a stage's artefacts go that it did not make."""
+        ledger = self.receipts.files(stage.name)
+        return [] if ledger is None else self._strangers(stage, self._there(stage), ledger)
+
+    def refuse(self, stage: Stage) -> None:
+        """Raise InputError if there are strangers."""
+        found = self.strangers(stage)
+        if found:
+            shown = ", ".join(found[:_SHOWN]) + (f" and {len(found) - _SHOWN} more" if len(found) > _SHOWN else "")
+            raise InputError(
+                f"{self.folder}: {shown} lie where stage {stage.name} writes its results, and no receipt says that "
+                "tiegraph made them: move them elsewhere, or give another -o folder"
+            )
+
+    # --- a stage's life -----------------------------------------------------------------------------------------------
+
+    def recover(self) -> None:
+        """Enter what an interrupted run had made into the lists of its stages."""
+        claimed: dict[str, set[str]] = {}
+        for name in read_journal(self.folder):
+            claimed.setdefault(self._maker(name), set()).add(name)
+        for stage in self._stages:
+            ledger = self.receipts.files(stage.name)
+            if claimed.get(stage.name) and ledger is not None:
+                there: Ledger = {n: [] for n in _within(self._there(stage), claimed[stage.name])}
+                done = "key" in self.receipts.read(stage.name)
+                self.receipts.write_files(stage.name, there | ledger if done else ledger | there)
+        (self.folder / JOURNAL).unlink(missing_ok=True)
+
+    def begin(self, stage: Stage, key: str) -> list[str]:
+        """Keep what an interrupted run with the same key has finished, remove what was made from something else; what
+        is to be said of it. Raises InputError for files that are not ours."""
+        said, names, ledger = [], self._there(stage), self.receipts.files(stage.name)
+        troubles = self._troubles.pop(stage.name, {})
+        if ledger is None:
+            place = put_aside(self.folder, names)
+            said += [f"the list of what {stage.name} made was damaged: its files are in {place} now"] if place else []
+            names, ledger = [], {}
+        self.refuse(stage)
+        told = "; ".join(f"{n} {what}" for n, what in list(troubles.items())[:_SHOWN])
+        changed = [n for n, what in troubles.items() if what != "is missing" and covered(n, _tops(stage))]
+        place = put_aside(self.folder, [n for n in changed if (self.folder / n).exists()])
+        if troubles:
+            more = f" and {len(troubles) - _SHOWN} more" if len(troubles) > _SHOWN else ""
+            said.append(f"{told}{more}: made again" + (f"; what was there is in {place} now" if place else ""))
+        names = [n for n in names if n not in set(changed)]
+        if self._other(stage, key) or (troubles and not stage.item):
+            if stage.clear is not None:
+                stage.clear(self.folder)
+            take_away(self.folder, names)
+            ledger = {}
+        else:
+            take_away(self.folder, left_behind(names))
+        # In this order: a finished receipt never stands beside a list that lacks its files.
+        self.receipts.write(stage.name, {"stage": stage.name, "began": key, "from": self._made_from(stage)})
+        self.receipts.write_files(stage.name, {n: e for n, e in ledger.items() if n not in troubles})
+        return said
+
+    def finish(self, stage: Stage, key: str, outcome: Outcome, more: dict) -> dict:
+        """Write the list of the files and then the full receipt."""
+        mine = {*(self.receipts.files(stage.name) or {}), *read_journal(self.folder)}
+        names = _within(files_below(self.folder, stage.makes, self._apart(stage)), mine)
+        files = recorded(self.folder, [n for n in names if not covered(n, stage.scratch)])
+        shared = recorded(self.folder, [n for n in stage.changes if (self.folder / n).exists()])
+        self.receipts.write_files(stage.name, {**files, **shared})
+        made = digest_of(files, stage.makes)
+        head = {"stage": stage.name, "key": key, "from": self._made_from(stage), "made": made, "version": stage.version}
+        receipt = {**head, **more, **dataclasses.asdict(outcome)}
+        self.receipts.write(stage.name, receipt)
+        (self.folder / JOURNAL).unlink(missing_ok=True)
+        return receipt
+
+    # --- inside -------------------------------------------------------------------------------------------------------
+
+    def _there(self, stage: Stage) -> list[str]:
+        return files_below(self.folder, _tops(stage), self._apart(stage))
+
+    def _apart(self, stage: Stage) -> list[str]:
+        """Artefacts of other stages inside this one's."""
+        mine = _tops(stage)
+        return [t for s in self._stages if s is not stage for t in _tops(s) if covered(t, mine) and t not in mine]
+
+    def _strangers(self, stage: Stage, names: Iterable[str], ledger: Ledger) -> list[str]:
+        return [n for n in names if n not in ledger and not covered(n, stage.scratch) and not left_behind([n])]
+
+    def _differences(self, stage: Stage, thorough: bool) -> Iterable[tuple[str, str]]:
+        shared = {n for s in self._stages if self.receipts.path(s.name).exists() for n in s.changes}
+        for name, entry in (self.receipts.files(stage.name) or {}).items():
+            known = [] if name in shared - set(stage.changes) else entry
+            if what := trouble(self.folder / name, known, thorough):
+                yield name, what
+
+    def _maker(self, name: str) -> str:
+        """The stage that makes a file; "" for none."""
+        found = [(len(top), s.name) for s in self._stages for top in _tops(s) if covered(name, (top,))]
+        return max(found)[1] if found else ""
+
+    def _made_from(self, stage: Stage) -> dict[str, str | None]:
+        return {need: self.receipts.read(need).get("made") for need in stage.needs}
+
+    def _other(self, stage: Stage, key: str) -> bool:
+        receipt = self.receipts.read(stage.name)
+        return receipt.get("key", receipt.get("began")) != key or receipt.get("from") != self._made_from(stage)
+
+
+def _tops(stage: Stage) -> tuple[str, ...]:
+    return (*stage.makes, *stage.scratch)
+
+
+def _within(names: Iterable[str], claimed: set[str]) -> list[str]:
+    return [n for n in names if n in claimed or not claimed.isdisjoint(map(str, PurePosixPath(n).parents))]

@@ -1,0 +1,168 @@
+"""The run folder as a whole: made by us and marked so, worked in by one run at a time, and no place for inputs."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import logging
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+from tiegraph.errors import InputError
+from tiegraph.project.ledger import covered
+from tiegraph.project.stages import digest, write_atomic
+from tiegraph.scene.atomic import MARK
+
+log = logging.getLogger("tiegraph")
+
+SETTINGS = "tiegraph.toml"
+LOCK, LOG = ".lock", "log.txt"
+_FORMAT = 1  # of the run folder's layout
+_HARMLESS = (SETTINGS, LOCK, ".ds_store", "thumbs.db", "desktop.ini")
+
+
+def is_marked(folder: Path) -> bool:
+    """Whether a folder was made by a run of tiegraph. One lost file of the receipts does not undo that."""
+    return (folder / MARK).is_file() or any((folder / "receipts" / "files").glob("*.json"))
+
+
+def check_folder(folder: Path) -> None:
+    """Raise InputError for a run folder that would not be ours alone: it must be new, empty, or made by a run."""
+    if not os.path.lexists(folder):
+        return
+    if not folder.is_dir():
+        raise InputError(f"-o {folder} is not a folder: give a new or empty folder for the results")
+    try:
+        there = sorted(p.name for p in folder.iterdir() if p.name.lower() not in _HARMLESS)
+    except OSError as error:
+        raise InputError(f"cannot read {folder}: {error.strerror}; give another -o folder") from error
+    if not there or is_marked(folder):
+        return
+    shown = ", ".join(there[:3]) + (f" and {len(there) - 3} more" if len(there) > 3 else "")
+    if (folder / "receipts" / "scan.json").is_file():
+        raise InputError(f"-o {folder} was made by an older version of tiegraph: give a new folder for the results")
+    raise InputError(
+        f"-o {folder} holds files that tiegraph did not make ({shown}): give a new or empty folder for the results, "
+        f"such as {folder / 'tiegraph_out'}"
+    )
+
+
+def check_inputs(folder: Path, inputs: Mapping[str, Path], artefacts: Iterable[str]) -> None:
+    """Raise InputError, naming both, for an input that lies where an artefact goes, or a folder of inputs that the run
+    folder lies in. ``inputs``: what the user calls it -> where it is."""
+    places = (*artefacts, "receipts", SETTINGS, LOCK, LOG)
+    for what, path in inputs.items():
+        for out, given in ((folder.absolute(), path.absolute()), (folder.resolve(), path.resolve())):
+            if given == out or given in out.parents and given.is_dir():
+                raise InputError(
+                    f"-o {folder} lies in {what} {path}: results would be read as inputs; give a folder beside it, "
+                    f"such as {given.with_name(given.name + '_tiegraph')}"
+                )
+            inside = given.relative_to(out).as_posix() if out in given.parents else ""
+            if inside and covered(inside, places):
+                raise InputError(
+                    f"{what} {path} lies where the results {folder / inside.split('/')[0]} go: move it, or give "
+                    "another -o folder"
+                )
+
+
+def write_settings(folder: Path, text: str) -> Callable[[], None]:
+    """Write the run folder's tiegraph.toml; what takes that back. One that is not as we wrote it last stays, under the
+    name ``tiegraph.before-<n>.toml``."""
+    path, mark = folder / SETTINGS, _mark(folder)
+    before = path.read_bytes() if path.exists() else None
+    if before is not None and digest(before.hex()) != mark.get("settings"):
+        number = next(n for n in itertools.count(1) if not os.path.lexists(_kept(folder, n)))
+        write_atomic(_kept(folder, number), before)
+    write_atomic(path, text)
+    write_atomic(folder / MARK, json.dumps({**mark, "settings": digest(text.encode().hex())}))
+
+    def take_back() -> None:
+        if before is None:
+            path.unlink(missing_ok=True)
+        else:
+            write_atomic(path, before)
+        write_atomic(folder / MARK, json.dumps(mark))
+
+    return take_back
+
+
+def _kept(folder: Path, number: int) -> Path:
+    return folder / f"{SETTINGS.removesuffix('.toml')}.before-{number}.toml"
+
+
+def _mark(folder: Path) -> dict:
+    try:
+        found = json.loads((folder / MARK).read_text())
+    except (OSError, ValueError):
+        found = None
+    return found if isinstance(found, dict) else {"made by": "tiegraph run", "format": _FORMAT}
+
+
+@contextmanager
+def working_in(folder: Path) -> Iterator[None]:
+    """The folder is there, marked as ours, locked against other runs, and log records of tiegraph go to its log.txt.
+
+    Raises InputError where that cannot be.
+    """
+    handle = _locked(folder)
+    try:
+        if not (folder / MARK).exists():
+            write_atomic(folder / MARK, json.dumps(_mark(folder)))
+        with _logged(folder / LOG):
+            yield
+    finally:
+        os.close(handle)
+
+
+def _locked(folder: Path) -> int:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        handle = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | _NO_LINK, 0o644)
+    except OSError as error:
+        raise _unusable(folder, LOCK, error) from error
+    try:
+        import fcntl
+
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except ImportError:  # Windows: no lock
+        pass
+    except OSError:
+        os.close(handle)
+        raise InputError(f"{folder}: another tiegraph run is working here; wait for it or stop it") from None
+    return handle
+
+
+@contextmanager
+def _logged(path: Path) -> Iterator[None]:
+    try:
+        stream = open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | _NO_LINK, 0o644), "a", encoding="utf-8",
+                      errors="backslashreplace")  # fmt: skip
+    except OSError as error:
+        raise _unusable(path.parent, path.name, error) from error
+    handler = logging.StreamHandler(stream)
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    level = log.level
+    log.addHandler(handler)
+    log.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
+        log.setLevel(level)
+        try:
+            stream.close()
+        except OSError:  # the disk is full: the records that are missing were lost before
+            pass
+
+
+_NO_LINK = getattr(os, "O_NOFOLLOW", 0)
+
+
+def _unusable(folder: Path, name: str, error: OSError) -> InputError:
+    if (folder / name).is_symlink() or (folder / name).is_dir():
+        kind = "a link" if (folder / name).is_symlink() else "a folder"
+        return InputError(f"{folder / name} is {kind}, where tiegraph writes a file of its own: move it elsewhere")
+    return InputError(f"cannot write into {folder}: {error.strerror}; choose another -o folder")

@@ -1,0 +1,64 @@
+"""What each stage says of itself when it is done (or that it began), and the list of the files it made."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from tiegraph.project.ledger import Ledger
+from tiegraph.project.stages import write_atomic
+
+
+class Receipts:
+    """The receipts of a run folder: ``receipts/<stage>.json``, the lists ``receipts/files/<stage>.json``."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def path(self, stage: str) -> Path:
+        """Where a stage's receipt is."""
+        return self.folder / "receipts" / f"{stage}.json"
+
+    def list_path(self, stage: str) -> Path:
+        """Where the list of a stage's files is."""
+        return self.folder / "receipts" / "files" / f"{stage}.json"
+
+    def read(self, stage: str) -> dict:
+        """A stage's receipt, {} if there is none or it is damaged."""
+        return _read(self.path(stage)) or {}
+
+    def damaged(self, stage: str) -> bool:
+        """Whether there is a receipt that cannot be read."""
+        return self.path(stage).exists() and not self.read(stage)
+
+    def write(self, stage: str, receipt: dict) -> None:
+        """Write a stage's receipt."""
+        write_atomic(self.path(stage), json.dumps(receipt, indent=1, default=_plain))
+
+    def files(self, stage: str) -> Ledger | None:
+        """The files a stage made, {} if it never ran, None if the list is damaged."""
+        if not self.list_path(stage).exists():
+            return {} if not self.path(stage).exists() else None
+        found = _read(self.list_path(stage))
+        return found if found is not None and all(isinstance(v, list) for v in found.values()) else None
+
+    def write_files(self, stage: str, files: Ledger) -> None:
+        """Write the list of a stage's files."""
+        write_atomic(self.list_path(stage), json.dumps(files, separators=(",", ":")))
+
+
+def _read(path: Path) -> dict | None:
+    try:
+        found = json.loads(path.read_text())
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) else None
+
+
+def _plain(value: Any) -> Any:
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    if isinstance(value, Path):
+        return str(value)
+    raise TypeError(f"not JSON: {type(value)}")
