@@ -6,16 +6,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from tiegraph.dense.settings import ShotsSettings
 from tiegraph.design.coverage import Coverage, coverage
 from tiegraph.errors import InputError, SettingsError
-from tiegraph.pipeline import STAGES
-from tiegraph.pipeline.shots import shots
+from tiegraph.pipeline import SHOTS, STAGES
+from tiegraph.pipeline.shots import cloud_path
 from tiegraph.pipeline.surface import hand_over
 from tiegraph.project import settings as project_settings
 from tiegraph.project.folder import SETTINGS, write_settings
 from tiegraph.project.progress import Reporter
 from tiegraph.project.run import Inputs, Run, run_stages, status
 from tiegraph.project.settings import Settings
+from tiegraph.project.stages import Stage
 from tiegraph.scene.cloudfile import read_cloud
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.results import Cloud
@@ -39,9 +41,12 @@ class Project:
 
         Raises InputError, SettingsError, ReconstructionError or EngineMissing; what was finished is kept.
         """
-        self.inputs.check()
-        run_stages(STAGES, Run(self.folder, self.inputs, self.settings, self.pool, reporter), until, self.save)
+        self._run(STAGES, until, reporter)
         return self
+
+    def _run(self, stages: tuple[Stage, ...], until: str | None, reporter: Reporter | None) -> None:
+        self.inputs.check()
+        run_stages(stages, Run(self.folder, self.inputs, self.settings, self.pool, reporter), until, self.save)
 
     def status(self) -> list[tuple[str, str, dict]]:
         """(stage, why it is out of date or "", its receipt) for every stage, without running."""
@@ -68,12 +73,11 @@ class Project:
     ) -> list[Path]:
         """A cloud for each shot of a calibrated rig, from the calibration alone (paper 004): the PLY files, in the
         frame of the rig's first camera. Raises InputError for a rig that is not fully calibrated."""
-        self.run("scan", reporter)
-        run = Run(self.folder, self.inputs, self.settings, self.pool, reporter)
-        try:
-            return shots(run, near_m, far_m)
-        finally:
-            run.close()
+        sought = ShotsSettings(near_m=near_m, far_m=far_m)
+        self.settings = self.settings.model_copy(update={"shots": sought})
+        self._run((*STAGES, SHOTS), SHOTS.name, reporter)
+        scene = self.scene()
+        return [cloud_path(self.folder, scene, frame) for frame in range(scene.frames)]
 
     def export(self, folder: str | Path) -> int:
         """Write the depth maps as a dense workspace of COLMAP; their number. Raises InputError if there are none or the

@@ -58,6 +58,8 @@ def test_each_shot_becomes_a_metric_cloud(tmp_path):
     assert (cloud.sigma_m > 0).all() and cloud.views.min() >= 2
     before = files[0].stat().st_mtime_ns
     assert project.shots(0.5, 1.2) == files and files[0].stat().st_mtime_ns == before  # finished shots stay
+    far = read_cloud(project.shots(0.9, 1.2)[0])  # another question has another answer
+    assert np.median(far.xyz_m[:, 2]) > 0.85
 
 
 def test_a_rig_without_calibration_is_refused(tmp_path):

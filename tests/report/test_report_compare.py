@@ -66,3 +66,13 @@ def test_misuse(runs: list[Path], tmp_path: Path) -> None:
 
 def test_ratio() -> None:
     assert ratio((30.0, 10.0)) == "3.0 x" and ratio((1.0, 0.0)) == "–" and ratio((1.0, 2.0, 3.0)) == ""
+
+
+def test_only_its_own_page_is_overwritten(runs: list[Path], tmp_path: Path) -> None:
+    page = tmp_path / "compare.html"
+    compare_runs(runs, page)
+    compare_runs(runs, page)
+    page.write_text("<html>notes of mine</html>")
+    with pytest.raises(InputError, match="compare.html is there"):
+        compare_runs(runs, page)
+    assert page.read_text() == "<html>notes of mine</html>"

@@ -26,3 +26,12 @@ class DenseSettings(Section):
     """Smallest median angle of intersection with a partner, in degrees; below it the images count as one centre."""
     tolerance_px: float = Field(1.0, ge=0.25, le=5)
     """Largest disagreement between depths of different partners or depth maps, in pixels of disparity."""
+
+
+class ShotsSettings(Section):
+    """Clouds of single shots of a calibrated rig, without a sparse model (paper 004)."""
+
+    near_m: float | None = Field(None, gt=0, le=1e6)
+    """Nearest distance of the object in metres (default: 5 times the longest baseline)."""
+    far_m: float | None = Field(None, gt=0, le=1e6)
+    """Farthest distance of the object in metres (default: 100 times the longest baseline)."""

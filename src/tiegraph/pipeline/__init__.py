@@ -8,13 +8,14 @@ from tiegraph.pipeline.masking import masks
 from tiegraph.pipeline.model import features, forget_matches, match, sparse
 from tiegraph.pipeline.remasking import remask
 from tiegraph.pipeline.result import evaluate, report
+from tiegraph.pipeline.shots import shots
 from tiegraph.pipeline.surface import cloud, dense
 from tiegraph.pipeline.ties import design, network
 from tiegraph.pipeline.verification import verify
 from tiegraph.pipeline.world import georef
 from tiegraph.project.stages import Stage
 
-__all__ = ["STAGES"]
+__all__ = ["SHOTS", "STAGES"]
 
 # What SQLite and the matching keep beside the database while they work.
 _BESIDE_DATABASE = tuple(f"database.db{s}" for s in ("-wal", "-shm", "-journal", ".tmp", ".tmp-journal", ".match"))
@@ -41,3 +42,6 @@ STAGES = (
     Stage("report", report, ("evaluate",), ("report.html",)),
 )
 # fmt: on
+
+SHOTS = Stage("shots", shots, ("scan",), ("shots",), "shot", uses=("dense", "cloud"), scratch=("shots/.tiles",))
+"""The single-shot mode: apart from the table, for a survey does not need it."""

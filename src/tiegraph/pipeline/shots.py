@@ -14,32 +14,34 @@ from tiegraph.dense.depth import confirmed_map, depth_map
 from tiegraph.dense.plan import CameraModel, DepthRange, ViewPlan
 from tiegraph.dense.shot import depth_range, plan_shot
 from tiegraph.errors import InputError, ReconstructionError
-from tiegraph.pipeline.files import scanned
+from tiegraph.pipeline.files import load_map, scanned
 from tiegraph.pipeline.surface import coloured
 from tiegraph.project.run import Run
 from tiegraph.project.settings import Settings
+from tiegraph.project.stages import Outcome, remove
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.cloudfile import write_cloud
-from tiegraph.scene.depthfile import load_depth, save_depth
+from tiegraph.scene.depthfile import save_depth
 from tiegraph.scene.scene import Scene
 
 _FOLDER = "shots"
 
 
-def shots(run: Run, near: float | None, far: float | None) -> list[Path]:
+def shots(run: Run) -> Outcome:
     """One cloud a shot (``shots/<pass>_<number>.ply``, in the frame of the rig's first camera) and its depth maps.
 
     Finished shots are skipped. Raises InputError for a rig whose cameras are not all calibrated.
     """
-    scene = scanned(run)
+    scene, sought = scanned(run), run.settings.shots
     items = []
     for frame in range(scene.frames):
         views = shot_views(scene, frame)
-        items.append((_cloud_path(run.folder, scene, frame), views, depth_range(views, near, far)))
+        items.append((cloud_path(run.folder, scene, frame), views, depth_range(views, sought.near_m, sought.far_m)))
     todo = [item for item in items if not item[0].exists()]
     run.reporter.total(len(items), len(items) - len(todo))
     run.map(partial(_shot, folder=run.folder, settings=run.settings), todo)
-    return [path for path, _, _ in items]
+    remove(run.path(_FOLDER, ".tiles"))
+    return Outcome({"shots": len(items)})
 
 
 def shot_views(scene: Scene, frame: int) -> list[ViewPlan]:
@@ -58,7 +60,8 @@ def shot_views(scene: Scene, frame: int) -> list[ViewPlan]:
     return views
 
 
-def _cloud_path(folder: Path, scene: Scene, frame: int) -> Path:
+def cloud_path(folder: Path, scene: Scene, frame: int) -> Path:
+    """Where the cloud of a frame is."""
     track = int(scene.track[frame])
     name = scene.tracks[track].replace("/", "_") if track >= 0 else "shot"
     return folder / _FOLDER / f"{name}_{frame:06d}.ply"
@@ -73,8 +76,10 @@ def _shot(item: tuple[Path, list[ViewPlan], DepthRange], folder: Path, settings:
     first = {n: depth_map(p, folder / "images", masks, dense, cv2.getNumThreads()) for n, p in plan.images.items()}
     for name, image in plan.images.items():
         save_depth(confirmed_map(image, first[name], first.get, dense)[0], _depth_path(folder, name))
-    maps = Maps(lambda name: load_depth(_depth_path(folder, name)), coloured(plan.images, folder / "images", dense))
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".") as scratch:
+    maps = Maps(lambda name: load_map(_depth_path(folder, name)), coloured(plan.images, folder / "images", dense))
+    tiles = folder / _FOLDER / ".tiles"
+    tiles.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=tiles) as scratch:
         try:
             fused = fuse(sorted(plan.images), maps, Path(scratch), settings.cloud)
         except ReconstructionError as error:

@@ -11,7 +11,7 @@ import tomli_w
 from pydantic import ValidationError
 
 from tiegraph.cloud.settings import CloudSettings
-from tiegraph.dense.settings import DenseSettings
+from tiegraph.dense.settings import DenseSettings, ShotsSettings
 from tiegraph.design.settings import DesignSettings
 from tiegraph.errors import SettingsError, choose
 from tiegraph.evaluate.settings import EvaluateSettings
@@ -48,6 +48,7 @@ class Settings(Section):
     cloud: CloudSettings = CloudSettings()
     evaluate: EvaluateSettings = EvaluateSettings()
     report: ReportSettings = ReportSettings()
+    shots: ShotsSettings = ShotsSettings()
 
 
 def preset(name: str) -> dict[str, dict[str, Any]]:

@@ -39,6 +39,7 @@ class Stage:
     item: str = ""  # what finished pieces are counted in, "" = all or nothing
     changes: tuple[str, ...] = ()  # artefacts of other stages that it adds to
     clear: Callable[[Path], None] | None = None  # removes from those what it added
+    uses: tuple[str, ...] = ()  # settings sections of other stages that it follows
     scratch: tuple[str, ...] = ()  # what it keeps below the run folder only while it runs
     version: int = 1  # raise it when the stage's results change for the same settings
 
@@ -91,6 +92,6 @@ def stage_keys(stages: Iterable[Stage], settings: Any, source_key: str) -> dict[
     """The key of every stage."""
     keys = {"source": source_key}
     for stage in stages:
-        section = settings_key(getattr(settings, stage.name))
-        keys[stage.name] = digest([stage.name, stage.version, section, [keys[n] for n in ("source", *stage.needs)]])
+        sections = [settings_key(getattr(settings, name)) for name in (stage.name, *stage.uses)]
+        keys[stage.name] = digest([stage.name, stage.version, sections, [keys[n] for n in ("source", *stage.needs)]])
     return keys

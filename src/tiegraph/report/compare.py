@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,13 +65,26 @@ class Comparison:
     notes: tuple[str, ...]
 
 
+def _refuse_others(html: Path) -> None:
+    """Raise InputError for a file that would be overwritten and that ``tiegraph compare`` did not write."""
+    if html.is_file() and _MADE_BY in html.read_bytes()[:1000]:
+        return
+    if os.path.lexists(html):
+        raise InputError(f"--html {html} is there, and tiegraph compare did not write it: give a new file")
+
+
+_MADE_BY = b'<meta name="generator" content="tiegraph compare">'
+
+
 def compare_runs(folders: Sequence[Path], html: Path | None = None) -> str:
     """Text for the terminal of two or more run folders side by side; with ``html`` also one self-contained page.
 
-    With two runs a column gives first / second. Raises InputError for fewer than two folders or one without a run.
+    With two runs a column gives first / second. Raises InputError for fewer than two folders, one without a run, or a
+    file ``html`` that is there and no comparison.
     """
     comparison = compared(folders)
     if html is not None:
+        _refuse_others(html)
         try:
             with replacing(html) as temporary:
                 temporary.write_text(to_html(comparison), encoding="utf-8")
