@@ -15,7 +15,10 @@ from tiegraph.errors import InputError
 ENU = "ENU"
 _MAX_DISTORTION = 0.01  # of lengths in a grid: a UTM zone has 0.001 inside and 0.004 in its neighbours
 _STEP_M = 50.0  # from a place to those that tell the grid's scale there
-FAR_FACTOR, FAR_FLOOR_M = 10.0, 2000.0  # a place is far from the rest beyond so many radii of the rest and so many metres
+FAR_FACTOR, FAR_FLOOR_M = (
+    10.0,
+    2000.0,
+)  # a place is far from the rest beyond so many radii of the rest and so many metres
 
 
 @dataclass(frozen=True)
@@ -52,8 +55,8 @@ def make_origin(lat_deg: float, lon_deg: float, height_m: float, crs: str = "aut
     """Origin at a position; ``crs`` "auto" = its UTM zone, "ENU", or "EPSG:n" (projected, metres).
 
     The shift is the position rounded to whole 100 m (height: 10 m), so that world coordinates are small and the shift
-    is easy to write down. Raises InputError for an unknown or unprojected CRS, and for one whose lengths at the position
-    are more than 1 % too long or too short, which is what a CRS of another place has.
+    is easy to write down. Raises InputError for an unknown or unprojected CRS, and for one whose lengths are more than
+    1 % too long or too short at the position: a CRS of another place.
     """
     if crs.lower() == "auto":
         crs = utm_crs(lat_deg, lon_deg)

@@ -163,8 +163,8 @@ def _rows(
     short = [line for line, cells in out if len(cells) < len(columns)]
     if short:
         notes.append(
-            f"{path.name}, line {short[0]}: fewer cells than the header has columns ({len(columns)}), as in {len(short)} "
-            f"of {len(out)} rows; the missing ones count as empty: was the file cut off?"
+            f"{path.name}, line {short[0]}: fewer cells than the header has columns ({len(columns)}), as in "
+            f"{len(short)} of {len(out)} rows; the missing ones count as empty: was the file cut off?"
         )
     return tuple(out)
 
