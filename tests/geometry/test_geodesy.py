@@ -100,8 +100,10 @@ def test_positions_outside_the_area_of_use_are_said():
         (np.r_[np.arange(19.0), 5e5], [19]),
         (np.r_[5e5, np.arange(8.0), -4e3], [0, 9]),
         (np.r_[np.zeros(60), np.linspace(0, 3e4, 60)], []),  # stands, then drives 30 km
-        (np.r_[np.arange(5.0), 2000 + np.arange(4.0)], []),
-        (np.r_[0.0, 5e5], []),  # nothing says which of two
+        (np.r_[np.arange(5.0), 1900 + np.arange(4.0)], []),
+        (np.r_[np.arange(5.0), 5e5 + np.arange(4.0)], [5, 6, 7, 8]),
+        (np.r_[np.arange(4.0), 5e5 + np.arange(4.0)], [4, 5, 6, 7]),
+        (np.r_[0.0, 5e5], [1]),  # the user is asked which of two
         (np.r_[0.0], []),
         (np.r_[0.0, 1.0, 5e5], [2]),
     ],

@@ -15,10 +15,8 @@ from tiegraph.errors import InputError
 ENU = "ENU"
 _MAX_DISTORTION = 0.01  # of lengths in a grid: a UTM zone has 0.001 inside and 0.004 in its neighbours
 _STEP_M = 50.0  # from a place to those that tell the grid's scale there
-FAR_FACTOR, FAR_FLOOR_M = (
-    10.0,
-    2000.0,
-)  # a place is far from the rest beyond so many radii of the rest and so many metres
+FAR_FACTOR, FAR_FLOOR_M = 10.0, 2000.0  # far from the rest: so many of its radii, and so many metres more
+_CENTRES = 200  # positions at most that are tried for the middle of the rest
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,7 @@ def make_origin(lat_deg: float, lon_deg: float, height_m: float, crs: str = "aut
 
 def check_scale(crs: str, lat_deg: float, lon_deg: float) -> None:
     """Raise InputError if lengths in a CRS are off by more than 1 % at a position, or its axes make mirror images."""
-    where = f"--scan.crs {crs} ({parse_crs(crs).name})"
+    where = f"CRS {crs} ({parse_crs(crs).name})"
     remedy = f"choose {utm_crs(lat_deg, lon_deg)} (--scan.crs auto), ENU or another one for this place"
     if not _within(crs, np.array([[lat_deg, lon_deg]]))[0] and _within(crs, np.array([[lon_deg, lat_deg]]))[0]:
         remedy += "; or are latitude and longitude of the positions exchanged? Exchanged they lie in its area"
@@ -126,19 +124,29 @@ def area_note(crs: str, lat_lon_height: np.ndarray) -> str:
 def far_from_rest(lat_lon_height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(N,) whether positions (N, 3) stand far apart from most of the others, and (N,) their distances in metres.
 
-    Distances are from the median of all. Sorted, they have a gap before those that stand apart: such a one is beyond
-    ten times the largest distance before it, and 2 km more. A path that is merely long has no gap. Fewer than half of
-    the positions can stand apart.
+    Distances are from the position that half of all are nearest to. At most half of the positions stand apart, by
+    ``apart`` with 2 km.
     """
     lat, lon, height = np.asarray(lat_lon_height, float).reshape(-1, 3).T
+    if len(lat) < 2:
+        return np.zeros(len(lat), bool), np.zeros(len(lat))
     xyz = np.stack(_ECEF.transform(lat, lon, height), axis=-1)
-    away = np.linalg.norm(xyz - np.median(xyz, axis=0), axis=1) if len(xyz) else np.zeros(0)
+    tried = xyz[:: max(1, len(xyz) // _CENTRES)]
+    within = [np.sort(np.linalg.norm(xyz - c, axis=1))[(len(xyz) - 1) // 2] for c in tried]
+    away = np.linalg.norm(xyz - tried[int(np.argmin(np.round(within)))], axis=1)
+    return apart(away, FAR_FLOOR_M), away
+
+
+def apart(away: np.ndarray, floor: float) -> np.ndarray:
+    """(N,) which of some distances (N,) lie behind a gap in their order, in the upper half of them.
+
+    Behind a gap is what exceeds ten times the largest distance before it by more than ``floor``. A path that is merely
+    long, or dense at one end, has no such gap.
+    """
     ordered = np.sort(away)
-    first = len(away) // 2 + 1
-    gaps = np.flatnonzero(ordered[first:] > FAR_FACTOR * ordered[first - 1 : -1] + FAR_FLOOR_M)
-    if not len(gaps):
-        return np.zeros(len(away), bool), away
-    return away >= ordered[first + gaps[0]], away
+    first = (len(away) + 1) // 2
+    gaps = np.flatnonzero(ordered[first:] > FAR_FACTOR * ordered[first - 1 : -1] + floor)
+    return away >= ordered[first + gaps[0]] if len(gaps) else np.zeros(len(away), bool)
 
 
 @lru_cache(maxsize=16)

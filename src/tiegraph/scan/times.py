@@ -11,6 +11,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from tiegraph.errors import InputError
+from tiegraph.geometry.geodesy import apart
 from tiegraph.scan.folders import LONE_PASS
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.gnss import IMAGE, TIME
@@ -18,6 +19,7 @@ from tiegraph.scene.table import Table, in_seconds, read_table
 
 _FRAME = ("frame", "frame_id", "frame_name", "shot")
 _PASS = ("pass", "track", "run", "strip")
+_APART_S = 3600.0  # a frame's time is far from those of its pass: so much, and ten times their range
 _SAME_SHOT_S = 0.5  # images of one frame whose times are farther apart are said
 _UNIX_NAME = re.compile(r"(?:^|\D)(\d{10}(?:[._]\d{1,9})?|\d{13}|\d{16}|\d{19})$")
 _DATE_NAME = re.compile(r"(?:^|\D)((?:19|20)\d{6})[_\-T ]?(\d{6})(\d{0,6})(?:\D|$)")
@@ -53,6 +55,7 @@ def read_times(
         raise InputError(f"{path}: a frame's name is not unique over {len(tracks)} passes: add a column pass")
     seconds = _seconds(table, time)
     notes = list(table.notes)
+    keys: list[tuple[str, ...]]
     if image is not None:
         keys = [(plain_name(table.cell(k, image)),) for k in range(len(seconds))]
         lookup: dict[tuple[str, ...], int] = _by_image(frames, names)
@@ -76,6 +79,7 @@ def read_times(
     for found, mine in rows.items():
         out[found] = np.median(seconds[mine])
     _say_spread(table, rows, seconds, notes)
+    notes += _say_odd(table, {k: mine[0] for k, mine in rows.items()}, out, frames)
     if len(rows) > 1 and np.nanmax(out) == np.nanmin(out):
         raise InputError(
             f"{path}, line {table.line(0)}: all {len(rows)} frames have the time {np.nanmax(out):g} s: write the time "
@@ -86,7 +90,7 @@ def read_times(
 
 def _seconds(table: Table, time: int) -> np.ndarray:
     seconds = table.times(time)
-    bad = np.flatnonzero(np.isnan(seconds))
+    bad = np.flatnonzero(np.isnan(seconds)).tolist()
     if len(bad):
         raise InputError(
             f"{table.path}, line {table.line(bad[0])}: {table.cell(bad[0], time)!r} is no time (seconds or ISO 8601); "
@@ -150,6 +154,32 @@ def _say_spread(table: Table, rows: dict[int, list[int]], seconds: np.ndarray, n
         )
 
 
+def _say_odd(table: Table, row: dict[int, int], time_s: np.ndarray, frames: Sequence[FrameRow]) -> list[str]:
+    """What to say of frames of one pass with the same time, and of those far from the others in time.
+
+    ``row`` is a frame's row in the table.
+    """
+    notes = []
+    for track in sorted({frames[k].track for k in row} - {-1}):
+        mine = np.array(sorted((k for k in row if frames[k].track == track), key=lambda k: time_s[k]))
+        twins = np.flatnonzero(np.diff(time_s[mine]) == 0)
+        if len(twins):
+            a, b = mine[twins[0]], mine[twins[0] + 1]
+            notes.append(
+                f"{table.path.name}, {table.some_lines([row[a], row[b]])}: two frames of one pass have the time "
+                f"{time_s[a]:.10g} s, as {len(twins)} do in it; write the time of each"
+            )
+        far = np.flatnonzero(apart(np.abs(time_s[mine] - np.median(time_s[mine])), _APART_S))
+        if len(far):
+            odd = mine[far[0]]
+            notes.append(
+                f"{table.path.name}, line {table.line(row[odd])}: time {time_s[odd]:.10g} s is far from the "
+                f"{np.median(time_s[mine]):.10g} s of its pass, as in {len(far)} of {len(mine)} frames; it is used: "
+                "correct it, or make a pass of its own of them"
+            )
+    return notes
+
+
 def plain_name(text: str) -> str:
     """An image's name as ours are written: slashes, no ./ before it."""
     return text.replace("\\", "/").removeprefix("./")
@@ -161,6 +191,9 @@ def absent(name: str, names: Sequence[str]) -> str:
     twins = [n for n in names if file in (PurePosixPath(n).name, PurePosixPath(n).stem)]
     if len(twins) > 1 and "/" not in plain_name(name):
         return f"several images are called so: write {twins[0]} or {twins[1]}"
+    near = [n for n in names if PurePosixPath(n).name.lower() == file.lower()]
+    if near and not twins:
+        return f"upper and lower case count: {near[0]} is here"
     return f"names are relative to the image folder, as {twins[0] if twins else names[0]}"
 
 

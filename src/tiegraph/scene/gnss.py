@@ -65,8 +65,8 @@ class Gnss:
     def only(self, keep: np.ndarray, notes: Sequence[str]) -> Gnss:
         """Some rows (K,), with other notes."""
         names, line = (tuple(c[k] for k in keep) if c else () for c in (self.names, self.line))
-        columns = (self.time_s, self.lat_lon_height, self.sigma_m, self.heading_deg)
-        return Gnss(names, *(c[keep] for c in columns), tuple(notes), line)
+        place, sigma = self.lat_lon_height[keep], self.sigma_m[keep]
+        return Gnss(names, self.time_s[keep], place, sigma, self.heading_deg[keep], tuple(notes), line)
 
 
 def read_gnss(path: Path) -> Gnss:
@@ -110,7 +110,7 @@ def read_gnss(path: Path) -> Gnss:
         )
     names = tuple(table.cell(k, image) for k in range(len(llh)) if good[k]) if image is not None else ()
     heading = _heading(table, notes)
-    line = tuple(table.line(k) for k in np.flatnonzero(good))
+    line = tuple(table.line(k) for k in np.flatnonzero(good).tolist())
     raw = Gnss(names, times[good], llh[good], sigma[good], heading[good], tuple(notes), line)
     if image is None:
         made = _without_leaps(_in_time_order(raw, path), path)
@@ -164,7 +164,7 @@ def _faults(llh: np.ndarray, columns: tuple[int | None, ...]) -> _Faults:
 
 def _first(table: Table, faults: _Faults) -> str:
     """The first cell at fault that is not empty, in words; else the first empty one."""
-    found = [(k, what, column) for what, bad, column in faults for k in np.flatnonzero(bad)]
+    found = [(k, what, column) for what, bad, column in faults for k in np.flatnonzero(bad).tolist()]
     filled = [f for f in found if table.cell(f[0], f[2]).lower() not in _EMPTY and f[1] != _NO_FIX]
     row, what, column = min(filled or found, key=lambda f: f[0])
     shown = "" if what == _NO_FIX else f" {table.cell(row, column)!r}"
@@ -219,7 +219,7 @@ def _believed(
     table: Table, column: int | None, values: np.ndarray, good: np.ndarray, notes: list[str], remedy: str
 ) -> np.ndarray:
     """(R,) values that are good, NaN for the others; those that are neither good nor empty are said."""
-    odd = [k for k in np.flatnonzero(~good) if table.cell(k, column).lower() not in _EMPTY]
+    odd = [k for k in np.flatnonzero(~good).tolist() if table.cell(k, column).lower() not in _EMPTY]
     if odd:
         notes.append(
             f"{table.path.name}, line {table.line(odd[0])}: {_named(table, column)} {table.cell(odd[0], column)!r} is "
@@ -270,8 +270,10 @@ def _without_leaps(gnss: Gnss, path: Path) -> Gnss:
         return gnss
     row = int(np.flatnonzero(far)[0])
     note = _say_far(f"{Path(path).name}, line {gnss.line[row]}", gnss.lat_lon_height[row], away[row])
-    more = f"; {far.sum()} of {len(far)} rows are left out, as nothing moves so fast"
-    return gnss.only(np.flatnonzero(~far), [*gnss.notes, note + more])
+    note += f", and nothing moves so fast: {far.sum()} of {len(far)} rows "
+    if 2 * far.sum() >= len(far):
+        return replace(gnss, notes=(*gnss.notes, note + "do so, and which are right nothing tells: correct the file"))
+    return gnss.only(np.flatnonzero(~far), [*gnss.notes, note + "are left out; correct the file, or remove them"])
 
 
 def _say_far(where: str, place: np.ndarray, away_m: float) -> str:
@@ -281,14 +283,15 @@ def _say_far(where: str, place: np.ndarray, away_m: float) -> str:
 def far_rows(lat_lon_height: np.ndarray, where: Sequence[str]) -> tuple[np.ndarray, str]:
     """(N,) which of some positions (N, 3) without times not to use, as they are far from the rest, and what to say.
 
-    ``where`` names each position. They are used, though said, if they are more than a tenth: then who is right?
+    ``where`` names each position. They are used, though said, if they are more than a tenth (of two, one): which are
+    right is then not clear.
     """
     far, away = far_from_rest(lat_lon_height)
     if not far.any():
         return far, ""
     row = int(np.flatnonzero(far)[0])
     note = _say_far(where[row], lat_lon_height[row], away[row])
-    if far.sum() > max(1, _MAX_FAR_SHARE * len(far)):
+    if far.sum() > max(1, _MAX_FAR_SHARE * len(far)) or len(far) < 3:
         note += f", as {far.sum()} of {len(far)} positions do: are these two surveys? Split them, or mend the positions"
         return np.zeros(len(far), bool), note
     return far, note + f": {far.sum()} of {len(far)} positions are not used; mend or remove them"

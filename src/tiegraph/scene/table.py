@@ -58,7 +58,7 @@ class Table:
     def numbers(self, column: int | None) -> np.ndarray:
         """(R,) numbers of a column, NaN where there is none. Raises InputError for decimal commas."""
         out = np.array([_number(self.cell(k, column)) for k in range(len(self.rows))], float)
-        for k in np.flatnonzero(np.isnan(out)):
+        for k in np.flatnonzero(np.isnan(out)).tolist():
             if re.fullmatch(r"[+-]?\d*,\d+", self.cell(k, column)):
                 raise InputError(
                     f"{self.path}, line {self.line(k)}: {self.cell(k, column)!r} has a decimal comma: write numbers "
