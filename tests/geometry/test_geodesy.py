@@ -4,7 +4,9 @@ import pytest
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import (
     Origin,
+    area_note,
     crs_coordinates,
+    far_from_rest,
     geodetic_from_world,
     make_origin,
     utm_crs,
@@ -44,8 +46,69 @@ def test_shift_is_round_and_given_back():
 
 @pytest.mark.parametrize(
     ("crs", "words"),
-    [("EPSG:4326", "not projected"), ("EPSG:99999999", "unknown CRS"), ("EPSG:2225", "not metres")],
+    [
+        ("EPSG:4326", "not projected"),
+        ("EPSG:4978", "not projected"),
+        ("EPSG:99999999", "unknown CRS"),
+        ("foo", "unknown CRS"),
+        ("EPSG:2225", "not metres"),
+        ("EPSG:5513", "to the west"),
+        ("EPSG:27700", "British National Grid.*1.15[0-9]* times.*EPSG:32654"),
+        ("EPSG:32632", "1.268. times the true ones.*lat 35.69650, lon 139.76950.*EPSG:32654"),
+        ("EPSG:3857", "1.23.* times the true ones.*EPSG:32654"),
+        ("EPSG:28992", "times the true ones"),
+        ("EPSG:5514", "lie outside it|times the true ones"),
+    ],
 )
 def test_unusable_crs(crs, words):
     with pytest.raises(InputError, match=words):
         make_origin(*HERE, crs)
+
+
+def test_mirrored_grids_are_refused():
+    """EPSG:32661 counts north first, although both its axes are said to point south."""
+    with pytest.raises(InputError, match="mirror"):
+        make_origin(86.0, 10.0, 0.0, "EPSG:32661")
+
+
+def test_exchanged_positions_are_guessed_from_the_area_of_a_crs():
+    with pytest.raises(InputError, match="exchanged"):
+        make_origin(11.58, 48.14, 500.0, "EPSG:25832")  # Munich
+
+
+@pytest.mark.parametrize(
+    ("crs", "lat", "lon"),
+    [("EPSG:32653", 35.7, 139.8), ("EPSG:2154", 48.8, 2.3), ("EPSG:3857", 0.2, 32.6), ("EPSG:2193", -41.3, 174.8),
+     ("EPSG:2056", 46.9, 7.4), ("EPSG:3035", 48.1, 11.6), ("EPSG:27700", 58.0, -6.0), ("EPSG:27572", 48.8, 2.3)],
+)  # fmt: skip
+def test_crs_that_serve_here_or_nearly_so(crs, lat, lon):
+    assert make_origin(lat, lon, 0.0, crs).crs == crs
+
+
+def test_positions_outside_the_area_of_use_are_said():
+    there = np.array([HERE, (48.1, 11.6, 500.0)])
+    assert area_note("EPSG:32654", there[:1]) == area_note("ENU", there) == ""
+    note = area_note("EPSG:32653", there)
+    assert "2 of 2 positions" in note and "lat 35.69650" in note and "EPSG:32654" in note
+    assert area_note("EPSG:3832", np.array([[0.0, 179.9, 0], [0, -179.9, 0]])) == ""  # its area spans the date line
+
+
+@pytest.mark.parametrize(
+    ("metres", "far"),
+    [
+        (np.arange(20.0), []),
+        (np.r_[np.arange(19.0), 5e5], [19]),
+        (np.r_[5e5, np.arange(8.0), -4e3], [0, 9]),
+        (np.r_[np.zeros(60), np.linspace(0, 3e4, 60)], []),  # stands, then drives 30 km
+        (np.r_[np.arange(5.0), 1900 + np.arange(4.0)], []),
+        (np.r_[np.arange(5.0), 5e5 + np.arange(4.0)], [5, 6, 7, 8]),
+        (np.r_[np.arange(4.0), 5e5 + np.arange(4.0)], [4, 5, 6, 7]),
+        (np.r_[0.0, 5e5], [1]),  # the user is asked which of two
+        (np.r_[0.0], []),
+        (np.r_[0.0, 1.0, 5e5], [2]),
+    ],
+)
+def test_what_stands_far_from_the_rest(metres, far):
+    places = np.array([(HERE[0], HERE[1] + m / 90500, HERE[2]) for m in metres])
+    found, away = far_from_rest(places)
+    assert np.flatnonzero(found).tolist() == far and len(away) == len(places)

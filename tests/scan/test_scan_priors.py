@@ -48,13 +48,13 @@ def in_enu(scene: Scene) -> np.ndarray:
 @pytest.mark.parametrize(
     "text",
     [
-        "time,lat,lon,height,sigma\n10,35,139,40,0.1\n11,35.1,139.1,41,0.1\n",
-        "Time (s);Latitude [deg];Longitude [deg];Altitude (m);Accuracy\n10;35;139;40;0.1\n11;35.1;139.1;41;0.1\n",
-        "# made by a receiver\n# t lat long elevation sigma_m\n10 35 139 40 0.1\n11 35.1 139.1 41 0.1\n",
-        "\ufefftimestamp\tlat_deg\tlng\talt\tstd\n10\t35\t139\t40\t0.1\n\n11\t35.1\t139.1\t41\t0.1\n",
+        "time,lat,lon,height,sigma\n10,35,139,40,0.1\n11,35.001,139.001,41,0.1\n",
+        "Time (s);Latitude [deg];Longitude [deg];Altitude (m);Accuracy\n10;35;139;40;0.1\n11;35.001;139.001;41;0.1\n",
+        "# made by a receiver\n# t lat long elevation sigma_m\n10 35 139 40 0.1\n11 35.001 139.001 41 0.1\n",
+        "\ufefftimestamp\tlat_deg\tlng\talt\tstd\n10\t35\t139\t40\t0.1\n\n11\t35.001\t139.001\t41\t0.1\n",
         "q,height,lon,lat,time,sigma_h,sigma_v\n1,40,139,35,1970-01-01T00:00:10Z,0.1,0.2\n"
-        "1,41,139.1,35.1,1970-01-01 00:00:11.0,0.1,0.2\n",
-        "date,time,lat,lon,height,sde,sdn,sdu\n1970/01/01,00:00:10.0,35,139,40,.1,.1,.2\n1970/01/01,00:00:11.0,35.1,139.1,41,.1,.1,.2\n",
+        "1,41,139.001,35.001,1970-01-01 00:00:11.0,0.1,0.2\n",
+        "date,time,lat,lon,height,sde,sdn,sdu\n1970/01/01,00:00:10.0,35,139,40,.1,.1,.2\n1970/01/01,00:00:11.0,35.001,139.001,41,.1,.1,.2\n",
     ],
 )  # fmt: skip
 def test_gnss_tables_of_many_shapes(tmp_path: Path, text: str) -> None:
@@ -62,7 +62,7 @@ def test_gnss_tables_of_many_shapes(tmp_path: Path, text: str) -> None:
     path.write_text(text)
     gnss = read_gnss(path)
     assert gnss.time_s.tolist() == [10, 11]
-    assert gnss.lat_lon_height.tolist() == [[35, 139, 40], [35.1, 139.1, 41]]
+    assert gnss.lat_lon_height.tolist() == [[35, 139, 40], [35.001, 139.001, 41]]
     assert gnss.sigma_m == pytest.approx(np.array([[0.1, 0.1, 0.2]] * 2)) and gnss.notes == ()
 
 

@@ -13,6 +13,10 @@ from pyproj.transformer import TransformerGroup
 from tiegraph.errors import InputError
 
 ENU = "ENU"
+_MAX_DISTORTION = 0.01  # of lengths in a grid: a UTM zone has 0.001 inside and 0.004 in its neighbours
+_STEP_M = 50.0  # from a place to those that tell the grid's scale there
+FAR_FACTOR, FAR_FLOOR_M = 10.0, 2000.0  # far from the rest: so many of its radii, and so many metres more
+_CENTRES = 200  # positions at most that are tried for the middle of the rest
 
 
 @dataclass(frozen=True)
@@ -49,30 +53,116 @@ def make_origin(lat_deg: float, lon_deg: float, height_m: float, crs: str = "aut
     """Origin at a position; ``crs`` "auto" = its UTM zone, "ENU", or "EPSG:n" (projected, metres).
 
     The shift is the position rounded to whole 100 m (height: 10 m), so that world coordinates are small and the shift
-    is easy to write down. Raises InputError for an unknown or unprojected CRS.
+    is easy to write down. Raises InputError for an unknown or unprojected CRS, and for one whose lengths are more than
+    1 % too long or too short at the position: a CRS of another place.
     """
-    if crs == "auto":
+    if crs.lower() == "auto":
         crs = utm_crs(lat_deg, lon_deg)
     if crs.upper() == ENU:
         return Origin(lat_deg, lon_deg, height_m, ENU)
+    check_scale(crs, lat_deg, lon_deg)
     east, north, height = _to_crs(crs).transform(lat_deg, lon_deg, height_m)
-    if not np.isfinite([east, north]).all():
-        raise InputError(f"position lat {lat_deg}, lon {lon_deg} lies outside {crs}: choose another --scan.crs")
     shift = (round(east / 100) * 100.0, round(north / 100) * 100.0, round(height / 10) * 10.0)
     return Origin(lat_deg, lon_deg, height_m, crs.upper(), shift)
 
 
+def check_scale(crs: str, lat_deg: float, lon_deg: float) -> None:
+    """Raise InputError if lengths in a CRS are off by more than 1 % at a position, or its axes make mirror images."""
+    where = f"CRS {crs} ({parse_crs(crs).name})"
+    remedy = f"choose {utm_crs(lat_deg, lon_deg)} (--scan.crs auto), ENU or another one for this place"
+    if not _within(crs, np.array([[lat_deg, lon_deg]]))[0] and _within(crs, np.array([[lon_deg, lat_deg]]))[0]:
+        remedy += "; or are latitude and longitude of the positions exchanged? Exchanged they lie in its area"
+    place = f"the positions, about lat {lat_deg:.5f}, lon {lon_deg:.5f}"
+    grid = _grid(crs, lat_deg, lon_deg)
+    if not np.isfinite(grid).all():
+        raise InputError(f"{where}: {place}, lie outside it: {remedy}")
+    largest, smallest = np.linalg.svd(grid, compute_uv=False)
+    off = max(largest - 1, 1 - smallest)
+    if off > _MAX_DISTORTION:
+        scales = f"{smallest:.4f} to {largest:.4f} times the true ones"
+        raise InputError(f"{where}: lengths in it are {scales} at {place}: {remedy}")
+    if np.linalg.det(grid) < 0:
+        raise InputError(f"{where}: its axes make mirror images of east and north: {remedy}")
+
+
+def _grid(crs: str, lat_deg: float, lon_deg: float) -> np.ndarray:
+    """(2, 2) grid coordinates (east, north) by true metres to the east and north, at a position on the ellipsoid."""
+    steps = _STEP_M * np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
+    lat, lon, _ = geodetic_from_world(steps, Origin(lat_deg, lon_deg, 0.0)).T
+    east, north, _ = (np.asarray(v) for v in _to_crs(crs).transform(lat, lon, np.zeros(4)))
+    with np.errstate(invalid="ignore"):  # outside: infinite
+        return np.stack([[v[0] - v[1], v[2] - v[3]] for v in (east, north)]) / (2 * _STEP_M)
+
+
+def _within(crs: str, lat_lon: np.ndarray) -> np.ndarray:
+    """(N,) whether positions (N, >= 2) lie in the area of use of a CRS; all do where it names none."""
+    area = parse_crs(crs).area_of_use
+    if area is None:
+        return np.ones(len(lat_lon), bool)
+    lat, lon = lat_lon[:, 0], (lat_lon[:, 1] + 180) % 360 - 180
+    across = area.west > area.east  # over the date line
+    inside = (lon >= area.west) | (lon <= area.east) if across else (lon >= area.west) & (lon <= area.east)
+    return inside & (lat >= area.south) & (lat <= area.north)
+
+
+def area_note(crs: str, lat_lon_height: np.ndarray) -> str:
+    """What to say of positions (N, 3) outside the area of use of a CRS; "" if there are none."""
+    if crs.upper() == ENU:
+        return ""
+    outside = ~_within(crs, lat_lon_height)
+    if not outside.any():
+        return ""
+    lat, lon = lat_lon_height[np.flatnonzero(outside)[0], :2]
+    parsed = parse_crs(crs)
+    return (
+        f"--scan.crs {crs} ({parsed.name}): {outside.sum()} of {len(outside)} positions lie outside its area of use "
+        f"({parsed.area_of_use.name if parsed.area_of_use else ''}), such as lat {lat:.5f}, lon {lon:.5f}; "
+        f"{utm_crs(lat, lon)} would fit there"
+    )
+
+
+def far_from_rest(lat_lon_height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(N,) whether positions (N, 3) stand far apart from most of the others, and (N,) their distances in metres.
+
+    Distances are from the position that half of all are nearest to. At most half of the positions stand apart, by
+    ``apart`` with 2 km.
+    """
+    lat, lon, height = np.asarray(lat_lon_height, float).reshape(-1, 3).T
+    if len(lat) < 2:
+        return np.zeros(len(lat), bool), np.zeros(len(lat))
+    xyz = np.stack(_ECEF.transform(lat, lon, height), axis=-1)
+    tried = xyz[:: max(1, len(xyz) // _CENTRES)]
+    within = [np.sort(np.linalg.norm(xyz - c, axis=1))[(len(xyz) - 1) // 2] for c in tried]
+    away = np.linalg.norm(xyz - tried[int(np.argmin(np.round(within)))], axis=1)
+    return apart(away, FAR_FLOOR_M), away
+
+
+def apart(away: np.ndarray, floor: float) -> np.ndarray:
+    """(N,) which of some distances (N,) lie behind a gap in their order, in the upper half of them.
+
+    Behind a gap is what exceeds ten times the largest distance before it by more than ``floor``. A path that is merely
+    long, or dense at one end, has no such gap.
+    """
+    ordered = np.sort(away)
+    first = (len(away) + 1) // 2
+    gaps = np.flatnonzero(ordered[first:] > FAR_FACTOR * ordered[first - 1 : -1] + floor)
+    return away >= ordered[first + gaps[0]] if len(gaps) else np.zeros(len(away), bool)
+
+
 @lru_cache(maxsize=16)
 def parse_crs(crs: str) -> pyproj.CRS:
-    """The pyproj CRS of "EPSG:n". Raises InputError unless it exists, is projected and counts in metres."""
+    """The pyproj CRS of "EPSG:n". Raises InputError unless it exists, is projected and counts in metres to the east."""
     try:
         parsed = pyproj.CRS.from_user_input(crs)
     except pyproj.exceptions.CRSError as error:
         raise InputError(f"unknown CRS {crs!r}: give an EPSG code such as EPSG:6677, or ENU ({error})") from None
     if not parsed.is_projected:
         raise InputError(f"CRS {crs!r} ({parsed.name}) is not projected: give a projected one in metres, or ENU")
-    if abs(parsed.axis_info[0].unit_conversion_factor - 1) > 1e-12:
-        raise InputError(f"CRS {crs!r} counts in {parsed.axis_info[0].unit_name}, not metres: choose a metric one")
+    other = next((a for a in parsed.axis_info if abs(a.unit_conversion_factor - 1) > 1e-12), None)
+    if other is not None:
+        raise InputError(f"CRS {crs!r} counts in {other.unit_name}, not metres: choose a metric one")
+    if "west" in {a.direction.lower() for a in parsed.axis_info}:
+        raise InputError(f"CRS {crs!r} ({parsed.name}) counts to the west: choose one whose axes point east and north")
     return parsed
 
 

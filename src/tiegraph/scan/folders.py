@@ -21,7 +21,7 @@ UP_WORDS = frozenset("up top sky zenith".split())
 # Names that cameras give to single photographs; video frames and industrial cameras count from a plain word or nothing.
 _PHOTO_NAME = re.compile(r"^(img|dsc|dscn|dscf|dji|p|pict|gopr|mvi|sam|_mg|_dsc|photo|cimg|r)_?\d", re.IGNORECASE)
 _GENERIC_WORDS = _CAMERA_WORDS | frozenset("images cameras data photos pictures input jpg jpeg png frames raw".split())
-_LONE_PASS = "all"
+LONE_PASS = "all"
 _FEW = 30  # below this, matching everything with everything costs less than a wrong guess of the order
 _MOST = 0.75  # share of images at one depth of folders that makes the others strays
 _REGULAR = 0.9  # share of equal steps in the numbers, or in the times, of a sequence
@@ -79,7 +79,7 @@ def _pass_name(parts: tuple[str, ...], common: int) -> str:
     if parts[common:]:
         return "/".join(parts[common:])
     telling = [p for p in parts if not words(p) & _GENERIC_WORDS]
-    return telling[-1] if telling else _LONE_PASS
+    return telling[-1] if telling else LONE_PASS
 
 
 def _position(parts: tuple[str, ...], wanted: tuple[str, ...]) -> int:

@@ -2,53 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.geodesy import Origin, make_origin, world_from_geodetic
+from tiegraph.geometry.geodesy import ENU, parse_crs
 from tiegraph.geometry.transforms import interpolate, rigid
-from tiegraph.scan.rigspec import AXES, RigSpec
+from tiegraph.scan.positions import Frames, Priors, body_of, from_exif, from_gnss
+from tiegraph.scan.rigspec import AXES
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.times import FrameRow, exif_times, frame_by_image, name_times, read_times
+from tiegraph.scan.times import exif_times, name_times, read_times
 from tiegraph.scan.trajectory import read_trajectory, same_start, trajectory_files
-from tiegraph.scene.exif import Exif
-from tiegraph.scene.gnss import VERTICAL_FACTOR, Gnss, at_times, read_gnss
+from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.results import Trajectory
-from tiegraph.scene.rig import Rig
 
 _SCALE_ROUNDS = 10  # the scale converges linearly, by the ratio of the lever arm to the length of the track
-_UNKNOWN_HEIGHT_SIGMA_M = 100.0  # a photograph with latitude and longitude but no height
-
-
-@dataclass(frozen=True)
-class Frames:
-    """What the priors need to know of the frames found."""
-
-    rows: tuple[FrameRow, ...]
-    tracks: tuple[str, ...]
-    names: tuple[str, ...]  # file names of the images
-    exif: tuple[Exif, ...]
-    rigs: tuple[Rig, ...]
-    specs: tuple[RigSpec | None, ...]  # rig file or preset of each rig
-
-    def track(self) -> np.ndarray:
-        """(F,) pass of each frame."""
-        return np.array([r.track for r in self.rows], int)
-
-
-@dataclass(frozen=True)
-class Priors:
-    """Columns of the Scene that say when and where."""
-
-    time_s: np.ndarray
-    world_from_rig: np.ndarray
-    position_sigma_m: np.ndarray
-    origin: Origin | None = None
-    prior: str = "none"
-    notes: tuple[str, ...] = field(default_factory=tuple)
 
 
 @dataclass(frozen=True)
@@ -67,9 +38,12 @@ def estimate_priors(
 
     Position priors from GNSS are those of the antenna (``Rig.antenna_m`` is applied when the model is georeferenced).
     With a trajectory too, each of its worlds is laid on the GNSS positions level, so that the frames get rotations and
-    the gaps get positions (those with NaN sigma: for choosing pairs, not for georeferencing).
+    the gaps get positions (those with NaN sigma: for choosing pairs, not for georeferencing). Raises InputError for
+    files and a CRS that cannot be meant; what is only doubtful is in the notes.
     """
     notes: list[str] = []
+    if settings.crs.lower() not in ("auto", ENU.lower()):
+        parse_crs(settings.crs)
     files = {} if trajectory is None else {k: (f, read_trajectory(f)) for k, f in
                                            trajectory_files(trajectory, frames.tracks).items()}  # fmt: skip
     time_s = _times(frames, times, files, notes)
@@ -77,9 +51,14 @@ def estimate_priors(
     count = len(frames.rows)
     priors = Priors(time_s, np.full((count, 4, 4), np.nan), np.full((count, 3), np.nan))
     if gnss is not None:
-        priors = _from_gnss(priors, frames, read_gnss(gnss), Path(gnss), settings, notes)
+        priors = from_gnss(priors, frames, read_gnss(gnss), Path(gnss), settings, notes)
     else:
-        priors = _from_exif(priors, frames, settings, notes)
+        priors = from_exif(priors, frames, settings, notes)
+    if priors.origin is None and settings.crs.lower() != "auto":
+        notes.append(
+            f"--scan.crs {settings.crs}: nothing here has positions (no GNSS file, no EXIF): only control points "
+            "(--gcp) can place the survey in it"
+        )
     if paths is not None:
         priors = _with_paths(priors, frames, paths, notes)
     return replace(priors, notes=tuple(notes))
@@ -90,11 +69,12 @@ def estimate_priors(
 
 def _times(frames: Frames, file: Path | None, files: dict, notes: list[str]) -> np.ndarray:
     if file is not None:
-        out = read_times(file, frames.rows, frames.tracks, frames.names)
+        out, said = read_times(file, frames.rows, frames.tracks, frames.names)
+        notes.extend(said)
         if np.isnan(out).any():
             notes.append(f"{Path(file).name}: {np.isnan(out).sum()} of {len(out)} frames have no time in it")
         return out
-    out = exif_times(frames.rows, frames.exif)
+    out = _unless_one(exif_times(frames.rows, frames.exif), "EXIF", notes)
     if np.isfinite(out).all():
         if not all(e.time_utc for e in frames.exif):
             notes.append("times of the frames from EXIF, in the camera's own clock (no time zone written)")
@@ -102,7 +82,7 @@ def _times(frames: Frames, file: Path | None, files: dict, notes: list[str]) -> 
     if np.isfinite(out).any():
         notes.append(f"{np.isnan(out).sum()} of {len(out)} frames have no EXIF time")
         return out
-    named = name_times(frames.rows, frames.names)
+    named = _unless_one(name_times(frames.rows, frames.names), "file names", notes)
     if np.isfinite(named).any():
         notes.append("times of the frames read from the file names")
         return named
@@ -114,135 +94,24 @@ def _times(frames: Frames, file: Path | None, files: dict, notes: list[str]) -> 
     return out
 
 
+def _unless_one(time_s: np.ndarray, where: str, notes: list[str]) -> np.ndarray:
+    """Times (F,), or NaN for all with a note if several frames have one and the same."""
+    known = time_s[np.isfinite(time_s)]
+    if len(known) < 2 or np.ptp(known) > 0:
+        return time_s
+    when = datetime.fromtimestamp(known[0], timezone.utc).strftime("%Y-%m-%d %H:%M:%S")
+    notes.append(
+        f"{where}: all {len(known)} frames with a time have the same, {when}: not used; give --times if times matter"
+    )
+    return np.full(len(time_s), np.nan)
+
+
 def _rows_of(frames: Frames, track: int) -> np.ndarray:
     track_of = frames.track()
     if track >= 0:
         return np.flatnonzero(track_of == track)
     # One file in order fits only if there is one order of all frames.
     return np.arange(len(track_of)) if len(frames.tracks) == 1 and (track_of >= 0).all() else np.zeros(0, int)
-
-
-# --- GNSS and EXIF --------------------------------------------------------------------------------------------------
-
-
-def _from_gnss(
-    priors: Priors, frames: Frames, gnss: Gnss, path: Path, settings: ScanSettings, notes: list[str]
-) -> Priors:
-    notes.extend(gnss.notes)
-    near = np.ones(len(gnss.time_s), bool)
-    if not gnss.names:
-        near = _overlap(gnss, priors.time_s, path, settings)
-    origin = _origin(gnss.lat_lon_height[near], settings)
-    world = world_from_geodetic(gnss.lat_lon_height, origin)
-    if gnss.names:
-        position, sigma, heading = _by_image(frames, gnss, world, path, notes)
-    else:
-        position, sigma, heading = at_times(gnss, world, priors.time_s, settings.max_gap_s)
-    there = np.isfinite(position[:, 0])
-    if not there.any():
-        raise InputError(f"{path}: no frame lies within {settings.max_gap_s:g} s of its rows: raise scan.max_gap_s?")
-    if not there.all():
-        notes.append(
-            f"{path.name}: {(~there).sum()} of {len(there)} frames have no position (gaps over {settings.max_gap_s:g} "
-            "s, or outside the file)"
-        )
-    default = settings.gnss_sigma_m * np.array([1.0, 1.0, VERTICAL_FACTOR])
-    if np.isnan(sigma[there]).any():
-        notes.append(
-            f"{path.name}: accuracy not given; {default[0]:g} m horizontal and {default[2]:g} m vertical assumed"
-        )
-    sigma = np.where(there[:, None], np.where(np.isnan(sigma), default, sigma), np.nan)
-    pose = rigid(_rotations(frames, heading), position)
-    pose[~there] = np.nan
-    return replace(priors, world_from_rig=pose, position_sigma_m=sigma, origin=origin, prior="gnss")
-
-
-def _origin(lat_lon_height: np.ndarray, settings: ScanSettings) -> Origin:
-    lat, lon, height = (float(v) for v in np.median(lat_lon_height, axis=0))
-    return make_origin(lat, lon, height, settings.crs)
-
-
-def _overlap(gnss: Gnss, time_s: np.ndarray, path: Path, settings: ScanSettings) -> np.ndarray:
-    if np.isnan(time_s).all():
-        raise InputError(
-            f"{path}: its rows have times, but the frames have none (no EXIF, no times in the names). Give --times "
-            "with a table image,time, or a GNSS table with a column image"
-        )
-    first, last = np.nanmin(time_s) - settings.max_gap_s, np.nanmax(time_s) + settings.max_gap_s
-    near = (gnss.time_s >= first) & (gnss.time_s <= last)
-    if not near.any():
-        raise InputError(
-            f"{path}: times {gnss.time_s[0]:.2f} ... {gnss.time_s[-1]:.2f} s do not overlap the frames' "
-            f"{np.nanmin(time_s):.2f} ... {np.nanmax(time_s):.2f} s: other epoch, other time zone, or another survey? "
-            "Give --times in the clock of the GNSS file"
-        )
-    return near
-
-
-def _by_image(
-    frames: Frames, gnss: Gnss, world: np.ndarray, path: Path, notes: list[str]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    lookup = frame_by_image(frames.rows, frames.names)
-    count = len(frames.rows)
-    position, sigma, heading = np.full((count, 3), np.nan), np.full((count, 3), np.nan), np.full(count, np.nan)
-    unknown = []
-    for k, name in enumerate(gnss.names):
-        frame = lookup.get(name)
-        if frame is None:
-            unknown.append(name)
-        else:
-            position[frame], sigma[frame], heading[frame] = world[k], gnss.sigma_m[k], gnss.heading_deg[k]
-    if len(unknown) == len(gnss.names):
-        raise InputError(
-            f"{path}: none of its images is here: {unknown[0]} ...; names are relative to the image folder"
-        )
-    if unknown:
-        notes.append(f"{path.name}: {len(unknown)} rows name images that are not here, such as {unknown[0]}")
-    return position, sigma, heading
-
-
-def _rotations(frames: Frames, heading_deg: np.ndarray) -> np.ndarray:
-    """(F, 3, 3) world_from_rig of a level body with a heading; NaN without one."""
-    out = np.full((len(heading_deg), 3, 3), np.nan)
-    for k in np.flatnonzero(np.isfinite(heading_deg)):
-        h = np.radians(heading_deg[k])
-        right_down_forward = np.array([[np.cos(h), 0, np.sin(h)], [-np.sin(h), 0, np.cos(h)], [0, -1, 0]])
-        rig_from_body, axes = _body(frames.specs[frames.rows[k].rig])
-        out[k] = right_down_forward @ AXES[axes] @ rig_from_body[:3, :3].T
-    return out
-
-
-def _body(spec: RigSpec | None) -> tuple[np.ndarray, str]:
-    pose = None if spec is None else spec.rig_from_body()
-    return (np.eye(4), "camera") if spec is None or pose is None else (pose, spec.axes)
-
-
-def _from_exif(priors: Priors, frames: Frames, settings: ScanSettings, notes: list[str]) -> Priors:
-    fixes = [[frames.exif[i] for i in row.images if np.isfinite(frames.exif[i].lat_deg)] for row in frames.rows]
-    there = np.array([bool(f) for f in fixes])
-    if there.sum() < 2:
-        return priors
-    llh = np.full((len(fixes), 3), np.nan)
-    sigma = np.full((len(fixes), 3), np.nan)
-    for k in np.flatnonzero(there):
-        llh[k] = [np.mean([getattr(e, n) for e in fixes[k]]) for n in ("lat_deg", "lon_deg", "height_m")]
-        given = fixes[k][0].position_sigma_m
-        flat = given if np.isfinite(given) else settings.gnss_sigma_m
-        sigma[k] = flat, flat, VERTICAL_FACTOR * flat
-    low = there & np.isnan(llh[:, 2])
-    if low.any():
-        llh[low, 2] = np.nanmedian(llh[:, 2]) if (there & ~low).any() else 0.0
-        sigma[low, 2] = _UNKNOWN_HEIGHT_SIGMA_M
-        notes.append(f"EXIF: {low.sum()} positions have no height")
-    origin = _origin(llh[there], settings)
-    pose = np.full((len(fixes), 4, 4), np.nan)
-    pose[there, :3, 3] = world_from_geodetic(llh[there], origin)
-    pose[there, 3] = 0.0, 0.0, 0.0, 1.0
-    notes.append(
-        f"positions of {there.sum()} of {len(there)} frames from EXIF; its heights are usually above sea level and are "
-        "taken as they are"
-    )
-    return replace(priors, world_from_rig=pose, position_sigma_m=sigma, origin=origin, prior="exif")
 
 
 # --- trajectories ---------------------------------------------------------------------------------------------------
@@ -267,7 +136,7 @@ def _paths(
         if missing:
             notes.append(f"{path.name}: {missing} of {len(rows)} frames have no pose in it")
     for k, row in enumerate(frames.rows):  # the file's poses are those of the body
-        poses[k] = poses[k] @ np.linalg.inv(_body(frames.specs[row.rig])[0])
+        poses[k] = poses[k] @ np.linalg.inv(body_of(frames.specs[row.rig])[0])
     group[np.isnan(poses[:, 0, 0])] = -1
     named = next(
         (s for s in frames.specs if s is not None and s.rig_from_body() is not None and not s.body_is_reference), None
@@ -340,7 +209,7 @@ def _lay_on_gnss(
     world_from_rig rotations (R, 3, 3), antenna positions (R, 3), scale and rms (m), or None.
     """
     rig, spec = frames.rigs[frames.rows[rows[0]].rig], frames.specs[frames.rows[rows[0]].rig]
-    rig_from_body, axes = _body(spec)
+    rig_from_body, axes = body_of(spec)
     body = poses @ rig_from_body  # odometry that is not metric scales the body's path, not the rig on the body
     up = np.mean(body[:, :3, :3], axis=0) @ -AXES[axes][1]
     level = _turn_to_z(up / np.linalg.norm(up))

@@ -15,8 +15,9 @@ from tiegraph.scan.assign import Report, Shot, Survey, Usable, assign, some
 from tiegraph.scan.cameras import FileFacts, calibrate
 from tiegraph.scan.folders import natural
 from tiegraph.scan.frames import match_frames
+from tiegraph.scan.positions import Frames
 from tiegraph.scan.prepare import KEPT_SUFFIXES, prepare_image
-from tiegraph.scan.priors import Frames, estimate_priors
+from tiegraph.scan.priors import estimate_priors
 from tiegraph.scan.rigspec import RigSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.times import FrameRow

@@ -11,12 +11,16 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from tiegraph.errors import InputError
+from tiegraph.geometry.geodesy import apart
+from tiegraph.scan.folders import LONE_PASS
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.gnss import IMAGE, TIME
-from tiegraph.scene.table import in_seconds, read_table
+from tiegraph.scene.table import Table, in_seconds, read_table
 
 _FRAME = ("frame", "frame_id", "frame_name", "shot")
 _PASS = ("pass", "track", "run", "strip")
+_APART_S = 3600.0  # a frame's time is far from those of its pass: so much, and ten times their range
+_SAME_SHOT_S = 0.5  # images of one frame whose times are farther apart are said
 _UNIX_NAME = re.compile(r"(?:^|\D)(\d{10}(?:[._]\d{1,9})?|\d{13}|\d{16}|\d{19})$")
 _DATE_NAME = re.compile(r"(?:^|\D)((?:19|20)\d{6})[_\-T ]?(\d{6})(\d{0,6})(?:\D|$)")
 _UNIX_RANGE_S = (631152000.0, 4102444800.0)  # 1990 ... 2100: other numbers of ten digits are serial numbers
@@ -32,11 +36,14 @@ class FrameRow:
     images: tuple[int, ...]
 
 
-def read_times(path: Path, frames: Sequence[FrameRow], tracks: Sequence[str], names: Sequence[str]) -> np.ndarray:
+def read_times(
+    path: Path, frames: Sequence[FrameRow], tracks: Sequence[str], names: Sequence[str]
+) -> tuple[np.ndarray, list[str]]:
     """(F,) seconds from a table with the columns time and image, or time and frame and, with several passes, pass.
 
-    An image is given by its name below the folder, or by its file name if no other has it. NaN for frames not listed.
-    Raises InputError for missing columns, times that are none, and when no row fits a frame.
+    An image is given by its name below the folder, or by its file name if no other has it. NaN for frames not listed;
+    of several images of a frame the median counts. Notes say what is doubtful. Raises InputError for missing columns,
+    times that are none, a frame or image with two times, one time for all frames, and when no row fits a frame.
     """
     table = read_table(path, "times file")
     time, image, frame, track = (table.find(c) for c in (TIME, IMAGE, _FRAME, _PASS))
@@ -46,28 +53,148 @@ def read_times(path: Path, frames: Sequence[FrameRow], tracks: Sequence[str], na
         )
     if image is None and track is None and len(tracks) > 1:
         raise InputError(f"{path}: a frame's name is not unique over {len(tracks)} passes: add a column pass")
-    seconds = table.times(time)
-    if np.isnan(seconds).any():
-        row = int(np.flatnonzero(np.isnan(seconds))[0])
+    seconds = _seconds(table, time)
+    notes = list(table.notes)
+    keys: list[tuple[str, ...]]
+    if image is not None:
+        keys = [(plain_name(table.cell(k, image)),) for k in range(len(seconds))]
+        lookup: dict[tuple[str, ...], int] = _by_image(frames, names)
+    else:
+        passes = _passes(table, track, tracks, notes)
+        keys = [(passes[k], _plain(table.cell(k, frame))) for k in range(len(seconds))]
+        lookup = _by_frame(frames, tracks)
+    _refuse_two_times(table, keys, seconds, notes)
+    rows: dict[int, list[int]] = {}
+    for k, key in enumerate(keys):
+        if key in lookup:
+            rows.setdefault(lookup[key], []).append(k)
+    _say_unknown(table, [k for k, key in enumerate(keys) if key not in lookup], keys, names, notes)
+    if not rows and len(frames):
+        here = f"; the passes here are {', '.join(tracks)}" if track is not None and tracks else ""
         raise InputError(
-            f"{path}, line {table.rows[row][0]}: {table.cell(row, time)!r} is no time (seconds or ISO 8601)"
+            f"{path}, line {table.line(0)}: none of its {len(seconds)} rows names an image or frame found here "
+            f"({'/'.join(keys[0])}), such as {names[frames[0].images[0]]}{here}"
         )
-    lookup = _by_image(frames, names) if image is not None else _by_frame(frames, tracks)
     out = np.full(len(frames), np.nan)
-    for row in range(len(table.rows)):
-        if image is not None:
-            found = lookup.get((table.cell(row, image),))
-        else:
-            name = tracks[0] if len(tracks) == 1 else table.cell(row, track)
-            found = lookup.get((name, _plain(table.cell(row, frame))))
-        if found is not None:
-            out[found] = seconds[row]
-    if np.isnan(out).all() and len(frames):
-        example = names[frames[0].images[0]]
+    for found, mine in rows.items():
+        out[found] = np.median(seconds[mine])
+    _say_spread(table, rows, seconds, notes)
+    notes += _say_odd(table, {k: mine[0] for k, mine in rows.items()}, out, frames)
+    if len(rows) > 1 and np.nanmax(out) == np.nanmin(out):
         raise InputError(
-            f"{path}: none of its {len(table.rows)} rows names an image or frame found here, such as {example}"
+            f"{path}, line {table.line(0)}: all {len(rows)} frames have the time {np.nanmax(out):g} s: write the time "
+            "of each, or leave --times out"
         )
-    return out
+    return out, notes
+
+
+def _seconds(table: Table, time: int) -> np.ndarray:
+    seconds = table.times(time)
+    bad = np.flatnonzero(np.isnan(seconds)).tolist()
+    if len(bad):
+        raise InputError(
+            f"{table.path}, line {table.line(bad[0])}: {table.cell(bad[0], time)!r} is no time (seconds or ISO 8601); "
+            "correct it, or leave out rows without a time"
+        )
+    return seconds
+
+
+def _passes(table: Table, track: int | None, tracks: Sequence[str], notes: list[str]) -> list[str]:
+    """Pass of each row; rows that name none are of the only pass."""
+    only = tracks[0] if len(tracks) == 1 else ""
+    named = sorted({table.cell(k, track) for k in range(len(table.rows))} - {""})
+    if only == LONE_PASS and len(named) == 1 and named[0] != only:
+        notes.append(
+            f"{table.path.name}, line {table.line(0)}: pass {named[0]!r} is taken for the only one here, whose "
+            "folders have no name for it"
+        )
+        return [only] * len(table.rows)
+    return [table.cell(k, track) or only for k in range(len(table.rows))]
+
+
+def _refuse_two_times(table: Table, keys: Sequence[tuple[str, ...]], seconds: np.ndarray, notes: list[str]) -> None:
+    first: dict[tuple[str, ...], int] = {}
+    again = []
+    for k, key in enumerate(keys):
+        other = first.setdefault(key, k)
+        if seconds[other] != seconds[k]:
+            raise InputError(
+                f"{table.path}, line {table.line(k)}: {'/'.join(key)} has the time {seconds[k]:.10g} s, but "
+                f"{seconds[other]:.10g} s in line {table.line(other)}: leave the right one"
+            )
+        if other != k:
+            again.append(k)
+    if again:
+        notes.append(
+            f"{table.path.name}, line {table.line(again[0])}: {'/'.join(keys[again[0]])} stands there twice, with one "
+            f"time, as do {len(again)} rows in all"
+        )
+
+
+def _say_unknown(
+    table: Table, unknown: list[int], keys: Sequence[tuple[str, ...]], names: Sequence[str], notes: list[str]
+) -> None:
+    if unknown and len(unknown) < len(keys):
+        key = keys[unknown[0]]
+        notes.append(
+            f"{table.path.name}, line {table.line(unknown[0])}: {len(unknown)} of {len(keys)} rows name frames or "
+            f"images that are not here, such as {'/'.join(key)}"
+            + (f"; {absent(key[0], names)}" if len(key) == 1 else "")
+        )
+
+
+def _say_spread(table: Table, rows: dict[int, list[int]], seconds: np.ndarray, notes: list[str]) -> None:
+    """Says where images of one frame were taken far apart in time."""
+    wide = [mine for mine in rows.values() if np.ptp(seconds[mine]) > _SAME_SHOT_S]
+    if wide:
+        mine = max(wide, key=lambda m: float(np.ptp(seconds[m])))
+        notes.append(
+            f"{table.path.name}, {table.some_lines(mine)}: images of one frame are {np.ptp(seconds[mine]):.2f} s "
+            f"apart, as in {len(wide)} frames; their median is taken: do these images belong together?"
+        )
+
+
+def _say_odd(table: Table, row: dict[int, int], time_s: np.ndarray, frames: Sequence[FrameRow]) -> list[str]:
+    """What to say of frames of one pass with the same time, and of those far from the others in time.
+
+    ``row`` is a frame's row in the table.
+    """
+    notes = []
+    for track in sorted({frames[k].track for k in row} - {-1}):
+        mine = np.array(sorted((k for k in row if frames[k].track == track), key=lambda k: time_s[k]))
+        twins = np.flatnonzero(np.diff(time_s[mine]) == 0)
+        if len(twins):
+            a, b = mine[twins[0]], mine[twins[0] + 1]
+            notes.append(
+                f"{table.path.name}, {table.some_lines([row[a], row[b]])}: two frames of one pass have the time "
+                f"{time_s[a]:.10g} s, as {len(twins)} do in it; write the time of each"
+            )
+        far = np.flatnonzero(apart(np.abs(time_s[mine] - np.median(time_s[mine])), _APART_S))
+        if len(far):
+            odd = mine[far[0]]
+            notes.append(
+                f"{table.path.name}, line {table.line(row[odd])}: time {time_s[odd]:.10g} s is far from the "
+                f"{np.median(time_s[mine]):.10g} s of its pass, as in {len(far)} of {len(mine)} frames; it is used: "
+                "correct it, or make a pass of its own of them"
+            )
+    return notes
+
+
+def plain_name(text: str) -> str:
+    """An image's name as ours are written: slashes, no ./ before it."""
+    return text.replace("\\", "/").removeprefix("./")
+
+
+def absent(name: str, names: Sequence[str]) -> str:
+    """Why an image's name says nothing here, and what helps; ``names`` are those of the images."""
+    file = PurePosixPath(plain_name(name)).name
+    twins = [n for n in names if file in (PurePosixPath(n).name, PurePosixPath(n).stem)]
+    if len(twins) > 1 and "/" not in plain_name(name):
+        return f"several images are called so: write {twins[0]} or {twins[1]}"
+    near = [n for n in names if PurePosixPath(n).name.lower() == file.lower()]
+    if near and not twins:
+        return f"upper and lower case count: {near[0]} is here"
+    return f"names are relative to the image folder, as {twins[0] if twins else names[0]}"
 
 
 def frame_by_image(frames: Sequence[FrameRow], names: Sequence[str]) -> dict[str, int]:
@@ -110,7 +237,7 @@ def exif_times(frames: Sequence[FrameRow], exif: Sequence[Exif]) -> np.ndarray:
 def name_times(frames: Sequence[FrameRow], names: Sequence[str]) -> np.ndarray:
     """(F,) times written in the file names, as Unix time or as a date; NaN for all unless every frame has one."""
     found = np.array([_time_in(PurePosixPath(names[f.images[0]]).stem) for f in frames], float)
-    if len(found) < 2 or np.isnan(found).any() or np.ptp(found) == 0:
+    if len(found) < 2 or np.isnan(found).any():
         return np.full(len(frames), np.nan)
     return found
 

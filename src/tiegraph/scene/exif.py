@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from typing import Any
 
+from tiegraph.scene.gnss import HEIGHT_RANGE_M, SIGMA_RANGE_M
+
 NAN = float("nan")
 # Tags of the EXIF 2.32 standard (CIPA DC-008).
 _EXIF_IFD, _GPS_IFD = 0x8769, 0x8825
@@ -33,6 +35,7 @@ class Exif:
     time_utc: bool = False
     make: str = ""
     model: str = ""
+    doubt: str = ""  # what is wrong with the position as written; it is used where lat_deg is finite all the same
 
 
 def read_exif(image: Any) -> Exif:
@@ -43,24 +46,39 @@ def read_exif(image: Any) -> Exif:
     except Exception:  # a damaged EXIF block makes PIL raise anything from struct.error to SyntaxError
         return Exif()
     orientation = _number(base.get(_ORIENTATION, 1))
-    lat, lon = _angle(gps, 2, 1, "S"), _angle(gps, 4, 3, "W")
-    if not (abs(lat) <= 90 and abs(lon) <= 180) or (
-        lat == 0 and lon == 0
-    ):  # 0, 0 is what a receiver without fix writes
-        lat = lon = NAN
+    place, doubt = _place(gps)
     time_s, utc = _time(base, detail)
     return Exif(
         orientation=int(orientation) if orientation in range(1, 9) else 1,
         focal_px=_focal(detail, *image.size),
-        lat_deg=lat,
-        lon_deg=lon,
-        height_m=_height(gps),
-        position_sigma_m=_positive(gps.get(31)),
+        lat_deg=place[0],
+        lon_deg=place[1],
+        height_m=place[2],
+        position_sigma_m=place[3],
         time_s=time_s,
         time_utc=utc,
         make=_text(base.get(_MAKE)),
         model=_text(base.get(_MODEL)),
+        doubt=doubt,
     )
+
+
+def _place(gps: dict) -> tuple[tuple[float, float, float, float], str]:
+    """Latitude, longitude, height and sigma, NaN where not written or not believable, and what is not believable."""
+    if 2 not in gps and 4 not in gps:
+        return (NAN, NAN, NAN, NAN), ""
+    lat, lon, height, sigma = _angle(gps, 2, 1, "S"), _angle(gps, 4, 3, "W"), _height(gps), _positive(gps.get(31))
+    if not (abs(lat) <= 90 and abs(lon) <= 180):
+        return (NAN, NAN, NAN, NAN), f"latitude {lat:g}, longitude {lon:g} is no place on the Earth"
+    if lat == 0 and lon == 0:
+        return (NAN, NAN, NAN, NAN), "latitude 0, longitude 0 is what a receiver without a fix writes"
+    if sigma > SIGMA_RANGE_M[1]:
+        return (NAN, NAN, NAN, NAN), f"an accuracy of {sigma:g} m is none"
+    if 6 in gps and not HEIGHT_RANGE_M[0] <= height <= HEIGHT_RANGE_M[1]:
+        return (lat, lon, NAN, sigma), f"height {height:g} m is none (the position is taken without it)"
+    if not (_text(gps.get(1)) and _text(gps.get(3))):
+        return (lat, lon, height, sigma), "nothing says whether it is north or south, east or west (N and E assumed)"
+    return (lat, lon, height, sigma if sigma >= SIGMA_RANGE_M[0] else NAN), ""
 
 
 def _focal(detail: dict, width: int, height: int) -> float:
@@ -109,7 +127,10 @@ def _time(base: Any, detail: dict) -> tuple[float, bool]:
     shift = timedelta()
     if offset:
         shift = timedelta(hours=int(offset[2]), minutes=int(offset[3])) * (1 if offset[1] == "+" else -1)
-    utc = (stamp - shift).replace(tzinfo=timezone.utc)
+    try:
+        utc = (stamp - shift).replace(tzinfo=timezone.utc)
+    except OverflowError:  # the first day of the year 1
+        return NAN, False
     return utc.timestamp() + seconds, offset is not None
 
 

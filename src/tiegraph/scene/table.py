@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import codecs
+import csv
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
@@ -11,18 +14,41 @@ import numpy as np
 
 from tiegraph.errors import InputError
 
+TIME_LIMIT_S = 1e11  # the year 5138: what is larger in size is no time in seconds
+_UNIT_S = {"ms": 1e-3, "msec": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
+_SHOWN_LINES = 5
+
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of cells with their line numbers; column names in lower case without units."""
+    """Rows of cells with their line numbers; column names in lower case without units, which stand apart."""
 
     path: Path
     columns: tuple[str, ...]
     rows: tuple[tuple[int, tuple[str, ...]], ...]
+    units: tuple[str, ...] = ()  # what stood in brackets behind each column name, in lower case; "" = nothing
+    notes: tuple[str, ...] = ()  # what was doubtful about the file as a whole
 
     def find(self, aliases: tuple[str, ...]) -> int | None:
-        """Index of the first column with one of some names."""
-        return next((self.columns.index(a) for a in aliases if a in self.columns), None)
+        """Index of the first column with one of some names. Raises InputError if that name stands twice."""
+        name = next((a for a in aliases if a in self.columns), None)
+        if name is None:
+            return None
+        found = [k for k, c in enumerate(self.columns) if c == name]
+        if len(found) > 1:
+            raise InputError(
+                f"{self.path}: the header has the column {name!r} {len(found)} times (columns "
+                f"{', '.join(str(k + 1) for k in found)}): leave the one that counts, and rename the others"
+            )
+        return found[0]
+
+    def unit(self, column: int | None) -> str:
+        """Unit of a column as its header gives it in brackets, in lower case; "" if it gives none."""
+        return self.units[column] if column is not None and column < len(self.units) else ""
+
+    def line(self, row: int) -> int:
+        """Line number of a row in the file."""
+        return self.rows[row][0]
 
     def cell(self, row: int, column: int | None) -> str:
         """Text of a cell, "" if the column or the cell is not there."""
@@ -30,26 +56,43 @@ class Table:
         return cells[column] if column is not None and column < len(cells) else ""
 
     def numbers(self, column: int | None) -> np.ndarray:
-        """(R,) numbers of a column, NaN where there is none."""
-        return np.array([_number(self.cell(k, column)) for k in range(len(self.rows))], float)
+        """(R,) numbers of a column, NaN where there is none. Raises InputError for decimal commas."""
+        out = np.array([_number(self.cell(k, column)) for k in range(len(self.rows))], float)
+        for k in np.flatnonzero(np.isnan(out)).tolist():
+            if re.fullmatch(r"[+-]?\d*,\d+", self.cell(k, column)):
+                raise InputError(
+                    f"{self.path}, line {self.line(k)}: {self.cell(k, column)!r} has a decimal comma: write numbers "
+                    "with a point"
+                )
+        return out
 
     def times(self, column: int | None, date: int | None = None) -> np.ndarray:
-        """(R,) seconds of a time column: numbers, ISO 8601, or hh:mm:ss with a date column; NaN where there is none."""
+        """(R,) seconds of a time column: numbers, ISO 8601, or hh:mm:ss with a date column; NaN where there is none.
+
+        A unit in the header (ms, us, ns) is heeded; without one, times since 1970 tell it by their size.
+        """
+        self.numbers(column)
         cells = [self.cell(k, column) for k in range(len(self.rows))]
         if date is not None:
             cells = [f"{self.cell(k, date)} {c}" for k, c in enumerate(cells)]
-        return in_seconds(np.array([parse_time(c) for c in cells], float))
+        seconds = np.array([parse_time(c) for c in cells], float)
+        unit = _UNIT_S.get(self.unit(column))
+        seconds = in_seconds(seconds) if unit is None else seconds * unit
+        return np.where(np.abs(seconds) <= TIME_LIMIT_S, seconds, np.nan)
+
+    def some_lines(self, rows: Sequence[int] | np.ndarray) -> str:
+        """The line numbers of some rows, in words: "line 4, 5, 9 ..."."""
+        numbers = [str(self.line(k)) for k in rows[:_SHOWN_LINES]]
+        return f"line {', '.join(numbers)}" + (" ..." if len(rows) > _SHOWN_LINES else "")
 
 
 def read_table(path: Path, purpose: str) -> Table:
     """Read a table; lines that start with # or % are comments (the last one before the numbers may be the header).
 
-    Raises InputError if the file cannot be read, is empty or has no header.
+    Raises InputError, naming file and line, if the file cannot be read as text, is empty, has no header, has a row with
+    more cells than the header (decimal commas, a missing column name) or a second header that names other columns.
     """
-    try:
-        text = Path(path).read_text(encoding="utf-8-sig", errors="replace")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give the {purpose} as a CSV file") from None
+    text, notes = _text(Path(path), purpose)
     lines = [(k + 1, line.strip()) for k, line in enumerate(text.splitlines()) if line.strip()]
     if not any(line[0] not in "#%" for _, line in lines):
         raise InputError(f"{path}: no rows; give the {purpose} as a CSV file with a header line")
@@ -59,13 +102,78 @@ def read_table(path: Path, purpose: str) -> Table:
         start -= 1
         header = lines[start][1].lstrip("#% ")
     delimiter = _delimiter(header)
-    columns = tuple(_column(c) for c in _cells(header, delimiter))
+    # Blanks part columns only where they do not stand before a unit: "Time (s) Latitude [deg]" has two.
+    named = _cells(header if delimiter else re.sub(r"\s+(?=[(\[])", "", header), delimiter)
+    columns = tuple(_column(c) for c in named)
     if not any(re.search("[a-z]", c) for c in columns):
         raise InputError(
             f"{path}, line {lines[start][0]}: the {purpose} needs a header line with column names, got {header!r}"
         )
-    rows = tuple((n, tuple(_cells(line, delimiter))) for n, line in lines[start + 1 :] if line[0] not in "#%")
-    return Table(Path(path), columns, rows)
+    given = [(n, tuple(_cells(line, delimiter))) for n, line in lines[start + 1 :] if line[0] not in "#%"]
+    rows = _rows(Path(path), purpose, columns, given, notes)
+    if not rows:
+        raise InputError(f"{path}: no rows below its header; give the {purpose} as a CSV file with a row a moment")
+    return Table(Path(path), columns, rows, tuple(_unit(c) for c in named), tuple(notes))
+
+
+def _text(path: Path, purpose: str) -> tuple[str, list[str]]:
+    """Text of a file, and notes. Only plain files: a pipe or a device could keep us waiting for good."""
+    try:
+        if path.exists() and not path.is_file():
+            kind = "a folder" if path.is_dir() else "no plain file"
+            raise InputError(f"{path}: is {kind}; give the {purpose} as a CSV file")
+        raw = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give the {purpose} as a CSV file") from None
+    utf16 = raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    try:
+        text = raw.decode("utf-16" if utf16 else "utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        text = raw.decode("utf-8-sig", errors="replace")
+        notes = [f"{path.name}, line {line}: not UTF-8; names with such letters are not found: save it as UTF-8"]
+    else:
+        notes = []
+    if "\0" in text or (notes and text.count("\ufffd") > len(text) / 4):
+        raise InputError(f"{path}: is no text (it holds zero bytes or no letters); give the {purpose} as a CSV file")
+    return text, notes
+
+
+def _rows(
+    path: Path, purpose: str, columns: tuple[str, ...], given: list[tuple[int, tuple[str, ...]]], notes: list[str]
+) -> tuple[tuple[int, tuple[str, ...]], ...]:
+    """The rows without repeated headers and with empty cells at their ends cut off."""
+    known, out = {c for c in columns if c}, []
+    for line, cells in given:
+        cells = _joined_date(cells, len(columns))
+        if len(known & {_column(c) for c in cells if c[:1].isalpha()}) > 1:
+            if tuple(_column(c) for c in cells) != columns:
+                raise InputError(f"{path}, line {line}: a second header with other columns; give one table a file")
+            notes.append(f"{path.name}, line {line}: the header again, left out; are these several tables in one file?")
+            continue
+        while len(cells) > len(columns) and not cells[-1]:
+            cells = cells[:-1]
+        if len(cells) > len(columns):
+            raise InputError(
+                f"{path}, line {line}: {len(cells)} cells below a header of {len(columns)} ({', '.join(columns)}): "
+                "decimal commas, or a column without a name? Write numbers with a point and name every column of the "
+                f"{purpose}"
+            )
+        out.append((line, cells))
+    short = [line for line, cells in out if len(cells) < len(columns)]
+    if short:
+        notes.append(
+            f"{path.name}, line {short[0]}: fewer cells than the header has columns ({len(columns)}), as in "
+            f"{len(short)} of {len(out)} rows; the missing ones count as empty: was the file cut off?"
+        )
+    return tuple(out)
+
+
+def _joined_date(cells: tuple[str, ...], columns: int) -> tuple[str, ...]:
+    """A date and a time that a blank parted (RTKLIB writes them below one column name) as one cell again."""
+    if len(cells) == columns + 1 and re.fullmatch(r"\d{4}[-/]\d\d[-/]\d\d", cells[0]) and ":" in cells[1]:
+        return (f"{cells[0]} {cells[1]}", *cells[2:])
+    return cells
 
 
 def parse_time(text: str) -> float:
@@ -73,7 +181,7 @@ def parse_time(text: str) -> float:
     number = _number(text)
     if number == number:
         return number
-    clock = re.fullmatch(r"(\d{1,2}):(\d\d):(\d\d(?:\.\d+)?)Z?", text.strip())
+    clock = re.fullmatch(r"(\d{1,2}):([0-5]\d):([0-5]\d(?:\.\d+)?)Z?", text.strip())
     if clock:
         return int(clock[1]) * 3600 + int(clock[2]) * 60 + float(clock[3])
     whole, _, fraction = text.strip().replace("/", "-").replace("Z", "+00:00").partition(".")
@@ -102,7 +210,19 @@ def _delimiter(line: str) -> str | None:
 
 
 def _cells(line: str, delimiter: str | None) -> list[str]:
-    return [c.strip().strip('"').strip() for c in line.split(delimiter)]
+    """Cells of a line; a delimiter between quotes parts none."""
+    parts = line.split(delimiter)
+    if delimiter is not None and '"' in line:
+        try:
+            parts = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+        except csv.Error:  # a cell longer than the reader takes: no table anyway, and what reads it says so
+            pass
+    return [c.strip().strip('"').strip() for c in parts]
+
+
+def _unit(text: str) -> str:
+    found = re.search(r"[(\[](.*?)[)\]]", text)
+    return found[1].strip().lower() if found else ""
 
 
 def _column(text: str) -> str:

@@ -1,0 +1,251 @@
+"""Where each frame was taken, by GNSS rows or EXIF: positions in the world, with what is doubtful about them said."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from tiegraph.errors import InputError
+from tiegraph.geometry.geodesy import Origin, area_note, make_origin, world_from_geodetic
+from tiegraph.geometry.transforms import rigid
+from tiegraph.scan.rigspec import AXES, RigSpec
+from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.times import FrameRow, absent, frame_by_image, plain_name
+from tiegraph.scene.exif import Exif
+from tiegraph.scene.gnss import VERTICAL_FACTOR, Gnss, at_times, far_rows, stuck_note, without_far
+from tiegraph.scene.rig import Rig
+
+_UNKNOWN_HEIGHT_SIGMA_M = 100.0  # a photograph with latitude and longitude but no height
+_APART_M = 1.0  # rows of one frame's images that are farther apart are said: a rig is smaller, or they share a row
+_CLOCKS = ((1e-3, "ms"), (1e-6, "us"), (1e-9, "ns"))
+
+
+@dataclass(frozen=True)
+class Frames:
+    """What the priors need to know of the frames found."""
+
+    rows: tuple[FrameRow, ...]
+    tracks: tuple[str, ...]
+    names: tuple[str, ...]  # file names of the images
+    exif: tuple[Exif, ...]
+    rigs: tuple[Rig, ...]
+    specs: tuple[RigSpec | None, ...]  # rig file or preset of each rig
+
+    def track(self) -> np.ndarray:
+        """(F,) pass of each frame."""
+        return np.array([r.track for r in self.rows], int)
+
+
+@dataclass(frozen=True)
+class Priors:
+    """Columns of the Scene that say when and where."""
+
+    time_s: np.ndarray
+    world_from_rig: np.ndarray
+    position_sigma_m: np.ndarray
+    origin: Origin | None = None
+    prior: str = "none"
+    notes: tuple[str, ...] = field(default_factory=tuple)
+
+
+def from_gnss(
+    priors: Priors, frames: Frames, gnss: Gnss, path: Path, settings: ScanSettings, notes: list[str]
+) -> Priors:
+    """Priors with the positions of a GNSS file: by image name, else interpolated at the frames' times.
+
+    Raises InputError if no row fits a frame, or the CRS of the settings does not fit the positions.
+    """
+    if gnss.names:
+        gnss = without_far(_known(gnss, frames, path), path)
+    notes.extend(gnss.notes)
+    near = np.ones(len(gnss.time_s), bool)
+    if not gnss.names:
+        near = _overlap(gnss, priors.time_s, path, settings)
+    origin = _origin(gnss.lat_lon_height[near], settings, notes)
+    world = world_from_geodetic(gnss.lat_lon_height, origin)
+    if gnss.names:
+        position, sigma, heading = _by_image(frames, gnss, world, path, notes)
+    else:
+        position, sigma, heading = at_times(gnss, world, priors.time_s, settings.max_gap_s)
+    there = np.isfinite(position[:, 0])
+    if not there.any():
+        raise InputError(
+            f"{path}: no frame lies within {settings.max_gap_s:g} s of its rows: raise scan.max_gap_s?"
+            f"{_clock(gnss, priors.time_s)}"
+        )
+    if not there.all():
+        hint = _clock(gnss, priors.time_s) if there.mean() < 0.5 else ""
+        notes.append(
+            f"{path.name}: {(~there).sum()} of {len(there)} frames have no position (gaps over {settings.max_gap_s:g} "
+            f"s, or outside the file){hint}"
+        )
+    default = settings.gnss_sigma_m * np.array([1.0, 1.0, VERTICAL_FACTOR])
+    if np.isnan(sigma[there]).any():
+        notes.append(
+            f"{path.name}: accuracy not given; {default[0]:g} m horizontal and {default[2]:g} m vertical assumed"
+        )
+    sigma = np.where(there[:, None], np.where(np.isnan(sigma), default, sigma), np.nan)
+    pose = rigid(_rotations(frames, heading), position)
+    pose[~there] = np.nan
+    return replace(priors, world_from_rig=pose, position_sigma_m=sigma, origin=origin, prior="gnss")
+
+
+def _origin(lat_lon_height: np.ndarray, settings: ScanSettings, notes: list[str]) -> Origin:
+    lat, lon, height = (float(v) for v in np.median(lat_lon_height, axis=0))
+    origin = make_origin(lat, lon, height, settings.crs)
+    if settings.crs.lower() != "auto" and (note := area_note(origin.crs, lat_lon_height)):
+        notes.append(note)
+    return origin
+
+
+def _overlap(gnss: Gnss, time_s: np.ndarray, path: Path, settings: ScanSettings) -> np.ndarray:
+    if np.isnan(time_s).all():
+        raise InputError(
+            f"{path}: its rows have times, but the frames have none (no EXIF, no times in the names). Give --times "
+            "with a table image,time, or a GNSS table with a column image"
+        )
+    first, last = np.nanmin(time_s) - settings.max_gap_s, np.nanmax(time_s) + settings.max_gap_s
+    near = (gnss.time_s >= first) & (gnss.time_s <= last)
+    if not near.any():
+        raise InputError(
+            f"{path}: times {gnss.time_s[0]:.2f} ... {gnss.time_s[-1]:.2f} s do not overlap the frames' "
+            f"{np.nanmin(time_s):.2f} ... {np.nanmax(time_s):.2f} s: other epoch, other time zone, or another survey? "
+            f"Give --times in the clock of the GNSS file{_clock(gnss, time_s)}"
+        )
+    return near
+
+
+def _clock(gnss: Gnss, time_s: np.ndarray) -> str:
+    """A hint if the times of the file lie about those of the frames once they are taken for another unit; else ""."""
+    if gnss.names:
+        return ""
+    first, last = np.nanmin(time_s), np.nanmax(time_s)
+    for factor, unit in _CLOCKS:
+        if gnss.time_s[0] * factor <= last and gnss.time_s[-1] * factor >= first and gnss.time_s[-1] > last:
+            return f"; its times look like {unit}: give seconds, or name the column time ({unit})"
+    return ""
+
+
+def _known(gnss: Gnss, frames: Frames, path: Path) -> Gnss:
+    """The rows of a file by image whose images are here. Raises InputError if there are none."""
+    lookup = frame_by_image(frames.rows, frames.names)
+    keep = np.array([plain_name(name) in lookup for name in gnss.names], bool)
+    if keep.all():
+        return gnss
+    first = int(np.flatnonzero(~keep)[0])
+    why = absent(gnss.names[first], frames.names)
+    if not keep.any():
+        raise InputError(
+            f"{path}: none of its images is here: {gnss.names[first]} (line {gnss.line[first]}) ...; {why}"
+        )
+    note = (
+        f"{path.name}: {(~keep).sum()} rows name images that are not here, such as {gnss.names[first]} "
+        f"(line {gnss.line[first]}); {why}"
+    )
+    return gnss.only(np.flatnonzero(keep), [*gnss.notes, note])
+
+
+def _by_image(
+    frames: Frames, gnss: Gnss, world: np.ndarray, path: Path, notes: list[str]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    lookup = frame_by_image(frames.rows, frames.names)
+    rows: dict[int, list[int]] = {}
+    for k, name in enumerate(gnss.names):
+        rows.setdefault(lookup[plain_name(name)], []).append(k)
+    count = len(frames.rows)
+    position, sigma, heading = np.full((count, 3), np.nan), np.full((count, 3), np.nan), np.full(count, np.nan)
+    apart = []
+    for frame, mine in rows.items():
+        position[frame] = np.median(world[mine], axis=0)
+        sigma[frame], heading[frame] = gnss.sigma_m[mine[0]], gnss.heading_deg[mine[0]]
+        wide = float(np.ptp(world[mine], axis=0).max())
+        if wide > _APART_M:
+            apart.append((wide, mine))
+    if apart:
+        wide, mine = max(apart)
+        notes.append(
+            f"{path.name}, line {gnss.line[mine[-1]]}: {gnss.names[mine[-1]]} lies {wide:.1f} m from "
+            f"{gnss.names[mine[0]]} of the same frame, as in {len(apart)} frames; their median is taken: do these "
+            "images belong together?"
+        )
+    return position, sigma, heading
+
+
+def _rotations(frames: Frames, heading_deg: np.ndarray) -> np.ndarray:
+    """(F, 3, 3) world_from_rig of a level body with a heading; NaN without one."""
+    out = np.full((len(heading_deg), 3, 3), np.nan)
+    for k in np.flatnonzero(np.isfinite(heading_deg)):
+        h = np.radians(heading_deg[k])
+        right_down_forward = np.array([[np.cos(h), 0, np.sin(h)], [-np.sin(h), 0, np.cos(h)], [0, -1, 0]])
+        rig_from_body, axes = body_of(frames.specs[frames.rows[k].rig])
+        out[k] = right_down_forward @ AXES[axes] @ rig_from_body[:3, :3].T
+    return out
+
+
+def body_of(spec: RigSpec | None) -> tuple[np.ndarray, str]:
+    """rig_from_body (4, 4) and the axes of a rig's body; those of its first camera where the rig names no body."""
+    pose = None if spec is None else spec.rig_from_body()
+    return (np.eye(4), "camera") if spec is None or pose is None else (pose, spec.axes)
+
+
+def from_exif(priors: Priors, frames: Frames, settings: ScanSettings, notes: list[str]) -> Priors:
+    """Priors with the positions that cameras wrote into their files; those far from all others are not used.
+
+    Raises InputError if the CRS of the settings does not fit the positions.
+    """
+    _say_doubts(frames, notes)
+    llh, given = _exif_positions(frames, notes)
+    found = [[i for i in row.images if np.isfinite(llh[i, 0])] for row in frames.rows]
+    there = np.array([bool(f) for f in found])
+    if there.sum() < 2:
+        if there.any():
+            notes.append(f"EXIF: 1 of {len(there)} frames has a position, which places nothing: not used")
+        return priors
+    places = np.full((len(found), 3), np.nan)
+    sigma = np.full((len(found), 3), np.nan)
+    for k in np.flatnonzero(there):
+        places[k] = np.mean(llh[found[k]], axis=0)
+        flat = given[found[k][0]] if np.isfinite(given[found[k][0]]) else settings.gnss_sigma_m
+        sigma[k] = flat, flat, VERTICAL_FACTOR * flat
+    low = there & np.isnan(places[:, 2])
+    if low.any():
+        places[low, 2] = np.nanmedian(places[:, 2]) if (there & ~low).any() else 0.0
+        sigma[low, 2] = _UNKNOWN_HEIGHT_SIGMA_M
+        notes.append(f"EXIF: {low.sum()} positions have no height")
+    if stuck := stuck_note(places[there], "EXIF"):
+        notes.append(stuck)
+    origin = _origin(places[there], settings, notes)
+    pose = np.full((len(found), 4, 4), np.nan)
+    pose[there, :3, 3] = world_from_geodetic(places[there], origin)
+    pose[there, 3] = 0.0, 0.0, 0.0, 1.0
+    notes.append(
+        f"positions of {there.sum()} of {len(there)} frames from EXIF; its heights are usually above sea level and are "
+        "taken as they are"
+    )
+    return replace(priors, world_from_rig=pose, position_sigma_m=sigma, origin=origin, prior="exif")
+
+
+def _say_doubts(frames: Frames, notes: list[str]) -> None:
+    """One note for the images whose EXIF positions are left out, and one for those that are used though doubtful."""
+    for used in (False, True):
+        rows = [k for k, e in enumerate(frames.exif) if e.doubt and np.isfinite(e.lat_deg) == used]
+        if rows:
+            what = "used all the same" if used else "not used"
+            notes.append(
+                f"EXIF of {frames.names[rows[0]]}: {frames.exif[rows[0]].doubt}: {what}, as in {len(rows)} of "
+                f"{len(frames.exif)} images; mend it in the files (exiftool), or give --gnss with a column image"
+            )
+
+
+def _exif_positions(frames: Frames, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Lat, lon, height (N, 3) of the images and their sigmas (N,) in metres; NaN = none, or far from all others."""
+    llh = np.array([[e.lat_deg, e.lon_deg, e.height_m] for e in frames.exif], float).reshape(-1, 3)
+    known = np.flatnonzero(np.isfinite(llh[:, 0]))
+    level = np.nan_to_num(llh[known])  # an unknown height serves as zero here: a mountain is no gap of kilometres
+    far, note = far_rows(level, [f"EXIF of {frames.names[k]}" for k in known])
+    if note:
+        notes.append(note)
+    llh[known[far]] = np.nan
+    return llh, np.array([e.position_sigma_m for e in frames.exif], float)
