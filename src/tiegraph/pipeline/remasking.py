@@ -29,6 +29,7 @@ from tiegraph.pipeline.world import world_unit
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
 from tiegraph.scene.atomic import replacing
+from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.world.gravity import up_vector
 
@@ -66,7 +67,7 @@ def _known(run: Run, scene: Scene) -> tuple[dict[str, Known], tuple[str, ...]]:
     """What the model knows of each registered image, with what is to be said of it."""
     if not any(classes_path(run.folder, n).exists() for n in scene.names):
         return {}, ("the first masks do not say what is sky and water: they are the final ones",)
-    model = pycolmap.Reconstruction(str(run.path("sparse", "world")))
+    model = read_model(run.path("sparse", "world"))
     points = np.array([p.xyz for p in model.points3D.values() if p.track.length() >= _LEAST_TRACK]).reshape(-1, 3)
     seen = _seen(run, model, points)
     lines, notes = _lines(run, scene, model, points)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 
-import pycolmap
-
 from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.evaluate.survey import evaluate_survey
 from tiegraph.masks.compare import compare
@@ -15,13 +13,14 @@ from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome
 from tiegraph.report.html import write_report
 from tiegraph.scene.cloudfile import read_cloud
+from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.scene import Scene
 
 
 def evaluate(run: Run) -> Outcome:
     """Figures of merit of the masks, the model and the cloud, against references where they are given."""
     scene, settings = checked(run), run.settings.evaluate
-    model = pycolmap.Reconstruction(str(run.path("sparse", "world")))
+    model = read_model(run.path("sparse", "world"))
     origin = world_origin(run)
     cloud = read_cloud(run.path("cloud.laz"), origin)
     placed = json.loads(run.path("world.json").read_text())["placed"]

@@ -10,7 +10,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import pycolmap
 
 from tiegraph.cloud.fuse import Maps, fuse
 from tiegraph.dense.depth import confirmed_map, depth_map
@@ -27,6 +26,7 @@ from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, remove
 from tiegraph.scene.atomic import same_file
 from tiegraph.scene.cloudfile import write_cloud
+from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.copc import write_copc
 from tiegraph.scene.depthfile import load_depth, save_depth
 from tiegraph.scene.results import Cloud, DepthMap
@@ -65,7 +65,7 @@ def dense(run: Run) -> Outcome:
 
 
 def _plan(run: Run) -> Any:
-    return plan_images(pycolmap.Reconstruction(str(run.path("sparse", "world"))), run.settings.dense)
+    return plan_images(read_model(run.path("sparse", "world")), run.settings.dense)
 
 
 def _volumes(plans: dict[str, ImagePlan], settings: DenseSettings) -> str:
@@ -105,7 +105,7 @@ def hand_over(run: Run, target: Path) -> int:
         path = depth_path(run.folder, name)
         return load_depth(path) if path.exists() else None
 
-    model = pycolmap.Reconstruction(str(run.path("sparse", "world")))
+    model = read_model(run.path("sparse", "world"))
     return write_workspace(target, model, run.path("images"), load, run.settings.dense)
 
 

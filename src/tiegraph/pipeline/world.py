@@ -13,6 +13,7 @@ from tiegraph.geometry.geodesy import Origin, world_from_geodetic
 from tiegraph.pipeline.files import checked
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome, remove
+from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.control import Control, locate
 from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.gnss import read_gnss
@@ -40,7 +41,7 @@ def georef(run: Run) -> Outcome:
     held = Held(rigs, believed_cameras(scene, sparse), soft)
     request = GroundRequest(folders[0], scratch, scene.to_json(), run.settings.georef, given, held)
     main = run_in_child(ground, request, log=run.log, task="georeferencing")
-    others = [pycolmap.Reconstruction(str(p)) for p in folders[1:]]
+    others = [read_model(p) for p in folders[1:]]
     placed = georeference_all(others, scene, run.settings.georef, given)
     notes = [*main.notes, *(_other_note(k + 1, m, g) for k, (m, g) in enumerate(zip(others, placed)))]
     world = main.to_dict()

@@ -16,8 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from tiegraph import __version__
+from tiegraph.child import end_helpers
 from tiegraph.errors import InputError, TiegraphError
-from tiegraph.project.pool import map_items, open_pool
+from tiegraph.project.pool import check_pool, map_items, open_pool
 from tiegraph.project.progress import Meter, Reporter
 from tiegraph.project.stages import Receipts, Stage, digest, stage_keys, stamp, write_atomic
 
@@ -64,6 +65,7 @@ class Run:
         self.settings = settings
         self.reporter = reporter or Reporter("quiet")
         self.receipts = Receipts(folder)
+        check_pool(pool)
         self._pool_spec = pool
         self._executor: Executor | None = None
         self._workers = 1
@@ -123,6 +125,9 @@ def run_stages(stages: Sequence[Stage], run: Run, until: str | None = None) -> l
                     continue
                 _run_one(stage, keys[stage.name], run)
                 ran.append(stage.name)
+        except KeyboardInterrupt:
+            end_helpers()  # idle workers would take seconds to leave in good order
+            raise
         finally:
             run.close()
     return ran

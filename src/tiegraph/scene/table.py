@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.errors import InputError
+from tiegraph.scene.regular import regular
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ def read_table(path: Path, purpose: str) -> Table:
     Raises InputError if the file cannot be read, is empty or has no header.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8-sig", errors="replace")
+        text = regular(path).read_text(encoding="utf-8-sig", errors="replace")
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give the {purpose} as a CSV file") from None
     lines = [(k + 1, line.strip()) for k, line in enumerate(text.splitlines()) if line.strip()]
