@@ -19,6 +19,7 @@ from tiegraph.project.run import Inputs, Run, run_stages, status
 from tiegraph.project.settings import Settings
 from tiegraph.project.stages import Stage
 from tiegraph.scene.cloudfile import read_cloud
+from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.scene import Scene
@@ -106,9 +107,7 @@ class Project:
 
     def model(self) -> Any:
         """The georeferenced model, a ``pycolmap.Reconstruction``."""
-        import pycolmap
-
-        return pycolmap.Reconstruction(str(self._needed("sparse/world", "georef")))
+        return read_model(self._needed("sparse/world", "georef"))
 
     def cloud(self) -> Cloud:
         """The dense cloud."""

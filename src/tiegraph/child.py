@@ -1,22 +1,129 @@
-"""pycolmap calls in a child process: an abort of the native library becomes an error message, not the end of the run.
+"""Processes of a run, and pycolmap calls in one: an abort of the native library becomes an error message.
 
 COLMAP's worker threads end the interpreter when they meet an error (std::terminate); nothing in Python can catch that.
+A run's processes (``Helper``: pool workers and children) leave the decision to stop to the process that started them:
+they hear no signal of a terminal, end with it whatever ends it, and are ended by SIGKILL, for pycolmap's own handler of
+SIGTERM can hang. They write every file whole or not at all, so that nothing is lost by it.
 """
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import signal
+import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from multiprocessing import resource_tracker
+from multiprocessing.connection import wait
+from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
 from typing import Any
 
-from tiegraph.errors import ReconstructionError, TiegraphError
+from tiegraph.errors import ProcessLost, ReconstructionError, TiegraphError
 
 _TAIL_LINES = 12
 _STACK_TRACE = ("@ ", "PC: @", "***")
+_PATIENCE_S = 10.0  # for a process to end that has nothing left to do
+STOPPING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+_OUTSIDE = ("SIGKILL", "SIGTERM", "SIGINT", "SIGHUP", "SIGXCPU")  # no library ends its own process by these
+_NO_WARNING = "ignore:resource_tracker"
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+_LOOKING = threading.Lock()  # two threads at once: one of them would not learn how a process ended
+
+
+class Helper(SpawnProcess):
+    """A process of a run; see the module."""
+
+    ended = False  # by us
+
+    @property
+    def exitcode(self) -> int | None:
+        """None while it runs."""
+        with _LOOKING:
+            return super().exitcode
+
+    def start(self) -> None:
+        """Start it deaf to the signals that stop a run: a terminal sends them to every process at once."""
+        with _deaf():
+            super().start()
+
+    def run(self) -> None:
+        """What the process does (in itself)."""
+        die_with_parent()
+        super().run()
+
+    def kill(self) -> None:
+        """End it at once."""
+        # A process closes its end of the sentinel before its exit code can be had.
+        self.ended = self.ended or not wait([self.sentinel], 0)
+        super().kill()
+
+    terminate = kill
+
+    def wait(self) -> None:
+        """Wait until it has ended, and end it if it does not."""
+        self.join(_PATIENCE_S)
+        if self.exitcode is None:
+            self.kill()
+            self.join(_PATIENCE_S)  # not for ever: a process within a dead network drive does not even die
+
+
+class Helpers(SpawnContext):
+    """A multiprocessing context whose processes are helpers; it remembers those it made."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.made: list[Helper] = []
+        with _deaf():  # multiprocessing's own helper too, which its queues and locks start
+            pass
+
+    def Process(self, *args: Any, **kwargs: Any) -> Helper:  # type: ignore[override]
+        """A helper, not started."""
+        self.made.append(Helper(*args, **kwargs))
+        return self.made[-1]
+
+    def end(self) -> None:
+        """End them all at once."""
+        for process in self.made:
+            if process.pid is not None:
+                process.kill()
+        for process in self.made:
+            if process.pid is not None:
+                process.wait()
+
+    def lost(self) -> list[int]:
+        """Exit codes (negative: signals) of those that ended without being asked to."""
+        codes = [p.exitcode for p in self.made if p.pid is not None and not p.ended]
+        return [code for code in codes if code]
+
+
+@contextlib.contextmanager
+def _deaf() -> Iterator[None]:
+    """A process started meanwhile inherits that the stopping signals are blocked; here they come afterwards."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPPING)
+    try:
+        # It would warn of "leaked semaphores" after a run that was ended at once
+        sys.warnoptions.append(_NO_WARNING)
+        try:
+            resource_tracker.ensure_running()
+        finally:
+            sys.warnoptions.remove(_NO_WARNING)
+        signal.pthread_sigmask(signal.SIG_BLOCK, STOPPING)  # again: Python before 3.12 unblocks in there
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def end_helpers() -> None:
+    """End every helper of this process at once."""
+    for process in multiprocessing.active_children():
+        if isinstance(process, Helper):
+            process.kill()
 
 
 def die_with_parent() -> None:
@@ -30,6 +137,28 @@ def die_with_parent() -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True, name="die-with-parent").start()
+    if sys.platform == "linux":  # also while native code keeps the thread above from running
+        import ctypes
+
+        # Sent when the thread that started this process ends: it waits for its helpers, so it ends with its process.
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL), 0, 0, 0)
+        if os.getppid() != parent.pid:  # gone before that
+            os._exit(1)
+
+
+def how_ended(code: int | None) -> str:
+    """An exit code in words."""
+    if code is None or code >= 0:
+        return f"exit code {code}"
+    try:
+        return f"signal {signal.Signals(-code).name}"
+    except ValueError:
+        return f"signal {-code}"
+
+
+def from_outside(code: int | None) -> bool:
+    """Whether an exit code says that the process was ended by somebody else: a person, or the system."""
+    return how_ended(code).removeprefix("signal ") in _OUTSIDE
 
 
 def run_in_child(
@@ -43,35 +172,36 @@ def run_in_child(
 
     ``function`` must be importable (module level); it may call ``send(message)`` for progress, handed to ``on_message``
     in this process. What the child prints goes to the end of ``log``. Raises ReconstructionError with the last lines
-    of the log if the child aborts, and re-raises what ``function`` raised.
+    of the log if the child aborts, ProcessLost if it was ended from outside, and re-raises what ``function`` raised.
+    Whatever ends the call ends the child.
     """
-    context = multiprocessing.get_context("spawn")
+    context = Helpers()
     receiver, sender = context.Pipe(duplex=False)
     log.parent.mkdir(parents=True, exist_ok=True)
     process = context.Process(target=_child_main, args=(sender, str(log), function, args), daemon=False)
-    process.start()
-    sender.close()
     try:
+        process.start()
+        sender.close()
         outcome = _receive(receiver, on_message)
+        process.wait()
     except BaseException:
-        process.terminate()
+        context.end()
         raise
     finally:
         receiver.close()
-        process.join()
     if outcome is None:
-        raise ReconstructionError(_abort_text(task or function.__name__, process.exitcode, log))
+        _explain_end(task or function.__name__, process.exitcode, log)
     kind, value = outcome
     if kind == "error":
         raise value
     return value
 
 
-def _receive(receiver: Any, on_message: Callable[[Any], None] | None) -> tuple[str, Any] | None:
+def _receive(receiver: Any, on_message: Callable[[Any], None] | None) -> Any:
     while True:
         try:
             kind, value = receiver.recv()
-        except EOFError:
+        except (EOFError, OSError):  # OSError: it ended within a message
             return None
         if kind != "message":
             return kind, value
@@ -80,7 +210,6 @@ def _receive(receiver: Any, on_message: Callable[[Any], None] | None) -> tuple[s
 
 
 def _child_main(sender: Any, log: str, function: Callable[..., Any], args: tuple) -> None:
-    die_with_parent()
     descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
     os.dup2(descriptor, 1)
     os.dup2(descriptor, 2)
@@ -94,11 +223,16 @@ def _child_main(sender: Any, log: str, function: Callable[..., Any], args: tuple
         )
 
 
-def _abort_text(task: str, exitcode: int | None, log: Path) -> str:
-    how = f"exit code {exitcode}"
-    if exitcode is not None and exitcode < 0:
-        how = f"signal {signal.Signals(-exitcode).name}"
+def _explain_end(task: str, exitcode: int | None, log: Path) -> None:
+    how = how_ended(exitcode)
+    if from_outside(exitcode):
+        raise ProcessLost(
+            f"{task}: its process was ended from outside ({how}): if not by you, most likely by the system for lack of "
+            "memory; finished work is kept, run the same command again"
+        )
     text = log.read_text(errors="replace") if log.exists() else ""
     # glog ends with a stack trace of the library, which would push the message out of the tail.
     lines = [line for line in text.splitlines() if not line.lstrip().startswith(_STACK_TRACE)][-_TAIL_LINES:]
-    return f"{task}: the native library ended its process ({how}). Last lines of {log}:\n  " + "\n  ".join(lines)
+    raise ReconstructionError(
+        f"{task}: the native library ended its process ({how}). Last lines of {log}:\n  " + "\n  ".join(lines)
+    )

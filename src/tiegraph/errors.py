@@ -30,6 +30,10 @@ class ReconstructionError(TiegraphError, RuntimeError):
     """The images were readable, but no model could be made of them."""
 
 
+class ProcessLost(TiegraphError, RuntimeError):
+    """A process of the run was ended from outside: by a person, or by the system for lack of memory."""
+
+
 class EngineMissing(TiegraphError, ImportError):
     """A chosen engine is not installed or has no such name."""
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
 from collections.abc import Callable, Sequence
 
 from tiegraph import __version__
+from tiegraph.cli.stopping import hear, say_stopped, stoppable
 from tiegraph.errors import EngineMissing, InputError, SettingsError, TiegraphError
 
 DONE, FAILED, MISUSE = 0, 1, 2
@@ -49,6 +51,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments[0] in ("-V", "--version", "version"):
         sys.stdout.write(f"tiegraph {__version__}\n")
         return DONE
+    with stoppable(for_good=argv is None):
+        return _answered(arguments, argv is None)
+
+
+def _answered(arguments: list[str], for_good: bool) -> int:
     try:
         return _dispatch(arguments)
     except (InputError, SettingsError, EngineMissing) as error:
@@ -56,7 +63,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except TiegraphError as error:
         return _fail(error, FAILED)
     except KeyboardInterrupt:
-        return _fail("stopped; finished work is kept: run the same command again to go on", FAILED)
+        say_stopped()
+        if for_good:  # nothing is left that could keep the process, or print
+            os._exit(FAILED)
+        return FAILED
     except BrokenPipeError:  # `tiegraph ... | head`
         sys.stderr.close()
         return DONE
@@ -69,6 +79,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _dispatch(arguments: list[str]) -> int:
     table = verbs()
+    hear()
     verb = arguments[0]
     if verb not in table:
         import difflib

@@ -14,7 +14,9 @@ from tiegraph.evaluate.trajectory import PoseMatch
 from tiegraph.geometry import geodesy, transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.geometry.geodesy import Origin
+from tiegraph.scene.cloudfile import read_cloud, refuse_cut_las
 from tiegraph.scene.colmapmodel import is_model, read_model
+from tiegraph.scene.regular import regular
 from tiegraph.scene.scene import Scene
 
 _MAX_GAP_S = 2.0  # a reference with a gap wider than this is not interpolated across it
@@ -95,7 +97,7 @@ def _read_colmap(folder: Path) -> dict[str, np.ndarray]:
 def read_tum(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """time_s (T,) and world_from_body (T, 4, 4) of a TUM file (time tx ty tz qx qy qz qw), sorted by time."""
     rows = []
-    for number, line in enumerate(path.read_text().splitlines(), 1):
+    for number, line in enumerate(_text(path).splitlines(), 1):
         text = line.split("#")[0].replace(",", " ").split()
         if not text:
             continue
@@ -111,6 +113,13 @@ def read_tum(path: Path) -> tuple[np.ndarray, np.ndarray]:
     table = np.array(sorted(rows))
     wxyz = np.roll(table[:, 4:], 1, axis=1)
     return table[:, 0], transforms.from_quaternion_wxyz(wxyz, table[:, 1:4])
+
+
+def _text(path: Path) -> str:
+    try:
+        return regular(path).read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read as text ({error}); give a TUM file") from None
 
 
 def match_poses(reference: ReferencePoses, model: ModelPoses, scene: Scene) -> tuple[PoseMatch, str]:
@@ -246,6 +255,7 @@ def read_points(path: Path, most: int = 20_000_000) -> tuple[np.ndarray, str | N
     if not path.exists():
         raise InputError(f"{path}: no such point cloud; give a .laz, .las or .ply file")
     try:
+        regular(path, None)
         if path.suffix.lower() == ".ply":
             return _read_ply(path, most), None
         return _read_las(path, most)
@@ -256,6 +266,7 @@ def read_points(path: Path, most: int = 20_000_000) -> tuple[np.ndarray, str | N
 
 
 def _read_las(path: Path, most: int) -> tuple[np.ndarray, str | None]:
+    refuse_cut_las(path)
     with laspy.open(path) as reader:
         step = -(-reader.header.point_count // most)
         crs = reader.header.parse_crs()
@@ -269,7 +280,5 @@ def _read_las(path: Path, most: int) -> tuple[np.ndarray, str | None]:
 
 
 def _read_ply(path: Path, most: int) -> np.ndarray:
-    from tiegraph.scene.cloudfile import read_cloud
-
     xyz = read_cloud(path).xyz_m
     return np.asarray(xyz)[:: max(1, -(-len(xyz) // most))]

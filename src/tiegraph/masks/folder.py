@@ -10,6 +10,7 @@ from PIL import Image
 
 from tiegraph.errors import InputError
 from tiegraph.scene.images import IMAGES_FOLDER, decode_deep, open_image
+from tiegraph.scene.regular import regular
 
 _LISTED = 5  # missing masks named in an error
 _TWO_LEVELS = ({0, 255}, {0, 1})
@@ -95,7 +96,7 @@ def read_labels(path: Path) -> np.ndarray:
 
 def _read_values(path: Path, labels: bool) -> np.ndarray:
     try:
-        data = Path(path).read_bytes()
+        data = regular(path).read_bytes()
         image = open_image(data)
         if image.mode.startswith("I"):  # 16 bits, which PIL does not convert
             values = decode_deep(data)

@@ -11,6 +11,7 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.scene.images import open_image
+from tiegraph.scene.regular import regular
 
 WORK_PX = 640
 """Longer side, in pixels, at which masks are computed; all pixel sizes of this package refer to it."""
@@ -64,7 +65,7 @@ _REDUCED = ((8, cv2.IMREAD_REDUCED_COLOR_8), (4, cv2.IMREAD_REDUCED_COLOR_4), (2
 
 def _bytes(path: Path) -> bytes:
     try:
-        return Path(path).read_bytes()
+        return regular(path).read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
 

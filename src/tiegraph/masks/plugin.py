@@ -13,6 +13,7 @@ import numpy as np
 
 from tiegraph.errors import EngineMissing, InputError
 from tiegraph.masks.classes import NAMES, USE
+from tiegraph.scene.regular import regular
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -40,7 +41,7 @@ def read_model(path: Path) -> Model:
     InputError naming what is wrong.
     """
     try:
-        data = tomllib.loads(Path(path).read_text())
+        data = tomllib.loads(regular(path).read_text())
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

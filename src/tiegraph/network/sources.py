@@ -23,6 +23,7 @@ from tiegraph.network.poses.check import checked_pose_pairs
 from tiegraph.network.rig.axes import allowed_within
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.scene.pairs import REASONS, Pairs
+from tiegraph.scene.regular import regular
 from tiegraph.scene.scene import Scene
 
 FEW_PHOTOS = 30  # loose photographs that are all compared with one another: 435 pairs
@@ -114,7 +115,7 @@ def read_pair_list(path: Path, scene: Scene) -> tuple[Pairs, tuple[str, ...]]:
     file, or a file without pairs.
     """
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = regular(path).read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read as a pair list: {error}") from error
     rows: list[tuple[int, int]] = []

@@ -13,10 +13,10 @@ from tiegraph.pipeline.files import load_npz, read_image, read_mask, reading, sa
 from tiegraph.pipeline.world import control_points
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
-from tiegraph.scan.scan import ScanInputs, build_scene, find_images, prepare_image, probe_image
+from tiegraph.scan.scan import ScanInputs, build_scene, prepare_image, probe_image
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.video import find_videos, picture_folders, take_pictures
-from tiegraph.scene.images import has_images
+from tiegraph.scene.images import has_images, search_images
 from tiegraph.scene.rig import Sensor
 
 
@@ -24,7 +24,8 @@ def scan(run: Run) -> Outcome:
     """Open every image once, sort them into rigs, frames and passes, and lay the usable ones below images/."""
     given = run.inputs
     root, said = _photographs(run)
-    names = find_images(root)
+    found = search_images(root)
+    names = list(found.names)
     run.reporter.total(2 * len(names))
     probes = run.map(probe_image, [root / n for n in names])
     inputs = ScanInputs(root, given.rig, given.gnss, given.trajectory, given.times)
@@ -39,7 +40,7 @@ def scan(run: Run) -> Outcome:
     return Outcome(
         {**counts, "cameras": len(scene.all_sensors), "positions": _placed(scene.world_from_rig)},
         dropped=tuple((d.name, d.reason) for d in scene.dropped),
-        notes=(*said, *scene.notes),
+        notes=(*said, *found.notes, *scene.notes),
     )
 
 

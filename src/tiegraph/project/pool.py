@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
-from tiegraph.child import die_with_parent
-from tiegraph.errors import EngineMissing, SettingsError, TiegraphError
+from tiegraph.child import Helpers, from_outside, how_ended
+from tiegraph.errors import EngineMissing, ProcessLost, SettingsError
 
 _TASKS_PER_WORKER = 8  # enough to balance the load, few enough that a task takes about a second
+_LOOK_S = 2.0  # between two looks whether the workers live
+_MOST_PER_CORE, _MOST = 4, 64  # workers: more is a slip of the keyboard; on a small machine this many are let pass
 
 
 class SerialExecutor(Executor):
@@ -23,36 +25,58 @@ class SerialExecutor(Executor):
         future: Future = Future()
         try:
             future.set_result(fn(*args, **kwargs))
-        except BaseException as error:
+        except Exception as error:  # Ctrl-C ends the call itself
             future.set_exception(error)
         return future
+
+
+class LocalPool(ProcessPoolExecutor):
+    """Processes of this machine that leave it to this process to stop them."""
+
+    def __init__(self, workers: int, threads: int) -> None:
+        self.helpers = Helpers()
+        super().__init__(workers, mp_context=self.helpers, initializer=_start_worker, initargs=(threads,))
+
+    def end(self) -> None:
+        """End the workers at once, in the middle of what they do."""
+        self.helpers.end()
+
+
+def check_pool(spec: str) -> tuple[str, str]:
+    """(name, argument) of ``serial``, ``local``, ``local:<n>`` or ``dask:<address>``, without starting anything.
+
+    Raises SettingsError for another name, a number that is none, or far more workers than the machine has cores.
+    """
+    name, colon, argument = spec.partition(":")
+    if name not in ("serial", "local", "dask"):
+        raise SettingsError(f"unknown pool {spec!r}: give serial, local, local:<workers> or dask:<address>")
+    if name == "serial" and colon:
+        raise SettingsError(f"pool {spec!r}: serial takes no number; give serial, or local:<workers>")
+    if name == "local" and argument:
+        if not (argument.isascii() and argument.isdigit() and argument.strip("0")):
+            raise SettingsError(f"pool {spec!r}: the number of workers must be a positive whole number")
+        cores, most = _cores(), max(_MOST, _MOST_PER_CORE * _cores())
+        if len(argument) > 9 or int(argument) > most:
+            raise SettingsError(f"pool {spec!r}: this machine has {cores} cores; give local, or at most local:{most}")
+    return name, argument
 
 
 def open_pool(spec: str, workers: int | None = None) -> tuple[Executor, int]:
     """(executor, number of workers) of ``serial``, ``local``, ``local:<n>`` or ``dask:<address>``.
 
-    Raises SettingsError for another name, EngineMissing when Dask is asked for and not installed.
+    Raises SettingsError as ``check_pool``, EngineMissing when Dask is asked for and not installed.
     """
-    name, _, argument = spec.partition(":")
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    name, argument = check_pool(spec)
     if name == "serial":
         return SerialExecutor(), 1
     if name == "local":
-        count = workers or _count(argument, spec) or cores
-        context = multiprocessing.get_context("spawn")
-        threads = max(1, cores // count)
-        return ProcessPoolExecutor(count, mp_context=context, initializer=_start_worker, initargs=(threads,)), count
-    if name == "dask":
-        return _dask(argument)
-    raise SettingsError(f"unknown pool {spec!r}: give serial, local, local:<workers> or dask:<address>")
+        count = workers or int(argument or _cores())
+        return LocalPool(count, threads=max(1, _cores() // count)), count
+    return _dask(argument)
 
 
-def _count(argument: str, spec: str) -> int | None:
-    if not argument:
-        return None
-    if argument.isdigit() and int(argument) > 0:
-        return int(argument)
-    raise SettingsError(f"pool {spec!r}: the number of workers must be a positive whole number")
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _dask(address: str) -> tuple[Executor, int]:
@@ -67,7 +91,6 @@ def _dask(address: str) -> tuple[Executor, int]:
 
 
 def _start_worker(threads: int) -> None:
-    die_with_parent()
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[variable] = str(threads)
     import cv2
@@ -86,27 +109,74 @@ def map_items(
     """``[function(item, *args) for item in items]`` in chunks over the executor, results in the order of the items.
 
     ``function`` must be at module level. The first error of an item is raised once the running chunks have ended; what
-    other items wrote stays.
+    other items wrote stays. Raises ProcessLost if a worker was ended from outside. Ctrl-C ends the workers at once.
     """
     size = max(1, -(-len(items) // (workers * _TASKS_PER_WORKER)))
     chunks = [items[k : k + size] for k in range(0, len(items), size)]
-    futures = {executor.submit(_run_chunk, function, chunk, args): k for k, chunk in enumerate(chunks)}
+    futures: dict[Future, int] = {}
     results: list[list[Any]] = [[] for _ in chunks]
     try:
-        for future in as_completed(futures):
+        for k, chunk in enumerate(chunks):
+            futures[executor.submit(_run_chunk, function, chunk, args)] = k
+        for future in _finished(executor, futures):
             k = futures[future]
             results[k] = future.result()
             if on_done is not None:
                 on_done(len(chunks[k]))
-    except BrokenProcessPool:
-        raise TiegraphError(
-            "a worker process was ended from outside, most likely for lack of memory: "
-            "run again with --pool serial or fewer workers (--pool local:1); finished work is kept"
-        ) from None
-    finally:
+    except BrokenProcessPool as error:
+        raise ProcessLost(_why_lost(executor, error)) from None
+    except Exception:
         for future in futures:
             future.cancel()
+        raise
+    except BaseException:  # Ctrl-C
+        if isinstance(executor, LocalPool):
+            executor.end()
+        else:
+            for future in futures:
+                future.cancel()
+        raise
     return [r for chunk in results for r in chunk]
+
+
+def _finished(executor: Executor, futures: dict[Future, int]) -> Iterator[Future]:
+    """The futures as they end. Raises BrokenProcessPool for workers that were lost unnoticed.
+
+    The executor itself waits for ever for a worker that was ended while it sent its result.
+    """
+    waiting, seen = set(futures), False
+    while waiting:
+        done, waiting = wait(waiting, timeout=_LOOK_S, return_when=FIRST_COMPLETED)
+        yield from done
+        lost = not done and isinstance(executor, LocalPool) and executor.helpers.lost()
+        if lost and seen:
+            assert isinstance(executor, LocalPool)
+            executor.end()
+            raise BrokenProcessPool("a worker has gone")
+        seen = bool(lost)
+
+
+def _why_lost(executor: Executor, error: BrokenProcessPool) -> str:
+    codes: list[int] = []
+    for _ in range(20):  # the executor's own thread may be about to learn it
+        codes = executor.helpers.lost() if isinstance(executor, LocalPool) else []
+        if codes:
+            break
+        time.sleep(0.1)
+    else:
+        return (
+            f"the worker processes can no longer be used ({error}); finished work is kept, run the same command again"
+        )
+    how = " and ".join(sorted({how_ended(code) for code in codes}))
+    if any(from_outside(code) for code in codes):
+        return (
+            f"a worker process was ended from outside ({how}): if not by you, most likely by the system for lack of "
+            "memory; run again with --pool serial or fewer workers (--pool local:1); finished work is kept"
+        )
+    return (
+        f"a worker process ended by itself ({how}), most likely a fault in a native library: run the same command "
+        "again, finished work is kept; with --pool serial it shows which item does it"
+    )
 
 
 def _run_chunk(function: Callable[..., Any], chunk: Sequence[Any], args: tuple) -> list[Any]:

@@ -15,10 +15,11 @@ from pathlib import Path
 from typing import Any
 
 from tiegraph import __version__
+from tiegraph.child import end_helpers
 from tiegraph.errors import InputError, SettingsError, TiegraphError, UnreadableArtefact
 from tiegraph.project.artefacts import Artefacts
 from tiegraph.project.folder import LOG, check_folder, check_inputs, working_in
-from tiegraph.project.pool import map_items, open_pool
+from tiegraph.project.pool import check_pool, map_items, open_pool
 from tiegraph.project.progress import Meter, Reporter
 from tiegraph.project.receipts import Receipts
 from tiegraph.project.stages import Stage, digest, stage_keys, stamp, write_atomic
@@ -74,6 +75,7 @@ class Run:
         self.settings = settings
         self.reporter = reporter or Reporter("quiet")
         self.receipts = Receipts(folder)
+        check_pool(pool)
         self._pool_spec = pool
         self._executor: Executor | None = None
         self._workers = 1
@@ -162,6 +164,9 @@ def run_stages(
         except (InputError, SettingsError):
             if not ran:
                 take_back()
+            raise
+        except KeyboardInterrupt:
+            end_helpers()  # idle workers would take seconds to leave in good order
             raise
         finally:
             run.close()

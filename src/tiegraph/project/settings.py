@@ -20,6 +20,7 @@ from tiegraph.masks.settings import MasksSettings, RemaskSettings
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.report.settings import ReportSettings
 from tiegraph.scan.settings import ScanSettings
+from tiegraph.scene.regular import regular
 from tiegraph.settings import Section
 from tiegraph.sfm.settings import GeorefSettings, SparseSettings
 from tiegraph.verify.settings import VerifySettings
@@ -81,9 +82,11 @@ def read_file(path: Path) -> dict[str, Any]:
     if not path.exists():
         return {}
     try:
-        return tomllib.loads(path.read_text())
+        return tomllib.loads(regular(path).read_text())
     except tomllib.TOMLDecodeError as error:
         raise SettingsError(f"{path}: not valid TOML: {error}") from None
+    except OSError as error:
+        raise SettingsError(f"{path}: cannot be read ({error.strerror}); restore it or take it away") from None
 
 
 def parse(text: str) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.images import decode_deep, deep_png, open_image
 from tiegraph.scene.panorama import render_view
+from tiegraph.scene.regular import regular
 from tiegraph.scene.rig import Sensor, Source, camera_from_dict, camera_to_dict
 
 # Formats that OpenCV and COLMAP both read by themselves.
@@ -71,7 +72,7 @@ def _changed_pixels(
     if how.panorama:
         return _cropped(_view(path, how, sensor), how)
     try:
-        data = path.read_bytes()
+        data = regular(path).read_bytes()
         image = _opened(data)
         bend = settings.undistort and how.camera is not None and not how.camera.is_undistorted()
         if image is not None and not bend and not any(how.crop_px) and _plain(image, data, suffix):
@@ -104,7 +105,7 @@ def _view(path: Path, how: Source, sensor: Sensor) -> np.ndarray:
 @lru_cache(maxsize=1)  # its views are made one after another
 def _panorama(path: Path, bits: int) -> np.ndarray:
     try:
-        data = path.read_bytes()
+        data = regular(path).read_bytes()
         return _eight_bit(_opened(data), data, bits)
     except OSError as error:
         raise _gone(path, error) from None

@@ -50,6 +50,7 @@ import pycolmap
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import from_quaternion_wxyz, invert, rigid
 from tiegraph.scan.rigspec import AXES, RigSpec, SensorSpec, orient
+from tiegraph.scene.regular import regular
 from tiegraph.scene.rig import PAIR_KEYS, ROLES, SensorPair
 
 if sys.version_info >= (3, 11):
@@ -76,12 +77,12 @@ def read_rig_file(path: Path) -> tuple[RigSpec, ...]:
     Raises InputError with file, line and key for what is missing, unknown, misspelt or of the wrong kind.
     """
     path = Path(path)
-    if not path.is_file():
+    if not path.exists():
         raise InputError(
             f"--rig {path}: no such file, and no preset: ladybug5, ring:N, stereo, stereo:BASELINE, single, panorama"
         )
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = regular(path).read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read as text ({error})") from None
     if path.suffix.lower() == ".json":

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import angle_deg, quaternion_xyzw, rigid
 from tiegraph.scan.folders import words
+from tiegraph.scene.regular import regular
 from tiegraph.scene.results import Trajectory
 
 _TUM, _KITTI = 8, 12
@@ -25,7 +26,7 @@ def read_trajectory(path: Path) -> Trajectory:
     number of columns, text, or a quaternion or rotation that is none.
     """
     try:
-        lines = Path(path).read_text(encoding="utf-8-sig", errors="replace").splitlines()
+        lines = regular(path).read_text(encoding="utf-8-sig", errors="replace").splitlines()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give a TUM file: t x y z qx qy qz qw") from None
     rows = [(k + 1, line.replace(",", " ").split()) for k, line in enumerate(lines) if line.strip()]
@@ -95,9 +96,9 @@ def trajectory_files(path: Path, tracks: Sequence[str]) -> dict[int, Path]:
     not there, or if no file of the folder fits a pass.
     """
     path = Path(path)
-    if path.is_file():
+    if path.exists() and not path.is_dir():
         return {-1: path}
-    if not path.is_dir():
+    if not path.exists():
         raise InputError(f"--trajectory {path}: no such file or folder")
     files = sorted(f for f in path.iterdir() if f.suffix.lower() in _SUFFIXES and not f.name.startswith("."))
     tum = [f for f in files if f.suffix.lower() == ".tum"]

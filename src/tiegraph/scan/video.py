@@ -13,6 +13,7 @@ import numpy as np
 from tiegraph.scan.prepare import write_pixels
 from tiegraph.scene.atomic import claim
 from tiegraph.scene.images import files_below
+from tiegraph.scene.regular import regular
 
 SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".webm")
 _SMALL_PX = 480  # width at which sharpness is compared
@@ -37,6 +38,11 @@ def take_pictures(video: Path, folder: Path, per_second: float) -> str:
     """
     if folder.exists():
         return ""
+    try:
+        regular(video, None)
+    except OSError as error:
+        return f"{video.name} is no video: {error.strerror}"
+    os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "protocol_whitelist;file")  # a play list may name a server
     capture = cv2.VideoCapture(str(video))
     fps = float(capture.get(cv2.CAP_PROP_FPS)) if capture.isOpened() else 0.0
     partial = folder.with_name(f".{os.getpid()}-{folder.name}")

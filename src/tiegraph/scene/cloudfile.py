@@ -17,6 +17,7 @@ import pyproj
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import ENU, Origin, geodetic_from_world, parse_crs
 from tiegraph.scene.atomic import replacing
+from tiegraph.scene.regular import regular
 from tiegraph.scene.results import Cloud
 
 _SCALE_M = 0.001
@@ -60,6 +61,7 @@ def read_cloud(path: Path, origin: Origin | None = None) -> Cloud:
     if not path.exists():
         raise InputError(f"{path}: no such file")
     try:
+        regular(path, None)
         if path.suffix.lower() == ".ply":
             return _read_ply(path, origin)
         if path.suffix.lower() in (".las", ".laz"):
@@ -157,7 +159,19 @@ def las_points(cloud: Cloud, header: laspy.LasHeader) -> laspy.ScaleAwarePointRe
     return record
 
 
+def refuse_cut_las(path: Path) -> None:
+    """Raise InputError for a LAS file that is shorter than its header says (laspy reads what there is)."""
+    with laspy.open(path) as reader:
+        header = reader.header
+    there = path.stat().st_size - header.offset_to_point_data
+    if not header.are_points_compressed and header.point_count * header.point_format.size > there:
+        raise InputError(
+            f"{path} is cut short: its header says {header.point_count} points, and {there} bytes follow it"
+        )
+
+
 def _read_las(path: Path, origin: Origin | None) -> Cloud:
+    refuse_cut_las(path)
     las = laspy.read(path)
     xyz = np.stack([np.asarray(las.x), np.asarray(las.y), np.asarray(las.z)], axis=1).astype(float)
     names = set(las.point_format.dimension_names)
@@ -291,6 +305,10 @@ def _read_ply_body(file: BinaryIO, path: Path, kind: str, count: int, properties
     if order is None:
         raise InputError(f"{path}: unknown PLY format {kind!r}")
     dtype = np.dtype([(name, order + code) for name, code in properties])
+    least = 2 * len(properties) - 1 if kind == "ascii" else dtype.itemsize  # bytes of a point
+    there = path.stat().st_size - file.tell()
+    if not 0 <= count * least <= there:
+        raise InputError(f"{path} is cut short: its header says {count} points, and {there} bytes follow it")
     if kind == "ascii":
         table = np.loadtxt(file, max_rows=count, ndmin=2) if count else np.zeros((0, len(properties)))
         rows = np.zeros(len(table), dtype)

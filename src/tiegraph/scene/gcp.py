@@ -16,6 +16,7 @@ import numpy as np
 import pyproj
 
 from tiegraph.errors import InputError
+from tiegraph.scene.regular import regular
 from tiegraph.scene.table import Table, read_table
 
 DEFAULT_SIGMA_M = (0.02, 0.02, 0.03)  # of a surveyed point whose file says nothing: network RTK with a pole
@@ -71,7 +72,7 @@ def read_gcps(path: Path) -> GcpFile:
     """
     path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8-sig", errors="replace")
+        text = regular(path).read_text(encoding="utf-8-sig", errors="replace")
     except OSError as error:
         raise InputError(f"--gcp {path}: cannot be read ({error.strerror})") from None
     lines = [(k + 1, line.strip()) for k, line in enumerate(text.splitlines()) if line.strip()]

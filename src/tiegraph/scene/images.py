@@ -6,6 +6,7 @@ import hashlib
 import io
 import os
 import warnings
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ from PIL import Image, ImageFile
 from tiegraph.errors import InputError
 from tiegraph.scene.exif import Exif, read_exif
 from tiegraph.scene.panorama import is_equirectangular
+from tiegraph.scene.regular import regular
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".pgm")
 # Photographs nobody here can decode: found, and refused by name, so that they are not missed silently.
@@ -25,6 +27,8 @@ IMAGES_FOLDER = "images"
 _IGNORED = ("thumbs.db", "desktop.ini", "__macosx")
 _MIN_SIDE_PX = 32
 _LARGEST_PX = 1_000_000_000  # PIL refuses more than 179 Mpx as an attack; survey cameras and mosaics go beyond
+# A JPEG of one colour has 85 pixels a byte with the standard's tables; a deflated one 1032 bytes of pixels a byte.
+_BOMB_PX, _BOMB_PX_PER_BYTE = 100_000_000, 300
 
 
 @dataclass(frozen=True)
@@ -45,24 +49,33 @@ class Probe:
         return (self.height, self.width) if self.exif.orientation >= 5 else (self.width, self.height)
 
 
-def find_images(root: Path) -> list[str]:
-    """Names (POSIX, relative to ``root``, sorted) of the image files below a folder.
+@dataclass(frozen=True)
+class Found:
+    """Names (POSIX, relative to the folder, sorted) of the image files below a folder; what was passed over and why."""
+
+    names: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+
+def search_images(root: Path) -> Found:
+    """The image files below a folder.
 
     Hidden files and folders, ``._*``, ``Thumbs.db`` and the like are passed over. If ``root`` has a folder ``images``
     only that is searched, so that masks and depth maps beside it are not taken for photographs. Raises InputError if
-    the folder does not exist, is empty, or has no image.
+    the folder does not exist, is empty, cannot be read in any part, or has no image.
     """
     root = Path(root)
     if not root.exists():
         raise InputError(f"{root}: there is no such folder; give the folder that holds the images")
     if not root.is_dir():
         raise InputError(f"{root} is a file; give the folder that holds the images")
-    files = list(files_below(searched(root)))
+    notes: list[str] = []
+    files = list(files_below(searched(root), notes))
     names = [f.relative_to(root).as_posix() for f in files if f.suffix.lower() in SUFFIXES + UNREADABLE]
     if not names:
         found = f"{len(files)} files, none of them an image" if files else "an empty folder"
-        raise InputError(f"{root}: {found}; images end in {' '.join(SUFFIXES)}")
-    return sorted(names)
+        raise InputError(f"{root}: {'; '.join([found, *notes])}; images end in {' '.join(SUFFIXES)}")
+    return Found(tuple(sorted(names)), tuple(notes))
 
 
 def searched(root: Path) -> Path:
@@ -70,11 +83,54 @@ def searched(root: Path) -> Path:
     return root / IMAGES_FOLDER if (root / IMAGES_FOLDER).is_dir() else root
 
 
-def files_below(folder: Path) -> Iterator[Path]:
-    """The files below a folder, without what hides or is the system's own."""
-    for inside, subfolders, files in os.walk(folder, followlinks=True):
-        subfolders[:] = sorted(s for s in subfolders if not _ignored(s))
-        yield from (Path(inside) / f for f in files if not _ignored(f))
+def find_images(root: Path) -> list[str]:
+    """The names alone of ``search_images``, which see."""
+    return list(search_images(root).names)
+
+
+def files_below(folder: Path, notes: list[str] | None = None) -> Iterator[Path]:
+    """The files below a folder, without what hides or is the system's own.
+
+    Every folder is visited once, at its own place rather than through a link if it has both; of links to folders
+    visited already, and of those that lead up, out of the survey, ``notes`` takes what is passed over. Raises
+    InputError for a folder that cannot be read.
+    """
+    said = notes if notes is not None else []
+    top = Path(os.path.realpath(folder))
+    visited: dict[tuple[int, int], Path] = {}
+    todo, links = [folder], deque[Path]()
+    while todo or links:
+        inside = todo.pop() if todo else links.popleft()
+        first = visited.setdefault(_identity(inside), inside)
+        if first is not inside:
+            said.append(f"{inside} leads to {first}, which is searched already: passed over")
+            continue
+        if inside is not folder and Path(os.path.realpath(inside)) in top.parents:
+            said.append(f"{inside} leads up to {os.path.realpath(inside)}: passed over")
+            continue
+        for entry in _entries(inside):
+            path = inside / entry.name
+            if not os.path.isdir(path):  # of a ring of links too
+                yield path
+            elif entry.is_symlink():
+                links.append(path)
+            else:
+                todo.append(path)
+
+
+def _identity(folder: Path) -> tuple[int, int]:
+    info = folder.stat()
+    return info.st_dev, info.st_ino
+
+
+def _entries(folder: Path) -> list[os.DirEntry[str]]:
+    try:
+        with os.scandir(folder) as entries:
+            return sorted((e for e in entries if not _ignored(e.name)), key=lambda e: e.name)
+    except OSError as error:
+        raise InputError(
+            f"{folder}: cannot be read ({error.strerror}): its images would be missing; make it readable or take it out"
+        ) from None
 
 
 def has_images(root: Path) -> bool:
@@ -93,7 +149,8 @@ def probe_image(path: Path) -> Probe:
     """Read, decode and describe one image file; the pixels are let go again. Never raises: see ``Probe.reason``."""
     path = Path(path)
     try:
-        data = path.read_bytes()
+        # A file of the system that says it is empty (/proc) may wait for ever all the same.
+        data = path.read_bytes() if regular(path).stat().st_size else b""
     except OSError as error:
         return Probe(reason=f"cannot be read: {error.strerror or error}")
     if not data:
@@ -118,6 +175,7 @@ def _describe(data: bytes, digest: str) -> Probe:
         return _describe_array(data, digest)
     except Exception as error:
         raise _broken(error) from None
+    _refuse_bomb(image, len(data))
     try:
         image.load()
     except Exception as error:  # decoders raise OSError, SyntaxError, ValueError, struct.error and more
@@ -135,6 +193,16 @@ def _describe(data: bytes, digest: str) -> Probe:
         digest=digest,
         panorama=is_equirectangular(image),
     )
+
+
+def _refuse_bomb(image: Image.Image, size: int) -> None:
+    """A few kB that unpack to gigabytes are no photograph, but would end the process for lack of memory."""
+    count = image.width * image.height
+    said = f"its header says {image.width} x {image.height} pixels"
+    if count > _LARGEST_PX:
+        raise _Unusable(f"{said}: more than {_LARGEST_PX // 10**6} Mpx are not read")
+    if count > _BOMB_PX and count > _BOMB_PX_PER_BYTE * size:
+        raise _Unusable(f"{said}, in a file of {size} bytes: that is no photograph")
 
 
 def _broken(error: Exception) -> _Unusable:

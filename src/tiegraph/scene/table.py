@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.errors import InputError
+from tiegraph.scene.regular import regular
 
 TIME_LIMIT_S = 1e11  # the year 5138: what is larger in size is no time in seconds
 _UNIT_S = {"ms": 1e-3, "msec": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
@@ -117,12 +118,9 @@ def read_table(path: Path, purpose: str) -> Table:
 
 
 def _text(path: Path, purpose: str) -> tuple[str, list[str]]:
-    """Text of a file, and notes. Only plain files: a pipe or a device could keep us waiting for good."""
+    """Text of a file, and notes."""
     try:
-        if path.exists() and not path.is_file():
-            kind = "a folder" if path.is_dir() else "no plain file"
-            raise InputError(f"{path}: is {kind}; give the {purpose} as a CSV file")
-        raw = path.read_bytes()
+        raw = regular(path).read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give the {purpose} as a CSV file") from None
     utf16 = raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))

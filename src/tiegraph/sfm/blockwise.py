@@ -21,6 +21,7 @@ from tiegraph.child import run_in_child
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry import transforms
 from tiegraph.scene.blocks import Block, blocks_of
+from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.joining import Joined, Poses, join_models, moved
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import ViewGraph
@@ -80,7 +81,7 @@ def _map_block(request: Request, log_file: Path) -> list[Poses]:
         log.warning("%s: %s", request.folder.name, error)
         return []
     scene = Scene.from_json(request.scene)
-    found = [_poses(pycolmap.Reconstruction(folder), scene) for folder in mapped.folders]
+    found = [_poses(read_model(folder), scene) for folder in mapped.folders]
     shutil.rmtree(request.folder, ignore_errors=True)
     return [m for m in found if m is not None]
 

@@ -12,6 +12,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.scene.atomic import claim
+from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjust import final_adjustment, free_cameras
 from tiegraph.sfm.covariance import PositionSigma, position_sigma
@@ -62,7 +63,7 @@ class Finished:
 def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> Finished:
     """Final adjustment, rig health, colours and position sigmas of one model; writes it to its target folder."""
     scene = Scene.from_json(request.scene)
-    model = pycolmap.Reconstruction(request.folder)
+    model = read_model(request.folder)
     settled = _settled(model, scene, request)
     model, notes = settled.model, settled.notes
     mapped = model

@@ -11,6 +11,7 @@ import pycolmap
 
 from tiegraph.child import run_in_child
 from tiegraph.errors import ReconstructionError
+from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.blockwise import RunMap, serially
@@ -55,7 +56,7 @@ class SparseResult:
 
     def load(self, model: int = 0) -> pycolmap.Reconstruction:
         """Read a model from disk."""
-        return pycolmap.Reconstruction(self.models[model].folder)
+        return read_model(self.models[model].folder)
 
 
 @dataclass(frozen=True)
@@ -142,7 +143,7 @@ def _reconstruct(job: Job, modes: dict[int, str]) -> SparseResult:
 
 
 def _derive(job: Job, unknown: list[int], outcome: Outcome) -> dict[int, Rig]:
-    models = [pycolmap.Reconstruction(folder) for folder in outcome.folders]
+    models = [read_model(folder) for folder in outcome.folders]
     rigs = {}
     for index in unknown:
         result = derive_rig(job.scene, index, models)
@@ -197,8 +198,8 @@ def _account(job: Job, outcome: Outcome, rig: str, finished: Finished) -> Sparse
     """Say what is in the models and what is not."""
     scene = job.scene
     folders = [job.out / str(k) for k in range(len(outcome.folders))]
-    models = [_model(pycolmap.Reconstruction(f), f, scene) for f in folders]
-    main = pycolmap.Reconstruction(folders[0])
+    models = [_model(read_model(f), f, scene) for f in folders]
+    main = read_model(folders[0])
     poses = image_poses(main, scene)
     tables = {
         "models": models_table(models),

@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import pycolmap
 
 from tiegraph.child import run_in_child
 from tiegraph.errors import ReconstructionError
+from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.rig import Rig, calibrated
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.blockwise import RunMap, poses_by_blocks, serially
@@ -139,7 +139,7 @@ def _as_long_as_its_rig(job: Job, outcome: Outcome, rigs: dict[int, Rig], modes:
     if not held:
         return outcome
     verified = read_verified(job.database, job.scene, job.refused)
-    poses = image_poses(pycolmap.Reconstruction(outcome.folders[0]), job.scene)
+    poses = image_poses(read_model(outcome.folders[0]), job.scene)
     length = length_of_path(frame_poses(poses, job.scene), job.scene, held, verified)
     if length is None or not np.isfinite(length.scale) or 1 / OTHER_LENGTH < length.scale < OTHER_LENGTH:
         return outcome
@@ -158,15 +158,15 @@ def _with_others(job: Job, outcome: Outcome, rigs: dict[int, Rig], modes: dict[i
 
     A start from poses makes one model, so that the rest is mapped now; a mapper has made its models already.
     """
-    first = np.isfinite(image_poses(pycolmap.Reconstruction(outcome.folders[0]), job.scene)).all(axis=(1, 2))
+    first = np.isfinite(image_poses(read_model(outcome.folders[0]), job.scene)).all(axis=(1, 2))
     component = job.graph.component
     rest = np.flatnonzero((component >= 0) & ~np.isin(component, np.unique(component[first])))
     if outcome.mapper == "preview" and len(rest) >= SECOND_SURVEY:
         mapper = choose_mapper(job.scene, job.settings, bool(rigs))
         other = _run(job, mapper, rigs, modes, "of what is not tied to it", only=rest)
-        both = sorted([*outcome.folders, *other.folders], key=lambda f: -pycolmap.Reconstruction(f).num_reg_images())
+        both = sorted([*outcome.folders, *other.folders], key=lambda f: -read_model(f).num_reg_images())
         outcome = replace(outcome, folders=both)
-    there = [np.isfinite(image_poses(pycolmap.Reconstruction(f), job.scene)).all(axis=(1, 2)) for f in outcome.folders]
+    there = [np.isfinite(image_poses(read_model(f), job.scene)).all(axis=(1, 2)) for f in outcome.folders]
     for number in np.unique(component[rest]):
         own = component == number
         if own.sum() >= SECOND_SURVEY:
@@ -262,5 +262,5 @@ def _run(
 
 
 def _seeing(folder: Path, scene: Scene) -> tuple[int, int]:
-    reconstruction = pycolmap.Reconstruction(folder)
+    reconstruction = read_model(folder)
     return int(np.sum(observations(reconstruction, scene) >= MIN_OBSERVATIONS)), reconstruction.num_points3D()

@@ -11,6 +11,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry.align import Similarity
+from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.settings import GeorefSettings
@@ -100,7 +101,7 @@ class GroundRequest:
 
 def ground(request: GroundRequest, send: Callable[[Any], None]) -> Georeference:
     """``georeference_model`` from folder to folder."""
-    model = pycolmap.Reconstruction(str(request.folder))
+    model = read_model(request.folder)
     found, world = georeference_model(
         model, Scene.from_json(request.scene), request.settings, request.given, request.held
     )
