@@ -52,13 +52,14 @@ def test_every_setting_is_documented():
 
 def test_stages_settings_and_verbs_have_one_name():
     from tiegraph.cli.main import verbs
-    from tiegraph.pipeline import STAGES
+    from tiegraph.pipeline import SHOTS, STAGES
     from tiegraph.project.settings import Settings
 
-    names = [s.name for s in STAGES]
+    stages = (*STAGES, SHOTS)
+    names = [s.name for s in stages]
     assert names == list(Settings.model_fields)
     assert set(names) <= set(verbs())
-    for k, stage in enumerate(STAGES):
+    for k, stage in enumerate(stages):
         assert set(stage.needs) <= set(names[:k]), f"{stage.name} needs something later"
 
 
