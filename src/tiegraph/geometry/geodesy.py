@@ -132,7 +132,8 @@ def far_from_rest(lat_lon_height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return np.zeros(len(lat), bool), np.zeros(len(lat))
     xyz = np.stack(_ECEF.transform(lat, lon, height), axis=-1)
     tried = xyz[:: max(1, len(xyz) // _CENTRES)]
-    within = [np.sort(np.linalg.norm(xyz - c, axis=1))[(len(xyz) - 1) // 2] for c in tried]
+    half = (len(tried) - 1) // 2
+    within = [np.partition(np.linalg.norm(tried - c, axis=1), half)[half] for c in tried]
     away = np.linalg.norm(xyz - tried[int(np.argmin(np.round(within)))], axis=1)
     return apart(away, FAR_FLOOR_M), away
 

@@ -219,6 +219,8 @@ def _believed(
     table: Table, column: int | None, values: np.ndarray, good: np.ndarray, notes: list[str], remedy: str
 ) -> np.ndarray:
     """(R,) values that are good, NaN for the others; those that are neither good nor empty are said."""
+    if column is None:
+        return values
     odd = [k for k in np.flatnonzero(~good).tolist() if table.cell(k, column).lower() not in _EMPTY]
     if odd:
         notes.append(

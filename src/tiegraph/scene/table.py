@@ -17,6 +17,7 @@ from tiegraph.scene.regular import regular
 
 TIME_LIMIT_S = 1e11  # the year 5138: what is larger in size is no time in seconds
 _UNIT_S = {"ms": 1e-3, "msec": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
+_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+")
 _SHOWN_LINES = 5
 
 
@@ -58,9 +59,11 @@ class Table:
 
     def numbers(self, column: int | None) -> np.ndarray:
         """(R,) numbers of a column, NaN where there is none. Raises InputError for decimal commas."""
+        if column is None:
+            return np.full(len(self.rows), np.nan)
         out = np.array([_number(self.cell(k, column)) for k in range(len(self.rows))], float)
         for k in np.flatnonzero(np.isnan(out)).tolist():
-            if re.fullmatch(r"[+-]?\d*,\d+", self.cell(k, column)):
+            if _DECIMAL_COMMA.fullmatch(self.cell(k, column)):
                 raise InputError(
                     f"{self.path}, line {self.line(k)}: {self.cell(k, column)!r} has a decimal comma: write numbers "
                     "with a point"
