@@ -44,7 +44,8 @@ def _check(path: Path, end_of: Callable[[bytes, int], int] | None) -> None:
     if not path.exists():
         return
     try:
-        data = regular(path, None).read_bytes() if end_of else regular(path, None) and b""
+        regular(path, None)
+        data = path.read_bytes() if end_of else b""
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     if end_of is None:
