@@ -176,3 +176,28 @@ def test_a_cloud_without_units_may_begin_with_one_point(tmp_path):
     after = read_cloud(tmp_path / "c.laz")
     assert len(after) == len(far) + 1
     np.testing.assert_allclose(after.xyz_m[1:], far.xyz_m, atol=0.02 / 100)
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("kind", ["ascii", "binary_little_endian"])
+def test_a_ply_of_more_points_than_it_has_is_refused_before_memory_is_asked_for(tmp_path, kind):
+    path = tmp_path / "a.ply"
+    properties = "".join(f"property double {c}\n" for c in "xyz")
+    path.write_text(f"ply\nformat {kind} 1.0\nelement vertex {10**12}\n{properties}end_header\n1 2 3\n")
+    with pytest.raises(InputError, match=f"cut short: its header says {10**12} points"):
+        read_cloud(path)
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("ending", ["las", "laz"])
+def test_a_las_of_more_points_than_it_has_is_refused(tmp_path, ending):
+    path = tmp_path / f"a.{ending}"
+    header = laspy.LasHeader(point_format=7, version="1.4")
+    las = laspy.LasData(header)
+    las.x = las.y = las.z = np.arange(10.0)
+    las.write(path)
+    data = bytearray(path.read_bytes())
+    data[247:255] = (10**12).to_bytes(8, "little")  # number of points of LAS 1.4
+    path.write_bytes(data)
+    with pytest.raises(InputError, match="a.la"):
+        read_cloud(path)
