@@ -15,6 +15,7 @@ from tiegraph.geometry import geodesy, transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.scene.colmapmodel import is_model, read_model
+from tiegraph.scene.posefile import read_poses
 from tiegraph.scene.scene import Scene
 
 _MAX_GAP_S = 2.0  # a reference with a gap wider than this is not interpolated across it
@@ -93,24 +94,14 @@ def _read_colmap(folder: Path) -> dict[str, np.ndarray]:
 
 
 def read_tum(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """time_s (T,) and world_from_body (T, 4, 4) of a TUM file (time tx ty tz qx qy qz qw), sorted by time."""
-    rows = []
-    for number, line in enumerate(path.read_text().splitlines(), 1):
-        text = line.split("#")[0].replace(",", " ").split()
-        if not text:
-            continue
-        try:
-            values = [float(v) for v in text]
-        except ValueError:
-            values = []
-        if len(values) != 8 or not np.linalg.norm(values[4:]) > 0.5:
-            raise InputError(f"{path}:{number}: expected 'time tx ty tz qx qy qz qw', got {line.strip()!r}")
-        rows.append(values)
-    if not rows:
-        raise InputError(f"{path}: no poses in it; expected lines 'time tx ty tz qx qy qz qw'")
-    table = np.array(sorted(rows))
-    wxyz = np.roll(table[:, 4:], 1, axis=1)
-    return table[:, 0], transforms.from_quaternion_wxyz(wxyz, table[:, 1:4])
+    """time_s (T,) and world_from_body (T, 4, 4) of a TUM or EuRoC file (time tx ty tz qx qy qz qw), sorted by time.
+
+    Raises InputError, naming file and line.
+    """
+    found = read_poses(path)
+    if np.isnan(found.time_s).any():
+        raise InputError(f"{path}: poses without times; expected lines 'time tx ty tz qx qy qz qw'")
+    return found.time_s, found.poses
 
 
 def match_poses(reference: ReferencePoses, model: ModelPoses, scene: Scene) -> tuple[PoseMatch, str]:
