@@ -8,6 +8,7 @@ from typing import Any
 from tiegraph.design.coverage import Coverage, coverage
 from tiegraph.errors import InputError, SettingsError
 from tiegraph.pipeline import STAGES
+from tiegraph.pipeline.given import check_given
 from tiegraph.pipeline.shots import shots
 from tiegraph.pipeline.surface import hand_over
 from tiegraph.project import settings as project_settings
@@ -38,7 +39,7 @@ class Project:
 
         Raises InputError, SettingsError, ReconstructionError or EngineMissing; what was finished is kept.
         """
-        self.inputs.check()
+        check_given(STAGES, Run(self.folder, self.inputs, self.settings))
         self.save()
         run_stages(STAGES, Run(self.folder, self.inputs, self.settings, self.pool, reporter), until)
         return self

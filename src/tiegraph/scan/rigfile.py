@@ -70,7 +70,7 @@ _COLMAP_KEYS = (
 _TURNS = ("yaw_pitch_roll_deg", "body_from_sensor_wxyz", "body_from_sensor")
 
 
-def read_rig_file(path: Path) -> tuple[RigSpec, ...]:
+def read_rig_file(path: Path | str) -> tuple[RigSpec, ...]:
     """Rigs of a rig.toml (one) or a COLMAP rig_config.json (one or more).
 
     Raises InputError with file, line and key for what is missing, unknown, misspelt or of the wrong kind.
