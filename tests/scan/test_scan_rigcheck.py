@@ -147,9 +147,11 @@ def test_what_no_rig_config_can_be(tmp_path: Path, cameras: list[dict], message:
 
 def test_the_line_of_a_second_rig(tmp_path: Path) -> None:
     path = tmp_path / "rig_config.json"
-    path.write_text(json.dumps([{"cameras": [REF, LEFT]}, {"cameras": [SECOND, FAR]}], indent=1))
+    path.write_text(
+        json.dumps([{"cameras": [REF, LEFT]}, {"cameras": [SECOND, {**FAR, "image_prefix": "cam8/"}]}], indent=1)
+    )
     line = 1 + [k for k, text in enumerate(path.read_text().splitlines()) if "translation" in text][1]
-    with pytest.raises(InputError, match=f"line {line}: sensor 'cam1' is 10000 m"):
+    with pytest.raises(InputError, match=f"line {line}: sensor 'cam8' is 10000 m"):
         read_rig_file(path)
 
 

@@ -125,6 +125,7 @@ ZERO[1:, 1] = range(1, 6)
         (changed(3, 3, np.nan), "line 4: not a finite number"),
         (changed(3, 3, np.inf), "line 4: not a finite number"),
         (changed(3, 0, 1e300), "line 4: the time 1e.300 is none"),
+        (changed(3, 5, 1e308), "line 4: the quaternion qx qy qz qw has length inf"),
         (changed(3, slice(4, 8), 0), "line 4: the quaternion qx qy qz qw has length 0"),
         (ONE_TIME, "line 1: all 20 poses have the same time, 5"),
         (SAME, "line 1: all 6 poses are the same"),

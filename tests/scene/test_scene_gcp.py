@@ -76,6 +76,8 @@ def test_wrong_files_say_where(tmp_path) -> None:
     good = f"{EAST} {NORTH} 3 1 1 000.jpg\n"
     with pytest.raises(InputError, match=r"gcp_list.txt, line 1: 'nonsense' is no coordinate system"):
         _odm(tmp_path, good, "nonsense")
+    with pytest.raises(InputError, match=r"line 1: 'survey' is no coordinate system"):
+        _odm(tmp_path, good, "survey")  # PROJ would take the CRS whose name is most like it
     with pytest.raises(InputError, match=r"line 3: expected x y z px py image"):
         _odm(tmp_path, good + "1 2 3\n")
     with pytest.raises(InputError, match=r"line 2: 'x' is no number"):

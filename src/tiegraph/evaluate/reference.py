@@ -87,6 +87,12 @@ def read_reference_poses(path: Path) -> ReferencePoses:
     return ReferencePoses({}, {"": read_tum(path)}, path)
 
 
+def check_reference(path: Path) -> None:
+    """Raise InputError for reference poses that cannot be used, without reading a COLMAP model."""
+    if not (path.is_dir() and is_model(path)):
+        read_reference_poses(path)
+
+
 def _read_colmap(folder: Path) -> dict[str, np.ndarray]:
     model = read_model(folder)
     posed = (i for i in model.images.values() if i.has_pose)
@@ -244,6 +250,15 @@ def read_points(path: Path, most: int = 20_000_000) -> tuple[np.ndarray, str | N
         raise
     except Exception as error:
         raise InputError(f"{path}: not a readable point cloud: {error}") from None
+
+
+def check_points(path: Path) -> None:
+    """Raise InputError for a file that is no point cloud by its first bytes."""
+    ply = path.suffix.lower() == ".ply"
+    with open(path, "rb") as file:
+        first = file.read(4)
+    if not first.startswith(b"ply" if ply else b"LASF"):
+        raise InputError(f"{path}: not a readable point cloud: no {'PLY' if ply else 'LAS or LAZ'} file by its content")
 
 
 def _read_las(path: Path, most: int) -> tuple[np.ndarray, str | None]:

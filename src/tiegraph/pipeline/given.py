@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from tiegraph.errors import SettingsError
+from tiegraph.evaluate.reference import check_points, check_reference
 from tiegraph.geometry.geodesy import ENU, check_vertical, parse_crs
 from tiegraph.masks.plugin import read_model
 from tiegraph.network.sources import pair_lines, read_pair_list
@@ -12,6 +13,7 @@ from tiegraph.pipeline.files import scanned
 from tiegraph.pipeline.world import control_points
 from tiegraph.project.given import check_files, check_path
 from tiegraph.project.run import Run, status
+from tiegraph.project.settings import Settings
 from tiegraph.project.stages import Stage
 from tiegraph.scan.rigfile import read_rig_file
 from tiegraph.scan.rigspec import preset_sizes
@@ -43,27 +45,36 @@ def check_given(stages: Sequence[Stage], run: Run) -> None:
         check_vertical(settings.scan.crs)
     if "file" in settings.network.sources and settings.network.pairs_file is None:
         raise SettingsError("network.sources has 'file', but network.pairs_file names none")
+    _read_settings(settings)
     if status(stages[:1], run)[0][1]:
-        _read(run)
+        _read_inputs(run)
     else:
         check_against(run, scanned(run))
 
 
-def _read(run: Run) -> None:
-    """Read what needs no image, for the errors it raises."""
-    given, settings = run.inputs, run.settings
-    if given.rig is not None and given.rig.strip().lower() != PRESET and not preset_sizes(given.rig):
-        read_rig_file(given.rig)
-    if given.trajectory is not None and given.trajectory.is_file():
-        read_trajectory(given.trajectory)
-    if given.gnss is not None:
-        read_gnss(given.gnss)
+def _read_settings(settings: Settings) -> None:
+    """Read the files of settings that need no image, for the errors this raises: most stages look hours later."""
     if settings.georef.gcp is not None:
         read_gcps(settings.georef.gcp)
     if settings.network.pairs_file is not None:
         pair_lines(settings.network.pairs_file)
     if settings.masks.model is not None:
         read_model(settings.masks.model)
+    if settings.evaluate.reference is not None:
+        check_reference(settings.evaluate.reference)
+    if settings.evaluate.reference_cloud is not None:
+        check_points(settings.evaluate.reference_cloud)
+
+
+def _read_inputs(run: Run) -> None:
+    """Read the inputs that need no image, for the errors this raises."""
+    given = run.inputs
+    if given.rig is not None and given.rig.strip().lower() != PRESET and not preset_sizes(given.rig):
+        read_rig_file(given.rig)
+    if given.trajectory is not None and given.trajectory.is_file():
+        read_trajectory(given.trajectory)
+    if given.gnss is not None:
+        read_gnss(given.gnss)
 
 
 def check_against(run: Run, scene: Scene) -> tuple[str, ...]:

@@ -279,6 +279,12 @@ class _ColmapReader(Reader):
             self.known(data[number], ("cameras",), f"rig {number + 1}")
             if not isinstance(cameras, list) or not cameras or not all(isinstance(c, dict) for c in cameras):
                 raise self.fail("cameras", f"rig {number + 1} needs a list of cameras")
+        given = [c.get("image_prefix") for cameras in lists for c in cameras]
+        prefixes = [p.strip("/") if isinstance(p, str) else None for p in given]
+        twice = next((k for k, p in enumerate(prefixes) if p is not None and p in prefixes[:k]), None)
+        if twice is not None:
+            message = f"two cameras have the image_prefix {prefixes[twice]!r}, the same folder: give each its own"
+            raise self.fail("image_prefix", message, _CAMERA_TABLE, twice)
         before = np.cumsum([0, *map(len, lists)])
         return tuple(self.rig(cameras, k, len(data), int(before[k])) for k, cameras in enumerate(lists))
 

@@ -154,11 +154,16 @@ def parse_crs_line(text: str, where: str) -> pyproj.CRS:
     try:
         if utm:
             return pyproj.CRS.from_epsg((32600 if utm[2].upper() == "N" else 32700) + int(utm[1]))
-        return pyproj.CRS.from_user_input(text.strip().lstrip("#").strip())
+        bare = text.strip().lstrip("#").strip()
+        found = pyproj.CRS.from_user_input(bare) if re.match(r"[A-Za-z+]", bare) else None
+        # PROJ takes the CRS with the most similar name for any word: only a name written out is meant
+        if found is not None and (re.search(r"[:=\[]", bare) or found.name.lower() == bare.lower()):
+            return found
+        raise pyproj.exceptions.CRSError(bare)
     except pyproj.exceptions.CRSError:
         raise InputError(
-            f"{where}: {text!r} is no coordinate system; the first line of a gcp_list.txt is one, such as EPSG:32654, "
-            "WGS84 UTM 54N or +proj=utm +zone=54 +datum=WGS84 +units=m"
+            f"{where}: {text!r:.99} is no coordinate system; the first line of a gcp_list.txt is one, such as "
+            "EPSG:32654, WGS84 UTM 54N or +proj=utm +zone=54 +datum=WGS84 +units=m"
         ) from None
 
 

@@ -75,7 +75,8 @@ def read_poses(path: Path) -> PoseFile:
     bad = np.flatnonzero(np.abs(time_s) > _LAST_S)
     if len(bad):
         raise rows.fail(bad[0], f"the time {table[bad[0], 0]:g} is none: seconds, or nanoseconds since 1970")
-    length = np.linalg.norm(table[:, 4:], axis=1)
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(table[:, 4:], axis=1)
     bad = np.flatnonzero(~(np.abs(length - 1) <= 1e-2))
     if len(bad):
         raise rows.fail(bad[0], f"the quaternion qx qy qz qw has length {length[bad[0]]:.3g}, not 1")
@@ -191,8 +192,7 @@ def _unsteady(position: np.ndarray, xyzw: np.ndarray) -> float:
     step = np.diff(position, axis=0)
     length = np.sqrt(np.square(step / max(np.abs(step).max(initial=0.0), 1e-300)).sum(axis=1))
     moved = length > 0.1 * np.median(length[length > 0]) if (length > 0).any() else length > 0
-    norm = np.linalg.norm(xyzw, axis=1)
-    if moved.sum() < _STEPS or not (norm > 0.5).all():
+    if moved.sum() < _STEPS or not ((np.abs(xyzw) <= 2).all() and (np.abs(xyzw).max(axis=1) > 0.1).all()):
         return 0.0
     ahead = step[moved] / np.linalg.norm(step[moved], axis=1, keepdims=True)
     own = Rotation.from_quat(xyzw[:-1][moved]).apply(ahead, inverse=True)
