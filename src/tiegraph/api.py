@@ -10,12 +10,13 @@ from tiegraph.dense.settings import ShotsSettings
 from tiegraph.design.coverage import Coverage, coverage
 from tiegraph.errors import InputError, SettingsError
 from tiegraph.pipeline import SHOTS, STAGES
+from tiegraph.pipeline.given import check_given
 from tiegraph.pipeline.shots import cloud_path
 from tiegraph.pipeline.surface import hand_over
 from tiegraph.project import settings as project_settings
 from tiegraph.project.folder import SETTINGS, write_settings
 from tiegraph.project.progress import Reporter
-from tiegraph.project.run import Inputs, Run, run_stages, status
+from tiegraph.project.run import Inputs, Run, check_run, run_stages, status
 from tiegraph.project.settings import Settings
 from tiegraph.project.stages import Stage
 from tiegraph.scene.cloudfile import read_cloud
@@ -46,8 +47,10 @@ class Project:
         return self
 
     def _run(self, stages: tuple[Stage, ...], until: str | None, reporter: Reporter | None) -> None:
-        self.inputs.check()
-        run_stages(stages, Run(self.folder, self.inputs, self.settings, self.pool, reporter), until, self.save)
+        run = Run(self.folder, self.inputs, self.settings, self.pool, reporter)
+        check_run(stages, run)
+        check_given(stages, run)
+        run_stages(stages, run, until, self.save)
 
     def status(self) -> list[tuple[str, str, dict]]:
         """(stage, why it is out of date or "", its receipt) for every stage, without running."""

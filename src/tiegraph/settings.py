@@ -1,9 +1,33 @@
 """The base of every settings class: frozen, strict about names, each field documented by a docstring below it."""
 
-from pydantic import BaseModel, ConfigDict
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 
 class Section(BaseModel):
-    """One section of ``tiegraph.toml`` = one stage. Unknown names and values out of range are refused."""
+    """One section of ``tiegraph.toml`` = one stage. Unknown names and values out of range, NaN and inf are refused."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True, validate_default=True)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", use_attribute_docstrings=True, validate_default=True, allow_inf_nan=False
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _true_is_no_number(cls, data: Any) -> Any:
+        """Pydantic takes true for 1 and 1 for true: of a file that is a value on the wrong line."""
+        for name, field in cls.model_fields.items():
+            given = data.get(name) if isinstance(data, dict) else None
+            if isinstance(given, bool) and field.annotation in (int, float):
+                raise ValueError(f"{name} = {str(given).lower()}: give a number")
+            if isinstance(given, (int, float, str)) and not isinstance(given, bool) and field.annotation is bool:
+                raise ValueError(f"{name} = {given!r}: give true or false")
+        return data
+
+
+def user_path(kind: str) -> Any:
+    """An optional setting that names something of the user's: ``kind`` is "file", "folder" or "file or folder".
+
+    Before a run it must be there and be of that kind (``project.settings.check_files``).
+    """
+    return Field(None, json_schema_extra={"kind": kind})

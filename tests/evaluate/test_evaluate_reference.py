@@ -108,7 +108,7 @@ def test_unusable_references_say_why(tmp_path: Path) -> None:
         reference.read_reference_poses(tmp_path / "none")
     bad = tmp_path / "bad.tum"
     bad.write_text("# time\n1 2 3\n")
-    with pytest.raises(InputError, match=r"bad.tum:2: expected"):
+    with pytest.raises(InputError, match=r"bad.tum, line 2: 3 columns; expected"):
         reference.read_tum(bad)
     bad.write_text("# nothing\n")
     with pytest.raises(InputError, match="no poses"):

@@ -51,7 +51,7 @@ def test_pair_list_is_read_and_oddities_are_counted(tmp_path) -> None:
     text = "# made by hand\nimg_0000.jpg img_0002.jpg\n\nimg_0002.jpg img_0000.jpg # again\nimg_0001.jpg img_0001.jpg\n"
     pairs, notes = read_pair_list(write(tmp_path, text + "img_0003.jpg  img_0001.jpg\n"), photos(4))
     assert list(zip(pairs.i.tolist(), pairs.j.tolist())) == [(0, 2), (1, 3)]
-    assert "1 self pairs, 1 repeated" in notes[0]
+    assert "1 self pairs (line 5), 1 repeated pairs (line 4)" in notes[0]
 
 
 @pytest.mark.parametrize(
@@ -61,6 +61,8 @@ def test_pair_list_is_read_and_oddities_are_counted(tmp_path) -> None:
         ("img_0000.jpg\n", ["line 1", "two image names"]),
         ("img_0000.jpg img_0001.jpg 3\n", ["line 1", "3 words"]),
         ("# nothing\n", ["no pairs"]),
+        ("\nimg_0001.jpg img_0001.jpg\nimg_0002.jpg img_0002.jpg\n", ["line 2", "its 2 lines", "themselves"]),
+        ("img_0000.jpg img\0_1\n", ["line 1", "two image names"]),
         ("img_0000.jpg broken.jpg\n", ["left out by scan: truncated"]),
     ],
 )  # fmt: skip
@@ -162,3 +164,12 @@ def test_pairs_that_the_axes_rule_out_are_counted_without_a_table() -> None:
     listed = axes_pairs(passes, settings)
     assert axes_count(passes, settings) == len(listed) > 100
     assert np.all(listed.dropped == REASONS.index("axes"))
+
+
+def test_pair_lists_of_another_system_and_no_text(tmp_path) -> None:
+    path = write(tmp_path, "\ufeffimg_0000.jpg ./img_0001.jpg\r\nimg_0001.jpg img_0002.jpg\r\n")
+    assert len(read_pair_list(path, photos(4))[0]) == 2
+    for data in (b"\xff\xfei\x00", b"\x89PNG\r\n"):
+        path.write_bytes(data)
+        with pytest.raises(InputError, match="pairs.txt: no pair list: not text in UTF-8"):
+            read_pair_list(path, photos(4))

@@ -235,6 +235,35 @@ def test_pair_file_naming_an_unknown_image(run: Run, rig: Path, tmp_path: Path) 
     assert code == 2 and "up/cam9/000001.jpg" in said and "mine.txt" in said and "2" in said
 
 
+def test_pairs_and_control_points_are_held_against_the_images_at_scan_and_before_a_second_run(
+    run: Run, rig: Path, tmp_path: Path
+) -> None:
+    pairs, points = tmp_path / "mine.txt", tmp_path / "gcp_list.txt"
+    one = "up/cam0/000000.jpg"
+    pairs.write_text(f"{one} {one}\n{one} up/cam0/000001.jpg\n")
+    head, place = "EPSG:32654\n", "386000 3951000 3"
+    points.write_text(f"{head}{place} 5 5 {one} A\n{place} 5 5 up/cam0/000009.jpg A\n")
+    given = ("--rig", rig, "--network.sources", "file", "--network.pairs-file", pairs, "--gcp", points)
+    code, said = run(*given)
+    assert code == 0, said
+    notes = "\n".join(tiegraph.open(out=tmp_path / "out").receipt("scan")["notes"])
+    assert "1 pairs from mine.txt; ignored: 1 self pairs (line 1)" in notes
+    assert "gcp_list.txt, line 3: image 'up/cam0/000009.jpg' is not in the survey" in notes
+    assert "1 of 1 points have less than 2 marks" in notes
+    stored = (tmp_path / "out/tiegraph.toml").read_bytes()
+    for path, text, message in (
+        (points, f"{head}{place} 999 5 {one} A\n", "line 2: the mark (999, 5) of point 'A' lies outside"),
+        (pairs, f"{one} {one}\n", "line 1: its 1 lines pair images with themselves"),
+        (pairs, f"{one} up/cam9/0.jpg\n", "line 1: the survey has no image 'up/cam9/0.jpg'"),
+    ):
+        right = path.read_text()
+        path.write_text(text)
+        code, said = run("--cloud.voxel-size", 0.5, until="cloud")
+        assert code == 2 and message in said and path.name in said
+        assert (tmp_path / "out/tiegraph.toml").read_bytes() == stored and not (tmp_path / "out/masks").exists()
+        path.write_text(right)
+
+
 def test_no_matches_at_all(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     for k in range(5):

@@ -391,3 +391,17 @@ def test_canal_gnss_and_odometry() -> None:
     assert 8 <= known.sum() <= 12 and np.isfinite(scene.world_from_rig).all()
     assert scene.origin is not None and scene.origin.crs == "EPSG:32654"
     assert np.ptp(scene.world_from_rig[:, :3, 3], axis=0).max() < 40  # m: the boat stays on its canal
+
+
+def test_a_pass_without_a_trajectory_and_what_a_file_says_of_itself_is_noted(tmp_path: Path) -> None:
+    images = papers_rig(tmp_path / "in", ("up", "down"), 2, 5)
+    (tmp_path / "vo").mkdir()
+    write_tum(tmp_path / "vo" / "vo_up.tum", np.arange(5.0), drive(5))
+    write_tum(tmp_path / "vo" / "vo_dwn.tum", np.arange(5.0), drive(5))
+    notes = scan(images, trajectory=tmp_path / "vo").notes
+    assert any("no trajectory of pass down: none of the other files than vo_up.tum" in n for n in notes)
+    rows = (tmp_path / "vo" / "vo_up.tum").read_text().splitlines()
+    (tmp_path / "vo" / "vo_up.tum").write_text("\n".join([rows[0], rows[2], rows[1], *rows[3:], rows[-1]]))
+    notes = scan(images, trajectory=tmp_path / "vo").notes
+    assert any("vo_up.tum, line 3: rows are not in the order of time" in n for n in notes)
+    assert any("vo_up.tum, line 7: 1 rows have the time of another row" in n for n in notes)

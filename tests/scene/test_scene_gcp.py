@@ -76,6 +76,8 @@ def test_wrong_files_say_where(tmp_path) -> None:
     good = f"{EAST} {NORTH} 3 1 1 000.jpg\n"
     with pytest.raises(InputError, match=r"gcp_list.txt, line 1: 'nonsense' is no coordinate system"):
         _odm(tmp_path, good, "nonsense")
+    with pytest.raises(InputError, match=r"line 1: 'survey' is no coordinate system"):
+        _odm(tmp_path, good, "survey")  # PROJ would take the CRS whose name is most like it
     with pytest.raises(InputError, match=r"line 3: expected x y z px py image"):
         _odm(tmp_path, good + "1 2 3\n")
     with pytest.raises(InputError, match=r"line 2: 'x' is no number"):
@@ -111,3 +113,75 @@ def test_marks_follow_cropping_and_undistortion() -> None:
     moved = prepared_pixel((20, 30), Sensor("c", pinhole, source=Source(camera)))
     ray = np.append(camera.cam_from_img(np.array([20.0, 30.0])), 1.0)
     np.testing.assert_allclose(moved, pinhole.img_from_cam(ray), atol=1e-9)
+
+
+CAMERA = pycolmap.Camera(model="SIMPLE_PINHOLE", width=100, height=80, params=[80, 50, 40])
+HEAD = "name,x,y,z,sigma_xy,sigma_z,role,image,px,py\n"
+A = f"A,{EAST},{NORTH},1,,,gcp,"
+
+
+def _with_camera(crop: tuple[int, int, int, int] = (0, 0, 0, 0)) -> Scene:
+    left, top, right, bottom = crop
+    width, height = 100 - left - right, 80 - top - bottom
+    camera = pycolmap.Camera(model="SIMPLE_PINHOLE", width=width, height=height, params=[80, 50 - left, 40 - top])
+    source = Source(CAMERA, crop) if any(crop) else None
+    names = [f"a/{k:03d}.jpg" for k in range(4)]
+    return simple_scene(Rig("lone", (Sensor("cam", camera, source=source),)), names, np.arange(4), np.zeros(4))
+
+
+def _csv(tmp_path, text: str):
+    path = tmp_path / "points.csv"
+    path.write_text("# crs: EPSG:32654\n" + text)
+    return path
+
+
+@pytest.mark.parametrize(
+    "rows, message",
+    [
+        (f"{A}000.jpg,5,6\n{A}000.jpg,9,6\n", r"line 4: point 'A' is marked in '000.jpg' at \(9.0, 6.0\), but .* 3"),
+        (f"{A}000.jpg,5,6\n{A}a/000.jpg,50,6\n", r"line 4: point 'A' is marked in a/000.jpg at .* but in line 3"),
+        (f"{A}000.jpg,5,6\n{A}001.jpg,105,6\n", r"line 4: the mark \(105, 6\) of .* outside a/001.jpg, .* 100 x 80"),
+        (f"{A}000.jpg,5,95\n", r"line 3: the mark \(5, 95\) .* px and py exchanged"),
+        (f"{A}000.jpg,5,-20\n", r"line 3: the mark \(5, -20\) .* another size"),
+        (f"{A}000.jpg,nan,6\n", "line 3: 'nan' is no number"),
+        (f"{A}000.jpg,5,1e999\n", "line 3: '1e999' is no number"),
+        (f"A,nan,{NORTH},1,,,gcp,000.jpg,5,6\n", "line 3: 'nan' is no number"),
+        (f"A,,{NORTH},1,,,gcp,000.jpg,5,6\n", "line 3: '' is no number"),
+        (f"A,{EAST},{NORTH},1,inf,,gcp,000.jpg,5,6\n", "line 3: 'inf' is no number"),
+        (f"A,{EAST},{NORTH},1,-1,,gcp,000.jpg,5,6\n", "line 3: sigma_xy = -1: a sigma is above 0"),
+        (f"A,{EAST},{NORTH},1,,0,gcp,000.jpg,5,6\n", "line 3: sigma_z = 0: a sigma is above 0"),
+        (f"A,{EAST},{NORTH},1,bad,,gcp,000.jpg,5,6\n", "line 3: 'bad' is no number"),
+        (f"{A}000.jpg,5,6\nA,{EAST + 3},{NORTH},1,,,gcp,,,\n", "line 4: point 'A' has another place than in line 3"),
+        (f"{A}000.jpg,5,6\nA,{EAST},{NORTH},1,,,check,,,\n", "line 4: point 'A' has another role than in line 3"),
+        (f",{EAST},{NORTH},1,,,gcp,000.jpg,5,6\n", "line 3: the point has no name"),
+    ],
+)  # fmt: skip
+def test_points_and_marks_that_cannot_be_meant(tmp_path, rows: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        locate(read_gcps(_csv(tmp_path, HEAD + rows)), _with_camera())
+
+
+def test_odd_points_are_said(tmp_path) -> None:
+    rows = f"{A}000.jpg,5,6\n{A}000.jpg,5,6\n{A}001.jpg,5,6\nB,{EAST},{NORTH},1,,,check,002.jpg,100.5,6\n"
+    control = locate(read_gcps(_csv(tmp_path, HEAD + rows)), _with_camera())
+    assert len(control.image) == 3
+    said = "\n".join(control.notes)
+    assert "1 marks are given twice" in said
+    assert "line 6: point 'B' is at the very place of 'A' in line 3" in said
+    assert "line 6: 1 of 2 points have less than 2 marks in the survey's images and cannot be used: 'B' (1)" in said
+
+
+def test_a_mark_that_was_cropped_away_is_left_out_and_said(tmp_path) -> None:
+    found = read_gcps(_csv(tmp_path, HEAD + f"{A}000.jpg,5,6\n{A}001.jpg,50,40\n{A}002.jpg,50,40\n"))
+    control = locate(found, _with_camera((20, 0, 0, 0)))
+    assert control.image.tolist() == [1, 2] and control.line.tolist() == [4, 5]
+    assert any("line 3: 1 marks lie where the images were cropped" in n for n in control.notes)
+
+
+def test_no_text_and_half_a_mark(tmp_path) -> None:
+    path = tmp_path / "points.csv"
+    path.write_bytes(b"\xff\xfen\x00a\x00m\x00e\x00")
+    with pytest.raises(InputError, match="points.csv: no text file in UTF-8"):
+        read_gcps(path)
+    with pytest.raises(InputError, match="three columns image, px and py"):
+        read_gcps(_csv(tmp_path, f"name,x,y,z,image,px\nA,{EAST},{NORTH},1,000.jpg,5\n"))

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-import argparse
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_args, get_origin
 
 import tyro
 from pydantic import ValidationError
 
 from tiegraph.api import Project, open_project
-from tiegraph.errors import SettingsError
+from tiegraph.errors import SettingsError, choose
 from tiegraph.project.progress import Reporter
-from tiegraph.project.settings import PRESETS, Settings
+from tiegraph.project.settings import PRESETS, Settings, sections
+
+_MANY = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -115,9 +117,15 @@ def _cli(function: Any, program: str, arguments: list[str]) -> Any:
         # Both forms of every flag: its default is what the folder was run with, and the same command must run again.
         return tyro.cli(function, prog=program, args=arguments)
     except ValidationError as error:
-        first = error.errors()[0]
-        name = ".".join(str(part) for part in first["loc"])
-        raise SettingsError(f"setting {error.title}.{name} = {first.get('input')!r}: {first['msg']}") from None
+        said = "; ".join(_said(error.title, e) for e in error.errors())
+        raise SettingsError(said) from None
+
+
+def _said(title: str, error: Any) -> str:
+    section = title.removesuffix("Settings").lower()
+    name = ".".join(str(part) for part in (section, *error["loc"]))
+    value = f" = {error.get('input')!r}" if error["loc"] else ""  # else it is the whole section
+    return f"setting {name}{value}: {error['msg'].removeprefix('Value error, ')}"
 
 
 @dataclass(frozen=True)
@@ -130,12 +138,48 @@ class Known:
 
 
 def preparsed(arguments: list[str]) -> Known:
-    """The folder, output and preset of the arguments. Raises SettingsError for an unknown preset."""
-    parser = argparse.ArgumentParser(add_help=False, exit_on_error=False)
-    parser.add_argument("-o", "--out", type=Path)
-    parser.add_argument("--preset", choices=None)
-    known, rest = parser.parse_known_args(arguments)
-    first = Path(rest[0]) if rest and not rest[0].startswith("-") else None
-    if known.preset is not None and known.preset not in PRESETS:
-        open_project(first or ".", known.out, preset=known.preset)  # raises, naming the presets there are
-    return Known(first, known.out, known.preset)
+    """The folder, output and preset of the arguments, in any order.
+
+    Raises SettingsError for an unknown preset, an output without a folder and empty arguments.
+    """
+    words, known = list(arguments), {"--out": "", "--preset": "", "": ""}
+    counts = _value_counts()
+    while words:
+        word = words.pop(0)
+        name, equals, value = word.partition("=")
+        name = "--out" if name == "-o" else name.replace("_", "-")
+        if not _is_option(word):
+            name, values = "", [word]
+        elif equals:
+            values = [value]
+        else:
+            count = counts.get(name, 1)
+            taken = next((k for k, w in enumerate(words) if _is_option(w)), len(words))
+            values, words = words[: min(count, taken)], words[min(count, taken) :]
+        if name in known:
+            if not values or not values[0]:
+                what = {"": "the name of the folder is empty", "--out": "-o: no folder is named after it, as in -o OUT"}
+                raise SettingsError(f"{what.get(name, f'{name}: no value')}: a shell variable that is not set?")
+            known[name] = known[name] or values[0] if name == "" else values[0]
+    folder, out = (Path(known[n]) if known[n] else None for n in ("", "--out"))
+    if known["--preset"]:
+        choose("preset", known["--preset"], PRESETS)
+    return Known(folder, out, known["--preset"] or None)
+
+
+def _is_option(word: str) -> bool:
+    return word.startswith("-") and not re.fullmatch(r"-[.\d].*", word)  # -33.9 is a number
+
+
+def _value_counts() -> dict[str, int]:
+    """How many values each option takes, at most."""
+    out = {f"--{f.name}": 0 if f.type in ("bool", bool) else 1 for f in fields(RunOptions)}
+    out.update({f"--no-{name[2:]}": 0 for name, count in out.items() if count == 0})
+    for section, named in sections():
+        for key, field in named.items():
+            parts = get_args(field.annotation) if get_origin(field.annotation) is tuple else ()
+            many = len(parts) if parts and Ellipsis not in parts else _MANY if "tuple" in str(field.annotation) else 1
+            name = key.replace("_", "-")
+            out[f"--{section}.{name}"] = 0 if field.annotation is bool else many
+            out[f"--{section}.no-{name}"] = 0
+    return out

@@ -8,7 +8,7 @@ from tiegraph.settings import Section
 class CloudSettings(Section):
     """One point cloud of all depth maps, without duplicates and outliers."""
 
-    voxel_size: float = Field(0.0, ge=0)
+    voxel_size: float = Field(0.0, ge=0, le=1000)
     """Spacing of the points in metres (units of the model without georeference); 0 = median size of a pixel on the
     object. Points known less well are spaced more widely."""
     max_relative_sigma: float = Field(0.03, gt=0, le=0.5)

@@ -24,7 +24,7 @@ class DesignSettings(Section):
     """Budget loss: predicted increase of the position sigma over using all candidates, percent."""
     pairs_per_image: int = Field(40, ge=1, le=1000)
     """Budget pairs: pairs an image has on average; method top: pairs an image keeps because of its own ranking."""
-    seconds: float = Field(3600.0, gt=0)
+    seconds: float = Field(3600.0, gt=0, le=1e7)
     """Budget seconds: wall time the matching at full resolution may take, seconds."""
-    pairs_per_second: float = Field(20.0, gt=0)
+    pairs_per_second: float = Field(20.0, gt=0, le=1e6)
     """Budget seconds: pairs this machine matches in a second; the receipt of an earlier match stage tells it."""

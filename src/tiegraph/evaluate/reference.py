@@ -16,6 +16,7 @@ from tiegraph.geometry.align import umeyama
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.scene.cloudfile import read_cloud, refuse_cut_las
 from tiegraph.scene.colmapmodel import is_model, read_model
+from tiegraph.scene.posefile import read_poses
 from tiegraph.scene.regular import regular
 from tiegraph.scene.scene import Scene
 
@@ -88,6 +89,12 @@ def read_reference_poses(path: Path) -> ReferencePoses:
     return ReferencePoses({}, {"": read_tum(path)}, path)
 
 
+def check_reference(path: Path) -> None:
+    """Raise InputError for reference poses that cannot be used, without reading a COLMAP model."""
+    if not (path.is_dir() and is_model(path)):
+        read_reference_poses(path)
+
+
 def _read_colmap(folder: Path) -> dict[str, np.ndarray]:
     model = read_model(folder)
     posed = (i for i in model.images.values() if i.has_pose)
@@ -95,31 +102,14 @@ def _read_colmap(folder: Path) -> dict[str, np.ndarray]:
 
 
 def read_tum(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """time_s (T,) and world_from_body (T, 4, 4) of a TUM file (time tx ty tz qx qy qz qw), sorted by time."""
-    rows = []
-    for number, line in enumerate(_text(path).splitlines(), 1):
-        text = line.split("#")[0].replace(",", " ").split()
-        if not text:
-            continue
-        try:
-            values = [float(v) for v in text]
-        except ValueError:
-            values = []
-        if len(values) != 8 or not np.linalg.norm(values[4:]) > 0.5:
-            raise InputError(f"{path}:{number}: expected 'time tx ty tz qx qy qz qw', got {line.strip()!r}")
-        rows.append(values)
-    if not rows:
-        raise InputError(f"{path}: no poses in it; expected lines 'time tx ty tz qx qy qz qw'")
-    table = np.array(sorted(rows))
-    wxyz = np.roll(table[:, 4:], 1, axis=1)
-    return table[:, 0], transforms.from_quaternion_wxyz(wxyz, table[:, 1:4])
+    """time_s (T,) and world_from_body (T, 4, 4) of a TUM or EuRoC file (time tx ty tz qx qy qz qw), sorted by time.
 
-
-def _text(path: Path) -> str:
-    try:
-        return regular(path).read_text()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as text ({error}); give a TUM file") from None
+    Raises InputError, naming file and line.
+    """
+    found = read_poses(path)
+    if np.isnan(found.time_s).any():
+        raise InputError(f"{path}: poses without times; expected lines 'time tx ty tz qx qy qz qw'")
+    return found.time_s, found.poses
 
 
 def match_poses(reference: ReferencePoses, model: ModelPoses, scene: Scene) -> tuple[PoseMatch, str]:
@@ -263,6 +253,15 @@ def read_points(path: Path, most: int = 20_000_000) -> tuple[np.ndarray, str | N
         raise
     except Exception as error:
         raise InputError(f"{path}: not a readable point cloud: {error}") from None
+
+
+def check_points(path: Path) -> None:
+    """Raise InputError for a file that is no point cloud by its first bytes."""
+    ply = path.suffix.lower() == ".ply"
+    with open(path, "rb") as file:
+        first = file.read(4)
+    if not first.startswith(b"ply" if ply else b"LASF"):
+        raise InputError(f"{path}: not a readable point cloud: no {'PLY' if ply else 'LAS or LAZ'} file by its content")
 
 
 def _read_las(path: Path, most: int) -> tuple[np.ndarray, str | None]:

@@ -5,35 +5,42 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from tiegraph.settings import Section
+from tiegraph.settings import Section, user_path
 
 
 class EvaluateSettings(Section):
     """What the result is measured against; everything is optional."""
 
-    reference: Path | None = None
+    reference: Path | None = user_path("file or folder")
     """Reference poses: a COLMAP model folder (by image name), a TUM file, or a folder of TUM files, one a pass."""
 
-    reference_cloud: Path | None = None
+    reference_cloud: Path | None = user_path("file")
     """Reference point cloud (.laz, .las or .ply), for instance a LiDAR scan."""
 
-    reference_origin: tuple[float, float, float] | None = None
+    reference_origin: (
+        tuple[
+            Annotated[float, Field(ge=-90, le=90)],
+            Annotated[float, Field(ge=-360, le=360)],
+            Annotated[float, Field(ge=-12_000, le=100_000)],
+        ]
+        | None
+    ) = None
     """Latitude, longitude (deg), ellipsoidal height (m) of references given in local east-north-up metres about it."""
 
-    reference_masks: Path | None = None
+    reference_masks: Path | None = user_path("folder")
     """Hand-made masks, named as masks.folder describes: the table of mask accuracy of paper 001."""
 
-    mask_labels: tuple[int, ...] = ()
+    mask_labels: tuple[Annotated[int, Field(ge=0, le=65535)], ...] = ()
     """If the reference masks hold class labels: the label values that are useful, everything else should be masked."""
 
     alignment: Literal["rigid", "similarity", "none"] = "rigid"
     """How the cloud is laid on the reference: by the matched poses without scale, with scale, or as it is."""
 
-    distances_m: tuple[Annotated[float, Field(gt=0)], ...] = Field((0.02, 0.05, 0.10, 0.20), min_length=1)
+    distances_m: tuple[Annotated[float, Field(gt=0, le=100_000)], ...] = Field((0.02, 0.05, 0.10, 0.20), min_length=1)
     """Distances (m) at which accuracy, completeness and F-score of the cloud are stated."""
 
-    range_m: float = Field(50.0, gt=0)
+    range_m: float = Field(50.0, gt=0, le=100_000)
     """Only the part of the reference cloud nearer than this (m) to a registered camera counts for completeness."""
 
-    rpe_m: tuple[Annotated[float, Field(gt=0)], ...] = Field((1.0, 10.0, 100.0), min_length=1)
+    rpe_m: tuple[Annotated[float, Field(gt=0, le=100_000)], ...] = Field((1.0, 10.0, 100.0), min_length=1)
     """Travelled distances (m) over which the relative pose error is stated."""

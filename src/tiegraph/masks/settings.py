@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from tiegraph.settings import Section
+from tiegraph.settings import Section, user_path
 
 
 class MasksSettings(Section):
@@ -19,14 +19,14 @@ class MasksSettings(Section):
     (paper 000); sky = only sky and overexposure; model = a segmentation model of yours; folder = masks of yours;
     none = all is used; auto = folder if given, else learnt for rigs on a path, else none."""
 
-    folder: Path | None = None
+    folder: Path | None = user_path("folder")
     """Folder of your own masks; for up/cam0/a.jpg the first of up/cam0/a.jpg.png, up/cam0/a_mask.png, up/cam0/a.png, or
     one mask a camera: up/cam0.png, cam0.png. 0 = ignore, 255 or 1 = use; the size of the image."""
 
-    keep_labels: tuple[int, ...] = ()
+    keep_labels: tuple[Annotated[int, Field(ge=0, le=65535)], ...] = ()
     """Label values to use, if the folder holds class labels instead of masks; all other labels are ignored."""
 
-    model: Path | None = None
+    model: Path | None = user_path("file")
     """TOML file of your segmentation model: onnx = file, size = [width, height], mean, deviation, and [classes] with
     its labels for sky, water, platform, overexposed. Needs ONNX Runtime: pip install 'tiegraph[onnx]'."""
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from tiegraph.settings import Section
+from tiegraph.settings import Section, user_path
 
 SourceName = Literal["auto", "sequence", "exhaustive", "file", "offsets", "poses", "retrieval"]
 
@@ -15,10 +15,10 @@ SourceName = Literal["auto", "sequence", "exhaustive", "file", "offsets", "poses
 class NetworkSettings(Section):
     """Which images may tie: where candidate pairs come from and how they are tested."""
 
-    sources: tuple[SourceName, ...] = ("auto",)
+    sources: tuple[SourceName, ...] = Field(("auto",), min_length=1)
     """Pair sources, merged; auto: sequence and offsets for passes, poses where priors are known, exhaustive for few
     loose photographs, previews for many."""
-    pairs_file: Path | None = None
+    pairs_file: Path | None = user_path("file")
     """COLMAP pair list (two image names a line) for the source file."""
     sequence_frames: int = Field(2, ge=0, le=1000)
     """Source sequence: following frames of the same camera that every image is tied to, frames."""
@@ -45,9 +45,16 @@ class NetworkSettings(Section):
     axes_deg: float = Field(110.0, ge=10, le=180)
     """Two views of a surface from directions further apart than this do not match, degrees: cameras of one pass whose
     axes are so far apart are not tried, but for pairs whose views the model says meet at less."""
-    range_m: float = Field(0.0, ge=0)
+    range_m: float = Field(0.0, ge=0, le=100_000)
     """Source poses: usual distance from camera to object (paper 003), metres; 0 = ten times the distance between
     frames."""
     sections: Literal["off", "link", "split"] = "link"
     """Bridge and open sections by the up camera's brightness: not cut (off), cut with ties kept between them (link), or
     cut apart (split, paper 001)."""
+
+    @model_validator(mode="after")
+    def _file_goes_with_source(self) -> NetworkSettings:
+        if self.pairs_file is not None and "file" not in self.sources:
+            said = " ".join(self.sources)
+            raise ValueError(f"pairs_file is given, but sources = {said} does not read it: add file, or leave it away")
+        return self

@@ -114,30 +114,52 @@ def read_pair_list(path: Path, scene: Scene) -> tuple[Pairs, tuple[str, ...]]:
     Raises InputError naming file, line and name for an unknown image, a line without exactly two names, an unreadable
     file, or a file without pairs.
     """
-    try:
-        lines = regular(path).read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as a pair list: {error}") from error
-    rows: list[tuple[int, int]] = []
-    for number, line in enumerate(lines, start=1):
-        words = line.split("#", 1)[0].split()
-        if words:
-            rows.append(_pair_of(words, f"{path}, line {number}", scene))
+    rows: dict[tuple[int, int], int] = {}
+    ignored: dict[str, list[int]] = {"self pairs": [], "repeated pairs": []}  # lines of each
+    for number, words in pair_lines(path):
+        i, j = sorted(_pair_of(words, f"{path}, line {number}", scene))
+        if i == j:
+            ignored["self pairs"].append(number)
+        elif rows.setdefault((i, j), number) != number:
+            ignored["repeated pairs"].append(number)
     if not rows:
+        lines = ignored["self pairs"]
+        raise InputError(
+            f"{path}, line {lines[0]}: its {len(lines)} lines pair images with themselves; name two images a line"
+        )
+    both = np.array(list(rows))
+    said = ", ".join(f"{len(v)} {kind} (line {v[0]}{' ...' if len(v) > 1 else ''})" for kind, v in ignored.items() if v)
+    note = f"file: {len(rows)} pairs from {path.name}" + (f"; ignored: {said}" if said else "")
+    return Pairs.make(both[:, 0], both[:, 1], "file"), (note,)
+
+
+def pair_lines(path: Path) -> list[tuple[int, list[str]]]:
+    """(line number, two image names) of a pair list, without comments.
+
+    Raises InputError naming file and line for what is no text, holds no pairs, or has other than two names in a line.
+    """
+    try:
+        text = regular(path).read_bytes().decode("utf-8-sig")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read as a pair list: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: no pair list: not text in UTF-8 (byte {error.start + 1})") from None
+    out = [(k, line.split("#", 1)[0].split()) for k, line in enumerate(text.splitlines(), start=1)]
+    out = [(k, words) for k, words in out if words]
+    if not out:
         raise InputError(f"{path}: holds no pairs; expected two image names a line")
-    both = np.array(rows)
-    pairs = Pairs.make(both[:, 0], both[:, 1], "file")
-    selves = int(np.sum(both[:, 0] == both[:, 1]))
-    repeats = len(rows) - selves - len(pairs)
-    ignored = f"; ignored: {selves} self pairs, {repeats} repeated" if selves or repeats else ""
-    return pairs, (f"file: {len(pairs)} pairs from {path.name}{ignored}",)
+    for k, words in out:
+        if len(words) != 2 or "\0" in words[0] + words[1]:
+            found = f"{len(words)} words: {' '.join(words)!r:.99}"
+            raise InputError(f"{path}, line {k}: expected two image names, found {found}")
+    return out
 
 
 def _pair_of(words: list[str], place: str, scene: Scene) -> tuple[int, int]:
-    if len(words) != 2:
-        raise InputError(f"{place}: expected two image names, found {len(words)} words: {' '.join(words)!r}")
     index = []
     for name in words:
+        if name not in scene.image_index:
+            name = name.replace("\\", "/").removeprefix("./")
         if name not in scene.image_index:
             near = difflib.get_close_matches(name, scene.names, n=1, cutoff=0.3)
             hint = f"; perhaps {near[0]!r}?" if near else ""

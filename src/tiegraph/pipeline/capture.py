@@ -10,7 +10,7 @@ from tiegraph.errors import InputError
 from tiegraph.features.preview import Preview, extract_preview
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.pipeline.files import load_npz, read_image, read_mask, reading, save_npz, scanned
-from tiegraph.pipeline.world import control_points
+from tiegraph.pipeline.given import check_against
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scan.scan import ScanInputs, build_scene, prepare_image, probe_image
@@ -30,7 +30,7 @@ def scan(run: Run) -> Outcome:
     probes = run.map(probe_image, [root / n for n in names])
     inputs = ScanInputs(root, given.rig, given.gnss, given.trajectory, given.times)
     scene = build_scene(inputs, names, probes, run.settings.scan)
-    control_points(run, scene)  # a wrong file is better said now than after hours
+    told = check_against(run, scene)  # wrong files are better said now than after hours
     todo: dict[str, list[tuple[str, Sensor]]] = {}  # a panorama is read once for all its views
     for k, name in enumerate(scene.names):
         todo.setdefault(scene.source_name(k), []).append((name, scene.sensor_of(k)))
@@ -40,7 +40,7 @@ def scan(run: Run) -> Outcome:
     return Outcome(
         {**counts, "cameras": len(scene.all_sensors), "positions": _placed(scene.world_from_rig)},
         dropped=tuple((d.name, d.reason) for d in scene.dropped),
-        notes=(*said, *found.notes, *scene.notes),
+        notes=(*said, *found.notes, *scene.notes, *told),
     )
 
 

@@ -121,7 +121,7 @@ class Run:
             self._executor = None
 
 
-def check(stages: Sequence[Stage], run: Run) -> None:
+def check_run(stages: Sequence[Stage], run: Run) -> None:
     """Raise InputError, before anything is written, for a run folder that is not ours or where inputs lie."""
     check_folder(run.folder)
     given = run.inputs.given() | _given_by_settings(run.settings)
@@ -147,7 +147,7 @@ def run_stages(
     stages raise.
     """
     wanted = needed(stages, until)
-    check(stages, run)
+    check_run(stages, run)
     keys = stage_keys(stages, run.settings, run.inputs.key())
     artefacts = Artefacts(run.folder, stages)
     ran: list[str] = []

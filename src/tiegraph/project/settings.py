@@ -30,6 +30,9 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
+_SHOWN = 80  # characters of a wrong value in a message
+RUN_KEYS = ("images", "rig", "gnss", "trajectory", "times", "preset")  # of [run]: the inputs of a run
+
 
 class Settings(Section):
     """Every setting, by stage."""
@@ -63,7 +66,10 @@ def merged(*layers: dict[str, dict[str, Any]], where: str = "settings") -> Setti
     for layer in layers:
         for section, values in layer.items():
             if not isinstance(values, dict):
-                raise SettingsError(f"{where}: {section!r} must be a section such as [{_nearest(section)}]")
+                name = section if section in Settings.model_fields else _nearest(section)
+                raise SettingsError(
+                    f"{where}: {section!r} must be a section such as [{name}], and is {shortened(values)}"
+                )
             together.setdefault(section, {}).update(values)
     try:
         return Settings.model_validate(together)
@@ -78,15 +84,59 @@ def changed(settings: Settings) -> dict[str, dict[str, Any]]:
 
 
 def read_file(path: Path) -> dict[str, Any]:
-    """The tables of a tiegraph.toml, {} if it is not there. Raises SettingsError with the line of a TOML error."""
+    """The tables of a tiegraph.toml, {} if it is not there.
+
+    Raises SettingsError for what is no file of UTF-8 text, with the line of a TOML error, and for what is no section.
+    """
     if not path.exists():
         return {}
     try:
-        return tomllib.loads(regular(path).read_text())
-    except tomllib.TOMLDecodeError as error:
-        raise SettingsError(f"{path}: not valid TOML: {error}") from None
+        data = parse(regular(path).read_bytes().decode("utf-8-sig"))
     except OSError as error:
-        raise SettingsError(f"{path}: cannot be read ({error.strerror}); restore it or take it away") from None
+        raise SettingsError(f"{path}: cannot be read ({error.strerror}): move it away to begin anew") from None
+    except UnicodeDecodeError as error:
+        raise SettingsError(
+            f"{path}: not a text file in UTF-8 (byte {error.start + 1}): save it so, or move it away to begin anew"
+        ) from None
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise SettingsError(f"{path}: not valid TOML: {error}") from None
+    run_table(data, str(path))
+    return data
+
+
+def run_table(data: dict[str, Any], where: str) -> dict[str, str]:
+    """The section [run] of a tiegraph.toml: inputs by name. Raises SettingsError for unknown names and for no text."""
+    run = data.get("run", {})
+    if not isinstance(run, dict):
+        raise SettingsError(f"{where}: run = {shortened(run)} must be a section [run] that holds {', '.join(RUN_KEYS)}")
+    for name, value in run.items():
+        if name not in RUN_KEYS:
+            raise SettingsError(f"{where}: unknown name {name!r} in [run]: {_remedy(name)}")
+        if not isinstance(value, str) or not value.strip() or "\0" in value:
+            raise SettingsError(
+                f"{where}: run.{name} = {shortened(value)}: give a path or name in quotes, or take it out"
+            )
+    return run
+
+
+def _remedy(name: str) -> str:
+    own = "georef.gcp" if name == "gcp" else next((f"{s}.{name}" for s, f in sections() if name in f), "")
+    if own:
+        section, _, key = own.partition(".")
+        return f"it is the setting {key} of [{section}]"
+    near = difflib.get_close_matches(name, RUN_KEYS, n=1)
+    return f"perhaps you meant {near[0]!r}?" if near else f"known are {', '.join(RUN_KEYS)}"
+
+
+def sections() -> list[tuple[str, dict[str, Any]]]:
+    """(section, its fields by name) of every section."""
+    return [(name, dict(type(field.default).model_fields)) for name, field in Settings.model_fields.items()]
+
+
+def shortened(value: Any) -> str:
+    """A wrong value for a message."""
+    text = repr(value)
+    return text if len(text) <= _SHOWN else text[:_SHOWN] + " ..."
 
 
 def parse(text: str) -> dict[str, Any]:
@@ -116,7 +166,8 @@ def _explain(error: Any) -> str:
     where = [str(part) for part in error["loc"]]
     name = ".".join(where)
     if error["type"] != "extra_forbidden":
-        return f"{name} = {error.get('input')!r}: {error['msg']}"
+        value = "" if isinstance(error.get("input"), dict) else f" = {shortened(error.get('input'))}"
+        return f"{name}{value}: {error['msg'].removeprefix('Value error, ')}"
     fields: Any = Settings
     for part in where[:-1]:
         fields = type(fields.model_fields[part].default)

@@ -12,6 +12,7 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.scan.folders import UP_WORDS, Layout, Place, guess_layout, is_loose, natural, place_by_folders, words
+from tiegraph.scan.rigcheck import contradictions
 from tiegraph.scan.rigfile import read_rig_file
 from tiegraph.scan.rigspec import RigSpec, SensorSpec, preset, preset_sizes
 from tiegraph.scan.settings import ScanSettings
@@ -125,6 +126,7 @@ def _assign_by_file(file: Path, usable: Usable, settings: ScanSettings, report: 
     report.drop(stray, f"below no sensor folder of {file.name} ({', '.join(owner)})")
     loose, why = usable.loose(places, settings.layout) if len(owner) == 1 else (False, "")
     report.notes.append(f"rig file {file.name}: {len(owner)} sensor(s)" + (f"; {why}" if why else ""))
+    report.notes += [f"{file.name}: {text}" for spec in specs for text in contradictions(spec)]
     shots = [
         _shot(image, name, owner[place.folder], "" if loose else place.track)
         for image, name, place in zip(usable.images, usable.names, places)

@@ -10,6 +10,7 @@ import pycolmap
 from tiegraph.errors import InputError
 from tiegraph.scan.folders import words
 from tiegraph.scan.prepare import crop_camera, pinhole_camera
+from tiegraph.scan.rigcheck import MAX_FOV_DEG, MIN_FOV_DEG, focal_fault, lens_fault
 from tiegraph.scan.rigspec import SensorSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.rig import Source
@@ -79,8 +80,16 @@ def _file_camera(spec: SensorSpec, facts: FileFacts, file: str, settings: ScanSe
     width, height = facts.size
     if spec.focal_px is not None:
         scale = _scale(spec, facts, file)
+        wrong = focal_fault(spec.focal_px * scale, width, fisheye)
+        if wrong:
+            raise InputError(f"{spec.at or file}: sensor {spec.name!r}: {wrong}")
         return _camera(model, spec.focal_px * scale, facts, True), f"focal length from {file}{_scaled(scale)}"
     if spec.hfov_deg is not None and file:
+        if not fisheye and not MIN_FOV_DEG <= spec.hfov_deg <= MAX_FOV_DEG:
+            raise InputError(
+                f"{spec.at or file}: sensor {spec.name!r}: hfov_deg = {spec.hfov_deg:g}: a {model} image sees "
+                f"{MIN_FOV_DEG:g} to {MAX_FOV_DEG:g} degrees; give a fisheye model?"
+            )
         return _camera(model, _from_hfov(spec.hfov_deg, width, fisheye), facts, True), f"field of view from {file}"
     if np.isfinite(facts.focal_px):
         return _camera(model, facts.focal_px, facts, True), "focal length from EXIF"
@@ -100,12 +109,9 @@ def _from_params(
     scale = _scale(spec, facts, file)
     width, height = spec.size or facts.size
     camera = pycolmap.Camera(model=model, width=width, height=height, params=list(params))
-    cx, cy = camera.principal_point_x, camera.principal_point_y
-    if not (0 < cx < width and 0 < cy < height) or camera.mean_focal_length() <= 0:
-        raise InputError(
-            f"{file}: sensor {spec.name!r}: the principal point ({cx:g}, {cy:g}) is not inside the {width} x {height} "
-            "image. If the parameters belong to another image size, give it as size = [width, height] in a rig.toml"
-        )
+    wrong = lens_fault(camera)
+    if wrong:
+        raise InputError(f"{spec.at or file}: sensor {spec.name!r}: {wrong}")
     if (width, height) != facts.size:
         camera.rescale(*facts.size)
     camera.has_prior_focal_length = True

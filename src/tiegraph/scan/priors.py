@@ -47,6 +47,7 @@ def estimate_priors(
     files = {} if trajectory is None else {k: (f, read_trajectory(f)) for k, f in
                                            trajectory_files(trajectory, frames.tracks).items()}  # fmt: skip
     time_s = _times(frames, times, files, notes)
+    notes += [note for _, found in files.values() for note in found.notes]
     paths = _paths(frames, files, time_s, settings, notes)
     count = len(frames.rows)
     priors = Priors(time_s, np.full((count, 4, 4), np.nan), np.full((count, 3), np.nan))
@@ -135,6 +136,10 @@ def _paths(
         missing = int(np.isnan(poses[rows, 0, 0]).sum())
         if missing:
             notes.append(f"{path.name}: {missing} of {len(rows)} frames have no pose in it")
+    without = [name for k, name in enumerate(frames.tracks) if -1 not in files and k not in files]
+    if without:
+        used = ", ".join(path.name for path, _ in files.values())
+        notes.append(f"no trajectory of pass {', '.join(without)}: none of the other files than {used} has its name")
     for k, row in enumerate(frames.rows):  # the file's poses are those of the body
         poses[k] = poses[k] @ np.linalg.inv(body_of(frames.specs[row.rig])[0])
     group[np.isnan(poses[:, 0, 0])] = -1

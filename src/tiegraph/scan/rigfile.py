@@ -37,19 +37,19 @@ The frame of a trajectory given beside a rig file is this body frame. Without or
 
 from __future__ import annotations
 
-import difflib
 import json
-import re
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pycolmap
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.transforms import from_quaternion_wxyz, invert, rigid
-from tiegraph.scan.rigspec import AXES, RigSpec, SensorSpec, orient
+from tiegraph.geometry.transforms import invert, rigid
+from tiegraph.scan.rigcheck import faults, lens_fault
+from tiegraph.scan.rigreader import Reader, is_number
+from tiegraph.scan.rigspec import AXES, PRESET_WORDS, RigSpec, SensorSpec, orient
 from tiegraph.scene.regular import regular
 from tiegraph.scene.rig import PAIR_KEYS, ROLES, SensorPair
 
@@ -71,102 +71,45 @@ _COLMAP_KEYS = (
 _TURNS = ("yaw_pitch_roll_deg", "body_from_sensor_wxyz", "body_from_sensor")
 
 
-def read_rig_file(path: Path) -> tuple[RigSpec, ...]:
+def read_rig_file(path: Path | str) -> tuple[RigSpec, ...]:
     """Rigs of a rig.toml (one) or a COLMAP rig_config.json (one or more).
 
     Raises InputError with file, line and key for what is missing, unknown, misspelt or of the wrong kind.
     """
     path = Path(path)
-    if not path.exists():
-        raise InputError(
-            f"--rig {path}: no such file, and no preset: ladybug5, ring:N, stereo, stereo:BASELINE, single, panorama"
-        )
+    if not path.is_file():
+        what = "is a folder, not a rig file" if path.is_dir() else "no such file"
+        raise InputError(f"--rig {path}: {what}, and no preset: {PRESET_WORDS}")
     try:
         text = regular(path).read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as text ({error})") from None
-    if path.suffix.lower() == ".json":
-        return _ColmapReader(path, text).rigs()
-    return (_TomlReader(path, text).rig(),)
-
-
-class _Reader:
-    """Checks of keys and values that name the file, the line and the key."""
-
-    def __init__(self, path: Path, text: str) -> None:
-        self.path, self.lines = path, text.splitlines()
-
-    def fail(self, key: str, message: str, table: str = "", number: int = 0) -> InputError:
-        line = self.line(key, table, number)
-        return InputError(f"{self.path}{f', line {line}' if line else ''}: {message}")
-
-    def line(self, key: str, table: str, number: int) -> int:
-        """Line of a key in the ``number``-th table, 0 if not found."""
-        start, seen = 0, -1
-        if table:
-            for k, text in enumerate(self.lines):
-                seen += bool(re.match(table, text))
-                if seen == number:
-                    start = k
-                    break
-        pattern = re.compile(rf'(^|[\s{{,"]){re.escape(key)}"?\s*[=:]')
-        for k in range(start, len(self.lines)):
-            if pattern.search(self.lines[k]) or re.match(rf"\s*\[+\s*{re.escape(key)}\s*\]", self.lines[k]):
-                return k + 1
-        return start + 1 if table and seen == number else 0
-
-    def known(self, data: dict, valid: tuple[str, ...], where: str, table: str = "", number: int = 0) -> None:
-        for key in data:
-            if key not in valid:
-                near = difflib.get_close_matches(key, valid, n=1)
-                hint = f"; perhaps you meant {near[0]!r}?" if near else ""
-                raise self.fail(key, f"unknown key {key!r} in {where}{hint} (valid: {', '.join(valid)})", table, number)
-
-    def numbers(
-        self, data: dict, key: str, count: tuple[int, ...], table: str = "", number: int = 0
-    ) -> tuple[float, ...] | None:
-        value = data.get(key)
-        if value is None:
-            return None
-        good = isinstance(value, list) and all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in value)
-        if not good or (count and len(value) not in count) or not np.isfinite(value).all():
-            many = f"{' or '.join(map(str, count))} " if count else ""
-            raise self.fail(key, f"{key} = {value!r}: expected a list of {many}finite numbers", table, number)
-        return tuple(float(v) for v in value)
-
-    def choice(self, data: dict, key: str, valid: tuple[Any, ...], table: str = "", number: int = 0) -> Any:
-        value = data.get(key, valid[0])
-        if value not in valid or isinstance(value, bool) != isinstance(valid[0], bool):
-            words = ", ".join(str(v).lower() if isinstance(v, bool) else str(v) for v in valid)
-            raise self.fail(key, f"{key} = {value!r}: valid are {words}{_near(value, valid)}", table, number)
-        return value
-
-    def model(self, value: Any, params: Any, table: str = "", number: int = 0, key: str = "model") -> str:
-        """A COLMAP camera model name, with the right number of parameters."""
-        valid = tuple(m for m in pycolmap.CameraModelId.__members__ if m != "INVALID")
-        if value not in valid:
-            raise self.fail(key, f"unknown camera model {value!r}{_near(value, valid)} (COLMAP's names)", table, number)
-        info = pycolmap.Camera.create_from_model_name(0, value, 1.0, 1, 1)
-        if params is not None and len(params) != len(info.params):
-            message = f"{value} has {len(info.params)} parameters ({info.params_info}), got {len(params)}"
-            raise self.fail(key, message, table, number)
-        return str(value)
-
-    def quaternion(self, q: tuple[float, ...], key: str, table: str = "", number: int = 0) -> np.ndarray:
-        if abs(np.linalg.norm(q) - 1) > 1e-3:
-            raise self.fail(key, f"{key}: the quaternion has length {np.linalg.norm(q):.4g}, not 1", table, number)
-        return from_quaternion_wxyz(np.array(q), np.zeros(3))[:3, :3]
-
-
-def _near(value: Any, valid: tuple[Any, ...]) -> str:
-    near = difflib.get_close_matches(str(value), [str(v) for v in valid], n=1, cutoff=0.5)
-    return f"; perhaps you meant {near[0]!r}?" if near else ""
+        raise InputError(f"{path}: cannot be read as text in UTF-8 ({error})") from None
+    colmap = path.suffix.lower() == ".json"
+    reader = _ColmapReader(path, text) if colmap else _TomlReader(path, text)
+    try:
+        rigs = reader.rigs()
+    except RecursionError:
+        raise InputError(f"{path}: too many brackets within brackets to be a rig file") from None
+    for rig in rigs:
+        for fault in faults(rig):
+            raise reader.fault(fault, rig)
+    return rigs
 
 
 _SENSORS_TABLE = r"\s*\[\[\s*sensors\s*\]\]"
 
 
-class _TomlReader(_Reader):
+_PAIRS_TABLE = r"\s*\[\[\s*pairs\s*\]\]"
+_MAX_SIDE_PX = 100_000  # of an image
+_MAX_TURN_DEG = 360.0
+
+
+class _TomlReader(Reader):
+    tables: ClassVar[dict[str, str]] = {"sensors": _SENSORS_TABLE, "pairs": _PAIRS_TABLE}
+
+    def rigs(self) -> tuple[RigSpec, ...]:
+        return (self.rig(),)
+
     def rig(self) -> RigSpec:
         try:
             data = tomllib.loads("\n".join(self.lines))
@@ -215,6 +158,7 @@ class _TomlReader(_Reader):
             crop_px=None if crop is None else tuple(int(c) for c in crop),  # type: ignore[arg-type]
             sigma_deg=self.positive(data, "sigma_deg", *at),
             sigma_m=self.positive(data, "sigma_m", *at),
+            number=number,
             **camera,
         )
 
@@ -223,10 +167,11 @@ class _TomlReader(_Reader):
             raise self.fail("pairs", "pairs: expected [[pairs]] tables")
         out = []
         for number, data in enumerate(tables):
-            at = (r"\s*\[\[\s*pairs\s*\]\]", number)
+            at = (_PAIRS_TABLE, number)
             self.known(data, ("sensors", *PAIR_KEYS), f"pair {number + 1}", *at)
             both = data.get("sensors")
-            if not isinstance(both, list) or len(both) != 2 or both[0] == both[1] or not set(both) <= set(names):
+            good = isinstance(both, list) and len(both) == 2 and all(b in names for b in both)
+            if not good or both[0] == both[1]:
                 raise self.fail("sensors", f"sensors = {both!r}: expected two of {', '.join(names)}", *at)
             values = {key: self.positive(data, key, *at) for key in PAIR_KEYS}
             for value, sigma in (PAIR_KEYS[:2], PAIR_KEYS[2:]):
@@ -239,8 +184,8 @@ class _TomlReader(_Reader):
         value = data.get(key)
         if value is None:
             return None
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value < np.inf:
-            raise self.fail(key, f"{key} = {value!r}: expected a number, 0 or more", table, number)
+        if not is_number(value) or value < 0:
+            raise self.fail(key, f"{key} = {value!r:.99}: expected a finite number, 0 or more", table, number)
         return float(value)
 
     def pose(self, data: dict, axes: str, table: str, number: int) -> np.ndarray | None:
@@ -258,6 +203,8 @@ class _TomlReader(_Reader):
             return self.matrix(data, position, table, number)
         values = self.numbers(data, turns[0], (3,) if turns[0].startswith("yaw") else (4,), table, number)
         assert values is not None
+        if len(values) == 3 and max(map(abs, values)) > _MAX_TURN_DEG:
+            raise self.fail(turns[0], f"{turns[0]} = {list(values)}: expected degrees, 360 at most", table, number)
         rotation = orient(*values, axes) if len(values) == 3 else self.quaternion(values, turns[0], table, number)
         return rigid(rotation, np.array(position or (0.0, 0.0, 0.0)))
 
@@ -265,10 +212,12 @@ class _TomlReader(_Reader):
         key = "body_from_sensor"
         try:
             matrix = np.array(data[key], float)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             matrix = np.zeros(0)
-        if matrix.shape not in ((3, 3), (3, 4), (4, 4)):
-            raise self.fail(key, f"{key}: expected 3 rows of 3 or 4 numbers", table, number)
+        if matrix.shape not in ((3, 3), (3, 4), (4, 4)) or not np.isfinite(matrix).all():
+            raise self.fail(key, f"{key}: expected 3 rows of 3 or 4 finite numbers", table, number)
+        if len(matrix) == 4 and not np.array_equal(matrix[3], [0, 0, 0, 1]):
+            raise self.fail(key, f"{key}: the fourth row must be 0, 0, 0, 1", table, number)
         rotation = matrix[:3, :3]
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(rotation) < 0:
             raise self.fail(
@@ -294,11 +243,16 @@ class _TomlReader(_Reader):
         model = self.model(data["model"], params, *at) if "model" in data else None
         for key, most in (("focal_px", 1e6), ("hfov_deg", 179.0)):
             value = data.get(key, 1.0)
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value <= most:
-                raise self.fail(key, f"{key} = {value!r}: expected a number above 0, at most {most:g}", *at)
-        if size is not None and min(size) < 1:
-            raise self.fail("size", f"size = {data['size']!r}: expected width and height in pixels", *at)
+            if not is_number(value) or not 0 < value <= most:
+                raise self.fail(key, f"{key} = {value!r:.99}: expected a number above 0, at most {most:g}", *at)
+        if size is not None and (any(v != int(v) for v in size) or not 1 <= min(size) <= max(size) <= _MAX_SIDE_PX):
+            raise self.fail("size", f"size = {data['size']!r}: expected width and height in whole pixels", *at)
+        if size is not None and params is not None and model is not None:
+            wrong = lens_fault(pycolmap.Camera(model=model, width=int(size[0]), height=int(size[1]), params=params))
+            if wrong:
+                raise self.fail("params", f"camera of {where}: {wrong}", *at)
         return {
+            "at": self.at(given[0], *at) if given else "",
             "model": model,
             "size": None if size is None else (int(size[0]), int(size[1])),
             "params": params,
@@ -307,7 +261,13 @@ class _TomlReader(_Reader):
         }
 
 
-class _ColmapReader(_Reader):
+_CAMERA_TABLE = r'.*"image_prefix"'
+
+
+class _ColmapReader(Reader):
+    tables: ClassVar[dict[str, str]] = {"sensors": _CAMERA_TABLE}
+    words: ClassVar[dict[str, str]] = {"position_m": "cam_from_rig_translation"}
+
     def rigs(self) -> tuple[RigSpec, ...]:
         try:
             data = json.loads("\n".join(self.lines))
@@ -315,25 +275,33 @@ class _ColmapReader(_Reader):
             raise InputError(f"{self.path}, line {error.lineno}: not valid JSON: {error.msg}") from None
         if not isinstance(data, list) or not data or not all(isinstance(r, dict) for r in data):
             raise InputError(f'{self.path}: COLMAP rig files are a list of rigs: [{{"cameras": [...]}}]')
-        return tuple(self.rig(r, k, len(data)) for k, r in enumerate(data))
+        lists = [r.get("cameras") for r in data]
+        for number, cameras in enumerate(lists):
+            self.known(data[number], ("cameras",), f"rig {number + 1}")
+            if not isinstance(cameras, list) or not cameras or not all(isinstance(c, dict) for c in cameras):
+                raise self.fail("cameras", f"rig {number + 1} needs a list of cameras")
+        given = [c.get("image_prefix") for cameras in lists for c in cameras]
+        prefixes = [p.strip("/") if isinstance(p, str) else None for p in given]
+        twice = next((k for k, p in enumerate(prefixes) if p is not None and p in prefixes[:k]), None)
+        if twice is not None:
+            message = f"two cameras have the image_prefix {prefixes[twice]!r}, the same folder: give each its own"
+            raise self.fail("image_prefix", message, _CAMERA_TABLE, twice)
+        before = np.cumsum([0, *map(len, lists)])
+        return tuple(self.rig(cameras, k, len(data), int(before[k])) for k, cameras in enumerate(lists))
 
-    def rig(self, data: dict, number: int, count: int) -> RigSpec:
-        self.known(data, ("cameras",), f"rig {number + 1}")
-        cameras = data.get("cameras", [])
-        if not isinstance(cameras, list) or not cameras or not all(isinstance(c, dict) for c in cameras):
-            raise self.fail("cameras", f"rig {number + 1} needs a list of cameras")
+    def rig(self, cameras: list[dict], number: int, count: int, before: int) -> RigSpec:
         references = [k for k, c in enumerate(cameras) if c.get("ref_sensor") is True]
         if len(references) != 1:
             raise self.fail(
                 "ref_sensor", f"rig {number + 1}: exactly one camera must have ref_sensor, got {len(references)}"
             )
         order = references + [k for k in range(len(cameras)) if k not in references]
-        sensors = tuple(self.sensor(cameras[k], k) for k in order)
+        sensors = tuple(self.sensor(cameras[k], before + k) for k in order)
         name = self.path.stem if count == 1 else f"{self.path.stem} {number + 1}"
         return RigSpec(name, sensors, file=str(self.path), body_is_reference=True)
 
     def sensor(self, data: dict, number: int) -> SensorSpec:
-        at = (r'.*"image_prefix"', number)
+        at = (_CAMERA_TABLE, number)
         self.known(data, _COLMAP_KEYS, f"camera {number + 1}")
         prefix = data.get("image_prefix")
         if not isinstance(prefix, str):
@@ -349,10 +317,12 @@ class _ColmapReader(_Reader):
             body_from_sensor=self.pose(data, number),
             model=None if model is None else self.model(model, params, *at, "camera_model_name"),
             params=params,
+            number=number,
+            at=self.at("camera_params", *at) if params is not None else "",
         )
 
     def pose(self, data: dict, number: int) -> np.ndarray | None:
-        at = (r'.*"image_prefix"', number)
+        at = (_CAMERA_TABLE, number)
         q = self.numbers(data, "cam_from_rig_rotation", (4,), *at)
         t = self.numbers(data, "cam_from_rig_translation", (3,), *at)
         if data.get("ref_sensor"):

@@ -19,6 +19,8 @@ AXES = {
     "rfu": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),  # x right, y forward, z up (surveying)
 }
 LADYBUG_SIDES = 5
+PRESET_WORDS = "ladybug5, ring:N, stereo, stereo:BASELINE, single, panorama"
+_MAX_BASELINE_M = 100.0
 _LADYBUG_HFOV_DEG = 90.0  # of a rectified side image, about
 
 
@@ -39,6 +41,8 @@ class SensorSpec:
     sigma_deg: float | None = None
     sigma_m: float | None = None
     of_panorama: bool = False  # a view that is rendered from an equirectangular panorama
+    number: int = 0  # of its table in the rig file
+    at: str = ""  # file and line of its camera, "" = from no file
 
 
 @dataclass(frozen=True)
@@ -97,6 +101,8 @@ def preset_sizes(text: str) -> tuple[int, ...]:
             raise InputError(f"--rig {text}: a ring has 2 or more cameras, for example ring:5")
         return (int(count),)
     if word == "stereo":
+        if number and not 0 <= _number(number, text) <= _MAX_BASELINE_M:
+            raise InputError(f"--rig {text}: a baseline is 0 to {_MAX_BASELINE_M:g} metres, for example stereo:0.54")
         return (2,)
     return {"ladybug5": (LADYBUG_SIDES + 1, LADYBUG_SIDES), "single": (1,)}.get(text.strip().lower(), ())
 
@@ -143,8 +149,9 @@ def _named(name: str, poses: list[np.ndarray], folders: tuple[str, ...]) -> RigS
 
 def _number(text: str, whole: str) -> float:
     try:
-        return float(text)
+        value = float(text)
     except ValueError:
-        raise InputError(
-            f"--rig {whole}: expected a number after the colon, for example ring:5 or stereo:0.54"
-        ) from None
+        value = np.nan
+    if not np.isfinite(value):
+        raise InputError(f"--rig {whole}: expected a number after the colon, for example ring:5 or stereo:0.54")
+    return value

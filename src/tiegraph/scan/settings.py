@@ -1,10 +1,12 @@
 """Settings of the scan stage."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from tiegraph.settings import Section
+
+_Px = Annotated[int, Field(ge=0, le=100_000)]
 
 
 class ScanSettings(Section):
@@ -36,7 +38,7 @@ class ScanSettings(Section):
     video_fps: float = Field(default=2.0, gt=0, le=60)
     """Pictures taken of a second of video (in a folder with videos and no images): the sharpest of each stretch."""
 
-    crop_px: tuple[int, int, int, int] = (0, 0, 0, 0)
+    crop_px: tuple[_Px, _Px, _Px, _Px] = (0, 0, 0, 0)
     """Pixels cut off every image: left, top, right, bottom (a rig file may give this for each sensor)."""
 
     undistort: bool = False

@@ -1,4 +1,4 @@
-"""Trajectories of visual odometry, SLAM or an INS: TUM files (with times) and KITTI files (a pose a frame)."""
+"""Trajectories of visual odometry, SLAM or an INS: which file is of which pass, reading and writing them."""
 
 from __future__ import annotations
 
@@ -6,77 +6,25 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
-from tiegraph.geometry.transforms import angle_deg, quaternion_xyzw, rigid
+from tiegraph.geometry.transforms import angle_deg, quaternion_xyzw
 from tiegraph.scan.folders import words
-from tiegraph.scene.regular import regular
+from tiegraph.scene.posefile import read_poses
 from tiegraph.scene.results import Trajectory
 
-_TUM, _KITTI = 8, 12
-_SUFFIXES = (".tum", ".txt", ".kitti")
+_SUFFIXES = ((".tum",), (".txt", ".kitti"), (".csv",))  # the first kind that a folder has
 _SAME_START_M, _SAME_START_DEG = 1e-3, 0.1
 
 
 def read_trajectory(path: Path) -> Trajectory:
-    """Poses of a file: TUM (``t x y z qx qy qz qw``) or KITTI (12 numbers, 3x4 row by row; its times are NaN).
+    """Poses of a file of TUM, KITTI (its times are NaN) or EuRoC, as ``scene.posefile.read_poses`` reads it.
 
     Sorted by time; rows with the time of another row are left out. Raises InputError with the line number for a wrong
-    number of columns, text, or a quaternion or rotation that is none.
+    number of columns, text, and values that are none or make no sense.
     """
-    try:
-        lines = regular(path).read_text(encoding="utf-8-sig", errors="replace").splitlines()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give a TUM file: t x y z qx qy qz qw") from None
-    rows = [(k + 1, line.replace(",", " ").split()) for k, line in enumerate(lines) if line.strip()]
-    rows = [(n, cells) for n, cells in rows if not cells[0].startswith(("#", "%"))]
-    if not rows:
-        raise InputError(f"{path}: no poses; give a TUM file: t x y z qx qy qz qw")
-    width = len(rows[0][1])
-    if width not in (_TUM, _KITTI):
-        raise InputError(
-            f"{path}, line {rows[0][0]}: {width} columns; expected 8 (TUM: t x y z qx qy qz qw) or 12 (KITTI)"
-        )
-    numbers = np.array([_row(path, n, cells, width) for n, cells in rows])
-    lines_at = [n for n, _ in rows]
-    return _tum(path, numbers, lines_at) if width == _TUM else _kitti(path, numbers, lines_at)
-
-
-def _row(path: Path, line: int, cells: list[str], width: int) -> list[float]:
-    if len(cells) != width:
-        raise InputError(f"{path}, line {line}: {len(cells)} columns, but the lines above have {width}")
-    try:
-        values = [float(c) for c in cells]
-    except ValueError:
-        raise InputError(f"{path}, line {line}: not all cells are numbers: {' '.join(cells)}") from None
-    if not np.isfinite(values).all():
-        raise InputError(f"{path}, line {line}: not a finite number; leave lost poses out of the file")
-    return values
-
-
-def _tum(path: Path, numbers: np.ndarray, lines: list[int]) -> Trajectory:
-    length = np.linalg.norm(numbers[:, 4:], axis=1)
-    bad = np.flatnonzero(np.abs(length - 1) > 1e-2)
-    if len(bad):
-        raise InputError(
-            f"{path}, line {lines[bad[0]]}: the quaternion qx qy qz qw has length {length[bad[0]]:.3g}, not 1"
-        )
-    order = np.argsort(numbers[:, 0], kind="stable")
-    numbers = numbers[order[np.concatenate([[True], np.diff(numbers[order, 0]) > 1e-9])]]
-    poses = rigid(Rotation.from_quat(numbers[:, 4:]).as_matrix(), numbers[:, 1:4])
-    return Trajectory(numbers[:, 0], poses, np.full(len(numbers), np.nan))
-
-
-def _kitti(path: Path, numbers: np.ndarray, lines: list[int]) -> Trajectory:
-    matrices = numbers.reshape(-1, 3, 4)
-    off = np.abs(matrices[:, :, :3] @ np.swapaxes(matrices[:, :, :3], 1, 2) - np.eye(3)).max(axis=(1, 2))
-    bad = np.flatnonzero(off > 1e-2)
-    if len(bad):
-        raise InputError(f"{path}, line {lines[bad[0]]}: columns 1-3, 5-7, 9-11 are not a rotation")
-    rotation = Rotation.from_matrix(matrices[:, :, :3]).as_matrix()
-    poses = rigid(rotation, matrices[:, :, 3])
-    return Trajectory(np.full(len(poses), np.nan), poses, np.full(len(poses), np.nan))
+    found = read_poses(path)
+    return Trajectory(found.time_s, found.poses, np.full(len(found.poses), np.nan), notes=found.notes)
 
 
 def write_tum(path: Path, time_s: np.ndarray, world_from_rig: np.ndarray) -> None:
@@ -100,15 +48,16 @@ def trajectory_files(path: Path, tracks: Sequence[str]) -> dict[int, Path]:
         return {-1: path}
     if not path.exists():
         raise InputError(f"--trajectory {path}: no such file or folder")
-    files = sorted(f for f in path.iterdir() if f.suffix.lower() in _SUFFIXES and not f.name.startswith("."))
-    tum = [f for f in files if f.suffix.lower() == ".tum"]
-    files = tum or files
+    every = sorted(f for f in path.iterdir() if not f.name.startswith("."))
+    kinds = ([f for f in every if f.suffix.lower() in kind] for kind in _SUFFIXES)
+    files = next((found for found in kinds if found), [])
     if len(files) == 1:
         return {-1: files[0]}
     found = {k: f for k, name in enumerate(tracks) if (f := _for_pass(name, files)) is not None}
     if not found:
+        there = ", ".join(f.name for f in files) or "none ends in .tum, .txt, .csv"
         raise InputError(
-            f"--trajectory {path}: none of its files ({', '.join(f.name for f in files) or 'none ends in .tum, .txt'}) "
+            f"--trajectory {path}: none of its files ({there}) "
             f"has the name of a pass in its own ({', '.join(tracks) or 'there is no pass'}), as in vo_up.tum"
         )
     return found

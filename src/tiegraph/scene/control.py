@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import PurePosixPath
 
@@ -12,10 +13,12 @@ import pyproj
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import ENU, Origin, crs_transformer, make_origin, vertical_note, world_from_geodetic
-from tiegraph.scene.gcp import GcpFile
+from tiegraph.scene.gcp import FileMark, GcpFile
 from tiegraph.scene.rig import Sensor, Source
 from tiegraph.scene.scene import Scene
 
+MIN_MARKS = 2  # of a point whose place in the model can be found
+EDGE_PX = 1.0  # a mark may lie this far off its image: programs count from the pixel's centre or corner
 FAR_M = 100_000.0  # farther from the survey's positions than this, the coordinates are of another CRS or axis order
 _SHOWN = 3
 
@@ -44,27 +47,29 @@ def locate(file: GcpFile, scene: Scene, crs: str = "auto") -> Control:
     """The points of a file in the scene's world and their marks in its images.
 
     Without positions in the scene the world is made from the points, in ``crs`` ("auto": the file's own if it is
-    projected, else the UTM zone). Marks in images that are not here are left out and said with file and line. Raises
-    InputError if no mark is in an image of the survey, if coordinates lie outside their CRS, or far from the survey.
+    projected, else the UTM zone). Marks in images that are not here, or where the images were cropped, are left out and
+    said with file and line, and so are points that keep less than two. Raises InputError if no mark is in an image of
+    the survey, if one lies outside its image, if one image has two marks of a point, if coordinates lie outside their
+    CRS, or far from the survey.
     """
     notes = list(file.notes)
-    image, keep = _images(file, scene, notes)
-    marks = [file.marks[k] for k in keep]
+    marks, image, xy = _marks_in(file, scene, notes)
     origin = scene.origin or _origin_of_points(file, crs)
     world = _world(file, scene, origin)
     _check_place(file, world, scene)
     vertical = vertical_note(file.crs or origin.crs)
     notes.append(f"{file.path.name}: {len(file.points)} points in {file.crs or origin.crs}; {vertical}")
     rows = {p.name: k for k, p in enumerate(file.points)}
-    xy = [prepared_pixel(m.xy, scene.sensor_of(int(i))) for m, i in zip(marks, image)]
+    point = np.array([rows[m.name] for m in marks], int)
+    _few_marks(file, np.bincount(point, minlength=len(rows)), notes)
     return Control(
         names=tuple(p.name for p in file.points),
         world_m=world,
         sigma_m=np.array([p.sigma_m for p in file.points], float).reshape(-1, 3),
         check=np.array([p.check for p in file.points], bool),
-        point=np.array([rows[m.name] for m in marks], int),
+        point=point,
         image=image,
-        xy_px=np.array(xy, float).reshape(-1, 2),
+        xy_px=xy,
         line=np.array([m.line for m in marks], int),
         origin=origin,
         notes=tuple(notes),
@@ -93,6 +98,66 @@ def _images(file: GcpFile, scene: Scene, notes: list[str]) -> tuple[np.ndarray, 
     if len(unknown) > _SHOWN:
         notes.append(f"{file.path.name}: {len(unknown)} marks in all name images that are not in the survey")
     return np.array(found, int), keep
+
+
+def _marks_in(file: GcpFile, scene: Scene, notes: list[str]) -> tuple[list[FileMark], np.ndarray, np.ndarray]:
+    """Marks that are in the survey's prepared images: the marks, their images' scene indices (M,), pixels (M, 2)."""
+    image, keep = _images(file, scene, notes)
+    marks, images, pixels, cut = [], [], [], []
+    first: dict[tuple[str, int], FileMark] = {}
+    for index, mark in zip(image.tolist(), (file.marks[k] for k in keep)):
+        known = first.setdefault((mark.name, index), mark)
+        if known is not mark and known.xy != mark.xy:  # one image by two names
+            raise InputError(
+                f"{file.path}, line {mark.line}: point {mark.name!r} is marked in {scene.source_name(index)} at "
+                f"{mark.xy}, but in line {known.line} at {known.xy}: leave the right one"
+            )
+        sensor = scene.sensor_of(index)
+        _check_inside(file, mark, sensor, scene.source_name(index))
+        xy = prepared_pixel(mark.xy, sensor)
+        if known is not mark:
+            continue
+        if sensor.camera is not None and not _inside(xy, sensor.camera):
+            cut.append(mark)
+            continue
+        marks.append(mark)
+        images.append(index)
+        pixels.append(xy)
+    if cut:
+        notes.append(
+            f"{file.path.name}, line {cut[0].line}: {len(cut)} marks lie where the images were cropped or undistorted "
+            f"away, the first of point {cut[0].name!r} in {cut[0].image!r}; left out"
+        )
+    return marks, np.array(images, int), np.array(pixels, float).reshape(-1, 2)
+
+
+def _check_inside(file: GcpFile, mark: FileMark, sensor: Sensor, image: str) -> None:
+    camera = sensor.source.camera if sensor.source is not None and sensor.source.camera is not None else sensor.camera
+    if camera is None or (sensor.source is not None and sensor.source.panorama) or _inside(mark.xy, camera):
+        return
+    turned = _inside(mark.xy[::-1], camera)
+    raise InputError(
+        f"{file.path}, line {mark.line}: the mark ({mark.xy[0]:g}, {mark.xy[1]:g}) of point {mark.name!r} lies outside "
+        f"{image}, which has {camera.width} x {camera.height} pixels: "
+        + ("columns px and py exchanged?" if turned else "marked in an image of another size?")
+    )
+
+
+def _inside(xy: Sequence[float], camera: pycolmap.Camera) -> bool:
+    return -EDGE_PX <= xy[0] <= camera.width + EDGE_PX and -EDGE_PX <= xy[1] <= camera.height + EDGE_PX
+
+
+def _few_marks(file: GcpFile, count: np.ndarray, notes: list[str]) -> None:
+    few = np.flatnonzero(count < MIN_MARKS)
+    if not len(few):
+        return
+    first = file.points[few[0]]
+    names = ", ".join(f"{file.points[k].name!r} ({count[k]})" for k in few[:_SHOWN])
+    more = f" and {len(few) - _SHOWN} more" if len(few) > _SHOWN else ""
+    notes.append(
+        f"{file.path.name}, line {first.line}: {len(few)} of {len(file.points)} points have less than {MIN_MARKS} "
+        f"marks in the survey's images and cannot be used: {names}{more}"
+    )
 
 
 def image_lookup(scene: Scene) -> dict[str, int]:

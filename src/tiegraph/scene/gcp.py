@@ -9,7 +9,7 @@ pixel: its centre is (0.5, 0.5).
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from tiegraph.errors import InputError
 from tiegraph.scene.regular import regular
 from tiegraph.scene.table import Table, read_table
 
+MAX_SIGMA_M = 100.0
 DEFAULT_SIGMA_M = (0.02, 0.02, 0.03)  # of a surveyed point whose file says nothing: network RTK with a pole
 _CHECK = ("check", "checkpoint", "check_point", "checkpoints", "cp", "chk")
 _CONTROL = ("", "gcp", "control", "control_point", "controlpoint")
@@ -72,16 +73,49 @@ def read_gcps(path: Path) -> GcpFile:
     """
     path = Path(path)
     try:
-        text = regular(path).read_text(encoding="utf-8-sig", errors="replace")
+        data = regular(path).read_bytes()
     except OSError as error:
         raise InputError(f"--gcp {path}: cannot be read ({error.strerror})") from None
+    text = data.decode("utf-8-sig", errors="replace")  # a name of a point may be in another encoding
+    if "\0" in text:
+        raise InputError(f"--gcp {path}: no text file in UTF-8; give ODM's gcp_list.txt or a CSV of points and marks")
     lines = [(k + 1, line.strip()) for k, line in enumerate(text.splitlines()) if line.strip()]
     if not lines:
         raise InputError(f"--gcp {path}: the file is empty")
     found = _read_csv(path, lines) if _has_header(lines) else _read_odm(path, lines)
     if not found.points:
         raise InputError(f"--gcp {path}: no point with coordinates in it")
-    return found
+    return replace(found, marks=_once_each(found), notes=(*found.notes, *_doubtful(found)))
+
+
+def _once_each(found: GcpFile) -> tuple[FileMark, ...]:
+    """The marks without exact repeats. Raises InputError for a point marked at two places of one image."""
+    first: dict[tuple[str, str], FileMark] = {}
+    for mark in found.marks:
+        known = first.setdefault((mark.name, mark.image), mark)
+        if known.xy != mark.xy:
+            raise InputError(
+                f"{found.path}, line {mark.line}: point {mark.name!r} is marked in {mark.image!r} at {mark.xy}, but in "
+                f"line {known.line} at {known.xy}: leave the right one"
+            )
+    return tuple(first.values())
+
+
+def _doubtful(found: GcpFile) -> list[str]:
+    """What is odd about a file and yet can be used."""
+    name, notes = found.path.name, []
+    repeats = len(found.marks) - len({(m.name, m.image) for m in found.marks})
+    if repeats:
+        notes.append(f"{name}: {repeats} marks are given twice; once each is used")
+    first: dict[tuple[float, ...], FilePoint] = {}
+    for point in found.points:
+        known = first.setdefault(point.xyz, point)
+        if known is not point:
+            notes.append(
+                f"{name}, line {point.line}: point {point.name!r} is at the very place of {known.name!r} in line "
+                f"{known.line}: one point by two names?"
+            )
+    return notes
 
 
 def _has_header(lines: list[tuple[int, str]]) -> bool:
@@ -110,9 +144,7 @@ def _read_odm(path: Path, lines: list[tuple[int, str]]) -> GcpFile:
         place = (y, x, z) if crs.is_geographic else (x, y, z)  # its x is the longitude
         name = words[6] if len(words) > 6 else by_place.setdefault(place, f"point {len(by_place) + 1}")
         check = len(words) > 7 and words[7].lower() in _CHECK
-        known = points.setdefault(name, FilePoint(name, place, DEFAULT_SIGMA_M, check, number))
-        if known.xyz != place:
-            raise InputError(f"{path}, line {number}: point {name!r} has another place than in line {known.line}")
+        _add(points, FilePoint(name, place, DEFAULT_SIGMA_M, check, number), path)
         marks.append(FileMark(name, words[5], (px, py), number))
     return GcpFile(path, crs.srs, crs.is_geographic, tuple(points.values()), tuple(marks))
 
@@ -123,11 +155,16 @@ def parse_crs_line(text: str, where: str) -> pyproj.CRS:
     try:
         if utm:
             return pyproj.CRS.from_epsg((32600 if utm[2].upper() == "N" else 32700) + int(utm[1]))
-        return pyproj.CRS.from_user_input(text.strip().lstrip("#").strip())
+        bare = text.strip().lstrip("#").strip()
+        found = pyproj.CRS.from_user_input(bare) if re.match(r"[A-Za-z+]", bare) else None
+        # PROJ takes the CRS with the most similar name for any word: only a name written out is meant
+        if found is not None and (re.search(r"[:=\[]", bare) or found.name.lower() == bare.lower()):
+            return found
+        raise pyproj.exceptions.CRSError(bare)
     except pyproj.exceptions.CRSError:
         raise InputError(
-            f"{where}: {text!r} is no coordinate system; the first line of a gcp_list.txt is one, such as EPSG:32654, "
-            "WGS84 UTM 54N or +proj=utm +zone=54 +datum=WGS84 +units=m"
+            f"{where}: {text!r:.99} is no coordinate system; the first line of a gcp_list.txt is one, such as "
+            "EPSG:32654, WGS84 UTM 54N or +proj=utm +zone=54 +datum=WGS84 +units=m"
         ) from None
 
 
@@ -137,7 +174,7 @@ def _number(text: str, path: Path, line: int) -> float:
     except ValueError:
         value = float("nan")
     if not np.isfinite(value):
-        raise InputError(f"{path}, line {line}: {text!r} is no number")
+        raise InputError(f"{path}, line {line}: {text!r:.99} is no number")
     return value
 
 
@@ -156,9 +193,13 @@ def _read_csv(path: Path, lines: list[tuple[int, str]]) -> GcpFile:
         )
     points: dict[str, FilePoint] = {}
     marks = []
+    if any(m is None for m in (image, px, py)) and not all(m is None for m in (image, px, py)):
+        raise InputError(f"{path}: marks need the three columns image, px and py; found {', '.join(table.columns)}")
     for row, (line, _) in enumerate(table.rows):
         label = table.cell(row, name)
-        if table.cell(row, columns[0]):
+        if not label:
+            raise InputError(f"{path}, line {line}: the point has no name")
+        if any(table.cell(row, c) for c in columns):
             place = tuple(_number(table.cell(row, c), path, line) for c in columns)
             _add(points, FilePoint(label, place, *_row_facts(table, row), line), path)  # type: ignore[arg-type]
         if table.cell(row, image):
@@ -174,17 +215,24 @@ def _read_csv(path: Path, lines: list[tuple[int, str]]) -> GcpFile:
 
 def _add(points: dict[str, FilePoint], new: FilePoint, path: Path) -> None:
     known = points.setdefault(new.name, new)
-    if known.xyz != new.xyz:
-        raise InputError(f"{path}, line {new.line}: point {new.name!r} has another place than in line {known.line}")
+    for what, before, now in (("place", known.xyz, new.xyz), ("role", known.check, new.check)):
+        if before != now:
+            said = f"point {new.name!r} has another {what} than in line {known.line}"
+            raise InputError(f"{path}, line {new.line}: {said}; name it otherwise, or leave the right one")
 
 
 def _row_facts(table: Table, row: int) -> tuple[tuple[float, float, float], bool]:
     def number(aliases: tuple[str, ...], otherwise: float) -> float:
-        try:
-            value = float(table.cell(row, table.find(aliases)))
-        except ValueError:
+        cell = table.cell(row, table.find(aliases))
+        if not cell:
             return otherwise
-        return value if value > 0 else otherwise
+        value = _number(cell, table.path, table.rows[row][0])
+        if not 0 < value <= MAX_SIGMA_M:
+            raise InputError(
+                f"{table.path}, line {table.rows[row][0]}: {aliases[0]} = {cell}: a sigma is above 0 and at most "
+                f"{MAX_SIGMA_M:g} m; leave the cell empty if it is not known"
+            )
+        return value
 
     flat = number(_SIGMA_XY, number(_SIGMA, DEFAULT_SIGMA_M[0]))
     up = number(_SIGMA_Z, number(_SIGMA, DEFAULT_SIGMA_M[2]))

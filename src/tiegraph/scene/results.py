@@ -17,6 +17,7 @@ class Trajectory:
     world_from_rig: np.ndarray
     sigma_m: np.ndarray
     origin: Origin | None = None
+    notes: tuple[str, ...] = ()  # what to say of the file it came from
 
     def __len__(self) -> int:
         return len(self.time_s)

@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from tiegraph.settings import Section
+from tiegraph.settings import Section, user_path
 
 
 class SparseSettings(Section):
@@ -35,7 +35,7 @@ class SparseSettings(Section):
 class GeorefSettings(Section):
     """How the model is put into the world."""
 
-    gcp: Path | None = None
+    gcp: Path | None = user_path("file")
     """Ground control and check points: an ODM gcp_list.txt, or a CSV of points and marks; also given by --gcp."""
 
     antenna: Literal["auto", "given", "estimated", "ignored"] = "auto"

@@ -1,0 +1,87 @@
+"""What a user hands over, checked before anything is made: by itself, and against the images of a scan."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+
+from tiegraph.errors import SettingsError, UnreadableArtefact
+from tiegraph.evaluate.reference import check_points, check_reference
+from tiegraph.geometry.geodesy import ENU, check_vertical, parse_crs
+from tiegraph.masks.plugin import read_model
+from tiegraph.network.sources import pair_lines, read_pair_list
+from tiegraph.pipeline.files import scanned
+from tiegraph.pipeline.world import control_points
+from tiegraph.project.given import check_files, check_path
+from tiegraph.project.run import Run, status
+from tiegraph.project.settings import Settings
+from tiegraph.project.stages import Stage
+from tiegraph.scan.rigfile import read_rig_file
+from tiegraph.scan.rigspec import preset_sizes
+from tiegraph.scan.trajectory import read_trajectory
+from tiegraph.scan.unfold import PRESET
+from tiegraph.scene.gcp import read_gcps
+from tiegraph.scene.gnss import read_gnss
+from tiegraph.scene.scene import Scene
+
+
+def check_given(stages: Sequence[Stage], run: Run) -> None:
+    """Refuse wrong inputs and settings before a stage runs and before they are stored; makes nothing.
+
+    Where the scan is up to date, files that only name its images are held against it, for it will not run again.
+    Raises InputError and SettingsError, naming option, path and remedy.
+    """
+    given, settings = run.inputs, run.settings
+    given.check()
+    for option, path, kind in (
+        ("--gnss", given.gnss, "file"),
+        ("--times", given.times, "file"),
+        ("--trajectory", given.trajectory, "file or folder"),
+    ):
+        if path is not None:
+            check_path(option, path, kind)
+    check_files(settings)
+    if settings.scan.crs.lower() not in ("auto", ENU.lower()):
+        parse_crs(settings.scan.crs)
+        check_vertical(settings.scan.crs)
+    if "file" in settings.network.sources and settings.network.pairs_file is None:
+        raise SettingsError("network.sources has 'file', but network.pairs_file names none")
+    _read_settings(settings)
+    if status(stages[:1], run)[0][1]:
+        _read_inputs(run)
+    else:
+        with suppress(UnreadableArtefact):  # then it is made again
+            check_against(run, scanned(run))
+
+
+def _read_settings(settings: Settings) -> None:
+    """Read the files of settings that need no image, for the errors this raises: most stages look hours later."""
+    if settings.georef.gcp is not None:
+        read_gcps(settings.georef.gcp)
+    if settings.network.pairs_file is not None:
+        pair_lines(settings.network.pairs_file)
+    if settings.masks.model is not None:
+        read_model(settings.masks.model)
+    if settings.evaluate.reference is not None:
+        check_reference(settings.evaluate.reference)
+    if settings.evaluate.reference_cloud is not None:
+        check_points(settings.evaluate.reference_cloud)
+
+
+def _read_inputs(run: Run) -> None:
+    """Read the inputs that need no image, for the errors this raises."""
+    given = run.inputs
+    if given.rig is not None and given.rig.strip().lower() != PRESET and not preset_sizes(given.rig):
+        read_rig_file(given.rig)
+    if given.trajectory is not None and given.trajectory.is_file():
+        read_trajectory(given.trajectory)
+    if given.gnss is not None:
+        read_gnss(given.gnss)
+
+
+def check_against(run: Run, scene: Scene) -> tuple[str, ...]:
+    """What control points and the pair list say of the images of a scan. Raises InputError if they do not fit."""
+    control = control_points(run, scene)
+    notes = () if control is None else control.notes
+    path = run.settings.network.pairs_file
+    return notes if path is None else (*notes, *read_pair_list(path, scene)[1])

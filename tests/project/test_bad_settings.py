@@ -1,0 +1,158 @@
+"""Settings, paths and arguments that cannot be used: refused before anything runs or is stored."""
+
+import os
+from typing import get_args
+
+import pytest
+
+from tiegraph.api import open_project
+from tiegraph.cli.run import preparsed
+from tiegraph.errors import InputError, SettingsError
+from tiegraph.project.folder import SETTINGS
+from tiegraph.project.settings import merged, sections
+
+NUMBERS = [
+    (section, name, field)
+    for section, fields in sections()
+    for name, field in fields.items()
+    if any(kind in str(field.annotation) for kind in ("int'", "float'", "[int", "[float"))
+]
+
+
+@pytest.mark.parametrize("section, name, field", NUMBERS, ids=[f"{s}.{n}" for s, n, _ in NUMBERS])
+def test_no_number_is_without_bounds(section, name, field):
+    for value in (1e30, -1e30, float("nan"), float("inf"), float("-inf")):
+        if "tuple" in str(field.annotation):
+            parts = next(a for a in (field.annotation, *get_args(field.annotation)) if str(a).startswith("tuple"))
+            value = [value] * (1 if Ellipsis in get_args(parts) else len(get_args(parts)))
+        given = {"folder": ".", name: value} if section == "masks" else {name: value}
+        with pytest.raises(SettingsError, match=rf"{section}.{name}"):
+            merged({section: given})
+
+
+@pytest.mark.parametrize(
+    "text, message",
+    [
+        ("run = 5", r"run = 5 must be a section \[run\]"),
+        ("[[run]]\nimages = 'x'", r"run = \[.* must be a section"),
+        ("[run]\nimages = 5", "run.images = 5: give a path"),
+        ("[run]\nimages = ''", "run.images = '': give a path"),
+        ("[run]\nimges = 'x'", "unknown name 'imges' in .run.: perhaps you meant 'images'"),
+        ("[run]\ngcp = 'x'", "unknown name 'gcp' in .run.: it is the setting gcp of .georef."),
+        ("[run]\nvoxel_size = 1", "it is the setting voxel_size of .cloud."),
+        ("[[masks]]\nsource = 'sky'", "'masks' must be a section such as .masks."),
+        ("cloud = 'x'", "'cloud' must be a section such as .cloud., and is 'x'"),
+        ("[cloud]\nvoxel_size = inf", "cloud.voxel_size = inf: Input should be a finite number"),
+        ("[cloud]\nvoxel_size = nan", "cloud.voxel_size = nan"),
+        ("[cloud]\nvoxel_size = 2020-01-01", "cloud.voxel_size = datetime.date"),
+        ("[cloud]\nvoxel_size = true", "voxel_size = true: give a number"),
+        ("[match]\nguided = 1", "guided = 1: give true or false"),
+        ("[match]\nguided = 'no'", "guided = 'no': give true or false"),
+        ("[dense]\npartners = [4]", "dense.partners = .4."),
+        ("[masks]\nfolder = 5", "masks.folder = 5"),
+        ("[network]\nsources = []", "network.sources"),
+        ("[network]\npairs_file = 'p.txt'", "pairs_file is given, but sources = auto does not read it"),
+        ("[evaluate]\nreference_origin = [139, 35, 0]", "evaluate.reference_origin.0 = 139"),
+        ("a = " + "[" * 99999, "not valid TOML"),
+    ],
+)
+def test_files_of_settings_that_cannot_be_used(tmp_path, text, message):
+    (tmp_path / SETTINGS).write_text(text)
+    with pytest.raises(SettingsError, match=message) as error:
+        open_project(tmp_path, tmp_path)
+    assert str(tmp_path / SETTINGS) in str(error.value) and len(str(error.value)) < 1000
+
+
+@pytest.mark.parametrize("data", [b"\xff\xfe[\0r\0", b"\x89PNG\r\n\x1a\n", b"[masks]\n# \xe9\n", b"\0\0\0"])
+def test_a_settings_file_that_is_no_text(tmp_path, data):
+    (tmp_path / SETTINGS).write_bytes(data)
+    with pytest.raises(SettingsError, match="tiegraph.toml: not"):
+        open_project(tmp_path, tmp_path)
+    (tmp_path / SETTINGS).write_bytes(b"\xef\xbb\xbf[masks]\r\nsource = 'sky'\r\n")  # Notepad's
+    assert open_project(tmp_path, tmp_path).settings.masks.source == "sky"
+    (tmp_path / SETTINGS).unlink()
+    (tmp_path / SETTINGS).mkdir()
+    with pytest.raises(SettingsError, match="cannot be read"):
+        open_project(tmp_path, tmp_path)
+
+
+PATHS = [
+    ("masks", "folder", "folder", {}),
+    ("masks", "model", "file", {"source": "model"}),
+    ("network", "pairs_file", "file", {"sources": ["file"]}),
+    ("georef", "gcp", "file", {}),
+    ("evaluate", "reference", "file or folder", {}),
+    ("evaluate", "reference_cloud", "file", {}),
+    ("evaluate", "reference_masks", "folder", {}),
+]
+
+
+def test_every_path_is_checked():
+    found = {(s, n) for s, fields in sections() for n, field in fields.items() if "Path" in str(field.annotation)}
+    assert found == {(section, name) for section, name, _, _ in PATHS}
+
+
+@pytest.mark.parametrize("section, name, kind, more", PATHS, ids=[f"{s}.{n}" for s, n, _, _ in PATHS])
+def test_a_file_of_the_settings_that_is_not_there_is_refused_before_anything_runs(tmp_path, section, name, kind, more):
+    (tmp_path / "images").mkdir()
+    (tmp_path / "file").write_text("x")
+    os.mkfifo(tmp_path / "pipe")
+    wrong = [("nowhere", "no such"), ("pipe", "neither file nor folder")]
+    wrong += [("file", "is a file.* give a folder")] if kind == "folder" else []
+    wrong += [("images", "is a folder.* give a file")] if kind == "file" else []
+    for path, message in wrong:
+        settings = {section: {**more, name: str(tmp_path / path)}}
+        project = open_project(tmp_path / "images", tmp_path / "out", settings=settings)
+        with pytest.raises(InputError, match=rf"--.*{name.split('_')[-1]} {tmp_path / path}.*{message}"):
+            project.run()
+    assert not (tmp_path / "out").exists(), "nothing is stored of what was refused"
+
+
+@pytest.mark.parametrize(
+    "inputs, settings, message",
+    [
+        ({"rig": "nosuch"}, {}, "--rig nosuch: no such file, and no preset"),
+        ({"rig": "ring:nan"}, {}, "--rig ring:nan: expected a number"),
+        ({}, {"scan": {"crs": "foo"}}, "unknown CRS 'foo'"),
+        ({}, {"network": {"sources": ["file"]}}, "network.pairs_file names none"),
+        ({"trajectory": "text"}, {}, "text: no poses"),
+        ({"trajectory": "nowhere"}, {}, "--trajectory .*nowhere: no such file or folder"),
+        ({"times": "images"}, {}, "--times .*images is a folder; give a file"),
+        ({"gcp": "text"}, {}, "text, line 1: 'nonsense' is no coordinate system"),
+        ({"gnss": "text"}, {}, "text"),
+        ({}, {"network": {"sources": ["file"], "pairs_file": "text"}}, "text, line 1: expected two image names"),
+        ({}, {"evaluate": {"reference": "text"}}, "text: no poses"),
+        ({}, {"evaluate": {"reference": "images"}}, "neither a COLMAP model"),
+        ({}, {"evaluate": {"reference_cloud": "text"}}, "text: not a readable point cloud"),
+        ({}, {"masks": {"source": "model", "model": "text"}}, "text: not valid TOML"),
+    ],
+)
+def test_what_is_refused_is_not_stored(tmp_path, monkeypatch, inputs, settings, message):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "images").mkdir()
+    (tmp_path / "text").write_text("nonsense\n")
+    with pytest.raises((InputError, SettingsError), match=message):
+        open_project(tmp_path / "images", tmp_path / "out", settings=settings, **inputs).run()
+    assert not (tmp_path / "out").exists()
+
+
+def test_arguments_in_any_order():
+    for arguments in (
+        ["im", "-o", "o"],
+        ["--gnss", "g.csv", "im", "-o=o"],
+        ["--json", "--out", "o", "im"],
+        ["--network.sources", "a", "b", "--no-quiet", "im", "--out=o"],
+        ["--network.no-model", "im", "-o", "o"],
+        ["--scan.crop_px", "1", "2", "3", "4", "im", "-o", "o"],
+        ["--evaluate.reference-origin", "-33.9", "-70", "5", "--match.guided", "im", "-o", "o"],
+    ):
+        known = preparsed(arguments)
+        assert (str(known.folder), str(known.out)) == ("im", "o"), arguments
+
+
+def test_an_output_without_a_name():
+    for arguments in (["im", "-o"], ["im", "-o", "--rig", "x"], ["im", "--out", ""], ["im", "--out="]):
+        with pytest.raises(SettingsError, match="-o: no folder is named after it"):
+            preparsed(arguments)
+    with pytest.raises(SettingsError, match="the name of the folder is empty"):
+        preparsed(["", "-o", "o"])

@@ -1,0 +1,172 @@
+"""Files of poses: which column is which, and what no trajectory can be, said with file and line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tiegraph.errors import InputError
+from tiegraph.geometry.transforms import rigid
+from tiegraph.scene.posefile import read_poses
+
+W_FIRST = [0, 1, 2, 3, 7, 4, 5, 6]
+EUROC = "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []"
+START_NS = 1_403_636_580_838_555_648
+
+
+def drive(frames: int = 20, turn_deg: float = 60.0, start_deg: float = 10.0) -> np.ndarray:
+    """(F, 8) TUM rows of a level body that drives forward along an arc, 1 m and 1 s a frame."""
+    yaw = np.radians(start_deg + np.linspace(0, turn_deg, frames))
+    position = np.cumsum(np.stack([np.cos(yaw), np.sin(yaw), np.zeros(frames)], axis=1), axis=0)
+    turn = Rotation.from_rotvec(yaw[:, None] * [0.0, 0.0, 1.0]).as_quat()
+    return np.column_stack([100 + np.arange(frames), position, turn])
+
+
+def poses_of(rows: np.ndarray) -> np.ndarray:
+    return rigid(Rotation.from_quat(rows[:, 4:]).as_matrix(), rows[:, 1:4])
+
+
+def written(folder: Path, rows: np.ndarray, header: str = "", delimiter: str = " ") -> Path:
+    path = folder / "a.tum"
+    text = "\n".join(delimiter.join(f"{v:.9f}" for v in row) for row in rows)
+    path.write_text(f"{header}\n{text}\n" if header else text + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    "header, order, delimiter",
+    [
+        ("", range(8), " "),
+        ("# timestamp tx ty tz qx qy qz qw", range(8), " "),
+        ("# time x y z qx qy qz qw", range(8), ","),
+        ("# time x y z qw qx qy qz", W_FIRST, " "),
+        ("timestamp,p_x,p_y,p_z,q_w,q_x,q_y,q_z", W_FIRST, ","),
+        ("time,pos_x,pos_y,pos_z,quat_w,quat_x,quat_y,quat_z", W_FIRST, ","),
+        (
+            "%time,field.pose.position.x,field.pose.position.y,field.pose.position.z,field.pose.orientation.x,"
+            "field.pose.orientation.y,field.pose.orientation.z,field.pose.orientation.w",
+            range(8),
+            ",",
+        ),
+        (EUROC.replace("[ns]", "[s]"), W_FIRST, ","),
+    ],
+)
+def test_a_header_says_which_column_is_which(tmp_path: Path, header: str, order: list, delimiter: str) -> None:
+    rows = drive()
+    found = read_poses(written(tmp_path, rows[:, list(order)], header, delimiter))
+    np.testing.assert_allclose(found.poses, poses_of(rows), atol=1e-7)
+    np.testing.assert_allclose(found.time_s, rows[:, 0], atol=1e-6)
+    assert [("w first" in n) for n in found.notes] == ([True] if list(order) == W_FIRST else [])
+
+
+@pytest.mark.parametrize("header", [EUROC, EUROC + ",v_RS_R_x [m s^-1],b_w_RS_S_x [rad s^-1]", ""])
+def test_euroc(tmp_path: Path, header: str) -> None:
+    rows = drive()
+    more = ",0.5,0.1" if "v_RS" in header else ""
+    lines = [
+        f"{START_NS + k * 10**9}," + ",".join(f"{v:.9f}" for v in row[W_FIRST][1:]) + more for k, row in enumerate(rows)
+    ]
+    path = tmp_path / "data.csv"
+    path.write_text("\n".join([header, *lines] if header else lines))
+    found = read_poses(path)
+    np.testing.assert_allclose(found.poses, poses_of(rows), atol=1e-7)
+    np.testing.assert_allclose(found.time_s - START_NS * 1e-9, np.arange(len(rows)), atol=1e-5)
+    assert any("w first" in n for n in found.notes)
+
+
+@pytest.mark.parametrize("turn_deg", [30.0, 90.0, -200.0])
+def test_w_first_without_a_header_is_not_read_as_x_first(tmp_path: Path, turn_deg: float) -> None:
+    rows = drive(turn_deg=turn_deg)
+    np.testing.assert_allclose(read_poses(written(tmp_path, rows)).poses, poses_of(rows), atol=1e-7)
+    with pytest.raises(InputError, match=r"a.tum, line 1: the order .* not sure: .*'# time x y z qw qx qy qz'"):
+        read_poses(written(tmp_path, rows[:, W_FIRST]))
+    with pytest.raises(InputError, match="line 1: the order .* not sure: values between commas"):
+        read_poses(written(tmp_path, rows, delimiter=","))
+
+
+def test_other_ways_to_move_are_left_alone(tmp_path: Path) -> None:
+    """A lawnmower that never turns, one that flies ahead, a hand that sways, a platform that stands."""
+    rng = np.random.default_rng(1)
+    rows = drive(40, 170)
+    level = rows.copy()
+    level[:, 4:] = [0, 0, 0, 1]
+    sways = rows.copy()
+    sways[:, 1:4] += rng.normal(0, 0.3, (40, 3))
+    stands = rows.copy()
+    stands[:, 1:4] = 0
+    stands[:, 4:] = Rotation.from_euler("z", np.linspace(0, 350, 40)[:, None], degrees=True).as_quat()
+    for table in (level, sways, stands):
+        np.testing.assert_allclose(read_poses(written(tmp_path, table)).poses, poses_of(table), atol=1e-7)
+
+
+def changed(row: int, column: int, value: float) -> np.ndarray:
+    rows = drive()
+    rows[row, column] = value
+    return rows
+
+
+ONE_TIME = drive()
+ONE_TIME[:, 0] = 5
+SAME = np.repeat(drive(1), 6, axis=0)
+SAME[:, 0] = range(6)
+ZERO = np.zeros((6, 8))
+ZERO[:, 0], ZERO[:, 4] = range(6), 1
+ZERO[1:, 1] = range(1, 6)
+
+
+@pytest.mark.parametrize(
+    "rows, message",
+    [
+        (changed(3, 1, 1e308), r"line 4: the position \(1e\+308, .* leave that pose out"),
+        (changed(3, 2, 5e6), "line 4: the position .* 5e.03 km from the others"),
+        (changed(3, 3, np.nan), "line 4: not a finite number"),
+        (changed(3, 3, np.inf), "line 4: not a finite number"),
+        (changed(3, 0, 1e300), "line 4: the time 1e.300 is none"),
+        (changed(3, 5, 1e308), "line 4: the quaternion qx qy qz qw has length inf"),
+        (changed(3, slice(4, 8), 0), "line 4: the quaternion qx qy qz qw has length 0"),
+        (ONE_TIME, "line 1: all 20 poses have the same time, 5"),
+        (SAME, "line 1: all 6 poses are the same"),
+        (ZERO, "line 1: the order of the quaternions is not sure: the first pose is at zero with 1 0 0 0"),
+        (drive()[:, :7], "line 1: 7 columns; expected 8"),
+        (np.hstack([drive(), drive()[:, :1]]), "line 1: 9 columns; expected 8"),
+    ],
+)
+def test_what_no_trajectory_can_be(tmp_path: Path, rows: np.ndarray, message: str) -> None:
+    path = written(tmp_path, rows)
+    with pytest.raises(InputError, match=message) as error:
+        read_poses(path)
+    assert str(path) in str(error.value)
+
+
+def test_rows_out_of_order_and_doubled_times_are_said(tmp_path: Path) -> None:
+    rows = drive()
+    rows[[4, 5]] = rows[[5, 4]]
+    rows[9, 0] = rows[8, 0]
+    found = read_poses(written(tmp_path, rows))
+    assert len(found.poses) == 19 and (np.diff(found.time_s) > 0).all()
+    assert "a.tum, line 6: rows are not in the order of time" in found.notes[0]
+    assert "a.tum, line 10: 1 rows have the time of another row" in found.notes[1]
+
+
+@pytest.mark.parametrize(
+    "data, message",
+    [
+        (b"\xff\xfe0\x00 \x00", "no text file in UTF-8"),
+        (b"\x89PNG\r\n\x1a\n", "no text file"),
+        (b"", "no poses"),
+        (b"# time x y z qx qy qz qw\n", "no poses"),
+        (b"time,east,north,up,roll,pitch,yaw,v\n0,1,2,3,4,5,6,7\n", "line 1: a header of other columns"),
+        (b"# time x y z qx qy qz qw\n0 1 2 3 0 0 0 1 9\n", "line 1: the header names 8 columns, but the rows have 9"),
+        (b"0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0,0 1\n", "line 2: 9 columns"),
+        (b"-1 0 0 0 0 1 0 0 0 0 1 0\n", "line 1: .* not a rotation"),
+        (b"1e200 0 0 0 0 1 0 0 0 0 1 0\n", "line 1: .* not a rotation"),
+        (b"1 0 0 0 0 1 0 0 0 0 1 0\n" * 3, "line 1: all 3 poses are the same"),
+    ],
+)
+def test_files_that_are_no_poses(tmp_path: Path, data: bytes, message: str) -> None:
+    (tmp_path / "a.txt").write_bytes(data)
+    with pytest.raises(InputError, match=message):
+        read_poses(tmp_path / "a.txt")
