@@ -48,6 +48,7 @@ def run_in_child(
     context = multiprocessing.get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
     log.parent.mkdir(parents=True, exist_ok=True)
+    _allow_children()
     process = context.Process(target=_child_main, args=(sender, str(log), function, args), daemon=False)
     process.start()
     sender.close()
@@ -65,6 +66,14 @@ def run_in_child(
     if kind == "error":
         raise value
     return value
+
+
+def _allow_children() -> None:
+    """Dask's workers are daemonic, and multiprocessing lets no such process have children, which could outlive it; ours
+    ends with it by itself (``die_with_parent``)."""
+    process = multiprocessing.current_process()
+    if process.daemon:
+        process.daemon = False
 
 
 def _receive(receiver: Any, on_message: Callable[[Any], None] | None) -> tuple[str, Any] | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -25,6 +25,7 @@ from tiegraph.pipeline.capture import preview_path
 from tiegraph.pipeline.files import checked, pairs_of, read_mask, save_npz, scanned, ties_of
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome, remove, write_atomic
+from tiegraph.scene.filecache import cached_by_file
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Sights, Ties
@@ -114,7 +115,7 @@ def _survey_model(run: Run, scene: Scene, ties: Ties, rough: bool) -> SurveyMode
     )
 
 
-@lru_cache(maxsize=2)
+@cached_by_file(2, lambda folder: folder / "scene.json")
 def _scene(folder: Path) -> Scene:
     return Scene.from_json((folder / "scene.json").read_text())
 
@@ -132,7 +133,7 @@ class _Descriptors(Sequence[np.ndarray]):
         return _read_preview(self._folder, self._names[image]).descriptors
 
 
-@lru_cache(maxsize=_CACHED_PREVIEWS)
+@cached_by_file(_CACHED_PREVIEWS, preview_path)
 def _preview(folder: Path, name: str) -> Preview:
     return _read_preview(folder, name)
 

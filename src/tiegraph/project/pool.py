@@ -7,10 +7,13 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from tiegraph.child import die_with_parent
-from tiegraph.errors import EngineMissing, SettingsError, TiegraphError
+from tiegraph.errors import SettingsError, TiegraphError
+from tiegraph.project.progress import Elsewhere
 
 _TASKS_PER_WORKER = 8  # enough to balance the load, few enough that a task takes about a second
 
@@ -28,10 +31,20 @@ class SerialExecutor(Executor):
         return future
 
 
-def open_pool(spec: str, workers: int | None = None) -> tuple[Executor, int]:
+@dataclass(frozen=True)
+class Place:
+    """What workers on other machines must reach, and who counts what they use."""
+
+    folder: Path  # they write here
+    reads: tuple[Path, ...] = ()  # and read these
+    elsewhere: Elsewhere | None = None
+
+
+def open_pool(spec: str, workers: int | None = None, place: Place | None = None) -> tuple[Executor, int]:
     """(executor, number of workers) of ``serial``, ``local``, ``local:<n>`` or ``dask:<address>``.
 
-    Raises SettingsError for another name, EngineMissing when Dask is asked for and not installed.
+    Raises SettingsError for another name; of Dask: EngineMissing when it is not installed, InputError when the cluster
+    does not answer, has no workers, or one that lacks what it needs (the same versions, the folders of ``place``).
     """
     name, _, argument = spec.partition(":")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -43,7 +56,9 @@ def open_pool(spec: str, workers: int | None = None) -> tuple[Executor, int]:
         threads = max(1, cores // count)
         return ProcessPoolExecutor(count, mp_context=context, initializer=_start_worker, initargs=(threads,)), count
     if name == "dask":
-        return _dask(argument)
+        from tiegraph.project.daskpool import open_dask
+
+        return open_dask(argument, place)
     raise SettingsError(f"unknown pool {spec!r}: give serial, local, local:<workers> or dask:<address>")
 
 
@@ -55,19 +70,14 @@ def _count(argument: str, spec: str) -> int | None:
     raise SettingsError(f"pool {spec!r}: the number of workers must be a positive whole number")
 
 
-def _dask(address: str) -> tuple[Executor, int]:
-    try:
-        from distributed import Client
-    except ImportError:
-        raise EngineMissing("the dask pool needs Dask: pip install 'tiegraph[dask]'") from None
-    client = Client(address or None)
-    executor = client.get_executor(pure=False)
-    executor.client_kept_alive = client
-    return executor, max(1, sum(client.nthreads().values()))
-
-
 def _start_worker(threads: int) -> None:
     die_with_parent()
+    limit_threads(threads)
+
+
+def limit_threads(threads: int) -> None:
+    """How many threads the libraries take in this process, for several of them share the machine. Those of OpenMP and
+    BLAS count only if they are not loaded yet."""
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[variable] = str(threads)
     import cv2
@@ -88,9 +98,11 @@ def map_items(
     ``function`` must be at module level. The first error of an item is raised once the running chunks have ended; what
     other items wrote stays.
     """
+    # What is the same for all chunks may be large; an executor over a network sends it once (``share``).
+    call = getattr(executor, "share", _as_it_is)((function, args))
     size = max(1, -(-len(items) // (workers * _TASKS_PER_WORKER)))
     chunks = [items[k : k + size] for k in range(0, len(items), size)]
-    futures = {executor.submit(_run_chunk, function, chunk, args): k for k, chunk in enumerate(chunks)}
+    futures = {executor.submit(_run_chunk, call, chunk): k for k, chunk in enumerate(chunks)}
     results: list[list[Any]] = [[] for _ in chunks]
     try:
         for future in as_completed(futures):
@@ -109,5 +121,10 @@ def map_items(
     return [r for chunk in results for r in chunk]
 
 
-def _run_chunk(function: Callable[..., Any], chunk: Sequence[Any], args: tuple) -> list[Any]:
+def _as_it_is(data: Any) -> Any:
+    return data
+
+
+def _run_chunk(call: tuple[Callable[..., Any], tuple], chunk: Sequence[Any]) -> list[Any]:
+    function, args = call
     return [function(item, *args) for item in chunk]

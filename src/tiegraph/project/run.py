@@ -4,26 +4,22 @@ from __future__ import annotations
 
 import json
 import logging
-import platform
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime, timezone
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from tiegraph import __version__
 from tiegraph.errors import InputError, TiegraphError
-from tiegraph.project.pool import map_items, open_pool
-from tiegraph.project.progress import Meter, Reporter
+from tiegraph.project.pool import Place, map_items, open_pool
+from tiegraph.project.progress import Elsewhere, Meter, Reporter
+from tiegraph.project.software import software
 from tiegraph.project.stages import Receipts, Stage, digest, stage_keys, stamp, write_atomic
 
 log = logging.getLogger("tiegraph")
-
-_PACKAGES = ("pycolmap", "numpy", "opencv-python-headless", "scipy", "laspy", "pyproj")
 
 
 @dataclass(frozen=True)
@@ -59,11 +55,12 @@ class Run:
     def __init__(
         self, folder: Path, inputs: Inputs, settings: Any, pool: str = "local", reporter: Reporter | None = None
     ):
-        self.folder = folder
+        self.folder = folder.absolute()  # a worker elsewhere has another working folder
         self.inputs = inputs
         self.settings = settings
         self.reporter = reporter or Reporter("quiet")
-        self.receipts = Receipts(folder)
+        self.receipts = Receipts(self.folder)
+        self.elsewhere = Elsewhere()
         self._pool_spec = pool
         self._executor: Executor | None = None
         self._workers = 1
@@ -80,19 +77,21 @@ class Run:
     @property
     def workers(self) -> int:
         """How many items run at once."""
-        self._open()
+        self.open()
         return self._workers
 
-    def _open(self) -> Executor:
+    def open(self) -> Executor:
+        """The pool, opened when first asked for. Raises what ``open_pool`` raises."""
         if self._executor is None:
-            self._executor, self._workers = open_pool(self._pool_spec)
+            place = Place(self.folder, (self.inputs.images,), self.elsewhere)
+            self._executor, self._workers = open_pool(self._pool_spec, place=place)
         return self._executor
 
     def map(self, function: Callable[..., Any], items: Sequence[Any], *args: Any) -> list[Any]:
         """``[function(item, *args) for item in items]`` over the pool."""
         if not items:
             return []
-        return map_items(self._open(), self._workers, function, items, args, self.reporter.advance)
+        return map_items(self.open(), self._workers, function, items, args, self.reporter.advance)
 
     def make_missing(
         self, function: Callable[..., Any], items: Sequence[str], artefact: Callable[[str], Path], *args: Any
@@ -145,10 +144,11 @@ def needed(stages: Sequence[Stage], until: str | None) -> list[Stage]:
 
 
 def _run_one(stage: Stage, key: str, run: Run) -> None:
+    run.open()  # before anything is removed: no worker still writes for an earlier run once it is open
     run.receipts.begin(stage, key)
     run.reporter.event("started", stage=stage.name)
     log.info("stage %s started", stage.name)
-    start, meter = time.perf_counter(), Meter()
+    start, meter = time.perf_counter(), Meter(elsewhere=run.elsewhere)
     try:
         with run.reporter.stage(stage.name):
             outcome = stage.run(run)
@@ -194,17 +194,6 @@ def status(stages: Sequence[Stage], run: Run) -> list[tuple[str, str, dict]]:
             stale.add(stage.name)
         rows.append((stage.name, why, run.receipts.read(stage.name)))
     return rows
-
-
-def software() -> dict[str, str]:
-    """Versions a result depends on."""
-    out = {"tiegraph": __version__, "python": platform.python_version()}
-    for package in _PACKAGES:
-        try:
-            out[package] = version(package)
-        except PackageNotFoundError:
-            pass
-    return out
 
 
 @contextmanager
