@@ -14,6 +14,7 @@ import os
 import pickle
 import shutil
 import socket
+import threading
 import time
 import uuid
 import warnings
@@ -68,16 +69,27 @@ def open_dask(address: str, place: Place | None) -> tuple[Executor, int]:
 def _connect(address: str) -> Any:
     from distributed import Client
 
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of versions: those that matter are compared in ``begin``
-            return Client(address, timeout=_CONNECT_S, set_as_default=False)
-    except Exception as error:
-        why = f": {error}" if str(error) else ""
-        raise InputError(
-            f"pool dask:{address}: no Dask scheduler answers there ({type(error).__name__}{why}); "
-            "give the address that `dask scheduler` prints, such as tcp://127.0.0.1:8786"
-        ) from None
+    found: list[Any] = []
+
+    def connect() -> None:
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of versions: those that matter are compared in ``begin``
+                found.append(Client(address, timeout=_CONNECT_S, set_as_default=False))
+        except Exception as error:
+            found.append(error)
+
+    # Dask waits without end for something that takes the connection and says nothing.
+    thread = threading.Thread(target=connect, daemon=True, name="dask-connect")
+    thread.start()
+    thread.join(_CONNECT_S + 1)
+    if found and isinstance(found[0], Client):
+        return found[0]
+    why = f"{type(found[0]).__name__}: {found[0]}" if found else "silent"
+    raise InputError(
+        f"pool dask:{address}: no Dask scheduler answers there ({why}); "
+        "give the address that `dask scheduler` prints, such as tcp://127.0.0.1:8786"
+    )
 
 
 class DaskExecutor(Executor):
