@@ -139,11 +139,10 @@ def test_what_is_no_address_is_named(spec):
         open_pool(spec)
 
 
-def test_a_scheduler_without_workers_is_said(monkeypatch):
-    monkeypatch.setattr(daskpool, "_CONNECT_S", 2.0)
-    with distributed.LocalCluster(0, processes=False, dashboard_address=None) as made:
+def test_a_scheduler_without_workers_is_said():
+    with dask_world.commands(0) as (address, _):
         with pytest.raises(InputError, match="no workers"):
-            open_pool(f"dask:{made.scheduler_address}")
+            open_pool(f"dask:{address}")
 
 
 def set_version(number):

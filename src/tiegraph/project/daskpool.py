@@ -108,6 +108,7 @@ class DaskExecutor(Executor):
     def begin(self, place: Place | None) -> int:
         """Look at every worker and prepare it; their number. Raises InputError naming the worker that cannot serve."""
         threads = self._threads()
+        self._compare_versions()
         self._elsewhere = place.elsewhere if place is not None and place.elsewhere is not None else Elsewhere()
         with _visible(place) as probe:
             calls: dict[str, Callable[..., Any]] = {
@@ -170,6 +171,24 @@ class DaskExecutor(Executor):
     @property
     def _loop(self) -> asyncio.AbstractEventLoop:
         return self._client.loop.asyncio_loop
+
+    def _compare_versions(self) -> None:
+        # Not as a task: a worker or scheduler that cannot import what it is sent as one breaks.
+        async def ask() -> dict[str, Any]:
+            out = dict(await self._client.run(daskworker.versions, on_error="return"))
+            try:
+                return {"scheduler": await self._client.run_on_scheduler(daskworker.versions), **out}
+            except Exception as error:
+                return {"scheduler": error, **out}
+
+        try:
+            found = asyncio.run_coroutine_threadsafe(ask(), self._loop).result(_FREE_S)
+        except Exception as error:
+            raise InputError(self._gone(error)) from None
+        for name, versions in found.items():
+            if (wrong := _other_versions(versions)) is not None:
+                who = name if name == "scheduler" else f"worker {name}"
+                raise InputError(f"pool dask:{self._address}: the {who} {wrong}")
 
     def _threads(self) -> dict[str, int]:
         try:
@@ -299,20 +318,26 @@ def _visible(place: Place | None) -> Iterator[tuple[str, list[str]] | None]:
         shutil.rmtree(probe, ignore_errors=True)
 
 
+def _other_versions(versions: Any) -> str | None:
+    """What a process of the cluster lacks, None if nothing. ``versions``: its ``software`` or the error it answered."""
+    if not isinstance(versions, dict):
+        return (
+            f"cannot run tiegraph ({type(versions).__name__}: {versions}): "
+            f"install tiegraph {software()['tiegraph']} in its environment and start it again"
+        )
+    for name, own in software().items():
+        theirs = versions.get(name, "none")
+        if _series(name, own) != _series(name, theirs):
+            return f"has {name} {theirs}, this process {own}: install the same there and start it again"
+    return None
+
+
 def _wrong(seen: Any) -> str | None:
     """Why a worker cannot serve, None if it can. ``seen``: a ``Seen`` or the error it answered with."""
     if isinstance(seen, (TimeoutError, asyncio.TimeoutError)):
         return f"did not begin within {_FREE_S:.0f} s: it is busy with something else or hangs; wait, or start it again"
     if not isinstance(seen, Seen):
-        cause = seen.__cause__ or seen
-        return (
-            f"cannot run tiegraph ({type(cause).__name__}: {cause}): install tiegraph {software()['tiegraph']} in its "
-            "environment and in the scheduler's, and start them again"
-        )
-    for name, own in software().items():
-        theirs = seen.versions.get(name, "none")
-        if _series(name, own) != _series(name, theirs):
-            return f"has {name} {theirs}, this process {own}: install the same there and start it again"
+        return f"could not begin ({type(seen).__name__}: {seen}): look at what it says, and start it again"
     if seen.problem:
         return f"{seen.problem}: workers need the run folder and the images under the same paths (a shared file system)"
     return None

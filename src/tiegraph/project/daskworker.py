@@ -30,12 +30,16 @@ class Seen:
 
     host: str
     pid: int
-    versions: dict[str, str]
     problem: str = ""
 
 
 class _Unwanted(Exception):
     """The run has gone; nobody reads this."""
+
+
+def versions() -> dict[str, str]:
+    """What is installed here."""
+    return software()
 
 
 def unpacked(packed: bytes) -> Any:
@@ -50,7 +54,7 @@ def prepare(run: str, threads: int, probe: tuple[str, list[str]] | None) -> Seen
         limit_threads(threads)
         _runs.add(run)
         problem = "" if probe is None else _unreachable(*probe)
-        return Seen(socket.gethostname(), os.getpid(), software(), problem)
+        return Seen(socket.gethostname(), os.getpid(), problem)
 
 
 def _unreachable(folder: str, reads: list[str]) -> str:
