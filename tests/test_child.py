@@ -1,5 +1,6 @@
 """The child process runner: results, messages, errors, aborts, and no orphans."""
 
+import multiprocessing
 import os
 import subprocess
 import sys
@@ -49,6 +50,21 @@ def test_result_messages_and_log_come_back(tmp_path):
     assert run_in_child(add_loudly, 2, 3, log=log, on_message=messages.append) == 5
     assert messages == [2, 3]
     assert "adding" in log.read_text()
+
+
+def in_child(log, result):
+    result.send(run_in_child(add_loudly, 2, 3, log=log))
+
+
+def test_a_daemonic_process_may_run_a_child(tmp_path):
+    """Dask's workers are daemonic."""
+    context = multiprocessing.get_context("spawn")
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=in_child, args=(tmp_path / "log.txt", sender), daemon=True)
+    process.start()
+    sender.close()
+    assert receiver.recv() == 5
+    process.join(20)
 
 
 def test_abort_becomes_an_error_with_signal_and_log_tail_without_the_stack_trace(tmp_path):

@@ -178,6 +178,7 @@ def run_in_child(
     context = Helpers()
     receiver, sender = context.Pipe(duplex=False)
     log.parent.mkdir(parents=True, exist_ok=True)
+    _allow_children()
     process = context.Process(target=_child_main, args=(sender, str(log), function, args), daemon=False)
     try:
         process.start()
@@ -195,6 +196,14 @@ def run_in_child(
     if kind == "error":
         raise value
     return value
+
+
+def _allow_children() -> None:
+    """Dask's workers are daemonic, and multiprocessing lets no such process have children, which could outlive it; ours
+    ends with it by itself (``die_with_parent``)."""
+    process = multiprocessing.current_process()
+    if process.daemon:
+        process.daemon = False
 
 
 def _receive(receiver: Any, on_message: Callable[[Any], None] | None) -> Any:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy as np
 
 from tiegraph.errors import EngineMissing, InputError
 from tiegraph.masks.classes import NAMES, USE
+from tiegraph.scene.filecache import cached_by_file
 from tiegraph.scene.regular import regular
 
 if sys.version_info >= (3, 11):
@@ -90,7 +90,7 @@ def model_classes(image: np.ndarray, model: Model) -> np.ndarray:
     return cv2.resize(classes, image.shape[1::-1], interpolation=cv2.INTER_NEAREST)
 
 
-@lru_cache(maxsize=2)
+@cached_by_file(maxsize=2)
 def _session(onnx: Path) -> Any:
     try:
         import onnxruntime

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tiegraph.features.preview import Preview
-from tiegraph.pipeline.capture import read_preview
+from tiegraph.pipeline.capture import preview_path, read_preview
 from tiegraph.pipeline.files import load_scene
+from tiegraph.scene.filecache import cached_by_file
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Ties
@@ -54,11 +54,11 @@ def _two_view_item(item: tuple[int, int, np.ndarray], folder: Path) -> TwoView |
     return two_view(a.xy[match[:, 0]], b.xy[match[:, 1]], cameras[0], cameras[1], 1.0 / min(a.scale, b.scale))
 
 
-@lru_cache(maxsize=2)
+@cached_by_file(2, lambda folder: folder / "network" / "scene.json")
 def _scene(folder: Path) -> Scene:
     return load_scene(folder / "network" / "scene.json")
 
 
-@lru_cache(maxsize=_CACHED_PREVIEWS)
+@cached_by_file(_CACHED_PREVIEWS, preview_path)
 def _preview(folder: Path, name: str) -> Preview:
     return read_preview(folder, name)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -21,7 +21,7 @@ from tiegraph.network.network import estimate_network
 from tiegraph.network.pictures import map_png, weak_pairs
 from tiegraph.network.sections.light import UpLight
 from tiegraph.pipeline.accuracy import with_accuracy
-from tiegraph.pipeline.capture import read_preview
+from tiegraph.pipeline.capture import preview_path, read_preview
 from tiegraph.pipeline.files import (
     checked,
     load_npz,
@@ -35,6 +35,7 @@ from tiegraph.pipeline.files import (
 )
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome, remove, write_atomic
+from tiegraph.scene.filecache import cached_by_file
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Sights, Ties
@@ -124,7 +125,7 @@ def _survey_model(run: Run, scene: Scene, ties: Ties, rough: bool) -> SurveyMode
     )
 
 
-@lru_cache(maxsize=2)
+@cached_by_file(2, lambda folder: folder / "scene.json")
 def _scene(folder: Path) -> Scene:
     return load_scene(folder / "scene.json")
 
@@ -142,7 +143,7 @@ class _Descriptors(Sequence[np.ndarray]):
         return read_preview(self._folder, self._names[image]).descriptors
 
 
-@lru_cache(maxsize=_CACHED_PREVIEWS)
+@cached_by_file(_CACHED_PREVIEWS, preview_path)
 def _preview(folder: Path, name: str) -> Preview:
     return read_preview(folder, name)
 

@@ -7,10 +7,13 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from tiegraph.child import Helpers, from_outside, how_ended
-from tiegraph.errors import EngineMissing, ProcessLost, SettingsError
+from tiegraph.errors import ProcessLost, SettingsError
+from tiegraph.project.progress import Elsewhere
 
 _TASKS_PER_WORKER = 8  # enough to balance the load, few enough that a task takes about a second
 _LOOK_S = 2.0  # between two looks whether the workers live
@@ -61,10 +64,20 @@ def check_pool(spec: str) -> tuple[str, str]:
     return name, argument
 
 
-def open_pool(spec: str, workers: int | None = None) -> tuple[Executor, int]:
+@dataclass(frozen=True)
+class Place:
+    """What workers on other machines must reach, and who counts what they use."""
+
+    folder: Path  # they write here
+    reads: tuple[Path, ...] = ()  # and read these
+    elsewhere: Elsewhere | None = None
+
+
+def open_pool(spec: str, workers: int | None = None, place: Place | None = None) -> tuple[Executor, int]:
     """(executor, number of workers) of ``serial``, ``local``, ``local:<n>`` or ``dask:<address>``.
 
-    Raises SettingsError as ``check_pool``, EngineMissing when Dask is asked for and not installed.
+    Raises SettingsError as ``check_pool``; of Dask: EngineMissing when it is not installed, InputError when the cluster
+    does not answer, has no workers, or one that lacks what it needs (the same versions, the folders of ``place``).
     """
     name, argument = check_pool(spec)
     if name == "serial":
@@ -72,25 +85,22 @@ def open_pool(spec: str, workers: int | None = None) -> tuple[Executor, int]:
     if name == "local":
         count = workers or int(argument or _cores())
         return LocalPool(count, threads=max(1, _cores() // count)), count
-    return _dask(argument)
+    from tiegraph.project.daskpool import open_dask
+
+    return open_dask(argument, place)
 
 
 def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _dask(address: str) -> tuple[Executor, int]:
-    try:
-        from distributed import Client
-    except ImportError:
-        raise EngineMissing("the dask pool needs Dask: pip install 'tiegraph[dask]'") from None
-    client = Client(address or None)
-    executor = client.get_executor(pure=False)
-    executor.client_kept_alive = client
-    return executor, max(1, sum(client.nthreads().values()))
-
-
 def _start_worker(threads: int) -> None:
+    limit_threads(threads)
+
+
+def limit_threads(threads: int) -> None:
+    """How many threads the libraries take in this process, for several of them share the machine. Those of OpenMP and
+    BLAS count only if they are not loaded yet."""
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[variable] = str(threads)
     import cv2
@@ -111,13 +121,15 @@ def map_items(
     ``function`` must be at module level. The first error of an item is raised once the running chunks have ended; what
     other items wrote stays. Raises ProcessLost if a worker was ended from outside. Ctrl-C ends the workers at once.
     """
+    # What is the same for all chunks may be large; an executor over a network sends it once (``share``).
+    call = getattr(executor, "share", _as_it_is)((function, args))
     size = max(1, -(-len(items) // (workers * _TASKS_PER_WORKER)))
     chunks = [items[k : k + size] for k in range(0, len(items), size)]
     futures: dict[Future, int] = {}
     results: list[list[Any]] = [[] for _ in chunks]
     try:
         for k, chunk in enumerate(chunks):
-            futures[executor.submit(_run_chunk, function, chunk, args)] = k
+            futures[executor.submit(_run_chunk, call, chunk)] = k
         for future in _finished(executor, futures):
             k = futures[future]
             results[k] = future.result()
@@ -179,5 +191,10 @@ def _why_lost(executor: Executor, error: BrokenProcessPool) -> str:
     )
 
 
-def _run_chunk(function: Callable[..., Any], chunk: Sequence[Any], args: tuple) -> list[Any]:
+def _as_it_is(data: Any) -> Any:
+    return data
+
+
+def _run_chunk(call: tuple[Callable[..., Any], tuple], chunk: Sequence[Any]) -> list[Any]:
+    function, args = call
     return [function(item, *args) for item in chunk]

@@ -67,11 +67,38 @@ class Reporter:
             self._progress.update(self._task, advance=count, memory=memory)
 
 
-class Meter:
-    """CPU seconds and peak memory of this process and all below it, also those that have ended."""
+class Elsewhere:
+    """What workers that are not below this process (of Dask, on other machines) used since it was last asked for."""
 
-    def __init__(self, interval_s: float = 0.5) -> None:
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._cpu_s = 0.0
+        self._peak_mib: dict[str, float] = {}
+
+    def add(self, worker: str, used: dict[str, float]) -> None:
+        """Count what a worker's own ``Meter`` says of a piece of work."""
+        with self._lock:
+            self._cpu_s += used["cpu_s"]
+            self._peak_mib[worker] = max(used["peak_mib"], self._peak_mib.get(worker, 0.0))
+
+    def take(self) -> dict[str, float]:
+        """{"cpu_s", "peak_mib": the sum of the workers' peaks}; starts anew."""
+        with self._lock:
+            used = {"cpu_s": self._cpu_s, "peak_mib": sum(self._peak_mib.values())}
+            self._cpu_s, self._peak_mib = 0.0, {}
+        return used
+
+
+class Meter:
+    """CPU seconds and peak memory of this process and all below it, also those that have ended, and of ``elsewhere``.
+
+    The peaks of workers elsewhere are added up, whether they fell together or not.
+    """
+
+    def __init__(self, interval_s: float = 0.5, elsewhere: Elsewhere | None = None) -> None:
         self._process = psutil.Process()
+        self._elsewhere = elsewhere or Elsewhere()
+        self._elsewhere.take()
         self._interval = interval_s
         self._stop = threading.Event()
         self.peak_mib = 0.0
@@ -98,18 +125,24 @@ class Meter:
 
     def _watch(self) -> None:
         while True:
-            rss = 0
-            for process in [self._process, *self._children()]:
-                try:
-                    rss += process.memory_info().rss
-                except psutil.Error:
-                    pass
-            self.peak_mib = max(self.peak_mib, rss / 2**20)
+            self._look()
             if self._stop.wait(self._interval):
+                self._look()
                 return
+
+    def _look(self) -> None:
+        rss = 0
+        for process in [self._process, *self._children()]:
+            try:
+                rss += process.memory_info().rss
+            except psutil.Error:
+                pass
+        self.peak_mib = max(self.peak_mib, rss / 2**20)
 
     def stop(self) -> dict[str, float]:
         """{"cpu_s", "peak_mib"} since the start."""
         self._stop.set()
         self._thread.join()
-        return {"cpu_s": round(max(0.0, self._cpu() - self._start), 2), "peak_mib": round(self.peak_mib, 1)}
+        there = self._elsewhere.take()
+        cpu_s = max(0.0, self._cpu() - self._start) + there["cpu_s"]
+        return {"cpu_s": round(cpu_s, 2), "peak_mib": round(self.peak_mib + there["peak_mib"], 1)}

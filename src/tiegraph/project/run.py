@@ -4,30 +4,26 @@ from __future__ import annotations
 
 import json
 import logging
-import platform
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from datetime import datetime, timezone
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from tiegraph import __version__
 from tiegraph.child import end_helpers
 from tiegraph.errors import InputError, SettingsError, TiegraphError, UnreadableArtefact
 from tiegraph.project.artefacts import Artefacts
 from tiegraph.project.folder import LOG, check_folder, check_inputs, working_in
-from tiegraph.project.pool import check_pool, map_items, open_pool
-from tiegraph.project.progress import Meter, Reporter
+from tiegraph.project.pool import Place, check_pool, map_items, open_pool
+from tiegraph.project.progress import Elsewhere, Meter, Reporter
 from tiegraph.project.receipts import Receipts
+from tiegraph.project.software import software
 from tiegraph.project.stages import Stage, digest, stage_keys, stamp, write_atomic
 from tiegraph.scene.images import searched
 
 log = logging.getLogger("tiegraph")
-
-_PACKAGES = ("pycolmap", "numpy", "opencv-python-headless", "scipy", "laspy", "pyproj")
 
 
 @dataclass(frozen=True)
@@ -70,11 +66,12 @@ class Run:
     def __init__(
         self, folder: Path, inputs: Inputs, settings: Any, pool: str = "local", reporter: Reporter | None = None
     ):
-        self.folder = folder
+        self.folder = folder.absolute()  # a worker elsewhere has another working folder
         self.inputs = inputs
         self.settings = settings
         self.reporter = reporter or Reporter("quiet")
-        self.receipts = Receipts(folder)
+        self.receipts = Receipts(self.folder)
+        self.elsewhere = Elsewhere()
         check_pool(pool)
         self._pool_spec = pool
         self._executor: Executor | None = None
@@ -92,19 +89,21 @@ class Run:
     @property
     def workers(self) -> int:
         """How many items run at once."""
-        self._open()
+        self.open()
         return self._workers
 
-    def _open(self) -> Executor:
+    def open(self) -> Executor:
+        """The pool, opened when first asked for. Raises what ``open_pool`` raises."""
         if self._executor is None:
-            self._executor, self._workers = open_pool(self._pool_spec)
+            place = Place(self.folder, (self.inputs.images,), self.elsewhere)
+            self._executor, self._workers = open_pool(self._pool_spec, place=place)
         return self._executor
 
     def map(self, function: Callable[..., Any], items: Sequence[Any], *args: Any) -> list[Any]:
         """``[function(item, *args) for item in items]`` over the pool."""
         if not items:
             return []
-        return map_items(self._open(), self._workers, function, items, args, self.reporter.advance)
+        return map_items(self.open(), self._workers, function, items, args, self.reporter.advance)
 
     def make_missing(
         self, function: Callable[..., Any], items: Sequence[str], artefact: Callable[[str], Path], *args: Any
@@ -222,12 +221,13 @@ def needed(stages: Sequence[Stage], until: str | None) -> list[Stage]:
 
 
 def _run_one(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:
+    run.open()  # before anything is removed: no worker still writes for an earlier run once it is open
     for text in artefacts.begin(stage, key):
         run.reporter.say(f"{stage.name:>9}  {text}")
         log.warning("stage %s: %s", stage.name, text)
     run.reporter.event("started", stage=stage.name)
     log.info("stage %s started", stage.name)
-    start, meter = time.perf_counter(), Meter()
+    start, meter = time.perf_counter(), Meter(elsewhere=run.elsewhere)
     try:
         with run.reporter.stage(stage.name):
             outcome = stage.run(run)
@@ -281,17 +281,6 @@ def status(stages: Sequence[Stage], run: Run) -> list[tuple[str, str, dict]]:
             stale.add(stage.name)
         rows.append((stage.name, why, artefacts.receipts.read(stage.name)))
     return rows
-
-
-def software() -> dict[str, str]:
-    """Versions a result depends on."""
-    out = {"tiegraph": __version__, "python": platform.python_version()}
-    for package in _PACKAGES:
-        try:
-            out[package] = version(package)
-        except PackageNotFoundError:
-            pass
-    return out
 
 
 def _short(value: Any) -> str:

@@ -16,6 +16,7 @@ from PIL import Image
 from tiegraph.errors import InputError
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.atomic import replacing
+from tiegraph.scene.filecache import cached_by_file
 from tiegraph.scene.images import decode_deep, deep_png, open_image
 from tiegraph.scene.panorama import render_view
 from tiegraph.scene.regular import regular
@@ -102,7 +103,7 @@ def _view(path: Path, how: Source, sensor: Sensor) -> np.ndarray:
     return render_view(_panorama(path, how.bits), how.camera, sensor.sensor_from_rig[:3, :3])
 
 
-@lru_cache(maxsize=1)  # its views are made one after another
+@cached_by_file(maxsize=1)  # its views are made one after another
 def _panorama(path: Path, bits: int) -> np.ndarray:
     try:
         data = regular(path).read_bytes()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ import pycolmap
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import MAX_IMAGES
+from tiegraph.scene.filecache import cached_by_file
 from tiegraph.scene.rig import camera_from_dict, camera_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.verify.motion import Rays
@@ -100,7 +100,7 @@ def _matches(database: str, i: int, j: int) -> np.ndarray:
     return matches if i < j else matches[:, ::-1]
 
 
-@lru_cache(maxsize=2)
+@cached_by_file(maxsize=2)
 def _connection(database: str) -> sqlite3.Connection:
     if not Path(database).is_file():
         raise InputError(f"database {database} does not exist: run the features stage first")
@@ -113,7 +113,7 @@ def forget() -> None:
     _rays.cache_clear()
 
 
-@lru_cache(maxsize=_CACHED_IMAGES)
+@cached_by_file(maxsize=_CACHED_IMAGES)
 def _rays(database: str, image: int, camera: tuple) -> np.ndarray:
     """(K, 3) unit rays of an image's key points in the sensor frame."""
     query = "SELECT rows, cols, data FROM keypoints WHERE image_id = ?"

@@ -1,0 +1,257 @@
+"""The pool of Dask: items on its workers, what they use, and everything that can be wrong with a cluster."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+import dask_world
+from tiegraph.errors import InputError, SettingsError, TiegraphError
+from tiegraph.project import daskpool
+from tiegraph.project.pool import Place, map_items, open_pool
+from tiegraph.project.progress import Elsewhere, Meter
+
+distributed = pytest.importorskip("distributed")
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    with distributed.LocalCluster(2, threads_per_worker=1, processes=True, dashboard_address=None) as made:
+        yield made
+
+
+@pytest.fixture
+def pool(cluster):
+    executor, workers = open_pool(f"dask:{cluster.scheduler_address}")
+    yield lambda function, items, *args: map_items(executor, workers, function, items, args)
+    executor.shutdown(cancel_futures=True)
+
+
+def on_workers(cluster, function, *args):
+    with distributed.Client(cluster.scheduler_address, set_as_default=False) as client:
+        return client.run(function, *args)
+
+
+def test_items_run_on_all_workers_and_come_back_in_order(cluster, capfd):
+    executor, workers = open_pool(f"dask:{cluster.scheduler_address}")
+    found = map_items(executor, workers, dask_world.where, range(40), (0.5,))
+    executor.shutdown(cancel_futures=True)
+    assert workers == 2
+    assert [value for value, _ in found] == [k / 2 for k in range(40)]
+    assert len({pid for _, pid in found} - {os.getpid()}) == 2
+    assert capfd.readouterr() == ("", "")
+
+
+def test_child_processes_run_in_a_worker(pool, tmp_path):
+    assert pool(dask_world.in_child, [1, 2], tmp_path / "log.txt") == [2, 3]
+
+
+def test_threads_of_the_libraries_are_those_of_the_worker(pool):
+    assert pool(dask_world.threads, [1, 2]) == [(1, "1"), (1, "1")]
+
+
+def test_large_arguments_go_once_and_without_a_warning(pool, recwarn):
+    data = np.arange(2_000_000.0)
+    assert pool(dask_world.total, [0, 1, 2], data) == [data.sum() + k for k in range(3)]
+    big = [np.full(1_000_000, float(k)) for k in range(4)]
+    assert [value.sum() for value, _ in pool(dask_world.where, big)] == [k * 1e6 for k in range(4)]
+    assert not list(recwarn)
+
+
+def test_error_of_an_item_keeps_its_type(pool):
+    with pytest.raises(KeyError, match="three"):
+        pool(dask_world.refuse, range(6))
+
+
+def test_relative_paths_hold_where_the_run_was_started(pool, tmp_path, monkeypatch):
+    (tmp_path / "beside.txt").write_text("found")
+    monkeypatch.chdir(tmp_path)
+    assert pool(dask_world.relative, [1]) == ["found"]
+
+
+def test_a_file_changed_between_two_runs_is_read_again(cluster, tmp_path):
+    path = tmp_path / "scene.json"
+    for text in ("old", "new"):
+        (tmp_path / "written").write_text(text)
+        os.replace(tmp_path / "written", path)
+        executor, workers = open_pool(f"dask:{cluster.scheduler_address}")
+        assert set(map_items(executor, workers, dask_world.read_kept, range(8), (path,))) == {text}
+        executor.shutdown()
+
+
+@pytest.mark.parametrize("below", [True, False], ids=["below this process", "elsewhere"])
+def test_use_of_the_workers_is_counted_once(cluster, tmp_path, monkeypatch, below):
+    if not below:
+        monkeypatch.setattr(psutil.Process, "children", lambda self, recursive=False: [])
+    elsewhere = Elsewhere()
+    executor, workers = open_pool(f"dask:{cluster.scheduler_address}", place=Place(tmp_path, (), elsewhere))
+    meter = Meter(elsewhere=elsewhere)
+    map_items(executor, workers, dask_world.burn, range(4), (0.5,))
+    used = meter.stop()
+    executor.shutdown()
+    assert 2.0 <= used["cpu_s"] < 3.9
+    assert used["peak_mib"] > 400
+
+
+def test_only_one_item_at_a_time_in_a_worker_of_many_threads():
+    with distributed.LocalCluster(1, threads_per_worker=3, processes=True, dashboard_address=None) as made:
+        executor, workers = open_pool(f"dask:{made.scheduler_address}")
+        spans = sorted(map_items(executor, workers, dask_world.span, range(6), (0.1,)))
+        threads = map_items(executor, workers, dask_world.threads, [0])
+        executor.shutdown()
+    assert workers == 1
+    assert all(end <= start for (_, end), (start, _) in zip(spans, spans[1:]))
+    assert threads == [(3, "3")]
+
+
+@pytest.mark.parametrize("answers", [True, False], ids=["silent", "refused"])
+def test_an_address_that_does_not_answer_is_named_soon(answers, capfd):
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{listener.getsockname()[1]}"
+        if answers:
+            listener.listen()
+        start = time.monotonic()
+        with pytest.raises(InputError, match=address):
+            open_pool(f"dask:{address}")
+        assert time.monotonic() - start < 12
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("spec", ["dask", "dask:"])
+def test_an_address_is_needed(spec):
+    with pytest.raises(SettingsError, match="address"):
+        open_pool(spec)
+
+
+@pytest.mark.parametrize("spec", ["dask:nonsense", "dask:tcp://127.0.0.1", "dask:ftp://a:1"])
+def test_what_is_no_address_is_named(spec):
+    with pytest.raises(InputError, match=spec):
+        open_pool(spec)
+
+
+def test_a_scheduler_without_workers_is_said():
+    with dask_world.commands(0) as (address, _):
+        with pytest.raises(InputError, match="no workers"):
+            open_pool(f"dask:{address}")
+
+
+def set_version(number):
+    from tiegraph.project import software
+
+    software.__version__ = number
+
+
+def test_a_worker_with_another_version_is_named(cluster):
+    import tiegraph
+
+    on_workers(cluster, set_version, "0.0.1")
+    try:
+        with pytest.raises(InputError, match=r"worker tcp://.* has tiegraph 0\.0\.1, this process"):
+            open_pool(f"dask:{cluster.scheduler_address}")
+    finally:
+        on_workers(cluster, set_version, tiegraph.__version__)
+
+
+def test_only_the_series_of_python_must_be_the_same():
+    assert daskpool._series("python", "3.11.7") == daskpool._series("python", "3.11.9")
+    assert daskpool._series("python", "3.11.7") != daskpool._series("python", "3.12.7")
+    assert daskpool._series("numpy", "2.0.1") != daskpool._series("numpy", "2.0.2")
+
+
+def hide_tiegraph(hidden):
+    import sys
+
+    sys.modules["tiegraph.project.daskworker"] = None if hidden else __import__("tiegraph")
+    if not hidden:
+        del sys.modules["tiegraph.project.daskworker"]
+
+
+def test_a_worker_without_tiegraph_is_named(cluster):
+    on_workers(cluster, hide_tiegraph, True)
+    try:
+        with pytest.raises(InputError, match=r"worker tcp://.* cannot run tiegraph .*install tiegraph"):
+            open_pool(f"dask:{cluster.scheduler_address}")
+    finally:
+        on_workers(cluster, hide_tiegraph, False)
+
+
+def test_a_worker_that_does_not_see_the_folders_is_named(cluster, tmp_path, monkeypatch):
+    spec = f"dask:{cluster.scheduler_address}"
+    with pytest.raises(InputError, match=r"worker tcp://.* cannot read .*photographs.*shared"):
+        open_pool(spec, place=Place(tmp_path, (tmp_path / "photographs",)))
+    assert not list(tmp_path.iterdir())
+    monkeypatch.setattr(Path, "mkdir", lambda self, **more: None)  # what is made here is not there
+    with pytest.raises(InputError, match=rf"worker tcp://.* cannot write into {tmp_path}"):
+        open_pool(spec, place=Place(tmp_path))
+
+
+def client_script(folder: Path, address: str, work: str) -> list[str]:
+    script = folder / "client.py"
+    script.write_text(
+        "import sys, pathlib\n"
+        f"sys.path[:0] = {[str(Path(dask_world.__file__).parent)]!r}\n"
+        "import dask_world\n"
+        "from tiegraph.project.pool import map_items, open_pool\n"
+        f"executor, workers = open_pool('dask:{address}')\n"
+        f"map_items(executor, workers, dask_world.leave_file, range(400), (pathlib.Path({work!r}), 0.2))\n"
+    )
+    return [sys.executable, str(script)]
+
+
+def test_workers_stop_when_the_run_is_killed(cluster, tmp_path):
+    work = tmp_path / "work"
+    work.mkdir()
+    client = subprocess.Popen(client_script(tmp_path, cluster.scheduler_address, str(work)))
+    end = time.monotonic() + 60
+    while not list(work.iterdir()) and time.monotonic() < end:
+        time.sleep(0.05)
+    client.send_signal(signal.SIGKILL)
+    client.wait()
+    executor, _ = open_pool(f"dask:{cluster.scheduler_address}")  # returns when what was under way has ended
+    count = len(list(work.iterdir()))
+    time.sleep(1.5)
+    executor.shutdown()
+    assert 0 < count == len(list(work.iterdir())) < 40  # a chunk has 25
+
+
+@pytest.mark.parametrize("lost", ["worker", "scheduler"])
+def test_the_loss_of_a_worker_or_of_the_scheduler_ends_the_run(lost, capfd):
+    with dask_world.commands(2, ("--no-nanny",)) as (address, (scheduler, worker, _)):
+        executor, workers = open_pool(f"dask:{address}")
+        futures = [executor.submit(dask_world.span, k, 60.0) for k in range(4)]
+        time.sleep(0.5)
+        (worker if lost == "worker" else scheduler).kill()
+        start = time.monotonic()
+        with pytest.raises(TiegraphError, match=rf"pool dask:{address}: the .*{lost}.* was lost"):
+            futures[-1].result(timeout=40)
+        assert time.monotonic() - start < 20
+        daskpool._END_S, before = 1.0, daskpool._END_S
+        executor.shutdown(cancel_futures=True)
+        daskpool._END_S = before
+    assert "Traceback" not in capfd.readouterr().err
+
+
+def test_an_item_that_ends_its_worker_is_not_tried_again_and_again(capfd):
+    with distributed.LocalCluster(1, threads_per_worker=1, processes=True, dashboard_address=None) as made:
+        executor, workers = open_pool(f"dask:{made.scheduler_address}")
+        with pytest.raises(TiegraphError, match="worker .* was lost"):
+            map_items(executor, workers, dask_world.end_process, [0])
+        executor.shutdown(cancel_futures=True)
+
+
+def test_counts_elsewhere_are_sums_of_cpu_and_of_peaks():
+    one = Elsewhere()
+    for worker, cpu_s, peak_mib in (("a", 1.0, 50.0), ("a", 2.0, 40.0), ("b", 4.0, 7.0)):
+        one.add(worker, {"cpu_s": cpu_s, "peak_mib": peak_mib})
+    assert json.dumps(one.take()) == '{"cpu_s": 7.0, "peak_mib": 57.0}'
+    assert one.take() == {"cpu_s": 0.0, "peak_mib": 0}
