@@ -68,8 +68,7 @@ def _dask(address: str) -> tuple[Executor, int]:
 
 def _start_worker(threads: int) -> None:
     die_with_parent()
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[variable] = str(threads)
+    os.environ["OMP_NUM_THREADS"] = str(threads)
     import cv2
 
     cv2.setNumThreads(threads)
