@@ -5,6 +5,10 @@ project = tiegraph.open("survey/images", rig="ladybug5")
 print(project.run(until="design").pairs().funnel())
 """
 
+# One thread for linear algebra, before NumPy and pycolmap load theirs: with more, last digits depend on the machine's
+# number of cores and on the pool (tests/test_blas_threads.py). Worker and child processes inherit it.
+import tiegraph.blas  # noqa: F401  isort: skip
+
 # zlib must be loaded before pycolmap: its extension module exports a second zlib, and libz would bind to it and
 # abort the process at the first PNG written (tests/test_import_order.py shows it in a child process).
 import zlib  # noqa: F401  isort: skip

@@ -1,5 +1,6 @@
 """The database: ids, rigs, priors, transactions, losses; what COLMAP's mappers make of it."""
 
+import errno
 import os
 import resource
 import signal
@@ -207,3 +208,34 @@ def test_missing_or_damaged_database_is_explained(tmp_path):
     (tmp_path / "bad.db").write_bytes(b"this is no database at all" * 200)
     with pytest.raises(InputError, match="bad.db cannot be read any more"):
         db.feature_counts(tmp_path / "bad.db")
+
+
+def test_the_bytes_tell_nothing_of_the_order_of_writing(tmp_path):
+    found, at_once, one_by_one = features(), tmp_path / "a.db", tmp_path / "b.db"
+    filled_database(at_once, scene())
+    db.create_database(one_by_one, scene())
+    for each in reversed(found):
+        db.write_features(one_by_one, [each])
+    db.forget_features(one_by_one, [3])
+    db.write_features(one_by_one, [found[3]])
+    assert at_once.read_bytes() != one_by_one.read_bytes()
+    for path in (at_once, one_by_one, one_by_one):
+        db.write_anew(path)
+    assert at_once.read_bytes() == one_by_one.read_bytes()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.db", "b.db"]
+    with opened(one_by_one) as database:
+        assert database.num_images() == len(found) and database.num_keypoints() == sum(len(k) for _, k, _ in found)
+
+
+def test_a_database_without_room_for_its_copy_stays(tmp_path, monkeypatch):
+    path = filled_database(tmp_path / "a.db", scene())
+    db.write_anew(path)
+    before = path.read_bytes()
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(InputError, match="No space left"):
+        db.write_anew(path)
+    assert path.read_bytes() == before and [p.name for p in tmp_path.iterdir()] == ["a.db"]

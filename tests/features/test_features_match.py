@@ -68,6 +68,15 @@ def test_exactly_the_kept_pairs_are_matched_and_counted(done):
     assert progress[0] == (0, report.matched) and progress[-1] == (report.matched, report.matched)
 
 
+def test_any_number_of_threads_and_any_history_make_the_same_bytes(done, tmp_path):
+    folder, *_ = done
+    path = filled_database(tmp_path / "database.db", scene(), empty=(EMPTY,))
+    few = listed()
+    match_pairs(path, scene(), few.drop(few.i > 3, "cut"), SETTINGS, tmp_path / "log.txt", threads=2)
+    match_pairs(path, scene(), listed(), SETTINGS, tmp_path / "log.txt", threads=2)
+    assert path.read_bytes() == (folder / "database.db").read_bytes()
+
+
 def test_lost_pairs_are_listed_with_the_reason(done):
     _, pairs, report, _ = done
     name = scene().names[EMPTY]

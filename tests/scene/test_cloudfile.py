@@ -1,4 +1,6 @@
+import datetime as dt
 import errno
+import zipfile
 
 import laspy
 import numpy as np
@@ -9,6 +11,7 @@ from tiegraph.geometry.geodesy import Origin, make_origin
 from tiegraph.scene import cloudfile
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.cloudfile import read_cloud, write_cloud, write_las
+from tiegraph.scene.copc import write_copc
 from tiegraph.scene.depthfile import load_depth, save_depth
 from tiegraph.scene.results import Cloud, DepthMap
 
@@ -42,6 +45,37 @@ def test_clouds_come_back(tmp_path, suffix, origin):
     np.testing.assert_array_equal(after.sigma_m, before.sigma_m)
     np.testing.assert_array_equal(after.views, before.views)
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("suffix", ["las", "laz", "ply", "copc.laz"])
+def test_files_do_not_depend_on_the_day(tmp_path, monkeypatch, suffix):
+    days = [dt.date(2024, 2, 29), dt.date(2025, 12, 31)]
+
+    class Today(dt.date):
+        @classmethod
+        def today(cls):
+            return days.pop()
+
+    monkeypatch.setattr(laspy.header, "date", Today)
+    paths = [tmp_path / f"{k}.{suffix}" for k in (0, 1)]
+    for path in paths:
+        if suffix == "copc.laz":
+            write_copc(lambda: iter([cloud(UTM)]), path, 0.5, tmp_path)
+        else:
+            write_cloud(cloud(UTM), path)
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+    if suffix != "ply":
+        monkeypatch.undo()
+        assert laspy.read(paths[0]).header.creation_date is None
+
+
+def test_depth_maps_do_not_depend_on_the_time(tmp_path, monkeypatch):
+    flat = np.full((6, 8), 2.0, np.float32)
+    depth = DepthMap("a.jpg", flat, 0.01 * flat, np.full((6, 8), 3, np.uint8), np.eye(3), np.eye(4))
+    save_depth(depth, tmp_path / "0.npz")
+    monkeypatch.setattr(zipfile.time, "localtime", lambda *_: (2030, 1, 2, 3, 4, 6, 0, 0, 0))
+    save_depth(depth, tmp_path / "1.npz")
+    assert (tmp_path / "0.npz").read_bytes() == (tmp_path / "1.npz").read_bytes()
 
 
 def test_las_states_crs_version_and_full_coordinates(tmp_path):

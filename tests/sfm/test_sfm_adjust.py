@@ -1,17 +1,20 @@
-"""The final adjustment: which points it does without."""
+"""The final adjustment: which points it does without; the same bits each time."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
+import pytest
 from sfm_worlds import make_world
 
 import tiegraph  # noqa: F401  (zlib before pycolmap)
 
 import pycolmap  # isort: skip
 
-from tiegraph.sfm.adjust import ENOUGH_SEEN, drop_momentary
+from tiegraph.sfm import solver
+from tiegraph.sfm.adjust import ENOUGH_SEEN, drop_momentary, final_adjustment
+from tiegraph.sfm.model import image_poses
 
 
 def _momentary(model: pycolmap.Reconstruction) -> list[int]:
@@ -49,3 +52,18 @@ def test_a_frame_that_has_little_else_keeps_them(tmp_path: Path) -> None:
     assert _momentary(model) == before
     assert drop_momentary(model) == 0
     assert np.array_equal(sorted(model.point3D_ids()), before)
+
+
+@pytest.mark.slow
+def test_a_large_adjustment_gives_the_same_bits_each_time(tmp_path: Path) -> None:
+    # COLMAP solves those with fewer than 50 000 residuals on one thread anyway.
+    model, scene = make_world(tmp_path / "database.db", cameras=2, frames=9, points=1500)
+    assert 2 * model.compute_num_observations() > 50_000
+    found = [image_poses(final_adjustment(pycolmap.Reconstruction(model)).model, scene) for _ in range(2)]
+    assert np.array_equal(*found)
+
+
+def test_threads_of_the_solver_are_not_those_of_the_machine() -> None:
+    options = pycolmap.BundleAdjustmentOptions()
+    solver.factorised(options, frames=solver.MOST_FRAMES + 1, images=10**6)
+    assert options.ceres.solver_options.num_threads == 1

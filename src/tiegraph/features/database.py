@@ -25,6 +25,7 @@ import pycolmap
 
 from tiegraph.errors import InputError, TiegraphError, UnreadableArtefact
 from tiegraph.geometry import transforms
+from tiegraph.scene.atomic import replacing
 from tiegraph.scene.colmapmodel import MAX_IMAGES
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
@@ -211,6 +212,22 @@ def clear_matches(path: Path) -> None:
     with transaction(path) as cursor:
         cursor.execute("DELETE FROM matches")
         cursor.execute("DELETE FROM two_view_geometries")
+
+
+def write_anew(path: Path) -> None:
+    """Write the file again as if its rows had come one after another: equal rows make equal bytes, whatever the order
+    in which COLMAP's threads finished, interruptions, and rows that were deleted.
+
+    No log is left beside it. Raises InputError when the disk has no room for the second copy, and TiegraphError when
+    another program reads the file; it then stays as it was.
+    """
+    with replacing(path) as temporary:
+        with _opened(path) as connection:
+            # Else the log would stay, to be played into the new file.
+            connection.execute("PRAGMA journal_mode = DELETE")
+            connection.execute("VACUUM INTO ?", (str(temporary),))
+        with _opened(temporary) as connection:
+            connection.execute("PRAGMA schema_version = 1")  # it counts how often this was done
 
 
 def pair_ids(pairs: Pairs) -> np.ndarray:

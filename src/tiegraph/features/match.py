@@ -13,7 +13,7 @@ import pycolmap
 
 from tiegraph.child import run_in_child
 from tiegraph.errors import InputError, ReconstructionError, SettingsError
-from tiegraph.features.database import feature_counts, pair_ids, reading, transaction
+from tiegraph.features.database import feature_counts, pair_ids, reading, transaction, write_anew
 from tiegraph.features.settings import MatchSettings
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
@@ -78,6 +78,7 @@ def match_pairs(
     if blocks:
         _run(database, scene, blocks, settings, threads, log, lambda more: tell(done + more, total))
     _strike_watermarks(database)
+    write_anew(database)
     table = read_matches(database, kept)
     report = _report(scene, kept, table, counts, done, time.perf_counter() - started)
     if report.verified == 0:

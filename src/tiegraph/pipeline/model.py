@@ -32,7 +32,8 @@ def features(run: Run) -> Outcome:
     step = _SLAB_IMAGES * run.workers
     for start in range(0, len(todo), step):
         found = run.map(_features_item, todo[start : start + step], run.folder, run.settings.features)
-        database.write_features(path, found)
+        for first in range(0, len(found), _SLAB_IMAGES):  # the same transactions with any number of workers
+            database.write_features(path, found[first : first + _SLAB_IMAGES])
     counts = np.array(list(database.feature_counts(path).values()))
     lost = database.lost_features(path, scene, range(len(scene)))
     out = {"images": len(scene), "features": int(counts.sum()), "median_features": float(np.median(counts))}

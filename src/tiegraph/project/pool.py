@@ -99,10 +99,9 @@ def _start_worker(threads: int) -> None:
 
 
 def limit_threads(threads: int) -> None:
-    """How many threads the libraries take in this process, for several of them share the machine. Those of OpenMP and
-    BLAS count only if they are not loaded yet."""
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[variable] = str(threads)
+    """How many threads the libraries take in this process, for several of them share the machine. OpenMP hears of it
+    only if it is not loaded yet; linear algebra has one anyway (``tiegraph.blas``)."""
+    os.environ["OMP_NUM_THREADS"] = str(threads)
     import cv2
 
     cv2.setNumThreads(threads)

@@ -27,6 +27,7 @@ _OF_SPACING, _OF_EXTENT = 1e-2, 1e-6
 _FAR = 1e5  # coordinates beyond this get an offset of their own
 _EXTRA = (("sigma_m", "f4"), ("views", "u1"), ("NormalX", "f4"), ("NormalY", "f4"), ("NormalZ", "f4"))
 _CHUNK = 1_000_000
+_LAS_DATE = 90  # where the header of any LAS version has its date
 _PLY = (
     ("x", "<f8", "double"), ("y", "<f8", "double"), ("z", "<f8", "double"),
     ("nx", "<f4", "float"), ("ny", "<f4", "float"), ("nz", "<f4", "float"),
@@ -82,11 +83,23 @@ def write_las(clouds: Cloud | Iterable[Cloud], path: Path, spacing: float | None
     """
     parts, first = _parts(clouds)
     header, notes = las_header(first, spacing)
-    with replacing(path) as temporary, laspy.open(temporary, mode="w", header=header, do_compress=_is_laz(path)) as out:
-        for part in chain([first], parts):
-            for start in range(0, len(part), _CHUNK):
-                out.write_points(las_points(part.where(slice(start, start + _CHUNK)), header))  # type: ignore[arg-type]
+    with replacing(path) as temporary:
+        with laspy.open(temporary, mode="w", header=header, do_compress=_is_laz(path)) as out:
+            for part in chain([first], parts):
+                for start in range(0, len(part), _CHUNK):
+                    out.write_points(las_points(part.where(slice(start, start + _CHUNK)), header))  # type: ignore[arg-type]
+        undate(temporary)
     return notes
+
+
+def undate(path: Path) -> None:
+    """Take the day a LAS file was written out of its header, so that equal clouds make equal files on any day.
+
+    0 stands for no date; laspy would always state today. The two numbers (day of the year, year) are u2 from byte 90.
+    """
+    with open(path, "r+b") as file:
+        file.seek(_LAS_DATE)
+        file.write(bytes(4))
 
 
 def write_ply(clouds: Cloud | Iterable[Cloud], path: Path) -> tuple[str, ...]:

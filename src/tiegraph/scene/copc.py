@@ -13,7 +13,7 @@ import lazrs
 import numpy as np
 
 from tiegraph.scene.atomic import replacing
-from tiegraph.scene.cloudfile import las_header, las_points, shift_of
+from tiegraph.scene.cloudfile import las_header, las_points, shift_of, undate
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.sorting import order_of, row_numbers, run_starts
 
@@ -96,6 +96,7 @@ def write_copc(parts: Callable[[], Iterator[Cloud]], path: Path, spacing: float,
             spill = _spilled(parts(), tree, header, records)
             with open(temporary, "w+b") as out:
                 _write(out, header, tree, spill, low, high)
+            undate(temporary)
     finally:
         records.unlink(missing_ok=True)
     return notes

@@ -164,8 +164,6 @@ def _solve(
     solver = options.ceres.solver_options
     solver.max_num_iterations = ROBUST_ITERATIONS if robust else FIRST_ITERATIONS
     solver.function_tolerance = TOLERANCE
-    if soft and soft.in_python():
-        solver.num_threads = 1  # costs written in Python would wait for the lock this thread holds
     options.ceres.solver_options = solver
     factorised(options, model.num_reg_frames(), model.num_reg_images())
     config = pycolmap.BundleAdjustmentConfig()

@@ -182,7 +182,7 @@ def _with_others(job: Job, outcome: Outcome, rigs: dict[int, Rig], modes: dict[i
 
 def _mapped(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -> Outcome:
     """Run the chosen mapper; under "auto", when clearly fewer images come back than could, again with another seed
-    (threads make runs differ: one in a dozen on the example fell apart), then the other mapper."""
+    (one start in a dozen on the example fell apart), then the other mapper."""
     first = choose_mapper(job.scene, job.settings, bool(rigs))
     outcome = _run(job, first, rigs, modes, label)
     reachable = job.graph.components[0]

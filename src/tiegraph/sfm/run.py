@@ -15,7 +15,7 @@ from tiegraph.scene.rig import Rig, rig_from_dict, rig_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import write_working_copy
 from tiegraph.sfm.placement.verified import read_verified
-from tiegraph.sfm.solver import factorised
+from tiegraph.sfm.solver import THREADS, factorised
 from tiegraph.sfm.start.gate import why_not
 from tiegraph.sfm.start.poses import largest_piece, start_from
 from tiegraph.sfm.start.rounds import model_from
@@ -32,7 +32,7 @@ class Request:
     """What one run needs, in picklable form."""
 
     mapper: str  # incremental, global, or preview: from the poses of the preview model
-    seed: int  # of every random choice: the same input gives the same model, but for the order of threads
+    seed: int  # of every random choice: the same input gives the same model
     database: Path
     images: Path | None  # for colours; None = none are wanted
     folder: Path  # scratch; models go to folder/0, folder/1, ...
@@ -121,6 +121,7 @@ def _options(request: Request, free: bool) -> pycolmap.IncrementalPipelineOption
     lens = free and not request.all_constant
     return pycolmap.IncrementalPipelineOptions(
         random_seed=request.seed,
+        num_threads=THREADS,
         min_num_matches=request.min_matches,
         min_model_size=MIN_MODEL_IMAGES,
         extract_colors=False,
@@ -152,7 +153,7 @@ def _incremental(
 
 def _global(request: Request, working: Path, raw: Path) -> dict[int, pycolmap.Reconstruction]:
     refine_rig = len(request.fixed) < len(request.rigs)
-    mapper = pycolmap.GlobalMapperOptions(random_seed=request.seed, refine_sensor_from_rig=refine_rig)
+    mapper = pycolmap.GlobalMapperOptions(refine_sensor_from_rig=refine_rig)
     mapper.bundle_adjustment.refine_focal_length = not request.all_constant  # it knows no single constant cameras
     mapper.bundle_adjustment.refine_extra_params = not request.all_constant
     with pycolmap.Database.open(working) as database:
@@ -161,6 +162,10 @@ def _global(request: Request, working: Path, raw: Path) -> dict[int, pycolmap.Re
         mapper.track_required_tracks_per_view = ROUGH_TRACKS
         mapper.skip_retriangulation = True
     options = pycolmap.GlobalPipelineOptions(
-        random_seed=request.seed, min_num_matches=request.min_matches, min_model_size=MIN_MODEL_IMAGES, mapper=mapper
+        random_seed=request.seed,
+        num_threads=THREADS,  # these two count, not the mapper's own
+        min_num_matches=request.min_matches,
+        min_model_size=MIN_MODEL_IMAGES,
+        mapper=mapper,
     )
     return pycolmap.global_mapping(working, request.images or raw, raw, options)

@@ -1,4 +1,4 @@
-"""How Ceres solves the linear systems of an adjustment."""
+"""How Ceres solves the linear systems of an adjustment, and on how many threads."""
 
 from __future__ import annotations
 
@@ -8,11 +8,26 @@ import pycolmap
 # frames, and in surveys each sees few others: a corridor of 2000 images in 500 frames took five times the time of one
 # of 1000 (benchmarks/sfm/README.md). Above so many frames the fill-in of loose collections might not fit into memory.
 MOST_FRAMES = 10_000
+# Ceres adds up the parts of its threads in the order they come (github.com/ceres-solver/ceres-solver/issues/664): with
+# two, no run is like another. One thread gives every run and every machine's number of cores the same sums. (Costs
+# written in Python would wait for each other anyway: the thread that solves holds the interpreter's lock.)
+THREADS = 1
 
 
 def factorised(options: pycolmap.BundleAdjustmentOptions, frames: int, images: int) -> None:
-    """Let an adjustment of so many frames and images be solved by sparse factorisation, unless it is too large."""
+    """Let an adjustment of so many frames and images be solved by sparse factorisation, unless it is too large, and
+    always with the same sums."""
     if frames <= MOST_FRAMES:
         ceres = options.ceres
         ceres.max_num_images_direct_sparse_cpu_solver = max(ceres.max_num_images_direct_sparse_cpu_solver, images)
         options.ceres = ceres
+    repeatable(options)
+
+
+def repeatable(options: pycolmap.BundleAdjustmentOptions) -> None:
+    """Let an adjustment give the same bits each time."""
+    ceres = options.ceres
+    solver = ceres.solver_options
+    solver.num_threads = THREADS
+    ceres.solver_options = solver
+    options.ceres = ceres

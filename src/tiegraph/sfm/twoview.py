@@ -10,6 +10,7 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.sfm.model import rigid3d
+from tiegraph.sfm.solver import repeatable
 
 MIN_POINTS = 8
 _MAX_ERROR = 3.0  # pixels of the preview, for the essential matrix
@@ -79,6 +80,7 @@ def _adjusted(
     solver = options.ceres.solver_options
     solver.max_num_iterations = _ITERATIONS
     options.ceres.solver_options = solver
+    repeatable(options)
     config = pycolmap.BundleAdjustmentConfig()
     for k in (1, 2):
         config.add_image(k)

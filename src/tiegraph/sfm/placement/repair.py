@@ -18,6 +18,7 @@ from tiegraph.sfm.placement.placement import Doubt, Judgement, judge, votes
 from tiegraph.sfm.placement.resect import MIN_INLIERS, Placed, correspondences, place
 from tiegraph.sfm.placement.steps import Course, course
 from tiegraph.sfm.placement.verified import Seen, Verified, agreement, seen_by
+from tiegraph.sfm.solver import THREADS
 
 BLOCK_FRAMES = 4  # fewer are placed one by one, more as a rigid block
 MAX_LOST = 0.2  # of the frames that may be left out for their place; more is a model that fell apart, and is said so
@@ -222,6 +223,10 @@ def points_anew(model: pycolmap.Reconstruction, database: Path, images: Path, sc
     scratch.mkdir(parents=True, exist_ok=True)
     # The final adjustment follows: a long refinement under poses that stay is of no use.
     options = pycolmap.IncrementalPipelineOptions(
-        extract_colors=False, ba_global_max_refinements=1, ba_global_max_num_iterations=5
+        random_seed=0,
+        num_threads=THREADS,
+        extract_colors=False,
+        ba_global_max_refinements=1,
+        ba_global_max_num_iterations=5,
     )
     return pycolmap.triangulate_points(model, database, images, scratch, clear_points=True, options=options)

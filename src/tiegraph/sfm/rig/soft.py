@@ -76,10 +76,6 @@ class Soft:
         pairs = ((p.rig_id, c) for p in self.pairs for c in p.cameras)
         return frozenset([*((s.rig_id, s.camera_id) for s in self.sensors), *pairs])
 
-    def in_python(self) -> bool:
-        """Whether some of its costs are written in Python: one thread then, others would wait for its lock."""
-        return bool(self.pairs or self.timed)
-
 
 @cache
 def available() -> bool:

@@ -125,7 +125,6 @@ def _solve(
     solver = options.ceres.solver_options
     solver.max_num_iterations = ITERATIONS
     solver.function_tolerance = TOLERANCE
-    solver.num_threads = 1  # the Python residuals need the interpreter's lock, which this thread holds
     options.ceres.solver_options = solver
     factorised(options, model.num_reg_frames(), model.num_reg_images())
     config = pycolmap.BundleAdjustmentConfig()

@@ -1,0 +1,42 @@
+"""The same input, settings and version make the same bytes: whatever the pool, the order of hashes and of workers."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import worlds
+from tiegraph.scan.rigwrite import write_rig_toml
+
+pytestmark = pytest.mark.slow
+# Tell when and how long, or which pool: different by nature. ``images`` are links.
+_OF_THE_RUN = ("receipts", "log.txt", "report.html", ".lock", "tiegraph.toml", "images")
+
+
+def run(survey: Path, out: Path, pool: str, seed: str, *more: str) -> None:
+    command = [sys.executable, "-m", "tiegraph.cli.main", "run", str(survey / "images"), "-o", str(out), "--quiet"]
+    given = [word for name in ("gnss", "times") for word in (f"--{name}", str(survey / f"{name}.csv"))]
+    environment = {**os.environ, "PYTHONHASHSEED": seed}
+    subprocess.run([*command, *given, "--pool", pool, *more], check=True, env=environment)
+
+
+def artefacts(out: Path) -> dict[str, bytes]:
+    """Bytes of every file that is a result, by its path below the run folder."""
+    found = {p.relative_to(out): p for p in out.rglob("*") if p.is_file()}
+    return {n.as_posix(): p.read_bytes() for n, p in found.items() if n.parts[0] not in _OF_THE_RUN}
+
+
+@pytest.mark.parametrize("known_rig", [True, False])
+def test_serial_and_processes_make_the_same_bytes(tmp_path, known_rig):
+    made = worlds.make_survey(tmp_path / "images", frames=6)
+    worlds.write_gnss(made, tmp_path / "gnss.csv")
+    worlds.write_times(made, tmp_path / "times.csv")
+    write_rig_toml(made.rig, tmp_path / "rig.toml")
+    more = ("--rig", str(tmp_path / "rig.toml"), "--masks.source", "none") if known_rig else ()
+    run(tmp_path, tmp_path / "a", "serial", "1", *more)
+    run(tmp_path, tmp_path / "b", "local:2", "2", *more)
+    a, b = artefacts(tmp_path / "a"), artefacts(tmp_path / "b")
+    assert sorted(a) == sorted(b) and {"cloud.laz", "world.json", "database.db", "sparse/0/images.bin"} <= set(a)
+    assert [name for name in a if a[name] != b[name]] == []
