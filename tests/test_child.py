@@ -1,7 +1,9 @@
 """The child process runner: results, messages, errors, aborts, and no orphans."""
 
+import ctypes
 import multiprocessing
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -10,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from tiegraph.child import run_in_child
-from tiegraph.errors import InputError, ReconstructionError, TiegraphError
+from tiegraph.errors import InputError, ProcessLost, ReconstructionError, TiegraphError
 
 
 def add_loudly(a, b, send):
@@ -42,6 +44,35 @@ def sleep_long(pid_file, send):
     Path(pid_file).write_text(str(os.getpid()))
     send("up")
     time.sleep(60)
+
+
+def kill_itself(send):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def sleep_deaf(pid_file, send):
+    """Neither Python's threads nor SIGTERM reach it."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    Path(pid_file).write_text(str(os.getpid()))
+    send("up")
+    ctypes.PyDLL(None).sleep(60)  # holds the interpreter's lock
+
+
+def test_a_child_ended_from_outside_is_told_from_one_whose_library_gave_up(tmp_path):
+    with pytest.raises(ProcessLost, match="mapping: its process was ended from outside .signal SIGKILL.*memory"):
+        run_in_child(kill_itself, log=tmp_path / "log.txt", task="mapping")
+
+
+def test_ctrl_c_ends_a_child_that_hears_nothing(tmp_path):
+    pid_file = tmp_path / "pid"
+
+    def stop(message):
+        raise KeyboardInterrupt
+
+    began = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        run_in_child(sleep_deaf, str(pid_file), log=tmp_path / "log.txt", on_message=stop)
+    assert _gone(int(pid_file.read_text())) and time.monotonic() - began < 30
 
 
 def test_result_messages_and_log_come_back(tmp_path):
@@ -98,15 +129,16 @@ def test_error_in_the_message_handler_ends_the_child(tmp_path):
     assert _gone(int(pid_file.read_text()))
 
 
-def test_child_dies_with_its_parent(tmp_path):
+@pytest.mark.parametrize("work", ["sleep_long", "sleep_deaf"])
+def test_child_dies_with_its_parent(tmp_path, work):
     pid_file = tmp_path / "pid"
     script = tmp_path / "parent.py"
     script.write_text(
         f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
         "from pathlib import Path\n"
-        "from test_child import run_in_child, sleep_long\n"
+        f"from test_child import run_in_child, {work}\n"
         "if __name__ == '__main__':\n"
-        f"    run_in_child(sleep_long, {str(pid_file)!r}, log=Path({str(tmp_path / 'log.txt')!r}),\n"
+        f"    run_in_child({work}, {str(pid_file)!r}, log=Path({str(tmp_path / 'log.txt')!r}),\n"
         "                 on_message=lambda m: print(m, flush=True))\n"
     )
     with subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True) as parent:

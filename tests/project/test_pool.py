@@ -1,0 +1,70 @@
+"""The pool: workers that are lost, at work or idle, and what may be asked for."""
+
+import os
+import signal
+import time
+
+import pytest
+
+from tiegraph.errors import ProcessLost, SettingsError
+from tiegraph.project import pool
+from tiegraph.project.pool import SerialExecutor, check_pool, map_items, open_pool
+
+pytestmark = pytest.mark.timeout(240)
+
+
+def pid_of(item):
+    return os.getpid()
+
+
+def die(item, number):
+    if item == 3:
+        os.kill(os.getpid(), number)
+    return item
+
+
+def interrupt(item, done):
+    done.append(item)
+    if item == 1:
+        raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("number, said", [(signal.SIGKILL, "outside.*memory"), (signal.SIGABRT, "fault in a native")])
+def test_a_worker_lost_at_work_is_named_by_its_signal(number, said):
+    executor, workers = open_pool("local:2")
+    with executor, pytest.raises(ProcessLost, match=said) as error:
+        map_items(executor, workers, die, list(range(8)), (number,))
+    assert signal.Signals(number).name in str(error.value) and "finished work is kept" in str(error.value)
+
+
+def test_a_worker_lost_while_idle_is_named_too():
+    executor, workers = open_pool("local:1")
+    with executor:
+        (worker,) = map_items(executor, workers, pid_of, [0])
+        os.kill(worker, signal.SIGKILL)
+        time.sleep(1)
+        with pytest.raises(ProcessLost, match="SIGKILL"):
+            map_items(executor, workers, pid_of, [0])
+
+
+def test_workers_do_not_hear_what_a_terminal_sends_to_all():
+    executor, workers = open_pool("local:1")
+    with executor:
+        (worker,) = map_items(executor, workers, pid_of, [0])
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            os.kill(worker, number)
+        assert map_items(executor, workers, pid_of, [0]) == [worker]
+
+
+def test_ctrl_c_in_the_serial_pool_stops_at_the_item():
+    done: list[int] = []
+    with pytest.raises(KeyboardInterrupt):
+        map_items(SerialExecutor(), 1, interrupt, [0, 1, *range(2, 50)], (done,))
+    assert len(done) < 20
+
+
+def test_as_many_workers_as_a_machine_bears(monkeypatch):
+    monkeypatch.setattr(pool, "_cores", lambda: 40)
+    assert check_pool("local:160") == ("local", "160")
+    with pytest.raises(SettingsError, match="40 cores; give local, or at most local:160"):
+        check_pool("local:161")
