@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from tiegraph.errors import ReconstructionError, TiegraphError
+from tiegraph.limits import explained, explained_text
 
 _TAIL_LINES = 12
 _STACK_TRACE = ("@ ", "PC: @", "***")
@@ -60,7 +61,8 @@ def run_in_child(
         receiver.close()
         process.join()
     if outcome is None:
-        raise ReconstructionError(_abort_text(task or function.__name__, process.exitcode, log))
+        text = _abort_text(task or function.__name__, process.exitcode, log)
+        raise explained_text(text, log.parent) or ReconstructionError(text)
     kind, value = outcome
     if kind == "error":
         raise value
@@ -86,9 +88,11 @@ def _child_main(sender: Any, log: str, function: Callable[..., Any], args: tuple
     os.dup2(descriptor, 2)
     try:
         sender.send(("result", function(*args, send=lambda message: sender.send(("message", message)))))
-    except TiegraphError as error:
-        sender.send(("error", error))
     except Exception as error:
+        told = explained(error, Path(log).parent)  # here, before what filled the disk is gone
+        if told is not None or isinstance(error, TiegraphError):
+            sender.send(("error", told or error))
+            return
         sender.send(
             ("error", ReconstructionError(f"{function.__name__}: {type(error).__name__}: {error} (log: {log})"))
         )

@@ -7,7 +7,10 @@ import sys
 from collections.abc import Callable, Sequence
 
 from tiegraph import __version__
+from tiegraph.cli.output import complain, lost_output, prepare_streams, say
 from tiegraph.errors import EngineMissing, InputError, SettingsError, TiegraphError
+from tiegraph.limits import explained
+from tiegraph.scene.names import check_text
 
 DONE, FAILED, MISUSE = 0, 1, 2
 
@@ -43,13 +46,25 @@ def _stage_verb(stage: str) -> Callable[[list[str]], int]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a verb; returns the exit code."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
-    if not arguments or arguments[0] in ("-h", "--help", "help"):
-        return _help()
-    if arguments[0] in ("-V", "--version", "version"):
-        sys.stdout.write(f"tiegraph {__version__}\n")
-        return DONE
+    prepare_streams()
     try:
+        code = _guarded(list(sys.argv[1:] if argv is None else argv))
+    except OSError as error:
+        lost = lost_output()
+        if isinstance(error, BrokenPipeError) and (lost is None or isinstance(lost, BrokenPipeError)):
+            return DONE  # `tiegraph ... | head`
+        code = _fail(_lost_text(lost) if lost else _os_text(error), FAILED)
+    lost = lost_output()
+    if lost is None or isinstance(lost, BrokenPipeError):
+        return code
+    return _fail(_lost_text(lost), FAILED)
+
+
+def _guarded(arguments: list[str]) -> int:
+    """A verb's exit code; every error but those of files and of the output is worded here."""
+    try:
+        for argument in arguments:
+            check_text(argument, "argument")
         return _dispatch(arguments)
     except (InputError, SettingsError, EngineMissing) as error:
         return _fail(error, MISUSE)
@@ -57,17 +72,33 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(error, FAILED)
     except KeyboardInterrupt:
         return _fail("stopped; finished work is kept: run the same command again to go on", FAILED)
-    except BrokenPipeError:  # `tiegraph ... | head`
-        sys.stderr.close()
-        return DONE
     except SystemExit as stop:  # the argument parser: 0 after --help, 2 after a wrong option
         return stop.code if isinstance(stop.code, int) else MISUSE
     except Exception as error:
         logging.getLogger("tiegraph").debug("unexpected", exc_info=True)
+        told = None if isinstance(error, OSError) and error.filename is None else explained(error)
+        if told is not None:
+            return _fail(told, FAILED)
+        if isinstance(error, OSError):  # of a file, or of standard output: main looks which
+            raise
         return _fail(f"unexpected {type(error).__name__}: {error} (details in log.txt of the run folder)", FAILED)
 
 
+def _lost_text(error: OSError) -> str:
+    return f"standard output cannot be written: {error.strerror}; give it another place. What was made is kept"
+
+
+def _os_text(error: OSError) -> str:
+    where = f"{error.filename}: " if error.filename else ""
+    return f"{where}{error.strerror or error}; check the path and its permissions, then run again"
+
+
 def _dispatch(arguments: list[str]) -> int:
+    if not arguments or arguments[0] in ("-h", "--help", "help"):
+        return _help()
+    if arguments[0] in ("-V", "--version", "version"):
+        say(f"tiegraph {__version__}")
+        return DONE
     table = verbs()
     verb = arguments[0]
     if verb not in table:
@@ -80,14 +111,14 @@ def _dispatch(arguments: list[str]) -> int:
 
 
 def _fail(error: object, code: int) -> int:
-    sys.stderr.write(f"tiegraph: {error}\n")
+    complain(f"tiegraph: {error}")
     return code
 
 
 def _help() -> int:
     lines = ["usage: tiegraph <verb> ...   (`tiegraph <verb> --help` for its options)", ""]
     lines += [f"  {name:<15} {text}" for name, (_, text) in verbs().items()]
-    sys.stdout.write("\n".join(lines) + "\n")
+    say("\n".join(lines))
     return DONE
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic
+from tiegraph.scene.images import read_pixels
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Ties
@@ -67,7 +68,7 @@ FINAL = "remask"
 
 def read_image(path: Path, flag: int = cv2.IMREAD_GRAYSCALE) -> np.ndarray:
     """Pixels (H, W) u1, or (H, W, 3) with IMREAD_COLOR, as stored: the EXIF orientation was dealt with by the scan."""
-    image = cv2.imread(str(path), flag | cv2.IMREAD_IGNORE_ORIENTATION)
+    image = read_pixels(path, flag)
     if image is None:
         raise InputError(f"{path}: cannot be read any more; it was readable when scanned: run `scan` again")
     return image

@@ -29,6 +29,7 @@ from tiegraph.scene.atomic import same_file
 from tiegraph.scene.cloudfile import write_cloud
 from tiegraph.scene.copc import write_copc
 from tiegraph.scene.depthfile import load_depth, save_depth
+from tiegraph.scene.names import inside
 from tiegraph.scene.results import Cloud, DepthMap
 
 _log = logging.getLogger(__name__)
@@ -39,7 +40,7 @@ FIRST = ".first"  # depth maps before they are compared with each other; removed
 
 def depth_path(folder: Path, name: str, step: str = "") -> Path:
     """Where the depth map of an image is."""
-    return folder / "depth" / step / f"{name}.npz"
+    return inside(folder / "depth" / step, f"{name}.npz")
 
 
 def dense(run: Run) -> Outcome:

@@ -17,8 +17,9 @@ from typing import Any
 
 from tiegraph import __version__
 from tiegraph.errors import InputError, TiegraphError
+from tiegraph.limits import explained
 from tiegraph.project.pool import map_items, open_pool
-from tiegraph.project.progress import Meter, Reporter
+from tiegraph.project.progress import LogFormatter, Meter, Reporter
 from tiegraph.project.stages import Receipts, Stage, digest, stage_keys, stamp, write_atomic
 
 log = logging.getLogger("tiegraph")
@@ -154,13 +155,16 @@ def _run_one(stage: Stage, key: str, run: Run) -> None:
             outcome = stage.run(run)
     except TiegraphError as error:
         log.error("stage %s: %s", stage.name, error)
+        if (told := explained(error, run.folder)) is not None:
+            raise told from error
         raise
-    except OSError as error:
+    except Exception as error:
         log.exception("stage %s", stage.name)
+        if (told := explained(error, run.folder)) is not None:
+            raise told from error
+        if not isinstance(error, OSError):
+            raise
         raise InputError(f"stage {stage.name}: {error}; finished work is kept, run the same command again") from error
-    except Exception:
-        log.exception("stage %s", stage.name)
-        raise
     finally:
         used = meter.stop()
     seconds = round(time.perf_counter() - start, 2)
@@ -232,9 +236,10 @@ def locked(folder: Path) -> Iterator[None]:
 @contextmanager
 def logged(path: Path) -> Iterator[None]:
     """Log records of tiegraph go to a file while a run goes on."""
-    handler = logging.FileHandler(path)
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    handler = logging.FileHandler(path, encoding="utf-8")
+    handler.setFormatter(LogFormatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     level = log.level
+    handler.handleError = lambda record: None  # type: ignore[method-assign]  # a full disk; the stage says so
     log.addHandler(handler)
     log.setLevel(logging.INFO)
     try:

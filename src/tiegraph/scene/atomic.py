@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import shutil
 from collections.abc import Iterator
@@ -10,8 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from tiegraph.errors import InputError, TiegraphError
+from tiegraph.limits import FULL, no_room
 
-_FULL = (errno.ENOSPC, errno.EDQUOT)
 _NO_ROOM_BYTES = 1 << 20
 
 
@@ -27,12 +26,9 @@ def replacing(path: Path) -> Iterator[Path]:
         yield temporary
         os.replace(temporary, path)
     except Exception as error:
-        full = isinstance(error, OSError) and error.errno in _FULL
+        full = isinstance(error, OSError) and error.errno in FULL
         if full or (not isinstance(error, TiegraphError) and shutil.disk_usage(path.parent).free < _NO_ROOM_BYTES):
-            raise InputError(
-                f"cannot write {path}: No space left on device; free some space or choose another output folder, "
-                "then run again: what is finished is kept"
-            ) from error
+            raise InputError(f"cannot write {path}: {no_room(path.parent)}") from error
         raise
     finally:
         temporary.unlink(missing_ok=True)
