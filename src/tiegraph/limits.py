@@ -16,9 +16,10 @@ from pathlib import Path
 
 from tiegraph.errors import EngineMissing, InputError, SettingsError, TiegraphError
 
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _NO_ROOM_BYTES = 1 << 20
 _SMALL_LIMIT_BYTES = 1 << 28
+_SHOWN = 200  # characters of a library's words
 _STARVED = (errno.ENOMEM, errno.EAGAIN)
 _FULL_WORDS = re.compile(
     r"no space left|disk (is )?full|quota exceeded|file too large|File size limit|SIGXFSZ"
@@ -48,8 +49,10 @@ def explained(error: BaseException, folder: Path | None = None) -> TiegraphError
         number = each.errno if isinstance(each, OSError) else None
         if isinstance(each, MemoryError) or number in _STARVED:
             return no_memory(each)
-        if number in FULL:
+        if number in _FULL:
             return no_room(folder, each)
+        if number is not None:  # a permission, a name, ...: the disk has no part in it
+            return None
     return explained_text(str(error), folder)
 
 
@@ -109,7 +112,7 @@ def _because(why: object) -> str:
     text = " ".join(str(why).split())
     if isinstance(why, BaseException):
         text = f"{type(why).__name__}: {text}"
-    return f" ({text[:200]})" if text else ""
+    return f" ({text if len(text) <= _SHOWN else '... ' + text[-_SHOWN:]})" if text else ""  # the end says it
 
 
 def _chain(error: BaseException | None) -> Iterator[BaseException]:
@@ -138,6 +141,8 @@ def _full(folder: Path) -> bool:
     """Whether nothing can be written now: no bytes, or no names left."""
     try:
         names = os.statvfs(folder) if hasattr(os, "statvfs") else None
+        if shutil.disk_usage(folder).total == 0:  # of the kernel's own file systems
+            return False
         return _free(folder) < _NO_ROOM_BYTES or (names is not None and names.f_files > 0 and names.f_favail == 0)
     except OSError:
         return False

@@ -50,14 +50,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         code = _guarded(list(sys.argv[1:] if argv is None else argv))
     except OSError as error:
-        lost = lost_output()
-        if isinstance(error, BrokenPipeError) and (lost is None or isinstance(lost, BrokenPipeError)):
-            return DONE  # `tiegraph ... | head`
-        code = _fail(_lost_text(lost) if lost else _os_text(error), FAILED)
+        code = _lost(error)
     lost = lost_output()
-    if lost is None or isinstance(lost, BrokenPipeError):
-        return code
-    return _fail(_lost_text(lost), FAILED)
+    return code if lost is None or code == FAILED else _lost(lost)
 
 
 def _guarded(arguments: list[str]) -> int:
@@ -76,16 +71,19 @@ def _guarded(arguments: list[str]) -> int:
         return stop.code if isinstance(stop.code, int) else MISUSE
     except Exception as error:
         logging.getLogger("tiegraph").debug("unexpected", exc_info=True)
-        told = None if isinstance(error, OSError) and error.filename is None else explained(error)
-        if told is not None:
-            return _fail(told, FAILED)
-        if isinstance(error, OSError):  # of a file, or of standard output: main looks which
-            raise
+        if isinstance(error, OSError) and error.errno is not None and error.filename is None:
+            raise  # standard output: what is written to files is worded where it is written
+        told = explained(error)
+        if told is not None or isinstance(error, OSError):
+            return _fail(told or _os_text(error), FAILED)
         return _fail(f"unexpected {type(error).__name__}: {error} (details in log.txt of the run folder)", FAILED)
 
 
-def _lost_text(error: OSError) -> str:
-    return f"standard output cannot be written: {error.strerror}; give it another place. What was made is kept"
+def _lost(error: OSError) -> int:
+    """The exit code when standard output is gone: fine for `tiegraph ... | head`."""
+    if isinstance(error, BrokenPipeError):
+        return DONE
+    return _fail(f"standard output cannot be written ({error.strerror}): give it another place", FAILED)
 
 
 def _os_text(error: OSError) -> str:

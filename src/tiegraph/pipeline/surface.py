@@ -20,13 +20,15 @@ from tiegraph.dense.plan import ImagePlan
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.undistort import load_view, pinhole
 from tiegraph.dense.workspace import write_workspace
-from tiegraph.errors import InputError
+from tiegraph.errors import InputError, TiegraphError
+from tiegraph.limits import explained
 from tiegraph.pipeline.files import FINAL
 from tiegraph.pipeline.world import placement_error, world_origin
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, remove
 from tiegraph.scene.atomic import same_file
 from tiegraph.scene.cloudfile import write_cloud
+from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.copc import write_copc
 from tiegraph.scene.depthfile import load_depth, save_depth
 from tiegraph.scene.names import inside
@@ -106,8 +108,12 @@ def hand_over(run: Run, target: Path) -> int:
         path = depth_path(run.folder, name)
         return load_depth(path) if path.exists() else None
 
-    model = pycolmap.Reconstruction(str(run.path("sparse", "world")))
-    return write_workspace(target, model, run.path("images"), load, run.settings.dense)
+    model = read_model(run.path("sparse", "world"))
+    try:
+        return write_workspace(target, model, run.path("images"), load, run.settings.dense)
+    except (OSError, RuntimeError) as error:
+        told = explained(error, target) or InputError(f"{target}: cannot be written: {error}; choose another folder")
+        raise error if isinstance(error, TiegraphError) else told from error
 
 
 def cloud(run: Run) -> Outcome:

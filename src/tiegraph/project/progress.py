@@ -24,13 +24,18 @@ from rich.progress import (
 from tiegraph.text import printable
 
 
+class _Console(Console):
+    def on_broken_pipe(self) -> None:
+        """Go on (rich would end the process): `tiegraph run ... 2>&1 | head` has a reader for some lines only."""
+
+
 class Reporter:
     """Says what the run does. ``style``: "auto" (rich on a terminal, else plain lines), "json" (one object a line on
     standard output), "quiet"."""
 
     def __init__(self, style: str = "auto") -> None:
         self.style = style
-        self.console = Console(stderr=True, highlight=False, soft_wrap=True)
+        self.console = _Console(stderr=True, highlight=False, soft_wrap=True)
         self._progress: Progress | None = None
         self._task: TaskID | None = None
 

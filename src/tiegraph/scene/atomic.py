@@ -8,10 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from tiegraph.errors import InputError, TiegraphError
-from tiegraph.limits import FULL, no_room
-
-_NO_ROOM_BYTES = 1 << 20
+from tiegraph.errors import InputError
+from tiegraph.limits import explained
 
 
 @contextmanager
@@ -26,9 +24,9 @@ def replacing(path: Path) -> Iterator[Path]:
         yield temporary
         os.replace(temporary, path)
     except Exception as error:
-        full = isinstance(error, OSError) and error.errno in FULL
-        if full or (not isinstance(error, TiegraphError) and shutil.disk_usage(path.parent).free < _NO_ROOM_BYTES):
-            raise InputError(f"cannot write {path}: {no_room(path.parent)}") from error
+        told = explained(error, path.parent)
+        if isinstance(told, InputError):
+            raise InputError(f"cannot write {path}: {told}") from error
         raise
     finally:
         temporary.unlink(missing_ok=True)

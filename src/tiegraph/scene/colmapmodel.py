@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from tiegraph.errors import InputError
+from tiegraph.scene.names import check_text
+from tiegraph.text import one_line
 
 # COLMAP: pair_id = 2147483647 * smaller image_id + larger image_id (colmap/util/types.h, kMaxNumImages).
 MAX_IMAGES = 2147483647
@@ -27,9 +29,12 @@ def read_model(folder: Path) -> Any:
         if path.exists() and not _holds_its_count(path, smallest):
             raise InputError(f"{path}: the file is cut off; make the model again")
     try:
-        return pycolmap.Reconstruction(str(folder))
+        model = pycolmap.Reconstruction(str(folder))
+        for image in model.images.values():
+            check_text(image.name, "image")  # read here: one that is not UTF-8 is an error of its own
     except Exception as error:
-        raise InputError(f"{folder}: not a readable COLMAP model: {error}") from None
+        raise InputError(f"{folder}: not a readable COLMAP model: {one_line(str(error))}") from None
+    return model
 
 
 def _holds_its_count(path: Path, smallest: int) -> bool:

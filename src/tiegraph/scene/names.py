@@ -80,7 +80,7 @@ def check_name(name: object) -> None:
     good = isinstance(name, str) and name != "" and not any(map(acts, name)) and "\\" not in name
     if not good or any(part in ("", ".", "..") for part in str(name).split("/")) or Path(str(name)).drive:
         raise InputError(
-            f"image name '{one_line(str(name))[:_SHOWN]}': must be a path below the image folder, such as up/cam0/1.jpg, "
+            f"image name '{one_line(str(name))[:_SHOWN]}': must be a path below the image folder, such as a/1.jpg, "
             "without '..', empty parts, backslashes or control characters; restore the file it is in, or make it again"
         )
 
