@@ -21,6 +21,7 @@ from tiegraph.project.settings import Settings
 from tiegraph.project.stages import Stage
 from tiegraph.scene.cloudfile import read_cloud
 from tiegraph.scene.colmapmodel import read_model
+from tiegraph.scene.names import check_text
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.scene import Scene
@@ -150,6 +151,7 @@ def open_project(
     if unknown:
         raise SettingsError(f"unknown input {sorted(unknown)[0]!r}: known are rig, gcp, {', '.join(_PATHS)}")
     gcp = inputs.pop("gcp", None)
+    _check_texts({"images": images, "out": out, "gcp": gcp, **inputs})
     folder = _folder(images, out)
     stored = project_settings.read_file(folder / SETTINGS)
     run = {**stored.pop("run", {}), **{k: str(v) for k, v in inputs.items() if v is not None}}
@@ -169,7 +171,13 @@ def open_project(
         georef = complete.georef.model_copy(update={"gcp": Path(gcp).resolve()})
         complete = complete.model_copy(update={"georef": georef})
     paths = {n: Path(run[n]).resolve() if n in run else None for n in _PATHS}
+    _check_texts({"images": found, **paths})
     return Project(folder, Inputs(found, run.get("rig"), **paths), complete, name, pool)
+
+
+def _check_texts(given: dict[str, Any]) -> None:
+    for name, value in given.items():
+        check_text("" if value is None else value, name)
 
 
 def _read_pairs(path: Path) -> Pairs:

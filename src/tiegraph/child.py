@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from tiegraph.errors import ProcessLost, ReconstructionError, TiegraphError
+from tiegraph.limits import explained, explained_text
 
 _TAIL_LINES = 12
 _STACK_TRACE = ("@ ", "PC: @", "***")
@@ -224,9 +225,11 @@ def _child_main(sender: Any, log: str, function: Callable[..., Any], args: tuple
     os.dup2(descriptor, 2)
     try:
         sender.send(("result", function(*args, send=lambda message: sender.send(("message", message)))))
-    except TiegraphError as error:
-        sender.send(("error", error))
     except Exception as error:
+        told = explained(error, Path(log).parent)  # here, before what filled the disk is gone
+        if told is not None or isinstance(error, TiegraphError):
+            sender.send(("error", told or error))
+            return
         sender.send(
             ("error", ReconstructionError(f"{function.__name__}: {type(error).__name__}: {error} (log: {log})"))
         )
@@ -242,6 +245,5 @@ def _explain_end(task: str, exitcode: int | None, log: Path) -> None:
     text = log.read_text(errors="replace") if log.exists() else ""
     # glog ends with a stack trace of the library, which would push the message out of the tail.
     lines = [line for line in text.splitlines() if not line.lstrip().startswith(_STACK_TRACE)][-_TAIL_LINES:]
-    raise ReconstructionError(
-        f"{task}: the native library ended its process ({how}). Last lines of {log}:\n  " + "\n  ".join(lines)
-    )
+    said = f"{task}: the native library ended its process ({how}). Last lines of {log}:\n  " + "\n  ".join(lines)
+    raise explained_text(said, log.parent) or ReconstructionError(said)

@@ -1,8 +1,11 @@
 """The base of every settings class: frozen, strict about names, each field documented by a docstring below it."""
 
+from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from tiegraph.text import acts, one_line
 
 
 class Section(BaseModel):
@@ -23,6 +26,14 @@ class Section(BaseModel):
             if isinstance(given, (int, float, str)) and not isinstance(given, bool) and field.annotation is bool:
                 raise ValueError(f"{name} = {given!r}: give true or false")
         return data
+
+    @field_validator("*")
+    @classmethod
+    def _is_text(cls, value: Any) -> Any:
+        """Texts and paths that COLMAP, the report or ``tiegraph.toml`` could not hold."""
+        if isinstance(value, (str, Path)) and any(map(acts, str(value))):
+            raise ValueError(f"{one_line(str(value))!r} has control characters or bytes that are not UTF-8: rename it")
+        return value
 
 
 def user_path(kind: str) -> Any:

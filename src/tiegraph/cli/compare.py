@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from tiegraph.cli.output import say
 from tiegraph.report.compare import compare_runs
 
 
@@ -27,5 +27,5 @@ def main(arguments: list[str]) -> int:
         return runs, html
 
     runs, html = tyro.cli(compare, prog="tiegraph compare", args=arguments)
-    sys.stdout.write(compare_runs(list(runs), html))
+    say(compare_runs(list(runs), html).rstrip("\n"))
     return 0

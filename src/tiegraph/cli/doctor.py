@@ -6,8 +6,8 @@ import os
 
 import psutil
 import tyro
-from rich.console import Console
 
+from tiegraph.cli.output import say
 from tiegraph.project.run import software
 
 
@@ -20,16 +20,15 @@ def main(arguments: list[str]) -> int:
     tyro.cli(doctor, prog="tiegraph doctor", args=arguments)
     import pycolmap
 
-    console = Console(highlight=False)
     for name, number in software().items():
-        console.print(f"{name:<24} {number}")
-    console.print(f"{'cores':<24} {os.cpu_count()}")
-    console.print(f"{'memory':<24} {psutil.virtual_memory().total / 2**30:.1f} GiB")
-    console.print(f"{'pycolmap with CUDA':<24} {'yes' if pycolmap.has_cuda else 'no (not needed)'}")
+        say(f"{name:<24} {number}")
+    say(f"{'cores':<24} {os.cpu_count()}")
+    say(f"{'memory':<24} {psutil.virtual_memory().total / 2**30:.1f} GiB")
+    say(f"{'pycolmap with CUDA':<24} {'yes' if pycolmap.has_cuda else 'no (not needed)'}")
     try:
         import distributed
 
-        console.print(f"{'dask':<24} {distributed.__version__}")
+        say(f"{'dask':<24} {distributed.__version__}")
     except ImportError:
-        console.print(f"{'dask':<24} not installed (pip install 'tiegraph[dask]' for --pool dask:<address>)")
+        say(f"{'dask':<24} not installed (pip install 'tiegraph[dask]' for --pool dask:<address>)")
     return 0

@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import tyro
-from rich.console import Console
-from rich.table import Table
 
+from tiegraph.cli.output import say, show_table
 from tiegraph.cli.run import main_stage
 from tiegraph.evaluate.cloud import cloud_to_cloud
 from tiegraph.scene.cloudfile import read_cloud
@@ -38,12 +37,8 @@ def _clouds(arguments: list[str]) -> int:
 
     cloud, reference, distances = tyro.cli(evaluate, prog="tiegraph evaluate", args=arguments)
     result = cloud_to_cloud(read_cloud(cloud), read_cloud(reference), distances)
-    console = Console()
     for metric in result.metrics():
-        console.print(f"{metric.name:<24} {metric.value:.4g} {metric.unit}")
+        say(f"{metric.name:<24} {metric.value:.4g} {metric.unit}")
     for name, content in result.tables().items():
-        table = Table(*content["columns"], title=name, box=None)
-        for row in content["rows"]:
-            table.add_row(*(f"{v:.3g}" for v in row))
-        console.print(table)
+        show_table(content["columns"], [[f"{v:.3g}" for v in row] for row in content["rows"]], name)
     return 0

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import tyro
 
 from tiegraph.api import open_project
+from tiegraph.cli.output import say
 
 
 def main(arguments: list[str]) -> int:
@@ -24,5 +24,5 @@ def main(arguments: list[str]) -> int:
 
     out, folder = tyro.cli(export, prog="tiegraph export", args=arguments)
     count = open_project(None, out).export(folder)
-    sys.stdout.write(f"{count} depth maps: {folder} (colmap stereo_fusion --workspace_path {folder} ...)\n")
+    say(f"{count} depth maps: {folder} (colmap stereo_fusion --workspace_path {folder} ...)")
     return 0

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 
 from tiegraph.api import open_project
+from tiegraph.cli.output import say
 from tiegraph.cli.run import Common
 from tiegraph.scan.rigwrite import write_rig_toml
 from tiegraph.scene.scene import Scene
@@ -43,12 +43,11 @@ def main(arguments: list[str]) -> int:
     project.run("scan", options.reporter())
     scene = project.scene()
     written = _write_rigs(scene, project.folder)
-    console = Console(highlight=False, soft_wrap=True)
     for line in describe(scene):
-        console.print(line, markup=False)
-    console.print(f"written: {project.folder / 'tiegraph.toml'}", markup=False)
+        say(line)
+    say(f"written: {project.folder / 'tiegraph.toml'}")
     for path in written:
-        console.print(f"written: {path} (edit it, then run with --rig {path})", markup=False)
+        say(f"written: {path} (edit it, then run with --rig {path})")
     return 0
 
 

@@ -8,8 +8,11 @@ import sys
 from collections.abc import Callable, Sequence
 
 from tiegraph import __version__
+from tiegraph.cli.output import complain, lost_output, prepare_streams, say
 from tiegraph.cli.stopping import hear, say_stopped, stoppable
 from tiegraph.errors import EngineMissing, InputError, SettingsError, TiegraphError
+from tiegraph.limits import explained
+from tiegraph.scene.names import check_text
 
 DONE, FAILED, MISUSE = 0, 1, 2
 
@@ -45,39 +48,65 @@ def _stage_verb(stage: str) -> Callable[[list[str]], int]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a verb; returns the exit code."""
-    arguments = list(sys.argv[1:] if argv is None else argv)
-    if not arguments or arguments[0] in ("-h", "--help", "help"):
-        return _help()
-    if arguments[0] in ("-V", "--version", "version"):
-        sys.stdout.write(f"tiegraph {__version__}\n")
-        return DONE
+    prepare_streams()
     with stoppable(for_good=argv is None):
-        return _answered(arguments, argv is None)
+        return _answered(list(sys.argv[1:] if argv is None else argv), argv is None)
 
 
 def _answered(arguments: list[str], for_good: bool) -> int:
     try:
-        return _dispatch(arguments)
-    except (InputError, SettingsError, EngineMissing) as error:
-        return _fail(error, MISUSE)
-    except TiegraphError as error:
-        return _fail(error, FAILED)
+        code = _guarded(arguments)
+    except OSError as error:
+        code = _lost(error)
     except KeyboardInterrupt:
         say_stopped()
         if for_good:  # nothing is left that could keep the process, or print
             os._exit(FAILED)
         return FAILED
-    except BrokenPipeError:  # `tiegraph ... | head`
-        sys.stderr.close()
-        return DONE
+    lost = lost_output()
+    return code if lost is None or code == FAILED else _lost(lost)
+
+
+def _guarded(arguments: list[str]) -> int:
+    """A verb's exit code; every error but those of files and of the output is worded here."""
+    try:
+        for argument in arguments:
+            check_text(argument, "argument")
+        return _dispatch(arguments)
+    except (InputError, SettingsError, EngineMissing) as error:
+        return _fail(error, MISUSE)
+    except TiegraphError as error:
+        return _fail(error, FAILED)
     except SystemExit as stop:  # the argument parser: 0 after --help, 2 after a wrong option
         return stop.code if isinstance(stop.code, int) else MISUSE
     except Exception as error:
         logging.getLogger("tiegraph").debug("unexpected", exc_info=True)
+        if isinstance(error, OSError) and error.errno is not None and error.filename is None:
+            raise  # standard output: what is written to files is worded where it is written
+        told = explained(error) or (_os_text(error) if isinstance(error, OSError) else None)
+        if told is not None:
+            return _fail(told, FAILED)
         return _fail(f"unexpected {type(error).__name__}: {error} (details in log.txt of the run folder)", FAILED)
 
 
+def _lost(error: OSError) -> int:
+    """The exit code when standard output is gone: fine for `tiegraph ... | head`."""
+    if isinstance(error, BrokenPipeError):
+        return DONE
+    return _fail(f"standard output cannot be written ({error.strerror}): give it another place", FAILED)
+
+
+def _os_text(error: OSError) -> str:
+    where = f"{error.filename}: " if error.filename else ""
+    return f"{where}{error.strerror or error}; check the path and its permissions, then run again"
+
+
 def _dispatch(arguments: list[str]) -> int:
+    if not arguments or arguments[0] in ("-h", "--help", "help"):
+        return _help()
+    if arguments[0] in ("-V", "--version", "version"):
+        say(f"tiegraph {__version__}")
+        return DONE
     table = verbs()
     hear()
     verb = arguments[0]
@@ -91,14 +120,14 @@ def _dispatch(arguments: list[str]) -> int:
 
 
 def _fail(error: object, code: int) -> int:
-    sys.stderr.write(f"tiegraph: {error}\n")
+    complain(f"tiegraph: {error}")
     return code
 
 
 def _help() -> int:
     lines = ["usage: tiegraph <verb> ...   (`tiegraph <verb> --help` for its options)", ""]
     lines += [f"  {name:<15} {text}" for name, (_, text) in verbs().items()]
-    sys.stdout.write("\n".join(lines) + "\n")
+    say("\n".join(lines))
     return DONE
 
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import tyro
 
+from tiegraph.cli.output import say
 from tiegraph.cli.run import main_stage
 from tiegraph.errors import InputError
 from tiegraph.masks.compare import compare, compare_classes, table_text
@@ -46,9 +46,9 @@ def main(arguments: list[str]) -> int:
     given = tyro.cli(masks, prog="tiegraph masks", args=arguments)
     tables = _tables(**given)
     if given["json"]:
-        sys.stdout.write(json.dumps(tables) + "\n")
+        say(json.dumps(tables))
     else:
-        sys.stdout.write("\n\n".join(f"{name}\n{table_text(table)}" for name, table in tables.items()) + "\n")
+        say("\n\n".join(f"{name}\n{table_text(table)}" for name, table in tables.items()))
     return 0
 
 

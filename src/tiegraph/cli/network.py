@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import json
-import sys
-
-from rich.console import Console
-from rich.table import Table
 
 from tiegraph.api import Project, open_project
 from tiegraph.cli import run
+from tiegraph.cli.output import say, show_table
 
 _ROWS = 20  # weak links shown; the report has all
 
@@ -32,17 +29,13 @@ def main(arguments: list[str]) -> int:
 def _show(project: Project, as_json: bool) -> int:
     found = project.coverage()
     if as_json:
-        sys.stdout.write(json.dumps({"sound": found.sound, **found.counts, "weak_links": found.table}) + "\n")
+        say(json.dumps({"sound": found.sound, **found.counts, "weak_links": found.table}))
         return 0 if found.sound else 1
-    console = Console(highlight=False)
     for line in found.lines:
-        console.print(line)
+        say(line)
     rows = found.table["rows"]
     if rows:
-        table = Table(*found.table["columns"], title="weak links", box=None, title_justify="left")
-        for row in rows[:_ROWS]:
-            table.add_row(*(str(v) for v in row))
-        console.print(table)
+        show_table(found.table["columns"], rows[:_ROWS], "weak links")
     if len(rows) > _ROWS:
-        console.print(f"... and {len(rows) - _ROWS} more: the report has all")
+        say(f"... and {len(rows) - _ROWS} more: the report has all")
     return 0 if found.sound else 1

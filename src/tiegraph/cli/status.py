@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import tyro
-from rich.console import Console
-from rich.table import Table
 
 from tiegraph.api import open_project
+from tiegraph.cli.output import show_table
 
 
 def main(arguments: list[str]) -> int:
@@ -23,10 +22,10 @@ def main(arguments: list[str]) -> int:
         return out
 
     project = open_project(None, tyro.cli(status, prog="tiegraph status", args=arguments))
-    table = Table("stage", "state", "seconds", "CPU s", "peak MiB", "counts", box=None)
+    rows = []
     for name, why, receipt in project.status():
         counts = ", ".join(f"{v:g} {k}" for k, v in receipt.get("counts", {}).items())
         numbers = [str(receipt.get(k, "")) for k in ("seconds", "cpu_s", "peak_mib")]
-        table.add_row(name, why or "up to date", *numbers, counts)
-    Console().print(table)
+        rows.append([name, why or "up to date", *numbers, counts])
+    show_table(["stage", "state", "seconds", "CPU s", "peak MiB", "counts"], rows)
     return 0

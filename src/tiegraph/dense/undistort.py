@@ -13,6 +13,7 @@ from tiegraph.dense.plan import CameraModel, ViewPlan
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.errors import InputError
 from tiegraph.geometry.stereo import Pinhole
+from tiegraph.scene.images import read_pixels
 
 _MAX_GROWTH = 1.3  # pixels of the undistorted image per pixel of the original: more only stretches the corners
 _BORDER_SAMPLES = 65
@@ -68,7 +69,7 @@ def pinhole(view: ViewPlan, settings: DenseSettings) -> Pinhole:
 
 
 def _read(path: Path, flag: int, camera: CameraModel) -> np.ndarray:
-    image = cv2.imread(str(path), flag | cv2.IMREAD_IGNORE_ORIENTATION)
+    image = read_pixels(path, flag)
     if image is None:
         raise InputError(f"{path} cannot be read as an image: restore it, or remove it and run the scan again")
     if image.shape[:2] != (camera.height, camera.width):

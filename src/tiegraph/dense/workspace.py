@@ -15,6 +15,7 @@ import pycolmap
 from tiegraph.dense.plan import CameraModel, ViewPlan
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.undistort import load_view, pinhole_of
+from tiegraph.scene.names import inside
 from tiegraph.scene.results import DepthMap
 
 _SOURCES = 20  # partners PatchMatch would choose by itself, were it run in the workspace
@@ -32,7 +33,7 @@ def write_workspace(
     number of depth maps.
 
     ``load`` gives the depth map of an image by name, None where there is none: such an image is left out of the model.
-    Raises InputError for images that cannot be read.
+    Raises InputError for images that cannot be read, and for names that lead out of the folder.
     """
     maps = target / "stereo" / "depth_maps"
     names = []
@@ -43,9 +44,9 @@ def write_workspace(
         names.append(image.name)
         pose = np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]])
         view = ViewPlan(image.name, CameraModel.of(model.camera(image.camera_id)), pose)
-        path = target / "images" / image.name
+        path = inside(target / "images", image.name)
         path.parent.mkdir(parents=True, exist_ok=True)
-        cv2.imwrite(str(path), load_view(view, images, None, settings).image_bgr)
+        _write_image(path, load_view(view, images, None, settings).image_bgr)
         _write_map(maps / f"{image.name}.{_KIND}.bin", depth.depth_m)
         normal = depth.normal if depth.normal is not None else np.zeros((*depth.depth_m.shape, 3), np.float32)
         _write_map(target / "stereo" / "normal_maps" / f"{image.name}.{_KIND}.bin", normal)
@@ -84,6 +85,11 @@ def undistorted(model: pycolmap.Reconstruction, names: set[str], settings: Dense
     return result
 
 
+def _write_image(path: Path, bgr: np.ndarray) -> None:
+    """By the suffix; bytes are written here, for OpenCV does not say that a disk is full."""
+    path.write_bytes(cv2.imencode(path.suffix.lower(), bgr)[1].tobytes())
+
+
 def _write_map(path: Path, values: np.ndarray) -> None:
     """COLMAP's matrix file: sizes as text, then (channels, H, W) f4; 0 where there is nothing."""
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -96,5 +102,5 @@ def _write_map(path: Path, values: np.ndarray) -> None:
 
 def _write_lists(folder: Path, names: Iterable[str]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "fusion.cfg").write_text("".join(f"{n}\n" for n in names))
-    (folder / "patch-match.cfg").write_text("".join(f"{n}\n__auto__, {_SOURCES}\n" for n in names))
+    (folder / "fusion.cfg").write_text("".join(f"{n}\n" for n in names), encoding="utf-8")
+    (folder / "patch-match.cfg").write_text("".join(f"{n}\n__auto__, {_SOURCES}\n" for n in names), encoding="utf-8")

@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
+from tiegraph import limits
 from tiegraph.errors import InputError, TiegraphError, UnreadableArtefact
 from tiegraph.geometry import transforms
 from tiegraph.scene.atomic import replacing
@@ -31,6 +32,8 @@ from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 
 _LOCK_S = 60.0
+DATABASE_BYTES = 1 << 20  # of the tables and indices of an empty database and of its log, generously
+_IMAGE_BYTES = 4096  # of an image's rows, its frame's and its prior's, in file and log, generously
 
 Features = tuple[int, np.ndarray, np.ndarray]
 
@@ -47,6 +50,7 @@ def create_database(path: Path, scene: Scene, with_rig: bool = True) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(path.name + ".tmp")
     _remove(temporary)
+    limits.need_room(temporary, DATABASE_BYTES + _IMAGE_BYTES * len(scene))  # COLMAP would end the process
     try:
         with pycolmap.Database.open(temporary) as database, pycolmap.DatabaseTransaction(database):
             _write_rigs(database, scene, with_rig)
@@ -274,9 +278,12 @@ def _opened(path: Path) -> Iterator[sqlite3.Connection]:
 
 def _explained(path: Path, error: Exception) -> TiegraphError:
     text = str(error)
-    if "full" in text or "No space left" in text or "disk I/O" in text:
-        return InputError(f"no room on the disk for {path} ({text}): free some and run again, what is finished is kept")
-    if "factory" in text or "readonly" in text or "unable to open" in text:  # all that COLMAP says of its reason
+    told = limits.explained(error, path.parent) or limits.explained_text(text, path.parent)
+    if told is not None:
+        return told
+    if (
+        "disk I/O" in text or "factory" in text or "readonly" in text or "unable to open" in text
+    ):  # all that COLMAP says of its reason
         return InputError(f"{path} cannot be written ({text}): is the disk full or the folder read-only?")
     if "locked" in text:
         return TiegraphError(f"{path} is in use by another program ({text}): close it and run again")

@@ -6,13 +6,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import cast
 
-import cv2
 import numpy as np
 
 from tiegraph.errors import InputError, choose
 from tiegraph.features.colmap import extract_colmap
 from tiegraph.features.settings import FeaturesSettings
 from tiegraph.features.sift import extract_sift
+from tiegraph.scene.images import read_pixels
 
 Extractor = Callable[[np.ndarray, np.ndarray | None, FeaturesSettings], tuple[np.ndarray, np.ndarray]]
 EXTRACTORS: dict[str, Extractor] = {"opencv": extract_sift, "colmap": extract_colmap}
@@ -30,7 +30,7 @@ def extract_image(image: Path, mask: Path | None, settings: FeaturesSettings) ->
 
 def read_gray(image: Path) -> np.ndarray:
     """(H, W) u1 as stored in the file: an EXIF rotation is not applied, as COLMAP does not."""
-    gray = cv2.imread(str(image), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+    gray = read_pixels(image)
     if gray is None:
         raise InputError(f"image {image} cannot be read: take it out of the folder or restore it")
     return gray
@@ -40,7 +40,7 @@ def read_mask(mask: Path, shape: tuple[int, ...]) -> np.ndarray:
     """(H, W) bool, True = use (any value but 0). Raises InputError unless it is there, readable and of this shape."""
     if not mask.is_file():
         raise InputError(f"mask {mask} is missing: run the masks stage again, or set masks.source to none")
-    values = cv2.imread(str(mask), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+    values = read_pixels(mask)
     if values is None:
         raise InputError(f"mask {mask} cannot be read: it must be a PNG image, 0 = ignore")
     if values.shape != shape:

@@ -131,7 +131,7 @@ def match_blocks(
     done = 0
     pair_list = _pair_list(Path(database))
     for block in blocks:
-        pair_list.write_text(block)
+        pair_list.write_text(block, encoding="utf-8")
         pycolmap.match_image_pairs(
             database,
             matching_options=matching,

@@ -8,10 +8,14 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from tiegraph.features.database import create_database
+from tiegraph.features.database import DATABASE_BYTES, create_database
 from tiegraph.features.preview import Preview
+from tiegraph.limits import need_room
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Ties
+
+_POINT_BYTES = 24  # of a key point in the database
+_MATCH_BYTES = 8  # of each end of a match: it is there twice, as a match and as an inlier
 
 
 def write_preview_database(
@@ -24,6 +28,8 @@ def write_preview_database(
     """
     create_database(path, scene)
     used = ties.counts() >= min_matches
+    points = len(scene) * (1 + int(ties.matches.max(initial=0))) * _POINT_BYTES
+    need_room(path.with_name(path.name + ".room"), DATABASE_BYTES + 2 * (points + ties.matches.size * _MATCH_BYTES))
     with pycolmap.Database.open(path) as database, pycolmap.DatabaseTransaction(database):
         for k, preview in enumerate(previews):
             database.write_keypoints(k + 1, np.ascontiguousarray(preview.xy, np.float32))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
@@ -10,6 +11,7 @@ from PIL import Image
 
 from tiegraph.errors import InputError
 from tiegraph.scene.images import IMAGES_FOLDER, decode_deep, open_image
+from tiegraph.scene.names import unclean
 from tiegraph.scene.regular import regular
 
 _LISTED = 5  # missing masks named in an error
@@ -33,8 +35,10 @@ def candidates(name: str) -> list[str]:
 
 
 def find_mask(folder: Path, name: str) -> Path | None:
-    """The mask file of an image, None if there is none."""
-    return next((folder / c for c in candidates(name) if (folder / c).is_file()), None)
+    """The mask file of an image, None if there is none. Names that the scan made readable are undone."""
+    found = candidates(name)
+    found += [raw for c in found if (raw := unclean(c)) != c]
+    return next((folder / c for c in found if os.path.isfile(folder / c)), None)  # False also for a name too long
 
 
 def check_folder(folder: Path, names: Sequence[str]) -> None:

@@ -29,6 +29,7 @@ from tiegraph.network.sources import (
     axes_count,
     axes_pairs,
 )
+from tiegraph.scene.figures import plain_text
 from tiegraph.scene.graph import component_notes
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
@@ -57,6 +58,7 @@ class Network:
     tables: dict[str, dict] = field(default_factory=dict)
     trusted: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))  # (N,) images where the model is believed
 
+    @plain_text()
     def pictures(self) -> list[tuple[str, bytes]]:
         """(name, PNG) of the correspondence matrix, the offset curves and the section brightness."""
         out = [("matrix", draw.matrix_png(self.pairs, self.scene))]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from tiegraph.scan.scan import ScanInputs, build_scene, prepare_image, probe_ima
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.video import find_videos, picture_folders, take_pictures
 from tiegraph.scene.images import has_images, search_images
+from tiegraph.scene.names import clean_names
 from tiegraph.scene.rig import Sensor
 
 
@@ -25,23 +27,33 @@ def scan(run: Run) -> Outcome:
     given = run.inputs
     root, said = _photographs(run)
     found = search_images(root)
-    names = list(found.names)
+    files = list(found.names)
+    names = clean_names(files)  # from here on: only their opening needs the names that the file system has
     run.reporter.total(2 * len(names))
-    probes = run.map(probe_image, [root / n for n in names])
+    probes = run.map(probe_image, [root / f for f in files])
     inputs = ScanInputs(root, given.rig, given.gnss, given.trajectory, given.times)
     scene = build_scene(inputs, names, probes, run.settings.scan)
     told = check_against(run, scene)  # wrong files are better said now than after hours
+    file_of = dict(zip(names, files))
     todo: dict[str, list[tuple[str, Sensor]]] = {}  # a panorama is read once for all its views
     for k, name in enumerate(scene.names):
-        todo.setdefault(scene.source_name(k), []).append((name, scene.sensor_of(k)))
+        todo.setdefault(file_of[scene.source_name(k)], []).append((name, scene.sensor_of(k)))
     run.map(_prepare_item, list(todo.items()), root, run.path("images"), run.settings.scan)
     write_atomic(run.path("scene.json"), scene.to_json())
     counts = {"found": len(names), "images": len(scene), "frames": scene.frames, "passes": len(scene.tracks)}
     return Outcome(
         {**counts, "cameras": len(scene.all_sensors), "positions": _placed(scene.world_from_rig)},
         dropped=tuple((d.name, d.reason) for d in scene.dropped),
-        notes=(*said, *found.notes, *scene.notes, *told),
+        notes=(*said, *_unreadable_names(names, files), *found.notes, *scene.notes, *told),
     )
+
+
+def _unreadable_names(names: Sequence[str], files: Sequence[str]) -> list[str]:
+    odd = [n for n, f in zip(names, files) if n != f]
+    if not odd:
+        return []
+    text = "have names with control characters or bytes that are not UTF-8 (an archive of another system?)"
+    return [f"{len(odd)} images {text}: such a byte is written as %XX here, as in {odd[0]}"]
 
 
 def _photographs(run: Run) -> tuple[Path, tuple[str, ...]]:

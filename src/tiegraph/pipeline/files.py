@@ -21,6 +21,7 @@ from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.depthfile import load_depth
+from tiegraph.scene.images import read_pixels
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.results import DepthMap
 from tiegraph.scene.scene import Scene
@@ -125,7 +126,7 @@ FINAL = "remask"
 
 def read_image(path: Path, flag: int = cv2.IMREAD_GRAYSCALE) -> np.ndarray:
     """Pixels (H, W) u1, or (H, W, 3) with IMREAD_COLOR, as stored: the EXIF orientation was dealt with by the scan."""
-    image = cv2.imread(str(path), flag | cv2.IMREAD_IGNORE_ORIENTATION)
+    image = read_pixels(path, flag)
     if image is None:
         raise UnreadableArtefact(path, "it is no image now")
     return image

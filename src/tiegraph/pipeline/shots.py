@@ -22,6 +22,7 @@ from tiegraph.project.stages import Outcome, remove
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.cloudfile import write_cloud
 from tiegraph.scene.depthfile import save_depth
+from tiegraph.scene.names import shortened
 from tiegraph.scene.scene import Scene
 
 _FOLDER = "shots"
@@ -63,7 +64,7 @@ def shot_views(scene: Scene, frame: int) -> list[ViewPlan]:
 def cloud_path(folder: Path, scene: Scene, frame: int) -> Path:
     """Where the cloud of a frame is."""
     track = int(scene.track[frame])
-    name = scene.tracks[track].replace("/", "_") if track >= 0 else "shot"
+    name = shortened(scene.tracks[track].replace("/", "_")) if track >= 0 else "shot"
     return folder / _FOLDER / f"{name}_{frame:06d}.ply"
 
 

@@ -19,7 +19,8 @@ from tiegraph.dense.plan import ImagePlan
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.undistort import load_view, pinhole
 from tiegraph.dense.workspace import write_workspace
-from tiegraph.errors import InputError
+from tiegraph.errors import InputError, TiegraphError
+from tiegraph.limits import explained
 from tiegraph.pipeline.files import FINAL, load_map, load_model
 from tiegraph.pipeline.world import placement_error, world_origin
 from tiegraph.project.run import Run
@@ -28,6 +29,7 @@ from tiegraph.scene.atomic import same_file
 from tiegraph.scene.cloudfile import write_cloud
 from tiegraph.scene.copc import write_copc
 from tiegraph.scene.depthfile import save_depth
+from tiegraph.scene.names import inside
 from tiegraph.scene.results import Cloud, DepthMap
 
 _log = logging.getLogger(__name__)
@@ -38,7 +40,7 @@ FIRST = ".first"  # depth maps before they are compared with each other; removed
 
 def depth_path(folder: Path, name: str, step: str = "") -> Path:
     """Where the depth map of an image is."""
-    return folder / "depth" / step / f"{name}.npz"
+    return inside(folder / "depth" / step, f"{name}.npz")
 
 
 def dense(run: Run) -> Outcome:
@@ -105,7 +107,11 @@ def hand_over(run: Run, target: Path) -> int:
         return load_map(path) if path.exists() else None
 
     model = load_model(run.path("sparse", "world"))
-    return write_workspace(target, model, run.path("images"), load, run.settings.dense)
+    try:
+        return write_workspace(target, model, run.path("images"), load, run.settings.dense)
+    except (OSError, RuntimeError) as error:
+        told = explained(error, target) or InputError(f"{target}: cannot be written: {error}; choose another folder")
+        raise error if isinstance(error, TiegraphError) else told from error
 
 
 def cloud(run: Run) -> Outcome:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from tiegraph.errors import InputError
 from tiegraph.project.ledger import covered
+from tiegraph.project.progress import LogFormatter
 from tiegraph.project.stages import digest, write_atomic
 from tiegraph.scene.atomic import MARK
 
@@ -143,7 +144,8 @@ def _logged(path: Path) -> Iterator[None]:
     except OSError as error:
         raise _unusable(path.parent, path.name, error) from error
     handler = logging.StreamHandler(stream)
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    handler.setFormatter(LogFormatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    handler.handleError = lambda record: None  # type: ignore[method-assign]  # a full disk; the stage says so
     level = log.level
     log.addHandler(handler)
     log.setLevel(logging.INFO)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import sys
 import threading
 from collections.abc import Iterator
@@ -20,6 +21,13 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from tiegraph.text import printable
+
+
+class _Console(Console):
+    def on_broken_pipe(self) -> None:
+        """Go on (rich would end the process): `tiegraph run ... 2>&1 | head` has a reader for some lines only."""
+
 
 class Reporter:
     """Says what the run does. ``style``: "auto" (rich on a terminal, else plain lines), "json" (one object a line on
@@ -27,14 +35,17 @@ class Reporter:
 
     def __init__(self, style: str = "auto") -> None:
         self.style = style
-        self.console = Console(stderr=True, highlight=False, soft_wrap=True)
+        self.console = _Console(stderr=True, highlight=False, soft_wrap=True)
         self._progress: Progress | None = None
         self._task: TaskID | None = None
 
     def say(self, text: str) -> None:
         """One line for people."""
         if self.style == "auto":
-            self.console.print(text, markup=False)
+            try:
+                self.console.print(printable(text), markup=False)
+            except OSError:  # standard error is full or closed: the results matter more, and the log has it
+                pass
 
     def event(self, kind: str, **data: object) -> None:
         """One event for programs (``--json``)."""
@@ -65,6 +76,14 @@ class Reporter:
         if self._progress is not None and self._task is not None:
             memory = f"{psutil.Process().memory_info().rss / 2**20:.0f} MiB"
             self._progress.update(self._task, advance=count, memory=memory)
+
+
+class LogFormatter(logging.Formatter):
+    """Lines of the log; nothing that came from outside can act on the terminal that shows it."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """One record, tracebacks included."""
+        return printable(super().format(record))
 
 
 class Elsewhere:

@@ -7,6 +7,7 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any
 
 from tiegraph.child import end_helpers
 from tiegraph.errors import InputError, SettingsError, TiegraphError, UnreadableArtefact
+from tiegraph.limits import explained
 from tiegraph.project.artefacts import Artefacts
 from tiegraph.project.folder import LOG, check_folder, check_inputs, working_in
 from tiegraph.project.pool import Place, check_pool, map_items, open_pool
@@ -233,11 +235,13 @@ def _run_one(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:
             outcome = stage.run(run)
     except BaseException as error:
         _log_error(stage, error)
-        artefacts.recover()
-        if isinstance(error, OSError):
-            raise InputError(
-                f"stage {stage.name}: {error}; finished work is kept, run the same command again"
-            ) from error
+        with suppress(OSError, TiegraphError):  # on a full disk the journal stays, and tells the same
+            artefacts.recover()
+        told = explained(error, run.folder) if isinstance(error, Exception) else None
+        if told is None and isinstance(error, OSError):
+            told = InputError(f"stage {stage.name}: {error}; finished work is kept, run the same command again")
+        if told is not None:
+            raise told from error
         raise
     finally:
         used = meter.stop()

@@ -19,7 +19,9 @@ from tiegraph.report.righealth import rig_health
 from tiegraph.report.settings import ReportSettings
 from tiegraph.report.ties import network_part
 from tiegraph.scene.atomic import replacing
+from tiegraph.scene.figures import plain_text
 from tiegraph.scene.scene import Scene
+from tiegraph.text import printable
 
 _MASKS_READ = 25  # masks opened for a camera's mean share
 _DROPPED_SHOWN = 200
@@ -38,6 +40,7 @@ def write_report(folder: Path, settings: ReportSettings) -> Path:
     return target
 
 
+@plain_text()
 def render(run: RunFolder, settings: ReportSettings) -> str:
     """The page as text."""
     context = {
@@ -57,10 +60,15 @@ def render(run: RunFolder, settings: ReportSettings) -> str:
 
 
 def environment() -> jinja2.Environment:
-    """Templates of this package, everything escaped."""
+    """Templates of this package, everything escaped, also what acts without being seen (``text.printable``)."""
     loader = jinja2.PackageLoader("tiegraph.report", ".")
     return jinja2.Environment(
-        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=loader,
+        autoescape=True,
+        finalize=lambda value: printable(value) if type(value) is str else value,  # not of Markup, which is ours
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
 
 

@@ -8,6 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from tiegraph.scene.images import read_pixels
+
 _IGNORED_BGR = (60, 40, 210)  # red: what the mask takes out
 CLASSES = (  # by number, as the masks stage writes them: name, colour
     ("used", "#000000"),
@@ -54,11 +56,11 @@ def masked_thumbnail(
 ) -> tuple[str, float | None] | None:
     """The image with ignored areas in red, or in the colours of their ``classes``, and the share of usable pixels (None
     without a mask); None if it cannot be read."""
-    picture = cv2.imread(str(image), cv2.IMREAD_COLOR)
+    picture = read_pixels(image, cv2.IMREAD_COLOR)
     if picture is None:
         return None
     picture = _shrunk(picture, width)
-    use = cv2.imread(str(mask), cv2.IMREAD_GRAYSCALE) if mask.exists() else None
+    use = read_pixels(mask)
     if use is None:
         return jpeg(picture[..., ::-1]), None
     share = float(np.mean(use > 0))
@@ -68,7 +70,7 @@ def masked_thumbnail(
 
 
 def _colours(classes: Path | None, shape: tuple[int, ...]) -> np.ndarray:
-    labels = cv2.imread(str(classes), cv2.IMREAD_GRAYSCALE) if classes is not None and classes.exists() else None
+    labels = None if classes is None else read_pixels(classes)
     if labels is None:
         return np.array(_IGNORED_BGR)
     table = np.array([[int(c[k : k + 2], 16) for k in (5, 3, 1)] for _, c in CLASSES])
@@ -79,7 +81,7 @@ def _colours(classes: Path | None, shape: tuple[int, ...]) -> np.ndarray:
 
 def mask_share(mask: Path) -> float | None:
     """Share of usable pixels of a mask file; None if it cannot be read."""
-    use = cv2.imread(str(mask), cv2.IMREAD_REDUCED_GRAYSCALE_2) if mask.exists() else None
+    use = read_pixels(mask, cv2.IMREAD_REDUCED_GRAYSCALE_2)
     return None if use is None else float(np.mean(use > 127))
 
 

@@ -24,6 +24,7 @@ from tiegraph.scan.times import FrameRow
 from tiegraph.scan.unfold import unfold
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.images import IMAGES_FOLDER, Probe, find_images, probe_image
+from tiegraph.scene.names import clean, shortened
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene
 
@@ -300,7 +301,9 @@ def _scene(
     for k, row in enumerate(rows):
         frame[list(row.images)] = k
     if named.renamed:
-        report.notes.append(f"{named.renamed} images renamed (blanks, # or formats that COLMAP's lists do not take)")
+        report.notes.append(
+            f"{named.renamed} images renamed (blanks, #, long names or formats that COLMAP does not take)"
+        )
     return Scene(
         rigs=rigs,
         names=named.names,
@@ -323,14 +326,16 @@ def _scene(
 
 
 def safe_names(names: Sequence[str]) -> list[str]:
-    """Names that COLMAP's pair lists and readers take: no blanks, no #, a suffix both libraries know; unique."""
+    """Names that COLMAP's pair lists and readers take: no blanks, no #, a suffix both libraries know, only characters
+    that are text, no part longer than file systems take with what the stages add to it; unique."""
     taken: set[str] = set(names)
     out = []
     for name in names:
-        safe = re.sub(r"[\s#\\]", "_", name)
+        safe = re.sub(r"[\s#\\]", "_", clean(name))
         suffix = PurePosixPath(safe).suffix
         if suffix.lower() not in KEPT_SUFFIXES:
             safe = safe[: -len(suffix)] + ".png"
+        safe = "/".join(map(shortened, safe.split("/")))
         base, number = safe, 2
         while safe != name and safe in taken:
             path = PurePosixPath(base)

@@ -13,6 +13,7 @@ import numpy as np
 from tiegraph.scan.prepare import write_pixels
 from tiegraph.scene.atomic import claim
 from tiegraph.scene.images import files_below
+from tiegraph.scene.names import clean, clean_names, shortened
 from tiegraph.scene.regular import regular
 
 SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".webm")
@@ -26,8 +27,9 @@ def find_videos(root: Path) -> list[str]:
 
 def picture_folders(videos: Sequence[str]) -> list[str]:
     """A folder for the pictures of each video: its name without the ending, where that is unique."""
-    bare = [str(PurePosixPath(v).with_suffix("")) for v in videos]
-    return [b if bare.count(b) == 1 else v.replace(".", "_") for b, v in zip(bare, videos)]
+    safe = ["/".join(shortened(part) for part in name.split("/")) for name in clean_names(videos)]
+    bare = [str(PurePosixPath(v).with_suffix("")) for v in safe]
+    return [b if bare.count(b) == 1 else v.replace(".", "_") for b, v in zip(bare, safe)]
 
 
 def take_pictures(video: Path, folder: Path, per_second: float) -> str:
@@ -41,15 +43,14 @@ def take_pictures(video: Path, folder: Path, per_second: float) -> str:
     try:
         regular(video, None)
     except OSError as error:
-        return f"{video.name} is no video: {error.strerror}"
+        return f"{clean(video.name)} is no video: {error.strerror}"
     os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "protocol_whitelist;file")  # a play list may name a server
-    capture = cv2.VideoCapture(str(video))
-    fps = float(capture.get(cv2.CAP_PROP_FPS)) if capture.isOpened() else 0.0
     partial = folder.with_name(f".{os.getpid()}-{folder.name}")
     claim(partial)
     claim(folder)
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
+    capture, fps = _opened(video, partial / f"video{video.suffix.lower()}")
     count = 0
     try:
         for picture in _sharpest(capture, fps, per_second):
@@ -60,9 +61,25 @@ def take_pictures(video: Path, folder: Path, per_second: float) -> str:
     finally:
         capture.release()
         shutil.rmtree(partial, ignore_errors=True)
+    name = clean(video.name)
     if not count:
-        return f"{video.name} cannot be decoded as a video: convert it to H.264 in MP4, or extract its pictures"
-    return f"{video.name}: {count} pictures, the sharpest of every {1 / per_second:.2g} s"
+        return f"{name} cannot be decoded as a video: convert it to H.264 in MP4, or extract its pictures"
+    return f"{name}: {count} pictures, the sharpest of every {1 / per_second:.2g} s"
+
+
+def _opened(video: Path, link: Path) -> tuple[cv2.VideoCapture, float]:
+    """The opened video and its frames a second, 0 if it cannot be decoded.
+
+    OpenCV gets a link for a name: one that is not UTF-8 would end the process, and %d would mean numbered files.
+    """
+    try:
+        link.symlink_to(video.resolve())
+    except (OSError, NotImplementedError):
+        link = video
+    capture = cv2.VideoCapture(str(link))
+    if link != video:
+        link.unlink()
+    return capture, float(capture.get(cv2.CAP_PROP_FPS)) if capture.isOpened() else 0.0
 
 
 def _sharpest(capture: cv2.VideoCapture, fps: float, per_second: float) -> Iterator[np.ndarray]:

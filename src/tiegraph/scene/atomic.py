@@ -6,7 +6,6 @@ A run folder is a folder with the mark ``receipts/folder.json``. Before anything
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import re
@@ -16,13 +15,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from tiegraph.errors import InputError, TiegraphError
+from tiegraph.errors import InputError
+from tiegraph.limits import explained
 
 MARK = "receipts/folder.json"
 JOURNAL = "receipts/made.txt"
 _TEMPORARY = re.compile(r"^\.[0-9a-f]{8}\.\d+\.part")
-_FULL = (errno.ENOSPC, errno.EDQUOT)
-_NO_ROOM_BYTES = 1 << 20
 
 
 @contextmanager
@@ -41,12 +39,9 @@ def replacing(path: Path) -> Iterator[Path]:
             sync(temporary)
         os.replace(temporary, path)
     except Exception as error:
-        full = isinstance(error, OSError) and error.errno in _FULL
-        if full or (not isinstance(error, TiegraphError) and shutil.disk_usage(path.parent).free < _NO_ROOM_BYTES):
-            raise InputError(
-                f"cannot write {path}: No space left on device; free some space or choose another output folder, "
-                "then run again: what is finished is kept"
-            ) from error
+        told = explained(error, path.parent)
+        if isinstance(told, InputError):
+            raise InputError(f"cannot write {path}: {told}") from error
         raise
     finally:
         temporary.unlink(missing_ok=True)

@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from tiegraph.errors import InputError
+from tiegraph.scene.names import check_text
 from tiegraph.scene.regular import regular
+from tiegraph.text import one_line
 
 # COLMAP: pair_id = 2147483647 * smaller image_id + larger image_id (colmap/util/types.h, kMaxNumImages).
 MAX_IMAGES = 2147483647
@@ -30,9 +32,12 @@ def read_model(folder: Path | str) -> Any:
         _check(folder / f"{name}.bin", end_of)
         _check(folder / f"{name}.txt", None)
     try:
-        return pycolmap.Reconstruction(str(folder))
+        model = pycolmap.Reconstruction(str(folder))
+        for image in model.images.values():
+            check_text(image.name, "image")  # read here: one that is not UTF-8 is an error of its own
     except Exception as error:
-        raise InputError(f"{folder}: not a readable COLMAP model: {error}") from None
+        raise InputError(f"{folder}: not a readable COLMAP model: {one_line(str(error))}") from None
+    return model
 
 
 def _check(path: Path, end_of: Callable[[bytes, int], int] | None) -> None:

@@ -232,6 +232,16 @@ def decode_deep(data: bytes) -> np.ndarray | None:
         return None
 
 
+def read_pixels(path: Path, flag: int = cv2.IMREAD_GRAYSCALE) -> np.ndarray | None:
+    """Pixels (H, W) u1, or (H, W, 3) BGR with IMREAD_COLOR, as stored (an EXIF rotation is not applied); None if the
+    file is not there or no image. OpenCV never sees the path: one that is not UTF-8 would end the process."""
+    try:
+        data = Path(path).read_bytes()
+        return cv2.imdecode(np.frombuffer(data, np.uint8), flag | cv2.IMREAD_IGNORE_ORIENTATION) if data else None
+    except (OSError, cv2.error):
+        return None
+
+
 def _significant_bits(image: Image.Image, data: bytes) -> int:
     if not image.mode.startswith("I") and not deep_png(data):
         return 8

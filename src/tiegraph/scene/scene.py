@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from tiegraph.geometry.geodesy import Origin
+from tiegraph.scene.names import check_name
 from tiegraph.scene.rig import Rig, Sensor, rig_from_dict, rig_to_dict
 
 PRIORS = (
@@ -168,8 +169,10 @@ class Scene:
 
     @staticmethod
     def from_json(text: str) -> Scene:
-        """Inverse of ``to_json``."""
+        """Inverse of ``to_json``. Raises InputError for an image name that leads out of the folder."""
         data = json.loads(text)
+        for name in data["names"]:
+            check_name(name)
         columns = {name: np.array(data[name], dtype=float) for name in _COLUMNS}
         columns["world_from_rig"] = columns["world_from_rig"].reshape(-1, 4, 4)
         columns["position_sigma_m"] = columns["position_sigma_m"].reshape(-1, 3)

@@ -17,6 +17,7 @@ from scipy.sparse.csgraph import laplacian
 from scipy.sparse.linalg import eigsh
 
 from tiegraph.network.pictures.common import DPI, INK, RED, grouped, png
+from tiegraph.scene.figures import plain_text
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 
@@ -52,6 +53,7 @@ class _Ties:
     pairs: int
 
 
+@plain_text()
 def map_png(
     pairs: Pairs,
     positions: np.ndarray | None,

@@ -1,0 +1,104 @@
+"""File names of any origin made safe: for libraries that take UTF-8 only, for file systems, for people's eyes.
+
+Linux keeps names as bytes. Those that are not UTF-8 (a Shift-JIS archive unpacked) reach Python as strings with lone
+surrogates, which kill the interpreter inside OpenCV and cannot be written to any text file. So a survey's files get
+names of ours where they are listed (``clean_names``), and nothing but the opening of a file ever sees the others.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
+
+from tiegraph.errors import InputError
+from tiegraph.text import acts, one_line
+
+# File systems take 255 bytes; masks/<name>.png, depth maps <name>.geometric.bin and temporary files add to a name.
+LONGEST_BYTES = 200
+_KEPT_SUFFIX = 20
+_SHOWN = 80  # characters of a name in an error
+_ESCAPE = re.compile("%[0-9A-F]{2}")
+
+
+def clean(name: str) -> str:
+    """A name with every byte that is not text (control characters, bytes that are not UTF-8) as ``%XX``."""
+    if name.isascii() and name.isprintable():
+        return name
+    return "".join("".join(f"%{b:02X}" for b in os.fsencode(c)) if acts(c) else c for c in name)
+
+
+def clean_names(names: Sequence[str]) -> list[str]:
+    """``clean`` of POSIX names below a folder, folder by folder, so that two files or folders never become one."""
+    if all(name.isascii() and name.isprintable() for name in names):
+        return list(names)
+    taken = {str(p) for name in names for p in (PurePosixPath(name), *PurePosixPath(name).parents)}
+    made: dict[PurePosixPath, PurePosixPath] = {PurePosixPath("."): PurePosixPath(".")}
+
+    def of(path: PurePosixPath) -> PurePosixPath:
+        if path not in made:
+            part, number = clean(path.name), 2
+            made[path] = of(path.parent) / part
+            while part != path.name and str(made[path]) in taken:
+                other = PurePosixPath(part)
+                made[path] = of(path.parent) / f"{other.stem}_{number}{other.suffix}"
+                number += 1
+            taken.add(str(made[path]))
+        return made[path]
+
+    return [str(of(PurePosixPath(name))) for name in names]
+
+
+def unclean(name: str) -> str:
+    """The file name that ``clean`` made ``name`` of, where it is one: ``%XX`` of bytes that are no text."""
+    data = b"".join(_byte(part) for part in re.split(f"({_ESCAPE.pattern})", name))
+    raw = os.fsdecode(data)
+    return raw if clean(raw) == name else name
+
+
+def _byte(part: str) -> bytes:
+    return bytes([int(part[1:], 16)]) if _ESCAPE.fullmatch(part) else os.fsencode(part)
+
+
+def shortened(part: str, limit: int = LONGEST_BYTES) -> str:
+    """One part of a path in at most ``limit`` bytes: its beginning, a hash of the whole, its suffix."""
+    if len(os.fsencode(part)) <= limit:
+        return part
+    suffix = PurePosixPath(part).suffix
+    suffix = suffix if len(os.fsencode(suffix)) <= _KEPT_SUFFIX else ""
+    mark = "~" + hashlib.blake2b(os.fsencode(part), digest_size=5).hexdigest() + suffix
+    return os.fsencode(part)[: limit - len(mark.encode())].decode("utf-8", "ignore") + mark
+
+
+def check_name(name: object) -> None:
+    """Raise InputError for an image name that could lead out of the folder it is joined to, or is none at all.
+
+    Good names are relative POSIX paths without empty parts, ``.``, ``..``, and characters that are not text.
+    """
+    good = isinstance(name, str) and name != "" and not any(map(acts, name)) and "\\" not in name
+    if not good or any(part in ("", ".", "..") for part in str(name).split("/")) or Path(str(name)).drive:
+        raise InputError(
+            f"image name '{one_line(str(name))[:_SHOWN]}': must be a path below the image folder, such as a/1.jpg, "
+            "without '..', empty parts, backslashes or control characters; restore the file it is in, or make it again"
+        )
+
+
+def inside(folder: Path, name: str) -> Path:
+    """``folder / name`` for writing. Raises InputError for a name that ``check_name`` refuses."""
+    check_name(name)
+    return folder / name
+
+
+def check_text(value: object, what: str) -> None:
+    """Raise InputError for a path or text of the user's that holds control characters or is not UTF-8.
+
+    Such a path cannot be written to ``tiegraph.toml``, the report or a log, nor handed to COLMAP.
+    """
+    text = str(value)
+    if any(map(acts, text)):
+        raise InputError(
+            f"{what} '{one_line(text)}': has control characters or bytes that are not UTF-8; "
+            "rename the file or folder (files below the image folder may have such names)"
+        )

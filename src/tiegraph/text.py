@@ -1,0 +1,38 @@
+"""Text that came from outside (file names, messages of libraries) on its way to people: nothing in it can act."""
+
+from __future__ import annotations
+
+import unicodedata
+
+# Control characters (ESC, CR, BEL, NUL), format characters (that turn the direction of writing, or cannot be seen),
+# halves of characters (bytes of a file name that are not UTF-8), separators of lines and paragraphs.
+_ACTING = ("Cc", "Cf", "Cs", "Zl", "Zp")
+_KEPT = "\n\t"
+
+
+def acts(character: str) -> bool:
+    """Whether a character does something to a terminal, a log or a page instead of standing for a letter."""
+    return unicodedata.category(character) in _ACTING
+
+
+def printable(text: str) -> str:
+    r"""``text`` with every character that acts as an escape such as ``\x1b`` or ``\u202e``; line breaks and tabs stay.
+
+    Bytes of a file name that are not UTF-8, which Python holds as halves of surrogate pairs, become their own escape
+    (``\x8e``), so that the result can always be written.
+    """
+    if text.isascii() and text.isprintable():
+        return text
+    return "".join(c if c in _KEPT or not acts(c) else _escaped(c) for c in text)
+
+
+def one_line(text: str) -> str:
+    """As ``printable``, line breaks and tabs escaped too: for names."""
+    return "".join(_escaped(c) if acts(c) else c for c in text)
+
+
+def _escaped(character: str) -> str:
+    code = ord(character)
+    if 0xDC80 <= code <= 0xDCFF:  # PEP 383: byte 0x80 + n of a file name is U+DC80 + n
+        return f"\\x{code - 0xDC00:02x}"
+    return character.encode("unicode_escape", "surrogatepass").decode("ascii")
