@@ -59,7 +59,7 @@ def finish_again(case: Case, command: list[str], out: Path, own: dict[str, bytes
     """Run the same command to its end; (what is wrong with it, None = nothing; what it said). ``own``: files of the
     user in the run folder: a refusal that names one is right, they are then moved away."""
     ended = case.server.run(command, case.folder, PATIENCE_S)
-    for _ in own:
+    for _ in list(own):
         lines = oracle.error_lines(ended.text)
         named = [n for n in own if lines and Path(n).name in lines[-1]]
         if ended.code == 0 or not named or not _kept(out, own):

@@ -36,7 +36,8 @@ def run(case: Case) -> Result:
     running = case.server.start(world.command(out, "--pool", pool), case.folder)
     _await(running, out, stage, wait)
     hit, main = _strike(running, victim, kind)
-    ended = running.wait(_END_S if hit else PATIENCE_S)
+    # Without one of its children a run may go on until it asks for it.
+    ended = running.wait(_END_S if hit and main else PATIENCE_S)
     number = signal.SIGKILL if "KILL" in kind else getattr(signal, f"SIG{kind}")
     verdict = oracle.after_signal(ended, number, main) if hit else _unhit(ended)
     what += "" if hit else " (it had ended before)"

@@ -12,6 +12,7 @@ from campaign.process import Ended
 CLEAR, SAID, HARMLESS = "clear", "said", "harmless"
 SILENT, UNEXPECTED, HANG, CRASH = "silent", "unexpected", "hang", "crash"
 LOSS, LEFTOVER, UNCLEAR, STUCK = "loss", "leftover", "unclear", "stuck"
+LATER = "later"  # a case that only the long form can judge
 GOOD = (CLEAR, SAID, HARMLESS)
 FAILURES = (LOSS, HANG, CRASH, LEFTOVER, SILENT, UNEXPECTED, STUCK, UNCLEAR)
 _SURPRISE = re.compile(r"unexpected [A-Z]\w*|Traceback \(most recent|^\s+File \"[^\"]+\", line \d+", re.MULTILINE)

@@ -12,10 +12,12 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import psutil
 
 TESTS = Path(__file__).parents[1]
 MEMORY_BYTES = 12 << 30  # of data a process may have, so that an input cannot take the machine down
+_STALL_S, _STALLED_CPU_S = 20.0, 0.6  # less computed in that time: it waits (the meter of a run takes a hundredth)
 _LEFT_S = 15.0  # how long what a command started may outlive it
 
 
@@ -62,7 +64,7 @@ class Server:
             self._open()
         folder.mkdir(parents=True, exist_ok=True)
         log = folder / "said.txt"
-        log.unlink(missing_ok=True)
+        log.write_bytes(b"")
         request = {
             "argv": [os.fsencode(a).hex() for a in map(str, argv)],
             "cwd": str(folder),
@@ -151,7 +153,7 @@ class Running:
 
     def wait(self, limit_s: float) -> Ended:
         """Wait for its end, and for the end of what it started; what stays is ended here."""
-        hung = not self.poll(limit_s)
+        hung = not self._ends(limit_s)
         if hung:
             self._end()
             self.poll(30)
@@ -169,6 +171,27 @@ class Running:
         if os.WIFSIGNALED(status):
             return Ended(None, os.WTERMSIG(status), text, False, names)
         return Ended(os.WEXITSTATUS(status), None, text, False, names)
+
+    def _ends(self, limit_s: float) -> bool:
+        """Does it end? After ``limit_s`` it hangs if it has computed for so long, or computes no more: on a machine
+        with other work it may take its time."""
+        if self.poll(limit_s):
+            return True
+        before = -np.inf
+        while before + _STALLED_CPU_S <= (now := self._cpu_s()) < limit_s:
+            before = now
+            if self.poll(_STALL_S):
+                return True
+        return self.poll()
+
+    def _cpu_s(self) -> float:
+        total = 0.0
+        for process in self.family():
+            try:
+                total += sum(process.cpu_times()[:4])
+            except psutil.Error:
+                continue
+        return total
 
     def _end(self) -> None:
         for process in self.family():

@@ -42,6 +42,8 @@ def become(request: dict) -> int:
     for limit, value in (("RLIMIT_FSIZE", request.get("file_bytes")), ("RLIMIT_DATA", request.get("memory_bytes"))):
         if value:
             resource.setrlimit(getattr(resource, limit), (value, value))
+    for name in ("SIGHUP", "SIGTERM", "SIGQUIT", "SIGUSR1"):  # whoever started the campaign may have them ignored
+        signal.signal(getattr(signal, name), signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     from tiegraph.cli import main
 
