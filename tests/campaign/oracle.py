@@ -15,13 +15,16 @@ LOSS, LEFTOVER, UNCLEAR, STUCK = "loss", "leftover", "unclear", "stuck"
 LATER = "later"  # a case that only the long form can judge
 GOOD = (CLEAR, SAID, HARMLESS)
 FAILURES = (LOSS, HANG, CRASH, LEFTOVER, SILENT, UNEXPECTED, STUCK, UNCLEAR)
-_SURPRISE = re.compile(r"unexpected [A-Z]\w*|Traceback \(most recent|^\s+File \"[^\"]+\", line \d+", re.MULTILINE)
+_SURPRISE = re.compile(  # the library has stack traces of its own
+    r"unexpected [A-Z]\w*|Traceback \(most recent|^\s+File \"[^\"]+\", line \d+|^\*\*\* (?:Aborted at|SIG)",
+    re.MULTILINE,
+)
 _CRASH_WORDS = re.compile(
     r"terminate called|Fatal Python error|Segmentation fault|core dumped|Aborted|signal SIG(?:ABRT|SEGV|BUS|FPE|ILL)"
 )
 _ERROR = re.compile(r"^tiegraph: ", re.MULTILINE)
-_USAGE = re.compile(r"^╭─ (?:Parsing error|Unrecognized options|Required options)", re.MULTILINE)
-_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1a\x1c-\x1f\x7f\x80-\x9f]|\x1b(?!\[[0-9;]*[mK])")
+_USAGE = re.compile(r"^╭─ [^\n]*(?:error|Unrecognized|Required|issing)", re.MULTILINE)
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
 
 @dataclass
@@ -119,10 +122,10 @@ def after_signal(ended: Ended, number: int | None, main: bool) -> Verdict:
     by_us = main and ended.signal is not None and ended.signal == number
     if by_us and number == signal.SIGKILL:
         return Verdict(CLEAR)
-    if ended.code == 0:
-        return Verdict(HARMLESS, "it had ended already, or did without")
     if match := _SURPRISE.search(ended.text):
         return Verdict(UNEXPECTED, _line_at(ended.text, match.start()))
+    if ended.code == 0:
+        return Verdict(HARMLESS, "it had ended already, or did without")
     if by_us and number in (signal.SIGTERM, signal.SIGHUP):
         return Verdict(CLEAR, "ended by the signal")  # what a shell expects; who sent it knows
     if ended.signal is not None:

@@ -177,7 +177,11 @@ def setting(rng: random.Random) -> tuple[str, list[str], Spoiled]:
     arguments = [option, value]
     if _is_path(annotation):
         arguments = [option, rng.choice(("/nosuch/file", "/dev/null", "/proc/self/mem", "/", "x" * 300, "a\nb"))]
-    return stage, arguments, Spoiled(" ".join(arguments)[:100], (name, option[2:], value, stage, arguments[-1][:40]))
+    return (
+        stage,
+        arguments,
+        Spoiled(" ".join(arguments)[:100], (name, option[2:], value, arguments[-1].split("\n")[0][:40])),
+    )
 
 
 def _is_path(annotation: Any) -> bool:
