@@ -30,10 +30,13 @@ def run(case: Case) -> Result:
     if rng.random() < 0.5:  # later stages must run again and meet the damage
         _outdate(out, stage, rng)
         what += ", a later receipt gone"
+    damage = _content(path)
     ended = case.server.run(world.command(out, "--pool", "serial"), case.folder, PATIENCE_S)
     words = (path.name, path.parent.name, path.stem, stage, *_made(stage))
     if ended.code == 0:
         fault = wrong(case, ended, out, {})
+        if fault is None and _content(path) == damage:
+            fault = oracle.Verdict(oracle.SILENT, "the damaged file is there still")
         if fault is None:
             fault = oracle.Verdict(oracle.SAID if oracle.holds(ended.text, (path.name,)) else oracle.HARMLESS)
         return case.result(stage, what, fault, ended.text)
@@ -50,6 +53,15 @@ def _heals(case: Case, out: Path, path: Path, verdict: oracle.Verdict) -> oracle
         path.unlink(missing_ok=True)
     ended = case.server.run(case.world.command(out, "--pool", "serial"), case.folder, PATIENCE_S)
     return wrong(case, ended, out, {}) or verdict
+
+
+def _content(path: Path) -> object:
+    """What is at a path; None = nothing."""
+    if path.is_symlink():
+        return path.readlink()
+    if path.is_dir():
+        return "folder"
+    return path.read_bytes() if path.exists() else None
 
 
 def _made(stage: str) -> tuple[str, ...]:

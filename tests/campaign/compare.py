@@ -53,7 +53,12 @@ def differences(clean: Path, other: Path, besides: Collection[str] = (), until: 
         except Exception as error:  # an artefact that cannot be read is a difference too
             out.append(f"{name}: cannot be read ({type(error).__name__}: {error})")
     if not out and last >= order["georef"]:
-        out += outcome_differences(summary(clean, until), summary(other, until), POSE_M, CLOUD_SHARE)
+        expected = summary(clean, until)
+        try:
+            found = summary(other, until)
+        except Exception as error:
+            return [f"the result cannot be read ({type(error).__name__}: {error})"]
+        out += outcome_differences(expected, found, POSE_M, CLOUD_SHARE)
     return out
 
 
