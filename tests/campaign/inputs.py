@@ -6,7 +6,7 @@ import json
 import random
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from campaign import mutate, oracle, spoil
@@ -210,6 +210,7 @@ def _judge(case: Case, kind: Kind, spoiled: Spoiled, inputs: Path, out: Path) ->
         if ended.code != 0 or ended.hung:
             return oracle.refusal(ended, spoiled.words), ended
         told = oracle.said(_all_said(out, ended.text, inputs), clean_text, spoiled.words)
+        told = told if all(oracle.holds("\n".join(told), [name]) for name in spoiled.each) else []
         looks_same = kind.name not in ("images", "names") and not _other_scene(clean, out)
         if looks_same or (told and (case.context["short"] or (kind.name != "names" and case.rng.random() < 0.67))):
             text = _all_said(out, ended.text, inputs)
@@ -220,8 +221,14 @@ def _judge(case: Case, kind: Kind, spoiled: Spoiled, inputs: Path, out: Path) ->
     if ended.code != 0 or ended.hung:
         return oracle.refusal(ended, spoiled.words), ended
     text = _all_said(out, ended.text, inputs)
-    different = [] if legitimate(kind, inputs) else _different(kind, clean, out, spoiled)
-    return oracle.passed(_with(ended, text), clean_text, spoiled.words, different), ended
+    told = "\n".join(oracle.said(text, clean_text, spoiled.words))
+    named = tuple(n for n in spoiled.each if oracle.holds(told, [n]))
+    allowed = replace(spoiled, without=(*spoiled.without, *named))
+    different = [] if legitimate(kind, inputs) else _different(kind, clean, out, allowed)
+    verdict = oracle.passed(_with(ended, text), clean_text, spoiled.words, different)
+    if verdict.name == oracle.SAID and len(named) < len(spoiled.each) and different:
+        verdict = oracle.Verdict(oracle.SILENT, f"only {named} named; {'; '.join(different[:4])}")
+    return verdict, ended
 
 
 def _with(ended: Ended, text: str) -> Ended:

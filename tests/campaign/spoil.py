@@ -40,11 +40,13 @@ FLAGS = (
 
 @dataclass(frozen=True)
 class Spoiled:
-    """What was done; ``words``: one of them must be named; ``without``: images that the user took away."""
+    """What was done; ``words``: one of them must be named; ``without``: images that the user took away; ``each``:
+    images of which every one must be named if the result is another one without it."""
 
     what: str
     words: tuple[str, ...]
     without: tuple[str, ...] = ()
+    each: tuple[str, ...] = ()
 
 
 def images(folder: Path, rng: random.Random) -> Spoiled:
@@ -84,7 +86,7 @@ def _words(paths: list[Path], folder: Path) -> tuple[str, ...]:
 def _bytes(folder: Path, rng: random.Random) -> Spoiled:
     paths, rule = _some(folder, rng), rng.choice(mutate.BYTES)
     what = "; ".join(f"{p.parent.name}/{rule(p, rng)}" for p in paths)
-    return Spoiled(what, _words(paths, folder))
+    return Spoiled(what, _words(paths, folder), each=_words(paths, folder))
 
 
 def _place(folder: Path, rng: random.Random) -> Spoiled:
@@ -92,7 +94,7 @@ def _place(folder: Path, rng: random.Random) -> Spoiled:
     what = "; ".join(f"{p.parent.name}/{rule(p, rng)}" for p in paths)
     names = _words(paths, folder)
     taken = names if rule in (mutate.gone, mutate.folder_instead) else ()
-    return Spoiled(what, names, taken)
+    return Spoiled(what, names, taken, () if taken else names)
 
 
 def _other_picture(folder: Path, rng: random.Random) -> Spoiled:
