@@ -1,0 +1,1 @@
+"""Campaigns against the command line: kills, full disks, corrupt inputs, damaged artefacts. See README.md here."""

@@ -1,0 +1,77 @@
+"""A fork server: tiegraph and its libraries are imported once, then every command line runs in a forked child.
+
+Reads one JSON request a line on standard input: {"argv", "cwd", "log", "mark", "file_bytes", "memory_bytes"}; answers
+{"pid"} when the child runs and {"status"} (as of waitpid) when it has ended. The child has a session of its own,
+leaves through the interpreter's own end, and what it spawns starts like the children of `python -m tiegraph.cli.main`.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import pkgutil
+import resource
+import signal
+import sys
+
+_KEPT = []  # the module this runs in, once another one has taken its name
+
+
+def preload() -> None:
+    """Import all of tiegraph and, with it, every library it uses."""
+    import tiegraph
+
+    for module in pkgutil.walk_packages(tiegraph.__path__, "tiegraph."):
+        try:
+            importlib.import_module(module.name)
+        except ImportError:  # an extra that is not installed
+            continue
+
+
+def become(request: dict) -> int:
+    """Turn the forked child into `tiegraph <argv>`; its exit code."""
+    os.setsid()
+    log = os.open(request["log"], os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    null = os.open(os.devnull, os.O_RDONLY)
+    for target, source in ((0, null), (1, log), (2, log)):
+        os.dup2(source, target)
+    os.chdir(request["cwd"])
+    os.environ["CAMPAIGN_CASE"] = request["mark"]
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    for limit, value in (("RLIMIT_FSIZE", request.get("file_bytes")), ("RLIMIT_DATA", request.get("memory_bytes"))):
+        if value:
+            resource.setrlimit(getattr(resource, limit), (value, value))
+    for name in ("SIGHUP", "SIGTERM", "SIGQUIT", "SIGUSR1"):  # whoever started the campaign may have them ignored
+        signal.signal(getattr(signal, name), signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    from tiegraph.cli import main
+
+    sys.argv = ["tiegraph", *request["argv"]]
+    _KEPT.append(sys.modules["__main__"])
+    main.__spec__ = importlib.util.find_spec("tiegraph.cli.main")
+    sys.modules["__main__"] = main
+    return main.main(request["argv"])
+
+
+def serve() -> int:
+    """Answer requests until standard input ends."""
+    preload()
+    sys.stdout.write(json.dumps({"ready": os.getpid()}) + "\n")
+    sys.stdout.flush()
+    for line in iter(sys.stdin.readline, ""):
+        request = json.loads(line)
+        request["argv"] = [os.fsdecode(bytes.fromhex(a)) for a in request["argv"]]
+        pid = os.fork()
+        if pid == 0:
+            return become(request)
+        sys.stdout.write(json.dumps({"pid": pid}) + "\n")
+        sys.stdout.flush()
+        _, status = os.waitpid(pid, 0)
+        sys.stdout.write(json.dumps({"status": status}) + "\n")
+        sys.stdout.flush()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(serve())
