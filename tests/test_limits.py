@@ -127,7 +127,7 @@ def test_verbs_name_what_they_were_not_given(tmp_path: Path, capsys: pytest.Capt
     file, none = str(tmp_path / "file"), str(tmp_path / "none")
     for arguments in (["status", file], ["status", none], ["compare", file, none], ["compare", none],
                       ["export", file, "x"], ["masks", none, "--compare", file], ["shots", file], ["init", none],
-                      ["network", "--coverage", none], ["evaluate", none], ["report", file], ["run", file]):  # fmt: skip
+                      ["network", "--coverage", none], ["evaluate", none], ["report", file]):  # fmt: skip
         code = main(arguments)
         said = capsys.readouterr().err
         assert code in (1, 2) and "unexpected" not in said and said, arguments
