@@ -53,7 +53,7 @@ def explained(error: BaseException, folder: Path | None = None) -> TiegraphError
             return no_room(folder, each)
         if number is not None:  # a permission, a name, ...: the disk has no part in it
             return None
-    return explained_text(str(error), folder)
+    return explained_text("\n".join(map(str, _chain(error))), folder)
 
 
 def explained_text(text: str, folder: Path | None = None) -> TiegraphError | None:

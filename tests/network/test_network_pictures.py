@@ -1,6 +1,7 @@
 """Pictures are PNG of a readable size, and say what is in the table."""
 
 import io
+import warnings
 from functools import lru_cache
 
 import numpy as np
@@ -179,3 +180,21 @@ def test_sections_show_every_cue() -> None:
 def test_edges_of_uneven_nodes() -> None:
     assert edges_of(np.array([0, 2, 6])).tolist() == [-1, 1, 4, 8]
     assert edges_of(np.array([3])).tolist() == [2.5, 3.5]
+
+
+def test_names_are_no_formulas() -> None:
+    from matplotlib.figure import Figure
+
+    from tiegraph.network.pictures.common import png
+    from tiegraph.scene.figures import plain_text
+
+    @plain_text()
+    def drawn() -> bytes:
+        figure = Figure(figsize=(2, 2))
+        axes = figure.add_subplot(title="$\\frac{")
+        axes.set_xticks([0, 1], ["$\\frac{$", "戻り"])
+        return png(figure)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert drawn()[1:4] == b"PNG"

@@ -12,7 +12,7 @@ from fake_survey_run import FRAMES, make_run
 from tiegraph.errors import InputError
 from tiegraph.report import charts, facts, viewer, words
 from tiegraph.report.artefacts import read_run
-from tiegraph.report.html import metric_text, write_report
+from tiegraph.report.html import environment, metric_text, write_report
 from tiegraph.report.plan import frame_positions, tracks
 from tiegraph.report.settings import ReportSettings
 from tiegraph.report.ties import network_part
@@ -224,3 +224,8 @@ def test_words() -> None:
 def test_metrics_in_words() -> None:
     assert metric_text("rpe_10m_translation") == "relative pose error over 10 m, translation"
     assert metric_text("fscore_0.05m") == "F-score at 0.05 m"
+
+
+def test_what_acts_without_being_seen_is_escaped() -> None:
+    page = environment().from_string("{{ name }}|{{ ours|safe }}")
+    assert page.render(name="<script>\x1b\u202e\udc8e", ours="<b>") == "&lt;script&gt;\\x1b\\u202e\\x8e|<b>"

@@ -20,7 +20,7 @@ from tiegraph.text import acts, one_line
 LONGEST_BYTES = 200
 _KEPT_SUFFIX = 20
 _SHOWN = 80  # characters of a name in an error
-_ESCAPE = re.compile("%[0-9A-F]{2}")
+_ESCAPE = re.compile("%(?:[0189A-F][0-9A-F]|7F)")  # of control characters and of what may not be UTF-8
 
 
 def clean(name: str) -> str:

@@ -1,0 +1,143 @@
+"""File names that are no text, too long, or lead elsewhere."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+import tiegraph
+import worlds
+from tiegraph.cli.main import main
+from tiegraph.errors import InputError, SettingsError
+from tiegraph.masks.folder import find_mask
+from tiegraph.project.settings import merged
+from tiegraph.scan.scan import safe_names
+from tiegraph.scene.colmapmodel import read_model
+from tiegraph.scene.images import read_pixels
+from tiegraph.scene.names import LONGEST_BYTES, check_name, clean, clean_names, inside, shortened, unclean
+from tiegraph.scene.rig import Rig, Sensor
+from tiegraph.scene.scene import Scene, simple_scene
+from tiegraph.text import one_line, printable
+
+SJIS = os.fsdecode(b"\x8e\xca\x90^.jpg")  # "photograph" in Shift-JIS, as Linux hands it to Python
+ESCAPED = "%8E\u0290^.jpg"  # two of its bytes happen to be a letter in UTF-8
+
+
+def test_a_name_is_text_after_cleaning() -> None:
+    assert clean(SJIS) == ESCAPED and clean("a\x1b[31m\n\u202e.jpg") == "a%1B[31m%0A%E2%80%AE.jpg"
+    assert clean("戻り 50%.jpg") == "戻り 50%.jpg", "what is text stays as it is"
+    for name in (SJIS, "a\x1b\n.jpg", "b\x8e\u202ea.jpg", "100%41.jpg", os.fsdecode(b"%41\xff")):
+        clean(name).encode()
+        assert unclean(clean(name)) == name
+
+
+def test_two_files_never_become_one() -> None:
+    given = [f"{SJIS}/1.jpg", f"{ESCAPED}/1.jpg", f"{SJIS}/2.jpg", "plain/1.jpg"]
+    made = clean_names(given)
+    assert len(set(made)) == 4 and made[1] == given[1] and made[3] == given[3]
+    assert Path(made[0]).parent == Path(made[2]).parent, "files of a folder stay together"
+    assert clean_names(["a/b.jpg"]) == ["a/b.jpg"]
+
+
+@pytest.mark.parametrize("name", ["x" * 241 + ".jpg", "戻" * 80 + ".jpg", "pass" * 60 + "/cam0/1.jpg", "x." + "y" * 99])
+def test_long_names_leave_room_for_what_is_added(name: str) -> None:
+    parts = [shortened(p) for p in name.split("/")]
+    assert all(len(os.fsencode(p)) <= LONGEST_BYTES for p in parts)
+    assert shortened(name[:-5] + "1.jpg") != shortened(name[:-5] + "2.jpg") or "/" in name
+    assert shortened("short.jpg") == "short.jpg"
+
+
+def test_safe_names_are_short_text_and_unique() -> None:
+    given = ["x" * 240 + "1.jpg", "x" * 240 + "2.jpg", SJIS, "a b#.jpg"]
+    safe = safe_names(given)
+    assert len(set(safe)) == 4 and safe[2] == ESCAPED and safe[3] == "a_b_.jpg"
+    assert all(len(s.encode()) <= LONGEST_BYTES and s.endswith(".jpg") for s in safe)
+    for name in safe:
+        check_name(name)
+
+
+BAD = ("../../x.jpg", "/etc/x", "a//b", "..", ".", "", "a/../b", "a\0b", "a\x1b.jpg", "a\\..\\b", SJIS, 5, "a\u202eb")
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_names_that_lead_elsewhere_are_refused(name: object, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="image name"):
+        inside(tmp_path, name)  # type: ignore[arg-type]
+    assert inside(tmp_path, "up/cam 0/ü..jpg") == tmp_path / "up/cam 0/ü..jpg"
+
+
+@pytest.mark.parametrize("name", BAD[:7])
+def test_a_scene_refuses_them(name: str) -> None:
+    rig, arrays = Rig("r", (Sensor("cam0"),)), ([0, 1], [0, 0])
+    text = simple_scene(rig, ["a.jpg", "b.jpg"], *arrays).to_json()  # type: ignore[arg-type]
+    assert Scene.from_json(text).names == ("a.jpg", "b.jpg")
+    with pytest.raises(InputError, match="image name"):
+        Scene.from_json(text.replace('"b.jpg"', f'"{name}"'))
+
+
+def test_what_acts_is_shown_as_an_escape() -> None:
+    assert printable(f"a\x1b[2J\r\x07\u202e{SJIS}\nb\tc") == "a\\x1b[2J\\r\\x07\\u202e\\x8e\u0290^.jpg\nb\tc"
+    assert one_line("a\nb") == "a\\nb" and printable("戻り é") == "戻り é"
+
+
+def test_pixels_of_a_file_that_opencv_could_not_name(tmp_path: Path) -> None:
+    survey = worlds.make_survey(tmp_path / "s", passes=("up",), frames=1)
+    path = tmp_path / SJIS
+    path.write_bytes((survey.images / "up/cam0/000000.jpg").read_bytes())
+    pixels = read_pixels(path)  # with cv2.imread the interpreter would end here
+    assert pixels is not None and pixels.shape == (240, 320)
+    (tmp_path / "empty.jpg").touch()
+    assert read_pixels(tmp_path / "empty.jpg") is None and read_pixels(tmp_path / "none.jpg") is None
+
+
+def test_no_module_hands_a_path_to_opencv() -> None:
+    source = Path(tiegraph.__file__).parent
+    for path in source.rglob("*.py"):
+        assert "cv2.imread(" not in path.read_text() and "cv2.imwrite(" not in path.read_text(), f"{path}: read_pixels"
+
+
+def test_the_mask_of_an_image_with_such_a_name(tmp_path: Path) -> None:
+    (tmp_path / f"{SJIS}.png").touch()
+    assert find_mask(tmp_path, ESCAPED) == tmp_path / f"{SJIS}.png"
+    assert find_mask(tmp_path, "x" * 251 + ".jpg") is None, "too long for a mask's name: no error"
+
+
+def test_a_model_with_such_a_name_is_refused(tmp_path: Path) -> None:
+    for name, text in (("cameras", "1 PINHOLE 10 10 5 5 5 5\n"), ("points3D", ""), ("images", "1 1 0 0 0 0 0 0 1 ")):
+        (tmp_path / f"{name}.txt").write_bytes(text.encode() + (b"\x8e\xca.jpg\n\n" if name == "images" else b""))
+    with pytest.raises(InputError, match="not a readable COLMAP model"):
+        read_model(tmp_path)
+
+
+@pytest.mark.parametrize("value", ["a\x1bb", os.fsdecode(b"\x8e\xca"), "a\nb"])
+def test_paths_that_no_file_of_ours_could_hold_are_refused(value: str, tmp_path: Path) -> None:
+    for given in ({"images": tmp_path / value}, {"images": tmp_path, "out": tmp_path / value}):
+        with pytest.raises(InputError, match=r"control characters.*UTF-8"):
+            tiegraph.open(**given)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="gnss"):
+        tiegraph.open(tmp_path, tmp_path / "o", gnss=value)
+    with pytest.raises(SettingsError, match="control characters"):
+        merged({"masks": {"folder": value}})
+    assert main(["status", value]) == 2
+
+
+def test_a_survey_of_nasty_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    survey = worlds.make_survey(tmp_path / "s", passes=("up",), frames=3)
+    nasty = os.fsencode(tmp_path) + b"/images/\x8e\xca\x1b[31m\n\xe2\x80\xae$\\frac{ <script>'\""
+    for k, path in enumerate(sorted(survey.images.rglob("*.jpg"))):
+        folder = nasty + b"/" + path.parent.name.encode()
+        os.makedirs(folder, exist_ok=True)
+        with open(folder + f"/{path.stem}_{'x' * 234}{k}.jpg".encode(), "wb") as file:
+            file.write(path.read_bytes())
+    out = tmp_path / "out 'q\" #%20 $\\frac{"
+    code = main(["run", str(tmp_path / "images"), "-o", str(out), "--pool", "serial", "--until", "preview"])
+    said = capsys.readouterr().err
+    assert code == 0, said
+    assert "\x1b" not in said and "\u202e" not in said
+    assert "6 images have names with control characters or bytes that are not UTF-8" in said
+    made = [p for f in ("images", "masks", "preview") for p in (out / f).rglob("*") if p.is_file()]
+    assert len(made) == 18 and all(len(os.fsencode(p.name)) < 255 for p in made)
+    log = (out / "log.txt").read_text(encoding="utf-8")
+    assert "\x1b" not in log and "\u202e" not in log
