@@ -62,7 +62,7 @@ def contents(out: Path) -> dict[str, object]:
 
 
 def local_cluster():
-    return distributed.LocalCluster(2, threads_per_worker=1, processes=True, dashboard_address=None)
+    return distributed.LocalCluster(2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0")
 
 
 @pytest.mark.parametrize("kind", ["local cluster", "commands"])

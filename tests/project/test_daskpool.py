@@ -25,7 +25,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def cluster():
-    with distributed.LocalCluster(2, threads_per_worker=1, processes=True, dashboard_address=None) as made:
+    with distributed.LocalCluster(2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0") as made:
         yield made
 
 
@@ -103,7 +103,7 @@ def test_use_of_the_workers_is_counted_once(cluster, tmp_path, monkeypatch, belo
 
 
 def test_only_one_item_at_a_time_in_a_worker_of_many_threads():
-    with distributed.LocalCluster(1, threads_per_worker=3, processes=True, dashboard_address=None) as made:
+    with distributed.LocalCluster(1, threads_per_worker=3, processes=True, dashboard_address="127.0.0.1:0") as made:
         executor, workers = open_pool(f"dask:{made.scheduler_address}")
         spans = sorted(map_items(executor, workers, dask_world.span, range(6), (0.1,)))
         threads = map_items(executor, workers, dask_world.threads, [0])
@@ -242,7 +242,7 @@ def test_the_loss_of_a_worker_or_of_the_scheduler_ends_the_run(lost, capfd):
 
 
 def test_an_item_that_ends_its_worker_is_not_tried_again_and_again(capfd):
-    with distributed.LocalCluster(1, threads_per_worker=1, processes=True, dashboard_address=None) as made:
+    with distributed.LocalCluster(1, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0") as made:
         executor, workers = open_pool(f"dask:{made.scheduler_address}")
         with pytest.raises(TiegraphError, match="worker .* was lost"):
             map_items(executor, workers, dask_world.end_process, [0])
