@@ -7,6 +7,7 @@ from typing import Annotated
 
 import tyro
 
+from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say
 from tiegraph.report.compare import compare_runs
 
@@ -26,6 +27,6 @@ def main(arguments: list[str]) -> int:
         """
         return runs, html
 
-    runs, html = tyro.cli(compare, prog="tiegraph compare", args=arguments)
+    runs, html = options_of(compare, "tiegraph compare", arguments)
     say(compare_runs(list(runs), html).rstrip("\n"))
     return 0

@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from tiegraph.api import open_project
+from tiegraph.cli.options import options_of
 from tiegraph.cli.run import Common, finish
 from tiegraph.errors import InputError
 
@@ -43,7 +44,7 @@ def main(arguments: list[str]) -> int:
         """The example survey from images to the report: 6 cameras, 2 passes, 120 images, GNSS, truth."""
         return options
 
-    options = tyro.cli(demo, prog="tiegraph demo", args=arguments)
+    options = options_of(demo, "tiegraph demo", arguments)
     survey = example()
     truth = survey / "truth"
     evaluate = {

@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 
 import psutil
-import tyro
 
+from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say
 from tiegraph.project.run import software
 
@@ -17,7 +17,7 @@ def main(arguments: list[str]) -> int:
     def doctor() -> None:
         """Versions, cores, memory, and what is missing."""
 
-    tyro.cli(doctor, prog="tiegraph doctor", args=arguments)
+    options_of(doctor, "tiegraph doctor", arguments)
     import pycolmap
 
     for name, number in software().items():

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import tyro
 
+from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say, show_table
 from tiegraph.cli.run import main_stage
 from tiegraph.evaluate.cloud import cloud_to_cloud
@@ -35,7 +36,7 @@ def _clouds(arguments: list[str]) -> int:
         """
         return cloud, reference, distances_m
 
-    cloud, reference, distances = tyro.cli(evaluate, prog="tiegraph evaluate", args=arguments)
+    cloud, reference, distances = options_of(evaluate, "tiegraph evaluate", arguments)
     result = cloud_to_cloud(read_cloud(cloud), read_cloud(reference), distances)
     for metric in result.metrics():
         say(f"{metric.name:<24} {metric.value:.4g} {metric.unit}")

@@ -7,6 +7,7 @@ from pathlib import Path
 import tyro
 
 from tiegraph.api import open_project
+from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say
 
 
@@ -22,7 +23,7 @@ def main(arguments: list[str]) -> int:
         """
         return out, folder
 
-    out, folder = tyro.cli(export, prog="tiegraph export", args=arguments)
+    out, folder = options_of(export, "tiegraph export", arguments)
     count = open_project(None, out).export(folder)
     say(f"{count} depth maps: {folder} (colmap stereo_fusion --workspace_path {folder} ...)")
     return 0

@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from tiegraph.api import open_project
+from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say
 from tiegraph.cli.run import Common
 from tiegraph.scan.rigwrite import write_rig_toml
@@ -38,7 +39,7 @@ def main(arguments: list[str]) -> int:
         """
         return images, options
 
-    images, options = tyro.cli(init, prog="tiegraph init", args=arguments)
+    images, options = options_of(init, "tiegraph init", arguments)
     project = open_project(images, options.out, pool=options.pool, rig=options.rig)
     project.run("scan", options.reporter())
     scene = project.scene()

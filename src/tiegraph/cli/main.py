@@ -83,9 +83,10 @@ def _guarded(arguments: list[str]) -> int:
         logging.getLogger("tiegraph").debug("unexpected", exc_info=True)
         if isinstance(error, OSError) and error.errno is not None and error.filename is None:
             raise  # standard output: what is written to files is worded where it is written
-        told = explained(error) or (_os_text(error) if isinstance(error, OSError) else None)
-        if told is not None:
+        if (told := explained(error)) is not None:
             return _fail(told, FAILED)
+        if isinstance(error, OSError):
+            return _fail(_os_text(error), FAILED)
         return _fail(f"unexpected {type(error).__name__}: {error} (details in log.txt of the run folder)", FAILED)
 
 

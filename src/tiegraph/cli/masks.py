@@ -8,6 +8,7 @@ from tempfile import TemporaryDirectory
 
 import tyro
 
+from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say
 from tiegraph.cli.run import main_stage
 from tiegraph.errors import InputError
@@ -43,7 +44,7 @@ def main(arguments: list[str]) -> int:
         """
         return locals()
 
-    given = tyro.cli(masks, prog="tiegraph masks", args=arguments)
+    given = options_of(masks, "tiegraph masks", arguments)
     tables = _tables(**given)
     if given["json"]:
         say(json.dumps(tables))

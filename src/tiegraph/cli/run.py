@@ -11,6 +11,7 @@ import tyro
 from pydantic import ValidationError
 
 from tiegraph.api import Project, open_project
+from tiegraph.cli.options import options_of
 from tiegraph.errors import SettingsError, choose
 from tiegraph.project.progress import Reporter
 from tiegraph.project.settings import PRESETS, Settings, sections
@@ -115,7 +116,7 @@ def finish(project: Project, until: str | None, reporter: Reporter) -> int:
 def _cli(function: Any, program: str, arguments: list[str]) -> Any:
     try:
         # Both forms of every flag: its default is what the folder was run with, and the same command must run again.
-        return tyro.cli(function, prog=program, args=arguments)
+        return options_of(function, program, arguments)
     except ValidationError as error:
         said = "; ".join(_said(error.title, e) for e in error.errors())
         raise SettingsError(said) from None

@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from tiegraph.api import open_project
+from tiegraph.cli.options import options_of
 from tiegraph.cli.run import Common
 
 
@@ -41,7 +42,7 @@ def main(arguments: list[str]) -> int:
         """
         return images, options
 
-    images, options = tyro.cli(shots, prog="tiegraph shots", args=arguments, config=(tyro.conf.FlagCreatePairsOff,))
+    images, options = options_of(shots, "tiegraph shots", arguments, config=(tyro.conf.FlagCreatePairsOff,))
     project = open_project(images, options.out, preset=options.preset, pool=options.pool, rig=options.rig)
     reporter = options.reporter()
     made = project.shots(options.near, options.far, reporter)

@@ -7,6 +7,7 @@ from pathlib import Path
 import tyro
 
 from tiegraph.api import open_project
+from tiegraph.cli.options import options_of
 from tiegraph.cli.output import show_table
 
 
@@ -21,7 +22,7 @@ def main(arguments: list[str]) -> int:
         """
         return out
 
-    project = open_project(None, tyro.cli(status, prog="tiegraph status", args=arguments))
+    project = open_project(None, options_of(status, "tiegraph status", arguments))
     rows = []
     for name, why, receipt in project.status():
         counts = ", ".join(f"{v:g} {k}" for k, v in receipt.get("counts", {}).items())

@@ -280,7 +280,7 @@ def _explained(path: Path, error: Exception) -> TiegraphError:
     text = str(error)
     told = limits.explained(error, path.parent) or limits.explained_text(text, path.parent)
     if told is not None:
-        return told
+        return type(told)(f"{path} cannot be written: {told}")
     if (
         "disk I/O" in text or "factory" in text or "readonly" in text or "unable to open" in text
     ):  # all that COLMAP says of its reason

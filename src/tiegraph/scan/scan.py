@@ -331,7 +331,7 @@ def safe_names(names: Sequence[str]) -> list[str]:
     taken: set[str] = set(names)
     out = []
     for name in names:
-        safe = re.sub(r"[\s#\\]", "_", clean(name))
+        safe = clean(re.sub(r"[\s#\\]", "_", name))
         suffix = PurePosixPath(safe).suffix
         if suffix.lower() not in KEPT_SUFFIXES:
             safe = safe[: -len(suffix)] + ".png"

@@ -1,0 +1,40 @@
+"""The options of a verb, read from the command line; what is wrong with them is one line, as all our errors are."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Callable
+from typing import Any
+
+from tiegraph.errors import SettingsError
+
+_FRAME = "│╭╮╰╯─ \t"  # of the box that tyro prints
+_SHOWN = 300
+
+
+def options_of(function: Callable[..., Any], program: str, arguments: list[str], **how: Any) -> Any:
+    """What ``function`` returns for the arguments, by tyro. Raises SettingsError for arguments it does not take."""
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            return tyro.cli(function, prog=program, args=arguments, **how)
+    except SystemExit as stop:
+        if not stop.code:  # --help
+            raise
+    raise SettingsError(f"{_one_line(said.getvalue())} (`{program} --help` lists all options)")
+
+
+def _one_line(box: str) -> str:
+    """The first part of a box, and what the second proposes."""
+    parts: list[list[str]] = [[]]
+    for line in box.splitlines()[1:]:
+        text = line.strip(_FRAME)
+        if text:
+            parts[-1].append(text)
+        elif "─" in line:
+            parts.append([])
+    text = " ".join(parts[0])
+    near = parts[1] if len(parts) > 1 and parts[1][:1] == ["Perhaps you meant:"] else []
+    near_text = f"; perhaps you meant {near[1].split()[0]}?" if len(near) > 1 else ""
+    return (text if len(text) <= _SHOWN else text[:_SHOWN] + " ...").rstrip(".") + near_text
