@@ -7,6 +7,8 @@ import io
 from collections.abc import Callable
 from typing import Any
 
+import tyro
+
 from tiegraph.errors import SettingsError
 
 _FRAME = "│╭╮╰╯─ \t"  # of the box that tyro prints
