@@ -23,7 +23,7 @@ _CRASH_WORDS = re.compile(
     r"terminate called|Fatal Python error|Segmentation fault|core dumped|Aborted|signal SIG(?:ABRT|SEGV|BUS|FPE|ILL)"
 )
 _ERROR = re.compile(r"^tiegraph: ", re.MULTILINE)
-_USAGE = re.compile(r"^╭─ [^\n]*(?:error|Unrecognized|Required|issing)", re.MULTILINE)
+_USAGE = re.compile(r"^╭─ ", re.MULTILINE)  # asked of errors only
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
 

@@ -7,6 +7,7 @@ leaves through the interpreter's own end, and what it spawns starts like the chi
 
 from __future__ import annotations
 
+import ctypes
 import importlib
 import json
 import os
@@ -15,6 +16,7 @@ import resource
 import signal
 import sys
 
+_PR_SET_PDEATHSIG = 1
 _KEPT = []  # the module this runs in, once another one has taken its name
 
 
@@ -29,8 +31,18 @@ def preload() -> None:
             continue
 
 
+def end_with_parent() -> None:
+    """The kernel ends this process when the one that started it has gone (Linux): a campaign that is stopped leaves
+    nothing behind."""
+    try:
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    except (AttributeError, OSError):
+        pass
+
+
 def become(request: dict) -> int:
     """Turn the forked child into `tiegraph <argv>`; its exit code."""
+    end_with_parent()
     os.setsid()
     log = os.open(request["log"], os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
     null = os.open(os.devnull, os.O_RDONLY)
@@ -56,6 +68,7 @@ def become(request: dict) -> int:
 
 def serve() -> int:
     """Answer requests until standard input ends."""
+    end_with_parent()
     preload()
     sys.stdout.write(json.dumps({"ready": os.getpid()}) + "\n")
     sys.stdout.flush()

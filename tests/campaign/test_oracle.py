@@ -55,6 +55,7 @@ def server(tmp_path_factory: pytest.TempPathFactory):
 @pytest.fixture
 def run(server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(process, "_LEFT_S", 0.3)
+    monkeypatch.setattr(process, "_STALL_S", 0.3)
     return lambda script, limit_s=20.0, **limits: server.run([script], tmp_path / "fake", limit_s, **limits)
 
 
@@ -117,6 +118,7 @@ SIGNALS = [
 @pytest.mark.parametrize("script, number, verdict", SIGNALS, ids=range(len(SIGNALS)))
 def test_signals(server: Server, tmp_path: Path, monkeypatch, script: str, number: int, verdict: str) -> None:
     monkeypatch.setattr(process, "_LEFT_S", 0.3)
+    monkeypatch.setattr(process, "_STALL_S", 0.3)
     running = server.start([f"say('up')\n{script}"], tmp_path / "fake")
     while "up" not in running.log.read_text():
         time.sleep(0.01)
