@@ -45,7 +45,7 @@ class Server:
         self._open()
 
     def _open(self) -> None:
-        path = os.pathsep.join([str(self._source), str(TESTS)])
+        path = os.pathsep.join([str(self._source), str(TESTS), str(TESTS / "campaign" / "site")])
         environment = {**os.environ, "PYTHONPATH": path, "COLUMNS": "200"}
         self._process = subprocess.Popen(
             [sys.executable, "-m", "campaign.server"],

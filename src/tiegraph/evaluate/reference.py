@@ -142,7 +142,7 @@ def _match_images(reference: ReferencePoses, model: ModelPoses, scene: Scene) ->
         scene.step[frame],
         tuple(f"{t} {s}".strip() for t, s in labels),
     )
-    return match, f"images by name: {len(rows)} registered of {len(known)} with a reference pose"
+    return match, f"images by name: {len(rows)} registered of {len(known)} with a reference ({len(scene)} in all)"
 
 
 def _match_frames(reference: ReferencePoses, model: ModelPoses, scene: Scene) -> tuple[PoseMatch, str]:
@@ -167,7 +167,8 @@ def _match_frames(reference: ReferencePoses, model: ModelPoses, scene: Scene) ->
     )
     return (
         match,
-        f"rig poses, {said}: {len(rows)} registered of {int(known.sum())}, one constant turn of the axes removed",
+        f"rig poses, {said}: {len(rows)} registered of {int(known.sum())} with a reference ({scene.frames} frames in "
+        "all), one constant turn of the axes removed",
     )
 
 

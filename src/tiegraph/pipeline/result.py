@@ -28,7 +28,8 @@ def evaluate(run: Run) -> Outcome:
         result["tables"]["mask accuracy"] = _masks(run, scene, settings)
     save_json(run.path("metrics.json"), result)
     shown = {m["name"]: m["value"] for m in result["metrics"] if m["value"] is not None}
-    return Outcome({k: float(f"{v:.4g}") for k, v in shown.items()})
+    notes = tuple(n for n in result["notes"] if n.startswith("Reference"))  # what could be compared with what
+    return Outcome({k: float(f"{v:.4g}") for k, v in shown.items()}, notes=notes)
 
 
 def _masks(run: Run, scene: Scene, settings: EvaluateSettings) -> dict:
