@@ -109,6 +109,8 @@ class Artefacts:
         """Keep what an interrupted run with the same key has finished, remove what was made from something else; what
         is to be said of it. Raises InputError for files that are not ours."""
         said, names, ledger = [], self._there(stage), self.receipts.files(stage.name)
+        if self.receipts.damaged(stage.name):
+            said.append(f"{self.receipts.path(stage.name)} could not be read: the stage runs again")
         troubles = self._troubles.pop(stage.name, {})
         if ledger is None:
             place = put_aside(self.folder, names)
