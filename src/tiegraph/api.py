@@ -23,6 +23,7 @@ from tiegraph.scene.cloudfile import read_cloud
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.names import check_text
 from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.regular import real_path
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.scene import Scene
 
@@ -158,9 +159,9 @@ def open_project(
     if images is None and "images" not in run:
         raise InputError(f"{folder} is not a run folder (no {SETTINGS}): start with `tiegraph run IMAGES`")
     # Absolute, so that the run folder can be used from anywhere.
-    found = Path(images if images is not None else run["images"]).resolve()
+    found = real_path(images if images is not None else run["images"])
     if "rig" in run and Path(run["rig"]).is_file():
-        run["rig"] = str(Path(run["rig"]).resolve())
+        run["rig"] = str(real_path(run["rig"]))
     name = preset or run.get("preset", "default")
     if isinstance(settings, Settings):
         complete = settings
@@ -168,9 +169,9 @@ def open_project(
         where = str(folder / SETTINGS) if stored else "settings"
         complete = project_settings.merged(project_settings.preset(name), stored, settings or {}, where=where)
     if gcp is not None:  # a setting of georef, so that only what follows it runs again when the points change
-        georef = complete.georef.model_copy(update={"gcp": Path(gcp).resolve()})
+        georef = complete.georef.model_copy(update={"gcp": real_path(gcp)})
         complete = complete.model_copy(update={"georef": georef})
-    paths = {n: Path(run[n]).resolve() if n in run else None for n in _PATHS}
+    paths = {n: real_path(run[n]) if n in run else None for n in _PATHS}
     _check_texts({"images": found, **paths})
     return Project(folder, Inputs(found, run.get("rig"), **paths), complete, name, pool)
 
@@ -192,7 +193,7 @@ def _folder(images: str | Path | None, out: str | Path | None) -> Path:
         return Path(out).absolute()
     if images is None:
         raise InputError("give the folder of the images, or a run folder by out=")
-    path = Path(images).resolve()
+    path = real_path(images)
     return path.with_name(path.name + "_tiegraph")
 
 

@@ -110,6 +110,13 @@ def summary(folder: Path, until: str = STAGES[-1].name) -> dict:
     return out
 
 
+def stated_sigma(folder: Path) -> float:
+    """How well the run itself says that positions in the world are known, in metres."""
+    path = folder / "receipts" / "georef.json"
+    counts = json.loads(path.read_text()).get("counts", {}) if path.exists() else {}
+    return float(counts.get("sigma_position_m", 0.0))
+
+
 def _pixels(path: Path) -> int:
     with np.load(path) as data:
         return sum(int(np.isfinite(data[n]).sum()) for n in data.files if "depth" in n)

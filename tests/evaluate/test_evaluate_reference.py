@@ -219,3 +219,13 @@ def test_the_rendered_canal_matches_itself() -> None:
 def test_view_of_pinhole() -> None:
     views = pinhole_views(make_model(make_scene()))
     assert len(views) == 24 and isinstance(views[0], View) and views[0].K[0, 0] == 500
+
+
+def test_points_at_no_place_are_refused_by_number(tmp_path):
+    path = tmp_path / "reference.ply"
+    path.write_text(
+        "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+        "1 2 3\n1 nan 3\n"
+    )
+    with pytest.raises(InputError, match="reference.ply: 1 points are at no place .* point 2"):
+        reference.read_points(path)

@@ -341,3 +341,14 @@ def test_files_are_claimed_before_they_appear_and_only_in_run_folders(tmp_path):
 def test_names_as_long_as_the_file_system_takes_can_be_written(tmp_path):
     write_atomic(tmp_path / ("x" * 251 + ".txt"), "1")
     assert len(list(tmp_path.iterdir())) == 1
+
+
+@pytest.mark.parametrize(
+    "option", ["--gnss", "--times", "--trajectory", "--rig", "--gcp", "--evaluate.reference-cloud"]
+)
+def test_odd_paths_of_inputs_are_refused_in_words(proj, tmp_path, option, capsys):
+    (tmp_path / "ring").symlink_to(tmp_path / "ring")
+    for path in (tmp_path / "ring", "/", tmp_path / ("x" * 300)):
+        assert main(["run", str(proj / "images"), "-o", str(tmp_path / "out"), "--quiet", option, str(path)]) == 2
+        said = capsys.readouterr().err
+        assert "unexpected" not in said and said.count("\n") == 1

@@ -55,3 +55,16 @@ def test_what_is_no_video_is_said(tmp_path: Path) -> None:
     assert "a.mp4 cannot be decoded" in take_pictures(broken, tmp_path / "out" / "a", 2.0)
     assert not has_images(tmp_path / "out") and find_videos(tmp_path / "in") == ["a.mp4"]
     assert picture_folders(["x/a.mp4", "x/a.mov", "x/b.mp4"]) == ["x/a_mp4", "x/a_mov", "x/b"]
+
+
+def test_a_video_that_is_cut_off_says_so(tmp_path):
+    whole = tmp_path / "whole.avi"
+    made = cv2.VideoWriter(str(whole), cv2.VideoWriter_fourcc(*"MJPG"), 10.0, (96, 64))
+    rng = np.random.default_rng(3)
+    for _ in range(40):
+        made.write(rng.integers(0, 255, (64, 96, 3), np.uint8))
+    made.release()
+    assert "could be decoded" not in take_pictures(whole, tmp_path / "a", 2.0)
+    cut = tmp_path / "cut.avi"
+    cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+    assert "of its 40 frames could be decoded: is the file cut off?" in take_pictures(cut, tmp_path / "b", 2.0)

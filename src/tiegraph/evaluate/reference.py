@@ -241,8 +241,18 @@ def poses_to_world(match: PoseMatch, source: Origin, world: Origin) -> PoseMatch
 def read_points(path: Path, most: int = 20_000_000) -> tuple[np.ndarray, str | None]:
     """Points (M, 3) f8 of a LAS, LAZ or PLY file, in file coordinates, and "EPSG:n" if a LAS header names one.
 
-    Of a file with more than ``most`` points every n-th is taken. Raises InputError naming the file.
+    Of a file with more than ``most`` points every n-th is taken. Raises InputError naming the file, also for a point
+    that is at no place.
     """
+    points, crs = _read_points(path, most)
+    lost = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if len(lost):
+        raise InputError(f"{path}: {len(lost)} points are at no place (NaN or infinite), such as point {lost[0] + 1}: "
+                         "take them out")  # fmt: skip
+    return points, crs
+
+
+def _read_points(path: Path, most: int) -> tuple[np.ndarray, str | None]:
     if not path.exists():
         raise InputError(f"{path}: no such point cloud; give a .laz, .las or .ply file")
     try:

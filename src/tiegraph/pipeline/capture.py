@@ -17,7 +17,7 @@ from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scan.scan import ScanInputs, build_scene, prepare_image, probe_image
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.video import find_videos, picture_folders, take_pictures
-from tiegraph.scene.images import has_images, search_images
+from tiegraph.scene.images import find_images, has_images, search_images
 from tiegraph.scene.names import clean_names
 from tiegraph.scene.rig import Sensor
 
@@ -68,8 +68,8 @@ def _photographs(run: Run) -> tuple[Path, tuple[str, ...]]:
     folder = run.path("images") / ".video"
     todo = [(images / v, folder / f) for v, f in zip(videos, picture_folders(videos))]
     said = run.map(_take_pictures, todo, run.settings.scan.video_fps)
-    if not has_images(folder):
-        raise InputError(f"{images}: {'; '.join(said)}")
+    if not has_images(folder) or len(find_images(folder)) < 2:
+        raise InputError(f"{images}: at least 2 pictures are needed: {'; '.join(said)}")
     return folder, tuple(s for s in said if s)
 
 

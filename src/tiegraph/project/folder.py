@@ -15,6 +15,7 @@ from tiegraph.project.ledger import covered
 from tiegraph.project.progress import LogFormatter
 from tiegraph.project.stages import digest, write_atomic
 from tiegraph.scene.atomic import MARK
+from tiegraph.scene.regular import real_path
 
 log = logging.getLogger("tiegraph")
 
@@ -55,11 +56,10 @@ def check_inputs(folder: Path, inputs: Mapping[str, Path], artefacts: Iterable[s
     folder lies in. ``inputs``: what the user calls it -> where it is."""
     places = (*artefacts, "receipts", SETTINGS, LOCK, LOG)
     for what, path in inputs.items():
-        for out, given in ((folder.absolute(), path.absolute()), (folder.resolve(), path.resolve())):
+        for out, given in ((folder.absolute(), path.absolute()), (real_path(folder), real_path(path))):
             if given == out or given in out.parents and given.is_dir():
                 raise InputError(
-                    f"-o {folder} lies in {what} {path}: results would be read as inputs; give a folder beside it, "
-                    f"such as {given.with_name(given.name + '_tiegraph')}"
+                    f"-o {folder} lies in {what} {path}: results would be read as inputs; give a folder beside it"
                 )
             inside = given.relative_to(out).as_posix() if out in given.parents else ""
             if inside and covered(inside, places):

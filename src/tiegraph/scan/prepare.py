@@ -19,7 +19,7 @@ from tiegraph.scene.atomic import replacing
 from tiegraph.scene.filecache import cached_by_file
 from tiegraph.scene.images import decode_deep, deep_png, open_image
 from tiegraph.scene.panorama import render_view
-from tiegraph.scene.regular import regular
+from tiegraph.scene.regular import real_path, regular
 from tiegraph.scene.rig import Sensor, Source, camera_from_dict, camera_to_dict
 
 # Formats that OpenCV and COLMAP both read by themselves.
@@ -36,7 +36,7 @@ def prepare_image(source: Path, target: Path, sensor: Sensor, settings: ScanSett
     Grey and RGB of 8 bits stay as they are; 16 bits, CMYK, palettes, transparency and EXIF-turned images are converted.
     Written atomically. Raises InputError if the file can no longer be read.
     """
-    source, target = Path(source).resolve(), Path(target)
+    source, target = real_path(source), Path(target)
     how = sensor.source or Source()
     pixels = _changed_pixels(source, how, sensor, settings, target.suffix.lower())
     with replacing(target) as partial:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path, PurePosixPath
 
 import cv2
@@ -14,9 +14,10 @@ from tiegraph.scan.prepare import write_pixels
 from tiegraph.scene.atomic import claim
 from tiegraph.scene.images import files_below
 from tiegraph.scene.names import clean, clean_names, shortened
-from tiegraph.scene.regular import regular
+from tiegraph.scene.regular import real_path, regular
 
 SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".webm")
+_LEAST_SHARE = 0.95  # of the frames that a video says it has; the count in some headers is an estimate
 _SMALL_PX = 480  # width at which sharpness is compared
 
 
@@ -53,7 +54,9 @@ def take_pictures(video: Path, folder: Path, per_second: float) -> str:
     capture, fps = _opened(video, partial / f"video{video.suffix.lower()}")
     count = 0
     try:
-        for picture in _sharpest(capture, fps, per_second):
+        expected = capture.get(cv2.CAP_PROP_FRAME_COUNT)
+        decoded = _Decoded(capture)
+        for picture in _sharpest(decoded if 0 < fps < 1000 else (), fps, per_second):
             write_pixels(partial / f"{folder.name}_{count:06d}.jpg", picture[..., ::-1])
             count += 1
         if count:
@@ -64,7 +67,10 @@ def take_pictures(video: Path, folder: Path, per_second: float) -> str:
     name = clean(video.name)
     if not count:
         return f"{name} cannot be decoded as a video: convert it to H.264 in MP4, or extract its pictures"
-    return f"{name}: {count} pictures, the sharpest of every {1 / per_second:.2g} s"
+    said = f"{name}: {count} pictures, the sharpest of every {1 / per_second:.2g} s"
+    if decoded.count < _LEAST_SHARE * expected:
+        said += f"; only {decoded.count} of its {expected:.0f} frames could be decoded: is the file cut off?"
+    return said
 
 
 def _opened(video: Path, link: Path) -> tuple[cv2.VideoCapture, float]:
@@ -73,7 +79,7 @@ def _opened(video: Path, link: Path) -> tuple[cv2.VideoCapture, float]:
     OpenCV gets a link for a name: one that is not UTF-8 would end the process, and %d would mean numbered files.
     """
     try:
-        link.symlink_to(video.resolve())
+        link.symlink_to(real_path(video))
     except (OSError, NotImplementedError):
         link = video
     capture = cv2.VideoCapture(str(link))
@@ -82,10 +88,10 @@ def _opened(video: Path, link: Path) -> tuple[cv2.VideoCapture, float]:
     return capture, float(capture.get(cv2.CAP_PROP_FPS)) if capture.isOpened() else 0.0
 
 
-def _sharpest(capture: cv2.VideoCapture, fps: float, per_second: float) -> Iterator[np.ndarray]:
+def _sharpest(pictures: Iterable[np.ndarray], fps: float, per_second: float) -> Iterator[np.ndarray]:
     best: tuple[float, np.ndarray] | None = None
     stretch = 0
-    for number, picture in enumerate(_decoded(capture) if 0 < fps < 1000 else ()):
+    for number, picture in enumerate(pictures):
         now = int(number / fps * per_second)
         if now != stretch and best is not None:
             yield best[1]
@@ -97,12 +103,20 @@ def _sharpest(capture: cv2.VideoCapture, fps: float, per_second: float) -> Itera
         yield best[1]
 
 
-def _decoded(capture: cv2.VideoCapture) -> Iterator[np.ndarray]:
-    while True:
-        there, picture = capture.read()
-        if not there:
-            return
-        yield picture
+class _Decoded:
+    """The pictures of a video, and how many there were."""
+
+    def __init__(self, capture: cv2.VideoCapture) -> None:
+        self._capture = capture
+        self.count = 0
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        while True:
+            there, picture = self._capture.read()
+            if not there:
+                return
+            self.count += 1
+            yield picture
 
 
 def _sharpness(picture: np.ndarray) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import stat
 from pathlib import Path
 
@@ -14,6 +15,11 @@ _KINDS = (
     (stat.S_ISBLK, "a device"),
 )
 MOST_BYTES = 1 << 32  # of a file that is read whole: image formats end there (TIFF), tables are far smaller
+
+
+def real_path(path: Path | str) -> Path:
+    """The absolute path without links. Of links that lead in a ring, what there is: opening it says what is wrong."""
+    return Path(os.path.realpath(path))
 
 
 def regular(path: Path, most_bytes: int | None = MOST_BYTES) -> Path:
