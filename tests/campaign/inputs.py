@@ -23,6 +23,7 @@ from campaign.process import Ended, Server
 from campaign.spoil import Spoiled
 from campaign.world import NAMES, PATIENCE_S, World, fingerprint
 from tiegraph.pipeline import STAGES
+from tiegraph.text import printable
 
 SCAN_S = 120.0
 _METRIC_SHARE = 0.25
@@ -156,8 +157,9 @@ def _all_said(out: Path, text: str, inputs: Path) -> str:
             receipt = json.loads(path.read_text())
         except (OSError, ValueError):
             continue
-        lines += [f". {note}" for note in receipt.get("notes", [])]
-        lines += [f". {name}: {reason}" for name, reason in receipt.get("dropped", [])]
+        # A receipt holds what was said as it is; escaped it goes to people only.
+        lines += [printable(f". {note}") for note in receipt.get("notes", [])]
+        lines += [printable(f". {name}: {reason}") for name, reason in receipt.get("dropped", [])]
     return "\n".join(lines).replace(str(inputs), "INPUTS")
 
 
