@@ -16,7 +16,7 @@ import pytest
 from tiegraph import limits
 from tiegraph.child import run_in_child
 from tiegraph.cli.main import main
-from tiegraph.errors import InputError, ReconstructionError, TiegraphError
+from tiegraph.errors import InputError, ProcessLost, TiegraphError
 from tiegraph.scene.atomic import replacing
 
 PYTHON = [sys.executable, "-m", "tiegraph.cli.main"]
@@ -41,8 +41,13 @@ STARVED = [
     RuntimeError("can't start new thread"),
     OSError(errno.ENOMEM, "Cannot allocate memory"),
     ImportError("libopenblas.so: failed to map segment from shared object"),
-    ReconstructionError("matching: the native library ended its process (signal SIGKILL)"),
 ]
+
+
+def test_a_process_that_was_killed_is_said_to_be_so(tmp_path: Path) -> None:
+    assert (
+        limits.explained(ProcessLost("matching: its process was ended from outside (signal SIGKILL)"), tmp_path) is None
+    )
 
 
 @pytest.mark.parametrize("error", FULL, ids=repr)

@@ -97,7 +97,7 @@ def test_a_file_of_the_settings_that_is_not_there_is_refused_before_anything_run
     (tmp_path / "images").mkdir()
     (tmp_path / "file").write_text("x")
     os.mkfifo(tmp_path / "pipe")
-    wrong = [("nowhere", "no such"), ("pipe", "neither file nor folder")]
+    wrong = [("nowhere", "no such"), ("pipe", "a named pipe")]
     wrong += [("file", "is a file.* give a folder")] if kind == "folder" else []
     wrong += [("images", "is a folder.* give a file")] if kind == "file" else []
     for path, message in wrong:

@@ -174,5 +174,5 @@ def test_no_text_at_all(tmp_path: Path, data: bytes, message: str) -> None:
     (tmp_path / "rig.toml").write_bytes(data)
     with pytest.raises(InputError, match=message):
         read_rig_file(tmp_path / "rig.toml")
-    with pytest.raises(InputError, match="is a folder"):
+    with pytest.raises(InputError, match="a folder, not a file"):
         read_rig_file(tmp_path)

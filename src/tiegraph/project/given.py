@@ -7,6 +7,7 @@ from pathlib import Path
 
 from tiegraph.errors import InputError
 from tiegraph.project.settings import Settings, sections, shortened
+from tiegraph.scene.regular import regular
 
 
 def user_files(settings: Settings) -> list[tuple[str, Path, str]]:
@@ -36,7 +37,15 @@ def check_path(option: str, path: Path, kind: str) -> None:
     if not there:
         raise InputError(f"{option} {path}: no such {kind}; mend the path, or leave the option away")
     if not (folder and "folder" in kind) and not (file and "file" in kind):
-        what = "a folder" if folder else "a file" if file else "neither file nor folder (a pipe or device?)"
+        what = "a folder" if folder else "a file" if file else _what(path)
         raise InputError(f"{option} {path} is {what}; give a {kind}")
     if not os.access(path, os.R_OK | (os.X_OK if folder else 0)):
         raise InputError(f"{option} {path}: no permission to read it")
+
+
+def _what(path: Path) -> str:
+    try:
+        regular(path, None)
+    except OSError as error:
+        return str(error.strerror)
+    return "no file now"

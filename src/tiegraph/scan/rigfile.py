@@ -77,9 +77,8 @@ def read_rig_file(path: Path | str) -> tuple[RigSpec, ...]:
     Raises InputError with file, line and key for what is missing, unknown, misspelt or of the wrong kind.
     """
     path = Path(path)
-    if not path.is_file():
-        what = "is a folder, not a rig file" if path.is_dir() else "no such file"
-        raise InputError(f"--rig {path}: {what}, and no preset: {PRESET_WORDS}")
+    if not path.exists():
+        raise InputError(f"--rig {path}: no such file, and no preset: {PRESET_WORDS}")
     try:
         text = regular(path).read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
