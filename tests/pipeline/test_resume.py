@@ -21,11 +21,7 @@ _PATIENCE_S = 240
 
 @pytest.fixture(scope="module")
 def survey(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("survey")
-    made = worlds.make_survey(folder / "images", frames=5)
-    worlds.write_gnss(made, folder / "gnss.csv")
-    worlds.write_times(made, folder / "times.csv")
-    return folder
+    return worlds.write_survey(tmp_path_factory.mktemp("survey"), frames=5)
 
 
 def command(survey: Path, out: Path) -> list[str]:

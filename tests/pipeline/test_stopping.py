@@ -20,11 +20,7 @@ _STOP_S = 25  # on a busy machine; 6 s and what it takes to print a line are mea
 
 @pytest.fixture(scope="module")
 def survey(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("survey")
-    made = worlds.make_survey(folder / "images", frames=4)
-    worlds.write_gnss(made, folder / "gnss.csv")
-    worlds.write_times(made, folder / "times.csv")
-    return folder
+    return worlds.write_survey(tmp_path_factory.mktemp("survey"), frames=4)
 
 
 @pytest.fixture(scope="module")
