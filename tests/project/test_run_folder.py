@@ -10,6 +10,7 @@ import pytest
 from tiegraph.cli.main import main
 from tiegraph.errors import InputError, UnreadableArtefact
 from tiegraph.pipeline import STAGES as REAL
+from tiegraph.project.artefacts import Artefacts
 from tiegraph.project.folder import check_folder, check_inputs, working_in, write_settings
 from tiegraph.project.run import Inputs, Run, run_stages, status
 from tiegraph.project.settings import Settings as RealSettings
@@ -279,6 +280,19 @@ def test_a_kill_leaves_a_journal_by_which_ours_is_known(make):
     run.path("many", "3.txt").unlink()
     assert ran(make()) == ["many"] and WORKED == ["3"]
     assert not run.path("many", ".0badcafe.77.part.txt").exists()
+
+
+@pytest.mark.parametrize("value", [1, 2])
+def test_what_a_worker_finishes_after_the_run_was_stopped_is_ours(make, value):
+    with pytest.raises(KeyboardInterrupt):
+        ran(make(last=13))
+    claim(make().path("many", "3.txt"))  # noted in time, and then
+    artefacts = Artefacts(make().folder, STAGES)
+    artefacts.recover()
+    make().path("many", "3.txt").write_text("1 3")
+    assert ran(make(many=value)) == ALL
+    assert make().path("many", "3.txt").read_text() == f"{value} 3"
+    assert not make().path(JOURNAL).exists()
 
 
 def test_stages_within_stages_keep_to_their_own(make):

@@ -93,7 +93,8 @@ class Artefacts:
     # --- a stage's life -----------------------------------------------------------------------------------------------
 
     def recover(self) -> None:
-        """Enter what an interrupted run had made into the lists of its stages."""
+        """Enter what an interrupted run had made into the lists of its stages. The journal stays until a stage begins:
+        a worker may still be writing what it noted there."""
         claimed: dict[str, set[str]] = {}
         for name in read_journal(self.folder):
             claimed.setdefault(self._maker(name), set()).add(name)
@@ -103,11 +104,11 @@ class Artefacts:
                 there: Ledger = {n: [] for n in _within(self._there(stage), claimed[stage.name])}
                 done = "key" in self.receipts.read(stage.name)
                 self.receipts.write_files(stage.name, there | ledger if done else ledger | there)
-        (self.folder / JOURNAL).unlink(missing_ok=True)
 
     def begin(self, stage: Stage, key: str) -> list[str]:
         """Keep what an interrupted run with the same key has finished, remove what was made from something else; what
-        is to be said of it. Raises InputError for files that are not ours."""
+        is to be said of it. No worker may be at work. Raises InputError for files that are not ours."""
+        self.recover()
         said, names, ledger = [], self._there(stage), self.receipts.files(stage.name)
         if self.receipts.damaged(stage.name):
             said.append(f"{self.receipts.path(stage.name)} could not be read: the stage runs again")
@@ -134,6 +135,7 @@ class Artefacts:
         # In this order: a finished receipt never stands beside a list that lacks its files.
         self.receipts.write(stage.name, {"stage": stage.name, "began": key, "from": self._made_from(stage)})
         self.receipts.write_files(stage.name, {n: e for n, e in ledger.items() if n not in troubles})
+        (self.folder / JOURNAL).unlink(missing_ok=True)
         return said
 
     def finish(self, stage: Stage, key: str, outcome: Outcome, more: dict) -> dict:

@@ -188,6 +188,7 @@ def _run_through(wanted: list[Stage], keys: dict[str, str], run: Run, artefacts:
             if ran.count(stage.name) < _TRIES and _damage(error, run.folder, artefacts):
                 ran.append(stage.name)
                 run.reporter.say(f"{stage.name:>9}  {error}")
+                run.close()  # items under way may still write
                 return False
             raise
         ran.append(stage.name)
