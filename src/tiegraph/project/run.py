@@ -265,8 +265,13 @@ def _say_done(stage: Stage, receipt: dict, reporter: Reporter) -> None:
     reporter.say(f"{stage.name:>9}  {receipt['seconds']:7.1f} s  {receipt['peak_mib']:6.0f} MiB  {counts}")
     for note in receipt["notes"]:
         reporter.say(f"{'':>9}  . {note}")
-    reporter.event("finished", **{k: receipt[k] for k in ("stage", "seconds", "cpu_s", "peak_mib", "counts", "notes")})
+    for text in receipt["contradictions"]:
+        reporter.say(f"{'':>9}  ! {text}")
+    told = ("stage", "seconds", "cpu_s", "peak_mib", "counts", "notes", "contradictions")
+    reporter.event("finished", **{k: receipt[k] for k in told})
     log.info("stage %s done in %s s: %s", stage.name, receipt["seconds"], counts)
+    for text in receipt["contradictions"]:
+        log.warning("stage %s: contradiction: %s", stage.name, text)
     for note in receipt["notes"]:
         log.info("stage %s: %s", stage.name, note)
 

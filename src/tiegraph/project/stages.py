@@ -26,6 +26,7 @@ class Outcome:
     dropped: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
     tables: dict[str, dict] = field(default_factory=dict)  # name -> {"columns": [...], "rows": [[...]]}
+    contradictions: tuple[str, ...] = ()  # sentences: what contradicts what, by how much, the likeliest culprit
 
 
 @dataclass(frozen=True)
