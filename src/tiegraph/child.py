@@ -14,7 +14,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from multiprocessing import resource_tracker
 from multiprocessing.connection import wait
 from multiprocessing.context import SpawnContext, SpawnProcess
@@ -127,6 +127,11 @@ def end_helpers() -> None:
             process.kill()
 
 
+def cores() -> int:
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def die_with_parent() -> None:
     """End this process when the one that started it has gone (also after its SIGKILL): no orphan keeps writing."""
     parent = multiprocessing.parent_process()
@@ -176,27 +181,53 @@ def run_in_child(
     of the log if the child aborts, ProcessLost if it was ended from outside, and re-raises what ``function`` raised.
     Whatever ends the call ends the child.
     """
+    return run_in_children(function, [args], log=log, on_message=on_message, task=task)[0]
+
+
+def run_in_children(
+    function: Callable[..., Any],
+    calls: Sequence[tuple],
+    *,
+    log: Path,
+    on_message: Callable[[Any], None] | None = None,
+    task: str = "",
+) -> list[Any]:
+    """``run_in_child`` for several calls side by side, one process each; their results. The first error ends all."""
     context = Helpers()
-    receiver, sender = context.Pipe(duplex=False)
     log.parent.mkdir(parents=True, exist_ok=True)
     _allow_children()
-    process = context.Process(target=_child_main, args=(sender, str(log), function, args), daemon=False)
+    results: list[Any] = [None] * len(calls)
+    running: dict[Any, tuple[int, Helper]] = {}
+    pipes: list[Any] = []
     try:
-        process.start()
-        sender.close()
-        outcome = _receive(receiver, on_message)
-        process.wait()
+        for k, args in enumerate(calls):
+            receiver, sender = context.Pipe(duplex=False)
+            process = context.Process(target=_child_main, args=(sender, str(log), function, args), daemon=False)
+            pipes.append(receiver)
+            running[receiver] = (k, process)
+            process.start()
+            sender.close()
+        while running:
+            for ready in wait(list(running)):
+                kind, value = _receive(ready)
+                if kind == "message":
+                    if on_message is not None:
+                        on_message(value)
+                    continue
+                k, process = running.pop(ready)
+                process.wait()
+                if kind == "":
+                    _explain_end(task or function.__name__, process.exitcode, log)
+                if kind == "error":
+                    raise value
+                results[k] = value
     except BaseException:
         context.end()
         raise
     finally:
-        receiver.close()
-    if outcome is None:
-        _explain_end(task or function.__name__, process.exitcode, log)
-    kind, value = outcome
-    if kind == "error":
-        raise value
-    return value
+        for receiver in pipes:
+            receiver.close()
+    return results
 
 
 def _allow_children() -> None:
@@ -207,16 +238,12 @@ def _allow_children() -> None:
         process.daemon = False
 
 
-def _receive(receiver: Any, on_message: Callable[[Any], None] | None) -> Any:
-    while True:
-        try:
-            kind, value = receiver.recv()
-        except (EOFError, OSError):  # OSError: it ended within a message
-            return None
-        if kind != "message":
-            return kind, value
-        if on_message is not None:
-            on_message(value)
+def _receive(receiver: Any) -> tuple[str, Any]:
+    """(what it is, content) of what a child sent; "" = it has ended and said nothing."""
+    try:
+        return receiver.recv()
+    except (EOFError, OSError):  # OSError: it ended within a message
+        return "", None
 
 
 def _child_main(sender: Any, log: str, function: Callable[..., Any], args: tuple) -> None:

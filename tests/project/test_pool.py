@@ -64,7 +64,7 @@ def test_ctrl_c_in_the_serial_pool_stops_at_the_item():
 
 
 def test_as_many_workers_as_a_machine_bears(monkeypatch):
-    monkeypatch.setattr(pool, "_cores", lambda: 40)
+    monkeypatch.setattr(pool, "cores", lambda: 40)
     assert check_pool("local:160") == ("local", "160")
     with pytest.raises(SettingsError, match="40 cores; give local, or at most local:160"):
         check_pool("local:161")

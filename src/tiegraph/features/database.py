@@ -240,10 +240,15 @@ def pair_ids(pairs: Pairs) -> np.ndarray:
 
 
 @contextmanager
-def transaction(path: Path) -> Iterator[sqlite3.Cursor]:
-    """A cursor in one write transaction: committed at the end, undone by any error. SQLite's errors are explained."""
+def transaction(path: Path, beside: Path | None = None) -> Iterator[sqlite3.Cursor]:
+    """A cursor in one write transaction: committed at the end, undone by any error. SQLite's errors are explained.
+
+    ``beside``: another database, whose tables are ``beside.<table>``.
+    """
     with _opened(path) as connection:
         cursor = connection.cursor()
+        if beside is not None:
+            cursor.execute("ATTACH ? AS beside", (str(beside),))
         cursor.execute("BEGIN IMMEDIATE")
         try:
             yield cursor

@@ -1,8 +1,7 @@
-"""Matching and geometric verification of exactly the listed pairs, by COLMAP in a child process, block by block."""
+"""Matching and geometric verification of exactly the listed pairs, by COLMAP in child processes, block by block."""
 
 from __future__ import annotations
 
-import shutil
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,15 +10,14 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from tiegraph.child import run_in_child
 from tiegraph.errors import InputError, ReconstructionError, SettingsError
 from tiegraph.features.database import feature_counts, pair_ids, reading, transaction, write_anew
+from tiegraph.features.matchblocks import cut, run_blocks
 from tiegraph.features.settings import MatchSettings
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 
-BLOCK_PAIRS = 256  # what a killed run loses at most, and the step of the progress
-_SEED = 0  # of RANSAC: the same matches give the same inliers
+BLOCK_PAIRS = 256  # what a process of a killed run loses at most, and the step of the progress
 _WATERMARK = int(pycolmap.TwoViewGeometryConfiguration.WATERMARK)
 
 Progress = Callable[[int, int], None]
@@ -56,12 +54,12 @@ def match_pairs(
     settings: MatchSettings,
     log: Path,
     on_progress: Progress | None = None,
-    threads: int = -1,
+    processes: int = 1,
 ) -> tuple[Pairs, MatchReport]:
     """Match and verify the kept pairs. Pairs finished in the database are not done again, others in it are deleted.
 
     Returns the table with ``inliers`` of the kept pairs (0 = compared and not verified, -1 = could not be compared;
-    both are dropped for "match") and the report. ``threads`` -1 = all cores. Raises InputError for a database of
+    both are dropped for "match") and the report. ``processes``: side by side. Raises InputError for a database of
     another scene or a full disk, ReconstructionError if COLMAP's process ends or no pair at all is verified.
     """
     started = time.perf_counter()
@@ -74,9 +72,10 @@ def match_pairs(
     done, total = int(finished.sum()), int(possible.sum())
     tell = on_progress or (lambda done, total: None)
     tell(done, total)
-    blocks = _blocks(scene, kept.where(possible & ~finished), settings.rig_verification)
-    if blocks:
-        _run(database, scene, blocks, settings, threads, log, lambda more: tell(done + more, total))
+    todo = kept.where(possible & ~finished)
+    size = min(BLOCK_PAIRS, -(-len(todo) // processes))
+    blocks = cut(scene, todo, max(1, size), settings.rig_verification)
+    run_blocks(database, blocks, settings, processes, log, lambda more: tell(done + more, total))
     _strike_watermarks(database)
     write_anew(database)
     table = read_matches(database, kept)
@@ -86,115 +85,13 @@ def match_pairs(
     return _filled(pairs, table), report
 
 
-def _run(
-    database: Path,
-    scene: Scene,
-    blocks: list[np.ndarray],
-    settings: MatchSettings,
-    threads: int,
-    log: Path,
-    on_message: Callable[[int], None],
-) -> None:
-    aliases = any(len(name.split()) != 1 or name.startswith("#") for name in scene.names)
-    if aliases:  # COLMAP's pair list cannot hold such names
-        _rename(database, [_alias(k) for k in range(len(scene))])
-    pair_list = _pair_list(database)
-    try:
-        pair_list.parent.mkdir(exist_ok=True)
-        names = [_alias(k) for k in range(len(scene))] if aliases else list(scene.names)
-        texts = ["".join(f"{names[a]} {names[b]}\n" for a, b in block) for block in blocks]
-        run_in_child(
-            match_blocks, str(database), texts, settings, threads, log=log, on_message=on_message, task="match"
-        )
-    except ReconstructionError as error:
-        if "disk is full" in str(error) or "disk I/O error" in str(error):
-            raise InputError(
-                f"no room on the disk for {database}: free some and run again, what is finished is kept"
-            ) from error
-        raise
-    finally:
-        shutil.rmtree(pair_list.parent, ignore_errors=True)
-        if aliases:
-            _rename(database, list(scene.names))
-
-
-def _pair_list(database: Path) -> Path:
-    return database.with_name(database.name + ".match") / "pairs.txt"
-
-
-def match_blocks(
-    database: str, blocks: list[str], settings: MatchSettings, threads: int, send: Callable[[int], None]
-) -> None:
-    """Match blocks of pairs (text of COLMAP's pair list each); sends the pairs done so far. Runs in a child process."""
-    pycolmap.logging.minloglevel = 1
-    matching, verification = colmap_options(settings, threads)
-    done = 0
-    pair_list = _pair_list(Path(database))
-    for block in blocks:
-        pair_list.write_text(block, encoding="utf-8")
-        pycolmap.match_image_pairs(
-            database,
-            matching_options=matching,
-            pairing_options=pycolmap.ImportedPairingOptions(match_list_path=pair_list, block_size=block.count("\n")),
-            verification_options=verification,
-        )
-        done += block.count("\n")
-        send(done)
-
-
-def colmap_options(
-    settings: MatchSettings, threads: int
-) -> tuple[pycolmap.FeatureMatchingOptions, pycolmap.TwoViewGeometryOptions]:
-    """COLMAP's options of our settings."""
-    matching = pycolmap.FeatureMatchingOptions(num_threads=threads, use_gpu=False)
-    matching.guided_matching = settings.guided
-    matching.rig_verification = settings.rig_verification
-    matching.skip_image_pairs_in_same_frame = False  # what is listed is matched: the network decides
-    matching.sift.max_ratio = settings.max_ratio
-    verification = pycolmap.TwoViewGeometryOptions(min_num_inliers=settings.min_inliers)
-    verification.ransac.max_error = settings.max_error_px
-    verification.ransac.random_seed = _SEED
-    verification.filter_stationary_matches = settings.stationary
-    return matching, verification
-
-
-def _blocks(scene: Scene, pairs: Pairs, whole_frames: bool) -> list[np.ndarray]:
-    """Blocks (B, 2) of scene indices; with ``whole_frames`` all image pairs of two frames are in one block."""
-    index = np.stack([pairs.i, pairs.j], axis=1)
-    if len(index) == 0:
-        return []
-    if not whole_frames:
-        return np.split(index, np.arange(BLOCK_PAIRS, len(index), BLOCK_PAIRS))
-    frames = np.sort(scene.frame[index], axis=1)
-    order = np.lexsort((frames[:, 1], frames[:, 0]))
-    index, frames = index[order], frames[order]
-    starts = np.flatnonzero(np.any(np.diff(frames, axis=0) != 0, axis=1)) + 1
-    cuts, last = [], 0
-    for start in starts.tolist():
-        if start - last >= BLOCK_PAIRS:
-            cuts.append(start)
-            last = start
-    return np.split(index, cuts)
-
-
 def _check(database: Path, scene: Scene, settings: MatchSettings) -> None:
     with reading(database) as cursor:
         names = dict(cursor.execute("SELECT image_id - 1, name FROM images").fetchall())
-    if set(names) != set(range(len(scene))) or any(n not in (scene.names[k], _alias(k)) for k, n in names.items()):
+    if names != dict(enumerate(scene.names)):
         raise InputError(f"{database} holds other images than the scene: delete it and run the features stage again")
-    if any(names[k] != name for k, name in enumerate(scene.names)):  # a run was killed between two names
-        _rename(database, list(scene.names))
     if settings.rig_verification and not all(rig.known() for rig in scene.rigs):
         raise SettingsError("match.rig_verification needs the extrinsics of every sensor of the rig: switch it off")
-
-
-def _alias(index: int) -> str:
-    return f"tiegraph:{index + 1}"
-
-
-def _rename(database: Path, names: list[str]) -> None:
-    with transaction(database) as cursor:
-        cursor.executemany("UPDATE images SET name = ? WHERE image_id = ?", [(n, k + 1) for k, n in enumerate(names)])
 
 
 def _forget_others(database: Path, pairs: Pairs) -> np.ndarray:

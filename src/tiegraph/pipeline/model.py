@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tiegraph.child import cores
 from tiegraph.features import database
 from tiegraph.features.extract import extract_image
 from tiegraph.features.match import match_pairs
@@ -58,9 +59,9 @@ def match(run: Run) -> Outcome:
         run.reporter.total(total, done)
 
     scene = checked(run)
-    pairs, report = match_pairs(
-        run.path("database.db"), scene, pairs_of(run, "pairs.npz"), run.settings.match, run.log, progress
-    )
+    asked = pairs_of(run, "pairs.npz")
+    processes = min(run.workers, cores())
+    pairs, report = match_pairs(run.path("database.db"), scene, asked, run.settings.match, run.log, progress, processes)
     save_npz(run.path("match.npz"), **pairs.to_npz())
     alone = np.flatnonzero(pairs.degree(len(scene)) == 0)
     notes = (f"{len(alone)} images have no verified pair: {_some(scene.names, alone)}",) if len(alone) else ()

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tiegraph.child import Helpers, from_outside, how_ended
+from tiegraph.child import Helpers, cores, from_outside, how_ended
 from tiegraph.errors import ProcessLost, SettingsError
 from tiegraph.project.progress import Elsewhere
 
@@ -58,9 +58,9 @@ def check_pool(spec: str) -> tuple[str, str]:
     if name == "local" and argument:
         if not (argument.isascii() and argument.isdigit() and argument.strip("0")):
             raise SettingsError(f"pool {spec!r}: the number of workers must be a positive whole number")
-        cores, most = _cores(), max(_MOST, _MOST_PER_CORE * _cores())
+        most = max(_MOST, _MOST_PER_CORE * cores())
         if len(argument) > 9 or int(argument) > most:
-            raise SettingsError(f"pool {spec!r}: this machine has {cores} cores; give local, or at most local:{most}")
+            raise SettingsError(f"pool {spec!r}: this machine has {cores()} cores; give local, or at most local:{most}")
     return name, argument
 
 
@@ -83,15 +83,11 @@ def open_pool(spec: str, workers: int | None = None, place: Place | None = None)
     if name == "serial":
         return SerialExecutor(), 1
     if name == "local":
-        count = workers or int(argument or _cores())
-        return LocalPool(count, threads=max(1, _cores() // count)), count
+        count = workers or int(argument or cores())
+        return LocalPool(count, threads=max(1, cores() // count)), count
     from tiegraph.project.daskpool import open_dask
 
     return open_dask(argument, place)
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _start_worker(threads: int) -> None:

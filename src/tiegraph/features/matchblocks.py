@@ -1,0 +1,160 @@
+"""Blocks of pairs, matched side by side: each process has one thread and, for each block, a small database of its own.
+
+COLMAP's own threads do not always find the same matches: those that build their search trees of descriptors at the same
+moment disturb each other (2 of 323 runs over the same 26 pairs on two threads; none of 414 on one).
+"""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from tiegraph.child import run_in_children
+from tiegraph.errors import InputError, ReconstructionError
+from tiegraph.features.database import transaction
+from tiegraph.features.settings import MatchSettings
+from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.scene import Scene
+
+_SEED = 0  # of RANSAC: the same matches give the same inliers
+_WHOLE = ("cameras", "rigs", "rig_sensors", "frames", "frame_data", "images")
+_OF_IMAGES = ("keypoints", "descriptors")
+_MADE = ("matches", "two_view_geometries")
+
+
+def cut(scene: Scene, pairs: Pairs, size: int, whole_frames: bool) -> list[np.ndarray]:
+    """Blocks (B, 2) of scene indices; with ``whole_frames`` all image pairs of two frames are in one block."""
+    index = np.stack([pairs.i, pairs.j], axis=1)
+    if len(index) == 0:
+        return []
+    if not whole_frames:
+        return np.split(index, np.arange(size, len(index), size))
+    frames = np.sort(scene.frame[index], axis=1)
+    order = np.lexsort((frames[:, 1], frames[:, 0]))
+    index, frames = index[order], frames[order]
+    starts = np.flatnonzero(np.any(np.diff(frames, axis=0) != 0, axis=1)) + 1
+    cuts, last = [], 0
+    for start in starts.tolist():
+        if start - last >= size:
+            cuts.append(start)
+            last = start
+    return np.split(index, cuts)
+
+
+def run_blocks(
+    database: Path,
+    blocks: Sequence[np.ndarray],
+    settings: MatchSettings,
+    processes: int,
+    log: Path,
+    on_pairs: Callable[[int], None],
+) -> None:
+    """Match blocks (B, 2) of scene indices, in so many processes, and write into the database what comes of each.
+
+    ``on_pairs`` is told how many pairs are done. Raises InputError when the disk is full, ReconstructionError if
+    COLMAP's process ends; finished blocks stay.
+    """
+    if not blocks:
+        return
+    scratch = database.with_name(database.name + ".match")
+    shutil.rmtree(scratch, ignore_errors=True)
+    scratch.mkdir()
+    done = 0
+
+    def take(message: tuple[str, int]) -> None:
+        nonlocal done
+        _take(database, Path(message[0]))
+        done += message[1]
+        on_pairs(done)
+
+    count = min(processes, len(blocks))
+    named = [(str(scratch / f"{k}.db"), block) for k, block in enumerate(blocks)]
+    calls = [(str(database), named[k::count], settings) for k in range(count)]
+    try:
+        run_in_children(match_blocks, calls, log=log, on_message=take, task="match")
+    except ReconstructionError as error:
+        if "disk is full" in str(error) or "disk I/O error" in str(error):
+            raise InputError(
+                f"no room on the disk for {database}: free some and run again, what is finished is kept"
+            ) from error
+        raise
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
+def match_blocks(
+    database: str,
+    blocks: Sequence[tuple[str, np.ndarray]],
+    settings: MatchSettings,
+    send: Callable[[tuple[str, int]], None],
+) -> None:
+    """Match blocks, each into the database named beside it, and send its name and number of pairs. Runs in a child."""
+    pycolmap.logging.minloglevel = 1
+    matching, verification = colmap_options(settings)
+    for name, block in blocks:
+        pair_list = Path(name).with_suffix(".txt")
+        pair_list.write_text("".join(f"{_alias(a)} {_alias(b)}\n" for a, b in block), encoding="utf-8")
+        _copy(Path(database), Path(name), np.unique(block))
+        pycolmap.match_image_pairs(
+            name,
+            matching_options=matching,
+            pairing_options=pycolmap.ImportedPairingOptions(match_list_path=pair_list, block_size=len(block)),
+            verification_options=verification,
+        )
+        send((name, len(block)))
+
+
+def colmap_options(settings: MatchSettings) -> tuple[pycolmap.FeatureMatchingOptions, pycolmap.TwoViewGeometryOptions]:
+    """COLMAP's options of our settings."""
+    matching = pycolmap.FeatureMatchingOptions(num_threads=1, use_gpu=False)
+    matching.guided_matching = settings.guided
+    matching.rig_verification = settings.rig_verification
+    matching.skip_image_pairs_in_same_frame = False  # what is listed is matched: the network decides
+    matching.sift.max_ratio = settings.max_ratio
+    verification = pycolmap.TwoViewGeometryOptions(min_num_inliers=settings.min_inliers)
+    verification.ransac.max_error = settings.max_error_px
+    verification.ransac.random_seed = _SEED
+    verification.filter_stationary_matches = settings.stationary
+    return matching, verification
+
+
+def _alias(index: int) -> str:
+    """A name without a space, as COLMAP's pair list needs it, of an image of a block's database."""
+    return f"tiegraph:{index + 1}"
+
+
+def _copy(database: Path, block: Path, images: np.ndarray) -> None:
+    """A new database with the features of some images (scene indices)."""
+    pycolmap.Database.open(block).close()
+    with closing(sqlite3.connect(block, isolation_level=None)) as connection:
+        connection.execute("PRAGMA synchronous=OFF")
+        connection.execute("ATTACH ? AS whole", (str(database),))
+        connection.execute("BEGIN")
+        connection.execute("CREATE TEMP TABLE wanted (image_id INTEGER PRIMARY KEY)")
+        connection.executemany("INSERT INTO wanted VALUES (?)", [(int(k) + 1,) for k in images])
+        for table in (*_WHOLE, *_OF_IMAGES):
+            names = _columns(connection, "main", table)
+            which = " WHERE image_id IN wanted" if table in _OF_IMAGES else ""
+            connection.execute(f"INSERT INTO {table} ({names}) SELECT {names} FROM whole.{table}{which}")
+        connection.execute("UPDATE images SET name = 'tiegraph:' || image_id")
+        connection.execute("COMMIT")
+
+
+def _take(database: Path, block: Path) -> None:
+    """Write a finished block's matches into the database and remove the block."""
+    with transaction(database, beside=block) as cursor:
+        for table in _MADE:
+            names = _columns(cursor, "main", table)
+            cursor.execute(f"INSERT INTO {table} ({names}) SELECT {names} FROM beside.{table}")
+    for path in block.parent.glob(f"{block.stem}.*"):
+        path.unlink()
+
+
+def _columns(cursor: sqlite3.Cursor | sqlite3.Connection, schema: str, table: str) -> str:
+    return ", ".join(row[1] for row in cursor.execute(f"PRAGMA {schema}.table_info({table})"))
