@@ -16,6 +16,7 @@ from campaign.case import Case, Result, finish_again
 from campaign.process import Running
 from campaign.world import NAMES, PATIENCE_S, World
 from tiegraph.pipeline import STAGES
+from tiegraph.scene.atomic import MARK
 
 SIGNALS = ("KILL", "TERM", "INT", "HUP", "STOP+KILL")
 VICTIMS = ("main", "main", "child", "child", "group")
@@ -132,10 +133,13 @@ def _unhit(ended: object) -> oracle.Verdict:
 
 
 def _sprinkle(out: Path, rng: random.Random) -> dict[str, bytes]:
-    """Files of the user put into the run folder; {path below it: content}."""
-    own = {}
+    """Files of the user put into the run folder; {path below it: content}. None if the run had not marked it as its own
+    yet: it is a folder of the user then, and rightly refused."""
+    own: dict[str, bytes] = {}
+    if not (out / MARK).exists():
+        return own
     for name in ("notes.txt", "masks/mine.png", "sparse/mine.txt"):
-        if rng.random() < 0.4 and out.is_dir():
+        if rng.random() < 0.4:
             own[name] = f"mine: {name}".encode()
             (out / name).parent.mkdir(exist_ok=True, parents=True)
             (out / name).write_bytes(own[name])

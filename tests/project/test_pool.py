@@ -1,8 +1,12 @@
 """The pool: workers that are lost, at work or idle, and what may be asked for."""
 
+import gc
 import os
 import signal
+import struct
+import threading
 import time
+from multiprocessing.queues import SimpleQueue
 
 import pytest
 
@@ -68,3 +72,21 @@ def test_as_many_workers_as_a_machine_bears(monkeypatch):
     assert check_pool("local:160") == ("local", "160")
     with pytest.raises(SettingsError, match="40 cores; give local, or at most local:160"):
         check_pool("local:161")
+
+
+def cut_short(item: int) -> int:
+    """Begins to send a result, and is ended."""
+    queue = next(o for o in gc.get_objects() if isinstance(o, SimpleQueue))
+    os.write(queue._writer.fileno(), struct.pack("!i", 100_000) + b"half")
+    os.kill(os.getpid(), signal.SIGKILL)
+    return item
+
+
+def test_a_worker_ended_while_it_sends_a_result_is_reported_and_the_pool_can_be_left():
+    executor, workers = open_pool("local:2")
+    with pytest.raises(ProcessLost, match="SIGKILL"):
+        map_items(executor, workers, cut_short, [1])
+    left = threading.Thread(target=executor.shutdown, kwargs={"cancel_futures": True}, daemon=True)
+    left.start()
+    left.join(20)
+    assert not left.is_alive()

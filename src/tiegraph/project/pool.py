@@ -43,6 +43,10 @@ class LocalPool(ProcessPoolExecutor):
     def end(self) -> None:
         """End the workers at once, in the middle of what they do."""
         self.helpers.end()
+        # Of a result cut short the executor's thread would wait for the rest as long as anybody could write: we can.
+        results = self._result_queue
+        if results is not None:
+            results._writer.close()  # type: ignore[attr-defined]
 
 
 def check_pool(spec: str) -> tuple[str, str]:
