@@ -16,8 +16,9 @@ import numpy as np
 import pyproj
 
 from tiegraph.errors import InputError
+from tiegraph.geometry.geodesy import utm_by_name
 from tiegraph.scene.regular import regular
-from tiegraph.scene.table import Table, read_table
+from tiegraph.scene.table import Table, read_table, text_lines
 
 MAX_SIGMA_M = 100.0
 DEFAULT_SIGMA_M = (0.02, 0.02, 0.03)  # of a surveyed point whose file says nothing: network RTK with a pole
@@ -79,7 +80,7 @@ def read_gcps(path: Path) -> GcpFile:
     text = data.decode("utf-8-sig", errors="replace")  # a name of a point may be in another encoding
     if "\0" in text:
         raise InputError(f"--gcp {path}: no text file in UTF-8; give ODM's gcp_list.txt or a CSV of points and marks")
-    lines = [(k + 1, line.strip()) for k, line in enumerate(text.splitlines()) if line.strip()]
+    lines = [(k + 1, line.strip()) for k, line in enumerate(text_lines(text)) if line.strip()]
     if not lines:
         raise InputError(f"--gcp {path}: the file is empty")
     found = _read_csv(path, lines) if _has_header(lines) else _read_odm(path, lines)
@@ -151,11 +152,11 @@ def _read_odm(path: Path, lines: list[tuple[int, str]]) -> GcpFile:
 
 def parse_crs_line(text: str, where: str) -> pyproj.CRS:
     """The CRS of an ODM header: an EPSG code, a PROJ string, WKT, or "WGS84 UTM 54N". Raises InputError."""
-    utm = re.fullmatch(r"(?i)\s*WGS\s*_?84\s*[/,]?\s*UTM\s*(?:zone\s*)?(\d{1,2})\s*([NS])\s*", text)
+    bare = text.strip().lstrip("#").strip()
+    zones = utm_by_name(bare)
     try:
-        if utm:
-            return pyproj.CRS.from_epsg((32600 if utm[2].upper() == "N" else 32700) + int(utm[1]))
-        bare = text.strip().lstrip("#").strip()
+        if len(zones) == 1:
+            return pyproj.CRS.from_user_input(zones[0])
         found = pyproj.CRS.from_user_input(bare) if re.match(r"[A-Za-z+]", bare) else None
         # PROJ takes the CRS with the most similar name for any word: only a name written out is meant
         if found is not None and (re.search(r"[:=\[]", bare) or found.name.lower() == bare.lower()):
