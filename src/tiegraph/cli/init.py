@@ -12,7 +12,9 @@ from tiegraph.api import open_project
 from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say
 from tiegraph.cli.run import Common
+from tiegraph.scan.calibration import WORDS
 from tiegraph.scan.rigwrite import write_rig_toml
+from tiegraph.scene.gcp import FORMS
 from tiegraph.scene.scene import Scene
 
 
@@ -24,6 +26,8 @@ class InitOptions(Common):
     """The run folder to prepare (default: <IMAGES>_tiegraph beside the images)."""
     rig: str | None = None
     """A rig.toml, a COLMAP rig_config.json, or ladybug5, ring:N, stereo, single, panorama (default: guessed)."""
+    camera: Annotated[str | None, tyro.conf.arg(aliases=["--calibration"])] = None
+    """The calibration of a single camera: MODEL,parameters as COLMAP has them, or a file (as of `tiegraph run`)."""
 
 
 def main(arguments: list[str]) -> int:
@@ -40,7 +44,7 @@ def main(arguments: list[str]) -> int:
         return images, options
 
     images, options = options_of(init, "tiegraph init", arguments)
-    project = open_project(images, options.out, pool=options.pool, rig=options.rig)
+    project = open_project(images, options.out, pool=options.pool, rig=options.rig, camera=options.camera)
     project.run("scan", options.reporter())
     scene = project.scene()
     written = _write_rigs(scene, project.folder)
@@ -49,7 +53,19 @@ def main(arguments: list[str]) -> int:
     say(f"written: {project.folder / 'tiegraph.toml'}")
     for path in written:
         say(f"written: {path} (edit it, then run with --rig {path})")
+    for hint in hints(scene):
+        say(hint)
     return 0
+
+
+def hints(scene: Scene) -> list[str]:
+    """What else may be given to `tiegraph run`, in lines for people."""
+    lines = ["also, for `tiegraph run`:"]
+    if len(scene.all_sensors) == 1:
+        lines.append(f"  --camera: the camera's calibration, if you have one; {WORDS}")
+    if scene.prior == "none":
+        lines.append("  --gnss FILE: positions; columns time or image, lat, lon, height, if known sigma_h, sigma_v")
+    return [*lines, f"  --gcp FILE: control points; {FORMS}"]
 
 
 def describe(scene: Scene) -> list[str]:

@@ -15,7 +15,8 @@ rig.toml::
 
     [[sensors]]              # the first one is the reference
     name = "cam0"
-    folder = "cam0"          # optional, default = name; "" = every image that no other sensor takes
+    folder = "cam0"          # optional, default = name; "" = every image that no other sensor takes; "*_GRE" = the
+                             # images whose names end so, for cameras that write into one folder
     role = "side"            # side, up or wide
     position_m = [0, 0, 0.06]                # projection centre in the body frame
     yaw_pitch_roll_deg = [0, 0, 0]           # yaw to the right, pitch up, roll clockwise as the camera sees it
@@ -96,6 +97,27 @@ def read_rig_file(path: Path | str) -> tuple[RigSpec, ...]:
         for fault in faults(rig):
             raise reader.fault(fault, rig)
     return rigs
+
+
+def camera_table(path: Path, text: str) -> SensorSpec:
+    """The camera of a rig.toml with one sensor, or with a table [camera] alone. Raises InputError."""
+    reader = _TomlReader(path, text)
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not a valid TOML file: {error}") from None
+    if data.get("sensors"):
+        sensors = reader.rig().sensors
+        if len(sensors) > 1:
+            raise InputError(f"--camera {path}: a rig of {len(sensors)} sensors; give it by --rig")
+        found = sensors[0]
+    else:
+        reader.known(data, ("camera", "name"), "a camera's file")
+        camera = reader.camera(data.get("camera", {}), "[camera]", "", 0)
+        found = SensorSpec("camera", **camera)
+    if not found.at:
+        raise InputError(f"--camera {path}: no params, focal_px or hfov_deg in a table [camera]")
+    return found
 
 
 _SENSORS_TABLE = r"\s*\[\[\s*sensors\s*\]\]"

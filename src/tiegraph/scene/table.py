@@ -99,6 +99,12 @@ def read_table(path: Path, purpose: str) -> Table:
     """
     text, notes = _text(Path(path), purpose)
     lines = [(k + 1, line.strip()) for k, line in enumerate(text_lines(text)) if line.strip()]
+    return table_of(Path(path), purpose, lines, notes)
+
+
+def table_of(path: Path, purpose: str, lines: Sequence[tuple[int, str]], notes: Sequence[str] = ()) -> Table:
+    """The table in some numbered lines of a file, stripped and not empty; raises what ``read_table`` raises."""
+    notes = list(notes)
     if not any(line[0] not in "#%" for _, line in lines):
         raise InputError(f"{path}: no rows; give the {purpose} as a CSV file with a header line")
     start = next(k for k, (_, line) in enumerate(lines) if line[0] not in "#%")
@@ -115,10 +121,10 @@ def read_table(path: Path, purpose: str) -> Table:
             f"{path}, line {lines[start][0]}: the {purpose} needs a header line with column names, got {header!r}"
         )
     given = [(n, tuple(_cells(line, delimiter))) for n, line in lines[start + 1 :] if line[0] not in "#%"]
-    rows = _rows(Path(path), purpose, columns, given, notes)
+    rows = _rows(path, purpose, columns, given, notes)
     if not rows:
         raise InputError(f"{path}: no rows below its header; give the {purpose} as a CSV file with a row a moment")
-    return Table(Path(path), columns, rows, tuple(_unit(c) for c in named), tuple(notes))
+    return Table(path, columns, rows, tuple(_unit(c) for c in named), tuple(notes))
 
 
 def text_lines(text: str) -> list[str]:
