@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scan_worlds import papers_rig, picture
+from scan_worlds import exif_of, papers_rig, picture, scan
 
 from tiegraph.cli.main import main
 from tiegraph.scan.rigfile import read_rig_file
@@ -76,6 +76,18 @@ def test_positions_and_rotations_are_camera_to_body(tmp_path: Path, written: str
     np.testing.assert_allclose(pose @ [0, 0, 10, 1], [*np.array([1, 2, 3]) - 10.0 * np.array(right), 1], atol=1e-12)
     same = _pose(tmp_path, written, axes, yaw_pitch_roll_deg="[-90, 0, 0]", position_m="[1.0, 2.0, 3.0]")
     np.testing.assert_allclose(pose, same, atol=1e-12)
+
+
+def test_a_guessed_focal_length_does_not_become_a_statement(tmp_path: Path, written: str) -> None:
+    assert "params" not in "".join(x for x in written.splitlines() if not x.startswith("#"))
+    (tmp_path / "rig.toml").write_text(written)
+    images = papers_rig(tmp_path / "in", ("up",), 2, 3)
+    assert not any(s.camera.has_prior_focal_length for s in scan(images, rig=str(tmp_path / "rig.toml")).all_sensors)
+    for camera in range(2):  # what EXIF says is known, and is written
+        for k in range(3):
+            picture(tmp_path / "exif" / f"cam{camera}" / f"{k}.jpg", exif=exif_of(focal_35mm=28))
+    assert main(["init", str(tmp_path / "exif"), "-o", str(tmp_path / "out"), "--pool", "serial"]) == 0
+    assert (tmp_path / "out" / "rig.toml").read_text().count("\nparams = ") == 2
 
 
 def test_init_says_what_else_may_be_given(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

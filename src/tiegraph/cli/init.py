@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -15,6 +15,7 @@ from tiegraph.cli.run import Common
 from tiegraph.scan.calibration import WORDS
 from tiegraph.scan.rigwrite import write_rig_toml
 from tiegraph.scene.gcp import FORMS
+from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 
 
@@ -93,8 +94,23 @@ def _write_rigs(scene: Scene, folder: Path) -> list[Path]:
         path = folder / ("rig.toml" if len(scene.rigs) == 1 else f"rig_{number}.toml")
         given = any(s.source is not None and s.source.panorama for s in rig.sensors)
         if len(rig.sensors) > 1 and not given and not path.exists():
-            write_rig_toml(
-                rig, path, "A guess from the folders and images: check the orientations, then use it by --rig."
-            )
+            write_rig_toml(_without_guesses(rig), path, _COMMENT)
             written.append(path)
     return written
+
+
+_COMMENT = """\
+A guess from the folders and images: check the orientations, then use it by --rig.
+Cameras whose focal length nothing tells have none here either: what stands here is taken for measured. Give it as
+[camera] (for all) or [sensors.camera] (for one): model, size and params, or focal_px, or hfov_deg."""
+
+
+def _without_guesses(rig: Rig) -> Rig:
+    """A rig without the cameras that were guessed, which a rig file would make a statement of the user's."""
+    sensors = tuple(
+        s
+        if s.camera is None or s.camera.has_prior_focal_length
+        else replace(s, camera=None, source=None if s.source is None else replace(s.source, camera=None))
+        for s in rig.sensors
+    )
+    return replace(rig, sensors=sensors)
