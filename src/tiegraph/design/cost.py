@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 # CPU seconds of a core that matches 4096 key points with 4096 in 0.05 s; only ratios count. They give the runs in
-# benchmarks/results (8 to 300 images; rendered, vehicle, facades, telephone) within a third.
+# benchmarks/results (8 to 300 images; rendered, vehicle, facades, telephone) within a factor of two.
 _PAIR_S, _PRODUCT_S = 0.004, 2.8e-9  # of a pair, and of each product of its key points
 _START_S, _IMAGE_S, _MEGAPIXEL_S = 15.0, 1.2, 1.5  # everything else from scan to report: of a run, an image, its pixels
 _LARGE_MPX = 2.0  # more pixels cost little more: stages that work by the pixel reduce the images
@@ -36,7 +36,7 @@ class Cost:
     def said(self) -> str:
         """For people, if it is little."""
         return (
-            f"all {self.pairs} pairs: to match them takes about {100 * self.share:.0f} % of the run, and below "
+            f"all {self.pairs} pairs: to match them takes about {max(100 * self.share, 1):.0f} % of the run, and below "
             f"{100 * LITTLE:.0f} % no pair is worth saving"
         )
 
