@@ -23,7 +23,8 @@ def holding(i: np.ndarray, j: np.ndarray, strength: np.ndarray, chance: np.ndarr
     cut (Nagamochi and Ibaraki 1992). A pair is done with when its ends are joined in so many forests that the weakest
     pairs on the ways between them are together worth ``WANTED`` sure ones: each cut it crosses is crossed by those too.
     """
-    left, sure, rounds = np.arange(len(i)), np.zeros(len(i)), []
+    left, sure = np.arange(len(i)), np.zeros(len(i))
+    rounds: list[np.ndarray] = []
     while len(left):
         tree = left[forest(i[left], j[left], strength[left], nodes)]
         rounds.append(tree)
