@@ -226,7 +226,7 @@ class Judge:
             "share": len(choice.rows) / len(self.run.pairs.kept()),
             "verified": len(used),
             "select_cpu_s": choice.seconds,
-            "predicted_loss_percent": choice.counts.get("predicted_loss_percent"),
+            "preview_loss_percent": choice.counts.get("preview_loss_percent"),
         }
         row["sigma"] = self.tracks().sigma(choice.rows)
         if mapped or choice.method == "all" or self._is_mapped(choice):

@@ -93,7 +93,7 @@ def table(kind: str, seed: int, rigid: bool, budgets_only: bool = False) -> None
         seconds = time.process_time() - began
         rows = np.flatnonzero(found.pairs.dropped == 0)
         ratio = position_sigma(world, rows, rigid) / everything
-        extra = f"predicted loss {found.counts.get('predicted_loss_percent', np.nan):5.1f} %"
+        extra = f"predicted loss {found.counts.get('preview_loss_percent', np.nan):5.1f} %"
         extra += f", {int(found.counts.get('pieces', found.counts['components']))} components"
         _say(f"{label:26} kept {len(rows) / total:.3f}, sigma x {ratio:.3f}, {extra}, {seconds:.2f} CPU s")
 

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 
 from tiegraph.design.bundle import Bundle
+from tiegraph.design.cost import Cost
 from tiegraph.design.coverage import coverage
 from tiegraph.design.expected import counted_matches, expected_matches
 from tiegraph.design.foreseen import foresee, verified_chance
 from tiegraph.design.fuse2014 import fuse2014
+from tiegraph.design.holding import holding
 from tiegraph.design.hybrid import Budget, Choice, choose
 from tiegraph.design.measure import ByBundle, ByNet, Judge, Measure
 from tiegraph.design.predict import Predictor
@@ -36,19 +38,34 @@ class DesignResult:
     tables: dict[str, dict[str, Any]] = field(default_factory=dict)
 
 
+def takes_all(settings: DesignSettings, cost: Cost | None) -> bool:
+    """Whether every kept pair is to be matched: asked for, or a loss is allowed and matching them all costs little."""
+    if settings.method in ("hybrid", "tree") and settings.budget == "loss" and cost is not None:
+        return cost.little
+    return settings.method == "all"
+
+
 def design(
-    pairs: Pairs, scene: Scene, ties: Ties | None, settings: DesignSettings, sights: Sights | None = None
+    pairs: Pairs,
+    scene: Scene,
+    ties: Ties | None,
+    settings: DesignSettings,
+    sights: Sights | None = None,
+    cost: Cost | None = None,
 ) -> DesignResult:
     """Choose by the method of the settings; what was connected stays connected, but for ``fuse2014``.
 
     ``ties``: preview matches of the pairs that were previewed; for the others matches are expected from the score or
     the overlap. ``sights``, the points of a preview model each image sees, tell which tracks all of them would join.
     Methods hybrid, tree and top keep a maximum spanning forest of the images, two pairs without a common image from
-    every camera, pass and section to the rest, and a second link wherever frames would hang on one.
+    every camera, pass and section to the rest, and a second link wherever frames would hang on one; hybrid and tree
+    also the strongest pairs of every image and part (``holding``), within half of a budget of pairs or seconds.
+    Where they may lose accuracy and all pairs are matched at little ``cost``, nothing is chosen.
     """
     kept = np.flatnonzero(pairs.dropped == 0)
-    if settings.method == "all" or not len(kept):
-        return _judged(pairs, pairs, scene, (), {})
+    if takes_all(settings, cost) or not len(kept):
+        said = () if settings.method == "all" or cost is None or not len(kept) else (cost.said(),)
+        return _judged(pairs, pairs, scene, said, {})
     expected = expected_matches(pairs, ties)
     if settings.method in ("fuse2014", "fuse2014_safe"):
         thin = fuse2014(pairs, scene, expected, safe=settings.method == "fuse2014_safe")
@@ -59,7 +76,7 @@ def design(
     if sights is not None:
         seen = foresee(i, j, counted_matches(pairs, ties)[kept], sights, (0, 1) if bundle else (0,))
         known, strength = seen.ties, np.where(np.isfinite(seen.expected), seen.expected, strength)
-    start = _start(i, j, strength, scene)
+    start = _start(i, j, strength, scene, _room(settings, len(scene)))
     if settings.method == "top":
         chosen = np.union1d(start, strongest_places(i, j, strength, scene, settings.pairs_per_image))
         choice = Choice(chosen, np.nan, 0)
@@ -75,7 +92,7 @@ def design(
     keep[kept[np.concatenate([choice.places, second])]] = True
     counts = {"start": float(len(start)), "second_links": float(len(second)), "rounds": float(choice.rounds)}
     if np.isfinite(choice.loss):
-        counts["predicted_loss_percent"] = round(100 * choice.loss, 2)
+        counts["preview_loss_percent"] = round(100 * choice.loss, 2)
     notes = _budget_notes(choice, settings, len(start), len(kept), len(scene))
     return _judged(pairs, pairs.drop(~keep, "cut"), scene, notes, counts)
 
@@ -106,6 +123,13 @@ def _units(scene: Scene) -> np.ndarray:
     return np.where(known, scene.frame, scene.frames + np.arange(len(scene)))
 
 
+def _room(settings: DesignSettings, images: int) -> int:
+    """Pairs that a design may start with: half of a budget that counts them."""
+    if settings.method == "top":
+        return 0
+    return np.iinfo(np.int64).max if settings.budget == "loss" else _pairs_allowed(settings, images) // 2
+
+
 def _budget(settings: DesignSettings, scene: Scene) -> Budget:
     if settings.budget == "loss":
         return Budget(np.iinfo(np.int64).max, settings.loss_percent / 100)
@@ -123,7 +147,10 @@ def _budget_notes(choice: Choice, settings: DesignSettings, start: int, kept: in
         return ()
     share = f"{settings.method}: {len(choice.places)} of {kept} pairs ({100 * len(choice.places) / kept:.1f} %)"
     if settings.budget == "loss":
-        return (f"{share}, predicted loss of accuracy {100 * choice.loss:.1f} % (asked: {settings.loss_percent:g} %)",)
+        return (
+            f"{share}; over the previews' tracks their position sigma is {100 * choice.loss:.1f} % above that of all "
+            f"(asked: {settings.loss_percent:g} %), what full images lose only matching all would tell",
+        )
     allowed = _pairs_allowed(settings, images)
     if start > allowed:
         return (f"{share}: the budget of {allowed} pairs does not suffice to hold the images together",)
@@ -143,11 +170,14 @@ def _judged(
     return DesignResult(after, (*notes, *said), figures, {"funnel": table, "weak links": found.table})
 
 
-def _start(i: np.ndarray, j: np.ndarray, strength: np.ndarray, scene: Scene) -> np.ndarray:
-    """Places of the pairs every design keeps: a maximum spanning forest, and two links of every group."""
-    places = [forest(i, j, strength, len(scene))]
-    places += [two_links(i, j, group.member, strength) for group in groups(scene)]
-    return np.unique(np.concatenate(places))
+def _start(i: np.ndarray, j: np.ndarray, strength: np.ndarray, scene: Scene, room: int) -> np.ndarray:
+    """Places of the pairs every design keeps: a maximum spanning forest, two links of every group, and within ``room``
+    pairs in all what holds every image and part."""
+    rounds = holding(i, j, strength, verified_chance(strength), len(scene))
+    places = np.unique(np.concatenate([rounds[0], *(two_links(i, j, g.member, strength) for g in groups(scene))]))
+    more = np.concatenate([*rounds[1:], places[:0]])
+    more = more[~np.isin(more, places)]
+    return np.concatenate([places, more[: max(room - len(places), 0)]])
 
 
 def _second_links(i: np.ndarray, j: np.ndarray, strength: np.ndarray, chosen: np.ndarray, scene: Scene) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Design by greedy choice: the pairs that add most to the network, until the predicted accuracy is near that of all.
+"""Design by greedy choice: the pairs that add most to the network, until the accuracy by previews is near that of all.
 
 Gain of a pair that would join ``new`` tracks of its ``n`` matches, between images of effective resistance R in the
 network chosen so far: log(1 + R (new + 0.05 n)). That is the growth of the log-determinant of the network's Laplacian
@@ -25,14 +25,14 @@ _log = logging.getLogger(__name__)
 
 _FINE, _COARSE, _MANY = 0.03, 0.10, 20_000  # growth of a round for small networks and for those of many images
 _DENSE = 4  # pairs an image from which on rounds are coarse in small networks too
-_LOOK = 0.20  # growth of the network between two predictions of its accuracy, which cost more than a round
+_LOOK = 0.20  # growth of the network between two looks at its accuracy, which cost more than a round
 _HALVINGS = 4  # of the last step, to find where the budget was met
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Candidates chosen, in the order they were; ``loss`` predicted increase of the position sigma over all candidates,
-    a share (NaN: not asked for); ``rounds`` how many it took."""
+    """Candidates chosen, in the order they were; ``loss`` increase of the position sigma over all candidates by the
+    measure, a share (NaN: not asked for); ``rounds`` how many it took."""
 
     places: np.ndarray
     loss: float
@@ -41,7 +41,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Budget:
-    """When to stop: at ``pairs`` pairs, or at the predicted ``loss`` (a share) where that is given."""
+    """When to stop: at ``pairs`` pairs, or at the ``loss`` (a share) where that is given."""
 
     pairs: int
     loss: float | None = None
@@ -53,7 +53,7 @@ def choose(
     """Greedy design from the candidates at start (K,), which must connect what is connectable; never fewer than those.
 
     ``by_tracks``: gain by new tracks (hybrid), else by matches (tree-connectivity). ``measure``: the worth of pairs and
-    the predicted loss, by default those of the net of resistances.
+    the loss, by default those of the net of resistances.
     """
     if measure is None:
         measure = ByNet(candidates, by_tracks, Predictor(candidates, by_tracks) if budget.loss is not None else None)
@@ -70,7 +70,7 @@ def choose(
         if budget.loss is not None and (done or count >= (1 + _LOOK) * looked):
             before, looked = looked, count
             loss = measure.loss(tracks.chosen, tracks)
-            _log.info("round %d: %d of %d pairs, predicted loss %.1f %%", rounds, count, len(chosen), 100 * loss)
+            _log.info("round %d: %d of %d pairs, loss over previews %.1f %%", rounds, count, len(chosen), 100 * loss)
             if loss <= budget.loss:
                 places = np.concatenate(order)
                 end, loss = _shortest(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import logging
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -11,7 +12,9 @@ from typing import Any, cast
 import numpy as np
 import pycolmap
 
+from tiegraph.design.cost import Cost, cost, foreseen_keypoints
 from tiegraph.design.design import design as select_pairs
+from tiegraph.design.design import takes_all
 from tiegraph.errors import ReconstructionError
 from tiegraph.features.preview import Preview, PreviewMatch, match_previews
 from tiegraph.features.preview_database import write_preview_database
@@ -152,12 +155,12 @@ def design(run: Run) -> Outcome:
     """Which of the candidate pairs are matched at full resolution; COLMAP pair lists, one a section and one for all."""
     scene = checked(run)
     candidates, ties = pairs_of(run, "network.npz"), ties_of(run)
-    previews = 0
-    if run.settings.design.method != "all":
+    previews, spent = 0, _cost(run, scene, candidates)
+    if not takes_all(run.settings.design, spent):
         candidates, ties, previews = with_previews(candidates, ties, run.folder, run.settings.preview, run.map)
     if run.settings.design.method.startswith("fuse2014"):
         candidates = with_accuracy(candidates, scene, ties, run.folder, run.map)
-    made = select_pairs(candidates, scene, ties, run.settings.design, _sights(run))
+    made = select_pairs(candidates, scene, ties, run.settings.design, _sights(run), spent)
     pairs = made.pairs
     save_npz(run.path("pairs.npz"), **pairs.to_npz())
     write_atomic(run.path("pairs.txt"), pairs.to_text(scene.names))
@@ -174,6 +177,18 @@ def design(run: Run) -> Outcome:
     write_atomic(run.path("design", "map.png"), picture)
     looked = (f"{previews} pairs of which nothing was known were previewed first",) if previews else ()
     return Outcome(counts, notes=(*looked, *made.notes), tables=made.tables)
+
+
+def _cost(run: Run, scene: Scene, pairs: Pairs) -> Cost:
+    """Of matching all kept pairs, by the images' sizes and the shares of them that the masks leave."""
+    cameras = [s.camera for s in scene.all_sensors]
+    sizes = np.array([0.0 if c is None else c.width * c.height / 1e6 for c in cameras])
+    with reading(run.path("masks.csv")), run.path("masks.csv").open(newline="") as file:
+        percent = {row["image"]: float(row["used_percent"]) for row in csv.DictReader(file)}
+        used = np.array([percent[name] / 100 for name in scene.names])
+    megapixels, kept = sizes[scene.sensor_key], pairs.kept()
+    keypoints = foreseen_keypoints(megapixels, used, run.settings.features.max_features)
+    return cost(kept.i, kept.j, keypoints, megapixels)
 
 
 def with_previews(
