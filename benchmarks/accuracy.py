@@ -14,6 +14,7 @@ from benchmarks.datasets import Dataset, Mark, pose_centre
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, robust_umeyama, umeyama
 from tiegraph.geometry.geodesy import Origin, geodetic_from_world, world_from_geodetic
+from tiegraph.scene.registered import MIN_POINTS, agreeing_points
 
 WITHIN_M = (0.01, 0.05, 0.1, 0.3, 1.0)
 """Recall thresholds: share of ALL images (the unregistered count as missed) whose centre is nearer than this."""
@@ -24,18 +25,23 @@ _ROBUST_SIGMA_SHARE = 0.003
 def evaluate(models: list[Path], dataset: Dataset, world: Origin | None = None) -> dict[str, Any]:
     """Figures of the models (COLMAP folders, any order) of one run against the truth of ``dataset``.
 
+    ``registered`` counts images that see points and agree with them, ``placed_by_rig`` the others that have a pose; the
+    trajectory error is that of all poses.
     ``world``: origin of a georeferenced model; adds the error without any alignment. A model of fewer than three images
     with known truth has no trajectory error (None).
     """
-    reconstructions = sorted((pycolmap.Reconstruction(m) for m in models), key=_registered, reverse=True)
-    poses = [_poses(r) for r in reconstructions]
-    everything = set().union(*poses) if poses else set()
+    found = [pycolmap.Reconstruction(m) for m in models]
+    held = {id(r): _registered(r) for r in found}
+    reconstructions = sorted(found, key=lambda r: len(held[id(r)]), reverse=True)
+    poses, registered = [_poses(r) for r in reconstructions], [held[id(r)] for r in reconstructions]
+    everything = set().union(*registered) if poses else set()
     figures: dict[str, Any] = {
         "images": len(dataset.cam_from_world),
         "registered": len(everything),
         "components": len(poses),
-        "largest": len(poses[0]) if poses else 0,
-        "registered_in_models": [len(p) for p in poses],
+        "placed_by_rig": len(set().union(*poses) - everything) if poses else 0,
+        "largest": len(registered[0]) if poses else 0,
+        "registered_in_models": [len(p) for p in registered],
         "registered_by_folder": dict(sorted(Counter(str(PurePosixPath(n).parent) for n in everything).items())),
     }
     if not poses:
@@ -53,8 +59,8 @@ def evaluate(models: list[Path], dataset: Dataset, world: Origin | None = None) 
     return figures
 
 
-def _registered(reconstruction: pycolmap.Reconstruction) -> int:
-    return reconstruction.num_reg_images()
+def _registered(reconstruction: pycolmap.Reconstruction) -> set[str]:
+    return {name for name, points in agreeing_points(reconstruction).items() if points >= MIN_POINTS}
 
 
 def _poses(reconstruction: pycolmap.Reconstruction) -> dict[str, np.ndarray]:

@@ -23,6 +23,7 @@ from tiegraph.scene.cloudfile import read_cloud
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.names import check_text
 from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.registered import registration
 from tiegraph.scene.regular import names_file, real_path
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.scene import Scene
@@ -117,6 +118,13 @@ class Project:
     def model(self) -> Any:
         """The georeferenced model, a ``pycolmap.Reconstruction``."""
         return read_model(self._needed("sparse/world", "georef"))
+
+    def registered(self) -> tuple[str, ...]:
+        """Names of the images that see points of the georeferenced model and agree with them; the others of the model
+        stand where their rig places them."""
+        scene = self.scene()
+        found = registration(self.model(), scene).registered
+        return tuple(name for name, good in zip(scene.names, found) if good)
 
     def cloud(self) -> Cloud:
         """The dense cloud."""

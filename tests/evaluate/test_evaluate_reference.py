@@ -43,7 +43,8 @@ def make_scene(times: bool = False) -> Scene:
 
 
 def make_model(scene: Scene, missing: int = 0) -> pycolmap.Reconstruction:
-    """The scene's images at their true poses, the first ``missing`` frames of cam1 left out."""
+    """The scene's images at their true poses, the first ``missing`` frames of cam1 left out; each sees 12 points of its
+    own but the last of cam1, which sees 9."""
     model = pycolmap.Reconstruction()
     camera = pycolmap.Camera(model="PINHOLE", width=640, height=480, params=[500, 500, 320, 240], camera_id=1)
     model.add_camera_with_trivial_rig(camera)
@@ -51,8 +52,13 @@ def make_model(scene: Scene, missing: int = 0) -> pycolmap.Reconstruction:
         if scene.sensor[k] == 1 and scene.frame[k] < missing:
             continue
         pose = scene.sensor_of(k).sensor_from_rig @ transforms.invert(rig_poses()[scene.frame[k]])
-        image = pycolmap.Image(name=name, camera_id=1, image_id=k + 1)
+        xy = np.stack([np.linspace(50, 500, 12), np.full(12, 200.0)], axis=1)
+        image = pycolmap.Image(name=name, camera_id=1, image_id=k + 1, keypoints=xy)
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose[:3]))
+        local = 5 * np.column_stack([camera.cam_from_img(xy), np.ones(12)])
+        for row, point in enumerate(transforms.apply(transforms.invert(pose), local)):
+            if k < len(scene) - 1 or row < 9:
+                model.add_point3D(point, pycolmap.Track([pycolmap.TrackElement(k + 1, row)]))
     return model
 
 
@@ -72,7 +78,7 @@ def a_cloud() -> Cloud:
 def test_model_poses_follow_the_scene() -> None:
     scene = make_scene()
     model = reference.model_poses(make_model(scene, missing=3), scene)
-    assert model.registered.sum() == 2 * FRAMES - 3
+    assert model.placed.sum() == 2 * FRAMES - 3
     assert np.allclose(model.world_from_rig, rig_poses())
     assert np.linalg.norm(model.world_from_camera[-1, :3, 3] - rig_poses()[-1, :3, 3]) == pytest.approx(0.5)
 
@@ -84,7 +90,7 @@ def test_a_colmap_model_is_matched_by_name(tmp_path: Path, binary: bool) -> None
     (truth.write_binary if binary else truth.write_text)(tmp_path)
     model = reference.model_poses(make_model(scene, missing=3), scene)
     match, said = reference.match_poses(reference.read_reference_poses(tmp_path), model, scene)
-    assert len(match) == 21 and "21 registered of 24" in said and match.labels == ("up cam0", "up cam1")
+    assert len(match) == 21 and "21 placed of 24" in said and match.labels == ("up cam0", "up cam1")
     assert np.allclose(match.estimate, match.reference, atol=1e-6)
 
 
@@ -116,7 +122,7 @@ def test_unusable_references_say_why(tmp_path: Path) -> None:
     short = write_tum(tmp_path / "short.tum", np.arange(5.0), rig_poses()[:5])
     with pytest.raises(InputError, match="5 poses for 12 frames"):
         reference.match_poses(reference.read_reference_poses(short), model, scene)
-    with pytest.raises(InputError, match="only 0 registered"):
+    with pytest.raises(InputError, match="only 0 poses"):
         reference.match_poses(ReferencePoses({}, {"other": reference.read_tum(short)}, tmp_path), model, scene)
     (tmp_path / "colmap").mkdir()
     (tmp_path / "colmap" / "images.bin").write_bytes(b"nonsense")
@@ -165,16 +171,18 @@ def test_a_survey_is_evaluated_whole(tmp_path: Path) -> None:
     model = make_model(scene, missing=3)
     data = evaluate_survey(scene, model, a_cloud(), pinhole_views(model), settings)
     values = {m.name: m.value for m in metrics_from_dict(data)}
-    assert values["registered_images"] == pytest.approx(87.5) and values["ate_se3_rmse"] < 1e-6
+    assert values["registered_images"] == pytest.approx(100 * 20 / 24) and values["ate_se3_rmse"] < 1e-6
     assert 0.001 < values["backprojection_rmse"] < 0.1 and values["fscore_0.02m"] > 99
-    assert data["tables"]["registered by camera"]["rows"] == [["cam0", 12, 12, 100.0], ["cam1", 9, 12, 75.0]]
+    assert values["images_by_rig"] == pytest.approx(100 / 24)
+    rows = data["tables"]["registered by camera"]["rows"]
+    assert rows == [["cam0", 12, 0, 12, 100.0], ["cam1", 8, 1, 12, pytest.approx(200 / 3)]]
     assert any("round" in note for note in data["notes"])
 
 
 def test_a_survey_without_references_or_cloud(tmp_path: Path) -> None:
     scene = make_scene()
     data = evaluate_survey(scene, make_model(scene), None, [], EvaluateSettings())
-    assert [m["name"] for m in data["metrics"]] == ["registered_images"]
+    assert [m["name"] for m in data["metrics"]] == ["registered_images", "images_by_rig"]
 
 
 def test_absolute_error_in_a_common_crs(tmp_path: Path) -> None:

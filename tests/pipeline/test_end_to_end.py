@@ -46,7 +46,7 @@ def test_every_image_is_in_one_model_and_in_its_place(project, survey):
     made, _ = survey
     scene = project.scene()
     poses = model_poses(project.model(), scene)
-    assert poses.registered.all() and len(scene) == 24
+    assert poses.placed.all() and len(scene) == 24
     truth = true_centres(made, scene.names)
     fit = umeyama(poses.centres(), truth)
     error = np.linalg.norm(fit(poses.centres()) - truth, axis=1)
@@ -121,7 +121,7 @@ def test_presets_run_to_a_model_and_compare(preset, project, survey, tmp_path, c
     assert tiegraph.open(out=out).preset == preset
     assert main(["compare", str(project.folder), str(out)]) == 0
     said = capsys.readouterr().out
-    assert "Used images" in said and preset in said
+    assert "Registered images" in said and preset in said
 
 
 def test_first_claim_of_paper_000(project, survey, tmp_path):

@@ -20,7 +20,14 @@ def test_the_papers_tables(runs: list[Path], tmp_path: Path) -> None:
     text = compare_runs(runs, tmp_path / "deep" / "compare.html")
     for name in ("Mask image creation", "Matching list creation", "Feature matching", "MVS", "Total time"):
         assert name in text, name
-    for name in ("Used images", "Dense points", "Candidates", "Verified", "Back-projection RMSE", "ATE after SE3"):
+    for name in (
+        "Registered images",
+        "Dense points",
+        "Candidates",
+        "Verified",
+        "Back-projection RMSE",
+        "ATE after SE3",
+    ):
         assert name in text, name
     assert "conventional" in text and "1.6 x" in text and "round trip" in text
     page = (tmp_path / "deep" / "compare.html").read_text()

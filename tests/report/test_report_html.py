@@ -16,6 +16,7 @@ from tiegraph.report.html import environment, metric_text, write_report
 from tiegraph.report.plan import frame_positions, tracks
 from tiegraph.report.settings import ReportSettings
 from tiegraph.report.ties import network_part
+from tiegraph.scene.registered import Registration
 
 SMALL = ReportSettings(view_px=400, viewer_points=2000)
 
@@ -33,7 +34,8 @@ def page(full: Path) -> str:
 def test_the_whole_report(page: str) -> None:
     for text in (
         "<h1>quay survey</h1>",
-        "54 of 60 images (90 %) are in one connected model",
+        "49 of 60 images (82 %) are registered in one connected model; the place of 5 more rests on the rig",
+        "images placed by the rig",
         "EPSG:32654 (WGS 84 / UTM zone 54N)",
         "21.0 cm east, 19.0 cm north, 42.0 cm up",
         "over 18 frames",
@@ -117,12 +119,16 @@ def test_verdict_levels(tmp_path: Path, full: Path) -> None:
     assert run.model is not None
     from dataclasses import replace
 
-    everything = np.where(np.isnan(run.model.world_from_camera), np.eye(4), run.model.world_from_camera)
-    complete = replace(run, model=replace(run.model, world_from_camera=everything))
+    everything = Registration(np.ones(60, bool), np.full(60, 10))
+    complete = replace(run, model=replace(run.model, images=everything))
     assert facts.verdict(complete).level == "good"
-    few = run.model.world_from_camera.copy()
-    few[20:] = np.nan
-    poor = facts.verdict(replace(run, model=replace(run.model, world_from_camera=few, others=(12, 8))))
+    by_rig = replace(
+        run,
+        model=replace(run.model, images=Registration(np.ones(60, bool), np.r_[np.full(10, 9), everything.points[10:]])),
+    )
+    assert facts.verdict(by_rig).level == "check" and "50 of 60 images (83 %)" in facts.verdict(by_rig).sentences[0]
+    few = Registration(np.arange(60) < 20, everything.points)
+    poor = facts.verdict(replace(run, model=replace(run.model, images=few, others=(12, 8))))
     assert poor.level == "poor" and "the largest of 3; the others have 12, 8 images" in poor.sentences[0]
     assert any("3 separate models" in w for w in poor.warnings)
     free = facts.verdict(replace(complete, world=None))

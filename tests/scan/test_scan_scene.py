@@ -80,6 +80,7 @@ def test_the_layout_can_be_forced(tmp_path: Path) -> None:
             picture(tmp_path / folder / f"{folder[-1]}{k}.jpg")
     assert len(scan(tmp_path, ScanSettings(layout="cameras")).all_sensors) == 2
     assert scan(tmp_path, ScanSettings(layout="sequence")).tracks == ("x", "y")
+    assert scan(tmp_path, ScanSettings(layout="sequence")).guessed == ()
     assert (scan(tmp_path, ScanSettings(layout="loose")).track == -1).all()
 
 
@@ -172,6 +173,10 @@ def test_loose_or_sequence_by_the_numbers(tmp_path: Path, pattern: str, count: i
     assert camera is not None and camera.model.name == ("SIMPLE_RADIAL" if loose else "RADIAL")
     if not loose:
         assert scene.tracks == ("all",) and scene.step.tolist() == list(range(count))
+        assert scene.guessed == ("all",) and any("if the images bear it out" in n for n in scene.notes)
+        assert scan(tmp_path, ScanSettings(layout="sequence")).guessed == ()
+        (tmp_path / "times.csv").write_text("image,time\n" + "".join(f"{n},{k}\n" for k, n in enumerate(scene.names)))
+        assert scan(tmp_path, times=tmp_path / "times.csv").guessed == ()  # somebody knows when they were taken
 
 
 @pytest.mark.parametrize("regular", [True, False])
@@ -182,7 +187,7 @@ def test_loose_or_sequence_by_the_times(tmp_path: Path, regular: bool) -> None:
         stamp = f"2024:05:01 10:{t // 60:02d}:{t % 60:02d}"
         picture(tmp_path / f"IMG_{k:04d}.jpg", exif=exif_of(time=stamp))
     scene = scan(tmp_path)
-    assert bool((scene.track == -1).all()) != regular
+    assert bool((scene.track == -1).all()) != regular and scene.guessed == (("all",) if regular else ())
     assert np.allclose(np.diff(np.sort(scene.time_s)), np.diff(clock))
 
 

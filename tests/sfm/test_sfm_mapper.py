@@ -12,10 +12,12 @@ from sfm_worlds import make_world, true_frames, with_positions, without_extrinsi
 from tiegraph.errors import ReconstructionError, SettingsError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
+from tiegraph.scene.colmapmodel import MAX_IMAGES
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.mapper import Source, SparseResult, reconstruct
 from tiegraph.sfm.mapping import choose_mapper
 from tiegraph.sfm.model import frame_poses, held_out_frames, image_poses
+from tiegraph.sfm.placement.verified import image_ids
 from tiegraph.sfm.rig.rig import model_extrinsics, rig_modes
 from tiegraph.sfm.settings import SparseSettings
 
@@ -54,6 +56,24 @@ def test_fixed_rig_keeps_its_metric_size(tmp_path: Path) -> None:
     assert result.sigma is not None and 1e-5 < result.sigma.median < 0.02
     assert sorted(p.name for p in (tmp_path / "sparse").iterdir()) == ["0"]
     assert [row[1:3] for row in result.tables["registered_per_camera"]["rows"]] == [[8, 8]] * 3
+
+
+def test_an_image_without_a_point_is_placed_by_its_rig_and_not_registered(tmp_path: Path) -> None:
+    _, scene = make_world(tmp_path / "database.db")
+    blind = scene.image_index[next(n for k, n in enumerate(scene.names) if scene.sensor[k] == 1)]
+    ids = {v: k for k, v in image_ids(tmp_path / "database.db", scene).items()}
+    own = next(image_id for image_id, k in ids.items() if k == blind)
+    with sqlite3.connect(tmp_path / "database.db") as connection:
+        for (pair,) in connection.execute("SELECT pair_id FROM two_view_geometries").fetchall():
+            if blind in (ids[pair // MAX_IMAGES], ids[pair % MAX_IMAGES]):
+                connection.execute("DELETE FROM two_view_geometries WHERE pair_id = ?", (pair,))
+        connection.execute("DELETE FROM descriptors WHERE image_id = ?", (own,))  # nor would guided matching find any
+    result = _run(tmp_path, scene, mapper="incremental", covariance_frames=0)
+    assert result.counts["registered"] == len(scene) - 1 and result.counts["placed_by_rig"] == 1
+    assert result.dropped == () and any("1 images see fewer than 10 points" in n for n in result.notes)
+    rows = {row[0]: row[1:] for row in result.tables["registered_per_camera"]["rows"]}
+    assert rows[scene.sensor_of(blind).name] == [8, 7, 1] and sorted(rows.values())[1:] == [[8, 8, 0]] * 2
+    assert result.tables["models"]["rows"][0][1:3] == [len(scene) - 1, 1]
 
 
 def test_a_rough_model_needs_no_images_and_no_final_adjustment(tmp_path: Path) -> None:

@@ -113,6 +113,54 @@ def test_missing_frames_are_placed_by_their_matches(world, tmp_path: Path) -> No
     assert np.linalg.norm(_centres(settled.model, scene) - true, axis=1).max() < 0.05
 
 
+def test_photographs_numbered_in_another_order_than_they_stand_all_stay(world, tmp_path: Path) -> None:
+    """The course of the pass jumps; every verified tie agrees with every place, and that decides."""
+    model, scene = world
+    true = _centres(model, scene)
+    step = np.arange(14)
+    step[2] = 14  # the last number, at the beginning of the road
+    settled = _settle(model, scene.with_(step=step, time_s=np.full(14, np.nan)), tmp_path)
+    assert settled.dropped == [] and settled.table is None
+    assert [n for n in settled.notes if "jumps" in n and "their ties hold them there: they stay" in n]
+    assert settled.model.num_reg_images() == len(scene)
+    assert np.linalg.norm(_centres(settled.model, scene) - true, axis=1).max() < 1e-9
+
+
+def test_a_missing_photograph_off_the_course_is_placed_by_its_ties(world, tmp_path: Path) -> None:
+    model, scene = world
+    true = _centres(model, scene)
+    step = np.arange(14)
+    step[2] = 14  # the last number, at the beginning of the road
+    model.deregister_frame(3)
+    model.write(tmp_path)
+    numbered = scene.with_(step=step, time_s=np.full(14, np.nan))
+    settled = _settle(pycolmap.Reconstruction(tmp_path), numbered, tmp_path)
+    assert settled.dropped == [] and settled.model.num_reg_images() == len(scene)
+    assert np.linalg.norm(_centres(settled.model, scene) - true, axis=1).max() < 0.05
+
+
+@pytest.mark.parametrize(
+    "agree, contradict, kept",
+    [
+        ({(2, 7): 200.0, (3, 8): 200.0}, {}, True),  # true ties over a real jump: a gap in the pass
+        ({(2, 7): 200.0, (3, 8): 200.0}, {(4, 5): 100.0, (4, 6): 60.0}, False),  # its neighbours say it is false
+        ({(2, 7): 200.0, (3, 8): 200.0}, {(1, 9): 300.0, (0, 8): 200.0}, False),  # more speak against than for it
+        ({(2, 7): 200.0}, {}, False),  # one pair of frames is no hold
+        ({(2, 7): 15.0, (3, 8): 14.0}, {}, False),  # nor are a few matches
+    ],
+)
+def test_what_stands_beyond_a_jump_is_decided_by_its_ties(agree: dict, contradict: dict, kept: bool) -> None:
+    _, scene = moving_world(frames=10)
+    scene = scene.with_(time_s=np.full(10, np.nan))
+    along = np.array([0.0, 1, 2, 3, 4, 35, 36, 37, 38, 39])
+    positions = np.stack([along, np.zeros(10), np.zeros(10)], axis=1)
+    beside = {(k, k + 1): 500.0 for k in range(9) if k != 4}
+    found = judge(positions, scene, course(positions, scene), Votes({**beside, **agree}, contradict))
+    assert len(found.main) == (10 if kept else 5) and len(found.beyond) == (5 if kept else 0)
+    assert [len(d.frames) for d in found.doubts] == ([] if kept else [5])
+    assert all("ties" in d.why for d in found.doubts)
+
+
 def test_blocks_never_join_over_a_jump() -> None:
     """Two passes torn at one place: each half stays with its half, although false ties bind the halves as well."""
     _, scene = moving_world(frames=12)

@@ -31,13 +31,13 @@ class ModelPoses:
     world_from_rig: np.ndarray
 
     @property
-    def registered(self) -> np.ndarray:
-        """(N,) bool."""
+    def placed(self) -> np.ndarray:
+        """(N,) bool: has a pose, registered or placed by its rig (``scene.registered``)."""
         return np.isfinite(self.world_from_camera[:, 0, 0])
 
     def centres(self) -> np.ndarray:
-        """(R, 3) projection centres of the registered images."""
-        return self.world_from_camera[self.registered, :3, 3]
+        """(R, 3) projection centres of the images that have a pose."""
+        return self.world_from_camera[self.placed, :3, 3]
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def read_tum(path: Path) -> tuple[np.ndarray, np.ndarray]:
 def match_poses(reference: ReferencePoses, model: ModelPoses, scene: Scene) -> tuple[PoseMatch, str]:
     """The model's poses beside the reference's, and a sentence on what was matched.
 
-    Raises InputError when fewer than three registered poses have a reference.
+    Raises InputError when fewer than three poses have a reference.
     """
     if reference.by_image:
         match, said = _match_images(reference, model, scene)
@@ -123,14 +123,14 @@ def match_poses(reference: ReferencePoses, model: ModelPoses, scene: Scene) -> t
         match, said = _match_frames(reference, model, scene)
     if len(match) < 3:
         raise InputError(
-            f"{reference.path}: only {len(match)} registered poses have a reference ({said}); 3 are needed"
+            f"{reference.path}: only {len(match)} poses of the model have a reference ({said}); 3 are needed"
         )
     return match, said
 
 
 def _match_images(reference: ReferencePoses, model: ModelPoses, scene: Scene) -> tuple[PoseMatch, str]:
     known = [k for k in range(len(scene)) if scene.names[k] in reference.by_image]
-    rows = np.array([k for k in known if model.registered[k]], int)
+    rows = np.array([k for k in known if model.placed[k]], int)
     labels = list(dict.fromkeys(scene.image_label()))
     number = {label: g for g, label in enumerate(labels)}
     frame, label_of = scene.frame[rows], scene.image_label()
@@ -142,7 +142,7 @@ def _match_images(reference: ReferencePoses, model: ModelPoses, scene: Scene) ->
         scene.step[frame],
         tuple(f"{t} {s}".strip() for t, s in labels),
     )
-    return match, f"images by name: {len(rows)} registered of {len(known)} with a reference ({len(scene)} in all)"
+    return match, f"images by name: {len(rows)} placed of {len(known)} with a reference ({len(scene)} in all)"
 
 
 def _match_frames(reference: ReferencePoses, model: ModelPoses, scene: Scene) -> tuple[PoseMatch, str]:
@@ -167,7 +167,7 @@ def _match_frames(reference: ReferencePoses, model: ModelPoses, scene: Scene) ->
     )
     return (
         match,
-        f"rig poses, {said}: {len(rows)} registered of {int(known.sum())} with a reference ({scene.frames} frames in "
+        f"rig poses, {said}: {len(rows)} placed of {int(known.sum())} with a reference ({scene.frames} frames in "
         "all), one constant turn of the axes removed",
     )
 

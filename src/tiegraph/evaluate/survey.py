@@ -15,9 +15,10 @@ from tiegraph.evaluate.cloud import cloud_to_cloud, thin
 from tiegraph.evaluate.metrics import metrics_to_dict
 from tiegraph.evaluate.reference import ModelPoses
 from tiegraph.evaluate.settings import EvaluateSettings
-from tiegraph.evaluate.trajectory import TrajectoryError, evaluate_trajectory, registered_metric, registered_table
+from tiegraph.evaluate.trajectory import TrajectoryError, evaluate_trajectory, registered_metrics, registered_table
 from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.geodesy import Origin
+from tiegraph.scene.registered import registration
 from tiegraph.scene.results import Cloud, DepthMap, Metric
 from tiegraph.scene.scene import Scene
 
@@ -47,8 +48,9 @@ def evaluate_survey(
     """
     found = _Findings()
     model = reference.model_poses(reconstruction, scene)
-    found.metrics.append(registered_metric(model.registered))
-    found.tables.update(registered_table(model.registered, scene.image_label(), scene.section[scene.frame]))
+    images = registration(reconstruction, scene)
+    found.metrics.extend(registered_metrics(images))
+    found.tables.update(registered_table(images, scene.image_label(), scene.section[scene.frame]))
     if cloud is not None and len(cloud):
         result = backprojection_rmse(cloud, pinhole_views(reconstruction) if views is None else views)
         found.metrics.extend(result.metrics())
@@ -62,7 +64,7 @@ def evaluate_survey(
 
 
 def pinhole_views(reconstruction: Any) -> list[View]:
-    """The registered images as pinholes without distortion, when no depth maps are there.
+    """The images with a pose as pinholes without distortion, when no depth maps are there.
 
     The round trip needs only K and the pose; leaving the distortion out shifts which points fall into the frame.
     """

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, robust_umeyama, umeyama
+from tiegraph.scene.registered import BY_RIG, Registration
 from tiegraph.scene.results import Metric
 
 WITHIN_M = 0.3  # an image nearer than this to its true place, after a robust alignment, is called right
@@ -198,8 +199,9 @@ def path_length(positions: np.ndarray) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
 
 
-def registered_table(registered: np.ndarray, labels: list[tuple[str, str]], sections: np.ndarray) -> dict[str, dict]:
-    """Registered of all images by pass, by camera and by section: registered (N,) bool, labels N of (pass, camera)."""
+def registered_table(images: Registration, labels: list[tuple[str, str]], sections: np.ndarray) -> dict[str, dict]:
+    """Registered of all images, and placed by their rig, by pass, by camera and by section; labels: N of (pass,
+    camera)."""
     names = {"pass": [t or "(loose)" for t, _ in labels], "camera": [s for _, s in labels]}
     if np.any(sections >= 0):
         names["section"] = [f"{s}" if s >= 0 else "(none)" for s in sections]
@@ -209,15 +211,19 @@ def registered_table(registered: np.ndarray, labels: list[tuple[str, str]], sect
         rows = []
         for value in dict.fromkeys(values):
             of = column == value
-            rows.append([value, int(registered[of].sum()), int(of.sum()), float(100 * registered[of].mean())])
-        out[f"registered by {kind}"] = {"columns": [kind, "registered", "images", "%"], "rows": rows}
+            registered, by_rig = images.registered[of], images.by_rig[of]
+            rows.append([value, int(registered.sum()), int(by_rig.sum()), len(registered), 100 * registered.mean()])
+        out[f"registered by {kind}"] = {"columns": [kind, "registered", BY_RIG, "images", "%"], "rows": rows}
     return out
 
 
-def registered_metric(registered: np.ndarray) -> Metric:
-    """Share of the images that are in the model, percent."""
-    share = 100 * float(np.mean(registered)) if len(registered) else _NAN
-    return Metric("registered_images", share, "%", "high", 100.0)
+def registered_metrics(images: Registration) -> list[Metric]:
+    """Shares of the images that are registered and that only their rig places, percent."""
+    found = {"registered_images": (images.registered, "high", 100.0), "images_by_rig": (images.by_rig, "low", 0.0)}
+    return [
+        Metric(name, 100 * float(np.mean(of)) if len(of) else _NAN, "%", better, target)
+        for name, (of, better, target) in found.items()
+    ]
 
 
 def _by_group(match: PoseMatch, errors_m: np.ndarray) -> tuple[tuple[str, int, float, float, float], ...]:

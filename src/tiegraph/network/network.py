@@ -14,6 +14,7 @@ from tiegraph.network.model.survey import by_model
 from tiegraph.network.model.surveymodel import ModelFunction, SurveyModel
 from tiegraph.network.offsets.curves import OffsetCurve, contained
 from tiegraph.network.offsets.surface import OffsetSurface
+from tiegraph.network.order import shown_order
 from tiegraph.network.passes import MatchFunction, PreviewBook, find_passes
 from tiegraph.network.rig.check import check_rigs
 from tiegraph.network.sections.light import Cue, UpLight
@@ -105,11 +106,12 @@ def estimate_network(
     source, InputError for a bad pair list.
     """
     book = PreviewBook(match, len(scene))
+    scene, order_notes = shown_order(scene, book, settings)
     scene, rig_notes = _checked(scene, book, settings)
     passes = find_passes(scene)
     proposal = _propose(Context(scene, passes, book, settings, descriptors))
     pairs = proposal.pairs
-    notes = [*rig_notes, *proposal.notes]
+    notes = [*order_notes, *rig_notes, *proposal.notes]
     model, trusted = None, np.zeros(len(scene), bool)
     if settings.model and make_model is not None and _uses_axes(settings) and len(scene) > FEW_PHOTOS:
         result = by_model(pairs, scene, book, settings, make_model)

@@ -15,6 +15,7 @@ from tiegraph.scene.atomic import claim
 from tiegraph.scene.control import Control, locate
 from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.gnss import read_gnss
+from tiegraph.scene.registered import MIN_POINTS, agreeing_points
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.covariance import MOUNTING
 from tiegraph.sfm.mapping import believed_cameras
@@ -133,4 +134,5 @@ def _other_note(number: int, model: pycolmap.Reconstruction, placed: Georeferenc
     where = (
         "can be placed in the same world by its positions" if placed.placed else "has too few positions to be placed"
     )
-    return f"model {number} ({model.num_reg_images()} images, in sparse/{number}) {where}; it is not in the cloud"
+    images = sum(points >= MIN_POINTS for points in agreeing_points(model).values())
+    return f"model {number} ({images} registered images, in sparse/{number}) {where}; it is not in the cloud"

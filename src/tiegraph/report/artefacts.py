@@ -17,6 +17,7 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import is_model
 from tiegraph.scene.colmapmodel import read_model as read_reconstruction
 from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.registered import Registration, registration
 from tiegraph.scene.scene import Scene
 
 log = logging.getLogger(__name__)
@@ -31,11 +32,11 @@ _WORLD_NAMES = {"scale_from": "scale_source", "residual_rms_m": "rms_m", "heldou
 
 @dataclass(frozen=True)
 class Model:
-    """Facts of a sparse model; rows of the arrays follow the scene's images, NaN = not registered."""
+    """Facts of a sparse model; rows of the arrays follow the scene's images, NaN = not in the model."""
 
     folder: str
     world_from_camera: np.ndarray  # (N, 4, 4)
-    seen: np.ndarray  # (N,) sparse points an image sees; 0 = placed by its rig alone, or not registered
+    images: Registration  # which are registered, which only their rig places
     points: int
     reprojection_px: float
     track_length: float
@@ -47,9 +48,19 @@ class Model:
     others: tuple[int, ...] = ()  # registered images of the further models
 
     @property
+    def placed(self) -> np.ndarray:
+        """(N,) bool: has a pose."""
+        return self.images.placed
+
+    @property
     def registered(self) -> np.ndarray:
-        """(N,) bool."""
-        return np.isfinite(self.world_from_camera[:, 0, 0])
+        """(N,) bool: sees points that agree."""
+        return self.images.registered
+
+    @property
+    def by_rig(self) -> np.ndarray:
+        """(N,) bool: has its pose from the rig, or from very few points."""
+        return self.images.by_rig
 
     @property
     def centres(self) -> np.ndarray:
@@ -173,7 +184,7 @@ def read_model(folder: Path, scene: Scene) -> Model | None:
     if world is None and not parts:
         return None
     path, chosen = (folder / "sparse" / "world", world) if world is not None else parts[0]
-    others = tuple(r.num_reg_images() for _, r in parts[1:])
+    others = tuple(int(registration(r, scene).registered.sum()) for _, r in parts[1:])
     return _model_facts(chosen, scene, path.relative_to(folder).as_posix(), others)
 
 
@@ -183,7 +194,6 @@ def _reconstruction(path: Path) -> Any:
 
 def _model_facts(model: Any, scene: Scene, folder: str, others: tuple[int, ...]) -> Model:
     poses = np.full((len(scene), 4, 4), np.nan)
-    seen = np.zeros(len(scene), int)
     sensor_from_rig: dict[int, np.ndarray] = {}
     cameras: dict[int, dict] = {}
     for image in model.images.values():
@@ -191,7 +201,6 @@ def _model_facts(model: Any, scene: Scene, folder: str, others: tuple[int, ...])
         if k is None or not image.has_pose:
             continue
         poses[k] = transforms.invert(_matrix(image.cam_from_world()))
-        seen[k] = image.num_points3D
         key = int(scene.sensor_key[k])
         if key not in cameras:
             cameras[key] = _camera_facts(model.cameras[image.camera_id])
@@ -203,7 +212,7 @@ def _model_facts(model: Any, scene: Scene, folder: str, others: tuple[int, ...])
     return Model(
         folder=folder,
         world_from_camera=poses,
-        seen=seen,
+        images=registration(model, scene),
         points=model.num_points3D(),
         reprojection_px=model.compute_mean_reprojection_error(),
         track_length=model.compute_mean_track_length(),
@@ -277,7 +286,7 @@ def _in_world(cloud: CloudSample | None, model: Model | None, world: dict) -> Cl
     if cloud is None or not len(cloud.xyz) or not shift.any():
         return cloud
     middle = np.median(cloud.xyz, axis=0)
-    near = np.nanmedian(model.centres, axis=0) if model is not None and model.registered.any() else np.zeros(3)
+    near = np.nanmedian(model.centres, axis=0) if model is not None and model.placed.any() else np.zeros(3)
     if np.linalg.norm(middle - shift - near) < np.linalg.norm(middle - near):
         return replace(cloud, xyz=cloud.xyz - shift)
     return cloud

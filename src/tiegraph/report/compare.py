@@ -132,7 +132,7 @@ def _sizes(runs: Sequence[RunFolder]) -> list[tuple[str, list[float]]]:
     peak = [max((r.get("peak_mib") or 0 for r in run.receipts.values()), default=np.nan) for run in runs]
     return [
         ("Input images", [len(r.scene) if r.scene else np.nan for r in runs]),
-        ("Used images", [_used(r) for r in runs]),
+        ("Registered images", [_used(r) for r in runs]),
         ("Separate models", [1 + len(r.model.others) if r.model else np.nan for r in runs]),
         ("Sparse points", [r.model.points if r.model else np.nan for r in runs]),
         ("Dense points", [r.cloud.count if r.cloud else np.nan for r in runs]),

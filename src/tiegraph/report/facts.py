@@ -12,10 +12,10 @@ from tiegraph.geometry import transforms
 from tiegraph.report import ground, words
 from tiegraph.report.artefacts import STAGES, RunFolder
 from tiegraph.report.words import Table
+from tiegraph.scene.registered import BY_RIG, MIN_POINTS
 from tiegraph.text import known_to
 
 GOOD_SHARE, POOR_SHARE = 0.95, 0.6  # of the images registered
-SEEING = 10  # sparse points below which an image's place rests on its rig
 _WEAK = {"yaw_deg": (1.0, "heading", "°"), "tilt_deg": (1.0, "tilt", "°"), "scale": (0.01, "scale", "")}
 _FEW_TIES = 3  # an image with fewer ties hangs loosely
 _HELDOUT_FACTOR = 2.0  # held-out positions this much worse than those used: the model bends to its control
@@ -71,10 +71,12 @@ def _pairs_sentence(run: RunFolder) -> tuple[str, ...]:
 def _registered_sentence(run: RunFolder, registered: int, total: int) -> str:
     assert run.model is not None
     share = words.percent(registered / max(total, 1))
-    text = f"{words.count(registered)} of {words.count(total)} images ({share}) are in one connected model"
-    by_rig = int(np.sum(run.model.registered & (run.model.seen < SEEING)))
-    if by_rig and run.model.points:
-        text += f"; {by_rig} of them see fewer than {SEEING} of its points, so their place rests on the rig"
+    text = f"{words.count(registered)} of {words.count(total)} images ({share}) are registered in one connected model"
+    by_rig = int(run.model.by_rig.sum())
+    if by_rig:
+        text += (
+            f"; the place of {words.count(by_rig)} more rests on the rig, for fewer than {MIN_POINTS} points are seen"
+        )
     if not run.model.others:
         return text + "."
     rest = ", ".join(map(words.count, run.model.others[:4])) + (" ..." if len(run.model.others) > 4 else "")
@@ -250,7 +252,10 @@ def _coverage_warnings(run: RunFolder) -> Iterable[str]:
     for label in dict.fromkeys(labels):
         of = labels == label
         if label and np.mean(registered[of]) < 0.5:
-            yield f"Of {label} only {int(registered[of].sum())} of {int(of.sum())} images are in the model."
+            more = int(run.model.by_rig[of].sum())
+            yield f"Of {label} only {int(registered[of].sum())} of {int(of.sum())} images are registered" + (
+                f"; {more} more stand where their rig places them." if more else "."
+            )
 
 
 def weak_placement(run: RunFolder) -> str:
@@ -272,7 +277,7 @@ def tiles(run: RunFolder) -> list[Tile]:
     if run.scene is not None:
         n = len(run.scene)
         used = f"{int(run.model.registered.sum())} / {n}" if run.model is not None else words.count(n)
-        out.append(Tile(used, "images in the model" if run.model is not None else "images"))
+        out.append(Tile(used, "registered images" if run.model is not None else "images"))
     if run.pairs is not None:
         kept = run.pairs.kept()
         matched = bool(np.any(kept.inliers >= 0))
@@ -310,7 +315,7 @@ def dropped_images(run: RunFolder) -> list[tuple[str, str]]:
 
 
 def registered_tables(run: RunFolder) -> list[Table]:
-    """Registered of all images: a matrix of passes and cameras, and by section."""
+    """Registered of all images: a matrix of passes and cameras, and by section; those their rig places beside them."""
     if run.scene is None or run.model is None:
         return []
     scene, registered = run.scene, run.model.registered
@@ -328,10 +333,10 @@ def registered_tables(run: RunFolder) -> list[Table]:
             row.append(f"{int(registered[of].sum())} of {int(of.sum())}" if of.any() else words.NONE)
         rows.append(row)
     for row, camera in zip(rows, [*cameras, None]):
-        of = registered & (names[:, 1] == camera if camera is not None else True)
-        row.append(f"{int(np.sum(of & (run.model.seen >= SEEING)))} of {int(of.sum())}")
+        of = run.model.by_rig & (names[:, 1] == camera if camera is not None else True)
+        row.append(words.count(int(of.sum())))
     columns = ["camera", *([p or "(loose)" for p in passes] if len(passes) > 1 else []), "all images"]
-    columns.append(f"of these, seeing {SEEING} points or more")
+    columns.append(BY_RIG)
     out = [Table(tuple(columns), tuple(map(tuple, rows)), (False, *[True] * (len(columns) - 1)), "Registered images")]
     sections = scene.section[scene.frame]
     if len(np.unique(sections)) > 1:
@@ -339,8 +344,10 @@ def registered_tables(run: RunFolder) -> list[Table]:
         for s in np.unique(sections):
             of = sections == s
             count = words.count(int(of.sum()))
-            body.append((str(s) if s >= 0 else "(none)", words.count(int(registered[of].sum())), count))
-        out.append(Table(("section", "registered", "images"), tuple(body), (False, True, True), "By section"))
+            by_rig = words.count(int(run.model.by_rig[of].sum()))
+            body.append((str(s) if s >= 0 else "(none)", words.count(int(registered[of].sum())), by_rig, count))
+        columns = ["section", "registered", BY_RIG, "images"]
+        out.append(Table(tuple(columns), tuple(body), (False, True, True, True), "By section"))
     return out
 
 

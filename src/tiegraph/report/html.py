@@ -20,6 +20,7 @@ from tiegraph.report.settings import ReportSettings
 from tiegraph.report.ties import network_part
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.figures import plain_text
+from tiegraph.scene.registered import BY_RIG
 from tiegraph.scene.scene import Scene
 from tiegraph.text import printable
 
@@ -148,6 +149,7 @@ def _model(run: RunFolder) -> dict[str, Any]:
     m = run.model
     out["facts"] = [
         ("registered images", f"{words.count(int(m.registered.sum()))} of {words.count(len(m.registered))}"),
+        ("images " + BY_RIG, words.count(int(m.by_rig.sum()))),
         ("sparse points", words.count(m.points)),
         ("observations of an image", words.number(m.observations)),
         ("images of a point (track length)", words.number(m.track_length)),
@@ -177,7 +179,7 @@ def _three(value: Any) -> bool:
 def _three_d(run: RunFolder, settings: ReportSettings) -> dict[str, Any]:
     """The plan, the static views and the interactive view."""
     out: dict[str, Any] = {"plan": None, "views": [], "viewer": None, "viewer_script": "", "cloud": None}
-    if run.scene is None or run.model is None or not run.model.registered.any():
+    if run.scene is None or run.model is None or not run.model.placed.any():
         return out
     upright = np.eye(3) if run.world else _upright(run.model.world_from_camera)
     unit = "m" if run.metric else "units"
@@ -192,7 +194,7 @@ def _three_d(run: RunFolder, settings: ReportSettings) -> dict[str, Any]:
         found = [plan.Track(t.name, t.positions, t.missing[:0]) for t in found]
     out["plan"] = plan.plan_chart(found, gnss, xyz, unit, axes)
     if run.cloud is not None:
-        path = run.model.centres[run.model.registered] @ upright.T
+        path = run.model.centres[run.model.placed] @ upright.T
         views = standard_views(xyz, rgb, path, settings.view_px, run.georeferenced)
         out["views"] = [(v.name, jpeg(with_scale_bar(v, unit))) for v in views]
         out["cloud"] = _cloud_facts(run)
@@ -250,6 +252,7 @@ def _evaluation(run: RunFolder) -> dict[str, Any]:
 
 _METRICS = {
     "registered_images": "registered images",
+    "images_by_rig": "images " + BY_RIG,
     "backprojection_rmse": "back-projection RMSE (round trip, see the note)",
     "backprojection_rounding": "... of which rounding to the pixel alone",
     "ate_sim3_rmse": "camera positions after similarity alignment, RMSE (ATE Sim3)",

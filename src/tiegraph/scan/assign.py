@@ -15,11 +15,12 @@ from tiegraph.scan.bands import band_layout, with_rig_tags
 from tiegraph.scan.folders import (
     UP_WORDS,
     Layout,
+    Order,
     Place,
     guess_layout,
-    is_loose,
     is_pattern,
     natural,
+    order_of,
     place_by_folders,
     shot_stem,
     words,
@@ -54,6 +55,7 @@ class Survey:
     specs: tuple[RigSpec, ...]
     shots: tuple[Shot, ...]
     loose: bool
+    guessed: bool = False  # the order of a sequence: the images have to show it
 
 
 class Report:
@@ -75,9 +77,9 @@ class Usable:
     names: tuple[str, ...]
     probes: tuple[Probe, ...]
 
-    def loose(self, places: Sequence[Place | None], layout: str) -> tuple[bool, str]:
+    def order(self, places: Sequence[Place | None], layout: str) -> Order:
         """Whether these are loose photographs, and why."""
-        return is_loose(self.names, places, *self.facts(), layout)
+        return order_of(self.names, places, *self.facts(), layout)
 
     def facts(self) -> tuple[list[Exif], list[tuple[int, int]]]:
         """EXIF and upright sizes."""
@@ -92,7 +94,7 @@ def assign(rig: str | None, usable: Usable, settings: ScanSettings, report: Repo
         usable.names, exif, sizes, settings.layout, cameras
     )
     if layout.folders == ("",) and not layout.loose and settings.layout == "auto" and len(_lenses(usable)) > 1:
-        layout = replace(layout, loose=True, note="loose photographs: taken with different lenses")
+        layout = replace(layout, order=Order(True, "loose photographs: taken with different lenses"))
     if rig is None:
         report.notes.append(f"layout guessed: {layout.note}")
         spec = with_rig_tags(_guessed_rig(layout), layout, exif, report.notes)
@@ -114,7 +116,9 @@ def assign(rig: str | None, usable: Usable, settings: ScanSettings, report: Repo
     )
     strays = [name for name, place in zip(usable.names, layout.places) if place is None]
     report.drop(strays, f"outside the camera folders ({some(layout.folders)})")
-    return _by_camera(spec, shots, usable, report) if layout.loose else Survey((spec,), shots, False)
+    if layout.loose:
+        return _by_camera(spec, shots, usable, report)
+    return Survey((spec,), shots, False, layout.order.guessed)
 
 
 def _shot(image: int, name: str, owner: tuple[int, int], place: Place, loose: bool) -> Shot:
@@ -141,15 +145,15 @@ def _assign_by_file(file: Path, usable: Usable, settings: ScanSettings, report: 
     _all_found(file, specs, places, usable.names)
     stray = [name for name, place in zip(usable.names, places) if place is None]
     report.drop(stray, f"below no sensor folder of {file.name} ({', '.join(owner)})")
-    loose, why = usable.loose(places, settings.layout) if len(owner) == 1 else (False, "")
-    report.notes.append(f"rig file {file.name}: {len(owner)} sensor(s)" + (f"; {why}" if why else ""))
+    order = usable.order(places, settings.layout) if len(owner) == 1 else Order(False, "")
+    report.notes.append(f"rig file {file.name}: {len(owner)} sensor(s)" + (f"; {order.why}" if order.why else ""))
     report.notes += [f"{file.name}: {text}" for spec in specs for text in contradictions(spec)]
     shots = [
-        _shot(image, name, owner[place.folder], place, loose)
+        _shot(image, name, owner[place.folder], place, order.loose)
         for image, name, place in zip(usable.images, usable.names, places)
         if place is not None
     ]
-    return Survey(specs, tuple(shots), loose)
+    return Survey(specs, tuple(shots), order.loose, order.guessed)
 
 
 def _checked(spec: RigSpec) -> RigSpec:

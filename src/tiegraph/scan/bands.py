@@ -15,7 +15,7 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from tiegraph.geometry.transforms import rigid
-from tiegraph.scan.folders import Layout, Place, is_pattern, natural, pass_names
+from tiegraph.scan.folders import Layout, Order, Place, is_pattern, natural, pass_names
 from tiegraph.scan.rigspec import RigSpec, SensorSpec
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.xmp import relative_rotation
@@ -52,7 +52,7 @@ def band_layout(names: Sequence[str], exif: Sequence[Exif], kind: str) -> Layout
     places = tuple(Place(f"*_{spelt[m]}", p) if m in cameras else None for m, p in zip(marks, passes))
     folders = tuple(f"*_{spelt[m]}" for m in sorted(cameras, key=natural))
     note = f"{len(folders)} cameras that share folders, by the ends of the file names: {', '.join(folders)}"
-    return Layout(places, folders, False, note)
+    return Layout(places, folders, Order(False, note))
 
 
 def _numbered(mark: str, stem: str, name: str, exif: Exif) -> bool:

@@ -36,13 +36,32 @@ class Place:
 
 
 @dataclass(frozen=True)
+class Order:
+    """Whether images are loose photographs, and why (for people); ``guessed``: they are no sequence unless the images
+    themselves show it, which the network asks."""
+
+    loose: bool
+    why: str
+    guessed: bool = False
+
+
+@dataclass(frozen=True)
 class Layout:
     """Reading of a folder tree: the place of each image, the sensor folders in natural order, and order."""
 
     places: tuple[Place | None, ...]  # None: a stray, outside the camera folders
     folders: tuple[str, ...]
-    loose: bool
-    note: str
+    order: Order
+
+    @property
+    def loose(self) -> bool:
+        """Whether these are loose photographs."""
+        return self.order.loose
+
+    @property
+    def note(self) -> str:
+        """How the tree was read, for people."""
+        return self.order.why
 
 
 def natural(text: str) -> list[tuple[int, int, str]]:
@@ -150,10 +169,9 @@ def guess_layout(
             places[k] = place
         folders = tuple(sorted({p.folder for p in inner}, key=natural))
         passes = len({p.track for p in inner})
-        return Layout(tuple(places), folders, False, f"{len(folders)} cameras, {passes} pass(es): {why}")
+        return Layout(tuple(places), folders, Order(False, f"{len(folders)} cameras, {passes} pass(es): {why}"))
     lone = tuple(Place("", _pass_name(p, _common(paths))) for p in paths)
-    loose, why = is_loose(names, lone, exif, sizes, kind)
-    return Layout(lone, ("",), loose, why)
+    return Layout(lone, ("",), order_of(names, lone, exif, sizes, kind))
 
 
 def _by_camera_level(names: Sequence[str], kind: str, cameras: tuple[int, ...]) -> tuple[list[Place], str] | None:
@@ -211,34 +229,38 @@ def _some(names: Sequence[str]) -> str:
     return ", ".join(names) if len(names) <= 6 else f"{', '.join(names[:5])} ... {names[-1]}"
 
 
-def is_loose(
+def order_of(
     names: Sequence[str],
     places: Sequence[Place | None],
     exif: Sequence[Exif],
     sizes: Sequence[tuple[int, int]],
     kind: str,
-) -> tuple[bool, str]:
-    """Whether images of one camera are loose photographs rather than sequences, and why (for people)."""
+) -> Order:
+    """Whether images of one camera are loose photographs rather than sequences.
+
+    Nothing here proves a sequence but somebody's word: a camera that numbers its pictures and a photographer with a
+    steady hand leave equal steps too.
+    """
     if kind in ("loose", "sequence", "passes", "cameras"):
         word = "loose photographs" if kind == "loose" else "a sequence of one camera"
-        return kind == "loose", f"{word}, as the layout setting says"
+        return Order(kind == "loose", f"{word}, as the layout setting says")
     passes = len({p.track for p in places if p})
-    as_sequence = f"a sequence of one camera in {passes} pass(es)"
+    as_sequence = f"a sequence of one camera in {passes} pass(es), if the images bear it out"
     if len(names) < _FEW:
-        return True, f"loose photographs: fewer than {_FEW}, so their order does not matter"
+        return Order(True, f"loose photographs: fewer than {_FEW}, so their order does not matter")
     if len({(e.make, e.model, *s) for e, s in zip(exif, sizes)}) > 1:
-        return True, "loose photographs: taken by different cameras or in different sizes"
+        return Order(True, "loose photographs: taken by different cameras or in different sizes")
     regular = _regular_times([e.time_s for e in exif])
     if regular is not None:
-        return not regular, f"{as_sequence}: taken at regular times" if regular else (
-            "loose photographs: taken at irregular times"
-        )
+        if regular:
+            return Order(False, f"{as_sequence}: taken at regular times", guessed=True)
+        return Order(True, "loose photographs: taken at irregular times")
     stems = [PurePosixPath(n).stem for n in names]
     if all(_PHOTO_NAME.match(s) for s in stems):
-        return True, "loose photographs: numbered as a camera numbers single photographs"
+        return Order(True, "loose photographs: numbered as a camera numbers single photographs")
     if _regular_numbers(names):
-        return False, f"{as_sequence}: numbered in equal steps"
-    return True, "loose photographs: neither times nor numbers show an order"
+        return Order(False, f"{as_sequence}: numbered in equal steps", guessed=True)
+    return Order(True, "loose photographs: neither times nor numbers show an order")
 
 
 def _regular_times(times: Sequence[float]) -> bool | None:

@@ -43,6 +43,11 @@ class ScanInputs:
     gnss: Path | None = None
     trajectory: Path | None = None
     times: Path | None = None
+    video: bool = False  # the images are pictures of videos
+
+    def tells_order(self) -> bool:
+        """Whether somebody knows when each image was taken, so that its neighbours are those in time."""
+        return self.video or self.trajectory is not None or self.times is not None
 
 
 def build_scene(inputs: ScanInputs, names: Sequence[str], probes: Sequence[Probe], settings: ScanSettings) -> Scene:
@@ -326,6 +331,7 @@ def _scene(
         prior=priors.prior,
         dropped=tuple(sorted(report.dropped, key=lambda d: d.name)),
         notes=(*report.notes, *priors.notes),
+        guessed=tracks if survey.guessed and not inputs.tells_order() else (),
         sources=() if named.names == sources else sources,
     )
 

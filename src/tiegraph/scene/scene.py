@@ -56,6 +56,7 @@ class Scene:
     prior: str = "none"  # where the prior poses come from: one of PRIORS
     dropped: tuple[Dropped, ...] = ()
     notes: tuple[str, ...] = ()  # what was guessed or found odd, for people
+    guessed: tuple[str, ...] = ()  # passes whose order only names or times suggest: the network asks the images
     sources: tuple[str, ...] = ()  # N file names below the user's folder where they differ from names, else empty
 
     def __post_init__(self) -> None:
@@ -164,6 +165,7 @@ class Scene:
             "dropped": [[d.name, d.reason] for d in self.dropped],
             "names": list(self.names),
             "sources": list(self.sources),
+            "guessed": list(self.guessed),
         }
         return json.dumps({**head, **columns}, allow_nan=False)
 
@@ -180,6 +182,7 @@ class Scene:
             rigs=tuple(rig_from_dict(r) for r in data["rigs"]),
             names=tuple(data["names"]),
             sources=tuple(data.get("sources", ())),
+            guessed=tuple(data.get("guessed", ())),
             tracks=tuple(data["tracks"]),
             origin=None if data["origin"] is None else Origin.from_dict(data["origin"]),
             prior=data["prior"],

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pycolmap
 
+from tiegraph.scene.registered import BY_RIG
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjust import FOCAL_RANGE
 from tiegraph.sfm.database import ViewGraph
-from tiegraph.sfm.model import MIN_OBSERVATIONS
 
 LEFT_OUT = "left out: "  # how the reason of an image begins that stood at a wrong place
 CLEARLY_FEWER = 0.8  # of the images tied to each other: fewer placed ask for a word on why
@@ -135,18 +135,18 @@ def _turned_deg(cameras: Any, key: int, given: pycolmap.Camera | None) -> float:
 def models_table(models: Sequence[Any]) -> dict:
     """Table of the models (``mapper.Model``), most images first."""
     rows = [
-        [k, len(m.images), m.seeing, m.frames, m.points, round(m.reprojection_px, 3), round(m.track_length, 2)]
+        [
+            k,
+            m.registered,
+            len(m.images) - m.registered,
+            m.frames,
+            m.points,
+            round(m.reprojection_px, 3),
+            round(m.track_length, 2),
+        ]
         for k, m in enumerate(models)
     ]
-    columns = [
-        "model",
-        "images",
-        f"seeing {MIN_OBSERVATIONS} points",
-        "frames",
-        "points",
-        "reprojection px",
-        "track length",
-    ]
+    columns = ["model", "registered", BY_RIG, "frames", "points", "reprojection px", "track length"]
     return {"columns": columns, "rows": rows}
 
 

@@ -12,6 +12,7 @@ import pycolmap
 from tiegraph.child import run_in_child
 from tiegraph.errors import ReconstructionError
 from tiegraph.scene.colmapmodel import read_model
+from tiegraph.scene.registered import MIN_POINTS, Registration, registration
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.blockwise import RunMap, serially
@@ -20,7 +21,7 @@ from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.finish import Finished, FinishRequest, finish_model
 from tiegraph.sfm.losses import camera_notes, camera_table, models_table, no_model_text, rig_doubts, unregistered
 from tiegraph.sfm.mapping import SCRATCH, Job, Outcome, Progress, believed_cameras, map_images
-from tiegraph.sfm.model import MIN_OBSERVATIONS, frame_poses, image_poses, observations, registration_tables
+from tiegraph.sfm.model import frame_poses, registration_tables
 from tiegraph.sfm.rig.rig import DerivedRig, derive_rig, rig_modes, rig_table
 from tiegraph.sfm.rig.support import ties_of, unsupported_sensors
 from tiegraph.sfm.settings import SparseSettings
@@ -31,12 +32,21 @@ class Model:
     """One model on disk: which images it holds and how good it is by its own account."""
 
     folder: Path
-    images: np.ndarray  # scene indices of the registered images
-    seeing: int  # of these, how many see >= 10 of the model's points; the others hang on the rig alone
+    found: Registration  # its images: which are registered, which only their rig places
     frames: int
     points: int
     reprojection_px: float
     track_length: float
+
+    @property
+    def images(self) -> np.ndarray:
+        """Scene indices of the images that have a pose."""
+        return np.flatnonzero(self.found.placed)
+
+    @property
+    def registered(self) -> int:
+        """Number of images that see its points and agree with them."""
+        return int(self.found.registered.sum())
 
 
 @dataclass(frozen=True)
@@ -200,25 +210,25 @@ def _account(job: Job, outcome: Outcome, rig: str, finished: Finished) -> Sparse
     folders = [job.out / str(k) for k in range(len(outcome.folders))]
     models = [_model(read_model(f), f, scene) for f in folders]
     main = read_model(folders[0])
-    poses = image_poses(main, scene)
     tables = {
         "models": models_table(models),
         "runs": {
             "columns": ["mapper", "rig", "priors", "", "models", "images seeing points", "points", "seconds"],
             "rows": job.runs,
         },
-        **registration_tables(scene, poses, observations(main, scene)),
+        **registration_tables(scene, models[0].found),
         "cameras": camera_table(main, scene),
         "rig": rig_table(scene, main),
         **finished.tables,
     }
     first = models[0]
     held = [k for k, mode in rig_modes(scene, job.settings.rig).items() if mode in ("fixed", "soft")]
-    doubts = [] if job.rough else rig_doubts(main, scene, held, first.seeing, job.graph.components[0])
+    doubts = [] if job.rough else rig_doubts(main, scene, held, first.registered, job.graph.components[0])
+    by_rig = [] if job.rough else _by_rig_notes(scene, first.found)
     counts: dict[str, float] = {
         "images": len(scene),
-        "registered": len(first.images),
-        "seeing_points": first.seeing,
+        "registered": first.registered,
+        "placed_by_rig": len(first.images) - first.registered,
         "frames": first.frames,
         "models": len(models),
         "components": len(job.graph.components),
@@ -234,20 +244,28 @@ def _account(job: Job, outcome: Outcome, rig: str, finished: Finished) -> Sparse
         scene=scene,
         components=tuple(job.graph.components),
         dropped=tuple(unregistered(scene, job.graph, [m.images for m in models], dict(finished.dropped))),
-        notes=(*job.notes, *camera_notes(main, scene), *doubts),
+        notes=(*job.notes, *by_rig, *camera_notes(main, scene), *doubts),
         tables=tables,
         counts=counts,
         sigma=finished.sigma,
     )
 
 
+def _by_rig_notes(scene: Scene, found: Registration) -> list[str]:
+    only = np.flatnonzero(found.by_rig)
+    if not len(only):
+        return []
+    names = ", ".join(scene.names[k] for k in only[:3]) + (" ..." if len(only) > 3 else "")
+    return [
+        f"{len(only)} images see fewer than {MIN_POINTS} points of the model: they are not registered but stand where "
+        f"their rig or those few points place them ({names})"
+    ]
+
+
 def _model(reconstruction: pycolmap.Reconstruction, folder: Path, scene: Scene) -> Model:
-    registered = np.isfinite(image_poses(reconstruction, scene)).all(axis=(1, 2))
-    seeing = observations(reconstruction, scene) >= MIN_OBSERVATIONS
     return Model(
         folder=folder,
-        images=np.flatnonzero(registered),
-        seeing=int(seeing.sum()),
+        found=registration(reconstruction, scene),
         frames=reconstruction.num_reg_frames(),
         points=reconstruction.num_points3D(),
         reprojection_px=float(reconstruction.compute_mean_reprojection_error()),

@@ -9,12 +9,13 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
+from tiegraph.scene.registered import BY_RIG, MIN_POINTS, Registration
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 
 HELD_OUT_EVERY = 5  # ALGORITHMS: leave every fifth position out of the fit and look at its residual
 MIN_POSITIONS_TO_HOLD_OUT = 10  # below, a fit without a fifth of them says little
-MIN_OBSERVATIONS = 10  # an image that sees fewer model points has its pose from the rig alone
+MIN_OBSERVATIONS = MIN_POINTS  # an image that sees fewer model points has its pose from the rig alone
 
 
 def matrix(transform: pycolmap.Rigid3d) -> np.ndarray:
@@ -40,7 +41,7 @@ def image_poses(reconstruction: pycolmap.Reconstruction, scene: Scene) -> np.nda
 
 
 def observations(reconstruction: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
-    """(N,) i8: model points that each image of the scene sees."""
+    """(N,) i8: model points that each image of the scene sees. Of a finished model ask ``scene.registered``."""
     counts = np.zeros(len(scene), int)
     for image_id in reconstruction.reg_image_ids():
         image = reconstruction.image(image_id)
@@ -130,13 +131,8 @@ def held_out_frames(scene: Scene) -> np.ndarray:
     return out
 
 
-def registration_tables(scene: Scene, cam_from_world: np.ndarray, seen_points: np.ndarray) -> dict[str, dict]:
-    """Tables of images, registered images and images that see >= 10 points, per camera, pass and section.
-
-    A registered image may have its pose from the rig alone; the last column tells.
-    """
-    registered = np.isfinite(cam_from_world).all(axis=(1, 2))
-    seeing = registered & (seen_points >= MIN_OBSERVATIONS)
+def registration_tables(scene: Scene, found: Registration) -> dict[str, dict]:
+    """Tables of images, registered images and images that only their rig places, per camera, pass and section."""
     labels = scene.image_label()
     sections = scene.section[scene.frame]
     groups = {
@@ -150,9 +146,9 @@ def registration_tables(scene: Scene, cam_from_world: np.ndarray, seen_points: n
         rows = []
         for value in sorted(set(values)):
             of = column == value
-            rows.append([value or "-", int(of.sum()), int(registered[of].sum()), int(seeing[of].sum())])
+            rows.append([value or "-", int(of.sum()), int(found.registered[of].sum()), int(found.by_rig[of].sum())])
         tables[f"registered_per_{name}"] = {
-            "columns": [name, "images", "registered", f"seeing {MIN_OBSERVATIONS} points"],
+            "columns": [name, "images", "registered", BY_RIG],
             "rows": rows,
         }
     return tables

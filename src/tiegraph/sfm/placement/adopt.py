@@ -9,7 +9,7 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.sfm.model import rigid3d
-from tiegraph.sfm.placement.repair import Repair, near_course, place_images
+from tiegraph.sfm.placement.repair import Repair, around, fits, place_images
 from tiegraph.sfm.placement.verified import seen_by
 
 
@@ -33,15 +33,11 @@ def adopt(work: Repair, image_ids: dict[int, int]) -> list[tuple[int, int]]:
     units = [u for u in missing(work, tied_images(work)) if u.frame not in lost]
     if not units:
         return []
-    seen = seen_by(model, scene)
-    poses, way = work.poses(), work.way()
-    main = {int(scene.frame[k]) for k in seen.point}
+    here = around(work, seen_by(model, scene))
     out = []
     for unit in units:
-        found = place_images(work, unit.images, seen)
-        if found is None or not found.holds():
-            continue
-        if unit.bound and not near_course(unit.frame, found.pose[:3, 3], poses, scene, way, main):
+        found = place_images(work, unit.images, here.seen)
+        if found is None or not found.holds() or (unit.bound and not fits(work, unit.images, found.pose, here)):
             continue
         register(work, unit, found.pose, image_ids)
         out += [(k, found.inliers) for k in unit.images]

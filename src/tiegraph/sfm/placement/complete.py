@@ -11,7 +11,7 @@ from tiegraph.sfm.model import MIN_OBSERVATIONS, image_poses
 from tiegraph.sfm.placement.adopt import Unit, missing, register
 from tiegraph.sfm.placement.guided import Descriptors, Found, Sight, add_sightings, guided, rows_of
 from tiegraph.sfm.placement.predict import Predicted, predicted
-from tiegraph.sfm.placement.repair import Repair, mounts, near_course
+from tiegraph.sfm.placement.repair import Repair, around, fits, mounts
 from tiegraph.sfm.placement.resect import MIN_INLIERS, Placed, place
 from tiegraph.sfm.placement.verified import Seen, seen_by
 
@@ -53,23 +53,22 @@ def _place_missing(work: Repair, image_ids: dict[int, int], descriptors: Descrip
     units = [u for u in missing(work, with_features) if u.frame not in dict(work.left_out)]
     if not units:
         return
-    seen = seen_by(work.model, scene)
-    poses, way = work.poses(), work.way()
-    main = {int(scene.frame[k]) for k in seen.point}
+    here = around(work, seen_by(work.model, scene))
     for unit in units:
-        where = predicted(unit.frame, poses, work.preview, scene) if unit.bound or len(unit.images) == 1 else None
+        where = predicted(unit.frame, here.poses, work.preview, scene) if unit.bound or len(unit.images) == 1 else None
         if where is None:
             done.why.update(dict.fromkeys(unit.images, "neither a preview model nor neighbours say where it stands"))
             continue
-        found = _search(work, unit, where, seen, descriptors)
-        placed = place(rows_of(found, work.verified, seen), *mounts(work, unit.images))
+        found = _search(work, unit, where, here.seen, descriptors)
+        placed = place(rows_of(found, work.verified, here.seen), *mounts(work, unit.images))
         if placed is None or not _holds(placed, where):
             agree = 0 if placed is None else placed.inliers
             text = f"guided matching at the place that {where.by} give: {agree} points agree, {MIN_INLIERS} are needed"
             done.why.update(dict.fromkeys(unit.images, text))
             continue
-        if not near_course(unit.frame, placed.pose[:3, 3], poses, scene, way, main):
-            done.why.update(dict.fromkeys(unit.images, "guided matching puts it off the course of its pass"))
+        if not fits(work, unit.images, placed.pose, here):
+            text = "guided matching puts it off the course of its pass, and its verified matches do not hold it there"
+            done.why.update(dict.fromkeys(unit.images, text))
             continue
         register(work, unit, placed.pose, image_ids)
         for one in found:

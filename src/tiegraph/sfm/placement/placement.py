@@ -1,13 +1,15 @@
 """Is every frame where its images say it is? What COLMAP's statistics do not show, asked of each frame and block.
 
 A repeated wall holds a frame, a block or a whole pass at the wrong place with ties that agree among themselves. What
-gives it away: the course of the pass jumps, and the verified ties to the neighbours in the pass, which the mapper had
-to throw out, all disagree. Such frames are placed again from the ties of their neighbours, or left out with the reason.
+gives it away are the verified ties to the neighbours in the pass, which the mapper had to throw out: they all disagree.
+A jump in the course of a pass is a reason to ask, never one to leave a frame out: whoever numbers photographs of a yard
+makes jumps too. Frames whose ties contradict their place, or hardly hold it where the course jumps, are placed again
+from the ties of the others, or left out with the reason.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -20,6 +22,7 @@ from tiegraph.sfm.placement.verified import Verified
 NEAR = 3  # steps of a pass within which a tie is one of the neighbours'
 AGREES, CONTRADICTS = 0.5, 0.25  # share of a pair's matches that the model explains
 MIN_VOTES = 30.0  # matches that make an opinion of two frames
+MIN_PARTNERS = 2  # frames whose ties agree: false ties to one are soon found
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,10 @@ class Votes:
             own = table.get(frame, {})
             sums[side] = float(sum(v for other, v in own.items() if others is None or other in others))
         return sums[0], sums[1]
+
+    def partners(self, frame: int, others: set[int]) -> set[int]:
+        """Those of the others whose ties to a frame agree."""
+        return self._beside[0].get(frame, {}).keys() & others
 
     @cached_property
     def _beside(self) -> tuple[dict[int, dict[int, float]], ...]:
@@ -76,38 +83,95 @@ class Doubt:
 
 @dataclass(frozen=True)
 class Judgement:
-    """The frames of the main block and the doubtful ones."""
+    """The frames of the main block, the doubtful ones, and those of the main block that stand beyond a jump."""
 
     main: tuple[int, ...]
     doubts: tuple[Doubt, ...]
+    beyond: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Opinion:
+    """What the ties of some frames to believed ones say of their place, in matches, and how many of these agree."""
+
+    agree: float
+    against: float
+    agree_near: float  # the neighbours on the pass alone
+    against_near: float
+    partners: int
+
+    def contradiction(self) -> str:
+        """Why they speak against the place; "" if they do not.
+
+        The neighbours on the pass are asked first: false ties bind what is far apart.
+        """
+        if self.against_near >= MIN_VOTES and self.against_near > self.agree_near:
+            return (
+                f"its ties to its neighbours contradict its place ({self.against_near:.0f} matches to "
+                f"{self.agree_near:.0f})"
+            )
+        if self.against >= MIN_VOTES and self.against > self.agree:
+            return f"most of its ties contradict its place ({self.against:.0f} matches to {self.agree:.0f})"
+        return ""
+
+    def holds(self) -> bool:
+        """Whether they hold the place by themselves, whatever the course of a pass says."""
+        return self.agree >= MIN_VOTES and self.partners >= MIN_PARTNERS and not self.contradiction()
+
+
+def opinion(frames: Collection[int], believed: set[int], said: Votes, near: Sequence[set[int]]) -> Opinion:
+    """Of the ties of frames to believed ones; ``near``: the neighbours of every frame on its pass (``neighbours``)."""
+    others = believed - set(frames)
+    sums = np.zeros(4)
+    partners: set[int] = set()
+    for frame in frames:
+        sums += [*said.of(frame, others), *said.of(frame, near[frame] & others)]
+        partners |= said.partners(frame, others)
+    agree, against, agree_near, against_near = sums.tolist()
+    return Opinion(agree, against, agree_near, against_near, len(partners))
 
 
 def judge(positions: np.ndarray, scene: Scene, way: Course, said: Votes) -> Judgement:
-    """Blocks that a jump tears from the largest one, and single frames whose neighbours' ties all disagree."""
-    cut = pieces(positions, scene, way)
-    blocks = _blocks(cut, said)
-    blocks.sort(key=lambda block: -sum(len(p.frames) for p in block))
-    doubts = [Doubt(tuple(sorted(f for p in block for f in p.frames)), _torn(block, way)) for block in blocks[1:]]
-    main = {f for p in blocks[0] for f in p.frames} if blocks else set()
-    unordered = {f for f in np.flatnonzero(np.isfinite(positions).all(axis=1)).tolist()} - {
-        f for block in blocks for p in block for f in p.frames
-    }
-    main |= unordered
-    near = _near(scene)
+    """Blocks that a jump parts from the rest and that their ties do not hold there, and single frames whose ties
+    contradict their place."""
+    blocks = [sorted(f for p in block for f in p.frames) for block in _blocks(pieces(positions, scene, way), said)]
+    blocks.sort(key=lambda block: -len(block))
+    near = neighbours(scene)
+    main = set(blocks[0]) if blocks else set()
+    main |= set(np.flatnonzero(np.isfinite(positions).all(axis=1)).tolist()) - {f for block in blocks for f in block}
+    beyond, parted = _held(blocks[1:], main, said, near)
+    main |= set(beyond)
+    doubts = [Doubt(tuple(block), _torn(opinion(block, main, said, near))) for block in parted]
     for frame in sorted(main):
-        why = _contradicted(frame, said, near[frame] & main)
+        why = opinion([frame], main, said, near).contradiction()
         if why:
             doubts.append(Doubt((frame,), why))
     single = {f for d in doubts for f in d.frames}
-    return Judgement(tuple(sorted(main - single)), tuple(doubts))
+    return Judgement(tuple(sorted(main - single)), tuple(doubts), tuple(sorted(set(beyond) - single)))
 
 
-def _torn(block: list[Piece], way: Course) -> str:
-    usual = np.mean([way.usual[p.track] for p in block])
-    return f"the course of its pass jumps there (a usual step is {usual:.3g} units)"
+def _held(
+    blocks: list[list[int]], main: set[int], said: Votes, near: Sequence[set[int]]
+) -> tuple[list[int], list[list[int]]]:
+    """Frames of the blocks that their ties hold where they are, and the other blocks; each lets the next lean on it."""
+    beyond: list[int] = []
+    while True:
+        held = [b for b in blocks if opinion(b, main | set(beyond), said, near).holds()]
+        if not held:
+            return beyond, blocks
+        beyond += [f for b in held for f in b]
+        blocks = [b for b in blocks if b not in held]
 
 
-def _near(scene: Scene) -> list[set[int]]:
+def _torn(ties: Opinion) -> str:
+    """Why a block beyond a jump is in doubt: by what its ties say."""
+    return ties.contradiction() or (
+        f"the course of its pass jumps there and its ties hardly hold it ({ties.agree:.0f} matches with "
+        f"{ties.partners} frames agree)"
+    )
+
+
+def neighbours(scene: Scene) -> list[set[int]]:
     """The frames within NEAR steps of each on its pass, without itself."""
     order = np.lexsort((scene.step, scene.track))
     key = scene.track[order].astype(np.int64) * (4 * NEAR + int(scene.step.max(initial=0))) + scene.step[order]
@@ -117,17 +181,6 @@ def _near(scene: Scene) -> list[set[int]]:
         if scene.track[frame] >= 0:
             out[frame] = set(order[low[place] : high[place]].tolist()) - {frame}
     return out
-
-
-def _contradicted(frame: int, said: Votes, near: set[int]) -> str:
-    """Why the ties of a frame speak against its place; "" if they do not. ``near``: believed frames close by."""
-    by_near, against_near = said.of(frame, near)
-    agree, against = said.of(frame)
-    if against_near >= MIN_VOTES and against_near > by_near:
-        return f"its ties to its neighbours contradict its place ({against_near:.0f} matches to {by_near:.0f})"
-    if against >= MIN_VOTES and against > agree:
-        return f"most of its ties contradict its place ({against:.0f} matches to {agree:.0f})"
-    return ""
 
 
 def _blocks(cut: list[Piece], said: Votes) -> list[list[Piece]]:

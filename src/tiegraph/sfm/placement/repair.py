@@ -1,9 +1,12 @@
-"""Doubtful frames are placed again, missing ones placed, and the points made anew where something moved."""
+"""Doubtful frames are placed again, missing ones placed, and the points made anew where something moved.
+
+A place off the course of a pass is asked of the ties once more, and what they say decides.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +17,7 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses, image_poses, matrix, model_rigs, rigid3d
-from tiegraph.sfm.placement.placement import Doubt, Judgement, judge, votes
+from tiegraph.sfm.placement.placement import Doubt, Judgement, judge, neighbours, opinion, votes
 from tiegraph.sfm.placement.resect import MIN_INLIERS, Placed, correspondences, place
 from tiegraph.sfm.placement.steps import Course, course
 from tiegraph.sfm.placement.verified import Seen, Verified, agreement, seen_by
@@ -35,6 +38,7 @@ class Repair:
     preview: np.ndarray | None  # (F, 4, 4) world_from_rig of the preview model, units of its own
     moved: list[tuple[int, float, str]] = field(default_factory=list)  # frame, how far, why
     left_out: list[tuple[int, str]] = field(default_factory=list)
+    beyond: tuple[int, ...] = ()  # frames that only their ties hold where they are: the course of their pass jumps
     notes: list[str] = field(default_factory=list)
 
     def poses(self) -> np.ndarray:
@@ -58,6 +62,7 @@ def repair(work: Repair) -> bool:
     changed = False
     for _ in range(ROUNDS):
         judged = work.judged()
+        work.beyond = judged.beyond
         if not judged.doubts:
             break
         lost = sum(len(d.frames) for d in judged.doubts)
@@ -76,19 +81,19 @@ def repair(work: Repair) -> bool:
 def _settle(work: Repair, doubt: Doubt, judged: Judgement) -> None:
     main = set(judged.main)
     seen = only_frames(seen_by(work.model, work.scene), work.scene, main)
-    poses, way = work.poses(), work.way()
+    here = around(work, seen)
     if len(doubt.frames) >= BLOCK_FRAMES:
         motion = _block_motion(work, doubt, seen)
-        if motion is not None and _ends_fit(doubt.frames, motion, poses, work.scene, way, main):
+        if motion is not None and _ends_fit(doubt.frames, motion, here, work.scene):
             for frame in doubt.frames:
-                _set(work, frame, poses[frame], motion @ poses[frame], doubt.why)
+                _set(work, frame, here.poses[frame], motion @ here.poses[frame], doubt.why)
             return
     for frame in doubt.frames:
-        found = place_frame(work, frame, seen)
-        holds = found is not None and found.holds()
-        if found and holds and near_course(frame, found.pose[:3, 3], poses, work.scene, way, main):
-            _set(work, frame, poses[frame], found.pose, doubt.why)
-            main.add(frame)
+        images = np.flatnonzero(work.scene.frame == frame).tolist()
+        found = place_images(work, images, seen)
+        if found and found.holds() and fits(work, images, found.pose, here):
+            _set(work, frame, here.poses[frame], found.pose, doubt.why)
+            here = around(work, seen, here.frames | {frame})
         elif len(work.left_out) < MAX_LOST * work.scene.frames:
             work.model.deregister_frame(_frame_ids(work, frame)[0])
             work.left_out.append((frame, f"{doubt.why}; its ties to the others give no other place"))
@@ -96,21 +101,32 @@ def _settle(work: Repair, doubt: Doubt, judged: Judgement) -> None:
             work.notes.append(f"frame {label(work.scene, frame)} stands in doubt and was kept: {doubt.why}")
 
 
+@dataclass(frozen=True)
+class Around:
+    """What a place is tested by: believed frames, what their images see, all poses (F, 4, 4), the course of passes."""
+
+    frames: set[int]
+    seen: Seen
+    poses: np.ndarray
+    way: Course
+
+
+def around(work: Repair, seen: Seen, frames: set[int] | None = None) -> Around:
+    """The model as it stands; ``frames``: those believed, None = those of the images in ``seen``."""
+    own = {int(work.scene.frame[k]) for k in seen.point}
+    return Around(own if frames is None else frames, seen, work.poses(), work.way())
+
+
 def only_frames(seen: Seen, scene: Scene, frames: set[int]) -> Seen:
     """What the images of some frames see."""
     inside = {k for k in seen.point if int(scene.frame[k]) in frames}
     return Seen(
-        seen.cameras,
+        {k: v for k, v in seen.cameras.items() if k in inside},
         {k: v for k, v in seen.cam_from_world.items() if k in inside},
         {k: v for k, v in seen.point.items() if k in inside},
         seen.reach,
         seen.xyz,
     )
-
-
-def place_frame(work: Repair, frame: int, seen: Seen) -> Placed | None:
-    """A frame from its matches with points of the frames in ``seen``."""
-    return place_images(work, np.flatnonzero(work.scene.frame == frame).tolist(), seen)
 
 
 def place_images(work: Repair, images: Sequence[int], seen: Seen) -> Placed | None:
@@ -138,25 +154,41 @@ def mounts(work: Repair, images: Sequence[int]) -> tuple[dict[int, pycolmap.Came
     return cameras, cam_from_rig
 
 
-def near_course(frame: int, position: np.ndarray, poses: np.ndarray, scene: Scene, way: Course, main: set[int]) -> bool:
+def fits(work: Repair, images: Sequence[int], pose: np.ndarray, here: Around) -> bool:
+    """Whether images of one frame may stand at a pose (4, 4), world_from_rig: it suits the course of the pass, or else
+    their verified ties hold it there all the same."""
+    frame = int(work.scene.frame[images[0]])
+    if near_course(frame, pose[:3, 3], here, work.scene):
+        return True
+    cameras, cam_from_rig = mounts(work, images)
+    there = {k: cam_from_rig[k] @ transforms.invert(pose) for k in cameras}
+    beside = replace(
+        here.seen,
+        cameras={**here.seen.cameras, **cameras},
+        cam_from_world={**here.seen.cam_from_world, **there},
+    )
+    own = work.verified.where(np.isin(work.verified.pairs, sorted(there)).sum(axis=1) == 1)
+    said = votes(own, agreement(own, beside), work.scene)
+    return opinion([frame], here.frames - {frame}, said, neighbours(work.scene)).holds()
+
+
+def near_course(frame: int, position: np.ndarray, here: Around, scene: Scene) -> bool:
     """Whether a position suits the nearest frames before and after on the pass; frames of no pass always do."""
     track = int(scene.track[frame])
-    if track not in way.usual:
+    if track not in here.way.usual:
         return True
-    moved = poses[:, :3, 3].copy()
+    moved = here.poses[:, :3, 3].copy()
     moved[frame] = position
-    others = [f for f in main if scene.track[f] == track and f != frame and np.isfinite(moved[f]).all()]
+    others = [f for f in here.frames if scene.track[f] == track and f != frame and np.isfinite(moved[f]).all()]
     before = max((f for f in others if scene.step[f] < scene.step[frame]), key=lambda f: scene.step[f], default=None)
     after = min((f for f in others if scene.step[f] > scene.step[frame]), key=lambda f: scene.step[f], default=None)
-    return all(not way.jumps(f, frame, moved, track) for f in (before, after) if f is not None)
+    return all(not here.way.jumps(f, frame, moved, track) for f in (before, after) if f is not None)
 
 
-def _ends_fit(
-    frames: Sequence[int], motion: np.ndarray, poses: np.ndarray, scene: Scene, way: Course, main: set[int]
-) -> bool:
+def _ends_fit(frames: Sequence[int], motion: np.ndarray, here: Around, scene: Scene) -> bool:
     """Whether a moved block suits the main part where it meets it."""
-    moved = {f: (motion @ poses[f])[:3, 3] for f in frames}
-    return any(near_course(f, moved[f], poses, scene, way, main) for f in (min(frames), max(frames)))
+    moved = {f: (motion @ here.poses[f])[:3, 3] for f in frames}
+    return any(near_course(f, moved[f], here, scene) for f in (min(frames), max(frames)))
 
 
 def _block_motion(work: Repair, doubt: Doubt, seen: Seen) -> np.ndarray | None:

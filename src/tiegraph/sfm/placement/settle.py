@@ -84,6 +84,12 @@ def _guided_notes(done: Completed) -> list[str]:
 
 def _notes(work: Repair, registered: int, adopted: dict[int, int]) -> list[str]:
     notes = list(work.notes)
+    if work.beyond:
+        shown = ", ".join(label(work.scene, f) for f in work.beyond[:4]) + (" ..." if len(work.beyond) > 4 else "")
+        notes.append(
+            f"{len(work.beyond)} frames stand where the course of their pass jumps, and their ties hold them there: "
+            f"they stay ({shown})"
+        )
     if work.moved:
         far = max(distance for _, distance, _ in work.moved)
         frames = ", ".join(label(work.scene, f) for f, _, _ in work.moved[:4]) + (" ..." if len(work.moved) > 4 else "")

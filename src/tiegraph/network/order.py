@@ -1,0 +1,74 @@
+"""Is a pass a sequence? Numbers and regular times of photographs are no evidence of it; their previews are.
+
+In a sequence neighbours show equal views: nearly all of them tie, and images half the pass apart tie clearly more
+rarely. Where that is not so the images are loose photographs: all of them are compared, or look-alikes, and no stage
+expects the next one beside the last.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tiegraph.network.passes import Pass, PreviewBook, find_passes
+from tiegraph.network.poses.check import tells
+from tiegraph.network.settings import NetworkSettings
+from tiegraph.scene.scene import Scene
+
+SAMPLE = 40  # pairs of neighbours, and of images half a pass apart, that are previewed
+NEARLY_ALL = 0.75  # of the neighbours that must tie
+SURE = 1.3  # times min_matches: a single preview must be surer than an average over neighbouring frames
+
+
+def shown_order(scene: Scene, book: PreviewBook, settings: NetworkSettings) -> tuple[Scene, tuple[str, ...]]:
+    """The scene without the passes whose order was guessed and is not borne out, and what was found.
+
+    The source ``sequence``, where somebody asks for it, says that the order is right; sources that look at no preview
+    show none.
+    """
+    if not scene.guessed or "sequence" in settings.sources:
+        return scene.with_(guessed=()), ()
+    looks = bool({"auto", "offsets", "poses", "retrieval"} & set(settings.sources))
+    lost, notes = [], []
+    for found in (p for p in find_passes(scene) if scene.tracks[p.track] in scene.guessed):
+        shown, why = _shown(found, book, settings) if looks else (False, "no preview was looked at")
+        if shown:
+            notes.append(f"pass {found.name}: a sequence, {why}")
+        else:
+            lost.append(found.track)
+            text = f"pass {found.name}: {len(found)} loose photographs and no sequence, although their names or times"
+            notes.append(f"{text} are in order: {why}; --scan.layout sequence takes them for one")
+    return _without(scene, lost), tuple(notes)
+
+
+def _shown(found: Pass, book: PreviewBook, settings: NetworkSettings) -> tuple[bool, str]:
+    """Whether previews show a pass of one camera to be a sequence, and the figures."""
+    images = found.images[0][found.images[0] >= 0]
+    count = len(images)
+    near = np.unique(np.linspace(0, count - 2, min(count - 1, SAMPLE)).astype(int)) if count > 1 else np.zeros(0, int)
+    half = count // 2
+    rng = np.random.default_rng(0)
+    a, b = np.triu_indices(count, k=max(half, 1))
+    far = np.sort(rng.choice(len(a), min(len(a), SAMPLE), replace=False))
+    first, second = np.r_[images[near], images[a[far]]], np.r_[images[near + 1], images[b[far]]]
+    tied = book.measure(first, second) >= SURE * settings.min_matches
+    close, apart = tied[: len(near)], tied[len(near) :]
+    said = (
+        f"{int(close.sum())} of {len(close)} previews of neighbours tie, and {int(apart.sum())} of {len(apart)} of "
+        "images half of it apart"
+    )
+    if not len(close) or not len(apart):
+        return False, said
+    shown = bool(close.mean() >= NEARLY_ALL and tells(len(close), int(close.sum()), len(apart), int(apart.sum())))
+    return shown, said
+
+
+def _without(scene: Scene, passes: list[int]) -> Scene:
+    """The scene with the frames of some passes loose, and the others numbered anew."""
+    if not passes:
+        return scene.with_(guessed=())
+    kept = [k for k in range(len(scene.tracks)) if k not in passes]
+    number = np.full(len(scene.tracks) + 1, -1)  # the last is that of loose frames
+    number[kept] = np.arange(len(kept))
+    track = number[scene.track]
+    step = np.where(track < 0, np.cumsum(track < 0) - 1, scene.step)
+    return scene.with_(track=track, step=step, tracks=tuple(scene.tracks[k] for k in kept), guessed=())
