@@ -22,7 +22,7 @@ _BESIDE_DATABASE = tuple(f"database.db{s}" for s in ("-wal", "-shm", "-journal",
 
 # fmt: off
 STAGES = (
-    Stage("scan", scan, (), ("scene.json", "images"), "image"),
+    Stage("scan", scan, (), ("scene.json", "images"), "image", version=2),
     Stage("masks", masks, ("scan",), ("masks", "classes", "masks.csv"), "image", version=5),
     Stage("preview", preview, ("scan", "masks"), ("preview",), "image", version=2),
     Stage("network", network, ("scan", "preview"), ("network.npz", "network.csv", "network"), version=5,
@@ -32,8 +32,8 @@ STAGES = (
     Stage("match", match, ("network", "design", "features"), ("match.npz",), "block of pairs",
           changes=("database.db",), clear=forget_matches),
     Stage("verify", verify, ("network", "match"), ("verify.npz",), "pair", version=2),
-    Stage("sparse", sparse, ("network", "match", "verify"), ("sparse",), version=12, scratch=("sparse/.run",)),
-    Stage("georef", georef, ("network", "sparse"), ("sparse/world", "world.json"), version=5,
+    Stage("sparse", sparse, ("network", "match", "verify"), ("sparse",), version=13, scratch=("sparse/.run",)),
+    Stage("georef", georef, ("network", "sparse"), ("sparse/world", "world.json"), version=6,
           scratch=("sparse/.world",)),
     Stage("remask", remask, ("masks", "georef"), ("remask",), "image", version=3),
     Stage("dense", dense, ("georef", "remask"), ("depth",), "image", version=5),
