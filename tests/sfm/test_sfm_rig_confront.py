@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjust import final_adjustment
 from tiegraph.sfm.finish import Finished, FinishRequest, finish_model
 from tiegraph.sfm.model import image_poses
-from tiegraph.sfm.rig.confront import hear, statements
+from tiegraph.sfm.rig.confront import hear, lever_sigmas, statements
 from tiegraph.sfm.rig.soft import available
 from tiegraph.sfm.world.scale import rig_scale
 
@@ -34,10 +35,12 @@ def _rigid(case: str) -> tuple[pycolmap.Reconstruction, Scene]:
     return final_adjustment(model, [1], range(1, 7)).model, scene
 
 
-@pytest.mark.parametrize(
-    ("case", "first"),
-    [("as given", None), ("late", ("times", -1)), ("turned", ("mount", 2)), ("zoomed", ("lens", 2)), ("3 % larger", None)],
+WANTED = (
+    ("as given", None), ("late", ("times", -1)), ("turned", ("mount", 2)), ("zoomed", ("lens", 2)), ("3 % larger", None)
 )  # fmt: skip
+
+
+@pytest.mark.parametrize(("case", "first"), WANTED)
 def test_what_the_images_want_otherwise_is_told_apart(case: str, first: tuple[str, int] | None) -> None:
     model, scene = _rigid(case)
     heard = hear(model, scene, 0, 1.0)
@@ -115,3 +118,17 @@ def test_a_rig_said_to_be_synchronised_keeps_that_in_its_file() -> None:
     scene = with_sync(driving_world(Drive(frames=2))[1])
     assert rig_from_dict(rig_to_dict(scene.rigs[0])).synchronised
     assert not rig_from_dict({k: v for k, v in rig_to_dict(scene.rigs[0]).items() if k != "synchronised"}).synchronised
+
+
+def test_a_lever_arm_that_a_model_found_is_not_known_along_the_way() -> None:
+    """Place and time of a camera are one unknown at constant speed; said to be synchronised, the place is known."""
+    model, scene = _rigid("as given")
+    drawn = scene.with_(rigs=(replace(scene.rigs[0], fixed=False, nominal=True),))
+    free, said = ({}, {})
+    for out, one in ((free, drawn), (said, with_sync(drawn))):
+        heard = hear(model, one, 0, 1.0)
+        assert heard is not None and heard.freed == ()
+        out.update(lever_sigmas(heard, one, 0))
+    assert sorted(free) == sorted(said) == [2, 3, 4, 5, 6]
+    for camera in (3, 4, 5):
+        assert free[camera] > 2 * said[camera] and 0.0005 < said[camera] < 0.05

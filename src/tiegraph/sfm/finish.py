@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +17,11 @@ from tiegraph.scene.evidence import Statement
 from tiegraph.scene.evidence import table as statement_table
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjust import final_adjustment, free_cameras
-from tiegraph.sfm.covariance import PositionSigma, position_sigma
+from tiegraph.sfm.covariance import Mounting, PositionSigma, position_sigma
 from tiegraph.sfm.jacobians import Tie
 from tiegraph.sfm.placement.settle import Settled, settle
 from tiegraph.sfm.rig import soft
-from tiegraph.sfm.rig.confront import hear, refine, statements
+from tiegraph.sfm.rig.confront import hear, lever_sigmas, refine, statements
 from tiegraph.sfm.rig.diagnosis import Diagnosis, diagnose
 from tiegraph.sfm.rig.given import drawings, given_geometry
 from tiegraph.sfm.rig.health import COLUMNS
@@ -95,6 +95,7 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> Finishe
         tables["placement"] = settled.table
     sigma = _sigma(model, scene, request, notes, checked.ties)
     if sigma is not None:
+        sigma = replace(sigma, mounting=_in_their_time(sigma.mounting, checked.levers))
         names = {k + 1: s.name for k, s in enumerate(scene.all_sensors)}
         tables |= sigma.tables(names)
         notes += _open_notes(sigma, names)
@@ -147,6 +148,7 @@ class _Checked:
     ties: list[Tie] = field(default_factory=list)
     contradictions: list[str] = field(default_factory=list)
     statements: list[Statement] = field(default_factory=list)
+    levers: dict[int, float] = field(default_factory=dict)  # camera id -> sigma with its time free, model units
 
 
 def _checked_rig(
@@ -171,12 +173,19 @@ def _checked_rig(
     notes += found.notes
     relaxed = _relaxed(out, mapped, scene, request, found, metres, notes)
     for index, heard in found.heard.items():
+        if index not in relaxed and index not in request.fixed:
+            out.levers |= {k: v / metres for k, v in lever_sigmas(heard, scene, index).items()}
         _confronted(out, scene, request, index, heard, index in relaxed)
     out.tables["rig health"] = found.table({k: o for r in relaxed.values() for k, o in r.offsets.items()})
     if out.statements:
         out.tables["the rig as given, and the images"] = statement_table(out.statements)
     out.ties = [t for r in relaxed.values() for t in r.ties]
     return out
+
+
+def _in_their_time(mounting: Mapping[int, Mounting], levers: Mapping[int, float]) -> dict[int, Mounting]:
+    """Lever arms with sigmas that know that a camera's time and its place along the motion can be one unknown."""
+    return {k: replace(m, sigma=max(m.sigma, levers.get(k, 0.0))) for k, m in mounting.items()}
 
 
 def _relaxed(

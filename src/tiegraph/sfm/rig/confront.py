@@ -22,6 +22,7 @@ from tiegraph.sfm.rig.soft import SensorPrior, Soft
 # model: what they have left of distortion turns and shifts cameras of a rig by so much (KITTI, PandaSet).
 HELD_TO_M, HELD_TO_DEG, HELD_TO_LENS = 0.005, 0.05, 0.002
 LOOSELY_M, LOOSELY_DEG = 0.05, 3.0  # of extrinsics that a model found: all that is asked of these is the time
+_EXACTLY = 1e-6
 GIVEN, IMAGES = "rig as given", "images"
 
 
@@ -55,6 +56,26 @@ def hear(model: pycolmap.Reconstruction, scene: Scene, index: int, metres_per_un
     if not known.late_s:  # said to be synchronised: the images may say otherwise
         known = replace(known, late_s=expected(replace(rig, synchronised=False), system.timed).late_s)
     return judge(system, known, groups)
+
+
+def lever_sigmas(heard: Judgement, scene: Scene, index: int) -> dict[int, float]:
+    """Camera id -> sigma (m, root sum of squares) of its place against the reference, with times free unless said."""
+    rig, system = scene.rigs[index], heard.system
+    first = sum(len(r.sensors) for r in scene.rigs[:index])
+    others = len(rig.sensors) - 1
+    known = replace(
+        expected(rig, system.timed),
+        place_m=[_EXACTLY, *[FREED_M] * others],
+        turn_deg=[_EXACTLY, *[FREED_DEG] * others],
+    )
+    prior = known.sigma(system, (), times=True)
+    prior[system.where("size")] = 0.0  # it is the size of these very levers
+    sigma = system.solve(prior).sigma()
+    out = {}
+    for sensor in range(1, others + 1):
+        at = [k for k in system.where("place") if system.keys[k][1] == sensor]
+        out[first + sensor + 1] = float(np.linalg.norm(sigma[at]))
+    return out
 
 
 def _measured(scene: Scene, index: int) -> bool:

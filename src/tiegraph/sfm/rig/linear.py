@@ -41,8 +41,8 @@ class RigSystem:
     """Normal equations (K, K) of a rig's unknowns, frames and points eliminated; the model's own state is zero.
 
     ``keys`` say what each unknown is: place (m) and turn (rad) of a sensor in the rig frame against the file, its
-    time (s; frame intervals without times) after the reference, size: levers in the model over those of
-    the file less 1, lens: parameters of its camera against the model. A solution is that of one robust Gauss-Newton step.
+    time (s; frame intervals without times) after the reference, size: levers in the model over those of the file less
+    1, lens: parameters of its camera against the model. A solution is that of one robust Gauss-Newton step.
     """
 
     keys: tuple[Key, ...]
