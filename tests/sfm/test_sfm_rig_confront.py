@@ -24,7 +24,7 @@ CASES = {
     "as given": Drive(frames=16),
     "late": Drive(frames=16, late_s=LATE_S),
     "turned": Drive(frames=16, bent=(2, 0.5)),
-    "zoomed": Drive(frames=16, zoom=(2, 1.02)),
+    "zoomed": Drive(frames=16, zoom=(2, 1.01)),
     "3 % larger": Drive(frames=16, longer=1.03),
 }
 
@@ -131,4 +131,4 @@ def test_a_lever_arm_that_a_model_found_is_not_known_along_the_way() -> None:
         out.update(lever_sigmas(heard, one, 0))
     assert sorted(free) == sorted(said) == [2, 3, 4, 5, 6]
     for camera in (3, 4, 5):
-        assert free[camera] > 2 * said[camera] and 0.0005 < said[camera] < 0.05
+        assert 1.3 * said[camera] < free[camera] < 10 * said[camera] and 0.0005 < said[camera] < 0.05

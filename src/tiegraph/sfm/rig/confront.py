@@ -144,7 +144,8 @@ def _mounting(
 ) -> list[tuple[Statement, Statement]]:
     """Of place and turn the axis that is off most, as given (0) and by the images, in the frame of the rig."""
     system, camera = heard.system, scene.rigs[index].sensors[sensor]
-    sigma = heard.solution.sigma()
+    solution = heard.until(("mount", sensor))
+    sigma = solution.sigma()
     out = []
     found = None if refined is None else _moved(refined, scene, index, sensor, system.metres_per_unit)
     for what, given, factor, unit in (
@@ -152,7 +153,7 @@ def _mounting(
         ("turn", max(camera.sigma_deg or 0.0, HELD_TO_DEG), 180 / np.pi, "deg"),
     ):
         at = [k for k in system.where(what) if system.keys[k][1] == sensor]
-        values = factor * heard.solution.value[at] if found is None else found[what]
+        values = factor * solution.value[at] if found is None else found[what]
         wide = np.hypot(factor * sigma[at], given)
         axis = int(np.argmax(np.abs(values) / wide))
         name = f"{what} of {camera.name} ({('right', 'down', 'forward')[axis]})"
@@ -185,10 +186,11 @@ def _focal(heard: Judgement, scene: Scene, index: int, sensor: int) -> tuple[Sta
     at = next(k for k in system.where("lens") if system.keys[k][1:] == (sensor, 0))
     focal = float(camera.camera.mean_focal_length())
     name = f"focal length of {camera.name}"
-    own = float(heard.solution.sigma()[at])
+    solution = heard.until(("lens", sensor))
+    own = float(solution.sigma()[at])
     return (
         Statement(name, "calibration", focal, HELD_TO_LENS * focal, "px", True),
-        Statement(name, IMAGES, focal + float(heard.solution.value[at]), own, "px"),
+        Statement(name, IMAGES, focal + float(solution.value[at]), own, "px"),
     )
 
 

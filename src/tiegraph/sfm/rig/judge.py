@@ -70,7 +70,12 @@ class Judgement:
     freed: tuple[Group, ...]
     solution: RigSolution
     system: RigSystem
+    known: Expected
     gains: Mapping[Group, float] = field(default_factory=dict)  # BIC at which each was freed
+
+    def until(self, group: Group) -> RigSolution:
+        """The solution with this group and what was freed before it: what came later takes up a part of the same."""
+        return self.system.solve(self.known.sigma(self.system, self.freed[: self.freed.index(group) + 1]))
 
     def times_s(self) -> dict[int, tuple[float, float]]:
         """Sensor of the rig -> when it fires after the reference and sigma, if times were freed."""
@@ -96,7 +101,7 @@ def judge(system: RigSystem, known: Expected, candidates: Collection[Group], tim
             if criterion > STRONG and (best is None or criterion > best[0]):
                 best = criterion, group, then
         if best is None:
-            return Judgement(tuple(freed), now, system, gains)
+            return Judgement(tuple(freed), now, system, known, gains)
         gains[best[1]], now = best[0], best[2]
         freed.append(best[1])
         for group in freed[:-1]:  # what the newest group explains as well
