@@ -239,6 +239,10 @@ def _confronted(
     if bent and not relaxed and index in request.fixed and soft.available():
         fixed = [k + 1 for k in request.fixed]
         refined = refine(out.model, scene, index, heard, fixed, request.constant_cameras)
+    if refined is not None:  # where the rest is no longer bent by it, the sigmas are better
+        again = hear(refined, scene, index, metres)
+        if again is not None and any(what == "mount" for what, _ in again.freed):
+            heard = again
     said = statements(heard, scene, index, refined)
     out.statements += said.statements
     if not said.contradictions:

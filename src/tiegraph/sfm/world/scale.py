@@ -20,6 +20,7 @@ from tiegraph.sfm.rig.linear import RigSolution, rig_system
 BASELINE_SIGMA_M = 0.002
 ANGLE_SIGMA = 0.00017  # 0.01 deg: what is left of the extrinsic rotation; it acts like a parallax
 MAX_SIGMA = 0.015  # of the scale, to be trusted
+_AGREE = 3.0  # sigmas within which the times explain nothing of the scale
 _MAX_DEPTHS = 20_000
 
 
@@ -47,6 +48,8 @@ def rig_scale(model: pycolmap.Reconstruction, cam_from_world: np.ndarray, scene:
     if not told:
         return plain
     scale, sigma = min(told, key=lambda t: t[1])
+    if abs(np.log(scale / plain.metres_per_unit)) < _AGREE * sigma:
+        scale = plain.metres_per_unit  # the model was adjusted with these levers: it is the better solution
     why = ""
     if sigma > MAX_SIGMA:
         why = (
