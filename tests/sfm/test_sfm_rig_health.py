@@ -88,16 +88,17 @@ def test_a_relaxed_model_that_loses_images_is_not_kept(tmp_path: Path, monkeypat
         if point.has_point3D():
             free.delete_observation(image.image_id, row)
     assert lost_images(model, free, scene) == (poor,) and lost_images(free, model, scene) == ()
-    said = Diagnosis([], (), (0,), ["camera cam2 is not rigid"], True, {})
-    monkeypatch.setattr(finish, "diagnose", lambda *_: said)
+    found = Diagnosis([], (), (0,), ["camera cam2 is not rigid"], True, {})
+    monkeypatch.setattr(finish, "diagnose", lambda *_: found)
     monkeypatch.setattr(finish.soft, "available", lambda: True)
     request = finish.FinishRequest(tmp_path, tmp_path, None, (0,), (), False, 0, scene.to_json(), rigs=(0,))
     for relaxed, kept in ((free, model), (pycolmap.Reconstruction(model), None)):
         monkeypatch.setattr(finish, "relax", lambda *_, to=relaxed: Relaxed(to, {}, ""))
         notes: list[str] = []
-        result, _, _ = finish._checked_rig(model, model, scene, request, notes)
-        assert result is (kept or relaxed)
-        assert any("stays rigid" in n and scene.names[poor] in n for n in notes) == (kept is model)
+        checked = finish._checked_rig(model, model, scene, request, notes)
+        assert checked.model is (kept or relaxed)
+        said = [line for line in checked.contradictions if "stays rigid" in line and scene.names[poor] in line]
+        assert bool(said) == (kept is model)
 
 
 def test_a_loose_camera_is_named() -> None:

@@ -34,7 +34,11 @@ STAGES = (
           changes=("database.db",), clear=forget_matches),
     Stage("verify", verify, ("network", "match"), ("verify.npz",), "pair", version=2),
     Stage("sparse", sparse, ("network", "match", "verify"), ("sparse",), version=13, scratch=("sparse/.run",)),
+<<<<<<< HEAD
     Stage("georef", georef, ("network", "sparse"), ("sparse/world", "world.json"), version=5,
+=======
+    Stage("georef", georef, ("network", "sparse"), ("sparse/world", "world.json"), version=6,
+>>>>>>> w-rigtime
           scratch=("sparse/.world",)),
     Stage("remask", remask, ("masks", "georef"), ("remask",), "image", version=3),
     Stage("dense", dense, ("georef", "remask"), ("depth",), "image", version=5),

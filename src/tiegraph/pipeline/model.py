@@ -98,7 +98,9 @@ def sparse(run: Run) -> Outcome:
     counts = dict(made.counts)
     if made.sigma is not None:
         counts |= {"position_sigma_median": made.sigma.median, "position_sigma_p90": made.sigma.p90}
-    return Outcome(counts, dropped=made.dropped, notes=made.notes, tables=made.tables)
+    return Outcome(
+        counts, dropped=made.dropped, notes=made.notes, tables=made.tables, contradictions=made.contradictions
+    )
 
 
 def preview_poses(folder: Path) -> np.ndarray | None:

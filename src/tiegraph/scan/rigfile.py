@@ -6,6 +6,7 @@ rig.toml::
     axes = "flu"             # axes of the body frame: camera (right, down, forward: default), flu, frd or rfu
     fixed = false            # true: calibrated, never refined
     nominal = false          # true: orientations from a drawing, degrees off
+    synchronised = false     # true: all cameras fire at one instant (a wire, a trigger); false: the images decide
     antenna_m = [0.9, 0.6, 0.3]      # GNSS antenna in the body frame
 
     [camera]                 # optional: what all sensors share
@@ -61,7 +62,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-_RIG_KEYS = ("name", "axes", "fixed", "nominal", "antenna_m", "camera", "sensors", "pairs")
+_RIG_KEYS = ("name", "axes", "fixed", "nominal", "synchronised", "antenna_m", "camera", "sensors", "pairs")
 _SENSOR_KEYS = (
     "name", "folder", "role", "position_m", "yaw_pitch_roll_deg", "body_from_sensor_wxyz", "body_from_sensor",
     "crop_px", "camera", "sigma_deg", "sigma_m",
@@ -155,6 +156,7 @@ class _TomlReader(Reader):
             sensors=sensors,
             fixed=self.choice(data, "fixed", (False, True)),
             nominal=self.choice(data, "nominal", (False, True)),
+            synchronised=self.choice(data, "synchronised", (False, True)),
             antenna_m=self.numbers(data, "antenna_m", (3,)),  # type: ignore[arg-type]
             axes=axes,
             pairs=self.pairs(data.get("pairs", []), [s.name for s in sensors]),

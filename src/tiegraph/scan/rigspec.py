@@ -57,6 +57,7 @@ class RigSpec:
     axes: str = "camera"
     file: str = ""  # "" = preset
     pairs: tuple[SensorPair, ...] = ()
+    synchronised: bool = False
     body_is_reference: bool = False  # the body frame is sensor 0's frame whether or not its pose is written
 
     def rig_from_body(self) -> np.ndarray | None:

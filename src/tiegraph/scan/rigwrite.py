@@ -56,6 +56,8 @@ def write_rig_toml(rig: Rig, path: Path, comment: str = "") -> None:
         f"fixed = {str(rig.fixed).lower()}",
     ]
     lines.append(f"nominal = {str(rig.nominal).lower()}")
+    if rig.synchronised:
+        lines.append("synchronised = true")
     if rig.antenna_m is not None:
         lines.append(f"antenna_m = {_toml(rig.antenna_m)}")
     for sensor in rig.sensors:

@@ -242,7 +242,8 @@ def _rigs(
             sensors.append(replace(made, sigma_deg=sensor.sigma_deg, sigma_m=sensor.sigma_m))
         there = {s.name for s in sensors}
         pairs = tuple(p for p in spec.pairs if set(p.sensors) <= there)
-        rigs.append(Rig(spec.name, tuple(sensors), spec.fixed, spec.nominal, _antenna(spec, present[0]), pairs))
+        arm = _antenna(spec, present[0])
+        rigs.append(Rig(spec.name, tuple(sensors), spec.fixed, spec.nominal, arm, pairs, spec.synchronised))
     report.notes += [f"{some(names)}: {how}" for how, names in hows.items()]
     shots = tuple(
         replace(s, rig=renumber[s.rig, s.sensor][0], sensor=renumber[s.rig, s.sensor][1]) for s in survey.shots

@@ -77,6 +77,7 @@ class Rig:
     nominal: bool = False  # True: the extrinsics are a preset or a guess (degrees off)
     antenna_m: tuple[float, float, float] | None = None  # GNSS antenna in the rig frame (lever arm)
     pairs: tuple[SensorPair, ...] = ()
+    synchronised: bool = False  # True: said to fire at one instant; False: nothing is said
 
     def soft(self) -> bool:
         """Whether some of its geometry is given with a sigma, to be adjusted about; a nominal rig's is a guess."""
@@ -148,6 +149,7 @@ def rig_to_dict(rig: Rig) -> dict:
         "fixed": rig.fixed,
         "nominal": rig.nominal,
         "antenna_m": rig.antenna_m,
+        "synchronised": rig.synchronised,
         "pairs": [{"sensors": list(p.sensors), **{k: getattr(p, k) for k in PAIR_KEYS}} for p in rig.pairs],
         "sensors": [
             {
@@ -181,7 +183,8 @@ def rig_from_dict(data: dict) -> Rig:
     )
     antenna = None if data["antenna_m"] is None else tuple(data["antenna_m"])
     pairs = tuple(SensorPair(tuple(p["sensors"]), **{k: p[k] for k in PAIR_KEYS}) for p in data.get("pairs", ()))
-    return Rig(data["name"], sensors, data["fixed"], data["nominal"], antenna, pairs)
+    told = data.get("synchronised", False)
+    return Rig(data["name"], sensors, data["fixed"], data["nominal"], antenna, pairs, told)
 
 
 def _source_to_dict(source: Source | None) -> dict | None:

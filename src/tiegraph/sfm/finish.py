@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +13,19 @@ import pycolmap
 
 from tiegraph.scene.atomic import claim
 from tiegraph.scene.colmapmodel import read_model
+from tiegraph.scene.evidence import Statement
+from tiegraph.scene.evidence import table as statement_table
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjust import final_adjustment, free_cameras
-from tiegraph.sfm.covariance import PositionSigma, position_sigma
+from tiegraph.sfm.covariance import Mounting, PositionSigma, position_sigma
 from tiegraph.sfm.jacobians import Tie
 from tiegraph.sfm.placement.settle import Settled, settle
 from tiegraph.sfm.rig import soft
+from tiegraph.sfm.rig.confront import hear, lever_sigmas, refine, statements
 from tiegraph.sfm.rig.diagnosis import Diagnosis, diagnose
 from tiegraph.sfm.rig.given import drawings, given_geometry
 from tiegraph.sfm.rig.health import COLUMNS
+from tiegraph.sfm.rig.judge import Judgement
 from tiegraph.sfm.rig.relax import Relaxed, lost_images, relax, with_sightings_of
 from tiegraph.sfm.rig.support import place_as_given, units_per_metre
 from tiegraph.text import known_to
@@ -49,6 +53,8 @@ class FinishRequest:
     preview: np.ndarray | None = None  # (F, 4, 4) world_from_rig of the frames in a rough model
     scratch: Path | None = None  # None: below ``folder``
     rough: bool = False  # as the mapper left it
+    ordered: tuple[int, ...] = ()  # rig indices that the user wants as given, whatever the images say
+    lenses_ordered: bool = False  # likewise the lenses
 
 
 @dataclass(frozen=True)
@@ -59,6 +65,7 @@ class Finished:
     notes: list[str]
     tables: dict[str, dict] = field(default_factory=dict)
     dropped: list[tuple[str, str]] = field(default_factory=list)  # images left out for their place
+    contradictions: list[str] = field(default_factory=list)
 
 
 def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> Finished:
@@ -75,7 +82,8 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> Finishe
         notes.append(f"the final adjustment failed, the mapper's own stays: {error}")
     claim(request.target)
     request.target.mkdir(parents=True, exist_ok=True)
-    model, tables, ties = _checked_rig(model, mapped, scene, request, notes)
+    checked = _checked_rig(model, mapped, scene, request, notes)
+    model, tables = checked.model, checked.tables
     if request.alone:
         place_as_given(model, scene, request.alone)
     try:
@@ -86,12 +94,13 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> Finishe
     model.write(request.target)
     if settled.table is not None:
         tables["placement"] = settled.table
-    sigma = _sigma(model, scene, request, notes, ties)
+    sigma = _sigma(model, scene, request, notes, checked.ties)
     if sigma is not None:
+        sigma = replace(sigma, mounting=_in_their_time(sigma.mounting, checked.levers))
         names = {k + 1: s.name for k, s in enumerate(scene.all_sensors)}
         tables |= sigma.tables(names)
         notes += _open_notes(sigma, names)
-    return Finished(sigma, notes, tables, settled.dropped)
+    return Finished(sigma, notes, tables, settled.dropped, checked.contradictions)
 
 
 def _settled(model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest) -> Settled:
@@ -131,49 +140,128 @@ def _adjusted(
     return adjustment.model
 
 
+@dataclass
+class _Checked:
+    """A model whose rigs were confronted with the images, and what came out."""
+
+    model: pycolmap.Reconstruction
+    tables: dict[str, dict] = field(default_factory=dict)
+    ties: list[Tie] = field(default_factory=list)
+    contradictions: list[str] = field(default_factory=list)
+    statements: list[Statement] = field(default_factory=list)
+    levers: dict[int, float] = field(default_factory=dict)  # camera id -> sigma with its time free, model units
+
+
 def _checked_rig(
     model: pycolmap.Reconstruction,
     mapped: pycolmap.Reconstruction,
     scene: Scene,
     request: FinishRequest,
     notes: list[str],
-) -> tuple[pycolmap.Reconstruction, dict[str, dict], list[Tie]]:
-    """Rig health into its file; a rig that moves is relaxed where that can be done, and said so."""
+) -> _Checked:
+    """Rig health into its file; a rig that the images contradict gives way, unless it was ordered to stay: said so."""
+    out = _Checked(model)
     if not request.rigs:
-        return model, {}, []
+        return out
     metres = 1 / units_per_metre(model, scene)
     try:
         found = diagnose(model, scene, metres, mapped)
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
         notes.append(f"the rig could not be checked: {error}")
-        return model, {}, []
+        return out
     with (request.target / HEALTH_FILE).open("w", newline="") as stream:
         csv.writer(stream).writerows([COLUMNS, *found.rows])
     notes += found.notes
+    relaxed = _relaxed(out, mapped, scene, request, found, metres, notes)
+    for index, heard in found.heard.items():
+        if index not in relaxed and index not in request.fixed:
+            out.levers |= {k: v / metres for k, v in lever_sigmas(heard, scene, index).items()}
+        _confronted(out, scene, request, index, heard, index in relaxed)
+    out.tables["rig health"] = found.table({k: o for r in relaxed.values() for k, o in r.offsets.items()})
+    if out.statements:
+        out.tables["the rig as given, and the images"] = statement_table(out.statements)
+    out.ties = [t for r in relaxed.values() for t in r.ties]
+    return out
+
+
+def _in_their_time(mounting: Mapping[int, Mounting], levers: Mapping[int, float]) -> dict[int, Mounting]:
+    """Lever arms with sigmas that know that a camera's time and its place along the motion can be one unknown."""
+    return {k: replace(m, sigma=max(m.sigma, levers.get(k, 0.0))) for k, m in mounting.items()}
+
+
+def _relaxed(
+    out: _Checked,
+    mapped: pycolmap.Reconstruction,
+    scene: Scene,
+    request: FinishRequest,
+    found: Diagnosis,
+    metres: float,
+    notes: list[str],
+) -> dict[int, Relaxed]:
+    """Relax the rigs that move, into ``out.model``; what stays rigid though it moves is a contradiction."""
     relaxed: dict[int, Relaxed] = {}
     for index in found.moving:
+        name = scene.rigs[index].name
+        if index in request.ordered:
+            out.contradictions.append(
+                f"rig {name} was ordered to stay as given (sparse.rig = fixed) and does; the images contradict it: "
+                + "; ".join(found.notes)
+            )
+            continue
         if not soft.available():
-            notes.append("it stays rigid in the model: relaxing it needs the package pyceres")
+            why = "it stays rigid in the model: relaxing it needs the package pyceres"
+            out.contradictions.append(f"rig {name} does not move as one ({'; '.join(found.notes)}); {why}")
             break
+        freed = found.heard[index].freed if index in found.heard else ()
         calibrated = index in request.fixed or index in request.soft
         # What the rigid adjustment threw out is wanted here: the points the mapper had.
-        start = with_sightings_of(model, mapped) if found.loose else model
-        free = relax(start, scene, index, (metres, calibrated), request.constant_cameras, found.loose)
-        lost = lost_images(model, free.model, scene)
+        start = with_sightings_of(out.model, mapped) if found.loose or freed else out.model
+        given = metres, calibrated and not any(what == "mount" for what, _ in freed)
+        free = relax(start, scene, index, given, request.constant_cameras, found.loose, request.lenses_ordered)
+        lost = lost_images(out.model, free.model, scene)
         if lost:
-            notes.append(_lost_note(scene, index, lost))
+            out.contradictions.append(_lost_note(scene, index, lost, found.notes))
             continue
-        relaxed[index], model = free, free.model
+        relaxed[index], out.model = free, free.model
         notes.append(_relaxed_note(scene, index, free, found))
-    table = found.table({k: o for r in relaxed.values() for k, o in r.offsets.items()})
-    return model, {"rig health": table}, [t for r in relaxed.values() for t in r.ties]
+    return relaxed
 
 
-def _lost_note(scene: Scene, index: int, lost: Sequence[int]) -> str:
+def _confronted(
+    out: _Checked, scene: Scene, request: FinishRequest, index: int, heard: Judgement, relaxed: bool
+) -> None:
+    """Say where the file of a measured rig contradicts the images; a turned or shifted camera may be adjusted."""
+    metres = heard.system.metres_per_unit
+    if relaxed:  # with its times free, other things may be left to say, or none
+        again = hear(out.model, scene, index, metres)
+        heard = heard if again is None else again
+    refined = None
+    bent = any(what == "mount" for what, _ in heard.freed)
+    if bent and not relaxed and index in request.fixed and soft.available():
+        fixed = [k + 1 for k in request.fixed]
+        refined = refine(out.model, scene, index, heard, fixed, request.constant_cameras)
+    if refined is not None:  # where the rest is no longer bent by it, the sigmas are better
+        again = hear(refined, scene, index, metres)
+        if again is not None and any(what == "mount" for what, _ in again.freed):
+            heard = again
+    said = statements(heard, scene, index, refined)
+    out.statements += said.statements
+    if not said.contradictions:
+        return
+    how = ""
+    if index in request.ordered:
+        how = "; held as given all the same (sparse.rig = fixed)"
+    elif refined is not None and not lost_images(out.model, refined, scene):
+        out.model = refined
+        how = "; the images were followed, the other cameras held as given"
+    out.contradictions += [f"{line}{how}" for line in said.contradictions]
+
+
+def _lost_note(scene: Scene, index: int, lost: Sequence[int], why: Sequence[str]) -> str:
     names = ", ".join(scene.names[k] for k in lost[:3]) + (" ..." if len(lost) > 3 else "")
     return (
         f"rig {scene.rigs[index].name} stays rigid all the same: relaxed, fewer images would have a place by points; "
-        f"{len(lost)} would lose theirs ({names})"
+        f"{len(lost)} would lose theirs ({names}); the images contradict it: {'; '.join(why)}"
     )
 
 

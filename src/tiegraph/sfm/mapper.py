@@ -63,6 +63,7 @@ class SparseResult:
     tables: dict[str, dict]
     counts: dict[str, float]
     sigma: PositionSigma | None  # of the first model's frames, model units
+    contradictions: tuple[str, ...] = ()  # of what was given and the images
 
     def load(self, model: int = 0) -> pycolmap.Reconstruction:
         """Read a model from disk."""
@@ -195,6 +196,8 @@ def _finish(job: Job, outcome: Outcome, modes: dict[int, str]) -> Finished:
             rough=job.rough,
             soft=tuple(k for k, mode in modes.items() if mode == "soft"),
             rigs=() if job.rough else tuple(modes),
+            ordered=tuple(modes) if job.settings.rig == "fixed" else (),
+            lenses_ordered=job.settings.refine_intrinsics == "no",
             database=None if number or job.rough else job.database,
             refused=job.refused,
             preview=preview,
@@ -248,6 +251,7 @@ def _account(job: Job, outcome: Outcome, rig: str, finished: Finished) -> Sparse
         tables=tables,
         counts=counts,
         sigma=finished.sigma,
+        contradictions=tuple(finished.contradictions),
     )
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -11,8 +11,10 @@ import pycolmap
 
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses, image_poses, model_rigs, observations
-from tiegraph.sfm.rig.health import SensorHealth, resect_all, sensor_health, table_rows
-from tiegraph.sfm.rig.sync import TimeOffset, rig_motion, time_offset
+from tiegraph.sfm.rig.confront import hear
+from tiegraph.sfm.rig.health import MAX_RATIO, Resections, SensorHealth, resect_all, sensor_health, table_rows
+from tiegraph.sfm.rig.judge import Judgement
+from tiegraph.sfm.rig.sync import MIN_EFFECT, SIGMAS, TimeOffset, rig_motion, time_offset
 
 MIN_SIGHTINGS = 200  # of a camera in all its images, to judge what an adjustment left of them
 MIN_KEPT = 0.6
@@ -29,6 +31,7 @@ class Diagnosis:
     notes: list[str]
     timed: bool
     loose: dict[int, float]  # sensor key -> scatter of its rotation, deg
+    heard: Mapping[int, Judgement] = field(default_factory=dict)  # by rig: what the images want otherwise
 
     def table(self, offsets: Mapping[int, TimeOffset]) -> dict:
         """Table of the receipt; ``offsets`` by sensor key, of relaxed rigs."""
@@ -42,12 +45,13 @@ class Diagnosis:
                 round(h.scatter_ratio, 1),
                 round(h.sure_ratio, 1),
                 round(1000 * offsets[h.sensor].offset_s, 1) if h.sensor in offsets and self.timed else None,
+                "" if h.rigid() else "outside its band",
             ]
             for h in self.health
         ]
         columns = [
             "camera", "frames", "off m", "scatter m", "expected m", "turned deg", "scatter deg", "expected deg",
-            "scatter px", "scatter / expected", "at least", "time offset ms",
+            "scatter px", "scatter / expected", "at least", "time offset ms", "verdict",
         ]  # fmt: skip
         return {"columns": columns, "rows": rows}
 
@@ -55,39 +59,95 @@ class Diagnosis:
 def diagnose(
     model: pycolmap.Reconstruction, scene: Scene, metres_per_unit: float, before: pycolmap.Reconstruction | None = None
 ) -> Diagnosis:
-    """Resect every camera against its rig and judge what comes out.
+    """Resect every camera against its rig, hear what the images want otherwise of it, and judge what comes out.
 
     ``before``: the model before its adjustment. A camera that sits loose loses most of its sightings there.
     """
     found = resect_all(model, scene, metres_per_unit)
     health = sensor_health(found, scene)
-    poses = frame_poses(image_poses(model, scene), scene.with_(rigs=model_rigs(model, scene)))
-    poses[:, :3, 3] *= metres_per_unit
-    motion = rig_motion(poses, scene)
+    heard = {k: j for k in range(len(scene.rigs)) if (j := hear(model, scene, k, metres_per_unit)) is not None}
+    late = _late(heard, health, scene)
     rig_of = np.concatenate([[k] * len(r.sensors) for k, r in enumerate(scene.rigs)]) if scene.rigs else np.zeros(0)
-    moving, notes, loose = set(), [], _torn_off(before, model, scene)
-    for key in loose:
-        moving.add(int(rig_of[key]))
+    scattered = {h.sensor: h for h in sensor_health(_in_time(found, model, scene, heard, metres_per_unit), scene)}
+    still = {k for k, h in scattered.items() if h.rigid()}
+    torn = _torn_off(before, model, scene)
+    torn = {k: v for k, v in torn.items() if k not in still or not _explained(heard, scene, k)}
+    moving, notes, loose = {int(rig_of[k]) for k in (*late, *torn)}, [], dict(torn)
+    for key in torn:
         name = scene.all_sensors[key].name
         notes.append(f"camera {name} is not rigid or not synchronised: most of its sightings contradict the rig")
-    for h in health:
-        own = found.where(scene.sensor_key[found.image] == h.sensor)
-        late = time_offset(own.residual(), own.covariance, motion.columns(scene.frame[own.image]))
-        if late is not None and late.there(h.expected_m):
-            moving.add(int(rig_of[h.sensor]))
-            how = f"it stands off its place in the rig along the motion, by up to {late.moves_m:.2f} m"
-            notes.append(f"camera {h.name} is not synchronised: {how}")
-        elif not h.rigid():
+    notes += [_late_note(scene, key, *late[key], heard[int(rig_of[key])]) for key in late]
+    for h in (scattered[h.sensor] for h in health):
+        scatter = (
+            f"against the rig by {h.scatter_m:.3f} m and {h.scatter_deg:.2f} deg ({h.scatter_px:.1f} px), "
+            f"{h.scatter_ratio:.1f} x the expected, at least {h.sure_ratio:.1f} x by its {h.frames} frames"
+        )
+        if not h.rigid():
             moving.add(int(rig_of[h.sensor]))
             loose[h.sensor] = h.scatter_deg
-            notes.append(
-                f"camera {h.name} is not rigid or not synchronised: it scatters against the rig by {h.scatter_m:.3f} m "
-                f"and {h.scatter_deg:.2f} deg ({h.scatter_px:.1f} px), {h.scatter_ratio:.1f} x the expected, at least "
-                f"{h.sure_ratio:.1f} x by its {h.frames} frames"
-            )
+            notes.append(f"camera {h.name} is not rigid or not synchronised: it scatters {scatter}")
+        elif h.sure_ratio > MAX_RATIO:
+            notes.append(f"camera {h.name} scatters {scatter}: too little to be seen, nothing is made of it")
     if len(loose) > 1:
         notes.append("of several cameras that scatter, the one with the largest ratio is the cause: they share points")
-    return Diagnosis(table_rows(found, scene), health, tuple(sorted(moving)), notes, motion.timed, loose)
+    timed = all(j.system.timed for j in heard.values())
+    return Diagnosis(table_rows(found, scene), health, tuple(sorted(moving)), notes, timed, loose, heard)
+
+
+def _late(
+    heard: Mapping[int, Judgement], health: Sequence[SensorHealth], scene: Scene
+) -> dict[int, tuple[float, float]]:
+    """Sensor key -> time after the reference and sigma, where it surely fires apart and that can be seen."""
+    expected = {h.sensor: h.expected_m for h in health}
+    out = {}
+    first = 0
+    for index, rig in enumerate(scene.rigs):
+        for sensor, (time, sigma) in heard[index].times_s().items() if index in heard else ():
+            moves = abs(time) * heard[index].system.speed
+            if abs(time) > SIGMAS * sigma and moves > MIN_EFFECT * expected.get(first + sensor, 0.0):
+                out[first + sensor] = (time, sigma)
+        first += len(rig.sensors)
+    return out
+
+
+def _late_note(scene: Scene, key: int, time: float, sigma: float, heard: Judgement) -> str:
+    unit, factor = ("ms", 1000.0) if heard.system.timed else ("% of the frame interval", 100.0)
+    return (
+        f"camera {scene.all_sensors[key].name} is not synchronised: it stands off its place in the rig along the "
+        f"motion, by up to {abs(time) * heard.system.speed:.2f} m, as if it fired {factor * time:+.0f} +- "
+        f"{factor * sigma:.0f} {unit} after the first"
+    )
+
+
+def _explained(heard: Mapping[int, Judgement], scene: Scene, key: int) -> bool:
+    """Whether times, or a mounting or lens other than given, say why a camera's sightings contradict the rig."""
+    first = 0
+    for index, rig in enumerate(scene.rigs):
+        if first <= key < first + len(rig.sensors):
+            freed = heard[index].freed if index in heard else ()
+            return any(what == "times" or sensor == key - first for what, sensor in freed)
+        first += len(rig.sensors)
+    return False
+
+
+def _in_time(
+    found: Resections, model: pycolmap.Reconstruction, scene: Scene, heard: Mapping[int, Judgement], metres: float
+) -> Resections:
+    """The resections less what the motion does to cameras that fire apart: what is left is how loose they sit."""
+    if not any(j.times_s() for j in heard.values()):
+        return found
+    poses = frame_poses(image_poses(model, scene), scene.with_(rigs=model_rigs(model, scene)))
+    poses[:, :3, 3] *= metres
+    columns = rig_motion(poses, scene).columns(scene.frame[found.image])
+    shift, turn = found.shift_m.copy(), found.turn_deg.copy()
+    for key in np.unique(scene.sensor_key[found.image]):
+        rows = scene.sensor_key[found.image] == key
+        fit = time_offset(found.residual()[rows], found.covariance[rows], columns[rows])
+        if fit is not None:
+            moved = np.nan_to_num(fit.offset_s * columns[rows])
+            shift[rows] -= moved[:, :3]
+            turn[rows] -= np.degrees(moved[:, 3:])
+    return replace(found, shift_m=shift, turn_deg=turn)
 
 
 def _torn_off(before: pycolmap.Reconstruction | None, after: pycolmap.Reconstruction, scene: Scene) -> dict[int, float]:

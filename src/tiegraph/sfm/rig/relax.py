@@ -74,11 +74,13 @@ def relax(
     given: tuple[float, bool],
     constant_cameras: Collection[int] = (),
     loose: Mapping[int, float] | None = None,
+    lenses_held: bool = False,
 ) -> Relaxed:
     """Release rig ``index`` of a model in which it was rigid; its cameras' offsets and constants are estimated.
 
     ``given``: metres of a model unit, and whether the extrinsics are believed but for a small constant. ``loose``:
-    scatter in degrees of cameras (sensor keys) that do not keep still. Needs pyceres (``soft.available``).
+    scatter in degrees of cameras (sensor keys) that do not keep still. ``lenses_held``: whatever the images say.
+    Needs pyceres (``soft.available``).
     """
     metres_per_unit, calibrated = given
     rigs = model_rigs(model, scene)
@@ -91,7 +93,8 @@ def relax(
     soft = _soft(free, setting)
     assert soft.timed is not None
     # A calibrated rig's rotations are held now, so that distortion the calibration leaves out cannot hide in them.
-    found = final_adjustment(free, (), constant_cameras, soft, constant_cameras if calibrated else ())
+    doubted = constant_cameras if calibrated and not lenses_held else ()
+    found = final_adjustment(free, (), constant_cameras, soft, doubted)
     return Relaxed(found.model, _offsets(found.model, setting, soft.timed), found.note, _ties(found.model, soft))
 
 

@@ -14,7 +14,7 @@ def released(model: pycolmap.Reconstruction, rig_ids: Collection[int], scene: Sc
     out = pycolmap.Reconstruction(model)
     poses = {i: out.image(i).cam_from_world() for i in out.reg_image_ids()}
     sensors = len(scene.rigs)
-    rigs = [pycolmap.Rig(r) for k, r in out.rigs.items() if k not in rig_ids]
+    rigs = [_rig_copied(r) for k, r in out.rigs.items() if k not in rig_ids]
     frames = [_copied(f) for f in out.frames.values() if f.rig_id not in rig_ids]
     cameras: set[int] = set()
     for image in out.images.values():
@@ -40,4 +40,12 @@ def _copied(frame: pycolmap.Frame) -> pycolmap.Frame:
         out.add_data_id(identity)
     if frame.has_pose():
         out.rig_from_world = frame.rig_from_world
+    return out
+
+
+def _rig_copied(rig: pycolmap.Rig) -> pycolmap.Rig:
+    out = pycolmap.Rig(rig_id=rig.rig_id)
+    out.add_ref_sensor(rig.ref_sensor_id)
+    for sensor, pose in rig.non_ref_sensors.items():
+        out.add_sensor(sensor, pose)
     return out

@@ -1,0 +1,237 @@
+"""The rig as given against the images: what is said of it, and a model that gives way where it should."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pycolmap
+from scipy.spatial.transform import Rotation
+
+from tiegraph.geometry import transforms
+from tiegraph.scene.evidence import LIMIT, Contradiction, Statement
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.adjust import final_adjustment, free_cameras
+from tiegraph.sfm.model import model_rigs
+from tiegraph.sfm.rig.judge import FREED_DEG, FREED_M, Expected, Group, Judgement, expected, judge
+from tiegraph.sfm.rig.linear import rig_system
+from tiegraph.sfm.rig.soft import SensorPrior, Soft
+
+# Sigmas that a calibration is held to before it is said to contradict the images. Lenses are never quite as their
+# model: what they have left of distortion turns and shifts cameras of a rig by so much (KITTI, PandaSet).
+HELD_TO_M, HELD_TO_DEG, HELD_TO_LENS = 0.005, 0.05, 0.002
+LOOSELY_M, LOOSELY_DEG = 0.05, 3.0  # of extrinsics that a model found: all that is asked of these is the time
+_EXACTLY = 1e-6
+GIVEN, IMAGES = "rig as given", "images"
+
+
+def hear(model: pycolmap.Reconstruction, scene: Scene, index: int, metres_per_unit: float) -> Judgement | None:
+    """What the images of a model want otherwise of rig ``index``; None where too little tells.
+
+    Of a rig whose geometry was measured: times, mountings, lenses. Of another, whose geometry the model found: times.
+    """
+    rig = scene.rigs[index]
+    if len(rig.sensors) < 2 or not rig.known():
+        return None
+    measured = _measured(scene, index)
+    lenses = _lenses(model, scene, index) if measured else ()
+    if measured:
+        system = rig_system(model, scene, index, lenses, metres_per_unit)
+    else:  # lengths of the model's rig are brought to metres, so that those of the system are
+        found = [_scaled(s.sensor_from_rig, metres_per_unit) for s in model_rigs(model, scene)[index].sensors]
+        sensors = tuple(replace(s, sensor_from_rig=p) for s, p in zip(rig.sensors, found))
+        rigs = tuple(replace(r, sensors=sensors) if k == index else r for k, r in enumerate(scene.rigs))
+        system = rig_system(model, scene.with_(rigs=rigs), index, lenses, metres_per_unit)
+    if system is None:
+        return None
+    known = expected(rig, system.timed)
+    groups: list[Group] = [("times", -1)] if known.late_s > 0 or measured else []
+    if measured:
+        first = sum(len(r.sensors) for r in scene.rigs[:index])
+        groups += [("mount", k) for k in range(len(rig.sensors) - 1, -1, -1)]
+        groups += [("lens", k) for k in range(len(rig.sensors)) if first + k + 1 in lenses]
+    else:
+        known = replace(known, place_m=[LOOSELY_M] * len(rig.sensors), turn_deg=[LOOSELY_DEG] * len(rig.sensors))
+    if not known.late_s:  # said to be synchronised: the images may say otherwise
+        known = replace(known, late_s=expected(replace(rig, synchronised=False), system.timed).late_s)
+    return judge(system, known, groups)
+
+
+def lever_sigmas(heard: Judgement, scene: Scene, index: int) -> dict[int, float]:
+    """Camera id -> sigma (m, root sum of squares) of its place against the reference, with times free unless said."""
+    rig, system = scene.rigs[index], heard.system
+    first = sum(len(r.sensors) for r in scene.rigs[:index])
+    others = len(rig.sensors) - 1
+    known = replace(
+        expected(rig, system.timed),
+        place_m=[_EXACTLY, *[FREED_M] * others],
+        turn_deg=[_EXACTLY, *[FREED_DEG] * others],
+    )
+    prior = known.sigma(system, (), times=True)
+    prior[system.where("size")] = 0.0  # it is the size of these very levers
+    sigma = system.solve(prior).sigma()
+    out = {}
+    for sensor in range(1, others + 1):
+        at = [k for k in system.where("place") if system.keys[k][1] == sensor]
+        out[first + sensor + 1] = float(np.linalg.norm(sigma[at]))
+    return out
+
+
+def _measured(scene: Scene, index: int) -> bool:
+    rig = scene.rigs[index]
+    return rig.measured() or rig.soft()
+
+
+def _scaled(pose: np.ndarray | None, factor: float) -> np.ndarray | None:
+    return None if pose is None else transforms.rigid(pose[:3, :3], factor * pose[:3, 3])
+
+
+def _lenses(model: pycolmap.Reconstruction, scene: Scene, index: int) -> set[int]:
+    """Ids of the rig's cameras whose calibration is the one that was given."""
+    first = sum(len(r.sensors) for r in scene.rigs[:index])
+    out = set()
+    for k, sensor in enumerate(scene.rigs[index].sensors):
+        key = first + k + 1
+        if sensor.camera is not None and key in model.cameras and key in free_cameras(model):
+            if model.camera(key).model == sensor.camera.model and np.allclose(
+                model.camera(key).params, sensor.camera.params
+            ):
+                out.add(key)
+    return out
+
+
+@dataclass(frozen=True)
+class Said:
+    """Statements on each camera of a rig, and the sentences where two of them cannot both be right."""
+
+    statements: tuple[Statement, ...]
+    contradictions: tuple[str, ...]
+
+
+def statements(heard: Judgement, scene: Scene, index: int, refined: pycolmap.Reconstruction | None = None) -> Said:
+    """Place, turn, lens of each camera and times: as given, and by the images.
+
+    ``refined``: a model adjusted with the freed mountings, which says better how far they are off than a first step.
+    """
+    rig, system = scene.rigs[index], heard.system
+    rows: list[Statement] = []
+    lines: list[str] = []
+    for sensor, camera in enumerate(rig.sensors):
+        if ("mount", sensor) in heard.freed:
+            for pair in _mounting(heard, scene, index, sensor, refined):
+                rows += pair
+                lines += _sentence(pair, f"camera {camera.name} is mounted otherwise than the rig file says, or moved")
+        if ("lens", sensor) in heard.freed:
+            pair = _focal(heard, scene, index, sensor)
+            rows += pair
+            lines += _sentence(pair, f"camera {camera.name} has another lens than its calibration says, or zoomed")
+    if rig.synchronised:
+        for sensor, (late, sigma) in heard.times_s().items():
+            unit = "ms" if system.timed else "% of the frame interval"
+            factor = 1000.0 if system.timed else 100.0
+            pair = (
+                Statement(f"time of {rig.sensors[sensor].name}", "rig file (synchronised)", 0.0, 0.05, unit, True),
+                Statement(f"time of {rig.sensors[sensor].name}", IMAGES, factor * late, factor * sigma, unit),
+            )
+            rows += pair
+            lines += _sentence(pair, "the cameras do not fire at one instant")
+    return Said(tuple(rows), tuple(lines))
+
+
+def _mounting(
+    heard: Judgement, scene: Scene, index: int, sensor: int, refined: pycolmap.Reconstruction | None
+) -> list[tuple[Statement, Statement]]:
+    """Of place and turn the axis that is off most, as given (0) and by the images, in the frame of the rig."""
+    system, camera = heard.system, scene.rigs[index].sensors[sensor]
+    solution = heard.until(("mount", sensor))
+    sigma = solution.sigma()
+    out = []
+    found = None if refined is None else _moved(refined, scene, index, sensor, system.metres_per_unit)
+    for what, given, factor, unit in (
+        ("place", max(camera.sigma_m or 0.0, HELD_TO_M), 1.0, "m"),
+        ("turn", max(camera.sigma_deg or 0.0, HELD_TO_DEG), 180 / np.pi, "deg"),
+    ):
+        at = [k for k in system.where(what) if system.keys[k][1] == sensor]
+        values = factor * solution.value[at] if found is None else found[what]
+        wide = np.hypot(factor * sigma[at], given)
+        axis = int(np.argmax(np.abs(values) / wide))
+        name = f"{what} of {camera.name} ({('right', 'down', 'forward')[axis]})"
+        own = float(factor * sigma[at][axis])
+        out.append(
+            (Statement(name, GIVEN, 0.0, given, unit, True), Statement(name, IMAGES, float(values[axis]), own, unit))
+        )
+    return out
+
+
+def _moved(
+    model: pycolmap.Reconstruction, scene: Scene, index: int, sensor: int, metres_per_unit: float
+) -> dict[str, np.ndarray]:
+    """How a camera of the model's rig stands off the file: place (m) and turn (deg) in the rig frame."""
+    rig = model_rigs(model, scene)[index]
+    own, given = rig.sensors[sensor].sensor_from_rig, scene.rigs[index].sensors[sensor].sensor_from_rig
+    assert own is not None and given is not None
+    there, told = transforms.invert(_scaled_pose(own, metres_per_unit)), transforms.invert(given)
+    turned = np.degrees(Rotation.from_matrix(there[:3, :3] @ told[:3, :3].T).as_rotvec())
+    return {"place": there[:3, 3] - told[:3, 3], "turn": turned}
+
+
+def _scaled_pose(pose: np.ndarray, factor: float) -> np.ndarray:
+    return transforms.rigid(pose[:3, :3], factor * pose[:3, 3])
+
+
+def _focal(heard: Judgement, scene: Scene, index: int, sensor: int) -> tuple[Statement, Statement]:
+    system, camera = heard.system, scene.rigs[index].sensors[sensor]
+    assert camera.camera is not None
+    at = next(k for k in system.where("lens") if system.keys[k][1:] == (sensor, 0))
+    focal = float(camera.camera.mean_focal_length())
+    name = f"focal length of {camera.name}"
+    solution = heard.until(("lens", sensor))
+    own = float(solution.sigma()[at])
+    return (
+        Statement(name, "calibration", focal, HELD_TO_LENS * focal, "px", True),
+        Statement(name, IMAGES, focal + float(solution.value[at]), own, "px"),
+    )
+
+
+def _sentence(pair: tuple[Statement, Statement], culprit: str) -> list[str]:
+    first, second = pair
+    sigmas = abs(first.value - second.value) / float(np.hypot(first.sigma, second.sigma))
+    return [Contradiction(first, second, sigmas).text(culprit)] if sigmas > LIMIT else []
+
+
+def refine(
+    model: pycolmap.Reconstruction,
+    scene: Scene,
+    index: int,
+    heard: Judgement,
+    fixed: Sequence[int],
+    constant_cameras: Collection[int],
+) -> pycolmap.Reconstruction | None:
+    """The model adjusted with the freed mountings of a rigid rig about what is given, the others held; None: refused.
+
+    ``fixed``: COLMAP ids of the other rigs that stay. Needs pyceres.
+    """
+    known = expected(scene.rigs[index], heard.system.timed)
+    priors = _priors(model, scene, index, known, heard)
+    found = final_adjustment(model, [k for k in fixed if k != index + 1], constant_cameras, Soft(sensors=priors))
+    return found.model if found.accepted else None
+
+
+def _priors(
+    model: pycolmap.Reconstruction, scene: Scene, index: int, known: Expected, heard: Judgement
+) -> list[SensorPrior]:
+    """The file's extrinsics; where the reference itself is the one that is off, all the others are free against it."""
+    rig, units = scene.rigs[index], 1 / heard.system.metres_per_unit
+    first = sum(len(r.sensors) for r in scene.rigs[:index])
+    every = ("mount", 0) in heard.freed
+    out = []
+    for k, sensor in enumerate(rig.sensors):
+        if k == 0 or sensor.sensor_from_rig is None:
+            continue
+        free = every or ("mount", k) in heard.freed
+        place = (FREED_M if free else known.place_m[k]) * units
+        turn = np.radians(FREED_DEG if free else known.turn_deg[k])
+        covariance = np.diag([turn**2] * 3 + [place**2] * 3)
+        out.append(SensorPrior(index + 1, first + k + 1, _scaled_pose(sensor.sensor_from_rig, units), covariance))
+    return out

@@ -1,0 +1,129 @@
+"""Which of a rig's givens the images contradict: times, mountings, lenses, by comparison of models.
+
+A late camera, a turned camera and a wrong focal length all make images disagree with a rig, and each takes up part of
+what another did. So the hypotheses compete: of all groups of unknowns the one that explains most for its number of
+parameters is freed (Bayesian information criterion: Schwarz 1978), then the next beside it, until none explains more
+than chance. Gains are divided by how much wider the points scatter than independent errors would.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tiegraph.scene.rig import Rig
+from tiegraph.sfm.rig.linear import RigSolution, RigSystem
+
+# Sigmas of a calibrated rig unless its file gives them, and of what is freed; of lenses in parts of f.
+GIVEN_M, GIVEN_DEG = 0.002, 0.01
+FREED_M, FREED_DEG, FREED_LENS = 0.5, 5.0, 0.05
+UNKNOWN_S, UNKNOWN_SHARE = 0.1, 0.3  # sigma of a time nobody speaks of: seconds; frame intervals without times
+STRONG = 10.0  # BIC beyond which evidence is very strong (Kass and Raftery 1995)
+CLEAR = 0.003  # of the observations' sum of squares that a group must explain: lenses are never quite as their model
+
+Group = tuple[str, int]  # "times" (-1), "mount" or "lens" of a sensor
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What is known of a rig's unknowns beforehand: sigmas of each sensor's place (m) and turn (deg), of times (s)."""
+
+    place_m: Sequence[float]
+    turn_deg: Sequence[float]
+    late_s: float
+    focal_px: Sequence[float]
+
+    def sigma(self, system: RigSystem, freed: Collection[Group] = (), times: bool = False) -> np.ndarray:
+        """(K,) of the system's unknowns; 0 = known exactly. ``times``: free, as if the group were among the freed."""
+        out = np.zeros(len(system.keys))
+        for k, (what, sensor, axis) in enumerate(system.keys):
+            mount = ("mount", sensor) in freed
+            if what == "place":
+                out[k] = max(FREED_M if mount else 0.0, self.place_m[sensor])
+            elif what == "turn":
+                out[k] = np.radians(max(FREED_DEG if mount else 0.0, self.turn_deg[sensor]))
+            elif what == "time":
+                out[k] = self.late_s if times or ("times", -1) in freed else 0.0
+            elif what == "size":
+                out[k] = np.inf
+            elif ("lens", sensor) in freed:
+                out[k] = FREED_LENS * (self.focal_px[sensor] if axis < 4 else 1.0)
+        return out
+
+
+def expected(rig: Rig, timed: bool) -> Expected:
+    """What a rig file lets expect; ``timed``: frames have times, else times are counted in frame intervals."""
+    place = [max(s.sigma_m or 0.0, GIVEN_M) for s in rig.sensors]
+    turn = [max(s.sigma_deg or 0.0, GIVEN_DEG) for s in rig.sensors]
+    one = rig.synchronised or all(s.source is not None and s.source.panorama for s in rig.sensors)
+    late = 0.0 if one else UNKNOWN_S if timed else UNKNOWN_SHARE
+    focal = [1.0 if s.camera is None else s.camera.mean_focal_length() for s in rig.sensors]
+    return Expected(place, turn, late, focal)
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What the images want freed, worst first, with the solution that has it free."""
+
+    freed: tuple[Group, ...]
+    solution: RigSolution
+    system: RigSystem
+    known: Expected
+    gains: Mapping[Group, float] = field(default_factory=dict)  # BIC at which each was freed
+
+    def until(self, group: Group) -> RigSolution:
+        """The solution with this group and what was freed before it: what came later takes up a part of the same."""
+        return self.system.solve(self.known.sigma(self.system, self.freed[: self.freed.index(group) + 1]))
+
+    def times_s(self) -> dict[int, tuple[float, float]]:
+        """Sensor of the rig -> when it fires after the reference and sigma, if times were freed."""
+        if ("times", -1) not in self.freed:
+            return {}
+        sigma, system = self.solution.sigma(), self.system
+        return {system.keys[k][1]: (float(self.solution.value[k]), float(sigma[k])) for k in system.where("time")}
+
+
+def judge(system: RigSystem, known: Expected, candidates: Collection[Group], times: bool = False) -> Judgement:
+    """Free groups among ``candidates`` as long as the images want it. ``times``: these are free beforehand."""
+    freed: list[Group] = []
+    gains: dict[Group, float] = {}
+    now = system.solve(known.sigma(system, (), times))
+    while True:
+        best: tuple[float, Group, RigSolution] | None = None
+        for group in (g for g in candidates if g not in freed):
+            then = system.solve(known.sigma(system, [*freed, group], times))
+            gain = then.gain - now.gain
+            if gain < CLEAR * system.observations / 2:
+                continue
+            criterion = _criterion(system, then, now, group)
+            if criterion > STRONG and (best is None or criterion > best[0]):
+                best = criterion, group, then
+        if best is None:
+            return Judgement(tuple(freed), now, system, known, gains)
+        gains[best[1]], now = best[0], best[2]
+        freed.append(best[1])
+        for group in freed[:-1]:  # what the newest group explains as well
+            less = [g for g in freed if g != group]
+            then = system.solve(known.sigma(system, less, times))
+            if _criterion(system, now, then, group) < STRONG:
+                freed, now = less, then
+
+
+def _criterion(system: RigSystem, more: RigSolution, less: RigSolution, group: Group) -> float:
+    """By how much a group free explains the images better than chance (BIC)."""
+    gain = (more.gain - less.gain) / _widening(more)
+    return float(gain - len(_members(system, group)) * np.log(system.observations))
+
+
+def _members(system: RigSystem, group: Group) -> np.ndarray:
+    kinds = {"times": ("time",), "mount": ("place", "turn"), "lens": ("lens",)}[group[0]]
+    return np.array([k for k, key in enumerate(system.keys) if key[0] in kinds and group[1] in (-1, key[1])], int)
+
+
+def _widening(solution: RigSolution) -> float:
+    """Variance of the unknowns over what independent errors would give (median); 1 at least."""
+    formal = np.diag(solution.formal)
+    free = formal > 0
+    return max(float(np.median(np.diag(solution.covariance)[free] / formal[free])), 1.0)
