@@ -24,15 +24,16 @@ def numbered(*counts: int) -> Scene:
     return simple_scene(rig, names, frames, np.zeros(len(names)), track, step, tracks=tracks, guessed=tracks)
 
 
-def along(place: np.ndarray, reach: float, lost: float = 0.0):
-    """Match function of images at places on a line: they tie within a reach, but for a share of them."""
+def along(place: np.ndarray, reach: float, lost: float = 0.0, far: int = 9):
+    """Match function of images at places on a line: they tie within a reach, but for a share of them; ``far``: matches
+    of those beyond it."""
     asked: list[int] = []
 
     def match(pairs: np.ndarray) -> list[Result]:
         asked.append(len(pairs))
         blind = (pairs.sum(axis=1) * 7919 % 100) < 100 * lost
         apart = np.abs(place[pairs[:, 0]] - place[pairs[:, 1]])
-        return [Result(0 if b else 60 if a <= reach else 9) for a, b in zip(apart, blind)]
+        return [Result(0 if b else 60 if a <= reach else far) for a, b in zip(apart, blind)]
 
     return match, asked
 
@@ -69,6 +70,17 @@ def test_photographs_that_are_only_numbered_are_loose(case: str) -> None:
 def test_a_few_lost_neighbours_do_not_part_a_sequence() -> None:
     match, _ = along(np.arange(60.0), 4, lost=0.15)
     assert (ordered(numbered(60), match)[0].track == 0).all()
+
+
+@pytest.mark.parametrize("far, sequence", [(20, True), (50, False)])
+def test_images_far_apart_may_tie_by_clearly_fewer_matches(far: int, sequence: bool) -> None:
+    match, _ = along(np.arange(40.0), 4, far=far)
+    assert (ordered(numbered(40), match)[0].track == (0 if sequence else -1)).all()
+
+
+def test_a_handful_of_images_shows_nothing() -> None:
+    found, (note,) = ordered(numbered(8), along(np.arange(8.0), 1)[0])
+    assert (found.track == -1).all() and "too few to tell" in note
 
 
 def test_each_pass_is_asked_for_itself() -> None:

@@ -1,8 +1,9 @@
 """Is a pass a sequence? Numbers and regular times of photographs are no evidence of it; their previews are.
 
-In a sequence neighbours show equal views: nearly all of them tie, and images half the pass apart tie clearly more
-rarely. Where that is not so the images are loose photographs: all of them are compared, or look-alikes, and no stage
-expects the next one beside the last.
+In a sequence neighbours show equal views: three quarters of them tie, and by clearly more matches than images half the
+pass apart do. It is the matches that tell and not the ties alone: a few seconds down a street everything still ties
+(KITTI: 37 of 40 such pairs, by 22 matches in the median where neighbours have 271). Where that is not so the images
+are loose photographs: all of them are compared, or look-alikes, and no stage expects the next one beside the last.
 """
 
 from __future__ import annotations
@@ -10,12 +11,13 @@ from __future__ import annotations
 import numpy as np
 
 from tiegraph.network.passes import Pass, PreviewBook, find_passes
-from tiegraph.network.poses.check import tells
+from tiegraph.network.poses.check import BAD_RATIO
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.scene.scene import Scene
 
 SAMPLE = 40  # pairs of neighbours, and of images half a pass apart, that are previewed
-NEARLY_ALL = 0.75  # of the neighbours that must tie
+LEAST = 8  # pairs of neighbours, below which nothing can be said
+QUARTILES = 25, 75  # most neighbours are better than the lower one, most images far apart worse than the upper one
 SURE = 1.3  # times min_matches: a single preview must be surer than an average over neighbouring frames
 
 
@@ -50,16 +52,18 @@ def _shown(found: Pass, book: PreviewBook, settings: NetworkSettings) -> tuple[b
     a, b = np.triu_indices(count, k=max(half, 1))
     far = np.sort(rng.choice(len(a), min(len(a), SAMPLE), replace=False))
     first, second = np.r_[images[near], images[a[far]]], np.r_[images[near + 1], images[b[far]]]
-    tied = book.measure(first, second) >= SURE * settings.min_matches
-    close, apart = tied[: len(near)], tied[len(near) :]
+    counts = book.measure(first, second)
+    close, apart = counts[: len(near)], counts[len(near) :]
+    if len(close) < LEAST:
+        return False, f"its {count} images are too few to tell"
+    sure = SURE * settings.min_matches
     said = (
-        f"{int(close.sum())} of {len(close)} previews of neighbours tie, and {int(apart.sum())} of {len(apart)} of "
-        "images half of it apart"
+        f"{int(np.sum(close >= sure))} of {len(close)} previews of neighbours tie, and {int(np.sum(apart >= sure))} of "
+        f"{len(apart)} of images half of it apart (medians {np.median(close):.0f} and {np.median(apart):.0f} matches)"
     )
-    if not len(close) or not len(apart):
-        return False, said
-    shown = bool(close.mean() >= NEARLY_ALL and tells(len(close), int(close.sum()), len(apart), int(apart.sum())))
-    return shown, said
+    least, most = np.percentile(close, QUARTILES[0]), np.percentile(apart, QUARTILES[1])
+    clearly = most - settings.min_matches < BAD_RATIO * (least - settings.min_matches)  # chance gives the rest
+    return bool(least >= sure and clearly), said
 
 
 def _without(scene: Scene, passes: list[int]) -> Scene:

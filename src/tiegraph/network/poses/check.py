@@ -84,7 +84,7 @@ def check_prior(
     tied = count >= STRONG * settings.min_matches
     rows = [(k, _counts(proposed[kind == k], tied[kind == k])) for k in range(len(KINDS)) if np.any(kind == k)]
     fit, better, better_fit = _readings(scene, passes, (i, j, count, kind), result.range_m, settings.min_matches)
-    bad = [KINDS[k] for k, counts in rows if not tells(*counts)]
+    bad = [KINDS[k] for k, counts in rows if not _tells(*counts)]
     table = tuple((KINDS[k], *counts) for k, counts in rows)
     notes = _notes(table, bad, (fit, better, better_fit))
     return PriorCheck(not bad and not better, table, fit, better, better_fit, notes)
@@ -132,7 +132,7 @@ def _counts(proposed: np.ndarray, tied: np.ndarray) -> tuple[int, int, int, int]
     )
 
 
-def tells(proposed: int, tied: int, refused: int, lost: int) -> bool:
+def _tells(proposed: int, tied: int, refused: int, lost: int) -> bool:
     """Whether a prior knows something of a kind of pairs: what it refuses ties much more rarely than what it proposes.
 
     With too few pairs or ties nothing speaks against it.
