@@ -209,6 +209,7 @@ def _smeared(pixels: np.ndarray, length_px: float) -> np.ndarray:
 
 def between(a: np.ndarray, b: np.ndarray, share: float) -> np.ndarray:
     """The picture a ``share`` (0 ... 1) of the way from ``a`` to ``b``, both warped along their optical flow."""
+    a, b = np.ascontiguousarray(a), np.ascontiguousarray(b)
     grey = [p if p.ndim == 2 else cv2.cvtColor(p, cv2.COLOR_BGR2GRAY) for p in (a, b)]
     flow = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     ab, ba = flow.calc(grey[0], grey[1], None), flow.calc(grey[1], grey[0], None)
