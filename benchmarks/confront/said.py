@@ -43,8 +43,8 @@ NAMES = {
 }
 """Quantity -> the words that name it."""
 _HEDGED = {
-    "scale": r"scale|baseline", "yaw": r"heading|yaw", "tilt": r"tilt|roll|upward", "height": r"height",
-    "place": r"lever|place|mount", "turn": r"turn|mount|rotation", "focal": r"focal|lens",
+    "plan": r"exchanged", "scale": r"scale|baseline", "yaw": r"heading|yaw|exchanged",
+    "tilt": r"tilt|roll|upward|exchanged", "height": r"height", "place": r"lever|place|mount", "turn": r"turn|mount|rotation", "focal": r"focal|lens",
 }  # fmt: skip
 CULPRITS = {
     "positions": r"position|GNSS|receiver|clock|antenna|axes",
@@ -90,7 +90,7 @@ def read(out: Path, error: str = "") -> Said:
     world = _json(out / "world.json")
     notes = [(s, n) for s, r in receipts.items() for n in r.get("notes", [])]
     hard = [n for r in receipts.values() for n in r.get("contradictions", [])]
-    soft = [n for _, n in notes if CONTRADICTS.search(n) and not _NOT_MEANT.search(n) and n not in hard]
+    soft = [n for _, n in notes if _contradicts(n) and n not in hard]
     hedges = [n for _, n in notes if HEDGES.search(n) and n not in soft and not _NOT_MEANT.search(n)]
     dropped = [tuple(d[:2]) for r in receipts.values() for d in r.get("dropped", [])]
     return Said(
@@ -102,6 +102,11 @@ def read(out: Path, error: str = "") -> Said:
         dropped=tuple(dropped),
         error=error,
     )
+
+
+def _contradicts(note: str) -> bool:
+    """Whether a note's words are those of a contradiction; what "cannot be told" contradicts nothing."""
+    return bool(CONTRADICTS.search(note)) and not _NOT_MEANT.search(note) and "cannot be told" not in note
 
 
 def sigmas(receipts: Mapping[str, dict], world: dict) -> dict[str, float]:

@@ -179,7 +179,7 @@ def test_what_a_run_says_is_read_from_its_folder(tmp_path: Path) -> None:
     (tmp_path / "world.json").write_text(json.dumps({**world, "model_sigma": {"median": 0.004}}))
     found = said.read(tmp_path)
     assert found.contradictions == ("scale: this and that", receipts["sparse"]["notes"][0])
-    assert found.hedges == ("the roll about the track is known to 10 deg only",)
+    assert found.hedges == tuple(receipts["georef"]["notes"])
     assert found.sigma == {"scale": 0.01, "yaw": 1.0, "camera": 0.004, "place:b": 0.04, "turn:b": 0.1, "focal:a": 0.001}
     assert found.placed and found.metric and found.dropped == (("x.jpg", "no ties"),)
     assert found.names("place:b", "rig") == "contradiction" and found.names("tilt", "positions") == "hedge"
