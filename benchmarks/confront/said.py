@@ -43,9 +43,15 @@ NAMES = {
 }
 """Quantity -> the words that name it."""
 _HEDGED = {
-    "plan": r"exchanged", "scale": r"scale|baseline", "yaw": r"heading|yaw|exchanged",
-    "tilt": r"tilt|roll|upward|exchanged", "height": r"height", "place": r"lever|place|mount", "turn": r"turn|mount|rotation", "focal": r"focal|lens",
-}  # fmt: skip
+    "plan": r"exchanged",
+    "scale": r"scale|baseline",
+    "yaw": r"heading|yaw|exchanged",
+    "tilt": r"tilt|roll|upward|exchanged",
+    "height": r"height",
+    "place": r"lever|place|mount",
+    "turn": r"turn|mount|rotation",
+    "focal": r"focal|lens",
+}
 CULPRITS = {
     "positions": r"position|GNSS|receiver|clock|antenna|axes",
     "clock": r"position|GNSS|receiver|clock|antenna|\blag",
