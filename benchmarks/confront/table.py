@@ -39,6 +39,7 @@ def _line(row: dict[str, Any]) -> str:
     worst = [e for e in row["errors"] if e["quantity"] in told and not told[e["quantity"]]]
     parts = []
     for e in sorted(worst, key=lambda e: -e["off"] / max(e["limit"], 1e-12))[:3]:
-        stated = "held as given" if e["sigma"] is None else f"stated {e['sigma']:.2g}"
+        held = "limit" if e["quantity"] == "images" else "held as given; limit"
+        stated = f"{held} {e['limit']:.2g}" if e["sigma"] is None else f"stated {e['sigma']:.2g}"
         parts.append(f"{e['quantity']} off {e['off']:.3g} ({stated})")
     return f"- {row['set']}/{row['fault']}/{row['size']} ({row['what']}): {'; '.join(parts)}"

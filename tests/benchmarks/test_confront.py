@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pycolmap
 import pytest
-from benchmarks.confront import drive, said
+from benchmarks.confront import drive, said, sets
 from benchmarks.confront.faults import FAULTS, apart, extent_m, strangers
 from benchmarks.confront.given import (
     Given,
@@ -275,6 +275,19 @@ def test_a_picture_between_two_lies_between_them() -> None:
     made = between(a, b, 0.5)[20:-20, 20:-20].astype(float)
     error = np.abs(made - half[20:-20, 20:-20]).mean()
     assert error < 0.2 * np.abs(a[20:-20, 20:-20].astype(float) - half[20:-20, 20:-20]).mean()
+
+
+def test_a_piece_keeps_its_frames_and_the_truth_is_put_where_the_positions_are() -> None:
+    given = survey()
+    there = transforms.rigid(Rotation.from_euler("z", 40, degrees=True).as_matrix(), np.array([7.0, -3, 1]))
+    elsewhere = {n: p @ transforms.invert(there) for n, p in given.truth.cam_from_world.items()}
+    lost = replace(given, truth=replace(given.truth, cam_from_world=elsewhere, origin=None))
+    found = sets._anchored(lost).truth
+    assert found.origin == ORIGIN
+    assert all(np.allclose(p, found.cam_from_world[n], atol=1e-9) for n, p in given.truth.cam_from_world.items())
+    piece = sets._cut(given, 2, 4)
+    assert sorted(piece.images) == [f"{c}/{k:03d}.jpg" for c in "ab" for k in range(2, 6)]
+    assert piece.positions.time_s.tolist() == [102.0, 103.0, 104.0, 105.0] and len(piece.times) == 4
 
 
 def test_positions_survive_their_file(tmp_path: Path) -> None:
