@@ -155,7 +155,7 @@ def _ended(code: int | None, log: Path) -> str:
     last = lines[-1] if lines else "nothing"
     if code is None:
         return f"unexpected: took longer than the limit; {last}"
-    if code < 0 or any(line.startswith("Traceback") for line in lines):
+    if code < 0 or (code and any(line.startswith("Traceback") for line in lines)):
         return f"unexpected: ended by {code}; {last}"
     return last if code else ""
 
