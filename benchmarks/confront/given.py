@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import os
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -179,16 +178,10 @@ def _write_images(given: Given, folder: Path) -> Path:
         target = folder / name
         target.parent.mkdir(parents=True, exist_ok=True)
         if picture.plain:
-            os.link(picture.file, target) if _same_device(picture.file, folder) else shutil.copyfile(
-                picture.file, target
-            )
+            shutil.copyfile(picture.file, target)
         else:
             cv2.imwrite(str(target), made(picture), _QUALITY)
     return folder
-
-
-def _same_device(file: Path, folder: Path) -> bool:
-    return file.stat().st_dev == folder.parent.stat().st_dev and os.access(file, os.W_OK) and not file.is_symlink()
 
 
 def made(picture: Picture) -> np.ndarray:

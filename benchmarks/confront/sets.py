@@ -94,7 +94,7 @@ def _anchored(given: Given) -> Given:
 
 def _cut(given: Given, first: int, count: int) -> Given:
     """Some of the frames; the receiver's rows to a second before and after."""
-    frames = set([f for f in given.in_order()][first : first + count])
+    frames = set(given.in_order()[first : first + count])
     keep = [n for n in given.images if given.frame_of(n) in frames]
     times = {n: t for n, t in given.times.items() if n in keep}
     positions = given.positions
