@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pycolmap
 import pytest
+from benchmarks.confront import __main__ as bench
 from benchmarks.confront import drive, said, sets
 from benchmarks.confront.faults import FAULTS, apart, extent_m, strangers
 from benchmarks.confront.given import (
@@ -351,3 +352,66 @@ def test_cameras_keep_their_parameters_through_a_fault() -> None:
         and camera.params[2] == pytest.approx(32.25)
         and camera.has_prior_focal_length
     )
+
+
+def model(folder: Path, found: Poses) -> None:
+    """A COLMAP model of these poses, every image in a frame of its own."""
+    made = pycolmap.Reconstruction()
+    for key in (1, 2):
+        camera = pinhole(64, 48, 50.0)
+        camera.camera_id = key
+        made.add_camera_with_trivial_rig(camera)
+    for key, (name, pose) in enumerate(sorted(found.cam_from_world.items()), start=1):
+        image = pycolmap.Image(name=name, camera_id=1 if name.startswith("a/") else 2, image_id=key)
+        made.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose[:3]))
+    folder.mkdir(parents=True)
+    made.write(folder)
+
+
+def test_the_bench_writes_a_row_a_case_and_goes_on_where_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "x.jpg").write_bytes(b"x")
+    given = survey()
+    given = replace(given, images={n: Picture(tmp_path / "x.jpg") for n in given.images})
+    monkeypatch.setattr(bench.sets, "load", lambda name, work: given)
+    specs = []
+
+    def run(command: list[str], log: Path, timeout_s: float) -> dict:
+        """A tool that believes the positions, whatever they are, and says nothing of it."""
+        spec = json.loads(Path(command[-1]).read_text())
+        specs.append(spec)
+        out, words = Path(spec["out"]), spec["command"]
+        positions = read_positions(Path(words[words.index("--gnss") + 1]))
+        longer = extent_m(positions) / extent_m(given.positions)
+        log.write_text("" if longer < 1.05 else "the positions are too long: mend them\n")
+        if longer < 1.05:
+            found = result(given, scale=longer)
+            model(out / "sparse" / "world", found)
+            world = {"placed": True, "scale_source": "gnss", "scale": 1.0, "origin": found.origin.to_dict()}
+            sigma = {"scale": 0.002, "yaw_deg": 0.1, "tilt_deg": 0.1, "position_m": 0.02, "height_m": 0.02}
+            (out / "world.json").write_text(json.dumps({**world, "sigma": sigma, "model_sigma": {"median": 0.01}}))
+        return {"returncode": 0 if longer < 1.05 else 2, "cpu_s": 1.0, "wall_s": 1.0}
+
+    monkeypatch.setattr(bench.runner, "_run_process", run)
+    words = [
+        "--sets",
+        "tiny",
+        "--faults",
+        "gnss_scale",
+        "--work",
+        str(tmp_path / "w"),
+        "--json",
+        str(tmp_path / "r.json"),
+    ]
+    assert bench.main(words) == 1
+    rows = json.loads((tmp_path / "r.json").read_text())["rows"]
+    assert [(r["fault"], r["size"], r["verdict"]) for r in rows] == [
+        ("clean", 0, "right"), ("gnss_scale", 0, "silent"), ("gnss_scale", 1, "silent"), ("gnss_scale", 2, "failed"),
+    ]  # fmt: skip
+    assert rows[1]["wrong"] == ["scale"] and rows[3]["how"] == ["the positions are too long: mend them"]
+    assert specs[0]["clean"] is None and specs[0]["redo"] == ["scan"]
+    assert specs[1]["clean"] == specs[0]["out"] and specs[1]["redo"] == ["georef"]
+    assert str(tmp_path) not in (tmp_path / "r.json").read_text()
+    assert bench.main(words) == 1 and len(specs) == 4  # every row is there
+    assert bench.main([*words, "--only", "tiny/gnss_scale/0", "--again"]) == 1 and len(specs) == 5
