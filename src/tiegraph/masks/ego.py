@@ -127,7 +127,7 @@ def ego_of_frames(frames: Sequence[np.ndarray]) -> np.ndarray:
     platform = _closed(platform, 7)
     platform = _at_border(platform)
     platform = _trimmed(_at_border(_opened(platform | _enclosed(platform, moving), 3)))
-    black = _at_border(high < _BLACK_GREY)
+    black = _at_border(_outlined(high < _BLACK_GREY, fixed, _OUTLINE))  # a black backdrop ends nowhere in particular
     return platform | _grown(black, 2 * round(_SURROUND * max(black.shape)) + 1) if black.any() else platform
 
 

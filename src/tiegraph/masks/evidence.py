@@ -11,8 +11,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from scipy.spatial import cKDTree
 
 from tiegraph.masks.frames import grey, read_small
+from tiegraph.masks.parallax import nearness
 
 _LONGER_PX = 400
 _MOST_FEATURES = 800
@@ -21,15 +23,19 @@ _MIN_INLIERS = 20  # fewer: the two frames show different scenes, and nothing is
 _MIN_MOVE_PX = 2.0  # what does not move is the platform's
 _EPIPOLAR_PX = 1.0
 _SEED = 0
+_AROUND = 3  # matched features that say where one that does not match went
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Features of one image: ``xy`` (K, 2) f4 in shares of width and height; ``matched`` (K,) in the other one."""
+    """Features of one image: ``xy`` (K, 2) f4 in shares of width and height; ``matched`` (K,) in the other; ``near``
+    (K,) f4: its parallax as a share of what the scene's median depth would give it, 0 = infinitely far, NaN = unknown.
+    """
 
     image: Path
     xy: np.ndarray
     matched: np.ndarray
+    near: np.ndarray | None = None
 
 
 def pair_evidence(first: Path, second: Path) -> tuple[Evidence, ...]:
@@ -52,7 +58,21 @@ def pair_evidence(first: Path, second: Path) -> tuple[Evidence, ...]:
     found = chosen[_agreeing(xy_a[chosen], xy_b[partner[chosen]])]
     if len(found) < _MIN_INLIERS:
         return ()
-    return _seen(first, xy_a, shape_a, found), _seen(second, xy_b, shape_b, partner[found])
+    at_a, at_b = xy_a[found], xy_b[partner[found]]
+    near = nearness(at_a, at_b, shape_a) if shape_a == shape_b else np.full(len(found), np.nan, np.float32)
+    shown_a, shown_b = _shown(xy_a, at_a, at_b, shape_b), _shown(xy_b, at_b, at_a, shape_a)
+    return (
+        _seen(first, xy_a / shape_a[::-1], found, near, shown_a),
+        _seen(second, xy_b / shape_b[::-1], partner[found], near, shown_b),
+    )
+
+
+def _shown(xy: np.ndarray, here: np.ndarray, there: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Which features (K, 2) the other image of ``shape`` can show, by the way of the matches next to them: what left
+    the image is no sign of water."""
+    _, next_to = cKDTree(here).query(xy, _AROUND)
+    gone = xy + (there - here)[next_to].mean(axis=1)
+    return ((gone >= 0) & (gone < shape[::-1])).all(axis=1)
 
 
 def _agreeing(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -65,10 +85,11 @@ def _agreeing(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.zeros(len(a), bool) if inliers is None else inliers.ravel() > 0
 
 
-def _seen(image: Path, xy: np.ndarray, shape: tuple[int, int], found: np.ndarray) -> Evidence:
-    matched = np.zeros(len(xy), bool)
-    matched[found] = True
-    return Evidence(image, (xy / np.array(shape[::-1], np.float32)).astype(np.float32), matched)
+def _seen(image: Path, xy: np.ndarray, found: np.ndarray, near: np.ndarray, shown: np.ndarray) -> Evidence:
+    matched, every = np.zeros(len(xy), bool), np.full(len(xy), np.nan, np.float32)
+    matched[found], every[found] = True, near
+    kept = shown | matched
+    return Evidence(image, xy[kept].astype(np.float32), matched[kept], every[kept])
 
 
 def _features(path: Path) -> tuple[np.ndarray, np.ndarray, tuple[int, int]] | None:

@@ -15,7 +15,8 @@ from tiegraph.masks.classes import SKY, USE, WATER
 from tiegraph.masks.ego import Ego, different_frames, learn_ego
 from tiegraph.masks.evidence import Evidence, choose_pairs, pair_evidence
 from tiegraph.masks.lookup import Learnt
-from tiegraph.masks.seeds import SeedJob, Seeds, first_seeds, second_seeds
+from tiegraph.masks.proof import NONE, Ties, cost, moves, without_sky
+from tiegraph.masks.seeds import SeedJob, Seeds, first_seeds, second_seeds, ties_of
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.water import never_matching, water_priors
 
@@ -39,8 +40,11 @@ def learn(
     different = dict(zip(keys, apply(different_frames, [cameras[k] for k in keys])))
     platforms = dict(zip(keys, apply(_learn_ego, [(different[k], len(cameras[k])) for k in keys])))
     pairs = choose_pairs([different[k] for k in keys], _MOST_PAIRS)
-    found = iter(list(apply(_pair, [pair for own in pairs for pair in own])))
-    seen = {k: [e for _ in own for e in next(found)] for k, own in zip(keys, pairs)}
+    found = list(apply(_pair, [pair for own in pairs for pair in own]))
+    if not moves(found):
+        platforms = {k: _unproven(p) for k, p in platforms.items()}
+    each = iter(found)
+    seen = {k: [e for _ in own for e in next(each)] for k, own in zip(keys, pairs)}
     zones = {k: never_matching([] if k in upward else seen[k], platforms[k].mask) for k in keys}
     level = {k: zones[k] for k in keys if k not in upward}
     water = {} if settings.water == "off" else water_priors(level, settings.water == "on")
@@ -56,10 +60,44 @@ def learn(
     first = {k: Learnt(platforms[k].mask, known[k], water.get(k), None, rows[k], "") for k in keys}
     # Once more, with what the first try calls water, sky and scene as seeds: they cover the images, the first did not.
     again = list(apply(second_seeds, [(job, first[job.camera], settings) for job in jobs]))
-    known, places = _appearances(jobs, again, upward), _places(jobs, again)
+    made = _proven(first, jobs, again, settings.water == "on")
+    told = list(apply(ties_of, [(job, made[job.camera], settings) for job in jobs]))
     return {
-        k: replace(first[k], appearance=known[k], sky=places.get(k), note=_note(platforms[k], k in water)) for k in keys
+        k: _with_notes(made[k], platforms[k], _of(k, jobs, [s.ties for s in again]), _of(k, jobs, told)) for k in keys
     }
+
+
+def _proven(
+    first: Mapping[int, Learnt], jobs: Sequence[SeedJob], seeds: Sequence[Seeds], asked: bool
+) -> dict[int, Learnt]:
+    """What is learnt the second time, without the sky that matches refute; without any, water must be ``asked`` for."""
+    upward = {job.camera for job in jobs if job.upward}
+    known, places = _appearances(jobs, seeds, upward), _places(jobs, seeds)
+    refuted = without_sky({k: sum(_of(k, jobs, [s.ties for s in seeds]), NONE) for k in first})
+    dry = not asked and refuted >= set(first) - upward
+    made = {}
+    for k, learnt in first.items():
+        table = {c: t for c, t in known[k].table.items() if c != SKY or k not in refuted}
+        sky = None if k in refuted else places.get(k)
+        water = None if dry else learnt.water
+        made[k] = replace(learnt, appearance=Appearance(table), sky=sky, water=water, sky_refuted=k in refuted)
+    return made
+
+
+def _of(camera: int, jobs: Sequence[SeedJob], items: Sequence) -> list:
+    return [item for job, item in zip(jobs, items) if job.camera == camera]
+
+
+def _unproven(ego: Ego) -> Ego:
+    if ego.mask is None:
+        return ego
+    return Ego(None, ego.frames, "no platform learnt (no frames show that the camera moves)")
+
+
+def _with_notes(learnt: Learnt, ego: Ego, before: Sequence[Ties], now: Sequence[Ties]) -> Learnt:
+    water = ", water" if learnt.water is not None else ", no water seen"
+    sky = ", no sky: what matches in it is as near as the scene" if learnt.sky_refuted else ""
+    return replace(learnt, note=ego.note + sky + water, ties=(cost(before)[0], *cost(now)))
 
 
 def lowest_agreed(rows: Sequence[float]) -> float:
@@ -79,10 +117,6 @@ def _learn_ego(job: tuple[Sequence[Path], int]) -> Ego:
 
 def _pair(job: tuple[Path, Path]) -> tuple[Evidence, ...]:
     return pair_evidence(*job)
-
-
-def _note(ego: Ego, water: bool) -> str:
-    return ego.note + (", water" if water else ", no water seen")
 
 
 def _seed_images(

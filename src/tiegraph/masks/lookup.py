@@ -39,6 +39,9 @@ class Learnt:
     sky: np.ndarray | None  # (r, c) f4 prior of sky in its images, log ratio; None = it looks up
     sky_rows: float  # share of the height below which no sky was seen in any image
     note: str
+    sky_refuted: bool = False
+    ties: tuple[int, int, int] = (0, 0, 0)
+    """Verified matches in its images: masked before classes were refuted, masked now, all."""
 
 
 def classify(image: np.ndarray, learnt: Learnt, settings: MasksSettings) -> np.ndarray:

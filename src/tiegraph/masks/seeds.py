@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from tiegraph.masks.appearance import BINS, bins
-from tiegraph.masks.classes import SKY, USE, WATER
+from tiegraph.masks.classes import EGO, SKY, USE, WATER
 from tiegraph.masks.evidence import Evidence
 from tiegraph.masks.frames import grey, read_small
 from tiegraph.masks.lookup import LOOK_PX, Learnt, classify
 from tiegraph.masks.morphology import dilated, scaled
+from tiegraph.masks.proof import NONE, Ties, ties_in
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.skyline import border_sky, calm_sky
 
@@ -43,11 +44,12 @@ class SeedJob:
 @dataclass(frozen=True)
 class Seeds:
     """Of one image: ``looks`` (BINS,) counts and ``places`` (12, 16) f4 shares of its seed pixels by class; ``low``:
-    share of the height above which its sky lies, narrow pieces included."""
+    share of the height above which its sky lies, narrow pieces included; ``ties``: what of its matches lies where."""
 
     looks: dict[int, np.ndarray]
     places: dict[int, np.ndarray]
     low: float
+    ties: Ties = NONE
 
 
 def first_seeds(job: SeedJob) -> Seeds:
@@ -80,7 +82,20 @@ def second_seeds(job: tuple[SeedJob, Learnt, MasksSettings]) -> Seeds:
     doubtful = np.arange(len(image))[:, None] > learnt.sky_rows * len(image)  # at the horizon clouds pale
     masks[SKY] = masks[SKY] & ~doubtful
     pale = _like_sky(image, labels == SKY, seed.evidence, learnt.sky_rows)
-    return _seeds(image, {USE: ((labels == USE) | static) & ~pale & free, **masks})
+    classes = np.where(free, labels, EGO).astype(np.uint8)
+    seeds = _seeds(image, {USE: ((labels == USE) | static) & ~pale & free, **masks})
+    return replace(seeds, ties=ties_in(classes, classes == SKY, seed.evidence))
+
+
+def ties_of(job: tuple[SeedJob, Learnt, MasksSettings]) -> Ties:
+    """Where the matches of an image lie in what ``learnt`` makes of it."""
+    seed, learnt, settings = job
+    if seed.evidence is None:
+        return NONE
+    labels = classify(read_small(seed.image, LOOK_PX), learnt, settings)
+    if learnt.ego is not None:
+        labels[scaled(learnt.ego, labels.shape)] = EGO
+    return ties_in(labels, labels == SKY, seed.evidence)
 
 
 def _like_sky(image: np.ndarray, sky: np.ndarray, evidence: Evidence | None, lowest: float = -1.0) -> np.ndarray:

@@ -23,7 +23,7 @@ _BESIDE_DATABASE = tuple(f"database.db{s}" for s in ("-wal", "-shm", "-journal",
 # fmt: off
 STAGES = (
     Stage("scan", scan, (), ("scene.json", "images"), "image", version=2),
-    Stage("masks", masks, ("scan",), ("masks", "classes", "masks.csv"), "image", version=5),
+    Stage("masks", masks, ("scan",), ("masks", "classes", "masks.csv"), "image", version=6),
     Stage("preview", preview, ("scan", "masks"), ("preview",), "image", version=2),
     Stage("network", network, ("scan", "preview"), ("network.npz", "network.csv", "network"), version=6,
           scratch=("network/model",)),
@@ -34,11 +34,7 @@ STAGES = (
           changes=("database.db",), clear=forget_matches),
     Stage("verify", verify, ("network", "match"), ("verify.npz",), "pair", version=2),
     Stage("sparse", sparse, ("network", "match", "verify"), ("sparse",), version=13, scratch=("sparse/.run",)),
-<<<<<<< HEAD
-    Stage("georef", georef, ("network", "sparse"), ("sparse/world", "world.json"), version=5,
-=======
     Stage("georef", georef, ("network", "sparse"), ("sparse/world", "world.json"), version=6,
->>>>>>> w-rigtime
           scratch=("sparse/.world",)),
     Stage("remask", remask, ("masks", "georef"), ("remask",), "image", version=3),
     Stage("dense", dense, ("georef", "remask"), ("depth",), "image", version=5),

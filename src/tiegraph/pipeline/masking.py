@@ -42,11 +42,12 @@ def masks(run: Run) -> Outcome:
     write_atomic(run.path("masks.csv"), _table(scene, shares, flagged))
     empty = {n: "the mask leaves nothing of it" for n, s in zip(scene.names, shares[:, USE]) if s == 0}
     learnt = [f"{s.name}: {n}" for k, s in enumerate(scene.all_sensors) if (n := getattr(prepared.get(k), "note", ""))]
+    counts = {"images": len(scene), "used_percent": round(float(100 * shares[:, USE].mean()), 1)}
     return Outcome(
-        {"images": len(scene), "used_percent": round(float(100 * shares[:, USE].mean()), 1), "flagged": len(flagged)},
+        {**counts, "flagged": len(flagged), **_ties_lost(prepared)},
         dropped=tuple((empty | left_out).items()),
         notes=(f"source {source}: {why}", *learnt, *_flag_note(flagged, left_out)),
-        tables={"shares of the images": _by_camera(scene, shares)},
+        tables={"shares of the images": _by_camera(scene, shares), **_ties(scene, prepared)},
     )
 
 
@@ -140,6 +141,29 @@ def _table(scene: Scene, shares: np.ndarray, flagged: dict[str, str]) -> str:
     for name, own in zip(scene.names, shares):
         rows.writerow([name, *("" if np.isnan(s) else f"{100 * s:.1f}" for s in own), flagged.get(name, "")])
     return text.getvalue()
+
+
+def _known_ties(prepared: dict[int, Any]) -> dict[int, tuple[int, int, int]]:
+    """By camera: verified matches masked before classes were refuted, masked now, all; of sources that know them."""
+    found = {key: getattr(made, "ties", (0, 0, 0)) for key, made in prepared.items()}
+    return {key: ties for key, ties in found.items() if ties[2]}
+
+
+def _ties_lost(prepared: dict[int, Any]) -> dict[str, float]:
+    ties = np.array(list(_known_ties(prepared).values())).reshape(-1, 3).sum(axis=0)
+    return {"matches_masked_percent": round(float(100 * ties[1] / ties[2]), 2)} if ties[2] else {}
+
+
+def _ties(scene: Scene, prepared: dict[int, Any]) -> dict[str, dict]:
+    """What the masks cost of the verified matches of neighbouring frames."""
+    ties = _known_ties(prepared)
+    rows = [
+        [sensor.name, ties[key][2], *(float(100 * masked / ties[key][2]) for masked in ties[key][:2])]
+        for key, sensor in enumerate(scene.all_sensors)
+        if key in ties
+    ]
+    heads = ["camera", "verified matches", "masked before classes were refuted %", "masked %"]
+    return {"matches that the masks cost": {"columns": heads, "rows": rows}} if rows else {}
 
 
 def _by_camera(scene: Scene, shares: np.ndarray) -> dict:
