@@ -32,7 +32,7 @@ STAGES = (
     Stage("match", match, ("network", "design", "features"), ("match.npz",), "block of pairs",
           changes=("database.db",), clear=forget_matches),
     Stage("verify", verify, ("network", "match"), ("verify.npz",), "pair", version=2),
-    Stage("sparse", sparse, ("network", "match", "verify"), ("sparse",), version=12, scratch=("sparse/.run",)),
+    Stage("sparse", sparse, ("network", "match", "verify"), ("sparse",), version=13, scratch=("sparse/.run",)),
     Stage("georef", georef, ("network", "sparse"), ("sparse/world", "world.json"), version=5,
           scratch=("sparse/.world",)),
     Stage("remask", remask, ("masks", "georef"), ("remask",), "image", version=3),
