@@ -67,16 +67,13 @@ class Layout:
             self._prior.append((columns, np.linalg.inv(_expected(camera))))
             self.size += len(camera.params)
 
-    def prior(self) -> np.ndarray:
+    def prior(self) -> sparse.csr_matrix:
         """(C, C) information of what is expected of lenses and of places in a rig before the images speak."""
-        out = np.zeros((self.size, self.size))
-        for columns, information in self._prior:
-            out[np.ix_(columns, columns)] += information
-        return out
+        return self._gathered(self._prior)
 
-    def tied(self, ties: Collection[Tie]) -> np.ndarray:
+    def tied(self, ties: Collection[Tie]) -> sparse.csr_matrix:
         """(C, C) information of frames that are tied to each other; what all ties of a camera share is not in it."""
-        out = np.zeros((self.size, self.size))
+        parts = []
         place = dict(zip(self.frame_ids, self.centres))
         for tie in ties:
             if tie.first not in self.frame or tie.second not in self.frame:
@@ -88,8 +85,15 @@ class Layout:
             rows[3:, 3:6], rows[3:, 9:] = -np.eye(3), np.eye(3)
             rows /= np.repeat([tie.place, tie.turn], 3)[:, None]
             at = np.concatenate([a + np.arange(6), b + np.arange(6)])
-            out[np.ix_(at, at)] += rows.T @ rows
-        return out
+            parts.append((at, rows.T @ rows))
+        return self._gathered(parts)
+
+    def _gathered(self, parts: Collection[tuple[np.ndarray, np.ndarray]]) -> sparse.csr_matrix:
+        """(C, C) sum of the blocks, each given as its columns (K,) and values (K, K)."""
+        row = np.concatenate([np.repeat(at, len(at)) for at, _ in parts] or [np.zeros(0, int)])
+        column = np.concatenate([np.tile(at, len(at)) for at, _ in parts] or [np.zeros(0, int)])
+        value = np.concatenate([block.ravel() for _, block in parts] or [np.zeros(0)])
+        return sparse.csr_matrix((value, (row, column)), shape=(self.size, self.size))
 
 
 def _chosen(key: int, free: bool | Collection[int]) -> bool:
@@ -107,17 +111,29 @@ def _expected(camera: pycolmap.Camera) -> np.ndarray:
     return np.diag(np.square(sigma))
 
 
-def jacobians(
-    model: pycolmap.Reconstruction, layout: Layout, point_ids: list[int]
-) -> tuple[sparse.csr_matrix, sparse.csr_matrix, np.ndarray]:
-    """Jacobians of all observations to poses and intrinsics (2O, C) and to points (2O, 3P), and residuals (2O,)."""
+@dataclass(frozen=True)
+class System:
+    """The linearised observations: two rows each, images in the order of their ids."""
+
+    cameras: sparse.csr_matrix  # (2O, C) by poses, rig, intrinsics
+    points: sparse.csr_matrix  # (2O, 3P)
+    residual: np.ndarray  # (2O,) projected minus measured, pixels
+    image: np.ndarray  # (O,) id
+    camera: np.ndarray  # (O,) id
+    xy: np.ndarray  # (O, 2) measured, pixels
+    by_point: np.ndarray  # (O, 2, 3) the values of ``points``
+    lever: np.ndarray  # (O, 3) point minus the centre of the image, model axes
+
+
+def jacobians(model: pycolmap.Reconstruction, layout: Layout, point_ids: list[int]) -> System:
+    """Jacobians of all observations of these points, and residuals."""
     seen: dict[int, list[tuple[int, np.ndarray, np.ndarray]]] = {}
     for k, point_id in enumerate(point_ids):
         point = model.point3D(point_id)
         for element in point.track.elements:
             xy = model.image(element.image_id).point2D(element.point2D_idx).xy
             seen.setdefault(element.image_id, []).append((k, point.xyz, xy))
-    parts_c, parts_p, residuals = [], [], []
+    parts_c, parts_p, residuals, by_point, levers = [], [], [], [], []
     for image_id, rows in sorted(seen.items()):
         dense, columns, of_point, residual = of_image(model, layout, model.image(image_id), rows)
         count = len(residual)
@@ -132,7 +148,14 @@ def jacobians(
             sparse.csr_matrix((of_point.ravel(), (index, three.ravel())), shape=(2 * count, 3 * len(point_ids)))
         )
         residuals.append(residual.ravel())
-    return sparse.vstack(parts_c).tocsr(), sparse.vstack(parts_p).tocsr(), np.concatenate(residuals)
+        by_point.append(of_point)
+        levers.append(np.stack([x for _, x, _ in rows]) - model.image(image_id).projection_center())
+    order = [(i, model.image(i).camera_id, xy) for i, rows in sorted(seen.items()) for _, _, xy in rows]
+    image, camera, xy = (np.array(column) for column in zip(*order))
+    return System(
+        sparse.vstack(parts_c).tocsr(), sparse.vstack(parts_p).tocsr(), np.concatenate(residuals),
+        image, camera, xy, np.concatenate(by_point), np.concatenate(levers),
+    )  # fmt: skip
 
 
 def of_image(

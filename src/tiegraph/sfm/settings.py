@@ -28,8 +28,8 @@ class SparseSettings(Section):
     min_matches: int = Field(default=15, ge=4, le=1000)
     """Pairs with fewer verified matches are not used."""
 
-    covariance_frames: int = Field(default=500, ge=0, le=3000)
-    """Largest model, in frames, whose position sigmas are computed from the bundle adjustment (0 = never)."""
+    covariance_frames: int = Field(default=3000, ge=0, le=50000)
+    """Largest model, in frames, whose sigmas are computed from the bundle adjustment (0 = never): time and memory."""
 
 
 class GeorefSettings(Section):

@@ -1,0 +1,72 @@
+"""Small parts of the close-range sets with known camera poses: a light-field gantry, a hand-held Kinect."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks import datasets
+from tiegraph.geometry import transforms
+
+DINO_VIEWS = 40  # neighbours on the hemisphere
+KITCHEN_FRAMES = 60  # the first
+
+
+def load(name: str, work: Path) -> datasets.Dataset:
+    """A part of one of these sets or, by any other name, a set of ``datasets``; images are linked below ``work``.
+
+    Raises what ``datasets.load`` raises.
+    """
+    loader = LOADERS.get(name)
+    if loader is None:
+        return datasets.load(name, work)
+    made = work / name
+    made.mkdir(parents=True, exist_ok=True)
+    return loader(datasets.data_root(), made)
+
+
+def _linked(files: Mapping[str, Path], folder: Path) -> Path:
+    for name, source in files.items():
+        place = folder / "images" / name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.unlink(missing_ok=True)
+        place.symlink_to(source)
+    return folder / "images"
+
+
+def _dino(root: Path, work: Path) -> datasets.Dataset:
+    folder = root / "dino"
+    truth = {}
+    for line in (folder / "dino_par.txt").read_text().splitlines():
+        name, *numbers = line.split()
+        if len(numbers) == 21:
+            v = np.array(numbers, float)
+            truth[Path(name).stem + ".jpg"] = transforms.rigid(v[9:18].reshape(3, 3), v[18:])
+    centres = {n: datasets.pose_centre(p) for n, p in truth.items()}
+    middle = centres[sorted(centres)[len(centres) // 2]]
+    near = sorted(centres, key=lambda n: float(np.linalg.norm(centres[n] - middle)))[:DINO_VIEWS]
+    truth = {n: truth[n] for n in sorted(near)}
+    return datasets.Dataset(
+        name="dino_part", images=_linked({n: folder / n for n in truth}, work), cam_from_world=truth,
+        notes=("40 neighbouring views; no calibration given",),
+    )  # fmt: skip
+
+
+def _kitchen(root: Path, work: Path) -> datasets.Dataset:
+    folder, truth, files = root / "rgbd_250", {}, {}
+    for image in sorted(folder.glob("frame-*.color.jpg"))[:KITCHEN_FRAMES]:
+        name = image.name.replace(".color", "")
+        truth[name] = transforms.invert(np.loadtxt(folder / image.name.replace(".color.jpg", ".pose.txt")))
+        files[name] = image
+    return datasets.Dataset(
+        name="rgbd_part", images=_linked(files, work), cam_from_world=truth,
+        notes=("first 60 frames; no calibration given; poses of KinectFusion: good to centimetres",),
+    )  # fmt: skip
+
+
+LOADERS: dict[str, Callable[[Path, Path], datasets.Dataset]] = {
+    "dino_part": _dino,
+    "rgbd_part": _kitchen,
+}

@@ -1,0 +1,122 @@
+"""The normal equations of the cameras, points eliminated: sparse, of free gauge, solved for chosen functions of them.
+
+What is asked of the unknowns (a place, a turn, a point) is a row of numbers, made independent of the gauge by the
+S-transformation over all positions (Baarda 1973): what it says after the best similarity to the truth. For such rows
+any solution of the singular system serves, so the factor takes the simplest: three frames hold the gauge. Frames that
+share points lie near the diagonal, and the factor of a long pass grows with its length, not with the square of it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from tiegraph.geometry.transforms import skew
+from tiegraph.sfm.jacobians import Layout
+
+_RIDGE = 1e-9  # of the stiffness: a frame that no point holds gets a huge sigma instead of a singular matrix
+_KNOWN = 1e-8  # of the stiffness: a scale held by more is known (a rig of fixed size), by less it is rounding
+_AT_ONCE = 300  # right sides solved together: memory
+
+
+def point_inverse(jp: sparse.csr_matrix) -> np.ndarray:
+    """(P, 3, 3) pseudo-inverse of each point's own normal matrix; an observation touches one point."""
+    blocks = (jp.T @ jp).tobsr(blocksize=(3, 3))
+    dense = np.zeros((jp.shape[1] // 3, 3, 3))
+    dense[blocks.indices] = blocks.data
+    return np.asarray(np.linalg.pinv(dense, hermitian=True))
+
+
+def by_blocks(blocks: np.ndarray) -> sparse.bsr_matrix:
+    """(3P, 3P) with these blocks (P, 3, 3) along the diagonal."""
+    index, size = np.arange(len(blocks) + 1), 3 * len(blocks)
+    return sparse.bsr_matrix((blocks, index[:-1], index), shape=(size, size))
+
+
+def reduced(jc: sparse.csr_matrix, jp: sparse.csr_matrix) -> sparse.csr_matrix:
+    """Reduced camera system: Jc'Jc - Jc'Jp (Jp'Jp)^-1 Jp'Jc."""
+    cross = (jc.T @ jp).tocsr()
+    return (jc.T @ jc - cross @ by_blocks(point_inverse(jp)) @ cross.T).tocsr()
+
+
+class Normal:
+    """A normal matrix (C, C), factorised, with the motions of the whole that it does not know.
+
+    ``scale_known``: whether it holds the length of the whole (a rig of fixed size does).
+    """
+
+    def __init__(self, matrix: sparse.spmatrix, layout: Layout) -> None:
+        """``matrix``: sums of squares of pixels by the unknowns of ``layout``; ValueError where it is not finite."""
+        if not np.isfinite(matrix.tocsr().data).all():
+            raise ValueError("the normal equations are not finite")
+        self._motions, self._extent = gauge(layout), extent(layout)
+        own = np.arange(6 * len(layout.centres)).reshape(-1, 6)[:, :3].ravel()
+        positions = self._motions[own]
+        self._back = np.zeros_like(self._motions)  # (C, 7) rows that read the motions from the positions
+        self._back[own] = positions @ np.linalg.pinv(positions.T @ positions)
+        diagonal = matrix.diagonal()
+        self._stiff = np.sqrt(np.maximum(diagonal, diagonal.max() * 1e-18))
+        unit = sparse.diags(1 / self._stiff)
+        scaled = (unit @ matrix @ unit).tocsc()  # unit diagonal: numbers of like size whatever the unit
+        moved = np.linalg.qr(self._motions * self._stiff[:, None])[0]  # the scale is the last, orthogonal to the others
+        self.scale_known = bool(moved[:, 6] @ (scaled @ moved[:, 6]) > _KNOWN)
+        held = _anchors(layout, diagonal)
+        basis = np.linalg.qr(moved[held, : 6 if self.scale_known else 7])[0]
+        hold = sparse.csc_matrix((basis.ravel(), (np.repeat(held, basis.shape[1]), np.tile(
+            np.arange(basis.shape[1]), len(held)))), shape=(layout.size, basis.shape[1]))  # fmt: skip
+        whole = (scaled + hold @ hold.T + _RIDGE * sparse.identity(layout.size)).tocsc()
+        self._factor = splu(
+            whole, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )  # positive definite: no pivoting
+
+    def asked(self, functions: np.ndarray | sparse.spmatrix) -> np.ndarray:
+        """(C, K) functions of the unknowns, without what a similarity of the whole does to them."""
+        dense = functions.toarray() if sparse.issparse(functions) else np.asarray(functions, float)
+        return np.asarray(dense - self._back @ (self._motions.T @ dense))
+
+    def scale(self) -> np.ndarray:
+        """(C, 1) the function that reads the relative change of all lengths from the positions."""
+        return np.asarray(self._back[:, 6:] / self._extent)
+
+    def solve(self, sides: np.ndarray) -> np.ndarray:
+        """(C, K) solutions of right sides that are functions of ``asked``, or gradients."""
+        out = np.empty(sides.shape)
+        for k in range(0, sides.shape[1], _AT_ONCE):
+            part = self._factor.solve(np.ascontiguousarray(sides[:, k : k + _AT_ONCE] / self._stiff[:, None]))
+            out[:, k : k + _AT_ONCE] = part / self._stiff[:, None]
+        return out
+
+
+def gauge(layout: Layout) -> np.ndarray:
+    """(C, 7) motions of everything: shift, turn, scale about the middle; turn and scale by the size of the whole."""
+    frames = len(layout.centres)
+    local = layout.centres - layout.centres.mean(axis=0)
+    size = extent(layout)
+    at = np.arange(6 * frames).reshape(frames, 6)
+    out = np.zeros((layout.size, 7))
+    out[at[:, :3].ravel()] = np.concatenate(
+        [np.tile(np.eye(3), (frames, 1)), -skew(local / size).reshape(-1, 3), (local / size).reshape(-1, 1)], axis=1
+    )
+    out[at[:, 3:].ravel(), 3:6] = np.tile(np.eye(3), (frames, 1)) / size
+    for sensor, column in layout.sensor.items():
+        out[column : column + 3, 6] = layout.sensor_centre[sensor] / size
+    return out
+
+
+def extent(layout: Layout) -> float:
+    """Root mean square distance of the frames from their middle, model units."""
+    local = layout.centres - layout.centres.mean(axis=0)
+    return max(float(np.sqrt(np.mean(np.sum(local**2, axis=1)))), 1e-12)
+
+
+def _anchors(layout: Layout, diagonal: np.ndarray) -> np.ndarray:
+    """(18,) unknowns of three frames far from each other that points hold."""
+    stiff = diagonal[: 6 * len(layout.centres)].reshape(-1, 6).min(axis=1)
+    good = np.flatnonzero(stiff >= 0.1 * np.median(stiff))
+    centres = layout.centres[good]
+    chosen = [int(np.argmax(np.linalg.norm(centres - centres.mean(axis=0), axis=1)))]
+    while len(chosen) < 3:
+        away = np.min([np.linalg.norm(centres - centres[c], axis=1) for c in chosen], axis=0)
+        chosen.append(int(np.argmax(away)))
+    return (6 * good[chosen][:, None] + np.arange(6)).ravel()

@@ -1,0 +1,315 @@
+"""Errors that many observations share: of a lens unlike its model, and of cameras that do not stay put in their rig.
+
+Both are random effects (variance components by maximum likelihood; Patterson and Thompson 1971): what the unknowns of
+the adjustment cannot take up of an effect shows in the residuals, tells how large it is, and by that how much of it the
+unknowns have taken up, which no residual shows. The noise of what shows is that of whole points (as in ``covariance``).
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+import pycolmap
+from scipy import sparse
+
+from tiegraph.geometry.transforms import skew
+from tiegraph.sfm.jacobians import Layout, System, frame_pose
+from tiegraph.sfm.normal import Normal, by_blocks, point_inverse
+
+GRID = (12, 8)  # bins of an image, along its longer side and the other
+REACHES = (0.1, 0.2, 0.4, 0.8)  # of the image's diagonal: how far a lens error may reach
+_STEPS = np.geomspace(1e-8, 1e4, 121)  # times the size at which an effect would equal the noise: tried variances
+_RIDGE = 1e-6  # of the information: directions that the unknowns take up whole
+MOST_SHOTS = 40  # whose images' shifts are looked at
+_FEWEST = 10  # observations of an image whose shift is looked at
+_SIZES = np.geomspace(1e-3, 1e4, 15)  # times the noise of one image: tried variances of a shift
+_FINER = np.geomspace(0.4, 2.5, 5)
+TOLD = 4.0  # bins off by more than this many sigmas are told
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A shared error: what its coefficients do to the gradient (C, K), and their second moment (K, K)."""
+
+    gradient: np.ndarray
+    moment: np.ndarray
+
+    def covariance(self, solved: np.ndarray) -> np.ndarray:
+        """(F, F) of functions of the unknowns, by their solutions (C, F)."""
+        moved = solved.T @ self.gradient
+        return np.asarray(moved @ self.moment @ moved.T)
+
+
+class Weighed:
+    """The observations with their robust weights, and the factor of their normal equations."""
+
+    def __init__(
+        self, seen: System, weights: tuple[np.ndarray, np.ndarray], share: float, prior: sparse.spmatrix, layout: Layout
+    ) -> None:
+        """``weights`` (2O,) of the gradient and of the curvature; ``share``: of the points that are in ``seen``;
+        ``prior`` (C, C): information beside the observations, times the variance of a pixel."""
+        self.seen, self.share, self._first = seen, share, weights[0]
+        self._known = np.zeros(len(seen.residual))
+        self._root = sparse.diags(np.sqrt(weights[1]))
+        self._jc, self.jp = (self._root @ seen.cameras).tocsr(), (self._root @ seen.points).tocsr()
+        self._inverse = by_blocks(point_inverse(self.jp))
+        self.cross = (self._jc.T @ self.jp).tocsr()
+        own = self._jc.T @ self._jc - self.cross @ self._inverse @ self.cross.T
+        self.normal = Normal(own / share + prior, layout)
+        self._of_point = gradients(seen.cameras, seen.points, self._first * seen.residual)
+        self.scatter = (self._of_point.T @ self._of_point).tocsr()  # (C, C)
+
+    def without(self, known: np.ndarray) -> Weighed:
+        """The same with what this part (2O,) of the observations' errors leaves in the residuals taken away."""
+        own = self._root @ known
+        by_point = self._inverse @ (self.jp.T @ own)
+        moved = self.normal.solve((self._jc.T @ own - self.cross @ by_point)[:, None])[:, 0] / self.share
+        points = by_point - self._inverse @ (self.cross.T @ moved)
+        out = copy.copy(self)
+        out._known = self._known + own - self._jc @ moved - self.jp @ points
+        return out
+
+    def weight(self, observations: np.ndarray) -> np.ndarray:
+        """Weights of these observations in the gradient."""
+        return np.asarray(self._first[2 * observations])
+
+    def score(self, columns: sparse.csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Of more unknowns with these columns (2O, K), at zero: effect on the gradient (C, K) of all points; and of the
+        points looked at, score (K,), its covariance (K, K), and the information (K, K) that the others leave of them.
+        """
+        own = (self._root @ columns).tocsr()
+        by_point = (self.jp.T @ own).tocsr()
+        taken = (self._inverse @ by_point).tocsr()
+        gradient = (self._jc.T @ own - self.cross @ taken).toarray()
+        solved = self.normal.solve(gradient)
+        information = (own.T @ own - by_point.T @ taken).toarray() - gradient.T @ solved / self.share
+        each = gradients(columns, self.seen.points, self._first * self.seen.residual)
+        solved /= self.share
+        mixed = np.asarray(each.T @ self._of_point @ solved)
+        noise = (each.T @ each).toarray() - mixed - mixed.T + solved.T @ (self.scatter @ solved)
+        score = np.asarray(each.sum(axis=0)).ravel() - np.asarray(self._of_point.sum(axis=0)).ravel() @ solved
+        score -= own.T @ self._known
+        return gradient / self.share, score, noise, information
+
+
+def gradients(jc: sparse.csr_matrix, jp: sparse.csr_matrix, weighted: np.ndarray) -> sparse.csr_matrix:
+    """(P, C) gradient of each point's share of the cost; its own three unknowns are at their minimum."""
+    number = jp.indices[jp.indptr[:-1]] // 3  # an observation touches one point
+    rows = np.arange(len(weighted))
+    gather = sparse.csr_matrix((weighted, (number, rows)), shape=(jp.shape[1] // 3, len(weighted)))
+    return (gather @ jc).tocsr()
+
+
+# ------------------------------------------------------------------------------------------------------------- lenses
+
+
+@dataclass(frozen=True)
+class LensError:
+    """What a lens does unlike its model: ``rms_px`` of it, how far it reaches, its worst bins, and its effect."""
+
+    camera: int
+    rms_px: float
+    reach_px: float
+    worst: tuple[tuple[float, ...], ...]  # rows x, y of the bin's middle, mean dx, dy of what is left, sigmas
+
+
+def lens_errors(model: pycolmap.Reconstruction, weighed: Weighed) -> tuple[list[tuple[LensError, Effect]], np.ndarray]:
+    """The shared error of each camera that the observations show, by its residuals over the image; (2O,) what of the
+    residuals it explains."""
+    out, explained = [], np.zeros(2 * len(weighed.seen.image))
+    for key in np.unique(weighed.seen.camera).tolist():
+        found = _lens_error(model.camera(key), weighed)
+        if found is not None:
+            out.append(found[:2])
+            explained += found[2]
+    return out, explained
+
+
+def _lens_error(camera: pycolmap.Camera, weighed: Weighed) -> tuple[LensError, Effect, np.ndarray] | None:
+    seen = weighed.seen
+    across, down = GRID if camera.width >= camera.height else GRID[::-1]
+    size = np.array([camera.width / across, camera.height / down])
+    rows = np.flatnonzero(seen.camera == camera.camera_id)
+    cell = np.clip((seen.xy[rows] / size).astype(int), 0, [across - 1, down - 1])
+    used, number = np.unique(cell[:, 1] * across + cell[:, 0], return_inverse=True)
+    both = 2 * rows[:, None] + np.arange(2)
+    columns = sparse.csr_matrix(
+        (np.ones(both.size), (both.ravel(), (2 * number[:, None] + np.arange(2)).ravel())),
+        shape=(2 * len(seen.xy), 2 * len(used)),
+    )
+    gradient, score, noise, information = weighed.score(columns)
+    middle = (np.stack([used % across, used // across], axis=1) + 0.5) * size
+    apart = np.linalg.norm(middle[:, None] - middle[None], axis=2) / np.hypot(camera.width, camera.height)
+    noise = noise + _RIDGE * np.diag(np.maximum(np.diag(information), 1e-12))
+    best: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    for reach in REACHES:
+        field = np.kron(np.exp(-0.5 * (apart / reach) ** 2), np.eye(2))
+        gain, variance = likeliest(score, noise, information @ field @ information)
+        best = max(best, (gain, variance, reach))
+    _, variance, reach = best
+    weights = np.bincount(number, weighed.weight(rows), len(used))
+    sums, sigma = (v.reshape(-1, 2) for v in (score, np.sqrt(np.diag(noise))))
+    times = np.linalg.norm(sums / sigma, axis=1)
+    order = [k for k in np.argsort(-times) if times[k] > TOLD][:3]
+    worst = tuple((*middle[k].tolist(), *(-sums[k] / weights[k]).tolist(), float(times[k])) for k in order)
+    if variance <= 0:
+        return None
+    field = variance * np.kron(np.exp(-0.5 * (apart / reach) ** 2), np.eye(2))
+    mean, moment = posterior(score, noise, information, field)
+    reach *= float(np.hypot(camera.width, camera.height))
+    found = LensError(camera.camera_id, float(np.sqrt(2 * variance)), reach, worst)
+    return found, Effect(gradient, moment), columns @ mean
+
+
+def likeliest(score: np.ndarray, noise: np.ndarray, effect: np.ndarray) -> tuple[float, float]:
+    """Gain in log likelihood over none, and size, of the effect (K, K) in a score (K,) with this noise (K, K)."""
+    root = np.linalg.cholesky(noise)
+    half = np.linalg.solve(root, np.linalg.solve(root, effect).T)
+    values, vectors = np.linalg.eigh((half + half.T) / 2)
+    values, seen = np.maximum(values, 0), (vectors.T @ np.linalg.solve(root, score)) ** 2
+    if values.max(initial=0.0) <= 0:
+        return 0.0, 0.0
+    tried = _STEPS / values.max()
+    wider = 1 + tried[:, None] * values
+    gain = 0.5 * np.sum(seen * (1 - 1 / wider) - np.log(wider), axis=1)
+    most = int(np.argmax(gain))
+    return (float(gain[most]), float(tried[most])) if gain[most] > 0 else (0.0, 0.0)
+
+
+def posterior(
+    score: np.ndarray, noise: np.ndarray, information: np.ndarray, field: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (K,) and second moment (K, K) of coefficients with covariance ``field`` once their score is seen: what is
+    known of them stays in the moment, for the model is not corrected for it."""
+    across = field @ information
+    kept = np.linalg.solve(noise + information @ across, across.T).T
+    mean = kept @ score
+    return mean, np.asarray(field - kept @ across.T + np.outer(mean, mean))
+
+
+# ---------------------------------------------------------------------------------------------- cameras in their rig
+
+
+@dataclass(frozen=True)
+class Unrest:
+    """How far cameras (ids) are off their places in the rig: sigma of an axis, from shot to shot, or for all shots."""
+
+    cameras: tuple[int, ...]
+    place: float  # model units
+    turn: float  # rad
+    always: bool = False
+
+
+def misplaced(
+    model: pycolmap.Reconstruction, weighed: Weighed, held: Collection[int]
+) -> tuple[list[tuple[Unrest, Effect]], np.ndarray]:
+    """How far the cameras of rigs (ids) that the adjustment held are off their places, as far as the images show it;
+    (2O,) what of the residuals it explains."""
+    out, explained = [], np.zeros(2 * len(weighed.seen.image))
+    for rig_id in sorted(set(held) & set(model.rigs)):
+        cameras = sorted(s.id for s, pose in model.rig(rig_id).non_ref_sensors.items() if pose is not None)
+        cameras = [c for c in cameras if (weighed.seen.camera == c).any()]
+        if not cameras:
+            continue
+        columns = sparse.hstack([_of_mounting(model, weighed.seen, c) for c in cameras]).tocsr()
+        gradient, score, noise, information = weighed.score(columns)
+        noise = noise + _RIDGE * np.diag(np.maximum(np.diag(information), 1e-300))
+        place, turn = two_sizes(score[None], noise[None], information[None])
+        if place + turn <= 0:
+            continue
+        field = np.diag(np.tile(np.repeat([place, turn], 3), len(cameras)))
+        mean, moment = posterior(score, noise, information, field)
+        explained += columns @ mean
+        found = Unrest(tuple(cameras), float(np.sqrt(place)), float(np.sqrt(turn)), True)
+        out.append((found, Effect(gradient, moment)))
+    return out, explained
+
+
+def unrest(model: pycolmap.Reconstruction, weighed: Weighed) -> list[tuple[Unrest, Effect]]:
+    """How far cameras stray from their places in the rig from shot to shot, where the observations show any.
+
+    All cameras alike, the reference too; what the pose of a frame takes up of its images' shifts is counted in.
+    """
+    images, counts = np.unique(weighed.seen.image, return_counts=True)
+    of_frame: dict[int, list[int]] = {}
+    for image, count in zip(images.tolist(), counts.tolist()):
+        if count >= _FEWEST:
+            of_frame.setdefault(model.image(image).frame_id, []).append(image)
+    shared = [own for _, own in sorted(of_frame.items()) if len(own) > 1]
+    if not shared:
+        return []
+    chosen = [shared[k] for k in np.unique(np.linspace(0, len(shared) - 1, MOST_SHOTS).round().astype(int))]
+    size = 6 * max(len(own) for own in chosen)
+    gradient, score = [], np.zeros((len(chosen), size))
+    noise, information = np.tile(np.eye(size), (len(chosen), 1, 1)), np.zeros((len(chosen), size, size))
+    for k, own in enumerate(chosen):
+        part = slice(0, 6 * len(own))
+        effect, score[k, part], noise[k, part, part], information[k, part, part] = weighed.score(
+            _of_images(weighed.seen, own)
+        )
+        gradient.append(effect)
+    least = np.maximum(np.diagonal(information, axis1=1, axis2=2), 1e-300)
+    place, turn = two_sizes(score, noise + _RIDGE * least[:, :, None] * np.eye(size), information)
+    if place + turn <= 0:
+        return []
+    moved = np.hstack(gradient)
+    moment = np.tile(np.repeat([place, turn], 3), moved.shape[1] // 6) * len(shared) / len(chosen)
+    cameras = sorted({model.image(i).camera_id for own in shared for i in own})
+    found = Unrest(tuple(cameras), float(np.sqrt(place)), float(np.sqrt(turn)))
+    return [(found, Effect(moved * np.sqrt(moment), np.eye(len(moment))))]
+
+
+def _of_images(seen: System, images: list[int]) -> sparse.csr_matrix:
+    """(2O, 6K) derivatives by the shift of the centre and the turn of each of these images alone."""
+    rows = np.flatnonzero(np.isin(seen.image, images))
+    return _columns(seen, rows, _by_shift(seen, rows), 6 * np.searchsorted(images, seen.image[rows]), 6 * len(images))
+
+
+def _of_mounting(model: pycolmap.Reconstruction, seen: System, camera: int) -> sparse.csr_matrix:
+    """(2O, 6) derivatives by the shift and the turn, along the axes of the rig, of a camera in it."""
+    rows = np.flatnonzero(seen.camera == camera)
+    images, number = np.unique(seen.image[rows], return_inverse=True)
+    axes = np.stack([frame_pose(model.image(i).frame).rotation.matrix().T for i in images.tolist()])[number]
+    by_shift = _by_shift(seen, rows)
+    values = np.concatenate([by_shift[:, :, :3] @ axes, by_shift[:, :, 3:] @ axes], axis=2)
+    return _columns(seen, rows, values, np.zeros(len(rows), int), 6)
+
+
+def _by_shift(seen: System, rows: np.ndarray) -> np.ndarray:
+    """(R, 2, 6) derivatives of observations by the shift of the image's centre and its turn, axes of the model."""
+    by_point = seen.by_point[rows]
+    return np.concatenate([-by_point, by_point @ skew(seen.lever[rows])], axis=2)
+
+
+def _columns(seen: System, rows: np.ndarray, values: np.ndarray, first: np.ndarray, width: int) -> sparse.csr_matrix:
+    """(2O, width) with the values (R, 2, 6) of some observations in six columns from ``first`` (R,)."""
+    row = np.repeat((2 * rows[:, None] + np.arange(2)).ravel(), 6)
+    column = np.repeat(first[:, None] + np.arange(6), 2, axis=0).ravel()
+    return sparse.csr_matrix((values.ravel(), (row, column)), shape=(2 * len(seen.image), width))
+
+
+def two_sizes(score: np.ndarray, noise: np.ndarray, information: np.ndarray) -> tuple[float, float]:
+    """Variances of place and turn, three numbers each in turn, that make scores (G, K) with this noise and information
+    (G, K, K) likeliest: the best of a coarse grid, then of a finer one about it."""
+    is_place = np.arange(score.shape[1]) % 6 < 3
+    parts = [information[:, :, own] @ information[:, own] for own in (is_place, ~is_place)]
+    sizes = [float(np.median(_trace(noise) / np.maximum(_trace(part), 1e-300))) for part in parts]
+
+    def best(places: np.ndarray, turns: np.ndarray) -> tuple[float, float]:
+        pairs = [(p, t) for p in places.tolist() for t in turns.tolist()]
+        return max(pairs, key=lambda pair: _log_likelihood(score, noise + pair[0] * parts[0] + pair[1] * parts[1]))
+
+    place, turn = best(*(size * np.append(0.0, _SIZES) for size in sizes))
+    return best(place * _FINER, turn * _FINER)
+
+
+def _trace(matrices: np.ndarray) -> np.ndarray:
+    return np.asarray(np.trace(matrices, axis1=1, axis2=2))
+
+
+def _log_likelihood(score: np.ndarray, covariance: np.ndarray) -> float:
+    solved = np.linalg.solve(covariance, score[:, :, None])[:, :, 0]
+    return float(-0.5 * np.sum(score * solved) - 0.5 * np.sum(np.linalg.slogdet(covariance)[1]))
