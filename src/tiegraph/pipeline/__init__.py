@@ -33,13 +33,13 @@ STAGES = (
           changes=("database.db",), clear=forget_matches),
     Stage("verify", verify, ("network", "match"), ("verify.npz",), "pair", version=2),
     Stage("sparse", sparse, ("network", "match", "verify"), ("sparse",), version=12, scratch=("sparse/.run",)),
-    Stage("georef", georef, ("network", "sparse"), ("sparse/world", "world.json"), version=5,
+    Stage("georef", georef, ("network", "sparse"), ("sparse/world", "world.json"), version=6,
           scratch=("sparse/.world",)),
     Stage("remask", remask, ("masks", "georef"), ("remask",), "image", version=3),
     Stage("dense", dense, ("georef", "remask"), ("depth",), "image", version=5),
     Stage("cloud", cloud, ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply"), scratch=(".tiles",)),
-    Stage("evaluate", evaluate, ("verify", "georef", "remask", "dense", "cloud"), ("metrics.json",)),
-    Stage("report", report, ("evaluate",), ("report.html",)),
+    Stage("evaluate", evaluate, ("verify", "georef", "remask", "dense", "cloud"), ("metrics.json",), version=2),
+    Stage("report", report, ("evaluate",), ("report.html",), version=2),
 )
 # fmt: on
 

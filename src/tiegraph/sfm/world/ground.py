@@ -18,7 +18,8 @@ from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.world import worldadjust
 from tiegraph.sfm.world.fixes import Fixes, Given
 from tiegraph.sfm.world.georef import Georeference, georeference, row_of_frames
-from tiegraph.sfm.world.marks import point_table, targets
+from tiegraph.sfm.world.judging import judged
+from tiegraph.sfm.world.marks import marked, point_table, targets
 from tiegraph.sfm.world.placing import Placing
 from tiegraph.sfm.world.worldadjust import Adjusted, Constraints, adjust_in_world
 
@@ -44,13 +45,22 @@ def georeference_model(
     given: Given | None = None,
     held: Held | None = None,
 ) -> tuple[Georeference, pycolmap.Reconstruction]:
+    """The georeference of a model, judged (``judging.py``), and the model in the world; see ``_grounded``."""
+    given, held = given or Given(), held or Held()
+    found, world = _grounded(model, scene, settings, given, held)
+    points = targets(world, scene, given.control) if given.control is not None else []
+    return judged(found, scene, given.model_sigma * found.world_from_model.scale, points), world
+
+
+def _grounded(
+    model: pycolmap.Reconstruction, scene: Scene, settings: GeorefSettings, given: Given, held: Held
+) -> tuple[Georeference, pycolmap.Reconstruction]:
     """The georeference of a model and the model in the world.
 
     First the similarity of ``georeference``. Then a bundle adjustment with the positions and control points takes out
     drift, which no similarity can; it is kept only if positions it did not know (every fifth) are met at least as well
     as with the similarity, and the images no worse. What was decided, and why, is in the notes.
     """
-    given, held = given or Given(), held or Held()
     first = georeference(model, scene, settings, given)
     world = first.apply(model)
     placing = first.placing
@@ -132,12 +142,12 @@ def _constraints(
         free_antenna=evidence.estimate_antenna,
         free_offset=evidence.estimate_offset,
         control=control,
-        targets=targets(world, scene, control) if control is not None else (),
+        targets=marked(targets(world, scene, control), first.control) if control is not None else (),
         point_factor=stretch,
         up=up,
         fixed_rigs=held.rigs,
         constant_cameras=held.cameras,
-        soft_rigs=held.soft,
+        soft_rigs=held.soft if placing.weighed.rig_used else (),
     )
 
 
@@ -212,7 +222,7 @@ def _adjusted(
     inlier[has] = np.linalg.norm(made.residual / sigma, axis=1)[at[has]] < 3 * np.sqrt(3)
     control, accuracy = list(first.control), first.accuracy
     if given.control is not None:
-        found = targets(made.model, scene, given.control)
+        found = marked(targets(made.model, scene, given.control), first.control)
         off = np.array([t.place for t in found]).reshape(-1, 3) - given.control.world_m
         control, accuracy = point_table(given.control, found, off, scene.names)
     moved = np.linalg.norm(_centres(world, scene) - _centres(made.model, scene), axis=1)
