@@ -84,7 +84,7 @@ def place(model: Model, scene: Scene, settings: GeorefSettings, given: Given) ->
     arm, estimate = _lever_arm(scene, settings, notes)
     metres = 1.0 if model.scale is None else model.scale.metres_per_unit
     name = POSITIONS.get(scene.prior, "positions")
-    weighed = None
+    weighed: Weighed | None = None
     for _ in range(2):  # the second time with the true scale for frames known through another camera than the first
         evidence = _evidence(frames, fixes, scene, (arm, estimate is True), model.scale)
         evidence = _with_points(evidence, model, given, points, metres)
@@ -99,6 +99,7 @@ def place(model: Model, scene: Scene, settings: GeorefSettings, given: Given) ->
         metres = fit.similarity.scale
         frames = model.frames(scene, metres)
         fixes = stated.widened(frames, metres)
+    assert weighed is not None
     fixes = fixes.blurred(weighed.extra_m)
     evidence, fit = _believed(evidence, fixes, model.up, fit.similarity)
     _refuse_exchanged(evidence, fit)

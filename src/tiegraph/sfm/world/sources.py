@@ -62,8 +62,8 @@ class Source:
         names = ((HEADING, 2, -1.0), (TILTS[0], 0, -1.0), (TILTS[1], 1, 1.0))
         for name, k, sign in names:
             if spread[k] < _TOLD_DEG:
-                out.append(Statement(name, self.name, sign * turn[k], float(spread[k]), "deg", name in used))
-        out += [Statement(n, self.name, v, float(s), "m", n in used) for n, v, s in zip(PLACES, off, place)]
+                out.append(Statement(name, self.name, float(sign * turn[k]), float(spread[k]), "deg", name in used))
+        out += [Statement(n, self.name, float(v), float(s), "m", n in used) for n, v, s in zip(PLACES, off, place)]
         return out
 
 
