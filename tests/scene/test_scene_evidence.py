@@ -45,7 +45,7 @@ def test_one_bad_value_is_no_trend_and_the_words_hold_the_figures() -> None:
     step = trend(np.where(x > 0, 0.5, 0.0) + 0.02 * rng.standard_normal(30))
     assert step is not None and step.text().startswith("jump by +0.") and step.at == 0.5
     off = trend(0.5 + 0.02 * rng.standard_normal(30), offset=True)
-    assert off is not None and off.text() == "stand off by +0.5 m all along"
+    assert off is not None and off.text() == "stand off by +0.5 m all the time"
     assert trend(0.5 + 0.02 * rng.standard_normal(30)) is None
 
 

@@ -109,7 +109,7 @@ def test_a_rig_that_is_wrong_does_not_overrule_positions_that_fit_without_it() -
     assert max(found.rms_m().values()) < 0.05
     (text,) = found.contradictions
     assert text.startswith("scale: ") and "rig as given" in text and "11.3% too long" in text
-    assert "run in a line from -0.6" in text and "0.02 m" in text and "fire apart" in text
+    assert "run in a line from -0.68 m to +0.68 m" in text and "fit to 0.02" in text and "fire apart" in text
     used = {s.source: s.used for s in found.statements if s.quantity == "scale"}
     assert used == {"GNSS positions": True, "rig as given": False}
 

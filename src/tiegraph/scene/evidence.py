@@ -93,7 +93,7 @@ class Trend:
     def text(self, unit: str = "m") -> str:
         """The form in words, with its figures; goes after "the residuals"."""
         if self.form == "offset":
-            return f"stand off by {self.start:+.2g} {unit} all along"
+            return f"stand off by {self.start:+.2g} {unit} all the time"
         if self.form == "line":
             return f"run in a line from {self.start:+.2g} {unit} to {self.end:+.2g} {unit}"
         if self.form == "curve":
@@ -173,4 +173,5 @@ def _spikes(y: np.ndarray) -> np.ndarray:
 
 
 def _said(s: Statement) -> str:
-    return f"{s.source} {s.value:.5g} +- {s.sigma:.2g} {s.unit}".rstrip()
+    digits = int(np.clip(1 - np.floor(np.log10(s.sigma)), 0, 9))  # two of the sigma's
+    return f"{s.source} {round(s.value, digits) + 0.0:.{digits}f} +- {s.sigma:.2g} {s.unit}".rstrip()
