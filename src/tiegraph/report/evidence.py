@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from tiegraph.report import words
 from tiegraph.report.artefacts import STAGES, RunFolder
+from tiegraph.scene.evidence import figures
 
 EVIDENCE = "evidence"  # the table that has a section of its own
 _COLUMNS = 7
@@ -27,7 +28,7 @@ def evidence_table(run: RunFolder) -> words.Table | None:
     """The statements of all stages, those of one quantity one below the other; None without any."""
     found = [(run.receipts.get(s, {}).get("tables") or {}).get(EVIDENCE) for s in STAGES]
     parts = [t for t in found if isinstance(t, dict) and t.get("rows") and len(t.get("columns") or []) == _COLUMNS]
-    rows = [[*r[:2], words.number(r[2], 5), words.number(r[3], 2), *r[4:]] for t in parts for r in t["rows"]]
+    rows = [[*r[:2], figures(r[2], r[3]), words.number(r[3], 2), *r[4:]] for t in parts for r in t["rows"]]
     order = {q: k for k, q in enumerate(dict.fromkeys(r[0] for r in rows))}
     rows.sort(key=lambda r: order[r[0]])
     return words.table({"columns": parts[0]["columns"], "rows": rows}) if rows else None

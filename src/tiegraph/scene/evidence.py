@@ -172,6 +172,11 @@ def _spikes(y: np.ndarray) -> np.ndarray:
     return out
 
 
+def figures(value: float, sigma: float) -> str:
+    """A value to two digits of its sigma."""
+    digits = int(np.clip(1 - np.floor(np.log10(sigma)), 0, 9)) if sigma > 0 and np.isfinite(sigma) else 6
+    return f"{round(value, digits) + 0.0:.{digits}f}"
+
+
 def _said(s: Statement) -> str:
-    digits = int(np.clip(1 - np.floor(np.log10(s.sigma)), 0, 9))  # two of the sigma's
-    return f"{s.source} {round(s.value, digits) + 0.0:.{digits}f} +- {s.sigma:.2g} {s.unit}".rstrip()
+    return f"{s.source} {figures(s.value, s.sigma)} +- {s.sigma:.2g} {s.unit}".rstrip()

@@ -52,6 +52,7 @@ class Georeference:
     statements: tuple[Statement, ...] = ()
     contradictions: tuple[str, ...] = ()
     given_control: Control | None = None
+    fix_residual_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))  # (K, 3) of all fixes of the placing
 
     @property
     def placed(self) -> bool:
@@ -191,6 +192,7 @@ def _placed(placing: Placing, view: Model, scene: Scene, given: Given) -> Georef
         offset_s=fit.offset_s,
         placing=placing,
         given_control=given.control,
+        fix_residual_m=here[:count],
         error=PlacementError(fit.middle, widened(fit.covariance, sigma)),
     )
 
@@ -233,12 +235,6 @@ def _scale_source(placing: Placing, scene: Scene, view: Model, fixes: int) -> st
 
 def _remarks(placing: Placing, scene: Scene) -> list[str]:
     notes, fit = [], placing.fit
-    rows = len(fit.inlier)
-    if fit.inlier.sum() < 0.7 * rows:
-        notes.append(
-            f"only {int(fit.inlier.sum())} of {rows} positions agree with the model within three sigmas: the "
-            f"model is bent, or the sigmas are too small"
-        )
     for level in placing.levels:
         if 1.5 < level.factor <= SCATTER and level.count >= 6:
             notes.append(

@@ -21,6 +21,7 @@ from tiegraph.sfm.world.georef import Georeference, georeference, row_of_frames
 from tiegraph.sfm.world.judging import judged
 from tiegraph.sfm.world.marks import marked, point_table, targets
 from tiegraph.sfm.world.placing import Placing
+from tiegraph.sfm.world.scale import relaxed
 from tiegraph.sfm.world.worldadjust import Adjusted, Constraints, adjust_in_world
 
 NOT_WORSE = 1.01  # times the held-out residual of the similarity
@@ -68,7 +69,7 @@ def _grounded(
         return first, world
     if not worldadjust.available():
         return _with(first, "not adjusted with the positions: the package pyceres is not installed"), world
-    if _relaxed(model, scene):
+    if relaxed(model, scene):
         why = "a rig is relaxed, and only points would hold its cameras to the one that has the positions"
         return _with(first, f"the similarity stays, a bundle adjustment with the positions was refused: {why}"), world
     constraints = _constraints(world, scene, first, placing, given, held)
@@ -80,21 +81,6 @@ def _grounded(
         text = f"the images fit worse with it ({made.before_px:.3f} -> {made.after_px:.3f} px)"
         return _with(first, f"the similarity stays, a bundle adjustment with the positions was refused: {text}"), world
     return _adjusted(first, made, model, world, scene, given, why), made.model
-
-
-def _relaxed(model: pycolmap.Reconstruction, scene: Scene) -> bool:
-    """Whether images of one frame of the scene stand in several frames of the model.
-
-    What ties them is the business of the relaxing (``sfm/rig/relax.py``); an adjustment without it took PandaSet, whose
-    back camera shares few points with the others, from 22 to 59 mm and met the positions it did not know better.
-    """
-    home: dict[int, int] = {}
-    for image_id in model.reg_image_ids():
-        image = model.image(image_id)
-        index = scene.image_index.get(image.name)
-        if index is not None and home.setdefault(int(scene.frame[index]), image.frame_id) != image.frame_id:
-            return True
-    return False
 
 
 @dataclass(frozen=True)
@@ -235,6 +221,7 @@ def _adjusted(
         world_from_model=worldadjust.similarity_to(model, made.model, first.world_from_model),
         residual_m=residual,
         inlier=inlier,
+        fix_residual_m=made.residual,
         antenna_m=tuple(float(v) for v in made.antenna) if made.antenna.any() else None,  # type: ignore[arg-type]
         offset_s=made.offset_s,
         control=tuple(control),

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
 from tiegraph.scene.evidence import LIMIT, Contradiction, Statement, contradictions, trend
 from tiegraph.scene.scene import Scene
+from tiegraph.sfm.world.fit import ANTENNA_SIGMA_M
 from tiegraph.sfm.world.georef import SCATTER, Georeference
 from tiegraph.sfm.world.marks import Target
+from tiegraph.sfm.world.placing import time_order
 from tiegraph.sfm.world.sources import (
     CONTROL,
     ORIENTATIONS,
@@ -21,6 +24,7 @@ from tiegraph.sfm.world.sources import (
 )  # fmt: skip
 from tiegraph.sfm.world.weighing import TWO_ENDS
 
+AGREEING = 0.7  # of the positions, below which they and the model contradict each other
 _AXES = ("east", "north", "up")
 _ALONG = "along the motion"
 
@@ -34,6 +38,8 @@ def judged(found: Georeference, scene: Scene, model_sigma_m: float, targets: lis
         return found
     said = statements(found)
     worst = _of_quantities(contradictions(said))
+    if found.placing.weighed.why and not any(c.first.quantity == SCALE for c in worst):
+        worst = [*worst, *_decided(said)]
     sentences = [c.text(_culprit(c, said, found)) for c in worst]
     sigma = dict(found.sigma)
     wide = found.placing.weighed.scale_sigma
@@ -81,6 +87,13 @@ def _of_quantities(found: list[Contradiction]) -> list[Contradiction]:
     return list(out.values())
 
 
+def _decided(said: list[Statement]) -> list[Contradiction]:
+    """The scale's, where it was decided between its sources though the result lets them differ a little less."""
+    rows = [s for s in said if s.quantity == SCALE]
+    pairs = [(abs(a.value - b.value) / np.hypot(a.sigma, b.sigma), a, b) for a, b in combinations(rows, 2)]
+    return [Contradiction(a, b, float(s)) for s, a, b in sorted(pairs, key=lambda p: -p[0])[:1]]
+
+
 def _culprit(c: Contradiction, said: list[Statement], found: Georeference) -> str:
     """Who is likely wrong, in words."""
     assert found.placing is not None
@@ -111,34 +124,36 @@ def _trends(found: Georeference, scene: Scene, model_sigma_m: float, scale_said:
     """(axis, size, sentence) of residuals that are no noise and larger than two positions and the model may differ."""
     placing = found.placing
     assert placing is not None
-    rows = np.flatnonzero(np.isfinite(found.residual_m).all(axis=1))
-    order = rows[np.lexsort((scene.step[rows], scene.track[rows]))]
-    if np.isfinite(scene.time_s[rows]).all():
-        order = rows[np.argsort(scene.time_s[rows], kind="stable")]
-    if not len(order):
-        return []
     fixes = placing.fixes
+    if not len(fixes):
+        return []
+    order = np.argsort(time_order(scene, fixes), kind="stable")
     stated = np.hypot(np.median(fixes.sigma, axis=0), np.nan_to_num(model_sigma_m))
-    stated = np.hypot(stated, placing.weighed.extra_m)
-    residual = found.residual_m[order]
-    way = _directions(residual, fixes, order, scene)
+    residual = found.fix_residual_m[order]
+    way = _directions(fixes.position[order] + residual)
     series = [(a, residual[:, k], float(stated[k])) for k, a in enumerate(_AXES)]
     series.append((_ALONG, np.sum(residual * way, axis=1), float(stated[:2].max())))
     out = []
     for axis, values, sigma in series:
         form = trend(values, len(series), offset=axis == _ALONG)
+        if (
+            form is not None
+            and form.form == "offset"
+            and placing.weighed.free_antenna
+            and not placing.fit.antenna.any()
+        ):
+            sigma = float(np.hypot(sigma, ANTENNA_SIGMA_M))  # it stands anywhere on the vehicle
         if form is None or form.size / 2 <= TWO_ENDS * sigma or (scale_said and form.form == "line"):
             continue
         out.append((axis, form.size, _trend_text(axis, form.text(), form.form, sigma, found)))
     return sorted(out, key=lambda t: -t[1])[:1]  # one cause shows on several axes
 
 
-def _directions(residual: np.ndarray, fixes: object, order: np.ndarray, scene: Scene) -> np.ndarray:
-    """(K, 3) unit vectors of the motion in plan at frames in order."""
-    place = scene.world_from_rig[order, :3, 3] + residual
-    if len(order) < 3:
+def _directions(place: np.ndarray) -> np.ndarray:
+    """(K, 3) unit vectors of the motion in plan at places (K, 3) in order."""
+    if len(place) < 3:
         return np.zeros_like(place)
-    way = np.gradient(np.nan_to_num(place), axis=0)
+    way = np.gradient(place, axis=0)
     way[:, 2] = 0
     return way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
 
@@ -172,7 +187,7 @@ def _levels(found: Georeference, explained: bool) -> list[str]:
             )
     used = int(found.inlier.sum())
     total = int(np.isfinite(found.residual_m).all(axis=1).sum())
-    if total >= 6 and used < 0.5 * total:
+    if total >= 6 and used < AGREEING * total:
         out.append(
             f"only {used} of {total} positions agree with the model within three sigmas: the model is bent or torn, or "
             "the positions are of another survey"

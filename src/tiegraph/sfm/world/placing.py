@@ -91,7 +91,7 @@ def place(model: Model, scene: Scene, settings: GeorefSettings, given: Given) ->
         if weighed is None:
             free = estimate is not False
             common = common_of(stated.sigma, settings.sigma_floor_m, free) if len(stated) else np.zeros(4)
-            weighed = weigh(Question(evidence, len(fixes), _order(scene, fixes), name, common, model.scale, free))
+            weighed = weigh(Question(evidence, len(fixes), time_order(scene, fixes), name, common, model.scale, free))
         fixes = fixes.blurred(weighed.extra_m)
         blurred = np.concatenate([fixes.sigma, evidence.sigma[len(fixes) :]])
         evidence = replace(evidence, sigma=blurred, log_scale=evidence.log_scale if weighed.rig_used else None)
@@ -124,7 +124,7 @@ def place(model: Model, scene: Scene, settings: GeorefSettings, given: Given) ->
     return Placing(evidence, fixes, fit, up, points, blind, tuple(found), tuple(notes), weighed, model, name, clock)
 
 
-def _order(scene: Scene, fixes: Fixes) -> np.ndarray:
+def time_order(scene: Scene, fixes: Fixes) -> np.ndarray:
     """(K,) times of the fixes, or their places in the order of the passes where there are none."""
     if np.isfinite(fixes.time_s).all():
         return fixes.time_s

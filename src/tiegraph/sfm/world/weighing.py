@@ -21,7 +21,8 @@ _HELD = 1e-6  # of a scale that is held
 class Weighed:
     """The sources, which are used and why. ``scale_used``: sources of the scale; ``extra_m`` (3,): what is added to the
     positions' sigmas because another source says otherwise; ``scale_sigma``: to widen the scale's to, 0 = not at all;
-    ``at`` (3,): the model point that places are compared at; ``why``: how the scale was decided, in words."""
+    ``at`` (3,): the model point that places are compared at; ``why``: how the scale was decided, in words;
+    ``free_antenna``: no lever arm was given."""
 
     sources: tuple[Source, ...]
     scale_used: tuple[str, ...]
@@ -30,6 +31,7 @@ class Weighed:
     scale_sigma: float
     at: np.ndarray
     why: str = ""
+    free_antenna: bool = False
 
     @property
     def rig_used(self) -> bool:
@@ -71,7 +73,7 @@ def weigh(asked: Question) -> Weighed:
     at = evidence.pose[~rows if points else rows, :3, 3].mean(axis=0)
     used, sigma, extra, why = _scale(asked, found)
     places, more = _places(found, at, asked.name)
-    return Weighed(tuple(found.values()), used, places, np.hypot(extra, more), sigma, at, why)
+    return Weighed(tuple(found.values()), used, places, np.hypot(extra, more), sigma, at, why, asked.free_antenna)
 
 
 def _few(evidence: Evidence, rows: np.ndarray, positions: Source | None) -> Source | None:
