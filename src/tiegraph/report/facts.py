@@ -42,16 +42,14 @@ class Tile:
 
 def verdict(run: RunFolder) -> Verdict:
     """The result in plain words, from what is there."""
+    said = contradictions(run)
     if run.model is None or run.scene is None:
         last = [s for s in STAGES if run.done(s) and s != "report"]
         stop = f"The run has finished the stage {last[-1]}." if last else "No stage has finished."
-        said = contradictions(run)
         return Verdict("open", "No model yet", (stop, *_pairs_sentence(run)), tuple(warnings(run)), said)
     registered, total = int(run.model.registered.sum()), len(run.scene)
     share = registered / max(total, 1)
-    found = tuple(warnings(run))
     serious = run.model.others or (run.done("georef") and not run.georeferenced) or weak_placement(run)
-    said = contradictions(run)
     level = "poor" if share < POOR_SHARE else "check" if share < GOOD_SHARE or serious else "good"
     level = "doubtful" if said and level != "poor" else level
     headline = {
@@ -61,7 +59,7 @@ def verdict(run: RunFolder) -> Verdict:
         "poor": "A large part of the survey is missing",
     }[level]
     sentences = (_registered_sentence(run, registered, total), _world_sentence(run), *_accuracy_sentences(run))
-    return Verdict(level, headline, tuple(s for s in sentences if s), found, said)
+    return Verdict(level, headline, tuple(s for s in sentences if s), tuple(warnings(run)), said)
 
 
 def _pairs_sentence(run: RunFolder) -> tuple[str, ...]:
