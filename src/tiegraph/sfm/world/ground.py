@@ -133,7 +133,7 @@ def _constraints(
         up=up,
         fixed_rigs=held.rigs,
         constant_cameras=held.cameras,
-        soft_rigs=held.soft if placing.weighed.rig_used else (),
+        soft_rigs=held.soft,
     )
 
 
