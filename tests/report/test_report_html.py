@@ -235,3 +235,24 @@ def test_metrics_in_words() -> None:
 def test_what_acts_without_being_seen_is_escaped() -> None:
     page = environment().from_string("{{ name }}|{{ ours|safe }}")
     assert page.render(name="<script>\x1b\u202e\udc8e", ours="<b>") == "&lt;script&gt;\\x1b\\u202e\\x8e|<b>"
+
+
+def test_a_contradiction_is_a_level_of_its_own_and_the_evidence_a_section(tmp_path: Path) -> None:
+    folder = make_run(tmp_path / "run", "georef")
+    receipt = json.loads((folder / "receipts" / "georef.json").read_text())
+    text = "scale: GNSS positions 1.000 +- 0.014 and rig as given 1.1128 +- 0.0022 contradict each other by 7.9 sigmas"
+    columns = ["quantity", "source", "value", "sigma", "unit", "", "verdict"]
+    rows = [["scale", "GNSS positions", 1.0, 0.014, "", "used", "contradicts rig as given"]]
+    rows += [["heading", "GNSS positions", 0.0001, 0.3, "deg", "used", ""]]
+    rows += [["scale", "rig as given", 1.1128, 0.0022, "", "", "contradicts GNSS positions"]]
+    receipt["contradictions"] = [text]
+    receipt["tables"] = {**(receipt.get("tables") or {}), "evidence": {"columns": columns, "rows": rows}}
+    assert facts.verdict(read_run(folder)).level != "doubtful"
+    (folder / "receipts" / "georef.json").write_text(json.dumps(receipt))
+    found = facts.verdict(read_run(folder))
+    assert found.level == "doubtful" and found.headline == "The survey contradicts itself: scale"
+    page = write_report(folder, SMALL).read_text(encoding="utf-8")
+    assert "usable with care" not in page and page.count(text) == 1
+    assert page.count("contradicts rig as given") == 1 and "What says what" in page
+    shown = page[page.index("What says what") :]
+    assert shown.index("1.1128") < shown.index("<td>heading<")  # statements of one quantity stand together

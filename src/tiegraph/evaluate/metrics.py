@@ -11,12 +11,18 @@ from tiegraph.scene.results import Metric
 
 
 def metrics_to_dict(
-    metrics: Iterable[Metric], tables: dict[str, dict] | None = None, notes: Iterable[str] = ()
+    metrics: Iterable[Metric],
+    tables: dict[str, dict] | None = None,
+    notes: Iterable[str] = (),
+    contradictions: Iterable[str] = (),
 ) -> dict[str, Any]:
-    """{"metrics": [{name, value, unit, better, target}], "tables": {..}, "notes": [..]}, NaN and infinity as null."""
+    """{"metrics": [{name, value, unit, better, target}], "tables": {..}, "notes": [..], "contradictions": [..]}.
+
+    NaN and infinity as null.
+    """
     rows = [{k: _finite(v) for k, v in asdict(m).items()} for m in metrics]
     clean = {n: {**t, "rows": [[_finite(v) for v in row] for row in t["rows"]]} for n, t in (tables or {}).items()}
-    return {"metrics": rows, "tables": clean, "notes": list(notes)}
+    return {"metrics": rows, "tables": clean, "notes": list(notes), "contradictions": list(contradictions)}
 
 
 def metrics_from_dict(data: dict[str, Any]) -> list[Metric]:

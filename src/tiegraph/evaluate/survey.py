@@ -12,6 +12,7 @@ from tiegraph.errors import InputError
 from tiegraph.evaluate import backprojection, reference
 from tiegraph.evaluate.backprojection import View, backprojection_rmse
 from tiegraph.evaluate.cloud import cloud_to_cloud, thin
+from tiegraph.evaluate.judge import Predicted, against_cloud, against_poses
 from tiegraph.evaluate.metrics import metrics_to_dict
 from tiegraph.evaluate.reference import ModelPoses
 from tiegraph.evaluate.settings import EvaluateSettings
@@ -30,6 +31,7 @@ class _Findings:
     metrics: list[Metric] = field(default_factory=list)
     tables: dict[str, dict] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    contradictions: list[str] = field(default_factory=list)
 
 
 def evaluate_survey(
@@ -39,11 +41,13 @@ def evaluate_survey(
     views: Iterable[View | DepthMap] | None,
     settings: EvaluateSettings,
     origin: Origin | None = None,
+    predicted: Predicted | None = None,
 ) -> dict[str, Any]:
     """The content of metrics.json for a run.
 
     ``reconstruction``: pycolmap model in the world frame; ``views``: undistorted images (or their depth maps) for the
-    back-projection, None = the model's images as pinholes; ``origin``: the world's (None: the model's own frame).
+    back-projection, None = the model's images as pinholes; ``origin``: the world's (None: the model's own frame);
+    ``predicted``: the run's own sigmas, which its references are held against.
     Raises InputError for references that cannot be read or matched.
     """
     found = _Findings()
@@ -57,10 +61,10 @@ def evaluate_survey(
         found.notes.append(backprojection.MEANING)
     trajectory = None
     if settings.reference is not None:
-        trajectory = _trajectory(scene, model, settings, origin, found)
+        trajectory = _trajectory(scene, model, settings, origin, predicted or Predicted(), found)
     if settings.reference_cloud is not None and cloud is not None and len(cloud):
-        _cloud(cloud, model, settings, origin, trajectory, found)
-    return metrics_to_dict(found.metrics, found.tables, found.notes)
+        _cloud(cloud, model, settings, origin, trajectory, predicted or Predicted(), found)
+    return metrics_to_dict(found.metrics, found.tables, found.notes, found.contradictions)
 
 
 def pinhole_views(reconstruction: Any) -> list[View]:
@@ -78,7 +82,12 @@ def pinhole_views(reconstruction: Any) -> list[View]:
 
 
 def _trajectory(
-    scene: Scene, model: ModelPoses, settings: EvaluateSettings, origin: Origin | None, found: _Findings
+    scene: Scene,
+    model: ModelPoses,
+    settings: EvaluateSettings,
+    origin: Origin | None,
+    predicted: Predicted,
+    found: _Findings,
 ) -> TrajectoryError:
     assert settings.reference is not None
     match, said = reference.match_poses(reference.read_reference_poses(settings.reference), model, scene)
@@ -92,11 +101,20 @@ def _trajectory(
     found.metrics.extend(result.metrics())
     found.tables.update(result.tables())
     found.notes.append(f"Reference poses {settings.reference.name}: {said}.")
+    found.contradictions += against_poses(match, result, predicted, _step_s(scene))
     if comparable:
         found.notes.append("absolute_rmse compares positions in the same CRS without any alignment.")
     else:
         found.notes.append("No absolute error: the reference has no stated origin, or the model is not georeferenced.")
     return result
+
+
+def _step_s(scene: Scene) -> float:
+    """Median time between frames of a pass, NaN without times."""
+    order = np.lexsort((scene.step, scene.track))
+    step = np.diff(scene.time_s[order])[np.diff(scene.track[order]) == 0]
+    step = step[np.isfinite(step)]
+    return float(np.median(step)) if len(step) else float("nan")
 
 
 def _cloud(
@@ -105,6 +123,7 @@ def _cloud(
     settings: EvaluateSettings,
     origin: Origin | None,
     trajectory: TrajectoryError | None,
+    predicted: Predicted,
     found: _Findings,
 ) -> None:
     path = settings.reference_cloud
@@ -121,6 +140,7 @@ def _cloud(
         raise InputError(f"{path}: {error}") from None
     found.metrics.extend(result.metrics())
     found.tables.update(result.tables())
+    found.contradictions += against_cloud(result, points, predicted, alignment is not None)
     share = f"{100 * result.outside:.0f} % of the cloud lie outside the reference's outline and are not judged."
     found.notes.append(f"Reference cloud {path.name}, {how}. {result.meaning} {share}")
 

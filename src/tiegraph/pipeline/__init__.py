@@ -40,7 +40,7 @@ STAGES = (
     Stage("dense", dense, ("georef", "remask"), ("depth",), "image", version=5),
     Stage("cloud", cloud, ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply"), scratch=(".tiles",)),
     Stage("evaluate", evaluate, ("verify", "georef", "remask", "dense", "cloud"), ("metrics.json",), version=2),
-    Stage("report", report, ("evaluate",), ("report.html",)),
+    Stage("report", report, ("evaluate",), ("report.html",), version=2),
 )
 # fmt: on
 

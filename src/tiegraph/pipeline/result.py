@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from tiegraph.evaluate.judge import Predicted
 from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.evaluate.survey import evaluate_survey
 from tiegraph.masks.compare import compare
@@ -11,6 +14,7 @@ from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome
 from tiegraph.report.html import write_report
 from tiegraph.scene.cloudfile import read_cloud
+from tiegraph.scene.results import Cloud
 from tiegraph.scene.scene import Scene
 
 
@@ -21,15 +25,31 @@ def evaluate(run: Run) -> Outcome:
     origin = world_origin(run)
     with reading(run.path("cloud.laz")):
         cloud = read_cloud(run.path("cloud.laz"), origin)
-    placed = load_json(run.path("world.json"))["placed"]
+    world = load_json(run.path("world.json"))
     # Against its own points a camera model without depth maps says the same, and needs no reading of them.
-    result = evaluate_survey(scene, model, cloud, None, settings, origin if placed else None)
+    result = evaluate_survey(
+        scene, model, cloud, None, settings, origin if world["placed"] else None, predicted(world, cloud)
+    )
     if settings.reference_masks is not None:
         result["tables"]["mask accuracy"] = _masks(run, scene, settings)
     save_json(run.path("metrics.json"), result)
     shown = {m["name"]: m["value"] for m in result["metrics"] if m["value"] is not None}
     notes = tuple(n for n in result["notes"] if n.startswith("Reference"))  # what could be compared with what
-    return Outcome({k: float(f"{v:.4g}") for k, v in shown.items()}, notes=notes)
+    said = tuple(result["contradictions"])
+    return Outcome({k: float(f"{v:.4g}") for k, v in shown.items()}, notes=notes, contradictions=said)
+
+
+def predicted(world: dict, cloud: Cloud) -> Predicted:
+    """The run's own sigmas, from world.json and its cloud."""
+    sigma, inside = world.get("sigma") or {}, world.get("model_sigma") or {}
+    half, most = inside.get("median", np.nan), inside.get("p90", np.nan)
+    scale = sigma.get("scale", np.nan)
+    if not sigma and world["scale_source"] != "none":  # not placed: the rig alone says how large it is
+        rows = world.get("evidence", {}).get("rows", [])
+        scale = next((row[3] for row in rows if row[0] == "scale"), np.nan)
+    placed = np.hypot(sigma.get("position_m", np.nan), sigma.get("height_m", np.nan))
+    point = float(np.nanmedian(cloud.sigma_m)) if len(cloud) and np.isfinite(cloud.sigma_m).any() else np.nan
+    return Predicted(float(np.hypot(half, most) / np.sqrt(2)), float(scale), float(placed), point)
 
 
 def _masks(run: Run, scene: Scene, settings: EvaluateSettings) -> dict:

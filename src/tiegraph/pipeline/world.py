@@ -11,6 +11,7 @@ from tiegraph.geometry.geodesy import Origin, world_from_geodetic
 from tiegraph.pipeline.files import checked, load_json, load_model
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome, remove
+from tiegraph.scene import evidence
 from tiegraph.scene.atomic import claim
 from tiegraph.scene.control import Control, locate
 from tiegraph.scene.gcp import read_gcps
@@ -29,7 +30,10 @@ from tiegraph.sfm.world.ground import GroundRequest, Held, ground
 def georef(run: Run) -> Outcome:
     """The largest model into the world; what the others would say is noted."""
     scene = checked(run).measured()
-    given = Given(_rows(run, scene), control_points(run, scene), _covered(run, scene))
+    receipt = run.receipts.read("sparse")
+    sigma = receipt.get("counts", {})
+    inside = sigma.get("position_sigma_median", float("nan"))
+    given = Given(_rows(run, scene), control_points(run, scene), _covered(run, scene), inside)
     folders = sorted((p for p in run.path("sparse").iterdir() if p.name.isdigit()), key=lambda p: int(p.name))
     scratch = run.path("sparse", ".world")
     remove(scratch)
@@ -44,8 +48,6 @@ def georef(run: Run) -> Outcome:
     placed = georeference_all(others, scene, run.settings.georef, given)
     notes = [*main.notes, *(_other_note(k + 1, m, g) for k, (m, g) in enumerate(zip(others, placed)))]
     world = main.to_dict()
-    receipt = run.receipts.read("sparse")
-    sigma = receipt.get("counts", {})
     if "position_sigma_median" in sigma:
         # Of the bundle adjustment, in the model's units: the shape of the survey, not its place on the Earth.
         scaled = {n: main.world_from_model.scale * sigma[f"position_sigma_{n}"] for n in ("median", "p90")}
@@ -55,7 +57,7 @@ def georef(run: Run) -> Outcome:
     scratch.rename(run.path("sparse", "world"))
     save_json(run.path("world.json"), {**world, "notes": notes})
     tables = {**_tables(main), **_mounting(receipt, main)}
-    return Outcome(main.counts(), notes=tuple(notes), tables=tables)
+    return Outcome(main.counts(), notes=tuple(notes), tables=tables, contradictions=main.contradictions)
 
 
 def world_origin(run: Run) -> Origin | None:
@@ -105,9 +107,10 @@ def _covered(run: Run, scene: Scene) -> np.ndarray | None:
 
 
 def _tables(placed: Georeference) -> dict[str, dict]:
-    """Control and check points, one a row, and their accuracy."""
+    """What says what; control and check points, one a row, and their accuracy."""
+    said = {"evidence": evidence.table(placed.statements)} if placed.statements else {}
     if not placed.control:
-        return {}
+        return said
     rows = []
     for point in placed.control:
         off = point["off_m"] or [None, None, None]
@@ -115,7 +118,7 @@ def _tables(placed: Georeference) -> dict[str, dict]:
     columns = ["point", "role", "marks", "dE m", "dN m", "dU m", "px", "not used because"]
     sums = [[role, *values.values()] for role, values in placed.accuracy.items()]
     heads = ["", "points", "east m", "north m", "up m", "plan m", "RMSE m", "CE90 m", "LE90 m"]
-    out = {"control and check points": {"columns": columns, "rows": rows}}
+    out = {**said, "control and check points": {"columns": columns, "rows": rows}}
     return {**out, "accuracy of points (model minus survey)": {"columns": heads, "rows": sums}} if sums else out
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from tiegraph.geometry import transforms
 from tiegraph.report import ground, words
 from tiegraph.report.artefacts import STAGES, RunFolder
+from tiegraph.report.evidence import about, contradictions
 from tiegraph.report.words import Table
 from tiegraph.scene.registered import BY_RIG, MIN_POINTS
 from tiegraph.text import known_to
@@ -23,12 +24,13 @@ _HELDOUT_FACTOR = 2.0  # held-out positions this much worse than those used: the
 
 @dataclass(frozen=True)
 class Verdict:
-    """The box at the top: level good, check, poor or open; sentences; warnings."""
+    """The box at the top: level good, check, doubtful, poor or open; sentences; what contradicts what; warnings."""
 
     level: str
     headline: str
     sentences: tuple[str, ...]
     warnings: tuple[str, ...]
+    contradictions: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -41,22 +43,24 @@ class Tile:
 
 def verdict(run: RunFolder) -> Verdict:
     """The result in plain words, from what is there."""
+    said = contradictions(run)
     if run.model is None or run.scene is None:
         last = [s for s in STAGES if run.done(s) and s != "report"]
         stop = f"The run has finished the stage {last[-1]}." if last else "No stage has finished."
-        return Verdict("open", "No model yet", (stop, *_pairs_sentence(run)), tuple(warnings(run)))
+        return Verdict("open", "No model yet", (stop, *_pairs_sentence(run)), tuple(warnings(run)), said)
     registered, total = int(run.model.registered.sum()), len(run.scene)
     share = registered / max(total, 1)
-    found = tuple(warnings(run))
     serious = run.model.others or (run.done("georef") and not run.georeferenced) or weak_placement(run)
     level = "poor" if share < POOR_SHARE else "check" if share < GOOD_SHARE or serious else "good"
+    level = "doubtful" if said and level != "poor" else level
     headline = {
+        "doubtful": f"The survey contradicts itself: {about(said)}",
         "good": "The survey is complete",
         "check": "The survey is usable with care",
         "poor": "A large part of the survey is missing",
     }[level]
     sentences = (_registered_sentence(run, registered, total), _world_sentence(run), *_accuracy_sentences(run))
-    return Verdict(level, headline, tuple(s for s in sentences if s), found)
+    return Verdict(level, headline, tuple(s for s in sentences if s), tuple(warnings(run)), said)
 
 
 def _pairs_sentence(run: RunFolder) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ import numpy as np
 from tiegraph.report import charts, facts, plan, viewer, words
 from tiegraph.report.artefacts import STAGES, RunFolder, read_run
 from tiegraph.report.cloudview import standard_views, with_scale_bar
+from tiegraph.report.evidence import EVIDENCE, evidence_table
 from tiegraph.report.pictures import CLASSES, jpeg, mask_share, masked_thumbnail
 from tiegraph.report.righealth import rig_health
 from tiegraph.report.settings import ReportSettings
@@ -49,6 +50,7 @@ def render(run: RunFolder, settings: ReportSettings) -> str:
         "made": datetime.now(timezone.utc).strftime("%d %B %Y, %H:%M UTC"),
         "verdict": facts.verdict(run),
         "tiles": facts.tiles(run),
+        "evidence": evidence_table(run),
         "scan": _scan(run),
         "masks": _masks(run, settings),
         "network": network_part(run),
@@ -304,6 +306,7 @@ def _tables(receipt: dict, prefix: str = "") -> list[words.Table]:
     found = receipt.get("tables")
     if not isinstance(found, dict):
         return []
+    found = {n: t for n, t in found.items() if n != EVIDENCE}
     # the funnel is drawn and printed from the pair table, up to the verified pairs
     named = ((f"{prefix}: {n}" if prefix else n.capitalize(), data) for n, data in found.items() if n != "funnel")
     return [t for n, data in named if (t := words.table(data, n.replace("_", " "))) is not None]

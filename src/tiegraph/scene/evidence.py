@@ -13,9 +13,14 @@ from itertools import combinations
 
 import numpy as np
 from scipy.stats import norm
+from scipy.stats import t as student
 
 CHANCE = 0.001  # that what agrees is called a contradiction, for each test
 LIMIT = float(norm.isf(CHANCE / 2))  # 3.29 sigmas
+_MIN_ROWS = 8  # below, a trend and noise cannot be told apart
+_MAX_CORRELATION = 0.98
+_CAUTION = 2.0  # sigmas by which the correlation may be larger than it looks
+_SPIKE = 6.0  # robust sigmas from the neighbours: a single bad value is no trend
 
 
 @dataclass(frozen=True)
@@ -68,5 +73,110 @@ def table(statements: Sequence[Statement]) -> dict:
     return {"columns": ["quantity", "source", "value", "sigma", "unit", "", "verdict"], "rows": rows}
 
 
+@dataclass(frozen=True)
+class Trend:
+    """Form of residuals along the way that noise does not take: from ``start`` to ``end``, a curve by ``bow`` off the
+    straight line between; a step after the share ``at`` of them. ``chance``: that noise does it."""
+
+    form: str  # line, curve, step, offset
+    start: float
+    end: float
+    bow: float
+    at: float
+    chance: float
+
+    @property
+    def size(self) -> float:
+        """From its lowest to its highest; of an offset twice that."""
+        return 2 * abs(self.start) if self.form == "offset" else max(abs(self.end - self.start), abs(self.bow))
+
+    def text(self, unit: str = "m") -> str:
+        """The form in words, with its figures; goes after "the residuals"."""
+        if self.form == "offset":
+            return f"stand off by {self.start:+.2g} {unit} all the time"
+        if self.form == "line":
+            return f"run in a line from {self.start:+.2g} {unit} to {self.end:+.2g} {unit}"
+        if self.form == "curve":
+            return f"run in a curve: the middle is {self.bow:+.2g} {unit} off the ends"
+        return f"jump by {self.end - self.start:+.2g} {unit} after {self.at:.0%} of the way"
+
+
+def trend(values: np.ndarray, tests: int = 1, offset: bool = False) -> Trend | None:
+    """The line, curve or step that values (K,) in order of time follow beyond chance, None if there is none.
+
+    ``offset``: or the constant, where they ought to be about zero.
+
+    Noise is taken to be a first-order process: its correlation, estimated about the form itself and raised by two of
+    its own sigmas (short series look less correlated than they are), sets how many of the values count (generalised
+    least squares and Student's t). Single bad values are left out. ``tests``: how many
+    series are looked at, so that all together alarm at 0.1 %. Fewer than eight values say nothing.
+    """
+    y = np.asarray(values, float)
+    keep = np.flatnonzero(np.isfinite(y))
+    keep = keep[~_spikes(y[keep])]
+    y = y[keep]
+    if len(y) < _MIN_ROWS or np.ptp(y) == 0:
+        return None
+    x = np.linspace(-1.0, 1.0, len(y))
+    step = (np.arange(len(y)) >= _best_cut(y)).astype(float)
+    shapes = {"line": x[:, None], "curve": np.stack([x, x**2], axis=1), "step": step[:, None]}
+    if offset:
+        shapes["offset"] = np.zeros((len(y), 0))
+    found = [_tested(y, n, s, tests * len(shapes) * (len(y) - 5 if n == "step" else 1)) for n, s in shapes.items()]
+    best = min(found, key=lambda t: t.chance)
+    return best if best.chance < CHANCE else None
+
+
+def _best_cut(y: np.ndarray) -> int:
+    """Where a step parts values (K,) best; three at least on either side."""
+    cuts = np.arange(3, len(y) - 2)
+    before = np.cumsum(y)[cuts - 1]
+    apart = before / cuts - (y.sum() - before) / (len(y) - cuts)
+    return int(cuts[np.argmax(apart**2 * cuts * (len(y) - cuts))])
+
+
+def _tested(y: np.ndarray, form: str, shape: np.ndarray, tries: int) -> Trend:
+    """A form (K, P) fitted to values (K,), and the chance of its last column times the number of tries."""
+    design = np.column_stack([np.ones(len(y)), shape])
+    count, unknowns = design.shape
+    plain = np.linalg.lstsq(design, y, rcond=None)[0]
+    r = _correlation(y - design @ plain, unknowns)
+    white = [np.vstack([np.sqrt(1 - r * r) * a[:1], a[1:] - r * a[:-1]]) for a in (design, y[:, None])]
+    normal = np.linalg.pinv(white[0].T @ white[0])
+    best = normal @ white[0].T @ white[1][:, 0]
+    free = count - unknowns - 1  # the correlation is one more
+    rest = float(np.sum((white[1][:, 0] - white[0] @ best) ** 2)) / free
+    sigma = float(np.sqrt(max(rest * normal[-1, -1], 1e-300)))
+    chance = min(1.0, 2 * tries * float(student.sf(abs(best[-1]) / sigma, free)))
+    line = design @ plain
+    bow = float(-plain[-1]) if form == "curve" else 0.0
+    at = float(1 - shape[:, -1].mean()) if form == "step" else float("nan")
+    return Trend(form, float(line[0]), float(line[-1]), bow, at, chance)
+
+
+def _correlation(rest: np.ndarray, unknowns: int) -> float:
+    """Lag-one correlation of residuals about a form, freed of its bias and raised by two sigmas; 0 to 0.98."""
+    count = len(rest)
+    r = float(rest[1:] @ rest[:-1]) / max(float(rest @ rest), 1e-300)
+    r += (unknowns + (unknowns + 2) * r) / count
+    r += _CAUTION * float(np.sqrt(max(1 - r * r, 0.0) / count))
+    return float(np.clip(r, 0.0, _MAX_CORRELATION))
+
+
+def _spikes(y: np.ndarray) -> np.ndarray:
+    """(K,) values far from the middle between their neighbours (those beside such a one may go with it)."""
+    out = np.zeros(len(y), bool)
+    if len(y) >= _MIN_ROWS:
+        off = np.abs(y[1:-1] - 0.5 * (y[:-2] + y[2:]))
+        out[1:-1] = off > _SPIKE * 1.4826 * float(np.median(off)) + 1e-12
+    return out
+
+
+def figures(value: float, sigma: float) -> str:
+    """A value to two digits of its sigma."""
+    digits = int(np.clip(1 - np.floor(np.log10(sigma)), 0, 9)) if sigma > 0 and np.isfinite(sigma) else 6
+    return f"{round(value, digits) + 0.0:.{digits}f}"
+
+
 def _said(s: Statement) -> str:
-    return f"{s.source} {s.value:.5g} +- {s.sigma:.2g} {s.unit}".rstrip()
+    return f"{s.source} {figures(s.value, s.sigma)} +- {s.sigma:.2g} {s.unit}".rstrip()

@@ -72,7 +72,7 @@ class Normal:
 
     def asked(self, functions: np.ndarray | sparse.spmatrix) -> np.ndarray:
         """(C, K) functions of the unknowns, without what a similarity of the whole does to them."""
-        dense = functions.toarray() if sparse.issparse(functions) else np.asarray(functions, float)
+        dense = np.asarray(functions, float) if isinstance(functions, np.ndarray) else functions.toarray()
         return np.asarray(dense - self._back @ (self._motions.T @ dense))
 
     def scale(self) -> np.ndarray:

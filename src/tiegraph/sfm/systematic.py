@@ -272,7 +272,8 @@ def _of_mounting(model: pycolmap.Reconstruction, seen: System, camera: int) -> s
     """(2O, 6) derivatives by the shift and the turn, along the axes of the rig, of a camera in it."""
     rows = np.flatnonzero(seen.camera == camera)
     images, number = np.unique(seen.image[rows], return_inverse=True)
-    axes = np.stack([frame_pose(model.image(i).frame).rotation.matrix().T for i in images.tolist()])[number]
+    frames = [model.frame(model.image(i).frame_id) for i in images.tolist()]
+    axes = np.stack([frame_pose(f).rotation.matrix().T for f in frames])[number]
     by_shift = _by_shift(seen, rows)
     values = np.concatenate([by_shift[:, :, :3] @ axes, by_shift[:, :, 3:] @ axes], axis=2)
     return _columns(seen, rows, values, np.zeros(len(rows), int), 6)

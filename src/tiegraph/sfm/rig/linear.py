@@ -20,9 +20,9 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry import transforms
 from tiegraph.geometry.transforms import skew
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.covariance import reduced
 from tiegraph.sfm.jacobians import Layout, jacobians
 from tiegraph.sfm.model import image_poses
+from tiegraph.sfm.normal import reduced
 from tiegraph.sfm.rig.release import released
 from tiegraph.sfm.rig.sync import rig_motion
 
@@ -106,7 +106,8 @@ def rig_system(
         return None
     layout = Layout(free, set(lenses) & {int(k) for k in images.camera}, False)
     points, share = _sample(free)
-    jc, jp, residual = jacobians(free, layout, points)
+    seen = jacobians(free, layout, points)
+    jc, jp, residual = seen.cameras, seen.points, seen.residual
     redundancy = len(residual) - 6 * images.frames - 3 * len(points)
     if redundancy <= 0 or not points:
         return None
@@ -115,7 +116,7 @@ def rig_system(
     first = np.repeat(1 / (1 + square / ROBUST_PX**2), 2)
     both = sparse.hstack([jc @ columns, sparse.csr_matrix((jc @ off)[:, None])]).tocsr()
     weight = sparse.diags(first)  # the curvature's weights are the gradient's squared
-    whole = reduced((weight @ both).tocsr(), (weight @ jp).tocsr()) / share
+    whole = reduced((weight @ both).tocsr(), (weight @ jp).tocsr()).toarray() / share
     size = columns.shape[1]
     weighted = first * residual
     gradient = columns.T @ (jc.T @ weighted) / share - whole[:size, size]

@@ -30,6 +30,10 @@ class PlacementError:
         variance = np.einsum("nij,jk,nik->ni", jacobian, self.covariance, jacobian)
         return np.sqrt(np.clip(variance, 0, None))
 
+    def widened_to(self, sigma: dict[str, float]) -> PlacementError:
+        """The same with sigmas at least those of ``sigma`` (position_m, height_m, yaw_deg, tilt_deg, scale)."""
+        return PlacementError(self.middle, widened(self.covariance, sigma))
+
     def to_dict(self) -> dict:
         """JSON-ready."""
         return {"middle": self.middle.tolist(), "covariance": self.covariance.tolist()}

@@ -32,11 +32,12 @@ class PositionRows:
 
 @dataclass(frozen=True)
 class Given:
-    """What is known of the world beyond the scene: the receiver's rows, control points, frames (F,) under bridges."""
+    """Known beyond the scene: the receiver's rows, control points, frames (F,) under bridges; a model's sigma."""
 
     rows: PositionRows | None = None
     control: Control | None = None
     covered: np.ndarray | None = None
+    model_sigma: float = float("nan")  # of a camera inside the model, model units
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,10 @@ class Fixes:
     def where(self, mask: np.ndarray) -> Fixes:
         """The fixes of a mask (K,)."""
         return Fixes(**{name: getattr(self, name)[mask] for name in Fixes.__dataclass_fields__})
+
+    def blurred(self, extra_m: np.ndarray) -> Fixes:
+        """The same with (3,) metres added to the sigmas, in quadrature."""
+        return replace(self, sigma=np.hypot(self.sigma, extra_m)) if np.any(extra_m) else self
 
     def stretched(self, factor: np.ndarray) -> Fixes:
         """The same with sigmas times a factor (K,)."""

@@ -12,6 +12,8 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.geodesy import Origin, vertical_note
+from tiegraph.scene.control import Control
+from tiegraph.scene.evidence import Statement, table
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.settings import GeorefSettings
@@ -19,11 +21,13 @@ from tiegraph.sfm.world.accuracy import PlacementError, widened
 from tiegraph.sfm.world.fit import Fit, jackknife_sigma
 from tiegraph.sfm.world.fixes import Fixes, Given
 from tiegraph.sfm.world.gravity import Up, up_vector
-from tiegraph.sfm.world.marks import point_table, targets
+from tiegraph.sfm.world.marks import point_table, targets, without_blunders
 from tiegraph.sfm.world.placing import MIN_POSITIONS, RIGHT_ANGLE_DEG, ROLL_LIMIT_DEG, Model, Placing, place
 from tiegraph.sfm.world.scale import RigScale, rig_scale
+from tiegraph.sfm.world.sources import rig_statement, up_statements
 from tiegraph.text import known_to
 
+SCATTER = 3.0  # times the stated sigma: what is beyond is no scatter but contradicts it
 _AXES = ("east", "north", "up")
 
 
@@ -46,6 +50,10 @@ class Georeference:
     adjusted: bool = False  # by a bundle adjustment with the positions, not by the similarity alone
     placing: Placing | None = None
     error: PlacementError | None = None
+    statements: tuple[Statement, ...] = ()
+    contradictions: tuple[str, ...] = ()
+    given_control: Control | None = None
+    fix_residual_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))  # (K, 3) of all fixes of the placing
 
     @property
     def placed(self) -> bool:
@@ -70,6 +78,9 @@ class Georeference:
         out.update({f"sigma_{n}": v for n, v in self.sigma.items()})
         for role, values in self.accuracy.items():
             out.update({f"{role}_{n}": v for n, v in values.items() if n in ("points", "rmse_m", "ce90_m", "le90_m")})
+        if self.control:
+            out["points_refused"] = sum(bool(row["why_not"]) for row in self.control)
+        out["contradictions"] = len(self.contradictions)
         return {n: round(v, 6) for n, v in out.items()}
 
     def to_dict(self) -> dict:
@@ -107,6 +118,8 @@ class Georeference:
             "accuracy": self.accuracy,
             "frames": rows,
             "notes": list(self.notes),
+            "evidence": table(self.statements),
+            "contradictions": list(self.contradictions),
         }
 
     def apply(self, model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
@@ -130,7 +143,7 @@ def georeference(
     """
     given = given or Given()
     images = image_poses(model, scene)
-    found = targets(model, scene, given.control) if given.control is not None else []
+    found = without_blunders(targets(model, scene, given.control), given.control) if given.control is not None else []
     view = Model(images, up_vector(images, scene), rig_scale(model, images, scene), found, scene.names)
     placing = place(view, scene, settings, given)
     if placing is None:
@@ -167,18 +180,20 @@ def _placed(placing: Placing, view: Model, scene: Scene, given: Given) -> Georef
     sigma = jackknife_sigma(evidence, placing.up, fit, order)
     return Georeference(
         world_from_model=fit.similarity,
-        scale_source=_scale_source(fit, scene, view, count),
+        scale_source=_scale_source(placing, scene, view, count),
         origin=scene.origin or (given.control.origin if given.control is not None else None),
         residual_m=residual,
         inlier=inlier,
         held_out_m=held_out,
         sigma=sigma,
         antenna_m=tuple(float(v) for v in fit.antenna) if fit.antenna.any() else None,  # type: ignore[arg-type]
-        notes=(*placing.notes, *_remarks(placing, scene, view.scale), *lines),
+        notes=(*placing.notes, *_remarks(placing, scene), *lines),
         control=tuple(points),
         accuracy=sums,
         offset_s=fit.offset_s,
         placing=placing,
+        given_control=given.control,
+        fix_residual_m=here[:count],
         error=PlacementError(fit.middle, widened(fit.covariance, sigma)),
     )
 
@@ -210,24 +225,19 @@ def _points(view: Model, given: Given, fit: Fit) -> tuple[list[dict], dict, list
     return rows, sums, lines
 
 
-def _scale_source(fit: Fit, scene: Scene, view: Model, fixes: int) -> str:
-    if view.scale is not None and view.scale.trusted and view.scale.sigma < 0.5 * fit.sigma_positions_scale:
+def _scale_source(placing: Placing, scene: Scene, view: Model, fixes: int) -> str:
+    held = view.scale is not None and placing.evidence.log_scale is not None
+    if held and view.scale is not None and view.scale.sigma < 0.5 * placing.fit.sigma_positions_scale:
         return "rig baseline"
     if not fixes:
         return "control points"
     return scene.prior if scene.prior != "none" else "positions"
 
 
-def _remarks(placing: Placing, scene: Scene, scale: RigScale | None) -> list[str]:
+def _remarks(placing: Placing, scene: Scene) -> list[str]:
     notes, fit = [], placing.fit
-    rows = len(fit.inlier)
-    if fit.inlier.sum() < 0.7 * rows:
-        notes.append(
-            f"only {int(fit.inlier.sum())} of {rows} positions agree with the model within three sigmas: the "
-            f"model is bent, or the sigmas are too small"
-        )
     for level in placing.levels:
-        if level.factor > 1.5 and level.count >= 6:
+        if 1.5 < level.factor <= SCATTER and level.count >= 6:
             notes.append(
                 f"positions of stated sigma {level.sigma_m:.2f} m scatter {level.factor:.1f} times as much "
                 f"(correlation of neighbours {level.correlation:.1f}): believed accordingly"
@@ -235,10 +245,6 @@ def _remarks(placing: Placing, scene: Scene, scale: RigScale | None) -> list[str
     if fit.roll_sigma_deg > ROLL_LIMIT_DEG:
         known = known_to(fit.roll_sigma_deg, RIGHT_ANGLE_DEG, f"{fit.roll_sigma_deg:.0f} deg only")
         notes.append(f"the roll about the track is {known}")
-    if scale is not None and scale.trusted:
-        ratio = scale.metres_per_unit / fit.similarity.scale
-        if abs(np.log(ratio)) > 3 * np.hypot(scale.sigma, fit.sigma["scale"]):
-            notes.append(f"the rig's baselines want a scale {ratio:.3f} times that of the positions")
     if scene.origin is None and not len(placing.points):
         notes.append("the positions are not on the Earth: the world is the trajectory's own frame")
     notes += _passes_without(placing, scene)
@@ -268,8 +274,10 @@ def _levelled(scene: Scene, up: Up | None, scale: RigScale | None, found: int) -
     else:
         notes.append("nothing fixes the scale: lengths are in units of the model")
     empty = np.full((scene.frames, 3), np.nan)
+    here = Similarity(factor, rotation, np.zeros(3))
     return Georeference(
-        world_from_model=Similarity(factor, rotation, np.zeros(3)),
+        world_from_model=here,
+        statements=(*rig_statement(scale, here, True), *up_statements(up, here, True)),
         scale_source=source,
         origin=None,
         residual_m=empty,

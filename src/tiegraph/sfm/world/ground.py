@@ -18,8 +18,10 @@ from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.world import worldadjust
 from tiegraph.sfm.world.fixes import Fixes, Given
 from tiegraph.sfm.world.georef import Georeference, georeference, row_of_frames
-from tiegraph.sfm.world.marks import point_table, targets
+from tiegraph.sfm.world.judging import judged
+from tiegraph.sfm.world.marks import marked, point_table, targets
 from tiegraph.sfm.world.placing import Placing
+from tiegraph.sfm.world.scale import relaxed
 from tiegraph.sfm.world.worldadjust import Adjusted, Constraints, adjust_in_world
 
 NOT_WORSE = 1.01  # times the held-out residual of the similarity
@@ -44,13 +46,22 @@ def georeference_model(
     given: Given | None = None,
     held: Held | None = None,
 ) -> tuple[Georeference, pycolmap.Reconstruction]:
+    """The georeference of a model, judged (``judging.py``), and the model in the world; see ``_grounded``."""
+    given, held = given or Given(), held or Held()
+    found, world = _grounded(model, scene, settings, given, held)
+    points = targets(world, scene, given.control) if given.control is not None else []
+    return judged(found, scene, given.model_sigma * found.world_from_model.scale, points), world
+
+
+def _grounded(
+    model: pycolmap.Reconstruction, scene: Scene, settings: GeorefSettings, given: Given, held: Held
+) -> tuple[Georeference, pycolmap.Reconstruction]:
     """The georeference of a model and the model in the world.
 
     First the similarity of ``georeference``. Then a bundle adjustment with the positions and control points takes out
     drift, which no similarity can; it is kept only if positions it did not know (every fifth) are met at least as well
     as with the similarity, and the images no worse. What was decided, and why, is in the notes.
     """
-    given, held = given or Given(), held or Held()
     first = georeference(model, scene, settings, given)
     world = first.apply(model)
     placing = first.placing
@@ -58,7 +69,7 @@ def georeference_model(
         return first, world
     if not worldadjust.available():
         return _with(first, "not adjusted with the positions: the package pyceres is not installed"), world
-    if _relaxed(model, scene):
+    if relaxed(model, scene):
         why = "a rig is relaxed, and only points would hold its cameras to the one that has the positions"
         return _with(first, f"the similarity stays, a bundle adjustment with the positions was refused: {why}"), world
     constraints = _constraints(world, scene, first, placing, given, held)
@@ -70,21 +81,6 @@ def georeference_model(
         text = f"the images fit worse with it ({made.before_px:.3f} -> {made.after_px:.3f} px)"
         return _with(first, f"the similarity stays, a bundle adjustment with the positions was refused: {text}"), world
     return _adjusted(first, made, model, world, scene, given, why), made.model
-
-
-def _relaxed(model: pycolmap.Reconstruction, scene: Scene) -> bool:
-    """Whether images of one frame of the scene stand in several frames of the model.
-
-    What ties them is the business of the relaxing (``sfm/rig/relax.py``); an adjustment without it took PandaSet, whose
-    back camera shares few points with the others, from 22 to 59 mm and met the positions it did not know better.
-    """
-    home: dict[int, int] = {}
-    for image_id in model.reg_image_ids():
-        image = model.image(image_id)
-        index = scene.image_index.get(image.name)
-        if index is not None and home.setdefault(int(scene.frame[index]), image.frame_id) != image.frame_id:
-            return True
-    return False
 
 
 @dataclass(frozen=True)
@@ -132,7 +128,7 @@ def _constraints(
         free_antenna=evidence.estimate_antenna,
         free_offset=evidence.estimate_offset,
         control=control,
-        targets=targets(world, scene, control) if control is not None else (),
+        targets=marked(targets(world, scene, control), first.control) if control is not None else (),
         point_factor=stretch,
         up=up,
         fixed_rigs=held.rigs,
@@ -212,7 +208,7 @@ def _adjusted(
     inlier[has] = np.linalg.norm(made.residual / sigma, axis=1)[at[has]] < 3 * np.sqrt(3)
     control, accuracy = list(first.control), first.accuracy
     if given.control is not None:
-        found = targets(made.model, scene, given.control)
+        found = marked(targets(made.model, scene, given.control), first.control)
         off = np.array([t.place for t in found]).reshape(-1, 3) - given.control.world_m
         control, accuracy = point_table(given.control, found, off, scene.names)
     moved = np.linalg.norm(_centres(world, scene) - _centres(made.model, scene), axis=1)
@@ -225,6 +221,7 @@ def _adjusted(
         world_from_model=worldadjust.similarity_to(model, made.model, first.world_from_model),
         residual_m=residual,
         inlier=inlier,
+        fix_residual_m=made.residual,
         antenna_m=tuple(float(v) for v in made.antenna) if made.antenna.any() else None,  # type: ignore[arg-type]
         offset_s=made.offset_s,
         control=tuple(control),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,26 +11,32 @@ import pycolmap
 from scipy.optimize import least_squares
 
 from tiegraph.geometry import transforms
+from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.control import Control
+from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import matrix
 
 MARK_SIGMA_PX = 1.0  # of a mark set by hand
 MIN_ANGLE_DEG = 1.0  # between rays, to believe where they meet
 MAX_MARK_PX = 20.0  # a mark this far from its point is a wrong click or a wrong image
+MIN_TO_REFUSE = 5  # control points, of which four tell which one is wrong
+MUCH_BETTER = 3.0  # times the others agree without it
 _CE90, _LE90 = 2.146, 1.645  # 90 % of a two-dimensional and of a one-dimensional normal error, in sigmas
 
 
 @dataclass(frozen=True)
 class Target:
     """A marked point in a model: its place (3,), formal covariance (3, 3), model units; rows of its marks; residuals
-    (M, 2) pixels, model minus mark; why it cannot be used, "" if it can."""
+    (M, 2) pixels, model minus mark; why it cannot be used, "" if it can; ``blunder``: the
+    others contradict it."""
 
     place: np.ndarray
     covariance: np.ndarray
     marks: np.ndarray
     residual_px: np.ndarray
     why_not: str = ""
+    blunder: bool = False
 
 
 def targets(model: pycolmap.Reconstruction, scene: Scene, control: Control) -> list[Target]:
@@ -43,6 +50,45 @@ def targets(model: pycolmap.Reconstruction, scene: Scene, control: Control) -> l
         rows = np.array([r for r in np.flatnonzero(control.point == point) if control.image[r] in views], int)
         out.append(_target([views[k] for k in control.image[rows]], control.xy_px[rows], rows))
     return out
+
+
+def without_blunders(found: list[Target], control: Control) -> list[Target]:
+    """The points with those marked that the other control points contradict: five at least, of which the others agree.
+
+    One after the other, as long as leaving one out brings the rest to agree three times as well; at most a third.
+    """
+    out = list(found)
+    use = [k for k, t in enumerate(out) if not t.why_not and not control.check[k]]
+    for _ in range(len(use) // 3):
+        factor, _ = _agreement(out, control, use)
+        if len(use) < MIN_TO_REFUSE or factor <= LIMIT:
+            break
+        parts = [[k for k in use if k != out_of] for out_of in use]
+        factors = [_agreement(out, control, p)[0] for p in parts]
+        best = int(np.argmin(factors))
+        if factors[best] > factor / MUCH_BETTER:
+            break
+        bad, use = use[best], parts[best]
+        _, fit = _agreement(out, control, use)
+        off = np.linalg.norm(fit(np.array([out[k].place for k in (bad, *use)])) - control.world_m[[bad, *use]], axis=1)
+        within = float(np.sqrt(np.mean(off[1:] ** 2)))
+        text = f"its survey and the model differ by {off[0]:.2f} m, where {len(use)} others agree within {within:.2f} m"
+        out[bad] = replace(out[bad], why_not=text, blunder=True)
+    return out
+
+
+def marked(found: list[Target], rows: Sequence[dict]) -> list[Target]:
+    """The points with the blunders of an earlier table marked."""
+    return [replace(t, why_not=r["why_not"], blunder=True) if r["blunder"] else t for t, r in zip(found, rows)]
+
+
+def _agreement(found: list[Target], control: Control, use: list[int]) -> tuple[float, Similarity]:
+    """How many of their sigmas points differ by from a similarity to the survey (root mean square), and that."""
+    place = np.array([found[k].place for k in use])
+    fit = umeyama(place, control.world_m[use])
+    spread = np.array([np.trace(found[k].covariance) / 3 for k in use]) * fit.scale**2
+    squares = (fit(place) - control.world_m[use]) ** 2 / (control.sigma_m[use] ** 2 + spread[:, None])
+    return float(np.sqrt(squares.sum() / max(3 * len(use) - 7, 1))), fit
 
 
 def _view(model: pycolmap.Reconstruction, name: str) -> tuple[np.ndarray, Any] | None:
@@ -103,9 +149,10 @@ def point_table(
     """Per point dE, dN, dU (model minus survey, metres) and pixels; RMSE, CE90 and LE90 of control and check points.
 
     ``off_m`` (P, 3), NaN = not in the model. CE90 and LE90 are those of a normal error of this RMSE (2.146, 1.645
-    times), with the points' own number said beside them.
+    times), with the points' own number said beside them. Points that are not used are in the rows only.
     """
     rows = []
+    refused = np.array([bool(t.why_not) for t in found], bool)
     for k, name in enumerate(control.names):
         target = found[k]
         px = np.linalg.norm(target.residual_px, axis=1)
@@ -113,11 +160,11 @@ def point_table(
         row["off_m"] = [round(float(v), 4) for v in off_m[k]] if np.isfinite(off_m[k]).all() else None
         row["rms_px"] = round(float(np.sqrt(np.mean(px**2))), 3) if len(px) and np.isfinite(px).all() else None
         row["worst_image"] = images[int(control.image[target.marks[int(np.argmax(px))]])] if len(px) else None
-        row["why_not"] = target.why_not
+        row["why_not"], row["blunder"] = target.why_not, target.blunder
         rows.append(row)
     sums = {}
     for role, mask in (("gcp", ~control.check), ("check", control.check)):
-        known = off_m[mask & np.isfinite(off_m).all(axis=1)]
+        known = off_m[mask & ~refused & np.isfinite(off_m).all(axis=1)]
         if len(known):
             sums[role] = accuracy(known)
     return rows, sums

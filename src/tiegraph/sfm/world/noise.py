@@ -13,7 +13,7 @@ import numpy as np
 
 MEDIAN_CHI2_3 = 2.366  # median of chi-square with three degrees of freedom
 MAX_FACTOR = 30.0
-_MIN_ROWS = 6  # of a level, to say anything of its factor
+MIN_ROWS = 6  # of a level, to say anything of its factor
 _MAX_CORRELATION = 0.9
 
 
@@ -35,8 +35,8 @@ def factors(residual: np.ndarray, level: np.ndarray, time_s: np.ndarray) -> np.n
     """
     out = np.ones(len(level))
     for rows in _levels(level):
-        if len(rows) < _MIN_ROWS:
-            rows_of = np.ones(len(level), bool) if len(level) >= _MIN_ROWS else np.zeros(len(level), bool)
+        if len(rows) < MIN_ROWS:
+            rows_of = np.ones(len(level), bool) if len(level) >= MIN_ROWS else np.zeros(len(level), bool)
             if rows_of.any():
                 out[rows] = _scatter(residual)
             continue
@@ -69,7 +69,7 @@ def correlation(residual: np.ndarray, time_s: np.ndarray) -> float:
     Not about their mean: an offset common to all is the strongest correlation there is.
     """
     known = np.flatnonzero(np.isfinite(time_s))
-    if len(known) < _MIN_ROWS:
+    if len(known) < MIN_ROWS:
         return 0.0
     order = known[np.argsort(time_s[known], kind="stable")]
     step = np.diff(time_s[order])

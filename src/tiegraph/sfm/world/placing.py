@@ -17,6 +17,8 @@ from tiegraph.sfm.world.fixes import Fixes, Given, make_fixes
 from tiegraph.sfm.world.gravity import Up
 from tiegraph.sfm.world.marks import Target
 from tiegraph.sfm.world.scale import RigScale
+from tiegraph.sfm.world.sources import POSITIONS, common_of
+from tiegraph.sfm.world.weighing import Question, Weighed, weigh
 from tiegraph.text import known_to
 
 MIN_POSITIONS = 3
@@ -30,26 +32,6 @@ CLOCK_SIGMAS = 4.0
 _NOISE_ROUNDS = 3
 _MANY_POINTS = 8  # control points among which a wrong one does not hide
 _AT_FRAME = 0.9  # weight of one frame in a fix, to compare orientations
-
-
-@dataclass(frozen=True)
-class Placing:
-    """All a placement rests on; rows of ``evidence`` are the fixes, then the control points."""
-
-    evidence: Evidence  # sigmas as believed
-    fixes: Fixes  # sigmas as stated, with doubt about outages and bridges
-    fit: Fit
-    up: Up | None  # used to hold the tilt
-    points: np.ndarray  # (C,) control points in the evidence: rows of the control file
-    blind: Fit | None  # without the held-out fixes
-    levels: tuple[noise.Level, ...]
-    notes: tuple[str, ...]
-
-    @property
-    def factor(self) -> np.ndarray:
-        """(K,) by which the fixes' sigmas were multiplied."""
-        count = len(self.fixes)
-        return self.evidence.sigma[:count, 0] / self.fixes.sigma[:, 0] if count else np.zeros(0)
 
 
 @dataclass(frozen=True)
@@ -68,6 +50,30 @@ class Model:
         return frame_poses(self.images, scene, metres_per_unit or guess)
 
 
+@dataclass(frozen=True)
+class Placing:
+    """All a placement rests on; rows of ``evidence`` are the fixes, then the control points."""
+
+    evidence: Evidence  # sigmas as believed
+    fixes: Fixes  # sigmas as stated, with doubt about outages and bridges
+    fit: Fit
+    up: Up | None  # used to hold the tilt
+    points: np.ndarray  # (C,) control points in the evidence: rows of the control file
+    blind: Fit | None  # without the held-out fixes
+    levels: tuple[noise.Level, ...]
+    notes: tuple[str, ...]
+    weighed: Weighed
+    model: Model
+    name: str  # of the positions
+    clock: tuple[float, float] = (float("nan"), float("nan"))  # the receiver's behind the cameras' and sigma, s
+
+    @property
+    def factor(self) -> np.ndarray:
+        """(K,) by which the fixes' sigmas were multiplied."""
+        count = len(self.fixes)
+        return self.evidence.sigma[:count, 0] / self.fixes.sigma[:, 0] if count else np.zeros(0)
+
+
 def place(model: Model, scene: Scene, settings: GeorefSettings, given: Given) -> Placing | None:
     """Fit the model to everything measured in the world; None with fewer than three positions and points."""
     notes: list[str] = []
@@ -79,13 +85,24 @@ def place(model: Model, scene: Scene, settings: GeorefSettings, given: Given) ->
         return None
     arm, estimate = _lever_arm(scene, settings, notes)
     metres = 1.0 if model.scale is None else model.scale.metres_per_unit
+    name = POSITIONS.get(scene.prior, "positions")
+    weighed: Weighed | None = None
     for _ in range(2):  # the second time with the true scale for frames known through another camera than the first
         evidence = _evidence(frames, fixes, scene, (arm, estimate is True), model.scale)
         evidence = _with_points(evidence, model, given, points, metres)
+        if weighed is None:
+            free = estimate is not False
+            common = common_of(stated.sigma, settings.sigma_floor_m, free) if len(stated) else np.zeros(4)
+            weighed = weigh(Question(evidence, len(fixes), time_order(scene, fixes), name, common, model.scale, free))
+        fixes = fixes.blurred(weighed.extra_m)
+        blurred = np.concatenate([fixes.sigma, evidence.sigma[len(fixes) :]])
+        evidence = replace(evidence, sigma=blurred, log_scale=evidence.log_scale if weighed.rig_used else None)
         fit = fit_similarity(evidence, up_to_use(evidence, model.up, []))
         metres = fit.similarity.scale
         frames = model.frames(scene, metres)
         fixes = stated.widened(frames, metres)
+    assert weighed is not None
+    fixes = fixes.blurred(weighed.extra_m)
     evidence, fit = _believed(evidence, fixes, model.up, fit.similarity)
     _refuse_exchanged(evidence, fit)
     _refuse_upside_down(evidence, fixes, model.up)
@@ -94,8 +111,9 @@ def place(model: Model, scene: Scene, settings: GeorefSettings, given: Given) ->
     elif estimate:
         evidence, fit = _with_lever_arm(evidence, fit, fixes, model.up)
         notes.append(_arm_text(evidence, fit))
+    clock = (float("nan"), float("nan"))
     if given.rows is not None and settings.antenna != "ignored":
-        evidence, fit = _try_clock(evidence, fit, fixes, model.up, notes)
+        evidence, fit, clock = _try_clock(evidence, fit, fixes, model.up, notes)
     up = up_to_use(evidence, model.up, notes, fit.similarity)
     blind = None
     held = np.zeros(len(evidence.frame), bool)
@@ -105,7 +123,15 @@ def place(model: Model, scene: Scene, settings: GeorefSettings, given: Given) ->
     count = len(fixes)
     residual = evidence.position_residuals(fit.similarity, fit.antenna, fit.offset_s)[:count]
     found = noise.levels(residual / fixes.sigma, fixes.level, fixes.sigma, fixes.time_s)
-    return Placing(evidence, fixes, fit, up, points, blind, tuple(found), tuple(notes))
+    return Placing(evidence, fixes, fit, up, points, blind, tuple(found), tuple(notes), weighed, model, name, clock)
+
+
+def time_order(scene: Scene, fixes: Fixes) -> np.ndarray:
+    """(K,) times of the fixes, or their places in the order of the passes where there are none."""
+    if np.isfinite(fixes.time_s).all():
+        return fixes.time_s
+    order = np.lexsort((scene.step[fixes.home], scene.track[fixes.home]))
+    return np.argsort(order, kind="stable").astype(float)
 
 
 def _usable_points(model: Model, given: Given) -> np.ndarray:
@@ -305,8 +331,10 @@ def _arm_text(evidence: Evidence, fit: Fit) -> str:
     return text
 
 
-def _try_clock(evidence: Evidence, fit: Fit, fixes: Fixes, up: Up | None, notes: list[str]) -> tuple[Evidence, Fit]:
-    """Estimate the offset of the receiver's clock if it is observable and differs from nothing."""
+def _try_clock(
+    evidence: Evidence, fit: Fit, fixes: Fixes, up: Up | None, notes: list[str]
+) -> tuple[Evidence, Fit, tuple[float, float]]:
+    """Estimate the offset of the receiver's clock if it is observable and differs from nothing; and what was found."""
     richer, other = _believed(replace(evidence, estimate_offset=True), fixes, up, fit.similarity)
     plain = fit_similarity(
         replace(richer, estimate_offset=False), up_to_use(richer, up, [], other.similarity), near=fit.similarity
@@ -321,10 +349,10 @@ def _try_clock(evidence: Evidence, fit: Fit, fixes: Fixes, up: Up | None, notes:
         )
     elif abs(value) > CLOCK_SIGMAS * sigma and plain.cost - other.cost > CLOCK_GAIN:
         notes.append(f"the receiver's clock is {value:+.3f} s (sigma {sigma:.3f}) off the cameras': taken into account")
-        return richer, other
+        return richer, other, (value, sigma)
     else:
         notes.append(f"the receiver's clock agrees with the cameras' ({value:+.3f} s, sigma {sigma:.3f})")
-    return evidence, fit
+    return evidence, fit, (value, sigma)
 
 
 def up_to_use(evidence: Evidence, up: Up | None, notes: list[str], near: Similarity | None = None) -> Up | None:

@@ -1,0 +1,155 @@
+"""References against what was predicted: an error beyond three times its sigma contradicts; what would explain it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.spatial import cKDTree
+
+from tiegraph.evaluate.cloud import CloudComparison
+from tiegraph.evaluate.trajectory import PoseMatch, TrajectoryError
+from tiegraph.geometry.align import umeyama
+
+BEYOND = 3.0  # times the predicted sigma
+EXPLAINED = 3.0  # times smaller an error is under what explains it
+_AXES = "xyz"
+_DECADES = 4.0  # by which an axis may differ in scale
+_SAMPLE = 2000
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """Sigmas of a run, metres: of a camera ``inside_m`` the model (NaN = not known), of the scale (share; NaN: the
+    scale is not known), of the place on the Earth ``placed_m`` (NaN: not placed), of a point of the cloud."""
+
+    inside_m: float = float("nan")
+    scale: float = float("nan")
+    placed_m: float = float("nan")
+    point_m: float = float("nan")
+
+    @property
+    def metric(self) -> bool:
+        """Whether the model has a scale that can be held against a reference's."""
+        return bool(np.isfinite(self.scale))
+
+
+def against_poses(
+    match: PoseMatch, result: TrajectoryError, predicted: Predicted, step_s: float = float("nan")
+) -> list[str]:
+    """Sentences about reference poses (K) that the model contradicts; none where nothing was predicted.
+
+    ``step_s``: the frames' interval, to say a lag in seconds.
+    """
+    if not np.isfinite(predicted.inside_m):
+        return []
+    est, ref = match.estimate[:, :3, 3], match.reference[:, :3, 3]
+    spread = float(np.sqrt(np.mean(np.sum((ref - ref.mean(axis=0)) ** 2, axis=1))))
+    actual = result.se3.rmse_m if predicted.metric else result.sim3.rmse_m
+    expected = float(np.hypot(predicted.inside_m, spread * predicted.scale if predicted.metric else 0.0))
+    out = []
+    if actual > BEYOND * expected:
+        why = _explained(match, actual, predicted.metric, step_s) or "one of the two is wrong by more than it says"
+        out.append(f"the reference poses and the model differ by {_m(actual)} (RMSE), predicted {_m(expected)}: {why}")
+    elif result.absolute is not None and np.isfinite(predicted.placed_m):
+        expected = float(np.hypot(expected, predicted.placed_m))
+        if result.absolute.rmse_m > BEYOND * expected:
+            east, north, up = np.mean(est - ref, axis=0)
+            out.append(
+                f"the reference poses and the model differ by {_m(result.absolute.rmse_m)} on the Earth, predicted "
+                f"{_m(expected)}, though their shapes agree to {_m(actual)}: the model stands {east:+.2f} m east, "
+                f"{north:+.2f} m north, {up:+.2f} m up of it: another datum or origin?"
+            )
+    return out
+
+
+def against_cloud(result: CloudComparison, reference: np.ndarray, predicted: Predicted, aligned: bool) -> list[str]:
+    """Sentences about a reference cloud (G, 3) that the cloud contradicts: half its points are farther than predicted.
+
+    What the reference's own spacing leaves between a point and its nearest counts as predicted.
+    """
+    if not np.isfinite([predicted.point_m, result.median_m]).all():
+        return []
+    step = max(1, len(reference) // _SAMPLE)
+    spacing = float(np.median(cKDTree(reference).query(reference[::step], k=2)[0][:, 1]))
+    parts = [predicted.point_m, np.nan_to_num(predicted.inside_m), max(spacing, result.voxel_m) / 2]
+    parts.append(0.0 if aligned else np.nan_to_num(predicted.placed_m))
+    expected = float(np.linalg.norm(parts))
+    if result.median_m <= BEYOND * expected:
+        return []
+    return [
+        f"the reference cloud and the cloud differ by {_m(result.median_m)} (median), predicted {_m(expected)}: "
+        "another frame or datum, or a place that has changed"
+    ]
+
+
+def _explained(match: PoseMatch, actual: float, metric: bool, step_s: float) -> str:
+    """What of the reference would explain the difference, in words; "" if nothing does."""
+    est, ref = match.estimate[:, :3, 3], match.reference[:, :3, 3]
+    tries = [(umeyama(est, ref), umeyama(est, ref).scale)] if metric else []
+    if tries:
+        fit, scale = tries[0]
+        if _rms(fit(est) - ref) < actual / EXPLAINED:
+            return f"the reference is {scale:.4g} times as large as the model"
+    found = min(_hypotheses(match, metric, step_s), default=(np.inf, ""))
+    return found[1] if found[0] < actual / EXPLAINED else ""
+
+
+def _hypotheses(match: PoseMatch, metric: bool, step_s: float) -> Iterator[tuple[float, str]]:
+    """(error left, what it would be) of a mirror image, an axis of another scale, and a lag."""
+    est, ref = match.estimate[:, :3, 3], match.reference[:, :3, 3]
+    yield _left(est, -ref, metric), "the reference is a mirror image: one of its axes is negated, or two are exchanged"
+    for axis in range(3):
+        left, factor = _axis_scale(est, ref, axis, metric)
+        text = f"the reference's {_AXES[axis]} axis differs in scale, it is {1 / factor:.3g} times that of the others"
+        yield left, text
+    yield _lag(match, metric, step_s)
+
+
+def _axis_scale(est: np.ndarray, ref: np.ndarray, axis: int, metric: bool) -> tuple[float, float]:
+    """Error left and factor (10^-4 to 10^4) that an axis of the reference is to be multiplied by to agree best."""
+
+    def left(log: float) -> float:
+        return _left(est, _scaled(ref, axis, 10**log), metric)
+
+    start = min(np.linspace(-_DECADES, _DECADES, 33), key=left)
+    best = minimize_scalar(left, bounds=(start - 0.3, start + 0.3), method="bounded")
+    return float(best.fun), float(10**best.x)
+
+
+def _lag(match: PoseMatch, metric: bool, step_s: float) -> tuple[float, str]:
+    """Error left with the reference moved along its own way by one number of frames."""
+    est, ref = match.estimate[:, :3, 3], match.reference[:, :3, 3]
+    speed = np.zeros_like(ref)
+    for rows in match.sequences():
+        if len(rows) > 2:
+            at = match.order[rows].astype(float)
+            speed[rows] = np.gradient(ref[rows], np.maximum.accumulate(at + 1e-9 * np.arange(len(at))), axis=0)
+    frames = 0.0
+    for _ in range(3):
+        fit = umeyama(est, ref + frames * speed, with_scale=not metric)
+        off = fit(est) - ref
+        frames = float(np.sum(off * speed) / max(np.sum(speed**2), 1e-12))
+    said = f"{frames:+.2f} frames" + (f" ({frames * step_s:+.3f} s)" if np.isfinite(step_s) else "")
+    return _left(est, ref + frames * speed, metric), f"the reference's times are off by {said}"
+
+
+def _scaled(points: np.ndarray, axis: int, factor: float) -> np.ndarray:
+    out = points.copy()
+    out[:, axis] *= factor
+    return out
+
+
+def _left(est: np.ndarray, ref: np.ndarray, metric: bool) -> float:
+    """Root mean square distance after the best alignment."""
+    return _rms(umeyama(est, ref, with_scale=not metric)(est) - ref)
+
+
+def _rms(off: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+
+
+def _m(value: float) -> str:
+    return f"{value:.3g} m" if value >= 0.01 else f"{1000 * value:.2g} mm"

@@ -1,0 +1,155 @@
+"""What each source of a placement says by itself: positions alone, control points alone, the rig, the cameras' tops.
+
+A source is a similarity of its own with a covariance. Its statements are read against the result: how many times the
+result's scale, by how much turned, by how many metres elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tiegraph.geometry.align import Similarity
+from tiegraph.scene.evidence import Statement
+from tiegraph.sfm.world import noise
+from tiegraph.sfm.world.accuracy import PlacementError
+from tiegraph.sfm.world.fit import ANTENNA_SIGMA_M, Evidence, Fit, fit_similarity
+from tiegraph.sfm.world.gravity import Up
+from tiegraph.sfm.world.scale import RigScale
+
+POSITIONS = {"gnss": "GNSS positions", "exif": "EXIF positions", "trajectory": "trajectory positions"}
+CONTROL, RIG, ORIENTATIONS = "control points", "rig as given", "given orientations"
+SCALE, HEADING, TILTS = "scale", "heading", ("tilt towards north", "tilt towards east")
+PLACES = ("place east", "place north", "height")
+_TOLD_DEG = 20.0  # a turn known worse than that says nothing
+_TOLD_SCALE = 0.3
+_COMMON_DEG = 1.5  # what the orientations of a path have in common does not average out
+_THREE = 3
+_LEAST = 0.01  # of the stated sigma: what scatters less is not measured but made
+
+
+@dataclass(frozen=True)
+class Source:
+    """A placement by one source. ``covariance`` (7, 7) of turn, shift and log scale about ``middle`` (world);
+    ``common_m`` (3,): errors of its places that all of them share; ``residual`` (K, 3) metres of its own fit."""
+
+    name: str
+    similarity: Similarity
+    covariance: np.ndarray
+    middle: np.ndarray
+    common_m: np.ndarray
+    residual: np.ndarray
+
+    @property
+    def scale_sigma(self) -> float:
+        """Of the logarithm of the scale."""
+        return float(np.sqrt(self.covariance[6, 6]))
+
+    def statements(self, result: Similarity, at: np.ndarray, used: Sequence[str]) -> list[Statement]:
+        """What it says of scale, heading, tilt and place of a model point ``at`` (3,), against the result."""
+        turn = np.degrees(Rotation.from_matrix(self.similarity.rotation @ result.rotation.T).as_rotvec())
+        spread = np.degrees(np.sqrt(np.diag(self.covariance)[:3]))
+        here = self.similarity(at[None])
+        off = (here - result(at[None]))[0]
+        place = np.hypot(PlacementError(self.middle, self.covariance).sigma(here)[0], self.common_m)
+        out = []
+        if self.scale_sigma < _TOLD_SCALE:
+            ratio = self.similarity.scale / result.scale
+            out.append(Statement(SCALE, self.name, ratio, ratio * self.scale_sigma, "", SCALE in used))
+        names = ((HEADING, 2, -1.0), (TILTS[0], 0, -1.0), (TILTS[1], 1, 1.0))
+        for name, k, sign in names:
+            if spread[k] < _TOLD_DEG:
+                out.append(Statement(name, self.name, float(sign * turn[k]), float(spread[k]), "deg", name in used))
+        out += [Statement(n, self.name, float(v), float(s), "m", n in used) for n, v, s in zip(PLACES, off, place)]
+        return out
+
+
+def alone(
+    evidence: Evidence, rows: np.ndarray, name: str, times: np.ndarray, common: np.ndarray, free_antenna: bool = False
+) -> Source | None:
+    """The placement by some rows (K,) bool of the evidence alone; None with fewer than three of them.
+
+    Sigmas follow the scatter about this very fit and its correlation in time (what is stated of a receiver holds for
+    its places on the Earth, not from one to the next); ``common`` (4,): what the places share, east, north, up (m), and
+    what slow errors leave between the ends of the survey (m); ``free_antenna``: the lever arm may be anything.
+    """
+    own = evidence.where(rows)
+    if len(np.unique(own.pose[:, :3, 3].round(9), axis=0)) < _THREE:
+        return None
+    nothing = np.full_like(own.orientation, np.nan)
+    own = replace(own, orientation=nothing, log_scale=None, estimate_antenna=free_antenna)
+    fit = fit_similarity(own, None)
+    for _ in range(2):
+        off = own.position_residuals(fit.similarity, fit.antenna)
+        own = replace(own, sigma=evidence.sigma[rows] * _scatter(off / evidence.sigma[rows], times))
+        fit = fit_similarity(own, None, fit.similarity)
+    off = own.position_residuals(fit.similarity, fit.antenna)
+    return Source(name, fit.similarity, _with_slow(fit, own, float(common[3])), fit.middle, common[:3], off)
+
+
+def _scatter(residual: np.ndarray, times: np.ndarray) -> float:
+    """By how much residuals over sigma (K, 3) are larger or smaller than said, with their correlation."""
+    count = len(residual)
+    free = 3 * count - 7
+    if free < count:  # three or four: they meet whatever they are
+        return 1.0
+    typical = float(np.median(np.sum(residual**2, axis=1))) / noise.MEDIAN_CHI2_3 * 3 * count / free
+    r = noise.correlation(residual, times)
+    scatter = float(np.sqrt(typical * (1 + r) / (1 - r)))
+    few = np.sqrt(2 / free)  # a scatter of few may be small by chance
+    return max(scatter * (1 + float(few)), _LEAST) if np.isfinite(times).sum() >= noise.MIN_ROWS else max(scatter, 1.0)
+
+
+def _with_slow(fit: Fit, own: Evidence, slow_m: float) -> np.ndarray:
+    """The fit's covariance, and on its diagonal what an error of ``slow_m`` from end to end turns and stretches."""
+    out = fit.covariance.copy()
+    out[range(7), range(7)] = np.maximum(np.diag(out), 1e-18)
+    off = own.position - own.position.mean(axis=0)
+    east, north, up = np.mean(off**2, axis=0)
+    shares = (north + up, east + up, east + north, np.inf, np.inf, np.inf, east + north + up)
+    slow = np.array([slow_m**2 / max(v, 1e-12) for v in shares])
+    limit = np.array([np.pi**2] * 3 + [1.0] * 3 + [1.0])
+    out[range(7), range(7)] += np.minimum(slow, limit)
+    return out
+
+
+def common_of(sigma: np.ndarray, floor_m: float, free_antenna: bool) -> np.ndarray:
+    """(4,) what positions share: their stated sigma (median over (K, 3)), where no lever arm is known its size; and
+    the sigma between far ends that the settings believe of no receiver."""
+    stated = np.median(sigma, axis=0)
+    return np.append(np.hypot(stated, ANTENNA_SIGMA_M if free_antenna else 0.0), floor_m)
+
+
+def rig_statement(scale: RigScale | None, result: Similarity, used: bool) -> list[Statement]:
+    """The rig's baselines of the scale, where they tell it."""
+    if scale is None or not scale.trusted:
+        return []
+    ratio = scale.metres_per_unit / result.scale
+    return [Statement(SCALE, RIG, ratio, ratio * scale.sigma, "", used)]
+
+
+def up_statements(up: Up | None, result: Similarity, used: bool) -> list[Statement]:
+    """The tops of a ring of cameras of the tilt. Cameras to one side say nothing: they may look down or be held so."""
+    if up is None or not (up.ring or used):
+        return []
+    lean = result.rotation @ up.direction
+    values = np.degrees([-np.arctan2(lean[1], lean[2]), -np.arctan2(lean[0], lean[2])])
+    return [Statement(n, up.cameras, float(v), up.sigma_deg, "deg", used) for n, v in zip(TILTS, values)]
+
+
+def orientation_statements(evidence: Evidence, result: Similarity) -> list[Statement]:
+    """Given orientations of heading and tilt, against the result."""
+    known = np.isfinite(evidence.orientation).all(axis=(1, 2))
+    if not known.any():
+        return []
+    model = result.rotation @ evidence.pose[known, :3, :3]
+    turns = Rotation.from_matrix(evidence.orientation[known] @ np.swapaxes(model, 1, 2))
+    mean = turns.mean()
+    turn = np.degrees(mean.as_rotvec())
+    scatter = np.degrees(np.sqrt(np.mean((turns * mean.inv()).magnitude() ** 2)))
+    sigma = float(np.hypot(_COMMON_DEG, scatter / np.sqrt(known.sum())))
+    names = ((HEADING, 2, -1.0), (TILTS[0], 0, -1.0), (TILTS[1], 1, 1.0))
+    return [Statement(n, ORIENTATIONS, float(s * turn[k]), sigma, "deg", True) for n, k, s in names]

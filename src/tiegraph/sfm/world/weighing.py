@@ -1,0 +1,179 @@
+"""What of a placement is used where its sources contradict each other: decided by tests, before anything is fitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tiegraph.geometry.align import Similarity
+from tiegraph.scene.evidence import LIMIT, Trend, trend
+from tiegraph.sfm.world.fit import Evidence, fit_similarity
+from tiegraph.sfm.world.scale import RigScale
+from tiegraph.sfm.world.sources import CONTROL, RIG, Source, alone
+
+TWO_ENDS = LIMIT / np.sqrt(2)  # half a trend's size in sigmas of a position, when its ends contradict each other
+_AXES = ("east", "north", "up")
+_HELD = 1e-6  # of a scale that is held
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """The sources, which are used and why. ``scale_used``: sources of the scale; ``extra_m`` (3,): what is added to the
+    positions' sigmas because another source says otherwise; ``scale_sigma``: to widen the scale's to, 0 = not at all;
+    ``at`` (3,): the model point that places are compared at; ``why``: how the scale was decided, in words;
+    ``free_antenna``: no lever arm was given."""
+
+    sources: tuple[Source, ...]
+    scale_used: tuple[str, ...]
+    places_used: tuple[str, ...]
+    extra_m: np.ndarray
+    scale_sigma: float
+    at: np.ndarray
+    why: str = ""
+    free_antenna: bool = False
+
+    @property
+    def rig_used(self) -> bool:
+        """Whether the rig's baselines may hold the scale."""
+        return RIG in self.scale_used
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is weighed: ``count`` fixes before the control points in the evidence, their times (K,) or order, the
+    positions' name, what they share (``common_of``), the rig's scale, and whether the lever arm is unknown."""
+
+    evidence: Evidence
+    count: int
+    times: np.ndarray
+    name: str
+    common: np.ndarray
+    scale: RigScale | None
+    free_antenna: bool = False
+
+
+def weigh(asked: Question) -> Weighed:
+    """Ask each source alone, compare, and decide what is used of scale and places.
+
+    A rig's baseline that the positions (or control points) contradict gives way to them if they fit without a trend of
+    their own, for a wrong scale leaves one; where nothing else says who is right, the scale's sigma covers both. Of
+    positions and control points that contradict each other the control points are used.
+    """
+    evidence = asked.evidence
+    rows = np.arange(len(evidence.frame)) < asked.count
+    sources = []
+    if asked.count:
+        sources.append(alone(evidence, rows, asked.name, asked.times, asked.common, asked.free_antenna))
+    points = int((~rows).sum())
+    if points:
+        own = alone(evidence, ~rows, CONTROL, np.full(points, np.nan), np.zeros(4))
+        sources.append(own or _few(evidence, rows, sources[0] if sources else None))
+    found = {s.name: s for s in sources if s is not None}
+    at = evidence.pose[~rows if points else rows, :3, 3].mean(axis=0)
+    used, sigma, extra, why = _scale(asked, found)
+    places, more = _places(found, at, asked.name)
+    return Weighed(tuple(found.values()), used, places, np.hypot(extra, more), sigma, at, why, asked.free_antenna)
+
+
+def _few(evidence: Evidence, rows: np.ndarray, positions: Source | None) -> Source | None:
+    """One or two control points: they say where the positions' world ought to lie, nothing of turn and scale."""
+    if positions is None:
+        return None
+    own = evidence.where(~rows)
+    world = positions.similarity(own.pose[:, :3, 3])
+    moved = own.position.mean(axis=0) - world.mean(axis=0)
+    shift = positions.similarity
+    shift = Similarity(shift.scale, shift.rotation, shift.translation + moved)
+    variance = np.mean(own.sigma**2, axis=0) / len(own.sigma)
+    covariance = np.diag([10.0, 10.0, 10.0, *variance, 100.0])
+    nothing = np.zeros(3)
+    return Source(CONTROL, shift, covariance, own.position.mean(axis=0), nothing, np.zeros_like(own.position))
+
+
+def _scale(asked: Question, found: dict[str, Source]) -> tuple[tuple[str, ...], float, np.ndarray, str]:
+    """Sources of the scale that are used, the sigma to widen it to, what is added to positions (m), and why."""
+    nothing = np.zeros(3)
+    told = {n: s for n, s in found.items() if np.isfinite(s.scale_sigma) and s.scale_sigma < 1}
+    rig = asked.scale if asked.scale is not None and asked.scale.trusted else None
+    names = (*told, *((RIG,) if rig is not None else ()))
+    apart = {n: abs(np.log(s.similarity.scale / rig.metres_per_unit)) for n, s in told.items()} if rig else {}
+    against = [n for n in apart if rig and apart[n] > LIMIT * np.hypot(told[n].scale_sigma, rig.sigma)]
+    if rig is None or not against:
+        return _positions_scale(asked, told, names)
+    agreeing = [n for n in told if n not in against]
+    if agreeing and asked.name in against:
+        extra = apart[asked.name] * _spread(asked) * np.ones(3)
+        return (RIG, *agreeing), 0.0, extra, f"{asked.name} stand alone against the others and are not used for it"
+    if agreeing or len(against) > 1:
+        return tuple(told), 0.0, nothing, "the rig as given stands alone against the others and is not used for it"
+    name, wide = against[0], float(apart[against[0]])
+    own = _own_trend(asked, told[name]) if name == asked.name else None
+    with_rig = _with_scale(asked, rig, told[name]) if name == asked.name else ""
+    if own is None:
+        fits = float(np.median(np.linalg.norm(told[name].residual, axis=1)))
+        why = f"{with_rig}without the rig's scale they fit to {fits:.2g} m (median), so that of the {name} is used"
+        return (name,), wide, nothing, why
+    why = f"the residuals of the {name} {own.text()} even by themselves, so that of the rig is used"
+    return (RIG,), wide, wide * _spread(asked) * np.ones(3), why
+
+
+def _positions_scale(
+    asked: Question, told: dict[str, Source], names: tuple[str, ...]
+) -> tuple[tuple[str, ...], float, np.ndarray, str]:
+    """The same where the rig contradicts nobody: positions against control points."""
+    if asked.name in told and CONTROL in told:
+        a, b = told[asked.name], told[CONTROL]
+        apart = abs(float(np.log(a.similarity.scale / b.similarity.scale)))
+        if apart > LIMIT * np.hypot(a.scale_sigma, b.scale_sigma):
+            names = tuple(n for n in names if n != asked.name)
+            return names, 0.0, apart * _spread(asked) * np.ones(3), f"that of the {CONTROL} is used"
+    return names, 0.0, np.zeros(3), ""
+
+
+def _places(found: dict[str, Source], at: np.ndarray, name: str) -> tuple[tuple[str, ...], np.ndarray]:
+    """Whose places are used, and what is added to the positions' sigmas (3,)."""
+    if name not in found or CONTROL not in found:
+        return tuple(found), np.zeros(3)
+    a = found[name].statements(found[CONTROL].similarity, at, ())[-3:]
+    b = found[CONTROL].statements(found[CONTROL].similarity, at, ())[-3:]
+    off = np.array([s.value for s in a])
+    bad = np.abs(off) > LIMIT * np.hypot([s.sigma for s in a], [s.sigma for s in b])
+    bad[:2] |= bad[:2].any()
+    return (CONTROL,) if bad.any() else tuple(found), np.where(bad, np.abs(off), 0.0)
+
+
+def _spread(asked: Question) -> float:
+    own = asked.evidence.position[: asked.count]
+    return float(np.sqrt(np.mean(np.sum((own - own.mean(axis=0)) ** 2, axis=1))))
+
+
+def _own_trend(asked: Question, source: Source) -> Trend | None:
+    """A trend in the residuals of positions to their own fit that is beyond what is stated of them."""
+    order = np.argsort(asked.times[: len(source.residual)], kind="stable")
+    stated = np.median(asked.evidence.sigma[: asked.count], axis=0)
+    found = [trend(source.residual[order, k], 3) for k in range(3)]
+    beyond = [t for t, s in zip(found, stated) if t is not None and t.size / 2 > TWO_ENDS * s]
+    return max(beyond, key=lambda t: t.size) if beyond else None
+
+
+def _with_scale(asked: Question, rig: RigScale, source: Source) -> str:
+    """The form of the positions' residuals under the rig's scale, in words; "" if it has none."""
+    own = asked.evidence.where(np.arange(len(asked.evidence.frame)) < asked.count)
+    nothing = np.full_like(own.orientation, np.nan)
+    own = replace(own, orientation=nothing, log_scale=float(np.log(rig.metres_per_unit)), log_scale_sigma=_HELD)
+    wide = _spread(asked)
+    own = replace(own, sigma=np.full_like(own.sigma, max(wide, 1e-6)), estimate_antenna=asked.free_antenna)
+    fit = fit_similarity(own, None, source.similarity)
+    off = own.position_residuals(fit.similarity, fit.antenna)
+    order = np.argsort(asked.times[: asked.count], kind="stable")
+    main = np.linalg.svd(own.position - own.position.mean(axis=0), full_matrices=False)[2][0]
+    if (own.position[order[-1]] - own.position[order[0]]) @ main < 0:
+        main = -main
+    along = np.argsort(own.position @ main, kind="stable")
+    found = trend((off @ main)[along], 1)
+    if found is None or found.form == "curve":
+        return ""
+    ratio = rig.metres_per_unit / source.similarity.scale
+    size = f"the model is {abs(ratio - 1):.1%} too {'long' if ratio > 1 else 'short'} along the motion"
+    return f"with it the residuals of the {asked.name} {found.text()} along the way ({size}), "

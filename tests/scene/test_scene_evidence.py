@@ -1,0 +1,68 @@
+"""Statements against each other, and residuals against what noise looks like: false alarms and power, by simulation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tiegraph.scene.evidence import LIMIT, Statement, contradictions, table, trend
+
+
+def process(rng: np.random.Generator, count: int, r: float) -> np.ndarray:
+    """First-order noise (count,) of sigma 1 and correlation r."""
+    out = rng.standard_normal(count)
+    for k in range(1, count):
+        out[k] = r * out[k - 1] + np.sqrt(1 - r * r) * out[k]
+    return out
+
+
+@pytest.mark.parametrize(("count", "r"), [(12, 0.0), (12, 0.6), (30, 0.0), (30, 0.6), (100, 0.8)])
+def test_noise_is_no_trend(count: int, r: float) -> None:
+    rng = np.random.default_rng(count)
+    alarms = sum(trend(process(rng, count, r)) is not None for _ in range(120))
+    assert alarms <= 1  # 0.1 % by construction, where the correlation is known
+
+
+@pytest.mark.parametrize("form", ["line", "curve", "step"])
+def test_what_is_larger_than_the_noise_is_found_by_its_form(form: str) -> None:
+    rng, x = np.random.default_rng(3), np.linspace(-1, 1, 40)
+    shape = {"line": x, "curve": 1.5 * (x**2 - 1 / 3), "step": np.sign(x - 0.2)}[form]
+    found = [trend(0.7 * shape + 0.05 * process(rng, 40, 0.5)) for _ in range(20)]
+    assert sum(f is not None and f.form == form for f in found) >= 18
+    assert not any(trend(0.3 * shape + process(rng, 40, 0.5)) for _ in range(20))  # below the noise: nothing
+    size = {"line": 1.4, "curve": 1.05, "step": 1.4}[form]
+    assert all(f.size == pytest.approx(size, rel=0.2) for f in found if f is not None and f.form == form)
+
+
+def test_one_bad_value_is_no_trend_and_the_words_hold_the_figures() -> None:
+    rng, x = np.random.default_rng(4), np.linspace(-1, 1, 30)
+    bad = 0.02 * rng.standard_normal(30)
+    bad[4] = 5.0
+    assert trend(bad) is None and trend(np.zeros(30)) is None and trend(x[:5]) is None
+    line = trend(0.7 * x + 0.02 * rng.standard_normal(30))
+    assert line is not None and line.text().startswith("run in a line from -0.") and " m to +0." in line.text()
+    assert line.start == pytest.approx(-0.7, abs=0.05) and line.end == pytest.approx(0.7, abs=0.05)
+    step = trend(np.where(x > 0, 0.5, 0.0) + 0.02 * rng.standard_normal(30))
+    assert step is not None and step.text().startswith("jump by +0.") and step.at == 0.5
+    off = trend(0.5 + 0.02 * rng.standard_normal(30), offset=True)
+    assert off is not None and off.text() == "stand off by +0.5 m all the time"
+    assert trend(0.5 + 0.02 * rng.standard_normal(30)) is None
+
+
+def test_statements_that_cannot_both_be_right() -> None:
+    rig = Statement("scale", "rig as given", 1.115, 0.0016, "")
+    gnss = Statement("scale", "GNSS positions", 1.0, 0.01, "", used=True)
+    points = Statement("scale", "control points", 1.01, 0.01, "")
+    height = Statement("height", "EXIF", 64.0, float("nan"), "m")
+    found = contradictions([rig, gnss, points, height])
+    assert [{c.first.source, c.second.source} for c in found] == [
+        {"rig as given", "GNSS positions"}, {"rig as given", "control points"},
+    ]  # fmt: skip
+    assert found[0].sigmas == pytest.approx(0.115 / np.hypot(0.0016, 0.01)) and found[0].sigmas > LIMIT
+    rows = table([rig, gnss, points, height])["rows"]
+    assert [r[6] for r in rows] == [
+        "contradicts GNSS positions",
+        "contradicts rig as given",
+        "contradicts rig as given",
+        "",
+    ]

@@ -1,0 +1,215 @@
+"""Sources of a placement against each other: what contradicts is said with its figures, and what does not is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sfm_worlds import with_positions
+
+from tiegraph.geometry import transforms
+from tiegraph.geometry.geodesy import Origin
+from tiegraph.scene.control import Control
+from tiegraph.scene.rig import Rig, Sensor
+from tiegraph.scene.scene import Scene, simple_scene
+from tiegraph.sfm.settings import GeorefSettings
+from tiegraph.sfm.world import georef
+from tiegraph.sfm.world.fixes import Given
+from tiegraph.sfm.world.georef import Georeference
+from tiegraph.sfm.world.gravity import Up
+from tiegraph.sfm.world.judging import judged
+from tiegraph.sfm.world.marks import Target, without_blunders
+from tiegraph.sfm.world.placing import Model, place
+from tiegraph.sfm.world.scale import RigScale
+
+COUNT = 40
+SETTINGS = GeorefSettings(antenna="ignored")
+RIG_SIGMA = 0.002
+
+
+def drive(length_m: float = 40.0, back: bool = False) -> tuple[np.ndarray, Scene]:
+    """world_from_rig (40, 4, 4) of a level camera along a gentle bend (there and back), and its scene."""
+    s = np.linspace(0, length_m, COUNT)
+    place_m = np.stack([s, 0.004 * s**2, 2 + 0.2 * np.sin(s / 9)], axis=1)
+    if back:
+        place_m = np.vstack([place_m[::2], place_m[::-2] + [0.5, 3.0, 0.0]])
+    ahead = np.gradient(place_m, axis=0)
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    down = np.tile([0.0, 0.0, -1.0], (COUNT, 1))
+    across = np.cross(down, ahead)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    poses = transforms.rigid(np.stack([across, np.cross(ahead, across), ahead], axis=2), place_m)
+    rig = Rig("ring", (Sensor("cam0", None, np.eye(4), "side"),))
+    names = [f"cam0/{k:03d}.jpg" for k in range(COUNT)]
+    scene = simple_scene(
+        rig, names, np.arange(COUNT), 0 * np.arange(COUNT), np.zeros(COUNT), tracks=("way",),
+        time_s=np.arange(COUNT) * 1.0,
+    )  # fmt: skip
+    return poses, scene
+
+
+def noise(seed: int, sigma: float, r: float = 0.5, count: int = COUNT) -> np.ndarray:
+    """(count, 3) of a first-order process."""
+    rng = np.random.default_rng(seed)
+    out = rng.standard_normal((count, 3))
+    for k in range(1, count):
+        out[k] = r * out[k - 1] + np.sqrt(1 - r * r) * out[k]
+    return sigma * out
+
+
+def control(poses: np.ndarray, sigma: float = 0.02, count: int = 6, seed: int = 5) -> tuple[Control, np.ndarray]:
+    """Points beside the way as surveyed, and their true places."""
+    rng = np.random.default_rng(seed)
+    true = poses[np.linspace(2, COUNT - 3, count).astype(int), :3, 3] + rng.uniform(-6, 6, (count, 3)) * [0.2, 1, 0.3]
+    surveyed = true + sigma * rng.standard_normal((count, 3))
+    empty = np.zeros(0, int)
+    names = tuple(f"P{k}" for k in range(count))
+    return Control(
+        names, surveyed, np.full((count, 3), sigma), np.zeros(count, bool), empty, empty, np.zeros((0, 2)), empty,
+        Origin(35.0, 139.0, 40.0),
+    ), true  # fmt: skip
+
+
+def found_by(
+    poses: np.ndarray, scene: Scene, rig_scale: float | None = None, points: tuple | None = None, ring: bool = True
+) -> Georeference:
+    """The judged placement of a model that is the truth itself, metres as units; the rig's scale times the truth's."""
+    scale = None if rig_scale is None else RigScale(rig_scale, RIG_SIGMA, True)
+    up = Up(np.array([0.0, 0.0, 1.0]), 3.0, True, "the ring of side cameras") if ring else None
+    found, given = [], Given()
+    if points is not None:
+        given = Given(control=points[0])
+        found = [Target(p, 1e-6 * np.eye(3), np.zeros(0, int), np.zeros((0, 2))) for p in points[1]]
+        found = without_blunders(found, points[0])
+    view = Model(transforms.invert(poses), up, scale, found, scene.names)
+    placing = place(view, scene, SETTINGS, given)
+    assert placing is not None
+    return judged(georef._placed(placing, view, scene, given), scene, 0.005, found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(("sigma", "actual"), [(0.02, 0.02), (0.5, 0.05), (5.0, 3.0)])
+def test_clean_sets_contradict_nothing(seed: int, sigma: float, actual: float) -> None:
+    poses, scene = drive(back=bool(seed % 2))
+    survey = with_positions(scene, poses[:, :3, 3] + noise(seed, actual, 0.7), sigma)
+    found = found_by(poses, survey, rig_scale=1.002, points=control(poses) if seed else None)
+    assert found.contradictions == ()
+    assert {s.quantity for s in found.statements} >= {"scale", "heading", "height", "place east"}
+
+
+def test_a_rig_that_is_wrong_does_not_overrule_positions_that_fit_without_it() -> None:
+    """Six cameras that fire apart along 12 m: the rig's scale is 11.5 % off, and said to be good to 0.2 %."""
+    poses, scene = drive(12.0)
+    survey = with_positions(scene, poses[:, :3, 3] + noise(1, 0.02), 0.5)
+    found = found_by(poses, survey, rig_scale=1.115)
+    assert found.world_from_model.scale == pytest.approx(1, abs=0.01) and found.scale_source == "gnss"
+    assert 0.08 < found.sigma["scale"] < 0.14  # covers both: nothing else tells who is right
+    assert max(found.rms_m().values()) < 0.05
+    (text,) = found.contradictions
+    assert text.startswith("scale: ") and "rig as given" in text and "11.3% too long" in text
+    assert "run in a line from -0.68 m to +0.68 m" in text and "fit to 0.02" in text and "fire apart" in text
+    used = {s.source: s.used for s in found.statements if s.quantity == "scale"}
+    assert used == {"GNSS positions": True, "rig as given": False}
+
+
+@pytest.mark.slow
+def test_positions_that_drift_by_themselves_do_not_take_the_scale_from_the_rig() -> None:
+    poses, scene = drive()
+    off = noise(2, 0.02)
+    off[:, 0] += 1.5 * np.linspace(-1, 1, COUNT) ** 2 + 1.5 * np.linspace(-1, 1, COUNT)
+    found = found_by(poses, with_positions(scene, poses[:, :3, 3] + off, 0.05), rig_scale=1.0)
+    assert abs(found.world_from_model.scale - 1) < 3 * found.sigma["scale"]
+    assert found.contradictions
+
+
+@pytest.mark.slow
+def test_three_sources_tell_which_one_is_wrong() -> None:
+    poses, scene = drive(back=True)
+    points = control(poses)
+    true = poses[:, :3, 3] + noise(3, 0.05)
+    found = found_by(poses, with_positions(scene, true, 0.05), rig_scale=1.03, points=points)
+    assert found.world_from_model.scale == pytest.approx(1, abs=0.005) and found.sigma["scale"] < 0.01
+    assert any("rig as given stands alone" in t for t in found.contradictions)
+    stretched = 1.03 * (true - true.mean(axis=0)) + true.mean(axis=0)
+    found = found_by(poses, with_positions(scene, stretched, 0.05), rig_scale=1.001, points=points)
+    assert found.world_from_model.scale == pytest.approx(1, abs=0.005) and found.sigma["scale"] < 0.01
+    assert any("GNSS positions stand alone" in t for t in found.contradictions)
+
+
+def test_heights_above_the_start_are_a_contradiction_of_height_and_no_scatter() -> None:
+    poses, scene = drive(back=True)
+    low = poses[:, :3, 3] + noise(4, 2.0) * [1, 1, 2] - [0, 0, 64]
+    points = control(poses)
+    found = found_by(poses, with_positions(scene, low, 5.0, prior="exif"), points=points)
+    (text,) = [t for t in found.contradictions if t.startswith("height")]
+    assert "EXIF positions" in text and "control points" in text and "above the start" in text
+    assert abs(found.world_from_model(poses[:, :3, 3]) - poses[:, :3, 3]).max() < 0.2
+    assert found.inlier.mean() > 0.9  # their plan is as good as ever
+    assert found.accuracy["gcp"]["rmse_m"] < 0.1
+
+
+@pytest.mark.slow
+def test_one_control_point_tells_a_datum() -> None:
+    poses, scene = drive(back=True)
+    moved = poses[:, :3, 3] + noise(4, 0.05) + [120.0, -300.0, 0]
+    found = found_by(poses, with_positions(scene, moved, 0.1), points=control(poses, count=1))
+    assert any(t.startswith("place ") and "datum" in t for t in found.contradictions)
+
+
+def test_a_refused_point_is_not_in_the_headline() -> None:
+    poses, scene = drive(back=True)
+    given, true = control(poses, count=7)
+    wrong = given.world_m.copy()
+    wrong[3] += [20.0, -19.0, 3.0]
+    found = found_by(poses, scene, points=(replace(given, world_m=wrong), true))
+    assert found.accuracy["gcp"]["points"] == 6 and found.accuracy["gcp"]["rmse_m"] < 0.06
+    assert found.counts()["points_refused"] == 1 and found.control[3]["blunder"]
+    (text,) = found.contradictions
+    assert "'P3' is not used" in text and "differ by 27.7" in text
+
+
+@pytest.mark.slow
+def test_control_points_that_fit_nowhere_are_said() -> None:
+    poses, scene = drive(back=True)
+    given, true = control(poses, count=6)
+    wrong = given.world_m + np.random.default_rng(1).standard_normal((6, 3))
+    found = found_by(poses, scene, points=(replace(given, world_m=wrong), true))
+    assert any("contradict each other" in t for t in found.contradictions)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [0.5, 2.0, 10.0])
+def test_a_step_in_good_positions_is_said_and_widens_the_sigma(size: float) -> None:
+    poses, scene = drive(back=True)
+    off = noise(6, 0.03)
+    off[22:, 1] += size
+    found = found_by(poses, with_positions(scene, poses[:, :3, 3] + off, 0.03), rig_scale=1.0)
+    assert any(
+        "which noise does not do" in t or "times as much" in t or "contradict" in t for t in found.contradictions
+    )
+    error = found.world_from_model(poses[:, :3, 3]) - poses[:, :3, 3]
+    assert np.linalg.norm(error.mean(axis=0)[:2]) < 3 * found.sigma["position_m"]
+
+
+@pytest.mark.slow
+def test_positions_that_lag_are_off_all_along() -> None:
+    poses, scene = drive(back=True)
+    late = np.roll(poses[:, :3, 3], 1, axis=0)
+    late[0] = poses[0, :3, 3]
+    found = found_by(poses, with_positions(scene, late + noise(7, 0.03), 0.03), rig_scale=1.0)
+    assert found.contradictions
+
+
+@pytest.mark.slow
+def test_check_points_beyond_what_was_predicted_are_said() -> None:
+    poses, scene = drive(back=True)
+    given, true = control(poses, count=8)
+    check = np.arange(8) >= 5
+    fine = found_by(poses, scene, points=(replace(given, check=check), true))
+    assert fine.contradictions == () and fine.accuracy["check"]["points"] == 3
+    moved = given.world_m + np.where(check[:, None], [0.4, -0.3, 0.2], 0.0)
+    found = found_by(poses, scene, points=(replace(given, check=check, world_m=moved), true))
+    (text,) = found.contradictions
+    assert "3 check points" in text and "predicted 0.0" in text
