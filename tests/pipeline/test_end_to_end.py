@@ -94,9 +94,6 @@ def test_receipts_account_for_everything(project):
         == project.receipt("design")["counts"]["pairs"]
         == len((project.folder / "pairs.txt").read_text().splitlines())
     )
-    design = project.receipt("design")
-    assert asked == design["counts"]["candidates"], "of 24 images, all are matched"
-    assert design["notes"][0].startswith(f"all {asked} pairs: to match them takes about"), design["notes"]
     world = json.loads((project.folder / "world.json").read_text())
     assert world["placed"] and world["crs"] == "EPSG:32654"
 

@@ -120,7 +120,7 @@ def test_what_the_rig_file_gives_with_a_sigma_holds_among_the_positions_too(worl
     given = np.array(scene.rigs[0].sensors[1].sensor_from_rig)
     given[0, 3] += 0.05
     places = []
-    for sigma, soft in ((0.001, (0,)), (1.0, (0,)), (0.001, ())):
+    for sigma, soft in ((0.001, (0,)), (1.0, (0,)), (1.0, ())):
         sensor = replace(scene.rigs[0].sensors[1], sensor_from_rig=given, sigma_m=sigma, sigma_deg=10.0)
         rig = replace(scene.rigs[0], sensors=(scene.rigs[0].sensors[0], sensor), fixed=False)
         scene_given = placed.with_(rigs=(rig,))

@@ -21,8 +21,8 @@ class DesignSettings(Section):
     budget: Literal["loss", "pairs", "seconds"] = "loss"
     """Methods hybrid and tree stop at loss_percent (loss), pairs_per_image (pairs) or seconds (seconds)."""
     loss_percent: float = Field(5.0, ge=0, le=1000)
-    """Budget loss: increase of the position sigma over using all candidates, by what previews show, percent. Where to
-    match all of them takes less than a fifth of the run, all are matched."""
+    """Budget loss: increase of the position sigma over using all candidates, by what previews show, percent. Of loose
+    photographs all are matched where that takes less than a fifth of the run."""
     pairs_per_image: int = Field(40, ge=1, le=1000)
     """Budget pairs: pairs an image has on average; method top: pairs an image keeps because of its own ranking."""
     seconds: float = Field(3600.0, gt=0, le=1e7)

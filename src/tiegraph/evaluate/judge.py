@@ -68,13 +68,16 @@ def against_poses(
 def against_cloud(result: CloudComparison, reference: np.ndarray, predicted: Predicted, aligned: bool) -> list[str]:
     """Sentences about a reference cloud (G, 3) that the cloud contradicts: half its points are farther than predicted.
 
-    What the reference's own spacing leaves between a point and its nearest counts as predicted.
+    What the reference's own spacing leaves between a point and its nearest counts as predicted, and what the scale's
+    sigma moves a point by at the middle one of their distances from the centre.
     """
     if not np.isfinite([predicted.point_m, result.median_m]).all():
         return []
     step = max(1, len(reference) // _SAMPLE)
     spacing = float(np.median(cKDTree(reference).query(reference[::step], k=2)[0][:, 1]))
+    reach = float(np.median(np.linalg.norm(reference - np.median(reference, axis=0), axis=1)))
     parts = [predicted.point_m, np.nan_to_num(predicted.inside_m), max(spacing, result.voxel_m) / 2]
+    parts.append(reach * np.nan_to_num(predicted.scale))
     parts.append(0.0 if aligned else np.nan_to_num(predicted.placed_m))
     expected = float(np.linalg.norm(parts))
     if result.median_m <= BEYOND * expected:

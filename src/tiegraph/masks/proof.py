@@ -17,7 +17,7 @@ from tiegraph.masks.evidence import Evidence
 
 _MOVING = 0.1  # of the pairs of frames must verify a motion before what stands still is a platform
 _NEAR = 0.33  # of the parallax at the scene's median depth: not sky
-_REFUTED = 0.5  # of the matches in a sky that are near: then it is none
+_REFUTED = 0.8  # of the matches in a sky that are near: then it is none (true skies of `canal_demo`: up to half)
 _OWN, _LEAST = 10, 3  # matches in its sky that a camera needs to judge by itself, and all cameras together
 _INNER_PX = 7  # the edge of the sky is that of trees and roofs
 

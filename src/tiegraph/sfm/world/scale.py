@@ -1,8 +1,4 @@
-"""Metres per model unit by the rig's baselines, where they are known and long enough to tell.
-
-At constant speed a camera's time is its place along the motion: a rig of which nobody says that it is synchronised
-tells no length along the way, unless turns and changes of speed show its times. The sigma says so.
-"""
+"""Metres per model unit by the rig's baselines, where they are known and long enough to tell."""
 
 from __future__ import annotations
 
@@ -13,14 +9,11 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.rig.judge import expected, judge
-from tiegraph.sfm.rig.linear import RigSolution, rig_system
 
 # ALGORITHMS section 4: with 6 cm at 15 m a 2 mm error of the baseline is 3.3 % of scale; never take scale from that.
 BASELINE_SIGMA_M = 0.002
 ANGLE_SIGMA = 0.00017  # 0.01 deg: what is left of the extrinsic rotation; it acts like a parallax
 MAX_SIGMA = 0.015  # of the scale, to be trusted
-_AGREE = 3.0  # sigmas within which the times explain nothing of the scale
 _MAX_DEPTHS = 20_000
 
 
@@ -35,65 +28,7 @@ class RigScale:
 
 
 def rig_scale(model: pycolmap.Reconstruction, cam_from_world: np.ndarray, scene: Scene) -> RigScale | None:
-    """Scale by the given baselines and what the images tell of them; None without a rig of given lengths.
-
-    Times of cameras, errors of place (2 mm) and rotation (0.01 deg) of the extrinsics are unknowns beside the scale
-    (``rig/linear.py``); a camera that the images say is mounted otherwise has no say. Where the model is too small for
-    that, the median ratio of given to mapped baselines, with a sigma by the rule. Nominal rigs are not believed.
-    """
-    plain = _by_ratio(model, cam_from_world, scene)
-    if plain is None or not plain.trusted:
-        return plain
-    told = [t for k in range(len(scene.rigs)) if (t := _told(model, scene, k, plain.metres_per_unit)) is not None]
-    if not told:
-        return plain
-    scale, sigma = min(told, key=lambda t: t[1])
-    if abs(np.log(scale / plain.metres_per_unit)) < _AGREE * sigma:
-        scale = plain.metres_per_unit  # the model was adjusted with these levers: it is the better solution
-    why = ""
-    if sigma > MAX_SIGMA:
-        why = (
-            f"its baselines give a scale to {sigma:.1%} only, as nothing tells whether its cameras fire at one instant"
-            if sigma > 2 * plain.sigma
-            else f"its baselines give a scale to {sigma:.1%} only"
-        )
-    return RigScale(scale, sigma, not why, why)
-
-
-def _told(
-    model: pycolmap.Reconstruction, scene: Scene, index: int, metres_per_unit: float
-) -> tuple[float, float] | None:
-    """Metres of a unit and relative sigma with all that is not known of rig ``index`` free."""
-    rig = scene.rigs[index]
-    if len(rig.sensors) < 2 or not rig.known():
-        return None
-    try:
-        system = rig_system(model, scene, index, (), metres_per_unit)
-    except (RuntimeError, ValueError, np.linalg.LinAlgError):
-        return None
-    if system is None:
-        return None
-    known = expected(rig, system.timed)
-    mounts = [("mount", k) for k in range(len(rig.sensors) - 1, -1, -1)]
-    freed = [] if len(rig.sensors) < 3 else judge(system, known, mounts, times=True).freed
-    found = system.solve(known.sigma(system, freed, times=True))
-    at = int(system.where("size")[0])
-    # What the images want of each given beyond its sigma widens the rest (Birge 1932).
-    prior = known.sigma(system, freed, times=True)
-    tight = np.array([k for k, key in enumerate(system.keys) if key[0] in ("place", "turn")], int)
-    off = found.value[tight] / prior[tight]
-    stretch = max(1.0, float(np.sqrt(np.mean(off**2) * len(off) / max(_told_of(found, prior, tight), 1.0))))
-    larger = max(1.0 + float(found.value[at]), 0.1)
-    return metres_per_unit / larger, stretch * float(found.sigma()[at])
-
-
-def _told_of(found: RigSolution, prior: np.ndarray, at: np.ndarray) -> float:
-    """How many of the givens the images tell something of: a posterior as wide as its prior counts nothing."""
-    return float(np.sum(1 - np.minimum(found.sigma()[at] / prior[at], 1.0) ** 2))
-
-
-def _by_ratio(model: pycolmap.Reconstruction, cam_from_world: np.ndarray, scene: Scene) -> RigScale | None:
-    """Median ratio of given to mapped baselines over all frames, as if all cameras fired at one instant.
+    """Median ratio of given to mapped baselines over all frames; None without a rig of given lengths.
 
     The sigma adds the baseline's own (2 mm, or what the rig file gives) and a rotation error of 0.01 deg at the model's
     median depth. Nominal rigs are not believed. Of a relaxed rig, whose cameras fire apart, only what lies across the
