@@ -90,10 +90,11 @@ def passed(ended: Ended, clean_text: str, words: Collection[str], different: Seq
 
 
 def said(text: str, clean_text: str, words: Collection[str]) -> list[str]:
-    """The notes that a clean run does not make and that hold one of ``words``; counts of a stage are no note."""
+    """The notes that a clean run does not make and that hold one of ``words``, and the contradictions that it does not
+    find, which cannot always name the one that is wrong; counts of a stage are no note."""
     usual = {_shape(line) for line in clean_text.splitlines()}
-    notes = [line.strip() for line in text.splitlines() if line.lstrip().startswith(". ")]
-    return [n for n in notes if _shape(n) not in usual and holds(n, words)]
+    notes = [line.strip() for line in text.splitlines() if line.lstrip().startswith((". ", "! "))]
+    return [n for n in notes if _shape(n) not in usual and (n.startswith("! ") or holds(n, words))]
 
 
 def holds(line: str, words: Collection[str]) -> bool:

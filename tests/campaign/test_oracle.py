@@ -204,3 +204,5 @@ def test_every_rule_changes_the_file_or_says_that_it_does_not_fit(tmp_path: Path
 def test_what_was_said_needs_a_word_of_its_own() -> None:
     ended = Ended(0, None, "           . position 3 is far off\n           . 5 compositions", False)
     assert oracle.said(ended.text, "", ("position",)) == [". position 3 is far off"]
+    assert oracle.said("  ! a contradicts b by 3 m", "  ! a contradicts b by 4 m", ("c",)) == []
+    assert oracle.said("  ! a contradicts b by 3 m", "", ("c",)) == ["! a contradicts b by 3 m"]

@@ -21,6 +21,7 @@ from tiegraph.scene.regular import regular
 from tiegraph.scene.scene import Scene
 
 _MAX_GAP_S = 2.0  # a reference with a gap wider than this is not interpolated across it
+_NAMED = 3  # frames without a reference that are named
 
 
 @dataclass(frozen=True)
@@ -168,8 +169,15 @@ def _match_frames(reference: ReferencePoses, model: ModelPoses, scene: Scene) ->
     return (
         match,
         f"rig poses, {said}: {len(rows)} placed of {int(known.sum())} with a reference ({scene.frames} frames in "
-        "all), one constant turn of the axes removed",
+        f"all{_without(scene, ~known)}), one constant turn of the axes removed",
     )
+
+
+def _without(scene: Scene, frames: np.ndarray) -> str:
+    """Which frames (F,) bool have no reference, by their first images; "" = none."""
+    names = [scene.names[int(np.argmax(scene.frame == f))] for f in np.flatnonzero(frames)[:_NAMED]]
+    more = int(frames.sum()) - len(names)
+    return f"; none for {', '.join(names)}" + (f" and {more} more" if more else "") if names else ""
 
 
 def _track_reference(reference: ReferencePoses, track: str) -> tuple[np.ndarray, np.ndarray] | None:
