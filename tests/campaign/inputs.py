@@ -224,12 +224,14 @@ def _judge(case: Case, kind: Kind, spoiled: Spoiled, inputs: Path, out: Path) ->
     if ended.code != 0 or ended.hung:
         return oracle.refusal(ended, spoiled.words), ended
     text = _all_said(out, ended.text, inputs)
-    told = "\n".join(oracle.said(text, clean_text, spoiled.words))
+    notes = oracle.said(text, clean_text, spoiled.words)
+    told = "\n".join(notes)
     named = tuple(n for n in spoiled.each if oracle.holds(told, [n]))
     allowed = replace(spoiled, without=(*spoiled.without, *named))
     different = [] if legitimate(kind, inputs) else _different(kind, clean, out, allowed)
     verdict = oracle.passed(_with(ended, text), clean_text, spoiled.words, different)
-    if verdict.name == oracle.SAID and len(named) < len(spoiled.each) and different:
+    contradicted = any(line.startswith("! ") for line in notes)
+    if verdict.name == oracle.SAID and len(named) < len(spoiled.each) and different and not contradicted:
         verdict = oracle.Verdict(oracle.SILENT, f"only {named} named; {'; '.join(different[:4])}")
     return verdict, ended
 
