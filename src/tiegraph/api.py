@@ -23,11 +23,14 @@ from tiegraph.scene.cloudfile import read_cloud
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.names import check_text
 from tiegraph.scene.pairs import Pairs
-from tiegraph.scene.regular import real_path
+from tiegraph.scene.regular import names_file, real_path
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.scene import Scene
 
+_NAMED = ("rig", "camera")  # each a file, or words
 _PATHS = ("gnss", "trajectory", "times")
+# Inputs that are settings of a stage, so that only what follows it runs again when they change.
+SETTING_OF = {"gcp": ("georef", "gcp"), "marks": ("georef", "marks")}
 
 
 class Project:
@@ -63,7 +66,8 @@ class Project:
 
         A file that somebody else wrote or edited stays, as ``tiegraph.before-<n>.toml``.
         """
-        run: dict[str, Any] = {"images": str(self.inputs.images), "rig": self.inputs.rig, "preset": self.preset}
+        run: dict[str, Any] = {"images": str(self.inputs.images), "preset": self.preset}
+        run.update({n: getattr(self.inputs, n) for n in _NAMED})
         run.update({n: None if getattr(self.inputs, n) is None else str(getattr(self.inputs, n)) for n in _PATHS})
         base = project_settings.merged(project_settings.preset(self.preset))
         own = project_settings.changed(self.settings)
@@ -144,15 +148,17 @@ def open_project(
 ) -> Project:
     """A project over a folder of images, or (``images=None``) the one that a run folder ``out`` remembers.
 
-    ``inputs``: rig (file or preset), gnss, gcp, trajectory, times. ``settings``: {section: {name: value}} on top of the
-    preset and of ``out``/tiegraph.toml, or complete Settings. ``out`` defaults to ``<images>_tiegraph``.
+    ``inputs``: rig (file or preset), camera (words or file), gnss, trajectory, times, gcp, marks. ``settings``:
+    {section: {name: value}} on top of the preset and of ``out``/tiegraph.toml, or complete Settings. ``out`` defaults
+    to ``<images>_tiegraph``.
     Raises InputError and SettingsError.
     """
-    unknown = set(inputs) - {"rig", "gcp", *_PATHS}
+    known = (*_NAMED, *_PATHS, *SETTING_OF)
+    unknown = set(inputs) - set(known)
     if unknown:
-        raise SettingsError(f"unknown input {sorted(unknown)[0]!r}: known are rig, gcp, {', '.join(_PATHS)}")
-    gcp = inputs.pop("gcp", None)
-    _check_texts({"images": images, "out": out, "gcp": gcp, **inputs})
+        raise SettingsError(f"unknown input {sorted(unknown)[0]!r}: known are {', '.join(known)}")
+    _check_texts({"images": images, "out": out, **inputs})
+    beside = {n: value for n in SETTING_OF if (value := inputs.pop(n, None)) is not None}
     folder = _folder(images, out)
     stored = project_settings.read_file(folder / SETTINGS)
     run = {**stored.pop("run", {}), **{k: str(v) for k, v in inputs.items() if v is not None}}
@@ -160,20 +166,20 @@ def open_project(
         raise InputError(f"{folder} is not a run folder (no {SETTINGS}): start with `tiegraph run IMAGES`")
     # Absolute, so that the run folder can be used from anywhere.
     found = real_path(images if images is not None else run["images"])
-    if "rig" in run and Path(run["rig"]).is_file():
-        run["rig"] = str(real_path(run["rig"]))
+    run.update({n: str(real_path(run[n])) for n in _NAMED if n in run and names_file(run[n])})
     name = preset or run.get("preset", "default")
     if isinstance(settings, Settings):
         complete = settings
     else:
         where = str(folder / SETTINGS) if stored else "settings"
         complete = project_settings.merged(project_settings.preset(name), stored, settings or {}, where=where)
-    if gcp is not None:  # a setting of georef, so that only what follows it runs again when the points change
-        georef = complete.georef.model_copy(update={"gcp": real_path(gcp)})
-        complete = complete.model_copy(update={"georef": georef})
+    for input_name, value in beside.items():
+        section, key = SETTING_OF[input_name]
+        changed = getattr(complete, section).model_copy(update={key: real_path(value)})
+        complete = complete.model_copy(update={section: changed})
     paths = {n: real_path(run[n]) if n in run else None for n in _PATHS}
     _check_texts({"images": found, **paths})
-    return Project(folder, Inputs(found, run.get("rig"), **paths), complete, name, pool)
+    return Project(folder, Inputs(found, run.get("rig"), camera=run.get("camera"), **paths), complete, name, pool)
 
 
 def _check_texts(given: dict[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""Text that came from outside (file names, messages of libraries) on its way to people: nothing in it can act."""
+"""Text on its way to people: what came from outside cannot act, what is not known is said in words, not in figures."""
 
 from __future__ import annotations
 
@@ -29,6 +29,14 @@ def printable(text: str) -> str:
 def one_line(text: str) -> str:
     """As ``printable``, line breaks and tabs escaped too: for names."""
     return "".join(_escaped(c) if acts(c) else c for c in text)
+
+
+def known_to(sigma: float, most: float, shown: str) -> str:
+    """How well something is known: "known to <shown>", or "not known" where the sigma is not below ``most``.
+
+    ``most`` is the size of what it is a sigma of: the length of a lever arm, a right angle, 1 for a scale.
+    """
+    return f"known to {shown}" if sigma < most else "not known"
 
 
 def _escaped(character: str) -> str:

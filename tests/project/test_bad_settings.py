@@ -81,6 +81,7 @@ PATHS = [
     ("masks", "model", "file", {"source": "model"}),
     ("network", "pairs_file", "file", {"sources": ["file"]}),
     ("georef", "gcp", "file", {}),
+    ("georef", "marks", "file", {}),
     ("evaluate", "reference", "file or folder", {}),
     ("evaluate", "reference_cloud", "file", {}),
     ("evaluate", "reference_masks", "folder", {}),

@@ -91,7 +91,7 @@ def test_wrong_files_say_where(tmp_path) -> None:
     with pytest.raises(InputError, match=r"exchanged \(north, east\)"):
         locate(_odm(tmp_path, f"{NORTH} {EAST} 3 1 1 000.jpg\n"), _scene())
     (tmp_path / "m.csv").write_text("name,x,y,z,image,px,py\nA,,,,000.jpg,1,2\n")
-    with pytest.raises(InputError, match=r"line 2: a mark of point 'A', which has no coordinates"):
+    with pytest.raises(InputError, match=r"marks, but no points with coordinates; points need the columns name, x"):
         read_gcps(tmp_path / "m.csv")
 
 

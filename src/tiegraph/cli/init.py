@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +12,10 @@ from tiegraph.api import open_project
 from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say
 from tiegraph.cli.run import Common
+from tiegraph.scan.calibration import WORDS
 from tiegraph.scan.rigwrite import write_rig_toml
+from tiegraph.scene.gcp import FORMS
+from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 
 
@@ -24,6 +27,8 @@ class InitOptions(Common):
     """The run folder to prepare (default: <IMAGES>_tiegraph beside the images)."""
     rig: str | None = None
     """A rig.toml, a COLMAP rig_config.json, or ladybug5, ring:N, stereo, single, panorama (default: guessed)."""
+    camera: Annotated[str | None, tyro.conf.arg(aliases=["--calibration"])] = None
+    """The calibration of a single camera: MODEL,parameters as COLMAP has them, or a file (as of `tiegraph run`)."""
 
 
 def main(arguments: list[str]) -> int:
@@ -40,7 +45,7 @@ def main(arguments: list[str]) -> int:
         return images, options
 
     images, options = options_of(init, "tiegraph init", arguments)
-    project = open_project(images, options.out, pool=options.pool, rig=options.rig)
+    project = open_project(images, options.out, pool=options.pool, rig=options.rig, camera=options.camera)
     project.run("scan", options.reporter())
     scene = project.scene()
     written = _write_rigs(scene, project.folder)
@@ -49,7 +54,19 @@ def main(arguments: list[str]) -> int:
     say(f"written: {project.folder / 'tiegraph.toml'}")
     for path in written:
         say(f"written: {path} (edit it, then run with --rig {path})")
+    for hint in hints(scene):
+        say(hint)
     return 0
+
+
+def hints(scene: Scene) -> list[str]:
+    """What else may be given to `tiegraph run`, in lines for people."""
+    lines = ["also, for `tiegraph run`:"]
+    if len(scene.all_sensors) == 1:
+        lines.append(f"  --camera: the camera's calibration, if you have one; {WORDS}")
+    if scene.prior == "none":
+        lines.append("  --gnss FILE: positions; columns time or image, lat, lon, height, if known sigma_h, sigma_v")
+    return [*lines, f"  --gcp FILE: control points; {FORMS}"]
 
 
 def describe(scene: Scene) -> list[str]:
@@ -77,8 +94,23 @@ def _write_rigs(scene: Scene, folder: Path) -> list[Path]:
         path = folder / ("rig.toml" if len(scene.rigs) == 1 else f"rig_{number}.toml")
         given = any(s.source is not None and s.source.panorama for s in rig.sensors)
         if len(rig.sensors) > 1 and not given and not path.exists():
-            write_rig_toml(
-                rig, path, "A guess from the folders and images: check the orientations, then use it by --rig."
-            )
+            write_rig_toml(_without_guesses(rig), path, _COMMENT)
             written.append(path)
     return written
+
+
+_COMMENT = """\
+A guess from the folders and images: check the orientations, then use it by --rig.
+Cameras whose focal length nothing tells have none here either: what stands here is taken for measured. Give it as
+[camera] (for all) or [sensors.camera] (for one): model, size and params, or focal_px, or hfov_deg."""
+
+
+def _without_guesses(rig: Rig) -> Rig:
+    """A rig without the cameras that were guessed, which a rig file would make a statement of the user's."""
+    sensors = tuple(
+        s
+        if s.camera is None or s.camera.has_prior_focal_length
+        else replace(s, camera=None, source=None if s.source is None else replace(s.source, camera=None))
+        for s in rig.sensors
+    )
+    return replace(rig, sensors=sensors)

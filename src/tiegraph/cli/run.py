@@ -10,7 +10,7 @@ from typing import Annotated, Any, get_args, get_origin
 import tyro
 from pydantic import ValidationError
 
-from tiegraph.api import Project, open_project
+from tiegraph.api import SETTING_OF, Project, open_project
 from tiegraph.cli.options import options_of
 from tiegraph.errors import SettingsError, choose
 from tiegraph.project.progress import Reporter
@@ -43,12 +43,19 @@ class RunOptions(Common):
     """The run folder (default: <IMAGES>_tiegraph beside the images)."""
     rig: str | None = None
     """A rig.toml, a COLMAP rig_config.json, or ladybug5, ring:N, stereo, single, panorama (default: guessed)."""
+    camera: Annotated[str | None, tyro.conf.arg(aliases=["--calibration"])] = None
+    """The calibration of a single camera: MODEL,parameters as COLMAP has them, such as
+    OPENCV,4000x3000,fx,fy,cx,cy,k1,k2,p1,p2 (the size may be left away), or a file: COLMAP's cameras.txt, OpenCV's,
+    ROS's or Kalibr's YAML, or a rig.toml with one camera. Of the cameras of a rig: in its rig.toml."""
     gnss: Path | None = None
     """CSV of positions: time, lat, lon, height, sigma."""
     trajectory: Path | None = None
     """Poses in TUM format: a file, or a folder with one file a pass."""
     gcp: Path | None = None
-    """Ground control and check points: ODM's gcp_list.txt, or a CSV of points and marks (sets georef.gcp)."""
+    """Ground control and check points: ODM's gcp_list.txt, or a CSV of points (name, x, y, z or name, lat, lon, height)
+    and marks (name, image, px, py), as one table or two in one file (sets georef.gcp)."""
+    marks: Path | None = None
+    """CSV of the points' marks (name, image, px, py), if they are not in the file of the points (sets georef.marks)."""
     times: Path | None = None
     """CSV of the frames' times, where EXIF has none: pass, frame, time (or image, time)."""
     until: str | None = None
@@ -78,7 +85,7 @@ def main(arguments: list[str]) -> int:
         return images, options, settings
 
     images, options, settings = _cli(run, "tiegraph run", arguments)
-    inputs = {n: getattr(options, n) for n in ("rig", "gnss", "gcp", "trajectory", "times")}
+    inputs = {n: getattr(options, n) for n in ("rig", "camera", "gnss", "trajectory", "times", *SETTING_OF)}
     project = open_project(images, options.out, preset=options.preset, pool=options.pool, settings=settings, **inputs)
     return finish(project, options.until, options.reporter())
 

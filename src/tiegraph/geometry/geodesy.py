@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,6 +14,10 @@ from pyproj.transformer import TransformerGroup
 from tiegraph.errors import InputError
 
 ENU = "ENU"
+CRS_WORDS = (
+    "give EPSG:n of a projected CRS in metres (EPSG:32610 is UTM zone 10 north), a zone such as UTM10N, ENU (tangent "
+    "plane), or auto (the UTM zone of the positions)"
+)
 _MAX_DISTORTION = 0.01  # of lengths in a grid: a UTM zone has 0.001 inside and 0.004 in its neighbours
 _STEP_M = 50.0  # from a place to those that tell the grid's scale there
 FAR_FACTOR, FAR_FLOOR_M = 10.0, 2000.0  # far from the rest: so many of its radii, and so many metres more
@@ -47,6 +52,18 @@ def utm_crs(lat_deg: float, lon_deg: float) -> str:
     """EPSG code of the WGS84 / UTM zone of a position."""
     zone = int((lon_deg + 180) // 6) % 60 + 1
     return f"EPSG:{(32600 if lat_deg >= 0 else 32700) + zone}"
+
+
+def utm_by_name(text: str) -> tuple[str, ...]:
+    """EPSG codes of the WGS84 / UTM zones that words such as "UTM10N", "UTM zone 10 N" or "WGS84 UTM 54S" name.
+
+    One code; two, north and south, if the words do not say which; none if they are no name of a zone.
+    """
+    found = re.fullmatch(r"(?i)\s*(?:WGS\s*_?84\s*[/,]?\s*)?UTM\s*_?(?:zone\s*)?(\d{1,2})\s*([NS])?\s*", text)
+    if found is None or not 1 <= int(found[1]) <= 60:
+        return ()
+    north, south = (f"EPSG:{base + int(found[1])}" for base in (32600, 32700))
+    return {"N": (north,), "S": (south,)}.get((found[2] or "").upper(), (north, south))
 
 
 def make_origin(lat_deg: float, lon_deg: float, height_m: float, crs: str = "auto") -> Origin:
@@ -155,8 +172,10 @@ def parse_crs(crs: str) -> pyproj.CRS:
     """The pyproj CRS of "EPSG:n". Raises InputError unless it exists, is projected and counts in metres to the east."""
     try:
         parsed = pyproj.CRS.from_user_input(crs)
-    except pyproj.exceptions.CRSError as error:
-        raise InputError(f"unknown CRS {crs!r}: give an EPSG code such as EPSG:6677, or ENU ({error})") from None
+    except pyproj.exceptions.CRSError:
+        zones = utm_by_name(crs)
+        hint = f": {zones[0]} is that zone north of the equator, {zones[1]} south of it" if len(zones) == 2 else ""
+        raise InputError(f"unknown CRS {crs!r}{hint}; {CRS_WORDS}") from None
     if not parsed.is_projected:
         raise InputError(f"CRS {crs!r} ({parsed.name}) is not projected: give a projected one in metres, or ENU")
     other = next((a for a in parsed.axis_info if abs(a.unit_conversion_factor - 1) > 1e-12), None)

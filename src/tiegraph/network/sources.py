@@ -25,6 +25,7 @@ from tiegraph.network.settings import NetworkSettings
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.regular import regular
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.table import text_lines
 
 FEW_PHOTOS = 30  # loose photographs that are all compared with one another: 435 pairs
 NEAREST = 10  # loose photographs with positions: nearest ones that are kept whatever the preview says
@@ -144,7 +145,7 @@ def pair_lines(path: Path) -> list[tuple[int, list[str]]]:
         raise InputError(f"{path}: cannot be read as a pair list: {error.strerror}") from None
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: no pair list: not text in UTF-8 (byte {error.start + 1})") from None
-    out = [(k, line.split("#", 1)[0].split()) for k, line in enumerate(text.splitlines(), start=1)]
+    out = [(k, line.split("#", 1)[0].split()) for k, line in enumerate(text_lines(text), start=1)]
     out = [(k, words) for k, words in out if words]
     if not out:
         raise InputError(f"{path}: holds no pairs; expected two image names a line")

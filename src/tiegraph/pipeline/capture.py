@@ -31,7 +31,7 @@ def scan(run: Run) -> Outcome:
     names = clean_names(files)  # from here on: only their opening needs the names that the file system has
     run.reporter.total(2 * len(names))
     probes = run.map(probe_image, [root / f for f in files])
-    inputs = ScanInputs(root, given.rig, given.gnss, given.trajectory, given.times)
+    inputs = ScanInputs(root, given.rig, given.camera, given.gnss, given.trajectory, given.times)
     scene = build_scene(inputs, names, probes, run.settings.scan)
     told = check_against(run, scene)  # wrong files are better said now than after hours
     file_of = dict(zip(names, files))

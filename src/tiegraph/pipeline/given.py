@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 
-from tiegraph.errors import SettingsError, UnreadableArtefact
+from tiegraph.errors import InputError, SettingsError, UnreadableArtefact
 from tiegraph.evaluate.reference import check_points, check_reference
 from tiegraph.geometry.geodesy import ENU, check_vertical, parse_crs
 from tiegraph.masks.plugin import read_model
@@ -16,6 +16,7 @@ from tiegraph.project.given import check_files, check_path
 from tiegraph.project.run import Run, status
 from tiegraph.project.settings import Settings
 from tiegraph.project.stages import Stage
+from tiegraph.scan.calibration import read_camera
 from tiegraph.scan.rigfile import read_rig_file
 from tiegraph.scan.rigspec import preset_sizes
 from tiegraph.scan.trajectory import read_trajectory
@@ -57,7 +58,9 @@ def check_given(stages: Sequence[Stage], run: Run) -> None:
 def _read_settings(settings: Settings) -> None:
     """Read the files of settings that need no image, for the errors this raises: most stages look hours later."""
     if settings.georef.gcp is not None:
-        read_gcps(settings.georef.gcp)
+        read_gcps(settings.georef.gcp, settings.georef.marks)
+    elif settings.georef.marks is not None:
+        raise InputError(f"--marks {settings.georef.marks}: marks of no points; give the points by --gcp")
     if settings.network.pairs_file is not None:
         pair_lines(settings.network.pairs_file)
     if settings.masks.model is not None:
@@ -73,6 +76,8 @@ def _read_inputs(run: Run) -> None:
     given = run.inputs
     if given.rig is not None and given.rig.strip().lower() != PRESET and not preset_sizes(given.rig):
         read_rig_file(given.rig)
+    if given.camera is not None:
+        read_camera(given.camera)
     if given.trajectory is not None and given.trajectory.is_file():
         read_trajectory(given.trajectory)
     if given.gnss is not None:

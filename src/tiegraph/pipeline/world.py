@@ -81,7 +81,7 @@ def control_points(run: Run, scene: Scene) -> Control | None:
         return None
     if not path.exists():
         raise InputError(f"--gcp {path}: no such file")
-    return locate(read_gcps(path), scene, run.settings.scan.crs)
+    return locate(read_gcps(path, run.settings.georef.marks), scene, run.settings.scan.crs)
 
 
 def _rows(run: Run, scene: Scene) -> PositionRows | None:

@@ -13,6 +13,7 @@ from pathlib import Path
 from tiegraph.errors import InputError
 from tiegraph.project.ledger import covered
 from tiegraph.project.progress import LogFormatter
+from tiegraph.project.quiet import libraries_to
 from tiegraph.project.stages import digest, write_atomic
 from tiegraph.scene.atomic import MARK
 from tiegraph.scene.regular import real_path
@@ -104,7 +105,8 @@ def _mark(folder: Path) -> dict:
 
 @contextmanager
 def working_in(folder: Path) -> Iterator[None]:
-    """The folder is there, marked as ours, locked against other runs, and log records of tiegraph go to its log.txt.
+    """The folder is there, marked as ours, locked against other runs, and log records of tiegraph go to its log.txt, as
+    does what native libraries print.
 
     Raises InputError where that cannot be.
     """
@@ -150,7 +152,8 @@ def _logged(path: Path) -> Iterator[None]:
     log.addHandler(handler)
     log.setLevel(logging.INFO)
     try:
-        yield
+        with libraries_to(stream.fileno()):
+            yield
     finally:
         log.removeHandler(handler)
         log.setLevel(level)

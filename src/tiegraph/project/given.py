@@ -9,6 +9,8 @@ from tiegraph.errors import InputError
 from tiegraph.project.settings import Settings, sections, shortened
 from tiegraph.scene.regular import regular
 
+_SHORT = {"--georef.gcp": "--gcp", "--georef.marks": "--marks"}  # what they are called on the command line too
+
 
 def user_files(settings: Settings) -> list[tuple[str, Path, str]]:
     """(option, path, kind) of every setting that names something of the user's, where one is given."""
@@ -25,7 +27,7 @@ def user_files(settings: Settings) -> list[tuple[str, Path, str]]:
 def check_files(settings: Settings) -> None:
     """Raise InputError for the first setting whose file or folder is not there, of another kind or not readable."""
     for option, path, kind in user_files(settings):
-        check_path("--gcp" if option == "--georef.gcp" else option, path, kind)
+        check_path(_SHORT.get(option, option), path, kind)
 
 
 def check_path(option: str, path: Path, kind: str) -> None:

@@ -24,6 +24,7 @@ from tiegraph.project.receipts import Receipts
 from tiegraph.project.software import software
 from tiegraph.project.stages import Stage, digest, stage_keys, stamp, write_atomic
 from tiegraph.scene.images import searched
+from tiegraph.scene.regular import names_file
 
 log = logging.getLogger("tiegraph")
 
@@ -37,18 +38,27 @@ class Inputs:
     gnss: Path | None = None
     trajectory: Path | None = None
     times: Path | None = None
+    camera: str | None = None  # a calibration in words, or its file
 
     def key(self) -> str:
         """Hash over names, sizes and times of all inputs."""
         rig = stamp(Path(self.rig)) if self.rig and Path(self.rig).exists() else None
         images = searched(self.images)
         files = [stamp(p) if p else None for p in (images, self.gnss, self.trajectory, self.times)]
-        return digest([str(self.images), self.rig, rig, files])
+        camera = [self.camera, *(stamp(Path(self.camera)) if names_file(self.camera) else [])] if self.camera else []
+        return digest([str(self.images), self.rig, rig, files, *camera])
 
     def given(self) -> dict[str, Path]:
         """What the user calls each input -> where it is."""
         rig = Path(self.rig) if self.rig and Path(self.rig).exists() else None
-        files = {"--rig": rig, "--gnss": self.gnss, "--trajectory": self.trajectory, "--times": self.times}
+        camera = Path(self.camera) if self.camera and names_file(self.camera) else None
+        files = {
+            "--rig": rig,
+            "--camera": camera,
+            "--gnss": self.gnss,
+            "--trajectory": self.trajectory,
+            "--times": self.times,
+        }
         return {"the image folder": searched(self.images), **{n: p for n, p in files.items() if p is not None}}
 
     def check(self) -> None:

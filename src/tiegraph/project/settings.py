@@ -31,7 +31,7 @@ else:
     import tomli as tomllib
 
 _SHOWN = 80  # characters of a wrong value in a message
-RUN_KEYS = ("images", "rig", "gnss", "trajectory", "times", "preset")  # of [run]: the inputs of a run
+RUN_KEYS = ("images", "rig", "camera", "gnss", "trajectory", "times", "preset")  # of [run]: the inputs of a run
 
 
 class Settings(Section):
@@ -120,7 +120,7 @@ def run_table(data: dict[str, Any], where: str) -> dict[str, str]:
 
 
 def _remedy(name: str) -> str:
-    own = "georef.gcp" if name == "gcp" else next((f"{s}.{name}" for s, f in sections() if name in f), "")
+    own = next((f"{s}.{name}" for s, f in sections() if name in f), "")
     if own:
         section, _, key = own.partition(".")
         return f"it is the setting {key} of [{section}]"

@@ -12,6 +12,7 @@ from tiegraph.geometry import transforms
 from tiegraph.report import ground, words
 from tiegraph.report.artefacts import STAGES, RunFolder
 from tiegraph.report.words import Table
+from tiegraph.text import known_to
 
 GOOD_SHARE, POOR_SHARE = 0.95, 0.6  # of the images registered
 SEEING = 10  # sparse points below which an image's place rests on its rig
@@ -187,9 +188,10 @@ def sigma_text(value: Any) -> str:
             parts.append(f"{base.replace('_', ' ')} {words.length(v)}")
         elif _is(v) and unit in ("deg", "ppm"):
             base = "heading" if base == "yaw" else base.replace("_", " ")
-            parts.append(f"{base} {words.number(v, 2)}{'°' if unit == 'deg' else ' ' + unit}")
+            most, unit = (90, "°") if unit == "deg" else (1e6, " ppm")
+            parts.append(f"{base} {known_to(v, most, words.number(v, 2) + unit).removeprefix('known to ')}")
         elif _is(v) and name == "scale":
-            parts.append(f"scale {words.number(100 * v, 2)} %")
+            parts.append(f"scale {known_to(v, 1, words.number(100 * v, 2) + ' %').removeprefix('known to ')}")
         elif _is(v):
             parts.append(f"{name.replace('_', ' ')} {words.number(v, 2)}")
     return "; ".join(parts)

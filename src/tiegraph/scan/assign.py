@@ -11,7 +11,19 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scan.folders import UP_WORDS, Layout, Place, guess_layout, is_loose, natural, place_by_folders, words
+from tiegraph.scan.bands import band_layout, with_rig_tags
+from tiegraph.scan.folders import (
+    UP_WORDS,
+    Layout,
+    Place,
+    guess_layout,
+    is_loose,
+    is_pattern,
+    natural,
+    place_by_folders,
+    shot_stem,
+    words,
+)
 from tiegraph.scan.rigcheck import contradictions
 from tiegraph.scan.rigfile import read_rig_file
 from tiegraph.scan.rigspec import RigSpec, SensorSpec, preset, preset_sizes
@@ -75,11 +87,16 @@ class Usable:
 def assign(rig: str | None, usable: Usable, settings: ScanSettings, report: Report) -> Survey:
     """Rig, sensor and pass of each usable image. Raises InputError for a rig that is wrong or does not fit."""
     cameras = preset_sizes(rig) if rig else ()
-    layout = guess_layout(usable.names, *usable.facts(), settings.layout, cameras)
+    exif, sizes = usable.facts()
+    layout = band_layout(usable.names, exif, settings.layout) or guess_layout(
+        usable.names, exif, sizes, settings.layout, cameras
+    )
+    if layout.folders == ("",) and not layout.loose and settings.layout == "auto" and len(_lenses(usable)) > 1:
+        layout = replace(layout, loose=True, note="loose photographs: taken with different lenses")
     if rig is None:
-        spec = _guessed_rig(layout)
         report.notes.append(f"layout guessed: {layout.note}")
-        if len(layout.folders) > 1:
+        spec = with_rig_tags(_guessed_rig(layout), layout, exif, report.notes)
+        if len(layout.folders) > 1 and not spec.nominal:
             report.notes.append(
                 f"no rig given: how the {len(layout.folders)} cameras stand to each other is unknown and has to come "
                 "from the images; --rig takes a file or ladybug5, ring:N, stereo"
@@ -91,7 +108,7 @@ def assign(rig: str | None, usable: Usable, settings: ScanSettings, report: Repo
         return _assign_by_file(Path(rig), usable, settings, report)
     index = {s.folder: k for k, s in enumerate(spec.sensors)}
     shots = tuple(
-        _shot(image, name, (0, index[place.folder]), "" if layout.loose else place.track)
+        _shot(image, name, (0, index[place.folder]), place, layout.loose)
         for image, name, place in zip(usable.images, usable.names, layout.places)
         if place is not None
     )
@@ -100,8 +117,8 @@ def assign(rig: str | None, usable: Usable, settings: ScanSettings, report: Repo
     return _by_camera(spec, shots, usable, report) if layout.loose else Survey((spec,), shots, False)
 
 
-def _shot(image: int, name: str, owner: tuple[int, int], track: str) -> Shot:
-    return Shot(image, *owner, track, PurePosixPath(name).stem)
+def _shot(image: int, name: str, owner: tuple[int, int], place: Place, loose: bool) -> Shot:
+    return Shot(image, *owner, "" if loose else place.track, shot_stem(name, place.folder))
 
 
 def _guessed_rig(layout: Layout) -> RigSpec:
@@ -128,7 +145,7 @@ def _assign_by_file(file: Path, usable: Usable, settings: ScanSettings, report: 
     report.notes.append(f"rig file {file.name}: {len(owner)} sensor(s)" + (f"; {why}" if why else ""))
     report.notes += [f"{file.name}: {text}" for spec in specs for text in contradictions(spec)]
     shots = [
-        _shot(image, name, owner[place.folder], "" if loose else place.track)
+        _shot(image, name, owner[place.folder], place, loose)
         for image, name, place in zip(usable.images, usable.names, places)
         if place is not None
     ]
@@ -167,6 +184,11 @@ def _all_found(file: Path, specs: Sequence[RigSpec], places: Sequence[Place | No
         for sensor in spec.sensors:
             if sensor.folder in found:
                 continue
+            if is_pattern(sensor.folder or ""):
+                raise InputError(
+                    f"{file}: sensor {sensor.name!r}: folder = {sensor.folder!r}, but no usable image's name ends so; "
+                    f"names here are as {names[0]}. Mend folder, or take the sensor out of the file"
+                )
             near = difflib.get_close_matches(sensor.folder or "", there, n=1)
             hint = f" Perhaps you meant {near[0]!r}?" if near else ""
             raise InputError(
@@ -181,23 +203,33 @@ def _by_camera(spec: RigSpec, shots: tuple[Shot, ...], usable: Usable, report: R
 
     def camera(shot: Shot) -> tuple:
         p = probe_of[shot.image]
-        focal = round(p.exif.focal_px) if np.isfinite(p.exif.focal_px) else 0
-        return p.upright_size(), p.exif.make, p.exif.model, focal
+        focal = f"f{round(p.exif.focal_px)}" if np.isfinite(p.exif.focal_px) else _millimetres(p.exif)
+        return p.upright_size(), p.exif.make, p.exif.model, p.exif.lens, focal
 
     kinds = Counter(camera(s) for s in shots)
     order = [kind for kind, _ in kinds.most_common()]
     if len(order) == 1:
         return Survey((spec,), shots, True)
     specs: list[RigSpec] = []
-    for k, ((width, height), make, model, focal) in enumerate(order):
-        label = " ".join(filter(None, (make, model))) or "camera"
-        name = f"{label} {width}x{height}" + (f" f{focal}" if focal else "")
+    several = len({kind[3] for kind in order}) > 1
+    for k, ((width, height), make, model, lens, focal) in enumerate(order):
+        label = " ".join(filter(None, (make, model, lens if several else ""))) or "camera"
+        name = " ".join(filter(None, (label, f"{width}x{height}", focal)))
         specs.append(RigSpec(f"{k}: {name}", (replace(spec.sensors[0], name=f"{k}: {name}"),), body_is_reference=True))
     report.notes.append(
-        f"{len(order)} cameras by make, model, image size and EXIF focal length: "
+        f"{len(order)} cameras by make, model, lens, image size and EXIF focal length: "
         + some(f"{s.name} ({kinds[o]})" for s, o in zip(specs, order))
     )
     return Survey(tuple(specs), tuple(replace(s, rig=order.index(camera(s))) for s in shots), True)
+
+
+def _millimetres(exif: Exif) -> str:
+    return f"{exif.focal_mm:.1f}mm" if np.isfinite(exif.focal_mm) else ""
+
+
+def _lenses(usable: Usable) -> set[tuple[str, str]]:
+    """What the files call their lenses, and the focal lengths; several are several cameras, whatever took them."""
+    return {(p.exif.lens, _millimetres(p.exif)) for p in usable.probes} - {("", "")}
 
 
 def some(texts: Iterable[str]) -> str:

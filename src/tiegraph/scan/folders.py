@@ -59,19 +59,41 @@ def words(name: str) -> set[str]:
 def place_by_folders(names: Sequence[str], folders: Sequence[str]) -> list[Place | None]:
     """Places of images below known sensor folders; a folder "" takes what no other folder takes.
 
-    A sensor folder may have several levels and stand above or below the pass; the longest and deepest match counts.
+    A sensor folder may have several levels and stand above or below the pass; the longest and deepest match counts. A
+    pattern such as "*_GRE" stands for the images whose names end so, in any folder.
     """
-    wanted = sorted((tuple(f.split("/")) for f in folders if f), key=len, reverse=True)
+    wanted = sorted((tuple(f.split("/")) for f in folders if f and not is_pattern(f)), key=len, reverse=True)
+    patterns = sorted(filter(is_pattern, folders), key=len, reverse=True)
     places: list[tuple[str, tuple[str, ...]] | None] = []
     for name in names:
         parts = PurePosixPath(name).parts[:-1]
         match = next((_without(parts, w) for w in wanted if _position(parts, w) >= 0), None)
+        mark = next((p for p in patterns if shot_stem(name, p) != PurePosixPath(name).stem), None)
         if match is not None:
             places.append(match)
+        elif mark is not None:
+            places.append((mark, parts))
         else:
             places.append(("", parts) if "" in folders else None)
     common = _common([p[1] for p in places if p is not None])
     return [p and Place(p[0], _pass_name(p[1], common)) for p in places]
+
+
+def is_pattern(folder: str) -> bool:
+    """Whether a sensor's folder is a pattern of file names, "*_GRE": cameras that write into one folder."""
+    return folder.startswith("*")
+
+
+def shot_stem(name: str, folder: str) -> str:
+    """Stem of an image's file name without the mark of its camera, which a pattern tells."""
+    stem, mark = PurePosixPath(name).stem, folder[1:].lower()
+    return stem[: -len(mark)] if is_pattern(folder) and mark and stem.lower().endswith(mark) else stem
+
+
+def pass_names(paths: Sequence[tuple[str, ...]]) -> list[str]:
+    """Pass of each image by the folders it lies in."""
+    common = _common(paths)
+    return [_pass_name(p, common) for p in paths]
 
 
 def _pass_name(parts: tuple[str, ...], common: int) -> str:

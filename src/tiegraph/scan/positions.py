@@ -19,6 +19,7 @@ from tiegraph.scene.rig import Rig
 
 _UNKNOWN_HEIGHT_SIGMA_M = 100.0  # a photograph with latitude and longitude but no height
 _APART_M = 1.0  # rows of one frame's images that are farther apart are said: a rig is smaller, or they share a row
+_NAMED = 3  # frames without a position that are named
 _CLOCKS = ((1e-3, "ms"), (1e-6, "us"), (1e-9, "ns"))
 
 
@@ -77,9 +78,10 @@ def from_gnss(
         )
     if not there.all():
         hint = _clock(gnss, priors.time_s) if there.mean() < 0.5 else ""
+        why = "" if gnss.names else f" (gaps over {settings.max_gap_s:g} s, or outside the file)"
         notes.append(
-            f"{path.name}: {(~there).sum()} of {len(there)} frames have no position (gaps over {settings.max_gap_s:g} "
-            f"s, or outside the file){hint}"
+            f"{path.name}: {(~there).sum()} of {len(there)} frames have no position{why}: "
+            f"{_without(frames, ~there, gnss, priors.time_s)}{hint}"
         )
     default = settings.gnss_sigma_m * np.array([1.0, 1.0, VERTICAL_FACTOR])
     if np.isnan(sigma[there]).any():
@@ -90,6 +92,28 @@ def from_gnss(
     pose = rigid(_rotations(frames, heading), position)
     pose[~there] = np.nan
     return replace(priors, world_from_rig=pose, position_sigma_m=sigma, origin=origin, prior="gnss")
+
+
+def _without(frames: Frames, rows: np.ndarray, gnss: Gnss | None, time_s: np.ndarray) -> str:
+    """The first frames of (F,) rows without a position by name, and how far the file's rows are from each in time."""
+    lacking = np.flatnonzero(rows).tolist()
+    said = []
+    for k in lacking[:_NAMED]:
+        why = "" if gnss is None else " (no row names it)" if gnss.names else f" ({_away(gnss, float(time_s[k]))})"
+        said.append(f"{frames.names[frames.rows[k].images[0]]}{why}")
+    return ", ".join(said) + (f" and {len(lacking) - _NAMED} more" if len(lacking) > _NAMED else "")
+
+
+def _away(gnss: Gnss, time_s: float) -> str:
+    """How far a time is from the rows of a file in time order."""
+    if not np.isfinite(time_s):
+        return "it has no time"
+    after = int(np.searchsorted(gnss.time_s, time_s))
+    if 0 < after < len(gnss.time_s):
+        before, behind = time_s - gnss.time_s[after - 1], gnss.time_s[after] - time_s
+        return f"nearest row {min(before, behind):.2f} s away, in a gap of {before + behind:.2f} s"
+    end, word = (0, "before the first row") if after == 0 else (-1, "after the last row")
+    return f"{abs(time_s - gnss.time_s[end]):.2f} s {word}, line {gnss.line[end]}"
 
 
 def _origin(lat_lon_height: np.ndarray, settings: ScanSettings, notes: list[str]) -> Origin:
@@ -165,9 +189,11 @@ def _by_image(
             apart.append((wide, mine))
     if apart:
         wide, mine = max(apart)
+        off = np.linalg.norm(world[mine] - np.median(world[mine], axis=0), axis=1)
+        odd, other = mine[-1 - int(np.argmax(np.round(off[::-1], 6)))], mine[int(np.argmin(np.round(off, 6)))]
         notes.append(
-            f"{path.name}, line {gnss.line[mine[-1]]}: {gnss.names[mine[-1]]} lies {wide:.1f} m from "
-            f"{gnss.names[mine[0]]} of the same frame, as in {len(apart)} frames; their median is taken: do these "
+            f"{path.name}, line {gnss.line[odd]}: {gnss.names[odd]} lies {wide:.1f} m from "
+            f"{gnss.names[other]} of the same frame, as in {len(apart)} frames; their median is taken: do these "
             "images belong together?"
         )
     return position, sigma, heading
@@ -220,9 +246,10 @@ def from_exif(priors: Priors, frames: Frames, settings: ScanSettings, notes: lis
     pose = np.full((len(found), 4, 4), np.nan)
     pose[there, :3, 3] = world_from_geodetic(places[there], origin)
     pose[there, 3] = 0.0, 0.0, 0.0, 1.0
+    lacking = "" if there.all() else f" (none in {_without(frames, ~there, None, priors.time_s)})"
     notes.append(
-        f"positions of {there.sum()} of {len(there)} frames from EXIF; its heights are usually above sea level and are "
-        "taken as they are"
+        f"positions of {there.sum()} of {len(there)} frames from EXIF{lacking}; its heights are usually above sea "
+        "level and are taken as they are"
     )
     return replace(priors, world_from_rig=pose, position_sigma_m=sigma, origin=origin, prior="exif")
 

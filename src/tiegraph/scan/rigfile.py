@@ -2,7 +2,7 @@
 
 rig.toml::
 
-    name = "boat"            # optional
+    name = "boat"            # optional, default "rig"
     axes = "flu"             # axes of the body frame: camera (right, down, forward: default), flu, frd or rfu
     fixed = false            # true: calibrated, never refined
     nominal = false          # true: orientations from a drawing, degrees off
@@ -15,7 +15,8 @@ rig.toml::
 
     [[sensors]]              # the first one is the reference
     name = "cam0"
-    folder = "cam0"          # optional, default = name; "" = every image that no other sensor takes
+    folder = "cam0"          # optional, default = name; "" = every image that no other sensor takes; "*_GRE" = the
+                             # images whose names end so, for cameras that write into one folder
     role = "side"            # side, up or wide
     position_m = [0, 0, 0.06]                # projection centre in the body frame
     yaw_pitch_roll_deg = [0, 0, 0]           # yaw to the right, pitch up, roll clockwise as the camera sees it
@@ -38,7 +39,9 @@ The frame of a trajectory given beside a rig file is this body frame. Without or
 from __future__ import annotations
 
 import json
+import re
 import sys
+from itertools import islice
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -68,6 +71,7 @@ _COLMAP_KEYS = (
     "image_prefix", "ref_sensor", "cam_from_rig_rotation", "cam_from_rig_translation", "camera_model_name",
     "camera_params",
 )  # fmt: skip
+RIG_NAME = "rig"  # of a file that gives none: a file's own name says how it was sent, not what it describes
 _TURNS = ("yaw_pitch_roll_deg", "body_from_sensor_wxyz", "body_from_sensor")
 
 
@@ -93,6 +97,27 @@ def read_rig_file(path: Path | str) -> tuple[RigSpec, ...]:
         for fault in faults(rig):
             raise reader.fault(fault, rig)
     return rigs
+
+
+def camera_table(path: Path, text: str) -> SensorSpec:
+    """The camera of a rig.toml with one sensor, or with a table [camera] alone. Raises InputError."""
+    reader = _TomlReader(path, text)
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not a valid TOML file: {error}") from None
+    if data.get("sensors"):
+        sensors = reader.rig().sensors
+        if len(sensors) > 1:
+            raise InputError(f"--camera {path}: a rig of {len(sensors)} sensors; give it by --rig")
+        found = sensors[0]
+    else:
+        reader.known(data, ("camera", "name"), "a camera's file")
+        camera = reader.camera(data.get("camera", {}), "[camera]", "", 0)
+        found = SensorSpec("camera", **camera)
+    if not found.at:
+        raise InputError(f"--camera {path}: no params, focal_px or hfov_deg in a table [camera]")
+    return found
 
 
 _SENSORS_TABLE = r"\s*\[\[\s*sensors\s*\]\]"
@@ -126,7 +151,7 @@ class _TomlReader(Reader):
             if twice is not None:
                 raise self.fail(key, f"two sensors have the {key} {values[twice]!r}", _SENSORS_TABLE, twice)
         return RigSpec(
-            name=str(data.get("name", self.path.stem)),
+            name=str(data.get("name", RIG_NAME)),
             sensors=sensors,
             fixed=self.choice(data, "fixed", (False, True)),
             nominal=self.choice(data, "nominal", (False, True)),
@@ -260,12 +285,20 @@ class _TomlReader(Reader):
         }
 
 
-_CAMERA_TABLE = r'.*"image_prefix"'
+_CAMERA_TABLE = "cameras"
 
 
 class _ColmapReader(Reader):
     tables: ClassVar[dict[str, str]] = {"sensors": _CAMERA_TABLE}
     words: ClassVar[dict[str, str]] = {"position_m": "cam_from_rig_translation"}
+
+    def span(self, table: str, number: int) -> tuple[int, int]:
+        """Lines of the ``number``-th camera: cameras are the objects that hold no other."""
+        text = "\n".join(self.lines)
+        found = next(islice(re.finditer(r"\{[^{}]*\}", text), number, None), None)
+        if found is None:
+            return 0, 0
+        return text.count("\n", 0, found.start()), text.count("\n", 0, found.end()) + 1
 
     def rigs(self) -> tuple[RigSpec, ...]:
         try:
@@ -296,15 +329,15 @@ class _ColmapReader(Reader):
             )
         order = references + [k for k in range(len(cameras)) if k not in references]
         sensors = tuple(self.sensor(cameras[k], before + k) for k in order)
-        name = self.path.stem if count == 1 else f"{self.path.stem} {number + 1}"
+        name = RIG_NAME if count == 1 else f"{RIG_NAME} {number + 1}"
         return RigSpec(name, sensors, file=str(self.path), body_is_reference=True)
 
     def sensor(self, data: dict, number: int) -> SensorSpec:
         at = (_CAMERA_TABLE, number)
-        self.known(data, _COLMAP_KEYS, f"camera {number + 1}")
+        self.known(data, _COLMAP_KEYS, f"camera {number + 1}", *at)
         prefix = data.get("image_prefix")
         if not isinstance(prefix, str):
-            raise self.fail("image_prefix", f"camera {number + 1} needs an image_prefix")
+            raise self.fail("image_prefix", f"camera {number + 1} needs an image_prefix", *at)
         params = self.numbers(data, "camera_params", (), *at)
         model = data.get("camera_model_name")
         if (model is None) != (params is None):

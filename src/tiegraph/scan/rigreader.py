@@ -15,6 +15,7 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import from_quaternion_wxyz
 from tiegraph.scan.rigcheck import Fault
 from tiegraph.scan.rigspec import RigSpec
+from tiegraph.scene.table import text_lines
 
 
 class Reader:
@@ -24,7 +25,7 @@ class Reader:
     words: ClassVar[dict[str, str]] = {}  # keys that have another name in this form of file
 
     def __init__(self, path: Path, text: str) -> None:
-        self.path, self.lines = path, text.splitlines()
+        self.path, self.lines = path, text_lines(text)
 
     def rigs(self) -> tuple[RigSpec, ...]:
         """The rigs of the file."""
@@ -45,19 +46,30 @@ class Reader:
         return self.fail(self.words.get(fault.key, fault.key), fault.message, self.tables.get(fault.table, ""), number)
 
     def line(self, key: str, table: str, number: int) -> int:
-        """Line of a key in the ``number``-th table, 0 if not found."""
-        start, seen = 0, -1
-        if table:
-            for k, text in enumerate(self.lines):
-                seen += bool(re.match(table, text))
-                if seen == number:
-                    start = k
-                    break
+        """Line of a key in the ``number``-th table, else that of the table, 0 if there is none."""
+        first, last = self.span(table, number) if table else (0, len(self.lines))
         pattern = re.compile(rf'(^|[\s{{,"]){re.escape(key)}"?\s*[=:]')
-        for k in range(start, len(self.lines)):
-            if pattern.search(self.lines[k]) or re.match(rf"\s*\[+\s*{re.escape(key)}\s*\]", self.lines[k]):
+        for k in range(first, last):
+            text = self.lines[k].split("#", 1)[0]
+            if pattern.search(text) or re.match(rf"\s*\[+\s*{re.escape(key)}\s*\]", text):
                 return k + 1
-        return start + 1 if table and seen == number else 0
+        return first + 1 if table and first < last else 0
+
+    def span(self, table: str, number: int) -> tuple[int, int]:
+        """Lines [first, last) of the ``number``-th table whose header matches; (0, 0) if there is none.
+
+        A table ends at the next header that is no table within it ([sensors.camera] is within [[sensors]]).
+        """
+        heads = [k for k, text in enumerate(self.lines) if re.match(table, text)]
+        if number >= len(heads):
+            return 0, 0
+        inner = re.sub(r"[^\w]", "", self.lines[heads[number]].split("#", 1)[0])
+        ends = (
+            k
+            for k in range(heads[number] + 1, len(self.lines))
+            if re.match(r"\s*\[+\s*[A-Za-z_]", self.lines[k]) and not re.match(rf"\s*\[+\s*{inner}\s*\.", self.lines[k])
+        )
+        return heads[number], next(ends, len(self.lines))
 
     def known(self, data: dict, valid: tuple[str, ...], where: str, table: str = "", number: int = 0) -> None:
         """Raise InputError for a key that is not valid, with a near match."""

@@ -143,7 +143,7 @@ def _ring(count: int) -> list[np.ndarray]:
 
 
 def _named(name: str, poses: list[np.ndarray], folders: tuple[str, ...]) -> RigSpec:
-    sensors = tuple(SensorSpec(f or "camera", f, body_from_sensor=p) for f, p in zip(folders, poses))
+    sensors = tuple(SensorSpec(f.lstrip("*_") or "camera", f, body_from_sensor=p) for f, p in zip(folders, poses))
     return RigSpec(name, sensors, nominal=len(poses) > 1, body_is_reference=True)
 
 

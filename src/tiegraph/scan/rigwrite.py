@@ -13,6 +13,21 @@ from tiegraph.scan.rigspec import yaw_pitch_roll_deg
 from tiegraph.scene.rig import PAIR_KEYS, Rig
 
 _ANGLE_DECIMALS = 9  # of a degree
+EXPLAINED = """\
+Body frame: what all positions and angles below are in. axes says which way its axes point:
+  camera = x right, y down, z forward; flu = x forward, y left, z up; frd = x forward, y right, z down;
+  rfu = x right, y forward, z up.
+Camera frame: x right, y down, z forward (along the view), as the camera sees; origin = its projection centre.
+position_m: where the projection centre is in the body frame: x, y, z in metres.
+yaw_pitch_roll_deg: how the camera is turned out of the body's forward direction, in degrees and in this order:
+  yaw to the right (clockwise seen from above: 90 looks to the right), then pitch up (90 looks straight up),
+  then roll clockwise as the camera sees (90: its right side points down). 0, 0, 0 looks forward, upright.
+Instead of yaw_pitch_roll_deg, camera to body (the inverse of COLMAP's cam_from_rig):
+  body_from_sensor = 3 rows of 3 numbers (point in body = rows times point in camera, plus position_m), or
+  body_from_sensor_wxyz = the same rotation as a quaternion, w first.
+antenna_m: the GNSS antenna in the body frame, metres. fixed = true: never refined. nominal = true: degrees off.
+sigma_deg, sigma_m of a sensor: how well its angles and its position are known; it is adjusted about them.
+params: COLMAP's model and order, for images of size (width, height); pixels count from the image's corner."""
 
 
 def write_rig_config(rig: Rig, path: Path) -> None:
@@ -33,8 +48,8 @@ def write_rig_config(rig: Rig, path: Path) -> None:
 
 
 def write_rig_toml(rig: Rig, path: Path, comment: str = "") -> None:
-    """Write a rig as rig.toml; its body frame is the reference sensor's (axes = camera)."""
-    lines = [f"# {line}" for line in comment.splitlines()]
+    """Write a rig as rig.toml that explains itself; its body frame is the reference sensor's (axes = camera)."""
+    lines = [f"# {line}" for line in (*comment.splitlines(), *EXPLAINED.splitlines())]
     lines += [
         f"name = {json.dumps(rig.name, ensure_ascii=False)}",
         'axes = "camera"',
@@ -53,7 +68,7 @@ def write_rig_toml(rig: Rig, path: Path, comment: str = "") -> None:
         lines.append(f"role = {json.dumps(sensor.role)}")
         if sensor.sensor_from_rig is not None:
             pose = invert(sensor.sensor_from_rig)
-            lines.append(f"position_m = {_toml(pose[:3, 3])}")
+            lines.append(f"position_m = {_toml(pose[:3, 3] + 0.0)}")
             # Angles and not a quaternion: these stay true when the body's axes are changed by hand.
             angles = np.round(yaw_pitch_roll_deg(pose), _ANGLE_DECIMALS) + 0.0
             lines.append(f"yaw_pitch_roll_deg = {_toml(angles)}")

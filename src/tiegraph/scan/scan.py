@@ -12,6 +12,7 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.scan.assign import Report, Shot, Survey, Usable, assign, some
+from tiegraph.scan.calibration import with_camera
 from tiegraph.scan.cameras import FileFacts, calibrate
 from tiegraph.scan.folders import natural
 from tiegraph.scan.frames import match_frames
@@ -33,10 +34,12 @@ __all__ = ["Probe", "ScanInputs", "build_scene", "find_images", "prepare_image",
 
 @dataclass(frozen=True)
 class ScanInputs:
-    """What the user gave: the folder of images, and optional rig (file or preset), GNSS, trajectory and times."""
+    """What the user gave: the folder of images, and optional rig (file or preset), camera (in words or a file), GNSS,
+    trajectory and times."""
 
     images: Path
     rig: str | None = None
+    camera: str | None = None
     gnss: Path | None = None
     trajectory: Path | None = None
     times: Path | None = None
@@ -61,6 +64,8 @@ def build_scene(inputs: ScanInputs, names: Sequence[str], probes: Sequence[Probe
     survey = _one_size(survey, names, probes, report)
     survey = _into_frames(survey, files, settings, report)
     _need_two(len(survey.shots), report)
+    sizes = {k: _facts(shots, probes, survey.loose).size for k, shots in _sensors(survey).items()}
+    survey = with_camera(survey, sizes, inputs.camera, report.notes)
     rigs, survey = _rigs(survey, probes, settings, report)
     exif = [probes[s.image].exif for s in survey.shots]
     return _scene(inputs, _Named.of(survey, names, files), exif, rigs, survey, settings, report)

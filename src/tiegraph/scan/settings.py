@@ -2,8 +2,9 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
+from tiegraph.geometry.geodesy import utm_by_name
 from tiegraph.settings import Section
 
 _Px = Annotated[int, Field(ge=0, le=100_000)]
@@ -27,7 +28,8 @@ class ScanSettings(Section):
     for loose photographs, OPENCV_FISHEYE for folders named fisheye. RADIAL becomes OPENCV in the final adjustment."""
 
     crs: str = "auto"
-    """Coordinate system of the products: EPSG:n (projected, metres), ENU (tangent plane), or auto = the UTM zone."""
+    """Coordinate system of the products: EPSG:n (projected, metres), UTM10N, ENU (tangent plane), or auto = the UTM
+    zone."""
 
     gnss_sigma_m: float = Field(default=5.0, gt=0, le=1000)
     """Standard deviation (m, horizontal) of positions whose file or EXIF gives none; twice that in height."""
@@ -43,3 +45,10 @@ class ScanSettings(Section):
 
     undistort: bool = False
     """Resample the images to a pinhole camera; needs calibrated cameras in the rig file."""
+
+    @field_validator("crs")
+    @classmethod
+    def _zone_as_code(cls, value: str) -> str:
+        """A UTM zone by its name as the EPSG code that everything else reads; other words as they are."""
+        zones = utm_by_name(value)
+        return zones[0] if len(zones) == 1 else value

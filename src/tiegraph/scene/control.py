@@ -89,14 +89,17 @@ def _images(file: GcpFile, scene: Scene, notes: list[str]) -> tuple[np.ndarray, 
             keep.append(k)
     if not keep:
         example = f" (line {unknown[0].line}: {unknown[0].image!r})" if unknown else ""
+        option = "--gcp" if file.marks_path is None else "--marks"
         raise InputError(
-            f"--gcp {file.path}: no mark is in an image of this survey{example}; images are named below the image "
-            f"folder, such as {scene.source_name(0)}, or by file name where that is unique"
+            f"{option} {file.of_marks}: no mark is in an image of this survey{example}; images are named below the "
+            f"image folder, such as {scene.source_name(0)}, or by file name where that is unique"
         )
     for mark in unknown[:_SHOWN]:
-        notes.append(f"{file.path.name}, line {mark.line}: image {mark.image!r} is not in the survey; mark left out")
+        notes.append(
+            f"{file.of_marks.name}, line {mark.line}: image {mark.image!r} is not in the survey; mark left out"
+        )
     if len(unknown) > _SHOWN:
-        notes.append(f"{file.path.name}: {len(unknown)} marks in all name images that are not in the survey")
+        notes.append(f"{file.of_marks.name}: {len(unknown)} marks in all name images that are not in the survey")
     return np.array(found, int), keep
 
 
@@ -109,7 +112,7 @@ def _marks_in(file: GcpFile, scene: Scene, notes: list[str]) -> tuple[list[FileM
         known = first.setdefault((mark.name, index), mark)
         if known is not mark and known.xy != mark.xy:  # one image by two names
             raise InputError(
-                f"{file.path}, line {mark.line}: point {mark.name!r} is marked in {scene.source_name(index)} at "
+                f"{file.of_marks}, line {mark.line}: point {mark.name!r} is marked in {scene.source_name(index)} at "
                 f"{mark.xy}, but in line {known.line} at {known.xy}: leave the right one"
             )
         sensor = scene.sensor_of(index)
@@ -125,8 +128,8 @@ def _marks_in(file: GcpFile, scene: Scene, notes: list[str]) -> tuple[list[FileM
         pixels.append(xy)
     if cut:
         notes.append(
-            f"{file.path.name}, line {cut[0].line}: {len(cut)} marks lie where the images were cropped or undistorted "
-            f"away, the first of point {cut[0].name!r} in {cut[0].image!r}; left out"
+            f"{file.of_marks.name}, line {cut[0].line}: {len(cut)} marks lie where the images were cropped or "
+            f"undistorted away, the first of point {cut[0].name!r} in {cut[0].image!r}; left out"
         )
     return marks, np.array(images, int), np.array(pixels, float).reshape(-1, 2)
 
@@ -137,8 +140,8 @@ def _check_inside(file: GcpFile, mark: FileMark, sensor: Sensor, image: str) -> 
         return
     turned = _inside(mark.xy[::-1], camera)
     raise InputError(
-        f"{file.path}, line {mark.line}: the mark ({mark.xy[0]:g}, {mark.xy[1]:g}) of point {mark.name!r} lies outside "
-        f"{image}, which has {camera.width} x {camera.height} pixels: "
+        f"{file.of_marks}, line {mark.line}: the mark ({mark.xy[0]:g}, {mark.xy[1]:g}) of point {mark.name!r} lies "
+        f"outside {image}, which has {camera.width} x {camera.height} pixels: "
         + ("columns px and py exchanged?" if turned else "marked in an image of another size?")
     )
 

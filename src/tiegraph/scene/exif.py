@@ -8,13 +8,14 @@ from datetime import datetime, timedelta, timezone
 from typing import Any
 
 from tiegraph.scene.gnss import HEIGHT_RANGE_M, SIGMA_RANGE_M
+from tiegraph.scene.xmp import RigTags, read_rig_tags
 
 NAN = float("nan")
 # Tags of the EXIF 2.32 standard (CIPA DC-008).
 _EXIF_IFD, _GPS_IFD = 0x8769, 0x8825
 _MAKE, _MODEL, _ORIENTATION, _DATE_TIME = 0x010F, 0x0110, 0x0112, 0x0132
 _TIME_ORIGINAL, _SUBSEC_ORIGINAL, _OFFSET_ORIGINAL = 0x9003, 0x9291, 0x9011
-_FOCAL_MM, _FOCAL_35MM = 0x920A, 0xA405
+_FOCAL_MM, _FOCAL_35MM, _LENS = 0x920A, 0xA405, 0xA434
 _PLANE_X, _PLANE_UNIT, _EXIF_WIDTH, _EXIF_HEIGHT = 0xA20E, 0xA210, 0xA002, 0xA003
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 _DIAGONAL_35MM = 43.27  # mm; CIPA DC-008 compares the diagonals of the fields of view
@@ -35,6 +36,9 @@ class Exif:
     time_utc: bool = False
     make: str = ""
     model: str = ""
+    lens: str = ""
+    focal_mm: float = NAN
+    rig: RigTags = RigTags()
     doubt: str = ""  # what is wrong with the position as written; it is used where lat_deg is finite all the same
 
 
@@ -59,6 +63,9 @@ def read_exif(image: Any) -> Exif:
         time_utc=utc,
         make=_text(base.get(_MAKE)),
         model=_text(base.get(_MODEL)),
+        lens=_text(detail.get(_LENS)),
+        focal_mm=_positive(detail.get(_FOCAL_MM)),
+        rig=read_rig_tags(image),
         doubt=doubt,
     )
 

@@ -1,9 +1,9 @@
 """Ground control and check points: surveyed places and the pixels where they were marked.
 
-Two forms are read. OpenDroneMap's ``gcp_list.txt``: first line the CRS, then ``x y z px py image [name] [more]``. And a
-CSV with a header that holds points (name, x, y, z or lat, lon, height; sigma_xy, sigma_z, role) and marks (name, image,
-px, py), in rows of either kind or of both at once. Pixels count from the outer corner of the upright image's first
-pixel: its centre is (0.5, 0.5).
+Two forms are read. OpenDroneMap's ``gcp_list.txt``: first line the CRS, then ``x y z px py image [name] [more]``. And
+CSV with a header: points (name, x, y, z or lat, lon, height; sigma_xy, sigma_z, role) and marks (name, image, px, py),
+in one table with rows of either kind or of both at once, in two tables of one file, or in two files. Pixels count from
+the outer corner of the upright image's first pixel: its centre is (0.5, 0.5).
 """
 
 from __future__ import annotations
@@ -16,19 +16,28 @@ import numpy as np
 import pyproj
 
 from tiegraph.errors import InputError
+from tiegraph.geometry.geodesy import utm_by_name
 from tiegraph.scene.regular import regular
-from tiegraph.scene.table import Table, read_table
+from tiegraph.scene.table import Table, table_of, text_lines
 
 MAX_SIGMA_M = 100.0
 DEFAULT_SIGMA_M = (0.02, 0.02, 0.03)  # of a surveyed point whose file says nothing: network RTK with a pole
 _CHECK = ("check", "checkpoint", "check_point", "checkpoints", "cp", "chk")
 _CONTROL = ("", "gcp", "control", "control_point", "controlpoint")
-_NAME = ("name", "point", "gcp", "gcp_name", "label", "id", "point_name")
+_NAME = ("name", "point", "gcp", "gcp_name", "label", "id", "point_name", "point_id", "gcp_id", "marker", "target")
 _IMAGE = ("image", "file", "filename", "file_name", "image_name", "photo")
 _X, _Y, _Z = ("x", "east", "easting", "e", "geo_x"), ("y", "north", "northing", "n", "geo_y"), ("z", "geo_z")
 _LAT, _LON = ("lat", "latitude", "lat_deg"), ("lon", "long", "lng", "longitude", "lon_deg")
 _HEIGHT = ("height", "h", "alt", "altitude", "elevation", "height_m", *_Z)
-_PX, _PY = ("px", "im_x", "pixel_x", "u", "col", "column"), ("py", "im_y", "pixel_y", "v", "row")
+_PX = ("px", "im_x", "pixel_x", "x_px", "image_x", "u", "col", "column")
+_PY = ("py", "im_y", "pixel_y", "y_px", "image_y", "v", "row")
+_TITLE = re.compile(r"(?i)\[?\s*(points|marks|gcps?|control points|check points|observations)\s*\]?\s*:?[,;\s]*")
+FORMS = (
+    "points need the columns name, x, y, z (or name, lat, lon, height; if known sigma_xy, sigma_z, role: gcp or "
+    "check), marks name, image, px, py, in one table, in two tables of one file with a header each, or in two files "
+    "(--gcp POINTS --marks MARKS); '# crs: EPSG:n' in the first line says the CRS of x, y, z; or give ODM's "
+    "gcp_list.txt"
+)
 _SIGMA, _SIGMA_XY, _SIGMA_Z = ("sigma", "sigma_m"), ("sigma_xy", "sigma_h", "sigma_xy_m"), ("sigma_z", "sigma_v")
 
 
@@ -63,29 +72,64 @@ class GcpFile:
     points: tuple[FilePoint, ...]
     marks: tuple[FileMark, ...]
     notes: tuple[str, ...] = ()
+    marks_path: Path | None = None  # of a file that holds the marks alone
+
+    @property
+    def of_marks(self) -> Path:
+        """The file the marks stand in."""
+        return self.marks_path or self.path
 
 
-def read_gcps(path: Path) -> GcpFile:
-    """Read a control point file of either form.
+def read_gcps(path: Path, marks: Path | None = None) -> GcpFile:
+    """Read control points of either form; ``marks`` is the file of their marks, if that is one of its own.
 
-    Raises InputError, naming file and line, for an unreadable file, an unknown CRS, numbers that are none, marks of a
-    point without coordinates, and a name with two places.
+    Raises InputError, naming file and line, for an unreadable file, an unknown CRS, numbers that are none, points
+    without marks, marks of a point without coordinates, and a name with two places.
     """
-    path = Path(path)
+    found = _read(Path(path), "--gcp")
+    if marks is not None:
+        found = _joined(found, _read(Path(marks), "--marks"))
+    if not found.points or not found.marks:
+        there, lacking = ("marks", "points") if not found.points else ("points", "marks")
+        raise InputError(f"--gcp {path}: {there}, but no {lacking} with {_NEED[lacking]}; {FORMS}")
+    names = {p.name for p in found.points}
+    lost = next((m for m in found.marks if m.name not in names), None)
+    if lost is not None:
+        where = f"{found.of_marks}, line {lost.line}"
+        there = "the file" if found.marks_path is None else found.path.name
+        raise InputError(f"{where}: a mark of point {lost.name!r}, which has no coordinates in {there}")
+    return replace(found, marks=_once_each(found), notes=(*found.notes, *_doubtful(found)))
+
+
+_NEED = {"points": "coordinates", "marks": "a pixel in an image"}
+
+
+def _joined(one: GcpFile, other: GcpFile) -> GcpFile:
+    """Points of the one file with the marks of the other, whichever is which."""
+    points, marks = (one, other) if one.points else (other, one)
+    if marks.points or points.marks:
+        both = "points" if marks.points else "marks"
+        raise InputError(
+            f"--gcp {one.path} and --marks {other.path}: both hold {both}; leave --marks away, or keep the points in "
+            "the one and the marks in the other"
+        )
+    return replace(points, marks=marks.marks, marks_path=marks.path, notes=(*points.notes, *marks.notes))
+
+
+def _read(path: Path, option: str) -> GcpFile:
+    """The points and marks of a file of either form, as they stand there."""
     try:
         data = regular(path).read_bytes()
     except OSError as error:
-        raise InputError(f"--gcp {path}: cannot be read ({error.strerror})") from None
+        raise InputError(f"{option} {path}: cannot be read ({error.strerror})") from None
     text = data.decode("utf-8-sig", errors="replace")  # a name of a point may be in another encoding
     if "\0" in text:
-        raise InputError(f"--gcp {path}: no text file in UTF-8; give ODM's gcp_list.txt or a CSV of points and marks")
-    lines = [(k + 1, line.strip()) for k, line in enumerate(text.splitlines()) if line.strip()]
+        raise InputError(f"{option} {path}: no text file in UTF-8; {FORMS}")
+    lines = [(k + 1, line.strip()) for k, line in enumerate(text_lines(text)) if line.strip()]
+    lines = [(number, line) for number, line in lines if not _TITLE.fullmatch(line)]
     if not lines:
-        raise InputError(f"--gcp {path}: the file is empty")
-    found = _read_csv(path, lines) if _has_header(lines) else _read_odm(path, lines)
-    if not found.points:
-        raise InputError(f"--gcp {path}: no point with coordinates in it")
-    return replace(found, marks=_once_each(found), notes=(*found.notes, *_doubtful(found)))
+        raise InputError(f"{option} {path}: the file is empty; {FORMS}")
+    return _read_csv(path, lines) if _has_header(lines) else _read_odm(path, lines)
 
 
 def _once_each(found: GcpFile) -> tuple[FileMark, ...]:
@@ -95,8 +139,8 @@ def _once_each(found: GcpFile) -> tuple[FileMark, ...]:
         known = first.setdefault((mark.name, mark.image), mark)
         if known.xy != mark.xy:
             raise InputError(
-                f"{found.path}, line {mark.line}: point {mark.name!r} is marked in {mark.image!r} at {mark.xy}, but in "
-                f"line {known.line} at {known.xy}: leave the right one"
+                f"{found.of_marks}, line {mark.line}: point {mark.name!r} is marked in {mark.image!r} at {mark.xy}, "
+                f"but in line {known.line} at {known.xy}: leave the right one"
             )
     return tuple(first.values())
 
@@ -106,7 +150,7 @@ def _doubtful(found: GcpFile) -> list[str]:
     name, notes = found.path.name, []
     repeats = len(found.marks) - len({(m.name, m.image) for m in found.marks})
     if repeats:
-        notes.append(f"{name}: {repeats} marks are given twice; once each is used")
+        notes.append(f"{found.of_marks.name}: {repeats} marks are given twice; once each is used")
     first: dict[tuple[float, ...], FilePoint] = {}
     for point in found.points:
         known = first.setdefault(point.xyz, point)
@@ -120,10 +164,13 @@ def _doubtful(found: GcpFile) -> list[str]:
 
 def _has_header(lines: list[tuple[int, str]]) -> bool:
     """Whether the first line that is no comment names columns; the CRS in the first line of the other form does not."""
-    header = next((line for _, line in lines if line[0] not in "#%"), "")
-    words = {re.sub(r"[^a-z0-9_]+", "", w) for w in re.split(r"[,;\t ]+", header.lower())}
+    return _names_columns(next((line for _, line in lines if line[0] not in "#%"), ""))
+
+
+def _names_columns(line: str) -> bool:
+    words = {re.sub(r"[^a-z0-9_]+", "", w) for w in re.split(r"[,;\t ]+", line.lower())}
     known = {*_NAME, *_IMAGE, *_X, *_Y, *_HEIGHT, *_LAT, *_LON, *_PX, *_PY}
-    return len(words & known) >= 3 and "+proj" not in header
+    return len(words & known) >= 3 and "+proj" not in line
 
 
 # --- OpenDroneMap ---------------------------------------------------------------------------------------------------
@@ -151,11 +198,11 @@ def _read_odm(path: Path, lines: list[tuple[int, str]]) -> GcpFile:
 
 def parse_crs_line(text: str, where: str) -> pyproj.CRS:
     """The CRS of an ODM header: an EPSG code, a PROJ string, WKT, or "WGS84 UTM 54N". Raises InputError."""
-    utm = re.fullmatch(r"(?i)\s*WGS\s*_?84\s*[/,]?\s*UTM\s*(?:zone\s*)?(\d{1,2})\s*([NS])\s*", text)
+    bare = text.strip().lstrip("#").strip()
+    zones = utm_by_name(bare)
     try:
-        if utm:
-            return pyproj.CRS.from_epsg((32600 if utm[2].upper() == "N" else 32700) + int(utm[1]))
-        bare = text.strip().lstrip("#").strip()
+        if len(zones) == 1:
+            return pyproj.CRS.from_user_input(zones[0])
         found = pyproj.CRS.from_user_input(bare) if re.match(r"[A-Za-z+]", bare) else None
         # PROJ takes the CRS with the most similar name for any word: only a name written out is meant
         if found is not None and (re.search(r"[:=\[]", bare) or found.name.lower() == bare.lower()):
@@ -164,7 +211,8 @@ def parse_crs_line(text: str, where: str) -> pyproj.CRS:
     except pyproj.exceptions.CRSError:
         raise InputError(
             f"{where}: {text!r:.99} is no coordinate system; the first line of a gcp_list.txt is one, such as "
-            "EPSG:32654, WGS84 UTM 54N or +proj=utm +zone=54 +datum=WGS84 +units=m"
+            "EPSG:32654, WGS84 UTM 54N or +proj=utm +zone=54 +datum=WGS84 +units=m; that of a CSV is a header: "
+            f"{FORMS}"
         ) from None
 
 
@@ -182,35 +230,51 @@ def _number(text: str, path: Path, line: int) -> float:
 
 
 def _read_csv(path: Path, lines: list[tuple[int, str]]) -> GcpFile:
-    table = read_table(path, "control point file")
-    geographic = table.find(_LAT) is not None and table.find(_LON) is not None
-    columns = [table.find(a) for a in ((_LAT, _LON, _HEIGHT) if geographic else (_X, _Y, _Z))]
-    name, image, px, py = (table.find(a) for a in (_NAME, _IMAGE, _PX, _PY))
-    if name is None or None in columns:
-        raise InputError(
-            f"{path}: found the columns {', '.join(table.columns)}; expected name, x, y, z (or lat, lon, height) and "
-            "image, px, py, and optionally sigma_xy, sigma_z, role (gcp or check)"
-        )
+    """The points and marks of one table or several, each begun by its header."""
+    heads = [k for k, (_, line) in enumerate(lines) if line[0] not in "#%" and _names_columns(line)]
+    cuts = [0, *heads[1:], len(lines)]
+    tables = [
+        table_of(path, "control point file", lines[a:b])
+        for a, b in zip(cuts, cuts[1:])
+        if any(line[0] not in "#%" for _, line in lines[max(a, heads[0]) + 1 : b])  # a header without rows says nothing
+    ]
     points: dict[str, FilePoint] = {}
-    marks = []
-    if any(m is None for m in (image, px, py)) and not all(m is None for m in (image, px, py)):
-        raise InputError(f"{path}: marks need the three columns image, px and py; found {', '.join(table.columns)}")
+    marks: list[FileMark] = []
+    geographic = set()
+    for table in tables:
+        geographic |= _read_table(table, points, marks)
+    if len(geographic) > 1:
+        raise InputError(f"{path}: points by x, y, z in one table and by lat, lon, height in another: give one kind")
+    degrees = True in geographic
+    notes = tuple(note for table in tables for note in table.notes)
+    return GcpFile(path, _csv_crs(lines, path, degrees), degrees, tuple(points.values()), tuple(marks), notes)
+
+
+def _read_table(table: Table, points: dict[str, FilePoint], marks: list[FileMark]) -> set[bool]:
+    """Add a table's points and marks; {whether its coordinates are in degrees}, empty without any."""
+    path = table.path
+    geographic = table.find(_LAT) is not None and table.find(_LON) is not None
+    columns = [table.find(a) for a in ((_LAT, _LON, _HEIGHT) if geographic else (_X, _Y, _HEIGHT))]
+    name, image, px, py = (table.find(a) for a in (_NAME, _IMAGE, _PX, _PY))
+    if image is not None and px is None and py is None and None not in columns[:2] and columns[2] is None:
+        px, py, columns = columns[0], columns[1], [None] * 3  # name, image, x, y: of a mark
+    found = f"{path}: found the columns {', '.join(table.columns)}"
+    whole = [None not in group for group in (columns, (image, px, py))]
+    if name is None or not any(whole):
+        raise InputError(f"{found}; {FORMS}")
+    if not whole[1] and not all(m is None for m in (image, px, py)):
+        raise InputError(f"{found}; marks need the three columns image, px and py")
     for row, (line, _) in enumerate(table.rows):
         label = table.cell(row, name)
         if not label:
             raise InputError(f"{path}, line {line}: the point has no name")
-        if any(table.cell(row, c) for c in columns):
+        if whole[0] and any(table.cell(row, c) for c in columns):
             place = tuple(_number(table.cell(row, c), path, line) for c in columns)
             _add(points, FilePoint(label, place, *_row_facts(table, row), line), path)  # type: ignore[arg-type]
         if table.cell(row, image):
             xy = _number(table.cell(row, px), path, line), _number(table.cell(row, py), path, line)
             marks.append(FileMark(label, table.cell(row, image), xy, line))
-    lost = next((m for m in marks if m.name not in points), None)
-    if lost is not None:
-        raise InputError(
-            f"{path}, line {lost.line}: a mark of point {lost.name!r}, which has no coordinates in the file"
-        )
-    return GcpFile(path, _csv_crs(lines, path, geographic), geographic, tuple(points.values()), tuple(marks))
+    return {geographic} if whole[0] else set()
 
 
 def _add(points: dict[str, FilePoint], new: FilePoint, path: Path) -> None:

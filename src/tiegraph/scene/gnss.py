@@ -11,7 +11,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import far_from_rest
 from tiegraph.geometry.transforms import interpolate, rigid
-from tiegraph.scene.table import Table, read_table
+from tiegraph.scene.table import Table, out_of_order, read_table
 
 IMAGE = ("image", "name", "file", "filename", "file_name", "image_name", "photo", "label")
 TIME = ("time", "time_s", "t", "timestamp", "time_stamp", "gps_time", "gpstime", "gpst", "utc", "utc_time", "datetime",
@@ -236,11 +236,13 @@ def _believed(
 def _in_time_order(gnss: Gnss, path: Path) -> Gnss:
     notes, name = list(gnss.notes), Path(path).name
     order = np.argsort(gnss.time_s, kind="stable")
-    back = np.flatnonzero(np.diff(gnss.time_s) < 0)
-    if len(back):
+    odd = out_of_order(gnss.time_s)
+    if len(odd):
+        k = int(odd[0])
+        beside, where = (k - 1, "after") if k else (1, "before")
         notes.append(
-            f"{name}, line {gnss.line[back[0] + 1]}: rows are not in time order and were sorted "
-            f"({gnss.time_s[back[0] + 1]:.2f} s after {gnss.time_s[back[0]]:.2f} s)"
+            f"{name}, line {gnss.line[k]}: rows are not in time order and were sorted "
+            f"({gnss.time_s[k]:.2f} s {where} {gnss.time_s[beside]:.2f} s)"
         )
     twin = np.concatenate([[False], np.diff(gnss.time_s[order]) <= 1e-9])
     keep = order[~twin]

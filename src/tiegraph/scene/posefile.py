@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import rigid
 from tiegraph.scene.regular import regular
-from tiegraph.scene.table import in_seconds
+from tiegraph.scene.table import in_seconds, out_of_order, text_lines
 
 FORMS = "a TUM file: t x y z qx qy qz qw"
 _TUM, _KITTI = 8, 12
@@ -98,7 +98,7 @@ def _rows(path: Path) -> _Rows:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give {FORMS}") from None
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: no text file in UTF-8 (byte {error.start + 1}); give {FORMS}") from None
-    lines = [(k + 1, line.strip()) for k, line in enumerate(text.splitlines()) if line.strip()]
+    lines = [(k + 1, line.strip()) for k, line in enumerate(text_lines(text)) if line.strip()]
     data = [k for k, (_, line) in enumerate(lines) if line[0] not in "#%"]
     start = next((k for k in data if not re.match(r"[A-Za-z_\"']", lines[k][1])), len(lines))
     rows = [lines[k] for k in data if k >= start]
@@ -237,9 +237,9 @@ def _in_time(rows: _Rows, time_s: np.ndarray) -> tuple[np.ndarray, list[str]]:
     first = np.concatenate([[True], np.diff(time_s[order]) > 1e-9])
     if len(order) > 1 and first.sum() == 1:
         raise rows.fail(0, f"all {len(order)} poses have the same time, {time_s[0]:g}")
-    back = np.flatnonzero(np.diff(time_s) < 0)
-    if len(back):
-        notes.append(f"{name}, line {rows.lines[back[0] + 1]}: rows are not in the order of time; they were sorted")
+    odd = out_of_order(time_s)
+    if len(odd):
+        notes.append(f"{name}, line {rows.lines[odd[0]]}: rows are not in the order of time; they were sorted")
     if not first.all():
         again = min(rows.lines[k] for k in order[~first])
         notes.append(f"{name}, line {again}: {(~first).sum()} rows have the time of another row and are left out")

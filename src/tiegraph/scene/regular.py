@@ -22,6 +22,14 @@ def real_path(path: Path | str) -> Path:
     return Path(os.path.realpath(path))
 
 
+def names_file(text: str) -> bool:
+    """Whether an option that takes words or a file names a file; words may be longer than a name."""
+    try:
+        return Path(text).is_file()
+    except (OSError, ValueError):
+        return False
+
+
 def regular(path: Path, most_bytes: int | None = MOST_BYTES) -> Path:
     """The path, if it is a file or leads to one: every file of the user passes here before it is opened.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import codecs
 import csv
 import re
@@ -97,7 +98,13 @@ def read_table(path: Path, purpose: str) -> Table:
     more cells than the header (decimal commas, a missing column name) or a second header that names other columns.
     """
     text, notes = _text(Path(path), purpose)
-    lines = [(k + 1, line.strip()) for k, line in enumerate(text.splitlines()) if line.strip()]
+    lines = [(k + 1, line.strip()) for k, line in enumerate(text_lines(text)) if line.strip()]
+    return table_of(Path(path), purpose, lines, notes)
+
+
+def table_of(path: Path, purpose: str, lines: Sequence[tuple[int, str]], notes: Sequence[str] = ()) -> Table:
+    """The table in some numbered lines of a file, stripped and not empty; raises what ``read_table`` raises."""
+    notes = list(notes)
     if not any(line[0] not in "#%" for _, line in lines):
         raise InputError(f"{path}: no rows; give the {purpose} as a CSV file with a header line")
     start = next(k for k, (_, line) in enumerate(lines) if line[0] not in "#%")
@@ -114,10 +121,15 @@ def read_table(path: Path, purpose: str) -> Table:
             f"{path}, line {lines[start][0]}: the {purpose} needs a header line with column names, got {header!r}"
         )
     given = [(n, tuple(_cells(line, delimiter))) for n, line in lines[start + 1 :] if line[0] not in "#%"]
-    rows = _rows(Path(path), purpose, columns, given, notes)
+    rows = _rows(path, purpose, columns, given, notes)
     if not rows:
         raise InputError(f"{path}: no rows below its header; give the {purpose} as a CSV file with a row a moment")
-    return Table(Path(path), columns, rows, tuple(_unit(c) for c in named), tuple(notes))
+    return Table(path, columns, rows, tuple(_unit(c) for c in named), tuple(notes))
+
+
+def text_lines(text: str) -> list[str]:
+    """The lines of a text as editors count them: ``str.splitlines`` also parts at form feeds and other separators."""
+    return re.split(r"\r\n|\r|\n", text)
 
 
 def _text(path: Path, purpose: str) -> tuple[str, list[str]]:
@@ -193,6 +205,25 @@ def parse_time(text: str) -> float:
         return float("nan")
     stamp = stamp if stamp.tzinfo else stamp.replace(tzinfo=timezone.utc)
     return stamp.timestamp() + (float(f"0.{digits[0]}") if digits else 0.0)
+
+
+def out_of_order(times: np.ndarray) -> np.ndarray:
+    """Rows of times (R,) that stand out of order: all but the longest run of rows that never go back, where that is
+    most of them; else the rows that go back. One time that is too large is blamed itself, not the row after it."""
+    starts: list[float] = []  # first time, negative, of the best run of each length, and its row
+    rows: list[int] = []
+    after = np.full(len(times), -1)  # the next row of its run
+    for k in range(len(times) - 1, -1, -1):  # from the end, so that of two rows that are exchanged the later one is odd
+        at = bisect.bisect_right(starts, -float(times[k]))
+        after[k] = rows[at - 1] if at else -1
+        starts[at : at + 1], rows[at : at + 1] = [-float(times[k])], [k]
+    keep = np.zeros(len(times), bool)
+    k = rows[-1] if rows else -1
+    while k >= 0:
+        keep[k] = True
+        k = int(after[k])
+    back = np.flatnonzero(np.diff(times) < 0) + 1
+    return np.flatnonzero(~keep) if 2 * keep.sum() > len(times) else back
 
 
 def in_seconds(times: np.ndarray) -> np.ndarray:

@@ -24,6 +24,7 @@ from tiegraph.sfm.rig.given import drawings, given_geometry
 from tiegraph.sfm.rig.health import COLUMNS
 from tiegraph.sfm.rig.relax import Relaxed, lost_images, relax, with_sightings_of
 from tiegraph.sfm.rig.support import place_as_given, units_per_metre
+from tiegraph.text import known_to
 
 HEALTH_FILE = "rig_health.csv"
 
@@ -192,8 +193,9 @@ def _relaxed_note(scene: Scene, index: int, relaxed: Relaxed, found: Diagnosis) 
 
 def _open_notes(sigma: PositionSigma, names: Mapping[int, str]) -> list[str]:
     return [
-        f"the lever arm of {names.get(camera, camera)} is known to {100 * share:.0f} % of its length only, for hardly "
-        "a point ties it to the other cameras; measured and given in a rig file it would place its images"
+        f"the lever arm of {names.get(camera, camera)} is "
+        f"{known_to(share, 1.0, f'{100 * share:.0f} % of its length only')}, for hardly a point ties it to the other "
+        "cameras; measured and given in a rig file it would place its images"
         for camera, share in sigma.open_mountings().items()
     ]
 

@@ -36,7 +36,12 @@ class GeorefSettings(Section):
     """How the model is put into the world."""
 
     gcp: Path | None = user_path("file")
-    """Ground control and check points: an ODM gcp_list.txt, or a CSV of points and marks; also given by --gcp."""
+    """Ground control and check points, also given by --gcp: ODM's gcp_list.txt, or a CSV. Its points have the columns
+    name, x, y, z (or name, lat, lon, height; and, if known, sigma_xy, sigma_z, role: gcp or check), its marks the
+    columns name, image, px, py: in one table, in two tables with a header each, or in two files (see marks)."""
+
+    marks: Path | None = user_path("file")
+    """The marks of the points (name, image, px, py), where they are a file of their own; also given by --marks."""
 
     antenna: Literal["auto", "given", "estimated", "ignored"] = "auto"
     """GNSS lever arm: as the rig file gives it, estimated, or ignored; auto = given, else estimated if observable."""

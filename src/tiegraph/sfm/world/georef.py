@@ -20,8 +20,9 @@ from tiegraph.sfm.world.fit import Fit, jackknife_sigma
 from tiegraph.sfm.world.fixes import Fixes, Given
 from tiegraph.sfm.world.gravity import Up, up_vector
 from tiegraph.sfm.world.marks import point_table, targets
-from tiegraph.sfm.world.placing import MIN_POSITIONS, ROLL_LIMIT_DEG, Model, Placing, place
+from tiegraph.sfm.world.placing import MIN_POSITIONS, RIGHT_ANGLE_DEG, ROLL_LIMIT_DEG, Model, Placing, place
 from tiegraph.sfm.world.scale import RigScale, rig_scale
+from tiegraph.text import known_to
 
 _AXES = ("east", "north", "up")
 
@@ -232,7 +233,8 @@ def _remarks(placing: Placing, scene: Scene, scale: RigScale | None) -> list[str
                 f"(correlation of neighbours {level.correlation:.1f}): believed accordingly"
             )
     if fit.roll_sigma_deg > ROLL_LIMIT_DEG:
-        notes.append(f"the roll about the track is known to {min(fit.roll_sigma_deg, 90):.0f} deg only")
+        known = known_to(fit.roll_sigma_deg, RIGHT_ANGLE_DEG, f"{fit.roll_sigma_deg:.0f} deg only")
+        notes.append(f"the roll about the track is {known}")
     if scale is not None and scale.trusted:
         ratio = scale.metres_per_unit / fit.similarity.scale
         if abs(np.log(ratio)) > 3 * np.hypot(scale.sigma, fit.sigma["scale"]):

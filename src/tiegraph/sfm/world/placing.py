@@ -17,9 +17,11 @@ from tiegraph.sfm.world.fixes import Fixes, Given, make_fixes
 from tiegraph.sfm.world.gravity import Up
 from tiegraph.sfm.world.marks import Target
 from tiegraph.sfm.world.scale import RigScale
+from tiegraph.text import known_to
 
 MIN_POSITIONS = 3
 ROLL_LIMIT_DEG = 10.0  # sigma of the roll about the track above which lone cameras' upright direction is used
+RIGHT_ANGLE_DEG = 90.0  # an angle with a larger sigma is not known
 ARM_GAIN, CLOCK_GAIN = 16.3, 10.8  # chi-square of 3 and of 1 degrees of freedom at 0.1 %
 MIRROR_GAIN = 4.0  # times nearer with exchanged axes: no noise does that
 UPSIDE_DOWN = -0.7  # vertical part of a direction that ought to be up
@@ -334,15 +336,16 @@ def up_to_use(evidence: Evidence, up: Up | None, notes: list[str], near: Similar
         return None
     alone = fit_similarity(evidence, None, near)
     if up.ring and alone.tilt_sigma_deg > up.sigma_deg / 2:
+        known = known_to(alone.tilt_sigma_deg, RIGHT_ANGLE_DEG, f"{alone.tilt_sigma_deg:.1f} deg")
         notes.append(
-            f"the positions leave the tilt open (known to {min(alone.tilt_sigma_deg, 90):.1f} deg): the upward "
-            f"direction of {up.cameras} holds it, to about {up.sigma_deg:.0f} deg; whether east and north are "
-            "exchanged cannot be told along so straight a track"
+            f"the positions leave the tilt open ({known}): the upward direction of {up.cameras} holds it, to about "
+            f"{up.sigma_deg:.0f} deg; whether east and north are exchanged cannot be told along so straight a track"
         )
     elif not up.ring and alone.roll_sigma_deg > ROLL_LIMIT_DEG:
+        known = known_to(alone.roll_sigma_deg, RIGHT_ANGLE_DEG, f"{alone.roll_sigma_deg:.0f} deg")
         notes.append(
-            f"the positions lie nearly on a straight line (roll about it known to {min(alone.roll_sigma_deg, 90):.0f} "
-            f"deg): the upward direction of {up.cameras} holds it, to about {up.sigma_deg:.0f} deg"
+            f"the positions lie nearly on a straight line (roll about it {known}): the upward direction of "
+            f"{up.cameras} holds it, to about {up.sigma_deg:.0f} deg"
         )
     else:
         return None
