@@ -216,6 +216,24 @@ def test_a_lost_item_is_made_again_and_only_that(make):
     assert ran(make()) == []
 
 
+def test_an_item_of_two_files_is_made_again_whole(make):
+    def pairs(run):
+        for k in range(3):
+            if not run.path("many", f"{k}.txt").exists():
+                WORKED.append(str(k))
+                for folder in ("many", "beside"):
+                    write_atomic(run.path(folder, f"{k}.txt"), folder)
+        return Outcome()
+
+    stages = (Stage("many", pairs, (), ("many", "beside"), "file"),)
+    run_stages(stages, make())
+    for damage in (Path.unlink, lambda path: path.write_text("drawn by hand")):
+        WORKED.clear()
+        damage(make().path("beside", "1.txt"))
+        assert run_stages(stages, make()) == ["many"] and WORKED == ["1"]
+        assert make().path("beside", "1.txt").read_text() == "beside"
+
+
 def test_what_was_changed_is_kept_aside_and_made_again(make):
     ran(make())
     make().path("many", "1.txt").write_text("drawn by hand")

@@ -35,7 +35,7 @@ STAGES = (
     Stage("sparse", sparse, ("network", "match", "verify"), ("sparse",), version=12, scratch=("sparse/.run",)),
     Stage("georef", georef, ("network", "sparse"), ("sparse/world", "world.json"), version=5,
           scratch=("sparse/.world",)),
-    Stage("remask", remask, ("masks", "georef"), ("remask",), "image", version=3),
+    Stage("remask", remask, ("masks", "georef"), ("remask/masks", "remask/classes"), "image", version=3),
     Stage("dense", dense, ("georef", "remask"), ("depth",), "image", version=5),
     Stage("cloud", cloud, ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply"), scratch=(".tiles",)),
     Stage("evaluate", evaluate, ("verify", "georef", "remask", "dense", "cloud"), ("metrics.json",)),

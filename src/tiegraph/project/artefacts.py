@@ -131,7 +131,9 @@ class Artefacts:
             take_away(self.folder, names)
             ledger = {}
         else:
-            take_away(self.folder, left_behind(names))
+            whole = self._of_items(stage, ledger, troubles)
+            take_away(self.folder, [*left_behind(names), *whole])
+            ledger = {n: e for n, e in ledger.items() if n not in whole}
         # In this order: a finished receipt never stands beside a list that lacks its files.
         self.receipts.write(stage.name, {"stage": stage.name, "began": key, "from": self._made_from(stage)})
         self.receipts.write_files(stage.name, {n: e for n, e in ledger.items() if n not in troubles})
@@ -151,6 +153,13 @@ class Artefacts:
         self.receipts.write(stage.name, receipt)
         (self.folder / JOURNAL).unlink(missing_ok=True)
         return receipt
+
+    @staticmethod
+    def _of_items(stage: Stage, ledger: Ledger, troubles: Iterable[str]) -> set[str]:
+        """What else the items made of which files are to be made again: an item is missing if its file is, and it has
+        one of a name in each folder of its stage."""
+        tails = {n[len(top) :] for n in troubles for top in stage.makes if covered(n, (top,))} - {""}
+        return {f"{top}{tail}" for top in stage.makes for tail in tails} & set(ledger)
 
     # --- inside -------------------------------------------------------------------------------------------------------
 
