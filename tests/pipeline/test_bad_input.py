@@ -185,9 +185,9 @@ def test_rig_file_with_a_camera_that_has_no_images(run: Run, rig: Path) -> None:
 
 
 def test_rig_file_with_a_typo(run: Run, rig: Path) -> None:
-    rig.write_text(rig.read_text().replace("position_m", "positon_m", 1))
+    rig.write_text(rig.read_text().replace("position_m =", "positon_m =", 1))
     code, said = run("--rig", rig)
-    line = 1 + rig.read_text().splitlines().index(next(s for s in rig.read_text().splitlines() if "positon_m" in s))
+    line = 1 + rig.read_text().splitlines().index(next(s for s in rig.read_text().splitlines() if "positon_m =" in s))
     assert code == 2 and "positon_m" in said and "position_m" in said and f"line {line}" in said
 
 
