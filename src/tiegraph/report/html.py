@@ -16,7 +16,7 @@ from tiegraph.report.artefacts import STAGES, RunFolder, read_run
 from tiegraph.report.cloudview import standard_views, with_scale_bar
 from tiegraph.report.evidence import EVIDENCE, evidence_table
 from tiegraph.report.pictures import CLASSES, jpeg, mask_share, masked_thumbnail
-from tiegraph.report.righealth import rig_health
+from tiegraph.report.righealth import rig_health, rig_table
 from tiegraph.report.settings import ReportSettings
 from tiegraph.report.ties import network_part
 from tiegraph.scene.atomic import replacing
@@ -158,7 +158,7 @@ def _model(run: RunFolder) -> dict[str, Any]:
         ("mean reprojection error", f"{words.number(m.reprojection_px)} px"),
         ("models", words.count(1 + len(m.others))),
     ]
-    rig = facts.rig_table(run)
+    rig = rig_table(run)
     out["tables"] = [*out["tables"], *facts.registered_tables(run), *([rig] if rig else [])]
     out["residuals"] = _residuals(run)
     return out

@@ -1,4 +1,4 @@
-"""Rig health along the run: where each camera stands by its own sightings against where the rig puts it."""
+"""The rig: its cameras as adjusted, and along the run where each stands by its own sightings against its place."""
 
 from __future__ import annotations
 
@@ -9,8 +9,11 @@ from typing import Any
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 
+from tiegraph.geometry import transforms
+from tiegraph.report import words
 from tiegraph.report.artefacts import RunFolder
 from tiegraph.report.charts import PASSES, figure_axes, saved
+from tiegraph.report.words import Table
 
 FILE = ("sparse", "0", "rig_health.csv")
 CAPTION = (
@@ -20,6 +23,35 @@ CAPTION = (
     "band is a loose camera."
 )
 _NUMBERS = ("frame", "right_m", "down_m", "forward_m", "turn_x_deg", "turn_y_deg", "turn_z_deg", "sigma_m", "sigma_deg")
+
+
+def rig_table(run: RunFolder) -> Table | None:
+    """Cameras: model, focal length, place on the rig as refined, and how far that is from the nominal one."""
+    if run.scene is None or run.model is None:
+        return None
+    unit = "mm" if run.metric else "units"
+    given = (run.scanned or run.scene).all_sensors
+    factor = 1000 if unit == "mm" else 1
+    rows = []
+    for key, sensor in enumerate(run.scene.all_sensors):
+        camera = run.model.cameras.get(key)
+        pose, nominal = run.model.sensor_from_rig.get(key), given[key].sensor_from_rig
+        from_first = turn = moved = bent = None
+        if pose is not None:
+            from_first = factor * float(np.linalg.norm(transforms.centre(pose)))
+            turn = float(transforms.angle_deg(pose[:3, :3], np.eye(3)))
+            if nominal is not None:
+                moved = factor * float(np.linalg.norm(transforms.centre(pose) - transforms.centre(nominal)))
+                bent = float(transforms.angle_deg(pose[:3, :3], nominal[:3, :3]))
+        rows.append([
+            sensor.name, camera["model"] if camera else None, camera["size"] if camera else None,
+            camera["focal_px"] if camera else None, from_first, turn, moved, bent,
+        ])  # fmt: skip
+    columns = ["camera", "model", "size px", "focal px", f"to first {unit}", "turned °"]
+    columns += [f"moved from nominal {unit}", "turned from it °"]
+    filled = [c for c in range(len(columns)) if any(r[c] is not None for r in rows)]
+    data = {"columns": [columns[c] for c in filled], "rows": [[r[c] for c in filled] for r in rows]}
+    return words.table(data, "Cameras as adjusted")
 
 
 def rig_health(run: RunFolder) -> dict[str, Any] | None:
