@@ -95,7 +95,7 @@ def camera_notes(reconstruction: pycolmap.Reconstruction, scene: Scene) -> list[
 def rig_doubts(
     reconstruction: pycolmap.Reconstruction, scene: Scene, held: Sequence[int], placed: int, tied: int
 ) -> list[str]:
-    """Remarks on rigs (scene indices) whose extrinsics were held as given, though the images seem to say otherwise.
+    """What contradicts rigs (scene indices) whose extrinsics were held as given: the images seem to say otherwise.
 
     Extrinsics that contradict the images leave most of these without a place (``placed`` of ``tied``), or, where the
     lens is free, turn up as a principal point that no lens has: both move a camera's picture as a whole.

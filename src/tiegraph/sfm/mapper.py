@@ -247,11 +247,11 @@ def _account(job: Job, outcome: Outcome, rig: str, finished: Finished) -> Sparse
         scene=scene,
         components=tuple(job.graph.components),
         dropped=tuple(unregistered(scene, job.graph, [m.images for m in models], dict(finished.dropped))),
-        notes=(*job.notes, *by_rig, *camera_notes(main, scene), *doubts),
+        notes=(*job.notes, *by_rig, *camera_notes(main, scene)),
         tables=tables,
         counts=counts,
         sigma=finished.sigma,
-        contradictions=tuple(finished.contradictions),
+        contradictions=(*finished.contradictions, *doubts),
     )
 
 
