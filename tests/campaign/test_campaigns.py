@@ -10,7 +10,7 @@ import tiegraph
 from campaign.run import Plan, campaign, failures, table
 
 pytestmark = pytest.mark.slow
-_SHORT = {"kills": 5, "disks": 2, "artefacts": 4, "inputs": 60}
+_SHORT = {"kills": 3, "disks": 2, "artefacts": 4, "inputs": 40}
 _SEED = 14
 
 
@@ -23,7 +23,7 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("name", _SHORT)
 def test_nothing_is_lost(name: str, work: Path) -> None:
     count = _SHORT[name]
-    step = {"kills": 7, "artefacts": 4}.get(name, 1)  # stages in turn: spread over all of them
+    step = {"kills": 9, "artefacts": 4}.get(name, 1)  # stages in turn: spread over all of them
     indices = [k * step for k in range(count)]
     source = Path(tiegraph.__file__).parents[1]
     results = campaign(name, Plan(_SEED, indices, work, source, short=True))

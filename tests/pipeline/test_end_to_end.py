@@ -98,16 +98,6 @@ def test_receipts_account_for_everything(project):
     assert world["placed"] and world["crs"] == "EPSG:32654"
 
 
-def test_serial_and_processes_give_the_same_pairs(survey, tmp_path):
-    made, _ = survey
-    texts = []
-    for pool in ("serial", "local:2"):
-        out = tmp_path / pool.replace(":", "")
-        assert main(["run", str(made.images), "-o", str(out), "--pool", pool, "--until", "design", "--quiet"]) == 0
-        texts.append([(out / f).read_bytes() for f in ("pairs.txt", "network.csv", "scene.json")])
-    assert texts[0] == texts[1]
-
-
 @pytest.mark.parametrize("preset", ["conventional", "meguro2024", "meguro2025"])
 def test_presets_run_to_a_model_and_compare(preset, project, survey, tmp_path, capsys):
     made, folder = survey
