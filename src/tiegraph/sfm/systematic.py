@@ -59,7 +59,10 @@ class Weighed:
         self.cross = (self._jc.T @ self.jp).tocsr()
         own = self._jc.T @ self._jc - self.cross @ self._inverse @ self.cross.T
         self.normal = Normal(own / share + prior, layout)
-        self._of_point = gradients(seen.cameras, seen.points, self._first * seen.residual)
+        pull = self._first * seen.residual
+        # A point that few rays hold may end off its own minimum, and its residuals then tell of that alone.
+        self._pull = pull - self._root @ (self.jp @ (self._inverse @ (seen.points.T @ pull)))
+        self._of_point = gradients(seen.cameras, seen.points, self._pull)
         self.scatter = (self._of_point.T @ self._of_point).tocsr()  # (C, C)
 
     def without(self, known: np.ndarray) -> Weighed:
@@ -86,7 +89,7 @@ class Weighed:
         gradient = (self._jc.T @ own - self.cross @ taken).toarray()
         solved = self.normal.solve(gradient)
         information = (own.T @ own - by_point.T @ taken).toarray() - gradient.T @ solved / self.share
-        each = gradients(columns, self.seen.points, self._first * self.seen.residual)
+        each = gradients(columns, self.seen.points, self._pull)
         solved /= self.share
         mixed = np.asarray(each.T @ self._of_point @ solved)
         noise = (each.T @ each).toarray() - mixed - mixed.T + solved.T @ (self.scatter @ solved)
@@ -96,7 +99,8 @@ class Weighed:
 
 
 def gradients(jc: sparse.csr_matrix, jp: sparse.csr_matrix, weighted: np.ndarray) -> sparse.csr_matrix:
-    """(P, C) gradient of each point's share of the cost; its own three unknowns are at their minimum."""
+    """(P, C) gradient of each point's share of the cost by its weighted residuals (2O,), its own three unknowns at
+    their minimum."""
     number = jp.indices[jp.indptr[:-1]] // 3  # an observation touches one point
     rows = np.arange(len(weighted))
     gather = sparse.csr_matrix((weighted, (number, rows)), shape=(jp.shape[1] // 3, len(weighted)))
