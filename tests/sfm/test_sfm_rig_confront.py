@@ -16,6 +16,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjust import final_adjustment
 from tiegraph.sfm.finish import Finished, FinishRequest, finish_model
 from tiegraph.sfm.model import image_poses
+from tiegraph.sfm.rig import judge as rig_judge
 from tiegraph.sfm.rig.confront import hear, lever_sigmas, statements
 from tiegraph.sfm.rig.soft import available
 from tiegraph.sfm.world.scale import rig_scale
@@ -58,6 +59,16 @@ def test_what_the_images_want_otherwise_is_told_apart(case: str, first: tuple[st
     else:
         said = statements(heard, scene, 0).contradictions
         assert len(said) >= 1 and all("cam2" in line for line in said)
+
+
+def test_what_one_step_cannot_tell_is_said_without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A model 128 times too long (PandaSet, standing): cameras "turned by 4522 deg" and "829 m off"."""
+    model, scene = _rigid("turned")
+    monkeypatch.setattr(rig_judge, "FREED_DEG", 0.05)
+    heard = hear(model, scene, 0, 1.0)
+    assert heard is not None and heard.beyond == (2,) and heard.freed == ()
+    said = statements(heard, scene, 0)
+    assert said.statements == () and len(said.contradictions) == 1 and "(cam2)" in said.contradictions[0]
 
 
 def _finished(case: str, folder: Path, **more: object) -> tuple[Finished, pycolmap.Reconstruction, Scene]:

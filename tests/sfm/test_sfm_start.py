@@ -143,6 +143,12 @@ def test_positions_tell_the_length_where_matches_do_not(world, tmp_path: Path) -
     found = path_scale(placed, extrinsics, stretched, alone)
     assert found.by == "the positions" and found.scale == pytest.approx(1 / 3, rel=0.01)
     assert path_scale(placed, extrinsics, frames, alone).scale == 1.0
+    extent = float(np.ptp(frames[:, :3, 3], axis=0).max())
+    hardly = placed.with_(position_sigma_m=np.full((scene.frames, 3), extent))  # moved no farther than the noise
+    assert np.isnan(path_scale(hardly, extrinsics, frames, alone).scale)
+    far = frames.copy()
+    far[:, :3, 3] *= 100.0
+    assert path_scale(hardly, extrinsics, far, alone).scale == pytest.approx(0.01, rel=0.8)
     assert path_scale(scene, extrinsics, stretched, verified).scale == pytest.approx(1 / 3, rel=0.03)
 
 

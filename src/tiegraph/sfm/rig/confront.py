@@ -117,6 +117,12 @@ def statements(heard: Judgement, scene: Scene, index: int, refined: pycolmap.Rec
     rig, system = scene.rigs[index], heard.system
     rows: list[Statement] = []
     lines: list[str] = []
+    if heard.beyond:
+        names = ", ".join(rig.sensors[k].name for k in heard.beyond)
+        lines.append(
+            f"rig {rig.name}: the images contradict it by more than can be told apart ({names}): the file of another "
+            "rig, or a model far from the truth?"
+        )
     for sensor, camera in enumerate(rig.sensors):
         if ("mount", sensor) in heard.freed:
             for pair in _mounting(heard, scene, index, sensor, refined):

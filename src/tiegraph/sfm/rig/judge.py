@@ -9,10 +9,11 @@ than chance. Gains are divided by how much wider the points scatter than indepen
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.rig import Rig
 from tiegraph.sfm.rig.linear import RigSolution, RigSystem
 
@@ -72,6 +73,7 @@ class Judgement:
     system: RigSystem
     known: Expected
     gains: Mapping[Group, float] = field(default_factory=dict)  # BIC at which each was freed
+    beyond: tuple[int, ...] = ()  # sensors that would move farther than one step of an adjustment can tell: none freed
 
     def until(self, group: Group) -> RigSolution:
         """The solution with this group and what was freed before it: what came later takes up a part of the same."""
@@ -101,7 +103,7 @@ def judge(system: RigSystem, known: Expected, candidates: Collection[Group], tim
             if criterion > STRONG and (best is None or criterion > best[0]):
                 best = criterion, group, then
         if best is None:
-            return Judgement(tuple(freed), now, system, known, gains)
+            return _within_reach(Judgement(tuple(freed), now, system, known, gains))
         gains[best[1]], now = best[0], best[2]
         freed.append(best[1])
         for group in freed[:-1]:  # what the newest group explains as well
@@ -109,6 +111,16 @@ def judge(system: RigSystem, known: Expected, candidates: Collection[Group], tim
             then = system.solve(known.sigma(system, less, times))
             if _criterion(system, now, then, group) < STRONG:
                 freed, now = less, then
+
+
+def _within_reach(found: Judgement) -> Judgement:
+    """The same; nothing freed where a value lies outside of what freeing allows for, and the system is not linear."""
+    sigma = found.known.sigma(found.system, found.freed)
+    of = [k for group in found.freed for k in _members(found.system, group)]
+    sensors = sorted({found.system.keys[k][1] for k in of if abs(found.solution.value[k]) > LIMIT * sigma[k]})
+    if not sensors:
+        return found
+    return replace(found, freed=(), gains={}, beyond=tuple(sensors))
 
 
 def _criterion(system: RigSystem, more: RigSolution, less: RigSolution, group: Group) -> float:

@@ -24,7 +24,7 @@ CAPS_RAD = (0.002, 0.006)  # beyond, a match says nothing: two pixels of a surve
 RANGE = 64.0  # times too long or too short a path may be
 NEAR = 1.25  # apart, two scales must differ in their votes for the scale to be known
 DIP = 0.03  # by which the votes must differ, as a share (KITTI's baseline 0.30, PandaSet's rig 0.000)
-SIGMAS = 4.0  # apart are two positions whose distance tells the scale
+SIGMAS = 4.0  # apart are two positions, or two places of the model, whose distance tells the scale
 CLEAR = 1.1  # times, or three sigmas: a scale by positions that differs less from the rig's is not worth the change
 _PAIRS, _GRID, _FINE = 4000, 57, 21
 
@@ -47,8 +47,7 @@ def path_scale(scene: Scene, cam_from_rig: np.ndarray, world_from_rig: np.ndarra
             return PathScale(scale, "its matches")
     placed = _by_positions(scene, world_from_rig[:, :3, 3])
     if placed is not None:
-        clear = max(np.log(CLEAR), 3 * placed[1])
-        return PathScale(placed[0] if abs(np.log(placed[0])) > clear else 1.0, "the positions")
+        return PathScale(placed, "the positions")
     return PathScale(float("nan"), "nothing")
 
 
@@ -112,8 +111,12 @@ def _by_matches(rays: _Rays, cap_rad: float) -> float | None:
     return float(np.exp(best)) if beside - lowest > DIP * max(lowest, 1e-9) else None
 
 
-def _by_positions(scene: Scene, centre: np.ndarray) -> tuple[float, float] | None:
-    """Scale and its sigma, as a share: that of one long distance, for a receiver's errors go together."""
+def _by_positions(scene: Scene, centre: np.ndarray) -> float | None:
+    """Scale that the positions ask for, 1 where they bear the length of the path out; None: both lie within the noise.
+
+    Its sigma is that of one long distance, for a receiver's errors go together. A vehicle that hardly moves has no
+    distance beyond the noise, and a path of a hundred times its length is refuted all the same.
+    """
     position = scene.world_from_rig[:, :3, 3]
     known = np.flatnonzero(np.isfinite(centre).all(axis=1) & np.isfinite(position).all(axis=1))
     if len(known) < 3:
@@ -123,7 +126,11 @@ def _by_positions(scene: Scene, centre: np.ndarray) -> tuple[float, float] | Non
     apart = np.linalg.norm(position[known[a]] - position[known[b]], axis=1)
     own = np.linalg.norm(centre[known[a]] - centre[known[b]], axis=1)
     noise = np.maximum(sigma[a] + sigma[b], 0.01)
-    far = (apart > SIGMAS * noise) & (own > 0)
+    far = (np.maximum(apart, own) > SIGMAS * noise) & (own > 0)
     if far.sum() < 10:
         return None
-    return float(np.median(apart[far] / own[far])), float(np.median(noise[far] / apart[far]))
+    apart, own, noise = apart[far], own[far], noise[far]
+    scale = float(np.median(np.maximum(apart, noise / SIGMAS) / own))
+    known_to = float(np.median(noise / np.maximum(apart, own)))
+    clear = max(np.log(CLEAR), 3 * known_to)
+    return scale if abs(np.log(scale)) > clear else 1.0
