@@ -84,7 +84,9 @@ def _anchored(given: Given) -> Given:
     stamps = [(n, t) for n, t in given.times.items() if p.time_s[0] <= t <= p.time_s[-1]]
     at = np.stack([np.interp([t for _, t in stamps], p.time_s, p.enu_m[:, k]) for k in range(3)], axis=1)
     own = np.stack([transforms.centre(truth.cam_from_world[n]) for n, _ in stamps])
-    fit = umeyama(own, at, with_scale=False)
+    # Its up is up already, and a straight track would leave the roll about it to chance.
+    fit = umeyama(own * [1, 1, 0], at * [1, 1, 0], with_scale=False)
+    fit = replace(fit, translation=fit.translation + [0, 0, float(np.mean(at[:, 2] - own[:, 2]))])
     back = transforms.invert(fit.matrix)
     return replace(
         given,
