@@ -17,7 +17,7 @@ from scipy import sparse
 
 from tiegraph.geometry.transforms import skew
 from tiegraph.sfm.jacobians import Layout, System, frame_pose
-from tiegraph.sfm.normal import Normal, by_blocks, point_inverse
+from tiegraph.sfm.normal import Normal, at_their_minimum, by_blocks, point_inverse
 
 GRID = (12, 8)  # bins of an image, along its longer side and the other
 REACHES = (0.1, 0.2, 0.4, 0.8)  # of the image's diagonal: how far a lens error may reach
@@ -59,9 +59,7 @@ class Weighed:
         self.cross = (self._jc.T @ self.jp).tocsr()
         own = self._jc.T @ self._jc - self.cross @ self._inverse @ self.cross.T
         self.normal = Normal(own / share + prior, layout)
-        pull = self._first * seen.residual
-        # A point that few rays hold may end off its own minimum, and its residuals then tell of that alone.
-        self._pull = pull - self._root @ (self.jp @ (self._inverse @ (seen.points.T @ pull)))
+        self._pull = at_their_minimum(seen.points, np.sqrt(weights[1]), self._first * seen.residual)
         self._of_point = gradients(seen.cameras, seen.points, self._pull)
         self.scatter = (self._of_point.T @ self._of_point).tocsr()  # (C, C)
 

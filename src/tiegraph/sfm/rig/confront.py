@@ -78,6 +78,18 @@ def lever_sigmas(heard: Judgement, scene: Scene, index: int) -> dict[int, float]
     return out
 
 
+def time_sigmas(heard: Judgement, scene: Scene, index: int) -> dict[int, float]:
+    """Camera id -> sigma of when it fires against the reference (s, or frame intervals), all that is given beside it
+    believed; none of a rig that is said to be synchronised."""
+    rig, system = scene.rigs[index], heard.system
+    known = expected(rig, system.timed)
+    if not known.late_s:
+        return {}
+    first = sum(len(r.sensors) for r in scene.rigs[:index])
+    sigma = system.solve(known.sigma(system, (), times=True)).sigma()
+    return {first + system.keys[k][1] + 1: float(sigma[k]) for k in system.where("time")}
+
+
 def _measured(scene: Scene, index: int) -> bool:
     rig = scene.rigs[index]
     return rig.measured() or rig.soft()
