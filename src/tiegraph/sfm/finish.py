@@ -20,7 +20,8 @@ from tiegraph.sfm.adjust import final_adjustment, free_cameras
 from tiegraph.sfm.covariance import Mounting, PositionSigma, position_sigma
 from tiegraph.sfm.jacobians import Tie
 from tiegraph.sfm.placement.settle import Settled, settle
-from tiegraph.sfm.rig import soft
+from tiegraph.sfm.placement.verified import read_verified, seen_by
+from tiegraph.sfm.rig import soft, ties
 from tiegraph.sfm.rig.confront import hear, lever_sigmas, refine, statements
 from tiegraph.sfm.rig.diagnosis import Diagnosis, diagnose
 from tiegraph.sfm.rig.given import drawings, given_geometry
@@ -84,6 +85,7 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> Finishe
     request.target.mkdir(parents=True, exist_ok=True)
     checked = _checked_rig(model, mapped, scene, request, notes)
     model, tables = checked.model, checked.tables
+    _ties_between(checked, scene, request, notes)
     if request.alone:
         place_as_given(model, scene, request.alone)
     try:
@@ -182,6 +184,21 @@ def _checked_rig(
         out.tables["the rig as given, and the images"] = statement_table(out.statements)
     out.ties = [t for r in relaxed.values() for t in r.ties]
     return out
+
+
+def _ties_between(checked: _Checked, scene: Scene, request: FinishRequest, notes: list[str]) -> None:
+    """Say whether the verified matches between the cameras of rigs agree with the model as it is in the end."""
+    if request.database is None or request.rough or not request.rigs:
+        return
+    try:
+        seen = seen_by(checked.model, scene)
+        found = ties.camera_ties(read_verified(request.database, scene, request.refused), seen, scene)
+    except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
+        notes.append(f"the ties between cameras could not be checked: {error}")
+        return
+    if found:
+        checked.tables["ties between cameras"] = ties.table(found, scene)
+    checked.contradictions += ties.sentence(found, scene)
 
 
 def _in_their_time(mounting: Mapping[int, Mounting], levers: Mapping[int, float]) -> dict[int, Mounting]:
