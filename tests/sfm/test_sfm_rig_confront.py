@@ -17,7 +17,7 @@ from tiegraph.sfm.adjust import final_adjustment
 from tiegraph.sfm.finish import Finished, FinishRequest, finish_model
 from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.rig import judge as rig_judge
-from tiegraph.sfm.rig.confront import hear, lever_sigmas, statements
+from tiegraph.sfm.rig.confront import hear, lever_sigmas, open_times, statements
 from tiegraph.sfm.rig.soft import available
 from tiegraph.sfm.world.scale import rig_scale
 
@@ -59,6 +59,32 @@ def test_what_the_images_want_otherwise_is_told_apart(case: str, first: tuple[st
     else:
         said = statements(heard, scene, 0).contradictions
         assert len(said) >= 1 and all("cam2" in line for line in said)
+
+
+def test_times_that_the_images_leave_open_are_said() -> None:
+    """Six cameras that see each other's surfaces tell their times; one of them without such ties does not."""
+    model, scene = _rigid("as given")
+    heard = hear(model, scene, 0, 1.0)
+    assert heard is not None and open_times(heard, scene, 0) == []
+    alone = _without_shared_points(model, camera=4)
+    heard = hear(alone, scene, 0, 1.0)
+    assert heard is not None
+    (said,) = open_times(heard, scene, 0)
+    assert "whether cam3 fires" in said and "ms" in said and "synchronised = true" in said
+    assert open_times(heard, with_sync(scene), 0) == []
+
+
+def _without_shared_points(model: pycolmap.Reconstruction, camera: int) -> pycolmap.Reconstruction:
+    """Points that this camera and others see are left to the others."""
+    out = pycolmap.Reconstruction(model)
+    for key in list(out.point3D_ids()):
+        seen = [(e.image_id, e.point2D_idx) for e in out.point3D(key).track.elements]
+        own = [e for e in seen if out.image(e[0]).camera_id == camera]
+        if own and len(own) < len(seen):
+            for image, at in own:
+                if out.exists_point3D(key):
+                    out.delete_observation(image, at)
+    return out
 
 
 def test_what_one_step_cannot_tell_is_said_without_figures(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,7 +22,7 @@ from tiegraph.sfm.jacobians import Tie
 from tiegraph.sfm.placement.settle import Settled, settle
 from tiegraph.sfm.placement.verified import read_verified, seen_by
 from tiegraph.sfm.rig import soft, ties
-from tiegraph.sfm.rig.confront import hear, lever_sigmas, refine, statements
+from tiegraph.sfm.rig.confront import hear, lever_sigmas, open_times, refine, statements
 from tiegraph.sfm.rig.diagnosis import Diagnosis, diagnose
 from tiegraph.sfm.rig.given import drawings, given_geometry
 from tiegraph.sfm.rig.health import COLUMNS
@@ -178,6 +178,8 @@ def _checked_rig(
     for index, heard in found.heard.items():
         if index not in relaxed and index not in request.fixed:
             out.levers |= {k: v / metres for k, v in lever_sigmas(heard, scene, index).items()}
+        if index not in relaxed and index in request.fixed:
+            notes += open_times(heard, scene, index)
         _confronted(out, scene, request, index, heard, index in relaxed)
     out.tables["rig health"] = found.table({k: o for r in relaxed.values() for k, o in r.offsets.items()})
     if out.statements:

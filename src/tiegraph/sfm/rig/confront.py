@@ -78,16 +78,29 @@ def lever_sigmas(heard: Judgement, scene: Scene, index: int) -> dict[int, float]
     return out
 
 
-def time_sigmas(heard: Judgement, scene: Scene, index: int) -> dict[int, float]:
-    """Camera id -> sigma of when it fires against the reference (s, or frame intervals), all that is given beside it
-    believed; none of a rig that is said to be synchronised."""
+def open_times(heard: Judgement, scene: Scene, index: int) -> list[str]:
+    """A sentence on cameras of a rigid rig whose times the images leave open, which are then taken to fire together.
+
+    At constant speed a camera's time and its place along the way are one unknown: all that is given beside the times is
+    believed here. None of a rig that is said to be synchronised, nor where it moves nothing by more than is asked of
+    a calibration.
+    """
     rig, system = scene.rigs[index], heard.system
     known = expected(rig, system.timed)
     if not known.late_s:
-        return {}
-    first = sum(len(r.sensors) for r in scene.rigs[:index])
+        return []
     sigma = system.solve(known.sigma(system, (), times=True)).sigma()
-    return {first + system.keys[k][1] + 1: float(sigma[k]) for k in system.where("time")}
+    late = {system.keys[k][1]: float(sigma[k]) for k in system.where("time")}
+    names = [rig.sensors[k].name for k, s in late.items() if s * system.speed > LIMIT * HELD_TO_M]
+    if not names:
+        return []
+    worst = max(late.values())
+    said = f"{1000 * worst:.0f} ms" if system.timed else f"{worst:.0%} of the frame interval"
+    return [
+        f"rig {rig.name}: whether {', '.join(names)} fire{'s' if len(names) == 1 else ''} at the same time as "
+        f"{rig.sensors[0].name} cannot be told by the images (to {said}, {worst * system.speed:.2g} m along the way): "
+        "they are taken to; synchronised = true in the rig file says so"
+    ]
 
 
 def _measured(scene: Scene, index: int) -> bool:
