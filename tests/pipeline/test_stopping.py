@@ -127,3 +127,13 @@ def test_a_killed_process_ends_the_run_with_a_clear_line(survey, tmp_path_factor
     code, said = ended(process)
     assert code == 1 and said.count("\n") == 1, said
     assert "ended from outside (signal SIGKILL)" in said and "finished work is kept" in said
+
+
+def test_a_signal_within_an_exec_ends_the_process_with_its_exit_code(tmp_path):
+    """Imports execute strings (dataclasses, namedtuples); CPython then ended the stopped run by SIGINT."""
+    code = "import sys\nfrom tiegraph.cli.stopping import say_stopped\n"
+    code += "try:\n    exec('raise KeyboardInterrupt')\nexcept KeyboardInterrupt:\n    say_stopped()\nsys.exit(1)\n"
+    (tmp_path / "stopped.py").write_text(code)
+    command = [sys.executable, "-m", "stopped"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr.count("tiegraph: stopped;")) == (1, 1), done

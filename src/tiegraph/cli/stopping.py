@@ -57,6 +57,9 @@ def hear(signals: tuple[signal.Signals, ...] = ()) -> None:
 def say_stopped() -> None:
     """End what is still at work, and say that the run was stopped."""
     end_helpers()
+    # CPython remembers that a KeyboardInterrupt went through the exec() of a string (a library imported, a dataclass
+    # made), though it was caught, and ends the process by SIGINT instead of its exit code. The next exec() forgets it.
+    exec("")
     with contextlib.suppress(OSError, ValueError):  # the terminal may have gone
         sys.stderr.write(f"tiegraph: {_STOPPED}\n")
         sys.stderr.flush()
