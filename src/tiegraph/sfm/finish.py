@@ -232,10 +232,9 @@ def _relaxed(
             out.contradictions.append(f"rig {name} does not move as one ({'; '.join(found.notes)}); {why}")
             break
         freed = found.heard[index].freed if index in found.heard else ()
-        calibrated = index in request.fixed or index in request.soft
         # What the rigid adjustment threw out is wanted here: the points the mapper had.
         start = with_sightings_of(out.model, mapped) if found.loose or freed else out.model
-        given = metres, calibrated and not any(what == "mount" for what, _ in freed)
+        given = metres, index in request.fixed or index in request.soft
         free = relax(start, scene, index, given, request.constant_cameras, found.loose, request.lenses_ordered)
         lost = lost_images(out.model, free.model, scene)
         if lost:
