@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from textwrap import shorten
+
 from tiegraph.report import words
 from tiegraph.report.artefacts import STAGES, RunFolder
 from tiegraph.scene.evidence import figures
@@ -19,7 +21,7 @@ def contradictions(run: RunFolder) -> tuple[str, ...]:
 
 def about(said: tuple[str, ...]) -> str:
     """What contradictions are about, for a headline: the words before their first colon or figure; "" if none."""
-    heads = dict.fromkeys(t.split(":")[0].split(" differ by")[0][:_HEAD].strip() for t in said)
+    heads = dict.fromkeys(shorten(t.split(":")[0].split(" differ by")[0], _HEAD, placeholder=" ...") for t in said)
     short = list(heads)[:_HEADS]
     return "; ".join(short) + (f" and {len(heads) - len(short)} more" if len(heads) > len(short) else "")
 

@@ -84,9 +84,9 @@ def sentence(found: Sequence[CameraTies], scene: Scene) -> list[str]:
         return []
     names = [s.name for s in scene.all_sensors]
     worst, rest = bad[0], len(bad) - 1
-    others = f" (and of {rest} more two cameras)" if rest else ""
+    others = f" (and {rest} more)" if rest else ""
     return [
-        f"of the matches between {names[worst.first]} and {names[worst.second]}{others} only {worst.between:.0%} agree "
-        f"with the model, of each camera's own {worst.own:.0%}: the cameras of the rig fire apart, or stand otherwise "
+        f"ties between {names[worst.first]} and {names[worst.second]}{others}: {worst.between:.0%} of their matches agree "
+        f"with the model, of each camera's own {worst.own:.0%}; cameras of the rig fire apart, or stand otherwise "
         "than the model has them"
     ]
