@@ -86,7 +86,7 @@ def sentence(found: Sequence[CameraTies], scene: Scene) -> list[str]:
     worst, rest = bad[0], len(bad) - 1
     others = f" (and {rest} more)" if rest else ""
     return [
-        f"ties between {names[worst.first]} and {names[worst.second]}{others}: {worst.between:.0%} of their matches agree "
-        f"with the model, of each camera's own {worst.own:.0%}; cameras of the rig fire apart, or stand otherwise "
-        "than the model has them"
+        f"ties between {names[worst.first]} and {names[worst.second]}{others}: {worst.between:.0%} of them agree with "
+        f"the model, of each camera's own {worst.own:.0%}; cameras of the rig fire apart, or stand otherwise than the "
+        "model has them"
     ]
