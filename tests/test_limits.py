@@ -136,3 +136,11 @@ def test_verbs_name_what_they_were_not_given(tmp_path: Path, capsys: pytest.Capt
         code = main(arguments)
         said = capsys.readouterr().err
         assert code in (1, 2) and "unexpected" not in said and said, arguments
+
+
+def test_the_words_of_an_aborted_process_stay_in_the_log(tmp_path: Path) -> None:
+    log = "2026-11-22 12:53:24,737 INFO tiegraph: stage match started\nterminate called after throwing an instance of "
+    log += "'std::runtime_error'\n  what():  [database_sqlite.cc:1478] SQLite error: database or disk is full\n"
+    said = str(limits.explained_text(log, tmp_path))
+    assert said.startswith("No space left on device")
+    assert said.endswith("is kept ([database_sqlite.cc:1478] SQLite error: database or disk is full)")

@@ -109,7 +109,10 @@ def size_limit() -> int | None:
 
 
 def _because(why: object) -> str:
-    text = " ".join(str(why).split())
+    """The line of a library's words that says it, without those of a process that was aborted; "" if there are none."""
+    lines = [line for raw in str(why).splitlines() if (line := " ".join(raw.split()).removeprefix("what(): "))]
+    words = (_FULL_WORDS, _WRITE_WORDS, _MEMORY_WORDS)
+    text = ([k for k in lines if any(w.search(k) for w in words)] or lines or [""])[-1]
     if isinstance(why, BaseException):
         text = f"{type(why).__name__}: {text}"
     return f" ({text if len(text) <= _SHOWN else '... ' + text[-_SHOWN:]})" if text else ""  # the end says it
