@@ -234,7 +234,9 @@ def _relaxed(
         freed = found.heard[index].freed if index in found.heard else ()
         # What the rigid adjustment threw out is wanted here: the points the mapper had.
         start = with_sightings_of(out.model, mapped) if found.loose or freed else out.model
-        given = metres, index in request.fixed or index in request.soft
+        # What calibrated lenses do beyond their model looks like turned cameras; lenses that are adjusted do not.
+        bent = not request.constant_cameras and any(what == "mount" for what, _ in freed)
+        given = metres, (index in request.fixed or index in request.soft) and not bent
         free = relax(start, scene, index, given, request.constant_cameras, found.loose, request.lenses_ordered)
         lost = lost_images(out.model, free.model, scene)
         if lost:
