@@ -1,7 +1,7 @@
 """Blocks of pairs, matched side by side: each process has one thread and, for each block, a small database of its own.
 
 COLMAP's own threads do not always find the same matches: those that build their search trees of descriptors at the same
-moment disturb each other, in about one run of a hundred and fifty (`benchmarks/sfm/matching_threads.py` counts).
+moment disturb each other now and then (`benchmarks/sfm/matching_threads.py` counts how often).
 """
 
 from __future__ import annotations

@@ -176,10 +176,10 @@ def _checked_rig(
     notes += found.notes
     relaxed = _relaxed(out, mapped, scene, request, found, metres, notes)
     for index, heard in found.heard.items():
-        if index not in relaxed and index not in request.fixed:
-            out.levers |= {k: v / metres for k, v in lever_sigmas(heard, scene, index).items()}
         if index not in relaxed and index in request.fixed:
             notes += open_times(heard, scene, index)
+        elif index not in relaxed:
+            out.levers |= {k: v / metres for k, v in lever_sigmas(heard, scene, index).items()}
         _confronted(out, scene, request, index, heard, index in relaxed)
     out.tables["rig health"] = found.table({k: o for r in relaxed.values() for k, o in r.offsets.items()})
     if out.statements:

@@ -59,7 +59,7 @@ class Weighed:
         self.cross = (self._jc.T @ self.jp).tocsr()
         own = self._jc.T @ self._jc - self.cross @ self._inverse @ self.cross.T
         self.normal = Normal(own / share + prior, layout)
-        self._pull = at_their_minimum(seen.points, np.sqrt(weights[1]), self._first * seen.residual)
+        self._pull = at_their_minimum(seen.points, np.sqrt(weights[1]), self._first * seen.residual, self._inverse)
         self._of_point = gradients(seen.cameras, seen.points, self._pull)
         self.scatter = (self._of_point.T @ self._of_point).tocsr()  # (C, C)
 

@@ -22,7 +22,7 @@ from tiegraph.geometry.transforms import skew
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.jacobians import Layout, jacobians
 from tiegraph.sfm.model import image_poses
-from tiegraph.sfm.normal import at_their_minimum, reduced
+from tiegraph.sfm.normal import at_their_minimum, by_blocks, point_inverse, reduced
 from tiegraph.sfm.rig.release import released
 from tiegraph.sfm.rig.sync import rig_motion
 
@@ -118,7 +118,8 @@ def rig_system(
     weight = sparse.diags(first)  # the curvature's weights are the gradient's squared
     whole = reduced((weight @ both).tocsr(), (weight @ jp).tocsr()).toarray() / share
     size = columns.shape[1]
-    weighted = at_their_minimum(jp, first, first * residual)
+    inverse = by_blocks(point_inverse((weight @ jp).tocsr()))
+    weighted = at_their_minimum(jp, first, first * residual, inverse)
     gradient = columns.T @ (jc.T @ weighted) / share - whole[:size, size]
     number = jp.indices[jp.indptr[:-1]] // 3  # an observation touches one point
     gather = sparse.csr_matrix((weighted, (number, np.arange(len(weighted)))), shape=(len(points), len(weighted)))
