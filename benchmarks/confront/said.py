@@ -43,7 +43,7 @@ NAMES = {
 }
 """Quantity -> the words that name it."""
 _HEDGED = {
-    "plan": r"exchanged",
+    "plan": r"exchanged|looks the same",
     "scale": r"scale|baseline",
     "yaw": r"heading|yaw|exchanged",
     "tilt": r"tilt|roll|upward|exchanged",

@@ -34,6 +34,17 @@ def test_what_is_larger_than_the_noise_is_found_by_its_form(form: str) -> None:
     assert all(f.size == pytest.approx(size, rel=0.2) for f in found if f is not None and f.form == form)
 
 
+def test_a_step_that_the_fit_has_followed_by_turning_is_found() -> None:
+    """Residuals of a line fitted to a step are a saw-tooth: no step, no line, no curve by itself."""
+    rng, x = np.random.default_rng(6), np.linspace(-1, 1, 20)
+    found = []
+    for _ in range(20):
+        y = np.where(x > 0, 0.4, 0.0) + 0.02 * rng.standard_normal(20)
+        found.append(trend(y - np.polyval(np.polyfit(x, y, 1), x), 3))
+    assert all(f is not None and f.form == "step" for f in found)
+    assert all(f.size == pytest.approx(0.4, abs=0.1) and 0.4 < f.at < 0.6 for f in found if f is not None)
+
+
 def test_one_bad_value_is_no_trend_and_the_words_hold_the_figures() -> None:
     rng, x = np.random.default_rng(4), np.linspace(-1, 1, 30)
     bad = 0.02 * rng.standard_normal(30)

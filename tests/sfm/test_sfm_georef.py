@@ -10,12 +10,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 from sfm_worlds import make_world, true_frames, with_positions
 
+from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
+from tiegraph.scene.rig import Rig, Sensor
+from tiegraph.scene.scene import simple_scene
 from tiegraph.sfm.model import frame_poses, image_poses
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.world.fit import Evidence, fit_similarity
 from tiegraph.sfm.world.georef import georeference, georeference_all
-from tiegraph.sfm.world.gravity import Up
+from tiegraph.sfm.world.fixes import Given
+from tiegraph.sfm.world.gravity import Up, up_vector
 
 import pycolmap  # isort: skip
 
@@ -49,7 +53,8 @@ def test_positions_bring_the_model_back(world) -> None:
     assert 0.05 < np.hypot(*list(found.rms_m().values())[:2]) < 0.25
     held = np.isfinite(found.held_out_m).all(axis=1)
     assert held.sum() == 4 and 0.03 < found.held_out_rms_m()["east"] < 0.3
-    assert 0.01 < found.sigma["position_m"] < 0.1 and 0.1 < found.sigma["yaw_deg"] < 5
+    # What all positions of a receiver share (0.1 m east and north) no residual shows.
+    assert 0.14 < found.sigma["position_m"] < 0.2 and 0.1 < found.sigma["yaw_deg"] < 5
     assert error < 5 * found.sigma["position_m"]
 
 
@@ -100,6 +105,42 @@ def test_fixed_rig_alone_gives_the_scale(world) -> None:
     short = tuple(replace(s, sensor_from_rig=s.sensor_from_rig * shrink) for s in scene.rigs[0].sensors)
     near = georeference(_moved(truth), scene.with_(rigs=(replace(scene.rigs[0], sensors=short),)), GeorefSettings())
     assert near.scale_source == "none" and any("no scale taken from the rig" in n for n in near.notes)
+
+
+def test_images_that_hardly_carry_the_baseline_widen_the_scale_of_the_rig(world) -> None:
+    truth, scene = world
+    survey = with_positions(scene, 1.03 * true_frames(truth, scene)[:, :3, 3], 0.05)
+    sure, vague = (
+        georeference(_moved(truth), survey, GeorefSettings(), Given(model_scale_sigma=s)) for s in (1e-4, 0.05)
+    )
+    true_scale = 1 / 0.37
+    assert sure.placing is not None and vague.placing is not None and sure.placing.model.scale is not None
+    assert sure.placing.model.scale.sigma < 0.01
+    assert vague.placing.model.scale == replace(sure.placing.model.scale, sigma=pytest.approx(0.05, rel=0.05))
+    assert vague.world_from_model.scale == pytest.approx(1.03 * true_scale, rel=0.01)  # the positions have their say
+    alone = georeference(_moved(truth), scene, GeorefSettings(), Given(model_scale_sigma=0.05))
+    assert alone.scale_source == "rig baseline" and any("scale good to 5.0%" in n for n in alone.notes)
+
+
+@pytest.mark.parametrize(("yaws", "ring"), [((80, -80), True), ((0, 180), True), ((0, 10), False), ((0, 60), False)])
+def test_cameras_all_round_say_which_way_is_up(yaws: tuple[float, float], ring: bool) -> None:
+    """Two that look away from each other do; a stereo pair that drives in a circle does not."""
+    frames = 12
+    sensors = tuple(Sensor(f"cam{k}", None, None, "side") for k in range(2))
+    names = [f"cam{k}/{f:03d}.jpg" for f in range(frames) for k in range(2)]
+    frame = np.repeat(np.arange(frames), 2)
+    scene = simple_scene(Rig("pair", sensors), names, frame, np.tile([0, 1], frames), np.zeros(frames))
+    north = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], float)  # world_from_cam of a level camera
+    for size in (0.0, 12.0):
+        turns = [
+            Rotation.from_euler("ZXZ", [30.0 * f, size * (-1) ** (f // 2), yaws[k]], degrees=True).as_matrix() @ north
+            for f in range(frames) for k in range(2)
+        ]  # fmt: skip
+        up = up_vector(transforms.rigid(np.swapaxes(turns, 1, 2), np.zeros((2 * frames, 3))), scene)
+        assert up is not None and up.ring == ring
+        assert up.direction[2] > 0.99
+        if ring:
+            assert up.sigma_deg == pytest.approx(max(size, 3.0), rel=0.1)
 
 
 def test_trajectory_orientations_hold_the_roll(world) -> None:

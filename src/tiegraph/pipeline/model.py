@@ -98,6 +98,8 @@ def sparse(run: Run) -> Outcome:
     counts = dict(made.counts)
     if made.sigma is not None:
         counts |= {"position_sigma_median": made.sigma.median, "position_sigma_p90": made.sigma.p90}
+        if made.sigma.scale is not None:
+            counts["scale_sigma"] = made.sigma.scale
     return Outcome(
         counts, dropped=made.dropped, notes=made.notes, tables=made.tables, contradictions=made.contradictions
     )

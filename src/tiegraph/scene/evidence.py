@@ -104,7 +104,8 @@ class Trend:
 def trend(values: np.ndarray, tests: int = 1, offset: bool = False) -> Trend | None:
     """The line, curve or step that values (K,) in order of time follow beyond chance, None if there is none.
 
-    ``offset``: or the constant, where they ought to be about zero.
+    ``offset``: or the constant, where they ought to be about zero. A step may have a line beside it: residuals are what
+    a fit has left, and it follows a step by turning.
 
     Noise is taken to be a first-order process: its correlation, estimated about the form itself and raised by two of
     its own sigmas (short series look less correlated than they are), sets how many of the values count (generalised
@@ -114,12 +115,11 @@ def trend(values: np.ndarray, tests: int = 1, offset: bool = False) -> Trend | N
     y = np.asarray(values, float)
     keep = np.flatnonzero(np.isfinite(y))
     keep = keep[~_spikes(y[keep])]
-    y = y[keep]
+    x, y = np.linspace(-1.0, 1.0, len(y))[keep], y[keep]
     if len(y) < _MIN_ROWS or np.ptp(y) == 0:
         return None
-    x = np.linspace(-1.0, 1.0, len(y))
-    step = (np.arange(len(y)) >= _best_cut(y)).astype(float)
-    shapes = {"line": x[:, None], "curve": np.stack([x, x**2], axis=1), "step": step[:, None]}
+    step = (np.arange(len(y)) >= _best_cut(y, x)).astype(float)
+    shapes = {"line": x[:, None], "curve": np.stack([x, x**2], axis=1), "step": np.stack([x, step], axis=1)}
     if offset:
         shapes["offset"] = np.zeros((len(y), 0))
     found = [_tested(y, n, s, tests * len(shapes) * (len(y) - 5 if n == "step" else 1)) for n, s in shapes.items()]
@@ -127,12 +127,13 @@ def trend(values: np.ndarray, tests: int = 1, offset: bool = False) -> Trend | N
     return best if best.chance < CHANCE else None
 
 
-def _best_cut(y: np.ndarray) -> int:
-    """Where a step parts values (K,) best; three at least on either side."""
+def _best_cut(y: np.ndarray, x: np.ndarray) -> int:
+    """Where a step beside a line parts values (K,) at places (K,) best; three at least on either side."""
     cuts = np.arange(3, len(y) - 2)
-    before = np.cumsum(y)[cuts - 1]
-    apart = before / cuts - (y.sum() - before) / (len(y) - cuts)
-    return int(cuts[np.argmax(apart**2 * cuts * (len(y) - cuts))])
+    steps = (np.arange(len(y))[:, None] >= cuts).astype(float)
+    line = np.linalg.qr(np.column_stack([np.ones(len(y)), x]))[0]
+    y, steps = y - line @ (line.T @ y), steps - line @ (line.T @ steps)
+    return int(cuts[np.argmax((y @ steps) ** 2 / np.sum(steps**2, axis=0))])
 
 
 def _tested(y: np.ndarray, form: str, shape: np.ndarray, tries: int) -> Trend:
@@ -148,7 +149,7 @@ def _tested(y: np.ndarray, form: str, shape: np.ndarray, tries: int) -> Trend:
     rest = float(np.sum((white[1][:, 0] - white[0] @ best) ** 2)) / free
     sigma = float(np.sqrt(max(rest * normal[-1, -1], 1e-300)))
     chance = min(1.0, 2 * tries * float(student.sf(abs(best[-1]) / sigma, free)))
-    line = design @ plain
+    line = design @ (plain if form != "step" else plain * [0, 0, 1])
     bow = float(-plain[-1]) if form == "curve" else 0.0
     at = float(1 - shape[:, -1].mean()) if form == "step" else float("nan")
     return Trend(form, float(line[0]), float(line[-1]), bow, at, chance)

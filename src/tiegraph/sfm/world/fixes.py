@@ -32,12 +32,13 @@ class PositionRows:
 
 @dataclass(frozen=True)
 class Given:
-    """Known beyond the scene: the receiver's rows, control points, frames (F,) under bridges; a model's sigma."""
+    """Known beyond the scene: the receiver's rows, control points, frames (F,) under bridges; a model's sigmas."""
 
     rows: PositionRows | None = None
     control: Control | None = None
     covered: np.ndarray | None = None
     model_sigma: float = float("nan")  # of a camera inside the model, model units
+    model_scale_sigma: float = float("nan")  # of all its lengths together, relative; NaN = its adjustment holds none
 
 
 @dataclass(frozen=True)

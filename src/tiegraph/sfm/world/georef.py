@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pycolmap
@@ -144,7 +144,8 @@ def georeference(
     given = given or Given()
     images = image_poses(model, scene)
     found = without_blunders(targets(model, scene, given.control), given.control) if given.control is not None else []
-    view = Model(images, up_vector(images, scene), rig_scale(model, images, scene), found, scene.names)
+    scale = rig_scale(model, images, scene, given.model_scale_sigma)
+    view = Model(images, up_vector(images, scene), scale, found, scene.names)
     placing = place(view, scene, settings, given)
     if placing is None:
         frames = np.isfinite(view.frames(scene)).all(axis=(1, 2))
@@ -156,8 +157,12 @@ def georeference(
 def georeference_all(
     models: Sequence[pycolmap.Reconstruction], scene: Scene, settings: GeorefSettings, given: Given | None = None
 ) -> list[Georeference]:
-    """Each model by itself; those that are ``placed`` share one world even where no image joins them."""
-    return [georeference(model, scene, settings, given) for model in models]
+    """Each model by itself; those that are ``placed`` share one world even where no image joins them.
+
+    Sigmas in ``given`` are of the first model and are not believed of these.
+    """
+    unknown = replace(given or Given(), model_sigma=float("nan"), model_scale_sigma=float("nan"))
+    return [georeference(model, scene, settings, unknown) for model in models]
 
 
 def _placed(placing: Placing, view: Model, scene: Scene, given: Given) -> Georeference:
@@ -177,7 +182,7 @@ def _placed(placing: Placing, view: Model, scene: Scene, given: Given) -> Georef
         held_out[held] = off[at[held]]
     order = np.lexsort((scene.step[fixes.home], scene.track[fixes.home]))  # control points stay in every part
     points, sums, lines = _points(view, given, fit)
-    sigma = jackknife_sigma(evidence, placing.up, fit, order)
+    sigma = _with_common(jackknife_sigma(evidence, placing.up, fit, order), placing, scene)
     return Georeference(
         world_from_model=fit.similarity,
         scale_source=_scale_source(placing, scene, view, count),
@@ -196,6 +201,23 @@ def _placed(placing: Placing, view: Model, scene: Scene, given: Given) -> Georef
         fix_residual_m=here[:count],
         error=PlacementError(fit.middle, widened(fit.covariance, sigma)),
     )
+
+
+def _with_common(sigma: dict[str, float], placing: Placing, scene: Scene) -> dict[str, float]:
+    """The sigmas of a placement with what all positions of a receiver share, which no residual shows.
+
+    The errors of a receiver (base station, ambiguities, multipath, atmosphere) last minutes: their mean is known no
+    better than its stated sigma says of one. Control points, where there are some, hold the place against it.
+    """
+    if scene.prior not in ("gnss", "exif") or not len(placing.fixes) or len(placing.points):
+        return sigma
+    stated = scene.position_sigma_m[placing.fixes.home]
+    if not np.isfinite(stated).any():
+        return sigma
+    east, north, up = np.nanmedian(stated, axis=0)
+    plan, height = np.hypot(east, north), up
+    wider = {"position_m": np.hypot(sigma["position_m"], plan), "height_m": np.hypot(sigma["height_m"], height)}
+    return sigma | {n: round(float(v), 6) for n, v in wider.items()}
 
 
 def row_of_frames(fixes: Fixes, frames: int) -> np.ndarray:

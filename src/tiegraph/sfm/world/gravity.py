@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from tiegraph.scene.scene import Scene
 
-RING_SIGMA_DEG = 3.0  # a ring round a levelled platform: what trim and mounting leave
+RING_SIGMA_DEG = 3.0  # cameras all round a levelled platform: what trim and mounting leave
 LONE_SIGMA_DEG = 10.0  # a person holding a camera, or cameras to one side
 _AGREEMENT = 0.8  # length of the mean of the unit vectors; nadir photographs of many headings have about 0
+_ROUND = 0.5  # length of the mean viewing direction of a frame, below which its cameras look all round
 
 
 @dataclass(frozen=True)
 class Up:
-    """Upward direction (3,) in the model, its sigma, and whether a ring of cameras says so."""
+    """Upward direction (3,) in the model, its sigma, and whether cameras all round say so: of a ring, or a pair back to
+    back, the tops of some go up where those of the others go down."""
 
     direction: np.ndarray
     sigma_deg: float
@@ -24,7 +27,11 @@ class Up:
 
 
 def up_vector(cam_from_world: np.ndarray, scene: Scene) -> Up | None:
-    """Mean of -y of the side cameras over all registered images (N, 4, 4); None when they do not agree."""
+    """Mean of -y of the side cameras over all registered images (N, 4, 4); None when they do not agree.
+
+    The sigma of cameras all round is 3 deg, or more where the platform itself leans so much from frame to frame (a
+    camera on a pole).
+    """
     side = np.array([scene.sensor_of(k).role == "side" for k in range(len(scene))], bool)
     use = side & np.isfinite(cam_from_world).all(axis=(1, 2))
     if not use.any():
@@ -33,8 +40,22 @@ def up_vector(cam_from_world: np.ndarray, scene: Scene) -> Up | None:
     mean = tops.mean(axis=0)
     if np.linalg.norm(mean) < _AGREEMENT:
         return None
-    looking = cam_from_world[use, 2, :3].mean(axis=0)
-    several = any(sum(s.role == "side" for s in r.sensors) >= 3 for r in scene.rigs)
-    ring = several and float(np.linalg.norm(looking)) < 0.5
-    cameras = "the ring of side cameras" if ring else "the images"
-    return Up(mean / np.linalg.norm(mean), RING_SIGMA_DEG if ring else LONE_SIGMA_DEG, ring, cameras)
+    mean /= np.linalg.norm(mean)
+    count, (top, looking) = _of_frames(scene.frame[use], (tops, cam_from_world[use, 2, :3]))
+    several = count > 1
+    if not several.any() or float(np.linalg.norm(looking[several], axis=1).mean()) >= _ROUND:
+        return Up(mean, LONE_SIGMA_DEG, False, "the images")
+    leaning = np.degrees(np.arccos(np.clip(top[several] @ mean / np.linalg.norm(top[several], axis=1), -1, 1)))
+    sigma = max(RING_SIGMA_DEG, float(np.sqrt(np.mean(leaning**2))))
+    return Up(mean, sigma, True, "the ring of side cameras")
+
+
+def _of_frames(frame: np.ndarray, values: Sequence[np.ndarray]) -> tuple[np.ndarray, list[np.ndarray]]:
+    """How many images (N,) each frame has (G,), and the means (G, 3) over them of each of the values (N, 3)."""
+    frames, at, count = np.unique(frame, return_inverse=True, return_counts=True)
+    means = []
+    for v in values:
+        total = np.zeros((len(frames), 3))
+        np.add.at(total, at, v)
+        means.append(total / count[:, None])
+    return count, means

@@ -18,6 +18,7 @@ from tiegraph.sfm.world.sources import (
     ORIENTATIONS,
     RIG,
     SCALE,
+    TOLD_SCALE,
     orientation_statements,
     rig_statement,
     up_statements,
@@ -51,12 +52,17 @@ def judged(found: Georeference, scene: Scene, model_sigma_m: float, targets: lis
     for axis, size, text in forms:
         key = "height_m" if axis == "up" else "position_m"
         sigma[key] = round(max(sigma[key], size / 2), 6)
+        if axis == _ALONG:
+            sigma["scale"] = round(max(sigma["scale"], size / _length(found)), 6)
         sentences.append(text)
     sentences += _levels(found, bool(forms))
     sentences += _control(found, targets)
     sentences += _check_points(found, model_sigma_m, targets)
     error = found.error.widened_to(sigma) if found.error is not None else None
-    return replace(found, sigma=sigma, error=error, statements=tuple(said), contradictions=tuple(sentences))
+    return replace(
+        found, sigma=sigma, error=error, statements=tuple(said), contradictions=tuple(sentences),
+        notes=(*found.notes, *_rests_on(found, scene)),
+    )  # fmt: skip
 
 
 def statements(found: Georeference) -> list[Statement]:
@@ -158,10 +164,35 @@ def _directions(place: np.ndarray) -> np.ndarray:
     return way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
 
 
+def _length(found: Georeference) -> float:
+    """Of the way that the positions go, end to end, metres."""
+    assert found.placing is not None
+    own = found.placing.fixes.position
+    return max(float(np.linalg.norm(np.ptp(own, axis=0))), 1e-9)
+
+
+def _rests_on(found: Georeference, scene: Scene) -> list[str]:
+    """What holds the scale where the rig does, and what checks it: its own images do not."""
+    placing = found.placing
+    assert placing is not None
+    rig = placing.model.scale
+    if rig is None or not placing.weighed.rig_used:
+        return []
+    told = [s for s in placing.weighed.sources if np.isfinite(s.scale_sigma) and s.scale_sigma < TOLD_SCALE]
+    checked = " and ".join(f"the {s.name} tell it to {s.scale_sigma:.1%}" for s in told)
+    levers = ", ".join(s.name for r in scene.rigs if not r.nominal for s in r.sensors[1:])
+    return [
+        f"the scale rests on the lever arms of the rig as given ({levers}), by which the images tell it to "
+        f"{rig.sigma:.1%}; {checked or 'nothing else tells it'}"
+    ]
+
+
 def _trend_text(axis: str, text: str, form: str, sigma: float, found: Georeference) -> str:
     where = axis if axis == _ALONG else f"towards {axis}" if axis != "up" else "in height"
+    assert found.placing is not None
+    holds = f"the {RIG}" if found.placing.weighed.rig_used else "something else"
     causes = {
-        "line": "positions that drift, or a scale that something else holds",
+        "line": f"positions that drift, or a scale that {holds} holds",
         "curve": "a model that bends, or positions that drift",
         "offset": "positions whose times are off, or an antenna ahead of or behind the cameras",
         "step": "positions that jump (a receiver that lost and found its fix, another base), or a torn model",

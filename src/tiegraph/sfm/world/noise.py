@@ -14,6 +14,7 @@ import numpy as np
 MEDIAN_CHI2_3 = 2.366  # median of chi-square with three degrees of freedom
 MAX_FACTOR = 30.0
 MIN_ROWS = 6  # of a level, to say anything of its factor
+SIMILARITY = 7  # unknowns
 _MAX_CORRELATION = 0.9
 
 
@@ -27,22 +28,39 @@ class Level:
     correlation: float
 
 
-def factors(residual: np.ndarray, level: np.ndarray, time_s: np.ndarray) -> np.ndarray:
+def factors(residual: np.ndarray, level: np.ndarray, time_s: np.ndarray, unknowns: int = SIMILARITY) -> np.ndarray:
     """(K,) by which sigmas are to be multiplied, from residuals over sigma (K, 3); at least 1.
 
     The median of squares per level, so that single outliers are left to the robust loss; times sqrt((1 + r) / (1 - r))
-    for the correlation r of neighbours in time (the effective number of a first-order process).
+    for the correlation r of neighbours in time (the effective number of a first-order process). ``unknowns`` of the fit
+    that left the residuals: it took as much of the noise away, and of a slow error most (a fit to a few rows follows
+    it), so that both are freed of this bias.
     """
     out = np.ones(len(level))
+    taken = _taken(len(level), unknowns)
     for rows in _levels(level):
         if len(rows) < MIN_ROWS:
             rows_of = np.ones(len(level), bool) if len(level) >= MIN_ROWS else np.zeros(len(level), bool)
             if rows_of.any():
-                out[rows] = _scatter(residual)
+                out[rows] = _scatter(residual * taken)
             continue
-        r = correlation(residual[rows], time_s[rows])
-        out[rows] = min(_scatter(residual[rows]) * float(np.sqrt((1 + r) / (1 - r))), MAX_FACTOR)
+        r = unbiased(correlation(residual[rows], time_s[rows]), len(rows), unknowns)
+        out[rows] = min(_scatter(residual[rows] * taken) * float(np.sqrt((1 + r) / (1 - r))), MAX_FACTOR)
     return out
+
+
+def _taken(count: int, unknowns: int) -> float:
+    """By how much residuals of so many positions are smaller than the noise, for the unknowns fitted to them."""
+    return float(np.sqrt(3 * count / (3 * count - unknowns))) if 3 * count > 2 * unknowns else 1.0
+
+
+def unbiased(r: float, count: int, unknowns: int = SIMILARITY) -> float:
+    """A correlation of residuals freed of what the fit took from it; 0 to 0.9.
+
+    Of ``count`` rows and p unknowns a series its expectation is r - (p + (p + 2) r) / count, to first order.
+    """
+    own = unknowns / 3
+    return float(np.clip(r + (own + (own + 2) * r) / count, 0.0, _MAX_CORRELATION)) if r > 0 else 0.0
 
 
 def levels(residual: np.ndarray, level: np.ndarray, sigma: np.ndarray, time_s: np.ndarray) -> list[Level]:

@@ -206,7 +206,8 @@ def _believed(evidence: Evidence, fixes: Fixes, up: Up | None, near: Similarity)
     count = len(fixes)
     for _ in range(_NOISE_ROUNDS if count else 0):
         residual = evidence.position_residuals(fit.similarity, fit.antenna, fit.offset_s)[:count] / fixes.sigma
-        stretched = fixes.stretched(noise.factors(residual, fixes.level, fixes.time_s))
+        unknowns = noise.SIMILARITY + 3 * evidence.estimate_antenna + evidence.estimate_offset
+        stretched = fixes.stretched(noise.factors(residual, fixes.level, fixes.time_s, unknowns))
         evidence = replace(evidence, sigma=np.concatenate([stretched.sigma, evidence.sigma[count:]]))
         fit = fit_similarity(evidence, used, near=fit.similarity)
     return evidence, fit
@@ -328,7 +329,7 @@ def _arm_text(evidence: Evidence, fit: Fit) -> str:
             "; its height cannot be told from the height of the world (taken as that of the camera, to 1 m): "
             "measure the antenna's height above the cameras where heights matter"
         )
-    return text
+    return text + "; a receiver whose positions jump between the passes looks the same and cannot be told from it"
 
 
 def _try_clock(
@@ -367,7 +368,8 @@ def up_to_use(evidence: Evidence, up: Up | None, notes: list[str], near: Similar
         known = known_to(alone.tilt_sigma_deg, RIGHT_ANGLE_DEG, f"{alone.tilt_sigma_deg:.1f} deg")
         notes.append(
             f"the positions leave the tilt open ({known}): the upward direction of {up.cameras} holds it, to about "
-            f"{up.sigma_deg:.0f} deg; whether east and north are exchanged cannot be told along so straight a track"
+            f"{up.sigma_deg:.0f} deg; whether east and north, or one of them and the height, are exchanged cannot be "
+            "told along so straight a track"
         )
     elif not up.ring and alone.roll_sigma_deg > ROLL_LIMIT_DEG:
         known = known_to(alone.roll_sigma_deg, RIGHT_ANGLE_DEG, f"{alone.roll_sigma_deg:.0f} deg")

@@ -27,12 +27,16 @@ class RigScale:
     why_not: str = ""
 
 
-def rig_scale(model: pycolmap.Reconstruction, cam_from_world: np.ndarray, scene: Scene) -> RigScale | None:
+def rig_scale(
+    model: pycolmap.Reconstruction, cam_from_world: np.ndarray, scene: Scene, inside: float = float("nan")
+) -> RigScale | None:
     """Median ratio of given to mapped baselines over all frames; None without a rig of given lengths.
 
-    The sigma adds the baseline's own (2 mm, or what the rig file gives) and a rotation error of 0.01 deg at the model's
-    median depth. Nominal rigs are not believed. Of a relaxed rig, whose cameras fire apart, only what lies across the
-    motion counts: along it an offset in time is one in place, at constant speed.
+    The sigma adds the baseline's own (2 mm, or what the rig file gives), a rotation error of 0.01 deg at the model's
+    median depth, and ``inside``: how well the images carry the baselines to the length of the whole (relative sigma of
+    the adjustment, NaN = not known). Whether the rig is believed is asked of the file alone, and nominal rigs are not.
+    Of a relaxed rig, whose cameras fire apart, only what lies across the motion counts: along it an offset in time is
+    one in place, at constant speed.
     """
     ratios, lengths, sigmas, given = [], [], [], True
     apart = relaxed(model, scene)
@@ -63,7 +67,7 @@ def rig_scale(model: pycolmap.Reconstruction, cam_from_world: np.ndarray, scene:
         why = "its extrinsics are nominal"
     elif sigma > MAX_SIGMA:
         why = f"a baseline of {length:.3f} m at {depth:.0f} m gives a scale to {sigma:.1%} only"
-    return RigScale(scale, sigma, not why, why)
+    return RigScale(scale, float(np.hypot(sigma, np.nan_to_num(inside))), not why, why)
 
 
 def relaxed(model: pycolmap.Reconstruction, scene: Scene) -> bool:

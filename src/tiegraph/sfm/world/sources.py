@@ -25,7 +25,7 @@ CONTROL, RIG, ORIENTATIONS = "control points", "rig as given", "given orientatio
 SCALE, HEADING, TILTS = "scale", "heading", ("tilt towards north", "tilt towards east")
 PLACES = ("place east", "place north", "height")
 _TOLD_DEG = 20.0  # a turn known worse than that says nothing
-_TOLD_SCALE = 0.3
+TOLD_SCALE = 0.3
 _COMMON_DEG = 1.5  # what the orientations of a path have in common does not average out
 _THREE = 3
 _LEAST = 0.01  # of the stated sigma: what scatters less is not measured but made
@@ -56,7 +56,7 @@ class Source:
         off = (here - result(at[None]))[0]
         place = np.hypot(PlacementError(self.middle, self.covariance).sigma(here)[0], self.common_m)
         out = []
-        if self.scale_sigma < _TOLD_SCALE:
+        if self.scale_sigma < TOLD_SCALE:
             ratio = self.similarity.scale / result.scale
             out.append(Statement(SCALE, self.name, ratio, ratio * self.scale_sigma, "", SCALE in used))
         names = ((HEADING, 2, -1.0), (TILTS[0], 0, -1.0), (TILTS[1], 1, 1.0))
