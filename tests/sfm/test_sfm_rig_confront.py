@@ -11,6 +11,7 @@ import pycolmap
 import pytest
 from driving_world import LATE_S, Drive, driving_world, true_scale, with_sync
 
+from tiegraph.geometry import transforms
 from tiegraph.scene.rig import rig_from_dict, rig_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjust import final_adjustment
@@ -95,6 +96,24 @@ def test_what_one_step_cannot_tell_is_said_without_figures(monkeypatch: pytest.M
     assert heard is not None and heard.beyond == (2,) and heard.freed == ()
     said = statements(heard, scene, 0)
     assert said.statements == () and len(said.contradictions) == 1 and "(cam2)" in said.contradictions[0]
+
+
+def test_a_camera_that_stands_elsewhere_widens_the_scale_of_its_rig() -> None:
+    """A file whose right camera is 40 mm too low; as given nothing is widened."""
+    model, scene = _rigid("as given")
+    rig = scene.rigs[0]
+    pose = rig.sensors[1].sensor_from_rig
+    assert pose is not None
+    lever = float(np.linalg.norm(transforms.centre(pose)))
+    moved = pose.copy()
+    moved[:3, 3] -= pose[:3, :3] @ [0.0, 0.04, 0.0]
+    sensors = tuple(replace(s, sensor_from_rig=moved) if k == 1 else s for k, s in enumerate(rig.sensors))
+    wrong = scene.with_(rigs=(replace(rig, sensors=sensors, synchronised=True),))
+    heard = hear(model, wrong, 0, 1.0)
+    assert heard is not None and ("mount", 1) in heard.freed
+    assert statements(heard, wrong, 0).misfit == pytest.approx(0.04 / lever / np.sqrt(5), rel=0.4)
+    right = hear(model, scene, 0, 1.0)
+    assert right is not None and statements(right, scene, 0).misfit == 0
 
 
 def _finished(case: str, folder: Path, **more: object) -> tuple[Finished, pycolmap.Reconstruction, Scene]:

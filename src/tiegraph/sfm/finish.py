@@ -99,6 +99,8 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> Finishe
     sigma = _sigma(model, scene, request, notes, checked.ties)
     if sigma is not None:
         sigma = replace(sigma, mounting=_in_their_time(sigma.mounting, checked.levers))
+        if checked.misfit:  # a rig that is contradicted by so much gives no scale better than that
+            sigma = replace(sigma, scale=float(np.hypot(sigma.scale or 0.0, checked.misfit)))
         names = {k + 1: s.name for k, s in enumerate(scene.all_sensors)}
         tables |= sigma.tables(names)
         notes += _open_notes(sigma, names)
@@ -152,6 +154,7 @@ class _Checked:
     contradictions: list[str] = field(default_factory=list)
     statements: list[Statement] = field(default_factory=list)
     levers: dict[int, float] = field(default_factory=dict)  # camera id -> sigma with its time free, model units
+    misfit: float = 0.0  # of the lever arms as given, where they are contradicted: a share
 
 
 def _checked_rig(
@@ -266,6 +269,7 @@ def _confronted(
             heard = again
     said = statements(heard, scene, index, refined)
     out.statements += said.statements
+    out.misfit = max(out.misfit, said.misfit)
     if not said.contradictions:
         return
     how = ""

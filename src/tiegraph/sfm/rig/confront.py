@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.scene.evidence import LIMIT, Contradiction, Statement
+from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjust import final_adjustment, free_cameras
 from tiegraph.sfm.model import model_rigs
@@ -128,10 +129,12 @@ def _lenses(model: pycolmap.Reconstruction, scene: Scene, index: int) -> set[int
 
 @dataclass(frozen=True)
 class Said:
-    """Statements on each camera of a rig, and the sentences where two of them cannot both be right."""
+    """Statements on each camera of a rig, the sentences where two of them cannot both be right, and ``misfit``: by how
+    much of its lever arm a camera stands elsewhere than given, where that is contradicted (root mean square of all)."""
 
     statements: tuple[Statement, ...]
     contradictions: tuple[str, ...]
+    misfit: float = 0.0
 
 
 def statements(heard: Judgement, scene: Scene, index: int, refined: pycolmap.Reconstruction | None = None) -> Said:
@@ -142,6 +145,7 @@ def statements(heard: Judgement, scene: Scene, index: int, refined: pycolmap.Rec
     rig, system = scene.rigs[index], heard.system
     rows: list[Statement] = []
     lines: list[str] = []
+    off = np.zeros(len(rig.sensors))
     if heard.beyond:
         names = ", ".join(rig.sensors[k].name for k in heard.beyond)
         lines.append(
@@ -152,7 +156,10 @@ def statements(heard: Judgement, scene: Scene, index: int, refined: pycolmap.Rec
         if ("mount", sensor) in heard.freed:
             for pair in _mounting(heard, scene, index, sensor, refined):
                 rows += pair
-                lines += _sentence(pair, f"camera {camera.name} is mounted otherwise than the rig file says, or moved")
+                found = _sentence(pair, f"camera {camera.name} is mounted otherwise than the rig file says, or moved")
+                lines += found
+                if found and pair[0].unit == "m":
+                    off[sensor] = abs(pair[1].value)
         if ("lens", sensor) in heard.freed:
             pair = _focal(heard, scene, index, sensor)
             rows += pair
@@ -167,7 +174,17 @@ def statements(heard: Judgement, scene: Scene, index: int, refined: pycolmap.Rec
             )
             rows += pair
             lines += _sentence(pair, "the cameras do not fire at one instant")
-    return Said(tuple(rows), tuple(lines))
+    return Said(tuple(rows), tuple(lines), _misfit(off, rig))
+
+
+def _misfit(off: np.ndarray, rig: Rig) -> float:
+    """Root mean square of the shares of their lever arms that the S cameras of a rig are off by (S,), metres."""
+    if not off.any():
+        return 0.0
+    poses = np.stack([np.eye(4) if s.sensor_from_rig is None else s.sensor_from_rig for s in rig.sensors])
+    lever = np.linalg.norm(transforms.centre(poses), axis=1)
+    lever[0] = np.median(lever[1:])  # the reference's own is nothing
+    return float(np.sqrt(np.sum((off / np.maximum(lever, 1e-3)) ** 2) / (len(lever) - 1)))
 
 
 def _mounting(
