@@ -18,9 +18,11 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 import tiegraph  # noqa: F401  (zlib before pycolmap)
@@ -30,7 +32,7 @@ import pycolmap  # isort: skip
 from benchmarks import close, datasets
 from benchmarks.sfm.agree import centres, compare
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjust import free_cameras
 from tiegraph.sfm.covariance import PositionSigma, position_sigma
@@ -39,6 +41,7 @@ from tiegraph.sfm.rig.given import drawings
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.settings import SparseSettings
 
+_FEW = 20  # points below which nothing is said of them
 EXPLAINED = 0.999  # of the predicted variance lies in the modes whose errors are looked at one by one
 
 _HAT = "tiegraph's, openMVG's model and the truth against each other (benchmarks/sfm/README.md)"
@@ -119,7 +122,57 @@ def measure(name: str, dataset: datasets.Dataset, folder: Path, second: Path | N
         out["attitude_deg"] = _pair(float(np.degrees(_rms(sigma.turn[rows]))), float(np.sqrt(np.mean(angle**2))))
         out["lens_px"] = {str(f.camera): [round(f.rms_px, 3), round(f.reach_px)] for f in sigma.lenses}
         out["strays"] = [[f.always, f.place * fit.scale, float(np.degrees(f.turn))] for f in sigma.strays]
+    out |= _points(name, model, sigma, dataset, fit)
     return {**out, **_with_truth(name, folder, dataset, second, out["position_m"])}
+
+
+def _points(
+    name: str, model: pycolmap.Reconstruction, sigma: PositionSigma, dataset: datasets.Dataset, fit: Similarity
+) -> dict[str, Any]:
+    """Predicted and actual errors of sparse points, where depth maps of true images tell where their surface is.
+
+    The true place of a point is where the true ray of its key point meets the surface. The worst twentieth, on edges
+    where depth jumps, is left out of both.
+    """
+    folder = datasets.data_root() / name / "gt" / "depth"
+    if sigma.point_sigma is None or not folder.is_dir():
+        return {}
+    error, own = [], []
+    for point_id, axes in zip(sigma.point_ids, sigma.point_sigma):
+        point = model.point3D(point_id)
+        found = [_true_place(model, e, dataset, folder) for e in point.track.elements]
+        seen = [place for place in found if place is not None]
+        if seen:
+            error.append(float(np.linalg.norm(fit(point.xyz[None])[0] - np.mean(seen, axis=0))))
+            own.append(fit.scale * float(np.linalg.norm(axes)))
+    if len(error) < _FEW:
+        return {}
+    keep = np.argsort(error)[: int(0.95 * len(error))]
+    return {"point_m": _pair(_rms(np.array(own)[keep, None]), _rms(np.array(error)[keep, None])), "judged": len(error)}
+
+
+def _true_place(
+    model: pycolmap.Reconstruction, element: Any, dataset: datasets.Dataset, folder: Path
+) -> np.ndarray | None:
+    """Where the true ray of a key point meets the true surface (3,), None without a depth map of its image."""
+    image = model.image(element.image_id)
+    path = (folder / image.name).with_suffix(".png")
+    if image.name not in dataset.cam_from_world or not path.exists():
+        return None
+    depth = _depth(path)
+    at = np.asarray(image.points2D[element.point2D_idx].xy)
+    column, row = (int(v) for v in at)
+    z = float(depth[row, column])
+    ray = model.camera(image.camera_id).cam_from_img(at)
+    if not z or ray is None:
+        return None
+    inverse = np.linalg.inv(dataset.cam_from_world[image.name])
+    return (inverse @ np.array([ray[0] * z, ray[1] * z, z, 1.0]))[:3]
+
+
+@cache
+def _depth(path: Path) -> np.ndarray:
+    return cv2.imread(str(path), cv2.IMREAD_UNCHANGED) / 256.0
 
 
 def predicted(model: pycolmap.Reconstruction, scene: Scene) -> PositionSigma:
@@ -164,14 +217,16 @@ def modes(covariance: np.ndarray, rows: np.ndarray, off: np.ndarray) -> dict[str
 
 def table(rows: list[dict[str, Any]]) -> str:
     """The rows as a table of text: predicted over actual."""
-    lines = ["set | frames | positions predicted / actual mm | ratio | truth mm | ratio with it | scale | attitude"]
+    lines = [
+        "set | frames | positions predicted / actual mm | ratio | truth mm | ratio with it | scale | attitude | points"
+    ]
     for row in rows:
         pair = row["position_m"]
         lines.append(" | ".join([
             row["set"], str(row["frames"]), f"{1000 * pair['predicted']:.2f} / {1000 * pair['actual']:.2f}",
             f"{pair['ratio']:.2f}", f"{1000 * row['truth_m']:.2f}" if "truth_m" in row else "?",
             str(row.get("ratio_with_truth", "?")),
-            *(f"{row[k]['ratio']:.2f}" if k in row else "-" for k in ("scale", "attitude_deg")),
+            *(f"{row[k]['ratio']:.2f}" if k in row else "-" for k in ("scale", "attitude_deg", "point_m")),
         ]))  # fmt: skip
     return "\n".join(lines)
 
