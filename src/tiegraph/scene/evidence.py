@@ -118,22 +118,25 @@ def trend(values: np.ndarray, tests: int = 1, offset: bool = False) -> Trend | N
     x, y = np.linspace(-1.0, 1.0, len(y))[keep], y[keep]
     if len(y) < _MIN_ROWS or np.ptp(y) == 0:
         return None
-    step = (np.arange(len(y)) >= _best_cut(y, x)).astype(float)
-    shapes = {"line": x[:, None], "curve": np.stack([x, x**2], axis=1), "step": np.stack([x, step], axis=1)}
+    one = np.ones(len(y))
+    shapes = [("line", x[:, None]), ("curve", np.stack([x, x**2], axis=1))]
+    shapes += [("step", _best_step(y, one[:, None])), ("step", _best_step(y, np.stack([one, x], axis=1)))]
     if offset:
-        shapes["offset"] = np.zeros((len(y), 0))
-    found = [_tested(y, n, s, tests * len(shapes) * (len(y) - 5 if n == "step" else 1)) for n, s in shapes.items()]
+        shapes.append(("offset", np.zeros((len(y), 0))))
+    found = [_tested(y, n, s, tests * len(shapes) * (len(y) - 5 if n == "step" else 1)) for n, s in shapes]
     best = min(found, key=lambda t: t.chance)
     return best if best.chance < CHANCE else None
 
 
-def _best_cut(y: np.ndarray, x: np.ndarray) -> int:
-    """Where a step beside a line parts values (K,) at places (K,) best; three at least on either side."""
+def _best_step(y: np.ndarray, beside: np.ndarray) -> np.ndarray:
+    """The step that parts values (K,) best beside a form (K, P) that begins with a constant, which is left away: (K, P)
+    with the step as its last column. Three values at least are on either side."""
     cuts = np.arange(3, len(y) - 2)
     steps = (np.arange(len(y))[:, None] >= cuts).astype(float)
-    line = np.linalg.qr(np.column_stack([np.ones(len(y)), x]))[0]
-    y, steps = y - line @ (line.T @ y), steps - line @ (line.T @ steps)
-    return int(cuts[np.argmax((y @ steps) ** 2 / np.sum(steps**2, axis=0))])
+    base = np.linalg.qr(beside)[0]
+    off, free = y - base @ (base.T @ y), steps - base @ (base.T @ steps)
+    best = int(np.argmax((off @ free) ** 2 / np.sum(free**2, axis=0)))
+    return np.column_stack([beside[:, 1:], steps[:, best]])
 
 
 def _tested(y: np.ndarray, form: str, shape: np.ndarray, tries: int) -> Trend:
@@ -149,7 +152,7 @@ def _tested(y: np.ndarray, form: str, shape: np.ndarray, tries: int) -> Trend:
     rest = float(np.sum((white[1][:, 0] - white[0] @ best) ** 2)) / free
     sigma = float(np.sqrt(max(rest * normal[-1, -1], 1e-300)))
     chance = min(1.0, 2 * tries * float(student.sf(abs(best[-1]) / sigma, free)))
-    line = design @ (plain if form != "step" else plain * [0, 0, 1])
+    line = design[:, -1] * plain[-1] if form == "step" else design @ plain
     bow = float(-plain[-1]) if form == "curve" else 0.0
     at = float(1 - shape[:, -1].mean()) if form == "step" else float("nan")
     return Trend(form, float(line[0]), float(line[-1]), bow, at, chance)
