@@ -25,6 +25,7 @@ HELD_TO_M, HELD_TO_DEG, HELD_TO_LENS = 0.005, 0.05, 0.002
 LOOSELY_M, LOOSELY_DEG = 0.05, 3.0  # of extrinsics that a model found: all that is asked of these is the time
 _EXACTLY = 1e-6
 GIVEN, IMAGES = "rig as given", "images"
+_ONE_CAUSE = "the file of another rig, focal lengths or distortions unlike their calibration, or a torn model?"
 
 
 def hear(model: pycolmap.Reconstruction, scene: Scene, index: int, metres_per_unit: float) -> Judgement | None:
@@ -145,25 +146,28 @@ def statements(heard: Judgement, scene: Scene, index: int, refined: pycolmap.Rec
     rig, system = scene.rigs[index], heard.system
     rows: list[Statement] = []
     lines: list[str] = []
-    off = np.zeros(len(rig.sensors))
+    off, elsewhere = np.zeros(len(rig.sensors)), set()
     if heard.beyond:
         names = ", ".join(rig.sensors[k].name for k in heard.beyond)
-        lines.append(
-            f"rig {rig.name}: the images contradict it by more than can be told apart ({names}): the file of another "
-            "rig, or a model far from the truth?"
-        )
+        lines.append(f"rig {rig.name}: the images contradict it by more than can be told apart ({names}): {_ONE_CAUSE}")
     for sensor, camera in enumerate(rig.sensors):
         if ("mount", sensor) in heard.freed:
             for pair in _mounting(heard, scene, index, sensor, refined):
                 rows += pair
                 found = _sentence(pair, f"camera {camera.name} is mounted otherwise than the rig file says, or moved")
                 lines += found
+                elsewhere |= {camera.name} if found else set()
                 if found and pair[0].unit == "m":
                     off[sensor] = abs(pair[1].value)
         if ("lens", sensor) in heard.freed:
             pair = _focal(heard, scene, index, sensor)
             rows += pair
             lines += _sentence(pair, f"camera {camera.name} has another lens than its calibration says, or zoomed")
+    if len(elsewhere) > 1:  # one cause: a bent model says little of which camera it is
+        lines.append(
+            f"rig {rig.name}: {len(elsewhere)} of its {len(rig.sensors)} cameras stand otherwise than its file says: "
+            f"{_ONE_CAUSE}"
+        )
     if rig.synchronised:
         for sensor, (late, sigma) in heard.times_s().items():
             unit = "ms" if system.timed else "% of the frame interval"
