@@ -14,7 +14,7 @@ from unittest import mock
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-import tiegraph  # noqa: F401, I001  before pycolmap
+import tiegraph  # noqa: F401  before pycolmap
 from benchmarks.masks.measure import load
 from tiegraph.masks import learnt
 from tiegraph.masks.above import Edges, not_above

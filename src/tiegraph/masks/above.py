@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-# Of the length of all edges, what faces down more than up: 0.4 and more of skies, behind ragged trees too; 0.15 and less
-# of what only looks like sky, from the air, on facades and sand (benchmarks/masks/above.py).
+# Of the length of all edges, what faces down more than up: 0.4 and more of skies, behind ragged trees too; 0.15 and
+# less of what only looks like sky, from the air, on facades and sand (benchmarks/masks/above.py).
 _ABOVE = 0.25
 _BLUR_PX = 5.0  # at lookup.LOOK_PX: twigs and the steps of a border are no edges of their own
 _REACH_PX = 25  # side of the square over which the blur carries an edge: so near to what is not told, it is not its own
