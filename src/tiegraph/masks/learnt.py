@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from tiegraph.masks import appearance
+from tiegraph.masks.above import not_above
 from tiegraph.masks.appearance import Appearance
 from tiegraph.masks.classes import SKY, USE, WATER
 from tiegraph.masks.ego import Ego, different_frames, learn_ego
@@ -25,6 +26,7 @@ _SEED_IMAGES = 40  # from which appearance is learnt
 _PLACE_SEEDS = 0.5  # images: as many say beforehand that a place is sky, and that it is none
 _PLACE_CLIP = 1.5
 _AGREED, _AGREED_SHARE = 0.05, 0.1  # of the height; of the images that show sky
+_NEAR, _NOT_ABOVE = "what matches in it is as near as the scene", "what looks like it does not lie above the rest"
 
 Map = Callable[[Callable, Sequence], Iterable]
 
@@ -70,18 +72,26 @@ def learn(
 def _proven(
     first: Mapping[int, Learnt], jobs: Sequence[SeedJob], seeds: Sequence[Seeds], asked: bool
 ) -> dict[int, Learnt]:
-    """What is learnt the second time, without the sky that matches refute; without any, water must be ``asked`` for."""
+    """What is learnt the second time, without the sky that is refuted; without any, water must be ``asked`` for."""
     upward = {job.camera for job in jobs if job.upward}
     known, places = _appearances(jobs, seeds, upward), _places(jobs, seeds)
-    refuted = without_sky({k: sum(_of(k, jobs, [s.ties for s in seeds]), NONE) for k in first})
-    dry = not asked and refuted >= set(first) - upward
+    refuted = _refuted(jobs, seeds, upward)
+    dry = not asked and set(refuted) >= set(first) - upward
     made = {}
     for k, learnt in first.items():
         table = {c: t for c, t in known[k].table.items() if c != SKY or k not in refuted}
         sky = None if k in refuted else places.get(k)
         water = None if dry else learnt.water
-        made[k] = replace(learnt, appearance=Appearance(table), sky=sky, water=water, sky_refuted=k in refuted)
+        made[k] = replace(learnt, appearance=Appearance(table), sky=sky, water=water, no_sky=refuted.get(k, ""))
     return made
+
+
+def _refuted(jobs: Sequence[SeedJob], seeds: Sequence[Seeds], upward: set[int]) -> dict[int, str]:
+    """The cameras whose sky is refuted, and by what."""
+    cameras = {job.camera for job in jobs}
+    near = without_sky({k: sum(_of(k, jobs, [s.ties for s in seeds]), NONE) for k in cameras})
+    anywhere = not_above({k: _of(k, jobs, [s.edges for s in seeds]) for k in cameras - upward})
+    return dict.fromkeys(anywhere, _NOT_ABOVE) | dict.fromkeys(near, _NEAR)
 
 
 def _of(camera: int, jobs: Sequence[SeedJob], items: Sequence) -> list:
@@ -96,7 +106,7 @@ def _unproven(ego: Ego) -> Ego:
 
 def _with_notes(learnt: Learnt, ego: Ego, before: Sequence[Ties], now: Sequence[Ties]) -> Learnt:
     water = ", water" if learnt.water is not None else ", no water seen"
-    sky = ", no sky: what matches in it is as near as the scene" if learnt.sky_refuted else ""
+    sky = f", no sky: {learnt.no_sky}" if learnt.no_sky else ""
     return replace(learnt, note=ego.note + sky + water, ties=(cost(before)[0], *cost(now)))
 
 

@@ -39,7 +39,8 @@ class Learnt:
     sky: np.ndarray | None  # (r, c) f4 prior of sky in its images, log ratio; None = it looks up
     sky_rows: float  # share of the height below which no sky was seen in any image
     note: str
-    sky_refuted: bool = False
+    no_sky: str = ""
+    """Why what looks like sky is none; "" where nothing refutes it."""
     ties: tuple[int, int, int] = (0, 0, 0)
     """Verified matches in its images: masked before classes were refuted, masked now, all."""
 
@@ -54,8 +55,7 @@ def classify(image: np.ndarray, learnt: Learnt, settings: MasksSettings) -> np.n
     if learnt.sky is not None:
         sky_ratio += cv2.resize(learnt.sky, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
     white = grey(image) >= settings.overexposed
-    high = np.arange(shape[0])[:, None] < (learnt.sky_rows + SKY_MARGIN) * shape[0]
-    sky = _with_white(_grown(_cleaned((sky_ratio > _SKY_CREDIT) & high), image), white)
+    sky = _with_white(_grown(_cleaned((sky_ratio > _SKY_CREDIT) & sought(shape, learnt)), image), white)
     labels = np.full(shape, USE, np.uint8)
     labels[_cleaned(white)] = OVEREXPOSED
     labels[sky] = SKY
@@ -66,6 +66,11 @@ def classify(image: np.ndarray, learnt: Learnt, settings: MasksSettings) -> np.n
         ego = None if learnt.ego is None else scaled(learnt.ego, shape)
         labels[below_waterline(ratio, ego)] = WATER
     return labels
+
+
+def sought(shape: tuple[int, ...], learnt: Learnt) -> np.ndarray:
+    """The rows (h, 1) bool of an image of ``shape`` in which sky is sought."""
+    return np.arange(shape[0])[:, None] < (learnt.sky_rows + SKY_MARGIN) * shape[0]
 
 
 def classes_of(path: Path, learnt: Learnt, settings: MasksSettings, shape: tuple[int, int]) -> np.ndarray:

@@ -9,11 +9,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from tiegraph.masks.above import Edges, edges_of
 from tiegraph.masks.appearance import BINS, bins
 from tiegraph.masks.classes import EGO, SKY, USE, WATER
 from tiegraph.masks.evidence import Evidence
 from tiegraph.masks.frames import grey, read_small
-from tiegraph.masks.lookup import LOOK_PX, Learnt, classify
+from tiegraph.masks.lookup import LOOK_PX, Learnt, classify, sought
 from tiegraph.masks.morphology import dilated, scaled
 from tiegraph.masks.proof import NONE, Ties, ties_in
 from tiegraph.masks.settings import MasksSettings
@@ -44,12 +45,14 @@ class SeedJob:
 @dataclass(frozen=True)
 class Seeds:
     """Of one image: ``looks`` (BINS,) counts and ``places`` (12, 16) f4 shares of its seed pixels by class; ``low``:
-    share of the height above which its sky lies, narrow pieces included; ``ties``: what of its matches lies where."""
+    share of the height above which its sky lies, narrow pieces included; ``ties``: what of its matches lies where;
+    ``edges`` of its sky, none of an image that looks up."""
 
     looks: dict[int, np.ndarray]
     places: dict[int, np.ndarray]
     low: float
     ties: Ties = NONE
+    edges: Edges = Edges()
 
 
 def first_seeds(job: SeedJob) -> Seeds:
@@ -84,7 +87,9 @@ def second_seeds(job: tuple[SeedJob, Learnt, MasksSettings]) -> Seeds:
     pale = _like_sky(image, labels == SKY, seed.evidence, learnt.sky_rows)
     classes = np.where(free, labels, EGO).astype(np.uint8)
     seeds = _seeds(image, {USE: ((labels == USE) | static) & ~pale & free, **masks})
-    return replace(seeds, ties=ties_in(classes, classes == SKY, seed.evidence))
+    told = free & (labels != WATER) & sought(labels.shape, learnt)
+    edges = Edges() if seed.upward else edges_of(labels == SKY, told)
+    return replace(seeds, ties=ties_in(classes, classes == SKY, seed.evidence), edges=edges)
 
 
 def ties_of(job: tuple[SeedJob, Learnt, MasksSettings]) -> Ties:
