@@ -89,7 +89,7 @@ def _dispatch(arguments: list[str]) -> int:
         return _fail(f"unknown verb {name!r}.{hint} `tiegraph --help` lists all", MISUSE)
     verb = VERBS[name]
     if verb.page and wants_page(rest):
-        say(verb.load_page()())
+        say(verb.page)
         return DONE
     run = verb.load()
     hear()

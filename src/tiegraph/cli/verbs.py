@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 
+from tiegraph.cli import page
+
 HELP, HELP_ALL = ("-h", "--help"), "--help-all"
 
 
@@ -20,7 +22,7 @@ class Verb:
     about: str  # one line of help
     module: str  # of tiegraph.cli; its ``main`` takes the arguments and returns the exit code
     stage: str = ""  # of a verb that is a stage and no more: the module's ``main_stage`` takes its name first
-    page: str = ""  # "module:function" of a short help page that needs no engine
+    page: str = ""  # the short help, where the full one fills many screens
 
     def load(self) -> Callable[[list[str]], int]:
         """Import the module; the function that takes the arguments.
@@ -31,11 +33,6 @@ class Verb:
         module = import_module(f"tiegraph.cli.{self.module}")
         return partial(module.main_stage, self.stage) if self.stage else module.main
 
-    def load_page(self) -> Callable[[], str]:
-        """Import what makes the short help page; the function that returns it."""
-        module, _, function = self.page.partition(":")
-        return getattr(import_module(f"tiegraph.cli.{module}"), function)
-
 
 def wants_page(arguments: Sequence[str]) -> bool:
     """Whether the short help page is asked for; with ``--help-all`` it is every option."""
@@ -43,7 +40,7 @@ def wants_page(arguments: Sequence[str]) -> bool:
 
 
 VERBS: dict[str, Verb] = {
-    "run": Verb("from a folder of images to the cloud and the report (or --until a stage)", "run"),
+    "run": Verb("from a folder of images to the cloud and the report (or --until a stage)", "run", page=page.RUN),
     "demo": Verb("the example survey, from images to the report", "demo"),
     "init": Verb("show what is found in a folder; write tiegraph.toml and rig.toml to edit", "init"),
     "status": Verb("which stages of a run folder are up to date, and why not", "status"),
