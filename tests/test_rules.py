@@ -51,14 +51,14 @@ def test_every_setting_is_documented():
 
 
 def test_stages_settings_and_verbs_have_one_name():
-    from tiegraph.cli.main import verbs
+    from tiegraph.cli.verbs import VERBS
     from tiegraph.pipeline import SHOTS, STAGES
     from tiegraph.project.settings import Settings
 
     stages = (*STAGES, SHOTS)
     names = [s.name for s in stages]
     assert names == list(Settings.model_fields)
-    assert set(names) <= set(verbs())
+    assert set(names) <= set(VERBS)
     for k, stage in enumerate(stages):
         assert set(stage.needs) <= set(names[:k]), f"{stage.name} needs something later"
 

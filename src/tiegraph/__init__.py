@@ -43,3 +43,8 @@ def __getattr__(name: str) -> Any:
 
     module, attribute = _PLACES[name]
     return getattr(import_module(module), attribute)
+
+
+def __dir__() -> list[str]:
+    """Names that are loaded when first used are shown all the same."""
+    return sorted({*globals(), *__all__})

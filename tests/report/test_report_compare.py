@@ -61,6 +61,12 @@ def test_names_are_told_apart(tmp_path: Path) -> None:
     assert compared(folders).names == ("a/out", "b/out")
 
 
+def test_names_with_brackets_are_printed_letter_by_letter(tmp_path: Path) -> None:
+    names = ("day [red]", "b:smile:")  # what colours text elsewhere
+    text = compare_runs([make_run(tmp_path / name, "scan") for name in names])
+    assert all(name in text for name in names)
+
+
 def test_misuse(runs: list[Path], tmp_path: Path) -> None:
     with pytest.raises(InputError, match="at least two"):
         compare_runs(runs[:1])

@@ -93,6 +93,6 @@ def test_marks_without_points_are_refused_before_anything_is_made(tmp_path: Path
     marks = _written(tmp_path, "marks.csv", MARKS)
     assert main(["run", str(tmp_path / "in"), "-o", str(tmp_path / "out"), "--marks", str(marks)]) == 2
     assert "marks of no points; give the points by --gcp" in capsys.readouterr().err
-    assert main(["run", "--help"]) == 0
+    assert main(["run", "--help-all"]) == 0
     said = " ".join(capsys.readouterr().out.replace("│", " ").split())
     assert "points (name, x, y, z or name, lat, lon, height)" in said and "--marks" in said

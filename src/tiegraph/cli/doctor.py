@@ -1,34 +1,91 @@
-"""`tiegraph doctor`."""
+"""`tiegraph doctor`: what this machine and this installation have, and what to do about what is missing."""
 
 from __future__ import annotations
 
 import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import psutil
+import pycolmap
+import pyproj
+import pyproj.network
 
 from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say
-from tiegraph.project.run import software
+from tiegraph.dense.tsgm import kernels
+from tiegraph.project.software import software
+
+_GRIDS = ("*.tif", "*.gtx", "*.gsb")  # GeoTIFF, and the older formats of vertical and horizontal grids
 
 
 def main(arguments: list[str]) -> int:
-    """Print versions, cores and memory, and whether optional parts are there."""
+    """Print versions, cores, memory and disk, and whether optional parts are there."""
 
     def doctor() -> None:
-        """Versions, cores, memory, and what is missing."""
+        """Versions, cores, memory, disk, and what is missing."""
 
     options_of(doctor, "tiegraph doctor", arguments)
-    import pycolmap
+    for name, text in findings():
+        say(f"{name:<24} {text}")
+    return 0
 
-    for name, number in software().items():
-        say(f"{name:<24} {number}")
-    say(f"{'cores':<24} {os.cpu_count()}")
-    say(f"{'memory':<24} {psutil.virtual_memory().total / 2**30:.1f} GiB")
-    say(f"{'pycolmap with CUDA':<24} {'yes' if pycolmap.has_cuda else 'no (not needed)'}")
+
+def findings() -> Iterator[tuple[str, str]]:
+    """(what, how it is), with a remedy where something is missing."""
+    yield from software().items()
+    yield "cores", str(os.cpu_count())
+    yield "memory", f"{psutil.virtual_memory().total / 2**30:.1f} GiB"
+    yield "disk", _disk(Path.cwd)
+    yield "disk, temporary files", _disk(lambda: Path(tempfile.gettempdir()))
+    yield "native kernels", _kernels()
+    yield "pycolmap with CUDA", "yes" if pycolmap.has_cuda else "no (not needed)"
+    yield "ONNX Runtime", _onnx()
+    yield "PROJ grids", _grids()
+    yield "dask", _dask()
+
+
+def _disk(place: Callable[[], Path]) -> str:
+    try:
+        folder = place()
+        room = shutil.disk_usage(folder)
+    except OSError as error:
+        return f"cannot be read ({error.strerror}): work in another folder"
+    return f"{room.free / 2**30:.1f} GiB free of {room.total / 2**30:.1f} GiB ({folder})"
+
+
+def _kernels() -> str:
+    found = kernels()
+    if found:
+        return f"{', '.join(found)} (the fastest first)"
+    return "not built: depth maps are made by OpenCV's matcher (install a C++ compiler, then tiegraph again)"
+
+
+def _onnx() -> str:
+    try:
+        import onnxruntime
+    except ImportError:
+        return "not installed (pip install 'tiegraph[onnx]' for --masks.source model)"
+    return onnxruntime.__version__
+
+
+def _grids() -> str:
+    """Grids tell the heights of a geoid and the shifts between datums; PROJ comes without them."""
+    folders = [*pyproj.datadir.get_data_dir().split(os.pathsep), pyproj.datadir.get_user_data_dir()]
+    count = len({path.name for folder in folders for kind in _GRIDS for path in Path(folder).glob(kind)})
+    online = pyproj.network.is_network_enabled()
+    if count:
+        return f"{count} installed" + ("; others are downloaded when needed" if online else "")
+    if online:
+        return "none installed; downloaded when needed (PROJ_NETWORK=ON)"
+    return "none (for heights above a geoid: PROJ_NETWORK=ON, or pyproj sync --file NAME)"
+
+
+def _dask() -> str:
     try:
         import distributed
-
-        say(f"{'dask':<24} {distributed.__version__}")
     except ImportError:
-        say(f"{'dask':<24} not installed (pip install 'tiegraph[dask]' for --pool dask:<address>)")
-    return 0
+        return "not installed (pip install 'tiegraph[dask]' for --pool dask:<address>)"
+    return distributed.__version__

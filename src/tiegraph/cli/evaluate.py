@@ -12,13 +12,15 @@ from tiegraph.cli.run import main_stage
 from tiegraph.evaluate.cloud import cloud_to_cloud
 from tiegraph.scene.cloudfile import read_cloud
 
+_TWO_CLOUDS = "\n\nOr two point clouds: tiegraph evaluate CLOUD REFERENCE (.laz, .las or .ply; --help after them)."
+
 
 def main(arguments: list[str]) -> int:
     """The stage for a run folder, or the comparison of two cloud files."""
     files = [a for a in arguments if not a.startswith("-")]
     if len(files) >= 2 and all(Path(f).suffix.lower() in (".las", ".laz", ".ply") for f in files[:2]):
         return _clouds(arguments)
-    return main_stage("evaluate", arguments)
+    return main_stage("evaluate", arguments, about=_TWO_CLOUDS)
 
 
 def _clouds(arguments: list[str]) -> int:

@@ -5,45 +5,17 @@ from __future__ import annotations
 import logging
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from tiegraph import __version__
 from tiegraph.cli.output import complain, lost_output, prepare_streams, say
 from tiegraph.cli.stopping import hear, say_stopped, stoppable
+from tiegraph.cli.verbs import VERBS, wants_page
 from tiegraph.errors import EngineMissing, InputError, SettingsError, TiegraphError
 from tiegraph.limits import explained
 from tiegraph.scene.names import check_text
 
 DONE, FAILED, MISUSE = 0, 1, 2
-
-
-def verbs() -> dict[str, tuple[Callable[[list[str]], int], str]]:
-    """Every verb: the function that takes its arguments, and one line of help."""
-    from tiegraph.cli import compare, demo, doctor, evaluate, export, init, masks, network, run, shots, status
-    from tiegraph.pipeline import STAGES
-
-    table: dict[str, tuple[Callable[[list[str]], int], str]] = {
-        "run": (run.main, "from a folder of images to the cloud and the report (or --until a stage)"),
-        "demo": (demo.main, "the example survey, from images to the report"),
-        "init": (init.main, "show what is found in a folder; write tiegraph.toml and rig.toml to edit"),
-        "status": (status.main, "which stages of a run folder are up to date, and why not"),
-        "compare": (compare.main, "two or more run folders side by side: the papers' tables"),
-        "shots": (shots.main, "a point cloud for each shot of a calibrated rig, without a sparse model"),
-        "export": (export.main, "the depth maps as a dense workspace for COLMAP's stereo_fusion"),
-        "doctor": (doctor.main, "versions, cores, memory, and what is missing"),
-    }
-    for stage in STAGES:
-        table[stage.name] = (_stage_verb(stage.name), f"stage: makes {', '.join(stage.makes)}")
-    table["network"] = (network.main, "stage: makes network.npz, network.csv; --coverage: is anything missing, on site")
-    table["masks"] = (masks.main, "stage: makes masks, classes, masks.csv; --compare FOLDER: against true masks")
-    table["evaluate"] = (evaluate.main, "stage: makes metrics.json; or a point cloud against a reference cloud")
-    return table
-
-
-def _stage_verb(stage: str) -> Callable[[list[str]], int]:
-    from tiegraph.cli import run
-
-    return lambda arguments: run.main_stage(stage, arguments)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -108,16 +80,20 @@ def _dispatch(arguments: list[str]) -> int:
     if arguments[0] in ("-V", "--version", "version"):
         say(f"tiegraph {__version__}")
         return DONE
-    table = verbs()
-    hear()
-    verb = arguments[0]
-    if verb not in table:
+    name, rest = arguments[0], arguments[1:]
+    if name not in VERBS:
         import difflib
 
-        near = difflib.get_close_matches(verb, list(table), n=1)
+        near = difflib.get_close_matches(name, list(VERBS), n=1)
         hint = f" Perhaps you meant {near[0]!r}." if near else ""
-        return _fail(f"unknown verb {verb!r}.{hint} `tiegraph --help` lists all", MISUSE)
-    return table[verb][0](arguments[1:])
+        return _fail(f"unknown verb {name!r}.{hint} `tiegraph --help` lists all", MISUSE)
+    verb = VERBS[name]
+    if verb.page and wants_page(rest):
+        say(verb.page)
+        return DONE
+    run = verb.load()
+    hear()
+    return run(rest)
 
 
 def _fail(error: object, code: int) -> int:
@@ -127,7 +103,7 @@ def _fail(error: object, code: int) -> int:
 
 def _help() -> int:
     lines = ["usage: tiegraph <verb> ...   (`tiegraph <verb> --help` for its options)", ""]
-    lines += [f"  {name:<15} {text}" for name, (_, text) in verbs().items()]
+    lines += [f"  {name:<15} {verb.about}" for name, verb in VERBS.items()]
     say("\n".join(lines))
     return DONE
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -10,17 +11,24 @@ import tyro
 
 from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say
-from tiegraph.cli.run import main_stage
+from tiegraph.cli.run import Common, main_stage
 from tiegraph.errors import InputError
 from tiegraph.masks.compare import compare, compare_classes, table_text
 from tiegraph.pipeline.masking import masks_by
 from tiegraph.scene.scene import Scene
 
 
+@dataclass(frozen=True)
+class _Options(Common):
+    compare: Path | None = None  # main takes it
+    """Judge the masks of OUT by the true ones in this folder, and run nothing; `tiegraph masks OUT --compare FOLDER
+    --help` shows the options of that."""
+
+
 def main(arguments: list[str]) -> int:
     """The stage for a run folder; with ``--compare`` the comparison of its masks with true ones."""
     if not any(a == "--compare" or a.startswith("--compare=") for a in arguments):
-        return main_stage("masks", arguments)
+        return main_stage("masks", arguments, _Options)
 
     def masks(
         out: tyro.conf.Positional[Path],

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
 
 from tiegraph.api import Project, open_project
 from tiegraph.cli import run
@@ -11,14 +15,22 @@ from tiegraph.cli.output import say, show_table
 _ROWS = 20  # weak links shown; the report has all
 
 
+@dataclass(frozen=True)
+class _Options(run.Common):
+    coverage: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False  # main takes it
+    """Say what the tie graph leaves weak, on site: images without ties, what hangs on a single tie, which camera, pass
+    or section is tied to the others by fewer than two; exit code 1 if anything is. A folder of images instead of OUT is
+    run up to the network first, with the options of `tiegraph run`."""
+
+
 def main(arguments: list[str]) -> int:
     """The stage for a run folder; with ``--coverage`` also what is weak: exit code 1 if anything is."""
     if "--coverage" not in arguments:
-        return run.main_stage("network", arguments)
+        return run.main_stage("network", arguments, _Options)
     rest = [a for a in arguments if a != "--coverage"]
     known = run.preparsed(rest)
     if known.folder is None:
-        return run.main_stage("network", rest)
+        return run.main_stage("network", rest, _Options)
     if (known.folder / "scene.json").exists():
         run.main_stage("network", rest)
         return _show(open_project(None, known.folder), "--json" in rest)

@@ -9,22 +9,29 @@ from typing import Any
 
 import tyro
 
+from tiegraph.cli.verbs import HELP, HELP_ALL
 from tiegraph.errors import SettingsError
 
 _FRAME = "│╭╮╰╯─ \t"  # of the box that tyro prints
 _SHOWN = 300
 
 
-def options_of(function: Callable[..., Any], program: str, arguments: list[str], **how: Any) -> Any:
-    """What ``function`` returns for the arguments, by tyro. Raises SettingsError for arguments it does not take."""
+def options_of(
+    function: Callable[..., Any], program: str, arguments: list[str], page: str = HELP[-1], **how: Any
+) -> Any:
+    """What ``function`` returns for the arguments, by tyro. Raises SettingsError for arguments it does not take.
+
+    ``page``: the argument that shows all options of the verb.
+    """
     said = io.StringIO()
+    arguments = [HELP[-1] if a == HELP_ALL else a for a in arguments]
     try:
         with contextlib.redirect_stderr(said):
             return tyro.cli(function, prog=program, args=arguments, **how)
     except SystemExit as stop:
         if not stop.code:  # --help
             raise
-    raise SettingsError(f"{_one_line(said.getvalue())} (`{program} --help` lists all options)")
+    raise SettingsError(f"{_one_line(said.getvalue())} (`{program} {page}` lists all options)")
 
 
 def _one_line(box: str) -> str:

@@ -6,9 +6,6 @@ import os
 import sys
 from collections.abc import Iterable, Sequence
 
-from rich.console import Console
-from rich.table import Table
-
 from tiegraph.text import one_line, printable
 
 
@@ -60,6 +57,9 @@ def complain(text: str) -> None:
 
 def show_table(columns: Sequence[str], rows: Iterable[Sequence[object]], title: str | None = None) -> None:
     """A table on standard output."""
+    from rich.console import Console
+    from rich.table import Table
+
     table = Table(*map(one_line, columns), title=title and one_line(title), box=None, title_justify="left")
     for row in rows:
         table.add_row(*(one_line(str(cell)) for cell in row))

@@ -1,20 +1,20 @@
 """`tiegraph run IMAGES -o OUT` and `tiegraph <stage> OUT`."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin
 
 import tyro
-from pydantic import ValidationError
+from pydantic import ValidationError, create_model
 
 from tiegraph.api import SETTING_OF, Project, open_project
 from tiegraph.cli.options import options_of
+from tiegraph.cli.verbs import HELP, HELP_ALL, wants_page
 from tiegraph.errors import SettingsError, choose
 from tiegraph.project.progress import Reporter
 from tiegraph.project.settings import PRESETS, Settings, sections
+from tiegraph.settings import Section
 
 _MANY = 1 << 20
 
@@ -90,25 +90,41 @@ def main(arguments: list[str]) -> int:
     return finish(project, options.until, options.reporter())
 
 
-def main_stage(stage: str, arguments: list[str]) -> int:
-    """`tiegraph <stage> OUT`: one stage and what it needs, in a run folder that exists."""
+def main_stage(stage: str, arguments: list[str], kind: type[Common] = Common, about: str = "") -> int:
+    """`tiegraph <stage> OUT`: one stage and what it needs, in a run folder that exists.
+
+    ``--help`` shows the stage's own settings, ``--help-all`` those of all. ``kind``: the class of the options;
+    ``about``: more of the description.
+    """
     folder = preparsed(arguments).folder
     default = open_project(None, folder).settings if folder else Settings()
+    short = wants_page(arguments)
+    if short:
+        default, arguments = _section(default, stage), [HELP[-1]]
 
     def run_stage(
         out: tyro.conf.Positional[Path],
-        options: Annotated[Common, tyro.conf.arg(name="")],
-        settings: Annotated[Settings, tyro.conf.arg(name="")] = default,
+        options: Annotated[kind, tyro.conf.arg(name="")],  # type: ignore[valid-type]
+        settings: Annotated[type(default), tyro.conf.arg(name="")] = default,  # type: ignore[valid-type]
     ) -> tuple[Path, Common, Settings]:
-        """Run one stage, and what it needs, in a run folder.
+        """Run one stage.
 
         Args:
             out: A run folder made by `tiegraph run`.
         """
         return out, options, settings
 
-    out, options, settings = _cli(run_stage, f"tiegraph {stage}", arguments)
+    what = f"Run one stage, and what it needs, in a run folder.{about}"
+    what += f"\n\nThe settings of the other stages: tiegraph {stage} {HELP_ALL}." if short else ""
+    out, options, settings = _cli(run_stage, f"tiegraph {stage}", arguments, description=what)
     return finish(open_project(None, out, pool=options.pool, settings=settings), stage, options.reporter())
+
+
+def _section(settings: Settings, stage: str) -> Any:
+    """The settings with one section only, for a help page."""
+    section = getattr(settings, stage)
+    fields: dict[str, Any] = {stage: (type(section), section)}
+    return create_model("Section", __base__=Section, **fields)()
 
 
 def finish(project: Project, until: str | None, reporter: Reporter) -> int:
@@ -120,10 +136,10 @@ def finish(project: Project, until: str | None, reporter: Reporter) -> int:
     return 0
 
 
-def _cli(function: Any, program: str, arguments: list[str]) -> Any:
+def _cli(function: Any, program: str, arguments: list[str], **how: Any) -> Any:
     try:
         # Both forms of every flag: its default is what the folder was run with, and the same command must run again.
-        return options_of(function, program, arguments)
+        return options_of(function, program, arguments, page=HELP_ALL, **how)
     except ValidationError as error:
         said = "; ".join(_said(error.title, e) for e in error.errors())
         raise SettingsError(said) from None
@@ -183,6 +199,7 @@ def _value_counts() -> dict[str, int]:
     """How many values each option takes, at most."""
     out = {f"--{f.name}": 0 if f.type in ("bool", bool) else 1 for f in fields(RunOptions)}
     out.update({f"--no-{name[2:]}": 0 for name, count in out.items() if count == 0})
+    out.update({name: 0 for name in (*HELP, HELP_ALL)})
     for section, named in sections():
         for key, field in named.items():
             parts = get_args(field.annotation) if get_origin(field.annotation) is tuple else ()

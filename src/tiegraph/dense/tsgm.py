@@ -70,6 +70,11 @@ def available() -> bool:
     return _sgm is not None
 
 
+def kernels() -> list[str]:
+    """The native kernels that this machine runs, the fastest first; [] without the native module."""
+    return [] if _sgm is None else list(_sgm.kernels())
+
+
 def volume_bytes(height: int, width: int, disparities: int) -> int:
     """Most bytes of cost volumes that matching a pair of images (height, width) holds at once, known before it starts.
 

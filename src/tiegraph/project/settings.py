@@ -148,8 +148,8 @@ def file_text(run: dict[str, Any], settings: dict[str, dict[str, Any]]) -> str:
     """Text of a tiegraph.toml: the run's inputs and the settings that differ from the defaults."""
     head = (
         "# The inputs of this run and every setting that differs from its default.\n"
-        "# Edit it and run again; `tiegraph run --help` lists all settings. A command line that changes a setting\n"
-        "# rewrites this file.\n"
+        "# Edit it and run again; `tiegraph run --help-all` lists all settings. A command line that changes a\n"
+        "# setting rewrites this file.\n"
     )
     return head + tomli_w.dumps({"run": _without_none(run), **settings})
 

@@ -205,7 +205,8 @@ def ratio(values: Sequence[float]) -> str:
 def to_text(comparison: Comparison) -> str:
     """Tables for a terminal, plain text."""
     out = io.StringIO()
-    console = Console(file=out, width=max(80, 44 + 18 * len(comparison.names)), force_terminal=False, highlight=False)
+    width = max(80, 44 + 18 * len(comparison.names))
+    console = Console(file=out, width=width, force_terminal=False, highlight=False, markup=False, emoji=False)
     two = len(comparison.names) == 2
     for block in comparison.blocks:
         table = RichTable(title=block.title, box=box.SIMPLE_HEAD, title_justify="left", pad_edge=False)

@@ -1,0 +1,28 @@
+"""The short help page of `tiegraph run`: one screen of 24 lines of 80 letters, there without loading anything.
+
+Written by hand, for the options' own texts fill 400 lines (`--help-all`); a test holds it to ``cli.run.RunOptions``.
+"""
+
+RUN = """\
+usage: tiegraph run IMAGES [-o OUT] [OPTIONS]
+
+From a folder of images to the cloud and the report. Run again, it goes on.
+
+inputs:
+  IMAGES            the folder that holds the survey's images
+  --rig RIG         rig.toml, rig_config.json, ladybug5, ring:N, stereo, ...
+  --camera CAMERA   a single camera's calibration: a file, or MODEL,parameters
+  --gnss CSV        positions: time or image, lat, lon, height, sigma
+  --trajectory TUM  poses: a file, or a folder with one a pass
+  --gcp FILE        control and check points: gcp_list.txt or a CSV
+  --marks CSV       their marks in the images, if in another file
+  --times CSV       frames' times where EXIF has none: pass, frame, time
+
+options:
+  -o, --out OUT     the run folder (default: <IMAGES>_tiegraph beside them)
+  --until STAGE     the last stage to run (default: all)
+  --preset NAME     fast, close-range, conventional, meguro2024 or meguro2025
+  --pool POOL       serial, local, local:<workers> or dask:<address>
+  --json, --quiet   one JSON object a line instead of text; nothing but errors
+  -h, --help        this page
+  --help-all        every option and setting, such as --scan.crs, --masks.folder"""

@@ -1,0 +1,67 @@
+"""The table of verbs: what each is for, and the module that is loaded when it is asked for.
+
+The modules import the engines with all their libraries, seconds of work: `tiegraph --help` reads only this table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from importlib import import_module
+
+from tiegraph.cli import page
+
+HELP, HELP_ALL = ("-h", "--help"), "--help-all"
+
+
+@dataclass(frozen=True)
+class Verb:
+    """One line of the table."""
+
+    about: str  # one line of help
+    module: str  # of tiegraph.cli; its ``main`` takes the arguments and returns the exit code
+    stage: str = ""  # of a verb that is a stage and no more: the module's ``main_stage`` takes its name first
+    page: str = ""  # the short help, where the full one fills many screens
+
+    def load(self) -> Callable[[list[str]], int]:
+        """Import the module; the function that takes the arguments.
+
+        pycolmap takes the signals over when it is imported. It is so now, and never later: the caller takes them back.
+        """
+        import_module("pycolmap")
+        module = import_module(f"tiegraph.cli.{self.module}")
+        return partial(module.main_stage, self.stage) if self.stage else module.main
+
+
+def wants_page(arguments: Sequence[str]) -> bool:
+    """Whether the short help page is asked for; with ``--help-all`` it is every option."""
+    return any(a in HELP for a in arguments) and HELP_ALL not in arguments
+
+
+VERBS: dict[str, Verb] = {
+    "run": Verb("from a folder of images to the cloud and the report (or --until a stage)", "run", page=page.RUN),
+    "demo": Verb("the example survey, from images to the report", "demo"),
+    "init": Verb("show what is found in a folder; write tiegraph.toml and rig.toml to edit", "init"),
+    "status": Verb("which stages of a run folder are up to date, and why not", "status"),
+    "compare": Verb("two or more run folders side by side: the papers' tables", "compare"),
+    "shots": Verb("a point cloud for each shot of a calibrated rig, without a sparse model", "shots"),
+    "export": Verb("the depth maps as a dense workspace for COLMAP's stereo_fusion", "export"),
+    "doctor": Verb("versions, cores, memory, disk, and what is missing", "doctor"),
+    # The stages, as in pipeline.STAGES (tests/cli/test_cli_verbs.py holds them together).
+    "scan": Verb("stage: makes scene.json, images", "run", "scan"),
+    "masks": Verb("stage: makes masks, classes, masks.csv; --compare FOLDER: against true masks", "masks"),
+    "preview": Verb("stage: makes preview", "run", "preview"),
+    "network": Verb("stage: makes network.npz, network.csv; --coverage: is anything missing, on site", "network"),
+    "design": Verb("stage: makes pairs.npz, pairs.txt, pairs, design", "run", "design"),
+    "features": Verb("stage: makes database.db", "run", "features"),
+    "match": Verb("stage: makes match.npz", "run", "match"),
+    "verify": Verb("stage: makes verify.npz", "run", "verify"),
+    "sparse": Verb("stage: makes sparse", "run", "sparse"),
+    "georef": Verb("stage: makes sparse/world, world.json", "run", "georef"),
+    "remask": Verb("stage: makes remask/masks, remask/classes", "run", "remask"),
+    "dense": Verb("stage: makes depth", "run", "dense"),
+    "cloud": Verb("stage: makes cloud.copc.laz, cloud.laz, cloud.ply", "run", "cloud"),
+    "evaluate": Verb("stage: makes metrics.json; or a point cloud against a reference cloud", "evaluate"),
+    "report": Verb("stage: makes report.html", "run", "report"),
+}
