@@ -43,6 +43,7 @@ NAMES = {
 }
 """Quantity -> the words that name it."""
 _HEDGED = {
+    "images": r"place of \d+ frames? rests on|the rig alone holds them",
     "plan": r"exchanged|looks the same",
     "scale": r"scale|baseline",
     "yaw": r"heading|yaw|exchanged",

@@ -57,13 +57,15 @@ def test_ties_by_class_and_the_cost_of_a_mask():
 
 
 def test_the_skies_of_all_cameras_are_judged_together():
-    def ties(near, far):
-        return Ties(np.zeros(5, int), near, far)
+    def ties(near, far, room=0.1):
+        return Ties(np.zeros(5, int), near, far, told=40, area=1, room=room)
 
     assert without_sky({0: ties(21, 0), 1: ties(3, 0), 2: ties(0, 0)}) == {0, 1, 2}
     assert without_sky({0: ties(21, 0), 1: ties(2, 40)}) == set(), "the walls beside a true sky"
     assert without_sky({0: ties(1, 40), 1: ties(4, 0)}) == set()
     assert without_sky({0: ties(2, 0)}) == set(), "two matches prove nothing"
+    assert without_sky({0: ties(5, 0, room=0.8)}) == set(), "wires and tops of trees in a wide sky"
+    assert without_sky({0: ties(12, 0, room=0.8)}) == {0}
     assert without_sky({0: ties(0, 0), 1: ties(0, 0)}) == set()
 
 

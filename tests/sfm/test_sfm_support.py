@@ -8,6 +8,10 @@ import pytest
 from sfm_worlds import make_world, true_frames, with_positions
 
 from tiegraph.geometry import transforms
+from tiegraph.scene.registered import Registration
+from tiegraph.scene.rig import Rig, Sensor
+from tiegraph.scene.scene import simple_scene
+from tiegraph.sfm.losses import weakly_held
 from tiegraph.sfm.model import model_rigs
 from tiegraph.sfm.rig.support import place_as_given, ties_of, units_per_metre, unsupported_sensors
 
@@ -57,3 +61,22 @@ def test_its_place_is_as_given(world) -> None:
     assert np.allclose(found[1].sensor_from_rig[:3, :3], moved[:3, :3], atol=1e-9)
     assert np.allclose(found[1].sensor_from_rig[:3, 3], 2.0 * moved[:3, 3], rtol=0.02)
     assert np.allclose(transforms.centre(found[2].sensor_from_rig), transforms.centre(sensors[2].sensor_from_rig))
+
+
+def test_what_little_holds_is_named() -> None:
+    """Two cameras that see nothing together, ten frames: of cam1 the last four tie to each other only; a frame of few
+    points; a whole camera that ties to no other is no island."""
+    names = [f"cam{k}/{f:03d}.jpg" for f in range(10) for k in range(2)]
+    sensors = tuple(Sensor(f"cam{k}", None, np.eye(4), "side") for k in range(2))
+    frame, sensor = np.repeat(np.arange(10), 2), np.tile([0, 1], 10)
+    scene = simple_scene(Rig("pair", sensors), names, frame, sensor, np.zeros(10), tracks=("way",))
+    whole = SimpleNamespace(component=sensor.copy())
+    seen = Registration(np.ones(20, bool), np.full(20, 100))
+    assert weakly_held(scene, whole, seen) == []
+    torn = SimpleNamespace(component=np.where((sensor == 1) & (frame > 5), 2, sensor))
+    (said,) = weakly_held(scene, torn, seen)
+    assert said.startswith("4 images (cam1/006.jpg, cam1/007.jpg, cam1/008.jpg ...)") and "the rig alone" in said
+    points = np.where(frame == 3, [5, 12] * 10, 100)
+    by_rig, loose = weakly_held(scene, whole, Registration(np.ones(20, bool), points))
+    assert by_rig.startswith("1 images see fewer than 10") and "cam0/003.jpg" in by_rig
+    assert "place of 1 frame rests on fewer than 20 points (cam0/003.jpg)" in loose

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pycolmap
 
-from tiegraph.scene.registered import BY_RIG
+from tiegraph.scene.registered import BY_RIG, MIN_POINTS, Registration
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjust import FOCAL_RANGE
 from tiegraph.sfm.database import ViewGraph
@@ -16,6 +16,7 @@ from tiegraph.sfm.database import ViewGraph
 LEFT_OUT = "left out: "  # how the reason of an image begins that stood at a wrong place
 CLEARLY_FEWER = 0.8  # of the images tied to each other: fewer placed ask for a word on why
 MAX_TURNED_DEG = 3.0  # of a principal point; 1.5 at most in the right rigs of canal and kerry_park
+LOOSE_POINTS = 2 * MIN_POINTS  # of a frame: with fewer its own noise, such as a blur, shows in no residual
 MAX_CENTRE_OFF = 0.25  # of the image size that a principal point may lie off the middle
 
 
@@ -55,6 +56,60 @@ def unregistered(
         tried = f"; {said}" if said and not said.startswith(LEFT_OUT) else ""
         out.append((scene.names[k], reason + tried))
     return out
+
+
+def weakly_held(scene: Scene, graph: ViewGraph, found: Registration) -> list[str]:
+    """What has a place in a model but little to hold it there: a sentence a kind."""
+    return [*_by_rig(scene, found), *_loose(scene, found), *_islands(scene, graph, found)]
+
+
+def _by_rig(scene: Scene, found: Registration) -> list[str]:
+    only = np.flatnonzero(found.by_rig)
+    if not len(only):
+        return []
+    return [
+        f"{len(only)} images see fewer than {MIN_POINTS} points of the model: they are not registered but stand where "
+        f"their rig or those few points place them ({_named(scene, only)})"
+    ]
+
+
+def _loose(scene: Scene, found: Registration) -> list[str]:
+    """Frames whose place so few points hold, in all cameras together, that the sigma of the others is not theirs."""
+    points, there = np.zeros(scene.frames, int), np.zeros(scene.frames, bool)
+    np.add.at(points, scene.frame, np.where(found.placed, found.points, 0))
+    there[scene.frame[found.placed]] = True
+    few = np.flatnonzero(there & (points < LOOSE_POINTS))
+    if not len(few):
+        return []
+    first = np.array([int(np.argmax(scene.frame == f)) for f in few])
+    return [
+        f"the place of {len(few)} frame{'s' if len(few) > 1 else ''} rests on fewer than {LOOSE_POINTS} points "
+        f"({_named(scene, first)}): blurred, or hardly any overlap; its images may be off by more than is stated"
+    ]
+
+
+def _islands(scene: Scene, graph: ViewGraph, found: Registration) -> list[str]:
+    """Images of one camera and pass that verified pairs tie to each other only: of another place, or behind a gap."""
+    out = []
+    size = np.bincount(graph.component[graph.component >= 0], minlength=1)
+    several = np.array([len(r.sensors) > 1 for r in scene.rigs])[scene.rig[scene.frame]]
+    asked = found.registered & (graph.component >= 0) & several
+    track = scene.track[scene.frame]
+    for key in np.unique(np.stack([track, scene.sensor], axis=1)[asked], axis=0):
+        own = asked & (track == key[0]) & (scene.sensor == key[1])
+        labels, count = np.unique(graph.component[own], return_counts=True)
+        for label in labels[(count == size[labels]) & (count < count.max(initial=0))]:
+            images = np.flatnonzero(own & (graph.component == label))
+            out.append(
+                f"{len(images)} images ({_named(scene, images)}) share no verified pair with the rest of their "
+                "camera's pass, nor with another camera: the rig alone holds them, nothing else tells that they belong "
+                "there"
+            )
+    return out
+
+
+def _named(scene: Scene, images: np.ndarray) -> str:
+    return ", ".join(scene.names[int(k)] for k in images[:3]) + (" ..." if len(images) > 3 else "")
 
 
 def no_model_text(scene: Scene, graph: ViewGraph, why: str) -> str:

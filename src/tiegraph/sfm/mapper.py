@@ -12,14 +12,22 @@ import pycolmap
 from tiegraph.child import run_in_child
 from tiegraph.errors import ReconstructionError
 from tiegraph.scene.colmapmodel import read_model
-from tiegraph.scene.registered import MIN_POINTS, Registration, registration
+from tiegraph.scene.registered import Registration, registration
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.blockwise import RunMap, serially
 from tiegraph.sfm.covariance import PositionSigma
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.finish import Finished, FinishRequest, finish_model
-from tiegraph.sfm.losses import camera_notes, camera_table, models_table, no_model_text, rig_doubts, unregistered
+from tiegraph.sfm.losses import (
+    camera_notes,
+    camera_table,
+    models_table,
+    no_model_text,
+    rig_doubts,
+    unregistered,
+    weakly_held,
+)
 from tiegraph.sfm.mapping import SCRATCH, Job, Outcome, Progress, believed_cameras, map_images
 from tiegraph.sfm.model import frame_poses, registration_tables
 from tiegraph.sfm.rig.rig import DerivedRig, derive_rig, rig_modes, rig_table
@@ -227,7 +235,7 @@ def _account(job: Job, outcome: Outcome, rig: str, finished: Finished) -> Sparse
     first = models[0]
     held = [k for k, mode in rig_modes(scene, job.settings.rig).items() if mode in ("fixed", "soft")]
     doubts = [] if job.rough else rig_doubts(main, scene, held, first.registered, job.graph.components[0])
-    by_rig = [] if job.rough else _by_rig_notes(scene, first.found)
+    held_by = [] if job.rough else weakly_held(scene, job.graph, first.found)
     counts: dict[str, float] = {
         "images": len(scene),
         "registered": first.registered,
@@ -247,23 +255,12 @@ def _account(job: Job, outcome: Outcome, rig: str, finished: Finished) -> Sparse
         scene=scene,
         components=tuple(job.graph.components),
         dropped=tuple(unregistered(scene, job.graph, [m.images for m in models], dict(finished.dropped))),
-        notes=(*job.notes, *by_rig, *camera_notes(main, scene)),
+        notes=(*job.notes, *held_by, *camera_notes(main, scene)),
         tables=tables,
         counts=counts,
         sigma=finished.sigma,
         contradictions=(*finished.contradictions, *doubts),
     )
-
-
-def _by_rig_notes(scene: Scene, found: Registration) -> list[str]:
-    only = np.flatnonzero(found.by_rig)
-    if not len(only):
-        return []
-    names = ", ".join(scene.names[k] for k in only[:3]) + (" ..." if len(only) > 3 else "")
-    return [
-        f"{len(only)} images see fewer than {MIN_POINTS} points of the model: they are not registered but stand where "
-        f"their rig or those few points place them ({names})"
-    ]
 
 
 def _model(reconstruction: pycolmap.Reconstruction, folder: Path, scene: Scene) -> Model:
