@@ -196,8 +196,8 @@ def made(picture: Picture) -> np.ndarray:
 
 def _smeared(pixels: np.ndarray, length_px: float) -> np.ndarray:
     """Motion blur along the rows, as of a shaken or panned camera."""
-    n = max(2, round(length_px))
-    return cv2.blur(pixels, (n, max(1, n // 4)))
+    n = 2 * max(1, round(length_px / 2)) + 1  # odd: an even kernel also shifts the picture, by half a pixel
+    return cv2.blur(pixels, (n, 2 * (n // 8) + 1))
 
 
 def between(a: np.ndarray, b: np.ndarray, share: float) -> np.ndarray:
