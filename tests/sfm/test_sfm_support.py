@@ -76,6 +76,8 @@ def test_what_little_holds_is_named() -> None:
     torn = SimpleNamespace(component=np.where((sensor == 1) & (frame > 5), 2, sensor))
     (said,) = weakly_held(scene, torn, seen)
     assert said.startswith("4 images (cam1/006.jpg, cam1/007.jpg, cam1/008.jpg ...)") and "the rig alone" in said
+    half = np.where(sensor == 1, np.where(frame > 4, 2, 0), 0)  # as many as are left, which see what cam0 sees
+    assert len(weakly_held(scene, SimpleNamespace(component=half), seen)) == 1
     points = np.where(frame == 3, [5, 12] * 10, 100)
     by_rig, loose = weakly_held(scene, whole, Registration(np.ones(20, bool), points))
     assert by_rig.startswith("1 images see fewer than 10") and "cam0/003.jpg" in by_rig

@@ -98,7 +98,7 @@ def _islands(scene: Scene, graph: ViewGraph, found: Registration) -> list[str]:
     for key in np.unique(np.stack([track, scene.sensor], axis=1)[asked], axis=0):
         own = asked & (track == key[0]) & (scene.sensor == key[1])
         labels, count = np.unique(graph.component[own], return_counts=True)
-        for label in labels[(count == size[labels]) & (count < count.max(initial=0))]:
+        for label in labels[(count == size[labels]) & (count < size[labels].max(initial=0))]:
             images = np.flatnonzero(own & (graph.component == label))
             out.append(
                 f"{len(images)} images ({_named(scene, images)}) share no verified pair with the rest of their "
