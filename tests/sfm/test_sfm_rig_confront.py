@@ -10,6 +10,7 @@ import numpy as np
 import pycolmap
 import pytest
 from driving_world import LATE_S, Drive, driving_world, true_scale, with_sync
+from sfm_worlds import make_world
 
 from tiegraph.geometry import transforms
 from tiegraph.scene.rig import rig_from_dict, rig_to_dict
@@ -130,7 +131,7 @@ def test_a_turned_camera_is_said_and_followed_the_others_stay(tmp_path: Path) ->
     finished, model, _ = _finished("turned", tmp_path)
     assert any("turn of cam2" in line for line in finished.contradictions)
     assert abs(true_scale(model, CASES["turned"]) - 1) < 0.004
-    assert "the rig as given, and the images" in finished.tables
+    assert "what was given, and the images" in finished.tables
 
 
 def test_what_the_user_orders_is_obeyed_and_the_contradiction_said(tmp_path: Path) -> None:
@@ -171,3 +172,26 @@ def test_a_lever_arm_that_a_model_found_is_not_known_along_the_way() -> None:
     assert sorted(free) == sorted(said) == [2, 3, 4, 5, 6]
     for camera in (3, 4, 5):
         assert 1.3 * said[camera] < free[camera] < 10 * said[camera] and 0.0005 < said[camera] < 0.05
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"), [(1.0, ""), (1.02, "another lens than its calibration"), (1.3, "by more than")]
+)
+def test_the_calibration_of_a_single_camera_is_confronted_too(tmp_path: Path, wrong: float, said: str) -> None:
+    truth, scene = make_world(tmp_path / "database.db", cameras=1, frames=12, points=300)
+    sensor = scene.rigs[0].sensors[0]
+    given = pycolmap.Camera(sensor.camera.todict())
+    params = np.array(given.params)
+    params[0] *= wrong
+    given.params = params.tolist()
+    rig = replace(scene.rigs[0], sensors=(replace(sensor, camera=given),))
+    source = tmp_path / "mapped"
+    source.mkdir()
+    truth.camera(1).params = given.params
+    truth.write(source)
+    held = scene.with_(rigs=(rig,))
+    request = FinishRequest(source, tmp_path / "0", None, (), (1,), True, 0, held.to_json(), rigs=())
+    finished = finish_model(request, lambda _: None)
+    assert [said in line for line in finished.contradictions] == ([True] if said else [])
+    assert ("what was given, and the images" in finished.tables) == (wrong == 1.02)
+    np.testing.assert_array_equal(pycolmap.Reconstruction(tmp_path / "0").camera(1).params, given.params)  # as ordered

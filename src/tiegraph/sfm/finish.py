@@ -22,7 +22,7 @@ from tiegraph.sfm.jacobians import Tie
 from tiegraph.sfm.placement.settle import Settled, settle
 from tiegraph.sfm.placement.verified import read_verified, seen_by
 from tiegraph.sfm.rig import soft, ties
-from tiegraph.sfm.rig.confront import hear, lever_sigmas, open_times, refine, statements
+from tiegraph.sfm.rig.confront import hear, hear_lens, lever_sigmas, open_times, refine, statements
 from tiegraph.sfm.rig.diagnosis import Diagnosis, diagnose
 from tiegraph.sfm.rig.given import drawings, given_geometry
 from tiegraph.sfm.rig.health import COLUMNS
@@ -85,6 +85,8 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> Finishe
     request.target.mkdir(parents=True, exist_ok=True)
     checked = _checked_rig(model, mapped, scene, request, notes)
     model, tables = checked.model, checked.tables
+    if checked.statements:
+        tables["what was given, and the images"] = statement_table(checked.statements)
     _ties_between(checked, scene, request, notes)
     if request.alone:
         place_as_given(model, scene, request.alone)
@@ -166,6 +168,8 @@ def _checked_rig(
 ) -> _Checked:
     """Rig health into its file; a rig that the images contradict gives way, unless it was ordered to stay: said so."""
     out = _Checked(model)
+    if not request.rough:
+        _single_lenses(out, scene, request, notes)
     if not request.rigs:
         return out
     metres = 1 / units_per_metre(model, scene)
@@ -185,10 +189,23 @@ def _checked_rig(
             out.levers |= {k: v / metres for k, v in lever_sigmas(heard, scene, index).items()}
         _confronted(out, scene, request, index, heard, index in relaxed)
     out.tables["rig health"] = found.table({k: o for r in relaxed.values() for k, o in r.offsets.items()})
-    if out.statements:
-        out.tables["the rig as given, and the images"] = statement_table(out.statements)
     out.ties = [t for r in relaxed.values() for t in r.ties]
     return out
+
+
+def _single_lenses(out: _Checked, scene: Scene, request: FinishRequest, notes: list[str]) -> None:
+    """Confront the calibrations of single cameras that were held with the images."""
+    first = 0
+    for index, rig in enumerate(scene.rigs):
+        held = len(rig.sensors) == 1 and first + 1 in request.constant_cameras
+        first += len(rig.sensors)
+        try:
+            heard = hear_lens(out.model, scene, index) if held else None
+        except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
+            notes.append(f"the calibration of {rig.sensors[0].name} could not be checked: {error}")
+            continue
+        if heard is not None:
+            _confronted(out, scene, request, index, heard, False)
 
 
 def _ties_between(checked: _Checked, scene: Scene, request: FinishRequest, notes: list[str]) -> None:

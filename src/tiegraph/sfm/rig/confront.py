@@ -60,6 +60,21 @@ def hear(model: pycolmap.Reconstruction, scene: Scene, index: int, metres_per_un
     return judge(system, known, groups)
 
 
+def hear_lens(model: pycolmap.Reconstruction, scene: Scene, index: int) -> Judgement | None:
+    """The same of the calibration of a single camera, which is all that there is to contradict."""
+    rig = scene.rigs[index]
+    lenses = _lenses(model, scene, index) if len(rig.sensors) == 1 and rig.measured() else ()
+    if not lenses:
+        return None
+    alone = replace(rig, sensors=(replace(rig.sensors[0], sensor_from_rig=np.eye(4)),))
+    rigs = tuple(alone if k == index else r for k, r in enumerate(scene.rigs))
+    system = rig_system(model, scene.with_(rigs=rigs), index, lenses, 1.0)
+    if system is None:
+        return None
+    system = system.only("lens")
+    return judge(system, expected(alone, system.timed), [("lens", 0)])
+
+
 def lever_sigmas(heard: Judgement, scene: Scene, index: int) -> dict[int, float]:
     """Camera id -> sigma (m, root sum of squares) of its place against the reference, with times free unless said."""
     rig, system = scene.rigs[index], heard.system
@@ -147,7 +162,12 @@ def statements(heard: Judgement, scene: Scene, index: int, refined: pycolmap.Rec
     rows: list[Statement] = []
     lines: list[str] = []
     off, elsewhere = np.zeros(len(rig.sensors)), set()
-    if heard.beyond:
+    if heard.beyond and len(rig.sensors) == 1:
+        lines.append(
+            f"camera {rig.sensors[0].name}: the images contradict its calibration by more than can be told: the focal "
+            "length or distortion of another lens, zoom or image size?"
+        )
+    elif heard.beyond:
         names = ", ".join(rig.sensors[k].name for k in heard.beyond)
         lines.append(f"rig {rig.name}: the images contradict it by more than can be told apart ({names}): {_ONE_CAUSE}")
     for sensor, camera in enumerate(rig.sensors):

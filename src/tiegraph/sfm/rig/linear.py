@@ -10,7 +10,7 @@ adjustment hold all of them, frames and points are eliminated, and what is known
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pycolmap
@@ -58,6 +58,14 @@ class RigSystem:
     def where(self, what: str) -> np.ndarray:
         """Indices of the unknowns of one kind."""
         return np.array([k for k, key in enumerate(self.keys) if key[0] == what], int)
+
+    def only(self, what: str) -> RigSystem:
+        """The same with the unknowns of one kind alone, the others known exactly."""
+        at = self.where(what)
+        return replace(
+            self, keys=tuple(self.keys[k] for k in at), curvature=self.curvature[np.ix_(at, at)],
+            gradient=self.gradient[at], scatter=self.scatter[np.ix_(at, at)],
+        )  # fmt: skip
 
     def solve(self, sigma: np.ndarray) -> RigSolution:
         """The unknowns where each is zero but for ``sigma`` (K,) beforehand: 0 = known exactly, inf = not at all."""
