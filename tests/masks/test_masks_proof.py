@@ -4,11 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
-from tiegraph.masks.classes import EGO, SKY, USE, WATER
+from tiegraph.masks.classes import EGO, OVEREXPOSED, SKY, USE, WATER
 from tiegraph.masks.ego import ego_of_frames
 from tiegraph.masks.evidence import Evidence, _shown
 from tiegraph.masks.parallax import nearness
-from tiegraph.masks.proof import Ties, cost, moves, ties_in, without_sky
+from tiegraph.masks.proof import Ties, cost, moves, ties_in, white_ties, without_sky
 
 SHAPE = (300, 400)
 
@@ -106,3 +106,15 @@ def test_a_black_backdrop_is_no_platform_and_the_surround_of_a_lens_is():
         body = (u / a) ** 2 + (v / b) ** 2 < 1
         turned.append(np.where(body, inside(100 + k), 0).clip(0, 255).astype(np.uint8))
     assert not ego_of_frames(turned).any()
+
+
+def test_overexposed_areas_that_tie_are_a_surface():
+    """White paint ties as its surroundings do, a burnt-out sky does not."""
+
+    def ties(count, white, every=200):
+        inside = np.zeros(5, int)
+        inside[USE], inside[OVEREXPOSED] = every - count, count
+        return Ties(inside, area=10, white=white)
+
+    assert white_ties([ties(20, 1.0), ties(0, 0.1)])
+    assert not white_ties([ties(3, 2.0)]) and not white_ties([ties(2, 0.001)]) and not white_ties([])

@@ -16,7 +16,7 @@ from tiegraph.masks.classes import SKY, USE, WATER
 from tiegraph.masks.ego import Ego, different_frames, learn_ego
 from tiegraph.masks.evidence import Evidence, choose_pairs, pair_evidence
 from tiegraph.masks.lookup import Learnt
-from tiegraph.masks.proof import NONE, Ties, cost, moves, without_sky
+from tiegraph.masks.proof import NONE, Ties, cost, moves, white_ties, without_sky
 from tiegraph.masks.seeds import SeedJob, Seeds, first_seeds, second_seeds, ties_of
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.water import never_matching, water_priors
@@ -76,13 +76,15 @@ def _proven(
     upward = {job.camera for job in jobs if job.upward}
     known, places = _appearances(jobs, seeds, upward), _places(jobs, seeds)
     refuted = _refuted(jobs, seeds, upward)
+    white = white_ties(s.ties for s in seeds)
     dry = not asked and set(refuted) >= set(first) - upward
     made = {}
     for k, learnt in first.items():
         table = {c: t for c, t in known[k].table.items() if c != SKY or k not in refuted}
         sky = None if k in refuted else places.get(k)
         water = None if dry else learnt.water
-        made[k] = replace(learnt, appearance=Appearance(table), sky=sky, water=water, no_sky=refuted.get(k, ""))
+        why = refuted.get(k, "")
+        made[k] = replace(learnt, appearance=Appearance(table), sky=sky, water=water, no_sky=why, white_ties=white)
     return made
 
 

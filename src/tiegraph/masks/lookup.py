@@ -41,6 +41,8 @@ class Learnt:
     note: str
     no_sky: str = ""
     """Why what looks like sky is none; "" where nothing refutes it."""
+    white_ties: bool = False
+    """Whether overexposed areas of the survey tie: then they are used."""
     ties: tuple[int, int, int] = (0, 0, 0)
     """Verified matches in its images: masked before classes were refuted, masked now, all."""
 
@@ -57,7 +59,8 @@ def classify(image: np.ndarray, learnt: Learnt, settings: MasksSettings) -> np.n
     white = grey(image) >= settings.overexposed
     sky = _with_white(_grown(_cleaned((sky_ratio > _SKY_CREDIT) & sought(shape, learnt)), image), white)
     labels = np.full(shape, USE, np.uint8)
-    labels[_cleaned(white)] = OVEREXPOSED
+    if not learnt.white_ties:
+        labels[_cleaned(white)] = OVEREXPOSED
     labels[sky] = SKY
     if learnt.water is not None:
         prior = cv2.resize(learnt.water, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields
 import cv2
 import numpy as np
 
-from tiegraph.masks.classes import NAMES, USE
+from tiegraph.masks.classes import NAMES, OVEREXPOSED, USE
 from tiegraph.masks.evidence import Evidence
 
 _MOVING = 0.1  # of the pairs of frames must verify a motion before what stands still is a platform
@@ -31,7 +31,7 @@ _DENSE = 0.2
 class Ties:
     """Verified matches of some images: ``inside`` (5,) by the class they lie in; of those well inside of sky that tell
     how near they are, how many are ``near`` and how many ``far``. ``told``: of all, how many tell it; ``area``: of
-    these images, in images; ``room``: of it, what is well inside of sky."""
+    these images, in images; ``room``: of it, what is well inside of sky; ``white``: what is overexposed."""
 
     inside: np.ndarray
     near: int = 0
@@ -39,6 +39,7 @@ class Ties:
     told: int = 0
     area: int = 0
     room: float = 0.0
+    white: float = 0.0
 
     def __add__(self, other: Ties) -> Ties:
         return Ties(**{f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self)})
@@ -67,7 +68,8 @@ def ties_in(labels: np.ndarray, sky: np.ndarray, evidence: Evidence | None) -> T
     told = np.isfinite(distance)
     near = distance[inner[row, column] & told]
     counts = int((near > _NEAR).sum()), int((near <= _NEAR).sum()), int(told.sum())
-    return Ties(inside, *counts, area=1, room=float(inner.mean()))
+    white = float((labels == OVEREXPOSED).mean())
+    return Ties(inside, *counts, area=1, room=float(inner.mean()), white=white)
 
 
 def _pixels(evidence: Evidence, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
@@ -85,6 +87,13 @@ def without_sky(ties: Mapping[int, Ties]) -> set[int]:
     """The cameras whose sky is refuted by what lies in it, those of all together: above one is sky if it is above
     the others. (`canal_demo`: where each judged alone, one lost a true sky beside pale walls, 92 -> 79 % IoU.)"""
     return set(ties) if sum(ties.values(), NONE).refuted else set()
+
+
+def white_ties(ties: Iterable[Ties]) -> bool:
+    """Whether overexposed areas hold matches as a surface does: white paint and paper, not a burnt-out sky or deck."""
+    every = sum(ties, NONE)
+    here, all_of_them = int(every.inside[OVEREXPOSED]), int(every.inside.sum())
+    return here >= _LEAST and here * every.area > _DENSE * all_of_them * every.white
 
 
 def cost(ties: Iterable[Ties]) -> tuple[int, int]:

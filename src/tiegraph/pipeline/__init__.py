@@ -23,7 +23,7 @@ _BESIDE_DATABASE = tuple(f"database.db{s}" for s in ("-wal", "-shm", "-journal",
 # fmt: off
 STAGES = (
     Stage("scan", scan, (), ("scene.json", "images"), "image", version=2),
-    Stage("masks", masks, ("scan",), ("masks", "classes", "masks.csv"), "image", version=6),
+    Stage("masks", masks, ("scan",), ("masks", "classes", "masks.csv"), "image", version=7),
     Stage("preview", preview, ("scan", "masks"), ("preview",), "image", version=2),
     Stage("network", network, ("scan", "preview"), ("network.npz", "network.csv", "network"), version=6,
           scratch=("network/model",)),
