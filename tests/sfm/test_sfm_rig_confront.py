@@ -178,7 +178,7 @@ def test_a_lever_arm_that_a_model_found_is_not_known_along_the_way() -> None:
     ("wrong", "said"), [(1.0, ""), (1.02, "another lens than its calibration"), (1.3, "by more than")]
 )
 def test_the_calibration_of_a_single_camera_is_confronted_too(tmp_path: Path, wrong: float, said: str) -> None:
-    truth, scene = make_world(tmp_path / "database.db", cameras=1, frames=12, points=300)
+    truth, scene = make_world(tmp_path / "database.db", cameras=1, frames=8, points=300)
     sensor = scene.rigs[0].sensors[0]
     given = pycolmap.Camera(sensor.camera.todict())
     params = np.array(given.params)

@@ -63,7 +63,7 @@ def hear(model: pycolmap.Reconstruction, scene: Scene, index: int, metres_per_un
 def hear_lens(model: pycolmap.Reconstruction, scene: Scene, index: int) -> Judgement | None:
     """The same of the calibration of a single camera, which is all that there is to contradict."""
     rig = scene.rigs[index]
-    lenses = _lenses(model, scene, index) if len(rig.sensors) == 1 and rig.measured() else ()
+    lenses = _calibrated(model, scene, index) if len(rig.sensors) == 1 and rig.measured() else ()
     if not lenses:
         return None
     alone = replace(rig, sensors=(replace(rig.sensors[0], sensor_from_rig=np.eye(4)),))
@@ -130,12 +130,16 @@ def _scaled(pose: np.ndarray | None, factor: float) -> np.ndarray | None:
 
 
 def _lenses(model: pycolmap.Reconstruction, scene: Scene, index: int) -> set[int]:
-    """Ids of the rig's cameras whose calibration is the one that was given."""
+    """Ids of the rig's cameras whose calibration is the one that was given, seen by enough images to be told apart."""
+    return _calibrated(model, scene, index) & free_cameras(model)
+
+
+def _calibrated(model: pycolmap.Reconstruction, scene: Scene, index: int) -> set[int]:
     first = sum(len(r.sensors) for r in scene.rigs[:index])
     out = set()
     for k, sensor in enumerate(scene.rigs[index].sensors):
         key = first + k + 1
-        if sensor.camera is not None and key in model.cameras and key in free_cameras(model):
+        if sensor.camera is not None and key in model.cameras:
             if model.camera(key).model == sensor.camera.model and np.allclose(
                 model.camera(key).params, sensor.camera.params
             ):
