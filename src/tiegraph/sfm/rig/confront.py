@@ -13,7 +13,7 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.evidence import LIMIT, Contradiction, Statement
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adjust import final_adjustment, free_cameras
+from tiegraph.sfm.adjust import final_adjustment
 from tiegraph.sfm.model import model_rigs
 from tiegraph.sfm.rig.judge import FREED_DEG, FREED_M, Expected, Group, Judgement, expected, judge
 from tiegraph.sfm.rig.linear import rig_system
@@ -37,7 +37,7 @@ def hear(model: pycolmap.Reconstruction, scene: Scene, index: int, metres_per_un
     if len(rig.sensors) < 2 or not rig.known():
         return None
     measured = _measured(scene, index)
-    lenses = _lenses(model, scene, index) if measured else ()
+    lenses = _calibrated(model, scene, index) if measured else ()
     if measured:
         system = rig_system(model, scene, index, lenses, metres_per_unit)
     else:  # lengths of the model's rig are brought to metres, so that those of the system are
@@ -129,12 +129,8 @@ def _scaled(pose: np.ndarray | None, factor: float) -> np.ndarray | None:
     return None if pose is None else transforms.rigid(pose[:3, :3], factor * pose[:3, 3])
 
 
-def _lenses(model: pycolmap.Reconstruction, scene: Scene, index: int) -> set[int]:
-    """Ids of the rig's cameras whose calibration is the one that was given, seen by enough images to be told apart."""
-    return _calibrated(model, scene, index) & free_cameras(model)
-
-
 def _calibrated(model: pycolmap.Reconstruction, scene: Scene, index: int) -> set[int]:
+    """Ids of the rig's cameras whose calibration is the one that was given."""
     first = sum(len(r.sensors) for r in scene.rigs[:index])
     out = set()
     for k, sensor in enumerate(scene.rigs[index].sensors):
