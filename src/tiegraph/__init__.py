@@ -2,7 +2,7 @@
 
 import tiegraph
 project = tiegraph.open("survey/images", rig="ladybug5")
-print(project.run(until="design").pairs().funnel())
+funnel = project.run(until="design").pairs().funnel()
 """
 
 # One thread for linear algebra, before NumPy and pycolmap load theirs: with more, last digits depend on the machine's

@@ -84,7 +84,7 @@ def _loose(scene: Scene, found: Registration) -> list[str]:
     first = np.array([int(np.argmax(scene.frame == f)) for f in few])
     return [
         f"the place of {len(few)} frame{'s' if len(few) > 1 else ''} rests on fewer than {LOOSE_POINTS} points "
-        f"({_named(scene, first)}): blurred, or hardly any overlap; its images may be off by more than is stated"
+        f"({_named(scene, first)}): blurred, or hardly any overlap; the images may be off by more than is stated"
     ]
 
 
