@@ -43,21 +43,31 @@ def test_public_functions_have_docstrings(path):
 
 
 def test_every_setting_is_documented():
-    from tiegraph.project.settings import Settings
+    from tiegraph.project.settings import STAGED, Settings, Tunings
+    from tiegraph.settings import Section
 
-    for section, field in Settings.model_fields.items():
-        for name, setting in type(field.default).model_fields.items():
-            assert setting.description, f"{section}.{name} has no docstring"
+    def check(where: str, section: Section) -> None:
+        for name, setting in type(section).model_fields.items():
+            value = getattr(section, name)
+            if isinstance(value, Section):
+                check(f"{where}.{name}", value)
+            else:
+                assert setting.description, f"{where}.{name} has no docstring"
+
+    for stage in STAGED:
+        check(stage, getattr(Settings(), stage))
+    check("tuning", Tunings())
 
 
 def test_stages_settings_and_verbs_have_one_name():
     from tiegraph.cli.verbs import VERBS
     from tiegraph.pipeline import SHOTS, STAGES
-    from tiegraph.project.settings import Settings
+    from tiegraph.project.settings import STAGED, Tunings
 
     stages = (*STAGES, SHOTS)
     names = [s.name for s in stages]
-    assert names == list(Settings.model_fields)
+    assert names == list(STAGED)
+    assert {engine for stage in stages for engine in stage.tuned} == set(Tunings.model_fields)
     assert set(names) <= set(VERBS)
     for k, stage in enumerate(stages):
         assert set(stage.needs) <= set(names[:k]), f"{stage.name} needs something later"

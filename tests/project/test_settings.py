@@ -4,14 +4,16 @@ import pytest
 
 from tiegraph.api import open_project
 from tiegraph.errors import InputError, SettingsError
+from tiegraph.pipeline import STAGES
 from tiegraph.project.folder import SETTINGS
-from tiegraph.project.settings import PRESETS, Settings, changed, merged, preset
+from tiegraph.project.settings import PRESETS, Settings, changed, merged, preset, sections
+from tiegraph.project.stages import stage_keys
 
 
 def test_every_preset_is_valid_and_changes_what_it_says():
-    for name, sections in PRESETS.items():
+    for name, changes in PRESETS.items():
         settings = merged(preset(name))
-        for section, values in sections.items():
+        for section, values in changes.items():
             for key, value in values.items():
                 assert getattr(getattr(settings, section), key) == value
 
@@ -28,8 +30,31 @@ def test_typos_are_refused_with_the_nearest_name():
 
 
 def test_about_seventy_settings_at_most():
-    count = sum(len(type(f.default).model_fields) for f in Settings.model_fields.values())
+    count = sum(len(fields) for _, fields in sections())
     assert count <= 99, "a constant that nobody should change is a constant"
+
+
+def test_the_constants_of_an_engine_are_in_reach_and_in_the_keys_of_its_stages(tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / SETTINGS).write_text("[tuning.verify]\nmin_agree = 9\n[tuning.verify.motion]\ntrials = 300\n")
+    project = open_project(tmp_path, out, settings={"tuning": {"verify": {"motion": {"steps": 4}}}})
+    tuning = project.settings.tuning.verify
+    assert (tuning.min_agree, tuning.motion.trials, tuning.motion.steps, tuning.motion.directions) == (9, 300, 4, 200)
+    project.save()
+    assert open_project(out=out).settings == project.settings
+    before, after = (stage_keys(STAGES, s, "images") for s in (Settings(), project.settings))
+    needs_verify = {"verify", "sparse", "georef", "remask", "dense", "cloud", "evaluate", "report"}
+    assert {name for name in before if before[name] != after[name]} == needs_verify
+
+
+def test_typos_of_constants_are_refused_with_the_nearest_name():
+    with pytest.raises(SettingsError, match=r"'tuning.verify.motion.trails': perhaps you meant 'trials'"):
+        merged({"tuning": {"verify": {"motion": {"trails": 3}}}})
+    with pytest.raises(SettingsError, match=r"tuning.verify.prior.margin = 0.5"):
+        merged({"tuning": {"verify": {"prior": {"margin": 0.5}}}})
+    with pytest.raises(SettingsError, match=r"'tuning.verfy': perhaps you meant 'verify'"):
+        merged({"tuning": {"verfy": {}}})
 
 
 def test_precedence_defaults_preset_file_call(tmp_path):

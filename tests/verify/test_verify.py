@@ -13,6 +13,7 @@ from verify_world import add_repeats, serial, turned, world
 from tiegraph.errors import InputError
 from tiegraph.scene.pairs import Pairs
 from tiegraph.verify.settings import VerifySettings
+from tiegraph.verify.tuning import Tuning
 from tiegraph.verify.verify import verify_pairs
 
 
@@ -110,4 +111,4 @@ def test_same_input_same_result(tmp_path):
 def test_missing_database_is_named(repeated, tmp_path):
     pairs = Pairs.make(np.array([0]), np.array([5]), "sequence")
     with pytest.raises(InputError, match="nowhere.db"):
-        verify_pairs(tmp_path / "nowhere.db", repeated.scene, pairs, VerifySettings(), serial)
+        verify_pairs(tmp_path / "nowhere.db", repeated.scene, pairs, VerifySettings(), Tuning(), serial)

@@ -6,7 +6,10 @@ from scipy.spatial.transform import Rotation
 from verify_world import world
 
 from tiegraph.geometry import transforms
-from tiegraph.verify.prior import ANY, MOUNT_DEG, TOLERANCE_DEG, Prior, held_by_rig, off_course_deg
+from tiegraph.verify.prior import Prior, held_by_rig, off_course_deg
+from tiegraph.verify.tuning import PriorTuning
+
+TUNING = PriorTuning()
 
 
 def two_views(shift_m: float = 0.0, base_m: float = 12.0) -> tuple[np.ndarray, ...]:
@@ -25,19 +28,19 @@ REACH = np.array([6.0, 16.0])
 
 def test_true_matches_are_on_course() -> None:
     a, b, pose = two_views()
-    assert off_course_deg(a, b, pose, REACH).max() < 0.2
+    assert off_course_deg(a, b, pose, REACH, TUNING).max() < 0.2
 
 
 def test_a_rough_pose_is_forgiven() -> None:
     a, b, pose = two_views()
     rough = transforms.rigid(Rotation.from_euler("xyz", (0.3, 0.3, 0.3), degrees=True).as_matrix(), np.full(3, 0.05))
-    assert np.mean(off_course_deg(a, b, rough @ pose, REACH) <= TOLERANCE_DEG) > 0.9
+    assert np.mean(off_course_deg(a, b, rough @ pose, REACH, TUNING) <= TUNING.tolerance_deg) > 0.9
 
 
 @pytest.mark.parametrize("shift_m", [12.0, 15.0])
 def test_a_repeated_wall_is_off_course_though_on_its_epipolar_line(shift_m: float) -> None:
     a, b, pose = two_views(shift_m)
-    assert np.mean(off_course_deg(a, b, pose, REACH) <= TOLERANCE_DEG) < 0.1
+    assert np.mean(off_course_deg(a, b, pose, REACH, TUNING) <= TUNING.tolerance_deg) < 0.1
     # With no limits of distance the same matches lie on their epipolar lines.
     t = pose[:3, 3] / np.linalg.norm(pose[:3, 3])
     plane = np.cross(t, a @ pose[:3, :3].T)
@@ -47,7 +50,7 @@ def test_a_repeated_wall_is_off_course_though_on_its_epipolar_line(shift_m: floa
 
 def test_points_behind_are_off_course() -> None:
     a, b, pose = two_views()
-    assert off_course_deg(a, -b, pose, REACH).min() > 90
+    assert off_course_deg(a, -b, pose, REACH, TUNING).min() > 90
 
 
 def rig_poses(blind: list[int], frames: int = 5) -> tuple:
@@ -67,30 +70,38 @@ def test_images_without_points_are_judged_where_their_rig_holds_them() -> None:
     scene, _ = rig_poses([])
     third = np.flatnonzero(scene.sensor == 2)
     scene, prior = rig_poses([int(third[1])])
-    wide = held_by_rig(prior, scene)
+    wide = held_by_rig(prior, scene, TUNING)
     assert wide.known().all() and not prior.known()[third[1]]
-    assert wide.reach[third[1]].tolist() == [4.0 / ANY, 20.0 * ANY]
+    assert wide.reach[third[1]].tolist() == [4.0 / TUNING.any_distance, 20.0 * TUNING.any_distance]
     assert np.array_equal(np.flatnonzero(wide.mount_deg), third[1:2])
 
 
 def test_images_without_points_are_not_judged_if_their_sensor_or_frame_is_not_held() -> None:
     scene, whole = rig_poses([])
-    assert held_by_rig(whole, scene) is whole
+    assert held_by_rig(whole, scene, TUNING) is whole
     third, frame = np.flatnonzero(scene.sensor == 2), np.flatnonzero(scene.frame == 1)
     for blind in (third[:3], frame):
         scene, prior = rig_poses(blind.tolist())
-        assert not held_by_rig(prior, scene).known()[blind].any()
+        assert not held_by_rig(prior, scene, TUNING).known()[blind].any()
     scene, none = rig_poses(list(range(len(scene))))
-    assert not held_by_rig(none, scene).known().any()
+    assert not held_by_rig(none, scene, TUNING).known().any()
 
 
 def test_a_mounting_that_is_off_counts_as_far_as_the_images_are_turned() -> None:
     scene, _ = rig_poses([])
     third = np.flatnonzero(scene.sensor == 2)
     scene, prior = rig_poses([int(third[1])])
-    wide = held_by_rig(prior, scene)
+    wide = held_by_rig(prior, scene, TUNING)
     ahead, back, other = int(third[0]), int(third[-1]), int(np.flatnonzero(scene.sensor == 0)[0])
-    assert wide.tolerance_deg(int(third[1]), ahead, True) == pytest.approx(TOLERANCE_DEG)
-    assert wide.tolerance_deg(back, int(third[1]), True) == pytest.approx(TOLERANCE_DEG + 2 * MOUNT_DEG)
-    assert wide.tolerance_deg(int(third[1]), other, False) == pytest.approx(TOLERANCE_DEG + MOUNT_DEG)
-    assert wide.tolerance_deg(ahead, other, False) == TOLERANCE_DEG == prior.tolerance_deg(ahead, back, True)
+    assert wide.tolerance_deg(int(third[1]), ahead, True, TUNING.tolerance_deg) == pytest.approx(TUNING.tolerance_deg)
+    assert wide.tolerance_deg(back, int(third[1]), True, TUNING.tolerance_deg) == pytest.approx(
+        TUNING.tolerance_deg + 2 * TUNING.mount_deg
+    )
+    assert wide.tolerance_deg(int(third[1]), other, False, TUNING.tolerance_deg) == pytest.approx(
+        TUNING.tolerance_deg + TUNING.mount_deg
+    )
+    assert (
+        wide.tolerance_deg(ahead, other, False, TUNING.tolerance_deg)
+        == TUNING.tolerance_deg
+        == prior.tolerance_deg(ahead, back, True, TUNING.tolerance_deg)
+    )

@@ -15,6 +15,7 @@ from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.verify.settings import VerifySettings
+from tiegraph.verify.tuning import Tuning
 from tiegraph.verify.verify import Verification, verify_pairs
 
 MAX_IMAGES = 2147483647
@@ -42,7 +43,7 @@ class World:
         self.write(database)
         ends = np.array(sorted(self.matches))
         pairs = Pairs.make(ends[:, 0], ends[:, 1], "sequence")
-        result = verify_pairs(database, scene or self.scene, pairs, VerifySettings(**settings), serial)
+        result = verify_pairs(database, scene or self.scene, pairs, VerifySettings(**settings), Tuning(), serial)
         return result, np.array([(int(i), int(j)) in self.false for i, j in zip(pairs.i, pairs.j)])
 
     def write(self, path: Path) -> None:

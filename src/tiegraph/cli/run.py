@@ -1,6 +1,7 @@
 """`tiegraph run IMAGES -o OUT` and `tiegraph <stage> OUT`."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin
@@ -13,7 +14,7 @@ from tiegraph.cli.options import options_of
 from tiegraph.cli.verbs import HELP, HELP_ALL, wants_page
 from tiegraph.errors import SettingsError, choose
 from tiegraph.project.progress import Reporter
-from tiegraph.project.settings import PRESETS, Settings, sections
+from tiegraph.project.settings import PRESETS, STAGED, Settings, sections
 from tiegraph.settings import Section
 
 _MANY = 1 << 20
@@ -69,12 +70,13 @@ def main(arguments: list[str]) -> int:
     known = preparsed(arguments)
     before = open_project(known.folder, known.out, preset=known.preset) if known.folder else None
     default = before.settings if before else Settings()
+    shown = _shown(default, STAGED)
 
     def run(
         images: tyro.conf.Positional[Path],
         options: Annotated[RunOptions, tyro.conf.arg(name="")],
-        settings: Annotated[Settings, tyro.conf.arg(name="")] = default,
-    ) -> tuple[Path, RunOptions, Settings]:
+        settings: Annotated[type(shown), tyro.conf.arg(name="")] = shown,  # type: ignore[valid-type]
+    ) -> tuple[Path, RunOptions, Section]:
         """From a folder of images to the cloud and the report.
 
         A second run continues: what is up to date is skipped, finished items of an interrupted stage stay.
@@ -84,7 +86,8 @@ def main(arguments: list[str]) -> int:
         """
         return images, options, settings
 
-    images, options, settings = _cli(run, "tiegraph run", arguments)
+    images, options, given = _cli(run, "tiegraph run", arguments)
+    settings = _settings(default, given)
     inputs = {n: getattr(options, n) for n in ("rig", "camera", "gnss", "trajectory", "times", *SETTING_OF)}
     project = open_project(images, options.out, preset=options.preset, pool=options.pool, settings=settings, **inputs)
     return finish(project, options.until, options.reporter())
@@ -99,14 +102,14 @@ def main_stage(stage: str, arguments: list[str], kind: type[Common] = Common, ab
     folder = preparsed(arguments).folder
     default = open_project(None, folder).settings if folder else Settings()
     short = wants_page(arguments)
-    if short:
-        default, arguments = _section(default, stage), [HELP[-1]]
+    shown = _shown(default, (stage,) if short else STAGED)
+    arguments = [HELP[-1]] if short else arguments
 
     def run_stage(
         out: tyro.conf.Positional[Path],
         options: Annotated[kind, tyro.conf.arg(name="")],  # type: ignore[valid-type]
-        settings: Annotated[type(default), tyro.conf.arg(name="")] = default,  # type: ignore[valid-type]
-    ) -> tuple[Path, Common, Settings]:
+        settings: Annotated[type(shown), tyro.conf.arg(name="")] = shown,  # type: ignore[valid-type]
+    ) -> tuple[Path, Common, Section]:
         """Run one stage.
 
         Args:
@@ -116,15 +119,20 @@ def main_stage(stage: str, arguments: list[str], kind: type[Common] = Common, ab
 
     what = f"Run one stage, and what it needs, in a run folder.{about}"
     what += f"\n\nThe settings of the other stages: tiegraph {stage} {HELP_ALL}." if short else ""
-    out, options, settings = _cli(run_stage, f"tiegraph {stage}", arguments, description=what)
+    out, options, given = _cli(run_stage, f"tiegraph {stage}", arguments, description=what)
+    settings = _settings(default, given)
     return finish(open_project(None, out, pool=options.pool, settings=settings), stage, options.reporter())
 
 
-def _section(settings: Settings, stage: str) -> Any:
-    """The settings with one section only, for a help page."""
-    section = getattr(settings, stage)
-    fields: dict[str, Any] = {stage: (type(section), section)}
-    return create_model("Section", __base__=Section, **fields)()
+def _shown(settings: Settings, names: Sequence[str]) -> Any:
+    """The settings with these sections only: what the command line takes and shows."""
+    fields: dict[str, Any] = {name: (type(getattr(settings, name)), getattr(settings, name)) for name in names}
+    return create_model("Shown", __base__=Section, **fields)()
+
+
+def _settings(before: Settings, given: Section) -> Settings:
+    """The settings with the sections that the command line gave."""
+    return before.model_copy(update={name: getattr(given, name) for name in type(given).model_fields})
 
 
 def finish(project: Project, until: str | None, reporter: Reporter) -> int:

@@ -18,15 +18,14 @@ def verify(run: Run) -> Outcome:
     """Pairs whose matches agree with one motion of the rig and with loops; the database stays as `match` left it."""
     done = [0]
 
-    def on_total(items: int) -> None:
-        run.reporter.total(done[0] + items, done[0])
-        done[0] += items
-
     def run_map(function: Callable[..., Any], items: Sequence[Any], *args: Any) -> list[Any]:
+        run.reporter.total(done[0] + len(items), done[0])
+        done[0] += len(items)
         return run.map(function, items, *args)
 
     scene, pairs, settings = checked(run), pairs_of(run, "match.npz"), run.settings.verify
-    found = verify_pairs(run.path("database.db"), scene, pairs, settings, run_map, on_total, _prior(run))
+    tuning = run.settings.tuning.verify
+    found = verify_pairs(run.path("database.db"), scene, pairs, settings, tuning, run_map, _prior(run))
     save_npz(run.path("verify.npz"), **found.pairs.to_npz(), undecided=found.undecided, **found.motions.to_npz())
     return Outcome(found.counts, notes=found.notes, tables=found.tables)
 

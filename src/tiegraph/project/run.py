@@ -258,7 +258,16 @@ def _run_one(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:
         used = meter.stop()
     seconds = round(time.perf_counter() - start, 2)
     section = getattr(run.settings, stage.name).model_dump(mode="json")
-    more = {"settings": section, "seconds": seconds, **used, "software": software(), "finished": _now()}
+    tuning = {e: getattr(run.settings.tuning, e).model_dump(mode="json", exclude_defaults=True) for e in stage.tuned}
+    tuning = {engine: values for engine, values in tuning.items() if values}
+    more = {
+        "settings": section,
+        "tuning": tuning,
+        "seconds": seconds,
+        **used,
+        "software": software(),
+        "finished": _now(),
+    }
     receipt = artefacts.finish(stage, key, outcome, more)
     _say_done(stage, receipt, run.reporter)
 

@@ -24,6 +24,7 @@ from tiegraph.scene.regular import regular
 from tiegraph.settings import Section
 from tiegraph.sfm.settings import GeorefSettings, SparseSettings
 from tiegraph.verify.settings import VerifySettings
+from tiegraph.verify.tuning import Tuning as VerifyTuning
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -34,8 +35,15 @@ _SHOWN = 80  # characters of a wrong value in a message
 RUN_KEYS = ("images", "rig", "camera", "gnss", "trajectory", "times", "preset")  # of [run]: the inputs of a run
 
 
+class Tunings(Section):
+    """The constants that the engines decide by: tables ``[tuning.<engine>]`` of tiegraph.toml. They are the same for
+    every user, so the command line does not show them; they are in reach for measurements."""
+
+    verify: VerifyTuning = VerifyTuning()
+
+
 class Settings(Section):
-    """Every setting, by stage."""
+    """Every setting, by stage; and the engines' constants."""
 
     scan: ScanSettings = ScanSettings()
     masks: MasksSettings = MasksSettings()
@@ -53,6 +61,11 @@ class Settings(Section):
     evaluate: EvaluateSettings = EvaluateSettings()
     report: ReportSettings = ReportSettings()
     shots: ShotsSettings = ShotsSettings()
+    tuning: Tunings = Tunings()
+
+
+STAGED = tuple(name for name in Settings.model_fields if name != "tuning")
+"""The sections that a user sets, one for each stage."""
 
 
 def preset(name: str) -> dict[str, dict[str, Any]]:
@@ -70,11 +83,21 @@ def merged(*layers: dict[str, dict[str, Any]], where: str = "settings") -> Setti
                 raise SettingsError(
                     f"{where}: {section!r} must be a section such as [{name}], and is {shortened(values)}"
                 )
-            together.setdefault(section, {}).update(values)
+            together[section] = _laid_over(together.get(section, {}), values)
     try:
         return Settings.model_validate(together)
     except ValidationError as error:
         raise SettingsError(f"{where}: " + "; ".join(_explain(e) for e in error.errors())) from None
+
+
+def _laid_over(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    """Two layers of one section: tables within it are laid over each other too."""
+    tables = {
+        name: _laid_over(below[name], value)
+        for name, value in above.items()
+        if isinstance(value, dict) and isinstance(below.get(name), dict)
+    }
+    return {**below, **above, **tables}
 
 
 def changed(settings: Settings) -> dict[str, dict[str, Any]]:
@@ -129,8 +152,8 @@ def _remedy(name: str) -> str:
 
 
 def sections() -> list[tuple[str, dict[str, Any]]]:
-    """(section, its fields by name) of every section."""
-    return [(name, dict(type(field.default).model_fields)) for name, field in Settings.model_fields.items()]
+    """(section, its fields by name) of the section of every stage."""
+    return [(name, dict(type(getattr(Settings(), name)).model_fields)) for name in STAGED]
 
 
 def shortened(value: Any) -> str:

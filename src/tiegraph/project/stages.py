@@ -41,6 +41,7 @@ class Stage:
     changes: tuple[str, ...] = ()  # artefacts of other stages that it adds to
     clear: Callable[[Path], None] | None = None  # removes from those what it added
     uses: tuple[str, ...] = ()  # settings sections of other stages that it follows
+    tuned: tuple[str, ...] = ()  # engines whose constants it follows (settings.tuning)
     scratch: tuple[str, ...] = ()  # what it keeps below the run folder only while it runs
     version: int = 1  # raise it when the stage's results change for the same settings
 
@@ -94,5 +95,6 @@ def stage_keys(stages: Iterable[Stage], settings: Any, source_key: str) -> dict[
     keys = {"source": source_key}
     for stage in stages:
         sections = [settings_key(getattr(settings, name)) for name in (stage.name, *stage.uses)]
+        sections += [settings_key(getattr(settings.tuning, engine)) for engine in stage.tuned]
         keys[stage.name] = digest([stage.name, stage.version, sections, [keys[n] for n in ("source", *stage.needs)]])
     return keys

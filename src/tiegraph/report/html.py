@@ -290,7 +290,8 @@ def _effort(run: RunFolder) -> dict[str, Any]:
         body.append((stage, words.seconds(wall), words.seconds(cpu), words.count(peak), text))
     columns = ("stage", "wall time", "CPU time", "peak MiB", "counts")
     table = words.Table(columns, tuple(body), (False, True, True, True, False)) if body else None
-    settings = [(s, run.receipts[s]["settings"]) for s in STAGES if run.receipts.get(s, {}).get("settings")]
+    receipts = {s: run.receipts[s] for s in STAGES if run.receipts.get(s, {}).get("settings")}
+    settings = [(s, {**r["settings"], **_flat("tuning", r.get("tuning") or {})}) for s, r in receipts.items()]
     software: dict[str, str] = {}
     for s in STAGES:
         software.update(run.receipts.get(s, {}).get("software") or {})
@@ -300,6 +301,14 @@ def _effort(run: RunFolder) -> dict[str, Any]:
         "settings": [(s, [(k, words.cell(v)) for k, v in values.items()]) for s, values in settings],
         "software": sorted(software.items()),
     }
+
+
+def _flat(name: str, values: dict) -> dict[str, Any]:
+    """Nested tables as one, names joined by points."""
+    out: dict[str, Any] = {}
+    for key, value in values.items():
+        out |= _flat(f"{name}.{key}", value) if isinstance(value, dict) else {f"{name}.{key}": value}
+    return out
 
 
 def _tables(receipt: dict, prefix: str = "") -> list[words.Table]:

@@ -17,10 +17,7 @@ from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
-
-_VOTERS = 60  # ties between two clusters that are asked, the heaviest
-_ROUNDS = 10
-_KERNEL_DEG = 1.0
+from tiegraph.verify.tuning import LoopTuning
 
 
 @dataclass(frozen=True)
@@ -37,11 +34,13 @@ class Averaged:
         return self.unit_from_world[n] @ self.unit_from_world[m].T
 
 
-def average(units: int, ends: np.ndarray, rotations: np.ndarray, weight: np.ndarray, bound_deg: float) -> Averaged:
+def average(
+    units: int, ends: np.ndarray, rotations: np.ndarray, weight: np.ndarray, bound_deg: float, tuning: LoopTuning
+) -> Averaged:
     """Average n_from_m rotations (E, 3, 3) of edges ``ends`` (E, 2); one of weight 0 has none and is only judged."""
     there = np.flatnonzero(weight > 0)
-    rotation, label = _Clusters(units, ends[there], rotations[there], weight[there], bound_deg).join()
-    rotation = _polished(rotation, label, ends[there], rotations[there], weight[there])
+    rotation, label = _Clusters(units, ends[there], rotations[there], weight[there], bound_deg, tuning.voters).join()
+    rotation = _polished(rotation, ends[there], rotations[there], weight[there], tuning)
     residual = np.full(len(ends), np.nan)
     residual[there] = _angles(rotation, ends[there], rotations[there])
     agreeing = np.zeros(len(ends), bool)
@@ -58,9 +57,10 @@ class _Clusters:
     """Units joined into clusters, the best backed first."""
 
     def __init__(
-        self, units: int, ends: np.ndarray, rotations: np.ndarray, weight: np.ndarray, bound_deg: float
+        self, units: int, ends: np.ndarray, rotations: np.ndarray, weight: np.ndarray, bound_deg: float, voters: int
     ) -> None:
-        self.ends, self.rotations, self.weight, self.bound_deg = ends, rotations, weight, bound_deg
+        self.ends, self.rotations, self.weight = ends, rotations, weight
+        self.bound_deg, self.voters = bound_deg, voters
         self.rotation = np.tile(np.eye(3), (units, 1, 1))  # unit_from_cluster
         self.label = np.arange(units)
         self.members: list[list[int]] = [[k] for k in range(units)]
@@ -106,8 +106,8 @@ class _Clusters:
     def _vote(self, a: int, b: int) -> tuple[float, np.ndarray]:
         """(weight that agrees, b_from_a) of the rotation between two clusters that most ties agree on."""
         edges = np.array(self.ties[a][b])
-        if len(edges) > _VOTERS:
-            edges = edges[np.argsort(-self.weight[edges], kind="stable")[:_VOTERS]]
+        if len(edges) > self.voters:
+            edges = edges[np.argsort(-self.weight[edges], kind="stable")[: self.voters]]
         m, n = self.ends[edges].T
         turned = np.swapaxes(self.rotation[n], 1, 2) @ self.rotations[edges] @ self.rotation[m]
         turned = np.where((self.label[m] == a)[:, None, None], turned, np.swapaxes(turned, 1, 2))
@@ -121,7 +121,7 @@ class _Clusters:
 
 
 def _polished(
-    rotation: np.ndarray, label: np.ndarray, ends: np.ndarray, rotations: np.ndarray, weight: np.ndarray
+    rotation: np.ndarray, ends: np.ndarray, rotations: np.ndarray, weight: np.ndarray, tuning: LoopTuning
 ) -> np.ndarray:
     """Geman-McClure least squares on the rotation group (Chatterjee, Govindu 2013): one sparse solve a round."""
     if len(ends) == 0:
@@ -131,11 +131,11 @@ def _polished(
     incidence = csr_matrix(
         (np.r_[np.ones(len(ends)), -np.ones(len(ends))], (np.r_[rows, rows], np.r_[n, m])), shape=(len(ends), units)
     )
-    for _ in range(_ROUNDS):
+    for _ in range(tuning.rounds):
         # rotation_n exp(x_n) = R_mn rotation_m exp(x_m): x_n - x_m = log(rotation_n^T R_mn rotation_m)
         log = Rotation.from_matrix(np.swapaxes(rotation[n], 1, 2) @ rotations @ rotation[m]).as_rotvec()
         size = np.degrees(np.linalg.norm(log, axis=1))
-        robust = weight / (1 + (size / _KERNEL_DEG) ** 2) ** 2
+        robust = weight / (1 + (size / tuning.kernel_deg) ** 2) ** 2
         weighted = incidence.multiply(robust[:, None]).tocsr()
         normal = (incidence.T @ weighted + 1e-9 * weight.sum() * identity(units)).tocsc()
         step = splu(normal).solve(weighted.T @ log)

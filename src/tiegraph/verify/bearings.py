@@ -19,7 +19,6 @@ from tiegraph.scene.scene import Scene
 from tiegraph.verify.motion import Rays
 
 _CACHED_IMAGES = 512  # of about 100 kB each, in every worker
-PER_PAIR = 150  # matches of one camera pair that are looked at: enough to tell, spread over them all
 
 Task = tuple[int, int, tuple[tuple[int, int], ...]]
 
@@ -68,13 +67,13 @@ def _camera(key: int, cameras: Sequence[dict]) -> pycolmap.Camera:
     return camera
 
 
-def load(task: Task, database: str, calibration: Calibration) -> Rays:
-    """The matches of all image pairs (i, j) of two units, i in the first: at most PER_PAIR of each, spread evenly."""
+def load(task: Task, database: str, calibration: Calibration, most: int) -> Rays:
+    """The matches of all image pairs (i, j) of two units, i in the first: at most ``most`` of each, spread evenly."""
     parts: list[list[np.ndarray]] = [[] for _ in range(5)]
     for number, (i, j) in enumerate(task[2]):
         matches = _matches(database, i, j)
-        if len(matches) > PER_PAIR:
-            matches = matches[np.linspace(0, len(matches) - 1, PER_PAIR).astype(int)]
+        if len(matches) > most:
+            matches = matches[np.linspace(0, len(matches) - 1, most).astype(int)]
         for side, (image, column) in enumerate(((i, 0), (j, 1))):
             key = int(calibration.sensor[image])
             pose = calibration.rig_from_sensor[key]

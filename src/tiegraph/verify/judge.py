@@ -9,8 +9,7 @@ import numpy as np
 from tiegraph.geometry import transforms
 from tiegraph.verify.bearings import Calibration, Task, load
 from tiegraph.verify.motion import Rays, agreeing, counts, search, support, with_rotation
-
-_AS_GOOD = 0.65  # of the matches of a pair's free motion, that make a motion of the predicted rotation as good
+from tiegraph.verify.tuning import MotionTuning, Tuning
 
 
 @dataclass(frozen=True)
@@ -21,9 +20,9 @@ class Measured:
     agree: np.ndarray  # (P,)
     total: np.ndarray  # (P,) matches looked at
 
-    def support(self) -> float:
+    def support(self, tuning: MotionTuning) -> float:
         """What the motion is backed by, 0 without one."""
-        return 0.0 if self.motion is None else support(self.agree)
+        return 0.0 if self.motion is None else support(self.agree, tuning)
 
 
 @dataclass(frozen=True)
@@ -35,12 +34,12 @@ class Judged:
     own_deg: np.ndarray  # (P,) angle of the pair's own five-point rotation to the prediction; NaN = not asked or none
 
 
-def measure(task: Task, database: str, calibration: Calibration, bound_rad: float) -> Measured:
+def measure(task: Task, database: str, calibration: Calibration, bound_rad: float, tuning: MotionTuning) -> Measured:
     """The motion most matches of two units agree with."""
-    rays = load(task, database, calibration)
+    rays = load(task, database, calibration, tuning.matches_a_pair)
     pairs = len(task[2])
     total = np.bincount(rays.pair, minlength=pairs)
-    motion = search(rays, bound_rad, calibration.size())
+    motion = search(rays, bound_rad, calibration.size(), tuning)
     if motion is None:
         return Measured(None, np.zeros(pairs, int), total)
     return Measured(motion, counts(rays, agreeing(rays, motion, bound_rad), pairs), total)
@@ -52,28 +51,31 @@ def judge(
     calibration: Calibration,
     bound_rad: float,
     turn_deg: float,
+    tuning: Tuning,
 ) -> Judged:
     """Ask two units under a predicted rotation (3, 3), and each doubtful image pair (P,) bool for its own rotation."""
     task, rotation, doubtful = item
-    rays, size = load(task, database, calibration), calibration.size()
+    rays, size = load(task, database, calibration, tuning.motion.matches_a_pair), calibration.size()
     pairs = len(task[2])
-    motion = with_rotation(rays, rotation, bound_rad, size, turn_deg)
+    motion = with_rotation(rays, rotation, bound_rad, size, turn_deg, tuning.motion)
     agree = np.zeros(pairs, int)
     if motion is not None:
         agree = counts(rays, agreeing(rays, motion, bound_rad), pairs)
     own = np.full(pairs, np.nan)
     for k in np.flatnonzero(doubtful):
-        own[k] = _own_angle(rays.where(rays.pair == k), rotation, bound_rad, size, turn_deg)
+        own[k] = _own_angle(rays.where(rays.pair == k), rotation, bound_rad, size, turn_deg, tuning)
     return Judged(motion, agree, own)
 
 
-def _own_angle(rays: Rays, rotation: np.ndarray, bound_rad: float, size: float, turn_deg: float) -> float:
+def _own_angle(
+    rays: Rays, rotation: np.ndarray, bound_rad: float, size: float, turn_deg: float, tuning: Tuning
+) -> float:
     """Degrees between a pair's own rotation and the prediction; of the two a plane allows, the better one counts."""
-    free = search(rays, bound_rad, size)
-    held = with_rotation(rays, rotation, bound_rad, size, turn_deg)
+    free = search(rays, bound_rad, size, tuning.motion)
+    held = with_rotation(rays, rotation, bound_rad, size, turn_deg, tuning.motion)
     if free is None:
         return float("nan")
     best = int(agreeing(rays, free, bound_rad).sum())
-    if held is not None and int(agreeing(rays, held, bound_rad).sum()) >= _AS_GOOD * best:
+    if held is not None and int(agreeing(rays, held, bound_rad).sum()) >= tuning.as_good * best:
         return float(transforms.angle_deg(held[:3, :3], rotation))
     return float(transforms.angle_deg(free[:3, :3], rotation))

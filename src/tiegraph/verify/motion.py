@@ -14,17 +14,9 @@ import pycolmap
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
+from tiegraph.verify.tuning import MotionTuning
 
 _SEED = 0
-_TRIALS = 500  # of the five-point RANSAC; five of a share of 0.4 are met by 1 in 98
-_LEAST_TRIALS = 60
-_SAMPLE = 400  # matches the search scores its hypotheses by
-_FIT = 800  # matches the refinement uses
-_LOOSE = 2.0  # the five-point search takes all centres as one: its bound is wider by this
-_SCALES = (3.0, 10.0, 40.0, 200.0)  # first lengths of t in rig sizes
-_CAP = 100  # matches of one camera pair that count in a vote: a wall full of windows is one opinion
-_DIRECTIONS = 200  # samples of a translation under a given rotation
-_STEPS = 6  # of Gauss-Newton
 _SMALL = 1e-6  # step of differences
 _SMALL_TURNS = Rotation.from_rotvec(_SMALL * np.eye(3)).as_matrix()
 
@@ -72,45 +64,47 @@ def counts(rays: Rays, mask: np.ndarray, pairs: int) -> np.ndarray:
     return np.bincount(rays.pair[mask], minlength=pairs)
 
 
-def support(by_pair: np.ndarray) -> float:
-    """What a motion is backed by: matches, of each camera pair no more than a hundred."""
-    return float(np.minimum(by_pair, _CAP).sum())
+def support(by_pair: np.ndarray, tuning: MotionTuning) -> float:
+    """What a motion is backed by: matches, of each camera pair no more than ``votes_a_pair``."""
+    return float(np.minimum(by_pair, tuning.votes_a_pair).sum())
 
 
-def search(rays: Rays, bound_rad: float, size: float) -> np.ndarray | None:
+def search(rays: Rays, bound_rad: float, size: float, tuning: MotionTuning) -> np.ndarray | None:
     """A motion (4, 4) that many matches agree with, by five-point RANSAC as if all centres were one; None if none."""
-    if len(rays.pair) < 8:
+    if len(rays.pair) < tuning.least_matches:
         return None
-    options = pycolmap.RANSACOptions(max_error=_LOOSE * bound_rad, random_seed=_SEED)
-    options.max_num_trials, options.min_num_trials = _TRIALS, _LEAST_TRIALS
-    few = _thinned(rays, _SAMPLE)
+    options = pycolmap.RANSACOptions(max_error=tuning.search_widens * bound_rad, random_seed=_SEED)
+    options.max_num_trials, options.min_num_trials = tuning.trials, tuning.least_trials
+    few = _thinned(rays, tuning.search_matches)
     found = pycolmap.estimate_relative_pose(few.ray_m, few.ray_n, options)
     if not found:
         return None
     pose = found["cam2_from_cam1"]
-    return refine(rays, transforms.rigid(pose.rotation.matrix(), pose.translation), bound_rad, size)
+    return refine(rays, transforms.rigid(pose.rotation.matrix(), pose.translation), bound_rad, size, tuning)
 
 
-def refine(rays: Rays, motion: np.ndarray, bound_rad: float, size: float, turning: bool = True) -> np.ndarray:
+def refine(
+    rays: Rays, motion: np.ndarray, bound_rad: float, size: float, tuning: MotionTuning, turning: bool = True
+) -> np.ndarray:
     """Least squares (Gauss-Newton, Cauchy weights) from a motion whose translation has the right direction only.
 
     ``size``: of the rig, in the unit of its centres; 0 = all centres are one.
     """
     direction = motion[:3, 3] / max(float(np.linalg.norm(motion[:3, 3])), 1e-12)
-    lengths = [size * s for s in _SCALES] if size > 0 else [1.0]
+    lengths = [size * s for s in tuning.first_lengths] if size > 0 else [1.0]
     starts = [transforms.rigid(motion[:3, :3], direction * length) for length in lengths]
-    rays = _thinned(rays, _FIT)
+    rays = _thinned(rays, tuning.refine_matches)
     best = min(starts, key=lambda m: _cost(rays, m, bound_rad))
-    return adjust(rays, best, bound_rad, turning)
+    return adjust(rays, best, bound_rad, tuning.steps, turning)
 
 
-def adjust(rays: Rays, motion: np.ndarray, bound_rad: float, turning: bool = True) -> np.ndarray:
+def adjust(rays: Rays, motion: np.ndarray, bound_rad: float, steps: int, turning: bool = True) -> np.ndarray:
     """Gauss-Newton with Cauchy weights from a whole motion; the kernel narrows to half the bound.
 
     ``turning`` False: the rotation stays.
     """
     cost = _cost(rays, motion, bound_rad)
-    for k in range(_STEPS):
+    for k in range(steps):
         scale = bound_rad * max(0.5, 1.5 - 0.5 * k)
         value, jacobian = residuals(rays, motion), _jacobian(rays, motion)
         if not turning:
@@ -130,7 +124,7 @@ def adjust(rays: Rays, motion: np.ndarray, bound_rad: float, turning: bool = Tru
 
 
 def with_rotation(
-    rays: Rays, rotation: np.ndarray, bound_rad: float, size: float, turn_deg: float
+    rays: Rays, rotation: np.ndarray, bound_rad: float, size: float, turn_deg: float, tuning: MotionTuning
 ) -> np.ndarray | None:
     """The motion within ``turn_deg`` of a rotation (3, 3) that most matches agree with; None if no parallax tells.
 
@@ -140,26 +134,29 @@ def with_rotation(
     normal = cross(rays.ray_m @ rotation.T, rays.ray_n)
     length = np.linalg.norm(normal, axis=1)
     usable = np.flatnonzero(length > bound_rad)  # nearly parallel rays do not tell where the other rig is
-    if len(usable) < 8:
+    if len(usable) < tuning.least_matches:
         return None
     unit = normal[usable] / length[usable, None]
-    picks = np.random.default_rng(_SEED).integers(0, len(usable), (_DIRECTIONS, 2))
+    picks = np.random.default_rng(_SEED).integers(0, len(usable), (tuning.directions, 2))
     directions = cross(unit[picks[:, 0]], unit[picks[:, 1]])
     norm = np.linalg.norm(directions, axis=1)
     directions = directions[norm > 1e-6] / norm[norm > 1e-6, None]
     if len(directions) == 0:
         return None
-    hits = (np.abs(unit @ directions.T) < 3 * bound_rad).sum(axis=0)
+    hits = (np.abs(unit @ directions.T) < tuning.direction_widens * bound_rad).sum(axis=0)
     best = directions[int(np.argmax(hits))]
-    both = [_held(rays, transforms.rigid(rotation, sign * best), bound_rad, size, turn_deg) for sign in (1.0, -1.0)]
+    starts = [transforms.rigid(rotation, sign * best) for sign in (1.0, -1.0)]
+    both = [_held(rays, start, bound_rad, size, turn_deg, tuning) for start in starts]
     return max(both, key=lambda m: int(agreeing(rays, m, bound_rad).sum()))
 
 
-def _held(rays: Rays, motion: np.ndarray, bound_rad: float, size: float, turn_deg: float) -> np.ndarray:
-    free = refine(rays, motion, bound_rad, size)
+def _held(
+    rays: Rays, motion: np.ndarray, bound_rad: float, size: float, turn_deg: float, tuning: MotionTuning
+) -> np.ndarray:
+    free = refine(rays, motion, bound_rad, size, tuning)
     if transforms.angle_deg(free[:3, :3], motion[:3, :3]) < turn_deg:
         return free
-    return refine(rays, motion, bound_rad, size, turning=False)
+    return refine(rays, motion, bound_rad, size, tuning, turning=False)
 
 
 def _thinned(rays: Rays, most: int) -> Rays:

@@ -13,18 +13,7 @@ import numpy as np
 from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
 from tiegraph.verify.bearings import Calibration, load
-
-STEPS = 24  # distances between the nearest and the farthest at which a ray is followed
-MARGIN = 2.0  # distances outside those of the image's model points by this factor are still possible
-TOLERANCE_DEG = 1.0  # preview key points are good to 0.2 deg, their model's rotations to 0.15 deg (canal)
-# Share of a pair's matches that must agree with the model. On ``canal`` (chosen there) it keeps 99.1 % of the pairs
-# most of whose matches are true and 4 of 217 of which hardly any is; on ``canal_demo`` 98.6 % and 0 of 4.
-MIN_SHARE = 0.25
-SEEING = 0.5  # share of a sensor's images that see points, from which its place in the rig is the model's own
-# What a mounting that no point holds may be off: the up camera of ``canal_demo`` 1 to 1.5 deg by a wrong focal length.
-MOUNT_DEG = 1.5
-ANY = 10.0  # times nearer than the nearest point of the model, and farther than the farthest: any distance
-MAX_REFUSED = 0.2  # of the judged pairs: a model that contradicts more of them is wrong itself
+from tiegraph.verify.tuning import PriorTuning, Tuning
 
 
 @dataclass(frozen=True)
@@ -36,21 +25,21 @@ class Prior:
     reach: np.ndarray
     mount_deg: np.ndarray | None = None  # (N,) by which an image's place in its rig may be turned; None = by nothing
 
-    def tolerance_deg(self, i: int, j: int, same_sensor: bool) -> float:
+    def tolerance_deg(self, i: int, j: int, same_sensor: bool, least_deg: float) -> float:
         """How far a true match of two images may be off course. Of one sensor the error of its mounting cancels as far
         as the images are not turned against each other: below a bridge two passes are, by half a turn."""
         if self.mount_deg is None:
-            return TOLERANCE_DEG
+            return least_deg
         turn = transforms.angle_deg(self.cam_from_world[i, :3, :3], self.cam_from_world[j, :3, :3])
         lever = 2 * np.sin(np.radians(turn) / 2) if same_sensor else 1.0
-        return float(TOLERANCE_DEG + lever * max(self.mount_deg[i], self.mount_deg[j]))
+        return float(least_deg + lever * max(self.mount_deg[i], self.mount_deg[j]))
 
     def known(self) -> np.ndarray:
         """(N,) bool: images it can judge."""
         return np.isfinite(self.cam_from_world).all(axis=(1, 2)) & np.isfinite(self.reach).all(axis=1)
 
 
-def held_by_rig(prior: Prior, scene: Scene) -> Prior:
+def held_by_rig(prior: Prior, scene: Scene, tuning: PriorTuning) -> Prior:
     """The prior with any distance as the reach of images that see too few points to tell theirs, but whose place is
     known: by the others of their frame, if most images of their sensor see points.
 
@@ -64,35 +53,38 @@ def held_by_rig(prior: Prior, scene: Scene) -> Prior:
     beside = np.bincount(scene.frame[known], minlength=scene.frames)[scene.frame] > 0
     sensors = len(scene.all_sensors)
     seeing, of = (np.bincount(scene.sensor_key[m], minlength=sensors) for m in (known, placed))
-    told = (seeing >= SEEING * of)[scene.sensor_key]
+    told = (seeing >= tuning.min_seeing * of)[scene.sensor_key]
     held = placed & ~known & beside & told
     nearest, farthest = prior.reach[known, 0].min(), prior.reach[known, 1].max()
-    reach = np.where(held[:, None], (nearest / ANY, farthest * ANY), prior.reach)
-    return replace(prior, reach=reach, mount_deg=np.where(held, MOUNT_DEG, 0.0))
+    reach = np.where(held[:, None], (nearest / tuning.any_distance, farthest * tuning.any_distance), prior.reach)
+    return replace(prior, reach=reach, mount_deg=np.where(held, tuning.mount_deg, 0.0))
 
 
-def agreement(item: tuple[int, int], database: str, calibration: Calibration, prior: Prior) -> float:
+def agreement(item: tuple[int, int], database: str, calibration: Calibration, prior: Prior, tuning: Tuning) -> float:
     """Share of the verified matches of an image pair (i, j) that a surface within reach explains; NaN without any.
 
     ``calibration`` with units that are images (rays in the sensor's own frame).
     """
     i, j = item
-    rays = load((i, j, ((i, j),)), database, calibration)
+    rays = load((i, j, ((i, j),)), database, calibration, tuning.motion.matches_a_pair)
     if not len(rays.pair):
         return float("nan")
     j_from_i = prior.cam_from_world[j] @ transforms.invert(prior.cam_from_world[i])
-    off = off_course_deg(rays.ray_m, rays.ray_n, j_from_i, prior.reach[i])
-    back = off_course_deg(rays.ray_n, rays.ray_m, transforms.invert(j_from_i), prior.reach[j])
-    tolerance = prior.tolerance_deg(i, j, bool(calibration.sensor[i] == calibration.sensor[j]))
+    off = off_course_deg(rays.ray_m, rays.ray_n, j_from_i, prior.reach[i], tuning.prior)
+    back = off_course_deg(rays.ray_n, rays.ray_m, transforms.invert(j_from_i), prior.reach[j], tuning.prior)
+    same = bool(calibration.sensor[i] == calibration.sensor[j])
+    tolerance = prior.tolerance_deg(i, j, same, tuning.prior.tolerance_deg)
     return float(np.mean(np.maximum(off, back) <= tolerance))
 
 
-def off_course_deg(a: np.ndarray, b: np.ndarray, b_from_a: np.ndarray, reach: np.ndarray) -> np.ndarray:
+def off_course_deg(
+    a: np.ndarray, b: np.ndarray, b_from_a: np.ndarray, reach: np.ndarray, tuning: PriorTuning
+) -> np.ndarray:
     """(M,) least angle in degrees between rays b (M, 3) and where the points on rays a (M, 3), at all distances within
-    ``reach`` (2,) times MARGIN, would be seen."""
-    near, far = reach[0] / MARGIN, reach[1] * MARGIN
-    distance = np.geomspace(near, far, STEPS)
-    course = distance[:, None, None] * (a @ b_from_a[:3, :3].T) + b_from_a[:3, 3]  # (STEPS, M, 3)
+    ``reach`` (2,) times ``margin``, would be seen."""
+    near, far = reach[0] / tuning.margin, reach[1] * tuning.margin
+    distance = np.geomspace(near, far, tuning.steps)
+    course = distance[:, None, None] * (a @ b_from_a[:3, :3].T) + b_from_a[:3, 3]  # (steps, M, 3)
     course /= np.maximum(np.linalg.norm(course, axis=2, keepdims=True), 1e-12)
     along = np.diff(course, axis=0)
     share = np.sum((b - course[:-1]) * along, axis=2) / np.maximum(np.sum(along**2, axis=2), 1e-18)

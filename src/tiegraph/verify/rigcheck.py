@@ -14,11 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.verify.bearings import Calibration, Task, load
 from tiegraph.verify.motion import Rays, adjust, agreeing, counts, residuals, search
-
-# Bounds of the rounds in multiples of the final one: a camera 3 degrees off starts 16 px (f = 310) off the lines.
-_WIDE = 6.0
-_BOUNDS = (6.0, 4.0, 3.0, 2.0, 1.5, 1.0, 1.0, 1.0)
-_PRIOR_RAD = 0.1  # a camera without ties stays where it is
+from tiegraph.verify.tuning import Tuning
 
 
 @dataclass(frozen=True)
@@ -42,31 +38,32 @@ class _Sample:
     pairs: int
 
 
-def check_rig(tasks: list[Task], database: str, calibration: Calibration, bound_rad: float) -> RigCheck:
+def check_rig(tasks: list[Task], database: str, calibration: Calibration, bound_rad: float, tuning: Tuning) -> RigCheck:
     """Turn the sensors until the matches of the frame pairs agree best; two frame pairs or more."""
     sensors = len(calibration.cameras)
-    samples = [_sample(task, database, calibration) for task in tasks]
+    samples = [_sample(task, database, calibration, tuning.motion.matches_a_pair) for task in tasks]
     size = calibration.size()
-    first = [search(s.rays, bound_rad, size) for s in samples]
+    first = [search(s.rays, bound_rad, size, tuning.motion) for s in samples]
     before = _shares(samples, first, bound_rad, sensors)
-    motions = [search(s.rays, _WIDE * bound_rad, size) for s in samples]
-    turns = np.tile(np.eye(3), (sensors, 1, 1))
-    for wide in _BOUNDS:
+    motions = [search(s.rays, tuning.rig.bounds[0] * bound_rad, size, tuning.motion) for s in samples]
+    turns, prior = np.tile(np.eye(3), (sensors, 1, 1)), np.full(sensors, tuning.rig.turn_prior_rad)
+    steps = tuning.motion.steps
+    for wide in tuning.rig.bounds:
         turned = [_turned(s, turns) for s in samples]
-        motions = [m if m is None else adjust(r, m, wide * bound_rad) for r, m in zip(turned, motions)]
-        step = _step(samples, turned, motions, wide * bound_rad, sensors)
+        motions = [m if m is None else adjust(r, m, wide * bound_rad, steps) for r, m in zip(turned, motions)]
+        step = _step(samples, turned, motions, wide * bound_rad, prior)
         turns = Rotation.from_rotvec(step).as_matrix() @ turns
     turns = turns[0].T @ turns  # the first sensor is the rig frame
     final = [_turned(s, turns) for s in samples]
-    again = [search(r, bound_rad, size) for r in final]
+    again = [search(r, bound_rad, size, tuning.motion) for r in final]
     samples_after = [_Sample(r, s.sensor_m, s.sensor_n, s.pairs) for r, s in zip(final, samples)]
     after = _shares(samples_after, again, bound_rad, sensors)
     angle = np.degrees(Rotation.from_matrix(turns).magnitude())
     return RigCheck(turns, angle, after[1], before[0], after[0], before[2], after[2])
 
 
-def _sample(task: Task, database: str, calibration: Calibration) -> _Sample:
-    rays = load(task, database, calibration)
+def _sample(task: Task, database: str, calibration: Calibration, most: int) -> _Sample:
+    rays = load(task, database, calibration, most)
     pair = np.array(task[2])
     keys = calibration.sensor[pair]
     return _Sample(rays, keys[rays.pair, 0], keys[rays.pair, 1], len(pair))
@@ -80,10 +77,11 @@ def _turned(sample: _Sample, turns: np.ndarray) -> Rays:
 
 
 def _step(
-    samples: list[_Sample], turned: list[Rays], motions: list[np.ndarray | None], bound_rad: float, sensors: int
+    samples: list[_Sample], turned: list[Rays], motions: list[np.ndarray | None], bound_rad: float, prior: np.ndarray
 ) -> np.ndarray:
-    """(S, 3) rotation vectors of one Gauss-Newton step, the motions eliminated."""
-    normal, right = np.eye(3 * sensors) / _PRIOR_RAD**2, np.zeros(3 * sensors)
+    """(S, 3) rotation vectors of one Gauss-Newton step, the motions eliminated; ``prior`` (S,): sigmas in radians."""
+    sensors = len(prior)
+    normal, right = np.diag(np.repeat(1 / prior**2, 3)), np.zeros(3 * sensors)
     normal[:3, :3] += 1e12 * np.eye(3)  # gauge: the first sensor is the rig frame
     for sample, rays, motion in zip(samples, turned, motions):
         if motion is None:

@@ -23,30 +23,15 @@ from tiegraph.verify import bearings
 from tiegraph.verify.averaging import Averaged, average
 from tiegraph.verify.bearings import Calibration, Task
 from tiegraph.verify.judge import Judged, Measured, judge, measure
-from tiegraph.verify.prior import MAX_REFUSED, Prior, agreement, held_by_rig
-from tiegraph.verify.prior import MIN_SHARE as MIN_MODEL_SHARE
+from tiegraph.verify.motion import support as backed
+from tiegraph.verify.prior import Prior, agreement, held_by_rig
 from tiegraph.verify.rigcheck import RigCheck, check_rig
 from tiegraph.verify.settings import VerifySettings
+from tiegraph.verify.tuning import LoopTuning, Tuning
 
 _log = logging.getLogger(__name__)
 
 Map = Callable[..., list[Any]]  # (function, items, *args) -> results in the order of the items
-
-MIN_AGREE = 12  # matches of a pair with the common motion; of a pair of few, most of them
-MIN_SHARE = 0.3  # of a pair's matches: right ones 0.35 to 1 on canal, others mostly 0
-SAMPLE_TASKS = 24  # frame pairs the rig is checked on
-MIN_SAMPLE = 3
-TURN_DEG = 0.3  # a camera turned by more is refined, if the images then agree better
-MAX_TURN_DEG = 8.0  # no mounting is off by more: wrong focal lengths of a ring look like that (20 deg on canal)
-GAIN = 0.02  # of the median share of agreeing matches: less is noise, and the turn is not observable
-RIG_SHARE = 0.6  # below, frames do not move as one: 0.89 on canal, 0.95 on PandaSet, 0.18 with a wrong focal length
-NOISY_DEG = 10.0  # loops that close no better than this decide nothing
-LOOP_SIGMAS = 5.0
-NEIGHBOURS = 2.0  # weight of ties between neighbours of a pass, over their support
-NEIGHBOUR_STEPS = 2
-# Bounds of loops are wider by: single images have no rig to lean on; after a rig that does not hold, the focal lengths
-# may be wrong, and every rotation with them.
-LOOP_WIDTH = {"rig": 1.0, "rig refined": 1.0, "images": 2.0, "rig does not hold": 4.0}
 
 
 @dataclass(frozen=True)
@@ -89,8 +74,8 @@ class _Work:
     scene: Scene
     pairs: Pairs  # kept ones only
     settings: VerifySettings
+    tuning: Tuning
     run_map: Map
-    on_total: Callable[[int], None]
 
 
 def verify_pairs(
@@ -98,18 +83,18 @@ def verify_pairs(
     scene: Scene,
     pairs: Pairs,
     settings: VerifySettings,
+    tuning: Tuning,
     run_map: Map,
-    on_total: Callable[[int], None] = lambda total: None,
     prior: Prior | None = None,
 ) -> Verification:
     """Refuse ("repeat") the kept pairs that contradict the rig or loops of frames; the database is read only.
 
     Pairs of images that both are in the ``prior``, a rough model, are judged by it; all others by the rig and loops.
-    ``run_map(function, items, *args)`` runs items anywhere; ``on_total(items)`` is told of their number before each
-    round. Raises InputError for a missing database or camera, SettingsError from the scene's rig.
+    ``run_map(function, items, *args)`` runs items anywhere. Raises InputError for a missing database or camera,
+    SettingsError from the scene's rig.
     """
     kept = pairs.kept()
-    work = _Work(str(database), scene, kept, settings, run_map, on_total)
+    work = _Work(str(database), scene, kept, settings, tuning, run_map)
     if settings.method == "off" or len(kept) == 0:
         return _nothing(pairs, scene)
     bearings.forget()
@@ -143,19 +128,18 @@ def _by_prior(work: _Work, prior: Prior | None) -> tuple[np.ndarray, np.ndarray,
     pairs, nothing = work.pairs, np.zeros(len(work.pairs), bool)
     if prior is None or work.settings.method != "auto":
         return nothing, nothing.copy(), []
-    prior = held_by_rig(prior, work.scene)
+    prior = held_by_rig(prior, work.scene, work.tuning.prior)
     known = prior.known()
     judged = known[pairs.i] & known[pairs.j]
     rows = np.flatnonzero(judged)
     if not len(rows):
         return nothing, nothing.copy(), []
-    work.on_total(len(rows))
     items = [(int(pairs.i[k]), int(pairs.j[k])) for k in rows]
     lone = Calibration.of(work.scene, by_frame=False)
-    share = np.array(work.run_map(agreement, items, work.database, lone, prior))
-    wrong = share < MIN_MODEL_SHARE
+    share = np.array(work.run_map(agreement, items, work.database, lone, prior, work.tuning))
+    wrong = share < work.tuning.prior.min_share
     figures = f"the preview model agrees with {len(rows) - int(wrong.sum())} of {len(rows)} pairs"
-    if wrong.mean() > MAX_REFUSED:
+    if wrong.mean() > work.tuning.prior.max_refused:
         return nothing, nothing.copy(), [f"{figures}: too few, so it is not asked"]
     asked, contradicts = nothing, nothing.copy()
     asked[rows] = True
@@ -198,8 +182,8 @@ def _tasks(work: _Work, unit: np.ndarray) -> tuple[list[Task], list[np.ndarray]]
 
 
 def _calibrated(work: _Work, asked: np.ndarray) -> tuple[Calibration, str, list[str], list[list]]:
-    """Cameras and extrinsics to verify with, a key of LOOP_WIDTH, and why; ``asked`` (P,): judged already."""
-    scene, settings = work.scene, work.settings
+    """Cameras and extrinsics to verify with, how (`Verification.method`), and why; ``asked`` (P,): judged already."""
+    scene, settings, tuning = work.scene, work.settings, work.tuning.rig
     lone = _with_units(scene, by_frame=False)
     if asked.all():
         return lone, "images", [], []
@@ -210,19 +194,19 @@ def _calibrated(work: _Work, asked: np.ndarray) -> tuple[Calibration, str, list[
         why = "no rig with known extrinsics: images are verified one by one, by loops of images"
         return lone, "images", [why], []
     calibration = _with_units(scene, by_frame=True)
-    tasks = sorted(_tasks(work, calibration.unit)[0], key=lambda t: (-len(t[2]), t[:2]))[:SAMPLE_TASKS]
+    tasks = sorted(_tasks(work, calibration.unit)[0], key=lambda t: (-len(t[2]), t[:2]))[: tuning.frame_pairs]
     tasks = [t for t in tasks if len(t[2]) > 1]
-    if len(tasks) < MIN_SAMPLE:
+    if len(tasks) < tuning.least_frame_pairs:
         note = (
             f"only {len(tasks)} frame pairs are tied by several cameras: the rig could not be checked, it is believed"
         )
         return calibration, "rig", [note], []
-    check = check_rig(tasks, work.database, calibration, settings.max_error_px / calibration.focal_px())
+    check = check_rig(tasks, work.database, calibration, settings.max_error_px / calibration.focal_px(), work.tuning)
     rows = [
         [s.name, round(float(d), 2), _share(b), _share(a)]
         for s, d, b, a in zip(scene.all_sensors, check.turn_deg, check.share_before, check.share_after)
     ]
-    found, method, note = _choose(check, calibration, scene, settings)
+    found, method, note = _choose(check, calibration, work)
     notes = [note] if note else []
     return (lone if method == "rig does not hold" else found), method, notes, rows
 
@@ -236,19 +220,17 @@ def _share(value: float) -> float | None:
     return round(float(value), 3) if np.isfinite(value) else None
 
 
-def _choose(
-    check: RigCheck, given: Calibration, scene: Scene, settings: VerifySettings
-) -> tuple[Calibration, str, str]:
+def _choose(check: RigCheck, given: Calibration, work: _Work) -> tuple[Calibration, str, str]:
     """Which rig to go on with, and a note."""
-    names = [s.name for s in scene.all_sensors]
+    names, tuning = [s.name for s in work.scene.all_sensors], work.tuning.rig
     worst = int(np.argmax(check.turn_deg))
-    better = check.total_after > check.total_before + GAIN and check.turn_deg[worst] > TURN_DEG
+    better = check.total_after > check.total_before + tuning.gain and check.turn_deg[worst] > tuning.turn_deg
     turned = f"{names[worst]} is turned by {check.turn_deg[worst]:.1f} deg"
     before, after = f"{check.total_before:.0%}", f"{check.total_after:.0%}"
     shares = f"{before} of a pair's matches (median) agree with common motions as given, {after} turned"
     best = check.total_after if better else check.total_before
-    absurd = better and check.turn_deg[worst] > MAX_TURN_DEG
-    if (best < RIG_SHARE or absurd) and settings.method != "rig":
+    absurd = better and check.turn_deg[worst] > tuning.max_turn_deg
+    if (best < tuning.min_share or absurd) and work.settings.method != "rig":
         low = int(np.nanargmin(np.where(check.matches > 0, check.share_after, np.nan)))
         return given, "rig does not hold", (
             f"the rig does not hold: {shares}; least {names[low]} ({check.share_after[low]:.0%}), and {turned} against "
@@ -265,29 +247,28 @@ def _decide(work: _Work, calibration: Calibration, method: str) -> tuple[np.ndar
     settings, by_frame = work.settings, method.startswith("rig") and method != "rig does not hold"
     bound = settings.max_error_px / calibration.focal_px()
     tasks, groups = _tasks(work, calibration.unit)
-    work.on_total(len(tasks))
-    measured: list[Measured] = work.run_map(measure, tasks, work.database, calibration, bound)
+    measured: list[Measured] = work.run_map(measure, tasks, work.database, calibration, bound, work.tuning.motion)
     _log.info("%d pairs of units measured", len(tasks))
-    loops, tolerance, spread = _loops(work.scene, tasks, measured, settings.max_loop_deg * LOOP_WIDTH[method])
-    noisy = LOOP_SIGMAS * spread > NOISY_DEG
+    wide = settings.max_loop_deg * _widened(method, work.tuning.loops)
+    loops, tolerance, spread = _loops(work, tasks, measured, wide)
+    noisy = work.tuning.loops.sigmas * spread > work.tuning.loops.noisy_deg
     notes = []
     if noisy:
         notes.append(
             f"loops of {'frames' if by_frame else 'images'} close no better than {spread:.1f} deg "
             f"(median): the cameras' focal lengths are probably wrong. No pair was refused"
         )
-    items = [] if noisy else _doubts(tasks, measured, loops, tolerance)
-    work.on_total(len(items))
+    items = [] if noisy else _doubts(tasks, measured, loops, tolerance, work.tuning)
     asked = [(tasks[k], rotation, doubtful) for k, rotation, doubtful in items]
-    judged: list[Judged] = work.run_map(judge, asked, work.database, calibration, bound, tolerance)
+    judged: list[Judged] = work.run_map(judge, asked, work.database, calibration, bound, tolerance, work.tuning)
     refused, undecided = np.zeros(len(work.pairs), bool), np.zeros(len(work.pairs), bool)
     motion = {k: m.motion for k, m in enumerate(measured) if m.motion is not None and loops.residual_deg[k] < tolerance}
-    support = {k: measured[k].support() for k in motion}
+    support = {k: measured[k].support(work.tuning.motion) for k in motion}
     for (k, _, doubtful), verdict in zip(items, judged):
-        agrees = _agrees(verdict.agree, measured[k].total) | (verdict.own_deg < tolerance)
+        agrees = _agrees(verdict.agree, measured[k].total, work.tuning) | (verdict.own_deg < tolerance)
         refused[groups[k][doubtful & ~agrees]] = True
         if k not in motion and verdict.motion is not None and np.any(doubtful & agrees):
-            motion[k], support[k] = verdict.motion, float(np.minimum(verdict.agree, 100).sum())
+            motion[k], support[k] = verdict.motion, backed(verdict.agree, work.tuning.motion)
     for k in range(len(tasks)):
         if not loops.reliable[k] and not loops.residual_deg[k] < tolerance:
             undecided[groups[k]] = True
@@ -301,28 +282,34 @@ def _decide(work: _Work, calibration: Calibration, method: str) -> tuple[np.ndar
     return refused, undecided, Motions(ends, matrices, np.array([support[k] for k in keys]), by_frame), notes
 
 
-def _agrees(agree: np.ndarray, total: np.ndarray) -> np.ndarray:
+def _widened(method: str, tuning: LoopTuning) -> float:
+    """By how much loops of a method close worse: single images have no rig to lean on."""
+    return {"images": tuning.width_images, "rig does not hold": tuning.width_no_rig}.get(method, 1.0)
+
+
+def _agrees(agree: np.ndarray, total: np.ndarray, tuning: Tuning) -> np.ndarray:
     """(P,) bool: enough matches agree with a motion, in number and in share. A pair of few matches needs their most."""
-    enough = np.minimum(MIN_AGREE, np.maximum(np.ceil(0.6 * total), 5))
-    return (agree >= enough) & (agree >= MIN_SHARE * total)
+    most = np.maximum(np.ceil(tuning.min_agree_share * total), tuning.min_agree_few)
+    return (agree >= np.minimum(tuning.min_agree, most)) & (agree >= tuning.min_share * total)
 
 
 def _loops(
-    scene: Scene, tasks: Sequence[Task], measured: Sequence[Measured], wide: float
+    work: _Work, tasks: Sequence[Task], measured: Sequence[Measured], wide: float
 ) -> tuple[Averaged, float, float]:
     """Rotations of all units by votes, how far a true tie may be off them, and how far half of them are; degrees."""
+    tuning = work.tuning.loops
     ends = np.array([t[:2] for t in tasks], int).reshape(-1, 2)
     used, compact = np.unique(ends, return_inverse=True)
     compact = compact.reshape(-1, 2)
     rotations = np.array([np.eye(3) if m.motion is None else m.motion[:3, :3] for m in measured]).reshape(-1, 3, 3)
-    weight = np.array([m.support() for m in measured])
-    near = _neighbours(scene, ends)
-    weight = weight * np.where(near, NEIGHBOURS, 1.0)
-    loops = average(len(used), compact, rotations, weight, wide)
+    weight = np.array([m.support(work.tuning.motion) for m in measured])
+    near = _neighbours(work.scene, ends, tuning.neighbour_steps)
+    weight = weight * np.where(near, tuning.neighbour_weight, 1.0)
+    loops = average(len(used), compact, rotations, weight, wide, tuning)
     there = np.isfinite(loops.residual_deg) & loops.reliable
-    basis = there & near if np.sum(there & near) >= 10 else there
+    basis = there & near if np.sum(there & near) >= tuning.neighbours_enough else there
     spread = float(np.median(loops.residual_deg[basis])) if basis.any() else 0.0
-    tolerance = max(wide, LOOP_SIGMAS * spread)
+    tolerance = max(wide, tuning.sigmas * spread)
     return _Predictor.of(loops, compact), tolerance, spread
 
 
@@ -341,16 +328,16 @@ class _Predictor(Averaged):
         return self.predicted(int(self.ends[k, 0]), int(self.ends[k, 1]))
 
 
-def _neighbours(scene: Scene, ends: np.ndarray) -> np.ndarray:
-    """(E,) bool: units of one pass at most two steps apart."""
+def _neighbours(scene: Scene, ends: np.ndarray, steps: int) -> np.ndarray:
+    """(E,) bool: units of one pass at most so many steps apart."""
     frame = np.concatenate([np.arange(scene.frames), scene.frame])[ends]
     track, step = scene.track[frame], scene.step[frame]
-    close = np.abs(step[:, 0].astype(int) - step[:, 1]) <= NEIGHBOUR_STEPS
+    close = np.abs(step[:, 0].astype(int) - step[:, 1]) <= steps
     return (track[:, 0] == track[:, 1]) & (track[:, 0] >= 0) & close
 
 
 def _doubts(
-    tasks: Sequence[Task], measured: Sequence[Measured], loops: Averaged, tolerance: float
+    tasks: Sequence[Task], measured: Sequence[Measured], loops: Averaged, tolerance: float, tuning: Tuning
 ) -> list[tuple[int, np.ndarray, np.ndarray]]:
     """(task, predicted rotation, doubtful pairs) of everything that contradicts and can be decided."""
     assert isinstance(loops, _Predictor)
@@ -359,7 +346,7 @@ def _doubts(
         if not loops.reliable[k]:
             continue
         fits = bool(loops.residual_deg[k] < tolerance)
-        good = _agrees(found.agree, found.total) if fits else np.zeros(len(found.total), bool)
+        good = _agrees(found.agree, found.total, tuning) if fits else np.zeros(len(found.total), bool)
         doubtful = ~good & (found.total > 0)
         if doubtful.any():
             items.append((k, loops.of_edge(k), doubtful))
