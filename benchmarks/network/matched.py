@@ -27,6 +27,7 @@ from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.normal import reduced
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.settings import SparseSettings
+from tiegraph.sfm.tuning import Tuning
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ class Run:
         kept = set(zip(used.i.tolist(), used.j.tolist()))
         away = tuple(p for p in zip(self.pairs.i.tolist(), self.pairs.j.tolist()) if p not in kept)
         source = Source(self.folder / "database.db", self.folder / "images", away, preview=preview_poses(self.folder))
-        return [m.folder for m in reconstruct(source, out, self.scene, self.settings(), log).models]
+        return [m.folder for m in reconstruct(source, out, self.scene, self.settings(), Tuning(), log).models]
 
 
 def _in_turn(function: Callable[..., Any], items: Sequence[Any], *args: Any) -> list[Any]:

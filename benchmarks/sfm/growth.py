@@ -32,6 +32,7 @@ from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.sfm.finish import FinishRequest, finish_model
 from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.run import Request, run_mapper
+from tiegraph.sfm.tuning import Tuning
 
 STEP_M, POINTS_PER_M = 2.0, 30.0
 APART = (1, 2, 3, 4, 6, 9)  # frames: pairs that are matched
@@ -92,7 +93,7 @@ def run(images: int) -> dict[str, float]:
         request = Request(
             mapper="preview", seed=0, database=folder / "database.db", images=None, folder=folder / "run",
             scene=scene.to_json(), rigs=Request.rigs_of({0: scene.rigs[0]}), fixed=(), positions=False,
-            constant_cameras=(), all_constant=False, min_matches=LEAST, poses=rough,
+            constant_cameras=(), all_constant=False, min_matches=LEAST, poses=rough, tuning=Tuning(),
         )  # fmt: skip
         mapped = run_mapper(request, lambda frames: None)
         clock.append(time.process_time())
@@ -100,7 +101,8 @@ def run(images: int) -> dict[str, float]:
             raise SystemExit(mapped.refused)
         finish = FinishRequest(
             folder=mapped.folders[0], target=folder / "0", images=None, fixed=(), constant_cameras=(),
-            all_constant=False, covariance_frames=0, scene=scene.to_json(), rigs=(0,), database=folder / "database.db",
+            all_constant=False, covariance_frames=0, scene=scene.to_json(), tuning=Tuning(), rigs=(0,),
+            database=folder / "database.db",
         )  # fmt: skip
         finish_model(finish, lambda message: None)
         clock.append(time.process_time())

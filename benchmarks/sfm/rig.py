@@ -30,6 +30,7 @@ from tiegraph.sfm.model import frame_poses, image_poses
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.rig.support import ties_of, unsupported_sensors
 from tiegraph.sfm.settings import SparseSettings
+from tiegraph.sfm.tuning import Tuning
 
 
 def main() -> None:
@@ -76,6 +77,7 @@ def _request(folder: Path, scene: Scene, scratch: Path) -> FinishRequest:
         all_constant=len(constant) == len(scene.all_sensors),
         covariance_frames=0,
         scene=scene.to_json(),
+        tuning=Tuning(),
         alone=alone,
         soft=tuple(k for k, mode in modes.items() if mode == "soft"),
         rigs=tuple(modes),

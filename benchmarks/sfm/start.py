@@ -28,6 +28,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.settings import SparseSettings
+from tiegraph.sfm.tuning import Tuning
 
 
 def measure(name: str, out: Path, mapper: str, work: Path) -> dict[str, Any]:
@@ -40,7 +41,7 @@ def measure(name: str, out: Path, mapper: str, work: Path) -> dict[str, Any]:
     refused = tuple(zip(away.i.tolist(), away.j.tolist()))
     source = Source(out / "database.db", out / "images", refused, preview=_preview(out))
     before = _cpu_s()
-    made = reconstruct(source, work / "sparse", scene, SparseSettings(mapper=mapper), work / "log.txt")
+    made = reconstruct(source, work / "sparse", scene, SparseSettings(mapper=mapper), Tuning(), work / "log.txt")
     cpu_s = _cpu_s() - before
     found = image_poses(made.load(), scene)
     truth = np.full_like(found, np.nan)

@@ -20,6 +20,7 @@ from tiegraph.sfm.database import write_working_copy
 from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.settings import SparseSettings
+from tiegraph.sfm.tuning import Tuning
 
 
 @pytest.fixture
@@ -55,7 +56,9 @@ def test_blocks_make_one_model(world, tmp_path: Path, monkeypatch: pytest.Monkey
     for name, value in (("MOST", 30), ("CORE", 40), ("LEAST", 6), ("LENT", 18)):
         monkeypatch.setattr(blocks, name, value)
     source = Source(tmp_path / "database.db", None)
-    result = reconstruct(source, tmp_path / "sparse", scene, SparseSettings(covariance_frames=0), tmp_path / "log.txt")
+    result = reconstruct(
+        source, tmp_path / "sparse", scene, SparseSettings(covariance_frames=0), Tuning(), tmp_path / "log.txt"
+    )
     assert result.mapper == "preview" and result.counts["registered"] == len(scene) and result.counts["models"] == 1
     assert any("mapped in 2 blocks" in n and "1 of 1 joins hold" in n for n in result.notes)
     error = _error(image_poses(result.load(), scene), true)
@@ -80,7 +83,7 @@ def test_two_surveys_in_one_folder_by_the_default_mapper(tmp_path: Path) -> None
     _cut(tmp_path, scene, 7)
     settings = SparseSettings(covariance_frames=0)
     result = reconstruct(
-        Source(tmp_path / "database.db", None), tmp_path / "sparse", scene, settings, tmp_path / "log.txt"
+        Source(tmp_path / "database.db", None), tmp_path / "sparse", scene, settings, Tuning(), tmp_path / "log.txt"
     )
     assert result.mapper == "global" and result.components == (21, 15)
     assert [len(m.images) for m in result.models] == [21, 15]
@@ -103,7 +106,9 @@ def test_two_surveys_in_one_folder_become_two_models(world, tmp_path: Path) -> N
     true, scene = world
     _cut(tmp_path, scene, 18)
     source = Source(tmp_path / "database.db", None, preview=true)
-    result = reconstruct(source, tmp_path / "sparse", scene, SparseSettings(covariance_frames=0), tmp_path / "log.txt")
+    result = reconstruct(
+        source, tmp_path / "sparse", scene, SparseSettings(covariance_frames=0), Tuning(), tmp_path / "log.txt"
+    )
     assert result.mapper == "preview" and [len(m.images) for m in result.models] == [54, 18]
     assert any("18 images" in n and "another survey" in n for n in result.notes)
     assert len(result.dropped) == 18

@@ -20,11 +20,17 @@ from tiegraph.sfm.model import frame_poses, held_out_frames, image_poses
 from tiegraph.sfm.placement.verified import image_ids
 from tiegraph.sfm.rig.rig import model_extrinsics, rig_modes
 from tiegraph.sfm.settings import SparseSettings
+from tiegraph.sfm.tuning import Tuning
 
 
 def _run(folder: Path, scene: Scene, **settings: object) -> SparseResult:
     return reconstruct(
-        Source(folder / "database.db", folder), folder / "sparse", scene, SparseSettings(**settings), folder / "log.txt"
+        Source(folder / "database.db", folder),
+        folder / "sparse",
+        scene,
+        SparseSettings(**settings),
+        Tuning(),
+        folder / "log.txt",
     )
 
 
@@ -80,7 +86,7 @@ def test_a_rough_model_needs_no_images_and_no_final_adjustment(tmp_path: Path) -
     truth, scene = make_world(tmp_path / "database.db")
     source = Source(tmp_path / "database.db", None, rough=True)
     settings = SparseSettings(covariance_frames=0)
-    result = reconstruct(source, tmp_path / "sparse", scene, settings, tmp_path / "log.txt")
+    result = reconstruct(source, tmp_path / "sparse", scene, settings, Tuning(), tmp_path / "log.txt")
     assert result.mapper == "global"
     assert result.counts["registered"] + result.counts["placed_by_rig"] == len(scene)
     assert 0.02 < _centre_error(result, scene, truth) < 0.4  # of a few metres: 100 points, and nothing adjusted

@@ -21,6 +21,7 @@ from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.rig import judge as rig_judge
 from tiegraph.sfm.rig.confront import hear, lever_sigmas, open_times, statements
 from tiegraph.sfm.rig.soft import available
+from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.world.scale import rig_scale
 
 CASES = {
@@ -122,7 +123,9 @@ def _finished(case: str, folder: Path, **more: object) -> tuple[Finished, pycolm
     source, target = folder / "mapped", folder / "0"
     source.mkdir()
     model.write(source)
-    request = FinishRequest(source, target, None, (0,), tuple(range(1, 7)), True, 0, scene.to_json(), rigs=(0,), **more)  # type: ignore[arg-type]
+    request = FinishRequest(
+        source, target, None, (0,), tuple(range(1, 7)), True, 0, scene.to_json(), Tuning(), rigs=(0,), **more
+    )  # type: ignore[arg-type]
     return finish_model(request, lambda _: None), pycolmap.Reconstruction(target), scene
 
 
@@ -190,7 +193,7 @@ def test_the_calibration_of_a_single_camera_is_confronted_too(tmp_path: Path, wr
     truth.camera(1).params = given.params
     truth.write(source)
     held = scene.with_(rigs=(rig,))
-    request = FinishRequest(source, tmp_path / "0", None, (), (1,), True, 0, held.to_json(), rigs=())
+    request = FinishRequest(source, tmp_path / "0", None, (), (1,), True, 0, held.to_json(), Tuning(), rigs=())
     finished = finish_model(request, lambda _: None)
     assert [said in line for line in finished.contradictions] == ([True] if said else [])
     assert ("what was given, and the images" in finished.tables) == (wrong == 1.02)

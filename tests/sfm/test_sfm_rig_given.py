@@ -15,6 +15,7 @@ from tiegraph.scene.rig import Rig
 from tiegraph.sfm.losses import rig_doubts
 from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.settings import SparseSettings
+from tiegraph.sfm.tuning import Tuning
 
 
 def test_what_a_contradicted_rig_leaves_is_said() -> None:
@@ -52,7 +53,7 @@ def test_a_rig_that_contradicts_the_images_is_named(wrong, named, tmp_path: Path
     write_database(model, tmp_path / "database.db")
     result = reconstruct(
         Source(tmp_path / "database.db", None), tmp_path / "sparse", scene.with_(rigs=(wrong(scene.rigs[0]),)),
-        SparseSettings(covariance_frames=0), tmp_path / "log.txt",
+        SparseSettings(covariance_frames=0), Tuning(), tmp_path / "log.txt",
     )  # fmt: skip
     assert any("contradict" in said and named in said for said in result.contradictions), result.contradictions
     lost = {name for name, _ in result.dropped}

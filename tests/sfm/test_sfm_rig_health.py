@@ -26,6 +26,7 @@ from tiegraph.sfm.rig.health import (
 from tiegraph.sfm.rig.relax import Relaxed, lost_images, relax
 from tiegraph.sfm.rig.soft import available
 from tiegraph.sfm.rig.sync import rig_motion, time_offset
+from tiegraph.sfm.tuning import Tuning
 
 LATE_S = 0.04
 
@@ -91,7 +92,7 @@ def test_a_relaxed_model_that_loses_images_is_not_kept(tmp_path: Path, monkeypat
     found = Diagnosis([], (), (0,), ["camera cam2 is not rigid"], True, {})
     monkeypatch.setattr(finish, "diagnose", lambda *_: found)
     monkeypatch.setattr(finish.soft, "available", lambda: True)
-    request = finish.FinishRequest(tmp_path, tmp_path, None, (0,), (), False, 0, scene.to_json(), rigs=(0,))
+    request = finish.FinishRequest(tmp_path, tmp_path, None, (0,), (), False, 0, scene.to_json(), Tuning(), rigs=(0,))
     for relaxed, kept in ((free, model), (pycolmap.Reconstruction(model), None)):
         monkeypatch.setattr(finish, "relax", lambda *_, to=relaxed: Relaxed(to, {}, ""))
         notes: list[str] = []

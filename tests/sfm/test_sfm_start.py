@@ -22,6 +22,7 @@ from tiegraph.sfm.run import Mapped, Request, run_mapper
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.start.poses import rig_of_poses, start_from
 from tiegraph.sfm.start.scale import path_scale
+from tiegraph.sfm.tuning import Tuning
 
 
 @pytest.fixture
@@ -46,7 +47,7 @@ def _map(folder: Path, scene: Scene, poses: np.ndarray, fixed: bool = True) -> M
     request = Request(
         mapper="preview", seed=0, database=folder / "database.db", images=None, folder=folder / "run",
         scene=scene.to_json(), rigs=Request.rigs_of(dict(enumerate(scene.rigs))), fixed=(0,) if fixed else (),
-        positions=False, constant_cameras=(1, 2, 3), all_constant=True, min_matches=15, poses=poses,
+        positions=False, constant_cameras=(1, 2, 3), all_constant=True, min_matches=15, poses=poses, tuning=Tuning(),
     )  # fmt: skip
     return run_mapper(request, lambda frames: None)
 
@@ -122,7 +123,9 @@ def test_what_a_mapper_made_too_long_is_mapped_again(world, tmp_path: Path, monk
     model.write(stretched)
     monkeypatch.setattr(mapping, "_mapped", lambda *job: mapping.Outcome("global", [stretched], len(scene)))
     source = Source(tmp_path / "database.db", None)
-    made = reconstruct(source, tmp_path / "sparse", scene, SparseSettings(mapper="global"), tmp_path / "log.txt")
+    made = reconstruct(
+        source, tmp_path / "sparse", scene, SparseSettings(mapper="global"), Tuning(), tmp_path / "log.txt"
+    )
     assert any("0.125 times as long, by its matches" in note for note in made.notes)
     again = Mapped([tmp_path / "sparse" / "0"], (), "")
     error, scale = _error(again, true, scene)
@@ -170,7 +173,9 @@ def test_poses_that_are_wrong_do_not_pass_the_gate(world, tmp_path: Path) -> Non
     wrong = _rough(true, scene)
     wrong[:, :3, 3] += 6.0 * np.sin(scene.frame)[:, None]  # a frame here, the next elsewhere
     source = Source(tmp_path / "database.db", None, preview=wrong)
-    result = reconstruct(source, tmp_path / "sparse", scene, SparseSettings(covariance_frames=0), tmp_path / "log.txt")
+    result = reconstruct(
+        source, tmp_path / "sparse", scene, SparseSettings(covariance_frames=0), Tuning(), tmp_path / "log.txt"
+    )
     assert result.mapper == "global" and any("could not start from the preview model" in n for n in result.notes)
     found = transforms.centre(image_poses(result.load(), scene))
     assert np.linalg.norm(found - transforms.centre(true) @ np.eye(3), axis=1).size == len(scene)
@@ -181,7 +186,7 @@ def test_poses_that_are_wrong_do_not_pass_the_gate(world, tmp_path: Path) -> Non
 def test_the_stage_starts_from_the_preview_model(world, tmp_path: Path) -> None:
     true, scene = world
     source = Source(tmp_path / "database.db", None, preview=_rough(true, scene))
-    result = reconstruct(source, tmp_path / "sparse", scene, SparseSettings(), tmp_path / "log.txt")
+    result = reconstruct(source, tmp_path / "sparse", scene, SparseSettings(), Tuning(), tmp_path / "log.txt")
     assert result.mapper == "preview" and result.counts["registered"] == len(scene)
     found = transforms.centre(image_poses(result.load(), scene))
     error = umeyama(found, transforms.centre(true))(found) - transforms.centre(true)

@@ -92,6 +92,7 @@ def sparse(run: Run) -> Outcome:
         run.path("sparse"),
         checked(run).measured(),
         run.settings.sparse,
+        run.settings.tuning.sfm,
         run.log,
         progress,
     )

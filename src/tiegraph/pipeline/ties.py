@@ -111,7 +111,8 @@ def _survey_model(run: Run, scene: Scene, ties: Ties, rough: bool) -> SurveyMode
     write_preview_database(database, scene, previews, ties, min_matches=1)
     settings = run.settings.sparse.model_copy(update={"covariance_frames": 0, "use_positions": False})
     try:
-        made = reconstruct(Source(database, None, rough=rough), folder, scene.measured(), settings, run.log)
+        source, tuning = Source(database, None, rough=rough), run.settings.tuning.sfm
+        made = reconstruct(source, folder, scene.measured(), settings, tuning, run.log)
         model = made.load(0)
     except ReconstructionError as error:
         log.warning("preview model: %s", error)

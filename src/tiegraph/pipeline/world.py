@@ -42,7 +42,9 @@ def georef(run: Run) -> Outcome:
     rigs = tuple(k + 1 for k, mode in modes.items() if mode == "fixed")
     soft = tuple(k for k, mode in modes.items() if mode == "soft")
     held = Held(rigs, believed_cameras(scene, sparse), soft)
-    request = GroundRequest(folders[0], scratch, scene.to_json(), run.settings.georef, given, held)
+    request = GroundRequest(
+        folders[0], scratch, scene.to_json(), run.settings.georef, given, held, run.settings.tuning.sfm.world
+    )
     main = run_in_child(ground, request, log=run.log, task="georeferencing")
     others = [load_model(p) for p in folders[1:]]
     placed = georeference_all(others, scene, run.settings.georef, given)

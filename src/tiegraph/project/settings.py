@@ -23,6 +23,7 @@ from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.regular import regular
 from tiegraph.settings import Section
 from tiegraph.sfm.settings import GeorefSettings, SparseSettings
+from tiegraph.sfm.tuning import Tuning as SfmTuning
 from tiegraph.verify.settings import VerifySettings
 from tiegraph.verify.tuning import Tuning as VerifyTuning
 
@@ -40,6 +41,7 @@ class Tunings(Section):
     every user, so the command line does not show them; they are in reach for measurements."""
 
     verify: VerifyTuning = VerifyTuning()
+    sfm: SfmTuning = SfmTuning()
 
 
 class Settings(Section):

@@ -29,6 +29,7 @@ from tiegraph.sfm.rig.health import COLUMNS
 from tiegraph.sfm.rig.judge import Judgement
 from tiegraph.sfm.rig.relax import Relaxed, lost_images, relax, with_sightings_of
 from tiegraph.sfm.rig.support import place_as_given, units_per_metre
+from tiegraph.sfm.tuning import Tuning
 from tiegraph.text import known_to
 
 HEALTH_FILE = "rig_health.csv"
@@ -46,6 +47,7 @@ class FinishRequest:
     all_constant: bool
     covariance_frames: int  # 0: no sigmas wanted
     scene: str  # JSON
+    tuning: Tuning
     alone: tuple[int, ...] = ()  # keys of sensors placed by the rig as given
     soft: tuple[int, ...] = ()  # rig indices whose extrinsics are known with a sigma
     rigs: tuple[int, ...] = ()  # rig indices the model was made with

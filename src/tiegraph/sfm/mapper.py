@@ -33,6 +33,7 @@ from tiegraph.sfm.model import frame_poses, registration_tables
 from tiegraph.sfm.rig.rig import DerivedRig, derive_rig, rig_modes, rig_table
 from tiegraph.sfm.rig.support import ties_of, unsupported_sensors
 from tiegraph.sfm.settings import SparseSettings
+from tiegraph.sfm.tuning import Tuning
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,7 @@ def reconstruct(
     out: Path,
     scene: Scene,
     settings: SparseSettings,
+    tuning: Tuning,
     log: Path,
     on_progress: Progress = lambda registered, total: None,
 ) -> SparseResult:
@@ -127,6 +129,7 @@ def reconstruct(
         out,
         scene,
         settings,
+        tuning,
         log,
         on_progress,
         graph,
@@ -200,6 +203,7 @@ def _finish(job: Job, outcome: Outcome, modes: dict[int, str]) -> Finished:
             all_constant=len(constant) == len(job.scene.all_sensors),
             covariance_frames=0 if number else job.settings.covariance_frames,
             scene=job.scene.to_json(),
+            tuning=job.tuning,
             alone=job.alone,
             rough=job.rough,
             soft=tuple(k for k, mode in modes.items() if mode == "soft"),

@@ -24,6 +24,7 @@ from tiegraph.sfm.rig.rig import held_by_mapper
 from tiegraph.sfm.run import Mapped, Request, run_mapper
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.start.poses import length_of_path
+from tiegraph.sfm.tuning import Tuning
 
 SCRATCH = ".run"
 """Folder, beside the models, in which mappers work."""
@@ -50,6 +51,7 @@ class Job:
     out: Path
     scene: Scene
     settings: SparseSettings
+    tuning: Tuning
     log: Path
     on_progress: Progress
     graph: ViewGraph
@@ -222,6 +224,7 @@ def _request(job: Job, mapper: str, rigs: dict[int, Rig], modes: dict[int, str],
         constant_cameras=constant,
         all_constant=len(constant) == len(job.scene.all_sensors),
         min_matches=job.settings.min_matches,
+        tuning=job.tuning,
         refused=job.refused,
         rough=job.rough,
         poses=job.preview if mapper == "preview" else None,

@@ -19,6 +19,7 @@ from tiegraph.sfm.solver import THREADS, factorised
 from tiegraph.sfm.start.gate import why_not
 from tiegraph.sfm.start.poses import largest_piece, start_from
 from tiegraph.sfm.start.rounds import model_from
+from tiegraph.sfm.tuning import Tuning
 
 MIN_MODEL_IMAGES = 3
 # Tracks that every image takes part in at least, longest first, in a rough model. Simulated block of 372 previews: 15
@@ -43,6 +44,7 @@ class Request:
     constant_cameras: tuple[int, ...]  # COLMAP camera ids whose calibration is believed
     all_constant: bool
     min_matches: int
+    tuning: Tuning
     refused: tuple[tuple[int, int], ...] = ()  # scene indices of pairs the mapper must not see
     rough: bool = False  # few tracks, none found later
     only: np.ndarray | None = None  # scene indices of the images to map, None = all

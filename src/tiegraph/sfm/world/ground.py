@@ -22,6 +22,7 @@ from tiegraph.sfm.world.judging import judged
 from tiegraph.sfm.world.marks import marked, point_table, targets
 from tiegraph.sfm.world.placing import Placing
 from tiegraph.sfm.world.scale import relaxed
+from tiegraph.sfm.world.tuning import WorldTuning
 from tiegraph.sfm.world.worldadjust import Adjusted, Constraints, adjust_in_world
 
 NOT_WORSE = 1.01  # times the held-out residual of the similarity
@@ -93,6 +94,7 @@ class GroundRequest:
     settings: GeorefSettings
     given: Given
     held: Held
+    tuning: WorldTuning
 
 
 def ground(request: GroundRequest, send: Callable[[Any], None]) -> Georeference:
