@@ -1,4 +1,5 @@
-"""Small parts of the close-range sets with known camera poses: a light-field gantry, a hand-held Kinect."""
+"""Sets of `benchmarks.sigma` beside `datasets`: canals of any seed, and parts of close-range sets with known camera
+poses (a light-field gantry, a hand-held Kinect, a ring of industrial cameras)."""
 
 from __future__ import annotations
 
@@ -12,13 +13,18 @@ from tiegraph.geometry import transforms
 
 DINO_VIEWS = 40  # neighbours on the hemisphere
 KITCHEN_FRAMES = 60  # the first
+RING_CAPTURE = "2016_10_24__17_43_02"  # of robovision_rig12, the first
 
 
 def load(name: str, work: Path) -> datasets.Dataset:
     """A part of one of these sets or, by any other name, a set of ``datasets``; images are linked below ``work``.
 
-    Raises what ``datasets.load`` raises.
+    ``canal@FOLDER`` is a canal as `canal_generator` of the data sets renders it. Raises what ``datasets.load`` raises.
     """
+    if name.startswith("canal@"):
+        made = work / "canal"
+        made.mkdir(parents=True, exist_ok=True)
+        return datasets.LOADERS["canal"](Path(name.partition("@")[2]).resolve(), made)
     loader = LOADERS.get(name)
     if loader is None:
         return datasets.load(name, work)
@@ -66,7 +72,22 @@ def _kitchen(root: Path, work: Path) -> datasets.Dataset:
     )  # fmt: skip
 
 
+def _ring(root: Path, work: Path) -> datasets.Dataset:
+    folder = root / "robovision_rig12" / RING_CAPTURE
+    truth, files = {}, {}
+    for path in sorted(folder.glob("extrinsics_camera*.txt")):
+        number = path.stem.removeprefix("extrinsics_camera")
+        pose = np.loadtxt(path).reshape(3, 4)
+        truth[f"camera{number}.jpg"] = transforms.invert(transforms.rigid(pose[:, :3], pose[:, 3]))
+        files[f"camera{number}.jpg"] = folder / f"image_camera{number}.jpg"
+    return datasets.Dataset(
+        name="ring", images=_linked(files, work), cam_from_world=truth,
+        notes=("one capture of twelve cameras as loose photographs; no calibration given",),
+    )  # fmt: skip
+
+
 LOADERS: dict[str, Callable[[Path, Path], datasets.Dataset]] = {
     "dino_part": _dino,
     "rgbd_part": _kitchen,
+    "ring": _ring,
 }

@@ -1,9 +1,9 @@
 """Predicted sigmas of finished runs against the errors that their models really have: positions, scale, attitude.
 
 ``python -m benchmarks.sigma SET=FOLDER ... [--second SET=MODEL ...] -o FILE`` reads run folders (``benchmarks/run.py
---keep`` leaves them) and changes nothing there. ``SET`` is one of ``datasets`` or of ``close``; ``--run SET=FOLDER``
-makes the run first, until the stage georef. Errors are those after the best similarity of the positions, as the
-prediction is meant. Where another solver made a model of the same images (``--second``), the three differences tell
+--keep`` leaves them) and changes nothing there. ``SET`` is one of ``datasets`` or of
+``close`` (``canal@PATH``: a canal of any seed); ``--run SET=FOLDER`` makes the run first, until the stage sparse.
+Errors are those after the best similarity of the positions, as the prediction is meant. Where another solver made a model of the same images (``--second``), the three differences tell
 the truth's own error (three-cornered hat: the two solvers see the same images, so it is what they do not share).
 """
 
@@ -55,6 +55,7 @@ TRUTH_M: Mapping[str, tuple[float | None, str]] = {
     "kitti_stereo": (0.0149, _HAT + "; GNSS/INS"),
     "pandaset": (None, "GNSS/INS"),
     "dino_part": (None, "calibration of a gantry"),
+    "ring": (None, "calibration by the set's authors"),
     "rgbd_part": (0.017, "KinectFusion, a centimetre an axis by the set's notes"),
 }
 
@@ -134,7 +135,7 @@ def _points(
     The true place of a point is where the true ray of its key point meets the surface. The worst twentieth, on edges
     where depth jumps, is left out of both.
     """
-    folder = datasets.data_root() / name / "gt" / "depth"
+    folder = dataset.images.parent / "gt" / "depth"
     if sigma.point_sigma is None or not folder.is_dir():
         return {}
     error, own = [], []
@@ -187,7 +188,7 @@ def _with_truth(
     name: str, folder: Path, dataset: datasets.Dataset, second: Path | None, pair: dict[str, float]
 ) -> dict[str, Any]:
     """What is known of the truth's own error (root mean square in space), and the ratio when it is counted in."""
-    known, source = TRUTH_M.get(name, (None, "unknown"))
+    known, source = TRUTH_M.get(name.partition("@")[0], (None, "unknown"))
     own = known
     out: dict[str, Any] = {"truth": source}
     if second is not None:

@@ -12,11 +12,10 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.stats import norm
-from scipy.stats import t as student
+from scipy.special import ndtri, stdtr
 
 CHANCE = 0.001  # that what agrees is called a contradiction, for each test
-LIMIT = float(norm.isf(CHANCE / 2))  # 3.29 sigmas
+LIMIT = float(-ndtri(CHANCE / 2))  # 3.29 sigmas
 _MIN_ROWS = 8  # below, a trend and noise cannot be told apart
 _MAX_CORRELATION = 0.98
 _CAUTION = 2.0  # sigmas by which the correlation may be larger than it looks
@@ -151,7 +150,7 @@ def _tested(y: np.ndarray, form: str, shape: np.ndarray, tries: int) -> Trend:
     free = count - unknowns - 1  # the correlation is one more
     rest = float(np.sum((white[1][:, 0] - white[0] @ best) ** 2)) / free
     sigma = float(np.sqrt(max(rest * normal[-1, -1], 1e-300)))
-    chance = min(1.0, 2 * tries * float(student.sf(abs(best[-1]) / sigma, free)))
+    chance = min(1.0, 2 * tries * float(stdtr(free, -abs(best[-1]) / sigma)))
     line = design[:, -1] * plain[-1] if form == "step" else design @ plain
     bow = float(-plain[-1]) if form == "curve" else 0.0
     at = float(1 - shape[:, -1].mean()) if form == "step" else float("nan")
