@@ -3,8 +3,9 @@
 ``python -m benchmarks.sigma SET=FOLDER ... [--second SET=MODEL ...] -o FILE`` reads run folders (``benchmarks/run.py
 --keep`` leaves them) and changes nothing there. ``SET`` is one of ``datasets`` or of
 ``close`` (``canal@PATH``: a canal of any seed); ``--run SET=FOLDER`` makes the run first, until the stage sparse.
-Errors are those after the best similarity of the positions, as the prediction is meant. Where another solver made a model of the same images (``--second``), the three differences tell
-the truth's own error (three-cornered hat: the two solvers see the same images, so it is what they do not share).
+Errors are those after the best similarity of the positions, as the prediction is meant. Where another solver made a
+model of the same images (``--second``), the three differences tell the truth's own error (three-cornered hat: the two
+solvers see the same images, so it is what they do not share).
 """
 
 from __future__ import annotations
