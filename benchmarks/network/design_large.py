@@ -15,6 +15,7 @@ import numpy as np
 
 from tiegraph.design.design import design
 from tiegraph.design.settings import DesignSettings
+from tiegraph.design.tuning import Tuning
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
@@ -123,7 +124,7 @@ def main() -> None:
     _say(f"{len(scene)} images, {len(pairs)} candidates, {len(ties)} previewed, {len(ties.matches)} matches")
     settings = DesignSettings(method=given.method, budget=given.budget, pairs_per_image=given.pairs_per_image)
     began = time.process_time()
-    found = design(pairs, scene, ties, settings)
+    found = design(pairs, scene, ties, settings, Tuning())
     seconds = time.process_time() - began
     _say(f"{seconds:.1f} CPU s, peak {_peak_mib():.0f} MiB ({made:.0f} MiB before the design)")
     _say(found.counts)

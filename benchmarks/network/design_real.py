@@ -33,6 +33,7 @@ from benchmarks.network.measure import add_row, run_tiegraph
 from tiegraph.design.design import design
 from tiegraph.design.expected import expected_matches
 from tiegraph.design.settings import DesignSettings
+from tiegraph.design.tuning import ExpectedTuning, Tuning
 from tiegraph.errors import InputError, TiegraphError
 from tiegraph.scan.rigwrite import write_rig_toml
 from tiegraph.scene.graph import forest
@@ -165,7 +166,7 @@ def _chosen(matched: Run, method: str, share: float, seed: int) -> Choice:
             settings = DesignSettings(method=method, budget="seconds", seconds=count, pairs_per_second=1.0)
         if method.startswith("fuse2014"):
             pairs = matched.with_accuracy()
-        found = design(pairs, matched.scene, matched.ties, settings, matched.sights)
+        found = design(pairs, matched.scene, matched.ties, settings, Tuning(), matched.sights)
         rows, counts = np.flatnonzero(found.pairs.dropped == 0), dict(found.counts)
     return Choice(method, share, seed, rows, time.process_time() - began, counts)
 
@@ -175,7 +176,7 @@ def _top(matched: Run, count: int) -> int:
     best = (np.inf, 1)
     for k in range(1, 80):
         settings = DesignSettings(method="top", pairs_per_image=k)
-        kept = int(np.sum(design(matched.pairs, matched.scene, matched.ties, settings).pairs.dropped == 0))
+        kept = int(np.sum(design(matched.pairs, matched.scene, matched.ties, settings, Tuning()).pairs.dropped == 0))
         best = min(best, (abs(kept - count), k))
         if kept > count:
             break
@@ -186,7 +187,7 @@ def _random(matched: Run, count: int, seed: int) -> np.ndarray:
     """A maximum spanning forest and pairs drawn at random."""
     rows = np.flatnonzero(matched.pairs.dropped == 0)
     kept = matched.pairs.kept()
-    tree = forest(kept.i, kept.j, expected_matches(kept, matched.ties), len(matched.scene))
+    tree = forest(kept.i, kept.j, expected_matches(kept, matched.ties, ExpectedTuning()), len(matched.scene))
     rest = np.random.default_rng(seed).permutation(np.setdiff1d(np.arange(len(rows)), tree))
     return np.sort(rows[np.concatenate([tree, rest[: max(count - len(tree), 0)]])])
 

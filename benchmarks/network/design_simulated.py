@@ -19,10 +19,12 @@ from tiegraph.design.expected import expected_matches
 from tiegraph.design.hybrid import Budget, choose
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates
+from tiegraph.design.tuning import Tuning
 from tiegraph.scene.graph import forest
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.ties import Ties
 
+TUNING = Tuning()
 SHARES = {"rig": (0.05, 0.1, 0.15, 0.2, 0.4), "video": (0.12, 0.2, 0.3, 0.4, 0.6)}
 
 
@@ -35,7 +37,7 @@ def orders(world: Survey, most: int, seed: int) -> dict[str, np.ndarray]:
     third = rng.random(len(pairs)) < 1 / 3
     blind = pairs.with_(score=np.where(third, score, np.nan), overlap=score / 200)
     some_ties = ties.where(third)
-    guess = expected_matches(blind, some_ties)
+    guess = expected_matches(blind, some_ties, TUNING.expected)
     counted = Candidates.make(i, j, score, ties, len(world))
     budget = Budget(most)
 
@@ -43,7 +45,7 @@ def orders(world: Survey, most: int, seed: int) -> dict[str, np.ndarray]:
         return np.concatenate([tree, rest[~np.isin(rest, tree)]])
 
     def drawn(c: Candidates, joins: bool = True) -> np.ndarray:
-        return choose(c, forest(c.i, c.j, c.expected, c.images), budget, joins).places
+        return choose(c, forest(c.i, c.j, c.expected, c.images), budget, TUNING, joins).places
 
     return {
         "random + forest": after(rng.permutation(len(pairs))),
@@ -59,7 +61,8 @@ def _by_top(world: Survey, pairs: Pairs, ties: Ties) -> np.ndarray:
     """The pairs of method top with one pair an image, then two, ..."""
     taken: list[int] = []
     for k in range(1, 60):
-        kept = design(pairs, world.scene, ties, DesignSettings(method="top", pairs_per_image=k)).pairs.dropped == 0
+        settings = DesignSettings(method="top", pairs_per_image=k)
+        kept = design(pairs, world.scene, ties, settings, TUNING).pairs.dropped == 0
         taken += [int(r) for r in np.flatnonzero(kept) if r not in set(taken)]
     return np.array(taken)
 
@@ -89,7 +92,7 @@ def table(kind: str, seed: int, rigid: bool, budgets_only: bool = False) -> None
         ("fuse2014_safe", DesignSettings(method="fuse2014_safe"), pairs, ties),
     ):
         began = time.process_time()
-        found = design(own, world.scene, known, settings)
+        found = design(own, world.scene, known, settings, TUNING)
         seconds = time.process_time() - began
         rows = np.flatnonzero(found.pairs.dropped == 0)
         ratio = position_sigma(world, rows, rigid) / everything

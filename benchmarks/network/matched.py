@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import connected_components
 
 from tiegraph.features.database import pair_ids, reading
 from tiegraph.features.settings import PreviewSettings
+from tiegraph.features.tuning import PreviewTuning
 from tiegraph.pipeline.accuracy import with_accuracy
 from tiegraph.pipeline.model import preview_poses
 from tiegraph.pipeline.ties import with_previews
@@ -47,7 +48,7 @@ class Run:
         """A run with ``--design.method all`` up to the stage ``verify``."""
         sights, model = folder / "network" / "sights.npz", folder / "network" / "model.npz"
         pairs, ties = Pairs.from_npz(_npz(folder / "network.npz")), Ties.from_npz(_npz(folder / "network" / "ties.npz"))
-        pairs, ties, _ = with_previews(pairs, ties, folder, PreviewSettings(), _in_turn)
+        pairs, ties, _ = with_previews(pairs, ties, folder, PreviewSettings(), PreviewTuning(), _in_turn)
         return Run(
             folder,
             Scene.from_json((folder / "network" / "scene.json").read_text()).measured(),

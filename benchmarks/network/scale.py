@@ -106,7 +106,8 @@ def one(
         clock.timed("pictures", found.pictures)()
     made = None
     if "design" not in skip:
-        made = clock.timed("design", design)(found.pairs, found.scene, found.ties, run.settings.design)
+        how = run.settings.design, run.settings.tuning.design
+        made = clock.timed("design", design)(found.pairs, found.scene, found.ties, *how)
     if profile is not None:
         watch.disable()
         _write_profile(watch, profile)

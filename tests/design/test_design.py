@@ -11,6 +11,7 @@ from tiegraph.design.expected import expected_matches
 from tiegraph.design.predict import Predictor
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates, Tracks
+from tiegraph.design.tuning import ExpectedTuning, NetTuning, Tuning
 from tiegraph.network.network import estimate_network
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.scene.graph import component_notes, components, cuts, groups, two_links
@@ -19,6 +20,7 @@ from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.scene.ties import Ties
 
+TUNING, NET, EXPECTED = Tuning(), NetTuning(), ExpectedTuning()
 METHODS = ("hybrid", "tree", "top", "fuse2014_safe")
 
 
@@ -54,7 +56,7 @@ def corridor(frames: int = 10, seed: int = 0) -> tuple[Scene, Pairs, Ties]:
 
 def test_all_keeps_everything() -> None:
     pairs = graph(20, 100, 0)
-    assert design(pairs, photos(20), None, DesignSettings(method="all")).pairs is pairs
+    assert design(pairs, photos(20), None, DesignSettings(method="all"), TUNING).pairs is pairs
 
 
 @settings(max_examples=30, deadline=None)
@@ -62,9 +64,8 @@ def test_all_keeps_everything() -> None:
 def test_every_method_only_drops_and_keeps_the_components(count, edges, seed, most, method) -> None:
     pairs = graph(count, edges, seed)
     budget = "pairs" if seed % 2 else "loss"
-    chosen = design(
-        pairs, photos(count), None, DesignSettings(method=method, pairs_per_image=most, budget=budget)
-    ).pairs
+    wanted = DesignSettings(method=method, pairs_per_image=most, budget=budget)
+    chosen = design(pairs, photos(count), None, wanted, TUNING).pairs
     assert len(chosen) == len(pairs)
     assert np.all((chosen.dropped == 0) <= (pairs.dropped == 0))
     assert np.array_equal(components(pairs, count), components(chosen, count))
@@ -77,9 +78,8 @@ def test_every_method_only_drops_and_keeps_the_components(count, edges, seed, mo
 @given(st.integers(3, 25), st.integers(0, 120), st.integers(0, 99))
 def test_a_single_link_stays_single_only_where_there_is_no_second(count, edges, seed) -> None:
     pairs = graph(count, edges, seed).kept()
-    chosen = design(
-        pairs, photos(count), None, DesignSettings(method="tree", budget="pairs", pairs_per_image=1)
-    ).pairs.kept()
+    wanted = DesignSettings(method="tree", budget="pairs", pairs_per_image=1)
+    chosen = design(pairs, photos(count), None, wanted, TUNING).pairs.kept()
     before, after = cuts(pairs.i, pairs.j, count), cuts(chosen.i, chosen.j, count)
     single = {(int(i), int(j)) for i, j in zip(chosen.i[after.bridge], chosen.j[after.bridge])}
     assert single == {(int(i), int(j)) for i, j in zip(pairs.i[before.bridge], pairs.j[before.bridge])}
@@ -88,7 +88,7 @@ def test_a_single_link_stays_single_only_where_there_is_no_second(count, edges, 
 def test_top_keeps_every_pass_and_camera_in_an_images_list() -> None:
     world = boat((16, 16), (1.0, 1.0))
     pairs = estimate_network(world.scene, np.full(len(world.scene), 100.0), world.match, NetworkSettings()).pairs
-    chosen = design(pairs, world.scene, None, DesignSettings(method="top", pairs_per_image=8)).pairs
+    chosen = design(pairs, world.scene, None, DesignSettings(method="top", pairs_per_image=8), TUNING).pairs
     assert len(chosen.kept()) < 0.5 * len(pairs.kept())
     track = world.scene.track[world.scene.frame]
 
@@ -102,10 +102,12 @@ def test_top_keeps_every_pass_and_camera_in_an_images_list() -> None:
 def test_strongest_pairs_win() -> None:
     score = np.array([50.0, 40.0, 30.0, 5.0])
     pairs = Pairs.make([0, 0, 0, 1], [1, 2, 3, 2], "offsets", score=score)
-    chosen = design(pairs, photos(4), None, DesignSettings(method="top", pairs_per_image=1)).pairs
+    chosen = design(pairs, photos(4), None, DesignSettings(method="top", pairs_per_image=1), TUNING).pairs
     # the weak pair closes the only ring and so gives two images their second link
     assert chosen.dropped.tolist() == [0, 0, 0, 0]
-    chosen = design(pairs.where(score > 5), photos(4), None, DesignSettings(method="top", pairs_per_image=1)).pairs
+    chosen = design(
+        pairs.where(score > 5), photos(4), None, DesignSettings(method="top", pairs_per_image=1), TUNING
+    ).pairs
     assert chosen.dropped.tolist() == [0, 0, 0]
 
 
@@ -123,7 +125,7 @@ def test_a_stricter_budget_of_loss_costs_pairs(method) -> None:
     scene, pairs, ties = corridor()
     kept = []
     for loss in (0.5, 1.0, 60.0):
-        found = design(pairs, scene, ties, DesignSettings(method=method, loss_percent=loss))
+        found = design(pairs, scene, ties, DesignSettings(method=method, loss_percent=loss), TUNING)
         assert 0 <= found.counts["preview_loss_percent"] <= loss
         assert f"asked: {loss:g} %" in found.notes[0]
         kept.append(len(found.pairs.kept()))
@@ -132,14 +134,15 @@ def test_a_stricter_budget_of_loss_costs_pairs(method) -> None:
 
 def test_hybrid_predicts_less_loss_than_top_at_the_same_number_of_pairs() -> None:
     scene, pairs, ties = corridor()
-    predictor = Predictor(Candidates.make(pairs.i, pairs.j, expected_matches(pairs, ties), ties, len(scene)))
+    expected = expected_matches(pairs, ties, EXPECTED)
+    predictor = Predictor(Candidates.make(pairs.i, pairs.j, expected, ties, len(scene)), NET)
 
     def variance(chosen: Pairs) -> float:
         return predictor.variance(chosen.dropped == 0)
 
-    top = design(pairs, scene, ties, DesignSettings(method="top", pairs_per_image=2)).pairs
+    top = design(pairs, scene, ties, DesignSettings(method="top", pairs_per_image=2), TUNING).pairs
     degree = round(2 * len(top.kept()) / len(scene))
-    own = design(pairs, scene, ties, DesignSettings(budget="pairs", pairs_per_image=degree)).pairs
+    own = design(pairs, scene, ties, DesignSettings(budget="pairs", pairs_per_image=degree), TUNING).pairs
     assert abs(len(own.kept()) - len(top.kept())) <= len(scene) // 4 + 2
     assert variance(pairs) < variance(own) < 0.95 * variance(top)
 
@@ -154,19 +157,19 @@ def test_an_image_that_hangs_by_little_does_not_rule_the_loss_of_a_known_rig() -
     def loss(predictor: Predictor) -> float:
         return float(np.sqrt(predictor.variance(chosen) / predictor.variance(np.ones(4, bool)))) - 1
 
-    alone, held = loss(Predictor(candidates)), loss(Predictor(candidates, unit=np.array([0, 0, 1, 1, 2])))
+    alone, held = loss(Predictor(candidates, NET)), loss(Predictor(candidates, NET, unit=np.array([0, 0, 1, 1, 2])))
     assert 0 <= alone < 0.02, "the loose image is nearly all of the variance, with and without the third pair"
     assert 0.1 < held < 0.6
 
 
 def test_budgets_of_pairs_and_seconds_are_kept_to() -> None:
     scene, pairs, ties = corridor()
-    by_pairs = design(pairs, scene, ties, DesignSettings(budget="pairs", pairs_per_image=6))
+    by_pairs = design(pairs, scene, ties, DesignSettings(budget="pairs", pairs_per_image=6), TUNING)
     assert 3 * len(scene) <= len(by_pairs.pairs.kept()) <= 3 * len(scene) + by_pairs.counts["second_links"]
     wanted = DesignSettings(budget="seconds", seconds=10, pairs_per_second=12)
-    by_seconds = design(pairs, scene, ties, wanted)
+    by_seconds = design(pairs, scene, ties, wanted, TUNING)
     assert 120 <= len(by_seconds.pairs.kept()) <= 120 + by_seconds.counts["second_links"]
-    too_few = design(pairs, scene, ties, DesignSettings(budget="seconds", seconds=1, pairs_per_second=3))
+    too_few = design(pairs, scene, ties, DesignSettings(budget="seconds", seconds=1, pairs_per_second=3), TUNING)
     assert "the budget of 3 pairs does not suffice" in too_few.notes[0]
     assert len(np.unique(components(too_few.pairs, len(scene)))) == 1
 
@@ -174,7 +177,7 @@ def test_budgets_of_pairs_and_seconds_are_kept_to() -> None:
 def test_groups_keep_two_links_without_a_common_image() -> None:
     scene, pairs, ties = corridor()
     weak = pairs.with_(score=np.where(scene.frame[pairs.i] // 10 == scene.frame[pairs.j] // 10, 100.0, 1.0))
-    chosen = design(weak, scene, None, DesignSettings(budget="pairs", pairs_per_image=1)).pairs.kept()
+    chosen = design(weak, scene, None, DesignSettings(budget="pairs", pairs_per_image=1), TUNING).pairs.kept()
     for group in groups(scene):
         assert len(two_links(chosen.i, chosen.j, group.member, np.ones(len(chosen)))) == 2
 
@@ -192,7 +195,7 @@ def test_joined_tracks_bring_nothing_new() -> None:
     same = np.stack([np.arange(10)] * 2, axis=1)
     ties = Ties.make([0, 0, 1], [1, 2, 2], [same, same[:6], same[:8]])
     candidates = Candidates.make(np.array([0, 0, 1]), np.array([1, 2, 2]), np.array([10.0, 6, 8]), ties, 3)
-    tracks = Tracks(candidates)
+    tracks = Tracks(candidates, NET)
     assert tracks.new().tolist() == [10, 6, 8]
     tracks.choose(np.array([0, 1]), tracks.new())
     assert tracks.new().tolist() == [0, 0, 2]  # six of the eight are joined through image 0
@@ -204,7 +207,7 @@ def test_unseen_pairs_are_expected_to_join_what_is_not_joined() -> None:
     ties = Ties.make([0, 1], [1, 2], [same, same])
     i, j = np.array([0, 0, 0, 1, 1, 2]), np.array([1, 2, 3, 2, 3, 3])
     candidates = Candidates.make(i, j, np.array([10.0, 8, 6, 10, 6, 6]), ties, 4)
-    tracks = Tracks(candidates)
+    tracks = Tracks(candidates, NET)
     assert tracks.new().tolist() == [10, 8, 6, 10, 6, 6]
     tracks.choose(np.array([0, 3]), tracks.new())
     assert tracks.new().tolist() == [0, 0, 6, 0, 6, 6]  # images 0 and 2 share ten tracks: nothing of eight is left
@@ -216,7 +219,7 @@ def test_half_shared_features_carry_half_of_an_unseen_pair() -> None:
     same = np.stack([np.arange(10)] * 2, axis=1)
     ties = Ties.make([0], [1], [same[:5]])
     candidates = Candidates.make(np.array([0, 0, 1]), np.array([1, 2, 2]), np.array([5.0, 10, 10]), ties, 3)
-    tracks = Tracks(candidates)
+    tracks = Tracks(candidates, NET)
     tracks.choose(np.array([0]), tracks.new())
     tracks.choose(np.array([1]), tracks.new())
     assert tracks.new().tolist() == [0, 0, 5]  # of the ten joined between 0 and 2, half are expected to be in 1 too
@@ -229,22 +232,22 @@ def test_expected_matches_follow_the_overlap() -> None:
     shown = np.arange(0, 400, 2)
     count = rng.poisson(80 * overlap[shown])
     ties = Ties.make(shown, shown + 1, [np.zeros((n, 2)) for n in count])
-    expected = expected_matches(pairs, ties)
+    expected = expected_matches(pairs, ties, EXPECTED)
     hidden = np.arange(1, 400, 2)
     error = expected[hidden] - 80 * overlap[hidden]
     assert 0.5 < np.sqrt(np.mean(error**2)) < 6
     assert np.all(expected >= 1)
     assert np.corrcoef(expected[shown], count)[0, 1] > 0.99
-    assert expected_matches(Pairs.make([0], [1], "file"), None).tolist() == [1.0]
+    assert expected_matches(Pairs.make([0], [1], "file"), None, EXPECTED).tolist() == [1.0]
 
 
 def test_fewer_previews_still_give_a_good_design() -> None:
     scene, pairs, ties = corridor()
-    truth = Predictor(Candidates.make(pairs.i, pairs.j, pairs.score.astype(float), ties, len(scene)))
+    truth = Predictor(Candidates.make(pairs.i, pairs.j, pairs.score.astype(float), ties, len(scene)), NET)
     sigma = []
     for share in (1.0, 1 / 3):
         seen = np.random.default_rng(1).random(len(ties)) < share
-        chosen = design(pairs, scene, ties.where(seen), DesignSettings(budget="pairs", pairs_per_image=4)).pairs
+        chosen = design(pairs, scene, ties.where(seen), DesignSettings(budget="pairs", pairs_per_image=4), TUNING).pairs
         sigma.append(truth.variance(chosen.dropped == 0) ** 0.5)
     everything = truth.variance(np.ones(len(pairs), bool)) ** 0.5
     assert everything <= sigma[0] <= sigma[1] < 1.15 * sigma[0]
@@ -252,7 +255,7 @@ def test_fewer_previews_still_give_a_good_design() -> None:
 
 def test_the_funnel_and_the_weak_links_come_as_tables() -> None:
     scene, pairs, ties = corridor()
-    found = design(pairs, scene, ties, DesignSettings())
+    found = design(pairs, scene, ties, DesignSettings(), TUNING)
     assert dict(found.tables["funnel"]["rows"])["candidates"] == len(pairs)
     assert dict(found.tables["funnel"]["rows"])["used"] == found.counts["pairs"] == len(found.pairs.kept())
     assert set(np.unique(found.pairs.dropped)) <= {0, REASONS.index("cut")}
@@ -260,6 +263,6 @@ def test_the_funnel_and_the_weak_links_come_as_tables() -> None:
 
 
 def test_nothing_to_choose_from_is_no_error() -> None:
-    found = design(Pairs.empty(), photos(3), None, DesignSettings())
+    found = design(Pairs.empty(), photos(3), None, DesignSettings(), TUNING)
     assert len(found.pairs) == 0
     assert "3 images have no pair" in found.notes[0]

@@ -13,12 +13,14 @@ from tiegraph.design.foreseen import foresee, verified_chance
 from tiegraph.design.predict import joined
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates, Tracks
+from tiegraph.design.tuning import Tuning
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Sights, Ties
 
 FOCAL = 500.0
+TUNING = Tuning()
 
 
 def rig(cameras: int, nominal: bool) -> Rig:
@@ -79,7 +81,7 @@ def all_pairs(scene: Scene, sights: Sights) -> tuple[Pairs, Ties, np.ndarray]:
     common = [len(np.intersect1d(sights.of(a), sights.of(b))) for a, b in zip(i, j)]
     near = np.array(common) >= 8
     i, j = i[near], j[near]
-    found = foresee(i, j, np.full(len(i), np.nan), sights)
+    found = foresee(i, j, np.full(len(i), np.nan), sights, TUNING.foreseen)
     return Pairs.make(i, j, "offsets", score=found.expected), found.ties[0], found.expected
 
 
@@ -108,9 +110,9 @@ def projected(scene: Scene, sights: Sights, image: int, xyz: np.ndarray, x: np.n
 
 def test_the_normal_equations_are_those_of_the_projections() -> None:
     scene, sights, candidates, ties = made(nominal=True, points=90)
-    tracks = Tracks(candidates)
+    tracks = Tracks(candidates, TUNING.net)
     tracks.join(np.arange(len(candidates)))
-    bundle = Bundle(candidates, ties, sights, scene)
+    bundle = Bundle(candidates, ties, sights, scene, TUNING.bundle)
     normal = bundle.normal(tracks)
     size = 6 * 3 + 6 + 2 * 4
     assert normal.shape == (size, size)
@@ -140,14 +142,14 @@ def test_the_normal_equations_are_those_of_the_projections() -> None:
 
 def test_a_calibrated_rig_has_no_unknowns_of_its_own() -> None:
     scene, sights, candidates, ties = made(nominal=False)
-    tracks = Tracks(candidates)
+    tracks = Tracks(candidates, TUNING.net)
     tracks.join(np.arange(len(candidates)))
-    assert Bundle(candidates, ties, sights, scene).normal(tracks).shape == (18, 18)
+    assert Bundle(candidates, ties, sights, scene, TUNING.bundle).normal(tracks).shape == (18, 18)
 
 
 def test_a_pair_gains_what_its_equations_take_from_the_variance() -> None:
     scene, sights, candidates, ties = made(nominal=True, frames=6)
-    bundle, tracks = Bundle(candidates, ties, sights, scene), Tracks(candidates)
+    bundle, tracks = Bundle(candidates, ties, sights, scene, TUNING.bundle), Tracks(candidates, TUNING.net)
     tracks.join(np.arange(0, len(candidates), 2))
     normal = bundle.normal(tracks)
     before = bundle.covariance(normal)
@@ -163,14 +165,14 @@ def test_a_pair_gains_what_its_equations_take_from_the_variance() -> None:
 def test_the_choice_knows_what_the_images_share() -> None:
     scene, sights = survey(12, True, cameras=3, points=1500)
     pairs, _, expected = all_pairs(scene, sights)
-    ties = foresee(pairs.i, pairs.j, np.full(len(pairs), np.nan), sights, (1,)).ties[0]
+    ties = foresee(pairs.i, pairs.j, np.full(len(pairs), np.nan), sights, TUNING.foreseen, (1,)).ties[0]
     again = Candidates.make(pairs.i, pairs.j, expected, ties, len(scene))
-    judge = Bundle(again, ties, sights, scene)
+    judge = Bundle(again, ties, sights, scene, TUNING.bundle)
 
     def sigma(own: Sights | None) -> float:
         settings = DesignSettings(budget="pairs", pairs_per_image=3)
-        chosen = design(pairs, scene, None, settings, own).pairs.dropped == 0
-        return float(np.sqrt(judge.variances(judge.covariance(judge.normal(joined(again, chosen)))).mean()))
+        chosen = design(pairs, scene, None, settings, TUNING, own).pairs.dropped == 0
+        return float(np.sqrt(judge.variances(judge.covariance(judge.normal(joined(again, chosen, TUNING.net)))).mean()))
 
     assert sigma(sights) < 0.98 * sigma(replace(sights, rotation=None))
 
@@ -180,7 +182,7 @@ def test_a_stricter_loss_costs_pairs_and_the_loss_is_kept_to() -> None:
     pairs, _, _ = all_pairs(scene, sights)
     kept = []
     for loss in (2.0, 5.0, 60.0):
-        found = design(pairs, scene, None, DesignSettings(loss_percent=loss), sights)
+        found = design(pairs, scene, None, DesignSettings(loss_percent=loss), TUNING, sights)
         assert 0 <= found.counts["preview_loss_percent"] <= loss
         kept.append(len(found.pairs.kept()))
     assert kept[0] > kept[1] > kept[2] >= len(scene) - 1
@@ -192,23 +194,23 @@ def test_images_outside_the_preview_model_are_tied_all_the_same() -> None:
     centre, rotation = np.array(sights.centre), np.array(sights.rotation)
     centre[13], rotation[13] = np.nan, np.nan
     outside = Sights(sights.start, sights.point, sights.xyz, centre, rotation)
-    found = design(pairs, scene, None, DesignSettings(loss_percent=10.0), outside)
+    found = design(pairs, scene, None, DesignSettings(loss_percent=10.0), TUNING, outside)
     assert found.pairs.degree(len(scene))[13] >= 1
     assert len(found.pairs.kept()) < len(pairs)
 
 
 def test_chance_of_verification_rises_with_the_matches() -> None:
-    chance = verified_chance(np.array([1.0, 7.5, 15.0, 100.0]))
+    chance = verified_chance(np.array([1.0, 7.5, 15.0, 100.0]), TUNING.foreseen)
     assert chance[0] < 0.03 and chance[1] == 0.5 and 0.7 < chance[2] < 0.9 and chance[3] > 0.99
 
 
 def test_rays_are_projected_as_their_derivatives_say_at_any_angle() -> None:
     rng = np.random.default_rng(3)
     local = rng.normal(size=(400, 3)) * [1, 1, 1.5]
-    (x, y), slope = _projected(local)
+    (x, y), slope = _projected(local, TUNING.bundle)
     step = 1e-6
     for axis in range(3):
-        ends = [np.array(_projected(local + sign * step * np.eye(3)[axis])[0]) for sign in (1, -1)]
+        ends = [np.array(_projected(local + sign * step * np.eye(3)[axis], TUNING.bundle)[0]) for sign in (1, -1)]
         numeric = ((ends[0] - ends[1]) / (2 * step)).T
         same = np.linalg.norm(numeric, axis=1) < 1e3  # but for one that crosses from pinhole to fisheye
         assert same.mean() > 0.98
@@ -222,6 +224,6 @@ def test_a_preview_model_that_holds_nothing_costs_no_pair() -> None:
     few = np.isin(sights.point, np.unique(sights.point)[:3])
     count = np.array([few[a:b].sum() for a, b in zip(sights.start[:-1], sights.start[1:])])
     poor = replace(sights, start=np.cumsum([0, *count]), point=sights.point[few])
-    found = design(pairs, scene, None, DesignSettings(loss_percent=5.0), poor)
+    found = design(pairs, scene, None, DesignSettings(loss_percent=5.0), TUNING, poor)
     assert len(found.pairs.kept()) == len(pairs)
     assert found.counts["preview_loss_percent"] == 0

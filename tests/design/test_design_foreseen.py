@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from tiegraph.design.foreseen import foresee
+from tiegraph.design.tuning import ForeseenTuning
 from tiegraph.scene.ties import Sights
 
+TUNING = ForeseenTuning()
 NOT_PREVIEWED = np.full(3, np.nan)
 
 
@@ -18,20 +20,20 @@ def sights(x: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Sights:
 
 
 def test_matches_are_among_the_common_points_and_always_the_same() -> None:
-    found = foresee(np.array([0, 0, 1]), np.array([1, 2, 2]), NOT_PREVIEWED, sights())
+    found = foresee(np.array([0, 0, 1]), np.array([1, 2, 2]), NOT_PREVIEWED, sights(), TUNING)
     assert found.ties[0].i.tolist() == [0] and found.ties[0].j.tolist() == [1]  # the others share nothing
     assert np.isnan(found.expected).tolist() == [False, True, True]
     assert 70 <= found.ties[0].counts()[0] <= 130  # half of 200
     left, right = found.ties[0].of(0).T
     assert np.array_equal(sights().of(0)[left], sights().of(1)[right])
     assert left.min() >= 200
-    again = foresee(np.array([0, 0, 1]), np.array([1, 2, 2]), NOT_PREVIEWED, sights())
+    again = foresee(np.array([0, 0, 1]), np.array([1, 2, 2]), NOT_PREVIEWED, sights(), TUNING)
     assert np.array_equal(found.ties[0].matches, again.ties[0].matches)
 
 
 def test_fewer_where_the_rays_meet_at_a_larger_angle() -> None:
     pair = np.array([0]), np.array([1]), np.array([np.nan])
-    counts = [foresee(*pair, sights((0.0, base, 0.0))).expected[0] for base in (0.0, 2.0, 6.0)]
+    counts = [foresee(*pair, sights((0.0, base, 0.0)), TUNING).expected[0] for base in (0.0, 2.0, 6.0)]
     assert counts[0] == pytest.approx(100) and 0.4 * counts[0] < counts[1] < 0.9 * counts[0]
     assert counts[2] < 0.2 * counts[0]
 
@@ -60,7 +62,7 @@ def test_the_previewed_pairs_tell_how_fast_chances_fall() -> None:
     for width in (10.0, 28.0):
         count = true(width)
         known = np.where(rng.random(len(i)) < 0.3, rng.poisson(count), np.nan)
-        found = foresee(i, j, known, seen).expected
+        found = foresee(i, j, known, seen, TUNING).expected
         hidden = np.isnan(known) & (count > 20)
         assert np.corrcoef(found[hidden], count[hidden] - 8)[0, 1] > 0.98
         assert np.median(found[hidden] / (count[hidden] - 8)) == pytest.approx(1.0, abs=0.15)

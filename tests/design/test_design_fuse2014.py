@@ -6,8 +6,11 @@ from boat_world import photos
 from tiegraph.design.design import design
 from tiegraph.design.fuse2014 import capacities
 from tiegraph.design.settings import DesignSettings
+from tiegraph.design.tuning import Tuning
 from tiegraph.scene.graph import components
 from tiegraph.scene.pairs import Pairs
+
+TUNING = Tuning()
 
 
 def video(count: int = 60, window: int = 6, seed: int = 0, **columns) -> Pairs:
@@ -29,13 +32,13 @@ def test_weak_pairs_go_first() -> None:
     pairs = video()
     weak = int(np.sum(pairs.score < 25))
     pairs = pairs.with_(score=np.where(np.arange(len(pairs)) % 10 == 3, 24.0, pairs.score))
-    found = design(pairs, photos(60), None, DesignSettings(method="fuse2014"))
+    found = design(pairs, photos(60), None, DesignSettings(method="fuse2014"), TUNING)
     assert reasons(found.pairs)["weak"] == weak + np.sum(np.arange(len(pairs)) % 10 == 3) == found.counts["weak"]
 
 
 def test_the_cuts_sever_the_video() -> None:
     pairs = video()
-    found = design(pairs, photos(60), None, DesignSettings(method="fuse2014"))
+    found = design(pairs, photos(60), None, DesignSettings(method="fuse2014"), TUNING)
     assert found.counts["pieces_before"] == 1
     assert 2 <= found.counts["pieces"] <= 7  # a part that was severed may hang together through its neighbours
     assert f"{int(found.counts['pieces'])} after" in found.notes[0]
@@ -44,8 +47,8 @@ def test_the_cuts_sever_the_video() -> None:
 
 def test_the_safe_variant_keeps_it_together() -> None:
     pairs = video()
-    found = design(pairs, photos(60), None, DesignSettings(method="fuse2014_safe"))
-    literal = design(pairs, photos(60), None, DesignSettings(method="fuse2014"))
+    found = design(pairs, photos(60), None, DesignSettings(method="fuse2014_safe"), TUNING)
+    literal = design(pairs, photos(60), None, DesignSettings(method="fuse2014"), TUNING)
     assert found.counts["pieces"] == 1
     assert len(np.unique(components(found.pairs, 60))) == 1
     back = len(found.pairs.kept()) - len(literal.pairs.kept())
@@ -57,7 +60,7 @@ def test_a_cut_takes_the_pairs_of_least_capacity() -> None:
     i, j = np.array([0, 0, 1, 3, 3, 4, 2, 1]), np.array([1, 2, 2, 4, 5, 5, 3, 4])
     sigma = np.array([0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 1.0, 1.0])
     pairs = Pairs.make(i, j, "file", score=np.full(8, 100.0), sigma_m=sigma)
-    found = design(pairs, photos(6), None, DesignSettings(method="fuse2014")).pairs
+    found = design(pairs, photos(6), None, DesignSettings(method="fuse2014"), TUNING).pairs
     dropped = {(int(a), int(b)) for a, b in zip(found.i[found.dropped != 0], found.j[found.dropped != 0])}
     assert {(2, 3), (1, 4)} <= dropped
     assert {(0, 2), (1, 2), (3, 4), (3, 5)} & dropped == set()
@@ -67,11 +70,11 @@ def test_similar_images_lose_all_their_pairs() -> None:
     pairs = video(20, 3)
     ratio = np.full(len(pairs), 30.0)
     ratio[(pairs.i == 7) & (pairs.j == 8)] = 501.0
-    found = design(pairs.with_(h_over_b=ratio), photos(20), None, DesignSettings(method="fuse2014"))
+    found = design(pairs.with_(h_over_b=ratio), photos(20), None, DesignSettings(method="fuse2014"), TUNING)
     touches = (pairs.i == 8) | (pairs.j == 8)
     assert found.counts["similar"] == np.sum(touches)
     assert np.all(found.pairs.dropped[touches] != 0)
-    safe = design(pairs.with_(h_over_b=ratio), photos(20), None, DesignSettings(method="fuse2014_safe"))
+    safe = design(pairs.with_(h_over_b=ratio), photos(20), None, DesignSettings(method="fuse2014_safe"), TUNING)
     assert np.sum(safe.pairs.dropped[touches] == 0) >= 1
 
 

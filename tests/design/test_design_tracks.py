@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from tiegraph.design.tracks import WIDE, Candidates, Tracks
+from tiegraph.design.tracks import Candidates, Tracks
+from tiegraph.design.tuning import NetTuning
 from tiegraph.scene.ties import Ties
 
 FEATURES = 6
+TUNING = NetTuning()
 
 
 def chained(images: int) -> Tracks:
@@ -17,23 +19,23 @@ def chained(images: int) -> Tracks:
     matches = np.tile(np.concatenate([right[1:], [[0, 1]]]), (images - 1, 1))
     start = FEATURES * np.arange(images)
     candidates = Candidates.make(i, j, np.full(len(i), 9.0), Ties(i, j, start, matches), images)
-    tracks = Tracks(candidates)
+    tracks = Tracks(candidates, TUNING)
     tracks.join(np.arange(len(i)))
     return tracks
 
 
 def test_one_wrong_track_does_not_link_all_images() -> None:
-    images = 4 * WIDE
+    images = 4 * TUNING.wide_images
     tracks = chained(images)
     assert np.bincount(tracks.parent).max() > 1.9 * images  # two features of every image in one
     joint = tracks.joint()
-    assert 2 * images < joint.nnz <= images * WIDE  # and not the square of the images
+    assert 2 * images < joint.nnz <= images * TUNING.wide_images  # and not the square of the images
     apart = np.abs(np.subtract(*joint.nonzero()))
-    assert apart.max() < WIDE
+    assert apart.max() < TUNING.wide_images
 
 
 def test_small_surveys_keep_every_link() -> None:
-    images = WIDE - 10
+    images = TUNING.wide_images - 10
     tracks = chained(images)
     seen = tracks.incidence()
     count = np.zeros((images, len(tracks.parent)))

@@ -8,9 +8,10 @@ from tiegraph.errors import InputError
 from tiegraph.features.colmap import extract_colmap
 from tiegraph.features.extract import EXTRACTORS, extract_image, read_mask
 from tiegraph.features.settings import FeaturesSettings
-from tiegraph.features.sift import ENOUGH, SUPPORT, extract_sift, root_sift
+from tiegraph.features.sift import extract_sift, root_sift
+from tiegraph.features.tuning import SiftTuning
 
-SETTINGS = FeaturesSettings()
+SETTINGS, TUNING = FeaturesSettings(), SiftTuning()
 engines = pytest.mark.parametrize("extract", EXTRACTORS.values(), ids=EXTRACTORS.keys())
 
 
@@ -44,7 +45,7 @@ def texture(height=240, width=320, seed=1):
 @engines
 def test_blobs_are_found_where_they_are_in_the_corner_convention(extract):
     image, places, sigmas = blobs()
-    keypoints, descriptors = extract(image, None, SETTINGS)
+    keypoints, descriptors = extract(image, None, SETTINGS, TUNING)
     at, found = nearest(keypoints, places)
     error_px = keypoints[at, :2] - places[found]
     assert found.mean() > 0.9
@@ -58,7 +59,7 @@ def test_blobs_are_found_where_they_are_in_the_corner_convention(extract):
 def test_shrunk_images_give_positions_of_the_full_image(extract):
     image, places, _ = blobs((360, 401))
     big = cv2.resize(image, (802, 720), interpolation=cv2.INTER_CUBIC)
-    keypoints, _ = extract(big, None, FeaturesSettings(max_image_size=401))
+    keypoints, _ = extract(big, None, FeaturesSettings(max_image_size=401), TUNING)
     at, found = nearest(keypoints / 2, places)
     assert found.mean() > 0.8
     assert np.abs((keypoints[at, :2] / 2 - places[found]).mean(axis=0)).max() < 0.03
@@ -66,8 +67,8 @@ def test_shrunk_images_give_positions_of_the_full_image(extract):
 
 def test_both_engines_agree_on_orientation_and_descriptor():
     image = texture()
-    ours, ours_d = extract_sift(image, None, SETTINGS)
-    colmaps, colmaps_d = extract_colmap(image, None, SETTINGS)
+    ours, ours_d = extract_sift(image, None, SETTINGS, TUNING)
+    colmaps, colmaps_d = extract_colmap(image, None, SETTINGS, TUNING)
     far = np.linalg.norm(ours[:, None, :2] - colmaps[None, :, :2], axis=2)
     far += 5 * np.abs(np.log(ours[:, None, 2] / colmaps[None, :, 2]))
     turn = np.abs((ours[:, None, 3] - colmaps[None, :, 3] + np.pi) % (2 * np.pi) - np.pi)
@@ -88,14 +89,14 @@ def test_no_support_reaches_into_the_mask(extract):
     image = texture(360, 480)
     mask = np.zeros(image.shape, bool)
     mask[:220, 50:] = True
-    free, _ = extract(image, None, SETTINGS)
-    keypoints, descriptors = extract(image, mask, SETTINGS)
+    free, _ = extract(image, None, SETTINGS, TUNING)
+    keypoints, descriptors = extract(image, mask, SETTINGS, TUNING)
     inside = (free[:, 1] < 220) & (free[:, 0] >= 50)
-    whole = np.minimum(220 - free[:, 1], free[:, 0] - 50) > SUPPORT * free[:, 2] + 1
-    assert whole.sum() > ENOUGH
+    whole = np.minimum(220 - free[:, 1], free[:, 0] - 50) > TUNING.support_sigmas * free[:, 2] + 1
+    assert whole.sum() > TUNING.enough_free
     assert whole.sum() <= len(keypoints) == len(descriptors) < inside.sum()
     margin = np.minimum(220 - keypoints[:, 1], keypoints[:, 0] - 50)
-    assert np.all(margin > SUPPORT * keypoints[:, 2] - 1)
+    assert np.all(margin > TUNING.support_sigmas * keypoints[:, 2] - 1)
 
 
 @engines
@@ -103,8 +104,8 @@ def test_few_features_are_all_kept_that_lie_on_free_pixels(extract):
     image = texture()
     mask = np.zeros(image.shape, bool)
     mask[:100, 50:] = True
-    free, _ = extract(image, None, SETTINGS)
-    keypoints, descriptors = extract(image, mask, SETTINGS)
+    free, _ = extract(image, None, SETTINGS, TUNING)
+    keypoints, descriptors = extract(image, mask, SETTINGS, TUNING)
     inside = (free[:, 1] < 100) & (free[:, 0] >= 50)
     assert len(keypoints) == len(descriptors) == inside.sum() > 20
 
@@ -113,7 +114,7 @@ def test_masked_features_do_not_use_up_the_limit():
     image = texture()
     mask = np.zeros(image.shape, bool)
     mask[:120] = True
-    keypoints, _ = extract_sift(image, mask, FeaturesSettings(max_features=64))
+    keypoints, _ = extract_sift(image, mask, FeaturesSettings(max_features=64), TUNING)
     assert len(keypoints) == 64
     assert keypoints[:, 1].max() < 120
 
@@ -121,7 +122,7 @@ def test_masked_features_do_not_use_up_the_limit():
 @engines
 def test_blank_or_fully_masked_images_give_none(extract):
     for image, mask in ((np.full((90, 120), 7, np.uint8), None), (texture(), np.zeros((240, 320), bool))):
-        keypoints, descriptors = extract(image, mask, SETTINGS)
+        keypoints, descriptors = extract(image, mask, SETTINGS, TUNING)
         assert keypoints.shape == (0, 4) and keypoints.dtype == np.float32
         assert descriptors.shape == (0, 128) and descriptors.dtype == np.uint8
 
@@ -131,9 +132,9 @@ def test_threads_do_not_change_the_order():
     before = cv2.getNumThreads()
     try:
         cv2.setNumThreads(1)
-        one = extract_sift(image, None, SETTINGS)
+        one = extract_sift(image, None, SETTINGS, TUNING)
         cv2.setNumThreads(4)
-        four = extract_sift(image, None, SETTINGS)
+        four = extract_sift(image, None, SETTINGS, TUNING)
     finally:
         cv2.setNumThreads(before)
     assert np.array_equal(one[0], four[0]) and np.array_equal(one[1], four[1])
@@ -141,9 +142,9 @@ def test_threads_do_not_change_the_order():
 
 def test_wrong_arrays_are_refused():
     with pytest.raises(ValueError, match="grey 8-bit"):
-        extract_sift(np.zeros((10, 10, 3), np.uint8), None, SETTINGS)
+        extract_sift(np.zeros((10, 10, 3), np.uint8), None, SETTINGS, TUNING)
     with pytest.raises(ValueError, match="mask"):
-        extract_sift(np.zeros((10, 12), np.uint8), np.ones((12, 10), bool), SETTINGS)
+        extract_sift(np.zeros((10, 12), np.uint8), np.ones((12, 10), bool), SETTINGS, TUNING)
 
 
 def test_files_are_read_with_their_mask(tmp_path):
@@ -152,14 +153,14 @@ def test_files_are_read_with_their_mask(tmp_path):
     mask[:, :100] = 1  # any value but 0 counts as use, as in COLMAP
     cv2.imwrite(str(tmp_path / "a.png"), image)
     cv2.imwrite(str(tmp_path / "a.png.png"), mask)
-    keypoints, _ = extract_image(tmp_path / "a.png", tmp_path / "a.png.png", SETTINGS)
+    keypoints, _ = extract_image(tmp_path / "a.png", tmp_path / "a.png.png", SETTINGS, TUNING)
     assert 0 < len(keypoints) and keypoints[:, 0].max() < 100
 
 
 def test_file_errors_name_the_file_and_a_remedy(tmp_path):
     (tmp_path / "broken.jpg").write_bytes(b"no image")
     with pytest.raises(InputError, match="broken.jpg cannot be read"):
-        extract_image(tmp_path / "broken.jpg", None, SETTINGS)
+        extract_image(tmp_path / "broken.jpg", None, SETTINGS, TUNING)
     with pytest.raises(InputError, match="a.png.png is missing"):
         read_mask(tmp_path / "a.png.png", (10, 10))
     with pytest.raises(InputError, match="broken.jpg cannot be read"):

@@ -14,9 +14,10 @@ from tiegraph.features.preview import (
     spread,
 )
 from tiegraph.features.preview_settings import PreviewSettings
+from tiegraph.features.tuning import PreviewTuning
 from tiegraph.geometry.transforms import angle_deg
 
-SETTINGS = PreviewSettings()
+SETTINGS, TUNING = PreviewSettings(), PreviewTuning()
 CAMERA = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[500.0, 320.0, 240.0])
 K = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
 
@@ -52,31 +53,31 @@ def views() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def test_same_place_matches_with_its_rotation(views) -> None:
-    a, b = (extract_preview(v, None, SETTINGS) for v in views[:2])
-    found = match_previews(a, b, CAMERA, CAMERA, SETTINGS)
+    a, b = (extract_preview(v, None, SETTINGS, TUNING) for v in views[:2])
+    found = match_previews(a, b, CAMERA, CAMERA, SETTINGS, TUNING)
     assert 40 < found.inliers <= SETTINGS.features
     assert angle_deg(found.rotation, views[2]) < 3.0
-    assert match_previews(a, b, CAMERA, CAMERA, SETTINGS).inliers == found.inliers
+    assert match_previews(a, b, CAMERA, CAMERA, SETTINGS, TUNING).inliers == found.inliers
 
 
 def test_unrelated_images_stay_at_chance() -> None:
-    previews = [extract_preview(view(texture(s), np.eye(3), (0, 0, 0)), None, SETTINGS) for s in range(2, 7)]
+    previews = [extract_preview(view(texture(s), np.eye(3), (0, 0, 0)), None, SETTINGS, TUNING) for s in range(2, 7)]
     pairs = np.array([(a, b) for a in range(5) for b in range(a)])
-    counts = [m.inliers for m in match_many(previews, [CAMERA] * 5, pairs, SETTINGS)]
+    counts = [m.inliers for m in match_many(previews, [CAMERA] * 5, pairs, SETTINGS, TUNING)]
     assert max(counts) < 20
     assert np.median(counts) < 13
 
 
 def test_unknown_camera_counts_alike_but_gives_no_rotation(views) -> None:
-    a, b = (extract_preview(v, None, SETTINGS) for v in views[:2])
-    known, guessed = match_previews(a, b, CAMERA, CAMERA, SETTINGS), match_previews(a, b, None, None, SETTINGS)
+    a, b = (extract_preview(v, None, SETTINGS, TUNING) for v in views[:2])
+    known, guessed = (match_previews(a, b, c, c, SETTINGS, TUNING) for c in (CAMERA, None))
     assert guessed.rotation is None and known.rotation is not None
     assert 0.6 * known.inliers < guessed.inliers < 1.6 * known.inliers
 
 
 def test_shift_points_the_way_things_move(views) -> None:
-    a, b = (extract_preview(v, None, SETTINGS) for v in views[:2])
-    there, back = (match_previews(p, q, CAMERA, CAMERA, SETTINGS) for p, q in ((a, b), (b, a)))
+    a, b = (extract_preview(v, None, SETTINGS, TUNING) for v in views[:2])
+    there, back = (match_previews(p, q, CAMERA, CAMERA, SETTINGS, TUNING) for p, q in ((a, b), (b, a)))
     assert np.sign(there.shift[0]) == -np.sign(back.shift[0]) != 0
     assert abs(there.shift[0] + back.shift[0]) < 0.03
 
@@ -84,7 +85,7 @@ def test_shift_points_the_way_things_move(views) -> None:
 def test_mask_keeps_features_out_and_brightness_whole(views) -> None:
     mask = np.zeros((480, 640), bool)
     mask[:, :320] = True
-    whole, half = extract_preview(views[0], None, SETTINGS), extract_preview(views[0], mask, SETTINGS)
+    whole, half = extract_preview(views[0], None, SETTINGS, TUNING), extract_preview(views[0], mask, SETTINGS, TUNING)
     assert len(half) > 50
     assert half.xy[:, 0].max() <= 324
     assert whole.xy[:, 0].max() > 600
@@ -96,21 +97,21 @@ def test_mask_keeps_features_out_and_brightness_whole(views) -> None:
 def test_pixels_are_full_size_and_count_from_the_corner() -> None:
     image = np.zeros((960, 1280), np.uint8)
     cv2.circle(image, (600, 400), 20, 255, -1)  # its middle is at (600.5, 400.5)
-    preview = extract_preview(image, None, SETTINGS)
+    preview = extract_preview(image, None, SETTINGS, TUNING)
     nearest = np.min(np.linalg.norm(preview.xy - (600.5, 400.5), axis=1))
     assert 0 <= nearest < 0.3 * 1280 / 400
     assert preview.scale == pytest.approx(400 / 1280)
 
 
 def test_flat_or_tiny_images_match_nothing() -> None:
-    flat = extract_preview(np.full((480, 640), 90, np.uint8), None, SETTINGS)
-    tiny = extract_preview(np.full((3, 5), 90, np.uint8), None, SETTINGS)
+    flat = extract_preview(np.full((480, 640), 90, np.uint8), None, SETTINGS, TUNING)
+    tiny = extract_preview(np.full((3, 5), 90, np.uint8), None, SETTINGS, TUNING)
     assert len(flat) == len(tiny) == 0
-    assert match_previews(flat, tiny, CAMERA, CAMERA, SETTINGS).inliers == 0
+    assert match_previews(flat, tiny, CAMERA, CAMERA, SETTINGS, TUNING).inliers == 0
 
 
 def test_npz_round_trip(views, tmp_path) -> None:
-    preview = extract_preview(views[0], None, SETTINGS)
+    preview = extract_preview(views[0], None, SETTINGS, TUNING)
     np.savez(tmp_path / "p.npz", **preview.to_npz())
     with np.load(tmp_path / "p.npz") as data:
         again = Preview.from_npz(dict(data))
@@ -122,12 +123,12 @@ def test_npz_round_trip(views, tmp_path) -> None:
 @pytest.mark.parametrize("gray", [np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), np.float32)])
 def test_wrong_images_are_refused(gray) -> None:
     with pytest.raises(ValueError, match="grey"):
-        extract_preview(gray, None, SETTINGS)
+        extract_preview(gray, None, SETTINGS, TUNING)
 
 
 def test_mask_of_another_size_is_refused() -> None:
     with pytest.raises(ValueError, match="mask"):
-        extract_preview(np.zeros((4, 4), np.uint8), np.ones((4, 5), bool), SETTINGS)
+        extract_preview(np.zeros((4, 4), np.uint8), np.ones((4, 5), bool), SETTINGS, TUNING)
 
 
 def test_spread_takes_the_best_of_each_cell_first() -> None:

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from boat_world import Result, boat, ring
 from tiegraph.features.preview import Preview, PreviewMatch, extract_preview, match_previews
 from tiegraph.features.preview_settings import PreviewSettings
+from tiegraph.features.tuning import PreviewTuning
 from tiegraph.geometry import transforms
 from tiegraph.network.passes import PreviewBook, find_passes
 from tiegraph.network.rig import sync as rigsync
@@ -220,12 +221,12 @@ DEMO_CAMERA = pycolmap.Camera(model="SIMPLE_PINHOLE", width=480, height=360, par
 
 @cache
 def _preview(path: Path) -> Preview:
-    return extract_preview(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), None, PreviewSettings())
+    return extract_preview(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), None, PreviewSettings(), PreviewTuning())
 
 
 @cache
 def _matched(a: Path, b: Path) -> PreviewMatch:
-    return match_previews(_preview(a), _preview(b), DEMO_CAMERA, DEMO_CAMERA, PreviewSettings())
+    return match_previews(_preview(a), _preview(b), DEMO_CAMERA, DEMO_CAMERA, PreviewSettings(), PreviewTuning())
 
 
 def canal_demo(mirrored: bool) -> tuple[Scene, PreviewBook]:

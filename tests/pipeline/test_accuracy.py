@@ -7,6 +7,7 @@ import pycolmap
 
 from tiegraph.features.preview import Preview
 from tiegraph.features.settings import PreviewSettings
+from tiegraph.features.tuning import PreviewTuning
 from tiegraph.pipeline.accuracy import with_accuracy
 from tiegraph.pipeline.capture import preview_path
 from tiegraph.pipeline.ties import with_previews
@@ -63,12 +64,11 @@ def test_pairs_of_which_nothing_is_known_are_previewed_for_the_design(tmp_path: 
     by_model = Pairs.make([1], [2], "model", overlap=np.array([0.4]))
     dropped = Pairs.make([0], [2], "file", dropped=np.array([1]))
     known = Ties.make([0], [2], [np.zeros((3, 2))])
-    pairs, ties, count = with_previews(
-        Pairs.make([0], [1], "sequence") | dropped | by_model, known, tmp_path, PreviewSettings(), in_turn
-    )
+    listed, how = Pairs.make([0], [1], "sequence") | dropped | by_model, (PreviewSettings(), PreviewTuning())
+    pairs, ties, count = with_previews(listed, known, tmp_path, *how, in_turn)
     assert count == 1, "one has an overlap, one was dropped"
     assert pairs.score[0] > 40 and np.isnan(pairs.score[1:]).all()
     row = ties.find(np.array([0, 0]), np.array([1, 2]))
     assert len(ties) == 2 and ties.counts()[row].tolist() == [pairs.score[0], 3]
-    again = with_previews(pairs, ties, tmp_path, PreviewSettings(), in_turn)
+    again = with_previews(pairs, ties, tmp_path, *how, in_turn)
     assert again[2] == 0 and again[0] is pairs

@@ -18,19 +18,13 @@ import numpy as np
 from scipy import sparse
 
 from tiegraph.design.tracks import Candidates, Tracks
+from tiegraph.design.tuning import BundleTuning
 from tiegraph.geometry import transforms
 from tiegraph.scene.rig import calibrated
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Sights, Ties
 
-MOST = 800  # unknowns: an inverse a round costs 0.2 s then
-_POINTS = 2500  # of the preview model, drawn at random: enough for the information of all
-_MATCHES = 4  # of a pair stand for all of them: as many as two images have degrees of freedom, less one
 _BLOCK = 2000  # pairs looked at together: bounds the memory
-_PLACED = 0.9  # of the images with candidates must be in the preview model
-_SIGMA_PX = 0.5  # of a coordinate; counts only against the weak priors below
-_FOCAL, _EXTRA = 0.2, 0.5  # weak priors of intrinsics: of the focal length; of the distortion (as ``sfm.covariance``)
-_WIDE = 0.2  # cosine of the angle to the axis (78 deg) beyond which no lens is a pinhole
 _INTRINSICS = 4  # focal length, principal point, radial distortion
 _SEED = 0
 
@@ -74,17 +68,17 @@ class _Columns:
 class Bundle:
     """Information of chosen candidates about the frames' positions, and what each further candidate would add."""
 
-    def __init__(self, candidates: Candidates, ties: Ties, sights: Sights, scene: Scene) -> None:
+    def __init__(self, candidates: Candidates, ties: Ties, sights: Sights, scene: Scene, tuning: BundleTuning) -> None:
         """``ties`` are those of the candidates, features being rows of ``sights``, whose poses are known."""
         self.candidates = self._c = candidates
-        self._sights, self._scene = sights, scene
+        self._sights, self._scene, self._tuning = sights, scene, tuning
         self._columns = _Columns.make(scene)
         self._rotation = np.asarray(sights.rotation)
         placed = np.isfinite(sights.centre).all(axis=1)
         self.usable = placed[candidates.i] & placed[candidates.j] & candidates.seen
         self._node_point, self._node_image = self._nodes(ties)
         self._frame_centre, self._rig_axes = self._frames(placed)
-        chosen = np.random.default_rng(_SEED).permutation(len(sights.xyz))[:_POINTS]
+        chosen = np.random.default_rng(_SEED).permutation(len(sights.xyz))[: tuning.points]
         mine = np.zeros(len(sights.xyz), bool)
         mine[chosen] = True
         self._share = len(chosen) / max(len(sights.xyz), 1)
@@ -96,7 +90,7 @@ class Bundle:
         self._basis = self._similarities()
 
     @staticmethod
-    def possible(i: np.ndarray, j: np.ndarray, sights: Sights | None, scene: Scene) -> bool:
+    def possible(i: np.ndarray, j: np.ndarray, sights: Sights | None, scene: Scene, tuning: BundleTuning) -> bool:
         """Whether images share unknowns (else the net of resistances chooses as well, and faster), the preview model
         holds nearly all of them, and the survey is small enough."""
         if sights is None or sights.rotation is None or not len(i):
@@ -104,7 +98,9 @@ class Bundle:
         placed = np.isfinite(sights.centre).all(axis=1)
         used = np.unique(np.concatenate([i, j]))
         columns = _Columns.make(scene)
-        return bool(placed[used].mean() >= _PLACED) and 6 * columns.frames < columns.size <= MOST
+        if placed[used].mean() < tuning.min_placed:
+            return False
+        return 6 * columns.frames < columns.size <= tuning.max_unknowns
 
     # ------------------------------------------------------------------------------------------ linear equations
 
@@ -140,7 +136,7 @@ class Bundle:
         world = self._sights.xyz[point]
         ray = world - self._sights.centre[image]
         local = np.einsum("kij,kj->ki", rotation, ray)
-        (x, y), by_ray = _projected(local)
+        (x, y), by_ray = _projected(local, self._tuning)
         zero, one = np.zeros(len(x)), np.ones(len(x))
         by_point = f[:, None, None] * by_ray @ rotation
         rig = self._rig_axes[image]
@@ -152,7 +148,8 @@ class Bundle:
         parts = [-by_point, by_point @ transforms.skew(lever), -by_rig, by_rig @ transforms.skew(in_rig), inner]
         bad = ~np.isfinite(local).all(axis=1)
         jacobian = np.where(bad[:, None, None], 0.0, np.concatenate(parts, axis=2))
-        return jacobian / _SIGMA_PX, np.where(bad[:, None, None], 0.0, by_point) / _SIGMA_PX
+        sigma = self._tuning.sigma_px
+        return jacobian / sigma, np.where(bad[:, None, None], 0.0, by_point) / sigma
 
     def _priors(self, placed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(U,) weak information that keeps everything finite; (U,) typical size of each unknown."""
@@ -165,7 +162,7 @@ class Bundle:
             f = 1.0 if camera is None else camera.mean_focal_length()
             own = columns.of_image[k]
             sigma[own[:3]] = sigma[own[6:9]] = size
-            sigma[own[12:15]], sigma[own[15]] = _FOCAL * f, _EXTRA
+            sigma[own[12:15]], sigma[own[15]] = self._tuning.focal_prior * f, self._tuning.distortion_prior
         return 1.0 / sigma[:-1] ** 2, sigma[:-1]
 
     def _similarities(self) -> np.ndarray:
@@ -180,20 +177,20 @@ class Bundle:
         """(E, K, 32) equations of K matches of each candidate over the unknowns of its two images; worked out once."""
         if self._equations is not None:
             return self._equations
-        c = self._c
+        c, each = self._c, self._tuning.matches
         count = np.diff(c.start)
-        out = np.zeros((len(c), _MATCHES, 2 * (12 + _INTRINSICS)))
+        out = np.zeros((len(c), each, 2 * (12 + _INTRINSICS)))
         for e in range(0, len(c), _BLOCK):
             rows = np.arange(e, min(e + _BLOCK, len(c)))
             rows = rows[self.usable[rows] & (count[rows] > 0)]
-            step = (np.arange(_MATCHES)[None] + 0.5) / _MATCHES * count[rows, None]
+            step = (np.arange(each)[None] + 0.5) / each * count[rows, None]
             at = (c.start[rows, None] + step.astype(int)).ravel()
             left, right = c.left[at], c.right[at]
             a, by_a = self._linear(self._node_image[left], self._node_point[left])
             b, by_b = self._linear(self._node_image[right], self._node_point[right])
             null = _normal4(np.concatenate([by_a, by_b], axis=1))
             both = [np.einsum("ki,kij->kj", null[:, :2], a), np.einsum("ki,kij->kj", null[:, 2:], b)]
-            out[rows] = np.concatenate(both, axis=1).reshape(len(rows), _MATCHES, -1)
+            out[rows] = np.concatenate(both, axis=1).reshape(len(rows), each, -1)
         self._equations = out
         return out
 
@@ -236,7 +233,7 @@ class Bundle:
         for e, w in zip(places.tolist(), worth.tolist()):
             own = np.concatenate([columns[self._c.i[e]], columns[self._c.j[e]]])
             rows = self._epipolar()[e]
-            np.add.at(out, (own[:, None], own[None]), w / _MATCHES * rows.T @ rows)
+            np.add.at(out, (own[:, None], own[None]), w / self._tuning.matches * rows.T @ rows)
         return out[:-1, :-1]
 
     def covariance(self, normal: np.ndarray) -> np.ndarray:
@@ -258,7 +255,7 @@ class Bundle:
 
     def gains(self, covariance: np.ndarray, places: np.ndarray, worth: np.ndarray) -> np.ndarray:
         """(K,) fall of the variance by each of the candidates at places with ``worth`` (K,) new matches."""
-        total = self._columns.size + 1
+        total, each = self._columns.size + 1, self._tuning.matches
         pos = covariance[:, self._positions]
         pos = pos - (pos @ self._basis) @ self._basis.T
         moved, spread = np.zeros((total, total)), np.zeros((total, total))
@@ -267,22 +264,22 @@ class Bundle:
         columns = np.concatenate([self._columns.of_image[self._c.i], self._columns.of_image[self._c.j]], axis=1)
         for k in range(0, len(places), _BLOCK):
             e = places[k : k + _BLOCK]
-            own, rows = columns[e], self._epipolar()[e] * np.sqrt(worth[k : k + _BLOCK] / _MATCHES)[:, None, None]
+            own, rows = columns[e], self._epipolar()[e] * np.sqrt(worth[k : k + _BLOCK] / each)[:, None, None]
             at = (own[:, :, None], own[:, None])
-            inner = np.eye(_MATCHES) + rows @ spread[at] @ np.swapaxes(rows, 1, 2)
+            inner = np.eye(each) + rows @ spread[at] @ np.swapaxes(rows, 1, 2)
             fall = rows @ moved[at] @ np.swapaxes(rows, 1, 2)
             out[k : k + _BLOCK] = np.trace(np.linalg.solve(inner, fall), axis1=1, axis2=2)
         return out / self._columns.frames
 
 
-def _projected(local: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _projected(local: np.ndarray, tuning: BundleTuning) -> tuple[np.ndarray, np.ndarray]:
     """Image coordinates (2, K), of focal length 1, of rays (K, 3) in the camera, and their derivatives (K, 2, 3).
 
-    A pinhole's; beyond ``_WIDE`` those of an equidistant fisheye, where a pinhole's run off to infinity.
+    A pinhole's; beyond ``wide_cosine`` those of an equidistant fisheye, where a pinhole's run off to infinity.
     """
     length = np.maximum(np.linalg.norm(local, axis=1), 1e-12)
     side = np.linalg.norm(local[:, :2], axis=1)
-    wide = local[:, 2] < _WIDE * length
+    wide = local[:, 2] < tuning.wide_cosine * length
     z = np.where(wide, length, local[:, 2])
     x, y, zero, one = local[:, 0] / z, local[:, 1] / z, np.zeros(len(z)), np.ones(len(z))
     pinhole = np.stack([np.stack([one, zero, -x], 1), np.stack([zero, one, -y], 1)], 1) / z[:, None, None]

@@ -6,13 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# CPU seconds of a core that matches 4096 key points with 4096 in 0.05 s; only ratios count. They give the runs in
-# benchmarks/results (8 to 300 images; rendered, vehicle, facades, telephone) within a factor of two.
-_PAIR_S, _PRODUCT_S = 0.004, 2.8e-9  # of a pair, and of each product of its key points
-_START_S, _IMAGE_S, _MEGAPIXEL_S = 15.0, 1.2, 1.5  # everything else from scan to report: of a run, an image, its pixels
-_LARGE_MPX = 2.0  # more pixels cost little more: stages that work by the pixel reduce the images
-_DENSITY = 12000.0  # key points a megapixel of used area, on rich texture
-LITTLE = 0.2  # of the run: what to match all candidates may cost before it is worth choosing among them
+from tiegraph.design.tuning import CostTuning
 
 
 @dataclass(frozen=True)
@@ -28,27 +22,27 @@ class Cost:
         """Of the whole run."""
         return self.matching_s / (self.matching_s + self.rest_s)
 
-    @property
-    def little(self) -> bool:
+    def little(self, tuning: CostTuning) -> bool:
         """Whether choosing would save next to nothing."""
-        return self.share < LITTLE
+        return self.share < tuning.little
 
-    def said(self) -> str:
+    def said(self, tuning: CostTuning) -> str:
         """For people, if it is little."""
         return (
             f"all {self.pairs} pairs: to match them takes about {max(100 * self.share, 1):.0f} % of the run, and below "
-            f"{100 * LITTLE:.0f} % no pair is worth saving"
+            f"{100 * tuning.little:.0f} % no pair is worth saving"
         )
 
 
-def cost(i: np.ndarray, j: np.ndarray, keypoints: np.ndarray, megapixels: np.ndarray) -> Cost:
+def cost(i: np.ndarray, j: np.ndarray, keypoints: np.ndarray, megapixels: np.ndarray, tuning: CostTuning) -> Cost:
     """Of pairs i, j (P,) of images with so many key points (N,) and pixels (N,)."""
-    matching_s = _PAIR_S * len(i) + _PRODUCT_S * float(np.sum(keypoints[i] * keypoints[j]))
-    rest_s = _START_S + float(np.sum(_IMAGE_S + _MEGAPIXEL_S * np.minimum(megapixels, _LARGE_MPX)))
+    matching_s = tuning.pair_s * len(i) + tuning.product_s * float(np.sum(keypoints[i] * keypoints[j]))
+    each_s = tuning.image_s + tuning.megapixel_s * np.minimum(megapixels, tuning.large_mpx)
+    rest_s = tuning.start_s + float(np.sum(each_s))
     return Cost(len(i), matching_s, rest_s)
 
 
-def foreseen_keypoints(megapixels: np.ndarray, used: np.ndarray, most: int) -> np.ndarray:
+def foreseen_keypoints(megapixels: np.ndarray, used: np.ndarray, most: int, tuning: CostTuning) -> np.ndarray:
     """(N,) key points to expect at full resolution in images of so many megapixels (N,), of which a share (N,) is used:
     rather too many, and at ``most`` so many."""
-    return np.minimum(_DENSITY * megapixels * used, most)
+    return np.minimum(tuning.keypoints_a_megapixel * megapixels * used, most)

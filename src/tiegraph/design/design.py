@@ -20,6 +20,7 @@ from tiegraph.design.measure import ByBundle, ByNet, Judge, Measure
 from tiegraph.design.predict import Predictor
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates
+from tiegraph.design.tuning import CostTuning, Tuning
 from tiegraph.scene.graph import cuts, forest, frame_links, groups, parts, two_links
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
@@ -38,10 +39,10 @@ class DesignResult:
     tables: dict[str, dict[str, Any]] = field(default_factory=dict)
 
 
-def takes_all(settings: DesignSettings, cost: Cost | None) -> bool:
+def takes_all(settings: DesignSettings, cost: Cost | None, tuning: CostTuning) -> bool:
     """Whether every kept pair is to be matched: asked for, or a loss is allowed and matching them all costs little."""
     if settings.method in ("hybrid", "tree") and settings.budget == "loss" and cost is not None:
-        return cost.little
+        return cost.little(tuning)
     return settings.method == "all"
 
 
@@ -50,6 +51,7 @@ def design(
     scene: Scene,
     ties: Ties | None,
     settings: DesignSettings,
+    tuning: Tuning,
     sights: Sights | None = None,
     cost: Cost | None = None,
 ) -> DesignResult:
@@ -59,34 +61,35 @@ def design(
     the overlap. ``sights``, the points of a preview model each image sees, tell which tracks all of them would join.
     Methods hybrid, tree and top keep a maximum spanning forest of the images, two pairs without a common image from
     every camera, pass and section to the rest, and a second link wherever frames would hang on one; hybrid and tree
-    also the strongest pairs of every image and part (``holding``), within half of a budget of pairs or seconds.
+    also the strongest pairs of every image and part (``holding``), within a share of a budget of pairs or seconds.
     Where they may lose accuracy and all pairs are matched at little ``cost``, nothing is chosen.
     """
     kept = np.flatnonzero(pairs.dropped == 0)
-    if takes_all(settings, cost) or not len(kept):
-        said = () if settings.method == "all" or cost is None or not len(kept) else (cost.said(),)
+    if takes_all(settings, cost, tuning.cost) or not len(kept):
+        said = () if settings.method == "all" or cost is None or not len(kept) else (cost.said(tuning.cost),)
         return _judged(pairs, pairs, scene, said, {})
-    expected = expected_matches(pairs, ties)
+    expected = expected_matches(pairs, ties, tuning.expected)
     if settings.method in ("fuse2014", "fuse2014_safe"):
         thin = fuse2014(pairs, scene, expected, safe=settings.method == "fuse2014_safe")
         return _judged(pairs, thin.pairs, scene, thin.notes, dict(thin.counts))
     i, j, strength = pairs.i[kept], pairs.j[kept], expected[kept]
     known: tuple[Ties | None, ...] = (ties,)
-    bundle = settings.method == "hybrid" and Bundle.possible(i, j, sights, scene)
+    bundle = settings.method == "hybrid" and Bundle.possible(i, j, sights, scene, tuning.bundle)
     if sights is not None:
-        seen = foresee(i, j, counted_matches(pairs, ties)[kept], sights, (0, 1) if bundle else (0,))
+        draws = (0, 1) if bundle else (0,)
+        seen = foresee(i, j, counted_matches(pairs, ties)[kept], sights, tuning.foreseen, draws)
         known, strength = seen.ties, np.where(np.isfinite(seen.expected), seen.expected, strength)
-    start = _start(i, j, strength, scene, _room(settings, len(scene)))
+    start = _start(i, j, strength, scene, _room(settings, len(scene), tuning), tuning)
     if settings.method == "top":
         chosen = np.union1d(start, strongest_places(i, j, strength, scene, settings.pairs_per_image))
         choice = Choice(chosen, np.nan, 0)
     else:
         candidates = Candidates.make(i, j, strength, known[0], len(scene))
         if bundle and sights is not None:
-            measure: Measure = _by_bundle(candidates, known, sights, scene, settings.budget == "loss")
+            measure: Measure = _by_bundle(candidates, known, sights, scene, settings.budget == "loss", tuning)
         else:
-            measure = _by_net(candidates, scene, settings)
-        choice = choose(candidates, start, _budget(settings, scene), settings.method == "hybrid", measure)
+            measure = _by_net(candidates, scene, settings, tuning)
+        choice = choose(candidates, start, _budget(settings, scene), tuning, settings.method == "hybrid", measure)
     second = _second_links(i, j, strength, choice.places, scene)
     keep = np.zeros(len(pairs), bool)
     keep[kept[np.concatenate([choice.places, second])]] = True
@@ -98,7 +101,7 @@ def design(
 
 
 def _by_bundle(
-    candidates: Candidates, foreseen: Sequence[Ties | None], sights: Sights, scene: Scene, judged: bool
+    candidates: Candidates, foreseen: Sequence[Ties | None], sights: Sights, scene: Scene, judged: bool, tuning: Tuning
 ) -> ByBundle:
     """The bundle adjustment, where images share unknowns and these are few enough; ``foreseen``: ties to choose by,
     and others to judge the choice by."""
@@ -107,14 +110,15 @@ def _by_bundle(
     for ties in foreseen[: 1 + judged]:
         assert ties is not None  # there are sights
         own = Candidates.make(i, j, expected, ties, len(scene)) if made else candidates
-        made.append(Bundle(own, ties, sights, scene))
-    chance = verified_chance(expected)
-    return ByBundle(made[0], chance, Judge(made[1], chance) if judged else None)
+        made.append(Bundle(own, ties, sights, scene, tuning.bundle))
+    chance = verified_chance(expected, tuning.foreseen)
+    return ByBundle(made[0], chance, Judge(made[1], chance, tuning) if judged else None, tuning.measure)
 
 
-def _by_net(candidates: Candidates, scene: Scene, settings: DesignSettings) -> ByNet:
+def _by_net(candidates: Candidates, scene: Scene, settings: DesignSettings, tuning: Tuning) -> ByNet:
     hybrid, judged = settings.method == "hybrid", settings.budget == "loss"
-    return ByNet(candidates, hybrid, Predictor(candidates, hybrid, _units(scene)) if judged else None)
+    judge = Predictor(candidates, tuning.net, hybrid, _units(scene)) if judged else None
+    return ByNet(candidates, hybrid, judge, tuning)
 
 
 def _units(scene: Scene) -> np.ndarray:
@@ -123,11 +127,13 @@ def _units(scene: Scene) -> np.ndarray:
     return np.where(known, scene.frame, scene.frames + np.arange(len(scene)))
 
 
-def _room(settings: DesignSettings, images: int) -> int:
-    """Pairs that a design may start with: half of a budget that counts them."""
+def _room(settings: DesignSettings, images: int, tuning: Tuning) -> int:
+    """Pairs that a design may start with: a share of a budget that counts them."""
     if settings.method == "top":
         return 0
-    return np.iinfo(np.int64).max if settings.budget == "loss" else _pairs_allowed(settings, images) // 2
+    if settings.budget == "loss":
+        return np.iinfo(np.int64).max
+    return int(tuning.start_share * _pairs_allowed(settings, images))
 
 
 def _budget(settings: DesignSettings, scene: Scene) -> Budget:
@@ -170,10 +176,11 @@ def _judged(
     return DesignResult(after, (*notes, *said), figures, {"funnel": table, "weak links": found.table})
 
 
-def _start(i: np.ndarray, j: np.ndarray, strength: np.ndarray, scene: Scene, room: int) -> np.ndarray:
+def _start(i: np.ndarray, j: np.ndarray, strength: np.ndarray, scene: Scene, room: int, tuning: Tuning) -> np.ndarray:
     """Places of the pairs every design keeps: a maximum spanning forest, two links of every group, and within ``room``
     pairs in all what holds every image and part."""
-    rounds = holding(i, j, strength, verified_chance(strength), len(scene))
+    chance = verified_chance(strength, tuning.foreseen)
+    rounds = holding(i, j, strength, chance, len(scene), tuning.holding)
     places = np.unique(np.concatenate([rounds[0], *(two_links(i, j, g.member, strength) for g in groups(scene))]))
     more = np.concatenate([*rounds[1:], places[:0]])
     more = more[~np.isin(more, places)]

@@ -4,27 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 
+from tiegraph.design.tuning import ExpectedTuning
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.ties import Ties
 
-_BINS = 12  # of equal numbers of previewed pairs
-_FEWEST = 30  # previewed pairs a bin should hold
-_GUESS = 60.0  # matches at full overlap if nothing was previewed: only ratios matter then
-_FLOOR = 0.25  # of its expectation: a preview that failed does not prove that full resolution does
 
-
-def expected_matches(pairs: Pairs, ties: Ties | None) -> np.ndarray:
+def expected_matches(pairs: Pairs, ties: Ties | None, tuning: ExpectedTuning) -> np.ndarray:
     """(P,) preview matches of each pair, measured or expected, at least 1.
 
     Counted matches first; else the score; else what previewed pairs of that predicted overlap have on average (a
-    monotone curve through bins); else the median of what is known. A measured count below a quarter of what the overlap
-    promises is lifted to that.
+    monotone curve through bins); else the median of what is known. A measured count below the ``floor`` of what the
+    overlap promises is lifted to that.
     """
     counted = counted_matches(pairs, ties)
     measured = np.where(np.isnan(counted), pairs.score, counted)
-    by_overlap = _curve(pairs.overlap, measured)(pairs.overlap)
+    by_overlap = _curve(pairs.overlap, measured, tuning)(pairs.overlap)
     usual = float(np.nanmedian(measured)) if np.isfinite(measured).any() else 1.0
-    out = np.where(np.isfinite(measured), np.fmax(measured, _FLOOR * by_overlap), by_overlap)
+    out = np.where(np.isfinite(measured), np.fmax(measured, tuning.floor * by_overlap), by_overlap)
     return np.maximum(np.where(np.isfinite(out), out, usual), 1.0)
 
 
@@ -47,11 +43,11 @@ class _Curve:
         return np.where(np.isnan(overlap), np.nan, value)
 
 
-def _curve(overlap: np.ndarray, measured: np.ndarray) -> _Curve:
+def _curve(overlap: np.ndarray, measured: np.ndarray, tuning: ExpectedTuning) -> _Curve:
     both = np.isfinite(overlap) & np.isfinite(measured)
-    bins = min(_BINS, int(both.sum()) // _FEWEST)
+    bins = min(tuning.bins, int(both.sum()) // tuning.least_a_bin)
     if bins < 1:
-        return _Curve(np.array([0.0, 1.0]), np.array([0.0, _GUESS]))
+        return _Curve(np.array([0.0, 1.0]), np.array([0.0, tuning.at_full_overlap]))
     order = np.argsort(overlap[both], kind="stable")
     groups = np.array_split(order, bins)
     at = np.array([overlap[both][g].mean() for g in groups])

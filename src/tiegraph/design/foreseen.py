@@ -13,17 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
+from tiegraph.design.tuning import ForeseenTuning
 from tiegraph.scene.ties import Sights, Ties
 
 _MIX = (np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB))  # splitmix64
-_ANGLES_DEG = (3.5, 5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0)  # tried: where chances fall to 1 / e
-_OCTAVES = (0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 3.0)
-_USUAL = (20.0, 0.7, 0.5)  # where too few pairs were previewed to tell; 0.7 found in each image, as SIFT repeats
-_CELL_DEG, _CELL_OCTAVES, _CELLS = 1.75, 0.1, (40, 30)  # of the tables the law is fitted to
-_SAMPLE = 3000  # previewed pairs are enough for its four numbers
-_FEWEST = 30
-_HALF = 7.5  # preview matches with which every second pair is verified: full images find twice as many, 15 are needed
-_POISSON = 5.0  # matches: the variance of a count is itself, and not less than this
 
 
 @dataclass(frozen=True)
@@ -49,13 +42,18 @@ class _Law:
         return np.exp(-((angle_deg / self.angle_deg) ** 2) - (octaves / self.octaves) ** 2)
 
 
-def verified_chance(expected: np.ndarray) -> np.ndarray:
+def verified_chance(expected: np.ndarray, tuning: ForeseenTuning) -> np.ndarray:
     """(P,) how likely pairs of so many expected preview matches come through verification at full resolution."""
-    return expected**2 / (expected**2 + _HALF**2)
+    return expected**2 / (expected**2 + tuning.even_matches**2)
 
 
 def foresee(
-    i: np.ndarray, j: np.ndarray, measured: np.ndarray, sights: Sights, draws: Sequence[int] = (0,)
+    i: np.ndarray,
+    j: np.ndarray,
+    measured: np.ndarray,
+    sights: Sights,
+    tuning: ForeseenTuning,
+    draws: Sequence[int] = (0,),
 ) -> Foreseen:
     """Ties and expected matches of pairs i < j (P,); ``measured`` (P,) preview matches, NaN = not previewed.
 
@@ -63,7 +61,7 @@ def foresee(
     the same draw: a choice is judged by another draw than it was made by. A measured count and what the points promise
     are taken together by their geometric mean.
     """
-    law = _fitted(i, j, measured, sights)
+    law = _fitted(i, j, measured, sights, tuning)
     image = np.repeat(np.arange(len(sights.centre)), np.diff(sights.start))
     # Whether a point is detected in an image is alike for all its pairs.
     detected = [_uniform(sights.point, image, image, draw) < np.sqrt(law.rate) for draw in draws]
@@ -138,29 +136,30 @@ def _geometry(both: _Common, sights: Sights) -> tuple[np.ndarray, np.ndarray]:
     return np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))), octaves
 
 
-def _fitted(i: np.ndarray, j: np.ndarray, measured: np.ndarray, sights: Sights) -> _Law:
+def _fitted(i: np.ndarray, j: np.ndarray, measured: np.ndarray, sights: Sights, tuning: ForeseenTuning) -> _Law:
     """The law that explains the previewed pairs best (weighted least squares, no number below zero)."""
     known = np.flatnonzero(np.isfinite(measured))
-    if len(known) > _SAMPLE:
-        known = np.random.default_rng(0).choice(known, _SAMPLE, replace=False)
-    cells = _CELLS[0] * _CELLS[1]
+    if len(known) > tuning.sample:
+        known = np.random.default_rng(0).choice(known, tuning.sample, replace=False)
+    rows, columns = tuning.cells
+    cells = rows * columns
     table = np.zeros((len(known), cells), np.float32)
     for both in _in_common(i[known], j[known], sights):
         angle, octaves = _geometry(both, sights)
-        row = np.minimum((angle / _CELL_DEG).astype(int), _CELLS[0] - 1)
-        cell = row * _CELLS[1] + np.minimum((octaves / _CELL_OCTAVES).astype(int), _CELLS[1] - 1)
+        row = np.minimum((angle / tuning.cell_deg).astype(int), rows - 1)
+        cell = row * columns + np.minimum((octaves / tuning.cell_octaves).astype(int), columns - 1)
         size = len(both.pairs) * cells
         table[both.pairs] = np.bincount(both.number * cells + cell, minlength=size).reshape(-1, cells)
     filled = table.any(axis=1)
-    if filled.sum() < _FEWEST:
-        return _Law(*_USUAL, 0.0)
+    best, least = _Law(tuning.usual_angle_deg, tuning.usual_octaves, tuning.usual_rate, 0.0), np.inf
+    if filled.sum() < tuning.least_previewed:
+        return best
     table, count = table[filled], measured[known][filled]
-    weight = 1.0 / np.sqrt(np.maximum(count, _POISSON))
-    angle = (np.arange(_CELLS[0])[:, None] + 0.5) * _CELL_DEG
-    octave = (np.arange(_CELLS[1])[None] + 0.5) * _CELL_OCTAVES
-    best, least = _Law(*_USUAL, 0.0), np.inf
-    for a in _ANGLES_DEG:
-        for o in _OCTAVES:
+    weight = 1.0 / np.sqrt(np.maximum(count, tuning.least_variance))
+    angle = (np.arange(rows)[:, None] + 0.5) * tuning.cell_deg
+    octave = (np.arange(columns)[None] + 0.5) * tuning.cell_octaves
+    for a in tuning.angles_deg:
+        for o in tuning.octaves:
             likely = table @ np.exp(-((angle / a) ** 2) - (octave / o) ** 2).ravel()
             found, residual = nnls(np.stack([likely, np.ones(len(count))], axis=1) * weight[:, None], count * weight)
             if residual < least and found[0] > 0:

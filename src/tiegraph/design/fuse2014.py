@@ -12,6 +12,7 @@ from tiegraph.scene.graph import forest, parts
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 
+# The paper's own numbers: they define its method.
 WEAK = 25  # matches, paper 002 section 4.2.1
 SIMILAR = 500.0  # distance to the object over base length, paper 002 section 4.2.2
 PARTS = 5  # consecutive partial graphs cut beside the whole one, paper 002 section 4.2.3

@@ -2,38 +2,38 @@
 
 A pair may fail: previews promise, matching at full resolution tells. So one pair is not enough to hold an image. Across
 every cut of the graph of candidates, that around a single image and that between two halves of the survey alike, the
-strongest pairs stay until ``WANTED`` of them are expected to be verified, or all of them.
+strongest pairs stay until so many as are ``wanted`` of them are expected to be verified, or all of them.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from tiegraph.design.tuning import HoldingTuning
 from tiegraph.scene.graph import forest, parts
 
-WANTED = 3.0
-_CHANCES = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)  # a chance counts as the next one below
-_WORTH = (*zip(_CHANCES, _CHANCES), (0.95, 1.0))
 
-
-def holding(i: np.ndarray, j: np.ndarray, strength: np.ndarray, chance: np.ndarray, nodes: int) -> list[np.ndarray]:
+def holding(
+    i: np.ndarray, j: np.ndarray, strength: np.ndarray, chance: np.ndarray, nodes: int, tuning: HoldingTuning
+) -> list[np.ndarray]:
     """Places of the pairs i, j (P,) that stay, in rounds; ``chance`` (P,) of being verified rises with ``strength``.
 
     Each round is a maximum spanning forest of the pairs left over, so k rounds hold the k strongest pairs across every
     cut (Nagamochi and Ibaraki 1992). A pair is done with when its ends are joined in so many forests that the weakest
-    pairs on the ways between them are together worth ``WANTED`` sure ones: each cut it crosses is crossed by those too.
+    pairs on the ways between them are together worth ``wanted`` sure ones: each cut it crosses is crossed by those too.
     """
     left, sure = np.arange(len(i)), np.zeros(len(i))
     rounds: list[np.ndarray] = []
+    steps = (*zip(tuning.chances, tuning.chances), (tuning.sure, 1.0))
     while len(left):
         tree = left[forest(i[left], j[left], strength[left], nodes)]
         rounds.append(tree)
         left = np.setdiff1d(left, tree)
         weakest = np.zeros(len(left))
-        for least, worth in _WORTH:
+        for least, worth in steps:
             sound = tree[chance[tree] >= least]
             part = parts(i[sound], j[sound], nodes)
             weakest[part[i[left]] == part[j[left]]] = worth
         sure[left] += weakest
-        left = left[sure[left] < WANTED]
+        left = left[sure[left] < tuning.wanted]
     return rounds

@@ -1,13 +1,13 @@
 """Design by greedy choice: the pairs that add most to the network, until the accuracy by previews is near that of all.
 
 Gain of a pair that would join ``new`` tracks of its ``n`` matches, between images of effective resistance R in the
-network chosen so far: log(1 + R (new + 0.05 n)). That is the growth of the log-determinant of the network's Laplacian
-(tree-connectivity: Khosoussi et al. 2016, arXiv 1611.00889) with the matches that bundle adjustment does not have yet.
-Tree-connectivity itself is log(1 + R n). Both shrink as pairs are chosen, so choosing greedily is near the optimum.
+network chosen so far: log(1 + R (new + known n)), where matches of tracks that are joined already count little. That is
+the growth of the log-determinant of the network's Laplacian (tree-connectivity: Khosoussi et al. 2016, arXiv
+1611.00889) with the matches that bundle adjustment does not have yet. Tree-connectivity itself is log(1 + R n). Both
+shrink as pairs are chosen, so choosing greedily is near the optimum.
 
-Pairs are chosen in rounds that grow the network by 3 to 10 %, each image once a round while pairs are few: all gains
-are computed together, and a pair chosen does not make its neighbours' gains stale. Measured on simulated surveys of
-150 and 200 images, rounds of 3 % give the sigma of one pair at a time within 1 %.
+Pairs are chosen in rounds that grow the network by a few percent, each image once a round while pairs are few: all
+gains are computed together, and a pair chosen does not make its neighbours' gains stale.
 """
 
 from __future__ import annotations
@@ -20,13 +20,9 @@ import numpy as np
 from tiegraph.design.measure import ByNet, Measure
 from tiegraph.design.predict import Predictor
 from tiegraph.design.tracks import Candidates, Tracks
+from tiegraph.design.tuning import GrowthTuning, Tuning
 
 _log = logging.getLogger(__name__)
-
-_FINE, _COARSE, _MANY = 0.03, 0.10, 20_000  # growth of a round for small networks and for those of many images
-_DENSE = 4  # pairs an image from which on rounds are coarse in small networks too
-_LOOK = 0.20  # growth of the network between two looks at its accuracy, which cost more than a round
-_HALVINGS = 4  # of the last step, to find where the budget was met
 
 
 @dataclass(frozen=True)
@@ -48,7 +44,12 @@ class Budget:
 
 
 def choose(
-    candidates: Candidates, start: np.ndarray, budget: Budget, by_tracks: bool = True, measure: Measure | None = None
+    candidates: Candidates,
+    start: np.ndarray,
+    budget: Budget,
+    tuning: Tuning,
+    by_tracks: bool = True,
+    measure: Measure | None = None,
 ) -> Choice:
     """Greedy design from the candidates at start (K,), which must connect what is connectable; never fewer than those.
 
@@ -56,35 +57,35 @@ def choose(
     the loss, by default those of the net of resistances.
     """
     if measure is None:
-        measure = ByNet(candidates, by_tracks, Predictor(candidates, by_tracks) if budget.loss is not None else None)
-    tracks = Tracks(candidates)
+        judge = Predictor(candidates, tuning.net, by_tracks) if budget.loss is not None else None
+        measure = ByNet(candidates, by_tracks, judge, tuning)
+    tracks, own = Tracks(candidates, tuning.net), tuning.growth
     chosen = np.zeros(len(candidates), bool)
     chosen[start] = True
     measure.chose(start, np.where(chosen, candidates.expected, 0.0))
     tracks.choose(start, tracks.new())
     order, loss, rounds, looked, before = [start], np.nan, 0, 0, 0
-    growth = _FINE if candidates.images <= _MANY else _COARSE
+    growth = own.fine if candidates.images <= own.many_images else own.coarse
     while True:
         count = int(chosen.sum())
         done = count == len(candidates)
-        if budget.loss is not None and (done or count >= (1 + _LOOK) * looked):
+        if budget.loss is not None and (done or count >= (1 + own.look) * looked):
             before, looked = looked, count
             loss = measure.loss(tracks.chosen, tracks)
             _log.info("round %d: %d of %d pairs, loss over previews %.1f %%", rounds, count, len(chosen), 100 * loss)
             if loss <= budget.loss:
                 places = np.concatenate(order)
-                end, loss = _shortest(
-                    places, len(chosen), (max(before, len(start)), count), (loss, budget.loss), measure
-                )
+                between = max(before, len(start)), count
+                end, loss = _shortest(places, len(chosen), between, (loss, budget.loss), measure, own)
                 return Choice(places[:end], loss, rounds)
         room = min(budget.pairs, len(candidates)) - count
         if room <= 0:
             break
         new = tracks.new() if by_tracks else np.where(chosen, 0.0, candidates.expected)
-        pace = growth if count < _DENSE * candidates.images else _COARSE
+        pace = growth if count < own.dense_pairs * candidates.images else own.coarse
         wanted = min(max(1, int(pace * count)), room)
         each = max(1, round(2 * pace * count / candidates.images))
-        picked = _apart(candidates, measure.gains(chosen, tracks, new, wanted), wanted, each)
+        picked = _apart(candidates, measure.gains(chosen, tracks, new, wanted), wanted, each, own)
         if not len(picked):  # nothing tells the rest apart
             picked = np.flatnonzero(~chosen)[:room]
         measure.chose(picked, new)
@@ -96,12 +97,17 @@ def choose(
 
 
 def _shortest(
-    places: np.ndarray, pairs: int, between: tuple[int, int], losses: tuple[float, float], measure: Measure
+    places: np.ndarray,
+    pairs: int,
+    between: tuple[int, int],
+    losses: tuple[float, float],
+    measure: Measure,
+    tuning: GrowthTuning,
 ) -> tuple[int, float]:
     """The least number of the first places of ``pairs``, within bounds, of an allowed loss, and it; ``losses``: that
     at the upper bound, allowed."""
     (low, high), (loss, allowed) = between, losses
-    for _ in range(_HALVINGS):
+    for _ in range(tuning.halvings):
         middle = (low + high) // 2
         if middle <= low:
             break
@@ -112,12 +118,12 @@ def _shortest(
     return high, loss
 
 
-def _apart(c: Candidates, gain: np.ndarray, count: int, each: int) -> np.ndarray:
+def _apart(c: Candidates, gain: np.ndarray, count: int, each: int, tuning: GrowthTuning) -> np.ndarray:
     """Places of up to count pairs of the largest gain, at most ``each`` of an image."""
     free = [each] * c.images
     picked: list[int] = []
     live = np.flatnonzero(gain >= 0)
-    width = min(len(live), 20 * count)  # sorting all for each round would cost more than choosing
+    width = min(len(live), tuning.sorted_times * count)
     while True:
         top = live if width == len(live) else live[np.argpartition(-gain[live], width)[:width]]
         top = top[np.argsort(-gain[top], kind="stable")]

@@ -10,14 +10,9 @@ from tiegraph.design.bundle import Bundle
 from tiegraph.design.predict import joined
 from tiegraph.design.resistance import Net, laplacian
 from tiegraph.design.tracks import Candidates, Tracks
+from tiegraph.design.tuning import MeasureTuning, Tuning
 
-KNOWN = 0.05  # worth of a match whose track is joined already: another observation against outliers
-_AGAIN = 0.20  # growth of the network after which the bundle's information is made anew from its tracks
-_ALL = 0.5  # growth after which the gains of all pairs are computed anew; between, of those that were best
 _SEED = 0
-_FREE = 0.1  # sigma of a frame that nothing holds, in sizes of the survey
-_LEAST_HELD = 0.5  # of the frames, for a loss to mean anything
-_TOP = (6.0, 400)  # times the number of pairs wanted, and more, whose gains are computed anew each round
 
 
 class Loss(Protocol):
@@ -42,22 +37,23 @@ class Measure(Loss, Protocol):
 class ByNet:
     """Effective resistances: every image one unknown. For large surveys, and where images share no unknowns."""
 
-    def __init__(self, candidates: Candidates, by_tracks: bool, judge: Loss | None) -> None:
-        self._c, self._by_tracks, self._judge = candidates, by_tracks, judge
+    def __init__(self, candidates: Candidates, by_tracks: bool, judge: Loss | None, tuning: Tuning) -> None:
+        self._c, self._by_tracks, self._judge, self._tuning = candidates, by_tracks, judge, tuning
         self._weight = np.zeros(len(candidates))
 
     def gains(self, chosen: np.ndarray, tracks: Tracks, new: np.ndarray, wanted: int) -> np.ndarray:
-        """log(1 + R (new + 0.05 n)) with the effective resistance R; by matches alone log(1 + R n)."""
+        """log(1 + R (new + known n)) with the effective resistance R; by matches alone log(1 + R n)."""
         c = self._c
-        worth = new + KNOWN * c.expected if self._by_tracks else c.expected
-        resistance = Net(laplacian(c.i, c.j, self._weight, c.images)).resistance(c.i, c.j)
+        worth = new + self._tuning.measure.known * c.expected if self._by_tracks else c.expected
+        resistance = Net(laplacian(c.i, c.j, self._weight, c.images), self._tuning.net).resistance(c.i, c.j)
         resistance = np.where(np.isfinite(resistance), resistance, 0.0)
         return np.where(chosen, -1.0, np.log1p(resistance * worth))
 
     def chose(self, places: np.ndarray, new: np.ndarray) -> None:
         """Their links in the net."""
         own = self._c.expected[places]
-        self._weight[places] = np.maximum(new[places], KNOWN * own) if self._by_tracks else own
+        least = self._tuning.measure.known * own
+        self._weight[places] = np.maximum(new[places], least) if self._by_tracks else own
 
     def loss(self, chosen: np.ndarray, tracks: Tracks | None = None) -> float:
         """As the judge says."""
@@ -68,22 +64,22 @@ class Judge:
     """The loss by the exact covariance of the bundle adjustment, over tracks drawn anew and without the pairs that are
     not verified: by the very tracks it was made by, a choice looks too good."""
 
-    def __init__(self, again: Bundle, chance: np.ndarray) -> None:
+    def __init__(self, again: Bundle, chance: np.ndarray, tuning: Tuning) -> None:
         """``again``: the candidates with another draw of ties; ``chance`` (E,) of each to be verified."""
-        self._again = again
+        self._again, self._tuning = again, tuning
         self._comes = np.random.default_rng(_SEED).random(len(chance)) < chance
         self._all = self._variances(np.ones(len(chance), bool))
 
     def loss(self, chosen: np.ndarray, tracks: Tracks | None = None) -> float:
         """Frames that all pairs leave as good as free do not count; where most are, nothing less than all will do."""
-        held = self._all < _FREE**2
-        if held.mean() < _LEAST_HELD:
+        held = self._all < self._tuning.measure.free**2
+        if held.mean() < self._tuning.measure.min_held:
             return 0.0 if chosen.all() else np.inf
         ratio = self._variances(chosen)[held].mean() / self._all[held].mean()
         return max(float(np.sqrt(ratio)) - 1.0, 0.0)
 
     def _variances(self, chosen: np.ndarray) -> np.ndarray:
-        tracks = joined(self._again.candidates, chosen & self._comes)
+        tracks = joined(self._again.candidates, chosen & self._comes, self._tuning.net)
         return self._again.variances(self._again.covariance(self._again.normal(tracks)))
 
 
@@ -91,25 +87,27 @@ class ByBundle:
     """The bundle adjustment itself, with what the images share. Gains only shrink as pairs are chosen, so the last one
     computed is a bound, and only the best by it are computed anew (Minoux 1978)."""
 
-    def __init__(self, bundle: Bundle, chance: np.ndarray, judge: Loss | None) -> None:
+    def __init__(self, bundle: Bundle, chance: np.ndarray, judge: Loss | None, tuning: MeasureTuning) -> None:
         """``chance`` (E,) of each candidate to be verified."""
         self._c, self._bundle, self._chance, self._judge = bundle.candidates, bundle, chance, judge
+        self._tuning = tuning
         self._normal: np.ndarray | None = None
         self._made = self._complete = 0  # number of pairs chosen when the information, and all gains, were made anew
         self._bound = np.full(len(chance), np.inf)
 
     def gains(self, chosen: np.ndarray, tracks: Tracks, new: np.ndarray, wanted: int) -> np.ndarray:
         """Fall of the mean variance by each pair; a pair of an image without pose gains what others do a match."""
-        count = int(chosen.sum())
-        if self._normal is None or count >= (1 + _AGAIN) * self._made:
+        count, tuning = int(chosen.sum()), self._tuning
+        if self._normal is None or count >= (1 + tuning.again) * self._made:
             self._normal, self._made = self._bundle.normal(tracks), count
         covariance = self._bundle.covariance(self._normal)
-        worth = self._chance * (new + KNOWN * self._c.expected)
+        worth = self._chance * (new + tuning.known * self._c.expected)
         free = np.flatnonzero(~chosen & self._bundle.usable)
-        if count >= (1 + _ALL) * self._complete:
+        if count >= (1 + tuning.all_again) * self._complete:
             self._complete = count
         else:
-            free = free[np.argsort(-self._bound[free], kind="stable")[: int(_TOP[0] * wanted) + _TOP[1]]]
+            most = int(tuning.top_times * wanted) + tuning.top_more
+            free = free[np.argsort(-self._bound[free], kind="stable")[:most]]
         found = self._bundle.gains(covariance, free, worth[free])
         self._bound[free] = found
         out = np.full(len(chosen), -1.0)
@@ -123,7 +121,7 @@ class ByBundle:
         """Their equations, until the tracks tell better."""
         if self._normal is not None:
             own = places[self._bundle.usable[places]]
-            worth = self._chance[own] * (new[own] + KNOWN * self._c.expected[own])
+            worth = self._chance[own] * (new[own] + self._tuning.known * self._c.expected[own])
             self._normal = self._bundle.add(self._normal, own, worth)
 
     def loss(self, chosen: np.ndarray, tracks: Tracks | None = None) -> float:

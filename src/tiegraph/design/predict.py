@@ -7,12 +7,7 @@ from scipy.sparse import csr_array
 
 from tiegraph.design.resistance import Net, laplacian, of_tracks
 from tiegraph.design.tracks import Candidates, Tracks, entries
-
-_LEAST = 0.01  # of what an unseen pair was expected to join is counted always: no chosen pair ties nothing
-# power from the ratio of predicted sigmas to that of adjusted ones: ``Predictor.loss``
-_BY_TRACKS, _BY_MATCHES = 2.5, 1.7
-_RIG_DRIFT = 8.0  # the same for frames of a known rig, whose net is stiffer than their adjustment: 2 on KITTI, 11 on
-# PandaSet, 16 on canal_demo, where rig and intrinsics are adjusted too (design_real.py); too large costs only pairs
+from tiegraph.design.tuning import NetTuning
 
 
 class Predictor:
@@ -25,14 +20,16 @@ class Predictor:
     count, and a camera that sees little hangs on the others.
     """
 
-    def __init__(self, candidates: Candidates, by_tracks: bool = True, unit: np.ndarray | None = None) -> None:
-        self._candidates = candidates
-        self._drift = _BY_TRACKS if by_tracks else _BY_MATCHES
+    def __init__(
+        self, candidates: Candidates, tuning: NetTuning, by_tracks: bool = True, unit: np.ndarray | None = None
+    ) -> None:
+        self._candidates, self._tuning = candidates, tuning
         n = candidates.images
         number = np.arange(n) if unit is None else np.unique(unit, return_inverse=True)[1]
-        self._rigid = int(number.max(initial=-1)) + 1 < n
+        rigid = int(number.max(initial=-1)) + 1 < n
+        self._power = tuning.power_rig if rigid else tuning.power_tracks if by_tracks else tuning.power_matches
         self._unit = csr_array((np.ones(n), (number, np.arange(n))), shape=(int(number.max(initial=-1)) + 1, n))
-        tracks = joined(candidates, np.ones(len(candidates), bool))
+        tracks = joined(candidates, np.ones(len(candidates), bool), tuning)
         self._final = tracks.pieces()
         self._all = self.variance(np.ones(len(candidates), bool), tracks)
         self._seen = float(candidates.seen.mean()) if len(candidates) else 1.0
@@ -45,30 +42,30 @@ class Predictor:
         losses of 5 to 30 % (benchmarks/network/design_simulated.py). Where few pairs were seen the net makes losses too
         large instead, and the power goes down to 1.
         """
-        power = 1.0 + ((_RIG_DRIFT if self._rigid else self._drift) - 1.0) * self._seen**2
+        power = 1.0 + (self._power - 1.0) * self._seen**2
         value = self.variance(chosen, tracks)
         return max((value / self._all) ** (0.5 * power) - 1.0, 0.0) if self._all > 0 else 0.0
 
     def variance(self, chosen: np.ndarray, tracks: Tracks | None = None) -> float:
         """Variance in units of no meaning for chosen (E,) bool; ``tracks``: theirs, if they are joined already."""
         c = self._candidates
-        tracks = joined(c, chosen) if tracks is None else tracks
+        tracks = joined(c, chosen, self._tuning) if tracks is None else tracks
         seen = tracks.incidence()
         matrix = of_tracks(seen)
         unseen = np.flatnonzero(chosen & ~c.seen)
         if len(unseen):
             i, j, expected = c.i[unseen], c.j[unseen], c.expected[unseen]
-            new = np.maximum(expected - entries(tracks.joint(), i, j), _LEAST * expected)
+            new = np.maximum(expected - entries(tracks.joint(), i, j), self._tuning.least_share * expected)
             apart = np.maximum(tracks.pieces() - self._final, 0.0)
             asked = np.bincount(i, new, c.images) + np.bincount(j, new, c.images)
             share = np.minimum(apart / np.maximum(asked, 1e-9), 1.0)
-            new *= np.maximum(np.minimum(share[i], share[j]), _LEAST)
+            new *= np.maximum(np.minimum(share[i], share[j]), self._tuning.least_share)
             matrix = csr_array(matrix + laplacian(i, j, new, c.images))
-        return Net(csr_array(self._unit @ matrix @ self._unit.T)).variance()
+        return Net(csr_array(self._unit @ matrix @ self._unit.T), self._tuning).variance()
 
 
-def joined(candidates: Candidates, chosen: np.ndarray) -> Tracks:
+def joined(candidates: Candidates, chosen: np.ndarray, tuning: NetTuning) -> Tracks:
     """The tracks of the seen ones among the chosen pairs."""
-    tracks = Tracks(candidates)
+    tracks = Tracks(candidates, tuning)
     tracks.join(np.flatnonzero(chosen & candidates.seen))
     return tracks

@@ -12,9 +12,8 @@ from scipy.sparse import coo_array, csr_array, diags_array, eye_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
-EXACT = 700  # nodes up to which the inverse is dense and exact
-PROJECTIONS = 48  # random ones beyond: a resistance is then known to sqrt(2 / 48) = 20 % (Spielman and Srivastava 2008)
-_WAVES = 24  # long waves of a large net whose variance is computed one by one
+from tiegraph.design.tuning import NetTuning
+
 _GROUND = 1e-7  # of the mean diagonal: makes the matrix of a floating net regular
 
 
@@ -36,13 +35,14 @@ def of_tracks(seen: csr_array) -> csr_array:
 class Net:
     """A Laplacian factorised once: resistances between nodes and the mean variance of the nodes."""
 
-    def __init__(self, matrix: csr_array, seed: int = 0) -> None:
+    def __init__(self, matrix: csr_array, tuning: NetTuning, seed: int = 0) -> None:
+        self._tuning = tuning
         self.nodes = matrix.shape[0]
         self.part = connected_components(matrix, directed=False)[1]
         self._size = np.bincount(self.part)
         self._rng = np.random.default_rng(seed)
         self._matrix = matrix
-        self._dense = self._inverse(matrix) if self.nodes <= EXACT else None
+        self._dense = self._inverse(matrix) if self.nodes <= tuning.exact_nodes else None
         if self._dense is None:
             ground = _GROUND * max(float(matrix.diagonal().mean()), 1e-12)
             grounded = (matrix + ground * eye_array(self.nodes)).tocsc()
@@ -69,12 +69,12 @@ class Net:
         return np.where(self.part[i] == self.part[j], np.maximum(out, 0.0), np.inf)
 
     def _samples(self) -> np.ndarray:
-        """(n, PROJECTIONS) f4 random draws of the nodes with the pseudo-inverse as covariance."""
+        """(n, projections) f4 random draws of the nodes with the pseudo-inverse as covariance."""
         upper = self._matrix.tocoo()
         link = upper.row < upper.col
         row, col, weight = upper.row[link], upper.col[link], np.sqrt(np.maximum(-upper.data[link], 0.0))
-        right = np.empty((self.nodes, PROJECTIONS))
-        for k in range(PROJECTIONS):
+        right = np.empty((self.nodes, self._tuning.projections))
+        for k in range(self._tuning.projections):
             noise = weight * self._rng.choice((-1.0, 1.0), len(weight))
             right[:, k] = np.bincount(row, noise, self.nodes) - np.bincount(col, noise, self.nodes)
         return self._factor.solve(right).astype(np.float32)
@@ -82,7 +82,7 @@ class Net:
     def variance(self) -> float:
         """Mean variance of the nodes about the mean of their component (trace of the pseudo-inverse by nodes).
 
-        Beyond EXACT nodes an estimate: the part of a few long waves exactly, the rest at random (Hutch++, Meyer et al.
+        Of a large net an estimate: the part of a few long waves exactly, the rest at random (Hutch++, Meyer et al.
         2021, arXiv 2010.09649); plain random vectors would be off by a fifth, for long waves make up most of it.
         """
         if self._dense is not None:
@@ -92,10 +92,10 @@ class Net:
         exact = float(np.sum(waves * self._factor.solve(waves)))
         rest = self._signs()
         rest = self._centred(rest - waves @ (waves.T @ rest))
-        return (exact + float(np.sum(rest * self._factor.solve(rest))) / _WAVES) / self.nodes
+        return (exact + float(np.sum(rest * self._factor.solve(rest))) / self._tuning.waves) / self.nodes
 
     def _signs(self) -> np.ndarray:
-        return self._centred(self._rng.choice((-1.0, 1.0), (self.nodes, _WAVES)))
+        return self._centred(self._rng.choice((-1.0, 1.0), (self.nodes, self._tuning.waves)))
 
     def _centred(self, vectors: np.ndarray) -> np.ndarray:
         """Vectors (n, K) less their mean in every component."""

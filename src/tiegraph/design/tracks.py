@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import coo_array, csr_array, diags_array
 
+from tiegraph.design.tuning import NetTuning
 from tiegraph.scene.ties import Ties
 
-WIDE = 300  # images of a track; COLMAP's mapper takes none of more than 100
 _BLOCK = 1 << 22  # matches looked at together: bounds the memory
 
 
@@ -68,8 +68,9 @@ class Tracks:
     features that k shares with j (one step, as if these v were any of j's features).
     """
 
-    def __init__(self, candidates: Candidates) -> None:
+    def __init__(self, candidates: Candidates, tuning: NetTuning) -> None:
         self.candidates = candidates
+        self._tuning = tuning
         self.parent = np.arange(len_of(candidates), dtype=np.int32)
         self.extra = np.zeros(len(candidates))
         self.chosen = np.zeros(len(candidates), bool)
@@ -152,16 +153,17 @@ class Tracks:
         """(N, T) observations of the tracks of at least two nodes in each image.
 
         A few wrong matches are enough to make one track of a large part of all features. It would link every image
-        with every other: a track of more than WIDE images counts as one track for each WIDE images in a row.
+        with every other: a track of more than ``wide_images`` counts as one track for each so many in a row.
         """
+        most = self._tuning.wide_images
         label, first = self.parent, self.candidates.first
         size = np.bincount(label, minlength=len(label))
-        wide = np.flatnonzero(size[label] > WIDE)
+        wide = np.flatnonzero(size[label] > most)
         if len(wide):
             image = np.searchsorted(first, wide, side="right") - 1
             views = np.bincount(np.unique(label[wide].astype(np.int64) << 32 | image) >> 32, minlength=len(size))
-            wide, image = wide[views[label[wide]] > WIDE], image[views[label[wide]] > WIDE]
-            piece = np.unique(label[wide].astype(np.int64) << 32 | image // WIDE, return_inverse=True)[1]
+            wide, image = wide[views[label[wide]] > most], image[views[label[wide]] > most]
+            piece = np.unique(label[wide].astype(np.int64) << 32 | image // most, return_inverse=True)[1]
             label = label.copy()
             label[wide] = len(size) + piece
             size = np.bincount(label)

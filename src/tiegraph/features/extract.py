@@ -12,20 +12,23 @@ from tiegraph.errors import InputError, choose
 from tiegraph.features.colmap import extract_colmap
 from tiegraph.features.settings import FeaturesSettings
 from tiegraph.features.sift import extract_sift
+from tiegraph.features.tuning import SiftTuning
 from tiegraph.scene.images import read_pixels
 
-Extractor = Callable[[np.ndarray, np.ndarray | None, FeaturesSettings], tuple[np.ndarray, np.ndarray]]
+Extractor = Callable[[np.ndarray, np.ndarray | None, FeaturesSettings, SiftTuning], tuple[np.ndarray, np.ndarray]]
 EXTRACTORS: dict[str, Extractor] = {"opencv": extract_sift, "colmap": extract_colmap}
 
 
-def extract_image(image: Path, mask: Path | None, settings: FeaturesSettings) -> tuple[np.ndarray, np.ndarray]:
+def extract_image(
+    image: Path, mask: Path | None, settings: FeaturesSettings, tuning: SiftTuning
+) -> tuple[np.ndarray, np.ndarray]:
     """Keypoints (K, 4) f4 and descriptors (K, 128) u1 of an image file, none where the mask file is 0.
 
     Raises InputError for an image or mask that is missing, unreadable, or of different sizes.
     """
     extractor = cast(Extractor, choose("feature engine", settings.engine, EXTRACTORS))
     gray = read_gray(image)
-    return extractor(gray, None if mask is None else read_mask(mask, gray.shape), settings)
+    return extractor(gray, None if mask is None else read_mask(mask, gray.shape), settings, tuning)
 
 
 def read_gray(image: Path) -> np.ndarray:

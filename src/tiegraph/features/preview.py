@@ -16,15 +16,9 @@ import pycolmap
 
 from tiegraph.features.preview_settings import PreviewSettings
 from tiegraph.features.sift import DESCRIPTOR_NORM, root_sift
+from tiegraph.features.tuning import PreviewTuning
 
 BINS = 16  # of the brightness histogram
-MIN_MATCHES = 8  # fewer tentative matches than this are not worth a RANSAC
-_CONTRAST = 0.02  # half of Lowe's: dark stretches under bridges have little contrast
-_EDGES = 12.0
-_CELLS = 8  # grid cells along the longest side, for the spreading
-_MAX_DISTANCE = 0.7  # of unit descriptors, as in COLMAP
-_CONFIDENCE = 0.99
-_MAX_TRIALS = 200
 
 
 @dataclass(frozen=True)
@@ -79,7 +73,9 @@ class PreviewMatch:
     matches: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.uint16))
 
 
-def extract_preview(gray: np.ndarray, mask: np.ndarray | None, settings: PreviewSettings) -> Preview:
+def extract_preview(
+    gray: np.ndarray, mask: np.ndarray | None, settings: PreviewSettings, tuning: PreviewTuning
+) -> Preview:
     """Preview of a grey image (H, W) u1; ``mask`` (H, W) bool, True = use. Raises ValueError on bad shapes."""
     if gray.ndim != 2 or gray.dtype != np.uint8:
         raise ValueError(f"a preview needs a grey (H, W) uint8 image, got {gray.shape} {gray.dtype}")
@@ -90,8 +86,8 @@ def extract_preview(gray: np.ndarray, mask: np.ndarray | None, settings: Preview
     scale = min(1.0, settings.size_px * float(np.sqrt(0.75 / (height * width))))
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     small = gray if scale == 1.0 else cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
-    use = None if mask is None else _small_mask(mask, size)
-    points, descriptors = _spread_sift(small, use, settings)
+    use = None if mask is None else _small_mask(mask, size, tuning)
+    points, descriptors = _spread_sift(small, use, settings, tuning)
     # OpenCV counts from the centre of the first pixel, COLMAP from its corner.
     xy = (points + 0.5) * np.array([width / size[0], height / size[1]])
     histogram = np.bincount(np.asarray(small).ravel() // (256 // BINS), minlength=BINS).astype(np.float32)
@@ -99,21 +95,25 @@ def extract_preview(gray: np.ndarray, mask: np.ndarray | None, settings: Preview
     return Preview(xy.astype(np.float32), descriptors, width, height, scale, float(small.mean()), shares)
 
 
-def _small_mask(mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+def _small_mask(mask: np.ndarray, size: tuple[int, int], tuning: PreviewTuning) -> np.ndarray:
     share = cv2.resize(mask.astype(np.uint8) * 255, size, interpolation=cv2.INTER_AREA)
-    return np.where(share >= 128, 255, 0).astype(np.uint8)
+    return np.where(share >= 255 * tuning.min_used, 255, 0).astype(np.uint8)
 
 
-def _spread_sift(small: np.ndarray, use: np.ndarray | None, settings: PreviewSettings) -> tuple[np.ndarray, np.ndarray]:
+def _spread_sift(
+    small: np.ndarray, use: np.ndarray | None, settings: PreviewSettings, tuning: PreviewTuning
+) -> tuple[np.ndarray, np.ndarray]:
     """Points (K, 2) and root-SIFT (K, 128) u1 of the strongest features of each grid cell, round robin."""
-    sift = cv2.SIFT.create(nfeatures=0, contrastThreshold=_CONTRAST, edgeThreshold=_EDGES, enable_precise_upscale=True)
+    sift = cv2.SIFT.create(
+        nfeatures=0, contrastThreshold=tuning.contrast, edgeThreshold=tuning.edges, enable_precise_upscale=True
+    )
     found = sift.detect(small, use)
     if not found:
         return np.zeros((0, 2)), np.zeros((0, 128), np.uint8)
     points = np.array([k.pt for k in found])
     response = np.array([k.response for k in found])
-    cell = np.floor(np.maximum(points, 0) / (max(small.shape) / _CELLS)).astype(int)
-    keep = spread(cell[:, 0] + cell[:, 1] * 2 * _CELLS, response, settings.features)
+    cell = np.floor(np.maximum(points, 0) / (max(small.shape) / tuning.cells)).astype(int)
+    keep = spread(cell[:, 0] + cell[:, 1] * 2 * tuning.cells, response, settings.features)
     _, descriptors = sift.compute(small, [found[k] for k in keep])
     return points[keep], root_sift(descriptors)
 
@@ -133,25 +133,26 @@ def match_previews(
     camera_a: pycolmap.Camera | None,
     camera_b: pycolmap.Camera | None,
     settings: PreviewSettings,
+    tuning: PreviewTuning,
 ) -> PreviewMatch:
     """Inliers of the essential matrix (five points, Nister 2004) of two previews.
 
-    An unknown camera is guessed: measured on rendered images, focal lengths wrong by 0.8 to 2.5 keep the same pairs,
-    while a fundamental matrix needs a third more inliers for the same false alarms. No rotation is returned then.
+    An unknown camera is guessed: a fundamental matrix needs a third more inliers for the same false alarms. No rotation
+    is returned then.
     """
-    left, right = tentative(a, b, settings)
-    if len(left) < MIN_MATCHES:
+    left, right = tentative(a, b, settings, tuning)
+    if len(left) < tuning.least_matches:
         return PreviewMatch(0)
     known = camera_a is not None and camera_b is not None
-    camera_a, camera_b = camera_a or guessed_camera(a), camera_b or guessed_camera(b)
+    camera_a, camera_b = camera_a or guessed_camera(a, tuning), camera_b or guessed_camera(b, tuning)
     rays_a = np.asarray(camera_a.cam_from_img(a.xy[left].astype(np.float64)))
     rays_b = np.asarray(camera_b.cam_from_img(b.xy[right].astype(np.float64)))
     good = np.isfinite(rays_a).all(axis=1) & np.isfinite(rays_b).all(axis=1)
-    if good.sum() < MIN_MATCHES:
+    if good.sum() < tuning.least_matches:
         return PreviewMatch(0)
     focal = 0.5 * (camera_a.mean_focal_length() * a.scale + camera_b.mean_focal_length() * b.scale)
-    inliers, rotation = _essential(rays_a[good], rays_b[good], settings.max_error_px / focal)
-    if inliers.sum() < MIN_MATCHES:
+    inliers, rotation = _essential(rays_a[good], rays_b[good], settings.max_error_px / focal, tuning)
+    if inliers.sum() < tuning.least_matches:
         return PreviewMatch(0)
     share_a = a.xy[left[good][inliers]] / (a.width, a.height)
     share_b = b.xy[right[good][inliers]] / (b.width, b.height)
@@ -159,10 +160,10 @@ def match_previews(
     return PreviewMatch(len(matches), rotation if known else None, np.median(share_b - share_a, axis=0), matches)
 
 
-def guessed_camera(preview: Preview) -> pycolmap.Camera:
-    """A pinhole as wide as long: focal length = longest side (53 degrees)."""
+def guessed_camera(preview: Preview, tuning: PreviewTuning) -> pycolmap.Camera:
+    """A pinhole of the guessed focal length."""
     size = preview.width, preview.height
-    params = [max(size), size[0] / 2, size[1] / 2]
+    params = [tuning.guessed_focal * max(size), size[0] / 2, size[1] / 2]
     return pycolmap.Camera(model="SIMPLE_PINHOLE", width=size[0], height=size[1], params=params)
 
 
@@ -171,12 +172,15 @@ def match_many(
     cameras: Sequence[pycolmap.Camera | None],
     pairs: np.ndarray,
     settings: PreviewSettings,
+    tuning: PreviewTuning,
 ) -> list[PreviewMatch]:
     """``match_previews`` of pairs (P, 2), rows index ``previews`` and ``cameras`` (one entry an image)."""
-    return [match_previews(previews[i], previews[j], cameras[i], cameras[j], settings) for i, j in pairs]
+    return [match_previews(previews[i], previews[j], cameras[i], cameras[j], settings, tuning) for i, j in pairs]
 
 
-def tentative(a: Preview, b: Preview, settings: PreviewSettings) -> tuple[np.ndarray, np.ndarray]:
+def tentative(
+    a: Preview, b: Preview, settings: PreviewSettings, tuning: PreviewTuning
+) -> tuple[np.ndarray, np.ndarray]:
     """Indices (M,), (M,) of descriptors that are each other's nearest and pass the ratio test."""
     nothing = np.zeros(0, int)
     if len(a) < 2 or len(b) < 2:
@@ -188,18 +192,22 @@ def tentative(a: Preview, b: Preview, settings: PreviewSettings) -> tuple[np.nda
     mutual = cosine.argmax(axis=0)[nearest] == rows
     cosine[rows, nearest] = -1.0
     best, second = (np.sqrt(np.maximum(0, 2 - 2 * c)) for c in (best, cosine.max(axis=1)))
-    good = mutual & (best <= settings.ratio * second) & (best <= _MAX_DISTANCE)
+    good = mutual & (best <= settings.ratio * second) & (best <= tuning.max_distance)
     return rows[good], nearest[good]
 
 
-def _essential(rays_a: np.ndarray, rays_b: np.ndarray, max_error: float) -> tuple[np.ndarray, np.ndarray | None]:
+def _essential(
+    rays_a: np.ndarray, rays_b: np.ndarray, max_error: float, tuning: PreviewTuning
+) -> tuple[np.ndarray, np.ndarray | None]:
     """Inliers (M,) bool and rotation of rays (M, 2), normalised image coordinates."""
     eye = np.eye(3)
-    matrix, found = cv2.findEssentialMat(rays_a, rays_b, eye, cv2.USAC_FAST, _CONFIDENCE, max_error, _MAX_TRIALS)
+    matrix, found = cv2.findEssentialMat(
+        rays_a, rays_b, eye, cv2.USAC_FAST, tuning.confidence, max_error, tuning.trials
+    )
     if matrix is None or found is None or matrix.shape != (3, 3):
         return np.zeros(len(rays_a), bool), None
     inliers = found.ravel() > 0
-    if inliers.sum() < MIN_MATCHES:
+    if inliers.sum() < tuning.least_matches:
         return inliers, None
     _, rotation, _, _ = cv2.recoverPose(matrix, rays_a, rays_b, eye, mask=found.copy())
     return inliers, rotation

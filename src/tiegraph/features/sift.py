@@ -6,18 +6,14 @@ import cv2
 import numpy as np
 
 from tiegraph.features.settings import FeaturesSettings
+from tiegraph.features.tuning import SiftTuning
 
-OCTAVE_LAYERS = 3  # Lowe 2004, section 3.3; both extractors divide the contrast threshold by it
 # COLMAP stores root-SIFT scaled by 512 in one byte (colmap/feature/utils.cc); its matcher counts on that length.
 DESCRIPTOR_NORM = 512.0
-# Sigmas of a key point that must be free: where a building ends against a masked sky, the place of a blob leans towards
-# it. On canal such key points turned the front camera against the rig by 0.01-0.02 deg; they are 5 % of all.
-SUPPORT = 3.0
-ENOUGH = 500  # of such; an image with fewer (an up camera, which sees little but roof lines) keeps the others too
 
 
 def extract_sift(
-    gray: np.ndarray, mask: np.ndarray | None, settings: FeaturesSettings
+    gray: np.ndarray, mask: np.ndarray | None, settings: FeaturesSettings, tuning: SiftTuning
 ) -> tuple[np.ndarray, np.ndarray]:
     """SIFT features of a grey image (H, W) u1; none are kept where ``mask`` (H, W) bool is False.
 
@@ -30,7 +26,7 @@ def extract_sift(
     # Without the precise upscale OpenCV's key points lie 0.25 pixels too far right and down.
     sift = cv2.SIFT.create(
         nfeatures=0,
-        nOctaveLayers=OCTAVE_LAYERS,
+        nOctaveLayers=tuning.octave_layers,
         contrastThreshold=settings.contrast,
         enable_precise_upscale=True,
     )
@@ -47,7 +43,7 @@ def extract_sift(
     response = np.array([k.response for k in found])
     order = np.lexsort((keypoints[:, 3], keypoints[:, 0], keypoints[:, 1], -response))
     # OpenCV would cut to the strongest before it looks at a mask: we mask first.
-    chosen = order[on_mask(keypoints[order, :3], mask)][: settings.max_features]
+    chosen = order[on_mask(keypoints[order, :3], mask, tuning)][: settings.max_features]
     return keypoints[chosen].astype(np.float32), root_sift(descriptors[chosen])
 
 
@@ -66,11 +62,11 @@ def check_input(gray: np.ndarray, mask: np.ndarray | None) -> None:
         raise ValueError(f"mask {mask.shape} {mask.dtype} does not fit the image {gray.shape}")
 
 
-def on_mask(keypoints: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
+def on_mask(keypoints: np.ndarray, mask: np.ndarray | None, tuning: SiftTuning) -> np.ndarray:
     """(K,) bool: which key points (K, 3 or more: x, y in corner convention, scale) have a free support.
 
-    That is a circle of ``SUPPORT`` scales in which the mask (H, W) is True; where fewer than ``ENOUGH`` have one, their
-    pixels count. All are kept without a mask.
+    That is a circle of ``support_sigmas`` scales in which the mask (H, W) is True; where fewer than ``enough_free``
+    have one, their pixels count. All are kept without a mask.
     """
     if mask is None:
         return np.ones(len(keypoints), bool)
@@ -78,8 +74,8 @@ def on_mask(keypoints: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
     free = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     column, row = np.floor(keypoints[:, :2]).astype(int).T
     distance = free[np.clip(row, 0, mask.shape[0] - 1), np.clip(column, 0, mask.shape[1] - 1)]
-    whole = np.asarray(distance > SUPPORT * keypoints[:, 2])
-    return whole if whole.sum() >= ENOUGH else np.asarray(distance > 0)
+    whole = np.asarray(distance > tuning.support_sigmas * keypoints[:, 2])
+    return whole if whole.sum() >= tuning.enough_free else np.asarray(distance > 0)
 
 
 def shrunk(gray: np.ndarray, max_image_size: int) -> np.ndarray:

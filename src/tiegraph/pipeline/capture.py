@@ -10,6 +10,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.features.preview import Preview, extract_preview
 from tiegraph.features.settings import PreviewSettings
+from tiegraph.features.tuning import PreviewTuning
 from tiegraph.pipeline.files import load_npz, read_image, read_mask, reading, save_npz, scanned
 from tiegraph.pipeline.given import check_against
 from tiegraph.project.run import Run
@@ -94,10 +95,8 @@ def _prepare_item(
 
 def preview(run: Run) -> Outcome:
     """Low-resolution features and brightness of every image, under its mask."""
-    scene = scanned(run)
-    run.make_missing(
-        _preview_item, scene.names, lambda n: preview_path(run.folder, n), run.folder, run.settings.preview
-    )
+    scene, settings, tuning = scanned(run), run.settings.preview, run.settings.tuning.features.preview
+    run.make_missing(_preview_item, scene.names, lambda n: preview_path(run.folder, n), run.folder, settings, tuning)
     return Outcome({"images": len(scene)})
 
 
@@ -113,6 +112,6 @@ def read_preview(folder: Path, name: str) -> Preview:
         return Preview.from_npz(load_npz(path))
 
 
-def _preview_item(name: str, folder: Path, settings: PreviewSettings) -> None:
-    found = extract_preview(read_image(folder / "images" / name), read_mask(folder, name), settings)
+def _preview_item(name: str, folder: Path, settings: PreviewSettings, tuning: PreviewTuning) -> None:
+    found = extract_preview(read_image(folder / "images" / name), read_mask(folder, name), settings, tuning)
     save_npz(preview_path(folder, name), **found.to_npz())

@@ -11,6 +11,7 @@ from tiegraph.features import database
 from tiegraph.features.extract import extract_image
 from tiegraph.features.match import match_pairs
 from tiegraph.features.settings import FeaturesSettings
+from tiegraph.features.tuning import SiftTuning
 from tiegraph.pipeline.files import checked, load_npz, mask_path, pairs_of, reading, save_npz, scanned
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
@@ -30,9 +31,9 @@ def features(run: Run) -> Outcome:
     there = database.images_with_features(path)
     todo = [(k, n) for k, n in enumerate(scene.names) if k not in there]
     run.reporter.total(len(scene), len(there))
-    step = _SLAB_IMAGES * run.workers
+    step, tuning = _SLAB_IMAGES * run.workers, run.settings.tuning.features.sift
     for start in range(0, len(todo), step):
-        found = run.map(_features_item, todo[start : start + step], run.folder, run.settings.features)
+        found = run.map(_features_item, todo[start : start + step], run.folder, run.settings.features, tuning)
         for first in range(0, len(found), _SLAB_IMAGES):  # the same transactions with any number of workers
             database.write_features(path, found[first : first + _SLAB_IMAGES])
     counts = np.array(list(database.feature_counts(path).values()))
@@ -41,9 +42,11 @@ def features(run: Run) -> Outcome:
     return Outcome(out, dropped=tuple(lost))
 
 
-def _features_item(item: tuple[int, str], folder: Path, settings: FeaturesSettings) -> database.Features:
+def _features_item(
+    item: tuple[int, str], folder: Path, settings: FeaturesSettings, tuning: SiftTuning
+) -> database.Features:
     index, name = item
-    return index, *extract_image(folder / "images" / name, mask_path(folder, name), settings)
+    return index, *extract_image(folder / "images" / name, mask_path(folder, name), settings, tuning)
 
 
 def forget_matches(folder: Path) -> None:

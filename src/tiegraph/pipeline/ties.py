@@ -19,6 +19,7 @@ from tiegraph.errors import ReconstructionError
 from tiegraph.features.preview import Preview, PreviewMatch, match_previews
 from tiegraph.features.preview_database import write_preview_database
 from tiegraph.features.settings import PreviewSettings
+from tiegraph.features.tuning import PreviewTuning
 from tiegraph.network.model.surveymodel import SurveyModel
 from tiegraph.network.network import estimate_network
 from tiegraph.network.pictures import map_png, weak_pairs
@@ -59,7 +60,8 @@ def network(run: Run) -> Outcome:
     def match(pairs: np.ndarray) -> list[PreviewMatch]:
         matched[0] += len(pairs)
         run.reporter.total(matched[0], matched[0] - len(pairs))
-        return run.map(_match_item, [(int(i), int(j)) for i, j in pairs], run.folder, run.settings.preview)
+        items = [(int(i), int(j)) for i, j in pairs]
+        return run.map(_match_item, items, run.folder, run.settings.preview, run.settings.tuning.features.preview)
 
     make_model, descriptors = partial(_survey_model, run), partial(_Descriptors, run.folder, scene)
     found = estimate_network(scene, light, match, run.settings.network, make_model, descriptors)
@@ -91,11 +93,11 @@ def _light(name: str, folder: Path) -> tuple[float, float]:
     return _preview(folder, name).brightness, 1.0 - float(read_mask(folder, name).mean()) if up else float("nan")
 
 
-def _match_item(pair: tuple[int, int], folder: Path, settings: PreviewSettings) -> PreviewMatch:
+def _match_item(pair: tuple[int, int], folder: Path, settings: PreviewSettings, tuning: PreviewTuning) -> PreviewMatch:
     scene = _scene(folder)
-    i, j = pair
     a, b = (scene.sensor_of(k).camera for k in pair)  # a guessed focal length serves as well
-    return match_previews(_preview(folder, scene.names[i]), _preview(folder, scene.names[j]), a, b, settings)
+    one, other = (_preview(folder, scene.names[k]) for k in pair)
+    return match_previews(one, other, a, b, settings, tuning)
 
 
 def _survey_model(run: Run, scene: Scene, ties: Ties, rough: bool) -> SurveyModel | None:
@@ -156,15 +158,18 @@ def design(run: Run) -> Outcome:
     """Which of the candidate pairs are matched at full resolution; COLMAP pair lists, one a section and one for all."""
     scene = checked(run)
     candidates, ties = pairs_of(run, "network.npz"), ties_of(run)
+    settings, tuning = run.settings, run.settings.tuning
     # In passes false pairs of walls that repeat cost more than time: canal_demo with all 2734 pairs 9.1 mm, with the
     # 1604 chosen ones 4.8 mm.
     loose = bool(np.all(scene.track[scene.frame] < 0))
     previews, spent = 0, _cost(run, scene, candidates) if loose else None
-    if not takes_all(run.settings.design, spent):
-        candidates, ties, previews = with_previews(candidates, ties, run.folder, run.settings.preview, run.map)
-    if run.settings.design.method.startswith("fuse2014"):
+    if not takes_all(settings.design, spent, tuning.design.cost):
+        candidates, ties, previews = with_previews(
+            candidates, ties, run.folder, settings.preview, tuning.features.preview, run.map
+        )
+    if settings.design.method.startswith("fuse2014"):
         candidates = with_accuracy(candidates, scene, ties, run.folder, run.map)
-    made = select_pairs(candidates, scene, ties, run.settings.design, _sights(run), spent)
+    made = select_pairs(candidates, scene, ties, settings.design, tuning.design, _sights(run), spent)
     pairs = made.pairs
     save_npz(run.path("pairs.npz"), **pairs.to_npz())
     write_atomic(run.path("pairs.txt"), pairs.to_text(scene.names))
@@ -191,12 +196,18 @@ def _cost(run: Run, scene: Scene, pairs: Pairs) -> Cost:
         percent = {row["image"]: float(row["used_percent"]) for row in csv.DictReader(file)}
         used = np.array([percent[name] / 100 for name in scene.names])
     megapixels, kept = sizes[scene.sensor_key], pairs.kept()
-    keypoints = foreseen_keypoints(megapixels, used, run.settings.features.max_features)
-    return cost(kept.i, kept.j, keypoints, megapixels)
+    tuning = run.settings.tuning.design.cost
+    keypoints = foreseen_keypoints(megapixels, used, run.settings.features.max_features, tuning)
+    return cost(kept.i, kept.j, keypoints, megapixels, tuning)
 
 
 def with_previews(
-    pairs: Pairs, ties: Ties, folder: Path, settings: PreviewSettings, run_map: Callable[..., list[Any]]
+    pairs: Pairs,
+    ties: Ties,
+    folder: Path,
+    settings: PreviewSettings,
+    tuning: PreviewTuning,
+    run_map: Callable[..., list[Any]],
 ) -> tuple[Pairs, Ties, int]:
     """The pairs and ties after previews of every kept pair of which nothing is known, and how many these were.
 
@@ -206,7 +217,7 @@ def with_previews(
     unknown = (pairs.dropped == 0) & np.isnan(pairs.score) & np.isnan(pairs.overlap)
     rows = np.flatnonzero(unknown & (ties.find(pairs.i, pairs.j) < 0))
     items = list(zip(pairs.i[rows].tolist(), pairs.j[rows].tolist()))
-    found: list[PreviewMatch] = run_map(_match_item, items, folder, settings)
+    found: list[PreviewMatch] = run_map(_match_item, items, folder, settings, tuning)
     if not found:
         return pairs, ties, 0
     score = pairs.score.copy()

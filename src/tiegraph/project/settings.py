@@ -13,9 +13,11 @@ from pydantic import ValidationError
 from tiegraph.cloud.settings import CloudSettings
 from tiegraph.dense.settings import DenseSettings, ShotsSettings
 from tiegraph.design.settings import DesignSettings
+from tiegraph.design.tuning import Tuning as DesignTuning
 from tiegraph.errors import SettingsError, choose
 from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.features.settings import FeaturesSettings, MatchSettings, PreviewSettings
+from tiegraph.features.tuning import Tuning as FeaturesTuning
 from tiegraph.masks.settings import MasksSettings, RemaskSettings
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.report.settings import ReportSettings
@@ -40,6 +42,8 @@ class Tunings(Section):
     """The constants that the engines decide by: tables ``[tuning.<engine>]`` of tiegraph.toml. They are the same for
     every user, so the command line does not show them; they are in reach for measurements."""
 
+    design: DesignTuning = DesignTuning()
+    features: FeaturesTuning = FeaturesTuning()
     verify: VerifyTuning = VerifyTuning()
     sfm: SfmTuning = SfmTuning()
 

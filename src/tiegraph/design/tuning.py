@@ -1,0 +1,194 @@
+"""What design decides by: each constant with its unit, its meaning and where its value comes from.
+
+Paper 002's numbers define the method fuse2014 and stand in ``fuse2014.py``.
+"""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from tiegraph.settings import Section
+
+
+class CostTuning(Section):
+    """What matching costs of a run (`cost.py`): CPU seconds of a core that matches 4096 key points with 4096 in 0.05 s.
+
+    Only ratios count. They give the runs in benchmarks/results (8 to 300 images; rendered, vehicle, facades, telephone)
+    within a factor of two.
+    """
+
+    pair_s: float = Field(0.004, ge=0)
+    """Of matching a pair."""
+    product_s: float = Field(2.8e-9, ge=0)
+    """Of matching, for each product of the pair's key points."""
+    start_s: float = Field(15.0, gt=0)
+    """Of a run, of everything else from scan to report."""
+    image_s: float = Field(1.2, ge=0)
+    """Of an image, of everything else."""
+    megapixel_s: float = Field(1.5, ge=0)
+    """Of an image's pixels, of everything else."""
+    large_mpx: float = Field(2.0, gt=0)
+    """More megapixels of an image cost little more: stages that work by the pixel reduce the images."""
+    keypoints_a_megapixel: float = Field(12000.0, gt=0)
+    """Key points of used area to expect at full resolution, on rich texture."""
+    little: float = Field(0.2, ge=0, le=1)
+    """Share of the run that matching all candidates may cost before it is worth choosing among them."""
+
+
+class ExpectedTuning(Section):
+    """Matches of pairs that were never previewed, by the overlap (`expected.py`)."""
+
+    bins: int = Field(12, gt=0)
+    """Of the curve of matches over overlap, with equal numbers of previewed pairs."""
+    least_a_bin: int = Field(30, gt=0)
+    """Previewed pairs a bin should hold."""
+    at_full_overlap: float = Field(60.0, gt=0)
+    """Matches at full overlap if nothing was previewed: only ratios matter then."""
+    floor: float = Field(0.25, ge=0, le=1)
+    """Of its expectation that a pair has at least: a preview that failed does not prove that full resolution does."""
+
+
+class ForeseenTuning(Section):
+    """Matches by the points of the preview model that two images should both see (`foreseen.py`)."""
+
+    angles_deg: tuple[float, ...] = Field((3.5, 5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0), min_length=1)
+    """Angles between the rays that are tried for the law: where chances fall to 1 / e."""
+    octaves: tuple[float, ...] = Field((0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 3.0), min_length=1)
+    """Ratios of the distances that are tried for the law, octaves: where chances fall to 1 / e."""
+    usual_angle_deg: float = Field(20.0, gt=0)
+    """Angle of the law where too few pairs were previewed to tell."""
+    usual_octaves: float = Field(0.7, gt=0)
+    """Octaves of the law where too few pairs were previewed to tell."""
+    usual_rate: float = Field(0.5, gt=0, le=1)
+    """Rate of the law where too few pairs were previewed to tell: 0.7 found in each image, as SIFT repeats."""
+    cell_deg: float = Field(1.75, gt=0)
+    """Width in angle of the cells of the tables the law is fitted to."""
+    cell_octaves: float = Field(0.1, gt=0)
+    """Width in octaves of the cells of the tables the law is fitted to."""
+    cells: tuple[int, int] = (40, 30)
+    """Number of these cells, in angle and in octaves; the last one holds what lies beyond."""
+    sample: int = Field(3000, gt=0)
+    """Previewed pairs that the law is fitted to: enough for its four numbers."""
+    least_previewed: int = Field(30, gt=0)
+    """Previewed pairs with common points below which the law is the usual one."""
+    even_matches: float = Field(7.5, gt=0)
+    """Preview matches with which every second pair is verified: full images find twice as many, 15 are needed."""
+    least_variance: float = Field(5.0, gt=0)
+    """Matches: the variance of a count is the count itself, and not less than this."""
+
+
+class HoldingTuning(Section):
+    """The pairs that stay whatever a design is after (`holding.py`)."""
+
+    wanted: float = Field(3.0, gt=0)
+    """Pairs across every cut that are expected to be verified."""
+    chances: tuple[float, ...] = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+    """Steps of the chance of being verified, rising: a chance counts as the next one below."""
+    sure: float = Field(0.95, ge=0, le=1)
+    """A chance from which a pair counts as sure."""
+
+
+class NetTuning(Section):
+    """The network as a one-dimensional adjustment of its tracks (`tracks.py`, `resistance.py`, `predict.py`)."""
+
+    wide_images: int = Field(300, gt=0)
+    """Images of a track: one of more, which wrong matches made, counts as one for each so many images in a row.
+    COLMAP's mapper takes none of more than 100."""
+    exact_nodes: int = Field(700, ge=0)
+    """Nodes up to which the inverse is dense and exact."""
+    projections: int = Field(48, gt=0)
+    """Random ones beyond: a resistance is then known to sqrt(2 / 48) = 20 % (Spielman and Srivastava 2008)."""
+    waves: int = Field(24, gt=0)
+    """Long waves of a net beyond, whose variance is computed one by one."""
+    least_share: float = Field(0.01, ge=0, le=1)
+    """Of what an unseen pair was expected to join that is counted always: no chosen pair ties nothing."""
+    power_tracks: float = Field(2.5, ge=1)
+    """Power from the ratio of predicted sigmas to that of adjusted ones (`Predictor.loss`), for a choice by tracks."""
+    power_matches: float = Field(1.7, ge=1)
+    """The same for a choice by match counts alone."""
+    power_rig: float = Field(8.0, ge=1)
+    """The same for frames of a known rig, whose net is stiffer than their adjustment: 2 on KITTI, 11 on PandaSet, 16 on
+    canal_demo, where rig and intrinsics are adjusted too (design_real.py); too large costs only pairs."""
+
+
+class BundleTuning(Section):
+    """The bundle adjustment linearised at the preview model (`bundle.py`)."""
+
+    max_unknowns: int = Field(800, ge=0)
+    """Of a survey that is chosen for by the bundle adjustment: an inverse a round costs 0.2 s then."""
+    min_placed: float = Field(0.9, ge=0, le=1)
+    """Share of the images with candidates that must be in the preview model."""
+    points: int = Field(2500, gt=0)
+    """Of the preview model, drawn at random: enough for the information of all."""
+    matches: int = Field(4, gt=0)
+    """Of a pair, that stand for all of them: as many as two images have degrees of freedom, less one."""
+    sigma_px: float = Field(0.5, gt=0)
+    """Of a coordinate; counts only against the weak priors."""
+    focal_prior: float = Field(0.2, gt=0)
+    """Weak prior of focal length and principal point, sigma as a share of the focal length (as `sfm.covariance`)."""
+    distortion_prior: float = Field(0.5, gt=0)
+    """Weak prior of the distortion, sigma (as `sfm.covariance`)."""
+    wide_cosine: float = Field(0.2, gt=0, le=1)
+    """Cosine of the angle to the axis (78 deg) beyond which no lens is a pinhole."""
+
+
+class MeasureTuning(Section):
+    """What a pair is worth and how far a choice is from all (`measure.py`)."""
+
+    known: float = Field(0.05, ge=0)
+    """Worth of a match whose track is joined already: another observation against outliers."""
+    again: float = Field(0.20, ge=0)
+    """Growth of the network after which the bundle's information is made anew from its tracks."""
+    all_again: float = Field(0.5, ge=0)
+    """Growth after which the gains of all pairs are computed anew; between, of those that were best."""
+    top_times: float = Field(6.0, ge=1)
+    """Of those that were best: so many times the number of pairs wanted ..."""
+    top_more: int = Field(400, ge=0)
+    """... and so many more have their gains computed anew each round."""
+    free: float = Field(0.1, gt=0)
+    """Sigma of a frame that nothing holds, in sizes of the survey."""
+    min_held: float = Field(0.5, ge=0, le=1)
+    """Share of the frames that all pairs must hold, for a loss to mean anything."""
+
+
+class GrowthTuning(Section):
+    """The rounds in which pairs are chosen (`hybrid.py`)."""
+
+    fine: float = Field(0.03, gt=0)
+    """Growth of the network in a round. On simulated surveys of 150 and 200 images it gives the sigma of one pair at a
+    time within 1 %, measured with 0.03."""
+    coarse: float = Field(0.10, gt=0)
+    """The same for networks of many images, and for those that are dense already."""
+    many_images: int = Field(20_000, ge=0)
+    """Images beyond which rounds are coarse from the start."""
+    dense_pairs: float = Field(4.0, ge=0)
+    """Pairs an image from which on rounds are coarse in small networks too."""
+    look: float = Field(0.20, ge=0)
+    """Growth of the network between two looks at its accuracy, which cost more than a round."""
+    halvings: int = Field(4, ge=0)
+    """Of the last step, to find where the budget was met."""
+    sorted_times: int = Field(20, gt=0)
+    """Times the pairs wanted: so many of the best gains a round sorts first, for sorting all would cost too much."""
+
+
+class Tuning(Section):
+    """Constants of the engine that are the same for every user."""
+
+    start_share: float = Field(0.5, ge=0, le=1)
+    """Of a budget of pairs or seconds that the pairs may take which stay whatever a design is after."""
+    cost: CostTuning = CostTuning()
+    """The cost of matching."""
+    expected: ExpectedTuning = ExpectedTuning()
+    """Expected matches by overlap."""
+    foreseen: ForeseenTuning = ForeseenTuning()
+    """Expected matches by the preview model."""
+    holding: HoldingTuning = HoldingTuning()
+    """The pairs that hold every image and part."""
+    net: NetTuning = NetTuning()
+    """The net of resistances and its tracks."""
+    bundle: BundleTuning = BundleTuning()
+    """The linearised bundle adjustment."""
+    measure: MeasureTuning = MeasureTuning()
+    """Gains and losses."""
+    growth: GrowthTuning = GrowthTuning()
+    """Rounds of the choice."""

@@ -1,0 +1,53 @@
+"""What features decides by: each constant with its unit, its meaning and where its value comes from."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from tiegraph.settings import Section
+
+
+class PreviewTuning(Section):
+    """Low-resolution features and their matches (`preview.py`)."""
+
+    contrast: float = Field(0.02, gt=0)
+    """Least contrast of a feature, half of Lowe's: dark stretches under bridges have little contrast."""
+    edges: float = Field(12.0, gt=0)
+    """Lowe's edge threshold: most that the two curvatures of a feature may differ, as a ratio."""
+    cells: int = Field(8, gt=0)
+    """Grid cells along the longest side, for the spreading."""
+    min_used: float = Field(0.5, gt=0, le=1)
+    """Share of a reduced pixel's area that the mask must leave, for a feature to be there."""
+    max_distance: float = Field(0.7, gt=0)
+    """Between the unit descriptors of a match, as in COLMAP."""
+    least_matches: int = Field(8, ge=5)
+    """Of two previews: fewer, tentative or inliers, are not worth a RANSAC, and count as none."""
+    confidence: float = Field(0.99, gt=0, lt=1)
+    """Of the RANSAC, that it has met a sample without outliers."""
+    trials: int = Field(200, gt=0)
+    """Of the RANSAC, at most."""
+    guessed_focal: float = Field(1.0, gt=0)
+    """Focal length of an unknown camera, in longest sides of its image (1: 53 degrees). Measured on rendered images:
+    focal lengths wrong by 0.8 to 2.5 keep the same pairs."""
+
+
+class SiftTuning(Section):
+    """Features at full resolution (`sift.py`, `colmap.py`)."""
+
+    octave_layers: int = Field(3, gt=0)
+    """Of the scale space: Lowe 2004, section 3.3; both extractors divide the contrast threshold by it."""
+    support_sigmas: float = Field(3.0, ge=0)
+    """Sigmas of a key point that must be free: where a building ends against a masked sky, the place of a blob leans
+    towards it. On canal such key points turned the front camera against the rig by 0.01-0.02 deg; they are 5 % of
+    all."""
+    enough_free: int = Field(500, ge=0)
+    """Of such; an image with fewer (an up camera, which sees little but roof lines) keeps the others too."""
+
+
+class Tuning(Section):
+    """Constants of the engine that are the same for every user."""
+
+    preview: PreviewTuning = PreviewTuning()
+    """Previews."""
+    sift: SiftTuning = SiftTuning()
+    """Full resolution."""
