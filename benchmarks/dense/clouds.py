@@ -32,6 +32,7 @@ from benchmarks.dense.scans import PandaScans
 from benchmarks.dense.survey import true_depth
 from tiegraph.cloud.fuse import Maps, fuse
 from tiegraph.cloud.settings import CloudSettings
+from tiegraph.cloud.tuning import Tuning as CloudTuning
 from tiegraph.dense.depth import confirmed_map
 from tiegraph.dense.engine import propose, solve
 from tiegraph.dense.neighbours import plan_images
@@ -40,9 +41,11 @@ from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.sgbm import match_sgbm
 from tiegraph.dense.triangulate import Candidates
 from tiegraph.dense.tsgm import match_tsgm
+from tiegraph.dense.tuning import Tuning
 from tiegraph.dense.undistort import load_view
 from tiegraph.evaluate.cloud import cloud_to_cloud, nearest
 from tiegraph.evaluate.reference import read_points
+from tiegraph.evaluate.tuning import CloudTuning as JudgedCloud
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.pipeline.surface import coloured
 from tiegraph.scene.cloudfile import write_cloud
@@ -52,7 +55,7 @@ from tiegraph.scene.results import Cloud, DepthMap
 Truth = Callable[[ImagePlan], "np.ndarray | None"]  # depth at the pixels of the undistorted image, NaN = unknown
 
 VARIANTS = ("sgbm", "pairs", "rays")
-_SETTINGS = DenseSettings()
+_SETTINGS, _TUNING, _JUDGED = DenseSettings(), Tuning(), JudgedCloud()
 _DISTANCES_M = (0.02, 0.05, 0.10, 0.20)
 _BINS_M = (0.0, 5.0, 10.0, 20.0, 40.0, 1e9)  # distance from the camera
 
@@ -68,14 +71,14 @@ def first_maps(plan: ImagePlan, out: Path, store: Path, variants: Sequence[str])
     """Write the depth maps of one image before comparison; CPU seconds of each variant."""
     masks = next(m for m in (out / "remask" / "masks", out / "masks") if m.exists())
     start = time.process_time()
-    reference = load_view(plan.view, out / "images", masks, _SETTINGS)
-    partners = [load_view(v, out / "images", masks, _SETTINGS) for v in plan.partners]
+    reference = load_view(plan.view, out / "images", masks, _SETTINGS, _TUNING.views)
+    partners = [load_view(v, out / "images", masks, _SETTINGS, _TUNING.views) for v in plan.partners]
     reading = time.process_time() - start
     spent, candidates = {}, {}
-    for name, matcher, cells in (("sgbm", match_sgbm, 800e6), ("tsgm", match_tsgm, np.inf)):
+    for name, matcher, cells in (("sgbm", match_sgbm, _TUNING.sgbm.max_cells), ("tsgm", match_tsgm, np.inf)):
         if name == "tsgm" or "sgbm" in variants:
             start = time.process_time()
-            candidates[name] = propose(reference, partners, plan.depth_range, _SETTINGS, matcher, cells)
+            candidates[name] = propose(reference, partners, plan.depth_range, _SETTINGS, _TUNING, matcher, cells)
             spent[name] = reading + time.process_time() - start
     ways: dict[str, Callable[[], tuple[str, list[Candidates]]]] = {
         "sgbm": lambda: ("sgbm", candidates["sgbm"]),
@@ -86,7 +89,8 @@ def first_maps(plan: ImagePlan, out: Path, store: Path, variants: Sequence[str])
     for variant in variants:
         start = time.process_time()
         matched, proposals = ways[variant]()
-        save_depth(solve(reference, proposals, _SETTINGS), store / variant / "first" / f"{plan.view.name}.npz")
+        solved = solve(reference, proposals, _SETTINGS, _TUNING.rays)
+        save_depth(solved, store / variant / "first" / f"{plan.view.name}.npz")
         seconds[variant] = spent[matched] + time.process_time() - start
     return seconds
 
@@ -101,7 +105,7 @@ def confirm(plan: ImagePlan, folder: Path) -> tuple[DepthMap, dict[str, float]]:
     first = load_first(plan.view.name)
     assert first is not None
     start = time.process_time()
-    depth, counts = confirmed_map(plan, first, load_first, _SETTINGS)
+    depth, counts = confirmed_map(plan, first, load_first, _SETTINGS, _TUNING)
     seconds = time.process_time() - start
     save_depth(depth, folder / f"{plan.view.name}.npz")
     size = depth.depth_m.size
@@ -147,7 +151,7 @@ def alignment(reconstruction: pycolmap.Reconstruction, data: Dataset) -> Similar
 
 def judged(cloud: Cloud, points: np.ndarray, fit: Similarity | None, cameras: np.ndarray) -> dict[str, Any]:
     """Accuracy, completeness, F, ghosts, and the distance to the reference by predicted sigma (quarters)."""
-    found = cloud_to_cloud(cloud, points, _DISTANCES_M, fit, cameras)
+    found = cloud_to_cloud(cloud, points, _JUDGED, _DISTANCES_M, fit, cameras)
     rows = {
         f"{d:g} m": [round(100 * x, 1) for x in (a, c, f)]
         for d, a, c, f in zip(found.distances_m, found.accuracy, found.completeness, found.fscore, strict=True)
@@ -178,8 +182,9 @@ def variant_cloud(out: Path, plans: dict[str, ImagePlan], folder: Path, truth: T
             truths.append(known)
     start = time.process_time()
     with tempfile.TemporaryDirectory() as scratch:
-        maps = Maps(lambda name: load_depth(folder / f"{name}.npz"), coloured(plans, out / "images", _SETTINGS))
-        fused = fuse(sorted(plans), maps, Path(scratch), CloudSettings())
+        colours = coloured(plans, out / "images", _SETTINGS, _TUNING.views)
+        maps = Maps(lambda name: load_depth(folder / f"{name}.npz"), colours)
+        fused = fuse(sorted(plans), maps, Path(scratch), CloudSettings(), CloudTuning())
         cloud = fused.cloud()
     figures = {k: round(float(np.mean([r[k] for r in rows])), 4) for k in rows[0]}
     figures |= {"fuse_cpu_s_an_image": round((time.process_time() - start) / len(plans), 3), "voxel": fused.voxel}
@@ -191,7 +196,8 @@ def variant_cloud(out: Path, plans: dict[str, ImagePlan], folder: Path, truth: T
 
 def one_set(out: Path, model: pycolmap.Reconstruction, pattern: str, store: Path, truth: Truth, keep: list[str]):
     """(clouds, figures) by variant of the images of a model that match a pattern; first maps in the store are used."""
-    plans = {n: p for n, p in plan_images(model, _SETTINGS).images.items() if fnmatch.fnmatch(n, pattern)}
+    found = plan_images(model, _SETTINGS, _TUNING.partners)
+    plans = {n: p for n, p in found.images.items() if fnmatch.fnmatch(n, pattern)}
     todo = [p for n, p in plans.items() if not all((store / v / "first" / f"{n}.npz").exists() for v in keep)]
     seconds = [first_maps(p, out, store, keep) for p in todo]
     clouds, figures = {}, {}
@@ -263,7 +269,7 @@ def depth_truth(data: Dataset, fit: Similarity, folder: Path | None) -> Truth:
 def reference_points(path: Path) -> np.ndarray:
     """Points (M, 3) in metres of a reference cloud: LAS, LAZ, PLY, or PandaSet's .npz of centimetres."""
     if path.suffix != ".npz":
-        return read_points(path)[0]
+        return read_points(path, _JUDGED.read_points)[0]
     with np.load(path) as file:
         return file["xyz_cm"].astype(float) / 100
 

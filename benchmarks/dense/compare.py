@@ -21,7 +21,8 @@ from benchmarks.dense.data import Pair, middlebury, rendered
 from benchmarks.dense.score import score
 from tiegraph.dense import _sgm
 from tiegraph.dense.speckles import without_speckles
-from tiegraph.dense.tsgm import Tuning, match
+from tiegraph.dense.tsgm import match
+from tiegraph.dense.tuning import SpeckleTuning, TsgmTuning
 
 Method = Callable[[Pair], np.ndarray]
 _MAX_HH_CELLS = 700e6  # OpenCV's 8-path mode holds about 4 bytes a cell: larger pairs are left out
@@ -38,19 +39,20 @@ def opencv(mode: int) -> Method:
     return run
 
 
-def ours(tuning: Tuning) -> Method:
+def ours(tuning: TsgmTuning) -> Method:
     """The native matcher."""
     return lambda pair: match(pair.left, pair.right, 0, pair.disparities, tuning)
 
 
-FULL = Tuning(everywhere=True)
+FULL = TsgmTuning(everywhere=True)
+SPECKLES = SpeckleTuning()
 METHODS: dict[str, Method] = {
     "SGBM HH": opencv(cv2.STEREO_SGBM_MODE_HH),
     "SGBM 3WAY": opencv(cv2.STEREO_SGBM_MODE_SGBM_3WAY),
     "full": ours(FULL),
-    "tsgm": ours(Tuning()),
-    "tsgm census": ours(Tuning(cost="census")),
-    "tsgm mutual": ours(Tuning(cost="mutual")),
+    "tsgm": ours(TsgmTuning()),
+    "tsgm census": ours(TsgmTuning(cost="census")),
+    "tsgm mutual": ours(TsgmTuning(cost="mutual")),
 }
 
 
@@ -69,7 +71,8 @@ def compare(pair: Pair, repeats: int, names: list[str]) -> dict[str, dict[str, f
             start = time.process_time()
             found[name] = METHODS[name](pair)
             least[name] = min(least[name], time.process_time() - start)
-    return {n: {"cpu_ms": round(1000 * least[n], 1), **score(without_speckles(found[n]), pair)} for n in names}
+    clean = {n: without_speckles(found[n], SPECKLES.size_px, SPECKLES.jump_px) for n in names}
+    return {n: {"cpu_ms": round(1000 * least[n], 1), **score(clean[n], pair)} for n in names}
 
 
 def main() -> None:

@@ -19,6 +19,7 @@ from tiegraph.dense.depth import depth_map
 from tiegraph.dense.plan import CameraModel, DepthRange, ViewPlan
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.shot import plan_shot
+from tiegraph.dense.tuning import Tuning
 from tiegraph.geometry.transforms import rigid
 from tiegraph.scene.results import DepthMap
 
@@ -116,12 +117,12 @@ def run(store: Path, distance: float) -> dict[str, dict[str, float]]:
         views.append(ViewPlan(f"cam{k}.png", camera, rigid(np.eye(3), -position)))
     assert truth is not None
     sought = DepthRange(0.5, 1.2)  # the working range of paper 004, section 5.2.4
-    results = {}
+    results, tuning = {}, Tuning()
     for label, used, fewest in (("3 partners, >= 3 rays", views, 3), ("1 partner", views[:2], 2)):
         settings = DenseSettings(max_image_size=2448, min_views=fewest)
-        plan = plan_shot(views=used, sought=sought, settings=settings).images[views[0].name]
+        plan = plan_shot(views=used, sought=sought, settings=settings, tuning=tuning).images[views[0].name]
         start = time.process_time()
-        first = depth_map(plan, store, None, settings)
+        first = depth_map(plan, store, None, settings, tuning)
         spent = time.process_time() - start
         if fewest == 3:  # one base image, as in the paper: no depth maps of others, three rays are asked of its own
             keep = first.views >= fewest

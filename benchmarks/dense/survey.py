@@ -20,6 +20,7 @@ from tiegraph.dense.depth import confirmed_map, depth_map
 from tiegraph.dense.neighbours import plan_images
 from tiegraph.dense.plan import ImagePlan
 from tiegraph.dense.settings import DenseSettings
+from tiegraph.dense.tuning import Tuning, ViewTuning
 from tiegraph.dense.undistort import pinhole_of
 from tiegraph.scene.results import DepthMap
 
@@ -40,7 +41,7 @@ def true_depth(plan: ImagePlan, folder: Path, settings: DenseSettings) -> np.nda
         metres[mask != _STATIC] = np.nan
     low, high = cv2.erode(metres, np.ones((3, 3))), cv2.dilate(metres, np.ones((3, 3)))
     metres = np.where(high < 1.1 * np.minimum(low, 1e6), metres, np.float32(np.nan))
-    K, (width, height) = pinhole_of(plan.view.camera, settings)
+    K, (width, height) = pinhole_of(plan.view.camera, settings, ViewTuning())
     u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     rays = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones_like(u)], -1).reshape(-1, 3)
     at = np.asarray(plan.view.camera.pycolmap().img_from_cam(rays)).reshape(height, width, 2).astype(np.float32) - 0.5
@@ -63,15 +64,16 @@ def compare(depth: DepthMap, truth: np.ndarray) -> dict[str, float]:
 
 def run(out: Path, pattern: str, truth: Path | None, engine: str) -> dict[str, float]:
     """All measures of one engine, means over the images."""
-    settings = DenseSettings(engine=engine)
-    plans = plan_images(pycolmap.Reconstruction(str(out / "sparse" / "world")), settings).images
+    settings, tuning = DenseSettings(engine=engine), Tuning()
+    model = pycolmap.Reconstruction(str(out / "sparse" / "world"))
+    plans = plan_images(model, settings, tuning.partners).images
     names = [n for n in sorted(plans) if fnmatch.fnmatch(n, pattern)]
     start = time.process_time()
-    first = {n: depth_map(plans[n], out / "images", out / "masks", settings) for n in names}
+    first = {n: depth_map(plans[n], out / "images", out / "masks", settings, tuning) for n in names}
     seconds = (time.process_time() - start) / len(names)
     rows = []
     for name in names:
-        depth, _ = confirmed_map(plans[name], first[name], first.get, settings)
+        depth, _ = confirmed_map(plans[name], first[name], first.get, settings, tuning)
         row = {
             "kept": float(np.isfinite(depth.depth_m).mean()),
             "before": float(np.isfinite(first[name].depth_m).mean()),

@@ -27,9 +27,10 @@ from tiegraph.dense.depth import depth_map
 from tiegraph.dense.neighbours import plan_images
 from tiegraph.dense.plan import ImagePlan
 from tiegraph.dense.settings import DenseSettings
+from tiegraph.dense.tuning import Tuning
 from tiegraph.scene.depthfile import load_depth
 
-_SETTINGS = DenseSettings()
+_SETTINGS, _TUNING = DenseSettings(), Tuning()
 _WRONG, _RIGHT = 0.05, 0.02
 _SURE_VIEWS = 6
 
@@ -46,7 +47,8 @@ def votes(plan: ImagePlan, load_first: LoadDepth, truth: np.ndarray) -> np.ndarr
         if other is not None:
             unseen.discard(name)
             counted = _bit(depth, partners.index(name)) if name in partners else np.zeros(truth.shape, bool)
-            tally = tally.heard(_compare(depth, other, _SETTINGS.tolerance_px), counted)
+            said = _compare(depth, other, _SETTINGS.tolerance_px, _TUNING.rays)
+            tally = tally.heard(said, counted)
     maps = tally.maps - 1 + sum(_bit(depth, k).astype(int) for k, name in enumerate(partners) if name in unseen)
     known = np.isfinite(depth.depth_m) & np.isfinite(truth)
     columns = (maps, tally.views, tally.against, tally.possible + len(unseen), np.abs(depth.depth_m / truth - 1))
@@ -88,7 +90,7 @@ def pair_report(plans: dict[str, ImagePlan], pair: tuple[str, str], out: Path, s
     maps = {}
     for one, other in (pair, pair[::-1]):
         plan = dataclasses.replace(plans[one], partners=(plans[other].view,))
-        maps[one] = depth_map(plan, out / "images", masks, _SETTINGS)
+        maps[one] = depth_map(plan, out / "images", masks, _SETTINGS, _TUNING)
     lines = []
     for one, other in (pair, pair[::-1]):
         known = sure(one)
@@ -98,7 +100,7 @@ def pair_report(plans: dict[str, ImagePlan], pair: tuple[str, str], out: Path, s
             depth = maps[one]
             if tolerance is not None:
                 settings = DenseSettings(tolerance_px=tolerance)
-                depth, _ = check(depth, [other], [other], maps.get, settings)
+                depth, _ = check(depth, [other], [other], maps.get, settings, _TUNING.rays)
             error = np.abs(depth.depth_m / truth - 1)
             found = np.isfinite(error)
             share = 100 * np.count_nonzero(found) / np.count_nonzero(np.isfinite(truth))
@@ -133,7 +135,7 @@ def main() -> None:
     args = parser.parse_args()
     cv2.setNumThreads(1)
     model = pycolmap.Reconstruction(str(args.out / "sparse" / "world"))
-    plans = plan_images(model, _SETTINGS).images
+    plans = plan_images(model, _SETTINGS, _TUNING.partners).images
     folder = args.store / args.variant
     if args.sigma:
         sys.stdout.write(sigma_report(folder))

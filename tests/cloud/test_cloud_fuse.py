@@ -7,6 +7,7 @@ from tiegraph.cloud import voxels as voxels_module
 from tiegraph.cloud.filter import filter_points
 from tiegraph.cloud.fuse import Maps, automatic_voxel, fuse, map_points
 from tiegraph.cloud.settings import CloudSettings
+from tiegraph.cloud.tuning import Tuning
 from tiegraph.cloud.voxels import add_up, rows_of, spacing, sums, without_coarse_duplicates
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry import transforms
@@ -14,6 +15,7 @@ from tiegraph.scene.results import Cloud, DepthMap
 from tiegraph.scene.sorting import row_numbers
 
 SETTINGS = CloudSettings()
+TUNING = Tuning()
 SHAPE = (90, 120)
 K = np.array([[100.0, 0, 60], [0, 100, 45], [0, 0, 1]])
 RED = np.broadcast_to(np.array([200, 30, 10], np.uint8), (*SHAPE, 3))
@@ -40,7 +42,7 @@ MAPS = maps(WALLS)
 
 
 def test_overlapping_maps_become_one_even_surface(tmp_path):
-    fused = fuse(list(WALLS), MAPS, tmp_path, SETTINGS)
+    fused = fuse(list(WALLS), MAPS, tmp_path, SETTINGS, TUNING)
     cloud = fused.cloud()
     assert fused.voxel == pytest.approx(0.1, rel=0.01)
     cells = 15 * 9 / 0.1**2  # 12 m + 3 m wide, 9 m high, in cells of the spacing
@@ -59,11 +61,11 @@ def test_overlapping_maps_become_one_even_surface(tmp_path):
 
 
 def test_tiles_do_not_change_the_points(tmp_path, monkeypatch):
-    whole = fuse(list(WALLS), MAPS, tmp_path / "a", SETTINGS)
+    whole = fuse(list(WALLS), MAPS, tmp_path / "a", SETTINGS, TUNING)
     a = whole.cloud().xyz_m
     monkeypatch.setattr(fuse_module, "TILE_VOXELS", 32)
     monkeypatch.setattr(voxels_module, "TILE_VOXELS", 32)
-    tiled = fuse(list(WALLS), MAPS, tmp_path / "b", SETTINGS)
+    tiled = fuse(list(WALLS), MAPS, tmp_path / "b", SETTINGS, TUNING)
     assert len(tiled.tiles) > 3 * len(whole.tiles)
     b = tiled.cloud().xyz_m
     distance, _ = cKDTree(b).query(a)
@@ -72,16 +74,16 @@ def test_tiles_do_not_change_the_points(tmp_path, monkeypatch):
 
 
 def test_parts_are_merged_in_bounded_memory(tmp_path, monkeypatch):
-    whole = fuse(list(WALLS), MAPS, tmp_path / "a", SETTINGS).cloud()
+    whole = fuse(list(WALLS), MAPS, tmp_path / "a", SETTINGS, TUNING).cloud()
     monkeypatch.setattr(fuse_module, "_MERGE_ROWS", 1000)
-    parts = fuse(list(WALLS), MAPS, tmp_path / "b", SETTINGS).cloud()
+    parts = fuse(list(WALLS), MAPS, tmp_path / "b", SETTINGS, TUNING).cloud()
     np.testing.assert_allclose(whole.xyz_m, parts.xyz_m, atol=1e-6)
 
 
 def test_maps_are_added_up_in_groups(tmp_path, monkeypatch):
-    whole = fuse(list(WALLS), MAPS, tmp_path / "a", SETTINGS)
+    whole = fuse(list(WALLS), MAPS, tmp_path / "a", SETTINGS, TUNING)
     monkeypatch.setattr(fuse_module, "_MAPS_AT_ONCE", 1)
-    groups = fuse(list(WALLS), MAPS, tmp_path / "b", SETTINGS)
+    groups = fuse(list(WALLS), MAPS, tmp_path / "b", SETTINGS, TUNING)
     assert groups.counts == whole.counts
     np.testing.assert_allclose(whole.cloud().xyz_m, groups.cloud().xyz_m, atol=1e-6)
     assert not list((tmp_path / "b").glob("*.points"))
@@ -95,16 +97,16 @@ def test_uncertain_points_are_left_out_and_counted():
 
 
 def test_missing_and_empty_maps(tmp_path):
-    assert len(fuse(["0", "missing"], MAPS, tmp_path, SETTINGS).cloud()) > 1000
+    assert len(fuse(["0", "missing"], MAPS, tmp_path, SETTINGS, TUNING).cloud()) > 1000
     empty = DepthMap("e", np.full(SHAPE, np.nan, np.float32), WALLS["0"].sigma_m, WALLS["0"].views, K, np.eye(4))
     with pytest.raises(ReconstructionError, match="empty"):
-        fuse(["e"], maps({"e": empty}), tmp_path / "e", SETTINGS)
+        fuse(["e"], maps({"e": empty}), tmp_path / "e", SETTINGS, TUNING)
     with pytest.raises(ReconstructionError, match="min-views"):
-        fuse(["e"], maps({"e": empty}), tmp_path / "f", CloudSettings(voxel_size=0.1))
+        fuse(["e"], maps({"e": empty}), tmp_path / "f", CloudSettings(voxel_size=0.1), TUNING)
 
 
 def test_automatic_voxel_is_the_size_of_a_pixel():
-    assert automatic_voxel(list(WALLS), WALLS.get) == pytest.approx(10 / 100, rel=0.01)
+    assert automatic_voxel(list(WALLS), WALLS.get, TUNING.sampled_maps) == pytest.approx(10 / 100, rel=0.01)
 
 
 def cloud_of(xyz, sigma=0.01):
@@ -117,7 +119,7 @@ def cloud_of(xyz, sigma=0.01):
 
 def tile_of(xyz, justified, voxel=0.1, sigma=0.01):
     """The voxels of points that lie in one tile, and the tile."""
-    tile, rows = rows_of(cloud_of(xyz, sigma), np.asarray(justified, float), voxel)
+    tile, rows = rows_of(cloud_of(xyz, sigma), np.asarray(justified, float), voxel, TUNING.levels)
     assert (tile == tile[:, :1]).all()
     return sums(rows, voxel), tuple(tile[:, 0].tolist())
 
@@ -139,7 +141,7 @@ def test_sums_of_parts_are_sums_of_the_whole():
 
 def test_points_keep_their_places_on_both_sides_of_the_origin():
     xyz = np.random.default_rng(0).uniform(-1e5, 1e5, (300, 3))
-    tile, rows = rows_of(cloud_of(xyz), np.full(300, 0.01), 0.01)
+    tile, rows = rows_of(cloud_of(xyz), np.full(300, 0.01), 0.01, TUNING.levels)
     back = np.concatenate(
         [sums(rows[k : k + 1], 0.01).cloud(tuple(tile[:, k].tolist()), 0.01).xyz_m for k in range(300)]
     )
@@ -149,7 +151,7 @@ def test_points_keep_their_places_on_both_sides_of_the_origin():
 def test_a_coarse_point_yields_to_finer_ones():
     fine, _ = tile_of([[0.05, 0.05, 0.05], [0.05, 3.25, 0.05]], [0.1, 0.1])
     coarse, tile = tile_of([[0.3, 0.3, 0.3], [5.0, 5.0, 5.0], [0.1, 3.7, 0.1]], [0.4, 0.4, 3.2], sigma=0.3)
-    left = without_coarse_duplicates(add_up([fine, coarse]))
+    left = without_coarse_duplicates(add_up([fine, coarse]), TUNING.levels)
     assert left.level.tolist() == [0, 0, 2]
     np.testing.assert_allclose(left.cloud(tile, 0.1).xyz_m[2], [5, 5, 5], atol=1e-5)
 
@@ -159,25 +161,27 @@ def test_filters_drop_outliers_and_keep_the_surface():
     surface = np.c_[x.ravel(), y.ravel(), np.random.default_rng(0).normal(0, 0.01, x.size)]
     outliers = np.random.default_rng(1).uniform((0, 0, 1), (6, 6, 9), (40, 3))
     spacing = np.full(len(surface) + 40, 0.1)
-    result = filter_points(np.r_[surface, outliers], spacing, SETTINGS)
+    result = filter_points(np.r_[surface, outliers], spacing, SETTINGS, TUNING)
     assert result.keep[: len(surface)].mean() > 0.97
     assert result.keep[len(surface) :].mean() < 0.05
     assert (~result.keep).sum() == result.statistical + result.radius
-    only_radius = filter_points(np.r_[surface, outliers], spacing, CloudSettings(statistical_ratio=0))
+    only_radius = filter_points(np.r_[surface, outliers], spacing, CloudSettings(statistical_ratio=0), TUNING)
     assert only_radius.keep[: len(surface)].all() and not only_radius.keep[len(surface) :].any()
-    off = filter_points(np.r_[surface, outliers], spacing, CloudSettings(statistical_ratio=0, radius_neighbours=0))
+    off = filter_points(
+        np.r_[surface, outliers], spacing, CloudSettings(statistical_ratio=0, radius_neighbours=0), TUNING
+    )
     assert off.keep.all()
-    assert len(filter_points(np.zeros((0, 3)), np.zeros(0), SETTINGS).keep) == 0
+    assert len(filter_points(np.zeros((0, 3)), np.zeros(0), SETTINGS, TUNING).keep) == 0
 
 
 def test_the_surroundings_of_a_tile_count_as_neighbours():
     lonely = np.array([[0.0, 0, 0]])
     around = np.random.default_rng(0).normal(0, 0.05, (30, 3))
-    assert not filter_points(lonely, np.array([0.1]), SETTINGS).keep[0]
-    assert filter_points(lonely, np.array([0.1]), SETTINGS, around).keep[0]
+    assert not filter_points(lonely, np.array([0.1]), SETTINGS, TUNING).keep[0]
+    assert filter_points(lonely, np.array([0.1]), SETTINGS, TUNING, around).keep[0]
 
 
 def test_tiles_far_apart_are_told_apart():
     far = cloud_of([[1e9, 1e9, 1e9], [-1e9, -1e9, -1e9], [1e9, 1e9, 1e9]])
-    numbers = row_numbers(rows_of(far, np.full(3, 0.001), 0.001)[0])
+    numbers = row_numbers(rows_of(far, np.full(3, 0.001), 0.001, TUNING.levels)[0])
     assert numbers[0] == numbers[2] > numbers[1] >= 0

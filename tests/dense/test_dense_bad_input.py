@@ -14,10 +14,12 @@ from tiegraph.dense.neighbours import plan_images
 from tiegraph.dense.plan import DepthRange
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tsgm import match_tsgm
+from tiegraph.dense.tuning import Tuning
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry.transforms import rigid
 
 SETTINGS = DenseSettings()
+TUNING = Tuning()
 NAME = "up/cam0/000002.jpg"
 
 
@@ -28,7 +30,7 @@ def survey(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def plan(survey):
-    return plan_images(true_model(survey), SETTINGS).images[NAME]
+    return plan_images(true_model(survey), SETTINGS, TUNING.partners).images[NAME]
 
 
 def picture(size=(160, 120), position=(0.0, 0, 0), rotation=None, seed=0):
@@ -42,7 +44,7 @@ def picture(size=(160, 120), position=(0.0, 0, 0), rotation=None, seed=0):
 
 
 def matched(reference, *partners, near=2.0, far=50.0):
-    return rectified_engine(reference, partners, DepthRange(near, far), SETTINGS, match_tsgm)
+    return rectified_engine(reference, partners, DepthRange(near, far), SETTINGS, TUNING, match_tsgm)
 
 
 def test_images_without_overlap_give_no_depth():
@@ -82,24 +84,24 @@ def test_a_model_with_a_broken_pose_leaves_that_image_out(survey):
         for e in point.track.elements:
             seen[e.image_id - 1][row] = model.images[e.image_id].points2D[e.point2D_idx].xy
     broken = model_of(names, [sensors[n.split("/")[1]] for n in names], poses, world, seen)
-    found = plan_images(broken, SETTINGS)
+    found = plan_images(broken, SETTINGS, TUNING.partners)
     assert NAME not in found.images
     assert all(NAME != v.name for p in found.images.values() for v in p.partners)
 
 
 def test_a_wrong_calibration_costs_depths_and_does_not_make_false_ones(survey, plan):
-    right = depth_map(plan, survey.images, None, SETTINGS)
+    right = depth_map(plan, survey.images, None, SETTINGS, TUNING)
     camera = plan.view.camera
     wrong = replace(camera, params=(camera.params[0] * 1.3, *camera.params[1:]))
     partners = tuple(replace(v, camera=wrong) if v.camera == camera else v for v in plan.partners)
-    bad = depth_map(replace(plan, partners=partners), survey.images, None, SETTINGS)
+    bad = depth_map(replace(plan, partners=partners), survey.images, None, SETTINGS, TUNING)
     assert np.mean(bad.views >= 3) < 0.6 * np.mean(right.views >= 3)
 
 
 def test_disparities_beyond_the_kernels_are_refused_or_coarser():
     left, right = np.zeros((40, 60), np.uint8), np.zeros((40, 60 + 5000), np.uint8)
     try:
-        found = match_tsgm(left, right, 5000, SETTINGS)
+        found = match_tsgm(left, right, 5000, SETTINGS, TUNING)
     except ValueError as error:
         assert "disparities" in str(error)
     else:
@@ -111,4 +113,4 @@ def test_disparities_beyond_the_kernels_are_refused_or_coarser():
 
 def test_an_empty_model_is_refused():
     with pytest.raises(ReconstructionError, match="partner"):
-        plan_images(pycolmap.Reconstruction(), SETTINGS)
+        plan_images(pycolmap.Reconstruction(), SETTINGS, TUNING.partners)

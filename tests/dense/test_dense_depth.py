@@ -9,9 +9,11 @@ from dense_world import render, true_model
 from tiegraph.dense.depth import confirmed_map, depth_map
 from tiegraph.dense.neighbours import plan_images
 from tiegraph.dense.settings import DenseSettings
+from tiegraph.dense.tuning import Tuning
 from tiegraph.errors import SettingsError
 
 SETTINGS = DenseSettings()
+TUNING = Tuning()
 NAMES = [f"up/cam0/{k:06d}.jpg" for k in (1, 2, 3)]
 
 
@@ -27,10 +29,10 @@ def model(survey):
 
 @pytest.fixture(scope="module")
 def made(survey, model):
-    plan = plan_images(model, SETTINGS)
+    plan = plan_images(model, SETTINGS, TUNING.partners)
     names = [n for n in plan.images if "/cam0/" in n]
-    first = {n: depth_map(plan.images[n], survey.images, None, SETTINGS) for n in names}
-    final = {n: confirmed_map(plan.images[n], first[n], first.get, SETTINGS) for n in NAMES}
+    first = {n: depth_map(plan.images[n], survey.images, None, SETTINGS, TUNING) for n in names}
+    final = {n: confirmed_map(plan.images[n], first[n], first.get, SETTINGS, TUNING) for n in NAMES}
     return plan, first, final
 
 
@@ -119,7 +121,7 @@ def test_masked_pixels_get_no_depth_and_give_none(survey, made, tmp_path):
         path = tmp_path / f"{view.name}.png"
         path.parent.mkdir(parents=True, exist_ok=True)
         cv2.imwrite(str(path), mask)
-    depth = depth_map(plan.images[name], survey.images, tmp_path, SETTINGS)
+    depth = depth_map(plan.images[name], survey.images, tmp_path, SETTINGS, TUNING)
     assert np.isnan(depth.depth_m[:, :128]).all()
     assert 0.2 < np.isfinite(depth.depth_m[:, 128:]).mean() < np.isfinite(made[1][name].depth_m[:, 128:]).mean()
 
@@ -127,10 +129,10 @@ def test_masked_pixels_get_no_depth_and_give_none(survey, made, tmp_path):
 def test_the_unit_of_length_does_not_matter(survey, model, made):
     scaled = pycolmap.Reconstruction(model)
     scaled.transform(pycolmap.Sim3d(0.001, pycolmap.Rotation3d(), np.array([5.0, 0, 0])))
-    plan = plan_images(scaled, SETTINGS)
+    plan = plan_images(scaled, SETTINGS, TUNING.partners)
     name = NAMES[1]
     assert [v.name for v in plan.images[name].partners] == [v.name for v in made[0].images[name].partners]
-    small = depth_map(plan.images[name], survey.images, None, SETTINGS)
+    small = depth_map(plan.images[name], survey.images, None, SETTINGS, TUNING)
     both = np.isfinite(small.depth_m) & np.isfinite(made[1][name].depth_m)
     assert both.sum() > 0.95 * np.isfinite(made[1][name].depth_m).sum()
     ratio = small.depth_m[both] / made[1][name].depth_m[both]

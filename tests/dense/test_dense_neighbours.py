@@ -5,10 +5,12 @@ from dense_world import model_of
 
 from tiegraph.dense.neighbours import EPIPOLE, ONE_CENTRE, SCALE, WIDE, choose_partners, plan_images
 from tiegraph.dense.settings import DenseSettings
+from tiegraph.dense.tuning import Tuning
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry import transforms
 
 SETTINGS = DenseSettings()
+TUNING = Tuning()
 CAMERA = pycolmap.Camera(model="PINHOLE", width=640, height=480, params=[500, 500, 320, 240])
 
 
@@ -39,7 +41,7 @@ def by_name(partners):
 
 def test_partners_at_good_angles_are_preferred():
     line = model([(x, 0, 0) for x in (0, 0.05, 0.3, 1.2, 2.0, 5.0)])
-    partners = choose_partners(line, DenseSettings(partners=2))["0.jpg"]
+    partners = choose_partners(line, DenseSettings(partners=2), TUNING.partners)["0.jpg"]
     used = [p.view.name for p in partners if p.used]
     assert used == ["3.jpg", "4.jpg"]
     assert 5 < partners[0].angle_deg < 9
@@ -49,14 +51,14 @@ def test_partners_at_good_angles_are_preferred():
 def test_forward_motion_wide_angle_and_scale_are_refused():
     close = pycolmap.Camera(model="PINHOLE", width=2000, height=1500, params=[1500, 1500, 1000, 750])
     odd = model([(0, 0, 0), (0.05, 0, 2.5), (9.5, 0, 1), (1, 0, 0)], [0, 0, -45, 0], [CAMERA, CAMERA, CAMERA, close])
-    partners = by_name(choose_partners(odd, SETTINGS)["0.jpg"])
+    partners = by_name(choose_partners(odd, SETTINGS, TUNING.partners)["0.jpg"])
     assert partners["1.jpg"].reason == EPIPOLE
     assert partners["2.jpg"].reason == WIDE
     assert partners["3.jpg"].reason == SCALE
 
 
 def test_depth_range_holds_the_points_with_margin():
-    plan = plan_images(model([(x, 0, 0) for x in (0, 1, 2)]), SETTINGS)
+    plan = plan_images(model([(x, 0, 0) for x in (0, 1, 2)]), SETTINGS, TUNING.partners)
     near, far = plan.images["1.jpg"].depth_range.near, plan.images["1.jpg"].depth_range.far
     assert 4 < near < 6
     assert 11 < far < 20
@@ -72,13 +74,15 @@ def test_points_that_no_partner_sees_do_not_set_the_depth_range():
         pixel = CAMERA.img_from_cam(transforms.apply(pose, world))
         pixel[400:] = np.nan if k == 2 else 300.0
         seen.append(pixel)
-    plan = plan_images(model_of(["0.jpg", "1.jpg", "2.jpg"], [CAMERA] * 3, poses, world, seen), SETTINGS)
+    plan = plan_images(
+        model_of(["0.jpg", "1.jpg", "2.jpg"], [CAMERA] * 3, poses, world, seen), SETTINGS, TUNING.partners
+    )
     assert [v.name for v in plan.images["0.jpg"].partners] == ["2.jpg"]
     assert 3 < plan.images["0.jpg"].depth_range.near < 6
 
 
 def test_refused_images_still_witness():
-    plan = plan_images(model([(0, 0, 0), (1, 0, 0), (0.05, 0, 2.5)]), SETTINGS)
+    plan = plan_images(model([(0, 0, 0), (1, 0, 0), (0.05, 0, 2.5)]), SETTINGS, TUNING.partners)
     assert [v.name for v in plan.images["0.jpg"].partners] == ["1.jpg"]
     assert "2.jpg" in plan.images["0.jpg"].witnesses
     assert plan.refused[EPIPOLE] >= 2
@@ -86,7 +90,7 @@ def test_refused_images_still_witness():
 
 
 def test_an_image_without_partner_is_dropped_with_its_reason():
-    plan = plan_images(model([(0, 0, 0), (1, 0, 0), (0, 0, -1)], [0, 0, 180]), SETTINGS)
+    plan = plan_images(model([(0, 0, 0), (1, 0, 0), (0, 0, -1)], [0, 0, 180]), SETTINGS, TUNING.partners)
     assert sorted(plan.images) == ["0.jpg", "1.jpg"]
     assert plan.dropped[0][0] == "2.jpg"
     assert "sparse points" in plan.dropped[0][1]
@@ -94,9 +98,9 @@ def test_an_image_without_partner_is_dropped_with_its_reason():
 
 def test_no_partner_at_all_is_an_error_with_a_remedy():
     with pytest.raises(ReconstructionError, match="different places"):
-        plan_images(model([(0, 0, 0), (0.001, 0, 0)]), SETTINGS)
+        plan_images(model([(0, 0, 0), (0.001, 0, 0)]), SETTINGS, TUNING.partners)
     with pytest.raises(ReconstructionError, match="no image"):
-        plan_images(pycolmap.Reconstruction(), SETTINGS)
+        plan_images(pycolmap.Reconstruction(), SETTINGS, TUNING.partners)
 
 
 @pytest.mark.slow
@@ -106,6 +110,6 @@ def test_many_images_take_seconds_not_minutes():
     positions = [(0.02 * k, 0, 0) for k in range(300)]
     big = model(positions, count=600)
     start = time.process_time()
-    plan = plan_images(big, SETTINGS)
+    plan = plan_images(big, SETTINGS, TUNING.partners)
     assert len(plan.images) == 300
     assert time.process_time() - start < 10

@@ -10,11 +10,13 @@ from tiegraph.dense.consistency import check
 from tiegraph.dense.normals import with_normals
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.sgbm import match_sgbm
-from tiegraph.dense.triangulate import SIGMA_DISPARITY_PX, Candidates, triangulate
+from tiegraph.dense.triangulate import Candidates, triangulate
+from tiegraph.dense.tuning import Tuning
 from tiegraph.geometry import transforms
 from tiegraph.scene.results import DepthMap
 
 SETTINGS = DenseSettings()
+TUNING = Tuning()
 K = np.array([[200.0, 0, 80], [0, 200, 60], [0, 0, 1]])
 SHAPE = (120, 160)
 
@@ -36,7 +38,7 @@ def test_matcher_finds_a_shift(paths, shift):
         wide, np.array([[1.0, 0, -(disparities - shift)], [0, 1, 0]]), (200, 100), flags=cv2.INTER_CUBIC
     )
     found = match_sgbm(
-        np.clip(left, 0, 255).astype(np.uint8), right.astype(np.uint8), disparities, DenseSettings(paths=paths)
+        np.clip(left, 0, 255).astype(np.uint8), right.astype(np.uint8), disparities, DenseSettings(paths=paths), TUNING
     )
     assert found.shape == (100, 200)
     inner = found[5:-5, 5:-5]
@@ -47,7 +49,7 @@ def test_matcher_finds_a_shift(paths, shift):
 
 def test_matcher_refuses_what_the_other_image_does_not_show():
     left, right = texture((80, 160), 1), texture((80, 192), 2)
-    found = match_sgbm(left.astype(np.uint8), right.astype(np.uint8), 32, SETTINGS)
+    found = match_sgbm(left.astype(np.uint8), right.astype(np.uint8), 32, SETTINGS, TUNING)
     assert np.isfinite(found).mean() < 0.15
 
 
@@ -57,7 +59,7 @@ def candidate(inverse, unit=0.001):
 
 
 def solved(candidates, tolerance_px):
-    found = triangulate(candidates, tolerance_px)
+    found = triangulate(candidates, tolerance_px, TUNING.rays)
     return found.inverse, found.sigma, found.support
 
 
@@ -66,7 +68,7 @@ def test_agreeing_partners_outvote_a_wrong_one():
     np.testing.assert_allclose(inverse, 0.1001, rtol=1e-5)
     assert (support == 0b101).all()
     # Seven tenths of the variance are each partner's own and average out.
-    np.testing.assert_allclose(sigma, SIGMA_DISPARITY_PX * 0.001 * np.sqrt(0.3 + 0.7 / 2), rtol=0.01)
+    np.testing.assert_allclose(sigma, TUNING.rays.sigma_px * 0.001 * np.sqrt(0.3 + 0.7 / 2), rtol=0.01)
 
 
 @pytest.mark.parametrize("true_px", [0.12, 0.25, 0.4])
@@ -80,7 +82,7 @@ def test_an_image_tells_the_sigma_of_its_disparities(true_px):
         error = shared + np.sqrt(0.7) * true_px * rng.standard_normal(shape)
         error = np.where(rng.random(shape) < 0.1, rng.uniform(-50, 50, shape), error)
         proposals.append(Candidates((true + unit * error).astype(np.float32), np.full(shape, unit, np.float32)))
-    found = triangulate(proposals, 1.0)
+    found = triangulate(proposals, 1.0, TUNING.rays)
     assert 0.8 * true_px < found.sigma_px < 1.15 * true_px
     three = found.support == 0b111
     ratio = (found.inverse[three] - true) / found.sigma[three]
@@ -90,7 +92,7 @@ def test_an_image_tells_the_sigma_of_its_disparities(true_px):
 def test_the_precise_partner_weighs_more():
     inverse, sigma, _ = solved([candidate(0.1, 0.0001), candidate(0.1004, 0.001)], 1.0)
     assert (np.abs(inverse - 0.1) < 0.00001).all()
-    assert (sigma < SIGMA_DISPARITY_PX * 0.0002).all()
+    assert (sigma < TUNING.rays.sigma_px * 0.0002).all()
 
 
 def test_nothing_proposed_gives_nothing():
@@ -114,7 +116,7 @@ def plane_map(name, position, normal=(0.2, -0.1, -1.0), distance=8.0, noise=0.0,
 
 def test_witnesses_confirm_average_and_refine():
     maps = {n: plane_map(n, (x, 0, 0), noise=0.003) for n, x in (("a", 0), ("bb", 0.5), ("ccc", -0.5))}
-    result, counts = check(maps["a"], [], ["bb", "ccc"], maps.get, SETTINGS)
+    result, counts = check(maps["a"], [], ["bb", "ccc"], maps.get, SETTINGS, TUNING.rays)
     true = plane_map("a", (0, 0, 0)).depth_m
     inner = np.s_[20:-20, 30:-30]
     assert (result.views[inner] == 4).mean() > 0.98  # two of its own, two witnesses
@@ -129,10 +131,9 @@ def test_partners_that_counted_do_not_count_twice():
     a, b = plane_map("a", (0, 0, 0)), plane_map("bb", (0.5, 0, 0))
     counted = DepthMap(**{**a.__dict__, "support": np.full(SHAPE, 1, np.uint8)})
     settings = DenseSettings(min_views=2)
-    again, _ = check(counted, ["bb"], ["bb"], {"bb": b}.get, settings)
-    new, _ = check(
-        DepthMap(**{**a.__dict__, "support": np.full(SHAPE, 2, np.uint8)}), ["bb"], ["bb"], {"bb": b}.get, settings
-    )
+    other = DepthMap(**{**a.__dict__, "support": np.full(SHAPE, 2, np.uint8)})
+    again, _ = check(counted, ["bb"], ["bb"], {"bb": b}.get, settings, TUNING.rays)
+    new, _ = check(other, ["bb"], ["bb"], {"bb": b}.get, settings, TUNING.rays)
     assert again.views[60, 80] == 2
     assert new.views[60, 80] == 3
 
@@ -144,7 +145,7 @@ def test_a_wrong_patch_is_dropped_and_said_why():
     views = np.full(SHAPE, 3, np.uint8)
     views[50:60] = 2
     wrong = DepthMap("a", depth, maps["a"].sigma_m, views, K, maps["a"].cam_from_world)
-    result, counts = check(wrong, [], ["bb", "ccc"], maps.get, SETTINGS)
+    result, counts = check(wrong, [], ["bb", "ccc"], maps.get, SETTINGS, TUNING.rays)
     assert np.isnan(result.depth_m[50:60, 70:90]).all()  # two views only
     assert counts.few_views >= 200
 
@@ -157,10 +158,10 @@ def test_points_that_most_images_see_through_are_dropped_hidden_ones_are_not():
         agreeing = {n: plane_map(n, (x, 0, 0), distance=distance) for n, x in (("f", 0.15), ("g", -0.15))}
         some = plane_map("a", (0, 0, 0), distance=distance, views=1)
         names = [*witnesses, *agreeing]
-        result, counts = check(some, [], names, (witnesses | agreeing).get, SETTINGS)
+        result, counts = check(some, [], names, (witnesses | agreeing).get, SETTINGS, TUNING.rays)
         assert (counts.seen_through > 0.8 * some.depth_m.size) != stays
         assert (np.isfinite(result.depth_m[inner]) == stays).all()
-        result, _ = check(some, [], ["bb", "f", "g"], (witnesses | agreeing).get, SETTINGS)
+        result, _ = check(some, [], ["bb", "f", "g"], (witnesses | agreeing).get, SETTINGS, TUNING.rays)
         assert np.isfinite(result.depth_m[inner]).all()
 
 
@@ -168,9 +169,9 @@ def test_what_the_partners_depth_maps_do_not_say_again_is_dropped():
     maps = {n: plane_map(n, (x, 0, 0), views=3) for n, x in (("a", 0), ("bb", 0.5), ("ccc", -0.5))}
     both = DepthMap(**{**maps["a"].__dict__, "support": np.full(SHAPE, 3, np.uint8)})
     silent = DepthMap(**{**maps["bb"].__dict__, "depth_m": np.full(SHAPE, np.nan, np.float32)})
-    kept, _ = check(both, ["bb", "ccc"], ["bb", "ccc"], maps.get, SETTINGS)
-    dropped, _ = check(both, ["bb", "ccc"], ["bb", "ccc"], (maps | {"bb": silent}).get, SETTINGS)
-    mapless, _ = check(both, ["bb", "ccc"], ["bb", "ccc"], {"ccc": maps["ccc"]}.get, SETTINGS)
+    kept, _ = check(both, ["bb", "ccc"], ["bb", "ccc"], maps.get, SETTINGS, TUNING.rays)
+    dropped, _ = check(both, ["bb", "ccc"], ["bb", "ccc"], (maps | {"bb": silent}).get, SETTINGS, TUNING.rays)
+    mapless, _ = check(both, ["bb", "ccc"], ["bb", "ccc"], {"ccc": maps["ccc"]}.get, SETTINGS, TUNING.rays)
     inner = np.s_[20:-20, 40:-40]
     assert np.isfinite(kept.depth_m[inner]).all() and np.isfinite(mapless.depth_m[inner]).all()
     assert np.isnan(dropped.depth_m[inner]).all()
@@ -178,7 +179,7 @@ def test_what_the_partners_depth_maps_do_not_say_again_is_dropped():
 
 def test_an_image_with_one_neighbour_needs_only_that():
     a, b = plane_map("a", (0, 0, 0), views=1), plane_map("bb", (0.5, 0, 0))
-    result, counts = check(a, [], ["bb", "missing"], {"bb": b}.get, SETTINGS)
+    result, counts = check(a, [], ["bb", "missing"], {"bb": b}.get, SETTINGS, TUNING.rays)
     assert result.views.max() == 2
     assert counts.two_rays == counts.kept > 0
 
@@ -187,7 +188,9 @@ def test_two_rays_suffice_only_where_no_third_image_looks():
     maps = {n: plane_map(n, (x, 0, 0), views=1) for n, x in (("a", 0), ("right", 4.0), ("far", -4.0))}
     silent = plane_map("far", (-4.0, 0, 0))
     silent = DepthMap(**{**silent.__dict__, "depth_m": np.full(SHAPE, np.nan, np.float32)})
-    result, _ = check(maps["a"], [], ["right", "far"], {"right": maps["right"], "far": silent}.get, SETTINGS)
+    result, _ = check(
+        maps["a"], [], ["right", "far"], {"right": maps["right"], "far": silent}.get, SETTINGS, TUNING.rays
+    )
     kept = np.isfinite(result.depth_m)
     # 8 m away and 4 m aside, a witness sees 100 of the 160 columns: the outer ones are seen by one witness each.
     assert kept[60, 130:155].all() and not kept[60, 5:50].any() and not kept[60, 75:85].any()
@@ -239,7 +242,7 @@ def test_triangulation_is_the_linear_solution_of_the_rays():
 def test_normal_of_a_plane_is_exact_with_holes():
     depth = plane_map("a", (0, 0, 0))
     holes = np.where(np.random.default_rng(0).random(SHAPE) < 0.2, np.float32(np.nan), depth.depth_m)
-    result = with_normals(DepthMap("a", holes, depth.sigma_m, depth.views, K, depth.cam_from_world))
+    result = with_normals(DepthMap("a", holes, depth.sigma_m, depth.views, K, depth.cam_from_world), TUNING.normals)
     truth = np.array([0.2, -0.1, -1.0]) / np.linalg.norm([0.2, -0.1, -1.0])
     known = np.isfinite(result.normal).all(axis=-1)
     assert known.sum() > 0.99 * np.isfinite(holes).sum()
@@ -251,7 +254,7 @@ def test_normal_at_an_edge_is_unknown():
     depth = plane_map("a", (0, 0, 0), normal=(0, 0, -1.0)).depth_m.copy()
     depth[:, 80:] *= 0.6
     base = plane_map("a", (0, 0, 0))
-    result = with_normals(DepthMap("a", depth, base.sigma_m, base.views, K, base.cam_from_world))
+    result = with_normals(DepthMap("a", depth, base.sigma_m, base.views, K, base.cam_from_world), TUNING.normals)
     assert np.isnan(result.normal[60, 79]).all()
     assert np.isfinite(result.normal[60, 60]).all()
 
@@ -263,7 +266,7 @@ def test_a_vague_depth_needs_one_map_more(share, stays):
     hole = np.full(SHAPE, np.nan, np.float32)
     maps["d"] = replace(maps["d"], depth_m=hole, sigma_m=hole)  # sees the place and says nothing
     inner = np.s_[30:-30, 40:-40]
-    result, _ = check(maps["a"], [], ["bb", "ccc", "d"], maps.get, SETTINGS)
+    result, _ = check(maps["a"], [], ["bb", "ccc", "d"], maps.get, SETTINGS, TUNING.rays)
     assert (np.isfinite(result.depth_m[inner]) == stays).all()
-    result, _ = check(maps["a"], [], ["bb", "ccc"], maps.get, SETTINGS)  # no more images could see it
+    result, _ = check(maps["a"], [], ["bb", "ccc"], maps.get, SETTINGS, TUNING.rays)  # no more images could see it
     assert np.isfinite(result.depth_m[inner]).all()

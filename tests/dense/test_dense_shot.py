@@ -10,10 +10,12 @@ from tiegraph.dense.neighbours import EPIPOLE, ONE_CENTRE
 from tiegraph.dense.plan import CameraModel, DepthRange, ViewPlan
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.shot import NO_OVERLAP, depth_range, plan_shot
+from tiegraph.dense.tuning import Tuning
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import rigid
 
 SETTINGS = DenseSettings()
+TUNING = Tuning()
 CAMERA = CameraModel("PINHOLE", 320, 240, (300.0, 300.0, 160.0, 120.0))
 RANGE = DepthRange(0.5, 1.2)
 
@@ -49,11 +51,11 @@ def photograph(folder, plan, seed=0):
 
 def test_a_shot_gives_depths_with_their_sigma(tmp_path):
     truth = {v.name: photograph(tmp_path, v, k) for k, v in enumerate(SQUARE)}
-    plan = plan_shot(SQUARE, RANGE, SETTINGS)
+    plan = plan_shot(SQUARE, RANGE, SETTINGS, TUNING)
     assert set(plan.images) == set(truth) and not plan.dropped
     assert all(len(p.partners) == 3 for p in plan.images.values())
-    first = {n: depth_map(p, tmp_path, None, SETTINGS) for n, p in plan.images.items()}
-    depth, _ = confirmed_map(plan.images["0.png"], first["0.png"], first.get, SETTINGS)
+    first = {n: depth_map(p, tmp_path, None, SETTINGS, TUNING) for n, p in plan.images.items()}
+    depth, _ = confirmed_map(plan.images["0.png"], first["0.png"], first.get, SETTINGS, TUNING)
     known = np.isfinite(depth.depth_m)
     assert known.mean() > 0.75
     error = np.abs(depth.depth_m - truth["0.png"])[known]
@@ -68,9 +70,9 @@ def test_the_rig_of_a_rendered_survey_needs_no_model(tmp_path):
     views = [
         ViewPlan(f"up/{s.name}/000002.jpg", CameraModel.of(s.camera), s.sensor_from_rig) for s in survey.rig.sensors
     ]
-    sought = depth_range(views, 3.0, 40.0)
+    sought = depth_range(views, 3.0, 40.0, TUNING.shots)
     try:
-        plan = plan_shot(views, sought, SETTINGS)
+        plan = plan_shot(views, sought, SETTINGS, TUNING)
     except InputError as error:  # cameras of this rig look apart
         assert NO_OVERLAP in str(error) or EPIPOLE in str(error) or ONE_CENTRE in str(error)
     else:
@@ -78,29 +80,29 @@ def test_the_rig_of_a_rendered_survey_needs_no_model(tmp_path):
 
 
 def test_the_range_follows_from_the_rig_where_none_is_given():
-    found = depth_range(SQUARE, None, None)
+    found = depth_range(SQUARE, None, None, TUNING.shots)
     assert found.near == pytest.approx(5 * 0.075 * np.sqrt(2)) and found.far == pytest.approx(20 * found.near)
-    assert depth_range(SQUARE, 0.5, None).near == 0.5
+    assert depth_range(SQUARE, 0.5, None, TUNING.shots).near == 0.5
 
 
 @pytest.mark.parametrize("near, far", [(-1.0, 2.0), (2.0, 1.0), (0.0, 1.0), (np.nan, 2.0), (1.0, np.inf)])
 def test_a_range_that_is_none_is_refused(near, far):
     with pytest.raises(InputError, match="near"):
-        depth_range(SQUARE, near, far)
+        depth_range(SQUARE, near, far, TUNING.shots)
 
 
 def test_cameras_in_one_place_are_refused():
     with pytest.raises(InputError, match="two calibrated cameras"):
-        depth_range(SQUARE[:1], None, None)
+        depth_range(SQUARE[:1], None, None, TUNING.shots)
     with pytest.raises(InputError, match="two calibrated cameras"):
-        depth_range([SQUARE[0], view("again.png", (0, 0, 0))], None, None)
+        depth_range([SQUARE[0], view("again.png", (0, 0, 0))], None, None, TUNING.shots)
 
 
 def test_no_pair_to_match_says_why():
     away = np.diag([-1.0, 1.0, -1.0])  # looks back
     with pytest.raises(InputError, match=NO_OVERLAP):
-        plan_shot([SQUARE[0], view("b.png", (0.075, 0, 0), away)], RANGE, SETTINGS)
+        plan_shot([SQUARE[0], view("b.png", (0.075, 0, 0), away)], RANGE, SETTINGS, TUNING)
     with pytest.raises(InputError, match=EPIPOLE.split(":")[0]):
-        plan_shot([SQUARE[0], view("b.png", (0, 0, 0.2))], RANGE, SETTINGS)
+        plan_shot([SQUARE[0], view("b.png", (0, 0, 0.2))], RANGE, SETTINGS, TUNING)
     with pytest.raises(InputError, match=ONE_CENTRE.split(":")[0]):
-        plan_shot([SQUARE[0], view("b.png", (0.001, 0, 0))], RANGE, SETTINGS)
+        plan_shot([SQUARE[0], view("b.png", (0.001, 0, 0))], RANGE, SETTINGS, TUNING)

@@ -7,10 +7,12 @@ import pytest
 from tiegraph.dense import engine, tsgm
 from tiegraph.dense.mutual import mutual_information
 from tiegraph.dense.settings import DenseSettings
+from tiegraph.dense.tuning import Tuning
 from tiegraph.errors import EngineMissing
 
 sgm = pytest.importorskip("tiegraph.dense._sgm")
 SETTINGS = DenseSettings()
+TUNING = Tuning()
 
 
 def texture(shape, seed=0, sigma=1.2):
@@ -77,12 +79,12 @@ def test_impossible_ranges_are_refused(size, changes, says):
 def test_mutual_information_knows_any_relation_of_greys():
     left = grey(texture((80, 120)))
     right = 255 - left // 2  # as unlike as it can be, but a function of it
-    table = mutual_information(sgm.joint_greys(left, right, np.zeros(left.shape, np.float32)))
+    table = mutual_information(sgm.joint_greys(left, right, np.zeros(left.shape, np.float32)), TUNING.tsgm)
     true = table[left, right].mean()
     wrong = table[left, np.roll(right, 30, axis=1)].mean()
     assert true + 10 < wrong
     nothing = sgm.joint_greys(left, right, np.full(left.shape, np.nan, np.float32))
-    assert nothing.sum() == 0 and mutual_information(nothing).shape == (256, 256)
+    assert nothing.sum() == 0 and mutual_information(nothing, TUNING.tsgm).shape == (256, 256)
 
 
 def test_grey_values_are_counted_where_the_disparity_leads():
@@ -108,7 +110,7 @@ def test_matcher_finds_a_shift(shift):
     right = wide[:, : 240 + disparities]
     move = np.array([[1.0, 0, -(disparities - shift)], [0, 1, 0]])
     left = cv2.warpAffine(wide, move, (240, 100), flags=cv2.INTER_CUBIC)
-    found = tsgm.match_tsgm(grey(left), grey(right), disparities, SETTINGS)
+    found = tsgm.match_tsgm(grey(left), grey(right), disparities, SETTINGS, TUNING)
     inner = found[5:-5, 5:-5]
     assert found.shape == (100, 240) and found.dtype == np.float32
     assert np.isfinite(inner).mean() > 0.95
@@ -130,8 +132,8 @@ def test_pixels_not_in_use_are_hardly_searched_and_the_others_answered_as_before
 
     monkeypatch.setattr(sgm, "match_ragged", counted)
     use = np.arange(160)[:, None] >= np.full(300, 60)
-    all_pixels = tsgm.match_tsgm(grey(left), grey(padded), 128, SETTINGS)
-    in_use = tsgm.match_tsgm(grey(left), grey(padded), 128, SETTINGS, use)
+    all_pixels = tsgm.match_tsgm(grey(left), grey(padded), 128, SETTINGS, TUNING)
+    in_use = tsgm.match_tsgm(grey(left), grey(padded), 128, SETTINGS, TUNING, use)
     assert searched[1] < 0.75 * searched[0]
     both = np.isfinite(all_pixels[66:]) & np.isfinite(in_use[66:])
     assert both.mean() > 0.98 * np.isfinite(all_pixels[66:]).mean() > 0.8
@@ -143,7 +145,7 @@ def test_a_thin_bar_before_the_wall_is_kept():
     left, right = wall[:, 110:410].copy(), wall[:, 100:400].copy()  # 10 px
     left[:, 150:160], right[:, 70:80] = bar[:, :10], bar[:, :10]  # 80 px
     padded = cv2.copyMakeBorder(right, 0, 0, 128, 0, cv2.BORDER_REPLICATE)
-    found = tsgm.match_tsgm(grey(left), grey(padded), 128, SETTINGS)
+    found = tsgm.match_tsgm(grey(left), grey(padded), 128, SETTINGS, TUNING)
     assert np.mean(np.abs(found[:, 152:158] - 80) < 2) > 0.8
     assert np.mean(np.abs(found[20:-20, 200:280] + 10) < 2) < 0.01
     assert np.mean(np.abs(found[20:-20, 20:140] - (-10)) < 2) < 0.01
@@ -151,7 +153,7 @@ def test_a_thin_bar_before_the_wall_is_kept():
 
 def test_matcher_refuses_what_the_other_image_does_not_show():
     left, right = texture((120, 200), 1), texture((120, 264), 2)
-    found = tsgm.match_tsgm(grey(left), grey(right), 64, SETTINGS)
+    found = tsgm.match_tsgm(grey(left), grey(right), 64, SETTINGS, TUNING)
     assert np.isfinite(found).mean() < 0.25
 
 
@@ -160,7 +162,7 @@ def test_matcher_refuses_what_the_other_image_does_not_show():
 def test_tiny_images_and_wide_ranges_do_no_harm(shape, disparities):
     left = np.zeros(shape, np.uint8)
     right = np.zeros((shape[0], shape[1] + disparities), np.uint8)
-    found = tsgm.match_tsgm(left, right, disparities, SETTINGS)
+    found = tsgm.match_tsgm(left, right, disparities, SETTINGS, TUNING)
     assert found.shape == shape
     assert not np.any((found < -1) | (found > disparities))
 
@@ -169,9 +171,9 @@ def test_strips_change_almost_nothing(monkeypatch):
     wide = texture((700, 260))
     left, right = grey(wide[:, 20:220]), grey(wide)[:, :240]
     padded = cv2.copyMakeBorder(right, 0, 0, 40, 0, cv2.BORDER_REPLICATE)
-    whole = tsgm.match_tsgm(left, padded, 80, SETTINGS)
+    whole = tsgm.match_tsgm(left, padded, 80, SETTINGS, TUNING)
     monkeypatch.setattr(tsgm, "_VOLUME_BYTES", 2 * 200 * 16 * 250)
-    strips = tsgm.match_tsgm(left, padded, 80, SETTINGS)
+    strips = tsgm.match_tsgm(left, padded, 80, SETTINGS, TUNING)
     assert np.mean((whole == strips) | (np.isnan(whole) & np.isnan(strips))) > 0.998
 
 
@@ -179,11 +181,11 @@ def test_strips_change_almost_nothing(monkeypatch):
 def test_strips_cover_every_row_once_and_stay_within_the_limit(monkeypatch, limit):
     monkeypatch.setattr(tsgm, "_VOLUME_BYTES", limit)
     cells = np.random.default_rng(0).integers(1, 60, 900)
-    strips = tsgm._strips(cells)
+    strips = tsgm._strips(cells, TUNING.tsgm.strip_overlap_px)
     rows = np.concatenate([np.arange(900)[outer][inner] for outer, inner in strips])
     np.testing.assert_array_equal(rows, np.arange(900))
     for outer, _ in strips:
-        assert cells[outer].sum() <= limit or outer.stop - outer.start <= 3 * 64
+        assert cells[outer].sum() <= limit or outer.stop - outer.start <= 3 * TUNING.tsgm.strip_overlap_px
     if limit == 10**9:
         assert len(strips) == 1
 
@@ -192,22 +194,22 @@ def test_the_volumes_stay_within_what_is_said_before():
     wide = texture((480, 900))
     left, right = grey(wide[:, 200:840]), grey(wide)[:, :840]
     workspace = tsgm._sgm.Workspace()
-    stated = tsgm.volume_bytes(480, 640, 200)
+    stated = tsgm.volume_bytes(480, 640, 200, TUNING.tsgm)
     before = tsgm._memory.__dict__.pop("workspace", None)
     tsgm._memory.workspace = workspace
-    tsgm.match_tsgm(left, right, 200, SETTINGS)
+    tsgm.match_tsgm(left, right, 200, SETTINGS, TUNING)
     if before is not None:
         tsgm._memory.workspace = before
     assert 0.05 * stated < workspace.bytes < 1.3 * stated  # the rows in work come on top
-    assert tsgm.volume_bytes(2048, 2448, 512) <= 300e6
-    assert tsgm.volume_bytes(4000, 6000, 1000) <= 800e6
+    assert tsgm.volume_bytes(2048, 2448, 512, TUNING.tsgm) <= 300e6
+    assert tsgm.volume_bytes(4000, 6000, 1000, TUNING.tsgm) <= 800e6
 
 
 def test_without_the_native_module_the_remedy_is_named(monkeypatch):
     monkeypatch.setattr(tsgm, "_sgm", None)
     assert not tsgm.available()
     with pytest.raises(EngineMissing, match="compiler"):
-        tsgm.match_tsgm(np.zeros((4, 4), np.uint8), np.zeros((4, 8), np.uint8), 4, SETTINGS)
+        tsgm.match_tsgm(np.zeros((4, 4), np.uint8), np.zeros((4, 8), np.uint8), 4, SETTINGS, TUNING)
     name, remark = engine.installed("tsgm")
     assert name == "sgbm" and "compiler" in remark
 

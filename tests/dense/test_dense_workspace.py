@@ -8,11 +8,13 @@ from dense_world import render, true_model
 from tiegraph.dense.neighbours import plan_images
 from tiegraph.dense.normals import with_normals
 from tiegraph.dense.settings import DenseSettings
+from tiegraph.dense.tuning import Tuning
 from tiegraph.dense.undistort import pinhole_of
 from tiegraph.dense.workspace import undistorted, write_workspace
 from tiegraph.scene.results import DepthMap
 
 SETTINGS = DenseSettings()
+TUNING = Tuning()
 
 
 def fused(folder: str) -> np.ndarray:
@@ -31,16 +33,18 @@ def true_map(survey, plan):
     sensor = next(s for s in survey.rig.sensors if s.name == plan.view.name.split("/")[1])
     depth = survey.world.depth_m(sensor.camera, plan.view.cam_from_world).astype(np.float32)
     depth[~np.isfinite(depth)] = np.nan
-    K, _ = pinhole_of(plan.view.camera, SETTINGS)
+    K, _ = pinhole_of(plan.view.camera, SETTINGS, TUNING.views)
     full = np.full(depth.shape, 4, np.uint8)
-    return with_normals(DepthMap(plan.view.name, depth, 0.01 * depth, full, K, plan.view.cam_from_world))
+    return with_normals(
+        DepthMap(plan.view.name, depth, 0.01 * depth, full, K, plan.view.cam_from_world), TUNING.normals
+    )
 
 
 def test_colmap_fuses_our_depth_maps(survey, tmp_path):
     model = true_model(survey)
-    plans = plan_images(model, SETTINGS).images
+    plans = plan_images(model, SETTINGS, TUNING.partners).images
     maps = {n: true_map(survey, p) for n, p in plans.items() if "/cam0/" in n}
-    assert write_workspace(tmp_path, model, survey.images, maps.get, SETTINGS) == len(maps) == 5
+    assert write_workspace(tmp_path, model, survey.images, maps.get, SETTINGS, TUNING.views) == len(maps) == 5
     assert (tmp_path / "stereo" / "fusion.cfg").read_text().split() == sorted(maps)
     xyz = fused(str(tmp_path))
     assert len(xyz) > 5000
@@ -57,7 +61,7 @@ def test_colmap_fuses_our_depth_maps(survey, tmp_path):
 def test_the_model_of_the_workspace_sees_the_same_points(survey):
     model = true_model(survey)
     names = {i.name for i in model.images.values() if "/cam0/" in i.name}
-    flat = undistorted(model, names, SETTINGS)
+    flat = undistorted(model, names, SETTINGS, TUNING.views)
     assert {i.name for i in flat.images.values()} == names
     assert all(c.model_name == "PINHOLE" for c in flat.cameras.values())
     assert 0 < flat.num_points3D() <= model.num_points3D()

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 from tiegraph.evaluate.backprojection import View, backproject, backprojection_rmse, project
+from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry import transforms
 from tiegraph.scene.results import Cloud, DepthMap
 
 K = np.array([[500.0, 0, 320], [0, 510.0, 240], [0, 0, 1]])
+TRIED = Tuning().points_tried
 
 
 def looking(angle_deg: float, at: tuple[float, float, float] = (0, 0, 0)) -> np.ndarray:
@@ -29,7 +31,7 @@ def test_backproject_inverts_project() -> None:
 @pytest.mark.parametrize("depth", [5.0, 20.0])
 def test_error_is_the_rounding_alone(depth: float) -> None:
     views = [View("a.jpg", K, looking(0), 640, 480), View("b.jpg", K, looking(8, (1, 0, 0)), 640, 480)]
-    result = backprojection_rmse(wall(depth), views)
+    result = backprojection_rmse(wall(depth), views, TRIED)
     expected = depth * np.sqrt(2 / 12) / 505
     assert 0.95 * expected < result.rmse_m < 1.05 * expected
     assert 0.95 < result.rmse_m / result.rounding_m < 1.05
@@ -38,8 +40,8 @@ def test_error_is_the_rounding_alone(depth: float) -> None:
 
 def test_a_wrong_pose_does_not_show() -> None:
     """The reason the figure proves nothing: a view a metre off has the same error."""
-    right = backprojection_rmse(wall(20.0), [View("a.jpg", K, looking(0), 640, 480)])
-    wrong = backprojection_rmse(wall(20.0), [View("a.jpg", K, looking(0, (1, 0, 0)), 640, 480)])
+    right = backprojection_rmse(wall(20.0), [View("a.jpg", K, looking(0), 640, 480)], TRIED)
+    wrong = backprojection_rmse(wall(20.0), [View("a.jpg", K, looking(0, (1, 0, 0)), 640, 480)], TRIED)
     assert abs(wrong.rmse_m / right.rmse_m - 1) < 0.05
 
 
@@ -49,9 +51,9 @@ def test_depth_maps_and_clouds_are_accepted() -> None:
     view = DepthMap("a.jpg", depth, depth, depth.astype(np.uint8), K, looking(0))
     empty = np.zeros(len(xyz), np.float32)
     cloud = Cloud(xyz, np.zeros((len(xyz), 3), np.uint8), np.zeros((len(xyz), 3), np.float32), empty, empty)
-    assert 0.005 < backprojection_rmse(cloud, [view]).rmse_m < 0.012
+    assert 0.005 < backprojection_rmse(cloud, [view], TRIED).rmse_m < 0.012
 
 
 def test_nothing_seen_is_nan_not_zero() -> None:
-    result = backprojection_rmse(wall(10.0, 100), [View("behind.jpg", K, looking(180), 640, 480)])
+    result = backprojection_rmse(wall(10.0, 100), [View("behind.jpg", K, looking(180), 640, 480)], TRIED)
     assert result.points == 0 and np.isnan(result.rmse_m) and result.images[0][:2] == ("behind.jpg", 0)

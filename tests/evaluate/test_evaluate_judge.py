@@ -9,9 +9,11 @@ from scipy.spatial.transform import Rotation
 from tiegraph.evaluate.cloud import cloud_to_cloud
 from tiegraph.evaluate.judge import Predicted, against_cloud, against_poses
 from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory
+from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry import transforms
 
 SIGMA = Predicted(inside_m=0.002, scale=0.0005, placed_m=0.05, point_m=0.01)
+TUNING = Tuning()
 
 
 def way(seed: int = 0) -> np.ndarray:
@@ -28,7 +30,8 @@ def judged(reference: np.ndarray, estimate: np.ndarray | None = None, predicted:
         est = est @ Rotation.from_rotvec([0.3, 0.2, 1.0]).as_matrix().T + [5, -3, 2]
     turn = np.tile(np.eye(3), (60, 1, 1))
     match = PoseMatch(transforms.rigid(turn, est), transforms.rigid(turn, reference), np.zeros(60, int), np.arange(60))
-    return against_poses(match, evaluate_trajectory(match, (10.0,), same_frame=same), predicted, 0.5)
+    found = evaluate_trajectory(match, (10.0,), TUNING.trajectory, same_frame=same)
+    return against_poses(match, found, predicted, TUNING.judge, 0.5)
 
 
 def test_a_reference_that_agrees_is_no_contradiction() -> None:
@@ -72,7 +75,7 @@ def test_a_cloud_farther_than_predicted() -> None:
     rng = np.random.default_rng(0)
     wall = np.column_stack([rng.uniform(0, 10, 20000), np.zeros(20000), rng.uniform(0, 4, 20000)])
     near = wall[:8000] + [0.0, 0.01, 0.0] * rng.standard_normal((8000, 1))
-    assert against_cloud(cloud_to_cloud(near, wall), wall, SIGMA, True) == []
-    far = cloud_to_cloud(near + [0, 0.3, 0], wall)
-    (text,) = against_cloud(far, wall, SIGMA, True)
+    assert against_cloud(cloud_to_cloud(near, wall, TUNING.cloud), wall, SIGMA, True, TUNING.judge) == []
+    far = cloud_to_cloud(near + [0, 0.3, 0], wall, TUNING.cloud)
+    (text,) = against_cloud(far, wall, SIGMA, True, TUNING.judge)
     assert "differ by 0.3 m" in text or "differ by 0.2" in text

@@ -16,12 +16,15 @@ from tiegraph.evaluate.metrics import metrics_from_dict, metrics_to_dict
 from tiegraph.evaluate.reference import ModelPoses, ReferencePoses
 from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.evaluate.survey import pinhole_views
+from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry import geodesy, transforms
 from tiegraph.scene.results import Cloud, Metric
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 
 FRAMES = 12
+TUNING = Tuning()
+GAP_S = TUNING.trajectory.max_gap_s
 DATA = Path(os.environ.get("TIEGRAPH_DATA", "../shared/data"))
 TURN = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # a camera looking along x, z up
 
@@ -89,7 +92,7 @@ def test_a_colmap_model_is_matched_by_name(tmp_path: Path, binary: bool) -> None
     truth = make_model(scene)
     (truth.write_binary if binary else truth.write_text)(tmp_path)
     model = reference.model_poses(make_model(scene, missing=3), scene)
-    match, said = reference.match_poses(reference.read_reference_poses(tmp_path), model, scene)
+    match, said = reference.match_poses(reference.read_reference_poses(tmp_path), model, scene, GAP_S)
     assert len(match) == 21 and "21 placed of 24" in said and match.labels == ("up cam0", "up cam1")
     assert np.allclose(match.estimate, match.reference, atol=1e-6)
 
@@ -100,7 +103,7 @@ def test_tum_by_time_or_in_order_with_other_body_axes(tmp_path: Path, times: boo
     body = rig_poses() @ transforms.rigid(TURN.T, np.zeros(3))  # the vehicle's axes: x forward, z up
     write_tum(tmp_path / "rig_up.tum", 100.0 + np.arange(FRAMES), body)
     model = reference.model_poses(make_model(scene), scene)
-    match, said = reference.match_poses(reference.read_reference_poses(tmp_path), model, scene)
+    match, said = reference.match_poses(reference.read_reference_poses(tmp_path), model, scene, GAP_S)
     assert len(match) == FRAMES and ("by time" if times else "in order") in said
     assert np.allclose(match.estimate, match.reference, atol=1e-5)
 
@@ -121,9 +124,9 @@ def test_unusable_references_say_why(tmp_path: Path) -> None:
         reference.read_tum(bad)
     short = write_tum(tmp_path / "short.tum", np.arange(5.0), rig_poses()[:5])
     with pytest.raises(InputError, match="5 poses for 12 frames"):
-        reference.match_poses(reference.read_reference_poses(short), model, scene)
+        reference.match_poses(reference.read_reference_poses(short), model, scene, GAP_S)
     with pytest.raises(InputError, match="only 0 poses"):
-        reference.match_poses(ReferencePoses({}, {"other": reference.read_tum(short)}, tmp_path), model, scene)
+        reference.match_poses(ReferencePoses({}, {"other": reference.read_tum(short)}, tmp_path), model, scene, GAP_S)
     (tmp_path / "colmap").mkdir()
     (tmp_path / "colmap" / "images.bin").write_bytes(b"nonsense")
     with pytest.raises(InputError, match="images.bin: the file is cut off"):
@@ -151,14 +154,14 @@ def test_points_are_read_with_their_crs(tmp_path: Path) -> None:
     las = laspy.LasData(header)
     las.xyz = np.arange(30.0).reshape(10, 3)
     las.write(tmp_path / "scan.laz")
-    xyz, crs = reference.read_points(tmp_path / "scan.laz")
+    xyz, crs = reference.read_points(tmp_path / "scan.laz", TUNING.cloud.read_points)
     assert crs == "EPSG:6691" and np.allclose(xyz, np.arange(30.0).reshape(10, 3))
     assert len(reference.read_points(tmp_path / "scan.laz", most=4)[0]) == 4
     (tmp_path / "broken.laz").write_bytes(b"LASF")
     with pytest.raises(InputError, match="broken.laz: not a readable"):
-        reference.read_points(tmp_path / "broken.laz")
+        reference.read_points(tmp_path / "broken.laz", TUNING.cloud.read_points)
     with pytest.raises(InputError, match="no such point cloud"):
-        reference.read_points(tmp_path / "none.laz")
+        reference.read_points(tmp_path / "none.laz", TUNING.cloud.read_points)
 
 
 def test_a_survey_is_evaluated_whole(tmp_path: Path) -> None:
@@ -169,7 +172,7 @@ def test_a_survey_is_evaluated_whole(tmp_path: Path) -> None:
     las.write(tmp_path / "lidar.laz")
     settings = EvaluateSettings(reference=tmp_path, reference_cloud=tmp_path / "lidar.laz", range_m=100)
     model = make_model(scene, missing=3)
-    data = evaluate_survey(scene, model, a_cloud(), pinhole_views(model), settings)
+    data = evaluate_survey(scene, model, a_cloud(), settings, TUNING)
     values = {m.name: m.value for m in metrics_from_dict(data)}
     assert values["registered_images"] == pytest.approx(100 * 20 / 24) and values["ate_se3_rmse"] < 1e-6
     assert 0.001 < values["backprojection_rmse"] < 0.1 and values["fscore_0.02m"] > 99
@@ -181,7 +184,7 @@ def test_a_survey_is_evaluated_whole(tmp_path: Path) -> None:
 
 def test_a_survey_without_references_or_cloud(tmp_path: Path) -> None:
     scene = make_scene()
-    data = evaluate_survey(scene, make_model(scene), None, [], EvaluateSettings())
+    data = evaluate_survey(scene, make_model(scene), None, EvaluateSettings(), TUNING)
     assert [m["name"] for m in data["metrics"]] == ["registered_images", "images_by_rig"]
 
 
@@ -196,14 +199,16 @@ def test_absolute_error_in_a_common_crs(tmp_path: Path) -> None:
     inside = reference.to_world(rig_poses()[:, :3, 3], local, world)
     poses = transforms.rigid(rig_poses()[:, :3, :3], inside + [0.2, 0, 0])
     found = ModelPoses(poses[scene.frame], poses)
-    match, _ = reference.match_poses(reference.read_reference_poses(tmp_path), found, scene)
+    match, _ = reference.match_poses(
+        reference.read_reference_poses(tmp_path), found, scene, TUNING.trajectory.max_gap_s
+    )
     match = reference.poses_to_world(match, local, world)
     from tiegraph.evaluate.trajectory import evaluate_trajectory
 
-    result = evaluate_trajectory(match, (2.0,), same_frame=True)
+    result = evaluate_trajectory(match, (2.0,), TUNING.trajectory, same_frame=True)
     assert result.absolute is not None and result.absolute.rmse_m == pytest.approx(0.2, abs=1e-3)
     settings = EvaluateSettings(reference=tmp_path / "up.tum", reference_origin=lat_lon_height)
-    data = evaluate_survey(scene, model, None, [], settings, world)
+    data = evaluate_survey(scene, model, None, settings, TUNING, world)
     assert "absolute_rmse" in [m["name"] for m in data["metrics"]]
 
 
@@ -236,4 +241,4 @@ def test_points_at_no_place_are_refused_by_number(tmp_path):
         "1 2 3\n1 nan 3\n"
     )
     with pytest.raises(InputError, match="reference.ply: 1 points are at no place .* point 2"):
-        reference.read_points(path)
+        reference.read_points(path, TUNING.cloud.read_points)

@@ -6,8 +6,11 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.evaluate import trajectory
 from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory, registered_metrics, registered_table
+from tiegraph.evaluate.tuning import TrajectoryTuning
 from tiegraph.geometry import transforms
 from tiegraph.scene.registered import Registration
+
+TUNING = TrajectoryTuning()
 
 
 def river(frames: int = 60, step_m: float = 1.0) -> np.ndarray:
@@ -30,7 +33,7 @@ def moved(poses: np.ndarray, scale: float, seed: int = 0) -> np.ndarray:
 
 
 def test_a_similarity_is_no_error_but_its_scale_shows() -> None:
-    result = evaluate_trajectory(matched(moved(river(), 0.9), river()), (1.0, 10.0))
+    result = evaluate_trajectory(matched(moved(river(), 0.9), river()), (1.0, 10.0), TUNING)
     assert result.sim3.rmse_m < 1e-9 and abs(result.sim3.scale - 1 / 0.9) < 1e-9
     assert 1.0 < result.se3.rmse_m < 2.5
     assert 0.05 < result.relative[0].translation_m < 0.2 and 0.8 < result.relative[1].translation_m < 1.3
@@ -41,7 +44,7 @@ def test_noise_comes_out_as_it_went_in() -> None:
     truth = river(400)
     noisy = truth.copy()
     noisy[:, :3, 3] += np.random.default_rng(1).normal(0, 0.1, (400, 3))
-    result = evaluate_trajectory(matched(moved(noisy, 1.0), truth), (10.0,))
+    result = evaluate_trajectory(matched(moved(noisy, 1.0), truth), (10.0,), TUNING)
     assert 0.16 < result.se3.rmse_m < 0.19  # 0.1 sqrt(3)
     assert 0.22 < result.relative[0].translation_m < 0.27  # two ends
     assert result.relative[0].rotation_deg < 1e-3
@@ -51,7 +54,7 @@ def test_noise_comes_out_as_it_went_in() -> None:
 def test_one_wrong_image_counts_in_ate_but_not_for_the_others() -> None:
     wrong = river()
     wrong[30, 2, 3] += 50
-    result = evaluate_trajectory(matched(wrong, river()), (1.0,))
+    result = evaluate_trajectory(matched(wrong, river()), (1.0,), TUNING)
     assert result.sim3.max_m > 20 and result.within == pytest.approx(59 / 60)
 
 
@@ -59,16 +62,16 @@ def test_yaw_drift_is_read_per_100_m() -> None:
     truth = river(120)
     turn = Rotation.from_rotvec(np.outer(np.radians(0.02 * np.arange(120)), [0, 0, 1])).as_matrix()
     drifting = transforms.rigid(turn @ truth[:, :3, :3], truth[:, :3, 3])
-    result = evaluate_trajectory(matched(drifting, truth), (1.0,))
+    result = evaluate_trajectory(matched(drifting, truth), (1.0,), TUNING)
     length = trajectory.path_length(truth[:, :3, 3])[-1]
     assert result.yaw_drift_deg_per_100m == pytest.approx(0.02 * 119 / length * 100, rel=0.02)
-    assert np.isnan(evaluate_trajectory(matched(truth[:4], truth[:4]), (1.0,)).yaw_drift_deg_per_100m)
+    assert np.isnan(evaluate_trajectory(matched(truth[:4], truth[:4]), (1.0,), TUNING).yaw_drift_deg_per_100m)
 
 
 def test_absolute_error_sees_the_shift() -> None:
     shifted = river()
     shifted[:, :3, 3] += [0.3, 0, 0.4]
-    result = evaluate_trajectory(matched(shifted, river()), (1.0,), same_frame=True)
+    result = evaluate_trajectory(matched(shifted, river()), (1.0,), TUNING, same_frame=True)
     assert result.absolute is not None and result.absolute_enu_m is not None
     assert result.absolute.rmse_m == pytest.approx(0.5) and result.se3.rmse_m < 1e-9
     assert result.absolute_enu_m == pytest.approx((0.3, 0, 0.4))
@@ -76,13 +79,13 @@ def test_absolute_error_sees_the_shift() -> None:
 
 
 def test_a_distance_no_step_fits_has_no_figure() -> None:
-    far = trajectory.relative_error(matched(river(10, 5.0), river(10, 5.0)), 1.0)
+    far = trajectory.relative_error(matched(river(10, 5.0), river(10, 5.0)), 1.0, TUNING.max_stretch)
     assert far.count == 0 and np.isnan(far.translation_m)
 
 
 def test_two_poses_cannot_be_aligned() -> None:
     with pytest.raises(ValueError, match="at least 3"):
-        evaluate_trajectory(matched(river(2), river(2)), (1.0,))
+        evaluate_trajectory(matched(river(2), river(2)), (1.0,), TUNING)
 
 
 def test_registered_shares() -> None:

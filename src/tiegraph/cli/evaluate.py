@@ -10,6 +10,7 @@ from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say, show_table
 from tiegraph.cli.run import main_stage
 from tiegraph.evaluate.cloud import cloud_to_cloud
+from tiegraph.evaluate.tuning import CloudTuning
 from tiegraph.scene.cloudfile import read_cloud
 
 _TWO_CLOUDS = "\n\nOr two point clouds: tiegraph evaluate CLOUD REFERENCE (.laz, .las or .ply; --help after them)."
@@ -39,7 +40,7 @@ def _clouds(arguments: list[str]) -> int:
         return cloud, reference, distances_m
 
     cloud, reference, distances = options_of(evaluate, "tiegraph evaluate", arguments)
-    result = cloud_to_cloud(read_cloud(cloud), read_cloud(reference), distances)
+    result = cloud_to_cloud(read_cloud(cloud), read_cloud(reference), CloudTuning(), distances)
     for metric in result.metrics():
         say(f"{metric.name:<24} {metric.value:.4g} {metric.unit}")
     for name, content in result.tables().items():

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tiegraph.cloud.settings import CloudSettings
+from tiegraph.cloud.tuning import Tuning
 
 _CHUNK = 200_000  # points asked at once: bounds the memory of the neighbour table
 
@@ -25,7 +26,7 @@ class Filtered:
 
 
 def filter_points(
-    xyz: np.ndarray, spacing: np.ndarray, settings: CloudSettings, around: np.ndarray | None = None
+    xyz: np.ndarray, spacing: np.ndarray, settings: CloudSettings, tuning: Tuning, around: np.ndarray | None = None
 ) -> Filtered:
     """Both filters on points (M, 3) with spacing (M,); ``around`` (K, 3): points of the surroundings, counted as
     neighbours only, so that the border of a tile is not a border of the cloud.
@@ -45,13 +46,12 @@ def filter_points(
         distance = np.asarray(tree.query(xyz[part], k=1 + max(count if statistical else 0, wanted))[0])
         furthest[part] = distance[:, wanted]
         mean[part] = distance[:, 1 : count + 1] @ np.full(count, 1 / count) if statistical else 0
-    near = _statistical_inliers(mean / spacing, settings.statistical_ratio)
+    near = _statistical_inliers(mean / spacing, settings.statistical_ratio, tuning.held_medians)
     dense = furthest <= settings.radius_voxels * spacing
     keep = near & dense
     return Filtered(keep, int(np.count_nonzero(~near)), int(np.count_nonzero(near & ~dense)))
 
 
-def _statistical_inliers(mean: np.ndarray, ratio: float) -> np.ndarray:
-    # A few points very far away would enlarge the deviation and save the others: distances are held at 10 medians.
-    held = np.minimum(mean, 10 * np.median(mean))
+def _statistical_inliers(mean: np.ndarray, ratio: float, held_medians: float) -> np.ndarray:
+    held = np.minimum(mean, held_medians * np.median(mean))
     return mean <= held.mean() + ratio * held.std()

@@ -17,6 +17,7 @@ import numpy as np
 
 from tiegraph.cloud.filter import filter_points
 from tiegraph.cloud.settings import CloudSettings
+from tiegraph.cloud.tuning import Tuning
 from tiegraph.cloud.voxels import (
     COLUMNS,
     ROW,
@@ -41,7 +42,6 @@ Run = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]  # map over
 
 _MERGE_ROWS = 2_000_000  # points read before they are added up: about 0.3 GB
 _MAPS_AT_ONCE = 400  # depth maps whose points lie in files before they are added up: about 10 GB at 1.5 million points
-_SAMPLED_MAPS = 50  # depth maps that decide the automatic voxel size
 
 
 @dataclass(frozen=True)
@@ -86,18 +86,22 @@ def fuse(
     maps: Maps,
     scratch: Path,
     settings: CloudSettings,
+    tuning: Tuning,
     origin: Origin | None = None,
     run: Run = map,
 ) -> Fused:
     """Fuse the depth maps of ``names`` (``maps`` must be picklable if ``run`` uses processes). ``scratch`` is an empty
     folder for tile files, the result among them. Raises ReconstructionError if no depth map has a point."""
-    voxel = settings.voxel_size or automatic_voxel(names, maps.depth, run)
+    voxel = settings.voxel_size or automatic_voxel(names, maps.depth, tuning.sampled_maps, run)
     scattered: list[_Scattered] = []
     merged: dict[Tile, int] = {}
     for begin in range(0, len(names), _MAPS_AT_ONCE):
         numbered = list(enumerate(names))[begin : begin + _MAPS_AT_ONCE]
-        found = list(run(partial(_scatter_one, maps=maps, scratch=scratch, voxel=voxel, settings=settings), numbered))
-        merged |= _merge(dict(zip([k for k, _ in numbered], found, strict=True)), scratch, voxel, run)
+        scatter = partial(
+            _scatter_one, maps=maps, scratch=scratch, voxel=voxel, settings=settings, levels=tuning.levels
+        )
+        found = list(run(scatter, numbered))
+        merged |= _merge(dict(zip([k for k, _ in numbered], found, strict=True)), scratch, voxel, tuning.levels, run)
         scattered += found
     if not merged:
         raise ReconstructionError(
@@ -105,7 +109,8 @@ def fuse(
             "raise --dense.tolerance-px, or look at the poses in the report"
         )
     tiles = sorted(merged)
-    filtered = list(run(partial(_filter_one, scratch=scratch, voxel=voxel, settings=settings), tiles))
+    keep = partial(_filter_one, scratch=scratch, voxel=voxel, settings=settings, tuning=tuning)
+    filtered = list(run(keep, tiles))
     counts = {
         "pixels": sum(s.pixels for s in scattered),
         "uncertain": sum(s.uncertain for s in scattered),
@@ -138,12 +143,14 @@ def map_points(depth: DepthMap, rgb: np.ndarray, settings: CloudSettings) -> tup
     return cloud, justified, int(np.count_nonzero(known & ~sure))
 
 
-def automatic_voxel(names: Sequence[str], depth: Callable[[str], DepthMap | None], run: Run = map) -> float:
-    """Median size of a pixel on the object over the depth maps: the spacing at which the images sample it.
+def automatic_voxel(
+    names: Sequence[str], depth: Callable[[str], DepthMap | None], sampled_maps: int, run: Run = map
+) -> float:
+    """Median size of a pixel on the object over some depth maps: the spacing at which the images sample it.
 
     Raises ReconstructionError if no depth map has a depth.
     """
-    step = -(-len(names) // _SAMPLED_MAPS) if names else 1
+    step = -(-len(names) // sampled_maps) if names else 1
     sizes = [s for s in run(partial(_sampling, depth=depth), list(names[::step])) if s is not None]
     if not sizes:
         raise ReconstructionError(
@@ -167,7 +174,9 @@ def _focal(depth: DepthMap) -> float:
     return float(np.sqrt(depth.K[0, 0] * depth.K[1, 1]))
 
 
-def _scatter_one(item: tuple[int, str], maps: Maps, scratch: Path, voxel: float, settings: CloudSettings) -> _Scattered:
+def _scatter_one(
+    item: tuple[int, str], maps: Maps, scratch: Path, voxel: float, settings: CloudSettings, levels: int
+) -> _Scattered:
     """Write the points of one depth map, sorted by tile."""
     number, name = item
     depth = maps.depth(name)
@@ -176,7 +185,7 @@ def _scatter_one(item: tuple[int, str], maps: Maps, scratch: Path, voxel: float,
     cloud, justified, uncertain = map_points(depth, maps.colours(name), settings)
     if len(cloud) == 0:
         return _Scattered(uncertain=uncertain)
-    tile, rows = rows_of(cloud, justified, voxel)
+    tile, rows = rows_of(cloud, justified, voxel, levels)
     numbers = row_numbers(tile)
     order = order_of(numbers)
     with replacing(_map_path(scratch, number)) as temporary:
@@ -190,20 +199,21 @@ def _scatter_one(item: tuple[int, str], maps: Maps, scratch: Path, voxel: float,
     return _Scattered(tuple(parts), len(cloud), uncertain)
 
 
-def _merge(scattered: dict[int, _Scattered], scratch: Path, voxel: float, run: Run) -> dict[Tile, int]:
+def _merge(scattered: dict[int, _Scattered], scratch: Path, voxel: float, levels: int, run: Run) -> dict[Tile, int]:
     """Add up the points of some depth maps, by their numbers: the number of voxels of the tiles they touch."""
     parts: dict[Tile, list[tuple[int, int, int]]] = {}
     for number, found in scattered.items():
         for tile, start, count in found.parts:
             parts.setdefault(tile, []).append((number, start, count))
     tiles = sorted(parts)
-    sizes = list(run(partial(_merge_one, scratch=scratch, voxel=voxel), [(tile, parts[tile]) for tile in tiles]))
+    merge = partial(_merge_one, scratch=scratch, voxel=voxel, levels=levels)
+    sizes = list(run(merge, [(tile, parts[tile]) for tile in tiles]))
     for number in scattered:
         _map_path(scratch, number).unlink(missing_ok=True)
     return dict(zip(tiles, sizes, strict=True))
 
 
-def _merge_one(item: tuple[Tile, list[tuple[int, int, int]]], scratch: Path, voxel: float) -> int:
+def _merge_one(item: tuple[Tile, list[tuple[int, int, int]]], scratch: Path, voxel: float, levels: int) -> int:
     """Add up the points of one tile, and what earlier depth maps left of it: the number of voxels."""
     tile, parts = item
     path = _tile_path(scratch, tile, "merged")
@@ -214,18 +224,20 @@ def _merge_one(item: tuple[Tile, list[tuple[int, int, int]]], scratch: Path, vox
         if k == len(parts) or sum(len(h) for h in held) > _MERGE_ROWS:
             added = [add_up([*added, sums(np.concatenate(held), voxel)])]
             held = []
-    merged = without_coarse_duplicates(added[0])
+    merged = without_coarse_duplicates(added[0], levels)
     _save(path, merged)
     return len(merged)
 
 
-def _filter_one(tile: Tile, scratch: Path, voxel: float, settings: CloudSettings) -> tuple[int, int, int]:
+def _filter_one(
+    tile: Tile, scratch: Path, voxel: float, settings: CloudSettings, tuning: Tuning
+) -> tuple[int, int, int]:
     """Filter one merged tile among its neighbours: (points kept, dropped by the statistical, by the radius filter)."""
     voxels = _load(_tile_path(scratch, tile, "merged"))
     justified = spacing(voxels.cell, voxel)
     around = _margin(tile, scratch, voxel, settings.radius_voxels * float(justified.max()))
     xyz = positions(voxels.cell, voxels.weight, voxels.place, tile, voxel)
-    result = filter_points(xyz, justified, settings, around)
+    result = filter_points(xyz, justified, settings, tuning, around)
     kept = voxels.where(result.keep)
     _save(_tile_path(scratch, tile, "final"), kept)
     return len(kept), result.statistical, result.radius

@@ -1,6 +1,6 @@
 """Weighted sums of points by voxel: what many depth maps say about one place, in a form that can be added up.
 
-Voxels have LEVELS sizes, each twice the one before: a point goes to the level that fits its sampling and its sigma, so
+Voxels have several sizes, each twice the one before: a point goes to the level that fits its sampling and its sigma, so
 that distant, uncertain points do not fill the cloud. Sums of parts are the sums of the whole, in any order of parts.
 Space is cut into cubic tiles, and a voxel is numbered within its tile: points and sums then take few bytes, and the
 coordinates of any survey fit.
@@ -16,7 +16,6 @@ from tiegraph.geometry.geodesy import Origin
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.sorting import order_of, run_starts
 
-LEVELS = 6
 TILE_VOXELS = 512  # edge of a tile in finest voxels: a wall through it has a quarter of a million points
 _BITS = 9  # of one coordinate of a voxel within its tile
 _MASK = (1 << _BITS) - 1
@@ -91,9 +90,10 @@ def _indices(cell: np.ndarray) -> list[np.ndarray]:
     return [(cell >> np.uint32(shift * _BITS)) & np.uint32(_MASK) for shift in (2, 1, 0)]
 
 
-def rows_of(cloud: Cloud, justified: np.ndarray, voxel: float) -> tuple[np.ndarray, np.ndarray]:
-    """The tile (3, M) i8 of each point and its ROW; justified (M,) is the distance between neighbouring points."""
-    level = np.clip(np.rint(np.log2(np.maximum(justified / voxel, 1e-9))), 0, LEVELS - 1).astype(np.int32)
+def rows_of(cloud: Cloud, justified: np.ndarray, voxel: float, levels: int) -> tuple[np.ndarray, np.ndarray]:
+    """The tile (3, M) i8 of each point and its ROW; justified (M,) is the distance between neighbouring points, levels
+    the number of voxel sizes."""
+    level = np.clip(np.rint(np.log2(np.maximum(justified / voxel, 1e-9))), 0, levels - 1).astype(np.int32)
     per_voxel = np.ldexp(1.0 / voxel, -level)
     down = (TILE_VOXELS.bit_length() - 1) - level
     rows = np.empty(len(cloud), ROW)
@@ -150,12 +150,12 @@ def add_up(parts: list[Voxels]) -> Voxels:
     return Voxels(*(cell[start], *added, np.maximum.reduceat(columns[-1][order], start)))
 
 
-def without_coarse_duplicates(voxels: Voxels) -> Voxels:
+def without_coarse_duplicates(voxels: Voxels, levels: int) -> Voxels:
     """Leave out a coarse voxel in which a finer one lies: the finer knows the place better."""
     keep = np.ones(len(voxels), bool)
-    border = np.searchsorted(voxels.cell, np.arange(LEVELS + 1, dtype=np.uint64) << np.uint64(3 * _BITS))
+    border = np.searchsorted(voxels.cell, np.arange(levels + 1, dtype=np.uint64) << np.uint64(3 * _BITS))
     taken = np.zeros(0, np.uint32)  # voxels of the level that hold a finer one, sorted
-    for level in range(LEVELS):
+    for level in range(levels):
         mine = voxels.cell[border[level] : border[level + 1]]
         if len(taken):
             at = np.minimum(np.searchsorted(taken, mine), len(taken) - 1)

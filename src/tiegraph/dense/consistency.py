@@ -9,18 +9,12 @@ import cv2
 import numpy as np
 
 from tiegraph.dense.settings import DenseSettings
-from tiegraph.dense.triangulate import MAX_RELATIVE
+from tiegraph.dense.tuning import RayTuning
 from tiegraph.geometry.transforms import invert
 from tiegraph.scene.results import DepthMap
 
 LoadDepth = Callable[[str], "DepthMap | None"]
 
-_MIN_ALONG = 0.3  # cosine-like: a witness looking across our ray does not move our depth by more than 1 / 0.3
-_MIN_RELATIVE = 0.002  # agreement is never asked closer than this share of the depth: poses are not perfect
-# Where a pixel of disparity is a large share of the depth, depth maps agree by chance: a point whose sigma is more than
-# this share of its depth needs one depth map more. On canal these were half of the ghosts and 2 % of the right depths.
-_VAGUE = 0.005
-_THROUGH = 1.5  # a witness sees through a point when its surface lies this many tolerances behind
 _STRIP_PIXELS = 1 << 16  # pixels compared together, so that the intermediate columns stay in the cache
 
 
@@ -37,11 +31,16 @@ class Consistency:
 
 
 def check(
-    depth: DepthMap, partners: Sequence[str], witnesses: Sequence[str], load: LoadDepth, settings: DenseSettings
+    depth: DepthMap,
+    partners: Sequence[str],
+    witnesses: Sequence[str],
+    load: LoadDepth,
+    settings: DenseSettings,
+    tuning: RayTuning,
 ) -> tuple[DepthMap, Consistency]:
     """The depth map with witnesses counted and averaged in, pixels dropped on which fewer than ``min_views`` depth maps
-    agree (one more where the sigma is large, ``_VAGUE``), and those that as many images see through as confirm. To be
-    hidden from most images is no reason: the inside of a porch is.
+    agree (one more where the sigma is above ``vague_share``), and those that as many images see through as confirm. To
+    be hidden from most images is no reason: the inside of a porch is.
 
     The image's own matches do not count for this: two partners one step apart to either side mistake equal beams by the
     same depth, other images' depth maps hardly do. A partner without a depth map counts by its match.
@@ -57,10 +56,10 @@ def check(
             continue
         unseen.discard(name)
         counted = _bit(depth, partners.index(name)) if name in partners else np.zeros(depth.depth_m.shape, bool)
-        tally = tally.heard(_compare(depth, other, settings.tolerance_px), counted)
+        tally = tally.heard(_compare(depth, other, settings.tolerance_px, tuning), counted)
     known = np.isfinite(depth.depth_m)
     possible = 1 + tally.possible + len(unseen)  # a partner without a depth map might see everything
-    needed = np.clip(possible, 2, settings.min_views + (_relative_sigma(depth, tally) > _VAGUE))
+    needed = np.clip(possible, 2, settings.min_views + (_relative_sigma(depth, tally) > tuning.vague_share))
     alone = (needed < settings.min_views) & (tally.maps < 2)
     mapless = [_bit(depth, k) for k, name in enumerate(partners) if name in unseen]
     few = known & ((tally.maps + np.sum(mapless, axis=0, dtype=np.int16) < needed) | alone)
@@ -143,15 +142,18 @@ def _replaced(depth: DepthMap, kept: np.ndarray, tally: _Tally) -> DepthMap:
     )
 
 
-def _compare(depth: DepthMap, other: DepthMap, tolerance_px: float) -> _Said:
+def _compare(depth: DepthMap, other: DepthMap, tolerance_px: float, tuning: RayTuning) -> _Said:
     """One witness beside our depth map, strip by strip."""
     surface = _Surface.of(other)
     rows = max(1, _STRIP_PIXELS // depth.depth_m.shape[1])
-    parts = [_compare_rows(depth, surface, top, rows, tolerance_px) for top in range(0, len(depth.depth_m), rows)]
+    tops = range(0, len(depth.depth_m), rows)
+    parts = [_compare_rows(depth, surface, top, rows, tolerance_px, tuning) for top in tops]
     return _Said(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(_Said)))
 
 
-def _compare_rows(depth: DepthMap, surface: _Surface, top: int, rows: int, tolerance_px: float) -> _Said:
+def _compare_rows(
+    depth: DepthMap, surface: _Surface, top: int, rows: int, tolerance_px: float, tuning: RayTuning
+) -> _Said:
     z, sigma_z = depth.depth_m[top : top + rows], depth.sigma_m[top : top + rows]
     other = surface.camera
     other_from_depth = other.cam_from_world @ invert(depth.cam_from_world)
@@ -162,14 +164,14 @@ def _compare_rows(depth: DepthMap, surface: _Surface, top: int, rows: int, toler
     row = np.float32(other.K[1, 1]) * y / their_z + np.float32(other.K[1, 2])
     height, width = other.depth_m.shape
     possible = (column >= 0) & (column <= width) & (row >= 0) & (row <= height)  # NaN compares false
-    inverse, relative_sigma = surface.at(column, row)
+    inverse, relative_sigma = surface.at(column, row, tuning.max_relative)
     relative = 1 / (inverse * their_z) - 1  # their surface behind our point, as a share of its depth; NaN = not seen
     spread = np.hypot(sigma_z / z / np.float32(depth.sigma_px), relative_sigma / np.float32(other.sigma_px))
-    tolerance = np.clip(tolerance_px * spread, _MIN_RELATIVE, MAX_RELATIVE)
+    tolerance = np.clip(tolerance_px * spread, tuning.min_relative, tuning.max_relative)
     agrees = np.abs(relative) <= tolerance
-    through = relative > _THROUGH * tolerance
+    through = relative > tuning.through_tolerances * tolerance
     # Our ray meets their surface, taken as parallel to their image, a little further on; oblique rays are held back.
-    said = z + np.where(agrees, relative * their_z, 0) / np.maximum(along[2], _MIN_ALONG)
+    said = z + np.where(agrees, relative * their_z, 0) / np.maximum(along[2], tuning.min_along)
     said = np.where(agrees, 1 / np.where(agrees, said, 1), 0)
     variance = np.where(agrees, np.square(relative_sigma * said), 1)
     return _Said(possible, agrees, through, said, variance)
@@ -201,7 +203,7 @@ class _Surface:
         inverse = np.where(known, 1 / np.where(known, depth.depth_m, 1), 0).astype(np.float32)
         return _Surface(depth, inverse, known.astype(np.float32), (depth.sigma_m * inverse).astype(np.float32))
 
-    def at(self, column: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def at(self, column: np.ndarray, row: np.ndarray, max_relative: float) -> tuple[np.ndarray, np.ndarray]:
         """Inverse depth (linear between pixels of one surface, which is exact on planes; else the nearest pixel's) and
         its sigma as a share; NaN = nothing there."""
         x = np.clip(np.where(np.isfinite(column), column - np.float32(0.5), -9), -9, 32000)
@@ -213,6 +215,6 @@ class _Surface:
         near = look(self.inverse, cv2.INTER_NEAREST, 0.0)
         linear = look(self.inverse, cv2.INTER_LINEAR, 0.0)
         whole = look(self.known, cv2.INTER_LINEAR, 0.0) > 0.999
-        smooth = whole & (np.abs(linear - near) < MAX_RELATIVE * near)
+        smooth = whole & (np.abs(linear - near) < max_relative * near)
         relative_sigma = look(self.relative_sigma, cv2.INTER_NEAREST, np.nan)
         return np.where(near > 0, np.where(smooth, linear, near), np.float32(np.nan)), relative_sigma

@@ -20,13 +20,9 @@ from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.sgbm import match_sgbm
 from tiegraph.dense.triangulate import Candidates, triangulate
 from tiegraph.dense.tsgm import available, match_tsgm, volume_bytes
+from tiegraph.dense.tuning import PairTuning, RayTuning, Tuning
 from tiegraph.geometry.stereo import Pinhole, Rectification, rectify
 from tiegraph.scene.results import DepthMap
-
-_MAX_DISPARITIES = 1024  # the 16-bit fixed point of the matcher ends at 2047
-_MAX_PIXELS_RATIO = 1.5  # rectified pixels per pixel of the reference
-_SGBM_CELLS = 800e6  # of the largest cost volume of OpenCV's matcher; tsgm bounds its own (tsgm.volume_bytes)
-_BLEND_PX = 1.0  # neighbouring disparities closer than this are interpolated, others are a depth jump
 
 _BITS = np.array([bin(k).count("1") for k in range(256)], np.uint8)
 
@@ -49,12 +45,12 @@ class DenseView:
         return Pinhole(self.K, self.cam_from_world, (self.image_bgr.shape[1], self.image_bgr.shape[0]))
 
 
-DenseEngine = Callable[[DenseView, Sequence[DenseView], DepthRange, DenseSettings], DepthMap]
+DenseEngine = Callable[[DenseView, Sequence[DenseView], DepthRange, DenseSettings, Tuning], DepthMap]
 
-# (left (h, w) u1, right (h, w + disparities) u1, disparities, settings, use (h, w) bool: where the disparity matters)
-# -> (h, w) f4 disparity of left, NaN = none.
+# (left (h, w) u1, right (h, w + disparities) u1, disparities, settings, tuning, use (h, w) bool: where the disparity
+# matters) -> (h, w) f4 disparity of left, NaN = none.
 # Column ``disparities`` of right lies under column 0 of left; left x shows what right x + disparities - d shows.
-PairMatcher = Callable[[np.ndarray, np.ndarray, int, DenseSettings, np.ndarray], np.ndarray]
+PairMatcher = Callable[[np.ndarray, np.ndarray, int, DenseSettings, Tuning, np.ndarray], np.ndarray]
 
 
 def rectified_engine(
@@ -62,6 +58,7 @@ def rectified_engine(
     partners: Sequence[DenseView],
     depth_range: DepthRange,
     settings: DenseSettings,
+    tuning: Tuning,
     matcher: PairMatcher,
     max_cells: float = np.inf,
 ) -> DepthMap:
@@ -70,8 +67,8 @@ def rectified_engine(
     Keeps pixels on which at least one partner's match stands, with the number of images that agree in ``views``; the
     demand for ``min_views`` comes after the comparison of depth maps (``consistency``), which adds witnesses.
     """
-    candidates = propose(reference, partners, depth_range, settings, matcher, max_cells)
-    return solve(reference, candidates, settings)
+    candidates = propose(reference, partners, depth_range, settings, tuning, matcher, max_cells)
+    return solve(reference, candidates, settings, tuning.rays)
 
 
 def propose(
@@ -79,20 +76,24 @@ def propose(
     partners: Sequence[DenseView],
     depth_range: DepthRange,
     settings: DenseSettings,
+    tuning: Tuning,
     matcher: PairMatcher,
     max_cells: float = np.inf,
 ) -> list[Candidates]:
     """What each partner says of each pixel of the reference; at least one entry. Pairs with more pixels times
     disparities than ``max_cells`` are matched at a coarser resolution."""
     shape = reference.mask.shape
-    most = int(min(_MAX_DISPARITIES, max_cells / (shape[0] * shape[1] * _MAX_PIXELS_RATIO)))
-    found = [_match_pair(reference, p, depth_range, settings, matcher, max(most, 16)) for p in partners]
+    most = int(min(tuning.pairs.max_disparities, max_cells / (shape[0] * shape[1] * tuning.pairs.max_pixels_ratio)))
+    most = max(most, tuning.pairs.least_disparities)
+    found = [_match_pair(reference, p, depth_range, settings, tuning, matcher, most) for p in partners]
     return [f if f is not None else Candidates.nothing(shape) for f in found] or [Candidates.nothing(shape)]
 
 
-def solve(reference: DenseView, candidates: Sequence[Candidates], settings: DenseSettings) -> DepthMap:
+def solve(
+    reference: DenseView, candidates: Sequence[Candidates], settings: DenseSettings, tuning: RayTuning
+) -> DepthMap:
     """The depth map of the reference from its partners' proposals (``triangulate``)."""
-    found = triangulate(candidates, settings.tolerance_px)
+    found = triangulate(candidates, settings.tolerance_px, tuning)
     inverse = np.where(reference.mask, found.inverse, np.float32(np.nan))
     depth = (1.0 / inverse).astype(np.float32)
     views = _BITS[found.support] + np.uint8(1)
@@ -109,10 +110,18 @@ def solve(reference: DenseView, candidates: Sequence[Candidates], settings: Dens
     )
 
 
-ENGINES: dict[str, DenseEngine] = {
-    "tsgm": partial(rectified_engine, matcher=match_tsgm),
-    "sgbm": partial(rectified_engine, matcher=match_sgbm, max_cells=_SGBM_CELLS),
-}
+def _sgbm_engine(
+    reference: DenseView,
+    partners: Sequence[DenseView],
+    depth_range: DepthRange,
+    settings: DenseSettings,
+    tuning: Tuning,
+) -> DepthMap:
+    """OpenCV's matcher does not bound its cost volume; tsgm does (``tsgm.volume_bytes``)."""
+    return rectified_engine(reference, partners, depth_range, settings, tuning, match_sgbm, tuning.sgbm.max_cells)
+
+
+ENGINES: dict[str, DenseEngine] = {"tsgm": partial(rectified_engine, matcher=match_tsgm), "sgbm": _sgbm_engine}
 
 
 def installed(name: str) -> tuple[str, str]:
@@ -125,10 +134,10 @@ def installed(name: str) -> tuple[str, str]:
     return name, ""
 
 
-def most_volume_bytes(size: tuple[int, int]) -> int:
+def most_volume_bytes(size: tuple[int, int], tuning: Tuning) -> int:
     """Most bytes of cost volumes that a pair of reference images (width, height) takes with tsgm."""
-    scale = np.sqrt(_MAX_PIXELS_RATIO)
-    return volume_bytes(int(np.ceil(scale * size[1])), int(np.ceil(scale * size[0])), _MAX_DISPARITIES)
+    scale, most = np.sqrt(tuning.pairs.max_pixels_ratio), tuning.pairs.max_disparities
+    return volume_bytes(int(np.ceil(scale * size[1])), int(np.ceil(scale * size[0])), most, tuning.tsgm)
 
 
 def _match_pair(
@@ -136,6 +145,7 @@ def _match_pair(
     partner: DenseView,
     depth_range: DepthRange,
     settings: DenseSettings,
+    tuning: Tuning,
     matcher: PairMatcher,
     most: int,
 ) -> Candidates | None:
@@ -144,7 +154,7 @@ def _match_pair(
         reference.pinhole,
         partner.pinhole,
         (depth_range.near, depth_range.far),
-        _MAX_PIXELS_RATIO * height * width,
+        tuning.pairs.max_pixels_ratio * height * width,
         most,
     )
     if pair is None:
@@ -154,9 +164,9 @@ def _match_pair(
     use = _warp(
         reference.mask.astype(np.uint8), pair.rect_from_reference, pair.size, cv2.INTER_NEAREST, replicate=False
     )
-    disparity = matcher(left, right, pair.disparities, settings, use > 0)
+    disparity = matcher(left, right, pair.disparities, settings, tuning, use > 0)
     disparity = _within_partner(disparity, right_mask, pair.disparities)
-    return _to_reference(disparity, pair, (height, width), depth_range)
+    return _to_reference(disparity, pair, (height, width), depth_range, tuning.pairs)
 
 
 def _rectified_images(
@@ -200,20 +210,27 @@ def _within_partner(disparity: np.ndarray, right_mask: np.ndarray, disparities: 
 
 
 def _to_reference(
-    disparity: np.ndarray, pair: Rectification, shape: tuple[int, int], depth_range: DepthRange
+    disparity: np.ndarray,
+    pair: Rectification,
+    shape: tuple[int, int],
+    depth_range: DepthRange,
+    tuning: PairTuning,
 ) -> Candidates:
     """Inverse depth and its uncertainty at the reference's pixels, of disparities in the rectified window."""
-    at = _resample(disparity, pair.rect_from_reference, shape)
+    at = _resample(disparity, pair.rect_from_reference, shape, tuning.blend_px)
     u, v = np.meshgrid(np.arange(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
     per_px = pair.inverse_depth_per_px(u, v)
     inverse = per_px * (at + pair.offset)
-    good = (per_px > 0) & (inverse > 0.5 / depth_range.far) & (inverse < 2.0 / depth_range.near)
+    margin = tuning.range_margin
+    good = (per_px > 0) & (inverse > 1 / margin / depth_range.far) & (inverse < margin / depth_range.near)
     unit = per_px * np.maximum(pair.stretch(u, v), 1.0)
     nan = np.float32(np.nan)
     return Candidates(np.where(good, inverse, nan).astype(np.float32), np.where(good, unit, nan).astype(np.float32))
 
 
-def _resample(disparity: np.ndarray, rect_from_reference: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+def _resample(
+    disparity: np.ndarray, rect_from_reference: np.ndarray, shape: tuple[int, int], blend_px: float
+) -> np.ndarray:
     """Disparity (H, W) at each reference pixel: interpolated on surfaces, nearest at depth jumps and gaps."""
     half = np.array([[1.0, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
     matrix = np.linalg.inv(half) @ rect_from_reference @ half
@@ -228,5 +245,5 @@ def _resample(disparity: np.ndarray, rect_from_reference: np.ndarray, shape: tup
     known = np.isfinite(disparity).astype(np.float32)
     weight = warp(known, cv2.INTER_LINEAR, 0.0)
     linear = warp(np.where(known > 0, disparity, np.float32(0)), cv2.INTER_LINEAR, 0.0)
-    smooth = (weight > 0.999) & (np.abs(linear - nearest) < _BLEND_PX)
+    smooth = (weight > 0.999) & (np.abs(linear - nearest) < blend_px)
     return np.where(smooth, linear, nearest)

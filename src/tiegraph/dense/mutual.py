@@ -5,11 +5,13 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from tiegraph.dense.tuning import TsgmTuning
+
 _SMOOTHING_PX = 7  # window of the Gaussian that stands for the Parzen estimate, as in Hirschmueller 2008
 _WORST = 62  # the largest cost, that of two census windows of 9 x 7 which differ everywhere
 
 
-def mutual_information(joint: np.ndarray) -> np.ndarray:
+def mutual_information(joint: np.ndarray, tuning: TsgmTuning) -> np.ndarray:
     """Cost (256, 256) u1 of a left and a right grey value, from how often each two lie upon each other (256, 256). 0 =
     the most telling combination, _WORST = the least.
     """
@@ -17,8 +19,9 @@ def mutual_information(joint: np.ndarray) -> np.ndarray:
     share = count / max(1, joint.sum())
     entropy = _information(share)
     gain = entropy - _information(share.sum(axis=1))[:, None] - _information(share.sum(axis=0))[None, :]
-    low, high = np.percentile(gain[count > 0], [1, 99]) if count.any() else (0.0, 1.0)
-    scaled = (gain - low) / max(high - low, 1e-6) * (_WORST / 2)
+    tail = tuning.mutual_tail_percent
+    low, high = np.percentile(gain[count > 0], [tail, 100 - tail]) if count.any() else (0.0, 1.0)
+    scaled = (gain - low) / max(high - low, 1e-6) * (tuning.mutual_span * _WORST)
     return np.clip(np.rint(scaled), 0, _WORST).astype(np.uint8)
 
 

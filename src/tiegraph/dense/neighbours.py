@@ -12,6 +12,7 @@ from scipy import sparse
 
 from tiegraph.dense.plan import CameraModel, DensePlan, DepthRange, ImagePlan, Partner, ViewPlan
 from tiegraph.dense.settings import DenseSettings
+from tiegraph.dense.tuning import PartnerTuning
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry.stereo import rectifying_rotation, usable_rays
 from tiegraph.geometry.transforms import centre
@@ -21,21 +22,6 @@ WIDE = "angle of intersection too wide to look alike"
 EPIPOLE = "motion along the line of sight: the epipole lies in the image"
 SCALE = "scale too different"
 SURPLUS = "better placed partners were chosen"
-
-_MIN_SHARED = 10  # sparse points; below, angle and scale are anyone's guess
-_CONSIDERED = 32  # candidates of an image that are looked at point by point
-_SAMPLES = 300  # shared points looked at per pair
-_MAX_ANGLE_DEG = 35.0  # semi-global matching fails on convergent images (paper 004, section 5.2.4)
-_BEST_ANGLES_DEG = (4.0, 12.0)  # full weight between these: intersection is sound, and the images still look alike
-_MAX_SCALE = 2.0
-_MIN_USABLE = 0.5  # share of the shared points outside the surroundings of the epipole
-_ENOUGH = 2  # a point seen by this many partners counts little for a further one: two confirm each other
-_BEYOND_ENOUGH = 0.3
-_WITNESSES = 8  # images whose depth maps are compared, partners included
-_RANGE_PERCENT = 1.0  # of the sparse points at either end of the depths are left out as possible errors
-# Factors on the inverse depths at the near and the far end: sparse points do not cover everything. Twice as near costs
-# no time, because only the coarsest level is matched over the full range.
-_NEAR_MARGIN, _FAR_MARGIN = 2.0, 1.35
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +40,7 @@ class _Table:
         return self.xyz[points] @ pose[2, :3] + pose[2, 3]
 
 
-def plan_images(reconstruction: pycolmap.Reconstruction, settings: DenseSettings) -> DensePlan:
+def plan_images(reconstruction: pycolmap.Reconstruction, settings: DenseSettings, tuning: PartnerTuning) -> DensePlan:
     """Partners, witnesses and depth range of every registered image.
 
     Raises ReconstructionError when no image has a partner. Time grows with the observations, not with pairs of images.
@@ -68,18 +54,19 @@ def plan_images(reconstruction: pycolmap.Reconstruction, settings: DenseSettings
     lonely = 0
     row = {view.name: k for k, view in enumerate(table.views)}
     for k, view in enumerate(table.views):
-        candidates = _candidates(table, shared, k, settings)
+        candidates = _candidates(table, shared, k, settings, tuning)
         used = [p for p in candidates if p.used]
         refused.update(p.reason for p in candidates if not p.used and p.reason != SURPLUS)
         if not used:
-            dropped.append((view.name, _why_none(candidates)))
+            dropped.append((view.name, _why_none(candidates, tuning.min_shared)))
             continue
         lonely += len(used) == 1
+        common = _in_common(table, k, [row[p.view.name] for p in used])
         images[view.name] = ImagePlan(
             view=view,
             partners=tuple(p.view for p in used),
-            witnesses=_witnesses(candidates),
-            depth_range=_depth_range(table.depths(k, _in_common(table, k, [row[p.view.name] for p in used]))),
+            witnesses=_witnesses(candidates, tuning.witnesses),
+            depth_range=_depth_range(table.depths(k, common), tuning),
         )
     if not images:
         raise ReconstructionError(_no_partners(dropped))
@@ -88,11 +75,13 @@ def plan_images(reconstruction: pycolmap.Reconstruction, settings: DenseSettings
     return DensePlan(images, tuple(dropped), tuple(notes), dict(refused))
 
 
-def choose_partners(reconstruction: pycolmap.Reconstruction, settings: DenseSettings) -> dict[str, list[Partner]]:
+def choose_partners(
+    reconstruction: pycolmap.Reconstruction, settings: DenseSettings, tuning: PartnerTuning
+) -> dict[str, list[Partner]]:
     """Per image name the partners considered, best first; those not ``used`` say why in ``reason``."""
     table = _table(reconstruction)
     shared = _shared_counts(table)
-    return {view.name: _candidates(table, shared, k, settings) for k, view in enumerate(table.views)}
+    return {view.name: _candidates(table, shared, k, settings, tuning) for k, view in enumerate(table.views)}
 
 
 def _table(reconstruction: pycolmap.Reconstruction) -> _Table:
@@ -131,30 +120,32 @@ def _shared_counts(table: _Table) -> sparse.csr_matrix:
     return sparse.csr_matrix(seen @ seen.T)
 
 
-def _candidates(table: _Table, shared: sparse.csr_matrix, image: int, settings: DenseSettings) -> list[Partner]:
+def _candidates(
+    table: _Table, shared: sparse.csr_matrix, image: int, settings: DenseSettings, tuning: PartnerTuning
+) -> list[Partner]:
     """Partners of one image, used ones first in the order of their choice."""
     row = slice(shared.indptr[image], shared.indptr[image + 1])
     others, counts = shared.indices[row], shared.data[row]
-    keep = (others != image) & (counts >= _MIN_SHARED)
+    keep = (others != image) & (counts >= tuning.min_shared)
     others, counts = others[keep], counts[keep]
     if len(others) == 0:
         return []
     depth = max(float(np.median(table.depths(image, table.points[image]))), 1e-12)
     rough_deg = np.degrees(np.linalg.norm(table.centres[others] - table.centres[image], axis=1) / depth)
-    order = np.argsort(-counts * angle_weight(rough_deg), kind="stable")[:_CONSIDERED]
-    looked = [_look(table, image, int(others[k]), int(counts[k]), settings) for k in order]
+    order = np.argsort(-counts * angle_weight(rough_deg, tuning), kind="stable")[: tuning.considered]
+    looked = [_look(table, image, int(others[k]), int(counts[k]), settings, tuning) for k in order]
     good = [(partner, seen, weight) for partner, seen, weight in looked if partner.used]
-    chosen = _choose(good, len(table.points[image]), settings.partners)
+    chosen = _choose(good, len(table.points[image]), settings.partners, tuning)
     surplus = [_refuse(good[k][0], SURPLUS) for k in range(len(good)) if k not in chosen]
     return [good[k][0] for k in chosen] + surplus + [p for p, _, _ in looked if not p.used]
 
 
 def _look(
-    table: _Table, image: int, other: int, count: int, settings: DenseSettings
+    table: _Table, image: int, other: int, count: int, settings: DenseSettings, tuning: PartnerTuning
 ) -> tuple[Partner, np.ndarray, np.ndarray]:
     """A candidate judged by the shared points: with their positions in the image's list and their weights."""
     common, seen, _ = np.intersect1d(table.points[image], table.points[other], True, return_indices=True)
-    step = -(-len(common) // _SAMPLES)
+    step = -(-len(common) // tuning.points_a_pair)
     common, seen = common[::step], seen[::step]
     a, b = table.views[image].cam_from_world, table.views[other].cam_from_world
     from_a, from_b = table.xyz[common] - table.centres[image], table.xyz[common] - table.centres[other]
@@ -168,20 +159,20 @@ def _look(
     if rotations is not None:
         usable = usable_rays(from_a @ (rotations[0] @ a[:3, :3]).T) & usable_rays(from_b @ (rotations[1] @ b[:3, :3]).T)
     partner = Partner(table.views[other], count, float(np.median(angle)), scale)
-    reason = refusal(partner, float(usable.mean()), settings)
-    weight = angle_weight(angle) * usable * min(scale, 1 / scale) * step
+    reason = refusal(partner, float(usable.mean()), settings, tuning)
+    weight = angle_weight(angle, tuning) * usable * min(scale, 1 / scale) * step
     return (_refuse(partner, reason) if reason else partner), seen, weight
 
 
-def refusal(partner: Partner, usable: float, settings: DenseSettings) -> str:
+def refusal(partner: Partner, usable: float, settings: DenseSettings, tuning: PartnerTuning) -> str:
     """Why a pair is not matched, empty if it is; ``usable`` = share of the points far enough from the epipole."""
     if partner.angle_deg < settings.min_angle_deg:
         return ONE_CENTRE
-    if usable < _MIN_USABLE:
+    if usable < tuning.min_usable:
         return EPIPOLE
-    if partner.angle_deg > _MAX_ANGLE_DEG:
+    if partner.angle_deg > tuning.max_angle_deg:
         return WIDE
-    if not 1 / _MAX_SCALE <= partner.scale <= _MAX_SCALE:
+    if not 1 / tuning.max_scale <= partner.scale <= tuning.max_scale:
         return SCALE
     return ""
 
@@ -190,21 +181,23 @@ def _refuse(partner: Partner, reason: str) -> Partner:
     return Partner(partner.view, partner.shared, partner.angle_deg, partner.scale, reason)
 
 
-def angle_weight(angle_deg: np.ndarray) -> np.ndarray:
+def angle_weight(angle_deg: np.ndarray, tuning: PartnerTuning) -> np.ndarray:
     """1 at the best angles, falling on both sides."""
-    low, high = _BEST_ANGLES_DEG
-    narrow = np.clip(angle_deg / low, 0.01, 1.0)
-    wide = np.exp(-np.square(np.maximum(angle_deg - high, 0) / 10.0))
+    low, high = tuning.best_angles_deg
+    narrow = np.clip(angle_deg / low, tuning.least_narrow, 1.0)
+    wide = np.exp(-np.square(np.maximum(angle_deg - high, 0) / tuning.wide_fall_deg))
     return narrow * wide
 
 
-def _choose(good: Sequence[tuple[Partner, np.ndarray, np.ndarray]], points: int, most: int) -> list[int]:
-    """Greedy choice: each point of the image wants to be seen well by two partners, more add little."""
-    covered = np.zeros(points)
+def _choose(
+    good: Sequence[tuple[Partner, np.ndarray, np.ndarray]], points: int, most: int, tuning: PartnerTuning
+) -> list[int]:
+    """Greedy choice: each point of the image wants to be seen well by ``enough`` partners, more add little."""
+    covered, beyond = np.zeros(points), tuning.beyond_enough
     chosen: list[int] = []
     while len(chosen) < min(most, len(good)):
         gains = [
-            -1.0 if k in chosen else float(np.sum(weight * np.where(covered[seen] < _ENOUGH, 1.0, _BEYOND_ENOUGH)))
+            -1.0 if k in chosen else float(np.sum(weight * np.where(covered[seen] < tuning.enough, 1.0, beyond)))
             for k, (_, seen, weight) in enumerate(good)
         ]
         best = int(np.argmax(gains))
@@ -213,11 +206,11 @@ def _choose(good: Sequence[tuple[Partner, np.ndarray, np.ndarray]], points: int,
     return chosen
 
 
-def _witnesses(candidates: list[Partner]) -> tuple[str, ...]:
+def _witnesses(candidates: list[Partner], most: int) -> tuple[str, ...]:
     """Names of images whose depth maps are compared: the partners, then those that share most points."""
     used = [p.view.name for p in candidates if p.used]
     rest = sorted((p for p in candidates if not p.used and p.reason != SCALE), key=lambda p: -p.shared)
-    return tuple((used + [p.view.name for p in rest])[: max(_WITNESSES, len(used))])
+    return tuple((used + [p.view.name for p in rest])[: max(most, len(used))])
 
 
 def _in_common(table: _Table, image: int, partners: list[int]) -> np.ndarray:
@@ -226,15 +219,15 @@ def _in_common(table: _Table, image: int, partners: list[int]) -> np.ndarray:
     return np.intersect1d(table.points[image], np.concatenate([table.points[k] for k in partners]))
 
 
-def _depth_range(depths: np.ndarray) -> DepthRange:
+def _depth_range(depths: np.ndarray, tuning: PartnerTuning) -> DepthRange:
     inverse = 1.0 / depths[depths > 0]
-    low, high = np.percentile(inverse, [_RANGE_PERCENT, 100 - _RANGE_PERCENT])
-    return DepthRange(near=float(1 / (high * _NEAR_MARGIN)), far=float(_FAR_MARGIN / low))
+    low, high = np.percentile(inverse, [tuning.range_percent, 100 - tuning.range_percent])
+    return DepthRange(near=float(1 / (high * tuning.near_margin)), far=float(tuning.far_margin / low))
 
 
-def _why_none(candidates: list[Partner]) -> str:
+def _why_none(candidates: list[Partner], min_shared: int) -> str:
     if not candidates:
-        return f"no other image shares {_MIN_SHARED} sparse points with it"
+        return f"no other image shares {min_shared} sparse points with it"
     reason, count = Counter(p.reason for p in candidates).most_common(1)[0]
     return f"no partner to match with: {reason} ({count} of {len(candidates)} candidates)"
 

@@ -7,14 +7,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
+from tiegraph.dense.tuning import NormalTuning
 from tiegraph.scene.results import DepthMap
 
-_RADIUS = 3  # pixels: 7 x 7 window
-_MIN_PIXELS = 12
-_MAX_RESIDUAL = 0.02  # root mean square of the plane's fit as a share of the depth: more is an edge, not a plane
 
-
-def with_normals(depth: DepthMap, radius: int = _RADIUS) -> DepthMap:
+def with_normals(depth: DepthMap, tuning: NormalTuning) -> DepthMap:
     """The depth map with normals (H, W, 3) f4 in the camera frame that face the camera; NaN where no plane fits.
 
     On a plane inverse depth is an affine function of the pixel: 1/z = a u + b v + c, and the normal is along
@@ -23,7 +20,7 @@ def with_normals(depth: DepthMap, radius: int = _RADIUS) -> DepthMap:
     known = np.isfinite(depth.depth_m)
     inverse = np.where(known, 1 / np.where(known, depth.depth_m, 1), 0).astype(np.float64)
     middle = float(np.median(inverse[known])) if known.any() else 1.0
-    a, b, c, good = _plane(known.astype(np.float64), inverse / middle, radius)
+    a, b, c, good = _plane(known.astype(np.float64), inverse / middle, tuning)
     height, width = known.shape
     u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     K = depth.K
@@ -36,8 +33,11 @@ def with_normals(depth: DepthMap, radius: int = _RADIUS) -> DepthMap:
     return replace(depth, normal=normal)
 
 
-def _plane(known: np.ndarray, w: np.ndarray, radius: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _plane(
+    known: np.ndarray, w: np.ndarray, tuning: NormalTuning
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Coefficients (a, b, c) of w = a du + b dv + c in the window about each pixel, and where the fit is good."""
+    radius = tuning.radius_px
     k0 = np.ones(2 * radius + 1)
     k1 = np.arange(-radius, radius + 1, dtype=float)
     k2 = k1**2
@@ -59,5 +59,5 @@ def _plane(known: np.ndarray, w: np.ndarray, radius: int) -> tuple[np.ndarray, n
     a, b = (cwu * cvv - cwv * cuv) / safe, (cwv * cuu - cwu * cuv) / safe
     c = mw - a * mu - b * mv
     residual = np.maximum(sww / count - mw**2 - a * cwu - b * cwv, 0)
-    good = (n >= _MIN_PIXELS) & (det > 1e-3) & (residual <= (_MAX_RESIDUAL * mw) ** 2)
+    good = (n >= tuning.min_pixels) & (det > 1e-3) & (residual <= (tuning.max_residual * mw) ** 2)
     return a, b, c, good

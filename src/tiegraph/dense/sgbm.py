@@ -7,20 +7,19 @@ import numpy as np
 
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.speckles import without_speckles
+from tiegraph.dense.tuning import SgbmTuning, Tuning
 
 _MODES = {3: cv2.STEREO_SGBM_MODE_SGBM_3WAY, 5: cv2.STEREO_SGBM_MODE_SGBM, 8: cv2.STEREO_SGBM_MODE_HH}
-# OpenCV's rule gives the penalties 72 and 288 for 3 x 3 blocks, the most exact ones on the Middlebury pairs; larger
-# ones reach further over weak texture. These lie between.
-_BLOCK = 3
-_SMALL_JUMP, _LARGE_JUMP = 120, 480
-_UNIQUENESS_PERCENT = 5
-_PREFILTER_CAP = 63
-_LEFT_RIGHT_PX = 1.0  # paper 004, section 5.2.2
 _SUBPIXEL = 16  # OpenCV's fixed point
 
 
 def match_sgbm(
-    left: np.ndarray, right: np.ndarray, disparities: int, settings: DenseSettings, use: np.ndarray | None = None
+    left: np.ndarray,
+    right: np.ndarray,
+    disparities: int,
+    settings: DenseSettings,
+    tuning: Tuning,
+    use: np.ndarray | None = None,
 ) -> np.ndarray:
     """Disparity (h, w) f4 px of each left pixel, NaN = none: the ``PairMatcher`` contract of ``dense.engine``; all
     pixels are matched, in ``use`` or not.
@@ -32,25 +31,25 @@ def match_sgbm(
     pad = count - disparities
     wide_right = cv2.copyMakeBorder(right, 0, 0, pad, 0, cv2.BORDER_REPLICATE)
     wide_left = cv2.copyMakeBorder(left, 0, 0, count, 0, cv2.BORDER_REPLICATE)
-    forward = _run(wide_left, wide_right, count, settings)[:, count:]
+    forward = _run(wide_left, wide_right, count, settings, tuning.sgbm)[:, count:]
     # The other way round: mirrored, the right image is the left one. It needs the left image's continuation.
     mirror_left = np.ascontiguousarray(cv2.copyMakeBorder(wide_right, 0, 0, 0, count, cv2.BORDER_REPLICATE)[:, ::-1])
     mirror_right = np.ascontiguousarray(cv2.copyMakeBorder(wide_left, 0, 0, 0, count, cv2.BORDER_REPLICATE)[:, ::-1])
-    backward = _run(mirror_left, mirror_right, count, settings)[:, count:][:, ::-1]
-    checked = _left_right(forward, backward, count)
-    return without_speckles(checked)
+    backward = _run(mirror_left, mirror_right, count, settings, tuning.sgbm)[:, count:][:, ::-1]
+    checked = _left_right(forward, backward, count, tuning.sgbm.left_right_px)
+    return without_speckles(checked, tuning.speckles.size_px, tuning.speckles.jump_px)
 
 
-def _run(left: np.ndarray, right: np.ndarray, count: int, settings: DenseSettings) -> np.ndarray:
+def _run(left: np.ndarray, right: np.ndarray, count: int, settings: DenseSettings, tuning: SgbmTuning) -> np.ndarray:
     matcher = cv2.StereoSGBM_create(  # type: ignore[attr-defined]
         minDisparity=0,
         numDisparities=count,
-        blockSize=_BLOCK,
-        P1=_SMALL_JUMP,
-        P2=_LARGE_JUMP,
+        blockSize=tuning.block_px,
+        P1=tuning.small_jump,
+        P2=tuning.large_jump,
         disp12MaxDiff=-1,
-        preFilterCap=_PREFILTER_CAP,
-        uniquenessRatio=_UNIQUENESS_PERCENT,
+        preFilterCap=tuning.prefilter_cap,
+        uniquenessRatio=tuning.uniqueness_percent,
         speckleWindowSize=0,
         mode=_MODES[settings.paths],
     )
@@ -58,11 +57,11 @@ def _run(left: np.ndarray, right: np.ndarray, count: int, settings: DenseSetting
     return np.where(fixed < 0, np.float32(np.nan), fixed.astype(np.float32) / _SUBPIXEL)
 
 
-def _left_right(forward: np.ndarray, backward: np.ndarray, count: int) -> np.ndarray:
-    """Forward disparities (h, w) whose right pixel leads back to within a pixel; backward is (h, w + count)."""
+def _left_right(forward: np.ndarray, backward: np.ndarray, count: int, most_px: float) -> np.ndarray:
+    """Forward disparities (h, w) whose right pixel leads back to within ``most_px``; backward is (h, w + count)."""
     h, w = forward.shape
     known = np.isfinite(forward)
     column = np.arange(w)[None, :] + count - np.rint(np.where(known, forward, 0)).astype(np.int64)
     back = np.take_along_axis(backward, np.clip(column, 0, backward.shape[1] - 1), axis=1)
-    agrees = np.abs(back - forward) <= _LEFT_RIGHT_PX  # NaN compares false
+    agrees = np.abs(back - forward) <= most_px  # NaN compares false
     return np.where(known & agrees, forward, np.float32(np.nan))

@@ -10,42 +10,43 @@ import numpy as np
 from tiegraph.dense.neighbours import angle_weight, refusal
 from tiegraph.dense.plan import DensePlan, DepthRange, ImagePlan, Partner, ViewPlan
 from tiegraph.dense.settings import DenseSettings
+from tiegraph.dense.tuning import ShotTuning, Tuning
 from tiegraph.dense.undistort import pinhole
 from tiegraph.errors import InputError
 from tiegraph.geometry.stereo import Pinhole, rectifying_rotation, usable_rays
 from tiegraph.geometry.transforms import apply, centre, invert
 
 NO_OVERLAP = "the images share no part at this distance"
-_GRID = 24  # pixels a side that stand for an image
-_DISTANCES = 5  # between near and far, even in inverse depth
-_MIN_OVERLAP = 0.1  # share of the reference that the partner sees
-_NEAR, _FAR = 5.0, 100.0  # the range sought, in longest baselines of the rig, where none is given
 
 
-def depth_range(views: Sequence[ViewPlan], near: float | None, far: float | None) -> DepthRange:
-    """The range given, or 5 to 100 times the longest baseline: at 11.5 degrees images still look alike, at 0.6 degrees
-    rays hardly intersect. Raises InputError for a range that is none, or views in one place."""
+def depth_range(views: Sequence[ViewPlan], near: float | None, far: float | None, tuning: ShotTuning) -> DepthRange:
+    """The range given, or ``near_baselines`` to ``far_baselines`` times the longest baseline. Raises InputError for a
+    range that is none, or views in one place."""
     centres = centre(np.array([v.cam_from_world for v in views]))
     longest = float(np.linalg.norm(centres[:, None] - centres[None], axis=-1).max()) if len(views) else 0.0
     if longest == 0 or not np.isfinite(longest):
         raise InputError("a shot needs at least two calibrated cameras in different places: look at the rig file")
-    found = DepthRange(_NEAR * longest if near is None else near, _FAR * longest if far is None else far)
+    found = DepthRange(
+        tuning.near_baselines * longest if near is None else near,
+        tuning.far_baselines * longest if far is None else far,
+    )
     if not 0 < found.near < found.far < np.inf:
         raise InputError(f"depth range {found.near:g} to {found.far:g}: near must be above 0 and below far")
     return found
 
 
-def plan_shot(views: Sequence[ViewPlan], sought: DepthRange, settings: DenseSettings) -> DensePlan:
+def plan_shot(views: Sequence[ViewPlan], sought: DepthRange, settings: DenseSettings, tuning: Tuning) -> DensePlan:
     """Partners of every image of one shot; cam_from_world of the views is in the rig's frame and metres.
 
     Raises InputError when no two images can be matched.
     """
-    cameras = [pinhole(v, settings) for v in views]
+    cameras = [pinhole(v, settings, tuning.views) for v in views]
     images: dict[str, ImagePlan] = {}
     dropped: list[tuple[str, str]] = []
     refused: Counter[str] = Counter()
     for k, view in enumerate(views):
-        looked = [_look(cameras[k], cameras[j], views[j], sought, settings) for j in range(len(views)) if j != k]
+        others = [j for j in range(len(views)) if j != k]
+        looked = [_look(cameras[k], cameras[j], views[j], sought, settings, tuning) for j in others]
         refused.update(p.reason for p, _ in looked if not p.used)
         good = sorted((x for x in looked if x[0].used), key=lambda x: -x[1])[: settings.partners]
         if not good:
@@ -62,15 +63,15 @@ def plan_shot(views: Sequence[ViewPlan], sought: DepthRange, settings: DenseSett
 
 
 def _look(
-    reference: Pinhole, other: Pinhole, view: ViewPlan, sought: DepthRange, settings: DenseSettings
+    reference: Pinhole, other: Pinhole, view: ViewPlan, sought: DepthRange, settings: DenseSettings, tuning: Tuning
 ) -> tuple[Partner, float]:
     """A candidate judged at points spread over the reference's frame and the depths sought, and its worth."""
-    world, size_ratio = _points(reference, sought), other.K[0, 0] / reference.K[0, 0]
+    world, size_ratio = _points(reference, sought, tuning.shots), other.K[0, 0] / reference.K[0, 0]
     there = apply(other.cam_from_world, world)
     front = there[:, 2] > 0
     at = (there[:, :2] / np.where(front, there[:, 2], 1)[:, None]) * other.K[[0, 1], [0, 1]] + other.K[:2, 2]
     seen = front & (at >= 0).all(axis=1) & (at <= other.size).all(axis=1)
-    if seen.mean() < _MIN_OVERLAP:
+    if seen.mean() < tuning.shots.min_overlap:
         return Partner(view, 0, 0.0, 1.0, NO_OVERLAP), 0.0
     world, there = world[seen], there[seen]
     own = apply(reference.cam_from_world, world)
@@ -82,16 +83,16 @@ def _look(
     if rotations is not None:
         usable = usable_rays(own @ rotations[0].T) & usable_rays(there @ rotations[1].T)
     scale = float(size_ratio * np.median(own[:, 2] / there[:, 2]))
-    # The widest angle in the range decides: what is near can be measured though the far end cannot.
-    partner = Partner(view, int(seen.sum()), float(np.percentile(angle, 90)), scale)
-    reason = refusal(partner, float(usable.mean()), settings)
-    worth = float(seen.mean() * angle_weight(angle).mean())
+    widest = float(np.percentile(angle, tuning.shots.angle_percentile))
+    partner = Partner(view, int(seen.sum()), widest, scale)
+    reason = refusal(partner, float(usable.mean()), settings, tuning.partners)
+    worth = float(seen.mean() * angle_weight(angle, tuning.partners).mean())
     return Partner(view, partner.shared, partner.angle_deg, scale, reason), worth
 
 
-def _points(camera: Pinhole, sought: DepthRange) -> np.ndarray:
+def _points(camera: Pinhole, sought: DepthRange, tuning: ShotTuning) -> np.ndarray:
     """World points (n, 3) on a grid of the camera's rays."""
-    u, v = np.meshgrid(*((np.arange(_GRID) + 0.5) / _GRID * s for s in camera.size))
+    u, v = np.meshgrid(*((np.arange(tuning.grid_points) + 0.5) / tuning.grid_points * s for s in camera.size))
     rays = np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=1) @ np.linalg.inv(camera.K).T
-    depths = 1 / np.linspace(1 / sought.far, 1 / sought.near, _DISTANCES)
+    depths = 1 / np.linspace(1 / sought.far, 1 / sought.near, tuning.distances)
     return apply(invert(camera.cam_from_world), (rays[None] * depths[:, None, None]).reshape(-1, 3))

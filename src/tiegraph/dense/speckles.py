@@ -5,14 +5,13 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-SPECKLE_PX = 100  # paper 004, section 5.2.2: patches below 100 pixels with jumps above 1 pixel are errors
 _SUBPIXEL = 16  # steps of a pixel in 16 bits; the disparities of one image may span 2000 pixels
 _SHIFT_PX = 16  # the sub-pixel part of a disparity of 0 may be negative
 
 
-def without_speckles(disparity: np.ndarray, size: int = SPECKLE_PX) -> np.ndarray:
-    """Disparity (h, w) f4 > -16, NaN = none, without patches of fewer than ``size`` pixels enclosed by jumps of more
-    than a pixel."""
+def without_speckles(disparity: np.ndarray, size_px: int, jump_px: float) -> np.ndarray:
+    """Disparity (h, w) f4 > -16, NaN = none, without patches of fewer than ``size_px`` pixels enclosed by jumps of more
+    than ``jump_px``."""
     fixed = np.where(np.isfinite(disparity), (disparity + _SHIFT_PX) * _SUBPIXEL, 0).astype(np.int16)
-    cv2.filterSpeckles(fixed, 0, size, _SUBPIXEL)
+    cv2.filterSpeckles(fixed, 0, size_px, jump_px * _SUBPIXEL)
     return np.where(fixed > 0, disparity, np.float32(np.nan))

@@ -16,6 +16,7 @@ import numpy as np
 from tiegraph.dense.mutual import mutual_information
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.speckles import without_speckles
+from tiegraph.dense.tuning import TsgmTuning, Tuning
 from tiegraph.errors import EngineMissing
 
 try:
@@ -26,43 +27,11 @@ except ImportError:  # installed without a C++ compiler
 _memory = threading.local()
 _log = logging.getLogger(__name__)
 
-_FULL_RANGE = 256  # disparities at most of the level that is matched over its full range
-_DENSE_BELOW = 16  # with so few disparities per-pixel ranges save nothing
 _QUARTER = 2  # halvings to a quarter of the size
 _VOLUME_BYTES = 256_000_000  # of the cost volumes held at once; a level that needs more is matched in strips
 _CELL_BYTES = 2  # a cost and half a sum for each pixel and disparity; over the full range costs are made anew
-_STRIP_OVERLAP = 64  # rows after which a path has nearly forgotten where it began
 _BLOCK = 16  # disparities that the kernels take at once
 _MODES = {"census": 0, "blend": 1, "mutual": 2}
-
-
-@dataclass(frozen=True)
-class Tuning:
-    """Parameters of the matcher that are the same for every user; benchmarks/dense/README.md says how they were found.
-
-    radius: of the census window; small, large: P1 and P2; P2 falls with the grey step, from ``knee`` grey values on, to
-    ``floor`` of itself; reach: pixels of the coarser level around a pixel whose disparities it is given; hole_limit:
-    disparities at most where the coarser level has none; parabola or equiangular lines below the pixel; cost: on the
-    last level census, mutual or the mean of both; full_range: disparities at most of the level matched over its full
-    range; dense_below: with so few, there is one level only; everywhere: matched over the full range (a reference for
-    measurements); kernel: empty = the fastest.
-    """
-
-    radius: tuple[int, int] = (4, 3)
-    small: int = 20
-    large: int = 120
-    floor: float = 0.25
-    knee: float = 6.0
-    reach: int = 3
-    hole_limit: int = 254
-    uniqueness: int = 0
-    parabola: bool = False
-    cost: str = "blend"
-    full_range: int = _FULL_RANGE
-    dense_below: int = _DENSE_BELOW
-    everywhere: bool = False
-    coarse_speckle_px: int = 0
-    kernel: str = ""
 
 
 def available() -> bool:
@@ -75,27 +44,31 @@ def kernels() -> list[str]:
     return [] if _sgm is None else list(_sgm.kernels())
 
 
-def volume_bytes(height: int, width: int, disparities: int) -> int:
+def volume_bytes(height: int, width: int, disparities: int, tuning: TsgmTuning) -> int:
     """Most bytes of cost volumes that matching a pair of images (height, width) holds at once, known before it starts.
 
-    Levels that would need more than 256 MB are matched in strips; a strip has at least 192 rows.
+    Levels that would need more than 256 MB are matched in strips; a strip has at least three times its overlap.
     """
-    tuning = Tuning()
     levels = _levels(disparities, tuning)
     most = 0
     for level in range(levels + 1):
         h, w = -(-height >> level), -(-width >> level)
         count = -(-disparities >> level)
-        each = count if level == levels else min(count + _BLOCK, tuning.hole_limit + 2 * _BLOCK)
+        each = count if level == levels else min(count + _BLOCK, tuning.hole_disparities + 2 * _BLOCK)
         each = -(-each // _BLOCK) * _BLOCK
-        rows = min(h, 3 * _STRIP_OVERLAP)
+        rows = min(h, 3 * tuning.strip_overlap_px)
         cell = 1 if level == levels else _CELL_BYTES
         most = max(most, min(h * w * each * cell, max(_VOLUME_BYTES, rows * w * each * cell)))
     return most
 
 
 def match_tsgm(
-    left: np.ndarray, right: np.ndarray, disparities: int, settings: DenseSettings, use: np.ndarray | None = None
+    left: np.ndarray,
+    right: np.ndarray,
+    disparities: int,
+    settings: DenseSettings,
+    tuning: Tuning,
+    use: np.ndarray | None = None,
 ) -> np.ndarray:
     """Disparity (h, w) f4 px of each left pixel, NaN = none: the ``PairMatcher`` contract of ``dense.engine``.
 
@@ -103,8 +76,8 @@ def match_tsgm(
     (x, y) shows what right (x + disparities - d, y) shows, 0 <= d < disparities; use (h, w) bool: where the disparity
     matters. Raises EngineMissing where the native module was not built.
     """
-    found = match(left, right, disparities, disparities, Tuning(), use)
-    return without_speckles(found)
+    found = match(left, right, disparities, disparities, tuning.tsgm, use)
+    return without_speckles(found, tuning.speckles.size_px, tuning.speckles.jump_px)
 
 
 def match(
@@ -112,13 +85,13 @@ def match(
     right: np.ndarray,
     shift: int,
     disparities: int,
-    tuning: Tuning,
+    tuning: TsgmTuning,
     use: np.ndarray | None = None,
 ) -> np.ndarray:
     """Disparity (h, w) f4, NaN = none, checked left to right: left (x, y) shows what right (x + shift - d, y) shows.
 
     left (h, w) u1, right (h, any) u1, 0 <= d < disparities. Pixels not in use (h, w) bool get the least work: sky and
-    platform have no answer on the coarser level, and would be searched as holes, over 128 disparities.
+    platform have no answer on the coarser level, and would be searched as holes, over ``hole_disparities``.
     """
     if _sgm is None:
         raise EngineMissing(
@@ -138,17 +111,19 @@ def match(
     for level in (levels, 0) if tuning.everywhere else range(levels, -1, -1):
         rules = _sgm.RangeRules()
         rules.low, rules.count = -(aligned >> level), -(-disparities >> level)
-        rules.reach, rules.hole_limit = tuning.reach, tuning.hole_limit
-        pair = _Level(lefts[level], rights[level], rules, _options(tuning, level == 0 and levels > 0), workspace)
+        rules.reach, rules.margin, rules.hole_limit = tuning.reach_px, tuning.margin_px, tuning.hole_disparities
+        options = _options(tuning, level == 0 and levels > 0)
+        pair = _Level(lefts[level], rights[level], rules, options, workspace, tuning.strip_overlap_px)
         if found is None:
             found = pair.full()
         else:
             above = (lefts[coarser], rights[coarser], found)
             blended = level == 0 and tuning.cost != "census"
-            mutual = mutual_information(_sgm.joint_greys(*above)) if blended else None
+            mutual = mutual_information(_sgm.joint_greys(*above), tuning) if blended else None
             found = pair.full(mutual) if tuning.everywhere else pair.within(found, mutual, uses[level])
         if level and tuning.coarse_speckle_px:
-            found = without_speckles(found - rules.low, tuning.coarse_speckle_px) + rules.low
+            size_px, jump_px = tuning.coarse_speckle_px, tuning.coarse_speckle_jump_px
+            found = without_speckles(found - rules.low, size_px, jump_px) + rules.low
         coarser = level
     assert found is not None
     found += np.float32(aligned)
@@ -172,27 +147,29 @@ def _workspace() -> _sgm.Workspace:
     return _memory.workspace
 
 
-def _levels(disparities: int, tuning: Tuning) -> int:
+def _levels(disparities: int, tuning: TsgmTuning) -> int:
     """Halvings until the full range is cheap; at least one unless there are few disparities anyway. A match over the
     full range at full size has one of a quarter of it, which tells what grey values belong together."""
     if tuning.everywhere:
         return _QUARTER
     levels = 0 if disparities <= tuning.dense_below else 1
-    while disparities >> levels > tuning.full_range:
+    while disparities >> levels > tuning.full_disparities:
         levels += 1
     return levels
 
 
-def _options(tuning: Tuning, last: bool) -> _sgm.Options:
+def _options(tuning: TsgmTuning, last: bool) -> _sgm.Options:
     options = _sgm.Options()
-    options.radius_x, options.radius_y = tuning.radius
-    options.small, options.large = tuning.small, tuning.large
+    options.radius_x, options.radius_y = tuning.radius_px
+    options.small, options.large = tuning.small_jump, tuning.large_jump
     steps = [max(1.0, 4 * k + 2) for k in range(16)]
     options.large_by_step = [
-        max(tuning.small, round(tuning.large * max(tuning.floor, min(1.0, tuning.knee / step)))) for step in steps
+        max(tuning.small_jump, round(tuning.large_jump * max(tuning.large_floor, min(1.0, tuning.large_knee / step))))
+        for step in steps
     ]
     options.parabola = tuning.parabola
-    options.uniqueness = tuning.uniqueness if last else 0
+    options.uniqueness = tuning.uniqueness_percent if last else 0
+    options.left_right = tuning.left_right_px
     options.mode = _MODES[tuning.cost] if last else 0
     options.kernel = tuning.kernel
     return options
@@ -200,20 +177,21 @@ def _options(tuning: Tuning, last: bool) -> _sgm.Options:
 
 @dataclass(frozen=True, eq=False)
 class _Level:
-    """One level of the pyramid: images, the disparities there, options."""
+    """One level of the pyramid: images, the disparities there, options, rows that strips share."""
 
     left: np.ndarray
     right: np.ndarray
     rules: _sgm.RangeRules
     options: _sgm.Options
     workspace: _sgm.Workspace
+    overlap: int
 
     def full(self, mutual: np.ndarray | None = None) -> np.ndarray:
         """Every disparity at every pixel."""
         height, width = self.left.shape
         low, count = self.rules.low, self.rules.count
         parts = []
-        for strip, inner in _strips(np.full(height, width * count)):  # bytes
+        for strip, inner in _strips(np.full(height, width * count), self.overlap):  # bytes
             found, _ = _sgm.match_dense(
                 self.left[strip], self.right[strip], low, count, self.options, self.workspace, mutual
             )
@@ -229,7 +207,8 @@ class _Level:
             first = np.where(use, first, first + _BLOCK // 2 * (blocks.astype(np.int16) - 1))
             blocks = np.where(use, blocks, np.uint8(1))
         parts = []
-        for strip, inner in _strips(_CELL_BYTES * _BLOCK * blocks.sum(axis=1, dtype=np.int64)):
+        volume = _CELL_BYTES * _BLOCK * blocks.sum(axis=1, dtype=np.int64)
+        for strip, inner in _strips(volume, self.overlap):
             found, _ = _sgm.match_ragged(
                 self.left[strip], self.right[strip], first[strip], blocks[strip], self.options, self.workspace, mutual
             )
@@ -237,19 +216,19 @@ class _Level:
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
-def _strips(volume: np.ndarray) -> list[tuple[slice, slice]]:
+def _strips(volume: np.ndarray, overlap: int) -> list[tuple[slice, slice]]:
     """Rows matched together, and which of the found ones count, so that the volumes, ``volume`` (h,) bytes in each row,
-    stay within _VOLUME_BYTES; a strip is never less than its overlap."""
+    stay within _VOLUME_BYTES; they share ``overlap`` rows, and a strip is never less than that."""
     height, limit = len(volume), _VOLUME_BYTES
     before = np.concatenate([[0], np.cumsum(volume)])
     if before[-1] <= limit:
         return [(slice(0, height), slice(0, height))]
     strips, top = [], 0
     while top < height:
-        low = max(0, top - _STRIP_OVERLAP)
+        low = max(0, top - overlap)
         high = int(np.searchsorted(before, before[low] + limit, "right")) - 1
-        high = min(height, max(high, top + 2 * _STRIP_OVERLAP))
-        bottom = height if high == height else high - _STRIP_OVERLAP
+        high = min(height, max(high, top + 2 * overlap))
+        bottom = height if high == height else high - overlap
         strips.append((slice(low, high), slice(top - low, bottom - low)))
         top = bottom
     return strips

@@ -11,17 +11,15 @@ import numpy as np
 from tiegraph.dense.engine import DenseView
 from tiegraph.dense.plan import CameraModel, ViewPlan
 from tiegraph.dense.settings import DenseSettings
+from tiegraph.dense.tuning import ViewTuning
 from tiegraph.errors import InputError
 from tiegraph.geometry.stereo import Pinhole
 from tiegraph.scene.images import read_pixels
 
-_MAX_GROWTH = 1.3  # pixels of the undistorted image per pixel of the original: more only stretches the corners
-_BORDER_SAMPLES = 65
-_ROUND_TRIP_PX = 0.5  # a ray that does not come back lies where the distortion polynomial folds over
 _MAX_CACHED_MAPS = 8  # a rig of six and two to spare; a map takes 8 bytes a pixel
 
 
-def pinhole_of(camera: CameraModel, settings: DenseSettings) -> tuple[np.ndarray, tuple[int, int]]:
+def pinhole_of(camera: CameraModel, settings: DenseSettings, tuning: ViewTuning) -> tuple[np.ndarray, tuple[int, int]]:
     """K (3, 3) and size (width, height) of the undistorted image of a camera.
 
     The resolution at the image centre is kept, and the field of view up to ``max_fov_deg``; then the whole is reduced
@@ -30,12 +28,12 @@ def pinhole_of(camera: CameraModel, settings: DenseSettings) -> tuple[np.ndarray
     model = camera.pycolmap()
     if model.model_name == "EQUIRECTANGULAR":
         raise InputError(f"camera model {camera.model} sees all round and cannot be undistorted: cut it into views")
-    low, high = _field(camera, np.tan(np.radians(settings.max_fov_deg / 2)))
+    low, high = _field(camera, np.tan(np.radians(settings.max_fov_deg / 2)), tuning.border_samples)
     focal = _central_focal(camera)
     if camera.model in ("PINHOLE", "SIMPLE_PINHOLE"):
         focal = model.focal_length_x
     area = np.prod(focal * (high - low))
-    scale = min(1.0, np.sqrt(_MAX_GROWTH * camera.width * camera.height / area))
+    scale = min(1.0, np.sqrt(tuning.max_growth * camera.width * camera.height / area))
     scale = min(scale, settings.max_image_size / np.max(focal * (high - low)))
     size = np.maximum(np.round(focal * scale * (high - low)), 2)
     focals = size / (high - low)  # takes up the rounding, so that the field is exact
@@ -43,7 +41,9 @@ def pinhole_of(camera: CameraModel, settings: DenseSettings) -> tuple[np.ndarray
     return K, (int(size[0]), int(size[1]))
 
 
-def load_view(view: ViewPlan, images: Path, masks: Path | None, settings: DenseSettings) -> DenseView:
+def load_view(
+    view: ViewPlan, images: Path, masks: Path | None, settings: DenseSettings, tuning: ViewTuning
+) -> DenseView:
     """Read, undistort and mask one image. ``masks`` holds COLMAP masks (``name.png``, 0 = ignore); a missing one means
     that all pixels are used. Raises InputError for an unreadable image or a size that is not the camera's."""
     camera = view.camera
@@ -52,9 +52,9 @@ def load_view(view: ViewPlan, images: Path, masks: Path | None, settings: DenseS
     mask = np.full(image.shape[:2], 255, np.uint8)
     if mask_path is not None and mask_path.exists():
         mask = _read(mask_path, cv2.IMREAD_GRAYSCALE, camera)
-    K, size = pinhole_of(camera, settings)
-    x, y, valid = _maps(camera, (K[0, 0], K[1, 1], K[0, 2], K[1, 2]), size)
-    image, scale_x, scale_y = _reduced(image, K, camera)
+    K, size = pinhole_of(camera, settings, tuning)
+    x, y, valid = _maps(camera, (K[0, 0], K[1, 1], K[0, 2], K[1, 2]), size, tuning.round_trip_px)
+    image, scale_x, scale_y = _reduced(image, K, camera, tuning.averaged_below)
     at_x, at_y = (x * scale_x - 0.5).astype(np.float32), (y * scale_y - 0.5).astype(np.float32)
     bgr = cv2.remap(image, at_x, at_y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     whole_x, whole_y = x - np.float32(0.5), y - np.float32(0.5)
@@ -62,9 +62,9 @@ def load_view(view: ViewPlan, images: Path, masks: Path | None, settings: DenseS
     return DenseView(view.name, bgr, (use > 0) & valid, K, view.cam_from_world)
 
 
-def pinhole(view: ViewPlan, settings: DenseSettings) -> Pinhole:
+def pinhole(view: ViewPlan, settings: DenseSettings, tuning: ViewTuning) -> Pinhole:
     """The undistorted camera of an image, without reading it."""
-    K, size = pinhole_of(view.camera, settings)
+    K, size = pinhole_of(view.camera, settings, tuning)
     return Pinhole(K, view.cam_from_world, size)
 
 
@@ -80,9 +80,9 @@ def _read(path: Path, flag: int, camera: CameraModel) -> np.ndarray:
     return image
 
 
-def _field(camera: CameraModel, limit: float) -> tuple[np.ndarray, np.ndarray]:
+def _field(camera: CameraModel, limit: float, samples: int) -> tuple[np.ndarray, np.ndarray]:
     """Corners (2,), (2,) on the plane z = 1 of the field of view seen through the image border."""
-    s = np.linspace(0.0, 1.0, _BORDER_SAMPLES)
+    s = np.linspace(0.0, 1.0, samples)
     zero, one = np.zeros_like(s), np.ones_like(s)
     border = np.concatenate([np.c_[s, zero], np.c_[s, one], np.c_[zero, s], np.c_[one, s]])
     rays = camera.pycolmap().cam_ray_from_img(border * [camera.width, camera.height])
@@ -104,7 +104,7 @@ def _central_focal(camera: CameraModel) -> float:
 
 @lru_cache(maxsize=_MAX_CACHED_MAPS)
 def _maps(
-    camera: CameraModel, pinhole: tuple[float, float, float, float], size: tuple[int, int]
+    camera: CameraModel, pinhole: tuple[float, float, float, float], size: tuple[int, int], round_trip_px: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Original pixel coordinates x, y (H, W) f4 of each undistorted pixel of the pinhole (fx, fy, cx, cy), and which
     lie in the image (H, W) bool."""
@@ -118,15 +118,16 @@ def _maps(
     back = np.asarray(model.cam_ray_from_img(np.where(inside[:, None], at, 0.0)))
     back = back[:, :2] / np.maximum(back[:, 2:], 1e-6)
     error = np.abs(back - rays[:, :2]).max(axis=1) * model.mean_focal_length()
-    valid = (inside & (error < _ROUND_TRIP_PX * (1 + np.sum(rays[:, :2] ** 2, axis=1)))).reshape(height, width)
+    valid = (inside & (error < round_trip_px * (1 + np.sum(rays[:, :2] ** 2, axis=1)))).reshape(height, width)
     at = np.where(np.isfinite(at), at, -1e4).astype(np.float32).reshape(height, width, 2)
     return np.ascontiguousarray(at[..., 0]), np.ascontiguousarray(at[..., 1]), valid
 
 
-def _reduced(image: np.ndarray, K: np.ndarray, camera: CameraModel) -> tuple[np.ndarray, float, float]:
-    """The image shrunk by area averaging to about the working resolution (against aliasing), and its scales."""
+def _reduced(image: np.ndarray, K: np.ndarray, camera: CameraModel, below: float) -> tuple[np.ndarray, float, float]:
+    """The image shrunk by area averaging to about the working resolution (against aliasing) if that is less than
+    ``below`` of its own, and its scales."""
     ratio = K[0, 0] / _central_focal(camera)
-    if ratio > 0.75:
+    if ratio > below:
         return image, 1.0, 1.0
     width, height = max(2, round(camera.width * ratio)), max(2, round(camera.height * ratio))
     small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)

@@ -17,7 +17,6 @@ MEANING = (
     "papers give it. It says nothing about errors of the poses, drift, ghosts or completeness."
 )
 _ROUNDING_PX = (2 / 12) ** 0.5  # standard deviation of a uniform rounding to whole pixels in u and v together
-_POINTS_TRIED = 100_000  # of the cloud in each view; others in the next, so that the whole cloud takes part
 
 
 @dataclass(frozen=True)
@@ -85,17 +84,19 @@ def round_trip(points: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
     return points[seen] - transforms.apply(world_from_cam, x_est), x_cam[seen, 2]
 
 
-def backprojection_rmse(points: np.ndarray | Cloud, views: Iterable[View | DepthMap]) -> Backprojection:
+def backprojection_rmse(
+    points: np.ndarray | Cloud, views: Iterable[View | DepthMap], points_tried: int
+) -> Backprojection:
     """Back-projection RMSE of a cloud (N, 3) over images (paper 000, eq. 6): sqrt(1/N sum |X_true - R^T(X_est - t)|^2).
 
     See MEANING. N counts every point once for each image that shows it; of a large cloud every n-th point is tried in
-    an image, other ones in the next. NaN when no image shows a point.
+    an image, about ``points_tried``, other ones in the next. NaN when no image shows a point.
     """
     xyz = np.asarray(points.xyz_m if isinstance(points, Cloud) else points, float).reshape(-1, 3)
     rows: list[tuple[str, int, float]] = []
     squares = depths = rounding = 0.0
     count = 0
-    step = max(1, len(xyz) // _POINTS_TRIED)
+    step = max(1, len(xyz) // points_tried)
     for turn, item in enumerate(views):
         view = View.of(item) if isinstance(item, DepthMap) else item
         difference, z = round_trip(xyz[turn % step :: step], view)

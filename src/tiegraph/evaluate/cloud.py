@@ -8,14 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
+from tiegraph.evaluate.tuning import CloudTuning
 from tiegraph.geometry.align import Similarity
 from tiegraph.scene.results import Cloud, Metric
 
 log = logging.getLogger(__name__)
 
-GHOST_TAUS = 5  # a ghost is further than this many of the ghost distance from the reference
-GHOST_TAU_M = 0.10  # the distance it is counted in (ALGORITHMS: 5 tau)
-_MAX_POINTS = 12_000_000  # a k-d tree of this many points takes about 1 GiB
 _CHUNK = 500_000
 MEANING = (
     "Both clouds are first thinned to one point a voxel ({voxel_m:g} m), so that dense patches do not outweigh thin "
@@ -37,6 +35,7 @@ class CloudComparison:
     median_m: float
     p90_m: float
     ghosts: float
+    ghost_m: float  # what is further from the reference is a ghost
     outside: float  # share of the cloud's points outside the reference's outline: not judged
     points: int  # judged points of the thinned cloud
     reference_points: int  # judged points of the thinned reference
@@ -47,7 +46,7 @@ class CloudComparison:
     def meaning(self) -> str:
         """The definitions in words."""
         near = f"reference points within {self.range_m:g} m of a registered camera" if self.range_m else "all of them"
-        return MEANING.format(voxel_m=self.voxel_m, counted=near, ghost_m=GHOST_TAUS * GHOST_TAU_M)
+        return MEANING.format(voxel_m=self.voxel_m, counted=near, ghost_m=self.ghost_m)
 
     def metrics(self) -> list[Metric]:
         """The figures of merit."""
@@ -71,6 +70,7 @@ class CloudComparison:
 def cloud_to_cloud(
     cloud: np.ndarray | Cloud,
     reference: np.ndarray | Cloud,
+    tuning: CloudTuning,
     distances_m: tuple[float, ...] = (0.02, 0.05, 0.10, 0.20),
     alignment: Similarity | None = None,
     cameras: np.ndarray | None = None,
@@ -88,9 +88,9 @@ def cloud_to_cloud(
         xyz = alignment(xyz)
         cameras = None if cameras is None else alignment(cameras)
     voxel = distances[0] / 2
-    xyz, voxel_a = thin(xyz, voxel)
-    ref, voxel_b = thin(ref, voxel)
-    judged = inside_outline(xyz, ref, GHOST_TAUS * GHOST_TAU_M)
+    xyz, voxel_a = thin(xyz, voxel, tuning)
+    ref, voxel_b = thin(ref, voxel, tuning)
+    judged = inside_outline(xyz, ref, tuning.ghost_m)
     to_reference = nearest(xyz[judged], ref)
     counted = ref
     if cameras is not None:
@@ -108,7 +108,8 @@ def cloud_to_cloud(
         fscore=tuple(2 * a * c / (a + c) if a + c > 0 else 0.0 for a, c in zip(accuracy, completeness)),
         median_m=median,
         p90_m=p90,
-        ghosts=1 - _share(to_reference, GHOST_TAUS * GHOST_TAU_M) if judged.any() else 0.0,
+        ghosts=1 - _share(to_reference, tuning.ghost_m) if judged.any() else 0.0,
+        ghost_m=tuning.ghost_m,
         outside=float(1 - judged.mean()),
         points=int(judged.sum()),
         reference_points=len(counted),
@@ -117,17 +118,17 @@ def cloud_to_cloud(
     )
 
 
-def thin(points: np.ndarray, voxel_m: float, limit: int = _MAX_POINTS) -> tuple[np.ndarray, float]:
-    """The first point of each voxel, in order; the voxel grows by half until at most ``limit`` points are left."""
+def thin(points: np.ndarray, voxel_m: float, tuning: CloudTuning) -> tuple[np.ndarray, float]:
+    """The first point of each voxel, in order; the voxel grows until at most ``max_points`` are left."""
     while True:
         cell = np.floor((points - points.min(axis=0)) / voxel_m).astype(np.int64)
         extent = cell.max(axis=0) + 1
         key = (cell[:, 0] * extent[1] + cell[:, 1]) * extent[2] + cell[:, 2]
         _, first = np.unique(key, return_index=True)
-        if len(first) <= limit:
+        if len(first) <= tuning.max_points:
             return points[np.sort(first)], voxel_m
-        voxel_m *= 1.5
-        log.info("cloud comparison: voxel enlarged to %.3f m to stay within %d points", voxel_m, limit)
+        voxel_m *= tuning.voxel_growth
+        log.info("cloud comparison: voxel enlarged to %.3f m to stay within %d points", voxel_m, tuning.max_points)
 
 
 def nearest(points: np.ndarray, target: np.ndarray, limit: float = np.inf) -> np.ndarray:

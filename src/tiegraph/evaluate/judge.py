@@ -1,4 +1,4 @@
-"""References against what was predicted: an error beyond three times its sigma contradicts; what would explain it."""
+"""References against what was predicted: an error far beyond its sigma contradicts; what would explain it."""
 
 from __future__ import annotations
 
@@ -11,13 +11,10 @@ from scipy.spatial import cKDTree
 
 from tiegraph.evaluate.cloud import CloudComparison
 from tiegraph.evaluate.trajectory import PoseMatch, TrajectoryError
+from tiegraph.evaluate.tuning import JudgeTuning
 from tiegraph.geometry.align import umeyama
 
-BEYOND = 3.0  # times the predicted sigma
-EXPLAINED = 3.0  # times smaller an error is under what explains it
 _AXES = "xyz"
-_DECADES = 4.0  # by which an axis may differ in scale
-_SAMPLE = 2000
 
 
 @dataclass(frozen=True)
@@ -37,7 +34,11 @@ class Predicted:
 
 
 def against_poses(
-    match: PoseMatch, result: TrajectoryError, predicted: Predicted, step_s: float = float("nan")
+    match: PoseMatch,
+    result: TrajectoryError,
+    predicted: Predicted,
+    tuning: JudgeTuning,
+    step_s: float = float("nan"),
 ) -> list[str]:
     """Sentences about reference poses (K) that the model contradicts; none where nothing was predicted.
 
@@ -50,12 +51,13 @@ def against_poses(
     actual = result.se3.rmse_m if predicted.metric else result.sim3.rmse_m
     expected = float(np.hypot(predicted.inside_m, spread * predicted.scale if predicted.metric else 0.0))
     out = []
-    if actual > BEYOND * expected:
-        why = _explained(match, actual, predicted.metric, step_s) or "one of the two is wrong by more than it says"
+    if actual > tuning.beyond_sigmas * expected:
+        why = _explained(match, actual, predicted.metric, tuning, step_s)
+        why = why or "one of the two is wrong by more than it says"
         out.append(f"the reference poses and the model differ by {_m(actual)} (RMSE), predicted {_m(expected)}: {why}")
     elif result.absolute is not None and np.isfinite(predicted.placed_m):
         expected = float(np.hypot(expected, predicted.placed_m))
-        if result.absolute.rmse_m > BEYOND * expected:
+        if result.absolute.rmse_m > tuning.beyond_sigmas * expected:
             east, north, up = np.mean(est - ref, axis=0)
             out.append(
                 f"the reference poses and the model differ by {_m(result.absolute.rmse_m)} on the Earth, predicted "
@@ -65,7 +67,9 @@ def against_poses(
     return out
 
 
-def against_cloud(result: CloudComparison, reference: np.ndarray, predicted: Predicted, aligned: bool) -> list[str]:
+def against_cloud(
+    result: CloudComparison, reference: np.ndarray, predicted: Predicted, aligned: bool, tuning: JudgeTuning
+) -> list[str]:
     """Sentences about a reference cloud (G, 3) that the cloud contradicts: half its points are farther than predicted.
 
     What the reference's own spacing leaves between a point and its nearest counts as predicted, and what the scale's
@@ -73,14 +77,14 @@ def against_cloud(result: CloudComparison, reference: np.ndarray, predicted: Pre
     """
     if not np.isfinite([predicted.point_m, result.median_m]).all():
         return []
-    step = max(1, len(reference) // _SAMPLE)
+    step = max(1, len(reference) // tuning.spacing_samples)
     spacing = float(np.median(cKDTree(reference).query(reference[::step], k=2)[0][:, 1]))
     reach = float(np.median(np.linalg.norm(reference - np.median(reference, axis=0), axis=1)))
     parts = [predicted.point_m, np.nan_to_num(predicted.inside_m), max(spacing, result.voxel_m) / 2]
     parts.append(reach * np.nan_to_num(predicted.scale))
     parts.append(0.0 if aligned else np.nan_to_num(predicted.placed_m))
     expected = float(np.linalg.norm(parts))
-    if result.median_m <= BEYOND * expected:
+    if result.median_m <= tuning.beyond_sigmas * expected:
         return []
     return [
         f"the reference cloud and the cloud differ by {_m(result.median_m)} (median), predicted {_m(expected)}: "
@@ -88,41 +92,42 @@ def against_cloud(result: CloudComparison, reference: np.ndarray, predicted: Pre
     ]
 
 
-def _explained(match: PoseMatch, actual: float, metric: bool, step_s: float) -> str:
+def _explained(match: PoseMatch, actual: float, metric: bool, tuning: JudgeTuning, step_s: float) -> str:
     """What of the reference would explain the difference, in words; "" if nothing does."""
     est, ref = match.estimate[:, :3, 3], match.reference[:, :3, 3]
     tries = [(umeyama(est, ref), umeyama(est, ref).scale)] if metric else []
     if tries:
         fit, scale = tries[0]
-        if _rms(fit(est) - ref) < actual / EXPLAINED:
+        if _rms(fit(est) - ref) < actual / tuning.explained:
             return f"the reference is {scale:.4g} times as large as the model"
-    found = min(_hypotheses(match, metric, step_s), default=(np.inf, ""))
-    return found[1] if found[0] < actual / EXPLAINED else ""
+    found = min(_hypotheses(match, metric, tuning, step_s), default=(np.inf, ""))
+    return found[1] if found[0] < actual / tuning.explained else ""
 
 
-def _hypotheses(match: PoseMatch, metric: bool, step_s: float) -> Iterator[tuple[float, str]]:
+def _hypotheses(match: PoseMatch, metric: bool, tuning: JudgeTuning, step_s: float) -> Iterator[tuple[float, str]]:
     """(error left, what it would be) of a mirror image, an axis of another scale, and a lag."""
     est, ref = match.estimate[:, :3, 3], match.reference[:, :3, 3]
     yield _left(est, -ref, metric), "the reference is a mirror image: one of its axes is negated, or two are exchanged"
     for axis in range(3):
-        left, factor = _axis_scale(est, ref, axis, metric)
+        left, factor = _axis_scale(est, ref, axis, metric, tuning)
         text = f"the reference's {_AXES[axis]} axis differs in scale, it is {1 / factor:.3g} times that of the others"
         yield left, text
-    yield _lag(match, metric, step_s)
+    yield _lag(match, metric, tuning.lag_rounds, step_s)
 
 
-def _axis_scale(est: np.ndarray, ref: np.ndarray, axis: int, metric: bool) -> tuple[float, float]:
-    """Error left and factor (10^-4 to 10^4) that an axis of the reference is to be multiplied by to agree best."""
+def _axis_scale(est: np.ndarray, ref: np.ndarray, axis: int, metric: bool, tuning: JudgeTuning) -> tuple[float, float]:
+    """Error left and factor that an axis of the reference is to be multiplied by to agree best."""
 
     def left(log: float) -> float:
         return _left(est, _scaled(ref, axis, 10**log), metric)
 
-    start = min(np.linspace(-_DECADES, _DECADES, 33), key=left)
-    best = minimize_scalar(left, bounds=(start - 0.3, start + 0.3), method="bounded")
+    start = min(np.linspace(-tuning.axis_decades, tuning.axis_decades, tuning.axis_starts), key=left)
+    reach = tuning.axis_bracket_decades
+    best = minimize_scalar(left, bounds=(start - reach, start + reach), method="bounded")
     return float(best.fun), float(10**best.x)
 
 
-def _lag(match: PoseMatch, metric: bool, step_s: float) -> tuple[float, str]:
+def _lag(match: PoseMatch, metric: bool, rounds: int, step_s: float) -> tuple[float, str]:
     """Error left with the reference moved along its own way by one number of frames."""
     est, ref = match.estimate[:, :3, 3], match.reference[:, :3, 3]
     speed = np.zeros_like(ref)
@@ -131,7 +136,7 @@ def _lag(match: PoseMatch, metric: bool, step_s: float) -> tuple[float, str]:
             at = match.order[rows].astype(float)
             speed[rows] = np.gradient(ref[rows], np.maximum.accumulate(at + 1e-9 * np.arange(len(at))), axis=0)
     frames = 0.0
-    for _ in range(3):
+    for _ in range(rounds):
         fit = umeyama(est, ref + frames * speed, with_scale=not metric)
         off = fit(est) - ref
         frames = float(np.sum(off * speed) / max(np.sum(speed**2), 1e-12))

@@ -20,7 +20,6 @@ from tiegraph.scene.posefile import read_poses
 from tiegraph.scene.regular import regular
 from tiegraph.scene.scene import Scene
 
-_MAX_GAP_S = 2.0  # a reference with a gap wider than this is not interpolated across it
 _NAMED = 3  # frames without a reference that are named
 
 
@@ -113,15 +112,16 @@ def read_tum(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return found.time_s, found.poses
 
 
-def match_poses(reference: ReferencePoses, model: ModelPoses, scene: Scene) -> tuple[PoseMatch, str]:
-    """The model's poses beside the reference's, and a sentence on what was matched.
+def match_poses(reference: ReferencePoses, model: ModelPoses, scene: Scene, max_gap_s: float) -> tuple[PoseMatch, str]:
+    """The model's poses beside the reference's, and a sentence on what was matched. Poses in time are interpolated over
+    ``max_gap_s`` at most.
 
     Raises InputError when fewer than three poses have a reference.
     """
     if reference.by_image:
         match, said = _match_images(reference, model, scene)
     else:
-        match, said = _match_frames(reference, model, scene)
+        match, said = _match_frames(reference, model, scene, max_gap_s)
     if len(match) < 3:
         raise InputError(
             f"{reference.path}: only {len(match)} poses of the model have a reference ({said}); 3 are needed"
@@ -146,7 +146,9 @@ def _match_images(reference: ReferencePoses, model: ModelPoses, scene: Scene) ->
     return match, f"images by name: {len(rows)} placed of {len(known)} with a reference ({len(scene)} in all)"
 
 
-def _match_frames(reference: ReferencePoses, model: ModelPoses, scene: Scene) -> tuple[PoseMatch, str]:
+def _match_frames(
+    reference: ReferencePoses, model: ModelPoses, scene: Scene, max_gap_s: float
+) -> tuple[PoseMatch, str]:
     truth = np.full((scene.frames, 4, 4), np.nan)
     how: list[str] = []
     loose = (-1,) if np.any(scene.track < 0) else ()
@@ -157,7 +159,8 @@ def _match_frames(reference: ReferencePoses, model: ModelPoses, scene: Scene) ->
             continue
         frames = np.flatnonzero(scene.track == track)
         frames = frames[np.argsort(scene.step[frames], kind="stable")]
-        truth[frames], said = _at_frames(found, scene.time_s[frames], reference.path, name or "the frames")
+        named = name or "the frames"
+        truth[frames], said = _at_frames(found, scene.time_s[frames], reference.path, named, max_gap_s)
         how.append(f"{name or 'frames'} {said}")
     known = np.isfinite(truth[:, 0, 0])
     rows = np.flatnonzero(known & np.isfinite(model.world_from_rig[:, 0, 0]))
@@ -190,12 +193,12 @@ def _track_reference(reference: ReferencePoses, track: str) -> tuple[np.ndarray,
 
 
 def _at_frames(
-    found: tuple[np.ndarray, np.ndarray], time_s: np.ndarray, path: Path, name: str
+    found: tuple[np.ndarray, np.ndarray], time_s: np.ndarray, path: Path, name: str, max_gap_s: float
 ) -> tuple[np.ndarray, str]:
     """Reference poses at the frames: by time if the frames have times the reference covers, else one by one."""
     stamps, poses = found
     if np.isfinite(time_s).any():
-        out = transforms.interpolate(stamps, poses, time_s, _MAX_GAP_S)
+        out = transforms.interpolate(stamps, poses, time_s, max_gap_s)
         if np.isfinite(out[:, 0, 0]).any():
             return out, "by time"
     if len(poses) == len(time_s):
@@ -246,7 +249,7 @@ def poses_to_world(match: PoseMatch, source: Origin, world: Origin) -> PoseMatch
     return replace(match, reference=transforms.rigid(turned, to_world(positions, source, world)))
 
 
-def read_points(path: Path, most: int = 20_000_000) -> tuple[np.ndarray, str | None]:
+def read_points(path: Path, most: int) -> tuple[np.ndarray, str | None]:
     """Points (M, 3) f8 of a LAS, LAZ or PLY file, in file coordinates, and "EPSG:n" if a LAS header names one.
 
     Of a file with more than ``most`` points every n-th is taken. Raises InputError naming the file, also for a point

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,13 +17,12 @@ from tiegraph.evaluate.metrics import metrics_to_dict
 from tiegraph.evaluate.reference import ModelPoses
 from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.evaluate.trajectory import TrajectoryError, evaluate_trajectory, registered_metrics, registered_table
+from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.scene.registered import registration
-from tiegraph.scene.results import Cloud, DepthMap, Metric
+from tiegraph.scene.results import Cloud, Metric
 from tiegraph.scene.scene import Scene
-
-_UNSCALED = 0.1  # a model whose scale is further off than this share was never metric
 
 
 @dataclass
@@ -34,36 +33,46 @@ class _Findings:
     contradictions: list[str] = field(default_factory=list)
 
 
+@dataclass(frozen=True, eq=False)
+class _Work:
+    scene: Scene
+    model: ModelPoses
+    settings: EvaluateSettings
+    tuning: Tuning
+    origin: Origin | None
+    predicted: Predicted
+    found: _Findings
+
+
 def evaluate_survey(
     scene: Scene,
     reconstruction: Any,
     cloud: Cloud | None,
-    views: Iterable[View | DepthMap] | None,
     settings: EvaluateSettings,
+    tuning: Tuning,
     origin: Origin | None = None,
     predicted: Predicted | None = None,
 ) -> dict[str, Any]:
     """The content of metrics.json for a run.
 
-    ``reconstruction``: pycolmap model in the world frame; ``views``: undistorted images (or their depth maps) for the
-    back-projection, None = the model's images as pinholes; ``origin``: the world's (None: the model's own frame);
+    ``reconstruction``: pycolmap model in the world frame; ``origin``: the world's (None: the model's own frame);
     ``predicted``: the run's own sigmas, which its references are held against.
     Raises InputError for references that cannot be read or matched.
     """
     found = _Findings()
     model = reference.model_poses(reconstruction, scene)
+    work = _Work(scene, model, settings, tuning, origin, predicted or Predicted(), found)
     images = registration(reconstruction, scene)
     found.metrics.extend(registered_metrics(images))
     found.tables.update(registered_table(images, scene.image_label(), scene.section[scene.frame]))
     if cloud is not None and len(cloud):
-        result = backprojection_rmse(cloud, pinhole_views(reconstruction) if views is None else views)
+        # Against its own points a camera model without depth maps says the same, and needs no reading of them.
+        result = backprojection_rmse(cloud, pinhole_views(reconstruction), tuning.points_tried)
         found.metrics.extend(result.metrics())
         found.notes.append(backprojection.MEANING)
-    trajectory = None
-    if settings.reference is not None:
-        trajectory = _trajectory(scene, model, settings, origin, predicted or Predicted(), found)
+    trajectory = None if settings.reference is None else _trajectory(work, settings.reference)
     if settings.reference_cloud is not None and cloud is not None and len(cloud):
-        _cloud(cloud, model, settings, origin, trajectory, predicted or Predicted(), found)
+        _cloud(work, cloud, settings.reference_cloud, trajectory)
     return metrics_to_dict(found.metrics, found.tables, found.notes, found.contradictions)
 
 
@@ -81,27 +90,22 @@ def pinhole_views(reconstruction: Any) -> list[View]:
     return sorted(views, key=lambda v: v.name)
 
 
-def _trajectory(
-    scene: Scene,
-    model: ModelPoses,
-    settings: EvaluateSettings,
-    origin: Origin | None,
-    predicted: Predicted,
-    found: _Findings,
-) -> TrajectoryError:
-    assert settings.reference is not None
-    match, said = reference.match_poses(reference.read_reference_poses(settings.reference), model, scene)
+def _trajectory(work: _Work, path: Path) -> TrajectoryError:
+    """Reference poses against the model's."""
+    settings, tuning, origin, found = work.settings, work.tuning, work.origin, work.found
+    poses = reference.read_reference_poses(path)
+    match, said = reference.match_poses(poses, work.model, work.scene, tuning.trajectory.max_gap_s)
     comparable = settings.reference_origin is not None and origin is not None
     if settings.reference_origin is not None and origin is not None:
         match = reference.poses_to_world(match, reference.enu_origin(settings.reference_origin), origin)
     try:
-        result = evaluate_trajectory(match, settings.rpe_m, same_frame=comparable)
+        result = evaluate_trajectory(match, settings.rpe_m, tuning.trajectory, same_frame=comparable)
     except np.linalg.LinAlgError as error:
-        raise InputError(f"{settings.reference}: the poses cannot be aligned: {error}") from None
+        raise InputError(f"{path}: the poses cannot be aligned: {error}") from None
     found.metrics.extend(result.metrics())
     found.tables.update(result.tables())
-    found.notes.append(f"Reference poses {settings.reference.name}: {said}.")
-    found.contradictions += against_poses(match, result, predicted, _step_s(scene))
+    found.notes.append(f"Reference poses {path.name}: {said}.")
+    found.contradictions += against_poses(match, result, work.predicted, tuning.judge, _step_s(work.scene))
     if comparable:
         found.notes.append("absolute_rmse compares positions in the same CRS without any alignment.")
     else:
@@ -117,30 +121,24 @@ def _step_s(scene: Scene) -> float:
     return float(np.median(step)) if len(step) else float("nan")
 
 
-def _cloud(
-    cloud: Cloud,
-    model: ModelPoses,
-    settings: EvaluateSettings,
-    origin: Origin | None,
-    trajectory: TrajectoryError | None,
-    predicted: Predicted,
-    found: _Findings,
-) -> None:
-    path = settings.reference_cloud
-    assert path is not None
-    points, crs = reference.read_points(path)
+def _cloud(work: _Work, cloud: Cloud, path: Path, trajectory: TrajectoryError | None) -> None:
+    """A reference cloud against the run's."""
+    settings, tuning, origin, found = work.settings, work.tuning, work.origin, work.found
+    points, crs = reference.read_points(path, tuning.cloud.read_points)
     source = _origin_of(settings, crs)
     if source is not None and origin is not None and len(points):
         # thinned first: the way through geodetic coordinates costs more than the comparison
-        points = reference.to_world(thin(points, min(settings.distances_m) / 2)[0], source, origin)
-    alignment, how = _alignment(settings, trajectory)
+        thinned, _ = thin(points, min(settings.distances_m) / 2, tuning.cloud)
+        points = reference.to_world(thinned, source, origin)
+    alignment, how = _alignment(settings, trajectory, tuning.unscaled_share)
+    centres = work.model.centres()
     try:
-        result = cloud_to_cloud(cloud, points, settings.distances_m, alignment, model.centres(), settings.range_m)
+        result = cloud_to_cloud(cloud, points, tuning.cloud, settings.distances_m, alignment, centres, settings.range_m)
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
     found.metrics.extend(result.metrics())
     found.tables.update(result.tables())
-    found.contradictions += against_cloud(result, points, predicted, alignment is not None)
+    found.contradictions += against_cloud(result, points, work.predicted, alignment is not None, tuning.judge)
     share = f"{100 * result.outside:.0f} % of the cloud lie outside the reference's outline and are not judged."
     found.notes.append(f"Reference cloud {path.name}, {how}. {result.meaning} {share}")
 
@@ -151,13 +149,15 @@ def _origin_of(settings: EvaluateSettings, crs: str | None) -> Origin | None:
     return None if crs is None else Origin(0.0, 0.0, 0.0, crs)
 
 
-def _alignment(settings: EvaluateSettings, trajectory: TrajectoryError | None) -> tuple[Similarity | None, str]:
+def _alignment(
+    settings: EvaluateSettings, trajectory: TrajectoryError | None, unscaled_share: float
+) -> tuple[Similarity | None, str]:
     if settings.alignment == "none":
         return None, "compared as it is, without alignment"
     if trajectory is None:
         return None, "compared as it is: an alignment needs reference poses too"
     off = abs(trajectory.sim3.scale - 1)
-    if settings.alignment == "rigid" and off < _UNSCALED:
+    if settings.alignment == "rigid" and off < unscaled_share:
         return trajectory.rigid, "after a rigid alignment by the matched poses"
     if settings.alignment == "rigid":
         how = f"the model's scale differs by {100 * off:.0f} %, so it was scaled too, by a similarity over the poses"

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tiegraph.evaluate.tuning import TrajectoryTuning
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, robust_umeyama, umeyama
 from tiegraph.scene.registered import BY_RIG, Registration
 from tiegraph.scene.results import Metric
 
-WITHIN_M = 0.3  # an image nearer than this to its true place, after a robust alignment, is called right
-_MIN_DRIFT_M = 5.0  # below this travelled distance a drift per 100 m means nothing
 _NAN = float("nan")
 
 
@@ -64,7 +63,7 @@ class RelativeError:
 @dataclass(frozen=True)
 class TrajectoryError:
     """All of it. sim3/se3: after a least-squares alignment with and without scale; absolute: no alignment (None when
-    the frames differ); within: share of matched poses nearer than WITHIN_M after a robust Sim3; groups: (label,
+    the frames differ); within: share of matched poses nearer than within_m after a robust Sim3; groups: (label,
     matched, rmse, median, max after SE3)."""
 
     matched: int
@@ -73,6 +72,7 @@ class TrajectoryError:
     absolute: PositionError | None
     absolute_enu_m: tuple[float, float, float] | None
     within: float
+    within_m: float
     relative: tuple[RelativeError, ...]
     yaw_drift_deg_per_100m: float
     groups: tuple[tuple[str, int, float, float, float], ...]
@@ -87,7 +87,7 @@ class TrajectoryError:
             Metric("ate_sim3_max", self.sim3.max_m, "m", "low"),
             Metric("ate_se3_rmse", self.se3.rmse_m, "m", "low"),
             Metric("scale_error", abs(self.sim3.scale - 1) * 100, "%", "low"),
-            Metric(f"images_within_{WITHIN_M:g}m", 100 * self.within, "%", "high", 100.0),
+            Metric(f"images_within_{self.within_m:g}m", 100 * self.within, "%", "high", 100.0),
             Metric("yaw_drift", self.yaw_drift_deg_per_100m, "deg/100 m", "low"),
         ]
         if self.absolute is not None:
@@ -113,7 +113,9 @@ class TrajectoryError:
         }
 
 
-def evaluate_trajectory(match: PoseMatch, distances_m: tuple[float, ...], same_frame: bool = False) -> TrajectoryError:
+def evaluate_trajectory(
+    match: PoseMatch, distances_m: tuple[float, ...], tuning: TrajectoryTuning, same_frame: bool = False
+) -> TrajectoryError:
     """Errors of K matched poses; with ``same_frame`` also the absolute error (both are in one world).
 
     Raises ValueError below three poses. Alignment: Umeyama least squares over all positions, no outlier rejection, so
@@ -130,9 +132,10 @@ def evaluate_trajectory(match: PoseMatch, distances_m: tuple[float, ...], same_f
         se3=se3,
         absolute=position_error(est, ref) if same_frame else None,
         absolute_enu_m=tuple(np.sqrt(np.mean(off**2, axis=0)).tolist()) if same_frame else None,
-        within=within(est, ref),
-        relative=tuple(relative_error(match, d) for d in distances_m),
-        yaw_drift_deg_per_100m=yaw_drift(match, aligned),
+        within=within(est, ref, tuning.within_m),
+        within_m=tuning.within_m,
+        relative=tuple(relative_error(match, d, tuning.max_stretch) for d in distances_m),
+        yaw_drift_deg_per_100m=yaw_drift(match, aligned, tuning.min_drift_m),
         groups=_by_group(match, se3.errors_m),
         similarity=similarity,
         rigid=rigid,
@@ -147,17 +150,17 @@ def position_error(estimate: np.ndarray, reference: np.ndarray, scale: float = 1
     )
 
 
-def within(estimate: np.ndarray, reference: np.ndarray, limit_m: float = WITHIN_M) -> float:
-    """Share of positions (K, 3) nearer than ``limit_m`` to the reference after a robust similarity."""
-    fit, _ = robust_umeyama(estimate, reference, limit_m / 3)
-    return float(np.mean(np.linalg.norm(fit(estimate) - reference, axis=1) < limit_m))
+def within(estimate: np.ndarray, reference: np.ndarray, within_m: float) -> float:
+    """Share of positions (K, 3) nearer than ``within_m`` to the reference after a robust similarity."""
+    fit, _ = robust_umeyama(estimate, reference, within_m / 3)  # three sigmas: what is within is an inlier
+    return float(np.mean(np.linalg.norm(fit(estimate) - reference, axis=1) < within_m))
 
 
-def relative_error(match: PoseMatch, distance_m: float) -> RelativeError:
+def relative_error(match: PoseMatch, distance_m: float, max_stretch: float) -> RelativeError:
     """RPE over a travelled distance: E = (ref_i^-1 ref_j)^-1 (est_i^-1 est_j), j the first pose at that distance.
 
-    Path length is the reference's. Pairs whose real distance is over 1.5 times the wanted one are left out, so frames
-    2 m apart give no figure for 1 m (count 0, NaN).
+    Path length is the reference's. Pairs whose real distance is over ``max_stretch`` times the wanted one are left out,
+    so frames far apart give no figure for a short one (count 0, NaN).
     """
     moved, turned = [], []
     for rows in match.sequences():
@@ -165,7 +168,7 @@ def relative_error(match: PoseMatch, distance_m: float) -> RelativeError:
         path = path_length(ref[:, :3, 3])
         to = np.searchsorted(path, path + distance_m - 1e-9)
         first = np.flatnonzero(to < len(rows))
-        first = first[path[to[first]] - path[first] <= 1.5 * distance_m]
+        first = first[path[to[first]] - path[first] <= max_stretch * distance_m]
         last = to[first]
         step_ref = transforms.invert(ref[first]) @ ref[last]
         error = transforms.invert(step_ref) @ transforms.invert(est[first]) @ est[last]
@@ -177,16 +180,16 @@ def relative_error(match: PoseMatch, distance_m: float) -> RelativeError:
     return RelativeError(distance_m, float(np.sqrt(t.mean())), float(np.sqrt(r.mean())), len(t))
 
 
-def yaw_drift(match: PoseMatch, aligned: np.ndarray) -> float:
+def yaw_drift(match: PoseMatch, aligned: np.ndarray, min_drift_m: float) -> float:
     """Median over the sequences of |slope| of the heading error against the travelled distance, degrees per 100 m.
 
     Heading error: rotation about the reference world's third axis (up) of R_est R_ref^T. NaN when no sequence of
-    three poses is at least 5 m long.
+    three poses is at least ``min_drift_m`` long.
     """
     slopes = []
     for rows in match.sequences():
         path = path_length(match.reference[rows, :3, 3])
-        if len(rows) < 3 or path[-1] < _MIN_DRIFT_M:
+        if len(rows) < 3 or path[-1] < min_drift_m:
             continue
         turn = aligned[rows, :3, :3] @ np.swapaxes(match.reference[rows, :3, :3], 1, 2)
         yaw = np.degrees(np.unwrap(Rotation.from_matrix(turn).as_rotvec()[:, 2]))

@@ -41,12 +41,24 @@ STAGES = (
     Stage("georef", georef, ("network", "sparse"), ("sparse/world", "world.json"), version=7,
           scratch=("sparse/.world",), tuned=("sfm",)),
     Stage("remask", remask, ("masks", "georef"), ("remask/masks", "remask/classes"), "image", version=3),
-    Stage("dense", dense, ("georef", "remask"), ("depth",), "image", version=5),
-    Stage("cloud", cloud, ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply"), scratch=(".tiles",)),
-    Stage("evaluate", evaluate, ("verify", "georef", "remask", "dense", "cloud"), ("metrics.json",), version=2),
+    Stage("dense", dense, ("georef", "remask"), ("depth",), "image", version=5,
+          tuned=("dense",)),
+    Stage("cloud", cloud, ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply"), scratch=(".tiles",),
+          tuned=("cloud",)),
+    Stage("evaluate", evaluate, ("verify", "georef", "remask", "dense", "cloud"), ("metrics.json",), version=2,
+          tuned=("evaluate",)),
     Stage("report", report, ("evaluate",), ("report.html",), version=2),
 )
 # fmt: on
 
-SHOTS = Stage("shots", shots, ("scan",), ("shots",), "shot", uses=("dense", "cloud"), scratch=("shots/.tiles",))
+SHOTS = Stage(
+    "shots",
+    shots,
+    ("scan",),
+    ("shots",),
+    "shot",
+    uses=("dense", "cloud"),
+    tuned=("dense", "cloud"),
+    scratch=("shots/.tiles",),
+)
 """The single-shot mode: apart from the table, for a survey does not need it."""

@@ -26,10 +26,8 @@ def evaluate(run: Run) -> Outcome:
     with reading(run.path("cloud.laz")):
         cloud = read_cloud(run.path("cloud.laz"), origin)
     world = load_json(run.path("world.json"))
-    # Against its own points a camera model without depth maps says the same, and needs no reading of them.
-    result = evaluate_survey(
-        scene, model, cloud, None, settings, origin if world["placed"] else None, predicted(world, cloud)
-    )
+    tuning, placed = run.settings.tuning.evaluate, origin if world["placed"] else None
+    result = evaluate_survey(scene, model, cloud, settings, tuning, placed, predicted(world, cloud))
     if settings.reference_masks is not None:
         result["tables"]["mask accuracy"] = _masks(run, scene, settings)
     save_json(run.path("metrics.json"), result)

@@ -33,11 +33,12 @@ def shots(run: Run) -> Outcome:
 
     Finished shots are skipped. Raises InputError for a rig whose cameras are not all calibrated.
     """
-    scene, sought = scanned(run), run.settings.shots
+    scene, sought, tuning = scanned(run), run.settings.shots, run.settings.tuning.dense.shots
     items = []
     for frame in range(scene.frames):
         views = shot_views(scene, frame)
-        items.append((cloud_path(run.folder, scene, frame), views, depth_range(views, sought.near_m, sought.far_m)))
+        found = depth_range(views, sought.near_m, sought.far_m, tuning)
+        items.append((cloud_path(run.folder, scene, frame), views, found))
     todo = [item for item in items if not item[0].exists()]
     run.reporter.total(len(items), len(items) - len(todo))
     run.map(partial(_shot, folder=run.folder, settings=run.settings), todo)
@@ -71,18 +72,19 @@ def cloud_path(folder: Path, scene: Scene, frame: int) -> Path:
 def _shot(item: tuple[Path, list[ViewPlan], DepthRange], folder: Path, settings: Settings) -> None:
     """Depth maps and cloud of one shot."""
     path, views, sought = item
-    dense = settings.dense
-    plan = plan_shot(views, sought, dense)
+    dense, tuning, images = settings.dense, settings.tuning.dense, folder / "images"
+    plan = plan_shot(views, sought, dense, tuning)
     masks = folder / "masks" if (folder / "masks").is_dir() else None
-    first = {n: depth_map(p, folder / "images", masks, dense, cv2.getNumThreads()) for n, p in plan.images.items()}
+    first = {n: depth_map(p, images, masks, dense, tuning, cv2.getNumThreads()) for n, p in plan.images.items()}
     for name, image in plan.images.items():
-        save_depth(confirmed_map(image, first[name], first.get, dense)[0], _depth_path(folder, name))
-    maps = Maps(lambda name: load_map(_depth_path(folder, name)), coloured(plan.images, folder / "images", dense))
+        save_depth(confirmed_map(image, first[name], first.get, dense, tuning)[0], _depth_path(folder, name))
+    colours = coloured(plan.images, images, dense, tuning.views)
+    maps = Maps(lambda name: load_map(_depth_path(folder, name)), colours)
     tiles = folder / _FOLDER / ".tiles"
     tiles.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=tiles) as scratch:
         try:
-            fused = fuse(sorted(plan.images), maps, Path(scratch), settings.cloud)
+            fused = fuse(sorted(plan.images), maps, Path(scratch), settings.cloud, settings.tuning.cloud)
         except ReconstructionError as error:
             raise ReconstructionError(f"{path.stem}: {error}") from None
         with replacing(path) as temporary:

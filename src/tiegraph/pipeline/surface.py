@@ -17,6 +17,7 @@ from tiegraph.dense.engine import installed, most_volume_bytes
 from tiegraph.dense.neighbours import plan_images
 from tiegraph.dense.plan import ImagePlan
 from tiegraph.dense.settings import DenseSettings
+from tiegraph.dense.tuning import Tuning, ViewTuning
 from tiegraph.dense.undistort import load_view, pinhole
 from tiegraph.dense.workspace import write_workspace
 from tiegraph.errors import InputError, TiegraphError
@@ -47,10 +48,11 @@ def dense(run: Run) -> Outcome:
     """A depth map of every image that has partners: matched, then compared with its neighbours'."""
     plan = _plan(run)
     names = sorted(plan.images)
-    args = (run.folder, plan.images, run.settings.dense)
+    settings, tuning = run.settings.dense, run.settings.tuning.dense
+    args = (run.folder, plan.images, settings, tuning)
     todo = [n for n in names if not depth_path(run.folder, n).exists()]
     first = [n for n in names if not depth_path(run.folder, n, FIRST).exists()] if todo else []
-    volumes = _volumes(plan.images, run.settings.dense)
+    volumes = _volumes(plan.images, settings, tuning)
     _log.info("%d images; %s", len(names), volumes)
     run.reporter.total(2 * len(names), 2 * len(names) - len(first) - len(todo))
     run.map(_first_item, first, *args)
@@ -60,35 +62,39 @@ def dense(run: Run) -> Outcome:
     pixels = run.map(_known_pixels, names, run.folder)
     refused = {"columns": ["reason", "stereo pairs"], "rows": [[k, n] for k, n in plan.refused.items()]}
     counts: dict[str, float] = {"images": len(names), "pixels": int(sum(pixels)), "images_without": len(plan.dropped)}
-    remark = installed(run.settings.dense.engine)[1]
+    remark = installed(settings.engine)[1]
     notes = (*plan.notes, volumes, *([remark] if remark else []))
     return Outcome(counts, plan.dropped, notes, {"refused stereo pairs": refused})
 
 
 def _plan(run: Run) -> Any:
-    return plan_images(load_model(run.path("sparse", "world")), run.settings.dense)
+    settings, tuning = run.settings.dense, run.settings.tuning.dense.partners
+    return plan_images(load_model(run.path("sparse", "world")), settings, tuning)
 
 
-def _volumes(plans: dict[str, ImagePlan], settings: DenseSettings) -> str:
+def _volumes(plans: dict[str, ImagePlan], settings: DenseSettings, tuning: Tuning) -> str:
     """What the matcher will hold at most, known before it starts."""
-    sizes = {plan.view.camera: pinhole(plan.view, settings).size for plan in plans.values()}
-    most = max((most_volume_bytes(size) for size in sizes.values()), default=0)
+    sizes = {plan.view.camera: pinhole(plan.view, settings, tuning.views).size for plan in plans.values()}
+    most = max((most_volume_bytes(size, tuning) for size in sizes.values()), default=0)
     return f"cost volumes of a pair: at most {most / 1e6:.0f} MB in each worker"
 
 
-def _first_item(name: str, folder: Path, plans: dict[str, ImagePlan], settings: DenseSettings) -> None:
-    found = depth_map(plans[name], folder / "images", folder / FINAL / "masks", settings, cv2.getNumThreads())
+def _first_item(name: str, folder: Path, plans: dict[str, ImagePlan], settings: DenseSettings, tuning: Tuning) -> None:
+    masks = folder / FINAL / "masks"
+    found = depth_map(plans[name], folder / "images", masks, settings, tuning, cv2.getNumThreads())
     save_depth(found, depth_path(folder, name, FIRST))
 
 
-def _confirm_item(name: str, folder: Path, plans: dict[str, ImagePlan], settings: DenseSettings) -> None:
+def _confirm_item(
+    name: str, folder: Path, plans: dict[str, ImagePlan], settings: DenseSettings, tuning: Tuning
+) -> None:
     def load(other: str) -> DepthMap | None:
         path = depth_path(folder, other, FIRST)
         return load_map(path) if path.exists() else None
 
     first = load(name)
     assert first is not None
-    confirmed, _ = confirmed_map(plans[name], first, load, settings)
+    confirmed, _ = confirmed_map(plans[name], first, load, settings, tuning)
     save_depth(confirmed, depth_path(folder, name))
 
 
@@ -108,7 +114,8 @@ def hand_over(run: Run, target: Path) -> int:
 
     model = load_model(run.path("sparse", "world"))
     try:
-        return write_workspace(target, model, run.path("images"), load, run.settings.dense)
+        settings, tuning = run.settings.dense, run.settings.tuning.dense.views
+        return write_workspace(target, model, run.path("images"), load, settings, tuning)
     except (OSError, RuntimeError) as error:
         told = explained(error, target) or InputError(f"{target}: cannot be written: {error}; choose another folder")
         raise error if isinstance(error, TiegraphError) else told from error
@@ -120,8 +127,10 @@ def cloud(run: Run) -> Outcome:
     scratch = run.path(".tiles")
     remove(scratch)
     scratch.mkdir(parents=True)
-    maps = Maps(partial(_depth, folder=run.folder), coloured(plans, run.path("images"), run.settings.dense))
-    fused = fuse(sorted(plans), maps, scratch, run.settings.cloud, world_origin(run), _mapper(run))
+    colours = coloured(plans, run.path("images"), run.settings.dense, run.settings.tuning.dense.views)
+    maps = Maps(partial(_depth, folder=run.folder), colours)
+    settings, tuning = run.settings.cloud, run.settings.tuning.cloud
+    fused = fuse(sorted(plans), maps, scratch, settings, tuning, world_origin(run), _mapper(run))
     notes = [*write_copc(fused.clouds, run.path("cloud.copc.laz"), fused.voxel, scratch)]
     same_file(run.path("cloud.copc.laz"), run.path("cloud.laz"))
     notes += write_cloud(fused.clouds(), run.path("cloud.ply"))
@@ -162,10 +171,14 @@ def _depth(name: str, folder: Path) -> DepthMap:
     return load_map(depth_path(folder, name))
 
 
-def coloured(plans: dict[str, ImagePlan], images: Path, settings: DenseSettings) -> Callable[[str], np.ndarray]:
+def coloured(
+    plans: dict[str, ImagePlan], images: Path, settings: DenseSettings, tuning: ViewTuning
+) -> Callable[[str], np.ndarray]:
     """Colours (H, W, 3) u1 RGB of the undistorted images by name."""
-    return partial(_colours, plans=plans, images=images, settings=settings)
+    return partial(_colours, plans=plans, images=images, settings=settings, tuning=tuning)
 
 
-def _colours(name: str, plans: dict[str, ImagePlan], images: Path, settings: DenseSettings) -> np.ndarray:
-    return cv2.cvtColor(load_view(plans[name].view, images, None, settings).image_bgr, cv2.COLOR_BGR2RGB)
+def _colours(
+    name: str, plans: dict[str, ImagePlan], images: Path, settings: DenseSettings, tuning: ViewTuning
+) -> np.ndarray:
+    return cv2.cvtColor(load_view(plans[name].view, images, None, settings, tuning).image_bgr, cv2.COLOR_BGR2RGB)

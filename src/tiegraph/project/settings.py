@@ -11,11 +11,14 @@ import tomli_w
 from pydantic import ValidationError
 
 from tiegraph.cloud.settings import CloudSettings
+from tiegraph.cloud.tuning import Tuning as CloudTuning
 from tiegraph.dense.settings import DenseSettings, ShotsSettings
+from tiegraph.dense.tuning import Tuning as DenseTuning
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tuning import Tuning as DesignTuning
 from tiegraph.errors import SettingsError, choose
 from tiegraph.evaluate.settings import EvaluateSettings
+from tiegraph.evaluate.tuning import Tuning as EvaluateTuning
 from tiegraph.features.settings import FeaturesSettings, MatchSettings, PreviewSettings
 from tiegraph.features.tuning import Tuning as FeaturesTuning
 from tiegraph.masks.settings import MasksSettings, RemaskSettings
@@ -46,6 +49,9 @@ class Tunings(Section):
     features: FeaturesTuning = FeaturesTuning()
     verify: VerifyTuning = VerifyTuning()
     sfm: SfmTuning = SfmTuning()
+    dense: DenseTuning = DenseTuning()
+    cloud: CloudTuning = CloudTuning()
+    evaluate: EvaluateTuning = EvaluateTuning()
 
 
 class Settings(Section):
