@@ -45,8 +45,8 @@ class Tunings(Section):
     """The constants that the engines decide by: tables ``[tuning.<engine>]`` of tiegraph.toml. They are the same for
     every user, so the command line does not show them; they are in reach for measurements."""
 
-    design: DesignTuning = DesignTuning()
     features: FeaturesTuning = FeaturesTuning()
+    design: DesignTuning = DesignTuning()
     verify: VerifyTuning = VerifyTuning()
     sfm: SfmTuning = SfmTuning()
     dense: DenseTuning = DenseTuning()
