@@ -41,6 +41,7 @@ from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.rig.given import drawings
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.settings import SparseSettings
+from tiegraph.sfm.tuning import Tuning
 
 _FEW = 20  # points below which nothing is said of them
 EXPLAINED = 0.999  # of the predicted variance lies in the modes whose errors are looked at one by one
@@ -181,8 +182,8 @@ def predicted(model: pycolmap.Reconstruction, scene: Scene) -> PositionSigma:
     """What the stage would say of a model."""
     constant = believed_cameras(scene, SparseSettings())
     fixed = {k + 1 for k, mode in rig_modes(scene, "auto").items() if mode == "fixed"}
-    free = free_cameras(model) - set(constant)
-    return position_sigma(model, free, set(model.rigs) - fixed, (), drawings(model, scene))
+    free = free_cameras(model, Tuning().adjust.min_images) - set(constant)
+    return position_sigma(model, free, set(model.rigs) - fixed, (), drawings(model, scene), tuning=Tuning())
 
 
 def _with_truth(

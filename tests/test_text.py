@@ -8,6 +8,7 @@ import pytest
 
 from tiegraph.report.facts import sigma_text
 from tiegraph.sfm.finish import _open_notes
+from tiegraph.sfm.tuning import SigmaTuning
 from tiegraph.text import known_to
 
 
@@ -17,7 +18,7 @@ from tiegraph.text import known_to
      (float("nan"), "is not known,")],
 )  # fmt: skip
 def test_a_lever_arm_whose_sigma_exceeds_it_is_not_known(share: float, words: str) -> None:
-    (note,) = _open_notes(SimpleNamespace(open_mountings=lambda: {2: share}), {2: "cam2"})
+    (note,) = _open_notes(SimpleNamespace(open_mountings=lambda tuning: {2: share}), {2: "cam2"}, SigmaTuning())
     assert note.startswith("the lever arm of cam2 is ") and words in note
     assert len(note) < 220
 

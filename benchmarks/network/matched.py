@@ -60,7 +60,7 @@ class Run:
 
     def with_accuracy(self) -> Pairs:
         """The pairs with the accuracy that paper 002 gives them."""
-        return with_accuracy(self.pairs, self.scene, self.ties, self.folder, _in_turn)
+        return with_accuracy(self.pairs, self.scene, self.ties, self.folder, _in_turn, Tuning().two_view)
 
     def settings(self) -> SparseSettings:
         """Those of the mapping: the defaults, no GNSS, so that only the pairs count."""
@@ -170,7 +170,8 @@ class Tracks:
         index = np.repeat(np.arange(len(row)), 3)
         column = np.repeat(3 * track[:, None] + np.arange(3), 2, axis=0).ravel()
         by_point = csr_matrix((system.by_point[row].ravel(), (index, column)), shape=(len(row), 3 * count))
-        normal = reduced(system.by_camera[row], by_point) / system.variance + system.layout.prior()
+        prior = system.layout.prior(self.model, Tuning().adjust)
+        normal = reduced(system.by_camera[row], by_point) / system.variance + prior
         variance = np.diag(positions_free_gauge(normal, system.layout)).reshape(-1, 3).sum(axis=1)
         return {**out, "rms": float(np.sqrt(variance.mean())), "median": float(np.sqrt(np.median(variance)))}
 

@@ -41,6 +41,7 @@ from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.model import frame_poses, image_poses
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.settings import GeorefSettings
+from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.world.fixes import Given, PositionRows
 from tiegraph.sfm.world.georef import Georeference
 from tiegraph.sfm.world.ground import Held, georeference_model
@@ -220,7 +221,7 @@ def _with_rows(survey: Survey, rows: PositionRows) -> Survey:
 def outage(length_m: float, gap_m: float, radial: float, seed: int) -> dict[str, Any]:
     """A corridor without positions over ``gap_m`` in its middle: error in the gap, over its length."""
     made = corridor(length_m, radial=radial, seed=seed)
-    model = final_adjustment(made.model, [1], range(1, 5)).model
+    model = final_adjustment(made.model, [1], range(1, 5), tuning=Tuning().adjust).model
     rows = _receiver(made, gap_m, seed)
     scene = _positions(made.scene, rows)
     s = np.arange(len(made.truth)) * 2.0

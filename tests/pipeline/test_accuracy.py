@@ -15,6 +15,7 @@ from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.scene.ties import Ties
+from tiegraph.sfm.tuning import TwoViewTuning
 
 
 def world_of_three(folder: Path) -> Scene:
@@ -47,7 +48,7 @@ def test_previewed_pairs_get_their_accuracy_and_base(tmp_path: Path) -> None:
     all_points = np.stack([np.arange(60)] * 2, axis=1)
     pairs = Pairs.make([0, 0, 1], [1, 2, 2], "sequence")
     ties = Ties.make([0, 0], [1, 2], [all_points, all_points])
-    found = with_accuracy(pairs, scene, ties, tmp_path, in_turn)
+    found = with_accuracy(pairs, scene, ties, tmp_path, in_turn, TwoViewTuning())
     assert np.isfinite(found.sigma_m).tolist() == [True, True, False], "the third was not previewed"
     assert np.all(found.sigma_m[:2] > 0) and np.all(found.sigma_m[:2] < 1.5)
     assert 8 < found.h_over_b[0] < 13 and 4 < found.h_over_b[1] < 6.5
@@ -56,7 +57,7 @@ def test_previewed_pairs_get_their_accuracy_and_base(tmp_path: Path) -> None:
 def test_pairs_without_previews_stay_as_they_are() -> None:
     scene = simple_scene(Rig("camera", (Sensor("camera"),)), ["a.jpg", "b.jpg"], np.arange(2), np.zeros(2))
     pairs = Pairs.make([0], [1], "sequence")
-    assert with_accuracy(pairs, scene, Ties.empty(), Path("."), lambda *_: []) is pairs
+    assert with_accuracy(pairs, scene, Ties.empty(), Path("."), lambda *_: [], TwoViewTuning()) is pairs
 
 
 def test_pairs_of_which_nothing_is_known_are_previewed_for_the_design(tmp_path: Path) -> None:

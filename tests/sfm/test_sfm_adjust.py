@@ -13,8 +13,11 @@ import tiegraph  # noqa: F401  (zlib before pycolmap)
 import pycolmap  # isort: skip
 
 from tiegraph.sfm import solver
-from tiegraph.sfm.adjust import ENOUGH_SEEN, drop_momentary, final_adjustment
+from tiegraph.sfm.adjust import drop_momentary, final_adjustment
 from tiegraph.sfm.model import image_poses
+from tiegraph.sfm.tuning import AdjustTuning
+
+TUNING = AdjustTuning()
 
 
 def _momentary(model: pycolmap.Reconstruction) -> list[int]:
@@ -41,16 +44,16 @@ def test_what_one_shot_alone_saw_goes_and_the_rest_stays(tmp_path: Path) -> None
     _cut_to_one_shot(model, sorted(before)[::20])
     momentary = _momentary(model)
     assert len(momentary) > 3
-    assert drop_momentary(model) == len(momentary)
+    assert drop_momentary(model, TUNING.enough_seen) == len(momentary)
     assert set(model.point3D_ids()) == before - set(momentary)
-    assert drop_momentary(model) == 0
+    assert drop_momentary(model, TUNING.enough_seen) == 0
 
 
 def test_a_frame_that_has_little_else_keeps_them(tmp_path: Path) -> None:
-    model, _ = make_world(tmp_path / "database.db", frames=1, points=ENOUGH_SEEN * 2)
+    model, _ = make_world(tmp_path / "database.db", frames=1, points=TUNING.enough_seen * 2)
     before = sorted(model.point3D_ids())
     assert _momentary(model) == before
-    assert drop_momentary(model) == 0
+    assert drop_momentary(model, TUNING.enough_seen) == 0
     assert np.array_equal(sorted(model.point3D_ids()), before)
 
 
@@ -59,7 +62,8 @@ def test_a_large_adjustment_gives_the_same_bits_each_time(tmp_path: Path) -> Non
     # COLMAP solves those with fewer than 50 000 residuals on one thread anyway.
     model, scene = make_world(tmp_path / "database.db", cameras=2, frames=9, points=1500)
     assert 2 * model.compute_num_observations() > 50_000
-    found = [image_poses(final_adjustment(pycolmap.Reconstruction(model)).model, scene) for _ in range(2)]
+    made = [final_adjustment(pycolmap.Reconstruction(model), tuning=TUNING).model for _ in range(2)]
+    found = [image_poses(m, scene) for m in made]
     assert np.array_equal(*found)
 
 

@@ -15,12 +15,11 @@ from tiegraph.geometry.align import umeyama
 from tiegraph.scene import blocks
 from tiegraph.scene.colmapmodel import MAX_IMAGES
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm import mapping
 from tiegraph.sfm.database import write_working_copy
 from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.settings import SparseSettings
-from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.tuning import MappingTuning, Tuning
 
 
 @pytest.fixture
@@ -39,7 +38,7 @@ def _error(found: np.ndarray, true: np.ndarray) -> np.ndarray:
 def test_a_working_copy_of_some_images_holds_nothing_else(world, tmp_path: Path) -> None:
     _, scene = world
     some = np.flatnonzero(scene.frame < 3)
-    write_working_copy(tmp_path / "database.db", tmp_path / "part.db", scene, {0: scene.rigs[0]}, False, (), some)
+    write_working_copy(tmp_path / "database.db", tmp_path / "part.db", scene, {0: scene.rigs[0]}, None, (), some)
     with sqlite3.connect(tmp_path / "part.db") as copy:
         names = {name for (name,) in copy.execute("SELECT name FROM images")}
         ends = {k for (p,) in copy.execute("SELECT pair_id FROM two_view_geometries") for k in divmod(p, MAX_IMAGES)}
@@ -52,12 +51,12 @@ def test_a_working_copy_of_some_images_holds_nothing_else(world, tmp_path: Path)
 @pytest.mark.slow
 def test_blocks_make_one_model(world, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     true, scene = world
-    monkeypatch.setattr(mapping, "IN_BLOCKS", 30)
     for name, value in (("MOST", 30), ("CORE", 40), ("LEAST", 6), ("LENT", 18)):
         monkeypatch.setattr(blocks, name, value)
+    tuning = Tuning(mapping=MappingTuning(in_blocks=30))
     source = Source(tmp_path / "database.db", None)
     result = reconstruct(
-        source, tmp_path / "sparse", scene, SparseSettings(covariance_frames=0), Tuning(), tmp_path / "log.txt"
+        source, tmp_path / "sparse", scene, SparseSettings(covariance_frames=0), tuning, tmp_path / "log.txt"
     )
     assert result.mapper == "preview" and result.counts["registered"] == len(scene) and result.counts["models"] == 1
     assert any("mapped in 2 blocks" in n and "1 of 1 joins hold" in n for n in result.notes)

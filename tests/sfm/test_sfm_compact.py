@@ -11,6 +11,7 @@ from sfm_worlds import make_world
 from tiegraph.sfm.adjust import final_adjustment
 from tiegraph.sfm.model import rigid3d
 from tiegraph.sfm.rig import compact
+from tiegraph.sfm.tuning import Tuning
 
 import pycolmap  # isort: skip
 
@@ -99,7 +100,7 @@ def test_what_a_rule_has_from_the_rig_itself_is_no_information() -> None:
 def test_a_camera_that_the_images_place_stays(tmp_path: Path) -> None:
     truth, _ = make_world(tmp_path / "database.db", cameras=6, frames=10, noise_px=0.2, points=300)
     _, sigma = compact.expected_centres(truth.rig(1))[6]
-    moved = np.linalg.norm(_centre(final_adjustment(truth).model) - _centre(truth))
+    moved = np.linalg.norm(_centre(final_adjustment(truth, tuning=Tuning().adjust).model) - _centre(truth))
     assert moved < 0.05 * sigma
 
 
@@ -108,9 +109,9 @@ def test_a_camera_that_the_images_leave_open_goes_where_it_is_expected(tmp_path:
     start = _hardly_seeing(truth)
     expected, sigma = compact.expected_centres(start.rig(1))[6]
     far = np.linalg.norm(_centre(start) - expected)
-    near = np.linalg.norm(_centre(final_adjustment(start).model) - expected)
+    near = np.linalg.norm(_centre(final_adjustment(start, tuning=Tuning().adjust).model) - expected)
     monkeypatch.setattr(compact, "add_priors", lambda *arguments: [])
-    without = np.linalg.norm(_centre(final_adjustment(start).model) - expected)
+    without = np.linalg.norm(_centre(final_adjustment(start, tuning=Tuning().adjust).model) - expected)
     assert far > 1.5 * sigma and without > 0.8 * far
     assert near < 0.5 * far
 

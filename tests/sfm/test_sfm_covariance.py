@@ -14,8 +14,11 @@ from tiegraph.sfm.adjust import _solve, final_adjustment
 from tiegraph.sfm.covariance import MOUNTING, position_sigma
 from tiegraph.sfm.jacobians import Layout, Tie, skew
 from tiegraph.sfm.model import frame_poses, image_poses
+from tiegraph.sfm.tuning import Tuning
 
 import pycolmap  # isort: skip
+
+TUNING = Tuning()
 
 
 def _noisy(truth: pycolmap.Reconstruction, sigma_px: float, seed: int) -> pycolmap.Reconstruction:
@@ -34,7 +37,8 @@ def _noisy(truth: pycolmap.Reconstruction, sigma_px: float, seed: int) -> pycolm
 
 def robust(model: pycolmap.Reconstruction, intrinsics: bool = True, rig: bool = True) -> pycolmap.Reconstruction:
     """The model adjusted as the final adjustment does it last."""
-    _solve(model, () if rig else list(model.rigs), set(model.cameras) if intrinsics else set(), True, None)
+    fixed, free = () if rig else list(model.rigs), set(model.cameras) if intrinsics else set()
+    _solve(model, fixed, free, True, None, TUNING.adjust)
     return model
 
 
@@ -50,7 +54,7 @@ def test_predicted_sigma_is_the_scatter_of_many_adjustments(world) -> None:
     predicted = None
     for seed in range(12):
         model = _noisy(truth, 0.5, seed)
-        predicted = position_sigma(model, free_intrinsics=False, free_rig=False)
+        predicted = position_sigma(model, free_intrinsics=False, free_rig=False, tuning=TUNING)
         found = frame_poses(image_poses(model, scene), scene)[:, :3, 3]
         squares.append(np.sum((umeyama(found, true)(found) - true) ** 2, axis=1))
     actual = np.sqrt(np.mean(squares))
@@ -84,7 +88,7 @@ def test_sigma_is_right_for_errors_with_tails_that_tracks_share(tmp_path, draws)
         model = _drawn(truth, seed)
         found = frame_poses(image_poses(model, scene), scene)[:, :3, 3]
         actual.append(np.sum((umeyama(found, true)(found) - true) ** 2))
-        predicted.append(np.sum(position_sigma(model).sigma ** 2))
+        predicted.append(np.sum(position_sigma(model, tuning=TUNING).sigma ** 2))
     ratio = float(np.sqrt(np.mean(actual) / np.mean(predicted)))
     assert (0.8 if draws > 20 else 0.7) < ratio < (1.25 if draws > 20 else 1.4), ratio
 
@@ -93,12 +97,12 @@ def test_points_that_are_not_quite_at_their_minimum_say_nothing_of_the_frames(wo
     """An adjustment stops where points that few rays hold may still slide along them (sigma of the boat: 19 fold)."""
     truth, _ = world
     model = _noisy(truth, 0.5, 1)
-    before = position_sigma(model, free_intrinsics=False, free_rig=False)
+    before = position_sigma(model, free_intrinsics=False, free_rig=False, tuning=TUNING)
     middle = np.mean([image.projection_center() for image in model.images.values()], axis=0)
     for key in sorted(model.point3D_ids())[::8]:
         point = model.point3D(key)
         point.xyz = point.xyz + 0.02 * (point.xyz - middle)
-    after = position_sigma(model, free_intrinsics=False, free_rig=False)
+    after = position_sigma(model, free_intrinsics=False, free_rig=False, tuning=TUNING)
     expected = before.median * after.pixel_sigma / before.pixel_sigma  # their residuals widen that of a pixel
     assert after.median == pytest.approx(expected, rel=0.15)
 
@@ -121,15 +125,16 @@ def test_ties_hold_frames_that_nothing_else_holds() -> None:
 
 def test_interior_orientation_tells_sigmas_and_correlations(world) -> None:
     truth, _ = world
-    found = position_sigma(_drawn(truth, 3))
+    found = position_sigma(_drawn(truth, 3), tuning=TUNING)
     assert {row[0] for row in found.interior} == set(truth.cameras)
     assert all(row[3] > 0 for row in found.interior)
     assert all(row[4] is None or 0.7 <= abs(row[4]) <= 1 for row in found.interior)
     assert set(found.mounting) == {2} and 0 < found.mounting[2].sigma_deg < 1
-    assert 0 < found.mounting[2].sigma < 0.1 * np.linalg.norm(found.mounting[2].centre) and not found.open_mountings()
+    assert 0 < found.mounting[2].sigma < 0.1 * np.linalg.norm(found.mounting[2].centre)
+    assert not found.open_mountings(TUNING.sigma)
     tables = found.tables({1: "left"})
     assert tables["interior orientation"]["rows"][0][0] == "left" and tables[MOUNTING]["rows"][0][0] == 2
-    assert position_sigma(truth_noisy(truth), False, False).interior == ()
+    assert position_sigma(truth_noisy(truth), False, False, tuning=TUNING).interior == ()
 
 
 def truth_noisy(truth: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
@@ -140,7 +145,7 @@ def truth_noisy(truth: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
 def test_unknown_intrinsics_and_rig_widen_the_sigmas(world) -> None:
     truth, _ = world
     model = _noisy(truth, 0.5, 0)
-    known, free = position_sigma(model, False, False), position_sigma(model)
+    known, free = position_sigma(model, False, False, tuning=TUNING), position_sigma(model, tuning=TUNING)
     assert known.median < free.median < 50 * known.median
     assert free.median <= free.p90
 
@@ -148,7 +153,7 @@ def test_unknown_intrinsics_and_rig_widen_the_sigmas(world) -> None:
 def test_two_frames_have_no_sigma(tmp_path) -> None:
     truth, _ = make_world(tmp_path / "database.db", cameras=1, frames=2)
     with pytest.raises(ValueError, match="at least 3 frames"):
-        position_sigma(truth)
+        position_sigma(truth, tuning=TUNING)
 
 
 def test_final_adjustment_finds_the_principal_point(tmp_path) -> None:
@@ -160,17 +165,17 @@ def test_final_adjustment_finds_the_principal_point(tmp_path) -> None:
     camera.principal_point_x += 8
     before = wrong.compute_mean_reprojection_error()
     wrong.update_point_3d_errors()
-    result = final_adjustment(wrong)
+    result = final_adjustment(wrong, tuning=TUNING.adjust)
     assert result.accepted and "principal points moved" in result.note
     found = result.model.camera(1)
     assert abs(found.principal_point_x - right[1]) < 2.0
     assert result.model.compute_mean_reprojection_error() < max(before, 1.0)
-    kept = final_adjustment(wrong, constant_cameras=[1]).model.camera(1)
+    kept = final_adjustment(wrong, constant_cameras=[1], tuning=TUNING.adjust).model.camera(1)
     assert kept.principal_point_x == camera.principal_point_x
 
 
 def test_impossible_intrinsics_are_refused(world, monkeypatch) -> None:
     truth, _ = world
     monkeypatch.setattr("tiegraph.sfm.adjust.impossible_camera", lambda *_: 2)
-    result = final_adjustment(truth)
+    result = final_adjustment(truth, tuning=TUNING.adjust)
     assert not result.accepted and result.model is truth and "camera 2" in result.note

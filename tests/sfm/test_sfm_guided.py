@@ -14,8 +14,12 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import MAX_IMAGES
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses, image_poses
-from tiegraph.sfm.placement.predict import BY_PASS_RAD, BY_PREVIEW_RAD, predicted
-from tiegraph.sfm.placement.settle import Settled, settle
+from tiegraph.sfm.placement.predict import predicted
+from tiegraph.sfm.placement.settle import Matched, Settled, settle
+from tiegraph.sfm.placement.tuning import PlacementTuning
+
+TUNING = PlacementTuning()
+
 
 FRAMES = 12
 LOST = 6
@@ -54,7 +58,8 @@ def _without_ties(folder: Path, scene: Scene, images: np.ndarray) -> None:
 
 def _settle(model: pycolmap.Reconstruction, scene: Scene, folder: Path, preview: np.ndarray | None = None) -> Settled:
     rigs = dict(enumerate(scene.rigs))
-    return settle(model, scene, (folder / "database.db", folder, ()), rigs, folder / "scratch", preview)
+    source = Matched(folder / "database.db", folder, (), folder / "scratch")
+    return settle(model, scene, source, rigs, preview, TUNING)
 
 
 def _lose(model: pycolmap.Reconstruction, folder: Path, frame: int) -> pycolmap.Reconstruction:
@@ -123,9 +128,11 @@ def test_poses_are_predicted_by_the_preview_model_and_by_the_pass() -> None:
     turn = transforms.rigid(transforms.rigid(np.eye(3), np.zeros(3))[:3, :3][[2, 0, 1]], np.array([3.0, 1, 2]))
     preview = turn @ true
     preview[:, :3, 3] *= 0.3
-    by_preview, by_pass = predicted(LOST, poses, preview, scene), predicted(LOST, poses, None, scene)
-    assert by_preview.by == "poses of the preview model" and by_preview.slack_rad == BY_PREVIEW_RAD
+    by_preview, by_pass = (predicted(LOST, poses, p, scene, TUNING.predict) for p in (preview, None))
+    assert by_preview.by == "poses of the preview model" and by_preview.slack_rad == TUNING.predict.by_preview_rad
     np.testing.assert_allclose(by_preview.pose, true[LOST], atol=1e-6)
-    assert by_pass.slack_rad == BY_PASS_RAD and 1e-4 < np.linalg.norm((by_pass.pose - true[LOST])[:3, 3]) < 0.1
+    assert by_pass.slack_rad == TUNING.predict.by_pass_rad
+    assert 1e-4 < np.linalg.norm((by_pass.pose - true[LOST])[:3, 3]) < 0.1
     alone = np.where((np.arange(FRAMES) < FRAMES - 1)[:, None, None], poses, np.nan)
-    assert predicted(FRAMES - 1, alone, None, scene) is None  # at the end of the pass, with frames on one side only
+    # At the end of the pass, with frames on one side only.
+    assert predicted(FRAMES - 1, alone, None, scene, TUNING.predict) is None

@@ -13,6 +13,7 @@ from tiegraph.geometry import transforms
 from tiegraph.sfm import lens
 from tiegraph.sfm.adjust import final_adjustment
 from tiegraph.sfm.model import matrix
+from tiegraph.sfm.tuning import Tuning
 
 import pycolmap  # isort: skip
 
@@ -78,27 +79,28 @@ def test_an_extended_camera_projects_as_before(tmp_path) -> None:
 @pytest.mark.skipif(not lens.available(), reason="pyceres is not there")
 def test_the_final_adjustment_finds_aspect_and_decentring_and_the_rig_gains(tmp_path, monkeypatch) -> None:
     truth, start = _world(tmp_path)
-    found = final_adjustment(start).model
+    found = final_adjustment(start, tuning=Tuning().adjust).model
     camera = found.camera(2)
     assert camera.model.name == "OPENCV"
     assert camera.focal_length_x / camera.focal_length_y == pytest.approx(TRUE[0], abs=5e-4)
     assert camera.params[6:] == pytest.approx(TRUE[1:], abs=2.5e-4)
     monkeypatch.setattr(lens, "available", lambda: False)
-    radial = final_adjustment(start).model
+    radial = final_adjustment(start, tuning=Tuning().adjust).model
     assert radial.camera(2).model.name == "RADIAL"
     assert _turned_deg(found, truth) < 0.5 * _turned_deg(radial, truth)
 
 
 def test_priors_are_those_of_a_lens() -> None:
-    expected = lens.covariance(500.0)
+    tuning = Tuning().adjust.lens
+    expected = lens.covariance(500.0, tuning)
     ratio = np.array([1, -1, 0, 0, 0, 0, 0, 0]) / 500
-    assert np.sqrt(ratio @ expected @ ratio) == pytest.approx(lens.ASPECT)
-    assert np.sqrt(expected[7, 7]) == lens.DECENTRING
+    assert np.sqrt(ratio @ expected @ ratio) == pytest.approx(tuning.aspect)
+    assert np.sqrt(expected[7, 7]) == tuning.decentring
     assert np.linalg.eigvalsh(expected).min() > 0
 
 
 def test_cameras_of_other_models_and_believed_ones_stay(tmp_path) -> None:
     _, start = _world(tmp_path)
-    kept = final_adjustment(start, constant_cameras=[1]).model
+    kept = final_adjustment(start, constant_cameras=[1], tuning=Tuning().adjust).model
     assert kept.camera(1).model.name == "RADIAL"
     assert lens.extensible(start, [1, 2], ("PINHOLE",)) == []

@@ -20,7 +20,7 @@ from tiegraph.sfm.model import frame_poses, held_out_frames, image_poses
 from tiegraph.sfm.placement.verified import image_ids
 from tiegraph.sfm.rig.rig import model_extrinsics, rig_modes
 from tiegraph.sfm.settings import SparseSettings
-from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.tuning import MappingTuning, PositionTuning, Tuning
 
 
 def _run(folder: Path, scene: Scene, **settings: object) -> SparseResult:
@@ -156,9 +156,10 @@ def test_rules_of_auto(tmp_path: Path) -> None:
     assert rig_modes(scene, "refined") == {0: "refined"}
     assert rig_modes(without_extrinsics(scene), "refined") == {0: "derived"}
     assert rig_modes(scene, "absent") == {}
-    assert choose_mapper(scene, SparseSettings(), constrained=True) == "global"
-    assert choose_mapper(scene, SparseSettings(), constrained=False) == "incremental"
-    assert choose_mapper(scene, SparseSettings(mapper="incremental"), constrained=True) == "incremental"
+    auto, asked = SparseSettings(), SparseSettings(mapper="incremental")
+    assert choose_mapper(scene, auto, constrained=True, tuning=MappingTuning()) == "global"
+    assert choose_mapper(scene, auto, constrained=False, tuning=MappingTuning()) == "incremental"
+    assert choose_mapper(scene, asked, constrained=True, tuning=MappingTuning()) == "incremental"
 
 
 @pytest.mark.slow
@@ -166,7 +167,7 @@ def test_positions_put_the_incremental_model_into_the_world(tmp_path: Path) -> N
     """With priors the model comes out metric and in place; held-out positions, 100 m off here, have no part in it."""
     truth, scene = make_world(tmp_path / "database.db", cameras=1, frames=12)
     true = true_frames(truth, scene)[:, :3, 3]
-    held = held_out_frames(with_positions(scene, true, 0.02))
+    held = held_out_frames(with_positions(scene, true, 0.02), PositionTuning())
     assert held.sum() == 2
     given = true + 0.02 * np.random.default_rng(0).standard_normal(true.shape) + 100 * held[:, None]
     result = _run(tmp_path, with_positions(scene, given, 0.02))

@@ -13,8 +13,11 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import image_poses, rigid3d
 from tiegraph.sfm.placement.placement import Votes, judge
-from tiegraph.sfm.placement.settle import Settled, settle
+from tiegraph.sfm.placement.settle import Matched, Settled, settle
 from tiegraph.sfm.placement.steps import course
+from tiegraph.sfm.placement.tuning import PlacementTuning
+
+TUNING = PlacementTuning()
 
 
 @pytest.fixture
@@ -26,7 +29,8 @@ def world(tmp_path: Path) -> tuple[pycolmap.Reconstruction, Scene]:
 
 def _settle(model: pycolmap.Reconstruction, scene: Scene, folder: Path, preview: np.ndarray | None = None) -> Settled:
     rigs = dict(enumerate(scene.rigs))
-    return settle(model, scene, (folder / "database.db", folder, ()), rigs, folder / "scratch", preview)
+    source = Matched(folder / "database.db", folder, (), folder / "scratch")
+    return settle(model, scene, source, rigs, preview, TUNING)
 
 
 def _centres(model: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
@@ -155,7 +159,8 @@ def test_what_stands_beyond_a_jump_is_decided_by_its_ties(agree: dict, contradic
     along = np.array([0.0, 1, 2, 3, 4, 35, 36, 37, 38, 39])
     positions = np.stack([along, np.zeros(10), np.zeros(10)], axis=1)
     beside = {(k, k + 1): 500.0 for k in range(9) if k != 4}
-    found = judge(positions, scene, course(positions, scene), Votes({**beside, **agree}, contradict))
+    said = Votes({**beside, **agree}, contradict, TUNING.votes)
+    found = judge(positions, scene, course(positions, scene, None, TUNING.course), said)
     assert len(found.main) == (10 if kept else 5) and len(found.beyond) == (5 if kept else 0)
     assert [len(d.frames) for d in found.doubts] == ([] if kept else [5])
     assert all("ties" in d.why for d in found.doubts)
@@ -169,6 +174,6 @@ def test_blocks_never_join_over_a_jump() -> None:
     along = np.tile([0.0, 1, 2, 23, 24, 25], 2)
     positions = np.stack([along, np.zeros(12), np.zeros(12)], axis=1)
     agree = {(0, 6): 500.0, (1, 7): 500.0, (2, 8): 500.0, (3, 9): 400.0, (4, 10): 400.0, (2, 9): 90.0}
-    found = judge(positions, scene, course(positions, scene), Votes(agree, {}))
+    found = judge(positions, scene, course(positions, scene, None, TUNING.course), Votes(agree, {}, TUNING.votes))
     assert found.main == (0, 1, 2, 6, 7, 8)
     assert [d.frames for d in found.doubts] == [(3, 4, 5, 9, 10, 11)]

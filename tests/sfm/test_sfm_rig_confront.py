@@ -36,7 +36,7 @@ CASES = {
 @cache
 def _rigid(case: str) -> tuple[pycolmap.Reconstruction, Scene]:
     model, scene = driving_world(CASES[case])
-    return final_adjustment(model, [1], range(1, 7)).model, scene
+    return final_adjustment(model, [1], range(1, 7), tuning=Tuning().adjust).model, scene
 
 
 WANTED = (

@@ -20,15 +20,15 @@ from tiegraph.sfm.tuning import Tuning
 
 def test_what_a_contradicted_rig_leaves_is_said() -> None:
     model, scene = moving_world(frames=2)
-    assert rig_doubts(model, scene, [0], 6, 6) == []
-    (few,) = rig_doubts(model, scene, [0], 3, 6)
+    assert rig_doubts(model, scene, [0], 6, 6, Tuning()) == []
+    (few,) = rig_doubts(model, scene, [0], 3, 6, Tuning())
     assert "rig car was held as given" in few and "3 of 6" in few and "sparse.rig" in few
-    assert rig_doubts(model, scene, [], 3, 6) == [], "a rig that is adjusted or absent is not the cause"
+    assert rig_doubts(model, scene, [], 3, 6, Tuning()) == [], "a rig that is adjusted or absent is not the cause"
     camera = model.camera(3)
     camera.params = camera.params + np.array([0, 0, 400 * np.tan(np.radians(5.0)), 0])
-    (turned,) = rig_doubts(model, scene, [0], 6, 6)
+    (turned,) = rig_doubts(model, scene, [0], 6, 6, Tuning())
     assert "camera cam2" in turned and "5.0 deg" in turned and "rig car" in turned
-    assert rig_doubts(model, scene, [], 6, 6) == []
+    assert rig_doubts(model, scene, [], 6, 6, Tuning()) == []
 
 
 def _turned(rig: Rig) -> Rig:

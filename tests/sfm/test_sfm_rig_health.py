@@ -32,7 +32,7 @@ LATE_S = 0.04
 
 
 def _rigid(model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
-    return final_adjustment(model, [1], [1, 2, 3]).model
+    return final_adjustment(model, [1], [1, 2, 3], tuning=Tuning().adjust).model
 
 
 def test_a_good_rig_scatters_as_expected() -> None:

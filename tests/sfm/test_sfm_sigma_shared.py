@@ -13,14 +13,17 @@ from sfm_worlds import make_world, true_frames
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.sfm.adjust import _solve
-from tiegraph.sfm.covariance import LENS, MOST_FRAMES, position_sigma, positions_free_gauge
+from tiegraph.sfm.covariance import LENS, position_sigma, positions_free_gauge
 from tiegraph.sfm.jacobians import Layout, Tie, jacobians
 from tiegraph.sfm.model import frame_poses, image_poses, matrix
 from tiegraph.sfm.normal import Normal, gauge, reduced
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.systematic import two_sizes
+from tiegraph.sfm.tuning import Tuning
 
 import pycolmap  # isort: skip
+
+TUNING = Tuning()
 
 PLACE, TURN = 1e-3, 2e-4  # of cameras in their rig, units (the world has 5) and rad
 
@@ -98,7 +101,7 @@ def _drawn(truth: pycolmap.Reconstruction, seed: int, kind: str) -> pycolmap.Rec
             xy = xy + _unlike(xy, camera, lens[image.camera_id])
         for k, place in zip(seen, xy + 0.25 * rng.standard_normal(xy.shape)):
             image.points2D[k].xy = place
-    _solve(model, list(model.rigs), set(), True, None)
+    _solve(model, list(model.rigs), set(), True, None, TUNING.adjust)
     return model
 
 
@@ -124,7 +127,7 @@ def test_sigma_is_right_where_observations_share_errors(world, kind) -> None:
     off = {"place": [], "turn": [], "point": []}
     for seed in range(2):
         model = _drawn(truth, seed, kind)
-        found = position_sigma(model, False, False)
+        found = position_sigma(model, False, False, tuning=TUNING)
         here = frame_poses(image_poses(model, scene), scene)
         fit = umeyama(here[:, :3, 3], true[:, :3, 3])
         turned = Rotation.from_matrix(fit.rotation @ here[:, :3, :3] @ np.swapaxes(true[:, :3, :3], 1, 2)).as_rotvec()
@@ -147,10 +150,10 @@ def _square(values: np.ndarray) -> float:
 @pytest.mark.slow
 def test_what_a_lens_does_unlike_its_model_is_told(world) -> None:
     truth, _ = world
-    told = position_sigma(_drawn(truth, 1, "lens"), False, False).tables({1: "left"})
+    told = position_sigma(_drawn(truth, 1, "lens"), False, False, tuning=TUNING).tables({1: "left"})
     assert LENS in told and len(told[LENS]["rows"][0]) == len(told[LENS]["columns"])
     assert all(row[-1] > 4 for row in told[LENS]["rows"])
-    assert LENS not in position_sigma(_drawn(truth, 1, "clean"), False, False).tables({})
+    assert LENS not in position_sigma(_drawn(truth, 1, "clean"), False, False, tuning=TUNING).tables({})
 
 
 def test_sizes_of_two_effects_are_found() -> None:
@@ -159,9 +162,11 @@ def test_sizes_of_two_effects_are_found() -> None:
     information = np.tile(np.diag([1.0, 2, 1, 3, 1, 2]), (60, 1, 1))
     shifts = rng.standard_normal((60, 6)) * [2, 2, 2, 0.5, 0.5, 0.5]
     noise = rng.standard_normal((60, 6)) * np.sqrt(np.diagonal(information[0]))
-    place, turn = two_sizes(np.einsum("kij,kj->ki", information, shifts) + noise, information, information)
+    place, turn = two_sizes(
+        np.einsum("kij,kj->ki", information, shifts) + noise, information, information, TUNING.sigma.shared
+    )
     assert np.sqrt(place) == pytest.approx(2, rel=0.33) and np.sqrt(turn) == pytest.approx(0.5, rel=0.33)
-    place, turn = two_sizes(noise, information, information)
+    place, turn = two_sizes(noise, information, information, TUNING.sigma.shared)
     assert place < 0.1 and turn < 0.1
 
 
@@ -171,5 +176,5 @@ def test_a_part_of_many_frames_is_looked_at(world) -> None:
     model = _drawn(truth, 0, "clean")
     seen = jacobians(model, Layout(model, False, False), sorted(model.point3D_ids()))
     assert len(seen.image) == len(seen.xy) == len(seen.lever) == len(seen.residual) // 2
-    assert position_sigma(model, False, False).frame_ids == tuple(sorted(model.reg_frame_ids()))
-    assert MOST_FRAMES > model.num_reg_frames() and reduced(seen.cameras, seen.points).shape[0] == 48
+    assert position_sigma(model, False, False, tuning=TUNING).frame_ids == tuple(sorted(model.reg_frame_ids()))
+    assert TUNING.sigma.frames > model.num_reg_frames() and reduced(seen.cameras, seen.points).shape[0] == 48

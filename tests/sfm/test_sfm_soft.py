@@ -17,6 +17,7 @@ from tiegraph.sfm.rig import soft
 from tiegraph.sfm.rig.given import given_geometry
 from tiegraph.sfm.rig.rig import held_by_mapper, rig_modes
 from tiegraph.sfm.rig.timed import TimedTie, expected
+from tiegraph.sfm.tuning import Tuning
 
 needs_pyceres = pytest.mark.skipif(not soft.available(), reason="pyceres is not there")
 
@@ -64,7 +65,7 @@ def test_a_wrong_lever_is_kept_or_left_by_its_sigma(sigma_m: float, least: float
     wrong = _with_sigma(scene, 0.5, sigma_m, shift_m=0.03)
     known = given_geometry(model, wrong, [0])
     assert len(known.sensors) == 2
-    adjusted = final_adjustment(model, [], [1, 2, 3], known)
+    adjusted = final_adjustment(model, [], [1, 2, 3], known, tuning=Tuning().adjust)
     found, true = model_rigs(adjusted.model, scene)[0], scene.rigs[0]
     off = [abs(np.linalg.norm(transforms.centre(f.sensor_from_rig) - transforms.centre(t.sensor_from_rig)))
            for f, t in zip(found.sensors[1:], true.sensors[1:])]  # fmt: skip
@@ -77,6 +78,6 @@ def test_a_pair_sets_baseline_and_axis() -> None:
     pair = SensorPair(("cam1", "cam2"), 0.83, 0.0002, 90.3, 0.002)
     known = given_geometry(model, _with_sigma(scene, 0.5, 0.05, pairs=(pair,)), [0])
     assert len(known.pairs) == 1
-    rig = model_rigs(final_adjustment(model, [], [1, 2, 3], known).model, scene)[0]
+    rig = model_rigs(final_adjustment(model, [], [1, 2, 3], known, tuning=Tuning().adjust).model, scene)[0]
     assert rig.baselines_m()[1, 2] == pytest.approx(0.83, abs=0.005)
     assert rig.axis_angles_deg()[1, 2] == pytest.approx(90.3, abs=0.05)

@@ -22,7 +22,10 @@ from tiegraph.sfm.run import Mapped, Request, run_mapper
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.start.poses import rig_of_poses, start_from
 from tiegraph.sfm.start.scale import path_scale
+from tiegraph.sfm.start.tuning import StartTuning
 from tiegraph.sfm.tuning import Tuning
+
+TUNING = StartTuning()
 
 
 @pytest.fixture
@@ -87,7 +90,7 @@ def test_a_refined_rig_takes_units_and_extrinsics_of_the_poses(world, tmp_path: 
     nominal = [replace(s, sensor_from_rig=transforms.rigid(s.sensor_from_rig[:3, :3] @ _turned(k), np.zeros(3)))
                for k, s in enumerate(scene.rigs[0].sensors)]  # fmt: skip
     given = scene.with_(rigs=(replace(scene.rigs[0], sensors=tuple(nominal), fixed=False, nominal=True),))
-    rig = rig_of_poses(given, 0, given.rigs[0], rough)
+    rig = rig_of_poses(given, 0, given.rigs[0], rough, TUNING.max_lever_off)
     for found, sensor in zip(rig.sensors, scene.rigs[0].sensors):
         np.testing.assert_allclose(found.sensor_from_rig[:3, :3], sensor.sensor_from_rig[:3, :3], atol=1e-9)
         np.testing.assert_allclose(found.sensor_from_rig[:3, 3], 0.2 * sensor.sensor_from_rig[:3, 3], atol=1e-9)
@@ -141,18 +144,18 @@ def test_positions_tell_the_length_where_matches_do_not(world, tmp_path: Path) -
     extrinsics = np.stack([scene.rigs[0].sensors[s].sensor_from_rig for s in scene.sensor])
     stretched = frames.copy()
     stretched[:, :3, 3] *= 3.0
-    assert np.isnan(path_scale(scene, extrinsics, stretched, alone).scale)
+    assert np.isnan(path_scale(scene, extrinsics, stretched, alone, TUNING.scale).scale)
     placed = scene.with_(world_from_rig=frames, position_sigma_m=np.full((scene.frames, 3), 0.02), prior="gnss")
-    found = path_scale(placed, extrinsics, stretched, alone)
+    found = path_scale(placed, extrinsics, stretched, alone, TUNING.scale)
     assert found.by == "the positions" and found.scale == pytest.approx(1 / 3, rel=0.01)
-    assert path_scale(placed, extrinsics, frames, alone).scale == 1.0
+    assert path_scale(placed, extrinsics, frames, alone, TUNING.scale).scale == 1.0
     extent = float(np.ptp(frames[:, :3, 3], axis=0).max())
     hardly = placed.with_(position_sigma_m=np.full((scene.frames, 3), extent))  # moved no farther than the noise
-    assert np.isnan(path_scale(hardly, extrinsics, frames, alone).scale)
+    assert np.isnan(path_scale(hardly, extrinsics, frames, alone, TUNING.scale).scale)
     far = frames.copy()
     far[:, :3, 3] *= 100.0
-    assert path_scale(hardly, extrinsics, far, alone).scale == pytest.approx(0.01, rel=0.8)
-    assert path_scale(scene, extrinsics, stretched, verified).scale == pytest.approx(1 / 3, rel=0.03)
+    assert path_scale(hardly, extrinsics, far, alone, TUNING.scale).scale == pytest.approx(0.01, rel=0.8)
+    assert path_scale(scene, extrinsics, stretched, verified, TUNING.scale).scale == pytest.approx(1 / 3, rel=0.03)
 
 
 def test_a_rig_of_one_centre_has_no_length_to_compare(world, tmp_path: Path) -> None:
@@ -162,7 +165,7 @@ def test_a_rig_of_one_centre_has_no_length_to_compare(world, tmp_path: Path) -> 
                for s in scene.rigs[0].sensors]  # fmt: skip
     views = scene.with_(rigs=(replace(scene.rigs[0], sensors=tuple(sensors)),))
     verified = read_verified(tmp_path / "database.db", views)
-    started = start_from(true, views, {0: views.rigs[0]}, (0,), verified)
+    started = start_from(true, views, {0: views.rigs[0]}, (0,), verified, TUNING)
     assert started is not None and started.notes == ()
     np.testing.assert_allclose(started.world_from_rig, frame_poses(true, scene), atol=1e-9)
 

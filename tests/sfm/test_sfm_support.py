@@ -14,6 +14,9 @@ from tiegraph.scene.scene import simple_scene
 from tiegraph.sfm.losses import weakly_held
 from tiegraph.sfm.model import model_rigs
 from tiegraph.sfm.rig.support import place_as_given, ties_of, units_per_metre, unsupported_sensors
+from tiegraph.sfm.tuning import LossTuning
+
+LOSSES = LossTuning()
 
 
 @pytest.fixture
@@ -72,13 +75,13 @@ def test_what_little_holds_is_named() -> None:
     scene = simple_scene(Rig("pair", sensors), names, frame, sensor, np.zeros(10), tracks=("way",))
     whole = SimpleNamespace(component=sensor.copy())
     seen = Registration(np.ones(20, bool), np.full(20, 100))
-    assert weakly_held(scene, whole, seen) == []
+    assert weakly_held(scene, whole, seen, LOSSES) == []
     torn = SimpleNamespace(component=np.where((sensor == 1) & (frame > 5), 2, sensor))
-    (said,) = weakly_held(scene, torn, seen)
+    (said,) = weakly_held(scene, torn, seen, LOSSES)
     assert said.startswith("4 images (cam1/006.jpg, cam1/007.jpg, cam1/008.jpg ...)") and "the rig alone" in said
     half = np.where(sensor == 1, np.where(frame > 4, 2, 0), 0)  # as many as are left, which see what cam0 sees
-    assert len(weakly_held(scene, SimpleNamespace(component=half), seen)) == 1
+    assert len(weakly_held(scene, SimpleNamespace(component=half), seen, LOSSES)) == 1
     points = np.where(frame == 3, [5, 12] * 10, 100)
-    by_rig, loose = weakly_held(scene, whole, Registration(np.ones(20, bool), points))
+    by_rig, loose = weakly_held(scene, whole, Registration(np.ones(20, bool), points), LOSSES)
     assert by_rig.startswith("1 images see fewer than 10") and "cam0/003.jpg" in by_rig
     assert "place of 1 frame rests on fewer than 20 points (cam0/003.jpg)" in loose

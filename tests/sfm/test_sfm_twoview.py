@@ -4,6 +4,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
+from tiegraph.sfm.tuning import TwoViewTuning
 from tiegraph.sfm.twoview import two_view
 
 CAMERA = pycolmap.Camera(model="PINHOLE", width=640, height=480, params=[500, 500, 320, 240])
@@ -19,14 +20,14 @@ def matches(base: float, noise_px: float, seed: int = 0) -> tuple[np.ndarray, np
 
 
 def test_good_matches_hardly_move_and_the_range_is_in_bases() -> None:
-    found = two_view(*matches(2.0, 0.0), CAMERA, CAMERA)
+    found = two_view(*matches(2.0, 0.0), CAMERA, CAMERA, TwoViewTuning())
     assert found is not None
     assert found.moved < 1e-3 and 4.5 < found.range < 6.0  # about 10.5 / 2
 
 
 def test_noise_and_short_bases_move_more() -> None:
     def moved(base: float, noise: float) -> float:
-        found = [two_view(*matches(base, noise, s), CAMERA, CAMERA) for s in range(7)]
+        found = [two_view(*matches(base, noise, s), CAMERA, CAMERA, TwoViewTuning()) for s in range(7)]
         return float(np.median([f.moved for f in found if f is not None]))
 
     good, noisy, short = moved(2.0, 0.3), moved(2.0, 1.5), moved(0.3, 0.3)
@@ -35,4 +36,4 @@ def test_noise_and_short_bases_move_more() -> None:
 
 def test_too_few_matches_give_nothing() -> None:
     a, b = matches(1.0, 0.2)
-    assert two_view(a[:7], b[:7], CAMERA, CAMERA) is None
+    assert two_view(a[:7], b[:7], CAMERA, CAMERA, TwoViewTuning()) is None

@@ -29,7 +29,7 @@ STAGES = (
     Stage("network", network, ("scan", "preview"), ("network.npz", "network.csv", "network"), version=6,
           scratch=("network/model",), tuned=("sfm", "features")),
     Stage("design", design, ("masks", "network"), ("pairs.npz", "pairs.txt", "pairs", "design"), version=6,
-          uses=("features",), tuned=("design", "features")),
+          uses=("features",), tuned=("design", "features", "sfm")),
     Stage("features", features, ("scan", "masks"), ("database.db",), "image", version=2,
           tuned=("features",), scratch=_BESIDE_DATABASE),
     Stage("match", match, ("network", "design", "features"), ("match.npz",), "block of pairs",

@@ -15,12 +15,15 @@ from tiegraph.scene.filecache import cached_by_file
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Ties
-from tiegraph.sfm.twoview import MIN_POINTS, TwoView, two_view
+from tiegraph.sfm.tuning import TwoViewTuning
+from tiegraph.sfm.twoview import TwoView, two_view
 
 _CACHED_PREVIEWS = 1024
 
 
-def with_accuracy(pairs: Pairs, scene: Scene, ties: Ties, folder: Path, run_map: Callable[..., list[Any]]) -> Pairs:
+def with_accuracy(
+    pairs: Pairs, scene: Scene, ties: Ties, folder: Path, run_map: Callable[..., list[Any]], tuning: TwoViewTuning
+) -> Pairs:
     """The pairs with ``sigma_m`` (how far the adjustment moves the base) and ``h_over_b`` of those that were previewed.
 
     The base between two frames of a pass is as long as their numbers are apart (002, 2.3), else one: lengths are in
@@ -29,9 +32,10 @@ def with_accuracy(pairs: Pairs, scene: Scene, ties: Ties, folder: Path, run_map:
     row = ties.find(pairs.i, pairs.j)
     if not (row >= 0).any():  # nothing was previewed (pairs in sequence without a preview model)
         return pairs
-    usable = np.flatnonzero((pairs.dropped == 0) & (np.where(row >= 0, ties.counts()[row], 0) >= MIN_POINTS))
+    matches = np.where(row >= 0, ties.counts()[row], 0)
+    usable = np.flatnonzero((pairs.dropped == 0) & (matches >= tuning.min_points))
     items = [(int(pairs.i[k]), int(pairs.j[k]), ties.of(int(row[k]))) for k in usable]
-    found: list[TwoView | None] = run_map(_two_view_item, items, folder)
+    found: list[TwoView | None] = run_map(_two_view_item, items, folder, tuning)
     sigma, ratio = np.array(pairs.sigma_m), np.array(pairs.h_over_b)
     frame_i, frame_j = scene.frame[pairs.i], scene.frame[pairs.j]
     apart = np.where(scene.track[frame_i] == scene.track[frame_j], np.abs(scene.step[frame_i] - scene.step[frame_j]), 1)
@@ -44,14 +48,15 @@ def with_accuracy(pairs: Pairs, scene: Scene, ties: Ties, folder: Path, run_map:
     return pairs.with_(sigma_m=sigma, h_over_b=ratio)
 
 
-def _two_view_item(item: tuple[int, int, np.ndarray], folder: Path) -> TwoView | None:
+def _two_view_item(item: tuple[int, int, np.ndarray], folder: Path, tuning: TwoViewTuning) -> TwoView | None:
     i, j, match = item
     scene = _scene(folder)
     a, b = _preview(folder, scene.names[i]), _preview(folder, scene.names[j])
     cameras = [scene.sensor_of(k).camera for k in (i, j)]
     if cameras[0] is None or cameras[1] is None:
         return None
-    return two_view(a.xy[match[:, 0]], b.xy[match[:, 1]], cameras[0], cameras[1], 1.0 / min(a.scale, b.scale))
+    pixel = 1.0 / min(a.scale, b.scale)
+    return two_view(a.xy[match[:, 0]], b.xy[match[:, 1]], cameras[0], cameras[1], tuning, pixel)
 
 
 @cached_by_file(2, lambda folder: folder / "network" / "scene.json")

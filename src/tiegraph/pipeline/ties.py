@@ -168,7 +168,7 @@ def design(run: Run) -> Outcome:
             candidates, ties, run.folder, settings.preview, tuning.features.preview, run.map
         )
     if settings.design.method.startswith("fuse2014"):
-        candidates = with_accuracy(candidates, scene, ties, run.folder, run.map)
+        candidates = with_accuracy(candidates, scene, ties, run.folder, run.map, tuning.sfm.two_view)
     made = select_pairs(candidates, scene, ties, settings.design, tuning.design, _sights(run), spent)
     pairs = made.pairs
     save_npz(run.path("pairs.npz"), **pairs.to_npz())

@@ -21,13 +21,9 @@ from tiegraph.sfm.jacobians import Layout, Tie, jacobians
 from tiegraph.sfm.normal import Normal, by_blocks, point_inverse
 from tiegraph.sfm.rig.compact import Drawing
 from tiegraph.sfm.systematic import LensError, Unrest, Weighed, lens_errors, misplaced, unrest
+from tiegraph.sfm.tuning import SigmaTuning, Tuning
 
-MAX_POINTS = 200_000  # more are not looked at one by one: a random part, and the sums are scaled up
-MOST_FRAMES = 200  # whose sigmas are worked out: evenly over the pass, for a median of more is the same
-MOST_POINTS = 200
-ROBUST_PX = 0.5  # Cauchy scale of the adjustment (sfm/adjust.py)
 _SEED = 0
-_STRONG = 0.7  # a correlation of interior orientation that is told
 
 
 @dataclass(frozen=True)
@@ -86,15 +82,15 @@ class PositionSigma:
             out[LENS] = {"columns": ["camera", "x px", "y px", "dx px", "dy px", "times its sigma"], "rows": bins}
         return out
 
-    def open_mountings(self) -> dict[int, float]:
+    def open_mountings(self, tuning: SigmaTuning) -> dict[int, float]:
         """Camera id -> sigma of its place in the rig over its distance from the reference, where that is large."""
         shares = {k: m.sigma / max(float(np.linalg.norm(m.centre)), 1e-12) for k, m in self.mounting.items()}
-        return {k: s for k, s in shares.items() if s > OPEN_SHARE and self.mounting[k].sigma > OPEN_TIMES * self.median}
+        most = tuning.open_times * self.median
+        return {k: s for k, s in shares.items() if s > tuning.open_share and self.mounting[k].sigma > most}
 
 
 MOUNTING = "mounting in the rig, units of the model"
 LENS = "lens errors left: mean residual where it is not noise"
-OPEN_SHARE, OPEN_TIMES = 0.1, 3.0  # of the lever arm, of the sigma of the frames: beyond both, a place is hardly known
 INTERIOR = ("camera", "parameter", "value", "sigma", "strongest correlation", "with")
 
 
@@ -104,6 +100,8 @@ def position_sigma(
     free_rig: bool | Collection[int] = True,
     ties: Collection[Tie] = (),
     drawings: Mapping[int, Drawing] | None = None,
+    *,
+    tuning: Tuning,
 ) -> PositionSigma:
     """Sigmas of registered frames, points, scale, rig and interior orientation, from the gradient of every point.
 
@@ -112,34 +110,35 @@ def position_sigma(
     by the S-transformation over all positions, so a sigma is that of a position after the best alignment to the truth.
     (pycolmap's estimate_ba_covariance refuses rigs.) Raises ValueError for a model without redundancy.
     """
-    layout = Layout(model, free_intrinsics, free_rig, drawings)
+    layout = Layout(model, free_intrinsics, free_rig)
     if len(layout.frame_ids) < 3:
         raise ValueError("needs at least 3 frames")
-    points, share = _sample(model)
+    points, share = _sample(model, tuning.sigma.most_points)
     seen = jacobians(model, layout, points)
     redundancy = len(seen.residual) - (layout.size - 7) - 3 * len(points)
     if redundancy <= 0:
         raise ValueError("no redundancy")
     inflated = len(seen.residual) / redundancy
     variance = max((1.4826 * float(np.median(np.abs(seen.residual)))) ** 2 * inflated, 1e-12)
-    prior = (variance * (layout.prior() + layout.tied(ties))).tocsr()
-    first, second = _robust_weights(seen.residual)
+    prior = (variance * (layout.prior(model, tuning.adjust, drawings) + layout.tied(ties))).tocsr()
+    first, second = _robust_weights(seen.residual, tuning.adjust.robust_px)
     weighed = Weighed(seen, (first, second), share, prior, layout)
-    asked, normal = _Asked(layout, weighed), weighed.normal
+    asked, normal = _Asked(layout, weighed, tuning.sigma), weighed.normal
     sides = np.hstack([normal.asked(asked.functions), normal.scale()])
     solved = normal.solve(sides)
     full = solved.T @ (weighed.scatter @ solved) / share + variance * solved.T @ (prior @ solved)
-    off, explained = misplaced(model, weighed, () if free_rig is True else set(model.rigs) - set(free_rig or ()))
+    held, shared = () if free_rig is True else set(model.rigs) - set(free_rig or ()), tuning.sigma.shared
+    off, explained = misplaced(model, weighed, held, shared)
     weighed = weighed.without(explained)
-    lenses, explained = lens_errors(model, weighed)
-    strays = [*off, *unrest(model, weighed.without(explained))]
+    lenses, explained = lens_errors(model, weighed, shared)
+    strays = [*off, *unrest(model, weighed.without(explained), shared)]
     for _, effect in (*lenses, *strays):
         full += effect.covariance(solved)
     mean = float(np.mean(second))
     # What independent normal errors of this sigma would give: the curvature had no robust weights then.
     formal = variance * mean * np.einsum("ij,ij->j", sides, solved)
     noise = float(np.mean((first * seen.residual) ** 2)) * inflated / mean
-    rest = _Rest(layout, asked.of_rest(full))
+    rest = _Rest(layout, asked.of_rest(full), tuning.sigma.strong_correlation)
     return PositionSigma(
         **asked.answer(full, formal, noise), pixel_sigma=float(np.sqrt(variance)), interior=rest.interior(model),
         mounting=rest.mounting(), scale=float(np.sqrt(full[-1, -1])) if normal.scale_known else None,
@@ -148,17 +147,17 @@ def position_sigma(
     )  # fmt: skip
 
 
-def _sample(model: pycolmap.Reconstruction) -> tuple[list[int], float]:
+def _sample(model: pycolmap.Reconstruction, most: int) -> tuple[list[int], float]:
     ids = np.array(sorted(model.point3D_ids()))
-    share = min(1.0, MAX_POINTS / max(len(ids), 1))
+    share = min(1.0, most / max(len(ids), 1))
     if share < 1:
-        ids = np.sort(np.random.default_rng(_SEED).choice(ids, MAX_POINTS, replace=False))
+        ids = np.sort(np.random.default_rng(_SEED).choice(ids, most, replace=False))
     return ids.tolist(), share
 
 
-def _robust_weights(residual: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _robust_weights(residual: np.ndarray, scale_px: float) -> tuple[np.ndarray, np.ndarray]:
     """(2O,) weights of the Cauchy cost's gradient, and of its curvature along the residual (never negative)."""
-    weight = 1 / (1 + np.sum(residual.reshape(-1, 2) ** 2, axis=1) / ROBUST_PX**2)
+    weight = 1 / (1 + np.sum(residual.reshape(-1, 2) ** 2, axis=1) / scale_px**2)
     return np.repeat(weight, 2), np.repeat(weight**2, 2)
 
 
@@ -166,8 +165,8 @@ class _Asked:
     """What sigmas are wanted of: functions (C, K) of the unknowns. Places and turns of frames, then all that follows
     the frames, then points."""
 
-    def __init__(self, layout: Layout, weighed: Weighed) -> None:
-        frames = _evenly(len(layout.frame_ids), MOST_FRAMES)
+    def __init__(self, layout: Layout, weighed: Weighed, tuning: SigmaTuning) -> None:
+        frames = _evenly(len(layout.frame_ids), tuning.frames)
         self.frame_ids = tuple(layout.frame_ids[k] for k in frames)
         at = 6 * frames[:, None] + np.arange(3)
         self.rest = np.arange(6 * len(layout.frame_ids), layout.size)
@@ -176,7 +175,7 @@ class _Asked:
             (np.ones(len(columns)), (columns, np.arange(len(columns)))), shape=(layout.size, len(columns))
         )
         count = weighed.jp.shape[1] // 3
-        self.points = np.sort(np.random.default_rng(_SEED).permutation(count)[:MOST_POINTS])
+        self.points = np.sort(np.random.default_rng(_SEED).permutation(count)[: tuning.points])
         columns = (3 * self.points[:, None] + np.arange(3)).ravel()
         self.own = point_inverse(weighed.jp[:, columns].tocsr())  # (P, 3, 3)
         of_points = weighed.cross[:, columns] @ by_blocks(self.own)
@@ -214,6 +213,7 @@ class _Rest:
 
     layout: Layout
     covariance: np.ndarray
+    strong: float  # a correlation that is told
 
     def _at(self, column: int, count: int) -> list[int]:
         start = column - 6 * len(self.layout.frame_ids)
@@ -234,7 +234,7 @@ class _Rest:
             for at, name, value in zip(own, names, camera.params):
                 others = {o: full[at, o] / sigma[at] / sigma[o] for o in labels if o != at}
                 most = max(others, key=lambda o: abs(others[o]))
-                told = abs(others[most]) >= _STRONG
+                told = abs(others[most]) >= self.strong
                 last = (round(float(others[most]), 2), labels[most]) if told else (None, "")
                 rows.append((key, name, float(f"{value:.6g}"), float(f"{sigma[at]:.2g}"), *last))
         return tuple(rows)

@@ -16,6 +16,7 @@ from tiegraph.scene.colmapmodel import MAX_IMAGES
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import held_out_frames, rigid3d
+from tiegraph.sfm.tuning import PositionTuning
 
 # All a mapper reads besides rigs, frames and priors, and which rows of it some images need.
 _COPIED = {
@@ -24,7 +25,6 @@ _COPIED = {
     "keypoints": "WHERE image_id IN wanted",
     "two_view_geometries": f"WHERE pair_id / {MAX_IMAGES} IN wanted AND pair_id % {MAX_IMAGES} IN wanted",
 }
-_UNKNOWN_SIGMA_M = 10.0  # of a position whose source gives none (hand-held GPS)
 
 
 def write_working_copy(
@@ -32,7 +32,7 @@ def write_working_copy(
     target: Path,
     scene: Scene,
     with_rig: Mapping[int, Rig],
-    positions: bool,
+    positions: PositionTuning | None,
     refused: Sequence[tuple[int, int]] = (),
     only: np.ndarray | None = None,
 ) -> None:
@@ -40,9 +40,9 @@ def write_working_copy(
 
     ``with_rig`` maps rig indices to the rigs to constrain by; images of other rigs, and of sensors whose extrinsics are
     unknown there, become frames of their own. ``positions``: write the scene's prior positions (world metres) for the
-    mapper, all but the held-out ones. ``refused`` are pairs of scene indices whose ties the mapper must not see.
-    ``only``: scene indices of the images to copy, None = all. Descriptors and raw matches, most of the bytes, stay
-    behind.
+    mapper, all but the held-out ones; None: it gets none. ``refused`` are pairs of scene indices whose ties the mapper
+    must not see. ``only``: scene indices of the images to copy, None = all. Descriptors and raw matches, most of the
+    bytes, stay behind.
     """
     target.unlink(missing_ok=True)
     pycolmap.Database.open(target).close()  # COLMAP makes the tables
@@ -70,8 +70,8 @@ def write_working_copy(
         images = _scene_images(database, scene)
         _update_cameras(database, scene, images)
         _write_rigs(database, scene, images, with_rig)
-        if positions:
-            _write_positions(database, scene, images)
+        if positions is not None:
+            _write_positions(database, scene, images, positions)
 
 
 def _scene_images(database: pycolmap.Database, scene: Scene) -> dict[int, pycolmap.Image]:
@@ -132,16 +132,18 @@ def _colmap_rig(rig_id: int, rig: Rig, cameras: dict[int, int]) -> pycolmap.Rig:
     return row
 
 
-def _write_positions(database: pycolmap.Database, scene: Scene, images: dict[int, pycolmap.Image]) -> None:
+def _write_positions(
+    database: pycolmap.Database, scene: Scene, images: dict[int, pycolmap.Image], tuning: PositionTuning
+) -> None:
     """Position priors on reference images. COLMAP knows no lever arm: its length widens the sigma instead."""
-    held_out = held_out_frames(scene)
+    held_out = held_out_frames(scene, tuning)
     prior_id = 0
     for k, image in images.items():
         frame = int(scene.frame[k])
         position = scene.world_from_rig[frame, :3, 3]
         if scene.sensor[k] != 0 or held_out[frame] or not np.isfinite(position).all():
             continue
-        sigma = np.where(np.isfinite(s := scene.position_sigma_m[frame]), s, _UNKNOWN_SIGMA_M)
+        sigma = np.where(np.isfinite(s := scene.position_sigma_m[frame]), s, tuning.unknown_sigma_m)
         antenna = scene.rigs[scene.rig[frame]].antenna_m
         arm = 0.0 if antenna is None or scene.prior == "trajectory" else float(np.linalg.norm(antenna))
         prior_id += 1

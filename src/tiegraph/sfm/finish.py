@@ -19,7 +19,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjust import final_adjustment, free_cameras
 from tiegraph.sfm.covariance import Mounting, PositionSigma, position_sigma
 from tiegraph.sfm.jacobians import Tie
-from tiegraph.sfm.placement.settle import Settled, settle
+from tiegraph.sfm.placement.settle import Matched, Settled, settle
 from tiegraph.sfm.placement.verified import read_verified, seen_by
 from tiegraph.sfm.rig import soft, ties
 from tiegraph.sfm.rig.confront import hear, hear_lens, lever_sigmas, open_times, refine, statements
@@ -29,7 +29,7 @@ from tiegraph.sfm.rig.health import COLUMNS
 from tiegraph.sfm.rig.judge import Judgement
 from tiegraph.sfm.rig.relax import Relaxed, lost_images, relax, with_sightings_of
 from tiegraph.sfm.rig.support import place_as_given, units_per_metre
-from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.tuning import SigmaTuning, Tuning
 from tiegraph.text import known_to
 
 HEALTH_FILE = "rig_health.csv"
@@ -107,7 +107,7 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> Finishe
             sigma = replace(sigma, scale=float(np.hypot(sigma.scale or 0.0, checked.misfit)))
         names = {k + 1: s.name for k, s in enumerate(scene.all_sensors)}
         tables |= sigma.tables(names)
-        notes += _open_notes(sigma, names)
+        notes += _open_notes(sigma, names, request.tuning.sigma)
     return Finished(sigma, notes, tables, settled.dropped, checked.contradictions)
 
 
@@ -115,7 +115,8 @@ def _settled(model: pycolmap.Reconstruction, scene: Scene, request: FinishReques
     if request.database is None:
         return Settled(model)
     # COLMAP asks for a folder of images, though points need none.
-    source = (request.database, request.images or request.folder, request.refused)
+    scratch = request.scratch or request.folder / "placement"
+    source = Matched(request.database, request.images or request.folder, request.refused, scratch)
     rigs = {k: scene.rigs[k] for k in request.rigs}
     try:
         return settle(
@@ -123,8 +124,8 @@ def _settled(model: pycolmap.Reconstruction, scene: Scene, request: FinishReques
             scene,
             source,
             rigs,
-            request.scratch or request.folder / "placement",
             request.preview,
+            request.tuning.placement,
             frozenset(request.alone),
         )
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
@@ -143,7 +144,7 @@ def _adjusted(
     elif request.soft:
         fixed += [k + 1 for k in request.soft]
         notes.append("the rig's sigmas are not used, its extrinsics stay as mapped: the package pyceres is missing")
-    adjustment = final_adjustment(model, fixed, request.constant_cameras, known)
+    adjustment = final_adjustment(model, fixed, request.constant_cameras, known, tuning=request.tuning.adjust)
     notes.append(adjustment.note)
     return adjustment.model
 
@@ -215,7 +216,7 @@ def _ties_between(checked: _Checked, scene: Scene, request: FinishRequest, notes
     if request.database is None or request.rough or not request.rigs:
         return
     try:
-        seen = seen_by(checked.model, scene)
+        seen = seen_by(checked.model, scene, request.tuning.placement.agreement)
         found = ties.camera_ties(read_verified(request.database, scene, request.refused), seen, scene)
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
         notes.append(f"the ties between cameras could not be checked: {error}")
@@ -322,12 +323,12 @@ def _relaxed_note(scene: Scene, index: int, relaxed: Relaxed, found: Diagnosis) 
     )
 
 
-def _open_notes(sigma: PositionSigma, names: Mapping[int, str]) -> list[str]:
+def _open_notes(sigma: PositionSigma, names: Mapping[int, str], tuning: SigmaTuning) -> list[str]:
     return [
         f"the lever arm of {names.get(camera, camera)} is "
         f"{known_to(share, 1.0, f'{100 * share:.0f} % of its length only')}, for hardly a point ties it to the other "
         "cameras; measured and given in a rig file it would place its images"
-        for camera, share in sigma.open_mountings().items()
+        for camera, share in sigma.open_mountings(tuning).items()
     ]
 
 
@@ -340,9 +341,9 @@ def _sigma(
             notes.append(f"position sigmas not computed: {frames} frames, more than sparse.covariance_frames")
         return None
     try:
-        free = free_cameras(model) - set(request.constant_cameras)
+        free = free_cameras(model, request.tuning.adjust.min_images) - set(request.constant_cameras)
         rigs = set(model.rigs) - {k + 1 for k in request.fixed}
-        return position_sigma(model, free, rigs, ties, drawings(model, scene))
+        return position_sigma(model, free, rigs, ties, drawings(model, scene), tuning=request.tuning)
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         notes.append(f"position sigmas could not be computed: {error}")
         return None

@@ -14,9 +14,7 @@ from tiegraph.geometry.transforms import skew
 from tiegraph.sfm import lens
 from tiegraph.sfm.model import matrix
 from tiegraph.sfm.rig import compact
-
-_PRIOR_FOCAL = 0.2  # weak prior sigma of intrinsics, in parts of the focal length
-_PRIOR_EXTRA = 0.5  # weak prior sigma of distortion parameters
+from tiegraph.sfm.tuning import AdjustTuning, LensTuning
 
 
 @dataclass(frozen=True)
@@ -37,39 +35,47 @@ class Layout:
         model: pycolmap.Reconstruction,
         free_intrinsics: bool | Collection[int],
         free_rig: bool | Collection[int],
-        drawings: Mapping[int, compact.Drawing] | None = None,
     ) -> None:
-        """``free_intrinsics``, ``free_rig``: ids of the cameras and rigs that are unknowns; True: all, False: none.
-
-        ``drawings``: of nominal rigs by rig id.
-        """
+        """``free_intrinsics``, ``free_rig``: ids of the cameras and rigs that are unknowns; True: all, False: none."""
         self.frame_ids = tuple(sorted(model.reg_frame_ids()))
         self.frame = {f: 6 * k for k, f in enumerate(self.frame_ids)}
         self.centres = np.stack([frame_pose(model.frame(f)).tgt_origin_in_src() for f in self.frame_ids])
         self.size = 6 * len(self.frame_ids)
         self.sensor: dict[int, int] = {}
         self.sensor_centre: dict[int, np.ndarray] = {}
-        self._prior: list[tuple[np.ndarray, np.ndarray]] = []
+        self.rigs = tuple(k for k in model.rigs if _chosen(k, free_rig))
         images = [model.image(i) for i in model.reg_image_ids()]
-        for rig in (r for k, r in model.rigs.items() if _chosen(k, free_rig)):
-            for sensor, pose in rig.non_ref_sensors.items():
+        for rig_id in self.rigs:
+            for sensor, pose in model.rigs[rig_id].non_ref_sensors.items():
                 if pose is not None:
                     self.sensor[sensor.id], self.sensor_centre[sensor.id] = self.size, pose.tgt_origin_in_src()
                     self.size += 6
-            keys, expected = compact.information(rig, (drawings or {}).get(rig.rig_id))
-            self._prior.append((np.array([self.sensor[k] + axis for k in keys for axis in range(3)], int), expected))
         self.camera: dict[int, int] = {}
         self.params: dict[int, np.ndarray] = {}
         for camera_id in sorted(k for k in {i.camera_id for i in images} if _chosen(k, free_intrinsics)):
             camera = model.camera(camera_id)
             self.camera[camera_id], self.params[camera_id] = self.size, np.array(camera.params)
-            columns = self.size + np.arange(len(camera.params))
-            self._prior.append((columns, np.linalg.inv(_expected(camera))))
             self.size += len(camera.params)
 
-    def prior(self) -> sparse.csr_matrix:
-        """(C, C) information of what is expected of lenses and of places in a rig before the images speak."""
-        return self._gathered(self._prior)
+    def prior(
+        self,
+        model: pycolmap.Reconstruction,
+        tuning: AdjustTuning,
+        drawings: Mapping[int, compact.Drawing] | None = None,
+    ) -> sparse.csr_matrix:
+        """(C, C) information of what is expected of lenses and of places in a rig before the images speak.
+
+        ``model``: the one of these unknowns; ``drawings``: of nominal rigs by rig id.
+        """
+        parts = []
+        for rig_id in self.rigs:
+            keys, expected = compact.information(model.rigs[rig_id], (drawings or {}).get(rig_id))
+            parts.append((np.array([self.sensor[k] + axis for k in keys for axis in range(3)], int), expected))
+        for camera_id, column in self.camera.items():
+            camera = model.camera(camera_id)
+            columns = column + np.arange(len(camera.params))
+            parts.append((columns, np.linalg.inv(_expected(camera, tuning.lens))))
+        return self._gathered(parts)
 
     def tied(self, ties: Collection[Tie]) -> sparse.csr_matrix:
         """(C, C) information of frames that are tied to each other; what all ties of a camera share is not in it."""
@@ -100,14 +106,13 @@ def _chosen(key: int, free: bool | Collection[int]) -> bool:
     return free if isinstance(free, bool) else key in free
 
 
-def _expected(camera: pycolmap.Camera) -> np.ndarray:
+def _expected(camera: pycolmap.Camera, tuning: LensTuning) -> np.ndarray:
     """Covariance of a camera's parameters as the adjustment expects them; weak for models without priors there."""
     if camera.model == pycolmap.CameraModelId.OPENCV:
-        return lens.covariance(camera.mean_focal_length())
+        return lens.covariance(camera.mean_focal_length(), tuning)
     pixels = set(camera.focal_length_idxs()) | set(camera.principal_point_idxs())
-    sigma = [
-        _PRIOR_FOCAL * camera.mean_focal_length() if p in pixels else _PRIOR_EXTRA for p in range(len(camera.params))
-    ]
+    wide = tuning.weak_pixels * camera.mean_focal_length()
+    sigma = [wide if p in pixels else tuning.weak_distortion for p in range(len(camera.params))]
     return np.diag(np.square(sigma))
 
 

@@ -14,13 +14,9 @@ from typing import Any
 import numpy as np
 import pycolmap
 
-# Sigma of fx / fy - 1 and of p1, p2: pixels are square, and lenses are centred to some hundredths of a millimetre.
-ASPECT, DECENTRING = 0.002, 0.0005
-LOOSE_FOCAL, LOOSE_CENTRE, LOOSE_RADIAL = 0.2, 0.1, 0.5  # of the rest: parts of f, parts of f, absolute
-# A calibration that the images contradict, parts of f; its distortion is not believed at all (PandaSet gives none).
-GIVEN_FOCAL, GIVEN_CENTRE, GIVEN_ASPECT, GIVEN_RADIAL = 0.001, 0.0015, 0.0005, 0.1
+from tiegraph.sfm.tuning import AdjustTuning, LensTuning
+
 UNDISTORTED = ("SIMPLE_PINHOLE", "PINHOLE")  # calibrations that say nothing of distortion
-SIGMA_PX = 0.5  # reprojection errors are not divided by their sigma, so the priors are multiplied by it
 
 
 @cache
@@ -61,7 +57,9 @@ def _full(camera: pycolmap.Camera) -> np.ndarray:
     return np.array([*focal, camera.principal_point_x, camera.principal_point_y, *radial, *tangential])
 
 
-def add_priors(problem: Any, model: pycolmap.Reconstruction, given: Mapping[int, pycolmap.Camera]) -> list[Any]:
+def add_priors(
+    problem: Any, model: pycolmap.Reconstruction, given: Mapping[int, pycolmap.Camera], tuning: AdjustTuning
+) -> list[Any]:
     """Add what is expected of the OPENCV cameras that are unknowns of the problem; keep what is returned.
 
     ``given``: calibrations by camera id, believed but for small changes and distortion.
@@ -73,16 +71,21 @@ def add_priors(problem: Any, model: pycolmap.Reconstruction, given: Mapping[int,
             mean: np.ndarray = _full(given.get(key, camera))
             if key not in given:
                 mean[:2], mean[6:] = mean[:2].mean(), 0.0
-            kept.append(_prior(mean, covariance(float(mean[0]), key in given)))
+            expected = covariance(float(mean[0]), tuning.lens, key in given)
+            kept.append(_prior(mean, expected / tuning.robust_px**2))
             problem.add_residual_block(kept[-1], None, [block])
     return kept
 
 
-def covariance(focal_px: float, calibrated: bool = False) -> np.ndarray:
+def covariance(focal_px: float, tuning: LensTuning, calibrated: bool = False) -> np.ndarray:
     """(8, 8) of OPENCV's parameters: what is expected of a lens before the images speak."""
-    focal, aspect = (GIVEN_FOCAL, GIVEN_ASPECT) if calibrated else (LOOSE_FOCAL, ASPECT)
-    centre, radial = (GIVEN_CENTRE, GIVEN_RADIAL) if calibrated else (LOOSE_CENTRE, LOOSE_RADIAL)
-    sigma = np.array([0.0, 0.0, centre * focal_px, centre * focal_px, radial, radial, DECENTRING, DECENTRING])
+    focal, aspect = tuning.loose_focal, tuning.aspect
+    centre, radial = tuning.loose_centre, tuning.loose_radial
+    if calibrated:
+        focal, aspect = tuning.given_focal, tuning.given_aspect
+        centre, radial = tuning.given_centre, tuning.given_radial
+    centre_px, decentring = centre * focal_px, tuning.decentring
+    sigma = np.array([0.0, 0.0, centre_px, centre_px, radial, radial, decentring, decentring])
     out = np.diag(sigma**2)
     out[:2, :2] = (focal * focal_px) ** 2 + np.array([[1, -1], [-1, 1]]) * (aspect * focal_px / 2) ** 2
     return out
@@ -96,7 +99,7 @@ def difference_px(a: pycolmap.Camera, b: pycolmap.Camera) -> float:
     return float(np.nanmedian(np.linalg.norm(b.img_from_cam(rays) - grid, axis=1)))
 
 
-def _prior(mean: np.ndarray, sigma: np.ndarray) -> Any:
+def _prior(mean: np.ndarray, expected: np.ndarray) -> Any:
     import pyceres
 
-    return pyceres.factors.NormalPrior(mean, sigma / SIGMA_PX**2)
+    return pyceres.factors.NormalPrior(mean, expected)

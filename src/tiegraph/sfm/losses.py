@@ -10,14 +10,10 @@ import pycolmap
 
 from tiegraph.scene.registered import BY_RIG, MIN_POINTS, Registration
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adjust import FOCAL_RANGE
 from tiegraph.sfm.database import ViewGraph
+from tiegraph.sfm.tuning import LossTuning, Tuning
 
 LEFT_OUT = "left out: "  # how the reason of an image begins that stood at a wrong place
-CLEARLY_FEWER = 0.8  # of the images tied to each other: fewer placed ask for a word on why
-MAX_TURNED_DEG = 3.0  # of a principal point; 1.5 at most in the right rigs of canal and kerry_park
-LOOSE_POINTS = 2 * MIN_POINTS  # of a frame: with fewer its own noise, such as a blur, shows in no residual
-MAX_CENTRE_OFF = 0.25  # of the image size that a principal point may lie off the middle
 
 
 def unregistered(
@@ -58,9 +54,9 @@ def unregistered(
     return out
 
 
-def weakly_held(scene: Scene, graph: ViewGraph, found: Registration) -> list[str]:
+def weakly_held(scene: Scene, graph: ViewGraph, found: Registration, tuning: LossTuning) -> list[str]:
     """What has a place in a model but little to hold it there: a sentence a kind."""
-    return [*_by_rig(scene, found), *_loose(scene, found), *_islands(scene, graph, found)]
+    return [*_by_rig(scene, found), *_loose(scene, found, tuning.loose_points), *_islands(scene, graph, found)]
 
 
 def _by_rig(scene: Scene, found: Registration) -> list[str]:
@@ -73,17 +69,17 @@ def _by_rig(scene: Scene, found: Registration) -> list[str]:
     ]
 
 
-def _loose(scene: Scene, found: Registration) -> list[str]:
+def _loose(scene: Scene, found: Registration, enough: int) -> list[str]:
     """Frames whose place so few points hold, in all cameras together, that the sigma of the others is not theirs."""
     points, there = np.zeros(scene.frames, int), np.zeros(scene.frames, bool)
     np.add.at(points, scene.frame, np.where(found.placed, found.points, 0))
     there[scene.frame[found.placed]] = True
-    few = np.flatnonzero(there & (points < LOOSE_POINTS))
+    few = np.flatnonzero(there & (points < enough))
     if not len(few):
         return []
     first = np.array([int(np.argmax(scene.frame == f)) for f in few])
     return [
-        f"the place of {len(few)} frame{'s' if len(few) > 1 else ''} rests on fewer than {LOOSE_POINTS} points "
+        f"the place of {len(few)} frame{'s' if len(few) > 1 else ''} rests on fewer than {enough} points "
         f"({_named(scene, first)}): blurred, or hardly any overlap; the images may be off by more than is stated"
     ]
 
@@ -125,7 +121,7 @@ def no_model_text(scene: Scene, graph: ViewGraph, why: str) -> str:
     )
 
 
-def camera_notes(reconstruction: pycolmap.Reconstruction, scene: Scene) -> list[str]:
+def camera_notes(reconstruction: pycolmap.Reconstruction, scene: Scene, tuning: Tuning) -> list[str]:
     """Remarks on adjusted cameras that no real lens has: the model is bent there."""
     names = {k + 1: s.name for k, s in enumerate(scene.all_sensors)}
     notes = []
@@ -137,18 +133,18 @@ def camera_notes(reconstruction: pycolmap.Reconstruction, scene: Scene) -> list[
             abs(camera.principal_point_x / camera.width - 0.5), abs(camera.principal_point_y / camera.height - 0.5)
         )
         label = names.get(camera_id, str(camera_id))
-        if not FOCAL_RANGE[0] <= ratio <= FOCAL_RANGE[1]:
+        if not tuning.adjust.focal_range[0] <= ratio <= tuning.adjust.focal_range[1]:
             notes.append(
                 f"camera {label}: focal length {camera.mean_focal_length():.0f} px is {ratio:.2f} x the image size; do "
                 f"not trust the model round it: give the calibration and set sparse.refine_intrinsics = no"
             )
-        if off > MAX_CENTRE_OFF:
+        if off > tuning.losses.max_centre_off:
             notes.append(f"camera {label}: the principal point lies {off:.0%} of the image off its middle")
     return notes
 
 
 def rig_doubts(
-    reconstruction: pycolmap.Reconstruction, scene: Scene, held: Sequence[int], placed: int, tied: int
+    reconstruction: pycolmap.Reconstruction, scene: Scene, held: Sequence[int], placed: int, tied: int, tuning: Tuning
 ) -> list[str]:
     """What contradicts rigs (scene indices) whose extrinsics were held as given: the images seem to say otherwise.
 
@@ -157,7 +153,7 @@ def rig_doubts(
     """
     notes, remedy = [], "check order, axes and angles in the rig file, or set sparse.rig = refined or absent"
     names = ", ".join(scene.rigs[k].name for k in held)
-    if held and placed < CLEARLY_FEWER * tied:
+    if held and placed < tuning.mapping.clearly_fewer * tied:
         notes.append(
             f"rig {names} was held as given, and only {placed} of {tied} images that are tied found a place: the given "
             f"extrinsics may contradict the images; {remedy}"
@@ -167,7 +163,7 @@ def rig_doubts(
         for sensor in rig.sensors:
             key += 1
             turned = _turned_deg(reconstruction.cameras, key, sensor.camera) if index in held else 0.0
-            if turned > MAX_TURNED_DEG:
+            if turned > tuning.losses.max_turned_deg:
                 notes.append(
                     f"camera {sensor.name}: its principal point moved by as much as a turn of {turned:.1f} deg, in rig "
                     f"{rig.name}, which was held as given: its extrinsics may contradict the images; {remedy}"

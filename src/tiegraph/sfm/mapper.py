@@ -238,8 +238,8 @@ def _account(job: Job, outcome: Outcome, rig: str, finished: Finished) -> Sparse
     }
     first = models[0]
     held = [k for k, mode in rig_modes(scene, job.settings.rig).items() if mode in ("fixed", "soft")]
-    doubts = [] if job.rough else rig_doubts(main, scene, held, first.registered, job.graph.components[0])
-    held_by = [] if job.rough else weakly_held(scene, job.graph, first.found)
+    doubts = [] if job.rough else rig_doubts(main, scene, held, first.registered, job.graph.components[0], job.tuning)
+    held_by = [] if job.rough else weakly_held(scene, job.graph, first.found, job.tuning.losses)
     counts: dict[str, float] = {
         "images": len(scene),
         "registered": first.registered,
@@ -259,7 +259,7 @@ def _account(job: Job, outcome: Outcome, rig: str, finished: Finished) -> Sparse
         scene=scene,
         components=tuple(job.graph.components),
         dropped=tuple(unregistered(scene, job.graph, [m.images for m in models], dict(finished.dropped))),
-        notes=(*job.notes, *held_by, *camera_notes(main, scene)),
+        notes=(*job.notes, *held_by, *camera_notes(main, scene, job.tuning)),
         tables=tables,
         counts=counts,
         sigma=finished.sigma,

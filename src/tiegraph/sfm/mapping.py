@@ -17,26 +17,19 @@ from tiegraph.scene.rig import Rig, calibrated
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.blockwise import RunMap, poses_by_blocks, serially
 from tiegraph.sfm.database import ViewGraph
-from tiegraph.sfm.losses import CLEARLY_FEWER, no_model_text
+from tiegraph.sfm.losses import no_model_text
 from tiegraph.sfm.model import MIN_OBSERVATIONS, frame_poses, image_poses, observations
 from tiegraph.sfm.placement.verified import read_verified
 from tiegraph.sfm.rig.rig import held_by_mapper
 from tiegraph.sfm.run import Mapped, Request, run_mapper
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.start.poses import length_of_path
-from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.tuning import MappingTuning, Tuning
 
 SCRATCH = ".run"
 """Folder, beside the models, in which mappers work."""
 
 _log = logging.getLogger(__name__)
-
-GLOBAL_FROM_IMAGES = 60  # without a rig: below some tens of images the incremental mapper is as fast (PYCOLMAP 4)
-ROUGHLY_FEWER = 0.5  # likewise in a rough model, where more images see few of its fewer points
-# Images: above, a survey without a preview model to start from is mapped in blocks whose poses are the start.
-IN_BLOCKS = 1000
-OTHER_LENGTH = 1.25  # times too long or too short a path is mapped again
-SECOND_SURVEY = 10  # images without any tie to the model that are mapped by themselves
 
 Progress = Callable[[int, int], None]
 
@@ -73,7 +66,7 @@ class Outcome:
     refused: str = ""  # why there is none
 
 
-def choose_mapper(scene: Scene, settings: SparseSettings, constrained: bool) -> str:
+def choose_mapper(scene: Scene, settings: SparseSettings, constrained: bool, tuning: MappingTuning) -> str:
     """The mapper of the setting, or of the rule behind "auto": global with a rig or from 60 images, else incremental.
 
     Measured on canal_demo (120 images, nominal rig, 1500 verified pairs): trajectory error 0.09 m in 51 s global, 2.4 m
@@ -82,7 +75,7 @@ def choose_mapper(scene: Scene, settings: SparseSettings, constrained: bool) -> 
     """
     if settings.mapper in ("incremental", "global"):
         return settings.mapper
-    return "global" if constrained or len(scene) >= GLOBAL_FROM_IMAGES else "incremental"
+    return "global" if constrained or len(scene) >= tuning.global_from_images else "incremental"
 
 
 def believed_cameras(scene: Scene, settings: SparseSettings) -> tuple[int, ...]:
@@ -111,7 +104,7 @@ def map_images(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str
 
     The start takes a half or a third of the CPU time of mapping from nothing and is as accurate (benchmarks/sfm).
     """
-    large = len(job.scene) > IN_BLOCKS
+    large = len(job.scene) > job.tuning.mapping.in_blocks
     asked = job.settings.mapper == "auto"
     if not label and job.preview is not None and asked:
         outcome = _run(job, "preview", rigs, modes, label)
@@ -119,7 +112,7 @@ def map_images(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str
             return _with_others(job, outcome, rigs, modes)
         job.notes.append(f"the model could not start from the preview model: {outcome.refused}; mapped from nothing")
     if not label and large and asked and not job.rough:
-        mapper = choose_mapper(job.scene, job.settings, bool(rigs))
+        mapper = choose_mapper(job.scene, job.settings, bool(rigs), job.tuning.mapping)
         request = replace(_request(job, mapper, rigs, modes), positions=False)
         found = poses_by_blocks(request, job.scene, job.graph, job.log, job.run_map)
         job.notes.extend(found.notes)
@@ -142,11 +135,12 @@ def _as_long_as_its_rig(job: Job, outcome: Outcome, rigs: dict[int, Rig], modes:
         return outcome
     verified = read_verified(job.database, job.scene, job.refused)
     poses = image_poses(read_model(outcome.folders[0]), job.scene)
-    length = length_of_path(frame_poses(poses, job.scene), job.scene, held, verified)
-    if length is None or not np.isfinite(length.scale) or 1 / OTHER_LENGTH < length.scale < OTHER_LENGTH:
+    length = length_of_path(frame_poses(poses, job.scene), job.scene, held, verified, job.tuning.start.scale)
+    most = job.tuning.mapping.other_length
+    if length is None or not np.isfinite(length.scale) or 1 / most < length.scale < most:
         return outcome
     again = _run(replace(job, preview=poses), "preview", rigs, modes, "with its path as long as its rig says")
-    if again.registered < CLEARLY_FEWER * outcome.registered:
+    if again.registered < job.tuning.mapping.clearly_fewer * outcome.registered:
         job.notes.append(
             f"the model's path should be {length.scale:.3g} times as long for its rig, by {length.by}; made so, fewer "
             f"images have a place ({again.registered} of {outcome.registered}): left as it is; {again.refused}"
@@ -163,15 +157,15 @@ def _with_others(job: Job, outcome: Outcome, rigs: dict[int, Rig], modes: dict[i
     first = np.isfinite(image_poses(read_model(outcome.folders[0]), job.scene)).all(axis=(1, 2))
     component = job.graph.component
     rest = np.flatnonzero((component >= 0) & ~np.isin(component, np.unique(component[first])))
-    if outcome.mapper == "preview" and len(rest) >= SECOND_SURVEY:
-        mapper = choose_mapper(job.scene, job.settings, bool(rigs))
+    if outcome.mapper == "preview" and len(rest) >= job.tuning.mapping.second_survey:
+        mapper = choose_mapper(job.scene, job.settings, bool(rigs), job.tuning.mapping)
         other = _run(job, mapper, rigs, modes, "of what is not tied to it", only=rest)
         both = sorted([*outcome.folders, *other.folders], key=lambda f: -read_model(f).num_reg_images())
         outcome = replace(outcome, folders=both)
     there = [np.isfinite(image_poses(read_model(f), job.scene)).all(axis=(1, 2)) for f in outcome.folders]
     for number in np.unique(component[rest]):
         own = component == number
-        if own.sum() >= SECOND_SURVEY:
+        if own.sum() >= job.tuning.mapping.second_survey:
             names = [job.scene.names[k] for k in np.flatnonzero(own)]
             mapped = np.any(there, axis=0)[own].any()
             job.notes.append(
@@ -185,10 +179,11 @@ def _with_others(job: Job, outcome: Outcome, rigs: dict[int, Rig], modes: dict[i
 def _mapped(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -> Outcome:
     """Run the chosen mapper; under "auto", when clearly fewer images come back than could, again with another seed
     (one start in a dozen on the example fell apart), then the other mapper."""
-    first = choose_mapper(job.scene, job.settings, bool(rigs))
+    first = choose_mapper(job.scene, job.settings, bool(rigs), job.tuning.mapping)
     outcome = _run(job, first, rigs, modes, label)
     reachable = job.graph.components[0]
-    enough = (ROUGHLY_FEWER if job.rough else CLEARLY_FEWER) * reachable
+    tuning = job.tuning.mapping
+    enough = (tuning.roughly_fewer if job.rough else tuning.clearly_fewer) * reachable
     other = "incremental" if first == "global" else "global"
     for mapper, seed in ((first, 1), (other, 0))[: 1 if job.rough else 2]:  # a rough model is not worth the slow mapper
         if job.settings.mapper != "auto" or outcome.registered >= enough:

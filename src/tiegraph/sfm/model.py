@@ -12,9 +12,8 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.registered import BY_RIG, MIN_POINTS, Registration
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
+from tiegraph.sfm.tuning import PositionTuning
 
-HELD_OUT_EVERY = 5  # ALGORITHMS: leave every fifth position out of the fit and look at its residual
-MIN_POSITIONS_TO_HOLD_OUT = 10  # below, a fit without a fifth of them says little
 MIN_OBSERVATIONS = MIN_POINTS  # an image that sees fewer model points has its pose from the rig alone
 
 
@@ -117,17 +116,17 @@ def frame_poses(cam_from_world: np.ndarray, scene: Scene, metres_per_unit: float
     return poses
 
 
-def held_out_frames(scene: Scene) -> np.ndarray:
+def held_out_frames(scene: Scene, tuning: PositionTuning) -> np.ndarray:
     """(F,) bool: every fifth frame with a prior position, in the order of the passes; none when there are few.
 
     These positions take part in the final alignment only, neither in the mapping nor in the fit they are checked with.
     """
     out = np.zeros(scene.frames, bool)
     has = np.flatnonzero(np.isfinite(scene.world_from_rig[:, :3, 3]).all(axis=1))
-    if len(has) < MIN_POSITIONS_TO_HOLD_OUT:
+    if len(has) < tuning.least_to_hold_out:
         return out
     order = has[np.lexsort((scene.step[has], scene.track[has]))]
-    out[order[HELD_OUT_EVERY // 2 :: HELD_OUT_EVERY]] = True
+    out[order[tuning.held_out_every // 2 :: tuning.held_out_every]] = True
     return out
 
 

@@ -10,10 +10,15 @@ import pycolmap
 from tiegraph.sfm import lens
 from tiegraph.sfm.rig import compact
 from tiegraph.sfm.rig.soft import Soft, add_soft
+from tiegraph.sfm.tuning import AdjustTuning
 
 
 def add_priors(
-    adjuster: Any, model: pycolmap.Reconstruction, soft: Soft | None, given: Mapping[int, pycolmap.Camera] | None = None
+    adjuster: Any,
+    model: pycolmap.Reconstruction,
+    soft: Soft | None,
+    tuning: AdjustTuning,
+    given: Mapping[int, pycolmap.Camera] | None = None,
 ) -> list[Any]:
     """What a rig file gives with a sigma, what lenses look like, what a rig lets expect; keep it until it has solved.
 
@@ -21,5 +26,5 @@ def add_priors(
     """
     soft = Soft() if soft is None else soft
     kept = add_soft(adjuster, model, soft)
-    kept += lens.add_priors(adjuster.problem, model, given or {})
-    return kept + compact.add_priors(adjuster.problem, model, soft.known_sensors(), soft.drawings)
+    kept += lens.add_priors(adjuster.problem, model, given or {}, tuning)
+    return kept + compact.add_priors(adjuster.problem, model, soft.known_sensors(), soft.drawings, tuning)

@@ -21,12 +21,6 @@ from tiegraph.sfm.start.poses import largest_piece, start_from
 from tiegraph.sfm.start.rounds import model_from
 from tiegraph.sfm.tuning import Tuning
 
-MIN_MODEL_IMAGES = 3
-# Tracks that every image takes part in at least, longest first, in a rough model. Simulated block of 372 previews: 15
-# instead of 69 CPU s, centres good to 0.15 instead of 0.01 m, rotations to 0.05 instead of 0.03 deg (medians).
-ROUGH_TRACKS = 100
-START_SHARE = 0.8  # of the images of one piece that must have a pose, to start from these
-
 
 @dataclass(frozen=True)
 class Request:
@@ -74,7 +68,8 @@ def run_mapper(request: Request, send: Callable[[Any], None]) -> Mapped:
     rigs = {k: rig_from_dict(r) for k, r in request.rigs.items()}
     if request.mapper == "preview":
         return _from_poses(request, working, scene, rigs, send)
-    write_working_copy(request.database, working, scene, rigs, request.positions, request.refused, request.only)
+    positions = request.tuning.positions if request.positions else None
+    write_working_copy(request.database, working, scene, rigs, positions, request.refused, request.only)
     raw = request.folder / "raw"
     raw.mkdir()
     models = (
@@ -101,15 +96,15 @@ def _from_poses(
     piece = largest_piece(request.poses, scene, rigs, verified.pairs)
     poses = np.where(piece[:, None, None], request.poses, np.nan)
     placed = np.isfinite(poses).all(axis=(1, 2))
-    if placed.sum() < START_SHARE * piece.sum():
+    if placed.sum() < request.tuning.start.min_share * piece.sum():
         return Mapped([], refused=f"it places {placed.sum()} of {piece.sum()} images that hold together")
-    start = start_from(poses, scene, rigs, request.fixed, verified)
+    start = start_from(poses, scene, rigs, request.fixed, verified, request.tuning.start)
     if start is None:
         return Mapped([], refused="neither matches nor positions tell the length of its path against the rig")
-    write_working_copy(request.database, working, scene, start.rigs, False, request.refused, request.only)
-    model = model_from(working, scene, start, lambda free: _options(request, free), send)
+    write_working_copy(request.database, working, scene, start.rigs, None, request.refused, request.only)
+    model = model_from(working, scene, start, lambda free: _options(request, free), request.tuning, send)
     working.unlink()
-    refused = why_not(model, scene, verified, piece)
+    refused = why_not(model, scene, verified, piece, request.tuning)
     if refused:
         return Mapped([], start.notes, refused)
     folder = request.folder / "0"
@@ -125,7 +120,7 @@ def _options(request: Request, free: bool) -> pycolmap.IncrementalPipelineOption
         random_seed=request.seed,
         num_threads=THREADS,
         min_num_matches=request.min_matches,
-        min_model_size=MIN_MODEL_IMAGES,
+        min_model_size=request.tuning.mapping.min_model_images,
         extract_colors=False,
         ba_refine_focal_length=lens,
         ba_refine_extra_params=lens,
@@ -161,13 +156,13 @@ def _global(request: Request, working: Path, raw: Path) -> dict[int, pycolmap.Re
     with pycolmap.Database.open(working) as database:
         factorised(mapper.bundle_adjustment, database.num_frames(), database.num_images())
     if request.rough:
-        mapper.track_required_tracks_per_view = ROUGH_TRACKS
+        mapper.track_required_tracks_per_view = request.tuning.mapping.rough_tracks
         mapper.skip_retriangulation = True
     options = pycolmap.GlobalPipelineOptions(
         random_seed=request.seed,
         num_threads=THREADS,  # these two count, not the mapper's own
         min_num_matches=request.min_matches,
-        min_model_size=MIN_MODEL_IMAGES,
+        min_model_size=request.tuning.mapping.min_model_images,
         mapper=mapper,
     )
     return pycolmap.global_mapping(working, request.images or raw, raw, options)

@@ -18,16 +18,9 @@ from scipy import sparse
 from tiegraph.geometry.transforms import skew
 from tiegraph.sfm.jacobians import Layout, System, frame_pose
 from tiegraph.sfm.normal import Normal, at_their_minimum, by_blocks, point_inverse
+from tiegraph.sfm.tuning import SharedErrorTuning
 
-GRID = (12, 8)  # bins of an image, along its longer side and the other
-REACHES = (0.1, 0.2, 0.4, 0.8)  # of the image's diagonal: how far a lens error may reach
-_STEPS = np.geomspace(1e-8, 1e4, 121)  # times the size at which an effect would equal the noise: tried variances
 _RIDGE = 1e-6  # of the information: directions that the unknowns take up whole
-MOST_SHOTS = 40  # whose images' shifts are looked at
-_FEWEST = 10  # observations of an image whose shift is looked at
-_SIZES = np.geomspace(1e-3, 1e4, 15)  # times the noise of one image: tried variances of a shift
-_FINER = np.geomspace(0.4, 2.5, 5)
-TOLD = 4.0  # bins off by more than this many sigmas are told
 
 
 @dataclass(frozen=True)
@@ -118,21 +111,25 @@ class LensError:
     worst: tuple[tuple[float, ...], ...]  # rows x, y of the bin's middle, mean dx, dy of what is left, sigmas
 
 
-def lens_errors(model: pycolmap.Reconstruction, weighed: Weighed) -> tuple[list[tuple[LensError, Effect]], np.ndarray]:
+def lens_errors(
+    model: pycolmap.Reconstruction, weighed: Weighed, tuning: SharedErrorTuning
+) -> tuple[list[tuple[LensError, Effect]], np.ndarray]:
     """The shared error of each camera that the observations show, by its residuals over the image; (2O,) what of the
     residuals it explains."""
     out, explained = [], np.zeros(2 * len(weighed.seen.image))
     for key in np.unique(weighed.seen.camera).tolist():
-        found = _lens_error(model.camera(key), weighed)
+        found = _lens_error(model.camera(key), weighed, tuning)
         if found is not None:
             out.append(found[:2])
             explained += found[2]
     return out, explained
 
 
-def _lens_error(camera: pycolmap.Camera, weighed: Weighed) -> tuple[LensError, Effect, np.ndarray] | None:
+def _lens_error(
+    camera: pycolmap.Camera, weighed: Weighed, tuning: SharedErrorTuning
+) -> tuple[LensError, Effect, np.ndarray] | None:
     seen = weighed.seen
-    across, down = GRID if camera.width >= camera.height else GRID[::-1]
+    across, down = tuning.bins if camera.width >= camera.height else tuning.bins[::-1]
     size = np.array([camera.width / across, camera.height / down])
     rows = np.flatnonzero(seen.camera == camera.camera_id)
     cell = np.clip((seen.xy[rows] / size).astype(int), 0, [across - 1, down - 1])
@@ -147,15 +144,15 @@ def _lens_error(camera: pycolmap.Camera, weighed: Weighed) -> tuple[LensError, E
     apart = np.linalg.norm(middle[:, None] - middle[None], axis=2) / np.hypot(camera.width, camera.height)
     noise = noise + _RIDGE * np.diag(np.maximum(np.diag(information), 1e-12))
     best: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    for reach in REACHES:
+    for reach in tuning.reaches:
         field = np.kron(np.exp(-0.5 * (apart / reach) ** 2), np.eye(2))
-        gain, variance = likeliest(score, noise, information @ field @ information)
+        gain, variance = likeliest(score, noise, information @ field @ information, tuning)
         best = max(best, (gain, variance, reach))
     _, variance, reach = best
     weights = np.bincount(number, weighed.weight(rows), len(used))
     sums, sigma = (v.reshape(-1, 2) for v in (score, np.sqrt(np.diag(noise))))
     times = np.linalg.norm(sums / sigma, axis=1)
-    order = [k for k in np.argsort(-times) if times[k] > TOLD][:3]
+    order = [k for k in np.argsort(-times) if times[k] > tuning.told_sigmas][:3]
     worst = tuple((*middle[k].tolist(), *(-sums[k] / weights[k]).tolist(), float(times[k])) for k in order)
     if variance <= 0:
         return None
@@ -166,7 +163,9 @@ def _lens_error(camera: pycolmap.Camera, weighed: Weighed) -> tuple[LensError, E
     return found, Effect(gradient, moment), columns @ mean
 
 
-def likeliest(score: np.ndarray, noise: np.ndarray, effect: np.ndarray) -> tuple[float, float]:
+def likeliest(
+    score: np.ndarray, noise: np.ndarray, effect: np.ndarray, tuning: SharedErrorTuning
+) -> tuple[float, float]:
     """Gain in log likelihood over none, and size, of the effect (K, K) in a score (K,) with this noise (K, K)."""
     root = np.linalg.cholesky(noise)
     half = np.linalg.solve(root, np.linalg.solve(root, effect).T)
@@ -174,7 +173,7 @@ def likeliest(score: np.ndarray, noise: np.ndarray, effect: np.ndarray) -> tuple
     values, seen = np.maximum(values, 0), (vectors.T @ np.linalg.solve(root, score)) ** 2
     if values.max(initial=0.0) <= 0:
         return 0.0, 0.0
-    tried = _STEPS / values.max()
+    tried = np.geomspace(*tuning.tried_effects) / values.max()
     wider = 1 + tried[:, None] * values
     gain = 0.5 * np.sum(seen * (1 - 1 / wider) - np.log(wider), axis=1)
     most = int(np.argmax(gain))
@@ -206,7 +205,7 @@ class Unrest:
 
 
 def misplaced(
-    model: pycolmap.Reconstruction, weighed: Weighed, held: Collection[int]
+    model: pycolmap.Reconstruction, weighed: Weighed, held: Collection[int], tuning: SharedErrorTuning
 ) -> tuple[list[tuple[Unrest, Effect]], np.ndarray]:
     """How far the cameras of rigs (ids) that the adjustment held are off their places, as far as the images show it;
     (2O,) what of the residuals it explains."""
@@ -219,7 +218,7 @@ def misplaced(
         columns = sparse.hstack([_of_mounting(model, weighed.seen, c) for c in cameras]).tocsr()
         gradient, score, noise, information = weighed.score(columns)
         noise = noise + _RIDGE * np.diag(np.maximum(np.diag(information), 1e-300))
-        place, turn = two_sizes(score[None], noise[None], information[None])
+        place, turn = two_sizes(score[None], noise[None], information[None], tuning)
         if place + turn <= 0:
             continue
         field = np.diag(np.tile(np.repeat([place, turn], 3), len(cameras)))
@@ -230,7 +229,7 @@ def misplaced(
     return out, explained
 
 
-def unrest(model: pycolmap.Reconstruction, weighed: Weighed) -> list[tuple[Unrest, Effect]]:
+def unrest(model: pycolmap.Reconstruction, weighed: Weighed, tuning: SharedErrorTuning) -> list[tuple[Unrest, Effect]]:
     """How far cameras stray from their places in the rig from shot to shot, where the observations show any.
 
     All cameras alike, the reference too; what the pose of a frame takes up of its images' shifts is counted in.
@@ -238,12 +237,13 @@ def unrest(model: pycolmap.Reconstruction, weighed: Weighed) -> list[tuple[Unres
     images, counts = np.unique(weighed.seen.image, return_counts=True)
     of_frame: dict[int, list[int]] = {}
     for image, count in zip(images.tolist(), counts.tolist()):
-        if count >= _FEWEST:
+        if count >= tuning.least_observations:
             of_frame.setdefault(model.image(image).frame_id, []).append(image)
     shared = [own for _, own in sorted(of_frame.items()) if len(own) > 1]
     if not shared:
         return []
-    chosen = [shared[k] for k in np.unique(np.linspace(0, len(shared) - 1, MOST_SHOTS).round().astype(int))]
+    evenly = np.linspace(0, len(shared) - 1, tuning.most_shots)
+    chosen = [shared[k] for k in np.unique(evenly.round().astype(int))]
     size = 6 * max(len(own) for own in chosen)
     gradient, score = [], np.zeros((len(chosen), size))
     noise, information = np.tile(np.eye(size), (len(chosen), 1, 1)), np.zeros((len(chosen), size, size))
@@ -254,7 +254,7 @@ def unrest(model: pycolmap.Reconstruction, weighed: Weighed) -> list[tuple[Unres
         )
         gradient.append(effect)
     least = np.maximum(np.diagonal(information, axis1=1, axis2=2), 1e-300)
-    place, turn = two_sizes(score, noise + _RIDGE * least[:, :, None] * np.eye(size), information)
+    place, turn = two_sizes(score, noise + _RIDGE * least[:, :, None] * np.eye(size), information, tuning)
     if place + turn <= 0:
         return []
     moved = np.hstack(gradient)
@@ -294,7 +294,9 @@ def _columns(seen: System, rows: np.ndarray, values: np.ndarray, first: np.ndarr
     return sparse.csr_matrix((values.ravel(), (row, column)), shape=(2 * len(seen.image), width))
 
 
-def two_sizes(score: np.ndarray, noise: np.ndarray, information: np.ndarray) -> tuple[float, float]:
+def two_sizes(
+    score: np.ndarray, noise: np.ndarray, information: np.ndarray, tuning: SharedErrorTuning
+) -> tuple[float, float]:
     """Variances of place and turn, three numbers each in turn, that make scores (G, K) with this noise and information
     (G, K, K) likeliest: the best of a coarse grid, then of a finer one about it."""
     is_place = np.arange(score.shape[1]) % 6 < 3
@@ -305,8 +307,9 @@ def two_sizes(score: np.ndarray, noise: np.ndarray, information: np.ndarray) -> 
         pairs = [(p, t) for p in places.tolist() for t in turns.tolist()]
         return max(pairs, key=lambda pair: _log_likelihood(score, noise + pair[0] * parts[0] + pair[1] * parts[1]))
 
-    place, turn = best(*(size * np.append(0.0, _SIZES) for size in sizes))
-    return best(place * _FINER, turn * _FINER)
+    coarse, finer = np.append(0.0, np.geomspace(*tuning.tried_shifts)), np.geomspace(*tuning.finer_shifts)
+    place, turn = best(*(size * coarse for size in sizes))
+    return best(place * finer, turn * finer)
 
 
 def _trace(matrices: np.ndarray) -> np.ndarray:

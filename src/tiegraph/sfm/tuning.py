@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pydantic import Field
+
 from tiegraph.settings import Section
 from tiegraph.sfm.placement.tuning import PlacementTuning
 from tiegraph.sfm.rig.tuning import RigTuning
@@ -9,9 +11,191 @@ from tiegraph.sfm.start.tuning import StartTuning
 from tiegraph.sfm.world.tuning import WorldTuning
 
 
+class PositionTuning(Section):
+    """Measured positions, for the mapper and in the world (`model.py`, `database.py`, `world/fixes.py`)."""
+
+    held_out_every: int = Field(5, ge=2)
+    """ALGORITHMS: every fifth position is left out of the fit, to look at its residual."""
+    least_to_hold_out: int = Field(10, gt=0)
+    """Positions below which none is held out: a fit without a fifth of them says little."""
+    unknown_sigma_m: float = Field(10.0, gt=0)
+    """Of a position whose source gives none (hand-held GPS)."""
+
+
+class MappingTuning(Section):
+    """Which mapper makes the model, and how (`mapping.py`, `run.py`)."""
+
+    global_from_images: int = Field(60, ge=0)
+    """Images from which a survey without a rig is mapped globally: below some tens of images the incremental mapper is
+    as fast (PYCOLMAP 4)."""
+    in_blocks: int = Field(1000, ge=0)
+    """Images above which a survey without a preview model to start from is mapped in blocks whose poses are the
+    start."""
+    clearly_fewer: float = Field(0.8, ge=0, le=1)
+    """Of the images tied to each other: fewer placed ask for another try, and for a word on why."""
+    roughly_fewer: float = Field(0.5, ge=0, le=1)
+    """Likewise in a rough model, where more images see few of its fewer points."""
+    other_length: float = Field(1.25, gt=1)
+    """Times too long or too short for its rig a path is mapped again."""
+    second_survey: int = Field(10, gt=0)
+    """Images without any tie to the model that are mapped by themselves."""
+    min_model_images: int = Field(3, ge=2)
+    """Of a mapper's model."""
+    rough_tracks: int = Field(100, gt=0)
+    """Tracks that every image takes part in at least, longest first, in a rough model. Simulated block of 372 previews:
+    15 instead of 69 CPU s, centres good to 0.15 instead of 0.01 m, rotations to 0.05 instead of 0.03 deg (medians)."""
+
+
+class LensTuning(Section):
+    """What lenses look like before the images speak: sigmas of their priors (`lens.py`)."""
+
+    aspect: float = Field(0.002, gt=0)
+    """Of fx / fy - 1: pixels are square."""
+    decentring: float = Field(0.0005, gt=0)
+    """Of p1, p2: lenses are centred to some hundredths of a millimetre."""
+    loose_focal: float = Field(0.2, gt=0)
+    """Of a focal length that no calibration gives, in parts of it."""
+    loose_centre: float = Field(0.1, gt=0)
+    """Of its principal point, in parts of the focal length."""
+    loose_radial: float = Field(0.5, gt=0)
+    """Of its k1, k2."""
+    given_focal: float = Field(0.001, gt=0)
+    """Of a calibration that the images contradict: the focal length, in parts of it."""
+    given_centre: float = Field(0.0015, gt=0)
+    """Of its principal point, in parts of the focal length."""
+    given_aspect: float = Field(0.0005, gt=0)
+    """Of its fx / fy."""
+    given_radial: float = Field(0.1, gt=0)
+    """Of its k1, k2: its distortion is not believed at all (PandaSet gives none)."""
+    weak_pixels: float = Field(0.2, gt=0)
+    """Of focal length and principal point of models that are not OPENCV, in parts of the focal length: the adjustment
+    expects nothing of them, their sigmas need a little."""
+    weak_distortion: float = Field(0.5, gt=0)
+    """Of the distortion of such models, likewise."""
+
+
+class AdjustTuning(Section):
+    """The final adjustment (`adjust.py`) and what all adjustments share.
+
+    A principal point 6 px off in a 232 px lens turns its camera by 1.5 degrees against the rig and bends the model: on
+    canal_demo (nominal rig, guessed intrinsics) the final adjustment brings the trajectory error from 0.06-0.09 m to
+    0.01-0.03 m.
+    """
+
+    robust_px: float = Field(0.5, gt=0)
+    """Cauchy scale: about the sigma of a SIFT key point. Reprojection errors are not divided by their sigma, so what is
+    known beside the images is multiplied by it."""
+    min_images: int = Field(10, gt=0)
+    """Of a camera, to adjust its intrinsics once more with the principal point."""
+    filter_px: float = Field(2.0, gt=0)
+    """Observations worse than this after the first pass go."""
+    filter_angle_deg: float = Field(1.0, ge=0)
+    """Points go whose rays all meet at a smaller angle."""
+    first_iterations: int = Field(30, gt=0)
+    """Of the plain solution."""
+    robust_iterations: int = Field(10, gt=0)
+    """Of each robust one."""
+    robust_rounds: int = Field(2, ge=0)
+    """The first plain solution is bent by what is filtered after it, and what the robust one shows to be wrong pulls on
+    it still: once more without that, canal_demo is 4.7 mm off for 6.5 and canal 6.8 for 12.4, in the same time."""
+    tolerance: float = Field(1e-6, gt=0)
+    """Of the cost: canal_demo's trajectory is the same to 0.001 mm, in three quarters of the time."""
+    enough_seen: int = Field(50, ge=0)
+    """Points of a frame that other frames see too: its place needs no others."""
+    max_centre_shift: float = Field(0.1, ge=0)
+    """Of a principal point, in parts of the image size; more is a bent model, not a lens."""
+    focal_range: tuple[float, float] = (0.2, 5.0)
+    """Focal lengths in longer image sides: outside, no lens of a survey camera."""
+    lens_gain: float = Field(0.03, ge=0, le=1)
+    """Of the robust cost: what distortion must gain over a calibration to be believed against it."""
+    lens: LensTuning = LensTuning()
+    """Priors of lenses."""
+
+
+class SharedErrorTuning(Section):
+    """Errors that many observations share (`systematic.py`)."""
+
+    bins: tuple[int, int] = (12, 8)
+    """Of an image, along its longer side and the other."""
+    reaches: tuple[float, ...] = (0.1, 0.2, 0.4, 0.8)
+    """Of the image's diagonal: how far a lens error may reach."""
+    tried_effects: tuple[float, float, int] = (1e-8, 1e4, 121)
+    """Variances tried, from, to and how many, times the size at which an effect would equal the noise."""
+    most_shots: int = Field(40, gt=0)
+    """Shots whose images' shifts are looked at, evenly over the pass."""
+    least_observations: int = Field(10, gt=0)
+    """Of an image whose shift is looked at."""
+    tried_shifts: tuple[float, float, int] = (1e-3, 1e4, 15)
+    """Variances of a shift tried, from, to and how many, times the noise of one image."""
+    finer_shifts: tuple[float, float, int] = (0.4, 2.5, 5)
+    """Variances tried then, times the best of them."""
+    told_sigmas: float = Field(4.0, gt=0)
+    """Bins off by more are told."""
+
+
+class SigmaTuning(Section):
+    """How well the adjustment knows what it estimates (`covariance.py`)."""
+
+    most_points: int = Field(200_000, gt=0)
+    """More are not looked at one by one: a random part, and the sums are scaled up."""
+    frames: int = Field(200, gt=0)
+    """Whose sigmas are worked out: evenly over the pass, for a median of more is the same."""
+    points: int = Field(200, gt=0)
+    """Whose sigmas are worked out: a random part."""
+    strong_correlation: float = Field(0.7, ge=0, le=1)
+    """Of a parameter of interior orientation: one that is told."""
+    open_share: float = Field(0.1, ge=0)
+    """Sigma of a camera's place in the rig, in parts of its lever arm ..."""
+    open_times: float = Field(3.0, ge=0)
+    """... and in sigmas of the frames: beyond both, a place is hardly known."""
+    shared: SharedErrorTuning = SharedErrorTuning()
+    """Errors of lenses, and of cameras in their rig."""
+
+
+class LossTuning(Section):
+    """What is said of a model's losses and doubts (`losses.py`)."""
+
+    loose_points: int = Field(20, gt=0)
+    """Of a frame, twice what an image must see: with fewer its own noise, such as a blur, shows in no residual."""
+    max_turned_deg: float = Field(3.0, ge=0)
+    """By which the principal point of a camera in a held rig lies off; 1.5 at most in the right rigs of canal and
+    kerry_park."""
+    max_centre_off: float = Field(0.25, ge=0)
+    """Of the image size that a principal point may lie off the middle."""
+
+
+class TwoViewTuning(Section):
+    """The accuracy of a pair by itself (`twoview.py`)."""
+
+    min_points: int = Field(8, ge=5)
+    """Matches, and points before both images, below which there is no geometry."""
+    max_error_px: float = Field(3.0, gt=0)
+    """For the essential matrix, pixels of the preview."""
+    trials: int = Field(200, gt=0)
+    """Of the RANSAC for the essential matrix, at most."""
+    confidence: float = Field(0.999, gt=0, lt=1)
+    """Of that RANSAC."""
+    farthest: float = Field(1e4, gt=0)
+    """Points farther away, in bases, are not believed."""
+    iterations: int = Field(20, gt=0)
+    """Of the bundle adjustment."""
+
+
 class Tuning(Section):
     """Constants of the engine that are the same for every user."""
 
+    positions: PositionTuning = PositionTuning()
+    """Measured positions."""
+    mapping: MappingTuning = MappingTuning()
+    """The mappers."""
+    adjust: AdjustTuning = AdjustTuning()
+    """The final adjustment."""
+    sigma: SigmaTuning = SigmaTuning()
+    """The sigmas of a model."""
+    losses: LossTuning = LossTuning()
+    """What was lost, and what is in doubt."""
+    two_view: TwoViewTuning = TwoViewTuning()
+    """Two images alone."""
     start: StartTuning = StartTuning()
     """The start from poses that are roughly known."""
     placement: PlacementTuning = PlacementTuning()

@@ -11,10 +11,7 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.sfm.model import rigid3d
 from tiegraph.sfm.solver import repeatable
-
-MIN_POINTS = 8
-_MAX_ERROR = 3.0  # pixels of the preview, for the essential matrix
-_ITERATIONS = 20
+from tiegraph.sfm.tuning import TwoViewTuning
 
 
 @dataclass(frozen=True)
@@ -28,34 +25,40 @@ class TwoView:
 
 
 def two_view(
-    xy_a: np.ndarray, xy_b: np.ndarray, camera_a: pycolmap.Camera, camera_b: pycolmap.Camera, pixel: float = 1.0
+    xy_a: np.ndarray,
+    xy_b: np.ndarray,
+    camera_a: pycolmap.Camera,
+    camera_b: pycolmap.Camera,
+    tuning: TwoViewTuning,
+    pixel: float = 1.0,
 ) -> TwoView | None:
     """Reconstruct two images from matches xy_a, xy_b (K, 2) pixels and adjust them; None where no geometry is found.
 
     ``pixel``: size of a pixel of the matches in those of the cameras (previews are reduced images).
     """
-    if len(xy_a) < MIN_POINTS:
+    if len(xy_a) < tuning.min_points:
         return None
     rays_a, rays_b = (np.asarray(c.cam_from_img(np.asarray(x, float))) for c, x in ((camera_a, xy_a), (camera_b, xy_b)))
     good = np.isfinite(rays_a).all(axis=1) & np.isfinite(rays_b).all(axis=1)
-    if good.sum() < MIN_POINTS:
+    if good.sum() < tuning.min_points:
         return None
     focal = 0.5 * (camera_a.mean_focal_length() + camera_b.mean_focal_length())
     eye = np.eye(3)
+    bound = tuning.max_error_px * pixel / focal
     essential, mask = cv2.findEssentialMat(
-        rays_a[good], rays_b[good], eye, cv2.RANSAC, 0.999, _MAX_ERROR * pixel / focal, 200
+        rays_a[good], rays_b[good], eye, cv2.RANSAC, tuning.confidence, bound, tuning.trials
     )
     if essential is None or essential.shape != (3, 3):
         return None
     _, rotation, base, front, points = cv2.recoverPose(
-        essential, rays_a[good], rays_b[good], eye, distanceThresh=1e4, mask=mask.copy()
+        essential, rays_a[good], rays_b[good], eye, distanceThresh=tuning.farthest, mask=mask.copy()
     )
     ahead = np.asarray(front).ravel() > 0
-    if ahead.sum() < MIN_POINTS:
+    if ahead.sum() < tuning.min_points:
         return None
     xyz = (points[:3] / points[3]).T[ahead]
     b_from_a = transforms.rigid(rotation, base.ravel())
-    moved = _adjusted((xy_a[good][ahead], xy_b[good][ahead]), (camera_a, camera_b), b_from_a, xyz)
+    moved = _adjusted((xy_a[good][ahead], xy_b[good][ahead]), (camera_a, camera_b), b_from_a, xyz, tuning.iterations)
     before = b_from_a[:3, 3] / np.linalg.norm(b_from_a[:3, 3])
     after = moved / max(float(np.linalg.norm(moved)), 1e-12)
     distance = float(np.median(np.linalg.norm(xyz, axis=1)))
@@ -63,7 +66,11 @@ def two_view(
 
 
 def _adjusted(
-    xy: tuple[np.ndarray, np.ndarray], cameras: tuple[pycolmap.Camera, ...], b_from_a: np.ndarray, xyz: np.ndarray
+    xy: tuple[np.ndarray, np.ndarray],
+    cameras: tuple[pycolmap.Camera, ...],
+    b_from_a: np.ndarray,
+    xyz: np.ndarray,
+    iterations: int,
 ) -> np.ndarray:
     """Translation (3,) of the second image after a bundle adjustment with fixed intrinsics."""
     model = pycolmap.Reconstruction()
@@ -78,7 +85,7 @@ def _adjusted(
         model.add_point3D(point, track)
     options = pycolmap.BundleAdjustmentOptions(print_summary=False)
     solver = options.ceres.solver_options
-    solver.max_num_iterations = _ITERATIONS
+    solver.max_num_iterations = iterations
     options.ceres.solver_options = solver
     repeatable(options)
     config = pycolmap.BundleAdjustmentConfig()

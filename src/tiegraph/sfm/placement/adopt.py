@@ -10,7 +10,6 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.sfm.model import rigid3d
 from tiegraph.sfm.placement.repair import Repair, around, fits, place_images
-from tiegraph.sfm.placement.verified import seen_by
 
 
 @dataclass(frozen=True)
@@ -28,16 +27,19 @@ def adopt(work: Repair, image_ids: dict[int, int]) -> list[tuple[int, int]]:
     One round: what is placed helps the others only after the points were made anew. ``image_ids``: COLMAP's, by scene
     index. The model gets the images with their key points, without observations.
     """
-    scene, model = work.scene, work.model
     lost = {frame for frame, _ in work.left_out}
     units = [u for u in missing(work, tied_images(work)) if u.frame not in lost]
     if not units:
         return []
-    here = around(work, seen_by(model, scene))
+    here = around(work, work.seen())
     out = []
     for unit in units:
         found = place_images(work, unit.images, here.seen)
-        if found is None or not found.holds() or (unit.bound and not fits(work, unit.images, found.pose, here)):
+        if (
+            found is None
+            or not found.holds(work.tuning.resect)
+            or (unit.bound and not fits(work, unit.images, found.pose, here))
+        ):
             continue
         register(work, unit, found.pose, image_ids)
         out += [(k, found.inliers) for k in unit.images]

@@ -12,15 +12,9 @@ from tiegraph.sfm.placement.adopt import Unit, missing, register
 from tiegraph.sfm.placement.guided import Descriptors, Found, Sight, add_sightings, guided, rows_of
 from tiegraph.sfm.placement.predict import Predicted, predicted
 from tiegraph.sfm.placement.repair import Repair, around, fits, mounts
-from tiegraph.sfm.placement.resect import MIN_INLIERS, Placed, place
-from tiegraph.sfm.placement.verified import Seen, seen_by
-
-ROUNDS = 2  # what is placed may help the next
-NEAR_PX = 8.0  # of an image that the rig places: how far off its points may be
-LEAST_PX = 6.0  # searched at least
-AGREE_PX = 4.0  # COLMAP's own limit of an observation
-AGREE_SHARE = 0.5  # of what was found that must agree with the rig's pose
-MAX_MISS = 3.0  # times the slack that a found pose may turn from the predicted one
+from tiegraph.sfm.placement.resect import Placed, place
+from tiegraph.sfm.placement.tuning import PlacementTuning
+from tiegraph.sfm.placement.verified import Seen
 
 
 @dataclass(frozen=True)
@@ -38,7 +32,7 @@ def complete(work: Repair, image_ids: dict[int, int], descriptors: Descriptors, 
     ``image_ids``: COLMAP's, by scene index; ``skip``: keys of sensors whose own ties are not believed.
     """
     done = Completed()
-    for _ in range(ROUNDS):
+    for _ in range(work.tuning.guided.rounds):
         before = len(done.placed)
         _place_missing(work, image_ids, descriptors, done)
         if len(done.placed) == before:
@@ -48,22 +42,27 @@ def complete(work: Repair, image_ids: dict[int, int], descriptors: Descriptors, 
 
 
 def _place_missing(work: Repair, image_ids: dict[int, int], descriptors: Descriptors, done: Completed) -> None:
-    scene = work.scene
+    scene, tuning = work.scene, work.tuning
     with_features = {k for k, xy in work.verified.xy.items() if len(xy)}
     units = [u for u in missing(work, with_features) if u.frame not in dict(work.left_out)]
     if not units:
         return
-    here = around(work, seen_by(work.model, scene))
+    here = around(work, work.seen())
     for unit in units:
-        where = predicted(unit.frame, here.poses, work.preview, scene) if unit.bound or len(unit.images) == 1 else None
+        where = None
+        if unit.bound or len(unit.images) == 1:
+            where = predicted(unit.frame, here.poses, work.preview, scene, tuning.predict)
         if where is None:
             done.why.update(dict.fromkeys(unit.images, "neither a preview model nor neighbours say where it stands"))
             continue
         found = _search(work, unit, where, here.seen, descriptors)
-        placed = place(rows_of(found, work.verified, here.seen), *mounts(work, unit.images))
-        if placed is None or not _holds(placed, where):
+        placed = place(rows_of(found, work.verified, here.seen), *mounts(work, unit.images), tuning)
+        if placed is None or not _holds(placed, where, tuning):
             agree = 0 if placed is None else placed.inliers
-            text = f"guided matching at the place that {where.by} give: {agree} points agree, {MIN_INLIERS} are needed"
+            text = (
+                f"guided matching at the place that {where.by} give: {agree} points agree, "
+                f"{tuning.resect.min_inliers} are needed"
+            )
             done.why.update(dict.fromkeys(unit.images, text))
             continue
         if not fits(work, unit.images, placed.pose, here):
@@ -72,7 +71,7 @@ def _place_missing(work: Repair, image_ids: dict[int, int], descriptors: Descrip
             continue
         register(work, unit, placed.pose, image_ids)
         for one in found:
-            done.placed[one.image] = add_sightings(work.model, one, image_ids[one.image], AGREE_PX)
+            done.placed[one.image] = add_sightings(work.model, one, image_ids[one.image], tuning.guided.agree_px)
             done.why.pop(one.image, None)
 
 
@@ -80,22 +79,22 @@ def _search(work: Repair, unit: Unit, where: Predicted, seen: Seen, descriptors:
     cameras, cam_from_rig = mounts(work, unit.images)
     out = []
     for k, camera in cameras.items():
-        slack_px = max(where.slack_rad * camera.mean_focal_length(), LEAST_PX)
+        slack_px = max(where.slack_rad * camera.mean_focal_length(), work.tuning.guided.least_px)
         sight = Sight(k, cam_from_rig[k] @ transforms.invert(where.pose), camera, slack_px)
-        out.append(guided(sight, seen, work.verified, descriptors))
+        out.append(guided(sight, seen, work.verified, descriptors, work.tuning.guided))
     return out
 
 
-def _holds(placed: Placed, where: Predicted) -> bool:
+def _holds(placed: Placed, where: Predicted, tuning: PlacementTuning) -> bool:
     turned = np.radians(float(transforms.angle_deg(placed.pose[:3, :3], where.pose[:3, :3])))
-    return placed.holds() and turned < MAX_MISS * where.slack_rad
+    return placed.holds(tuning.resect) and turned < tuning.guided.max_miss * where.slack_rad
 
 
 def _tie_weak(
     work: Repair, image_ids: dict[int, int], descriptors: Descriptors, skip: frozenset[int], done: Completed
 ) -> None:
     """Images that hang on the rig: they are searched for points where the rig says these are."""
-    scene, model = work.scene, work.model
+    scene, model, tuning = work.scene, work.model, work.tuning.guided
     poses = image_poses(model, scene)
     weak = [
         k
@@ -106,21 +105,21 @@ def _tie_weak(
     ]
     if not weak:
         return
-    seen = seen_by(model, scene)
+    seen = work.seen()
     for k in weak:
-        sight = Sight(k, poses[k], model.camera(model.image(image_ids[k]).camera_id), NEAR_PX)
-        found = guided(sight, seen, work.verified, descriptors)
-        good = _agreeing(found, sight, seen, work.verified.xy[k])
-        if good.sum() >= MIN_OBSERVATIONS and good.mean() >= AGREE_SHARE:
-            added = add_sightings(model, found, image_ids[k], AGREE_PX)
+        sight = Sight(k, poses[k], model.camera(model.image(image_ids[k]).camera_id), tuning.near_px)
+        found = guided(sight, seen, work.verified, descriptors, tuning)
+        good = _off_px(found, sight, seen, work.verified.xy[k]) < tuning.agree_px
+        if good.sum() >= MIN_OBSERVATIONS and good.mean() >= tuning.agree_share:
+            added = add_sightings(model, found, image_ids[k], tuning.agree_px)
             if added:
                 done.tied[k] = int(model.image(image_ids[k]).num_points3D)
 
 
-def _agreeing(found: Found, sight: Sight, seen: Seen, xy: np.ndarray) -> np.ndarray:
-    """(K,) bool: what was found lies within AGREE_PX of its place."""
+def _off_px(found: Found, sight: Sight, seen: Seen, xy: np.ndarray) -> np.ndarray:
+    """(K,) how far what was found lies from its place."""
     if not len(found.key):
-        return np.zeros(0, bool)
+        return np.zeros(0)
     local = transforms.apply(sight.cam_from_world, np.array([seen.xyz[int(p)] for p in found.point]))
     place_px = np.asarray(sight.camera.img_from_cam(local), float)
-    return np.linalg.norm(place_px - xy[found.key], axis=1) < AGREE_PX
+    return np.asarray(np.linalg.norm(place_px - xy[found.key], axis=1))

@@ -19,13 +19,10 @@ from scipy.spatial import cKDTree
 
 from tiegraph.geometry import transforms
 from tiegraph.sfm.placement.resect import Rows
-from tiegraph.sfm.placement.verified import REACH, Seen, Verified
+from tiegraph.sfm.placement.tuning import GuidedTuning
+from tiegraph.sfm.placement.verified import Seen, Verified
 
-PARTNERS = 12  # images whose points an image is asked for
-TURN_DEG = 60.0  # between the axes of an image and its partners
-MAX_ANGLE_RAD = 0.7  # between descriptors: COLMAP's own limit
-RATIO = 0.85  # of the angle to the second best in sight
-SAME_PX = 2.0  # key points nearer are one, in two sizes or orientations
+_MOST_HELD = 48  # images whose descriptors are kept: memory
 
 
 @dataclass
@@ -42,7 +39,7 @@ class Descriptors:
             with closing(sqlite3.connect(f"{self.database.absolute().as_uri()}?mode=ro", uri=True)) as connection:
                 query = "SELECT rows, cols, data FROM descriptors WHERE image_id = ?"
                 row = connection.execute(query, (self.ids.get(image, -1),)).fetchone()
-            if len(self._held) > 4 * PARTNERS:
+            if len(self._held) > _MOST_HELD:
                 self._held.clear()
             rows, columns, data = row if row and row[2] else (0, 128, b"")
             table = np.frombuffer(data, np.uint8).reshape(rows, columns).astype(np.float32)
@@ -71,13 +68,13 @@ class Sight:
     slack_px: float
 
 
-def guided(sight: Sight, seen: Seen, verified: Verified, descriptors: Descriptors) -> Found:
+def guided(sight: Sight, seen: Seen, verified: Verified, descriptors: Descriptors, tuning: GuidedTuning) -> Found:
     """Search the key points of an image for points of the model, near where its pose puts them."""
     image, cam_from_world, camera, slack_px = sight.image, sight.cam_from_world, sight.camera, sight.slack_px
     none = np.zeros(0, np.int64)
     xy = verified.xy.get(image, np.zeros((0, 2)))
     own = descriptors.of(image)
-    point, partner, look = _expected(image, cam_from_world, seen, descriptors)
+    point, partner, look = _expected(image, cam_from_world, seen, descriptors, tuning)
     if not len(xy) or len(own) != len(xy) or not len(point):
         return Found(image, none, none, none)
     local = transforms.apply(cam_from_world, np.array([seen.xyz[int(p)] for p in point]))
@@ -87,12 +84,12 @@ def guided(sight: Sight, seen: Seen, verified: Verified, descriptors: Descriptor
     inside = (place > -slack_px).all(axis=1) & (place < [camera.width + slack_px, camera.height + slack_px]).all(axis=1)
     rows = np.flatnonzero(inside)
     near = cKDTree(xy).query_ball_point(place[rows], slack_px) if len(rows) else []
-    best = _best(rows, near, own, look, xy)
+    best = _best(rows, near, own, look, xy, tuning)
     return Found(image, best[:, 1], point[best[:, 0]], partner[best[:, 0]])
 
 
 def _expected(
-    image: int, cam_from_world: np.ndarray, seen: Seen, descriptors: Descriptors
+    image: int, cam_from_world: np.ndarray, seen: Seen, descriptors: Descriptors, tuning: GuidedTuning
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points (K,) that images near and turned alike see, one image (K,) that sees each, and its descriptors there."""
     others = np.array([k for k in seen.point if k != image and len(seen.point[k])], int)
@@ -100,11 +97,11 @@ def _expected(
     if not len(others):
         return empty
     poses = np.stack([seen.cam_from_world[int(k)] for k in others])
-    alike = poses[:, 2, :3] @ cam_from_world[2, :3] > np.cos(np.radians(TURN_DEG))
+    alike = poses[:, 2, :3] @ cam_from_world[2, :3] > np.cos(np.radians(tuning.turn_deg))
     distance = np.linalg.norm(transforms.centre(poses) - transforms.centre(cam_from_world), axis=1)
     usual = np.median(list(seen.reach.values()), axis=0) if seen.reach else np.array([0.0, np.inf])
-    chosen = np.flatnonzero(alike & (distance < REACH * usual[1]))
-    chosen = chosen[np.argsort(distance[chosen], kind="stable")[:PARTNERS]]
+    chosen = np.flatnonzero(alike & (distance < seen.tuning.reach * usual[1]))
+    chosen = chosen[np.argsort(distance[chosen], kind="stable")[: tuning.partners]]
     points, partners, looks = [], [], []
     taken: set[int] = set()
     for k in others[chosen].tolist():
@@ -121,7 +118,12 @@ def _expected(
 
 
 def _best(
-    rows: np.ndarray, near: Sequence[Sequence[int]], own: np.ndarray, look: np.ndarray, xy: np.ndarray
+    rows: np.ndarray,
+    near: Sequence[Sequence[int]],
+    own: np.ndarray,
+    look: np.ndarray,
+    xy: np.ndarray,
+    tuning: GuidedTuning,
 ) -> np.ndarray:
     """(K, 2) row of a point and key point that are each other's best, clearly so."""
     found: dict[int, tuple[float, int]] = {}
@@ -130,8 +132,8 @@ def _best(
             continue
         angle = np.arccos(np.clip(own[keys] @ look[row], -1, 1))
         first, key = float(angle.min()), int(keys[int(np.argmin(angle))])
-        rivals = angle[np.linalg.norm(xy[keys] - xy[key], axis=1) > SAME_PX]
-        if first > MAX_ANGLE_RAD or (len(rivals) and first > RATIO * float(rivals.min())):
+        rivals = angle[np.linalg.norm(xy[keys] - xy[key], axis=1) > tuning.same_px]
+        if first > tuning.max_angle_rad or (len(rivals) and first > tuning.ratio * float(rivals.min())):
             continue
         if key not in found or first < found[key][0]:
             found[key] = (first, row)

@@ -17,12 +17,8 @@ import numpy as np
 
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.placement.steps import Course, Piece, pieces
+from tiegraph.sfm.placement.tuning import VotesTuning
 from tiegraph.sfm.placement.verified import Verified
-
-NEAR = 3  # steps of a pass within which a tie is one of the neighbours'
-AGREES, CONTRADICTS = 0.5, 0.25  # share of a pair's matches that the model explains
-MIN_VOTES = 30.0  # matches that make an opinion of two frames
-MIN_PARTNERS = 2  # frames whose ties agree: false ties to one are soon found
 
 
 @dataclass(frozen=True)
@@ -31,6 +27,7 @@ class Votes:
 
     agree: Mapping[tuple[int, int], float]
     contradict: Mapping[tuple[int, int], float]
+    tuning: VotesTuning
 
     def of(self, frame: int, others: set[int] | None = None) -> tuple[float, float]:
         """Agreeing and contradicting matches of a frame with others."""
@@ -57,7 +54,7 @@ class Votes:
         return tuple(out)
 
 
-def votes(verified: Verified, agreed: np.ndarray, scene: Scene) -> Votes:
+def votes(verified: Verified, agreed: np.ndarray, scene: Scene, tuning: VotesTuning) -> Votes:
     """Sum the image pairs (``verified.agreement``) over pairs of frames."""
     share = agreed[:, 0] / np.maximum(agreed[:, 1], 1)
     agree: dict[tuple[int, int], float] = {}
@@ -66,11 +63,11 @@ def votes(verified: Verified, agreed: np.ndarray, scene: Scene) -> Votes:
         a, b = sorted((int(scene.frame[i]), int(scene.frame[j])))
         if a == b or total == 0:
             continue
-        if part >= AGREES:
+        if part >= tuning.agrees:
             agree[a, b] = agree.get((a, b), 0.0) + float(total)
-        elif part < CONTRADICTS:
+        elif part < tuning.contradicts:
             contradict[a, b] = contradict.get((a, b), 0.0) + float(total)
-    return Votes(agree, contradict)
+    return Votes(agree, contradict, tuning)
 
 
 @dataclass(frozen=True)
@@ -99,24 +96,27 @@ class Opinion:
     agree_near: float  # the neighbours on the pass alone
     against_near: float
     partners: int
+    tuning: VotesTuning
 
     def contradiction(self) -> str:
         """Why they speak against the place; "" if they do not.
 
         The neighbours on the pass are asked first: false ties bind what is far apart.
         """
-        if self.against_near >= MIN_VOTES and self.against_near > self.agree_near:
+        least = self.tuning.min_votes
+        if self.against_near >= least and self.against_near > self.agree_near:
             return (
                 f"its ties to its neighbours contradict its place ({self.against_near:.0f} matches to "
                 f"{self.agree_near:.0f})"
             )
-        if self.against >= MIN_VOTES and self.against > self.agree:
+        if self.against >= least and self.against > self.agree:
             return f"most of its ties contradict its place ({self.against:.0f} matches to {self.agree:.0f})"
         return ""
 
     def holds(self) -> bool:
         """Whether they hold the place by themselves, whatever the course of a pass says."""
-        return self.agree >= MIN_VOTES and self.partners >= MIN_PARTNERS and not self.contradiction()
+        enough = self.agree >= self.tuning.min_votes and self.partners >= self.tuning.min_partners
+        return enough and not self.contradiction()
 
 
 def opinion(frames: Collection[int], believed: set[int], said: Votes, near: Sequence[set[int]]) -> Opinion:
@@ -128,7 +128,7 @@ def opinion(frames: Collection[int], believed: set[int], said: Votes, near: Sequ
         sums += [*said.of(frame, others), *said.of(frame, near[frame] & others)]
         partners |= said.partners(frame, others)
     agree, against, agree_near, against_near = sums.tolist()
-    return Opinion(agree, against, agree_near, against_near, len(partners))
+    return Opinion(agree, against, agree_near, against_near, len(partners), said.tuning)
 
 
 def judge(positions: np.ndarray, scene: Scene, way: Course, said: Votes) -> Judgement:
@@ -136,7 +136,7 @@ def judge(positions: np.ndarray, scene: Scene, way: Course, said: Votes) -> Judg
     contradict their place."""
     blocks = [sorted(f for p in block for f in p.frames) for block in _blocks(pieces(positions, scene, way), said)]
     blocks.sort(key=lambda block: -len(block))
-    near = neighbours(scene)
+    near = neighbours(scene, said.tuning.near_steps)
     main = set(blocks[0]) if blocks else set()
     main |= set(np.flatnonzero(np.isfinite(positions).all(axis=1)).tolist()) - {f for block in blocks for f in block}
     beyond, parted = _held(blocks[1:], main, said, near)
@@ -171,11 +171,11 @@ def _torn(ties: Opinion) -> str:
     )
 
 
-def neighbours(scene: Scene) -> list[set[int]]:
-    """The frames within NEAR steps of each on its pass, without itself."""
+def neighbours(scene: Scene, near_steps: int) -> list[set[int]]:
+    """The frames within so many steps of each on its pass, without itself."""
     order = np.lexsort((scene.step, scene.track))
-    key = scene.track[order].astype(np.int64) * (4 * NEAR + int(scene.step.max(initial=0))) + scene.step[order]
-    low, high = np.searchsorted(key, key - NEAR), np.searchsorted(key, key + NEAR, side="right")
+    key = scene.track[order].astype(np.int64) * (4 * near_steps + int(scene.step.max(initial=0))) + scene.step[order]
+    low, high = np.searchsorted(key, key - near_steps), np.searchsorted(key, key + near_steps, side="right")
     out: list[set[int]] = [set() for _ in range(scene.frames)]
     for place, frame in enumerate(order.tolist()):
         if scene.track[frame] >= 0:
@@ -196,7 +196,7 @@ def _blocks(cut: list[Piece], said: Votes) -> list[list[Piece]]:
     for (a, b), value in sorted(weight.items(), key=lambda item: -item[1]):
         one, two = home[a], home[b]
         tracks = {cut[k].track for k in block[one]}
-        if one == two or value < MIN_VOTES or tracks & {cut[k].track for k in block[two]}:
+        if one == two or value < said.tuning.min_votes or tracks & {cut[k].track for k in block[two]}:
             continue
         for k in block[two]:
             home[k] = one

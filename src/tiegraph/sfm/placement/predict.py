@@ -9,10 +9,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
-
-NEIGHBOURS = 8  # frames whose poses carry those of the preview model over: what it drifts, it drifts slowly
-AWAY = 4  # steps to a neighbour on the pass at most
-BY_PREVIEW_RAD, BY_PASS_RAD = 0.01, 0.04  # how far off a point may then be seen
+from tiegraph.sfm.placement.tuning import PredictTuning
 
 
 @dataclass(frozen=True)
@@ -24,25 +21,29 @@ class Predicted:
     by: str
 
 
-def predicted(frame: int, poses: np.ndarray, preview: np.ndarray | None, scene: Scene) -> Predicted | None:
+def predicted(
+    frame: int, poses: np.ndarray, preview: np.ndarray | None, scene: Scene, tuning: PredictTuning
+) -> Predicted | None:
     """The pose of a frame from those (F, 4, 4) of the others, NaN = not placed; ``preview`` (F, 4, 4) in units of its
     own. None where neither tells."""
     known = np.isfinite(poses).all(axis=(1, 2))
     known[frame] = False
     if preview is not None and np.isfinite(preview[frame]).all():
-        found = _by_preview(frame, poses, preview, known)
+        found = _by_preview(frame, poses, preview, known, tuning)
         if found is not None:
-            return Predicted(found, BY_PREVIEW_RAD, "poses of the preview model")
-    found = _by_pass(frame, poses, scene, known)
-    return None if found is None else Predicted(found, BY_PASS_RAD, "its neighbours on the pass")
+            return Predicted(found, tuning.by_preview_rad, "poses of the preview model")
+    found = _by_pass(frame, poses, scene, known, tuning.away_steps)
+    return None if found is None else Predicted(found, tuning.by_pass_rad, "its neighbours on the pass")
 
 
-def _by_preview(frame: int, poses: np.ndarray, preview: np.ndarray, known: np.ndarray) -> np.ndarray | None:
+def _by_preview(
+    frame: int, poses: np.ndarray, preview: np.ndarray, known: np.ndarray, tuning: PredictTuning
+) -> np.ndarray | None:
     both = np.flatnonzero(known & np.isfinite(preview).all(axis=(1, 2)))
-    if len(both) < 3:
+    if len(both) < tuning.least_frames:
         return None
     distance = np.linalg.norm(preview[both, :3, 3] - preview[frame, :3, 3], axis=1)
-    near = both[np.argsort(distance, kind="stable")[:NEIGHBOURS]]
+    near = both[np.argsort(distance, kind="stable")[: tuning.neighbours]]
     # The turn by the frames' own rotations: the positions of a straight pass leave the one about it open.
     turn = Rotation.from_matrix(poses[near, :3, :3] @ np.swapaxes(preview[near, :3, :3], 1, 2)).mean().as_matrix()
     source = preview[near, :3, 3] @ turn.T
@@ -56,12 +57,12 @@ def _by_preview(frame: int, poses: np.ndarray, preview: np.ndarray, known: np.nd
     return transforms.rigid(turn @ preview[frame, :3, :3], place) if scale > 0 else None
 
 
-def _by_pass(frame: int, poses: np.ndarray, scene: Scene, known: np.ndarray) -> np.ndarray | None:
-    """Between the nearest frames before and after."""
+def _by_pass(frame: int, poses: np.ndarray, scene: Scene, known: np.ndarray, away: int) -> np.ndarray | None:
+    """Between the nearest frames before and after, ``away`` steps at most."""
     if scene.track[frame] < 0:
         return None
     steps = scene.step - scene.step[frame]
-    same = known & (scene.track == scene.track[frame]) & (scene.rig == scene.rig[frame]) & (np.abs(steps) <= AWAY)
+    same = known & (scene.track == scene.track[frame]) & (scene.rig == scene.rig[frame]) & (np.abs(steps) <= away)
     before, after = np.flatnonzero(same & (steps < 0)), np.flatnonzero(same & (steps > 0))
     if not len(before) or not len(after):
         return None

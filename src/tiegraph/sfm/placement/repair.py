@@ -18,14 +18,11 @@ from tiegraph.geometry.align import umeyama
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses, image_poses, matrix, model_rigs, rigid3d
 from tiegraph.sfm.placement.placement import Doubt, Judgement, judge, neighbours, opinion, votes
-from tiegraph.sfm.placement.resect import MIN_INLIERS, Placed, correspondences, place
+from tiegraph.sfm.placement.resect import Placed, correspondences, place
 from tiegraph.sfm.placement.steps import Course, course
+from tiegraph.sfm.placement.tuning import PlacementTuning, RepairTuning
 from tiegraph.sfm.placement.verified import Seen, Verified, agreement, seen_by
 from tiegraph.sfm.solver import THREADS
-
-BLOCK_FRAMES = 4  # fewer are placed one by one, more as a rigid block
-MAX_LOST = 0.2  # of the frames that may be left out for their place; more is a model that fell apart, and is said so
-ROUNDS = 3
 
 
 @dataclass
@@ -36,6 +33,7 @@ class Repair:
     scene: Scene
     verified: Verified
     preview: np.ndarray | None  # (F, 4, 4) world_from_rig of the preview model, units of its own
+    tuning: PlacementTuning
     moved: list[tuple[int, float, str]] = field(default_factory=list)  # frame, how far, why
     left_out: list[tuple[int, str]] = field(default_factory=list)
     beyond: tuple[int, ...] = ()  # frames that only their ties hold where they are: the course of their pass jumps
@@ -46,27 +44,31 @@ class Repair:
         scene = self.scene.with_(rigs=model_rigs(self.model, self.scene))
         return frame_poses(image_poses(self.model, self.scene), scene)
 
+    def seen(self) -> Seen:
+        """What the images of the model see."""
+        return seen_by(self.model, self.scene, self.tuning.agreement)
+
     def way(self) -> Course:
         """The course of the passes."""
         preview = None if self.preview is None else self.preview[:, :3, 3]
-        return course(self.poses()[:, :3, 3], self.scene, preview)
+        return course(self.poses()[:, :3, 3], self.scene, preview, self.tuning.course)
 
     def judged(self) -> Judgement:
         """Which frames stand where they should."""
-        said = votes(self.verified, agreement(self.verified, seen_by(self.model, self.scene)), self.scene)
+        said = votes(self.verified, agreement(self.verified, self.seen()), self.scene, self.tuning.votes)
         return judge(self.poses()[:, :3, 3], self.scene, self.way(), said)
 
 
 def repair(work: Repair) -> bool:
     """Place doubtful frames again or leave them out; whether anything changed. Points are left to the caller."""
     changed = False
-    for _ in range(ROUNDS):
+    for _ in range(work.tuning.repair.rounds):
         judged = work.judged()
         work.beyond = judged.beyond
         if not judged.doubts:
             break
         lost = sum(len(d.frames) for d in judged.doubts)
-        if lost > 0.5 * work.scene.frames:
+        if lost > work.tuning.repair.max_doubted * work.scene.frames:
             work.notes.append(f"{lost} of {work.scene.frames} frames stand in doubt: nothing is moved; see the map")
             break
         before = len(work.moved) + len(work.left_out)
@@ -80,9 +82,9 @@ def repair(work: Repair) -> bool:
 
 def _settle(work: Repair, doubt: Doubt, judged: Judgement) -> None:
     main = set(judged.main)
-    seen = only_frames(seen_by(work.model, work.scene), work.scene, main)
+    seen = only_frames(work.seen(), work.scene, main)
     here = around(work, seen)
-    if len(doubt.frames) >= BLOCK_FRAMES:
+    if len(doubt.frames) >= work.tuning.repair.block_frames:
         motion = _block_motion(work, doubt, seen)
         if motion is not None and _ends_fit(doubt.frames, motion, here, work.scene):
             for frame in doubt.frames:
@@ -91,10 +93,10 @@ def _settle(work: Repair, doubt: Doubt, judged: Judgement) -> None:
     for frame in doubt.frames:
         images = np.flatnonzero(work.scene.frame == frame).tolist()
         found = place_images(work, images, seen)
-        if found and found.holds() and fits(work, images, found.pose, here):
+        if found and found.holds(work.tuning.resect) and fits(work, images, found.pose, here):
             _set(work, frame, here.poses[frame], found.pose, doubt.why)
             here = around(work, seen, here.frames | {frame})
-        elif len(work.left_out) < MAX_LOST * work.scene.frames:
+        elif len(work.left_out) < work.tuning.repair.max_lost * work.scene.frames:
             work.model.deregister_frame(_frame_ids(work, frame)[0])
             work.left_out.append((frame, f"{doubt.why}; its ties to the others give no other place"))
         else:
@@ -120,12 +122,11 @@ def around(work: Repair, seen: Seen, frames: set[int] | None = None) -> Around:
 def only_frames(seen: Seen, scene: Scene, frames: set[int]) -> Seen:
     """What the images of some frames see."""
     inside = {k for k in seen.point if int(scene.frame[k]) in frames}
-    return Seen(
-        {k: v for k, v in seen.cameras.items() if k in inside},
-        {k: v for k, v in seen.cam_from_world.items() if k in inside},
-        {k: v for k, v in seen.point.items() if k in inside},
-        seen.reach,
-        seen.xyz,
+    return replace(
+        seen,
+        cameras={k: v for k, v in seen.cameras.items() if k in inside},
+        cam_from_world={k: v for k, v in seen.cam_from_world.items() if k in inside},
+        point={k: v for k, v in seen.point.items() if k in inside},
     )
 
 
@@ -135,9 +136,9 @@ def place_images(work: Repair, images: Sequence[int], seen: Seen) -> Placed | No
     A lone image is its own rig, whatever the scene's rig says.
     """
     rows = correspondences(images, work.verified, seen)
-    if len(rows.image) < MIN_INLIERS:
+    if len(rows.image) < work.tuning.resect.min_inliers:
         return None
-    return place(rows, *mounts(work, images))
+    return place(rows, *mounts(work, images), work.tuning)
 
 
 def mounts(work: Repair, images: Sequence[int]) -> tuple[dict[int, pycolmap.Camera], dict[int, np.ndarray]]:
@@ -168,8 +169,9 @@ def fits(work: Repair, images: Sequence[int], pose: np.ndarray, here: Around) ->
         cam_from_world={**here.seen.cam_from_world, **there},
     )
     own = work.verified.where(np.isin(work.verified.pairs, sorted(there)).sum(axis=1) == 1)
-    said = votes(own, agreement(own, beside), work.scene)
-    return opinion([frame], here.frames - {frame}, said, neighbours(work.scene)).holds()
+    said = votes(own, agreement(own, beside), work.scene, work.tuning.votes)
+    near = neighbours(work.scene, work.tuning.votes.near_steps)
+    return opinion([frame], here.frames - {frame}, said, near).holds()
 
 
 def near_course(frame: int, position: np.ndarray, here: Around, scene: Scene) -> bool:
@@ -193,7 +195,7 @@ def _ends_fit(frames: Sequence[int], motion: np.ndarray, here: Around, scene: Sc
 
 def _block_motion(work: Repair, doubt: Doubt, seen: Seen) -> np.ndarray | None:
     """main_from_block (4, 4): points of the block on points of the main part that verified ties say are the same."""
-    whole = seen_by(work.model, work.scene)
+    whole, tuning = work.seen(), work.tuning.repair
     inside = set(doubt.frames)
     a, b = [], []
     ends = work.scene.frame[work.verified.pairs]
@@ -209,17 +211,18 @@ def _block_motion(work: Repair, doubt: Doubt, seen: Seen) -> np.ndarray | None:
         both = (p >= 0) & (q >= 0) & (p != q)
         a += [whole.xyz[int(x)] for x in p[both]]
         b += [whole.xyz[int(x)] for x in q[both]]
-    if len(a) < MIN_INLIERS:
+    if len(a) < work.tuning.resect.min_inliers:
         return None
     source, target = np.array(a), np.array(b)
     size = float(np.median([r[0] for r in whole.reach.values()])) if whole.reach else 1.0
-    options = pycolmap.RANSACOptions(max_error=0.1 * size, random_seed=0, max_num_trials=2000)
+    bound = tuning.block_error * size
+    options = pycolmap.RANSACOptions(max_error=bound, random_seed=0, max_num_trials=tuning.block_trials)
     found: Any = pycolmap.estimate_sim3d_robust(source, target, options)
-    if found is None or not 0.9 < found["tgt_from_src"].scale < 1.1:
+    if found is None or not tuning.block_scale[0] < found["tgt_from_src"].scale < tuning.block_scale[1]:
         return None
     mapped = transforms.apply(np.vstack([found["tgt_from_src"].matrix(), [0, 0, 0, 1]]), source)
-    close = np.linalg.norm(mapped - target, axis=1) < 0.1 * size
-    if close.sum() < MIN_INLIERS:
+    close = np.linalg.norm(mapped - target, axis=1) < bound
+    if close.sum() < work.tuning.resect.min_inliers:
         return None
     rigid = umeyama(source[close], target[close], with_scale=False)
     return transforms.rigid(rigid.rotation, rigid.translation)
@@ -250,15 +253,16 @@ def label(scene: Scene, frame: int) -> str:
     return scene.names[int(np.flatnonzero(scene.frame == frame)[0])]
 
 
-def points_anew(model: pycolmap.Reconstruction, database: Path, images: Path, scratch: Path) -> pycolmap.Reconstruction:
+def points_anew(
+    model: pycolmap.Reconstruction, database: Path, images: Path, scratch: Path, tuning: RepairTuning
+) -> pycolmap.Reconstruction:
     """All points of a model from its poses and the verified matches of the mapper's database."""
     scratch.mkdir(parents=True, exist_ok=True)
-    # The final adjustment follows: a long refinement under poses that stay is of no use.
     options = pycolmap.IncrementalPipelineOptions(
         random_seed=0,
         num_threads=THREADS,
         extract_colors=False,
-        ba_global_max_refinements=1,
-        ba_global_max_num_iterations=5,
+        ba_global_max_refinements=tuning.refinements,
+        ba_global_max_num_iterations=tuning.refine_iterations,
     )
     return pycolmap.triangulate_points(model, database, images, scratch, clear_points=True, options=options)

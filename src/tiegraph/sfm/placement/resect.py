@@ -10,11 +10,8 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.sfm.model import matrix, rigid3d
-from tiegraph.sfm.placement.verified import CAP, Seen, Verified
-
-SEARCH_PX = 6.0
-MIN_INLIERS = 20  # points, of two partner images or more
-MIN_SHARE = 0.15  # of the correspondences: below, chance agreements of a repeated wall are as many
+from tiegraph.sfm.placement.tuning import PlacementTuning, ResectTuning
+from tiegraph.sfm.placement.verified import Seen, Verified
 
 
 @dataclass(frozen=True)
@@ -27,9 +24,10 @@ class Placed:
     partners: int
     cameras: int
 
-    def holds(self) -> bool:
+    def holds(self, tuning: ResectTuning) -> bool:
         """Whether it is more than chance."""
-        return self.inliers >= MIN_INLIERS and self.partners >= 2 and self.inliers >= MIN_SHARE * self.total
+        enough = self.inliers >= tuning.min_inliers and self.partners >= tuning.min_partners
+        return enough and self.inliers >= tuning.min_share * self.total
 
 
 @dataclass(frozen=True)
@@ -62,15 +60,22 @@ def correspondences(images: Collection[int], verified: Verified, seen: Seen) -> 
     return Rows(np.array(image, int), np.array(xy).reshape(-1, 2), np.array(xyz).reshape(-1, 3), np.array(partner, int))
 
 
-def place(rows: Rows, cameras: Mapping[int, pycolmap.Camera], cam_from_rig: Mapping[int, np.ndarray]) -> Placed | None:
+def place(
+    rows: Rows,
+    cameras: Mapping[int, pycolmap.Camera],
+    cam_from_rig: Mapping[int, np.ndarray],
+    tuning: PlacementTuning,
+) -> Placed | None:
     """The pose most correspondences agree with; ``cam_from_rig`` (model units) and cameras by scene index of images."""
-    rows = _capped(rows)
+    rows = _capped(rows, tuning.agreement.matches_a_pair)
     usable = np.isin(rows.image, [k for k in cam_from_rig if k in cameras])
-    if usable.sum() < MIN_INLIERS:
+    if usable.sum() < tuning.resect.min_inliers:
         return None
     images = sorted(set(rows.image[usable].tolist()))
     which = [images.index(k) for k in rows.image[usable]]
-    options = pycolmap.RANSACOptions(max_error=SEARCH_PX, random_seed=0, max_num_trials=3000)
+    options = pycolmap.RANSACOptions(
+        max_error=tuning.resect.search_px, random_seed=0, max_num_trials=tuning.resect.trials
+    )
     found = pycolmap.estimate_and_refine_generalized_absolute_pose(
         rows.xy[usable],
         rows.xyz[usable],
@@ -88,11 +93,11 @@ def place(rows: Rows, cameras: Mapping[int, pycolmap.Camera], cam_from_rig: Mapp
     return Placed(pose, int(mask.sum()), int(usable.sum()), len(set(good.tolist())), len(seeing))
 
 
-def _capped(rows: Rows) -> Rows:
-    """No more than CAP correspondences of a pair of images."""
+def _capped(rows: Rows, most: int) -> Rows:
+    """No more than so many correspondences of a pair of images."""
     pair = rows.image.astype(np.int64) << 32 | rows.partner.astype(np.int64)
     keep = np.zeros(len(pair), bool)
     for value in np.unique(pair):
         of = np.flatnonzero(pair == value)
-        keep[of[np.linspace(0, len(of) - 1, min(len(of), CAP)).astype(int)]] = True
+        keep[of[np.linspace(0, len(of) - 1, min(len(of), most)).astype(int)]] = True
     return Rows(rows.image[keep], rows.xy[keep], rows.xyz[keep], rows.partner[keep])

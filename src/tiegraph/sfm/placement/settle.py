@@ -17,9 +17,8 @@ from tiegraph.sfm.placement.adopt import adopt
 from tiegraph.sfm.placement.complete import Completed, complete
 from tiegraph.sfm.placement.guided import Descriptors
 from tiegraph.sfm.placement.repair import Repair, label, points_anew, repair
+from tiegraph.sfm.placement.tuning import PlacementTuning
 from tiegraph.sfm.placement.verified import image_ids, read_verified
-
-ROUNDS = 4  # of placing what is missing: each lets the next lean on it
 
 
 @dataclass(frozen=True)
@@ -32,36 +31,46 @@ class Settled:
     dropped: list[tuple[str, str]] = field(default_factory=list)
 
 
+@dataclass(frozen=True)
+class Matched:
+    """Where the verified matches are: database, folder of the images, refused pairs; and a folder to work in."""
+
+    database: Path
+    images: Path
+    refused: Sequence[tuple[int, int]]
+    scratch: Path
+
+
 def settle(
     model: pycolmap.Reconstruction,
     scene: Scene,
-    source: tuple[Path, Path, Sequence[tuple[int, int]]],
+    source: Matched,
     rigs: dict[int, Rig],
-    scratch: Path,
     preview: np.ndarray | None,
+    tuning: PlacementTuning,
     skip: frozenset[int] = frozenset(),
 ) -> Settled:
     """Test the place of every frame, place the doubtful again or leave them out, place what is missing.
 
-    ``source``: database, images, refused pairs; ``preview``: (F, 4, 4) world_from_rig in a rough model that is
-    believed; ``skip``: keys of sensors that the rig alone places.
+    ``preview``: (F, 4, 4) world_from_rig in a rough model that is believed; ``skip``: keys of sensors that the rig
+    alone places.
     """
-    database, images, refused = source
-    work = Repair(model, scene, read_verified(database, scene, refused), preview)
+    database, scratch = source.database, source.scratch
+    work = Repair(model, scene, read_verified(database, scene, source.refused), preview, tuning)
     registered = model.num_reg_images()
     scratch.mkdir(parents=True, exist_ok=True)
     working = scratch / "placement.db"
 
     def anew() -> None:
         if not working.exists():
-            write_working_copy(database, working, scene, rigs, False, refused)
-        work.model = points_anew(work.model, working, images, scratch)
+            write_working_copy(database, working, scene, rigs, None, source.refused)
+        work.model = points_anew(work.model, working, source.images, scratch, tuning.repair)
 
     if repair(work):
         anew()
     ids = image_ids(database, scene)
     adopted: dict[int, int] = {}
-    for _ in range(ROUNDS):
+    for _ in range(tuning.adopt_rounds):
         found = adopt(work, ids)
         if not found:
             break

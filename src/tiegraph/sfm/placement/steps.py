@@ -7,10 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tiegraph.scene.scene import Scene
-
-JUMP = 2.0  # usual steps beyond twice the expected; a wall's period is more in a survey that overlaps
-BRISK = 80  # percentile of the steps that is called usual: vehicles also stand
-MIN_FRAMES = 5  # of a pass, to speak of a usual step
+from tiegraph.sfm.placement.tuning import CourseTuning
 
 
 @dataclass(frozen=True)
@@ -30,6 +27,7 @@ class Course:
     interval: dict[int, float]  # usual difference of clock between neighbours
     preview: np.ndarray  # (F, 3) positions of a rough model that is believed, NaN = none
     scale: float  # model units of a unit of the preview
+    tuning: CourseTuning
 
     def expected(self, a: int, b: int, track: int) -> float:
         """Length of the way between two frames of a pass; by the preview where it has both."""
@@ -42,10 +40,10 @@ class Course:
         """Whether two frames are farther apart than the way between them allows."""
         length = float(np.linalg.norm(positions[a] - positions[b]))
         expected = self.expected(a, b, track)
-        return length > 2 * expected + JUMP * self.usual[track]
+        return length > self.tuning.expected_times * expected + self.tuning.jump_steps * self.usual[track]
 
 
-def course(positions: np.ndarray, scene: Scene, preview: np.ndarray | None = None) -> Course:
+def course(positions: np.ndarray, scene: Scene, preview: np.ndarray | None, tuning: CourseTuning) -> Course:
     """Usual steps from positions (F, 3), NaN = not registered; ``preview`` (F, 3) in units of its own."""
     timed = scene.frames > 0 and bool(np.isfinite(scene.time_s).all()) and float(np.ptp(scene.time_s)) > 0
     clock = scene.time_s if timed else scene.step.astype(float)
@@ -53,15 +51,15 @@ def course(positions: np.ndarray, scene: Scene, preview: np.ndarray | None = Non
     rough = np.full((scene.frames, 3), np.nan) if preview is None else preview
     for track in np.unique(scene.track[scene.track >= 0]):
         order = in_order(scene, positions, int(track))
-        if len(order) < MIN_FRAMES:
+        if len(order) < tuning.least_frames:
             continue
         steps = np.linalg.norm(np.diff(positions[order], axis=0), axis=1)
         gaps = np.diff(clock[order])
         interval[int(track)] = max(float(np.median(gaps)), 1e-9)
-        usual[int(track)] = float(np.percentile(steps, BRISK))
+        usual[int(track)] = float(np.percentile(steps, tuning.brisk_percent))
         seen = np.linalg.norm(np.diff(rough[order], axis=0), axis=1)
         ratios += (steps[seen > 0] / seen[seen > 0]).tolist()
-    return Course(usual, clock, interval, rough, float(np.median(ratios)) if ratios else np.nan)
+    return Course(usual, clock, interval, rough, float(np.median(ratios)) if ratios else np.nan, tuning)
 
 
 def in_order(scene: Scene, positions: np.ndarray, track: int) -> np.ndarray:

@@ -13,11 +13,7 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import MAX_IMAGES
 from tiegraph.scene.scene import Scene
-
-TOLERANCE_RAD = 0.006  # between a ray and the other's epipolar line: about 2 px of a survey camera
-REACH = 3.0  # times the nearest and farthest points an image sees: matches must meet in between
-CAP = 100  # matches of one image pair that count: a wall full of windows is one opinion
-FEW = 8  # matches below which a pair has no opinion
+from tiegraph.sfm.placement.tuning import AgreementTuning
 
 
 @dataclass(frozen=True)
@@ -80,16 +76,18 @@ def read_verified(database: Path, scene: Scene, refused: Sequence[tuple[int, int
 
 @dataclass(frozen=True)
 class Seen:
-    """What the images of a model know: camera, pose, point of each key point (-1 = none), reach (nearest, farthest)."""
+    """What the images of a model know: camera, pose, point of each key point (-1 = none), reach (nearest, farthest);
+    and ``tuning``: by what their matches are judged."""
 
     cameras: dict[int, pycolmap.Camera]  # by scene index
     cam_from_world: dict[int, np.ndarray]
     point: dict[int, np.ndarray]
     reach: dict[int, np.ndarray]
     xyz: dict[int, np.ndarray]
+    tuning: AgreementTuning
 
 
-def seen_by(model: pycolmap.Reconstruction, scene: Scene) -> Seen:
+def seen_by(model: pycolmap.Reconstruction, scene: Scene, tuning: AgreementTuning) -> Seen:
     """The registered images of a model that the scene knows."""
     xyz = {int(k): p.xyz for k, p in model.points3D.items()}
     cameras, poses, point, reach = {}, {}, {}, {}
@@ -102,14 +100,15 @@ def seen_by(model: pycolmap.Reconstruction, scene: Scene) -> Seen:
         poses[k] = np.vstack([image.cam_from_world().matrix(), [0.0, 0, 0, 1]])
         point[k] = np.array([int(p.point3D_id) if p.has_point3D() else -1 for p in image.points2D], np.int64)
         own = np.array([xyz[int(p)] for p in point[k][point[k] >= 0]]).reshape(-1, 3)
-        if len(own) >= FEW:
+        if len(own) >= tuning.least_matches:
             depth = np.linalg.norm(transforms.apply(poses[k], own), axis=1)
-            reach[k] = np.percentile(depth, [2, 98])
-    return Seen(cameras, poses, point, reach, xyz)
+            reach[k] = np.percentile(depth, tuning.reach_percent)
+    return Seen(cameras, poses, point, reach, xyz, tuning)
 
 
 def agreement(verified: Verified, seen: Seen) -> np.ndarray:
     """(P, 2): matches of each pair that the model's poses explain, and all of them, both capped; 0, 0 = no opinion."""
+    tuning = seen.tuning
     rays: dict[int, np.ndarray] = {}
 
     def of(k: int) -> np.ndarray:
@@ -122,16 +121,18 @@ def agreement(verified: Verified, seen: Seen) -> np.ndarray:
     usual = np.median(list(seen.reach.values()), axis=0) if seen.reach else np.array([0.0, np.inf])
     out = np.zeros((len(verified.pairs), 2))
     for row, ((i, j), matches) in enumerate(zip(verified.pairs.tolist(), verified.matches)):
-        if i not in seen.cameras or j not in seen.cameras or len(matches) < FEW:
+        if i not in seen.cameras or j not in seen.cameras or len(matches) < tuning.least_matches:
             continue
         j_from_i = seen.cam_from_world[j] @ transforms.invert(seen.cam_from_world[i])
         far = (seen.reach.get(i, usual), seen.reach.get(j, usual))
-        share = float(np.mean(_explained(of(i)[matches[:, 0]], of(j)[matches[:, 1]], j_from_i, far)))
-        out[row] = min(len(matches), CAP) * np.array([share, 1.0])
+        share = float(np.mean(_explained(of(i)[matches[:, 0]], of(j)[matches[:, 1]], j_from_i, far, tuning)))
+        out[row] = min(len(matches), tuning.matches_a_pair) * np.array([share, 1.0])
     return out
 
 
-def _explained(a: np.ndarray, b: np.ndarray, b_from_a: np.ndarray, reach: Sequence[np.ndarray]) -> np.ndarray:
+def _explained(
+    a: np.ndarray, b: np.ndarray, b_from_a: np.ndarray, reach: Sequence[np.ndarray], tuning: AgreementTuning
+) -> np.ndarray:
     """(M,) bool: rays a and b (M, 3) meet, ahead of both and within reach (or far off, without parallax)."""
     turned = a @ b_from_a[:3, :3].T
     step = b_from_a[:3, 3]
@@ -141,9 +142,11 @@ def _explained(a: np.ndarray, b: np.ndarray, b_from_a: np.ndarray, reach: Sequen
     s = np.sum(np.cross(b, step) * normal, axis=1) / squared
     t = np.sum(np.cross(turned, step) * normal, axis=1) / squared
     gap = np.linalg.norm(turned * s[:, None] + step - b * t[:, None], axis=1)
-    meets = gap < TOLERANCE_RAD * np.maximum(np.abs(s), np.abs(t))
-    near, far = np.array([reach[0][0], reach[1][0]]) / REACH, np.array([reach[0][1], reach[1][1]]) * REACH
+    tolerance = tuning.tolerance_rad
+    meets = gap < tolerance * np.maximum(np.abs(s), np.abs(t))
+    near = np.array([reach[0][0], reach[1][0]]) / tuning.reach
+    far = np.array([reach[0][1], reach[1][1]]) * tuning.reach
     inside = (s > near[0]) & (s < far[0]) & (t > near[1]) & (t < far[1])
-    parallel = (np.sqrt(squared) < TOLERANCE_RAD) & (np.sum(turned * b, axis=1) > 0)
-    parallel &= np.linalg.norm(step) < TOLERANCE_RAD * 3 * max(far)
+    parallel = (np.sqrt(squared) < tolerance) & (np.sum(turned * b, axis=1) > 0)
+    parallel &= np.linalg.norm(step) < tolerance * tuning.parallax * max(far)
     return (meets & inside) | parallel

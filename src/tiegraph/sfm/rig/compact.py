@@ -16,8 +16,9 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry.transforms import skew
-from tiegraph.sfm.lens import SIGMA_PX, available
+from tiegraph.sfm.lens import available
 from tiegraph.sfm.model import rigid3d
+from tiegraph.sfm.tuning import AdjustTuning
 
 LEAST_OTHERS = 4  # cameras whose places tell something: twelve coordinates for the four unknowns of the rule
 UNEVEN = 1 / 3  # of the distance along the axis: no housing is a sphere
@@ -101,7 +102,8 @@ def add_priors(
     problem: Any,
     model: pycolmap.Reconstruction,
     known: Collection[tuple[int, int]],
-    drawings: Mapping[int, Drawing] | None = None,
+    drawings: Mapping[int, Drawing] | None,
+    tuning: AdjustTuning,
 ) -> list[Any]:
     """Expect the free sensors of the problem near the others of their rig; keep what is returned until it has solved.
 
@@ -124,9 +126,9 @@ def add_priors(
             centre, sigma = expected[identity.id]
             turn = pose.rotation.matrix()
             about = np.vstack([np.column_stack([turn, -turn @ centre]), [0.0, 0, 0, 1]])
-            covariance = np.diag([_ANY_RAD**2] * 3 + [sigma**2] * 3) / SIGMA_PX**2
+            covariance = np.diag([_ANY_RAD**2] * 3 + [sigma**2] * 3) / tuning.robust_px**2
             cost = pycolmap.cost_functions.AbsolutePosePriorCost(covariance, rigid3d(about))
-            loss = pyceres.CauchyLoss(_CAUCHY * SIGMA_PX)
+            loss = pyceres.CauchyLoss(_CAUCHY * tuning.robust_px)
             problem.add_residual_block(cost, loss, [block])
             kept += [cost, loss]
     return kept

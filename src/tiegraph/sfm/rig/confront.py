@@ -18,6 +18,7 @@ from tiegraph.sfm.model import model_rigs
 from tiegraph.sfm.rig.judge import FREED_DEG, FREED_M, Expected, Group, Judgement, expected, judge
 from tiegraph.sfm.rig.linear import rig_system
 from tiegraph.sfm.rig.soft import SensorPrior, Soft
+from tiegraph.sfm.tuning import AdjustTuning
 
 # Sigmas that a calibration is held to before it is said to contradict the images. Lenses are never quite as their
 # model: what they have left of distortion turns and shifts cameras of a rig by so much (KITTI, PandaSet).
@@ -286,7 +287,8 @@ def refine(
     """
     known = expected(scene.rigs[index], heard.system.timed)
     priors = _priors(model, scene, index, known, heard)
-    found = final_adjustment(model, [k for k in fixed if k != index + 1], constant_cameras, Soft(sensors=priors))
+    others = [k for k in fixed if k != index + 1]
+    found = final_adjustment(model, others, constant_cameras, Soft(sensors=priors), tuning=AdjustTuning())
     return found.model if found.accepted else None
 
 

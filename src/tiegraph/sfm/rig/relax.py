@@ -23,6 +23,7 @@ from tiegraph.sfm.rig.release import released
 from tiegraph.sfm.rig.soft import Soft, SoftTie
 from tiegraph.sfm.rig.sync import Motion, TimeOffset, rig_motion, time_offset
 from tiegraph.sfm.rig.timed import Timed, TimedTie, expected
+from tiegraph.sfm.tuning import AdjustTuning
 
 LOOSE_DEG, LOOSE_M = 0.05, 0.003  # a mounting and a trigger keep from frame to frame
 LOOSE_S = 0.001
@@ -94,7 +95,7 @@ def relax(
     assert soft.timed is not None
     # A calibrated rig's rotations are held now, so that distortion the calibration leaves out cannot hide in them.
     doubted = constant_cameras if calibrated and not lenses_held else ()
-    found = final_adjustment(free, (), constant_cameras, soft, doubted)
+    found = final_adjustment(free, (), constant_cameras, soft, doubted, tuning=AdjustTuning())
     return Relaxed(found.model, _offsets(found.model, setting, soft.timed), found.note, _ties(found.model, soft))
 
 

@@ -16,9 +16,9 @@ from tiegraph.sfm.model import frame_poses, rigid3d
 from tiegraph.sfm.placement.verified import Verified
 from tiegraph.sfm.rig.rig import l1_mean_rotation
 from tiegraph.sfm.start.scale import PathScale, path_scale
+from tiegraph.sfm.start.tuning import ScaleTuning, StartTuning
 
 ONE_CENTRE = 1e-6  # metres: shorter baselines are none
-MAX_LEVER_OFF = 0.5  # of a given lever arm that the poses may show it off; more, and the start takes the given one
 
 
 @dataclass(frozen=True)
@@ -36,16 +36,22 @@ class Start:
 
 
 def start_from(
-    cam_from_world: np.ndarray, scene: Scene, rigs: Mapping[int, Rig], held: Collection[int], verified: Verified
+    cam_from_world: np.ndarray,
+    scene: Scene,
+    rigs: Mapping[int, Rig],
+    held: Collection[int],
+    verified: Verified,
+    tuning: StartTuning,
 ) -> Start | None:
     """A start from poses (N, 4, 4) of the images, NaN = unknown; ``held``: indices of rigs whose extrinsics stay.
 
     None if the length of the path against a held rig is not known: the poses may come from a model that did not see it.
     """
-    fitted = {k: rig if k in held else rig_of_poses(scene, k, rig, cam_from_world) for k, rig in rigs.items()}
+    most = tuning.max_lever_off
+    fitted = {k: rig if k in held else rig_of_poses(scene, k, rig, cam_from_world, most) for k, rig in rigs.items()}
     scene = scene.with_(rigs=tuple(fitted.get(k, r) for k, r in enumerate(scene.rigs)))
     frames = frame_poses(cam_from_world, scene)
-    found = length_of_path(frames, scene, held, verified)
+    found = length_of_path(frames, scene, held, verified, tuning.scale)
     if found is None:
         return Start(fitted, frames, cam_from_world)
     if not np.isfinite(found.scale):
@@ -54,18 +60,18 @@ def start_from(
     images = cam_from_world.copy()
     images[:, :3, 3] *= found.scale
     note = f"its path made {found.scale:.3g} times as long, by {found.by}"
-    return Start(fitted, frames, images, (note,) if abs(found.scale - 1) > 0.02 else ())
+    return Start(fitted, frames, images, (note,) if abs(found.scale - 1) > tuning.told_change else ())
 
 
 def length_of_path(
-    world_from_rig: np.ndarray, scene: Scene, held: Collection[int], verified: Verified
+    world_from_rig: np.ndarray, scene: Scene, held: Collection[int], verified: Verified, tuning: ScaleTuning
 ) -> PathScale | None:
     """What the path of frames (F, 4, 4) needs to be as long as the rigs (indices ``held``) that must not change say;
     None where there is nothing to compare it with: panoramas, loose photographs."""
     cam_from_rig = _cam_from_rig(scene)
     if not held or np.nanmax(np.linalg.norm(cam_from_rig[:, :3, 3], axis=1), initial=0.0) < ONE_CENTRE:
         return None
-    return path_scale(scene, cam_from_rig, world_from_rig, verified)
+    return path_scale(scene, cam_from_rig, world_from_rig, verified, tuning)
 
 
 def largest_piece(cam_from_world: np.ndarray, scene: Scene, rigs: Collection[int], pairs: np.ndarray) -> np.ndarray:
@@ -93,9 +99,12 @@ def _cam_from_rig(scene: Scene) -> np.ndarray:
     return of[scene.sensor_key]
 
 
-def rig_of_poses(scene: Scene, index: int, rig: Rig, cam_from_world: np.ndarray) -> Rig:
+def rig_of_poses(scene: Scene, index: int, rig: Rig, cam_from_world: np.ndarray, max_lever_off: float) -> Rig:
     """The rig with the extrinsics that the poses show, averaged over the frames; a sensor that no frame shows beside
-    the reference keeps its own, in the units of the others."""
+    the reference keeps its own, in the units of the others.
+
+    ``max_lever_off``: share of a given lever arm that the poses may show it off; more, and it stays as given.
+    """
     of = scene.rig[scene.frame] == index
     known = of & np.isfinite(cam_from_world).all(axis=(1, 2))
     reference = np.full(scene.frames, -1)
@@ -113,7 +122,7 @@ def rig_of_poses(scene: Scene, index: int, rig: Rig, cam_from_world: np.ndarray)
     sensors = list(rig.sensors)
     for place, sensor in enumerate(rig.sensors):
         own = sensor.sensor_from_rig
-        if place in shown and own is not None and _ran_off(shown[place], own, units):
+        if place in shown and own is not None and _ran_off(shown[place], own, units, max_lever_off):
             shown[place] = transforms.rigid(shown[place][:3, :3], units * own[:3, 3])
         if place in shown:
             sensors[place] = replace(sensor, sensor_from_rig=shown[place])
@@ -122,10 +131,10 @@ def rig_of_poses(scene: Scene, index: int, rig: Rig, cam_from_world: np.ndarray)
     return replace(rig, sensors=tuple(sensors))
 
 
-def _ran_off(found: np.ndarray, given: np.ndarray, units: float) -> bool:
+def _ran_off(found: np.ndarray, given: np.ndarray, units: float, most: float) -> bool:
     """Whether a lever arm is unlike the given one: a camera with few ties (canal's up camera, three times too long)."""
     length = units * float(np.linalg.norm(given[:3, 3]))
-    return length > 0 and float(np.linalg.norm(found[:3, 3] - units * given[:3, 3])) > MAX_LEVER_OFF * length
+    return length > 0 and float(np.linalg.norm(found[:3, 3] - units * given[:3, 3])) > most * length
 
 
 def _units(rig: Rig, shown: Mapping[int, np.ndarray]) -> float:

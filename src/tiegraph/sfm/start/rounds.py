@@ -11,21 +11,23 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjust import free_cameras
 from tiegraph.sfm.solver import factorised
 from tiegraph.sfm.start.poses import Start, place_frames
+from tiegraph.sfm.tuning import Tuning
 
 # What is adjusted beside poses and points: at first nothing, because lens and rig would soak up what is wrong with the
 # poses; then both; then principal points too, because the final adjustment alone does not get there: after it canal's
 # frames are 12 mm off with these held so long, else as the mapper's.
 ROUNDS = ("poses", "lens", "centre")
-ITERATIONS = 25
-TOLERANCE = 1e-4  # of the cost; the next round starts from there with better points
-ROBUST_PX = 1.0  # soft L1: half the first points are off by more
-REGISTER_ROUNDS = 3  # of placing the frames that had no pose
 
 Options = pycolmap.IncrementalPipelineOptions
 
 
 def model_from(
-    database: Path, scene: Scene, start: Start, options: Callable[[bool], Options], send: Callable[[int], None]
+    database: Path,
+    scene: Scene,
+    start: Start,
+    options: Callable[[bool], Options],
+    tuning: Tuning,
+    send: Callable[[int], None],
 ) -> pycolmap.Reconstruction:
     """Triangulate the verified matches of the mapper's ``database`` from the poses of ``start``, and adjust.
 
@@ -46,9 +48,9 @@ def model_from(
         mapper.triangulate_image(triangulation, image_id)
     mapper.complete_and_merge_tracks(triangulation)
     for stage in ROUNDS:
-        _round(mapper, options(stage != "poses"), stage == "centre")
+        _round(mapper, options(stage != "poses"), tuning, stage == "centre")
         if stage == "poses":
-            _register(mapper, options(False))
+            _register(mapper, options(False), tuning.start.rounds.register_rounds)
             send(model.num_reg_frames())
     mapper.filter_frames(options(True).get_mapper())
     mapper.end_reconstruction(False)
@@ -56,20 +58,21 @@ def model_from(
     return model
 
 
-def _round(mapper: pycolmap.IncrementalMapper, options: Options, centre: bool) -> None:
+def _round(mapper: pycolmap.IncrementalMapper, options: Options, tuning: Tuning, centre: bool) -> None:
     held = options.get_mapper()
     adjustment = options.get_global_bundle_adjustment()
     adjustment.print_summary = False
     adjustment.ceres.loss_function_type = pycolmap.LossFunctionType.SOFT_L1
-    adjustment.ceres.loss_function_scale = ROBUST_PX
+    adjustment.ceres.loss_function_scale = tuning.start.rounds.soft_l1_px
     solver = adjustment.ceres.solver_options
-    solver.max_num_iterations = ITERATIONS
-    solver.function_tolerance = TOLERANCE
+    solver.max_num_iterations = tuning.start.rounds.iterations
+    solver.function_tolerance = tuning.start.rounds.tolerance
     adjustment.ceres.solver_options = solver
     factorised(adjustment, mapper.reconstruction.num_reg_frames(), mapper.reconstruction.num_reg_images())
     if centre:
         adjustment.refine_principal_point = True
-        held.constant_cameras |= set(mapper.reconstruction.cameras) - free_cameras(mapper.reconstruction)
+        free = free_cameras(mapper.reconstruction, tuning.adjust.min_images)
+        held.constant_cameras |= set(mapper.reconstruction.cameras) - free
     mapper.adjust_global_bundle(held, adjustment)
     mapper.filter_points(options.get_mapper())
     triangulation = options.get_triangulation()
@@ -78,9 +81,9 @@ def _round(mapper: pycolmap.IncrementalMapper, options: Options, centre: bool) -
     mapper.filter_points(options.get_mapper())
 
 
-def _register(mapper: pycolmap.IncrementalMapper, options: Options) -> None:
+def _register(mapper: pycolmap.IncrementalMapper, options: Options, rounds: int) -> None:
     """Frames without a pose, by the points that their matches belong to."""
-    for _ in range(REGISTER_ROUNDS):
+    for _ in range(rounds):
         placed = 0
         for image_id in mapper.find_next_images(options.get_mapper(), structure_less=False):
             if mapper.reconstruction.image(image_id).has_pose:

@@ -18,15 +18,7 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.placement.verified import Verified
-
-MATCHES = 40  # of a pair of images that vote
-CAPS_RAD = (0.002, 0.006)  # beyond, a match says nothing: two pixels of a survey camera; more, where poses are worse
-RANGE = 64.0  # times too long or too short a path may be
-NEAR = 1.25  # apart, two scales must differ in their votes for the scale to be known
-DIP = 0.03  # by which the votes must differ, as a share (KITTI's baseline 0.30, PandaSet's rig 0.000)
-SIGMAS = 4.0  # apart are two positions, or two places of the model, whose distance tells the scale
-CLEAR = 1.1  # times, or three sigmas: a scale by positions that differs less from the rig's is not worth the change
-_PAIRS, _GRID, _FINE = 4000, 57, 21
+from tiegraph.sfm.start.tuning import ScaleTuning
 
 
 @dataclass(frozen=True)
@@ -37,15 +29,17 @@ class PathScale:
     by: str
 
 
-def path_scale(scene: Scene, cam_from_rig: np.ndarray, world_from_rig: np.ndarray, verified: Verified) -> PathScale:
+def path_scale(
+    scene: Scene, cam_from_rig: np.ndarray, world_from_rig: np.ndarray, verified: Verified, tuning: ScaleTuning
+) -> PathScale:
     """Scale of the path of the frames (F, 4, 4) for rigs whose extrinsics (N, 4, 4), one an image, stay: by the matches
     if they tell it, else by the prior positions, else unknown."""
-    rays = _rays(scene, cam_from_rig, world_from_rig, verified)
-    told = (_by_matches(rays, cap_rad) for cap_rad in CAPS_RAD) if rays is not None else ()
+    rays = _rays(scene, cam_from_rig, world_from_rig, verified, tuning.matches_a_pair)
+    told = (_by_matches(rays, cap_rad, tuning) for cap_rad in tuning.caps_rad) if rays is not None else ()
     for scale in told:
         if scale is not None:
             return PathScale(scale, "its matches")
-    placed = _by_positions(scene, world_from_rig[:, :3, 3])
+    placed = _by_positions(scene, world_from_rig[:, :3, 3], tuning)
     if placed is not None:
         return PathScale(placed, "the positions")
     return PathScale(float("nan"), "nothing")
@@ -69,7 +63,10 @@ class _Rays:
         return float(np.minimum(angle, cap_rad).mean() / cap_rad)
 
 
-def _rays(scene: Scene, cam_from_rig: np.ndarray, world_from_rig: np.ndarray, verified: Verified) -> _Rays | None:
+def _rays(
+    scene: Scene, cam_from_rig: np.ndarray, world_from_rig: np.ndarray, verified: Verified, most: int
+) -> _Rays | None:
+    """``most``: matches of a pair of images that vote."""
     rng = np.random.default_rng(0)
     known = np.isfinite(cam_from_rig).all(axis=(1, 2)) & np.isfinite(world_from_rig[scene.frame]).all(axis=(1, 2))
     centre = transforms.centre(cam_from_rig)
@@ -77,8 +74,8 @@ def _rays(scene: Scene, cam_from_rig: np.ndarray, world_from_rig: np.ndarray, ve
     for (i, j), matches in zip(verified.pairs.tolist(), verified.matches):
         if scene.frame[i] == scene.frame[j] or not (known[i] and known[j]) or len(matches) == 0:
             continue
-        if len(matches) > MATCHES:
-            matches = matches[rng.choice(len(matches), MATCHES, replace=False)]
+        if len(matches) > most:
+            matches = matches[rng.choice(len(matches), most, replace=False)]
         pose_i, pose_j = world_from_rig[scene.frame[i]], world_from_rig[scene.frame[j]]
         a = _turned(scene, i, verified.xy[i][matches[:, 0]], pose_i, cam_from_rig[i])
         b = _turned(scene, j, verified.xy[j][matches[:, 1]], pose_j, cam_from_rig[j])
@@ -99,19 +96,19 @@ def _turned(scene: Scene, image: int, xy: np.ndarray, pose: np.ndarray, cam_from
     return local @ (cam_from_rig[:3, :3] @ pose[:3, :3].T)
 
 
-def _by_matches(rays: _Rays, cap_rad: float) -> float | None:
-    grid = np.linspace(-np.log(RANGE), np.log(RANGE), _GRID)
+def _by_matches(rays: _Rays, cap_rad: float, tuning: ScaleTuning) -> float | None:
+    grid = np.linspace(-np.log(tuning.range), np.log(tuning.range), tuning.grid)
     for _ in range(2):
         costs = np.array([rays.cost(float(np.exp(x)), cap_rad) for x in grid])
         best = float(grid[np.argmin(costs)])
         step = float(grid[1] - grid[0])
-        grid = np.linspace(best - step, best + step, _FINE)
+        grid = np.linspace(best - step, best + step, tuning.fine_grid)
     lowest = float(costs.min())
-    beside = min(rays.cost(float(np.exp(best + x)), cap_rad) for x in (-np.log(NEAR), np.log(NEAR)))
-    return float(np.exp(best)) if beside - lowest > DIP * max(lowest, 1e-9) else None
+    beside = min(rays.cost(float(np.exp(best + x)), cap_rad) for x in (-np.log(tuning.near), np.log(tuning.near)))
+    return float(np.exp(best)) if beside - lowest > tuning.dip * max(lowest, 1e-9) else None
 
 
-def _by_positions(scene: Scene, centre: np.ndarray) -> float | None:
+def _by_positions(scene: Scene, centre: np.ndarray, tuning: ScaleTuning) -> float | None:
     """Scale that the positions ask for, 1 where they bear the length of the path out; None: both lie within the noise.
 
     Its sigma is that of one long distance, for a receiver's errors go together. A vehicle that hardly moves has no
@@ -119,18 +116,18 @@ def _by_positions(scene: Scene, centre: np.ndarray) -> float | None:
     """
     position = scene.world_from_rig[:, :3, 3]
     known = np.flatnonzero(np.isfinite(centre).all(axis=1) & np.isfinite(position).all(axis=1))
-    if len(known) < 3:
+    if len(known) < tuning.least_positions:
         return None
     sigma = np.nan_to_num(np.nanmax(scene.position_sigma_m[known], axis=1, initial=0.0))
-    a, b = np.random.default_rng(0).choice(len(known), (2, _PAIRS))
+    a, b = np.random.default_rng(0).choice(len(known), (2, tuning.distances))
     apart = np.linalg.norm(position[known[a]] - position[known[b]], axis=1)
     own = np.linalg.norm(centre[known[a]] - centre[known[b]], axis=1)
-    noise = np.maximum(sigma[a] + sigma[b], 0.01)
-    far = (np.maximum(apart, own) > SIGMAS * noise) & (own > 0)
-    if far.sum() < 10:
+    noise = np.maximum(sigma[a] + sigma[b], tuning.least_noise_m)
+    far = (np.maximum(apart, own) > tuning.sigmas * noise) & (own > 0)
+    if far.sum() < tuning.least_distances:
         return None
     apart, own, noise = apart[far], own[far], noise[far]
-    scale = float(np.median(np.maximum(apart, noise / SIGMAS) / own))
+    scale = float(np.median(np.maximum(apart, noise / tuning.sigmas) / own))
     known_to = float(np.median(noise / np.maximum(apart, own)))
-    clear = max(np.log(CLEAR), 3 * known_to)
+    clear = max(np.log(tuning.clear), tuning.clear_sigmas * known_to)
     return scale if abs(np.log(scale)) > clear else 1.0

@@ -9,6 +9,7 @@ import numpy as np
 from tiegraph.scene.control import Control
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import held_out_frames
+from tiegraph.sfm.tuning import PositionTuning
 
 ROWS_PER_FRAME = 5  # of the receiver that are used between two frames: more say the same once more
 NODES = 4  # frames that carry a position between frames: a cubic through them
@@ -115,7 +116,7 @@ def make_fixes(scene: Scene, registered: np.ndarray, given: Given, floor_m: floa
     sigma = np.where(np.isfinite(fixes.sigma), fixes.sigma, _UNKNOWN_SIGMA_M)
     level = np.round(2 * np.log2(np.maximum(sigma[:, 0], 1e-3))).astype(int)
     sigma = np.maximum(sigma, floor_m) * _doubt(fixes, rows, given.covered)[:, None]
-    held = held_out_frames(scene)[fixes.home]
+    held = held_out_frames(scene, PositionTuning())[fixes.home]
     return replace(fixes, sigma=sigma, level=level, held=held)
 
 

@@ -13,11 +13,12 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.control import Control
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adjust import FILTER_ANGLE_DEG, FILTER_PX, ROBUST_PX, free_cameras
+from tiegraph.sfm.adjust import free_cameras
 from tiegraph.sfm.model import frame_poses, image_poses, matrix
 from tiegraph.sfm.priors import add_priors
 from tiegraph.sfm.rig.given import given_geometry
 from tiegraph.sfm.solver import factorised
+from tiegraph.sfm.tuning import AdjustTuning
 from tiegraph.sfm.world import costs, noise
 from tiegraph.sfm.world.fit import ANTENNA_SIGMA_M, INLIER_SIGMAS, OFFSET_SIGMA_S
 from tiegraph.sfm.world.fixes import Fixes
@@ -92,7 +93,7 @@ def adjust_in_world(world: pycolmap.Reconstruction, scene: Scene, given: Constra
             factor = noise.factors(residual / given.fixes.sigma, given.fixes.level, given.fixes.time_s)
     manager = pycolmap.ObservationManager(model)
     manager.filter_observations_with_negative_depth()
-    manager.filter_all_points3D(FILTER_PX, FILTER_ANGLE_DEG)
+    manager.filter_all_points3D(AdjustTuning().filter_px, AdjustTuning().filter_angle_deg)
     model.update_point_3d_errors()
     after = float(model.compute_mean_reprojection_error())
     return Adjusted(model, arm, float(clock[0]), residual, factor, before, after)
@@ -121,7 +122,7 @@ def _solve(
     """One adjustment; changes the model, the lever arm (3,) and the clock (1,)."""
     options = pycolmap.BundleAdjustmentOptions(print_summary=False, refine_principal_point=True)
     options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
-    options.ceres.loss_function_scale = ROBUST_PX
+    options.ceres.loss_function_scale = AdjustTuning().robust_px
     solver = options.ceres.solver_options
     solver.max_num_iterations = ITERATIONS
     solver.function_tolerance = TOLERANCE
@@ -130,7 +131,7 @@ def _solve(
     config = pycolmap.BundleAdjustmentConfig()
     for image_id in model.reg_image_ids():
         config.add_image(image_id)
-    free = free_cameras(model) - set(given.constant_cameras)
+    free = free_cameras(model, AdjustTuning().min_images) - set(given.constant_cameras)
     for camera_id in model.cameras:
         if camera_id not in free:
             config.set_constant_cam_intrinsics(camera_id)
@@ -142,7 +143,7 @@ def _solve(
     kept = _add_positions(adjuster.problem, model, scene, given, (arm, clock, sigma_px))
     kept += _add_points(adjuster.problem, model, scene, given, sigma_px)
     kept += _add_up(adjuster.problem, model, scene, given, sigma_px)
-    kept += add_priors(adjuster, model, given_geometry(model, scene, given.soft_rigs))
+    kept += add_priors(adjuster, model, given_geometry(model, scene, given.soft_rigs), AdjustTuning())
     adjuster.solve()
     del kept  # the problem only borrows the residuals written in Python
 
