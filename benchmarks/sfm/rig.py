@@ -65,7 +65,7 @@ def _request(folder: Path, scene: Scene, scratch: Path) -> FinishRequest:
     away = pairs.where(pairs.dropped == REASONS.index("repeat"))
     refused = tuple(zip(away.i.tolist(), away.j.tolist()))
     graph = ViewGraph(folder / "database.db", scene, SparseSettings().min_matches, refused)
-    alone = unsupported_sensors(scene, graph, modes)
+    alone = unsupported_sensors(scene, graph, modes, Tuning().rig.support)
     with np.load(folder / "network" / "model.npz") as data:
         poses = np.where(data["trusted"][:, None, None], data["cam_from_world"], np.nan)
     return FinishRequest(

@@ -11,11 +11,13 @@ from sfm_worlds import make_world
 from tiegraph.sfm.adjust import final_adjustment
 from tiegraph.sfm.model import rigid3d
 from tiegraph.sfm.rig import compact
+from tiegraph.sfm.rig.tuning import CompactTuning
 from tiegraph.sfm.tuning import Tuning
 
 import pycolmap  # isort: skip
 
 RADIUS = 0.06
+TUNING = CompactTuning()
 
 
 def _looking(axis: np.ndarray) -> np.ndarray:
@@ -45,22 +47,22 @@ def _omnidirectional(noise: float) -> tuple[np.ndarray, np.ndarray]:
 def test_an_up_camera_is_expected_as_far_out_as_the_ring() -> None:
     centres, axes = _omnidirectional(0.001)
     centres[4] += [0.05, -0.03, 0.04]  # as the images had it
-    found, sigma = compact.expected_centres(_rig(centres, axes))[6]
+    found, sigma = compact.expected_centres(_rig(centres, axes), TUNING)[6]
     assert np.linalg.norm(found - [0, -RADIUS, -RADIUS]) < 0.004
     assert 0.9 * RADIUS / 3 < sigma < 1.2 * RADIUS / 3
 
 
 def test_nothing_is_expected_of_small_rigs_and_of_one_centre() -> None:
     centres, axes = _omnidirectional(0.0)
-    assert compact.expected_centres(_rig(centres[:3], axes[:3])) == {}
-    assert compact.expected_centres(_rig(0 * centres, axes)) == {}
+    assert compact.expected_centres(_rig(centres[:3], axes[:3]), TUNING) == {}
+    assert compact.expected_centres(_rig(0 * centres, axes), TUNING) == {}
 
 
 def test_cameras_anywhere_on_a_vehicle_are_expected_anywhere() -> None:
     rng = np.random.default_rng(1)
     _, axes = _omnidirectional(0.0)
     rigs = [_rig(rng.normal(0, 1.0, (5, 3)), axes) for _ in range(20)]
-    sigmas = [s for rig in rigs for _, s in compact.expected_centres(rig).values()]
+    sigmas = [s for rig in rigs for _, s in compact.expected_centres(rig, TUNING).values()]
     assert 0.7 < np.median(sigmas) < 1.4 and min(sigmas) > 0.2
 
 
@@ -72,20 +74,20 @@ def test_a_drawing_tells_where_a_camera_of_any_rig_is_though_not_how_large_it_is
     drawing = {k: 40.0 * turn @ c for k, c in enumerate(true, start=2)}
     centres = true + 0.002 * rng.standard_normal((5, 3))
     centres[4] += [0.9, -0.6, 0.7]  # as the images had it
-    found, sigma = compact.expected_centres(_rig(centres, axes), drawing)[6]
+    found, sigma = compact.expected_centres(_rig(centres, axes), TUNING, drawing)[6]
     assert np.linalg.norm(found - true[4]) < 0.02
     assert 0.05 < sigma < 0.3
     incomplete = {k: c for k, c in drawing.items() if k != 4}
-    assert compact.expected_centres(_rig(centres, axes), incomplete)[6][1] > 3 * sigma
+    assert compact.expected_centres(_rig(centres, axes), TUNING, incomplete)[6][1] > 3 * sigma
     mirrored = {k: c * [1, 1, -1] for k, c in drawing.items()}
-    assert compact.expected_centres(_rig(centres, axes), mirrored)[6][1] > 3 * sigma
+    assert compact.expected_centres(_rig(centres, axes), TUNING, mirrored)[6][1] > 3 * sigma
 
 
 def test_what_a_rule_has_from_the_rig_itself_is_no_information() -> None:
     centres, axes = _omnidirectional(0.001)
     rig = _rig(centres, axes)
     drawing = {k: 3.0 * c for k, c in enumerate(centres, start=2)}
-    keys, information = compact.information(rig, drawing)
+    keys, information = compact.information(rig, TUNING, drawing)
     assert keys == [2, 3, 4, 5, 6]
     stiff = np.linalg.eigvalsh(information)
     assert stiff[0] > -1e-6 * stiff[-1]
@@ -99,7 +101,7 @@ def test_what_a_rule_has_from_the_rig_itself_is_no_information() -> None:
 
 def test_a_camera_that_the_images_place_stays(tmp_path: Path) -> None:
     truth, _ = make_world(tmp_path / "database.db", cameras=6, frames=10, noise_px=0.2, points=300)
-    _, sigma = compact.expected_centres(truth.rig(1))[6]
+    _, sigma = compact.expected_centres(truth.rig(1), TUNING)[6]
     moved = np.linalg.norm(_centre(final_adjustment(truth, tuning=Tuning().adjust).model) - _centre(truth))
     assert moved < 0.05 * sigma
 
@@ -107,7 +109,7 @@ def test_a_camera_that_the_images_place_stays(tmp_path: Path) -> None:
 def test_a_camera_that_the_images_leave_open_goes_where_it_is_expected(tmp_path: Path, monkeypatch) -> None:
     truth, _ = make_world(tmp_path / "database.db", cameras=6, frames=10, noise_px=0.2, points=300)
     start = _hardly_seeing(truth)
-    expected, sigma = compact.expected_centres(start.rig(1))[6]
+    expected, sigma = compact.expected_centres(start.rig(1), TUNING)[6]
     far = np.linalg.norm(_centre(start) - expected)
     near = np.linalg.norm(_centre(final_adjustment(start, tuning=Tuning().adjust).model) - expected)
     monkeypatch.setattr(compact, "add_priors", lambda *arguments: [])
@@ -129,7 +131,7 @@ def _hardly_seeing(truth: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
         for k, point in enumerate(model.image(image_id).points2D):
             if point.has_point3D() and (image_id != own[0] or k not in kept):
                 model.delete_observation(image_id, k)
-    _, sigma = compact.expected_centres(model.rig(1))[6]
+    _, sigma = compact.expected_centres(model.rig(1), TUNING)[6]
     for identity, pose in model.rig(1).non_ref_sensors.items():
         if identity.id == 6:
             pose.translation = pose.translation + 2 * sigma * np.array([0.0, 0, 1])

@@ -9,6 +9,7 @@ from sfm_worlds import make_world, without_extrinsics
 from tiegraph.geometry import transforms
 from tiegraph.sfm.model import rigid3d
 from tiegraph.sfm.rig.rig import derive_rig, l1_mean_rotation
+from tiegraph.sfm.rig.tuning import DeriveTuning
 
 
 def test_l1_mean_ignores_a_third_of_outliers() -> None:
@@ -37,7 +38,7 @@ def test_a_camera_that_moves_against_the_rig_is_left_out(tmp_path) -> None:
             pose = rigid3d(turn) * pose
         fresh = type(image)(name=image.name, camera_id=image.camera_id, image_id=i)
         model.add_image_with_trivial_frame(fresh, pose)
-    derived = derive_rig(without_extrinsics(scene), 0, [model])
+    derived = derive_rig(without_extrinsics(scene), 0, [model], DeriveTuning())
     assert derived.rig is not None
     names = [name for name, _ in derived.left_out]
     assert names == [f"cam{shaken}"] and "not rigid" in derived.left_out[0][1]
@@ -47,5 +48,5 @@ def test_a_camera_that_moves_against_the_rig_is_left_out(tmp_path) -> None:
 
 def test_too_few_frames_give_no_rig(tmp_path) -> None:
     truth, scene = make_world(tmp_path / "database.db", cameras=2, frames=2)
-    derived = derive_rig(without_extrinsics(scene), 0, [truth])
+    derived = derive_rig(without_extrinsics(scene), 0, [truth], DeriveTuning())
     assert derived.rig is None and "only 2 frames" in derived.left_out[0][1]

@@ -18,12 +18,13 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjust import final_adjustment
 from tiegraph.sfm.finish import Finished, FinishRequest, finish_model
 from tiegraph.sfm.model import image_poses
-from tiegraph.sfm.rig import judge as rig_judge
 from tiegraph.sfm.rig.confront import hear, lever_sigmas, open_times, statements
 from tiegraph.sfm.rig.soft import available
+from tiegraph.sfm.rig.tuning import JudgeTuning, RigTuning
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.world.scale import rig_scale
 
+RIG = RigTuning()
 CASES = {
     "as given": Drive(frames=16),
     "late": Drive(frames=16, late_s=LATE_S),
@@ -47,7 +48,7 @@ WANTED = (
 @pytest.mark.parametrize(("case", "first"), WANTED)
 def test_what_the_images_want_otherwise_is_told_apart(case: str, first: tuple[str, int] | None) -> None:
     model, scene = _rigid(case)
-    heard = hear(model, scene, 0, 1.0)
+    heard = hear(model, scene, 0, 1.0, RIG)
     assert heard is not None
     if first is None:
         assert heard.freed == ()  # a rig whose size alone is wrong contradicts no image
@@ -67,10 +68,10 @@ def test_what_the_images_want_otherwise_is_told_apart(case: str, first: tuple[st
 def test_times_that_the_images_leave_open_are_said() -> None:
     """Six cameras that see each other's surfaces tell their times; one of them without such ties does not."""
     model, scene = _rigid("as given")
-    heard = hear(model, scene, 0, 1.0)
+    heard = hear(model, scene, 0, 1.0, RIG)
     assert heard is not None and open_times(heard, scene, 0) == []
     alone = _without_shared_points(model, camera=4)
-    heard = hear(alone, scene, 0, 1.0)
+    heard = hear(alone, scene, 0, 1.0, RIG)
     assert heard is not None
     (said,) = open_times(heard, scene, 0)
     assert "whether cam3 fires" in said and "ms" in said and "synchronised = true" in said
@@ -90,11 +91,10 @@ def _without_shared_points(model: pycolmap.Reconstruction, camera: int) -> pycol
     return out
 
 
-def test_what_one_step_cannot_tell_is_said_without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_one_step_cannot_tell_is_said_without_figures() -> None:
     """A model 128 times too long (PandaSet, standing): cameras "turned by 4522 deg" and "829 m off"."""
     model, scene = _rigid("turned")
-    monkeypatch.setattr(rig_judge, "FREED_DEG", 0.05)
-    heard = hear(model, scene, 0, 1.0)
+    heard = hear(model, scene, 0, 1.0, RigTuning(judge=JudgeTuning(freed_deg=0.05)))
     assert heard is not None and heard.beyond == (2,) and heard.freed == ()
     said = statements(heard, scene, 0)
     assert said.statements == () and len(said.contradictions) == 1 and "(cam2)" in said.contradictions[0]
@@ -111,10 +111,10 @@ def test_a_camera_that_stands_elsewhere_widens_the_scale_of_its_rig() -> None:
     moved[:3, 3] -= pose[:3, :3] @ [0.0, 0.04, 0.0]
     sensors = tuple(replace(s, sensor_from_rig=moved) if k == 1 else s for k, s in enumerate(rig.sensors))
     wrong = scene.with_(rigs=(replace(rig, sensors=sensors, synchronised=True),))
-    heard = hear(model, wrong, 0, 1.0)
+    heard = hear(model, wrong, 0, 1.0, RIG)
     assert heard is not None and ("mount", 1) in heard.freed
     assert statements(heard, wrong, 0).misfit == pytest.approx(0.04 / lever / np.sqrt(5), rel=0.4)
-    right = hear(model, scene, 0, 1.0)
+    right = hear(model, scene, 0, 1.0, RIG)
     assert right is not None and statements(right, scene, 0).misfit == 0
 
 
@@ -152,7 +152,7 @@ def test_what_the_user_orders_is_obeyed_and_the_contradiction_said(tmp_path: Pat
 def test_cameras_that_fire_apart_no_longer_set_the_scale(tmp_path: Path) -> None:
     finished, model, scene = _finished("late", tmp_path)
     assert any("relaxed" in note for note in finished.notes) and finished.contradictions == []
-    found = rig_scale(model, image_poses(model, scene), scene)
+    found = rig_scale(model, image_poses(model, scene), scene, Tuning().world.scale)
     wrong = abs(found.metres_per_unit / true_scale(model, CASES["late"]) - 1)
     assert wrong < 0.015 and wrong < 3.3 * found.sigma
 
@@ -169,7 +169,7 @@ def test_a_lever_arm_that_a_model_found_is_not_known_along_the_way() -> None:
     drawn = scene.with_(rigs=(replace(scene.rigs[0], fixed=False, nominal=True),))
     free, said = ({}, {})
     for out, one in ((free, drawn), (said, with_sync(drawn))):
-        heard = hear(model, one, 0, 1.0)
+        heard = hear(model, one, 0, 1.0, RIG)
         assert heard is not None and heard.freed == ()
         out.update(lever_sigmas(heard, one, 0))
     assert sorted(free) == sorted(said) == [2, 3, 4, 5, 6]

@@ -16,19 +16,21 @@ from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.rig.diagnosis import Diagnosis, diagnose
 from tiegraph.sfm.rig.health import (
     COLUMNS,
-    MAX_RATIO,
     Resections,
     SensorHealth,
     median_at_least,
     resect_all,
     sensor_health,
 )
-from tiegraph.sfm.rig.relax import Relaxed, lost_images, relax
+from tiegraph.sfm.rig.relax import Believed, Relaxed, lost_images, relax
 from tiegraph.sfm.rig.soft import available
 from tiegraph.sfm.rig.sync import rig_motion, time_offset
+from tiegraph.sfm.rig.tuning import RigTuning
 from tiegraph.sfm.tuning import Tuning
 
 LATE_S = 0.04
+RIG = RigTuning()
+MAX_RATIO = RIG.health.max_ratio
 
 
 def _rigid(model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
@@ -37,7 +39,7 @@ def _rigid(model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
 
 def test_a_good_rig_scatters_as_expected() -> None:
     model, scene = moving_world()
-    found = diagnose(_rigid(model), scene, 1.0)
+    found = diagnose(_rigid(model), scene, 1.0, RIG)
     assert found.moving == () and found.notes == []
     assert [h.name for h in found.health] == ["cam0", "cam1", "cam2"]
     for h in found.health:
@@ -49,10 +51,12 @@ def test_a_good_rig_scatters_as_expected() -> None:
 def test_the_bound_of_a_median_holds_as_often_as_it_says() -> None:
     rng = np.random.default_rng(0)
     for draws in (5, 9, 18, 50):
-        above = [median_at_least(rng.chisquare(6, draws)) > 5.348 for _ in range(2000)]  # the median of chi2 of 6
+        above = [
+            median_at_least(rng.chisquare(6, draws), RIG.health.chance) > 5.348 for _ in range(2000)
+        ]  # the median of chi2 of 6
         assert 0.005 < np.mean(above) <= 0.05
-    assert median_at_least(np.full(4, 99.0)) == 0.0, "four frames tell nothing"
-    assert median_at_least(np.arange(1.0, 10)) == 2.0, "one of nine may lie below by chance, two not"
+    assert median_at_least(np.full(4, 99.0), RIG.health.chance) == 0.0, "four frames tell nothing"
+    assert median_at_least(np.arange(1.0, 10), RIG.health.chance) == 2.0, "one of nine may lie below by chance, two not"
 
 
 def _scattered(frames: int, times: float, seed: int) -> SensorHealth:
@@ -68,16 +72,16 @@ def _scattered(frames: int, times: float, seed: int) -> SensorHealth:
         sigma_deg=np.degrees(np.tile(sigma[3:], (frames, 1))), covariance=np.tile(np.diag(sigma**2), (frames, 1, 1)),
         rig_pose=np.tile(np.eye(4), (frames, 1, 1)), effect_px=np.zeros(frames),
     )  # fmt: skip
-    return sensor_health(found, scene)[0]
+    return sensor_health(found, scene, RIG.health)[0]
 
 
 def test_few_frames_do_not_make_a_camera_loose() -> None:
     """A scatter just above the bound is chance in nine frames and a finding in two hundred."""
     few, many = (_scattered(frames, 1.3 * MAX_RATIO, 0) for frames in (9, 200))
-    assert few.scatter_ratio > MAX_RATIO > few.sure_ratio and few.rigid()
-    assert many.scatter_ratio > many.sure_ratio > MAX_RATIO and not many.rigid()
-    assert not _scattered(9, 4 * MAX_RATIO, 0).rigid(), "what is far out is found in nine frames too"
-    assert all(_scattered(9, MAX_RATIO, seed).rigid() for seed in range(10))
+    assert few.scatter_ratio > MAX_RATIO > few.sure_ratio and few.rigid(RIG.health)
+    assert many.scatter_ratio > many.sure_ratio > MAX_RATIO and not many.rigid(RIG.health)
+    assert not _scattered(9, 4 * MAX_RATIO, 0).rigid(RIG.health), "what is far out is found in nine frames too"
+    assert all(_scattered(9, MAX_RATIO, seed).rigid(RIG.health) for seed in range(10))
 
 
 def test_a_relaxed_model_that_loses_images_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -104,7 +108,7 @@ def test_a_relaxed_model_that_loses_images_is_not_kept(tmp_path: Path, monkeypat
 
 def test_a_loose_camera_is_named() -> None:
     model, scene = moving_world(loose_deg=(0, 0, 0.2))
-    found = diagnose(_rigid(model), scene, 1.0)
+    found = diagnose(_rigid(model), scene, 1.0, RIG)
     assert found.moving == (0,)
     assert any("cam2 is not rigid" in note for note in found.notes)
 
@@ -112,20 +116,20 @@ def test_a_loose_camera_is_named() -> None:
 def test_a_camera_that_comes_off_is_named_and_let_go() -> None:
     """At 2 degrees the adjustment throws its sightings out: that gives it away."""
     model, scene = moving_world(loose_deg=(0, 0, 2.0))
-    found = diagnose(_rigid(model), scene, 1.0, model)
+    found = diagnose(_rigid(model), scene, 1.0, RIG, model)
     assert found.moving == (0,) and 2 in found.loose
 
 
 def test_resection_finds_the_lateness_of_one_camera() -> None:
     """Of three cameras one is late: in the true model it stands off by its offset times the speed."""
     model, scene = moving_world(late_s=(0, 0, LATE_S))
-    found = resect_all(model, scene, 1.0)
-    assert {h.name for h in sensor_health(found, scene)} == {"cam0", "cam1", "cam2"}
+    found = resect_all(model, scene, 1.0, RIG.health)
+    assert {h.name for h in sensor_health(found, scene, RIG.health)} == {"cam0", "cam1", "cam2"}
     poses = transforms.invert(image_poses(model, scene)[: scene.frames])  # cam0 is the rig
     motion = rig_motion(poses, scene)
     assert motion.timed
     own = found.where(scene.sensor_key[found.image] == 2)
-    late = time_offset(own.residual(), own.covariance, motion.columns(scene.frame[own.image]))
+    late = time_offset(own.residual(), own.covariance, motion.columns(scene.frame[own.image]), RIG.sync)
     assert late is not None and abs(late.offset_s - LATE_S) < 0.25 * LATE_S
     assert 0 < late.sigma_s < 0.25 * LATE_S
 
@@ -133,8 +137,8 @@ def test_resection_finds_the_lateness_of_one_camera() -> None:
 def test_constant_speed_tells_no_offset_from_a_lever() -> None:
     columns = np.tile([0.0, 0, 3, 0, 0, 0], (20, 1)) + 1e-4 * np.random.default_rng(0).standard_normal((20, 6))
     residual = LATE_S * columns + 0.01 * np.random.default_rng(1).standard_normal((20, 6))
-    late = time_offset(residual, np.tile(1e-4 * np.eye(6), (20, 1, 1)), columns)
-    assert late is not None and late.sigma_s > 0.5 and not late.there(0.001)
+    late = time_offset(residual, np.tile(1e-4 * np.eye(6), (20, 1, 1)), columns, RIG.sync)
+    assert late is not None and late.sigma_s > 0.5 and not late.there(0.001, RIG.sync)
 
 
 @pytest.mark.slow
@@ -142,9 +146,9 @@ def test_constant_speed_tells_no_offset_from_a_lever() -> None:
 def test_a_late_camera_is_relaxed() -> None:
     model, scene = moving_world(late_s=(0, 0, LATE_S))
     rigid = _rigid(model)
-    found = diagnose(rigid, scene, 1.0)
+    found = diagnose(rigid, scene, 1.0, RIG)
     assert found.moving == (0,) and any("not synchronised" in note for note in found.notes)
-    relaxed = relax(rigid, scene, 0, (1.0, True), [1, 2, 3])
+    relaxed = relax(rigid, scene, 0, Believed(1.0, True, [1, 2, 3]), RIG)
     assert relaxed.offsets[2].offset_s == pytest.approx(LATE_S, rel=0.15)
     assert abs(relaxed.offsets[1].offset_s) < 0.1 * LATE_S
     assert relaxed.model.compute_mean_reprojection_error() < 0.9 * rigid.compute_mean_reprojection_error()
@@ -165,7 +169,7 @@ def test_a_relaxed_calibrated_rig_keeps_its_rotations_though_the_lenses_are_not_
         for point in model.image(image_id).points2D:
             ray = (point.xy - [400, 300]) / 400
             point.xy = point.xy + 400 * ray * 0.004 * (ray @ ray) + [0.6 * (ray[0] ** 2), 0.0]
-    relaxed = relax(_rigid(model), scene, 0, (1.0, True), [1, 2, 3])
+    relaxed = relax(_rigid(model), scene, 0, Believed(1.0, True, [1, 2, 3]), RIG)
     assert relaxed.offsets[2].offset_s == pytest.approx(LATE_S, rel=0.25)
     poses = image_poses(relaxed.model, scene)
     for s in (1, 2):

@@ -10,13 +10,15 @@ from moving_world import moving_world, write_database
 from tiegraph.sfm.placement.tuning import AgreementTuning
 from tiegraph.sfm.placement.verified import read_verified, seen_by
 from tiegraph.sfm.rig.ties import camera_ties, sentence, table
+from tiegraph.sfm.rig.tuning import TiesTuning
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.6])
 def test_two_cameras_that_fire_apart_are_told_by_their_matches(late_s: float, tmp_path: Path) -> None:
     model, scene = moving_world(late_s=(0.0, 0.0, late_s), frames=12)
     write_database(model, tmp_path / "database.db")
-    found = camera_ties(read_verified(tmp_path / "database.db", scene), seen_by(model, scene, AgreementTuning()), scene)
+    verified = read_verified(tmp_path / "database.db", scene)
+    found = camera_ties(verified, seen_by(model, scene, AgreementTuning()), scene, TiesTuning())
     by = {(t.first, t.second): t for t in found}
     assert not by[0, 1].contradicted and by[0, 1].between > 0.95 and by[0, 1].own > 0.95
     assert by[0, 2].contradicted == (late_s > 0) and (by[0, 2].between < 0.7) == (late_s > 0)
@@ -33,4 +35,4 @@ def test_cameras_without_ties_have_no_opinion(tmp_path: Path) -> None:
     write_database(model, tmp_path / "database.db")
     verified = read_verified(tmp_path / "database.db", scene)
     alone = verified.where(scene.sensor[verified.pairs[:, 0]] == scene.sensor[verified.pairs[:, 1]])
-    assert camera_ties(alone, seen_by(model, scene, AgreementTuning()), scene) == []
+    assert camera_ties(alone, seen_by(model, scene, AgreementTuning()), scene, TiesTuning()) == []

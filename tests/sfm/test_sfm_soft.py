@@ -17,6 +17,7 @@ from tiegraph.sfm.rig import soft
 from tiegraph.sfm.rig.given import given_geometry
 from tiegraph.sfm.rig.rig import held_by_mapper, rig_modes
 from tiegraph.sfm.rig.timed import TimedTie, expected
+from tiegraph.sfm.rig.tuning import GivenTuning, RigTuning
 from tiegraph.sfm.tuning import Tuning
 
 needs_pyceres = pytest.mark.skipif(not soft.available(), reason="pyceres is not there")
@@ -27,7 +28,7 @@ def test_pair_residuals_are_in_sigmas() -> None:
     second = turn @ transforms.rigid(np.eye(3), -np.array([0.3, 0, 0.4]))  # centre at (0.3, 0, 0.4)
     poses = [np.array(rigid3d(p).params) for p in (np.eye(4), second)]
     pair = soft.PairPrior(1, (1, 2), 0.48, 0.01, np.radians(39.0), np.radians(0.5))
-    np.testing.assert_allclose(soft.pair_residuals(*poses, pair) / soft.SIGMA_PX, [2.0, 2.0], atol=1e-9)
+    np.testing.assert_allclose(soft.pair_residuals(*poses, pair), [2.0, 2.0], atol=1e-9)
 
 
 def test_a_tie_moves_with_time_and_turns_about_its_own_centre() -> None:
@@ -53,8 +54,8 @@ def test_modes() -> None:
     _, scene = moving_world(frames=4)
     assert rig_modes(_with_sigma(scene, 0.1, 0.01), "auto") == {0: "soft"}
     assert rig_modes(_with_sigma(scene, 0.0, 0.0), "auto") == {0: "refined"}  # no sigma, no calibration
-    assert held_by_mapper(_with_sigma(scene, 0.1, 0.01).rigs[0], "soft")
-    assert not held_by_mapper(_with_sigma(scene, 3.0, 0.01).rigs[0], "soft")
+    assert held_by_mapper(_with_sigma(scene, 0.1, 0.01).rigs[0], "soft", RigTuning())
+    assert not held_by_mapper(_with_sigma(scene, 3.0, 0.01).rigs[0], "soft", RigTuning())
 
 
 @needs_pyceres
@@ -63,7 +64,7 @@ def test_a_wrong_lever_is_kept_or_left_by_its_sigma(sigma_m: float, least: float
     """The given levers are 3 cm off: with half a millimetre of sigma they stay, with 5 cm the images decide."""
     model, scene = moving_world(frames=12)
     wrong = _with_sigma(scene, 0.5, sigma_m, shift_m=0.03)
-    known = given_geometry(model, wrong, [0])
+    known = given_geometry(model, wrong, [0], GivenTuning())
     assert len(known.sensors) == 2
     adjusted = final_adjustment(model, [], [1, 2, 3], known, tuning=Tuning().adjust)
     found, true = model_rigs(adjusted.model, scene)[0], scene.rigs[0]
@@ -76,7 +77,7 @@ def test_a_wrong_lever_is_kept_or_left_by_its_sigma(sigma_m: float, least: float
 def test_a_pair_sets_baseline_and_axis() -> None:
     model, scene = moving_world(frames=12)
     pair = SensorPair(("cam1", "cam2"), 0.83, 0.0002, 90.3, 0.002)
-    known = given_geometry(model, _with_sigma(scene, 0.5, 0.05, pairs=(pair,)), [0])
+    known = given_geometry(model, _with_sigma(scene, 0.5, 0.05, pairs=(pair,)), [0], GivenTuning())
     assert len(known.pairs) == 1
     rig = model_rigs(final_adjustment(model, [], [1, 2, 3], known, tuning=Tuning().adjust).model, scene)[0]
     assert rig.baselines_m()[1, 2] == pytest.approx(0.83, abs=0.005)

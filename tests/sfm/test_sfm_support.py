@@ -14,9 +14,11 @@ from tiegraph.scene.scene import simple_scene
 from tiegraph.sfm.losses import weakly_held
 from tiegraph.sfm.model import model_rigs
 from tiegraph.sfm.rig.support import place_as_given, ties_of, units_per_metre, unsupported_sensors
+from tiegraph.sfm.rig.tuning import SupportTuning
 from tiegraph.sfm.tuning import LossTuning
 
 LOSSES = LossTuning()
+TUNING = SupportTuning()
 
 
 @pytest.fixture
@@ -37,8 +39,8 @@ def graph_of(scene, lonely: int):
 def test_a_sensor_without_ties_is_found_and_its_ties_listed(world) -> None:
     scene = world[1]
     graph = graph_of(scene, lonely=2)
-    assert unsupported_sensors(scene, graph, {0: "refined"}) == (2,)
-    assert unsupported_sensors(scene, graph, {0: "fixed"}) == ()
+    assert unsupported_sensors(scene, graph, {0: "refined"}, TUNING) == (2,)
+    assert unsupported_sensors(scene, graph, {0: "fixed"}, TUNING) == ()
     refused = ties_of(scene, graph, (2,))
     assert len(refused) == np.sum(scene.sensor == 2) // 4
     assert all(2 in scene.sensor[list(pair)] for pair in refused)
@@ -47,8 +49,8 @@ def test_a_sensor_without_ties_is_found_and_its_ties_listed(world) -> None:
 def test_scale_by_positions_and_by_baselines(world) -> None:
     truth, scene = world
     metric = with_positions(scene, 3.0 * true_frames(truth, scene)[:, :3, 3], 0.01)
-    assert units_per_metre(truth, metric) == pytest.approx(1 / 3, rel=0.02)
-    assert units_per_metre(truth, scene) == pytest.approx(1.0, rel=1e-6)
+    assert units_per_metre(truth, metric, TUNING) == pytest.approx(1 / 3, rel=0.02)
+    assert units_per_metre(truth, scene, TUNING) == pytest.approx(1.0, rel=1e-6)
 
 
 def test_its_place_is_as_given(world) -> None:
@@ -59,7 +61,7 @@ def test_its_place_is_as_given(world) -> None:
     sensors = (scene.rigs[0].sensors[0], replace(sensor, sensor_from_rig=moved), *scene.rigs[0].sensors[2:])
     given = scene.with_(rigs=(replace(scene.rigs[0], sensors=sensors),))
     metric = with_positions(given, true_frames(truth, scene)[:, :3, 3] / 2.0, 0.01)
-    place_as_given(truth, metric, (1,))
+    place_as_given(truth, metric, (1,), TUNING)
     found = model_rigs(truth, scene)[0].sensors
     assert np.allclose(found[1].sensor_from_rig[:3, :3], moved[:3, :3], atol=1e-9)
     assert np.allclose(found[1].sensor_from_rig[:3, 3], 2.0 * moved[:3, 3], rtol=0.02)

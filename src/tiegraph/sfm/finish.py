@@ -27,7 +27,7 @@ from tiegraph.sfm.rig.diagnosis import Diagnosis, diagnose
 from tiegraph.sfm.rig.given import drawings, given_geometry
 from tiegraph.sfm.rig.health import COLUMNS
 from tiegraph.sfm.rig.judge import Judgement
-from tiegraph.sfm.rig.relax import Relaxed, lost_images, relax, with_sightings_of
+from tiegraph.sfm.rig.relax import Believed, Relaxed, lost_images, relax, with_sightings_of
 from tiegraph.sfm.rig.support import place_as_given, units_per_metre
 from tiegraph.sfm.tuning import SigmaTuning, Tuning
 from tiegraph.text import known_to
@@ -91,7 +91,7 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> Finishe
         tables["what was given, and the images"] = statement_table(checked.statements)
     _ties_between(checked, scene, request, notes)
     if request.alone:
-        place_as_given(model, scene, request.alone)
+        place_as_given(model, scene, request.alone, request.tuning.rig.support)
     try:
         if request.images is not None:
             model.extract_colors_for_all_images(request.images)
@@ -135,12 +135,13 @@ def _settled(model: pycolmap.Reconstruction, scene: Scene, request: FinishReques
 def _adjusted(
     model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest, notes: list[str]
 ) -> pycolmap.Reconstruction:
-    known = given_geometry(model, scene, ())
+    rig = request.tuning.rig
+    known = given_geometry(model, scene, (), rig.given)
     fixed = [k + 1 for k in request.fixed]
     if request.soft and soft.available():
-        scale = 1 / units_per_metre(model, scene)
+        scale = 1 / units_per_metre(model, scene, rig.support)
         model.transform(pycolmap.Sim3d(scale, pycolmap.Rotation3d(), np.zeros(3)))
-        known = given_geometry(model, scene, request.soft)
+        known = given_geometry(model, scene, request.soft, rig.given)
     elif request.soft:
         fixed += [k + 1 for k in request.soft]
         notes.append("the rig's sigmas are not used, its extrinsics stay as mapped: the package pyceres is missing")
@@ -175,9 +176,9 @@ def _checked_rig(
         _single_lenses(out, scene, request, notes)
     if not request.rigs:
         return out
-    metres = 1 / units_per_metre(model, scene)
+    metres = 1 / units_per_metre(model, scene, request.tuning.rig.support)
     try:
-        found = diagnose(model, scene, metres, mapped)
+        found = diagnose(model, scene, metres, request.tuning.rig, mapped)
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
         notes.append(f"the rig could not be checked: {error}")
         return out
@@ -191,7 +192,8 @@ def _checked_rig(
         elif index not in relaxed:
             out.levers |= {k: v / metres for k, v in lever_sigmas(heard, scene, index).items()}
         _confronted(out, scene, request, index, heard, index in relaxed)
-    out.tables["rig health"] = found.table({k: o for r in relaxed.values() for k, o in r.offsets.items()})
+    offsets = {k: o for r in relaxed.values() for k, o in r.offsets.items()}
+    out.tables["rig health"] = found.table(offsets, request.tuning.rig)
     out.ties = [t for r in relaxed.values() for t in r.ties]
     return out
 
@@ -203,7 +205,7 @@ def _single_lenses(out: _Checked, scene: Scene, request: FinishRequest, notes: l
         held = len(rig.sensors) == 1 and first + 1 in request.constant_cameras
         first += len(rig.sensors)
         try:
-            heard = hear_lens(out.model, scene, index) if held else None
+            heard = hear_lens(out.model, scene, index, request.tuning.rig) if held else None
         except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
             notes.append(f"the calibration of {rig.sensors[0].name} could not be checked: {error}")
             continue
@@ -217,7 +219,8 @@ def _ties_between(checked: _Checked, scene: Scene, request: FinishRequest, notes
         return
     try:
         seen = seen_by(checked.model, scene, request.tuning.placement.agreement)
-        found = ties.camera_ties(read_verified(request.database, scene, request.refused), seen, scene)
+        verified = read_verified(request.database, scene, request.refused)
+        found = ties.camera_ties(verified, seen, scene, request.tuning.rig.ties)
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
         notes.append(f"the ties between cameras could not be checked: {error}")
         return
@@ -259,8 +262,9 @@ def _relaxed(
         start = with_sightings_of(out.model, mapped) if found.loose or freed else out.model
         # What calibrated lenses do beyond their model looks like turned cameras; lenses that are adjusted do not.
         bent = not request.constant_cameras and any(what == "mount" for what, _ in freed)
-        given = metres, (index in request.fixed or index in request.soft) and not bent
-        free = relax(start, scene, index, given, request.constant_cameras, found.loose, request.lenses_ordered)
+        calibrated = (index in request.fixed or index in request.soft) and not bent
+        believed = Believed(metres, calibrated, request.constant_cameras, request.lenses_ordered)
+        free = relax(start, scene, index, believed, request.tuning.rig, found.loose)
         lost = lost_images(out.model, free.model, scene)
         if lost:
             out.contradictions.append(_lost_note(scene, index, lost, found.notes))
@@ -276,7 +280,7 @@ def _confronted(
     """Say where the file of a measured rig contradicts the images; a turned or shifted camera may be adjusted."""
     metres = heard.system.metres_per_unit
     if relaxed:  # with its times free, other things may be left to say, or none
-        again = hear(out.model, scene, index, metres)
+        again = hear(out.model, scene, index, metres, request.tuning.rig)
         heard = heard if again is None else again
     refined = None
     bent = any(what == "mount" for what, _ in heard.freed)
@@ -284,7 +288,7 @@ def _confronted(
         fixed = [k + 1 for k in request.fixed]
         refined = refine(out.model, scene, index, heard, fixed, request.constant_cameras)
     if refined is not None:  # where the rest is no longer bent by it, the sigmas are better
-        again = hear(refined, scene, index, metres)
+        again = hear(refined, scene, index, metres, request.tuning.rig)
         if again is not None and any(what == "mount" for what, _ in again.freed):
             heard = again
     said = statements(heard, scene, index, refined)

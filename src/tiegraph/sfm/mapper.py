@@ -32,6 +32,7 @@ from tiegraph.sfm.mapping import SCRATCH, Job, Outcome, Progress, believed_camer
 from tiegraph.sfm.model import frame_poses, registration_tables
 from tiegraph.sfm.rig.rig import DerivedRig, derive_rig, rig_modes, rig_table
 from tiegraph.sfm.rig.support import ties_of, unsupported_sensors
+from tiegraph.sfm.rig.tuning import DeriveTuning
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.tuning import Tuning
 
@@ -114,7 +115,7 @@ def reconstruct(
     out.mkdir(parents=True, exist_ok=True)
     for old in (p for p in out.iterdir() if p.is_dir() and p.name.isdigit()):
         shutil.rmtree(old)
-    alone, notes = unsupported_sensors(scene, graph, modes), []
+    alone, notes = unsupported_sensors(scene, graph, modes, tuning.rig.support), []
     without = (*refused, *ties_of(scene, graph, alone))
     if alone and len(without) - len(refused) < len(graph.pairs):  # else nothing would be left to map
         names = ", ".join(scene.all_sensors[k].name for k in alone)
@@ -168,18 +169,18 @@ def _derive(job: Job, unknown: list[int], outcome: Outcome) -> dict[int, Rig]:
     models = [read_model(folder) for folder in outcome.folders]
     rigs = {}
     for index in unknown:
-        result = derive_rig(job.scene, index, models)
-        job.notes.append(_derived_note(job.scene.rigs[index], result))
+        result = derive_rig(job.scene, index, models, job.tuning.rig.derive)
+        job.notes.append(_derived_note(job.scene.rigs[index], result, job.tuning.rig.derive))
         if result.rig is not None:
             rigs[index] = result.rig
     return rigs
 
 
-def _derived_note(rig: Rig, result: DerivedRig) -> str:
+def _derived_note(rig: Rig, result: DerivedRig, tuning: DeriveTuning) -> str:
     lost = "; ".join(f"{name}: {why}" for name, why in result.left_out)
     if result.rig is None:
         return f"rig {rig.name}: its extrinsics could not be found, mapped without rig ({lost})"
-    held = [s for s in result.scatter if s.rigid()]
+    held = [s for s in result.scatter if s.rigid(tuning)]
     worst = max(held, key=lambda s: s.scatter_deg)
     return (
         f"rig {rig.name}: extrinsics of {len(held) + 1} of {len(rig.sensors)} cameras found from a model without rig "

@@ -130,7 +130,7 @@ def _as_long_as_its_rig(job: Job, outcome: Outcome, rigs: dict[int, Rig], modes:
 
     Cameras that look away from each other hardly tell a mapper; PandaSet's preview model was 16 times too large.
     """
-    held = [k for k in rigs if held_by_mapper(rigs[k], modes[k])]
+    held = [k for k in rigs if held_by_mapper(rigs[k], modes[k], job.tuning.rig)]
     if not held:
         return outcome
     verified = read_verified(job.database, job.scene, job.refused)
@@ -214,7 +214,7 @@ def _request(job: Job, mapper: str, rigs: dict[int, Rig], modes: dict[int, str],
         folder=job.out / SCRATCH / f"{len(job.runs)}-{mapper}",
         scene=job.scene.to_json(),
         rigs=Request.rigs_of(rigs),
-        fixed=tuple(k for k in rigs if held_by_mapper(rigs[k], modes[k])),
+        fixed=tuple(k for k in rigs if held_by_mapper(rigs[k], modes[k], job.tuning.rig)),
         positions=mapper == "incremental" and job.settings.use_positions and job.scene.has_positions(),
         constant_cameras=constant,
         all_constant=len(constant) == len(job.scene.all_sensors),

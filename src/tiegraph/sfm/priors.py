@@ -25,6 +25,6 @@ def add_priors(
     ``given``: as of ``lens.add_priors``.
     """
     soft = Soft() if soft is None else soft
-    kept = add_soft(adjuster, model, soft)
+    kept = add_soft(adjuster, model, soft, tuning.robust_px)
     kept += lens.add_priors(adjuster.problem, model, given or {}, tuning)
     return kept + compact.add_priors(adjuster.problem, model, soft.known_sensors(), soft.drawings, tuning)

@@ -15,21 +15,20 @@ from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjust import final_adjustment
 from tiegraph.sfm.model import model_rigs
-from tiegraph.sfm.rig.judge import FREED_DEG, FREED_M, Expected, Group, Judgement, expected, judge
+from tiegraph.sfm.rig.judge import Expected, Group, Judgement, expected, judge
 from tiegraph.sfm.rig.linear import rig_system
 from tiegraph.sfm.rig.soft import SensorPrior, Soft
-from tiegraph.sfm.tuning import AdjustTuning
+from tiegraph.sfm.rig.tuning import RigTuning
+from tiegraph.sfm.tuning import AdjustTuning, Tuning
 
-# Sigmas that a calibration is held to before it is said to contradict the images. Lenses are never quite as their
-# model: what they have left of distortion turns and shifts cameras of a rig by so much (KITTI, PandaSet).
-HELD_TO_M, HELD_TO_DEG, HELD_TO_LENS = 0.005, 0.05, 0.002
-LOOSELY_M, LOOSELY_DEG = 0.05, 3.0  # of extrinsics that a model found: all that is asked of these is the time
 _EXACTLY = 1e-6
 GIVEN, IMAGES = "rig as given", "images"
 _ONE_CAUSE = "the file of another rig, focal lengths or distortions unlike their calibration, or a torn model?"
 
 
-def hear(model: pycolmap.Reconstruction, scene: Scene, index: int, metres_per_unit: float) -> Judgement | None:
+def hear(
+    model: pycolmap.Reconstruction, scene: Scene, index: int, metres_per_unit: float, tuning: RigTuning
+) -> Judgement | None:
     """What the images of a model want otherwise of rig ``index``; None where too little tells.
 
     Of a rig whose geometry was measured: times, mountings, lenses. Of another, whose geometry the model found: times.
@@ -40,28 +39,29 @@ def hear(model: pycolmap.Reconstruction, scene: Scene, index: int, metres_per_un
     measured = _measured(scene, index)
     lenses = _calibrated(model, scene, index) if measured else ()
     if measured:
-        system = rig_system(model, scene, index, lenses, metres_per_unit)
+        system = rig_system(model, scene, index, lenses, metres_per_unit, tuning)
     else:  # lengths of the model's rig are brought to metres, so that those of the system are
         found = [_scaled(s.sensor_from_rig, metres_per_unit) for s in model_rigs(model, scene)[index].sensors]
         sensors = tuple(replace(s, sensor_from_rig=p) for s, p in zip(rig.sensors, found))
         rigs = tuple(replace(r, sensors=sensors) if k == index else r for k, r in enumerate(scene.rigs))
-        system = rig_system(model, scene.with_(rigs=rigs), index, lenses, metres_per_unit)
+        system = rig_system(model, scene.with_(rigs=rigs), index, lenses, metres_per_unit, tuning)
     if system is None:
         return None
-    known = expected(rig, system.timed)
+    known = expected(rig, system.timed, tuning)
     groups: list[Group] = [("times", -1)] if known.late_s > 0 or measured else []
     if measured:
         first = sum(len(r.sensors) for r in scene.rigs[:index])
         groups += [("mount", k) for k in range(len(rig.sensors) - 1, -1, -1)]
         groups += [("lens", k) for k in range(len(rig.sensors)) if first + k + 1 in lenses]
     else:
-        known = replace(known, place_m=[LOOSELY_M] * len(rig.sensors), turn_deg=[LOOSELY_DEG] * len(rig.sensors))
+        place, turn = ([s] * len(rig.sensors) for s in (tuning.confront.loosely_m, tuning.confront.loosely_deg))
+        known = replace(known, place_m=place, turn_deg=turn)
     if not known.late_s:  # said to be synchronised: the images may say otherwise
-        known = replace(known, late_s=expected(replace(rig, synchronised=False), system.timed).late_s)
+        known = replace(known, late_s=expected(replace(rig, synchronised=False), system.timed, tuning).late_s)
     return judge(system, known, groups)
 
 
-def hear_lens(model: pycolmap.Reconstruction, scene: Scene, index: int) -> Judgement | None:
+def hear_lens(model: pycolmap.Reconstruction, scene: Scene, index: int, tuning: RigTuning) -> Judgement | None:
     """The same of the calibration of a single camera, which is all that there is to contradict."""
     rig = scene.rigs[index]
     lenses = _calibrated(model, scene, index) if len(rig.sensors) == 1 and rig.measured() else ()
@@ -69,22 +69,22 @@ def hear_lens(model: pycolmap.Reconstruction, scene: Scene, index: int) -> Judge
         return None
     alone = replace(rig, sensors=(replace(rig.sensors[0], sensor_from_rig=np.eye(4)),))
     rigs = tuple(alone if k == index else r for k, r in enumerate(scene.rigs))
-    system = rig_system(model, scene.with_(rigs=rigs), index, lenses, 1.0)
+    system = rig_system(model, scene.with_(rigs=rigs), index, lenses, 1.0, tuning)
     if system is None:
         return None
     system = system.only("lens")
-    return judge(system, expected(alone, system.timed), [("lens", 0)])
+    return judge(system, expected(alone, system.timed, tuning), [("lens", 0)])
 
 
 def lever_sigmas(heard: Judgement, scene: Scene, index: int) -> dict[int, float]:
     """Camera id -> sigma (m, root sum of squares) of its place against the reference, with times free unless said."""
-    rig, system = scene.rigs[index], heard.system
+    rig, system, tuning = scene.rigs[index], heard.system, heard.known.tuning
     first = sum(len(r.sensors) for r in scene.rigs[:index])
     others = len(rig.sensors) - 1
     known = replace(
-        expected(rig, system.timed),
-        place_m=[_EXACTLY, *[FREED_M] * others],
-        turn_deg=[_EXACTLY, *[FREED_DEG] * others],
+        expected(rig, system.timed, tuning),
+        place_m=[_EXACTLY, *[tuning.judge.freed_m] * others],
+        turn_deg=[_EXACTLY, *[tuning.judge.freed_deg] * others],
     )
     prior = known.sigma(system, (), times=True)
     prior[system.where("size")] = 0.0  # it is the size of these very levers
@@ -103,13 +103,13 @@ def open_times(heard: Judgement, scene: Scene, index: int) -> list[str]:
     believed here. None of a rig that is said to be synchronised, nor where it moves nothing by more than is asked of
     a calibration.
     """
-    rig, system = scene.rigs[index], heard.system
-    known = expected(rig, system.timed)
+    rig, system, tuning = scene.rigs[index], heard.system, heard.known.tuning
+    known = expected(rig, system.timed, tuning)
     if not known.late_s:
         return []
     sigma = system.solve(known.sigma(system, (), times=True)).sigma()
     late = {system.keys[k][1]: float(sigma[k]) for k in system.where("time")}
-    names = [rig.sensors[k].name for k, s in late.items() if s * system.speed > LIMIT * HELD_TO_M]
+    names = [rig.sensors[k].name for k, s in late.items() if s * system.speed > LIMIT * tuning.confront.held_to_m]
     if not names:
         return []
     worst = max(late.values())
@@ -193,9 +193,10 @@ def statements(heard: Judgement, scene: Scene, index: int, refined: pycolmap.Rec
         for sensor, (late, sigma) in heard.times_s().items():
             unit = "ms" if system.timed else "% of the frame interval"
             factor = 1000.0 if system.timed else 100.0
+            name, held_to = f"time of {rig.sensors[sensor].name}", heard.known.tuning.confront.held_to_time
             pair = (
-                Statement(f"time of {rig.sensors[sensor].name}", "rig file (synchronised)", 0.0, 0.05, unit, True),
-                Statement(f"time of {rig.sensors[sensor].name}", IMAGES, factor * late, factor * sigma, unit),
+                Statement(name, "rig file (synchronised)", 0.0, held_to, unit, True),
+                Statement(name, IMAGES, factor * late, factor * sigma, unit),
             )
             rows += pair
             lines += _sentence(pair, "the cameras do not fire at one instant")
@@ -216,14 +217,14 @@ def _mounting(
     heard: Judgement, scene: Scene, index: int, sensor: int, refined: pycolmap.Reconstruction | None
 ) -> list[tuple[Statement, Statement]]:
     """Of place and turn the axis that is off most, as given (0) and by the images, in the frame of the rig."""
-    system, camera = heard.system, scene.rigs[index].sensors[sensor]
+    system, camera, held_to = heard.system, scene.rigs[index].sensors[sensor], heard.known.tuning.confront
     solution = heard.until(("mount", sensor))
     sigma = solution.sigma()
     out = []
     found = None if refined is None else _moved(refined, scene, index, sensor, system.metres_per_unit)
     for what, given, factor, unit in (
-        ("place", max(camera.sigma_m or 0.0, HELD_TO_M), 1.0, "m"),
-        ("turn", max(camera.sigma_deg or 0.0, HELD_TO_DEG), 180 / np.pi, "deg"),
+        ("place", max(camera.sigma_m or 0.0, held_to.held_to_m), 1.0, "m"),
+        ("turn", max(camera.sigma_deg or 0.0, held_to.held_to_deg), 180 / np.pi, "deg"),
     ):
         at = [k for k in system.where(what) if system.keys[k][1] == sensor]
         values = factor * solution.value[at] if found is None else found[what]
@@ -262,7 +263,7 @@ def _focal(heard: Judgement, scene: Scene, index: int, sensor: int) -> tuple[Sta
     solution = heard.until(("lens", sensor))
     own = float(solution.sigma()[at])
     return (
-        Statement(name, "calibration", focal, HELD_TO_LENS * focal, "px", True),
+        Statement(name, "calibration", focal, heard.known.tuning.confront.held_to_lens * focal, "px", True),
         Statement(name, IMAGES, focal + float(solution.value[at]), own, "px"),
     )
 
@@ -285,7 +286,7 @@ def refine(
 
     ``fixed``: COLMAP ids of the other rigs that stay. Needs pyceres.
     """
-    known = expected(scene.rigs[index], heard.system.timed)
+    known = expected(scene.rigs[index], heard.system.timed, heard.known.tuning)
     priors = _priors(model, scene, index, known, heard)
     others = [k for k in fixed if k != index + 1]
     found = final_adjustment(model, others, constant_cameras, Soft(sensors=priors), tuning=AdjustTuning())
@@ -304,8 +305,8 @@ def _priors(
         if k == 0 or sensor.sensor_from_rig is None:
             continue
         free = every or ("mount", k) in heard.freed
-        place = (FREED_M if free else known.place_m[k]) * units
-        turn = np.radians(FREED_DEG if free else known.turn_deg[k])
+        place = (known.tuning.judge.freed_m if free else known.place_m[k]) * units
+        turn = np.radians(known.tuning.judge.freed_deg if free else known.turn_deg[k])
         covariance = np.diag([turn**2] * 3 + [place**2] * 3)
         out.append(SensorPrior(index + 1, first + k + 1, _scaled_pose(sensor.sensor_from_rig, units), covariance))
     return out

@@ -12,13 +12,10 @@ import pycolmap
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses, image_poses, model_rigs, observations
 from tiegraph.sfm.rig.confront import hear
-from tiegraph.sfm.rig.health import MAX_RATIO, Resections, SensorHealth, resect_all, sensor_health, table_rows
+from tiegraph.sfm.rig.health import Resections, SensorHealth, resect_all, sensor_health, table_rows
 from tiegraph.sfm.rig.judge import Judgement
-from tiegraph.sfm.rig.sync import MIN_EFFECT, SIGMAS, TimeOffset, rig_motion, time_offset
-
-MIN_SIGHTINGS = 200  # of a camera in all its images, to judge what an adjustment left of them
-MIN_KEPT = 0.6
-TORN_DEG = 1.0  # by which a camera with too few sightings left to be measured is let go
+from tiegraph.sfm.rig.sync import TimeOffset, rig_motion, time_offset
+from tiegraph.sfm.rig.tuning import RigTuning, SyncTuning, TornTuning
 
 
 @dataclass(frozen=True)
@@ -33,7 +30,7 @@ class Diagnosis:
     loose: dict[int, float]  # sensor key -> scatter of its rotation, deg
     heard: Mapping[int, Judgement] = field(default_factory=dict)  # by rig: what the images want otherwise
 
-    def table(self, offsets: Mapping[int, TimeOffset]) -> dict:
+    def table(self, offsets: Mapping[int, TimeOffset], tuning: RigTuning) -> dict:
         """Table of the receipt; ``offsets`` by sensor key, of relaxed rigs."""
         rows = [
             [
@@ -45,7 +42,7 @@ class Diagnosis:
                 round(h.scatter_ratio, 1),
                 round(h.sure_ratio, 1),
                 round(1000 * offsets[h.sensor].offset_s, 1) if h.sensor in offsets and self.timed else None,
-                "" if h.rigid() else "outside its band",
+                "" if h.rigid(tuning.health) else "outside its band",
             ]
             for h in self.health
         ]
@@ -57,20 +54,25 @@ class Diagnosis:
 
 
 def diagnose(
-    model: pycolmap.Reconstruction, scene: Scene, metres_per_unit: float, before: pycolmap.Reconstruction | None = None
+    model: pycolmap.Reconstruction,
+    scene: Scene,
+    metres_per_unit: float,
+    tuning: RigTuning,
+    before: pycolmap.Reconstruction | None = None,
 ) -> Diagnosis:
     """Resect every camera against its rig, hear what the images want otherwise of it, and judge what comes out.
 
     ``before``: the model before its adjustment. A camera that sits loose loses most of its sightings there.
     """
-    found = resect_all(model, scene, metres_per_unit)
-    health = sensor_health(found, scene)
-    heard = {k: j for k in range(len(scene.rigs)) if (j := hear(model, scene, k, metres_per_unit)) is not None}
-    late = _late(heard, health, scene)
+    found = resect_all(model, scene, metres_per_unit, tuning.health)
+    health = sensor_health(found, scene, tuning.health)
+    heard = {k: j for k in range(len(scene.rigs)) if (j := hear(model, scene, k, metres_per_unit, tuning)) is not None}
+    late = _late(heard, health, scene, tuning.sync)
     rig_of = np.concatenate([[k] * len(r.sensors) for k, r in enumerate(scene.rigs)]) if scene.rigs else np.zeros(0)
-    scattered = {h.sensor: h for h in sensor_health(_in_time(found, model, scene, heard, metres_per_unit), scene)}
-    still = {k for k, h in scattered.items() if h.rigid()}
-    torn = _torn_off(before, model, scene)
+    in_time = _in_time(found, model, scene, heard, metres_per_unit, tuning.sync)
+    scattered = {h.sensor: h for h in sensor_health(in_time, scene, tuning.health)}
+    still = {k for k, h in scattered.items() if h.rigid(tuning.health)}
+    torn = _torn_off(before, model, scene, tuning.torn)
     torn = {k: v for k, v in torn.items() if k not in still or not _explained(heard, scene, k)}
     moving, notes, loose = {int(rig_of[k]) for k in (*late, *torn)}, [], dict(torn)
     for key in torn:
@@ -82,11 +84,11 @@ def diagnose(
             f"against the rig by {h.scatter_m:.3f} m and {h.scatter_deg:.2f} deg ({h.scatter_px:.1f} px), "
             f"{h.scatter_ratio:.1f} x the expected, at least {h.sure_ratio:.1f} x by its {h.frames} frames"
         )
-        if not h.rigid():
+        if not h.rigid(tuning.health):
             moving.add(int(rig_of[h.sensor]))
             loose[h.sensor] = h.scatter_deg
             notes.append(f"camera {h.name} is not rigid or not synchronised: it scatters {scatter}")
-        elif h.sure_ratio > MAX_RATIO:
+        elif h.sure_ratio > tuning.health.max_ratio:
             notes.append(f"camera {h.name} scatters {scatter}: too little to be seen, nothing is made of it")
     if len(loose) > 1:
         notes.append("of several cameras that scatter, the one with the largest ratio is the cause: they share points")
@@ -95,7 +97,7 @@ def diagnose(
 
 
 def _late(
-    heard: Mapping[int, Judgement], health: Sequence[SensorHealth], scene: Scene
+    heard: Mapping[int, Judgement], health: Sequence[SensorHealth], scene: Scene, tuning: SyncTuning
 ) -> dict[int, tuple[float, float]]:
     """Sensor key -> time after the reference and sigma, where it surely fires apart and that can be seen."""
     expected = {h.sensor: h.expected_m for h in health}
@@ -104,7 +106,7 @@ def _late(
     for index, rig in enumerate(scene.rigs):
         for sensor, (time, sigma) in heard[index].times_s().items() if index in heard else ():
             moves = abs(time) * heard[index].system.speed
-            if abs(time) > SIGMAS * sigma and moves > MIN_EFFECT * expected.get(first + sensor, 0.0):
+            if abs(time) > tuning.sigmas * sigma and moves > tuning.min_effect * expected.get(first + sensor, 0.0):
                 out[first + sensor] = (time, sigma)
         first += len(rig.sensors)
     return out
@@ -131,7 +133,12 @@ def _explained(heard: Mapping[int, Judgement], scene: Scene, key: int) -> bool:
 
 
 def _in_time(
-    found: Resections, model: pycolmap.Reconstruction, scene: Scene, heard: Mapping[int, Judgement], metres: float
+    found: Resections,
+    model: pycolmap.Reconstruction,
+    scene: Scene,
+    heard: Mapping[int, Judgement],
+    metres: float,
+    tuning: SyncTuning,
 ) -> Resections:
     """The resections less what the motion does to cameras that fire apart: what is left is how loose they sit."""
     if not any(j.times_s() for j in heard.values()):
@@ -142,7 +149,7 @@ def _in_time(
     shift, turn = found.shift_m.copy(), found.turn_deg.copy()
     for key in np.unique(scene.sensor_key[found.image]):
         rows = scene.sensor_key[found.image] == key
-        fit = time_offset(found.residual()[rows], found.covariance[rows], columns[rows])
+        fit = time_offset(found.residual()[rows], found.covariance[rows], columns[rows], tuning)
         if fit is not None:
             moved = np.nan_to_num(fit.offset_s * columns[rows])
             shift[rows] -= moved[:, :3]
@@ -150,7 +157,9 @@ def _in_time(
     return replace(found, shift_m=shift, turn_deg=turn)
 
 
-def _torn_off(before: pycolmap.Reconstruction | None, after: pycolmap.Reconstruction, scene: Scene) -> dict[int, float]:
+def _torn_off(
+    before: pycolmap.Reconstruction | None, after: pycolmap.Reconstruction, scene: Scene, tuning: TornTuning
+) -> dict[int, float]:
     """Sensors of rigs that lost more than half of their sightings in the adjustment, and far more than the others."""
     if before is None:
         return {}
@@ -158,9 +167,10 @@ def _torn_off(before: pycolmap.Reconstruction | None, after: pycolmap.Reconstruc
     for row, model in zip(counts, (before, after)):
         np.add.at(row, scene.sensor_key, observations(model, scene))
     several = np.concatenate([[len(r.sensors) > 1] * len(r.sensors) for r in scene.rigs])
-    there = several & (counts[0] >= MIN_SIGHTINGS)
+    there = several & (counts[0] >= tuning.min_sightings)
     kept = np.where(there, counts[1] / np.maximum(counts[0], 1), np.nan)
     if not there.any():
         return {}
     usual = float(np.nanmax(kept))
-    return {int(k): TORN_DEG for k in np.flatnonzero(there & (kept < min(MIN_KEPT, MIN_KEPT * usual)))}
+    least = min(tuning.min_kept, tuning.min_kept * usual)
+    return {int(k): tuning.torn_deg for k in np.flatnonzero(there & (kept < least))}

@@ -12,12 +12,10 @@ from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.rig.compact import Drawing
 from tiegraph.sfm.rig.soft import PairPrior, SensorPrior, Soft
-
-LEAST_DEG, LEAST_M = 0.001, 0.0001  # a sigma of 0 means "exactly": as hard as the solver bears
-FREE_DEG, FREE_M = 30.0, 1.0  # of a sensor of a soft rig without sigmas of its own, held by pairs only
+from tiegraph.sfm.rig.tuning import GivenTuning
 
 
-def given_geometry(model: pycolmap.Reconstruction, scene: Scene, rigs: Collection[int]) -> Soft:
+def given_geometry(model: pycolmap.Reconstruction, scene: Scene, rigs: Collection[int], tuning: GivenTuning) -> Soft:
     """Priors of the rigs (scene indices) of a metric model, drawings of nominal ones of any.
 
     Sensors without sigma in a rig with some stay as given.
@@ -27,8 +25,8 @@ def given_geometry(model: pycolmap.Reconstruction, scene: Scene, rigs: Collectio
     first = 0
     for index, rig in enumerate(scene.rigs):
         if index in rigs and index + 1 in model.rigs:
-            sensors += _sensors(model.rigs[index + 1], rig, index, first)
-            pairs += _pairs(rig, index, first)
+            sensors += _sensors(model.rigs[index + 1], rig, index, first, tuning)
+            pairs += _pairs(rig, index, first, tuning)
         first += len(rig.sensors)
     return Soft(sensors=sensors, pairs=pairs, drawings=drawings(model, scene))
 
@@ -49,7 +47,7 @@ def drawings(model: pycolmap.Reconstruction, scene: Scene) -> dict[int, Drawing]
     return out
 
 
-def _sensors(row: pycolmap.Rig, rig: Rig, index: int, first: int) -> list[SensorPrior]:
+def _sensors(row: pycolmap.Rig, rig: Rig, index: int, first: int, tuning: GivenTuning) -> list[SensorPrior]:
     reference = row.ref_sensor_id.id - 1 - first
     base = rig.sensors[reference].sensor_from_rig
     if base is None:
@@ -60,19 +58,21 @@ def _sensors(row: pycolmap.Rig, rig: Rig, index: int, first: int) -> list[Sensor
         if place == reference or sensor.sensor_from_rig is None:
             continue
         relative = sensor.sensor_from_rig @ transforms.invert(base)
-        sigma_deg, sigma_m = (FREE_DEG, FREE_M) if only_pairs else (sensor.sigma_deg or 0.0, sensor.sigma_m or 0.0)
-        turn, shift = np.radians(max(sigma_deg, LEAST_DEG)), max(sigma_m, LEAST_M)
+        sigma_deg, sigma_m = sensor.sigma_deg or 0.0, sensor.sigma_m or 0.0
+        if only_pairs:
+            sigma_deg, sigma_m = tuning.free_deg, tuning.free_m
+        turn, shift = np.radians(max(sigma_deg, tuning.least_deg)), max(sigma_m, tuning.least_m)
         covariance = np.diag([turn**2] * 3 + [shift**2] * 3)
         out.append(SensorPrior(index + 1, first + place + 1, relative, covariance))
     return out
 
 
-def _pairs(rig: Rig, index: int, first: int) -> list[PairPrior]:
+def _pairs(rig: Rig, index: int, first: int, tuning: GivenTuning) -> list[PairPrior]:
     out = []
     for pair in rig.pairs:
         cameras = (first + rig.index(pair.sensors[0]) + 1, first + rig.index(pair.sensors[1]) + 1)
         angle = None if pair.axis_deg is None else float(np.radians(pair.axis_deg))
-        turn = float(np.radians(max(pair.axis_sigma_deg or 0.0, LEAST_DEG)))
-        length = max(pair.baseline_sigma_m or 0.0, LEAST_M)
+        turn = float(np.radians(max(pair.axis_sigma_deg or 0.0, tuning.least_deg)))
+        length = max(pair.baseline_sigma_m or 0.0, tuning.least_m)
         out.append(PairPrior(index + 1, cameras, pair.baseline_m, length, angle, turn))
     return out

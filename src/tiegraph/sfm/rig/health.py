@@ -18,14 +18,8 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import matrix, model_rigs
 from tiegraph.sfm.rig.sightings import Sightings, retriangulate, sightings
+from tiegraph.sfm.rig.tuning import HealthTuning
 
-MIN_POINTS = 12  # of the other cameras that an image sees, to be resected
-MAX_POINT_SPREAD_PX = 1.5  # uncertainty of a point in the image that is resected, for 1 px sightings
-MIN_FRAMES = 5  # resected, to speak of a camera's scatter
-SEARCH_PX = 6.0  # an inlier of the resection; a camera that is off as a whole still has most of its points within
-MAX_RATIO = 3.0  # scatter over its expected sigma (ALGORITHMS section 4 d)
-MIN_SCATTER_PX = 0.3  # less does no harm: points share their own errors, which the expected sigma leaves out
-CHANCE = 0.05  # that a camera within these bounds is called loose for the few frames that happened to tell of it
 _MAD = 1.4826
 COLUMNS = (
     "frame", "pass", "camera", "points", "rms_px", "right_m", "down_m", "forward_m", "turn_x_deg", "turn_y_deg",
@@ -75,16 +69,18 @@ class SensorHealth:
     expected_deg: float
     scatter_ratio: float  # scatter about the median over what the images allow: 1 = as good as they are
     scatter_px: float  # what that scatter moves in an image
-    sure_ratio: float  # the scatter ratio is at least this, at CHANCE: few frames tell little
+    sure_ratio: float  # the scatter ratio is at least this, but for a small chance: few frames tell little
 
-    def rigid(self) -> bool:
+    def rigid(self, tuning: HealthTuning) -> bool:
         """Whether the frames agree on one place, within what the images can tell and so many frames make sure of, or
         too little to be seen."""
         sure_px = self.scatter_px * self.sure_ratio / max(self.scatter_ratio, 1e-12)
-        return self.sure_ratio <= MAX_RATIO or sure_px <= MIN_SCATTER_PX
+        return self.sure_ratio <= tuning.max_ratio or sure_px <= tuning.min_scatter_px
 
 
-def resect_all(reconstruction: pycolmap.Reconstruction, scene: Scene, metres_per_unit: float) -> Resections:
+def resect_all(
+    reconstruction: pycolmap.Reconstruction, scene: Scene, metres_per_unit: float, tuning: HealthTuning
+) -> Resections:
     """Resect each registered image of a rig of several sensors in the points its own sensor had no part in."""
     seen = sightings(reconstruction, scene)
     rows = []
@@ -93,31 +89,31 @@ def resect_all(reconstruction: pycolmap.Reconstruction, scene: Scene, metres_per
         index = scene.rig[scene.frame[seen.image[of_sensor][0]]]
         if len(scene.rigs[index].sensors) < 2:
             continue
-        others = retriangulate(seen.where(~of_sensor))
+        others = retriangulate(seen.where(~of_sensor), tuning)
         own = seen.where(of_sensor & np.isfinite(others.xyz[seen.point]).all(axis=1))
         for image in np.unique(own.image):
             part = own.where(own.image == image)
             pose = seen.cam_from_world[image]
-            sharp = others.sigma_px(part.point, pose, float(part.focal_px[0])) < MAX_POINT_SPREAD_PX
+            sharp = others.sigma_px(part.point, pose, float(part.focal_px[0])) < tuning.max_point_spread_px
             part = part.where(sharp)
             camera = reconstruction.camera(reconstruction.find_image_with_name(scene.names[image]).camera_id)
-            row = _resect(part, others.xyz, camera, pose) if len(part.image) >= MIN_POINTS else None
+            row = _resect(part, others.xyz, camera, pose, tuning) if len(part.image) >= tuning.min_points else None
             if row is not None:
                 rows.append((int(image), *row))
     return _against_rig(rows, seen, scene, reconstruction, metres_per_unit)
 
 
 def _resect(
-    part: Sightings, xyz: np.ndarray, camera: pycolmap.Camera, pose: np.ndarray
+    part: Sightings, xyz: np.ndarray, camera: pycolmap.Camera, pose: np.ndarray, tuning: HealthTuning
 ) -> tuple[int, float, float, np.ndarray, np.ndarray] | None:
     """Inliers, their sigma px, effect px, cam_from_world, and covariance (6, 6: half rotation angles, translation)."""
     options = pycolmap.AbsolutePoseEstimationOptions()
-    options.ransac.max_error = SEARCH_PX
+    options.ransac.max_error = tuning.search_px
     options.ransac.random_seed = 0
     refinement = pycolmap.AbsolutePoseRefinementOptions()
     points = xyz[part.point]
     found = pycolmap.estimate_and_refine_absolute_pose(part.xy, points, camera, options, refinement, True)
-    if found is None or found["num_inliers"] < MIN_POINTS or "covariance" not in found:
+    if found is None or found["num_inliers"] < tuning.min_points or "covariance" not in found:
         return None
     own = matrix(found["cam_from_world"])
     points = points[found["inlier_mask"]]
@@ -126,7 +122,13 @@ def _resect(
     effect = float(np.nanmedian(np.linalg.norm(here - camera.img_from_cam(transforms.apply(pose, points)), axis=1)))
     # One coordinate's sigma, from the median length of a two-dimensional normal error: 1.1774 sigma.
     sigma_px = float(np.median(error)) / 1.1774
-    return int(found["num_inliers"]), sigma_px, effect, own, found["covariance"] * max(sigma_px, 0.1) ** 2
+    return (
+        int(found["num_inliers"]),
+        sigma_px,
+        effect,
+        own,
+        found["covariance"] * max(sigma_px, tuning.least_sigma_px) ** 2,
+    )
 
 
 def _against_rig(
@@ -169,13 +171,13 @@ def _cross_matrix(v: np.ndarray) -> np.ndarray:
     return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
 
 
-def sensor_health(found: Resections, scene: Scene) -> tuple[SensorHealth, ...]:
-    """Robust scatter of each camera of a rig of several sensors; fewer than 5 frames: missing."""
+def sensor_health(found: Resections, scene: Scene, tuning: HealthTuning) -> tuple[SensorHealth, ...]:
+    """Robust scatter of each camera of a rig of several sensors; too few frames: missing."""
     keys = scene.sensor_key[found.image]
     out = []
     for key in np.unique(keys):
         of = found.where(keys == key)
-        if len(of.image) < MIN_FRAMES:
+        if len(of.image) < tuning.min_frames:
             continue
         shift, turn = np.median(of.shift_m, axis=0), np.median(of.turn_deg, axis=0)
         about = of.residual() - np.concatenate([shift, np.radians(turn)])
@@ -196,13 +198,13 @@ def sensor_health(found: Resections, scene: Scene) -> tuple[SensorHealth, ...]:
                 expected_deg=float(np.max(np.median(of.sigma_deg, axis=0))),
                 scatter_ratio=ratio,
                 scatter_px=ratio * pixel,
-                sure_ratio=float(np.sqrt(median_at_least(chi))),
+                sure_ratio=float(np.sqrt(median_at_least(chi, tuning.chance))),
             )
         )
     return tuple(out)
 
 
-def median_at_least(values: np.ndarray, chance: float = CHANCE) -> float:
+def median_at_least(values: np.ndarray, chance: float) -> float:
     """What the median of a distribution exceeds, but for ``chance``, given (n,) draws; 0 if they are too few to say.
 
     The k-th smallest draw lies above the median if fewer than k draws lie below it, each with probability 1/2: the sign

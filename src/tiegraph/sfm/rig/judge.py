@@ -16,52 +16,48 @@ import numpy as np
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.rig import Rig
 from tiegraph.sfm.rig.linear import RigSolution, RigSystem
-
-# Sigmas of a calibrated rig unless its file gives them, and of what is freed; of lenses in parts of f.
-GIVEN_M, GIVEN_DEG = 0.002, 0.01
-FREED_M, FREED_DEG, FREED_LENS = 0.5, 5.0, 0.05
-UNKNOWN_S, UNKNOWN_SHARE = 0.1, 0.3  # sigma of a time nobody speaks of: seconds; frame intervals without times
-STRONG = 10.0  # BIC beyond which evidence is very strong (Kass and Raftery 1995)
-CLEAR = 0.003  # of the observations' sum of squares that a group must explain: lenses are never quite as their model
+from tiegraph.sfm.rig.tuning import RigTuning
 
 Group = tuple[str, int]  # "times" (-1), "mount" or "lens" of a sensor
 
 
 @dataclass(frozen=True)
 class Expected:
-    """What is known of a rig's unknowns beforehand: sigmas of each sensor's place (m) and turn (deg), of times (s)."""
+    """What is known of a rig's unknowns beforehand: sigmas of each sensor's place (m) and turn (deg), of times (s); and
+    of what is freed, by ``tuning``."""
 
     place_m: Sequence[float]
     turn_deg: Sequence[float]
     late_s: float
     focal_px: Sequence[float]
+    tuning: RigTuning
 
     def sigma(self, system: RigSystem, freed: Collection[Group] = (), times: bool = False) -> np.ndarray:
         """(K,) of the system's unknowns; 0 = known exactly. ``times``: free, as if the group were among the freed."""
-        out = np.zeros(len(system.keys))
+        out, free = np.zeros(len(system.keys)), self.tuning.judge
         for k, (what, sensor, axis) in enumerate(system.keys):
             mount = ("mount", sensor) in freed
             if what == "place":
-                out[k] = max(FREED_M if mount else 0.0, self.place_m[sensor])
+                out[k] = max(free.freed_m if mount else 0.0, self.place_m[sensor])
             elif what == "turn":
-                out[k] = np.radians(max(FREED_DEG if mount else 0.0, self.turn_deg[sensor]))
+                out[k] = np.radians(max(free.freed_deg if mount else 0.0, self.turn_deg[sensor]))
             elif what == "time":
                 out[k] = self.late_s if times or ("times", -1) in freed else 0.0
             elif what == "size":
                 out[k] = np.inf
             elif ("lens", sensor) in freed:
-                out[k] = FREED_LENS * (self.focal_px[sensor] if axis < 4 else 1.0)
+                out[k] = free.freed_lens * (self.focal_px[sensor] if axis < 4 else 1.0)
         return out
 
 
-def expected(rig: Rig, timed: bool) -> Expected:
+def expected(rig: Rig, timed: bool, tuning: RigTuning) -> Expected:
     """What a rig file lets expect; ``timed``: frames have times, else times are counted in frame intervals."""
-    place = [max(s.sigma_m or 0.0, GIVEN_M) for s in rig.sensors]
-    turn = [max(s.sigma_deg or 0.0, GIVEN_DEG) for s in rig.sensors]
+    place = [max(s.sigma_m or 0.0, tuning.judge.given_m) for s in rig.sensors]
+    turn = [max(s.sigma_deg or 0.0, tuning.judge.given_deg) for s in rig.sensors]
     one = rig.synchronised or all(s.source is not None and s.source.panorama for s in rig.sensors)
-    late = 0.0 if one else UNKNOWN_S if timed else UNKNOWN_SHARE
+    late = 0.0 if one else tuning.late_s if timed else tuning.judge.unknown_share
     focal = [1.0 if s.camera is None else s.camera.mean_focal_length() for s in rig.sensors]
-    return Expected(place, turn, late, focal)
+    return Expected(place, turn, late, focal, tuning)
 
 
 @dataclass(frozen=True)
@@ -89,6 +85,7 @@ class Judgement:
 
 def judge(system: RigSystem, known: Expected, candidates: Collection[Group], times: bool = False) -> Judgement:
     """Free groups among ``candidates`` as long as the images want it. ``times``: these are free beforehand."""
+    bounds = known.tuning.judge
     freed: list[Group] = []
     gains: dict[Group, float] = {}
     now = system.solve(known.sigma(system, (), times))
@@ -97,10 +94,10 @@ def judge(system: RigSystem, known: Expected, candidates: Collection[Group], tim
         for group in (g for g in candidates if g not in freed):
             then = system.solve(known.sigma(system, [*freed, group], times))
             gain = then.gain - now.gain
-            if gain < CLEAR * system.observations / 2:
+            if gain < bounds.clear * system.observations / 2:
                 continue
             criterion = _criterion(system, then, now, group)
-            if criterion > STRONG and (best is None or criterion > best[0]):
+            if criterion > bounds.strong and (best is None or criterion > best[0]):
                 best = criterion, group, then
         if best is None:
             return _within_reach(Judgement(tuple(freed), now, system, known, gains))
@@ -109,7 +106,7 @@ def judge(system: RigSystem, known: Expected, candidates: Collection[Group], tim
         for group in freed[:-1]:  # what the newest group explains as well
             less = [g for g in freed if g != group]
             then = system.solve(known.sigma(system, less, times))
-            if _criterion(system, now, then, group) < STRONG:
+            if _criterion(system, now, then, group) < bounds.strong:
                 freed, now = less, then
 
 

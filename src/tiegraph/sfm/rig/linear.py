@@ -25,11 +25,8 @@ from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.normal import at_their_minimum, by_blocks, point_inverse, reduced
 from tiegraph.sfm.rig.release import released
 from tiegraph.sfm.rig.sync import rig_motion
+from tiegraph.sfm.rig.tuning import RigTuning
 
-ROBUST_PX = 0.5  # Cauchy scale of the adjustment (sfm/adjust.py)
-MOST_POINTS = 30_000  # a random part of more, and the sums are scaled up
-MOST_FRAMES = 400  # of a longer model its best seen stretch of so many speaks for all
-LEAST_FRAMES = 5
 _SEED = 0
 _ANY = 1e-9  # of the stiffness: what nothing tells gets a huge sigma instead of a singular matrix
 
@@ -101,19 +98,26 @@ class RigSolution:
 
 
 def rig_system(
-    model: pycolmap.Reconstruction, scene: Scene, index: int, lenses: Collection[int], metres_per_unit: float
+    model: pycolmap.Reconstruction,
+    scene: Scene,
+    index: int,
+    lenses: Collection[int],
+    metres_per_unit: float,
+    tuning: RigTuning,
 ) -> RigSystem | None:
     """The system of rig ``index`` of a model in which it is rigid or relaxed; None where too little is there.
 
     ``lenses``: ids of cameras whose parameters are unknowns too. ``metres_per_unit``: of the model, nearly; the unknown
     "size" says what is left of it. All extrinsics of the rig must be given.
     """
-    free = _stretch(released(model, [k + 1 for k in range(len(scene.rigs))], scene), scene, index)
+    bounds = tuning.system
+    alone = released(model, [k + 1 for k in range(len(scene.rigs))], scene)
+    free = _stretch(alone, scene, index, bounds.most_frames)
     images = _Images.of(free, scene, index, metres_per_unit)
-    if images is None:
+    if images is None or images.frames < bounds.least_frames:
         return None
     layout = Layout(free, set(lenses) & {int(k) for k in images.camera}, False)
-    points, share = _sample(free)
+    points, share = _sample(free, bounds.most_points)
     seen = jacobians(free, layout, points)
     jc, jp, residual = seen.cameras, seen.points, seen.residual
     redundancy = len(residual) - 6 * images.frames - 3 * len(points)
@@ -121,7 +125,7 @@ def rig_system(
         return None
     keys, columns, off = images.columns(layout)
     square = np.sum(residual.reshape(-1, 2) ** 2, axis=1)
-    first = np.repeat(1 / (1 + square / ROBUST_PX**2), 2)
+    first = np.repeat(1 / (1 + square / tuning.robust_px**2), 2)
     both = sparse.hstack([jc @ columns, sparse.csr_matrix((jc @ off)[:, None])]).tocsr()
     weight = sparse.diags(first)  # the curvature's weights are the gradient's squared
     whole = reduced((weight @ both).tocsr(), (weight @ jp).tocsr()).toarray() / share
@@ -200,8 +204,6 @@ class _Images:
             whole[scene.frame[k]] = poses[k] @ transforms.invert(given[scene.sensor[k]])
         motion = rig_motion(whole, scene)
         used = np.unique(scene.frame[rows])
-        if len(used) < LEAST_FRAMES:
-            return None
         turn = whole[used, :3, :3]
         velocity = np.nan_to_num(
             np.concatenate([np.einsum("fij,fj->fi", turn, v[used]) for v in (motion.velocity, motion.rate)], axis=1)
@@ -277,16 +279,16 @@ class _Images:
         return out
 
 
-def _sample(model: pycolmap.Reconstruction) -> tuple[list[int], float]:
+def _sample(model: pycolmap.Reconstruction, most: int) -> tuple[list[int], float]:
     ids = np.array(sorted(k for k, p in model.points3D.items() if p.track.length() > 1))
-    share = min(1.0, MOST_POINTS / max(len(ids), 1))
+    share = min(1.0, most / max(len(ids), 1))
     if share < 1:
-        ids = np.sort(np.random.default_rng(_SEED).choice(ids, MOST_POINTS, replace=False))
+        ids = np.sort(np.random.default_rng(_SEED).choice(ids, most, replace=False))
     return ids.tolist(), share
 
 
-def _stretch(model: pycolmap.Reconstruction, scene: Scene, index: int) -> pycolmap.Reconstruction:
-    """The released model with the images of this rig only, of at most MOST_FRAMES frames that follow each other."""
+def _stretch(model: pycolmap.Reconstruction, scene: Scene, index: int, most: int) -> pycolmap.Reconstruction:
+    """The released model with the images of this rig only, of at most so many frames that follow each other."""
     seen, home = np.zeros(scene.frames), {}
     for image in (model.image(i) for i in model.reg_image_ids()):
         k = scene.image_index.get(image.name, -1)
@@ -295,9 +297,9 @@ def _stretch(model: pycolmap.Reconstruction, scene: Scene, index: int) -> pycolm
             seen[scene.frame[k]] += image.num_points3D
     order = np.lexsort((scene.step, scene.track))
     order = order[seen[order] > 0]
-    if len(order) > MOST_FRAMES:
-        first = int(np.argmax(np.convolve(seen[order], np.ones(MOST_FRAMES), "valid")))
-        order = order[first : first + MOST_FRAMES]
+    if len(order) > most:
+        first = int(np.argmax(np.convolve(seen[order], np.ones(most), "valid")))
+        order = order[first : first + most]
     kept = set(order.tolist())
     for frame in model.reg_frame_ids():
         if home.get(frame, -1) not in kept:

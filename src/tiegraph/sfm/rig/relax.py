@@ -23,16 +23,8 @@ from tiegraph.sfm.rig.release import released
 from tiegraph.sfm.rig.soft import Soft, SoftTie
 from tiegraph.sfm.rig.sync import Motion, TimeOffset, rig_motion, time_offset
 from tiegraph.sfm.rig.timed import Timed, TimedTie, expected
-from tiegraph.sfm.tuning import AdjustTuning
-
-LOOSE_DEG, LOOSE_M = 0.05, 0.003  # a mounting and a trigger keep from frame to frame
-LOOSE_S = 0.001
-EXPECTED_S = 0.1  # offsets before the images speak
-# Of calibrated extrinsics. What lens and shutter do that the camera model does not know (PandaSet: 0.1-0.4 deg) is the
-# same in thousands of sightings and outvotes any honest sigma of a rotation: so the rotations are held, nearly, and
-# only the time along the motion is free.
-EXPECTED_M, EXPECTED_DEG, HELD_DEG = 0.001, 0.002, 0.01
-NOMINAL_M, NOMINAL_DEG = 0.02, 1.0  # of extrinsics that this model found
+from tiegraph.sfm.rig.tuning import SyncTuning
+from tiegraph.sfm.tuning import Tuning
 
 
 @dataclass(frozen=True)
@@ -46,6 +38,16 @@ class Relaxed:
 
 
 @dataclass(frozen=True)
+class Believed:
+    """What is believed of a model whose rig is let go of."""
+
+    metres_per_unit: float
+    calibrated: bool  # the extrinsics, but for a small constant
+    constant_cameras: Collection[int] = ()  # COLMAP ids
+    lenses_held: bool = False  # whatever the images say
+
+
+@dataclass(frozen=True)
 class _Setting:
     scene: Scene
     index: int  # of the rig
@@ -54,6 +56,7 @@ class _Setting:
     extrinsics: np.ndarray  # (S, 4, 4) sensor_from_rig, model units
     calibrated: bool
     loose: Mapping[int, float]
+    tuning: RigTuning
 
     def columns(self, image: int) -> np.ndarray:
         """(6,) place in model units and attitude a second, of the rig at an image's frame."""
@@ -62,9 +65,10 @@ class _Setting:
 
     def covariance(self, image: int) -> np.ndarray:
         """(6, 6) of how far a camera is off from frame to frame."""
-        speed = float(np.linalg.norm(self.columns(image)[:3]))
-        place = LOOSE_M / self.metres_per_unit + LOOSE_S * speed
-        turn = max(HELD_DEG if self.calibrated else LOOSE_DEG, self.loose.get(int(self.scene.sensor_key[image]), 0.0))
+        speed, known = float(np.linalg.norm(self.columns(image)[:3])), self.tuning.relax
+        place = known.loose_m / self.metres_per_unit + known.loose_s * speed
+        keeps = known.held_deg if self.calibrated else known.loose_deg
+        turn = max(keeps, self.loose.get(int(self.scene.sensor_key[image]), 0.0))
         return np.diag([np.radians(turn) ** 2] * 3 + [place**2] * 3)
 
 
@@ -72,30 +76,29 @@ def relax(
     model: pycolmap.Reconstruction,
     scene: Scene,
     index: int,
-    given: tuple[float, bool],
-    constant_cameras: Collection[int] = (),
+    believed: Believed,
+    tuning: RigTuning,
     loose: Mapping[int, float] | None = None,
-    lenses_held: bool = False,
 ) -> Relaxed:
     """Release rig ``index`` of a model in which it was rigid; its cameras' offsets and constants are estimated.
 
-    ``given``: metres of a model unit, and whether the extrinsics are believed but for a small constant. ``loose``:
-    scatter in degrees of cameras (sensor keys) that do not keep still. ``lenses_held``: whatever the images say.
-    Needs pyceres (``soft.available``).
+    ``loose``: scatter in degrees of cameras (sensor keys) that do not keep still. Needs pyceres (``soft.available``).
     """
-    metres_per_unit, calibrated = given
+    metres_per_unit, constant_cameras = believed.metres_per_unit, believed.constant_cameras
     rigs = model_rigs(model, scene)
     metric = frame_poses(image_poses(model, scene), scene.with_(rigs=rigs))
     metric[:, :3, 3] *= metres_per_unit
     places = [np.eye(4) if s.sensor_from_rig is None else s.sensor_from_rig for s in rigs[index].sensors]
     motion = rig_motion(metric, scene)
-    setting = _Setting(scene, index, metres_per_unit, motion, np.stack(places), calibrated, loose or {})
+    setting = _Setting(
+        scene, index, metres_per_unit, motion, np.stack(places), believed.calibrated, loose or {}, tuning
+    )
     free = released(model, [index + 1], scene)
     soft = _soft(free, setting)
     assert soft.timed is not None
     # A calibrated rig's rotations are held now, so that distortion the calibration leaves out cannot hide in them.
-    doubted = constant_cameras if calibrated and not lenses_held else ()
-    found = final_adjustment(free, (), constant_cameras, soft, doubted, tuning=AdjustTuning())
+    doubted = constant_cameras if believed.calibrated and not believed.lenses_held else ()
+    found = final_adjustment(free, (), constant_cameras, soft, doubted, tuning=tuning.adjust)
     return Relaxed(found.model, _offsets(found.model, setting, soft.timed), found.note, _ties(found.model, soft))
 
 
@@ -112,6 +115,7 @@ def _ties(model: pycolmap.Reconstruction, soft: Soft) -> tuple[Tie, ...]:
 def _soft(model: pycolmap.Reconstruction, setting: _Setting) -> Soft:
     """One tie from the first registered image of each frame to each other; timed where it is the reference."""
     scene, timed, ties = setting.scene, [], []
+    late_s, known = setting.tuning.late_s, setting.tuning.relax
     for first, other, ids in _pairs(model, setting):
         relative = setting.extrinsics[scene.sensor[other]] @ transforms.invert(setting.extrinsics[scene.sensor[first]])
         covariance = setting.covariance(other)
@@ -119,10 +123,12 @@ def _soft(model: pycolmap.Reconstruction, setting: _Setting) -> Soft:
             key = int(scene.sensor_key[other])
             timed.append(TimedTie(*ids, key, relative, setting.columns(other), covariance))
         else:
-            covariance[3:, 3:] += np.eye(3) * (EXPECTED_S * np.linalg.norm(setting.columns(other)[:3])) ** 2
+            covariance[3:, 3:] += np.eye(3) * (late_s * np.linalg.norm(setting.columns(other)[:3])) ** 2
             ties.append(SoftTie(*ids, relative, covariance))
-    place, turn = (EXPECTED_M, EXPECTED_DEG) if setting.calibrated else (NOMINAL_M, NOMINAL_DEG)
-    sigma = np.array([EXPECTED_S, *[place / setting.metres_per_unit] * 3, *[np.radians(turn)] * 3])
+    place, turn = known.nominal_m, known.nominal_deg
+    if setting.calibrated:
+        place, turn = known.expected_m, known.expected_deg
+    sigma = np.array([late_s, *[place / setting.metres_per_unit] * 3, *[np.radians(turn)] * 3])
     return Soft(ties=ties, timed=Timed(timed, {t.sensor: np.zeros(7) for t in timed}, sigma))
 
 
@@ -157,13 +163,16 @@ def _offsets(model: pycolmap.Reconstruction, setting: _Setting, timed: Timed) ->
             np.concatenate([moved, Rotation.from_matrix(back[:3, :3]).as_rotvec()]) * scale
         )
         columns.setdefault(tie.sensor, []).append(tie.columns * scale)
-    return {key: _offset(timed.unknowns[key], np.array(rows[key]), np.array(columns[key]), scale) for key in rows}
+    sync = setting.tuning.sync
+    return {key: _offset(timed.unknowns[key], np.array(rows[key]), np.array(columns[key]), scale, sync) for key in rows}
 
 
-def _offset(unknowns: np.ndarray, left: np.ndarray, columns: np.ndarray, scale: np.ndarray) -> TimeOffset:
+def _offset(
+    unknowns: np.ndarray, left: np.ndarray, columns: np.ndarray, scale: np.ndarray, tuning: SyncTuning
+) -> TimeOffset:
     spread = np.maximum(1.4826 * np.median(np.abs(left), axis=0), 1e-7)
     covariance = np.tile(np.diag(spread**2), (len(left), 1, 1))
-    again = time_offset(left, covariance, columns)
+    again = time_offset(left, covariance, columns, tuning)
     sigma = np.inf if again is None else float(np.hypot(again.sigma_s, again.offset_s))
     top = float(np.max(np.linalg.norm(columns[:, :3], axis=1)))
     late = float(unknowns[0])

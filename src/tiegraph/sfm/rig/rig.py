@@ -14,18 +14,13 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import image_poses, matrix
-
-MIN_FRAMES = 3  # frames that show a sensor with its reference; fewer tell nothing of their scatter
-MAX_SCATTER_DEG = 1.0  # MAD of the relative rotation; above: not rigid, not synchronised, or a bent model
-MAX_OUTLIERS = 0.4  # share of frames farther than OUTLIER_DEG from the average
-OUTLIER_DEG = 5.0
-TIGHT_DEG = 0.5  # extrinsics known better than this lead the mapper as they are; worse ones it may refine
+from tiegraph.sfm.rig.tuning import DeriveTuning, RigTuning
 
 
-def held_by_mapper(rig: Rig, mode: str) -> bool:
+def held_by_mapper(rig: Rig, mode: str, tuning: RigTuning) -> bool:
     """Whether a mapper keeps the extrinsics as given; soft ones are let go in the final adjustment only."""
     if mode == "soft":
-        return all((s.sigma_deg or 0.0) <= TIGHT_DEG for s in rig.sensors[1:])
+        return all((s.sigma_deg or 0.0) <= tuning.tight_deg for s in rig.sensors[1:])
     return mode == "fixed"
 
 
@@ -68,14 +63,14 @@ class SensorScatter:
     scatter_baseline: float  # MAD of the position, in parts of its baseline
     outliers: float  # share of frames farther than 5 degrees from the average
 
-    def rigid(self) -> bool:
+    def rigid(self, tuning: DeriveTuning) -> bool:
         """Whether the frames agree on one mounting."""
-        enough = self.frames >= MIN_FRAMES
-        return enough and self.scatter_deg <= MAX_SCATTER_DEG and self.outliers <= MAX_OUTLIERS
+        enough = self.frames >= tuning.min_frames
+        return enough and self.scatter_deg <= tuning.max_scatter_deg and self.outliers <= tuning.max_outliers
 
-    def why_not(self) -> str:
+    def why_not(self, tuning: DeriveTuning) -> str:
         """Why ``rigid`` says no."""
-        if self.frames < MIN_FRAMES:
+        if self.frames < tuning.min_frames:
             return f"only {self.frames} frames show it together with the others"
         return (
             f"its rotation scatters by {self.scatter_deg:.2f} deg with {self.outliers:.0%} outliers over {self.frames} "
@@ -92,7 +87,7 @@ class DerivedRig:
     left_out: tuple[tuple[str, str], ...]  # sensor name, why it is not in the rig
 
 
-def derive_rig(scene: Scene, index: int, models: Sequence[pycolmap.Reconstruction]) -> DerivedRig:
+def derive_rig(scene: Scene, index: int, models: Sequence[pycolmap.Reconstruction], tuning: DeriveTuning) -> DerivedRig:
     """Extrinsics of rig ``index`` by robust averages over the frames of models made without it.
 
     R: Weiszfeld's L1 mean of R_c R_ref^T; t: median, each model scaled to the first by the median baseline (ALGORITHMS
@@ -110,12 +105,12 @@ def derive_rig(scene: Scene, index: int, models: Sequence[pycolmap.Reconstructio
         if not ready:
             break
         (a, b), stack = max(ready.items(), key=lambda item: (len(item[1]), -item[0][0], -item[0][1]))
-        average, scatter = _average(stack, rig.sensors[b].name)
+        average, scatter = _average(stack, rig.sensors[b].name, tuning.outlier_deg)
         rows.append(scatter)
-        if scatter.rigid():
+        if scatter.rigid(tuning):
             found[b] = average @ found[a]
         else:
-            left_out[b] = scatter.why_not()
+            left_out[b] = scatter.why_not(tuning)
     for b in range(len(rig.sensors)):
         if b not in found:
             left_out.setdefault(b, "no frame shows it together with the others in one model")
@@ -148,10 +143,10 @@ def _relative_poses(scene: Scene, index: int, poses: Sequence[np.ndarray]) -> di
     return {key: np.stack(steps) for key, steps in out.items()}
 
 
-def _average(stack: np.ndarray, name: str) -> tuple[np.ndarray, SensorScatter]:
+def _average(stack: np.ndarray, name: str, outlier_deg: float) -> tuple[np.ndarray, SensorScatter]:
     rotation = l1_mean_rotation(stack[:, :3, :3])
     angles = transforms.angle_deg(stack[:, :3, :3], rotation)
-    close = angles < OUTLIER_DEG
+    close = angles < outlier_deg
     translations = stack[close if close.any() else slice(None), :3, 3]
     translation = np.median(translations, axis=0)
     length = max(float(np.linalg.norm(translation)), 1e-12)

@@ -10,8 +10,7 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import image_poses
-
-_MIN_ANGLE_RAD = np.radians(1.5)  # between two rays of a point, for its place to be known along them
+from tiegraph.sfm.rig.tuning import HealthTuning
 
 
 @dataclass(frozen=True)
@@ -92,7 +91,7 @@ class Retriangulated:
         return np.sqrt(np.einsum("kij,kjl,kil->k", jacobian, spread, jacobian) / 2)
 
 
-def retriangulate(seen: Sightings, rounds: int = 3) -> Retriangulated:
+def retriangulate(seen: Sightings, tuning: HealthTuning) -> Retriangulated:
     """Points from the given sightings alone: least squares of the rays' distances, weighted by focal length / range.
 
     Needs two sightings or more whose rays meet at 1.5 degrees or more. Robust by Cauchy weights at 2 px from the second
@@ -104,27 +103,27 @@ def retriangulate(seen: Sightings, rounds: int = 3) -> Retriangulated:
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
     xyz = seen.xyz.copy()
     information = np.zeros((count, 3, 3))
-    for k in range(rounds):
+    for k in range(tuning.point_rounds):
         away = xyz[seen.point] - centres
         distance = np.maximum(np.linalg.norm(away, axis=1), 1e-9)
         weight = (seen.focal_px / distance) ** 2
         if k:
             off = np.linalg.norm(np.einsum("mij,mj->mi", across, away), axis=1) * seen.focal_px / distance
-            weight = weight / (1 + (off / 2.0) ** 2)
+            weight = weight / (1 + (off / tuning.point_cauchy_px) ** 2)
         information = np.zeros((count, 3, 3))
         right = np.zeros((count, 3))
         np.add.at(information, seen.point, weight[:, None, None] * across)
         np.add.at(right, seen.point, weight[:, None] * np.einsum("mij,mj->mi", across, centres))
-        usable = _wide_enough(information)
+        usable = _wide_enough(information, np.radians(tuning.min_angle_deg))
         xyz = np.full((count, 3), np.nan)
         xyz[usable] = np.linalg.solve(information[usable], right[usable][..., None])[..., 0]
         information[~usable] = np.nan
-        if k + 1 < rounds:
+        if k + 1 < tuning.point_rounds:
             xyz[~usable] = seen.xyz[~usable]
     return Retriangulated(xyz, information)
 
 
-def _wide_enough(information: np.ndarray) -> np.ndarray:
+def _wide_enough(information: np.ndarray, angle_rad: float) -> np.ndarray:
     """(P,) bool: the rays of a point span an angle; two rays at angle a have eigenvalues 1 - cos a and 1 + cos a."""
     values = np.linalg.eigvalsh(information)
-    return values[:, 0] > np.maximum(values[:, 2], 1e-12) * (1 - np.cos(_MIN_ANGLE_RAD)) / 2
+    return values[:, 0] > np.maximum(values[:, 2], 1e-12) * (1 - np.cos(angle_rad)) / 2

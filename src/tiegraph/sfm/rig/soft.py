@@ -18,10 +18,6 @@ from tiegraph.sfm.model import rigid3d
 from tiegraph.sfm.rig.compact import Drawing
 from tiegraph.sfm.rig.timed import Timed, add_timed, pose_block
 
-# The reprojection errors are in pixels and not divided by their sigma; so that both weigh what they should, the priors
-# are multiplied by it.
-SIGMA_PX = 0.5
-
 
 @dataclass(frozen=True)
 class SoftTie:
@@ -95,8 +91,12 @@ def _costs() -> Any:
     return pycolmap.cost_functions
 
 
-def add_soft(adjuster: Any, model: pycolmap.Reconstruction, soft: Soft) -> list[Any]:
-    """Add the residuals to the problem of an adjuster over ``model``; keep what is returned until it has solved."""
+def add_soft(adjuster: Any, model: pycolmap.Reconstruction, soft: Soft, robust_px: float) -> list[Any]:
+    """Add the residuals to the problem of an adjuster over ``model``; keep what is returned until it has solved.
+
+    The reprojection errors are in pixels and not divided by their sigma; so that both weigh what they should, the
+    priors are multiplied by it: ``robust_px``.
+    """
     problem = adjuster.problem
     kept: list[Any] = []
 
@@ -107,23 +107,20 @@ def add_soft(adjuster: Any, model: pycolmap.Reconstruction, soft: Soft) -> list[
 
     for tie in soft.ties:
         a, b = pose_block(model, tie.first), pose_block(model, tie.second)
-        add(_costs().RelativePosePriorCost(_scaled(tie.covariance), rigid3d(tie.second_from_first)), b, a)
+        add(_costs().RelativePosePriorCost(tie.covariance / robust_px**2, rigid3d(tie.second_from_first)), b, a)
     for prior in soft.sensors:
         block = _extrinsics(model, prior.rig_id, prior.camera_id)
         if block is not None:
-            add(_costs().AbsolutePosePriorCost(_scaled(prior.covariance), rigid3d(prior.sensor_from_rig)), block)
+            covariance = prior.covariance / robust_px**2
+            add(_costs().AbsolutePosePriorCost(covariance, rigid3d(prior.sensor_from_rig)), block)
     for pair in soft.pairs:
         found = [_extrinsics(model, pair.rig_id, c) for c in pair.cameras]
         blocks = [b for b in found if b is not None]
         if blocks:
-            add(_pair_cost(pair, [b is not None for b in found]), *blocks)
+            add(_pair_cost(pair, [b is not None for b in found], robust_px), *blocks)
     if soft.timed is not None:
-        kept += add_timed(problem, model, soft.timed, SIGMA_PX)
+        kept += add_timed(problem, model, soft.timed, robust_px)
     return kept
-
-
-def _scaled(covariance: np.ndarray) -> np.ndarray:
-    return np.asarray(covariance, float) / SIGMA_PX**2
 
 
 def _extrinsics(model: pycolmap.Reconstruction, rig_id: int, camera_id: int) -> np.ndarray | None:
@@ -145,7 +142,7 @@ def pair_residuals(first: np.ndarray, second: np.ndarray, pair: PairPrior) -> np
         a, b = rotations[0][2], rotations[1][2]
         angle = np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)
         out[1] = (angle - pair.angle_rad) / pair.angle_sigma_rad
-    return out * SIGMA_PX
+    return out
 
 
 def _rotation(q: np.ndarray) -> np.ndarray:
@@ -163,7 +160,7 @@ _IDENTITY = np.array([0.0, 0, 0, 1, 0, 0, 0])
 _STEP = 1e-7
 
 
-def _pair_cost(pair: PairPrior, free: Sequence[bool]) -> Any:
+def _pair_cost(pair: PairPrior, free: Sequence[bool], weight: float) -> Any:
     """Paper 001's constraint as a Ceres cost; a sensor that is the reference has no block. Numeric derivatives: few."""
     import pyceres
 
@@ -176,11 +173,11 @@ def _pair_cost(pair: PairPrior, free: Sequence[bool]) -> Any:
         def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:
             given = iter(np.array(p) for p in parameters)
             both = [next(given) if f else _IDENTITY for f in free]
-            residuals[:] = pair_residuals(both[0], both[1], pair)
+            residuals[:] = weight * pair_residuals(both[0], both[1], pair)
             if jacobians is not None:
                 for block, side in enumerate(k for k, f in enumerate(free) if f):
                     if jacobians[block] is not None:
-                        jacobians[block][:] = _differences(both, side, pair).ravel()
+                        jacobians[block][:] = weight * _differences(both, side, pair).ravel()
             return True
 
     return PairCost()

@@ -16,14 +16,12 @@ from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.model import image_poses, matrix, rigid3d
-
-MIN_TIES = 2  # verified pairs of an image that count as support
-MIN_SHARE = 0.5  # of a sensor's images that must have them
-SIGMAS = 10.0  # apart are two positions whose distance tells the scale
-_PAIRS = 2000
+from tiegraph.sfm.rig.tuning import SupportTuning
 
 
-def unsupported_sensors(scene: Scene, graph: ViewGraph, modes: Mapping[int, str]) -> tuple[int, ...]:
+def unsupported_sensors(
+    scene: Scene, graph: ViewGraph, modes: Mapping[int, str], tuning: SupportTuning
+) -> tuple[int, ...]:
     """Keys of sensors of refined rigs most of whose images have fewer than two verified pairs; never a reference."""
     out = []
     first = 0
@@ -31,7 +29,7 @@ def unsupported_sensors(scene: Scene, graph: ViewGraph, modes: Mapping[int, str]
         if modes.get(index) == "refined":
             for place in range(1, len(rig.sensors)):
                 degree = graph.degree[scene.sensor_key == first + place]
-                if len(degree) and np.mean(degree >= MIN_TIES) < MIN_SHARE:
+                if len(degree) and np.mean(degree >= tuning.min_ties) < tuning.min_share:
                     out.append(first + place)
         first += len(rig.sensors)
     return tuple(out)
@@ -44,9 +42,11 @@ def ties_of(scene: Scene, graph: ViewGraph, sensors: tuple[int, ...]) -> tuple[t
     return tuple((int(a), int(b)) for a, b in graph.pairs[rows])
 
 
-def place_as_given(model: pycolmap.Reconstruction, scene: Scene, sensors: tuple[int, ...]) -> None:
+def place_as_given(
+    model: pycolmap.Reconstruction, scene: Scene, sensors: tuple[int, ...], tuning: SupportTuning
+) -> None:
     """Set the extrinsics of sensors without observations as given, lengths in the model's units."""
-    scale = units_per_metre(model, scene)
+    scale = units_per_metre(model, scene, tuning)
     key = 0
     for index, rig in enumerate(scene.rigs):
         held = model.rigs[index + 1] if index + 1 in model.rigs else None
@@ -59,18 +59,18 @@ def place_as_given(model: pycolmap.Reconstruction, scene: Scene, sensors: tuple[
             key += 1
 
 
-def units_per_metre(model: pycolmap.Reconstruction, scene: Scene) -> float:
+def units_per_metre(model: pycolmap.Reconstruction, scene: Scene, tuning: SupportTuning) -> float:
     """Model units of a metre: by prior positions far enough apart, else by the median baseline of the rig, else 1."""
     centre = transforms.centre(image_poses(model, scene))
     position = scene.world_from_rig[scene.frame, :3, 3]
     sigma = np.nan_to_num(np.nanmax(scene.position_sigma_m, axis=1, initial=0.0))[scene.frame]
     known = np.flatnonzero(np.isfinite(centre).all(axis=1) & np.isfinite(position).all(axis=1) & (scene.sensor == 0))
     rng = np.random.default_rng(0)
-    if len(known) >= 3:
-        a, b = rng.choice(known, (2, _PAIRS))
+    if len(known) >= tuning.least_positions:
+        a, b = rng.choice(known, (2, tuning.pairs))
         apart = np.linalg.norm(position[a] - position[b], axis=1)
-        far = apart > SIGMAS * np.maximum(sigma[a] + sigma[b], 0.01)
-        if far.sum() >= 10:
+        far = apart > tuning.position_sigmas * np.maximum(sigma[a] + sigma[b], tuning.least_sigma_m)
+        if far.sum() >= tuning.least_pairs:
             return float(np.median(np.linalg.norm(centre[a] - centre[b], axis=1)[far] / apart[far]))
     return _by_baselines(model, scene.rigs)
 

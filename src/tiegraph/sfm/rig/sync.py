@@ -14,12 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
-
-MIN_FRAMES = 8
-SIGMAS = 5.0  # an offset this many sigmas from none is there
-MIN_EFFECT = 2.0  # times the expected sigma of a place: what the offset must move a camera by at the highest speed
-OBSERVABLE_S = 0.01  # sigma of an offset above which the motion does not tell it
-_ROUNDS = 15
+from tiegraph.sfm.rig.tuning import SyncTuning
 
 
 @dataclass(frozen=True)
@@ -69,26 +64,28 @@ class TimeOffset:
     spread: np.ndarray  # (6,) robust sigma of what neither explains
     moves_m: float  # how far the offset moves the camera at the highest speed seen
 
-    def there(self, expected_m: float) -> bool:
+    def there(self, expected_m: float, tuning: SyncTuning) -> bool:
         """Whether the camera fires at another instant, given the expected sigma of its place in a frame."""
-        sure = abs(self.offset_s) > SIGMAS * self.sigma_s and self.sigma_s < OBSERVABLE_S
-        return sure and self.moves_m > MIN_EFFECT * expected_m
+        sure = abs(self.offset_s) > tuning.sigmas * self.sigma_s and self.sigma_s < tuning.observable_s
+        return sure and self.moves_m > tuning.min_effect * expected_m
 
 
-def time_offset(residual: np.ndarray, covariance: np.ndarray, columns: np.ndarray) -> TimeOffset | None:
+def time_offset(
+    residual: np.ndarray, covariance: np.ndarray, columns: np.ndarray, tuning: SyncTuning
+) -> TimeOffset | None:
     """Fit residual (K, 6) = constant + offset * columns (K, 6), weights from covariance (K, 6, 6), robust (Cauchy).
 
     None with fewer than 8 rows. The sigma is scaled by how well the fit explains the rows.
     """
     rows = np.isfinite(columns).all(axis=1) & np.isfinite(residual).all(axis=1)
-    if rows.sum() < MIN_FRAMES:
+    if rows.sum() < tuning.min_frames:
         return None
     residual, covariance, columns = residual[rows], covariance[rows], columns[rows]
     design = np.zeros((len(residual), 6, 7))
     design[:, :, :6], design[:, :, 6] = np.eye(6), columns
     information = np.linalg.inv(covariance)
     weight = np.ones(len(residual))
-    for _ in range(_ROUNDS):
+    for _ in range(tuning.rounds):
         normal = np.einsum("k,kia,kij,kjb->ab", weight, design, information, design)
         normal += 1e-9 * np.diag(np.diag(normal))
         right = np.einsum("k,kia,kij,kj->a", weight, design, information, residual)

@@ -14,32 +14,23 @@ import numpy as np
 
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.placement.verified import Seen, Verified, agreement
-
-# Shares of disagreeing matches: of cameras with themselves 0.7 to 12 %, between two up to 10 % where all is well (boat,
-# canal_demo, KITTI, vehicle), 19 to 79 % where they fire apart (pieces of PandaSet, vehicle 0.5 m apart along the way).
-CONTRADICTED = 0.2
-TIMES = 3.0  # and so many times that of their own
-MIN_PAIRS = 4  # of images with an opinion
+from tiegraph.sfm.rig.tuning import TiesTuning
 
 
 @dataclass(frozen=True)
 class CameraTies:
-    """Two cameras (keys, from 0) of one rig, image pairs with an opinion, and the shares of matches that agree: between
-    the two, and the smaller of each with itself."""
+    """Two cameras (keys, from 0) of one rig, image pairs with an opinion, the shares of matches that agree: between the
+    two, and the smaller of each with itself; whether the matches between them want another rig, or other times."""
 
     first: int
     second: int
     pairs: int
     between: float
     own: float
-
-    @property
-    def contradicted(self) -> bool:
-        """Whether the matches between them want another rig, or other times."""
-        return 1 - self.between > max(CONTRADICTED, TIMES * (1 - self.own))
+    contradicted: bool
 
 
-def camera_ties(verified: Verified, seen: Seen, scene: Scene) -> list[CameraTies]:
+def camera_ties(verified: Verified, seen: Seen, scene: Scene, tuning: TiesTuning) -> list[CameraTies]:
     """All two cameras of one rig that enough pairs of images tie, against the poses of a model."""
     explained = agreement(verified, seen)
     told = explained[:, 1] > 0
@@ -49,14 +40,16 @@ def camera_ties(verified: Verified, seen: Seen, scene: Scene) -> list[CameraTies
     share = {}
     for pair in np.unique(cameras[rigs[:, 0] == rigs[:, 1]], axis=0):
         of = (cameras == pair).all(axis=1)
-        if of.sum() >= MIN_PAIRS:
+        if of.sum() >= tuning.min_pairs:
             agree, all_ = explained[of].sum(axis=0)
             share[int(pair[0]), int(pair[1])] = (int(of.sum()), float(agree / all_))
-    return [
-        CameraTies(a, b, count, between, min(share[a, a][1], share[b, b][1]))
-        for (a, b), (count, between) in share.items()
-        if a != b and (a, a) in share and (b, b) in share
-    ]
+    out = []
+    for (a, b), (count, between) in share.items():
+        if a != b and (a, a) in share and (b, b) in share:
+            own = min(share[a, a][1], share[b, b][1])
+            contradicted = 1 - between > max(tuning.contradicted, tuning.times * (1 - own))
+            out.append(CameraTies(a, b, count, between, own, contradicted))
+    return out
 
 
 def table(found: Sequence[CameraTies], scene: Scene) -> dict:

@@ -2,8 +2,240 @@
 
 from __future__ import annotations
 
+from pydantic import Field
+
 from tiegraph.settings import Section
+
+
+class CompactTuning(Section):
+    """What the cameras of a rig let expect of each other's places (`compact.py`)."""
+
+    least_others: int = Field(4, ge=3)
+    """Cameras whose places tell something: twelve coordinates for the four unknowns of the rule."""
+    uneven: float = Field(1 / 3, gt=0)
+    """Sigma of the distance along the axis, of that distance: no housing is a sphere."""
+    inexact: float = Field(0.1, gt=0)
+    """Sigma of the distances in a drawing, of these."""
+    cauchy_sigmas: float = Field(2.0, gt=0)
+    """Scale of the robust loss, which lets go of a camera that stands apart."""
+
+
+class GivenTuning(Section):
+    """What a rig file gives with a sigma (`given.py`)."""
+
+    least_deg: float = Field(0.001, gt=0)
+    """A sigma of 0 means "exactly": as hard as the solver bears."""
+    least_m: float = Field(0.0001, gt=0)
+    """The same of places and lengths."""
+    free_deg: float = Field(30.0, gt=0)
+    """Sigma of the turn of a sensor without sigmas of its own in a soft rig: pairs hold it."""
+    free_m: float = Field(1.0, gt=0)
+    """The same of its place."""
+
+
+class DeriveTuning(Section):
+    """Extrinsics from a model made without the rig (`rig.py`)."""
+
+    min_frames: int = Field(3, gt=0)
+    """Frames that show a sensor with its reference; fewer tell nothing of their scatter."""
+    max_scatter_deg: float = Field(1.0, gt=0)
+    """MAD of the relative rotation; above: not rigid, not synchronised, or a bent model."""
+    max_outliers: float = Field(0.4, ge=0, le=1)
+    """Share of frames farther than `outlier_deg` from the average."""
+    outlier_deg: float = Field(5.0, gt=0)
+    """Off the average rotation: such a frame has no say in the place."""
+
+
+class SupportTuning(Section):
+    """Sensors with too few ties, and the model's units by what is given (`support.py`)."""
+
+    min_ties: int = Field(2, gt=0)
+    """Verified pairs of an image that count as support."""
+    min_share: float = Field(0.5, ge=0, le=1)
+    """Of a sensor's images, that must have them."""
+    position_sigmas: float = Field(10.0, gt=0)
+    """So many of their sigmas apart are two positions whose distance tells the scale."""
+    least_sigma_m: float = Field(0.01, gt=0)
+    """Sigma of two positions together at least, for that."""
+    least_positions: int = Field(3, gt=1)
+    """Positions below which the scale is not asked of them."""
+    pairs: int = Field(2000, gt=0)
+    """Of positions that are compared, drawn at random."""
+    least_pairs: int = Field(10, gt=0)
+    """Of these that are far enough apart, to tell the scale."""
+
+
+class HealthTuning(Section):
+    """A camera against its rig, frame by frame, by its own sightings (`health.py`, `sightings.py`)."""
+
+    point_rounds: int = Field(3, gt=0)
+    """In which points are made anew, robust from the second on."""
+    point_cauchy_px: float = Field(2.0, gt=0)
+    """Cauchy scale of these rounds."""
+    min_angle_deg: float = Field(1.5, gt=0)
+    """Between two rays of a point, for its place to be known along them."""
+    min_points: int = Field(12, gt=3)
+    """Of the other cameras that an image sees, to be resected."""
+    max_point_spread_px: float = Field(1.5, gt=0)
+    """Uncertainty of a point in the image that is resected, for 1 px sightings."""
+    search_px: float = Field(6.0, gt=0)
+    """An inlier of the resection; a camera that is off as a whole still has most of its points within."""
+    least_sigma_px: float = Field(0.1, gt=0)
+    """Sigma of a coordinate at least, for the covariance of a resection."""
+    min_frames: int = Field(5, gt=0)
+    """Resected, to speak of a camera's scatter."""
+    max_ratio: float = Field(3.0, gt=0)
+    """Scatter over its expected sigma (ALGORITHMS section 4 d)."""
+    min_scatter_px: float = Field(0.3, ge=0)
+    """Less does no harm: points share their own errors, which the expected sigma leaves out."""
+    chance: float = Field(0.05, gt=0, lt=1)
+    """That a camera within these bounds is called loose for the few frames that happened to tell of it."""
+
+
+class SyncTuning(Section):
+    """Whether the cameras of a rig fire at one instant (`sync.py`, `diagnosis.py`)."""
+
+    min_frames: int = Field(8, gt=0)
+    """Resected frames below which no offset is fitted."""
+    sigmas: float = Field(5.0, gt=0)
+    """An offset this many sigmas from none is there."""
+    min_effect: float = Field(2.0, ge=0)
+    """Times the expected sigma of a place: what the offset must move a camera by at the highest speed."""
+    observable_s: float = Field(0.01, gt=0)
+    """Sigma of an offset above which the motion does not tell it."""
+    rounds: int = Field(15, gt=0)
+    """Of the robust fit of an offset."""
+
+
+class TornTuning(Section):
+    """A camera that lost its sightings in the adjustment (`diagnosis.py`)."""
+
+    min_sightings: int = Field(200, gt=0)
+    """Of a camera in all its images, to judge what an adjustment left of them."""
+    min_kept: float = Field(0.6, ge=0, le=1)
+    """Share of them that a camera keeps, and of the share that the best camera keeps."""
+    torn_deg: float = Field(1.0, gt=0)
+    """By which a camera with too few sightings left to be measured is let go."""
+
+
+class RelaxTuning(Section):
+    """A rig whose cameras do not fire at one instant (`relax.py`)."""
+
+    loose_deg: float = Field(0.05, gt=0)
+    """From frame to frame, the turn of a camera whose extrinsics this model found: a mounting keeps."""
+    loose_m: float = Field(0.003, gt=0)
+    """The same of its place."""
+    loose_s: float = Field(0.001, gt=0)
+    """The same of its time: a trigger keeps."""
+    expected_m: float = Field(0.001, gt=0)
+    """Sigma of a constant error of calibrated extrinsics, place."""
+    expected_deg: float = Field(0.002, gt=0)
+    """And turn. What lens and shutter do that the camera model does not know (PandaSet: 0.1-0.4 deg) is the same in
+    thousands of sightings and outvotes any honest sigma of a rotation: so the rotations are held, nearly, and only the
+    time along the motion is free."""
+    held_deg: float = Field(0.01, gt=0)
+    """From frame to frame, the turn of a camera of a calibrated rig, held for the same reason."""
+    nominal_m: float = Field(0.02, gt=0)
+    """Sigma of a constant error of extrinsics that this model found, place."""
+    nominal_deg: float = Field(1.0, gt=0)
+    """And turn."""
+
+
+class SystemTuning(Section):
+    """The normal equations of a rig's unknowns (`linear.py`)."""
+
+    most_points: int = Field(30_000, gt=0)
+    """A random part of more, and the sums are scaled up."""
+    most_frames: int = Field(400, gt=0)
+    """Of a longer model its best seen stretch of so many speaks for all."""
+    least_frames: int = Field(5, gt=0)
+    """Of the rig, below which too little tells."""
+
+
+class JudgeTuning(Section):
+    """Which of a rig's givens the images contradict (`judge.py`). Lenses in parts of f."""
+
+    given_m: float = Field(0.002, gt=0)
+    """Sigma of the places of a calibrated rig unless its file gives one."""
+    given_deg: float = Field(0.01, gt=0)
+    """And of the turns."""
+    freed_m: float = Field(0.5, gt=0)
+    """Sigma of a place that is freed."""
+    freed_deg: float = Field(5.0, gt=0)
+    """Of a turn that is freed."""
+    freed_lens: float = Field(0.05, gt=0)
+    """Of the parameters of a lens that is freed."""
+    unknown_share: float = Field(0.3, gt=0)
+    """Sigma of a time nobody speaks of in frame intervals, where frames have no times (else `late_s`)."""
+    strong: float = Field(10.0, ge=0)
+    """BIC beyond which evidence is very strong (Kass and Raftery 1995)."""
+    clear: float = Field(0.003, ge=0, le=1)
+    """Of the observations' sum of squares, that a group must explain: lenses are never quite as their model."""
+
+
+class ConfrontTuning(Section):
+    """What is said of a rig as given against the images (`confront.py`). Sigmas that a calibration is held to before
+    it is said to contradict the images: lenses are never quite as their model, and what they have left of distortion
+    turns and shifts cameras of a rig by so much (KITTI, PandaSet)."""
+
+    held_to_m: float = Field(0.005, gt=0)
+    """Of a place."""
+    held_to_deg: float = Field(0.05, gt=0)
+    """Of a turn."""
+    held_to_lens: float = Field(0.002, gt=0)
+    """Of a focal length, in parts of it."""
+    held_to_time: float = Field(0.05, gt=0)
+    """Of the times of a rig said to be synchronised: ms, or % of the frame interval where frames have no times."""
+    loosely_m: float = Field(0.05, gt=0)
+    """Of the place in extrinsics that a model found: all that is asked of these is the time."""
+    loosely_deg: float = Field(3.0, gt=0)
+    """Of the turn in such extrinsics."""
+
+
+class TiesTuning(Section):
+    """Matches between two cameras of a rig against the model (`ties.py`). Shares of disagreeing matches: of cameras
+    with themselves 0.7 to 12 %, between two up to 10 % where all is well (boat, canal_demo, KITTI, vehicle), 19 to 79 %
+    where they fire apart (pieces of PandaSet, vehicle 0.5 m apart along the way)."""
+
+    contradicted: float = Field(0.2, ge=0, le=1)
+    """Share of disagreeing matches between two cameras that contradicts the model ..."""
+    times: float = Field(3.0, ge=1)
+    """... and so many times that of their own."""
+    min_pairs: int = Field(4, gt=0)
+    """Of images with an opinion."""
 
 
 class RigTuning(Section):
     """Constants of sfm/rig."""
+
+    robust_px: float = Field(0.5, gt=0)
+    """The Cauchy scale of the adjustment: about the sigma of a SIFT key point. Reprojection errors are in pixels and
+    not divided by their sigma; so that both weigh what they should, priors are multiplied by it."""
+    late_s: float = Field(0.1, gt=0)
+    """Sigma of when a camera fires after the reference, before the images speak and where nobody says."""
+    tight_deg: float = Field(0.5, ge=0)
+    """Extrinsics known better than this lead the mapper as they are; worse ones it may refine."""
+    compact: CompactTuning = CompactTuning()
+    """What cameras let expect of each other's places."""
+    given: GivenTuning = GivenTuning()
+    """What a file gives with a sigma."""
+    derive: DeriveTuning = DeriveTuning()
+    """Extrinsics from a model without rig."""
+    support: SupportTuning = SupportTuning()
+    """Sensors without ties, and the model's units."""
+    health: HealthTuning = HealthTuning()
+    """Rig health."""
+    sync: SyncTuning = SyncTuning()
+    """Times of the cameras."""
+    torn: TornTuning = TornTuning()
+    """Cameras that came off."""
+    relax: RelaxTuning = RelaxTuning()
+    """Rigs that are let go of."""
+    system: SystemTuning = SystemTuning()
+    """The linearised rig."""
+    judge: JudgeTuning = JudgeTuning()
+    """What is freed."""
+    confront: ConfrontTuning = ConfrontTuning()
+    """What is said."""
+    ties: TiesTuning = TiesTuning()
+    """Ties between the cameras."""
