@@ -92,7 +92,7 @@ def georeferenced(survey: Survey, way: str, given: Given) -> tuple[Georeference,
         settings, given = GeorefSettings(adjust="no", antenna="ignored"), replace(given, rows=None)
     else:
         settings = GeorefSettings(adjust="auto" if way == "adjusted" else "no")
-    found, world = georeference_model(survey.model, survey.scene, settings, given, survey.held)
+    found, world = georeference_model(survey.model, survey.scene, settings, Tuning(), given, survey.held)
     return found, world, time.process_time() - start
 
 
@@ -230,7 +230,7 @@ def outage(length_m: float, gap_m: float, radial: float, seed: int) -> dict[str,
     for way, adjust in (("similarity", "no"), ("adjusted", "yes")):
         settings = GeorefSettings(adjust=adjust, sigma_floor_m=0.02)
         start = time.process_time()
-        found, world = georeference_model(model, scene, settings, Given(rows), Held((1,), range(1, 5)))
+        found, world = georeference_model(model, scene, settings, Tuning(), Given(rows), Held((1,), range(1, 5)))
         place = frame_poses(image_poses(world, scene), scene)[:, :3, 3]
         off = np.linalg.norm(place - made.truth[:, :3, 3], axis=1)
         row = {"rms_m": _rms(off), "worst_in_gap_m": float(off[inside].max()), "cpu_s": time.process_time() - start}

@@ -22,10 +22,12 @@ from tiegraph.sfm.world.judging import judged
 from tiegraph.sfm.world.marks import Target, without_blunders
 from tiegraph.sfm.world.placing import Model, place
 from tiegraph.sfm.world.scale import RigScale
+from tiegraph.sfm.world.tuning import WorldTuning
 
 COUNT = 40
 SETTINGS = GeorefSettings(antenna="ignored")
 RIG_SIGMA = 0.002
+TUNING = WorldTuning()
 
 
 def drive(length_m: float = 40.0, back: bool = False) -> tuple[np.ndarray, Scene]:
@@ -81,9 +83,9 @@ def found_by(
     if points is not None:
         given = Given(control=points[0])
         found = [Target(p, 1e-6 * np.eye(3), np.zeros(0, int), np.zeros((0, 2))) for p in points[1]]
-        found = without_blunders(found, points[0])
+        found = without_blunders(found, points[0], TUNING.marks)
     view = Model(transforms.invert(poses), up, scale, found, scene.names)
-    placing = place(view, scene, SETTINGS, given)
+    placing = place(view, scene, SETTINGS, given, TUNING)
     assert placing is not None
     return judged(georef._placed(placing, view, scene, given), scene, 0.005, found)
 

@@ -20,8 +20,11 @@ from tiegraph.sfm.world.fit import Evidence, fit_similarity
 from tiegraph.sfm.world.fixes import Given
 from tiegraph.sfm.world.georef import georeference, georeference_all
 from tiegraph.sfm.world.gravity import Up, up_vector
+from tiegraph.sfm.world.tuning import WorldTuning
 
 import pycolmap  # isort: skip
+
+TUNING = WorldTuning()
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +46,7 @@ def test_positions_bring_the_model_back(world) -> None:
     noise = 0.1 * np.random.default_rng(0).standard_normal(true.shape)
     noise[3] = [8, 0, 0]  # an outlier
     survey = with_positions(scene, true + noise, 0.1)
-    found = georeference(_moved(truth), survey, GeorefSettings())
+    found = georeference(_moved(truth), survey, GeorefSettings(), TUNING)
     placed = frame_poses(image_poses(found.apply(_moved(truth)), scene), scene)[:, :3, 3]
     error = np.sqrt(np.mean(np.sum((placed - true) ** 2, axis=1)))
     assert found.placed and found.scale_source == "gnss"
@@ -62,7 +65,7 @@ def test_apply_scales_the_rig_too(world) -> None:
     truth, scene = world
     survey = with_positions(scene, true_frames(truth, scene)[:, :3, 3], 0.05)
     model = _moved(truth)
-    placed = georeference(model, survey, GeorefSettings()).apply(model)
+    placed = georeference(model, survey, GeorefSettings(), TUNING).apply(model)
     for sensor, pose in truth.rig(1).non_ref_sensors.items():
         np.testing.assert_allclose(placed.rig(1).sensor_from_rig(sensor).translation, pose.translation, atol=1e-4)
 
@@ -73,10 +76,10 @@ def test_lever_arm_given_and_estimated(world) -> None:
     arm = np.array([0.9, -0.4, 0.5])
     survey = with_positions(scene, true[:, :3, 3] + true[:, :3, :3] @ arm, 0.05)
     given = survey.with_(rigs=(replace(scene.rigs[0], antenna_m=tuple(arm)),))
-    without = georeference(_moved(truth), survey, GeorefSettings(antenna="ignored"))
-    with_arm = georeference(_moved(truth), given, GeorefSettings())
+    without = georeference(_moved(truth), survey, GeorefSettings(antenna="ignored"), TUNING)
+    with_arm = georeference(_moved(truth), given, GeorefSettings(), TUNING)
     assert max(with_arm.rms_m().values()) < 1e-3 < 0.05 < max(without.rms_m().values())
-    estimated = georeference(_moved(truth), survey, GeorefSettings(antenna="estimated"))
+    estimated = georeference(_moved(truth), survey, GeorefSettings(antenna="estimated"), TUNING)
     np.testing.assert_allclose(estimated.antenna_m, arm, atol=0.1)
     assert any("estimated" in n for n in estimated.notes)
 
@@ -86,7 +89,7 @@ def test_a_stretch_of_multipath_does_not_hide_behind_the_lever_arm(world) -> Non
     true, arm = true_frames(truth, scene), np.array([0.9, -0.4, 0.5])
     antenna = true[:, :3, 3] + true[:, :3, :3] @ arm + 0.02 * np.random.default_rng(1).standard_normal((20, 3))
     antenna[3:8] += [0.9, -0.6, 1.2]  # with the same sigma stated
-    found = georeference(_moved(truth), with_positions(scene, antenna, 0.02), GeorefSettings())
+    found = georeference(_moved(truth), with_positions(scene, antenna, 0.02), GeorefSettings(), TUNING)
     placed = frame_poses(image_poses(found.apply(_moved(truth)), scene), scene)[:, :3, 3]
     assert 0.001 < np.sqrt(np.mean(np.sum((placed - true[:, :3, 3]) ** 2, axis=1))) < 0.04
     np.testing.assert_allclose(found.antenna_m, arm, atol=0.05)
@@ -95,15 +98,17 @@ def test_a_stretch_of_multipath_does_not_hide_behind_the_lever_arm(world) -> Non
 
 def test_fixed_rig_alone_gives_the_scale(world) -> None:
     truth, scene = world
-    found = georeference(_moved(truth), scene, GeorefSettings())
+    found = georeference(_moved(truth), scene, GeorefSettings(), TUNING)
     assert not found.placed and found.scale_source == "rig baseline" and found.origin is None
     assert found.world_from_model.scale == pytest.approx(1 / 0.37, rel=1e-6)
     nominal = scene.with_(rigs=(replace(scene.rigs[0], nominal=True),))
-    other = georeference(_moved(truth), nominal, GeorefSettings())
+    other = georeference(_moved(truth), nominal, GeorefSettings(), TUNING)
     assert other.scale_source == "none" and any("nominal" in n for n in other.notes)
     shrink = np.array([[1, 1, 1, 0.02]] * 3 + [[1, 1, 1, 1]])
     short = tuple(replace(s, sensor_from_rig=s.sensor_from_rig * shrink) for s in scene.rigs[0].sensors)
-    near = georeference(_moved(truth), scene.with_(rigs=(replace(scene.rigs[0], sensors=short),)), GeorefSettings())
+    near = georeference(
+        _moved(truth), scene.with_(rigs=(replace(scene.rigs[0], sensors=short),)), GeorefSettings(), TUNING
+    )
     assert near.scale_source == "none" and any("no scale taken from the rig" in n for n in near.notes)
 
 
@@ -111,14 +116,14 @@ def test_images_that_hardly_carry_the_baseline_widen_the_scale_of_the_rig(world)
     truth, scene = world
     survey = with_positions(scene, 1.03 * true_frames(truth, scene)[:, :3, 3], 0.05)
     sure, vague = (
-        georeference(_moved(truth), survey, GeorefSettings(), Given(model_scale_sigma=s)) for s in (1e-4, 0.05)
+        georeference(_moved(truth), survey, GeorefSettings(), TUNING, Given(model_scale_sigma=s)) for s in (1e-4, 0.05)
     )
     true_scale = 1 / 0.37
     assert sure.placing is not None and vague.placing is not None and sure.placing.model.scale is not None
     assert sure.placing.model.scale.sigma < 0.01
     assert vague.placing.model.scale == replace(sure.placing.model.scale, sigma=pytest.approx(0.05, rel=0.05))
     assert vague.world_from_model.scale == pytest.approx(1.03 * true_scale, rel=0.01)  # the positions have their say
-    alone = georeference(_moved(truth), scene, GeorefSettings(), Given(model_scale_sigma=0.05))
+    alone = georeference(_moved(truth), scene, GeorefSettings(), TUNING, Given(model_scale_sigma=0.05))
     assert alone.scale_source == "rig baseline" and any("scale good to 5.0%" in n for n in alone.notes)
 
 
@@ -136,7 +141,7 @@ def test_cameras_all_round_say_which_way_is_up(yaws: tuple[float, float], ring: 
             Rotation.from_euler("ZXZ", [30.0 * f, size * (-1) ** (f // 2), yaws[k]], degrees=True).as_matrix() @ north
             for f in range(frames) for k in range(2)
         ]  # fmt: skip
-        up = up_vector(transforms.rigid(np.swapaxes(turns, 1, 2), np.zeros((2 * frames, 3))), scene)
+        up = up_vector(transforms.rigid(np.swapaxes(turns, 1, 2), np.zeros((2 * frames, 3))), scene, TUNING.up)
         assert up is not None and up.ring == ring
         assert up.direction[2] > 0.99
         if ring:
@@ -147,7 +152,7 @@ def test_trajectory_orientations_hold_the_roll(world) -> None:
     truth, scene = world
     poses = true_frames(truth, scene)
     survey = scene.with_(world_from_rig=poses, position_sigma_m=np.full((scene.frames, 3), 0.1), prior="trajectory")
-    found = georeference(_moved(truth), survey, GeorefSettings())
+    found = georeference(_moved(truth), survey, GeorefSettings(), TUNING)
     assert found.scale_source in ("trajectory", "rig baseline")
     placed = frame_poses(image_poses(found.apply(_moved(truth)), scene), scene)
     np.testing.assert_allclose(placed, poses, atol=1e-3)
@@ -156,7 +161,7 @@ def test_trajectory_orientations_hold_the_roll(world) -> None:
 def test_to_dict_is_json_and_two_models_share_a_world(world) -> None:
     truth, scene = world
     survey = with_positions(scene, true_frames(truth, scene)[:, :3, 3], 0.05)
-    first, second = georeference_all([_moved(truth), truth], survey, GeorefSettings())
+    first, second = georeference_all([_moved(truth), truth], survey, GeorefSettings(), TUNING)
     text = json.dumps(first.to_dict(), allow_nan=False)
     assert json.loads(text)["positions"] == 20
     assert second.world_from_model.scale == pytest.approx(1, abs=1e-3)
@@ -185,12 +190,12 @@ def _straight(noise_m: float, seed: int = 0) -> tuple[Evidence, Similarity]:
 def test_straight_track_needs_the_upward_direction() -> None:
     evidence, true = _straight(noise_m=0.3)
     up = Up(true.rotation.T @ np.array([0.0, 0.0, 1.0]), 3.0, True, "the ring")
-    alone = fit_similarity(evidence, None)
-    held = fit_similarity(evidence, up)
+    alone = fit_similarity(evidence, None, TUNING.fit)
+    held = fit_similarity(evidence, up, TUNING.fit)
     tilt = lambda fit: np.degrees(np.arccos((fit.similarity.rotation @ up.direction)[2]))  # noqa: E731
     assert alone.roll_sigma_deg > 20
     assert tilt(held) < 1.0
     assert 0.1 < held.roll_sigma_deg < 5
     assert held.similarity.scale == pytest.approx(true.scale, rel=0.02)
-    lone = fit_similarity(evidence, replace(up, ring=False, sigma_deg=10.0))
+    lone = fit_similarity(evidence, replace(up, ring=False, sigma_deg=10.0), TUNING.fit)
     assert tilt(lone) < 1.0

@@ -17,6 +17,7 @@ from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.sfm.model import frame_poses, image_poses
 from tiegraph.sfm.settings import GeorefSettings
+from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.world import worldadjust
 from tiegraph.sfm.world.fixes import Given, PositionRows, make_fixes
 from tiegraph.sfm.world.georef import georeference
@@ -25,6 +26,9 @@ from tiegraph.sfm.world.ground import Held, georeference_model
 from tiegraph.sfm.world.placing import Model, place
 
 import pycolmap  # isort: skip
+
+TUNING = Tuning()
+WORLD = TUNING.world
 
 needs_pyceres = pytest.mark.skipif(not worldadjust.available(), reason="pyceres is not installed")
 
@@ -74,13 +78,13 @@ def _control(truth, scene, count: int = 6, sigma: float = 0.005, checks: int = 2
 def test_control_points_alone_place_and_check_points_stay_out(world) -> None:
     truth, scene = world
     control = _control(truth, scene)
-    found, placed = georeference_model(_moved(truth), scene, GeorefSettings(), Given(control=control))
+    found, placed = georeference_model(_moved(truth), scene, GeorefSettings(), TUNING, Given(control=control))
     assert found.placed and found.adjusted and found.scale_source in ("control points", "rig baseline")
     assert 0.001 < _error(placed, truth, scene) < 0.1
     assert found.accuracy["gcp"]["points"] == 4 and found.accuracy["check"]["points"] == 2
     assert 0 < found.accuracy["check"]["rmse_m"] < 0.05
     moved = replace(control, world_m=control.world_m + np.where(control.check, 3.0, 0.0)[:, None])
-    other, same = georeference_model(_moved(truth), scene, GeorefSettings(), Given(control=moved))
+    other, same = georeference_model(_moved(truth), scene, GeorefSettings(), TUNING, Given(control=moved))
     assert _error(same, placed, scene) < 1e-6 and other.accuracy["check"]["rmse_east_m"] == pytest.approx(3, abs=0.1)
 
 
@@ -89,7 +93,7 @@ def test_a_point_with_one_mark_is_said_with_its_line(world) -> None:
     control = _control(truth, scene)
     rows = (control.point != 1) | (np.arange(len(control.point)) == np.flatnonzero(control.point == 1)[0])
     few = replace(control, **{n: getattr(control, n)[rows] for n in ("point", "image", "xy_px", "line")})
-    found = georeference(_moved(truth), scene, GeorefSettings(), Given(control=few))
+    found = georeference(_moved(truth), scene, GeorefSettings(), WORLD, Given(control=few))
     assert found.control[1]["off_m"] is None
     assert any("'P1' is not used: 1 marks in registered images" in n and "line 8" in n for n in found.notes)
 
@@ -103,8 +107,8 @@ def test_adjustment_meets_the_truth_and_says_what_it_did(world) -> None:
     survey = with_positions(
         scene, true[:, :3, 3] + true[:, :3, :3] @ arm + 0.03 * rng.standard_normal((scene.frames, 3)), 0.03
     )
-    plain, before = georeference_model(_moved(truth), survey, GeorefSettings(adjust="no"))
-    found, after = georeference_model(_moved(truth), survey, GeorefSettings(adjust="yes"))
+    plain, before = georeference_model(_moved(truth), survey, GeorefSettings(adjust="no"), TUNING)
+    found, after = georeference_model(_moved(truth), survey, GeorefSettings(adjust="yes"), TUNING)
     assert not plain.adjusted and found.adjusted
     assert 0.001 < _error(after, truth, scene) < 1.2 * _error(before, truth, scene) + 0.01
     np.testing.assert_allclose(found.antenna_m, arm, atol=0.1)
@@ -124,7 +128,7 @@ def test_what_the_rig_file_gives_with_a_sigma_holds_among_the_positions_too(worl
         sensor = replace(scene.rigs[0].sensors[1], sensor_from_rig=given, sigma_m=sigma, sigma_deg=10.0)
         rig = replace(scene.rigs[0], sensors=(scene.rigs[0].sensors[0], sensor), fixed=False)
         scene_given = placed.with_(rigs=(rig,))
-        _, model = georeference_model(truth, scene_given, GeorefSettings(adjust="yes"), None, Held(soft=soft))
+        _, model = georeference_model(truth, scene_given, GeorefSettings(adjust="yes"), TUNING, None, Held(soft=soft))
         places.append(next(p.translation[0] for p in model.rig(1).non_ref_sensors.values()))
     tight, loose, unknown = places
     assert abs(tight - given[0, 3]) < 0.005
@@ -138,12 +142,12 @@ def test_every_fifth_gross_outlier_and_a_pass_without_positions(world) -> None:
     wrong = true + 0.05 * rng.standard_normal(true.shape)
     bad = rng.choice(scene.frames, 3, replace=False)
     wrong[bad] += 30 * rng.standard_normal((3, 3))
-    found = georeference(_moved(truth), with_positions(scene, wrong, 0.05), GeorefSettings(antenna="ignored"))
+    found = georeference(_moved(truth), with_positions(scene, wrong, 0.05), GeorefSettings(antenna="ignored"), WORLD)
     assert not found.inlier[bad].any() and found.inlier.sum() >= scene.frames - 5
     assert _error(found.apply(_moved(truth)), truth, scene) < 0.1
     half = np.where(np.arange(scene.frames)[:, None] < 12, true, np.nan)
     two = with_positions(scene.with_(track=np.arange(24) >= 12, tracks=("up", "down")), half, 0.05)
-    lost = georeference(_moved(truth), two, GeorefSettings())
+    lost = georeference(_moved(truth), two, GeorefSettings(), WORLD)
     assert lost.placed and any("pass 'down' has no position" in n for n in lost.notes)
 
 
@@ -151,7 +155,7 @@ def test_exchanged_axes_are_said(world) -> None:
     truth, scene = world
     true = true_frames(truth, scene)[:, [1, 0, 2], 3]
     with pytest.raises(InputError, match="exchanged"):
-        georeference(_moved(truth), with_positions(scene, true, 0.05), GeorefSettings())
+        georeference(_moved(truth), with_positions(scene, true, 0.05), GeorefSettings(), WORLD)
 
 
 def _straight(passes: int) -> tuple[Model, Scene, np.ndarray]:
@@ -177,14 +181,14 @@ def _straight(passes: int) -> tuple[Model, Scene, np.ndarray]:
 
 def test_straight_passes_whose_mirror_image_hangs_upside_down_are_refused() -> None:
     model, scene, place_m = _straight(2)
-    assert place(model, with_positions(scene, place_m, 0.02), GeorefSettings(), Given()) is not None
+    assert place(model, with_positions(scene, place_m, 0.02), GeorefSettings(), Given(), WORLD) is not None
     with pytest.raises(InputError, match="upside down"):
-        place(model, with_positions(scene, place_m[:, [1, 0, 2]], 0.02), GeorefSettings(), Given())
+        place(model, with_positions(scene, place_m[:, [1, 0, 2]], 0.02), GeorefSettings(), Given(), WORLD)
 
 
 def test_one_straight_pass_tells_no_mirror_image_and_that_is_said() -> None:
     model, scene, place_m = _straight(1)
-    found = place(model, with_positions(scene, place_m[:, [1, 0, 2]], 0.02), GeorefSettings(), Given())
+    found = place(model, with_positions(scene, place_m[:, [1, 0, 2]], 0.02), GeorefSettings(), Given(), WORLD)
     assert found is not None and any("exchanged cannot be told" in n for n in found.notes)
 
 
@@ -198,27 +202,29 @@ def test_rows_between_frames_carry_lever_arm_and_clock() -> None:
     late = _path(fine + clock)  # the receiver's stamps are early: at its time t the boat is where it is at t + clock
     noise = 0.02 * np.random.default_rng(3).standard_normal((len(fine), 3))
     rows = PositionRows(fine, late[:, :3, 3] + late[:, :3, :3] @ arm + noise, np.full((len(fine), 3), 0.02))
-    fixes = make_fixes(scene, np.ones(scene.frames, bool), Given(rows), 0.01)
+    fixes = make_fixes(scene, np.ones(scene.frames, bool), Given(rows), 0.01, WORLD.fixes)
     assert 150 < len(fixes) <= 5 * scene.frames + scene.frames
     moved, _ = fixes.blend(_path(frames))
     at = np.searchsorted(fine, fixes.time_s - 1e-6)
     np.testing.assert_allclose(moved[:, :3, 3], poses[at, :3, 3], atol=0.2)  # a cubic follows the curve
-    wide = fixes.widened(_path(frames), 1.0)
+    wide = fixes.widened(_path(frames), 1.0, WORLD.fixes)
     off = np.linalg.norm(moved[:, :3, 3] - poses[at, :3, 3], axis=1)
     assert np.all(off < 3 * wide.sigma[:, 0]) and np.median(wide.sigma) < 0.05
     model = Model(transforms.invert(_path(frames)), None, None, [])
-    placing = place(model, scene, GeorefSettings(sigma_floor_m=0.01), Given(rows))
+    placing = place(model, scene, GeorefSettings(sigma_floor_m=0.01), Given(rows), WORLD)
     assert placing is not None
     np.testing.assert_allclose(placing.fit.antenna[[0, 2]], arm[[0, 2]], atol=0.08)
     assert placing.fit.offset_s == pytest.approx(clock, abs=0.03)
     assert any("clock is +0.1" in n for n in placing.notes) and any("lever arm estimated" in n for n in placing.notes)
     gap = (fine > 20) & (fine < 30)
     few = PositionRows(*(v[~gap] for v in (rows.time_s, rows.position_m, rows.sigma_m)))
-    doubted = make_fixes(scene, np.ones(scene.frames, bool), Given(few), 0.01)
+    doubted = make_fixes(scene, np.ones(scene.frames, bool), Given(few), 0.01, WORLD.fixes)
     after = (doubted.time_s >= 30) & (doubted.time_s < 39)
     assert not np.any((doubted.time_s > 20.1) & (doubted.time_s < 29.9))
     assert np.all(doubted.sigma[after] > 0.05) and np.all(doubted.sigma[doubted.time_s > 45] < 0.03)
-    bridge = make_fixes(scene, np.ones(scene.frames, bool), Given(rows, covered=np.arange(scene.frames) < 5), 0.01)
+    bridge = make_fixes(
+        scene, np.ones(scene.frames, bool), Given(rows, covered=np.arange(scene.frames) < 5), 0.01, WORLD.fixes
+    )
     assert bridge.sigma[0, 0] == pytest.approx(0.2, rel=0.01)
 
 
@@ -243,9 +249,9 @@ def _drive(time_s: np.ndarray) -> Scene:
 def test_a_relaxed_rig_is_not_adjusted_with_the_positions(world) -> None:
     truth, scene = world
     survey = with_positions(scene, true_frames(truth, scene)[:, :3, 3], 0.05)
-    assert georeference_model(_moved(truth), survey, GeorefSettings(adjust="yes"))[0].adjusted
+    assert georeference_model(_moved(truth), survey, GeorefSettings(adjust="yes"), TUNING)[0].adjusted
     other = np.flatnonzero(survey.sensor == 1)  # its images stand in other frames of the model than of the scene
     frame = survey.frame.copy()
     frame[other] = np.roll(frame[other], 1)
-    found, _ = georeference_model(_moved(truth), survey.with_(frame=frame), GeorefSettings(adjust="yes"))
+    found, _ = georeference_model(_moved(truth), survey.with_(frame=frame), GeorefSettings(adjust="yes"), TUNING)
     assert not found.adjusted and any("relaxed" in n for n in found.notes)

@@ -20,7 +20,8 @@ from tiegraph.sfm.model import frame_poses, held_out_frames, image_poses
 from tiegraph.sfm.placement.verified import image_ids
 from tiegraph.sfm.rig.rig import model_extrinsics, rig_modes
 from tiegraph.sfm.settings import SparseSettings
-from tiegraph.sfm.tuning import MappingTuning, PositionTuning, Tuning
+from tiegraph.sfm.tuning import MappingTuning, Tuning
+from tiegraph.sfm.world.tuning import FixTuning
 
 
 def _run(folder: Path, scene: Scene, **settings: object) -> SparseResult:
@@ -167,7 +168,7 @@ def test_positions_put_the_incremental_model_into_the_world(tmp_path: Path) -> N
     """With priors the model comes out metric and in place; held-out positions, 100 m off here, have no part in it."""
     truth, scene = make_world(tmp_path / "database.db", cameras=1, frames=12)
     true = true_frames(truth, scene)[:, :3, 3]
-    held = held_out_frames(with_positions(scene, true, 0.02), PositionTuning())
+    held = held_out_frames(with_positions(scene, true, 0.02), FixTuning())
     assert held.sum() == 2
     given = true + 0.02 * np.random.default_rng(0).standard_normal(true.shape) + 100 * held[:, None]
     result = _run(tmp_path, with_positions(scene, given, 0.02))

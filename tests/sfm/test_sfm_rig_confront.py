@@ -48,7 +48,7 @@ WANTED = (
 @pytest.mark.parametrize(("case", "first"), WANTED)
 def test_what_the_images_want_otherwise_is_told_apart(case: str, first: tuple[str, int] | None) -> None:
     model, scene = _rigid(case)
-    heard = hear(model, scene, 0, 1.0, RIG)
+    heard = hear(model, scene, 0, 1.0, Tuning())
     assert heard is not None
     if first is None:
         assert heard.freed == ()  # a rig whose size alone is wrong contradicts no image
@@ -68,10 +68,10 @@ def test_what_the_images_want_otherwise_is_told_apart(case: str, first: tuple[st
 def test_times_that_the_images_leave_open_are_said() -> None:
     """Six cameras that see each other's surfaces tell their times; one of them without such ties does not."""
     model, scene = _rigid("as given")
-    heard = hear(model, scene, 0, 1.0, RIG)
+    heard = hear(model, scene, 0, 1.0, Tuning())
     assert heard is not None and open_times(heard, scene, 0) == []
     alone = _without_shared_points(model, camera=4)
-    heard = hear(alone, scene, 0, 1.0, RIG)
+    heard = hear(alone, scene, 0, 1.0, Tuning())
     assert heard is not None
     (said,) = open_times(heard, scene, 0)
     assert "whether cam3 fires" in said and "ms" in said and "synchronised = true" in said
@@ -94,7 +94,7 @@ def _without_shared_points(model: pycolmap.Reconstruction, camera: int) -> pycol
 def test_what_one_step_cannot_tell_is_said_without_figures() -> None:
     """A model 128 times too long (PandaSet, standing): cameras "turned by 4522 deg" and "829 m off"."""
     model, scene = _rigid("turned")
-    heard = hear(model, scene, 0, 1.0, RigTuning(judge=JudgeTuning(freed_deg=0.05)))
+    heard = hear(model, scene, 0, 1.0, Tuning(rig=RigTuning(judge=JudgeTuning(freed_deg=0.05))))
     assert heard is not None and heard.beyond == (2,) and heard.freed == ()
     said = statements(heard, scene, 0)
     assert said.statements == () and len(said.contradictions) == 1 and "(cam2)" in said.contradictions[0]
@@ -111,10 +111,10 @@ def test_a_camera_that_stands_elsewhere_widens_the_scale_of_its_rig() -> None:
     moved[:3, 3] -= pose[:3, :3] @ [0.0, 0.04, 0.0]
     sensors = tuple(replace(s, sensor_from_rig=moved) if k == 1 else s for k, s in enumerate(rig.sensors))
     wrong = scene.with_(rigs=(replace(rig, sensors=sensors, synchronised=True),))
-    heard = hear(model, wrong, 0, 1.0, RIG)
+    heard = hear(model, wrong, 0, 1.0, Tuning())
     assert heard is not None and ("mount", 1) in heard.freed
     assert statements(heard, wrong, 0).misfit == pytest.approx(0.04 / lever / np.sqrt(5), rel=0.4)
-    right = hear(model, scene, 0, 1.0, RIG)
+    right = hear(model, scene, 0, 1.0, Tuning())
     assert right is not None and statements(right, scene, 0).misfit == 0
 
 
@@ -169,7 +169,7 @@ def test_a_lever_arm_that_a_model_found_is_not_known_along_the_way() -> None:
     drawn = scene.with_(rigs=(replace(scene.rigs[0], fixed=False, nominal=True),))
     free, said = ({}, {})
     for out, one in ((free, drawn), (said, with_sync(drawn))):
-        heard = hear(model, one, 0, 1.0, RIG)
+        heard = hear(model, one, 0, 1.0, Tuning())
         assert heard is not None and heard.freed == ()
         out.update(lever_sigmas(heard, one, 0))
     assert sorted(free) == sorted(said) == [2, 3, 4, 5, 6]

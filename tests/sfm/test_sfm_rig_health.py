@@ -39,7 +39,7 @@ def _rigid(model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
 
 def test_a_good_rig_scatters_as_expected() -> None:
     model, scene = moving_world()
-    found = diagnose(_rigid(model), scene, 1.0, RIG)
+    found = diagnose(_rigid(model), scene, 1.0, Tuning())
     assert found.moving == () and found.notes == []
     assert [h.name for h in found.health] == ["cam0", "cam1", "cam2"]
     for h in found.health:
@@ -108,7 +108,7 @@ def test_a_relaxed_model_that_loses_images_is_not_kept(tmp_path: Path, monkeypat
 
 def test_a_loose_camera_is_named() -> None:
     model, scene = moving_world(loose_deg=(0, 0, 0.2))
-    found = diagnose(_rigid(model), scene, 1.0, RIG)
+    found = diagnose(_rigid(model), scene, 1.0, Tuning())
     assert found.moving == (0,)
     assert any("cam2 is not rigid" in note for note in found.notes)
 
@@ -116,7 +116,7 @@ def test_a_loose_camera_is_named() -> None:
 def test_a_camera_that_comes_off_is_named_and_let_go() -> None:
     """At 2 degrees the adjustment throws its sightings out: that gives it away."""
     model, scene = moving_world(loose_deg=(0, 0, 2.0))
-    found = diagnose(_rigid(model), scene, 1.0, RIG, model)
+    found = diagnose(_rigid(model), scene, 1.0, Tuning(), model)
     assert found.moving == (0,) and 2 in found.loose
 
 
@@ -146,9 +146,9 @@ def test_constant_speed_tells_no_offset_from_a_lever() -> None:
 def test_a_late_camera_is_relaxed() -> None:
     model, scene = moving_world(late_s=(0, 0, LATE_S))
     rigid = _rigid(model)
-    found = diagnose(rigid, scene, 1.0, RIG)
+    found = diagnose(rigid, scene, 1.0, Tuning())
     assert found.moving == (0,) and any("not synchronised" in note for note in found.notes)
-    relaxed = relax(rigid, scene, 0, Believed(1.0, True, [1, 2, 3]), RIG)
+    relaxed = relax(rigid, scene, 0, Believed(1.0, True, [1, 2, 3]), Tuning())
     assert relaxed.offsets[2].offset_s == pytest.approx(LATE_S, rel=0.15)
     assert abs(relaxed.offsets[1].offset_s) < 0.1 * LATE_S
     assert relaxed.model.compute_mean_reprojection_error() < 0.9 * rigid.compute_mean_reprojection_error()
@@ -169,7 +169,7 @@ def test_a_relaxed_calibrated_rig_keeps_its_rotations_though_the_lenses_are_not_
         for point in model.image(image_id).points2D:
             ray = (point.xy - [400, 300]) / 400
             point.xy = point.xy + 400 * ray * 0.004 * (ray @ ray) + [0.6 * (ray[0] ** 2), 0.0]
-    relaxed = relax(_rigid(model), scene, 0, Believed(1.0, True, [1, 2, 3]), RIG)
+    relaxed = relax(_rigid(model), scene, 0, Believed(1.0, True, [1, 2, 3]), Tuning())
     assert relaxed.offsets[2].offset_s == pytest.approx(LATE_S, rel=0.25)
     poses = image_poses(relaxed.model, scene)
     for s in (1, 2):

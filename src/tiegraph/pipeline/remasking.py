@@ -91,7 +91,7 @@ def _lines(
     for k, name in enumerate(scene.names):
         if name in poses:
             matrices[k] = np.vstack([poses[name].matrix(), [0, 0, 0, 1]])
-    up = up_vector(matrices, scene)
+    up = up_vector(matrices, scene, run.settings.tuning.sfm.world.up)
     if up is None or not up.ring:
         return {}, ("no ring of cameras shows which way is up: the water stays as it was learnt",)
     views = _views(run, scene, model, matrices)

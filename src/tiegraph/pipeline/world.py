@@ -42,12 +42,11 @@ def georef(run: Run) -> Outcome:
     rigs = tuple(k + 1 for k, mode in modes.items() if mode == "fixed")
     soft = tuple(k for k, mode in modes.items() if mode == "soft")
     held = Held(rigs, believed_cameras(scene, sparse), soft)
-    request = GroundRequest(
-        folders[0], scratch, scene.to_json(), run.settings.georef, given, held, run.settings.tuning.sfm.world
-    )
+    tuning = run.settings.tuning.sfm
+    request = GroundRequest(folders[0], scratch, scene.to_json(), run.settings.georef, given, held, tuning)
     main = run_in_child(ground, request, log=run.log, task="georeferencing")
     others = [load_model(p) for p in folders[1:]]
-    placed = georeference_all(others, scene, run.settings.georef, given)
+    placed = georeference_all(others, scene, run.settings.georef, tuning.world, given)
     notes = [*main.notes, *(_other_note(k + 1, m, g) for k, (m, g) in enumerate(zip(others, placed)))]
     world = main.to_dict()
     if "position_sigma_median" in sigma:

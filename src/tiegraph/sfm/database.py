@@ -16,7 +16,7 @@ from tiegraph.scene.colmapmodel import MAX_IMAGES
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import held_out_frames, rigid3d
-from tiegraph.sfm.tuning import PositionTuning
+from tiegraph.sfm.world.tuning import FixTuning
 
 # All a mapper reads besides rigs, frames and priors, and which rows of it some images need.
 _COPIED = {
@@ -32,7 +32,7 @@ def write_working_copy(
     target: Path,
     scene: Scene,
     with_rig: Mapping[int, Rig],
-    positions: PositionTuning | None,
+    positions: FixTuning | None,
     refused: Sequence[tuple[int, int]] = (),
     only: np.ndarray | None = None,
 ) -> None:
@@ -133,7 +133,7 @@ def _colmap_rig(rig_id: int, rig: Rig, cameras: dict[int, int]) -> pycolmap.Rig:
 
 
 def _write_positions(
-    database: pycolmap.Database, scene: Scene, images: dict[int, pycolmap.Image], tuning: PositionTuning
+    database: pycolmap.Database, scene: Scene, images: dict[int, pycolmap.Image], tuning: FixTuning
 ) -> None:
     """Position priors on reference images. COLMAP knows no lever arm: its length widens the sigma instead."""
     held_out = held_out_frames(scene, tuning)

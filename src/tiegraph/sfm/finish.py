@@ -178,7 +178,7 @@ def _checked_rig(
         return out
     metres = 1 / units_per_metre(model, scene, request.tuning.rig.support)
     try:
-        found = diagnose(model, scene, metres, request.tuning.rig, mapped)
+        found = diagnose(model, scene, metres, request.tuning, mapped)
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
         notes.append(f"the rig could not be checked: {error}")
         return out
@@ -205,7 +205,7 @@ def _single_lenses(out: _Checked, scene: Scene, request: FinishRequest, notes: l
         held = len(rig.sensors) == 1 and first + 1 in request.constant_cameras
         first += len(rig.sensors)
         try:
-            heard = hear_lens(out.model, scene, index, request.tuning.rig) if held else None
+            heard = hear_lens(out.model, scene, index, request.tuning) if held else None
         except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
             notes.append(f"the calibration of {rig.sensors[0].name} could not be checked: {error}")
             continue
@@ -264,7 +264,7 @@ def _relaxed(
         bent = not request.constant_cameras and any(what == "mount" for what, _ in freed)
         calibrated = (index in request.fixed or index in request.soft) and not bent
         believed = Believed(metres, calibrated, request.constant_cameras, request.lenses_ordered)
-        free = relax(start, scene, index, believed, request.tuning.rig, found.loose)
+        free = relax(start, scene, index, believed, request.tuning, found.loose)
         lost = lost_images(out.model, free.model, scene)
         if lost:
             out.contradictions.append(_lost_note(scene, index, lost, found.notes))
@@ -280,15 +280,15 @@ def _confronted(
     """Say where the file of a measured rig contradicts the images; a turned or shifted camera may be adjusted."""
     metres = heard.system.metres_per_unit
     if relaxed:  # with its times free, other things may be left to say, or none
-        again = hear(out.model, scene, index, metres, request.tuning.rig)
+        again = hear(out.model, scene, index, metres, request.tuning)
         heard = heard if again is None else again
     refined = None
     bent = any(what == "mount" for what, _ in heard.freed)
     if bent and not relaxed and index in request.fixed and soft.available():
         fixed = [k + 1 for k in request.fixed]
-        refined = refine(out.model, scene, index, heard, fixed, request.constant_cameras)
+        refined = refine(out.model, scene, index, heard, fixed, request.constant_cameras, request.tuning.adjust)
     if refined is not None:  # where the rest is no longer bent by it, the sigmas are better
-        again = hear(refined, scene, index, metres, request.tuning.rig)
+        again = hear(refined, scene, index, metres, request.tuning)
         if again is not None and any(what == "mount" for what, _ in again.freed):
             heard = again
     said = statements(heard, scene, index, refined)

@@ -69,7 +69,7 @@ class Layout:
         """
         parts = []
         for rig_id in self.rigs:
-            keys, expected = compact.information(model.rigs[rig_id], (drawings or {}).get(rig_id))
+            keys, expected = compact.information(model.rigs[rig_id], tuning.compact, (drawings or {}).get(rig_id))
             parts.append((np.array([self.sensor[k] + axis for k in keys for axis in range(3)], int), expected))
         for camera_id, column in self.camera.items():
             camera = model.camera(camera_id)

@@ -12,7 +12,7 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.registered import BY_RIG, MIN_POINTS, Registration
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.tuning import PositionTuning
+from tiegraph.sfm.world.tuning import FixTuning
 
 MIN_OBSERVATIONS = MIN_POINTS  # an image that sees fewer model points has its pose from the rig alone
 
@@ -116,7 +116,7 @@ def frame_poses(cam_from_world: np.ndarray, scene: Scene, metres_per_unit: float
     return poses
 
 
-def held_out_frames(scene: Scene, tuning: PositionTuning) -> np.ndarray:
+def held_out_frames(scene: Scene, tuning: FixTuning) -> np.ndarray:
     """(F,) bool: every fifth frame with a prior position, in the order of the passes; none when there are few.
 
     These positions take part in the final alignment only, neither in the mapping nor in the fit they are checked with.

@@ -68,7 +68,7 @@ def run_mapper(request: Request, send: Callable[[Any], None]) -> Mapped:
     rigs = {k: rig_from_dict(r) for k, r in request.rigs.items()}
     if request.mapper == "preview":
         return _from_poses(request, working, scene, rigs, send)
-    positions = request.tuning.positions if request.positions else None
+    positions = request.tuning.world.fixes if request.positions else None
     write_working_copy(request.database, working, scene, rigs, positions, request.refused, request.only)
     raw = request.folder / "raw"
     raw.mkdir()

@@ -6,20 +6,9 @@ from pydantic import Field
 
 from tiegraph.settings import Section
 from tiegraph.sfm.placement.tuning import PlacementTuning
-from tiegraph.sfm.rig.tuning import RigTuning
+from tiegraph.sfm.rig.tuning import CompactTuning, RigTuning
 from tiegraph.sfm.start.tuning import StartTuning
 from tiegraph.sfm.world.tuning import WorldTuning
-
-
-class PositionTuning(Section):
-    """Measured positions, for the mapper and in the world (`model.py`, `database.py`, `world/fixes.py`)."""
-
-    held_out_every: int = Field(5, ge=2)
-    """ALGORITHMS: every fifth position is left out of the fit, to look at its residual."""
-    least_to_hold_out: int = Field(10, gt=0)
-    """Positions below which none is held out: a fit without a fifth of them says little."""
-    unknown_sigma_m: float = Field(10.0, gt=0)
-    """Of a position whose source gives none (hand-held GPS)."""
 
 
 class MappingTuning(Section):
@@ -110,6 +99,8 @@ class AdjustTuning(Section):
     """Of the robust cost: what distortion must gain over a calibration to be believed against it."""
     lens: LensTuning = LensTuning()
     """Priors of lenses."""
+    compact: CompactTuning = CompactTuning()
+    """What the cameras of a rig let expect of each other's places."""
 
 
 class SharedErrorTuning(Section):
@@ -184,8 +175,6 @@ class TwoViewTuning(Section):
 class Tuning(Section):
     """Constants of the engine that are the same for every user."""
 
-    positions: PositionTuning = PositionTuning()
-    """Measured positions."""
     mapping: MappingTuning = MappingTuning()
     """The mappers."""
     adjust: AdjustTuning = AdjustTuning()

@@ -108,8 +108,7 @@ def add_priors(
 ) -> list[Any]:
     """Expect the free sensors of the problem near the others of their rig; keep what is returned until it has solved.
 
-    ``known``: (rig id, camera id) of sensors of which more is known; ``drawings`` of nominal rigs by rig id;
-    ``robust_px``: by which priors are multiplied.
+    ``known``: (rig id, camera id) of sensors of which more is known; ``drawings`` of nominal rigs by rig id.
     """
     if not available():
         return []
@@ -118,7 +117,7 @@ def add_priors(
 
     kept: list[Any] = []
     for rig_id, rig in model.rigs.items():
-        expected = expected_centres(rig, tuning, drawings.get(rig_id))
+        expected = expected_centres(rig, tuning.compact, (drawings or {}).get(rig_id))
         for identity, pose in rig.non_ref_sensors.items():
             if identity.id not in expected or (rig_id, identity.id) in known:
                 continue

@@ -18,7 +18,6 @@ from tiegraph.sfm.model import model_rigs
 from tiegraph.sfm.rig.judge import Expected, Group, Judgement, expected, judge
 from tiegraph.sfm.rig.linear import rig_system
 from tiegraph.sfm.rig.soft import SensorPrior, Soft
-from tiegraph.sfm.rig.tuning import RigTuning
 from tiegraph.sfm.tuning import AdjustTuning, Tuning
 
 _EXACTLY = 1e-6
@@ -27,7 +26,7 @@ _ONE_CAUSE = "the file of another rig, focal lengths or distortions unlike their
 
 
 def hear(
-    model: pycolmap.Reconstruction, scene: Scene, index: int, metres_per_unit: float, tuning: RigTuning
+    model: pycolmap.Reconstruction, scene: Scene, index: int, metres_per_unit: float, tuning: Tuning
 ) -> Judgement | None:
     """What the images of a model want otherwise of rig ``index``; None where too little tells.
 
@@ -47,21 +46,21 @@ def hear(
         system = rig_system(model, scene.with_(rigs=rigs), index, lenses, metres_per_unit, tuning)
     if system is None:
         return None
-    known = expected(rig, system.timed, tuning)
+    known = expected(rig, system.timed, tuning.rig)
     groups: list[Group] = [("times", -1)] if known.late_s > 0 or measured else []
     if measured:
         first = sum(len(r.sensors) for r in scene.rigs[:index])
         groups += [("mount", k) for k in range(len(rig.sensors) - 1, -1, -1)]
         groups += [("lens", k) for k in range(len(rig.sensors)) if first + k + 1 in lenses]
     else:
-        place, turn = ([s] * len(rig.sensors) for s in (tuning.confront.loosely_m, tuning.confront.loosely_deg))
+        place, turn = ([s] * len(rig.sensors) for s in (tuning.rig.confront.loosely_m, tuning.rig.confront.loosely_deg))
         known = replace(known, place_m=place, turn_deg=turn)
     if not known.late_s:  # said to be synchronised: the images may say otherwise
-        known = replace(known, late_s=expected(replace(rig, synchronised=False), system.timed, tuning).late_s)
+        known = replace(known, late_s=expected(replace(rig, synchronised=False), system.timed, tuning.rig).late_s)
     return judge(system, known, groups)
 
 
-def hear_lens(model: pycolmap.Reconstruction, scene: Scene, index: int, tuning: RigTuning) -> Judgement | None:
+def hear_lens(model: pycolmap.Reconstruction, scene: Scene, index: int, tuning: Tuning) -> Judgement | None:
     """The same of the calibration of a single camera, which is all that there is to contradict."""
     rig = scene.rigs[index]
     lenses = _calibrated(model, scene, index) if len(rig.sensors) == 1 and rig.measured() else ()
@@ -73,7 +72,7 @@ def hear_lens(model: pycolmap.Reconstruction, scene: Scene, index: int, tuning: 
     if system is None:
         return None
     system = system.only("lens")
-    return judge(system, expected(alone, system.timed, tuning), [("lens", 0)])
+    return judge(system, expected(alone, system.timed, tuning.rig), [("lens", 0)])
 
 
 def lever_sigmas(heard: Judgement, scene: Scene, index: int) -> dict[int, float]:
@@ -281,6 +280,7 @@ def refine(
     heard: Judgement,
     fixed: Sequence[int],
     constant_cameras: Collection[int],
+    tuning: AdjustTuning,
 ) -> pycolmap.Reconstruction | None:
     """The model adjusted with the freed mountings of a rigid rig about what is given, the others held; None: refused.
 
@@ -289,7 +289,7 @@ def refine(
     known = expected(scene.rigs[index], heard.system.timed, heard.known.tuning)
     priors = _priors(model, scene, index, known, heard)
     others = [k for k in fixed if k != index + 1]
-    found = final_adjustment(model, others, constant_cameras, Soft(sensors=priors), tuning=AdjustTuning())
+    found = final_adjustment(model, others, constant_cameras, Soft(sensors=priors), tuning=tuning)
     return found.model if found.accepted else None
 
 

@@ -16,6 +16,7 @@ from tiegraph.sfm.rig.health import Resections, SensorHealth, resect_all, sensor
 from tiegraph.sfm.rig.judge import Judgement
 from tiegraph.sfm.rig.sync import TimeOffset, rig_motion, time_offset
 from tiegraph.sfm.rig.tuning import RigTuning, SyncTuning, TornTuning
+from tiegraph.sfm.tuning import Tuning
 
 
 @dataclass(frozen=True)
@@ -57,22 +58,22 @@ def diagnose(
     model: pycolmap.Reconstruction,
     scene: Scene,
     metres_per_unit: float,
-    tuning: RigTuning,
+    tuning: Tuning,
     before: pycolmap.Reconstruction | None = None,
 ) -> Diagnosis:
     """Resect every camera against its rig, hear what the images want otherwise of it, and judge what comes out.
 
     ``before``: the model before its adjustment. A camera that sits loose loses most of its sightings there.
     """
-    found = resect_all(model, scene, metres_per_unit, tuning.health)
-    health = sensor_health(found, scene, tuning.health)
+    found = resect_all(model, scene, metres_per_unit, tuning.rig.health)
+    health = sensor_health(found, scene, tuning.rig.health)
     heard = {k: j for k in range(len(scene.rigs)) if (j := hear(model, scene, k, metres_per_unit, tuning)) is not None}
-    late = _late(heard, health, scene, tuning.sync)
+    late = _late(heard, health, scene, tuning.rig.sync)
     rig_of = np.concatenate([[k] * len(r.sensors) for k, r in enumerate(scene.rigs)]) if scene.rigs else np.zeros(0)
-    in_time = _in_time(found, model, scene, heard, metres_per_unit, tuning.sync)
-    scattered = {h.sensor: h for h in sensor_health(in_time, scene, tuning.health)}
-    still = {k for k, h in scattered.items() if h.rigid(tuning.health)}
-    torn = _torn_off(before, model, scene, tuning.torn)
+    in_time = _in_time(found, model, scene, heard, metres_per_unit, tuning.rig.sync)
+    scattered = {h.sensor: h for h in sensor_health(in_time, scene, tuning.rig.health)}
+    still = {k for k, h in scattered.items() if h.rigid(tuning.rig.health)}
+    torn = _torn_off(before, model, scene, tuning.rig.torn)
     torn = {k: v for k, v in torn.items() if k not in still or not _explained(heard, scene, k)}
     moving, notes, loose = {int(rig_of[k]) for k in (*late, *torn)}, [], dict(torn)
     for key in torn:
@@ -84,11 +85,11 @@ def diagnose(
             f"against the rig by {h.scatter_m:.3f} m and {h.scatter_deg:.2f} deg ({h.scatter_px:.1f} px), "
             f"{h.scatter_ratio:.1f} x the expected, at least {h.sure_ratio:.1f} x by its {h.frames} frames"
         )
-        if not h.rigid(tuning.health):
+        if not h.rigid(tuning.rig.health):
             moving.add(int(rig_of[h.sensor]))
             loose[h.sensor] = h.scatter_deg
             notes.append(f"camera {h.name} is not rigid or not synchronised: it scatters {scatter}")
-        elif h.sure_ratio > tuning.health.max_ratio:
+        elif h.sure_ratio > tuning.rig.health.max_ratio:
             notes.append(f"camera {h.name} scatters {scatter}: too little to be seen, nothing is made of it")
     if len(loose) > 1:
         notes.append("of several cameras that scatter, the one with the largest ratio is the cause: they share points")

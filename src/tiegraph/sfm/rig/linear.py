@@ -25,7 +25,7 @@ from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.normal import at_their_minimum, by_blocks, point_inverse, reduced
 from tiegraph.sfm.rig.release import released
 from tiegraph.sfm.rig.sync import rig_motion
-from tiegraph.sfm.rig.tuning import RigTuning
+from tiegraph.sfm.tuning import Tuning
 
 _SEED = 0
 _ANY = 1e-9  # of the stiffness: what nothing tells gets a huge sigma instead of a singular matrix
@@ -103,14 +103,14 @@ def rig_system(
     index: int,
     lenses: Collection[int],
     metres_per_unit: float,
-    tuning: RigTuning,
+    tuning: Tuning,
 ) -> RigSystem | None:
     """The system of rig ``index`` of a model in which it is rigid or relaxed; None where too little is there.
 
     ``lenses``: ids of cameras whose parameters are unknowns too. ``metres_per_unit``: of the model, nearly; the unknown
     "size" says what is left of it. All extrinsics of the rig must be given.
     """
-    bounds = tuning.system
+    bounds = tuning.rig.system
     alone = released(model, [k + 1 for k in range(len(scene.rigs))], scene)
     free = _stretch(alone, scene, index, bounds.most_frames)
     images = _Images.of(free, scene, index, metres_per_unit)
@@ -125,7 +125,7 @@ def rig_system(
         return None
     keys, columns, off = images.columns(layout)
     square = np.sum(residual.reshape(-1, 2) ** 2, axis=1)
-    first = np.repeat(1 / (1 + square / tuning.robust_px**2), 2)
+    first = np.repeat(1 / (1 + square / tuning.adjust.robust_px**2), 2)
     both = sparse.hstack([jc @ columns, sparse.csr_matrix((jc @ off)[:, None])]).tocsr()
     weight = sparse.diags(first)  # the curvature's weights are the gradient's squared
     whole = reduced((weight @ both).tocsr(), (weight @ jp).tocsr()).toarray() / share

@@ -56,7 +56,7 @@ class _Setting:
     extrinsics: np.ndarray  # (S, 4, 4) sensor_from_rig, model units
     calibrated: bool
     loose: Mapping[int, float]
-    tuning: RigTuning
+    tuning: Tuning
 
     def columns(self, image: int) -> np.ndarray:
         """(6,) place in model units and attitude a second, of the rig at an image's frame."""
@@ -65,7 +65,7 @@ class _Setting:
 
     def covariance(self, image: int) -> np.ndarray:
         """(6, 6) of how far a camera is off from frame to frame."""
-        speed, known = float(np.linalg.norm(self.columns(image)[:3])), self.tuning.relax
+        speed, known = float(np.linalg.norm(self.columns(image)[:3])), self.tuning.rig.relax
         place = known.loose_m / self.metres_per_unit + known.loose_s * speed
         keeps = known.held_deg if self.calibrated else known.loose_deg
         turn = max(keeps, self.loose.get(int(self.scene.sensor_key[image]), 0.0))
@@ -77,7 +77,7 @@ def relax(
     scene: Scene,
     index: int,
     believed: Believed,
-    tuning: RigTuning,
+    tuning: Tuning,
     loose: Mapping[int, float] | None = None,
 ) -> Relaxed:
     """Release rig ``index`` of a model in which it was rigid; its cameras' offsets and constants are estimated.
@@ -115,7 +115,7 @@ def _ties(model: pycolmap.Reconstruction, soft: Soft) -> tuple[Tie, ...]:
 def _soft(model: pycolmap.Reconstruction, setting: _Setting) -> Soft:
     """One tie from the first registered image of each frame to each other; timed where it is the reference."""
     scene, timed, ties = setting.scene, [], []
-    late_s, known = setting.tuning.late_s, setting.tuning.relax
+    late_s, known = setting.tuning.rig.late_s, setting.tuning.rig.relax
     for first, other, ids in _pairs(model, setting):
         relative = setting.extrinsics[scene.sensor[other]] @ transforms.invert(setting.extrinsics[scene.sensor[first]])
         covariance = setting.covariance(other)
@@ -163,7 +163,7 @@ def _offsets(model: pycolmap.Reconstruction, setting: _Setting, timed: Timed) ->
             np.concatenate([moved, Rotation.from_matrix(back[:3, :3]).as_rotvec()]) * scale
         )
         columns.setdefault(tie.sensor, []).append(tie.columns * scale)
-    sync = setting.tuning.sync
+    sync = setting.tuning.rig.sync
     return {key: _offset(timed.unknowns[key], np.array(rows[key]), np.array(columns[key]), scale, sync) for key in rows}
 
 

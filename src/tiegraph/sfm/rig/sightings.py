@@ -94,8 +94,7 @@ class Retriangulated:
 def retriangulate(seen: Sightings, tuning: HealthTuning) -> Retriangulated:
     """Points from the given sightings alone: least squares of the rays' distances, weighted by focal length / range.
 
-    Needs two sightings or more whose rays meet at 1.5 degrees or more. Robust by Cauchy weights at 2 px from the second
-    round on.
+    Needs two sightings or more whose rays meet at an angle. Robust by Cauchy weights from the second round on.
     """
     count = len(seen.xyz)
     rays = seen.world_rays()

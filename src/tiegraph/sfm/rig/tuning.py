@@ -208,15 +208,10 @@ class TiesTuning(Section):
 class RigTuning(Section):
     """Constants of sfm/rig."""
 
-    robust_px: float = Field(0.5, gt=0)
-    """The Cauchy scale of the adjustment: about the sigma of a SIFT key point. Reprojection errors are in pixels and
-    not divided by their sigma; so that both weigh what they should, priors are multiplied by it."""
     late_s: float = Field(0.1, gt=0)
     """Sigma of when a camera fires after the reference, before the images speak and where nobody says."""
     tight_deg: float = Field(0.5, ge=0)
     """Extrinsics known better than this lead the mapper as they are; worse ones it may refine."""
-    compact: CompactTuning = CompactTuning()
-    """What cameras let expect of each other's places."""
     given: GivenTuning = GivenTuning()
     """What a file gives with a sigma."""
     derive: DeriveTuning = DeriveTuning()

@@ -10,16 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry.align import Similarity, robust_umeyama, umeyama
 from tiegraph.sfm.world.gravity import Up
+from tiegraph.sfm.world.tuning import FitTuning
 
-INLIER_SIGMAS = 3.0
-# Orientations of a trajectory are not independent from frame to frame: together they weigh as much as four of 3 deg.
-_ORIENTATION_SIGMA_DEG, _ORIENTATION_FREEDOM = 3.0, 4
-ANTENNA_SIGMA_M = 1.0  # weak prior of a lever arm that no file gives: boats and cars carry it not much farther
-_HELD_M = 1e-3  # a lever arm's height that the positions do not tell stays: a valley that flat has no bottom
-OFFSET_SIGMA_S = 1.0  # weak prior of the receiver's clock against the cameras'
-_ROUNDS = 6
-_BLOCKS = 6
-_CONVERGED = 1e-5  # radians, metres, log scale
 _MAX_LOG_SCALE = 5.0  # from the start: keeps a step of the solver finite
 
 
@@ -78,17 +70,19 @@ class Fit:
     middle: np.ndarray  # (3,) of the positions, in the world
 
 
-def fit_similarity(evidence: Evidence, up: Up | None, near: Similarity | None = None) -> Fit:
+def fit_similarity(evidence: Evidence, up: Up | None, tuning: FitTuning, near: Similarity | None = None) -> Fit:
     """Best similarity from all evidence: robust first, then least squares on what lies within three sigmas.
 
     Started from the positions alone and once more turned upright about the track, as a straight track has two minima;
     or from ``near`` only.
     """
     if near is not None:
-        return _refine(evidence, up, near)[1]
+        return _refine(evidence, up, near, tuning)[1]
     spread = evidence.pose[:, :3, 3]
     reach = np.linalg.norm(evidence.antenna)
-    loose = np.linalg.norm(evidence.sigma, axis=1) + reach + (ANTENNA_SIGMA_M if evidence.estimate_antenna else 0)
+    loose = (
+        np.linalg.norm(evidence.sigma, axis=1) + reach + (tuning.antenna_sigma_m if evidence.estimate_antenna else 0)
+    )
     start = robust_umeyama(spread, evidence.position, loose)[0]
     starts = [start]
     points = evidence.frame < 0
@@ -98,7 +92,7 @@ def fit_similarity(evidence: Evidence, up: Up | None, near: Similarity | None = 
         starts += [_turned(start, evidence, up, angle) for angle in (0.0, np.pi)]
     if np.isfinite(evidence.orientation).all(axis=(1, 2)).any():
         starts.append(_by_orientation(evidence, start.scale))
-    fits = [_refine(evidence, up, s) for s in starts]
+    fits = [_refine(evidence, up, s, tuning) for s in starts]
     return min(fits, key=lambda f: f[0])[1]
 
 
@@ -138,14 +132,16 @@ def _track(evidence: Evidence, similarity: Similarity) -> tuple[np.ndarray, np.n
     return np.linalg.svd(world - middle)[2][0], middle
 
 
-def jackknife_sigma(evidence: Evidence, up: Up | None, fit: Fit, order: np.ndarray) -> dict[str, float]:
+def jackknife_sigma(
+    evidence: Evidence, up: Up | None, fit: Fit, order: np.ndarray, tuning: FitTuning
+) -> dict[str, float]:
     """The larger of the formal sigmas and a block jackknife's: positions err together, not one by one.
 
-    ``order`` sorts the positions along the passes; each of up to six runs of neighbours is left out in turn. Rows that
+    ``order`` sorts the positions along the passes; each of some runs of neighbours is left out in turn. Rows that
     are not in it (control points) stay.
     """
-    parts = min(_BLOCKS, len(order) // 3)
-    if parts < 3:
+    parts = min(tuning.jackknife_blocks, len(order) // tuning.jackknife_rows)
+    if parts < tuning.jackknife_least:
         return fit.sigma
     blocks = np.array_split(order, parts)
     middle = evidence.pose[:, :3, 3].mean(axis=0)
@@ -154,7 +150,7 @@ def jackknife_sigma(evidence: Evidence, up: Up | None, fit: Fit, order: np.ndarr
     for block in blocks:
         keep = np.ones(len(evidence.frame), bool)
         keep[block] = False
-        other = fit_similarity(evidence.where(keep), up, near=full).similarity
+        other = fit_similarity(evidence.where(keep), up, tuning, near=full).similarity
         turn = Rotation.from_matrix(other.rotation @ full.rotation.T).as_rotvec()
         rows.append([*(other(middle) - full(middle)), *turn, np.log(other.scale / full.scale)])
     count = len(blocks)
@@ -172,14 +168,14 @@ def jackknife_sigma(evidence: Evidence, up: Up | None, fit: Fit, order: np.ndarr
 class _Problem:
     """Unknowns: turn (3,) in the world about the middle, shift (3,), log scale, and if asked lever arm (3,), clock."""
 
-    def __init__(self, evidence: Evidence, up: Up | None, start: Similarity) -> None:
-        self.evidence, self.up, self.start = evidence, up, start
+    def __init__(self, evidence: Evidence, up: Up | None, start: Similarity, tuning: FitTuning) -> None:
+        self.evidence, self.up, self.start, self.tuning = evidence, up, start, tuning
         self.middle = evidence.pose[:, :3, 3].mean(axis=0)
         self.axis = _track(evidence, start)[0]
         known = np.isfinite(evidence.orientation).all(axis=(1, 2))
         self.oriented = np.flatnonzero(known)
-        spread = np.sqrt(max(1.0, known.sum() / _ORIENTATION_FREEDOM))
-        self.orientation_sigma = np.radians(_ORIENTATION_SIGMA_DEG) * spread
+        spread = np.sqrt(max(1.0, known.sum() / tuning.orientation_freedom))
+        self.orientation_sigma = np.radians(tuning.orientation_sigma_deg) * spread
 
     def unpack(self, x: np.ndarray) -> tuple[Similarity, np.ndarray]:
         rotation = Rotation.from_rotvec(x[:3]).as_matrix() @ self.start.rotation
@@ -218,37 +214,35 @@ class _Problem:
             off = np.log(similarity.scale) - self.evidence.log_scale
             parts.append(np.array([off / self.evidence.log_scale_sigma]))
         if self.evidence.estimate_antenna:
-            parts.append(x[7:10] / ANTENNA_SIGMA_M)
+            parts.append(x[7:10] / self.tuning.antenna_sigma_m)
             if self.evidence.level is not None:
-                parts.append(np.array([x[7:10] @ self.evidence.level / _HELD_M]))
+                parts.append(np.array([x[7:10] @ self.evidence.level / self.tuning.held_m]))
         if self.evidence.estimate_offset:
-            parts.append(x[-1:] / OFFSET_SIGMA_S)
+            parts.append(x[-1:] / self.tuning.offset_sigma_s)
         return np.concatenate(parts)
 
 
-def _refine(evidence: Evidence, up: Up | None, start: Similarity) -> tuple[float, Fit]:
-    problem = _Problem(evidence, up, start)
+def _refine(evidence: Evidence, up: Up | None, start: Similarity, tuning: FitTuning) -> tuple[float, Fit]:
+    problem, sigmas = _Problem(evidence, up, start, tuning), tuning.inlier_sigmas
     x = np.zeros(problem.size)
-    for scale in (4.0, 1.0):  # Cauchy over the whole vector: an outlier in height is one in plan too
-        for _ in range(_ROUNDS):
-            weight = 1 / np.sqrt(1 + (np.linalg.norm(problem.positions(x), axis=1) / (scale * INLIER_SIGMAS)) ** 2)
+    for scale in tuning.cauchy_scales:  # Cauchy over the whole vector: an outlier in height is one in plan too
+        for _ in range(tuning.rounds):
+            weight = 1 / np.sqrt(1 + (np.linalg.norm(problem.positions(x), axis=1) / (scale * sigmas)) ** 2)
             before, x = x, _solve(problem, x, weight).x
-            if np.abs(x - before).max() < _CONVERGED:
+            if np.abs(x - before).max() < tuning.converged:
                 break
-    inlier = np.linalg.norm(problem.positions(x), axis=1) < INLIER_SIGMAS * np.sqrt(3)
-    for _ in range(_ROUNDS):
+    inlier = np.linalg.norm(problem.positions(x), axis=1) < sigmas * np.sqrt(3)
+    for _ in range(tuning.rounds):
         if inlier.sum() < 3:
             inlier[:] = True
         x = _solve(problem, x, inlier.astype(float)).x
-        again = np.linalg.norm(problem.positions(x), axis=1) < INLIER_SIGMAS * np.sqrt(3)
+        again = np.linalg.norm(problem.positions(x), axis=1) < sigmas * np.sqrt(3)
         if np.array_equal(again, inlier):
             break
         inlier = again
     solution = _solve(problem, x, inlier.astype(float))
     distance = np.linalg.norm(problem.positions(solution.x), axis=1)
-    cost = float(
-        np.sum(np.log1p((distance / INLIER_SIGMAS) ** 2)) * INLIER_SIGMAS**2 + 0.5 * np.sum(problem.others(x) ** 2)
-    )
+    cost = float(np.sum(np.log1p((distance / sigmas) ** 2)) * sigmas**2 + 0.5 * np.sum(problem.others(x) ** 2))
     return cost, _report(problem, solution, inlier, cost)
 
 
@@ -273,7 +267,7 @@ def _report(problem: _Problem, solution: OptimizeResult, inlier: np.ndarray, cos
     scale_alone = np.linalg.pinv(alone.T @ alone)[6, 6] * max(1.0, chi2)
     sigma = {
         "position_m": float(np.hypot(sd[3], sd[4])),
-        "height_m": float(sd[5] if problem.evidence.level is None else np.hypot(sd[5], ANTENNA_SIGMA_M)),
+        "height_m": float(sd[5] if problem.evidence.level is None else np.hypot(sd[5], problem.tuning.antenna_sigma_m)),
         "yaw_deg": float(np.degrees(sd[2])),
         "tilt_deg": float(np.degrees(np.hypot(sd[0], sd[1]))),
         "scale": float(sd[6]),

@@ -9,17 +9,9 @@ import numpy as np
 from tiegraph.scene.control import Control
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import held_out_frames
-from tiegraph.sfm.tuning import PositionTuning
+from tiegraph.sfm.world.tuning import FixTuning
 
-ROWS_PER_FRAME = 5  # of the receiver that are used between two frames: more say the same once more
 NODES = 4  # frames that carry a position between frames: a cubic through them
-_MAX_STEP = 3.0  # median steps of a pass: no interpolation across wider gaps between frames
-_SHARE = {3: 0.03, 2: 0.06}  # of the difference of an order: error of interpolation between frames
-_UNKNOWN_SIGMA_M = 10.0  # of a position whose source gives none (hand-held GPS)
-_GAP = 3.0  # intervals of the receiver: a longer pause is an outage
-_RECOVERY_S = 10.0  # after an outage a receiver's sigma is not to be believed (ambiguities are fixed anew)
-OUTAGE_FACTOR = 3.0  # on the sigma just before and after an outage
-COVERED_FACTOR = 10.0  # on the sigma under a bridge (ALGORITHMS section 4)
 
 
 @dataclass(frozen=True)
@@ -76,17 +68,18 @@ class Fixes:
         """The same with sigmas times a factor (K,)."""
         return replace(self, sigma=self.sigma * factor[:, None])
 
-    def widened(self, poses: np.ndarray, metres_per_unit: float) -> Fixes:
+    def widened(self, poses: np.ndarray, metres_per_unit: float, tuning: FixTuning) -> Fixes:
         """The same with what interpolation may be wrong by added to the sigmas, from frame poses (F, 4, 4).
 
         A cubic between evenly spaced frames errs by 0.023 of the fourth difference, which a sharp turn makes as large
         as the third; a parabola at the ends of a pass by 0.06 of the third, which may be as large as the second.
         """
+        share = {3: tuning.cubic_error, 2: tuning.parabola_error}  # of the difference of an order
         error = np.zeros(len(self))
         for k in np.flatnonzero(np.abs(self.weights).max(axis=1) < 1 - 1e-6):
             at = poses[list(dict.fromkeys(self.frames[k].tolist())), :3, 3]
             order = min(len(at) - 1, 3)
-            error[k] = _SHARE.get(order, 0.0) * float(np.linalg.norm(np.diff(at, order, axis=0)[-1]))
+            error[k] = share.get(order, 0.0) * float(np.linalg.norm(np.diff(at, order, axis=0)[-1]))
         return replace(self, sigma=np.hypot(self.sigma, metres_per_unit * error[:, None]))
 
     def blend(self, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -99,24 +92,24 @@ class Fixes:
         return moved, np.einsum("kn,knij->kij", self.rates, there)
 
 
-def make_fixes(scene: Scene, registered: np.ndarray, given: Given, floor_m: float) -> Fixes:
+def make_fixes(scene: Scene, registered: np.ndarray, given: Given, floor_m: float, tuning: FixTuning) -> Fixes:
     """Fixes of the receiver's rows, or of the scene's prior positions where there are none with times.
 
-    ``registered`` (F,) frames with a pose. Sigmas are at least ``floor_m``, times 3 next to outages and 10 under
+    ``registered`` (F,) frames with a pose. Sigmas are at least ``floor_m``, and larger next to outages and under
     bridges.
     """
     rows, parts, left = given.rows, [], registered.copy()
     if rows is not None and np.isfinite(scene.time_s).any():
         for track in np.unique(scene.track[scene.track >= 0]):
-            part = _of_track(scene, registered, rows, int(track))
+            part = _of_track(scene, registered, rows, int(track), tuning)
             if part is not None:
                 parts.append(part)
                 left &= scene.track != track
     fixes = _joined([*parts, _of_frames(scene, left)])  # loose photographs have nothing between them
-    sigma = np.where(np.isfinite(fixes.sigma), fixes.sigma, _UNKNOWN_SIGMA_M)
-    level = np.round(2 * np.log2(np.maximum(sigma[:, 0], 1e-3))).astype(int)
-    sigma = np.maximum(sigma, floor_m) * _doubt(fixes, rows, given.covered)[:, None]
-    held = held_out_frames(scene, PositionTuning())[fixes.home]
+    sigma = np.where(np.isfinite(fixes.sigma), fixes.sigma, tuning.unknown_sigma_m)
+    level = np.round(tuning.levels_per_octave * np.log2(np.maximum(sigma[:, 0], 1e-3))).astype(int)
+    sigma = np.maximum(sigma, floor_m) * _doubt(fixes, rows, given.covered, tuning)[:, None]
+    held = held_out_frames(scene, tuning)[fixes.home]
     return replace(fixes, sigma=sigma, level=level, held=held)
 
 
@@ -131,44 +124,45 @@ def _of_frames(scene: Scene, registered: np.ndarray) -> Fixes:
     )
 
 
-def _of_track(scene: Scene, registered: np.ndarray, rows: PositionRows, track: int) -> Fixes | None:
+def _of_track(scene: Scene, registered: np.ndarray, rows: PositionRows, track: int, tuning: FixTuning) -> Fixes | None:
     mine = np.flatnonzero((scene.track == track) & registered & np.isfinite(scene.time_s))
     mine = mine[np.argsort(scene.time_s[mine], kind="stable")]
     time = scene.time_s[mine]
     mine, time = mine[np.concatenate([[True], np.diff(time) > 1e-6])] if len(mine) else mine, np.unique(time)
     if len(mine) < 2:
         return None
-    step = float(np.median(np.diff(time)))
+    reach = tuning.max_step * float(np.median(np.diff(time)))
     inside = np.flatnonzero((rows.time_s >= time[0] - 1e-6) & (rows.time_s <= time[-1] + 1e-6))
     left = np.clip(np.searchsorted(time, rows.time_s[inside], side="right") - 1, 0, len(time) - 2)
-    near = time[left + 1] - time[left] <= _MAX_STEP * step
+    near = time[left + 1] - time[left] <= reach
     inside, left = inside[near], left[near]
     t = rows.time_s[inside]
-    thin = _thinned(left, np.minimum(np.abs(t - time[left]), np.abs(t - time[left + 1])) < 1e-3)
+    at_frame = np.minimum(np.abs(t - time[left]), np.abs(t - time[left + 1])) < 1e-3
+    thin = _thinned(left, at_frame, tuning.rows_per_frame)
     inside, left = inside[thin], left[thin]
     if not len(inside):
         return None
-    table = [_nodes(time, int(k), float(t), step) for k, t in zip(left, rows.time_s[inside])]
+    table = [_nodes(time, int(k), float(t), reach) for k, t in zip(left, rows.time_s[inside])]
     frames = np.array([mine[n] for n, _, _ in table])
     weights, rates = np.array([w for _, w, _ in table]), np.array([r for _, _, r in table])
     return _fixes(frames, weights, rates, rows.time_s[inside], rows.position_m[inside], rows.sigma_m[inside])
 
 
-def _thinned(left: np.ndarray, at_frame: np.ndarray) -> np.ndarray:
-    """(R,) bool: rows at frames, and at most ROWS_PER_FRAME of each interval."""
+def _thinned(left: np.ndarray, at_frame: np.ndarray, most: int) -> np.ndarray:
+    """(R,) bool: rows at frames, and at most so many of each interval."""
     keep = at_frame.copy()
     for k in np.unique(left):
         of = np.flatnonzero(left == k)
-        keep[of[np.unique(np.linspace(0, len(of) - 1, min(ROWS_PER_FRAME, len(of))).astype(int))]] = True
+        keep[of[np.unique(np.linspace(0, len(of) - 1, min(most, len(of))).astype(int))]] = True
     return keep
 
 
-def _nodes(time: np.ndarray, left: int, t: float, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _nodes(time: np.ndarray, left: int, t: float, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Four places in ``time``, their Lagrange weights at t and the weights' derivatives."""
     first, last = left, left + 1
-    if left > 0 and time[left] - time[left - 1] <= _MAX_STEP * step:
+    if left > 0 and time[left] - time[left - 1] <= reach:
         first -= 1
-    if last + 1 < len(time) and time[last + 1] - time[last] <= _MAX_STEP * step:
+    if last + 1 < len(time) and time[last + 1] - time[last] <= reach:
         last += 1
     at = np.arange(first, last + 1)
     weights, rates = _lagrange(time[at], t)
@@ -199,15 +193,16 @@ def _joined(parts: list[Fixes]) -> Fixes:
     return Fixes(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in Fixes.__dataclass_fields__})
 
 
-def _doubt(fixes: Fixes, rows: PositionRows | None, covered: np.ndarray | None) -> np.ndarray:
+def _doubt(fixes: Fixes, rows: PositionRows | None, covered: np.ndarray | None, tuning: FixTuning) -> np.ndarray:
     """(K,) factor on the sigma: next to an outage of the receiver, and under bridges."""
     factor = np.ones(len(fixes))
     if rows is not None and len(rows.time_s) > 2:
         interval = float(np.median(np.diff(rows.time_s)))
-        long = np.flatnonzero(np.diff(rows.time_s) > _GAP * interval)
+        gap = tuning.outage_intervals * interval
+        long = np.flatnonzero(np.diff(rows.time_s) > gap)
         for k in long:
             before, after = rows.time_s[k], rows.time_s[k + 1]
-            inside = (fixes.time_s >= after - 1e-6) & (fixes.time_s <= after + _RECOVERY_S)
-            inside |= np.abs(fixes.time_s - before) <= _GAP * interval
-            factor[inside] = OUTAGE_FACTOR
-    return factor if covered is None else np.where(covered[fixes.home], COVERED_FACTOR, factor)
+            inside = (fixes.time_s >= after - 1e-6) & (fixes.time_s <= after + tuning.recovery_s)
+            inside |= np.abs(fixes.time_s - before) <= gap
+            factor[inside] = tuning.outage_factor
+    return factor if covered is None else np.where(covered[fixes.home], tuning.covered_factor, factor)

@@ -22,12 +22,12 @@ from tiegraph.sfm.world.fit import Fit, jackknife_sigma
 from tiegraph.sfm.world.fixes import Fixes, Given
 from tiegraph.sfm.world.gravity import Up, up_vector
 from tiegraph.sfm.world.marks import point_table, targets, without_blunders
-from tiegraph.sfm.world.placing import MIN_POSITIONS, RIGHT_ANGLE_DEG, ROLL_LIMIT_DEG, Model, Placing, place
+from tiegraph.sfm.world.placing import RIGHT_ANGLE_DEG, Model, Placing, place
 from tiegraph.sfm.world.scale import RigScale, rig_scale
 from tiegraph.sfm.world.sources import rig_statement, up_statements
+from tiegraph.sfm.world.tuning import WorldTuning
 from tiegraph.text import known_to
 
-SCATTER = 3.0  # times the stated sigma: what is beyond is no scatter but contradicts it
 _AXES = ("east", "north", "up")
 
 
@@ -132,7 +132,11 @@ class Georeference:
 
 
 def georeference(
-    model: pycolmap.Reconstruction, scene: Scene, settings: GeorefSettings, given: Given | None = None
+    model: pycolmap.Reconstruction,
+    scene: Scene,
+    settings: GeorefSettings,
+    tuning: WorldTuning,
+    given: Given | None = None,
 ) -> Georeference:
     """Place a model by positions and control points; without three of them, level it by its cameras.
 
@@ -143,26 +147,34 @@ def georeference(
     """
     given = given or Given()
     images = image_poses(model, scene)
-    found = without_blunders(targets(model, scene, given.control), given.control) if given.control is not None else []
-    scale = rig_scale(model, images, scene, given.model_scale_sigma)
-    view = Model(images, up_vector(images, scene), scale, found, scene.names)
-    placing = place(view, scene, settings, given)
+    found = []
+    if given.control is not None:
+        found = targets(model, scene, given.control, tuning.marks)
+        found = without_blunders(found, given.control, tuning.marks)
+    scale = rig_scale(model, images, scene, tuning.scale, given.model_scale_sigma)
+    view = Model(images, up_vector(images, scene, tuning.up), scale, found, scene.names)
+    placing = place(view, scene, settings, given, tuning)
     if placing is None:
         frames = np.isfinite(view.frames(scene)).all(axis=(1, 2))
         here = int((frames & np.isfinite(scene.world_from_rig[:, :3, 3]).all(axis=1)).sum())
-        return _levelled(scene, view.up, view.scale, here)
+        few = f"{here} registered frames have a prior position, {tuning.placing.min_positions} are needed"
+        return _levelled(scene, view.up, view.scale, few)
     return _placed(placing, view, scene, given)
 
 
 def georeference_all(
-    models: Sequence[pycolmap.Reconstruction], scene: Scene, settings: GeorefSettings, given: Given | None = None
+    models: Sequence[pycolmap.Reconstruction],
+    scene: Scene,
+    settings: GeorefSettings,
+    tuning: WorldTuning,
+    given: Given | None = None,
 ) -> list[Georeference]:
     """Each model by itself; those that are ``placed`` share one world even where no image joins them.
 
     Sigmas in ``given`` are of the first model and are not believed of these.
     """
     unknown = replace(given or Given(), model_sigma=float("nan"), model_scale_sigma=float("nan"))
-    return [georeference(model, scene, settings, unknown) for model in models]
+    return [georeference(model, scene, settings, tuning, unknown) for model in models]
 
 
 def _placed(placing: Placing, view: Model, scene: Scene, given: Given) -> Georeference:
@@ -182,7 +194,7 @@ def _placed(placing: Placing, view: Model, scene: Scene, given: Given) -> Georef
         held_out[held] = off[at[held]]
     order = np.lexsort((scene.step[fixes.home], scene.track[fixes.home]))  # control points stay in every part
     points, sums, lines = _points(view, given, fit)
-    sigma = _with_common(jackknife_sigma(evidence, placing.up, fit, order), placing, scene)
+    sigma = _with_common(jackknife_sigma(evidence, placing.up, fit, order, placing.tuning.fit), placing, scene)
     return Georeference(
         world_from_model=fit.similarity,
         scale_source=_scale_source(placing, scene, view, count),
@@ -249,7 +261,8 @@ def _points(view: Model, given: Given, fit: Fit) -> tuple[list[dict], dict, list
 
 def _scale_source(placing: Placing, scene: Scene, view: Model, fixes: int) -> str:
     held = view.scale is not None and placing.evidence.log_scale is not None
-    if held and view.scale is not None and view.scale.sigma < 0.5 * placing.fit.sigma_positions_scale:
+    limit = placing.tuning.judging.rig_tells * placing.fit.sigma_positions_scale
+    if held and view.scale is not None and view.scale.sigma < limit:
         return "rig baseline"
     if not fixes:
         return "control points"
@@ -257,14 +270,15 @@ def _scale_source(placing: Placing, scene: Scene, view: Model, fixes: int) -> st
 
 
 def _remarks(placing: Placing, scene: Scene) -> list[str]:
-    notes, fit = [], placing.fit
+    notes, fit, tuning = [], placing.fit, placing.tuning
+    told, most = tuning.judging.scatter_told, tuning.judging.scatter
     for level in placing.levels:
-        if 1.5 < level.factor <= SCATTER and level.count >= 6:
+        if told < level.factor <= most and level.count >= tuning.noise.min_rows:
             notes.append(
                 f"positions of stated sigma {level.sigma_m:.2f} m scatter {level.factor:.1f} times as much "
                 f"(correlation of neighbours {level.correlation:.1f}): believed accordingly"
             )
-    if fit.roll_sigma_deg > ROLL_LIMIT_DEG:
+    if fit.roll_sigma_deg > tuning.placing.roll_limit_deg:
         known = known_to(fit.roll_sigma_deg, RIGHT_ANGLE_DEG, f"{fit.roll_sigma_deg:.0f} deg only")
         notes.append(f"the roll about the track is {known}")
     if scene.origin is None and not len(placing.points):
@@ -281,9 +295,9 @@ def _passes_without(placing: Placing, scene: Scene) -> list[str]:
     return [f"pass {name!r} has no position: its place rests on its ties to the others" for name in lost]
 
 
-def _levelled(scene: Scene, up: Up | None, scale: RigScale | None, found: int) -> Georeference:
+def _levelled(scene: Scene, up: Up | None, scale: RigScale | None, why: str) -> Georeference:
     """No placement: turned so that up is up, scaled by the rig where that can be trusted."""
-    notes = [f"not georeferenced: {found} registered frames have a prior position, {MIN_POSITIONS} are needed"]
+    notes = [f"not georeferenced: {why}"]
     rotation, factor, source = np.eye(3), 1.0, "none"
     if up is not None:
         rotation = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up.direction])[0].as_matrix()

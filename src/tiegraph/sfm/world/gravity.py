@@ -8,11 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tiegraph.scene.scene import Scene
-
-RING_SIGMA_DEG = 3.0  # cameras all round a levelled platform: what trim and mounting leave
-LONE_SIGMA_DEG = 10.0  # a person holding a camera, or cameras to one side
-_AGREEMENT = 0.8  # length of the mean of the unit vectors; nadir photographs of many headings have about 0
-_ROUND = 0.5  # length of the mean viewing direction of a frame, below which its cameras look all round
+from tiegraph.sfm.world.tuning import UpTuning
 
 
 @dataclass(frozen=True)
@@ -26,7 +22,7 @@ class Up:
     cameras: str
 
 
-def up_vector(cam_from_world: np.ndarray, scene: Scene) -> Up | None:
+def up_vector(cam_from_world: np.ndarray, scene: Scene, tuning: UpTuning) -> Up | None:
     """Mean of -y of the side cameras over all registered images (N, 4, 4); None when they do not agree.
 
     The sigma of cameras all round is 3 deg, or more where the platform itself leans so much from frame to frame (a
@@ -38,15 +34,15 @@ def up_vector(cam_from_world: np.ndarray, scene: Scene) -> Up | None:
         return None
     tops = -cam_from_world[use, 1, :3]
     mean = tops.mean(axis=0)
-    if np.linalg.norm(mean) < _AGREEMENT:
+    if np.linalg.norm(mean) < tuning.agreement:
         return None
     mean /= np.linalg.norm(mean)
     count, (top, looking) = _of_frames(scene.frame[use], (tops, cam_from_world[use, 2, :3]))
     several = count > 1
-    if not several.any() or float(np.linalg.norm(looking[several], axis=1).mean()) >= _ROUND:
-        return Up(mean, LONE_SIGMA_DEG, False, "the images")
+    if not several.any() or float(np.linalg.norm(looking[several], axis=1).mean()) >= tuning.round:
+        return Up(mean, tuning.lone_sigma_deg, False, "the images")
     leaning = np.degrees(np.arccos(np.clip(top[several] @ mean / np.linalg.norm(top[several], axis=1), -1, 1)))
-    sigma = max(RING_SIGMA_DEG, float(np.sqrt(np.mean(leaning**2))))
+    sigma = max(tuning.ring_sigma_deg, float(np.sqrt(np.mean(leaning**2))))
     return Up(mean, sigma, True, "the ring of side cameras")
 
 

@@ -15,6 +15,7 @@ from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.settings import GeorefSettings
+from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.world import worldadjust
 from tiegraph.sfm.world.fixes import Fixes, Given
 from tiegraph.sfm.world.georef import Georeference, georeference, row_of_frames
@@ -22,12 +23,7 @@ from tiegraph.sfm.world.judging import judged
 from tiegraph.sfm.world.marks import marked, point_table, targets
 from tiegraph.sfm.world.placing import Placing
 from tiegraph.sfm.world.scale import relaxed
-from tiegraph.sfm.world.tuning import WorldTuning
 from tiegraph.sfm.world.worldadjust import Adjusted, Constraints, adjust_in_world
-
-NOT_WORSE = 1.01  # times the held-out residual of the similarity
-_CLIP = 5.0  # sigmas: an outlier among the held-out positions counts as that
-_MIN_HELD = 3  # held-out positions below which their check says nothing
 
 
 @dataclass(frozen=True)
@@ -44,18 +40,19 @@ def georeference_model(
     model: pycolmap.Reconstruction,
     scene: Scene,
     settings: GeorefSettings,
+    tuning: Tuning,
     given: Given | None = None,
     held: Held | None = None,
 ) -> tuple[Georeference, pycolmap.Reconstruction]:
     """The georeference of a model, judged (``judging.py``), and the model in the world; see ``_grounded``."""
     given, held = given or Given(), held or Held()
-    found, world = _grounded(model, scene, settings, given, held)
-    points = targets(world, scene, given.control) if given.control is not None else []
+    found, world = _grounded(model, scene, settings, tuning, given, held)
+    points = targets(world, scene, given.control, tuning.world.marks) if given.control is not None else []
     return judged(found, scene, given.model_sigma * found.world_from_model.scale, points), world
 
 
 def _grounded(
-    model: pycolmap.Reconstruction, scene: Scene, settings: GeorefSettings, given: Given, held: Held
+    model: pycolmap.Reconstruction, scene: Scene, settings: GeorefSettings, tuning: Tuning, given: Given, held: Held
 ) -> tuple[Georeference, pycolmap.Reconstruction]:
     """The georeference of a model and the model in the world.
 
@@ -63,7 +60,7 @@ def _grounded(
     drift, which no similarity can; it is kept only if positions it did not know (every fifth) are met at least as well
     as with the similarity, and the images no worse. What was decided, and why, is in the notes.
     """
-    first = georeference(model, scene, settings, given)
+    first = georeference(model, scene, settings, tuning.world, given)
     world = first.apply(model)
     placing = first.placing
     if placing is None or settings.adjust == "no":
@@ -73,12 +70,13 @@ def _grounded(
     if relaxed(model, scene):
         why = "a rig is relaxed, and only points would hold its cameras to the one that has the positions"
         return _with(first, f"the similarity stays, a bundle adjustment with the positions was refused: {why}"), world
-    constraints = _constraints(world, scene, first, placing, given, held)
+    constraints = _constraints(world, scene, first, placing, tuning, given, held)
     checked, why = _check(world, scene, placing, constraints)
     if not checked and settings.adjust == "auto":
         return _with(first, f"the similarity stays, a bundle adjustment with the positions was refused: {why}"), world
-    made = adjust_in_world(world, scene, constraints)
-    if made.after_px > worldadjust.WORSE_PIXELS * made.before_px and settings.adjust == "auto":
+    bounds = tuning.world.adjustment
+    made = adjust_in_world(world, scene, constraints, bounds.rounds)
+    if made.after_px > bounds.worse_pixels * made.before_px and settings.adjust == "auto":
         text = f"the images fit worse with it ({made.before_px:.3f} -> {made.after_px:.3f} px)"
         return _with(first, f"the similarity stays, a bundle adjustment with the positions was refused: {text}"), world
     return _adjusted(first, made, model, world, scene, given, why), made.model
@@ -94,14 +92,14 @@ class GroundRequest:
     settings: GeorefSettings
     given: Given
     held: Held
-    tuning: WorldTuning
+    tuning: Tuning
 
 
 def ground(request: GroundRequest, send: Callable[[Any], None]) -> Georeference:
     """``georeference_model`` from folder to folder."""
     model = read_model(request.folder)
     found, world = georeference_model(
-        model, Scene.from_json(request.scene), request.settings, request.given, request.held
+        model, Scene.from_json(request.scene), request.settings, request.tuning, request.given, request.held
     )
     request.target.mkdir(parents=True, exist_ok=True)
     world.write(str(request.target))
@@ -113,13 +111,21 @@ def _with(georeference: Georeference, note: str) -> Georeference:
 
 
 def _constraints(
-    world: pycolmap.Reconstruction, scene: Scene, first: Georeference, placing: Placing, given: Given, held: Held
+    world: pycolmap.Reconstruction,
+    scene: Scene,
+    first: Georeference,
+    placing: Placing,
+    tuning: Tuning,
+    given: Given,
+    held: Held,
 ) -> Constraints:
     evidence, control = placing.evidence, given.control
     up = placing.up
     if up is not None:
         up = replace(up, direction=np.array([0.0, 0.0, 1.0]))  # it was brought there by the similarity
-    stretch = 1.0
+    stretch, found = 1.0, []
+    if control is not None:
+        found = marked(targets(world, scene, control, tuning.world.marks), first.control)
     if control is not None and len(placing.points):
         stretch = float(np.median(evidence.sigma[len(placing.fixes) :] / control.sigma_m[placing.points]))
     return Constraints(
@@ -129,8 +135,9 @@ def _constraints(
         offset_s=placing.fit.offset_s,
         free_antenna=evidence.estimate_antenna,
         free_offset=evidence.estimate_offset,
+        tuning=tuning,
         control=control,
-        targets=marked(targets(world, scene, control), first.control) if control is not None else (),
+        targets=found,
         point_factor=stretch,
         up=up,
         fixed_rigs=held.rigs,
@@ -146,9 +153,9 @@ def _check(
 
     The model starts from the similarity that did not know them either.
     """
-    fixes, blind = placing.fixes, placing.blind
+    fixes, blind, bounds = placing.fixes, placing.blind, placing.tuning.adjustment
     out = np.flatnonzero(fixes.held)
-    if blind is None or len(out) < _MIN_HELD:
+    if blind is None or len(out) < bounds.min_held:
         if len(placing.points) and not len(fixes):
             return True, "control points only: nothing was held out"
         return False, "too few positions to hold some back as a check"
@@ -162,25 +169,24 @@ def _check(
         antenna=blind.antenna,
         offset_s=blind.offset_s,
     )
-    made = adjust_in_world(start, scene, known, rounds=1)
+    made = adjust_in_world(start, scene, known, bounds.check_rounds)
     held = fixes.where(fixes.held)
     sigma = held.sigma * placing.factor[out, None]
     before = worldadjust.residuals(start, scene, held, blind.antenna, blind.offset_s) / sigma
     after = worldadjust.residuals(made.model, scene, held, made.antenna, made.offset_s) / sigma
-    a, b = _score(before), _score(after)
-    lengths = [
-        float(np.sqrt(np.mean(np.minimum(r**2, (_CLIP * held.sigma) ** 2)))) for r in (after * sigma, before * sigma)
-    ]
+    a, b = _score(before, bounds.clip_sigmas), _score(after, bounds.clip_sigmas)
+    most = (bounds.clip_sigmas * held.sigma) ** 2
+    lengths = [float(np.sqrt(np.mean(np.minimum(r**2, most)))) for r in (after * sigma, before * sigma)]
     text = (
         f"{len(out)} positions held back are met within {lengths[0]:.3f} m ({b:.2f} of their sigmas), "
         f"with the similarity {lengths[1]:.3f} m ({a:.2f})"
     )
-    return b <= NOT_WORSE * a, text
+    return b <= bounds.not_worse * a, text
 
 
-def _score(residual: np.ndarray) -> float:
+def _score(residual: np.ndarray, clip: float) -> float:
     """Root mean square per axis in sigmas, single outliers clipped."""
-    distance = np.minimum(np.linalg.norm(residual, axis=1), _CLIP * np.sqrt(3))
+    distance = np.minimum(np.linalg.norm(residual, axis=1), clip * np.sqrt(3))
     return float(np.sqrt(np.mean(distance**2) / 3))
 
 
@@ -201,16 +207,17 @@ def _adjusted(
     why: str,
 ) -> Georeference:
     assert first.placing is not None
+    tuning = first.placing.tuning
     fixes: Fixes = first.placing.fixes
     at = row_of_frames(fixes, scene.frames)
     has = np.flatnonzero(at >= 0)
     residual, inlier = np.full((scene.frames, 3), np.nan), np.zeros(scene.frames, bool)
     residual[has] = made.residual[at[has]]
     sigma = fixes.sigma * made.factor[:, None] if len(fixes) else fixes.sigma
-    inlier[has] = np.linalg.norm(made.residual / sigma, axis=1)[at[has]] < 3 * np.sqrt(3)
+    inlier[has] = np.linalg.norm(made.residual / sigma, axis=1)[at[has]] < tuning.fit.inlier_sigmas * np.sqrt(3)
     control, accuracy = list(first.control), first.accuracy
     if given.control is not None:
-        found = marked(targets(made.model, scene, given.control), first.control)
+        found = marked(targets(made.model, scene, given.control, tuning.marks), first.control)
         off = np.array([t.place for t in found]).reshape(-1, 3) - given.control.world_m
         control, accuracy = point_table(given.control, found, off, scene.names)
     moved = np.linalg.norm(_centres(world, scene) - _centres(made.model, scene), axis=1)

@@ -9,8 +9,7 @@ import numpy as np
 
 from tiegraph.scene.evidence import LIMIT, Contradiction, Statement, contradictions, trend
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.world.fit import ANTENNA_SIGMA_M
-from tiegraph.sfm.world.georef import SCATTER, Georeference
+from tiegraph.sfm.world.georef import Georeference
 from tiegraph.sfm.world.marks import Target
 from tiegraph.sfm.world.placing import time_order
 from tiegraph.sfm.world.sources import (
@@ -18,14 +17,12 @@ from tiegraph.sfm.world.sources import (
     ORIENTATIONS,
     RIG,
     SCALE,
-    TOLD_SCALE,
     orientation_statements,
     rig_statement,
     up_statements,
 )  # fmt: skip
 from tiegraph.sfm.world.weighing import TWO_ENDS
 
-AGREEING = 0.7  # of the positions, below which they and the model contradict each other
 _AXES = ("east", "north", "up")
 _ALONG = "along the motion"
 
@@ -75,10 +72,10 @@ def statements(found: Georeference) -> list[Statement]:
         used = [SCALE] if source.name in weighed.scale_used else []
         if source.name in weighed.places_used:
             used += ["heading", "tilt towards north", "tilt towards east", "place east", "place north", "height"]
-        out += source.statements(result, weighed.at, used)
+        out += source.statements(result, weighed.at, used, placing.tuning.sources)
     out += rig_statement(placing.model.scale, result, weighed.rig_used and placing.evidence.log_scale is not None)
     out += up_statements(placing.model.up, result, placing.up is not None)
-    out += orientation_statements(placing.evidence, result)
+    out += orientation_statements(placing.evidence, result, placing.tuning.sources)
     if np.isfinite(placing.clock[1]):
         value, sigma = placing.clock
         out.append(Statement("clock", "images and positions", value, sigma, "s", bool(found.offset_s)))
@@ -148,7 +145,7 @@ def _trends(found: Georeference, scene: Scene, model_sigma_m: float, scale_said:
             and placing.weighed.free_antenna
             and not placing.fit.antenna.any()
         ):
-            sigma = float(np.hypot(sigma, ANTENNA_SIGMA_M))  # it stands anywhere on the vehicle
+            sigma = float(np.hypot(sigma, placing.tuning.fit.antenna_sigma_m))  # it stands anywhere on the vehicle
         if form is None or form.size / 2 <= TWO_ENDS * sigma or (scale_said and form.form == "line"):
             continue
         out.append((axis, form.size, _trend_text(axis, form.text(), form.form, sigma, found)))
@@ -178,7 +175,8 @@ def _rests_on(found: Georeference, scene: Scene) -> list[str]:
     rig = placing.model.scale
     if rig is None or not placing.weighed.rig_used:
         return []
-    told = [s for s in placing.weighed.sources if np.isfinite(s.scale_sigma) and s.scale_sigma < TOLD_SCALE]
+    most = placing.tuning.sources.told_scale
+    told = [s for s in placing.weighed.sources if np.isfinite(s.scale_sigma) and s.scale_sigma < most]
     checked = " and ".join(f"the {s.name} tell it to {s.scale_sigma:.1%}" for s in told)
     levers = ", ".join(s.name for r in scene.rigs if not r.nominal for s in r.sensors[1:])
     return [
@@ -208,9 +206,9 @@ def _levels(found: Georeference, explained: bool) -> list[str]:
     """Positions that scatter far beyond what is stated of them."""
     placing = found.placing
     assert placing is not None
-    out = []
+    tuning, out = placing.tuning, []
     for level in placing.levels:
-        if level.factor > SCATTER and level.count >= 6 and not explained:
+        if level.factor > tuning.judging.scatter and level.count >= tuning.noise.min_rows and not explained:
             out.append(
                 f"{placing.name} of stated sigma {level.sigma_m:.2f} m scatter {level.factor:.1f} times as much "
                 f"({level.count} of them, correlation of neighbours {level.correlation:.1f}): believed accordingly; "
@@ -218,7 +216,7 @@ def _levels(found: Georeference, explained: bool) -> list[str]:
             )
     used = int(found.inlier.sum())
     total = int(np.isfinite(found.residual_m).all(axis=1).sum())
-    if total >= 6 and used < AGREEING * total:
+    if total >= tuning.judging.least_positions and used < tuning.judging.agreeing * total:
         out.append(
             f"only {used} of {total} positions agree with the model within three sigmas: the model is bent or torn, or "
             "the positions are of another survey"
@@ -236,7 +234,7 @@ def _control(found: Georeference, targets: list[Target]) -> list[str]:
     spread = np.array([np.trace(targets[k].covariance) / 3 for k in placing.points])
     stated = np.sqrt(given.sigma_m[placing.points] ** 2 + spread[:, None])
     factor = float(np.median(placing.evidence.sigma[len(placing.fixes) :] / stated))
-    if factor > SCATTER:
+    if factor > placing.tuning.judging.scatter:
         out.append(
             f"{len(stated)} control points contradict each other: they scatter {factor:.1f} times their sigma of "
             f"{np.median(given.sigma_m[placing.points]):.2g} m, and none of them alone is to blame"
@@ -245,8 +243,9 @@ def _control(found: Georeference, targets: list[Target]) -> list[str]:
 
 
 def _check_points(found: Georeference, model_sigma_m: float, targets: list[Target]) -> list[str]:
-    """Check points whose error is beyond three times what was predicted."""
-    given = found.given_control
+    """Check points whose error is far beyond what was predicted."""
+    given, placing = found.given_control, found.placing
+    assert placing is not None
     rows = [k for k, r in enumerate(found.control) if r["role"] == "check" and r["off_m"] and not r["why_not"]]
     if not rows or given is None or found.error is None:
         return []
@@ -256,7 +255,7 @@ def _check_points(found: Georeference, model_sigma_m: float, targets: list[Targe
     inside = np.nan_to_num(model_sigma_m)
     predicted = np.sqrt(given.sigma_m[rows] ** 2 + spread + known**2 + inside**2)
     actual, expected = (float(np.sqrt(np.mean(np.sum(v**2, axis=1)))) for v in (off, predicted))
-    if actual <= SCATTER * expected:
+    if actual <= placing.tuning.judging.scatter * expected:
         return []
     far = given.names[rows[int(np.argmax(np.linalg.norm(off / predicted, axis=1)))]]
     return [

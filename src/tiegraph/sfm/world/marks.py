@@ -16,12 +16,8 @@ from tiegraph.scene.control import Control
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import matrix
+from tiegraph.sfm.world.tuning import MarkTuning
 
-MARK_SIGMA_PX = 1.0  # of a mark set by hand
-MIN_ANGLE_DEG = 1.0  # between rays, to believe where they meet
-MAX_MARK_PX = 20.0  # a mark this far from its point is a wrong click or a wrong image
-MIN_TO_REFUSE = 5  # control points, of which four tell which one is wrong
-MUCH_BETTER = 3.0  # times the others agree without it
 _CE90, _LE90 = 2.146, 1.645  # 90 % of a two-dimensional and of a one-dimensional normal error, in sigmas
 
 
@@ -39,7 +35,7 @@ class Target:
     blunder: bool = False
 
 
-def targets(model: pycolmap.Reconstruction, scene: Scene, control: Control) -> list[Target]:
+def targets(model: pycolmap.Reconstruction, scene: Scene, control: Control, tuning: MarkTuning) -> list[Target]:
     """The points of a control file in the model, in its order.
 
     A mark farther than 20 px from where the others put the point is left out where three or more remain.
@@ -48,25 +44,25 @@ def targets(model: pycolmap.Reconstruction, scene: Scene, control: Control) -> l
     out = []
     for point in range(len(control)):
         rows = np.array([r for r in np.flatnonzero(control.point == point) if control.image[r] in views], int)
-        out.append(_target([views[k] for k in control.image[rows]], control.xy_px[rows], rows))
+        out.append(_target([views[k] for k in control.image[rows]], control.xy_px[rows], rows, tuning))
     return out
 
 
-def without_blunders(found: list[Target], control: Control) -> list[Target]:
+def without_blunders(found: list[Target], control: Control, tuning: MarkTuning) -> list[Target]:
     """The points with those marked that the other control points contradict: five at least, of which the others agree.
 
     One after the other, as long as leaving one out brings the rest to agree three times as well; at most a third.
     """
     out = list(found)
     use = [k for k, t in enumerate(out) if not t.why_not and not control.check[k]]
-    for _ in range(len(use) // 3):
+    for _ in range(len(use) // tuning.refused_of):
         factor, _ = _agreement(out, control, use)
-        if len(use) < MIN_TO_REFUSE or factor <= LIMIT:
+        if len(use) < tuning.min_to_refuse or factor <= LIMIT:
             break
         parts = [[k for k in use if k != out_of] for out_of in use]
         factors = [_agreement(out, control, p)[0] for p in parts]
         best = int(np.argmin(factors))
-        if factors[best] > factor / MUCH_BETTER:
+        if factors[best] > factor / tuning.much_better:
             break
         bad, use = use[best], parts[best]
         _, fit = _agreement(out, control, use)
@@ -98,32 +94,32 @@ def _view(model: pycolmap.Reconstruction, name: str) -> tuple[np.ndarray, Any] |
     return matrix(image.cam_from_world()), image.camera
 
 
-def _target(views: list, xy: np.ndarray, rows: np.ndarray) -> Target:
+def _target(views: list, xy: np.ndarray, rows: np.ndarray, tuning: MarkTuning) -> Target:
     nowhere = Target(np.full(3, np.nan), np.full((3, 3), np.nan), rows, np.full((len(rows), 2), np.nan))
     if len(rows) < 2:
         return Target(**{**nowhere.__dict__, "why_not": f"{len(rows)} marks in registered images, 2 are needed"})
-    solution = _meet(views, xy)
+    solution = _meet(views, xy, tuning.soft_px)
     if len(rows) > 2:
         off = np.linalg.norm(solution.fun.reshape(-1, 2), axis=1)
         worst = int(np.argmax(off))
-        if off[worst] > MAX_MARK_PX:
+        if off[worst] > tuning.max_mark_px:
             keep = np.arange(len(rows)) != worst
-            return _target([v for k, v in enumerate(views) if keep[k]], xy[keep], rows[keep])
+            return _target([v for k, v in enumerate(views) if keep[k]], xy[keep], rows[keep], tuning)
     place = solution.x
     rays = np.array([place - transforms.centre(pose) for pose, _ in views])
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     angle = float(np.degrees(np.arccos(np.clip((rays @ rays.T).min(), -1, 1))))
     residual = solution.fun.reshape(-1, 2)
-    if angle < MIN_ANGLE_DEG:
+    if angle < tuning.min_angle_deg:
         return Target(place, nowhere.covariance, rows, residual, f"its rays meet at {angle:.1f} deg only")
-    if np.median(np.linalg.norm(residual, axis=1)) > MAX_MARK_PX:
+    if np.median(np.linalg.norm(residual, axis=1)) > tuning.max_mark_px:
         worst_px = float(np.median(np.linalg.norm(residual, axis=1)))
         return Target(place, nowhere.covariance, rows, residual, f"its rays miss each other by {worst_px:.0f} px")
-    covariance = MARK_SIGMA_PX**2 * np.linalg.pinv(solution.jac.T @ solution.jac)
+    covariance = tuning.mark_sigma_px**2 * np.linalg.pinv(solution.jac.T @ solution.jac)
     return Target(place, covariance, rows, residual)
 
 
-def _meet(views: list, xy: np.ndarray) -> Any:
+def _meet(views: list, xy: np.ndarray, soft_px: float) -> Any:
     """Least squares over pixels from the linear meeting point of the rays."""
     normal, right = np.zeros((3, 3)), np.zeros(3)
     for (pose, camera), mark in zip(views, xy):
@@ -140,7 +136,7 @@ def _meet(views: list, xy: np.ndarray) -> Any:
             parts.append(np.full(2, 1e4) if found is None else np.nan_to_num(np.ravel(found) - mark, nan=1e4))
         return np.concatenate(parts)
 
-    return least_squares(residuals, np.linalg.pinv(normal) @ right, loss="soft_l1", f_scale=3.0, x_scale="jac")
+    return least_squares(residuals, np.linalg.pinv(normal) @ right, loss="soft_l1", f_scale=soft_px, x_scale="jac")
 
 
 def point_table(

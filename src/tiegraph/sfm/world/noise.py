@@ -11,11 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tiegraph.sfm.world.tuning import NoiseTuning
+
 MEDIAN_CHI2_3 = 2.366  # median of chi-square with three degrees of freedom
-MAX_FACTOR = 30.0
-MIN_ROWS = 6  # of a level, to say anything of its factor
 SIMILARITY = 7  # unknowns
-_MAX_CORRELATION = 0.9
 
 
 @dataclass(frozen=True)
@@ -28,7 +27,9 @@ class Level:
     correlation: float
 
 
-def factors(residual: np.ndarray, level: np.ndarray, time_s: np.ndarray, unknowns: int = SIMILARITY) -> np.ndarray:
+def factors(
+    residual: np.ndarray, level: np.ndarray, time_s: np.ndarray, tuning: NoiseTuning, unknowns: int = SIMILARITY
+) -> np.ndarray:
     """(K,) by which sigmas are to be multiplied, from residuals over sigma (K, 3); at least 1.
 
     The median of squares per level, so that single outliers are left to the robust loss; times sqrt((1 + r) / (1 - r))
@@ -39,13 +40,13 @@ def factors(residual: np.ndarray, level: np.ndarray, time_s: np.ndarray, unknown
     out = np.ones(len(level))
     taken = _taken(len(level), unknowns)
     for rows in _levels(level):
-        if len(rows) < MIN_ROWS:
-            rows_of = np.ones(len(level), bool) if len(level) >= MIN_ROWS else np.zeros(len(level), bool)
+        if len(rows) < tuning.min_rows:
+            rows_of = np.ones(len(level), bool) if len(level) >= tuning.min_rows else np.zeros(len(level), bool)
             if rows_of.any():
                 out[rows] = _scatter(residual * taken)
             continue
-        r = unbiased(correlation(residual[rows], time_s[rows]), len(rows), unknowns)
-        out[rows] = min(_scatter(residual[rows] * taken) * float(np.sqrt((1 + r) / (1 - r))), MAX_FACTOR)
+        r = unbiased(correlation(residual[rows], time_s[rows], tuning), len(rows), tuning, unknowns)
+        out[rows] = min(_scatter(residual[rows] * taken) * float(np.sqrt((1 + r) / (1 - r))), tuning.max_factor)
     return out
 
 
@@ -54,20 +55,22 @@ def _taken(count: int, unknowns: int) -> float:
     return float(np.sqrt(3 * count / (3 * count - unknowns))) if 3 * count > 2 * unknowns else 1.0
 
 
-def unbiased(r: float, count: int, unknowns: int = SIMILARITY) -> float:
-    """A correlation of residuals freed of what the fit took from it; 0 to 0.9.
+def unbiased(r: float, count: int, tuning: NoiseTuning, unknowns: int = SIMILARITY) -> float:
+    """A correlation of residuals freed of what the fit took from it; 0 to the largest that is believed.
 
     Of ``count`` rows and p unknowns a series its expectation is r - (p + (p + 2) r) / count, to first order.
     """
     own = unknowns / 3
-    return float(np.clip(r + (own + (own + 2) * r) / count, 0.0, _MAX_CORRELATION)) if r > 0 else 0.0
+    return float(np.clip(r + (own + (own + 2) * r) / count, 0.0, tuning.max_correlation)) if r > 0 else 0.0
 
 
-def levels(residual: np.ndarray, level: np.ndarray, sigma: np.ndarray, time_s: np.ndarray) -> list[Level]:
+def levels(
+    residual: np.ndarray, level: np.ndarray, sigma: np.ndarray, time_s: np.ndarray, tuning: NoiseTuning
+) -> list[Level]:
     """The levels there are, best first, for the report."""
     out = []
     for rows in _levels(level):
-        r = correlation(residual[rows], time_s[rows])
+        r = correlation(residual[rows], time_s[rows], tuning)
         out.append(Level(len(rows), float(np.median(sigma[rows, 0])), _scatter(residual[rows]), r))
     return sorted(out, key=lambda v: v.sigma_m)
 
@@ -81,20 +84,20 @@ def _scatter(residual: np.ndarray) -> float:
     return max(1.0, float(np.sqrt(np.median(squares) / MEDIAN_CHI2_3)))
 
 
-def correlation(residual: np.ndarray, time_s: np.ndarray) -> float:
-    """Correlation of residuals (K, 3) with those of the next in time, 0 to 0.9; 0 without times.
+def correlation(residual: np.ndarray, time_s: np.ndarray, tuning: NoiseTuning) -> float:
+    """Correlation of residuals (K, 3) with those of the next in time, not negative; 0 without times.
 
     Not about their mean: an offset common to all is the strongest correlation there is.
     """
     known = np.flatnonzero(np.isfinite(time_s))
-    if len(known) < MIN_ROWS:
+    if len(known) < tuning.min_rows:
         return 0.0
     order = known[np.argsort(time_s[known], kind="stable")]
     step = np.diff(time_s[order])
-    near = step <= 1.5 * np.median(step)
+    near = step <= tuning.neighbour_steps * np.median(step)
     a, b = residual[order[:-1]][near], residual[order[1:]][near]
     size = np.sqrt(np.sum(a**2, axis=1) * np.sum(b**2, axis=1))
-    cap = max(float(np.median(size)) * 4, 1e-12)  # an outlier must not decide
+    cap = max(float(np.median(size)) * tuning.outlier, 1e-12)  # an outlier must not decide
     product = np.sum(a * b, axis=1) * np.minimum(1.0, cap / np.maximum(size, 1e-12))
     total = np.minimum(0.5 * (np.sum(a**2, axis=1) + np.sum(b**2, axis=1)), cap)
-    return float(np.clip(product.sum() / max(total.sum(), 1e-12), 0.0, _MAX_CORRELATION))
+    return float(np.clip(product.sum() / max(total.sum(), 1e-12), 0.0, tuning.max_correlation))

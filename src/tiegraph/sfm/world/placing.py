@@ -12,26 +12,18 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.world import noise
-from tiegraph.sfm.world.fit import ANTENNA_SIGMA_M, Evidence, Fit, fit_similarity
+from tiegraph.sfm.world.fit import Evidence, Fit, fit_similarity
 from tiegraph.sfm.world.fixes import Fixes, Given, make_fixes
 from tiegraph.sfm.world.gravity import Up
 from tiegraph.sfm.world.marks import Target
 from tiegraph.sfm.world.scale import RigScale
 from tiegraph.sfm.world.sources import POSITIONS, common_of
+from tiegraph.sfm.world.tuning import WorldTuning
 from tiegraph.sfm.world.weighing import Question, Weighed, weigh
 from tiegraph.text import known_to
 
-MIN_POSITIONS = 3
-ROLL_LIMIT_DEG = 10.0  # sigma of the roll about the track above which lone cameras' upright direction is used
 RIGHT_ANGLE_DEG = 90.0  # an angle with a larger sigma is not known
 ARM_GAIN, CLOCK_GAIN = 16.3, 10.8  # chi-square of 3 and of 1 degrees of freedom at 0.1 %
-MIRROR_GAIN = 4.0  # times nearer with exchanged axes: no noise does that
-UPSIDE_DOWN = -0.7  # vertical part of a direction that ought to be up
-ARM_SIGMA_M = 0.5  # of ANTENNA_SIGMA_M: known better than that in plan, the lever arm is observable
-CLOCK_SIGMAS = 4.0
-_NOISE_ROUNDS = 3
-_MANY_POINTS = 8  # control points among which a wrong one does not hide
-_AT_FRAME = 0.9  # weight of one frame in a fix, to compare orientations
 
 
 @dataclass(frozen=True)
@@ -65,6 +57,7 @@ class Placing:
     weighed: Weighed
     model: Model
     name: str  # of the positions
+    tuning: WorldTuning
     clock: tuple[float, float] = (float("nan"), float("nan"))  # the receiver's behind the cameras' and sigma, s
 
     @property
@@ -74,56 +67,60 @@ class Placing:
         return self.evidence.sigma[:count, 0] / self.fixes.sigma[:, 0] if count else np.zeros(0)
 
 
-def place(model: Model, scene: Scene, settings: GeorefSettings, given: Given) -> Placing | None:
-    """Fit the model to everything measured in the world; None with fewer than three positions and points."""
+def place(model: Model, scene: Scene, settings: GeorefSettings, given: Given, tuning: WorldTuning) -> Placing | None:
+    """Fit the model to everything measured in the world; None with too few positions and points."""
     notes: list[str] = []
     frames = model.frames(scene)
     registered = np.isfinite(frames).all(axis=(1, 2))
-    fixes = stated = make_fixes(scene, registered, given, settings.sigma_floor_m)
+    fixes = stated = make_fixes(scene, registered, given, settings.sigma_floor_m, tuning.fixes)
     points = _usable_points(model, given)
-    if len(np.unique(fixes.home)) + len(points) < MIN_POSITIONS:
+    if len(np.unique(fixes.home)) + len(points) < tuning.placing.min_positions:
         return None
     arm, estimate = _lever_arm(scene, settings, notes)
     metres = 1.0 if model.scale is None else model.scale.metres_per_unit
     name = POSITIONS.get(scene.prior, "positions")
     weighed: Weighed | None = None
-    for _ in range(2):  # the second time with the true scale for frames known through another camera than the first
-        evidence = _evidence(frames, fixes, scene, (arm, estimate is True), model.scale)
-        evidence = _with_points(evidence, model, given, points, metres)
+    # The second time with the true scale for frames known through another camera than the first.
+    for _ in range(tuning.placing.rounds):
+        evidence = _evidence(frames, fixes, scene, (arm, estimate is True), model.scale, tuning)
+        evidence = _with_points(evidence, model, given, points, metres, tuning)
         if weighed is None:
             free = estimate is not False
-            common = common_of(stated.sigma, settings.sigma_floor_m, free) if len(stated) else np.zeros(4)
-            weighed = weigh(Question(evidence, len(fixes), time_order(scene, fixes), name, common, model.scale, free))
+            reach = tuning.fit.antenna_sigma_m if free else 0.0
+            common = common_of(stated.sigma, settings.sigma_floor_m, reach) if len(stated) else np.zeros(4)
+            times = time_order(scene, fixes)
+            weighed = weigh(Question(evidence, len(fixes), times, name, common, model.scale, tuning, free))
         fixes = fixes.blurred(weighed.extra_m)
         blurred = np.concatenate([fixes.sigma, evidence.sigma[len(fixes) :]])
         evidence = replace(evidence, sigma=blurred, log_scale=evidence.log_scale if weighed.rig_used else None)
-        fit = fit_similarity(evidence, up_to_use(evidence, model.up, []))
+        fit = fit_similarity(evidence, up_to_use(evidence, model.up, [], tuning), tuning.fit)
         metres = fit.similarity.scale
         frames = model.frames(scene, metres)
-        fixes = stated.widened(frames, metres)
+        fixes = stated.widened(frames, metres, tuning.fixes)
     assert weighed is not None
     fixes = fixes.blurred(weighed.extra_m)
-    evidence, fit = _believed(evidence, fixes, model.up, fit.similarity)
-    _refuse_exchanged(evidence, fit)
-    _refuse_upside_down(evidence, fixes, model.up)
+    evidence, fit = _believed(evidence, fixes, model.up, fit.similarity, tuning)
+    _refuse_exchanged(evidence, fit, tuning)
+    _refuse_upside_down(evidence, fixes, model.up, tuning)
     if estimate is None:
-        evidence, fit = _try_lever_arm(evidence, fit, fixes, model.up, notes)
+        evidence, fit = _try_lever_arm(evidence, fit, fixes, model.up, notes, tuning)
     elif estimate:
-        evidence, fit = _with_lever_arm(evidence, fit, fixes, model.up)
-        notes.append(_arm_text(evidence, fit))
+        evidence, fit = _with_lever_arm(evidence, fit, fixes, model.up, tuning)
+        notes.append(_arm_text(evidence, fit, tuning))
     clock = (float("nan"), float("nan"))
     if given.rows is not None and settings.antenna != "ignored":
-        evidence, fit, clock = _try_clock(evidence, fit, fixes, model.up, notes)
-    up = up_to_use(evidence, model.up, notes, fit.similarity)
+        evidence, fit, clock = _try_clock(evidence, fit, fixes, model.up, notes, tuning)
+    up = up_to_use(evidence, model.up, notes, tuning, fit.similarity)
     blind = None
     held = np.zeros(len(evidence.frame), bool)
     held[: len(fixes)] = fixes.held
-    if held.any() and (~held).sum() >= MIN_POSITIONS:
-        blind = fit_similarity(evidence.where(~held), up, fit.similarity)
+    if held.any() and (~held).sum() >= tuning.placing.min_positions:
+        blind = fit_similarity(evidence.where(~held), up, tuning.fit, fit.similarity)
     count = len(fixes)
     residual = evidence.position_residuals(fit.similarity, fit.antenna, fit.offset_s)[:count]
-    found = noise.levels(residual / fixes.sigma, fixes.level, fixes.sigma, fixes.time_s)
-    return Placing(evidence, fixes, fit, up, points, blind, tuple(found), tuple(notes), weighed, model, name, clock)
+    found = noise.levels(residual / fixes.sigma, fixes.level, fixes.sigma, fixes.time_s, tuning.noise)
+    said = tuple(found), tuple(notes)
+    return Placing(evidence, fixes, fit, up, points, blind, *said, weighed, model, name, tuning, clock)
 
 
 def time_order(scene: Scene, fixes: Fixes) -> np.ndarray:
@@ -148,10 +145,11 @@ def _evidence(
     scene: Scene,
     antenna: tuple[np.ndarray | None, bool],
     scale: RigScale | None,
+    tuning: WorldTuning,
 ) -> Evidence:
     pose, speed = fixes.blend(frames)
     orientation = scene.world_from_rig[fixes.home, :3, :3].copy()
-    orientation[fixes.weights.max(axis=1) < _AT_FRAME] = np.nan
+    orientation[fixes.weights.max(axis=1) < tuning.placing.at_frame] = np.nan
     arm, estimate = antenna
     return Evidence(
         frame=fixes.home,
@@ -167,7 +165,9 @@ def _evidence(
     )
 
 
-def _with_points(evidence: Evidence, model: Model, given: Given, points: np.ndarray, metres: float) -> Evidence:
+def _with_points(
+    evidence: Evidence, model: Model, given: Given, points: np.ndarray, metres: float, tuning: WorldTuning
+) -> Evidence:
     """The evidence with control points added: rows without rotation, so that no lever arm acts."""
     if not len(points) or given.control is None:
         return evidence
@@ -176,7 +176,7 @@ def _with_points(evidence: Evidence, model: Model, given: Given, points: np.ndar
     pose[:, :3, 3] = [model.targets[k].place for k in points]
     spread = np.array([np.sqrt(np.trace(model.targets[k].covariance) / 3) for k in points]) * metres
     sigma = np.hypot(control.sigma_m[points], spread[:, None])
-    sigma *= _point_factor(pose[:, :3, 3], control.world_m[points], sigma)
+    sigma *= _point_factor(pose[:, :3, 3], control.world_m[points], sigma, tuning)
     return replace(
         evidence,
         frame=np.append(evidence.frame, np.full(len(points), -1)),
@@ -188,45 +188,50 @@ def _with_points(evidence: Evidence, model: Model, given: Given, points: np.ndar
     )
 
 
-def _point_factor(place: np.ndarray, world: np.ndarray, sigma: np.ndarray) -> float:
+def _point_factor(place: np.ndarray, world: np.ndarray, sigma: np.ndarray, tuning: WorldTuning) -> float:
     """By how much control points disagree with each other more than their sigmas say; 1 with three of them."""
     count = len(place)
-    if count < MIN_POSITIONS + 1:
+    if count < tuning.placing.min_positions + 1:
         return 1.0
     off = umeyama(place, world, 1 / sigma[:, 0] ** 2)(place) - world
     squares = np.sum((off / sigma) ** 2, axis=1)
-    typical = float(np.mean(squares)) if count < _MANY_POINTS else float(np.median(squares)) * 3 / noise.MEDIAN_CHI2_3
+    typical = float(np.mean(squares))
+    if count >= tuning.placing.many_points:
+        typical = float(np.median(squares)) * 3 / noise.MEDIAN_CHI2_3
     return max(1.0, float(np.sqrt(typical * count / (3 * count - 7))))
 
 
-def _believed(evidence: Evidence, fixes: Fixes, up: Up | None, near: Similarity) -> tuple[Evidence, Fit]:
+def _believed(
+    evidence: Evidence, fixes: Fixes, up: Up | None, near: Similarity, tuning: WorldTuning
+) -> tuple[Evidence, Fit]:
     """The evidence with the fixes' sigmas stretched to what their residuals say, and its fit."""
-    used = up_to_use(evidence, up, [], near)
-    fit = fit_similarity(evidence, used, near)
+    used = up_to_use(evidence, up, [], tuning, near)
+    fit = fit_similarity(evidence, used, tuning.fit, near)
     count = len(fixes)
-    for _ in range(_NOISE_ROUNDS if count else 0):
+    for _ in range(tuning.placing.noise_rounds if count else 0):
         residual = evidence.position_residuals(fit.similarity, fit.antenna, fit.offset_s)[:count] / fixes.sigma
         unknowns = noise.SIMILARITY + 3 * evidence.estimate_antenna + evidence.estimate_offset
-        stretched = fixes.stretched(noise.factors(residual, fixes.level, fixes.time_s, unknowns))
+        stretched = fixes.stretched(noise.factors(residual, fixes.level, fixes.time_s, tuning.noise, unknowns))
         evidence = replace(evidence, sigma=np.concatenate([stretched.sigma, evidence.sigma[count:]]))
-        fit = fit_similarity(evidence, used, near=fit.similarity)
+        fit = fit_similarity(evidence, used, tuning.fit, near=fit.similarity)
     return evidence, fit
 
 
-def _refuse_exchanged(evidence: Evidence, fit: Fit) -> None:
+def _refuse_exchanged(evidence: Evidence, fit: Fit, tuning: WorldTuning) -> None:
     """Raise InputError where the positions fit clearly better with east and north exchanged: a mirror image.
 
     A straight track is its own mirror image, so that nothing can be said of it.
     """
-    if np.median(np.linalg.norm(evidence.position_residuals(fit.similarity, fit.antenna), axis=1)) < ANTENNA_SIGMA_M:
+    reach = tuning.fit.antenna_sigma_m
+    if np.median(np.linalg.norm(evidence.position_residuals(fit.similarity, fit.antenna), axis=1)) < reach:
         return
     mirrored = replace(evidence, position=evidence.position[:, [1, 0, 2]])
-    other = fit_similarity(mirrored, None)
+    other = fit_similarity(mirrored, None, tuning.fit)
     sizes = [
         float(np.median(np.linalg.norm(e.position_residuals(f.similarity, f.antenna)[:, :2], axis=1)))
         for e, f in ((evidence, fit), (mirrored, other))
     ]
-    if sizes[1] < sizes[0] / MIRROR_GAIN and sizes[0] > ANTENNA_SIGMA_M:
+    if sizes[1] < sizes[0] / tuning.placing.mirror_gain and sizes[0] > reach:
         raise InputError(
             f"the positions are a mirror image of the survey: they miss the model by {sizes[0]:.2f} m (median), with "
             f"their first two coordinates exchanged by {sizes[1]:.2f} m; are latitude and longitude, or north and "
@@ -234,22 +239,23 @@ def _refuse_exchanged(evidence: Evidence, fit: Fit) -> None:
         )
 
 
-def _refuse_upside_down(evidence: Evidence, fixes: Fixes, up: Up | None) -> None:
+def _refuse_upside_down(evidence: Evidence, fixes: Fixes, up: Up | None, tuning: WorldTuning) -> None:
     """Raise InputError where the positions alone put a ring of cameras upside down: the mirror image of a track.
 
     Two passes side by side and mirrored are the same passes turned over, so that the residuals of a fit tell nothing.
     """
-    if up is None or not up.ring or len(fixes) < MIN_POSITIONS:
+    if up is None or not up.ring or len(fixes) < tuning.placing.min_positions:
         return
     rows = np.arange(len(evidence.frame)) < len(fixes)
     free = replace(evidence.where(rows), sigma=fixes.sigma, estimate_antenna=True)
     free = replace(free, orientation=np.full_like(free.orientation, np.nan))
-    alone = fit_similarity(free, None)
+    alone = fit_similarity(free, None, tuning.fit)
     residual = free.position_residuals(alone.similarity, alone.antenna) / fixes.sigma
-    free = replace(free, sigma=fixes.sigma * noise.factors(residual, fixes.level, fixes.time_s)[:, None])
-    alone = fit_similarity(free, None, alone.similarity)
+    factors = noise.factors(residual, fixes.level, fixes.time_s, tuning.noise)
+    free = replace(free, sigma=fixes.sigma * factors[:, None])
+    alone = fit_similarity(free, None, tuning.fit, alone.similarity)
     lean = float((alone.similarity.rotation @ up.direction)[2])
-    if lean < UPSIDE_DOWN and alone.roll_sigma_deg < ROLL_LIMIT_DEG:
+    if lean < tuning.placing.upside_down and alone.roll_sigma_deg < tuning.placing.roll_limit_deg:
         raise InputError(
             "the positions turn the survey upside down: the tops of the side cameras' images point to the ground, "
             f"though the roll about the track is known to {alone.roll_sigma_deg:.1f} deg; are latitude and longitude, "
@@ -271,26 +277,34 @@ def _lever_arm(scene: Scene, settings: GeorefSettings, notes: list[str]) -> tupl
     return given, False if given is not None or settings.antenna == "given" else None
 
 
-def _try_lever_arm(evidence: Evidence, fit: Fit, fixes: Fixes, up: Up | None, notes: list[str]) -> tuple[Evidence, Fit]:
+def _try_lever_arm(
+    evidence: Evidence, fit: Fit, fixes: Fixes, up: Up | None, notes: list[str], tuning: WorldTuning
+) -> tuple[Evidence, Fit]:
     """Estimate the lever arm if the positions tell it in plan and agree clearly better with it."""
-    richer, other = _with_lever_arm(evidence, fit, fixes, up)
-    plain = fit_similarity(
-        replace(richer, estimate_antenna=False), up_to_use(richer, up, [], other.similarity), near=fit.similarity
-    )
+    richer, other = _with_lever_arm(evidence, fit, fixes, up, tuning)
+    used = up_to_use(richer, up, [], tuning, other.similarity)
+    plain = fit_similarity(replace(richer, estimate_antenna=False), used, tuning.fit, near=fit.similarity)
     plan_sigma = arm_sigma(richer, other)[0]
-    if plan_sigma < ARM_SIGMA_M * ANTENNA_SIGMA_M and plain.cost - other.cost > ARM_GAIN:
-        notes.append(_arm_text(richer, other))
+    if plan_sigma < _arm_limit_m(tuning) and plain.cost - other.cost > ARM_GAIN:
+        notes.append(_arm_text(richer, other, tuning))
         return richer, other
     why = (
         f"it is known to {plan_sigma:.2f} m only: that needs headings that differ, such as a return pass"
-        if plan_sigma >= ARM_SIGMA_M * ANTENNA_SIGMA_M
+        if plan_sigma >= _arm_limit_m(tuning)
         else "with one the positions fit no better"
     )
     notes.append(f"no lever arm given and none estimated ({why}): the antenna is taken to be at the reference camera")
     return evidence, fit
 
 
-def _with_lever_arm(evidence: Evidence, fit: Fit, fixes: Fixes, up: Up | None) -> tuple[Evidence, Fit]:
+def _arm_limit_m(tuning: WorldTuning) -> float:
+    """Sigma up to which a lever arm counts as known."""
+    return tuning.placing.arm_share * tuning.fit.antenna_sigma_m
+
+
+def _with_lever_arm(
+    evidence: Evidence, fit: Fit, fixes: Fixes, up: Up | None, tuning: WorldTuning
+) -> tuple[Evidence, Fit]:
     """The fit with the lever arm as unknown, without its height where that cannot be told.
 
     It begins with the sigmas as stated: without the lever arm all positions looked bad, and among those that are bad
@@ -298,10 +312,10 @@ def _with_lever_arm(evidence: Evidence, fit: Fit, fixes: Fixes, up: Up | None) -
     """
     stated = np.concatenate([fixes.sigma, evidence.sigma[len(fixes) :]])
     evidence = replace(evidence, sigma=stated, estimate_antenna=True)
-    richer, other = _believed(evidence, fixes, up, fit.similarity)
-    if arm_sigma(richer, other)[1] > ARM_SIGMA_M * ANTENNA_SIGMA_M:
+    richer, other = _believed(evidence, fixes, up, fit.similarity, tuning)
+    if arm_sigma(richer, other)[1] > _arm_limit_m(tuning):
         held = replace(evidence, level=_upward(richer, other))
-        return _believed(held, fixes, up, fit.similarity)
+        return _believed(held, fixes, up, fit.similarity, tuning)
     return richer, other
 
 
@@ -320,11 +334,11 @@ def arm_sigma(evidence: Evidence, fit: Fit) -> tuple[float, float]:
     return float(np.sqrt(np.linalg.eigvalsh(plan)[-1])), float(np.sqrt(upward @ fit.antenna_covariance @ upward))
 
 
-def _arm_text(evidence: Evidence, fit: Fit) -> str:
+def _arm_text(evidence: Evidence, fit: Fit, tuning: WorldTuning) -> str:
     plan, height = arm_sigma(evidence, fit)
     x, y, z = fit.antenna
     text = f"lever arm estimated: {x:.2f} {y:.2f} {z:.2f} m in the reference camera's frame, to {plan:.2f} m in plan"
-    if evidence.level is not None or height > ARM_SIGMA_M * ANTENNA_SIGMA_M:
+    if evidence.level is not None or height > _arm_limit_m(tuning):
         text += (
             "; its height cannot be told from the height of the world (taken as that of the camera, to 1 m): "
             "measure the antenna's height above the cameras where heights matter"
@@ -333,22 +347,21 @@ def _arm_text(evidence: Evidence, fit: Fit) -> str:
 
 
 def _try_clock(
-    evidence: Evidence, fit: Fit, fixes: Fixes, up: Up | None, notes: list[str]
+    evidence: Evidence, fit: Fit, fixes: Fixes, up: Up | None, notes: list[str], tuning: WorldTuning
 ) -> tuple[Evidence, Fit, tuple[float, float]]:
     """Estimate the offset of the receiver's clock if it is observable and differs from nothing; and what was found."""
-    richer, other = _believed(replace(evidence, estimate_offset=True), fixes, up, fit.similarity)
-    plain = fit_similarity(
-        replace(richer, estimate_offset=False), up_to_use(richer, up, [], other.similarity), near=fit.similarity
-    )
+    richer, other = _believed(replace(evidence, estimate_offset=True), fixes, up, fit.similarity, tuning)
+    used = up_to_use(richer, up, [], tuning, other.similarity)
+    plain = fit_similarity(replace(richer, estimate_offset=False), used, tuning.fit, near=fit.similarity)
     sigma, value = other.offset_sigma_s, other.offset_s
     speed = np.linalg.norm(evidence.speed[: len(fixes), :3, 3], axis=1) if evidence.speed is not None else np.zeros(1)
     metres = sigma * float(np.median(speed)) * fit.similarity.scale
-    if not metres < ARM_SIGMA_M * ANTENNA_SIGMA_M:
+    if not metres < _arm_limit_m(tuning):
         notes.append(
             f"the receiver's clock against the cameras' cannot be told (to {sigma:.2f} s, {metres:.2f} m on the way): "
             "at constant speed it is the lever arm along the track"
         )
-    elif abs(value) > CLOCK_SIGMAS * sigma and plain.cost - other.cost > CLOCK_GAIN:
+    elif abs(value) > tuning.placing.clock_sigmas * sigma and plain.cost - other.cost > CLOCK_GAIN:
         notes.append(f"the receiver's clock is {value:+.3f} s (sigma {sigma:.3f}) off the cameras': taken into account")
         return richer, other, (value, sigma)
     else:
@@ -356,22 +369,24 @@ def _try_clock(
     return evidence, fit, (value, sigma)
 
 
-def up_to_use(evidence: Evidence, up: Up | None, notes: list[str], near: Similarity | None = None) -> Up | None:
+def up_to_use(
+    evidence: Evidence, up: Up | None, notes: list[str], tuning: WorldTuning, near: Similarity | None = None
+) -> Up | None:
     """The cameras' upward direction if the positions need it: a straight track leaves the roll about it open.
 
     ``near``: a similarity that is known to be about right saves looking for a start.
     """
     if up is None or np.isfinite(evidence.orientation).all(axis=(1, 2)).any():
         return None
-    alone = fit_similarity(evidence, None, near)
-    if up.ring and alone.tilt_sigma_deg > up.sigma_deg / 2:
+    alone = fit_similarity(evidence, None, tuning.fit, near)
+    if up.ring and alone.tilt_sigma_deg > tuning.placing.tilt_share * up.sigma_deg:
         known = known_to(alone.tilt_sigma_deg, RIGHT_ANGLE_DEG, f"{alone.tilt_sigma_deg:.1f} deg")
         notes.append(
             f"the positions leave the tilt open ({known}): the upward direction of {up.cameras} holds it, to about "
             f"{up.sigma_deg:.0f} deg; whether east and north, or one of them and the height, are exchanged cannot be "
             "told along so straight a track"
         )
-    elif not up.ring and alone.roll_sigma_deg > ROLL_LIMIT_DEG:
+    elif not up.ring and alone.roll_sigma_deg > tuning.placing.roll_limit_deg:
         known = known_to(alone.roll_sigma_deg, RIGHT_ANGLE_DEG, f"{alone.roll_sigma_deg:.0f} deg")
         notes.append(
             f"the positions lie nearly on a straight line (roll about it {known}): the upward direction of "

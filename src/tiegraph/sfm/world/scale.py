@@ -9,12 +9,7 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
-
-# ALGORITHMS section 4: with 6 cm at 15 m a 2 mm error of the baseline is 3.3 % of scale; never take scale from that.
-BASELINE_SIGMA_M = 0.002
-ANGLE_SIGMA = 0.00017  # 0.01 deg: what is left of the extrinsic rotation; it acts like a parallax
-MAX_SIGMA = 0.015  # of the scale, to be trusted
-_MAX_DEPTHS = 20_000
+from tiegraph.sfm.world.tuning import ScaleTuning
 
 
 @dataclass(frozen=True)
@@ -28,7 +23,11 @@ class RigScale:
 
 
 def rig_scale(
-    model: pycolmap.Reconstruction, cam_from_world: np.ndarray, scene: Scene, inside: float = float("nan")
+    model: pycolmap.Reconstruction,
+    cam_from_world: np.ndarray,
+    scene: Scene,
+    tuning: ScaleTuning,
+    inside: float = float("nan"),
 ) -> RigScale | None:
     """Median ratio of given to mapped baselines over all frames; None without a rig of given lengths.
 
@@ -53,19 +52,19 @@ def rig_scale(
                 if np.isfinite(length) and length > 0 and mapped > 0:
                     ratios.append(length / mapped)
                     lengths.append(length)
-                    sigmas.append(_stated(scene, a, b))
+                    sigmas.append(_stated(scene, a, b, tuning.baseline_sigma_m))
     if not ratios:
         return None
-    longest = np.array(lengths) > 0.7 * max(lengths)
+    longest = np.array(lengths) > tuning.long_share * max(lengths)
     scale = float(np.median(np.array(ratios)[longest]))
     length = float(np.max(lengths))
     stated = float(np.median(np.array(sigmas)[longest]))
-    depth = scale * _median_depth(model)
-    sigma = float(np.hypot(stated, ANGLE_SIGMA * depth)) / length
+    depth = scale * _median_depth(model, tuning.depth_points)
+    sigma = float(np.hypot(stated, tuning.angle_sigma_rad * depth)) / length
     why = ""
     if not given:
         why = "its extrinsics are nominal"
-    elif sigma > MAX_SIGMA:
+    elif sigma > tuning.max_sigma:
         why = f"a baseline of {length:.3f} m at {depth:.0f} m gives a scale to {sigma:.1%} only"
     return RigScale(scale, float(np.hypot(sigma, np.nan_to_num(inside))), not why, why)
 
@@ -116,16 +115,16 @@ def _ways(poses: np.ndarray, scene: Scene) -> np.ndarray:
     return out
 
 
-def _stated(scene: Scene, a: int, b: int) -> float:
-    """Sigma (m) of the distance of two cameras of a rig: what its file gives of their places, else 2 mm."""
+def _stated(scene: Scene, a: int, b: int, unknown_m: float) -> float:
+    """Sigma (m) of the distance of two cameras of a rig: what its file gives of their places, else ``unknown_m``."""
     given = [s for s in (scene.sensor_of(a).sigma_m, scene.sensor_of(b).sigma_m) if s is not None]
-    return float(np.linalg.norm(given)) if given else BASELINE_SIGMA_M
+    return float(np.linalg.norm(given)) if given else unknown_m
 
 
-def _median_depth(model: pycolmap.Reconstruction) -> float:
+def _median_depth(model: pycolmap.Reconstruction, most: int) -> float:
     """Median distance of points from the first camera that sees them, model units."""
     ids = sorted(model.point3D_ids())
-    ids = ids[:: max(1, len(ids) // _MAX_DEPTHS)]
+    ids = ids[:: max(1, len(ids) // most)]
     depths = []
     for point_id in ids:
         point = model.point3D(point_id)

@@ -16,19 +16,16 @@ from tiegraph.geometry.align import Similarity
 from tiegraph.scene.evidence import Statement
 from tiegraph.sfm.world import noise
 from tiegraph.sfm.world.accuracy import PlacementError
-from tiegraph.sfm.world.fit import ANTENNA_SIGMA_M, Evidence, Fit, fit_similarity
+from tiegraph.sfm.world.fit import Evidence, Fit, fit_similarity
 from tiegraph.sfm.world.gravity import Up
 from tiegraph.sfm.world.scale import RigScale
+from tiegraph.sfm.world.tuning import NoiseTuning, SourceTuning, WorldTuning
 
 POSITIONS = {"gnss": "GNSS positions", "exif": "EXIF positions", "trajectory": "trajectory positions"}
 CONTROL, RIG, ORIENTATIONS = "control points", "rig as given", "given orientations"
 SCALE, HEADING, TILTS = "scale", "heading", ("tilt towards north", "tilt towards east")
 PLACES = ("place east", "place north", "height")
-_TOLD_DEG = 20.0  # a turn known worse than that says nothing
-TOLD_SCALE = 0.3
-_COMMON_DEG = 1.5  # what the orientations of a path have in common does not average out
-_THREE = 3
-_LEAST = 0.01  # of the stated sigma: what scatters less is not measured but made
+_THREE = 3  # places, for a similarity
 
 
 @dataclass(frozen=True)
@@ -48,7 +45,9 @@ class Source:
         """Of the logarithm of the scale."""
         return float(np.sqrt(self.covariance[6, 6]))
 
-    def statements(self, result: Similarity, at: np.ndarray, used: Sequence[str]) -> list[Statement]:
+    def statements(
+        self, result: Similarity, at: np.ndarray, used: Sequence[str], tuning: SourceTuning
+    ) -> list[Statement]:
         """What it says of scale, heading, tilt and place of a model point ``at`` (3,), against the result."""
         turn = np.degrees(Rotation.from_matrix(self.similarity.rotation @ result.rotation.T).as_rotvec())
         spread = np.degrees(np.sqrt(np.diag(self.covariance)[:3]))
@@ -56,19 +55,25 @@ class Source:
         off = (here - result(at[None]))[0]
         place = np.hypot(PlacementError(self.middle, self.covariance).sigma(here)[0], self.common_m)
         out = []
-        if self.scale_sigma < TOLD_SCALE:
+        if self.scale_sigma < tuning.told_scale:
             ratio = self.similarity.scale / result.scale
             out.append(Statement(SCALE, self.name, ratio, ratio * self.scale_sigma, "", SCALE in used))
         names = ((HEADING, 2, -1.0), (TILTS[0], 0, -1.0), (TILTS[1], 1, 1.0))
         for name, k, sign in names:
-            if spread[k] < _TOLD_DEG:
+            if spread[k] < tuning.told_deg:
                 out.append(Statement(name, self.name, float(sign * turn[k]), float(spread[k]), "deg", name in used))
         out += [Statement(n, self.name, float(v), float(s), "m", n in used) for n, v, s in zip(PLACES, off, place)]
         return out
 
 
 def alone(
-    evidence: Evidence, rows: np.ndarray, name: str, times: np.ndarray, common: np.ndarray, free_antenna: bool = False
+    evidence: Evidence,
+    rows: np.ndarray,
+    name: str,
+    times: np.ndarray,
+    common: np.ndarray,
+    tuning: WorldTuning,
+    free_antenna: bool = False,
 ) -> Source | None:
     """The placement by some rows (K,) bool of the evidence alone; None with fewer than three of them.
 
@@ -81,26 +86,28 @@ def alone(
         return None
     nothing = np.full_like(own.orientation, np.nan)
     own = replace(own, orientation=nothing, log_scale=None, estimate_antenna=free_antenna)
-    fit = fit_similarity(own, None)
-    for _ in range(2):
+    fit = fit_similarity(own, None, tuning.fit)
+    for _ in range(tuning.sources.rounds):
         off = own.position_residuals(fit.similarity, fit.antenna)
-        own = replace(own, sigma=evidence.sigma[rows] * _scatter(off / evidence.sigma[rows], times))
-        fit = fit_similarity(own, None, fit.similarity)
+        scatter = _scatter(off / evidence.sigma[rows], times, tuning.noise, tuning.sources.least)
+        own = replace(own, sigma=evidence.sigma[rows] * scatter)
+        fit = fit_similarity(own, None, tuning.fit, fit.similarity)
     off = own.position_residuals(fit.similarity, fit.antenna)
     return Source(name, fit.similarity, _with_slow(fit, own, float(common[3])), fit.middle, common[:3], off)
 
 
-def _scatter(residual: np.ndarray, times: np.ndarray) -> float:
+def _scatter(residual: np.ndarray, times: np.ndarray, tuning: NoiseTuning, least: float) -> float:
     """By how much residuals over sigma (K, 3) are larger or smaller than said, with their correlation."""
     count = len(residual)
     free = 3 * count - 7
     if free < count:  # three or four: they meet whatever they are
         return 1.0
     typical = float(np.median(np.sum(residual**2, axis=1))) / noise.MEDIAN_CHI2_3 * 3 * count / free
-    r = noise.correlation(residual, times)
+    r = noise.correlation(residual, times, tuning)
     scatter = float(np.sqrt(typical * (1 + r) / (1 - r)))
     few = np.sqrt(2 / free)  # a scatter of few may be small by chance
-    return max(scatter * (1 + float(few)), _LEAST) if np.isfinite(times).sum() >= noise.MIN_ROWS else max(scatter, 1.0)
+    told = np.isfinite(times).sum() >= tuning.min_rows
+    return max(scatter * (1 + float(few)), least) if told else max(scatter, 1.0)
 
 
 def _with_slow(fit: Fit, own: Evidence, slow_m: float) -> np.ndarray:
@@ -116,11 +123,11 @@ def _with_slow(fit: Fit, own: Evidence, slow_m: float) -> np.ndarray:
     return out
 
 
-def common_of(sigma: np.ndarray, floor_m: float, free_antenna: bool) -> np.ndarray:
-    """(4,) what positions share: their stated sigma (median over (K, 3)), where no lever arm is known its size; and
-    the sigma between far ends that the settings believe of no receiver."""
+def common_of(sigma: np.ndarray, floor_m: float, antenna_m: float) -> np.ndarray:
+    """(4,) what positions share: their stated sigma (median over (K, 3)), where no lever arm is known its size
+    (``antenna_m``); and the sigma between far ends that the settings believe of no receiver."""
     stated = np.median(sigma, axis=0)
-    return np.append(np.hypot(stated, ANTENNA_SIGMA_M if free_antenna else 0.0), floor_m)
+    return np.append(np.hypot(stated, antenna_m), floor_m)
 
 
 def rig_statement(scale: RigScale | None, result: Similarity, used: bool) -> list[Statement]:
@@ -140,7 +147,7 @@ def up_statements(up: Up | None, result: Similarity, used: bool) -> list[Stateme
     return [Statement(n, up.cameras, float(v), up.sigma_deg, "deg", used) for n, v in zip(TILTS, values)]
 
 
-def orientation_statements(evidence: Evidence, result: Similarity) -> list[Statement]:
+def orientation_statements(evidence: Evidence, result: Similarity, tuning: SourceTuning) -> list[Statement]:
     """Given orientations of heading and tilt, against the result."""
     known = np.isfinite(evidence.orientation).all(axis=(1, 2))
     if not known.any():
@@ -150,6 +157,6 @@ def orientation_statements(evidence: Evidence, result: Similarity) -> list[State
     mean = turns.mean()
     turn = np.degrees(mean.as_rotvec())
     scatter = np.degrees(np.sqrt(np.mean((turns * mean.inv()).magnitude() ** 2)))
-    sigma = float(np.hypot(_COMMON_DEG, scatter / np.sqrt(known.sum())))
+    sigma = float(np.hypot(tuning.common_deg, scatter / np.sqrt(known.sum())))
     names = ((HEADING, 2, -1.0), (TILTS[0], 0, -1.0), (TILTS[1], 1, 1.0))
     return [Statement(n, ORIENTATIONS, float(s * turn[k]), sigma, "deg", True) for n, k, s in names]

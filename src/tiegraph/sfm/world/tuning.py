@@ -2,8 +2,238 @@
 
 from __future__ import annotations
 
+from pydantic import Field
+
 from tiegraph.settings import Section
+
+
+class FixTuning(Section):
+    """Measured positions, for the mapper (`database.py`) and tied to the poses about their time (`fixes.py`)."""
+
+    held_out_every: int = Field(5, ge=2)
+    """ALGORITHMS: every fifth position is left out of the fit, to look at its residual."""
+    least_to_hold_out: int = Field(10, gt=0)
+    """Positions below which none is held out: a fit without a fifth of them says little."""
+    rows_per_frame: int = Field(5, gt=0)
+    """Of the receiver, that are used between two frames: more say the same once more."""
+    max_step: float = Field(3.0, ge=1)
+    """Median steps of a pass: no interpolation across wider gaps between frames."""
+    cubic_error: float = Field(0.03, ge=0)
+    """Of the third difference: error of interpolation between frames. A cubic between evenly spaced frames errs by
+    0.023 of the fourth, which a sharp turn makes as large as the third."""
+    parabola_error: float = Field(0.06, ge=0)
+    """Of the second difference: the same at the ends of a pass, where it is 0.06 of the third."""
+    unknown_sigma_m: float = Field(10.0, gt=0)
+    """Of a position whose source gives none (hand-held GPS)."""
+    levels_per_octave: float = Field(2.0, gt=0)
+    """Of the stated sigma: fixes of one level share one factor of it."""
+    outage_intervals: float = Field(3.0, gt=1)
+    """Of the receiver: a longer pause is an outage."""
+    recovery_s: float = Field(10.0, ge=0)
+    """After an outage a receiver's sigma is not to be believed (ambiguities are fixed anew)."""
+    outage_factor: float = Field(3.0, ge=1)
+    """On the sigma just before and after an outage."""
+    covered_factor: float = Field(10.0, ge=1)
+    """On the sigma under a bridge (ALGORITHMS section 4)."""
+
+
+class NoiseTuning(Section):
+    """How much worse positions are than their sigmas say (`noise.py`)."""
+
+    max_factor: float = Field(30.0, ge=1)
+    """On a stated sigma."""
+    min_rows: int = Field(6, gt=1)
+    """Of a level, to say anything of its factor; of positions with times, to say anything of their correlation."""
+    max_correlation: float = Field(0.9, ge=0, lt=1)
+    """Of neighbours in time: what looks more correlated is believed to be so much."""
+    neighbour_steps: float = Field(1.5, ge=1)
+    """Median steps in time, within which two positions are neighbours."""
+    outlier: float = Field(4.0, ge=1)
+    """Times the median product of neighbours, at which one is capped: an outlier must not decide."""
+
+
+class UpTuning(Section):
+    """Which way is up in a model (`gravity.py`)."""
+
+    ring_sigma_deg: float = Field(3.0, gt=0)
+    """Cameras all round a levelled platform: what trim and mounting leave."""
+    lone_sigma_deg: float = Field(10.0, gt=0)
+    """A person holding a camera, or cameras to one side."""
+    agreement: float = Field(0.8, ge=0, le=1)
+    """Length of the mean of the unit vectors at least; nadir photographs of many headings have about 0."""
+    round: float = Field(0.5, ge=0, le=1)
+    """Length of the mean viewing direction of a frame, below which its cameras look all round."""
+
+
+class MarkTuning(Section):
+    """Marked points in the model (`marks.py`)."""
+
+    mark_sigma_px: float = Field(1.0, gt=0)
+    """Of a mark set by hand."""
+    min_angle_deg: float = Field(1.0, ge=0)
+    """Between rays, to believe where they meet."""
+    max_mark_px: float = Field(20.0, gt=0)
+    """A mark this far from its point is a wrong click or a wrong image."""
+    soft_px: float = Field(3.0, gt=0)
+    """Scale of the robust loss (soft L1) by which rays meet."""
+    min_to_refuse: int = Field(5, ge=4)
+    """Control points, of which four tell which one is wrong."""
+    much_better: float = Field(3.0, ge=1)
+    """Times the others agree without it."""
+    refused_of: int = Field(3, gt=0)
+    """One in so many control points may be refused."""
+
+
+class ScaleTuning(Section):
+    """Metres per model unit by the rig's baselines (`scale.py`). ALGORITHMS section 4: with 6 cm at 15 m a 2 mm error
+    of the baseline is 3.3 % of scale; never take scale from that."""
+
+    baseline_sigma_m: float = Field(0.002, gt=0)
+    """Of the distance of two cameras of a rig unless its file gives one."""
+    angle_sigma_rad: float = Field(0.00017, gt=0)
+    """0.01 deg: what is left of the extrinsic rotation; it acts like a parallax."""
+    max_sigma: float = Field(0.015, gt=0)
+    """Of the scale, to be trusted."""
+    long_share: float = Field(0.7, ge=0, lt=1)
+    """Of the longest baseline: those that are longer tell the scale."""
+    depth_points: int = Field(20_000, gt=0)
+    """Points whose distances are looked at, about."""
+
+
+class FitTuning(Section):
+    """The similarity from a model to the world (`fit.py`)."""
+
+    inlier_sigmas: float = Field(3.0, gt=0)
+    """Per axis: a position within is believed; scale of the Cauchy loss over its vector."""
+    cauchy_scales: tuple[float, ...] = (4.0, 1.0)
+    """The robust fit begins with a loss that is wider by this."""
+    orientation_sigma_deg: float = Field(3.0, gt=0)
+    """Orientations of a trajectory are not independent from frame to frame: together they weigh as much as
+    `orientation_freedom` of this sigma."""
+    orientation_freedom: int = Field(4, gt=0)
+    """See `orientation_sigma_deg`."""
+    antenna_sigma_m: float = Field(1.0, gt=0)
+    """Weak prior of a lever arm that no file gives: boats and cars carry it not much farther."""
+    held_m: float = Field(1e-3, gt=0)
+    """Sigma of a lever arm's height that the positions do not tell: it stays, for a valley that flat has no bottom."""
+    offset_sigma_s: float = Field(1.0, gt=0)
+    """Weak prior of the receiver's clock against the cameras'."""
+    rounds: int = Field(6, gt=0)
+    """Of reweighting, at most, for each scale of the loss and for the choice of the inliers."""
+    converged: float = Field(1e-5, ge=0)
+    """Radians, metres, log scale: a step that ends the rounds."""
+    jackknife_blocks: int = Field(6, gt=0)
+    """Runs of neighbours that are left out in turn, at most."""
+    jackknife_rows: int = Field(3, gt=0)
+    """Positions of such a run, at least."""
+    jackknife_least: int = Field(3, gt=1)
+    """Runs, below which the formal sigmas stay."""
+
+
+class SourceTuning(Section):
+    """What each source of a placement says by itself (`sources.py`, `weighing.py`)."""
+
+    told_deg: float = Field(20.0, gt=0)
+    """A turn known worse than that says nothing."""
+    told_scale: float = Field(0.3, gt=0)
+    """Sigma of a scale that is stated."""
+    any_scale: float = Field(1.0, gt=0)
+    """Sigma of a scale beyond which a source has no say in it."""
+    common_deg: float = Field(1.5, ge=0)
+    """What the orientations of a path have in common does not average out."""
+    rounds: int = Field(2, gt=0)
+    """In which the sigmas of a source follow the scatter about its own fit."""
+    least: float = Field(0.01, gt=0)
+    """Of the stated sigma: what scatters less is not measured but made."""
+
+
+class PlacingTuning(Section):
+    """Which evidence there is, and whether lever arm and clock can be told from it (`placing.py`)."""
+
+    min_positions: int = Field(3, ge=3)
+    """Positions and control points, to place a model."""
+    rounds: int = Field(2, gt=0)
+    """Of placing: the second time with the true scale for frames known through another camera than the first."""
+    noise_rounds: int = Field(3, ge=0)
+    """In which sigmas follow the residuals."""
+    roll_limit_deg: float = Field(10.0, gt=0)
+    """Sigma of the roll about the track above which lone cameras' upright direction is used."""
+    tilt_share: float = Field(0.5, gt=0)
+    """Of the sigma of a ring's upright direction: above that sigma of the tilt it is used."""
+    mirror_gain: float = Field(4.0, ge=1)
+    """Times nearer with exchanged axes: no noise does that."""
+    upside_down: float = Field(-0.7, ge=-1, le=1)
+    """Vertical part of a direction that ought to be up."""
+    arm_share: float = Field(0.5, gt=0)
+    """Of `antenna_sigma_m`: known better than that in plan, the lever arm is observable."""
+    clock_sigmas: float = Field(4.0, ge=0)
+    """By which the receiver's clock must be off, to be taken into account."""
+    many_points: int = Field(8, gt=0)
+    """Control points among which a wrong one does not hide."""
+    at_frame: float = Field(0.9, ge=0, le=1)
+    """Weight of one frame in a fix, to compare orientations."""
+
+
+class JudgingTuning(Section):
+    """What a placement says of itself (`judging.py`, `georef.py`)."""
+
+    scatter: float = Field(3.0, ge=1)
+    """Times the stated sigma: what is beyond is no scatter but contradicts it."""
+    scatter_told: float = Field(1.5, ge=1)
+    """Times the stated sigma: less scatter is not worth a note."""
+    agreeing: float = Field(0.7, ge=0, le=1)
+    """Of the positions, below which they and the model contradict each other."""
+    least_positions: int = Field(6, gt=0)
+    """For that."""
+    rig_tells: float = Field(0.5, gt=0)
+    """Of the sigma that the positions leave of the scale: below it the rig's baselines are named as its source."""
+
+
+class AdjustmentTuning(Section):
+    """The bundle adjustment in the world, and whether it stands its check (`worldadjust.py`, `ground.py`)."""
+
+    rounds: int = Field(2, gt=0)
+    """Of adjustment and new noise factors."""
+    check_rounds: int = Field(1, gt=0)
+    """The same for the check by positions held back."""
+    iterations: int = Field(15, gt=0)
+    """Of the solver, at most."""
+    tolerance: float = Field(1e-5, ge=0)
+    """Of the cost: the model was adjusted before, only the positions are new."""
+    min_pixel_sigma_px: float = Field(0.1, gt=0)
+    """Sigma of an image coordinate, at least."""
+    unknown_pixel_sigma_px: float = Field(0.5, gt=0)
+    """The same where no point tells."""
+    worse_pixels: float = Field(1.05, ge=1)
+    """Times the reprojection error before: more, and the positions bend the model."""
+    not_worse: float = Field(1.01, gt=0)
+    """Times the held-out residual of the similarity, that the adjustment may have."""
+    clip_sigmas: float = Field(5.0, gt=0)
+    """An outlier among the held-out positions counts as that."""
+    min_held: int = Field(3, gt=0)
+    """Held-out positions below which their check says nothing."""
 
 
 class WorldTuning(Section):
     """Constants of sfm/world."""
+
+    fixes: FixTuning = FixTuning()
+    """Measured positions."""
+    noise: NoiseTuning = NoiseTuning()
+    """Their sigmas."""
+    up: UpTuning = UpTuning()
+    """The upward direction."""
+    marks: MarkTuning = MarkTuning()
+    """Control points."""
+    scale: ScaleTuning = ScaleTuning()
+    """The scale by the rig."""
+    fit: FitTuning = FitTuning()
+    """The similarity."""
+    sources: SourceTuning = SourceTuning()
+    """The sources by themselves."""
+    placing: PlacingTuning = PlacingTuning()
+    """The placement."""
+    judging: JudgingTuning = JudgingTuning()
+    """What is said of it."""
+    adjustment: AdjustmentTuning = AdjustmentTuning()
+    """The adjustment with the positions."""

@@ -11,6 +11,7 @@ from tiegraph.scene.evidence import LIMIT, Trend, trend
 from tiegraph.sfm.world.fit import Evidence, fit_similarity
 from tiegraph.sfm.world.scale import RigScale
 from tiegraph.sfm.world.sources import CONTROL, RIG, Source, alone
+from tiegraph.sfm.world.tuning import SourceTuning, WorldTuning
 
 TWO_ENDS = LIMIT / np.sqrt(2)  # half a trend's size in sigmas of a position, when its ends contradict each other
 _AXES = ("east", "north", "up")
@@ -50,6 +51,7 @@ class Question:
     name: str
     common: np.ndarray
     scale: RigScale | None
+    tuning: WorldTuning
     free_antenna: bool = False
 
 
@@ -60,19 +62,19 @@ def weigh(asked: Question) -> Weighed:
     their own, for a wrong scale leaves one; where nothing else says who is right, the scale's sigma covers both. Of
     positions and control points that contradict each other the control points are used.
     """
-    evidence = asked.evidence
+    evidence, tuning = asked.evidence, asked.tuning
     rows = np.arange(len(evidence.frame)) < asked.count
     sources = []
     if asked.count:
-        sources.append(alone(evidence, rows, asked.name, asked.times, asked.common, asked.free_antenna))
+        sources.append(alone(evidence, rows, asked.name, asked.times, asked.common, tuning, asked.free_antenna))
     points = int((~rows).sum())
     if points:
-        own = alone(evidence, ~rows, CONTROL, np.full(points, np.nan), np.zeros(4))
+        own = alone(evidence, ~rows, CONTROL, np.full(points, np.nan), np.zeros(4), tuning)
         sources.append(own or _few(evidence, rows, sources[0] if sources else None))
     found = {s.name: s for s in sources if s is not None}
     at = evidence.pose[~rows if points else rows, :3, 3].mean(axis=0)
     used, sigma, extra, why = _scale(asked, found)
-    places, more = _places(found, at, asked.name)
+    places, more = _places(found, at, asked.name, tuning.sources)
     return Weighed(tuple(found.values()), used, places, np.hypot(extra, more), sigma, at, why, asked.free_antenna)
 
 
@@ -94,7 +96,8 @@ def _few(evidence: Evidence, rows: np.ndarray, positions: Source | None) -> Sour
 def _scale(asked: Question, found: dict[str, Source]) -> tuple[tuple[str, ...], float, np.ndarray, str]:
     """Sources of the scale that are used, the sigma to widen it to, what is added to positions (m), and why."""
     nothing = np.zeros(3)
-    told = {n: s for n, s in found.items() if np.isfinite(s.scale_sigma) and s.scale_sigma < 1}
+    most = asked.tuning.sources.any_scale
+    told = {n: s for n, s in found.items() if np.isfinite(s.scale_sigma) and s.scale_sigma < most}
     rig = asked.scale if asked.scale is not None and asked.scale.trusted else None
     names = (*told, *((RIG,) if rig is not None else ()))
     apart = {n: abs(np.log(s.similarity.scale / rig.metres_per_unit)) for n, s in told.items()} if rig else {}
@@ -131,12 +134,14 @@ def _positions_scale(
     return names, 0.0, np.zeros(3), ""
 
 
-def _places(found: dict[str, Source], at: np.ndarray, name: str) -> tuple[tuple[str, ...], np.ndarray]:
+def _places(
+    found: dict[str, Source], at: np.ndarray, name: str, tuning: SourceTuning
+) -> tuple[tuple[str, ...], np.ndarray]:
     """Whose places are used, and what is added to the positions' sigmas (3,)."""
     if name not in found or CONTROL not in found:
         return tuple(found), np.zeros(3)
-    a = found[name].statements(found[CONTROL].similarity, at, ())[-3:]
-    b = found[CONTROL].statements(found[CONTROL].similarity, at, ())[-3:]
+    a = found[name].statements(found[CONTROL].similarity, at, (), tuning)[-3:]
+    b = found[CONTROL].statements(found[CONTROL].similarity, at, (), tuning)[-3:]
     off = np.array([s.value for s in a])
     bad = np.abs(off) > LIMIT * np.hypot([s.sigma for s in a], [s.sigma for s in b])
     bad[:2] |= bad[:2].any()
@@ -164,7 +169,7 @@ def _with_scale(asked: Question, rig: RigScale, source: Source) -> str:
     own = replace(own, orientation=nothing, log_scale=float(np.log(rig.metres_per_unit)), log_scale_sigma=_HELD)
     wide = _spread(asked)
     own = replace(own, sigma=np.full_like(own.sigma, max(wide, 1e-6)), estimate_antenna=asked.free_antenna)
-    fit = fit_similarity(own, None, source.similarity)
+    fit = fit_similarity(own, None, asked.tuning.fit, source.similarity)
     off = own.position_residuals(fit.similarity, fit.antenna)
     order = np.argsort(asked.times[: asked.count], kind="stable")
     main = np.linalg.svd(own.position - own.position.mean(axis=0), full_matrices=False)[2][0]

@@ -18,18 +18,12 @@ from tiegraph.sfm.model import frame_poses, image_poses, matrix
 from tiegraph.sfm.priors import add_priors
 from tiegraph.sfm.rig.given import given_geometry
 from tiegraph.sfm.solver import factorised
-from tiegraph.sfm.tuning import AdjustTuning
+from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.world import costs, noise
-from tiegraph.sfm.world.fit import ANTENNA_SIGMA_M, INLIER_SIGMAS, OFFSET_SIGMA_S
 from tiegraph.sfm.world.fixes import Fixes
 from tiegraph.sfm.world.gravity import Up
-from tiegraph.sfm.world.marks import MARK_SIGMA_PX, Target
-
-ROUNDS = 2  # of adjustment and new noise factors
-ITERATIONS = 15
-TOLERANCE = 1e-5  # of the cost: the model was adjusted before, only the positions are new
-MIN_PIXEL_SIGMA = 0.1
-WORSE_PIXELS = 1.05  # times the reprojection error before: more, and the positions bend the model
+from tiegraph.sfm.world.marks import Target
+from tiegraph.sfm.world.tuning import AdjustmentTuning
 
 
 @dataclass(frozen=True)
@@ -42,6 +36,7 @@ class Constraints:
     offset_s: float
     free_antenna: bool
     free_offset: bool
+    tuning: Tuning
     control: Control | None = None
     targets: Sequence[Target] = ()
     point_factor: float = 1.0
@@ -75,10 +70,10 @@ def available() -> bool:
     return True
 
 
-def adjust_in_world(world: pycolmap.Reconstruction, scene: Scene, given: Constraints, rounds: int = ROUNDS) -> Adjusted:
+def adjust_in_world(world: pycolmap.Reconstruction, scene: Scene, given: Constraints, rounds: int) -> Adjusted:
     """Adjust a model that stands in the world by images, positions and control points.
 
-    Positions have a Cauchy loss at three sigmas over the vector; reprojections one at 0.5 px. Both weigh by their
+    Positions have a Cauchy loss over the vector, reprojections one of their own. Both weigh by their
     sigmas: that of a pixel comes from the residuals before. Between rounds, the factors of the positions' sigmas are
     estimated anew: where the images allow the model to follow the positions, they shrink; where they do not, they stay.
     """
@@ -86,14 +81,15 @@ def adjust_in_world(world: pycolmap.Reconstruction, scene: Scene, given: Constra
     before = float(model.compute_mean_reprojection_error())
     factor, arm, clock = given.factor, np.array(given.antenna, float), np.array([given.offset_s])
     residual = residuals(model, scene, given.fixes, arm, float(clock[0]))
+    known = given.tuning.world.noise
     for _ in range(rounds):
         _solve(model, scene, replace(given, factor=factor), arm, clock)
         residual = residuals(model, scene, given.fixes, arm, float(clock[0]))
         if len(given.fixes):
-            factor = noise.factors(residual / given.fixes.sigma, given.fixes.level, given.fixes.time_s)
+            factor = noise.factors(residual / given.fixes.sigma, given.fixes.level, given.fixes.time_s, known)
     manager = pycolmap.ObservationManager(model)
     manager.filter_observations_with_negative_depth()
-    manager.filter_all_points3D(AdjustTuning().filter_px, AdjustTuning().filter_angle_deg)
+    manager.filter_all_points3D(given.tuning.adjust.filter_px, given.tuning.adjust.filter_angle_deg)
     model.update_point_3d_errors()
     after = float(model.compute_mean_reprojection_error())
     return Adjusted(model, arm, float(clock[0]), residual, factor, before, after)
@@ -108,12 +104,14 @@ def residuals(
     return moved[:, :3, 3] + moved[:, :3, :3] @ antenna - fixes.position
 
 
-def pixel_sigma(model: pycolmap.Reconstruction) -> float:
+def pixel_sigma(model: pycolmap.Reconstruction, tuning: AdjustmentTuning) -> float:
     """Standard deviation of an image coordinate, robust, from the mean errors of the points."""
     errors = np.array([p.error for p in model.points3D.values()], float)
     errors = errors[np.isfinite(errors) & (errors >= 0)]
     # A Rayleigh variable's median is 1.177 sigma; a point's error is the mean over its images.
-    return max(float(np.median(errors)) / 1.253, MIN_PIXEL_SIGMA) if len(errors) else 0.5
+    if not len(errors):
+        return tuning.unknown_pixel_sigma_px
+    return max(float(np.median(errors)) / 1.253, tuning.min_pixel_sigma_px)
 
 
 def _solve(
@@ -122,16 +120,16 @@ def _solve(
     """One adjustment; changes the model, the lever arm (3,) and the clock (1,)."""
     options = pycolmap.BundleAdjustmentOptions(print_summary=False, refine_principal_point=True)
     options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
-    options.ceres.loss_function_scale = AdjustTuning().robust_px
+    options.ceres.loss_function_scale = given.tuning.adjust.robust_px
     solver = options.ceres.solver_options
-    solver.max_num_iterations = ITERATIONS
-    solver.function_tolerance = TOLERANCE
+    solver.max_num_iterations = given.tuning.world.adjustment.iterations
+    solver.function_tolerance = given.tuning.world.adjustment.tolerance
     options.ceres.solver_options = solver
     factorised(options, model.num_reg_frames(), model.num_reg_images())
     config = pycolmap.BundleAdjustmentConfig()
     for image_id in model.reg_image_ids():
         config.add_image(image_id)
-    free = free_cameras(model, AdjustTuning().min_images) - set(given.constant_cameras)
+    free = free_cameras(model, given.tuning.adjust.min_images) - set(given.constant_cameras)
     for camera_id in model.cameras:
         if camera_id not in free:
             config.set_constant_cam_intrinsics(camera_id)
@@ -139,11 +137,12 @@ def _solve(
         for sensor in model.rigs[rig_id].non_ref_sensors if rig_id in model.rigs else ():
             config.set_constant_sensor_from_rig_pose(sensor)
     adjuster = pycolmap.create_default_ceres_bundle_adjuster(options, config, model)
-    sigma_px = pixel_sigma(model)
+    sigma_px = pixel_sigma(model, given.tuning.world.adjustment)
     kept = _add_positions(adjuster.problem, model, scene, given, (arm, clock, sigma_px))
     kept += _add_points(adjuster.problem, model, scene, given, sigma_px)
     kept += _add_up(adjuster.problem, model, scene, given, sigma_px)
-    kept += add_priors(adjuster, model, given_geometry(model, scene, given.soft_rigs), AdjustTuning())
+    known = given_geometry(model, scene, given.soft_rigs, given.tuning.rig.given)
+    kept += add_priors(adjuster, model, known, given.tuning.adjust)
     adjuster.solve()
     del kept  # the problem only borrows the residuals written in Python
 
@@ -167,7 +166,7 @@ def _add_positions(
 ) -> list:
     """Residuals of the positions. A scene frame's pose must move with its images: lengths of the rig are metres now."""
     arm, clock, sigma_px = unknown
-    fixes, kept = given.fixes, []
+    fixes, kept, known = given.fixes, [], given.tuning.world.fit
     blocks = _frames_of(model, scene)
     for k in range(len(fixes)):
         use = [n for n in range(fixes.weights.shape[1]) if fixes.weights[k, n] or fixes.rates[k, n]]
@@ -176,12 +175,13 @@ def _add_positions(
         cost = costs.PositionCost(
             fixes.weights[k, use], fixes.rates[k, use], np.stack([t for _, t in poses]), fixes.position[k], sigma
         )
-        loss = costs.pyceres.CauchyLoss(INLIER_SIGMAS * sigma_px)
+        loss = costs.pyceres.CauchyLoss(known.inlier_sigmas * sigma_px)
         _add(problem, cost, loss, [p.params for p, _ in poses], [arm, clock])
         kept += [cost, loss]
     if not len(fixes):
         return kept
-    for block, free, sigma in ((arm, given.free_antenna, ANTENNA_SIGMA_M), (clock, given.free_offset, OFFSET_SIGMA_S)):
+    weak = (arm, given.free_antenna, known.antenna_sigma_m), (clock, given.free_offset, known.offset_sigma_s)
+    for block, free, sigma in weak:
         if free:
             prior = costs.PriorCost(np.zeros(len(block)), sigma / sigma_px)
             problem.add_residual_block(prior, None, [block])
@@ -205,18 +205,18 @@ def _add_points(
     """Marks of the control points (check points never), each point held at its survey."""
     from pycolmap import cost_functions
 
-    control, kept = given.control, []
+    control, kept, world = given.control, [], given.tuning.world
     for row, target in enumerate(given.targets):
         if control is None or control.check[row] or target.why_not:
             continue
         place = np.array(control.world_m[row], float)
-        weight = (MARK_SIGMA_PX / sigma_px) ** 2 * np.eye(2)
+        weight = (world.marks.mark_sigma_px / sigma_px) ** 2 * np.eye(2)
         for mark in target.marks:
             image = model.find_image_with_name(scene.names[control.image[mark]])
             blocks = _blocks_of(model, image)
             kind = cost_functions.ReprojErrorCost if len(blocks) == 2 else cost_functions.RigReprojErrorCost
             cost = kind(model.cameras[image.camera_id].model, weight, control.xy_px[mark])
-            loss = costs.pyceres.CauchyLoss(INLIER_SIGMAS * sigma_px)
+            loss = costs.pyceres.CauchyLoss(world.fit.inlier_sigmas * sigma_px)
             _add(problem, cost, loss, blocks, [place], new_first=True)
             kept += [cost, loss]
         prior = costs.PriorCost(place, control.sigma_m[row] * given.point_factor / sigma_px)
