@@ -19,21 +19,23 @@ from benchmarks.masks.measure import load
 from tiegraph.masks import learnt
 from tiegraph.masks.above import Edges, not_above
 from tiegraph.masks.settings import MasksSettings
+from tiegraph.masks.tuning import Tuning
+from tiegraph.masks.tuning_learnt import AboveTuning
 
 
 def above(name: str) -> float:
     """The share (-1..1) of a set; NaN if nothing looks like sky."""
     data, told = load(name), Edges()
 
-    def spied(edges: Mapping[int, Iterable[Edges]]) -> set[int]:
+    def spied(edges: Mapping[int, Iterable[Edges]], tuning: AboveTuning) -> set[int]:
         nonlocal told
         told = sum((e for own in edges.values() for e in own), Edges())
-        return not_above(edges)
+        return not_above(edges, tuning)
 
     keys = {c: k for k, c in enumerate(data.cameras)}
     images = {keys[c]: [data.folder / n for n in names] for c, names in data.cameras.items()}
     with mock.patch.object(learnt, "not_above", spied):
-        learnt.learn(images, MasksSettings(source="learnt"), [keys[c] for c in data.upward])
+        learnt.learn(images, MasksSettings(source="learnt"), Tuning(), [keys[c] for c in data.upward])
     return told.down / told.length if told.length else float("nan")
 
 

@@ -33,8 +33,10 @@ from tiegraph.masks.frames import full_size, image_size
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import SOURCES, Camera
 from tiegraph.masks.solid import places, without_solid
+from tiegraph.masks.tuning import Tuning
 from tiegraph.masks.waterline import View, camera_rays, final_classes, find_water, first_line, lines_of
 
+TUNING = Tuning()
 PLAIN = ("meguro2024", "meguro2025", "learnt")
 GEOMETRY = "learnt+model"
 COLUMNS = ("set", "source", "images", "accuracy %", "IoU used %", "useful lost %", "sky IoU %", "water IoU %",
@@ -95,7 +97,7 @@ def measure(name: str, sources: tuple[str, ...], model: Path | None, out: Path) 
     prepared, settings = {}, {s: MasksSettings(source=s) for s in sources}
     for source in sources:
         began = time.process_time()
-        prepared[source] = SOURCES[source].prepare(cameras, settings[source], map)
+        prepared[source] = SOURCES[source].prepare(cameras, settings[source], TUNING, map)
         cpu[source] += time.process_time() - began
     for image, camera in camera_of.items():
         for source in sources:
@@ -113,9 +115,9 @@ def measure(name: str, sources: tuple[str, ...], model: Path | None, out: Path) 
 def _write(source: str, path: Path, name: str, prepared: Any, settings: MasksSettings, out: Path) -> None:
     made: Callable | None = SOURCES[source].classes
     if made is None:
-        keep = SOURCES[source].mask(path, prepared, settings, name)
+        keep = SOURCES[source].mask(path, prepared, settings, TUNING, name)
     else:
-        classes = made(path, prepared, settings, name)
+        classes = made(path, prepared, settings, TUNING, name)
         _save(out / "classes" / f"{name}.png", classes)
         keep = full_size(classes == USE, image_size(path))
     _save(out / "masks" / f"{name}.png", np.where(keep, 255, 0).astype(np.uint8))
@@ -139,15 +141,17 @@ def _remask(data: MaskSet, camera_of: Mapping[str, str], folder: Path, out: Path
     for name, image in images.items():
         camera = image.camera_id
         if camera not in grids:
-            grids[camera] = camera_rays(model.cameras[camera], first[name].shape)
+            grids[camera] = camera_rays(model.cameras[camera], first[name].shape, TUNING.waterline)
         views[name] = View(grids[camera] @ image.cam_from_world().rotation.matrix(), image.projection_center())
-    points = np.array([p.xyz for p in model.points3D.values() if p.track.length() >= 3])
-    water = find_water([views[n] for n in level], [first_line(first[n]) for n in level], points, up)
+    points = np.array([p.xyz for p in model.points3D.values() if p.track.length() >= TUNING.remask.least_track])
+    edges = [first_line(first[n], TUNING.waterline) for n in level]
+    water = find_water([views[n] for n in level], edges, points, up, TUNING.waterline)
     for name in camera_of:
         found = first[name]
         if name in views:
-            seen = places(images[name], model.cameras[images[name].camera_id], points)
-            found = without_solid(final_classes(found, lines_of(views[name], up, water)), seen)
+            seen = places(images[name], model.cameras[images[name].camera_id], points, TUNING.solid)
+            lines = lines_of(views[name], up, water, TUNING.waterline)
+            found = without_solid(final_classes(found, lines, TUNING.waterline), seen, TUNING.solid)
         _save(out / GEOMETRY / "classes" / f"{name}.png", found)
         keep = full_size(found == USE, image_size(data.folder / name))
         _save(out / GEOMETRY / "masks" / f"{name}.png", np.where(keep, 255, 0).astype(np.uint8))

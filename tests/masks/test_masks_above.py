@@ -10,8 +10,10 @@ from tiegraph.masks.classes import SKY, USE
 from tiegraph.masks.learnt import learn
 from tiegraph.masks.lookup import classes_of
 from tiegraph.masks.settings import MasksSettings
+from tiegraph.masks.tuning import Tuning
 
 SIZE = (240, 320)
+TUNING = Tuning()
 PALE_BGR = (196, 190, 186)
 HORIZON = 90  # row
 EVERYWHERE = np.ones(SIZE, bool)
@@ -62,8 +64,8 @@ def straight_ahead(k):
 
 def _found(tmp_path, images):
     paths = [write(tmp_path / f"{k:02d}.png", image) for k, image in enumerate(images)]
-    made = learn({0: paths}, MasksSettings())[0]
-    return made, np.stack([classes_of(p, made, MasksSettings(), SIZE) for p in paths])
+    made = learn({0: paths}, MasksSettings(), TUNING)[0]
+    return made, np.stack([classes_of(p, made, MasksSettings(), SIZE, TUNING) for p in paths])
 
 
 def test_pale_roads_seen_from_above_are_used(tmp_path):
@@ -85,18 +87,19 @@ def test_an_overcast_sky_of_the_same_looks_is_masked(tmp_path, roll):
 
 def test_edges_of_a_sky_face_down_and_those_of_a_road_both_ways():
     row, column = np.mgrid[: SIZE[0], : SIZE[1]]
-    sky = edges_of(row < HORIZON, EVERYWHERE)
+    sky = edges_of(row < HORIZON, EVERYWHERE, TUNING.above)
     assert sky.down == pytest.approx(sky.length) and sky.length == pytest.approx(SIZE[1], rel=0.02)
-    tilted = edges_of(row < HORIZON + 0.5 * (column - 160), EVERYWHERE)
+    tilted = edges_of(row < HORIZON + 0.5 * (column - 160), EVERYWHERE, TUNING.above)
     assert tilted.down / tilted.length == pytest.approx(np.cos(np.arctan(0.5)), abs=0.02)
-    road = edges_of(abs(column - 160 + 0.3 * row) < 30, EVERYWHERE)
-    yard = edges_of((abs(column - 160) < 40) & (abs(row - 120) < 40), EVERYWHERE)
+    road = edges_of(abs(column - 160 + 0.3 * row) < 30, EVERYWHERE, TUNING.above)
+    yard = edges_of((abs(column - 160) < 40) & (abs(row - 120) < 40), EVERYWHERE, TUNING.above)
     assert abs(road.down) < 0.02 * road.length and abs(yard.down) < 0.02 * yard.length
-    cut = edges_of(row < HORIZON, row < HORIZON)
+    cut = edges_of(row < HORIZON, row < HORIZON, TUNING.above)
     assert cut.length < 0.03 * sky.length, "where the sky is no longer sought it has no edge"
 
 
 def test_all_level_cameras_say_together_whether_the_sky_is_above():
-    assert not_above({0: [Edges(40, 80), Edges(10, 20)], 1: [Edges(-5, 30)]}) == set()
-    assert not_above({0: [Edges(4, 80), Edges(10, 20)], 1: [Edges(9, 10)]}) == {0, 1}
-    assert not_above({0: [Edges()], 1: []}) == set() == not_above({}), "nothing looks like sky"
+    own = TUNING.above
+    assert not_above({0: [Edges(40, 80), Edges(10, 20)], 1: [Edges(-5, 30)]}, own) == set()
+    assert not_above({0: [Edges(4, 80), Edges(10, 20)], 1: [Edges(9, 10)]}, own) == {0, 1}
+    assert not_above({0: [Edges()], 1: []}, own) == set() == not_above({}, own), "nothing looks like sky"

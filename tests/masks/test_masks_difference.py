@@ -5,10 +5,13 @@ from tiegraph.masks.difference import difference_mask, prepare_difference
 from tiegraph.masks.frames import grey
 from tiegraph.masks.morphology import block_share, from_blocks, masked_neighbours, opened_closed, without_small
 from tiegraph.masks.settings import MasksSettings
+from tiegraph.masks.tuning import Tuning
+
+TUNING = Tuning()
 
 
 def test_what_stays_is_masked_and_what_moves_is_used(tmp_path):
-    mask = prepare_difference(sequence(tmp_path), MasksSettings(source="meguro2024"))
+    mask = prepare_difference(sequence(tmp_path), MasksSettings(source="meguro2024"), TUNING)
     assert share(mask, slice(DECK + 8, None)) < 0.01
     assert share(mask, slice(0, HORIZON - 8)) < 0.01
     assert share(mask, slice(HORIZON + 8, DECK - 8)) > 0.9
@@ -16,7 +19,7 @@ def test_what_stays_is_masked_and_what_moves_is_used(tmp_path):
 
 def test_light_change_breaks_it_as_the_papers_method_does(tmp_path):
     a, b = grey(frame(0)), grey(frame(1, gain=0.8))
-    assert share(difference_mask(a, b, 8), slice(DECK, None)) > 0.5
+    assert share(difference_mask(a, b, 8, TUNING.meguro2024), slice(DECK, None)) > 0.5
 
 
 def test_small_areas_of_both_colours_go():
@@ -25,17 +28,17 @@ def test_small_areas_of_both_colours_go():
     b[:, 100:] = 255  # right half differs
     b[50:62, 30:42] = 255  # a white island of 144 px, under 0.5 % of the image
     b[50:62, 150:162] = 0  # a black one
-    mask = difference_mask(a, b, 20)
+    mask = difference_mask(a, b, 20, TUNING.meguro2024)
     assert not mask[:, :100].any() and mask[:, 100:].all()
     c = b.copy()
     c[20:50, 20:50] = 255  # 900 px stay
-    assert difference_mask(a, c, 20)[35, 35]
+    assert difference_mask(a, c, 20, TUNING.meguro2024)[35, 35]
 
 
 def test_threshold_is_the_smallest_difference_used():
     a = np.full((64, 64), 100, np.uint8)
-    assert difference_mask(a, a + np.uint8(20), 20).all()
-    assert not difference_mask(a, a + np.uint8(19), 20).any()
+    assert difference_mask(a, a + np.uint8(20), 20, TUNING.meguro2024).all()
+    assert not difference_mask(a, a + np.uint8(19), 20, TUNING.meguro2024).any()
 
 
 def test_opening_before_closing():

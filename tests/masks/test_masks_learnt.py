@@ -10,9 +10,12 @@ from tiegraph.masks.learnt import learn
 from tiegraph.masks.lookup import classes_of
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.skyline import border_sky, calm_sky
+from tiegraph.masks.tuning import Tuning
+from tiegraph.masks.tuning_learnt import EvidenceTuning
 from tiegraph.masks.water import below_waterline, never_matching, water_priors
 
 SIZE = (240, 320)
+TUNING = Tuning()
 SKYLINE, SHORE, DECK = 70, 150, 215  # rows
 
 
@@ -46,7 +49,7 @@ def boat(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def learnt(boat):
-    return learn(boat, MasksSettings(source="learnt"))
+    return learn(boat, MasksSettings(source="learnt"), TUNING)
 
 
 def truth():
@@ -58,19 +61,34 @@ def test_sky_water_and_platform_of_a_boat(boat, learnt):
     for camera, images in boat.items():
         assert "platform" in learnt[camera].note and learnt[camera].note.endswith(", water")
         for image in images[::5]:
-            found = classes_of(image, learnt[camera], MasksSettings(), SIZE)
+            found = classes_of(image, learnt[camera], MasksSettings(), SIZE, TUNING)
             assert ((found == USE) == (truth() == USE)).mean() > 0.93
             for label in (SKY, WATER, EGO):
                 both, either = ((found == label) & (truth() == label)).sum(), (found == label) | (truth() == label)
                 assert both / either.sum() > 0.75, NAMES[label]
 
 
+def test_tables_and_maps_of_other_sizes_do_as_well(boat):
+    varied = {
+        "frames": {"look_px": 256},
+        "appearance": {"light_bins": 13, "colour_bins": 10, "texture_edges_grey": (1.0, 3.0, 8.0)},
+        "seeds": {"places": (9, 11)},
+        "water": {"grid": (45, 70), "block_px": (5, 3)},
+    }
+    tuning = Tuning.model_validate(varied)
+    prepared = learn(boat, MasksSettings(), tuning)[0]
+    assert prepared.water.shape == (45, 70) and prepared.sky.shape == (9, 11)
+    assert {len(t) for t in prepared.appearance.table.values()} == {13 * 10 * 10 * 4}
+    found = classes_of(boat[0][5], prepared, MasksSettings(), SIZE, tuning)
+    assert ((found == USE) == (truth() == USE)).mean() > 0.9
+
+
 def test_water_only_where_it_is_asked_for_or_seen_by_several_cameras(boat):
     one = {0: boat[0]}
-    assert learn(one, MasksSettings(water="on"))[0].note.endswith(", water")
-    again = [learn(one, MasksSettings())[0] for _ in range(2)]
+    assert learn(one, MasksSettings(water="on"), TUNING)[0].note.endswith(", water")
+    again = [learn(one, MasksSettings(), TUNING)[0] for _ in range(2)]
     assert all(a.note.endswith("no water seen") for a in again)
-    a, b = (classes_of(boat[0][3], x, MasksSettings(), SIZE) for x in again)
+    a, b = (classes_of(boat[0][3], x, MasksSettings(), SIZE, TUNING) for x in again)
     assert (a == b).all(), "twice the same"
 
 
@@ -86,8 +104,8 @@ def test_odd_sequences_give_a_result_and_invent_nothing(tmp_path, kind):
         "dark": lambda k: np.zeros((*SIZE, 3), np.uint8),
     }[kind]
     images = [write(tmp_path / f"{k:02d}.png", frames(k)) for k in range(1 if kind == "one" else 8)]
-    prepared = learn({0: images}, MasksSettings())[0]
-    found = classes_of(images[0], prepared, MasksSettings(), SIZE)
+    prepared = learn({0: images}, MasksSettings(), TUNING)[0]
+    found = classes_of(images[0], prepared, MasksSettings(), SIZE, TUNING)
     assert found.shape == SIZE and not (found == WATER).any()
     if kind in ("one", "still", "all sky", "dark"):
         assert prepared.ego is None and "no platform learnt" in prepared.note
@@ -102,33 +120,33 @@ def test_burnt_out_areas_are_masked(tmp_path):
     image = cv2.imread(str(images[0]))
     image[90:130, 100:180] = 255
     burnt = write(tmp_path / "burnt.png", image)
-    found = classes_of(burnt, learn({0: images}, MasksSettings())[0], MasksSettings(), SIZE)
+    found = classes_of(burnt, learn({0: images}, MasksSettings(), TUNING)[0], MasksSettings(), SIZE, TUNING)
     assert (found[94:126, 104:176] == OVEREXPOSED).all()
 
 
 def test_border_of_the_sky():
-    sky = border_sky(river(0, 0))
+    sky = border_sky(river(0, 0), TUNING.skyline)
     assert sky is not None and sky[: SKYLINE - 16].mean() > 0.95 and sky[SKYLINE + 4 :].mean() < 0.02
-    assert border_sky(river(0, 0)[SKYLINE:DECK]) is None
-    assert border_sky(np.full((*SIZE, 3), 128, np.uint8)) is None
+    assert border_sky(river(0, 0)[SKYLINE:DECK], TUNING.skyline) is None
+    assert border_sky(np.full((*SIZE, 3), 128, np.uint8), TUNING.skyline) is None
 
 
 def test_calm_sky_of_an_upward_camera():
     image = river(0, 0)
-    sky = calm_sky(image[:SHORE], np.zeros((SHORE, 320), bool))
+    sky = calm_sky(image[:SHORE], np.zeros((SHORE, 320), bool), TUNING.skyline)
     assert sky is not None and sky[: SKYLINE - 8].mean() > 0.9 and sky[SKYLINE + 8 :].mean() < 0.05
-    assert calm_sky(image // 4, np.zeros(SIZE, bool)) is None, "a dark calm area is a bridge"
+    assert calm_sky(image // 4, np.zeros(SIZE, bool), TUNING.skyline) is None, "a dark calm area is a bridge"
 
 
 def test_pairs_tell_what_matches(boat):
-    found_in_both = pair_evidence(boat[0][3], boat[0][4])
+    found_in_both = pair_evidence(boat[0][3], boat[0][4], TUNING.evidence)
     assert len(found_in_both) == 2
     for found in found_in_both:
         row = found.xy[:, 1] * SIZE[0]
         wall, water = (row > SKYLINE) & (row < SHORE - 6), (row > SHORE + 6) & (row < DECK - 6)
         assert found.matched[wall].mean() > 0.15 and found.matched[water].mean() < 0.05
-    assert pair_evidence(boat[0][0], boat[1][0]) == ()
-    assert [len(p) for p in choose_pairs([boat[0], boat[1][:1], []], 6)] == [2, 0, 0]
+    assert pair_evidence(boat[0][0], boat[1][0], TUNING.evidence) == ()
+    assert [len(p) for p in choose_pairs([boat[0], boat[1][:1], []], EvidenceTuning(most_pairs=6))] == [2, 0, 0]
 
 
 def test_matches_that_no_geometry_explains_are_none(boat, monkeypatch):
@@ -136,21 +154,22 @@ def test_matches_that_no_geometry_explains_are_none(boat, monkeypatch):
         raise cv2.error("(-215:Assertion failed) !model.empty() in function 'setModelParameters'")
 
     monkeypatch.setattr(cv2, "findFundamentalMat", refuse)
-    assert pair_evidence(boat[0][3], boat[0][4]) == ()
+    assert pair_evidence(boat[0][3], boat[0][4], TUNING.evidence) == ()
 
 
 def test_a_zone_that_never_matches():
     rng = np.random.default_rng(0)
     xy = rng.uniform(0, 1, (4000, 2)).astype(np.float32)
     matched = (xy[:, 1] < 0.6) & (rng.uniform(size=4000) < 0.3)
-    zone = never_matching([Evidence(None, xy, matched)], None)
+    zone = never_matching([Evidence(None, xy, matched)], None, TUNING.water)
     rows = zone.mask.mean(axis=1)
     assert rows[:33].max() == 0 and rows[39:].min() > 0.9 and zone.says > 100
-    everywhere = never_matching([Evidence(None, xy, rng.uniform(size=4000) < 0.3)], None)
+    everywhere = never_matching([Evidence(None, xy, rng.uniform(size=4000) < 0.3)], None, TUNING.water)
     assert everywhere.says < 8
-    assert water_priors({0: zone, 1: zone}, asked=False) == {}
-    assert set(water_priors({0: zone, 1: zone, 2: everywhere}, asked=False)) == {0, 1, 2}
-    assert water_priors({0: everywhere}, asked=True) == {} and water_priors({}, asked=True) == {}
+    assert water_priors({0: zone, 1: zone}, asked=False, tuning=TUNING.water) == {}
+    assert set(water_priors({0: zone, 1: zone, 2: everywhere}, asked=False, tuning=TUNING.water)) == {0, 1, 2}
+    for nowhere in ({0: everywhere}, {}):
+        assert water_priors(nowhere, asked=True, tuning=TUNING.water) == {}
 
 
 def test_waterline_is_the_best_line_and_spares_the_platform():
@@ -158,19 +177,20 @@ def test_waterline_is_the_best_line_and_spares_the_platform():
     ratio = np.where(np.arange(120)[:, None] < 70, -1.0, 1.0) + rng.normal(0, 2, (120, 160))
     ego = np.zeros((120, 160), bool)
     ego[110:, 40:] = True
-    water = below_waterline(ratio.astype(np.float32), ego)
+    water = below_waterline(ratio.astype(np.float32), ego, TUNING.water)
     assert not water[ego].any() and np.abs(water.argmax(axis=0) - 70).max() <= 8
-    assert not below_waterline(np.full((120, 160), -1, np.float32), None).any()
+    assert not below_waterline(np.full((120, 160), -1, np.float32), None, TUNING.water).any()
 
 
 def test_appearance_is_learnt_from_counts():
     blue, grey = np.full((8, 8, 3), (220, 150, 90), np.uint8), np.full((8, 8, 3), 120, np.uint8)
+    own = TUNING.appearance
     counts = {
-        SKY: np.bincount(appearance.bins(blue).ravel(), minlength=appearance.BINS),
-        USE: np.bincount(appearance.bins(grey).ravel(), minlength=appearance.BINS),
-        WATER: np.zeros(appearance.BINS),
+        SKY: np.bincount(appearance.bins(blue, own).ravel(), minlength=own.bins),
+        USE: np.bincount(appearance.bins(grey, own).ravel(), minlength=own.bins),
+        WATER: np.zeros(own.bins),
     }
-    look = appearance.learn(counts)
-    assert look.ratio(appearance.bins(blue), SKY, USE).min() > 2
-    assert look.ratio(appearance.bins(grey), SKY, USE).max() < -2
-    assert not look.ratio(appearance.bins(blue), WATER, USE).any()
+    look = appearance.learn(counts, own)
+    assert look.ratio(appearance.bins(blue, own), SKY, USE).min() > 2
+    assert look.ratio(appearance.bins(grey, own), SKY, USE).max() < -2
+    assert not look.ratio(appearance.bins(blue, own), WATER, USE).any()

@@ -9,6 +9,7 @@ from tiegraph.masks import plugin
 from tiegraph.masks.classes import EGO, SKY, USE
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import SOURCES, Camera
+from tiegraph.masks.tuning import Tuning
 
 TOML = 'onnx = "tiny.onnx"\nsize = [32, 24]\n[classes]\nsky = [2]\nplatform = [0]\n'
 
@@ -55,15 +56,15 @@ def test_a_model_of_the_users_makes_masks(model, tmp_path):
     path = write(tmp_path / "a.png", image)
     settings = MasksSettings(source="model", model=model)
     source = SOURCES["model"]
-    prepared = source.prepare({0: Camera((path,))}, settings, map)[0]
-    classes = source.classes(path, prepared, settings, "a.png")
+    prepared = source.prepare({0: Camera((path,))}, settings, Tuning(), map)[0]
+    classes = source.classes(path, prepared, settings, Tuning(), "a.png")
     assert (classes[:75] == SKY).all() and (classes[85:155] == USE).all() and (classes[165:] == EGO).all()
-    mask = source.mask(path, prepared, settings, "a.png")
+    mask = source.mask(path, prepared, settings, Tuning(), "a.png")
     assert mask.shape == (240, 320) and not mask[:75].any() and mask[85:155].all()
     (tmp_path / "tiny.onnx").write_bytes(b"nonsense")
     plugin._session.cache_clear()
     with pytest.raises(InputError, match="not a model ONNX Runtime can load"):
-        source.mask(path, prepared, settings, "a.png")
+        source.mask(path, prepared, settings, Tuning(), "a.png")
 
 
 def test_without_onnx_runtime_it_says_what_to_install(model, monkeypatch):

@@ -5,8 +5,10 @@ from masks_world import CLOUD_BGR, DECK, HORIZON, SHAPE, frame, share
 from tiegraph.masks.frames import grey
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sky import blue_sky, edge_sky, final_mask
+from tiegraph.masks.tuning import Meguro2025Tuning
 
 SETTINGS = MasksSettings()
+TUNING = Meguro2025Tuning()
 
 
 def test_sky_goes_down_to_the_first_strong_edge_of_each_column():
@@ -29,15 +31,15 @@ def test_a_column_without_an_edge_is_sky():
 
 def test_blue_range():
     sky, wall, shade, grass = (220, 150, 90), (120, 160, 200), (210, 195, 180), (60, 180, 90)
-    assert blue_sky(np.uint8([[sky, wall, shade, grass]])).tolist() == [[True, False, False, False]]
-    assert not blue_sky(cv2.merge([grey(frame(0))] * 3)).any()
+    assert blue_sky(np.uint8([[sky, wall, shade, grass]]), TUNING).tolist() == [[True, False, False, False]]
+    assert not blue_sky(cv2.merge([grey(frame(0))] * 3), TUNING).any()
 
 
 def test_final_mask_takes_sky_and_burnt_out_areas_and_leaves_the_scene():
     image = frame(0)
     image[20:40, 50:120] = CLOUD_BGR
     image[100:132, 200:232] = 255
-    mask = final_mask(image, None, SETTINGS)
+    mask = final_mask(image, None, SETTINGS, TUNING)
     assert mask.shape == SHAPE
     assert share(mask, slice(0, HORIZON - 8)) < 0.15
     assert not mask[104:128, 204:228].any()
@@ -47,12 +49,12 @@ def test_final_mask_takes_sky_and_burnt_out_areas_and_leaves_the_scene():
 def test_final_mask_merges_the_initial_one():
     initial = np.ones(SHAPE, bool)
     initial[DECK:] = False
-    mask = final_mask(frame(0), initial, SETTINGS)
+    mask = final_mask(frame(0), initial, SETTINGS, TUNING)
     assert share(mask, slice(DECK + 8, None)) == 0
     assert share(mask, slice(HORIZON + 8, DECK - 8)) > 0.9
 
 
 def test_result_is_made_of_whole_blocks():
-    mask = final_mask(frame(0), None, SETTINGS)
+    mask = final_mask(frame(0), None, SETTINGS, TUNING)
     blocks = mask.reshape(SHAPE[0] // 8, 8, SHAPE[1] // 8, 8).mean(axis=(1, 3))
     assert set(np.unique(blocks)) <= {0.0, 1.0}

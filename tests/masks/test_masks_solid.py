@@ -4,8 +4,10 @@ import pytest
 
 from tiegraph.masks.classes import SKY, USE, WATER
 from tiegraph.masks.solid import places, without_solid
+from tiegraph.masks.tuning import SolidTuning
 
 SHAPE = (360, 640)
+TUNING = SolidTuning()
 
 
 @pytest.fixture
@@ -25,7 +27,7 @@ def street():
 def test_a_wall_called_sky_is_found_out_by_points_in_and_on_it(street):
     classes, seen, rng = street
     on_wall = np.stack([rng.uniform(0.55, 0.99, 120), rng.uniform(0.02, 0.53, 120)], axis=1).astype(np.float32)
-    found = without_solid(classes, np.concatenate([seen, on_wall]))
+    found = without_solid(classes, np.concatenate([seen, on_wall]), TUNING)
     assert (found[:150, :300] == SKY).all() and not (found[:, 340:] == SKY).any()
     assert (found[320:] == WATER).all() and (classes[:200, 340:] == SKY).any(), "the argument stays as it is"
 
@@ -34,15 +36,15 @@ def test_points_at_the_skyline_and_single_false_ones_leave_the_sky(street):
     classes, seen, rng = street
     edge = np.stack([rng.uniform(0, 0.46, 200), np.full(200, 148 / 360)], axis=1).astype(np.float32)
     false = np.float32([[0.1, 0.1], [0.2, 0.2], [0.3, 0.05]])
-    found = without_solid(classes, np.concatenate([seen, edge, false]))
+    found = without_solid(classes, np.concatenate([seen, edge, false]), TUNING)
     assert (found[:150, :300] == SKY).all()
 
 
 def test_nothing_to_say():
     sky = np.full(SHAPE, SKY, np.uint8)
-    assert without_solid(sky, np.random.default_rng(0).uniform(0, 1, (50, 2)).astype(np.float32)) is sky
+    assert without_solid(sky, np.random.default_rng(0).uniform(0, 1, (50, 2)).astype(np.float32), TUNING) is sky
     use = np.full(SHAPE, USE, np.uint8)
-    assert without_solid(use, np.zeros((0, 2), np.float32)) is use
+    assert without_solid(use, np.zeros((0, 2), np.float32), TUNING) is use
 
 
 def test_places_of_points_in_an_image():
@@ -54,4 +56,4 @@ def test_places_of_points_in_an_image():
             return pose
 
     points = np.array([[0, 0, 0], [1, 0.5, 0], [0, 0, -3], [40, 0, 1]], float)  # two in view, behind, aside
-    assert places(Image(), camera, points) == pytest.approx(np.array([[0.5, 0.5], [0.75, 0.5 + 80 / 360]]))
+    assert places(Image(), camera, points, TUNING) == pytest.approx(np.array([[0.5, 0.5], [0.75, 0.5 + 80 / 360]]))

@@ -10,8 +10,11 @@ from tiegraph.errors import InputError
 from tiegraph.masks.compare import compare
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import SOURCES, Camera, explain_source, resolve_source
+from tiegraph.masks.tuning import Tuning
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import simple_scene
+
+TUNING = Tuning()
 
 
 def scene(cameras=2, frames=6, loose=False):
@@ -24,25 +27,25 @@ def scene(cameras=2, frames=6, loose=False):
 
 def all_masks(name, images, **settings):
     chosen = MasksSettings(source=name, **settings)
-    prepared = SOURCES[name].prepare({0: Camera(tuple(images))}, chosen, map)[0]
-    return [SOURCES[name].mask(p, prepared, chosen, p.name) for p in images]
+    prepared = SOURCES[name].prepare({0: Camera(tuple(images))}, chosen, TUNING, map)[0]
+    return [SOURCES[name].mask(p, prepared, chosen, TUNING, p.name) for p in images]
 
 
 def test_auto():
-    assert resolve_source(scene(), MasksSettings()) == "learnt"
+    assert resolve_source(scene(), MasksSettings(), TUNING) == "learnt"
     for other in (scene(loose=True), scene(cameras=1), scene(frames=3)):
-        name, why = explain_source(other, MasksSettings())
+        name, why = explain_source(other, MasksSettings(), TUNING)
         assert name == "none" and why
-    assert resolve_source(scene(loose=True), MasksSettings(source="meguro2024")) == "meguro2024"
+    assert resolve_source(scene(loose=True), MasksSettings(source="meguro2024"), TUNING) == "meguro2024"
 
 
 def test_auto_takes_a_given_folder_and_checks_it(tmp_path):
     write(tmp_path / "cam0.png", np.full(SHAPE, 255, np.uint8))
     settings = MasksSettings(folder=tmp_path)
     with pytest.raises(InputError, match=r"6 of 12 images: up/cam1/000\.jpg"):
-        resolve_source(scene(), settings)
+        resolve_source(scene(), settings, TUNING)
     write(tmp_path / "cam1.png", np.full(SHAPE, 255, np.uint8))
-    assert resolve_source(scene(), settings) == "folder"
+    assert resolve_source(scene(), settings, TUNING) == "folder"
 
 
 def test_contradicting_settings(tmp_path):

@@ -5,8 +5,10 @@ from masks_world import DECK, HORIZON, frame, sequence, share
 from tiegraph.masks import ssim as module
 from tiegraph.masks.frames import grey
 from tiegraph.masks.settings import MasksSettings
-from tiegraph.masks.ssim import BLOCK_PX, initial_mask, prepare_ssim, ssim
+from tiegraph.masks.ssim import initial_mask, prepare_ssim, ssim
+from tiegraph.masks.tuning import Tuning
 
+TUNING = Tuning()
 C1, C2 = 6.5025, 58.5225  # (0.01 * 255)^2, (0.03 * 255)^2
 
 
@@ -35,8 +37,8 @@ def test_ssim_of_equal_inverted_and_flat_images():
 def test_initial_mask_separates_the_platform_even_when_the_light_changes(tmp_path):
     settings = MasksSettings()
     for mask in (
-        prepare_ssim(sequence(tmp_path), settings),
-        initial_mask(grey(frame(0)), grey(frame(1, gain=0.8)), settings.similarity),
+        prepare_ssim(sequence(tmp_path), settings, TUNING),
+        initial_mask(grey(frame(0)), grey(frame(1, gain=0.8)), settings.similarity, TUNING.meguro2025),
     ):
         assert share(mask, slice(DECK + 8, None)) < 0.05
         assert share(mask, slice(HORIZON + 8, DECK - 8)) > 0.9
@@ -49,10 +51,10 @@ def test_steps_after_the_threshold(monkeypatch):
     similar[120:136, 120:136] = 1  # a region of four blocks: too small
     similar[80:83, :] = 1  # 3 of 8 rows of the next blocks: under half, excluded
     monkeypatch.setattr(module, "ssim", lambda a, b: similar)
-    mask = initial_mask(np.zeros((160, 160), np.uint8), np.zeros((160, 160), np.uint8), 0.6)
-    assert BLOCK_PX == 8
+    mask = initial_mask(np.zeros((160, 160), np.uint8), np.zeros((160, 160), np.uint8), 0.6, TUNING.meguro2025)
+    assert TUNING.meguro2025.block_px == 8
     assert not mask[:80].any() and mask[80:].all()
 
 
 def test_one_frame_has_no_initial_mask(tmp_path):
-    assert prepare_ssim(sequence(tmp_path, 1), MasksSettings()) is None
+    assert prepare_ssim(sequence(tmp_path, 1), MasksSettings(), TUNING) is None

@@ -12,32 +12,28 @@ import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-_LIGHT, _COLOUR, _TEXTURE = 16, 12, 5  # bins of L, of a and b each, of texture
-_COLOUR_STEP = 5.0  # a and b: grey levels a bin, about neutral
-_TEXTURE_EDGES = np.array([0.8, 2.0, 4.5, 10.0], np.float32)  # standard deviation of L, grey levels
-_SMOOTH_BINS = (0.8, 0.7, 0.7, 0.6)
-_SHARED_PX = 50_000  # about one image
-_FLOOR = 1e-5  # probability of a bin no seed ever fell into
-BINS = _LIGHT * _COLOUR * _COLOUR * _TEXTURE
+from tiegraph.masks.tuning_learnt import AppearanceTuning
 
 
-def bins(image: np.ndarray) -> np.ndarray:
+def bins(image: np.ndarray, tuning: AppearanceTuning) -> np.ndarray:
     """Bin (h, w) i4 of each pixel of an image (h, w, 3) u1 BGR."""
+    lights, _, colours, textures = tuning.shape
+    levels = np.arange(256)
+    steps = np.clip((levels - 128) / tuning.colour_step_grey + colours / 2, 0, colours - 1).astype(np.int32) * textures
+    of_light = (levels * lights // 256 * colours * colours * textures).astype(np.int32)
+    edges = np.array(tuning.texture_edges_grey, np.float32)
     light, a, b = cv2.split(cv2.cvtColor(image, cv2.COLOR_BGR2Lab))
     fine = light.astype(np.float32)
-    mean = cv2.blur(fine, (5, 5))
-    variance = cv2.blur(fine * fine, (5, 5)) - mean * mean
-    texture = sum(variance > edge for edge in _TEXTURE_EDGES * _TEXTURE_EDGES)
-    return _LIGHTS[light] + _STEPS[a] * _COLOUR + _STEPS[b] + texture
-
-
-_STEPS = np.clip((np.arange(256) - 128) / _COLOUR_STEP + _COLOUR / 2, 0, _COLOUR - 1).astype(np.int32) * _TEXTURE
-_LIGHTS = (np.arange(256) // (256 // _LIGHT) * _COLOUR * _COLOUR * _TEXTURE).astype(np.int32)
+    around = (tuning.texture_px, tuning.texture_px)
+    mean = cv2.blur(fine, around)
+    variance = cv2.blur(fine * fine, around) - mean * mean
+    texture = sum(variance > edge for edge in edges * edges)
+    return of_light[light] + steps[a] * colours + steps[b] + texture
 
 
 @dataclass(frozen=True)
 class Appearance:
-    """Log probability (BINS,) f4 of each bin for some classes."""
+    """Log probability (bins,) f4 of each bin for some classes."""
 
     table: dict[int, np.ndarray]
 
@@ -48,26 +44,28 @@ class Appearance:
         return (self.table[label] - self.table[other])[found]
 
 
-def learn(counts: dict[int, np.ndarray], shared: dict[int, np.ndarray] | None = None) -> Appearance:
-    """From counts (BINS,) of seed pixels by class; classes without seeds are left out.
+def learn(
+    counts: dict[int, np.ndarray], tuning: AppearanceTuning, shared: dict[int, np.ndarray] | None = None
+) -> Appearance:
+    """From counts (bins,) of seed pixels by class; classes without seeds are left out.
 
-    ``shared``: counts of all cameras; they are as good as ``_SHARED_PX`` of a camera's own.
+    ``shared``: counts of all cameras; they are as good as ``shared_px`` of a camera's own.
     """
     table = {}
     for label in counts:
-        own, every = _share(counts[label]), None if shared is None else _share(shared[label])
+        own, every = _share(counts[label], tuning), None if shared is None else _share(shared[label], tuning)
         if own is None:
             own = every
         elif every is not None:
-            weight = counts[label].sum() / (counts[label].sum() + _SHARED_PX)
+            weight = counts[label].sum() / (counts[label].sum() + tuning.shared_px)
             own = weight * own + (1 - weight) * every
         if own is not None:
-            table[label] = np.log((1 - _FLOOR * BINS) * own + _FLOOR).astype(np.float32)
+            table[label] = np.log((1 - tuning.floor * tuning.bins) * own + tuning.floor).astype(np.float32)
     return Appearance(table)
 
 
-def _share(count: np.ndarray) -> np.ndarray | None:
+def _share(count: np.ndarray, tuning: AppearanceTuning) -> np.ndarray | None:
     if count.sum() == 0:
         return None
-    smooth = gaussian_filter(count.reshape(_LIGHT, _COLOUR, _COLOUR, _TEXTURE).astype(np.float64), _SMOOTH_BINS)
+    smooth = gaussian_filter(count.reshape(tuning.shape).astype(np.float64), tuning.smooth_bins)
     return smooth.ravel() / smooth.sum()

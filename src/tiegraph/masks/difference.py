@@ -11,13 +11,10 @@ import numpy as np
 from tiegraph.masks.frames import two_frames
 from tiegraph.masks.morphology import opened_closed, without_small
 from tiegraph.masks.settings import MasksSettings
-
-# The paper gives no sizes. At a longer side of 640 pixels:
-_SQUARE_PX = 7  # structuring element of opening and closing
-_MIN_AREA_SHARE = 0.005  # of the image: smaller areas, white or black, change colour
+from tiegraph.masks.tuning import Meguro2024Tuning, Tuning
 
 
-def difference_mask(a: np.ndarray, b: np.ndarray, threshold: int) -> np.ndarray:
+def difference_mask(a: np.ndarray, b: np.ndarray, threshold: int, tuning: Meguro2024Tuning) -> np.ndarray:
     """Mask (h, w) bool, True = use, of two grey images (h, w) u1 of one camera. Paper 000, section b, in its order."""
     # "Image difference ... detects areas in the image where the pixel difference is small"; white = differs = use.
     difference = cv2.absdiff(a, b)
@@ -26,14 +23,14 @@ def difference_mask(a: np.ndarray, b: np.ndarray, threshold: int) -> np.ndarray:
     # "In opening, the mask area can be expanded by dilating ... In closing, ... small mask regions ... can be removed
     # by shrinking": the names are those of the white area, dilating and shrinking are said of the mask, which is black.
     # Textbook opening, then closing, of white has just these two effects.
-    use = opened_closed(use, _SQUARE_PX)
+    use = opened_closed(use, tuning.square_px)
     # "areas below a certain threshold are changed to black areas, and a similar process is performed on the black".
-    least = round(_MIN_AREA_SHARE * use.size)
+    least = round(tuning.min_area * use.size)
     use = without_small(use, least)
     return ~without_small(~use, least)
 
 
-def prepare_difference(images: Sequence[Path], settings: MasksSettings) -> np.ndarray | None:
+def prepare_difference(images: Sequence[Path], settings: MasksSettings, tuning: Tuning) -> np.ndarray | None:
     """The one mask of a camera, (h, w) bool at reduced size; None if there are no two frames to compare."""
-    frames = two_frames(images)
-    return None if frames is None else difference_mask(*frames, settings.difference)
+    frames = two_frames(images, tuning.frames)
+    return None if frames is None else difference_mask(*frames, settings.difference, tuning.meguro2024)

@@ -15,15 +15,9 @@ from scipy.spatial import cKDTree
 
 from tiegraph.masks.frames import grey, read_small
 from tiegraph.masks.parallax import nearness
+from tiegraph.masks.tuning_learnt import EvidenceTuning
 
-_LONGER_PX = 400
-_MOST_FEATURES = 800
-_RATIO = 0.75  # of the best and second best distance
-_MIN_INLIERS = 20  # fewer: the two frames show different scenes, and nothing is said of either
-_MIN_MOVE_PX = 2.0  # what does not move is the platform's
-_EPIPOLAR_PX = 1.0
 _SEED = 0
-_AROUND = 3  # matched features that say where one that does not match went
 
 
 @dataclass(frozen=True)
@@ -38,9 +32,9 @@ class Evidence:
     near: np.ndarray | None = None
 
 
-def pair_evidence(first: Path, second: Path) -> tuple[Evidence, ...]:
+def pair_evidence(first: Path, second: Path, tuning: EvidenceTuning) -> tuple[Evidence, ...]:
     """Which features of each of two images are found again in the other; () if too few are to say anything."""
-    a, b = _features(first), _features(second)
+    a, b = _features(first, tuning), _features(second, tuning)
     if a is None or b is None:
         return ()
     (xy_a, seen_a, shape_a), (xy_b, seen_b, shape_b) = a, b
@@ -50,36 +44,38 @@ def pair_evidence(first: Path, second: Path) -> tuple[Evidence, ...]:
     best = 2 - 2 * likeness[rows, partner]
     mutual = likeness.argmax(axis=0)[partner] == rows
     likeness[rows, partner] = -1
-    good = mutual & (best < _RATIO**2 * (2 - 2 * likeness.max(axis=1)))
-    moved = np.linalg.norm(xy_a - xy_b[partner], axis=1) > _MIN_MOVE_PX
+    good = mutual & (best < tuning.ratio**2 * (2 - 2 * likeness.max(axis=1)))
+    moved = np.linalg.norm(xy_a - xy_b[partner], axis=1) > tuning.min_move_px
     chosen = np.flatnonzero(good & moved)
-    if len(chosen) < _MIN_INLIERS:
+    if len(chosen) < tuning.min_inliers:
         return ()
-    found = chosen[_agreeing(xy_a[chosen], xy_b[partner[chosen]])]
-    if len(found) < _MIN_INLIERS:
+    found = chosen[_agreeing(xy_a[chosen], xy_b[partner[chosen]], tuning)]
+    if len(found) < tuning.min_inliers:
         return ()
     at_a, at_b = xy_a[found], xy_b[partner[found]]
-    near = nearness(at_a, at_b, shape_a) if shape_a == shape_b else np.full(len(found), np.nan, np.float32)
-    shown_a, shown_b = _shown(xy_a, at_a, at_b, shape_b), _shown(xy_b, at_b, at_a, shape_a)
+    near = nearness(at_a, at_b, shape_a, tuning) if shape_a == shape_b else np.full(len(found), np.nan, np.float32)
+    shown_a, shown_b = _shown(xy_a, at_a, at_b, shape_b, tuning), _shown(xy_b, at_b, at_a, shape_a, tuning)
     return (
         _seen(first, xy_a / shape_a[::-1], found, near, shown_a),
         _seen(second, xy_b / shape_b[::-1], partner[found], near, shown_b),
     )
 
 
-def _shown(xy: np.ndarray, here: np.ndarray, there: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+def _shown(
+    xy: np.ndarray, here: np.ndarray, there: np.ndarray, shape: tuple[int, int], tuning: EvidenceTuning
+) -> np.ndarray:
     """Which features (K, 2) the other image of ``shape`` can show, by the way of the matches next to them: what left
     the image is no sign of water."""
-    _, next_to = cKDTree(here).query(xy, _AROUND)
+    _, next_to = cKDTree(here).query(xy, tuning.around)
     gone = xy + (there - here)[next_to].mean(axis=1)
     return ((gone >= 0) & (gone < shape[::-1])).all(axis=1)
 
 
-def _agreeing(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _agreeing(a: np.ndarray, b: np.ndarray, tuning: EvidenceTuning) -> np.ndarray:
     """Which of the matches (K, 2) one epipolar geometry explains, (K,) bool."""
     cv2.setRNGSeed(_SEED)
     try:
-        _, inliers = cv2.findFundamentalMat(a, b, cv2.USAC_MAGSAC, _EPIPOLAR_PX, 0.999, 1000)
+        _, inliers = cv2.findFundamentalMat(a, b, cv2.USAC_MAGSAC, tuning.epipolar_px, tuning.confidence, tuning.trials)
     except cv2.error:  # where no geometry fits any sample, OpenCV 5 stops at an assertion of its own (model.empty())
         return np.zeros(len(a), bool)
     return np.zeros(len(a), bool) if inliers is None else inliers.ravel() > 0
@@ -92,19 +88,19 @@ def _seen(image: Path, xy: np.ndarray, found: np.ndarray, near: np.ndarray, show
     return Evidence(image, xy[kept].astype(np.float32), matched[kept], every[kept])
 
 
-def _features(path: Path) -> tuple[np.ndarray, np.ndarray, tuple[int, int]] | None:
-    image = grey(read_small(path, _LONGER_PX))
-    sift = cv2.SIFT_create(_MOST_FEATURES, contrastThreshold=0.02)  # type: ignore[attr-defined]
+def _features(path: Path, tuning: EvidenceTuning) -> tuple[np.ndarray, np.ndarray, tuple[int, int]] | None:
+    image = grey(read_small(path, tuning.match_px))
+    sift = cv2.SIFT_create(tuning.most_features, contrastThreshold=tuning.contrast)  # type: ignore[attr-defined]
     points, seen = sift.detectAndCompute(image, None)
-    if seen is None or len(seen) < _MIN_INLIERS:
+    if seen is None or len(seen) < tuning.min_inliers:
         return None
     root = np.sqrt(seen / np.maximum(seen.sum(axis=1, keepdims=True), 1e-6))
     return np.array([p.pt for p in points], np.float32), root, (image.shape[0], image.shape[1])
 
 
-def choose_pairs(cameras: Sequence[Sequence[Path]], most: int) -> list[list[tuple[Path, Path]]]:
-    """Neighbouring images of each camera, spread over its sequence, ``most`` pairs for all cameras together."""
-    each = max(2, most // max(1, len(cameras)))
+def choose_pairs(cameras: Sequence[Sequence[Path]], tuning: EvidenceTuning) -> list[list[tuple[Path, Path]]]:
+    """Neighbouring images of each camera, spread over its sequence, ``most_pairs`` for all cameras together."""
+    each = max(tuning.least_pairs, tuning.most_pairs // max(1, len(cameras)))
     chosen = []
     for images in cameras:
         starts = np.unique(np.linspace(0, max(0, len(images) - 2), min(each, max(0, len(images) - 1))).astype(int))

@@ -10,14 +10,9 @@ import cv2
 import numpy as np
 
 from tiegraph.errors import InputError
+from tiegraph.masks.tuning import FramesTuning
 from tiegraph.scene.images import open_image
 from tiegraph.scene.regular import regular
-
-WORK_PX = 640
-"""Longer side, in pixels, at which masks are computed; all pixel sizes of this package refer to it."""
-
-_EQUAL_GREY = 1.0  # two frames whose grey values differ less than this on average are one picture, not two
-_MOST_TRIES = 12  # unreadable, differently sized or equal frames passed over before a camera is given up
 
 _log = logging.getLogger(__name__)
 
@@ -27,7 +22,7 @@ def image_size(path: Path) -> tuple[int, int]:
     return _size(path, _bytes(path))
 
 
-def read_small(path: Path, longer_px: int = WORK_PX) -> np.ndarray:
+def read_small(path: Path, longer_px: int) -> np.ndarray:
     """(h, w, 3) u1 BGR, the longer side reduced to ``longer_px`` (never enlarged). Raises InputError if unreadable."""
     data = _bytes(path)
     height, width = _size(path, data)
@@ -44,7 +39,7 @@ def read_small(path: Path, longer_px: int = WORK_PX) -> np.ndarray:
     return image if image.shape[:2] == shape else cv2.resize(image, shape[::-1], interpolation=cv2.INTER_AREA)
 
 
-def read_frames(paths: Sequence[Path], longer_px: int = WORK_PX) -> Iterator[tuple[Path, np.ndarray]]:
+def read_frames(paths: Sequence[Path], longer_px: int) -> Iterator[tuple[Path, np.ndarray]]:
     """The images that can be read, reduced as by ``read_small``; the others are passed over with a warning."""
     for path in paths:
         try:
@@ -53,8 +48,8 @@ def read_frames(paths: Sequence[Path], longer_px: int = WORK_PX) -> Iterator[tup
             _log.warning("%s", error)
 
 
-def small_shape(size: tuple[int, int], longer_px: int = WORK_PX) -> tuple[int, int]:
-    """(h, w) at which the mask of an image of ``size`` = (height, width) is computed."""
+def small_shape(size: tuple[int, int], longer_px: int) -> tuple[int, int]:
+    """(h, w) of an image of ``size`` = (height, width) whose longer side is reduced to ``longer_px``."""
     scale = min(1.0, longer_px / max(size))
     return max(1, round(size[0] * scale)), max(1, round(size[1] * scale))
 
@@ -90,27 +85,27 @@ def full_size(mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return cv2.resize(mask.astype(np.uint8), (size[1], size[0]), interpolation=cv2.INTER_NEAREST) > 0
 
 
-def two_frames(images: Sequence[Path]) -> tuple[np.ndarray, np.ndarray] | None:
+def two_frames(images: Sequence[Path], tuning: FramesTuning) -> tuple[np.ndarray, np.ndarray] | None:
     """Grey (h, w) u1 of the first and the last image of a camera (paper 001: "typically the first and the last").
 
     Images that cannot be read are passed over for the next one; the second is the last one of equal size that is not
     the same picture (a camera at rest). None, with a warning, if there are no two such images.
     """
-    first = next(_readable(images), None)
+    first = next(_readable(images, tuning), None)
     if first is None:
         _log.warning("no image of this camera can be read: no mask from two frames")
         return None
     place, a = first
-    for _, b in _readable(images[:place:-1]):
-        if b.shape == a.shape and float(cv2.absdiff(a, b).mean()) >= _EQUAL_GREY:
+    for _, b in _readable(images[:place:-1], tuning):
+        if b.shape == a.shape and float(cv2.absdiff(a, b).mean()) >= tuning.equal_grey:
             return a, b
     _log.warning("%s: no second, different image of this camera: no mask from two frames", images[place])
     return None
 
 
-def _readable(images: Sequence[Path]) -> Iterator[tuple[int, np.ndarray]]:
-    for place, path in enumerate(images[:_MOST_TRIES]):
+def _readable(images: Sequence[Path], tuning: FramesTuning) -> Iterator[tuple[int, np.ndarray]]:
+    for place, path in enumerate(images[: tuning.most_tries]):
         try:
-            yield place, grey(read_small(path))
+            yield place, grey(read_small(path, tuning.work_px))
         except InputError as error:
             _log.warning("%s", error)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -19,50 +20,53 @@ from tiegraph.masks.lookup import Learnt
 from tiegraph.masks.proof import NONE, Ties, cost, moves, white_ties, without_sky
 from tiegraph.masks.seeds import SeedJob, Seeds, first_seeds, second_seeds, ties_of
 from tiegraph.masks.settings import MasksSettings
+from tiegraph.masks.tuning import Tuning
+from tiegraph.masks.tuning_learnt import EvidenceTuning, SeedTuning
 from tiegraph.masks.water import never_matching, water_priors
 
-_MOST_PAIRS = 36  # of neighbouring frames, from which it is learnt what matches
-_SEED_IMAGES = 40  # from which appearance is learnt
-_PLACE_SEEDS = 0.5  # images: as many say beforehand that a place is sky, and that it is none
-_PLACE_CLIP = 1.5
-_AGREED, _AGREED_SHARE = 0.05, 0.1  # of the height; of the images that show sky
 _NEAR, _NOT_ABOVE = "what matches in it is as near as the scene", "what looks like it does not lie above the rest"
 
 Map = Callable[[Callable, Sequence], Iterable]
 
 
 def learn(
-    cameras: Mapping[int, Sequence[Path]], settings: MasksSettings, upward: Iterable[int] = (), apply: Map = map
+    cameras: Mapping[int, Sequence[Path]],
+    settings: MasksSettings,
+    tuning: Tuning,
+    upward: Iterable[int] = (),
+    apply: Map = map,
 ) -> dict[int, Learnt]:
     """What is learnt from the images (paths, in order) of all cameras; ``apply`` maps a function over items.
 
     ``upward``: cameras that look up and have no water in view.
     """
     keys, upward = list(cameras), set(upward)
-    different = dict(zip(keys, apply(different_frames, [cameras[k] for k in keys])))
-    platforms = dict(zip(keys, apply(_learn_ego, [(different[k], len(cameras[k])) for k in keys])))
-    pairs = choose_pairs([different[k] for k in keys], _MOST_PAIRS)
-    found = list(apply(_pair, [pair for own in pairs for pair in own]))
-    if not moves(found):
+    different = dict(zip(keys, apply(partial(different_frames, tuning=tuning), [cameras[k] for k in keys])))
+    of_ego = [(different[k], len(cameras[k])) for k in keys]
+    platforms = dict(zip(keys, apply(partial(_learn_ego, tuning=tuning), of_ego)))
+    pairs = choose_pairs([different[k] for k in keys], tuning.evidence)
+    found = list(apply(partial(_pair, tuning=tuning.evidence), [pair for own in pairs for pair in own]))
+    if not moves(found, tuning.proof):
         platforms = {k: _unproven(p) for k, p in platforms.items()}
     each = iter(found)
     seen = {k: [e for _ in own for e in next(each)] for k, own in zip(keys, pairs)}
-    zones = {k: never_matching([] if k in upward else seen[k], platforms[k].mask) for k in keys}
+    zones = {k: never_matching([] if k in upward else seen[k], platforms[k].mask, tuning.water) for k in keys}
     level = {k: zones[k] for k in keys if k not in upward}
-    water = {} if settings.water == "off" else water_priors(level, settings.water == "on")
+    water = {} if settings.water == "off" else water_priors(level, settings.water == "on", tuning.water)
+    count = max(tuning.seeds.least_images, tuning.seeds.images // max(1, len(keys)))
     jobs = [
-        SeedJob(k, image, evidence, zones[k].mask if k in water else None, platforms[k].mask, k in upward)
+        SeedJob(k, image, evidence, zones[k].mask if k in water else None, platforms[k].mask, k in upward, tuning)
         for k in keys
-        for image, evidence in _seed_images(cameras[k], seen[k], max(2, _SEED_IMAGES // len(keys)))
+        for image, evidence in _seed_images(cameras[k], seen[k], count)
     ]
     seeds = list(apply(first_seeds, jobs))
-    known = _appearances(jobs, seeds, upward)
-    lowest = lowest_agreed([s.low for job, s in zip(jobs, seeds) if not job.upward])
+    known = _appearances(jobs, seeds, upward, tuning)
+    lowest = lowest_agreed([s.low for job, s in zip(jobs, seeds) if not job.upward], tuning.seeds)
     rows = {k: 1.0 if k in upward else lowest for k in keys}
     first = {k: Learnt(platforms[k].mask, known[k], water.get(k), None, rows[k], "") for k in keys}
     # Once more, with what the first try calls water, sky and scene as seeds: they cover the images, the first did not.
     again = list(apply(second_seeds, [(job, first[job.camera], settings) for job in jobs]))
-    made = _proven(first, jobs, again, settings.water == "on")
+    made = _proven(first, jobs, again, settings.water == "on", tuning)
     told = list(apply(ties_of, [(job, made[job.camera], settings) for job in jobs]))
     return {
         k: _with_notes(made[k], platforms[k], _of(k, jobs, [s.ties for s in again]), _of(k, jobs, told)) for k in keys
@@ -70,13 +74,13 @@ def learn(
 
 
 def _proven(
-    first: Mapping[int, Learnt], jobs: Sequence[SeedJob], seeds: Sequence[Seeds], asked: bool
+    first: Mapping[int, Learnt], jobs: Sequence[SeedJob], seeds: Sequence[Seeds], asked: bool, tuning: Tuning
 ) -> dict[int, Learnt]:
     """What is learnt the second time, without the sky that is refuted; without any, water must be ``asked`` for."""
     upward = {job.camera for job in jobs if job.upward}
-    known, places = _appearances(jobs, seeds, upward), _places(jobs, seeds)
-    refuted = _refuted(jobs, seeds, upward)
-    white = white_ties(s.ties for s in seeds)
+    known, places = _appearances(jobs, seeds, upward, tuning), _places(jobs, seeds, tuning.seeds)
+    refuted = _refuted(jobs, seeds, upward, tuning)
+    white = white_ties((s.ties for s in seeds), tuning.proof)
     dry = not asked and set(refuted) >= set(first) - upward
     made = {}
     for k, learnt in first.items():
@@ -88,11 +92,11 @@ def _proven(
     return made
 
 
-def _refuted(jobs: Sequence[SeedJob], seeds: Sequence[Seeds], upward: set[int]) -> dict[int, str]:
+def _refuted(jobs: Sequence[SeedJob], seeds: Sequence[Seeds], upward: set[int], tuning: Tuning) -> dict[int, str]:
     """The cameras whose sky is refuted, and by what."""
     cameras = {job.camera for job in jobs}
-    near = without_sky({k: sum(_of(k, jobs, [s.ties for s in seeds]), NONE) for k in cameras})
-    anywhere = not_above({k: _of(k, jobs, [s.edges for s in seeds]) for k in cameras - upward})
+    near = without_sky({k: sum(_of(k, jobs, [s.ties for s in seeds]), NONE) for k in cameras}, tuning.proof)
+    anywhere = not_above({k: _of(k, jobs, [s.edges for s in seeds]) for k in cameras - upward}, tuning.above)
     return dict.fromkeys(anywhere, _NOT_ABOVE) | dict.fromkeys(near, _NEAR)
 
 
@@ -112,23 +116,24 @@ def _with_notes(learnt: Learnt, ego: Ego, before: Sequence[Ties], now: Sequence[
     return replace(learnt, note=ego.note + sky + water, ties=(cost(before)[0], *cost(now)))
 
 
-def lowest_agreed(rows: Sequence[float]) -> float:
+def lowest_agreed(rows: Sequence[float], tuning: SeedTuning) -> float:
     """The largest of ``rows`` (shares of the height, 0 = no sky) that enough others come close to; 0 if there is none.
 
     A border found in a wall or on a road lies anywhere; the horizon is in the same place in many images.
     """
     known = np.array([r for r in rows if r > 0])
-    near = [int(((known <= r) & (known > r - _AGREED)).sum()) for r in known]
-    agreed = known[np.array(near) >= max(2, _AGREED_SHARE * len(known))] if len(known) else known
+    near = [int(((known <= r) & (known > r - tuning.agreed)).sum()) for r in known]
+    enough = max(tuning.agreed_images, tuning.agreed_share * len(known))
+    agreed = known[np.array(near) >= enough] if len(known) else known
     return float(agreed.max()) if len(agreed) else float(known.max(initial=0))
 
 
-def _learn_ego(job: tuple[Sequence[Path], int]) -> Ego:
-    return learn_ego(*job)
+def _learn_ego(job: tuple[Sequence[Path], int], tuning: Tuning) -> Ego:
+    return learn_ego(*job, tuning)
 
 
-def _pair(job: tuple[Path, Path]) -> tuple[Evidence, ...]:
-    return pair_evidence(*job)
+def _pair(job: tuple[Path, Path], tuning: EvidenceTuning) -> tuple[Evidence, ...]:
+    return pair_evidence(*job, tuning)
 
 
 def _seed_images(
@@ -139,7 +144,9 @@ def _seed_images(
     return [(image, by_image.get(image)) for image in dict.fromkeys([*by_image, *spread])]
 
 
-def _appearances(jobs: Sequence[SeedJob], seeds: Sequence[Seeds], upward: set[int]) -> dict[int, Appearance]:
+def _appearances(
+    jobs: Sequence[SeedJob], seeds: Sequence[Seeds], upward: set[int], tuning: Tuning
+) -> dict[int, Appearance]:
     """The appearance for each camera: what it sees itself, and what all do that look level, or up, as it does.
 
     A pale wall looks like a cloud of another camera's sky; what a camera never sees itself the others tell.
@@ -150,20 +157,22 @@ def _appearances(jobs: Sequence[SeedJob], seeds: Sequence[Seeds], upward: set[in
         looks_up: _looks([s for job, s in zip(jobs, seeds) if job.upward == looks_up]) for looks_up in up.values()
     }
     own = {key: _looks([s for job, s in zip(jobs, seeds) if job.camera == key]) for key in up}
-    return {key: appearance.learn(own[key], shared[up[key]]) for key in up}
+    return {key: appearance.learn(own[key], tuning.appearance, shared[up[key]]) for key in up}
 
 
 def _looks(seeds: Sequence[Seeds]) -> dict[int, np.ndarray]:
     return {label: np.sum([s.looks[label] for s in seeds], axis=0) for label in (USE, SKY, WATER)}
 
 
-def _places(jobs: Sequence[SeedJob], seeds: Sequence[Seeds]) -> dict[int, np.ndarray]:
-    """Log of P(place | sky) / P(place | scene), (12, 16) f4, for each level camera that shows sky at all."""
+def _places(jobs: Sequence[SeedJob], seeds: Sequence[Seeds], tuning: SeedTuning) -> dict[int, np.ndarray]:
+    """Log of P(place | sky) / P(place | scene), (r, c) f4, for each level camera that shows sky at all."""
     found = {}
     for camera in {job.camera for job in jobs if not job.upward}:
         own = [s.places for job, s in zip(jobs, seeds) if job.camera == camera and s.places[SKY].any()]
         if own:
-            sky, scene = (cv2.GaussianBlur(np.sum([p[c] for p in own], axis=0), (0, 0), 0.7) for c in (SKY, USE))
-            ratio = np.log((sky + _PLACE_SEEDS) / (scene + _PLACE_SEEDS))
-            found[camera] = np.clip(ratio, -_PLACE_CLIP, _PLACE_CLIP).astype(np.float32)
+            sky, scene = (
+                cv2.GaussianBlur(np.sum([p[c] for p in own], axis=0), (0, 0), tuning.place_sigma) for c in (SKY, USE)
+            )
+            ratio = np.log((sky + tuning.place_seeds) / (scene + tuning.place_seeds))
+            found[camera] = np.clip(ratio, -tuning.place_clip, tuning.place_clip).astype(np.float32)
     return found

@@ -14,19 +14,9 @@ from tiegraph.masks.frames import grey, read_small, small_shape
 from tiegraph.masks.morphology import dilated, scaled
 from tiegraph.masks.regions import calm_regions, pooled
 from tiegraph.masks.settings import MasksSettings
+from tiegraph.masks.tuning import Tuning
+from tiegraph.masks.tuning_learnt import LookupTuning
 from tiegraph.masks.water import below_waterline
-
-LOOK_PX = 320
-"""Longer side at which appearance is looked up."""
-_SKY_CREDIT = 1.0  # log ratio from which a place is sky
-_SKY_AROUND = 0.5  # share of its surroundings that must be sky for a burnt-out area to be sky
-SKY_MARGIN = 0.1
-"""Of the height: so far below the lowest certain sky there may be some."""
-_SAME_GREY = 14.0  # at its edge the sky goes on as long as the brightness does
-_BAND = np.ones((9, 9), np.uint8)  # in which the edge of the sky is sought
-_AROUND_PX = 10  # to each side of a pixel: what its edge is learnt from
-_TOLD_GREY = 8.0  # brightness of sky and scene differ by more, or the edge hardly moves
-_SMALL = 0.002  # of the image: smaller pieces of sky or holes in it are not believed
 
 
 @dataclass(frozen=True)
@@ -47,64 +37,68 @@ class Learnt:
     """Verified matches in its images: masked before classes were refuted, masked now, all."""
 
 
-def classify(image: np.ndarray, learnt: Learnt, settings: MasksSettings) -> np.ndarray:
-    """Classes (h, w) u1 of an image (h, w, 3) u1 BGR at LOOK_PX, without the platform: see ``classes_of``."""
+def classify(image: np.ndarray, learnt: Learnt, settings: MasksSettings, tuning: Tuning) -> np.ndarray:
+    """Classes (h, w) u1 of an image (h, w, 3) u1 BGR at ``look_px``, without the platform: see ``classes_of``."""
     shape = image.shape[:2]
-    found = bins(image)
+    own = tuning.lookup
+    found = bins(image, tuning.appearance)
     look = learnt.appearance
-    sky_ratio = cv2.blur(look.ratio(found, SKY, USE), (5, 5))
-    sky_ratio = sky_ratio + pooled(sky_ratio, calm_regions(grey(image)))
+    sky_ratio = cv2.blur(look.ratio(found, SKY, USE), (own.smooth_px, own.smooth_px))
+    sky_ratio = sky_ratio + pooled(sky_ratio, calm_regions(grey(image), tuning.regions), tuning.regions)
     if learnt.sky is not None:
         sky_ratio += cv2.resize(learnt.sky, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
     white = grey(image) >= settings.overexposed
-    sky = _with_white(_grown(_cleaned((sky_ratio > _SKY_CREDIT) & sought(shape, learnt)), image), white)
+    sky = _cleaned((sky_ratio > own.sky_credit) & sought(shape, learnt, own), own)
+    sky = _with_white(_grown(sky, image, own), white, own)
     labels = np.full(shape, USE, np.uint8)
     if not learnt.white_ties:
-        labels[_cleaned(white)] = OVEREXPOSED
+        labels[_cleaned(white, own)] = OVEREXPOSED
     labels[sky] = SKY
     if learnt.water is not None:
         prior = cv2.resize(learnt.water, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
         ratio = look.ratio(found, WATER, USE) + prior
-        ratio = np.where(sky_ratio > _SKY_CREDIT, np.minimum(ratio, -0.5), ratio)
+        ratio = np.where(sky_ratio > own.sky_credit, np.minimum(ratio, own.no_water), ratio)
         ego = None if learnt.ego is None else scaled(learnt.ego, shape)
-        labels[below_waterline(ratio, ego)] = WATER
+        labels[below_waterline(ratio, ego, tuning.water)] = WATER
     return labels
 
 
-def sought(shape: tuple[int, ...], learnt: Learnt) -> np.ndarray:
+def sought(shape: tuple[int, ...], learnt: Learnt, tuning: LookupTuning) -> np.ndarray:
     """The rows (h, 1) bool of an image of ``shape`` in which sky is sought."""
-    return np.arange(shape[0])[:, None] < (learnt.sky_rows + SKY_MARGIN) * shape[0]
+    return np.arange(shape[0])[:, None] < (learnt.sky_rows + tuning.sky_margin) * shape[0]
 
 
-def classes_of(path: Path, learnt: Learnt, settings: MasksSettings, shape: tuple[int, int]) -> np.ndarray:
+def classes_of(
+    path: Path, learnt: Learnt, settings: MasksSettings, shape: tuple[int, int], tuning: Tuning
+) -> np.ndarray:
     """Classes (h, w) u1 of an image at ``shape``, the reduced size of its mask."""
     image = read_small(path, max(shape))
-    small = small_shape(shape, LOOK_PX)
-    labels = classify(cv2.resize(image, small[::-1], interpolation=cv2.INTER_AREA), learnt, settings)
+    small = small_shape(shape, tuning.frames.look_px)
+    labels = classify(cv2.resize(image, small[::-1], interpolation=cv2.INTER_AREA), learnt, settings, tuning)
     labels = cv2.resize(labels, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST)
-    if max(shape) > LOOK_PX:
-        labels = _snapped(labels, grey(image))
+    if max(shape) > tuning.frames.look_px:
+        labels = _snapped(labels, grey(image), tuning.lookup)
     if learnt.ego is not None:
         labels[scaled(learnt.ego, shape)] = EGO
     return labels
 
 
-def _snapped(labels: np.ndarray, light: np.ndarray) -> np.ndarray:
+def _snapped(labels: np.ndarray, light: np.ndarray, tuning: LookupTuning) -> np.ndarray:
     """Classes with the edge of the sky where the brightness has it: a guided filter (He et al. 2013), near the edge.
 
     Its lines are fitted at half the size (He and Sun 2015).
     """
     sky = (labels == SKY).astype(np.uint8)
-    band = (cv2.dilate(sky, _BAND) - cv2.erode(sky, _BAND, borderValue=1)) > 0
+    square = np.ones((tuning.edge_band_px, tuning.edge_band_px), np.uint8)
+    band = (cv2.dilate(sky, square) - cv2.erode(sky, square, borderValue=1)) > 0
     rows = np.flatnonzero(band.any(axis=1))
     if not len(rows):
         return labels
-    part = slice(max(0, rows[0] - _AROUND_PX), rows[-1] + _AROUND_PX + 1)
+    part = slice(max(0, rows[0] - tuning.edge_around_px), rows[-1] + tuning.edge_around_px + 1)
     guide, size = light[part].astype(np.float32), (labels.shape[1], len(labels[part]))
     half = (max(1, size[0] // 2), max(1, size[1] // 2))
-    slope, shift = _lines(
-        *(cv2.resize(x, half, interpolation=cv2.INTER_AREA) for x in (guide, sky[part].astype(np.float32)))
-    )
+    small, share = (cv2.resize(x, half, interpolation=cv2.INTER_AREA) for x in (guide, sky[part].astype(np.float32)))
+    slope, shift = _lines(small, share, tuning)
     like = cv2.resize(slope, size) * guide + cv2.resize(shift, size) > 0.5
     told = band[part] & ((labels[part] == SKY) | (labels[part] == USE))
     found = labels.copy()
@@ -112,44 +106,47 @@ def _snapped(labels: np.ndarray, light: np.ndarray) -> np.ndarray:
     return found
 
 
-def _lines(guide: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _lines(guide: np.ndarray, share: np.ndarray, tuning: LookupTuning) -> tuple[np.ndarray, np.ndarray]:
     """Slope and shift (h, w) f4 of the line that gives the share of sky from the brightness round each pixel."""
-    around = (_AROUND_PX + 1, _AROUND_PX + 1)
+    around = (tuning.edge_around_px + 1, tuning.edge_around_px + 1)
     mean, mean_share = cv2.blur(guide, around), cv2.blur(share, around)
     spread = cv2.blur(guide * guide, around) - mean * mean
-    slope = (cv2.blur(guide * share, around) - mean * mean_share) / (spread + _TOLD_GREY**2)
+    slope = (cv2.blur(guide * share, around) - mean * mean_share) / (spread + tuning.told_grey**2)
     return cv2.blur(slope, around), cv2.blur(mean_share - slope * mean, around)
 
 
-def _grown(sky: np.ndarray, image: np.ndarray) -> np.ndarray:
+def _grown(sky: np.ndarray, image: np.ndarray, tuning: LookupTuning) -> np.ndarray:
     """The sky up to its very edge, where texture told it apart from the sky: neighbours of the sky's own brightness."""
     light = grey(image).astype(np.float32)
     inside = sky.astype(np.float32)
-    mean = cv2.blur(light * inside, (11, 11)) / np.maximum(cv2.blur(inside, (11, 11)), 1e-6)
-    return sky | (dilated(sky, 7) & (np.abs(light - mean) < _SAME_GREY))
+    around = (tuning.grow_window_px, tuning.grow_window_px)
+    mean = cv2.blur(light * inside, around) / np.maximum(cv2.blur(inside, around), 1e-6)
+    return sky | (dilated(sky, tuning.grow_px) & (np.abs(light - mean) < tuning.same_grey))
 
 
-def _with_white(sky: np.ndarray, white: np.ndarray) -> np.ndarray:
+def _with_white(sky: np.ndarray, white: np.ndarray, tuning: LookupTuning) -> np.ndarray:
     """The sky with the sun and burnt-out clouds: white areas with sky round them."""
     if not white.any() or not sky.any():
         return sky
     count, labels = cv2.connectedComponents(white.astype(np.uint8), connectivity=4)
-    ring = cv2.dilate(labels.astype(np.float32), np.ones((5, 5), np.uint8)).astype(np.int32)
+    square = np.ones((tuning.ring_px, tuning.ring_px), np.uint8)
+    ring = cv2.dilate(labels.astype(np.float32), square).astype(np.int32)
     ring[white] = 0
     around = np.bincount(ring.ravel(), minlength=count)
     held = np.bincount(ring[sky], minlength=count)
-    belongs = held > _SKY_AROUND * around
+    belongs = held > tuning.sky_around * around
     belongs[0] = False
     return sky | belongs[labels]
 
 
-def _cleaned(mask: np.ndarray) -> np.ndarray:
-    mask = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+def _cleaned(mask: np.ndarray, tuning: LookupTuning) -> np.ndarray:
+    square = np.ones((tuning.open_px, tuning.open_px), np.uint8)
+    mask = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, square)
     if not mask.any():
         return mask > 0
     for _ in range(2):  # small pieces go, then small holes
         _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
-        small = stats[:, cv2.CC_STAT_AREA] < _SMALL * mask.size
+        small = stats[:, cv2.CC_STAT_AREA] < tuning.small * mask.size
         small[0] = False
         mask = 1 - np.where(small[labels], 0, mask).astype(np.uint8)
     return mask > 0

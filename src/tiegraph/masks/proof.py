@@ -14,17 +14,7 @@ import numpy as np
 
 from tiegraph.masks.classes import NAMES, OVEREXPOSED, USE
 from tiegraph.masks.evidence import Evidence
-
-_MOVING = 0.1  # of the pairs of frames must verify a motion before what stands still is a platform
-_NEAR = 0.33  # of the parallax at the scene's median depth: not sky
-_REFUTED = 0.5  # of the matches in a sky that are near: then it is none
-_LEAST = 3  # matches in the skies of all cameras, to judge by
-# Side of the square by which the edge of a sky is left out, at lookup.LOOK_PX: it is that of trees and roofs, whose key
-# points reach into it. With 7 of them the true skies of KITTI, PandaSet and kerry_park were refuted.
-_INNER_PX = 21
-# Of the matches that an equal area of the images has: fewer are wires, lamps and tops of trees in a true sky (0.07 on
-# PandaSet, 0.01 on kerry_park; where forest is taken for it, uav_bands, 0.32 and more).
-_DENSE = 0.2
+from tiegraph.masks.tuning_learnt import ProofTuning
 
 
 @dataclass(frozen=True)
@@ -44,18 +34,17 @@ class Ties:
     def __add__(self, other: Ties) -> Ties:
         return Ties(**{f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self)})
 
-    @property
-    def refuted(self) -> bool:
+    def refuted(self, tuning: ProofTuning) -> bool:
         """Whether what lies in the sky is near, and as dense as a surface has matches."""
         judged = self.near + self.far
-        dense = self.near * self.area > _DENSE * self.told * self.room
-        return judged >= _LEAST and self.near > _REFUTED * judged and dense
+        dense = self.near * self.area > tuning.dense * self.told * self.room
+        return judged >= tuning.least_matches and self.near > tuning.refuted * judged and dense
 
 
 NONE = Ties(np.zeros(len(NAMES), int))
 
 
-def ties_in(labels: np.ndarray, sky: np.ndarray, evidence: Evidence | None) -> Ties:
+def ties_in(labels: np.ndarray, sky: np.ndarray, evidence: Evidence | None, tuning: ProofTuning) -> Ties:
     """Where the matches of an image lie in its classes (h, w) u1 and its sky (h, w) bool."""
     if evidence is None:
         return NONE
@@ -63,11 +52,11 @@ def ties_in(labels: np.ndarray, sky: np.ndarray, evidence: Evidence | None) -> T
     inside = np.bincount(labels[row, column], minlength=len(NAMES))
     if evidence.near is None:
         return Ties(inside)
-    inner = cv2.erode(sky.astype(np.uint8), np.ones((_INNER_PX, _INNER_PX), np.uint8), borderValue=1) > 0
+    inner = cv2.erode(sky.astype(np.uint8), np.ones((tuning.inner_px, tuning.inner_px), np.uint8), borderValue=1) > 0
     distance = evidence.near[evidence.matched]
     told = np.isfinite(distance)
     near = distance[inner[row, column] & told]
-    counts = int((near > _NEAR).sum()), int((near <= _NEAR).sum()), int(told.sum())
+    counts = int((near > tuning.near).sum()), int((near <= tuning.near).sum()), int(told.sum())
     white = float((labels == OVEREXPOSED).mean())
     return Ties(inside, *counts, area=1, room=float(inner.mean()), white=white)
 
@@ -77,23 +66,23 @@ def _pixels(evidence: Evidence, shape: tuple[int, ...]) -> tuple[np.ndarray, np.
     return row.clip(0, shape[0] - 1), column.clip(0, shape[1] - 1)
 
 
-def moves(found: Sequence[Sequence[Evidence]]) -> bool:
+def moves(found: Sequence[Sequence[Evidence]], tuning: ProofTuning) -> bool:
     """Whether enough pairs of frames, ``found`` of each, verify that the cameras move; what stands still in a rig that
     does not is the scene."""
-    return sum(len(pair) > 0 for pair in found) > _MOVING * len(found)
+    return sum(len(pair) > 0 for pair in found) > tuning.min_moving * len(found)
 
 
-def without_sky(ties: Mapping[int, Ties]) -> set[int]:
+def without_sky(ties: Mapping[int, Ties], tuning: ProofTuning) -> set[int]:
     """The cameras whose sky is refuted by what lies in it, those of all together: above one is sky if it is above
     the others. (`canal_demo`: where each judged alone, one lost a true sky beside pale walls, 92 -> 79 % IoU.)"""
-    return set(ties) if sum(ties.values(), NONE).refuted else set()
+    return set(ties) if sum(ties.values(), NONE).refuted(tuning) else set()
 
 
-def white_ties(ties: Iterable[Ties]) -> bool:
+def white_ties(ties: Iterable[Ties], tuning: ProofTuning) -> bool:
     """Whether overexposed areas hold matches as a surface does: white paint and paper, not a burnt-out sky or deck."""
     every = sum(ties, NONE)
     here, all_of_them = int(every.inside[OVEREXPOSED]), int(every.inside.sum())
-    return here >= _LEAST and here * every.area > _DENSE * all_of_them * every.white
+    return here >= tuning.least_matches and here * every.area > tuning.dense * all_of_them * every.white
 
 
 def cost(ties: Iterable[Ties]) -> tuple[int, int]:

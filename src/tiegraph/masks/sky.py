@@ -8,12 +8,8 @@ import numpy as np
 from tiegraph.masks.frames import grey
 from tiegraph.masks.morphology import block_share, from_blocks
 from tiegraph.masks.settings import MasksSettings
-from tiegraph.masks.ssim import BLOCK_PX, MIN_BLOCK_SHARE
+from tiegraph.masks.tuning import Meguro2025Tuning
 
-# "typical range of sky colors, such as hue, saturation, and brightness": OpenCV's hue is in half degrees, so blue is
-# 180-260 degrees. Saturation below 80 takes in walls that lie in the shade of a blue sky: from 40 on, 27 % of the
-# Strecha facades, from 80 on 2.5 %, while the sky of CamVid and of the rendered canal is found nearly as well.
-_BLUE_LOW, _BLUE_HIGH = (90, 80, 150), (130, 255, 255)
 _SOBEL_GAIN = 8.0  # response of the 3x3 Sobel kernels to a ramp of one grey level a pixel
 
 
@@ -28,12 +24,14 @@ def edge_sky(brightness: np.ndarray, min_step: float) -> np.ndarray:
     return ~np.logical_or.accumulate(edge, axis=0)
 
 
-def blue_sky(image: np.ndarray) -> np.ndarray:
+def blue_sky(image: np.ndarray, tuning: Meguro2025Tuning) -> np.ndarray:
     """Pixels (h, w) bool of an image (h, w, 3) u1 BGR in the range of sky blue; none in a grey image."""
-    return cv2.inRange(cv2.cvtColor(image, cv2.COLOR_BGR2HSV), _BLUE_LOW, _BLUE_HIGH) > 0
+    return cv2.inRange(cv2.cvtColor(image, cv2.COLOR_BGR2HSV), tuning.blue_low, tuning.blue_high) > 0
 
 
-def final_mask(image: np.ndarray, initial: np.ndarray | None, settings: MasksSettings) -> np.ndarray:
+def final_mask(
+    image: np.ndarray, initial: np.ndarray | None, settings: MasksSettings, tuning: Meguro2025Tuning
+) -> np.ndarray:
     """Mask (h, w) bool, True = use, of an image (h, w, 3) u1 BGR. Paper 001, section a, final stage, in its order.
 
     ``initial``: the camera's mask (h, w) bool of the first stage, None = nothing masked yet.
@@ -42,7 +40,7 @@ def final_mask(image: np.ndarray, initial: np.ndarray | None, settings: MasksSet
     # "Based on the detected edge positions, the top of the image is assumed to be the sky and is masked".
     edges = edge_sky(brightness, settings.sky_edge)
     # "Pixels within the typical range of sky colors ... are extracted as a blue sky mask".
-    blue = blue_sky(image)
+    blue = blue_sky(image, tuning)
     # "the two types of sky masks ... are combined and merged with the initial mask": both as unions. The intersection
     # of the two finds half of CamVid's grey skies only.
     masked = edges | blue
@@ -51,5 +49,5 @@ def final_mask(image: np.ndarray, initial: np.ndarray | None, settings: MasksSet
     # "overexposed regions, are identified through grayscale conversion and thresholding. The regions are excluded".
     masked = masked | (brightness >= settings.overexposed)
     # "the image is divided into blocks once more, and a pixel ratio check is performed to smooth the mask".
-    blocks = block_share(masked, BLOCK_PX) >= MIN_BLOCK_SHARE
-    return ~from_blocks(blocks, BLOCK_PX, masked.shape)
+    blocks = block_share(masked, tuning.block_px) >= tuning.min_block
+    return ~from_blocks(blocks, tuning.block_px, masked.shape)

@@ -6,27 +6,19 @@ import cv2
 import numpy as np
 
 from tiegraph.masks.morphology import dilated, scaled
+from tiegraph.masks.tuning_learnt import SkylineTuning
 
-# Shen and Wang, section 3: thresholds from 5 to 600 in steps of 5, gamma = 2. Above 300 no border was ever chosen here.
-_THRESHOLDS = np.arange(5, 300, 10, dtype=np.float32)
-_GAMMA = 2.0
-_SMALL_PX = 160  # longer side at which the border is sought: it gives seeds, not masks
-_MIN_SHARE, _MAX_SHARE = 0.02, 0.85
-_BRIGHTER = 12.0  # grey levels that the sky is brighter than what is below it
-_MIN_SKY_GREY = 60.0
-_CALM_GREY, _BRIGHT_GREY, _LARGE = 4.0, 90.0, 0.03  # of the sky above an upward camera
-_MOST_YELLOW = 10  # Lab b: sand and sunlit plaster are yellow, skies hardly ever
-_CALM = 0.5  # texture of the sky, as a share of that below
+_GAMMA = 2.0  # Shen and Wang, section 3: it is part of their energy J
 
 
-def border_sky(image: np.ndarray, ego: np.ndarray | None = None) -> np.ndarray | None:
+def border_sky(image: np.ndarray, tuning: SkylineTuning, ego: np.ndarray | None = None) -> np.ndarray | None:
     """Sky (h, w) bool of an image (h, w, 3) u1 BGR from the top down to a border; None if none is believable.
 
     A sky is calmer and brighter than what is below it, and not yellow. Clouds, bridges and up cameras break the border:
     this gives the seeds from which the sky's appearance is learnt, not the mask. ``ego`` (h, w) bool: where the
     platform, or the surround of a fisheye lens, reaches down from the top of the image, the sky begins below it.
     """
-    scale = _SMALL_PX / max(image.shape[:2])
+    scale = tuning.border_px / max(image.shape[:2])
     small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     free = np.ones(small.shape[:2], bool)
     if ego is not None:
@@ -35,23 +27,24 @@ def border_sky(image: np.ndarray, ego: np.ndarray | None = None) -> np.ndarray |
     x, y = cv2.Sobel(brightness, cv2.CV_32F, 1, 0, ksize=3), cv2.Sobel(brightness, cv2.CV_32F, 0, 1, ksize=3)
     gradient = np.sqrt(x * x + y * y)
     gradient[0] = 0  # a border on the first row leaves nothing
-    gradient[dilated(~free, 5)] = 0
-    edges = gradient[None] > _THRESHOLDS[:, None, None]
+    gradient[dilated(~free, tuning.platform_px)] = 0
+    thresholds = np.arange(tuning.first_threshold, tuning.end_threshold, tuning.threshold_step, dtype=np.float32)
+    edges = gradient[None] > thresholds[:, None, None]
     borders = np.where(edges.any(axis=1), edges.argmax(axis=1), len(brightness))  # (T, w) first ground row
     borders = np.unique(borders, axis=0)
-    sky = _best(small, borders, free)
-    if sky is None or not _believable(small, gradient, sky & free, ~sky & free):
+    sky = _best(small, borders, free, tuning)
+    if sky is None or not _believable(small, gradient, sky & free, ~sky & free, tuning):
         return None
-    sky = _inner(sky & free)
+    sky = _inner(sky & free, tuning.rim_px)
     return cv2.resize(sky.astype(np.uint8), image.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
 
 
-def _inner(mask: np.ndarray, side: int = 3) -> np.ndarray:
+def _inner(mask: np.ndarray, side: int) -> np.ndarray:
     """A mask (h, w) bool without its rim; the border of the image is none."""
     return cv2.erode(mask.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
 
 
-def _best(image: np.ndarray, borders: np.ndarray, free: np.ndarray) -> np.ndarray | None:
+def _best(image: np.ndarray, borders: np.ndarray, free: np.ndarray, tuning: SkylineTuning) -> np.ndarray | None:
     """The sky of the border with the largest energy J (equation 7), (h, w) bool; None if no border leaves two parts."""
     height, width = image.shape[:2]
     pixels = image.astype(np.float64)
@@ -61,7 +54,7 @@ def _best(image: np.ndarray, borders: np.ndarray, free: np.ndarray) -> np.ndarra
     total = below_row[-1].sum(axis=0)
     sums = below_row[borders, np.arange(width)].sum(axis=1)  # (T, 13)
     share = sums[:, 0] / max(total[0], 1)
-    usable = (share > _MIN_SHARE) & (share < _MAX_SHARE)
+    usable = (share > tuning.min_share) & (share < tuning.max_share)
     if not usable.any():
         return None
     energy = 1 / (_GAMMA * _spread(sums) + _spread(total - sums) + 1e-9)
@@ -78,30 +71,33 @@ def _spread(sums: np.ndarray) -> np.ndarray:
     return values.prod(axis=1) + values[:, -1]
 
 
-def _believable(image: np.ndarray, gradient: np.ndarray, sky: np.ndarray, ground: np.ndarray) -> bool:
-    inner = _inner(sky, 5)
+def _believable(
+    image: np.ndarray, gradient: np.ndarray, sky: np.ndarray, ground: np.ndarray, tuning: SkylineTuning
+) -> bool:
+    inner = _inner(sky, tuning.inner_px)
     if not inner.any() or not ground.any():
         return False
     yellow = cv2.cvtColor(image, cv2.COLOR_BGR2Lab)[..., 2]
     brightness = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    if brightness[sky].mean() < max(_MIN_SKY_GREY, brightness[ground].mean() + _BRIGHTER):
+    if brightness[sky].mean() < max(tuning.min_grey, brightness[ground].mean() + tuning.brighter_grey):
         return False
-    if np.median(yellow[sky]) > 128 + _MOST_YELLOW:
+    if np.median(yellow[sky]) > 128 + tuning.most_yellow:
         return False
-    return float(gradient[inner].mean()) < _CALM * float(gradient[ground].mean())
+    return float(gradient[inner].mean()) < tuning.calm * float(gradient[ground].mean())
 
 
-def calm_sky(image: np.ndarray, matched: np.ndarray) -> np.ndarray | None:
+def calm_sky(image: np.ndarray, matched: np.ndarray, tuning: SkylineTuning) -> np.ndarray | None:
     """Sky (h, w) bool in an image that looks up: large, calm, bright areas without a matched feature; None = none.
 
     ``matched`` (h, w) bool: round the features that were found again in another frame.
     """
     brightness = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32)
-    mean = cv2.blur(brightness, (5, 5))
-    deviation = np.sqrt(np.maximum(cv2.blur(brightness * brightness, (5, 5)) - mean * mean, 0))
-    calm = cv2.erode(((deviation < _CALM_GREY) & ~matched).astype(np.uint8), np.ones((3, 3), np.uint8))
+    around = (tuning.up_window_px, tuning.up_window_px)
+    mean = cv2.blur(brightness, around)
+    deviation = np.sqrt(np.maximum(cv2.blur(brightness * brightness, around) - mean * mean, 0))
+    calm = _inner((deviation < tuning.up_calm_grey) & ~matched, tuning.rim_px).astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(calm, connectivity=4)
     light = np.bincount(labels.ravel(), brightness.ravel(), minlength=count) / np.maximum(stats[:, cv2.CC_STAT_AREA], 1)
-    sky = (stats[:, cv2.CC_STAT_AREA] >= _LARGE * calm.size) & (light >= _BRIGHT_GREY)
+    sky = (stats[:, cv2.CC_STAT_AREA] >= tuning.up_large * calm.size) & (light >= tuning.up_bright_grey)
     sky[0] = False
     return sky[labels] if sky.any() else None

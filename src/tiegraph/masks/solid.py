@@ -11,49 +11,43 @@ import numpy as np
 import pycolmap
 
 from tiegraph.masks.classes import SKY, USE
-
-# Density of points within a piece of sky, with the holes in it, as a share of that outside of all sky: 0 .. 0.04 in the
-# rendered canal, up to 0.17 where trees stand before the sky (PandaSet, KITTI), 0.14 .. 1 on walls with windows.
-_SOLID = 0.2
-_LEAST_POINTS = 4
-_HOLE, _EDGE, _JOINT = 0.05, 0.011, 0.008  # of the longer side: windows, blur of the skyline, what joins two pieces
-_WIDEST = 3.0  # tangent of the angle off the axis up to which lens models are to be trusted
+from tiegraph.masks.tuning import SolidTuning
 
 
-def places(image: pycolmap.Image, camera: pycolmap.Camera, points: np.ndarray) -> np.ndarray:
+def places(image: pycolmap.Image, camera: pycolmap.Camera, points: np.ndarray, tuning: SolidTuning) -> np.ndarray:
     """Where points (P, 3) of a model lie in a registered image, hidden or not: (K, 2) f4 shares of width and height."""
     pose = image.cam_from_world().matrix()
     local = points @ pose[:, :3].T + pose[:, 3]
     local = local[local[:, 2] > 0]
-    local = local[np.abs(local[:, :2]).max(axis=1) < _WIDEST * local[:, 2]]
+    local = local[np.abs(local[:, :2]).max(axis=1) < tuning.widest * local[:, 2]]
     share = np.asarray(camera.img_from_cam(local)).reshape(-1, 2) / (camera.width, camera.height)
     return share[((share >= 0) & (share < 1)).all(axis=1)].astype(np.float32)
 
 
-def without_solid(classes: np.ndarray, points: np.ndarray) -> np.ndarray:
+def without_solid(classes: np.ndarray, points: np.ndarray, tuning: SolidTuning) -> np.ndarray:
     """Classes (h, w) u1 without the pieces of sky that points of the model lie in; ``points`` as of ``places``."""
     sky = (classes == SKY).astype(np.uint8)
-    if not sky.any() or sky.all() or len(points) < _LEAST_POINTS:
+    if not sky.any() or sky.all() or len(points) < tuning.least_points:
         return classes
     height, width = sky.shape
     hit = np.zeros((height, width), np.uint8)
     column, row = (points * (width, height)).astype(int).T
     hit[row.clip(0, height - 1), column.clip(0, width - 1)] = 1
     outside = float(hit[sky == 0].mean())
-    apart = cv2.morphologyEx(sky, cv2.MORPH_OPEN, _square(_JOINT, sky.shape))
+    apart = cv2.morphologyEx(sky, cv2.MORPH_OPEN, _square(tuning.joint, sky.shape))
     count, labels, stats, _ = cv2.connectedComponentsWithStats(apart, connectivity=4)
     solid = np.zeros(sky.shape, bool)
     for piece in range(1, count):
-        window = _window(stats[piece], sky.shape)
-        if np.count_nonzero(hit[window]) < _LEAST_POINTS:
+        window = _window(stats[piece], sky.shape, tuning.hole)
+        if np.count_nonzero(hit[window]) < tuning.least_points:
             continue
         own = labels[window] == piece
-        filled = cv2.morphologyEx(own.astype(np.uint8), cv2.MORPH_CLOSE, _square(_HOLE, sky.shape))
-        inner = cv2.erode(filled, _square(_EDGE, sky.shape), borderValue=1) > 0
+        filled = cv2.morphologyEx(own.astype(np.uint8), cv2.MORPH_CLOSE, _square(tuning.hole, sky.shape))
+        inner = cv2.erode(filled, _square(tuning.edge, sky.shape), borderValue=1) > 0
         found = int(hit[window][inner].sum())
-        if found >= _LEAST_POINTS and found > _SOLID * outside * inner.sum():
+        if found >= tuning.least_points and found > tuning.dense * outside * inner.sum():
             solid[window] |= own
-    grown = cv2.dilate(solid.astype(np.uint8), _square(_JOINT, sky.shape)) > 0  # what the opening took off
+    grown = cv2.dilate(solid.astype(np.uint8), _square(tuning.joint, sky.shape)) > 0  # what the opening took off
     return np.where(grown & (sky > 0), USE, classes).astype(np.uint8)
 
 
@@ -62,9 +56,9 @@ def _square(share: float, shape: tuple[int, ...]) -> np.ndarray:
     return np.ones((side, side), np.uint8)
 
 
-def _window(stats: np.ndarray, shape: tuple[int, ...]) -> tuple[slice, slice]:
-    """The box of a piece, with room for closing it."""
-    room = round(_HOLE * max(shape))
+def _window(stats: np.ndarray, shape: tuple[int, ...], share: float) -> tuple[slice, slice]:
+    """The box of a piece, with room for closing it, a ``share`` of the longer side."""
+    room = round(share * max(shape))
     left, top = max(0, stats[cv2.CC_STAT_LEFT] - room), max(0, stats[cv2.CC_STAT_TOP] - room)
     right = stats[cv2.CC_STAT_LEFT] + stats[cv2.CC_STAT_WIDTH] + room
     return slice(top, stats[cv2.CC_STAT_TOP] + stats[cv2.CC_STAT_HEIGHT] + room), slice(left, right)

@@ -20,10 +20,8 @@ from tiegraph.masks.plugin import Model, model_classes, read_model
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sky import final_mask
 from tiegraph.masks.ssim import prepare_ssim
+from tiegraph.masks.tuning import Tuning
 from tiegraph.scene.scene import Scene
-
-MIN_FRAMES = 5
-"""Frames every camera must have before ``auto`` learns masks from them."""
 
 
 @dataclass(frozen=True)
@@ -38,26 +36,28 @@ class Camera:
 class MaskSource:
     """One way to make masks.
 
-    ``prepare(cameras, settings, apply)`` is called once for all sensors and returns what the masks of each have in
-    common; ``apply`` maps a function over items. ``mask(image, prepared, settings, name)`` returns (H, W) bool,
-    True = use, at the size of the image, from what was prepared for its sensor; ``name`` is that of the user's file,
-    for sources that look it up. ``classes`` with the same arguments returns the class (h, w) u1 of each pixel at
+    ``prepare(cameras, settings, tuning, apply)`` is called once for all sensors and returns what the masks of each have
+    in common; ``apply`` maps a function over items. ``mask(image, prepared, settings, tuning, name)`` returns (H, W)
+    bool, True = use, at the size of the image, from what was prepared for its sensor; ``name`` is that of the user's
+    file, for sources that look it up. ``classes`` with the same arguments returns the class (h, w) u1 of each pixel at
     reduced size (``masks.classes``), for sources that know it. What is prepared may say of itself in ``note``.
     """
 
-    prepare: Callable[[Mapping[int, Camera], MasksSettings, Map], dict[int, Any]]
-    mask: Callable[[Path, Any, MasksSettings, str], np.ndarray]
-    classes: Callable[[Path, Any, MasksSettings, str], np.ndarray] | None = None
+    prepare: Callable[[Mapping[int, Camera], MasksSettings, Tuning, Map], dict[int, Any]]
+    mask: Callable[[Path, Any, MasksSettings, Tuning, str], np.ndarray]
+    classes: Callable[[Path, Any, MasksSettings, Tuning, str], np.ndarray] | None = None
 
 
-def _each(prepare: Callable[[Sequence[Path], MasksSettings], Any]) -> Callable[..., dict[int, Any]]:
-    def prepare_all(cameras: Mapping[int, Camera], settings: MasksSettings, apply: Map = map) -> dict[int, Any]:
-        return {key: prepare(camera.images, settings) for key, camera in cameras.items()}
+def _each(prepare: Callable[[Sequence[Path], MasksSettings, Tuning], Any]) -> Callable[..., dict[int, Any]]:
+    def prepare_all(
+        cameras: Mapping[int, Camera], settings: MasksSettings, tuning: Tuning, apply: Map = map
+    ) -> dict[int, Any]:
+        return {key: prepare(camera.images, settings, tuning) for key, camera in cameras.items()}
 
     return prepare_all
 
 
-def explain_source(scene: Scene, settings: MasksSettings) -> tuple[str, str]:
+def explain_source(scene: Scene, settings: MasksSettings, tuning: Tuning) -> tuple[str, str]:
     """(name of the source, why) for a scene.
 
     ``auto`` masks the cameras of a rig on a path, by what is learnt from them. Loose photographs and single cameras are
@@ -65,18 +65,18 @@ def explain_source(scene: Scene, settings: MasksSettings) -> tuple[str, str]:
     Raises InputError if a folder of masks lacks one of the images.
     """
     automatic = settings.source == "auto"
-    name, why = _automatic(scene, settings) if automatic else (settings.source, "as the setting says")
+    name, why = _automatic(scene, settings, tuning) if automatic else (settings.source, "as the setting says")
     if name == "folder" and settings.folder is not None:
         check_folder(settings.folder, [scene.source_name(k) for k in range(len(scene))])
     return name, why
 
 
-def resolve_source(scene: Scene, settings: MasksSettings) -> str:
+def resolve_source(scene: Scene, settings: MasksSettings, tuning: Tuning) -> str:
     """Name of the source for a scene, see ``explain_source``."""
-    return explain_source(scene, settings)[0]
+    return explain_source(scene, settings, tuning)[0]
 
 
-def _automatic(scene: Scene, settings: MasksSettings) -> tuple[str, str]:
+def _automatic(scene: Scene, settings: MasksSettings, tuning: Tuning) -> tuple[str, str]:
     if settings.folder is not None:
         return "folder", "a folder of masks is given"
     if (scene.track < 0).any():
@@ -84,73 +84,86 @@ def _automatic(scene: Scene, settings: MasksSettings) -> tuple[str, str]:
     if all(len(r.sensors) < 2 for r in scene.rigs):
         return "none", "a single camera: name a mask source if its platform is in view"
     fewest = int(np.bincount(scene.sensor_key, minlength=len(scene.all_sensors)).min())
-    if fewest < MIN_FRAMES:
-        return "none", f"a camera has only {fewest} frames, fewer than {MIN_FRAMES}"
+    if fewest < tuning.auto_frames:
+        return "none", f"a camera has only {fewest} frames, fewer than {tuning.auto_frames}"
     return "learnt", "a rig that moves along a path"
 
 
-def _prepare_nothing(images: Sequence[Path], settings: MasksSettings) -> None:
+def _prepare_nothing(images: Sequence[Path], settings: MasksSettings, tuning: Tuning) -> None:
     return None
 
 
-def _mask_of_camera(image: Path, prepared: np.ndarray | None, settings: MasksSettings, name: str) -> np.ndarray:
+def _mask_of_camera(
+    image: Path, prepared: np.ndarray | None, settings: MasksSettings, tuning: Tuning, name: str
+) -> np.ndarray:
     size = image_size(image)
-    _check_shape(image, size, prepared)
+    _check_shape(image, size, prepared, tuning)
     return np.ones(size, bool) if prepared is None else full_size(prepared, size)
 
 
-def _mask_with_sky(image: Path, prepared: np.ndarray | None, settings: MasksSettings, name: str) -> np.ndarray:
+def _mask_with_sky(
+    image: Path, prepared: np.ndarray | None, settings: MasksSettings, tuning: Tuning, name: str
+) -> np.ndarray:
     size = image_size(image)
-    _check_shape(image, size, prepared)
-    return full_size(final_mask(read_small(image), prepared, settings), size)
+    _check_shape(image, size, prepared, tuning)
+    small = read_small(image, tuning.frames.work_px)
+    return full_size(final_mask(small, prepared, settings, tuning.meguro2025), size)
 
 
-def _check_shape(image: Path, size: tuple[int, int], prepared: np.ndarray | None) -> None:
-    if prepared is not None and prepared.shape != small_shape(size):
+def _check_shape(image: Path, size: tuple[int, int], prepared: np.ndarray | None, tuning: Tuning) -> None:
+    if prepared is not None and prepared.shape != small_shape(size, tuning.frames.work_px):
         raise InputError(
             f"{image}: {size[1]} x {size[0]} pixels, not the shape of the other images of its camera, which share "
             "a mask; put images of another camera into another folder, or set masks.source = sky or none"
         )
 
 
-def _mask_of_folder(image: Path, prepared: np.ndarray | None, settings: MasksSettings, name: str) -> np.ndarray:
+def _mask_of_folder(
+    image: Path, prepared: np.ndarray | None, settings: MasksSettings, tuning: Tuning, name: str
+) -> np.ndarray:
     if settings.folder is None:
         raise InputError("masks.source = folder needs masks.folder: where the masks are")
     return read_folder_mask(settings.folder, name, image_size(image), settings.keep_labels)
 
 
-def _mask_nothing(image: Path, prepared: np.ndarray | None, settings: MasksSettings, name: str) -> np.ndarray:
+def _mask_nothing(
+    image: Path, prepared: np.ndarray | None, settings: MasksSettings, tuning: Tuning, name: str
+) -> np.ndarray:
     return np.ones(image_size(image), bool)
 
 
-def _prepare_learnt(cameras: Mapping[int, Camera], settings: MasksSettings, apply: Map = map) -> dict[int, Learnt]:
+def _prepare_learnt(
+    cameras: Mapping[int, Camera], settings: MasksSettings, tuning: Tuning, apply: Map = map
+) -> dict[int, Learnt]:
     upward = [key for key, camera in cameras.items() if camera.upward]
-    return learn({key: camera.images for key, camera in cameras.items()}, settings, upward, apply)
+    return learn({key: camera.images for key, camera in cameras.items()}, settings, tuning, upward, apply)
 
 
-def _classes_learnt(image: Path, prepared: Learnt, settings: MasksSettings, name: str) -> np.ndarray:
+def _classes_learnt(image: Path, prepared: Learnt, settings: MasksSettings, tuning: Tuning, name: str) -> np.ndarray:
     size = image_size(image)
-    _check_shape(image, size, prepared.ego)
-    return classes_of(image, prepared, settings, small_shape(size))
+    _check_shape(image, size, prepared.ego, tuning)
+    return classes_of(image, prepared, settings, small_shape(size, tuning.frames.work_px), tuning)
 
 
-def _mask_learnt(image: Path, prepared: Learnt, settings: MasksSettings, name: str) -> np.ndarray:
-    return full_size(_classes_learnt(image, prepared, settings, name) == USE, image_size(image))
+def _mask_learnt(image: Path, prepared: Learnt, settings: MasksSettings, tuning: Tuning, name: str) -> np.ndarray:
+    return full_size(_classes_learnt(image, prepared, settings, tuning, name) == USE, image_size(image))
 
 
-def _prepare_model(cameras: Mapping[int, Camera], settings: MasksSettings, apply: Map = map) -> dict[int, Model]:
+def _prepare_model(
+    cameras: Mapping[int, Camera], settings: MasksSettings, tuning: Tuning, apply: Map = map
+) -> dict[int, Model]:
     if settings.model is None:
         raise InputError("masks.source = model needs masks.model: the TOML file of your segmentation model")
     model = read_model(settings.model)
     return {key: model for key in cameras}
 
 
-def _classes_model(image: Path, prepared: Model, settings: MasksSettings, name: str) -> np.ndarray:
-    return model_classes(read_small(image), prepared)
+def _classes_model(image: Path, prepared: Model, settings: MasksSettings, tuning: Tuning, name: str) -> np.ndarray:
+    return model_classes(read_small(image, tuning.frames.work_px), prepared)
 
 
-def _mask_model(image: Path, prepared: Model, settings: MasksSettings, name: str) -> np.ndarray:
-    return full_size(_classes_model(image, prepared, settings, name) == USE, image_size(image))
+def _mask_model(image: Path, prepared: Model, settings: MasksSettings, tuning: Tuning, name: str) -> np.ndarray:
+    return full_size(_classes_model(image, prepared, settings, tuning, name) == USE, image_size(image))
 
 
 SOURCES: dict[str, MaskSource] = {

@@ -11,17 +11,14 @@ import numpy as np
 from tiegraph.masks.frames import two_frames
 from tiegraph.masks.morphology import block_share, from_blocks, masked_neighbours, without_small
 from tiegraph.masks.settings import MasksSettings
+from tiegraph.masks.tuning import Meguro2025Tuning, Tuning
 
-# Wang et al. 2004, section III: window of 11 pixels with sigma 1.5, K1 = 0.01, K2 = 0.03, grey levels L = 255.
+# Wang et al. 2004, section III, define it so: window of 11 pixels with sigma 1.5, K1 = 0.01, K2 = 0.03, grey levels
+# L = 255.
 _WINDOW_PX, _SIGMA_PX = 11, 1.5
 _C1, _C2 = (0.01 * 255) ** 2, (0.03 * 255) ** 2
 
-# Paper 001 gives no sizes. At a longer side of 640 pixels:
-BLOCK_PX = 8
-MIN_BLOCK_SHARE = 0.5
-"""Share of masked pixels from which a block is masked."""
-_MIN_REGION_BLOCKS = 24  # 0.5 % of 640 x 480
-_MANY_NEIGHBOURS = 3  # "three or more adjacent blocks"
+_MANY_NEIGHBOURS = 3  # "three or more adjacent blocks": paper 001 prints it
 
 
 def ssim(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -37,22 +34,22 @@ def ssim(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return luminance * (2 * cov + _C2) / (var_x + var_y + _C2)
 
 
-def initial_mask(a: np.ndarray, b: np.ndarray, similarity: float) -> np.ndarray:
+def initial_mask(a: np.ndarray, b: np.ndarray, similarity: float, tuning: Meguro2025Tuning) -> np.ndarray:
     """Mask (h, w) bool, True = use, of two grey images (h, w) u1 of one camera. Paper 001, section a, first stage."""
     # "Pixels with high similarity are considered outside the region of interest ... and are masked".
     masked = ssim(a, b) > similarity
     # "Blocks with a ratio of masked pixels below a certain threshold are excluded".
-    blocks = block_share(masked, BLOCK_PX) >= MIN_BLOCK_SHARE
+    blocks = block_share(masked, tuning.block_px) >= tuning.min_block
     # "a labeling process removes small isolated regions, such as noise, while retaining larger, contiguous regions".
-    blocks = without_small(blocks, _MIN_REGION_BLOCKS)
+    blocks = without_small(blocks, tuning.min_region_blocks)
     # "If three or more adjacent blocks are marked as "1" (i.e., masked), the central block is also set to "0"": read
     # as COLMAP's 0 (ignore), since "also" says that the block joins its neighbours. Unmasking it instead would hollow
     # out every region the step before retained. Adjacent = sharing a side: counted with corners, straight edges grow.
     blocks = blocks | (masked_neighbours(blocks) >= _MANY_NEIGHBOURS)
-    return ~from_blocks(blocks, BLOCK_PX, masked.shape)
+    return ~from_blocks(blocks, tuning.block_px, masked.shape)
 
 
-def prepare_ssim(images: Sequence[Path], settings: MasksSettings) -> np.ndarray | None:
+def prepare_ssim(images: Sequence[Path], settings: MasksSettings, tuning: Tuning) -> np.ndarray | None:
     """The initial mask of a camera, (h, w) bool at reduced size; None if there are no two frames to compare."""
-    frames = two_frames(images)
-    return None if frames is None else initial_mask(*frames, settings.similarity)
+    frames = two_frames(images, tuning.frames)
+    return None if frames is None else initial_mask(*frames, settings.similarity, tuning.meguro2025)

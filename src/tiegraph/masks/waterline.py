@@ -15,18 +15,7 @@ import pycolmap
 from scipy.spatial import cKDTree
 
 from tiegraph.masks.classes import EGO, SKY, USE, WATER
-
-COLUMN_PX = 8
-"""The bank is sought in every such column of the reduced image."""
-_CELLS = 400  # of the plan along its longer side
-_FULL = 2  # points in a cell and its neighbours from which it is bank
-_STEPS = 1.5  # cells a step along a ray
-_LEAST_HEIGHTS = 100  # waterline rays that met a bank, before a height is believed
-_MOST_SPREAD = 0.35  # of the height below the cameras: half width of the middle half of what single rays say
-_BAND = 1.5  # bank: points less than this many camera heights above the water
-_LOWER = 0.05  # slope from which a ray certainly goes down: up is known to about 3 degrees
-_WIDEST_GAP = 0.5  # of the width: so many columns without a bank are bridged
-_LEVEL_SLOPE = 0.02  # flatter rays meet the plane too far off to measure its height
+from tiegraph.masks.tuning import WaterlineTuning
 
 
 @dataclass(frozen=True)
@@ -43,14 +32,14 @@ class View:
         return rise / np.maximum(np.sqrt(np.maximum(1 - rise * rise, 0)), 1e-6)
 
 
-def columns(width: int) -> np.ndarray:
+def columns(width: int, tuning: WaterlineTuning) -> np.ndarray:
     """The columns (C,) in which the bank is sought."""
-    return np.arange(COLUMN_PX // 2, width, COLUMN_PX)
+    return np.arange(tuning.column_px // 2, width, tuning.column_px)
 
 
-def camera_rays(camera: pycolmap.Camera, shape: tuple[int, ...]) -> np.ndarray:
+def camera_rays(camera: pycolmap.Camera, shape: tuple[int, ...], tuning: WaterlineTuning) -> np.ndarray:
     """Unit rays (h, C, 3) of the pixels of ``columns(w)`` of an image reduced to ``shape`` = (h, w), in camera axes."""
-    across, down = np.meshgrid(columns(shape[1]) + 0.5, np.arange(shape[0]) + 0.5)
+    across, down = np.meshgrid(columns(shape[1], tuning) + 0.5, np.arange(shape[0]) + 0.5)
     pixels = np.stack([across * camera.width / shape[1], down * camera.height / shape[0]], axis=-1)
     plane = np.asarray(camera.cam_from_img(pixels.reshape(-1, 2)))
     rays = np.concatenate([plane, np.ones((len(plane), 1))], axis=1)
@@ -66,11 +55,12 @@ class Plan:
     cell: float
     full: np.ndarray
 
-    def distance(self, centre: np.ndarray, towards: np.ndarray) -> np.ndarray:
+    def distance(self, centre: np.ndarray, towards: np.ndarray, tuning: WaterlineTuning) -> np.ndarray:
         """Horizontal distance (K,) from ``centre`` to the first bank along each of ``towards`` (K, 3); inf = none."""
         flat = towards @ self.axes.T
         flat = flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-9)
-        length = np.arange(2, 1.5 * max(self.full.shape) / _STEPS) * _STEPS
+        step = tuning.step_cells
+        length = np.arange(tuning.first_step, 1.5 * max(self.full.shape) / step) * step  # 1.5: more than the diagonal
         start = (self.axes @ centre - self.corner) / self.cell + 1  # all round the plan is a cell without a bank
         padded = np.pad(self.full, 1)
         across, along = (
@@ -93,21 +83,27 @@ class Water:
     plan: Plan
 
 
-def first_line(classes: np.ndarray) -> np.ndarray:
+def first_line(classes: np.ndarray, tuning: WaterlineTuning) -> np.ndarray:
     """First row (C,) of water in classes (h, w) u1, at ``columns(w)``; NaN where there is none or where the platform
     hides the bank."""
-    own = classes[:, columns(classes.shape[1])]
+    own = classes[:, columns(classes.shape[1], tuning)]
     water = own == WATER
     row = water.argmax(axis=0)
-    above = own[np.maximum(row - 3, 0), np.arange(len(row))]
+    above = own[np.maximum(row - tuning.hidden_px, 0), np.arange(len(row))]
     return np.where(water.any(axis=0) & (row > 0) & (above != EGO), row, np.nan)
 
 
-def find_water(views: Sequence[View], lines: Sequence[np.ndarray], points: np.ndarray, up: np.ndarray) -> Water | None:
+def find_water(
+    views: Sequence[View],
+    lines: Sequence[np.ndarray],
+    points: np.ndarray,
+    up: np.ndarray,
+    tuning: WaterlineTuning,
+) -> Water | None:
     """The water's plane and the banks, from ``first_line`` of level views and the points (P, 3) of the model.
 
-    ``up``: unit vector (3,). None if too few waterlines meet a bank, or disagree. Done twice: first the banks are all
-    points round the cameras' height, then those just above the water.
+    ``up``: unit vector (3,). None if too few waterlines meet a bank, or disagree. Done in rounds: first the banks are
+    all points round the cameras' height, then those just above the water.
     """
     if not len(views) or not len(points):
         return None
@@ -116,39 +112,42 @@ def find_water(views: Sequence[View], lines: Sequence[np.ndarray], points: np.nd
     below = heights[heights < camera]
     if not len(below):
         return None
-    level, spread, count = float(np.quantile(below, 0.05)), 0.0, 0
-    for _ in range(2):
-        plan = _plan(points, up, (level, level + _BAND * (camera - level)), centres)
-        found = np.concatenate([_heights(v, line, plan, up) for v, line in zip(views, lines)])
-        if len(found) < _LEAST_HEIGHTS:
+    level, spread, count = float(np.quantile(below, tuning.first_level)), 0.0, 0
+    for _ in range(tuning.rounds):
+        plan = _plan(points, up, (level, level + tuning.band * (camera - level)), centres, tuning)
+        found = np.concatenate([_heights(v, line, plan, up, tuning) for v, line in zip(views, lines)])
+        if len(found) < tuning.least_heights:
             return None
         low, level, high = (float(q) for q in np.quantile(found, (0.25, 0.5, 0.75)))
         spread, count = (high - low) / 2, len(found)
         if level >= camera:
             return None
-    if spread > _MOST_SPREAD * (camera - level):
+    if spread > tuning.most_spread * (camera - level):
         return None
     return Water(up, level, camera - level, spread, count, plan)
 
 
-def _plan(points: np.ndarray, up: np.ndarray, band: tuple[float, float], centres: np.ndarray) -> Plan:
+def _plan(
+    points: np.ndarray, up: np.ndarray, band: tuple[float, float], centres: np.ndarray, tuning: WaterlineTuning
+) -> Plan:
     """The banks: where points (P, 3) stand whose height is within ``band``, within reach of the cameras."""
     axes = _level_axes(up)
     height = points @ up
     flat = points[(height > band[0]) & (height < band[1])] @ axes.T
     path = centres @ axes.T
-    reach = max(float(np.ptp(path, axis=0).max()), 10 * (band[1] - band[0]))
+    reach = max(float(np.ptp(path, axis=0).max()), tuning.reach_bands * (band[1] - band[0]))
     if len(flat):
         flat = flat[cKDTree(path).query(flat, distance_upper_bound=reach)[0] < reach]
     if not len(flat):
         return Plan(axes, np.zeros(2), 1.0, np.zeros((1, 1), bool))
     corner = np.minimum(flat.min(axis=0), path.min(axis=0))
     size = np.maximum(flat.max(axis=0), path.max(axis=0)) - corner
-    cell = max(float(size.max()) / _CELLS, 1e-9)
+    cell = max(float(size.max()) / tuning.cells, 1e-9)
     place = np.floor((flat - corner) / cell).astype(int)
     count = np.zeros(place.max(axis=0) + 1, np.float32)
     np.add.at(count, (place[:, 0], place[:, 1]), 1)
-    return Plan(axes, corner, cell, cv2.blur(count, (3, 3), borderType=cv2.BORDER_CONSTANT) * 9 > _FULL - 0.5)
+    around = cv2.blur(count, (3, 3), borderType=cv2.BORDER_CONSTANT) * 9
+    return Plan(axes, corner, cell, around > tuning.full - 0.5)
 
 
 def _level_axes(up: np.ndarray) -> np.ndarray:
@@ -157,15 +156,15 @@ def _level_axes(up: np.ndarray) -> np.ndarray:
     return np.stack([first, np.cross(up, first)])
 
 
-def _heights(view: View, line: np.ndarray, plan: Plan, up: np.ndarray) -> np.ndarray:
+def _heights(view: View, line: np.ndarray, plan: Plan, up: np.ndarray, tuning: WaterlineTuning) -> np.ndarray:
     """Heights at which the waterline of an image meets the banks."""
     known = np.flatnonzero(np.isfinite(line))
     if not len(known):
         return np.zeros(0)
     rows = np.clip(line[known].astype(int), 0, len(view.rays) - 1)
     slope = view.slopes(up)[rows, known]
-    distance = plan.distance(view.centre, view.rays[rows, known])
-    use = np.isfinite(distance) & (slope < -_LEVEL_SLOPE)
+    distance = plan.distance(view.centre, view.rays[rows, known], tuning)
+    use = np.isfinite(distance) & (slope < -tuning.level_slope)
     return view.centre @ up + slope[use] * distance[use]
 
 
@@ -178,14 +177,15 @@ class Lines:
     horizon: np.ndarray
 
 
-def lines_of(view: View, up: np.ndarray, water: Water | None) -> Lines:
+def lines_of(view: View, up: np.ndarray, water: Water | None, tuning: WaterlineTuning) -> Lines:
     """Where in an image the water and the lower half of the world begin."""
     rise = view.rays @ up
-    horizon = _first(rise < _rise(-_LOWER))
+    horizon = _first(rise < _rise(-tuning.lower_slope))
     if water is None:
         return Lines(np.full(rise.shape[1], np.nan), horizon)
     across = np.arange(rise.shape[1])
-    distance = water.plan.distance(view.centre, view.rays[np.argmin(np.abs(rise), axis=0), across])
+    level = view.rays[np.argmin(np.abs(rise), axis=0), across]
+    distance = water.plan.distance(view.centre, level, tuning)
     drop = water.level - float(view.centre @ up)
     row = _first(rise < _rise(drop / distance))
     return Lines(np.where(np.isfinite(distance) & (drop < 0), row, np.nan), horizon)
@@ -200,14 +200,14 @@ def _first(below: np.ndarray) -> np.ndarray:
     return np.where(below.any(axis=0), below.argmax(axis=0), len(below)).astype(np.float64)
 
 
-def final_classes(first: np.ndarray, lines: Lines) -> np.ndarray:
+def final_classes(first: np.ndarray, lines: Lines, tuning: WaterlineTuning) -> np.ndarray:
     """The classes (h, w) u1 of the first pass, with the water from geometry where that knows, and no sky below the
     horizon. The platform stays as it was learnt."""
     height, width = first.shape
     row = np.arange(height, dtype=np.float32)[:, None]
-    at = columns(width)
+    at = columns(width, tuning)
     below = row >= np.interp(np.arange(width), at, lines.horizon).astype(np.float32)
-    waterline = _bridged(lines.water)
+    waterline = _bridged(lines.water, tuning.widest_gap)
     known = np.isfinite(waterline)
     out = first.copy()
     out[((first == SKY) & below) | ((first == WATER) & ~below)] = USE
@@ -220,8 +220,9 @@ def final_classes(first: np.ndarray, lines: Lines) -> np.ndarray:
     return out
 
 
-def _bridged(line: np.ndarray) -> np.ndarray:
-    """A line (C,) with its gaps filled straight: piers without texture and the far end of a canal have no points."""
+def _bridged(line: np.ndarray, widest: float) -> np.ndarray:
+    """A line (C,) with its gaps, up to ``widest`` of its length, filled straight: piers without texture and the far end
+    of a canal have no points."""
     known = np.flatnonzero(np.isfinite(line))
     if not len(known):
         return line
@@ -229,4 +230,4 @@ def _bridged(line: np.ndarray) -> np.ndarray:
     after = np.searchsorted(known, at).clip(1 if len(known) > 1 else 0, len(known) - 1)
     gap = known[after] - known[np.maximum(after - 1, 0)]
     inside = (at >= known[0]) & (at <= known[-1])
-    return np.where(inside & (gap <= _WIDEST_GAP * len(line)), np.interp(at, known, line[known]), line)
+    return np.where(inside & (gap <= widest * len(line)), np.interp(at, known, line[known]), line)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from tiegraph.masks.frames import full_size, image_size
 from tiegraph.masks.quality import Quality, flags, image_quality
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import SOURCES, Camera, explain_source
+from tiegraph.masks.tuning import Tuning
 from tiegraph.pipeline.files import classes_path, mask_path, read_image, read_mask, save_png, scanned
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
@@ -24,16 +26,15 @@ from tiegraph.scene.scene import Scene
 
 def masks(run: Run) -> Outcome:
     """One mask an image: what is learnt from the whole sequence, then applied image by image."""
-    scene, settings = scanned(run), run.settings.masks
-    source, why = explain_source(scene, settings)
+    scene, settings, tuning = scanned(run), run.settings.masks, run.settings.tuning.masks
+    source, why = explain_source(scene, settings, tuning)
     run.path("classes").mkdir(parents=True, exist_ok=True)
     prepared: dict[int, Any] = {}
     if any(not mask_path(run.folder, n).exists() for n in scene.names):
-        prepared = SOURCES[source].prepare(_cameras(scene, run.path("images")), settings, _apply(run))
+        prepared = SOURCES[source].prepare(_cameras(scene, run.path("images")), settings, tuning, _apply(run))
     keyed = {n: (int(scene.sensor_key[k]), scene.source_name(k)) for k, n in enumerate(scene.names)}
-    run.make_missing(
-        _mask_item, scene.names, lambda n: mask_path(run.folder, n), run.folder, source, settings, prepared, keyed
-    )
+    how = _How(run.folder, source, settings, tuning)
+    run.make_missing(_mask_item, scene.names, lambda n: mask_path(run.folder, n), how, prepared, keyed)
     shares = np.array(run.map(_shares, list(scene.names), run.folder))  # (N, classes)
     flagged = _flagged(run, scene)
     left_out = {n: why for n, why in flagged.items() if why.split(":")[0] in _LEFT_OUT[settings.leave_out]}
@@ -55,10 +56,10 @@ def masks_by(source: str, scene: Scene, images: Path, target: Path) -> None:
     """Masks ``target``/<image>.png of all images of a scene by another source, with its defaults, one after another."""
     choose("mask source", source, {n: s for n, s in SOURCES.items() if n not in _NEED_A_FILE})
     made = SOURCES[source]
-    settings = MasksSettings(source=source)  # type: ignore[arg-type]
-    prepared = made.prepare(_cameras(scene, images), settings, map)
+    settings, tuning = MasksSettings(source=source), Tuning()  # type: ignore[arg-type]
+    prepared = made.prepare(_cameras(scene, images), settings, tuning, map)
     for k, name in enumerate(scene.names):
-        keep = made.mask(images / name, prepared[int(scene.sensor_key[k])], settings, scene.source_name(k))
+        keep = made.mask(images / name, prepared[int(scene.sensor_key[k])], settings, tuning, scene.source_name(k))
         save_png(target / f"{name}.png", np.where(keep, 255, 0).astype(np.uint8))
 
 
@@ -82,23 +83,26 @@ def _apply(run: Run) -> Callable[[Callable, Sequence], list]:
     return apply
 
 
-def _mask_item(
-    name: str,
-    folder: Path,
-    source: str,
-    settings: MasksSettings,
-    prepared: dict[int, Any],
-    keyed: dict[str, tuple[int, str]],
-) -> None:
+@dataclass(frozen=True)
+class _How:
+    """What the masks of all images share."""
+
+    folder: Path
+    source: str
+    settings: MasksSettings
+    tuning: Tuning
+
+
+def _mask_item(name: str, how: _How, prepared: dict[int, Any], keyed: dict[str, tuple[int, str]]) -> None:
     key, found = keyed[name]
-    made, image = SOURCES[source], folder / "images" / name
+    made, image = SOURCES[how.source], how.folder / "images" / name
     if made.classes is None:
-        keep = made.mask(image, prepared[key], settings, found)
+        keep = made.mask(image, prepared[key], how.settings, how.tuning, found)
     else:
-        classes = made.classes(image, prepared[key], settings, found)
-        save_png(classes_path(folder, name), classes)
+        classes = made.classes(image, prepared[key], how.settings, how.tuning, found)
+        save_png(classes_path(how.folder, name), classes)
         keep = full_size(classes == USE, image_size(image))
-    save_png(mask_path(folder, name), np.where(keep, 255, 0).astype(np.uint8))
+    save_png(mask_path(how.folder, name), np.where(keep, 255, 0).astype(np.uint8))
 
 
 def _shares(name: str, folder: Path) -> np.ndarray:
@@ -111,18 +115,19 @@ def _shares(name: str, folder: Path) -> np.ndarray:
 
 def _flagged(run: Run, scene: Scene) -> dict[str, str]:
     """Images hardly worth keeping, with the reason."""
-    found = {}
+    found, tuning = {}, run.settings.tuning.masks
     for camera in _cameras(scene, Path()).values():
         names = [p.as_posix() for p in camera.images]
-        quality = run.map(_quality, list(zip(names, [None, *names[:-1]])), run.folder)
-        found.update({n: why for n, why in zip(names, flags(quality)) if why})
+        quality = run.map(_quality, list(zip(names, [None, *names[:-1]])), run.folder, tuning)
+        found.update({n: why for n, why in zip(names, flags(quality, tuning.quality)) if why})
     return dict(sorted(found.items()))
 
 
-def _quality(pair: tuple[str, str | None], folder: Path) -> Quality:
+def _quality(pair: tuple[str, str | None], folder: Path, tuning: Tuning) -> Quality:
     name, before = pair
     images = folder / "images"
-    return image_quality(images / name, None if before is None else images / before, read_mask(folder, name))
+    other = None if before is None else images / before
+    return image_quality(images / name, other, read_mask(folder, name), tuning)
 
 
 def _flag_note(flagged: dict[str, str], left_out: dict[str, str]) -> list[str]:

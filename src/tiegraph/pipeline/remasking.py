@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from tiegraph.masks.classes import NAMES, USE, WATER
 from tiegraph.masks.frames import full_size
 from tiegraph.masks.solid import places, without_solid
+from tiegraph.masks.tuning import Tuning
 from tiegraph.masks.waterline import (
     Lines,
     View,
@@ -30,10 +31,6 @@ from tiegraph.scene.atomic import same_file
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.world.gravity import up_vector
 
-_MOST_VIEWS = 240  # whose waterlines measure the water's height
-_LEAST_TRACK = 3  # images that must see a point for it to be believed
-_MOST_POINTS = 20_000  # the nearest, that are looked for in the sky of an image
-
 
 def remask(run: Run) -> Outcome:
     """Final masks: waterline and horizon of the model where a mask knows its classes, the first masks elsewhere."""
@@ -44,7 +41,7 @@ def remask(run: Run) -> Outcome:
         known, notes = _known(run, scene)
     todo = [(n, known.get(n)) for n in scene.names if not mask_path(run.path(FINAL), n).exists()]
     run.reporter.total(len(scene), len(scene) - len(todo))
-    run.map(_final_item, todo, run.folder)
+    run.map(_final_item, todo, run.folder, run.settings.tuning.masks)
     used = np.array(run.map(_used, list(scene.names), run.folder))  # (N, 2): before, now
     changed = int((used[:, 0] != used[:, 1]).sum())
     counts = {"images": len(scene), "changed": changed, "used_percent": round(float(100 * used[:, 1].mean()), 1)}
@@ -65,20 +62,23 @@ def _known(run: Run, scene: Scene) -> tuple[dict[str, Known], tuple[str, ...]]:
     if not any(classes_path(run.folder, n).exists() for n in scene.names):
         return {}, ("the first masks do not say what is sky and water: they are the final ones",)
     model = load_model(run.path("sparse", "world"))
-    points = np.array([p.xyz for p in model.points3D.values() if p.track.length() >= _LEAST_TRACK]).reshape(-1, 3)
+    least = run.settings.tuning.masks.remask.least_track
+    points = np.array([p.xyz for p in model.points3D.values() if p.track.length() >= least]).reshape(-1, 3)
     seen = _seen(run, model, points)
     lines, notes = _lines(run, scene, model, points)
     return {n: Known(seen[n], lines.get(n)) for n in seen}, ("no sky where the model has points", *notes)
 
 
 def _seen(run: Run, model: pycolmap.Reconstruction, points: np.ndarray) -> dict[str, np.ndarray]:
-    tree = cKDTree(points) if len(points) > _MOST_POINTS else None
+    tuning = run.settings.tuning.masks
+    most = tuning.remask.most_points
+    tree = cKDTree(points) if len(points) > most else None
     seen = {}
     for image in model.images.values():
         if not image.has_pose or not classes_path(run.folder, image.name).exists():
             continue
-        near = points if tree is None else points[tree.query(image.projection_center(), _MOST_POINTS)[1]]
-        seen[image.name] = places(image, model.cameras[image.camera_id], near)
+        near = points if tree is None else points[tree.query(image.projection_center(), most)[1]]
+        seen[image.name] = places(image, model.cameras[image.camera_id], near, tuning.solid)
     return seen
 
 
@@ -96,7 +96,8 @@ def _lines(
         return {}, ("no ring of cameras shows which way is up: the water stays as it was learnt",)
     views = _views(run, scene, model, matrices)
     water = _water(run, scene, views, points, up.direction)
-    lines = {name: lines_of(view, up.direction, water) for name, view in views.items()}
+    tuning = run.settings.tuning.masks.waterline
+    lines = {name: lines_of(view, up.direction, water, tuning) for name, view in views.items()}
     if water is None:
         return lines, ("no sky below the horizon; no water level was found, so the water stays as it was learnt",)
     unit = world_unit(run)
@@ -107,6 +108,7 @@ def _lines(
 
 
 def _views(run: Run, scene: Scene, model: pycolmap.Reconstruction, matrices: np.ndarray) -> dict[str, View]:
+    tuning = run.settings.tuning.masks.waterline
     grids: dict[int, np.ndarray] = {}
     ids = {i.name: i.camera_id for i in model.images.values()}
     views = {}
@@ -117,30 +119,33 @@ def _views(run: Run, scene: Scene, model: pycolmap.Reconstruction, matrices: np.
         camera = ids[name]
         if camera not in grids:
             shape = read_image(classes_path(run.folder, name)).shape[:2]
-            grids[camera] = camera_rays(model.cameras[camera], shape)
+            grids[camera] = camera_rays(model.cameras[camera], shape, tuning)
         rotation, shift = matrices[k, :3, :3], matrices[k, :3, 3]
         views[name] = View(grids[camera] @ rotation, -rotation.T @ shift)
     return views
 
 
 def _water(run: Run, scene: Scene, views: dict[str, View], points: np.ndarray, up: np.ndarray) -> Water | None:
+    tuning = run.settings.tuning.masks
     level = [n for n in views if scene.sensor_of(scene.image_index[n]).role == "side"]
-    chosen = [level[k] for k in np.unique(np.linspace(0, len(level) - 1, min(_MOST_VIEWS, len(level))).astype(int))]
-    lines = [first_line(c) for c in run.map(_first_classes, chosen, run.folder)]
-    return find_water([views[n] for n in chosen], lines, points, up)
+    count = min(tuning.remask.most_views, len(level))
+    chosen = [level[k] for k in np.unique(np.linspace(0, len(level) - 1, count).astype(int))]
+    lines = [first_line(c, tuning.waterline) for c in run.map(_first_classes, chosen, run.folder)]
+    return find_water([views[n] for n in chosen], lines, points, up, tuning.waterline)
 
 
 def _first_classes(name: str, folder: Path) -> np.ndarray:
     return read_image(classes_path(folder, name))
 
 
-def _final_item(item: tuple[str, Known | None], folder: Path) -> None:
+def _final_item(item: tuple[str, Known | None], folder: Path, tuning: Tuning) -> None:
     name, known = item
     final = folder / FINAL
     classes, mask = classes_path(folder, name), mask_path(folder, name)
     if known is not None and classes.exists():
         first, use = _first_classes(name, folder), read_mask(folder, name)
-        found = without_solid(first if known.lines is None else final_classes(first, known.lines), known.points)
+        found = first if known.lines is None else final_classes(first, known.lines, tuning.waterline)
+        found = without_solid(found, known.points, tuning.solid)
         if use.any() and (found != first).any():
             save_png(classes_path(final, name), found)
             keep = full_size(found == USE, use.shape)  # type: ignore[arg-type]

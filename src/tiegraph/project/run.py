@@ -22,7 +22,7 @@ from tiegraph.project.pool import Place, check_pool, map_items, open_pool
 from tiegraph.project.progress import Elsewhere, Meter, Reporter
 from tiegraph.project.receipts import Receipts
 from tiegraph.project.software import software
-from tiegraph.project.stages import Stage, digest, stage_keys, stamp, write_atomic
+from tiegraph.project.stages import Stage, digest, engines, stage_keys, stamp, write_atomic
 from tiegraph.scene.images import searched
 from tiegraph.scene.regular import names_file
 
@@ -258,7 +258,10 @@ def _run_one(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:
         used = meter.stop()
     seconds = round(time.perf_counter() - start, 2)
     section = getattr(run.settings, stage.name).model_dump(mode="json")
-    tuning = {e: getattr(run.settings.tuning, e).model_dump(mode="json", exclude_defaults=True) for e in stage.tuned}
+    tuning = {
+        e: getattr(run.settings.tuning, e).model_dump(mode="json", exclude_defaults=True)
+        for e in engines(stage, run.settings)
+    }
     tuning = {engine: values for engine, values in tuning.items() if values}
     more = {
         "settings": section,

@@ -22,6 +22,7 @@ from tiegraph.evaluate.tuning import Tuning as EvaluateTuning
 from tiegraph.features.settings import FeaturesSettings, MatchSettings, PreviewSettings
 from tiegraph.features.tuning import Tuning as FeaturesTuning
 from tiegraph.masks.settings import MasksSettings, RemaskSettings
+from tiegraph.masks.tuning import Tuning as MasksTuning
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.report.settings import ReportSettings
 from tiegraph.scan.settings import ScanSettings
@@ -46,6 +47,7 @@ class Tunings(Section):
     every user, so the command line does not show them; they are in reach for measurements."""
 
     features: FeaturesTuning = FeaturesTuning()
+    masks: MasksTuning = MasksTuning()
     design: DesignTuning = DesignTuning()
     verify: VerifyTuning = VerifyTuning()
     sfm: SfmTuning = SfmTuning()

@@ -41,9 +41,16 @@ class Stage:
     changes: tuple[str, ...] = ()  # artefacts of other stages that it adds to
     clear: Callable[[Path], None] | None = None  # removes from those what it added
     uses: tuple[str, ...] = ()  # settings sections of other stages that it follows
-    tuned: tuple[str, ...] = ()  # engines whose constants it follows (settings.tuning)
+    tuned: tuple[str, ...] = ()  # engines whose constants it follows (settings.tuning), beside that of its own name
     scratch: tuple[str, ...] = ()  # what it keeps below the run folder only while it runs
     version: int = 1  # raise it when the stage's results change for the same settings
+
+
+def engines(stage: Stage, settings: Any) -> tuple[str, ...]:
+    """The engines whose constants a stage follows; () for settings without any."""
+    known = type(getattr(settings, "tuning", None))
+    own = (stage.name,) if stage.name in getattr(known, "model_fields", ()) else ()
+    return (*own, *(engine for engine in stage.tuned if engine not in own))
 
 
 def digest(data: Any) -> str:
@@ -95,6 +102,6 @@ def stage_keys(stages: Iterable[Stage], settings: Any, source_key: str) -> dict[
     keys = {"source": source_key}
     for stage in stages:
         sections = [settings_key(getattr(settings, name)) for name in (stage.name, *stage.uses)]
-        sections += [settings_key(getattr(settings.tuning, engine)) for engine in stage.tuned]
+        sections += [settings_key(getattr(settings.tuning, engine)) for engine in engines(stage, settings)]
         keys[stage.name] = digest([stage.name, stage.version, sections, [keys[n] for n in ("source", *stage.needs)]])
     return keys

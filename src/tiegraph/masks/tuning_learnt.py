@@ -1,0 +1,285 @@
+"""What the learnt masks decide by, from matches to the line of water; the platform stands in `tuning.py`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from tiegraph.settings import Section
+
+_Count = Annotated[int, Field(gt=0)]
+
+
+class EvidenceTuning(Section):
+    """What matches in neighbouring frames (`evidence.py`), and how near it is (`parallax.py`)."""
+
+    most_pairs: int = Field(36, gt=0)
+    """Pairs of neighbouring frames, of all cameras together, from which it is learnt what matches."""
+    least_pairs: int = Field(2, gt=0)
+    """Of each camera, however many there are."""
+    match_px: int = Field(400, gt=0)
+    """Longer side at which frames are matched."""
+    most_features: int = Field(800, gt=0)
+    """Of one frame."""
+    contrast: float = Field(0.02, ge=0)
+    """Threshold of SIFT: half of OpenCV's."""
+    ratio: float = Field(0.75, gt=0, le=1)
+    """Of the best and second best distance."""
+    min_inliers: int = Field(20, gt=0)
+    """Fewer: the two frames show different scenes, and nothing is said of either."""
+    min_move_px: float = Field(2.0, ge=0)
+    """What does not move is the platform's."""
+    epipolar_px: float = Field(1.0, gt=0)
+    """By which a match may miss its epipolar line."""
+    confidence: float = Field(0.999, gt=0, lt=1)
+    """With which an epipolar geometry must be found."""
+    trials: int = Field(1000, gt=0)
+    """Of the search for the fundamental matrix, at most."""
+    around: int = Field(3, gt=1)
+    """Matched features that say where one that does not match went."""
+    focals: tuple[float, ...] = Field((0.9, 1.4), min_length=1)
+    """Focal lengths that are tried, of the longer side: no lens is known yet."""
+    motion_matches: int = Field(200, gt=0)
+    """Matches from which the motion is found."""
+    motion_trials: int = Field(200, gt=0)
+    """Of the search for the essential matrix, at most."""
+    min_in_front: int = Field(8, gt=0)
+    """Matches that one motion must explain."""
+    min_parallax_px: float = Field(3.0, ge=0)
+    """The scene's median depth must move a match by as much, or nothing is said of it."""
+
+
+class ProofTuning(Section):
+    """What a class must show before anything is masked (`proof.py`)."""
+
+    min_moving: float = Field(0.1, ge=0, le=1)
+    """Of the pairs of frames must verify a motion before what stands still is a platform."""
+    near: float = Field(0.33, ge=0)
+    """Of the parallax at the scene's median depth: what has more is not sky."""
+    refuted: float = Field(0.5, ge=0, le=1)
+    """Of the matches in a sky that are near: then it is none."""
+    least_matches: int = Field(3, gt=0)
+    """Matches in a class of all cameras, to judge by."""
+    inner_px: int = Field(21, gt=0)
+    """Side of the square by which the edge of a sky is left out, at `frames.look_px`: it is that of trees and roofs,
+    whose key points reach into it. With 7 of them the true skies of KITTI, PandaSet and kerry_park were refuted."""
+    dense: float = Field(0.2, ge=0)
+    """Of the matches that an equal area of the images has: fewer are wires, lamps and tops of trees in a true sky
+    (0.07 on PandaSet, 0.01 on kerry_park; where forest is taken for it, uav_bands, 0.32 and more)."""
+
+
+class AppearanceTuning(Section):
+    """The table over colour, brightness and texture (`appearance.py`), at `frames.look_px`."""
+
+    light_bins: int = Field(16, gt=0, le=256)
+    """Bins of L."""
+    colour_bins: int = Field(12, gt=0)
+    """Bins of a and b each, about neutral."""
+    colour_step_grey: float = Field(5.0, gt=0)
+    """Grey levels of a and b a bin."""
+    texture_edges_grey: tuple[float, ...] = (0.8, 2.0, 4.5, 10.0)
+    """Standard deviations of L between the bins of texture."""
+    texture_px: int = Field(5, gt=0)
+    """Side of the square over which this deviation is taken."""
+    smooth_bins: tuple[float, float, float, float] = (0.8, 0.7, 0.7, 0.6)
+    """Sigmas, in bins of L, a, b and texture, by which counts are smoothed."""
+    shared_px: float = Field(50_000, ge=0)
+    """Pixels of a camera's own seeds that are as good as those of all cameras: about one image."""
+    floor: float = Field(1e-5, gt=0)
+    """Probability of a bin no seed ever fell into."""
+
+    @property
+    def shape(self) -> tuple[int, int, int, int]:
+        """Bins of L, a, b and texture."""
+        return self.light_bins, self.colour_bins, self.colour_bins, len(self.texture_edges_grey) + 1
+
+    @property
+    def bins(self) -> int:
+        """Bins of the whole table."""
+        light, a, b, texture = self.shape
+        return light * a * b * texture
+
+
+class SkylineTuning(Section):
+    """The sky of one image by its border, or above a camera that looks up (`skyline.py`)."""
+
+    border_px: int = Field(160, gt=0)
+    """Longer side at which the border is sought: it gives seeds, not masks."""
+    first_threshold: float = Field(5.0, gt=0)
+    """Smallest gradient a border is tried at (Shen and Wang, section 3: from 5 to 600 in steps of 5) ..."""
+    end_threshold: float = Field(300.0, gt=0)
+    """... to below this one: above it no border was ever chosen here ..."""
+    threshold_step: float = Field(10.0, gt=0)
+    """... and the step between them."""
+    min_share: float = Field(0.02, ge=0, le=1)
+    """Of the image that is sky, at least ..."""
+    max_share: float = Field(0.85, ge=0, le=1)
+    """... and at most."""
+    platform_px: int = Field(5, gt=0)
+    """Side of the square round the platform in which no border is sought: its own edge is none."""
+    rim_px: int = Field(3, gt=0)
+    """Side of the square by which a believed sky, and each calm area above an upward camera, loses its rim."""
+    inner_px: int = Field(5, gt=0)
+    """Side of the square by which it is shrunk before its texture is measured."""
+    brighter_grey: float = 12.0
+    """That the sky is brighter than what is below it."""
+    min_grey: float = Field(60.0, ge=0)
+    """Mean brightness of a sky."""
+    most_yellow: float = 10.0
+    """Lab b: sand and sunlit plaster are yellow, skies hardly ever."""
+    calm: float = Field(0.5, ge=0)
+    """Texture of the sky, as a share of that below."""
+    up_calm_grey: float = Field(4.0, ge=0)
+    """Standard deviation of the grey value in the sky above an upward camera."""
+    up_window_px: int = Field(5, gt=0)
+    """Side of the square over which this deviation is taken."""
+    up_bright_grey: float = Field(90.0, ge=0)
+    """Mean brightness of a calm area above an upward camera that is sky: darker ones are bridges."""
+    up_large: float = Field(0.03, ge=0, le=1)
+    """Of the image: a smaller calm area above an upward camera is not believed."""
+
+
+class SeedTuning(Section):
+    """Seeds of sky, water and scene in single images (`seeds.py`), at `frames.look_px`."""
+
+    images: int = Field(40, gt=0)
+    """Images, of all cameras together, from which appearance is learnt."""
+    least_images: int = Field(2, gt=0)
+    """Of each camera, however many there are."""
+    static_px: int = Field(5, ge=0)
+    """Around a matched feature all is static scene."""
+    matched_sky: float = Field(0.25, ge=0)
+    """Matched features on a sky, as a share of those on an equal area of the image: with more it is none."""
+    rim_px: int = Field(5, gt=0)
+    """Side of the square by which a sky is shrunk before its matched features are counted."""
+    off_sky_px: int = Field(9, gt=0)
+    """Side of the square round the sky within which nothing is called scene."""
+    low_share: float = Field(0.02, ge=0, le=1)
+    """Of a row that must be sky for sky to reach down to it."""
+    pale_percent: float = Field(5.0, ge=0, le=100)
+    """Of the sky is darker than what may belong to it."""
+    lower: float = Field(0.15, ge=0, le=1)
+    """Of the height, below all known sky: from there on is the ground ..."""
+    on_ground: float = Field(0.05, ge=0, le=1)
+    """... and a piece with this share of it there is no cloud."""
+    wide: float = Field(0.12, ge=0, le=1)
+    """Of the image's width: narrower pieces of sky are no seeds."""
+    agreed: float = Field(0.05, ge=0, le=1)
+    """Of the height: images whose lowest sky differs by less agree on the horizon."""
+    agreed_share: float = Field(0.1, ge=0, le=1)
+    """Of the images that show sky: so many must agree ..."""
+    agreed_images: int = Field(2, gt=0)
+    """... and at least this many: a border found in a wall or on a road lies anywhere."""
+    places: tuple[_Count, _Count] = (12, 16)
+    """Rows and columns of the map of places."""
+    place_sigma: float = Field(0.7, gt=0)
+    """Blur of this map, in its cells."""
+    place_seeds: float = Field(0.5, gt=0)
+    """Images: as many say beforehand that a place is sky, and that it is none."""
+    place_clip: float = Field(1.5, ge=0)
+    """A place's log ratio counts this much at most."""
+
+
+class RegionsTuning(Section):
+    """Regions without an edge inside (`regions.py`), at `frames.look_px`."""
+
+    edge_grey: float = Field(4.0, gt=0)
+    """Grey levels a pixel: skylines are stronger, most clouds are not."""
+    smooth_sigma_px: float = Field(0.7, gt=0)
+    """Blur before this edge is sought."""
+    min_share: float = Field(0.001, ge=0, le=1)
+    """Of the image: smaller regions say nothing of their pixels."""
+    clip: float = Field(3.0, gt=0)
+    """One pixel's log ratio counts this much at most for its region."""
+
+
+class LookupTuning(Section):
+    """Looking up an image in what was learnt (`lookup.py`), at `frames.look_px` but for the edge of the sky."""
+
+    smooth_px: int = Field(5, gt=0)
+    """Side of the square over which the log ratio of sky is averaged."""
+    sky_credit: float = 1.0
+    """Log ratio from which a place is sky."""
+    sky_margin: float = Field(0.1, ge=0)
+    """Of the height: so far below the lowest certain sky there may be some."""
+    no_water: float = -0.5
+    """Log ratio of water, at most, of what looks like sky."""
+    open_px: int = Field(3, gt=0)
+    """Side of the square in which sky and burnt-out areas are opened: thinner bits go."""
+    small: float = Field(0.002, ge=0, le=1)
+    """Of the image: smaller pieces of sky or holes in it are not believed."""
+    grow_px: int = Field(7, gt=0)
+    """Side of the square by which the sky may grow up to its edge ..."""
+    grow_window_px: int = Field(11, gt=0)
+    """... side of the square over which its own brightness is taken there ..."""
+    same_grey: float = Field(14.0, ge=0)
+    """... and what it may differ by: at its edge the sky goes on as long as the brightness does."""
+    ring_px: int = Field(5, gt=0)
+    """Side of the square by which a burnt-out area is grown to its surroundings."""
+    sky_around: float = Field(0.5, ge=0, le=1)
+    """Share of its surroundings that must be sky for a burnt-out area to be sky."""
+    edge_band_px: int = Field(9, gt=0)
+    """Side of the square round its edge in which the edge of the sky is sought by the brightness."""
+    edge_around_px: int = Field(10, ge=0)
+    """To each side of a pixel: what its edge is learnt from."""
+    told_grey: float = Field(8.0, gt=0)
+    """Brightness of sky and scene differ by more, or the edge hardly moves."""
+
+
+class AboveTuning(Section):
+    """Sky lies above what is not sky (`above.py`), at `frames.look_px`."""
+
+    min_down: float = Field(0.25, ge=-1, le=1)
+    """Of the length of all edges, what faces down more than up: 0.4 and more of skies, behind ragged trees too; 0.15
+    and less of what only looks like sky, from the air, on facades and sand (benchmarks/masks/above.py)."""
+    blur_sigma_px: float = Field(5.0, gt=0)
+    """Twigs and the steps of a border are no edges of their own."""
+    reach_px: int = Field(25, gt=0)
+    """Side of the square over which the blur carries an edge: so near to what is not told, it is not its own."""
+
+
+class WaterTuning(Section):
+    """Where features never match, and the line below which everything is water (`water.py`)."""
+
+    grid: tuple[_Count, _Count] = (60, 80)
+    """Rows and columns of the map of matches of a camera."""
+    reach_cells: float = Field(1.5, gt=0)
+    """Sigma of this map."""
+    around_weight: float = Field(0.25, gt=0)
+    """Of the sum over the cells within reach."""
+    platform_share: float = Field(0.3, ge=0, le=1)
+    """Of a cell: with more of the platform in it, it says nothing."""
+    water_rate: float = Field(0.02, gt=0, lt=1)
+    """Share of features found again in the next frame: 0.01 .. 0.03 on water (rendered canal) ..."""
+    min_scene_rate: float = Field(0.025, gt=0, lt=1)
+    """... on the scene 0.24 .. 0.38 there, 0.1 .. 0.25 on streets (PandaSet, KITTI); less at the sides, where the scene
+    leaves the image: at least this ..."""
+    max_scene_rate: float = Field(0.25, gt=0, lt=1)
+    """... and at most this."""
+    scene_rows: float = Field(0.6, gt=0, le=1)
+    """Share of the height, from the top, in which the scene's rate is taken: there is little water."""
+    scene_reach_cells: float = Field(3.0, gt=0)
+    """Sigma of that rate, over the columns of the map."""
+    min_area: float = Field(0.02, ge=0, le=1)
+    """Of the image: a smaller zone is none."""
+    highest: float = Field(0.25, ge=0, le=1)
+    """Share of the height: a zone that reaches above it is no water seen from above it."""
+    zone_says: float = 8.0
+    """Log of P(features | water) / P(features | scene) from which a camera has a zone."""
+    least_cameras: int = Field(3, gt=0)
+    """Cameras that look level, before water is believed without being asked for. A road ahead does not match either
+    when the car is fast (KITTI, CamVid), so cameras that look one way only prove nothing; to the side a road
+    matches."""
+    least_share: float = Field(0.6, ge=0, le=1)
+    """Of them that must have a zone then ..."""
+    least_says: float = 120.0
+    """... and what these zones must say together."""
+    prior_clip: float = Field(1.0, ge=0)
+    """A place's log ratio counts this much at most."""
+    block_px: tuple[_Count, _Count] = (4, 2)
+    """Width and height of the blocks on which the line is found, at `frames.look_px`."""
+    max_credit: float = Field(3.0, gt=0)
+    """One pixel's log ratio counts this much at most for the line."""
+    step_cost: float = Field(0.35, ge=0)
+    """Of the line, for each row between neighbouring columns."""
