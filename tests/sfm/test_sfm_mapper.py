@@ -47,7 +47,7 @@ def test_fixed_rig_keeps_its_metric_size(tmp_path: Path) -> None:
     seen: list[tuple[int, int]] = []
     result = reconstruct(
         Source(tmp_path / "database.db", tmp_path), tmp_path / "sparse", scene, SparseSettings(mapper="incremental"),
-        tmp_path / "log.txt", lambda done, total: seen.append((done, total)),
+        Tuning(), tmp_path / "log.txt", lambda done, total: seen.append((done, total)),
     )  # fmt: skip
     assert (tmp_path / "database.db").read_bytes() == before
     assert result.rig == "fixed" and result.mapper == "incremental"
