@@ -22,6 +22,7 @@ import pycolmap
 from tiegraph.features.database import create_database
 from tiegraph.features.preview import Preview
 from tiegraph.network.looks.retrieval import nearest_images
+from tiegraph.network.looks.tuning import WordsTuning
 from tiegraph.scene.scene import Scene
 
 NEAREST = 40  # images retrieved for each
@@ -71,7 +72,7 @@ def retrieval(scene: Scene, run: Path) -> list[Pair]:
     for name in scene.names:
         with np.load(run / "preview" / f"{name}.npz") as data:
             descriptors.append(Preview.from_npz(dict(data)).descriptors)
-    found, _ = nearest_images(descriptors, NEAREST)
+    found, _ = nearest_images(descriptors, NEAREST, WordsTuning())
     return [(scene.names[i], scene.names[j]) for i, row in enumerate(found) for j in row if j >= 0]
 
 

@@ -100,7 +100,7 @@ def one(
     if profile is not None:
         watch.enable()
     found: Network = clock.timed("network", _network)(
-        world, clock.timed("match", match), model, run.settings.network, partial(_Descriptors, folder, world.scene)
+        world, clock.timed("match", match), model, run.settings, partial(_Descriptors, folder, world.scene)
     )  # fmt: skip
     if "pictures" not in skip:
         clock.timed("pictures", found.pictures)()
@@ -138,10 +138,11 @@ def _network(
     world: CanalWorld,
     match: Callable[[np.ndarray], list[PreviewMatch]],
     model: ModelFunction | None,
-    settings: Any,
+    settings: Settings,
     descriptors: Callable[[], Sequence[np.ndarray]],
 ) -> Network:
-    return estimate_network(world.scene, world.brightness, match, settings, model, descriptors)
+    asked = settings.network, settings.tuning.network
+    return estimate_network(world.scene, world.brightness, match, *asked, model, descriptors)
 
 
 def judged(kept: Pairs, world: CanalWorld) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from tiegraph.design.tracks import Candidates, Tracks
 from tiegraph.design.tuning import ExpectedTuning, NetTuning, Tuning
 from tiegraph.network.network import estimate_network
 from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.tuning import Tuning as NetworkTuning
 from tiegraph.scene.graph import component_notes, components, cuts, groups, two_links
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.rig import Rig, Sensor
@@ -87,7 +88,10 @@ def test_a_single_link_stays_single_only_where_there_is_no_second(count, edges, 
 
 def test_top_keeps_every_pass_and_camera_in_an_images_list() -> None:
     world = boat((16, 16), (1.0, 1.0))
-    pairs = estimate_network(world.scene, np.full(len(world.scene), 100.0), world.match, NetworkSettings()).pairs
+    settings = NetworkSettings()
+    pairs = estimate_network(
+        world.scene, np.full(len(world.scene), 100.0), world.match, settings, NetworkTuning()
+    ).pairs
     chosen = design(pairs, world.scene, None, DesignSettings(method="top", pairs_per_image=8), TUNING).pairs
     assert len(chosen.kept()) < 0.5 * len(pairs.kept())
     track = world.scene.track[world.scene.frame]

@@ -10,6 +10,7 @@ import numpy as np
 from boat_world import CHANCE, Result
 from tiegraph.network.looks.words import ImageWords, image_words
 from tiegraph.network.passes import Pass, find_passes
+from tiegraph.network.tuning import Tuning
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 
@@ -82,7 +83,7 @@ def words_of(world: Places) -> ImageWords:
     """Words of a world, learnt once for all tests."""
     key = np.append(world.centre, world.around).astype(float).tobytes()
     if key not in _words:
-        _words[key] = image_words(world.descriptors())
+        _words[key] = image_words(world.descriptors(), Tuning().looks.words)
     return _words[key]
 
 

@@ -11,6 +11,7 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.network.model.assembled import SurveyMapper
 from tiegraph.network.model.surveymodel import SurveyModel
+from tiegraph.network.tuning import Tuning
 from tiegraph.scene import blocks
 from tiegraph.scene.blocks import blocks_of
 from tiegraph.scene.joining import Poses, join, join_models
@@ -130,7 +131,7 @@ def test_a_small_survey_is_mapped_whole(world) -> None:
     block = blocks.Block(few, np.ones(len(few), bool))
     small, inside = block.part_of(scene, ties)
     mapper = Mapper(small, truth[few])
-    models, notes = SurveyMapper(small, mapper)(inside)
+    models, notes = SurveyMapper(small, Tuning().model, mapper)(inside)
     assert mapper.sizes == [len(few)] and len(models) == 1 and notes == ()
     assert [small.names[k] for k in (0, 7)] == [scene.names[few[k]] for k in (0, 7)]
     assert np.array_equal(small.step[small.frame], scene.step[scene.frame[few]])
@@ -139,7 +140,7 @@ def test_a_small_survey_is_mapped_whole(world) -> None:
 def test_blocks_come_together_in_one_frame(world) -> None:
     scene, truth, ties = world
     mapper = Mapper(scene, truth, noise_m=0.02)
-    (model,), notes = SurveyMapper(scene, mapper)(ties)
+    (model,), notes = SurveyMapper(scene, Tuning().model, mapper)(ties)
     assert len(mapper.sizes) > 2 and max(mapper.sizes) <= blocks.MOST
     assert model.placed().all()
     assert 0.005 < np.median(error_m(model, truth)) < 0.5  # of 480 m
@@ -153,7 +154,7 @@ def test_blocks_come_together_in_one_frame(world) -> None:
 
 def test_a_torn_block_is_said_and_the_parts_stay_usable(world) -> None:
     scene, truth, ties = world
-    models, notes = SurveyMapper(scene, Mapper(scene, truth, broken=1))(ties)
+    models, notes = SurveyMapper(scene, Tuning().model, Mapper(scene, truth, broken=1))(ties)
     assert len(models) >= 2
     assert any("not joined there" in n for n in notes) and any("torn into" in n for n in notes)
     both = np.sum([m.placed() for m in models], axis=0)
@@ -169,7 +170,7 @@ def test_a_block_that_cannot_be_mapped_is_said(world) -> None:
         model = mapper(part, inside, rough)
         return None if len(mapper.sizes) == 2 else model
 
-    models, notes = SurveyMapper(scene, make)(ties)
+    models, notes = SurveyMapper(scene, Tuning().model, make)(ties)
     assert any("none could be made" in n for n in notes)
     assert 0.4 < sum(m.placed().sum() for m in models) / len(scene) < 0.95
 
@@ -177,7 +178,7 @@ def test_a_block_that_cannot_be_mapped_is_said(world) -> None:
 def test_a_block_whose_ties_did_not_change_is_not_mapped_again(world) -> None:
     scene, truth, ties = world
     mapper = Mapper(scene, truth)
-    models_of = SurveyMapper(scene, mapper)
+    models_of = SurveyMapper(scene, Tuning().model, mapper)
     models_of(ties)
     blocks_made = len(mapper.sizes)
     first = np.array([place(int(f)) for f in scene.frame]) < 20  # at one end: in one block

@@ -5,28 +5,30 @@ import pytest
 from place_world import Places, found, photos, shuffled_ring, video, words_of
 
 from boat_world import Result
-from tiegraph.network.looks.loose import ALL_LIMIT, PER_IMAGE, scored_pairs, supported
+from tiegraph.network.looks.loose import scored_pairs, supported
 from tiegraph.network.looks.words import image_words
 from tiegraph.network.passes import PreviewBook
 from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.tuning import Tuning
 from tiegraph.scene.graph import components
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 
-SETTINGS = NetworkSettings()
+SETTINGS, TUNING = NetworkSettings(), Tuning()
+LOOSE = TUNING.looks.loose
 
 
 def tied(world: Places, with_words: bool = True, scene: Scene | None = None, images=None) -> Pairs:
     count = len(world)
     words = words_of(world) if with_words else None
     chosen = np.arange(count) if images is None else images
-    return scored_pairs(scene or photos(count), chosen, PreviewBook(world.match, count), SETTINGS, words)
+    return scored_pairs(scene or photos(count), chosen, PreviewBook(world.match, count), SETTINGS, TUNING, words)
 
 
 def test_few_photographs_are_all_previewed() -> None:
-    world = shuffled_ring(ALL_LIMIT)
+    world = shuffled_ring(LOOSE.all_limit)
     recall, precision = found(tied(world), world.useful())
-    assert world.asked == ALL_LIMIT * (ALL_LIMIT - 1) // 2
+    assert world.asked == LOOSE.all_limit * (LOOSE.all_limit - 1) // 2
     assert recall > 0.98 and precision > 0.8
 
 
@@ -37,7 +39,7 @@ def test_a_ring_of_300_photographs_needs_few_previews(ghosts, least) -> None:
     pairs = tied(world)
     recall, precision = found(pairs, world.useful())
     assert recall > 0.97 and precision > least
-    assert world.asked <= PER_IMAGE * 300
+    assert world.asked <= LOOSE.previews_an_image * 300
     assert components(pairs, 300).max() == 0
     assert pairs.from_source("retrieval").all()
 
@@ -87,15 +89,15 @@ def test_without_words_names_and_chance_must_do() -> None:
     world = shuffled_ring(300)
     recall, precision = found(tied(world, with_words=False), world.useful())
     assert recall > 0.95 and precision > 0.8
-    assert world.asked > PER_IMAGE * 300
+    assert world.asked > LOOSE.previews_an_image * 300
 
 
 def test_nothing_to_tie() -> None:
     world = shuffled_ring(12)
     assert len(tied(world, images=np.zeros(0, int))) == 0
     book = PreviewBook(lambda pairs: [Result(0) for _ in pairs], 150)
-    words = image_words([np.zeros((0, 128), np.uint8)] * 150)
-    pairs = scored_pairs(photos(150), np.arange(150), book, SETTINGS, words)
+    words = image_words([np.zeros((0, 128), np.uint8)] * 150, TUNING.looks.words)
+    pairs = scored_pairs(photos(150), np.arange(150), book, SETTINGS, TUNING, words)
     assert len(pairs.kept()) == 0 and len(pairs) < 150 * 10
 
 
@@ -105,10 +107,10 @@ def test_common_ties_decide_about_faint_pairs() -> None:
     score = np.where(clique, 40, 0)
     score[(a == 0) & (b == 1)] = 10  # faint between images that tie to the same others
     score[(a == 4) & (b == 5)] = 10  # faint and alone
-    kept = supported(a, b, score, 6, 12)
+    kept = supported((a, b), score, 6, 12, TUNING)
     assert kept[clique].all()
     assert not kept[~clique].any()
-    assert supported(np.array([0]), np.array([1]), np.array([24]), 2, 12)[0]  # two photographs alone
+    assert supported((np.array([0]), np.array([1])), np.array([24]), 2, 12, TUNING)[0]  # two photographs alone
 
 
 def test_same_result_every_time() -> None:

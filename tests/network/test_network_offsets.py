@@ -7,14 +7,17 @@ import pytest
 
 from boat_world import Result, boat, ring
 from tiegraph.network.network import estimate_network
-from tiegraph.network.offsets import offsets
 from tiegraph.network.offsets.lattice import make_lattice
 from tiegraph.network.offsets.offsets import estimate_offsets
 from tiegraph.network.passes import PreviewBook, find_passes, loose_images
 from tiegraph.network.rig.axes import angles_deg, vertical, yaw_between
 from tiegraph.network.rig.commonview import direction, in_words, strangers, votes, without_chance, yaw
 from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS
+
+TUNING = Tuning()
+AXES = TUNING.rig.axes
 
 
 def kept_matrix(pairs, n) -> np.ndarray:
@@ -27,7 +30,7 @@ def kept_matrix(pairs, n) -> np.ndarray:
 def measure(world, settings, least=0.15):
     """Recall, precision, recall between passes, and the network."""
     n = len(world.scene)
-    network = estimate_network(world.scene, np.full(n, 120.0), world.match, settings)
+    network = estimate_network(world.scene, np.full(n, 120.0), world.match, settings, TUNING)
     i, j = np.triu_indices(n, 1)
     useful = np.maximum(world.overlap(i, j), world.overlap(j, i)) >= least
     kept = kept_matrix(network.pairs, n)[i, j]
@@ -61,7 +64,7 @@ def test_constant_offsets_lose_what_local_ones_keep() -> None:
 def test_constant_offsets_stay_in_their_range() -> None:
     world = boat((20, 20), (1.5, 1.5))
     settings = NetworkSettings(sources=("offsets",), offsets="constant", axes_deg=90, offset_range=2)
-    network = estimate_network(world.scene, np.full(len(world.scene), 120.0), world.match, settings)
+    network = estimate_network(world.scene, np.full(len(world.scene), 120.0), world.match, settings, TUNING)
     best = {(c.pass_a, c.pass_b, c.sensor_a, c.sensor_b): c for c in network.curves if c.accepted}
     kept = network.pairs.kept()
     label = world.scene.image_label()
@@ -81,7 +84,7 @@ def test_paper_000_keeps_the_best_partner_of_each_camera() -> None:
     settings = NetworkSettings(
         sources=("offsets",), offsets="constant", axes_deg=90, offset_range=4, offset_best=1, sections="off"
     )
-    network = estimate_network(world.scene, np.full(len(world.scene), 120.0), world.match, settings)
+    network = estimate_network(world.scene, np.full(len(world.scene), 120.0), world.match, settings, TUNING)
     kept = network.pairs.kept()
     assert len(kept) and (kept.score >= settings.min_matches).all()
     cameras = len(world.scene.rigs[0].sensors)
@@ -139,7 +142,7 @@ def test_result_does_not_depend_on_how_often_it_is_asked() -> None:
 def test_four_thousand_images_need_few_previews() -> None:
     world = boat((335, 250), (0.5, 0.67))
     n = len(world.scene)
-    network = estimate_network(world.scene, np.full(n, 120.0), world.match, NetworkSettings())
+    network = estimate_network(world.scene, np.full(n, 120.0), world.match, NetworkSettings(), TUNING)
     rng = np.random.default_rng(1)
     i, j = rng.integers(0, n, 60000), rng.integers(0, n, 60000)
     i, j = i[i < j], j[i < j]
@@ -159,14 +162,14 @@ def test_pairs_and_previews_grow_with_the_images_and_not_with_their_square() -> 
         world = boat((frames, frames), (1.0, 1.0), ring(3, up=False))
         n = len(world.scene)
         book = PreviewBook(world.match, n)
-        found = estimate_offsets(find_passes(world.scene), book, n, NetworkSettings())
+        found = estimate_offsets(find_passes(world.scene), book, n, NetworkSettings(), TUNING)
         rows.append(len(found.pairs) / n)
         asked.append(len(book) / n)
     assert 0.5 < rows[1] / rows[0] < 1.3
     assert asked[1] / asked[0] < 1.3
 
 
-def test_a_coarser_lattice_looks_no_further_from_the_path(monkeypatch) -> None:
+def test_a_coarser_lattice_looks_no_further_from_the_path() -> None:
     """Out of its budget of previews the lattice takes every second frame, and still as many frames beside the path."""
     world = boat((160,), (1.0,), ring(3, up=False))
     n, step = len(world.scene), world.scene.step[world.scene.frame]
@@ -175,12 +178,12 @@ def test_a_coarser_lattice_looks_no_further_from_the_path(monkeypatch) -> None:
         apart = np.abs(step[pairs[:, 0]] - step[pairs[:, 1]])
         return [Result(30 if a <= 12 else 9) for a in apart]
 
-    monkeypatch.setattr(offsets, "MIN_BUDGET", 0)
     furthest, previews = [], []
     for budget in (1000, 2):
-        monkeypatch.setattr(offsets, "PREVIEWS_PER_IMAGE", budget)
+        few = {"min_budget": 0, "previews_an_image": budget}
+        tuning = TUNING.model_copy(update={"offsets": TUNING.offsets.model_copy(update=few)})
         book = PreviewBook(match, n)
-        kept = estimate_offsets(find_passes(world.scene), book, n, NetworkSettings()).pairs.kept()
+        kept = estimate_offsets(find_passes(world.scene), book, n, NetworkSettings(), tuning).pairs.kept()
         furthest.append(np.abs(step[kept.i] - step[kept.j]).max())
         previews.append(len(book))
     assert previews[1] < previews[0]
@@ -190,26 +193,26 @@ def test_a_coarser_lattice_looks_no_further_from_the_path(monkeypatch) -> None:
 def test_chance_gives_neither_heading_nor_direction() -> None:
     world = boat((20, 20), (1.5, 1.5))
     p, q = find_passes(world.scene)
-    lattice = make_lattice(p, q, 2, np.ones((6, 6), bool))
+    lattice = make_lattice(p, q, 2, np.ones((6, 6), bool), TUNING.offsets.lattice)
     rng = np.random.default_rng(3)
     few = np.zeros(lattice.inliers.shape)
     few[tuple(rng.integers(0, n, 6) for n in few.shape)] = 1.0
     assert votes(few) == pytest.approx(6) and votes(np.zeros(3)) == 0
-    assert yaw(lattice, few) is None and in_words(lattice, few) == ""
+    assert yaw(lattice, few, TUNING.rig) is None and in_words(lattice, few, TUNING.rig) == ""
     smooth = np.full(few.shape, 8.0, np.float32)
     smooth[0, 0, 0, :3] = 20
     measured = replace(lattice, inliers=smooth)
-    assert without_chance(measured, smooth, 12).max() == pytest.approx(8)
+    assert without_chance(measured, smooth, 12, TUNING).max() == pytest.approx(8)
     smooth[1, 1, 0, :3] = 20
-    assert without_chance(measured, smooth, 12) is smooth
+    assert without_chance(measured, smooth, 12, TUNING) is smooth
     back = np.zeros(few.shape)
     for c, d in [(0, 2), (0, 3), (1, 3), (1, 4), (2, 0), (3, 0)]:
         back[c, d, np.arange(10), 9 - np.arange(10)] = 1.0
-    assert direction(lattice, back) == (True, True)
-    said = in_words(lattice, back)
+    assert direction(lattice, back, TUNING.rig.common_view) == (True, True)
+    said = in_words(lattice, back, TUNING.rig)
     assert "runs back along" in said and "turned by about" in said and "common view" not in said
     back[:, :, 5:] = 0
-    assert "common view: frames 1 to 9 of 20" in in_words(lattice, back)
+    assert "common view: frames 1 to 9 of 20" in in_words(lattice, back, TUNING.rig)
 
 
 def test_couples_of_passes_without_common_view_are_one_note() -> None:
@@ -222,13 +225,13 @@ def test_couples_of_passes_without_common_view_are_one_note() -> None:
 
 def test_yaw_and_vertical_of_a_ring() -> None:
     rig = ring()
-    assert np.allclose(vertical(rig), (0, -1, 0))
+    assert np.allclose(vertical(rig, AXES), (0, -1, 0))
     evidence = np.zeros((6, 6))
     evidence[0, 2] = evidence[0, 3] = evidence[1, 3] = evidence[1, 4] = 1.0
-    assert yaw_between(rig, evidence) == pytest.approx(180, abs=12)
-    assert yaw_between(rig, np.eye(6)) == pytest.approx(0, abs=12)
-    assert yaw_between(rig, np.zeros((6, 6))) is None
-    assert np.allclose(np.diag(angles_deg(rig, 180))[:5], 180)
+    assert yaw_between(rig, evidence, AXES) == pytest.approx(180, abs=12)
+    assert yaw_between(rig, np.eye(6), AXES) == pytest.approx(0, abs=12)
+    assert yaw_between(rig, np.zeros((6, 6)), AXES) is None
+    assert np.allclose(np.diag(angles_deg(rig, 180, AXES))[:5], 180)
 
 
 def test_book_asks_each_pair_once() -> None:

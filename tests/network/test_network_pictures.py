@@ -28,9 +28,11 @@ from tiegraph.network.pictures.map import _aggregated, _joined, _layout
 from tiegraph.network.sections.light import UpLight
 from tiegraph.network.sections.sections import find_sections
 from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs
 
 RED, ORANGE = (192, 57, 43), (213, 94, 0)
+TUNING = Tuning()
 
 
 def opened(data: bytes) -> np.ndarray:
@@ -45,7 +47,7 @@ def share_of(data: bytes, colour: tuple, reach: int = 8) -> float:
 def surveyed() -> tuple[World, Network]:
     world = boat((8, 8), (3.0, 3.0), ring(4))
     brightness = np.where(np.isin(world.scene.step[world.scene.frame], (3, 4, 5)), 60.0, 150.0)
-    return world, estimate_network(world.scene, brightness, world.match, NetworkSettings())
+    return world, estimate_network(world.scene, brightness, world.match, NetworkSettings(), TUNING)
 
 
 def positions(world: World) -> np.ndarray:
@@ -143,16 +145,16 @@ def test_the_funnel_adds_up() -> None:
 def test_surfaces_follow_the_way_back() -> None:
     world = boat((14, 14), (4.0, 4.0))
     p, q = find_passes(world.scene)
-    lattice = make_lattice(p, q, 1, np.ones((6, 6), bool))
+    lattice = make_lattice(p, q, 1, np.ones((6, 6), bool), TUNING.offsets.lattice)
     lattice = lattice.measured(lattice.exists(), PreviewBook(world.match, len(world.scene)))
-    surfaces = surfaces_of(lattice, lattice.smoothed(12), 12)
+    surfaces = surfaces_of(lattice, lattice.smoothed(12, TUNING), 12, TUNING)
     assert surfaces[0].sensors == "" and 2 < len(surfaces) <= 13 and surfaces[0].evidence.shape == (14, 14)
     known = np.isfinite(surfaces[0].path)
     assert known.sum() >= 10
     # step k of the way there is where step 14 - k of the way back is
     assert np.median(np.abs(surfaces[0].path[known] - (14 - surfaces[0].rows[known]))) <= 1.5
-    same = make_lattice(p, p, 2, np.ones((6, 6), bool))
-    alone = surfaces_of(same, same.smoothed(12), 12)
+    same = make_lattice(p, p, 2, np.ones((6, 6), bool), TUNING.offsets.lattice)
+    alone = surfaces_of(same, same.smoothed(12, TUNING), 12, TUNING)
     assert len(alone) == 1 and np.isnan(alone[0].path).all()
     image = opened(surfaces_png((*surfaces, *alone)))
     assert 700 < image.shape[0] < 1100 and 1200 < image.shape[1] < 1600
@@ -162,16 +164,16 @@ def test_the_ridge_passes_a_lone_peak_by() -> None:
     rows, columns = np.mgrid[:20, :30]
     evidence = 10 * np.exp(-(((columns - rows - 4) / 2.0) ** 2))
     evidence[10, 28] = 14.0
-    path = ridge(evidence, evidence > 5)
+    path = ridge(evidence, evidence > 5, TUNING.offsets.surface.bend)
     assert np.abs(path - (np.arange(20) + 4)).max() <= 1
-    assert np.isnan(ridge(evidence, np.zeros_like(evidence, bool))).all()
+    assert np.isnan(ridge(evidence, np.zeros_like(evidence, bool), TUNING.offsets.surface.bend)).all()
 
 
 def test_sections_show_every_cue() -> None:
     world, network = surveyed()
     under = np.isin(world.scene.step[world.scene.frame], (3, 4, 5))
     light = UpLight(np.where(under, 60.0, 150.0), np.where(under, 0.1, 0.8))
-    found = find_sections(world.scene, find_passes(world.scene), light)
+    found = find_sections(world.scene, find_passes(world.scene), light, TUNING.sections)
     image = opened(draw_sections(world.scene.with_(section=found.of_frame), found.sections, found.cues))
     one = opened(draw_sections(world.scene.with_(section=found.of_frame), found.sections, found.cues[:1]))
     assert image.shape[0] > one.shape[0] + 150

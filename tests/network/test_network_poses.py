@@ -11,11 +11,13 @@ from tiegraph.network.passes import PreviewBook, find_passes
 from tiegraph.network.poses.check import check_prior, checked_pose_pairs
 from tiegraph.network.poses.poses import assumed_range, pose_pairs, view_cameras
 from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 
 SETTINGS = NetworkSettings(sources=("poses",), range_m=12.0, axes_deg=80)
+TUNING = Tuning()
 
 
 def with_priors(world: World, rotation: bool = True) -> Scene:
@@ -40,7 +42,7 @@ def recall(world: World, pairs: Pairs) -> tuple[float, float]:
 
 def test_full_poses_find_what_overlaps() -> None:
     world = boat((10, 10), (2.0, 2.0))
-    result = pose_pairs(with_priors(world), find_passes(world.scene), SETTINGS)
+    result = pose_pairs(with_priors(world), find_passes(world.scene), SETTINGS, TUNING)
     share, precision = recall(world, result.pairs)
     assert share > 0.93 and 0.6 < precision < 1
     reasons = result.pairs.funnel()
@@ -51,7 +53,7 @@ def test_full_poses_find_what_overlaps() -> None:
 
 def test_positions_alone_take_the_heading_from_the_track() -> None:
     world = boat((10, 10), (2.0, 2.0))
-    result = pose_pairs(with_priors(world, rotation=False), find_passes(world.scene), SETTINGS)
+    result = pose_pairs(with_priors(world, rotation=False), find_passes(world.scene), SETTINGS, TUNING)
     share, precision = recall(world, result.pairs)
     assert share > 0.85 and precision > 0.2
     assert any("heading of 20 frames" in note for note in result.notes)
@@ -65,7 +67,7 @@ def test_frames_without_prior_fall_back_on_previews() -> None:
     poses = scene.world_from_rig.copy()
     poses[5:8] = np.nan
     world.scene = scene.with_(world_from_rig=poses)
-    network = estimate_network(world.scene, np.full(len(scene), 100.0), world.match, SETTINGS)
+    network = estimate_network(world.scene, np.full(len(scene), 100.0), world.match, SETTINGS, TUNING)
     lost = np.isin(scene.frame, range(5, 8))
     assert (network.pairs.degree(len(scene))[lost] > 0).all()
     assert recall(world, network.pairs)[0] > 0.8
@@ -75,7 +77,7 @@ def test_frames_without_prior_fall_back_on_previews() -> None:
 def test_odometry_of_two_passes_is_never_compared() -> None:
     world = boat((10, 10), (2.0, 2.0))
     scene = with_priors(world).with_(prior="odometry")
-    pairs = pose_pairs(scene, find_passes(scene), SETTINGS).pairs
+    pairs = pose_pairs(scene, find_passes(scene), SETTINGS, TUNING).pairs
     track = scene.track[scene.frame]
     assert len(pairs) and (track[pairs.i] == track[pairs.j]).all()
 
@@ -85,7 +87,7 @@ def test_too_short_a_base_of_one_camera_is_dropped() -> None:
     scene = with_priors(world)
     poses = scene.world_from_rig.copy()
     poses[4] = poses[3]
-    pairs = pose_pairs(scene.with_(world_from_rig=poses), find_passes(scene), SETTINGS).pairs
+    pairs = pose_pairs(scene.with_(world_from_rig=poses), find_passes(scene), SETTINGS, TUNING).pairs
     dropped = pairs.where(pairs.dropped == REASONS.index("baseline"))
     assert len(dropped) == 6
     assert set(scene.frame[dropped.i]) | set(scene.frame[dropped.j]) == {3, 4}
@@ -99,7 +101,7 @@ def test_drone_photographs_take_their_nearest() -> None:
     rig = Rig("camera", (Sensor("camera"),))
     scene = simple_scene(rig, [f"{k}.jpg" for k in range(count)], np.arange(count), np.zeros(count), prior="exif")
     scene = scene.with_(world_from_rig=poses, position_sigma_m=np.full((count, 3), 3.0))
-    pairs = pose_pairs(scene, (), NetworkSettings(sources=("poses",))).pairs.kept()
+    pairs = pose_pairs(scene, (), NetworkSettings(sources=("poses",)), TUNING).pairs.kept()
     distance = np.linalg.norm(where[pairs.i] - where[pairs.j], axis=1)
     assert (pairs.degree(count) >= 20).all()
     assert len(pairs) < 0.3 * count * count / 2
@@ -108,25 +110,25 @@ def test_drone_photographs_take_their_nearest() -> None:
 
 def test_no_prior_at_all_is_said() -> None:
     world = boat((4,), (2.0,))
-    result = pose_pairs(world.scene, find_passes(world.scene), SETTINGS)
+    result = pose_pairs(world.scene, find_passes(world.scene), SETTINGS, TUNING)
     assert len(result.pairs) == 0 and len(result.without) == 4 and "fewer than two" in result.notes[0]
 
 
 def test_a_vehicle_that_mostly_stands_is_given_the_range_of_its_drive() -> None:
     world = boat((10,), (2.0,))
     scene, passes = with_priors(world), find_passes(world.scene)
-    steady = assumed_range(scene, passes)
+    steady = assumed_range(scene, passes, TUNING.poses)
     assert steady == pytest.approx(20.0, rel=0.05)
     poses = scene.world_from_rig.copy()
     poses[passes[0].frames[:7], :3, 3] = poses[passes[0].frames[6], :3, 3] + np.linspace(0, 0.05, 7)[:, None]
-    assert assumed_range(scene.with_(world_from_rig=poses), passes) == pytest.approx(steady, rel=0.1)
+    assert assumed_range(scene.with_(world_from_rig=poses), passes, TUNING.poses) == pytest.approx(steady, rel=0.1)
 
 
 def test_an_unsure_prior_refuses_little_by_sight() -> None:
     world = boat((8, 8), (2.0, 2.0))
     scene = with_priors(world)
-    sure = pose_pairs(scene, find_passes(scene), SETTINGS).pairs
-    unsure = pose_pairs(scene.with_(position_sigma_m=np.full((16, 3), 4.0)), find_passes(scene), SETTINGS).pairs
+    sure = pose_pairs(scene, find_passes(scene), SETTINGS, TUNING).pairs
+    unsure = pose_pairs(scene.with_(position_sigma_m=np.full((16, 3), 4.0)), find_passes(scene), SETTINGS, TUNING).pairs
     assert sure.funnel()["sight"] > 30
     assert "sight" not in unsure.funnel() and "overlap" not in unsure.funnel()
     assert set(zip(sure.kept().i, sure.kept().j)) <= set(zip(unsure.kept().i, unsure.kept().j))
@@ -137,11 +139,11 @@ def test_a_guessed_focal_length_is_widened_to_the_rig() -> None:
     world = boat((3,), (2.0,))
     rig = world.scene.rigs[0]
     scene = world.scene.with_(rigs=(rig.with_cameras({s.name: guess for s in rig.sensors}),))
-    focal = {c.mean_focal_length() for c in view_cameras(scene)}
+    focal = {c.mean_focal_length() for c in view_cameras(scene, TUNING.poses)}
     assert len(focal) <= 2 and max(focal) < 330  # five cameras, 72 degrees apart
     guess.has_prior_focal_length = True
     known = world.scene.with_(rigs=(rig.with_cameras({s.name: guess for s in rig.sensors}),))
-    assert {c.mean_focal_length() for c in view_cameras(known)} == {768.0}
+    assert {c.mean_focal_length() for c in view_cameras(known, TUNING.poses)} == {768.0}
 
 
 ROS = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])  # camera from vehicle axes
@@ -176,9 +178,9 @@ def test_a_wrong_prior_is_noticed_and_named(name: str, canal: World) -> None:
     true = with_priors(canal)
     scene = true.with_(world_from_rig=spoil(np.array(true.world_from_rig)))
     passes = find_passes(scene)
-    result = pose_pairs(scene, passes, SETTINGS)
+    result = pose_pairs(scene, passes, SETTINGS, TUNING)
     book = PreviewBook(canal.match, len(scene))
-    check = check_prior(scene, passes, book, result, SETTINGS)
+    check = check_prior(scene, passes, book, result, SETTINGS, TUNING)
     assert len(book) <= 240
     assert check.good == (name == "as it is")
     assert said in check.better and bool(said) == bool(check.better)
@@ -194,7 +196,7 @@ def test_a_right_prior_of_a_camera_that_looks_ahead_is_believed() -> None:
     scene = with_priors(world)
     passes = find_passes(scene)
     book = PreviewBook(world.match, len(scene))
-    check = check_prior(scene, passes, book, pose_pairs(scene, passes, SETTINGS), SETTINGS)
+    check = check_prior(scene, passes, book, pose_pairs(scene, passes, SETTINGS, TUNING), SETTINGS, TUNING)
     assert check.good and not check.better and check.fit < 0.6
 
 
@@ -203,6 +205,6 @@ def test_a_bad_prior_loses_no_pair(canal: World) -> None:
     poses = np.array(true.world_from_rig)[np.random.default_rng(0).permutation(true.frames)]
     scene = true.with_(world_from_rig=poses)
     book = PreviewBook(canal.match, len(scene))
-    found = checked_pose_pairs(scene, find_passes(scene), book, SETTINGS)
+    found = checked_pose_pairs(scene, find_passes(scene), book, SETTINGS, TUNING)
     assert len(found.without) == scene.frames and (found.pairs.dropped == 0).all()
     assert any("refuses nothing" in note for note in found.notes)

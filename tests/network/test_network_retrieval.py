@@ -6,17 +6,20 @@ from place_world import Places, found, passes_of, photos, shuffled_ring, video, 
 
 from boat_world import boat
 from tiegraph.network.looks.retrieval import loop_candidates, nearest_images, retrieve
+from tiegraph.network.looks.tuning import RetrievalTuning
 from tiegraph.network.looks.words import ImageWords, image_words
 from tiegraph.network.passes import PreviewBook, find_passes
 from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS, Pairs
 
-SETTINGS = NetworkSettings()
+SETTINGS, TUNING = NetworkSettings(), Tuning()
+WORDS = TUNING.looks.words
 
 
-def loops(world: Places, known: Pairs | None = None, book: PreviewBook | None = None):
+def loops(world: Places, known: Pairs | None = None, book: PreviewBook | None = None, tuning: Tuning = TUNING):
     book = book or PreviewBook(world.match, len(world))
-    return loop_candidates(passes_of(len(world)), words_of(world), book, SETTINGS, known)
+    return loop_candidates(passes_of(len(world)), words_of(world), book, SETTINGS, tuning, known)
 
 
 def far(world: Places, frames: int) -> tuple:
@@ -27,7 +30,7 @@ def far(world: Places, frames: int) -> tuple:
 
 def test_look_alikes_share_what_they_see() -> None:
     world = shuffled_ring(120)
-    index, cosine = nearest_images(world.descriptors(), 10)
+    index, cosine = nearest_images(world.descriptors(), 10, WORDS)
     assert index.shape == cosine.shape == (120, 10)
     overlap = world.overlap(np.repeat(np.arange(120), 10), index.ravel())
     assert (overlap >= 0.15).mean() > 0.98
@@ -37,26 +40,26 @@ def test_look_alikes_share_what_they_see() -> None:
 
 def test_words_are_the_same_every_time_and_do_not_care_for_order_of_features() -> None:
     descriptors = shuffled_ring(40).descriptors()
-    one, two = (nearest_images(descriptors, 5) for _ in range(2))
+    one, two = (nearest_images(descriptors, 5, WORDS) for _ in range(2))
     assert np.array_equal(one[0], two[0]) and np.array_equal(one[1], two[1])
-    words = image_words([np.concatenate([descriptors[0], descriptors[0][::-1]])] * 2 + descriptors)
+    words = image_words([np.concatenate([descriptors[0], descriptors[0][::-1]])] * 2 + descriptors, WORDS)
     assert words.between(np.array([0]), np.array([1]))[0] == pytest.approx(1)
 
 
 def test_blank_images_have_no_look_alikes() -> None:
     blank = np.zeros((0, 128), np.uint8)
     descriptors = [blank, *shuffled_ring(20).descriptors(), blank]
-    index, cosine = nearest_images(descriptors, 50)
+    index, cosine = nearest_images(descriptors, 50, WORDS)
     assert index.shape == (22, 21)
     assert (index[[0, -1]] == -1).all() and (cosine[[0, -1]] == 0).all()
     assert not np.isin(index, [0, 21]).any()
-    assert (nearest_images([blank] * 3, 2)[0] == -1).all()
-    assert nearest_images([], 5)[0].shape == (0, 0)
-    assert nearest_images(descriptors[1:2], 5)[0].shape == (1, 0)
+    assert (nearest_images([blank] * 3, 2, WORDS)[0] == -1).all()
+    assert nearest_images([], 5, WORDS)[0].shape == (0, 0)
+    assert nearest_images(descriptors[1:2], 5, WORDS)[0].shape == (1, 0)
 
 
 def test_nearest_answers_queries_among_wanted_images() -> None:
-    words = image_words(shuffled_ring(60).descriptors())
+    words = image_words(shuffled_ring(60).descriptors(), WORDS)
     everyone, _ = words.nearest(59)
     some = np.array([7, 3])
     assert np.array_equal(words.nearest(4, some)[0], everyone[some, :4])
@@ -105,10 +108,10 @@ def test_known_loops_are_not_looked_at_again() -> None:
     assert not (overlap >= 0.15).any()
 
 
-def test_budget_of_previews_is_kept_and_said(monkeypatch) -> None:
-    monkeypatch.setattr("tiegraph.network.looks.retrieval.PREVIEWS_AN_IMAGE", 4)
+def test_budget_of_previews_is_kept_and_said() -> None:
+    looks = TUNING.looks.model_copy(update={"retrieval": RetrievalTuning(previews_an_image=4)})
     world = Places(np.arange(200) * 12.0, around=600)
-    result = loops(world)
+    result = loops(world, tuning=TUNING.model_copy(update={"looks": looks}))
     assert world.asked <= 4 * 200
     assert any("budget of previews was spent" in note for note in result.notes)
 
@@ -117,7 +120,7 @@ def test_the_return_pass_of_a_rig_is_found_without_any_order() -> None:
     survey = boat((14, 10), (2.0, 2.8))
     count = len(survey.scene)
     words = _words_by(survey, count)
-    result = loop_candidates(find_passes(survey.scene), words, PreviewBook(survey.match, count), SETTINGS)
+    result = loop_candidates(find_passes(survey.scene), words, PreviewBook(survey.match, count), SETTINGS, TUNING)
     i, j = np.triu_indices(count, 1)
     track = survey.scene.track[survey.scene.frame]
     useful = (np.maximum(survey.overlap(i, j), survey.overlap(j, i)) >= 0.15) & (track[i] != track[j])
@@ -140,21 +143,21 @@ def _words_by(survey, count: int) -> ImageWords:
 def test_scenes_without_passes_or_photographs() -> None:
     world = shuffled_ring(30)
     book = PreviewBook(world.match, 30)
-    words = image_words(world.descriptors())
-    assert loop_candidates((), words, book, SETTINGS).notes == ()
-    alone = loop_candidates(passes_of(2), image_words(world.descriptors()[:2]), book, SETTINGS)
+    words = image_words(world.descriptors(), WORDS)
+    assert loop_candidates((), words, book, SETTINGS, TUNING).notes == ()
+    alone = loop_candidates(passes_of(2), image_words(world.descriptors()[:2], WORDS), book, SETTINGS, TUNING)
     assert len(alone.pairs) == 0
-    result = retrieve(photos(30), (), book, SETTINGS, world.descriptors)
+    result = retrieve(photos(30), (), book, SETTINGS, TUNING, world.descriptors)
     assert found(result.pairs, world.useful())[0] == 1
     assert "30 loose photographs" in result.notes[0]
     clip = video(30)
-    moving = retrieve(clip, find_passes(clip), PreviewBook(world.match, 30), SETTINGS, world.descriptors)
+    moving = retrieve(clip, find_passes(clip), PreviewBook(world.match, 30), SETTINGS, TUNING, world.descriptors)
     assert all("loose" not in note for note in moving.notes)
 
 
 @pytest.mark.slow
 def test_four_thousand_images_are_looked_up_in_linear_memory() -> None:
     world = Places(np.arange(4000) * 12.0, around=12000)
-    index, _ = nearest_images(world.descriptors(), 20)
+    index, _ = nearest_images(world.descriptors(), 20, WORDS)
     rows = np.repeat(np.arange(4000), 20)
     assert (world.overlap(rows, index.ravel()) >= 0.1).mean() > 0.9

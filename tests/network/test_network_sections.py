@@ -8,10 +8,13 @@ import pytest
 from boat_world import boat, ring
 from tiegraph.network.network import estimate_network
 from tiegraph.network.passes import find_passes
-from tiegraph.network.sections.light import GAMMA, UpLight, by_up_frame, otsu, two_states
+from tiegraph.network.sections.light import UpLight, by_up_frame, otsu, two_states
 from tiegraph.network.sections.sections import Section, SectionResult, find_sections, join_places, section_links
 from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS, Pairs
+
+TUNING = Tuning().sections
 
 
 def survey(frames: int = 20, dark: tuple[int, int] = (8, 13)):
@@ -35,7 +38,7 @@ def bridges(found, frames: int) -> np.ndarray:
 
 def test_bridge_is_found_and_joined_over_both_passes() -> None:
     world, brightness, under = survey()
-    network = estimate_network(world.scene, brightness, world.match, NetworkSettings())
+    network = estimate_network(world.scene, brightness, world.match, NetworkSettings(), Tuning())
     kinds = {s.name: s for s in network.sections}
     assert sorted(kinds) == ["bridge 1", "open 1", "open 2"]
     bridge = np.isin(world.scene.frame, kinds["bridge 1"].frames)
@@ -46,8 +49,8 @@ def test_bridge_is_found_and_joined_over_both_passes() -> None:
 
 def test_split_cuts_between_sections_and_link_does_not() -> None:
     world, brightness, _ = survey()
-    linked = estimate_network(world.scene, brightness, world.match, NetworkSettings())
-    split = estimate_network(world.scene, brightness, world.match, NetworkSettings(sections="split"))
+    linked = estimate_network(world.scene, brightness, world.match, NetworkSettings(), Tuning())
+    split = estimate_network(world.scene, brightness, world.match, NetworkSettings(sections="split"), Tuning())
     section = split.scene.section[split.scene.frame]
     kept = split.pairs.kept()
     assert (section[kept.i] == section[kept.j]).all()
@@ -61,7 +64,7 @@ def test_even_light_is_one_section_and_says_why() -> None:
     world, _, _ = survey()
     rng = np.random.default_rng(1)
     light = UpLight(rng.normal(150, 5, len(world.scene)), rng.normal(0.8, 0.03, len(world.scene)))
-    found = find_sections(world.scene, find_passes(world.scene), light)
+    found = find_sections(world.scene, find_passes(world.scene), light, TUNING)
     assert len(found.sections) == 1 and "two clear classes" in found.notes[0] and "needed" in found.notes[0]
     assert (found.of_frame == 0).all() and np.isnan(found.threshold)
 
@@ -69,7 +72,7 @@ def test_even_light_is_one_section_and_says_why() -> None:
 def test_slow_change_of_light_is_no_bridge() -> None:
     world, _, _ = survey(30)
     dusk = 150 - 0.5 * world.scene.frame
-    found = find_sections(world.scene, find_passes(world.scene), dusk)
+    found = find_sections(world.scene, find_passes(world.scene), dusk, TUNING)
     assert len(found.sections) == 1
 
 
@@ -87,8 +90,8 @@ def test_automatic_exposure_hides_the_bridge_from_brightness_but_not_from_the_sk
         gain *= (130.0 / (light * gain)) ** 0.6
     sky = np.where(frame_under, 0.12, 0.8) + rng.normal(0, 0.05, scene.frames)
     passes = find_passes(scene)
-    alone = find_sections(scene, passes, grey[scene.frame])
-    both = find_sections(scene, passes, UpLight(grey[scene.frame], sky[scene.frame]))
+    alone = find_sections(scene, passes, grey[scene.frame], TUNING)
+    both = find_sections(scene, passes, UpLight(grey[scene.frame], sky[scene.frame]), TUNING)
     assert np.mean(bridges(alone, scene.frames) == frame_under) < 0.9
     assert np.array_equal(bridges(both, scene.frames), frame_under)
     assert len(both.cues) == 2 and both.cues[0].decided
@@ -99,14 +102,14 @@ def test_exif_exposure_gives_the_light_itself() -> None:
     rng = np.random.default_rng(4)
     exposure = np.where(under, 1 / 60, 1 / 600) * np.exp(rng.normal(0, 0.1, len(under)))
     luminance = np.where(under, 8.0, 80.0)
-    grey = 255 * np.clip(luminance * exposure, 0, 1) ** (1 / GAMMA) + rng.normal(0, 2, len(under))
+    grey = 255 * np.clip(luminance * exposure, 0, 1) ** (1 / TUNING.gamma) + rng.normal(0, 2, len(under))
     passes = find_passes(world.scene)
-    found = find_sections(world.scene, passes, UpLight(grey, None, exposure))
+    found = find_sections(world.scene, passes, UpLight(grey, None, exposure), TUNING)
     truth = by_up_frame(world.scene, under.astype(float)) > 0.5
     assert np.array_equal(bridges(found, world.scene.frames), truth)
     assert [c.name for c in found.cues] == ["luminance by EXIF exposure"]
     half = np.where(world.scene.frame % 2 == 0, exposure, np.nan)  # too few images carry it
-    cues = find_sections(world.scene, passes, UpLight(grey, None, half)).cues
+    cues = find_sections(world.scene, passes, UpLight(grey, None, half), TUNING).cues
     assert [c.name for c in cues] == ["brightness"]
 
 
@@ -114,23 +117,23 @@ def test_each_pass_has_its_own_threshold_and_a_clouded_pass_is_not_a_bridge() ->
     world, brightness, under = survey()
     back = world.scene.track[world.scene.frame] == 1
     passes = find_passes(world.scene)
-    found = find_sections(world.scene, passes, np.where(back, 0.45, 1.0) * brightness)
+    found = find_sections(world.scene, passes, np.where(back, 0.45, 1.0) * brightness, TUNING)
     truth = by_up_frame(world.scene, under.astype(float)) > 0.5
     assert np.array_equal(bridges(found, world.scene.frames), truth)
     first, second = (found.cues[0].threshold[p.frames[0]] for p in passes)
     assert first > 1.7 * second
     clouded = np.where(back, 60 + 0.1 * brightness, brightness)  # the whole way back as dark as the bridge was
-    found = find_sections(world.scene, passes, clouded)
+    found = find_sections(world.scene, passes, clouded, TUNING)
     there = bridges(found, world.scene.frames)
     assert there[passes[0].frames].any() and not there[passes[1].frames].any()
 
 
 def test_no_up_camera_and_off_are_one_section() -> None:
     world = boat((10,), (2.0,), ring(5, up=False))
-    found = find_sections(world.scene, find_passes(world.scene), np.zeros(len(world.scene)))
+    found = find_sections(world.scene, find_passes(world.scene), np.zeros(len(world.scene)), TUNING)
     assert len(found.sections) == 1 and "no camera looks up" in found.notes[0]
     dark, brightness, _ = survey()
-    off = estimate_network(dark.scene, brightness, dark.match, NetworkSettings(sections="off"))
+    off = estimate_network(dark.scene, brightness, dark.match, NetworkSettings(sections="off"), Tuning())
     assert len(off.sections) == 1 and (off.scene.section == 0).all()
 
 
@@ -139,14 +142,14 @@ def test_a_single_dark_frame_is_no_bridge() -> None:
     up = world.scene.sensor == 5
     flash = brightness.copy()
     flash[up & (world.scene.frame == 3)] = 60
-    found = find_sections(world.scene, find_passes(world.scene), flash)
+    found = find_sections(world.scene, find_passes(world.scene), flash, TUNING)
     assert all(3 not in s.frames for s in found.sections if s.kind == "bridge")
 
 
 def test_missing_up_images_take_the_state_of_their_neighbours() -> None:
     world, brightness, under = survey()
     gone = (world.scene.sensor == 5) & np.isin(world.scene.frame, (2, 10))
-    found = find_sections(world.scene, find_passes(world.scene), np.where(gone, np.nan, brightness))
+    found = find_sections(world.scene, find_passes(world.scene), np.where(gone, np.nan, brightness), TUNING)
     truth = by_up_frame(world.scene, under.astype(float)) > 0.5
     assert np.array_equal(bridges(found, world.scene.frames), truth)
 
@@ -160,7 +163,7 @@ def test_otsu_splits_two_heaps() -> None:
 
 @pytest.mark.parametrize(("say", "dark"), [((-4, 4, -4, -4), 0), ((-4, 4, 4, -4), 2), ((-1, 1, 1, -1), 0), ((), 0)])
 def test_two_states_need_more_than_one_frame(say: tuple, dark: int) -> None:
-    assert two_states(np.array(say, float)).sum() == dark
+    assert two_states(np.array(say, float), TUNING).sum() == dark
 
 
 @pytest.mark.parametrize("back", [False, True])
@@ -177,11 +180,10 @@ def test_places_are_joined_in_order_even_where_everything_sees_everything(back: 
     place = np.array([0, 1, 2, 2, 1, 0] if back else [0, 1, 2, 0, 1, 2])
     pairs = Pairs.make(i, j, "model", overlap=np.where(place[a] == place[b], 0.55, 0.5))
     result = SectionResult(sections, of_frame, np.zeros(18), 1.0, ())
-    joined = join_places(result, scene, pairs)
+    joined = join_places(result, scene, pairs, TUNING)
     assert joined.of_frame.tolist() == np.repeat(place, 3).tolist()
-    apart = join_places(
-        result, scene, pairs.where(scene.track[scene.frame[pairs.i]] == scene.track[scene.frame[pairs.j]])
-    )
+    within = scene.track[scene.frame[pairs.i]] == scene.track[scene.frame[pairs.j]]
+    apart = join_places(result, scene, pairs.where(within), TUNING)
     assert len(apart.sections) == 6
 
 
@@ -207,18 +209,18 @@ def test_section_links_counts_independent_ties_and_names_the_border() -> None:
         (image(scene, 1, 0), image(scene, 10, 0)),  # over the bridge: no tie of neighbours
     ]
     pairs = Pairs.make(*np.array(ties).T, "offsets")
-    table, notes = section_links(pairs, scene, sections)
+    table, notes = section_links(pairs, scene, sections, TUNING)
     assert [row[-3:] for row in table["rows"]] == [[2, 2, True], [2, 1, False]]
     assert len(notes) == 1 and "bridge 1 and open 2" in notes[0] and "0007.jpg" in notes[0] and "0008.jpg" in notes[0]
     matched = pairs.with_(inliers=np.where(np.arange(len(pairs)) == 0, 40, 0))
-    rows, notes = section_links(matched, scene, sections)
+    rows, notes = section_links(matched, scene, sections, TUNING)
     assert sum(row[-3] for row in rows["rows"]) <= 1 and len(notes) == 2
-    none = section_links(Pairs.empty(), scene, sections)
+    none = section_links(Pairs.empty(), scene, sections, TUNING)
     assert [row[-3] for row in none[0]["rows"]] == [0, 0] and all("are not tied" in n for n in none[1])
 
 
 def test_one_section_has_no_borders() -> None:
     scene, sections = three_sections()
     whole = (replace(sections[0], frames=tuple(range(12))),)
-    table, notes = section_links(Pairs.empty(), scene, whole)
+    table, notes = section_links(Pairs.empty(), scene, whole, TUNING)
     assert table["rows"] == [] and notes == ()

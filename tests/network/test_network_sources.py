@@ -11,6 +11,7 @@ from tiegraph.network.network import estimate_network
 from tiegraph.network.passes import PreviewBook, find_passes
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.network.sources import Context, axes_count, axes_pairs, exhaustive, read_pair_list, sequence
+from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Dropped, Scene, simple_scene
@@ -23,7 +24,7 @@ def photos(count: int) -> Scene:
 
 def context(scene: Scene, settings: NetworkSettings) -> Context:
     book = PreviewBook(lambda pairs: [Result(0) for _ in pairs], len(scene))
-    return Context(scene, find_passes(scene), book, settings)
+    return Context(scene, find_passes(scene), book, settings, Tuning())
 
 
 def line_match(reach: int, seed: int = 0):
@@ -78,13 +79,13 @@ def test_missing_pair_list_is_an_error(tmp_path) -> None:
     with pytest.raises(InputError, match="cannot be read"):
         read_pair_list(tmp_path / "none.txt", photos(3))
     with pytest.raises(SettingsError, match="pairs_file"):
-        estimate_network(photos(3), np.zeros(3), lambda p: [], NetworkSettings(sources=("file",)))
+        estimate_network(photos(3), np.zeros(3), lambda p: [], NetworkSettings(sources=("file",)), Tuning())
 
 
 def test_pair_list_as_only_source_previews_nothing(tmp_path) -> None:
     path = write(tmp_path, "img_0000.jpg img_0001.jpg\n")
     settings = NetworkSettings(sources=("file",), pairs_file=path)
-    network = estimate_network(photos(4), np.zeros(4), lambda p: pytest.fail("asked"), settings)
+    network = estimate_network(photos(4), np.zeros(4), lambda p: pytest.fail("asked"), settings, Tuning())
     assert len(network.pairs.kept()) == 1
     assert any("2 images have no pair: img_0002.jpg, img_0003.jpg" in n for n in network.notes)
 
@@ -110,7 +111,7 @@ def test_sequence_bridges_a_lost_image() -> None:
 
 
 def test_few_photographs_are_compared_with_one_another() -> None:
-    network = estimate_network(photos(11), np.zeros(11), lambda p: [Result(0)] * len(p), NetworkSettings())
+    network = estimate_network(photos(11), np.zeros(11), lambda p: [Result(0)] * len(p), NetworkSettings(), Tuning())
     assert len(network.pairs.kept()) == 55  # whatever the previews say
     assert len(exhaustive(context(photos(11), NetworkSettings())).pairs) == 55
     assert "sources chosen: exhaustive" in network.notes
@@ -125,7 +126,7 @@ def test_many_photographs_are_found_by_previews(count, share) -> None:
         asked[0] += len(pairs)
         return match(pairs)
 
-    network = estimate_network(photos(count), np.zeros(count), counted, NetworkSettings())
+    network = estimate_network(photos(count), np.zeros(count), counted, NetworkSettings(), Tuning())
     kept = network.pairs.kept()
     tied = np.abs(place[kept.i] - place[kept.j]) <= 8
     truth = 8 * count - 36
@@ -138,7 +139,7 @@ def test_many_photographs_are_found_by_previews(count, share) -> None:
 def test_nothing_matches_at_all_is_said_and_not_fatal() -> None:
     world = boat((6,), (2.0,))
     network = estimate_network(
-        world.scene, np.zeros(len(world.scene)), lambda pairs: [Result(0) for _ in pairs], NetworkSettings()
+        world.scene, np.zeros(len(world.scene)), lambda pairs: [Result(0) for _ in pairs], NetworkSettings(), Tuning()
     )
     assert network.pairs.funnel()["votes"] > 0
     assert len(network.pairs.kept()) == 6 * (5 + 4)  # the sequence stays
@@ -147,7 +148,7 @@ def test_nothing_matches_at_all_is_said_and_not_fatal() -> None:
 def test_sources_are_merged() -> None:
     world = boat((6,), (2.0,))
     settings = NetworkSettings(sources=("sequence", "exhaustive"))
-    pairs = estimate_network(world.scene, np.zeros(36), world.match, settings).pairs
+    pairs = estimate_network(world.scene, np.zeros(36), world.match, settings, Tuning()).pairs
     assert len(pairs) == 36 * 35 // 2
     assert pairs.from_source("sequence").sum() == 6 * 9 and pairs.from_source("exhaustive").all()
 

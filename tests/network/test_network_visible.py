@@ -16,7 +16,9 @@ from tiegraph.network.model.visible import (
     points_proxy,
     shared_surface,
 )
+from tiegraph.network.tuning import Tuning
 
+TUNING = Tuning().model
 CAMERA = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[320.0, 320.0, 240.0])  # 90 x 74 degrees
 
 
@@ -47,11 +49,16 @@ def row_of_cameras(count: int = 10, step: float = 4.0) -> np.ndarray:
     return look(np.column_stack([np.arange(count) * step, np.zeros(count), np.zeros(count)]), np.zeros(count))
 
 
+def shared(poses, cameras, proxy, max_angle_deg: float = 90.0, slack_rad: float = 0.0, **changed) -> Overlap:
+    visibility = TUNING.visible.model_copy(update=changed)
+    return shared_surface(poses, cameras, proxy, visibility, max_angle_deg, slack_rad)
+
+
 def test_share_of_a_wall_is_that_of_the_geometry() -> None:
     poses = row_of_cameras()
     points = wall()
-    proxy = observed_proxy(points, *observers(points, poses), poses)
-    found = shared_surface(poses, [CAMERA] * 10, proxy)
+    proxy = observed_proxy(points, *observers(points, poses), poses, TUNING.proxy)
+    found = shared(poses, [CAMERA] * 10, proxy)
     # 20 m of wall in view from 10 m; images k * 4 m apart share 1 - k * 0.2 of it
     for k, share in ((1, 0.8), (2, 0.6), (3, 0.4), (4, 0.2)):
         assert found.between(np.array([3]), np.array([3 + k]))[0] == pytest.approx(share, abs=0.06)
@@ -62,13 +69,13 @@ def test_share_of_a_wall_is_that_of_the_geometry() -> None:
 def test_angle_and_scale_of_the_shared_surface() -> None:
     poses = look(np.array([[0.0, 0, 0], [0, -10, 0], [10, 10, 0]]), np.array([0.0, 0, 90]))
     points = np.random.default_rng(0).normal([0, 10, 0], 0.5, (500, 3))
-    found = shared_surface(poses, [CAMERA] * 3, points_proxy(points), max_angle_deg=180)
+    found = shared(poses, [CAMERA] * 3, points_proxy(points), max_angle_deg=180)
     pairs = {(a, b): k for k, (a, b) in enumerate(zip(found.i, found.j))}
     assert found.angle_deg[pairs[0, 2]] == pytest.approx(90, abs=3)
     assert found.angle_deg[pairs[0, 1]] < 5
     assert found.scale[pairs[0, 1]] == pytest.approx(0.5, abs=0.03)
-    assert (0, 2) not in set(zip(*_pairs(shared_surface(poses, [CAMERA] * 3, points_proxy(points), max_angle_deg=60))))
-    assert len(shared_surface(poses, [CAMERA] * 3, points_proxy(points), max_scale=1.5, max_angle_deg=60)) == 0
+    assert (0, 2) not in set(zip(*_pairs(shared(poses, [CAMERA] * 3, points_proxy(points), max_angle_deg=60))))
+    assert len(shared(poses, [CAMERA] * 3, points_proxy(points), max_scale=1.5, max_angle_deg=60)) == 0
 
 
 def _pairs(found: Overlap) -> tuple[np.ndarray, np.ndarray]:
@@ -80,8 +87,8 @@ def test_a_nearer_wall_hides_the_one_behind() -> None:
     behind = wall(4000, 30.0)
     screen = wall(4000, 20.0, seed=1)
     cameras = [CAMERA, CAMERA]
-    open_ = shared_surface(poses, cameras, points_proxy(behind), max_scale=10)
-    hidden = shared_surface(poses, cameras, points_proxy(np.concatenate([behind, screen])), max_scale=10)
+    open_ = shared(poses, cameras, points_proxy(behind), max_scale=10)
+    hidden = shared(poses, cameras, points_proxy(np.concatenate([behind, screen])), max_scale=10)
     assert open_.share.max() > 0.9
     assert len(hidden) == 0
 
@@ -90,8 +97,8 @@ def test_a_wall_is_not_seen_from_behind() -> None:
     front = look(np.array([[0.0, 0, 0], [2, 0, 0], [4, 0, 0]]), np.zeros(3))
     back = look(np.array([[0.0, 20, 0]]), np.array([180.0]))
     points = wall(3000, width=10.0) * (1, 1, 0.2)
-    proxy = observed_proxy(points, *observers(points, front), np.concatenate([front, back]))
-    found = shared_surface(np.concatenate([front, back]), [CAMERA] * 4, proxy, max_angle_deg=180)
+    proxy = observed_proxy(points, *observers(points, front), np.concatenate([front, back]), TUNING.proxy)
+    found = shared(np.concatenate([front, back]), [CAMERA] * 4, proxy, max_angle_deg=180)
     assert set(zip(found.i, found.j)) == {(0, 1), (0, 2), (1, 2)}
 
 
@@ -100,10 +107,10 @@ def test_images_without_observations_and_without_pose() -> None:
     points = wall()
     image, point = observers(points, poses)
     mine = image != 4
-    proxy = observed_proxy(points, image[mine], point[mine], poses)
+    proxy = observed_proxy(points, image[mine], point[mine], poses, TUNING.proxy)
     lost = poses.copy()
     lost[7] = np.nan
-    found = shared_surface(lost, [CAMERA] * 10, proxy)
+    found = shared(lost, [CAMERA] * 10, proxy)
     assert found.between(np.array([4]), np.array([5]))[0] > 0.7
     assert not np.isin(7, np.concatenate([found.i, found.j]))
 
@@ -113,7 +120,7 @@ def test_a_cluster_of_points_does_not_stand_for_the_image() -> None:
     rng = np.random.default_rng(0)
     cluster = np.column_stack([rng.normal(9.0, 0.3, 1500), np.full(1500, 10.0), rng.normal(0, 0.3, 1500)])
     points = np.concatenate([wall(4000), cluster])
-    found = shared_surface(poses, [CAMERA] * 2, points_proxy(points))
+    found = shared(poses, [CAMERA] * 2, points_proxy(points))
     assert found.share[0] == pytest.approx(8 / 15, abs=0.06)  # of 15 m of wall; 0.77 if every point had a vote
 
 
@@ -124,8 +131,8 @@ def test_assumed_range_of_a_ring_looking_in_and_out() -> None:
     outwards = look(where, np.degrees(angle) - 90)
     one = np.ones(len(angle), int)
     at, opposite, beside = 0 * one[:1], 12 * one[:1], one[:1]
-    seen_in = shared_surface(inwards, [CAMERA] * 24, assumed_proxy(inwards, [CAMERA] * 24, 10.0), max_angle_deg=120)
-    seen_out = shared_surface(outwards, [CAMERA] * 24, assumed_proxy(outwards, [CAMERA] * 24, 10.0))
+    seen_in = shared(inwards, [CAMERA] * 24, assumed_proxy(inwards, [CAMERA] * 24, 10.0, TUNING), max_angle_deg=120)
+    seen_out = shared(outwards, [CAMERA] * 24, assumed_proxy(outwards, [CAMERA] * 24, 10.0, TUNING))
     assert seen_in.between(at, beside)[0] > 0.6 and seen_out.between(at, beside)[0] > 0.4
     assert seen_in.between(at, opposite)[0] < 0.1 and seen_out.between(at, opposite)[0] == 0
     assert seen_in.between(at, 4 * beside)[0] > 0.3 > seen_out.between(at, 8 * beside)[0]
@@ -134,9 +141,9 @@ def test_assumed_range_of_a_ring_looking_in_and_out() -> None:
 def test_pair_share_is_the_same_measure(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(visible, "_OWNERS", 3)  # several parts
     poses = row_of_cameras(8)
-    found = shared_surface(poses, [CAMERA] * 8, assumed_proxy(poses, [CAMERA] * 8, 10.0))
+    found = shared(poses, [CAMERA] * 8, assumed_proxy(poses, [CAMERA] * 8, 10.0, TUNING))
     i, j = np.triu_indices(8, 1)
-    direct = pair_share(poses, [CAMERA] * 8, i, j, 10.0)
+    direct = pair_share(poses, [CAMERA] * 8, i, j, 10.0, TUNING)
     listed = found.between(i, j)
     # votes are by image cell there and by point here
     assert np.abs(np.where(direct < 0.02, 0, direct) - listed).max() < 0.08
@@ -146,25 +153,24 @@ def test_slack_widens_the_view_of_unsure_poses() -> None:
     poses = row_of_cameras(2, 22.0)
     cameras = [CAMERA] * 2
     proxy = points_proxy(wall())
-    assert len(shared_surface(poses, cameras, proxy, max_angle_deg=180)) == 0
-    assert len(shared_surface(poses, cameras, proxy, slack_rad=0.3, max_angle_deg=180)) == 1
+    assert len(shared(poses, cameras, proxy, max_angle_deg=180)) == 0
+    assert len(shared(poses, cameras, proxy, slack_rad=0.3, max_angle_deg=180)) == 1
 
 
-def test_many_points_are_thinned_without_loss(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_points_are_thinned_without_loss() -> None:
     poses = row_of_cameras()
     proxy = points_proxy(wall(60000))
-    found = shared_surface(poses, [CAMERA] * 10, proxy)
+    found = shared(poses, [CAMERA] * 10, proxy)
     assert found.between(np.array([3]), np.array([4]))[0] == pytest.approx(0.8, abs=0.05)
-    monkeypatch.setattr(visible, "MEAN_VISIBLE", (300, 300))
-    fewer = shared_surface(poses, [CAMERA] * 10, proxy)
+    fewer = shared(poses, [CAMERA] * 10, proxy, mean_visible=(300, 300))
     assert fewer.between(np.array([3]), np.array([4]))[0] == pytest.approx(0.8, abs=0.12)
 
 
 def test_nothing_in_nothing_out() -> None:
     poses = row_of_cameras(3)
     empty = Proxy(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)), np.zeros(0, int), np.zeros(0, int))
-    assert len(shared_surface(poses, [None] * 3, empty)) == 0
-    assert len(shared_surface(np.full((3, 4, 4), np.nan), [CAMERA] * 3, points_proxy(wall(10)))) == 0
-    assert len(assumed_proxy(np.full((3, 4, 4), np.nan), [CAMERA] * 3, 5.0)) == 0
-    without_camera = shared_surface(poses, [None] * 3, points_proxy(wall()))
+    assert len(shared(poses, [None] * 3, empty)) == 0
+    assert len(shared(np.full((3, 4, 4), np.nan), [CAMERA] * 3, points_proxy(wall(10)))) == 0
+    assert len(assumed_proxy(np.full((3, 4, 4), np.nan), [CAMERA] * 3, 5.0, TUNING)) == 0
+    without_camera = shared(poses, [None] * 3, points_proxy(wall()))
     assert without_camera.share[:2] == pytest.approx([0.65, 0.31], abs=0.06)  # 60 degrees of view, 4 m apart

@@ -21,7 +21,6 @@ from tiegraph.network.sections.light import Cue, UpLight
 from tiegraph.network.sections.sections import Section, SectionResult, find_sections, join_places, section_links, split
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.network.sources import (
-    FEW_PHOTOS,
     SOURCES,
     Context,
     Descriptors,
@@ -30,13 +29,12 @@ from tiegraph.network.sources import (
     axes_count,
     axes_pairs,
 )
+from tiegraph.network.tuning import SectionsTuning, Tuning
 from tiegraph.scene.figures import plain_text
 from tiegraph.scene.graph import component_notes
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Ties
-
-AXES_ROWS_LIMIT = 1000  # images: beyond, pairs that the axes rule out are counted and not listed
 
 log = logging.getLogger(__name__)
 
@@ -95,6 +93,7 @@ def estimate_network(
     light: UpLight | np.ndarray,
     match: MatchFunction,
     settings: NetworkSettings,
+    tuning: Tuning,
     make_model: ModelFunction | None = None,
     descriptors: Descriptors | None = None,
 ) -> Network:
@@ -106,29 +105,29 @@ def estimate_network(
     source, InputError for a bad pair list.
     """
     book = PreviewBook(match, len(scene))
-    scene, order_notes = shown_order(scene, book, settings)
-    scene, rig_notes = _checked(scene, book, settings)
+    scene, order_notes = shown_order(scene, book, settings, tuning)
+    scene, rig_notes = _checked(scene, book, settings, tuning)
     passes = find_passes(scene)
-    proposal = _propose(Context(scene, passes, book, settings, descriptors))
+    proposal = _propose(Context(scene, passes, book, settings, tuning, descriptors))
     pairs = proposal.pairs
     notes = [*order_notes, *rig_notes, *proposal.notes]
     model, trusted = None, np.zeros(len(scene), bool)
-    if settings.model and make_model is not None and _uses_axes(settings) and len(scene) > FEW_PHOTOS:
-        result = by_model(pairs, scene, book, settings, make_model)
+    if settings.model and make_model is not None and _uses_axes(settings) and len(scene) > tuning.sources.few_photos:
+        result = by_model(pairs, scene, book, settings, tuning.model, make_model)
         pairs, scene, model, trusted = result.pairs, result.scene, result.model, result.trusted
         notes += list(result.notes)
     if settings.offsets and _uses_axes(settings):
-        pairs, text = _with_axes(pairs, scene, passes, settings)
+        pairs, text = _with_axes(pairs, scene, passes, settings, tuning.sources.axes_listed)
         notes += text
     pairs = pairs.with_(score=np.where(np.isnan(pairs.score), book.known(pairs.i, pairs.j), pairs.score))
-    cut = _sections(scene, light, pairs, settings)
+    cut = _sections(scene, light, pairs, settings, tuning.sections)
     scene = scene.with_(section=cut.of_frame)
     if settings.sections == "split" and len(cut.sections) > 1:
         pairs = split(pairs, scene)
     total = len(scene) * (len(scene) - 1) / 2
     notes += [*cut.notes, *component_notes(pairs, scene)]
     notes.append(f"{len(book)} previews were matched, {100 * len(book) / max(total, 1):.1f} % of all pairs of images")
-    links, said = section_links(pairs, scene, cut.sections)
+    links, said = section_links(pairs, scene, cut.sections, tuning.sections)
     return Network(
         pairs,
         scene,
@@ -150,11 +149,13 @@ def _uses_axes(settings: NetworkSettings) -> bool:
     return bool({"auto", "offsets"} & set(settings.sources))
 
 
-def _checked(scene: Scene, book: PreviewBook, settings: NetworkSettings) -> tuple[Scene, tuple[str, ...]]:
+def _checked(
+    scene: Scene, book: PreviewBook, settings: NetworkSettings, tuning: Tuning
+) -> tuple[Scene, tuple[str, ...]]:
     """The rig check, where any source looks at the images at all."""
     if not {"auto", "offsets", "poses"} & set(settings.sources) and not settings.sequence_cameras:
         return scene, ()
-    return check_rigs(scene, find_passes(scene), book, settings)
+    return check_rigs(scene, find_passes(scene), book, settings, tuning)
 
 
 def _propose(context: Context) -> Proposal:
@@ -167,13 +168,18 @@ def _propose(context: Context) -> Proposal:
     return merged
 
 
-def _with_axes(pairs: Pairs, scene: Scene, passes: tuple, settings: NetworkSettings) -> tuple[Pairs, list[str]]:
-    """The pairs of one pass that the axes rule out added, but for those the model has found to share surface."""
+def _with_axes(
+    pairs: Pairs, scene: Scene, passes: tuple, settings: NetworkSettings, listed: int
+) -> tuple[Pairs, list[str]]:
+    """The pairs of one pass that the axes rule out added, but for those the model has found to share surface.
+
+    ``listed``: images, beyond which they are only counted.
+    """
     count = axes_count(passes, settings)
     if not count:
         return pairs, []
     said = f"axes more than {settings.axes_deg:.0f} deg apart: {count} pairs of images of one pass are not tried"
-    if len(scene) > AXES_ROWS_LIMIT:
+    if len(scene) > listed:
         return pairs, [f"{said} (not listed one by one)"]
     apart = axes_pairs(passes, settings)
     found = int(contained(apart, pairs.kept()).sum())
@@ -181,10 +187,12 @@ def _with_axes(pairs: Pairs, scene: Scene, passes: tuple, settings: NetworkSetti
     return pairs | apart, [said + more]
 
 
-def _sections(scene: Scene, light: UpLight | np.ndarray, pairs: Pairs, settings: NetworkSettings) -> SectionResult:
+def _sections(
+    scene: Scene, light: UpLight | np.ndarray, pairs: Pairs, settings: NetworkSettings, tuning: SectionsTuning
+) -> SectionResult:
     passes = find_passes(scene)
-    found = find_sections(scene, passes, light)
+    found = find_sections(scene, passes, light, tuning)
     if settings.sections == "off":
         whole = Section("whole survey", "open", tuple(range(scene.frames)))
         return replace(found, sections=(whole,), of_frame=np.zeros(scene.frames, int), threshold=float("nan"), notes=())
-    return join_places(found, scene, pairs)
+    return join_places(found, scene, pairs, tuning)

@@ -11,17 +11,14 @@ from __future__ import annotations
 import numpy as np
 
 from tiegraph.network.passes import Pass, PreviewBook, find_passes
-from tiegraph.network.poses.check import BAD_RATIO
 from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.tuning import Tuning
 from tiegraph.scene.scene import Scene
 
-SAMPLE = 40  # pairs of neighbours, and of images half a pass apart, that are previewed
-LEAST = 8  # pairs of neighbours, below which nothing can be said
-QUARTILES = 25, 75  # most neighbours are better than the lower one, most images far apart worse than the upper one
-SURE = 1.3  # times min_matches: a single preview must be surer than an average over neighbouring frames
 
-
-def shown_order(scene: Scene, book: PreviewBook, settings: NetworkSettings) -> tuple[Scene, tuple[str, ...]]:
+def shown_order(
+    scene: Scene, book: PreviewBook, settings: NetworkSettings, tuning: Tuning
+) -> tuple[Scene, tuple[str, ...]]:
     """The scene without the passes whose order was guessed and is not borne out, and what was found.
 
     The source ``sequence``, where somebody asks for it, says that the order is right; sources that look at no preview
@@ -32,7 +29,7 @@ def shown_order(scene: Scene, book: PreviewBook, settings: NetworkSettings) -> t
     looks = bool({"auto", "offsets", "poses", "retrieval"} & set(settings.sources))
     lost, notes = [], []
     for found in (p for p in find_passes(scene) if scene.tracks[p.track] in scene.guessed):
-        shown, why = _shown(found, book, settings) if looks else (False, "no preview was looked at")
+        shown, why = _shown(found, book, settings, tuning) if looks else (False, "no preview was looked at")
         if shown:
             notes.append(f"pass {found.name}: a sequence, {why}")
         else:
@@ -42,27 +39,30 @@ def shown_order(scene: Scene, book: PreviewBook, settings: NetworkSettings) -> t
     return _without(scene, lost), tuple(notes)
 
 
-def _shown(found: Pass, book: PreviewBook, settings: NetworkSettings) -> tuple[bool, str]:
+def _shown(found: Pass, book: PreviewBook, settings: NetworkSettings, tuning: Tuning) -> tuple[bool, str]:
     """Whether previews show a pass of one camera to be a sequence, and the figures."""
+    order = tuning.order
     images = found.images[0][found.images[0] >= 0]
     count = len(images)
-    near = np.unique(np.linspace(0, count - 2, min(count - 1, SAMPLE)).astype(int)) if count > 1 else np.zeros(0, int)
+    some = min(count - 1, order.sample)
+    near = np.unique(np.linspace(0, count - 2, some).astype(int)) if count > 1 else np.zeros(0, int)
     half = count // 2
     rng = np.random.default_rng(0)
     a, b = np.triu_indices(count, k=max(half, 1))
-    far = np.sort(rng.choice(len(a), min(len(a), SAMPLE), replace=False))
+    far = np.sort(rng.choice(len(a), min(len(a), order.sample), replace=False))
     first, second = np.r_[images[near], images[a[far]]], np.r_[images[near + 1], images[b[far]]]
     counts = book.measure(first, second)
     close, apart = counts[: len(near)], counts[len(near) :]
-    if len(close) < LEAST:
+    if len(close) < order.least_neighbours:
         return False, f"its {count} images are too few to tell"
-    sure = SURE * settings.min_matches
+    sure = tuning.counts.sure * settings.min_matches
     said = (
         f"{int(np.sum(close >= sure))} of {len(close)} previews of neighbours tie, and {int(np.sum(apart >= sure))} of "
         f"{len(apart)} of images half of it apart (medians {np.median(close):.0f} and {np.median(apart):.0f} matches)"
     )
-    least, most = np.percentile(close, QUARTILES[0]), np.percentile(apart, QUARTILES[1])
-    clearly = most - settings.min_matches < BAD_RATIO * (least - settings.min_matches)  # chance gives the rest
+    least, most = np.percentile(close, order.quartiles[0]), np.percentile(apart, order.quartiles[1])
+    chance = settings.min_matches
+    clearly = most - chance < order.most_far * (least - chance)
     return bool(least >= sure and clearly), said
 
 

@@ -22,14 +22,11 @@ from tiegraph.network.passes import Pass, PreviewBook, loose_images
 from tiegraph.network.poses.check import checked_pose_pairs
 from tiegraph.network.rig.axes import allowed_within
 from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.regular import regular
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.table import text_lines
-
-FEW_PHOTOS = 30  # loose photographs that are all compared with one another: 435 pairs
-NEAREST = 10  # loose photographs with positions: nearest ones that are kept whatever the preview says
-SURE = 1.3  # times min_matches: a single preview must be surer than an average over neighbouring frames
 
 Descriptors = Callable[[], Sequence[np.ndarray]]  # (K, 128) u1 of every image
 
@@ -44,6 +41,7 @@ class Context:
     passes: tuple[Pass, ...]
     book: PreviewBook
     settings: NetworkSettings
+    tuning: Tuning
     descriptors: Descriptors | None = None  # of all previews; None = there is no looking for look-alikes
 
 
@@ -173,20 +171,20 @@ def _pair_of(words: list[str], place: str, scene: Scene) -> tuple[int, int]:
 
 def offsets(context: Context) -> Proposal:
     """Frame-offset voting within and between passes (papers 000, 001)."""
-    found = estimate_offsets(context.passes, context.book, len(context.scene), context.settings)
+    found = estimate_offsets(context.passes, context.book, len(context.scene), context.settings, context.tuning)
     return Proposal(found.pairs, found.notes, found.curves, found.surfaces)
 
 
 def poses(context: Context) -> Proposal:
     """Pairs by prior poses (paper 003), which a sample of previews checks; frames without prior, or with a wrong one,
     fall back on previews, so that none is lost."""
-    found = checked_pose_pairs(context.scene, context.passes, context.book, context.settings)
+    found = checked_pose_pairs(context.scene, context.passes, context.book, context.settings, context.tuning)
     notes = list(found.notes)
     pairs = found.pairs
     if len(found.without) and "auto" not in context.settings.sources:
         rest = offsets(context).pairs | sequence(context).pairs
         alone = np.intersect1d(loose_images(context.scene), _images_of(context.scene, found.without))
-        rest = rest | scored_pairs(context.scene, alone, context.book, context.settings)
+        rest = rest | scored_pairs(context.scene, alone, context.book, context.settings, context.tuning)
         lost = np.isin(context.scene.frame, found.without)
         rest = rest.where(lost[rest.i] | lost[rest.j])
         notes.append(f"poses: frames without prior are tied by previews and order instead: {len(rest.kept())} pairs")
@@ -203,7 +201,8 @@ def retrieval(context: Context, known: Pairs | None = None) -> Proposal:
     caller has no descriptors."""
     if context.descriptors is None:
         raise SettingsError("network.sources has 'retrieval', but the previews' descriptors are not at hand")
-    found = retrieve(context.scene, context.passes, context.book, context.settings, context.descriptors, known)
+    looked = context.scene, context.passes, context.book, context.settings, context.tuning
+    found = retrieve(*looked, context.descriptors, known)
     return Proposal(found.pairs, found.notes)
 
 
@@ -223,7 +222,7 @@ def automatic(context: Context) -> Proposal:
     loose = loose_images(scene)
     parts: list[Proposal] = []
     said: list[str] = []
-    if len(loose) == len(scene) and len(loose) <= FEW_PHOTOS:
+    if len(loose) == len(scene) and len(loose) <= context.tuning.sources.few_photos:
         said.append("exhaustive")
         parts.append(_counted(exhaustive(context), context))
     else:
@@ -241,7 +240,7 @@ def automatic(context: Context) -> Proposal:
             parts.append(retrieval(context, known))
         elif len(loose):
             said.append("previews of loose photographs")
-            parts.append(Proposal(scored_pairs(scene, loose, context.book, context.settings)))
+            parts.append(Proposal(scored_pairs(scene, loose, context.book, context.settings, context.tuning)))
     merged = Proposal(Pairs.empty(), (f"sources chosen: {', '.join(said)}",))
     for part in parts:
         merged = merged | part
@@ -263,14 +262,14 @@ def confirmed(proposal: Proposal, context: Context) -> Proposal:
     kept = np.flatnonzero(pairs.dropped == 0)
     score = pairs.score.copy()
     score[kept] = context.book.measure(pairs.i[kept], pairs.j[kept])
-    weak = score < SURE * context.settings.min_matches
+    weak = score < context.tuning.counts.sure * context.settings.min_matches
     loose = context.scene.track[context.scene.frame] < 0
-    near = _nearest(pairs.with_(score=score), len(context.scene)) & loose[pairs.i] & loose[pairs.j]
+    near = _nearest(pairs, len(context.scene), context.tuning.sources.nearest) & loose[pairs.i] & loose[pairs.j]
     return Proposal(pairs.with_(score=score).drop(weak & ~near, "weak"), proposal.notes)
 
 
-def _nearest(pairs: Pairs, images: int) -> np.ndarray:
-    """(P,) bool: among the NEAREST shortest kept bases of either image."""
+def _nearest(pairs: Pairs, images: int, count: int) -> np.ndarray:
+    """(P,) bool: among the ``count`` shortest kept bases of either image."""
     row = np.tile(np.arange(len(pairs)), 2)
     image = np.concatenate([pairs.i, pairs.j])
     base = np.concatenate([pairs.baseline_m, pairs.baseline_m])
@@ -280,7 +279,7 @@ def _nearest(pairs: Pairs, images: int) -> np.ndarray:
     start = np.searchsorted(image[order], np.arange(images))
     rank = np.arange(len(order)) - start[image[order]]
     out = np.zeros(len(pairs), bool)
-    out[row[order[rank < NEAREST]]] = True
+    out[row[order[rank < count]]] = True
     return out
 
 

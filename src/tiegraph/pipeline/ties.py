@@ -64,13 +64,14 @@ def network(run: Run) -> Outcome:
         return run.map(_match_item, items, run.folder, run.settings.preview, run.settings.tuning.features.preview)
 
     make_model, descriptors = partial(_survey_model, run), partial(_Descriptors, run.folder, scene)
-    found = estimate_network(scene, light, match, run.settings.network, make_model, descriptors)
+    settings, tuning = run.settings.network, run.settings.tuning.network
+    found = estimate_network(scene, light, match, settings, tuning, make_model, descriptors)
     save_npz(run.path("network.npz"), **found.pairs.to_npz())
     save_npz(run.path("network", "ties.npz"), **found.ties.to_npz())
     if found.model is not None:
-        poses, reach = found.model.cam_from_world, found.model.reach()
+        poses, reach = found.model.cam_from_world, found.model.reach(tuning.model)
         save_npz(run.path("network", "model.npz"), cam_from_world=poses, reach=reach, trusted=found.trusted)
-        save_npz(run.path("network", "sights.npz"), **found.model.sights().to_npz())
+        save_npz(run.path("network", "sights.npz"), **found.model.sights(tuning.model).to_npz())
     write_atomic(run.path("network.csv"), found.pairs.to_csv(scene.names))
     write_atomic(run.path("network", "scene.json"), found.scene.to_json())
     cut = [{"number": k, "name": s.name, "kind": s.kind} for k, s in enumerate(found.sections)]

@@ -24,6 +24,7 @@ from tiegraph.features.tuning import Tuning as FeaturesTuning
 from tiegraph.masks.settings import MasksSettings, RemaskSettings
 from tiegraph.masks.tuning import Tuning as MasksTuning
 from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.tuning import Tuning as NetworkTuning
 from tiegraph.report.settings import ReportSettings
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.regular import regular
@@ -48,6 +49,7 @@ class Tunings(Section):
 
     features: FeaturesTuning = FeaturesTuning()
     masks: MasksTuning = MasksTuning()
+    network: NetworkTuning = NetworkTuning()
     design: DesignTuning = DesignTuning()
     verify: VerifyTuning = VerifyTuning()
     sfm: SfmTuning = SfmTuning()

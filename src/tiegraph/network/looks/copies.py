@@ -11,16 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from tiegraph.network.looks.tuning import CopiesTuning
 from tiegraph.network.offsets.lattice import Lattice
-from tiegraph.network.passes import Pass, PreviewBook
-
-STILL = 0.003  # of the image size: median motion of a copy
-AGAIN = (
-    0.55  # share of the features that a copy shows again; measured: JPEG quality 60 .. 95: 0.59 .. 0.9, next frame 0.5
-)
-STRONG = 3.0  # times min_matches: less is no ground to look closer
-SAMPLES = 6  # frames looked at first
-MANY = 0.5  # share of copies among them that makes a repeated pass
+from tiegraph.network.passes import PreviewBook
 
 
 @dataclass(frozen=True)
@@ -32,56 +25,61 @@ class Copies:
     note: str
 
 
-def is_copy(result: Any, min_matches: int) -> bool:
+def is_copy(result: Any, min_matches: int, tuning: CopiesTuning) -> bool:
     """Whether a preview match is of one picture twice. A camera that stood still looks the same, and has no base."""
-    if result.inliers < STRONG * min_matches or result.shift is None or not len(result.matches):
+    if result.inliers < tuning.strong * min_matches or result.shift is None or not len(result.matches):
         return False
     # No look at the rotation: the essential matrix of points that do not move is arbitrary.
     features = 1 + int(np.max(result.matches))  # the last feature that is found again
-    return bool(np.linalg.norm(result.shift) <= STILL and result.inliers >= AGAIN * features)
+    still = np.linalg.norm(result.shift) <= tuning.max_shift
+    return bool(still and result.inliers >= tuning.found_again * features)
 
 
-def find_copies(lattice: Lattice, book: PreviewBook, min_matches: int) -> Copies | None:
+def find_copies(lattice: Lattice, book: PreviewBook, min_matches: int, tuning: CopiesTuning) -> Copies | None:
     """Same pictures in two passes of one rig; None within a pass and where the first look finds none."""
     p, q = lattice.p, lattice.q
     if lattice.same or len(p.images) != len(q.images):
         return None
-    camera, offset = _best_offset(lattice, min_matches)
+    camera, offset = _best_offset(lattice, min_matches, tuning)
     for step in dict.fromkeys((0, *offset)):
         m = np.arange(max(0, -step), min(len(p), len(q) - step))
-        some = m[np.unique(np.linspace(0, len(m) - 1, min(len(m), SAMPLES)).round().astype(int))] if len(m) else m
+        count = min(len(m), tuning.samples)
+        some = m[np.unique(np.linspace(0, len(m) - 1, count).round().astype(int))] if len(m) else m
         if camera is None or not len(some):
             continue
-        first = _copies(p.images[camera, some], q.images[camera, some + step], book, min_matches)
-        if first.sum() >= max(2, MANY * len(some)):
-            return _all(p, q, m, step, book, min_matches)
+        first = _copies(p.images[camera, some], q.images[camera, some + step], book, min_matches, tuning)
+        if first.sum() >= max(tuning.least, tuning.many * len(some)):
+            return _all(lattice, m, step, book, min_matches, tuning)
     return None
 
 
-def _best_offset(lattice: Lattice, min_matches: int) -> tuple[int | None, tuple[int, ...]]:
+def _best_offset(lattice: Lattice, min_matches: int, tuning: CopiesTuning) -> tuple[int | None, tuple[int, ...]]:
     """The camera that matches itself best, and frame offsets n - m of its best nodes; None = no strong match."""
     own = np.stack([np.nan_to_num(lattice.inliers[c, c]) for c in range(len(lattice.inliers))])
     camera = int(own.max(axis=(1, 2)).argmax())
-    a, b = np.nonzero(own[camera] >= max(STRONG * min_matches, 0.8 * own.max()))
+    a, b = np.nonzero(own[camera] >= max(tuning.strong * min_matches, tuning.near_best * own.max()))
     if not len(a):
         return None, ()
     values, counts = np.unique(lattice.columns[b] - lattice.rows[a], return_counts=True)
-    return camera, tuple(int(v) for v in values[np.argsort(-counts, kind="stable")][:2])
+    return camera, tuple(int(v) for v in values[np.argsort(-counts, kind="stable")][: tuning.offsets])
 
 
-def _copies(i: np.ndarray, j: np.ndarray, book: PreviewBook, min_matches: int) -> np.ndarray:
+def _copies(i: np.ndarray, j: np.ndarray, book: PreviewBook, min_matches: int, tuning: CopiesTuning) -> np.ndarray:
     """(K,) bool."""
     there = np.flatnonzero((i >= 0) & (j >= 0))
     out = np.zeros(len(i), bool)
     if len(there):
         results = book.results(np.minimum(i, j)[there], np.maximum(i, j)[there])
-        out[there] = [is_copy(r, min_matches) for r in results]
+        out[there] = [is_copy(r, min_matches, tuning) for r in results]
     return out
 
 
-def _all(p: Pass, q: Pass, m: np.ndarray, step: int, book: PreviewBook, min_matches: int) -> Copies:
+def _all(
+    lattice: Lattice, m: np.ndarray, step: int, book: PreviewBook, min_matches: int, tuning: CopiesTuning
+) -> Copies:
+    p, q = lattice.p, lattice.q
     i, j = p.images[:, m].ravel(), q.images[:, m + step].ravel()
-    same = _copies(i, j, book, min_matches)
+    same = _copies(i, j, book, min_matches, tuning)
     count, total = int(same.sum()), int((q.images >= 0).sum())
     note = f"pass {q.name} repeats pass {p.name}: {count} of {total} images show the same picture; "
     return Copies(i[same], j[same], note + "pairs of them carry no base and are dropped: leave one of the passes out")

@@ -10,67 +10,74 @@ from __future__ import annotations
 import numpy as np
 
 from tiegraph.network.looks.timeline import Timeline
-from tiegraph.network.offsets.background import ENOUGH, LONG, SAMPLES, Far
+from tiegraph.network.looks.tuning import EvidenceTuning
+from tiegraph.network.offsets.background import Far
 from tiegraph.network.offsets.lattice import Level
 from tiegraph.network.passes import PreviewBook
-
-FRAME_PAIRS = 12  # of a loop that all cameras are previewed at
-SPEAKS = 0.4  # of the way from the level of unrelated frames to the highest: what a camera must reach there
-# Share of a rig's cameras that must. Simulated, 2004 images: false loops 0.17 to 0.5, true ones 0.83 to 1.
-MOST_CAMERAS = 0.6
-PLACES_A_LOOP = 16  # of the survey's places: so many loops are looked at so closely
+from tiegraph.network.tuning import Tuning
 
 
-def unrelated(line: Timeline, blocked: np.ndarray, book: PreviewBook, min_matches: int) -> Level | None:
+def unrelated(line: Timeline, blocked: np.ndarray, book: PreviewBook, min_matches: int, tuning: Tuning) -> Level | None:
     """What previews of places that have nothing to do with each other reach; None in a short survey, where it cannot be
     told. ``blocked`` (C, C): cells that are near each other, or known to tie."""
-    if len(line.of_pass) < LONG:
+    background = tuning.offsets.background
+    if len(line.of_pass) < background.long_frames:
         return None
     rng = np.random.default_rng(0)
     c, d = np.triu_indices(line.image_at.shape[1])
-    c, d = np.repeat(c, SAMPLES), np.repeat(d, SAMPLES)
+    c, d = np.repeat(c, background.samples), np.repeat(d, background.samples)
     a, b = rng.integers(0, len(line.of_pass), (2, len(c)))
     left, right = line.image_at[a, c], line.image_at[b, d]
     fine = (left >= 0) & (right >= 0) & ~blocked[line.cell[a], line.cell[b]]
-    if fine.sum() < ENOUGH:
+    if fine.sum() < background.enough:
         return None
     c, d, count = c[fine], d[fine], book.measure(left[fine], right[fine])
     shape = (line.image_at.shape[1],) * 2
-    return Far(np.concatenate([c, d]), np.concatenate([d, c]), np.tile(count, 2)).level(shape, min_matches)
+    far = Far(np.concatenate([c, d]), np.concatenate([d, c]), np.tile(count, 2))
+    return far.level(shape, min_matches, tuning)
 
 
 def seen_by_the_rig(
-    line: Timeline, ends: tuple[np.ndarray, np.ndarray], patch: np.ndarray, book: PreviewBook, level: Level
+    line: Timeline,
+    ends: tuple[np.ndarray, np.ndarray],
+    patch: np.ndarray,
+    book: PreviewBook,
+    level: Level,
+    tuning: EvidenceTuning,
 ) -> np.ndarray:
     """(P,) bool: patches of image pairs ``ends`` i (K,), j (K,) that most cameras of the rig bear out; ``patch`` (K,).
 
     The largest ones are looked at; the others are not believed.
     """
     size = np.bincount(patch)
-    most = max(1, len(line.of_pass) // PLACES_A_LOOP)
+    most = max(1, len(line.of_pass) // tuning.places_a_loop)
     out = np.zeros(len(size), bool)
     for k in np.argsort(-size, kind="stable")[:most]:
-        a, b = _frame_pairs(line, ends[0][patch == k], ends[1][patch == k])
-        out[k] = _share_speaking(line, a, b, book, level) >= MOST_CAMERAS
+        a, b = _frame_pairs(line, ends[0][patch == k], ends[1][patch == k], tuning.frame_pairs)
+        out[k] = _share_speaking(line, (a, b), book, level, tuning.speaks) >= tuning.most_cameras
     return out
 
 
-def _frame_pairs(line: Timeline, i: np.ndarray, j: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _frame_pairs(line: Timeline, i: np.ndarray, j: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
     """A few places a (K,), b (K,) along a patch of image pairs, each the one most of its images speak for."""
     a, b = line.place[i], line.place[j]
     a, b = np.minimum(a, b), np.maximum(a, b)
     key, votes = np.unique(a * len(line.of_pass) + b, return_counts=True)
     a, b = key // len(line.of_pass), key % len(line.of_pass)
-    chosen = [part[np.argmax(votes[part])] for part in np.array_split(np.arange(len(key)), min(FRAME_PAIRS, len(key)))]
+    chosen = [part[np.argmax(votes[part])] for part in np.array_split(np.arange(len(key)), min(most, len(key)))]
     return a[chosen], b[chosen]
 
 
-def _share_speaking(line: Timeline, a: np.ndarray, b: np.ndarray, book: PreviewBook, level: Level) -> float:
-    """Share of the cameras that tie at places a (K,), b (K,) with a camera of the other place; of both the lower one.
+def _share_speaking(
+    line: Timeline, places: tuple[np.ndarray, np.ndarray], book: PreviewBook, level: Level, speaks: float
+) -> float:
+    """Share of the cameras that tie at ``places`` a (K,), b (K,) with a camera of the other place; of both the
+    lower one.
 
     Which camera that is, one end of the loop says, and whether they tie the other end: the best of several chances
     would speak for any two places, and neighbouring frames see the same wall.
     """
+    a, b = places
     left, right = np.broadcast_arrays(line.image_at[a][:, :, None], line.image_at[b][:, None, :])  # (K, S, S)
     there = (left >= 0) & (right >= 0)
     count = np.full(left.shape, np.nan)
@@ -83,7 +90,7 @@ def _share_speaking(line: Timeline, a: np.ndarray, b: np.ndarray, book: PreviewB
     for axis in (1, 2):
         told = [_at_best(choose, judge, axis - 1) for choose, judge in (halves, halves[::-1])]
         cameras = there.any(axis=(0, axis))
-        shares.append(float(np.mean((np.mean(told, axis=0) >= SPEAKS)[cameras])))
+        shares.append(float(np.mean((np.mean(told, axis=0) >= speaks)[cameras])))
     return min(shares)
 
 

@@ -13,31 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array
 
+from tiegraph.network.looks.tuning import LooseTuning
 from tiegraph.network.looks.words import ImageWords
 from tiegraph.network.passes import PreviewBook
 from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
 
-ALL_LIMIT = 100  # images that are all previewed with one another: 4950 previews, half a minute
-BEST = 5  # pairs of an image kept whatever their count, so that no image stands alone
-SURE = 1.2  # times min_matches: a single preview must be surer than an average over neighbouring frames
-PER_IMAGE = 25  # previews an image, the most beyond ALL_LIMIT images
-START = 8  # look-alikes an image starts with: nine of ten share something
-BY_NAME = 2  # next photographs by name an image starts with: a camera numbers its pictures
-FRIENDS = 6  # neighbours of neighbours an image is previewed with in one round
-HIT_RATE = 0.15  # a round in which fewer previews tie is the last
-FEW_TIES = 4  # an image with fewer goes further down its list of look-alikes
-EVERY = 4  # of the frames of passes, those compared with loose photographs
-# Kept: count / min_matches, between the limits of the lattice, plus SUPPORT times the cosine of the two images' ties
-# reaches ENOUGH. Measured: recall 0.82 at precision 0.74 (rendered), 0.87 at 0.96 (photographs); the count alone at
-# equal precision 0.79 and 0.84.
-FLOOR, CEILING = 2 / 3, 2.0
-SUPPORT, ENOUGH = 3.0, 2.0
-# Without words, random partners take the place of look-alikes and need many more previews.
-RANDOM = 20
-BLIND_SHARE = 0.06  # of all pairs
-BLIND_BUDGET = 80_000
 BLOCK = 512  # rows of the graph that are multiplied at once
 
 
@@ -69,34 +52,44 @@ class _Nodes:
 
 
 def scored_pairs(
-    scene: Scene, images: np.ndarray, book: PreviewBook, settings: NetworkSettings, words: ImageWords | None = None
+    scene: Scene,
+    images: np.ndarray,
+    book: PreviewBook,
+    settings: NetworkSettings,
+    tuning: Tuning,
+    words: ImageWords | None = None,
 ) -> Pairs:
     """Pairs of loose images (K,) among each other and with the images of passes, by previews.
 
-    Up to ALL_LIMIT images every pair is previewed; beyond, PER_IMAGE an image: look-alikes by ``words`` (of all images
-    of the scene) and then neighbours of neighbours. Dropped pairs carry ``weak``.
+    Up to ``all_limit`` images every pair is previewed; beyond, so many an image: look-alikes by ``words`` (of all
+    images of the scene) and then neighbours of neighbours. Dropped pairs carry ``weak``.
     """
     if len(images) == 0:
         return Pairs.empty()
-    ordered = np.flatnonzero((scene.track[scene.frame] >= 0) & (scene.step[scene.frame] % EVERY == 0))
+    loose = tuning.looks.loose
+    ordered = np.flatnonzero((scene.track[scene.frame] >= 0) & (scene.step[scene.frame] % loose.every_frame == 0))
     chosen = np.unique(np.concatenate([images, ordered]))
     nodes = _Nodes(chosen, np.isin(chosen, images), words)
-    if len(nodes) <= ALL_LIMIT:
+    if len(nodes) <= loose.all_limit:
         key = nodes.keys(*np.triu_indices(len(nodes), k=1))
     else:
-        key = _propagated(nodes, book, settings)
+        key = _propagated(nodes, book, settings.min_matches, tuning)
     a, b = nodes.split(key)
     i, j = nodes.image[a], nodes.image[b]
     score = nodes.measure(key, book)
-    keep = supported(a, b, score, len(nodes), settings.min_matches) | _best(i, j, score, len(scene))
+    keep = supported((a, b), score, len(nodes), settings.min_matches, tuning)
+    keep |= _best(i, j, score, len(scene), loose.best)
     source = "exhaustive" if words is None else "retrieval"
     return Pairs.make(i, j, source, score=score, dropped=np.where(keep, 0, REASONS.index("weak")))
 
 
-def supported(a: np.ndarray, b: np.ndarray, score: np.ndarray, count: int, min_matches: int) -> np.ndarray:
+def supported(
+    nodes: tuple[np.ndarray, np.ndarray], score: np.ndarray, count: int, min_matches: int, tuning: Tuning
+) -> np.ndarray:
     """(K,) bool: whether node pairs a, b (K,), (K,) of ``count`` nodes tie, by their preview counts (K,) and by the
     cosine between the rows of their ties to all nodes; a node counts as tied to itself."""
-    level = np.clip(score / min_matches, FLOOR, CEILING)
+    (a, b), counts, loose = nodes, tuning.counts, tuning.looks.loose
+    level = np.clip(score / min_matches, counts.floor, counts.ceiling)
     enough = np.zeros(len(a), bool)
     graph = _graph(a, b, score, count, min_matches, own=1.0)
     length = np.sqrt(np.asarray((graph * graph).sum(axis=1)).ravel())
@@ -104,8 +97,8 @@ def supported(a: np.ndarray, b: np.ndarray, score: np.ndarray, count: int, min_m
         part = slice(start, start + BLOCK * 64)
         common = np.asarray((graph[a[part]] * graph[b[part]]).sum(axis=1)).ravel()
         cosine = common / (length[a[part]] * length[b[part]])
-        enough[part] = level[part] + SUPPORT * cosine >= ENOUGH
-    return enough & (score >= FLOOR * min_matches)
+        enough[part] = level[part] + loose.support * cosine >= loose.enough
+    return enough & (score >= counts.floor * min_matches)
 
 
 def _graph(a: np.ndarray, b: np.ndarray, score: np.ndarray, count: int, min_matches: int, own: float = 0) -> csr_array:
@@ -117,77 +110,80 @@ def _graph(a: np.ndarray, b: np.ndarray, score: np.ndarray, count: int, min_matc
     return csr_array((np.r_[weight[tied], weight[tied], np.full(len(every), own)], (row, column)), shape=(count, count))
 
 
-def _propagated(nodes: _Nodes, book: PreviewBook, settings: NetworkSettings) -> np.ndarray:
+def _propagated(nodes: _Nodes, book: PreviewBook, min_matches: int, tuning: Tuning) -> np.ndarray:
     """Numbers of the node pairs that were previewed: look-alikes and neighbours by name first, then, while previews
     hit and the budget lasts, neighbours of neighbours; images with few ties go further down their list."""
-    count = len(nodes)
-    budget = PER_IMAGE * count
+    count, loose, sure = len(nodes), tuning.looks.loose, tuning.looks.sure_alike * min_matches
+    budget = loose.previews_an_image * count
     if nodes.words is None:
-        budget = max(BLIND_BUDGET, int(BLIND_SHARE * count * (count - 1) / 2))
+        budget = max(loose.blind_budget, int(loose.blind_share * count * (count - 1) / 2))
     rng = np.random.default_rng(0)
     own = np.flatnonzero(nodes.loose)
-    near = [nodes.keys(own[:-step], own[step:]) for step in range(1, BY_NAME + 1)]
-    key = np.unique(np.concatenate([*near, _starts(nodes, own, 0, rng)]))
+    near = [nodes.keys(own[:-step], own[step:]) for step in range(1, loose.by_name + 1)]
+    key = np.unique(np.concatenate([*near, _starts(nodes, own, 0, rng, loose)]))
     depth = 0
     while True:
         score = nodes.measure(key, book)
         a, b = nodes.split(key)
-        tied = score >= SURE * settings.min_matches
+        tied = score >= sure
         degree = np.bincount(np.r_[a[tied], b[tied]], minlength=count)
         depth += 1
-        lonely = own[degree[own] < FEW_TIES]
-        deeper = _starts(nodes, lonely, depth, rng)
-        friends = _friends(nodes, a, b, score, settings.min_matches)
+        lonely = own[degree[own] < loose.few_ties]
+        deeper = _starts(nodes, lonely, depth, rng, loose)
+        friends = _friends(nodes, (a, b), score, min_matches, loose.friends)
         new = np.setdiff1d(np.union1d(friends, deeper), key)
         if not len(new) or len(key) + len(new) > budget:
             return key
-        hits = nodes.measure(new, book) >= SURE * settings.min_matches
+        hits = nodes.measure(new, book) >= sure
         key = np.union1d(key, new)
-        if nodes.words is not None and hits.mean() < HIT_RATE:
+        if nodes.words is not None and hits.mean() < loose.hit_rate:
             return key
 
 
-def _starts(nodes: _Nodes, start: np.ndarray, depth: int, rng: np.random.Generator) -> np.ndarray:
-    """Numbers of each start's START look-alikes of places depth * START onwards; without words RANDOM partners."""
+def _starts(nodes: _Nodes, start: np.ndarray, depth: int, rng: np.random.Generator, tuning: LooseTuning) -> np.ndarray:
+    """Numbers of each start's look-alikes, the next ones of its list with each ``depth``; without words of random
+    partners."""
     if nodes.words is None:
-        repeated = np.repeat(start, RANDOM)
+        repeated = np.repeat(start, tuning.blind_partners)
         return nodes.keys(repeated, rng.integers(0, len(nodes), len(repeated)))
     if not len(start):
         return np.zeros(0, np.int64)
-    other, _ = nodes.words.among(nodes.image).nearest(START * (depth + 1), start)
-    other = other[:, START * depth :]
+    other, _ = nodes.words.among(nodes.image).nearest(tuning.start * (depth + 1), start)
+    other = other[:, tuning.start * depth :]
     repeated = np.repeat(start, other.shape[1])[other.ravel() >= 0]
     return nodes.keys(repeated, other.ravel()[other.ravel() >= 0])
 
 
-def _friends(nodes: _Nodes, a: np.ndarray, b: np.ndarray, score: np.ndarray, min_matches: int) -> np.ndarray:
-    """Numbers of the FRIENDS new pairs of each node with most in common: ties to the same nodes, times likeness."""
-    count = len(nodes)
+def _friends(
+    nodes: _Nodes, known: tuple[np.ndarray, np.ndarray], score: np.ndarray, min_matches: int, most: int
+) -> np.ndarray:
+    """Numbers of the new pairs, ``most`` of each node, with most in common: ties to the same nodes, times likeness."""
+    (a, b), count = known, len(nodes)
     graph = _graph(a, b, score, count, min_matches)
-    known = nodes.keys(a, b)
+    old = nodes.keys(a, b)
     out = [np.zeros(0, np.int64)]
     for start in range(0, count, BLOCK):
         rows = np.arange(start, min(start + BLOCK, count))
         common = (graph[rows] @ graph).tocoo()
         row, column, value = common.coords[0] + start, common.coords[1], common.data
         fresh = (row != column) & (nodes.loose[row] | nodes.loose[column])
-        fresh &= ~np.isin(np.minimum(row, column).astype(np.int64) * count + np.maximum(row, column), known)
+        fresh &= ~np.isin(np.minimum(row, column).astype(np.int64) * count + np.maximum(row, column), old)
         row, column, value = row[fresh], column[fresh], value[fresh]
         if nodes.words is not None:
             value = value * nodes.words.between(nodes.image[row], nodes.image[column])
         order = np.lexsort((column, -value, row))
         rank = np.arange(len(order)) - np.searchsorted(row[order], row[order])
-        chosen = order[rank < FRIENDS]
+        chosen = order[rank < most]
         out.append(nodes.keys(row[chosen], column[chosen]))
     return np.unique(np.concatenate(out))
 
 
-def _best(i: np.ndarray, j: np.ndarray, score: np.ndarray, images: int) -> np.ndarray:
-    """(K,) bool: among the BEST counts of either image, zero counts left out."""
+def _best(i: np.ndarray, j: np.ndarray, score: np.ndarray, images: int, most: int) -> np.ndarray:
+    """(K,) bool: among the ``most`` best counts of either image, zero counts left out."""
     row = np.tile(np.arange(len(i)), 2)
     image, value = np.concatenate([i, j]), np.concatenate([score, score])
     order = np.lexsort((-value, image))
     rank = np.arange(len(order)) - np.searchsorted(image[order], image[order])
     out = np.zeros(len(i), bool)
-    out[row[order[rank < BEST]]] = True
+    out[row[order[rank < most]]] = True
     return out & (score > 0)

@@ -15,26 +15,19 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from tiegraph.network.looks.evidence import seen_by_the_rig, unrelated
-from tiegraph.network.looks.loose import CEILING, FLOOR, SURE, scored_pairs
+from tiegraph.network.looks.loose import scored_pairs
 from tiegraph.network.looks.timeline import Timeline, timeline
+from tiegraph.network.looks.tuning import WordsTuning
 from tiegraph.network.looks.words import ImageWords, image_words
 from tiegraph.network.offsets.lattice import Level
 from tiegraph.network.passes import Pass, PreviewBook, loose_images
 from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
 
-NEAR_REACHES = 3  # frames of one pass closer than this many reaches are no loop
-LOOK_ALIKES = 4  # far images that each sampled image is previewed with
-# Pairs borne out side by side, or none of them is believed. Simulated, four seeds of 300 frames: false patches reach 9
-# where one unrelated preview in five hits, 12 where three in ten do. On ``canal`` it costs two patches of 6 and 9. In
-# long surveys the whole rig must bear them out too (``evidence``): there walls that repeat make patches of any size.
-PATCH = 10
 NAMED = 5  # places named one by one in the notes
-PREVIEWS_AN_IMAGE = 16  # sampled: the most that looking for loops may take
-# Gaussian of 0.8 strides over the 3 x 3 neighbouring frame pairs, as on the lattice of ``network.lattice``.
-_STEPS = np.array([(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1)])
-_WEIGHT = np.where(np.any(_STEPS, axis=1), np.exp(-np.sum(_STEPS**2, axis=1) / (2 * 0.8**2)), 0)
+_STEPS = np.array([(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1)])  # strides to the neighbouring frame pairs
 
 
 @dataclass(frozen=True)
@@ -45,10 +38,10 @@ class RetrievalResult:
     notes: tuple[str, ...]
 
 
-def nearest_images(descriptors: Sequence[np.ndarray], count: int) -> tuple[np.ndarray, np.ndarray]:
+def nearest_images(descriptors: Sequence[np.ndarray], count: int, tuning: WordsTuning) -> tuple[np.ndarray, np.ndarray]:
     """The ``count`` images that look most like each of N images with descriptors (K, 128) u1: indices (N, C) i4,
     -1 = no more, and cosines (N, C) f4, best first. Linear memory; 4000 images of 800 features take half a minute."""
-    return image_words(descriptors).nearest(count)
+    return image_words(descriptors, tuning).nearest(count)
 
 
 def retrieve(
@@ -56,6 +49,7 @@ def retrieve(
     passes: Sequence[Pass],
     book: PreviewBook,
     settings: NetworkSettings,
+    tuning: Tuning,
     descriptors: Callable[[], Sequence[np.ndarray]],
     known: Pairs | None = None,
 ) -> RetrievalResult:
@@ -63,13 +57,13 @@ def retrieve(
 
     ``descriptors()`` gives root-SIFT (K, 128) u1 of the preview of every image.
     """
-    words = image_words(descriptors())
+    words = image_words(descriptors(), tuning.looks.words)
     loose = loose_images(scene)
-    pairs = scored_pairs(scene, loose, book, settings, words)
+    pairs = scored_pairs(scene, loose, book, settings, tuning, words)
     notes: tuple[str, ...] = ()
     if len(loose):
         notes = (f"retrieval: {len(pairs.kept())} pairs of {len(loose)} loose photographs",)
-    loops = loop_candidates(passes, words, book, settings, known)
+    loops = loop_candidates(passes, words, book, settings, tuning, known)
     return RetrievalResult(pairs | loops.pairs, notes + loops.notes)
 
 
@@ -78,6 +72,7 @@ def loop_candidates(
     words: ImageWords,
     book: PreviewBook,
     settings: NetworkSettings,
+    tuning: Tuning,
     known: Pairs | None = None,
 ) -> RetrievalResult:
     """Pairs far from the known ones whose images look alike, confirmed by the previews of the frames around them.
@@ -87,17 +82,18 @@ def loop_candidates(
     passes = [p for p in passes if len(p) > 1]
     if not passes:
         return RetrievalResult(Pairs.empty(), ())
-    line = timeline(passes, words)
-    blocked = _blocked(line, known)
-    level = unrelated(line, blocked, book, settings.min_matches)
-    i, j = _look_alikes(line, words, blocked)
-    i, j, spent = _grown(line, (i, j), blocked, book, settings, level)
+    looks = tuning.looks
+    line = timeline(passes, words, looks.timeline)
+    blocked = _blocked(line, known, looks.retrieval.near_reaches)
+    level = unrelated(line, blocked, book, settings.min_matches, tuning)
+    look = _Look(line, book, settings.min_matches, level, tuning)
+    i, j, spent = _grown(look, _look_alikes(line, words, blocked, looks.retrieval.look_alikes), blocked)
     count = book.known(i, j)
-    sure = _borne_out(line, (i, j), book, settings.min_matches, level)
+    sure = _borne_out(look, (i, j))
     patch = _patches(line, i[sure], j[sure])
-    large = np.bincount(patch) >= PATCH
+    large = np.bincount(patch) >= looks.retrieval.patch
     if level is not None:
-        large &= seen_by_the_rig(line, (i[sure], j[sure]), patch, book, level)
+        large &= seen_by_the_rig(line, (i[sure], j[sure]), patch, book, level, looks.evidence)
     sure[sure] = large[patch]
     patch = np.unique(patch[large[patch]], return_inverse=True)[1]
     measured = Pairs.make(i, j, "retrieval", score=count, dropped=np.where(sure, 0, REASONS.index("weak")))
@@ -113,11 +109,27 @@ def loop_candidates(
 # ---------------------------------------------------------------- finding, growing, confirming
 
 
-def _blocked(line: Timeline, known: Pairs | None) -> np.ndarray:
+@dataclass(frozen=True)
+class _Look:
+    """What judging the previews of pairs along the passes needs; ``level``: of unrelated images, None = unknown."""
+
+    line: Timeline
+    book: PreviewBook
+    min_matches: int
+    level: Level | None
+    tuning: Tuning
+
+    @property
+    def sure(self) -> float:
+        """Matches by which a preview ties by itself."""
+        return self.tuning.looks.sure_alike * self.min_matches
+
+
+def _blocked(line: Timeline, known: Pairs | None, near_reaches: int) -> np.ndarray:
     """(C, C) bool: cells in which a pair is no news: near in one pass, or next to known pairs."""
     count = len(line.cell_pass)
     cell = np.arange(count)
-    near = np.abs(cell[:, None] - cell) <= NEAR_REACHES
+    near = np.abs(cell[:, None] - cell) <= near_reaches
     blocked = near & (line.cell_pass[:, None] == line.cell_pass)
     if known is None:
         return blocked
@@ -132,11 +144,11 @@ def _blocked(line: Timeline, known: Pairs | None) -> np.ndarray:
     return blocked
 
 
-def _look_alikes(line: Timeline, words: ImageWords, blocked: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs i < j (K,), (K,) of sampled images that look most alike outside the blocked cells."""
+def _look_alikes(line: Timeline, words: ImageWords, blocked: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs i < j (K,), (K,) of sampled images with the ``count`` most alike of each outside the blocked cells."""
     images = line.sampled()
     cell = line.cell[line.place[images]]
-    other, _ = words.among(images).nearest(LOOK_ALIKES, wanted=lambda rows: ~blocked[np.ix_(cell[rows], cell)])
+    other, _ = words.among(images).nearest(count, wanted=lambda rows: ~blocked[np.ix_(cell[rows], cell)])
     left = np.repeat(images, other.shape[1])[other.ravel() >= 0]
     return _unique(left, images[other.ravel()[other.ravel() >= 0]], len(words))
 
@@ -147,29 +159,24 @@ def _unique(i: np.ndarray, j: np.ndarray, images: int) -> tuple[np.ndarray, np.n
 
 
 def _grown(
-    line: Timeline,
-    seeds: tuple[np.ndarray, np.ndarray],
-    blocked: np.ndarray,
-    book: PreviewBook,
-    settings: NetworkSettings,
-    level: Level | None,
+    look: _Look, seeds: tuple[np.ndarray, np.ndarray], blocked: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, bool]:
     """Pairs previewed: the given ones, and the neighbours of every hit until nothing new hits; whether the budget of
     previews was spent before."""
-    images = len(line.place)
-    budget = PREVIEWS_AN_IMAGE * len(line.sampled())
+    line, images = look.line, len(look.line.place)
+    budget = look.tuning.looks.retrieval.previews_an_image * len(line.sampled())
     done = np.zeros(0, np.int64)
     key = seeds[0] * images + seeds[1]
     first = True
     while len(key):
         if len(done) + len(key) > budget and len(done):
             return done // images, done % images, True
-        book.measure(key // images, key % images)
+        look.book.measure(key // images, key % images)
         done = np.union1d(done, key)
         # Every first hit is looked at from all sides; from there on only what its surroundings bear out spreads.
-        hit = key[_hits(line, (key // images, key % images), book, settings.min_matches, level)]
+        hit = key[_hits(look, (key // images, key % images))]
         if not first:
-            own = _borne_out(line, (done // images, done % images), book, settings.min_matches, level)
+            own = _borne_out(look, (done // images, done % images))
             hit = done[own]
         first = False
         a, b = _around(line, hit // images, hit % images)
@@ -189,32 +196,32 @@ def _around(line: Timeline, i: np.ndarray, j: np.ndarray) -> tuple[np.ndarray, n
     return a, b
 
 
-def _hits(
-    line: Timeline, ends: tuple[np.ndarray, np.ndarray], book: PreviewBook, min_matches: int, level: Level | None
-) -> np.ndarray:
+def _hits(look: _Look, ends: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     """(K,) bool: previews that tie by themselves, above the level of unrelated images."""
-    count = book.known(*ends)
+    count, level = look.book.known(*ends), look.level
     if level is None:
-        return count >= SURE * min_matches
-    cameras = line.sensor[ends[0]], line.sensor[ends[1]]
-    return level.above(np.clip(count, level.lowest, level.highest), cameras) >= SURE * min_matches
+        return count >= look.sure
+    cameras = look.line.sensor[ends[0]], look.line.sensor[ends[1]]
+    return level.above(np.clip(count, level.lowest, level.highest), cameras) >= look.sure
 
 
-def _borne_out(
-    line: Timeline, ends: tuple[np.ndarray, np.ndarray], book: PreviewBook, min_matches: int, level: Level | None
-) -> np.ndarray:
+def _borne_out(look: _Look, ends: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     """(K,) bool: previews that tie and so does the weighted mean of those around them, themselves left out.
 
-    Of unrelated pairs with one hit in five, one in 75 is borne out (simulated).
+    The weights are a Gaussian over the 3 x 3 neighbouring frame pairs, as on the lattice of ``offsets``. Of unrelated
+    pairs with one hit in five, one in 75 is borne out (simulated).
     """
+    line, counts = look.line, look.tuning.counts
     a, b = _around(line, *ends)
-    count = book.known(np.maximum(a, 0).ravel(), np.maximum(b, 0).ravel()).reshape(a.shape)
+    count = look.book.known(np.maximum(a, 0).ravel(), np.maximum(b, 0).ravel()).reshape(a.shape)
     seen = np.isfinite(count) & (a >= 0) & (b >= 0)
-    limited = np.clip(np.nan_to_num(count), FLOOR * min_matches, CEILING * min_matches)
-    mean = (limited * seen) @ _WEIGHT / np.maximum(seen @ _WEIGHT, 1e-9)
-    if level is not None:
-        mean = level.above(mean, (line.sensor[ends[0]], line.sensor[ends[1]]))
-    return (mean >= SURE * min_matches) & _hits(line, ends, book, min_matches, level)
+    limited = np.clip(np.nan_to_num(count), counts.floor * look.min_matches, counts.ceiling * look.min_matches)
+    near = np.exp(-np.sum(_STEPS**2, axis=1) / (2 * counts.sigma_nodes**2))
+    weight = np.where(np.any(_STEPS, axis=1), near, 0)
+    mean = (limited * seen) @ weight / np.maximum(seen @ weight, 1e-9)
+    if look.level is not None:
+        mean = look.level.above(mean, (line.sensor[ends[0]], line.sensor[ends[1]]))
+    return (mean >= look.sure) & _hits(look, ends)
 
 
 def _patches(line: Timeline, i: np.ndarray, j: np.ndarray) -> np.ndarray:

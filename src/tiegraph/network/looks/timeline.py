@@ -7,13 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tiegraph.network.looks.tuning import TimelineTuning
 from tiegraph.network.looks.words import ImageWords
 from tiegraph.network.passes import Pass
-
-LADDER = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96)  # frame distances at which likeness along a pass is measured
-REACH_SHARE = 0.25  # of the likeness of consecutive frames, above that of distant ones, that ends the reach
-STRIDES_A_REACH = 3  # sampled frames within a reach
-MAX_CELLS = 3000  # cells along all passes in which known ties are marked
 
 
 @dataclass(frozen=True)
@@ -46,13 +42,13 @@ class Timeline:
         return np.where(there >= 0, self.image_at[there, self.sensor[images]], -1)
 
 
-def timeline(passes: Sequence[Pass], words: ImageWords) -> Timeline:
+def timeline(passes: Sequence[Pass], words: ImageWords, tuning: TimelineTuning) -> Timeline:
     """The passes one after another; how densely they are sampled is told by how alike their images look."""
     sensors = max(len(p.images) for p in passes)
     length = np.array([len(p) for p in passes])
     image_at = np.full((length.sum(), sensors), -1, np.int64)
-    reach = np.array([_reach(p, words) for p in passes])
-    size = np.maximum(reach, -(-length.sum() // MAX_CELLS))
+    reach = np.array([_reach(p, words, tuning) for p in passes])
+    size = np.maximum(reach, -(-length.sum() // tuning.max_cells))
     of_pass = np.repeat(np.arange(len(passes)), length)
     rank = np.concatenate([np.arange(n) for n in length])
     for k, p in enumerate(passes):
@@ -62,19 +58,19 @@ def timeline(passes: Sequence[Pass], words: ImageWords) -> Timeline:
     place, sensor = np.full(len(words), -1, np.int64), np.zeros(len(words), np.int64)
     g, s = np.nonzero(image_at >= 0)
     place[image_at[g, s]], sensor[image_at[g, s]] = g, s
-    stride = np.maximum(1, reach // STRIDES_A_REACH)[of_pass]
+    stride = np.maximum(1, reach // tuning.strides_a_reach)[of_pass]
     cell_pass = np.repeat(np.arange(len(passes)), cells)
     return Timeline(image_at, of_pass, rank, stride, cell, cell_pass, place, sensor)
 
 
-def _reach(p: Pass, words: ImageWords) -> int:
+def _reach(p: Pass, words: ImageWords, tuning: TimelineTuning) -> int:
     """Frames over which the images of a camera look alike."""
-    steps = [s for s in LADDER if s < len(p)]
+    steps = [s for s in tuning.ladder if s < len(p)]
     alike = []
     for step in steps:
         left, right = p.images[:, :-step].ravel(), p.images[:, step:].ravel()
         there = (left >= 0) & (right >= 0)
         alike.append(float(words.between(left[there], right[there]).mean()) if there.any() else 0.0)
-    level = min(alike) + REACH_SHARE * (alike[0] - min(alike))
+    level = min(alike) + tuning.reach_share * (alike[0] - min(alike))
     below = [s for s, value in zip(steps, alike) if value < level]
     return below[0] if below else steps[-1]

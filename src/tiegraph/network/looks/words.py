@@ -14,15 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array, hstack
 
-VOCABULARIES = 2  # with other starts; two find 0.01 to 0.02 more than one
-FEATURES_A_WORD = 12  # measured: 8 to 16 serve alike from 79 to 300 images
-MIN_WORDS, MAX_WORDS = 256, 65536
-TRAINING = 200_000  # descriptors a vocabulary is learnt from: 100 MB
-ROUNDS = 8  # of k-means
+from tiegraph.network.looks.tuning import WordsTuning
+
 CHUNK = 40_000  # descriptors looked up at once
 BLOCK = 256  # images whose similarities are held at once
-IDF_POWER = 0.5  # in a survey common words still tell: 0.005 better than the plain logarithm
-BURST_POWER = 0.5  # repeated words count less than once each (burstiness: Jegou 2009)
 
 
 @dataclass(frozen=True)
@@ -77,7 +72,7 @@ class ImageWords:
         return out
 
 
-def image_words(descriptors: Sequence[np.ndarray]) -> ImageWords:
+def image_words(descriptors: Sequence[np.ndarray], tuning: WordsTuning) -> ImageWords:
     """Words of images with root-SIFT descriptors (K, 128) u1 each; K = 0 is legal. Deterministic.
 
     ``descriptors`` is gone through a few times, image by image: it may load on demand.
@@ -85,11 +80,12 @@ def image_words(descriptors: Sequence[np.ndarray]) -> ImageWords:
     total = sum(len(d) for d in descriptors)
     if total == 0:
         return ImageWords(csr_array((len(descriptors), 1), dtype=np.float32))
-    words = int(np.clip(total / FEATURES_A_WORD, MIN_WORDS, MAX_WORDS))
+    words = int(np.clip(total / tuning.features_a_word, tuning.min_words, tuning.max_words))
     parts = []
-    for seed in range(VOCABULARIES):
-        vocabulary = _learn(_sample(descriptors, total, seed), words, seed)
-        parts.append(_weighted(_counted(descriptors, vocabulary)))
+    for seed in range(tuning.vocabularies):
+        taken = _sample(descriptors, min(1.0, tuning.training / total), seed)
+        vocabulary = _learn(taken, words, seed, tuning.rounds)
+        parts.append(_weighted(_counted(descriptors, vocabulary), tuning))
     both = csr_array(hstack(parts).tocsr(), dtype=np.float32)
     return ImageWords(_unit(both))
 
@@ -114,28 +110,29 @@ class _Vocabulary:
         return out
 
 
-def _sample(descriptors: Sequence[np.ndarray], total: int, seed: int) -> np.ndarray:
+def _sample(descriptors: Sequence[np.ndarray], share: float, seed: int) -> np.ndarray:
     """(K, 128) f4 descriptors, the same share of every image."""
     rng = np.random.default_rng(seed)
-    share = min(1.0, TRAINING / total)
     taken = [d[rng.random(len(d)) < share] for d in descriptors]
     return np.concatenate(taken).astype(np.float32).reshape(-1, 128)
 
 
-def _learn(x: np.ndarray, words: int, seed: int) -> _Vocabulary:
+def _learn(x: np.ndarray, words: int, seed: int, rounds: int) -> _Vocabulary:
     rng = np.random.default_rng(seed)
     side = max(1, round(np.sqrt(words)))
-    cells = _k_means(x, side, rng)
+    cells = _k_means(x, side, rng, rounds)
     cell = _closest(x, cells)
-    each = [_k_means(x[cell == c], side, rng) if (cell == c).any() else cells[c : c + 1] for c in range(len(cells))]
+    each = [
+        _k_means(x[cell == c], side, rng, rounds) if (cell == c).any() else cells[c : c + 1] for c in range(len(cells))
+    ]
     return _Vocabulary(cells, tuple(each), np.concatenate([[0], np.cumsum([len(w) for w in each])]))
 
 
-def _k_means(x: np.ndarray, k: int, rng: np.random.Generator) -> np.ndarray:
+def _k_means(x: np.ndarray, k: int, rng: np.random.Generator, rounds: int) -> np.ndarray:
     """At most ``k`` centres (C, 128) of descriptors (K, 128) by Lloyd's rounds from random starts."""
     k = min(k, len(x))
     centres = x[np.sort(rng.permutation(len(x))[:k])]
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         label = _closest(x, centres)
         size = np.bincount(label, minlength=k)
         members = csr_array((np.ones(len(x), np.float32), (label, np.arange(len(x)))), shape=(k, len(x)))
@@ -169,12 +166,12 @@ def _counted(descriptors: Sequence[np.ndarray], vocabulary: _Vocabulary) -> csr_
     return csr_array((np.ones(len(word), np.float32), (row, word)), shape=shape)
 
 
-def _weighted(counts: csr_array) -> csr_array:
+def _weighted(counts: csr_array, tuning: WordsTuning) -> csr_array:
     """Term frequency and inverse document frequency, each damped; rows of length 1."""
     images = counts.shape[0]
     having = np.bincount(counts.indices, minlength=counts.shape[1])
-    rare = np.log(images / np.clip(having, 1, images)) ** IDF_POWER
-    data = counts.data**BURST_POWER * rare[counts.indices]
+    rare = np.log(images / np.clip(having, 1, images)) ** tuning.idf_power
+    data = counts.data**tuning.burst_power * rare[counts.indices]
     return _unit(csr_array((data.astype(np.float32), counts.indices, counts.indptr), shape=counts.shape))
 
 

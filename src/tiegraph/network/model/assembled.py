@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tiegraph.network.model.surveymodel import ModelFunction, SurveyModel
+from tiegraph.network.model.tuning import ModelTuning
 from tiegraph.scene.blocks import Block, blocks_of
 from tiegraph.scene.joining import Joined, Poses, join_models, moved
 from tiegraph.scene.scene import Scene
@@ -25,8 +26,9 @@ class SurveyMapper:
     where a few ties were wrong, only what they touch costs anything.
     """
 
-    def __init__(self, scene: Scene, make: ModelFunction) -> None:
+    def __init__(self, scene: Scene, tuning: ModelTuning, make: ModelFunction) -> None:
         self._scene = scene
+        self._tuning = tuning
         self._make = make
         self._blocks: tuple[Block, ...] | None = None
         self._last: dict[int, tuple[Ties, SurveyModel | None]] = {}
@@ -46,7 +48,7 @@ class SurveyMapper:
             log.info("block %d of %d: %d of %d images in its model", number + 1, len(blocks), placed, len(block))
             if model is not None and placed:
                 made.append((block, model))
-        joined = join_models([_poses(block, model) for block, model in made])
+        joined = join_models([_poses(block, model, self._tuning) for block, model in made])
         whose = _whose(scene, made, joined.part)
         models = [_together(scene, made, joined, whose, k) for k in range(int(joined.part.max(initial=-1)) + 1)]
         models.sort(key=lambda m: -int(m.placed().sum()))
@@ -63,9 +65,9 @@ class SurveyMapper:
         return model
 
 
-def _poses(block: Block, model: SurveyModel) -> Poses:
+def _poses(block: Block, model: SurveyModel, tuning: ModelTuning) -> Poses:
     there = model.placed()
-    far = np.nanmedian(model.reach()[:, 1]) if len(model.point) else np.nan
+    far = np.nanmedian(model.reach(tuning)[:, 1]) if len(model.point) else np.nan
     return Poses(block.images[there], model.cam_from_world[there], float(far) if np.isfinite(far) else 1.0)
 
 

@@ -9,13 +9,8 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
+from tiegraph.network.model.tuning import ModelTuning, ProxyTuning
 from tiegraph.network.model.view import View
-
-FAR_OBSERVERS = 2.0  # a point is not seen from further than this times its farthest observer
-MIN_TRACK = 3  # observers a point needs, where enough points have so many
-ASSUMED_GRID = (6, 5)  # rays across and down an image for a proxy at an assumed range
-ASSUMED_RANGES = (0.25, 0.5, 1.0, 2.0)  # of the assumed range
-ASSUMED_REACH = 3.0  # ranges from which such a point is still seen
 
 
 @dataclass(frozen=True)
@@ -51,10 +46,12 @@ class Proxy:
         )
 
 
-def observed_proxy(points: np.ndarray, image: np.ndarray, point: np.ndarray, cam_from_world: np.ndarray) -> Proxy:
+def observed_proxy(
+    points: np.ndarray, image: np.ndarray, point: np.ndarray, cam_from_world: np.ndarray, tuning: ProxyTuning
+) -> Proxy:
     """Proxy of model points (P, 3) and their observations: ``image`` (O,) sees ``point`` (O,).
 
-    Points with fewer than MIN_TRACK observers are left out, unless that would take more than half of them.
+    Points with few observers are left out, unless that would take too many of them.
     """
     centre = transforms.centre(cam_from_world)
     known = np.isfinite(centre[image]).all(axis=1)
@@ -65,11 +62,11 @@ def observed_proxy(points: np.ndarray, image: np.ndarray, point: np.ndarray, cam
     np.add.at(towards, point, ray / distance[:, None])
     towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
     reach = np.zeros(len(points))
-    np.maximum.at(reach, point, FAR_OBSERVERS * distance)
+    np.maximum.at(reach, point, tuning.far_observers * distance)
     track = np.bincount(point, minlength=len(points))
     proxy = Proxy(points, np.where(track > 0, reach, np.inf), towards, image, point)
-    good = track >= MIN_TRACK
-    return proxy.keep(good) if good.sum() >= 0.5 * len(points) else proxy
+    good = track >= tuning.min_track
+    return proxy.keep(good) if good.sum() >= tuning.tracked_share * len(points) else proxy
 
 
 def points_proxy(points: np.ndarray) -> Proxy:
@@ -79,7 +76,10 @@ def points_proxy(points: np.ndarray) -> Proxy:
 
 
 def assumed_proxy(
-    cam_from_world: np.ndarray, cameras: Sequence[pycolmap.Camera | None], range_m: float | np.ndarray
+    cam_from_world: np.ndarray,
+    cameras: Sequence[pycolmap.Camera | None],
+    range_m: float | np.ndarray,
+    tuning: ModelTuning,
 ) -> Proxy:
     """Proxy from poses alone (paper 003): points on a grid of rays of every image, about an assumed range.
 
@@ -87,15 +87,16 @@ def assumed_proxy(
     """
     known = np.flatnonzero(np.isfinite(cam_from_world[:, :3]).all(axis=(1, 2)))
     ranges = np.broadcast_to(np.asarray(range_m, float), (len(cam_from_world),))
-    rays = {key: _grid_rays(c) for key, c in {id(c): c for c in cameras}.items()}
-    steps = np.array(ASSUMED_RANGES)
+    views = {key: View.of(c, tuning.visible.guessed_view_deg) for key, c in {id(c): c for c in cameras}.items()}
+    rays = {key: _grid_rays(view, tuning.proxy.assumed_grid) for key, view in views.items()}
+    steps = np.array(tuning.proxy.assumed_ranges)
     points, towards, reach, image = [], [], [], []
     for k in known:
         world = rays[id(cameras[int(k)])] @ cam_from_world[k, :3, :3]
         centre = transforms.centre(cam_from_world[k])
         points.append((centre + world[None] * (steps * ranges[k])[:, None, None]).reshape(-1, 3))
         towards.append(np.tile(-world, (len(steps), 1)))
-        reach.append(np.full(len(world) * len(steps), ASSUMED_REACH * ranges[k]))
+        reach.append(np.full(len(world) * len(steps), tuning.proxy.assumed_reach * ranges[k]))
         image.append(np.full(len(world) * len(steps), k))
     if not points:
         return Proxy(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)), np.zeros(0, int), np.zeros(0, int), True)
@@ -110,9 +111,9 @@ def assumed_proxy(
     )
 
 
-def _grid_rays(camera: pycolmap.Camera | None) -> np.ndarray:
+def _grid_rays(view: View, size: tuple[int, int]) -> np.ndarray:
     """(G, 3) unit rays through the centres of a grid of the image; not those the camera model cannot invert."""
-    u, v = (np.arange(n) + 0.5 for n in ASSUMED_GRID)
-    grid = np.stack(np.meshgrid(u / ASSUMED_GRID[0], v / ASSUMED_GRID[1]), axis=-1).reshape(-1, 2)
-    rays = View.of(camera).rays(grid)
+    u, v = (np.arange(n) + 0.5 for n in size)
+    grid = np.stack(np.meshgrid(u / size[0], v / size[1]), axis=-1).reshape(-1, 2)
+    rays = view.rays(grid)
     return rays[np.isfinite(rays).all(axis=1)]

@@ -19,6 +19,7 @@ from tiegraph.geometry import transforms
 from tiegraph.network.model.assembled import SurveyMapper
 from tiegraph.network.model.surveymodel import ModelFunction, SurveyModel
 from tiegraph.network.model.trust import Trust, trust
+from tiegraph.network.model.tuning import ModelTuning
 from tiegraph.network.model.visible import Overlap
 from tiegraph.network.offsets.curves import contained
 from tiegraph.network.passes import PreviewBook
@@ -29,15 +30,6 @@ from tiegraph.scene.scene import Scene
 from tiegraph.scene.strongest import strongest_pairs
 from tiegraph.scene.ties import Ties
 
-MIN_MATCHES = 15  # a tie of the model
-ENOUGH = 0.8  # share of the images in the model from which its calibration is believed
-TRIES = 4  # models made, where the first are torn or suspect
-MORE = 1.5  # times the pairs an image of a torn model
-ENOUGH_LOOKS = 8  # previews of two cameras where the model predicts a common view, to say that they never tie
-NEVER = 0.1  # share of them that chance ties
-MOST_FOCAL = 1.1  # by which a model may correct the focal length of a data sheet or of EXIF
-MOST_TURN_DEG = 15.0  # of a nominal mounting: further only if a second model turns the camera as far
-SAME_TURN_DEG = 3.0  # two models agree
 NO_MODEL = "preview model: none could be made; pairs are chosen by preview counts alone"
 
 log = logging.getLogger(__name__)
@@ -55,27 +47,27 @@ class ModelResult:
 
 
 def by_model(
-    pairs: Pairs, scene: Scene, book: PreviewBook, settings: NetworkSettings, make: ModelFunction
+    pairs: Pairs, scene: Scene, book: PreviewBook, settings: NetworkSettings, tuning: ModelTuning, make: ModelFunction
 ) -> ModelResult:
     """Pairs by the predicted shared surface where a model of the best ties is trusted, unchanged elsewhere.
 
     Kept pairs that share less than ``settings.min_overlap`` are dropped for ``overlap``; all others that share as much
     are added with the source ``model``.
     """
-    tries = _tries(pairs, scene, book, settings, make)
-    best = max(tries, key=lambda t: (t.right(), not t.loose(tries).any(), t.trust.explained))
+    tries = _tries(pairs, scene, book, settings, tuning, make)
+    best = max(tries, key=lambda t: (t.right(), not t.loose(tries, tuning).any(), t.trust.explained))
     said = (f"preview model: made {len(tries)} times, {tries[0].wrong()}",) if len(tries) > 1 else ()
     if not best.models:
         return ModelResult(pairs, scene, None, (NO_MODEL, *best.notes), np.zeros(len(scene), bool))
-    loose = best.loose(tries)
+    loose = best.loose(tries, tuning)
     trusted = best.trust.images & ~loose[scene.sensor_key]
     judged = _judged(pairs, best.overlap, np.where(trusted, best.part, -1), settings)
-    judged = judged.drop(_never_tied(judged, scene, book, settings), "votes")
+    judged = judged.drop(_never_tied(judged, scene, book, settings, tuning), "votes")
     model = best.models[0]
     notes = (*_notes(scene, best), *best.notes, *said, *_loose_notes(scene, loose, best.turned))
-    if model.placed().sum() < ENOUGH * len(scene):
+    if model.placed().sum() < tuning.calibrates * len(scene):
         return ModelResult(judged, scene, model, notes, trusted)
-    rigs, moved = calibrated_rigs(scene.rigs, model.rigs, loose)
+    rigs, moved = calibrated_rigs(scene.rigs, model.rigs, tuning.most_focal, loose)
     return ModelResult(judged, scene.with_(rigs=rigs), model, notes + moved, trusted)
 
 
@@ -91,12 +83,12 @@ class _Try:
     notes: tuple[str, ...]
     turned: np.ndarray  # (S,) degrees by which the first model turns the nominal mounting of a sensor, 0 = not nominal
 
-    def loose(self, tries: Sequence[_Try]) -> np.ndarray:
+    def loose(self, tries: Sequence[_Try], tuning: ModelTuning) -> np.ndarray:
         """(S,) bool: sensors turned further than a mounting is guessed wrong, and not so in another try: few points
         hold them (four of nine models of ``canal_demo`` turned the up camera by 55 deg, the others by 1)."""
-        out = self.turned > MOST_TURN_DEG
+        out = self.turned > tuning.most_turn_deg
         for other in (t for t in tries if t is not self and t.models):
-            out &= np.abs(other.turned - self.turned) > SAME_TURN_DEG
+            out &= np.abs(other.turned - self.turned) > tuning.same_turn_deg
         return out
 
     def wrong(self) -> str:
@@ -108,7 +100,9 @@ class _Try:
         return bool(self.models) and self.trust.sound and not len(self.trust.suspects[0])
 
 
-def _tries(pairs: Pairs, scene: Scene, book: PreviewBook, settings: NetworkSettings, make: ModelFunction) -> list[_Try]:
+def _tries(
+    pairs: Pairs, scene: Scene, book: PreviewBook, settings: NetworkSettings, tuning: ModelTuning, make: ModelFunction
+) -> list[_Try]:
     """Models until one is sound and agrees with most ties everywhere.
 
     Where stretches of passes contradict each other, as if one had been put a wall too far, the ties that drew it there
@@ -116,34 +110,36 @@ def _tries(pairs: Pairs, scene: Scene, book: PreviewBook, settings: NetworkSetti
     only turns a camera too far of more of those that were previewed.
     """
     tries: list[_Try] = []
-    mapper = SurveyMapper(scene, make)
+    mapper = SurveyMapper(scene, tuning, make)
     per_image, without = float(settings.model_pairs), np.zeros(0, np.int64)
-    while len(tries) < TRIES:
+    while len(tries) < tuning.tries:
         best = strongest_pairs(pairs, scene, round(per_image))
         if any(t.right() for t in tries):  # only a camera was turned too far: no reason to look at more
             best = best.where(np.isfinite(book.known(best.i, best.j)))
-        ties = _ties(best, book, without)
-        made = _try(ties, scene, book, settings, mapper)
+        ties = _ties(best, book, without, tuning.tie_matches)
+        made = _try(ties, scene, book, settings, tuning, mapper)
         tries.append(made)
         suspects = _key(*made.trust.suspects)
-        if not made.models or (made.right() and not made.loose(tries).any()):
+        if not made.models or (made.right() and not made.loose(tries, tuning).any()):
             break
         if len(suspects):
             without = np.union1d(without, suspects)
         else:
-            per_image *= MORE
+            per_image *= tuning.more_pairs
     return tries
 
 
-def _ties(best: Pairs, book: PreviewBook, without: np.ndarray) -> Ties:
+def _ties(best: Pairs, book: PreviewBook, without: np.ndarray, least: int) -> Ties:
     """The preview matches of the best pairs, those whose keys (K,) are not to be used left out."""
     book.measure(best.i, best.j)
     ties = book.ties()
     key = _key(ties.i, ties.j)
-    return ties.where(np.isin(key, _key(best.i, best.j)) & ~np.isin(key, without) & (ties.counts() >= MIN_MATCHES))
+    return ties.where(np.isin(key, _key(best.i, best.j)) & ~np.isin(key, without) & (ties.counts() >= least))
 
 
-def _try(ties: Ties, scene: Scene, book: PreviewBook, settings: NetworkSettings, mapper: SurveyMapper) -> _Try:
+def _try(
+    ties: Ties, scene: Scene, book: PreviewBook, settings: NetworkSettings, tuning: ModelTuning, mapper: SurveyMapper
+) -> _Try:
     models, notes = mapper(ties) if len(ties) else ((), ())
     part = np.full(len(scene), -1)
     if not models:
@@ -151,8 +147,8 @@ def _try(ties: Ties, scene: Scene, book: PreviewBook, settings: NetworkSettings,
         return _Try((), part, Overlap.together(()), Trust.none(len(scene)), len(ties), notes, none)
     for k, one in enumerate(models):
         part[one.placed()] = k
-    overlap = Overlap.together([one.overlap(settings.axes_deg) for one in models])
-    believed = trust(scene, book, overlap, part, settings)
+    overlap = Overlap.together([one.overlap(settings.axes_deg, tuning) for one in models])
+    believed = trust(scene, book, overlap, part, settings, tuning.trust)
     return _Try(models, part, overlap, believed, len(ties), notes, _turned_deg(scene.rigs, models[0].rigs))
 
 
@@ -174,11 +170,12 @@ def _key(i: np.ndarray, j: np.ndarray) -> np.ndarray:
 
 
 def calibrated_rigs(
-    given: Sequence[Rig], found: Sequence[Rig], loose: np.ndarray | None = None
+    given: Sequence[Rig], found: Sequence[Rig], most_focal: float, loose: np.ndarray | None = None
 ) -> tuple[tuple[Rig, ...], tuple[str, ...]]:
     """Rigs with what was only guessed replaced by what the model found: cameras that were not calibrated, and of a
     nominal rig the rotations (its centres nearly coincide: the model's lever arms have no scale to be told by).
-    Sensors that are ``loose`` (S,) in the model stay as given."""
+    ``most_focal``: by which factor a focal length of a data sheet may be corrected. Sensors that are ``loose`` (S,) in
+    the model stay as given."""
     rigs, notes = [], []
     held = iter(np.zeros(sum(len(r.sensors) for r in given), bool) if loose is None else loose)
     for old, new in zip(given, found):
@@ -188,7 +185,7 @@ def calibrated_rigs(
             if next(held):
                 sensors.append(a)
                 continue
-            camera = _better_camera(a.camera, b.camera, old.fixed)
+            camera = _better_camera(a.camera, b.camera, old.fixed, most_focal)
             extrinsics = a.sensor_from_rig
             if old.nominal and extrinsics is not None and b.sensor_from_rig is not None:
                 centre = transforms.centre(extrinsics)
@@ -205,7 +202,9 @@ def calibrated_rigs(
     return tuple(rigs), tuple(notes)
 
 
-def _better_camera(given: pycolmap.Camera | None, found: pycolmap.Camera | None, fixed: bool) -> pycolmap.Camera | None:
+def _better_camera(
+    given: pycolmap.Camera | None, found: pycolmap.Camera | None, fixed: bool, most_focal: float
+) -> pycolmap.Camera | None:
     """The camera to go on with. A focal length of a data sheet or of EXIF is right to some per cent and says nothing of
     principal point and distortion; at the side of an image that is more than the degree ``verify`` allows."""
     if given is None or found is None:
@@ -213,7 +212,7 @@ def _better_camera(given: pycolmap.Camera | None, found: pycolmap.Camera | None,
     if not given.has_prior_focal_length:
         return found
     change = found.mean_focal_length() / given.mean_focal_length()
-    if fixed or calibrated(given) or not 1 / MOST_FOCAL < change < MOST_FOCAL:
+    if fixed or calibrated(given) or not 1 / most_focal < change < most_focal:
         return given
     # It was not calibrated: what follows may go on adjusting it.
     return camera_from_dict({**(camera_to_dict(found) or {}), "prior_focal": False})
@@ -230,7 +229,9 @@ def _judged(pairs: Pairs, overlap: Overlap, part: np.ndarray, settings: NetworkS
     return judged | found.where(~contained(found, copies))
 
 
-def _never_tied(pairs: Pairs, scene: Scene, book: PreviewBook, settings: NetworkSettings) -> np.ndarray:
+def _never_tied(
+    pairs: Pairs, scene: Scene, book: PreviewBook, settings: NetworkSettings, tuning: ModelTuning
+) -> np.ndarray:
     """(P,) bool: pairs of two cameras that the model says share surface and whose previews say never match.
 
     An up camera sees the walls from so low an angle, and so few of their features, that nothing ties (``canal``: 0 of
@@ -244,7 +245,7 @@ def _never_tied(pairs: Pairs, scene: Scene, book: PreviewBook, settings: Network
     seen = np.isfinite(count) & (pairs.overlap >= settings.min_overlap)
     total = np.bincount(group[seen], minlength=sensors * sensors)
     hits = np.bincount(group[seen], count[seen] >= settings.min_matches, minlength=sensors * sensors)
-    never = (total >= ENOUGH_LOOKS) & (hits < NEVER * total)
+    never = (total >= tuning.enough_looks) & (hits < tuning.never * total)
     return never[group] & ~pairs.from_source("sequence") & ~(np.nan_to_num(count) >= settings.min_matches)
 
 

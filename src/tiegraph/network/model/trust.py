@@ -8,22 +8,12 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
+from tiegraph.network.model.tuning import TrustTuning
 from tiegraph.network.model.visible import Overlap
 from tiegraph.network.passes import PreviewBook
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.scene.graph import parts
 from tiegraph.scene.scene import Scene
-
-NEAR_STEPS = 2  # frames of a pass: images this near each other show whether the model is right there
-TRUSTED = 0.5  # share of a frame's strong previews with those before, and after it, that the model must explain
-FEW = 3  # fewer of them tell nothing
-SURE = 1.6  # times min_matches: previews this strong between near frames are true
-STEEP_DEG = 90.0  # no preview is strong where rays to the shared surface meet at more: such matches are a wall like it
-SOUND = 0.95  # share of a model's images that must be trusted: else it is torn
-# Shares of the matches in strong previews between two stretches of passes. On canal the truth explains 0.72 of those
-# between its two passes, the rest are repeated walls; models that put one pass a few walls further 0.2 to 0.35.
-SUSPECT = 0.6  # below: what the model explains may be the false ones
-LINKED = 0.3  # below: the two are not where the model has them
 
 
 @dataclass(frozen=True)
@@ -48,7 +38,14 @@ class Trust:
         return Trust(np.zeros(images, bool), float("nan"), -1.0, (nothing, nothing), False)
 
 
-def trust(scene: Scene, book: PreviewBook, overlap: Overlap, part: np.ndarray, settings: NetworkSettings) -> Trust:
+def trust(
+    scene: Scene,
+    book: PreviewBook,
+    overlap: Overlap,
+    part: np.ndarray,
+    settings: NetworkSettings,
+    tuning: TrustTuning,
+) -> Trust:
     """How far a model is believed. ``part`` (N,): the part of it that holds an image, -1 = none.
 
     Walls may repeat anywhere but hardly from one frame to the next. So a pass is cut into stretches where the model
@@ -60,20 +57,20 @@ def trust(scene: Scene, book: PreviewBook, overlap: Overlap, part: np.ndarray, s
     i, j, count = book.pairs()
     tied = (count >= settings.min_matches) & (part[i] >= 0) & (part[j] >= 0)
     i, j, count = i[tied], j[tied], count[tied]
-    strong = count >= SURE * settings.min_matches
-    seen = overlap.where(~(overlap.angle_deg > STEEP_DEG))
+    strong = count >= tuning.strong * settings.min_matches
+    seen = overlap.where(~(overlap.angle_deg > tuning.steep_deg))
     right = seen.between(i, j) >= settings.min_overlap
-    sure = _near(scene, i, j) & strong
-    stretch = _stretches(scene, part, *_doubts(scene, i[sure], j[sure], right[sure]))
+    sure = _near(scene, i, j, tuning.near_steps) & strong
+    stretch = _stretches(scene, part, *_doubts(scene, i[sure], j[sure], right[sure], tuning))
     n = int(stretch.max(initial=0)) + 1
     couple = stretch[i] * n + stretch[j]
     total, good = (_couples(couple[strong], c[strong], n) for c in (count, count * right))
     near_total, near_good = (_couples(couple[sure], c[sure], n) for c in (count, count * right))
-    told = (total >= FEW * SURE * settings.min_matches) & ~np.eye(n, dtype=bool)
-    torn = (near_total > 0) & (near_good < TRUSTED * near_total) & ~np.eye(n, dtype=bool)
-    linked = np.where(told & (good >= LINKED * total), good, 0.0)
+    told = (total >= tuning.few * tuning.strong * settings.min_matches) & ~np.eye(n, dtype=bool)
+    torn = (near_total > 0) & (near_good < tuning.trusted * near_total) & ~np.eye(n, dtype=bool)
+    linked = np.where(told & (good >= tuning.linked * total), good, 0.0)
     held = _without_false(linked, torn)
-    suspect = (told & (good < SUSPECT * total)) | (held != linked)
+    suspect = (told & (good < tuning.suspect * total)) | (held != linked)
     believed = _largest(stretch, held > 0, (held != linked) | torn | (told & (linked == 0)))
     drawn = right & suspect.ravel()[couple]
     return Trust(
@@ -81,17 +78,19 @@ def trust(scene: Scene, book: PreviewBook, overlap: Overlap, part: np.ndarray, s
         float(right[sure].mean()) if sure.any() else float("nan"),
         float((count * right)[strong].sum() / max(count[strong].sum(), 1e-12)),
         (i[drawn], j[drawn]),
-        bool(believed.sum() >= SOUND * np.sum(part >= 0)),
+        bool(believed.sum() >= tuning.sound * np.sum(part >= 0)),
     )
 
 
-def _near(scene: Scene, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+def _near(scene: Scene, i: np.ndarray, j: np.ndarray, steps: int) -> np.ndarray:
     a, b = scene.frame[i], scene.frame[j]
     same = (scene.track[a] == scene.track[b]) & (scene.track[a] >= 0) & (scene.rig[a] == scene.rig[b]) & (a != b)
-    return same & (np.abs(scene.step[a] - scene.step[b]) <= NEAR_STEPS)
+    return same & (np.abs(scene.step[a] - scene.step[b]) <= steps)
 
 
-def _doubts(scene: Scene, i: np.ndarray, j: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _doubts(
+    scene: Scene, i: np.ndarray, j: np.ndarray, right: np.ndarray, tuning: TrustTuning
+) -> tuple[np.ndarray, np.ndarray]:
     """(F,), (F,) bool: frames of whose near previews (K,) with those before, and with those after, most are not
     explained."""
     a, b = scene.frame[i], scene.frame[j]
@@ -101,7 +100,7 @@ def _doubts(scene: Scene, i: np.ndarray, j: np.ndarray, right: np.ndarray) -> tu
     for ends in (np.where(later, a, b), np.where(later, b, a)):
         total = np.bincount(ends, minlength=scene.frames)
         good = np.bincount(ends, right, minlength=scene.frames)
-        out.append((good < TRUSTED * total) & (total >= FEW))
+        out.append((good < tuning.trusted * total) & (total >= tuning.few))
     return out[0], out[1]
 
 

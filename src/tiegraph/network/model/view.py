@@ -7,8 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import pycolmap
 
-_GUESSED_HALF_VIEW = np.radians(30)
-
 
 @dataclass(frozen=True)
 class View:
@@ -16,20 +14,22 @@ class View:
 
     camera: pycolmap.Camera | None
     half: float  # radians, to the corners
+    slope: float  # tangent of half the field of view across and down that is taken where there is no camera
 
     @staticmethod
-    def of(camera: pycolmap.Camera | None) -> View:
+    def of(camera: pycolmap.Camera | None, guessed_view_deg: float) -> View:
+        slope = float(np.tan(np.radians(guessed_view_deg / 2)))
         if camera is None:
-            return View(None, float(np.arctan(np.sqrt(2) * np.tan(_GUESSED_HALF_VIEW))))
+            return View(None, float(np.arctan(np.sqrt(2) * slope)), slope)
         rim = np.array([(x, y) for x in (0, 0.5, 1) for y in (0, 0.5, 1)])
-        rays = View(camera, 0.0).rays(rim)
+        rays = View(camera, 0.0, slope).rays(rim)
         half = np.nanmax(np.arccos(np.clip(rays[:, 2], -1, 1)), initial=0.0)
-        return View(camera, float(half) if half > 0 else np.radians(89))
+        return View(camera, float(half) if half > 0 else np.radians(89), slope)
 
     def rays(self, shares: np.ndarray) -> np.ndarray:
         """(K, 3) unit rays of places given in shares of the image (K, 2); NaN where the model has no inverse."""
         if self.camera is None:
-            xy = (2 * shares - 1) * np.tan(_GUESSED_HALF_VIEW)
+            xy = (2 * shares - 1) * self.slope
         else:
             xy = np.asarray(self.camera.cam_from_img(shares * (self.camera.width, self.camera.height)), float)
         rays = np.column_stack([xy, np.ones(len(xy))])
@@ -41,7 +41,7 @@ class View:
         Points up to ``slack`` radians outside count as on the rim.
         """
         if self.camera is None:
-            shares = (local[:, :2] / local[:, 2:] / np.tan(_GUESSED_HALF_VIEW) + 1) / 2
+            shares = (local[:, :2] / local[:, 2:] / self.slope + 1) / 2
         else:
             shares = np.asarray(self.camera.img_from_cam(local), float) / (self.camera.width, self.camera.height)
         with np.errstate(invalid="ignore"):

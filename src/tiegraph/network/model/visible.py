@@ -18,17 +18,12 @@ from scipy.spatial import cKDTree
 
 from tiegraph.geometry import transforms
 from tiegraph.network.model.proxy import Proxy, assumed_proxy, observed_proxy, points_proxy
+from tiegraph.network.model.tuning import ModelTuning, VisibleTuning
 from tiegraph.network.model.view import View
 from tiegraph.scene.ties import Sights
 
 __all__ = ["Overlap", "Proxy", "assumed_proxy", "observed_proxy", "points_proxy", "shared_surface"]
 
-CELLS = (24, 18)  # image cells across and down: votes and occlusion
-BEHIND = 1.2  # a point further than this times the nearest one of its cell is hidden
-FRONT_COS = -0.3  # cosine between the ray and the mean direction to the observers; below it the back is seen
-MEAN_VISIBLE = (700, 2500)  # points an image sees on average, in the largest surveys and in small ones
-SIGHTS = 3_000_000  # of all images together: bounds memory
-ANGLE_POINTS = 400  # points an image sees on average that the mean angles and scales are taken from
 _LEAF = 64  # points of a box that is tested as one
 _BLOCK = 128  # rows of the pair table worked out at once
 _OWNERS = 256  # images whose assumed points are worked out at once
@@ -113,30 +108,33 @@ class _Sight:
     distance: np.ndarray
 
 
-def _visible(eye: _Eye, proxy: Proxy, near: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _visible(
+    eye: _Eye, proxy: Proxy, near: np.ndarray, tuning: VisibleTuning
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of points ``near`` (K,): whether in view and not seen from behind (K,) bool, image cell, distance."""
-    pose, half = eye.pose, 1.05 * eye.view.half + eye.slack
+    pose, half = eye.pose, tuning.cone_widens * eye.view.half + eye.slack
     ray = proxy.points[near] - transforms.centre(pose)
     distance = np.linalg.norm(ray, axis=1)
     local = ray @ pose[:3, :3].T
     ahead = (local[:, 2] > max(np.cos(min(half, np.pi)), 1e-6) * distance) & (distance < proxy.reach[near])
     towards = proxy.towards[near]
-    facing = -np.einsum("kc,kc->k", ray, towards) > FRONT_COS * distance
+    facing = -np.einsum("kc,kc->k", ray, towards) > tuning.front_cos * distance
     seen = ahead & (facing | ~towards.any(axis=1))
     shares = np.full((len(near), 2), np.nan)
     shares[seen] = eye.view.project(local[seen], eye.slack)
     seen &= np.isfinite(shares).all(axis=1)
-    return seen, (np.where(seen[:, None], shares, 0.0) * CELLS).astype(int) @ (1, CELLS[0]), distance
+    return seen, (np.where(seen[:, None], shares, 0.0) * tuning.cells).astype(int) @ (1, tuning.cells[0]), distance
 
 
-def _sight(eye: _Eye, proxy: Proxy, boxes: _Boxes, own: np.ndarray) -> _Sight:
-    near = boxes.near(transforms.centre(eye.pose), eye.pose[2, :3], 1.05 * eye.view.half + eye.slack)
-    seen, cell, distance = _visible(eye, proxy, near)
+def _sight(eye: _Eye, proxy: Proxy, boxes: _Boxes, own: np.ndarray, tuning: VisibleTuning) -> _Sight:
+    half = tuning.cone_widens * eye.view.half + eye.slack
+    near = boxes.near(transforms.centre(eye.pose), eye.pose[2, :3], half)
+    seen, cell, distance = _visible(eye, proxy, near, tuning)
     point, cell, distance = near[seen], cell[seen], distance[seen]
     if not proxy.assumed:
-        nearest = np.full(CELLS[0] * CELLS[1], np.inf)
+        nearest = np.full(tuning.cells[0] * tuning.cells[1], np.inf)
         np.minimum.at(nearest, cell, distance)
-        shown = (distance <= BEHIND * nearest[cell]) | np.isin(point, own)
+        shown = (distance <= tuning.behind * nearest[cell]) | np.isin(point, own)
         point, cell, distance = point[shown], cell[shown], distance[shown]
     return _Sight(point, cell, distance)
 
@@ -145,38 +143,41 @@ def shared_surface(
     cam_from_world: np.ndarray,
     cameras: Sequence[pycolmap.Camera | None],
     proxy: Proxy,
-    floor: float = 0.02,
-    max_angle_deg: float = 90.0,
-    max_scale: float = 4.0,
+    tuning: VisibleTuning,
+    max_angle_deg: float,
     slack_rad: np.ndarray | float = 0.0,
 ) -> Overlap:
-    """Pairs of images whose predicted overlap reaches ``floor``.
+    """Pairs of images whose predicted overlap is worth listing (``min_share``).
 
     ``cam_from_world`` (N, 4, 4), NaN = unknown (such images are in no pair); ``cameras`` one an image, None = unknown
-    (60 degrees of view assumed). Pairs whose rays to the shared surface meet at more than ``max_angle_deg``, or whose
+    (a field of view is assumed). Pairs whose rays to the shared surface meet at more than ``max_angle_deg``, or whose
     distances to it differ by more than ``max_scale``, match no more and are left out. ``slack_rad`` (N,): images see so
     much more on every side, for poses that are not sure.
     """
     known = np.flatnonzero(np.isfinite(cam_from_world[:, :3]).all(axis=(1, 2)))
     if len(known) < 2 or not len(proxy):
         return Overlap(*(np.zeros(0, int),) * 2, *(np.zeros(0),) * 3)
-    eyes = _eyes(cam_from_world, cameras, known, slack_rad)
+    eyes = _eyes(cam_from_world, cameras, known, slack_rad, tuning.guessed_view_deg)
     centre = transforms.centre(cam_from_world[known])
     parts = _by_owner(proxy, known, centre) if proxy.assumed else [proxy]
-    found = _undirected(np.concatenate([_directed(_all_sights(eyes, known, p), centre, floor) for p in parts], axis=1))
-    too_much = (found.angle_deg > max_angle_deg) | (np.abs(np.log(found.scale)) > np.log(max_scale))
+    sights = (_all_sights(eyes, known, p, tuning) for p in parts)
+    found = _undirected(np.concatenate([_directed(seen, centre, tuning) for seen in sights], axis=1))
+    too_much = (found.angle_deg > max_angle_deg) | (np.abs(np.log(found.scale)) > np.log(tuning.max_scale))
     found = found.where(~too_much)
     return Overlap(known[found.i], known[found.j], found.share, found.angle_deg, found.scale)
 
 
-def visible_points(cam_from_world: np.ndarray, cameras: Sequence[pycolmap.Camera | None], proxy: Proxy) -> Sights:
+def visible_points(
+    cam_from_world: np.ndarray, cameras: Sequence[pycolmap.Camera | None], proxy: Proxy, tuning: VisibleTuning
+) -> Sights:
     """Which points of a proxy each image sees; of very many points a random part."""
     centre = transforms.centre(cam_from_world)
     known = np.flatnonzero(np.isfinite(cam_from_world[:, :3]).all(axis=(1, 2)))
     if not len(known) or not len(proxy):
         none = np.zeros(0, np.int32)
         return Sights(np.zeros(len(cam_from_world) + 1, np.int64), none, np.zeros((0, 3)), centre)
-    seen = _all_sights(_eyes(cam_from_world, cameras, known, 0.0), known, proxy)
+    eyes = _eyes(cam_from_world, cameras, known, 0.0, tuning.guessed_view_deg)
+    seen = _all_sights(eyes, known, proxy, tuning)
     image = known[seen.image]
     order = np.lexsort((seen.point, image))
     start = np.searchsorted(image[order], np.arange(len(cam_from_world) + 1))
@@ -188,8 +189,9 @@ def _eyes(
     cameras: Sequence[pycolmap.Camera | None],
     known: np.ndarray,
     slack_rad: np.ndarray | float,
+    guessed_view_deg: float,
 ) -> list[_Eye]:
-    views = {key: View.of(c) for key, c in {id(c): c for c in cameras}.items()}
+    views = {key: View.of(c, guessed_view_deg) for key, c in {id(c): c for c in cameras}.items()}
     slack = np.broadcast_to(np.asarray(slack_rad, float), (len(cam_from_world),))
     return [_Eye(cam_from_world[k], views[id(cameras[int(k)])], float(slack[k])) for k in known]
 
@@ -215,10 +217,10 @@ class _Table:
     points: np.ndarray  # (P, 3)
 
 
-def _all_sights(eyes: list[_Eye], images: np.ndarray, proxy: Proxy) -> _Table:
-    proxy, boxes = _thinned(eyes, proxy)
+def _all_sights(eyes: list[_Eye], images: np.ndarray, proxy: Proxy, tuning: VisibleTuning) -> _Table:
+    proxy, boxes = _thinned(eyes, proxy, tuning)
     own = _owned(proxy, images)
-    sights = [_sight(eye, proxy, boxes, seen) for eye, seen in zip(eyes, own)]
+    sights = [_sight(eye, proxy, boxes, seen, tuning) for eye, seen in zip(eyes, own)]
     counts = [len(s.point) for s in sights]
     image = np.repeat(np.arange(len(eyes), dtype=np.int32), counts)
     point = np.concatenate([s.point for s in sights]).astype(np.int32)
@@ -229,7 +231,8 @@ def _all_sights(eyes: list[_Eye], images: np.ndarray, proxy: Proxy) -> _Table:
         owner = np.full(len(proxy), -1)
         owner[proxy.point] = proxy.image
         voter = owner[point] == images[image]
-    return _Table((len(eyes), len(proxy)), image, point, distance, _votes(image, cell, voter), proxy.points)
+    vote = _votes(image, cell, voter, tuning.cells[0] * tuning.cells[1])
+    return _Table((len(eyes), len(proxy)), image, point, distance, vote, proxy.points)
 
 
 def _owned(proxy: Proxy, images: np.ndarray) -> list[np.ndarray]:
@@ -240,26 +243,26 @@ def _owned(proxy: Proxy, images: np.ndarray) -> list[np.ndarray]:
     return [point[a:b] for a, b in zip(low, high)]
 
 
-def _thinned(eyes: list[_Eye], proxy: Proxy) -> tuple[Proxy, _Boxes]:
+def _thinned(eyes: list[_Eye], proxy: Proxy, tuning: VisibleTuning) -> tuple[Proxy, _Boxes]:
     """A random part of the points, where images would see far more than is needed."""
     boxes = _Boxes(proxy)
-    enough = float(np.clip(SIGHTS / len(eyes), *MEAN_VISIBLE))
+    enough = float(np.clip(tuning.sights / len(eyes), *tuning.mean_visible))
     if proxy.assumed or len(proxy) <= enough:
         return proxy, boxes
     rng = np.random.default_rng(0)
-    sample = rng.choice(len(eyes), min(len(eyes), 40), replace=False)
+    sample = rng.choice(len(eyes), min(len(eyes), tuning.thinning_images), replace=False)
     none = np.zeros(0, int)
-    count = np.mean([len(_sight(eyes[k], proxy, boxes, none).point) for k in sample])
-    if count <= 1.2 * enough:
+    count = np.mean([len(_sight(eyes[k], proxy, boxes, none, tuning).point) for k in sample])
+    if count <= tuning.thinning_from * enough:
         return proxy, boxes
     # At random: spread evenly over the surface they predicted worse on ``canal`` (textured near surfaces tie).
     proxy = proxy.keep(rng.random(len(proxy)) < enough / count)
     return proxy, _Boxes(proxy)
 
 
-def _votes(image: np.ndarray, cell: np.ndarray, voter: np.ndarray) -> np.ndarray:
+def _votes(image: np.ndarray, cell: np.ndarray, voter: np.ndarray, cells: int) -> np.ndarray:
     """(E,) one vote a cell, shared by its points, all votes of an image together one; zero for entries without vote."""
-    key = image.astype(np.int64) * (CELLS[0] * CELLS[1]) + cell
+    key = image.astype(np.int64) * cells + cell
     rows = np.flatnonzero(voter)
     _, at, count = np.unique(key[rows], return_inverse=True, return_counts=True)
     vote = np.zeros(len(key))
@@ -292,12 +295,12 @@ class _Products:
         return csr_array((values[self.order], self.image, self.point_starts), shape=self.shape[::-1])
 
 
-def _directed(seen: _Table, centre: np.ndarray, floor: float) -> np.ndarray:
-    """Rows (5, K) i, j, share of i that j sees, cosine of the rays, log ratio of the distances; share >= floor.
+def _directed(seen: _Table, centre: np.ndarray, tuning: VisibleTuning) -> np.ndarray:
+    """Rows (5, K) i, j, share of i that j sees, cosine of the rays, log ratio of the distances; small shares left out.
 
     Sparse products of the votes with what is seen; for the angle and the scale, weighted by rays and distances.
     """
-    sample = _sampled(seen)
+    sample = _sampled(seen, tuning)
     ray = ((sample.points[sample.point] - centre[sample.image]) / sample.distance[:, None]).astype(np.float32)
     log_distance = np.log(sample.distance)
     all_, few = _Products(seen), _Products(sample)
@@ -311,7 +314,7 @@ def _directed(seen: _Table, centre: np.ndarray, floor: float) -> np.ndarray:
         if all_.starts[part[0]] == all_.starts[part[1]]:
             continue
         share = (all_.rows(seen.vote, *part) @ share_right).toarray()
-        a, b = np.nonzero(share >= floor)
+        a, b = np.nonzero(share >= tuning.min_share)
         own = few.rows(sample.vote, *part)
         weight = np.where((w := (own @ ones).toarray()[a, b]) > 0, w, np.nan)
         cosine = sum((few.rows(sample.vote * ray[:, k], *part) @ right[k]).toarray()[a, b] for k in range(3)) / weight
@@ -320,10 +323,10 @@ def _directed(seen: _Table, centre: np.ndarray, floor: float) -> np.ndarray:
     return np.concatenate(rows, axis=1)
 
 
-def _sampled(seen: _Table) -> _Table:
+def _sampled(seen: _Table, tuning: VisibleTuning) -> _Table:
     """The sights of a random part of the points: mean angles need fewer than shares."""
-    part = ANGLE_POINTS * seen.shape[0] / max(len(seen.image), 1)
-    if part >= 0.7 or np.any(seen.vote == 0):  # assumed points are few
+    part = tuning.angle_points * seen.shape[0] / max(len(seen.image), 1)
+    if part >= tuning.angle_share or np.any(seen.vote == 0):  # assumed points are few
         return seen
     keep = (np.random.default_rng(1).random(len(seen.points)) < part)[seen.point]
     return _Table(seen.shape, seen.image[keep], seen.point[keep], seen.distance[keep], seen.vote[keep], seen.points)
@@ -350,14 +353,15 @@ def pair_share(
     i: np.ndarray,
     j: np.ndarray,
     range_m: float,
+    tuning: ModelTuning,
 ) -> np.ndarray:
     """(K,) predicted overlap of a few given pairs by poses alone, at an assumed range; NaN where a pose is unknown.
 
     The same measure as ``shared_surface`` of an ``assumed_proxy``, one pair after another.
     """
     asked = np.isin(np.arange(len(cameras)), np.concatenate([i, j]))
-    proxy = assumed_proxy(np.where(asked[:, None, None], cam_from_world, np.nan), cameras, range_m)
-    views = {key: View.of(c) for key, c in {id(c): c for c in cameras}.items()}
+    proxy = assumed_proxy(np.where(asked[:, None, None], cam_from_world, np.nan), cameras, range_m, tuning)
+    views = {key: View.of(c, tuning.visible.guessed_view_deg) for key, c in {id(c): c for c in cameras}.items()}
     order = np.argsort(proxy.image, kind="stable")
     starts = np.searchsorted(proxy.image[order], np.arange(len(cameras) + 1))
     known = np.isfinite(cam_from_world[:, :3]).all(axis=(1, 2))
@@ -367,6 +371,6 @@ def pair_share(
         for a, b in ((i[k], j[k]), (j[k], i[k])):
             own = order[starts[a] : starts[a + 1]]
             eye = _Eye(cam_from_world[b], views[id(cameras[b])], 0.0)
-            seen.append(np.mean(_visible(eye, proxy, own)[0]) if len(own) else 0.0)
+            seen.append(np.mean(_visible(eye, proxy, own, tuning.visible)[0]) if len(own) else 0.0)
         out[k] = max(seen)
     return out

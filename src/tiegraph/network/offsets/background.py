@@ -13,15 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from tiegraph.network.offsets.lattice import CEILING, FLOOR, SIGMA_NODES, Lattice, Level
+from tiegraph.network.offsets.lattice import Lattice, Level
 from tiegraph.network.passes import Pass, PreviewBook
-
-LONG = 60  # frames from which on most frames of a pass share nothing: evidence counts near its path only
-FAR_SHARE = (0.4, 0.6)  # of a pass: frames so far apart share nothing, also where its end is its beginning
-SAMPLES = 40  # far frame pairs of a pass that are previewed, for every two cameras
-ENOUGH = 12  # previews of two cameras that tell their own level; of fewer, that of all
-BAND = 0.15  # of the way from the level to the highest: what the frames at one distance from the path reach on average
-OUTSTANDING = 0.99  # share of the previews of far frames that a pair passes that is believed by itself
+from tiegraph.network.tuning import Tuning
 
 
 @dataclass(frozen=True)
@@ -32,46 +26,50 @@ class Far:
     d: np.ndarray
     count: np.ndarray
 
-    def level(self, shape: tuple[int, ...], min_matches: int) -> Level:
+    def level(self, shape: tuple[int, ...], min_matches: int, tuning: Tuning) -> Level:
         """The level of every two cameras, (S, T) of them."""
-        low, high = FLOOR * min_matches, CEILING * min_matches
+        low, high = tuning.counts.floor * min_matches, tuning.counts.ceiling * min_matches
+        enough, outstanding = tuning.offsets.background.enough, tuning.offsets.background.outstanding
         value = np.clip(self.count, low, high)
         key = self.c * shape[1] + self.d
         number = np.bincount(key, minlength=shape[0] * shape[1])
         mean = np.bincount(key, value, minlength=len(number)) / np.maximum(number, 1)
-        mean = np.where(number >= ENOUGH, mean, value.mean()).reshape(shape)
-        return Level(mean, max(high, float(np.quantile(self.count, OUTSTANDING))), low, high)
+        mean = np.where(number >= enough, mean, value.mean()).reshape(shape)
+        most = max(high, float(np.quantile(self.count, outstanding)))
+        return Level(mean, most, low, high, tuning.offsets.lattice.most_level)
 
 
-def level_within(p: Pass, allowed: np.ndarray, book: PreviewBook, min_matches: int) -> Level | None:
+def level_within(p: Pass, allowed: np.ndarray, book: PreviewBook, min_matches: int, tuning: Tuning) -> Level | None:
     """The level between frames of one pass far from each other, for cameras that are ``allowed`` (S, S); None for a
     short pass."""
-    if len(p) < LONG:
+    if len(p) < tuning.offsets.background.long_frames:
         return None
     rng = np.random.default_rng(len(p))
-    apart = rng.integers(int(FAR_SHARE[0] * len(p)), int(FAR_SHARE[1] * len(p)) + 1, SAMPLES)
+    (least, most), samples = tuning.offsets.background.far_share, tuning.offsets.background.samples
+    apart = rng.integers(int(least * len(p)), int(most * len(p)) + 1, samples)
     a = rng.integers(0, len(p) - apart)
     b = a + apart
-    a, b = np.where(rng.random(SAMPLES) < 0.5, (a, b), (b, a))
+    a, b = np.where(rng.random(samples) < 0.5, (a, b), (b, a))
     c, d = np.nonzero(np.triu(allowed))
-    c, d, a, b = np.repeat(c, SAMPLES), np.repeat(d, SAMPLES), np.tile(a, len(c)), np.tile(b, len(c))
+    c, d, a, b = np.repeat(c, samples), np.repeat(d, samples), np.tile(a, len(c)), np.tile(b, len(c))
     left, right = p.images[c, a], p.images[d, b]
     there = (left >= 0) & (right >= 0)
     if not there.any():
         return None
     count, c, d = book.measure(left[there], right[there]), c[there], d[there]
-    return Far(np.concatenate([c, d]), np.concatenate([d, c]), np.tile(count, 2)).level(allowed.shape, min_matches)
+    far = Far(np.concatenate([c, d]), np.concatenate([d, c]), np.tile(count, 2))
+    return far.level(allowed.shape, min_matches, tuning)
 
 
-def level_away(lattice: Lattice, beside: np.ndarray, min_matches: int) -> Level | None:
+def level_away(lattice: Lattice, beside: np.ndarray, min_matches: int, tuning: Tuning) -> Level | None:
     """The level of the measured nodes that are not ``beside`` (A, B) the path between two passes."""
     c, d, a, b = np.nonzero(np.isfinite(lattice.inliers) & ~beside)
     if not len(c):
         return None
-    return Far(c, d, lattice.inliers[c, d, a, b]).level(lattice.allowed.shape, min_matches)
+    return Far(c, d, lattice.inliers[c, d, a, b]).level(lattice.allowed.shape, min_matches, tuning)
 
 
-def band(lattice: Lattice, path: np.ndarray, window: int) -> np.ndarray:
+def band(lattice: Lattice, path: np.ndarray, window: int, tuning: Tuning) -> np.ndarray:
     """(S, T, A, B) bool: nodes as far from the ``path`` (A,) of two long passes as their cameras tie all along it.
 
     What two cameras share changes slowly along a pass, so that all its frames together tell at which distances they
@@ -87,10 +85,10 @@ def band(lattice: Lattice, path: np.ndarray, window: int) -> np.ndarray:
     key = np.ravel_multi_index((c, d, beside[a, b]), shape)
     value = np.clip(lattice.inliers[c, d, a, b], level.lowest, level.highest)
     total, number = (np.bincount(key, w, np.prod(shape)).reshape(shape) for w in (value, np.ones(len(key))))
-    total, number = (gaussian_filter1d(x, SIGMA_NODES, axis=2, mode="constant") for x in (total, number))
+    total, number = (gaussian_filter1d(x, tuning.counts.sigma_nodes, axis=2, mode="constant") for x in (total, number))
     span = (level.highest - level.told)[..., None]
     share = np.where(number > 0, (total / np.maximum(number, 1e-9) - level.told[..., None]) / span, -1.0)
-    ties = share >= BAND
+    ties = share >= tuning.offsets.background.band
     peak = np.argmax(share, axis=2)
     ahead, back = np.arange(shape[2]) >= peak[..., None], np.arange(shape[2]) <= peak[..., None]
     # Of each two cameras the run of distances that holds the best one.

@@ -5,30 +5,30 @@ from __future__ import annotations
 import numpy as np
 
 from tiegraph.network.offsets.curves import OffsetResult, contained, curves_of, facing, sampled_ranks, votes_of
-from tiegraph.network.offsets.lattice import CEILING, FLOOR, Lattice, make_lattice
+from tiegraph.network.offsets.lattice import Lattice, make_lattice
 from tiegraph.network.passes import Pass, PreviewBook
 from tiegraph.network.rig import commonview
 from tiegraph.network.rig.axes import allowed_within
 from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS, Pairs
 
-MAX_COLUMNS = 120  # frames of the other pass a sampled frame is compared with
 
-
-def constant_offsets(p: Pass, q: Pass, book: PreviewBook, settings: NetworkSettings) -> OffsetResult:
+def constant_offsets(p: Pass, q: Pass, book: PreviewBook, settings: NetworkSettings, tuning: Tuning) -> OffsetResult:
     """One offset a camera pair: votes on sampled frames, then every frame within the range around the winner."""
     if p is q and len(p.images) == 1:
         return OffsetResult(Pairs.empty(), (), ())
-    lattice, notes = _vote_constant(p, q, book, settings)
-    backwards = p is not q and _backwards_by_votes(lattice, settings)
+    lattice, notes = _vote_constant(p, q, book, settings, tuning)
+    backwards = p is not q and _backwards_by_votes(lattice, settings.min_matches, tuning)
     voted = np.zeros(lattice.allowed.shape, bool)
     best = np.zeros(lattice.allowed.shape, int)
     for c, d in np.argwhere(lattice.allowed):
-        offsets, votes = votes_of(lattice, int(c), int(d), backwards, settings.min_matches, total=True)
+        couple = int(c), int(d)
+        offsets, votes = votes_of(lattice, couple, backwards, settings.min_matches, tuning.counts, total=True)
         if not len(offsets):
             continue
         best[c, d] = offsets[np.argmax(votes)]
-        voted[c, d] = _supported(lattice, (int(c), int(d), int(best[c, d])), backwards, settings)
+        voted[c, d] = _supported(lattice, (*couple, int(best[c, d])), backwards, settings.min_matches, tuning)
     seen = np.isfinite(lattice.inliers)
     why = np.where(voted, REASONS.index("offset"), REASONS.index("votes"))
     code = np.broadcast_to(why[:, :, None, None], seen.shape)
@@ -39,24 +39,28 @@ def constant_offsets(p: Pass, q: Pass, book: PreviewBook, settings: NetworkSetti
     for block in blocks:
         # Where both know a pair, the range decides: "offset" holds only outside of it.
         looked_at = looked_at.where(~contained(looked_at, block)) | block
-    return OffsetResult(looked_at, curves_of(lattice, backwards, voted, settings, best), notes)
+    curves = curves_of(lattice, backwards, voted, settings.min_matches, tuning.counts, best)
+    return OffsetResult(looked_at, curves, notes)
 
 
-def _vote_constant(p: Pass, q: Pass, book: PreviewBook, settings: NetworkSettings) -> tuple[Lattice, tuple[str, ...]]:
-    every = max(1, -(-len(q) // MAX_COLUMNS))
+def _vote_constant(
+    p: Pass, q: Pass, book: PreviewBook, settings: NetworkSettings, tuning: Tuning
+) -> tuple[Lattice, tuple[str, ...]]:
+    every = max(1, -(-len(q) // tuning.offsets.constant.max_columns))
     allowed = allowed_within(p.rig, settings.axes_deg) if p is q else np.ones((len(p.images), len(q.images)), bool)
-    empty = make_lattice(p, q, every, allowed)
+    empty = make_lattice(p, q, every, allowed, tuning.offsets.lattice)
     rows = sampled_ranks(len(p), settings.sample_frames)
     shape = (*allowed.shape, len(rows), len(empty.columns))
     lattice = Lattice(p, q, rows, empty.columns, allowed, np.full(shape, np.nan, np.float32))
     c, d = np.ogrid[: shape[0], : shape[1]]
     wanted = np.broadcast_to((c < d) if p is q else np.ones((1, 1), bool), allowed.shape)[:, :, None, None]
     notes: tuple[str, ...] = ()
-    if p is not q:  # three frames show the heading, then the axes rule pairs of cameras out
-        few = np.isin(np.arange(len(rows)), sampled_ranks(len(rows), 3))[:, None]
+    if p is not q:  # a few frames show the heading, then the axes rule pairs of cameras out
+        few = np.isin(np.arange(len(rows)), sampled_ranks(len(rows), tuning.offsets.constant.heading_frames))[:, None]
         lattice = _measured_oblong(lattice, wanted & few, book)
         excess = commonview.above(lattice, lattice.inliers, settings.min_matches)
-        allowed, said = facing(lattice, excess, settings), commonview.in_words(lattice, excess)
+        allowed = facing(lattice, excess, settings, tuning.rig)
+        said = commonview.in_words(lattice, excess, tuning.rig)
         notes = (said,) if said else ()
         lattice = Lattice(p, q, rows, lattice.columns, allowed, lattice.inliers)
     return _measured_oblong(lattice, wanted, book), notes
@@ -70,25 +74,28 @@ def _measured_oblong(lattice: Lattice, nodes: np.ndarray, book: PreviewBook) -> 
     return Lattice(lattice.p, lattice.q, lattice.rows, lattice.columns, lattice.allowed, inliers)
 
 
-def _backwards_by_votes(lattice: Lattice, settings: NetworkSettings) -> bool:
+def _backwards_by_votes(lattice: Lattice, min_matches: int, tuning: Tuning) -> bool:
     """The direction in which the votes pile up higher."""
     height = [0.0, 0.0]
     for c, d in np.argwhere(lattice.allowed):
         for k, backwards in enumerate((False, True)):
-            votes = votes_of(lattice, int(c), int(d), backwards, settings.min_matches, total=True)[1]
+            votes = votes_of(lattice, (int(c), int(d)), backwards, min_matches, tuning.counts, total=True)[1]
             height[k] += float(votes.max(initial=0))
     return height[1] > height[0]
 
 
-def _supported(lattice: Lattice, block: tuple[int, int, int], backwards: bool, settings: NetworkSettings) -> bool:
-    """Whether the best offset has enough matches on average, over at least two sampled frames."""
+def _supported(
+    lattice: Lattice, block: tuple[int, int, int], backwards: bool, min_matches: int, tuning: Tuning
+) -> bool:
+    """Whether the best offset has enough matches on average, over enough sampled frames."""
     c, d, best = block
     m, n = np.meshgrid(lattice.rows, lattice.columns, indexing="ij")
     step = int(np.max(np.diff(lattice.columns), initial=1))
     inliers = lattice.inliers[c, d]
     near = (np.abs((n + m if backwards else n - m) - best) <= step) & np.isfinite(inliers)
-    count = np.clip(inliers[near], FLOOR * settings.min_matches, CEILING * settings.min_matches)
-    return int(near.any(axis=1).sum()) >= 2 and float(count.mean()) >= settings.min_matches
+    count = np.clip(inliers[near], tuning.counts.floor * min_matches, tuning.counts.ceiling * min_matches)
+    frames = int(near.any(axis=1).sum())
+    return frames >= tuning.offsets.constant.least_frames and float(count.mean()) >= min_matches
 
 
 def _around(

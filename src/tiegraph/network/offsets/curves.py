@@ -6,11 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiegraph.network.offsets.lattice import FLOOR, Lattice
+from tiegraph.network.offsets.lattice import Lattice
 from tiegraph.network.offsets.surface import OffsetSurface
 from tiegraph.network.rig import commonview
 from tiegraph.network.rig.axes import angles_deg
+from tiegraph.network.rig.tuning import RigTuning
 from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.tuning import CountsTuning
 from tiegraph.scene.pairs import Pairs
 
 
@@ -49,16 +51,21 @@ def sampled_ranks(n: int, count: int) -> np.ndarray:
     return np.unique(np.linspace(0, n - 1, min(n, count)).round().astype(int))
 
 
-def facing(lattice: Lattice, excess: np.ndarray, settings: NetworkSettings) -> np.ndarray:
+def facing(lattice: Lattice, excess: np.ndarray, settings: NetworkSettings, tuning: RigTuning) -> np.ndarray:
     """(S, T) bool: camera pairs whose axes permit a match at the heading of q against p; all, while that is unknown."""
-    yaw = commonview.yaw(lattice, excess)
+    yaw = commonview.yaw(lattice, excess, tuning)
     if yaw is None:
         return np.ones(excess.shape[:2], bool)
-    return angles_deg(lattice.p.rig, yaw) <= settings.axes_deg
+    return angles_deg(lattice.p.rig, yaw, tuning.axes) <= settings.axes_deg
 
 
 def curves_of(
-    lattice: Lattice, backwards: bool, accepted: np.ndarray, settings: NetworkSettings, best: np.ndarray | None = None
+    lattice: Lattice,
+    backwards: bool,
+    accepted: np.ndarray,
+    min_matches: int,
+    tuning: CountsTuning,
+    best: np.ndarray | None = None,
 ) -> tuple[OffsetCurve, ...]:
     """One curve a camera pair; ``best`` (S, T) is the offset that was voted, where one was."""
     p, q = lattice.p, lattice.q
@@ -66,7 +73,7 @@ def curves_of(
     for c, d in np.argwhere(lattice.allowed):
         if lattice.same and c >= d:
             continue
-        offsets, votes = votes_of(lattice, int(c), int(d), backwards, settings.min_matches)
+        offsets, votes = votes_of(lattice, (int(c), int(d)), backwards, min_matches, tuning)
         if not len(offsets):
             continue
         winner = int(offsets[np.argmax(votes)] if best is None else best[c, d])
@@ -76,13 +83,18 @@ def curves_of(
 
 
 def votes_of(
-    lattice: Lattice, c: int, d: int, backwards: bool, min_matches: int, total: bool = False
+    lattice: Lattice,
+    cameras: tuple[int, int],
+    backwards: bool,
+    min_matches: int,
+    tuning: CountsTuning,
+    total: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Offsets (K,) and matches above chance at each, mean over the frames looked at (or their sum)."""
-    inliers = lattice.inliers[c, d]
+    inliers = lattice.inliers[cameras]
     m, n = np.meshgrid(lattice.rows, lattice.columns, indexing="ij")
     offset = (n + m if backwards else n - m)[np.isfinite(inliers)]
-    value = np.maximum(0, inliers[np.isfinite(inliers)] - FLOOR * min_matches)
+    value = np.maximum(0, inliers[np.isfinite(inliers)] - tuning.floor * min_matches)
     offsets, at = np.unique(offset, return_inverse=True)
     votes = np.bincount(at, value, minlength=len(offsets)).astype(np.float64)
     if not total:

@@ -12,31 +12,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import gaussian_filter, label, maximum
 
+from tiegraph.network.offsets.tuning import LatticeTuning
 from tiegraph.network.passes import Pass, PreviewBook
-
-SIGMA_NODES = 0.8  # kernel width in lattice nodes; 0.5 .. 1.5 serve alike
-FLOOR = 2 / 3  # share of min_matches that unrelated images reach by chance
-CEILING = 2.0  # share of min_matches above which more matches say nothing more
-PEAK = 1.2  # times min_matches: what a patch of evidence must reach somewhere
-_SHORT = 8  # nodes of a short pass, whose lattice is most of what is previewed
-_TRUNCATE = 2.5  # kernel cut, in sigmas
-_MOST_LEVEL = 0.8  # of the way to CEILING: the highest level of unrelated frames that is taken off
+from tiegraph.network.tuning import CountsTuning, Tuning
 
 
 @dataclass(frozen=True)
 class Level:
     """What previews of unrelated frames reach: ``mean`` (S, T) of the counts of two cameras, limited to ``lowest`` ..
-    ``highest``; hardly any one preview reaches ``most``."""
+    ``highest``; hardly any one preview reaches ``most``; no more than ``most_level`` of the way to the highest is taken
+    off."""
 
     mean: np.ndarray
     most: float
     lowest: float
     highest: float
+    most_level: float
 
     @property
     def told(self) -> np.ndarray:
         """(S, T) the mean, held below the highest: of cameras whose far frames all reach that nothing can be told."""
-        return np.clip(self.mean, self.lowest, self.lowest + _MOST_LEVEL * (self.highest - self.lowest))
+        return np.clip(self.mean, self.lowest, self.lowest + self.most_level * (self.highest - self.lowest))
 
     def above(self, mean: np.ndarray, cameras: tuple) -> np.ndarray:
         """Means of limited counts of ``cameras`` (an index of ``self.mean``): ``lowest`` where they are no higher than
@@ -86,11 +82,11 @@ class Lattice:
             inliers = np.fmax(inliers, inliers.transpose(1, 0, 3, 2))
         return replace(self, inliers=inliers)
 
-    def smoothed(self, min_matches: int) -> np.ndarray:
-        """(S, T, A, B) f4 kernel mean of the counts, limited to FLOOR .. CEILING times ``min_matches``, above the level
-        of unrelated frames; NaN where the node was not measured. An image counts as tied to itself, which carries
+    def smoothed(self, min_matches: int, tuning: Tuning) -> np.ndarray:
+        """(S, T, A, B) f4 kernel mean of the counts, limited to what they tell (``CountsTuning``), above the level of
+        unrelated frames; NaN where the node was not measured. An image counts as tied to itself, which carries
         evidence to its neighbours in time."""
-        low, high = FLOOR * min_matches, CEILING * min_matches
+        low, high = tuning.counts.floor * min_matches, tuning.counts.ceiling * min_matches
         inliers = self.inliers
         if self.same:
             left = self.p.images[:, None, self.rows, None]
@@ -98,15 +94,16 @@ class Lattice:
             inliers = np.where((left == right) & (left >= 0), high, inliers)
         known = np.isfinite(inliers)
         excess = np.where(known, np.clip(inliers, low, high) - low, 0)
-        mean = _blurred(excess) / np.maximum(_blurred(known), 1e-6)
+        kernel = tuning.counts.sigma_nodes, tuning.offsets.lattice.kernel_cut_sigmas
+        mean = _blurred(excess, *kernel) / np.maximum(_blurred(known, *kernel), 1e-6)
         mean = low + mean
         if self.level is not None:
             mean = self.level.above(mean, np.index_exp[:, :, None, None])
         return np.where(known, mean, np.nan).astype(np.float32)
 
-    def sure(self, min_matches: int) -> float:
+    def sure(self, min_matches: int, tuning: CountsTuning) -> float:
         """Matches by which a pair is believed whatever its neighbours say."""
-        return CEILING * min_matches if self.level is None else self.level.most
+        return tuning.ceiling * min_matches if self.level is None else self.level.most
 
     def frontier(self, smooth: np.ndarray, min_matches: float) -> np.ndarray:
         """(S, T, A, B) bool: unmeasured neighbours of nodes whose smoothed count reaches ``min_matches``."""
@@ -117,21 +114,22 @@ class Lattice:
                 grown |= _shifted(hot, da, db)
         return grown & self.exists() & np.isnan(self.inliers)
 
-    def confirmed(self, smooth: np.ndarray, min_matches: float) -> np.ndarray:
-        """(S, T, A, B) f4 ``smooth`` with patches above ``min_matches`` that nowhere reach PEAK times it lowered to
+    def confirmed(self, smooth: np.ndarray, min_matches: float, tuning: Tuning) -> np.ndarray:
+        """(S, T, A, B) f4 ``smooth`` with patches above ``min_matches`` that nowhere reach ``peak`` times it lowered to
         chance (hysteresis, as in Canny 1986): a patch of faint nodes at a rim is noise."""
         out = smooth.copy()
+        least, chance = tuning.offsets.lattice.peak * min_matches, tuning.counts.floor * min_matches
         for c, d in np.argwhere(self.allowed):
             patches, count = label(np.nan_to_num(smooth[c, d]) >= min_matches, structure=np.ones((3, 3)))
             if count:
                 peak = np.r_[0.0, maximum(np.nan_to_num(smooth[c, d]), patches, np.arange(1, count + 1))]
-                out[c, d][(patches > 0) & (peak[patches] < PEAK * min_matches)] = FLOOR * min_matches
+                out[c, d][(patches > 0) & (peak[patches] < least)] = chance
         return out
 
-    def interpolated(self, smooth: np.ndarray, threshold: float) -> tuple[np.ndarray, ...]:
+    def interpolated(self, smooth: np.ndarray, threshold: float, tuning: CountsTuning) -> tuple[np.ndarray, ...]:
         """Frame pairs between the nodes whose bilinear ``smooth`` reaches ``threshold``: c, d, rank in p, rank in q and
         bilinear preview matches, all (K,). Unmeasured corners count as unrelated."""
-        low = FLOOR * threshold
+        low = tuning.floor * threshold
         surface = np.where(np.isfinite(smooth), smooth, low)
         # The count between an image and itself is not known: as high as any of its neighbours'.
         counts = np.where(np.isfinite(self.inliers), self.inliers, np.where(np.isfinite(smooth), smooth, low))
@@ -150,17 +148,18 @@ class Lattice:
         return tuple(np.concatenate(part) for part in zip(*out))
 
 
-def make_lattice(p: Pass, q: Pass, stride: int, allowed: np.ndarray, level: Level | None = None) -> Lattice:
+def make_lattice(
+    p: Pass, q: Pass, stride: int, allowed: np.ndarray, tuning: LatticeTuning, level: Level | None = None
+) -> Lattice:
     """An empty lattice with every ``stride``-th frame and the last one."""
-    rows, columns = _every(len(p), stride), _every(len(q), stride)
+    rows, columns = _every(len(p), stride, tuning.short_nodes), _every(len(q), stride, tuning.short_nodes)
     inliers = np.full((len(p.images), len(q.images), len(rows), len(columns)), np.nan, np.float32)
     return Lattice(p, q, rows, columns, allowed, inliers, level)
 
 
-def _blurred(grid: np.ndarray) -> np.ndarray:
-    """(S, T, A, B) f4 Gaussian over the last two axes, zero outside."""
-    sigma = (0, 0, SIGMA_NODES, SIGMA_NODES)
-    return gaussian_filter(grid.astype(np.float32), sigma, mode="constant", truncate=_TRUNCATE)
+def _blurred(grid: np.ndarray, sigma: float, cut: float) -> np.ndarray:
+    """(S, T, A, B) f4 Gaussian over the last two axes, cut after so many sigmas, zero outside."""
+    return gaussian_filter(grid.astype(np.float32), (0, 0, sigma, sigma), mode="constant", truncate=cut)
 
 
 def _bilinear(
@@ -172,11 +171,11 @@ def _bilinear(
     return rows[:, column] * (1 - column_share) + rows[:, right] * column_share
 
 
-def _every(n: int, stride: int) -> np.ndarray:
+def _every(n: int, stride: int, short: int) -> np.ndarray:
     """Every ``stride``-th of n and the last one, in the place of one that is less than a stride's half before it: on a
-    short pass two columns side by side cost a third of the lattice and tell nothing."""
+    pass of few nodes (``short``) two columns side by side cost a third of the lattice and tell nothing."""
     places = np.arange(0, n, stride)
-    if 2 < len(places) <= _SHORT and 2 * (n - 1 - places[-1]) <= stride:
+    if 2 < len(places) <= short and 2 * (n - 1 - places[-1]) <= stride:
         places = places[:-1]
     return np.unique(np.r_[places, n - 1])
 

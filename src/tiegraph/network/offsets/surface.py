@@ -7,13 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from tiegraph.network.offsets.lattice import FLOOR, SIGMA_NODES, Lattice
+from tiegraph.network.offsets.lattice import Lattice
+from tiegraph.network.tuning import Tuning
 
 MAX_CAMERA_PAIRS = 12  # of a couple of passes: those with the most evidence
-_TOP = 6.0  # times the threshold: more matches say nothing more
-_COARSE = 0.15  # share of the nodes of the densest camera pair
-_FAINT = 0.003  # share of the strongest camera pair below which one is not shown
-_BEND = 0.02  # price of a path moving one node aside, as a share of the highest evidence
 
 
 @dataclass(frozen=True)
@@ -35,27 +32,28 @@ class OffsetSurface:
     sensors: str = ""
 
 
-def surfaces_of(lattice: Lattice, smooth: np.ndarray, threshold: float) -> tuple[OffsetSurface, ...]:
+def surfaces_of(lattice: Lattice, smooth: np.ndarray, threshold: float, tuning: Tuning) -> tuple[OffsetSurface, ...]:
     """The surface of the rig and of its strongest camera pairs; ``smooth`` (S, T, A, B) as ``Lattice.smoothed``, kept
     where it reaches ``threshold``."""
+    surface = tuning.offsets.surface
     kept = np.nan_to_num(smooth) >= threshold
-    excess = _excess(lattice, threshold)
+    excess = _excess(lattice, threshold, tuning)
     if lattice.same:  # a frame and itself
         excess = np.where(np.equal.outer(lattice.rows, lattice.columns), np.nan, excess)
     # Cameras that share next to nothing were looked at on a coarser grid: they would only add its pattern.
     looked = np.isfinite(excess).sum(axis=(2, 3))
-    voted = looked >= _COARSE * looked.max(initial=0)
+    voted = looked >= surface.coarse * looked.max(initial=0)
     total = np.nansum(excess[voted], axis=0)
     seen = np.isfinite(excess[voted]).any(axis=0)
     path = np.full(len(lattice.rows), np.nan)
     if not lattice.same:
-        node = ridge(total, kept.any(axis=(0, 1)))
+        node = ridge(total, kept.any(axis=(0, 1)), surface.bend)
         path = np.where(np.isnan(node), np.nan, lattice.columns[np.nan_to_num(node).astype(int)])
     out = [_surface(lattice, np.where(seen, total, np.nan), kept.any(axis=(0, 1)), path, "")]
     weight = np.nansum(np.where(kept, excess, 0), axis=(2, 3))
     for flat in np.argsort(-weight, axis=None, kind="stable"):
         c, d = (int(x) for x in np.unravel_index(flat, weight.shape))
-        if len(out) > MAX_CAMERA_PAIRS or weight[c, d] <= _FAINT * weight.max() or weight.size == 1:
+        if len(out) > MAX_CAMERA_PAIRS or weight[c, d] <= surface.faint * weight.max() or weight.size == 1:
             break
         if not (lattice.same and c > d):
             names = lattice.p.rig.sensors[c].name, lattice.q.rig.sensors[d].name
@@ -63,11 +61,12 @@ def surfaces_of(lattice: Lattice, smooth: np.ndarray, threshold: float) -> tuple
     return tuple(out)
 
 
-def _excess(lattice: Lattice, threshold: float) -> np.ndarray:
+def _excess(lattice: Lattice, threshold: float, tuning: Tuning) -> np.ndarray:
     """(S, T, A, B) f4 matches above chance, smoothed over frames but not cut off so soon as for the decision."""
     known = np.isfinite(lattice.inliers)
-    above = np.where(known, np.clip(lattice.inliers, FLOOR * threshold, _TOP * threshold) - FLOOR * threshold, 0)
-    sigma = (0, 0, SIGMA_NODES, SIGMA_NODES)
+    low, high = tuning.counts.floor * threshold, tuning.offsets.surface.ceiling * threshold
+    above = np.where(known, np.clip(lattice.inliers, low, high) - low, 0)
+    sigma = (0, 0, tuning.counts.sigma_nodes, tuning.counts.sigma_nodes)
     weight = gaussian_filter(known.astype(np.float32), sigma, mode="constant")
     mean = gaussian_filter(above.astype(np.float32), sigma, mode="constant") / np.maximum(weight, 1e-6)
     return np.where(known, mean, np.nan).astype(np.float32)
@@ -78,12 +77,13 @@ def _surface(lattice: Lattice, evidence: np.ndarray, kept: np.ndarray, path: np.
     return OffsetSurface(*names, lattice.rows, lattice.columns, evidence.astype(np.float32), kept, path, sensors)
 
 
-def ridge(evidence: np.ndarray, kept: np.ndarray) -> np.ndarray:
+def ridge(evidence: np.ndarray, kept: np.ndarray, bend: float) -> np.ndarray:
     """(A,) column of the strongest path through evidence (A, B) from the first to the last row; NaN in rows of which
-    nothing is ``kept`` (A, B). Dynamic programme; moving aside has a price, so that a lone peak does not catch it."""
+    nothing is ``kept`` (A, B). Dynamic programme; moving aside has a price (``bend``), so that a lone peak does not
+    catch it."""
     gain = np.nan_to_num(evidence)
     rows, columns = gain.shape
-    lane = _BEND * float(gain.max(initial=0)) * np.arange(columns)
+    lane = bend * float(gain.max(initial=0)) * np.arange(columns)
     cost, came = -gain[0], np.zeros((rows, columns), int)
     for a in range(1, rows):
         left, left_at = _running_least(cost - lane)

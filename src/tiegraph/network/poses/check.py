@@ -15,20 +15,12 @@ from tiegraph.network.model.visible import pair_share
 from tiegraph.network.passes import Pass, PreviewBook
 from tiegraph.network.poses.headings import with_headings
 from tiegraph.network.poses.poses import PoseResult, pose_pairs, prior_views, view_cameras
+from tiegraph.network.poses.tuning import PriorTuning
 from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 
-SAMPLE = 40  # previews of each kind: proposed or refused, by where the two images are on the passes
-NEAR_STEPS = 3  # frames of a pass no further apart are near in sequence
-STRONG = 1.3  # times min_matches: a single preview must be surer than an average over neighbouring frames
-ENOUGH = 15  # pairs proposed and refused, below which nothing can be said
-BAD_RATIO = 0.6  # of the ties among the proposed: a prior whose refused pairs tie more often tells nothing
-FEW_TIES = 8  # ties among both, below which a kind of pairs tells nothing
-BETTER = 0.04  # by how much another reading of the prior must correlate better with the previews to be named
-SURE_FIT = 0.45  # and how well in all
-BETTER_TELLS = 0.03  # by how much it must tell the pairs that tie from those that do not better, too
-SHIFTS = (-8, -5, -3, -2, -1, 1, 2, 3, 5, 8)  # frames
 KINDS = ("near in sequence", "same pass", "other pass", "loose photographs")
 # rig axes (columns) in the axes the trajectory may use instead of the camera's x right, y down, z forward
 _AXES = {
@@ -59,66 +51,76 @@ class PriorCheck:
 
 
 def checked_pose_pairs(
-    scene: Scene, passes: Sequence[Pass], book: PreviewBook, settings: NetworkSettings, proxy: Proxy | None = None
+    scene: Scene,
+    passes: Sequence[Pass],
+    book: PreviewBook,
+    settings: NetworkSettings,
+    tuning: Tuning,
+    proxy: Proxy | None = None,
 ) -> PoseResult:
     """``pose_pairs``, checked. A bad prior refuses nothing: all its frames count as without prior (``without``), its
     proposals stay, and so do all sampled pairs that tie."""
-    result = pose_pairs(scene, passes, settings, proxy)
+    result = pose_pairs(scene, passes, settings, tuning, proxy)
     if not len(result.pairs):
         return result
-    check = check_prior(scene, passes, book, result, settings)
+    check = check_prior(scene, passes, book, result, settings, tuning)
     if check.good:
         return replace(result, notes=(*result.notes, *check.notes))
     known = book.known(result.pairs.i, result.pairs.j)
-    keep = (result.pairs.dropped == 0) | (known >= STRONG * settings.min_matches)
+    keep = (result.pairs.dropped == 0) | (known >= tuning.counts.sure * settings.min_matches)
     pairs = result.pairs.with_(dropped=np.zeros(len(result.pairs))).where(keep)
     return replace(result, pairs=pairs, without=np.arange(scene.frames), notes=(*result.notes, *check.notes))
 
 
 def check_prior(
-    scene: Scene, passes: Sequence[Pass], book: PreviewBook, result: PoseResult, settings: NetworkSettings
+    scene: Scene,
+    passes: Sequence[Pass],
+    book: PreviewBook,
+    result: PoseResult,
+    settings: NetworkSettings,
+    tuning: Tuning,
 ) -> PriorCheck:
     """Preview a sample of what a prior proposes and refuses, and compare with other readings of the same prior."""
-    i, j, proposed, kind = _sample(scene, result.pairs)
+    i, j, proposed, kind = _sample(scene, result.pairs, tuning.poses.prior)
     count = book.measure(i, j) if len(i) else np.zeros(0)
-    tied = count >= STRONG * settings.min_matches
+    tied = count >= tuning.counts.sure * settings.min_matches
     rows = [(k, _counts(proposed[kind == k], tied[kind == k])) for k in range(len(KINDS)) if np.any(kind == k)]
-    fit, better, better_fit = _readings(scene, passes, (i, j, count, kind), result.range_m, settings.min_matches)
-    bad = [KINDS[k] for k, counts in rows if not _tells(*counts)]
+    fit, better, better_fit = _readings(scene, passes, (i, j, count, tied, kind), result.range_m, tuning)
+    bad = [KINDS[k] for k, counts in rows if not _tells(*counts, tuning.poses.prior)]
     table = tuple((KINDS[k], *counts) for k, counts in rows)
     notes = _notes(table, bad, (fit, better, better_fit))
     return PriorCheck(not bad and not better, table, fit, better, better_fit, notes)
 
 
-def _sample(scene: Scene, pairs: Pairs) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Pairs i, j (K,) to preview, whether the prior proposes them, and their kind: up to SAMPLE of each.
+def _sample(scene: Scene, pairs: Pairs, tuning: PriorTuning) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Pairs i, j (K,) to preview, whether the prior proposes them, and their kind: some of each.
 
     Refused are also pairs too far apart to be listed, drawn from all pairs of images with a prior position.
     """
     rng = np.random.default_rng(0)
     placed = np.flatnonzero(np.isin(scene.frame, np.flatnonzero(scene.pose_world() >= 0)))
-    a, b = rng.choice(placed, 4000), rng.choice(placed, 4000)
+    a, b = rng.choice(placed, tuning.drawn), rng.choice(placed, tuning.drawn)
     i, j = np.concatenate([pairs.i, np.minimum(a, b)]), np.concatenate([pairs.j, np.maximum(a, b)])
     offered = np.concatenate([pairs.dropped == 0, np.zeros(len(a), bool)])
     world = scene.pose_world()[scene.frame]
     _, first = np.unique(i.astype(np.int64) << 32 | j, return_index=True)
     first = first[(scene.frame[i[first]] != scene.frame[j[first]]) & (world[i[first]] == world[j[first]])]
     i, j, offered = i[first], j[first], offered[first]
-    kind = _kind(scene, i, j)
+    kind = _kind(scene, i, j, tuning.near_steps)
     rows = [np.zeros(0, int)]
     for k in range(len(KINDS)):
         for side in (True, False):
             of_kind = np.flatnonzero((kind == k) & (offered == side))
-            rows.append(rng.choice(of_kind, min(SAMPLE, len(of_kind)), replace=False))
+            rows.append(rng.choice(of_kind, min(tuning.sample, len(of_kind)), replace=False))
     take = np.sort(np.concatenate(rows))
     return i[take], j[take], offered[take], kind[take]
 
 
-def _kind(scene: Scene, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+def _kind(scene: Scene, i: np.ndarray, j: np.ndarray, near_steps: int) -> np.ndarray:
     """(K,) index into KINDS."""
     track, step = scene.track[scene.frame], scene.step[scene.frame]
     same = (track[i] == track[j]) & (track[i] >= 0)
-    near = same & (np.abs(step[i] - step[j]) <= NEAR_STEPS)
+    near = same & (np.abs(step[i] - step[j]) <= near_steps)
     loose = (track[i] < 0) & (track[j] < 0)
     return np.where(near, 0, np.where(same, 1, np.where(loose, 3, 2)))
 
@@ -132,21 +134,21 @@ def _counts(proposed: np.ndarray, tied: np.ndarray) -> tuple[int, int, int, int]
     )
 
 
-def _tells(proposed: int, tied: int, refused: int, lost: int) -> bool:
+def _tells(proposed: int, tied: int, refused: int, lost: int, tuning: PriorTuning) -> bool:
     """Whether a prior knows something of a kind of pairs: what it refuses ties much more rarely than what it proposes.
 
     With too few pairs or ties nothing speaks against it.
     """
-    if proposed < ENOUGH or refused < ENOUGH or tied + lost < FEW_TIES:
+    if proposed < tuning.enough or refused < tuning.enough or tied + lost < tuning.few_ties:
         return True
     yes, no = tied / proposed, lost / refused
     mean = (tied + lost) / (proposed + refused)
     error = np.sqrt(mean * (1 - mean) * (1 / proposed + 1 / refused))
-    return bool(yes - no > 2 * error and no < BAD_RATIO * yes)
+    return bool(yes - no > tuning.sigmas * error and no < tuning.bad_ratio * yes)
 
 
 def _readings(
-    scene: Scene, passes: Sequence[Pass], sample: tuple[np.ndarray, ...], range_m: float, min_matches: int
+    scene: Scene, passes: Sequence[Pass], sample: tuple[np.ndarray, ...], range_m: float, tuning: Tuning
 ) -> tuple[float, str, float]:
     """How well the prior as given predicts the previews, the reading that does it better ("" = none), and how well.
 
@@ -154,24 +156,23 @@ def _readings(
     number of matches falls with the distance alone, and any reading that does so too has the better correlation (KITTI:
     0.85 for axes that are wrong, 0.39). It tells no better which pairs tie, so this is asked too.
     """
-    i, j, count, kind = sample
-    tied = count >= STRONG * min_matches
-    given = _share(scene, passes, scene.world_from_rig, (i, j), range_m)
-    fit = _fit(given, count, kind)
+    (i, j, count, tied, kind), prior = sample, tuning.poses.prior
+    given = _share(scene, passes, scene.world_from_rig, (i, j), range_m, tuning)
+    fit = _fit(given, count, kind, prior.enough)
     if np.isnan(fit):
         return fit, "", fit
-    fits, tells = {}, _area(given, tied, kind)
-    for name, read in _possible(scene.has_orientations()).items():
-        share = _share(scene, passes, read(np.array(scene.world_from_rig), passes), (i, j), range_m)
-        if not _area(share, tied, kind) < tells + BETTER_TELLS:
-            fits[name] = _fit(share, count, kind)
+    fits, tells = {}, _area(given, tied, kind, prior.few_ties)
+    for name, read in _possible(scene.has_orientations(), prior.shifts_frames).items():
+        share = _share(scene, passes, read(np.array(scene.world_from_rig), passes), (i, j), range_m, tuning)
+        if not _area(share, tied, kind, prior.few_ties) < tells + prior.better_tells:
+            fits[name] = _fit(share, count, kind, prior.enough)
     best = max(fits.values(), key=lambda f: np.nan_to_num(f, nan=-1.0), default=fit)
-    if not best > fit + BETTER or best < SURE_FIT:
+    if not best > fit + prior.better or best < prior.sure_fit:
         return fit, "", fit
-    return fit, " or ".join([n for n, f in fits.items() if f > best - 0.01][:2]), best
+    return fit, " or ".join([n for n, f in fits.items() if f > best - prior.alike][:2]), best
 
 
-def _possible(oriented: bool) -> dict[str, Reading]:
+def _possible(oriented: bool, shifts: Sequence[int]) -> dict[str, Reading]:
     """The likely mistakes by what to say about them."""
     out: dict[str, Reading] = {}
     if oriented:
@@ -180,7 +181,7 @@ def _possible(oriented: bool) -> dict[str, Reading]:
     for letter, mirror in zip("xyz", (np.diag([-1.0, 1, 1]), np.diag([1.0, -1, 1]), np.diag([1.0, 1, -1]))):
         if oriented or letter != "z":
             out[f"its positions are mirrored in {letter}"] = _mirrored(mirror)
-    for step in SHIFTS:
+    for step in shifts:
         out[f"it is {abs(step)} frames too {'early' if step < 0 else 'late'}"] = _shifted(step)
     return out
 
@@ -230,34 +231,39 @@ def _shifted(step: int) -> Reading:
 
 
 def _share(
-    scene: Scene, passes: Sequence[Pass], poses: np.ndarray, pairs: tuple[np.ndarray, np.ndarray], range_m: float
+    scene: Scene,
+    passes: Sequence[Pass],
+    poses: np.ndarray,
+    pairs: tuple[np.ndarray, np.ndarray],
+    range_m: float,
+    tuning: Tuning,
 ) -> np.ndarray:
     """(K,) predicted overlap of pairs by a reading of the prior."""
     read = scene.with_(world_from_rig=poses)
-    full, headings = with_headings(read, passes)
+    full, headings = with_headings(read, passes, tuning)
     pose = prior_views(read, full, headings, passes).pose
-    return pair_share(transforms.invert(pose), view_cameras(scene), *pairs, range_m)
+    return pair_share(transforms.invert(pose), view_cameras(scene, tuning.poses), *pairs, range_m, tuning.model)
 
 
-def _fit(share: np.ndarray, count: np.ndarray, kind: np.ndarray) -> float:
+def _fit(share: np.ndarray, count: np.ndarray, kind: np.ndarray, enough: int) -> float:
     """Rank correlation of predicted overlap and preview matches, mean over the kinds; NaN = too few to say."""
     found = []
     for k in range(len(KINDS)):
         there = (kind == k) & np.isfinite(share)
-        if there.sum() >= 2 * ENOUGH and np.ptp(count[there]) > 0:
+        if there.sum() >= 2 * enough and np.ptp(count[there]) > 0:
             varied = np.ptp(share[there]) > 0
             found.append(float(spearmanr(share[there], count[there]).statistic) if varied else 0.0)
     return float(np.mean(found)) if found else float("nan")
 
 
-def _area(share: np.ndarray, tied: np.ndarray, kind: np.ndarray) -> float:
+def _area(share: np.ndarray, tied: np.ndarray, kind: np.ndarray, few: int) -> float:
     """Chance that a pair that ties has a larger predicted overlap than one that does not (area under the ROC curve),
     mean over the kinds; NaN = too few to say."""
     found = []
     for k in range(len(KINDS)):
         there = (kind == k) & np.isfinite(share)
         yes, no = share[there & tied], share[there & ~tied]
-        if min(len(yes), len(no)) >= FEW_TIES:
+        if min(len(yes), len(no)) >= few:
             found.append(float(mannwhitneyu(yes, no).statistic) / (len(yes) * len(no)))
     return float(np.mean(found)) if found else float("nan")
 

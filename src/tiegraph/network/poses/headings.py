@@ -8,12 +8,13 @@ import numpy as np
 
 from tiegraph.network.passes import Pass
 from tiegraph.network.rig.axes import vertical
+from tiegraph.network.tuning import Tuning
 from tiegraph.scene.scene import Scene
 
 _UP = np.array([0.0, 0.0, 1.0])
 
 
-def with_headings(scene: Scene, passes: Sequence[Pass]) -> tuple[np.ndarray, np.ndarray]:
+def with_headings(scene: Scene, passes: Sequence[Pass], tuning: Tuning) -> tuple[np.ndarray, np.ndarray]:
     """Poses (F, 4, 4) with unknown rotations of passes filled by the direction of travel, and where (F,) bool.
 
     Reference camera forward, rig upright: wrong by a constant turn about the vertical if it is mounted otherwise, which
@@ -27,21 +28,23 @@ def with_headings(scene: Scene, passes: Sequence[Pass]) -> tuple[np.ndarray, np.
         if not unknown.any() or len(p) < 2:
             continue
         sigma = np.nan_to_num(np.nanmax(scene.position_sigma_m[p.frames], axis=1, initial=0.0))
+        noise = tuning.poses.heading_sigmas * np.maximum(sigma, 1e-3)
         for k in np.flatnonzero(unknown):
-            way = _direction(where, sigma, int(k))
+            way = _direction(where, noise, int(k))
             if way is not None and np.isfinite(where[k]).all():
-                poses[p.frames[k], :3, :3] = _upright(way, vertical(p.rig) if p.rig.known() else -np.eye(3)[1])
+                up = vertical(p.rig, tuning.rig.axes) if p.rig.known() else -np.eye(3)[1]
+                poses[p.frames[k], :3, :3] = _upright(way, up)
                 poses[p.frames[k], 3] = (0, 0, 0, 1)
                 filled[p.frames[k]] = True
     return poses, filled
 
 
-def _direction(where: np.ndarray, sigma: np.ndarray, k: int) -> np.ndarray | None:
+def _direction(where: np.ndarray, noise: np.ndarray, k: int) -> np.ndarray | None:
     """Horizontal unit vector of travel at frame k over the shortest stretch that is longer than its noise."""
     for half in range(1, len(where)):
         a, b = max(0, k - half), min(len(where) - 1, k + half)
         step = (where[b] - where[a]) * (1, 1, 0)
-        if np.isfinite(step).all() and np.linalg.norm(step) > 4 * max(sigma[a], sigma[b], 1e-3):
+        if np.isfinite(step).all() and np.linalg.norm(step) > max(noise[a], noise[b]):
             return step / np.linalg.norm(step)
         if a == 0 and b == len(where) - 1:
             return None

@@ -17,19 +17,11 @@ from scipy.spatial import cKDTree
 from tiegraph.network.model.visible import Overlap, Proxy, assumed_proxy, shared_surface
 from tiegraph.network.passes import Pass
 from tiegraph.network.poses.headings import with_headings
+from tiegraph.network.poses.tuning import PosesTuning
 from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
-
-RANGE_SPACINGS = 10.0  # assumed distance to the object, in distances between frames
-FAR_RANGES = 2.0  # frames further apart than this many ranges share nothing that matches
-NEAR_RANGES = 1 / 500  # a shorter base of one camera measures nothing
-NEIGHBOURS = 40  # nearest frames of a frame that are looked at
-DRIFT = 0.01  # of the path between two frames: error of a trajectory without given accuracy (odometry: about 1 %)
-UNSURE = 0.25  # of the range: less certain than this, two frames are not refused by sight
-SLACK_RAD = 0.3  # most that an uncertain position widens a field of view
-GUESSED_VIEW_DEG = 70.0  # of a camera whose focal length is a guess and that has no neighbour on its rig
-SHARED_VIEW = 1.25  # field of view of such a camera over the angle to the next one on its rig: they overlap
 
 
 @dataclass(frozen=True)
@@ -65,14 +57,14 @@ class Views:
         """(N, 3) optical axes, NaN = unknown."""
         return self.pose[:, :3, 2]
 
-    def uncertainty_m(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
-        """(K,) standard deviation of the distance of image pairs."""
-        drift = DRIFT * np.abs(self.path_m[i] - self.path_m[j])
-        return np.sqrt(self.sigma_m[i] ** 2 + self.sigma_m[j] ** 2 + np.nan_to_num(drift) ** 2)
+    def uncertainty_m(self, i: np.ndarray, j: np.ndarray, drift: float) -> np.ndarray:
+        """(K,) standard deviation of the distance of image pairs; ``drift``: of the path between them."""
+        drifted = drift * np.abs(self.path_m[i] - self.path_m[j])
+        return np.sqrt(self.sigma_m[i] ** 2 + self.sigma_m[j] ** 2 + np.nan_to_num(drifted) ** 2)
 
 
 def pose_pairs(
-    scene: Scene, passes: Sequence[Pass], settings: NetworkSettings, proxy: Proxy | None = None
+    scene: Scene, passes: Sequence[Pass], settings: NetworkSettings, tuning: Tuning, proxy: Proxy | None = None
 ) -> PoseResult:
     """Pairs of images by their prior poses; those that a test refused carry its reason.
 
@@ -84,12 +76,12 @@ def pose_pairs(
     without = np.flatnonzero(~with_prior)
     if with_prior.sum() < 2:
         return PoseResult(Pairs.empty(), without, ("poses: fewer than two frames have a prior position",))
-    poses, headings = with_headings(scene, passes)
-    reach = settings.range_m or assumed_range(scene, passes)
+    poses, headings = with_headings(scene, passes, tuning)
+    reach = settings.range_m or assumed_range(scene, passes, tuning.poses)
     views = prior_views(scene, poses, headings, passes)
-    found = predicted_overlap(scene, views, reach, settings, proxy)
-    i, j = _candidates(scene, np.flatnonzero(with_prior), FAR_RANGES * reach, found)
-    code, share = _tests(scene, (i, j), views, found, reach, settings)
+    found = predicted_overlap(scene, views, reach, settings, tuning, proxy)
+    i, j = _candidates(scene, np.flatnonzero(with_prior), reach, found, tuning.poses)
+    code, share = _tests(scene, (i, j), views, found, reach, settings, tuning.poses)
     base = np.linalg.norm(views.centre()[i] - views.centre()[j], axis=1)
     pairs = Pairs.make(
         i, j, "poses", dropped=code, overlap=share, baseline_m=base, angle_deg=_angle(views.axis()[i], views.axis()[j])
@@ -113,8 +105,8 @@ def _notes(
     return tuple(notes)
 
 
-def assumed_range(scene: Scene, passes: Sequence[Pass]) -> float:
-    """Ten times the distance between successive frames; of loose photographs, the median one to the nearest.
+def assumed_range(scene: Scene, passes: Sequence[Pass], tuning: PosesTuning) -> float:
+    """Some times the distance between successive frames; of loose photographs, the median one to the nearest.
 
     Half of the way is gone in steps so long or longer: a vehicle that stands most of the time has a median step that
     says nothing of how far things are (PandaSet, every fifth frame: 0.15 m; so 1.3 m).
@@ -129,7 +121,7 @@ def assumed_range(scene: Scene, passes: Sequence[Pass]) -> float:
     else:
         known = position[np.isfinite(position).all(axis=1)]
         step = float(np.median(np.asarray(cKDTree(known).query(known, k=2)[0])[:, 1]))
-    return RANGE_SPACINGS * max(step, 1e-3)
+    return tuning.range_spacings * max(step, 1e-3)
 
 
 def prior_views(scene: Scene, poses: np.ndarray, headings: np.ndarray, passes: Sequence[Pass]) -> Views:
@@ -160,25 +152,27 @@ def _path(scene: Scene, poses: np.ndarray, passes: Sequence[Pass]) -> np.ndarray
     return out
 
 
-def view_cameras(scene: Scene) -> list[pycolmap.Camera | None]:
+def view_cameras(scene: Scene, tuning: PosesTuning) -> list[pycolmap.Camera | None]:
     """The camera of each image as wide as it may be: a guessed focal length must not hide what is seen.
 
-    The cameras of a rig are mounted to overlap, so that a guess is widened to SHARED_VIEW of the angle to the next one.
+    The cameras of a rig are mounted to overlap, so that a guess is widened to ``shared_view`` of the angle to the next
+    one.
     """
     made: list[pycolmap.Camera | None] = []
     for rig in scene.rigs:
         angles = rig.axis_angles_deg()
-        angles = np.where(angles > 5, angles, np.nan)
+        angles = np.where(angles > tuning.next_deg, angles, np.nan)
         for k, sensor in enumerate(rig.sensors):
             next_ = np.nanmin(angles[k]) if np.isfinite(angles[k]).any() else np.nan
-            made.append(_wide_enough(sensor.camera, float(next_)))
+            made.append(_wide_enough(sensor.camera, float(next_), tuning))
     return [made[k] for k in scene.sensor_key]
 
 
-def _wide_enough(camera: pycolmap.Camera | None, next_deg: float) -> pycolmap.Camera | None:
+def _wide_enough(camera: pycolmap.Camera | None, next_deg: float, tuning: PosesTuning) -> pycolmap.Camera | None:
     if camera is None or camera.has_prior_focal_length:
         return camera
-    view = max(GUESSED_VIEW_DEG, min(SHARED_VIEW * next_deg, 120.0) if np.isfinite(next_deg) else 0.0)
+    shared = min(tuning.shared_view * next_deg, tuning.max_view_deg) if np.isfinite(next_deg) else 0.0
+    view = max(tuning.guessed_view_deg, shared)
     focal = camera.width / 2 / np.tan(np.radians(view) / 2)
     if camera.mean_focal_length() <= focal:
         return camera
@@ -187,44 +181,48 @@ def _wide_enough(camera: pycolmap.Camera | None, next_deg: float) -> pycolmap.Ca
 
 
 def predicted_overlap(
-    scene: Scene, views: Views, reach: float, settings: NetworkSettings, proxy: Proxy | None = None
+    scene: Scene, views: Views, reach: float, settings: NetworkSettings, tuning: Tuning, proxy: Proxy | None = None
 ) -> Overlap:
     """Shared surface of all images whose poses are trusted, world by world."""
-    cameras = view_cameras(scene)
+    cameras = view_cameras(scene, tuning.poses)
     cam_from_world = np.full((len(scene), 4, 4), np.nan)
     cam_from_world[views.trusted] = np.linalg.inv(views.pose[views.trusted])
-    slack = np.minimum(views.sigma_m / reach, SLACK_RAD)
+    slack = np.minimum(views.sigma_m / reach, tuning.poses.max_slack_rad)
     parts = []
     for world in np.unique(views.world[views.world >= 0]):
         own = np.where((views.world == world)[:, None, None], cam_from_world, np.nan)
-        points = proxy if proxy is not None else assumed_proxy(own, cameras, reach)
-        parts.append(shared_surface(own, cameras, points, max_angle_deg=settings.axes_deg, slack_rad=slack))
+        points = proxy if proxy is not None else assumed_proxy(own, cameras, reach, tuning.model)
+        parts.append(shared_surface(own, cameras, points, tuning.model.visible, settings.axes_deg, slack))
     columns = [np.concatenate([getattr(p, n) for p in parts]) for n in Overlap.__dataclass_fields__]
     order = np.lexsort((columns[1], columns[0]))
     return Overlap(*(c[order] for c in columns))
 
 
-def _candidates(scene: Scene, frames: np.ndarray, radius: float, found: Overlap) -> tuple[np.ndarray, np.ndarray]:
+def _candidates(
+    scene: Scene, frames: np.ndarray, reach: float, found: Overlap, tuning: PosesTuning
+) -> tuple[np.ndarray, np.ndarray]:
     """Image pairs i < j to be judged: of near frames, and all that share surface."""
-    i, j = _image_pairs(scene, *_frame_pairs(scene, frames, radius))
+    i, j = _image_pairs(scene, *_frame_pairs(scene, frames, reach, tuning))
     i, j = np.concatenate([np.minimum(i, j), found.i]), np.concatenate([np.maximum(i, j), found.j])
     key = np.unique(i.astype(np.int64) << 32 | j)
     return key >> 32, key & 0xFFFFFFFF
 
 
-def _frame_pairs(scene: Scene, frames: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of frames (K,), (K,), first <= second: each with itself and its nearest NEIGHBOURS within twice the radius.
+def _frame_pairs(scene: Scene, frames: np.ndarray, reach: float, tuning: PosesTuning) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of frames (K,), (K,), first <= second: each with itself and its nearest ones within some times the distance
+    beyond which they share nothing.
 
     Odometry of one pass knows nothing of another pass, and is never compared with it.
     """
     position, world = scene.world_from_rig[frames, :3, 3], scene.pose_world()[frames]
+    radius = tuning.neighbour_radii * (tuning.far_ranges * reach)
     out = [np.stack([frames, frames], axis=1)]
     for group in np.unique(world):
         member = np.flatnonzero(world == group)
-        count = min(NEIGHBOURS + 1, len(member))
+        count = min(tuning.neighbours + 1, len(member))
         distance, near = cKDTree(position[member]).query(position[member], k=count)
         distance, near = np.reshape(distance, (len(member), -1)), np.reshape(near, (len(member), -1))
-        a, b = np.nonzero(distance <= 2 * radius)
+        a, b = np.nonzero(distance <= radius)
         out.append(np.stack([frames[member[a]], frames[member[near[a, b]]]], axis=1))
     pairs = np.unique(np.sort(np.concatenate(out), axis=1), axis=0)
     return pairs[:, 0], pairs[:, 1]
@@ -252,23 +250,25 @@ def _tests(
     found: Overlap,
     reach: float,
     settings: NetworkSettings,
+    tuning: PosesTuning,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Index into REASONS of each pair (K,), the first test that refuses it, 0 = none does; predicted overlap (K,)."""
     i, j = pairs
     base = np.linalg.norm(views.centre()[i] - views.centre()[j], axis=1)
-    sigma = views.uncertainty_m(i, j)
+    sigma = views.uncertainty_m(i, j, tuning.drift)
+    noise = tuning.sigmas * sigma
     code = np.zeros(len(i), int)
     axis = views.axis()
     # Without orientation nothing but the number of neighbours limits the distance (as COLMAP's spatial matching does).
     oriented = np.isfinite(axis[i]).all(axis=1) & np.isfinite(axis[j]).all(axis=1)
-    _refuse(code, oriented & (base - 2 * sigma > FAR_RANGES * reach), "distance")
+    _refuse(code, oriented & (base - noise > tuning.far_ranges * reach), "distance")
     _refuse(code, _angle(axis[i], axis[j]) > settings.axes_deg, "axes")
     apart = scene.frame[i] != scene.frame[j]
     same_camera = (scene.sensor_key[i] == scene.sensor_key[j]) & apart
-    _refuse(code, same_camera & oriented & (base + 2 * sigma < NEAR_RANGES * reach), "baseline")
+    _refuse(code, same_camera & oriented & (base + noise < tuning.near_ranges * reach), "baseline")
     both = views.trusted[i] & views.trusted[j]
     share = np.where(both, found.between(i, j), np.nan)
-    sure = both & apart & (sigma < UNSURE * reach)
+    sure = both & apart & (sigma < tuning.unsure * reach)
     _refuse(code, sure & (share <= 0), "sight")
     _refuse(code, sure & (share < settings.min_overlap), "overlap")
     return code, share

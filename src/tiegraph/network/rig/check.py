@@ -20,17 +20,11 @@ from tiegraph.network.passes import Pass, PreviewBook
 from tiegraph.network.rig.axes import allowed_within, predicted_shift
 from tiegraph.network.rig.order import Order, in_words, orders, reordered
 from tiegraph.network.rig.sync import frame_notes, lag_notes
+from tiegraph.network.rig.tuning import AxesTuning, CheckTuning
 from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.tuning import Tuning
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-
-FRAMES = 16  # frames whose images are compared, at most
-SAMPLES = 250  # pairs of images compared, about
-MIN_VOTES = 6  # image pairs with enough matches
-AGREEMENT = 0.5  # mean cosine between predicted and seen motion that counts as agreement
-MARGIN = 0.5  # a hypothesis must beat the nominal rig by this much to replace it
-TIE = 0.03  # agreements this close are the same
-INLIERS = 1.3  # times min_matches: a single preview must be surer than an average of many
 
 log = logging.getLogger(__name__)
 
@@ -53,7 +47,7 @@ class RigCheck:
 class _Votes:
     """K same-frame pairs: sensors a, b, shift (K, 2), rotation angle of the axes in degrees (NaN = unknown).
 
-    evidence (2, S, S): mean matches above ``min_matches`` in units of it, limited to 0 .. 2, of either half of the
+    evidence (2, S, S): mean matches above ``min_matches`` in units of it, limited, of either half of the
     frames; NaN = not looked at.
     """
 
@@ -65,60 +59,66 @@ class _Votes:
 
 
 def check_rigs(
-    scene: Scene, passes: Sequence[Pass], book: PreviewBook, settings: NetworkSettings
+    scene: Scene, passes: Sequence[Pass], book: PreviewBook, settings: NetworkSettings, tuning: Tuning
 ) -> tuple[Scene, tuple[str, ...]]:
     """The scene with rigs whose order, sense of rotation or roll the images contradict corrected, and what was found.
 
     Cameras with fewer frames than others and cameras that seem to run late are told of.
     """
-    rigs, notes, poses = list(scene.rigs), list(frame_notes(passes, scene.names)), scene.world_from_rig
+    rigs, notes, poses = list(scene.rigs), list(frame_notes(passes, scene.names, tuning.rig.sync)), scene.world_from_rig
     for k, rig in enumerate(scene.rigs):
         if len(rig.sensors) < 2 or not rig.known():
             continue
         own = [p for p in passes if p.rig_index == k]
-        outcome = check_rig(rig, own, book, settings)
+        outcome = check_rig(rig, own, book, settings, tuning)
         rigs[k] = outcome.rig
         if not np.array_equal(outcome.old_from_new, np.eye(4)):
             turned = (scene.rig == k) & np.isfinite(poses).all(axis=(1, 2))  # a position alone stays where it is
             poses = np.where(turned[:, None, None], poses @ outcome.old_from_new, poses)
         notes.append(outcome.note)
         if outcome.ordered:
-            notes += lag_notes([replace(p, rig=outcome.rig) for p in own], book, settings)
+            notes += lag_notes([replace(p, rig=outcome.rig) for p in own], book, settings, tuning)
     if any(a is not b for a, b in zip(rigs, scene.rigs)):
         scene = scene.with_(rigs=tuple(rigs), world_from_rig=poses)
     return scene, tuple(notes)
 
 
-def check_rig(rig: Rig, passes: Sequence[Pass], book: PreviewBook, settings: NetworkSettings) -> RigCheck:
+def check_rig(
+    rig: Rig, passes: Sequence[Pass], book: PreviewBook, settings: NetworkSettings, tuning: Tuning
+) -> RigCheck:
     """Vote on other orders, mirrored and rolled versions of a rig with previews; a calibrated rig is never changed."""
-    everything = _collect(rig, passes, book, settings)
-    found = orders(rig, everything.evidence)
+    check, axes = tuning.rig.check, tuning.rig.axes
+    everything = _collect(rig, passes, book, settings, tuning)
+    found = orders(rig, everything.evidence, tuning.rig.order)
     if found:
-        return _out_of_order(rig, found, everything, settings)
+        return _out_of_order(rig, found, everything, settings, tuning)
     votes = _facing(everything, rig, settings)
-    if len(votes.a) < MIN_VOTES:
+    if len(votes.a) < check.min_votes:
         text = f"rig {rig.name}: its axes could not be checked against the images: too few matches"
-        return RigCheck(rig, False, f"{text} ({len(votes.a)} of {MIN_VOTES} pairs of one frame)")
-    score = {name: _agreement(variant, votes) for name, variant in _hypotheses(rig)}
+        return RigCheck(rig, False, f"{text} ({len(votes.a)} of {check.min_votes} pairs of one frame)")
+    score = {name: _agreement(variant, votes, axes) for name, variant in _hypotheses(rig)}
     # Of explanations that fit alike the first: side cameras of a ring cannot tell "mirrored" from "upside down".
-    best = next(name for name, s in score.items() if s >= max(score.values()) - TIE)
-    angles = _angles(rig, votes)
-    if score["nominal"] >= AGREEMENT or best == "nominal":
-        how = "agree with" if score["nominal"] >= AGREEMENT else "neither prove nor contradict"
+    best = next(name for name, s in score.items() if s >= max(score.values()) - check.tie)
+    angles = _angles(rig, votes, check)
+    if score["nominal"] >= check.agreement or best == "nominal":
+        how = "agree with" if score["nominal"] >= check.agreement else "neither prove nor contradict"
         return RigCheck(rig, False, f"rig {rig.name}: the images {how} its sense of rotation{angles}")
-    if score[best] < AGREEMENT or score[best] < score["nominal"] + MARGIN:
+    if score[best] < check.agreement or score[best] < score["nominal"] + check.margin:
         return RigCheck(rig, False, f"rig {rig.name}: the images fit its axes badly; check the rig file{angles}")
     if rig.fixed:
         return RigCheck(rig, False, f"rig {rig.name}: the images say it is {best}, but it is calibrated: kept{angles}")
     corrected = dict(_hypotheses(rig))[best]
-    return RigCheck(corrected, True, f"rig {rig.name}: the images show it {best}: corrected{_angles(corrected, votes)}")
+    angles = _angles(corrected, votes, check)
+    return RigCheck(corrected, True, f"rig {rig.name}: the images show it {best}: corrected{angles}")
 
 
-def _out_of_order(rig: Rig, found: Sequence[Order], votes: _Votes, settings: NetworkSettings) -> RigCheck:
+def _out_of_order(
+    rig: Rig, found: Sequence[Order], votes: _Votes, settings: NetworkSettings, tuning: Tuning
+) -> RigCheck:
     """Of orders with the same neighbours the one whose sense of rotation the images show; of those the first."""
     tried = [reordered(rig, order.place)[0] for order in found]
-    score = [_agreement(r, _facing(votes, r, settings)) for r in tried]
-    order = found[next(k for k, s in enumerate(score) if s >= max(score) - TIE)]
+    score = [_agreement(r, _facing(votes, r, settings), tuning.rig.axes) for r in tried]
+    order = found[next(k for k, s in enumerate(score) if s >= max(score) - tuning.rig.check.tie)]
     text = f"rig {rig.name}: {in_words(rig, order, votes.evidence)}"
     if rig.fixed:
         return RigCheck(rig, False, f"{text}: it is calibrated and kept; check the rig file", ordered=False)
@@ -147,23 +147,24 @@ def _variant(rig: Rig, turn: np.ndarray, mirror: bool) -> Rig:
     return replace(rig, sensors=tuple(sensors))
 
 
-def _collect(rig: Rig, passes: Sequence[Pass], book: PreviewBook, settings: NetworkSettings) -> _Votes:
+def _collect(rig: Rig, passes: Sequence[Pass], book: PreviewBook, settings: NetworkSettings, tuning: Tuning) -> _Votes:
     """Previews of every two cameras in sampled frames; where next to none match, also from a frame to the next one."""
     couples = np.array([(a, b) for a in range(len(rig.sensors)) for b in range(a + 1, len(rig.sensors))])
-    rows = _sampled(passes, couples, 0)
+    check = tuning.rig.check
+    rows = _sampled(passes, couples, 0, check)
     results = book.results(rows[2], rows[3]) if rows.size else []
     a, b, _, _, half = rows
     inliers = np.array([r.inliers for r in results], float)
-    sure = inliers >= INLIERS * settings.min_matches
+    sure = inliers >= tuning.counts.sure * settings.min_matches
     enough = [k for k, r in enumerate(results) if sure[k] and r.shift is not None]
     angle = [np.nan if results[k].rotation is None else _axis_angle(results[k].rotation) for k in enough]
     shift = np.array([results[k].shift for k in enough]).reshape(-1, 2)
-    if sure.sum() < MIN_VOTES:
+    if sure.sum() < check.min_votes:
         both = np.concatenate([couples, couples[:, ::-1]])
-        following = _sampled(passes, both, 1)
+        following = _sampled(passes, both, 1, check)
         inliers = np.append(inliers, book.measure(following[2], following[3]))
         rows = np.concatenate([rows, following], axis=1)
-    evidence = _evidence(rows, inliers, len(rig.sensors), settings.min_matches)
+    evidence = _evidence(rows, inliers / settings.min_matches - 1, len(rig.sensors), check)
     return _Votes(a[enough], b[enough], shift, np.array(angle, float), evidence)
 
 
@@ -173,9 +174,9 @@ def _facing(votes: _Votes, rig: Rig, settings: NetworkSettings) -> _Votes:
     return replace(votes, a=votes.a[use], b=votes.b[use], shift=votes.shift[use], angle_deg=votes.angle_deg[use])
 
 
-def _sampled(passes: Sequence[Pass], couples: np.ndarray, step: int) -> np.ndarray:
+def _sampled(passes: Sequence[Pass], couples: np.ndarray, step: int, tuning: CheckTuning) -> np.ndarray:
     """(5, K) sensors a, b, images i < j at frames k and k + ``step``, and which half of the frames (0, 1) it is of."""
-    frames = int(np.clip(SAMPLES // max(1, len(couples)), 4, FRAMES))
+    frames = int(np.clip(tuning.samples // max(1, len(couples)), tuning.least_frames, tuning.frames))
     some = [passes[k] for k in np.unique(np.linspace(0, len(passes) - 1, min(len(passes), frames)).round().astype(int))]
     each = max(1, frames // max(1, len(some)))
     out = [np.zeros((5, 0), int)]
@@ -193,11 +194,11 @@ def _sampled(passes: Sequence[Pass], couples: np.ndarray, step: int) -> np.ndarr
     return np.concatenate(out, axis=1)
 
 
-def _evidence(rows: np.ndarray, inliers: np.ndarray, sensors: int, min_matches: int) -> np.ndarray:
-    """(2, S, S) mean clipped excess of matches of either half of the frames, the same both ways; NaN = none."""
+def _evidence(rows: np.ndarray, excess: np.ndarray, sensors: int, tuning: CheckTuning) -> np.ndarray:
+    """(2, S, S) mean clipped ``excess`` (K,) of matches of either half of the frames, both ways; NaN = none."""
     a, b, half = rows[0], rows[1], rows[4]
     total, count = np.zeros((2, sensors, sensors)), np.zeros((2, sensors, sensors))
-    value = np.clip(inliers / min_matches - 1, 0, 2)
+    value = np.clip(excess, 0, tuning.most_excess)
     np.add.at(total, (half, a, b), value)
     np.add.at(count, (half, a, b), 1)
     total, count = total + total.transpose(0, 2, 1), count + count.transpose(0, 2, 1)
@@ -208,11 +209,11 @@ def _axis_angle(rotation: np.ndarray) -> float:
     return float(np.degrees(np.arccos(np.clip(rotation[2, 2], -1, 1))))
 
 
-def _agreement(rig: Rig, votes: _Votes) -> float:
+def _agreement(rig: Rig, votes: _Votes, tuning: AxesTuning) -> float:
     """Mean cosine between predicted and seen motion of the shared things, every camera pair with the same weight."""
     cosine = []
     for a, b in sorted(set(zip(votes.a.tolist(), votes.b.tolist()))):
-        predicted = predicted_shift(rig, a, b)
+        predicted = predicted_shift(rig, a, b, tuning)
         seen = votes.shift[(votes.a == a) & (votes.b == b)]
         length = np.linalg.norm(seen, axis=1) * np.linalg.norm(predicted)
         if np.linalg.norm(predicted) > 1e-9:
@@ -220,7 +221,7 @@ def _agreement(rig: Rig, votes: _Votes) -> float:
     return float(np.mean(cosine)) if cosine else 0.0
 
 
-def _angles(rig: Rig, votes: _Votes) -> str:
+def _angles(rig: Rig, votes: _Votes, tuning: CheckTuning) -> str:
     if any(s.camera is None or not s.camera.has_prior_focal_length for s in rig.sensors):
         return ""  # angles from a guessed focal length mean nothing
     nominal = rig.axis_angles_deg()
@@ -228,7 +229,7 @@ def _angles(rig: Rig, votes: _Votes) -> str:
     for a, b in sorted(set(zip(votes.a.tolist(), votes.b.tolist()))):
         found = votes.angle_deg[(votes.a == a) & (votes.b == b)]
         found = found[np.isfinite(found)]
-        if len(found) >= 3:
+        if len(found) >= tuning.angle_votes:
             names = f"{rig.sensors[a].name}-{rig.sensors[b].name}"
             parts.append(f"{names} {np.median(found):.0f} ({nominal[a, b]:.0f})")
     return f"; angles between axes found (nominal), deg: {', '.join(parts)}" if parts else ""

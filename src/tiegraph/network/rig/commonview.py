@@ -8,15 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from tiegraph.network.offsets.lattice import FLOOR, Lattice
+from tiegraph.network.offsets.lattice import Lattice
 from tiegraph.network.rig.axes import angles_deg, yaw_between
+from tiegraph.network.rig.tuning import CommonViewTuning, RigTuning
+from tiegraph.network.tuning import Tuning
 
-LEAST_VOTES = 4.0  # effective number of nodes that speak for a common view
-LEAST_SHARE = 0.02  # of the nodes looked at: enough where passes are short
-SURE_YAW = 4.0  # standard deviations above cameras paired at random, the best of 30 yaws
-SURE_DIRECTION = 3.0  # standard deviations of a rank correlation
-WHOLE = 0.9  # share of a pass above which the frames in common are not named
-RIM = 0.05  # share of the best row's evidence below which a frame is not counted
 COUPLES_NAMED = 8
 
 
@@ -26,7 +22,7 @@ def votes(excess: np.ndarray) -> float:
     return total * total / float(np.sum(excess.astype(float) ** 2)) if total > 0 else 0.0
 
 
-def direction(lattice: Lattice, excess: np.ndarray) -> tuple[bool, bool]:
+def direction(lattice: Lattice, excess: np.ndarray, tuning: CommonViewTuning) -> tuple[bool, bool]:
     """Whether frames of q run against those of p (sign of the rank correlation), and whether that is significant."""
     weight = excess.sum(axis=(0, 1)).astype(float)
     if weight.sum() <= 0:
@@ -35,10 +31,10 @@ def direction(lattice: Lattice, excess: np.ndarray) -> tuple[bool, bool]:
     m, n = lattice.rows - share.sum(axis=1) @ lattice.rows, lattice.columns - share.sum(axis=0) @ lattice.columns
     spread = float(np.sqrt((m**2 @ share.sum(axis=1)) * (n**2 @ share.sum(axis=0))))
     correlation = float(m @ share @ n) / max(spread, 1e-12)
-    return correlation < 0, abs(correlation) * np.sqrt(votes(excess)) >= SURE_DIRECTION
+    return correlation < 0, abs(correlation) * np.sqrt(votes(excess)) >= tuning.direction_sigmas
 
 
-def yaw(lattice: Lattice, excess: np.ndarray) -> float | None:
+def yaw(lattice: Lattice, excess: np.ndarray, tuning: RigTuning) -> float | None:
     """Heading of q against p in degrees by which cameras match; None where rigs differ or the votes are too few."""
     p, q = lattice.p, lattice.q
     if p.rig_index != q.rig_index or not p.rig.known() or len(p.images) < 2:
@@ -46,26 +42,27 @@ def yaw(lattice: Lattice, excess: np.ndarray) -> float | None:
     side = np.array([s.role != "up" for s in p.rig.sensors])
     level = side[:, None] & side[None, :]
     evidence = excess.sum(axis=(2, 3)) * level
-    best = yaw_between(p.rig, evidence)
+    best = yaw_between(p.rig, evidence, tuning.axes)
     if best is None:
         return None
-    cosine = np.cos(np.radians(angles_deg(p.rig, best)))
+    cosine = np.cos(np.radians(angles_deg(p.rig, best, tuning.axes)))
     mean = float(np.sum(evidence * cosine) / evidence.sum())
     sigma = float(cosine[level].std()) / np.sqrt(votes(excess[level]))
-    return best if mean - float(cosine[level].mean()) >= SURE_YAW * sigma > 0 else None
+    return best if mean - float(cosine[level].mean()) >= tuning.common_view.yaw_sigmas * sigma > 0 else None
 
 
-def in_words(lattice: Lattice, excess: np.ndarray) -> str:
+def in_words(lattice: Lattice, excess: np.ndarray, tuning: RigTuning) -> str:
     """How pass q lies to pass p by evidence (S, T, A, B) above the threshold; empty where there is nothing to say."""
-    turned, (backwards, sure) = yaw(lattice, excess), direction(lattice, excess)
+    turned, (backwards, sure) = yaw(lattice, excess, tuning), direction(lattice, excess, tuning.common_view)
     if turned is None and not sure:
         return ""
     way = ("runs back along" if backwards else "follows") if sure else "shares views with"
     heading = "" if turned is None else f", turned by about {turned:.0f} deg"
-    return f"{lattice.q.name} {way} {lattice.p.name}{heading} (voted by previews){_frames(lattice, excess)}"
+    frames = _frames(lattice, excess, tuning.common_view)
+    return f"{lattice.q.name} {way} {lattice.p.name}{heading} (voted by previews){frames}"
 
 
-def _frames(lattice: Lattice, excess: np.ndarray) -> str:
+def _frames(lattice: Lattice, excess: np.ndarray, tuning: CommonViewTuning) -> str:
     """The frames in common, where they are not nearly all of both passes."""
     weight = excess.sum(axis=(0, 1))
     said, partly = [], False
@@ -73,8 +70,8 @@ def _frames(lattice: Lattice, excess: np.ndarray) -> str:
         (lattice.p, lattice.rows, weight.sum(axis=1)),
         (lattice.q, lattice.columns, weight.sum(axis=0)),
     ):
-        hot = ranks[own > RIM * own.max()]
-        partly |= bool(hot[-1] - hot[0] + 1 < WHOLE * len(p))
+        hot = ranks[own > tuning.rim * own.max()]
+        partly |= bool(hot[-1] - hot[0] + 1 < tuning.whole * len(p))
         said.append(f"frames {hot[0] + 1} to {hot[-1] + 1} of {len(p)} of {p.name}")
     return f"; common view: {' and '.join(said)}" if partly else ""
 
@@ -84,12 +81,14 @@ def above(lattice: Lattice, smooth: np.ndarray, min_matches: int) -> np.ndarray:
     return np.maximum(0, np.nan_to_num(smooth) - min_matches)
 
 
-def without_chance(lattice: Lattice, smooth: np.ndarray, min_matches: int) -> np.ndarray:
+def without_chance(lattice: Lattice, smooth: np.ndarray, min_matches: int, tuning: Tuning) -> np.ndarray:
     """``smooth`` lowered to chance between two passes when too few nodes of all are above ``min_matches``."""
-    least = min(LEAST_VOTES, LEAST_SHARE * int(np.isfinite(lattice.inliers).sum()))
+    view = tuning.rig.common_view
+    least = min(view.least_votes, view.least_share * int(np.isfinite(lattice.inliers).sum()))
     if lattice.same or votes(above(lattice, smooth, min_matches)) >= least:
         return smooth
-    return np.where(np.isnan(smooth), smooth, np.minimum(smooth, FLOOR * min_matches)).astype(np.float32)
+    chance = tuning.counts.floor * min_matches
+    return np.where(np.isnan(smooth), smooth, np.minimum(smooth, chance)).astype(np.float32)
 
 
 def strangers(couples: list[str]) -> tuple[str, ...]:

@@ -8,14 +8,8 @@ from itertools import combinations, permutations
 import numpy as np
 
 from tiegraph.geometry import transforms
+from tiegraph.network.rig.tuning import OrderTuning
 from tiegraph.scene.rig import Rig
-
-ALL_ORDERS = 7  # side cameras up to which every order is tried (5040); beyond, swaps one after the other
-FIT = 0.6  # correlation between evidence and cosine of the axes that counts as an explanation
-BETTER = 0.3  # a new order must correlate better than the nominal one by this much, in all frames together
-HALF = 0.15  # and by this much in either half of the frames
-ALIKE = 0.02  # correlations this close are the same: turning or mirroring a ring changes no neighbours
-CANDIDATES = 60  # orders with the same neighbours that are told apart by the sense of rotation
 
 
 @dataclass(frozen=True)
@@ -32,7 +26,7 @@ class Order:
         return self.place != tuple(range(len(self.place)))
 
 
-def orders(rig: Rig, evidence: np.ndarray) -> list[Order]:
+def orders(rig: Rig, evidence: np.ndarray, tuning: OrderTuning) -> list[Order]:
     """Orders of the side cameras that explain evidence (2, S, S), one a half of the frames, better than the rig does.
 
     Of equal fits those that move fewest cameras come first; empty = the rig's own order is as good as any. Evidence is
@@ -44,15 +38,15 @@ def orders(rig: Rig, evidence: np.ndarray) -> list[Order]:
     cosine = np.cos(np.radians(rig.axis_angles_deg()))[np.ix_(side, side)]
     parts = [e[np.ix_(side, side)] for e in evidence]
     whole = _mean(np.stack(parts))
-    tried = _all_orders(len(side)) if len(side) <= ALL_ORDERS else _by_swaps(whole, cosine)
+    tried = _all_orders(len(side)) if len(side) <= tuning.all_orders else _by_swaps(whole, cosine)
     fit = _fits(whole, cosine, tried)
     nominal = fit[0]
-    if fit.max() < FIT or fit.max() < nominal + BETTER:
+    if fit.max() < tuning.fit or fit.max() < nominal + tuning.better:
         return []
     halves = [_fits(e, cosine, tried) for e in parts]
-    good = (fit >= fit.max() - ALIKE) & np.all([h >= h[0] + HALF for h in halves], axis=0)
+    good = (fit >= fit.max() - tuning.alike) & np.all([h >= h[0] + tuning.better_half for h in halves], axis=0)
     moved = np.sum(tried != np.arange(len(side)), axis=1)
-    best = np.flatnonzero(good)[np.argsort(moved[good], kind="stable")][:CANDIDATES]
+    best = np.flatnonzero(good)[np.argsort(moved[good], kind="stable")][: tuning.candidates]
     return [Order(_whole_order(len(rig.sensors), side, tried[k]), float(fit[k]), float(nominal)) for k in best]
 
 

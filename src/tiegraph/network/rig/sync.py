@@ -13,40 +13,30 @@ import numpy as np
 
 from tiegraph.network.passes import Pass, PreviewBook
 from tiegraph.network.rig.axes import predicted_shift
+from tiegraph.network.rig.tuning import AxesTuning, SyncTuning
 from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.tuning import Tuning
 from tiegraph.scene.rig import Rig
 
 NAMED = 8  # passes told of one by one
-SHORT = 0.6  # of the usual number of frames of the others: a pass that short may have ended early
-LAG_PASSES = 4  # passes whose cameras are compared
-LAG_FRAMES = 4  # frames of each
-MAX_LAG = 6  # frames
-NEAR_DEG = 15.0  # neighbours of a camera: axes this much further away than the nearest one
-OFF = 0.04  # of the image size: a shift this far from the expected one is odd (5 degrees of a nominal rig: 0.04)
-FEW = 1  # camera pairs whose offsets are always looked at: parallel axes have no wrong shift to show
-FAINT = 0.25  # evidence below this share of the other camera pairs' is odd
-LEAST = 0.3  # evidence (min_matches above chance) that a pair of cameras must reach somewhere to vote
-GAIN = 1.25  # a lag must explain this much more evidence than none
-CHANGE = 0.9  # and may not weaken any pair of cameras to less than this share
-INLIERS = 1.3  # times min_matches: a single preview must be surer than an average of many
 
 
-def frame_notes(passes: Sequence[Pass], names: Sequence[str]) -> tuple[str, ...]:
+def frame_notes(passes: Sequence[Pass], names: Sequence[str], tuning: SyncTuning) -> tuple[str, ...]:
     """One note a pass whose cameras have different frames: how many each has, and from where on they are missing; and
     one on passes that are much shorter than the others."""
     out = [text for p in passes if (text := _lacking(p, names))]
     more = len(out) - NAMED
     out = [*out[:NAMED], f"in {more} more passes some cameras lack frames too"] if more > 0 else out
-    return (*out, *_short(passes, names))
+    return (*out, *_short(passes, names, tuning))
 
 
-def _short(passes: Sequence[Pass], names: Sequence[str]) -> tuple[str, ...]:
+def _short(passes: Sequence[Pass], names: Sequence[str], tuning: SyncTuning) -> tuple[str, ...]:
     """A pass that ended early is as good as any to every later step, so only its length can tell."""
     length = np.array([len(p) for p in passes])
     parts = []
     for k, p in enumerate(passes):
         usual = float(np.median(np.delete(length, k))) if len(length) > 1 else 0.0
-        if 0 < len(p) < SHORT * usual:
+        if 0 < len(p) < tuning.short * usual:
             last = p.images[:, -1]
             parts.append(f"{p.name} has {len(p)} frames, the others {usual:g} (last: {names[last[last >= 0][0]]})")
     if not parts:
@@ -118,28 +108,29 @@ class _Steps:
         return float(np.median(ratio)) if len(ratio) else float("nan")
 
 
-def lag_notes(passes: Sequence[Pass], book: PreviewBook, settings: NetworkSettings) -> list[str]:
+def lag_notes(passes: Sequence[Pass], book: PreviewBook, settings: NetworkSettings, tuning: Tuning) -> list[str]:
     """Cameras that by the images run some frames late or early against the others, one note a camera and lag.
 
     In most surveys only the same frames are looked at; other offsets where those look odd, and for a stereo rig.
     """
+    sync = tuning.rig.sync
     found: dict[tuple[int, int], list[tuple[str, str]]] = {}
-    chosen = np.unique(np.linspace(0, len(passes) - 1, min(len(passes), LAG_PASSES)).round().astype(int))
+    chosen = np.unique(np.linspace(0, len(passes) - 1, min(len(passes), sync.lag_passes)).round().astype(int))
     for p in (passes[k] for k in chosen if len(passes)):
-        couples = _neighbours(p.rig)
-        longest = min(MAX_LAG, (len(p) - 1) // 3)
+        couples = _neighbours(p.rig, sync.near_deg)
+        longest = min(sync.max_lag, (len(p) - 1) // sync.frames_a_lag)
         if not len(couples) or longest < 1:
             continue
-        if len(couples) > FEW and not _odd(_measured(p, couples, 0, book, settings), p):
+        if len(couples) > sync.few and not _odd(_measured(p, couples, 0, book, settings, tuning), p, sync):
             continue
-        steps = _measured(p, couples, longest, book, settings)
-        lags = _lags(steps, len(p.rig.sensors))
+        steps = _measured(p, couples, longest, book, settings, tuning)
+        lags = _lags(steps, len(p.rig.sensors), sync)
         for c in np.flatnonzero(lags):
             found.setdefault((int(c), int(lags[c])), []).append((p.name, _figures(p.rig, steps, int(c), lags)))
     return [_late(passes[0].rig, camera, lag, seen) for (camera, lag), seen in found.items()]
 
 
-def _neighbours(rig: Rig) -> np.ndarray:
+def _neighbours(rig: Rig, near_deg: float) -> np.ndarray:
     """(K, 2) pairs of side cameras c < d, each with those whose axes are nearest to its own."""
     side = [k for k, s in enumerate(rig.sensors) if s.role != "up"]
     angle = rig.axis_angles_deg()
@@ -147,12 +138,15 @@ def _neighbours(rig: Rig) -> np.ndarray:
     for c in side:
         others = [d for d in side if d != c]
         least = min((angle[c, d] for d in others), default=np.nan)
-        near |= {(min(c, d), max(c, d)) for d in others if angle[c, d] <= least + NEAR_DEG}
+        near |= {(min(c, d), max(c, d)) for d in others if angle[c, d] <= least + near_deg}
     return np.array(sorted(near), int).reshape(-1, 2)
 
 
-def _measured(p: Pass, couples: np.ndarray, longest: int, book: PreviewBook, settings: NetworkSettings) -> _Steps:
-    frames = np.unique(np.linspace(longest, len(p) - 1 - longest, LAG_FRAMES).round().astype(int))
+def _measured(
+    p: Pass, couples: np.ndarray, longest: int, book: PreviewBook, settings: NetworkSettings, tuning: Tuning
+) -> _Steps:
+    some = tuning.rig.sync.lag_frames
+    frames = np.unique(np.linspace(longest, len(p) - 1 - longest, some).round().astype(int))
     k, at, m = (
         x.ravel() for x in np.meshgrid(np.arange(len(couples)), np.arange(2 * longest + 1), frames, indexing="ij")
     )
@@ -169,41 +163,41 @@ def _measured(p: Pass, couples: np.ndarray, longest: int, book: PreviewBook, set
             if len(own):
                 matches[row, column] = count.mean()
                 evidence[row, column] = np.mean(np.clip(count / settings.min_matches - 1, 0, None))
-            sure = own[count >= INLIERS * settings.min_matches]
+            sure = own[count >= tuning.counts.sure * settings.min_matches]
             seen = [
                 np.asarray(results[n].shift) * (1 if i[n] < j[n] else -1) for n in sure if results[n].shift is not None
             ]
             if seen:
                 shift[row, column] = np.median(seen, axis=0)
-    expected = np.array([_expected(p.rig, int(c), int(d)) for c, d in couples])
+    expected = np.array([_expected(p.rig, int(c), int(d), tuning.rig.axes) for c, d in couples])
     return _Steps(couples, evidence, shift, expected, matches)
 
 
-def _expected(rig: Rig, c: int, d: int) -> np.ndarray:
+def _expected(rig: Rig, c: int, d: int, tuning: AxesTuning) -> np.ndarray:
     """(2,) predicted motion with the rows scaled like the columns, as shares of an image as wide as one unit."""
     camera = rig.sensors[c].camera
-    return predicted_shift(rig, c, d) * (1.0, 1.0 if camera is None else camera.width / camera.height)
+    return predicted_shift(rig, c, d, tuning) * (1.0, 1.0 if camera is None else camera.width / camera.height)
 
 
-def _odd(now: _Steps, p: Pass) -> bool:
+def _odd(now: _Steps, p: Pass, tuning: SyncTuning) -> bool:
     """Whether the same frames give reason to look at others: unequal counts, wrong shifts, a camera none matches."""
     counts = {int(n) for s, n in zip(p.rig.sensors, (p.images >= 0).sum(axis=1)) if s.role != "up"}
     evidence = now.evidence[:, 0]
-    faint = evidence < max(FAINT * float(np.median(evidence)), LEAST)
+    faint = evidence < max(tuning.faint * float(np.median(evidence)), tuning.least)
     alone = [faint[(now.couples == c).any(axis=1)].all() for c in np.unique(now.couples)]
     factor = now.factor(np.ones(len(evidence), bool))
-    off = now.residual(factor)[:, 0] > OFF
+    off = now.residual(factor)[:, 0] > tuning.off
     return bool(len(counts) > 1 or off.any() or any(alone))
 
 
-def _lags(steps: _Steps, sensors: int) -> np.ndarray:
+def _lags(steps: _Steps, sensors: int, tuning: SyncTuning) -> np.ndarray:
     """(S,) frames that each camera runs late; 0 unless evidence and shifts both say otherwise. Greedy, one by one."""
     lags = np.zeros(sensors, int)
     for _ in range(sensors // 2):  # the step of most cameras is the rig's
         best, change = 0.0, None
         for c in np.unique(steps.couples)[::-1]:  # the reference camera last: it keeps its time if it can
             for lag in range(-steps.longest, steps.longest + 1):
-                gain = _gain(steps, lags, int(c), lag)
+                gain = _gain(steps, lags, int(c), lag, tuning)
                 if lag != lags[c] and gain > best:
                     best, change = gain, (int(c), lag)
         if change is None:
@@ -212,7 +206,7 @@ def _lags(steps: _Steps, sensors: int) -> np.ndarray:
     return lags
 
 
-def _gain(steps: _Steps, lags: np.ndarray, sensor: int, lag: int) -> float:
+def _gain(steps: _Steps, lags: np.ndarray, sensor: int, lag: int, tuning: SyncTuning) -> float:
     """Evidence won by moving one camera to a lag; 0 where not every one of its pairs agrees."""
     moved = lags.copy()
     moved[sensor] = lag
@@ -221,19 +215,20 @@ def _gain(steps: _Steps, lags: np.ndarray, sensor: int, lag: int) -> float:
         return 0.0
     rows = np.arange(len(before))
     own = (steps.couples == sensor).any(axis=1)
-    votes = own & (steps.evidence.max(axis=1) >= LEAST)
+    votes = own & (steps.evidence.max(axis=1) >= tuning.least)
     if not votes.any():
         return 0.0
-    scale = np.maximum(steps.evidence.max(axis=1), LEAST)
+    scale = np.maximum(steps.evidence.max(axis=1), tuning.least)
     old, new = steps.evidence[rows, before] / scale, steps.evidence[rows, after] / scale
-    if np.any(new[votes] < CHANGE * old[votes]) or new[votes].sum() < GAIN * old[votes].sum():
+    weaker = np.any(new[votes] < tuning.change * old[votes])
+    if weaker or new[votes].sum() < tuning.gain * old[votes].sum():
         return 0.0
     residual = steps.residual(steps.factor(~own))
     old_off, new_off = residual[rows, before][votes], residual[rows, after][votes]
     known = np.isfinite(new_off)
-    if np.isfinite(residual).any() and (not known.any() or np.any(new_off[known] > OFF)):
+    if np.isfinite(residual).any() and (not known.any() or np.any(new_off[known] > tuning.off)):
         return 0.0
-    if np.any(known & (new_off > old_off + OFF / 4)):
+    if np.any(known & (new_off > old_off + tuning.off_more)):
         return 0.0
     return float(new[votes].sum() - old[votes].sum())
 

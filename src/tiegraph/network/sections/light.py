@@ -13,16 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tiegraph.network.passes import Pass
+from tiegraph.network.sections.tuning import SectionsTuning
 from tiegraph.scene.scene import Scene
-
-MIN_FRAMES = 8  # of a pass with an up camera, or nothing can be learnt from it alone
-MIN_SEPARATION = 0.7  # share of the variance the two classes must explain (a normal distribution: 0.64 to 0.67)
-MIN_CLASS = 2  # frames of the smaller class
-GAMMA = 2.2  # of grey values, to make them proportional to light
-KNOWN_EXPOSURE = 0.9  # share of the up images that must carry their exposure
-FRAME_SAY = 4.0  # log likelihood ratio of one frame at most: none decides alone ...
-SWITCH_COST = 2.5  # ... against leaving a state and coming back
-_NARROWEST = 1 / 6  # of the contrast: least scatter within a class that is believed
 
 
 @dataclass(frozen=True)
@@ -71,9 +63,16 @@ class _Kind:
     absolute: bool
 
 
-_SKY = _Kind("open share of the masks", "", 0.3, False, True)
-_LUMINANCE = _Kind("luminance by EXIF exposure", "", 1.0, True, True)
-_BRIGHTNESS = _Kind("brightness", " of 255", float(np.log2(1.25)), True, False)
+def _sky(tuning: SectionsTuning) -> _Kind:
+    return _Kind("open share of the masks", "", tuning.sky_contrast, False, True)
+
+
+def _luminance(tuning: SectionsTuning) -> _Kind:
+    return _Kind("luminance by EXIF exposure", "", float(np.log2(tuning.luminance_contrast)), True, True)
+
+
+def _brightness(tuning: SectionsTuning) -> _Kind:
+    return _Kind("brightness", " of 255", float(np.log2(tuning.brightness_contrast)), True, False)
 
 
 @dataclass(frozen=True)
@@ -84,26 +83,26 @@ class _Split:
     scatter: float
     separation: float
 
-    def clear(self, kind: _Kind) -> bool:
-        return self.separation >= MIN_SEPARATION and self.high - self.low >= kind.contrast
+    def clear(self, kind: _Kind, tuning: SectionsTuning) -> bool:
+        return self.separation >= tuning.min_separation and self.high - self.low >= kind.contrast
 
 
-def read_cues(scene: Scene, passes: Sequence[Pass], light: UpLight) -> tuple[Cue, ...]:
+def read_cues(scene: Scene, passes: Sequence[Pass], light: UpLight, tuning: SectionsTuning) -> tuple[Cue, ...]:
     """The cues that the up cameras of a scene offer; none where no camera looks up."""
     grey = by_up_frame(scene, light.brightness)
     if not np.isfinite(grey).any():
         return ()
     cues = []
     if light.sky_share is not None:
-        cues.append(_cue(_SKY, by_up_frame(scene, light.sky_share), passes))
+        cues.append(_cue(_sky(tuning), by_up_frame(scene, light.sky_share), passes, tuning))
     stop = None if light.exposure is None else by_up_frame(scene, light.exposure)
     known = np.isfinite(grey)
-    if stop is not None and np.mean(np.isfinite(stop[known]) & (stop[known] > 0)) >= KNOWN_EXPOSURE:
+    if stop is not None and np.mean(np.isfinite(stop[known]) & (stop[known] > 0)) >= tuning.known_exposure:
         with np.errstate(invalid="ignore", divide="ignore"):
-            luminance = np.where(stop > 0, (grey / 255) ** GAMMA / stop, np.nan)
-        cues.append(_cue(_LUMINANCE, luminance, passes))
+            luminance = np.where(stop > 0, (grey / 255) ** tuning.gamma / stop, np.nan)
+        cues.append(_cue(_luminance(tuning), luminance, passes, tuning))
     else:
-        cues.append(_cue(_BRIGHTNESS, grey, passes))
+        cues.append(_cue(_brightness(tuning), grey, passes, tuning))
     return tuple(c for c in cues if np.isfinite(c.values).any())
 
 
@@ -117,30 +116,30 @@ def by_up_frame(scene: Scene, values: np.ndarray) -> np.ndarray:
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
-def _cue(kind: _Kind, values: np.ndarray, passes: Sequence[Pass]) -> Cue:
+def _cue(kind: _Kind, values: np.ndarray, passes: Sequence[Pass], tuning: SectionsTuning) -> Cue:
     scaled = np.log2(np.maximum(values, 1e-9)) if kind.log else values
-    splits = [_split(scaled[p.frames]) for p in passes]
-    clear = [s for s in splits if s is not None and s.clear(kind)]
+    splits = [_split(scaled[p.frames], tuning) for p in passes]
+    clear = [s for s in splits if s is not None and s.clear(kind, tuning)]
     on_passes = np.concatenate([p.frames for p in passes]) if passes else np.zeros(0, int)
-    whole = _split(scaled[on_passes])
-    if not clear and kind.absolute and whole is not None and whole.clear(kind):
+    whole = _split(scaled[on_passes], tuning)
+    if not clear and kind.absolute and whole is not None and whole.clear(kind, tuning):
         clear = [whole]
     threshold, evidence = np.full(len(values), np.nan), np.zeros(len(values))
     for p, own in zip(passes, splits):
-        if own is None or not own.clear(kind):
+        if own is None or not own.clear(kind, tuning):
             # A pass without a contrast of its own: another pass's threshold holds only where exposure plays no part.
             own = _median(clear) if clear and kind.absolute else None
         if own is not None:
             threshold[p.frames] = 2**own.threshold if kind.log else own.threshold
-            gain = (own.high - own.low) / max(own.scatter, _NARROWEST * (own.high - own.low)) ** 2
+            gain = (own.high - own.low) / max(own.scatter, tuning.narrowest * (own.high - own.low)) ** 2
             say = gain * (0.5 * (own.low + own.high) - scaled[p.frames])
-            evidence[p.frames] = np.clip(np.nan_to_num(say), -FRAME_SAY, FRAME_SAY)
+            evidence[p.frames] = np.clip(np.nan_to_num(say), -tuning.frame_say, tuning.frame_say)
     shown = clear or [s for s in splits if s is not None] or ([whole] if whole is not None else [])
     best = max(shown, key=lambda s: s.separation, default=None)
-    return Cue(kind.name, kind.unit, values, threshold, evidence, _figure(kind, best))
+    return Cue(kind.name, kind.unit, values, threshold, evidence, _figure(kind, best, tuning))
 
 
-def _figure(kind: _Kind, split: _Split | None) -> str:
+def _figure(kind: _Kind, split: _Split | None, tuning: SectionsTuning) -> str:
     if split is None:
         return f"{kind.name}: too few frames"
     contrast = split.high - split.low
@@ -148,7 +147,7 @@ def _figure(kind: _Kind, split: _Split | None) -> str:
     apart = apart if kind.log else f"{apart}({kind.contrast:.2f} needed)"
     return (
         f"{kind.name}: two classes {apart} apart, explaining {np.floor(100 * split.separation):.0f} % of the variance "
-        f"({100 * MIN_SEPARATION:.0f} % needed)"
+        f"({100 * tuning.min_separation:.0f} % needed)"
     )
 
 
@@ -157,13 +156,13 @@ def _median(splits: Sequence[_Split]) -> _Split:
     return sorted(splits, key=lambda s: s.threshold)[len(splits) // 2]
 
 
-def _split(values: np.ndarray) -> _Split | None:
+def _split(values: np.ndarray, tuning: SectionsTuning) -> _Split | None:
     known = values[np.isfinite(values)]
-    if len(known) < MIN_FRAMES:
+    if len(known) < tuning.min_frames:
         return None
     threshold, separation, low, high = otsu(known)
     below, above = known[known < threshold], known[known >= threshold]
-    if min(len(below), len(above)) < MIN_CLASS:
+    if min(len(below), len(above)) < tuning.min_class:
         separation = 0.0
     scatter = float(np.sqrt(max(0.0, (1 - separation) * known.var())))
     return _Split(threshold, low, high, scatter, separation)
@@ -183,16 +182,16 @@ def otsu(values: np.ndarray) -> tuple[float, float, float, float]:
     return float(0.5 * (values[k] + values[k + 1])), separation, float(low_mean[k]), float(high_mean[k])
 
 
-def two_states(evidence: np.ndarray) -> np.ndarray:
+def two_states(evidence: np.ndarray, tuning: SectionsTuning) -> np.ndarray:
     """(n,) bool: the likeliest run of bridge (True) and open frames for log likelihood ratios (n,) along a pass.
 
     Two hidden states with a price for every change (Viterbi 1967): a single odd frame changes nothing.
     """
-    say = np.clip(np.asarray(evidence, float), -FRAME_SAY, FRAME_SAY)
+    say = np.clip(np.asarray(evidence, float), -tuning.frame_say, tuning.frame_say)
     n = len(say)
     cost, back = np.zeros(2), np.zeros((n, 2), int)
     for k in range(n):
-        stay, move = cost, cost[::-1] + (SWITCH_COST if k else 0.0)
+        stay, move = cost, cost[::-1] + (tuning.switch_cost if k else 0.0)
         back[k] = np.where(stay <= move, [0, 1], [1, 0])
         cost = np.minimum(stay, move) + np.array([0.5, -0.5]) * say[k]
     state = np.zeros(n, bool)

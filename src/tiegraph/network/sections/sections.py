@@ -11,10 +11,9 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 
 from tiegraph.network.passes import Pass, find_passes
 from tiegraph.network.sections.light import Cue, UpLight, read_cues, two_states
+from tiegraph.network.sections.tuning import SectionsTuning
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
-
-MIN_SHARED = 0.2  # of the density of pairs within sections: what two sections must share to be one place
 
 
 @dataclass(frozen=True)
@@ -38,13 +37,15 @@ class SectionResult:
     cues: tuple[Cue, ...] = ()
 
 
-def find_sections(scene: Scene, passes: Sequence[Pass], light: UpLight | np.ndarray) -> SectionResult:
+def find_sections(
+    scene: Scene, passes: Sequence[Pass], light: UpLight | np.ndarray, tuning: SectionsTuning
+) -> SectionResult:
     """Sections of a scene from the cues of its up cameras, or from the mean grey value (N,) of its images alone.
 
     One section, and the figures that say why, where nothing tells bridge from open sky.
     """
     light = light if isinstance(light, UpLight) else UpLight(np.asarray(light, float))
-    cues = read_cues(scene, passes, light)
+    cues = read_cues(scene, passes, light, tuning)
     if not cues:
         return whole_survey(scene, cues, "no camera looks up")
     if not any(c.decided for c in cues):
@@ -54,7 +55,7 @@ def find_sections(scene: Scene, passes: Sequence[Pass], light: UpLight | np.ndar
     sections: list[Section] = []
     evidence = np.sum([c.evidence for c in cues], axis=0)
     for p in passes:
-        for first, last, dark in _runs(two_states(evidence[p.frames])):
+        for first, last, dark in _runs(two_states(evidence[p.frames], tuning)):
             kind = "bridge" if dark else "open"
             number = 1 + sum(s.kind == kind for s in sections)
             frames = p.frames[first:last]
@@ -98,7 +99,7 @@ def _runs(dark: np.ndarray) -> list[tuple[int, int, bool]]:
     return [(int(a), int(b), bool(dark[a])) for a, b in zip(edges[:-1], edges[1:])]
 
 
-def join_places(result: SectionResult, scene: Scene, pairs: Pairs) -> SectionResult:
+def join_places(result: SectionResult, scene: Scene, pairs: Pairs, tuning: SectionsTuning) -> SectionResult:
     """Sections of different passes that show one place (the same bridge, there and back) become one section.
 
     The sections of two passes are aligned in order, or in reversed order where that gathers more kept pairs: on a short
@@ -118,7 +119,7 @@ def join_places(result: SectionResult, scene: Scene, pairs: Pairs) -> SectionRes
     density = (table + table.T) / np.outer(size, size)
     own = np.sqrt(np.outer(density.diagonal(), density.diagonal()))
     kinds = np.array([s.kind for s in result.sections])
-    density[(kinds[:, None] != kinds[None]) | (density < MIN_SHARED * own)] = 0.0
+    density[(kinds[:, None] != kinds[None]) | (density < tuning.min_shared * own)] = 0.0
     passes = np.array([int(scene.track[s.frames[0]]) for s in result.sections])
     place = np.arange(count)
     for one, other in _aligned(density, passes):
@@ -181,10 +182,10 @@ def split(pairs: Pairs, scene: Scene) -> Pairs:
 
 # ---------------------------------------------------------------- continuity
 
-MIN_LINKS = 2  # independent ties across a border
 
-
-def section_links(pairs: Pairs, scene: Scene, sections: Sequence[Section]) -> tuple[dict, tuple[str, ...]]:
+def section_links(
+    pairs: Pairs, scene: Scene, sections: Sequence[Section], tuning: SectionsTuning
+) -> tuple[dict, tuple[str, ...]]:
     """Whether neighbouring sections of each pass are tied across their border: a table, and notes where they are not.
 
     Counted are kept pairs (verified ones once matching has run) between the two runs of frames that meet at a border,
@@ -205,8 +206,8 @@ def section_links(pairs: Pairs, scene: Scene, sections: Sequence[Section]) -> tu
             count, free = _across(kept, scene, p.frames[a:b], p.frames[b:c])
             names = [sections[of_frame[p.frames[k]]].name if of_frame[p.frames[k]] >= 0 else "-" for k in (b - 1, b)]
             ends = [_first_image(scene, p, k) for k in (b - 1, b)]
-            rows.append([p.name, *names, *ends, count, free, free >= MIN_LINKS])
-            if free < MIN_LINKS:
+            rows.append([p.name, *names, *ends, count, free, free >= tuning.min_links])
+            if free < tuning.min_links:
                 notes.append(_untied(p.name, names, ends, count, free))
     return {"columns": columns, "rows": rows}, tuple(notes)
 

@@ -1,0 +1,114 @@
+"""What the room model decides by: each constant with its unit, its meaning and where its value comes from."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from tiegraph.settings import Section
+
+
+class VisibleTuning(Section):
+    """Which images see the same surface (`visible.py`, `view.py`)."""
+
+    cells: tuple[int, int] = (24, 18)
+    """Image cells across and down: votes and occlusion."""
+    behind: float = Field(1.2, ge=1)
+    """A point further than this times the nearest one of its cell is hidden."""
+    front_cos: float = Field(-0.3, ge=-1, le=1)
+    """Cosine between the ray and the mean direction to the observers; below it the back is seen."""
+    mean_visible: tuple[int, int] = (700, 2500)
+    """Points an image sees on average, in the largest surveys and in small ones."""
+    sights: int = Field(3_000_000, gt=0)
+    """Points that all images together see, between these two: bounds memory."""
+    thinning_images: int = Field(40, gt=0)
+    """Images that tell how many points are seen, before some are left out."""
+    thinning_from: float = Field(1.2, ge=1)
+    """Times the points wanted: with fewer none are left out."""
+    angle_points: float = Field(400, gt=0)
+    """Points an image sees on average that the mean angles and scales are taken from ..."""
+    angle_share: float = Field(0.7, ge=0, le=1)
+    """... from all, where these are a larger share."""
+    cone_widens: float = Field(1.05, ge=1)
+    """The cone round a field of view is wider by this factor: distortion."""
+    min_share: float = Field(0.02, ge=0, le=1)
+    """Predicted overlap below which a pair is not listed."""
+    max_scale: float = Field(4.0, ge=1)
+    """Pairs whose distances to the shared surface differ by more than this factor match no more."""
+    guessed_view_deg: float = Field(60.0, gt=0, lt=180)
+    """Field of view of an image without a camera, across and down."""
+
+
+class ProxyTuning(Section):
+    """Points that stand for the surface (`proxy.py`)."""
+
+    far_observers: float = Field(2.0, ge=1)
+    """A point is not seen from further than this times its farthest observer."""
+    min_track: int = Field(3, ge=0)
+    """Observers a point needs ..."""
+    tracked_share: float = Field(0.5, ge=0, le=1)
+    """... where at least this share of the points has so many."""
+    assumed_grid: tuple[int, int] = (6, 5)
+    """Rays across and down an image for a proxy at an assumed range."""
+    assumed_ranges: tuple[float, ...] = (0.25, 0.5, 1.0, 2.0)
+    """Distances of its points, in assumed ranges."""
+    assumed_reach: float = Field(3.0, gt=0)
+    """Ranges from which such a point is still seen."""
+
+
+class TrustTuning(Section):
+    """Where the preview model is believed (`trust.py`).
+
+    `suspect` and `linked` are shares of the matches in strong previews between two stretches of passes. On canal the
+    truth explains 0.72 of those between its two passes, the rest are repeated walls; models that put one pass a few
+    walls further 0.2 to 0.35.
+    """
+
+    near_steps: int = Field(2, ge=0)
+    """Frames of a pass: images this near each other show whether the model is right there."""
+    trusted: float = Field(0.5, ge=0, le=1)
+    """Share of a frame's strong previews with those before, and after it, that the model must explain."""
+    few: int = Field(3, gt=0)
+    """Fewer of them tell nothing."""
+    strong: float = Field(1.6, gt=0)
+    """Times `min_matches`: previews this strong between near frames are true."""
+    steep_deg: float = Field(90.0, ge=0, le=180)
+    """No preview is strong where rays to the shared surface meet at more: such matches are a wall like it."""
+    sound: float = Field(0.95, ge=0, le=1)
+    """Share of a model's images that must be trusted: else it is torn."""
+    suspect: float = Field(0.6, ge=0, le=1)
+    """Below: what the model explains may be the false ones."""
+    linked: float = Field(0.3, ge=0, le=1)
+    """Below: the two are not where the model has them."""
+
+
+class ModelTuning(Section):
+    """The preview model (`survey.py`, `surveymodel.py`)."""
+
+    tie_matches: int = Field(15, gt=0)
+    """Preview matches of a tie of the model."""
+    calibrates: float = Field(0.8, ge=0, le=1)
+    """Share of the images in the model from which its calibration is believed."""
+    tries: int = Field(4, gt=0)
+    """Models made, where the first are torn or suspect."""
+    more_pairs: float = Field(1.5, ge=1)
+    """Times the pairs an image of a torn model, for the next one."""
+    enough_looks: int = Field(8, gt=0)
+    """Previews of two cameras where the model predicts a common view, to say that they never tie."""
+    never: float = Field(0.1, ge=0, le=1)
+    """Share of them that chance ties."""
+    most_focal: float = Field(1.1, ge=1)
+    """Factor by which a model may correct the focal length of a data sheet or of EXIF."""
+    most_turn_deg: float = Field(15.0, ge=0)
+    """Of a nominal mounting: further only if a second model turns the camera as far."""
+    same_turn_deg: float = Field(3.0, ge=0)
+    """Two models agree."""
+    reach_points: int = Field(10, gt=0)
+    """An image that sees fewer says nothing of its distances."""
+    reach_percentiles: tuple[float, float] = (5.0, 95.0)
+    """Of the distances to the points an image sees, its nearest and farthest."""
+    visible: VisibleTuning = VisibleTuning()
+    """Which images see the same surface."""
+    proxy: ProxyTuning = ProxyTuning()
+    """Points that stand for the surface."""
+    trust: TrustTuning = TrustTuning()
+    """Where the model is believed."""

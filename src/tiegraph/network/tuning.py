@@ -1,0 +1,73 @@
+"""What the network stage decides by: each constant with its unit, its meaning and where its value comes from."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from tiegraph.network.looks.tuning import LooksTuning
+from tiegraph.network.model.tuning import ModelTuning
+from tiegraph.network.offsets.tuning import OffsetsTuning
+from tiegraph.network.poses.tuning import PosesTuning
+from tiegraph.network.rig.tuning import RigTuning
+from tiegraph.network.sections.tuning import SectionsTuning
+from tiegraph.settings import Section
+
+
+class CountsTuning(Section):
+    """What the match counts of previews say, in units of ``network.min_matches``; every room reads them so."""
+
+    floor: float = Field(2 / 3, ge=0, lt=1)
+    """Times `min_matches`: what unrelated images reach by chance."""
+    ceiling: float = Field(2.0, gt=1)
+    """Times `min_matches`: more matches say nothing more."""
+    sure: float = Field(1.3, gt=0)
+    """Times `min_matches`: a single preview must be surer than an average over neighbouring frames."""
+    sigma_nodes: float = Field(0.8, gt=0)
+    """Kernel width of averages over neighbouring frames, in nodes of a lattice or strides; 0.5 .. 1.5 serve alike."""
+
+
+class OrderTuning(Section):
+    """Whether a pass is a sequence (`order.py`)."""
+
+    sample: int = Field(40, gt=0)
+    """Pairs of neighbours, and of images half a pass apart, that are previewed."""
+    least_neighbours: int = Field(8, gt=0)
+    """Pairs of neighbours, below which nothing can be said."""
+    quartiles: tuple[float, float] = (25.0, 75.0)
+    """Percentiles: most neighbours are better than the lower one, most images far apart worse than the upper one."""
+    most_far: float = Field(0.6, gt=0)
+    """Of what neighbours reach above `min_matches`: images far apart in a sequence reach less."""
+
+
+class SourcesTuning(Section):
+    """Which sources are asked, and what is kept of what they propose (`sources.py`)."""
+
+    few_photos: int = Field(30, ge=0)
+    """Loose photographs that are all compared with one another (435 pairs); so few need no preview model either."""
+    nearest: int = Field(10, ge=0)
+    """Loose photographs with positions: nearest ones that are kept whatever the preview says."""
+    axes_listed: int = Field(1000, ge=0)
+    """Images of a survey, beyond which pairs that the axes rule out are counted and not listed."""
+
+
+class Tuning(Section):
+    """Constants of the engine that are the same for every user."""
+
+    counts: CountsTuning = CountsTuning()
+    """Match counts of previews."""
+    order: OrderTuning = OrderTuning()
+    """The order of passes."""
+    sources: SourcesTuning = SourcesTuning()
+    """The choice of sources."""
+    looks: LooksTuning = LooksTuning()
+    """Which images look alike."""
+    offsets: OffsetsTuning = OffsetsTuning()
+    """Frame offsets within and between passes."""
+    poses: PosesTuning = PosesTuning()
+    """Pairs by prior poses."""
+    rig: RigTuning = RigTuning()
+    """The rig against the images."""
+    model: ModelTuning = ModelTuning()
+    """The preview model."""
+    sections: SectionsTuning = SectionsTuning()
+    """Bridge and open sections."""
