@@ -258,14 +258,11 @@ def _run_one(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:
         used = meter.stop()
     seconds = round(time.perf_counter() - start, 2)
     section = getattr(run.settings, stage.name).model_dump(mode="json")
-    tuning = {
-        e: getattr(run.settings.tuning, e).model_dump(mode="json", exclude_defaults=True)
-        for e in engines(stage, run.settings)
-    }
-    tuning = {engine: values for engine, values in tuning.items() if values}
+    tunings = {engine: getattr(run.settings.tuning, engine) for engine in engines(stage, run.settings)}
+    changed = {engine: t.model_dump(mode="json", exclude_defaults=True) for engine, t in tunings.items()}
     more = {
         "settings": section,
-        "tuning": tuning,
+        "tuning": {engine: values for engine, values in changed.items() if values},
         "seconds": seconds,
         **used,
         "software": software(),
