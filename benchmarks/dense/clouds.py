@@ -47,7 +47,7 @@ from tiegraph.evaluate.cloud import cloud_to_cloud, nearest
 from tiegraph.evaluate.reference import read_points
 from tiegraph.evaluate.tuning import CloudTuning as JudgedCloud
 from tiegraph.geometry.align import Similarity, umeyama
-from tiegraph.pipeline.surface import coloured
+from tiegraph.pipeline.dense import coloured
 from tiegraph.scene.cloudfile import write_cloud
 from tiegraph.scene.depthfile import load_depth, save_depth
 from tiegraph.scene.results import Cloud, DepthMap

@@ -16,8 +16,8 @@ from tiegraph.features.database import pair_ids, reading
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.tuning import PreviewTuning
 from tiegraph.pipeline.accuracy import with_accuracy
-from tiegraph.pipeline.model import preview_poses
-from tiegraph.pipeline.ties import with_previews
+from tiegraph.pipeline.previews import with_previews
+from tiegraph.pipeline.sparse import preview_poses
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Sights, Ties

@@ -33,7 +33,7 @@ from tiegraph.design.design import design
 from tiegraph.features.preview import PreviewMatch
 from tiegraph.network.model.surveymodel import ModelFunction
 from tiegraph.network.network import Network, estimate_network
-from tiegraph.pipeline.ties import _Descriptors, _survey_model
+from tiegraph.pipeline.network import _Descriptors, _survey_model
 from tiegraph.project.run import Inputs, Run
 from tiegraph.project.settings import Settings
 from tiegraph.scene.pairs import Pairs

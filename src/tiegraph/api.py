@@ -11,8 +11,6 @@ from tiegraph.design.coverage import Coverage, coverage
 from tiegraph.errors import InputError, SettingsError
 from tiegraph.pipeline import SHOTS, STAGES
 from tiegraph.pipeline.given import check_given
-from tiegraph.pipeline.shots import cloud_path
-from tiegraph.pipeline.surface import hand_over
 from tiegraph.project import settings as project_settings
 from tiegraph.project.folder import SETTINGS, write_settings
 from tiegraph.project.progress import Reporter
@@ -88,12 +86,16 @@ class Project:
         self.settings = self.settings.model_copy(update={"shots": sought})
         self._run((*STAGES, SHOTS), SHOTS.name, reporter)
         scene = self.scene()
+        from tiegraph.pipeline.shots import cloud_path  # loads the dense engine
+
         return [cloud_path(self.folder, scene, frame) for frame in range(scene.frames)]
 
     def export(self, folder: str | Path) -> int:
         """Write the depth maps as a dense workspace of COLMAP; their number. Raises InputError if there are none or the
         folder holds something."""
         self._needed("depth", "dense")
+        from tiegraph.pipeline.dense import hand_over  # loads the dense engine
+
         return hand_over(Run(self.folder, self.inputs, self.settings), Path(folder))
 
     def scene(self) -> Scene:

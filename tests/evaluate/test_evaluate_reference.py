@@ -10,12 +10,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
-from tiegraph.evaluate import evaluate_survey, reference
+from tiegraph.evaluate import reference
 from tiegraph.evaluate.backprojection import View
 from tiegraph.evaluate.metrics import metrics_from_dict, metrics_to_dict
 from tiegraph.evaluate.reference import ModelPoses, ReferencePoses
 from tiegraph.evaluate.settings import EvaluateSettings
-from tiegraph.evaluate.survey import pinhole_views
+from tiegraph.evaluate.survey import evaluate_survey, pinhole_views
 from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry import geodesy, transforms
 from tiegraph.scene.results import Cloud, Metric

@@ -10,8 +10,9 @@ from tiegraph.errors import InputError, SettingsError
 from tiegraph.network.network import estimate_network
 from tiegraph.network.passes import PreviewBook, find_passes
 from tiegraph.network.settings import NetworkSettings
-from tiegraph.network.sources import Context, axes_count, axes_pairs, exhaustive, read_pair_list, sequence
+from tiegraph.network.sources import Context, axes_count, axes_pairs, exhaustive, sequence
 from tiegraph.network.tuning import Tuning
+from tiegraph.scene.pairlist import read_pair_list
 from tiegraph.scene.pairs import REASONS
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Dropped, Scene, simple_scene

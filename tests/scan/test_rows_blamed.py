@@ -12,11 +12,11 @@ import pytest
 from scan_worlds import papers_rig, picture, scan
 
 from tiegraph.errors import InputError
-from tiegraph.network.sources import pair_lines
 from tiegraph.scan.rigfile import read_rig_file
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.gnss import read_gnss
+from tiegraph.scene.pairlist import pair_lines
 from tiegraph.scene.posefile import read_poses
 from tiegraph.scene.table import out_of_order
 

@@ -14,7 +14,7 @@ from tiegraph.cli.output import say
 from tiegraph.cli.run import Common, main_stage
 from tiegraph.errors import InputError
 from tiegraph.masks.compare import compare, compare_classes, table_text
-from tiegraph.pipeline.masking import masks_by
+from tiegraph.pipeline.masks import masks_by
 from tiegraph.scene.scene import Scene
 
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from tiegraph.errors import choose
 from tiegraph.geometry import transforms
-from tiegraph.network import pictures as draw
 from tiegraph.network.model.survey import by_model
 from tiegraph.network.model.surveymodel import ModelFunction, SurveyModel
 from tiegraph.network.offsets.curves import OffsetCurve, contained
@@ -60,6 +59,8 @@ class Network:
     @plain_text()
     def pictures(self) -> list[tuple[str, bytes]]:
         """(name, PNG) of the correspondence matrix, the offset curves and the section brightness."""
+        from tiegraph.network import pictures as draw  # loads matplotlib
+
         out = [("matrix", draw.matrix_png(self.pairs, self.scene))]
         out.append(("map", draw.map_png(self.pairs, self.positions(), self.scene, unit=self.unit())))
         if self.surfaces:

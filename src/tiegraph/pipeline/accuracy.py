@@ -8,17 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from tiegraph.features.preview import Preview
-from tiegraph.pipeline.capture import preview_path, read_preview
 from tiegraph.pipeline.files import load_scene
+from tiegraph.pipeline.previews import preview_of
 from tiegraph.scene.filecache import cached_by_file
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Ties
 from tiegraph.sfm.tuning import TwoViewTuning
 from tiegraph.sfm.twoview import TwoView, two_view
-
-_CACHED_PREVIEWS = 1024
 
 
 def with_accuracy(
@@ -50,8 +47,8 @@ def with_accuracy(
 
 def _two_view_item(item: tuple[int, int, np.ndarray], folder: Path, tuning: TwoViewTuning) -> TwoView | None:
     i, j, match = item
-    scene = _scene(folder)
-    a, b = _preview(folder, scene.names[i]), _preview(folder, scene.names[j])
+    scene = _checked(folder)
+    a, b = preview_of(folder, scene.names[i]), preview_of(folder, scene.names[j])
     cameras = [scene.sensor_of(k).camera for k in (i, j)]
     if cameras[0] is None or cameras[1] is None:
         return None
@@ -60,10 +57,5 @@ def _two_view_item(item: tuple[int, int, np.ndarray], folder: Path, tuning: TwoV
 
 
 @cached_by_file(2, lambda folder: folder / "network" / "scene.json")
-def _scene(folder: Path) -> Scene:
+def _checked(folder: Path) -> Scene:
     return load_scene(folder / "network" / "scene.json")
-
-
-@cached_by_file(_CACHED_PREVIEWS, preview_path)
-def _preview(folder: Path, name: str) -> Preview:
-    return read_preview(folder, name)

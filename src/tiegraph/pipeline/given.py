@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from tiegraph.errors import InputError, SettingsError, UnreadableArtefact
-from tiegraph.evaluate.reference import check_points, check_reference
+from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.geometry.geodesy import ENU, check_vertical, parse_crs
 from tiegraph.masks.plugin import read_model
-from tiegraph.network.sources import pair_lines, read_pair_list
 from tiegraph.pipeline.files import scanned
-from tiegraph.pipeline.world import control_points
 from tiegraph.project.given import check_files, check_path
 from tiegraph.project.run import Run, status
 from tiegraph.project.settings import Settings
@@ -21,8 +19,10 @@ from tiegraph.scan.rigfile import read_rig_file
 from tiegraph.scan.rigspec import preset_sizes
 from tiegraph.scan.trajectory import read_trajectory
 from tiegraph.scan.unfold import PRESET
+from tiegraph.scene.control import Control, locate
 from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.gnss import read_gnss
+from tiegraph.scene.pairlist import pair_lines, read_pair_list
 from tiegraph.scene.scene import Scene
 
 
@@ -65,10 +65,17 @@ def _read_settings(settings: Settings) -> None:
         pair_lines(settings.network.pairs_file)
     if settings.masks.model is not None:
         read_model(settings.masks.model)
-    if settings.evaluate.reference is not None:
-        check_reference(settings.evaluate.reference)
-    if settings.evaluate.reference_cloud is not None:
-        check_points(settings.evaluate.reference_cloud)
+    if settings.evaluate.reference is not None or settings.evaluate.reference_cloud is not None:
+        _check_references(settings.evaluate)
+
+
+def _check_references(settings: EvaluateSettings) -> None:
+    from tiegraph.evaluate.reference import check_points, check_reference  # loads the engine
+
+    if settings.reference is not None:
+        check_reference(settings.reference)
+    if settings.reference_cloud is not None:
+        check_points(settings.reference_cloud)
 
 
 def _read_inputs(run: Run) -> None:
@@ -90,3 +97,13 @@ def check_against(run: Run, scene: Scene) -> tuple[str, ...]:
     notes = () if control is None else control.notes
     path = run.settings.network.pairs_file
     return notes if path is None else (*notes, *read_pair_list(path, scene)[1])
+
+
+def control_points(run: Run, scene: Scene) -> Control | None:
+    """The control points of the settings in the scene's world; None without a file."""
+    path = run.settings.georef.gcp
+    if path is None:
+        return None
+    if not path.exists():
+        raise InputError(f"--gcp {path}: no such file")
+    return locate(read_gcps(path, run.settings.georef.marks), scene, run.settings.scan.crs)

@@ -14,8 +14,8 @@ from tiegraph.dense.depth import confirmed_map, depth_map
 from tiegraph.dense.plan import CameraModel, DepthRange, ViewPlan
 from tiegraph.dense.shot import depth_range, plan_shot
 from tiegraph.errors import InputError, ReconstructionError
+from tiegraph.pipeline.dense import coloured
 from tiegraph.pipeline.files import load_map, scanned
-from tiegraph.pipeline.surface import coloured
 from tiegraph.project.run import Run
 from tiegraph.project.settings import Settings
 from tiegraph.project.stages import Outcome, remove

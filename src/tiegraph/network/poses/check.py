@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import mannwhitneyu, spearmanr
 
 from tiegraph.geometry import transforms
 from tiegraph.network.model.proxy import Proxy
@@ -247,6 +246,8 @@ def _share(
 
 def _fit(share: np.ndarray, count: np.ndarray, kind: np.ndarray, enough: int) -> float:
     """Rank correlation of predicted overlap and preview matches, mean over the kinds; NaN = too few to say."""
+    from scipy.stats import spearmanr  # a second to load
+
     found = []
     for k in range(len(KINDS)):
         there = (kind == k) & np.isfinite(share)
@@ -259,6 +260,8 @@ def _fit(share: np.ndarray, count: np.ndarray, kind: np.ndarray, enough: int) ->
 def _area(share: np.ndarray, tied: np.ndarray, kind: np.ndarray, few: int) -> float:
     """Chance that a pair that ties has a larger predicted overlap than one that does not (area under the ROC curve),
     mean over the kinds; NaN = too few to say."""
+    from scipy.stats import mannwhitneyu  # a second to load
+
     found = []
     for k in range(len(KINDS)):
         there = (kind == k) & np.isfinite(share)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pycolmap
 from scipy.spatial.transform import Rotation
-from scipy.stats import binom
+from scipy.special import bdtr
 
 from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
@@ -210,7 +210,8 @@ def median_at_least(values: np.ndarray, chance: float) -> float:
     The k-th smallest draw lies above the median if fewer than k draws lie below it, each with probability 1/2: the sign
     test turned round, which asks nothing of the distribution (residuals of resections have long tails).
     """
-    below = int(binom.ppf(chance, len(values), 0.5))  # the smallest b with P(draws below <= b) >= chance
+    count = len(values)
+    below = int(np.argmax(bdtr(np.arange(count + 1), count, 0.5) >= chance))  # the smallest b: P(draws below <= b)
     return float(np.sort(values)[below - 1]) if below > 0 else 0.0
 
 

@@ -1,9 +1,9 @@
-"""Glue of dense and cloud: from the model in the world to depth maps and a point cloud."""
+"""Glue of dense: a depth map for every image."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from tiegraph.cloud.fuse import Maps, fuse
 from tiegraph.dense.depth import confirmed_map, depth_map
 from tiegraph.dense.engine import installed, most_volume_bytes
 from tiegraph.dense.neighbours import plan_images
@@ -23,19 +22,13 @@ from tiegraph.dense.workspace import write_workspace
 from tiegraph.errors import InputError, TiegraphError
 from tiegraph.limits import explained
 from tiegraph.pipeline.files import FINAL, load_map, load_model
-from tiegraph.pipeline.world import placement_error, world_origin
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, remove
-from tiegraph.scene.atomic import same_file
-from tiegraph.scene.cloudfile import write_cloud
-from tiegraph.scene.copc import write_copc
 from tiegraph.scene.depthfile import save_depth
 from tiegraph.scene.names import inside
-from tiegraph.scene.results import Cloud, DepthMap
+from tiegraph.scene.results import DepthMap
 
 _log = logging.getLogger(__name__)
-
-_EVERY = 50  # points of the cloud looked at for its sigma in the world
 FIRST = ".first"  # depth maps before they are compared with each other; removed when the stage is done
 
 
@@ -121,56 +114,6 @@ def hand_over(run: Run, target: Path) -> int:
         raise error if isinstance(error, TiegraphError) else told from error
 
 
-def cloud(run: Run) -> Outcome:
-    """One cloud of all depth maps, tile by tile, as LAZ and PLY."""
-    plans = {n: p for n, p in _plan(run).images.items() if depth_path(run.folder, n).exists()}
-    scratch = run.path(".tiles")
-    remove(scratch)
-    scratch.mkdir(parents=True)
-    colours = coloured(plans, run.path("images"), run.settings.dense, run.settings.tuning.dense.views)
-    maps = Maps(partial(_depth, folder=run.folder), colours)
-    settings, tuning = run.settings.cloud, run.settings.tuning.cloud
-    fused = fuse(sorted(plans), maps, scratch, settings, tuning, world_origin(run), _mapper(run))
-    notes = [*write_copc(fused.clouds, run.path("cloud.copc.laz"), fused.voxel, scratch)]
-    same_file(run.path("cloud.copc.laz"), run.path("cloud.laz"))
-    notes += write_cloud(fused.clouds(), run.path("cloud.ply"))
-    world = _world_sigma(run, fused.clouds())
-    remove(scratch)
-    counts = {"points": fused.counts["points"], **{k: v for k, v in fused.counts.items() if k != "points"}, **world}
-    return Outcome({**counts, "voxel": float(f"{fused.voxel:.3g}")}, notes=tuple(dict.fromkeys(notes)))
-
-
-def _world_sigma(run: Run, parts: Iterable[Cloud]) -> dict[str, float]:
-    """Median and 90th percentile of the points' sigma in the world: of the matching and of the placement together."""
-    error, found = placement_error(run), []
-    if error is None:
-        return {}
-    for part in parts:
-        some = part.where(np.arange(0, len(part), _EVERY))
-        placed = np.linalg.norm(error.sigma(some.xyz_m), axis=1)
-        found.append(np.hypot(placed, np.nan_to_num(some.sigma_m)))
-    both = np.concatenate(found) if found else np.zeros(0)
-    if not len(both):
-        return {}
-    return {f"world_sigma_{n}_m": round(float(np.percentile(both, p)), 4) for n, p in (("median", 50), ("p90", 90))}
-
-
-def _mapper(run: Run) -> Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]:
-    def apply(function: Callable[[Any], Any], items: Sequence[Any]) -> Iterable[Any]:
-        run.reporter.total(len(items))
-        return run.map(_call, list(items), function)
-
-    return apply
-
-
-def _call(item: Any, function: Callable[[Any], Any]) -> Any:
-    return function(item)
-
-
-def _depth(name: str, folder: Path) -> DepthMap:
-    return load_map(depth_path(folder, name))
-
-
 def coloured(
     plans: dict[str, ImagePlan], images: Path, settings: DenseSettings, tuning: ViewTuning
 ) -> Callable[[str], np.ndarray]:
@@ -182,3 +125,7 @@ def _colours(
     name: str, plans: dict[str, ImagePlan], images: Path, settings: DenseSettings, tuning: ViewTuning
 ) -> np.ndarray:
     return cv2.cvtColor(load_view(plans[name].view, images, None, settings, tuning).image_bgr, cv2.COLOR_BGR2RGB)
+
+
+def _depth(name: str, folder: Path) -> DepthMap:
+    return load_map(depth_path(folder, name))

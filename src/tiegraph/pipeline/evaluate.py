@@ -1,4 +1,4 @@
-"""Glue of evaluate and report: how good it is, and the page that says so."""
+"""Glue of evaluate: the result against what is known."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.evaluate.survey import evaluate_survey
 from tiegraph.masks.compare import compare
 from tiegraph.pipeline.files import FINAL, checked, load_json, load_model, reading
-from tiegraph.pipeline.world import world_origin
+from tiegraph.pipeline.placed import world_origin
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome
-from tiegraph.report.html import write_report
 from tiegraph.scene.cloudfile import read_cloud
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.scene import Scene
@@ -54,9 +53,3 @@ def _masks(run: Run, scene: Scene, settings: EvaluateSettings) -> dict:
     assert settings.reference_masks is not None
     cameras = {n: sensor for n, (_, sensor) in zip(scene.names, scene.image_label())}
     return compare(run.path(FINAL, "masks"), settings.reference_masks, cameras, settings.mask_labels).table()
-
-
-def report(run: Run) -> Outcome:
-    """One HTML page from receipts and artefacts."""
-    path = write_report(run.folder, run.settings.report)
-    return Outcome({"bytes": path.stat().st_size})

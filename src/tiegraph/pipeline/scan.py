@@ -1,4 +1,4 @@
-"""Glue of scan and preview: from a folder to images and low-resolution features."""
+"""Glue of scan: what a user hands over becomes a scene and a folder of images."""
 
 from __future__ import annotations
 
@@ -8,10 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.features.preview import Preview, extract_preview
-from tiegraph.features.settings import PreviewSettings
-from tiegraph.features.tuning import PreviewTuning
-from tiegraph.pipeline.files import load_npz, read_image, read_mask, reading, save_npz, scanned
 from tiegraph.pipeline.given import check_against
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
@@ -91,27 +87,3 @@ def _prepare_item(
     for name, sensor in images:
         if not (target / name).exists():
             prepare_image(source / found, target / name, sensor, settings)
-
-
-def preview(run: Run) -> Outcome:
-    """Low-resolution features and brightness of every image, under its mask."""
-    scene, settings, tuning = scanned(run), run.settings.preview, run.settings.tuning.features.preview
-    run.make_missing(_preview_item, scene.names, lambda n: preview_path(run.folder, n), run.folder, settings, tuning)
-    return Outcome({"images": len(scene)})
-
-
-def preview_path(folder: Path, name: str) -> Path:
-    """Where the preview of an image is."""
-    return folder / "preview" / f"{name}.npz"
-
-
-def read_preview(folder: Path, name: str) -> Preview:
-    """The preview of an image. Raises UnreadableArtefact."""
-    path = preview_path(folder, name)
-    with reading(path):
-        return Preview.from_npz(load_npz(path))
-
-
-def _preview_item(name: str, folder: Path, settings: PreviewSettings, tuning: PreviewTuning) -> None:
-    found = extract_preview(read_image(folder / "images" / name), read_mask(folder, name), settings, tuning)
-    save_npz(preview_path(folder, name), **found.to_npz())

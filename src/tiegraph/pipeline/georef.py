@@ -6,22 +6,19 @@ import numpy as np
 import pycolmap
 
 from tiegraph.child import run_in_child
-from tiegraph.errors import InputError
-from tiegraph.geometry.geodesy import Origin, world_from_geodetic
+from tiegraph.geometry.geodesy import world_from_geodetic
 from tiegraph.pipeline.files import checked, load_json, load_model
+from tiegraph.pipeline.given import control_points
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome, remove
 from tiegraph.scene import evidence
 from tiegraph.scene.atomic import claim
-from tiegraph.scene.control import Control, locate
-from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.registered import MIN_POINTS, agreeing_points
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.covariance import MOUNTING
 from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.rig.rig import rig_modes
-from tiegraph.sfm.world.accuracy import PlacementError
 from tiegraph.sfm.world.fixes import Given, PositionRows
 from tiegraph.sfm.world.georef import Georeference, georeference_all
 from tiegraph.sfm.world.ground import GroundRequest, Held, ground
@@ -59,33 +56,6 @@ def georef(run: Run) -> Outcome:
     save_json(run.path("world.json"), {**world, "notes": notes})
     tables = {**_tables(main), **_mounting(receipt, main)}
     return Outcome(main.counts(), notes=tuple(notes), tables=tables, contradictions=main.contradictions)
-
-
-def world_origin(run: Run) -> Origin | None:
-    """Where the world is on the Earth: by the scene's positions, or by control points alone."""
-    data = load_json(run.path("world.json")).get("origin")
-    return None if data is None else Origin.from_dict(data)
-
-
-def world_unit(run: Run) -> str:
-    """Unit of lengths in the world: m, or "units" where nothing told the scale."""
-    return "units" if load_json(run.path("world.json"))["scale_source"] == "none" else "m"
-
-
-def placement_error(run: Run) -> PlacementError | None:
-    """How well the placement is known; None = not placed."""
-    data = load_json(run.path("world.json")).get("placement_error")
-    return None if data is None else PlacementError.from_dict(data)
-
-
-def control_points(run: Run, scene: Scene) -> Control | None:
-    """The control points of the settings in the scene's world; None without a file."""
-    path = run.settings.georef.gcp
-    if path is None:
-        return None
-    if not path.exists():
-        raise InputError(f"--gcp {path}: no such file")
-    return locate(read_gcps(path, run.settings.georef.marks), scene, run.settings.scan.crs)
 
 
 def _rows(run: Run, scene: Scene) -> PositionRows | None:

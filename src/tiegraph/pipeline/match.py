@@ -1,0 +1,43 @@
+"""Glue of match: the listed pairs matched and verified."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from tiegraph.child import cores
+from tiegraph.features import database
+from tiegraph.features.match import match_pairs
+from tiegraph.pipeline.files import checked, pairs_of, save_npz
+from tiegraph.project.run import Run
+from tiegraph.project.stages import Outcome
+
+
+def forget_matches(folder: Path) -> None:
+    """Clear what match owns in the shared database."""
+    if (folder / "database.db").exists():
+        database.clear_matches(folder / "database.db")
+
+
+def match(run: Run) -> Outcome:
+    """Match and verify exactly the listed pairs."""
+
+    def progress(done: int, total: int) -> None:
+        run.reporter.total(total, done)
+
+    scene = checked(run)
+    asked = pairs_of(run, "pairs.npz")
+    processes = min(run.workers, cores())
+    pairs, report = match_pairs(run.path("database.db"), scene, asked, run.settings.match, run.log, progress, processes)
+    save_npz(run.path("match.npz"), **pairs.to_npz())
+    alone = np.flatnonzero(pairs.degree(len(scene)) == 0)
+    notes = (f"{len(alone)} images have no verified pair: {_some(scene.names, alone)}",) if len(alone) else ()
+    kinds = {"columns": ["two-view geometry", "pairs"], "rows": [[k, n] for k, n in report.configurations.items()]}
+    counts = {n: getattr(report, n) for n in ("asked", "matched", "verified", "matches", "inliers")}
+    return Outcome(counts, dropped=report.lost, notes=notes, tables={"two-view geometries": kinds})
+
+
+def _some(names: tuple[str, ...], indices: np.ndarray, most: int = 5) -> str:
+    shown = ", ".join(names[k] for k in indices[:most])
+    return shown + (f" and {len(indices) - most} more" if len(indices) > most else "")

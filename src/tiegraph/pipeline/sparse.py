@@ -1,0 +1,54 @@
+"""Glue of sparse: from verified matches to models."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from tiegraph.pipeline.files import checked, load_npz, pairs_of, reading
+from tiegraph.project.run import Run
+from tiegraph.project.stages import Outcome
+from tiegraph.scene.pairs import REASONS
+from tiegraph.sfm.mapper import Source, reconstruct
+
+
+def sparse(run: Run) -> Outcome:
+    """The models, with the rig, by COLMAP's mappers."""
+
+    def progress(registered: int, total: int) -> None:
+        run.reporter.total(total, registered)
+
+    verified = pairs_of(run, "verify.npz")
+    away = verified.where(verified.dropped == REASONS.index("repeat"))
+    refused = tuple(zip(away.i.tolist(), away.j.tolist()))
+    source = Source(
+        run.path("database.db"), run.path("images"), refused, preview=preview_poses(run.folder), run_map=run.map
+    )
+    made = reconstruct(
+        source,
+        run.path("sparse"),
+        checked(run).measured(),
+        run.settings.sparse,
+        run.settings.tuning.sfm,
+        run.log,
+        progress,
+    )
+    counts = dict(made.counts)
+    if made.sigma is not None:
+        counts |= {"position_sigma_median": made.sigma.median, "position_sigma_p90": made.sigma.p90}
+        if made.sigma.scale is not None:
+            counts["scale_sigma"] = made.sigma.scale
+    return Outcome(
+        counts, dropped=made.dropped, notes=made.notes, tables=made.tables, contradictions=made.contradictions
+    )
+
+
+def preview_poses(folder: Path) -> np.ndarray | None:
+    """(N, 4, 4) cam_from_world of the images in the trusted part of the preview model, None without one."""
+    path = folder / "network" / "model.npz"
+    if not path.exists():
+        return None
+    with reading(path):
+        data = load_npz(path)
+        return np.where(data["trusted"][:, None, None], data["cam_from_world"], np.nan)
