@@ -12,14 +12,15 @@ import json
 import sys
 from pathlib import Path
 
-from tiegraph.pipeline import surface
+from tiegraph.pipeline.cloud import cloud
+from tiegraph.pipeline.dense import dense
 from tiegraph.pipeline.files import FINAL
 from tiegraph.project.progress import Meter
 from tiegraph.project.run import Inputs, Run
 from tiegraph.project.settings import Settings
 
 _NEEDED = ("scene.json", "world.json", "sparse", "images", "masks", FINAL, "network")
-_STAGES = {"dense": surface.dense, "cloud": surface.cloud}
+_STAGES = {"dense": dense, "cloud": cloud}
 
 
 def main() -> None:

@@ -9,8 +9,8 @@ from tiegraph.features.preview import Preview
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.tuning import PreviewTuning
 from tiegraph.pipeline.accuracy import with_accuracy
-from tiegraph.pipeline.capture import preview_path
-from tiegraph.pipeline.ties import with_previews
+from tiegraph.pipeline.preview import preview_path
+from tiegraph.pipeline.previews import with_previews
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene

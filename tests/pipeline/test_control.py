@@ -11,7 +11,7 @@ import pytest
 
 import worlds
 from tiegraph.cli.main import main
-from tiegraph.pipeline.world import georef
+from tiegraph.pipeline.georef import georef
 from tiegraph.project.settings import Settings
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import simple_scene

@@ -4,7 +4,7 @@ import pytest
 
 import tiegraph  # noqa: F401  before pycolmap
 from tiegraph.errors import SettingsError
-from tiegraph.pipeline.masking import masks_by
+from tiegraph.pipeline.masks import masks_by
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import simple_scene
 

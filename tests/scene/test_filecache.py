@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from tiegraph.pipeline import accuracy, ties
+from tiegraph.pipeline import accuracy, previews
 from tiegraph.scene.filecache import cached_by_file
 
 
@@ -36,11 +36,13 @@ def test_a_file_is_read_once_and_again_when_replaced_or_changed(tmp_path):
         read(path, False)
 
 
-@pytest.mark.parametrize("module, below", [(ties, ()), (accuracy, ("network",))], ids=["ties", "accuracy"])
-def test_scene_of_a_run_folder_is_that_of_its_last_run(module, below, tmp_path, monkeypatch):
-    monkeypatch.setattr(module.Scene, "from_json", staticmethod(str))
+@pytest.mark.parametrize(
+    "read, below", [(previews.scene_of, ()), (accuracy._checked, ("network",))], ids=["previews", "accuracy"]
+)
+def test_scene_of_a_run_folder_is_that_of_its_last_run(read, below, tmp_path, monkeypatch):
+    monkeypatch.setattr(previews.Scene, "from_json", staticmethod(str))
     path = tmp_path.joinpath(*below, "scene.json")
     path.parent.mkdir(exist_ok=True)
     for text in ("first", "other"):
         replace(path, text)
-        assert module._scene(tmp_path) == text
+        assert read(tmp_path) == text

@@ -23,7 +23,7 @@ def test_refused_pairs_are_left_out(tmp_path):
             geometry = pycolmap.TwoViewGeometry()
             geometry.inlier_matches = matches
             database.write_two_view_geometry(i, j, geometry)
-    write_working_copy(source, target, scene, {}, False, refused=[(2, 0)])
+    write_working_copy(source, target, scene, {}, None, refused=[(2, 0)])
     count = "SELECT count(*) FROM two_view_geometries"
     with sqlite3.connect(target) as copy, sqlite3.connect(source) as original:
         assert copy.execute(count).fetchone() == (2,)

@@ -256,7 +256,7 @@ class SolidTuning(Section):
 
 
 class RemaskTuning(Section):
-    """What of the model corrects the first masks (`pipeline/remasking.py`)."""
+    """What of the model corrects the first masks (`pipeline/remask.py`)."""
 
     most_views: int = Field(240, gt=0)
     """Views whose waterlines measure the water's height."""
