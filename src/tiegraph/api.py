@@ -215,11 +215,18 @@ def _folder(images: str | Path | None, out: str | Path | None) -> Path:
 
 def _difference(own: dict, inherited: dict, settings: Settings) -> dict:
     """What the project says beyond its preset; a value set back to the default against the preset is said too."""
-    out: dict[str, dict[str, Any]] = {}
-    for section in {*own, *inherited}:
-        values = getattr(settings, section).model_dump(mode="json")
-        mine, theirs = own.get(section, {}), inherited.get(section, {})
-        differs = {k: values[k] for k in {*mine, *theirs} if mine.get(k, ...) != theirs.get(k, ...)}
-        if differs := {k: v for k, v in sorted(differs.items()) if v is not None}:
-            out[section] = differs
-    return dict(sorted(out.items()))
+    return _differing(settings.model_dump(mode="json"), own, inherited)
+
+
+def _differing(values: dict, mine: dict, theirs: dict) -> dict[str, Any]:
+    """The values, table by table, of what stands otherwise in two tables."""
+    out: dict[str, Any] = {}
+    for name in sorted({*mine, *theirs}):
+        if mine.get(name, ...) == theirs.get(name, ...):
+            continue
+        value = values[name]
+        if isinstance(value, dict):
+            value = _differing(value, mine.get(name, {}), theirs.get(name, {})) or None
+        if value is not None:
+            out[name] = value
+    return out

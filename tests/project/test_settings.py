@@ -6,7 +6,7 @@ from tiegraph.api import open_project
 from tiegraph.errors import InputError, SettingsError
 from tiegraph.pipeline import STAGES
 from tiegraph.project.folder import SETTINGS
-from tiegraph.project.settings import PRESETS, Settings, changed, merged, preset, sections
+from tiegraph.project.settings import PRESETS, Settings, changed, merged, preset, read_file, sections
 from tiegraph.project.stages import stage_keys
 
 
@@ -43,6 +43,8 @@ def test_the_constants_of_an_engine_are_in_reach_and_in_the_keys_of_its_stages(t
     assert (tuning.min_agree, tuning.motion.trials, tuning.motion.steps, tuning.motion.directions) == (9, 300, 4, 200)
     project.save()
     assert open_project(out=out).settings == project.settings
+    changed_values = {"verify": {"min_agree": 9, "motion": {"trials": 300, "steps": 4}}}
+    assert read_file(out / SETTINGS)["tuning"] == changed_values == changed(project.settings)["tuning"]
     before, after = (stage_keys(STAGES, s, "images") for s in (Settings(), project.settings))
     needs_verify = {"verify", "sparse", "georef", "remask", "dense", "cloud", "evaluate", "report"}
     assert {name for name in before if before[name] != after[name]} == needs_verify

@@ -22,10 +22,21 @@ class Two(Section):
     file: Path | None = None
 
 
+class Constants(Section):
+    least: int = 3
+    most: int = 5
+
+
+class Tunings(Section):
+    first: Constants = Constants()
+    other: Constants = Constants()
+
+
 class All(Section):
     first: One = One()
     second: Two = Two()
     third: One = One()
+    tuning: Tunings = Tunings()
 
 
 def fail(text):
@@ -142,6 +153,19 @@ def test_receipt_says_what_happened(make):
     assert receipt["notes"] == ["a note"] and receipt["software"]["tiegraph"]
     assert 0 <= receipt["seconds"] < 60 and receipt["peak_mib"] > 5
     assert receipt["key"] == stage_keys(STAGES, run.settings, run.inputs.key())["second"]
+
+
+def test_constants_of_an_engine_run_again_the_stages_that_follow_it_and_stand_in_their_receipts(make):
+    stages = (STAGES[0], Stage("second", second, (), ("second.txt",), tuned=("other",)), STAGES[2])
+    run_stages(stages, make())
+    changed = make(tuning=Tunings(other=Constants(most=9)))
+    assert run_stages(stages, changed) == ["second"]
+    receipt = json.loads(changed.path("receipts", "second.json").read_text())
+    assert receipt["tuning"] == {"other": {"most": 9}}
+    own = make(tuning=Tunings(first=Constants(least=1)))  # an engine of the stage's own name, without a word
+    assert run_stages(stages, own) == ["first", "second", "third"]
+    assert json.loads(own.path("receipts", "first.json").read_text())["tuning"] == {"first": {"least": 1}}
+    assert json.loads(own.path("receipts", "third.json").read_text())["tuning"] == {}
 
 
 def test_two_runs_in_one_folder_are_refused(make):
