@@ -1,5 +1,6 @@
 """The whole way on a small survey with exact truth: images to cloud and report, through the public API and the CLI."""
 
+import base64
 import json
 import re
 
@@ -81,7 +82,13 @@ def test_report_is_one_offline_page(project):
     text = project.report().read_text()
     assert "24 of 24 images" in text
     assert not re.search(r'(?:src|href)="(?!data:|#)', text), "everything is inside the page"
-    assert len(text) > 300_000
+    heads = re.findall(r"<h2>([^<]*)", text)
+    assert heads[0].startswith("The survey is")
+    for head in ("What was found", "Masks", "Which images tie to which", "Camera positions and model", "Point cloud"):
+        assert head in heads
+    pictures = re.findall(r'src="data:image/(?:png|jpeg);base64,([^"]+)"', text)
+    assert len(pictures) >= 4 and all(len(base64.b64decode(p)) > 1000 for p in pictures)
+    assert text.count('id="viewer-data"') == 1
 
 
 def test_receipts_account_for_everything(project):

@@ -11,6 +11,7 @@ import pytest
 from moving_world import moving_world, write_database
 from scipy.spatial.transform import Rotation
 
+from near import assert_reconstruction_near
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.scene.scene import Scene
@@ -180,8 +181,7 @@ def test_poses_that_are_wrong_do_not_pass_the_gate(world, tmp_path: Path) -> Non
         source, tmp_path / "sparse", scene, SparseSettings(covariance_frames=0), Tuning(), tmp_path / "log.txt"
     )
     assert result.mapper == "global" and any("could not start from the preview model" in n for n in result.notes)
-    found = transforms.centre(image_poses(result.load(), scene))
-    assert np.linalg.norm(found - transforms.centre(true) @ np.eye(3), axis=1).size == len(scene)
+    assert_reconstruction_near(result.load(), scene, true, m=0.004, deg=0.03)
     assert [row[0] for row in result.tables["runs"]["rows"]][:2] == ["preview", "global"]
 
 
@@ -191,7 +191,5 @@ def test_the_stage_starts_from_the_preview_model(world, tmp_path: Path) -> None:
     source = Source(tmp_path / "database.db", None, preview=_rough(true, scene))
     result = reconstruct(source, tmp_path / "sparse", scene, SparseSettings(), Tuning(), tmp_path / "log.txt")
     assert result.mapper == "preview" and result.counts["registered"] == len(scene)
-    found = transforms.centre(image_poses(result.load(), scene))
-    error = umeyama(found, transforms.centre(true))(found) - transforms.centre(true)
-    assert 1e-5 < np.sqrt(np.mean(np.sum(error**2, axis=1))) < 0.004
+    assert_reconstruction_near(result.load(), scene, true, m=0.004, deg=0.03)
     assert result.sigma is not None and 1e-5 < result.sigma.median < 0.01
