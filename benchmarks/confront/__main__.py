@@ -53,7 +53,7 @@ def main(argv: list[str] | None = None) -> int:
             continue
         row = one(bench, name, fault, size)
         if row is not None:
-            _add(results, row, args.json)
+            _add(results, row, args.json, bench.work)
             wrong = ", ".join(f"{q}{f' ({h})' if h else ''}" for q, h in zip(row["wrong"], row["how"]))
             _say(f"{name}/{fault}/{size}: {row['verdict']} {wrong} {row['cpu_s']:.0f} CPU s")
     _say(table(results["rows"]))
@@ -186,8 +186,8 @@ def _known(results: dict[str, Any], name: str, fault: str, size: int) -> bool:
     return any((r["set"], r["fault"], r["size"]) == (name, fault, size) for r in results["rows"])
 
 
-def _add(results: dict[str, Any], row: dict[str, Any], path: Path) -> None:
-    row = runner._without_paths(row, path.parent)
+def _add(results: dict[str, Any], row: dict[str, Any], path: Path, work: Path) -> None:
+    row = runner._without_paths(row, work, path.parent)
     rest = [r for r in results["rows"] if any(r[k] != row[k] for k in ("set", "fault", "size"))]
     results["rows"] = [*rest, row]
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tiegraph.cloud.fuse import Maps, fuse
-from tiegraph.pipeline.dense import _depth, _plan, coloured, depth_path
+from tiegraph.pipeline.dense import coloured, depth_path, plan_of, read_depth
 from tiegraph.pipeline.placed import placement_error, world_origin
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, remove
@@ -23,12 +23,12 @@ _EVERY = 50  # points of the cloud looked at for its sigma in the world
 
 def cloud(run: Run) -> Outcome:
     """One cloud of all depth maps, tile by tile, as LAZ and PLY."""
-    plans = {n: p for n, p in _plan(run).images.items() if depth_path(run.folder, n).exists()}
+    plans = {n: p for n, p in plan_of(run).images.items() if depth_path(run.folder, n).exists()}
     scratch = run.path(".tiles")
     remove(scratch)
     scratch.mkdir(parents=True)
     colours = coloured(plans, run.path("images"), run.settings.dense, run.settings.tuning.dense.views)
-    maps = Maps(partial(_depth, folder=run.folder), colours)
+    maps = Maps(partial(read_depth, folder=run.folder), colours)
     settings, tuning = run.settings.cloud, run.settings.tuning.cloud
     fused = fuse(sorted(plans), maps, scratch, settings, tuning, world_origin(run), _mapper(run))
     notes = [*write_copc(fused.clouds, run.path("cloud.copc.laz"), fused.voxel, scratch)]

@@ -39,7 +39,7 @@ def depth_path(folder: Path, name: str, step: str = "") -> Path:
 
 def dense(run: Run) -> Outcome:
     """A depth map of every image that has partners: matched, then compared with its neighbours'."""
-    plan = _plan(run)
+    plan = plan_of(run)
     names = sorted(plan.images)
     settings, tuning = run.settings.dense, run.settings.tuning.dense
     args = (run.folder, plan.images, settings, tuning)
@@ -60,7 +60,8 @@ def dense(run: Run) -> Outcome:
     return Outcome(counts, plan.dropped, notes, {"refused stereo pairs": refused})
 
 
-def _plan(run: Run) -> Any:
+def plan_of(run: Run) -> Any:
+    """Which images are matched with which, by the model in the world."""
     settings, tuning = run.settings.dense, run.settings.tuning.dense.partners
     return plan_images(load_model(run.path("sparse", "world")), settings, tuning)
 
@@ -127,5 +128,6 @@ def _colours(
     return cv2.cvtColor(load_view(plans[name].view, images, None, settings, tuning).image_bgr, cv2.COLOR_BGR2RGB)
 
 
-def _depth(name: str, folder: Path) -> DepthMap:
+def read_depth(name: str, folder: Path) -> DepthMap:
+    """The finished depth map of an image."""
     return load_map(depth_path(folder, name))

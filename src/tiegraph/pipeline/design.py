@@ -11,14 +11,7 @@ from tiegraph.design.design import design as select_pairs
 from tiegraph.design.design import takes_all
 from tiegraph.network.pictures import map_png, weak_pairs
 from tiegraph.pipeline.accuracy import with_accuracy
-from tiegraph.pipeline.files import (
-    checked,
-    load_npz,
-    pairs_of,
-    reading,
-    save_npz,
-    ties_of,
-)
+from tiegraph.pipeline.files import checked, load_npz, pairs_of, reading, save_npz, ties_of
 from tiegraph.pipeline.previews import with_previews
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic

@@ -17,13 +17,9 @@ from tiegraph.features.preview_database import write_preview_database
 from tiegraph.network.model.surveymodel import SurveyModel
 from tiegraph.network.network import estimate_network
 from tiegraph.network.sections.light import UpLight
-from tiegraph.pipeline.files import (
-    read_mask,
-    save_npz,
-    scanned,
-)
+from tiegraph.pipeline.files import save_npz, scanned
 from tiegraph.pipeline.preview import read_preview
-from tiegraph.pipeline.previews import match_item, preview_of, scene_of
+from tiegraph.pipeline.previews import light_of, match_item
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome, remove, write_atomic
 from tiegraph.scene.scene import Scene
@@ -37,7 +33,7 @@ log = logging.getLogger(__name__)
 def network(run: Run) -> Outcome:
     """Candidate pairs from every source, judged by previews; the rig checked against them; sections cut."""
     scene = scanned(run)
-    light = UpLight(*np.array(run.map(_light, list(scene.names), run.folder)).reshape(-1, 2).T)
+    light = UpLight(*np.array(run.map(light_of, list(scene.names), run.folder)).reshape(-1, 2).T)
     matched = [0]
 
     def match(pairs: np.ndarray) -> list[PreviewMatch]:
@@ -68,13 +64,6 @@ def network(run: Run) -> Outcome:
         notes=found.notes,
         tables={"funnel": _table(funnel), **found.tables},
     )
-
-
-def _light(name: str, folder: Path) -> tuple[float, float]:
-    """Mean grey of an image, and the share of an up camera's picture that its mask leaves out (sky)."""
-    scene = scene_of(folder)
-    up = scene.sensor_of(scene.image_index[name]).role == "up"
-    return preview_of(folder, name).brightness, 1.0 - float(read_mask(folder, name).mean()) if up else float("nan")
 
 
 def _survey_model(run: Run, scene: Scene, ties: Ties, rough: bool) -> SurveyModel | None:

@@ -11,9 +11,7 @@ import numpy as np
 from tiegraph.features.preview import Preview, PreviewMatch, match_previews
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.tuning import PreviewTuning
-from tiegraph.pipeline.files import (
-    load_scene,
-)
+from tiegraph.pipeline.files import load_scene, read_mask
 from tiegraph.pipeline.preview import preview_path, read_preview
 from tiegraph.scene.filecache import cached_by_file
 from tiegraph.scene.pairs import Pairs
@@ -54,6 +52,13 @@ def match_item(pair: tuple[int, int], folder: Path, settings: PreviewSettings, t
     a, b = (scene.sensor_of(k).camera for k in pair)  # a guessed focal length serves as well
     one, other = (preview_of(folder, scene.names[k]) for k in pair)
     return match_previews(one, other, a, b, settings, tuning)
+
+
+def light_of(name: str, folder: Path) -> tuple[float, float]:
+    """Mean grey of an image, and the share of an up camera's picture that its mask leaves out (sky)."""
+    scene = scene_of(folder)
+    up = scene.sensor_of(scene.image_index[name]).role == "up"
+    return preview_of(folder, name).brightness, 1.0 - float(read_mask(folder, name).mean()) if up else float("nan")
 
 
 @cached_by_file(2, lambda folder: folder / "scene.json")
