@@ -16,6 +16,8 @@ from typing import Any
 from benchmarks.variants import Book, Variant, load, median, run, spread
 
 BASE = Variant("base")
+_RIGID = {"sync": {"sigmas": 1e9}, "health": {"max_ratio": 1e9}, "torn": {"min_sightings": 10**9}}
+_NO_PLACEMENT = {"repair": {"rounds": 0}, "adopt_rounds": 0, "guided": {"rounds": 0}}
 VARIANTS = (
     Variant("rig check off", {"tuning": {"network": {"rig": {"check": {"min_votes": 10**6}}}}}, "given order believed"),
     Variant("offsets constant", {"network": {"offsets": "constant"}}, "one offset for each two passes (paper 000)"),
@@ -24,15 +26,27 @@ VARIANTS = (
     Variant("preview model off", {"network": {"model": False}}, "counts of preview matches decide"),
     Variant("trust off", {"tuning": {"network": {"model": {"tries": 1}}}}, "the first preview model is taken"),
     Variant("view-graph filtering off", {"verify": {"method": "off"}}, "no pair is refused"),
+    Variant("minimum cut off", {"tuning": {"design": {"holding": {"wanted": 0.01}}}}, "no pairs to hold the parts"),
+    Variant("bundle criterion off", {"tuning": {"design": {"bundle": {"max_unknowns": 0}}}}, "the net of resistances"),
+    Variant("law of matches off", {"tuning": {"design": {"foreseen": {"least_previewed": 10**9}}}}, "the usual law"),
+    Variant("design even where cheap", {"tuning": {"design": {"cost": {"little": 0.0}}}}, "small sets are chosen from"),
     Variant("design tree", {"design": {"method": "tree"}}, "forests instead of predicted accuracy"),
     Variant("design top", {"design": {"method": "top", "pairs_per_image": 20}}, "the 20 best pairs of an image"),
+    Variant("design top 10", {"design": {"method": "top", "pairs_per_image": 10}}, "the 10 best pairs of an image"),
     Variant("design all", {"design": {"method": "all"}}, "every candidate is matched"),
     Variant("start from nothing", {"sparse": {"mapper": "global"}}, "COLMAP's global mapper"),
     Variant("rig held", {"sparse": {"rig": "fixed"}}, "never relaxed nor adjusted"),
+    Variant("never relaxed", {"tuning": {"sfm": {"rig": _RIGID}}}, "cameras of a rig fire at one instant"),
+    Variant("rig not confronted", {"tuning": {"sfm": {"rig": {"judge": {"strong": 1e12}}}}}, "nothing is doubted"),
+    Variant("repair off", {"tuning": {"sfm": {"placement": {"repair": {"rounds": 0}}}}}, "no frame is moved"),
+    Variant("adoption off", {"tuning": {"sfm": {"placement": {"adopt_rounds": 0}}}}, "as the mapper left it"),
+    Variant("guided matching off", {"tuning": {"sfm": {"placement": {"guided": {"rounds": 0}}}}}, "for missing images"),
+    Variant("repair, adoption, guided off", {"tuning": {"sfm": {"placement": _NO_PLACEMENT}}}, "the mapper's own"),
     Variant("rig absent", {"sparse": {"rig": "absent"}}, "images map one by one"),
     Variant("lever-arm prior off", {"tuning": {"sfm": {"adjust": {"compact": {"least_others": 10**6}}}}}, "compact.py"),
     Variant("robust adjustment off", {"tuning": {"sfm": {"adjust": {"robust_rounds": 0}}}}, "plain least squares"),
     Variant("masks none", {"masks": {"source": "none"}}, "nothing masked"),
+    Variant("masks not refuted", {"tuning": {"masks": {"proof": {"least_matches": 10**9}}}}, "no class is taken back"),
     Variant("masks of paper 000", {"masks": {"source": "meguro2024"}}, "two-image difference"),
     Variant("masks of paper 001", {"masks": {"source": "meguro2025"}}, "two stages"),
 )  # fmt: skip

@@ -25,6 +25,8 @@ import tiegraph  # noqa: F401  before pycolmap
 import pycolmap  # isort: skip
 
 from benchmarks import accuracy, close, datasets
+from benchmarks.confront import sets
+from benchmarks.confront.given import write
 from benchmarks.sigma import reference_poses
 from tiegraph.geometry.align import umeyama
 
@@ -46,8 +48,12 @@ class Variant:
 
 
 def load(name: str, work: Path) -> datasets.Dataset:
-    """A set of ``datasets`` or ``close``."""
-    return close.load(name, work / "inputs")
+    """A set of ``datasets`` or ``close``, or, as ``confront/NAME``, a clean survey of the confront bench."""
+    if not name.startswith("confront/"):
+        return close.load(name, work / "inputs")
+    given = sets.load(name.partition("/")[2], work / "inputs")
+    written = write(given, work / "inputs" / name.replace(":", "-"))
+    return datasets.Dataset(name=name, cam_from_world=given.truth.cam_from_world, **written)
 
 
 def run(dataset: datasets.Dataset, out: Path, settings: Settings, base: Path | None = None) -> dict[str, Any]:

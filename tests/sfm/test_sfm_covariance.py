@@ -12,7 +12,7 @@ from sfm_worlds import make_world, true_frames
 from tiegraph.geometry.align import umeyama
 from tiegraph.sfm.adjust import _solve, final_adjustment
 from tiegraph.sfm.covariance import MOUNTING, position_sigma
-from tiegraph.sfm.jacobians import Layout, Tie, skew
+from tiegraph.sfm.jacobians import Layout, Tie, Ties, skew
 from tiegraph.sfm.model import frame_poses, image_poses
 from tiegraph.sfm.tuning import Tuning
 
@@ -110,9 +110,9 @@ def test_points_that_are_not_quite_at_their_minimum_say_nothing_of_the_frames(wo
 def test_ties_hold_frames_that_nothing_else_holds() -> None:
     """A tie's information knows nothing of a motion of the whole, and stops one frame from moving alone."""
     model, _ = moving_world(frames=4)
-    layout = Layout(model, False, False)
-    first, second = layout.frame_ids[:2]
-    tied = layout.tied([Tie(first, second, 0.01, 0.001)])
+    first, second = sorted(model.reg_frame_ids())[:2]
+    layout = Layout(model, False, False, [Ties((Tie(first, second, 0.01, 0.001),))])
+    tied = layout.tied()
     whole = np.zeros((layout.size, 6))
     for f, centre in zip(layout.frame_ids, layout.centres):
         whole[layout.frame[f] + np.arange(3), :3] = np.eye(3)

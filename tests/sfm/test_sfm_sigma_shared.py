@@ -14,7 +14,7 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.sfm.adjust import _solve
 from tiegraph.sfm.covariance import LENS, position_sigma, positions_free_gauge
-from tiegraph.sfm.jacobians import Layout, Tie, jacobians
+from tiegraph.sfm.jacobians import Layout, Tie, Ties, jacobians
 from tiegraph.sfm.model import frame_poses, image_poses, matrix
 from tiegraph.sfm.normal import Normal, gauge, reduced
 from tiegraph.sfm.settings import SparseSettings
@@ -43,8 +43,8 @@ class _Pass:
     def normal(self, reach: int = 3) -> sparse.csr_matrix:
         """Frames tied to the next ones to a hundredth and a thousandth."""
         frames = len(self.frame_ids)
-        ties = [Tie(k, k + d, 0.01, 0.001) for d in range(1, reach + 1) for k in range(frames - d)]
-        return Layout.tied(self, ties)  # type: ignore[arg-type]
+        self.ties = (Ties(tuple(Tie(k, k + d, 0.01, 0.001) for d in range(1, reach + 1) for k in range(frames - d))),)
+        return Layout.tied(self)  # type: ignore[arg-type]
 
     _gathered = Layout._gathered
 

@@ -83,9 +83,13 @@ def _with_doubted(
         return model, ""
     trial = lens.extended(model, names)
     given = {k: model.camera(k) for k in names}
+    times = {} if soft is None or soft.timed is None else soft.timed.unknowns
+    before = {k: v.copy() for k, v in times.items()}
     _solve(trial, fixed_rigs, free | set(names), True, soft, tuning, given)
     gain = 1 - robust_cost(trial, tuning.robust_px) / max(robust_cost(model, tuning.robust_px), 1e-12)
     if gain < tuning.lens_gain:
+        for key, unknowns in before.items():  # the trial's belong to another model
+            times[key][:] = unknowns
         return model, ""
     most = max(lens.difference_px(model.camera(k), trial.camera(k)) for k in names)
     return trial, (

@@ -17,7 +17,7 @@ import numpy as np
 import pycolmap
 from scipy import sparse
 
-from tiegraph.sfm.jacobians import Layout, Tie, jacobians
+from tiegraph.sfm.jacobians import Layout, Ties, jacobians
 from tiegraph.sfm.normal import Normal, by_blocks, point_inverse
 from tiegraph.sfm.rig.compact import Drawing
 from tiegraph.sfm.systematic import LensError, Unrest, Weighed, lens_errors, misplaced, unrest
@@ -98,19 +98,21 @@ def position_sigma(
     model: pycolmap.Reconstruction,
     free_intrinsics: bool | Collection[int] = True,
     free_rig: bool | Collection[int] = True,
-    ties: Collection[Tie] = (),
+    ties: Collection[Ties] = (),
     drawings: Mapping[int, Drawing] | None = None,
+    off: Mapping[int, np.ndarray] | None = None,
     *,
     tuning: Tuning,
 ) -> PositionSigma:
     """Sigmas of registered frames, points, scale, rig and interior orientation, from the gradient of every point.
 
     Intrinsics and rig extrinsics are unknowns unless told otherwise (ids of cameras, of rigs); ``ties`` hold
-    the frames of relaxed rigs; ``drawings`` of nominal rigs by rig id. The gauge is taken out
+    the frames of relaxed rigs; ``drawings`` of nominal rigs by rig id; ``off``: how far the cameras of rigs that are
+    contradicted may be off (``systematic.misplaced``). The gauge is taken out
     by the S-transformation over all positions, so a sigma is that of a position after the best alignment to the truth.
     (pycolmap's estimate_ba_covariance refuses rigs.) Raises ValueError for a model without redundancy.
     """
-    layout = Layout(model, free_intrinsics, free_rig)
+    layout = Layout(model, free_intrinsics, free_rig, ties)
     if len(layout.frame_ids) < 3:
         raise ValueError("needs at least 3 frames")
     points, share = _sample(model, tuning.sigma.most_points)
@@ -120,18 +122,20 @@ def position_sigma(
         raise ValueError("no redundancy")
     inflated = len(seen.residual) / redundancy
     variance = max((1.4826 * float(np.median(np.abs(seen.residual)))) ** 2 * inflated, 1e-12)
-    prior = (variance * (layout.prior(model, tuning.adjust, drawings) + layout.tied(ties))).tocsr()
+    held, pull = layout.held()
+    known = layout.prior(model, tuning.adjust, drawings) + layout.tied()
+    prior = (variance * (known + held)).tocsr()
     first, second = _robust_weights(seen.residual, tuning.adjust.robust_px)
     weighed = Weighed(seen, (first, second), share, prior, layout)
     asked, normal = _Asked(layout, weighed, tuning.sigma), weighed.normal
     sides = np.hstack([normal.asked(asked.functions), normal.scale()])
     solved = normal.solve(sides)
-    full = solved.T @ (weighed.scatter @ solved) / share + variance * solved.T @ (prior @ solved)
-    held, shared = () if free_rig is True else set(model.rigs) - set(free_rig or ()), tuning.sigma.shared
-    off, explained = misplaced(model, weighed, held, shared)
+    full = solved.T @ (weighed.scatter @ solved) / share + variance**2 * solved.T @ ((known + pull) @ solved)
+    fixed, shared = () if free_rig is True else set(model.rigs) - set(free_rig or ()), tuning.sigma.shared
+    mounted, explained = misplaced(model, weighed, fixed, off or {}, shared)
     weighed = weighed.without(explained)
     lenses, explained = lens_errors(model, weighed, shared)
-    strays = [*off, *unrest(model, weighed.without(explained), shared)]
+    strays = [*mounted, *unrest(model, weighed.without(explained), shared)]
     for _, effect in (*lenses, *strays):
         full += effect.covariance(solved)
     mean = float(np.mean(second))

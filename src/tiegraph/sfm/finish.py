@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -18,16 +18,24 @@ from tiegraph.scene.evidence import table as statement_table
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjust import final_adjustment, free_cameras
 from tiegraph.sfm.covariance import Mounting, PositionSigma, position_sigma
-from tiegraph.sfm.jacobians import Tie
+from tiegraph.sfm.jacobians import Ties
 from tiegraph.sfm.placement.settle import Matched, Settled, settle
 from tiegraph.sfm.placement.verified import read_verified, seen_by
 from tiegraph.sfm.rig import soft, ties
-from tiegraph.sfm.rig.confront import hear, hear_lens, lever_sigmas, open_times, refine, statements
+from tiegraph.sfm.rig.confront import (
+    hear,
+    hear_lens,
+    lever_sigmas,
+    mounting_errors,
+    open_times,
+    refine,
+    statements,
+)
 from tiegraph.sfm.rig.diagnosis import Diagnosis, diagnose
 from tiegraph.sfm.rig.given import drawings, given_geometry
 from tiegraph.sfm.rig.health import COLUMNS
 from tiegraph.sfm.rig.judge import Judgement
-from tiegraph.sfm.rig.relax import Believed, Relaxed, lost_images, relax, with_sightings_of
+from tiegraph.sfm.rig.relax import Believed, Relaxed, lost_images, relax, with_errors, with_sightings_of
 from tiegraph.sfm.rig.support import place_as_given, units_per_metre
 from tiegraph.sfm.tuning import SigmaTuning, Tuning
 from tiegraph.text import known_to
@@ -100,11 +108,11 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> Finishe
     model.write(request.target)
     if settled.table is not None:
         tables["placement"] = settled.table
-    sigma = _sigma(model, scene, request, notes, checked.ties)
+    sigma = _sigma(checked, scene, request, notes)
     if sigma is not None:
         sigma = replace(sigma, mounting=_in_their_time(sigma.mounting, checked.levers))
         if checked.misfit:  # a rig that is contradicted by so much gives no scale better than that
-            sigma = replace(sigma, scale=float(np.hypot(sigma.scale or 0.0, checked.misfit)))
+            sigma = replace(sigma, scale=max(sigma.scale or 0.0, checked.misfit))
         names = {k + 1: s.name for k, s in enumerate(scene.all_sensors)}
         tables |= sigma.tables(names)
         notes += _open_notes(sigma, names, request.tuning.sigma)
@@ -156,7 +164,8 @@ class _Checked:
 
     model: pycolmap.Reconstruction
     tables: dict[str, dict] = field(default_factory=dict)
-    ties: list[Tie] = field(default_factory=list)
+    ties: list[Ties] = field(default_factory=list)  # of relaxed rigs
+    off: dict[int, np.ndarray] = field(default_factory=dict)  # rig id -> of mountings of rigid ones (``misplaced``)
     contradictions: list[str] = field(default_factory=list)
     statements: list[Statement] = field(default_factory=list)
     levers: dict[int, float] = field(default_factory=dict)  # camera id -> sigma with its time free, model units
@@ -186,15 +195,21 @@ def _checked_rig(
         csv.writer(stream).writerows([COLUMNS, *found.rows])
     notes += found.notes
     relaxed = _relaxed(out, mapped, scene, request, found, metres, notes)
+    last: dict[int, Judgement] = {}
     for index, heard in found.heard.items():
         if index not in relaxed and index in request.fixed:
             notes += open_times(heard, scene, index)
         elif index not in relaxed:
             out.levers |= {k: v / metres for k, v in lever_sigmas(heard, scene, index).items()}
-        _confronted(out, scene, request, index, heard, index in relaxed)
+        last[index] = _confronted(out, scene, request, index, heard, index in relaxed)
+    for index, free in relaxed.items():
+        ties_of = free.ties
+        if _measured(index, request):
+            off = mounting_errors(last.get(index), scene, index, ties_of.cameras, request.tuning.rig)
+            ties_of = with_errors(ties_of, off, metres)
+        out.ties.append(ties_of)
     offsets = {k: o for r in relaxed.values() for k, o in r.offsets.items()}
     out.tables["rig health"] = found.table(offsets, request.tuning.rig)
-    out.ties = [t for r in relaxed.values() for t in r.ties]
     return out
 
 
@@ -262,7 +277,7 @@ def _relaxed(
         start = with_sightings_of(out.model, mapped) if found.loose or freed else out.model
         # What calibrated lenses do beyond their model looks like turned cameras; lenses that are adjusted do not.
         bent = not request.constant_cameras and any(what == "mount" for what, _ in freed)
-        calibrated = (index in request.fixed or index in request.soft) and not bent
+        calibrated = _measured(index, request) and not bent
         believed = Believed(metres, calibrated, request.constant_cameras, request.lenses_ordered)
         free = relax(start, scene, index, believed, request.tuning, found.loose)
         lost = lost_images(out.model, free.model, scene)
@@ -274,10 +289,15 @@ def _relaxed(
     return relaxed
 
 
+def _measured(index: int, request: FinishRequest) -> bool:
+    return index in request.fixed or index in request.soft
+
+
 def _confronted(
     out: _Checked, scene: Scene, request: FinishRequest, index: int, heard: Judgement, relaxed: bool
-) -> None:
-    """Say where the file of a measured rig contradicts the images; a turned or shifted camera may be adjusted."""
+) -> Judgement:
+    """Say where the file of a measured rig contradicts the images, and return what they want otherwise in the end; a
+    turned or shifted camera may be adjusted."""
     metres = heard.system.metres_per_unit
     if relaxed:  # with its times free, other things may be left to say, or none
         again = hear(out.model, scene, index, metres, request.tuning)
@@ -295,14 +315,21 @@ def _confronted(
     out.statements += said.statements
     out.misfit = max(out.misfit, said.misfit)
     if not said.contradictions:
-        return
-    how = ""
+        return heard
+    how, followed = "", False
     if index in request.ordered:
         how = "; held as given all the same (sparse.rig = fixed)"
     elif refined is not None and not lost_images(out.model, refined, scene):
-        out.model = refined
+        out.model, followed = refined, True
         how = "; the images were followed, the other cameras held as given"
     out.contradictions += [f"{line}{how}" for line in said.contradictions]
+    count, first = len(scene.rigs[index].sensors), sum(len(r.sensors) for r in scene.rigs[:index])
+    if count > 1 and not relaxed and _measured(index, request):
+        cameras = range(first + 1, first + count)
+        off = mounting_errors(heard, scene, index, cameras, request.tuning.rig, followed)
+        scale = np.tile(np.repeat([1 / metres, 1.0], 3), count - 1)
+        out.off[index + 1] = off * np.outer(scale, scale)
+    return heard
 
 
 def _lost_note(scene: Scene, index: int, lost: Sequence[int], why: Sequence[str]) -> str:
@@ -336,9 +363,8 @@ def _open_notes(sigma: PositionSigma, names: Mapping[int, str], tuning: SigmaTun
     ]
 
 
-def _sigma(
-    model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest, notes: list[str], ties: Collection[Tie]
-) -> PositionSigma | None:
+def _sigma(checked: _Checked, scene: Scene, request: FinishRequest, notes: list[str]) -> PositionSigma | None:
+    model = checked.model
     frames = model.num_reg_frames()
     if frames > request.covariance_frames:
         if request.covariance_frames > 0:
@@ -347,7 +373,9 @@ def _sigma(
     try:
         free = free_cameras(model, request.tuning.adjust.min_images) - set(request.constant_cameras)
         rigs = set(model.rigs) - {k + 1 for k in request.fixed}
-        return position_sigma(model, free, rigs, ties, drawings(model, scene), tuning=request.tuning)
+        return position_sigma(
+            model, free, rigs, checked.ties, drawings(model, scene), checked.off, tuning=request.tuning
+        )
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         notes.append(f"position sigmas could not be computed: {error}")
         return None

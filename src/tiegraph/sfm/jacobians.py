@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pycolmap
@@ -19,12 +19,29 @@ from tiegraph.sfm.tuning import AdjustTuning, LensTuning
 
 @dataclass(frozen=True)
 class Tie:
-    """Two frames (ids) that keep together: sigma of the place, model units, and of the turn, rad."""
+    """Two frames (ids) that keep together: sigma of the place, model units, and of the turn, rad.
+
+    ``moves`` (6, K): shift of the second (model units) and its turn (rad), along the axes of the model, by a unit of
+    each constant error of ``camera`` (its key) that all its ties share.
+    """
 
     first: int
     second: int
     place: float
     turn: float
+    camera: int = -1
+    moves: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Ties:
+    """Ties of the S cameras of a rig, and their constant errors, K a camera: ``held`` (S, K) sigma that the adjustment
+    held them to; ``moment`` (SK, SK), mean of their products by all that is known."""
+
+    ties: tuple[Tie, ...]
+    cameras: tuple[int, ...] = ()  # keys
+    held: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    moment: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 class Layout:
@@ -35,8 +52,10 @@ class Layout:
         model: pycolmap.Reconstruction,
         free_intrinsics: bool | Collection[int],
         free_rig: bool | Collection[int],
+        ties: Collection[Ties] = (),
     ) -> None:
-        """``free_intrinsics``, ``free_rig``: ids of the cameras and rigs that are unknowns; True: all, False: none."""
+        """``free_intrinsics``, ``free_rig``: ids of the cameras and rigs that are unknowns; True: all, False: none.
+        What the ``ties`` of a camera share comes last."""
         self.frame_ids = tuple(sorted(model.reg_frame_ids()))
         self.frame = {f: 6 * k for k, f in enumerate(self.frame_ids)}
         self.centres = np.stack([frame_pose(model.frame(f)).tgt_origin_in_src() for f in self.frame_ids])
@@ -56,6 +75,11 @@ class Layout:
             camera = model.camera(camera_id)
             self.camera[camera_id], self.params[camera_id] = self.size, np.array(camera.params)
             self.size += len(camera.params)
+        self.ties = tuple(ties)
+        self.constant: dict[int, int] = {}
+        for rig in self.ties:
+            for key, own in zip(rig.cameras, rig.held):
+                self.constant[key], self.size = self.size, self.size + len(own)
 
     def prior(
         self,
@@ -77,22 +101,34 @@ class Layout:
             parts.append((columns, np.linalg.inv(_expected(camera, tuning.lens))))
         return self._gathered(parts)
 
-    def tied(self, ties: Collection[Tie]) -> sparse.csr_matrix:
-        """(C, C) information of frames that are tied to each other; what all ties of a camera share is not in it."""
+    def tied(self) -> sparse.csr_matrix:
+        """(C, C) information of frames that are tied to each other, beside what the ties of a camera share."""
         parts = []
         place = dict(zip(self.frame_ids, self.centres))
-        for tie in ties:
-            if tie.first not in self.frame or tie.second not in self.frame:
-                continue
+        for tie in (t for rig in self.ties for t in rig.ties if t.first in self.frame and t.second in self.frame):
             a, b = self.frame[tie.first], self.frame[tie.second]
             rows = np.zeros((6, 12))  # shift of the second beside what a turn of the first does; turn of both
             rows[:3, :3], rows[:3, 6:9] = -np.eye(3), np.eye(3)
             rows[:3, 3:6] = skew((place[tie.second] - place[tie.first])[None])[0]
             rows[3:, 3:6], rows[3:, 9:] = -np.eye(3), np.eye(3)
-            rows /= np.repeat([tie.place, tie.turn], 3)[:, None]
             at = np.concatenate([a + np.arange(6), b + np.arange(6)])
+            if tie.moves is not None:
+                rows = np.hstack([rows, -tie.moves])
+                at = np.concatenate([at, self.constant[tie.camera] + np.arange(tie.moves.shape[1])])
+            rows /= np.repeat([tie.place, tie.turn], 3)[:, None]
             parts.append((at, rows.T @ rows))
         return self._gathered(parts)
+
+    def held(self) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
+        """(C, C) information of what the ties share, as the adjustment held it, and the scatter of that pull by how far
+        the constants may really be off."""
+        held, pull = [], []
+        for rig in (r for r in self.ties if r.cameras):
+            at = self.constant[rig.cameras[0]] + np.arange(rig.held.size)
+            weight = np.diag(1 / rig.held.ravel() ** 2)
+            held.append((at, weight))
+            pull.append((at, weight @ rig.moment @ weight))
+        return self._gathered(held), self._gathered(pull)
 
     def _gathered(self, parts: Collection[tuple[np.ndarray, np.ndarray]]) -> sparse.csr_matrix:
         """(C, C) sum of the blocks, each given as its columns (K,) and values (K, K)."""

@@ -8,7 +8,7 @@ unknowns have taken up, which no residual shows. The noise of what shows is that
 from __future__ import annotations
 
 import copy
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -205,18 +205,32 @@ class Unrest:
 
 
 def misplaced(
-    model: pycolmap.Reconstruction, weighed: Weighed, held: Collection[int], tuning: SharedErrorTuning
+    model: pycolmap.Reconstruction,
+    weighed: Weighed,
+    held: Collection[int],
+    off: Mapping[int, np.ndarray],
+    tuning: SharedErrorTuning,
 ) -> tuple[list[tuple[Unrest, Effect]], np.ndarray]:
     """How far the cameras of rigs (ids) that the adjustment held are off their places, as far as the images show it;
-    (2O,) what of the residuals it explains."""
+    (2O,) what of the residuals it explains.
+
+    ``off``: rig id -> (6S, 6S) mean products of place (model units) and turn of its S cameras beside the reference,
+    where that is known otherwise."""
     out, explained = [], np.zeros(2 * len(weighed.seen.image))
     for rig_id in sorted(set(held) & set(model.rigs)):
-        cameras = sorted(s.id for s, pose in model.rig(rig_id).non_ref_sensors.items() if pose is not None)
-        cameras = [c for c in cameras if (weighed.seen.camera == c).any()]
+        every = sorted(s.id for s, pose in model.rig(rig_id).non_ref_sensors.items() if pose is not None)
+        cameras = [c for c in every if (weighed.seen.camera == c).any()]
         if not cameras:
             continue
         columns = sparse.hstack([_of_mounting(model, weighed.seen, c) for c in cameras]).tocsr()
         gradient, score, noise, information = weighed.score(columns)
+        if rig_id in off:
+            at = (6 * np.searchsorted(every, cameras)[:, None] + np.arange(6)).ravel()
+            moment = off[rig_id][np.ix_(at, at)]
+            place, turn = np.diag(moment).reshape(-1, 2, 3).mean(axis=(0, 2))
+            found = Unrest(tuple(cameras), float(np.sqrt(place)), float(np.sqrt(turn)), True)
+            out.append((found, Effect(gradient, moment)))
+            continue
         noise = noise + _RIDGE * np.diag(np.maximum(np.diag(information), 1e-300))
         place, turn = two_sizes(score[None], noise[None], information[None], tuning)
         if place + turn <= 0:

@@ -10,14 +10,16 @@ import pycolmap
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
+from tiegraph.geometry.transforms import skew
 from tiegraph.scene.evidence import LIMIT, Contradiction, Statement
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjust import final_adjustment
 from tiegraph.sfm.model import model_rigs
 from tiegraph.sfm.rig.judge import Expected, Group, Judgement, expected, judge
-from tiegraph.sfm.rig.linear import rig_system
+from tiegraph.sfm.rig.linear import RigSystem, rig_system
 from tiegraph.sfm.rig.soft import SensorPrior, Soft
+from tiegraph.sfm.rig.tuning import RigTuning
 from tiegraph.sfm.tuning import AdjustTuning, Tuning
 
 _EXACTLY = 1e-6
@@ -210,6 +212,49 @@ def _misfit(off: np.ndarray, rig: Rig) -> float:
     lever = np.linalg.norm(transforms.centre(poses), axis=1)
     lever[0] = np.median(lever[1:])  # the reference's own is nothing
     return float(np.sqrt(np.sum((off / np.maximum(lever, 1e-3)) ** 2) / (len(lever) - 1)))
+
+
+def mounting_errors(
+    heard: Judgement | None,
+    scene: Scene,
+    index: int,
+    cameras: Sequence[int],
+    tuning: RigTuning,
+    followed: bool = False,
+) -> np.ndarray:
+    """(6S, 6S) mean products of how far S ``cameras`` (keys) beside the reference are off what a measured rig gives:
+    place (m) and turn (rad) of each against the reference, along the axes of the rig.
+
+    By the images, where a calibration is known as well as it is held to and what contradicts them is free; without
+    images, as well as it is held to. ``followed``: the model stands where the images want it, not as given.
+    """
+    rig, bounds = scene.rigs[index], tuning.confront
+    given = np.stack([np.eye(4) if s.sensor_from_rig is None else s.sensor_from_rig for s in rig.sensors])
+    place = np.maximum([s.sigma_m or 0.0 for s in rig.sensors], bounds.held_to_m)
+    turn = np.maximum([s.sigma_deg or 0.0 for s in rig.sensors], bounds.held_to_deg)
+    sensors = np.array(cameras, int) - sum(len(r.sensors) for r in scene.rigs[:index])
+    if heard is None or heard.beyond:
+        worse = (0.0, 0.0) if heard is None else (tuning.judge.freed_m, tuning.judge.freed_deg)
+        sigma = [np.maximum(place, worse[0]), np.radians(np.maximum(turn, worse[1]))]
+        return np.diag(np.repeat(np.stack(sigma, axis=1)[sensors].ravel(), 3) ** 2)
+    system = heard.system
+    known = replace(expected(rig, system.timed, tuning), place_m=place.tolist(), turn_deg=turn.tolist())
+    solution = system.solve(known.sigma(system, heard.freed, times=True))
+    rows = np.zeros((len(sensors), 6, len(system.keys)))
+    reference = _unknowns(system, 0)
+    for own, k in zip(rows, sensors.tolist()):
+        own[:, _unknowns(system, k)], own[:, reference] = np.eye(6), -np.eye(6)
+        own[:3, reference[3:]] += skew(transforms.centre(given[k])[None])[0]  # turned, it swings the others
+    flat, moment = rows.reshape(-1, len(system.keys)), solution.covariance
+    if not followed:
+        moment = moment + np.outer(solution.value, solution.value)
+    return np.asarray(flat @ moment @ flat.T)
+
+
+def _unknowns(system: RigSystem, sensor: int) -> np.ndarray:
+    """(6,) indices of a camera's place and turn."""
+    at = [k for what in ("place", "turn") for k in system.where(what) if system.keys[k][1] == sensor]
+    return np.array(at, int)
 
 
 def _mounting(

@@ -7,8 +7,8 @@ bent to take up what is motion.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pycolmap
@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjust import final_adjustment
-from tiegraph.sfm.jacobians import Tie
+from tiegraph.sfm.jacobians import Tie, Ties
 from tiegraph.sfm.model import MIN_OBSERVATIONS, frame_poses, image_poses, model_rigs, observations
 from tiegraph.sfm.rig.release import released
 from tiegraph.sfm.rig.soft import Soft, SoftTie
@@ -34,7 +34,7 @@ class Relaxed:
     model: pycolmap.Reconstruction
     offsets: Mapping[int, TimeOffset]
     note: str
-    ties: tuple[Tie, ...] = ()  # between the frames of ``model``
+    ties: Ties = Ties(())  # between the frames of ``model``
 
 
 @dataclass(frozen=True)
@@ -102,14 +102,41 @@ def relax(
     return Relaxed(found.model, _offsets(found.model, setting, soft.timed), found.note, _ties(found.model, soft))
 
 
-def _ties(model: pycolmap.Reconstruction, soft: Soft) -> tuple[Tie, ...]:
-    out = []
-    timed: Sequence[TimedTie | SoftTie] = soft.timed.ties if soft.timed is not None else ()
-    for tie in [*timed, *soft.ties]:
-        frames = [model.image(i).frame_id for i in (tie.first, tie.second)]
-        turn, place = np.sqrt(tie.covariance[0, 0]), np.sqrt(tie.covariance[3, 3])
-        out.append(Tie(frames[0], frames[1], float(place), float(turn)))
-    return tuple(out)
+def _ties(model: pycolmap.Reconstruction, soft: Soft) -> Ties:
+    """The ties for the covariance: those of a camera share its time and its constant error, which are unknowns too."""
+    assert soft.timed is not None
+    out = [_tie(model, tie) for tie in soft.ties]
+    out += [replace(_tie(model, t), camera=t.sensor, moves=_moves(model, t)) for t in soft.timed.ties]
+    cameras = tuple(sorted(soft.timed.unknowns))
+    held = np.tile(soft.timed.sigma, (len(cameras), 1))
+    return Ties(tuple(out), cameras, held, np.diag(held.ravel() ** 2))
+
+
+def with_errors(ties: Ties, moment: np.ndarray, metres_per_unit: float) -> Ties:
+    """The ties of a rig whose mountings are off by more than the adjustment held them to: ``moment`` (6S, 6S), mean
+    products of place (m) and turn (rad) of its S cameras."""
+    scale = np.tile(np.repeat([1 / metres_per_unit, 1.0], 3), len(ties.cameras))
+    at = np.arange(ties.held.size).reshape(-1, 7)[:, 1:].ravel()
+    wide = ties.moment.copy()
+    wide[np.ix_(at, at)] = moment * np.outer(scale, scale)
+    return replace(ties, moment=wide)
+
+
+def _tie(model: pycolmap.Reconstruction, tie: TimedTie | SoftTie) -> Tie:
+    frames = [model.image(i).frame_id for i in (tie.first, tie.second)]
+    turn, place = np.sqrt(tie.covariance[0, 0]), np.sqrt(tie.covariance[3, 3])
+    return Tie(frames[0], frames[1], float(place), float(turn))
+
+
+def _moves(model: pycolmap.Reconstruction, tie: TimedTie) -> np.ndarray:
+    """(6, 7) shift and turn of the second image, along the axes of the model, by its time, place and turn."""
+    lever = transforms.centre(tie.sensor_from_first)
+    out = np.zeros((6, 7))
+    out[:3, 0] = tie.columns[:3] + np.cross(tie.columns[3:], lever)
+    out[3:, 0] = tie.columns[3:]
+    out[:3, 1:4] = out[3:, 4:] = np.eye(3)
+    axes = model.image(tie.first).cam_from_world().rotation.matrix().T
+    return np.asarray(np.kron(np.eye(2), axes) @ out)
 
 
 def _soft(model: pycolmap.Reconstruction, setting: _Setting) -> Soft:
