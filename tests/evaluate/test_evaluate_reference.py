@@ -1,5 +1,6 @@
 """References are read, matched and brought into the world of the run."""
 
+import json
 import os
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from tiegraph.errors import InputError
 from tiegraph.evaluate import reference
 from tiegraph.evaluate.backprojection import View
-from tiegraph.evaluate.metrics import metrics_from_dict, metrics_to_dict
+from tiegraph.evaluate.metrics import metrics_to_dict
 from tiegraph.evaluate.reference import ModelPoses, ReferencePoses
 from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.evaluate.survey import evaluate_survey, pinhole_views
@@ -173,7 +174,7 @@ def test_a_survey_is_evaluated_whole(tmp_path: Path) -> None:
     settings = EvaluateSettings(reference=tmp_path, reference_cloud=tmp_path / "lidar.laz", range_m=100)
     model = make_model(scene, missing=3)
     data = evaluate_survey(scene, model, a_cloud(), settings, TUNING)
-    values = {m.name: m.value for m in metrics_from_dict(data)}
+    values = {m["name"]: m["value"] for m in data["metrics"]}
     assert values["registered_images"] == pytest.approx(100 * 20 / 24) and values["ate_se3_rmse"] < 1e-6
     assert 0.001 < values["backprojection_rmse"] < 0.1 and values["fscore_0.02m"] > 99
     assert values["images_by_rig"] == pytest.approx(100 / 24)
@@ -215,8 +216,8 @@ def test_absolute_error_in_a_common_crs(tmp_path: Path) -> None:
 def test_metrics_survive_json() -> None:
     data = metrics_to_dict([Metric("a", float("nan"), "m", "low"), Metric("b", np.float64(2), "m", "low", 1.0)])
     assert data["metrics"][0]["value"] is None and data["metrics"][0]["target"] is None
-    back = metrics_from_dict(data)
-    assert np.isnan(back[0].value) and (back[1].value, back[1].target) == (2.0, 1.0)
+    back = json.loads(json.dumps(data, allow_nan=False))
+    assert back == data and (back["metrics"][1]["value"], back["metrics"][1]["target"]) == (2.0, 1.0)
 
 
 def test_the_rendered_canal_matches_itself() -> None:

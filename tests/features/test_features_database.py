@@ -128,19 +128,15 @@ def test_features_come_back_as_written_and_colmap_reads_them(tmp_path):
     ]
 
 
-def test_forgotten_features_take_their_matches_along(tmp_path):
+def test_cleared_matches_leave_the_features(tmp_path):
     path = filled_database(tmp_path / "database.db", scene())
     with opened(path) as database:
         for a, b in ((1, 2), (2, 3), (3, 4)):
             database.write_matches(a, b, np.array([[0, 0]], np.uint32))
-    db.forget_features(path, [0])
-    assert db.lost_features(path, scene(), [0, 1]) == [("cam0/img_00.jpg", "no features were written")]
-    with opened(path) as database:
-        assert database.num_matched_image_pairs() == 2
     db.clear_matches(path)
-    assert len(db.images_with_features(path)) == 2 * FRAMES - 1
-    db.forget_features(path)
-    assert db.images_with_features(path) == set()
+    with opened(path) as database:
+        assert database.num_matched_image_pairs() == 0
+    assert db.images_with_features(path) == set(range(2 * FRAMES))
 
 
 def test_pair_ids_are_colmaps():
@@ -216,8 +212,6 @@ def test_the_bytes_tell_nothing_of_the_order_of_writing(tmp_path):
     db.create_database(one_by_one, scene())
     for each in reversed(found):
         db.write_features(one_by_one, [each])
-    db.forget_features(one_by_one, [3])
-    db.write_features(one_by_one, [found[3]])
     assert at_once.read_bytes() != one_by_one.read_bytes()
     for path in (at_once, one_by_one, one_by_one):
         db.write_anew(path)

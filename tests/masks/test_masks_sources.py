@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from tiegraph.errors import InputError
 from tiegraph.masks.compare import compare
 from tiegraph.masks.settings import MasksSettings
-from tiegraph.masks.sources import SOURCES, Camera, explain_source, resolve_source
+from tiegraph.masks.sources import SOURCES, Camera, explain_source
 from tiegraph.masks.tuning import Tuning
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import simple_scene
@@ -32,20 +32,20 @@ def all_masks(name, images, **settings):
 
 
 def test_auto():
-    assert resolve_source(scene(), MasksSettings(), TUNING) == "learnt"
+    assert explain_source(scene(), MasksSettings(), TUNING)[0] == "learnt"
     for other in (scene(loose=True), scene(cameras=1), scene(frames=3)):
         name, why = explain_source(other, MasksSettings(), TUNING)
         assert name == "none" and why
-    assert resolve_source(scene(loose=True), MasksSettings(source="meguro2024"), TUNING) == "meguro2024"
+    assert explain_source(scene(loose=True), MasksSettings(source="meguro2024"), TUNING)[0] == "meguro2024"
 
 
 def test_auto_takes_a_given_folder_and_checks_it(tmp_path):
     write(tmp_path / "cam0.png", np.full(SHAPE, 255, np.uint8))
     settings = MasksSettings(folder=tmp_path)
     with pytest.raises(InputError, match=r"6 of 12 images: up/cam1/000\.jpg"):
-        resolve_source(scene(), settings, TUNING)
+        explain_source(scene(), settings, TUNING)
     write(tmp_path / "cam1.png", np.full(SHAPE, 255, np.uint8))
-    assert resolve_source(scene(), settings, TUNING) == "folder"
+    assert explain_source(scene(), settings, TUNING)[0] == "folder"
 
 
 def test_contradicting_settings(tmp_path):

@@ -25,20 +25,7 @@ def metrics_to_dict(
     return {"metrics": rows, "tables": clean, "notes": list(notes), "contradictions": list(contradictions)}
 
 
-def metrics_from_dict(data: dict[str, Any]) -> list[Metric]:
-    """The figures of merit of a metrics.json; null becomes NaN."""
-    out = []
-    for m in data.get("metrics", []):
-        value, target = _number(m.get("value")), _number(m.get("target"))
-        out.append(Metric(m["name"], value, m.get("unit", ""), m.get("better", "low"), target))
-    return out
-
-
 def _finite(value: Any) -> Any:
     if hasattr(value, "item"):
         value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _number(value: Any) -> float:
-    return float("nan") if value is None else float(value)

@@ -194,23 +194,6 @@ def lost_features(path: Path, scene: Scene, wanted: Iterable[int]) -> list[tuple
     return lost
 
 
-def forget_features(path: Path, images: Iterable[int] | None = None) -> None:
-    """Delete the features of some images (None: of all) and every match that rests on them."""
-    with transaction(path) as cursor:
-        if images is None:
-            for table in ("keypoints", "descriptors", "matches", "two_view_geometries"):
-                cursor.execute(f"DELETE FROM {table}")
-            return
-        cursor.execute("CREATE TEMP TABLE gone (image_id INTEGER PRIMARY KEY)")
-        cursor.executemany("INSERT OR IGNORE INTO gone VALUES (?)", [(int(k) + 1,) for k in images])
-        for table in ("keypoints", "descriptors"):
-            cursor.execute(f"DELETE FROM {table} WHERE image_id IN gone")
-        for table in ("matches", "two_view_geometries"):
-            cursor.execute(
-                f"DELETE FROM {table} WHERE pair_id % {MAX_IMAGES} IN gone OR pair_id / {MAX_IMAGES} IN gone"
-            )
-
-
 def clear_matches(path: Path) -> None:
     """Delete all matches and two-view geometries; features stay."""
     with transaction(path) as cursor:

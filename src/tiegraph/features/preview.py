@@ -7,7 +7,6 @@ The counts say which images may tie; the rotations of single pairs are coarse an
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import cv2
@@ -165,17 +164,6 @@ def guessed_camera(preview: Preview, tuning: PreviewTuning) -> pycolmap.Camera:
     size = preview.width, preview.height
     params = [tuning.guessed_focal * max(size), size[0] / 2, size[1] / 2]
     return pycolmap.Camera(model="SIMPLE_PINHOLE", width=size[0], height=size[1], params=params)
-
-
-def match_many(
-    previews: Sequence[Preview],
-    cameras: Sequence[pycolmap.Camera | None],
-    pairs: np.ndarray,
-    settings: PreviewSettings,
-    tuning: PreviewTuning,
-) -> list[PreviewMatch]:
-    """``match_previews`` of pairs (P, 2), rows index ``previews`` and ``cameras`` (one entry an image)."""
-    return [match_previews(previews[i], previews[j], cameras[i], cameras[j], settings, tuning) for i, j in pairs]
 
 
 def tentative(

@@ -71,11 +71,6 @@ def explain_source(scene: Scene, settings: MasksSettings, tuning: Tuning) -> tup
     return name, why
 
 
-def resolve_source(scene: Scene, settings: MasksSettings, tuning: Tuning) -> str:
-    """Name of the source for a scene, see ``explain_source``."""
-    return explain_source(scene, settings, tuning)[0]
-
-
 def _automatic(scene: Scene, settings: MasksSettings, tuning: Tuning) -> tuple[str, str]:
     if settings.folder is not None:
         return "folder", "a folder of masks is given"

@@ -198,12 +198,6 @@ def model_extrinsics(reconstruction: pycolmap.Reconstruction, scene: Scene, inde
     return out
 
 
-def rig_with(rig: Rig, extrinsics: Sequence[np.ndarray | None]) -> Rig:
-    """The rig with the extrinsics that are not None."""
-    sensors = tuple(s if e is None else replace(s, sensor_from_rig=e) for s, e in zip(rig.sensors, extrinsics))
-    return replace(rig, sensors=sensors)
-
-
 def rig_table(scene: Scene, reconstruction: pycolmap.Reconstruction, metres_per_unit: float = 1.0) -> dict:
     """Table of each sensor's turn and shift against the rig that was given; empty rows without a given rig."""
     rows = []

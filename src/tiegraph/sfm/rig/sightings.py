@@ -34,13 +34,6 @@ class Sightings:
         parts = (getattr(self, name)[rows] for name in ("image", "point", "xy", "ray", "focal_px"))
         return Sightings(self.cam_from_world, self.xyz, *parts)
 
-    def errors_px(self) -> np.ndarray:
-        """(M,) angular reprojection errors times the focal length."""
-        pose = self.cam_from_world[self.image]
-        local = np.einsum("mij,mj->mi", pose[:, :3, :3], self.xyz[self.point]) + pose[:, :3, 3]
-        cosine = np.sum(local * self.ray, axis=1) / np.maximum(np.linalg.norm(local, axis=1), 1e-12)
-        return np.arccos(np.clip(cosine, -1, 1)) * self.focal_px
-
 
 def sightings(reconstruction: pycolmap.Reconstruction, scene: Scene) -> Sightings:
     """All observations of a model's registered images that the scene knows."""

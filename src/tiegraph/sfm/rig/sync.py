@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.rig.tuning import SyncTuning
 
@@ -98,8 +97,3 @@ def time_offset(
     top = float(np.max(np.linalg.norm(columns[:, :3], axis=1)))
     spread = 1.4826 * np.median(np.abs(left), axis=0)
     return TimeOffset(float(found[6]), sigma, found[:6], spread, abs(float(found[6])) * top)
-
-
-def at_offset(columns: np.ndarray, offset_s: float) -> np.ndarray:
-    """rig_at_instant_from_rig_at_offset (4, 4): the rig's pose ``offset_s`` later, in the frame of now."""
-    return transforms.rigid(Rotation.from_rotvec(offset_s * columns[3:]).as_matrix(), offset_s * columns[:3])
