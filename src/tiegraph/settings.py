@@ -11,9 +11,7 @@ from tiegraph.text import acts, one_line
 class Section(BaseModel):
     """One section of ``tiegraph.toml`` = one stage. Unknown names and values out of range, NaN and inf are refused."""
 
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", use_attribute_docstrings=True, validate_default=True, allow_inf_nan=False
-    )
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
 
     @model_validator(mode="before")
     @classmethod
