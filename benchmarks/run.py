@@ -31,6 +31,7 @@ from benchmarks import accuracy, datasets, table
 from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.scan.rigfile import read_rig_file
+from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.rig import camera_to_dict
 
 _COMPETITORS = Path(__file__).resolve().parent / "competitors"
@@ -147,7 +148,7 @@ def _command(dataset: datasets.Dataset, competitor: str, work: Path, args: argpa
 
 def _colmap_rig(rig: Path, path: Path) -> list[str]:
     """The options of a rig file for COLMAP: its own rig configuration, without intrinsics; none for a lone camera."""
-    (spec,) = read_rig_file(rig)
+    (spec,) = read_rig_file(rig, RigTuning())
     if len(spec.sensors) < 2:
         return []
     reference, cameras = spec.sensors[0].body_from_sensor, []

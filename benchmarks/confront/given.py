@@ -17,6 +17,7 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import Origin, geodetic_from_world, world_from_geodetic
 from tiegraph.scan.rigfile import read_rig_file
 from tiegraph.scan.rigwrite import write_rig_toml
+from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.rig import Rig, Sensor
 
 _QUALITY = [cv2.IMWRITE_JPEG_QUALITY, 95]
@@ -114,7 +115,7 @@ def of_dataset(dataset: Dataset, focal_px: Mapping[str, float] | None = None) ->
 
 
 def _rig(dataset: Dataset) -> Rig:
-    (spec,) = read_rig_file(dataset.rig)
+    (spec,) = read_rig_file(dataset.rig, RigTuning())
     sensors, first = [], spec.sensors[0].body_from_sensor
     for sensor in spec.sensors:
         folder = sensor.name if sensor.folder is None else sensor.folder

@@ -10,7 +10,9 @@ from tiegraph.errors import InputError, SettingsError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import world_from_geodetic
 from tiegraph.scan.rigfile import read_rig_file
+from tiegraph.scan.tuning import RigTuning
 
+RIG = RigTuning()
 SIZES = {
     "canal_demo": (120, 6),
     "canal": (300, 6),
@@ -37,7 +39,7 @@ def test_every_image_has_a_true_pose_and_the_rig_file_reads(name: str, data: Pat
     for pose in dataset.cam_from_world.values():
         np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-6)
     assert isinstance(dataset.rig, Path)
-    (spec,) = read_rig_file(dataset.rig)
+    (spec,) = read_rig_file(dataset.rig, RIG)
     assert len(spec.sensors) == sensors
     for path in (dataset.gnss, dataset.times, dataset.reference_cloud):
         assert path is None or path.is_file()
@@ -73,7 +75,7 @@ def test_marks_meet_in_a_model_whose_poses_are_right() -> None:
 def test_canal_gives_the_method_sensors_and_no_truth(name: str, data: Path, tmp_path: Path) -> None:
     dataset = datasets.load(name, tmp_path)
     assert dataset.gnss is not None and dataset.gnss.parent.name == "sensors"
-    (spec,) = read_rig_file(Path(str(dataset.rig)))
+    (spec,) = read_rig_file(Path(str(dataset.rig)), RIG)
     assert all(s.params is None and s.focal_px is None for s in spec.sensors), "the true calibration got out"
     assert spec.antenna_m is None, "the true lever arm got out"
     true = _relative(dataset, "up/cam0/000000.jpg", "up/cam1/000000.jpg")
@@ -86,7 +88,7 @@ def test_canal_gives_the_method_sensors_and_no_truth(name: str, data: Path, tmp_
 
 def test_pandaset_rig_agrees_with_the_poses_while_the_car_stands(data: Path, tmp_path: Path) -> None:
     dataset = datasets.load("pandaset", tmp_path)
-    (spec,) = read_rig_file(Path(str(dataset.rig)))
+    (spec,) = read_rig_file(Path(str(dataset.rig)), RIG)
     front = spec.sensors[0].body_from_sensor
     assert front is not None
     for sensor in spec.sensors[1:]:

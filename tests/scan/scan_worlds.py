@@ -13,8 +13,10 @@ from PIL import Image
 
 from tiegraph.scan.scan import ScanInputs, build_scene, find_images, probe_image
 from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.tuning import Tuning
 from tiegraph.scene.scene import Scene
 
+TUNING = Tuning()
 DATA = Path(os.environ.get("TIEGRAPH_DATA", Path(__file__).parents[3] / "shared" / "data"))
 
 
@@ -71,4 +73,4 @@ def scan(images: Path, settings: ScanSettings | None = None, **inputs: object) -
     """The whole scan stage without a pipeline."""
     names = find_images(images)
     probes = [probe_image(images / n) for n in names]
-    return build_scene(ScanInputs(images, **inputs), names, probes, settings or ScanSettings())  # type: ignore[arg-type]
+    return build_scene(ScanInputs(images, **inputs), names, probes, settings or ScanSettings(), TUNING)  # type: ignore[arg-type]

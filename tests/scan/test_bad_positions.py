@@ -14,12 +14,14 @@ from scan_worlds import exif_of, papers_rig, picture
 from tiegraph.errors import InputError
 from tiegraph.scan.scan import ScanInputs, build_scene, find_images, probe_image
 from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.tuning import Tuning
 from tiegraph.scene.exif import read_exif
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.images import Probe
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.table import read_table
 
+TUNING = Tuning()
 HEAD = "time,lat,lon,height"
 FRAMES = 8
 
@@ -33,7 +35,7 @@ class Survey:
         self.probes: Sequence[Probe] = [probe_image(images / n) for n in self.names]
 
     def scan(self, crs: str = "auto", **inputs: Path) -> Scene:
-        return build_scene(ScanInputs(self.images, **inputs), self.names, self.probes, ScanSettings(crs=crs))  # type: ignore[arg-type]
+        return build_scene(ScanInputs(self.images, **inputs), self.names, self.probes, ScanSettings(crs=crs), TUNING)  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")

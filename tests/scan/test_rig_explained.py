@@ -11,6 +11,9 @@ from scan_worlds import exif_of, papers_rig, picture, scan
 from tiegraph.cli.main import main
 from tiegraph.scan.rigfile import read_rig_file
 from tiegraph.scan.rigwrite import EXPLAINED
+from tiegraph.scan.tuning import RigTuning
+
+RIG = RigTuning()
 
 # Right, down and forward of the body in each of the frames that the file names.
 FRAMES = {
@@ -37,7 +40,7 @@ def _pose(folder: Path, text: str, axes: str, **of_second: str) -> np.ndarray:
         lines = [x for x in second.splitlines() if not x.startswith(("yaw", "position") if "body" in key else key)]
         second = "\n".join([*lines[:1], f"{key} = {value}", *lines[1:]])
     (folder / "rig.toml").write_text("[[sensors]]".join([head, first, second]) + "\n")
-    pose = read_rig_file(folder / "rig.toml")[0].sensors[1].body_from_sensor
+    pose = read_rig_file(folder / "rig.toml", RIG)[0].sensors[1].body_from_sensor
     assert pose is not None
     return pose
 

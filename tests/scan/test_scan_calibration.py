@@ -12,6 +12,9 @@ from scan_worlds import exif_of, papers_rig, picture, scan
 from tiegraph.cli.main import main
 from tiegraph.errors import InputError
 from tiegraph.scan.calibration import read_camera
+from tiegraph.scan.tuning import RigTuning
+
+RIG = RigTuning()
 
 # One camera, as each program writes it: OpenCV and Kalibr count pixels from the centre of the first one.
 PARAMS = [60.0, 61.0, 32.5, 24.5, 0.01, -0.02, 0.001, -0.002]
@@ -84,9 +87,9 @@ def test_one_camera_in_every_form(tmp_path: Path, name: str, content: str | None
 def test_models_of_other_programs(tmp_path: Path) -> None:
     path = tmp_path / "c.yaml"
     path.write_text(KALIBR.replace("radtan", "equidistant"))
-    assert read_camera(str(path)).model == "OPENCV_FISHEYE"
+    assert read_camera(str(path), RIG).model == "OPENCV_FISHEYE"
     path.write_text(ROS.replace("-0.002, 0.0]", "-0.002, 0.003]"))
-    found = read_camera(str(path))
+    found = read_camera(str(path), RIG)
     assert found.model == "FULL_OPENCV" and found.params == (*PARAMS, 0.003, 0.0, 0.0, 0.0)
 
 
@@ -112,7 +115,7 @@ def test_parameters_of_another_size_are_rescaled_and_of_another_shape_refused(tm
 )
 def test_words_that_cannot_be_meant(tmp_path: Path, text: str, words: str, capsys: pytest.CaptureFixture) -> None:
     with pytest.raises(InputError, match=words):
-        read_camera(text)
+        read_camera(text, RIG)
     images = _photographs(tmp_path / "in", count=2)
     assert main(["run", str(images), "-o", str(tmp_path / "out"), "--calibration", text]) == 2
     assert not (tmp_path / "out").exists() and "--camera" in capsys.readouterr().err
@@ -133,7 +136,7 @@ def test_words_that_cannot_be_meant(tmp_path: Path, text: str, words: str, capsy
 def test_files_that_cannot_be_meant(tmp_path: Path, content: str, words: str) -> None:
     (tmp_path / "c.txt").write_text(content)
     with pytest.raises(InputError, match=words) as error:
-        read_camera(str(tmp_path / "c.txt"))
+        read_camera(str(tmp_path / "c.txt"), RIG)
     assert "c.txt" in str(error.value)
 
 

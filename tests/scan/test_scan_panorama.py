@@ -12,8 +12,11 @@ from scan_worlds import exif_of, picture, scan
 from tiegraph.errors import InputError
 from tiegraph.scan.scan import prepare_image
 from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.panorama import is_equirectangular
 from tiegraph.scene.scene import Scene
+
+PICTURES = PicturesTuning()
 
 
 def colour(rays: np.ndarray, turn: float) -> np.ndarray:
@@ -63,7 +66,7 @@ def test_views_show_what_their_rays_see(walk: tuple[Path, Scene], tmp_path: Path
     folder, scene = walk
     for k in range(len(scene)):
         sensor, frame = scene.sensor_of(k), int(scene.source_name(k)[1:3])
-        prepare_image(folder / scene.source_name(k), tmp_path / scene.names[k], sensor, ScanSettings())
+        prepare_image(folder / scene.source_name(k), tmp_path / scene.names[k], sensor, ScanSettings(), PICTURES)
         with Image.open(tmp_path / scene.names[k]) as file:
             seen = np.asarray(file, float)
         camera = sensor.camera

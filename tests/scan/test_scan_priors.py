@@ -12,10 +12,12 @@ from tiegraph.scan.rigspec import AXES, orient
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.times import _time_in
 from tiegraph.scan.trajectory import read_trajectory, write_tum
+from tiegraph.scan.tuning import TimesTuning
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.table import parse_time
 
+TIMES = TimesTuning()
 ORIGIN = make_origin(35.69, 139.77, 40.0, "ENU")
 ENU = ScanSettings(crs="ENU")
 
@@ -122,7 +124,7 @@ def test_times_are_read(text: str, seconds: float) -> None:
      ("000123", np.nan), ("9999999999", np.nan), ("IMG_20239915_010000", np.nan)],
 )  # fmt: skip
 def test_times_in_names(stem: str, seconds: float) -> None:
-    assert _time_in(stem) == pytest.approx(seconds, abs=1e-5, nan_ok=True)
+    assert _time_in(stem, TIMES) == pytest.approx(seconds, abs=1e-5, nan_ok=True)
 
 
 # --- positions of frames --------------------

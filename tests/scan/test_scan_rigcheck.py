@@ -14,7 +14,9 @@ from tiegraph.errors import InputError
 from tiegraph.scan.rigcheck import lens_fault
 from tiegraph.scan.rigfile import read_rig_file
 from tiegraph.scan.rigspec import preset_sizes
+from tiegraph.scan.tuning import RigTuning
 
+RIG = RigTuning()
 PAIR = '[[pairs]]\nsensors = ["cam0", "cam1"]\n'
 ANTENNA, PLACE, TURN = "antenna_m = [0.9, 0.6, 0.3]", "position_m = [0, -0.06, 0]", "yaw_pitch_roll_deg = [90, 0, 0]"
 NAN_MATRIX = "body_from_sensor = [[1, 0, 0, nan], [0, 1, 0, 0], [0, 0, 1, 0]]"
@@ -47,7 +49,7 @@ def test_what_no_sensor_can_be(tmp_path: Path, wrong: str, right: str, message: 
     assert right in TOML
     path = toml(tmp_path, TOML.replace(right, wrong, 1))
     with pytest.raises(InputError, match=message) as error:
-        read_rig_file(path)
+        read_rig_file(path, RIG)
     assert str(path) in str(error.value) and len(str(error.value)) < 1000
 
 
@@ -67,7 +69,7 @@ def test_what_no_sensor_can_be(tmp_path: Path, wrong: str, right: str, message: 
 )
 def test_what_no_pair_can_be(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        read_rig_file(toml(tmp_path, TOML + text))
+        read_rig_file(toml(tmp_path, TOML + text), RIG)
 
 
 def test_a_pair_against_the_positions_is_said(tmp_path: Path) -> None:
@@ -104,15 +106,15 @@ def test_a_pair_against_the_positions_is_said(tmp_path: Path) -> None:
     ],
 )
 def test_lenses(tmp_path: Path, model: str, params: list[float], message: str) -> None:
-    fault = lens_fault(pycolmap.Camera(model=model, width=800, height=600, params=params))
+    fault = lens_fault(pycolmap.Camera(model=model, width=800, height=600, params=params), RIG.camera)
     assert (message in fault) if message and "(" not in message else bool(fault) == bool(message)
     text = f'[camera]\nmodel = "{model}"\nsize = [800, 600]\nparams = {params}\n[[sensors]]\nname = "a"\n'
     if message:
         with pytest.raises(InputError, match=message) as error:
-            read_rig_file(toml(tmp_path, text))
+            read_rig_file(toml(tmp_path, text), RIG)
         assert "rig.toml, line 4" in str(error.value)
     else:
-        read_rig_file(toml(tmp_path, text))
+        read_rig_file(toml(tmp_path, text), RIG)
 
 
 def test_a_lens_whose_image_size_only_the_images_tell(tmp_path: Path) -> None:
@@ -142,7 +144,7 @@ SECOND = {"image_prefix": "cam9/", "ref_sensor": True}
 )
 def test_what_no_rig_config_can_be(tmp_path: Path, cameras: list[dict], message: str) -> None:
     with pytest.raises(InputError, match=message.split(":", 1)[1].strip()):
-        read_rig_file(Path(colmap(tmp_path, *cameras)))
+        read_rig_file(Path(colmap(tmp_path, *cameras)), RIG)
 
 
 def test_the_line_of_a_second_rig(tmp_path: Path) -> None:
@@ -152,13 +154,13 @@ def test_the_line_of_a_second_rig(tmp_path: Path) -> None:
     )
     line = 1 + [k for k, text in enumerate(path.read_text().splitlines()) if "translation" in text][1]
     with pytest.raises(InputError, match=f"line {line}: sensor 'cam8' is 10000 m"):
-        read_rig_file(path)
+        read_rig_file(path, RIG)
 
 
 @pytest.mark.parametrize("text", ["ring:nan", "ring:inf", "stereo:nan", "stereo:1e9", "stereo:-1", "ring:2.5"])
 def test_presets_with_numbers_that_are_none(text: str) -> None:
     with pytest.raises(InputError, match=text):
-        preset_sizes(text)
+        preset_sizes(text, RIG)
 
 
 @pytest.mark.parametrize(
@@ -173,6 +175,6 @@ def test_presets_with_numbers_that_are_none(text: str) -> None:
 def test_no_text_at_all(tmp_path: Path, data: bytes, message: str) -> None:
     (tmp_path / "rig.toml").write_bytes(data)
     with pytest.raises(InputError, match=message):
-        read_rig_file(tmp_path / "rig.toml")
+        read_rig_file(tmp_path / "rig.toml", RIG)
     with pytest.raises(InputError, match="a folder, not a file"):
-        read_rig_file(tmp_path)
+        read_rig_file(tmp_path, RIG)

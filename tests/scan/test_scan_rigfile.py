@@ -12,8 +12,10 @@ from tiegraph.geometry.transforms import angle_deg, from_quaternion_wxyz, invert
 from tiegraph.scan.rigfile import read_rig_file
 from tiegraph.scan.rigspec import AXES, orient, preset, yaw_pitch_roll_deg
 from tiegraph.scan.rigwrite import write_rig_config, write_rig_toml
+from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.rig import Rig, Sensor, rig_from_dict, rig_to_dict
 
+RIG = RigTuning()
 TOML = """
 name = "boat"
 axes = "flu"
@@ -84,7 +86,7 @@ def test_all_ways_to_write_an_orientation_agree(tmp_path: Path) -> None:
         f"body_from_sensor = {[*pose, [0.0, 0.0, 0.0, 1.0]]}",
     ]
     for way in ways:
-        spec = read_rig_file(toml(tmp_path, f"[[sensors]]\nname = 'a'\n{way}\n"))[0]
+        spec = read_rig_file(toml(tmp_path, f"[[sensors]]\nname = 'a'\n{way}\n"), RIG)[0]
         assert np.allclose(spec.sensors[0].body_from_sensor, [*pose, [0, 0, 0, 1]]), way
 
 
@@ -119,13 +121,13 @@ def test_mistakes_in_a_rig_toml_name_file_line_and_remedy(tmp_path: Path, wrong:
     assert right in TOML
     path = toml(tmp_path, TOML.replace(right, wrong, 1))
     with pytest.raises(InputError, match=message) as error:
-        read_rig_file(path)
+        read_rig_file(path, RIG)
     assert str(path) in str(error.value)
 
 
 def test_a_rig_needs_sensors(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="at least one"):
-        read_rig_file(toml(tmp_path, "name = 'x'"))
+        read_rig_file(toml(tmp_path, "name = 'x'"), RIG)
 
 
 def test_a_missing_file_lists_the_presets(tmp_path: Path) -> None:
@@ -215,7 +217,7 @@ def test_presets_that_do_not_fit(tmp_path: Path, name: str, message: str) -> Non
 
 
 def test_preset_of_one_camera() -> None:
-    assert preset("single", ("",)).sensors[0].name == "camera"
+    assert preset("single", ("",), RIG).sensors[0].name == "camera"
 
 
 def colmap(folder: Path, *cameras: dict) -> str:
@@ -267,7 +269,7 @@ def test_broken_rig_configs(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "rig_config.json"
     path.write_text(text)
     with pytest.raises(InputError, match=message):
-        read_rig_file(path)
+        read_rig_file(path, RIG)
 
 
 def near(a: Rig, b: Rig) -> None:
@@ -292,13 +294,13 @@ def test_written_rigs_are_read_back(tmp_path: Path) -> None:
 
 
 def test_a_written_rig_takes_a_vehicles_axes_by_one_word(tmp_path: Path) -> None:
-    spec = preset("ring:5", ("a", "b", "c", "d", "e"))
+    spec = preset("ring:5", ("a", "b", "c", "d", "e"), RIG)
     cameras = [Sensor(s.name, None, invert(s.body_from_sensor)) for s in spec.sensors]
     path = tmp_path / "rig.toml"
     write_rig_toml(Rig("ring", tuple(cameras)), path)
-    (as_camera,) = read_rig_file(path)
+    (as_camera,) = read_rig_file(path, RIG)
     path.write_text(path.read_text().replace('axes = "camera"', 'axes = "flu"'))
-    (as_vehicle,) = read_rig_file(path)
+    (as_vehicle,) = read_rig_file(path, RIG)
     for a, b in zip(as_camera.sensors, as_vehicle.sensors):
         assert np.allclose(AXES["flu"].T @ a.body_from_sensor[:3, :3], b.body_from_sensor[:3, :3], atol=1e-9)
 
@@ -334,7 +336,7 @@ def test_a_real_fisheye_rig() -> None:
 def test_poses_from_a_drawing_become_a_rig_toml(tmp_path: Path) -> None:
     """The canal boat's nominal rig is given as cam-from-body quaternions: the preset must agree with it."""
     nominal = json.loads(data("canal_demo", "sensors", "rig_nominal.json").read_text())
-    rig = preset("ladybug5", tuple(nominal))
+    rig = preset("ladybug5", tuple(nominal), RIG)
     reference = orient(0, 0, 0, "flu")
     for name, sensor in zip(nominal, rig.sensors):
         cam_from_body = from_quaternion_wxyz(np.array(nominal[name]["cam_from_body_qwxyz"]), np.zeros(3))[:3, :3]
@@ -361,7 +363,7 @@ baseline_m = 0.5
 baseline_sigma_m = 0.001
 """
     )
-    (spec,) = read_rig_file(path)
+    (spec,) = read_rig_file(path, RIG)
     assert spec.sensors[1].sigma_deg == 0.1 and spec.sensors[0].sigma_m is None
     assert spec.pairs[0].sensors == ("a", "b") and spec.pairs[0].axis_deg is None
     poses = [s.body_from_sensor for s in spec.sensors]
@@ -373,7 +375,7 @@ baseline_sigma_m = 0.001
     assert rig.soft() and not Rig("r", sensors, fixed=True, pairs=spec.pairs).soft()
     assert rig_from_dict(rig_to_dict(rig)).pairs == rig.pairs
     write_rig_toml(rig, tmp_path / "again.toml")
-    (again,) = read_rig_file(tmp_path / "again.toml")
+    (again,) = read_rig_file(tmp_path / "again.toml", RIG)
     assert again.pairs == spec.pairs and again.sensors[1].sigma_m == 0.002
 
 
@@ -390,4 +392,4 @@ def test_a_pair_that_says_nothing_is_refused(tmp_path: Path, text: str, message:
     path = tmp_path / "rig.toml"
     path.write_text(f'[[sensors]]\nname = "a"\n[[sensors]]\nname = "b"\n[[pairs]]\n{text}\n')
     with pytest.raises(InputError, match=message):
-        read_rig_file(path)
+        read_rig_file(path, RIG)

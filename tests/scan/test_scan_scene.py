@@ -9,8 +9,11 @@ from scan_worlds import data, exif_of, papers_rig, picture, scan
 from tiegraph.errors import InputError
 from tiegraph.scan.scan import ScanInputs, build_scene, safe_names
 from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.tuning import Tuning
 from tiegraph.scene.images import find_images, probe_image
 from tiegraph.scene.scene import Scene
+
+TUNING = Tuning()
 
 
 def reasons(scene: Scene) -> dict[str, str]:
@@ -283,7 +286,7 @@ def test_four_thousand_images_take_seconds() -> None:
 
     names = [f"{p}/cam{c}/{f:06d}.jpg" for p in ("up", "down") for c in range(6) for f in range(334)]
     probes = [replace(probe, digest=str(k)) for k in range(len(names))]
-    scene = build_scene(ScanInputs(Path("nowhere"), rig="ladybug5"), names, probes, ScanSettings())
+    scene = build_scene(ScanInputs(Path("nowhere"), rig="ladybug5"), names, probes, ScanSettings(), TUNING)
     assert (len(scene), scene.frames) == (4008, 668)
 
 

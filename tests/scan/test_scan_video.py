@@ -8,8 +8,11 @@ import cv2
 import numpy as np
 from scan_worlds import scan
 
+from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.video import find_videos, picture_folders, take_pictures
 from tiegraph.scene.images import has_images
+
+PICTURES = PicturesTuning()
 
 
 def film(path: Path, seconds: int, sharp: int = 3, seed: int = 0) -> Path:
@@ -26,7 +29,7 @@ def film(path: Path, seconds: int, sharp: int = 3, seed: int = 0) -> Path:
 
 def test_the_sharpest_of_each_second_is_taken_in_order(tmp_path: Path) -> None:
     video = film(tmp_path / "river.avi", 6)
-    said = take_pictures(video, tmp_path / "out" / "river", 1.0)
+    said = take_pictures(video, tmp_path / "out" / "river", 1.0, PICTURES)
     assert said == "river.avi: 6 pictures, the sharpest of every 1 s"
     files = sorted((tmp_path / "out" / "river").iterdir())
     assert [f.name for f in files] == [f"river_{k:06d}.jpg" for k in range(6)]
@@ -35,7 +38,9 @@ def test_the_sharpest_of_each_second_is_taken_in_order(tmp_path: Path) -> None:
     blurred = cv2.GaussianBlur(pictures[0], (0, 0), 2)
     assert all(p.std() > 1.5 * blurred.std() for p in pictures)
     before = files[0].stat().st_mtime_ns
-    assert take_pictures(video, tmp_path / "out" / "river", 1.0) == "" and files[0].stat().st_mtime_ns == before
+    assert (
+        take_pictures(video, tmp_path / "out" / "river", 1.0, PICTURES) == "" and files[0].stat().st_mtime_ns == before
+    )
 
 
 def test_videos_are_passes_not_cameras(tmp_path: Path) -> None:
@@ -43,7 +48,7 @@ def test_videos_are_passes_not_cameras(tmp_path: Path) -> None:
         film(tmp_path / "in" / name, 20, seed=k)
     videos = find_videos(tmp_path / "in")
     for name, folder in zip(videos, picture_folders(videos)):
-        take_pictures(tmp_path / "in" / name, tmp_path / "out" / folder, 1.0)
+        take_pictures(tmp_path / "in" / name, tmp_path / "out" / folder, 1.0, PICTURES)
     scene = scan(tmp_path / "out")
     assert (len(scene), scene.tracks, len(scene.all_sensors)) == (40, ("morning", "noon"), 1)
 
@@ -52,7 +57,7 @@ def test_what_is_no_video_is_said(tmp_path: Path) -> None:
     broken = tmp_path / "in" / "a.mp4"
     broken.parent.mkdir()
     broken.write_bytes(b"no video at all" * 100)
-    assert "a.mp4 cannot be decoded" in take_pictures(broken, tmp_path / "out" / "a", 2.0)
+    assert "a.mp4 cannot be decoded" in take_pictures(broken, tmp_path / "out" / "a", 2.0, PICTURES)
     assert not has_images(tmp_path / "out") and find_videos(tmp_path / "in") == ["a.mp4"]
     assert picture_folders(["x/a.mp4", "x/a.mov", "x/b.mp4"]) == ["x/a_mp4", "x/a_mov", "x/b"]
 
@@ -64,7 +69,9 @@ def test_a_video_that_is_cut_off_says_so(tmp_path):
     for _ in range(40):
         made.write(rng.integers(0, 255, (64, 96, 3), np.uint8))
     made.release()
-    assert "could be decoded" not in take_pictures(whole, tmp_path / "a", 2.0)
+    assert "could be decoded" not in take_pictures(whole, tmp_path / "a", 2.0, PICTURES)
     cut = tmp_path / "cut.avi"
     cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
-    assert "of its 40 frames could be decoded: is the file cut off?" in take_pictures(cut, tmp_path / "b", 2.0)
+    assert "of its 40 frames could be decoded: is the file cut off?" in take_pictures(
+        cut, tmp_path / "b", 2.0, PICTURES
+    )

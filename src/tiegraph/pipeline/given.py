@@ -80,11 +80,11 @@ def _check_references(settings: EvaluateSettings) -> None:
 
 def _read_inputs(run: Run) -> None:
     """Read the inputs that need no image, for the errors this raises."""
-    given = run.inputs
-    if given.rig is not None and given.rig.strip().lower() != PRESET and not preset_sizes(given.rig):
-        read_rig_file(given.rig)
+    given, tuning = run.inputs, run.settings.tuning.scan.rig
+    if given.rig is not None and given.rig.strip().lower() != PRESET and not preset_sizes(given.rig, tuning):
+        read_rig_file(given.rig, tuning)
     if given.camera is not None:
-        read_camera(given.camera)
+        read_camera(given.camera, tuning)
     if given.trajectory is not None and given.trajectory.is_file():
         read_trajectory(given.trajectory)
     if given.gnss is not None:

@@ -13,6 +13,7 @@ from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scan.scan import ScanInputs, build_scene, prepare_image, probe_image
 from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.video import find_videos, picture_folders, take_pictures
 from tiegraph.scene.images import find_images, has_images, search_images
 from tiegraph.scene.names import clean_names
@@ -21,7 +22,7 @@ from tiegraph.scene.rig import Sensor
 
 def scan(run: Run) -> Outcome:
     """Open every image once, sort them into rigs, frames and passes, and lay the usable ones below images/."""
-    given = run.inputs
+    given, settings, tuning = run.inputs, run.settings.scan, run.settings.tuning.scan
     root, said = _photographs(run)
     found = search_images(root)
     files = list(found.names)
@@ -31,13 +32,13 @@ def scan(run: Run) -> Outcome:
     inputs = ScanInputs(
         root, given.rig, given.camera, given.gnss, given.trajectory, given.times, video=root != given.images
     )
-    scene = build_scene(inputs, names, probes, run.settings.scan)
+    scene = build_scene(inputs, names, probes, settings, tuning)
     told = check_against(run, scene)  # wrong files are better said now than after hours
     file_of = dict(zip(names, files))
     todo: dict[str, list[tuple[str, Sensor]]] = {}  # a panorama is read once for all its views
     for k, name in enumerate(scene.names):
         todo.setdefault(file_of[scene.source_name(k)], []).append((name, scene.sensor_of(k)))
-    run.map(_prepare_item, list(todo.items()), root, run.path("images"), run.settings.scan)
+    run.map(_prepare_item, list(todo.items()), root, run.path("images"), settings, tuning.pictures)
     write_atomic(run.path("scene.json"), scene.to_json())
     counts = {"found": len(names), "images": len(scene), "frames": scene.frames, "passes": len(scene.tracks)}
     return Outcome(
@@ -66,14 +67,14 @@ def _photographs(run: Run) -> tuple[Path, tuple[str, ...]]:
     run.reporter.total(len(videos))
     folder = run.path("images") / ".video"
     todo = [(images / v, folder / f) for v, f in zip(videos, picture_folders(videos))]
-    said = run.map(_take_pictures, todo, run.settings.scan.video_fps)
+    said = run.map(_take_pictures, todo, run.settings.scan.video_fps, run.settings.tuning.scan.pictures)
     if not has_images(folder) or len(find_images(folder)) < 2:
         raise InputError(f"{images}: at least 2 pictures are needed: {'; '.join(said)}")
     return folder, tuple(s for s in said if s)
 
 
-def _take_pictures(item: tuple[Path, Path], per_second: float) -> str:
-    return take_pictures(*item, per_second)
+def _take_pictures(item: tuple[Path, Path], per_second: float, tuning: PicturesTuning) -> str:
+    return take_pictures(*item, per_second, tuning)
 
 
 def _placed(world_from_rig: np.ndarray) -> int:
@@ -81,9 +82,13 @@ def _placed(world_from_rig: np.ndarray) -> int:
 
 
 def _prepare_item(
-    item: tuple[str, list[tuple[str, Sensor]]], source: Path, target: Path, settings: ScanSettings
+    item: tuple[str, list[tuple[str, Sensor]]],
+    source: Path,
+    target: Path,
+    settings: ScanSettings,
+    tuning: PicturesTuning,
 ) -> None:
     found, images = item
     for name, sensor in images:
         if not (target / name).exists():
-            prepare_image(source / found, target / name, sensor, settings)
+            prepare_image(source / found, target / name, sensor, settings, tuning)

@@ -27,6 +27,7 @@ from tiegraph.network.settings import NetworkSettings
 from tiegraph.network.tuning import Tuning as NetworkTuning
 from tiegraph.report.settings import ReportSettings
 from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.tuning import Tuning as ScanTuning
 from tiegraph.scene.regular import regular
 from tiegraph.settings import Section
 from tiegraph.sfm.settings import GeorefSettings, SparseSettings
@@ -47,6 +48,7 @@ class Tunings(Section):
     """The constants that the engines decide by: tables ``[tuning.<engine>]`` of tiegraph.toml. They are the same for
     every user, so the command line does not show them; they are in reach for measurements."""
 
+    scan: ScanTuning = ScanTuning()
     features: FeaturesTuning = FeaturesTuning()
     masks: MasksTuning = MasksTuning()
     network: NetworkTuning = NetworkTuning()

@@ -29,6 +29,7 @@ from tiegraph.scan.rigcheck import contradictions
 from tiegraph.scan.rigfile import read_rig_file
 from tiegraph.scan.rigspec import RigSpec, SensorSpec, preset, preset_sizes
 from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.tuning import FoldersTuning, Tuning
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.images import Probe
 from tiegraph.scene.scene import Dropped
@@ -77,21 +78,21 @@ class Usable:
     names: tuple[str, ...]
     probes: tuple[Probe, ...]
 
-    def order(self, places: Sequence[Place | None], layout: str) -> Order:
+    def order(self, places: Sequence[Place | None], layout: str, tuning: FoldersTuning) -> Order:
         """Whether these are loose photographs, and why."""
-        return order_of(self.names, places, *self.facts(), layout)
+        return order_of(self.names, places, *self.facts(), layout, tuning)
 
     def facts(self) -> tuple[list[Exif], list[tuple[int, int]]]:
         """EXIF and upright sizes."""
         return [p.exif for p in self.probes], [p.upright_size() for p in self.probes]
 
 
-def assign(rig: str | None, usable: Usable, settings: ScanSettings, report: Report) -> Survey:
+def assign(rig: str | None, usable: Usable, settings: ScanSettings, report: Report, tuning: Tuning) -> Survey:
     """Rig, sensor and pass of each usable image. Raises InputError for a rig that is wrong or does not fit."""
-    cameras = preset_sizes(rig) if rig else ()
+    cameras = preset_sizes(rig, tuning.rig) if rig else ()
     exif, sizes = usable.facts()
-    layout = band_layout(usable.names, exif, settings.layout) or guess_layout(
-        usable.names, exif, sizes, settings.layout, cameras
+    layout = band_layout(usable.names, exif, settings.layout, tuning.bands) or guess_layout(
+        usable.names, exif, sizes, settings.layout, tuning.folders, cameras
     )
     if layout.folders == ("",) and not layout.loose and settings.layout == "auto" and len(_lenses(usable)) > 1:
         layout = replace(layout, order=Order(True, "loose photographs: taken with different lenses"))
@@ -104,10 +105,10 @@ def assign(rig: str | None, usable: Usable, settings: ScanSettings, report: Repo
                 "from the images; --rig takes a file or ladybug5, ring:N, stereo"
             )
     elif cameras:
-        spec = preset(rig, layout.folders)
+        spec = preset(rig, layout.folders, tuning.rig)
         report.notes.append(f"layout guessed: {layout.note}; rig preset {rig}: nominal axes and centres")
     else:
-        return _assign_by_file(Path(rig), usable, settings, report)
+        return _assign_by_file(Path(rig), usable, settings, report, tuning)
     index = {s.folder: k for k, s in enumerate(spec.sensors)}
     shots = tuple(
         _shot(image, name, (0, index[place.folder]), place, layout.loose)
@@ -136,8 +137,8 @@ def _guessed_rig(layout: Layout) -> RigSpec:
     return RigSpec("rig", sensors, body_is_reference=True)
 
 
-def _assign_by_file(file: Path, usable: Usable, settings: ScanSettings, report: Report) -> Survey:
-    specs = tuple(_bound(_checked(s), usable.names) for s in read_rig_file(file))
+def _assign_by_file(file: Path, usable: Usable, settings: ScanSettings, report: Report, tuning: Tuning) -> Survey:
+    specs = tuple(_bound(_checked(s), usable.names) for s in read_rig_file(file, tuning.rig))
     owner = {(s.folder or ""): (r, k) for r, spec in enumerate(specs) for k, s in enumerate(spec.sensors)}
     if len(owner) < sum(len(spec.sensors) for spec in specs):
         raise InputError(f"{file}: two sensors have the same folder ({', '.join(owner)}): give each its own")
@@ -145,9 +146,9 @@ def _assign_by_file(file: Path, usable: Usable, settings: ScanSettings, report: 
     _all_found(file, specs, places, usable.names)
     stray = [name for name, place in zip(usable.names, places) if place is None]
     report.drop(stray, f"below no sensor folder of {file.name} ({', '.join(owner)})")
-    order = usable.order(places, settings.layout) if len(owner) == 1 else Order(False, "")
+    order = usable.order(places, settings.layout, tuning.folders) if len(owner) == 1 else Order(False, "")
     report.notes.append(f"rig file {file.name}: {len(owner)} sensor(s)" + (f"; {order.why}" if order.why else ""))
-    report.notes += [f"{file.name}: {text}" for spec in specs for text in contradictions(spec)]
+    report.notes += [f"{file.name}: {text}" for spec in specs for text in contradictions(spec, tuning.rig)]
     shots = [
         _shot(image, name, owner[place.folder], place, order.loose)
         for image, name, place in zip(usable.images, usable.names, places)

@@ -17,6 +17,7 @@ import numpy as np
 from tiegraph.geometry.transforms import rigid
 from tiegraph.scan.folders import Layout, Order, Place, is_pattern, natural, pass_names
 from tiegraph.scan.rigspec import RigSpec, SensorSpec
+from tiegraph.scan.tuning import BandsTuning
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.xmp import relative_rotation
 
@@ -25,10 +26,9 @@ _BANDS = frozenset(
 )
 _MARK = re.compile(r"(?i)^(.+)_((?:MS_)?[a-z]+|\d{1,2})$")
 _MICASENSE = re.compile(r"(?i)^IMG_\d{4}_\d{1,2}$")
-_MOST = 0.75  # share of images that have a mark, and of the images that whole shots would have: else it is chance
 
 
-def band_layout(names: Sequence[str], exif: Sequence[Exif], kind: str) -> Layout | None:
+def band_layout(names: Sequence[str], exif: Sequence[Exif], kind: str, tuning: BandsTuning) -> Layout | None:
     """The layout of images whose names end in marks of bands; None if they do not. ``kind`` is ScanSettings.layout.
 
     Marks are names of bands; or numbers, where the files themselves or MicaSense's way of naming say that these are
@@ -45,7 +45,8 @@ def band_layout(names: Sequence[str], exif: Sequence[Exif], kind: str) -> Layout
         if match and marks[k] in cameras:
             shots[str(PurePosixPath(names[k]).parent), match[1]].add(marks[k])
     held = sum(len(s) for s in shots.values())
-    if len(cameras) < 2 or len(shots) < 2 or held < _MOST * max(len(names), len(shots) * len(cameras)):
+    possible = max(len(names), len(shots) * len(cameras))
+    if len(cameras) < 2 or len(shots) < 2 or held < tuning.whole * possible:
         return None
     spelt = {m: next(f[2] for f, mark in zip(found, marks) if f and mark == m) for m in cameras}
     passes = pass_names([PurePosixPath(n).parts[:-1] for n in names])

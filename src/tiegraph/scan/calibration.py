@@ -19,6 +19,7 @@ from tiegraph.scan.rigcheck import lens_fault
 from tiegraph.scan.rigfile import camera_table
 from tiegraph.scan.rigreader import nearest
 from tiegraph.scan.rigspec import SensorSpec
+from tiegraph.scan.tuning import CameraTuning, RigTuning
 from tiegraph.scene.regular import names_file, regular
 from tiegraph.scene.table import text_lines
 
@@ -43,31 +44,32 @@ class _Found:
     where: str
 
 
-def read_camera(text: str) -> SensorSpec:
+def read_camera(text: str, tuning: RigTuning) -> SensorSpec:
     """The camera of an option ``--camera``: a sensor without name or folder. Raises InputError naming what is wrong."""
     path = Path(text)
     if not names_file(text):
         if path.suffix.lower() in _FILES or "/" in text:
             raise InputError(f"--camera {text}: no such file; {WORDS}")
-        return _sensor(_in_words(re.split(r"[,;\s]+", text.strip()), f"--camera {text}"))
+        return _sensor(_in_words(re.split(r"[,;\s]+", text.strip()), f"--camera {text}"), tuning.camera)
     try:
         content = regular(path).read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"--camera {path}: cannot be read as text in UTF-8 ({error}); {WORDS}") from None
     if path.suffix.lower() == ".toml":
-        return camera_table(path, content)
+        return camera_table(path, content, tuning)
     if re.search(r"camera_model\s*:", content) and re.search(r"intrinsics\s*:", content):
-        return _sensor(_kalibr(path, content))
+        return _sensor(_kalibr(path, content), tuning.camera)
     if re.search(r"camera_?matrix|<K\b|^\s*K\s*:", content, re.IGNORECASE | re.MULTILINE):
-        return _sensor(_opencv(path, content))
-    return _sensor(_cameras_txt(path, content))
+        return _sensor(_opencv(path, content), tuning.camera)
+    return _sensor(_cameras_txt(path, content), tuning.camera)
 
 
-def _sensor(found: _Found) -> SensorSpec:
+def _sensor(found: _Found, tuning: CameraTuning) -> SensorSpec:
     """A sensor with the camera, after a look whether a lens can be so."""
     if found.size is not None:
         width, height = found.size
-        wrong = lens_fault(pycolmap.Camera(model=found.model, width=width, height=height, params=list(found.params)))
+        camera = pycolmap.Camera(model=found.model, width=width, height=height, params=list(found.params))
+        wrong = lens_fault(camera, tuning)
         if wrong:
             raise InputError(f"{found.where}: {wrong}")
     return SensorSpec("camera", model=found.model, size=found.size, params=found.params, at=found.where)
@@ -208,30 +210,37 @@ def _size(values: tuple[float, ...]) -> tuple[int, int] | None:
 
 
 def with_camera(
-    survey: Survey, sizes: dict[tuple[int, int], tuple[int, int]], camera: str | None, notes: list[str]
+    survey: Survey,
+    sizes: dict[tuple[int, int], tuple[int, int]],
+    camera: str | None,
+    notes: list[str],
+    tuning: RigTuning,
 ) -> Survey:
     """The survey with the one camera that the user gave the calibration of; ``sizes`` are those of the images, by rig
     and sensor. Raises InputError."""
     if camera is None:
         return survey
-    given = read_camera(camera)
+    given = read_camera(camera, tuning)
     specs = list(survey.specs)
     there = {(r, k): (specs[r].sensors[k], size) for (r, k), size in sizes.items()}
-    for (r, k), sensor in _takers(given, there, notes).items():
+    for (r, k), sensor in _takers(given, there, notes, tuning.camera).items():
         sensors = tuple(sensor if n == k else s for n, s in enumerate(specs[r].sensors))
         specs[r] = replace(specs[r], sensors=sensors, file=specs[r].file or given.at)
     return replace(survey, specs=tuple(specs))
 
 
 def _takers(
-    given: SensorSpec, sensors: dict[tuple[int, int], tuple[SensorSpec, tuple[int, int]]], notes: list[str]
+    given: SensorSpec,
+    sensors: dict[tuple[int, int], tuple[SensorSpec, tuple[int, int]]],
+    notes: list[str],
+    tuning: CameraTuning,
 ) -> dict[tuple[int, int], SensorSpec]:
     """The sensors that take a given camera: {key: sensor} of {key: (sensor, size of its images)}.
 
     The lone camera, or those whose images have the shape the calibration is of: photographs by other cameras keep what
     EXIF says. Raises InputError if it could be several, or none.
     """
-    fits = {k: s for k, (s, size) in sensors.items() if len(sensors) == 1 or _same_shape(given.size, size)}
+    fits = {k: s for k, (s, size) in sensors.items() if len(sensors) == 1 or _same_shape(given.size, size, tuning)}
     listed = ", ".join(f"{s.name} ({w} x {h})" for s, (w, h) in list(sensors.values())[:4])
     if len(fits) != 1:
         which = f"a camera of {given.size[0]} x {given.size[1]} images fits" if given.size else "without a size it fits"
@@ -250,5 +259,5 @@ def _takers(
     return {key: replace(sensor, **camera)}
 
 
-def _same_shape(given: tuple[int, int] | None, size: tuple[int, int]) -> bool:
-    return given is None or abs(given[0] * size[1] / (given[1] * size[0]) - 1) < 0.01
+def _same_shape(given: tuple[int, int] | None, size: tuple[int, int], tuning: CameraTuning) -> bool:
+    return given is None or abs(given[0] * size[1] / (given[1] * size[0]) - 1) < tuning.same_shape

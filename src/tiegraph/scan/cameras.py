@@ -10,15 +10,11 @@ import pycolmap
 from tiegraph.errors import InputError
 from tiegraph.scan.folders import words
 from tiegraph.scan.prepare import crop_camera, pinhole_camera
-from tiegraph.scan.rigcheck import MAX_FOV_DEG, MIN_FOV_DEG, focal_fault, lens_fault
+from tiegraph.scan.rigcheck import focal_fault, lens_fault
 from tiegraph.scan.rigspec import SensorSpec
 from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.tuning import CameraTuning
 from tiegraph.scene.rig import Source
-
-# COLMAP's ImageReaderOptions.default_focal_length_factor: a guess of 45 degrees of view.
-GUESSED_FOCAL_FACTOR = 1.2
-_SAME_SHAPE = 0.01  # relative difference of two aspect ratios that rounding to whole pixels may cause
-_MIN_SIDE_PX = 32
 
 
 @dataclass(frozen=True)
@@ -41,21 +37,23 @@ class Calibrated:
     how: str
 
 
-def calibrate(spec: SensorSpec, facts: FileFacts, file: str, settings: ScanSettings) -> Calibrated:
+def calibrate(
+    spec: SensorSpec, facts: FileFacts, file: str, settings: ScanSettings, tuning: CameraTuning
+) -> Calibrated:
     """Camera of a sensor; ``file`` is the rig file, "" for presets and guesses.
 
     Raises InputError if the rig file's camera does not fit the images, if cropping leaves nothing, or if undistortion
     is asked for a camera that is not calibrated.
     """
-    camera, how = _file_camera(spec, facts, file, settings)
+    camera, how = _file_camera(spec, facts, file, settings, tuning)
     crop = spec.crop_px or settings.crop_px
     crop = (crop[0], crop[1], crop[2], crop[3])
     prepared = camera
     if any(crop):
         left, top, right, bottom = crop
-        if min(crop) < 0 or min(camera.width - left - right, camera.height - top - bottom) < _MIN_SIDE_PX:
+        if min(crop) < 0 or min(camera.width - left - right, camera.height - top - bottom) < tuning.min_side_px:
             raise InputError(
-                f"crop_px = {list(crop)} of sensor {spec.name!r} leaves less than {_MIN_SIDE_PX} px of "
+                f"crop_px = {list(crop)} of sensor {spec.name!r} leaves less than {tuning.min_side_px} px of "
                 f"{camera.width} x {camera.height}: left, top, right, bottom are the pixels to cut off"
             )
         prepared = crop_camera(camera, crop)
@@ -72,23 +70,25 @@ def calibrate(spec: SensorSpec, facts: FileFacts, file: str, settings: ScanSetti
     return Calibrated(prepared, source, how)
 
 
-def _file_camera(spec: SensorSpec, facts: FileFacts, file: str, settings: ScanSettings) -> tuple[pycolmap.Camera, str]:
+def _file_camera(
+    spec: SensorSpec, facts: FileFacts, file: str, settings: ScanSettings, tuning: CameraTuning
+) -> tuple[pycolmap.Camera, str]:
     if spec.params is not None and spec.model is not None:
-        return _from_params(spec.model, spec.params, spec, facts, file)
+        return _from_params(spec.model, spec.params, spec, facts, file, tuning)
     model = spec.model or _default_model(spec, facts, settings)
     fisheye = "FISHEYE" in model
     width, height = facts.size
     if spec.focal_px is not None:
-        scale = _scale(spec, facts, file)
-        wrong = focal_fault(spec.focal_px * scale, width, fisheye)
+        scale = _scale(spec, facts, file, tuning)
+        wrong = focal_fault(spec.focal_px * scale, width, fisheye, tuning)
         if wrong:
             raise InputError(f"{spec.at or file}: sensor {spec.name!r}: {wrong}")
         return _camera(model, spec.focal_px * scale, facts, True), f"focal length from {file}{_scaled(scale)}"
     if spec.hfov_deg is not None and file:
-        if not fisheye and not MIN_FOV_DEG <= spec.hfov_deg <= MAX_FOV_DEG:
+        if not fisheye and not tuning.min_fov_deg <= spec.hfov_deg <= tuning.max_fov_deg:
             raise InputError(
                 f"{spec.at or file}: sensor {spec.name!r}: hfov_deg = {spec.hfov_deg:g}: a {model} image sees "
-                f"{MIN_FOV_DEG:g} to {MAX_FOV_DEG:g} degrees; give a fisheye model?"
+                f"{tuning.min_fov_deg:g} to {tuning.max_fov_deg:g} degrees; give a fisheye model?"
             )
         return _camera(model, _from_hfov(spec.hfov_deg, width, fisheye), facts, True), f"field of view from {file}"
     if np.isfinite(facts.focal_px):
@@ -97,19 +97,21 @@ def _file_camera(spec: SensorSpec, facts: FileFacts, file: str, settings: ScanSe
         how = f"focal length from the preset's nominal field of view of {spec.hfov_deg:g} degrees"
         return _camera(model, _from_hfov(spec.hfov_deg, width, fisheye), facts, False), how
     if fisheye:
-        return _camera(model, width / np.pi, facts, False), "focal length guessed: a fisheye of 180 degrees across"
-    guess = GUESSED_FOCAL_FACTOR * max(width, height)
-    how = f"focal length guessed as {GUESSED_FOCAL_FACTOR} x the longer side (no EXIF, no rig file with a camera)"
+        across = tuning.guessed_fisheye_deg
+        how = f"focal length guessed: a fisheye of {across:g} degrees across"
+        return _camera(model, _from_hfov(across, width, fisheye), facts, False), how
+    guess = tuning.guessed_focal * max(width, height)
+    how = f"focal length guessed as {tuning.guessed_focal} x the longer side (no EXIF, no rig file with a camera)"
     return _camera(model, guess, facts, False), how
 
 
 def _from_params(
-    model: str, params: tuple[float, ...], spec: SensorSpec, facts: FileFacts, file: str
+    model: str, params: tuple[float, ...], spec: SensorSpec, facts: FileFacts, file: str, tuning: CameraTuning
 ) -> tuple[pycolmap.Camera, str]:
-    scale = _scale(spec, facts, file)
+    scale = _scale(spec, facts, file, tuning)
     width, height = spec.size or facts.size
     camera = pycolmap.Camera(model=model, width=width, height=height, params=list(params))
-    wrong = lens_fault(camera)
+    wrong = lens_fault(camera, tuning)
     if wrong:
         raise InputError(f"{spec.at or file}: sensor {spec.name!r}: {wrong}")
     if (width, height) != facts.size:
@@ -119,12 +121,12 @@ def _from_params(
     return camera, f"{origin}{_scaled(scale)}"
 
 
-def _scale(spec: SensorSpec, facts: FileFacts, file: str) -> float:
+def _scale(spec: SensorSpec, facts: FileFacts, file: str, tuning: CameraTuning) -> float:
     """Images' width over the width the rig file speaks of."""
     if spec.size is None or spec.size == facts.size:
         return 1.0
     across, down = facts.size[0] / spec.size[0], facts.size[1] / spec.size[1]
-    if abs(across / down - 1) > _SAME_SHAPE:
+    if abs(across / down - 1) > tuning.same_shape:
         raise InputError(
             f"{file}: the camera of sensor {spec.name!r} is for {spec.size[0]} x {spec.size[1]} images, but its images "
             f"have {facts.size[0]} x {facts.size[1]}: another shape, so the parameters cannot be rescaled. Give the "

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 
+from tiegraph.scan.tuning import FoldersTuning
 from tiegraph.scene.exif import Exif
 
 _CAMERA_WORDS = frozenset(
@@ -22,9 +23,6 @@ UP_WORDS = frozenset("up top sky zenith".split())
 _PHOTO_NAME = re.compile(r"^(img|dsc|dscn|dscf|dji|p|pict|gopr|mvi|sam|_mg|_dsc|photo|cimg|r)_?\d", re.IGNORECASE)
 _GENERIC_WORDS = _CAMERA_WORDS | frozenset("images cameras data photos pictures input jpg jpeg png frames raw".split())
 LONE_PASS = "all"
-_FEW = 30  # below this, matching everything with everything costs less than a wrong guess of the order
-_MOST = 0.75  # share of images at one depth of folders that makes the others strays
-_REGULAR = 0.9  # share of equal steps in the numbers, or in the times, of a sequence
 
 
 @dataclass(frozen=True)
@@ -149,6 +147,7 @@ def guess_layout(
     exif: Sequence[Exif],
     sizes: Sequence[tuple[int, int]],
     kind: str,
+    tuning: FoldersTuning,
     cameras: tuple[int, ...] = (),
 ) -> Layout:
     """Reading of a folder tree without a rig file; ``kind`` is ScanSettings.layout.
@@ -157,11 +156,11 @@ def guess_layout(
     """
     paths = [PurePosixPath(n).parts[:-1] for n in names]
     depth, count = Counter(len(p) for p in paths).most_common(1)[0]
-    inside = [k for k, p in enumerate(paths) if len(p) == depth or count < _MOST * len(paths)]
-    found = _by_camera_level([names[k] for k in inside], kind, cameras)
+    inside = [k for k, p in enumerate(paths) if len(p) == depth or count < tuning.one_depth * len(paths)]
+    found = _by_camera_level([names[k] for k in inside], kind, cameras, tuning)
     if found is None and len(inside) < len(names):
         inside = list(range(len(names)))
-        found = _by_camera_level(names, kind, cameras)
+        found = _by_camera_level(names, kind, cameras, tuning)
     if found is not None:
         inner, why = found
         places: list[Place | None] = [None] * len(names)
@@ -171,13 +170,16 @@ def guess_layout(
         passes = len({p.track for p in inner})
         return Layout(tuple(places), folders, Order(False, f"{len(folders)} cameras, {passes} pass(es): {why}"))
     lone = tuple(Place("", _pass_name(p, _common(paths))) for p in paths)
-    return Layout(lone, ("",), order_of(names, lone, exif, sizes, kind))
+    return Layout(lone, ("",), order_of(names, lone, exif, sizes, kind, tuning))
 
 
-def _by_camera_level(names: Sequence[str], kind: str, cameras: tuple[int, ...]) -> tuple[list[Place], str] | None:
+def _by_camera_level(
+    names: Sequence[str], kind: str, cameras: tuple[int, ...], tuning: FoldersTuning
+) -> tuple[list[Place], str] | None:
     paths = [PurePosixPath(n).parts[:-1] for n in names]
     common = _common(paths)
-    level, why = _camera_level([p[common:] for p in paths], [PurePosixPath(n).stem for n in names], kind, cameras)
+    stems = [PurePosixPath(n).stem for n in names]
+    level, why = _camera_level([p[common:] for p in paths], stems, kind, cameras, tuning)
     if level is None:
         return None
     at = common + level
@@ -187,7 +189,7 @@ def _by_camera_level(names: Sequence[str], kind: str, cameras: tuple[int, ...]) 
 
 
 def _camera_level(
-    tails: Sequence[tuple[str, ...]], stems: Sequence[str], kind: str, cameras: tuple[int, ...]
+    tails: Sequence[tuple[str, ...]], stems: Sequence[str], kind: str, cameras: tuple[int, ...], tuning: FoldersTuning
 ) -> tuple[int | None, str]:
     depth = min(len(t) for t in tails)
     if kind in ("sequence", "loose") or depth == 0:
@@ -202,20 +204,20 @@ def _camera_level(
         return fitting[0], f"the folders {_some(levels[fitting[0]])} are as many as the rig has cameras"
     likeness = [sum(bool(words(f) & _CAMERA_WORDS) for f in level) / len(level) for level in levels]
     best = max(range(depth), key=lambda k: (likeness[k], k))
-    if likeness[best] >= 0.5 and (len(levels[best]) > 1 or depth > 1):
+    if likeness[best] >= tuning.named and (len(levels[best]) > 1 or depth > 1):
         return best, f"the folders {_some(levels[best])} are named like cameras"
-    return _camera_level_by_structure(tails, stems, levels)
+    return _camera_level_by_structure(tails, stems, levels, tuning)
 
 
 def _camera_level_by_structure(
-    tails: Sequence[tuple[str, ...]], stems: Sequence[str], levels: list[list[str]]
+    tails: Sequence[tuple[str, ...]], stems: Sequence[str], levels: list[list[str]], tuning: FoldersTuning
 ) -> tuple[int | None, str]:
     uniform = len({len(t) for t in tails}) == 1
     if uniform and len(levels) == 1 and len(levels[0]) > 1:
         likeness = sum(bool(words(f) & _PASS_WORDS) for f in levels[0]) / len(levels[0])
         groups = [{s for t, s in zip(tails, stems) if t[0] == f} for f in levels[0]]
         shared = len(set.intersection(*groups)) / min(len(g) for g in groups)
-        if likeness < 0.5 and shared >= 0.5:
+        if likeness < tuning.named and shared >= tuning.equal_names:
             return 0, f"the folders {_some(levels[0])} hold equal file names"
     if uniform and len(levels) == 2:
         below = [{t[1] for t in tails if t[0] == f} for f in levels[0]]
@@ -235,6 +237,7 @@ def order_of(
     exif: Sequence[Exif],
     sizes: Sequence[tuple[int, int]],
     kind: str,
+    tuning: FoldersTuning,
 ) -> Order:
     """Whether images of one camera are loose photographs rather than sequences.
 
@@ -246,11 +249,11 @@ def order_of(
         return Order(kind == "loose", f"{word}, as the layout setting says")
     passes = len({p.track for p in places if p})
     as_sequence = f"a sequence of one camera in {passes} pass(es), if the images bear it out"
-    if len(names) < _FEW:
-        return Order(True, f"loose photographs: fewer than {_FEW}, so their order does not matter")
+    if len(names) < tuning.few:
+        return Order(True, f"loose photographs: fewer than {tuning.few}, so their order does not matter")
     if len({(e.make, e.model, *s) for e, s in zip(exif, sizes)}) > 1:
         return Order(True, "loose photographs: taken by different cameras or in different sizes")
-    regular = _regular_times([e.time_s for e in exif])
+    regular = _regular_times([e.time_s for e in exif], tuning)
     if regular is not None:
         if regular:
             return Order(False, f"{as_sequence}: taken at regular times", guessed=True)
@@ -258,23 +261,23 @@ def order_of(
     stems = [PurePosixPath(n).stem for n in names]
     if all(_PHOTO_NAME.match(s) for s in stems):
         return Order(True, "loose photographs: numbered as a camera numbers single photographs")
-    if _regular_numbers(names):
+    if _regular_numbers(names, tuning):
         return Order(False, f"{as_sequence}: numbered in equal steps", guessed=True)
     return Order(True, "loose photographs: neither times nor numbers show an order")
 
 
-def _regular_times(times: Sequence[float]) -> bool | None:
+def _regular_times(times: Sequence[float], tuning: FoldersTuning) -> bool | None:
     if any(t != t for t in times):
         return None
     ordered = sorted(times)
     steps = sorted(b - a for a, b in zip(ordered, ordered[1:]))
     middle = steps[len(steps) // 2]
-    # EXIF often has whole seconds only: one second of play.
-    equal = sum(abs(s - middle) <= max(0.25 * middle, 1.0) for s in steps) / len(steps)
-    return middle > 0 and equal >= _REGULAR if ordered[-1] > ordered[0] else None
+    play = max(tuning.play * middle, tuning.play_s)
+    equal = sum(abs(s - middle) <= play for s in steps) / len(steps)
+    return middle > 0 and equal >= tuning.regular if ordered[-1] > ordered[0] else None
 
 
-def _regular_numbers(names: Sequence[str]) -> bool:
+def _regular_numbers(names: Sequence[str], tuning: FoldersTuning) -> bool:
     steps: list[int] = []
     by_folder: dict[str, list[int]] = {}
     for name in names:
@@ -288,4 +291,4 @@ def _regular_numbers(names: Sequence[str]) -> bool:
     if not steps:
         return False
     usual = max(set(steps), key=steps.count)
-    return usual > 0 and steps.count(usual) / len(steps) >= _REGULAR
+    return usual > 0 and steps.count(usual) / len(steps) >= tuning.regular

@@ -8,8 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from tiegraph.scan.folders import natural
-
-_ENOUGH = 0.5  # share of frames that must agree before a way of matching is believed
+from tiegraph.scan.tuning import FramesTuning
 
 
 @dataclass(frozen=True)
@@ -21,21 +20,21 @@ class FrameKeys:
     shared: float  # share of the images of the sensor with fewest partners that have a partner in the fullest one
 
 
-def match_frames(stems: Mapping[int, Sequence[str]], how: str = "auto") -> FrameKeys:
+def match_frames(stems: Mapping[int, Sequence[str]], how: str, tuning: FramesTuning) -> FrameKeys:
     """Frame labels of one pass from the file stems of each sensor.
 
-    Auto: equal names if at least half agree; else equal last numbers in the names, which are frame numbers in the
+    Auto: equal names if enough agree; else equal last numbers in the names, which are frame numbers in the
     papers' data (paper 000 figure 8: image0up_168035.jpg); else the place in the natural order of names.
     """
     if how in ("auto", "name"):
         by_name = {sensor: list(s) for sensor, s in stems.items()}
         shared = _shared(by_name)
-        if how == "name" or shared >= _ENOUGH:
+        if how == "name" or shared >= tuning.agree:
             return FrameKeys(by_name, "name", shared)
     if how in ("auto", "number"):
         by_number = {sensor: [_last_number(s) for s in names] for sensor, names in stems.items()}
         shared = _shared(by_number)
-        if how == "number" or (shared >= _ENOUGH and _mostly_unique(by_number)):
+        if how == "number" or (shared >= tuning.agree and _mostly_unique(by_number, tuning)):
             return FrameKeys(by_number, "number", shared)
     by_order = {}
     for sensor, names in stems.items():
@@ -55,5 +54,5 @@ def _shared(keys: dict[int, list[str]]) -> float:
     return min(len(s & fullest) / len(s) for s in sets)
 
 
-def _mostly_unique(keys: dict[int, list[str]]) -> bool:
-    return all(sum(c == 1 for c in Counter(k).values()) >= 0.9 * len(set(k)) for k in keys.values())
+def _mostly_unique(keys: dict[int, list[str]], tuning: FramesTuning) -> bool:
+    return all(sum(c == 1 for c in Counter(k).values()) >= tuning.unique * len(set(k)) for k in keys.values())

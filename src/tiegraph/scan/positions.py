@@ -13,12 +13,11 @@ from tiegraph.geometry.transforms import rigid
 from tiegraph.scan.rigspec import AXES, RigSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.times import FrameRow, absent, frame_by_image, plain_name
+from tiegraph.scan.tuning import PositionsTuning
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.gnss import VERTICAL_FACTOR, Gnss, at_times, far_rows, stuck_note, without_far
 from tiegraph.scene.rig import Rig
 
-_UNKNOWN_HEIGHT_SIGMA_M = 100.0  # a photograph with latitude and longitude but no height
-_APART_M = 1.0  # rows of one frame's images that are farther apart are said: a rig is smaller, or they share a row
 _NAMED = 3  # frames without a position that are named
 _CLOCKS = ((1e-3, "ms"), (1e-6, "us"), (1e-9, "ns"))
 
@@ -52,7 +51,13 @@ class Priors:
 
 
 def from_gnss(
-    priors: Priors, frames: Frames, gnss: Gnss, path: Path, settings: ScanSettings, notes: list[str]
+    priors: Priors,
+    frames: Frames,
+    gnss: Gnss,
+    path: Path,
+    settings: ScanSettings,
+    notes: list[str],
+    tuning: PositionsTuning,
 ) -> Priors:
     """Priors with the positions of a GNSS file: by image name, else interpolated at the frames' times.
 
@@ -67,7 +72,7 @@ def from_gnss(
     origin = _origin(gnss.lat_lon_height[near], settings, notes)
     world = world_from_geodetic(gnss.lat_lon_height, origin)
     if gnss.names:
-        position, sigma, heading = _by_image(frames, gnss, world, path, notes)
+        position, sigma, heading = _by_image(frames, gnss, world, path, notes, tuning.apart_m)
     else:
         position, sigma, heading = at_times(gnss, world, priors.time_s, settings.max_gap_s)
     there = np.isfinite(position[:, 0])
@@ -77,7 +82,7 @@ def from_gnss(
             f"{_clock(gnss, priors.time_s)}"
         )
     if not there.all():
-        hint = _clock(gnss, priors.time_s) if there.mean() < 0.5 else ""
+        hint = _clock(gnss, priors.time_s) if there.mean() < tuning.few_placed else ""
         why = "" if gnss.names else f" (gaps over {settings.max_gap_s:g} s, or outside the file)"
         notes.append(
             f"{path.name}: {(~there).sum()} of {len(there)} frames have no position{why}: "
@@ -172,7 +177,7 @@ def _known(gnss: Gnss, frames: Frames, path: Path) -> Gnss:
 
 
 def _by_image(
-    frames: Frames, gnss: Gnss, world: np.ndarray, path: Path, notes: list[str]
+    frames: Frames, gnss: Gnss, world: np.ndarray, path: Path, notes: list[str], apart_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     lookup = frame_by_image(frames.rows, frames.names)
     rows: dict[int, list[int]] = {}
@@ -185,7 +190,7 @@ def _by_image(
         position[frame] = np.median(world[mine], axis=0)
         sigma[frame], heading[frame] = gnss.sigma_m[mine[0]], gnss.heading_deg[mine[0]]
         wide = float(np.ptp(world[mine], axis=0).max())
-        if wide > _APART_M:
+        if wide > apart_m:
             apart.append((wide, mine))
     if apart:
         wide, mine = max(apart)
@@ -216,7 +221,9 @@ def body_of(spec: RigSpec | None) -> tuple[np.ndarray, str]:
     return (np.eye(4), "camera") if spec is None or pose is None else (pose, spec.axes)
 
 
-def from_exif(priors: Priors, frames: Frames, settings: ScanSettings, notes: list[str]) -> Priors:
+def from_exif(
+    priors: Priors, frames: Frames, settings: ScanSettings, notes: list[str], tuning: PositionsTuning
+) -> Priors:
     """Priors with the positions that cameras wrote into their files; those far from all others are not used.
 
     Raises InputError if the CRS of the settings does not fit the positions.
@@ -238,7 +245,7 @@ def from_exif(priors: Priors, frames: Frames, settings: ScanSettings, notes: lis
     low = there & np.isnan(places[:, 2])
     if low.any():
         places[low, 2] = np.nanmedian(places[:, 2]) if (there & ~low).any() else 0.0
-        sigma[low, 2] = _UNKNOWN_HEIGHT_SIGMA_M
+        sigma[low, 2] = tuning.unknown_height_sigma_m
         notes.append(f"EXIF: {low.sum()} positions have no height")
     if stuck := stuck_note(places[there], "EXIF"):
         notes.append(stuck)

@@ -15,6 +15,7 @@ from PIL import Image
 
 from tiegraph.errors import InputError
 from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.filecache import cached_by_file
 from tiegraph.scene.images import decode_deep, deep_png, open_image
@@ -26,11 +27,10 @@ from tiegraph.scene.rig import Sensor, Source, camera_from_dict, camera_to_dict
 LINKED_FORMATS = {"JPEG": (".jpg", ".jpeg"), "MPO": (".jpg", ".jpeg"), "PNG": (".png",), "TIFF": (".tif", ".tiff"),
                   "BMP": (".bmp",)}  # fmt: skip
 KEPT_SUFFIXES = tuple(s for suffixes in LINKED_FORMATS.values() for s in suffixes)
-_JPEG_QUALITY = 98
 _ORIENTATION = 0x0112
 
 
-def prepare_image(source: Path, target: Path, sensor: Sensor, settings: ScanSettings) -> None:
+def prepare_image(source: Path, target: Path, sensor: Sensor, settings: ScanSettings, tuning: PicturesTuning) -> None:
     """Make ``target`` the image that ``sensor.camera`` describes: a link to ``source``, or its changed pixels.
 
     Grey and RGB of 8 bits stay as they are; 16 bits, CMYK, palettes, transparency and EXIF-turned images are converted.
@@ -43,7 +43,7 @@ def prepare_image(source: Path, target: Path, sensor: Sensor, settings: ScanSett
         if pixels is None:
             _link(source, partial)
         else:
-            write_pixels(partial, pixels)
+            write_pixels(partial, pixels, tuning)
 
 
 def crop_camera(camera: pycolmap.Camera, crop_px: tuple[int, int, int, int]) -> pycolmap.Camera:
@@ -182,8 +182,8 @@ def _link(source: Path, target: Path) -> None:
                 raise
 
 
-def write_pixels(target: Path, pixels: np.ndarray) -> None:
+def write_pixels(target: Path, pixels: np.ndarray, tuning: PicturesTuning) -> None:
     """Write RGB or grey pixels (H, W[, 3]) u1 by the suffix; JPEG nearly without loss. Raises OSError (full disk)."""
     suffix = target.suffix.lower()
-    options: dict[str, Any] = {"quality": _JPEG_QUALITY, "subsampling": 0} if suffix in (".jpg", ".jpeg") else {}
-    Image.fromarray(np.ascontiguousarray(pixels)).save(target, **options)
+    jpeg: dict[str, Any] = {"quality": tuning.jpeg_quality, "subsampling": 0}
+    Image.fromarray(np.ascontiguousarray(pixels)).save(target, **(jpeg if suffix in (".jpg", ".jpeg") else {}))

@@ -16,10 +16,9 @@ from tiegraph.scan.rigspec import AXES
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.times import exif_times, name_times, read_times
 from tiegraph.scan.trajectory import read_trajectory, same_start, trajectory_files
+from tiegraph.scan.tuning import TimesTuning, TrajectoryTuning, Tuning
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.results import Trajectory
-
-_SCALE_ROUNDS = 10  # the scale converges linearly, by the ratio of the lever arm to the length of the track
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,12 @@ class _Paths:
 
 
 def estimate_priors(
-    frames: Frames, gnss: Path | None, trajectory: Path | None, times: Path | None, settings: ScanSettings
+    frames: Frames,
+    gnss: Path | None,
+    trajectory: Path | None,
+    times: Path | None,
+    settings: ScanSettings,
+    tuning: Tuning,
 ) -> Priors:
     """Times, positions and poses of the frames from what the user has.
 
@@ -46,31 +50,31 @@ def estimate_priors(
         parse_crs(settings.crs)
     files = {} if trajectory is None else {k: (f, read_trajectory(f)) for k, f in
                                            trajectory_files(trajectory, frames.tracks).items()}  # fmt: skip
-    time_s = _times(frames, times, files, notes)
+    time_s = _times(frames, times, files, notes, tuning.times)
     notes += [note for _, found in files.values() for note in found.notes]
-    paths = _paths(frames, files, time_s, settings, notes)
+    paths = _paths(frames, files, time_s, settings, notes, tuning.trajectory)
     count = len(frames.rows)
     priors = Priors(time_s, np.full((count, 4, 4), np.nan), np.full((count, 3), np.nan))
     if gnss is not None:
-        priors = from_gnss(priors, frames, read_gnss(gnss), Path(gnss), settings, notes)
+        priors = from_gnss(priors, frames, read_gnss(gnss), Path(gnss), settings, notes, tuning.positions)
     else:
-        priors = from_exif(priors, frames, settings, notes)
+        priors = from_exif(priors, frames, settings, notes, tuning.positions)
     if priors.origin is None and settings.crs.lower() != "auto":
         notes.append(
             f"--scan.crs {settings.crs}: nothing here has positions (no GNSS file, no EXIF): only control points "
             "(--gcp) can place the survey in it"
         )
     if paths is not None:
-        priors = _with_paths(priors, frames, paths, notes)
+        priors = _with_paths(priors, frames, paths, notes, tuning.trajectory)
     return replace(priors, notes=tuple(notes))
 
 
 # --- times ----------------------------------------------------------------------------------------------------------
 
 
-def _times(frames: Frames, file: Path | None, files: dict, notes: list[str]) -> np.ndarray:
+def _times(frames: Frames, file: Path | None, files: dict, notes: list[str], tuning: TimesTuning) -> np.ndarray:
     if file is not None:
-        out, said = read_times(file, frames.rows, frames.tracks, frames.names)
+        out, said = read_times(file, frames.rows, frames.tracks, frames.names, tuning)
         notes.extend(said)
         if np.isnan(out).any():
             notes.append(f"{Path(file).name}: {np.isnan(out).sum()} of {len(out)} frames have no time in it")
@@ -83,7 +87,7 @@ def _times(frames: Frames, file: Path | None, files: dict, notes: list[str]) -> 
     if np.isfinite(out).any():
         notes.append(f"{np.isnan(out).sum()} of {len(out)} frames have no EXIF time")
         return out
-    named = _unless_one(name_times(frames.rows, frames.names), "file names", notes)
+    named = _unless_one(name_times(frames.rows, frames.names, tuning), "file names", notes)
     if np.isfinite(named).any():
         notes.append("times of the frames read from the file names")
         return named
@@ -124,10 +128,11 @@ def _paths(
     time_s: np.ndarray,
     settings: ScanSettings,
     notes: list[str],
+    tuning: TrajectoryTuning,
 ) -> _Paths | None:
     if not files:
         return None
-    own_worlds = len(files) > 1 and same_start([t for _, t in files.values()])
+    own_worlds = len(files) > 1 and same_start([t for _, t in files.values()], tuning)
     poses, group = np.full((len(frames.rows), 4, 4), np.nan), np.full(len(frames.rows), -1)
     for track, (path, trajectory) in files.items():
         rows = np.arange(len(group)) if track < 0 else np.flatnonzero(frames.track() == track)
@@ -182,7 +187,7 @@ def _frame_poses(
     )
 
 
-def _with_paths(priors: Priors, frames: Frames, paths: _Paths, notes: list[str]) -> Priors:
+def _with_paths(priors: Priors, frames: Frames, paths: _Paths, notes: list[str], tuning: TrajectoryTuning) -> Priors:
     if priors.prior == "none":
         known = np.isfinite(paths.poses[:, 0, 0])
         pose = np.where(known[:, None, None], paths.poses, priors.world_from_rig)
@@ -190,10 +195,11 @@ def _with_paths(priors: Priors, frames: Frames, paths: _Paths, notes: list[str])
     pose, sigma = priors.world_from_rig.copy(), priors.position_sigma_m
     for group in np.unique(paths.group[paths.group >= 0]):
         rows = np.flatnonzero(paths.group == group)
-        laid = _lay_on_gnss(paths.poses[rows], pose[rows, :3, 3], sigma[rows], frames, rows)
+        laid = _lay_on_gnss(paths.poses[rows], pose[rows, :3, 3], sigma[rows], frames, rows, tuning)
         where = frames.tracks[group] if paths.own_worlds else "all passes"
         if laid is None:
-            notes.append(f"trajectory of {where}: not laid on the positions (fewer than 3, or too close together)")
+            few = f"fewer than {tuning.least_positions}, or too close together"
+            notes.append(f"trajectory of {where}: not laid on the positions ({few})")
             continue
         rotation, antenna, scale, rms = laid
         measured = np.isfinite(pose[rows, 0, 3])
@@ -206,7 +212,7 @@ def _with_paths(priors: Priors, frames: Frames, paths: _Paths, notes: list[str])
 
 
 def _lay_on_gnss(
-    poses: np.ndarray, target: np.ndarray, sigma: np.ndarray, frames: Frames, rows: np.ndarray
+    poses: np.ndarray, target: np.ndarray, sigma: np.ndarray, frames: Frames, rows: np.ndarray, tuning: TrajectoryTuning
 ) -> tuple[np.ndarray, np.ndarray, float, float] | None:
     """Turn about the vertical, scale and shift that take the antenna's path in odometry to GNSS positions.
 
@@ -223,11 +229,13 @@ def _lay_on_gnss(
         arm = (np.linalg.inv(rig_from_body) @ [*rig.antenna_m, 1.0])[:3]
     arm, centre = body[:, :3, :3] @ arm @ level.T, body[:, :3, 3] @ level.T
     good = np.isfinite(target[:, 0])
-    if good.sum() < 3 or np.ptp(target[good, :2], axis=0).max() < 3 * np.median(sigma[good, 0]):
+    if good.sum() < tuning.least_positions:
+        return None
+    if np.ptp(target[good, :2], axis=0).max() < tuning.least_extent_sigmas * np.median(sigma[good, 0]):
         return None
     scale = 1.0
-    for _ in range(_SCALE_ROUNDS):  # the lever arm is in metres, the odometry need not be
-        turn, scale, shift, rms = _fit_level((centre + arm / scale)[good], target[good], sigma[good])
+    for _ in range(tuning.scale_rounds):  # the lever arm is in metres, the odometry need not be
+        turn, scale, shift, rms = _fit_level((centre + arm / scale)[good], target[good], sigma[good], tuning.fit_rounds)
     return turn @ level @ poses[:, :3, :3], (scale * centre + arm) @ turn.T + shift, scale, rms
 
 
@@ -239,11 +247,13 @@ def _turn_to_z(up: np.ndarray) -> np.ndarray:
     return np.eye(3) + x + x @ x / (1 + up[2])
 
 
-def _fit_level(path: np.ndarray, target: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, float, np.ndarray, float]:
+def _fit_level(
+    path: np.ndarray, target: np.ndarray, sigma: np.ndarray, rounds: int
+) -> tuple[np.ndarray, float, np.ndarray, float]:
     """Rotation about z, scale, shift and rms, by reweighted least squares (Cauchy weights, residuals over sigma)."""
     source, goal = path[:, 0] + 1j * path[:, 1], target[:, 0] + 1j * target[:, 1]
     weight = 1 / sigma[:, 0] ** 2
-    for _ in range(20):
+    for _ in range(rounds):
         s0, g0 = np.average(source, weights=weight), np.average(goal, weights=weight)
         a = np.sum(weight * np.conj(source - s0) * (goal - g0)) / np.sum(weight * np.abs(source - s0) ** 2)
         residual = np.abs(goal - g0 - a * (source - s0))

@@ -10,19 +10,8 @@ import numpy as np
 import pycolmap
 
 from tiegraph.scan.rigspec import RigSpec
+from tiegraph.scan.tuning import CameraTuning, RigTuning
 from tiegraph.scene.rig import PAIR_KEYS, SensorPair
-
-MAX_RIG_M = 100.0  # between two cameras, or a camera and the antenna, of one rig; farther apart: wrong units
-SIGMA_M = (1e-6, 100.0)
-SIGMA_DEG = (1e-6, 180.0)
-MIN_FOV_DEG = 1.0
-MAX_FOV_DEG = 170.0  # of a perspective image, across: its edges lie at tan(85) = 11 focal lengths
-MAX_ASPECT = 2.0  # fx over fy: pixels are nearly square
-STRETCH = (1 / 3, 10.0)  # how far out distortion lets the edge of an image look, times what a straight lens does
-CONTRADICTION = 10.0  # sigmas between what a pair says and what the positions say
-_STEPS = 24  # along a line from the middle to the edge
-_EDGE = 0.95  # calibrations may fold in the last corner pixels
-_ROUND_TRIP = 0.01  # of the image's longer side
 
 
 @dataclass(frozen=True)
@@ -35,26 +24,26 @@ class Fault:
     message: str
 
 
-def faults(spec: RigSpec) -> Iterator[Fault]:
+def faults(spec: RigSpec, tuning: RigTuning) -> Iterator[Fault]:
     """Everything that is wrong with the geometry of a rig, worst first."""
-    yield from _far_apart(spec)
+    yield from _far_apart(spec, tuning.max_rig_m)
     for number, sensor in enumerate(spec.sensors):
         for key, value, (_, most) in (
-            ("sigma_m", sensor.sigma_m, SIGMA_M),
-            ("sigma_deg", sensor.sigma_deg, SIGMA_DEG),
+            ("sigma_m", sensor.sigma_m, tuning.sigma_m),
+            ("sigma_deg", sensor.sigma_deg, tuning.sigma_deg),
         ):
             if value is not None and value > most:
                 yield Fault("sensors", number, key, f"{key} = {value:g}: {most:g} at most; leave it away if unknown")
     seen: dict[frozenset[str], int] = {}
     for number, pair in enumerate(spec.pairs):
-        yield from _pair(pair, number)
+        yield from _pair(pair, number, tuning)
         first = seen.setdefault(frozenset(pair.sensors), number)
         if first != number:
             both = " - ".join(pair.sensors)
             yield Fault("pairs", number, "sensors", f"pair {both} is given twice (pair {first + 1}): join the two")
 
 
-def contradictions(spec: RigSpec) -> list[str]:
+def contradictions(spec: RigSpec, tuning: RigTuning) -> list[str]:
     """What pairs say against the positions and orientations beside them; a nominal rig's are no measurement."""
     places = {s.name: s.body_from_sensor for s in spec.sensors if s.body_from_sensor is not None}
     out = []
@@ -69,7 +58,9 @@ def contradictions(spec: RigSpec) -> list[str]:
             (pair.axis_deg, pair.axis_sigma_deg, axis, "degrees between the axes"),
         )
         for value, sigma, found, unit in said:
-            if value is not None and sigma is not None and abs(value - found) > CONTRADICTION * sigma:
+            if value is None or sigma is None:
+                continue
+            if abs(value - found) > tuning.contradiction_sigmas * sigma:
                 out.append(
                     f"pair {' - '.join(pair.sensors)}: {value:g} {unit} with sigma {sigma:g}, but the sensors' own "
                     f"poses say {found:.4g}: check which is right"
@@ -77,30 +68,30 @@ def contradictions(spec: RigSpec) -> list[str]:
     return out
 
 
-def _far_apart(spec: RigSpec) -> Iterator[Fault]:
+def _far_apart(spec: RigSpec, most_m: float) -> Iterator[Fault]:
     placed = [(k, s.body_from_sensor) for k, s in enumerate(spec.sensors) if s.body_from_sensor is not None]
-    remedy = f"more than {MAX_RIG_M:g} m: are these millimetres?"
+    remedy = f"more than {most_m:g} m: are these millimetres?"
     for n, (k, pose) in enumerate(placed):
         for j, other in placed[:n]:
             away = dist(pose[:3, 3], other[:3, 3])
-            if not away <= MAX_RIG_M:
+            if not away <= most_m:
                 names = f"{spec.sensors[k].name!r} is {away:g} m from {spec.sensors[j].name!r}"
                 yield Fault("sensors", k, "position_m", f"sensor {names}, {remedy}")
     if spec.antenna_m is not None and placed:
         nearest = min(dist(spec.antenna_m, pose[:3, 3]) for _, pose in placed)
-        if not nearest <= MAX_RIG_M:
+        if not nearest <= most_m:
             yield Fault("", 0, "antenna_m", f"antenna_m: {nearest:g} m from the nearest camera, {remedy}")
 
 
-def _pair(pair: SensorPair, number: int) -> Iterator[Fault]:
+def _pair(pair: SensorPair, number: int, tuning: RigTuning) -> Iterator[Fault]:
     values = {key: getattr(pair, key) for key in PAIR_KEYS}
     if all(v is None for v in values.values()):
         yield Fault("pairs", number, "sensors", f"the pair says nothing: give {', '.join(PAIR_KEYS)}")
     limits = {
-        "baseline_m": (0.0, MAX_RIG_M),
-        "baseline_sigma_m": SIGMA_M,
+        "baseline_m": (0.0, tuning.max_rig_m),
+        "baseline_sigma_m": tuning.sigma_m,
         "axis_deg": (0.0, 180.0),
-        "axis_sigma_deg": SIGMA_DEG,
+        "axis_sigma_deg": tuning.sigma_deg,
     }
     for key, (least, most) in limits.items():
         value = values[key]
@@ -111,12 +102,12 @@ def _pair(pair: SensorPair, number: int) -> Iterator[Fault]:
 # --- lenses ---------------------------------------------------------------------------------------------------------
 
 
-def lens_fault(camera: pycolmap.Camera) -> str:
+def lens_fault(camera: pycolmap.Camera, tuning: CameraTuning) -> str:
     """What is wrong with a calibrated camera, "" if nothing: focal lengths, principal point, view, distortion.
 
     Lines from the principal point to the edge of the image must become rays whose angle grows all along, finite, and
     that come back to their pixels: distortion that folds the image maps two places of the world to one. Of a fisheye
-    image only the middle half is looked at, for its circle may end before the edge.
+    image only the middle is looked at, for its circle may end before the edge.
     """
     width, height = camera.width, camera.height
     focal = [float(camera.params[k]) for k in camera.focal_length_idxs()]
@@ -124,10 +115,10 @@ def lens_fault(camera: pycolmap.Camera) -> str:
         return f"{camera.model.name} is no camera of a rig: --rig panorama reads panoramas"
     if min(focal) <= 0:
         return f"the focal length is {min(focal):g} px: it must be above 0"
-    if max(focal) > MAX_ASPECT * min(focal):
+    if max(focal) > tuning.max_aspect * min(focal):
         return f"the focal lengths {focal[0]:g} and {focal[1]:g} px differ too much: fx and fy of nearly square pixels"
     fisheye = not _perspective(camera)
-    if wrong := focal_fault(min(focal), width, fisheye):
+    if wrong := focal_fault(min(focal), width, fisheye, tuning):
         return wrong
     middle = np.array([camera.principal_point_x, camera.principal_point_y])
     if not (0 < middle[0] < width and 0 < middle[1] < height):
@@ -135,17 +126,17 @@ def lens_fault(camera: pycolmap.Camera) -> str:
             f"the principal point ({middle[0]:g}, {middle[1]:g}) is not inside the {width} x {height} image. If the "
             "parameters belong to another image size, give it as size = [width, height] in a rig.toml"
         )
-    return _fold(camera, middle, fisheye)
+    return _fold(camera, middle, fisheye, tuning)
 
 
-def focal_fault(focal_px: float, width: int, fisheye: bool) -> str:
+def focal_fault(focal_px: float, width: int, fisheye: bool, tuning: CameraTuning) -> str:
     """What is wrong with a focal length of images ``width`` px wide, "" if nothing."""
     across = _across_deg(focal_px, width, fisheye)
-    most = 360.0 if fisheye else MAX_FOV_DEG
-    if MIN_FOV_DEG <= across <= most:
+    least, most = tuning.min_fov_deg, 360.0 if fisheye else tuning.max_fov_deg
+    if least <= across <= most:
         return ""
     said = f"a focal length of {focal_px:g} px sees {across:.3g} degrees across {width} px"
-    return f"{said}, not {MIN_FOV_DEG:g} to {most:g}: is it in millimetres, or of another image size?"
+    return f"{said}, not {least:g} to {most:g}: is it in millimetres, or of another image size?"
 
 
 def _across_deg(focal_px: float, width: int, fisheye: bool) -> float:
@@ -157,14 +148,14 @@ def _perspective(camera: pycolmap.Camera) -> bool:
     return not ("FISHEYE" in camera.model.name or camera.model.name in ("EUCM", "EQUIRECTANGULAR"))
 
 
-def _fold(camera: pycolmap.Camera, middle: np.ndarray, fisheye: bool) -> str:
+def _fold(camera: pycolmap.Camera, middle: np.ndarray, fisheye: bool, tuning: CameraTuning) -> str:
     said = f"{camera.model.name} with the parameters {[float(f'{p:.6g}') for p in camera.params]}"
-    limit = _ROUND_TRIP * max(camera.width, camera.height)
-    share = np.linspace(0, 1, _STEPS + 1)[1:, None]
-    for end in _ends(camera, middle, fisheye):
+    limit = tuning.round_trip * max(camera.width, camera.height)
+    share = np.linspace(0, 1, tuning.steps + 1)[1:, None]
+    for end in _ends(camera, middle, fisheye, tuning):
         if np.linalg.norm(end - middle) < limit:  # the principal point is at that edge
             continue
-        pixels = middle + _EDGE * share * (end - middle)
+        pixels = middle + tuning.edge * share * (end - middle)
         rays = np.array([_ray(camera, p) for p in pixels])
         off = np.array([_pixel(camera, r) for r in rays]) - pixels
         lost = ~(np.hypot(off[:, 0], off[:, 1]) < limit)
@@ -174,9 +165,9 @@ def _fold(camera: pycolmap.Camera, middle: np.ndarray, fisheye: bool) -> str:
         if lost.any():
             x, y = pixels[int(np.argmax(lost))]
             return f"{said} folds or tears the image at pixel ({x:.0f}, {y:.0f}): are the distortion parameters right?"
-        straight = np.linalg.norm((end - middle) * _EDGE) / camera.mean_focal_length()
+        straight = np.linalg.norm((end - middle) * tuning.edge) / camera.mean_focal_length()
         stretch = float(angle[-1] if fisheye else np.tan(angle[-1])) / straight
-        if not STRETCH[0] <= stretch <= STRETCH[1]:
+        if not tuning.stretch[0] <= stretch <= tuning.stretch[1]:
             return (
                 f"{said} lets the edge of the image look {stretch:.2g} times as far out as without distortion: are the "
                 "parameters those of normalised coordinates?"
@@ -184,12 +175,12 @@ def _fold(camera: pycolmap.Camera, middle: np.ndarray, fisheye: bool) -> str:
     return ""
 
 
-def _ends(camera: pycolmap.Camera, middle: np.ndarray, fisheye: bool) -> np.ndarray:
-    """(8, 2) ends of lines from the middle: the edge of the image, or the circle surely seen by a fisheye lens."""
+def _ends(camera: pycolmap.Camera, middle: np.ndarray, fisheye: bool, tuning: CameraTuning) -> np.ndarray:
+    """(E, 2) ends of lines from the middle: the edge of the image, or the circle surely seen by a fisheye lens."""
     width, height = camera.width, camera.height
     if fisheye:
-        turn = np.radians(np.arange(0, 360, 45))
-        return middle + min(width, height) / 4 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+        turn = np.radians(360.0 / tuning.fisheye_lines * np.arange(tuning.fisheye_lines))
+        return middle + tuning.fisheye_middle * min(width, height) / 2 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     x, y = middle
     return np.array([[0, 0], [x, 0], [width, 0], [0, y], [width, y], [0, height], [x, height], [width, height]], float)
 

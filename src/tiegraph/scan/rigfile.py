@@ -54,6 +54,7 @@ from tiegraph.geometry.transforms import invert, rigid
 from tiegraph.scan.rigcheck import faults, lens_fault
 from tiegraph.scan.rigreader import Reader, is_number
 from tiegraph.scan.rigspec import AXES, PRESET_WORDS, RigSpec, SensorSpec, orient
+from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.regular import regular
 from tiegraph.scene.rig import PAIR_KEYS, ROLES, SensorPair
 
@@ -76,7 +77,7 @@ RIG_NAME = "rig"  # of a file that gives none: a file's own name says how it was
 _TURNS = ("yaw_pitch_roll_deg", "body_from_sensor_wxyz", "body_from_sensor")
 
 
-def read_rig_file(path: Path | str) -> tuple[RigSpec, ...]:
+def read_rig_file(path: Path | str, tuning: RigTuning) -> tuple[RigSpec, ...]:
     """Rigs of a rig.toml (one) or a COLMAP rig_config.json (one or more).
 
     Raises InputError with file, line and key for what is missing, unknown, misspelt or of the wrong kind.
@@ -89,20 +90,20 @@ def read_rig_file(path: Path | str) -> tuple[RigSpec, ...]:
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read as text in UTF-8 ({error})") from None
     colmap = path.suffix.lower() == ".json"
-    reader = _ColmapReader(path, text) if colmap else _TomlReader(path, text)
+    reader = _ColmapReader(path, text, tuning) if colmap else _TomlReader(path, text, tuning)
     try:
         rigs = reader.rigs()
     except RecursionError:
         raise InputError(f"{path}: too many brackets within brackets to be a rig file") from None
     for rig in rigs:
-        for fault in faults(rig):
+        for fault in faults(rig, tuning):
             raise reader.fault(fault, rig)
     return rigs
 
 
-def camera_table(path: Path, text: str) -> SensorSpec:
+def camera_table(path: Path, text: str, tuning: RigTuning) -> SensorSpec:
     """The camera of a rig.toml with one sensor, or with a table [camera] alone. Raises InputError."""
-    reader = _TomlReader(path, text)
+    reader = _TomlReader(path, text, tuning)
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -125,8 +126,7 @@ _SENSORS_TABLE = r"\s*\[\[\s*sensors\s*\]\]"
 
 
 _PAIRS_TABLE = r"\s*\[\[\s*pairs\s*\]\]"
-_MAX_SIDE_PX = 100_000  # of an image
-_MAX_TURN_DEG = 360.0
+_MAX_TURN_DEG = 360.0  # a full turn
 
 
 class _TomlReader(Reader):
@@ -245,7 +245,7 @@ class _TomlReader(Reader):
         if len(matrix) == 4 and not np.array_equal(matrix[3], [0, 0, 0, 1]):
             raise self.fail(key, f"{key}: the fourth row must be 0, 0, 0, 1", table, number)
         rotation = matrix[:3, :3]
-        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(rotation) < 0:
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=self.tuning.unit) or np.linalg.det(rotation) < 0:
             raise self.fail(
                 key, f"{key}: not a rotation (rows of length 1, at right angles, right-handed)", table, number
             )
@@ -256,7 +256,7 @@ class _TomlReader(Reader):
         return rigid(rotation, matrix[:3, 3])
 
     def camera(self, data: Any, where: str, table: str, number: int) -> dict:
-        at = (table or r"\s*\[\s*camera\s*\]", number)
+        at, can = (table or r"\s*\[\s*camera\s*\]", number), self.tuning.camera
         if not isinstance(data, dict):
             raise self.fail("camera", f"camera of {where}: expected a table such as {{hfov_deg = 90}}", *at)
         self.known(data, _CAMERA_KEYS, f"the camera of {where}", *at)
@@ -267,15 +267,15 @@ class _TomlReader(Reader):
         if params is not None and "model" not in data:
             raise self.fail("params", f"camera of {where}: params need a model, for example OPENCV", *at)
         model = self.model(data["model"], params, *at) if "model" in data else None
-        for key, most in (("focal_px", 1e6), ("hfov_deg", 179.0)):
+        for key, most in (("focal_px", can.max_focal_px), ("hfov_deg", can.max_hfov_deg)):
             value = data.get(key, 1.0)
             if not is_number(value) or not 0 < value <= most:
                 raise self.fail(key, f"{key} = {value!r:.99}: expected a number above 0, at most {most:g}", *at)
-        if size is not None and (any(v != int(v) for v in size) or not 1 <= min(size) <= max(size) <= _MAX_SIDE_PX):
+        if size is not None and (any(v != int(v) for v in size) or not 1 <= min(size) <= max(size) <= can.max_side_px):
             raise self.fail("size", f"size = {data['size']!r}: expected width and height in whole pixels", *at)
         if size is not None and params is not None and model is not None:
-            wrong = lens_fault(pycolmap.Camera(model=model, width=int(size[0]), height=int(size[1]), params=params))
-            if wrong:
+            lens = pycolmap.Camera(model=model, width=int(size[0]), height=int(size[1]), params=params)
+            if wrong := lens_fault(lens, can):
                 raise self.fail("params", f"camera of {where}: {wrong}", *at)
         return {
             "at": self.at(given[0], *at) if given else "",

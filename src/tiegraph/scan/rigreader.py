@@ -15,6 +15,7 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import from_quaternion_wxyz
 from tiegraph.scan.rigcheck import Fault
 from tiegraph.scan.rigspec import RigSpec
+from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.table import text_lines
 
 
@@ -24,8 +25,8 @@ class Reader:
     tables: ClassVar[dict[str, str]] = {}  # patterns by which the tables of sensors and pairs begin
     words: ClassVar[dict[str, str]] = {}  # keys that have another name in this form of file
 
-    def __init__(self, path: Path, text: str) -> None:
-        self.path, self.lines = path, text_lines(text)
+    def __init__(self, path: Path, text: str, tuning: RigTuning) -> None:
+        self.path, self.lines, self.tuning = path, text_lines(text), tuning
 
     def rigs(self) -> tuple[RigSpec, ...]:
         """The rigs of the file."""
@@ -115,7 +116,7 @@ class Reader:
 
     def quaternion(self, q: tuple[float, ...], key: str, table: str = "", number: int = 0) -> np.ndarray:
         """Rotation (3, 3) of a unit quaternion, w first."""
-        if abs(np.linalg.norm(q) - 1) > 1e-3:
+        if abs(np.linalg.norm(q) - 1) > self.tuning.unit:
             raise self.fail(key, f"{key}: the quaternion has length {np.linalg.norm(q):.4g}, not 1", table, number)
         return from_quaternion_wxyz(np.array(q), np.zeros(3))[:3, :3]
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import rigid
+from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.rig import SensorPair
 
 # Rows: the camera-like axes right, down, forward of the body, written in the body's own axes.
@@ -20,8 +21,6 @@ AXES = {
 }
 LADYBUG_SIDES = 5
 PRESET_WORDS = "ladybug5, ring:N, stereo, stereo:BASELINE, single, panorama"
-_MAX_BASELINE_M = 100.0
-_LADYBUG_HFOV_DEG = 90.0  # of a rectified side image, about
 
 
 @dataclass(frozen=True)
@@ -93,29 +92,29 @@ def yaw_pitch_roll_deg(body_from_sensor: np.ndarray, axes: str = "camera") -> tu
     return float(np.degrees(yaw)), float(np.degrees(pitch)), float(np.degrees(np.arctan2(rest[1, 0], rest[0, 0])))
 
 
-def preset_sizes(text: str) -> tuple[int, ...]:
+def preset_sizes(text: str, tuning: RigTuning) -> tuple[int, ...]:
     """Numbers of cameras that a preset may have; () if ``text`` is no preset. Raises InputError for a bad number."""
     word, _, number = text.strip().lower().partition(":")
     if word == "ring":
         count = _number(number, text)
-        if count != int(count) or not 2 <= count <= 360:
+        if count != int(count) or not 2 <= count <= tuning.max_ring:
             raise InputError(f"--rig {text}: a ring has 2 or more cameras, for example ring:5")
         return (int(count),)
     if word == "stereo":
-        if number and not 0 <= _number(number, text) <= _MAX_BASELINE_M:
-            raise InputError(f"--rig {text}: a baseline is 0 to {_MAX_BASELINE_M:g} metres, for example stereo:0.54")
+        if number and not 0 <= _number(number, text) <= tuning.max_rig_m:
+            raise InputError(f"--rig {text}: a baseline is 0 to {tuning.max_rig_m:g} metres, for example stereo:0.54")
         return (2,)
     return {"ladybug5": (LADYBUG_SIDES + 1, LADYBUG_SIDES), "single": (1,)}.get(text.strip().lower(), ())
 
 
-def preset(text: str, folders: tuple[str, ...]) -> RigSpec:
+def preset(text: str, folders: tuple[str, ...], tuning: RigTuning) -> RigSpec:
     """Rig of a preset for the camera folders found.
 
     ``ladybug5``, ``ring:N``, ``stereo[:baseline in m]``, ``single``. All are nominal: axes are degrees off, centres
     coincide (paper 000 eq. 1-3), and the sense of rotation is an assumption for the network stage to check. Raises
     InputError if the number of folders does not fit.
     """
-    sizes = preset_sizes(text)
+    sizes = preset_sizes(text, tuning)
     if len(folders) not in sizes:
         found = ", ".join(folders) if any(folders) else "none"
         raise InputError(
@@ -134,7 +133,7 @@ def preset(text: str, folders: tuple[str, ...]) -> RigSpec:
         return _named("single", [np.eye(4)], folders)
     poses = _ring(LADYBUG_SIDES) + [rigid(orient(0, 90, 0), np.zeros(3))]
     rig = _named("ladybug5", poses[: len(folders)], folders)
-    sensors = [replace(s, hfov_deg=_LADYBUG_HFOV_DEG) for s in rig.sensors]
+    sensors = [replace(s, hfov_deg=tuning.ladybug_hfov_deg) for s in rig.sensors]
     sensors[LADYBUG_SIDES:] = [replace(s, role="up") for s in sensors[LADYBUG_SIDES:]]
     return replace(rig, sensors=tuple(sensors))
 

@@ -22,6 +22,7 @@ from tiegraph.scan.priors import estimate_priors
 from tiegraph.scan.rigspec import RigSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.times import FrameRow
+from tiegraph.scan.tuning import CameraTuning, FramesTuning, Tuning
 from tiegraph.scan.unfold import unfold
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.images import IMAGES_FOLDER, Probe, find_images, probe_image
@@ -50,7 +51,9 @@ class ScanInputs:
         return self.video or self.trajectory is not None or self.times is not None
 
 
-def build_scene(inputs: ScanInputs, names: Sequence[str], probes: Sequence[Probe], settings: ScanSettings) -> Scene:
+def build_scene(
+    inputs: ScanInputs, names: Sequence[str], probes: Sequence[Probe], settings: ScanSettings, tuning: Tuning
+) -> Scene:
     """The scene of a survey from its images' names (as of ``find_images``) and probes (parallel).
 
     Images that cannot be used go to ``Scene.dropped``. Raises InputError for fewer than two usable images and for rig,
@@ -60,20 +63,19 @@ def build_scene(inputs: ScanInputs, names: Sequence[str], probes: Sequence[Probe
     if Path(inputs.images, IMAGES_FOLDER).is_dir():
         report.notes.append(f"only the folder {IMAGES_FOLDER}/ was searched for images")
     usable = _usable(names, probes, report)
-    views = unfold(usable, inputs.rig, settings, report)
+    views = unfold(usable, inputs.rig, settings, report, tuning)
     if views is None:
         files: Sequence[str] = names
-        survey = assign(inputs.rig, usable, settings, report)
+        survey = assign(inputs.rig, usable, settings, report, tuning)
     else:
         names, probes, files, survey = views.names, views.probes, views.files, views.survey
     survey = _one_size(survey, names, probes, report)
-    survey = _into_frames(survey, files, settings, report)
+    survey = _into_frames(survey, files, settings.frames, report, tuning.frames)
     _need_two(len(survey.shots), report)
     sizes = {k: _facts(shots, probes, survey.loose).size for k, shots in _sensors(survey).items()}
-    survey = with_camera(survey, sizes, inputs.camera, report.notes)
-    rigs, survey = _rigs(survey, probes, settings, report)
-    exif = [probes[s.image].exif for s in survey.shots]
-    return _scene(inputs, _Named.of(survey, names, files), exif, rigs, survey, settings, report)
+    survey = with_camera(survey, sizes, inputs.camera, report.notes, tuning.rig)
+    rigs, survey = _rigs(survey, probes, settings, report, tuning.rig.camera)
+    return _scene(inputs, _Named.of(survey, names, files, probes), rigs, survey, settings, report, tuning)
 
 
 # --- which images can be used ---------------------------------------------------------------------------------------
@@ -102,15 +104,12 @@ def _say_repeated(repeated: Sequence[tuple[str, str]], names: Sequence[str]) -> 
     out = []
     for (copy, original), count in heads.items():
         total = sum(name.startswith(f"{copy}/") for name in names) if copy else len(names)
+        said = f"{count} of {total} images"
         if copy == original:
-            out.append(
-                f"folder {copy or '.'}: {count} of {total} images repeat others of it (identical files): left out"
-            )
+            out.append(f"folder {copy or '.'}: {said} repeat others of it (identical files): left out")
         else:
             kind = "folder" if "/" in copy + original else "pass"
-            text = (
-                f"{kind} {copy or '.'} repeats {kind} {original or '.'}: {count} of {total} images are identical files"
-            )
+            text = f"{kind} {copy or '.'} repeats {kind} {original or '.'}: {said} are identical files"
             out.append(f"{text}; pairs between them carry no base, so they are left out")
     return out
 
@@ -172,7 +171,7 @@ def _one_size(survey: Survey, names: Sequence[str], probes: Sequence[Probe], rep
     return replace(survey, shots=tuple(sorted(kept, key=lambda s: s.image)))
 
 
-def _into_frames(survey: Survey, files: Sequence[str], settings: ScanSettings, report: Report) -> Survey:
+def _into_frames(survey: Survey, files: Sequence[str], how: str, report: Report, tuning: FramesTuning) -> Survey:
     groups: dict[tuple[int, str], list[Shot]] = {}
     for shot in survey.shots:
         groups.setdefault((shot.rig, shot.track), []).append(shot)
@@ -183,19 +182,19 @@ def _into_frames(survey: Survey, files: Sequence[str], settings: ScanSettings, r
             continue
         sensors = sorted({s.sensor for s in shots})
         stems = {k: [s.stem for s in shots if s.sensor == k] for k in sensors}
-        matched = match_frames(stems, settings.frames)
-        _say_frames(track, matched.how, stems, settings, report)
+        matched = match_frames(stems, how, tuning)
+        _say_frames(track, matched.how, stems, how, report)
         for sensor in sensors:
             mine = [s for s in shots if s.sensor == sensor]
             out += _without_twins([replace(s, key=key) for s, key in zip(mine, matched.keys[sensor])], files, report)
     return replace(survey, shots=tuple(sorted(out, key=lambda s: s.image)))
 
 
-def _say_frames(track: str, how: str, stems: dict[int, list[str]], settings: ScanSettings, report: Report) -> None:
+def _say_frames(track: str, how: str, stems: dict[int, list[str]], asked: str, report: Report) -> None:
     if len(stems) < 2:
         return
     counts = sorted({len(s) for s in stems.values()})
-    if how == "number" and settings.frames == "auto":
+    if how == "number" and asked == "auto":
         report.notes.append(f"pass {track}: images of one frame found by the last number in their names")
     if how == "order":
         text = f"pass {track}: file names do not say which images belong together; taken in the order of names"
@@ -208,9 +207,8 @@ def _without_twins(shots: list[Shot], names: Sequence[str], report: Report) -> l
     first: dict[str, Shot] = {}
     for shot in shots:
         if shot.key in first:
-            report.drop(
-                [names[shot.image]], f"a second image of frame {shot.key}; {names[first[shot.key].image]} is used"
-            )
+            used = names[first[shot.key].image]
+            report.drop([names[shot.image]], f"a second image of frame {shot.key}; {used} is used")
         else:
             first[shot.key] = shot
     return list(first.values())
@@ -220,7 +218,7 @@ def _without_twins(shots: list[Shot], names: Sequence[str], report: Report) -> l
 
 
 def _rigs(
-    survey: Survey, probes: Sequence[Probe], settings: ScanSettings, report: Report
+    survey: Survey, probes: Sequence[Probe], settings: ScanSettings, report: Report, tuning: CameraTuning
 ) -> tuple[tuple[Rig, ...], Survey]:
     groups = _sensors(survey)
     hows: dict[str, list[str]] = {}
@@ -235,7 +233,7 @@ def _rigs(
             sensor = spec.sensors[k]
             renumber[r, k] = len(rigs), len(sensors)
             facts = _facts(groups[r, k], probes, survey.loose)
-            calibrated = calibrate(sensor, facts, spec.file, settings)
+            calibrated = calibrate(sensor, facts, spec.file, settings, tuning)
             hows.setdefault(calibrated.how, []).append(sensor.name)
             pose = _sensor_from_rig(spec, k, present[0])
             made = Sensor(sensor.name, calibrated.camera, pose, sensor.role, sensor.folder or "", calibrated.source)
@@ -280,32 +278,34 @@ def _antenna(spec: RigSpec, reference: int) -> tuple[float, float, float] | None
 
 @dataclass(frozen=True)
 class _Named:
-    """Order of the shots by their names in the scene, those names, and each one's file; parallel."""
+    """Order of the shots by their names in the scene, those names, and each one's file and EXIF; parallel."""
 
     order: tuple[int, ...]
     names: tuple[str, ...]
     files: tuple[str, ...]
+    exif: tuple[Exif, ...]
     renamed: int
 
     @staticmethod
-    def of(survey: Survey, names: Sequence[str], files: Sequence[str]) -> _Named:
+    def of(survey: Survey, names: Sequence[str], files: Sequence[str], probes: Sequence[Probe]) -> _Named:
         given = [names[s.image] for s in survey.shots]
         safe = safe_names(given)
         order = sorted(range(len(safe)), key=lambda k: safe[k])
         renamed = sum(a != b for a, b in zip(given, safe))
-        of = tuple(files[survey.shots[k].image] for k in order)
-        return _Named(tuple(order), tuple(safe[k] for k in order), of, renamed)
+        images = [survey.shots[k].image for k in order]
+        of, exif = tuple(files[i] for i in images), tuple(probes[i].exif for i in images)
+        return _Named(tuple(order), tuple(safe[k] for k in order), of, exif, renamed)
 
 
 def _scene(
-    inputs: ScanInputs, named: _Named, exif: Sequence[Exif], rigs: tuple[Rig, ...], survey: Survey,
-    settings: ScanSettings, report: Report,
+    inputs: ScanInputs, named: _Named, rigs: tuple[Rig, ...], survey: Survey, settings: ScanSettings, report: Report,
+    tuning: Tuning,
 ) -> Scene:  # fmt: skip
     shots, sources = [survey.shots[k] for k in named.order], named.files
     tracks = tuple(sorted({s.track for s in shots} - {""}, key=natural))
     rows = _frame_rows(shots, tracks)
-    frames = Frames(rows, tracks, sources, tuple(exif[k] for k in named.order), rigs, survey.specs)
-    priors = estimate_priors(frames, inputs.gnss, inputs.trajectory, inputs.times, settings)
+    frames = Frames(rows, tracks, sources, named.exif, rigs, survey.specs)
+    priors = estimate_priors(frames, inputs.gnss, inputs.trajectory, inputs.times, settings, tuning)
     rows, priors_order = _in_time_order(rows, priors.time_s, report)
     _say_incomplete(rows, rigs, report)
     frame = np.zeros(len(shots), int)

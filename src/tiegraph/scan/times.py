@@ -13,17 +13,15 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import apart
 from tiegraph.scan.folders import LONE_PASS
+from tiegraph.scan.tuning import TimesTuning
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.gnss import IMAGE, TIME
 from tiegraph.scene.table import Table, in_seconds, read_table
 
 _FRAME = ("frame", "frame_id", "frame_name", "shot")
 _PASS = ("pass", "track", "run", "strip")
-_APART_S = 3600.0  # a frame's time is far from those of its pass: so much, and ten times their range
-_SAME_SHOT_S = 0.5  # images of one frame whose times are farther apart are said
 _UNIX_NAME = re.compile(r"(?:^|\D)(\d{10}(?:[._]\d{1,9})?|\d{13}|\d{16}|\d{19})$")
 _DATE_NAME = re.compile(r"(?:^|\D)((?:19|20)\d{6})[_\-T ]?(\d{6})(\d{0,6})(?:\D|$)")
-_UNIX_RANGE_S = (631152000.0, 4102444800.0)  # 1990 ... 2100: other numbers of ten digits are serial numbers
 
 
 @dataclass(frozen=True)
@@ -37,7 +35,7 @@ class FrameRow:
 
 
 def read_times(
-    path: Path, frames: Sequence[FrameRow], tracks: Sequence[str], names: Sequence[str]
+    path: Path, frames: Sequence[FrameRow], tracks: Sequence[str], names: Sequence[str], tuning: TimesTuning
 ) -> tuple[np.ndarray, list[str]]:
     """(F,) seconds from a table with the columns time and image, or time and frame and, with several passes, pass.
 
@@ -78,8 +76,8 @@ def read_times(
     out = np.full(len(frames), np.nan)
     for found, mine in rows.items():
         out[found] = np.median(seconds[mine])
-    _say_spread(table, rows, seconds, notes)
-    notes += _say_odd(table, {k: mine[0] for k, mine in rows.items()}, out, frames)
+    _say_spread(table, rows, seconds, notes, tuning.same_shot_s)
+    notes += _say_odd(table, {k: mine[0] for k, mine in rows.items()}, out, frames, tuning.apart_s)
     if len(rows) > 1 and np.nanmax(out) == np.nanmin(out):
         raise InputError(
             f"{path}, line {table.line(0)}: all {len(rows)} frames have the time {np.nanmax(out):g} s: write the time "
@@ -143,9 +141,9 @@ def _say_unknown(
         )
 
 
-def _say_spread(table: Table, rows: dict[int, list[int]], seconds: np.ndarray, notes: list[str]) -> None:
-    """Says where images of one frame were taken far apart in time."""
-    wide = [mine for mine in rows.values() if np.ptp(seconds[mine]) > _SAME_SHOT_S]
+def _say_spread(table: Table, rows: dict[int, list[int]], seconds: np.ndarray, notes: list[str], most_s: float) -> None:
+    """Says where images of one frame were taken more than ``most_s`` apart."""
+    wide = [mine for mine in rows.values() if np.ptp(seconds[mine]) > most_s]
     if wide:
         mine = max(wide, key=lambda m: float(np.ptp(seconds[m])))
         notes.append(
@@ -154,10 +152,12 @@ def _say_spread(table: Table, rows: dict[int, list[int]], seconds: np.ndarray, n
         )
 
 
-def _say_odd(table: Table, row: dict[int, int], time_s: np.ndarray, frames: Sequence[FrameRow]) -> list[str]:
+def _say_odd(
+    table: Table, row: dict[int, int], time_s: np.ndarray, frames: Sequence[FrameRow], apart_s: float
+) -> list[str]:
     """What to say of frames of one pass with the same time, and of those far from the others in time.
 
-    ``row`` is a frame's row in the table.
+    ``row`` is a frame's row in the table, ``apart_s`` how far the far ones are at least.
     """
     notes = []
     for track in sorted({frames[k].track for k in row} - {-1}):
@@ -169,7 +169,7 @@ def _say_odd(table: Table, row: dict[int, int], time_s: np.ndarray, frames: Sequ
                 f"{table.path.name}, {table.some_lines([row[a], row[b]])}: two frames of one pass have the time "
                 f"{time_s[a]:.10g} s, as {len(twins)} do in it; write the time of each"
             )
-        far = np.flatnonzero(apart(np.abs(time_s[mine] - np.median(time_s[mine])), _APART_S))
+        far = np.flatnonzero(apart(np.abs(time_s[mine] - np.median(time_s[mine])), apart_s))
         if len(far):
             odd = mine[far[0]]
             notes.append(
@@ -234,19 +234,20 @@ def exif_times(frames: Sequence[FrameRow], exif: Sequence[Exif]) -> np.ndarray:
     return out
 
 
-def name_times(frames: Sequence[FrameRow], names: Sequence[str]) -> np.ndarray:
+def name_times(frames: Sequence[FrameRow], names: Sequence[str], tuning: TimesTuning) -> np.ndarray:
     """(F,) times written in the file names, as Unix time or as a date; NaN for all unless every frame has one."""
-    found = np.array([_time_in(PurePosixPath(names[f.images[0]]).stem) for f in frames], float)
+    stems = [PurePosixPath(names[f.images[0]]).stem for f in frames]
+    found = np.array([_time_in(stem, tuning) for stem in stems], float)
     if len(found) < 2 or np.isnan(found).any():
         return np.full(len(frames), np.nan)
     return found
 
 
-def _time_in(stem: str) -> float:
+def _time_in(stem: str, tuning: TimesTuning) -> float:
     match = _UNIX_NAME.search(stem)
     if match:
         seconds = float(in_seconds(np.array([float(match[1].replace("_", "."))]))[0])
-        if _UNIX_RANGE_S[0] <= seconds <= _UNIX_RANGE_S[1]:
+        if tuning.unix_range_s[0] <= seconds <= tuning.unix_range_s[1]:
             return seconds
     match = _DATE_NAME.search(stem)
     if match:

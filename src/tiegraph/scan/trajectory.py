@@ -10,11 +10,11 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import angle_deg, quaternion_xyzw
 from tiegraph.scan.folders import words
+from tiegraph.scan.tuning import TrajectoryTuning
 from tiegraph.scene.posefile import read_poses
 from tiegraph.scene.results import Trajectory
 
 _SUFFIXES = ((".tum",), (".txt", ".kitti"), (".csv",))  # the first kind that a folder has
-_SAME_START_M, _SAME_START_DEG = 1e-3, 0.1
 
 
 def read_trajectory(path: Path) -> Trajectory:
@@ -73,11 +73,11 @@ def _for_pass(name: str, files: Sequence[Path]) -> Path | None:
     return exact[0] if len(exact) == 1 else None
 
 
-def same_start(trajectories: Sequence[Trajectory]) -> bool:
+def same_start(trajectories: Sequence[Trajectory], tuning: TrajectoryTuning) -> bool:
     """Whether trajectories all begin at the same pose: each then has a world of its own, as odometry starts at zero."""
     first = [t.world_from_rig[0] for t in trajectories]
     return all(
-        np.linalg.norm(p[:3, 3] - first[0][:3, 3]) < _SAME_START_M
-        and angle_deg(p[:3, :3], first[0][:3, :3]) < _SAME_START_DEG
+        np.linalg.norm(p[:3, 3] - first[0][:3, 3]) < tuning.same_start_m
+        and angle_deg(p[:3, :3], first[0][:3, :3]) < tuning.same_start_deg
         for p in first[1:]
     )

@@ -14,16 +14,10 @@ from tiegraph.scan.assign import Report, Shot, Survey, Usable, some
 from tiegraph.scan.folders import guess_layout
 from tiegraph.scan.rigspec import RigSpec, SensorSpec, orient
 from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.tuning import PanoramaTuning, Tuning
 from tiegraph.scene.images import Probe
 
 PRESET = "panorama"
-# Like the side cameras of a Ladybug: five around, seen by the same offsets and sections as such a rig; and one up. What
-# is below is the tripod, the operator or the platform.
-_AROUND = 5
-_HFOV_DEG, _VFOV_DEG = (
-    80.0,
-    90.0,
-)  # 8 degrees more than a fifth of the circle: features at the edges have a neighbourhood
 
 
 @dataclass(frozen=True)
@@ -36,7 +30,7 @@ class Unfolded:
     survey: Survey
 
 
-def unfold(usable: Usable, rig: str | None, settings: ScanSettings, report: Report) -> Unfolded | None:
+def unfold(usable: Usable, rig: str | None, settings: ScanSettings, report: Report, tuning: Tuning) -> Unfolded | None:
     """Views of a survey of panoramas; None if it is none.
 
     Panoramas are noticed where no rig is given and most images are some; ``panorama`` as rig says so. Raises InputError
@@ -47,7 +41,7 @@ def unfold(usable: Usable, rig: str | None, settings: ScanSettings, report: Repo
     if said and not any(full):
         sizes = some(f"{w} x {h}" for w, h in sorted({p.upright_size() for p in usable.probes}))
         raise InputError(f"--rig {PRESET}: no image is twice as wide as high ({sizes}): equirectangular panoramas are")
-    if not said and (rig is not None or 2 * sum(full) <= len(full)):
+    if not said and (rig is not None or sum(full) <= tuning.panorama.most * len(full)):
         if any(full):
             report.notes.append(f"{sum(full)} images look like panoramas; --rig {PRESET} reads them as such")
         return None
@@ -56,14 +50,17 @@ def unfold(usable: Usable, rig: str | None, settings: ScanSettings, report: Repo
     report.drop([n for n, f in zip(usable.names, full) if not f], "not a panorama, as most images here are")
     names = tuple(n for n, f in zip(usable.names, full) if f)
     probes = tuple(p for p, f in zip(usable.probes, full) if f)
-    return _views(names, probes, settings, report)
+    return _views(names, probes, settings, report, tuning)
 
 
-def _views(names: tuple[str, ...], probes: tuple[Probe, ...], settings: ScanSettings, report: Report) -> Unfolded:
+def _views(
+    names: tuple[str, ...], probes: tuple[Probe, ...], settings: ScanSettings, report: Report, tuning: Tuning
+) -> Unfolded:
     width = Counter(p.width for p in probes).most_common(1)[0][0]
-    spec = panorama_rig(width)
+    spec = panorama_rig(width, tuning.panorama)
     kind = "sequence" if settings.layout == "auto" else settings.layout
-    layout = guess_layout(names, [p.exif for p in probes], [p.upright_size() for p in probes], kind)
+    sizes = [p.upright_size() for p in probes]
+    layout = guess_layout(names, [p.exif for p in probes], sizes, kind, tuning.folders)
     views: list[str] = []
     made: list[Probe] = []
     shots: list[Shot] = []
@@ -77,8 +74,9 @@ def _views(names: tuple[str, ...], probes: tuple[Probe, ...], settings: ScanSett
     passes = len({s.track for s in shots})
     order = "in no order" if layout.loose else f"in the order of their names, {passes} pass(es)"
     columns, rows = spec.sensors[0].size or (0, 0)
+    level = len(spec.sensors) - 1
     report.notes.append(
-        f"{len(names)} equirectangular panoramas, {width} x {width // 2} pixels: each unfolded into {_AROUND} level "
+        f"{len(names)} equirectangular panoramas, {width} x {width // 2} pixels: each unfolded into {level} level "
         f"views and one up, of {columns} x {rows} pixels: a calibrated rig without a base; {order}"
     )
     files = tuple(name for name in names for _ in spec.sensors)
@@ -91,16 +89,17 @@ def _as_view(probe: Probe, scale: float, sensor: SensorSpec) -> Probe:
     return replace(probe, width=round(width * scale), height=round(height * scale), exif=exif)
 
 
-def panorama_rig(width_px: int) -> RigSpec:
+def panorama_rig(width_px: int, tuning: PanoramaTuning) -> RigSpec:
     """The rig of pinhole views into which a panorama of a width is unfolded, at the resolution of its horizon."""
     focal = width_px / (2 * np.pi)
-    width, height = (2 * round(focal * np.tan(np.radians(v) / 2)) for v in (_HFOV_DEG, _VFOV_DEG))
-    poses = [orient(360.0 / _AROUND * k, 0, 0) for k in range(_AROUND)] + [orient(0, 90, 0)]
+    width, height = (2 * round(focal * np.tan(np.radians(v) / 2)) for v in (tuning.hfov_deg, tuning.vfov_deg))
+    around = tuning.around
+    poses = [orient(360.0 / around * k, 0, 0) for k in range(around)] + [orient(0, 90, 0)]
     sensors = tuple(
         SensorSpec(
             name=f"view{k}",
             folder=f"view{k}",
-            role="up" if k == _AROUND else "side",
+            role="up" if k == around else "side",
             body_from_sensor=rigid(pose, np.zeros(3)),
             model="SIMPLE_PINHOLE",
             size=(width, height),

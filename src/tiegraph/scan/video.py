@@ -11,14 +11,13 @@ import cv2
 import numpy as np
 
 from tiegraph.scan.prepare import write_pixels
+from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.atomic import claim
 from tiegraph.scene.images import files_below
 from tiegraph.scene.names import clean, clean_names, shortened
 from tiegraph.scene.regular import real_path, regular
 
 SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".webm")
-_LEAST_SHARE = 0.95  # of the frames that a video says it has; the count in some headers is an estimate
-_SMALL_PX = 480  # width at which sharpness is compared
 
 
 def find_videos(root: Path) -> list[str]:
@@ -33,7 +32,7 @@ def picture_folders(videos: Sequence[str]) -> list[str]:
     return [b if bare.count(b) == 1 else v.replace(".", "_") for b, v in zip(bare, safe)]
 
 
-def take_pictures(video: Path, folder: Path, per_second: float) -> str:
+def take_pictures(video: Path, folder: Path, per_second: float, tuning: PicturesTuning) -> str:
     """Write the sharpest picture of each 1/``per_second`` s of a video below ``folder``, numbered from 0.
 
     Sharpness is the variance of the Laplacian of the reduced grey picture: it only compares neighbours in time. The
@@ -56,8 +55,8 @@ def take_pictures(video: Path, folder: Path, per_second: float) -> str:
     try:
         expected = capture.get(cv2.CAP_PROP_FRAME_COUNT)
         decoded = _Decoded(capture)
-        for picture in _sharpest(decoded if 0 < fps < 1000 else (), fps, per_second):
-            write_pixels(partial / f"{folder.name}_{count:06d}.jpg", picture[..., ::-1])
+        for picture in _sharpest(decoded if 0 < fps < tuning.max_fps else (), fps, per_second, tuning):
+            write_pixels(partial / f"{folder.name}_{count:06d}.jpg", picture[..., ::-1], tuning)
             count += 1
         if count:
             os.replace(partial, folder)
@@ -68,7 +67,7 @@ def take_pictures(video: Path, folder: Path, per_second: float) -> str:
     if not count:
         return f"{name} cannot be decoded as a video: convert it to H.264 in MP4, or extract its pictures"
     said = f"{name}: {count} pictures, the sharpest of every {1 / per_second:.2g} s"
-    if decoded.count < _LEAST_SHARE * expected:
+    if decoded.count < tuning.least_decoded * expected:
         said += f"; only {decoded.count} of its {expected:.0f} frames could be decoded: is the file cut off?"
     return said
 
@@ -88,7 +87,9 @@ def _opened(video: Path, link: Path) -> tuple[cv2.VideoCapture, float]:
     return capture, float(capture.get(cv2.CAP_PROP_FPS)) if capture.isOpened() else 0.0
 
 
-def _sharpest(pictures: Iterable[np.ndarray], fps: float, per_second: float) -> Iterator[np.ndarray]:
+def _sharpest(
+    pictures: Iterable[np.ndarray], fps: float, per_second: float, tuning: PicturesTuning
+) -> Iterator[np.ndarray]:
     best: tuple[float, np.ndarray] | None = None
     stretch = 0
     for number, picture in enumerate(pictures):
@@ -96,7 +97,7 @@ def _sharpest(pictures: Iterable[np.ndarray], fps: float, per_second: float) -> 
         if now != stretch and best is not None:
             yield best[1]
             best = None
-        stretch, sharp = now, _sharpness(picture)
+        stretch, sharp = now, _sharpness(picture, tuning.sharp_px)
         if best is None or sharp > best[0]:
             best = sharp, picture
     if best is not None:
@@ -119,7 +120,7 @@ class _Decoded:
             yield picture
 
 
-def _sharpness(picture: np.ndarray) -> float:
-    scale = min(1.0, _SMALL_PX / picture.shape[1])
+def _sharpness(picture: np.ndarray, width_px: int) -> float:
+    scale = min(1.0, width_px / picture.shape[1])
     small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     return float(cv2.Laplacian(cv2.cvtColor(small, cv2.COLOR_BGR2GRAY), cv2.CV_32F).var())

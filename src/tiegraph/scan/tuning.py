@@ -1,0 +1,191 @@
+"""What scan decides by: each constant with its unit, its meaning and where its value comes from."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from tiegraph.settings import Section
+
+
+class FoldersTuning(Section):
+    """Which folders are cameras and which passes, and whether images are a sequence (`folders.py`)."""
+
+    few: int = Field(30, ge=0)
+    """Images below which they are loose: matching everything with everything then costs less than a wrong guess of the
+    order."""
+    one_depth: float = Field(0.75, ge=0, le=1)
+    """Share of images at one depth of folders that makes the others strays."""
+    named: float = Field(0.5, ge=0, le=1)
+    """Share of the folders of a level with a word of cameras, or of passes, from which that is what they are."""
+    equal_names: float = Field(0.5, ge=0, le=1)
+    """Share of the file names of the smallest folder that stand in all others too, from which these are cameras."""
+    regular: float = Field(0.9, ge=0, le=1)
+    """Share of equal steps in the numbers, or in the times, of a sequence."""
+    play: float = Field(0.25, ge=0)
+    """Times are in equal steps if they differ by no more than this share of the median step ..."""
+    play_s: float = Field(1.0, ge=0)
+    """... or by this: EXIF often has whole seconds only."""
+
+
+class BandsTuning(Section):
+    """Cameras that write into one folder (`bands.py`)."""
+
+    whole: float = Field(0.75, ge=0, le=1)
+    """Share of images that have a mark, and of the images that whole shots would have: else it is chance."""
+
+
+class FramesTuning(Section):
+    """Which images of a rig were taken together (`frames.py`)."""
+
+    agree: float = Field(0.5, ge=0, le=1)
+    """Share of frames that must agree before a way of matching is believed."""
+    unique: float = Field(0.9, ge=0, le=1)
+    """Share of the numbers in a camera's names that stand there once, or they do not number frames."""
+
+
+class CameraTuning(Section):
+    """What a camera can be (`rigcheck.py`), and what it is taken for where nothing tells (`cameras.py`)."""
+
+    guessed_focal: float = Field(1.2, gt=0)
+    """Focal length in longer sides of the image: COLMAP's ImageReaderOptions.default_focal_length_factor, a guess of 45
+    degrees of view."""
+    guessed_fisheye_deg: float = Field(180.0, gt=0, le=360)
+    """What a fisheye image sees across."""
+    same_shape: float = Field(0.01, ge=0)
+    """Relative difference of two aspect ratios that rounding to whole pixels may cause."""
+    min_side_px: int = Field(32, gt=0)
+    """Side that cropping must leave."""
+    max_side_px: int = Field(100_000, gt=0)
+    """Side of an image that a rig file may name."""
+    max_focal_px: float = Field(1e6, gt=0)
+    """Focal length that a rig file may name."""
+    max_hfov_deg: float = Field(179.0, gt=0, le=360)
+    """Field of view that a rig file may name for any lens."""
+    min_fov_deg: float = Field(1.0, ge=0)
+    """What an image sees across, at least."""
+    max_fov_deg: float = Field(170.0, gt=0, lt=180)
+    """Of a perspective image, across: its edges lie at tan(85) = 11 focal lengths."""
+    max_aspect: float = Field(2.0, ge=1)
+    """fx over fy: pixels are nearly square."""
+    stretch: tuple[float, float] = (1 / 3, 10.0)
+    """How far out distortion lets the edge of an image look, times what a straight lens does."""
+    steps: int = Field(24, gt=0)
+    """Along a line from the middle to the edge."""
+    edge: float = Field(0.95, gt=0, le=1)
+    """Share of that line that is looked at: calibrations may fold in the last corner pixels."""
+    round_trip: float = Field(0.01, gt=0)
+    """Of the image's longer side: by so much may a pixel miss itself by way of its ray."""
+    fisheye_lines: int = Field(8, gt=0)
+    """Such lines of a fisheye image; those of a perspective one go to its corners and the middles of its sides."""
+    fisheye_middle: float = Field(0.5, gt=0, le=1)
+    """Share of the shorter side of a fisheye image that is looked at: its circle may end before the edge."""
+
+
+class RigTuning(Section):
+    """What a rig can be (`rigfile.py`, `rigcheck.py`), and what presets say (`rigspec.py`)."""
+
+    max_rig_m: float = Field(100.0, gt=0)
+    """Between two cameras, or a camera and the antenna, of one rig; farther apart: wrong units."""
+    sigma_m: tuple[float, float] = (1e-6, 100.0)
+    """Sigmas of lengths, from and to."""
+    sigma_deg: tuple[float, float] = (1e-6, 180.0)
+    """Sigmas of angles, from and to."""
+    contradiction_sigmas: float = Field(10.0, gt=0)
+    """Between what a pair says and what the positions say: more is said."""
+    unit: float = Field(1e-3, gt=0)
+    """By so much may the length of a quaternion, or a product of two rows of a rotation, miss what it must be."""
+    max_ring: int = Field(360, ge=2)
+    """Cameras of the preset `ring`."""
+    ladybug_hfov_deg: float = Field(90.0, gt=0, lt=180)
+    """Of a rectified side image of the preset `ladybug5`, about."""
+    camera: CameraTuning = CameraTuning()
+    """Its cameras."""
+
+
+class PanoramaTuning(Section):
+    """The views of panoramas (`unfold.py`): like the side cameras of a Ladybug, seen by the same offsets and sections
+    as such a rig; and one up. What is below is the tripod, the operator or the platform."""
+
+    most: float = Field(0.5, ge=0, lt=1)
+    """A survey is one of panoramas if more than this share of the images are some."""
+    around: int = Field(5, gt=0)
+    """Level views of a panorama."""
+    hfov_deg: float = Field(80.0, gt=0, lt=180)
+    """Of a view: 8 degrees more than a fifth of the circle, so that features at the edges have a neighbourhood."""
+    vfov_deg: float = Field(90.0, gt=0, lt=180)
+    """Of a view, from top to bottom."""
+
+
+class PicturesTuning(Section):
+    """Images that scan writes (`prepare.py`), and those it takes from videos (`video.py`)."""
+
+    jpeg_quality: int = Field(98, ge=1, le=100)
+    """Nearly without loss."""
+    least_decoded: float = Field(0.95, ge=0, le=1)
+    """Of the frames that a video says it has; the count in some headers is an estimate. Fewer are said."""
+    sharp_px: int = Field(480, gt=0)
+    """Width at which sharpness is compared."""
+    max_fps: float = Field(1000.0, gt=0)
+    """Frames a second from which the header of a video is not believed."""
+
+
+class TimesTuning(Section):
+    """When frames were taken (`times.py`)."""
+
+    apart_s: float = Field(3600.0, ge=0)
+    """A frame's time is far from those of its pass: so much, and ten times their range."""
+    same_shot_s: float = Field(0.5, ge=0)
+    """Images of one frame whose times are farther apart are said."""
+    unix_range_s: tuple[float, float] = (631152000.0, 4102444800.0)
+    """1990 ... 2100: other numbers of ten digits in file names are serial numbers."""
+
+
+class PositionsTuning(Section):
+    """Where frames were taken (`positions.py`)."""
+
+    unknown_height_sigma_m: float = Field(100.0, gt=0)
+    """Of a photograph with latitude and longitude but no height."""
+    apart_m: float = Field(1.0, ge=0)
+    """Rows of one frame's images that are farther apart are said: a rig is smaller, or they share a row."""
+    few_placed: float = Field(0.5, ge=0, le=1)
+    """Share of frames with a position below which the unit of the times is doubted."""
+
+
+class TrajectoryTuning(Section):
+    """Trajectories, and how they are laid on positions (`priors.py`, `trajectory.py`)."""
+
+    least_positions: int = Field(3, ge=2)
+    """Frames with a position that a trajectory needs to be laid on them."""
+    least_extent_sigmas: float = Field(3.0, ge=0)
+    """How far these must spread, in median sigmas of a position."""
+    scale_rounds: int = Field(10, gt=0)
+    """Of the scale, which converges linearly, by the ratio of the lever arm to the length of the track."""
+    fit_rounds: int = Field(20, gt=0)
+    """Of the reweighted least squares in each of them."""
+    same_start_m: float = Field(1e-3, ge=0)
+    """First poses of trajectories that are nearer are one: each trajectory has a world of its own ..."""
+    same_start_deg: float = Field(0.1, ge=0)
+    """... if they are turned by less, too."""
+
+
+class Tuning(Section):
+    """Constants of the engine that are the same for every user."""
+
+    folders: FoldersTuning = FoldersTuning()
+    """Folders and order."""
+    bands: BandsTuning = BandsTuning()
+    """Cameras of one folder."""
+    frames: FramesTuning = FramesTuning()
+    """Images taken together."""
+    rig: RigTuning = RigTuning()
+    """Rigs and their cameras."""
+    panorama: PanoramaTuning = PanoramaTuning()
+    """Panoramas."""
+    pictures: PicturesTuning = PicturesTuning()
+    """What is written."""
+    times: TimesTuning = TimesTuning()
+    """Times of frames."""
+    positions: PositionsTuning = PositionsTuning()
+    """Positions of frames."""
+    trajectory: TrajectoryTuning = TrajectoryTuning()
+    """Trajectories."""
