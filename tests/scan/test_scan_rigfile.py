@@ -74,6 +74,16 @@ def test_rig_frame_is_the_first_sensor_and_the_antenna_moves_along(tmp_path: Pat
     assert scene.sensor_of(0).field_of_view_deg() == pytest.approx(90)
 
 
+def test_a_fisheye_sees_more_than_a_half_circle_and_a_perspective_image_does_not(tmp_path: Path) -> None:
+    images = papers_rig(tmp_path / "in")
+    fisheye = TOML.replace("hfov_deg = 90", 'model = "OPENCV_FISHEYE"\nhfov_deg = 200')
+    scene = scan(images, rig=str(toml(tmp_path, fisheye)))
+    camera = scene.sensor_of(0).camera
+    assert camera.focal_length_x == pytest.approx(camera.width / np.radians(200), rel=1e-6)
+    with pytest.raises(InputError, match=r"line 6.*hfov_deg = 200.*1 to 170 degrees; give a fisheye model"):
+        scan(images, rig=str(toml(tmp_path, TOML.replace("hfov_deg = 90", "hfov_deg = 200"))))
+
+
 def test_all_ways_to_write_an_orientation_agree(tmp_path: Path) -> None:
     q = [0.5**0.5, 0.0, 0.5**0.5, 0.0]  # 90 degrees about y: forward goes to the right
     rotation = [[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]
@@ -102,7 +112,7 @@ def test_all_ways_to_write_an_orientation_agree(tmp_path: Path) -> None:
         ("body_from_sensor = [[1,0,0],[0,1,0],[0,0,-1]]", "yaw_pitch_roll_deg = [90, 0, 0]", "line 14:.*a rotation"),
         ("body_from_sensor = [[1, 0], [0, 1]]", "yaw_pitch_roll_deg = [90, 0, 0]", "line 14: .*3 rows"),
         ("hfov = 90", "hfov_deg = 90", "line 6: unknown key 'hfov' in the camera.*'hfov_deg'"),
-        ("hfov_deg = 200", "hfov_deg = 90", "line 6: hfov_deg = 200: expected a number above 0"),
+        ("hfov_deg = 400", "hfov_deg = 90", "line 6: hfov_deg = 400: expected a number above 0"),
         ("focal_px = 'x'", "hfov_deg = 90", "line 6: focal_px = 'x'"),
         ("params = [1, 2]", "hfov_deg = 90", "line 6: .*params need a model"),
         ('model = "OPENCVV"', "hfov_deg = 90", "line 6: unknown camera model 'OPENCVV'; perhaps you meant 'OPENCV'"),

@@ -59,8 +59,8 @@ class CameraTuning(Section):
     """Side of an image that a rig file may name."""
     max_focal_px: float = Field(1e6, gt=0)
     """Focal length that a rig file may name."""
-    max_hfov_deg: float = Field(179.0, gt=0, le=360)
-    """Field of view that a rig file may name for any lens."""
+    max_hfov_deg: float = Field(360.0, gt=0, le=360)
+    """Field of view that a rig file may name: of a fisheye, for perspective images have `max_fov_deg`."""
     min_fov_deg: float = Field(1.0, ge=0)
     """What an image sees across, at least."""
     max_fov_deg: float = Field(170.0, gt=0, lt=180)
