@@ -102,7 +102,7 @@ def test_positions_of_a_relaxed_rig_are_known_as_well_as_its_file_is_right() -> 
         found = relax(rigid, scene, 0, Believed(1.0, True, cameras, lenses_held=True), TUNING)
         heard = hear(found.model, scene, 0, 1.0, TUNING)
         moment = mounting_errors(heard, scene, 0, found.ties.cameras, TUNING.rig)
-        for row, ties in enumerate((found.ties, with_errors(found.ties, moment, 1.0))):
+        for row, ties in enumerate((found.ties, with_errors(found.ties, moment))):
             stated[row, seed] = _stated(found.model, ties)
         actual[seed] = _actual(found.model, scene, true, drive)
     held, whole = np.median(stated / actual, axis=1)

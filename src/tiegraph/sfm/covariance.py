@@ -4,7 +4,8 @@ The final adjustment is an M-estimator, and its observations are neither normal 
 tails, and the sightings of a point err together. So the covariance is a sandwich (Huber 1967; clusters: Liang and
 Zeger 1986): A^-1 B A^-1, with A the curvature of the robust cost and B the sum over the points of g g', g the point's
 share of the gradient. Nothing is assumed of sigma or correlation within a track. What all points of a lens or of an
-image share comes on top (``systematic``), as far as the residuals show it.
+image share comes on top (``systematic``), as far as the residuals show it. So it is with what is held: the cameras of a
+rig that the images contradict pull on everything by as much as they stand off their file (``confront``).
 """
 
 from __future__ import annotations

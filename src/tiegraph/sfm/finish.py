@@ -25,6 +25,7 @@ from tiegraph.sfm.rig import soft, ties
 from tiegraph.sfm.rig.confront import (
     hear,
     hear_lens,
+    in_units,
     lever_sigmas,
     mounting_errors,
     open_times,
@@ -206,7 +207,7 @@ def _checked_rig(
         ties_of = free.ties
         if _measured(index, request):
             off = mounting_errors(last.get(index), scene, index, ties_of.cameras, request.tuning.rig)
-            ties_of = with_errors(ties_of, off, metres)
+            ties_of = with_errors(ties_of, in_units(off, metres))
         out.ties.append(ties_of)
     offsets = {k: o for r in relaxed.values() for k, o in r.offsets.items()}
     out.tables["rig health"] = found.table(offsets, request.tuning.rig)
@@ -327,8 +328,7 @@ def _confronted(
     if count > 1 and not relaxed and _measured(index, request):
         cameras = range(first + 1, first + count)
         off = mounting_errors(heard, scene, index, cameras, request.tuning.rig, followed)
-        scale = np.tile(np.repeat([1 / metres, 1.0], 3), count - 1)
-        out.off[index + 1] = off * np.outer(scale, scale)
+        out.off[index + 1] = in_units(off, metres)
     return heard
 
 

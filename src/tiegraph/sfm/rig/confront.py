@@ -251,6 +251,12 @@ def mounting_errors(
     return np.asarray(flat @ moment @ flat.T)
 
 
+def in_units(moment: np.ndarray, metres_per_unit: float) -> np.ndarray:
+    """``mounting_errors`` with places in units of the model."""
+    scale = np.tile(np.repeat([1 / metres_per_unit, 1.0], 3), len(moment) // 6)
+    return np.asarray(moment * np.outer(scale, scale))
+
+
 def _unknowns(system: RigSystem, sensor: int) -> np.ndarray:
     """(6,) indices of a camera's place and turn."""
     at = [k for what in ("place", "turn") for k in system.where(what) if system.keys[k][1] == sensor]

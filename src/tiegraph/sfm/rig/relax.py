@@ -112,13 +112,12 @@ def _ties(model: pycolmap.Reconstruction, soft: Soft) -> Ties:
     return Ties(tuple(out), cameras, held, np.diag(held.ravel() ** 2))
 
 
-def with_errors(ties: Ties, moment: np.ndarray, metres_per_unit: float) -> Ties:
+def with_errors(ties: Ties, moment: np.ndarray) -> Ties:
     """The ties of a rig whose mountings are off by more than the adjustment held them to: ``moment`` (6S, 6S), mean
-    products of place (m) and turn (rad) of its S cameras."""
-    scale = np.tile(np.repeat([1 / metres_per_unit, 1.0], 3), len(ties.cameras))
+    products of place (model units) and turn (rad) of its S cameras."""
     at = np.arange(ties.held.size).reshape(-1, 7)[:, 1:].ravel()
     wide = ties.moment.copy()
-    wide[np.ix_(at, at)] = moment * np.outer(scale, scale)
+    wide[np.ix_(at, at)] = moment
     return replace(ties, moment=wide)
 
 
