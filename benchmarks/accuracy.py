@@ -14,7 +14,8 @@ from benchmarks.datasets import Dataset, Mark, pose_centre
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, robust_umeyama, umeyama
 from tiegraph.geometry.geodesy import Origin, geodetic_from_world, world_from_geodetic
-from tiegraph.scene.registered import MIN_POINTS, agreeing_points
+from tiegraph.scene.registered import agreeing_points
+from tiegraph.scene.tuning import RegisteredTuning
 
 WITHIN_M = (0.01, 0.05, 0.1, 0.3, 1.0)
 """Recall thresholds: share of ALL images (the unregistered count as missed) whose centre is nearer than this."""
@@ -60,7 +61,8 @@ def evaluate(models: list[Path], dataset: Dataset, world: Origin | None = None) 
 
 
 def _registered(reconstruction: pycolmap.Reconstruction) -> set[str]:
-    return {name for name, points in agreeing_points(reconstruction).items() if points >= MIN_POINTS}
+    asked = RegisteredTuning()
+    return {name for name, points in agreeing_points(reconstruction, asked).items() if points >= asked.min_points}
 
 
 def _poses(reconstruction: pycolmap.Reconstruction) -> dict[str, np.ndarray]:

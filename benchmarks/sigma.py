@@ -202,7 +202,7 @@ def predicted(model: pycolmap.Reconstruction, scene: Scene) -> PositionSigma:
     """What the stage would say of a model."""
     constant = believed_cameras(scene, SparseSettings())
     fixed = {k + 1 for k, mode in rig_modes(scene, "auto").items() if mode == "fixed"}
-    free = free_cameras(model, Tuning().adjust.min_images) - set(constant)
+    free = free_cameras(model, Tuning().adjust) - set(constant)
     return position_sigma(model, free, set(model.rigs) - fixed, (), drawings(model, scene), tuning=Tuning())
 
 

@@ -21,6 +21,7 @@ from tiegraph.pipeline.sparse import preview_poses
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Sights, Ties
+from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.covariance import positions_free_gauge
 from tiegraph.sfm.jacobians import Layout, of_image
 from tiegraph.sfm.mapper import Source, reconstruct
@@ -80,7 +81,9 @@ class Run:
         kept = set(zip(used.i.tolist(), used.j.tolist()))
         away = tuple(p for p in zip(self.pairs.i.tolist(), self.pairs.j.tolist()) if p not in kept)
         source = Source(self.folder / "database.db", self.folder / "images", away, preview=preview_poses(self.folder))
-        return [m.folder for m in reconstruct(source, out, self.scene, self.settings(), Tuning(), log).models]
+        return [
+            m.folder for m in reconstruct(source, out, self.scene, self.settings(), Tuning(), SceneTuning(), log).models
+        ]
 
 
 def _in_turn(function: Callable[..., Any], items: Sequence[Any], *args: Any) -> list[Any]:

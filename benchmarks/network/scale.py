@@ -31,7 +31,7 @@ from benchmarks.network.canalworld import CanalWorld, canal_world
 from benchmarks.network.measure import measured
 from tiegraph.design.design import design
 from tiegraph.features.preview import PreviewMatch
-from tiegraph.network.model.surveymodel import ModelFunction
+from tiegraph.network.model.surveymodel import Maker, ModelFunction
 from tiegraph.network.network import Network, estimate_network
 from tiegraph.pipeline.network import _Descriptors, _survey_model
 from tiegraph.project.run import Inputs, Run
@@ -142,7 +142,8 @@ def _network(
     descriptors: Callable[[], Sequence[np.ndarray]],
 ) -> Network:
     asked = settings.network, settings.tuning.network
-    return estimate_network(world.scene, world.brightness, match, *asked, model, descriptors)
+    make = None if model is None else Maker(model, settings.tuning.scene)
+    return estimate_network(world.scene, world.brightness, match, *asked, make, descriptors)
 
 
 def judged(kept: Pairs, world: CanalWorld) -> dict[str, Any]:

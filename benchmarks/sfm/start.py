@@ -25,6 +25,7 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.settings import SparseSettings
@@ -41,7 +42,8 @@ def measure(name: str, out: Path, mapper: str, work: Path) -> dict[str, Any]:
     refused = tuple(zip(away.i.tolist(), away.j.tolist()))
     source = Source(out / "database.db", out / "images", refused, preview=_preview(out))
     before = _cpu_s()
-    made = reconstruct(source, work / "sparse", scene, SparseSettings(mapper=mapper), Tuning(), work / "log.txt")
+    settings = SparseSettings(mapper=mapper)
+    made = reconstruct(source, work / "sparse", scene, settings, Tuning(), SceneTuning(), work / "log.txt")
     cpu_s = _cpu_s() - before
     found = image_poses(made.load(), scene)
     truth = np.full_like(found, np.nan)

@@ -125,7 +125,7 @@ class Project:
         """Names of the images that see points of the georeferenced model and agree with them; the others of the model
         stand where their rig places them."""
         scene = self.scene()
-        found = registration(self.model(), scene).registered
+        found = registration(self.model(), scene, self.settings.tuning.scene.registered).registered
         return tuple(name for name, good in zip(scene.names, found) if good)
 
     def cloud(self) -> Cloud:

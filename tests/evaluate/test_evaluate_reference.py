@@ -16,12 +16,15 @@ from tiegraph.evaluate.backprojection import View
 from tiegraph.evaluate.metrics import metrics_to_dict
 from tiegraph.evaluate.reference import ModelPoses, ReferencePoses
 from tiegraph.evaluate.settings import EvaluateSettings
-from tiegraph.evaluate.survey import evaluate_survey, pinhole_views
+from tiegraph.evaluate.survey import Made, evaluate_survey, pinhole_views
 from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry import geodesy, transforms
+from tiegraph.geometry.geodesy import Origin
+from tiegraph.scene.registered import registration
 from tiegraph.scene.results import Cloud, Metric
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
+from tiegraph.scene.tuning import RegisteredTuning
 
 FRAMES = 12
 TUNING = Tuning()
@@ -165,6 +168,12 @@ def test_points_are_read_with_their_crs(tmp_path: Path) -> None:
         reference.read_points(tmp_path / "none.laz", TUNING.cloud.read_points)
 
 
+def made(
+    scene: Scene, model: pycolmap.Reconstruction, cloud: Cloud | None = None, origin: Origin | None = None
+) -> Made:
+    return Made(model, registration(model, scene, RegisteredTuning()), cloud, origin)
+
+
 def test_a_survey_is_evaluated_whole(tmp_path: Path) -> None:
     scene = make_scene()
     make_model(scene).write_text(tmp_path)
@@ -173,7 +182,7 @@ def test_a_survey_is_evaluated_whole(tmp_path: Path) -> None:
     las.write(tmp_path / "lidar.laz")
     settings = EvaluateSettings(reference=tmp_path, reference_cloud=tmp_path / "lidar.laz", range_m=100)
     model = make_model(scene, missing=3)
-    data = evaluate_survey(scene, model, a_cloud(), settings, TUNING)
+    data = evaluate_survey(scene, made(scene, model, a_cloud()), settings, TUNING)
     values = {m["name"]: m["value"] for m in data["metrics"]}
     assert values["registered_images"] == pytest.approx(100 * 20 / 24) and values["ate_se3_rmse"] < 1e-6
     assert 0.001 < values["backprojection_rmse"] < 0.1 and values["fscore_0.02m"] > 99
@@ -185,7 +194,7 @@ def test_a_survey_is_evaluated_whole(tmp_path: Path) -> None:
 
 def test_a_survey_without_references_or_cloud(tmp_path: Path) -> None:
     scene = make_scene()
-    data = evaluate_survey(scene, make_model(scene), None, EvaluateSettings(), TUNING)
+    data = evaluate_survey(scene, made(scene, make_model(scene)), EvaluateSettings(), TUNING)
     assert [m["name"] for m in data["metrics"]] == ["registered_images", "images_by_rig"]
 
 
@@ -209,7 +218,7 @@ def test_absolute_error_in_a_common_crs(tmp_path: Path) -> None:
     result = evaluate_trajectory(match, (2.0,), TUNING.trajectory, same_frame=True)
     assert result.absolute is not None and result.absolute.rmse_m == pytest.approx(0.2, abs=1e-3)
     settings = EvaluateSettings(reference=tmp_path / "up.tum", reference_origin=lat_lon_height)
-    data = evaluate_survey(scene, model, None, settings, TUNING, world)
+    data = evaluate_survey(scene, made(scene, model, origin=world), settings, TUNING)
     assert "absolute_rmse" in [m["name"] for m in data["metrics"]]
 
 

@@ -10,19 +10,20 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.network.model.assembled import SurveyMapper
-from tiegraph.network.model.surveymodel import SurveyModel
+from tiegraph.network.model.surveymodel import Maker, SurveyModel
 from tiegraph.network.tuning import Tuning
-from tiegraph.scene import blocks
-from tiegraph.scene.blocks import blocks_of
+from tiegraph.scene.blocks import Block, blocks_of
 from tiegraph.scene.joining import Poses, join, join_models
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.scene.ties import Ties
+from tiegraph.scene.tuning import Tuning as SceneTuning
 
 FRAMES = 240  # of each of two passes, there and back, of two cameras: 960 images
 SEES = 25.0  # frames
 STEP_M = 2.0
 WALL_M = 12.0
+TUNING = SceneTuning()
 CAMERA = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[310.0, 320, 240])
 
 
@@ -112,9 +113,9 @@ def error_m(model: SurveyModel, truth: np.ndarray) -> np.ndarray:
 
 def test_both_passes_of_a_place_are_in_one_block(world) -> None:
     scene, _, ties = world
-    found = blocks_of(scene, ties)
+    found = blocks_of(scene, ties, TUNING.blocks)
     assert len(found) in (3, 4)
-    assert max(map(len, found)) <= blocks.MOST
+    assert max(map(len, found)) <= TUNING.blocks.whole
     own = np.concatenate([b.images[b.own] for b in found])
     assert np.array_equal(np.sort(own), np.arange(len(scene)))
     for block in found:
@@ -128,10 +129,10 @@ def test_both_passes_of_a_place_are_in_one_block(world) -> None:
 def test_a_small_survey_is_mapped_whole(world) -> None:
     scene, truth, ties = world
     few = np.flatnonzero(scene.frame % FRAMES < 100)
-    block = blocks.Block(few, np.ones(len(few), bool))
+    block = Block(few, np.ones(len(few), bool))
     small, inside = block.part_of(scene, ties)
     mapper = Mapper(small, truth[few])
-    models, notes = SurveyMapper(small, Tuning().model, mapper)(inside)
+    models, notes = SurveyMapper(small, Tuning().model, Maker(mapper, TUNING))(inside)
     assert mapper.sizes == [len(few)] and len(models) == 1 and notes == ()
     assert [small.names[k] for k in (0, 7)] == [scene.names[few[k]] for k in (0, 7)]
     assert np.array_equal(small.step[small.frame], scene.step[scene.frame[few]])
@@ -140,8 +141,8 @@ def test_a_small_survey_is_mapped_whole(world) -> None:
 def test_blocks_come_together_in_one_frame(world) -> None:
     scene, truth, ties = world
     mapper = Mapper(scene, truth, noise_m=0.02)
-    (model,), notes = SurveyMapper(scene, Tuning().model, mapper)(ties)
-    assert len(mapper.sizes) > 2 and max(mapper.sizes) <= blocks.MOST
+    (model,), notes = SurveyMapper(scene, Tuning().model, Maker(mapper, TUNING))(ties)
+    assert len(mapper.sizes) > 2 and max(mapper.sizes) <= TUNING.blocks.whole
     assert model.placed().all()
     assert 0.005 < np.median(error_m(model, truth)) < 0.5  # of 480 m
     turned = np.swapaxes(truth[:, :3, :3], 1, 2) @ model.cam_from_world[:, :3, :3]  # of the frame, alike for all
@@ -154,7 +155,8 @@ def test_blocks_come_together_in_one_frame(world) -> None:
 
 def test_a_torn_block_is_said_and_the_parts_stay_usable(world) -> None:
     scene, truth, ties = world
-    models, notes = SurveyMapper(scene, Tuning().model, Mapper(scene, truth, broken=1))(ties)
+    make = Maker(Mapper(scene, truth, broken=1), TUNING)
+    models, notes = SurveyMapper(scene, Tuning().model, make)(ties)
     assert len(models) >= 2
     assert any("not joined there" in n for n in notes) and any("torn into" in n for n in notes)
     both = np.sum([m.placed() for m in models], axis=0)
@@ -170,7 +172,7 @@ def test_a_block_that_cannot_be_mapped_is_said(world) -> None:
         model = mapper(part, inside, rough)
         return None if len(mapper.sizes) == 2 else model
 
-    models, notes = SurveyMapper(scene, Tuning().model, make)(ties)
+    models, notes = SurveyMapper(scene, Tuning().model, Maker(make, TUNING))(ties)
     assert any("none could be made" in n for n in notes)
     assert 0.4 < sum(m.placed().sum() for m in models) / len(scene) < 0.95
 
@@ -178,7 +180,7 @@ def test_a_block_that_cannot_be_mapped_is_said(world) -> None:
 def test_a_block_whose_ties_did_not_change_is_not_mapped_again(world) -> None:
     scene, truth, ties = world
     mapper = Mapper(scene, truth)
-    models_of = SurveyMapper(scene, Tuning().model, mapper)
+    models_of = SurveyMapper(scene, Tuning().model, Maker(mapper, TUNING))
     models_of(ties)
     blocks_made = len(mapper.sizes)
     first = np.array([place(int(f)) for f in scene.frame]) < 20  # at one end: in one block
@@ -210,18 +212,18 @@ def test_a_join_finds_the_similarity_along_a_straight_line() -> None:
     """The turn about the line is open to the centres alone."""
     truth = np.stack([transforms.rigid(np.eye(3), [-2.0 * k, 0, 0]) for k in range(40)])
     (a, b), (own_a, own_b) = _models(truth, [(0, 25), (10, 40)], np.random.default_rng(1))
-    found = join(0, 1, a, b)
+    found = join(0, 1, a, b, TUNING.joining)
     assert found is not None and found.holds and found.shared == found.agree == 15
     point = np.array([[7.0, 5.0, 3.0]])
     assert np.allclose(found.b_from_a(own_a(point)), own_b(point), atol=1e-6)
-    assert join(0, 1, a, Poses(b.images + 20, b.cam_from_world, b.range_)) is None  # share too few
+    assert join(0, 1, a, Poses(b.images + 20, b.cam_from_world, b.range_), TUNING.joining) is None  # share too few
 
 
 def test_images_that_stood_still_take_the_scale_from_what_they_see() -> None:
     turns = Rotation.from_euler("z", np.arange(30)[:, None] * 12, degrees=True).as_matrix()
     truth = transforms.rigid(turns, np.zeros((30, 3)))
     (a, b), (own_a, own_b) = _models(truth, [(0, 30), (0, 30)], np.random.default_rng(1))
-    found = join(0, 1, a, b)
+    found = join(0, 1, a, b, TUNING.joining)
     assert found is not None and found.holds
     assert found.b_from_a.scale == pytest.approx(own_b.scale / own_a.scale, rel=1e-6)
 
@@ -237,7 +239,7 @@ def test_a_loop_of_blocks_closes_and_a_false_join_is_refused() -> None:
     last, _ = _models(truth[np.r_[180:240, again]], [(0, 80)], rng)
     order = np.argsort(np.r_[180:240, again])
     models[3] = Poses(np.r_[180:240, again][order], last[0].cam_from_world[order], last[0].range_)
-    joined = join_models(models)
+    joined = join_models(models, TUNING.joining)
     assert len(joined.joins) == 4 and all(j.holds for j in joined.joins) and joined.part.tolist() == [0, 0, 0, 0]
     for k in (1, 2):
         scale = joined.world_from[k].scale * own[k].scale
@@ -245,7 +247,7 @@ def test_a_loop_of_blocks_closes_and_a_false_join_is_refused() -> None:
     # The last block takes twenty images of the second for its own: a wall that repeats, twenty frames on.
     wrong = Poses(np.r_[180:240, 90:110], models[3].cam_from_world[order.argsort()], models[3].range_)
     wrong = Poses(np.sort(wrong.images), wrong.cam_from_world[np.argsort(wrong.images)], wrong.range_)
-    joined = join_models([*models[:3], wrong])
+    joined = join_models([*models[:3], wrong], TUNING.joining)
     refused = [j for j in joined.joins if not j.holds]
     assert [(j.a, j.b) for j in refused] == [(3, 1)]
     assert joined.part.tolist() == [0, 0, 0, 0]

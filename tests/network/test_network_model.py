@@ -11,12 +11,13 @@ from scipy.spatial.transform import Rotation
 from boat_world import HALF_WIDTH_M, World, boat
 from tiegraph.geometry import transforms
 from tiegraph.network.model.survey import NO_MODEL, _judged, calibrated_rigs
-from tiegraph.network.model.surveymodel import SurveyModel
+from tiegraph.network.model.surveymodel import Maker, SurveyModel
 from tiegraph.network.network import estimate_network
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.rig import Rig, Sensor
+from tiegraph.scene.tuning import Tuning as SceneTuning
 
 SETTINGS, TUNING = NetworkSettings(sections="off"), Tuning()
 
@@ -54,7 +55,9 @@ def network_of(world: World, model: SurveyModel | Callable[[], SurveyModel] | No
         asked.append(ties)
         return model() if callable(model) else model
 
-    return estimate_network(world.scene, np.full(len(world.scene), 128.0), world.match, settings, TUNING, make), asked
+    return estimate_network(
+        world.scene, np.full(len(world.scene), 128.0), world.match, settings, TUNING, Maker(make, SceneTuning())
+    ), asked
 
 
 def shares(world: World, pairs) -> tuple[float, float]:

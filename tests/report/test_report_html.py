@@ -119,15 +119,15 @@ def test_verdict_levels(tmp_path: Path, full: Path) -> None:
     assert run.model is not None
     from dataclasses import replace
 
-    everything = Registration(np.ones(60, bool), np.full(60, 10))
+    everything = Registration(np.ones(60, bool), np.full(60, 10), 10)
     complete = replace(run, model=replace(run.model, images=everything))
     assert facts.verdict(complete).level == "good"
     by_rig = replace(
         run,
-        model=replace(run.model, images=Registration(np.ones(60, bool), np.r_[np.full(10, 9), everything.points[10:]])),
+        model=replace(run.model, images=replace(everything, points=np.r_[np.full(10, 9), everything.points[10:]])),
     )
     assert facts.verdict(by_rig).level == "check" and "50 of 60 images (83 %)" in facts.verdict(by_rig).sentences[0]
-    few = Registration(np.arange(60) < 20, everything.points)
+    few = replace(everything, placed=np.arange(60) < 20)
     poor = facts.verdict(replace(run, model=replace(run.model, images=few, others=(12, 8))))
     assert poor.level == "poor" and "the largest of 3; the others have 12, 8 images" in poor.sentences[0]
     assert any("3 separate models" in w for w in poor.warnings)

@@ -9,6 +9,7 @@ import pytest
 from tiegraph.scene.registered import registration
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import simple_scene
+from tiegraph.scene.tuning import RegisteredTuning
 
 
 def _model(pixels_off: list[np.ndarray]) -> pycolmap.Reconstruction:
@@ -36,7 +37,7 @@ def test_an_image_counts_if_it_sees_points_that_agree() -> None:
         np.r_[np.full(300, 0.5), np.full(100, 30.0)],  # more than are looked at one by one
     ]
     scene = simple_scene(Rig("r", (Sensor("c"),)), [f"{k}.jpg" for k in range(6)], np.arange(6), np.zeros(6))
-    found = registration(_model(off), scene)
+    found = registration(_model(off), scene, RegisteredTuning())
     assert found.placed.tolist() == [True] * 5 + [False]
     assert found.registered.tolist() == [True, False, False, False, True, False]
     assert found.by_rig.tolist() == [False, True, True, True, False, False]
@@ -48,5 +49,5 @@ def test_points_behind_a_camera_do_not_agree() -> None:
     for point in model.points3D.values():
         point.xyz = -point.xyz
     scene = simple_scene(Rig("r", (Sensor("c"),)), ["0.jpg"], np.arange(1), np.zeros(1))
-    found = registration(model, scene)
+    found = registration(model, scene, RegisteredTuning())
     assert not found.registered.any() and found.by_rig.all() and found.points[0] == 0

@@ -12,9 +12,10 @@ from moving_world import moving_world, write_database
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
-from tiegraph.scene import blocks
 from tiegraph.scene.colmapmodel import MAX_IMAGES
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.tuning import BlocksTuning
+from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.database import write_working_copy
 from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.model import image_poses
@@ -49,14 +50,13 @@ def test_a_working_copy_of_some_images_holds_nothing_else(world, tmp_path: Path)
 
 
 @pytest.mark.slow
-def test_blocks_make_one_model(world, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blocks_make_one_model(world, tmp_path: Path) -> None:
     true, scene = world
-    for name, value in (("MOST", 30), ("CORE", 40), ("LEAST", 6), ("LENT", 18)):
-        monkeypatch.setattr(blocks, name, value)
+    shared = SceneTuning(blocks=BlocksTuning(whole=30, own=40, least=6, lent=18))
     tuning = Tuning(mapping=MappingTuning(in_blocks=30))
     source = Source(tmp_path / "database.db", None)
     result = reconstruct(
-        source, tmp_path / "sparse", scene, SparseSettings(covariance_frames=0), tuning, tmp_path / "log.txt"
+        source, tmp_path / "sparse", scene, SparseSettings(covariance_frames=0), tuning, shared, tmp_path / "log.txt"
     )
     assert result.mapper == "preview" and result.counts["registered"] == len(scene) and result.counts["models"] == 1
     assert any("mapped in 2 blocks" in n and "1 of 1 joins hold" in n for n in result.notes)
@@ -82,7 +82,13 @@ def test_two_surveys_in_one_folder_by_the_default_mapper(tmp_path: Path) -> None
     _cut(tmp_path, scene, 7)
     settings = SparseSettings(covariance_frames=0)
     result = reconstruct(
-        Source(tmp_path / "database.db", None), tmp_path / "sparse", scene, settings, Tuning(), tmp_path / "log.txt"
+        Source(tmp_path / "database.db", None),
+        tmp_path / "sparse",
+        scene,
+        settings,
+        Tuning(),
+        SceneTuning(),
+        tmp_path / "log.txt",
     )
     assert result.mapper == "global" and result.components == (21, 15)
     assert [len(m.images) for m in result.models] == [21, 15]
@@ -106,7 +112,13 @@ def test_two_surveys_in_one_folder_become_two_models(world, tmp_path: Path) -> N
     _cut(tmp_path, scene, 18)
     source = Source(tmp_path / "database.db", None, preview=true)
     result = reconstruct(
-        source, tmp_path / "sparse", scene, SparseSettings(covariance_frames=0), Tuning(), tmp_path / "log.txt"
+        source,
+        tmp_path / "sparse",
+        scene,
+        SparseSettings(covariance_frames=0),
+        Tuning(),
+        SceneTuning(),
+        tmp_path / "log.txt",
     )
     assert result.mapper == "preview" and [len(m.images) for m in result.models] == [54, 18]
     assert any("18 images" in n and "another survey" in n for n in result.notes)

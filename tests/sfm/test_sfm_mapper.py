@@ -14,6 +14,7 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.scene.colmapmodel import MAX_IMAGES
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.mapper import Source, SparseResult, reconstruct
 from tiegraph.sfm.mapping import choose_mapper
 from tiegraph.sfm.model import frame_poses, held_out_frames, image_poses
@@ -31,6 +32,7 @@ def _run(folder: Path, scene: Scene, **settings: object) -> SparseResult:
         scene,
         SparseSettings(**settings),
         Tuning(),
+        SceneTuning(),
         folder / "log.txt",
     )
 
@@ -45,10 +47,9 @@ def test_fixed_rig_keeps_its_metric_size(tmp_path: Path) -> None:
     truth, scene = make_world(tmp_path / "database.db")
     before = (tmp_path / "database.db").read_bytes()
     seen: list[tuple[int, int]] = []
-    result = reconstruct(
-        Source(tmp_path / "database.db", tmp_path), tmp_path / "sparse", scene, SparseSettings(mapper="incremental"),
-        Tuning(), tmp_path / "log.txt", lambda done, total: seen.append((done, total)),
-    )  # fmt: skip
+    source = Source(tmp_path / "database.db", tmp_path, on_progress=lambda done, total: seen.append((done, total)))
+    settings = SparseSettings(mapper="incremental")
+    result = reconstruct(source, tmp_path / "sparse", scene, settings, Tuning(), SceneTuning(), tmp_path / "log.txt")
     assert (tmp_path / "database.db").read_bytes() == before
     assert result.rig == "fixed" and result.mapper == "incremental"
     assert result.counts["registered"] == len(scene) and result.dropped == ()
@@ -87,7 +88,7 @@ def test_a_rough_model_needs_no_images_and_no_final_adjustment(tmp_path: Path) -
     truth, scene = make_world(tmp_path / "database.db")
     source = Source(tmp_path / "database.db", None, rough=True)
     settings = SparseSettings(covariance_frames=0)
-    result = reconstruct(source, tmp_path / "sparse", scene, settings, Tuning(), tmp_path / "log.txt")
+    result = reconstruct(source, tmp_path / "sparse", scene, settings, Tuning(), SceneTuning(), tmp_path / "log.txt")
     assert result.mapper == "global"
     assert result.counts["registered"] + result.counts["placed_by_rig"] == len(scene)
     assert 0.02 < _centre_error(result, scene, truth) < 0.4  # of a few metres: 100 points, and nothing adjusted

@@ -12,6 +12,7 @@ from moving_world import moving_world, write_database
 from tiegraph.geometry import transforms
 from tiegraph.scan.rigspec import orient
 from tiegraph.scene.rig import Rig
+from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.losses import rig_doubts
 from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.settings import SparseSettings
@@ -53,7 +54,7 @@ def test_a_rig_that_contradicts_the_images_is_named(wrong, named, tmp_path: Path
     write_database(model, tmp_path / "database.db")
     result = reconstruct(
         Source(tmp_path / "database.db", None), tmp_path / "sparse", scene.with_(rigs=(wrong(scene.rigs[0]),)),
-        SparseSettings(covariance_frames=0), Tuning(), tmp_path / "log.txt",
+        SparseSettings(covariance_frames=0), Tuning(), SceneTuning(), tmp_path / "log.txt",
     )  # fmt: skip
     assert any("contradict" in said and named in said for said in result.contradictions), result.contradictions
     lost = {name for name, _ in result.dropped}

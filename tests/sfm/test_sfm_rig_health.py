@@ -92,7 +92,7 @@ def test_a_relaxed_model_that_loses_images_is_not_kept(tmp_path: Path, monkeypat
     for row, point in enumerate(image.points2D):
         if point.has_point3D():
             free.delete_observation(image.image_id, row)
-    assert lost_images(model, free, scene) == (poor,) and lost_images(free, model, scene) == ()
+    assert lost_images(model, free, scene, 10) == (poor,) and lost_images(free, model, scene, 10) == ()
     found = Diagnosis([], (), (0,), ["camera cam2 is not rigid"], True, {})
     monkeypatch.setattr(finish, "diagnose", lambda *_: found)
     monkeypatch.setattr(finish.soft, "available", lambda: True)

@@ -15,6 +15,7 @@ from near import assert_reconstruction_near
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm import mapping
 from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.model import frame_poses, image_poses
@@ -128,7 +129,13 @@ def test_what_a_mapper_made_too_long_is_mapped_again(world, tmp_path: Path, monk
     monkeypatch.setattr(mapping, "_mapped", lambda *job: mapping.Outcome("global", [stretched], len(scene)))
     source = Source(tmp_path / "database.db", None)
     made = reconstruct(
-        source, tmp_path / "sparse", scene, SparseSettings(mapper="global"), Tuning(), tmp_path / "log.txt"
+        source,
+        tmp_path / "sparse",
+        scene,
+        SparseSettings(mapper="global"),
+        Tuning(),
+        SceneTuning(),
+        tmp_path / "log.txt",
     )
     assert any("0.125 times as long, by its matches" in note for note in made.notes)
     again = Mapped([tmp_path / "sparse" / "0"], (), "")
@@ -178,7 +185,13 @@ def test_poses_that_are_wrong_do_not_pass_the_gate(world, tmp_path: Path) -> Non
     wrong[:, :3, 3] += 6.0 * np.sin(scene.frame)[:, None]  # a frame here, the next elsewhere
     source = Source(tmp_path / "database.db", None, preview=wrong)
     result = reconstruct(
-        source, tmp_path / "sparse", scene, SparseSettings(covariance_frames=0), Tuning(), tmp_path / "log.txt"
+        source,
+        tmp_path / "sparse",
+        scene,
+        SparseSettings(covariance_frames=0),
+        Tuning(),
+        SceneTuning(),
+        tmp_path / "log.txt",
     )
     assert result.mapper == "global" and any("could not start from the preview model" in n for n in result.notes)
     assert_reconstruction_near(result.load(), scene, true, m=0.004, deg=0.03)
@@ -189,7 +202,9 @@ def test_poses_that_are_wrong_do_not_pass_the_gate(world, tmp_path: Path) -> Non
 def test_the_stage_starts_from_the_preview_model(world, tmp_path: Path) -> None:
     true, scene = world
     source = Source(tmp_path / "database.db", None, preview=_rough(true, scene))
-    result = reconstruct(source, tmp_path / "sparse", scene, SparseSettings(), Tuning(), tmp_path / "log.txt")
+    result = reconstruct(
+        source, tmp_path / "sparse", scene, SparseSettings(), Tuning(), SceneTuning(), tmp_path / "log.txt"
+    )
     assert result.mapper == "preview" and result.counts["registered"] == len(scene)
     assert_reconstruction_near(result.load(), scene, true, m=0.004, deg=0.03)
     assert result.sigma is not None and 1e-5 < result.sigma.median < 0.01

@@ -76,7 +76,7 @@ def test_what_little_holds_is_named() -> None:
     frame, sensor = np.repeat(np.arange(10), 2), np.tile([0, 1], 10)
     scene = simple_scene(Rig("pair", sensors), names, frame, sensor, np.zeros(10), tracks=("way",))
     whole = SimpleNamespace(component=sensor.copy())
-    seen = Registration(np.ones(20, bool), np.full(20, 100))
+    seen = Registration(np.ones(20, bool), np.full(20, 100), 10)
     assert weakly_held(scene, whole, seen, LOSSES) == []
     torn = SimpleNamespace(component=np.where((sensor == 1) & (frame > 5), 2, sensor))
     (said,) = weakly_held(scene, torn, seen, LOSSES)
@@ -84,6 +84,6 @@ def test_what_little_holds_is_named() -> None:
     half = np.where(sensor == 1, np.where(frame > 4, 2, 0), 0)  # as many as are left, which see what cam0 sees
     assert len(weakly_held(scene, SimpleNamespace(component=half), seen, LOSSES)) == 1
     points = np.where(frame == 3, [5, 12] * 10, 100)
-    by_rig, loose = weakly_held(scene, whole, Registration(np.ones(20, bool), points), LOSSES)
+    by_rig, loose = weakly_held(scene, whole, Registration(np.ones(20, bool), points, 10), LOSSES)
     assert by_rig.startswith("1 images see fewer than 10") and "cam0/003.jpg" in by_rig
     assert "place of 1 frame rests on fewer than 20 points (cam0/003.jpg)" in loose

@@ -20,7 +20,7 @@ from tiegraph.evaluate.trajectory import TrajectoryError, evaluate_trajectory, r
 from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.geodesy import Origin
-from tiegraph.scene.registered import registration
+from tiegraph.scene.registered import Registration
 from tiegraph.scene.results import Cloud, Metric
 from tiegraph.scene.scene import Scene
 
@@ -31,6 +31,17 @@ class _Findings:
     tables: dict[str, dict] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     contradictions: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """What a run made: ``model`` a pycolmap reconstruction in the world frame, ``images`` which of the scene's are
+    registered in it, the cloud, and the world's origin (None: the model's own frame)."""
+
+    model: Any
+    images: Registration
+    cloud: Cloud | None
+    origin: Origin | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,29 +56,21 @@ class _Work:
 
 
 def evaluate_survey(
-    scene: Scene,
-    reconstruction: Any,
-    cloud: Cloud | None,
-    settings: EvaluateSettings,
-    tuning: Tuning,
-    origin: Origin | None = None,
-    predicted: Predicted | None = None,
+    scene: Scene, made: Made, settings: EvaluateSettings, tuning: Tuning, predicted: Predicted | None = None
 ) -> dict[str, Any]:
     """The content of metrics.json for a run.
 
-    ``reconstruction``: pycolmap model in the world frame; ``origin``: the world's (None: the model's own frame);
-    ``predicted``: the run's own sigmas, which its references are held against.
-    Raises InputError for references that cannot be read or matched.
+    ``predicted``: the run's own sigmas, which its references are held against. Raises InputError for
+    references that cannot be read or matched.
     """
-    found = _Findings()
-    model = reference.model_poses(reconstruction, scene)
-    work = _Work(scene, model, settings, tuning, origin, predicted or Predicted(), found)
-    images = registration(reconstruction, scene)
-    found.metrics.extend(registered_metrics(images))
-    found.tables.update(registered_table(images, scene.image_label(), scene.section[scene.frame]))
+    found, cloud = _Findings(), made.cloud
+    model = reference.model_poses(made.model, scene)
+    work = _Work(scene, model, settings, tuning, made.origin, predicted or Predicted(), found)
+    found.metrics.extend(registered_metrics(made.images))
+    found.tables.update(registered_table(made.images, scene.image_label(), scene.section[scene.frame]))
     if cloud is not None and len(cloud):
         # Against its own points a camera model without depth maps says the same, and needs no reading of them.
-        result = backprojection_rmse(cloud, pinhole_views(reconstruction), tuning.points_tried)
+        result = backprojection_rmse(cloud, pinhole_views(made.model), tuning.points_tried)
         found.metrics.extend(result.metrics())
         found.notes.append(backprojection.MEANING)
     trajectory = None if settings.reference is None else _trajectory(work, settings.reference)

@@ -10,7 +10,7 @@ import numpy as np
 from tiegraph.errors import choose
 from tiegraph.geometry import transforms
 from tiegraph.network.model.survey import by_model
-from tiegraph.network.model.surveymodel import ModelFunction, SurveyModel
+from tiegraph.network.model.surveymodel import Maker, SurveyModel
 from tiegraph.network.offsets.curves import OffsetCurve, contained
 from tiegraph.network.offsets.surface import OffsetSurface
 from tiegraph.network.order import shown_order
@@ -95,14 +95,14 @@ def estimate_network(
     match: MatchFunction,
     settings: NetworkSettings,
     tuning: Tuning,
-    make_model: ModelFunction | None = None,
+    make: Maker | None = None,
     descriptors: Descriptors | None = None,
 ) -> Network:
     """Candidate pairs of a scene from the sources of the settings.
 
     ``light``: what up cameras show, or the mean grey (N,) of each image alone; ``match`` takes image pairs (P, 2) i4
-    and returns P preview matches (``inliers``, ``rotation``, ``shift``, ``matches``); ``make_model`` makes a small
-    model of ties; ``descriptors`` gives those of all previews, for retrieval. Raises SettingsError for an unknown
+    and returns P preview matches (``inliers``, ``rotation``, ``shift``, ``matches``); ``make`` makes small
+    models of ties; ``descriptors`` gives those of all previews, for retrieval. Raises SettingsError for an unknown
     source, InputError for a bad pair list.
     """
     book = PreviewBook(match, len(scene))
@@ -113,8 +113,8 @@ def estimate_network(
     pairs = proposal.pairs
     notes = [*order_notes, *rig_notes, *proposal.notes]
     model, trusted = None, np.zeros(len(scene), bool)
-    if settings.model and make_model is not None and _uses_axes(settings) and len(scene) > tuning.sources.few_photos:
-        result = by_model(pairs, scene, book, settings, tuning.model, make_model)
+    if settings.model and make is not None and _uses_axes(settings) and len(scene) > tuning.sources.few_photos:
+        result = by_model(pairs, scene, book, settings, tuning.model, make)
         pairs, scene, model, trusted = result.pairs, result.scene, result.model, result.trusted
         notes += list(result.notes)
     if settings.offsets and _uses_axes(settings):

@@ -6,13 +6,14 @@ import numpy as np
 
 from tiegraph.evaluate.judge import Predicted
 from tiegraph.evaluate.settings import EvaluateSettings
-from tiegraph.evaluate.survey import evaluate_survey
+from tiegraph.evaluate.survey import Made, evaluate_survey
 from tiegraph.masks.compare import compare
 from tiegraph.pipeline.files import FINAL, checked, load_json, load_model, reading
 from tiegraph.pipeline.placed import world_origin
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome
 from tiegraph.scene.cloudfile import read_cloud
+from tiegraph.scene.registered import registration
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.scene import Scene
 
@@ -25,8 +26,10 @@ def evaluate(run: Run) -> Outcome:
     with reading(run.path("cloud.laz")):
         cloud = read_cloud(run.path("cloud.laz"), origin)
     world = load_json(run.path("world.json"))
-    tuning, placed = run.settings.tuning.evaluate, origin if world["placed"] else None
-    result = evaluate_survey(scene, model, cloud, settings, tuning, placed, predicted(world, cloud))
+    tuning = run.settings.tuning
+    images = registration(model, scene, tuning.scene.registered)
+    made = Made(model, images, cloud, origin if world["placed"] else None)
+    result = evaluate_survey(scene, made, settings, tuning.evaluate, predicted(world, cloud))
     if settings.reference_masks is not None:
         result["tables"]["mask accuracy"] = _masks(run, scene, settings)
     save_json(run.path("metrics.json"), result)

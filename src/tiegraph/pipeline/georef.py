@@ -14,8 +14,9 @@ from tiegraph.project.stages import Outcome, remove
 from tiegraph.scene import evidence
 from tiegraph.scene.atomic import claim
 from tiegraph.scene.gnss import read_gnss
-from tiegraph.scene.registered import MIN_POINTS, agreeing_points
+from tiegraph.scene.registered import agreeing_points
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.tuning import RegisteredTuning
 from tiegraph.sfm.covariance import MOUNTING
 from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.rig.rig import rig_modes
@@ -44,7 +45,8 @@ def georef(run: Run) -> Outcome:
     main = run_in_child(ground, request, log=run.log, task="georeferencing")
     others = [load_model(p) for p in folders[1:]]
     placed = georeference_all(others, scene, run.settings.georef, tuning.world, given)
-    notes = [*main.notes, *(_other_note(k + 1, m, g) for k, (m, g) in enumerate(zip(others, placed)))]
+    asked = run.settings.tuning.scene.registered
+    notes = [*main.notes, *(_other_note(k + 1, m, g, asked) for k, (m, g) in enumerate(zip(others, placed)))]
     world = main.to_dict()
     if "position_sigma_median" in sigma:
         # Of the bundle adjustment, in the model's units: the shape of the survey, not its place on the Earth.
@@ -104,9 +106,9 @@ def _mounting(receipt: dict, placed: Georeference) -> dict[str, dict]:
     return {"lever arms of the cameras, in the frame of the first": {"columns": columns, "rows": rows}}
 
 
-def _other_note(number: int, model: pycolmap.Reconstruction, placed: Georeference) -> str:
+def _other_note(number: int, model: pycolmap.Reconstruction, placed: Georeference, tuning: RegisteredTuning) -> str:
     where = (
         "can be placed in the same world by its positions" if placed.placed else "has too few positions to be placed"
     )
-    images = sum(points >= MIN_POINTS for points in agreeing_points(model).values())
+    images = sum(points >= tuning.min_points for points in agreeing_points(model, tuning).values())
     return f"model {number} ({images} registered images, in sparse/{number}) {where}; it is not in the cloud"

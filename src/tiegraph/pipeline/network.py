@@ -14,7 +14,7 @@ import pycolmap
 from tiegraph.errors import ReconstructionError
 from tiegraph.features.preview import PreviewMatch
 from tiegraph.features.preview_database import write_preview_database
-from tiegraph.network.model.surveymodel import SurveyModel
+from tiegraph.network.model.surveymodel import Maker, SurveyModel
 from tiegraph.network.network import estimate_network
 from tiegraph.network.sections.light import UpLight
 from tiegraph.pipeline.files import save_npz, scanned
@@ -42,9 +42,12 @@ def network(run: Run) -> Outcome:
         items = [(int(i), int(j)) for i, j in pairs]
         return run.map(match_item, items, run.folder, run.settings.preview, run.settings.tuning.features.preview)
 
-    make_model, descriptors = partial(_survey_model, run), partial(_Descriptors, run.folder, scene)
+    make, descriptors = (
+        Maker(partial(_survey_model, run), run.settings.tuning.scene),
+        partial(_Descriptors, run.folder, scene),
+    )
     settings, tuning = run.settings.network, run.settings.tuning.network
-    found = estimate_network(scene, light, match, settings, tuning, make_model, descriptors)
+    found = estimate_network(scene, light, match, settings, tuning, make, descriptors)
     save_npz(run.path("network.npz"), **found.pairs.to_npz())
     save_npz(run.path("network", "ties.npz"), **found.ties.to_npz())
     if found.model is not None:
@@ -79,8 +82,8 @@ def _survey_model(run: Run, scene: Scene, ties: Ties, rough: bool) -> SurveyMode
     write_preview_database(database, scene, previews, ties, min_matches=1)
     settings = run.settings.sparse.model_copy(update={"covariance_frames": 0, "use_positions": False})
     try:
-        source, tuning = Source(database, None, rough=rough), run.settings.tuning.sfm
-        made = reconstruct(source, folder, scene.measured(), settings, tuning, run.log)
+        source, tuning = Source(database, None, rough=rough), run.settings.tuning
+        made = reconstruct(source, folder, scene.measured(), settings, tuning.sfm, tuning.scene, run.log)
         model = made.load(0)
     except ReconstructionError as error:
         log.warning("preview model: %s", error)

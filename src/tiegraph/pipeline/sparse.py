@@ -23,7 +23,12 @@ def sparse(run: Run) -> Outcome:
     away = verified.where(verified.dropped == REASONS.index("repeat"))
     refused = tuple(zip(away.i.tolist(), away.j.tolist()))
     source = Source(
-        run.path("database.db"), run.path("images"), refused, preview=preview_poses(run.folder), run_map=run.map
+        run.path("database.db"),
+        run.path("images"),
+        refused,
+        preview=preview_poses(run.folder),
+        run_map=run.map,
+        on_progress=progress,
     )
     made = reconstruct(
         source,
@@ -31,8 +36,8 @@ def sparse(run: Run) -> Outcome:
         checked(run).measured(),
         run.settings.sparse,
         run.settings.tuning.sfm,
+        run.settings.tuning.scene,
         run.log,
-        progress,
     )
     counts = dict(made.counts)
     if made.sigma is not None:

@@ -29,6 +29,7 @@ from tiegraph.report.settings import ReportSettings
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import Tuning as ScanTuning
 from tiegraph.scene.regular import regular
+from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.settings import Section
 from tiegraph.sfm.settings import GeorefSettings, SparseSettings
 from tiegraph.sfm.tuning import Tuning as SfmTuning
@@ -45,9 +46,11 @@ RUN_KEYS = ("images", "rig", "camera", "gnss", "trajectory", "times", "preset") 
 
 
 class Tunings(Section):
-    """The constants that the engines decide by: tables ``[tuning.<engine>]`` of tiegraph.toml. They are the same for
-    every user, so the command line does not show them; they are in reach for measurements."""
+    """The constants that the engines decide by, and ``scene``, which they share: tables ``[tuning.<engine>]`` of
+    tiegraph.toml. They are the same for every user, so the command line does not show them; they are in reach for
+    measurements."""
 
+    scene: SceneTuning = SceneTuning()
     scan: ScanTuning = ScanTuning()
     features: FeaturesTuning = FeaturesTuning()
     masks: MasksTuning = MasksTuning()

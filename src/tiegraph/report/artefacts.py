@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 import laspy
 import numpy as np
+from pydantic import ValidationError
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
@@ -19,6 +20,8 @@ from tiegraph.scene.colmapmodel import read_model as read_reconstruction
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.registered import Registration, registration
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.tuning import RegisteredTuning
+from tiegraph.scene.tuning import Tuning as SceneTuning
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
@@ -125,7 +128,7 @@ def read_run(folder: Path, cloud_points: int = 1_000_000) -> RunFolder:
     if not receipts and scene is None:
         raise InputError(f"{folder}: no run in it (no receipts/, no scene.json); give a folder made by `tiegraph run`")
     world = _world(_json(folder / "world.json"))
-    model = read_model(folder, scene) if scene is not None else None
+    model = read_model(folder, scene, _registered_by(receipts)) if scene is not None else None
     cloud = _try(folder / "cloud.laz", lambda p: read_cloud_sample(p, cloud_points))
     return RunFolder(
         path=folder,
@@ -175,7 +178,17 @@ def read_pairs(path: Path) -> Pairs | None:
         return Pairs.from_npz(dict(data))
 
 
-def read_model(folder: Path, scene: Scene) -> Model | None:
+def _registered_by(receipts: dict[str, dict]) -> RegisteredTuning:
+    """What the run itself calls registered: its receipt names the constants that differ."""
+    said = (receipts.get("sparse", {}).get("tuning") or {}).get("scene") or {}
+    try:
+        return SceneTuning.model_validate(said).registered
+    except ValidationError as error:
+        log.warning("report: the constants in the receipt of sparse cannot be read: %s", error)
+        return RegisteredTuning()
+
+
+def read_model(folder: Path, scene: Scene, tuning: RegisteredTuning) -> Model | None:
     """The world model, or the largest of the models if there is none."""
     numbered = sorted((p for p in (folder / "sparse").glob("[0-9]*") if p.is_dir()), key=lambda p: int(p.name))
     parts = [(p, r) for p in numbered if (r := _reconstruction(p)) is not None]
@@ -184,15 +197,16 @@ def read_model(folder: Path, scene: Scene) -> Model | None:
     if world is None and not parts:
         return None
     path, chosen = (folder / "sparse" / "world", world) if world is not None else parts[0]
-    others = tuple(int(registration(r, scene).registered.sum()) for _, r in parts[1:])
-    return _model_facts(chosen, scene, path.relative_to(folder).as_posix(), others)
+    others = tuple(int(registration(r, scene, tuning).registered.sum()) for _, r in parts[1:])
+    images = registration(chosen, scene, tuning)
+    return _model_facts(chosen, scene, images, path.relative_to(folder).as_posix(), others)
 
 
 def _reconstruction(path: Path) -> Any:
     return _try(path, read_reconstruction) if is_model(path) else None
 
 
-def _model_facts(model: Any, scene: Scene, folder: str, others: tuple[int, ...]) -> Model:
+def _model_facts(model: Any, scene: Scene, images: Registration, folder: str, others: tuple[int, ...]) -> Model:
     poses = np.full((len(scene), 4, 4), np.nan)
     sensor_from_rig: dict[int, np.ndarray] = {}
     cameras: dict[int, dict] = {}
@@ -212,7 +226,7 @@ def _model_facts(model: Any, scene: Scene, folder: str, others: tuple[int, ...])
     return Model(
         folder=folder,
         world_from_camera=poses,
-        images=registration(model, scene),
+        images=images,
         points=model.num_points3D(),
         reprojection_px=model.compute_mean_reprojection_error(),
         track_length=model.compute_mean_track_length(),

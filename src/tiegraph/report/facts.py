@@ -12,7 +12,7 @@ from tiegraph.report import ground, words
 from tiegraph.report.artefacts import STAGES, RunFolder
 from tiegraph.report.evidence import about, contradictions
 from tiegraph.report.words import Table
-from tiegraph.scene.registered import BY_RIG, MIN_POINTS
+from tiegraph.scene.registered import BY_RIG
 from tiegraph.text import known_to
 
 GOOD_SHARE, POOR_SHARE = 0.95, 0.6  # of the images registered
@@ -78,7 +78,8 @@ def _registered_sentence(run: RunFolder, registered: int, total: int) -> str:
     by_rig = int(run.model.by_rig.sum())
     if by_rig:
         text += (
-            f"; the place of {words.count(by_rig)} more rests on the rig, for fewer than {MIN_POINTS} points are seen"
+            f"; the place of {words.count(by_rig)} more rests on the rig, for fewer than "
+            f"{run.model.images.min_points} points are seen"
         )
     if not run.model.others:
         return text + "."

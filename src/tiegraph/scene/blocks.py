@@ -18,16 +18,7 @@ from scipy.sparse.linalg import splu
 from tiegraph.scene.graph import parts
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Ties
-
-MOST = 600  # images that are mapped in one piece
-CORE = 420  # images a block has of its own, at most
-LEAST = 30  # images of a block
-LENT = 60  # images that a block takes from each of its neighbours
-LEAST_FRAMES = 4  # and the least frames of them
-LEAST_TIES = 10  # pairs of images between two parts that make them neighbours
-MARGIN = 0.2  # of a part: a cut may be so far from where it would halve it, to be where ties are few
-_ORDER = 0.05  # of the mean link: what the order of a pass alone links its frames with
-_POWERS = 12  # inverse iterations for the second eigenvector
+from tiegraph.scene.tuning import BlocksTuning
 
 
 class Links(Protocol):
@@ -61,27 +52,30 @@ class Block:
         return scene.only(self.images), Ties(number[inside.i], number[inside.j], inside.start, inside.matches)
 
 
-def blocks_of(scene: Scene, ties: Links) -> tuple[Block, ...]:
-    """Blocks of a survey by its ties; one that holds everything up to MOST images. Every image is some block's own, but
-    for those of pieces smaller than LEAST that nothing ties to the rest."""
+def blocks_of(scene: Scene, ties: Links, tuning: BlocksTuning) -> tuple[Block, ...]:
+    """Blocks of a survey by its ties; one that holds everything of a small one. Every image is some block's own, but
+    for those of small pieces that nothing ties to the rest."""
     everything = np.arange(len(scene))
-    if len(scene) <= MOST:
+    if len(scene) <= tuning.whole:
         return (Block(everything, np.ones(len(scene), bool)),)
     size = np.bincount(scene.frame, minlength=scene.frames)
-    graph, ties_between = _links(scene, ties)
-    label = _cut(graph, size)
-    lent = _lent(graph, ties_between, label, size)
+    graph, ties_between = _links(scene, ties, tuning.order)
+    label = _cut(graph, size, tuning)
+    lent = _lent(graph, ties_between, label, size, tuning)
     out = []
     for k in range(label.max() + 1):
         inside = label[scene.frame] == k
         images = np.flatnonzero(inside | lent[k][scene.frame])
-        if len(images) >= LEAST:
+        if len(images) >= tuning.least:
             out.append(Block(images, inside[images]))
     return tuple(out)
 
 
-def _links(scene: Scene, ties: Links) -> tuple[csr_array, csr_array]:
-    """(F, F) strength of the links between frames by preview matches and order; (F, F) pairs of images that tie."""
+def _links(scene: Scene, ties: Links, by_order: float) -> tuple[csr_array, csr_array]:
+    """(F, F) strength of the links between frames by preview matches and order; (F, F) pairs of images that tie.
+
+    ``by_order``: of the mean link, what the order of a pass alone links its frames with.
+    """
     a, b, count = scene.frame[ties.i], scene.frame[ties.j], ties.counts().astype(float)
     apart = a != b
     matches = _symmetric(a[apart], b[apart], count[apart], scene.frames)
@@ -90,7 +84,7 @@ def _links(scene: Scene, ties: Links) -> tuple[csr_array, csr_array]:
     before, after = order[:-1], order[1:]
     next_ = (scene.track[before] == scene.track[after]) & (scene.rig[before] == scene.rig[after])
     next_ &= scene.track[before] >= 0
-    level = _ORDER * float(matches.data.mean()) if matches.nnz else 1.0
+    level = by_order * float(matches.data.mean()) if matches.nnz else 1.0
     path = _symmetric(before[next_], after[next_], np.full(int(next_.sum()), level), scene.frames)
     return csr_array(matches + path), pairs
 
@@ -103,18 +97,18 @@ def _symmetric(a: np.ndarray, b: np.ndarray, value: np.ndarray, n: int) -> csr_a
 # ---------------------------------------------------------------- cutting
 
 
-def _cut(graph: csr_array, size: np.ndarray) -> np.ndarray:
-    """(F,) part of every frame; none has more than CORE images, unless one frame has."""
+def _cut(graph: csr_array, size: np.ndarray, tuning: BlocksTuning) -> np.ndarray:
+    """(F,) part of every frame; none has more images than a block of its own, unless one frame has."""
     label = np.zeros(len(size), int)
     todo = [np.flatnonzero(piece) for piece in _pieces(graph)]
     done: list[np.ndarray] = []
     while todo:
         frames = todo.pop()
-        count = -(-int(size[frames].sum()) // CORE)
+        count = -(-int(size[frames].sum()) // tuning.own)
         if count < 2 or len(frames) < 2:
             done.append(frames)
             continue
-        first = _first_side(csr_array(graph[frames][:, frames]), size[frames], (count // 2, count))
+        first = _first_side(csr_array(graph[frames][:, frames]), size[frames], (count // 2, count), tuning)
         todo += [frames[first], frames[~first]]
     for k, frames in enumerate(done):
         label[frames] = k
@@ -129,10 +123,10 @@ def _pieces(graph: csr_array) -> list[np.ndarray]:
     return [label == k for k in range(label.max() + 1)]
 
 
-def _first_side(graph: csr_array, size: np.ndarray, blocks: tuple[int, int]) -> np.ndarray:
+def _first_side(graph: csr_array, size: np.ndarray, blocks: tuple[int, int], tuning: BlocksTuning) -> np.ndarray:
     """(F,) bool: the side for the first of so many ``blocks``, (some, all), cut where least is cut."""
     share, total = blocks[0] / blocks[1], float(size.sum())
-    order = np.argsort(_second_vector(graph), kind="stable")
+    order = np.argsort(_second_vector(graph, tuning), kind="stable")
     place = np.empty(len(order), int)
     place[order] = np.arange(len(order))
     coo = graph.tocoo()
@@ -140,25 +134,24 @@ def _first_side(graph: csr_array, size: np.ndarray, blocks: tuple[int, int]) -> 
     # What a cut after place k severs: the links from k or before to behind it.
     severed = np.cumsum(np.bincount(low, coo.data, len(order)) - np.bincount(high, coo.data, len(order)))[:-1]
     done = np.cumsum(size[order])[:-1] / total
-    allowed = np.abs(done - share) <= MARGIN * min(share, 1 - share)
+    allowed = np.abs(done - share) <= tuning.margin * min(share, 1 - share)
     # Neither side may need one block more than it was meant to: a block too many costs more than a cut through ties.
-    allowed &= (done * total <= blocks[0] * CORE) & ((1 - done) * total <= (blocks[1] - blocks[0]) * CORE)
+    allowed &= (done * total <= blocks[0] * tuning.own) & ((1 - done) * total <= (blocks[1] - blocks[0]) * tuning.own)
     allowed[np.argmin(np.abs(done - share))] = True
     volume = np.cumsum(np.bincount(place[coo.coords[0]], coo.data, len(order)))
     cost = severed / np.maximum(np.minimum(volume[:-1], volume[-1] - volume[:-1]), 1e-12)
     return place <= np.argmin(np.where(allowed, cost, np.inf))
 
 
-def _second_vector(graph: csr_array) -> np.ndarray:
+def _second_vector(graph: csr_array, tuning: BlocksTuning) -> np.ndarray:
     """(F,) second eigenvector of the normalised Laplacian over the root of the degrees: neighbours have near values."""
     degree = np.asarray(graph.sum(axis=1)).ravel()
     root = np.sqrt(np.maximum(degree, 1e-12))
     normal = diags_array(1 / root) @ graph @ diags_array(1 / root)
     solve = splu((diags_array(np.full(len(root), 1.0 + 1e-9)) - normal).tocsc()).solve
     first = root / np.linalg.norm(root)
-    # A block of vectors: the next eigenvalues of a long path lie close together.
-    block = np.random.default_rng(0).normal(size=(len(root), 4))
-    for _ in range(_POWERS):
+    block = np.random.default_rng(0).normal(size=(len(root), tuning.vectors))
+    for _ in range(tuning.iterations):
         block = solve(block)
         block -= np.outer(first, first @ block)
         block = np.linalg.qr(block)[0]
@@ -169,7 +162,9 @@ def _second_vector(graph: csr_array) -> np.ndarray:
 # ---------------------------------------------------------------- lending
 
 
-def _lent(graph: csr_array, pairs: csr_array, label: np.ndarray, size: np.ndarray) -> list[np.ndarray]:
+def _lent(
+    graph: csr_array, pairs: csr_array, label: np.ndarray, size: np.ndarray, tuning: BlocksTuning
+) -> list[np.ndarray]:
     """For every part (F,) bool: the frames it takes from its neighbours, of each those that it is tied to best."""
     count = label.max() + 1
     member = csr_array((np.ones(len(label)), label, np.arange(len(label) + 1)), shape=(len(label), count))
@@ -180,11 +175,11 @@ def _lent(graph: csr_array, pairs: csr_array, label: np.ndarray, size: np.ndarra
         taken = np.zeros(len(label), bool)
         column = slice(strength.indptr[k], strength.indptr[k + 1])
         tied, value = strength.indices[column], strength.data[column]
-        for other in np.flatnonzero(between[k] >= LEAST_TIES):
+        for other in np.flatnonzero(between[k] >= tuning.least_ties):
             mine = label[tied] == other
             if other != k:
                 frames = tied[mine][np.argsort(-value[mine], kind="stable")]
-                enough = np.maximum(np.searchsorted(np.cumsum(size[frames]), LENT) + 1, LEAST_FRAMES)
-                taken[frames[:enough]] = True
+                enough = np.searchsorted(np.cumsum(size[frames]), tuning.lent) + 1
+                taken[frames[: np.maximum(enough, tuning.least_lent_frames)]] = True
         out.append(taken)
     return out

@@ -16,13 +16,7 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
 from tiegraph.scene.graph import forest, parts
-
-SHARED = 12  # images of two models that a join needs
-AGREE = 0.6  # share of the shared images that must agree
-TURN_DEG = 3.0  # by which the poses of an image in two models may differ
-SHIFT = 0.06  # likewise, as a share of the distance to what the images see
-DRIFT = 0.1  # of the survey's extent, by which the places of a join may differ along a chain of others
-_ROUNDS = 10  # of the rotations of all blocks
+from tiegraph.scene.tuning import JoiningTuning
 
 
 @dataclass(frozen=True)
@@ -37,20 +31,21 @@ class Poses:
 
 @dataclass(frozen=True)
 class Join:
-    """Two models a, b: ``b_from_a``, how many images they share, how many of them agree with it, and ``middle`` (3,) of
-    their centres in the frame of a."""
+    """Two models a, b: ``b_from_a``, how many images they share, how many of them agree with it, how many must, and
+    ``middle`` (3,) of their centres in the frame of a."""
 
     a: int
     b: int
     b_from_a: Similarity
     shared: int
     agree: int
+    needed: float
     middle: np.ndarray
 
     @property
     def holds(self) -> bool:
         """Whether enough of the shared images agree."""
-        return self.agree >= max(SHARED, AGREE * self.shared)
+        return self.agree >= self.needed
 
 
 @dataclass(frozen=True)
@@ -63,16 +58,17 @@ class Joined:
     joins: tuple[Join, ...]
 
 
-def join_models(models: Sequence[Poses]) -> Joined:
+def join_models(models: Sequence[Poses], tuning: JoiningTuning) -> Joined:
     """Put models into one frame, that of the first model of each part."""
-    joins = tuple(j for a in range(len(models)) for b in range(a) if (j := join(a, b, models[a], models[b])))
-    good = _consistent([j for j in joins if j.holds], len(models))
+    couples = ((a, b) for a in range(len(models)) for b in range(a))
+    joins = tuple(j for a, b in couples if (j := join(a, b, models[a], models[b], tuning)))
+    good = _consistent([j for j in joins if j.holds], len(models), tuning)
     joins = tuple(j if not j.holds or any(j is g for g in good) else replace(j, agree=0) for j in joins)
     part = parts(np.array([j.a for j in good], int), np.array([j.b for j in good], int), len(models))
     size = np.bincount(part, [len(m.images) for m in models])
     rank = np.empty(len(size), int)
     rank[np.argsort(-size, kind="stable")] = np.arange(len(size))
-    return Joined(_adjusted(good, len(models)), rank[part], joins)
+    return Joined(_adjusted(good, len(models), tuning.rounds), rank[part], joins)
 
 
 def moved(cam_from_model: np.ndarray, world_from_model: Similarity) -> np.ndarray:
@@ -82,45 +78,46 @@ def moved(cam_from_model: np.ndarray, world_from_model: Similarity) -> np.ndarra
     return transforms.rigid(rotation, -np.einsum("kab,kb->ka", rotation, centre))
 
 
-def join(a: int, b: int, first: Poses, second: Poses) -> Join | None:
+def join(a: int, b: int, first: Poses, second: Poses, tuning: JoiningTuning) -> Join | None:
     """How the frame of the second model follows from that of the first; None if they share too few images."""
     shared, at_a, at_b = np.intersect1d(first.images, second.images, assume_unique=True, return_indices=True)
-    if len(shared) < SHARED:
+    if len(shared) < tuning.shared:
         return None
     pose_a, pose_b = first.cam_from_world[at_a], second.cam_from_world[at_b]
     turns = np.swapaxes(pose_b[:, :3, :3], 1, 2) @ pose_a[:, :3, :3]
-    turn, same = _mean_turn(turns)
+    turn, same = _mean_turn(turns, tuning)
     x, y = transforms.centre(pose_a), transforms.centre(pose_b)
     x_turned = x @ turn.T
-    scale = _scale(x_turned, y, first.range_, second.range_)
-    limit = SHIFT * second.range_
+    scale = _scale(x_turned, y, (first.range_, second.range_), tuning.shift)
+    limit = tuning.shift * second.range_
     shift = np.median((y - scale * x_turned)[same], axis=0)
     agree = same & (np.linalg.norm(scale * x_turned + shift - y, axis=1) < limit)
-    for _ in range(3):
-        if agree.sum() < SHARED:
+    for _ in range(tuning.refits):
+        if agree.sum() < tuning.shared:
             break
         scale, shift = _fitted(x_turned[agree], y[agree], scale, limit)
         agree = same & (np.linalg.norm(scale * x_turned + shift - y, axis=1) < limit)
-    return Join(a, b, Similarity(scale, turn, shift), len(shared), int(agree.sum()), np.median(x, axis=0))
+    needed = max(tuning.shared, tuning.agree * len(shared))
+    return Join(a, b, Similarity(scale, turn, shift), len(shared), int(agree.sum()), needed, np.median(x, axis=0))
 
 
-def _mean_turn(turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _mean_turn(turns: np.ndarray, tuning: JoiningTuning) -> tuple[np.ndarray, np.ndarray]:
     """Mean of the rotations (K, 3, 3) that agree with the one most agree with, and which (K,) do."""
-    some = turns[np.unique(np.linspace(0, len(turns) - 1, min(len(turns), 40)).round().astype(int))]
-    near = transforms.angle_deg(some[:, None], turns[None]) < TURN_DEG
+    some = turns[np.unique(np.linspace(0, len(turns) - 1, min(len(turns), tuning.asked)).round().astype(int))]
+    near = transforms.angle_deg(some[:, None], turns[None]) < tuning.turn_deg
     same = near[np.argmax(near.sum(axis=1))]
     mean = Rotation.from_matrix(turns[same]).mean().as_matrix()
-    return mean, transforms.angle_deg(mean[None], turns) < TURN_DEG
+    return mean, transforms.angle_deg(mean[None], turns) < tuning.turn_deg
 
 
-def _scale(x: np.ndarray, y: np.ndarray, range_x: float, range_y: float) -> float:
+def _scale(x: np.ndarray, y: np.ndarray, ranges: tuple[float, float], hardly: float) -> float:
     """Median ratio of the distances between centres y and x (K, 3), of the longer half; where the images hardly moved,
-    ratio of the distances to what they see."""
+    ratio of the distances to what they see, their ``ranges``. ``hardly``: as a share of these."""
     i, j = np.triu_indices(len(x), 1)
     dx, dy = np.linalg.norm(x[i] - x[j], axis=1), np.linalg.norm(y[i] - y[j], axis=1)
     long = dx >= np.median(dx)
-    if np.median(dx[long]) < SHIFT * range_x:
-        return range_y / range_x
+    if np.median(dx[long]) < hardly * ranges[0]:
+        return ranges[1] / ranges[0]
     return float(np.median(dy[long] / dx[long]))
 
 
@@ -135,7 +132,7 @@ def _fitted(x: np.ndarray, y: np.ndarray, scale: float, limit: float) -> tuple[f
 # ---------------------------------------------------------------- all blocks together
 
 
-def _consistent(joins: list[Join], models: int) -> list[Join]:
+def _consistent(joins: list[Join], models: int, tuning: JoiningTuning) -> list[Join]:
     """The joins without those that contradict the strongest tree of them: walls that repeat can tie two blocks wrongly,
     and all the images they share alike."""
     if not joins:
@@ -148,7 +145,7 @@ def _consistent(joins: list[Join], models: int) -> list[Join]:
     off = np.linalg.norm(here - there, axis=1) / max(float(np.linalg.norm(np.ptp(here, axis=0))), 1e-12)
     turned = [world_from[x.a].rotation.T @ world_from[x.b].rotation @ x.b_from_a.rotation for x in joins]
     off_deg = transforms.angle_deg(np.stack(turned), np.eye(3)) / np.sqrt(len(tree))
-    good = ((off < DRIFT) & (off_deg < TURN_DEG)) | np.isin(np.arange(len(joins)), tree)
+    good = ((off < tuning.drift) & (off_deg < tuning.turn_deg)) | np.isin(np.arange(len(joins)), tree)
     return [x for x, fine in zip(joins, good) if fine]
 
 
@@ -173,7 +170,7 @@ def _along_tree(tree: list[Join], models: int) -> list[Similarity]:
     return at  # type: ignore[return-value]
 
 
-def _adjusted(joins: list[Join], models: int) -> tuple[Similarity, ...]:
+def _adjusted(joins: list[Join], models: int, rounds: int) -> tuple[Similarity, ...]:
     """world_from each model by all joins."""
     i, j = (np.array([getattr(x, n) for x in joins], int) for n in ("a", "b"))
     weight = np.array([x.agree for x in joins], float)
@@ -186,7 +183,7 @@ def _adjusted(joins: list[Join], models: int) -> tuple[Similarity, ...]:
     scale = np.exp(log_scale)
     turn = np.stack([s.rotation for s in start])
     measured = np.stack([x.b_from_a.rotation for x in joins])
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         # world_from_a = world_from_b b_from_a; what is missing, as a rotation vector in the world.
         missing = Rotation.from_matrix(turn[j] @ measured @ np.swapaxes(turn[i], 1, 2)).as_rotvec()
         turn = Rotation.from_rotvec(solve(missing)).as_matrix() @ turn

@@ -9,7 +9,6 @@ import numpy as np
 import pycolmap
 
 from tiegraph.sfm import lens
-from tiegraph.sfm.model import MIN_OBSERVATIONS
 from tiegraph.sfm.priors import add_priors
 from tiegraph.sfm.rig.soft import Soft
 from tiegraph.sfm.solver import factorised
@@ -43,14 +42,14 @@ def final_adjustment(
     OPENCV (``lens``). ``soft``: what is known of poses with a sigma. ``doubted``: constant cameras whose calibration
     gives way if that explains the images clearly better. Impossible intrinsics are refused and said so.
     """
-    free = free_cameras(model, tuning.min_images) - set(constant_cameras)
+    free = free_cameras(model, tuning) - set(constant_cameras)
     adjusted = lens.extended(model, lens.extensible(model, free))
     drop_momentary(adjusted, tuning.enough_seen)
     _solve(adjusted, fixed_rigs, free, False, soft, tuning)
     for _ in range(tuning.robust_rounds):
         pycolmap.ObservationManager(adjusted).filter_all_points3D(tuning.filter_px, tuning.filter_angle_deg)
         _solve(adjusted, fixed_rigs, free, True, soft, tuning)
-    asked = free_cameras(adjusted, tuning.min_images) & set(doubted)
+    asked = free_cameras(adjusted, tuning) & set(doubted)
     adjusted, lenses = _with_doubted(adjusted, fixed_rigs, free, asked, soft, tuning)
     # The robust loss lets go of some points; those that went behind a camera have an infinite error.
     manager = pycolmap.ObservationManager(adjusted)
@@ -139,11 +138,11 @@ def robust_cost(model: pycolmap.Reconstruction, scale_px: float) -> float:
     return total / max(count, 1)
 
 
-def free_cameras(model: pycolmap.Reconstruction, min_images: int) -> set[int]:
-    """COLMAP ids of the cameras with at least so many images that see points: the others keep their intrinsics."""
+def free_cameras(model: pycolmap.Reconstruction, tuning: AdjustTuning) -> set[int]:
+    """COLMAP ids of the cameras with enough images that see points: the others keep their intrinsics."""
     images = [model.image(i) for i in model.reg_image_ids()]
-    cameras = [i.camera_id for i in images if i.num_points3D >= MIN_OBSERVATIONS]
-    return {c for c in set(cameras) if cameras.count(c) >= min_images}
+    cameras = [i.camera_id for i in images if i.num_points3D >= tuning.min_points]
+    return {c for c in set(cameras) if cameras.count(c) >= tuning.min_images}
 
 
 def _solve(

@@ -24,6 +24,7 @@ from tiegraph.scene.blocks import Block, blocks_of
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.joining import Joined, Poses, join_models, moved
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.model import image_poses, tracks
 from tiegraph.sfm.run import Mapped, Request, run_mapper
@@ -59,9 +60,11 @@ class _Links:
         return self.matches
 
 
-def poses_by_blocks(request: Request, scene: Scene, graph: ViewGraph, log_file: Path, run_map: RunMap) -> BlockPoses:
+def poses_by_blocks(
+    request: Request, scene: Scene, graph: ViewGraph, tuning: SceneTuning, log_file: Path, run_map: RunMap
+) -> BlockPoses:
     """Poses of all images from rough models of blocks. ``request``: that of the whole; ``run_map`` runs the blocks."""
-    blocks = blocks_of(scene, _Links(graph.pairs[:, 0], graph.pairs[:, 1], graph.inliers))
+    blocks = blocks_of(scene, _Links(graph.pairs[:, 0], graph.pairs[:, 1], graph.inliers), tuning.blocks)
     parts = [
         replace(request, folder=request.folder / f"block-{k}", rough=True, only=block.images)
         for k, block in enumerate(blocks)
@@ -69,7 +72,7 @@ def poses_by_blocks(request: Request, scene: Scene, graph: ViewGraph, log_file: 
     request.folder.mkdir(parents=True, exist_ok=True)
     made = [(blocks[k], m) for k, found in enumerate(run_map(_map_block, parts, log_file)) for m in found]
     shutil.rmtree(request.folder, ignore_errors=True)
-    joined = join_models([m for _, m in made])
+    joined = join_models([m for _, m in made], tuning.joining)
     return BlockPoses(_together(len(scene), made, joined), _notes(blocks, made, joined))
 
 

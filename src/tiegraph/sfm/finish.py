@@ -281,7 +281,7 @@ def _relaxed(
         calibrated = _measured(index, request) and not bent
         believed = Believed(metres, calibrated, request.constant_cameras, request.lenses_ordered)
         free = relax(start, scene, index, believed, request.tuning, found.loose)
-        lost = lost_images(out.model, free.model, scene)
+        lost = lost_images(out.model, free.model, scene, request.tuning.adjust.min_points)
         if lost:
             out.contradictions.append(_lost_note(scene, index, lost, found.notes))
             continue
@@ -320,7 +320,7 @@ def _confronted(
     how, followed = "", False
     if index in request.ordered:
         how = "; held as given all the same (sparse.rig = fixed)"
-    elif refined is not None and not lost_images(out.model, refined, scene):
+    elif refined is not None and not lost_images(out.model, refined, scene, request.tuning.adjust.min_points):
         out.model, followed = refined, True
         how = "; the images were followed, the other cameras held as given"
     out.contradictions += [f"{line}{how}" for line in said.contradictions]
@@ -371,7 +371,7 @@ def _sigma(checked: _Checked, scene: Scene, request: FinishRequest, notes: list[
             notes.append(f"position sigmas not computed: {frames} frames, more than sparse.covariance_frames")
         return None
     try:
-        free = free_cameras(model, request.tuning.adjust.min_images) - set(request.constant_cameras)
+        free = free_cameras(model, request.tuning.adjust) - set(request.constant_cameras)
         rigs = set(model.rigs) - {k + 1 for k in request.fixed}
         return position_sigma(
             model, free, rigs, checked.ties, drawings(model, scene), checked.off, tuning=request.tuning

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pycolmap
 
-from tiegraph.scene.registered import BY_RIG, MIN_POINTS, Registration
+from tiegraph.scene.registered import BY_RIG, Registration
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.tuning import LossTuning, Tuning
@@ -64,8 +64,8 @@ def _by_rig(scene: Scene, found: Registration) -> list[str]:
     if not len(only):
         return []
     return [
-        f"{len(only)} images see fewer than {MIN_POINTS} points of the model: they are not registered but stand where "
-        f"their rig or those few points place them ({_named(scene, only)})"
+        f"{len(only)} images see fewer than {found.min_points} points of the model: they are not registered but stand "
+        f"where their rig or those few points place them ({_named(scene, only)})"
     ]
 
 

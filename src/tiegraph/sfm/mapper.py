@@ -15,6 +15,8 @@ from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.registered import Registration, registration
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.tuning import RegisteredTuning
+from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.blockwise import RunMap, serially
 from tiegraph.sfm.covariance import PositionSigma
 from tiegraph.sfm.database import ViewGraph
@@ -91,6 +93,7 @@ class Source:
     rough: bool = False
     preview: np.ndarray | None = None  # (N, 4, 4) cam_from_world of the images in a rough model that is believed
     run_map: RunMap = serially  # for the blocks of a large survey
+    on_progress: Progress = lambda registered, total: None  # counts images
 
 
 def reconstruct(
@@ -99,13 +102,13 @@ def reconstruct(
     scene: Scene,
     settings: SparseSettings,
     tuning: Tuning,
+    shared: SceneTuning,
     log: Path,
-    on_progress: Progress = lambda registered, total: None,
 ) -> SparseResult:
     """Map the images of a database with verified matches; models go to ``out/0``, ``out/1``, ... by size.
 
-    The database is read, never changed. ``on_progress(registered, total)`` counts images. Raises ReconstructionError,
-    with the counts and remedies, when no model can be made; SettingsError for a fixed rig without extrinsics.
+    The database is read, never changed. Raises ReconstructionError, with the counts and remedies, when no model can be
+    made; SettingsError for a fixed rig without extrinsics.
     """
     database, images, refused = source.database, source.images, source.refused
     modes = rig_modes(scene, settings.rig)
@@ -131,8 +134,9 @@ def reconstruct(
         scene,
         settings,
         tuning,
+        shared,
         log,
-        on_progress,
+        source.on_progress,
         graph,
         [],
         notes,
@@ -224,7 +228,7 @@ def _account(job: Job, outcome: Outcome, rig: str, finished: Finished) -> Sparse
     """Say what is in the models and what is not."""
     scene = job.scene
     folders = [job.out / str(k) for k in range(len(outcome.folders))]
-    models = [_model(read_model(f), f, scene) for f in folders]
+    models = [_model(read_model(f), f, scene, job.shared.registered) for f in folders]
     main = read_model(folders[0])
     tables = {
         "models": models_table(models),
@@ -268,10 +272,10 @@ def _account(job: Job, outcome: Outcome, rig: str, finished: Finished) -> Sparse
     )
 
 
-def _model(reconstruction: pycolmap.Reconstruction, folder: Path, scene: Scene) -> Model:
+def _model(reconstruction: pycolmap.Reconstruction, folder: Path, scene: Scene, tuning: RegisteredTuning) -> Model:
     return Model(
         folder=folder,
-        found=registration(reconstruction, scene),
+        found=registration(reconstruction, scene, tuning),
         frames=reconstruction.num_reg_frames(),
         points=reconstruction.num_points3D(),
         reprojection_px=float(reconstruction.compute_mean_reprojection_error()),

@@ -15,10 +15,11 @@ from tiegraph.errors import ReconstructionError
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.rig import Rig, calibrated
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.blockwise import RunMap, poses_by_blocks, serially
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.losses import no_model_text
-from tiegraph.sfm.model import MIN_OBSERVATIONS, frame_poses, image_poses, observations
+from tiegraph.sfm.model import frame_poses, image_poses, observations
 from tiegraph.sfm.placement.verified import read_verified
 from tiegraph.sfm.rig.rig import held_by_mapper
 from tiegraph.sfm.run import Mapped, Request, run_mapper
@@ -45,6 +46,7 @@ class Job:
     scene: Scene
     settings: SparseSettings
     tuning: Tuning
+    shared: SceneTuning
     log: Path
     on_progress: Progress
     graph: ViewGraph
@@ -114,7 +116,7 @@ def map_images(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str
     if not label and large and asked and not job.rough:
         mapper = choose_mapper(job.scene, job.settings, bool(rigs), job.tuning.mapping)
         request = replace(_request(job, mapper, rigs, modes), positions=False)
-        found = poses_by_blocks(request, job.scene, job.graph, job.log, job.run_map)
+        found = poses_by_blocks(request, job.scene, job.graph, job.shared, job.log, job.run_map)
         job.notes.extend(found.notes)
         outcome = _run(replace(job, preview=found.cam_from_world), "preview", rigs, modes, "from blocks")
         if outcome.folders:
@@ -251,7 +253,7 @@ def _run(
     seconds = time.monotonic() - start
     folders = mapped.folders
     job.notes.extend(f"{mapper} model: {note}" for note in mapped.notes)
-    registered, points = _seeing(folders[0], scene) if folders else (0, 0)
+    registered, points = _seeing(folders[0], scene, job.tuning.adjust.min_points) if folders else (0, 0)
     rig = "+".join(sorted({modes[k] for k in rigs})) or "absent"
     held = "positions" if request.positions else "none"
     job.runs.append([mapper, rig, held, label, len(folders), registered, points, round(seconds, 1)])
@@ -259,6 +261,6 @@ def _run(
     return Outcome(mapper, folders, registered, mapped.refused)
 
 
-def _seeing(folder: Path, scene: Scene) -> tuple[int, int]:
+def _seeing(folder: Path, scene: Scene, least: int) -> tuple[int, int]:
     reconstruction = read_model(folder)
-    return int(np.sum(observations(reconstruction, scene) >= MIN_OBSERVATIONS)), reconstruction.num_points3D()
+    return int(np.sum(observations(reconstruction, scene) >= least)), reconstruction.num_points3D()

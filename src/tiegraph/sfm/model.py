@@ -9,12 +9,10 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
-from tiegraph.scene.registered import BY_RIG, MIN_POINTS, Registration
+from tiegraph.scene.registered import BY_RIG, Registration
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.world.tuning import FixTuning
-
-MIN_OBSERVATIONS = MIN_POINTS  # an image that sees fewer model points has its pose from the rig alone
 
 
 def matrix(transform: pycolmap.Rigid3d) -> np.ndarray:

@@ -74,6 +74,8 @@ class AdjustTuning(Section):
     robust_px: float = Field(0.5, gt=0)
     """Cauchy scale: about the sigma of a SIFT key point. Reprojection errors are not divided by their sigma, so what is
     known beside the images is multiplied by it."""
+    min_points: int = Field(10, gt=0)
+    """Model points that an image sees: with fewer it has its pose from the rig alone."""
     min_images: int = Field(10, gt=0)
     """Of a camera, to adjust its intrinsics once more with the principal point."""
     filter_px: float = Field(2.0, gt=0)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tiegraph.network.model.surveymodel import ModelFunction, SurveyModel
+from tiegraph.network.model.surveymodel import Maker, SurveyModel
 from tiegraph.network.model.tuning import ModelTuning
 from tiegraph.scene.blocks import Block, blocks_of
 from tiegraph.scene.joining import Joined, Poses, join_models, moved
@@ -26,7 +26,7 @@ class SurveyMapper:
     where a few ties were wrong, only what they touch costs anything.
     """
 
-    def __init__(self, scene: Scene, tuning: ModelTuning, make: ModelFunction) -> None:
+    def __init__(self, scene: Scene, tuning: ModelTuning, make: Maker) -> None:
         self._scene = scene
         self._tuning = tuning
         self._make = make
@@ -37,9 +37,11 @@ class SurveyMapper:
         """Models of the survey, most images first, none of which shares an image with another, and what people should
         know. One, if the survey was mapped whole or all blocks hold together; more where it is torn; perhaps none."""
         scene = self._scene
-        blocks = self._blocks = blocks_of(scene, ties) if self._blocks is None else self._blocks
+        blocks = self._blocks = (
+            blocks_of(scene, ties, self._make.tuning.blocks) if self._blocks is None else self._blocks
+        )
         if len(blocks) == 1 and len(blocks[0]) == len(scene):
-            model = self._make(scene, ties, False)
+            model = self._make.model(scene, ties, False)
             return (() if model is None or not model.placed().any() else (model,)), ()
         made: list[tuple[Block, SurveyModel]] = []
         for number, block in enumerate(blocks):
@@ -48,7 +50,8 @@ class SurveyMapper:
             log.info("block %d of %d: %d of %d images in its model", number + 1, len(blocks), placed, len(block))
             if model is not None and placed:
                 made.append((block, model))
-        joined = join_models([_poses(block, model, self._tuning) for block, model in made])
+        poses = [_poses(block, model, self._tuning) for block, model in made]
+        joined = join_models(poses, self._make.tuning.joining)
         whose = _whose(scene, made, joined.part)
         models = [_together(scene, made, joined, whose, k) for k in range(int(joined.part.max(initial=-1)) + 1)]
         models.sort(key=lambda m: -int(m.placed().sum()))
@@ -60,7 +63,7 @@ class SurveyMapper:
         before = self._last.get(number)
         if before is not None and np.array_equal(before[0].i, inside.i) and np.array_equal(before[0].j, inside.j):
             return before[1]
-        model = self._make(part, inside, True) if len(inside) else None
+        model = self._make.model(part, inside, True) if len(inside) else None
         self._last[number] = inside, model
         return model
 

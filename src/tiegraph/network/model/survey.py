@@ -17,7 +17,7 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.network.model.assembled import SurveyMapper
-from tiegraph.network.model.surveymodel import ModelFunction, SurveyModel
+from tiegraph.network.model.surveymodel import Maker, SurveyModel
 from tiegraph.network.model.trust import Trust, trust
 from tiegraph.network.model.tuning import ModelTuning
 from tiegraph.network.model.visible import Overlap
@@ -47,7 +47,7 @@ class ModelResult:
 
 
 def by_model(
-    pairs: Pairs, scene: Scene, book: PreviewBook, settings: NetworkSettings, tuning: ModelTuning, make: ModelFunction
+    pairs: Pairs, scene: Scene, book: PreviewBook, settings: NetworkSettings, tuning: ModelTuning, make: Maker
 ) -> ModelResult:
     """Pairs by the predicted shared surface where a model of the best ties is trusted, unchanged elsewhere.
 
@@ -101,7 +101,7 @@ class _Try:
 
 
 def _tries(
-    pairs: Pairs, scene: Scene, book: PreviewBook, settings: NetworkSettings, tuning: ModelTuning, make: ModelFunction
+    pairs: Pairs, scene: Scene, book: PreviewBook, settings: NetworkSettings, tuning: ModelTuning, make: Maker
 ) -> list[_Try]:
     """Models until one is sound and agrees with most ties everywhere.
 

@@ -15,6 +15,7 @@ from tiegraph.network.model.visible import Overlap, observed_proxy, shared_surfa
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Sights, Ties
+from tiegraph.scene.tuning import Tuning as SceneTuning
 
 
 @dataclass(frozen=True)
@@ -63,3 +64,12 @@ class SurveyModel:
 
 # Scene and ties of the survey, or of a block of it; whether a rough model will do. None = none could be made.
 ModelFunction = Callable[[Scene, Ties, bool], SurveyModel | None]
+
+
+@dataclass(frozen=True)
+class Maker:
+    """Makes the models of a survey, whole or in blocks: ``model`` one of them, ``tuning`` by what it is cut and
+    joined."""
+
+    model: ModelFunction
+    tuning: SceneTuning

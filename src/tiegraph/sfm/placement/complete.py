@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tiegraph.geometry import transforms
-from tiegraph.sfm.model import MIN_OBSERVATIONS, image_poses
+from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.placement.adopt import Unit, missing, register
 from tiegraph.sfm.placement.guided import Descriptors, Found, Sight, add_sightings, guided, rows_of
 from tiegraph.sfm.placement.predict import Predicted, predicted
@@ -99,7 +99,7 @@ def _tie_weak(
     weak = [
         k
         for k in np.flatnonzero(np.isfinite(poses).all(axis=(1, 2))).tolist()
-        if model.image(image_ids[k]).num_points3D < MIN_OBSERVATIONS
+        if model.image(image_ids[k]).num_points3D < tuning.min_points
         and int(scene.sensor_key[k]) not in skip
         and len(work.verified.xy.get(k, ()))
     ]
@@ -110,7 +110,7 @@ def _tie_weak(
         sight = Sight(k, poses[k], model.camera(model.image(image_ids[k]).camera_id), tuning.near_px)
         found = guided(sight, seen, work.verified, descriptors, tuning)
         good = _off_px(found, sight, seen, work.verified.xy[k]) < tuning.agree_px
-        if good.sum() >= MIN_OBSERVATIONS and good.mean() >= tuning.agree_share:
+        if good.sum() >= tuning.min_points and good.mean() >= tuning.agree_share:
             added = add_sightings(model, found, image_ids[k], tuning.agree_px)
             if added:
                 done.tied[k] = int(model.image(image_ids[k]).num_points3D)

@@ -120,6 +120,8 @@ class GuidedTuning(Section):
     """Key points nearer are one, in two sizes or orientations."""
     rounds: int = Field(2, ge=0)
     """Of placing what is missing: what is placed may help the next."""
+    min_points: int = Field(10, gt=0)
+    """An image that sees fewer hangs on its rig and is searched for points; with so many found it is tied."""
     near_px: float = Field(8.0, gt=0)
     """How far off the points of an image that the rig places may be."""
     least_px: float = Field(6.0, gt=0)

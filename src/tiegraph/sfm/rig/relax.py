@@ -18,7 +18,7 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjust import final_adjustment
 from tiegraph.sfm.jacobians import Tie, Ties
-from tiegraph.sfm.model import MIN_OBSERVATIONS, frame_poses, image_poses, model_rigs, observations
+from tiegraph.sfm.model import frame_poses, image_poses, model_rigs, observations
 from tiegraph.sfm.rig.release import released
 from tiegraph.sfm.rig.soft import Soft, SoftTie
 from tiegraph.sfm.rig.sync import Motion, TimeOffset, rig_motion, time_offset
@@ -213,16 +213,18 @@ def with_sightings_of(model: pycolmap.Reconstruction, mapped: pycolmap.Reconstru
     return out
 
 
-def lost_images(rigid: pycolmap.Reconstruction, free: pycolmap.Reconstruction, scene: Scene) -> tuple[int, ...]:
+def lost_images(
+    rigid: pycolmap.Reconstruction, free: pycolmap.Reconstruction, scene: Scene, least: int
+) -> tuple[int, ...]:
     """Scene indices of images that lose their place in a relaxed model, if that holds fewer images in all.
 
-    What counts is an image that sees enough points: on the rig another would keep its place, alone nothing holds it but
-    the tie to its frame. None if the relaxed model gains as many images as it loses.
+    What counts is an image that sees the ``least`` number of points: on the rig another would keep its place,
+    alone nothing holds it but the tie to its frame. None if the relaxed model gains as many images as it loses.
     """
-    before, after = (_placed_by_points(model, scene) for model in (rigid, free))
+    before, after = (_placed_by_points(model, scene, least) for model in (rigid, free))
     return tuple(int(k) for k in np.flatnonzero(before & ~after)) if after.sum() < before.sum() else ()
 
 
-def _placed_by_points(model: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
+def _placed_by_points(model: pycolmap.Reconstruction, scene: Scene, least: int) -> np.ndarray:
     registered = np.isfinite(image_poses(model, scene)).all(axis=(1, 2))
-    return registered & (observations(model, scene) >= MIN_OBSERVATIONS)
+    return registered & (observations(model, scene) >= least)

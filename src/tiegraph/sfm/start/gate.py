@@ -7,7 +7,7 @@ import pycolmap
 
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjust import impossible_camera
-from tiegraph.sfm.model import MIN_OBSERVATIONS, observations
+from tiegraph.sfm.model import observations
 from tiegraph.sfm.placement.verified import Verified, agreement, seen_by
 from tiegraph.sfm.tuning import Tuning
 
@@ -21,10 +21,10 @@ def why_not(model: pycolmap.Reconstruction, scene: Scene, verified: Verified, pi
         return f"no lens is like what became of camera {scene.all_sensors[lens - 1].name}"
     degree = np.bincount(verified.pairs.ravel(), minlength=len(scene))
     tied = piece & (degree >= gate.tied_pairs)
-    seeing = observations(model, scene) >= MIN_OBSERVATIONS
+    seeing = observations(model, scene) >= tuning.adjust.min_points
     share = float(np.mean(seeing[tied])) if tied.any() else 0.0
     if share < gate.min_seeing:
-        return f"only {seeing[tied].sum()} of {tied.sum()} tied images see {MIN_OBSERVATIONS} of its points"
+        return f"only {seeing[tied].sum()} of {tied.sum()} tied images see {tuning.adjust.min_points} of its points"
     agreed = agreement(verified, seen_by(model, scene, tuning.placement.agreement))
     judged = agreed[:, 1] > 0
     good = agreed[judged, 0] >= tuning.placement.votes.agrees * agreed[judged, 1]

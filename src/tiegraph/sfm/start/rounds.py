@@ -71,7 +71,7 @@ def _round(mapper: pycolmap.IncrementalMapper, options: Options, tuning: Tuning,
     factorised(adjustment, mapper.reconstruction.num_reg_frames(), mapper.reconstruction.num_reg_images())
     if centre:
         adjustment.refine_principal_point = True
-        free = free_cameras(mapper.reconstruction, tuning.adjust.min_images)
+        free = free_cameras(mapper.reconstruction, tuning.adjust)
         held.constant_cameras |= set(mapper.reconstruction.cameras) - free
     mapper.adjust_global_bundle(held, adjustment)
     mapper.filter_points(options.get_mapper())

@@ -129,7 +129,7 @@ def _solve(
     config = pycolmap.BundleAdjustmentConfig()
     for image_id in model.reg_image_ids():
         config.add_image(image_id)
-    free = free_cameras(model, given.tuning.adjust.min_images) - set(given.constant_cameras)
+    free = free_cameras(model, given.tuning.adjust) - set(given.constant_cameras)
     for camera_id in model.cameras:
         if camera_id not in free:
             config.set_constant_cam_intrinsics(camera_id)

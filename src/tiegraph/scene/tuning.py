@@ -1,0 +1,75 @@
+"""What several engines decide by alike: each constant with its unit, its meaning and where its value comes from."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from tiegraph.settings import Section
+
+
+class RegisteredTuning(Section):
+    """Which images of a model are registered (`registered.py`)."""
+
+    min_points: int = Field(10, gt=0)
+    """Points that an image must see where they should be: fewer may agree by chance."""
+    agree_px: float = Field(4.0, gt=0)
+    """Between a point's projection and where it is seen; COLMAP's own limit of an observation."""
+    asked: int = Field(100, gt=0)
+    """Points of an image that are looked at; of more, some that are spread evenly."""
+
+
+class BlocksTuning(Section):
+    """A large survey in blocks (`blocks.py`)."""
+
+    whole: int = Field(600, gt=0)
+    """Images that are mapped in one piece."""
+    own: int = Field(420, gt=0)
+    """Images that a block has of its own, at most."""
+    least: int = Field(30, gt=0)
+    """Images of a block: a smaller one, that nothing ties to the rest, is left out."""
+    lent: int = Field(60, ge=0)
+    """Images that a block takes from each of its neighbours ..."""
+    least_lent_frames: int = Field(4, ge=0)
+    """... and the least frames of them."""
+    least_ties: int = Field(10, gt=0)
+    """Pairs of images between two parts that make them neighbours."""
+    margin: float = Field(0.2, ge=0, le=1)
+    """Of a part: a cut may be so far from where it would halve it, to be where ties are few."""
+    order: float = Field(0.05, gt=0)
+    """Of the mean link: what the order of a pass alone links its frames with."""
+    iterations: int = Field(12, gt=0)
+    """Inverse iterations for the second eigenvector."""
+    vectors: int = Field(4, gt=0)
+    """That iterate together: the next eigenvalues of a long path lie close together."""
+
+
+class JoiningTuning(Section):
+    """Models of blocks put into one frame (`joining.py`)."""
+
+    shared: int = Field(12, ge=3)
+    """Images of two models that a join needs, and that must agree with it."""
+    agree: float = Field(0.6, ge=0, le=1)
+    """Share of the shared images that must agree."""
+    turn_deg: float = Field(3.0, gt=0)
+    """By which the poses of an image in two models may differ."""
+    shift: float = Field(0.06, gt=0)
+    """Likewise, as a share of the distance to what the images see."""
+    drift: float = Field(0.1, gt=0)
+    """Of the survey's extent, by which the places of a join may differ along a chain of others."""
+    asked: int = Field(40, gt=0)
+    """Shared images, evenly spread, whose turns are tried for the one most agree with."""
+    refits: int = Field(3, ge=0)
+    """Of scale and shift to the images that agree."""
+    rounds: int = Field(10, gt=0)
+    """Of the rotations of all blocks."""
+
+
+class Tuning(Section):
+    """Constants of the shared library that are the same for every user."""
+
+    registered: RegisteredTuning = RegisteredTuning()
+    """Registered images."""
+    blocks: BlocksTuning = BlocksTuning()
+    """Blocks of a survey."""
+    joining: JoiningTuning = JoiningTuning()
+    """Blocks joined again."""
