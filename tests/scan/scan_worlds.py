@@ -15,6 +15,7 @@ from tiegraph.scan.scan import ScanInputs, build_scene, find_images, probe_image
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import Tuning
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.tuning import ImageTuning
 
 TUNING = Tuning()
 DATA = Path(os.environ.get("TIEGRAPH_DATA", Path(__file__).parents[3] / "shared" / "data"))
@@ -72,5 +73,5 @@ def papers_rig(root: Path, passes: tuple[str, ...] = ("up", "down"), cameras: in
 def scan(images: Path, settings: ScanSettings | None = None, **inputs: object) -> Scene:
     """The whole scan stage without a pipeline."""
     names = find_images(images)
-    probes = [probe_image(images / n) for n in names]
+    probes = [probe_image(images / n, ImageTuning()) for n in names]
     return build_scene(ScanInputs(images, **inputs), names, probes, settings or ScanSettings(), TUNING)  # type: ignore[arg-type]

@@ -20,6 +20,7 @@ from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.images import Probe
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.table import read_table
+from tiegraph.scene.tuning import ImageTuning
 
 TUNING = Tuning()
 HEAD = "time,lat,lon,height"
@@ -32,7 +33,7 @@ class Survey:
     def __init__(self, images: Path) -> None:
         self.images = images
         self.names = find_images(images)
-        self.probes: Sequence[Probe] = [probe_image(images / n) for n in self.names]
+        self.probes: Sequence[Probe] = [probe_image(images / n, ImageTuning()) for n in self.names]
 
     def scan(self, crs: str = "auto", **inputs: Path) -> Scene:
         return build_scene(ScanInputs(self.images, **inputs), self.names, self.probes, ScanSettings(crs=crs), TUNING)  # type: ignore[arg-type]
@@ -372,11 +373,11 @@ def test_one_exif_position_and_the_same_for_all(tmp_path: Path) -> None:
 def test_exif_without_hemisphere_and_of_no_accuracy(tmp_path: Path) -> None:
     exif = exif_of(lat=-35.69, lon=139.77, alt=40.0)
     del exif.get_ifd(0x8825)[1]
-    found = read_exif(Image.open(picture(tmp_path / "a.jpg", exif=exif)))
+    found = read_exif(Image.open(picture(tmp_path / "a.jpg", exif=exif)), ImageTuning().focal_range)
     assert found.lat_deg > 0 and "north or south" in found.doubt
     exif = exif_of(lat=35.69, lon=139.77, alt=40.0)
     exif.get_ifd(0x8825)[31] = 1e7
-    found = read_exif(Image.open(picture(tmp_path / "b.jpg", exif=exif)))
+    found = read_exif(Image.open(picture(tmp_path / "b.jpg", exif=exif)), ImageTuning().focal_range)
     assert np.isnan(found.lat_deg) and "accuracy of 1e+07 m is none" in found.doubt
 
 

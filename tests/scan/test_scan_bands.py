@@ -13,6 +13,7 @@ from tiegraph.scan.rigwrite import write_rig_toml
 from tiegraph.scene.images import probe_image
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.tuning import ImageTuning
 from tiegraph.scene.xmp import RigTags, relative_rotation
 
 HEAD = '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF><rdf:Description rdf:about="" xmlns:Camera="http://pix4d.com/camera/1.0"'
@@ -122,7 +123,7 @@ def test_a_written_rig_of_bands_is_read_back(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_tags_in_every_form(tmp_path: Path, xmp: bytes, tags: RigTags) -> None:
-    assert probe_image(_tiff(tmp_path / "a.tif", xmp)).exif.rig == tags
+    assert probe_image(_tiff(tmp_path / "a.tif", xmp), ImageTuning()).exif.rig == tags
 
 
 # --- lenses ---------------------------------------------------------------------------------------------------------

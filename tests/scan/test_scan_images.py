@@ -9,6 +9,7 @@ from scan_worlds import data, exif_of, picture
 
 from tiegraph.errors import InputError
 from tiegraph.scene.images import find_images, probe_image
+from tiegraph.scene.tuning import ImageTuning
 
 
 def test_find_images_is_sorted_posix_and_passes_over_hidden_files(tmp_path: Path) -> None:
@@ -44,7 +45,7 @@ def test_a_file_instead_of_a_folder(tmp_path: Path) -> None:
 
 
 def test_probe_of_a_good_image_is_picklable_and_small(tmp_path: Path) -> None:
-    probe = probe_image(picture(tmp_path / "a.jpg", (640, 480)))
+    probe = probe_image(picture(tmp_path / "a.jpg", (640, 480)), ImageTuning())
     assert (probe.width, probe.height, probe.channels, probe.bits, probe.reason) == (640, 480, 3, 8, "")
     assert len(pickle.dumps(probe)) < 1000
     assert pickle.loads(pickle.dumps(probe)) == pickle.loads(pickle.dumps(probe)) or np.isnan(probe.exif.focal_px)
@@ -56,7 +57,7 @@ def test_truncated_images_are_found(tmp_path: Path, suffix: str, quality: dict, 
     path = picture(tmp_path / f"a{suffix}", (320, 240), **quality)
     whole = path.read_bytes()
     path.write_bytes(whole[: int(share * len(whole))])
-    assert probe_image(path).reason != ""
+    assert probe_image(path, ImageTuning()).reason != ""
 
 
 @pytest.mark.parametrize(
@@ -65,19 +66,19 @@ def test_truncated_images_are_found(tmp_path: Path, suffix: str, quality: dict, 
 def test_files_that_are_no_images(tmp_path: Path, content: bytes, message: str) -> None:
     path = tmp_path / "a.jpg"
     path.write_bytes(content)
-    reason = probe_image(path).reason
+    reason = probe_image(path, ImageTuning()).reason
     assert reason and message in reason
 
 
 def test_unreadable_raw_tiny_and_float_images_say_why(tmp_path: Path) -> None:
     (tmp_path / "a.heic").write_bytes(b"123")
-    assert "convert to JPEG" in probe_image(tmp_path / "a.heic").reason
-    assert "cannot be read" in probe_image(tmp_path / "absent.jpg").reason
-    assert "8 x 6 pixels" in probe_image(picture(tmp_path / "b.png", (8, 6))).reason
+    assert "convert to JPEG" in probe_image(tmp_path / "a.heic", ImageTuning()).reason
+    assert "cannot be read" in probe_image(tmp_path / "absent.jpg", ImageTuning()).reason
+    assert "8 x 6 pixels" in probe_image(picture(tmp_path / "b.png", (8, 6)), ImageTuning()).reason
     Image.fromarray(np.zeros((64, 64), np.float32)).save(tmp_path / "c.tif")
-    assert "floating-point" in probe_image(tmp_path / "c.tif").reason
+    assert "floating-point" in probe_image(tmp_path / "c.tif", ImageTuning()).reason
     cv2.imwrite(str(tmp_path / "d.tif"), np.zeros((64, 64, 3), np.float32))
-    assert "convert to 8 or 16 bits" in probe_image(tmp_path / "d.tif").reason
+    assert "convert to 8 or 16 bits" in probe_image(tmp_path / "d.tif", ImageTuning()).reason
 
 
 @pytest.mark.parametrize("top, bits", [(200, 8), (1000, 10), (4095, 12), (65535, 16)])
@@ -85,7 +86,7 @@ def test_unreadable_raw_tiny_and_float_images_say_why(tmp_path: Path) -> None:
 def test_significant_bits_of_deep_images(tmp_path: Path, top: int, bits: int, channels: int) -> None:
     pixels = np.linspace(0, top, 64 * 64 * channels).astype(np.uint16).reshape(64, 64, channels)
     cv2.imwrite(str(tmp_path / "a.png"), pixels)
-    probe = probe_image(tmp_path / "a.png")
+    probe = probe_image(tmp_path / "a.png", ImageTuning())
     assert (probe.bits, probe.channels, probe.reason) == (bits, channels, "")
 
 
@@ -101,7 +102,7 @@ def test_exif_position_time_and_focal_length(tmp_path: Path) -> None:
         lon=-120.25,
         alt=-3,
     )
-    found = probe_image(picture(tmp_path / "a.jpg", (3000, 2000), exif=exif)).exif
+    found = probe_image(picture(tmp_path / "a.jpg", (3000, 2000), exif=exif), ImageTuning()).exif
     assert found.focal_px == pytest.approx(50 / 43.27 * np.hypot(3000, 2000), rel=1e-9)
     assert (found.lat_deg, found.lon_deg, found.height_m) == pytest.approx((35.5, -120.25, -3.0), abs=1e-7)
     assert found.time_s == pytest.approx(1694739600.25) and found.time_utc  # 01:00:00.25 UTC
@@ -111,18 +112,20 @@ def test_exif_position_time_and_focal_length(tmp_path: Path) -> None:
 def test_focal_length_from_the_sensor_density_survives_resizing(tmp_path: Path) -> None:
     # 24 mm lens, 36 mm wide sensor of 6000 pixels, image reduced to 1500: f = 24/36 * 1500.
     exif = exif_of(focal_mm=24.0, plane_x=6000 / 36 * 10, plane_unit=3, width=6000)
-    assert probe_image(picture(tmp_path / "a.jpg", (1500, 1000), exif=exif)).exif.focal_px == pytest.approx(1000.0)
+    assert probe_image(
+        picture(tmp_path / "a.jpg", (1500, 1000), exif=exif), ImageTuning()
+    ).exif.focal_px == pytest.approx(1000.0)
 
 
 def test_unbelievable_exif_counts_as_not_written(tmp_path: Path) -> None:
     exif = exif_of(focal_35mm=1, time="0000:00:00 00:00:00", lat=0.0, lon=0.0, alt=0.0)
-    found = probe_image(picture(tmp_path / "a.jpg", (1500, 1000), exif=exif)).exif
+    found = probe_image(picture(tmp_path / "a.jpg", (1500, 1000), exif=exif), ImageTuning()).exif
     assert np.isnan([found.focal_px, found.time_s, found.lat_deg, found.lon_deg]).all()
 
 
 def test_phone_photographs_of_a_hill() -> None:
     folder = data("oppaiyama", "images")
-    found = probe_image(folder / find_images(folder)[0]).exif
+    found = probe_image(folder / find_images(folder)[0], ImageTuning()).exif
     # iPhone 5s: 29 mm equivalent on 1224 x 918 pixels; about 1040 px from the sensor's data sheet (4.15 mm on 4.89 mm).
     assert 980 < found.focal_px < 1060
     assert 38.2 < found.lat_deg < 38.3 and 140.9 < found.lon_deg < 141.0

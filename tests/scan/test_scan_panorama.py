@@ -15,6 +15,7 @@ from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.panorama import is_equirectangular
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.tuning import PanoramaTuning
 
 PICTURES = PicturesTuning()
 
@@ -81,11 +82,11 @@ def test_views_show_what_their_rays_see(walk: tuple[Path, Scene], tmp_path: Path
 
 def test_photographs_of_that_shape_are_no_panoramas(tmp_path: Path) -> None:
     with Image.open(panorama(tmp_path / "p.jpg", 0.5)) as whole:
-        assert is_equirectangular(whole)
+        assert is_equirectangular(whole, PanoramaTuning())
         part = whole.crop((100, 100, 900, 500)).resize((1200, 600))
-        assert not is_equirectangular(part)
-        assert not is_equirectangular(whole.resize((1200, 601)))
-        assert not is_equirectangular(Image.new("RGB", (1200, 600), (90, 150, 220)))
+        assert not is_equirectangular(part, PanoramaTuning())
+        assert not is_equirectangular(whole.resize((1200, 601)), PanoramaTuning())
+        assert not is_equirectangular(Image.new("RGB", (1200, 600), (90, 150, 220)), PanoramaTuning())
 
 
 def test_the_user_may_say_so(tmp_path: Path) -> None:

@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 from tiegraph.scene.evidence import LIMIT, Statement, contradictions, table, trend
+from tiegraph.scene.tuning import TrendTuning
+
+TUNING = TrendTuning()
 
 
 def process(rng: np.random.Generator, count: int, r: float) -> np.ndarray:
@@ -19,7 +22,7 @@ def process(rng: np.random.Generator, count: int, r: float) -> np.ndarray:
 @pytest.mark.parametrize(("count", "r"), [(12, 0.0), (12, 0.6), (30, 0.0), (30, 0.6), (100, 0.8)])
 def test_noise_is_no_trend(count: int, r: float) -> None:
     rng = np.random.default_rng(count)
-    alarms = sum(trend(process(rng, count, r)) is not None for _ in range(120))
+    alarms = sum(trend(process(rng, count, r), TUNING) is not None for _ in range(120))
     assert alarms <= 1  # 0.1 % by construction, where the correlation is known
 
 
@@ -27,9 +30,9 @@ def test_noise_is_no_trend(count: int, r: float) -> None:
 def test_what_is_larger_than_the_noise_is_found_by_its_form(form: str) -> None:
     rng, x = np.random.default_rng(3), np.linspace(-1, 1, 40)
     shape = {"line": x, "curve": 1.5 * (x**2 - 1 / 3), "step": np.sign(x - 0.2)}[form]
-    found = [trend(0.7 * shape + 0.05 * process(rng, 40, 0.5)) for _ in range(20)]
+    found = [trend(0.7 * shape + 0.05 * process(rng, 40, 0.5), TUNING) for _ in range(20)]
     assert sum(f is not None and f.form == form for f in found) >= 18
-    assert not any(trend(0.3 * shape + process(rng, 40, 0.5)) for _ in range(20))  # below the noise: nothing
+    assert not any(trend(0.3 * shape + process(rng, 40, 0.5), TUNING) for _ in range(20))  # below the noise: nothing
     size = {"line": 1.4, "curve": 1.05, "step": 1.4}[form]
     assert all(f.size == pytest.approx(size, rel=0.2) for f in found if f is not None and f.form == form)
 
@@ -40,7 +43,7 @@ def test_a_step_that_the_fit_has_followed_by_turning_is_found() -> None:
     found = []
     for _ in range(20):
         y = np.where(x > 0, 0.4, 0.0) + 0.02 * rng.standard_normal(20)
-        found.append(trend(y - np.polyval(np.polyfit(x, y, 1), x), 3))
+        found.append(trend(y - np.polyval(np.polyfit(x, y, 1), x), TUNING, 3))
     assert all(f is not None and f.form == "step" for f in found)
     assert all(f.size == pytest.approx(0.4, abs=0.1) and 0.4 < f.at < 0.6 for f in found if f is not None)
 
@@ -49,15 +52,15 @@ def test_one_bad_value_is_no_trend_and_the_words_hold_the_figures() -> None:
     rng, x = np.random.default_rng(4), np.linspace(-1, 1, 30)
     bad = 0.02 * rng.standard_normal(30)
     bad[4] = 5.0
-    assert trend(bad) is None and trend(np.zeros(30)) is None and trend(x[:5]) is None
-    line = trend(0.7 * x + 0.02 * rng.standard_normal(30))
+    assert trend(bad, TUNING) is None and trend(np.zeros(30), TUNING) is None and trend(x[:5], TUNING) is None
+    line = trend(0.7 * x + 0.02 * rng.standard_normal(30), TUNING)
     assert line is not None and line.text().startswith("run in a line from -0.") and " m to +0." in line.text()
     assert line.start == pytest.approx(-0.7, abs=0.05) and line.end == pytest.approx(0.7, abs=0.05)
-    step = trend(np.where(x > 0, 0.5, 0.0) + 0.02 * rng.standard_normal(30))
+    step = trend(np.where(x > 0, 0.5, 0.0) + 0.02 * rng.standard_normal(30), TUNING)
     assert step is not None and step.text().startswith("jump by +0.") and step.at == 0.5
-    off = trend(0.5 + 0.02 * rng.standard_normal(30), offset=True)
+    off = trend(0.5 + 0.02 * rng.standard_normal(30), TUNING, offset=True)
     assert off is not None and off.text() == "stand off by +0.5 m all the time"
-    assert trend(0.5 + 0.02 * rng.standard_normal(30)) is None
+    assert trend(0.5 + 0.02 * rng.standard_normal(30), TUNING) is None
 
 
 def test_statements_that_cannot_both_be_right() -> None:

@@ -28,7 +28,7 @@ def scan(run: Run) -> Outcome:
     files = list(found.names)
     names = clean_names(files)  # from here on: only their opening needs the names that the file system has
     run.reporter.total(2 * len(names))
-    probes = run.map(probe_image, [root / f for f in files])
+    probes = run.map(probe_image, [root / f for f in files], run.settings.tuning.scene.images)
     inputs = ScanInputs(
         root, given.rig, given.camera, given.gnss, given.trajectory, given.times, video=root != given.images
     )

@@ -14,12 +14,11 @@ from itertools import combinations
 import numpy as np
 from scipy.special import ndtri, stdtr
 
-CHANCE = 0.001  # that what agrees is called a contradiction, for each test
+from tiegraph.scene.tuning import TrendTuning
+
+# What a contradiction is, wherever one is told: by the chance, for each test, that what agrees is called one.
+CHANCE = 0.001
 LIMIT = float(-ndtri(CHANCE / 2))  # 3.29 sigmas
-_MIN_ROWS = 8  # below, a trend and noise cannot be told apart
-_MAX_CORRELATION = 0.98
-_CAUTION = 2.0  # sigmas by which the correlation may be larger than it looks
-_SPIKE = 6.0  # robust sigmas from the neighbours: a single bad value is no trend
 
 
 @dataclass(frozen=True)
@@ -100,37 +99,39 @@ class Trend:
         return f"jump by {self.end - self.start:+.2g} {unit} after {self.at:.0%} of the way"
 
 
-def trend(values: np.ndarray, tests: int = 1, offset: bool = False) -> Trend | None:
+def trend(values: np.ndarray, tuning: TrendTuning, tests: int = 1, offset: bool = False) -> Trend | None:
     """The line, curve or step that values (K,) in order of time follow beyond chance, None if there is none.
 
     ``offset``: or the constant, where they ought to be about zero. A step may have a line beside it: residuals are what
     a fit has left, and it follows a step by turning.
 
-    Noise is taken to be a first-order process: its correlation, estimated about the form itself and raised by two of
-    its own sigmas (short series look less correlated than they are), sets how many of the values count (generalised
+    Noise is taken to be a first-order process: its correlation, estimated about the form itself and raised by two
+    of its own sigmas (short series look less correlated than they are), sets how many of the values count (generalised
     least squares and Student's t). Single bad values are left out. ``tests``: how many
     series are looked at, so that all together alarm at 0.1 %. Fewer than eight values say nothing.
     """
     y = np.asarray(values, float)
     keep = np.flatnonzero(np.isfinite(y))
-    keep = keep[~_spikes(y[keep])]
+    keep = keep[~_spikes(y[keep], tuning)]
     x, y = np.linspace(-1.0, 1.0, len(y))[keep], y[keep]
-    if len(y) < _MIN_ROWS or np.ptp(y) == 0:
+    if len(y) < tuning.min_rows or np.ptp(y) == 0:
         return None
     one = np.ones(len(y))
     shapes = [("line", x[:, None]), ("curve", np.stack([x, x**2], axis=1))]
-    shapes += [("step", _best_step(y, one[:, None])), ("step", _best_step(y, np.stack([one, x], axis=1)))]
+    side = tuning.step_rows
+    shapes += [("step", _best_step(y, one[:, None], side)), ("step", _best_step(y, np.stack([one, x], axis=1), side))]
     if offset:
         shapes.append(("offset", np.zeros((len(y), 0))))
-    found = [_tested(y, n, s, tests * len(shapes) * (len(y) - 5 if n == "step" else 1)) for n, s in shapes]
+    places = len(y) - 2 * side + 1  # of a step
+    found = [_tested(y, n, s, tests * len(shapes) * (places if n == "step" else 1), tuning) for n, s in shapes]
     best = min(found, key=lambda t: t.chance)
     return best if best.chance < CHANCE else None
 
 
-def _best_step(y: np.ndarray, beside: np.ndarray) -> np.ndarray:
+def _best_step(y: np.ndarray, beside: np.ndarray, side: int) -> np.ndarray:
     """The step that parts values (K,) best beside a form (K, P) that begins with a constant, which is left away: (K, P)
-    with the step as its last column. Three values at least are on either side."""
-    cuts = np.arange(3, len(y) - 2)
+    with the step as its last column. So many values at least are on either ``side``."""
+    cuts = np.arange(side, len(y) - side + 1)
     steps = (np.arange(len(y))[:, None] >= cuts).astype(float)
     base = np.linalg.qr(beside)[0]
     off, free = y - base @ (base.T @ y), steps - base @ (base.T @ steps)
@@ -138,12 +139,12 @@ def _best_step(y: np.ndarray, beside: np.ndarray) -> np.ndarray:
     return np.column_stack([beside[:, 1:], steps[:, best]])
 
 
-def _tested(y: np.ndarray, form: str, shape: np.ndarray, tries: int) -> Trend:
+def _tested(y: np.ndarray, form: str, shape: np.ndarray, tries: int, tuning: TrendTuning) -> Trend:
     """A form (K, P) fitted to values (K,), and the chance of its last column times the number of tries."""
     design = np.column_stack([np.ones(len(y)), shape])
     count, unknowns = design.shape
     plain = np.linalg.lstsq(design, y, rcond=None)[0]
-    r = _correlation(y - design @ plain, unknowns)
+    r = _correlation(y - design @ plain, unknowns, tuning)
     white = [np.vstack([np.sqrt(1 - r * r) * a[:1], a[1:] - r * a[:-1]]) for a in (design, y[:, None])]
     normal = np.linalg.pinv(white[0].T @ white[0])
     best = normal @ white[0].T @ white[1][:, 0]
@@ -157,21 +158,21 @@ def _tested(y: np.ndarray, form: str, shape: np.ndarray, tries: int) -> Trend:
     return Trend(form, float(line[0]), float(line[-1]), bow, at, chance)
 
 
-def _correlation(rest: np.ndarray, unknowns: int) -> float:
-    """Lag-one correlation of residuals about a form, freed of its bias and raised by two sigmas; 0 to 0.98."""
+def _correlation(rest: np.ndarray, unknowns: int, tuning: TrendTuning) -> float:
+    """Lag-one correlation of residuals about a form, freed of its bias and raised by some sigmas; from 0, below 1."""
     count = len(rest)
     r = float(rest[1:] @ rest[:-1]) / max(float(rest @ rest), 1e-300)
     r += (unknowns + (unknowns + 2) * r) / count
-    r += _CAUTION * float(np.sqrt(max(1 - r * r, 0.0) / count))
-    return float(np.clip(r, 0.0, _MAX_CORRELATION))
+    r += tuning.caution_sigmas * float(np.sqrt(max(1 - r * r, 0.0) / count))
+    return float(np.clip(r, 0.0, tuning.max_correlation))
 
 
-def _spikes(y: np.ndarray) -> np.ndarray:
+def _spikes(y: np.ndarray, tuning: TrendTuning) -> np.ndarray:
     """(K,) values far from the middle between their neighbours (those beside such a one may go with it)."""
     out = np.zeros(len(y), bool)
-    if len(y) >= _MIN_ROWS:
+    if len(y) >= tuning.min_rows:
         off = np.abs(y[1:-1] - 0.5 * (y[:-2] + y[2:]))
-        out[1:-1] = off > _SPIKE * 1.4826 * float(np.median(off)) + 1e-12
+        out[1:-1] = off > tuning.spike_sigmas * 1.4826 * float(np.median(off)) + 1e-12
     return out
 
 

@@ -19,7 +19,6 @@ _FOCAL_MM, _FOCAL_35MM, _LENS = 0x920A, 0xA405, 0xA434
 _PLANE_X, _PLANE_UNIT, _EXIF_WIDTH, _EXIF_HEIGHT = 0xA20E, 0xA210, 0xA002, 0xA003
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 _DIAGONAL_35MM = 43.27  # mm; CIPA DC-008 compares the diagonals of the fields of view
-_PLAUSIBLE = (0.2, 20.0)  # focal length over the longer image side: 136 degrees of view ... a 700 mm lens
 
 
 @dataclass(frozen=True)
@@ -42,8 +41,9 @@ class Exif:
     doubt: str = ""  # what is wrong with the position as written; it is used where lat_deg is finite all the same
 
 
-def read_exif(image: Any) -> Exif:
-    """EXIF of an opened PIL image; damaged entries count as not written."""
+def read_exif(image: Any, focal_range: tuple[float, float]) -> Exif:
+    """EXIF of an opened PIL image; damaged entries count as not written, as do focal lengths out of a range (in longer
+    image sides)."""
     try:
         base = image.getexif()
         detail, gps = base.get_ifd(_EXIF_IFD), base.get_ifd(_GPS_IFD)
@@ -54,7 +54,7 @@ def read_exif(image: Any) -> Exif:
     time_s, utc = _time(base, detail)
     return Exif(
         orientation=int(orientation) if orientation in range(1, 9) else 1,
-        focal_px=_focal(detail, *image.size),
+        focal_px=_focal(detail, *image.size, focal_range),
         lat_deg=place[0],
         lon_deg=place[1],
         height_m=place[2],
@@ -88,22 +88,22 @@ def _place(gps: dict) -> tuple[tuple[float, float, float, float], str]:
     return (lat, lon, height, sigma if sigma >= SIGMA_RANGE_M[0] else NAN), ""
 
 
-def _focal(detail: dict, width: int, height: int) -> float:
+def _focal(detail: dict, width: int, height: int, range_: tuple[float, float]) -> float:
     longer = max(width, height)
     equivalent = _positive(detail.get(_FOCAL_35MM))
     focal = equivalent / _DIAGONAL_35MM * (width**2 + height**2) ** 0.5
-    if _believable(focal, longer):
+    if _believable(focal, longer, range_):
         return focal
     mm, density = _positive(detail.get(_FOCAL_MM)), _positive(detail.get(_PLANE_X))
     unit_mm = _UNIT_MM.get(int(_number(detail.get(_PLANE_UNIT, 2), 2)), 25.4)
     written = max(_positive(detail.get(_EXIF_WIDTH)), _positive(detail.get(_EXIF_HEIGHT)))
     # The density counts the pixels the camera took; the image may have been made smaller since.
     focal = mm * density / unit_mm * (longer / written if written == written else 1.0)
-    return focal if _believable(focal, longer) else NAN
+    return focal if _believable(focal, longer, range_) else NAN
 
 
-def _believable(focal_px: float, longer_px: int) -> bool:
-    return _PLAUSIBLE[0] * longer_px <= focal_px <= _PLAUSIBLE[1] * longer_px
+def _believable(focal_px: float, longer_px: int, range_: tuple[float, float]) -> bool:
+    return range_[0] * longer_px <= focal_px <= range_[1] * longer_px
 
 
 def _angle(gps: dict, key: int, reference_key: int, negative: str) -> float:

@@ -19,13 +19,13 @@ from tiegraph.errors import InputError
 from tiegraph.scene.exif import Exif, read_exif
 from tiegraph.scene.panorama import is_equirectangular
 from tiegraph.scene.regular import regular
+from tiegraph.scene.tuning import ImageTuning
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".pgm")
 # Photographs nobody here can decode: found, and refused by name, so that they are not missed silently.
 UNREADABLE = (".heic", ".heif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".gif", ".jp2")
 IMAGES_FOLDER = "images"
 _IGNORED = ("thumbs.db", "desktop.ini", "__macosx")
-_MIN_SIDE_PX = 32
 _LARGEST_PX = 1_000_000_000  # PIL refuses more than 179 Mpx as an attack; survey cameras and mosaics go beyond
 # A JPEG of one colour has 85 pixels a byte with the standard's tables; a deflated one 1032 bytes of pixels a byte.
 _BOMB_PX, _BOMB_PX_PER_BYTE = 100_000_000, 300
@@ -145,7 +145,7 @@ def _ignored(name: str) -> bool:
     return name.startswith(".") or name.lower() in _IGNORED
 
 
-def probe_image(path: Path) -> Probe:
+def probe_image(path: Path, tuning: ImageTuning) -> Probe:
     """Read, decode and describe one image file; the pixels are let go again. Never raises: see ``Probe.reason``."""
     path = Path(path)
     try:
@@ -159,7 +159,7 @@ def probe_image(path: Path) -> Probe:
     if path.suffix.lower() in UNREADABLE:
         return Probe(digest=digest, reason=f"{path.suffix} files are not read: convert to JPEG, PNG or TIFF")
     try:
-        return _describe(data, digest)
+        return _describe(data, digest, tuning)
     except _Unusable as error:
         return Probe(digest=digest, reason=str(error))
 
@@ -168,7 +168,7 @@ class _Unusable(Exception):
     pass
 
 
-def _describe(data: bytes, digest: str) -> Probe:
+def _describe(data: bytes, digest: str, tuning: ImageTuning) -> Probe:
     try:
         image = open_image(data)
     except Image.UnidentifiedImageError:
@@ -180,7 +180,7 @@ def _describe(data: bytes, digest: str) -> Probe:
         image.load()
     except Exception as error:  # decoders raise OSError, SyntaxError, ValueError, struct.error and more
         raise _broken(error) from None
-    if min(image.size) < _MIN_SIDE_PX:
+    if min(image.size) < tuning.min_side_px:
         raise _Unusable(f"only {image.width} x {image.height} pixels")
     if image.mode == "F":
         raise _Unusable("floating-point pixels: convert to 8 or 16 bits")
@@ -189,9 +189,9 @@ def _describe(data: bytes, digest: str) -> Probe:
         height=image.height,
         channels=len(image.getbands()),
         bits=_significant_bits(image, data),
-        exif=read_exif(image),
+        exif=read_exif(image, tuning.focal_range),
         digest=digest,
-        panorama=is_equirectangular(image),
+        panorama=is_equirectangular(image, tuning.panorama),
     )
 
 

@@ -9,27 +9,28 @@ import numpy as np
 import pycolmap
 from PIL import Image
 
-_MIN_WIDTH_PX = 1024  # smaller panoramas have views of less than 290 px
-_LEVEL = 6.0  # grey levels along a row that is one point of the sphere (JPEG noise)
-_SEAM = 3.0  # step over the seam in steps between columns beside it
+from tiegraph.scene.tuning import PanoramaTuning
 
 
-def is_equirectangular(image: Image.Image) -> bool:
+def is_equirectangular(image: Image.Image, tuning: PanoramaTuning) -> bool:
     """Whether a decoded image is a full panorama: by its XMP (GPano), else by its poles and its seam.
 
     The first and the last row of an equirectangular panorama are one point each, and its left border goes on at the
     right one.
     """
-    if image.width != 2 * image.height or image.width < _MIN_WIDTH_PX:
+    if image.width != 2 * image.height or image.width < tuning.min_width_px:
         return False
     xmp = image.info.get("xmp", b"")
     if b"equirectangular" in (xmp if isinstance(xmp, bytes) else str(xmp).encode()):
         return True
-    grey = np.asarray(image.convert("L").resize((512, 256), Image.Resampling.BOX), float)
+    size = tuning.look_px, tuning.look_px // 2
+    grey = np.asarray(image.convert("L").resize(size, Image.Resampling.BOX), float)
     poles = max(grey[0].std(), grey[-1].std())
-    beside = np.abs(np.diff(grey[:, :9], axis=1)).mean() + np.abs(np.diff(grey[:, -9:], axis=1)).mean()
+    borders = grey[:, : tuning.beside], grey[:, -tuning.beside :]
+    beside = np.abs(np.diff(borders[0], axis=1)).mean() + np.abs(np.diff(borders[1], axis=1)).mean()
     seam = np.abs(grey[:, 0] - grey[:, -1]).mean()
-    return bool(poles < _LEVEL and grey.std() > _LEVEL and seam < _SEAM * max(beside / 2, 0.5))
+    step = max(beside / 2, tuning.least_step_grey)
+    return bool(poles < tuning.pole_grey and grey.std() > tuning.pole_grey and seam < tuning.seam * step)
 
 
 def render_view(panorama: np.ndarray, camera: pycolmap.Camera, view_from_panorama: np.ndarray) -> np.ndarray:

@@ -1,10 +1,56 @@
-"""What several engines decide by alike: each constant with its unit, its meaning and where its value comes from."""
+"""What the shared library decides by: each constant with its unit, its meaning and where its value comes from.
+
+``TrendTuning`` is of one engine alone, and stands in that engine's tuning.
+"""
 
 from __future__ import annotations
 
 from pydantic import Field
 
 from tiegraph.settings import Section
+
+
+class PanoramaTuning(Section):
+    """Which images are equirectangular panoramas (`panorama.py`)."""
+
+    min_width_px: int = Field(1024, gt=0)
+    """Smaller panoramas have views of less than 290 px."""
+    look_px: int = Field(512, gt=1)
+    """Width at which poles and seam are looked at."""
+    pole_grey: float = Field(6.0, gt=0)
+    """Grey levels by which a row that is one point of the sphere may vary (JPEG noise), and the image must."""
+    seam: float = Field(3.0, gt=0)
+    """Step over the seam, in steps between the columns beside it."""
+    beside: int = Field(9, gt=1)
+    """Columns at either border that tell these steps."""
+    least_step_grey: float = Field(0.5, gt=0)
+    """Such a step at least: a clear sky has none."""
+
+
+class ImageTuning(Section):
+    """What a look at an image file tells (`images.py`, `exif.py`)."""
+
+    min_side_px: int = Field(32, gt=0)
+    """Of an image that can be used."""
+    focal_range: tuple[float, float] = (0.2, 20.0)
+    """Focal lengths in longer image sides that EXIF is believed: 136 degrees of view ... a 700 mm lens."""
+    panorama: PanoramaTuning = PanoramaTuning()
+    """Panoramas."""
+
+
+class TrendTuning(Section):
+    """What is no noise in residuals along the way (`evidence.py`)."""
+
+    min_rows: int = Field(8, ge=6)
+    """Values below which a trend and noise cannot be told apart."""
+    step_rows: int = Field(3, gt=0)
+    """Values on either side of a step, at least."""
+    max_correlation: float = Field(0.98, ge=0, lt=1)
+    """Of neighbouring values."""
+    caution_sigmas: float = Field(2.0, ge=0)
+    """By which the correlation may be larger than it looks: short series look less correlated than they are."""
+    spike_sigmas: float = Field(6.0, gt=0)
+    """Robust sigmas from the neighbours: a single bad value is no trend."""
 
 
 class RegisteredTuning(Section):
@@ -67,6 +113,8 @@ class JoiningTuning(Section):
 class Tuning(Section):
     """Constants of the shared library that are the same for every user."""
 
+    images: ImageTuning = ImageTuning()
+    """Image files."""
     registered: RegisteredTuning = RegisteredTuning()
     """Registered images."""
     blocks: BlocksTuning = BlocksTuning()

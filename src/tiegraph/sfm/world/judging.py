@@ -138,7 +138,7 @@ def _trends(found: Georeference, scene: Scene, model_sigma_m: float, scale_said:
     series.append((_ALONG, np.sum(residual * way, axis=1), float(stated[:2].max())))
     out = []
     for axis, values, sigma in series:
-        form = trend(values, len(series), offset=axis == _ALONG)
+        form = trend(values, placing.tuning.trend, len(series), offset=axis == _ALONG)
         if (
             form is not None
             and form.form == "offset"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from tiegraph.scene.tuning import TrendTuning
 from tiegraph.settings import Section
 
 
@@ -233,6 +234,8 @@ class WorldTuning(Section):
     """The sources by themselves."""
     placing: PlacingTuning = PlacingTuning()
     """The placement."""
+    trend: TrendTuning = TrendTuning()
+    """Residuals that are no noise."""
     judging: JudgingTuning = JudgingTuning()
     """What is said of it."""
     adjustment: AdjustmentTuning = AdjustmentTuning()

@@ -157,7 +157,7 @@ def _own_trend(asked: Question, source: Source) -> Trend | None:
     """A trend in the residuals of positions to their own fit that is beyond what is stated of them."""
     order = np.argsort(asked.times[: len(source.residual)], kind="stable")
     stated = np.median(asked.evidence.sigma[: asked.count], axis=0)
-    found = [trend(source.residual[order, k], 3) for k in range(3)]
+    found = [trend(source.residual[order, k], asked.tuning.trend, 3) for k in range(3)]
     beyond = [t for t, s in zip(found, stated) if t is not None and t.size / 2 > TWO_ENDS * s]
     return max(beyond, key=lambda t: t.size) if beyond else None
 
@@ -176,7 +176,7 @@ def _with_scale(asked: Question, rig: RigScale, source: Source) -> str:
     if (own.position[order[-1]] - own.position[order[0]]) @ main < 0:
         main = -main
     along = np.argsort(own.position @ main, kind="stable")
-    found = trend((off @ main)[along], 1)
+    found = trend((off @ main)[along], asked.tuning.trend)
     if found is None or found.form == "curve":
         return ""
     ratio = rig.metres_per_unit / source.similarity.scale
