@@ -36,6 +36,7 @@ from tiegraph.scene.control import Control, locate
 from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.tuning import ControlTuning
 from tiegraph.sfm.adjust import final_adjustment
 from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.model import frame_poses, image_poses
@@ -75,7 +76,7 @@ class Survey:
     def control(self) -> Control | None:
         """Surveyed points of the set."""
         path = self.dataset.images.parent / "gcp_list.txt"
-        return locate(read_gcps(path), self.scene) if path.exists() else None
+        return locate(read_gcps(path, ControlTuning()), self.scene) if path.exists() else None
 
 
 def _covered(out: Path, scene: Scene) -> np.ndarray | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.pairlist import pair_lines
 from tiegraph.scene.posefile import read_poses
 from tiegraph.scene.table import out_of_order
+from tiegraph.scene.tuning import ControlTuning
 
 RIG = RigTuning()
 ABOVE = "\ufeff# what a person writes above\n\n# more\fof it\n"  # a form feed ends no line in an editor
@@ -33,7 +35,10 @@ def _line(text: str) -> int:
     "read, text",
     [
         (read_gnss, "time,lat,lon,height\n1,35,139,4\n\n# a pause\n2,35,139,4,5 WRONG\n"),
-        (read_gcps, "name,x,y,z,image,px,py\nA,1,2,3,a.jpg,4,5\n\n# next\nB,1,2,WRONG,a.jpg,4,5\n"),
+        (
+            partial(read_gcps, tuning=ControlTuning()),
+            "name,x,y,z,image,px,py\nA,1,2,3,a.jpg,4,5\n\n# next\nB,1,2,WRONG,a.jpg,4,5\n",
+        ),
         (read_poses, "# time x y z qx qy qz qw\n1 0 0 0 0 0 0 1\n\n2 1 0 0 0 0 0 WRONG\n"),
         (pair_lines, "a.jpg b.jpg\n\n# and\na.jpg b.jpg WRONG\n"),
     ],
@@ -48,7 +53,7 @@ def test_every_table_counts_lines_as_an_editor_does(tmp_path: Path, read: Callab
 def test_odm_rows_too(tmp_path: Path) -> None:
     (tmp_path / "gcp_list.txt").write_text("EPSG:32654\n\n# two\n1 2 3 4 5 a.jpg\n1 2 3 WRONG 5 b.jpg\n")
     with pytest.raises(InputError, match=r"gcp_list.txt, line 5: 'WRONG' is no number"):
-        read_gcps(tmp_path / "gcp_list.txt")
+        read_gcps(tmp_path / "gcp_list.txt", ControlTuning())
 
 
 def test_a_key_that_is_missing_is_not_looked_for_in_the_next_sensor(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import pytest
 from tiegraph.cli.main import main
 from tiegraph.errors import InputError
 from tiegraph.scene.gcp import GcpFile, read_gcps
+from tiegraph.scene.tuning import ControlTuning
 
 POINTS = "name,x,y,z,role\nA,10,20,3,gcp\nB,11,21,4,check\n"
 MARKS = "name,image,px,py\nA,1.jpg,5,6\nB,2.jpg,7,8\nA,2.jpg,9,10\n"
@@ -41,21 +42,21 @@ def _written(folder: Path, name: str, text: str) -> Path:
     ],
 )
 def test_two_tables_in_one_file(tmp_path: Path, text: str) -> None:
-    found = read_gcps(_written(tmp_path, "gcp.csv", text))
+    found = read_gcps(_written(tmp_path, "gcp.csv", text), ControlTuning())
     _same(found)
     assert found.crs == ("EPSG:32654" if "crs" in text else None) and not found.geographic
 
 
 def test_two_files_in_either_order(tmp_path: Path) -> None:
     points, marks = _written(tmp_path, "points.csv", POINTS), _written(tmp_path, "marks.csv", MARKS)
-    for found in (read_gcps(points, marks), read_gcps(marks, points)):
+    for found in (read_gcps(points, ControlTuning(), marks), read_gcps(marks, ControlTuning(), points)):
         _same(found)
         assert (found.path, found.of_marks) == (points, marks)
 
 
 def test_degrees_in_two_tables(tmp_path: Path) -> None:
     text = "name,lat,lon,height\nA,35.6,139.7,40\n" + "name,image,px,py\nA,1.jpg,5,6\n"
-    found = read_gcps(_written(tmp_path, "gcp.csv", text))
+    found = read_gcps(_written(tmp_path, "gcp.csv", text), ControlTuning())
     assert found.geographic and found.points[0].xyz == (35.6, 139.7, 40.0) and len(found.marks) == 1
 
 
@@ -78,12 +79,12 @@ def test_degrees_in_two_tables(tmp_path: Path) -> None:
 def test_what_is_missing_is_said_with_the_columns(tmp_path: Path, text: str, more: str | None, words: str) -> None:
     marks = None if more is None else _written(tmp_path, "marks.csv", more)
     with pytest.raises(InputError, match=words):
-        read_gcps(_written(tmp_path, "gcp.csv", text), marks)
+        read_gcps(_written(tmp_path, "gcp.csv", text), ControlTuning(), marks)
 
 
 def test_the_list_of_odm_is_read_as_ever(tmp_path: Path) -> None:
     rows = "494399.2 4232697.1 5 124.88 596.25 IMG_6785.jpg\n494399.2 4232697.1 5 284.25 636.75 IMG_6786.jpg\n"
-    found = read_gcps(_written(tmp_path, "gcp_list.txt", "WGS84 UTM 54N\n" + rows))
+    found = read_gcps(_written(tmp_path, "gcp_list.txt", "WGS84 UTM 54N\n" + rows), ControlTuning())
     assert found.crs == "EPSG:32654" and len(found.points) == 1 and len(found.marks) == 2
     assert found.points[0].xyz == (494399.2, 4232697.1, 5.0)
 

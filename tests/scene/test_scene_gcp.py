@@ -11,6 +11,7 @@ from tiegraph.scene.control import locate, prepared_pixel
 from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.rig import Rig, Sensor, Source
 from tiegraph.scene.scene import Scene, simple_scene
+from tiegraph.scene.tuning import ControlTuning
 
 import pycolmap  # isort: skip
 
@@ -30,7 +31,7 @@ def _scene(positions: bool = True) -> Scene:
 def _odm(tmp_path, lines: str, first: str = "EPSG:32654"):
     path = tmp_path / "gcp_list.txt"
     path.write_text(f"{first}\n{lines}")
-    return read_gcps(path)
+    return read_gcps(path, ControlTuning())
 
 
 EAST, NORTH, _ = crs_coordinates(np.zeros(3), ORIGIN)
@@ -56,7 +57,7 @@ def test_csv_of_points_and_marks_with_roles(tmp_path) -> None:
         f"A,{EAST},{NORTH},1,0.01,0.02,gcp,,,\nB,{EAST + 2},{NORTH},1,,,check,,,\n"
         "A,,,,,,,000.jpg,5,6\nB,,,,,,,001.jpg,7,8\n"
     )
-    control = locate(read_gcps(path), _scene())
+    control = locate(read_gcps(path, ControlTuning()), _scene())
     assert control.names == ("A", "B")
     np.testing.assert_array_equal(control.check, [False, True])
     np.testing.assert_allclose(control.sigma_m, [[0.01, 0.01, 0.02], [0.02, 0.02, 0.03]])
@@ -66,7 +67,9 @@ def test_csv_of_points_and_marks_with_roles(tmp_path) -> None:
 def test_geographic_points_and_a_world_of_their_own(tmp_path) -> None:
     path = tmp_path / "points.csv"
     path.write_text("name,lat,lon,height,image,px,py\nA,35.6965,139.7695,40,000.jpg,1,1\n")
-    np.testing.assert_allclose(locate(read_gcps(path), _scene()).world_m, _scene().world_from_rig[:1, :3, 3], atol=1e-6)
+    np.testing.assert_allclose(
+        locate(read_gcps(path, ControlTuning()), _scene()).world_m, _scene().world_from_rig[:1, :3, 3], atol=1e-6
+    )
     alone = locate(_odm(tmp_path, f"{EAST} {NORTH} 3 1 1 000.jpg\n", "EPSG:32654"), _scene(positions=False))
     assert alone.origin is not None and alone.origin.crs == "EPSG:32654"
     np.testing.assert_allclose(crs_coordinates(alone.world_m, alone.origin)[0, :2], [EAST, NORTH], atol=1e-3)
@@ -92,7 +95,7 @@ def test_wrong_files_say_where(tmp_path) -> None:
         locate(_odm(tmp_path, f"{NORTH} {EAST} 3 1 1 000.jpg\n"), _scene())
     (tmp_path / "m.csv").write_text("name,x,y,z,image,px,py\nA,,,,000.jpg,1,2\n")
     with pytest.raises(InputError, match=r"marks, but no points with coordinates; points need the columns name, x"):
-        read_gcps(tmp_path / "m.csv")
+        read_gcps(tmp_path / "m.csv", ControlTuning())
 
 
 def test_heights_above_a_geoid_need_its_grid() -> None:
@@ -158,12 +161,12 @@ def _csv(tmp_path, text: str):
 )  # fmt: skip
 def test_points_and_marks_that_cannot_be_meant(tmp_path, rows: str, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        locate(read_gcps(_csv(tmp_path, HEAD + rows)), _with_camera())
+        locate(read_gcps(_csv(tmp_path, HEAD + rows), ControlTuning()), _with_camera())
 
 
 def test_odd_points_are_said(tmp_path) -> None:
     rows = f"{A}000.jpg,5,6\n{A}000.jpg,5,6\n{A}001.jpg,5,6\nB,{EAST},{NORTH},1,,,check,002.jpg,100.5,6\n"
-    control = locate(read_gcps(_csv(tmp_path, HEAD + rows)), _with_camera())
+    control = locate(read_gcps(_csv(tmp_path, HEAD + rows), ControlTuning()), _with_camera())
     assert len(control.image) == 3
     said = "\n".join(control.notes)
     assert "1 marks are given twice" in said
@@ -172,7 +175,7 @@ def test_odd_points_are_said(tmp_path) -> None:
 
 
 def test_a_mark_that_was_cropped_away_is_left_out_and_said(tmp_path) -> None:
-    found = read_gcps(_csv(tmp_path, HEAD + f"{A}000.jpg,5,6\n{A}001.jpg,50,40\n{A}002.jpg,50,40\n"))
+    found = read_gcps(_csv(tmp_path, HEAD + f"{A}000.jpg,5,6\n{A}001.jpg,50,40\n{A}002.jpg,50,40\n"), ControlTuning())
     control = locate(found, _with_camera((20, 0, 0, 0)))
     assert control.image.tolist() == [1, 2] and control.line.tolist() == [4, 5]
     assert any("line 3: 1 marks lie where the images were cropped" in n for n in control.notes)
@@ -182,6 +185,6 @@ def test_no_text_and_half_a_mark(tmp_path) -> None:
     path = tmp_path / "points.csv"
     path.write_bytes(b"\xff\xfen\x00a\x00m\x00e\x00")
     with pytest.raises(InputError, match="points.csv: no text file in UTF-8"):
-        read_gcps(path)
+        read_gcps(path, ControlTuning())
     with pytest.raises(InputError, match="three columns image, px and py"):
-        read_gcps(_csv(tmp_path, f"name,x,y,z,image,px\nA,{EAST},{NORTH},1,000.jpg,5\n"))
+        read_gcps(_csv(tmp_path, f"name,x,y,z,image,px\nA,{EAST},{NORTH},1,000.jpg,5\n"), ControlTuning())

@@ -58,7 +58,7 @@ def check_given(stages: Sequence[Stage], run: Run) -> None:
 def _read_settings(settings: Settings) -> None:
     """Read the files of settings that need no image, for the errors this raises: most stages look hours later."""
     if settings.georef.gcp is not None:
-        read_gcps(settings.georef.gcp, settings.georef.marks)
+        read_gcps(settings.georef.gcp, settings.tuning.scene.control, settings.georef.marks)
     elif settings.georef.marks is not None:
         raise InputError(f"--marks {settings.georef.marks}: marks of no points; give the points by --gcp")
     if settings.network.pairs_file is not None:
@@ -101,9 +101,10 @@ def check_against(run: Run, scene: Scene) -> tuple[str, ...]:
 
 def control_points(run: Run, scene: Scene) -> Control | None:
     """The control points of the settings in the scene's world; None without a file."""
-    path = run.settings.georef.gcp
+    settings = run.settings
+    path = settings.georef.gcp
     if path is None:
         return None
     if not path.exists():
         raise InputError(f"--gcp {path}: no such file")
-    return locate(read_gcps(path, run.settings.georef.marks), scene, run.settings.scan.crs)
+    return locate(read_gcps(path, settings.tuning.scene.control, settings.georef.marks), scene, settings.scan.crs)

@@ -105,10 +105,10 @@ def trend(values: np.ndarray, tuning: TrendTuning, tests: int = 1, offset: bool 
     ``offset``: or the constant, where they ought to be about zero. A step may have a line beside it: residuals are what
     a fit has left, and it follows a step by turning.
 
-    Noise is taken to be a first-order process: its correlation, estimated about the form itself and raised by two
-    of its own sigmas (short series look less correlated than they are), sets how many of the values count (generalised
-    least squares and Student's t). Single bad values are left out. ``tests``: how many
-    series are looked at, so that all together alarm at 0.1 %. Fewer than eight values say nothing.
+    Noise is taken to be a first-order process: its correlation, estimated about the form itself and raised by two of
+    its own sigmas (short series look less correlated than they are), sets how many of the values count (generalised
+    least squares and Student's t). Single bad values are left out, and few values say nothing. ``tests``: how many
+    series are looked at, so that all together alarm at 0.1 %.
     """
     y = np.asarray(values, float)
     keep = np.flatnonzero(np.isfinite(y))

@@ -19,9 +19,9 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import utm_by_name
 from tiegraph.scene.regular import regular
 from tiegraph.scene.table import Table, table_of, text_lines
+from tiegraph.scene.tuning import ControlTuning
 
-MAX_SIGMA_M = 100.0
-DEFAULT_SIGMA_M = (0.02, 0.02, 0.03)  # of a surveyed point whose file says nothing: network RTK with a pole
+MAX_SIGMA_M = 100.0  # no survey of a point is worse: another unit, or a typing error
 _CHECK = ("check", "checkpoint", "check_point", "checkpoints", "cp", "chk")
 _CONTROL = ("", "gcp", "control", "control_point", "controlpoint")
 _NAME = ("name", "point", "gcp", "gcp_name", "label", "id", "point_name", "point_id", "gcp_id", "marker", "target")
@@ -80,15 +80,15 @@ class GcpFile:
         return self.marks_path or self.path
 
 
-def read_gcps(path: Path, marks: Path | None = None) -> GcpFile:
+def read_gcps(path: Path, tuning: ControlTuning, marks: Path | None = None) -> GcpFile:
     """Read control points of either form; ``marks`` is the file of their marks, if that is one of its own.
 
     Raises InputError, naming file and line, for an unreadable file, an unknown CRS, numbers that are none, points
     without marks, marks of a point without coordinates, and a name with two places.
     """
-    found = _read(Path(path), "--gcp")
+    found = _read(Path(path), "--gcp", tuning)
     if marks is not None:
-        found = _joined(found, _read(Path(marks), "--marks"))
+        found = _joined(found, _read(Path(marks), "--marks", tuning))
     if not found.points or not found.marks:
         there, lacking = ("marks", "points") if not found.points else ("points", "marks")
         raise InputError(f"--gcp {path}: {there}, but no {lacking} with {_NEED[lacking]}; {FORMS}")
@@ -116,7 +116,7 @@ def _joined(one: GcpFile, other: GcpFile) -> GcpFile:
     return replace(points, marks=marks.marks, marks_path=marks.path, notes=(*points.notes, *marks.notes))
 
 
-def _read(path: Path, option: str) -> GcpFile:
+def _read(path: Path, option: str, tuning: ControlTuning) -> GcpFile:
     """The points and marks of a file of either form, as they stand there."""
     try:
         data = regular(path).read_bytes()
@@ -129,7 +129,8 @@ def _read(path: Path, option: str) -> GcpFile:
     lines = [(number, line) for number, line in lines if not _TITLE.fullmatch(line)]
     if not lines:
         raise InputError(f"{option} {path}: the file is empty; {FORMS}")
-    return _read_csv(path, lines) if _has_header(lines) else _read_odm(path, lines)
+    read = _read_csv if _has_header(lines) else _read_odm
+    return read(path, lines, tuning)
 
 
 def _once_each(found: GcpFile) -> tuple[FileMark, ...]:
@@ -176,7 +177,7 @@ def _names_columns(line: str) -> bool:
 # --- OpenDroneMap ---------------------------------------------------------------------------------------------------
 
 
-def _read_odm(path: Path, lines: list[tuple[int, str]]) -> GcpFile:
+def _read_odm(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -> GcpFile:
     crs = parse_crs_line(lines[0][1], f"{path}, line {lines[0][0]}")
     points: dict[str, FilePoint] = {}
     by_place: dict[tuple[float, ...], str] = {}
@@ -191,7 +192,7 @@ def _read_odm(path: Path, lines: list[tuple[int, str]]) -> GcpFile:
         place = (y, x, z) if crs.is_geographic else (x, y, z)  # its x is the longitude
         name = words[6] if len(words) > 6 else by_place.setdefault(place, f"point {len(by_place) + 1}")
         check = len(words) > 7 and words[7].lower() in _CHECK
-        _add(points, FilePoint(name, place, DEFAULT_SIGMA_M, check, number), path)
+        _add(points, FilePoint(name, place, tuning.sigma_m, check, number), path)
         marks.append(FileMark(name, words[5], (px, py), number))
     return GcpFile(path, crs.srs, crs.is_geographic, tuple(points.values()), tuple(marks))
 
@@ -229,7 +230,7 @@ def _number(text: str, path: Path, line: int) -> float:
 # --- CSV ------------------------------------------------------------------------------------------------------------
 
 
-def _read_csv(path: Path, lines: list[tuple[int, str]]) -> GcpFile:
+def _read_csv(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -> GcpFile:
     """The points and marks of one table or several, each begun by its header."""
     heads = [k for k, (_, line) in enumerate(lines) if line[0] not in "#%" and _names_columns(line)]
     cuts = [0, *heads[1:], len(lines)]
@@ -242,7 +243,7 @@ def _read_csv(path: Path, lines: list[tuple[int, str]]) -> GcpFile:
     marks: list[FileMark] = []
     geographic = set()
     for table in tables:
-        geographic |= _read_table(table, points, marks)
+        geographic |= _read_table(table, points, marks, tuning)
     if len(geographic) > 1:
         raise InputError(f"{path}: points by x, y, z in one table and by lat, lon, height in another: give one kind")
     degrees = True in geographic
@@ -250,7 +251,7 @@ def _read_csv(path: Path, lines: list[tuple[int, str]]) -> GcpFile:
     return GcpFile(path, _csv_crs(lines, path, degrees), degrees, tuple(points.values()), tuple(marks), notes)
 
 
-def _read_table(table: Table, points: dict[str, FilePoint], marks: list[FileMark]) -> set[bool]:
+def _read_table(table: Table, points: dict[str, FilePoint], marks: list[FileMark], tuning: ControlTuning) -> set[bool]:
     """Add a table's points and marks; {whether its coordinates are in degrees}, empty without any."""
     path = table.path
     geographic = table.find(_LAT) is not None and table.find(_LON) is not None
@@ -270,7 +271,7 @@ def _read_table(table: Table, points: dict[str, FilePoint], marks: list[FileMark
             raise InputError(f"{path}, line {line}: the point has no name")
         if whole[0] and any(table.cell(row, c) for c in columns):
             place = tuple(_number(table.cell(row, c), path, line) for c in columns)
-            _add(points, FilePoint(label, place, *_row_facts(table, row), line), path)  # type: ignore[arg-type]
+            _add(points, FilePoint(label, place, *_row_facts(table, row, tuning), line), path)  # type: ignore[arg-type]
         if table.cell(row, image):
             xy = _number(table.cell(row, px), path, line), _number(table.cell(row, py), path, line)
             marks.append(FileMark(label, table.cell(row, image), xy, line))
@@ -285,7 +286,7 @@ def _add(points: dict[str, FilePoint], new: FilePoint, path: Path) -> None:
             raise InputError(f"{path}, line {new.line}: {said}; name it otherwise, or leave the right one")
 
 
-def _row_facts(table: Table, row: int) -> tuple[tuple[float, float, float], bool]:
+def _row_facts(table: Table, row: int, tuning: ControlTuning) -> tuple[tuple[float, float, float], bool]:
     def number(aliases: tuple[str, ...], otherwise: float) -> float:
         cell = table.cell(row, table.find(aliases))
         if not cell:
@@ -298,8 +299,8 @@ def _row_facts(table: Table, row: int) -> tuple[tuple[float, float, float], bool
             )
         return value
 
-    flat = number(_SIGMA_XY, number(_SIGMA, DEFAULT_SIGMA_M[0]))
-    up = number(_SIGMA_Z, number(_SIGMA, DEFAULT_SIGMA_M[2]))
+    flat = number(_SIGMA_XY, number(_SIGMA, tuning.sigma_m[0]))
+    up = number(_SIGMA_Z, number(_SIGMA, tuning.sigma_m[2]))
     role = table.cell(row, table.find(("role", "type", "kind"))).lower().replace(" ", "_")
     if role not in (*_CHECK, *_CONTROL):
         raise InputError(f"{table.path}, line {table.rows[row][0]}: role {role!r} is neither gcp nor check")

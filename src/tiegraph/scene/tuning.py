@@ -38,6 +38,13 @@ class ImageTuning(Section):
     """Panoramas."""
 
 
+class ControlTuning(Section):
+    """Control points as their files give them (`gcp.py`)."""
+
+    sigma_m: tuple[float, float, float] = (0.02, 0.02, 0.03)
+    """East, north and up of a surveyed point whose file says nothing: network RTK with a pole."""
+
+
 class TrendTuning(Section):
     """What is no noise in residuals along the way (`evidence.py`)."""
 
@@ -115,6 +122,8 @@ class Tuning(Section):
 
     images: ImageTuning = ImageTuning()
     """Image files."""
+    control: ControlTuning = ControlTuning()
+    """Control points."""
     registered: RegisteredTuning = RegisteredTuning()
     """Registered images."""
     blocks: BlocksTuning = BlocksTuning()
