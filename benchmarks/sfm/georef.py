@@ -36,7 +36,7 @@ from tiegraph.scene.control import Control, locate
 from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.tuning import ControlTuning
+from tiegraph.scene.tuning import ControlTuning, GnssTuning
 from tiegraph.sfm.adjust import final_adjustment
 from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.model import frame_poses, image_poses
@@ -69,7 +69,7 @@ class Survey:
         """The receiver's rows in the scene's world."""
         if self.dataset.gnss is None or self.scene.prior != "gnss" or self.scene.origin is None:
             return None
-        gnss = read_gnss(self.dataset.gnss)
+        gnss = read_gnss(self.dataset.gnss, GnssTuning())
         place = world_from_geodetic(gnss.lat_lon_height, self.scene.origin)
         return PositionRows(gnss.time_s, place, gnss.sigma_m)
 

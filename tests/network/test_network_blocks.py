@@ -17,6 +17,7 @@ from tiegraph.scene.joining import Poses, join, join_models
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.scene.ties import Ties
+from tiegraph.scene.tuning import BlocksTuning
 from tiegraph.scene.tuning import Tuning as SceneTuning
 
 FRAMES = 240  # of each of two passes, there and back, of two cameras: 960 images
@@ -124,6 +125,13 @@ def test_both_passes_of_a_place_are_in_one_block(world) -> None:
         assert abs(np.mean(where[back]) - np.mean(where[~back])) < 6
         assert np.ptp(where) < 1.3 * block.own.sum() / 4
         assert 1.0 <= len(block) / block.own.sum() < 1.7
+
+
+def test_the_size_of_blocks_is_in_reach(world) -> None:
+    scene, _, ties = world
+    assert len(blocks_of(scene, ties, BlocksTuning(whole=960))) == 1
+    small = blocks_of(scene, ties, BlocksTuning(own=200, lent=20))
+    assert len(small) >= 5 and max(int(b.own.sum()) for b in small) <= 200
 
 
 def test_a_small_survey_is_mapped_whole(world) -> None:

@@ -256,3 +256,17 @@ def test_a_contradiction_is_a_level_of_its_own_and_the_evidence_a_section(tmp_pa
     assert page.count("contradicts rig as given") == 1 and "What says what" in page
     shown = page[page.index("What says what") :]
     assert shown.index("1.1128") < shown.index("<td>heading<")  # statements of one quantity stand together
+
+
+def test_registered_is_what_the_run_called_so(tmp_path: Path) -> None:
+    folder = make_run(tmp_path / "run")
+    before = read_run(folder).model
+    receipt = folder / "receipts" / "sparse.json"
+    data = json.loads(receipt.read_text())
+    receipt.write_text(json.dumps({**data, "tuning": {"scene": {"registered": {"min_points": 1000}}}}))
+    after = read_run(folder).model
+    assert before is not None and before.registered.any() and before.images.min_points == 10
+    assert after is not None and not after.registered.any() and after.images.min_points == 1000
+    receipt.write_text(json.dumps({**data, "tuning": {"scene": {"of another version": 1}}}))
+    again = read_run(folder).model
+    assert again is not None and again.images.min_points == 10

@@ -20,7 +20,7 @@ from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.images import Probe
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.table import read_table
-from tiegraph.scene.tuning import ImageTuning
+from tiegraph.scene.tuning import GnssTuning, ImageTuning
 
 TUNING = Tuning()
 HEAD = "time,lat,lon,height"
@@ -175,7 +175,7 @@ def test_what_is_left_out_is_not_in_the_way(one_pass: Survey, tmp_path: Path) ->
     clean = scan_gnss(one_pass, tmp_path, table())
     spoilt = scan_gnss(one_pass, tmp_path, table((7, {"lat": 40.19})))
     assert np.allclose(spoilt.world_from_rig[:7, :3, 3], clean.world_from_rig[:7, :3, 3], atol=1e-6)
-    assert len(read_gnss(tmp_path / "g.csv").time_s) == 7
+    assert len(read_gnss(tmp_path / "g.csv", GnssTuning()).time_s) == 7
 
 
 @pytest.mark.parametrize(
@@ -210,7 +210,7 @@ def test_good_files_of_many_kinds_say_nothing_but_the_accuracy(
 
 def test_a_comma_between_quotes_parts_no_columns(tmp_path: Path) -> None:
     (tmp_path / "g.csv").write_text('note,time,lat,lon,height\n"a, b",1,35,139,40\n"c",2,35,139,40\n')
-    assert read_gnss(tmp_path / "g.csv").time_s.tolist() == [1, 2]
+    assert read_gnss(tmp_path / "g.csv", GnssTuning()).time_s.tolist() == [1, 2]
 
 
 @pytest.mark.parametrize("what", ["folder", "pipe", "device", "absent"])

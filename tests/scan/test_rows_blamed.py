@@ -21,7 +21,7 @@ from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.pairlist import pair_lines
 from tiegraph.scene.posefile import read_poses
 from tiegraph.scene.table import out_of_order
-from tiegraph.scene.tuning import ControlTuning
+from tiegraph.scene.tuning import ControlTuning, GnssTuning
 
 RIG = RigTuning()
 ABOVE = "\ufeff# what a person writes above\n\n# more\fof it\n"  # a form feed ends no line in an editor
@@ -34,7 +34,7 @@ def _line(text: str) -> int:
 @pytest.mark.parametrize(
     "read, text",
     [
-        (read_gnss, "time,lat,lon,height\n1,35,139,4\n\n# a pause\n2,35,139,4,5 WRONG\n"),
+        (partial(read_gnss, tuning=GnssTuning()), "time,lat,lon,height\n1,35,139,4\n\n# a pause\n2,35,139,4,5 WRONG\n"),
         (
             partial(read_gcps, tuning=ControlTuning()),
             "name,x,y,z,image,px,py\nA,1,2,3,a.jpg,4,5\n\n# next\nB,1,2,WRONG,a.jpg,4,5\n",

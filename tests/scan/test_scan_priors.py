@@ -16,6 +16,7 @@ from tiegraph.scan.tuning import TimesTuning
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.table import parse_time
+from tiegraph.scene.tuning import GnssTuning
 
 TIMES = TimesTuning()
 ORIGIN = make_origin(35.69, 139.77, 40.0, "ENU")
@@ -62,7 +63,7 @@ def in_enu(scene: Scene) -> np.ndarray:
 def test_gnss_tables_of_many_shapes(tmp_path: Path, text: str) -> None:
     path = tmp_path / "g.csv"
     path.write_text(text)
-    gnss = read_gnss(path)
+    gnss = read_gnss(path, GnssTuning())
     assert gnss.time_s.tolist() == [10, 11]
     assert gnss.lat_lon_height.tolist() == [[35, 139, 40], [35.001, 139.001, 41]]
     assert gnss.sigma_m == pytest.approx(np.array([[0.1, 0.1, 0.2]] * 2)) and gnss.notes == ()
@@ -83,7 +84,7 @@ def test_gnss_tables_that_cannot_be_used(tmp_path: Path, text: str, message: str
     path = tmp_path / "g.csv"
     path.write_text(text)
     with pytest.raises(InputError, match=message):
-        read_gnss(path)
+        read_gnss(path, GnssTuning())
 
 
 def test_bad_rows_are_left_out_with_their_lines(tmp_path: Path) -> None:
@@ -91,7 +92,7 @@ def test_bad_rows_are_left_out_with_their_lines(tmp_path: Path) -> None:
     path.write_text(
         "time,lat,lon,height\n3,35,139,1\n1,35,139,2\n2,,139,3\n2,95,139,3\n2,0,0,0\n1,35,139,9\nx,35,139,1\n"
     )
-    gnss = read_gnss(path)
+    gnss = read_gnss(path, GnssTuning())
     assert gnss.time_s.tolist() == [1, 3] and gnss.lat_lon_height[:, 2].tolist() == [2, 1]
     assert any("4 of 7 rows left out" in n and "(line 4, 5, 6, 8)" in n for n in gnss.notes)
     assert any("not in time order" in n for n in gnss.notes) and any("1 rows with the time" in n for n in gnss.notes)
@@ -99,7 +100,7 @@ def test_bad_rows_are_left_out_with_their_lines(tmp_path: Path) -> None:
 
 def test_missing_gnss_file(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be read"):
-        read_gnss(tmp_path / "no.csv")
+        read_gnss(tmp_path / "no.csv", GnssTuning())
 
 
 @pytest.mark.parametrize(

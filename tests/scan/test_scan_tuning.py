@@ -16,11 +16,12 @@ from tiegraph.scan.scan import ScanInputs, build_scene, find_images, probe_image
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import Tuning
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.tuning import ImageTuning
 
 
 def tuned(images: Path, changes: dict[str, Any], **inputs: Any) -> Scene:
     names = find_images(images)
-    probes = [probe_image(images / n) for n in names]
+    probes = [probe_image(images / n, ImageTuning()) for n in names]
     return build_scene(ScanInputs(images, **inputs), names, probes, ScanSettings(), Tuning.model_validate(changes))
 
 

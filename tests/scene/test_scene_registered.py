@@ -51,3 +51,12 @@ def test_points_behind_a_camera_do_not_agree() -> None:
     scene = simple_scene(Rig("r", (Sensor("c"),)), ["0.jpg"], np.arange(1), np.zeros(1))
     found = registration(model, scene, RegisteredTuning())
     assert not found.registered.any() and found.by_rig.all() and found.points[0] == 0
+
+
+def test_what_counts_as_registered_is_in_reach() -> None:
+    model = _model([np.full(10, 3.9), np.full(9, 0.1)])
+    scene = simple_scene(Rig("r", (Sensor("c"),)), ["0.jpg", "1.jpg"], np.arange(2), np.zeros(2))
+    assert registration(model, scene, RegisteredTuning()).registered.tolist() == [True, False]
+    assert registration(model, scene, RegisteredTuning(min_points=9)).registered.tolist() == [True, True]
+    strict = registration(model, scene, RegisteredTuning(min_points=9, agree_px=3.0))
+    assert strict.registered.tolist() == [False, True] and strict.by_rig.tolist() == [True, False]

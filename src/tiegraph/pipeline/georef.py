@@ -64,7 +64,7 @@ def _rows(run: Run, scene: Scene) -> PositionRows | None:
     """All rows of a GNSS file with times: a receiver writes more often than cameras fire."""
     if scene.prior != "gnss" or scene.origin is None or run.inputs.gnss is None:
         return None
-    gnss = read_gnss(run.inputs.gnss)
+    gnss = read_gnss(run.inputs.gnss, run.settings.tuning.scan.positions.gnss)
     if gnss.names:
         return None
     return PositionRows(gnss.time_s, world_from_geodetic(gnss.lat_lon_height, scene.origin), gnss.sigma_m)

@@ -88,7 +88,7 @@ def _read_inputs(run: Run) -> None:
     if given.trajectory is not None and given.trajectory.is_file():
         read_trajectory(given.trajectory)
     if given.gnss is not None:
-        read_gnss(given.gnss)
+        read_gnss(given.gnss, run.settings.tuning.scan.positions.gnss)
 
 
 def check_against(run: Run, scene: Scene) -> tuple[str, ...]:

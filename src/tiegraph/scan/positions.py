@@ -15,7 +15,7 @@ from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.times import FrameRow, absent, frame_by_image, plain_name
 from tiegraph.scan.tuning import PositionsTuning
 from tiegraph.scene.exif import Exif
-from tiegraph.scene.gnss import VERTICAL_FACTOR, Gnss, at_times, far_rows, stuck_note, without_far
+from tiegraph.scene.gnss import Gnss, at_times, far_rows, stuck_note, without_far
 from tiegraph.scene.rig import Rig
 
 _NAMED = 3  # frames without a position that are named
@@ -64,7 +64,7 @@ def from_gnss(
     Raises InputError if no row fits a frame, or the CRS of the settings does not fit the positions.
     """
     if gnss.names:
-        gnss = without_far(_known(gnss, frames, path), path)
+        gnss = without_far(_known(gnss, frames, path), path, tuning.gnss.most_far)
     notes.extend(gnss.notes)
     near = np.ones(len(gnss.time_s), bool)
     if not gnss.names:
@@ -88,7 +88,7 @@ def from_gnss(
             f"{path.name}: {(~there).sum()} of {len(there)} frames have no position{why}: "
             f"{_without(frames, ~there, gnss, priors.time_s)}{hint}"
         )
-    default = settings.gnss_sigma_m * np.array([1.0, 1.0, VERTICAL_FACTOR])
+    default = settings.gnss_sigma_m * np.array([1.0, 1.0, tuning.gnss.vertical])
     if np.isnan(sigma[there]).any():
         notes.append(
             f"{path.name}: accuracy not given; {default[0]:g} m horizontal and {default[2]:g} m vertical assumed"
@@ -229,7 +229,7 @@ def from_exif(
     Raises InputError if the CRS of the settings does not fit the positions.
     """
     _say_doubts(frames, notes)
-    llh, given = _exif_positions(frames, notes)
+    llh, given = _exif_positions(frames, notes, tuning.gnss.most_far)
     found = [[i for i in row.images if np.isfinite(llh[i, 0])] for row in frames.rows]
     there = np.array([bool(f) for f in found])
     if there.sum() < 2:
@@ -241,13 +241,13 @@ def from_exif(
     for k in np.flatnonzero(there):
         places[k] = np.mean(llh[found[k]], axis=0)
         flat = given[found[k][0]] if np.isfinite(given[found[k][0]]) else settings.gnss_sigma_m
-        sigma[k] = flat, flat, VERTICAL_FACTOR * flat
+        sigma[k] = flat, flat, tuning.gnss.vertical * flat
     low = there & np.isnan(places[:, 2])
     if low.any():
         places[low, 2] = np.nanmedian(places[:, 2]) if (there & ~low).any() else 0.0
         sigma[low, 2] = tuning.unknown_height_sigma_m
         notes.append(f"EXIF: {low.sum()} positions have no height")
-    if stuck := stuck_note(places[there], "EXIF"):
+    if stuck := stuck_note(places[there], "EXIF", tuning.gnss.stuck):
         notes.append(stuck)
     origin = _origin(places[there], settings, notes)
     pose = np.full((len(found), 4, 4), np.nan)
@@ -273,12 +273,12 @@ def _say_doubts(frames: Frames, notes: list[str]) -> None:
             )
 
 
-def _exif_positions(frames: Frames, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
+def _exif_positions(frames: Frames, notes: list[str], most_far: float) -> tuple[np.ndarray, np.ndarray]:
     """Lat, lon, height (N, 3) of the images and their sigmas (N,) in metres; NaN = none, or far from all others."""
     llh = np.array([[e.lat_deg, e.lon_deg, e.height_m] for e in frames.exif], float).reshape(-1, 3)
     known = np.flatnonzero(np.isfinite(llh[:, 0]))
     level = np.nan_to_num(llh[known])  # an unknown height serves as zero here: a mountain is no gap of kilometres
-    far, note = far_rows(level, [f"EXIF of {frames.names[k]}" for k in known])
+    far, note = far_rows(level, [f"EXIF of {frames.names[k]}" for k in known], most_far)
     if note:
         notes.append(note)
     llh[known[far]] = np.nan

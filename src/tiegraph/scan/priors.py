@@ -56,7 +56,8 @@ def estimate_priors(
     count = len(frames.rows)
     priors = Priors(time_s, np.full((count, 4, 4), np.nan), np.full((count, 3), np.nan))
     if gnss is not None:
-        priors = from_gnss(priors, frames, read_gnss(gnss), Path(gnss), settings, notes, tuning.positions)
+        rows = read_gnss(gnss, tuning.positions.gnss)
+        priors = from_gnss(priors, frames, rows, Path(gnss), settings, notes, tuning.positions)
     else:
         priors = from_exif(priors, frames, settings, notes, tuning.positions)
     if priors.origin is None and settings.crs.lower() != "auto":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from tiegraph.scene.tuning import GnssTuning
 from tiegraph.settings import Section
 
 
@@ -149,6 +150,8 @@ class PositionsTuning(Section):
     """Rows of one frame's images that are farther apart are said: a rig is smaller, or they share a row."""
     few_placed: float = Field(0.5, ge=0, le=1)
     """Share of frames with a position below which the unit of the times is doubted."""
+    gnss: GnssTuning = GnssTuning()
+    """What is believed of them."""
 
 
 class TrajectoryTuning(Section):

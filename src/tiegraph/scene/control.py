@@ -17,7 +17,7 @@ from tiegraph.scene.gcp import FileMark, GcpFile
 from tiegraph.scene.rig import Sensor, Source
 from tiegraph.scene.scene import Scene
 
-MIN_MARKS = 2  # of a point whose place in the model can be found
+MIN_MARKS = 2  # of a point whose place in the model can be found: two rays meet
 EDGE_PX = 1.0  # a mark may lie this far off its image: programs count from the pixel's centre or corner
 FAR_M = 100_000.0  # farther from the survey's positions than this, the coordinates are of another CRS or axis order
 _SHOWN = 3

@@ -54,7 +54,7 @@ def read_exif(image: Any, focal_range: tuple[float, float]) -> Exif:
     time_s, utc = _time(base, detail)
     return Exif(
         orientation=int(orientation) if orientation in range(1, 9) else 1,
-        focal_px=_focal(detail, *image.size, focal_range),
+        focal_px=_focal(detail, image.size, focal_range),
         lat_deg=place[0],
         lon_deg=place[1],
         height_m=place[2],
@@ -88,8 +88,8 @@ def _place(gps: dict) -> tuple[tuple[float, float, float, float], str]:
     return (lat, lon, height, sigma if sigma >= SIGMA_RANGE_M[0] else NAN), ""
 
 
-def _focal(detail: dict, width: int, height: int, range_: tuple[float, float]) -> float:
-    longer = max(width, height)
+def _focal(detail: dict, size: tuple[int, int], range_: tuple[float, float]) -> float:
+    (width, height), longer = size, max(size)
     equivalent = _positive(detail.get(_FOCAL_35MM))
     focal = equivalent / _DIAGONAL_35MM * (width**2 + height**2) ** 0.5
     if _believable(focal, longer, range_):

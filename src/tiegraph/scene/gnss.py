@@ -12,6 +12,7 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import far_from_rest
 from tiegraph.geometry.transforms import interpolate, rigid
 from tiegraph.scene.table import Table, out_of_order, read_table
+from tiegraph.scene.tuning import GnssTuning
 
 IMAGE = ("image", "name", "file", "filename", "file_name", "image_name", "photo", "label")
 TIME = ("time", "time_s", "t", "timestamp", "time_stamp", "gps_time", "gpstime", "gpst", "utc", "utc_time", "datetime",
@@ -38,13 +39,9 @@ _SIGMA_V = (
 _SIGMA_E = ("sde", "sigma_e", "std_e")
 _SIGMA_N = ("sdn", "sigma_n", "std_n")
 _HEADING = ("heading", "heading_deg", "yaw", "yaw_deg", "azimuth")
-# Satellites fix the height about half as well as the position: all of them are above.
-VERTICAL_FACTOR = 2.0
+# What a row cannot mean:
 HEIGHT_RANGE_M = (-12000.0, 100000.0)  # from the deepest sea to where space begins
 SIGMA_RANGE_M = (1e-4, 1000.0)  # below, no receiver; above, a receiver that has no position
-_MAX_FAR_SHARE = 0.1  # of positions without times: so many at most are left out as false
-_STUCK = 3  # positions, at least, that are said to be all the same
-_MAX_SPEED_M_S = 500.0  # no carrier of cameras is faster: rows that one would need more for to reach are false
 _NO_FIX = "position 0, 0"
 _EMPTY = ("", "nan", "none", "null")
 _NOT_METRES = ("ft", "feet", "foot", "us-ft", "ftus", "cm", "mm", "km")
@@ -69,7 +66,7 @@ class Gnss:
         return Gnss(names, self.time_s[keep], place, sigma, self.heading_deg[keep], tuple(notes), line)
 
 
-def read_gnss(path: Path) -> Gnss:
+def read_gnss(path: Path, tuning: GnssTuning) -> Gnss:
     """Read a GNSS CSV: time (or image), lat, lon, height, and if there: sigma or sigma_h and sigma_v, heading.
 
     Times are seconds of any epoch, ISO 8601 or hh:mm:ss. Rows without a usable position are left out and noted with
@@ -93,7 +90,7 @@ def read_gnss(path: Path) -> Gnss:
     llh = np.stack([table.numbers(c) for c in (lat, lon, height)], axis=1)
     times = table.times(time, table.find(_DATE)) if image is None else np.full(len(llh), np.nan)
     faults = _faults(llh, (lat, lon, height))
-    sigma = _sigma(table, notes, faults)
+    sigma = _sigma(table, notes, faults, tuning.vertical)
     if image is None:
         faults.append(("time", np.isnan(times), time))
     good = ~np.any([bad for _, bad, _ in faults], axis=0)
@@ -113,10 +110,10 @@ def read_gnss(path: Path) -> Gnss:
     line = tuple(table.line(k) for k in np.flatnonzero(good).tolist())
     raw = Gnss(names, times[good], llh[good], sigma[good], heading[good], tuple(notes), line)
     if image is None:
-        made = _without_leaps(_in_time_order(raw, path), path)
+        made = _without_leaps(_in_time_order(raw, path), path, tuning.max_speed_m_s)
     else:
         made = _one_place_an_image(raw, path)
-    stuck = stuck_note(made.lat_lon_height, table.path.name)
+    stuck = stuck_note(made.lat_lon_height, table.path.name, tuning.stuck)
     return replace(made, notes=(*made.notes, stuck)) if stuck else made
 
 
@@ -191,7 +188,7 @@ def _refuse_radians(table: Table, llh: np.ndarray, rows: np.ndarray) -> None:
         )
 
 
-def _sigma(table: Table, notes: list[str], faults: _Faults) -> np.ndarray:
+def _sigma(table: Table, notes: list[str], faults: _Faults, vertical: float) -> np.ndarray:
     """(R, 3) sigmas in metres, NaN = not given; sigmas of a receiver that has no position are added to the faults."""
 
     def column(aliases: tuple[str, ...]) -> np.ndarray:
@@ -204,7 +201,7 @@ def _sigma(table: Table, notes: list[str], faults: _Faults) -> np.ndarray:
 
     both, flat, up = column(_SIGMA), column(_SIGMA_H), column(_SIGMA_V)
     flat = np.where(np.isnan(flat), both, flat)
-    up = np.where(np.isnan(up), VERTICAL_FACTOR * flat, up)
+    up = np.where(np.isnan(up), vertical * flat, up)
     east, north = column(_SIGMA_E), column(_SIGMA_N)
     return np.stack([np.where(np.isnan(s), flat, s) for s in (east, north)] + [up], axis=1)
 
@@ -260,13 +257,13 @@ def _in_time_order(gnss: Gnss, path: Path) -> Gnss:
     return gnss.only(keep, notes)
 
 
-def _without_leaps(gnss: Gnss, path: Path) -> Gnss:
+def _without_leaps(gnss: Gnss, path: Path, max_speed_m_s: float) -> Gnss:
     """Without stretches of rows far from the rest that nothing could reach in the time between."""
     far, away = far_from_rest(gnss.lat_lon_height)
     if not far.any():
         return gnss
     edge = np.flatnonzero(np.diff(far.astype(int)) != 0)  # between rows edge and edge + 1
-    fast = np.abs(np.diff(away)) > _MAX_SPEED_M_S * np.diff(gnss.time_s)
+    fast = np.abs(np.diff(away)) > max_speed_m_s * np.diff(gnss.time_s)
     for first, last in zip([0, *(edge + 1)], [*edge, len(far) - 1]):
         reached = (first > 0 and not fast[first - 1]) or (last < len(far) - 1 and not fast[last])
         far[first : last + 1] &= not reached
@@ -284,18 +281,18 @@ def _say_far(where: str, place: np.ndarray, away_m: float) -> str:
     return f"{where}: lat {place[0]:.6f}, lon {place[1]:.6f} lies {away_m / 1000:.0f} km from most of the others"
 
 
-def far_rows(lat_lon_height: np.ndarray, where: Sequence[str]) -> tuple[np.ndarray, str]:
+def far_rows(lat_lon_height: np.ndarray, where: Sequence[str], most: float) -> tuple[np.ndarray, str]:
     """(N,) which of some positions (N, 3) without times not to use, as they are far from the rest, and what to say.
 
-    ``where`` names each position. They are used, though said, if they are more than a tenth (of two, one): which are
-    right is then not clear.
+    ``where`` names each position. They are used, though said, if they are more than a share of ``most`` (of two, one):
+    which are right is then not clear.
     """
     far, away = far_from_rest(lat_lon_height)
     if not far.any():
         return far, ""
     row = int(np.flatnonzero(far)[0])
     note = _say_far(where[row], lat_lon_height[row], away[row])
-    if far.sum() > max(1, _MAX_FAR_SHARE * len(far)) or len(far) < 3:
+    if far.sum() > max(1, most * len(far)) or len(far) < 3:
         note += f", as {far.sum()} of {len(far)} positions do: are these two surveys? Split them, or mend the positions"
         return np.zeros(len(far), bool), note
     return far, note + f": {far.sum()} of {len(far)} positions are not used; mend or remove them"
@@ -322,15 +319,15 @@ def _one_place_an_image(gnss: Gnss, path: Path) -> Gnss:
     return gnss.only(np.setdiff1d(np.arange(len(gnss.names)), again), [*gnss.notes, note])
 
 
-def without_far(gnss: Gnss, path: Path) -> Gnss:
+def without_far(gnss: Gnss, path: Path, most: float) -> Gnss:
     """A file by image without positions that stand far apart from the others, as ``far_rows`` says."""
-    far, note = far_rows(gnss.lat_lon_height, [f"{Path(path).name}, line {n}" for n in gnss.line])
+    far, note = far_rows(gnss.lat_lon_height, [f"{Path(path).name}, line {n}" for n in gnss.line], most)
     return gnss.only(np.flatnonzero(~far), [*gnss.notes, note]) if note else gnss
 
 
-def stuck_note(lat_lon_height: np.ndarray, where: str) -> str:
-    """What to say if some positions (N, 3) are one and the same; else ""."""
-    if len(lat_lon_height) < _STUCK or np.ptp(lat_lon_height, axis=0).max() > 0:
+def stuck_note(lat_lon_height: np.ndarray, where: str, least: int) -> str:
+    """What to say if some positions (N, 3), the ``least`` number of them, are one and the same; else ""."""
+    if len(lat_lon_height) < least or np.ptp(lat_lon_height, axis=0).max() > 0:
         return ""
     lat, lon, height = lat_lon_height[0]
     return (

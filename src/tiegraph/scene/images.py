@@ -26,6 +26,7 @@ SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", "
 UNREADABLE = (".heic", ".heif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".gif", ".jp2")
 IMAGES_FOLDER = "images"
 _IGNORED = ("thumbs.db", "desktop.ini", "__macosx")
+# Bounds of memory:
 _LARGEST_PX = 1_000_000_000  # PIL refuses more than 179 Mpx as an attack; survey cameras and mosaics go beyond
 # A JPEG of one colour has 85 pixels a byte with the standard's tables; a deflated one 1032 bytes of pixels a byte.
 _BOMB_PX, _BOMB_PX_PER_BYTE = 100_000_000, 300

@@ -24,12 +24,13 @@ _TUM, _KITTI = 8, 12
 _FIELDS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 _W_FIRST = (0, 1, 2, 3, 5, 6, 7, 4)  # columns of _FIELDS in a table with w first
 _HEADERS = "'# time x y z qx qy qz qw' or '# time x y z qw qx qy qz'"
+# What a file of poses can mean, and how its form is told; where that is not sure it is refused.
 _NANOSECONDS = 1e17  # times since 1970 above this are in nanoseconds
 _LAST_S = 1e11  # a time later than this is none, in seconds
 _FAR_M = 1e8  # ECEF and grid coordinates are smaller
 _EXTENT_M = 1e6  # of a survey
 _MOVED = 1e-9  # poses that differ less are the same
-_STEPS = 8  # moves needed to see which way a body drives
+_STEPS, _MOVE = 8, 0.1  # moves needed to see which way a body drives, and the least one in median moves
 _BETTER, _UNSTEADY = 0.25, 0.01  # how much steadier the other order must be, and how unsteady this one
 
 
@@ -192,7 +193,7 @@ def _unsteady(position: np.ndarray, xyzw: np.ndarray) -> float:
     """How much the direction of motion in the body's own frame varies: 0 = not at all, 1 = evenly spread."""
     step = np.diff(position, axis=0)
     length = np.sqrt(np.square(step / max(np.abs(step).max(initial=0.0), 1e-300)).sum(axis=1))
-    moved = length > 0.1 * np.median(length[length > 0]) if (length > 0).any() else length > 0
+    moved = length > _MOVE * np.median(length[length > 0]) if (length > 0).any() else length > 0
     if moved.sum() < _STEPS or not ((np.abs(xyzw) <= 2).all() and (np.abs(xyzw).max(axis=1) > 0.1).all()):
         return 0.0
     ahead = step[moved] / np.linalg.norm(step[moved], axis=1, keepdims=True)

@@ -1,6 +1,6 @@
 """What the shared library decides by: each constant with its unit, its meaning and where its value comes from.
 
-``TrendTuning`` is of one engine alone, and stands in that engine's tuning.
+``GnssTuning`` and ``TrendTuning`` are of one engine alone, scan and sfm, and stand in its tuning.
 """
 
 from __future__ import annotations
@@ -36,6 +36,19 @@ class ImageTuning(Section):
     """Focal lengths in longer image sides that EXIF is believed: 136 degrees of view ... a 700 mm lens."""
     panorama: PanoramaTuning = PanoramaTuning()
     """Panoramas."""
+
+
+class GnssTuning(Section):
+    """What is believed of a receiver's positions (`gnss.py`)."""
+
+    vertical: float = Field(2.0, gt=0)
+    """Sigma of a height over that of the place: satellites fix it about half as well, all of them are above."""
+    most_far: float = Field(0.1, ge=0, le=1)
+    """Share of positions without times that is left out as false, at most."""
+    max_speed_m_s: float = Field(500.0, gt=0)
+    """No carrier of cameras is faster: rows that one would need more for to reach are false."""
+    stuck: int = Field(3, gt=1)
+    """Positions, at least, that are said to be all the same."""
 
 
 class ControlTuning(Section):
