@@ -9,6 +9,7 @@ import pytest
 from tiegraph.pipeline import STAGES
 
 ROOT = Path(__file__).parents[1]
+MAX_DESIGN_WORDS = 1800
 
 
 @pytest.fixture(scope="module")
@@ -34,3 +35,25 @@ def test_lanes_of_the_diagram_do_not_run_into_each_other(diagram):
         for other, same in lane_of.items():
             if row < other and lane == same:
                 assert max(needed[row]) <= other
+
+
+def test_the_design_is_short_and_names_every_stage_and_package():
+    text = (ROOT / "DESIGN.md").read_text()
+    assert len(text.split()) <= MAX_DESIGN_WORDS
+    for stage in STAGES:
+        assert f"**{stage.name}**" in text
+    package = ROOT / "src" / "tiegraph"
+    for path in package.iterdir():
+        if (path / "__init__.py").exists():
+            assert f"{path.name}/" in text
+        elif path.suffix == ".py" and not path.name.startswith("__"):
+            assert path.name in text
+
+
+def test_every_stage_has_its_files_described():
+    rows = [line for line in (ROOT / "docs" / "artefacts.md").read_text().splitlines() if line.startswith("| `")]
+    assert [row.split("`")[1] for row in rows] == [stage.name for stage in STAGES]
+    for row, stage in zip(rows, STAGES):
+        for name in (*stage.makes, *stage.changes):
+            assert f"`{name}" in row, f"{stage.name}: {name}"
+        assert row.rstrip(" |").endswith(stage.item or "-")

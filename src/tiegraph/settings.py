@@ -1,4 +1,11 @@
-"""The base of every settings class: frozen, strict about names, each field documented by a docstring below it."""
+"""The base of every settings class: frozen, strict about names, each field documented by a docstring below it.
+
+What a user chooses is a section by stage. What an engine decides by is the class ``Tuning`` in the engine's
+``tuning.py``, one group of constants for each of its modules or subpackages, each with unit, meaning and origin. It
+is passed in like settings. A table ``[tuning.<engine>]`` of ``tiegraph.toml`` changes values, for measurements: they
+count in the keys of the stages that follow them (``Stage.tuned``), and the receipt names those that differ. Numeric
+epsilons, seeds, bounds of memory and definitions stay in their modules.
+"""
 
 from pathlib import Path
 from typing import Any

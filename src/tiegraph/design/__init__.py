@@ -1,1 +1,24 @@
-"""Design: which of the candidate pairs are matched at full resolution, by the accuracy they are expected to give."""
+"""Design: which of the candidate pairs are matched at full resolution, by the accuracy they are expected to give.
+
+1. The pairs that are kept under any method (``holding``): across every cut of the graph the strongest, until three
+   are expected to be verified.
+2. Loose photographs whose matching costs less than a fifth of the run (``cost``: measured times, no clock) are all
+   matched.
+3. Otherwise a greedy choice (``hybrid``): the pairs of the largest gain by a measure (``measure``), until the
+   predicted sigma of the positions is within the budget of that of all candidates.
+
+Pairs of which nothing is known are previewed first (``pipeline.previews``): the sources ``sequence``, ``exhaustive``
+and ``file`` by themselves preview none, and method ``all`` needs none. Otherwise only a third of the candidates was
+ever previewed, and the tracks of all are predicted from the points of the preview model (``foreseen``): how fast
+matches fall with the angle between the rays and with the ratio of the distances, and how often an image finds a point
+again at all, is fitted to the previewed pairs (``sights.npz`` holds the places of the points and the projection
+centres).
+
+Where images share unknowns, the extrinsics of a rig that is adjusted or intrinsics, the measure is the bundle
+adjustment itself, linearised at the preview model (``bundle``). The gain of a pair is the fall of the mean variance
+of the frames by its epipolar equations. The loss is evaluated on an independent sample of tracks: on the sample used
+for the choice it is biased low. A matrix is inverted in each round, so beyond 800 unknowns, and where nothing is
+shared, effective resistance times new tracks is the measure (``resistance``, ``predict``), whose predicted loss
+counts the frames of a known rig, not its images. Paper 002's accuracy of a pair (``pipeline.accuracy``,
+``sfm.twoview``) comes to ``fuse2014`` as a column of the pair table.
+"""

@@ -1,1 +1,22 @@
-"""The tie graph: candidate pairs from several sources, sections, and the design that thins them."""
+"""The tie graph: candidate pairs from several sources, sections of the survey, and the rig checked against the images.
+
+Counts of preview matches cannot tell true ties from repeated walls; geometry can. The network is found in four steps:
+
+1. Previews are matched on a coarse lattice of frames for every two cameras and passes, smoothed and interpolated
+   (``offsets``); by retrieval for loops and loose photographs (``looks``); by prior poses where there are some
+   (``poses``, checked by previews in ``poses.check``).
+2. The best pairs of each image make a preview model, a coarse reconstruction of the survey, by the mapper and rig of
+   the later stages (``model.survey``; the function is injected by ``pipeline``, so that the engines stay apart).
+3. Its poses and points predict the surface that every two images share (``model.visible``). The prediction replaces
+   the counts wherever the model explains the strong previews of neighbouring frames; where it does not, the receipt
+   says so and the counts decide.
+4. Its calibration replaces what was guessed of cameras and rig.
+
+One limit, ``axes_deg``, holds for the axes of cameras before there is a model, and for the views of a shared surface
+after. Only what a model is trusted by (``model.trust``) asks for less than 90 degrees, for a strong preview of
+steeper views is another wall. ``model.visible`` also serves prior poses, with points at an assumed range (paper 003):
+ten times the distance between frames. That distance is the median weighted by length, half of the way was gone in
+steps as long or longer, so that a vehicle that stands does not bring the range near.
+
+Sources of pairs are functions found by name in ``sources.SOURCES``.
+"""

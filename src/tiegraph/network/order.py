@@ -4,6 +4,8 @@ In a sequence neighbours show equal views: three quarters of them tie, and by cl
 pass apart do. It is the matches that tell and not the ties alone: a few seconds down a street everything still ties
 (KITTI: 37 of 40 such pairs, by 22 matches in the median where neighbours have 271). Where that is not so the images
 are loose photographs: all of them are compared, or look-alikes, and no stage expects the next one beside the last.
+
+What the user states about the order is not tested.
 """
 
 from __future__ import annotations

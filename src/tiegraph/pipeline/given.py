@@ -1,4 +1,9 @@
-"""What a user hands over, checked before anything is made: by itself, and against the images of a scan."""
+"""What a user hands over, checked before anything is made: by itself, and against the images of a scan.
+
+Refused before anything is made or stored: what cannot be meant, in a table, a rig, a pose file, a position or a CRS,
+with file, line, value and remedy. What is only doubtful is a note. What only the images can tell is checked at
+``scan``.
+"""
 
 from __future__ import annotations
 

@@ -1,1 +1,16 @@
-"""The scan stage: a folder of images, videos or panoramas, and what came with it, become a Scene."""
+"""The scan stage: a folder of images, videos or panoramas, and what came with it, become a Scene.
+
+What a user hands over is checked before anything is made or stored (``pipeline.given``, ``project.given``), the rest
+here. Every file of the user passes ``scene.regular`` before it is opened (pipes and devices never end), and a folder
+is searched once whatever links lead back to it. COLMAP models are read by ``scene.colmapmodel.read_model``, which
+compares the records with the size of the file first. Images get names of ours where they are listed
+(``scene.names``): no native library sees a name that is not UTF-8. A table's header says which column is which; the
+order of a quaternion is never guessed (``scene.posefile``).
+
+Cameras that write into one folder are told apart by the ends of the file names (``bands``): the folder of a sensor is
+then a pattern, ``*_GRE``, and XMP rig relatives give their orientations. The calibration of a single camera is an
+input, ``--camera`` (``calibration``). Control points are points and marks, in one table, two tables, or two files.
+
+A position far from the rest is one behind a gap in the sorted distances (``geometry.geodesy.far_from_rest``). A CRS
+whose lengths are off by more than 1 % at the positions is refused.
+"""

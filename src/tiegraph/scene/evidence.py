@@ -3,6 +3,14 @@
 A *statement* is one source's value of one quantity: the rig's file of the scale, the images of it, the positions of it.
 Statements of one quantity are tested against each other; so are residuals against what noise looks like (``trend``): a
 line, a curve or a step is not noise.
+
+Two statements contradict each other beyond 3.29 sigmas, a chance of 0.1 %. ``trend`` tests residuals for a line, a
+curve, a step and an offset by generalised least squares over a first-order process. ``sparse`` states times,
+mountings and lenses (rig as given, images); ``georef`` scale, heading, tilt, place, height and clock (positions,
+control points, rig, gravity, orientations); ``evaluate`` its references. What contradicts is a sentence in
+``Outcome.contradictions``: a line with ``!`` in the terminal, a box in the report, whose verdict is then *doubtful*.
+What is used is decided by the tests (``sfm.world.weighing``): the baseline of a rig gives way to positions that fit
+without a trend; where nothing tells which source is right, the sigma of the scale covers both.
 """
 
 from __future__ import annotations

@@ -2,6 +2,9 @@
 
 A pose alone proves nothing: COLMAP registers a frame with all the cameras of its rig, also with those that see no point
 at all (27 images of a drone rig over forest). Such images stand where their rig puts them and are counted apart.
+
+An image is *registered* if it sees at least 10 points within 4 px of where they should be. An image that has a pose
+and not these is *placed by the rig*, and is counted apart everywhere.
 """
 
 from __future__ import annotations

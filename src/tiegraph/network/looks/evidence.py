@@ -3,6 +3,9 @@
 Walls that repeat tie two places for one or two cameras and some frames; at one place again, most cameras of the rig see
 what the rig saw before. So the frame pairs of a loop are previewed by all cameras, also by those that had no part in
 finding it.
+
+A loop far from the path is believed if most cameras of the rig support it, each with the camera that the other end of
+the loop named.
 """
 
 from __future__ import annotations

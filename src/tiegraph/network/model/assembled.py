@@ -1,4 +1,13 @@
-"""The preview model of a survey of any size: mapped whole, or in blocks that are joined by the images they share."""
+"""The preview model of a survey of any size: mapped whole, or in blocks that are joined by the images they share.
+
+Time grows linearly with the images. Up to 600 images the model is mapped whole. Beyond, ``scene.blocks`` cuts the
+graph of frames into blocks that keep both passes of a place together and share the frames at their borders. Each
+block is mapped by itself, roughly (few tracks, no final adjustment), and ``scene.joining`` puts the models into one
+frame by the images they share. Joins that the shared images or the other joins contradict are refused and reported.
+Parts that do not hold together are judged each by itself, and the counts decide between them. The previews of an
+image are bounded (``offsets``), pairs that the axes rule out are counted and not listed, and no process holds the
+previews of all images.
+"""
 
 from __future__ import annotations
 

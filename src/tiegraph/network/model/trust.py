@@ -1,4 +1,12 @@
-"""Where the preview model is believed: where it explains the strong previews, first of all those of near frames."""
+"""Where the preview model is believed: where it explains the strong previews, first of all those of near frames.
+
+A preview model can tear, or fold one place onto a wall like it, without any error of its own. Frames that follow each
+other always tie. Where the model contradicts their ties it is cut into stretches; the fewest matches that still hold
+torn stretches together are taken to be false (minimum cut), and the model is made again without them. The model can
+also turn a camera that few points hold, by tens of degrees: where a nominal mounting would be off by more than 15, a
+second model must find the same, or that camera stays as given and its pairs are left to the counts. Of what still
+does not hold together only the largest part is believed, and the receipt says so.
+"""
 
 from __future__ import annotations
 

@@ -4,6 +4,9 @@ Most frames of a long pass share nothing with a given other frame, so that this 
 tie is only what stands above it. Simulated canal with walls that come again every 12 m: half of the previews of one
 camera in frames 50 m and more apart reach the count of a tie; without this every camera seemed to see the same for 60
 frames.
+
+It is measured for every two cameras. Evidence counts above it, and only at those distances from the path at which two
+cameras tie all along it.
 """
 
 from __future__ import annotations

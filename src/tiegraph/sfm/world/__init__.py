@@ -1,1 +1,30 @@
-"""Where the model is on the Earth: evidence, similarity, adjustment with positions and control points."""
+"""Where the model is on the Earth: evidence, similarity, adjustment with positions and control points.
+
+**Evidence** (``fixes``). Every row of the receiver is tied to the poses of up to four frames about its time by a
+cubic. So rows between frames count, a lever arm turns with the boat, and a clock offset is the derivative of the same
+sum. Sigmas are enlarged after outages (3 times, 10 s) and under bridges (10 times), then scaled by level of the
+stated sigma to what the residuals say, and for their correlation in time (``noise``): a float solution that wanders
+must not outvote a fixed one because it is written five times a second. Control points enter where the rays of their
+marks meet (``marks``); check points never enter. The scale of the rig enters with the sigma of its file, with how
+well the images carry its baselines to the length of the whole (the adjustment's own sigma of the scale, which two
+cameras back to back hardly tell) and with the share of its lever arms that the images contradict. Cameras all round
+(a ring, or two back to back) tell the vertical, to 3 deg or to what they lean from frame to frame.
+
+**Similarity** (``placing``, ``fit``). Lever arm and clock are estimated only where the fit tells them (sigma in plan
+below 0.5 m) and agrees clearly better (chi-square at 0.1 %; begun with the sigmas as stated, as without lever arm all
+positions look bad and wrong ones hide). What cannot be told is reported: along a straight way the clock is the lever
+arm, and the height of an antenna is the height of the world.
+
+**Adjustment with positions** (``worldadjust``). Images, positions and points are adjusted together, which takes out
+bends that a similarity cannot. Own residuals are small classes in ``costs``, added to COLMAP's Ceres problem through
+pyceres (one thread: Python's lock). The adjustment is kept only if every fifth position, which it did not know, is
+met as well as by the similarity, and the images fit no worse (``ground``). A model with a relaxed rig is not adjusted
+so, for what ties its cameras is not in that adjustment.
+
+**What residuals cannot show** is added: what all positions of a receiver share is taken to be one stated sigma
+(without control points), and a fit to few rows is freed of what it took of a slow error. A note says what holds the
+scale where the rig does, and what checks it. ``world.json`` keeps the covariance of the placement (``accuracy``),
+which ``cloud`` carries to its points. Heights are ellipsoidal unless the CRS is a compound one. A compound CRS whose
+geoid grid PROJ does not have is refused, because PROJ would silently leave the heights as they are. Grid coordinates
+have the scale of the grid: the report says so.
+"""
