@@ -226,7 +226,8 @@ def mounting_errors(
     place (m) and turn (rad) of each against the reference, along the axes of the rig.
 
     By the images, where a calibration is known as well as it is held to and what contradicts them is free; without
-    images, as well as it is held to. ``followed``: the model stands where the images want it, not as given.
+    images, as well as it is held to. ``followed``: the model stands where the images want it, and what they do not
+    contradict is as well known as it was given.
     """
     rig, bounds = scene.rigs[index], tuning.confront
     given = np.stack([np.eye(4) if s.sensor_from_rig is None else s.sensor_from_rig for s in rig.sensors])
@@ -238,7 +239,9 @@ def mounting_errors(
         sigma = [np.maximum(place, worse[0]), np.radians(np.maximum(turn, worse[1]))]
         return np.diag(np.repeat(np.stack(sigma, axis=1)[sensors].ravel(), 3) ** 2)
     system = heard.system
-    known = replace(expected(rig, system.timed, tuning), place_m=place.tolist(), turn_deg=turn.tolist())
+    known = expected(rig, system.timed, tuning)
+    if not followed:
+        known = replace(known, place_m=place.tolist(), turn_deg=turn.tolist())
     solution = system.solve(known.sigma(system, heard.freed, times=True))
     rows = np.zeros((len(sensors), 6, len(system.keys)))
     reference = _unknowns(system, 0)
