@@ -1,5 +1,6 @@
 """The documents say what the code says."""
 
+import re
 import runpy
 from pathlib import Path
 from xml.etree import ElementTree
@@ -10,6 +11,8 @@ from tiegraph.pipeline import STAGES
 
 ROOT = Path(__file__).parents[1]
 MAX_DESIGN_WORDS = 1800
+MAX_README_LINES = 90
+MAX_PICTURE_BYTES = 250_000
 
 
 @pytest.fixture(scope="module")
@@ -57,3 +60,18 @@ def test_every_stage_has_its_files_described():
         for name in (*stage.makes, *stage.changes):
             assert f"`{name}" in row, f"{stage.name}: {name}"
         assert row.rstrip(" |").endswith(stage.item or "-")
+
+
+def test_the_readme_is_short_and_shows_two_small_pictures():
+    text = (ROOT / "README.md").read_text()
+    assert len(text.splitlines()) <= MAX_README_LINES
+    shown = re.findall(r"!\[[^]]+\]\(([^)]+)\)", text)
+    assert len(shown) == 2
+    for name in shown:
+        assert (ROOT / name).stat().st_size <= MAX_PICTURE_BYTES
+
+
+def test_the_readme_installs_and_runs_the_demo_in_one_line():
+    blocks = re.findall(r"```\n(.*?)\n```", (ROOT / "README.md").read_text(), re.DOTALL)
+    assert blocks[0] == "sh setup.sh && .venv/bin/tiegraph demo"
+    assert blocks[1].startswith("sh setup.sh dev && .venv/bin/python -m pytest")
