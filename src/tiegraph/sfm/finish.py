@@ -327,7 +327,7 @@ def _confronted(
     count, first = len(scene.rigs[index].sensors), sum(len(r.sensors) for r in scene.rigs[:index])
     if count > 1 and not relaxed and _measured(index, request):
         cameras = range(first + 1, first + count)
-        off = mounting_errors(heard, scene, index, cameras, request.tuning.rig, followed)
+        off = mounting_errors(heard, scene, index, cameras, request.tuning.rig, followed, relaxed=False)
         out.off[index + 1] = in_units(off, metres)
     return heard
 

@@ -221,13 +221,15 @@ def mounting_errors(
     cameras: Sequence[int],
     tuning: RigTuning,
     followed: bool = False,
+    relaxed: bool = True,
 ) -> np.ndarray:
     """(6S, 6S) mean products of how far S ``cameras`` (keys) beside the reference are off what a measured rig gives:
     place (m) and turn (rad) of each against the reference, along the axes of the rig.
 
     By the images, where a calibration is known as well as it is held to and what contradicts them is free; without
     images, as well as it is held to. ``followed``: the model stands where the images want it, and what they do not
-    contradict is as well known as it was given.
+    contradict is as well known as it was given. ``relaxed``: cameras have times of their own; of a rigid rig a time is
+    a place along the way.
     """
     rig, bounds = scene.rigs[index], tuning.confront
     given = np.stack([np.eye(4) if s.sensor_from_rig is None else s.sensor_from_rig for s in rig.sensors])
@@ -242,7 +244,7 @@ def mounting_errors(
     known = expected(rig, system.timed, tuning)
     if not followed:
         known = replace(known, place_m=place.tolist(), turn_deg=turn.tolist())
-    solution = system.solve(known.sigma(system, heard.freed, times=True))
+    solution = system.solve(known.sigma(system, heard.freed, times=relaxed))
     rows = np.zeros((len(sensors), 6, len(system.keys)))
     reference = _unknowns(system, 0)
     for own, k in zip(rows, sensors.tolist()):
