@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 
 import pytest
 
+import tiegraph
 from tiegraph.pipeline import STAGES
 
 ROOT = Path(__file__).parents[1]
@@ -75,3 +76,38 @@ def test_the_readme_installs_and_runs_the_demo_in_one_line():
     blocks = re.findall(r"```\n(.*?)\n```", (ROOT / "README.md").read_text(), re.DOTALL)
     assert blocks[0] == "sh setup.sh && .venv/bin/tiegraph demo"
     assert blocks[1].startswith("sh setup.sh dev && .venv/bin/python -m pytest")
+
+
+DOCUMENTS = ("README.md", "DESIGN.md", "CONTRIBUTING.md", "benchmarks/README.md", "docs/index.md", "docs/artefacts.md")
+
+
+@pytest.mark.parametrize("name", DOCUMENTS)
+def test_links_lead_to_files(name):
+    path = ROOT / name
+    for link in re.findall(r"\]\(([^)#]+)\)", path.read_text()):
+        assert link.startswith("https://") or (path.parent / link).exists(), f"{name}: {link}"
+
+
+def test_the_version_to_cite_is_the_version():
+    cited = re.search(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
+    assert cited is not None
+    assert cited[1] == tiegraph.__version__
+
+
+def test_types_are_there_for_who_imports_the_package():
+    assert (Path(tiegraph.__file__).parent / "py.typed").exists()
+
+
+def test_examples_say_how_they_are_called():
+    examples = sorted((ROOT / "examples").glob("*.py"))
+    assert len(examples) == 3
+    for path in examples:
+        assert f"python examples/{path.name}" in path.read_text()
+
+
+def test_the_quick_example_runs(tmp_path, capsys):
+    """In this process: what it prints is what a reader sees."""
+    runpy.run_path(str(ROOT / "examples" / "read_survey.py"))["main"](str(tmp_path / "out"))
+    printed = capsys.readouterr().out
+    assert "120 images in 20 frames" in printed
+    assert "10 frames have a position" in printed

@@ -2,7 +2,7 @@
 
 Two passes over the images: match each with its partners, then compare each depth map with those of its neighbours
 (consistency). Another matcher is one more entry of ``engine.ENGINES``: ``ENGINES[name](reference, partners,
-depth_range, settings) -> DepthMap``, or a ``PairMatcher`` of rectified images.
+depth_range, settings, tuning) -> DepthMap``, or a ``PairMatcher`` of rectified images.
 
 **Matcher ``tsgm``** (paper 004): a pyramid in ``tsgm``, and the kernels in the native module ``_sgm`` (C++17,
 nanobind; ``native/sgm``). A kernel is one set of ``.inl`` files compiled once for each instruction set (plain,
