@@ -1,5 +1,6 @@
 """The documents say what the code says."""
 
+import ast
 import re
 import runpy
 from pathlib import Path
@@ -111,3 +112,10 @@ def test_the_quick_example_runs(tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "120 images in 20 frames" in printed
     assert "10 frames have a position" in printed
+
+
+def test_every_package_is_a_chapter_of_the_documentation():
+    tree = ast.parse((ROOT / "docs" / "hooks.py").read_text())
+    named = {n.value for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)}
+    packages = {path.parent.name for path in (ROOT / "src" / "tiegraph").glob("*/__init__.py")}
+    assert packages <= named

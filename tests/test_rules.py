@@ -125,5 +125,7 @@ def test_linters_are_content(command):
 
 def test_ci_runs_exactly_the_readme_command():
     readme = (ROOT / "README.md").read_text()
-    command = (ROOT / ".ci" / "run").read_text().strip().splitlines()[-1]
-    assert f"\n{command}\n" in readme
+    *_, tests, documentation = (ROOT / ".ci" / "run").read_text().strip().splitlines()
+    assert f"\n{tests}\n" in readme
+    assert "pytest" in tests
+    assert "mkdocs build --strict" in documentation

@@ -1,0 +1,62 @@
+"""What the site has beside `docs/*.md` (a hook of mkdocs): DESIGN.md, CONTRIBUTING.md, a chapter for each package.
+
+A chapter is made of the docstrings of the package and of its modules, in which the reasons stand. They are read as
+text: nothing of the package is imported, and nothing is downloaded.
+"""
+
+import ast
+from pathlib import Path
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+
+ROOT = Path(__file__).parents[1]
+SOURCE = ROOT / "src" / "tiegraph"
+PAGES = {"DESIGN.md": "design.md", "CONTRIBUTING.md": "contributing.md"}
+CHAPTERS = ("project", "pipeline", "scan", "masks", "network", "design", "features", "verify", "sfm", "dense", "cloud")
+CHAPTERS += ("evaluate", "report", "scene", "geometry", "cli")
+
+
+def on_config(config: MkDocsConfig) -> MkDocsConfig:
+    """The chapters into the table of contents."""
+    for entry in config.nav or ():
+        if isinstance(entry, dict):
+            for key in entry:
+                entry[key] = [{name: f"reasons/{name}.md"} for name in CHAPTERS]
+    return config
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """The pages that lie elsewhere, or are made here."""
+    for name, page in PAGES.items():
+        files.append(File.generated(config, page, content=inside((ROOT / name).read_text())))
+    for name in CHAPTERS:
+        files.append(File.generated(config, f"reasons/{name}.md", content=chapter(name)))
+    return files
+
+
+def on_page_markdown(markdown: str, **_: object) -> str:
+    """Links from docs/ to the files beside it."""
+    return markdown.replace("../DESIGN.md", "design.md")
+
+
+def inside(text: str) -> str:
+    """A page of the root folder, with the links that it needs in docs/."""
+    for name, page in PAGES.items():
+        text = text.replace(f"]({name})", f"]({page})")
+    return text.replace("](docs/", "](")
+
+
+def chapter(name: str) -> str:
+    """The docstrings of a package and of its modules; those that say no more than their first line are a list."""
+    package = SOURCE / name
+    parts = [f"# {name}", ""]
+    short: list[str] = []
+    for path in sorted(package.rglob("*.py"), key=lambda p: (p.parent.parts, p.name != "__init__.py", p.name)):
+        module = ".".join(path.relative_to(SOURCE.parent).with_suffix("").parts).removesuffix(".__init__")
+        said = ast.get_docstring(ast.parse(path.read_text())) or ""
+        if "\n\n" in said or path.name == "__init__.py":
+            parts += [f"::: {module}", ""]
+        else:
+            short.append(f"* `{module}`: {' '.join(said.split())}")
+    return "\n".join([*parts, *(["## Other modules", "", *short] if short else []), ""])
