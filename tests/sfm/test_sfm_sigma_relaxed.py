@@ -18,13 +18,15 @@ import pycolmap  # isort: skip
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.scene.scene import Scene
+from tiegraph.sfm import adjust
 from tiegraph.sfm.adjust import final_adjustment
 from tiegraph.sfm.covariance import position_sigma
 from tiegraph.sfm.jacobians import Layout, Tie, Ties
 from tiegraph.sfm.model import image_poses, rigid3d
 from tiegraph.sfm.rig.confront import hear, mounting_errors
 from tiegraph.sfm.rig.relax import Believed, relax, with_errors
-from tiegraph.sfm.rig.soft import available
+from tiegraph.sfm.rig.soft import Soft, available
+from tiegraph.sfm.rig.timed import Timed
 from tiegraph.sfm.tuning import Tuning
 
 TUNING = Tuning()
@@ -107,3 +109,21 @@ def test_positions_of_a_relaxed_rig_are_known_as_well_as_its_file_is_right() -> 
         actual[seed] = _actual(found.model, scene, true, drive)
     held, whole = np.median(stated / actual, axis=1)
     assert 0.5 < whole < 2 and held < 0.7 * whole, (stated, actual)
+
+
+def test_times_of_a_refused_trial_do_not_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lenses with distortion are tried; where they gain nothing, the times are those of the model that stays."""
+    model, _ = moving_world(frames=4)
+    before = np.array([0.03, *[0.001] * 6])
+    soft = Soft(timed=Timed([], {2: before.copy()}, np.ones(7)))
+
+    def solve(trial: pycolmap.Reconstruction, *given: object) -> None:
+        soft.timed.unknowns[2] += 0.01
+
+    monkeypatch.setattr(adjust, "_solve", solve)
+    for gain, kept in ((0.0, before), (0.5, before + 0.01)):
+        costs = iter((1.0 - gain, 1.0))
+        monkeypatch.setattr(adjust, "robust_cost", lambda *_, costs=costs: next(costs))
+        _, note = adjust._with_doubted(model, (), set(), {1, 2, 3}, soft, TUNING.adjust)
+        assert bool(note) == (gain > 0)
+        np.testing.assert_allclose(soft.timed.unknowns[2], kept)
