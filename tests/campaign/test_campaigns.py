@@ -10,7 +10,7 @@ import tiegraph
 from campaign.run import Plan, campaign, failures, table
 
 pytestmark = pytest.mark.slow
-_SHORT = {"kills": 3, "disks": 2, "artefacts": 4, "inputs": 40}
+_SHORT = {"kills": 2, "disks": 2, "artefacts": 4, "inputs": 24}
 _SEED = 14
 
 

@@ -90,11 +90,11 @@ def _stated(model: pycolmap.Reconstruction, ties: Ties) -> float:
 @pytest.mark.slow
 @pytest.mark.skipif(not available(), reason="pyceres is not there")
 def test_positions_of_a_relaxed_rig_are_known_as_well_as_its_file_is_right() -> None:
-    """Files that are off by what calibrations are held to: over three of them sigma and error agree; as the adjustment
+    """Files that are off by what calibrations are held to: over two of them sigma and error agree; as the adjustment
     held them, without their errors, it would be too sure."""
     held_to = TUNING.rig.confront
-    stated, actual = np.zeros((2, 3)), np.zeros(3)
-    for seed in range(3):
+    stated, actual = np.zeros((2, 2)), np.zeros(2)
+    for seed in range(2):
         drive = Drive(late_s=LATE_S, frames=16, seed=5 + seed)
         model, scene = driving_world(drive)
         true = [np.asarray(s.sensor_from_rig) for s in scene.rigs[0].sensors]
