@@ -42,10 +42,8 @@ def network(run: Run) -> Outcome:
         items = [(int(i), int(j)) for i, j in pairs]
         return run.map(match_item, items, run.folder, run.settings.preview, run.settings.tuning.features.preview)
 
-    make, descriptors = (
-        Maker(partial(_survey_model, run), run.settings.tuning.scene),
-        partial(_Descriptors, run.folder, scene),
-    )
+    make = Maker(partial(_survey_model, run), run.settings.tuning.scene)
+    descriptors = partial(_Descriptors, run.folder, scene)
     settings, tuning = run.settings.network, run.settings.tuning.network
     found = estimate_network(scene, light, match, settings, tuning, make, descriptors)
     save_npz(run.path("network.npz"), **found.pairs.to_npz())
