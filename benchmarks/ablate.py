@@ -20,11 +20,11 @@ _RIGID = {"sync": {"sigmas": 1e9}, "health": {"max_ratio": 1e9}, "torn": {"min_s
 _NO_PLACEMENT = {"repair": {"rounds": 0}, "adopt_rounds": 0, "guided": {"rounds": 0}}
 VARIANTS = (
     Variant("rig check off", {"tuning": {"network": {"rig": {"check": {"min_votes": 10**6}}}}}, "given order believed"),
-    Variant("offsets constant", {"network": {"offsets": "constant"}}, "one offset for each two passes (paper 000)"),
-    Variant("offsets none", {"network": {"sources": ["sequence", "retrieval"]}}, "neighbours and look-alikes only"),
-    Variant("retrieval off", {"network": {"sources": ["sequence", "offsets"]}}, "no look-alikes"),
-    Variant("preview model off", {"network": {"model": False}}, "counts of preview matches decide"),
-    Variant("trust off", {"tuning": {"network": {"model": {"tries": 1}}}}, "the first preview model is taken"),
+    Variant("offsets constant", {"candidates": {"offsets": "constant"}}, "one offset for each two passes (paper 000)"),
+    Variant("offsets none", {"candidates": {"sources": ["sequence", "retrieval"]}}, "neighbours and look-alikes only"),
+    Variant("retrieval off", {"candidates": {"sources": ["sequence", "offsets"]}}, "no look-alikes"),
+    Variant("coarse model off", {"coarse": {"method": "off"}}, "counts of preview matches decide"),
+    Variant("trust off", {"tuning": {"network": {"coarse": {"tries": 1}}}}, "the first coarse model is taken"),
     Variant("view-graph filtering off", {"verify": {"method": "off"}}, "no pair is refused"),
     Variant("minimum cut off", {"tuning": {"design": {"holding": {"wanted": 0.01}}}}, "no pairs to hold the parts"),
     Variant("bundle criterion off", {"tuning": {"design": {"bundle": {"max_unknowns": 0}}}}, "the net of resistances"),

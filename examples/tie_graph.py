@@ -20,7 +20,7 @@ def main(out: str) -> None:
         rig=CANAL / "rig.toml",
         gnss=CANAL / "gnss.csv",
         times=CANAL / "times.csv",
-        settings={"network": {"sequence_frames": 3}},
+        settings={"candidates": {"sequence_frames": 3}},
     )
     project.run(until="design")
     for what, count in project.pairs().funnel().items():

@@ -109,7 +109,14 @@ def _matched(name: str, work: Path) -> Path:
     options = ["--design.method", "all", "--until", "verify"]
     if camera:
         dataset = _video(dataset, camera, work)
-        options += ["--network.sources", "sequence", "--network.sequence-frames", str(WINDOW), "--network.no-model"]
+        options += [
+            "--candidates.sources",
+            "sequence",
+            "--candidates.sequence-frames",
+            str(WINDOW),
+            "--coarse.method",
+            "off",
+        ]
     said = run_tiegraph(dataset, work / "base", options)
     if said["returncode"] != 0:
         raise InputError(f"{name}: tiegraph ended with {said['returncode']}, see {work}/base/log.txt")

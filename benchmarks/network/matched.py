@@ -76,7 +76,7 @@ class Run:
         return self.verified.where(chosen & (self.verified.dropped == 0) & (self.verified.inliers > 0))
 
     def map(self, rows: np.ndarray, out: Path, log: Path) -> list[Path]:
-        """Models of the chosen pairs alone as stage ``sparse`` makes them, from the preview model if there is one."""
+        """Models of the chosen pairs alone as stage ``sparse`` makes them, from the coarse model if there is one."""
         used = self.used(rows)
         kept = set(zip(used.i.tolist(), used.j.tolist()))
         away = tuple(p for p in zip(self.pairs.i.tolist(), self.pairs.j.tolist()) if p not in kept)

@@ -93,7 +93,7 @@ def every_nth(dataset: datasets.Dataset, step: int, work: Path) -> datasets.Data
 
 def one_run(dataset: datasets.Dataset, source: str, folder: Path) -> dict[str, Any]:
     """A run up to the sparse model with one pair source; what the paper's table needs of the receipts."""
-    options = ["--until", "sparse", "--network.sources", source, "--network.no-model", "--design.method", "all"]
+    options = ["--until", "sparse", "--candidates.sources", source, "--coarse.method", "off", "--design.method", "all"]
     said = run_tiegraph(dataset, folder, options)
     row: dict[str, Any] = {"set": dataset.name, "source": source, "images": len(dataset.cam_from_world)}
     if said["returncode"] != 0:

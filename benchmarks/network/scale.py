@@ -1,7 +1,7 @@
 """Time and memory of network and design against the number of images: ``python benchmarks/network/scale.py``.
 
 A simulated canal survey (``canalworld``: 6 cameras, two passes, repeated walls); everything but the previews themselves
-is the program's own: ``estimate_network`` with the preview model of the pipeline (COLMAP's mapper), then ``design``.
+is the program's own: ``estimate_network`` with the coarse model of the pipeline (COLMAP's mapper), then ``design``.
 Each size runs in a process of its own. The time of the simulated matching is taken off; what real previews would cost
 is given beside it (6 ms each, measured on canal).
 """
@@ -21,6 +21,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -31,9 +32,12 @@ from benchmarks.network.canalworld import CanalWorld, canal_world
 from benchmarks.network.measure import measured
 from tiegraph.design.design import design
 from tiegraph.features.preview import PreviewMatch
-from tiegraph.network.model.surveymodel import Maker, ModelFunction
-from tiegraph.network.network import Network, estimate_network
-from tiegraph.pipeline.network import _Descriptors, _survey_model
+from tiegraph.network.candidates import find_candidates
+from tiegraph.network.coarse.search import Coarse
+from tiegraph.network.network import Network, join_network
+from tiegraph.network.passes import PreviewBook
+from tiegraph.pipeline import coarse as coarse_glue
+from tiegraph.pipeline.candidates import _Descriptors
 from tiegraph.project.run import Inputs, Run
 from tiegraph.project.settings import Settings
 from tiegraph.scene.pairs import Pairs
@@ -43,7 +47,7 @@ PREVIEW_S = 0.006  # of one match of two previews, CPU
 USEFUL, FALSE = 0.15, 0.02
 COLUMNS = (
     ("images", "images", "d"), ("previews", "previews", "d"), ("previews_share", "of all pairs", "%"),
-    ("network_cpu_s", "network CPU s", "1"), ("model_cpu_s", "preview model CPU s", "1"),
+    ("network_cpu_s", "network CPU s", "1"), ("model_cpu_s", "coarse model CPU s", "1"),
     ("pictures_cpu_s", "pictures CPU s", "1"), ("design_cpu_s", "design CPU s", "1"),
     ("wall_s", "wall s", "d"), ("world_mib", "MiB before", "d"),
     ("peak_mib", "peak MiB, all processes", "d"), ("placed", "in the model", "%"), ("kept", "candidates", "d"),
@@ -81,7 +85,7 @@ def one(
 ) -> dict[str, Any]:
     """Network and design of one simulated survey; times, counts, and how right the candidates are.
 
-    ``skip``: ``model`` (no preview model), ``design``, ``pictures``.
+    ``skip``: ``model`` (no coarse model), ``design``, ``pictures``.
     """
     world = canal_world(images, seed)
     run = Run(folder, Inputs(folder), Settings(), pool="serial")
@@ -95,19 +99,20 @@ def one(
         previews[0] += len(pairs)
         return world.match(pairs)
 
-    model = None if "model" in skip else clock.timed("model", partial(_survey_model, run))
     watch = cProfile.Profile()
     if profile is not None:
         watch.enable()
-    found: Network = clock.timed("network", _network)(
-        world, clock.timed("match", match), model, run.settings, partial(_Descriptors, folder, world.scene)
-    )  # fmt: skip
+    asked = run if "model" not in skip else Run(folder, Inputs(folder), _without_model(), pool="serial")
+    with patch.object(coarse_glue, "coarse_model", clock.timed("model", coarse_glue.coarse_model)):
+        book = PreviewBook(clock.timed("match", match), len(world))
+        descriptors = partial(_Descriptors, folder, world.scene)
+        coarse, found = clock.timed("network", _network)(world, asked, book, descriptors)
     if "pictures" not in skip:
-        clock.timed("pictures", found.pictures)()
+        clock.timed("pictures", found.pictures)(None if coarse.model is None else coarse.model.cam_from_world)
     made = None
     if "design" not in skip:
         how = run.settings.design, run.settings.tuning.design
-        made = clock.timed("design", design)(found.pairs, found.scene, found.ties, *how)
+        made = clock.timed("design", design)(found.pairs, found.scene, book.ties(), *how)
     if profile is not None:
         watch.disable()
         _write_profile(watch, profile)
@@ -126,24 +131,27 @@ def one(
         "world_mib": before_mib,
         "own_peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         "child_peak_mib": resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024,
-        "placed": float(found.model.placed().mean()) if found.model is not None else None,
-        "ties_mib": found.ties.matches.nbytes / 2**20,
+        "placed": float(coarse.model.placed().mean()) if coarse.model is not None else None,
+        "ties_mib": book.ties().matches.nbytes / 2**20,
         **judged(found.pairs.kept(), world),
         "designed": len(made.pairs.kept()) if made is not None else None,
-        "notes": [*found.notes, *(made.notes if made is not None else ())],
+        "notes": [*coarse.notes, *found.notes, *(made.notes if made is not None else ())],
     }
 
 
+def _without_model() -> Settings:
+    return Settings.model_validate({"coarse": {"method": "off"}})
+
+
 def _network(
-    world: CanalWorld,
-    match: Callable[[np.ndarray], list[PreviewMatch]],
-    model: ModelFunction | None,
-    settings: Settings,
-    descriptors: Callable[[], Sequence[np.ndarray]],
-) -> Network:
-    asked = settings.network, settings.tuning.network
-    make = None if model is None else Maker(model, settings.tuning.scene)
-    return estimate_network(world.scene, world.brightness, match, *asked, make, descriptors)
+    world: CanalWorld, run: Run, book: PreviewBook, descriptors: Callable[[], Sequence[np.ndarray]]
+) -> tuple[Coarse, Network]:
+    """The stages candidates, coarse and network."""
+    settings, tuning = run.settings, run.settings.tuning.network
+    found = find_candidates(world.scene, book, settings.candidates, tuning, descriptors)
+    coarse = coarse_glue.judged_by_model(run, (found.pairs, found.scene), book)
+    both = settings.candidates, settings.network
+    return coarse, join_network(coarse.pairs, coarse.scene, book.ties(), world.brightness, both, tuning)
 
 
 def judged(kept: Pairs, world: CanalWorld) -> dict[str, Any]:

@@ -3,7 +3,7 @@
     python -m benchmarks.sfm.growth --images 300 1000 2000
 
 Simulated ring surveys (``corridor.py``) of so many images; verified matches are the true ones between near frames, with
-half a pixel of noise; the poses to start from drift as those of a preview model do. Each size runs in a process of its
+half a pixel of noise; the poses to start from drift as those of a coarse model do. Each size runs in a process of its
 own, one thread, and is compared with the truth after a similarity.
 """
 

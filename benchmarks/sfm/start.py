@@ -1,8 +1,8 @@
-"""The sparse stage from the preview model's poses beside the same stage mapped from nothing, on finished runs.
+"""The sparse stage from the coarse model's poses beside the same stage mapped from nothing, on finished runs.
 
     TIEGRAPH_DATA=... .venv/bin/python -m benchmarks.sfm.start --runs RUNS --sets canal kitti_stereo
 
-``RUNS`` holds kept runs of ``benchmarks/run.py --keep RUNS``; their databases, pairs and preview models are read,
+``RUNS`` holds kept runs of ``benchmarks/run.py --keep RUNS``; their databases, pairs and coarse models are read,
 nothing in them is changed. CPU seconds are of the stage with its child processes.
 """
 

@@ -73,7 +73,7 @@ KINDS = (
         "pairs.txt",
         (*mutate.BYTES, *mutate.PLACES, mutate.names, mutate.encoded, mutate.separators, mutate.row),
         ("pairs", "pair list", "pair"),
-        ("--network.sources", "file", "--network.pairs-file", "{}/pairs.txt", "--network.no-model"),
+        ("--candidates.sources", "file", "--candidates.pairs-file", "{}/pairs.txt", "--coarse.method", "off"),
         "preview",
         "network",
     ),

@@ -6,14 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from boat_world import boat, photos
+from network_steps import estimate_network
 from tiegraph.design.design import design
 from tiegraph.design.expected import expected_matches
 from tiegraph.design.predict import Predictor
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates, Tracks
 from tiegraph.design.tuning import ExpectedTuning, NetTuning, Tuning
-from tiegraph.network.network import estimate_network
-from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning as NetworkTuning
 from tiegraph.scene.graph import component_notes, components, cuts, groups, two_links
 from tiegraph.scene.pairs import REASONS, Pairs
@@ -88,7 +88,7 @@ def test_a_single_link_stays_single_only_where_there_is_no_second(count, edges, 
 
 def test_top_keeps_every_pass_and_camera_in_an_images_list() -> None:
     world = boat((16, 16), (1.0, 1.0))
-    settings = NetworkSettings()
+    settings = CandidatesSettings()
     pairs = estimate_network(
         world.scene, np.full(len(world.scene), 100.0), world.match, settings, NetworkTuning()
     ).pairs

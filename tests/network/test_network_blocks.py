@@ -3,100 +3,24 @@
 from __future__ import annotations
 
 import numpy as np
-import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 
+from blocks_world import FRAMES, WALL_M, Mapper, place, survey, ties_of
+from network_steps import Mapper as Steps
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
-from tiegraph.network.model.assembled import SurveyMapper
-from tiegraph.network.model.surveymodel import Maker, SurveyModel
+from tiegraph.network.coarse.model import CoarseModel
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.blocks import Block, blocks_of
 from tiegraph.scene.joining import Poses, join, join_models
-from tiegraph.scene.rig import Rig, Sensor
-from tiegraph.scene.scene import Scene, simple_scene
+from tiegraph.scene.rig import camera_to_dict, rig_to_dict
+from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Ties
 from tiegraph.scene.tuning import BlocksTuning
 from tiegraph.scene.tuning import Tuning as SceneTuning
 
-FRAMES = 240  # of each of two passes, there and back, of two cameras: 960 images
-SEES = 25.0  # frames
-STEP_M = 2.0
-WALL_M = 12.0
 TUNING = SceneTuning()
-CAMERA = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[310.0, 320, 240])
-
-
-def survey() -> tuple[Scene, np.ndarray]:
-    """Scene and true cam_from_world (N, 4, 4): along a gentle bend and back, a camera to either side."""
-    rig = Rig("pair", (Sensor("left", CAMERA, np.eye(4)), Sensor("right", CAMERA, np.diag([-1.0, 1, -1, 1]))))
-    frame, sensor = np.repeat(np.arange(2 * FRAMES), 2), np.tile([0, 1], 2 * FRAMES)
-    names = [f"{'back' if f >= FRAMES else 'there'}/{s}/{f % FRAMES:04d}.jpg" for f, s in zip(frame, sensor)]
-    order = np.array(sorted(range(len(names)), key=lambda k: names[k]))
-    frame, sensor = frame[order], sensor[order]
-    track, step = np.repeat([1, 0], FRAMES), np.tile(np.arange(FRAMES), 2)
-    scene = simple_scene(rig, [names[k] for k in order], frame, sensor, track, step, tracks=("back", "there"))
-    return scene, np.stack([pose(int(f), int(s)) for f, s in zip(frame, sensor)])
-
-
-def place(frame: int) -> float:
-    """How far along the way a frame was taken, in frames."""
-    return float(2 * FRAMES - 1 - frame if frame >= FRAMES else frame)
-
-
-def pose(frame: int, sensor: int) -> np.ndarray:
-    along, bend = STEP_M * place(frame), np.radians(0.2) * place(frame)
-    heading = bend + (np.pi if frame >= FRAMES else 0.0)
-    yaw = heading + (np.pi / 2 if sensor == 0 else -np.pi / 2)
-    ahead, right = np.array([np.cos(yaw), np.sin(yaw), 0]), np.array([np.sin(yaw), -np.cos(yaw), 0])
-    rotation = np.stack([right, [0, 0, -1.0], ahead])
-    centre = [along * np.cos(bend / 2), along * np.sin(bend / 2), 0.3 if frame >= FRAMES else 0.0]
-    return transforms.rigid(rotation, -rotation @ centre)
-
-
-def ties_of(scene: Scene) -> Ties:
-    """Images that look to one side tie over SEES frames of the way, the more the nearer; of both passes."""
-    where = np.array([place(int(f)) for f in scene.frame])
-    side = (scene.sensor == 0) ^ (scene.frame >= FRAMES)
-    i, j = np.triu_indices(len(scene), 1)
-    apart = np.abs(where[i] - where[j])
-    good = np.flatnonzero((apart < SEES) & (side[i] == side[j]) & (np.random.default_rng(0).random(len(i)) < 0.3))
-    count = (15 + 60 * (1 - apart[good] / SEES)).astype(int)
-    start = np.concatenate([[0], np.cumsum(count)])
-    return Ties(i[good], j[good], start, np.zeros((start[-1], 2), np.uint16))
-
-
-class Mapper:
-    """Makes exact models in frames and units of their own; ``broken``: number of a block that tears in the middle."""
-
-    def __init__(self, scene: Scene, truth: np.ndarray, noise_m: float = 0.0, broken: int | None = None) -> None:
-        self.truth = dict(zip(scene.names, truth))
-        self.rng = np.random.default_rng(3)
-        self.noise_m, self.broken = noise_m, broken
-        self.sizes: list[int] = []
-
-    def __call__(self, scene: Scene, ties: Ties, rough: bool) -> SurveyModel:
-        assert ties.i.max() < len(scene) and rough == (len(scene) < len(self.truth))
-        pose = np.stack([self.truth[name] for name in scene.names])
-        centre = transforms.centre(pose) + self.rng.normal(0, self.noise_m, (len(pose), 3))
-        if self.broken == len(self.sizes):
-            late = np.linalg.norm(centre, axis=1) > np.median(np.linalg.norm(centre, axis=1))
-            centre[late] += 30.0 * self.rng.normal(size=3)
-            turn = Rotation.from_rotvec([0.0, 0.0, 0.5]).as_matrix()
-            pose[late, :3, :3] = pose[late, :3, :3] @ turn.T
-        self.sizes.append(len(scene))
-        own = Similarity(
-            self.rng.uniform(0.2, 5), Rotation.random(random_state=len(self.sizes)).as_matrix(), self.rng.normal(size=3)
-        )
-        rotation = pose[:, :3, :3] @ own.rotation.T
-        moved = own(centre)
-        point = own(centre + WALL_M * pose[:, 2, :3])
-        cam_from_own = transforms.rigid(rotation, -np.einsum("kab,kb->ka", rotation, moved))
-        # Every image observes its own wall point twelve times, and that of the next image once.
-        n = np.arange(len(pose))
-        image, seen = np.concatenate([np.repeat(n, 12), n[1:]]), np.concatenate([np.repeat(n, 12), n[:-1]])
-        return SurveyModel(cam_from_own, (CAMERA,) * len(pose), point, image, seen, scene.rigs)
 
 
 @pytest.fixture(scope="module")
@@ -105,7 +29,7 @@ def world() -> tuple[Scene, np.ndarray, Ties]:
     return scene, truth, ties_of(scene)
 
 
-def error_m(model: SurveyModel, truth: np.ndarray) -> np.ndarray:
+def error_m(model: CoarseModel, truth: np.ndarray) -> np.ndarray:
     """(K,) distances of the placed images from the truth after the best similarity."""
     there = model.placed()
     found, true = transforms.centre(model.cam_from_world[there]), transforms.centre(truth[there])
@@ -140,8 +64,8 @@ def test_a_small_survey_is_mapped_whole(world) -> None:
     block = Block(few, np.ones(len(few), bool))
     small, inside = block.part_of(scene, ties)
     mapper = Mapper(small, truth[few])
-    models, notes = SurveyMapper(small, Tuning().model, Maker(mapper, TUNING))(inside)
-    assert mapper.sizes == [len(few)] and len(models) == 1 and notes == ()
+    made = Steps(small, Tuning(), mapper, TUNING)(inside)
+    assert mapper.sizes == [len(few)] and len(made.models) == 1 and made.notes == ()
     assert [small.names[k] for k in (0, 7)] == [scene.names[few[k]] for k in (0, 7)]
     assert np.array_equal(small.step[small.frame], scene.step[scene.frame[few]])
 
@@ -149,7 +73,8 @@ def test_a_small_survey_is_mapped_whole(world) -> None:
 def test_blocks_come_together_in_one_frame(world) -> None:
     scene, truth, ties = world
     mapper = Mapper(scene, truth, noise_m=0.02)
-    (model,), notes = SurveyMapper(scene, Tuning().model, Maker(mapper, TUNING))(ties)
+    made = Steps(scene, Tuning(), mapper, TUNING)(ties)
+    (model,), notes = made.models, made.notes
     assert len(mapper.sizes) > 2 and max(mapper.sizes) <= TUNING.blocks.whole
     assert model.placed().all()
     assert 0.005 < np.median(error_m(model, truth)) < 0.5  # of 480 m
@@ -163,8 +88,8 @@ def test_blocks_come_together_in_one_frame(world) -> None:
 
 def test_a_torn_block_is_said_and_the_parts_stay_usable(world) -> None:
     scene, truth, ties = world
-    make = Maker(Mapper(scene, truth, broken=1), TUNING)
-    models, notes = SurveyMapper(scene, Tuning().model, make)(ties)
+    made = Steps(scene, Tuning(), Mapper(scene, truth, broken=1), TUNING)(ties)
+    models, notes = made.models, made.notes
     assert len(models) >= 2
     assert any("not joined there" in n for n in notes) and any("torn into" in n for n in notes)
     both = np.sum([m.placed() for m in models], axis=0)
@@ -176,25 +101,24 @@ def test_a_block_that_cannot_be_mapped_is_said(world) -> None:
     scene, truth, ties = world
     mapper = Mapper(scene, truth)
 
-    def make(part: Scene, inside: Ties, rough: bool) -> SurveyModel | None:
+    def make(part: Scene, inside: Ties, rough: bool) -> CoarseModel | None:
         model = mapper(part, inside, rough)
         return None if len(mapper.sizes) == 2 else model
 
-    models, notes = SurveyMapper(scene, Tuning().model, Maker(make, TUNING))(ties)
-    assert any("none could be made" in n for n in notes)
-    assert 0.4 < sum(m.placed().sum() for m in models) / len(scene) < 0.95
+    made = Steps(scene, Tuning(), make, TUNING)(ties)
+    assert any("none could be made" in n for n in made.notes)
+    assert 0.4 < sum(m.placed().sum() for m in made.models) / len(scene) < 0.95
 
 
-def test_a_block_whose_ties_did_not_change_is_not_mapped_again(world) -> None:
+def test_a_model_is_the_same_from_its_file(world) -> None:
     scene, truth, ties = world
-    mapper = Mapper(scene, truth)
-    models_of = SurveyMapper(scene, Tuning().model, Maker(mapper, TUNING))
-    models_of(ties)
-    blocks_made = len(mapper.sizes)
-    first = np.array([place(int(f)) for f in scene.frame]) < 20  # at one end: in one block
-    (model,), _ = models_of(ties.where(~(first[ties.i] & first[ties.j] & (ties.i % 5 == 0))))
-    assert len(mapper.sizes) == blocks_made + 1
-    assert model.placed().all() and np.median(error_m(model, truth)) < 0.5
+    (model,) = Steps(scene, Tuning(), Mapper(scene, truth), TUNING)(ties).models
+    again = CoarseModel.from_npz(model.to_npz())
+    for name in ("cam_from_world", "points", "image", "point"):
+        assert np.array_equal(getattr(again, name), getattr(model, name), equal_nan=True)
+        assert getattr(again, name).dtype == getattr(model, name).dtype
+    assert [camera_to_dict(c) for c in again.cameras] == [camera_to_dict(c) for c in model.cameras]
+    assert [rig_to_dict(r) for r in again.rigs] == [rig_to_dict(r) for r in model.rigs]
 
 
 def _models(

@@ -7,21 +7,21 @@ import pytest
 from place_world import Places, found, photos, shuffled_ring, video
 
 from boat_world import Result, World, boat, ring
+from network_steps import Steps, estimate_network
 from tiegraph.network.looks.retrieval import retrieve
-from tiegraph.network.network import Network, estimate_network
 from tiegraph.network.passes import PreviewBook, find_passes
-from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS
 from tiegraph.scene.rig import Rig
 
 
-def network_of(world: World) -> Network:
+def network_of(world: World) -> Steps:
     count = len(world.scene)
-    return estimate_network(world.scene, np.full(count, 120.0), world.match, NetworkSettings(), Tuning())
+    return estimate_network(world.scene, np.full(count, 120.0), world.match, CandidatesSettings(), Tuning())
 
 
-def quality(world: World, network: Network) -> tuple[float, float, float]:
+def quality(world: World, network: Steps) -> tuple[float, float, float]:
     """Recall, precision, and recall between passes."""
     count = len(world.scene)
     i, j = np.triu_indices(count, 1)
@@ -158,7 +158,7 @@ def test_a_pass_written_anew_has_no_base() -> None:
             for (i, j), r in zip(pairs.tolist(), plain)
         ]
 
-    network = estimate_network(scene, np.full(len(scene), 120.0), match, NetworkSettings(), Tuning())
+    network = estimate_network(scene, np.full(len(scene), 120.0), match, CandidatesSettings(), Tuning())
     assert any("repeats pass" in n and "120 of 120 images show the same picture" in n for n in network.notes)
     pairs = network.pairs
     same = twin[pairs.i] == twin[pairs.j]
@@ -192,7 +192,7 @@ def test_a_rig_file_with_cameras_in_another_order_loses_few_ties(order) -> None:
 
 def test_photographs_on_a_ring() -> None:
     world = shuffled_ring(300)
-    network = estimate_network(photos(300), np.zeros(300), world.match, NetworkSettings(), Tuning())
+    network = estimate_network(photos(300), np.zeros(300), world.match, CandidatesSettings(), Tuning())
     recall, precision = found(network.pairs, world.useful())
     assert recall > 0.95 and precision > 0.8
     assert not any("components" in note or "no pair" in note for note in network.notes)
@@ -201,20 +201,20 @@ def test_photographs_on_a_ring() -> None:
 def test_photographs_of_two_places_are_named_as_two() -> None:
     order = np.random.default_rng(2).permutation(150)
     world = Places(np.where(order < 75, order * 12.0, 50_000 + order * 12.0))
-    network = estimate_network(photos(150), np.zeros(150), world.match, NetworkSettings(), Tuning())
+    network = estimate_network(photos(150), np.zeros(150), world.match, CandidatesSettings(), Tuning())
     assert found(network.pairs, world.useful())[0] > 0.95
     assert any("the pairs fall into 2 components: 75 images with" in note for note in network.notes)
 
 
 def test_a_video_with_a_loop_is_closed_by_retrieval() -> None:
     world, scene = Places(np.arange(400) * 12.0, around=3600, ghosts=0.05), video(400)
-    network = estimate_network(scene, np.zeros(400), world.match, NetworkSettings(), Tuning())
+    network = estimate_network(scene, np.zeros(400), world.match, CandidatesSettings(), Tuning())
     i, j, useful = world.useful()
     assert found(network.pairs, (i, j, useful & (j - i < 100)))[0] > 0.95
     asked = world.asked
     book = PreviewBook(world.match, 400)
     loops = retrieve(
-        scene, find_passes(scene), book, NetworkSettings(), Tuning(), world.descriptors, known=network.pairs
+        scene, find_passes(scene), book, CandidatesSettings(), Tuning(), world.descriptors, known=network.pairs
     )
     recall, precision = found(network.pairs | loops.pairs, (i, j, useful))
     assert recall > 0.95 and precision > 0.7

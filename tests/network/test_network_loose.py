@@ -8,13 +8,13 @@ from boat_world import Result
 from tiegraph.network.looks.loose import scored_pairs, supported
 from tiegraph.network.looks.words import image_words
 from tiegraph.network.passes import PreviewBook
-from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.graph import components
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 
-SETTINGS, TUNING = NetworkSettings(), Tuning()
+SETTINGS, TUNING = CandidatesSettings(), Tuning()
 LOOSE = TUNING.looks.loose
 
 

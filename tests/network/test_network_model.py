@@ -1,4 +1,4 @@
-"""The preview model on a simulated boat survey: it decides where it is right, and is not asked where it tore."""
+"""The coarse model on a simulated boat survey: it decides where it is right, and is not asked where it tore."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,20 +9,19 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from boat_world import HALF_WIDTH_M, World, boat
+from network_steps import estimate_network
 from tiegraph.geometry import transforms
-from tiegraph.network.model.survey import NO_MODEL, _judged, calibrated_rigs
-from tiegraph.network.model.surveymodel import Maker, SurveyModel
-from tiegraph.network.network import estimate_network
-from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.coarse.model import CoarseModel
+from tiegraph.network.coarse.search import NO_MODEL, _judged, calibrated_rigs
+from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.rig import Rig, Sensor
-from tiegraph.scene.tuning import Tuning as SceneTuning
 
-SETTINGS, TUNING = NetworkSettings(sections="off"), Tuning()
+SETTINGS, TUNING = CandidatesSettings(), Tuning()
 
 
-def true_model(world: World, broken_at: int | None = None, shifted_m: float = 0.0) -> SurveyModel:
+def true_model(world: World, broken_at: int | None = None, shifted_m: float = 0.0) -> CoarseModel:
     """A model with exact poses and points on both walls; with ``broken_at`` all frames of a pass from that step on are
     shifted by 60 m, which tears it; with ``shifted_m`` the whole second pass is shifted along the canal."""
     scene = world.scene
@@ -41,12 +40,12 @@ def true_model(world: World, broken_at: int | None = None, shifted_m: float = 0.
         seen = rng.choice(seen, min(40, len(seen)), replace=False)
         image.append(np.full(len(seen), k)), point.append(seen)
     cameras = tuple(scene.all_sensors[k].camera for k in scene.sensor_key)
-    return SurveyModel(
+    return CoarseModel(
         transforms.invert(pose), cameras, points, np.concatenate(image), np.concatenate(point), scene.rigs
     )
 
 
-def network_of(world: World, model: SurveyModel | Callable[[], SurveyModel] | None, settings=SETTINGS):
+def network_of(world: World, model: CoarseModel | Callable[[], CoarseModel] | None, settings=SETTINGS):
     """The network with a model, the same each time or the next one; the ties that the models were made of."""
     asked = []
 
@@ -55,9 +54,8 @@ def network_of(world: World, model: SurveyModel | Callable[[], SurveyModel] | No
         asked.append(ties)
         return model() if callable(model) else model
 
-    return estimate_network(
-        world.scene, np.full(len(world.scene), 128.0), world.match, settings, TUNING, Maker(make, SceneTuning())
-    ), asked
+    light = np.full(len(world.scene), 128.0)
+    return estimate_network(world.scene, light, world.match, settings, TUNING, make, sections="off"), asked
 
 
 def shares(world: World, pairs) -> tuple[float, float]:
@@ -95,11 +93,11 @@ def test_pairs_that_share_nothing_are_dropped_with_their_reason(world) -> None:
 def test_a_torn_model_is_made_again_and_believed_on_one_side_of_the_tear(world) -> None:
     whole, once = network_of(world, true_model(world))
     torn, asked = network_of(world, true_model(world, broken_at=7))
-    assert len(once) == 1 and len(asked) == TUNING.model.tries
+    assert len(once) == 1 and len(asked) == TUNING.coarse.tries
     step = world.scene.step[world.scene.frame]
     assert torn.trusted[step < 7].all() and not torn.trusted[step >= 7].any()
     assert any("not believed" in note for note in torn.notes)
-    assert any(f"made {TUNING.model.tries} times" in note for note in torn.notes)
+    assert any(f"made {TUNING.coarse.tries} times" in note for note in torn.notes)
     across = (step[torn.pairs.i] >= 7) != (step[torn.pairs.j] >= 7)
     assert np.isnan(torn.pairs.overlap[across]).all()
     assert np.sum(across & (torn.pairs.dropped == 0)) > 20
@@ -118,7 +116,7 @@ def test_a_pass_put_some_metres_further_is_noticed_and_made_again_without_what_d
     folded = true_model(world, shifted_m=30.0)
     track = world.scene.track[world.scene.frame]
     found, asked = network_of(world, folded)
-    assert len(asked) == TUNING.model.tries and len(asked[1]) < len(asked[0])
+    assert len(asked) == TUNING.coarse.tries and len(asked[1]) < len(asked[0])
     assert len(np.unique(track[found.trusted])) == 1
     across = track[found.pairs.i] != track[found.pairs.j]
     assert np.isnan(found.pairs.overlap[across]).all()
@@ -127,7 +125,7 @@ def test_a_pass_put_some_metres_further_is_noticed_and_made_again_without_what_d
     assert found.trusted.all() and len(asked) == 2
 
 
-def turned_by(model: SurveyModel, degrees: float) -> SurveyModel:
+def turned_by(model: CoarseModel, degrees: float) -> CoarseModel:
     """The model with the mounting of its second camera turned, and the images of that camera with it."""
     turn = Rotation.from_euler("y", degrees, degrees=True).as_matrix()
     one = model.rigs[0].sensors[1]
@@ -154,7 +152,7 @@ def test_a_camera_that_every_model_turns_otherwise_stays_as_given_and_is_not_bel
     models = iter(turned_by(true_model(world), d) for d in (55.0, 35.0, 75.0, 20.0))
     found, asked = network_of(world, lambda: next(models))
     second = world.scene.sensor == 1
-    assert len(asked) == TUNING.model.tries
+    assert len(asked) == TUNING.coarse.tries
     assert not found.trusted[second].any() and found.trusted[~second].all()
     assert np.array_equal(
         found.scene.rigs[0].sensors[1].sensor_from_rig, world.scene.rigs[0].sensors[1].sensor_from_rig
@@ -176,7 +174,7 @@ def test_frames_of_one_camera_that_follow_each_other_always_tie_the_model(world)
 
 def test_copies_of_a_picture_stay_out_though_they_share_all_their_surface(world) -> None:
     model = true_model(world)
-    overlap = model.overlap(SETTINGS.axes_deg, TUNING.model)
+    overlap = model.overlap(SETTINGS.axes_deg, TUNING.coarse)
     best = int(np.argmax(overlap.share))
     twin = np.array([overlap.i[best]]), np.array([overlap.j[best]])
     copy = Pairs.make(*twin, "offsets", dropped=np.array([REASONS.index("similar")]))
@@ -187,7 +185,7 @@ def test_copies_of_a_picture_stay_out_though_they_share_all_their_surface(world)
 
 def test_one_limit_of_the_angle_holds_for_axes_and_for_the_views_of_a_surface(world) -> None:
     model = true_model(world)
-    wide = model.overlap(180.0, TUNING.model)
+    wide = model.overlap(180.0, TUNING.coarse)
     for limit, steeper in ((110.0, True), (50.0, False)):
         found, _ = network_of(world, model, SETTINGS.model_copy(update={"axes_deg": limit}))
         kept = found.pairs.matrix(len(world.scene))[wide.i, wide.j] == 1
@@ -197,7 +195,7 @@ def test_one_limit_of_the_angle_holds_for_axes_and_for_the_views_of_a_surface(wo
 def test_without_a_model_counts_decide(world) -> None:
     found, _ = network_of(world, None)
     assert NO_MODEL in found.notes
-    assert found.model is None and not found.trusted.any()
+    assert found.coarse.model is None and not found.trusted.any()
 
 
 def test_only_what_was_guessed_is_calibrated() -> None:
@@ -209,7 +207,7 @@ def test_only_what_was_guessed_is_calibrated() -> None:
     nominal = transforms.rigid(np.eye(3), np.array([0.3, 0.0, 0.0]))
     rig = Rig("r", (Sensor("a", guessed, np.eye(4)), Sensor("b", known, nominal)), nominal=True)
     model = Rig("r", (Sensor("a", found, np.eye(4)), Sensor("b", found, turn)))
-    (out,), notes = calibrated_rigs([rig], [model], TUNING.model.most_focal)
+    (out,), notes = calibrated_rigs([rig], [model], TUNING.coarse.most_focal)
     assert out.sensors[0].camera.params[0] == 305.0
     assert out.sensors[1].camera.params[0] == 310.0
     assert np.allclose(out.sensors[1].sensor_from_rig[:3, :3], turn[:3, :3])
@@ -220,9 +218,9 @@ def test_only_what_was_guessed_is_calibrated() -> None:
     for given, focal in ((sheet, 305.0), (wrong, 600.0)):
         given.has_prior_focal_length = True
         one = replace(rig, sensors=(Sensor("a", given, np.eye(4)),))
-        (lone,), _ = calibrated_rigs([one], [model], TUNING.model.most_focal)
+        (lone,), _ = calibrated_rigs([one], [model], TUNING.coarse.most_focal)
         camera = lone.sensors[0].camera
         assert camera is not None and camera.params[0] == focal
         assert camera.has_prior_focal_length == (focal == 600.0)
-    (kept,), said = calibrated_rigs([replace(rig, nominal=False)], [model], TUNING.model.most_focal)
+    (kept,), said = calibrated_rigs([replace(rig, nominal=False)], [model], TUNING.coarse.most_focal)
     assert np.allclose(kept.sensors[1].sensor_from_rig, nominal) and said == ()

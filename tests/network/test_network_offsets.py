@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from boat_world import Result, boat, ring
-from tiegraph.network.network import estimate_network
+from network_steps import estimate_network
 from tiegraph.network.offsets.lattice import make_lattice
 from tiegraph.network.offsets.offsets import estimate_offsets
 from tiegraph.network.passes import PreviewBook, find_passes, loose_images
 from tiegraph.network.rig.axes import angles_deg, vertical, yaw_between
 from tiegraph.network.rig.commonview import direction, in_words, strangers, votes, without_chance, yaw
-from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS
 
@@ -42,7 +42,7 @@ def measure(world, settings, least=0.15):
 
 def test_default_finds_the_return_pass_at_another_speed() -> None:
     world = boat((24, 15), (1.5, 2.4))
-    recall, precision, cross, network = measure(world, NetworkSettings())
+    recall, precision, cross, network = measure(world, CandidatesSettings())
     assert recall > 0.95 and cross > 0.95
     assert 0.5 < precision < 1.0
     assert world.asked < 0.25 * len(world.scene) ** 2 / 2
@@ -51,10 +51,10 @@ def test_default_finds_the_return_pass_at_another_speed() -> None:
 
 
 def test_constant_offsets_lose_what_local_ones_keep() -> None:
-    paper = NetworkSettings(sources=("sequence", "offsets"), offsets="constant", axes_deg=90, offset_range=3)
+    paper = CandidatesSettings(sources=("sequence", "offsets"), offsets="constant", axes_deg=90, offset_range=3)
     slow = measure(boat((24, 24), (1.5, 1.5)), paper)
     other = measure(boat((24, 12), (1.5, 3.0)), paper)
-    ours = measure(boat((24, 12), (1.5, 3.0)), NetworkSettings())
+    ours = measure(boat((24, 12), (1.5, 3.0)), CandidatesSettings())
     assert 0.1 < slow[2] < 0.9 and 0.1 < other[2] < 0.9
     assert ours[0] > other[0] + 0.2 and ours[2] > other[2] + 0.3  # one offset is exact only at equal speed
     reasons = slow[3].pairs.funnel()
@@ -63,9 +63,9 @@ def test_constant_offsets_lose_what_local_ones_keep() -> None:
 
 def test_constant_offsets_stay_in_their_range() -> None:
     world = boat((20, 20), (1.5, 1.5))
-    settings = NetworkSettings(sources=("offsets",), offsets="constant", axes_deg=90, offset_range=2)
+    settings = CandidatesSettings(sources=("offsets",), offsets="constant", axes_deg=90, offset_range=2)
     network = estimate_network(world.scene, np.full(len(world.scene), 120.0), world.match, settings, TUNING)
-    best = {(c.pass_a, c.pass_b, c.sensor_a, c.sensor_b): c for c in network.curves if c.accepted}
+    best = {(c.pass_a, c.pass_b, c.sensor_a, c.sensor_b): c for c in network.candidates.curves if c.accepted}
     kept = network.pairs.kept()
     label = world.scene.image_label()
     step = world.scene.step[world.scene.frame]
@@ -76,14 +76,12 @@ def test_constant_offsets_stay_in_their_range() -> None:
         curve = best[label[i][0], label[j][0], label[i][1], label[j][1]]
         offset = step[j] + step[i] if curve.reversed else step[j] - step[i]
         assert abs(offset - curve.best) <= 2
-    assert {c.reversed for c in network.curves if c.pass_a != c.pass_b} == {True}
+    assert {c.reversed for c in network.candidates.curves if c.pass_a != c.pass_b} == {True}
 
 
 def test_paper_000_keeps_the_best_partner_of_each_camera() -> None:
     world = boat((16, 16), (1.5, 1.5))
-    settings = NetworkSettings(
-        sources=("offsets",), offsets="constant", axes_deg=90, offset_range=4, offset_best=1, sections="off"
-    )
+    settings = CandidatesSettings(sources=("offsets",), offsets="constant", axes_deg=90, offset_range=4, offset_best=1)
     network = estimate_network(world.scene, np.full(len(world.scene), 120.0), world.match, settings, TUNING)
     kept = network.pairs.kept()
     assert len(kept) and (kept.score >= settings.min_matches).all()
@@ -95,7 +93,7 @@ def test_paper_000_keeps_the_best_partner_of_each_camera() -> None:
 def test_axes_that_forbid_a_match_are_previewed_only_to_check_the_rig() -> None:
     world = boat((10,), (2.0,))
     world.pairs_asked = set()
-    _, _, _, network = measure(world, NetworkSettings(axes_deg=100))
+    _, _, _, network = measure(world, CandidatesSettings(axes_deg=100))
     angle = world.scene.rigs[0].axis_angles_deg()
     sensor, frame = world.scene.sensor, world.scene.frame
     forbidden = [(i, j) for i, j in world.pairs_asked if angle[sensor[i], sensor[j]] > 100]
@@ -109,7 +107,7 @@ def test_single_pass_and_unknown_rig_work() -> None:
     world = boat((20,), (1.5,))
     bare = tuple(type(s)(s.name, s.camera, None, s.role) for s in world.scene.rigs[0].sensors)
     world.scene = world.scene.with_(rigs=(type(world.scene.rigs[0])("rig", bare),))
-    recall, precision, _, network = measure(world, NetworkSettings())
+    recall, precision, _, network = measure(world, CandidatesSettings())
     assert recall > 0.95 and precision > 0.4
     assert not any("runs back" in n for n in network.notes)
 
@@ -127,13 +125,13 @@ def test_missing_images_and_frames_are_no_obstacle() -> None:
     names = tuple(np.array(scene.names)[keep])
     world.scene = scene.with_(names=names, frame=place[scene.frame[keep]], sensor=scene.sensor[keep], **columns)
     world.world_from_sensor = world.world_from_sensor[keep]
-    recall, _, _, network = measure(world, NetworkSettings())
+    recall, _, _, network = measure(world, CandidatesSettings())
     assert recall > 0.9
     assert network.pairs.j.max() < keep.sum()
 
 
 def test_result_does_not_depend_on_how_often_it_is_asked() -> None:
-    one, two = (measure(boat((12, 9), (2.0, 2.6)), NetworkSettings())[3] for _ in range(2))
+    one, two = (measure(boat((12, 9), (2.0, 2.6)), CandidatesSettings())[3] for _ in range(2))
     for name in one.pairs.columns():
         assert np.array_equal(getattr(one.pairs, name), getattr(two.pairs, name), equal_nan=True)
 
@@ -142,7 +140,7 @@ def test_result_does_not_depend_on_how_often_it_is_asked() -> None:
 def test_four_thousand_images_need_few_previews() -> None:
     world = boat((335, 250), (0.5, 0.67))
     n = len(world.scene)
-    network = estimate_network(world.scene, np.full(n, 120.0), world.match, NetworkSettings(), TUNING)
+    network = estimate_network(world.scene, np.full(n, 120.0), world.match, CandidatesSettings(), TUNING)
     rng = np.random.default_rng(1)
     i, j = rng.integers(0, n, 60000), rng.integers(0, n, 60000)
     i, j = i[i < j], j[i < j]
@@ -162,7 +160,7 @@ def test_pairs_and_previews_grow_with_the_images_and_not_with_their_square() -> 
         world = boat((frames, frames), (1.0, 1.0), ring(3, up=False))
         n = len(world.scene)
         book = PreviewBook(world.match, n)
-        found = estimate_offsets(find_passes(world.scene), book, n, NetworkSettings(), TUNING)
+        found = estimate_offsets(find_passes(world.scene), book, n, CandidatesSettings(), TUNING)
         rows.append(len(found.pairs) / n)
         asked.append(len(book) / n)
     assert 0.5 < rows[1] / rows[0] < 1.3
@@ -183,7 +181,7 @@ def test_a_coarser_lattice_looks_no_further_from_the_path() -> None:
         few = {"min_budget": 0, "previews_an_image": budget}
         tuning = TUNING.model_copy(update={"offsets": TUNING.offsets.model_copy(update=few)})
         book = PreviewBook(match, n)
-        kept = estimate_offsets(find_passes(world.scene), book, n, NetworkSettings(), tuning).pairs.kept()
+        kept = estimate_offsets(find_passes(world.scene), book, n, CandidatesSettings(), tuning).pairs.kept()
         furthest.append(np.abs(step[kept.i] - step[kept.j]).max())
         previews.append(len(book))
     assert previews[1] < previews[0]

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from boat_world import Result
-from tiegraph.network.network import estimate_network
+from network_steps import estimate_network
 from tiegraph.network.order import shown_order
 from tiegraph.network.passes import PreviewBook
-from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
@@ -40,7 +40,7 @@ def along(place: np.ndarray, reach: float, lost: float = 0.0, far: int = 9):
 
 
 def ordered(scene: Scene, match, **settings: object) -> tuple[Scene, tuple[str, ...]]:
-    return shown_order(scene, PreviewBook(match, len(scene)), NetworkSettings(**settings), Tuning())
+    return shown_order(scene, PreviewBook(match, len(scene)), CandidatesSettings(**settings), Tuning())
 
 
 def test_a_pass_whose_neighbours_tie_is_a_sequence() -> None:
@@ -106,7 +106,7 @@ def test_the_network_looks_at_every_pair_of_numbered_photographs() -> None:
     """60 of them in no order: as a sequence only neighbours and their offsets would be tried."""
     place = np.random.default_rng(3).permutation(60).astype(float)
     match, _ = along(place, 2)
-    network = estimate_network(numbered(60), np.zeros(60), match, NetworkSettings(), Tuning())
+    network = estimate_network(numbered(60), np.zeros(60), match, CandidatesSettings(), Tuning())
     assert (network.scene.track == -1).all() and Scene.from_json(network.scene.to_json()).guessed == ()
     kept = network.pairs.kept()
     true = np.abs(place[:, None] - place) <= 2

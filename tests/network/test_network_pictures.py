@@ -9,17 +9,17 @@ import pytest
 from PIL import Image
 
 from boat_world import World, boat, ring
-from tiegraph.network.network import Network, estimate_network
+from network_steps import Steps, estimate_network
 from tiegraph.network.offsets.lattice import make_lattice
 from tiegraph.network.offsets.surface import ridge, surfaces_of
 from tiegraph.network.passes import PreviewBook, find_passes
 from tiegraph.network.pictures import (
     _matrix,
-    draw_sections,
     funnel_png,
     funnel_table,
     map_png,
     matrix_png,
+    sections_png,
     surfaces_png,
     weak_pairs,
 )
@@ -27,7 +27,7 @@ from tiegraph.network.pictures.common import edges_of
 from tiegraph.network.pictures.map import _aggregated, _joined, _layout
 from tiegraph.network.sections.light import UpLight
 from tiegraph.network.sections.sections import find_sections
-from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs
 
@@ -44,10 +44,10 @@ def share_of(data: bytes, colour: tuple, reach: int = 8) -> float:
 
 
 @lru_cache(maxsize=1)
-def surveyed() -> tuple[World, Network]:
+def surveyed() -> tuple[World, Steps]:
     world = boat((8, 8), (3.0, 3.0), ring(4))
     brightness = np.where(np.isin(world.scene.step[world.scene.frame], (3, 4, 5)), 60.0, 150.0)
-    return world, estimate_network(world.scene, brightness, world.match, NetworkSettings(), TUNING)
+    return world, estimate_network(world.scene, brightness, world.match, CandidatesSettings(), TUNING)
 
 
 def positions(world: World) -> np.ndarray:
@@ -174,8 +174,8 @@ def test_sections_show_every_cue() -> None:
     under = np.isin(world.scene.step[world.scene.frame], (3, 4, 5))
     light = UpLight(np.where(under, 60.0, 150.0), np.where(under, 0.1, 0.8))
     found = find_sections(world.scene, find_passes(world.scene), light, TUNING.sections)
-    image = opened(draw_sections(world.scene.with_(section=found.of_frame), found.sections, found.cues))
-    one = opened(draw_sections(world.scene.with_(section=found.of_frame), found.sections, found.cues[:1]))
+    image = opened(sections_png(world.scene.with_(section=found.of_frame), found.sections, found.cues))
+    one = opened(sections_png(world.scene.with_(section=found.of_frame), found.sections, found.cues[:1]))
     assert image.shape[0] > one.shape[0] + 150
 
 

@@ -5,18 +5,18 @@ import pycolmap
 import pytest
 
 from boat_world import World, boat, ring
+from network_steps import estimate_network
 from tiegraph.geometry import transforms
-from tiegraph.network.network import estimate_network
 from tiegraph.network.passes import PreviewBook, find_passes
 from tiegraph.network.poses.check import check_prior, checked_pose_pairs
 from tiegraph.network.poses.poses import assumed_range, pose_pairs, view_cameras
-from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 
-SETTINGS = NetworkSettings(sources=("poses",), range_m=12.0, axes_deg=80)
+SETTINGS = CandidatesSettings(sources=("poses",), range_m=12.0, axes_deg=80)
 TUNING = Tuning()
 
 
@@ -101,7 +101,7 @@ def test_drone_photographs_take_their_nearest() -> None:
     rig = Rig("camera", (Sensor("camera"),))
     scene = simple_scene(rig, [f"{k}.jpg" for k in range(count)], np.arange(count), np.zeros(count), prior="exif")
     scene = scene.with_(world_from_rig=poses, position_sigma_m=np.full((count, 3), 3.0))
-    pairs = pose_pairs(scene, (), NetworkSettings(sources=("poses",)), TUNING).pairs.kept()
+    pairs = pose_pairs(scene, (), CandidatesSettings(sources=("poses",)), TUNING).pairs.kept()
     distance = np.linalg.norm(where[pairs.i] - where[pairs.j], axis=1)
     assert (pairs.degree(count) >= 20).all()
     assert len(pairs) < 0.3 * count * count / 2

@@ -10,12 +10,12 @@ from tiegraph.network.offsets.background import band, level_within
 from tiegraph.network.offsets.lattice import Level, make_lattice
 from tiegraph.network.offsets.offsets import estimate_offsets
 from tiegraph.network.passes import PreviewBook, find_passes
-from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 
-SETTINGS, TUNING = NetworkSettings(), Tuning()
+SETTINGS, TUNING = CandidatesSettings(), Tuning()
 REACH, WALL = 9, 4  # frames over which a camera sees the same; of one wall
 SENSORS, FRAMES = 4, 150
 

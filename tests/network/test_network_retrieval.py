@@ -9,11 +9,11 @@ from tiegraph.network.looks.retrieval import loop_candidates, nearest_images, re
 from tiegraph.network.looks.tuning import RetrievalTuning
 from tiegraph.network.looks.words import ImageWords, image_words
 from tiegraph.network.passes import PreviewBook, find_passes
-from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS, Pairs
 
-SETTINGS, TUNING = NetworkSettings(), Tuning()
+SETTINGS, TUNING = CandidatesSettings(), Tuning()
 WORDS = TUNING.looks.words
 
 

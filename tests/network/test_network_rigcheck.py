@@ -21,12 +21,12 @@ from tiegraph.network.passes import PreviewBook, find_passes
 from tiegraph.network.rig import sync as rigsync
 from tiegraph.network.rig.check import check_rig, check_rigs
 from tiegraph.network.rig.order import orders
-from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 
-SETTINGS, TUNING = NetworkSettings(), Tuning()
+SETTINGS, TUNING = CandidatesSettings(), Tuning()
 DATA = Path(os.environ.get("TIEGRAPH_DATA", "../shared/data"))
 
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from boat_world import boat, ring
-from tiegraph.network.network import estimate_network
+from network_steps import estimate_network
 from tiegraph.network.passes import find_passes
 from tiegraph.network.sections.light import UpLight, by_up_frame, otsu, two_states
 from tiegraph.network.sections.sections import Section, SectionResult, find_sections, join_places, section_links
-from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS, Pairs
 
@@ -38,19 +38,19 @@ def bridges(found, frames: int) -> np.ndarray:
 
 def test_bridge_is_found_and_joined_over_both_passes() -> None:
     world, brightness, under = survey()
-    network = estimate_network(world.scene, brightness, world.match, NetworkSettings(), Tuning())
-    kinds = {s.name: s for s in network.sections}
+    network = estimate_network(world.scene, brightness, world.match, CandidatesSettings(), Tuning())
+    kinds = {s.name: s for s in network.network.cut.sections}
     assert sorted(kinds) == ["bridge 1", "open 1", "open 2"]
     bridge = np.isin(world.scene.frame, kinds["bridge 1"].frames)
     assert np.array_equal(bridge, under)
-    assert 80 < network.threshold < 130
+    assert 80 < network.network.cut.threshold < 130
     assert set(network.scene.section) == {0, 1, 2}
 
 
 def test_split_cuts_between_sections_and_link_does_not() -> None:
     world, brightness, _ = survey()
-    linked = estimate_network(world.scene, brightness, world.match, NetworkSettings(), Tuning())
-    split = estimate_network(world.scene, brightness, world.match, NetworkSettings(sections="split"), Tuning())
+    linked = estimate_network(world.scene, brightness, world.match, CandidatesSettings(), Tuning())
+    split = estimate_network(world.scene, brightness, world.match, CandidatesSettings(), Tuning(), sections="split")
     section = split.scene.section[split.scene.frame]
     kept = split.pairs.kept()
     assert (section[kept.i] == section[kept.j]).all()
@@ -133,8 +133,8 @@ def test_no_up_camera_and_off_are_one_section() -> None:
     found = find_sections(world.scene, find_passes(world.scene), np.zeros(len(world.scene)), TUNING)
     assert len(found.sections) == 1 and "no camera looks up" in found.notes[0]
     dark, brightness, _ = survey()
-    off = estimate_network(dark.scene, brightness, dark.match, NetworkSettings(sections="off"), Tuning())
-    assert len(off.sections) == 1 and (off.scene.section == 0).all()
+    off = estimate_network(dark.scene, brightness, dark.match, CandidatesSettings(), Tuning(), sections="off")
+    assert len(off.network.cut.sections) == 1 and (off.scene.section == 0).all()
 
 
 def test_a_single_dark_frame_is_no_bridge() -> None:

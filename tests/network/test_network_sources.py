@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from boat_world import Result, boat
+from network_steps import estimate_network
 from tiegraph.errors import InputError, SettingsError
-from tiegraph.network.network import estimate_network
 from tiegraph.network.passes import PreviewBook, find_passes
-from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.sources import Context, axes_count, axes_pairs, exhaustive, sequence
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairlist import read_pair_list
@@ -23,7 +23,7 @@ def photos(count: int) -> Scene:
     return simple_scene(rig, [f"img_{k:04d}.jpg" for k in range(count)], np.arange(count), np.zeros(count))
 
 
-def context(scene: Scene, settings: NetworkSettings) -> Context:
+def context(scene: Scene, settings: CandidatesSettings) -> Context:
     book = PreviewBook(lambda pairs: [Result(0) for _ in pairs], len(scene))
     return Context(scene, find_passes(scene), book, settings, Tuning())
 
@@ -80,12 +80,12 @@ def test_missing_pair_list_is_an_error(tmp_path) -> None:
     with pytest.raises(InputError, match="cannot be read"):
         read_pair_list(tmp_path / "none.txt", photos(3))
     with pytest.raises(SettingsError, match="pairs_file"):
-        estimate_network(photos(3), np.zeros(3), lambda p: [], NetworkSettings(sources=("file",)), Tuning())
+        estimate_network(photos(3), np.zeros(3), lambda p: [], CandidatesSettings(sources=("file",)), Tuning())
 
 
 def test_pair_list_as_only_source_previews_nothing(tmp_path) -> None:
     path = write(tmp_path, "img_0000.jpg img_0001.jpg\n")
-    settings = NetworkSettings(sources=("file",), pairs_file=path)
+    settings = CandidatesSettings(sources=("file",), pairs_file=path)
     network = estimate_network(photos(4), np.zeros(4), lambda p: pytest.fail("asked"), settings, Tuning())
     assert len(network.pairs.kept()) == 1
     assert any("2 images have no pair: img_0002.jpg, img_0003.jpg" in n for n in network.notes)
@@ -93,28 +93,30 @@ def test_pair_list_as_only_source_previews_nothing(tmp_path) -> None:
 
 def test_sequence_ties_the_next_frames_of_each_camera() -> None:
     world = boat((6, 5), (2.0, 2.0))
-    plain = sequence(context(world.scene, NetworkSettings(sequence_frames=2))).pairs
+    plain = sequence(context(world.scene, CandidatesSettings(sequence_frames=2))).pairs
     step, key = world.scene.step[world.scene.frame], world.scene.sensor_key
     assert len(plain) == 6 * (5 + 4) + 6 * (4 + 3)
     assert (key[plain.i] == key[plain.j]).all() and (np.abs(step[plain.i] - step[plain.j]) <= 2).all()
-    wide = sequence(context(world.scene, NetworkSettings(sequence_frames=1, sequence_cameras=True, axes_deg=80))).pairs
+    wide = sequence(
+        context(world.scene, CandidatesSettings(sequence_frames=1, sequence_cameras=True, axes_deg=80))
+    ).pairs
     across = wide.where(key[wide.i] != key[wide.j])
     angle = world.scene.rigs[0].axis_angles_deg()
     assert len(across) and angle[world.scene.sensor[across.i], world.scene.sensor[across.j]].max() < 80
-    nothing = sequence(context(photos(3), NetworkSettings()))
+    nothing = sequence(context(photos(3), CandidatesSettings()))
     assert len(nothing.pairs) == 0 and nothing.notes
 
 
 def test_sequence_bridges_a_lost_image() -> None:
     rig = Rig("camera", (Sensor("camera"),))
     scene = simple_scene(rig, ["a.jpg", "c.jpg"], np.array([0, 1]), np.zeros(2), np.zeros(2), np.array([0, 2]))
-    assert len(sequence(context(scene, NetworkSettings(sequence_frames=1))).pairs) == 1
+    assert len(sequence(context(scene, CandidatesSettings(sequence_frames=1))).pairs) == 1
 
 
 def test_few_photographs_are_compared_with_one_another() -> None:
-    network = estimate_network(photos(11), np.zeros(11), lambda p: [Result(0)] * len(p), NetworkSettings(), Tuning())
+    network = estimate_network(photos(11), np.zeros(11), lambda p: [Result(0)] * len(p), CandidatesSettings(), Tuning())
     assert len(network.pairs.kept()) == 55  # whatever the previews say
-    assert len(exhaustive(context(photos(11), NetworkSettings())).pairs) == 55
+    assert len(exhaustive(context(photos(11), CandidatesSettings())).pairs) == 55
     assert "sources chosen: exhaustive" in network.notes
 
 
@@ -127,7 +129,7 @@ def test_many_photographs_are_found_by_previews(count, share) -> None:
         asked[0] += len(pairs)
         return match(pairs)
 
-    network = estimate_network(photos(count), np.zeros(count), counted, NetworkSettings(), Tuning())
+    network = estimate_network(photos(count), np.zeros(count), counted, CandidatesSettings(), Tuning())
     kept = network.pairs.kept()
     tied = np.abs(place[kept.i] - place[kept.j]) <= 8
     truth = 8 * count - 36
@@ -140,7 +142,11 @@ def test_many_photographs_are_found_by_previews(count, share) -> None:
 def test_nothing_matches_at_all_is_said_and_not_fatal() -> None:
     world = boat((6,), (2.0,))
     network = estimate_network(
-        world.scene, np.zeros(len(world.scene)), lambda pairs: [Result(0) for _ in pairs], NetworkSettings(), Tuning()
+        world.scene,
+        np.zeros(len(world.scene)),
+        lambda pairs: [Result(0) for _ in pairs],
+        CandidatesSettings(),
+        Tuning(),
     )
     assert network.pairs.funnel()["votes"] > 0
     assert len(network.pairs.kept()) == 6 * (5 + 4)  # the sequence stays
@@ -148,7 +154,7 @@ def test_nothing_matches_at_all_is_said_and_not_fatal() -> None:
 
 def test_sources_are_merged() -> None:
     world = boat((6,), (2.0,))
-    settings = NetworkSettings(sources=("sequence", "exhaustive"))
+    settings = CandidatesSettings(sources=("sequence", "exhaustive"))
     pairs = estimate_network(world.scene, np.zeros(36), world.match, settings, Tuning()).pairs
     assert len(pairs) == 36 * 35 // 2
     assert pairs.from_source("sequence").sum() == 6 * 9 and pairs.from_source("exhaustive").all()
@@ -156,13 +162,13 @@ def test_sources_are_merged() -> None:
 
 def test_unknown_source_is_refused() -> None:
     with pytest.raises(ValueError):
-        NetworkSettings(sources=("offset",))  # type: ignore[arg-type]
+        CandidatesSettings(sources=("offset",))  # type: ignore[arg-type]
 
 
 def test_pairs_that_the_axes_rule_out_are_counted_without_a_table() -> None:
     world = boat((12, 9), (2.0, 2.0))
     passes = find_passes(world.scene)
-    settings = NetworkSettings(axes_deg=80)
+    settings = CandidatesSettings(axes_deg=80)
     listed = axes_pairs(passes, settings)
     assert axes_count(passes, settings) == len(listed) > 100
     assert np.all(listed.dropped == REASONS.index("axes"))

@@ -6,8 +6,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
-from tiegraph.network.model import visible
-from tiegraph.network.model.visible import (
+from tiegraph.network.coarse import visible
+from tiegraph.network.coarse.visible import (
     Overlap,
     Proxy,
     assumed_proxy,
@@ -18,7 +18,7 @@ from tiegraph.network.model.visible import (
 )
 from tiegraph.network.tuning import Tuning
 
-TUNING = Tuning().model
+TUNING = Tuning().coarse
 CAMERA = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[320.0, 320.0, 240.0])  # 90 x 74 degrees
 
 

@@ -70,7 +70,7 @@ def _dropped(out: Path) -> dict[str, str]:
 
 def test_the_same_flags_again(run: Run) -> None:
     for _ in range(2):  # the second time they are the folder's defaults
-        code, said = run("--network.no-model", "--match.guided")
+        code, said = run("--coarse.method", "off", "--match.guided")
         assert code == 0, said
 
 
@@ -231,7 +231,7 @@ def test_gnss_file_with_gaps_leaves_those_frames_without_a_prior(
 def test_pair_file_naming_an_unknown_image(run: Run, rig: Path, tmp_path: Path) -> None:
     pairs = tmp_path / "mine.txt"
     pairs.write_text("up/cam0/000000.jpg up/cam0/000001.jpg\nup/cam0/000000.jpg up/cam9/000001.jpg\n")
-    code, said = run("--rig", rig, "--network.sources", "file", "--network.pairs-file", pairs, until="network")
+    code, said = run("--rig", rig, "--candidates.sources", "file", "--candidates.pairs-file", pairs, until="network")
     assert code == 2 and "up/cam9/000001.jpg" in said and "mine.txt" in said and "2" in said
 
 
@@ -243,7 +243,7 @@ def test_pairs_and_control_points_are_held_against_the_images_at_scan_and_before
     pairs.write_text(f"{one} {one}\n{one} up/cam0/000001.jpg\n")
     head, place = "EPSG:32654\n", "386000 3951000 3"
     points.write_text(f"{head}{place} 5 5 {one} A\n{place} 5 5 up/cam0/000009.jpg A\n")
-    given = ("--rig", rig, "--network.sources", "file", "--network.pairs-file", pairs, "--gcp", points)
+    given = ("--rig", rig, "--candidates.sources", "file", "--candidates.pairs-file", pairs, "--gcp", points)
     code, said = run(*given)
     assert code == 0, said
     notes = "\n".join(tiegraph.open(out=tmp_path / "out").receipt("scan")["notes"])

@@ -19,7 +19,8 @@ pytestmark = pytest.mark.slow
 # What must be the same byte for byte, whatever the pool; the database is compared by its rows.
 COMPARED_UNTIL = "verify"
 COMPARED = (
-    "scene.json", "images", "masks", "classes", "masks.csv", "preview", "network.npz", "network.csv", "network",
+    "scene.json", "images", "masks", "classes", "masks.csv", "preview", "candidates.npz", "candidates",
+    "coarse.npz", "coarse", "network.npz", "network.csv", "network",
     "pairs.npz", "pairs.txt", "pairs", "design", "match.npz", "verify.npz",
 )  # fmt: skip
 _PATIENCE_S = 600

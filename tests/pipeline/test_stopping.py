@@ -86,7 +86,7 @@ def in_group(group: int) -> list[psutil.Process]:
 STOPS = [
     ("scan", signal.SIGINT, True),
     ("masks", signal.SIGTERM, False),
-    ("network", signal.SIGHUP, True),
+    ("candidates", signal.SIGHUP, True),
     ("features", signal.SIGINT, False),
     ("match", signal.SIGINT, True),
     ("match", signal.SIGTERM, False),
@@ -115,7 +115,7 @@ def test_a_second_signal_ends_the_process_at_once(survey, out):
     assert code in (1, -signal.SIGINT) and "Traceback" not in said
 
 
-LOSSES = [("network", False), ("match", True), ("sparse", True), ("dense", False)]
+LOSSES = [("candidates", False), ("match", True), ("sparse", True), ("dense", False)]
 
 
 @pytest.mark.parametrize("stage, child", LOSSES)

@@ -64,7 +64,7 @@ def test_precedence_defaults_preset_file_call(tmp_path):
     out.mkdir()
     (out / SETTINGS).write_text('[masks]\nsource = "sky"\n[dense]\npartners = 2\n')
     project = open_project(tmp_path, out, preset="conventional", settings={"dense": {"partners": 3}})
-    assert project.settings.network.sources == ("exhaustive",)
+    assert project.settings.candidates.sources == ("exhaustive",)
     assert project.settings.masks.source == "sky"
     assert project.settings.dense.partners == 3
 

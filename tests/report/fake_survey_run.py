@@ -23,8 +23,8 @@ SIZE = (240, 180)
 FOCAL = 200.0
 _BASE = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])  # camera looking along x, z up
 STAGES = (
-    "scan", "masks", "preview", "network", "design", "features", "match", "sparse", "georef", "dense", "cloud",
-    "evaluate",
+    "scan", "masks", "preview", "candidates", "coarse", "network", "design", "features", "match", "sparse", "georef",
+    "dense", "cloud", "evaluate",
 )  # fmt: skip
 
 

@@ -180,7 +180,8 @@ def test_funnel_rows_add_up(full: Path) -> None:
 def test_the_network_says_whether_it_holds(tmp_path: Path) -> None:
     run = make_run(tmp_path / "run", "design")
     for stage, more in (
-        ("network", {"notes": ["preview model: 60 of 60 images", "odd light"], "tables": {"section links": _LINKS}}),
+        ("coarse", {"notes": ["coarse model: 60 of 60 images"]}),
+        ("network", {"notes": ["odd light"], "tables": {"section links": _LINKS}}),
         ("design", {"tables": {"weak links": _WEAK}}),
     ):
         path = run / "receipts" / f"{stage}.json"
@@ -189,7 +190,7 @@ def test_the_network_says_whether_it_holds(tmp_path: Path) -> None:
     for name in ("surfaces", "map", "funnel", "sections"):
         cv2.imwrite(str(run / "network" / f"{name}.png"), picture)
     part = network_part(read_run(run))
-    assert part["model"] == ["Preview model: 60 of 60 images."] and ("Network", ["odd light"]) in part["notes"]
+    assert part["model"] == ["Coarse model: 60 of 60 images."] and ("Network", ["odd light"]) in part["notes"]
     assert [c.split()[0] for _, c in part["pictures"]] == ["The", "What", "Frame-offset", "What"]  # the funnel is drawn
     assert [t.rows[0][1] for t in part["links"]] == ["open 1", "up/cam0/000003.jpg"] and part["sound"] is None
     text = write_report(run, SMALL).read_text(encoding="utf-8")

@@ -107,7 +107,7 @@ def test_two_surveys_in_one_folder_by_the_default_mapper(tmp_path: Path) -> None
 
 @pytest.mark.slow
 def test_two_surveys_in_one_folder_become_two_models(world, tmp_path: Path) -> None:
-    """The preview model puts them side by side, but no verified pair ties them."""
+    """The coarse model puts them side by side, but no verified pair ties them."""
     true, scene = world
     _cut(tmp_path, scene, 18)
     source = Source(tmp_path / "database.db", None, preview=true)

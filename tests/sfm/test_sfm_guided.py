@@ -129,7 +129,7 @@ def test_poses_are_predicted_by_the_preview_model_and_by_the_pass() -> None:
     preview = turn @ true
     preview[:, :3, 3] *= 0.3
     by_preview, by_pass = (predicted(LOST, poses, p, scene, TUNING.predict) for p in (preview, None))
-    assert by_preview.by == "poses of the preview model" and by_preview.slack_rad == TUNING.predict.by_preview_rad
+    assert by_preview.by == "poses of the coarse model" and by_preview.slack_rad == TUNING.predict.by_preview_rad
     np.testing.assert_allclose(by_preview.pose, true[LOST], atol=1e-6)
     assert by_pass.slack_rad == TUNING.predict.by_pass_rad
     assert 1e-4 < np.linalg.norm((by_pass.pose - true[LOST])[:3, 3]) < 0.1

@@ -126,7 +126,7 @@ def test_absent_rig_and_lost_images_keep_their_reason(tmp_path: Path) -> None:
     assert result.rig == "absent" and result.mapper == "incremental"
     assert dict(result.dropped) == {
         name: "no features (masked, blank or unreadable)",
-        name_before: "no verified pair; neither a preview model nor neighbours say where it stands",
+        name_before: "no verified pair; neither a coarse model nor neighbours say where it stands",
     }
     assert result.components == (10,)
 

@@ -1,4 +1,4 @@
-"""A model from the roughly known poses of a preview model: its rounds, the length of its path, its gate."""
+"""A model from the roughly known poses of a coarse model: its rounds, the length of its path, its gate."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def world(tmp_path: Path) -> tuple[np.ndarray, Scene]:
 
 
 def _rough(true: np.ndarray, scene: Scene, turn_deg: float = 0.15, shift_m: float = 0.03) -> np.ndarray:
-    """Poses as a preview model has them: the frames a little off, the rig as it is."""
+    """Poses as a coarse model has them: the frames a little off, the rig as it is."""
     rng = np.random.default_rng(1)
     turn = Rotation.from_rotvec(np.radians(turn_deg) * rng.standard_normal((scene.frames, 3)) / 1.7).as_matrix()
     wrong = transforms.rigid(turn, shift_m * rng.standard_normal((scene.frames, 3)) / 1.7)
@@ -105,7 +105,7 @@ def _turned(k: int) -> np.ndarray:
 
 
 def test_a_path_too_long_for_its_rig_is_made_right(world, tmp_path: Path) -> None:
-    """A preview model had PandaSet's path 16 times too long against its rig; adjustment does not get out of that."""
+    """A coarse model had PandaSet's path 16 times too long against its rig; adjustment does not get out of that."""
     true, scene = world
     frames = frame_poses(true, scene)
     frames[:, :3, 3] *= 8.0
@@ -193,7 +193,7 @@ def test_poses_that_are_wrong_do_not_pass_the_gate(world, tmp_path: Path) -> Non
         SceneTuning(),
         tmp_path / "log.txt",
     )
-    assert result.mapper == "global" and any("could not start from the preview model" in n for n in result.notes)
+    assert result.mapper == "global" and any("could not start from the coarse model" in n for n in result.notes)
     assert_reconstruction_near(result.load(), scene, true, m=0.004, deg=0.03)
     assert [row[0] for row in result.tables["runs"]["rows"]][:2] == ["preview", "global"]
 

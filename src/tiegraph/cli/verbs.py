@@ -52,7 +52,11 @@ VERBS: dict[str, Verb] = {
     "scan": Verb("stage: makes scene.json, images", "run", "scan"),
     "masks": Verb("stage: makes masks, classes, masks.csv; --compare FOLDER: against true masks", "masks"),
     "preview": Verb("stage: makes preview", "run", "preview"),
-    "network": Verb("stage: makes network.npz, network.csv; --coverage: is anything missing, on site", "network"),
+    "candidates": Verb("stage: makes candidates.npz, candidates", "run", "candidates"),
+    "coarse": Verb("stage: makes coarse.npz, coarse", "run", "coarse"),
+    "network": Verb(
+        "stage: makes network.npz, network.csv, network; --coverage: is anything missing, on site", "network"
+    ),
     "design": Verb("stage: makes pairs.npz, pairs.txt, pairs, design", "run", "design"),
     "features": Verb("stage: makes database.db", "run", "features"),
     "match": Verb("stage: makes match.npz", "run", "match"),

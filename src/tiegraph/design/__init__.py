@@ -9,13 +9,13 @@
 
 Pairs of which nothing is known are previewed first (``pipeline.previews``): the sources ``sequence``, ``exhaustive``
 and ``file`` by themselves preview none, and method ``all`` needs none. Otherwise only a third of the candidates was
-ever previewed, and the tracks of all are predicted from the points of the preview model (``foreseen``): how fast
+ever previewed, and the tracks of all are predicted from the points of the coarse model (``foreseen``): how fast
 matches fall with the angle between the rays and with the ratio of the distances, and how often an image finds a point
 again at all, is fitted to the previewed pairs (``sights.npz`` holds the places of the points and the projection
 centres).
 
 Where images share unknowns, the extrinsics of a rig that is adjusted or intrinsics, the measure is the bundle
-adjustment itself, linearised at the preview model (``bundle``). The gain of a pair is the fall of the mean variance
+adjustment itself, linearised at the coarse model (``bundle``). The gain of a pair is the fall of the mean variance
 of the frames by its epipolar equations. The loss is evaluated on an independent sample of tracks: on the sample used
 for the choice it is biased low. A matrix is inverted in each round, so beyond 800 unknowns, and where nothing is
 shared, effective resistance times new tracks is the measure (``resistance``, ``predict``), whose predicted loss

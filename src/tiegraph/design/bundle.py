@@ -1,4 +1,4 @@
-"""The bundle adjustment that a choice of pairs would make, linearised at the preview model.
+"""The bundle adjustment that a choice of pairs would make, linearised at the coarse model.
 
 A net of resistances knows nothing of what many images share: the extrinsics of a rig that is adjusted, and intrinsics.
 On a rig seven tenths of the position sigma can come from there, and the pairs that tell it (between cameras, at their
@@ -91,7 +91,7 @@ class Bundle:
 
     @staticmethod
     def possible(i: np.ndarray, j: np.ndarray, sights: Sights | None, scene: Scene, tuning: BundleTuning) -> bool:
-        """Whether images share unknowns (else the net of resistances chooses as well, and faster), the preview model
+        """Whether images share unknowns (else the net of resistances chooses as well, and faster), the coarse model
         holds nearly all of them, and the survey is small enough."""
         if sights is None or sights.rotation is None or not len(i):
             return False

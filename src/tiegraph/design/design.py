@@ -58,7 +58,7 @@ def design(
     """Choose by the method of the settings; what was connected stays connected, but for ``fuse2014``.
 
     ``ties``: preview matches of the pairs that were previewed; for the others matches are expected from the score or
-    the overlap. ``sights``, the points of a preview model each image sees, tell which tracks all of them would join.
+    the overlap. ``sights``, the points of a coarse model each image sees, tell which tracks all of them would join.
     Methods hybrid, tree and top keep a maximum spanning forest of the images, two pairs without a common image from
     every camera, pass and section to the rest, and a second link wherever frames would hang on one; hybrid and tree
     also the strongest pairs of every image and part (``holding``), within a share of a budget of pairs or seconds.

@@ -1,4 +1,4 @@
-"""The matches a pair may be expected to have, from the points of the preview model that both images should see.
+"""The matches a pair may be expected to have, from the points of the coarse model that both images should see.
 
 Only a part of the candidates is ever previewed, and a preview says little of what full resolution will find. How often
 a point is found again in a second image falls with the angle between the two rays and with the ratio of the distances:

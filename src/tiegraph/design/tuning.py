@@ -49,7 +49,7 @@ class ExpectedTuning(Section):
 
 
 class ForeseenTuning(Section):
-    """Matches by the points of the preview model that two images should both see (`foreseen.py`)."""
+    """Matches by the points of the coarse model that two images should both see (`foreseen.py`)."""
 
     angles_deg: tuple[float, ...] = Field((3.5, 5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0), min_length=1)
     """Angles between the rays that are tried for the law: where chances fall to 1 / e."""
@@ -112,14 +112,14 @@ class NetTuning(Section):
 
 
 class BundleTuning(Section):
-    """The bundle adjustment linearised at the preview model (`bundle.py`)."""
+    """The bundle adjustment linearised at the coarse model (`bundle.py`)."""
 
     max_unknowns: int = Field(800, ge=0)
     """Of a survey that is chosen for by the bundle adjustment: an inverse a round costs 0.2 s then."""
     min_placed: float = Field(0.9, ge=0, le=1)
-    """Share of the images with candidates that must be in the preview model."""
+    """Share of the images with candidates that must be in the coarse model."""
     points: int = Field(2500, gt=0)
-    """Of the preview model, drawn at random: enough for the information of all."""
+    """Of the coarse model, drawn at random: enough for the information of all."""
     matches: int = Field(4, gt=0)
     """Of a pair, that stand for all of them: as many as two images have degrees of freedom, less one."""
     sigma_px: float = Field(0.5, gt=0)
@@ -181,7 +181,7 @@ class Tuning(Section):
     expected: ExpectedTuning = ExpectedTuning()
     """Expected matches by overlap."""
     foreseen: ForeseenTuning = ForeseenTuning()
-    """Expected matches by the preview model."""
+    """Expected matches by the coarse model."""
     holding: HoldingTuning = HoldingTuning()
     """The pairs that hold every image and part."""
     net: NetTuning = NetTuning()

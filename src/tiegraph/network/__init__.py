@@ -5,16 +5,18 @@ Counts of preview matches cannot tell true ties from repeated walls; geometry ca
 1. Previews are matched on a coarse lattice of frames for every two cameras and passes, smoothed and interpolated
    (``offsets``); by retrieval for loops and loose photographs (``looks``); by prior poses where there are some
    (``poses``, checked by previews in ``poses.check``).
-2. The best pairs of each image make a preview model, a coarse reconstruction of the survey, by the mapper and rig of
-   the later stages (``model.survey``; the function is injected by ``pipeline``, so that the engines stay apart).
-3. Its poses and points predict the surface that every two images share (``model.visible``). The prediction replaces
+2. The best pairs of each image make a coarse model of the survey (``coarse.search`` says which, and judges what came
+   of them; the stage coarse maps them with the mapper and rig of the later stages).
+3. Its poses and points predict the surface that every two images share (``coarse.visible``). The prediction replaces
    the counts wherever the model explains the strong previews of neighbouring frames; where it does not, the receipt
    says so and the counts decide.
 4. Its calibration replaces what was guessed of cameras and rig.
 
+The stages are ``candidates.find_candidates`` (1), ``coarse.search.Search`` (2 to 4) and ``network.join_network``.
+
 One limit, ``axes_deg``, holds for the axes of cameras before there is a model, and for the views of a shared surface
-after. Only what a model is trusted by (``model.trust``) asks for less than 90 degrees, for a strong preview of
-steeper views is another wall. ``model.visible`` also serves prior poses, with points at an assumed range (paper 003):
+after. Only what a model is trusted by (``coarse.trust``) asks for less than 90 degrees, for a strong preview of
+steeper views is another wall. ``coarse.visible`` also serves prior poses, with points at an assumed range (paper 003):
 ten times the distance between frames. That distance is the median weighted by length, half of the way was gone in
 steps as long or longer, so that a vehicle that stands does not bring the range near.
 

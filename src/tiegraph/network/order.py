@@ -13,13 +13,13 @@ from __future__ import annotations
 import numpy as np
 
 from tiegraph.network.passes import Pass, PreviewBook, find_passes
-from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.scene import Scene
 
 
 def shown_order(
-    scene: Scene, book: PreviewBook, settings: NetworkSettings, tuning: Tuning
+    scene: Scene, book: PreviewBook, settings: CandidatesSettings, tuning: Tuning
 ) -> tuple[Scene, tuple[str, ...]]:
     """The scene without the passes whose order was guessed and is not borne out, and what was found.
 
@@ -41,7 +41,7 @@ def shown_order(
     return _without(scene, lost), tuple(notes)
 
 
-def _shown(found: Pass, book: PreviewBook, settings: NetworkSettings, tuning: Tuning) -> tuple[bool, str]:
+def _shown(found: Pass, book: PreviewBook, settings: CandidatesSettings, tuning: Tuning) -> tuple[bool, str]:
     """Whether previews show a pass of one camera to be a sequence, and the figures."""
     order = tuning.order
     images = found.images[0][found.images[0] >= 0]

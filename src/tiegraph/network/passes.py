@@ -53,17 +53,18 @@ def loose_images(scene: Scene) -> np.ndarray:
 
 
 class PreviewBook:
-    """Preview counts measured so far; each pair is matched once, many at a time.
+    """Preview counts measured so far; each pair is matched once, many at a time. ``known``: what is measured already.
 
     The one object with a memory here: it stands between the sources so that none measures what another knows.
     """
 
-    def __init__(self, match: MatchFunction, images: int) -> None:
+    def __init__(self, match: MatchFunction, images: int, known: Ties | None = None) -> None:
+        known = Ties.empty() if known is None else known
         self._match = match
         self._images = images
-        self._keys = np.zeros(0, np.int64)
-        self._counts = np.zeros(0, np.float32)
-        self._matches: dict[int, np.ndarray] = {}
+        self._keys = self._key(known.i, known.j)
+        self._counts = known.counts().astype(np.float32)
+        self._matches = {int(key): known.of(t) for t, key in enumerate(self._keys) if self._counts[t]}
 
     def __len__(self) -> int:
         return len(self._keys)

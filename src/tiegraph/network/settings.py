@@ -1,4 +1,4 @@
-"""Settings of the network stage; those of the design stage are found here too."""
+"""Settings of the stages candidates, coarse and network."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from tiegraph.settings import Section, user_path
 SourceName = Literal["auto", "sequence", "exhaustive", "file", "offsets", "poses", "retrieval"]
 
 
-class NetworkSettings(Section):
-    """Which images may tie: where candidate pairs come from and how they are tested."""
+class CandidatesSettings(Section):
+    """Where candidate pairs come from, and how they are tested."""
 
     sources: tuple[SourceName, ...] = Field(("auto",), min_length=1)
     """Pair sources, merged; auto: sequence and offsets for passes, poses where priors are known, exhaustive for few
@@ -36,25 +36,41 @@ class NetworkSettings(Section):
     """Frames of a pass on which the offsets are voted."""
     min_matches: int = Field(12, ge=6, le=500)
     """Preview matches two images need to count as tied, averaged over neighbouring frames; chance gives 10."""
-    model: bool = True
-    """Make a small model of the best previews and let it say which images see the same surface."""
-    model_pairs: int = Field(8, ge=2, le=100)
-    """Preview model: best pairs of each image that it is made of."""
     min_overlap: float = Field(0.1, ge=0.01, le=0.9)
-    """Preview model: share of the surface one image sees that another must see too to be its candidate."""
+    """Share of the surface one image sees that another must see too to be its candidate, where the coarse model or
+    poses tell it."""
     axes_deg: float = Field(110.0, ge=10, le=180)
     """Two views of a surface from directions further apart than this do not match, degrees: cameras of one pass whose
-    axes are so far apart are not tried, but for pairs whose views the model says meet at less."""
+    axes are so far apart are not tried, but for pairs whose views the coarse model says meet at less."""
     range_m: float = Field(0.0, ge=0, le=100_000)
     """Source poses: usual distance from camera to object (paper 003), metres; 0 = ten times the distance between
     frames."""
-    sections: Literal["off", "link", "split"] = "link"
-    """Bridge and open sections by the up camera's brightness: not cut (off), cut with ties kept between them (link), or
-    cut apart (split, paper 001)."""
 
     @model_validator(mode="after")
-    def _file_goes_with_source(self) -> NetworkSettings:
+    def _file_goes_with_source(self) -> CandidatesSettings:
         if self.pairs_file is not None and "file" not in self.sources:
             said = " ".join(self.sources)
             raise ValueError(f"pairs_file is given, but sources = {said} does not read it: add file, or leave it away")
         return self
+
+    def uses_axes(self) -> bool:
+        """Whether a source looks at cameras by their axes: offsets do."""
+        return bool({"auto", "offsets"} & set(self.sources))
+
+
+class CoarseSettings(Section):
+    """The coarse reconstruction: a model of the survey made of previews, which says what images share."""
+
+    method: Literal["mapper", "off"] = "mapper"
+    """mapper: the best previews are mapped, and the model says which images see the same surface; off: preview counts
+    decide alone."""
+    pairs_per_image: int = Field(8, ge=2, le=100)
+    """Best pairs of each image that the model is made of."""
+
+
+class NetworkSettings(Section):
+    """The candidate pairs as they go on: sections of the survey."""
+
+    sections: Literal["off", "link", "split"] = "link"
+    """Bridge and open sections by the up camera's brightness: not cut (off), cut with ties kept between them (link), or
+    cut apart (split, paper 001)."""

@@ -19,7 +19,7 @@ from tiegraph.network.offsets.surface import OffsetSurface
 from tiegraph.network.passes import Pass, PreviewBook, loose_images
 from tiegraph.network.poses.check import checked_pose_pairs
 from tiegraph.network.rig.axes import allowed_within
-from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairlist import read_pair_list
 from tiegraph.scene.pairs import REASONS, Pairs
@@ -37,7 +37,7 @@ class Context:
     scene: Scene
     passes: tuple[Pass, ...]
     book: PreviewBook
-    settings: NetworkSettings
+    settings: CandidatesSettings
     tuning: Tuning
     descriptors: Descriptors | None = None  # of all previews; None = there is no looking for look-alikes
 
@@ -77,7 +77,7 @@ def sequence(context: Context) -> Proposal:
     return Proposal(Pairs.make(i, j, "sequence"))
 
 
-def _neighbouring_cameras(p: Pass, settings: NetworkSettings) -> np.ndarray:
+def _neighbouring_cameras(p: Pass, settings: CandidatesSettings) -> np.ndarray:
     out = [np.zeros((2, 0), int)]
     for c, d in np.argwhere(allowed_within(p.rig, settings.axes_deg)):
         if c == d:
@@ -99,7 +99,7 @@ def from_file(context: Context) -> Proposal:
     """Pairs of a COLMAP pair list. Raises SettingsError without a file, InputError for one that cannot be used."""
     path = context.settings.pairs_file
     if path is None:
-        raise SettingsError("network.sources has 'file', but network.pairs_file names none")
+        raise SettingsError("candidates.sources has 'file', but candidates.pairs_file names none")
     pairs, notes = read_pair_list(path, context.scene)
     return Proposal(pairs, notes)
 
@@ -135,7 +135,7 @@ def retrieval(context: Context, known: Pairs | None = None) -> Proposal:
     """Look-alikes: loose photographs, and loops of passes away from the ``known`` pairs. Raises SettingsError if the
     caller has no descriptors."""
     if context.descriptors is None:
-        raise SettingsError("network.sources has 'retrieval', but the previews' descriptors are not at hand")
+        raise SettingsError("candidates.sources has 'retrieval', but the previews' descriptors are not at hand")
     looked = context.scene, context.passes, context.book, context.settings, context.tuning
     found = retrieve(*looked, context.descriptors, known)
     return Proposal(found.pairs, found.notes)
@@ -167,7 +167,7 @@ def automatic(context: Context) -> Proposal:
         # Along a pass previews know more than positions alone.
         if scene.has_orientations() or (len(loose) and scene.has_positions()):
             said.append("poses")
-            # Poses along a pass are judged by the preview model; of loose photographs every pair is looked at.
+            # Poses along a pass are judged by the coarse model; of loose photographs every pair is looked at.
             parts.append(confirmed(poses(context), context) if len(loose) else poses(context))
         if context.descriptors is not None:
             said.append("retrieval")
@@ -218,7 +218,7 @@ def _nearest(pairs: Pairs, images: int, count: int) -> np.ndarray:
     return out
 
 
-def axes_count(passes: Sequence[Pass], settings: NetworkSettings) -> int:
+def axes_count(passes: Sequence[Pass], settings: CandidatesSettings) -> int:
     """How many image pairs of one pass have optical axes that make a match impossible: never tried."""
     count = 0
     for p in passes:
@@ -228,7 +228,7 @@ def axes_count(passes: Sequence[Pass], settings: NetworkSettings) -> int:
     return count
 
 
-def axes_pairs(passes: Sequence[Pass], settings: NetworkSettings) -> Pairs:
+def axes_pairs(passes: Sequence[Pass], settings: CandidatesSettings) -> Pairs:
     """The pairs of ``axes_count``, dropped for their reason: a table that grows with the square of a pass."""
     out = [np.zeros((2, 0), int)]
     for p in passes:

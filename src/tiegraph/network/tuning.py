@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from tiegraph.network.coarse.tuning import CoarseTuning
 from tiegraph.network.looks.tuning import LooksTuning
-from tiegraph.network.model.tuning import ModelTuning
 from tiegraph.network.offsets.tuning import OffsetsTuning
 from tiegraph.network.poses.tuning import PosesTuning
 from tiegraph.network.rig.tuning import RigTuning
@@ -14,7 +14,7 @@ from tiegraph.settings import Section
 
 
 class CountsTuning(Section):
-    """What the match counts of previews say, in units of ``network.min_matches``; every room reads them so."""
+    """What the match counts of previews say, in units of ``candidates.min_matches``; every room reads them so."""
 
     floor: float = Field(2 / 3, ge=0, lt=1)
     """Times `min_matches`: what unrelated images reach by chance."""
@@ -43,7 +43,7 @@ class SourcesTuning(Section):
     """Which sources are asked, and what is kept of what they propose (`sources.py`)."""
 
     few_photos: int = Field(30, ge=0)
-    """Loose photographs that are all compared with one another (435 pairs); so few need no preview model either."""
+    """Loose photographs that are all compared with one another (435 pairs); so few need no coarse model either."""
     nearest: int = Field(10, ge=0)
     """Loose photographs with positions: nearest ones that are kept whatever the preview says."""
     axes_listed: int = Field(1000, ge=0)
@@ -67,7 +67,7 @@ class Tuning(Section):
     """Pairs by prior poses."""
     rig: RigTuning = RigTuning()
     """The rig against the images."""
-    model: ModelTuning = ModelTuning()
-    """The preview model."""
+    coarse: CoarseTuning = CoarseTuning()
+    """The coarse reconstruction."""
     sections: SectionsTuning = SectionsTuning()
     """Bridge and open sections."""

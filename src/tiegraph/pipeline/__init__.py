@@ -6,11 +6,11 @@ command loads one engine and not all of them (matplotlib, statistics, the report
 was 3.5 to 4.5, on a loaded machine (``time python -c "import tiegraph.pipeline.masks"``, likewise ``match``,
 ``features``, ``dense``, and ``tiegraph.sfm.finish``).
 
-``scan`` writes ``scene.json``; ``network`` writes its own copy, ``network/scene.json``, with the rig checked against
-the images and the sections cut, and every later stage reads that one: what the images say of the rig is a result, and
-the scan stays what was found in the folder. ``sparse`` and ``georef`` see ``Scene.measured()``: positions that a
-trajectory carried over a GNSS gap, and odometry with a world of its own for each pass, serve the choice of pairs and
-never hold or judge a model.
+``scan`` writes ``scene.json``; ``candidates``, ``coarse`` and ``network`` each write a copy of their own, with the rig
+checked against the images, calibrated by the coarse model, and the sections cut. Every later stage reads the last,
+``network/scene.json``: what the images say of the rig is a result, and the scan stays what was found in the folder.
+``sparse`` and ``georef`` see ``Scene.measured()``: positions that a trajectory carried over a GNSS gap, and odometry
+with a world of its own for each pass, serve the choice of pairs and never hold or judge a model.
 """
 
 from functools import partial
@@ -45,15 +45,20 @@ STAGES = (
     _stage("scan", (), ("scene.json", "images"), "image", version=2, tuned=("scene",)),
     _stage("masks", ("scan",), ("masks", "classes", "masks.csv"), "image", version=7),
     _stage("preview", ("scan", "masks"), ("preview",), "image", version=2, tuned=("features",)),
-    _stage("network", ("scan", "preview"), ("network.npz", "network.csv", "network"), version=6,
-           scratch=("network/model",), tuned=("scene", "features", "sfm")),
-    _stage("design", ("masks", "network"), ("pairs.npz", "pairs.txt", "pairs", "design"), version=6,
+    _stage("candidates", ("scan", "preview"), ("candidates.npz", "candidates"), "pair",
+           scratch=("candidates/matched",), tuned=("scene", "network", "features")),
+    _stage("coarse", ("scan", "preview", "candidates"), ("coarse.npz", "coarse"), "block",
+           uses=("candidates",), scratch=("coarse/blocks", "coarse/mapping", "coarse/matched"),
+           tuned=("scene", "network", "features", "sfm")),
+    _stage("network", ("scan", "masks", "preview", "coarse"), ("network.npz", "network.csv", "network"), version=7,
+           uses=("candidates",), tuned=("scene",)),
+    _stage("design", ("masks", "coarse", "network"), ("pairs.npz", "pairs.txt", "pairs", "design"), version=6,
            uses=("features",), tuned=("features", "sfm")),
     _stage("features", ("scan", "masks"), ("database.db",), "image", version=2, scratch=_BESIDE_DATABASE),
     _stage("match", ("network", "design", "features"), ("match.npz",), "block of pairs",
            changes=("database.db",), clear=_forget_matches),
-    _stage("verify", ("network", "match"), ("verify.npz",), "pair", version=2),
-    _stage("sparse", ("network", "match", "verify"), ("sparse",), version=14, scratch=("sparse/.run",),
+    _stage("verify", ("coarse", "network", "match"), ("verify.npz",), "pair", version=2),
+    _stage("sparse", ("coarse", "network", "match", "verify"), ("sparse",), version=14, scratch=("sparse/.run",),
            tuned=("scene", "sfm")),
     _stage("georef", ("network", "sparse"), ("sparse/world", "world.json"), version=7,
            scratch=("sparse/.world",), tuned=("scene", "sfm")),

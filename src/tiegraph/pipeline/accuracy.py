@@ -27,7 +27,7 @@ def with_accuracy(
     frames, not metres. ``run_map``: map over a pool.
     """
     row = ties.find(pairs.i, pairs.j)
-    if not (row >= 0).any():  # nothing was previewed (pairs in sequence without a preview model)
+    if not (row >= 0).any():  # nothing was previewed (pairs in sequence without a coarse model)
         return pairs
     matches = np.where(row >= 0, ties.counts()[row], 0)
     usable = np.flatnonzero((pairs.dropped == 0) & (matches >= tuning.min_points))

@@ -68,8 +68,8 @@ def _cost(run: Run, scene: Scene, pairs: Pairs) -> Cost:
 
 
 def _sights(run: Run) -> Sights | None:
-    """What each image sees of the preview model, if there is one."""
-    path, model = run.path("network", "sights.npz"), run.path("network", "model.npz")
+    """What each image sees of the coarse model, if there is one."""
+    path, model = run.path("coarse", "sights.npz"), run.path("coarse", "model.npz")
     if not path.exists():
         return None
     with reading(path):

@@ -86,14 +86,14 @@ def checked(run: Run) -> Scene:
 
 
 def pairs_of(run: Run, name: str) -> Pairs:
-    """The pair table of ``network.npz``, ``pairs.npz`` or ``match.npz``."""
+    """The pair table of ``candidates.npz``, ``coarse.npz``, ``network.npz``, ``pairs.npz`` or ``match.npz``."""
     with reading(run.path(name)):
         return Pairs.from_npz(load_npz(run.path(name)))
 
 
-def ties_of(run: Run) -> Ties:
-    """The preview matches that ``network`` saw."""
-    path = run.path("network", "ties.npz")
+def ties_of(run: Run, stage: str = "coarse") -> Ties:
+    """The preview matches that ``candidates`` saw, or that ``coarse`` has added to them."""
+    path = run.path(stage, "ties.npz")
     with reading(path):
         return Ties.from_npz(load_npz(path))
 

@@ -50,8 +50,8 @@ def check_given(stages: Sequence[Stage], run: Run) -> None:
     if settings.scan.crs.lower() not in ("auto", ENU.lower()):
         parse_crs(settings.scan.crs)
         check_vertical(settings.scan.crs)
-    if "file" in settings.network.sources and settings.network.pairs_file is None:
-        raise SettingsError("network.sources has 'file', but network.pairs_file names none")
+    if "file" in settings.candidates.sources and settings.candidates.pairs_file is None:
+        raise SettingsError("candidates.sources has 'file', but candidates.pairs_file names none")
     _read_settings(settings)
     if status(stages[:1], run)[0][1]:
         _read_inputs(run)
@@ -66,8 +66,8 @@ def _read_settings(settings: Settings) -> None:
         read_gcps(settings.georef.gcp, settings.tuning.scene.control, settings.georef.marks)
     elif settings.georef.marks is not None:
         raise InputError(f"--marks {settings.georef.marks}: marks of no points; give the points by --gcp")
-    if settings.network.pairs_file is not None:
-        pair_lines(settings.network.pairs_file)
+    if settings.candidates.pairs_file is not None:
+        pair_lines(settings.candidates.pairs_file)
     if settings.masks.model is not None:
         read_model(settings.masks.model)
     if settings.evaluate.reference is not None or settings.evaluate.reference_cloud is not None:
@@ -100,7 +100,7 @@ def check_against(run: Run, scene: Scene) -> tuple[str, ...]:
     """What control points and the pair list say of the images of a scan. Raises InputError if they do not fit."""
     control = control_points(run, scene)
     notes = () if control is None else control.notes
-    path = run.settings.network.pairs_file
+    path = run.settings.candidates.pairs_file
     return notes if path is None else (*notes, *read_pair_list(path, scene)[1])
 
 

@@ -1,4 +1,4 @@
-"""Previews matched, for the stages network and design."""
+"""Previews matched, for the stages candidates, coarse and design."""
 
 from __future__ import annotations
 
@@ -11,13 +11,16 @@ import numpy as np
 from tiegraph.features.preview import Preview, PreviewMatch, match_previews
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.tuning import PreviewTuning
-from tiegraph.pipeline.files import load_scene, read_mask
+from tiegraph.pipeline.files import load_npz, load_scene, read_mask, reading, save_npz
 from tiegraph.pipeline.preview import preview_path, read_preview
+from tiegraph.project.run import Run
+from tiegraph.project.stages import remove
 from tiegraph.scene.filecache import cached_by_file
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Ties
 
+_CHUNK = 2000  # previews, after which what was matched is kept: a second to some ten of work
 _CACHED_PREVIEWS = 512  # of about 110 kB each, in every worker; reading one costs a fifteenth of matching it
 
 
@@ -44,6 +47,70 @@ def with_previews(
     score[rows] = [one.inliers for one in found]
     new = Ties.make(pairs.i[rows], pairs.j[rows], [one.matches for one in found])
     return pairs.with_(score=score), ties | new, len(rows)
+
+
+class Matcher:
+    """Matches previews over the pool. What was matched is kept below the run folder until the stage is done, so that a
+    stage that was killed goes on where it stood."""
+
+    def __init__(self, run: Run, folder: str) -> None:
+        self._run, self._folder = run, run.path(*folder.split("/"))
+        self._chunks, self._asked = 0, 0
+        self._before: dict[tuple[int, int], PreviewMatch] = {}
+        for path in sorted(self._folder.glob("*.npz")):
+            with reading(path):
+                self._before.update(_from_arrays(load_npz(path)))
+            self._chunks = int(path.stem)
+
+    def __call__(self, pairs: np.ndarray) -> list[PreviewMatch]:
+        """The matches of image pairs (P, 2)."""
+        asked = [(int(i), int(j)) for i, j in pairs]
+        todo = [pair for pair in asked if pair not in self._before]
+        self._asked += len(asked)
+        self._run.reporter.total(self._asked, self._asked - len(todo))
+        made: dict[tuple[int, int], PreviewMatch] = {}
+        for first in range(0, len(todo), _CHUNK):
+            made |= self._matched(todo[first : first + _CHUNK])
+        return [made.get(pair) or self._before[pair] for pair in asked]
+
+    def forget(self) -> None:
+        """Remove what was kept: the stage is done."""
+        remove(self._folder)
+
+    def _matched(self, pairs: list[tuple[int, int]]) -> dict[tuple[int, int], PreviewMatch]:
+        settings, tuning = self._run.settings.preview, self._run.settings.tuning.features.preview
+        made = dict(zip(pairs, self._run.map(match_item, pairs, self._run.folder, settings, tuning)))
+        self._chunks += 1
+        save_npz(self._folder / f"{self._chunks:06d}.npz", **_to_arrays(made))
+        return made
+
+
+def _to_arrays(made: dict[tuple[int, int], PreviewMatch]) -> dict[str, np.ndarray]:
+    found = list(made.values())
+    nowhere, still = np.full((3, 3), np.nan), np.full(2, np.nan)
+    return {
+        "pairs": np.array(list(made), np.int32).reshape(-1, 2),
+        "inliers": np.array([one.inliers for one in found], np.int32),
+        "rotation": np.array([nowhere if one.rotation is None else one.rotation for one in found]).reshape(-1, 3, 3),
+        "shift": np.array([still if one.shift is None else one.shift for one in found], np.float64).reshape(-1, 2),
+        "ends": np.cumsum([len(one.matches) for one in found]).astype(np.int64),
+        "matches": np.concatenate([np.zeros((0, 2), np.uint16), *[one.matches for one in found]]),
+    }
+
+
+def _from_arrays(data: dict[str, np.ndarray]) -> dict[tuple[int, int], PreviewMatch]:
+    """Inverse of ``_to_arrays``."""
+    matches = np.split(data["matches"], data["ends"][:-1])
+    out = {}
+    for k, (i, j) in enumerate(data["pairs"].tolist()):
+        rotation, shift = data["rotation"][k], data["shift"][k]
+        out[i, j] = PreviewMatch(
+            int(data["inliers"][k]),
+            rotation if np.isfinite(rotation).all() else None,
+            shift if np.isfinite(shift).all() else None,
+            matches[k],
+        )
+    return out
 
 
 def match_item(pair: tuple[int, int], folder: Path, settings: PreviewSettings, tuning: PreviewTuning) -> PreviewMatch:

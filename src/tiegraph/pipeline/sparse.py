@@ -50,8 +50,8 @@ def sparse(run: Run) -> Outcome:
 
 
 def preview_poses(folder: Path) -> np.ndarray | None:
-    """(N, 4, 4) cam_from_world of the images in the trusted part of the preview model, None without one."""
-    path = folder / "network" / "model.npz"
+    """(N, 4, 4) cam_from_world of the images in the trusted part of the coarse model, None without one."""
+    path = folder / "coarse" / "model.npz"
     if not path.exists():
         return None
     with reading(path):

@@ -31,8 +31,8 @@ def verify(run: Run) -> Outcome:
 
 
 def _prior(run: Run) -> Prior | None:
-    """The preview model, where it is trusted."""
-    path = run.path("network", "model.npz")
+    """The coarse model, where it is trusted."""
+    path = run.path("coarse", "model.npz")
     if not path.exists():
         return None
     with reading(path):

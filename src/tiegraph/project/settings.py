@@ -23,7 +23,7 @@ from tiegraph.features.settings import FeaturesSettings, MatchSettings, PreviewS
 from tiegraph.features.tuning import Tuning as FeaturesTuning
 from tiegraph.masks.settings import MasksSettings, RemaskSettings
 from tiegraph.masks.tuning import Tuning as MasksTuning
-from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.settings import CandidatesSettings, CoarseSettings, NetworkSettings
 from tiegraph.network.tuning import Tuning as NetworkTuning
 from tiegraph.report.settings import ReportSettings
 from tiegraph.scan.settings import ScanSettings
@@ -69,6 +69,8 @@ class Settings(Section):
     scan: ScanSettings = ScanSettings()
     masks: MasksSettings = MasksSettings()
     preview: PreviewSettings = PreviewSettings()
+    candidates: CandidatesSettings = CandidatesSettings()
+    coarse: CoarseSettings = CoarseSettings()
     network: NetworkSettings = NetworkSettings()
     design: DesignSettings = DesignSettings()
     features: FeaturesSettings = FeaturesSettings()
@@ -231,7 +233,9 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     # The papers' baseline: brute force, no masks, no rig (paper 000 a, paper 001 c).
     "conventional": {
         "masks": {"source": "none"},
-        "network": {"sources": ("exhaustive",), "model": False, "sections": "off"},
+        "candidates": {"sources": ("exhaustive",)},
+        "coarse": {"method": "off"},
+        "network": {"sections": "off"},
         "design": {"method": "all"},
         "sparse": _PAPER_MODEL,
     },
@@ -239,31 +243,31 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     # no ranges: 90 degrees gives the camera pairs of paper 000 figure 8, the others are our reading.
     "meguro2024": {
         "masks": {"source": "meguro2024"},
-        "network": {
+        "candidates": {
             "sources": ("sequence", "offsets"),
-            "model": False,
             "sequence_frames": 1,
             "offsets": "constant",
             "offset_range": 10,
             "offset_best": 1,
             "axes_deg": 90.0,
-            "sections": "off",
         },
+        "coarse": {"method": "off"},
+        "network": {"sections": "off"},
         "design": {"method": "all"},
         "sparse": _PAPER_MODEL,
     },
     # Paper 001: two-stage masks; neighbouring frames of a camera and the range around the best offset; sections apart.
     "meguro2025": {
         "masks": {"source": "meguro2025"},
-        "network": {
+        "candidates": {
             "sources": ("sequence", "offsets"),
-            "model": False,
             "sequence_frames": 5,
             "offsets": "constant",
             "offset_range": 5,
             "axes_deg": 90.0,
-            "sections": "split",
         },
+        "coarse": {"method": "off"},
+        "network": {"sections": "split"},
         "design": {"method": "all"},
         "sparse": _PAPER_MODEL,
     },

@@ -27,8 +27,8 @@ log = logging.getLogger(__name__)
 T = TypeVar("T")
 
 STAGES = (
-    "scan", "masks", "preview", "network", "design", "features", "match", "verify", "sparse", "georef", "remask",
-    "dense", "cloud", "evaluate", "report",
+    "scan", "masks", "preview", "candidates", "coarse", "network", "design", "features", "match", "verify", "sparse",
+    "georef", "remask", "dense", "cloud", "evaluate", "report",
 )  # fmt: skip
 _WORLD_NAMES = {"scale_from": "scale_source", "residual_rms_m": "rms_m", "heldout_rms_m": "held_out_rms_m"}
 

@@ -25,12 +25,15 @@ _CLOUD_POINTS = 1000  # only the count is wanted
 # row -> the stages it adds up; names as in paper 000 table 1 and paper 001 table 5
 _TIMES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("Mask image creation", ("masks", "remask")),
-    ("Matching search", ("preview", "network")),
+    ("Matching search", ("preview", "candidates", "coarse", "network")),
     ("Matching list creation", ("design",)),
     ("Feature extraction", ("features",)),
     ("Feature matching", ("match",)),
     ("Reconstruction and georeferencing", ("sparse", "georef")),
-    ("SfM, all of it", ("preview", "network", "design", "features", "match", "sparse", "georef")),
+    (
+        "SfM, all of it",
+        ("preview", "candidates", "coarse", "network", "design", "features", "match", "sparse", "georef"),
+    ),
     ("MVS (dense and cloud)", ("dense", "cloud")),
     ("Scan, evaluation, report", ("scan", "evaluate", "report")),
     ("Total time", STAGES),

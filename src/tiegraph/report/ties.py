@@ -8,8 +8,11 @@ from tiegraph.report import charts, words
 from tiegraph.report.artefacts import RunFolder
 from tiegraph.report.pictures import file_uri
 
-STAGES = ("preview", "network", "design", "features", "match", "verify")
-TITLES = {"network": "Network", "design": "Design", "match": "Matching", "verify": "Verification"}
+STAGES = ("preview", "candidates", "coarse", "network", "design", "features", "match", "verify")
+TITLES = {
+    "candidates": "Candidates", "coarse": "Coarse model", "network": "Network", "design": "Design",
+    "match": "Matching", "verify": "Verification",
+}  # fmt: skip
 # Pictures of the network folder in the order they are shown; the first word found in the file's name decides.
 CAPTIONS = {
     "matrix": "Correspondence matrix: images by pass, camera and frame along both sides; the colour says why a pair "
@@ -27,7 +30,6 @@ CAPTIONS = {
 _SECTION_LINKS = "Are neighbouring sections tied to each other? Two pairs without a common image are what holds them."
 _WEAK_LINKS = "Weak links: places where the survey falls apart, or hangs on very little, if one tie or frame is lost."
 _SOUND = "No weak links: no place hangs on a single tie or frame."
-_MODEL = "preview model:"
 
 
 def network_part(run: RunFolder) -> dict[str, Any]:
@@ -42,9 +44,7 @@ def network_part(run: RunFolder) -> dict[str, Any]:
         out["table"] = _funnel_table(rows, len(run.scene))
         out["degrees"] = charts.degrees(pairs, len(run.scene))
     notes = {stage: [str(n) for n in run.receipts.get(stage, {}).get("notes") or []] for stage in STAGES}
-    said = [n for n in notes["network"] if n.lower().startswith(_MODEL)]
-    out["model"] = [_sentence(n) for n in said]
-    notes["network"] = [n for n in notes["network"] if n not in said]
+    out["model"] = [_sentence(n) for n in notes.pop("coarse")]
     out["notes"] = [(TITLES.get(s, s.capitalize()), lines) for s, lines in notes.items() if lines]
     out["pictures"] = _pictures(run, drawn=out["matrix"] is not None)
     out["links"], out["tables"] = [], []
@@ -76,7 +76,7 @@ def _pictures(run: RunFolder, drawn: bool) -> list[tuple[str, str]]:
     """(data URI, caption) of the pictures that the network stage and the design left."""
     found = []
     order = list(CAPTIONS)
-    paths = sorted(p for folder in ("network", "design") for p in (run.path / folder).glob("*.png"))
+    paths = sorted(p for folder in ("candidates", "network", "design") for p in (run.path / folder).glob("*.png"))
     for path in paths:
         title = "design" if path.parent.name == "design" else path.stem.replace("curve", "offset")
         kind = next((k for k in order if k in title), "")

@@ -77,6 +77,12 @@ class Ties:
         at = np.minimum(at, max(len(own) - 1, 0))
         return np.where(own[at] == (low << 32 | high), at, -1) if len(own) else np.full(len(low), -1)
 
+    def known(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+        """(K,) f4 matches of image pairs (K,), (K,); NaN = not previewed."""
+        row = self.find(i, j)
+        count = np.append(self.counts(), 0)[row]
+        return np.where(row >= 0, count, np.nan).astype(np.float32)
+
     def to_npz(self) -> dict[str, np.ndarray]:
         """Columns for ``np.savez``."""
         return {"i": self.i, "j": self.j, "start": self.start, "matches": self.matches}

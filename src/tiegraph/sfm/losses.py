@@ -116,7 +116,7 @@ def no_model_text(scene: Scene, graph: ViewGraph, why: str) -> str:
         f"no model: {why}. Of {len(scene)} images {with_features} have features; {len(graph.pairs)} pairs are verified "
         f"with {int(graph.inliers.sum())} matches in all (median {_median(graph.inliers)} a pair), the largest "
         f"connected part holds {components[0] if components else 0} images. Remedies: look whether images overlap and "
-        f"the masks leave enough of them, match more pairs (network.sources = exhaustive for a small set), raise "
+        f"the masks leave enough of them, match more pairs (candidates.sources = exhaustive for a small set), raise "
         f"features.max_features, lower sparse.min_matches"
     )
 

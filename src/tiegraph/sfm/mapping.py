@@ -101,7 +101,7 @@ def believed_cameras(scene: Scene, settings: SparseSettings) -> tuple[int, ...]:
 
 
 def map_images(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -> Outcome:
-    """Start from the preview model, unless a mapper is asked for; where there is none, or what starts from it does not
+    """Start from the coarse model, unless a mapper is asked for; where there is none, or what starts from it does not
     pass the gate, map, a large survey in blocks.
 
     The start takes a half or a third of the CPU time of mapping from nothing and is as accurate (benchmarks/sfm).
@@ -112,7 +112,7 @@ def map_images(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str
         outcome = _run(job, "preview", rigs, modes, label)
         if outcome.folders:
             return _with_others(job, outcome, rigs, modes)
-        job.notes.append(f"the model could not start from the preview model: {outcome.refused}; mapped from nothing")
+        job.notes.append(f"the model could not start from the coarse model: {outcome.refused}; mapped from nothing")
     if not label and large and asked and not job.rough:
         mapper = choose_mapper(job.scene, job.settings, bool(rigs), job.tuning.mapping)
         request = replace(_request(job, mapper, rigs, modes), positions=False)
@@ -130,7 +130,7 @@ def map_images(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str
 def _as_long_as_its_rig(job: Job, outcome: Outcome, rigs: dict[int, Rig], modes: dict[int, str]) -> Outcome:
     """Map again from the poses found where their path is of quite another length than a rig that must not change says.
 
-    Cameras that look away from each other hardly tell a mapper; PandaSet's preview model was 16 times too large.
+    Cameras that look away from each other hardly tell a mapper; PandaSet's coarse model was 16 times too large.
     """
     held = [k for k in rigs if held_by_mapper(rigs[k], modes[k], job.tuning.rig)]
     if not held:

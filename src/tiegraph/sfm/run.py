@@ -26,7 +26,7 @@ from tiegraph.sfm.tuning import Tuning
 class Request:
     """What one run needs, in picklable form."""
 
-    mapper: str  # incremental, global, or preview: from the poses of the preview model
+    mapper: str  # incremental, global, or preview: from the poses of the coarse model
     seed: int  # of every random choice: the same input gives the same model
     database: Path
     images: Path | None  # for colours; None = none are wanted

@@ -14,7 +14,7 @@ class SparseSettings(Section):
     """How the images become a model: poses, points and cameras (COLMAP)."""
 
     mapper: Literal["auto", "incremental", "global"] = "auto"
-    """Mapper: incremental, global (GLOMAP); auto = start from the preview model; without one, by rig and size."""
+    """Mapper: incremental, global (GLOMAP); auto = start from the coarse model; without one, by rig and size."""
 
     rig: Literal["auto", "fixed", "refined", "absent"] = "auto"
     """Rig: fixed = as given, refined = adjusted with the model, absent = ignored, auto = fixed if calibrated."""

@@ -1,6 +1,6 @@
 """Verification of full-resolution matches by the rig and by loops of frames: ties on repeated walls are refused.
 
-A pair of images of the preview model is refused if its matches lie where no surface within reach explains them
+A pair of images of the coarse model is refused if its matches lie where no surface within reach explains them
 (``prior``): a wall that repeats along the way has the right rotation and the right epipolar lines, but impossible
 distances. An image that sees too few points to tell distances (an up camera below a bridge) is judged by the place
 that its rig gives it, at any distance. Pairs that the model does not know are judged by one motion for each pair of

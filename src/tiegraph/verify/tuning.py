@@ -83,7 +83,7 @@ class LoopTuning(Section):
 
 
 class PriorTuning(Section):
-    """Matches against the preview model (`prior.py`)."""
+    """Matches against the coarse model (`prior.py`)."""
 
     steps: int = Field(24, gt=1)
     """Distances between the nearest and the farthest at which a ray is followed."""
@@ -124,4 +124,4 @@ class Tuning(Section):
     loops: LoopTuning = LoopTuning()
     """Votes and loops."""
     prior: PriorTuning = PriorTuning()
-    """The preview model as judge."""
+    """The coarse model as judge."""

@@ -138,7 +138,7 @@ def _by_prior(work: _Work, prior: Prior | None) -> tuple[np.ndarray, np.ndarray,
     lone = Calibration.of(work.scene, by_frame=False)
     share = np.array(work.run_map(agreement, items, work.database, lone, prior, work.tuning))
     wrong = share < work.tuning.prior.min_share
-    figures = f"the preview model agrees with {len(rows) - int(wrong.sum())} of {len(rows)} pairs"
+    figures = f"the coarse model agrees with {len(rows) - int(wrong.sum())} of {len(rows)} pairs"
     if wrong.mean() > work.tuning.prior.max_refused:
         return nothing, nothing.copy(), [f"{figures}: too few, so it is not asked"]
     asked, contradicts = nothing, nothing.copy()

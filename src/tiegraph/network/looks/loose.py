@@ -16,7 +16,7 @@ from scipy.sparse import csr_array
 from tiegraph.network.looks.tuning import LooseTuning
 from tiegraph.network.looks.words import ImageWords
 from tiegraph.network.passes import PreviewBook
-from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
@@ -55,7 +55,7 @@ def scored_pairs(
     scene: Scene,
     images: np.ndarray,
     book: PreviewBook,
-    settings: NetworkSettings,
+    settings: CandidatesSettings,
     tuning: Tuning,
     words: ImageWords | None = None,
 ) -> Pairs:

@@ -21,7 +21,7 @@ from tiegraph.network.looks.tuning import WordsTuning
 from tiegraph.network.looks.words import ImageWords, image_words
 from tiegraph.network.offsets.lattice import Level
 from tiegraph.network.passes import Pass, PreviewBook, loose_images
-from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
@@ -48,7 +48,7 @@ def retrieve(
     scene: Scene,
     passes: Sequence[Pass],
     book: PreviewBook,
-    settings: NetworkSettings,
+    settings: CandidatesSettings,
     tuning: Tuning,
     descriptors: Callable[[], Sequence[np.ndarray]],
     known: Pairs | None = None,
@@ -71,7 +71,7 @@ def loop_candidates(
     passes: Sequence[Pass],
     words: ImageWords,
     book: PreviewBook,
-    settings: NetworkSettings,
+    settings: CandidatesSettings,
     tuning: Tuning,
     known: Pairs | None = None,
 ) -> RetrievalResult:

@@ -9,12 +9,12 @@ from tiegraph.network.offsets.lattice import Lattice, make_lattice
 from tiegraph.network.passes import Pass, PreviewBook
 from tiegraph.network.rig import commonview
 from tiegraph.network.rig.axes import allowed_within
-from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS, Pairs
 
 
-def constant_offsets(p: Pass, q: Pass, book: PreviewBook, settings: NetworkSettings, tuning: Tuning) -> OffsetResult:
+def constant_offsets(p: Pass, q: Pass, book: PreviewBook, settings: CandidatesSettings, tuning: Tuning) -> OffsetResult:
     """One offset a camera pair: votes on sampled frames, then every frame within the range around the winner."""
     if p is q and len(p.images) == 1:
         return OffsetResult(Pairs.empty(), (), ())
@@ -44,7 +44,7 @@ def constant_offsets(p: Pass, q: Pass, book: PreviewBook, settings: NetworkSetti
 
 
 def _vote_constant(
-    p: Pass, q: Pass, book: PreviewBook, settings: NetworkSettings, tuning: Tuning
+    p: Pass, q: Pass, book: PreviewBook, settings: CandidatesSettings, tuning: Tuning
 ) -> tuple[Lattice, tuple[str, ...]]:
     every = max(1, -(-len(q) // tuning.offsets.constant.max_columns))
     allowed = allowed_within(p.rig, settings.axes_deg) if p is q else np.ones((len(p.images), len(q.images)), bool)
@@ -99,7 +99,7 @@ def _supported(
 
 
 def _around(
-    lattice: Lattice, block: tuple[int, int, int], backwards: bool, book: PreviewBook, settings: NetworkSettings
+    lattice: Lattice, block: tuple[int, int, int], backwards: bool, book: PreviewBook, settings: CandidatesSettings
 ) -> Pairs:
     """All frames of a camera pair within the range around its offset; of these the best by preview if so set."""
     c, d, best = block

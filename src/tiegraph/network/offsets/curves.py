@@ -11,7 +11,7 @@ from tiegraph.network.offsets.surface import OffsetSurface
 from tiegraph.network.rig import commonview
 from tiegraph.network.rig.axes import angles_deg
 from tiegraph.network.rig.tuning import RigTuning
-from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import CountsTuning
 from tiegraph.scene.pairs import Pairs
 
@@ -51,7 +51,7 @@ def sampled_ranks(n: int, count: int) -> np.ndarray:
     return np.unique(np.linspace(0, n - 1, min(n, count)).round().astype(int))
 
 
-def facing(lattice: Lattice, excess: np.ndarray, settings: NetworkSettings, tuning: RigTuning) -> np.ndarray:
+def facing(lattice: Lattice, excess: np.ndarray, settings: CandidatesSettings, tuning: RigTuning) -> np.ndarray:
     """(S, T) bool: camera pairs whose axes permit a match at the heading of q against p; all, while that is unknown."""
     yaw = commonview.yaw(lattice, excess, tuning)
     if yaw is None:

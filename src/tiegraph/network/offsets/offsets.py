@@ -24,7 +24,7 @@ from tiegraph.network.passes import Pass, PreviewBook
 from tiegraph.network.rig import commonview
 from tiegraph.network.rig.axes import allowed_within
 from tiegraph.network.rig.tuning import RigTuning
-from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import CountsTuning, Tuning
 from tiegraph.scene.pairs import REASONS, Pairs
 
@@ -45,7 +45,7 @@ class _Survey:
 
 
 def estimate_offsets(
-    passes: Sequence[Pass], book: PreviewBook, images: int, settings: NetworkSettings, tuning: Tuning
+    passes: Sequence[Pass], book: PreviewBook, images: int, settings: CandidatesSettings, tuning: Tuning
 ) -> OffsetResult:
     """Candidate pairs within and between passes by the mode of ``settings.offsets``."""
     offsets = tuning.offsets
@@ -75,7 +75,7 @@ def estimate_offsets(
     return OffsetResult(pairs, curves, (*notes, *lost), surfaces)
 
 
-def _stride(p: Pass, book: PreviewBook, settings: NetworkSettings, tuning: Tuning) -> int:
+def _stride(p: Pass, book: PreviewBook, settings: CandidatesSettings, tuning: Tuning) -> int:
     """Lattice stride in frames: a share of the frames over which a typical camera keeps seeing the same things."""
     reach = []
     starts = sampled_ranks(len(p), settings.sample_frames)
@@ -109,7 +109,7 @@ def _survey(
     couple: tuple[Pass, Pass],
     grid: tuple[int, int],
     book: PreviewBook,
-    settings: NetworkSettings,
+    settings: CandidatesSettings,
     tuning: Tuning,
     budget: int,
 ) -> _Survey:
@@ -153,7 +153,7 @@ def _upper(lattice: Lattice) -> np.ndarray:
     return (c < d) | ((c == d) & (a < b))
 
 
-def _seed_same(p: Pass, stride: int, book: PreviewBook, settings: NetworkSettings, tuning: Tuning) -> Lattice:
+def _seed_same(p: Pass, stride: int, book: PreviewBook, settings: CandidatesSettings, tuning: Tuning) -> Lattice:
     """Sampled frames against the frames around them, for every two cameras that the axes permit."""
     allowed = allowed_within(p.rig, settings.axes_deg)
     level = level_within(p, allowed, book, settings.min_matches, tuning)
@@ -165,7 +165,7 @@ def _seed_same(p: Pass, stride: int, book: PreviewBook, settings: NetworkSetting
 
 
 def _seed_across(
-    couple: tuple[Pass, Pass], stride: int, book: PreviewBook, settings: NetworkSettings, tuning: Tuning, budget: int
+    couple: tuple[Pass, Pass], stride: int, book: PreviewBook, settings: CandidatesSettings, tuning: Tuning, budget: int
 ) -> tuple[Lattice, bool, np.ndarray | None]:
     """A coarse grid over both passes gives the path and the heading; then sampled frames around the path."""
     (p, q), offsets, least = couple, tuning.offsets, settings.min_matches
@@ -221,7 +221,7 @@ def _path(lattice: Lattice, weight: np.ndarray) -> np.ndarray | None:
     return np.interp(np.arange(weight.shape[0]), rows, centre)
 
 
-def _local(survey: _Survey, settings: NetworkSettings, tuning: Tuning) -> OffsetResult:
+def _local(survey: _Survey, settings: CandidatesSettings, tuning: Tuning) -> OffsetResult:
     """Pairs kept by the interpolated surface; measured pairs that were not kept, with the reason."""
     lattice, least, counts = survey.lattice, settings.min_matches, tuning.counts
     smooth = lattice.confirmed(survey.smooth, least, tuning)
@@ -264,7 +264,7 @@ def _said(lattice: Lattice, smooth: np.ndarray, min_matches: int, tuning: RigTun
 
 
 def _without_copies(
-    result: OffsetResult, lattice: Lattice, book: PreviewBook, settings: NetworkSettings, tuning: CopiesTuning
+    result: OffsetResult, lattice: Lattice, book: PreviewBook, settings: CandidatesSettings, tuning: CopiesTuning
 ) -> OffsetResult:
     """Pairs of one picture twice are dropped: they match best of all and have no base."""
     copies = find_copies(lattice, book, settings.min_matches, tuning)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.colors import BoundaryNorm, ListedColormap
@@ -14,16 +13,13 @@ from tiegraph.network.offsets.curves import OffsetCurve
 from tiegraph.network.pictures.common import DPI, png
 from tiegraph.network.pictures.funnel import funnel_png, funnel_table
 from tiegraph.network.pictures.map import map_png, weak_pairs
-from tiegraph.network.pictures.sections import draw_sections, sections_png
+from tiegraph.network.pictures.sections import sections_png
 from tiegraph.network.pictures.surfaces import surfaces_png
 from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs
 from tiegraph.scene.scene import Scene
 
-if TYPE_CHECKING:
-    from tiegraph.network.network import Network
-
 __all__ = [
-    "curves_png", "draw_sections", "funnel_png", "funnel_table", "map_png", "matrix_png", "sections_png",
+    "curves_png", "funnel_png", "funnel_table", "map_png", "matrix_png", "sections_png",
     "surfaces_png", "weak_pairs",
 ]  # fmt: skip
 MATRIX_CELLS = 1200  # cells a side at most: larger matrices are reduced by their most telling entry
@@ -106,9 +102,9 @@ def _matrix_grid(axes: object, scene: Scene, order: np.ndarray) -> None:
             axes.text(1.012 * n, (a + b) / 2, name, ha="left", va="center", fontsize=10, rotation=270)  # type: ignore[attr-defined]
 
 
-def curves_png(network: Network) -> bytes:
+def curves_png(curves: Sequence[OffsetCurve]) -> bytes:
     """Votes against frame offset, one panel for each camera pair (papers 000, 001)."""
-    curves = list(network.curves)
+    curves = list(curves)
     hidden = max(0, len(curves) - MAX_PANELS)
     # Of too many, those with the most votes are shown.
     by_votes = sorted(range(len(curves)), key=lambda k: -float(curves[k].votes.max(initial=0)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,17 +17,7 @@ from tiegraph.scene.scene import Scene
 _PANEL_IN = 2.2
 
 
-def sections_png(network: Any) -> bytes:
-    """Picture of a network: its ``scene``, ``sections`` and ``cues`` (or else ``brightness`` and ``threshold``)."""
-    cues = getattr(network, "cues", ())
-    if not cues:
-        threshold = np.full(network.scene.frames, network.threshold)
-        none = np.zeros(network.scene.frames)
-        cues = (Cue("brightness", " of 255", network.brightness, threshold, none, ""),)
-    return draw_sections(network.scene, network.sections, cues)
-
-
-def draw_sections(scene: Scene, sections: Sequence[Section], cues: Sequence[Cue]) -> bytes:
+def sections_png(scene: Scene, sections: Sequence[Section], cues: Sequence[Cue]) -> bytes:
     """One panel a cue: its values by frame, the threshold of each pass, the sections as coloured bands."""
     frames = np.lexsort((scene.step, scene.track))
     frames = frames[np.any([np.isfinite(c.values[frames]) for c in cues], axis=0)]

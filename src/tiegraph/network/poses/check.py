@@ -20,13 +20,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tiegraph.geometry import transforms
-from tiegraph.network.model.proxy import Proxy
-from tiegraph.network.model.visible import pair_share
+from tiegraph.network.coarse.proxy import Proxy
+from tiegraph.network.coarse.visible import pair_share
 from tiegraph.network.passes import Pass, PreviewBook
 from tiegraph.network.poses.headings import with_headings
 from tiegraph.network.poses.poses import PoseResult, pose_pairs, prior_views, view_cameras
 from tiegraph.network.poses.tuning import PriorTuning
-from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
@@ -64,7 +64,7 @@ def checked_pose_pairs(
     scene: Scene,
     passes: Sequence[Pass],
     book: PreviewBook,
-    settings: NetworkSettings,
+    settings: CandidatesSettings,
     tuning: Tuning,
     proxy: Proxy | None = None,
 ) -> PoseResult:
@@ -87,7 +87,7 @@ def check_prior(
     passes: Sequence[Pass],
     book: PreviewBook,
     result: PoseResult,
-    settings: NetworkSettings,
+    settings: CandidatesSettings,
     tuning: Tuning,
 ) -> PriorCheck:
     """Preview a sample of what a prior proposes and refuses, and compare with other readings of the same prior."""
@@ -252,7 +252,7 @@ def _share(
     read = scene.with_(world_from_rig=poses)
     full, headings = with_headings(read, passes, tuning)
     pose = prior_views(read, full, headings, passes).pose
-    return pair_share(transforms.invert(pose), view_cameras(scene, tuning.poses), *pairs, range_m, tuning.model)
+    return pair_share(transforms.invert(pose), view_cameras(scene, tuning.poses), *pairs, range_m, tuning.coarse)
 
 
 def _fit(share: np.ndarray, count: np.ndarray, kind: np.ndarray, enough: int) -> float:

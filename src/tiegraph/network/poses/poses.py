@@ -14,11 +14,11 @@ import numpy as np
 import pycolmap
 from scipy.spatial import cKDTree
 
-from tiegraph.network.model.visible import Overlap, Proxy, assumed_proxy, shared_surface
+from tiegraph.network.coarse.visible import Overlap, Proxy, assumed_proxy, shared_surface
 from tiegraph.network.passes import Pass
 from tiegraph.network.poses.headings import with_headings
 from tiegraph.network.poses.tuning import PosesTuning
-from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
@@ -64,7 +64,7 @@ class Views:
 
 
 def pose_pairs(
-    scene: Scene, passes: Sequence[Pass], settings: NetworkSettings, tuning: Tuning, proxy: Proxy | None = None
+    scene: Scene, passes: Sequence[Pass], settings: CandidatesSettings, tuning: Tuning, proxy: Proxy | None = None
 ) -> PoseResult:
     """Pairs of images by their prior poses; those that a test refused carry its reason.
 
@@ -90,7 +90,7 @@ def pose_pairs(
 
 
 def _notes(
-    scene: Scene, settings: NetworkSettings, reach: float, headings: np.ndarray, without: np.ndarray
+    scene: Scene, settings: CandidatesSettings, reach: float, headings: np.ndarray, without: np.ndarray
 ) -> tuple[str, ...]:
     notes = []
     if not settings.range_m:
@@ -181,7 +181,7 @@ def _wide_enough(camera: pycolmap.Camera | None, next_deg: float, tuning: PosesT
 
 
 def predicted_overlap(
-    scene: Scene, views: Views, reach: float, settings: NetworkSettings, tuning: Tuning, proxy: Proxy | None = None
+    scene: Scene, views: Views, reach: float, settings: CandidatesSettings, tuning: Tuning, proxy: Proxy | None = None
 ) -> Overlap:
     """Shared surface of all images whose poses are trusted, world by world."""
     cameras = view_cameras(scene, tuning.poses)
@@ -191,8 +191,8 @@ def predicted_overlap(
     parts = []
     for world in np.unique(views.world[views.world >= 0]):
         own = np.where((views.world == world)[:, None, None], cam_from_world, np.nan)
-        points = proxy if proxy is not None else assumed_proxy(own, cameras, reach, tuning.model)
-        parts.append(shared_surface(own, cameras, points, tuning.model.visible, settings.axes_deg, slack))
+        points = proxy if proxy is not None else assumed_proxy(own, cameras, reach, tuning.coarse)
+        parts.append(shared_surface(own, cameras, points, tuning.coarse.visible, settings.axes_deg, slack))
     columns = [np.concatenate([getattr(p, n) for p in parts]) for n in Overlap.__dataclass_fields__]
     order = np.lexsort((columns[1], columns[0]))
     return Overlap(*(c[order] for c in columns))
@@ -249,7 +249,7 @@ def _tests(
     views: Views,
     found: Overlap,
     reach: float,
-    settings: NetworkSettings,
+    settings: CandidatesSettings,
     tuning: PosesTuning,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Index into REASONS of each pair (K,), the first test that refuses it, 0 = none does; predicted overlap (K,)."""

@@ -21,7 +21,7 @@ from tiegraph.network.rig.axes import allowed_within, predicted_shift
 from tiegraph.network.rig.order import Order, in_words, orders, reordered
 from tiegraph.network.rig.sync import frame_notes, lag_notes
 from tiegraph.network.rig.tuning import AxesTuning, CheckTuning
-from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
@@ -59,7 +59,7 @@ class _Votes:
 
 
 def check_rigs(
-    scene: Scene, passes: Sequence[Pass], book: PreviewBook, settings: NetworkSettings, tuning: Tuning
+    scene: Scene, passes: Sequence[Pass], book: PreviewBook, settings: CandidatesSettings, tuning: Tuning
 ) -> tuple[Scene, tuple[str, ...]]:
     """The scene with rigs whose order, sense of rotation or roll the images contradict corrected, and what was found.
 
@@ -84,7 +84,7 @@ def check_rigs(
 
 
 def check_rig(
-    rig: Rig, passes: Sequence[Pass], book: PreviewBook, settings: NetworkSettings, tuning: Tuning
+    rig: Rig, passes: Sequence[Pass], book: PreviewBook, settings: CandidatesSettings, tuning: Tuning
 ) -> RigCheck:
     """Vote on other orders, mirrored and rolled versions of a rig with previews; a calibrated rig is never changed."""
     check, axes = tuning.rig.check, tuning.rig.axes
@@ -113,7 +113,7 @@ def check_rig(
 
 
 def _out_of_order(
-    rig: Rig, found: Sequence[Order], votes: _Votes, settings: NetworkSettings, tuning: Tuning
+    rig: Rig, found: Sequence[Order], votes: _Votes, settings: CandidatesSettings, tuning: Tuning
 ) -> RigCheck:
     """Of orders with the same neighbours the one whose sense of rotation the images show; of those the first."""
     tried = [reordered(rig, order.place)[0] for order in found]
@@ -147,7 +147,9 @@ def _variant(rig: Rig, turn: np.ndarray, mirror: bool) -> Rig:
     return replace(rig, sensors=tuple(sensors))
 
 
-def _collect(rig: Rig, passes: Sequence[Pass], book: PreviewBook, settings: NetworkSettings, tuning: Tuning) -> _Votes:
+def _collect(
+    rig: Rig, passes: Sequence[Pass], book: PreviewBook, settings: CandidatesSettings, tuning: Tuning
+) -> _Votes:
     """Previews of every two cameras in sampled frames; where next to none match, also from a frame to the next one."""
     couples = np.array([(a, b) for a in range(len(rig.sensors)) for b in range(a + 1, len(rig.sensors))])
     check = tuning.rig.check
@@ -168,7 +170,7 @@ def _collect(rig: Rig, passes: Sequence[Pass], book: PreviewBook, settings: Netw
     return _Votes(a[enough], b[enough], shift, np.array(angle, float), evidence)
 
 
-def _facing(votes: _Votes, rig: Rig, settings: NetworkSettings) -> _Votes:
+def _facing(votes: _Votes, rig: Rig, settings: CandidatesSettings) -> _Votes:
     """Votes of the cameras whose axes permit a match: on repeated walls the others match by chance."""
     use = allowed_within(rig, settings.axes_deg)[votes.a, votes.b]
     return replace(votes, a=votes.a[use], b=votes.b[use], shift=votes.shift[use], angle_deg=votes.angle_deg[use])

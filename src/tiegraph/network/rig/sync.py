@@ -14,7 +14,7 @@ import numpy as np
 from tiegraph.network.passes import Pass, PreviewBook
 from tiegraph.network.rig.axes import predicted_shift
 from tiegraph.network.rig.tuning import AxesTuning, SyncTuning
-from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.rig import Rig
 
@@ -108,7 +108,7 @@ class _Steps:
         return float(np.median(ratio)) if len(ratio) else float("nan")
 
 
-def lag_notes(passes: Sequence[Pass], book: PreviewBook, settings: NetworkSettings, tuning: Tuning) -> list[str]:
+def lag_notes(passes: Sequence[Pass], book: PreviewBook, settings: CandidatesSettings, tuning: Tuning) -> list[str]:
     """Cameras that by the images run some frames late or early against the others, one note a camera and lag.
 
     In most surveys only the same frames are looked at; other offsets where those look odd, and for a stereo rig.
@@ -143,7 +143,7 @@ def _neighbours(rig: Rig, near_deg: float) -> np.ndarray:
 
 
 def _measured(
-    p: Pass, couples: np.ndarray, longest: int, book: PreviewBook, settings: NetworkSettings, tuning: Tuning
+    p: Pass, couples: np.ndarray, longest: int, book: PreviewBook, settings: CandidatesSettings, tuning: Tuning
 ) -> _Steps:
     some = tuning.rig.sync.lag_frames
     frames = np.unique(np.linspace(longest, len(p) - 1 - longest, some).round().astype(int))

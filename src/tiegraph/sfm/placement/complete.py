@@ -53,7 +53,7 @@ def _place_missing(work: Repair, image_ids: dict[int, int], descriptors: Descrip
         if unit.bound or len(unit.images) == 1:
             where = predicted(unit.frame, here.poses, work.preview, scene, tuning.predict)
         if where is None:
-            done.why.update(dict.fromkeys(unit.images, "neither a preview model nor neighbours say where it stands"))
+            done.why.update(dict.fromkeys(unit.images, "neither a coarse model nor neighbours say where it stands"))
             continue
         found = _search(work, unit, where, here.seen, descriptors)
         placed = place(rows_of(found, work.verified, here.seen), *mounts(work, unit.images), tuning)

@@ -1,4 +1,4 @@
-"""Where a frame should stand that no match has placed: by the preview model, or by its neighbours on the pass."""
+"""Where a frame should stand that no match has placed: by the coarse model, or by its neighbours on the pass."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def predicted(
     if preview is not None and np.isfinite(preview[frame]).all():
         found = _by_preview(frame, poses, preview, known, tuning)
         if found is not None:
-            return Predicted(found, tuning.by_preview_rad, "poses of the preview model")
+            return Predicted(found, tuning.by_preview_rad, "poses of the coarse model")
     found = _by_pass(frame, poses, scene, known, tuning.away_steps)
     return None if found is None else Predicted(found, tuning.by_pass_rad, "its neighbours on the pass")
 

@@ -32,7 +32,7 @@ class Repair:
     model: pycolmap.Reconstruction
     scene: Scene
     verified: Verified
-    preview: np.ndarray | None  # (F, 4, 4) world_from_rig of the preview model, units of its own
+    preview: np.ndarray | None  # (F, 4, 4) world_from_rig of the coarse model, units of its own
     tuning: PlacementTuning
     moved: list[tuple[int, float, str]] = field(default_factory=list)  # frame, how far, why
     left_out: list[tuple[int, str]] = field(default_factory=list)

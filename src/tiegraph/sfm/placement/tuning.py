@@ -94,13 +94,13 @@ class PredictTuning(Section):
     """Where a frame should stand that no match has placed (`predict.py`)."""
 
     neighbours: int = Field(8, gt=0)
-    """Frames whose poses carry those of the preview model over: what it drifts, it drifts slowly."""
+    """Frames whose poses carry those of the coarse model over: what it drifts, it drifts slowly."""
     least_frames: int = Field(3, ge=2)
-    """Placed frames of the preview model below which it predicts nothing."""
+    """Placed frames of the coarse model below which it predicts nothing."""
     away_steps: int = Field(4, gt=0)
     """Steps to a neighbour on the pass at most."""
     by_preview_rad: float = Field(0.01, gt=0)
-    """How far off a point may be seen of a frame that the preview model places."""
+    """How far off a point may be seen of a frame that the coarse model places."""
     by_pass_rad: float = Field(0.04, gt=0)
     """How far off a point may be seen of a frame that its neighbours on the pass place."""
 

@@ -1,6 +1,6 @@
 """A model started from poses that are roughly known, instead of mapped from nothing.
 
-The start takes the poses of the preview model, triangulates the full-resolution matches from them and adjusts in
+The start takes the poses of the coarse model, triangulates the full-resolution matches from them and adjusts in
 three rounds (``rounds``): poses; then rig, focal length and distortion; then principal points.
 
 Before that, the length of the path is checked against a rig that must not change (``scale``): the matches tell it,

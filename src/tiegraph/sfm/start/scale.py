@@ -1,7 +1,7 @@
 """Is the path as long as the rig says? The length of a path against the baselines of a rig that must not change.
 
 A model made of few ties can have both right but for their ratio: of cameras that look away from each other it is hardly
-seen (PandaSet: the path of a preview model 16 times too long, with nothing in its errors to tell). Bundle adjustment
+seen (PandaSet: the path of a coarse model 16 times too long, with nothing in its errors to tell). Bundle adjustment
 does not get out of that. The scale is one number, and every match between frames votes for it: by the angle of its ray
 to the other's epipolar plane, as a function of the scale.
 """

@@ -1,4 +1,4 @@
-"""The preview model: a small model of the survey, made of previews, says which images see the same surface.
+"""The coarse model: a small model of the survey, made of previews, says which images see the same surface.
 
 Counts of preview matches cannot tell true ties from repeated walls: on ``canal`` (rendered, repeated facades) 40 % of
 the pairs that share nothing reach the count of those that do. Geometry can. The best pairs of each image make a small
@@ -8,7 +8,6 @@ count wherever the model is trusted.
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -16,66 +15,126 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
-from tiegraph.network.model.assembled import SurveyMapper
-from tiegraph.network.model.surveymodel import Maker, SurveyModel
-from tiegraph.network.model.trust import Trust, trust
-from tiegraph.network.model.tuning import ModelTuning
-from tiegraph.network.model.visible import Overlap
+from tiegraph.network.coarse.assembled import Assembled
+from tiegraph.network.coarse.model import CoarseModel
+from tiegraph.network.coarse.trust import Trust, trust
+from tiegraph.network.coarse.tuning import CoarseTuning
+from tiegraph.network.coarse.visible import Overlap
 from tiegraph.network.offsets.curves import contained
 from tiegraph.network.passes import PreviewBook
-from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.settings import CandidatesSettings, CoarseSettings
+from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.rig import Rig, calibrated, camera_from_dict, camera_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.strongest import strongest_pairs
 from tiegraph.scene.ties import Ties
 
-NO_MODEL = "preview model: none could be made; pairs are chosen by preview counts alone"
-
-log = logging.getLogger(__name__)
+NO_MODEL = "coarse model: none could be made; pairs are chosen by preview counts alone"
 
 
 @dataclass(frozen=True)
-class ModelResult:
-    """Pairs judged by the model, the model (None: there is none to believe), and what people should know."""
+class Coarse:
+    """Pairs judged by the coarse model, the model (None: there is none to believe), and what people should know."""
 
     pairs: Pairs
     scene: Scene  # with the rig as the model found it
-    model: SurveyModel | None
-    notes: tuple[str, ...]
+    model: CoarseModel | None
     trusted: np.ndarray  # (N,) bool: images where the model is believed
+    notes: tuple[str, ...] = ()
 
 
-def by_model(
-    pairs: Pairs, scene: Scene, book: PreviewBook, settings: NetworkSettings, tuning: ModelTuning, make: Maker
-) -> ModelResult:
-    """Pairs by the predicted shared surface where a model of the best ties is trusted, unchanged elsewhere.
+class Search:
+    """The search for a coarse model that is sound and agrees with most ties everywhere, one try after another.
 
-    Kept pairs that share less than ``settings.min_overlap`` are dropped for ``overlap``; all others that share as much
-    are added with the source ``model``.
+    ``wanted`` says which ties the next try is made of; who maps them hands the models to ``take``; ``result`` judges
+    the candidate pairs by the best try. Where stretches of passes contradict each other, as if one had been put a wall
+    too far, the ties that drew it there are left out of the next try (``trust``); after a model that is not sound for
+    other reasons the next is made of more pairs, after one that only turns a camera too far of more of those that were
+    previewed.
     """
-    tries = _tries(pairs, scene, book, settings, tuning, make)
-    best = max(tries, key=lambda t: (t.right(), not t.loose(tries, tuning).any(), t.trust.explained))
-    said = (f"preview model: made {len(tries)} times, {tries[0].wrong()}",) if len(tries) > 1 else ()
-    if not best.models:
-        return ModelResult(pairs, scene, None, (NO_MODEL, *best.notes), np.zeros(len(scene), bool))
-    loose = best.loose(tries, tuning)
-    trusted = best.trust.images & ~loose[scene.sensor_key]
-    judged = _judged(pairs, best.overlap, np.where(trusted, best.part, -1), settings)
-    judged = judged.drop(_never_tied(judged, scene, book, settings, tuning), "votes")
-    model = best.models[0]
-    notes = (*_notes(scene, best), *best.notes, *said, *_loose_notes(scene, loose, best.turned))
-    if model.placed().sum() < tuning.calibrates * len(scene):
-        return ModelResult(judged, scene, model, notes, trusted)
-    rigs, moved = calibrated_rigs(scene.rigs, model.rigs, tuning.most_focal, loose)
-    return ModelResult(judged, scene.with_(rigs=rigs), model, notes + moved, trusted)
+
+    def __init__(
+        self,
+        candidates: tuple[Pairs, Scene],
+        book: PreviewBook,
+        settings: tuple[CandidatesSettings, CoarseSettings],
+        tuning: CoarseTuning,
+    ) -> None:
+        self._pairs, self._scene = candidates
+        self._book, self._tuning = book, tuning
+        self._settings, self._per_image = settings[0], float(settings[1].pairs_per_image)
+        self._without = np.zeros(0, np.int64)
+        self._tries: list[_Try] = []
+        self._over = False
+
+    def wanted(self) -> Ties | None:
+        """The ties that the next model is to be made of; None: it is not worth a further try."""
+        if self._over or len(self._tries) >= self._tuning.tries:
+            return None
+        best = strongest_pairs(self._pairs, self._scene, round(self._per_image))
+        if any(t.right() for t in self._tries):  # only a camera was turned too far: no reason to look at more
+            best = best.where(np.isfinite(self._book.known(best.i, best.j)))
+        return _ties(best, self._book, self._without, self._tuning.tie_matches)
+
+    def take(self, ties: Ties, made: Assembled) -> None:
+        """Judge the models made of the ties that were wanted."""
+        tried = self._tried(ties, made)
+        self._tries.append(tried)
+        suspects = _key(*tried.trust.suspects)
+        self._over = not tried.models or (tried.right() and not tried.loose(self._tries, self._tuning).any())
+        if len(suspects):
+            self._without = np.union1d(self._without, suspects)
+        else:
+            self._per_image *= self._tuning.more_pairs
+
+    def result(self) -> Coarse:
+        """The candidate pairs by the predicted shared surface where the best model is trusted, unchanged elsewhere.
+
+        Kept pairs that share less than ``candidates.min_overlap`` are dropped for ``overlap``; all others that share as
+        much are added with the source ``model``.
+        """
+        pairs, scene, tuning, tries = self._pairs, self._scene, self._tuning, self._tries
+        best = max(tries, key=lambda t: (t.right(), not t.loose(tries, tuning).any(), t.trust.explained))
+        said = (f"coarse model: made {len(tries)} times, {tries[0].wrong()}",) if len(tries) > 1 else ()
+        if not best.models:
+            return Coarse(pairs, scene, None, np.zeros(len(scene), bool), (NO_MODEL, *best.notes))
+        loose = best.loose(tries, tuning)
+        trusted = best.trust.images & ~loose[scene.sensor_key]
+        judged = _judged(pairs, best.overlap, np.where(trusted, best.part, -1), self._settings)
+        judged = judged.drop(_never_tied(judged, scene, self._book, self._settings, tuning), "votes")
+        model = best.models[0]
+        notes = (*_notes(scene, best), *best.notes, *said, *_loose_notes(scene, loose, best.turned))
+        if model.placed().sum() < tuning.calibrates * len(scene):
+            return Coarse(judged, scene, model, trusted, notes)
+        rigs, moved = calibrated_rigs(scene.rigs, model.rigs, tuning.most_focal, loose)
+        return Coarse(judged, scene.with_(rigs=rigs), model, trusted, notes + moved)
+
+    def _tried(self, ties: Ties, made: Assembled) -> _Try:
+        scene, models = self._scene, made.models
+        part = np.full(len(scene), -1)
+        if not models:
+            none = np.zeros(len(scene.all_sensors))
+            return _Try((), part, Overlap.together(()), Trust.none(len(scene)), len(ties), made.notes, none)
+        for k, one in enumerate(models):
+            part[one.placed()] = k
+        overlap = Overlap.together([one.overlap(self._settings.axes_deg, self._tuning) for one in models])
+        believed = trust(scene, self._book, overlap, part, self._settings, self._tuning.trust)
+        return _Try(models, part, overlap, believed, len(ties), made.notes, _turned_deg(scene.rigs, models[0].rigs))
+
+
+def worth_a_model(scene: Scene, settings: tuple[CandidatesSettings, CoarseSettings], tuning: Tuning) -> bool:
+    """Whether candidates are judged by a coarse model: not those of so few photographs that all are compared, nor
+    those that a user listed."""
+    asked, own = settings
+    return own.method != "off" and asked.uses_axes() and len(scene) > tuning.sources.few_photos
 
 
 @dataclass(frozen=True)
 class _Try:
     """Models made of the best previews, none of which shares an image with another, and how far they are believed."""
 
-    models: tuple[SurveyModel, ...]
+    models: tuple[CoarseModel, ...]
     part: np.ndarray  # (N,) number of the model that holds an image, -1 = none
     overlap: Overlap
     trust: Trust
@@ -83,7 +142,7 @@ class _Try:
     notes: tuple[str, ...]
     turned: np.ndarray  # (S,) degrees by which the first model turns the nominal mounting of a sensor, 0 = not nominal
 
-    def loose(self, tries: Sequence[_Try], tuning: ModelTuning) -> np.ndarray:
+    def loose(self, tries: Sequence[_Try], tuning: CoarseTuning) -> np.ndarray:
         """(S,) bool: sensors turned further than a mounting is guessed wrong, and not so in another try: few points
         hold them (four of nine models of ``canal_demo`` turned the up camera by 55 deg, the others by 1)."""
         out = self.turned > tuning.most_turn_deg
@@ -100,56 +159,12 @@ class _Try:
         return bool(self.models) and self.trust.sound and not len(self.trust.suspects[0])
 
 
-def _tries(
-    pairs: Pairs, scene: Scene, book: PreviewBook, settings: NetworkSettings, tuning: ModelTuning, make: Maker
-) -> list[_Try]:
-    """Models until one is sound and agrees with most ties everywhere.
-
-    Where stretches of passes contradict each other, as if one had been put a wall too far, the ties that drew it there
-    are left out the next time (``trust``); a model that is not sound for other reasons is made of more pairs, one that
-    only turns a camera too far of more of those that were previewed.
-    """
-    tries: list[_Try] = []
-    mapper = SurveyMapper(scene, tuning, make)
-    per_image, without = float(settings.model_pairs), np.zeros(0, np.int64)
-    while len(tries) < tuning.tries:
-        best = strongest_pairs(pairs, scene, round(per_image))
-        if any(t.right() for t in tries):  # only a camera was turned too far: no reason to look at more
-            best = best.where(np.isfinite(book.known(best.i, best.j)))
-        ties = _ties(best, book, without, tuning.tie_matches)
-        made = _try(ties, scene, book, settings, tuning, mapper)
-        tries.append(made)
-        suspects = _key(*made.trust.suspects)
-        if not made.models or (made.right() and not made.loose(tries, tuning).any()):
-            break
-        if len(suspects):
-            without = np.union1d(without, suspects)
-        else:
-            per_image *= tuning.more_pairs
-    return tries
-
-
 def _ties(best: Pairs, book: PreviewBook, without: np.ndarray, least: int) -> Ties:
     """The preview matches of the best pairs, those whose keys (K,) are not to be used left out."""
     book.measure(best.i, best.j)
     ties = book.ties()
     key = _key(ties.i, ties.j)
     return ties.where(np.isin(key, _key(best.i, best.j)) & ~np.isin(key, without) & (ties.counts() >= least))
-
-
-def _try(
-    ties: Ties, scene: Scene, book: PreviewBook, settings: NetworkSettings, tuning: ModelTuning, mapper: SurveyMapper
-) -> _Try:
-    models, notes = mapper(ties) if len(ties) else ((), ())
-    part = np.full(len(scene), -1)
-    if not models:
-        none = np.zeros(len(scene.all_sensors))
-        return _Try((), part, Overlap.together(()), Trust.none(len(scene)), len(ties), notes, none)
-    for k, one in enumerate(models):
-        part[one.placed()] = k
-    overlap = Overlap.together([one.overlap(settings.axes_deg, tuning) for one in models])
-    believed = trust(scene, book, overlap, part, settings, tuning.trust)
-    return _Try(models, part, overlap, believed, len(ties), notes, _turned_deg(scene.rigs, models[0].rigs))
 
 
 def _turned_deg(given: Sequence[Rig], found: Sequence[Rig]) -> np.ndarray:
@@ -218,7 +233,7 @@ def _better_camera(
     return camera_from_dict({**(camera_to_dict(found) or {}), "prior_focal": False})
 
 
-def _judged(pairs: Pairs, overlap: Overlap, part: np.ndarray, settings: NetworkSettings) -> Pairs:
+def _judged(pairs: Pairs, overlap: Overlap, part: np.ndarray, settings: CandidatesSettings) -> Pairs:
     """Pairs by the overlap, where both images are trusted and in one part (N,) of the model; -1 = not trusted."""
     both = (part[pairs.i] >= 0) & (part[pairs.i] == part[pairs.j])
     share = np.where(both, overlap.between(pairs.i, pairs.j), np.nan)
@@ -230,7 +245,7 @@ def _judged(pairs: Pairs, overlap: Overlap, part: np.ndarray, settings: NetworkS
 
 
 def _never_tied(
-    pairs: Pairs, scene: Scene, book: PreviewBook, settings: NetworkSettings, tuning: ModelTuning
+    pairs: Pairs, scene: Scene, book: PreviewBook, settings: CandidatesSettings, tuning: CoarseTuning
 ) -> np.ndarray:
     """(P,) bool: pairs of two cameras that the model says share surface and whose previews say never match.
 
@@ -254,7 +269,7 @@ def _loose_notes(scene: Scene, loose: np.ndarray, turned: np.ndarray) -> tuple[s
     if not loose.any():
         return ()
     names = ", ".join(f"{scene.all_sensors[k].name} ({turned[k]:.0f} deg)" for k in np.flatnonzero(loose))
-    return (f"preview model: not believed for {names}, turned so far from nominal; there the preview counts decide",)
+    return (f"coarse model: not believed for {names}, turned so far from nominal; there the preview counts decide",)
 
 
 def _notes(scene: Scene, made: _Try) -> tuple[str, ...]:
@@ -263,13 +278,13 @@ def _notes(scene: Scene, made: _Try) -> tuple[str, ...]:
     size = f"{int(placed.sum())} of {len(scene)} images, {points} points from {made.ties} pairs"
     share = made.trust.agreement
     agrees = "" if np.isnan(share) else f"; {100 * share:.0f} % of the strong previews of near frames agree with it"
-    notes = [f"preview model: {size}{agrees}"]
+    notes = [f"coarse model: {size}{agrees}"]
     doubtful = np.unique(scene.frame[placed & ~trusted])
     if len(doubtful):
         names = [scene.names[int(np.argmax(scene.frame == f))] for f in doubtful[:5]]
         more = f" and {len(doubtful) - 5} more" if len(doubtful) > 5 else ""
         notes.append(
-            f"preview model: not believed at {len(doubtful)} frames, where it contradicts their neighbours or is torn "
+            f"coarse model: not believed at {len(doubtful)} frames, where it contradicts their neighbours or is torn "
             f"from the rest (with {', '.join(names)}{more}); there the preview counts decide"
         )
     return tuple(notes)

@@ -1,25 +1,24 @@
-"""A small model of the survey, made of previews: poses, cameras, points, and who sees them."""
+"""The coarse model of a survey or of a block of it, made of previews: poses, cameras, points, and who sees them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
-from tiegraph.network.model.proxy import Proxy
-from tiegraph.network.model.tuning import ModelTuning, ProxyTuning
-from tiegraph.network.model.visible import Overlap, observed_proxy, shared_surface, visible_points
-from tiegraph.scene.rig import Rig
-from tiegraph.scene.scene import Scene
-from tiegraph.scene.ties import Sights, Ties
-from tiegraph.scene.tuning import Tuning as SceneTuning
+from tiegraph.network.coarse.proxy import Proxy
+from tiegraph.network.coarse.tuning import CoarseTuning, ProxyTuning
+from tiegraph.network.coarse.visible import Overlap, observed_proxy, shared_surface, visible_points
+from tiegraph.scene.rig import Rig, camera_from_dict, camera_to_dict, rig_from_dict, rig_to_dict
+from tiegraph.scene.ties import Sights
 
 
 @dataclass(frozen=True)
-class SurveyModel:
+class CoarseModel:
     """A model of the survey in its own frame and units.
 
     cam_from_world (N, 4, 4), NaN = not in the model; cameras: one an image; points (P, 3); image (M,), point (M,):
@@ -37,7 +36,7 @@ class SurveyModel:
         """(N,) bool: images in the model."""
         return np.isfinite(self.cam_from_world).all(axis=(1, 2))
 
-    def reach(self, tuning: ModelTuning) -> np.ndarray:
+    def reach(self, tuning: CoarseTuning) -> np.ndarray:
         """(N, 2) distances to the nearest and farthest points an image sees (percentiles); NaN without points."""
         centre = transforms.centre(self.cam_from_world)
         distance = np.linalg.norm(self.points[self.point] - centre[self.image], axis=1)
@@ -52,24 +51,33 @@ class SurveyModel:
         """Its points as the surface."""
         return observed_proxy(self.points, self.image, self.point, self.cam_from_world, tuning)
 
-    def overlap(self, max_angle_deg: float, tuning: ModelTuning) -> Overlap:
+    def overlap(self, max_angle_deg: float, tuning: CoarseTuning) -> Overlap:
         """Predicted shared surface of every two images whose rays to it meet at no more than an angle."""
         proxy = self.proxy(tuning.proxy)
         return shared_surface(self.cam_from_world, self.cameras, proxy, tuning.visible, max_angle_deg)
 
-    def sights(self, tuning: ModelTuning) -> Sights:
+    def sights(self, tuning: CoarseTuning) -> Sights:
         """The points each image should see."""
         return visible_points(self.cam_from_world, self.cameras, self.proxy(tuning.proxy), tuning.visible)
 
+    def to_npz(self) -> dict[str, np.ndarray]:
+        """Arrays for ``np.savez``: all of it, exactly; cameras and rigs as JSON."""
+        words = [json.dumps(camera_to_dict(c)) for c in self.cameras]
+        kinds = list(dict.fromkeys(words))
+        return {
+            "cam_from_world": self.cam_from_world,
+            "points": self.points,
+            "image": self.image,
+            "point": self.point,
+            "cameras": np.array(kinds, str),
+            "camera": np.array([kinds.index(w) for w in words], np.int32),
+            "rigs": np.array([json.dumps(rig_to_dict(r)) for r in self.rigs], str),
+        }
 
-# Scene and ties of the survey, or of a block of it; whether a rough model will do. None = none could be made.
-ModelFunction = Callable[[Scene, Ties, bool], SurveyModel | None]
-
-
-@dataclass(frozen=True)
-class Maker:
-    """Makes the models of a survey, whole or in blocks: ``model`` one of them, ``tuning`` by what it is cut and
-    joined."""
-
-    model: ModelFunction
-    tuning: SceneTuning
+    @staticmethod
+    def from_npz(data: Mapping[str, np.ndarray]) -> CoarseModel:
+        """Inverse of ``to_npz``."""
+        kinds = [camera_from_dict(json.loads(str(c))) for c in data["cameras"]]
+        rigs = tuple(rig_from_dict(json.loads(str(r))) for r in data["rigs"])
+        cameras = tuple(kinds[k] for k in data["camera"])
+        return CoarseModel(data["cam_from_world"], cameras, data["points"], data["image"], data["point"], rigs)

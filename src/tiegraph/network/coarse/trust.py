@@ -1,6 +1,6 @@
-"""Where the preview model is believed: where it explains the strong previews, first of all those of near frames.
+"""Where the coarse model is believed: where it explains the strong previews, first of all those of near frames.
 
-A preview model can tear, or fold one place onto a wall like it, without any error of its own. Frames that follow each
+A coarse model can tear, or fold one place onto a wall like it, without any error of its own. Frames that follow each
 other always tie. Where the model contradicts their ties it is cut into stretches; the fewest matches that still hold
 torn stretches together are taken to be false (minimum cut), and the model is made again without them. The model can
 also turn a camera that few points hold, by tens of degrees: where a nominal mounting would be off by more than 15, a
@@ -16,10 +16,10 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
-from tiegraph.network.model.tuning import TrustTuning
-from tiegraph.network.model.visible import Overlap
+from tiegraph.network.coarse.tuning import TrustTuning
+from tiegraph.network.coarse.visible import Overlap
 from tiegraph.network.passes import PreviewBook
-from tiegraph.network.settings import NetworkSettings
+from tiegraph.network.settings import CandidatesSettings
 from tiegraph.scene.graph import parts
 from tiegraph.scene.scene import Scene
 
@@ -51,7 +51,7 @@ def trust(
     book: PreviewBook,
     overlap: Overlap,
     part: np.ndarray,
-    settings: NetworkSettings,
+    settings: CandidatesSettings,
     tuning: TrustTuning,
 ) -> Trust:
     """How far a model is believed. ``part`` (N,): the part of it that holds an image, -1 = none.

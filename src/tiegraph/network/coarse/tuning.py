@@ -1,4 +1,4 @@
-"""What the room model decides by: each constant with its unit, its meaning and where its value comes from."""
+"""What the room coarse decides by: each constant with its unit, its meaning and where its value comes from."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class ProxyTuning(Section):
 
 
 class TrustTuning(Section):
-    """Where the preview model is believed (`trust.py`).
+    """Where the coarse model is believed (`trust.py`).
 
     `suspect` and `linked` are shares of the matches in strong previews between two stretches of passes. On canal the
     truth explains 0.72 of those between its two passes, the rest are repeated walls; models that put one pass a few
@@ -81,8 +81,8 @@ class TrustTuning(Section):
     """Below: the two are not where the model has them."""
 
 
-class ModelTuning(Section):
-    """The preview model (`survey.py`, `surveymodel.py`)."""
+class CoarseTuning(Section):
+    """The coarse model (`search.py`, `model.py`)."""
 
     tie_matches: int = Field(15, gt=0)
     """Preview matches of a tie of the model."""

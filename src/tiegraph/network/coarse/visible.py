@@ -1,6 +1,6 @@
 """Which images see the same surface: overlap predicted from poses and a proxy of the scene, in linear time.
 
-The proxy is a set of points: of a preview model or an earlier one, or made from poses alone at an assumed range
+The proxy is a set of points: of a coarse model or an earlier one, or made from poses alone at an assumed range
 (paper 003). A point is visible in an image if it projects into it, is not behind a nearer point of its image cell, is
 not seen from behind, and not from much further than by those that observed it. The share of i that j sees gives each
 occupied cell of i one vote, so that a cluster of points on one facade does not stand for the whole image.
@@ -17,9 +17,9 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from tiegraph.geometry import transforms
-from tiegraph.network.model.proxy import Proxy, assumed_proxy, observed_proxy, points_proxy
-from tiegraph.network.model.tuning import ModelTuning, VisibleTuning
-from tiegraph.network.model.view import View
+from tiegraph.network.coarse.proxy import Proxy, assumed_proxy, observed_proxy, points_proxy
+from tiegraph.network.coarse.tuning import CoarseTuning, VisibleTuning
+from tiegraph.network.coarse.view import View
 from tiegraph.scene.ties import Sights
 
 __all__ = ["Overlap", "Proxy", "assumed_proxy", "observed_proxy", "points_proxy", "shared_surface"]
@@ -353,7 +353,7 @@ def pair_share(
     i: np.ndarray,
     j: np.ndarray,
     range_m: float,
-    tuning: ModelTuning,
+    tuning: CoarseTuning,
 ) -> np.ndarray:
     """(K,) predicted overlap of a few given pairs by poses alone, at an assumed range; NaN where a pose is unknown.
 

@@ -9,8 +9,8 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
-from tiegraph.network.model.tuning import ModelTuning, ProxyTuning
-from tiegraph.network.model.view import View
+from tiegraph.network.coarse.tuning import CoarseTuning, ProxyTuning
+from tiegraph.network.coarse.view import View
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def assumed_proxy(
     cam_from_world: np.ndarray,
     cameras: Sequence[pycolmap.Camera | None],
     range_m: float | np.ndarray,
-    tuning: ModelTuning,
+    tuning: CoarseTuning,
 ) -> Proxy:
     """Proxy from poses alone (paper 003): points on a grid of rays of every image, about an assumed range.
 

@@ -1,1 +1,0 @@
-"""The preview model of the survey and the surface its images share."""

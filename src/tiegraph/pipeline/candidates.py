@@ -1,0 +1,51 @@
+"""Glue of candidates: which images may tie, by previews and priors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tiegraph.network.candidates import find_candidates
+from tiegraph.network.passes import PreviewBook
+from tiegraph.pipeline.files import save_npz, scanned
+from tiegraph.pipeline.preview import read_preview
+from tiegraph.pipeline.previews import Matcher
+from tiegraph.project.run import Run
+from tiegraph.project.stages import Outcome, write_atomic
+from tiegraph.scene.scene import Scene
+
+MATCHED = "candidates/matched"  # what was previewed, while the stage runs
+
+
+def candidates(run: Run) -> Outcome:
+    """Candidate pairs from every source, judged by previews; the order of passes and the rig checked by them."""
+    scene = scanned(run)
+    matcher = Matcher(run, MATCHED)
+    descriptors = partial(_Descriptors, run.folder, scene)
+    settings, tuning = run.settings.candidates, run.settings.tuning.network
+    found = find_candidates(scene, PreviewBook(matcher, len(scene)), settings, tuning, descriptors)
+    save_npz(run.path("candidates.npz"), **found.pairs.to_npz())
+    save_npz(run.path("candidates", "ties.npz"), **found.ties.to_npz())
+    write_atomic(run.path("candidates", "scene.json"), found.scene.to_json())
+    for name, picture in found.pictures():
+        write_atomic(run.path("candidates", f"{name}.png"), picture)
+    matcher.forget()
+    counts = {"previews": len(found.ties), "candidates": len(found.pairs), "kept": len(found.pairs.kept())}
+    return Outcome(counts, notes=found.notes)
+
+
+class _Descriptors(Sequence[np.ndarray]):
+    """Descriptors (K, 128) u1 of every image, read when asked for: those of thousands of images would fill memory."""
+
+    def __init__(self, folder: Path, scene: Scene) -> None:
+        self._folder, self._names = folder, scene.names
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __getitem__(self, image: Any) -> Any:
+        return read_preview(self._folder, self._names[image]).descriptors

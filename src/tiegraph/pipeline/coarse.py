@@ -1,0 +1,147 @@
+"""Glue of coarse: a model of the survey made of previews, and what it says of the candidate pairs.
+
+The engine ``network`` says which ties to map and what to believe of the models; the engine ``sfm`` maps them, block by
+block. A finished block is kept until the stage is done, under a key of its images and ties: a killed stage goes on with
+the next block, and a try whose ties changed in one block maps only that one again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from typing import cast
+
+import numpy as np
+import pycolmap
+
+from tiegraph.errors import ReconstructionError
+from tiegraph.features.preview_database import write_preview_database
+from tiegraph.network.coarse.assembled import Assembled, assembled, is_whole
+from tiegraph.network.coarse.model import CoarseModel
+from tiegraph.network.coarse.search import Coarse, Search, worth_a_model
+from tiegraph.network.passes import PreviewBook
+from tiegraph.pipeline.files import load_npz, load_scene, pairs_of, save_npz, ties_of
+from tiegraph.pipeline.preview import read_preview
+from tiegraph.pipeline.previews import Matcher
+from tiegraph.project.run import Run
+from tiegraph.project.stages import Outcome, remove, write_atomic
+from tiegraph.scene.blocks import Block, blocks_of
+from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.scene import Scene
+from tiegraph.scene.ties import Ties
+from tiegraph.sfm.mapper import Source, reconstruct
+from tiegraph.sfm.model import image_poses, model_rigs, tracks
+from tiegraph.sfm.settings import SparseSettings
+
+BLOCKS, MAPPING, MATCHED = "coarse/blocks", "coarse/mapping", "coarse/matched"  # only while the stage runs
+
+log = logging.getLogger(__name__)
+
+
+def coarse(run: Run) -> Outcome:
+    """The candidate pairs judged by a coarse model of the survey, where one is worth making and is believed."""
+    pairs, ties = pairs_of(run, "candidates.npz"), ties_of(run, "candidates")
+    scene = load_scene(run.path("candidates", "scene.json"))
+    matcher = Matcher(run, MATCHED)
+    book = PreviewBook(matcher, len(scene), ties)
+    found = judged_by_model(run, (pairs, scene), book)
+    save_npz(run.path("coarse.npz"), **found.pairs.to_npz())
+    save_npz(run.path("coarse", "ties.npz"), **book.ties().to_npz())
+    write_atomic(run.path("coarse", "scene.json"), found.scene.to_json())
+    counts = {"previews": len(book) - len(ties), "candidates": len(found.pairs), "kept": len(found.pairs.kept())}
+    if found.model is not None:
+        poses, tuning = found.model.cam_from_world, run.settings.tuning.network.coarse
+        reach = found.model.reach(tuning)
+        save_npz(run.path("coarse", "model.npz"), cam_from_world=poses, reach=reach, trusted=found.trusted)
+        save_npz(run.path("coarse", "sights.npz"), **found.model.sights(tuning).to_npz())
+        counts |= {"images": int(found.model.placed().sum()), "trusted": int(found.trusted.sum())}
+    remove(run.path(*BLOCKS.split("/")))
+    matcher.forget()
+    return Outcome(counts, notes=found.notes)
+
+
+def judged_by_model(run: Run, candidates: tuple[Pairs, Scene], book: PreviewBook) -> Coarse:
+    """Candidate pairs of a scene judged by the best coarse model; as they were, where none is worth making."""
+    pairs, scene = candidates
+    settings, tuning = (run.settings.candidates, run.settings.coarse), run.settings.tuning.network
+    if not worth_a_model(scene, settings, tuning):
+        return Coarse(pairs, scene, None, np.zeros(len(scene), bool))
+    search, mapper = Search(candidates, book, settings, tuning.coarse), _Mapper(run, scene)
+    while (wanted := search.wanted()) is not None:
+        search.take(wanted, mapper.mapped(wanted))
+    return search.result()
+
+
+class _Mapper:
+    """Maps ties of a survey in blocks, which stay as they were cut the first time."""
+
+    def __init__(self, run: Run, scene: Scene) -> None:
+        self._run, self._scene = run, scene
+        self._blocks: tuple[Block, ...] = ()
+
+    def mapped(self, ties: Ties) -> Assembled:
+        """The models of all blocks, joined; none of no ties."""
+        if not len(ties):
+            return Assembled(())
+        run, scene, tuning = self._run, self._scene, self._run.settings.tuning
+        self._blocks = self._blocks or blocks_of(scene, ties, tuning.scene.blocks)
+        models = []
+        for number, block in enumerate(self._blocks):
+            run.reporter.total(len(self._blocks), number)
+            model = self._of_block(block, ties)
+            placed = 0 if model is None else int(model.placed().sum())
+            log.info("block %d of %d: %d of %d images", number + 1, len(self._blocks), placed, len(block))
+            models.append(model)
+        return assembled(scene, self._blocks, models, tuning.network.coarse, tuning.scene.joining)
+
+    def _of_block(self, block: Block, ties: Ties) -> CoarseModel | None:
+        """The model of a block: that of an earlier try, or of a run that was interrupted, if its ties are the same."""
+        whole = is_whole(self._blocks, self._scene)
+        part, inside = (self._scene, ties) if whole else block.part_of(self._scene, ties)
+        kept = self._run.path(*BLOCKS.split("/"), f"{_key(block, inside)}.npz")
+        if kept.exists():
+            data = load_npz(kept)
+            return CoarseModel.from_npz(data) if data else None
+        model = coarse_model(self._run, part, inside, not whole) if len(inside) else None
+        save_npz(kept, **({} if model is None else model.to_npz()))
+        return model
+
+
+def _key(block: Block, ties: Ties) -> str:
+    """16 hex digits over the images of a block and the ties between them."""
+    said = hashlib.blake2b(digest_size=8)
+    for array in (block.images, ties.i, ties.j, ties.start, ties.matches):
+        said.update(np.ascontiguousarray(array).tobytes())
+    return said.hexdigest()
+
+
+def coarse_model(run: Run, scene: Scene, ties: Ties, rough: bool) -> CoarseModel | None:
+    """A model of a survey or of a block of it (``rough``), made of previews; None where COLMAP finds none.
+
+    It is made as the stage sparse makes one by default, whatever its settings are: pairs and matches stay when the
+    final model is made otherwise. Its files go: what is needed of them is in the arrays.
+    """
+    folder = run.path(*MAPPING.split("/"))
+    remove(folder)
+    folder.mkdir(parents=True)
+    database = folder / "database.db"
+    previews = (read_preview(run.folder, name) for name in scene.names)  # one after another: bounds the memory
+    write_preview_database(database, scene, previews, ties, min_matches=1)
+    settings = SparseSettings(covariance_frames=0, use_positions=False)
+    try:
+        source, tuning = Source(database, None, rough=rough), run.settings.tuning
+        made = reconstruct(source, folder, scene.measured(), settings, tuning.sfm, tuning.scene, run.log)
+        model = made.load(0)
+    except ReconstructionError as error:
+        log.warning("coarse model: %s", error)
+        return None
+    finally:
+        remove(folder)
+    cameras = {k: model.cameras[k] for k in model.cameras}
+    own = [cast(pycolmap.Camera, s.camera) for s in scene.all_sensors]  # the scan gave each sensor one
+    return CoarseModel(
+        image_poses(model, scene),
+        tuple(cameras.get(int(key) + 1, own[int(key)]) for key in scene.sensor_key),
+        *tracks(model, scene),
+        model_rigs(model, scene),
+    )

@@ -1,0 +1,102 @@
+"""The stages candidates, coarse and network one after another on data, as their glue does it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from tiegraph.network.candidates import Candidates, find_candidates
+from tiegraph.network.coarse.assembled import Assembled, assembled, is_whole
+from tiegraph.network.coarse.model import CoarseModel
+from tiegraph.network.coarse.search import Coarse, Search, worth_a_model
+from tiegraph.network.network import Network, join_network
+from tiegraph.network.passes import PreviewBook
+from tiegraph.network.settings import CandidatesSettings, CoarseSettings, NetworkSettings
+from tiegraph.network.tuning import Tuning
+from tiegraph.scene.blocks import Block, blocks_of
+from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.scene import Scene
+from tiegraph.scene.ties import Ties
+from tiegraph.scene.tuning import Tuning as SceneTuning
+
+Make = Callable[[Scene, Ties, bool], CoarseModel | None]  # scene and ties of a block, whether a rough model will do
+
+
+@dataclass(frozen=True)
+class Steps:
+    """What the three stages made."""
+
+    candidates: Candidates
+    coarse: Coarse
+    network: Network
+    ties: Ties
+
+    @property
+    def pairs(self) -> Pairs:
+        """The pairs that go on."""
+        return self.network.pairs
+
+    @property
+    def scene(self) -> Scene:
+        """The scene that goes on."""
+        return self.network.scene
+
+    @property
+    def trusted(self) -> np.ndarray:
+        """(N,) bool: images where the coarse model is believed."""
+        return self.coarse.trusted
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Of all three."""
+        return (*self.candidates.notes, *self.coarse.notes, *self.network.notes)
+
+    def pictures(self) -> list[tuple[str, bytes]]:
+        """Of all three."""
+        model = self.coarse.model
+        return self.network.pictures(None if model is None else model.cam_from_world) + self.candidates.pictures()
+
+
+def estimate_network(
+    scene: Scene,
+    light: np.ndarray,
+    match: Callable,
+    settings: CandidatesSettings,
+    tuning: Tuning,
+    make: Make | None = None,
+    sections: str = "link",
+) -> Steps:
+    """The three stages; ``make`` makes the coarse models, without it there is none."""
+    book = PreviewBook(match, len(scene))
+    found = find_candidates(scene, book, settings, tuning)
+    coarse = Coarse(found.pairs, found.scene, None, np.zeros(len(scene), bool))
+    both = settings, CoarseSettings()
+    if make is not None and worth_a_model(found.scene, both, tuning):
+        search = Search((found.pairs, found.scene), book, both, tuning.coarse)
+        mapper = Mapper(found.scene, tuning, make)
+        while (wanted := search.wanted()) is not None:
+            search.take(wanted, mapper(wanted))
+        coarse = search.result()
+    own = NetworkSettings(sections=sections)
+    network = join_network(coarse.pairs, coarse.scene, book.ties(), light, (settings, own), tuning)
+    return Steps(found, coarse, network, book.ties())
+
+
+class Mapper:
+    """Maps ties of a scene in blocks, which stay as they were cut the first time."""
+
+    def __init__(self, scene: Scene, tuning: Tuning, make: Make, scenes: SceneTuning = SceneTuning()) -> None:  # noqa: B008
+        self._scene, self._make, self._tuning, self._scenes = scene, make, tuning, scenes
+        self.blocks: tuple[Block, ...] = ()
+
+    def __call__(self, ties: Ties) -> Assembled:
+        """The models, joined."""
+        if not len(ties):
+            return Assembled(())
+        self.blocks = self.blocks or blocks_of(self._scene, ties, self._scenes.blocks)
+        whole = is_whole(self.blocks, self._scene)
+        parts = [(self._scene, ties)] if whole else [block.part_of(self._scene, ties) for block in self.blocks]
+        models = [self._make(part, inside, not whole) if len(inside) else None for part, inside in parts]
+        return assembled(self._scene, self.blocks, models, self._tuning.coarse, self._scenes.joining)
