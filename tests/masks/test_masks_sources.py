@@ -3,9 +3,9 @@ import time
 import cv2
 import numpy as np
 import pytest
-from masks_world import DECK, HORIZON, SHAPE, frame, sequence, share, write
 from pydantic import ValidationError
 
+from masks_world import DECK, HORIZON, SHAPE, frame, sequence, share, write
 from tiegraph.errors import InputError
 from tiegraph.masks.compare import compare
 from tiegraph.masks.settings import MasksSettings

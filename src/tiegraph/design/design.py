@@ -13,7 +13,6 @@ from tiegraph.design.cost import Cost
 from tiegraph.design.coverage import coverage
 from tiegraph.design.expected import counted_matches, expected_matches
 from tiegraph.design.foreseen import foresee, verified_chance
-from tiegraph.design.fuse2014 import fuse2014
 from tiegraph.design.holding import holding
 from tiegraph.design.hybrid import Budget, Choice, choose
 from tiegraph.design.measure import ByBundle, ByNet, Judge, Measure
@@ -21,6 +20,7 @@ from tiegraph.design.predict import Predictor
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates
 from tiegraph.design.tuning import CostTuning, Tuning
+from tiegraph.papers.fuse2014 import fuse2014
 from tiegraph.scene.graph import cuts, forest, frame_links, groups, parts, two_links
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene

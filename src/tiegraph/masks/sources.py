@@ -11,16 +11,16 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.masks.classes import USE
-from tiegraph.masks.difference import prepare_difference
 from tiegraph.masks.folder import check_folder, read_folder_mask
 from tiegraph.masks.frames import full_size, image_size, read_small, small_shape
 from tiegraph.masks.learnt import Map, learn
 from tiegraph.masks.lookup import Learnt, classes_of
 from tiegraph.masks.plugin import Model, model_classes, read_model
 from tiegraph.masks.settings import MasksSettings
-from tiegraph.masks.sky import final_mask
-from tiegraph.masks.ssim import prepare_ssim
 from tiegraph.masks.tuning import Tuning
+from tiegraph.papers.difference import prepare_difference
+from tiegraph.papers.meguro2025 import prepare_ssim
+from tiegraph.papers.sky import final_mask
 from tiegraph.scene.scene import Scene
 
 

@@ -16,7 +16,6 @@ import numpy as np
 from tiegraph.network.looks.copies import find_copies
 from tiegraph.network.looks.tuning import CopiesTuning
 from tiegraph.network.offsets.background import band, level_away, level_within
-from tiegraph.network.offsets.constant import constant_offsets
 from tiegraph.network.offsets.curves import OffsetResult, contained, curves_of, facing, sampled_ranks
 from tiegraph.network.offsets.lattice import Lattice, Level, make_lattice
 from tiegraph.network.offsets.surface import ridge, surfaces_of
@@ -26,6 +25,7 @@ from tiegraph.network.rig.axes import allowed_within
 from tiegraph.network.rig.tuning import RigTuning
 from tiegraph.network.settings import NetworkSettings
 from tiegraph.network.tuning import CountsTuning, Tuning
+from tiegraph.papers.meguro2024 import constant_offsets
 from tiegraph.scene.pairs import REASONS, Pairs
 
 log = logging.getLogger(__name__)

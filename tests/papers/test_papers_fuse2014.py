@@ -4,9 +4,9 @@ import numpy as np
 
 from boat_world import photos
 from tiegraph.design.design import design
-from tiegraph.design.fuse2014 import capacities
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tuning import Tuning
+from tiegraph.papers.fuse2014 import capacities
 from tiegraph.scene.graph import components
 from tiegraph.scene.pairs import Pairs
 

@@ -1,0 +1,1 @@
+"""The papers' own recipes, one file a paper."""
