@@ -3,7 +3,8 @@
 import numpy as np
 
 from boat_world import photos
-from tiegraph.design.design import design
+from tiegraph import papers
+from tiegraph.design.design import METHODS, design
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tuning import Tuning
 from tiegraph.papers.fuse2014 import capacities
@@ -11,6 +12,8 @@ from tiegraph.scene.graph import components
 from tiegraph.scene.pairs import Pairs
 
 TUNING = Tuning()
+for name in papers.DESIGNS:
+    papers.plug_in(papers.DESIGNS, name, METHODS)
 
 
 def video(count: int = 60, window: int = 6, seed: int = 0, **columns) -> Pairs:

@@ -5,7 +5,7 @@ from masks_world import CLOUD_BGR, DECK, HORIZON, SHAPE, frame, share
 from tiegraph.masks.frames import grey
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.tuning import Meguro2025Tuning
-from tiegraph.papers.sky import blue_sky, edge_sky, final_mask
+from tiegraph.papers.meguro2025 import blue_sky, edge_sky, final_mask
 
 SETTINGS = MasksSettings()
 TUNING = Meguro2025Tuning()

@@ -48,9 +48,9 @@ class NetworkSettings(Section):
     range_m: float = Field(0.0, ge=0, le=100_000)
     """Source poses: usual distance from camera to object (paper 003), metres; 0 = ten times the distance between
     frames."""
-    sections: Literal["off", "link", "split"] = "link"
-    """Bridge and open sections by the up camera's brightness: not cut (off), cut with ties kept between them (link), or
-    cut apart (split, paper 001)."""
+    sections: Literal["off", "link", "split", "meguro2025"] = "link"
+    """Bridge and open sections by the light in the up camera: not cut (off), cut with ties kept between them (link),
+    cut apart (split), or cut apart by the brightness of its pixels alone (meguro2025, paper 001)."""
 
     @model_validator(mode="after")
     def _file_goes_with_source(self) -> NetworkSettings:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tiegraph.papers.twoview import TwoView, two_view
+from tiegraph.papers.fuse2014 import TwoView, two_view
 from tiegraph.pipeline.files import load_scene
 from tiegraph.pipeline.previews import preview_of
 from tiegraph.scene.filecache import cached_by_file

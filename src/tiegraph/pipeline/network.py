@@ -11,15 +11,16 @@ from typing import Any, cast
 import numpy as np
 import pycolmap
 
+from tiegraph import papers
 from tiegraph.errors import ReconstructionError
 from tiegraph.features.preview import PreviewMatch
 from tiegraph.features.preview_database import write_preview_database
 from tiegraph.network.model.surveymodel import Maker, SurveyModel
 from tiegraph.network.network import estimate_network
-from tiegraph.network.sections.light import UpLight
+from tiegraph.network.offsets.offsets import OFFSETS
 from tiegraph.pipeline.files import save_npz, scanned
 from tiegraph.pipeline.preview import read_preview
-from tiegraph.pipeline.previews import light_of, match_item
+from tiegraph.pipeline.previews import match_item, up_light
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome, remove, write_atomic
 from tiegraph.scene.scene import Scene
@@ -33,7 +34,8 @@ log = logging.getLogger(__name__)
 def network(run: Run) -> Outcome:
     """Candidate pairs from every source, judged by previews; the rig checked against them; sections cut."""
     scene = scanned(run)
-    light = UpLight(*np.array(run.map(light_of, list(scene.names), run.folder)).reshape(-1, 2).T)
+    light = up_light(run, scene)
+    papers.plug_in(papers.OFFSETS, run.settings.network.offsets, OFFSETS)
     matched = [0]
 
     def match(pairs: np.ndarray) -> list[PreviewMatch]:

@@ -5,7 +5,7 @@ from tiegraph.masks.frames import grey
 from tiegraph.masks.morphology import block_share, from_blocks, masked_neighbours, opened_closed, without_small
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.tuning import Tuning
-from tiegraph.papers.difference import difference_mask, prepare_difference
+from tiegraph.papers.meguro2024 import difference_mask, prepare_difference
 
 TUNING = Tuning()
 
