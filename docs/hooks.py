@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "tiegraph"
 PAGES = {"DESIGN.md": "design.md", "CONTRIBUTING.md": "contributing.md"}
 CHAPTERS = ("project", "pipeline", "scan", "masks", "network", "design", "features", "verify", "sfm", "dense", "cloud")
-CHAPTERS += ("evaluate", "report", "scene", "geometry", "cli")
+CHAPTERS += ("evaluate", "report", "scene", "geometry", "papers", "cli")
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:

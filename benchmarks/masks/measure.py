@@ -27,6 +27,7 @@ import numpy as np
 import pycolmap
 
 from benchmarks.datasets import data_root
+from tiegraph import papers
 from tiegraph.masks.classes import EGO, NAMES, USE
 from tiegraph.masks.compare import compare, compare_classes, table_text
 from tiegraph.masks.frames import full_size, image_size
@@ -37,6 +38,8 @@ from tiegraph.masks.tuning import Tuning
 from tiegraph.masks.waterline import View, camera_rays, final_classes, find_water, first_line, lines_of
 
 TUNING = Tuning()
+for name in papers.MASKS:
+    papers.plug_in(papers.MASKS, name, SOURCES)
 PLAIN = ("meguro2024", "meguro2025", "learnt")
 GEOMETRY = "learnt+model"
 COLUMNS = ("set", "source", "images", "accuracy %", "IoU used %", "useful lost %", "sky IoU %", "water IoU %",

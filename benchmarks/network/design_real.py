@@ -30,6 +30,8 @@ from benchmarks import accuracy, datasets, run
 from benchmarks.network.design_plot import plot
 from benchmarks.network.matched import Run, Tracks
 from benchmarks.network.measure import add_row, run_tiegraph
+from tiegraph import papers
+from tiegraph.design.design import METHODS as PLUGGED
 from tiegraph.design.design import design
 from tiegraph.design.expected import expected_matches
 from tiegraph.design.settings import DesignSettings
@@ -41,6 +43,8 @@ from tiegraph.scene.rig import Rig, Sensor
 
 SETS = ("canal_demo", "canal", "pandaset", "kitti_stereo", "kitti_stereo:image_l", "pandaset:front_camera")
 SHARES = (0.05, 0.1, 0.2, 0.4)
+for name in papers.DESIGNS:
+    papers.plug_in(papers.DESIGNS, name, PLUGGED)
 METHODS = ("hybrid", "tree", "top", "random", "fuse2014", "fuse2014_safe", "all")
 SEEDS = 3
 WINDOW = 20  # frames, paper 002

@@ -14,7 +14,8 @@ import time
 import numpy as np
 
 from benchmarks.network.simulated import Survey, position_sigma, survey
-from tiegraph.design.design import design
+from tiegraph import papers
+from tiegraph.design.design import METHODS, design
 from tiegraph.design.expected import expected_matches
 from tiegraph.design.hybrid import Budget, choose
 from tiegraph.design.settings import DesignSettings
@@ -25,6 +26,8 @@ from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.ties import Ties
 
 TUNING = Tuning()
+for name in papers.DESIGNS:
+    papers.plug_in(papers.DESIGNS, name, METHODS)
 SHARES = {"rig": (0.05, 0.1, 0.15, 0.2, 0.4), "video": (0.12, 0.2, 0.3, 0.4, 0.6)}
 
 

@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 
 from boat_world import boat, photos
 from network_steps import estimate_network
+from tiegraph import papers
+from tiegraph.design.design import METHODS as PLUGGED
 from tiegraph.design.design import design
 from tiegraph.design.expected import expected_matches
 from tiegraph.design.predict import Predictor
@@ -22,6 +24,7 @@ from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.scene.ties import Ties
 
 TUNING, NET, EXPECTED = Tuning(), NetTuning(), ExpectedTuning()
+papers.plug_in(papers.DESIGNS, "fuse2014_safe", PLUGGED)
 METHODS = ("hybrid", "tree", "top", "fuse2014_safe")
 
 

@@ -3,8 +3,8 @@
 import cv2
 import numpy as np
 import pytest
-from masks_world import write
 
+from masks_world import write
 from tiegraph.masks.above import Edges, edges_of, not_above
 from tiegraph.masks.classes import SKY, USE
 from tiegraph.masks.learnt import learn

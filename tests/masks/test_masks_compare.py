@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
-from masks_world import write
 
+from masks_world import write
 from tiegraph.errors import InputError
 from tiegraph.masks.compare import compare
 

@@ -1,8 +1,8 @@
 import cv2
 import numpy as np
 import pytest
-from masks_world import DECK, SHAPE, frame, write
 
+from masks_world import DECK, SHAPE, frame, write
 from tiegraph.masks.ego import different_frames, ego_of_frames, learn_ego
 from tiegraph.masks.tuning import Tuning
 

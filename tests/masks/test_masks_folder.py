@@ -1,9 +1,9 @@
 import cv2
 import numpy as np
 import pytest
-from masks_world import write
 from PIL import Image
 
+from masks_world import write
 from tiegraph.errors import InputError
 from tiegraph.masks.folder import candidates, check_folder, find_mask, read_folder_mask, read_mask_file
 

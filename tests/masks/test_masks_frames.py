@@ -3,8 +3,8 @@ import logging
 import cv2
 import numpy as np
 import pytest
-from masks_world import SHAPE, frame, sequence, write
 
+from masks_world import SHAPE, frame, sequence, write
 from tiegraph.errors import InputError
 from tiegraph.masks.frames import full_size, grey, image_size, read_small, small_shape, two_frames
 from tiegraph.masks.tuning import FramesTuning

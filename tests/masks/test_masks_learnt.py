@@ -1,8 +1,8 @@
 import cv2
 import numpy as np
 import pytest
-from masks_world import write
 
+from masks_world import write
 from tiegraph.masks import appearance
 from tiegraph.masks.classes import EGO, NAMES, OVEREXPOSED, SKY, USE, WATER
 from tiegraph.masks.evidence import Evidence, choose_pairs, pair_evidence

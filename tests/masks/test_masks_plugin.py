@@ -2,8 +2,8 @@ import sys
 
 import numpy as np
 import pytest
-from masks_world import write
 
+from masks_world import write
 from tiegraph.errors import EngineMissing, InputError
 from tiegraph.masks import plugin
 from tiegraph.masks.classes import EGO, SKY, USE

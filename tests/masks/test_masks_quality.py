@@ -1,7 +1,7 @@
 import cv2
 import numpy as np
-from masks_world import frame, write
 
+from masks_world import frame, write
 from tiegraph.masks.quality import flags, image_quality
 from tiegraph.masks.tuning import Tuning
 

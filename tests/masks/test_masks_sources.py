@@ -3,9 +3,10 @@ import time
 import cv2
 import numpy as np
 import pytest
-from masks_world import DECK, HORIZON, SHAPE, frame, sequence, share, write
 from pydantic import ValidationError
 
+from masks_world import DECK, HORIZON, SHAPE, frame, sequence, share, write
+from tiegraph import papers
 from tiegraph.errors import InputError
 from tiegraph.masks.compare import compare
 from tiegraph.masks.settings import MasksSettings
@@ -27,6 +28,7 @@ def scene(cameras=2, frames=6, loose=False):
 
 def all_masks(name, images, **settings):
     chosen = MasksSettings(source=name, **settings)
+    papers.plug_in(papers.MASKS, name, SOURCES)
     prepared = SOURCES[name].prepare({0: Camera(tuple(images))}, chosen, TUNING, map)[0]
     return [SOURCES[name].mask(p, prepared, chosen, TUNING, p.name) for p in images]
 

@@ -7,8 +7,9 @@ import pytest
 
 from boat_world import Result, boat, ring
 from network_steps import estimate_network
+from tiegraph import papers
 from tiegraph.network.offsets.lattice import make_lattice
-from tiegraph.network.offsets.offsets import estimate_offsets
+from tiegraph.network.offsets.offsets import OFFSETS, estimate_offsets
 from tiegraph.network.passes import PreviewBook, find_passes, loose_images
 from tiegraph.network.rig.axes import angles_deg, vertical, yaw_between
 from tiegraph.network.rig.commonview import direction, in_words, strangers, votes, without_chance, yaw
@@ -17,6 +18,7 @@ from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS
 
 TUNING = Tuning()
+papers.plug_in(papers.OFFSETS, "constant", OFFSETS)
 AXES = TUNING.rig.axes
 
 

@@ -195,7 +195,7 @@ def preparsed(arguments: list[str]) -> Known:
             known[name] = known[name] or values[0] if name == "" else values[0]
     folder, out = (Path(known[n]) if known[n] else None for n in ("", "--out"))
     if known["--preset"]:
-        choose("preset", known["--preset"], PRESETS)
+        choose("preset", known["--preset"], dict.fromkeys(PRESETS))
     return Known(folder, out, known["--preset"] or None)
 
 

@@ -20,5 +20,5 @@ of the frames by its epipolar equations. The loss is evaluated on an independent
 for the choice it is biased low. A matrix is inverted in each round, so beyond 800 unknowns, and where nothing is
 shared, effective resistance times new tracks is the measure (``resistance``, ``predict``), whose predicted loss
 counts the frames of a known rig, not its images. Paper 002's accuracy of a pair (``pipeline.accuracy``,
-``sfm.twoview``) comes to ``fuse2014`` as a column of the pair table.
+``papers.fuse2014``) comes to ``fuse2014`` as a column of the pair table.
 """

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -13,7 +13,6 @@ from tiegraph.design.cost import Cost
 from tiegraph.design.coverage import coverage
 from tiegraph.design.expected import counted_matches, expected_matches
 from tiegraph.design.foreseen import foresee, verified_chance
-from tiegraph.design.fuse2014 import fuse2014
 from tiegraph.design.holding import holding
 from tiegraph.design.hybrid import Budget, Choice, choose
 from tiegraph.design.measure import ByBundle, ByNet, Judge, Measure
@@ -21,6 +20,7 @@ from tiegraph.design.predict import Predictor
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates
 from tiegraph.design.tuning import CostTuning, Tuning
+from tiegraph.errors import choose as choose_entry
 from tiegraph.scene.graph import cuts, forest, frame_links, groups, parts, two_links
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
@@ -39,6 +39,21 @@ class DesignResult:
     tables: dict[str, dict[str, Any]] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class Thinned:
+    """The table without the pairs that a method dropped, what people should know, and counts by step."""
+
+    pairs: Pairs
+    notes: tuple[str, ...]
+    counts: dict[str, int]
+
+
+_OWN = ("hybrid", "tree", "top", "all")
+Method = Callable[[Pairs, Scene, np.ndarray], Thinned]
+METHODS: dict[str, Method] = {}
+"""Methods by name that thin pairs by the matches (P,) expected of them, beside those of this module."""
+
+
 def takes_all(settings: DesignSettings, cost: Cost | None, tuning: CostTuning) -> bool:
     """Whether every kept pair is to be matched: asked for, or a loss is allowed and matching them all costs little."""
     if settings.method in ("hybrid", "tree") and settings.budget == "loss" and cost is not None:
@@ -55,7 +70,7 @@ def design(
     sights: Sights | None = None,
     cost: Cost | None = None,
 ) -> DesignResult:
-    """Choose by the method of the settings; what was connected stays connected, but for ``fuse2014``.
+    """Choose by the method of the settings; what was connected stays connected, but by some of ``METHODS``.
 
     ``ties``: preview matches of the pairs that were previewed; for the others matches are expected from the score or
     the overlap. ``sights``, the points of a coarse model each image sees, tell which tracks all of them would join.
@@ -69,8 +84,9 @@ def design(
         said = () if settings.method == "all" or cost is None or not len(kept) else (cost.said(tuning.cost),)
         return _judged(pairs, pairs, scene, said, {})
     expected = expected_matches(pairs, ties, tuning.expected)
-    if settings.method in ("fuse2014", "fuse2014_safe"):
-        thin = fuse2014(pairs, scene, expected, safe=settings.method == "fuse2014_safe")
+    if settings.method not in _OWN:
+        method = cast(Method, choose_entry("design method", settings.method, METHODS))
+        thin = method(pairs, scene, expected)
         return _judged(pairs, thin.pairs, scene, thin.notes, dict(thin.counts))
     i, j, strength = pairs.i[kept], pairs.j[kept], expected[kept]
     known: tuple[Ties | None, ...] = (ties,)

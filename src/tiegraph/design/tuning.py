@@ -1,6 +1,6 @@
 """What design decides by: each constant with its unit, its meaning and where its value comes from.
 
-Paper 002's numbers define the method fuse2014 and stand in ``fuse2014.py``.
+Paper 002's numbers define the method fuse2014 and stand in ``tiegraph.papers.fuse2014``.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Operations on binary images that both papers use. Masks are bool, (h, w)."""
+"""Operations on binary images. Masks are bool, (h, w)."""
 
 from __future__ import annotations
 

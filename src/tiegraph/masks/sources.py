@@ -1,4 +1,7 @@
-"""Mask sources by name: each prepares once a camera, then makes the mask of one image after another."""
+"""Mask sources by name: each prepares once a camera, then makes the mask of one image after another.
+
+The papers' own are put in by the glue (``tiegraph.papers``).
+"""
 
 from __future__ import annotations
 
@@ -11,15 +14,12 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.masks.classes import USE
-from tiegraph.masks.difference import prepare_difference
 from tiegraph.masks.folder import check_folder, read_folder_mask
 from tiegraph.masks.frames import full_size, image_size, read_small, small_shape
 from tiegraph.masks.learnt import Map, learn
 from tiegraph.masks.lookup import Learnt, classes_of
 from tiegraph.masks.plugin import Model, model_classes, read_model
 from tiegraph.masks.settings import MasksSettings
-from tiegraph.masks.sky import final_mask
-from tiegraph.masks.ssim import prepare_ssim
 from tiegraph.masks.tuning import Tuning
 from tiegraph.scene.scene import Scene
 
@@ -48,7 +48,9 @@ class MaskSource:
     classes: Callable[[Path, Any, MasksSettings, Tuning, str], np.ndarray] | None = None
 
 
-def _each(prepare: Callable[[Sequence[Path], MasksSettings, Tuning], Any]) -> Callable[..., dict[int, Any]]:
+def each(prepare: Callable[[Sequence[Path], MasksSettings, Tuning], Any]) -> Callable[..., dict[int, Any]]:
+    """``MaskSource.prepare`` by a function of the images of one camera."""
+
     def prepare_all(
         cameras: Mapping[int, Camera], settings: MasksSettings, tuning: Tuning, apply: Map = map
     ) -> dict[int, Any]:
@@ -84,28 +86,13 @@ def _automatic(scene: Scene, settings: MasksSettings, tuning: Tuning) -> tuple[s
     return "learnt", "a rig that moves along a path"
 
 
-def _prepare_nothing(images: Sequence[Path], settings: MasksSettings, tuning: Tuning) -> None:
+def prepare_nothing(images: Sequence[Path], settings: MasksSettings, tuning: Tuning) -> None:
+    """Of sources whose images have nothing in common."""
     return None
 
 
-def _mask_of_camera(
-    image: Path, prepared: np.ndarray | None, settings: MasksSettings, tuning: Tuning, name: str
-) -> np.ndarray:
-    size = image_size(image)
-    _check_shape(image, size, prepared, tuning)
-    return np.ones(size, bool) if prepared is None else full_size(prepared, size)
-
-
-def _mask_with_sky(
-    image: Path, prepared: np.ndarray | None, settings: MasksSettings, tuning: Tuning, name: str
-) -> np.ndarray:
-    size = image_size(image)
-    _check_shape(image, size, prepared, tuning)
-    small = read_small(image, tuning.frames.work_px)
-    return full_size(final_mask(small, prepared, settings, tuning.meguro2025), size)
-
-
-def _check_shape(image: Path, size: tuple[int, int], prepared: np.ndarray | None, tuning: Tuning) -> None:
+def check_shape(image: Path, size: tuple[int, int], prepared: np.ndarray | None, tuning: Tuning) -> None:
+    """Raises InputError for an image whose shape is not that of the mask of its camera, if there is one."""
     if prepared is not None and prepared.shape != small_shape(size, tuning.frames.work_px):
         raise InputError(
             f"{image}: {size[1]} x {size[0]} pixels, not the shape of the other images of its camera, which share "
@@ -136,7 +123,7 @@ def _prepare_learnt(
 
 def _classes_learnt(image: Path, prepared: Learnt, settings: MasksSettings, tuning: Tuning, name: str) -> np.ndarray:
     size = image_size(image)
-    _check_shape(image, size, prepared.ego, tuning)
+    check_shape(image, size, prepared.ego, tuning)
     return classes_of(image, prepared, settings, small_shape(size, tuning.frames.work_px), tuning)
 
 
@@ -163,10 +150,7 @@ def _mask_model(image: Path, prepared: Model, settings: MasksSettings, tuning: T
 
 SOURCES: dict[str, MaskSource] = {
     "learnt": MaskSource(_prepare_learnt, _mask_learnt, _classes_learnt),
-    "meguro2024": MaskSource(_each(prepare_difference), _mask_of_camera),
-    "meguro2025": MaskSource(_each(prepare_ssim), _mask_with_sky),
-    "sky": MaskSource(_each(_prepare_nothing), _mask_with_sky),
     "model": MaskSource(_prepare_model, _mask_model, _classes_model),
-    "folder": MaskSource(_each(_prepare_nothing), _mask_of_folder),
-    "none": MaskSource(_each(_prepare_nothing), _mask_nothing),
+    "folder": MaskSource(each(prepare_nothing), _mask_of_folder),
+    "none": MaskSource(each(prepare_nothing), _mask_nothing),
 }

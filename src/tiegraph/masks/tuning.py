@@ -175,7 +175,7 @@ class EgoTuning(Section):
 
 
 class Meguro2024Tuning(Section):
-    """Masks from the difference of two images (`difference.py`); paper 000 gives no sizes."""
+    """Masks from the difference of two images (`tiegraph.papers.meguro2024`); paper 000 gives no sizes."""
 
     square_px: int = Field(7, gt=0)
     """Structuring element of opening and closing."""
@@ -184,7 +184,8 @@ class Meguro2024Tuning(Section):
 
 
 class Meguro2025Tuning(Section):
-    """Masks from structural similarity, and the sky by Sobel edges (`ssim.py`, `sky.py`); paper 001 gives no sizes."""
+    """Masks from structural similarity, and the sky by Sobel edges (`tiegraph.papers.meguro2025`); paper 001 gives no
+    sizes."""
 
     block_px: int = Field(8, gt=0)
     """Side of the blocks of both stages."""

@@ -71,6 +71,6 @@ class CoarseSettings(Section):
 class NetworkSettings(Section):
     """The candidate pairs as they go on: sections of the survey."""
 
-    sections: Literal["off", "link", "split"] = "link"
-    """Bridge and open sections by the up camera's brightness: not cut (off), cut with ties kept between them (link), or
-    cut apart (split, paper 001)."""
+    sections: Literal["off", "link", "split", "meguro2025"] = "link"
+    """Bridge and open sections by the light in the up camera: not cut (off), cut with ties kept between them (link),
+    cut apart (split), or cut apart by the brightness of its pixels alone (meguro2025, paper 001)."""

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from tiegraph.papers.fuse2014 import TwoView, two_view
 from tiegraph.pipeline.files import load_scene
 from tiegraph.pipeline.previews import preview_of
 from tiegraph.scene.filecache import cached_by_file
@@ -15,7 +16,6 @@ from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Ties
 from tiegraph.sfm.tuning import TwoViewTuning
-from tiegraph.sfm.twoview import TwoView, two_view
 
 
 def with_accuracy(

@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from tiegraph import papers
 from tiegraph.network.candidates import find_candidates
+from tiegraph.network.offsets.offsets import OFFSETS
 from tiegraph.network.passes import PreviewBook
 from tiegraph.pipeline.files import save_npz, scanned
 from tiegraph.pipeline.preview import read_preview
@@ -27,6 +29,7 @@ def candidates(run: Run) -> Outcome:
     matcher = Matcher(run, MATCHED)
     descriptors = partial(_Descriptors, run.folder, scene)
     settings, tuning = run.settings.candidates, run.settings.tuning.network
+    papers.plug_in(papers.OFFSETS, settings.offsets, OFFSETS)
     found = find_candidates(scene, PreviewBook(matcher, len(scene)), settings, tuning, descriptors)
     save_npz(run.path("candidates.npz"), **found.pairs.to_npz())
     save_npz(run.path("candidates", "ties.npz"), **found.ties.to_npz())

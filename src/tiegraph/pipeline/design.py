@@ -6,9 +6,10 @@ import csv
 
 import numpy as np
 
+from tiegraph import papers
 from tiegraph.design.cost import Cost, cost, foreseen_keypoints
+from tiegraph.design.design import METHODS, takes_all
 from tiegraph.design.design import design as select_pairs
-from tiegraph.design.design import takes_all
 from tiegraph.network.pictures import map_png, weak_pairs
 from tiegraph.pipeline.accuracy import with_accuracy
 from tiegraph.pipeline.files import checked, load_npz, pairs_of, reading, save_npz, ties_of
@@ -33,7 +34,8 @@ def design(run: Run) -> Outcome:
         candidates, ties, previews = with_previews(
             candidates, ties, run.folder, settings.preview, tuning.features.preview, run.map
         )
-    if settings.design.method.startswith("fuse2014"):
+    papers.plug_in(papers.DESIGNS, settings.design.method, METHODS)
+    if settings.design.method in papers.DESIGNS:
         candidates = with_accuracy(candidates, scene, ties, run.folder, run.map, tuning.sfm.two_view)
     made = select_pairs(candidates, scene, ties, settings.design, tuning.design, _sights(run), spent)
     pairs = made.pairs

@@ -11,12 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from tiegraph import papers
 from tiegraph.errors import choose
 from tiegraph.masks.classes import NAMES, USE
 from tiegraph.masks.frames import full_size, image_size
 from tiegraph.masks.quality import Quality, flags, image_quality
 from tiegraph.masks.settings import MasksSettings
-from tiegraph.masks.sources import SOURCES, Camera, explain_source
+from tiegraph.masks.sources import SOURCES, Camera, MaskSource, explain_source
 from tiegraph.masks.tuning import Tuning
 from tiegraph.pipeline.files import classes_path, mask_path, read_image, read_mask, save_png, scanned
 from tiegraph.project.run import Run
@@ -31,7 +32,7 @@ def masks(run: Run) -> Outcome:
     run.path("classes").mkdir(parents=True, exist_ok=True)
     prepared: dict[int, Any] = {}
     if any(not mask_path(run.folder, n).exists() for n in scene.names):
-        prepared = SOURCES[source].prepare(_cameras(scene, run.path("images")), settings, tuning, _apply(run))
+        prepared = _source(source).prepare(_cameras(scene, run.path("images")), settings, tuning, _apply(run))
     keyed = {n: (int(scene.sensor_key[k]), scene.source_name(k)) for k, n in enumerate(scene.names)}
     how = _How(run.folder, source, settings, tuning)
     run.make_missing(_mask_item, scene.names, lambda n: mask_path(run.folder, n), how, prepared, keyed)
@@ -54,8 +55,8 @@ def masks(run: Run) -> Outcome:
 
 def masks_by(source: str, scene: Scene, images: Path, target: Path) -> None:
     """Masks ``target``/<image>.png of all images of a scene by another source, with its defaults, one after another."""
-    choose("mask source", source, {n: s for n, s in SOURCES.items() if n not in _NEED_A_FILE})
-    made = SOURCES[source]
+    choose("mask source", source, {n: None for n in (*SOURCES, *papers.MASKS) if n not in _NEED_A_FILE})
+    made = _source(source)
     settings, tuning = MasksSettings(source=source), Tuning()  # type: ignore[arg-type]
     prepared = made.prepare(_cameras(scene, images), settings, tuning, map)
     for k, name in enumerate(scene.names):
@@ -65,6 +66,11 @@ def masks_by(source: str, scene: Scene, images: Path, target: Path) -> None:
 
 _NEED_A_FILE = ("folder", "model")
 _LEFT_OUT = {"none": (), "blurred": ("blurred",), "similar": ("similar",), "both": ("blurred", "similar")}
+
+
+def _source(name: str) -> MaskSource:
+    papers.plug_in(papers.MASKS, name, SOURCES)
+    return SOURCES[name]
 
 
 def _cameras(scene: Scene, folder: Path) -> dict[int, Camera]:
@@ -95,7 +101,7 @@ class _How:
 
 def _mask_item(name: str, how: _How, prepared: dict[int, Any], keyed: dict[str, tuple[int, str]]) -> None:
     key, found = keyed[name]
-    made, image = SOURCES[how.source], how.folder / "images" / name
+    made, image = _source(how.source), how.folder / "images" / name
     if made.classes is None:
         keep = made.mask(image, prepared[key], how.settings, how.tuning, found)
     else:

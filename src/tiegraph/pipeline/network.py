@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from tiegraph.network.network import join_network
-from tiegraph.network.sections.light import UpLight
 from tiegraph.pipeline.files import load_npz, load_scene, pairs_of, save_npz, ties_of
-from tiegraph.pipeline.previews import light_of
+from tiegraph.pipeline.previews import up_light
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome, write_atomic
 
@@ -15,7 +12,7 @@ from tiegraph.project.stages import Outcome, write_atomic
 def network(run: Run) -> Outcome:
     """The pairs that candidates and the coarse model left, the survey cut into sections, and the tie graph drawn."""
     scene = load_scene(run.path("coarse", "scene.json"))
-    light = UpLight(*np.array(run.map(light_of, list(scene.names), run.folder)).reshape(-1, 2).T)
+    light = up_light(run, scene)
     settings = run.settings.candidates, run.settings.network
     pairs, ties = pairs_of(run, "coarse.npz"), ties_of(run)
     found = join_network(pairs, scene, ties, light, settings, run.settings.tuning.network)

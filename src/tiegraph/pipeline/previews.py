@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from tiegraph import papers
 from tiegraph.features.preview import Preview, PreviewMatch, match_previews
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.tuning import PreviewTuning
+from tiegraph.network.sections.light import LIGHTS, UpLight
 from tiegraph.pipeline.files import load_npz, load_scene, read_mask, reading, save_npz
 from tiegraph.pipeline.preview import preview_path, read_preview
 from tiegraph.project.run import Run
@@ -121,7 +123,16 @@ def match_item(pair: tuple[int, int], folder: Path, settings: PreviewSettings, t
     return match_previews(one, other, a, b, settings, tuning)
 
 
-def light_of(name: str, folder: Path) -> tuple[float, float]:
+def up_light(run: Run, scene: Scene) -> UpLight:
+    """What the up cameras show: by the way that ``network.sections`` names, else by the previews and the masks."""
+    way = run.settings.network.sections
+    papers.plug_in(papers.LIGHTS, way, LIGHTS)
+    if way in LIGHTS:
+        return LIGHTS[way](scene, run.path("images"), run.map)
+    return UpLight(*np.array(run.map(_light_of, list(scene.names), run.folder)).reshape(-1, 2).T)
+
+
+def _light_of(name: str, folder: Path) -> tuple[float, float]:
     """Mean grey of an image, and the share of an up camera's picture that its mask leaves out (sky)."""
     scene = scene_of(folder)
     up = scene.sensor_of(scene.image_index[name]).role == "up"

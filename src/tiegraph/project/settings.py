@@ -10,6 +10,7 @@ from typing import Any
 import tomli_w
 from pydantic import ValidationError
 
+from tiegraph import papers
 from tiegraph.cloud.settings import CloudSettings
 from tiegraph.cloud.tuning import Tuning as CloudTuning
 from tiegraph.dense.settings import DenseSettings, ShotsSettings
@@ -93,7 +94,8 @@ STAGED = tuple(name for name in Settings.model_fields if name != "tuning")
 
 def preset(name: str) -> dict[str, dict[str, Any]]:
     """The settings a preset changes, by section. Raises SettingsError for an unknown name."""
-    return choose("preset", name, PRESETS)  # type: ignore[return-value]
+    papers.plug_in(papers.PRESETS, name, _PRESETS)
+    return choose("preset", name, {**dict.fromkeys(PRESETS), **_PRESETS})  # type: ignore[return-value]
 
 
 def merged(*layers: dict[str, dict[str, Any]], where: str = "settings") -> Settings:
@@ -222,53 +224,13 @@ def _explain(error: Any) -> str:
     return f"unknown setting {name!r}: {hint}"
 
 
-# What each named way of working changes. The papers adjust no rig and use GNSS for the scale afterwards only.
-_PAPER_MODEL: dict[str, Any] = {"rig": "absent", "mapper": "incremental", "use_positions": False}
-PRESETS: dict[str, dict[str, dict[str, Any]]] = {
+# What each named way of working changes; those of the papers are put in when they are asked for.
+_PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "default": {},
     # Half the resolution and two partners: an eighth of the time of dense matching, for a look on site.
     "fast": {"dense": {"max_image_size": 800, "partners": 2}},
     # A rig or camera within arm's reach (paper 004): every pixel of the images, and every neighbour that helps.
     "close-range": {"dense": {"max_image_size": 8000, "partners": 6}},
-    # The papers' baseline: brute force, no masks, no rig (paper 000 a, paper 001 c).
-    "conventional": {
-        "masks": {"source": "none"},
-        "candidates": {"sources": ("exhaustive",)},
-        "coarse": {"method": "off"},
-        "network": {"sections": "off"},
-        "design": {"method": "all"},
-        "sparse": _PAPER_MODEL,
-    },
-    # Paper 000: two-image difference; one frame offset for each two cameras, the best match around it. The papers print
-    # no ranges: 90 degrees gives the camera pairs of paper 000 figure 8, the others are our reading.
-    "meguro2024": {
-        "masks": {"source": "meguro2024"},
-        "candidates": {
-            "sources": ("sequence", "offsets"),
-            "sequence_frames": 1,
-            "offsets": "constant",
-            "offset_range": 10,
-            "offset_best": 1,
-            "axes_deg": 90.0,
-        },
-        "coarse": {"method": "off"},
-        "network": {"sections": "off"},
-        "design": {"method": "all"},
-        "sparse": _PAPER_MODEL,
-    },
-    # Paper 001: two-stage masks; neighbouring frames of a camera and the range around the best offset; sections apart.
-    "meguro2025": {
-        "masks": {"source": "meguro2025"},
-        "candidates": {
-            "sources": ("sequence", "offsets"),
-            "sequence_frames": 5,
-            "offsets": "constant",
-            "offset_range": 5,
-            "axes_deg": 90.0,
-        },
-        "coarse": {"method": "off"},
-        "network": {"sections": "split"},
-        "design": {"method": "all"},
-        "sparse": _PAPER_MODEL,
-    },
 }
+PRESETS = (*_PRESETS, *papers.PRESETS)
+"""The names of all presets."""

@@ -1,22 +1,24 @@
 """Source ``offsets``: which frame of a pass a camera shares with which frame of the same or another pass.
 
 Papers 000 (section c) and 001 (section b) vote, for every two cameras, on one constant frame offset and match a limited
-range around it: mode ``constant``. Mode ``local`` (default) follows the offset along the pass, because the speed of two
-passes is never equal: previews on a coarse lattice of frames, grown where they hit, smoothed and interpolated.
+range around it: mode ``constant`` (``tiegraph.papers.meguro2024``). Mode ``local`` (default) follows the offset along
+the pass, because the speed of two passes is never equal: previews on a coarse lattice of frames, grown where they hit,
+smoothed and interpolated.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
+from tiegraph.errors import choose
 from tiegraph.network.looks.copies import find_copies
 from tiegraph.network.looks.tuning import CopiesTuning
 from tiegraph.network.offsets.background import band, level_away, level_within
-from tiegraph.network.offsets.constant import constant_offsets
 from tiegraph.network.offsets.curves import OffsetResult, contained, curves_of, facing, sampled_ranks
 from tiegraph.network.offsets.lattice import Lattice, Level, make_lattice
 from tiegraph.network.offsets.surface import ridge, surfaces_of
@@ -44,35 +46,53 @@ class _Survey:
     complete: bool = True  # False: the budget of previews was spent before every hit was followed
 
 
+Estimate = Callable[[Pass, Pass, PreviewBook, CandidatesSettings, Tuning], OffsetResult]
+OFFSETS: dict[str, Estimate] = {}
+"""Ways by name to estimate the offsets of each two passes by themselves, beside ``local`` of this module."""
+
+
 def estimate_offsets(
     passes: Sequence[Pass], book: PreviewBook, images: int, settings: CandidatesSettings, tuning: Tuning
 ) -> OffsetResult:
     """Candidate pairs within and between passes by the mode of ``settings.offsets``."""
-    offsets = tuning.offsets
     couples = [(a, b) for k, a in enumerate(passes) for b in passes[k:]]
-    if settings.offsets == "constant":
-        parts = [constant_offsets(p, q, book, settings, tuning) for p, q in couples]
+    if settings.offsets == "local":
+        parts = _local_offsets(passes, couples, book, images, settings, tuning)
     else:
-        budget = len(book) + max(offsets.min_budget, offsets.previews_an_image * images)
-        strides = {id(p): _stride(p, book, settings, tuning) for p in passes}
-        parts = []
-        for k, (p, q) in enumerate(couples):
-            share = max(0, budget - len(book)) // (len(couples) - k)
-            stride = finest = min(strides[id(p)], strides[id(q)])
-            survey = _survey((p, q), (stride, offsets.window_nodes), book, settings, tuning, len(book) + share)
-            while not survey.complete and offsets.coarser_strides * stride < max(len(p), len(q)):
-                stride *= 2  # coarser: the nodes of the finer lattice are known and cost nothing
-                # As many frames from the path as before: else pairs, and previews, would grow faster than the images.
-                window = max(offsets.least_window_nodes, offsets.window_nodes * finest // stride)
-                survey = _survey((p, q), (stride, window), book, settings, tuning, len(book) + share)
-            local = _local(survey, settings, tuning)
-            parts.append(_without_copies(local, survey.lattice, book, settings, tuning.looks.copies))
+        estimate = cast(Estimate, choose("mode of offsets", settings.offsets, OFFSETS))
+        parts = [estimate(p, q, book, settings, tuning) for p, q in couples]
     pairs = Pairs.empty()
     for part in parts:
         pairs = pairs | part.pairs
     curves, notes, surfaces = (sum((getattr(r, n) for r in parts), ()) for n in ("curves", "notes", "surfaces"))
     lost = commonview.strangers([r.stranger for r in parts if r.stranger])
     return OffsetResult(pairs, curves, (*notes, *lost), surfaces)
+
+
+def _local_offsets(
+    passes: Sequence[Pass],
+    couples: list[tuple[Pass, Pass]],
+    book: PreviewBook,
+    images: int,
+    settings: CandidatesSettings,
+    tuning: Tuning,
+) -> list[OffsetResult]:
+    """Of each couple of passes, within a budget of previews."""
+    offsets, parts = tuning.offsets, []
+    budget = len(book) + max(offsets.min_budget, offsets.previews_an_image * images)
+    strides = {id(p): _stride(p, book, settings, tuning) for p in passes}
+    for k, (p, q) in enumerate(couples):
+        share = max(0, budget - len(book)) // (len(couples) - k)
+        stride = finest = min(strides[id(p)], strides[id(q)])
+        survey = _survey((p, q), (stride, offsets.window_nodes), book, settings, tuning, len(book) + share)
+        while not survey.complete and offsets.coarser_strides * stride < max(len(p), len(q)):
+            stride *= 2  # coarser: the nodes of the finer lattice are known and cost nothing
+            # As many frames from the path as before: else pairs, and previews, would grow faster than the images.
+            window = max(offsets.least_window_nodes, offsets.window_nodes * finest // stride)
+            survey = _survey((p, q), (stride, window), book, settings, tuning, len(book) + share)
+        local = _local(survey, settings, tuning)
+        parts.append(_without_copies(local, survey.lattice, book, settings, tuning.looks.copies))
+    return parts
 
 
 def _stride(p: Pass, book: PreviewBook, settings: CandidatesSettings, tuning: Tuning) -> int:

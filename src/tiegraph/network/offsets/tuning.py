@@ -38,7 +38,7 @@ class BackgroundTuning(Section):
 
 
 class ConstantTuning(Section):
-    """One offset for each two cameras (`constant.py`)."""
+    """One offset for each two cameras (`tiegraph.papers.meguro2024`)."""
 
     max_columns: int = Field(120, gt=0)
     """Frames of the other pass a sampled frame is compared with."""

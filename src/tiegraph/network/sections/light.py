@@ -7,8 +7,10 @@ threshold of its own in every pass, and a cue that shows no clear contrast has n
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,12 +24,18 @@ class UpLight:
     """Cues of each image (N,), NaN = unknown; only those of up cameras are read.
 
     brightness: mean grey value 0..255; sky_share: share of the picture that the masks leave out (sky and burnt out, in
-    an up camera), exposure: exposure time in s x ISO / (f-number squared) as EXIF gives them.
+    an up camera), unless ``measure`` says by what else; exposure: exposure time in s x ISO / (f-number squared) as EXIF
+    gives them.
     """
 
     brightness: np.ndarray
     sky_share: np.ndarray | None = None
     exposure: np.ndarray | None = None
+    measure: str = "open share of the masks"
+
+
+LIGHTS: dict[str, Callable[[Scene, Path, Callable[..., list[Any]]], UpLight]] = {}
+"""Ways by name (of ``network.sections``) to measure the light in a folder of images, beside that of the previews."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +71,8 @@ class _Kind:
     absolute: bool
 
 
-def _sky(tuning: SectionsTuning) -> _Kind:
-    return _Kind("open share of the masks", "", tuning.sky_contrast, False, True)
+def _sky(measure: str, tuning: SectionsTuning) -> _Kind:
+    return _Kind(measure, "", tuning.sky_contrast, False, True)
 
 
 def _luminance(tuning: SectionsTuning) -> _Kind:
@@ -90,14 +98,16 @@ class _Split:
 def read_cues(scene: Scene, passes: Sequence[Pass], light: UpLight, tuning: SectionsTuning) -> tuple[Cue, ...]:
     """The cues that the up cameras of a scene offer; none where no camera looks up."""
     grey = by_up_frame(scene, light.brightness)
-    if not np.isfinite(grey).any():
-        return ()
     cues = []
     if light.sky_share is not None:
-        cues.append(_cue(_sky(tuning), by_up_frame(scene, light.sky_share), passes, tuning))
+        cues.append(_cue(_sky(light.measure, tuning), by_up_frame(scene, light.sky_share), passes, tuning))
     stop = None if light.exposure is None else by_up_frame(scene, light.exposure)
     known = np.isfinite(grey)
-    if stop is not None and np.mean(np.isfinite(stop[known]) & (stop[known] > 0)) >= tuning.known_exposure:
+    if (
+        stop is not None
+        and known.any()
+        and np.mean(np.isfinite(stop[known]) & (stop[known] > 0)) >= tuning.known_exposure
+    ):
         with np.errstate(invalid="ignore", divide="ignore"):
             luminance = np.where(stop > 0, (grey / 255) ** tuning.gamma / stop, np.nan)
         cues.append(_cue(_luminance(tuning), luminance, passes, tuning))

@@ -3,14 +3,17 @@
 import numpy as np
 
 from boat_world import photos
-from tiegraph.design.design import design
-from tiegraph.design.fuse2014 import capacities
+from tiegraph import papers
+from tiegraph.design.design import METHODS, design
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tuning import Tuning
+from tiegraph.papers.fuse2014 import capacities
 from tiegraph.scene.graph import components
 from tiegraph.scene.pairs import Pairs
 
 TUNING = Tuning()
+for name in papers.DESIGNS:
+    papers.plug_in(papers.DESIGNS, name, METHODS)
 
 
 def video(count: int = 60, window: int = 6, seed: int = 0, **columns) -> Pairs:

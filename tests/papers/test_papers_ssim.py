@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
-from masks_world import DECK, HORIZON, frame, sequence, share
 
-from tiegraph.masks import ssim as module
+from masks_world import DECK, HORIZON, frame, sequence, share
 from tiegraph.masks.frames import grey
 from tiegraph.masks.settings import MasksSettings
-from tiegraph.masks.ssim import initial_mask, prepare_ssim, ssim
 from tiegraph.masks.tuning import Tuning
+from tiegraph.papers import meguro2025 as module
+from tiegraph.papers.meguro2025 import initial_mask, prepare_ssim, ssim
 
 TUNING = Tuning()
 C1, C2 = 6.5025, 58.5225  # (0.01 * 255)^2, (0.03 * 255)^2

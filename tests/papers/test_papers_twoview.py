@@ -4,8 +4,8 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
+from tiegraph.papers.fuse2014 import two_view
 from tiegraph.sfm.tuning import TwoViewTuning
-from tiegraph.sfm.twoview import two_view
 
 CAMERA = pycolmap.Camera(model="PINHOLE", width=640, height=480, params=[500, 500, 320, 240])
 

@@ -1,11 +1,11 @@
 import numpy as np
-from masks_world import DECK, HORIZON, frame, sequence, share
 
-from tiegraph.masks.difference import difference_mask, prepare_difference
+from masks_world import DECK, HORIZON, frame, sequence, share
 from tiegraph.masks.frames import grey
 from tiegraph.masks.morphology import block_share, from_blocks, masked_neighbours, opened_closed, without_small
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.tuning import Tuning
+from tiegraph.papers.meguro2024 import difference_mask, prepare_difference
 
 TUNING = Tuning()
 

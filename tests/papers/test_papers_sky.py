@@ -1,11 +1,11 @@
 import cv2
 import numpy as np
-from masks_world import CLOUD_BGR, DECK, HORIZON, SHAPE, frame, share
 
+from masks_world import CLOUD_BGR, DECK, HORIZON, SHAPE, frame, share
 from tiegraph.masks.frames import grey
 from tiegraph.masks.settings import MasksSettings
-from tiegraph.masks.sky import blue_sky, edge_sky, final_mask
 from tiegraph.masks.tuning import Meguro2025Tuning
+from tiegraph.papers.meguro2025 import blue_sky, edge_sky, final_mask
 
 SETTINGS = MasksSettings()
 TUNING = Meguro2025Tuning()
