@@ -151,7 +151,7 @@ def _default_model(spec: SensorSpec, facts: FileFacts, settings: ScanSettings) -
         return "OPENCV_FISHEYE"
     # Loose photographs: few images of a camera, so one distortion parameter. Rigs and sequences: wide lenses need two,
     # but on the nearly straight tracks of a survey fy and the tangential terms of OPENCV are hardly observable (they
-    # trade against the rotations) and bend the model; the final adjustment adds them under priors (sfm/lens.py).
+    # trade against the rotations) and bend the model; the final adjustment adds them with priors (sfm.adjustment.lens).
     return "SIMPLE_RADIAL" if facts.loose else "RADIAL"
 
 

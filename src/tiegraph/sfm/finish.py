@@ -16,12 +16,13 @@ from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.evidence import Statement
 from tiegraph.scene.evidence import table as statement_table
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adjust import final_adjustment, free_cameras
+from tiegraph.sfm.adjustment import soft
+from tiegraph.sfm.adjustment.adjust import final_adjustment, free_cameras
+from tiegraph.sfm.adjustment.given import drawings, given_geometry
+from tiegraph.sfm.adjustment.jacobians import Ties
 from tiegraph.sfm.covariance import Mounting, PositionSigma, position_sigma
-from tiegraph.sfm.jacobians import Ties
 from tiegraph.sfm.placement.settle import Matched, Settled, settle
-from tiegraph.sfm.placement.verified import read_verified, seen_by
-from tiegraph.sfm.rig import soft, ties
+from tiegraph.sfm.rig import ties
 from tiegraph.sfm.rig.confront import (
     hear,
     hear_lens,
@@ -33,12 +34,12 @@ from tiegraph.sfm.rig.confront import (
     statements,
 )
 from tiegraph.sfm.rig.diagnosis import Diagnosis, diagnose
-from tiegraph.sfm.rig.given import drawings, given_geometry
 from tiegraph.sfm.rig.health import COLUMNS
 from tiegraph.sfm.rig.judge import Judgement
 from tiegraph.sfm.rig.relax import Believed, Relaxed, lost_images, relax, with_errors, with_sightings_of
 from tiegraph.sfm.rig.support import place_as_given, units_per_metre
 from tiegraph.sfm.tuning import SigmaTuning, Tuning
+from tiegraph.sfm.verified import read_verified, seen_by
 from tiegraph.text import known_to
 
 HEALTH_FILE = "rig_health.csv"

@@ -34,9 +34,9 @@ from tiegraph.sfm.mapping import SCRATCH, Job, Outcome, Progress, believed_camer
 from tiegraph.sfm.model import frame_poses, registration_tables
 from tiegraph.sfm.rig.rig import DerivedRig, derive_rig, rig_modes, rig_table
 from tiegraph.sfm.rig.support import ties_of, unsupported_sensors
-from tiegraph.sfm.rig.tuning import DeriveTuning
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.tuning.rig import DeriveTuning
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ import pycolmap
 from scipy import sparse
 
 from tiegraph.geometry.transforms import skew
-from tiegraph.sfm.jacobians import Layout, System, frame_pose
-from tiegraph.sfm.normal import Normal, at_their_minimum, by_blocks, point_inverse
+from tiegraph.sfm.adjustment.jacobians import Layout, System, frame_pose
+from tiegraph.sfm.adjustment.normal import Normal, at_their_minimum, by_blocks, point_inverse
 from tiegraph.sfm.tuning import SharedErrorTuning
 
 _RIDGE = 1e-6  # of the information: directions that the unknowns take up whole

@@ -13,8 +13,8 @@ from tiegraph.sfm.placement.guided import Descriptors, Found, Sight, add_sightin
 from tiegraph.sfm.placement.predict import Predicted, predicted
 from tiegraph.sfm.placement.repair import Repair, around, fits, mounts
 from tiegraph.sfm.placement.resect import Placed, place
-from tiegraph.sfm.placement.tuning import PlacementTuning
-from tiegraph.sfm.placement.verified import Seen
+from tiegraph.sfm.tuning.placement import PlacementTuning
+from tiegraph.sfm.verified import Seen
 
 
 @dataclass(frozen=True)

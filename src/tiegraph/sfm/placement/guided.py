@@ -19,8 +19,8 @@ from scipy.spatial import cKDTree
 
 from tiegraph.geometry import transforms
 from tiegraph.sfm.placement.resect import Rows
-from tiegraph.sfm.placement.tuning import GuidedTuning
-from tiegraph.sfm.placement.verified import Seen, Verified
+from tiegraph.sfm.tuning.placement import GuidedTuning
+from tiegraph.sfm.verified import Seen, Verified
 
 _MOST_HELD = 48  # images whose descriptors are kept: memory
 

@@ -17,8 +17,8 @@ import numpy as np
 
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.placement.steps import Course, Piece, pieces
-from tiegraph.sfm.placement.tuning import VotesTuning
-from tiegraph.sfm.placement.verified import Verified
+from tiegraph.sfm.tuning.placement import VotesTuning
+from tiegraph.sfm.verified import Verified
 
 
 @dataclass(frozen=True)

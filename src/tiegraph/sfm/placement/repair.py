@@ -20,9 +20,9 @@ from tiegraph.sfm.model import frame_poses, image_poses, matrix, model_rigs, rig
 from tiegraph.sfm.placement.placement import Doubt, Judgement, judge, neighbours, opinion, votes
 from tiegraph.sfm.placement.resect import Placed, correspondences, place
 from tiegraph.sfm.placement.steps import Course, course
-from tiegraph.sfm.placement.tuning import PlacementTuning, RepairTuning
-from tiegraph.sfm.placement.verified import Seen, Verified, agreement, seen_by
 from tiegraph.sfm.solver import THREADS
+from tiegraph.sfm.tuning.placement import PlacementTuning, RepairTuning
+from tiegraph.sfm.verified import Seen, Verified, agreement, seen_by
 
 
 @dataclass

@@ -10,8 +10,8 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.sfm.model import matrix, rigid3d
-from tiegraph.sfm.placement.tuning import PlacementTuning, ResectTuning
-from tiegraph.sfm.placement.verified import Seen, Verified
+from tiegraph.sfm.tuning.placement import PlacementTuning, ResectTuning
+from tiegraph.sfm.verified import Seen, Verified
 
 
 @dataclass(frozen=True)

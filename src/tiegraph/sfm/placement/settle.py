@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
+from tiegraph.scene.registered import LEFT_OUT
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import write_working_copy
-from tiegraph.sfm.losses import LEFT_OUT
 from tiegraph.sfm.placement.adopt import adopt
 from tiegraph.sfm.placement.complete import Completed, complete
 from tiegraph.sfm.placement.guided import Descriptors
 from tiegraph.sfm.placement.repair import Repair, label, points_anew, repair
-from tiegraph.sfm.placement.tuning import PlacementTuning
-from tiegraph.sfm.placement.verified import image_ids, read_verified
+from tiegraph.sfm.tuning.placement import PlacementTuning
+from tiegraph.sfm.verified import image_ids, read_verified
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.placement.tuning import CourseTuning
+from tiegraph.sfm.tuning.placement import CourseTuning
 
 
 @dataclass(frozen=True)

@@ -14,13 +14,13 @@ from tiegraph.geometry.transforms import skew
 from tiegraph.scene.evidence import LIMIT, Contradiction, Statement
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adjust import final_adjustment
+from tiegraph.sfm.adjustment.adjust import final_adjustment
+from tiegraph.sfm.adjustment.soft import SensorPrior, Soft
 from tiegraph.sfm.model import model_rigs
 from tiegraph.sfm.rig.judge import Expected, Group, Judgement, expected, judge
 from tiegraph.sfm.rig.linear import RigSystem, rig_system
-from tiegraph.sfm.rig.soft import SensorPrior, Soft
-from tiegraph.sfm.rig.tuning import RigTuning
 from tiegraph.sfm.tuning import AdjustTuning, Tuning
+from tiegraph.sfm.tuning.rig import RigTuning
 
 _EXACTLY = 1e-6
 GIVEN, IMAGES = "rig as given", "images"

@@ -15,8 +15,8 @@ from tiegraph.sfm.rig.confront import hear
 from tiegraph.sfm.rig.health import Resections, SensorHealth, resect_all, sensor_health, table_rows
 from tiegraph.sfm.rig.judge import Judgement
 from tiegraph.sfm.rig.sync import TimeOffset, rig_motion, time_offset
-from tiegraph.sfm.rig.tuning import RigTuning, SyncTuning, TornTuning
 from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.tuning.rig import RigTuning, SyncTuning, TornTuning
 
 
 @dataclass(frozen=True)

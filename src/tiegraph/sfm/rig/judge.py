@@ -16,7 +16,7 @@ import numpy as np
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.rig import Rig
 from tiegraph.sfm.rig.linear import RigSolution, RigSystem
-from tiegraph.sfm.rig.tuning import RigTuning
+from tiegraph.sfm.tuning.rig import RigTuning
 
 Group = tuple[str, int]  # "times" (-1), "mount" or "lens" of a sensor
 

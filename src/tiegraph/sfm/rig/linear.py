@@ -20,9 +20,9 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry import transforms
 from tiegraph.geometry.transforms import skew
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.jacobians import Layout, jacobians
+from tiegraph.sfm.adjustment.jacobians import Layout, jacobians
+from tiegraph.sfm.adjustment.normal import at_their_minimum, by_blocks, point_inverse, reduced
 from tiegraph.sfm.model import image_poses
-from tiegraph.sfm.normal import at_their_minimum, by_blocks, point_inverse, reduced
 from tiegraph.sfm.rig.release import released
 from tiegraph.sfm.rig.sync import rig_motion
 from tiegraph.sfm.tuning import Tuning

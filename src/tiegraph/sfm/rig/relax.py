@@ -16,15 +16,15 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adjust import final_adjustment
-from tiegraph.sfm.jacobians import Tie, Ties
+from tiegraph.sfm.adjustment.adjust import final_adjustment
+from tiegraph.sfm.adjustment.jacobians import Tie, Ties
+from tiegraph.sfm.adjustment.soft import Soft, SoftTie
+from tiegraph.sfm.adjustment.timed import Timed, TimedTie, expected
 from tiegraph.sfm.model import frame_poses, image_poses, model_rigs, observations
 from tiegraph.sfm.rig.release import released
-from tiegraph.sfm.rig.soft import Soft, SoftTie
 from tiegraph.sfm.rig.sync import Motion, TimeOffset, rig_motion, time_offset
-from tiegraph.sfm.rig.timed import Timed, TimedTie, expected
-from tiegraph.sfm.rig.tuning import SyncTuning
 from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.tuning.rig import SyncTuning
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.rig.tuning import SyncTuning
+from tiegraph.sfm.tuning.rig import SyncTuning
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.placement.verified import Seen, Verified, agreement
-from tiegraph.sfm.rig.tuning import TiesTuning
+from tiegraph.sfm.tuning.rig import TiesTuning
+from tiegraph.sfm.verified import Seen, Verified, agreement
 
 
 @dataclass(frozen=True)

@@ -9,14 +9,14 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
+from tiegraph.geometry.align import l1_mean_rotation
 from tiegraph.scene.graph import parts
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses, rigid3d
-from tiegraph.sfm.placement.verified import Verified
-from tiegraph.sfm.rig.rig import l1_mean_rotation
 from tiegraph.sfm.start.scale import PathScale, path_scale
-from tiegraph.sfm.start.tuning import ScaleTuning, StartTuning
+from tiegraph.sfm.tuning.start import ScaleTuning, StartTuning
+from tiegraph.sfm.verified import Verified
 
 ONE_CENTRE = 1e-6  # metres: shorter baselines are none
 

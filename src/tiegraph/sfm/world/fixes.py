@@ -9,7 +9,7 @@ import numpy as np
 from tiegraph.scene.control import Control
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import held_out_frames
-from tiegraph.sfm.world.tuning import FixTuning
+from tiegraph.sfm.tuning.world import FixTuning
 
 NODES = 4  # frames that carry a position between frames: a cubic through them
 

@@ -17,6 +17,7 @@ from tiegraph.scene.evidence import Statement, table
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.settings import GeorefSettings
+from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.world.accuracy import PlacementError, widened
 from tiegraph.sfm.world.fit import Fit, jackknife_sigma
 from tiegraph.sfm.world.fixes import Fixes, Given
@@ -25,7 +26,6 @@ from tiegraph.sfm.world.marks import point_table, targets, without_blunders
 from tiegraph.sfm.world.placing import RIGHT_ANGLE_DEG, Model, Placing, place
 from tiegraph.sfm.world.scale import RigScale, rig_scale
 from tiegraph.sfm.world.sources import rig_statement, up_statements
-from tiegraph.sfm.world.tuning import WorldTuning
 from tiegraph.text import known_to
 
 _AXES = ("east", "north", "up")

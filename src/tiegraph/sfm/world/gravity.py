@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.world.tuning import UpTuning
+from tiegraph.sfm.tuning.world import UpTuning
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from tiegraph.scene.control import Control
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import matrix
-from tiegraph.sfm.world.tuning import MarkTuning
+from tiegraph.sfm.tuning.world import MarkTuning
 
 _CE90, _LE90 = 2.146, 1.645  # 90 % of a two-dimensional and of a one-dimensional normal error, in sigmas
 

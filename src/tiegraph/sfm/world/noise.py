@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiegraph.sfm.world.tuning import NoiseTuning
+from tiegraph.sfm.tuning.world import NoiseTuning
 
 MEDIAN_CHI2_3 = 2.366  # median of chi-square with three degrees of freedom
 SIMILARITY = 7  # unknowns

@@ -11,6 +11,7 @@ from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses
 from tiegraph.sfm.settings import GeorefSettings
+from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.world import noise
 from tiegraph.sfm.world.fit import Evidence, Fit, fit_similarity
 from tiegraph.sfm.world.fixes import Fixes, Given, make_fixes
@@ -18,7 +19,6 @@ from tiegraph.sfm.world.gravity import Up
 from tiegraph.sfm.world.marks import Target
 from tiegraph.sfm.world.scale import RigScale
 from tiegraph.sfm.world.sources import POSITIONS, common_of
-from tiegraph.sfm.world.tuning import WorldTuning
 from tiegraph.sfm.world.weighing import Question, Weighed, weigh
 from tiegraph.text import known_to
 

@@ -9,7 +9,7 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.world.tuning import ScaleTuning
+from tiegraph.sfm.tuning.world import ScaleTuning
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,12 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry.align import Similarity
 from tiegraph.scene.evidence import Statement
+from tiegraph.sfm.tuning.world import NoiseTuning, SourceTuning, WorldTuning
 from tiegraph.sfm.world import noise
 from tiegraph.sfm.world.accuracy import PlacementError
 from tiegraph.sfm.world.fit import Evidence, Fit, fit_similarity
 from tiegraph.sfm.world.gravity import Up
 from tiegraph.sfm.world.scale import RigScale
-from tiegraph.sfm.world.tuning import NoiseTuning, SourceTuning, WorldTuning
 
 POSITIONS = {"gnss": "GNSS positions", "exif": "EXIF positions", "trajectory": "trajectory positions"}
 CONTROL, RIG, ORIENTATIONS = "control points", "rig as given", "given orientations"

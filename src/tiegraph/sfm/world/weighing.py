@@ -8,10 +8,10 @@ import numpy as np
 
 from tiegraph.geometry.align import Similarity
 from tiegraph.scene.evidence import LIMIT, Trend, trend
+from tiegraph.sfm.tuning.world import SourceTuning, WorldTuning
 from tiegraph.sfm.world.fit import Evidence, fit_similarity
 from tiegraph.sfm.world.scale import RigScale
 from tiegraph.sfm.world.sources import CONTROL, RIG, Source, alone
-from tiegraph.sfm.world.tuning import SourceTuning, WorldTuning
 
 TWO_ENDS = LIMIT / np.sqrt(2)  # half a trend's size in sigmas of a position, when its ends contradict each other
 _AXES = ("east", "north", "up")

@@ -13,17 +13,17 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.control import Control
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adjust import free_cameras
+from tiegraph.sfm.adjustment.adjust import free_cameras
+from tiegraph.sfm.adjustment.given import given_geometry
+from tiegraph.sfm.adjustment.priors import add_priors
 from tiegraph.sfm.model import frame_poses, image_poses, matrix
-from tiegraph.sfm.priors import add_priors
-from tiegraph.sfm.rig.given import given_geometry
 from tiegraph.sfm.solver import factorised
 from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.tuning.world import AdjustmentTuning
 from tiegraph.sfm.world import costs, noise
 from tiegraph.sfm.world.fixes import Fixes
 from tiegraph.sfm.world.gravity import Up
 from tiegraph.sfm.world.marks import Target
-from tiegraph.sfm.world.tuning import AdjustmentTuning
 
 
 @dataclass(frozen=True)

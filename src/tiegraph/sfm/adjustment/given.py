@@ -10,9 +10,9 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.rig.compact import Drawing
-from tiegraph.sfm.rig.soft import PairPrior, SensorPrior, Soft
-from tiegraph.sfm.rig.tuning import GivenTuning
+from tiegraph.sfm.adjustment.compact import Drawing
+from tiegraph.sfm.adjustment.soft import PairPrior, SensorPrior, Soft
+from tiegraph.sfm.tuning.rig import GivenTuning
 
 
 def given_geometry(model: pycolmap.Reconstruction, scene: Scene, rigs: Collection[int], tuning: GivenTuning) -> Soft:

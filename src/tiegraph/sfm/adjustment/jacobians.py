@@ -11,9 +11,8 @@ import pycolmap
 from scipy import sparse
 
 from tiegraph.geometry.transforms import skew
-from tiegraph.sfm import lens
+from tiegraph.sfm.adjustment import compact, lens
 from tiegraph.sfm.model import matrix
-from tiegraph.sfm.rig import compact
 from tiegraph.sfm.tuning import AdjustTuning, LensTuning
 
 

@@ -13,7 +13,7 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import MAX_IMAGES
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.placement.tuning import AgreementTuning
+from tiegraph.sfm.tuning.placement import AgreementTuning
 
 
 @dataclass(frozen=True)
