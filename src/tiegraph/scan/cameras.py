@@ -66,7 +66,11 @@ def calibrate(
         if not prepared.is_undistorted():
             prepared = pinhole_camera(prepared)
     changed = spec.of_panorama or any(crop) or prepared.model != camera.model or not facts.upright or facts.bits > 8
-    source = Source(camera, crop, facts.upright, facts.bits, spec.of_panorama) if changed else None
+    source = (
+        Source(camera=camera, crop_px=crop, upright=facts.upright, bits=facts.bits, panorama=spec.of_panorama)
+        if changed
+        else None
+    )
     return Calibrated(prepared, source, how)
 
 

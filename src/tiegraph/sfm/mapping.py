@@ -258,7 +258,7 @@ def _run(
     held = "positions" if request.positions else "none"
     job.runs.append([mapper, rig, held, label, len(folders), registered, points, round(seconds, 1)])
     _log.info("%s mapping, rig %s: %d images in the first of %d models", mapper, rig, registered, len(folders))
-    return Outcome(mapper, folders, registered, mapped.refused)
+    return Outcome(mapper=mapper, folders=folders, registered=registered, refused=mapped.refused)
 
 
 def _seeing(folder: Path, scene: Scene, least: int) -> tuple[int, int]:

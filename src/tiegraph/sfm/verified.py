@@ -103,7 +103,7 @@ def seen_by(model: pycolmap.Reconstruction, scene: Scene, tuning: AgreementTunin
         if len(own) >= tuning.least_matches:
             depth = np.linalg.norm(transforms.apply(poses[k], own), axis=1)
             reach[k] = np.percentile(depth, tuning.reach_percent)
-    return Seen(cameras, poses, point, reach, xyz, tuning)
+    return Seen(cameras=cameras, cam_from_world=poses, point=point, reach=reach, xyz=xyz, tuning=tuning)
 
 
 def agreement(verified: Verified, seen: Seen) -> np.ndarray:

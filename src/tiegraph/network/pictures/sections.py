@@ -24,7 +24,16 @@ def sections_png(network: Any) -> bytes:
     if not cues:
         threshold = np.full(network.scene.frames, network.threshold)
         none = np.zeros(network.scene.frames)
-        cues = (Cue("brightness", " of 255", network.brightness, threshold, none, ""),)
+        cues = (
+            Cue(
+                name="brightness",
+                unit=" of 255",
+                values=network.brightness,
+                threshold=threshold,
+                evidence=none,
+                figure="",
+            ),
+        )
     return draw_sections(network.scene, network.sections, cues)
 
 

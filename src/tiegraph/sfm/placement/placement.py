@@ -128,7 +128,14 @@ def opinion(frames: Collection[int], believed: set[int], said: Votes, near: Sequ
         sums += [*said.of(frame, others), *said.of(frame, near[frame] & others)]
         partners |= said.partners(frame, others)
     agree, against, agree_near, against_near = sums.tolist()
-    return Opinion(agree, against, agree_near, against_near, len(partners), said.tuning)
+    return Opinion(
+        agree=agree,
+        against=against,
+        agree_near=agree_near,
+        against_near=against_near,
+        partners=len(partners),
+        tuning=said.tuning,
+    )
 
 
 def judge(positions: np.ndarray, scene: Scene, way: Course, said: Votes) -> Judgement:

@@ -116,7 +116,7 @@ class Around:
 def around(work: Repair, seen: Seen, frames: set[int] | None = None) -> Around:
     """The model as it stands; ``frames``: those believed, None = those of the images in ``seen``."""
     own = {int(work.scene.frame[k]) for k in seen.point}
-    return Around(own if frames is None else frames, seen, work.poses(), work.way())
+    return Around(frames=own if frames is None else frames, seen=seen, poses=work.poses(), way=work.way())
 
 
 def only_frames(seen: Seen, scene: Scene, frames: set[int]) -> Seen:

@@ -94,7 +94,15 @@ def diagnose(
     if len(loose) > 1:
         notes.append("of several cameras that scatter, the one with the largest ratio is the cause: they share points")
     timed = all(j.system.timed for j in heard.values())
-    return Diagnosis(table_rows(found, scene), health, tuple(sorted(moving)), notes, timed, loose, heard)
+    return Diagnosis(
+        rows=table_rows(found, scene),
+        health=health,
+        moving=tuple(sorted(moving)),
+        notes=notes,
+        timed=timed,
+        loose=loose,
+        heard=heard,
+    )
 
 
 def _late(

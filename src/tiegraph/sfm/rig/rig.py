@@ -151,7 +151,13 @@ def _average(stack: np.ndarray, name: str, outlier_deg: float) -> tuple[np.ndarr
     translation = np.median(translations, axis=0)
     length = max(float(np.linalg.norm(translation)), 1e-12)
     off = float(np.median(np.linalg.norm(translations - translation, axis=1))) / length
-    scatter = SensorScatter(name, len(stack), float(np.median(angles)), off, float(np.mean(~close)))
+    scatter = SensorScatter(
+        sensor=name,
+        frames=len(stack),
+        scatter_deg=float(np.median(angles)),
+        scatter_baseline=off,
+        outliers=float(np.mean(~close)),
+    )
     return transforms.rigid(rotation, translation), scatter
 
 

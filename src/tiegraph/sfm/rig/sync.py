@@ -96,4 +96,6 @@ def time_offset(
     sigma = float(np.sqrt(np.linalg.inv(normal)[6, 6] * max(scale, 1.0)))
     top = float(np.max(np.linalg.norm(columns[:, :3], axis=1)))
     spread = 1.4826 * np.median(np.abs(left), axis=0)
-    return TimeOffset(float(found[6]), sigma, found[:6], spread, abs(float(found[6])) * top)
+    return TimeOffset(
+        offset_s=float(found[6]), sigma_s=sigma, constant=found[:6], spread=spread, moves_m=abs(float(found[6])) * top
+    )

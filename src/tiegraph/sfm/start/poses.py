@@ -60,7 +60,12 @@ def start_from(
     images = cam_from_world.copy()
     images[:, :3, 3] *= found.scale
     note = f"its path made {found.scale:.3g} times as long, by {found.by}"
-    return Start(fitted, frames, images, (note,) if abs(found.scale - 1) > tuning.told_change else ())
+    return Start(
+        rigs=fitted,
+        world_from_rig=frames,
+        cam_from_world=images,
+        notes=(note,) if abs(found.scale - 1) > tuning.told_change else (),
+    )
 
 
 def length_of_path(

@@ -71,7 +71,14 @@ def levels(
     out = []
     for rows in _levels(level):
         r = correlation(residual[rows], time_s[rows], tuning)
-        out.append(Level(len(rows), float(np.median(sigma[rows, 0])), _scatter(residual[rows]), r))
+        out.append(
+            Level(
+                count=len(rows),
+                sigma_m=float(np.median(sigma[rows, 0])),
+                factor=_scatter(residual[rows]),
+                correlation=r,
+            )
+        )
     return sorted(out, key=lambda v: v.sigma_m)
 
 

@@ -92,7 +92,15 @@ def adjust_in_world(world: pycolmap.Reconstruction, scene: Scene, given: Constra
     manager.filter_all_points3D(given.tuning.adjust.filter_px, given.tuning.adjust.filter_angle_deg)
     model.update_point_3d_errors()
     after = float(model.compute_mean_reprojection_error())
-    return Adjusted(model, arm, float(clock[0]), residual, factor, before, after)
+    return Adjusted(
+        model=model,
+        antenna=arm,
+        offset_s=float(clock[0]),
+        residual=residual,
+        factor=factor,
+        before_px=before,
+        after_px=after,
+    )
 
 
 def residuals(
