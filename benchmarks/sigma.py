@@ -35,10 +35,10 @@ from benchmarks.sfm.agree import centres, compare
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adjust import free_cameras
+from tiegraph.sfm.adjustment.adjust import free_cameras
+from tiegraph.sfm.adjustment.given import drawings
 from tiegraph.sfm.covariance import PositionSigma, position_sigma
 from tiegraph.sfm.mapping import believed_cameras
-from tiegraph.sfm.rig.given import drawings
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.tuning import Tuning

@@ -22,11 +22,11 @@ from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Sights, Ties
 from tiegraph.scene.tuning import Tuning as SceneTuning
+from tiegraph.sfm.adjustment.jacobians import Layout, of_image
+from tiegraph.sfm.adjustment.normal import reduced
 from tiegraph.sfm.covariance import positions_free_gauge
-from tiegraph.sfm.jacobians import Layout, of_image
 from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.mapping import believed_cameras
-from tiegraph.sfm.normal import reduced
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.tuning import Tuning

@@ -37,7 +37,7 @@ from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import ControlTuning, GnssTuning
-from tiegraph.sfm.adjust import final_adjustment
+from tiegraph.sfm.adjustment.adjust import final_adjustment
 from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.model import frame_poses, image_poses
 from tiegraph.sfm.rig.rig import rig_modes

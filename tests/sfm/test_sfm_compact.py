@@ -8,11 +8,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from sfm_worlds import make_world
 
-from tiegraph.sfm.adjust import final_adjustment
+from tiegraph.sfm.adjustment import compact
+from tiegraph.sfm.adjustment.adjust import final_adjustment
 from tiegraph.sfm.model import rigid3d
-from tiegraph.sfm.rig import compact
-from tiegraph.sfm.rig.tuning import CompactTuning
 from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.tuning.rig import CompactTuning
 
 import pycolmap  # isort: skip
 

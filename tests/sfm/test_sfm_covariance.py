@@ -10,9 +10,9 @@ from moving_world import moving_world
 from sfm_worlds import make_world, true_frames
 
 from tiegraph.geometry.align import umeyama
-from tiegraph.sfm.adjust import _solve, final_adjustment
+from tiegraph.sfm.adjustment.adjust import _solve, final_adjustment
+from tiegraph.sfm.adjustment.jacobians import Layout, Tie, Ties, skew
 from tiegraph.sfm.covariance import MOUNTING, position_sigma
-from tiegraph.sfm.jacobians import Layout, Tie, Ties, skew
 from tiegraph.sfm.model import frame_poses, image_poses
 from tiegraph.sfm.tuning import Tuning
 
@@ -176,6 +176,6 @@ def test_final_adjustment_finds_the_principal_point(tmp_path) -> None:
 
 def test_impossible_intrinsics_are_refused(world, monkeypatch) -> None:
     truth, _ = world
-    monkeypatch.setattr("tiegraph.sfm.adjust.impossible_camera", lambda *_: 2)
+    monkeypatch.setattr("tiegraph.sfm.adjustment.adjust.impossible_camera", lambda *_: 2)
     result = final_adjustment(truth, tuning=TUNING.adjust)
     assert not result.accepted and result.model is truth and "camera 2" in result.note

@@ -14,6 +14,7 @@ from tiegraph.scene.control import Control
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.sfm.settings import GeorefSettings
+from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.world import georef
 from tiegraph.sfm.world.fixes import Given
 from tiegraph.sfm.world.georef import Georeference
@@ -22,7 +23,6 @@ from tiegraph.sfm.world.judging import judged
 from tiegraph.sfm.world.marks import Target, without_blunders
 from tiegraph.sfm.world.placing import Model, place
 from tiegraph.sfm.world.scale import RigScale
-from tiegraph.sfm.world.tuning import WorldTuning
 
 COUNT = 40
 SETTINGS = GeorefSettings(antenna="ignored")

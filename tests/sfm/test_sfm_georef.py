@@ -16,11 +16,11 @@ from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import simple_scene
 from tiegraph.sfm.model import frame_poses, image_poses
 from tiegraph.sfm.settings import GeorefSettings
+from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.world.fit import Evidence, fit_similarity
 from tiegraph.sfm.world.fixes import Given
 from tiegraph.sfm.world.georef import georeference, georeference_all
 from tiegraph.sfm.world.gravity import Up, up_vector
-from tiegraph.sfm.world.tuning import WorldTuning
 
 import pycolmap  # isort: skip
 

@@ -16,7 +16,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses, image_poses
 from tiegraph.sfm.placement.predict import predicted
 from tiegraph.sfm.placement.settle import Matched, Settled, settle
-from tiegraph.sfm.placement.tuning import PlacementTuning
+from tiegraph.sfm.tuning.placement import PlacementTuning
 
 TUNING = PlacementTuning()
 

@@ -10,8 +10,8 @@ import pytest
 from sfm_worlds import make_world
 
 from tiegraph.geometry import transforms
-from tiegraph.sfm import lens
-from tiegraph.sfm.adjust import final_adjustment
+from tiegraph.sfm.adjustment import lens
+from tiegraph.sfm.adjustment.adjust import final_adjustment
 from tiegraph.sfm.model import matrix
 from tiegraph.sfm.tuning import Tuning
 

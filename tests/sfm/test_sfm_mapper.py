@@ -18,11 +18,11 @@ from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.mapper import Source, SparseResult, reconstruct
 from tiegraph.sfm.mapping import choose_mapper
 from tiegraph.sfm.model import frame_poses, held_out_frames, image_poses
-from tiegraph.sfm.placement.verified import image_ids
 from tiegraph.sfm.rig.rig import model_extrinsics, rig_modes
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.tuning import MappingTuning, Tuning
-from tiegraph.sfm.world.tuning import FixTuning
+from tiegraph.sfm.tuning.world import FixTuning
+from tiegraph.sfm.verified import image_ids
 
 
 def _run(folder: Path, scene: Scene, **settings: object) -> SparseResult:

@@ -15,7 +15,7 @@ from tiegraph.sfm.model import image_poses, rigid3d
 from tiegraph.sfm.placement.placement import Votes, judge
 from tiegraph.sfm.placement.settle import Matched, Settled, settle
 from tiegraph.sfm.placement.steps import course
-from tiegraph.sfm.placement.tuning import PlacementTuning
+from tiegraph.sfm.tuning.placement import PlacementTuning
 
 TUNING = PlacementTuning()
 

@@ -7,9 +7,10 @@ from scipy.spatial.transform import Rotation
 from sfm_worlds import make_world, without_extrinsics
 
 from tiegraph.geometry import transforms
+from tiegraph.geometry.align import l1_mean_rotation
 from tiegraph.sfm.model import rigid3d
-from tiegraph.sfm.rig.rig import derive_rig, l1_mean_rotation
-from tiegraph.sfm.rig.tuning import DeriveTuning
+from tiegraph.sfm.rig.rig import derive_rig
+from tiegraph.sfm.tuning.rig import DeriveTuning
 
 
 def test_l1_mean_ignores_a_third_of_outliers() -> None:

@@ -15,13 +15,13 @@ from sfm_worlds import make_world
 from tiegraph.geometry import transforms
 from tiegraph.scene.rig import rig_from_dict, rig_to_dict
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adjust import final_adjustment
+from tiegraph.sfm.adjustment.adjust import final_adjustment
+from tiegraph.sfm.adjustment.soft import available
 from tiegraph.sfm.finish import Finished, FinishRequest, finish_model
 from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.rig.confront import hear, lever_sigmas, open_times, statements
-from tiegraph.sfm.rig.soft import available
-from tiegraph.sfm.rig.tuning import JudgeTuning, RigTuning
 from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.tuning.rig import JudgeTuning, RigTuning
 from tiegraph.sfm.world.scale import rig_scale
 
 RIG = RigTuning()

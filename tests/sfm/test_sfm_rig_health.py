@@ -11,7 +11,8 @@ from moving_world import moving_world
 
 from tiegraph.geometry import transforms
 from tiegraph.sfm import finish
-from tiegraph.sfm.adjust import final_adjustment
+from tiegraph.sfm.adjustment.adjust import final_adjustment
+from tiegraph.sfm.adjustment.soft import available
 from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.rig.diagnosis import Diagnosis, diagnose
 from tiegraph.sfm.rig.health import (
@@ -23,10 +24,9 @@ from tiegraph.sfm.rig.health import (
     sensor_health,
 )
 from tiegraph.sfm.rig.relax import Believed, Relaxed, lost_images, relax
-from tiegraph.sfm.rig.soft import available
 from tiegraph.sfm.rig.sync import rig_motion, time_offset
-from tiegraph.sfm.rig.tuning import RigTuning
 from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.tuning.rig import RigTuning
 
 LATE_S = 0.04
 RIG = RigTuning()

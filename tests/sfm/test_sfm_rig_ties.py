@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from moving_world import moving_world, write_database
 
-from tiegraph.sfm.placement.tuning import AgreementTuning
-from tiegraph.sfm.placement.verified import read_verified, seen_by
 from tiegraph.sfm.rig.ties import camera_ties, sentence, table
-from tiegraph.sfm.rig.tuning import TiesTuning
+from tiegraph.sfm.tuning.placement import AgreementTuning
+from tiegraph.sfm.tuning.rig import TiesTuning
+from tiegraph.sfm.verified import read_verified, seen_by
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.6])

@@ -18,15 +18,15 @@ import pycolmap  # isort: skip
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm import adjust
-from tiegraph.sfm.adjust import final_adjustment
+from tiegraph.sfm.adjustment import adjust
+from tiegraph.sfm.adjustment.adjust import final_adjustment
+from tiegraph.sfm.adjustment.jacobians import Layout, Tie, Ties
+from tiegraph.sfm.adjustment.soft import Soft, available
+from tiegraph.sfm.adjustment.timed import Timed
 from tiegraph.sfm.covariance import position_sigma
-from tiegraph.sfm.jacobians import Layout, Tie, Ties
 from tiegraph.sfm.model import image_poses, rigid3d
 from tiegraph.sfm.rig.confront import hear, mounting_errors
 from tiegraph.sfm.rig.relax import Believed, relax, with_errors
-from tiegraph.sfm.rig.soft import Soft, available
-from tiegraph.sfm.rig.timed import Timed
 from tiegraph.sfm.tuning import Tuning
 
 TUNING = Tuning()

@@ -12,11 +12,11 @@ from sfm_worlds import make_world, true_frames
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
-from tiegraph.sfm.adjust import _solve
+from tiegraph.sfm.adjustment.adjust import _solve
+from tiegraph.sfm.adjustment.jacobians import Layout, Tie, Ties, jacobians
+from tiegraph.sfm.adjustment.normal import Normal, gauge, reduced
 from tiegraph.sfm.covariance import LENS, position_sigma, positions_free_gauge
-from tiegraph.sfm.jacobians import Layout, Tie, Ties, jacobians
 from tiegraph.sfm.model import frame_poses, image_poses, matrix
-from tiegraph.sfm.normal import Normal, gauge, reduced
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.systematic import two_sizes
 from tiegraph.sfm.tuning import Tuning

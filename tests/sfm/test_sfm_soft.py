@@ -11,14 +11,14 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.scene.rig import SensorPair
-from tiegraph.sfm.adjust import final_adjustment
+from tiegraph.sfm.adjustment import soft
+from tiegraph.sfm.adjustment.adjust import final_adjustment
+from tiegraph.sfm.adjustment.given import given_geometry
+from tiegraph.sfm.adjustment.timed import TimedTie, expected
 from tiegraph.sfm.model import model_rigs, rigid3d
-from tiegraph.sfm.rig import soft
-from tiegraph.sfm.rig.given import given_geometry
 from tiegraph.sfm.rig.rig import held_by_mapper, rig_modes
-from tiegraph.sfm.rig.timed import TimedTie, expected
-from tiegraph.sfm.rig.tuning import GivenTuning, RigTuning
 from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.tuning.rig import GivenTuning, RigTuning
 
 needs_pyceres = pytest.mark.skipif(not soft.available(), reason="pyceres is not there")
 

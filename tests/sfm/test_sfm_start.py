@@ -19,13 +19,13 @@ from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm import mapping
 from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.model import frame_poses, image_poses
-from tiegraph.sfm.placement.verified import read_verified
 from tiegraph.sfm.run import Mapped, Request, run_mapper
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.start.poses import rig_of_poses, start_from
 from tiegraph.sfm.start.scale import path_scale
-from tiegraph.sfm.start.tuning import StartTuning
 from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.tuning.start import StartTuning
+from tiegraph.sfm.verified import read_verified
 
 TUNING = StartTuning()
 

@@ -14,8 +14,8 @@ from tiegraph.scene.scene import simple_scene
 from tiegraph.sfm.losses import weakly_held
 from tiegraph.sfm.model import model_rigs
 from tiegraph.sfm.rig.support import place_as_given, ties_of, units_per_metre, unsupported_sensors
-from tiegraph.sfm.rig.tuning import SupportTuning
 from tiegraph.sfm.tuning import LossTuning
+from tiegraph.sfm.tuning.rig import SupportTuning
 
 LOSSES = LossTuning()
 TUNING = SupportTuning()

@@ -120,7 +120,7 @@ def fuse(
         "points": sum(n for n, _, _ in filtered),
     }
     files = ((tile, _tile_path(scratch, tile, "final")) for tile, (n, _, _) in zip(tiles, filtered, strict=True) if n)
-    return Fused(tuple(files), voxel, counts, origin)
+    return Fused(tiles=tuple(files), voxel=voxel, counts=counts, origin=origin)
 
 
 def map_points(depth: DepthMap, rgb: np.ndarray, settings: CloudSettings) -> tuple[Cloud, np.ndarray, int]:
@@ -138,7 +138,13 @@ def map_points(depth: DepthMap, rgb: np.ndarray, settings: CloudSettings) -> tup
     normal = np.full((len(at), 3), np.nan, np.float32)
     if depth.normal is not None:
         normal = np.take(depth.normal.reshape(-1, 3), at, axis=0) @ world_from_cam[:3, :3].T.astype(np.float32)
-    cloud = Cloud(xyz, np.take(rgb.reshape(-1, 3), at, axis=0), normal, sigma, depth.views.ravel()[at])
+    cloud = Cloud(
+        xyz_m=xyz,
+        rgb=np.take(rgb.reshape(-1, 3), at, axis=0),
+        normal=normal,
+        sigma_m=sigma,
+        views=depth.views.ravel()[at],
+    )
     justified = np.maximum(z.astype(float) / _focal(depth), sigma)
     return cloud, justified, int(np.count_nonzero(known & ~sure))
 

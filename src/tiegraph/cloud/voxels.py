@@ -128,13 +128,13 @@ def sums(rows: np.ndarray, voxel: float) -> Voxels:
         return np.stack([total((values[:, k] + shift) / unit) for k in range(3)], axis=1)
 
     return Voxels(
-        rows["cell"][start],
-        np.bincount(group, weight, len(start)).astype(np.float32),
-        totals(rows["place"], _STEPS, 0.5),
-        totals(rows["rgb"], 1.0),
-        totals(rows["normal"], _UNIT),
-        total(sigma),
-        np.maximum.reduceat(rows["views"], start) if len(start) else rows["views"],
+        cell=rows["cell"][start],
+        weight=np.bincount(group, weight, len(start)).astype(np.float32),
+        place=totals(rows["place"], _STEPS, 0.5),
+        rgb=totals(rows["rgb"], 1.0),
+        normal=totals(rows["normal"], _UNIT),
+        sigma=total(sigma),
+        views=np.maximum.reduceat(rows["views"], start) if len(start) else rows["views"],
     )
 
 

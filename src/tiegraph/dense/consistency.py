@@ -107,18 +107,25 @@ class _Tally:
         inverse = np.where(known, 1 / np.where(known, depth.depth_m, 1), 0).astype(np.float64)
         weight = 1 / np.square(np.where(known, depth.sigma_m * inverse**2, 1.0))
         none = np.zeros(known.shape, np.int16)
-        return _Tally(depth.views.astype(np.int16), none, none, none + np.int16(1), inverse * weight, weight)
+        return _Tally(
+            views=depth.views.astype(np.int16),
+            against=none,
+            possible=none,
+            maps=none + np.int16(1),
+            weighted=inverse * weight,
+            weight=weight,
+        )
 
     def heard(self, said: _Said, counted: np.ndarray) -> _Tally:
         """With one more witness; ``counted`` = its image is in ``views`` already."""
         weight = np.where(said.agrees, 1 / said.variance, 0)
         return _Tally(
-            self.views + (said.agrees & ~counted),
-            self.against + said.through,
-            self.possible + (said.possible | counted),
-            self.maps + said.agrees,
-            self.weighted + said.inverse * weight,
-            self.weight + weight,
+            views=self.views + (said.agrees & ~counted),
+            against=self.against + said.through,
+            possible=self.possible + (said.possible | counted),
+            maps=self.maps + said.agrees,
+            weighted=self.weighted + said.inverse * weight,
+            weight=self.weight + weight,
         )
 
 
@@ -174,7 +181,7 @@ def _compare_rows(
     said = z + np.where(agrees, relative * their_z, 0) / np.maximum(along[2], tuning.min_along)
     said = np.where(agrees, 1 / np.where(agrees, said, 1), 0)
     variance = np.where(agrees, np.square(relative_sigma * said), 1)
-    return _Said(possible, agrees, through, said, variance)
+    return _Said(possible=possible, agrees=agrees, through=through, inverse=said, variance=variance)
 
 
 def _along(depth: DepthMap, rotation: np.ndarray, top: int, rows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -201,7 +208,12 @@ class _Surface:
         """Of a depth map."""
         known = np.isfinite(depth.depth_m)
         inverse = np.where(known, 1 / np.where(known, depth.depth_m, 1), 0).astype(np.float32)
-        return _Surface(depth, inverse, known.astype(np.float32), (depth.sigma_m * inverse).astype(np.float32))
+        return _Surface(
+            camera=depth,
+            inverse=inverse,
+            known=known.astype(np.float32),
+            relative_sigma=(depth.sigma_m * inverse).astype(np.float32),
+        )
 
     def at(self, column: np.ndarray, row: np.ndarray, max_relative: float) -> tuple[np.ndarray, np.ndarray]:
         """Inverse depth (linear between pixels of one surface, which is exact on planes; else the nearest pixel's) and

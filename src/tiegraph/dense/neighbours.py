@@ -72,7 +72,7 @@ def plan_images(reconstruction: pycolmap.Reconstruction, settings: DenseSettings
         raise ReconstructionError(_no_partners(dropped))
     if lonely:
         notes.append(f"{lonely} images have one partner only: their depths count if other depth maps confirm them")
-    return DensePlan(images, tuple(dropped), tuple(notes), dict(refused))
+    return DensePlan(images=images, dropped=tuple(dropped), notes=tuple(notes), refused=dict(refused))
 
 
 def choose_partners(
@@ -158,7 +158,7 @@ def _look(
     usable = np.zeros(len(common), bool)
     if rotations is not None:
         usable = usable_rays(from_a @ (rotations[0] @ a[:3, :3]).T) & usable_rays(from_b @ (rotations[1] @ b[:3, :3]).T)
-    partner = Partner(table.views[other], count, float(np.median(angle)), scale)
+    partner = Partner(view=table.views[other], shared=count, angle_deg=float(np.median(angle)), scale=scale)
     reason = refusal(partner, float(usable.mean()), settings, tuning)
     weight = angle_weight(angle, tuning) * usable * min(scale, 1 / scale) * step
     return (_refuse(partner, reason) if reason else partner), seen, weight
@@ -178,7 +178,9 @@ def refusal(partner: Partner, usable: float, settings: DenseSettings, tuning: Pa
 
 
 def _refuse(partner: Partner, reason: str) -> Partner:
-    return Partner(partner.view, partner.shared, partner.angle_deg, partner.scale, reason)
+    return Partner(
+        view=partner.view, shared=partner.shared, angle_deg=partner.angle_deg, scale=partner.scale, reason=reason
+    )
 
 
 def angle_weight(angle_deg: np.ndarray, tuning: PartnerTuning) -> np.ndarray:

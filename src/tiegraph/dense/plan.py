@@ -20,7 +20,12 @@ class CameraModel:
     @staticmethod
     def of(camera: pycolmap.Camera) -> CameraModel:
         """Of a pycolmap camera."""
-        return CameraModel(camera.model_name, camera.width, camera.height, tuple(float(p) for p in camera.params))
+        return CameraModel(
+            model=camera.model_name,
+            width=camera.width,
+            height=camera.height,
+            params=tuple(float(p) for p in camera.params),
+        )
 
     def pycolmap(self) -> pycolmap.Camera:
         """As a pycolmap camera."""

@@ -53,13 +53,15 @@ def plan_shot(views: Sequence[ViewPlan], sought: DepthRange, settings: DenseSett
             dropped.append((view.name, "; ".join(sorted({p.reason for p, _ in looked}))))
             continue
         partners = tuple(p.view for p, _ in good)
-        images[view.name] = ImagePlan(view, partners, tuple(v.name for v in partners), sought)
+        images[view.name] = ImagePlan(
+            view=view, partners=partners, witnesses=tuple(v.name for v in partners), depth_range=sought
+        )
     if not images:
         raise InputError(
             f"no two cameras of the shot can be matched between {sought.near:g} and {sought.far:g} m: "
             f"{'; '.join(dict.fromkeys(r for _, r in dropped))}. Give --near and --far, and look at the rig file"
         )
-    return DensePlan(images, tuple(dropped), (), dict(refused))
+    return DensePlan(images=images, dropped=tuple(dropped), notes=(), refused=dict(refused))
 
 
 def _look(
@@ -72,7 +74,7 @@ def _look(
     at = (there[:, :2] / np.where(front, there[:, 2], 1)[:, None]) * other.K[[0, 1], [0, 1]] + other.K[:2, 2]
     seen = front & (at >= 0).all(axis=1) & (at <= other.size).all(axis=1)
     if seen.mean() < tuning.shots.min_overlap:
-        return Partner(view, 0, 0.0, 1.0, NO_OVERLAP), 0.0
+        return Partner(view=view, shared=0, angle_deg=0.0, scale=1.0, reason=NO_OVERLAP), 0.0
     world, there = world[seen], there[seen]
     own = apply(reference.cam_from_world, world)
     from_a, from_b = world - centre(reference.cam_from_world), world - centre(other.cam_from_world)
@@ -84,10 +86,10 @@ def _look(
         usable = usable_rays(own @ rotations[0].T) & usable_rays(there @ rotations[1].T)
     scale = float(size_ratio * np.median(own[:, 2] / there[:, 2]))
     widest = float(np.percentile(angle, tuning.shots.angle_percentile))
-    partner = Partner(view, int(seen.sum()), widest, scale)
+    partner = Partner(view=view, shared=int(seen.sum()), angle_deg=widest, scale=scale)
     reason = refusal(partner, float(usable.mean()), settings, tuning.partners)
     worth = float(seen.mean() * angle_weight(angle, tuning.partners).mean())
-    return Partner(view, partner.shared, partner.angle_deg, scale, reason), worth
+    return Partner(view=view, shared=partner.shared, angle_deg=partner.angle_deg, scale=scale, reason=reason), worth
 
 
 def _points(camera: Pinhole, sought: DepthRange, tuning: ShotTuning) -> np.ndarray:

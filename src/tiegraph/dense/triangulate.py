@@ -68,7 +68,7 @@ def triangulate(candidates: Sequence[Candidates], tolerance_px: float, tuning: R
         for s in range(0, inverse.shape[1], _STRIP_PIXELS)
     ]
     depth, sigma, support = (np.concatenate(part).reshape(shape) for part in zip(*found, strict=True))
-    return Triangulated(depth, sigma, support, sigma_px)
+    return Triangulated(inverse=depth, sigma=sigma, support=support, sigma_px=sigma_px)
 
 
 def disparity_sigma_px(inverse: np.ndarray, unit: np.ndarray, tolerance_px: float, tuning: RayTuning) -> float:

@@ -113,7 +113,14 @@ def match(
         rules.low, rules.count = -(aligned >> level), -(-disparities >> level)
         rules.reach, rules.margin, rules.hole_limit = tuning.reach_px, tuning.margin_px, tuning.hole_disparities
         options = _options(tuning, level == 0 and levels > 0)
-        pair = _Level(lefts[level], rights[level], rules, options, workspace, tuning.strip_overlap_px)
+        pair = _Level(
+            left=lefts[level],
+            right=rights[level],
+            rules=rules,
+            options=options,
+            workspace=workspace,
+            overlap=tuning.strip_overlap_px,
+        )
         if found is None:
             found = pair.full()
         else:

@@ -59,7 +59,7 @@ def load_view(
     bgr = cv2.remap(image, at_x, at_y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     whole_x, whole_y = x - np.float32(0.5), y - np.float32(0.5)
     use = cv2.remap(mask, whole_x, whole_y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
-    return DenseView(view.name, bgr, (use > 0) & valid, K, view.cam_from_world)
+    return DenseView(name=view.name, image_bgr=bgr, mask=(use > 0) & valid, K=K, cam_from_world=view.cam_from_world)
 
 
 def pinhole(view: ViewPlan, settings: DenseSettings, tuning: ViewTuning) -> Pinhole:

@@ -62,7 +62,7 @@ class _Columns:
         for start, count, at in ((6, 6, sensor), (12, _INTRINSICS, camera)):
             own = at[scene.sensor_key]
             columns[own >= 0, start : start + count] = own[own >= 0, None] + np.arange(count)
-        return _Columns(columns, frame, frames, size)
+        return _Columns(of_image=columns, frame=frame, frames=frames, size=size)
 
 
 class Bundle:

@@ -189,7 +189,9 @@ def _judged(
     figures = {"candidates": float(np.sum(before.dropped == 0)), "pairs": float(funnel["used"]), **counts}
     figures.update({k: float(v) for k, v in found.counts.items() if k not in ("images", "pairs")})
     said = () if found.sound else found.lines
-    return DesignResult(after, (*notes, *said), figures, {"funnel": table, "weak links": found.table})
+    return DesignResult(
+        pairs=after, notes=(*notes, *said), counts=figures, tables={"funnel": table, "weak links": found.table}
+    )
 
 
 def _start(i: np.ndarray, j: np.ndarray, strength: np.ndarray, scene: Scene, room: int, tuning: Tuning) -> np.ndarray:

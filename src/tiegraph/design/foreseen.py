@@ -123,7 +123,15 @@ def _in_common(i: np.ndarray, j: np.ndarray, sights: Sights) -> Iterator[_Common
         left = place[point]
         hit = left >= 0
         place[own] = -1
-        yield _Common(image, rows, number[hit], j[rows][number[hit]], point[hit], left[hit], right[hit])
+        yield _Common(
+            image=image,
+            pairs=rows,
+            number=number[hit],
+            other=j[rows][number[hit]],
+            point=point[hit],
+            left=left[hit],
+            right=right[hit],
+        )
 
 
 def _geometry(both: _Common, sights: Sights) -> tuple[np.ndarray, np.ndarray]:
@@ -151,7 +159,10 @@ def _fitted(i: np.ndarray, j: np.ndarray, measured: np.ndarray, sights: Sights, 
         size = len(both.pairs) * cells
         table[both.pairs] = np.bincount(both.number * cells + cell, minlength=size).reshape(-1, cells)
     filled = table.any(axis=1)
-    best, least = _Law(tuning.usual_angle_deg, tuning.usual_octaves, tuning.usual_rate, 0.0), np.inf
+    best, least = (
+        _Law(angle_deg=tuning.usual_angle_deg, octaves=tuning.usual_octaves, rate=tuning.usual_rate, by_chance=0.0),
+        np.inf,
+    )
     if filled.sum() < tuning.least_previewed:
         return best
     table, count = table[filled], measured[known][filled]
@@ -163,7 +174,7 @@ def _fitted(i: np.ndarray, j: np.ndarray, measured: np.ndarray, sights: Sights, 
             likely = table @ np.exp(-((angle / a) ** 2) - (octave / o) ** 2).ravel()
             found, residual = nnls(np.stack([likely, np.ones(len(count))], axis=1) * weight[:, None], count * weight)
             if residual < least and found[0] > 0:
-                best, least = _Law(a, o, float(found[0]), float(found[1])), residual
+                best, least = _Law(angle_deg=a, octaves=o, rate=float(found[0]), by_chance=float(found[1])), residual
     return best
 
 

@@ -56,7 +56,16 @@ class Candidates:
         number = np.concatenate([[0], np.cumsum(used[:-1], dtype=np.int32)]).astype(np.int32)
         first = number[::width][: images + 1].copy()
         seen = (row >= 0) & (count > 0)
-        return Candidates(i, j, np.maximum(expected, 1.0), seen, start, number[left], number[right], first)
+        return Candidates(
+            i=i,
+            j=j,
+            expected=np.maximum(expected, 1.0),
+            seen=seen,
+            start=start,
+            left=number[left],
+            right=number[right],
+            first=first,
+        )
 
 
 class Tracks:

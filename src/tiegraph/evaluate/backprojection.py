@@ -33,7 +33,7 @@ class View:
     def of(depth: DepthMap) -> View:
         """The image of a depth map."""
         height, width = depth.depth_m.shape
-        return View(depth.image, depth.K, depth.cam_from_world, width, height)
+        return View(name=depth.image, K=depth.K, cam_from_world=depth.cam_from_world, width=width, height=height)
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,8 @@ class Backprojection:
     def metrics(self) -> list[Metric]:
         """The figures of merit."""
         return [
-            Metric("backprojection_rmse", self.rmse_m, "m", "low"),
-            Metric("backprojection_rounding", self.rounding_m, "m", "low"),
+            Metric(name="backprojection_rmse", value=self.rmse_m, unit="m", better="low"),
+            Metric(name="backprojection_rounding", value=self.rounding_m, unit="m", better="low"),
         ]
 
 
@@ -110,6 +110,8 @@ def backprojection_rmse(
         rounding += float(z @ z) * (_ROUNDING_PX / focal) ** 2
         rows.append((view.name, len(z), float(np.sqrt(square / len(z)))))
     if not count:
-        return Backprojection(float("nan"), 0, float("nan"), float("nan"), tuple(rows))
+        return Backprojection(
+            rmse_m=float("nan"), points=0, depth_rms_m=float("nan"), rounding_m=float("nan"), images=tuple(rows)
+        )
     rmse, depth, expected = (float(np.sqrt(s / count)) for s in (squares, depths, rounding))
-    return Backprojection(rmse, count, depth, expected, tuple(rows))
+    return Backprojection(rmse_m=rmse, points=count, depth_rms_m=depth, rounding_m=expected, images=tuple(rows))

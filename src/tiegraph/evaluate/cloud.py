@@ -51,12 +51,12 @@ class CloudComparison:
     def metrics(self) -> list[Metric]:
         """The figures of merit."""
         out = [
-            Metric("cloud_to_cloud_median", self.median_m, "m", "low"),
-            Metric("cloud_to_cloud_90", self.p90_m, "m", "low"),
-            Metric("ghosts", 100 * self.ghosts, "%", "low", 0.0),
+            Metric(name="cloud_to_cloud_median", value=self.median_m, unit="m", better="low"),
+            Metric(name="cloud_to_cloud_90", value=self.p90_m, unit="m", better="low"),
+            Metric(name="ghosts", value=100 * self.ghosts, unit="%", better="low", target=0.0),
         ]
         for d, f in zip(self.distances_m, self.fscore):
-            out.append(Metric(f"fscore_{d:g}m", 100 * f, "%", "high", 100.0))
+            out.append(Metric(name=f"fscore_{d:g}m", value=100 * f, unit="%", better="high", target=100.0))
         return out
 
     def tables(self) -> dict[str, dict]:

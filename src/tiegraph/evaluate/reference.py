@@ -137,11 +137,11 @@ def _match_images(reference: ReferencePoses, model: ModelPoses, scene: Scene) ->
     frame, label_of = scene.frame[rows], scene.image_label()
     group = np.array([number[label_of[k]] for k in rows], int)
     match = PoseMatch(
-        model.world_from_camera[rows],
-        np.array([reference.by_image[scene.names[k]] for k in rows]).reshape(-1, 4, 4),
-        np.where(scene.track[frame] >= 0, group, -1),
-        scene.step[frame],
-        tuple(f"{t} {s}".strip() for t, s in labels),
+        estimate=model.world_from_camera[rows],
+        reference=np.array([reference.by_image[scene.names[k]] for k in rows]).reshape(-1, 4, 4),
+        group=np.where(scene.track[frame] >= 0, group, -1),
+        order=scene.step[frame],
+        labels=tuple(f"{t} {s}".strip() for t, s in labels),
     )
     return match, f"images by name: {len(rows)} placed of {len(known)} with a reference ({len(scene)} in all)"
 
@@ -165,7 +165,9 @@ def _match_frames(
     known = np.isfinite(truth[:, 0, 0])
     rows = np.flatnonzero(known & np.isfinite(model.world_from_rig[:, 0, 0]))
     estimate = _with_mount(model.world_from_rig[rows], truth[rows])
-    match = PoseMatch(estimate, truth[rows], scene.track[rows], scene.step[rows], scene.tracks)
+    match = PoseMatch(
+        estimate=estimate, reference=truth[rows], group=scene.track[rows], order=scene.step[rows], labels=scene.tracks
+    )
     said = (
         "; ".join(how) or f"no file of {', '.join(reference.by_track)} is named after a pass {', '.join(scene.tracks)}"
     )

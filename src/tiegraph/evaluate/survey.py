@@ -65,7 +65,15 @@ def evaluate_survey(
     """
     found, cloud = _Findings(), made.cloud
     model = reference.model_poses(made.model, scene)
-    work = _Work(scene, model, settings, tuning, made.origin, predicted or Predicted(), found)
+    work = _Work(
+        scene=scene,
+        model=model,
+        settings=settings,
+        tuning=tuning,
+        origin=made.origin,
+        predicted=predicted or Predicted(),
+        found=found,
+    )
     found.metrics.extend(registered_metrics(made.images))
     found.tables.update(registered_table(made.images, scene.image_label(), scene.section[scene.frame]))
     if cloud is not None and len(cloud):
@@ -89,7 +97,15 @@ def pinhole_views(reconstruction: Any) -> list[View]:
         if image.has_pose:
             camera = reconstruction.cameras[image.camera_id]
             pose = np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]])
-            views.append(View(image.name, camera.calibration_matrix(), pose, camera.width, camera.height))
+            views.append(
+                View(
+                    name=image.name,
+                    K=camera.calibration_matrix(),
+                    cam_from_world=pose,
+                    width=camera.width,
+                    height=camera.height,
+                )
+            )
     return sorted(views, key=lambda v: v.name)
 
 
@@ -149,7 +165,7 @@ def _cloud(work: _Work, cloud: Cloud, path: Path, trajectory: TrajectoryError | 
 def _origin_of(settings: EvaluateSettings, crs: str | None) -> Origin | None:
     if settings.reference_origin is not None:
         return reference.enu_origin(settings.reference_origin)
-    return None if crs is None else Origin(0.0, 0.0, 0.0, crs)
+    return None if crs is None else Origin(lat_deg=0.0, lon_deg=0.0, height_m=0.0, crs=crs)
 
 
 def _alignment(

@@ -82,20 +82,26 @@ class TrajectoryError:
     def metrics(self) -> list[Metric]:
         """The figures of merit."""
         out = [
-            Metric("ate_sim3_rmse", self.sim3.rmse_m, "m", "low"),
-            Metric("ate_sim3_median", self.sim3.median_m, "m", "low"),
-            Metric("ate_sim3_max", self.sim3.max_m, "m", "low"),
-            Metric("ate_se3_rmse", self.se3.rmse_m, "m", "low"),
-            Metric("scale_error", abs(self.sim3.scale - 1) * 100, "%", "low"),
-            Metric(f"images_within_{self.within_m:g}m", 100 * self.within, "%", "high", 100.0),
-            Metric("yaw_drift", self.yaw_drift_deg_per_100m, "deg/100 m", "low"),
+            Metric(name="ate_sim3_rmse", value=self.sim3.rmse_m, unit="m", better="low"),
+            Metric(name="ate_sim3_median", value=self.sim3.median_m, unit="m", better="low"),
+            Metric(name="ate_sim3_max", value=self.sim3.max_m, unit="m", better="low"),
+            Metric(name="ate_se3_rmse", value=self.se3.rmse_m, unit="m", better="low"),
+            Metric(name="scale_error", value=abs(self.sim3.scale - 1) * 100, unit="%", better="low"),
+            Metric(
+                name=f"images_within_{self.within_m:g}m", value=100 * self.within, unit="%", better="high", target=100.0
+            ),
+            Metric(name="yaw_drift", value=self.yaw_drift_deg_per_100m, unit="deg/100 m", better="low"),
         ]
         if self.absolute is not None:
-            out.insert(4, Metric("absolute_rmse", self.absolute.rmse_m, "m", "low"))
+            out.insert(4, Metric(name="absolute_rmse", value=self.absolute.rmse_m, unit="m", better="low"))
         for r in self.relative:
             if r.count:
-                out.append(Metric(f"rpe_{r.distance_m:g}m_translation", r.translation_m, "m", "low"))
-                out.append(Metric(f"rpe_{r.distance_m:g}m_rotation", r.rotation_deg, "deg", "low"))
+                out.append(
+                    Metric(name=f"rpe_{r.distance_m:g}m_translation", value=r.translation_m, unit="m", better="low")
+                )
+                out.append(
+                    Metric(name=f"rpe_{r.distance_m:g}m_rotation", value=r.rotation_deg, unit="deg", better="low")
+                )
         return out
 
     def tables(self) -> dict[str, dict]:
@@ -146,7 +152,12 @@ def position_error(estimate: np.ndarray, reference: np.ndarray, scale: float = 1
     """Statistics of the distances between positions (K, 3) in one frame."""
     e = np.linalg.norm(estimate - reference, axis=1)
     return PositionError(
-        float(np.sqrt(np.mean(e**2))), float(np.median(e)), float(np.quantile(e, 0.9)), float(e.max()), scale, e
+        rmse_m=float(np.sqrt(np.mean(e**2))),
+        median_m=float(np.median(e)),
+        p90_m=float(np.quantile(e, 0.9)),
+        max_m=float(e.max()),
+        scale=scale,
+        errors_m=e,
     )
 
 
@@ -176,8 +187,13 @@ def relative_error(match: PoseMatch, distance_m: float, max_stretch: float) -> R
         turned.append(transforms.angle_deg(error[:, :3, :3], np.broadcast_to(np.eye(3), (len(first), 3, 3))) ** 2)
     t, r = (np.concatenate([*x, np.zeros(0)]) for x in (moved, turned))
     if not len(t):
-        return RelativeError(distance_m, _NAN, _NAN, 0)
-    return RelativeError(distance_m, float(np.sqrt(t.mean())), float(np.sqrt(r.mean())), len(t))
+        return RelativeError(distance_m=distance_m, translation_m=_NAN, rotation_deg=_NAN, count=0)
+    return RelativeError(
+        distance_m=distance_m,
+        translation_m=float(np.sqrt(t.mean())),
+        rotation_deg=float(np.sqrt(r.mean())),
+        count=len(t),
+    )
 
 
 def yaw_drift(match: PoseMatch, aligned: np.ndarray, min_drift_m: float) -> float:
@@ -224,7 +240,7 @@ def registered_metrics(images: Registration) -> list[Metric]:
     """Shares of the images that are registered and that only their rig places, percent."""
     found = {"registered_images": (images.registered, "high", 100.0), "images_by_rig": (images.by_rig, "low", 0.0)}
     return [
-        Metric(name, 100 * float(np.mean(of)) if len(of) else _NAN, "%", better, target)
+        Metric(name=name, value=100 * float(np.mean(of)) if len(of) else _NAN, unit="%", better=better, target=target)
         for name, (of, better, target) in found.items()
     ]
 

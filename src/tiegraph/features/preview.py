@@ -50,13 +50,13 @@ class Preview:
         """Inverse of ``to_npz``."""
         width, height, scale, brightness = (float(v) for v in data["head"])
         return Preview(
-            np.asarray(data["xy"], np.float32),
-            np.asarray(data["descriptors"], np.uint8),
-            int(width),
-            int(height),
-            scale,
-            brightness,
-            np.asarray(data["shares"], np.float32),
+            xy=np.asarray(data["xy"], np.float32),
+            descriptors=np.asarray(data["descriptors"], np.uint8),
+            width=int(width),
+            height=int(height),
+            scale=scale,
+            brightness=brightness,
+            shares=np.asarray(data["shares"], np.float32),
         )
 
 
@@ -91,7 +91,15 @@ def extract_preview(
     xy = (points + 0.5) * np.array([width / size[0], height / size[1]])
     histogram = np.bincount(np.asarray(small).ravel() // (256 // BINS), minlength=BINS).astype(np.float32)
     shares = histogram / max(1, small.size)
-    return Preview(xy.astype(np.float32), descriptors, width, height, scale, float(small.mean()), shares)
+    return Preview(
+        xy=xy.astype(np.float32),
+        descriptors=descriptors,
+        width=width,
+        height=height,
+        scale=scale,
+        brightness=float(small.mean()),
+        shares=shares,
+    )
 
 
 def _small_mask(mask: np.ndarray, size: tuple[int, int], tuning: PreviewTuning) -> np.ndarray:
@@ -156,7 +164,12 @@ def match_previews(
     share_a = a.xy[left[good][inliers]] / (a.width, a.height)
     share_b = b.xy[right[good][inliers]] / (b.width, b.height)
     matches = np.stack([left[good][inliers], right[good][inliers]], axis=1).astype(np.uint16)
-    return PreviewMatch(len(matches), rotation if known else None, np.median(share_b - share_a, axis=0), matches)
+    return PreviewMatch(
+        inliers=len(matches),
+        rotation=rotation if known else None,
+        shift=np.median(share_b - share_a, axis=0),
+        matches=matches,
+    )
 
 
 def guessed_camera(preview: Preview, tuning: PreviewTuning) -> pycolmap.Camera:

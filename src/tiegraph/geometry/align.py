@@ -1,12 +1,13 @@
-"""Least-squares alignment of point sets (Umeyama 1991), plain and robust."""
+"""Least-squares alignment of point sets (Umeyama 1991), plain and robust; the robust mean of rotations."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from tiegraph.geometry.transforms import rigid
+from tiegraph.geometry.transforms import angle_deg, rigid
 
 
 @dataclass(frozen=True)
@@ -80,3 +81,21 @@ def robust_umeyama(
             break
         inliers = again
     return umeyama(source[inliers], target[inliers], 1 / sigma[inliers] ** 2, with_scale), inliers
+
+
+def l1_mean_rotation(rotations: np.ndarray, iterations: int = 50) -> np.ndarray:
+    """Geodesic L1 mean (3, 3) of rotations (K, 3, 3): Weiszfeld's algorithm (Hartley, Aftab, Trumpf 2011).
+
+    Starts at the member with the least summed angle, so that up to half of them may be wrong.
+    """
+    sample = rotations[:: max(1, len(rotations) // 200)]
+    sums = [np.sum(angle_deg(sample, candidate)) for candidate in sample]
+    mean = sample[int(np.argmin(sums))]
+    for _ in range(iterations):
+        logs = Rotation.from_matrix(rotations @ mean.T).as_rotvec()
+        weights = 1 / np.maximum(np.linalg.norm(logs, axis=1), 1e-9)
+        step = np.sum(weights[:, None] * logs, axis=0) / np.sum(weights)
+        mean = Rotation.from_rotvec(step).as_matrix() @ mean
+        if np.linalg.norm(step) < 1e-10:
+            break
+    return mean

@@ -76,11 +76,11 @@ def make_origin(lat_deg: float, lon_deg: float, height_m: float, crs: str = "aut
     if crs.lower() == "auto":
         crs = utm_crs(lat_deg, lon_deg)
     if crs.upper() == ENU:
-        return Origin(lat_deg, lon_deg, height_m, ENU)
+        return Origin(lat_deg=lat_deg, lon_deg=lon_deg, height_m=height_m, crs=ENU)
     check_scale(crs, lat_deg, lon_deg)
     east, north, height = _to_crs(crs).transform(lat_deg, lon_deg, height_m)
     shift = (round(east / 100) * 100.0, round(north / 100) * 100.0, round(height / 10) * 10.0)
-    return Origin(lat_deg, lon_deg, height_m, crs.upper(), shift)
+    return Origin(lat_deg=lat_deg, lon_deg=lon_deg, height_m=height_m, crs=crs.upper(), shift_m=shift)
 
 
 def check_scale(crs: str, lat_deg: float, lon_deg: float) -> None:

@@ -85,7 +85,7 @@ def _seen(image: Path, xy: np.ndarray, found: np.ndarray, near: np.ndarray, show
     matched, every = np.zeros(len(xy), bool), np.full(len(xy), np.nan, np.float32)
     matched[found], every[found] = True, near
     kept = shown | matched
-    return Evidence(image, xy[kept].astype(np.float32), matched[kept], every[kept])
+    return Evidence(image=image, xy=xy[kept].astype(np.float32), matched=matched[kept], near=every[kept])
 
 
 def _features(path: Path, tuning: EvidenceTuning) -> tuple[np.ndarray, np.ndarray, tuple[int, int]] | None:

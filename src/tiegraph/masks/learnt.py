@@ -55,7 +55,15 @@ def learn(
     water = {} if settings.water == "off" else water_priors(level, settings.water == "on", tuning.water)
     count = max(tuning.seeds.least_images, tuning.seeds.images // max(1, len(keys)))
     jobs = [
-        SeedJob(k, image, evidence, zones[k].mask if k in water else None, platforms[k].mask, k in upward, tuning)
+        SeedJob(
+            camera=k,
+            image=image,
+            evidence=evidence,
+            zone=zones[k].mask if k in water else None,
+            ego=platforms[k].mask,
+            upward=k in upward,
+            tuning=tuning,
+        )
         for k in keys
         for image, evidence in _seed_images(cameras[k], seen[k], count)
     ]
@@ -63,7 +71,10 @@ def learn(
     known = _appearances(jobs, seeds, upward, tuning)
     lowest = lowest_agreed([s.low for job, s in zip(jobs, seeds) if not job.upward], tuning.seeds)
     rows = {k: 1.0 if k in upward else lowest for k in keys}
-    first = {k: Learnt(platforms[k].mask, known[k], water.get(k), None, rows[k], "") for k in keys}
+    first = {
+        k: Learnt(ego=platforms[k].mask, appearance=known[k], water=water.get(k), sky=None, sky_rows=rows[k], note="")
+        for k in keys
+    }
     # Once more, with what the first try calls water, sky and scene as seeds: they cover the images, the first did not.
     again = list(apply(second_seeds, [(job, first[job.camera], settings) for job in jobs]))
     made = _proven(first, jobs, again, settings.water == "on", tuning)

@@ -65,7 +65,7 @@ def read_model(path: Path) -> Model:
     table = np.zeros(1 + max((v for labels in classes.values() for v in labels), default=0), np.uint8)
     for name, labels in classes.items():
         table[labels] = NAMES.index(name)
-    return Model(onnx, (width, height), mean, deviation, table)  # type: ignore[arg-type]
+    return Model(onnx=onnx, size=(width, height), mean=mean, deviation=deviation, table=table)  # type: ignore[arg-type]
 
 
 def model_classes(image: np.ndarray, model: Model) -> np.ndarray:

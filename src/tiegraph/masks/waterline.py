@@ -124,7 +124,7 @@ def find_water(
             return None
     if spread > tuning.most_spread * (camera - level):
         return None
-    return Water(up, level, camera - level, spread, count, plan)
+    return Water(up=up, level=level, depth=camera - level, spread=spread, rays=count, plan=plan)
 
 
 def _plan(
@@ -139,7 +139,7 @@ def _plan(
     if len(flat):
         flat = flat[cKDTree(path).query(flat, distance_upper_bound=reach)[0] < reach]
     if not len(flat):
-        return Plan(axes, np.zeros(2), 1.0, np.zeros((1, 1), bool))
+        return Plan(axes=axes, corner=np.zeros(2), cell=1.0, full=np.zeros((1, 1), bool))
     corner = np.minimum(flat.min(axis=0), path.min(axis=0))
     size = np.maximum(flat.max(axis=0), path.max(axis=0)) - corner
     cell = max(float(size.max()) / tuning.cells, 1e-9)
@@ -147,7 +147,7 @@ def _plan(
     count = np.zeros(place.max(axis=0) + 1, np.float32)
     np.add.at(count, (place[:, 0], place[:, 1]), 1)
     around = cv2.blur(count, (3, 3), borderType=cv2.BORDER_CONSTANT) * 9
-    return Plan(axes, corner, cell, around > tuning.full - 0.5)
+    return Plan(axes=axes, corner=corner, cell=cell, full=around > tuning.full - 0.5)
 
 
 def _level_axes(up: np.ndarray) -> np.ndarray:

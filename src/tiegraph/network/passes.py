@@ -43,7 +43,7 @@ def find_passes(scene: Scene) -> tuple[Pass, ...]:
         name = scene.tracks[track] if track < len(scene.tracks) else f"pass {track}"
         several = sum(t == track for t, _ in ids) > 1
         name = f"{name} (rig {rig + 1}, {scene.rigs[rig].name})" if several else name
-        found.append(Pass(name, track, rig, scene.rigs[rig], frames, images))
+        found.append(Pass(name=name, track=track, rig_index=rig, rig=scene.rigs[rig], frames=frames, images=images))
     return tuple(found)
 
 

@@ -106,7 +106,9 @@ def _vote_constant(
     empty = make_lattice(p, q, every, allowed, tuning.offsets.lattice)
     rows = sampled_ranks(len(p), settings.sample_frames)
     shape = (*allowed.shape, len(rows), len(empty.columns))
-    lattice = Lattice(p, q, rows, empty.columns, allowed, np.full(shape, np.nan, np.float32))
+    lattice = Lattice(
+        p=p, q=q, rows=rows, columns=empty.columns, allowed=allowed, inliers=np.full(shape, np.nan, np.float32)
+    )
     c, d = np.ogrid[: shape[0], : shape[1]]
     wanted = np.broadcast_to((c < d) if p is q else np.ones((1, 1), bool), allowed.shape)[:, :, None, None]
     notes: tuple[str, ...] = ()
@@ -117,7 +119,7 @@ def _vote_constant(
         allowed = facing(lattice, excess, settings, tuning.rig)
         said = commonview.in_words(lattice, excess, tuning.rig)
         notes = (said,) if said else ()
-        lattice = Lattice(p, q, rows, lattice.columns, allowed, lattice.inliers)
+        lattice = Lattice(p=p, q=q, rows=rows, columns=lattice.columns, allowed=allowed, inliers=lattice.inliers)
     return _measured_oblong(lattice, wanted, book), notes
 
 
@@ -126,7 +128,9 @@ def _measured_oblong(lattice: Lattice, nodes: np.ndarray, book: PreviewBook) -> 
     nodes = np.broadcast_to(nodes, lattice.inliers.shape) & lattice.exists() & np.isnan(lattice.inliers)
     inliers = lattice.inliers.copy()
     inliers[nodes] = book.measure(*lattice.images(nodes))
-    return Lattice(lattice.p, lattice.q, lattice.rows, lattice.columns, lattice.allowed, inliers)
+    return Lattice(
+        p=lattice.p, q=lattice.q, rows=lattice.rows, columns=lattice.columns, allowed=lattice.allowed, inliers=inliers
+    )
 
 
 def _backwards_by_votes(lattice: Lattice, min_matches: int, tuning: Tuning) -> bool:

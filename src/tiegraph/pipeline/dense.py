@@ -57,7 +57,7 @@ def dense(run: Run) -> Outcome:
     counts: dict[str, float] = {"images": len(names), "pixels": int(sum(pixels)), "images_without": len(plan.dropped)}
     remark = installed(settings.engine)[1]
     notes = (*plan.notes, volumes, *([remark] if remark else []))
-    return Outcome(counts, plan.dropped, notes, {"refused stereo pairs": refused})
+    return Outcome(counts=counts, dropped=plan.dropped, notes=notes, tables={"refused stereo pairs": refused})
 
 
 def plan_of(run: Run) -> Any:

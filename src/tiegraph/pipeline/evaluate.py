@@ -28,7 +28,7 @@ def evaluate(run: Run) -> Outcome:
     world = load_json(run.path("world.json"))
     tuning = run.settings.tuning
     images = registration(model, scene, tuning.scene.registered)
-    made = Made(model, images, cloud, origin if world["placed"] else None)
+    made = Made(model=model, images=images, cloud=cloud, origin=origin if world["placed"] else None)
     result = evaluate_survey(scene, made, settings, tuning.evaluate, predicted(world, cloud))
     if settings.reference_masks is not None:
         result["tables"]["mask accuracy"] = _masks(run, scene, settings)
@@ -49,7 +49,9 @@ def predicted(world: dict, cloud: Cloud) -> Predicted:
         scale = next((row[3] for row in rows if row[0] == "scale"), np.nan)
     placed = np.hypot(sigma.get("position_m", np.nan), sigma.get("height_m", np.nan))
     point = float(np.nanmedian(cloud.sigma_m)) if len(cloud) and np.isfinite(cloud.sigma_m).any() else np.nan
-    return Predicted(float(np.hypot(half, most) / np.sqrt(2)), float(scale), float(placed), point)
+    return Predicted(
+        inside_m=float(np.hypot(half, most) / np.sqrt(2)), scale=float(scale), placed_m=float(placed), point_m=point
+    )
 
 
 def _masks(run: Run, scene: Scene, settings: EvaluateSettings) -> dict:

@@ -41,7 +41,15 @@ def georef(run: Run) -> Outcome:
     soft = tuple(k for k, mode in modes.items() if mode == "soft")
     held = Held(rigs, believed_cameras(scene, sparse), soft)
     tuning = run.settings.tuning.sfm
-    request = GroundRequest(folders[0], scratch, scene.to_json(), run.settings.georef, given, held, tuning)
+    request = GroundRequest(
+        folder=folders[0],
+        target=scratch,
+        scene=scene.to_json(),
+        settings=run.settings.georef,
+        given=given,
+        held=held,
+        tuning=tuning,
+    )
     main = run_in_child(ground, request, log=run.log, task="georeferencing")
     others = [load_model(p) for p in folders[1:]]
     placed = georeference_all(others, scene, run.settings.georef, tuning.world, given)

@@ -34,7 +34,7 @@ def masks(run: Run) -> Outcome:
     if any(not mask_path(run.folder, n).exists() for n in scene.names):
         prepared = _source(source).prepare(_cameras(scene, run.path("images")), settings, tuning, _apply(run))
     keyed = {n: (int(scene.sensor_key[k]), scene.source_name(k)) for k, n in enumerate(scene.names)}
-    how = _How(run.folder, source, settings, tuning)
+    how = _How(folder=run.folder, source=source, settings=settings, tuning=tuning)
     run.make_missing(_mask_item, scene.names, lambda n: mask_path(run.folder, n), how, prepared, keyed)
     shares = np.array(run.map(_shares, list(scene.names), run.folder))  # (N, classes)
     flagged = _flagged(run, scene)

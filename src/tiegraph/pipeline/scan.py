@@ -30,7 +30,13 @@ def scan(run: Run) -> Outcome:
     run.reporter.total(2 * len(names))
     probes = run.map(probe_image, [root / f for f in files], run.settings.tuning.scene.images)
     inputs = ScanInputs(
-        root, given.rig, given.camera, given.gnss, given.trajectory, given.times, video=root != given.images
+        images=root,
+        rig=given.rig,
+        camera=given.camera,
+        gnss=given.gnss,
+        trajectory=given.trajectory,
+        times=given.times,
+        video=root != given.images,
     )
     scene = build_scene(inputs, names, probes, settings, tuning)
     told = check_against(run, scene)  # wrong files are better said now than after hours

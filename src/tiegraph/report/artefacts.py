@@ -291,7 +291,15 @@ def read_cloud_sample(path: Path, most: int) -> CloudSample:
     empty = {"xyz": np.zeros((0, 3)), "rgb": np.zeros((0, 3), np.uint8), "sigma": np.zeros(0), "views": np.zeros(0)}
     all_ = {n: np.concatenate([empty[n], *p]) for n, p in parts.items()}
     size = path.stat().st_size
-    return CloudSample(path.name, count, size, all_["xyz"], all_["rgb"].astype(np.uint8), all_["sigma"], all_["views"])
+    return CloudSample(
+        name=path.name,
+        count=count,
+        bytes=size,
+        xyz=all_["xyz"],
+        rgb=all_["rgb"].astype(np.uint8),
+        sigma_m=all_["sigma"],
+        views=all_["views"],
+    )
 
 
 def _in_world(cloud: CloudSample | None, model: Model | None, world: dict) -> CloudSample | None:

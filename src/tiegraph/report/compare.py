@@ -233,6 +233,10 @@ def to_html(comparison: Comparison) -> str:
     for block in comparison.blocks:
         columns = ("", *comparison.names, *(("ratio",) if two else ()))
         rows = [(n.strip(), *(block.text(v) for v in vs), *((ratio(vs),) if two else ())) for n, vs in block.rows]
-        tables.append(words.Table(columns, tuple(rows), (False, *[True] * (len(columns) - 1)), block.title))
+        tables.append(
+            words.Table(
+                columns=columns, rows=tuple(rows), numeric=(False, *[True] * (len(columns) - 1)), title=block.title
+            )
+        )
     template = environment().get_template("compare.html.jinja")
     return template.render(names=comparison.names, tables=tables, notes=comparison.notes)

@@ -46,7 +46,13 @@ def verdict(run: RunFolder) -> Verdict:
     if run.model is None or run.scene is None:
         last = [s for s in STAGES if run.done(s) and s != "report"]
         stop = f"The run has finished the stage {last[-1]}." if last else "No stage has finished."
-        return Verdict("open", "No model yet", (stop, *_pairs_sentence(run)), tuple(warnings(run)), said)
+        return Verdict(
+            level="open",
+            headline="No model yet",
+            sentences=(stop, *_pairs_sentence(run)),
+            warnings=tuple(warnings(run)),
+            contradictions=said,
+        )
     registered, total = int(run.model.registered.sum()), len(run.scene)
     share = registered / max(total, 1)
     serious = run.model.others or (run.done("georef") and not run.georeferenced) or weak_placement(run)
@@ -59,7 +65,13 @@ def verdict(run: RunFolder) -> Verdict:
         "poor": "A large part of the survey is missing",
     }[level]
     sentences = (_registered_sentence(run, registered, total), _world_sentence(run), *_accuracy_sentences(run))
-    return Verdict(level, headline, tuple(s for s in sentences if s), tuple(warnings(run)), said)
+    return Verdict(
+        level=level,
+        headline=headline,
+        sentences=tuple(s for s in sentences if s),
+        warnings=tuple(warnings(run)),
+        contradictions=said,
+    )
 
 
 def _pairs_sentence(run: RunFolder) -> tuple[str, ...]:
@@ -341,7 +353,14 @@ def registered_tables(run: RunFolder) -> list[Table]:
         row.append(words.count(int(of.sum())))
     columns = ["camera", *([p or "(loose)" for p in passes] if len(passes) > 1 else []), "all images"]
     columns.append(BY_RIG)
-    out = [Table(tuple(columns), tuple(map(tuple, rows)), (False, *[True] * (len(columns) - 1)), "Registered images")]
+    out = [
+        Table(
+            columns=tuple(columns),
+            rows=tuple(map(tuple, rows)),
+            numeric=(False, *[True] * (len(columns) - 1)),
+            title="Registered images",
+        )
+    ]
     sections = scene.section[scene.frame]
     if len(np.unique(sections)) > 1:
         body = []
@@ -351,7 +370,8 @@ def registered_tables(run: RunFolder) -> list[Table]:
             by_rig = words.count(int(run.model.by_rig[of].sum()))
             body.append((str(s) if s >= 0 else "(none)", words.count(int(registered[of].sum())), by_rig, count))
         columns = ["section", "registered", BY_RIG, "images"]
-        out.append(Table(tuple(columns), tuple(body), (False, True, True, True), "By section"))
+        numeric = False, True, True, True
+        out.append(Table(columns=tuple(columns), rows=tuple(body), numeric=numeric, title="By section"))
     return out
 
 

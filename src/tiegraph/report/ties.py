@@ -69,7 +69,9 @@ def _sort_tables(receipt: dict, title: str, out: dict[str, Any]) -> None:
         if sentence is None:
             out["tables"].append(table)
         else:
-            out["links"].append(words.Table(table.columns, table.rows, table.numeric, sentence))
+            out["links"].append(
+                words.Table(columns=table.columns, rows=table.rows, numeric=table.numeric, title=sentence)
+            )
 
 
 def _pictures(run: RunFolder, drawn: bool) -> list[tuple[str, str]]:

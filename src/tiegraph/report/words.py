@@ -92,7 +92,7 @@ def table(data: Any, title: str = "") -> Table | None:
     rows = [(row + [None] * len(columns))[: len(columns)] for row in rows]
     numeric = tuple(all(v is None or _is_number(v) for v in column) for column in zip(*rows))
     printed = [_column(list(column)) if n else [cell(v) for v in column] for column, n in zip(zip(*rows), numeric)]
-    return Table(tuple(columns), tuple(zip(*printed)), numeric, title)
+    return Table(columns=tuple(columns), rows=tuple(zip(*printed)), numeric=numeric, title=title)
 
 
 def _column(values: list[Any]) -> list[str]:

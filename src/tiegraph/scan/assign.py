@@ -119,7 +119,7 @@ def assign(rig: str | None, usable: Usable, settings: ScanSettings, report: Repo
     report.drop(strays, f"outside the camera folders ({some(layout.folders)})")
     if layout.loose:
         return _by_camera(spec, shots, usable, report)
-    return Survey((spec,), shots, False, layout.order.guessed)
+    return Survey(specs=(spec,), shots=shots, loose=False, guessed=layout.order.guessed)
 
 
 def _shot(image: int, name: str, owner: tuple[int, int], place: Place, loose: bool) -> Shot:
@@ -131,7 +131,12 @@ def _guessed_rig(layout: Layout) -> RigSpec:
         sensor = SensorSpec("camera", "", body_from_sensor=np.eye(4))
         return RigSpec("camera", (sensor,), body_is_reference=True)
     sensors = tuple(
-        SensorSpec(f, f, "up" if words(f) & UP_WORDS else "side", np.eye(4) if k == 0 else None)
+        SensorSpec(
+            name=f,
+            folder=f,
+            role="up" if words(f) & UP_WORDS else "side",
+            body_from_sensor=np.eye(4) if k == 0 else None,
+        )
         for k, f in enumerate(layout.folders)
     )
     return RigSpec("rig", sensors, body_is_reference=True)
@@ -154,7 +159,7 @@ def _assign_by_file(file: Path, usable: Usable, settings: ScanSettings, report: 
         for image, name, place in zip(usable.images, usable.names, places)
         if place is not None
     ]
-    return Survey(specs, tuple(shots), order.loose, order.guessed)
+    return Survey(specs=specs, shots=tuple(shots), loose=order.loose, guessed=order.guessed)
 
 
 def _checked(spec: RigSpec) -> RigSpec:

@@ -88,7 +88,7 @@ def _in_words(words: list[str], where: str) -> _Found:
         raise InputError(f"{where}: {wrong!r} is no number; {WORDS}")
     params = tuple(map(float, numbers))
     _check_count(model, params, where)
-    return _Found(model, params, (int(size[1]), int(size[2])) if size else None, where)
+    return _Found(model=model, params=params, size=(int(size[1]), int(size[2])) if size else None, where=where)
 
 
 def _check_count(model: str, params: tuple[float, ...], where: str) -> None:
@@ -132,7 +132,7 @@ def _kalibr(path: Path, content: str) -> _Found:
     given = _list(content, "distortion_coeffs")
     k = () if distortion == "none" else _exactly(given, 4, f"{where}: distortion_coeffs")
     name = {"none": "PINHOLE", "radtan": "OPENCV", "equidistant": "OPENCV_FISHEYE"}[distortion]
-    return _Found(name, (fx, fy, cx + _CENTRE, cy + _CENTRE, *k), _size(size), where)
+    return _Found(model=name, params=(fx, fy, cx + _CENTRE, cy + _CENTRE, *k), size=_size(size), where=where)
 
 
 def _opencv(path: Path, content: str) -> _Found:
@@ -147,14 +147,19 @@ def _opencv(path: Path, content: str) -> _Found:
     middle = (fx, fy, cx + _CENTRE, cy + _CENTRE)
     model = _word(content, "distortion_model").lower()
     if "fisheye" in model or "equidistant" in model:
-        return _Found("OPENCV_FISHEYE", (*middle, *_exactly(tuple(k), 4, f"{where}: {names[0]}")), _both(size), where)
+        return _Found(
+            model="OPENCV_FISHEYE",
+            params=(*middle, *_exactly(tuple(k), 4, f"{where}: {names[0]}")),
+            size=_both(size),
+            where=where,
+        )
     while k and not k[-1]:
         k.pop()
     if len(k) > 8:
         raise InputError(f"{where}: {len(k)} distortion coefficients; at most 8 are read (k1 k2 p1 p2 k3 k4 k5 k6)")
     count = 4 if len(k) <= 4 else 8
     k += [0.0] * (count - len(k))
-    return _Found("OPENCV" if count == 4 else "FULL_OPENCV", (*middle, *k), _both(size), where)
+    return _Found(model="OPENCV" if count == 4 else "FULL_OPENCV", params=(*middle, *k), size=_both(size), where=where)
 
 
 # --- the few forms that YAML and XML take in these files --------------------------------------------------------------

@@ -66,7 +66,11 @@ def calibrate(
         if not prepared.is_undistorted():
             prepared = pinhole_camera(prepared)
     changed = spec.of_panorama or any(crop) or prepared.model != camera.model or not facts.upright or facts.bits > 8
-    source = Source(camera, crop, facts.upright, facts.bits, spec.of_panorama) if changed else None
+    source = (
+        Source(camera=camera, crop_px=crop, upright=facts.upright, bits=facts.bits, panorama=spec.of_panorama)
+        if changed
+        else None
+    )
     return Calibrated(prepared, source, how)
 
 
@@ -151,7 +155,7 @@ def _default_model(spec: SensorSpec, facts: FileFacts, settings: ScanSettings) -
         return "OPENCV_FISHEYE"
     # Loose photographs: few images of a camera, so one distortion parameter. Rigs and sequences: wide lenses need two,
     # but on the nearly straight tracks of a survey fy and the tangential terms of OPENCV are hardly observable (they
-    # trade against the rotations) and bend the model; the final adjustment adds them under priors (sfm/lens.py).
+    # trade against the rotations) and bend the model; the final adjustment adds them with priors (sfm.adjustment.lens).
     return "SIMPLE_RADIAL" if facts.loose else "RADIAL"
 
 

@@ -33,14 +33,24 @@ def faults(spec: RigSpec, tuning: RigTuning) -> Iterator[Fault]:
             ("sigma_deg", sensor.sigma_deg, tuning.sigma_deg),
         ):
             if value is not None and value > most:
-                yield Fault("sensors", number, key, f"{key} = {value:g}: {most:g} at most; leave it away if unknown")
+                yield Fault(
+                    table="sensors",
+                    number=number,
+                    key=key,
+                    message=f"{key} = {value:g}: {most:g} at most; leave it away if unknown",
+                )
     seen: dict[frozenset[str], int] = {}
     for number, pair in enumerate(spec.pairs):
         yield from _pair(pair, number, tuning)
         first = seen.setdefault(frozenset(pair.sensors), number)
         if first != number:
             both = " - ".join(pair.sensors)
-            yield Fault("pairs", number, "sensors", f"pair {both} is given twice (pair {first + 1}): join the two")
+            yield Fault(
+                table="pairs",
+                number=number,
+                key="sensors",
+                message=f"pair {both} is given twice (pair {first + 1}): join the two",
+            )
 
 
 def contradictions(spec: RigSpec, tuning: RigTuning) -> list[str]:
@@ -76,17 +86,24 @@ def _far_apart(spec: RigSpec, most_m: float) -> Iterator[Fault]:
             away = dist(pose[:3, 3], other[:3, 3])
             if not away <= most_m:
                 names = f"{spec.sensors[k].name!r} is {away:g} m from {spec.sensors[j].name!r}"
-                yield Fault("sensors", k, "position_m", f"sensor {names}, {remedy}")
+                yield Fault(table="sensors", number=k, key="position_m", message=f"sensor {names}, {remedy}")
     if spec.antenna_m is not None and placed:
         nearest = min(dist(spec.antenna_m, pose[:3, 3]) for _, pose in placed)
         if not nearest <= most_m:
-            yield Fault("", 0, "antenna_m", f"antenna_m: {nearest:g} m from the nearest camera, {remedy}")
+            yield Fault(
+                table="",
+                number=0,
+                key="antenna_m",
+                message=f"antenna_m: {nearest:g} m from the nearest camera, {remedy}",
+            )
 
 
 def _pair(pair: SensorPair, number: int, tuning: RigTuning) -> Iterator[Fault]:
     values = {key: getattr(pair, key) for key in PAIR_KEYS}
     if all(v is None for v in values.values()):
-        yield Fault("pairs", number, "sensors", f"the pair says nothing: give {', '.join(PAIR_KEYS)}")
+        yield Fault(
+            table="pairs", number=number, key="sensors", message=f"the pair says nothing: give {', '.join(PAIR_KEYS)}"
+        )
     limits = {
         "baseline_m": (0.0, tuning.max_rig_m),
         "baseline_sigma_m": tuning.sigma_m,
@@ -96,7 +113,9 @@ def _pair(pair: SensorPair, number: int, tuning: RigTuning) -> Iterator[Fault]:
     for key, (least, most) in limits.items():
         value = values[key]
         if value is not None and not least <= value <= most:
-            yield Fault("pairs", number, key, f"{key} = {value:g}: expected {least:g} to {most:g}")
+            yield Fault(
+                table="pairs", number=number, key=key, message=f"{key} = {value:g}: expected {least:g} to {most:g}"
+            )
 
 
 # --- lenses ---------------------------------------------------------------------------------------------------------

@@ -10,8 +10,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from tiegraph.errors import InputError
-from tiegraph.scan.assign import Report, Shot, Survey, Usable, assign, some
+from tiegraph.scan.assign import Report, Shot, Survey, assign, some
 from tiegraph.scan.calibration import with_camera
 from tiegraph.scan.cameras import FileFacts, calibrate
 from tiegraph.scan.folders import natural
@@ -24,6 +23,7 @@ from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.times import FrameRow
 from tiegraph.scan.tuning import CameraTuning, FramesTuning, Tuning
 from tiegraph.scan.unfold import unfold
+from tiegraph.scan.usable import need_two, usable_images
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.images import IMAGES_FOLDER, Probe, find_images, probe_image
 from tiegraph.scene.names import clean, shortened
@@ -62,7 +62,7 @@ def build_scene(
     report = Report()
     if Path(inputs.images, IMAGES_FOLDER).is_dir():
         report.notes.append(f"only the folder {IMAGES_FOLDER}/ was searched for images")
-    usable = _usable(names, probes, report)
+    usable = usable_images(names, probes, report)
     views = unfold(usable, inputs.rig, settings, report, tuning)
     if views is None:
         files: Sequence[str] = names
@@ -71,67 +71,11 @@ def build_scene(
         names, probes, files, survey = views.names, views.probes, views.files, views.survey
     survey = _one_size(survey, names, probes, report)
     survey = _into_frames(survey, files, settings.frames, report, tuning.frames)
-    _need_two(len(survey.shots), report)
+    need_two(len(survey.shots), report)
     sizes = {k: _facts(shots, probes, survey.loose).size for k, shots in _sensors(survey).items()}
     survey = with_camera(survey, sizes, inputs.camera, report.notes, tuning.rig)
     rigs, survey = _rigs(survey, probes, settings, report, tuning.rig.camera)
     return _scene(inputs, _Named.of(survey, names, files, probes), rigs, survey, settings, report, tuning)
-
-
-# --- which images can be used ---------------------------------------------------------------------------------------
-
-
-def _usable(names: Sequence[str], probes: Sequence[Probe], report: Report) -> Usable:
-    first: dict[str, str] = {}
-    usable, repeated = [], []
-    for k, (name, probe) in enumerate(zip(names, probes)):
-        if probe.reason:
-            report.drop([name], probe.reason)
-        elif probe.digest in first:
-            report.drop([name], f"the same file as {first[probe.digest]}")
-            repeated.append((name, first[probe.digest]))
-        else:
-            first[probe.digest] = name
-            usable.append(k)
-    report.notes += _say_repeated(repeated, names)
-    _need_two(len(usable), report)
-    return Usable(tuple(usable), tuple(names[k] for k in usable), tuple(probes[k] for k in usable))
-
-
-def _say_repeated(repeated: Sequence[tuple[str, str]], names: Sequence[str]) -> list[str]:
-    """One note for every two folders of which one repeats files of the other: a pass that was copied."""
-    heads = Counter(_heads(name, original) for name, original in repeated)
-    out = []
-    for (copy, original), count in heads.items():
-        total = sum(name.startswith(f"{copy}/") for name in names) if copy else len(names)
-        said = f"{count} of {total} images"
-        if copy == original:
-            out.append(f"folder {copy or '.'}: {said} repeat others of it (identical files): left out")
-        else:
-            kind = "folder" if "/" in copy + original else "pass"
-            text = f"{kind} {copy or '.'} repeats {kind} {original or '.'}: {said} are identical files"
-            out.append(f"{text}; pairs between them carry no base, so they are left out")
-    return out
-
-
-def _heads(name: str, other: str) -> tuple[str, str]:
-    """The folders of two files without what they end on alike: (B, A) for B/cam0/1.jpg and A/cam0/1.jpg."""
-    mine, its = list(PurePosixPath(name).parent.parts), list(PurePosixPath(other).parent.parts)
-    if mine == its:
-        return "/".join(mine), "/".join(its)
-    while mine and its and mine[-1] == its[-1]:
-        mine.pop()
-        its.pop()
-    return "/".join(mine), "/".join(its)
-
-
-def _need_two(count: int, report: Report) -> None:
-    if count < 2:
-        why = "; ".join(f"{d.name}: {d.reason}" for d in report.dropped[:3])
-        raise InputError(
-            f"{count} usable image(s): at least 2 are needed, and about 10 for a model. "
-            + (f"Left out {len(report.dropped)}: {why}" if why else "Give a folder with more images")
-        )
 
 
 # --- sizes and frames -----------------------------------------------------------------------------------------------
@@ -236,12 +180,29 @@ def _rigs(
             calibrated = calibrate(sensor, facts, spec.file, settings, tuning)
             hows.setdefault(calibrated.how, []).append(sensor.name)
             pose = _sensor_from_rig(spec, k, present[0])
-            made = Sensor(sensor.name, calibrated.camera, pose, sensor.role, sensor.folder or "", calibrated.source)
+            made = Sensor(
+                name=sensor.name,
+                camera=calibrated.camera,
+                sensor_from_rig=pose,
+                role=sensor.role,
+                folder=sensor.folder or "",
+                source=calibrated.source,
+            )
             sensors.append(replace(made, sigma_deg=sensor.sigma_deg, sigma_m=sensor.sigma_m))
         there = {s.name for s in sensors}
         pairs = tuple(p for p in spec.pairs if set(p.sensors) <= there)
         arm = _antenna(spec, present[0])
-        rigs.append(Rig(spec.name, tuple(sensors), spec.fixed, spec.nominal, arm, pairs, spec.synchronised))
+        rigs.append(
+            Rig(
+                name=spec.name,
+                sensors=tuple(sensors),
+                fixed=spec.fixed,
+                nominal=spec.nominal,
+                antenna_m=arm,
+                pairs=pairs,
+                synchronised=spec.synchronised,
+            )
+        )
     report.notes += [f"{some(names)}: {how}" for how, names in hows.items()]
     shots = tuple(
         replace(s, rig=renumber[s.rig, s.sensor][0], sensor=renumber[s.rig, s.sensor][1]) for s in survey.shots
@@ -255,7 +216,13 @@ def _facts(shots: list[Shot], probes: Sequence[Probe], loose: bool) -> FileFacts
     of = [probes[s.image] for s in shots]
     focal = [p.exif.focal_px for p in of if np.isfinite(p.exif.focal_px)]
     bits = max(p.bits for p in of)
-    return FileFacts(_size(of[0], upright), float(np.median(focal)) if focal else float("nan"), upright, bits, loose)
+    return FileFacts(
+        size=_size(of[0], upright),
+        focal_px=float(np.median(focal)) if focal else float("nan"),
+        upright=upright,
+        bits=bits,
+        loose=loose,
+    )
 
 
 def _sensor_from_rig(spec: RigSpec, sensor: int, reference: int) -> np.ndarray | None:
@@ -294,7 +261,7 @@ class _Named:
         renamed = sum(a != b for a, b in zip(given, safe))
         images = [survey.shots[k].image for k in order]
         of, exif = tuple(files[i] for i in images), tuple(probes[i].exif for i in images)
-        return _Named(tuple(order), tuple(safe[k] for k in order), of, exif, renamed)
+        return _Named(order=tuple(order), names=tuple(safe[k] for k in order), files=of, exif=exif, renamed=renamed)
 
 
 def _scene(
@@ -304,7 +271,7 @@ def _scene(
     shots, sources = [survey.shots[k] for k in named.order], named.files
     tracks = tuple(sorted({s.track for s in shots} - {""}, key=natural))
     rows = _frame_rows(shots, tracks)
-    frames = Frames(rows, tracks, sources, named.exif, rigs, survey.specs)
+    frames = Frames(rows=rows, tracks=tracks, names=sources, exif=named.exif, rigs=rigs, specs=survey.specs)
     priors = estimate_priors(frames, inputs.gnss, inputs.trajectory, inputs.times, settings, tuning)
     rows, priors_order = _in_time_order(rows, priors.time_s, report)
     _say_incomplete(rows, rigs, report)
@@ -365,7 +332,9 @@ def _frame_rows(shots: Sequence[Shot], tracks: tuple[str, ...]) -> tuple[FrameRo
         frames.setdefault((track, shot.rig, shot.key), []).append(k)
     ordered = sorted(frames, key=lambda f: (f[0], natural(f[2]), f[1]))
     return tuple(
-        FrameRow(rig, track, key, tuple(sorted(frames[track, rig, key], key=lambda k: shots[k].sensor)))
+        FrameRow(
+            rig=rig, track=track, key=key, images=tuple(sorted(frames[track, rig, key], key=lambda k: shots[k].sensor))
+        )
         for track, rig, key in ordered
     )
 

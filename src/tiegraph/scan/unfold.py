@@ -68,7 +68,7 @@ def _views(
         path = PurePosixPath(name)
         track = "" if layout.loose or place is None else place.track
         for k, sensor in enumerate(spec.sensors):
-            shots.append(Shot(len(views), 0, k, track, path.stem))
+            shots.append(Shot(image=len(views), rig=0, sensor=k, track=track, stem=path.stem))
             views.append(str(path.parent / sensor.name / path.name))
             made.append(_as_view(probe, probe.width / width, sensor))
     passes = len({s.track for s in shots})
@@ -80,7 +80,9 @@ def _views(
         f"views and one up, of {columns} x {rows} pixels: a calibrated rig without a base; {order}"
     )
     files = tuple(name for name in names for _ in spec.sensors)
-    return Unfolded(tuple(views), tuple(made), files, Survey((spec,), tuple(shots), layout.loose))
+    return Unfolded(
+        names=tuple(views), probes=tuple(made), files=files, survey=Survey((spec,), tuple(shots), layout.loose)
+    )
 
 
 def _as_view(probe: Probe, scale: float, sensor: SensorSpec) -> Probe:

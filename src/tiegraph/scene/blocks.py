@@ -49,7 +49,9 @@ class Block:
         number = np.full(len(scene), -1)
         number[self.images] = np.arange(len(self))
         inside = ties.where((number[ties.i] >= 0) & (number[ties.j] >= 0))
-        return scene.only(self.images), Ties(number[inside.i], number[inside.j], inside.start, inside.matches)
+        return scene.only(self.images), Ties(
+            i=number[inside.i], j=number[inside.j], start=inside.start, matches=inside.matches
+        )
 
 
 def blocks_of(scene: Scene, ties: Links, tuning: BlocksTuning) -> tuple[Block, ...]:

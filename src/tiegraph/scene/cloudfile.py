@@ -228,9 +228,9 @@ def _origin_of(header: laspy.LasHeader, xyz: np.ndarray) -> Origin | None:
     except InputError:
         return None
     shift = tuple(float(s) for s in header.offsets)
-    draft = Origin(0.0, 0.0, 0.0, name, (shift[0], shift[1], shift[2]))
+    draft = Origin(lat_deg=0.0, lon_deg=0.0, height_m=0.0, crs=name, shift_m=(shift[0], shift[1], shift[2]))
     lat, lon, height = geodetic_from_world(np.zeros((1, 3)), draft)[0]
-    return Origin(float(lat), float(lon), float(height), name, draft.shift_m)
+    return Origin(lat_deg=float(lat), lon_deg=float(lon), height_m=float(height), crs=name, shift_m=draft.shift_m)
 
 
 def _ply_header(origin: Origin | None, count: int) -> bytes:
@@ -308,7 +308,7 @@ def _ply_origin(comments: dict[str, list[str]]) -> Origin | None:
     try:
         lat, lon, height = (float(w) for w in comments["origin_lat_lon_height"][:3])
         east, north, up = (float(w) for w in comments["shift_m"][:3])
-        return Origin(lat, lon, height, comments["crs"][0], (east, north, up))
+        return Origin(lat_deg=lat, lon_deg=lon, height_m=height, crs=comments["crs"][0], shift_m=(east, north, up))
     except (KeyError, ValueError, IndexError):
         return None
 

@@ -241,7 +241,15 @@ def _check_place(file: GcpFile, world: np.ndarray, scene: Scene) -> None:
     hint = ": wrong CRS in the file?"
     try:
         turned = _world(
-            GcpFile(file.path, file.crs, file.geographic, (replace(point, xyz=swapped),), ()), scene, scene.origin
+            GcpFile(
+                path=file.path,
+                crs=file.crs,
+                geographic=file.geographic,
+                points=(replace(point, xyz=swapped),),
+                marks=(),
+            ),
+            scene,
+            scene.origin,
         )
         if np.linalg.norm(turned[0, :2] - middle[:2]) < FAR_M:
             hint = f": its first two coordinates are exchanged ({'lon, lat' if file.geographic else 'north, east'})"

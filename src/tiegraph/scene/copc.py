@@ -129,7 +129,7 @@ def _spilled(parts: Iterator[Cloud], tree: _Octree, header: laspy.LasHeader, pat
             count.append(np.diff(begin, append=len(order)))
             done += len(order)
     rows = np.memmap(path, dtype, "r", shape=(done,)) if done else np.zeros(0, dtype)
-    return _Spill(rows, np.concatenate(keys), np.concatenate(start), np.concatenate(count))
+    return _Spill(rows=rows, keys=np.concatenate(keys), start=np.concatenate(start), count=np.concatenate(count))
 
 
 def _write(

@@ -163,7 +163,7 @@ def _tested(y: np.ndarray, form: str, shape: np.ndarray, tries: int, tuning: Tre
     line = design[:, -1] * plain[-1] if form == "step" else design @ plain
     bow = float(-plain[-1]) if form == "curve" else 0.0
     at = float(1 - shape[:, -1].mean()) if form == "step" else float("nan")
-    return Trend(form, float(line[0]), float(line[-1]), bow, at, chance)
+    return Trend(form=form, start=float(line[0]), end=float(line[-1]), bow=bow, at=at, chance=chance)
 
 
 def _correlation(rest: np.ndarray, unknowns: int, tuning: TrendTuning) -> float:

@@ -192,9 +192,11 @@ def _read_odm(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -
         place = (y, x, z) if crs.is_geographic else (x, y, z)  # its x is the longitude
         name = words[6] if len(words) > 6 else by_place.setdefault(place, f"point {len(by_place) + 1}")
         check = len(words) > 7 and words[7].lower() in _CHECK
-        _add(points, FilePoint(name, place, tuning.sigma_m, check, number), path)
-        marks.append(FileMark(name, words[5], (px, py), number))
-    return GcpFile(path, crs.srs, crs.is_geographic, tuple(points.values()), tuple(marks))
+        _add(points, FilePoint(name=name, xyz=place, sigma_m=tuning.sigma_m, check=check, line=number), path)
+        marks.append(FileMark(name=name, image=words[5], xy=(px, py), line=number))
+    return GcpFile(
+        path=path, crs=crs.srs, geographic=crs.is_geographic, points=tuple(points.values()), marks=tuple(marks)
+    )
 
 
 def parse_crs_line(text: str, where: str) -> pyproj.CRS:
@@ -248,7 +250,14 @@ def _read_csv(path: Path, lines: list[tuple[int, str]], tuning: ControlTuning) -
         raise InputError(f"{path}: points by x, y, z in one table and by lat, lon, height in another: give one kind")
     degrees = True in geographic
     notes = tuple(note for table in tables for note in table.notes)
-    return GcpFile(path, _csv_crs(lines, path, degrees), degrees, tuple(points.values()), tuple(marks), notes)
+    return GcpFile(
+        path=path,
+        crs=_csv_crs(lines, path, degrees),
+        geographic=degrees,
+        points=tuple(points.values()),
+        marks=tuple(marks),
+        notes=notes,
+    )
 
 
 def _read_table(table: Table, points: dict[str, FilePoint], marks: list[FileMark], tuning: ControlTuning) -> set[bool]:
@@ -274,7 +283,7 @@ def _read_table(table: Table, points: dict[str, FilePoint], marks: list[FileMark
             _add(points, FilePoint(label, place, *_row_facts(table, row, tuning), line), path)  # type: ignore[arg-type]
         if table.cell(row, image):
             xy = _number(table.cell(row, px), path, line), _number(table.cell(row, py), path, line)
-            marks.append(FileMark(label, table.cell(row, image), xy, line))
+            marks.append(FileMark(name=label, image=table.cell(row, image), xy=xy, line=line))
     return {geographic} if whole[0] else set()
 
 

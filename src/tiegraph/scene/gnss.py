@@ -63,7 +63,15 @@ class Gnss:
         """Some rows (K,), with other notes."""
         names, line = (tuple(c[k] for k in keep) if c else () for c in (self.names, self.line))
         place, sigma = self.lat_lon_height[keep], self.sigma_m[keep]
-        return Gnss(names, self.time_s[keep], place, sigma, self.heading_deg[keep], tuple(notes), line)
+        return Gnss(
+            names=names,
+            time_s=self.time_s[keep],
+            lat_lon_height=place,
+            sigma_m=sigma,
+            heading_deg=self.heading_deg[keep],
+            notes=tuple(notes),
+            line=line,
+        )
 
 
 def read_gnss(path: Path, tuning: GnssTuning) -> Gnss:
@@ -108,7 +116,15 @@ def read_gnss(path: Path, tuning: GnssTuning) -> Gnss:
     names = tuple(table.cell(k, image) for k in range(len(llh)) if good[k]) if image is not None else ()
     heading = _heading(table, notes)
     line = tuple(table.line(k) for k in np.flatnonzero(good).tolist())
-    raw = Gnss(names, times[good], llh[good], sigma[good], heading[good], tuple(notes), line)
+    raw = Gnss(
+        names=names,
+        time_s=times[good],
+        lat_lon_height=llh[good],
+        sigma_m=sigma[good],
+        heading_deg=heading[good],
+        notes=tuple(notes),
+        line=line,
+    )
     if image is None:
         made = _without_leaps(_in_time_order(raw, path), path, tuning.max_speed_m_s)
     else:

@@ -55,13 +55,15 @@ def frame_links(i: np.ndarray, j: np.ndarray, scene: Scene) -> FrameLinks:
     _, first, count = np.unique(key[order], return_index=True, return_counts=True)
     if not len(order):
         none = np.zeros(0, int)
-        return FrameLinks(none, none, none, none, none)
+        return FrameLinks(a=none, b=none, row=none, pairs=none, independent=none)
 
     def varied(image: np.ndarray) -> np.ndarray:
         return np.minimum.reduceat(image[order], first) < np.maximum.reduceat(image[order], first)
 
     row = order[first]
-    return FrameLinks(scene.frame[i[row]], scene.frame[j[row]], row, count, 1 + (varied(i) & varied(j)))
+    return FrameLinks(
+        a=scene.frame[i[row]], b=scene.frame[j[row]], row=row, pairs=count, independent=1 + (varied(i) & varied(j))
+    )
 
 
 @dataclass(frozen=True)
@@ -136,7 +138,7 @@ def _judged(tree: np.ndarray, part: np.ndarray, double: np.ndarray) -> Cuts:
     biggest = np.zeros(len(part), int)
     np.maximum.at(biggest, parent[below], size[below])
     rest = np.maximum(biggest, whole - 1 - lost)  # what stays together is the biggest piece
-    return Cuts(bridge, joint, side, np.where(joint, whole - 1 - rest, 0))
+    return Cuts(bridge=bridge, joint=joint, side=side, falls=np.where(joint, whole - 1 - rest, 0))
 
 
 @dataclass(frozen=True)

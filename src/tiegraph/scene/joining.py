@@ -98,7 +98,15 @@ def join(a: int, b: int, first: Poses, second: Poses, tuning: JoiningTuning) -> 
         scale, shift = _fitted(x_turned[agree], y[agree], scale, limit)
         agree = same & (np.linalg.norm(scale * x_turned + shift - y, axis=1) < limit)
     needed = max(tuning.shared, tuning.agree * len(shared))
-    return Join(a, b, Similarity(scale, turn, shift), len(shared), int(agree.sum()), needed, np.median(x, axis=0))
+    return Join(
+        a=a,
+        b=b,
+        b_from_a=Similarity(scale, turn, shift),
+        shared=len(shared),
+        agree=int(agree.sum()),
+        needed=needed,
+        middle=np.median(x, axis=0),
+    )
 
 
 def _mean_turn(turns: np.ndarray, tuning: JoiningTuning) -> tuple[np.ndarray, np.ndarray]:

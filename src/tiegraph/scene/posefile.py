@@ -117,7 +117,14 @@ def _rows(path: Path) -> _Rows:
     where = [n for n, _ in rows]
     above = dict(lines)[header[0]].lower() if header is not None else ""
     nanoseconds = bool(re.search(r"\[ns\]|nanosec|nsec|_ns\b", above))
-    return _Rows(path, numbers, where, header[1][0] if header else None, nanoseconds, "," in rows[0][1])
+    return _Rows(
+        path=path,
+        numbers=numbers,
+        lines=where,
+        header=header[1][0] if header else None,
+        nanoseconds=nanoseconds,
+        commas="," in rows[0][1],
+    )
 
 
 def _numbers(path: Path, rows: list[tuple[int, str]]) -> np.ndarray:

@@ -18,6 +18,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import RegisteredTuning
 
 BY_RIG = "placed by the rig"  # what the others are called in tables
+LEFT_OUT = "left out: "  # how the reason of an image begins that stood at a wrong place
 
 
 @dataclass(frozen=True)

@@ -74,9 +74,13 @@ class Cloud:
     def empty(origin: Origin | None = None) -> Cloud:
         """No points."""
         return Cloud(
-            np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.zeros((0, 3), np.float32), np.zeros(0, np.float32),
-            np.zeros(0, np.uint8), origin,
-        )  # fmt: skip
+            xyz_m=np.zeros((0, 3)),
+            rgb=np.zeros((0, 3), np.uint8),
+            normal=np.zeros((0, 3), np.float32),
+            sigma_m=np.zeros(0, np.float32),
+            views=np.zeros(0, np.uint8),
+            origin=origin,
+        )
 
 
 @dataclass(frozen=True)

@@ -184,7 +184,15 @@ def rig_from_dict(data: dict) -> Rig:
     antenna = None if data["antenna_m"] is None else tuple(data["antenna_m"])
     pairs = tuple(SensorPair(tuple(p["sensors"]), **{k: p[k] for k in PAIR_KEYS}) for p in data.get("pairs", ()))
     told = data.get("synchronised", False)
-    return Rig(data["name"], sensors, data["fixed"], data["nominal"], antenna, pairs, told)
+    return Rig(
+        name=data["name"],
+        sensors=sensors,
+        fixed=data["fixed"],
+        nominal=data["nominal"],
+        antenna_m=antenna,
+        pairs=pairs,
+        synchronised=told,
+    )
 
 
 def _source_to_dict(source: Source | None) -> dict | None:

@@ -124,7 +124,7 @@ def table_of(path: Path, purpose: str, lines: Sequence[tuple[int, str]], notes: 
     rows = _rows(path, purpose, columns, given, notes)
     if not rows:
         raise InputError(f"{path}: no rows below its header; give the {purpose} as a CSV file with a row a moment")
-    return Table(path, columns, rows, tuple(_unit(c) for c in named), tuple(notes))
+    return Table(path=path, columns=columns, rows=rows, units=tuple(_unit(c) for c in named), notes=tuple(notes))
 
 
 def text_lines(text: str) -> list[str]:

@@ -41,7 +41,7 @@ class Ties:
         chosen = [np.asarray(matches[k], np.uint16).reshape(-1, 2) for k in order]
         start = np.concatenate([[0], np.cumsum([len(m) for m in chosen])])
         rows = np.concatenate([np.zeros((0, 2), np.uint16), *chosen])
-        return Ties(i[order], j[order], start, rows)
+        return Ties(i=i[order], j=j[order], start=start, matches=rows)
 
     @staticmethod
     def empty() -> Ties:

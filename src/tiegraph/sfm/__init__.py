@@ -10,10 +10,10 @@ pair ties to the model are a survey of their own and become a model of their own
 receipt names them. A rig held as given that leaves most tied images without a place, or shows as a principal point
 that no lens has, is reported to contradict the images (``losses``); it is not changed.
 
-**Final adjustment** (``adjust``). Every model goes through one robust adjustment with free principal points, which
+**Final adjustment** (``adjustment``). Every model goes through one robust adjustment with free principal points, which
 COLMAP holds (on the example survey that bends rig and model), and, for RADIAL cameras, with aspect and decentring
-under priors (``lens``): otherwise the rotations of a rig take up what a lens has of them. Points that only one shot
-saw are left out: false matches of cameras centimetres apart meet close by and weigh much.
+under priors (``adjustment.lens``): otherwise the rotations of a rig take up what a lens has of them. Points that only
+one shot saw are left out: false matches of cameras centimetres apart meet close by and weigh much.
 
 **After the mapper** (``finish``, in a child process of its own): registration is repaired and completed
 (``sfm.placement``), the rig is tested against the images and relaxed if it moves (``sfm.rig``), sigmas are estimated

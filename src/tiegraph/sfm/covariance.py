@@ -23,9 +23,9 @@ import numpy as np
 import pycolmap
 from scipy import sparse
 
-from tiegraph.sfm.jacobians import Layout, Ties, jacobians
-from tiegraph.sfm.normal import Normal, by_blocks, point_inverse
-from tiegraph.sfm.rig.compact import Drawing
+from tiegraph.sfm.adjustment.compact import Drawing
+from tiegraph.sfm.adjustment.jacobians import Layout, Ties, jacobians
+from tiegraph.sfm.adjustment.normal import Normal, by_blocks, point_inverse
 from tiegraph.sfm.systematic import LensError, Unrest, Weighed, lens_errors, misplaced, unrest
 from tiegraph.sfm.tuning import SigmaTuning, Tuning
 

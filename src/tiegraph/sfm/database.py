@@ -16,7 +16,7 @@ from tiegraph.scene.colmapmodel import MAX_IMAGES
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import held_out_frames, rigid3d
-from tiegraph.sfm.world.tuning import FixTuning
+from tiegraph.sfm.tuning.world import FixTuning
 
 # All a mapper reads besides rigs, frames and priors, and which rows of it some images need.
 _COPIED = {

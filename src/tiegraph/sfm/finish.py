@@ -16,12 +16,13 @@ from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.evidence import Statement
 from tiegraph.scene.evidence import table as statement_table
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adjust import final_adjustment, free_cameras
+from tiegraph.sfm.adjustment import soft
+from tiegraph.sfm.adjustment.adjust import final_adjustment, free_cameras
+from tiegraph.sfm.adjustment.given import drawings, given_geometry
+from tiegraph.sfm.adjustment.jacobians import Ties
 from tiegraph.sfm.covariance import Mounting, PositionSigma, position_sigma
-from tiegraph.sfm.jacobians import Ties
 from tiegraph.sfm.placement.settle import Matched, Settled, settle
-from tiegraph.sfm.placement.verified import read_verified, seen_by
-from tiegraph.sfm.rig import soft, ties
+from tiegraph.sfm.rig import ties
 from tiegraph.sfm.rig.confront import (
     hear,
     hear_lens,
@@ -33,12 +34,12 @@ from tiegraph.sfm.rig.confront import (
     statements,
 )
 from tiegraph.sfm.rig.diagnosis import Diagnosis, diagnose
-from tiegraph.sfm.rig.given import drawings, given_geometry
 from tiegraph.sfm.rig.health import COLUMNS
 from tiegraph.sfm.rig.judge import Judgement
 from tiegraph.sfm.rig.relax import Believed, Relaxed, lost_images, relax, with_errors, with_sightings_of
 from tiegraph.sfm.rig.support import place_as_given, units_per_metre
 from tiegraph.sfm.tuning import SigmaTuning, Tuning
+from tiegraph.sfm.verified import read_verified, seen_by
 from tiegraph.text import known_to
 
 HEALTH_FILE = "rig_health.csv"
@@ -117,7 +118,9 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> Finishe
         names = {k + 1: s.name for k, s in enumerate(scene.all_sensors)}
         tables |= sigma.tables(names)
         notes += _open_notes(sigma, names, request.tuning.sigma)
-    return Finished(sigma, notes, tables, settled.dropped, checked.contradictions)
+    return Finished(
+        sigma=sigma, notes=notes, tables=tables, dropped=settled.dropped, contradictions=checked.contradictions
+    )
 
 
 def _settled(model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest) -> Settled:
@@ -125,7 +128,9 @@ def _settled(model: pycolmap.Reconstruction, scene: Scene, request: FinishReques
         return Settled(model)
     # COLMAP asks for a folder of images, though points need none.
     scratch = request.scratch or request.folder / "placement"
-    source = Matched(request.database, request.images or request.folder, request.refused, scratch)
+    source = Matched(
+        database=request.database, images=request.images or request.folder, refused=request.refused, scratch=scratch
+    )
     rigs = {k: scene.rigs[k] for k in request.rigs}
     try:
         return settle(
@@ -279,7 +284,12 @@ def _relaxed(
         # What calibrated lenses do beyond their model looks like turned cameras; lenses that are adjusted do not.
         bent = not request.constant_cameras and any(what == "mount" for what, _ in freed)
         calibrated = _measured(index, request) and not bent
-        believed = Believed(metres, calibrated, request.constant_cameras, request.lenses_ordered)
+        believed = Believed(
+            metres_per_unit=metres,
+            calibrated=calibrated,
+            constant_cameras=request.constant_cameras,
+            lenses_held=request.lenses_ordered,
+        )
         free = relax(start, scene, index, believed, request.tuning, found.loose)
         lost = lost_images(out.model, free.model, scene, request.tuning.adjust.min_points)
         if lost:

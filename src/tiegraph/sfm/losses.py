@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 import pycolmap
 
-from tiegraph.scene.registered import BY_RIG, Registration
+from tiegraph.scene.registered import BY_RIG, LEFT_OUT, Registration
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.tuning import LossTuning, Tuning
-
-LEFT_OUT = "left out: "  # how the reason of an image begins that stood at a wrong place
 
 
 def unregistered(

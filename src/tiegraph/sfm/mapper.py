@@ -34,9 +34,9 @@ from tiegraph.sfm.mapping import SCRATCH, Job, Outcome, Progress, believed_camer
 from tiegraph.sfm.model import frame_poses, registration_tables
 from tiegraph.sfm.rig.rig import DerivedRig, derive_rig, rig_modes, rig_table
 from tiegraph.sfm.rig.support import ties_of, unsupported_sensors
-from tiegraph.sfm.rig.tuning import DeriveTuning
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.tuning.rig import DeriveTuning
 
 
 @dataclass(frozen=True)
@@ -127,23 +127,23 @@ def reconstruct(
     else:
         alone = ()
     job = Job(
-        database,
-        images,
-        source.rough,
-        out,
-        scene,
-        settings,
-        tuning,
-        shared,
-        log,
-        source.on_progress,
-        graph,
-        [],
-        notes,
-        refused,
-        alone,
-        source.preview,
-        source.run_map,
+        database=database,
+        images=images,
+        rough=source.rough,
+        out=out,
+        scene=scene,
+        settings=settings,
+        tuning=tuning,
+        shared=shared,
+        log=log,
+        on_progress=source.on_progress,
+        graph=graph,
+        runs=[],
+        notes=notes,
+        refused=refused,
+        alone=alone,
+        preview=source.preview,
+        run_map=source.run_map,
     )
     try:
         return _reconstruct(job, modes)

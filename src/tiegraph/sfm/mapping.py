@@ -20,12 +20,12 @@ from tiegraph.sfm.blockwise import RunMap, poses_by_blocks, serially
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.losses import no_model_text
 from tiegraph.sfm.model import frame_poses, image_poses, observations
-from tiegraph.sfm.placement.verified import read_verified
 from tiegraph.sfm.rig.rig import held_by_mapper
 from tiegraph.sfm.run import Mapped, Request, run_mapper
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.start.poses import length_of_path
 from tiegraph.sfm.tuning import MappingTuning, Tuning
+from tiegraph.sfm.verified import read_verified
 
 SCRATCH = ".run"
 """Folder, beside the models, in which mappers work."""
@@ -258,7 +258,7 @@ def _run(
     held = "positions" if request.positions else "none"
     job.runs.append([mapper, rig, held, label, len(folders), registered, points, round(seconds, 1)])
     _log.info("%s mapping, rig %s: %d images in the first of %d models", mapper, rig, registered, len(folders))
-    return Outcome(mapper, folders, registered, mapped.refused)
+    return Outcome(mapper=mapper, folders=folders, registered=registered, refused=mapped.refused)
 
 
 def _seeing(folder: Path, scene: Scene, least: int) -> tuple[int, int]:

@@ -12,7 +12,7 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.registered import BY_RIG, Registration
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.world.tuning import FixTuning
+from tiegraph.sfm.tuning.world import FixTuning
 
 
 def matrix(transform: pycolmap.Rigid3d) -> np.ndarray:

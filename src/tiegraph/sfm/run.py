@@ -14,12 +14,12 @@ import pycolmap
 from tiegraph.scene.rig import Rig, rig_from_dict, rig_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import write_working_copy
-from tiegraph.sfm.placement.verified import read_verified
 from tiegraph.sfm.solver import THREADS, factorised
 from tiegraph.sfm.start.gate import why_not
 from tiegraph.sfm.start.poses import largest_piece, start_from
 from tiegraph.sfm.start.rounds import model_from
 from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.verified import read_verified
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ import pycolmap
 from scipy import sparse
 
 from tiegraph.geometry.transforms import skew
-from tiegraph.sfm.jacobians import Layout, System, frame_pose
-from tiegraph.sfm.normal import Normal, at_their_minimum, by_blocks, point_inverse
+from tiegraph.sfm.adjustment.jacobians import Layout, System, frame_pose
+from tiegraph.sfm.adjustment.normal import Normal, at_their_minimum, by_blocks, point_inverse
 from tiegraph.sfm.tuning import SharedErrorTuning
 
 _RIDGE = 1e-6  # of the information: directions that the unknowns take up whole
@@ -159,7 +159,7 @@ def _lens_error(
     field = variance * np.kron(np.exp(-0.5 * (apart / reach) ** 2), np.eye(2))
     mean, moment = posterior(score, noise, information, field)
     reach *= float(np.hypot(camera.width, camera.height))
-    found = LensError(camera.camera_id, float(np.sqrt(2 * variance)), reach, worst)
+    found = LensError(camera=camera.camera_id, rms_px=float(np.sqrt(2 * variance)), reach_px=reach, worst=worst)
     return found, Effect(gradient, moment), columns @ mean
 
 
@@ -228,7 +228,7 @@ def misplaced(
             at = (6 * np.searchsorted(every, cameras)[:, None] + np.arange(6)).ravel()
             moment = off[rig_id][np.ix_(at, at)]
             place, turn = np.diag(moment).reshape(-1, 2, 3).mean(axis=(0, 2))
-            found = Unrest(tuple(cameras), float(np.sqrt(place)), float(np.sqrt(turn)), True)
+            found = Unrest(cameras=tuple(cameras), place=float(np.sqrt(place)), turn=float(np.sqrt(turn)), always=True)
             out.append((found, Effect(gradient, moment)))
             continue
         noise = noise + _RIDGE * np.diag(np.maximum(np.diag(information), 1e-300))
@@ -238,7 +238,7 @@ def misplaced(
         field = np.diag(np.tile(np.repeat([place, turn], 3), len(cameras)))
         mean, moment = posterior(score, noise, information, field)
         explained += columns @ mean
-        found = Unrest(tuple(cameras), float(np.sqrt(place)), float(np.sqrt(turn)), True)
+        found = Unrest(cameras=tuple(cameras), place=float(np.sqrt(place)), turn=float(np.sqrt(turn)), always=True)
         out.append((found, Effect(gradient, moment)))
     return out, explained
 

@@ -45,7 +45,9 @@ def average(
     residual[there] = _angles(rotation, ends[there], rotations[there])
     agreeing = np.zeros(len(ends), bool)
     agreeing[there] = residual[there] < bound_deg
-    return Averaged(rotation, label, residual, _reliable(units, ends, agreeing))
+    return Averaged(
+        unit_from_world=rotation, component=label, residual_deg=residual, reliable=_reliable(units, ends, agreeing)
+    )
 
 
 def _angles(rotation: np.ndarray, ends: np.ndarray, rotations: np.ndarray) -> np.ndarray:

@@ -43,7 +43,9 @@ class Calibration:
         poses = [np.eye(4) if not by_frame or s.sensor_from_rig is None else s.sensor_from_rig for s in sensors]
         unit = scene.frame if by_frame else np.arange(len(scene))
         inverse = transforms.invert(np.stack(poses))
-        return Calibration(cameras, inverse, np.asarray(scene.sensor_key), np.asarray(unit))
+        return Calibration(
+            cameras=cameras, rig_from_sensor=inverse, sensor=np.asarray(scene.sensor_key), unit=np.asarray(unit)
+        )
 
     def turned(self, turns: np.ndarray) -> Calibration:
         """The same with each sensor's rays turned in the rig frame by a rotation (S, 3, 3)."""

@@ -56,24 +56,34 @@ def check_rig(tasks: list[Task], database: str, calibration: Calibration, bound_
     turns = turns[0].T @ turns  # the first sensor is the rig frame
     final = [_turned(s, turns) for s in samples]
     again = [search(r, bound_rad, size, tuning.motion) for r in final]
-    samples_after = [_Sample(r, s.sensor_m, s.sensor_n, s.pairs) for r, s in zip(final, samples)]
+    samples_after = [
+        _Sample(rays=r, sensor_m=s.sensor_m, sensor_n=s.sensor_n, pairs=s.pairs) for r, s in zip(final, samples)
+    ]
     after = _shares(samples_after, again, bound_rad, sensors)
     angle = np.degrees(Rotation.from_matrix(turns).magnitude())
-    return RigCheck(turns, angle, after[1], before[0], after[0], before[2], after[2])
+    return RigCheck(
+        turns=turns,
+        turn_deg=angle,
+        matches=after[1],
+        share_before=before[0],
+        share_after=after[0],
+        total_before=before[2],
+        total_after=after[2],
+    )
 
 
 def _sample(task: Task, database: str, calibration: Calibration, most: int) -> _Sample:
     rays = load(task, database, calibration, most)
     pair = np.array(task[2])
     keys = calibration.sensor[pair]
-    return _Sample(rays, keys[rays.pair, 0], keys[rays.pair, 1], len(pair))
+    return _Sample(rays=rays, sensor_m=keys[rays.pair, 0], sensor_n=keys[rays.pair, 1], pairs=len(pair))
 
 
 def _turned(sample: _Sample, turns: np.ndarray) -> Rays:
     r = sample.rays
     m = np.einsum("kij,kj->ki", turns[sample.sensor_m], r.ray_m)
     n = np.einsum("kij,kj->ki", turns[sample.sensor_n], r.ray_n)
-    return Rays(m, n, r.centre_m, r.centre_n, r.pair)
+    return Rays(ray_m=m, ray_n=n, centre_m=r.centre_m, centre_n=r.centre_n, pair=r.pair)
 
 
 def _step(
@@ -108,8 +118,12 @@ def _jacobians(
     length = max(float(np.linalg.norm(motion[:3, 3])), 1e-9)
     for axis in range(3):
         turn = Rotation.from_rotvec(small * np.eye(3)[axis]).as_matrix()
-        m = Rays(rays.ray_m @ turn.T, rays.ray_n, rays.centre_m, rays.centre_n, rays.pair)
-        n = Rays(rays.ray_m, rays.ray_n @ turn.T, rays.centre_m, rays.centre_n, rays.pair)
+        m = Rays(
+            ray_m=rays.ray_m @ turn.T, ray_n=rays.ray_n, centre_m=rays.centre_m, centre_n=rays.centre_n, pair=rays.pair
+        )
+        n = Rays(
+            ray_m=rays.ray_m, ray_n=rays.ray_n @ turn.T, centre_m=rays.centre_m, centre_n=rays.centre_n, pair=rays.pair
+        )
         by_sensor[rows, 3 * sample.sensor_m + axis] += (residuals(m, motion) - value) / small
         by_sensor[rows, 3 * sample.sensor_n + axis] += (residuals(n, motion) - value) / small
         rotated, moved = motion.copy(), motion.copy()

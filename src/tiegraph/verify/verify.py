@@ -94,7 +94,7 @@ def verify_pairs(
     SettingsError from the scene's rig.
     """
     kept = pairs.kept()
-    work = _Work(str(database), scene, kept, settings, tuning, run_map)
+    work = _Work(database=str(database), scene=scene, pairs=kept, settings=settings, tuning=tuning, run_map=run_map)
     if settings.method == "off" or len(kept) == 0:
         return _nothing(pairs, scene)
     bearings.forget()
@@ -120,7 +120,15 @@ def verify_pairs(
     tables = {"camera pairs": _table(scene, kept, refused)}
     if rows:
         tables["rig against images"] = {"columns": ["camera", "turned deg", "agrees", "turned, agrees"], "rows": rows}
-    return Verification(out, motions, method, flagged, counts, (*notes, *more), tables)
+    return Verification(
+        pairs=out,
+        motions=motions,
+        method=method,
+        undecided=flagged,
+        counts=counts,
+        notes=(*notes, *more),
+        tables=tables,
+    )
 
 
 def _by_prior(work: _Work, prior: Prior | None) -> tuple[np.ndarray, np.ndarray, list[str]]:
@@ -148,11 +156,19 @@ def _by_prior(work: _Work, prior: Prior | None) -> tuple[np.ndarray, np.ndarray,
 
 
 def _nothing(pairs: Pairs, scene: Scene) -> Verification:
-    empty = Motions(np.zeros((0, 2), int), np.zeros((0, 4, 4)), np.zeros(0), False)
+    empty = Motions(units=np.zeros((0, 2), int), n_from_m=np.zeros((0, 4, 4)), support=np.zeros(0), by_frame=False)
     kept = pairs.kept()
     counts: dict[str, float] = {"pairs": len(kept), "kept": len(kept), "refused": 0}
     none = np.zeros(len(pairs), bool)
-    return Verification(pairs, empty, "off", none, counts, ("nothing was verified",), {})
+    return Verification(
+        pairs=pairs,
+        motions=empty,
+        method="off",
+        undecided=none,
+        counts=counts,
+        notes=("nothing was verified",),
+        tables={},
+    )
 
 
 def _units(scene: Scene, by_frame: bool) -> np.ndarray:
@@ -213,7 +229,12 @@ def _calibrated(work: _Work, asked: np.ndarray) -> tuple[Calibration, str, list[
 
 def _with_units(scene: Scene, by_frame: bool) -> Calibration:
     calibration = Calibration.of(scene, by_frame)
-    return Calibration(calibration.cameras, calibration.rig_from_sensor, calibration.sensor, _units(scene, by_frame))
+    return Calibration(
+        cameras=calibration.cameras,
+        rig_from_sensor=calibration.rig_from_sensor,
+        sensor=calibration.sensor,
+        unit=_units(scene, by_frame),
+    )
 
 
 def _share(value: float) -> float | None:
@@ -279,7 +300,12 @@ def _decide(work: _Work, calibration: Calibration, method: str) -> tuple[np.ndar
     if not by_frame:
         ends = ends - work.scene.frames
     matrices = np.array([motion[k] for k in keys]).reshape(-1, 4, 4)
-    return refused, undecided, Motions(ends, matrices, np.array([support[k] for k in keys]), by_frame), notes
+    return (
+        refused,
+        undecided,
+        Motions(units=ends, n_from_m=matrices, support=np.array([support[k] for k in keys]), by_frame=by_frame),
+        notes,
+    )
 
 
 def _widened(method: str, tuning: LoopTuning) -> float:
@@ -321,7 +347,13 @@ class _Predictor(Averaged):
 
     @staticmethod
     def of(loops: Averaged, ends: np.ndarray) -> _Predictor:
-        return _Predictor(loops.unit_from_world, loops.component, loops.residual_deg, loops.reliable, ends)
+        return _Predictor(
+            unit_from_world=loops.unit_from_world,
+            component=loops.component,
+            residual_deg=loops.residual_deg,
+            reliable=loops.reliable,
+            ends=ends,
+        )
 
     def of_edge(self, k: int) -> np.ndarray:
         """Predicted n_from_m (3, 3) of an edge."""

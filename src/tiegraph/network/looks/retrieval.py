@@ -86,7 +86,7 @@ def loop_candidates(
     line = timeline(passes, words, looks.timeline)
     blocked = _blocked(line, known, looks.retrieval.near_reaches)
     level = unrelated(line, blocked, book, settings.min_matches, tuning)
-    look = _Look(line, book, settings.min_matches, level, tuning)
+    look = _Look(line=line, book=book, min_matches=settings.min_matches, level=level, tuning=tuning)
     i, j, spent = _grown(look, _look_alikes(line, words, blocked, looks.retrieval.look_alikes), blocked)
     count = book.known(i, j)
     sure = _borne_out(look, (i, j))

@@ -60,7 +60,16 @@ def timeline(passes: Sequence[Pass], words: ImageWords, tuning: TimelineTuning) 
     place[image_at[g, s]], sensor[image_at[g, s]] = g, s
     stride = np.maximum(1, reach // tuning.strides_a_reach)[of_pass]
     cell_pass = np.repeat(np.arange(len(passes)), cells)
-    return Timeline(image_at, of_pass, rank, stride, cell, cell_pass, place, sensor)
+    return Timeline(
+        image_at=image_at,
+        of_pass=of_pass,
+        rank=rank,
+        stride=stride,
+        cell=cell,
+        cell_pass=cell_pass,
+        place=place,
+        sensor=sensor,
+    )
 
 
 def _reach(p: Pass, words: ImageWords, tuning: TimelineTuning) -> int:

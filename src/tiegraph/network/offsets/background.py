@@ -39,7 +39,7 @@ class Far:
         mean = np.bincount(key, value, minlength=len(number)) / np.maximum(number, 1)
         mean = np.where(number >= enough, mean, value.mean()).reshape(shape)
         most = max(high, float(np.quantile(self.count, outstanding)))
-        return Level(mean, most, low, high, tuning.offsets.lattice.most_level)
+        return Level(mean=mean, most=most, lowest=low, highest=high, most_level=tuning.offsets.lattice.most_level)
 
 
 def level_within(p: Pass, allowed: np.ndarray, book: PreviewBook, min_matches: int, tuning: Tuning) -> Level | None:

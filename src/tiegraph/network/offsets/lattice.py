@@ -154,7 +154,7 @@ def make_lattice(
     """An empty lattice with every ``stride``-th frame and the last one."""
     rows, columns = _every(len(p), stride, tuning.short_nodes), _every(len(q), stride, tuning.short_nodes)
     inliers = np.full((len(p.images), len(q.images), len(rows), len(columns)), np.nan, np.float32)
-    return Lattice(p, q, rows, columns, allowed, inliers, level)
+    return Lattice(p=p, q=q, rows=rows, columns=columns, allowed=allowed, inliers=inliers, level=level)
 
 
 def _blurred(grid: np.ndarray, sigma: float, cut: float) -> np.ndarray:

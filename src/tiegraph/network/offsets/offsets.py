@@ -66,7 +66,7 @@ def estimate_offsets(
         pairs = pairs | part.pairs
     curves, notes, surfaces = (sum((getattr(r, n) for r in parts), ()) for n in ("curves", "notes", "surfaces"))
     lost = commonview.strangers([r.stranger for r in parts if r.stranger])
-    return OffsetResult(pairs, curves, (*notes, *lost), surfaces)
+    return OffsetResult(pairs=pairs, curves=curves, notes=(*notes, *lost), surfaces=surfaces)
 
 
 def _local_offsets(
@@ -152,10 +152,18 @@ def _survey(
         if p is q:
             frontier &= _upper(lattice)
         if not frontier.any():
-            return _Survey(lattice, smooth, backwards, path, reach)
+            return _Survey(lattice=lattice, smooth=smooth, reversed=backwards, path=path, reach=reach)
         if len(book) + int(frontier.sum()) > budget:
             text = f"{p.name} - {q.name}: the budget of previews was spent before every hit was followed"
-            return _Survey(lattice, smooth, backwards, path, reach, (text,), complete=False)
+            return _Survey(
+                lattice=lattice,
+                smooth=smooth,
+                reversed=backwards,
+                path=path,
+                reach=reach,
+                notes=(text,),
+                complete=False,
+            )
         lattice = lattice.measured(frontier, book)
 
 
@@ -269,7 +277,9 @@ def _local(survey: _Survey, settings: CandidatesSettings, tuning: Tuning) -> Off
     curves = curves_of(lattice, survey.reversed, voted, least, counts)
     surfaces = surfaces_of(lattice, smooth, least, tuning)
     note, stranger = _said(lattice, smooth, least, tuning.rig)
-    return OffsetResult(measured | kept, curves, (*survey.notes, *note), surfaces, stranger)
+    return OffsetResult(
+        pairs=measured | kept, curves=curves, notes=(*survey.notes, *note), surfaces=surfaces, stranger=stranger
+    )
 
 
 def _said(lattice: Lattice, smooth: np.ndarray, min_matches: int, tuning: RigTuning) -> tuple[tuple[str, ...], str]:

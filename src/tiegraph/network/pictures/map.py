@@ -171,7 +171,7 @@ def _joined(place: np.ndarray, scene: Scene) -> _Nodes:
             of_frame[run] = len(places)
             places.append(place[run].mean(axis=0))
             tracks.append(int(t))
-    return _Nodes(of_frame, np.array(places).reshape(-1, 2), np.array(tracks, int), step)
+    return _Nodes(of_frame=of_frame, place=np.array(places).reshape(-1, 2), track=np.array(tracks, int), step=step)
 
 
 def _of_kind(scene: Scene, links: np.ndarray) -> np.ndarray:
@@ -199,7 +199,9 @@ def _aggregated(kept: Pairs, scene: Scene, nodes: _Nodes, kind: str) -> _Ties:
     mean = np.where(number > 0, total / np.maximum(number, 1), np.nan)
     best = np.sort(np.argsort(-count, kind="stable")[:MAX_LINES])
     width = max(len(nodes.place), 1)
-    return _Ties(key[best] // width, key[best] % width, count[best], mean[best], int(of_kind.sum()))
+    return _Ties(
+        a=key[best] // width, b=key[best] % width, count=count[best], strength=mean[best], pairs=int(of_kind.sum())
+    )
 
 
 # ---------------------------------------------------------------- drawing
@@ -233,7 +235,15 @@ class _Page:
             if across
             else (width, count * (height + 0.3) + _HEAD_IN + 0.3)
         )
-        return _Page(Figure(figsize=size, dpi=DPI), low, high, width, height, across, count)
+        return _Page(
+            figure=Figure(figsize=size, dpi=DPI),
+            low=low,
+            high=high,
+            width=width,
+            height=height,
+            across=across,
+            count=count,
+        )
 
     def panel(self, n: int) -> Axes:
         w, h = self.figure.get_size_inches()

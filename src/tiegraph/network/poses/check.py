@@ -99,7 +99,9 @@ def check_prior(
     bad = [KINDS[k] for k, counts in rows if not _tells(*counts, tuning.poses.prior)]
     table = tuple((KINDS[k], *counts) for k, counts in rows)
     notes = _notes(table, bad, (fit, better, better_fit))
-    return PriorCheck(not bad and not better, table, fit, better, better_fit, notes)
+    return PriorCheck(
+        good=not bad and not better, table=table, fit=fit, better=better, better_fit=better_fit, notes=notes
+    )
 
 
 def _sample(scene: Scene, pairs: Pairs, tuning: PriorTuning) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -86,7 +86,9 @@ def pose_pairs(
     pairs = Pairs.make(
         i, j, "poses", dropped=code, overlap=share, baseline_m=base, angle_deg=_angle(views.axis()[i], views.axis()[j])
     )
-    return PoseResult(pairs, without, _notes(scene, settings, reach, headings, without), reach)
+    return PoseResult(
+        pairs=pairs, without=without, notes=_notes(scene, settings, reach, headings, without), range_m=reach
+    )
 
 
 def _notes(
@@ -136,7 +138,9 @@ def prior_views(scene: Scene, poses: np.ndarray, headings: np.ndarray, passes: S
         path = np.full(scene.frames, np.nan)  # the accuracy is given
     frame = scene.frame
     world = np.where(np.isfinite(poses[:, :3, 3]).all(axis=1), scene.pose_world(), -1)
-    return Views(pose, known & ~headings[frame], sigma[frame], path[frame], world[frame])
+    return Views(
+        pose=pose, trusted=known & ~headings[frame], sigma_m=sigma[frame], path_m=path[frame], world=world[frame]
+    )
 
 
 def _path(scene: Scene, poses: np.ndarray, passes: Sequence[Pass]) -> np.ndarray:

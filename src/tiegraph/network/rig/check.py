@@ -123,7 +123,9 @@ def _out_of_order(
     if rig.fixed:
         return RigCheck(rig, False, f"{text}: it is calibrated and kept; check the rig file", ordered=False)
     corrected, old_from_new = reordered(rig, order.place)
-    return RigCheck(corrected, True, f"{text}: corrected; check the rig file", old_from_new)
+    return RigCheck(
+        rig=corrected, changed=True, note=f"{text}: corrected; check the rig file", old_from_new=old_from_new
+    )
 
 
 def _hypotheses(rig: Rig) -> list[tuple[str, Rig]]:
@@ -167,7 +169,7 @@ def _collect(
         inliers = np.append(inliers, book.measure(following[2], following[3]))
         rows = np.concatenate([rows, following], axis=1)
     evidence = _evidence(rows, inliers / settings.min_matches - 1, len(rig.sensors), check)
-    return _Votes(a[enough], b[enough], shift, np.array(angle, float), evidence)
+    return _Votes(a=a[enough], b=b[enough], shift=shift, angle_deg=np.array(angle, float), evidence=evidence)
 
 
 def _facing(votes: _Votes, rig: Rig, settings: CandidatesSettings) -> _Votes:

@@ -170,7 +170,7 @@ def _measured(
             if seen:
                 shift[row, column] = np.median(seen, axis=0)
     expected = np.array([_expected(p.rig, int(c), int(d), tuning.rig.axes) for c, d in couples])
-    return _Steps(couples, evidence, shift, expected, matches)
+    return _Steps(couples=couples, evidence=evidence, shift=shift, expected=expected, matches=matches)
 
 
 def _expected(rig: Rig, c: int, d: int, tuning: AxesTuning) -> np.ndarray:

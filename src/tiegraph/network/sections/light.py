@@ -72,15 +72,23 @@ class _Kind:
 
 
 def _sky(measure: str, tuning: SectionsTuning) -> _Kind:
-    return _Kind(measure, "", tuning.sky_contrast, False, True)
+    return _Kind(name=measure, unit="", contrast=tuning.sky_contrast, log=False, absolute=True)
 
 
 def _luminance(tuning: SectionsTuning) -> _Kind:
-    return _Kind("luminance by EXIF exposure", "", float(np.log2(tuning.luminance_contrast)), True, True)
+    return _Kind(
+        name="luminance by EXIF exposure",
+        unit="",
+        contrast=float(np.log2(tuning.luminance_contrast)),
+        log=True,
+        absolute=True,
+    )
 
 
 def _brightness(tuning: SectionsTuning) -> _Kind:
-    return _Kind("brightness", " of 255", float(np.log2(tuning.brightness_contrast)), True, False)
+    return _Kind(
+        name="brightness", unit=" of 255", contrast=float(np.log2(tuning.brightness_contrast)), log=True, absolute=False
+    )
 
 
 @dataclass(frozen=True)
@@ -146,7 +154,14 @@ def _cue(kind: _Kind, values: np.ndarray, passes: Sequence[Pass], tuning: Sectio
             evidence[p.frames] = np.clip(np.nan_to_num(say), -tuning.frame_say, tuning.frame_say)
     shown = clear or [s for s in splits if s is not None] or ([whole] if whole is not None else [])
     best = max(shown, key=lambda s: s.separation, default=None)
-    return Cue(kind.name, kind.unit, values, threshold, evidence, _figure(kind, best, tuning))
+    return Cue(
+        name=kind.name,
+        unit=kind.unit,
+        values=values,
+        threshold=threshold,
+        evidence=evidence,
+        figure=_figure(kind, best, tuning),
+    )
 
 
 def _figure(kind: _Kind, split: _Split | None, tuning: SectionsTuning) -> str:
@@ -175,7 +190,7 @@ def _split(values: np.ndarray, tuning: SectionsTuning) -> _Split | None:
     if min(len(below), len(above)) < tuning.min_class:
         separation = 0.0
     scatter = float(np.sqrt(max(0.0, (1 - separation) * known.var())))
-    return _Split(threshold, low, high, scatter, separation)
+    return _Split(threshold=threshold, low=low, high=high, scatter=scatter, separation=separation)
 
 
 def otsu(values: np.ndarray) -> tuple[float, float, float, float]:

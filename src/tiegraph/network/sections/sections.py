@@ -73,7 +73,14 @@ def whole_survey(scene: Scene, cues: tuple[Cue, ...] = (), why: str = "") -> Sec
     whole = Section("whole survey", "open", tuple(range(scene.frames)))
     notes = (f"one section: {why}",) if why else ()
     grey = _grey(scene, cues)[0]
-    return SectionResult((whole,), np.zeros(scene.frames, int), grey, float("nan"), notes, cues)
+    return SectionResult(
+        sections=(whole,),
+        of_frame=np.zeros(scene.frames, int),
+        brightness=grey,
+        threshold=float("nan"),
+        notes=notes,
+        cues=cues,
+    )
 
 
 def _grey(scene: Scene, cues: Sequence[Cue]) -> tuple[np.ndarray, float]:

@@ -13,8 +13,8 @@ from tiegraph.sfm.placement.guided import Descriptors, Found, Sight, add_sightin
 from tiegraph.sfm.placement.predict import Predicted, predicted
 from tiegraph.sfm.placement.repair import Repair, around, fits, mounts
 from tiegraph.sfm.placement.resect import Placed, place
-from tiegraph.sfm.placement.tuning import PlacementTuning
-from tiegraph.sfm.placement.verified import Seen
+from tiegraph.sfm.tuning.placement import PlacementTuning
+from tiegraph.sfm.verified import Seen
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,9 @@ def _search(work: Repair, unit: Unit, where: Predicted, seen: Seen, descriptors:
     out = []
     for k, camera in cameras.items():
         slack_px = max(where.slack_rad * camera.mean_focal_length(), work.tuning.guided.least_px)
-        sight = Sight(k, cam_from_rig[k] @ transforms.invert(where.pose), camera, slack_px)
+        sight = Sight(
+            image=k, cam_from_world=cam_from_rig[k] @ transforms.invert(where.pose), camera=camera, slack_px=slack_px
+        )
         out.append(guided(sight, seen, work.verified, descriptors, work.tuning.guided))
     return out
 
@@ -107,7 +109,12 @@ def _tie_weak(
         return
     seen = work.seen()
     for k in weak:
-        sight = Sight(k, poses[k], model.camera(model.image(image_ids[k]).camera_id), tuning.near_px)
+        sight = Sight(
+            image=k,
+            cam_from_world=poses[k],
+            camera=model.camera(model.image(image_ids[k]).camera_id),
+            slack_px=tuning.near_px,
+        )
         found = guided(sight, seen, work.verified, descriptors, tuning)
         good = _off_px(found, sight, seen, work.verified.xy[k]) < tuning.agree_px
         if good.sum() >= tuning.min_points and good.mean() >= tuning.agree_share:

@@ -19,8 +19,8 @@ from scipy.spatial import cKDTree
 
 from tiegraph.geometry import transforms
 from tiegraph.sfm.placement.resect import Rows
-from tiegraph.sfm.placement.tuning import GuidedTuning
-from tiegraph.sfm.placement.verified import Seen, Verified
+from tiegraph.sfm.tuning.placement import GuidedTuning
+from tiegraph.sfm.verified import Seen, Verified
 
 _MOST_HELD = 48  # images whose descriptors are kept: memory
 
@@ -76,7 +76,7 @@ def guided(sight: Sight, seen: Seen, verified: Verified, descriptors: Descriptor
     own = descriptors.of(image)
     point, partner, look = _expected(image, cam_from_world, seen, descriptors, tuning)
     if not len(xy) or len(own) != len(xy) or not len(point):
-        return Found(image, none, none, none)
+        return Found(image=image, key=none, point=none, partner=none)
     local = transforms.apply(cam_from_world, np.array([seen.xyz[int(p)] for p in point]))
     ahead = local[:, 2] > 1e-6
     place = np.full((len(point), 2), np.nan)
@@ -85,7 +85,7 @@ def guided(sight: Sight, seen: Seen, verified: Verified, descriptors: Descriptor
     rows = np.flatnonzero(inside)
     near = cKDTree(xy).query_ball_point(place[rows], slack_px) if len(rows) else []
     best = _best(rows, near, own, look, xy, tuning)
-    return Found(image, best[:, 1], point[best[:, 0]], partner[best[:, 0]])
+    return Found(image=image, key=best[:, 1], point=point[best[:, 0]], partner=partner[best[:, 0]])
 
 
 def _expected(
@@ -146,7 +146,7 @@ def rows_of(found: Sequence[Found], verified: Verified, seen: Seen) -> Rows:
     xy = np.concatenate([verified.xy[f.image][f.key] for f in found if len(f.key)] + [np.zeros((0, 2))])
     points = [seen.xyz[int(p)] for f in found for p in f.point]
     partner = np.concatenate([f.partner for f in found] + [np.zeros(0, int)]).astype(int)
-    return Rows(image, xy, np.array(points).reshape(-1, 3), partner)
+    return Rows(image=image, xy=xy, xyz=np.array(points).reshape(-1, 3), partner=partner)
 
 
 def add_sightings(model: pycolmap.Reconstruction, found: Found, image_id: int, max_error_px: float) -> int:

@@ -17,8 +17,8 @@ import numpy as np
 
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.placement.steps import Course, Piece, pieces
-from tiegraph.sfm.placement.tuning import VotesTuning
-from tiegraph.sfm.placement.verified import Verified
+from tiegraph.sfm.tuning.placement import VotesTuning
+from tiegraph.sfm.verified import Verified
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,14 @@ def opinion(frames: Collection[int], believed: set[int], said: Votes, near: Sequ
         sums += [*said.of(frame, others), *said.of(frame, near[frame] & others)]
         partners |= said.partners(frame, others)
     agree, against, agree_near, against_near = sums.tolist()
-    return Opinion(agree, against, agree_near, against_near, len(partners), said.tuning)
+    return Opinion(
+        agree=agree,
+        against=against,
+        agree_near=agree_near,
+        against_near=against_near,
+        partners=len(partners),
+        tuning=said.tuning,
+    )
 
 
 def judge(positions: np.ndarray, scene: Scene, way: Course, said: Votes) -> Judgement:

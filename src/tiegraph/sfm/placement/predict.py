@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.placement.tuning import PredictTuning
+from tiegraph.sfm.tuning.placement import PredictTuning
 
 
 @dataclass(frozen=True)

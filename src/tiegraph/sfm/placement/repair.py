@@ -20,9 +20,9 @@ from tiegraph.sfm.model import frame_poses, image_poses, matrix, model_rigs, rig
 from tiegraph.sfm.placement.placement import Doubt, Judgement, judge, neighbours, opinion, votes
 from tiegraph.sfm.placement.resect import Placed, correspondences, place
 from tiegraph.sfm.placement.steps import Course, course
-from tiegraph.sfm.placement.tuning import PlacementTuning, RepairTuning
-from tiegraph.sfm.placement.verified import Seen, Verified, agreement, seen_by
 from tiegraph.sfm.solver import THREADS
+from tiegraph.sfm.tuning.placement import PlacementTuning, RepairTuning
+from tiegraph.sfm.verified import Seen, Verified, agreement, seen_by
 
 
 @dataclass
@@ -116,7 +116,7 @@ class Around:
 def around(work: Repair, seen: Seen, frames: set[int] | None = None) -> Around:
     """The model as it stands; ``frames``: those believed, None = those of the images in ``seen``."""
     own = {int(work.scene.frame[k]) for k in seen.point}
-    return Around(own if frames is None else frames, seen, work.poses(), work.way())
+    return Around(frames=own if frames is None else frames, seen=seen, poses=work.poses(), way=work.way())
 
 
 def only_frames(seen: Seen, scene: Scene, frames: set[int]) -> Seen:

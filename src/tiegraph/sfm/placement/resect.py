@@ -10,8 +10,8 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.sfm.model import matrix, rigid3d
-from tiegraph.sfm.placement.tuning import PlacementTuning, ResectTuning
-from tiegraph.sfm.placement.verified import Seen, Verified
+from tiegraph.sfm.tuning.placement import PlacementTuning, ResectTuning
+from tiegraph.sfm.verified import Seen, Verified
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,12 @@ def correspondences(images: Collection[int], verified: Verified, seen: Seen) -> 
                 xy.append(verified.xy[own][own_key])
                 xyz.append(seen.xyz[int(point)])
                 partner.append(other)
-    return Rows(np.array(image, int), np.array(xy).reshape(-1, 2), np.array(xyz).reshape(-1, 3), np.array(partner, int))
+    return Rows(
+        image=np.array(image, int),
+        xy=np.array(xy).reshape(-1, 2),
+        xyz=np.array(xyz).reshape(-1, 3),
+        partner=np.array(partner, int),
+    )
 
 
 def place(
@@ -90,7 +95,13 @@ def place(
     pose = transforms.invert(matrix(found["rig_from_world"]))
     good = rows.partner[usable][mask]
     seeing = set(np.array(which)[mask].tolist())
-    return Placed(pose, int(mask.sum()), int(usable.sum()), len(set(good.tolist())), len(seeing))
+    return Placed(
+        pose=pose,
+        inliers=int(mask.sum()),
+        total=int(usable.sum()),
+        partners=len(set(good.tolist())),
+        cameras=len(seeing),
+    )
 
 
 def _capped(rows: Rows, most: int) -> Rows:
@@ -100,4 +111,4 @@ def _capped(rows: Rows, most: int) -> Rows:
     for value in np.unique(pair):
         of = np.flatnonzero(pair == value)
         keep[of[np.linspace(0, len(of) - 1, min(len(of), most)).astype(int)]] = True
-    return Rows(rows.image[keep], rows.xy[keep], rows.xyz[keep], rows.partner[keep])
+    return Rows(image=rows.image[keep], xy=rows.xy[keep], xyz=rows.xyz[keep], partner=rows.partner[keep])

@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
+from tiegraph.scene.registered import LEFT_OUT
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import write_working_copy
-from tiegraph.sfm.losses import LEFT_OUT
 from tiegraph.sfm.placement.adopt import adopt
 from tiegraph.sfm.placement.complete import Completed, complete
 from tiegraph.sfm.placement.guided import Descriptors
 from tiegraph.sfm.placement.repair import Repair, label, points_anew, repair
-from tiegraph.sfm.placement.tuning import PlacementTuning
-from tiegraph.sfm.placement.verified import image_ids, read_verified
+from tiegraph.sfm.tuning.placement import PlacementTuning
+from tiegraph.sfm.verified import image_ids, read_verified
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,13 @@ def settle(
     alone places.
     """
     database, scratch = source.database, source.scratch
-    work = Repair(model, scene, read_verified(database, scene, source.refused), preview, tuning)
+    work = Repair(
+        model=model,
+        scene=scene,
+        verified=read_verified(database, scene, source.refused),
+        preview=preview,
+        tuning=tuning,
+    )
     registered = model.num_reg_images()
     scratch.mkdir(parents=True, exist_ok=True)
     working = scratch / "placement.db"
@@ -79,7 +85,7 @@ def settle(
     working.unlink(missing_ok=True)
     done = complete(work, ids, Descriptors(database, ids), skip)
     notes = [*_notes(work, registered, adopted), *_guided_notes(done)]
-    return Settled(work.model, notes, _table(work, adopted, done), _dropped(work, done))
+    return Settled(model=work.model, notes=notes, table=_table(work, adopted, done), dropped=_dropped(work, done))
 
 
 def _guided_notes(done: Completed) -> list[str]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.placement.tuning import CourseTuning
+from tiegraph.sfm.tuning.placement import CourseTuning
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,14 @@ def course(positions: np.ndarray, scene: Scene, preview: np.ndarray | None, tuni
         usual[int(track)] = float(np.percentile(steps, tuning.brisk_percent))
         seen = np.linalg.norm(np.diff(rough[order], axis=0), axis=1)
         ratios += (steps[seen > 0] / seen[seen > 0]).tolist()
-    return Course(usual, clock, interval, rough, float(np.median(ratios)) if ratios else np.nan, tuning)
+    return Course(
+        usual=usual,
+        clock=clock,
+        interval=interval,
+        preview=rough,
+        scale=float(np.median(ratios)) if ratios else np.nan,
+        tuning=tuning,
+    )
 
 
 def in_order(scene: Scene, positions: np.ndarray, track: int) -> np.ndarray:

@@ -18,12 +18,7 @@ orders is kept (``--sparse.rig fixed``, ``synchronised = true``); what contradic
 
 **Relaxing** (``relax``). A rig that moves is relaxed, unless fewer images would then be registered by points. Every
 image becomes a frame of its own (``release``), tied to its reference by extrinsics, time offset and a constant, which
-are unknowns of the adjustment (``timed``). What rig.toml gives with a sigma is a prior (``given``, ``soft``), here
-and in the adjustment with positions. A calibrated rig keeps its rotations, and lenses whose calibration has no
-distortion get some where that explains the images clearly better: otherwise offsets and mounting take it up.
-
-**Lever-arm prior from the rig's shape** (``compact``). The cameras look outwards from one body. The middle, the
-distance along the axis and the scatter of the other cameras are the prior, under a robust loss, of the place of a
-camera that hardly shares a point with them. On ``canal`` 16 tracks tie the up camera (sigma 44 mm): it stood 66 mm
-off without the prior, 12 mm with it. On PandaSet, whose cameras stand anywhere and are well tied, nothing moves.
+are unknowns of the adjustment (``sfm.adjustment.timed``). A calibrated rig keeps its rotations, and lenses whose
+calibration has no distortion get some where that explains the images clearly better: otherwise offsets and mounting
+take it up.
 """

@@ -14,13 +14,13 @@ from tiegraph.geometry.transforms import skew
 from tiegraph.scene.evidence import LIMIT, Contradiction, Statement
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adjust import final_adjustment
+from tiegraph.sfm.adjustment.adjust import final_adjustment
+from tiegraph.sfm.adjustment.soft import SensorPrior, Soft
 from tiegraph.sfm.model import model_rigs
 from tiegraph.sfm.rig.judge import Expected, Group, Judgement, expected, judge
 from tiegraph.sfm.rig.linear import RigSystem, rig_system
-from tiegraph.sfm.rig.soft import SensorPrior, Soft
-from tiegraph.sfm.rig.tuning import RigTuning
 from tiegraph.sfm.tuning import AdjustTuning, Tuning
+from tiegraph.sfm.tuning.rig import RigTuning
 
 _EXACTLY = 1e-6
 GIVEN, IMAGES = "rig as given", "images"
@@ -196,8 +196,10 @@ def statements(heard: Judgement, scene: Scene, index: int, refined: pycolmap.Rec
             factor = 1000.0 if system.timed else 100.0
             name, held_to = f"time of {rig.sensors[sensor].name}", heard.known.tuning.confront.held_to_time
             pair = (
-                Statement(name, "rig file (synchronised)", 0.0, held_to, unit, True),
-                Statement(name, IMAGES, factor * late, factor * sigma, unit),
+                Statement(
+                    quantity=name, source="rig file (synchronised)", value=0.0, sigma=held_to, unit=unit, used=True
+                ),
+                Statement(quantity=name, source=IMAGES, value=factor * late, sigma=factor * sigma, unit=unit),
             )
             rows += pair
             lines += _sentence(pair, "the cameras do not fire at one instant")
@@ -288,7 +290,10 @@ def _mounting(
         name = f"{what} of {camera.name} ({('right', 'down', 'forward')[axis]})"
         own = float(factor * sigma[at][axis])
         out.append(
-            (Statement(name, GIVEN, 0.0, given, unit, True), Statement(name, IMAGES, float(values[axis]), own, unit))
+            (
+                Statement(quantity=name, source=GIVEN, value=0.0, sigma=given, unit=unit, used=True),
+                Statement(quantity=name, source=IMAGES, value=float(values[axis]), sigma=own, unit=unit),
+            )
         )
     return out
 
@@ -318,8 +323,15 @@ def _focal(heard: Judgement, scene: Scene, index: int, sensor: int) -> tuple[Sta
     solution = heard.until(("lens", sensor))
     own = float(solution.sigma()[at])
     return (
-        Statement(name, "calibration", focal, heard.known.tuning.confront.held_to_lens * focal, "px", True),
-        Statement(name, IMAGES, focal + float(solution.value[at]), own, "px"),
+        Statement(
+            quantity=name,
+            source="calibration",
+            value=focal,
+            sigma=heard.known.tuning.confront.held_to_lens * focal,
+            unit="px",
+            used=True,
+        ),
+        Statement(quantity=name, source=IMAGES, value=focal + float(solution.value[at]), sigma=own, unit="px"),
     )
 
 
@@ -364,5 +376,12 @@ def _priors(
         place = (known.tuning.judge.freed_m if free else known.place_m[k]) * units
         turn = np.radians(known.tuning.judge.freed_deg if free else known.turn_deg[k])
         covariance = np.diag([turn**2] * 3 + [place**2] * 3)
-        out.append(SensorPrior(index + 1, first + k + 1, _scaled_pose(sensor.sensor_from_rig, units), covariance))
+        out.append(
+            SensorPrior(
+                rig_id=index + 1,
+                camera_id=first + k + 1,
+                sensor_from_rig=_scaled_pose(sensor.sensor_from_rig, units),
+                covariance=covariance,
+            )
+        )
     return out

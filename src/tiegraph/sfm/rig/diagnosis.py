@@ -15,8 +15,8 @@ from tiegraph.sfm.rig.confront import hear
 from tiegraph.sfm.rig.health import Resections, SensorHealth, resect_all, sensor_health, table_rows
 from tiegraph.sfm.rig.judge import Judgement
 from tiegraph.sfm.rig.sync import TimeOffset, rig_motion, time_offset
-from tiegraph.sfm.rig.tuning import RigTuning, SyncTuning, TornTuning
 from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.tuning.rig import RigTuning, SyncTuning, TornTuning
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,15 @@ def diagnose(
     if len(loose) > 1:
         notes.append("of several cameras that scatter, the one with the largest ratio is the cause: they share points")
     timed = all(j.system.timed for j in heard.values())
-    return Diagnosis(table_rows(found, scene), health, tuple(sorted(moving)), notes, timed, loose, heard)
+    return Diagnosis(
+        rows=table_rows(found, scene),
+        health=health,
+        moving=tuple(sorted(moving)),
+        notes=notes,
+        timed=timed,
+        loose=loose,
+        heard=heard,
+    )
 
 
 def _late(

@@ -18,7 +18,7 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import matrix, model_rigs
 from tiegraph.sfm.rig.sightings import Sightings, retriangulate, sightings
-from tiegraph.sfm.rig.tuning import HealthTuning
+from tiegraph.sfm.tuning.rig import HealthTuning
 
 _MAD = 1.4826
 COLUMNS = (

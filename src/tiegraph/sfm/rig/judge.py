@@ -16,7 +16,7 @@ import numpy as np
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.rig import Rig
 from tiegraph.sfm.rig.linear import RigSolution, RigSystem
-from tiegraph.sfm.rig.tuning import RigTuning
+from tiegraph.sfm.tuning.rig import RigTuning
 
 Group = tuple[str, int]  # "times" (-1), "mount" or "lens" of a sensor
 
@@ -57,7 +57,7 @@ def expected(rig: Rig, timed: bool, tuning: RigTuning) -> Expected:
     one = rig.synchronised or all(s.source is not None and s.source.panorama for s in rig.sensors)
     late = 0.0 if one else tuning.late_s if timed else tuning.judge.unknown_share
     focal = [1.0 if s.camera is None else s.camera.mean_focal_length() for s in rig.sensors]
-    return Expected(place, turn, late, focal, tuning)
+    return Expected(place_m=place, turn_deg=turn, late_s=late, focal_px=focal, tuning=tuning)
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def judge(system: RigSystem, known: Expected, candidates: Collection[Group], tim
             if criterion > bounds.strong and (best is None or criterion > best[0]):
                 best = criterion, group, then
         if best is None:
-            return _within_reach(Judgement(tuple(freed), now, system, known, gains))
+            return _within_reach(Judgement(freed=tuple(freed), solution=now, system=system, known=known, gains=gains))
         gains[best[1]], now = best[0], best[2]
         freed.append(best[1])
         for group in freed[:-1]:  # what the newest group explains as well

@@ -20,9 +20,9 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry import transforms
 from tiegraph.geometry.transforms import skew
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.jacobians import Layout, jacobians
+from tiegraph.sfm.adjustment.jacobians import Layout, jacobians
+from tiegraph.sfm.adjustment.normal import at_their_minimum, by_blocks, point_inverse, reduced
 from tiegraph.sfm.model import image_poses
-from tiegraph.sfm.normal import at_their_minimum, by_blocks, point_inverse, reduced
 from tiegraph.sfm.rig.release import released
 from tiegraph.sfm.rig.sync import rig_motion
 from tiegraph.sfm.tuning import Tuning
@@ -79,7 +79,7 @@ class RigSystem:
         wide[0][np.ix_(free, free)] = inverse @ middle @ inverse
         wide[1][np.ix_(free, free)] = self.variance * inverse
         gain = float(self.gradient[free] @ inverse @ self.gradient[free])
-        return RigSolution(value, wide[0], wide[1], gain / self.variance)
+        return RigSolution(value=value, covariance=wide[0], formal=wide[1], gain=gain / self.variance)
 
 
 @dataclass(frozen=True)
@@ -141,9 +141,16 @@ def rig_system(
     kept = np.arange(6 * images.frames, size)
     curvature, gradient, scatter = _eliminated(whole[:size, :size], gradient, scatter, images)
     return RigSystem(
-        tuple(keys), curvature[np.ix_(kept, kept)], gradient[kept], scatter[np.ix_(kept, kept)], variance,
-        round(len(residual) / share), metres_per_unit, images.speed * metres_per_unit, images.timed,
-    )  # fmt: skip
+        keys=tuple(keys),
+        curvature=curvature[np.ix_(kept, kept)],
+        gradient=gradient[kept],
+        scatter=scatter[np.ix_(kept, kept)],
+        variance=variance,
+        observations=round(len(residual) / share),
+        metres_per_unit=metres_per_unit,
+        speed=images.speed * metres_per_unit,
+        timed=images.timed,
+    )
 
 
 def _eliminated(
@@ -211,10 +218,17 @@ class _Images:
         found = [model.image(ids[k]) for k in rows.tolist()]
         ids_of = np.array([[i.frame_id, i.camera_id] for i in found])
         return _Images(
-            ids_of[:, 0], ids_of[:, 1], scene.sensor[rows].astype(int),
-            np.searchsorted(used, scene.frame[rows]), poses[rows], whole[used], given, velocity, motion.timed,
-            metres_per_unit,
-        )  # fmt: skip
+            frame_id=ids_of[:, 0],
+            camera=ids_of[:, 1],
+            sensor=scene.sensor[rows].astype(int),
+            frame=np.searchsorted(used, scene.frame[rows]),
+            pose=poses[rows],
+            rig_pose=whole[used],
+            given=given,
+            velocity=velocity,
+            timed=motion.timed,
+            metres_per_unit=metres_per_unit,
+        )
 
     def gauge(self) -> np.ndarray:
         """(6F, 7) shift, turn and stretching of the path."""

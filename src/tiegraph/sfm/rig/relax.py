@@ -16,15 +16,15 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adjust import final_adjustment
-from tiegraph.sfm.jacobians import Tie, Ties
+from tiegraph.sfm.adjustment.adjust import final_adjustment
+from tiegraph.sfm.adjustment.jacobians import Tie, Ties
+from tiegraph.sfm.adjustment.soft import Soft, SoftTie
+from tiegraph.sfm.adjustment.timed import Timed, TimedTie, expected
 from tiegraph.sfm.model import frame_poses, image_poses, model_rigs, observations
 from tiegraph.sfm.rig.release import released
-from tiegraph.sfm.rig.soft import Soft, SoftTie
 from tiegraph.sfm.rig.sync import Motion, TimeOffset, rig_motion, time_offset
-from tiegraph.sfm.rig.timed import Timed, TimedTie, expected
-from tiegraph.sfm.rig.tuning import SyncTuning
 from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.tuning.rig import SyncTuning
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,14 @@ def relax(
     places = [np.eye(4) if s.sensor_from_rig is None else s.sensor_from_rig for s in rigs[index].sensors]
     motion = rig_motion(metric, scene)
     setting = _Setting(
-        scene, index, metres_per_unit, motion, np.stack(places), believed.calibrated, loose or {}, tuning
+        scene=scene,
+        index=index,
+        metres_per_unit=metres_per_unit,
+        motion=motion,
+        extrinsics=np.stack(places),
+        calibrated=believed.calibrated,
+        loose=loose or {},
+        tuning=tuning,
     )
     free = released(model, [index + 1], scene)
     soft = _soft(free, setting)
@@ -99,7 +106,12 @@ def relax(
     # A calibrated rig's rotations are held now, so that distortion the calibration leaves out cannot hide in them.
     doubted = constant_cameras if believed.calibrated and not believed.lenses_held else ()
     found = final_adjustment(free, (), constant_cameras, soft, doubted, tuning=tuning.adjust)
-    return Relaxed(found.model, _offsets(found.model, setting, soft.timed), found.note, _ties(found.model, soft))
+    return Relaxed(
+        model=found.model,
+        offsets=_offsets(found.model, setting, soft.timed),
+        note=found.note,
+        ties=_ties(found.model, soft),
+    )
 
 
 def _ties(model: pycolmap.Reconstruction, soft: Soft) -> Ties:
@@ -109,7 +121,7 @@ def _ties(model: pycolmap.Reconstruction, soft: Soft) -> Ties:
     out += [replace(_tie(model, t), camera=t.sensor, moves=_moves(model, t)) for t in soft.timed.ties]
     cameras = tuple(sorted(soft.timed.unknowns))
     held = np.tile(soft.timed.sigma, (len(cameras), 1))
-    return Ties(tuple(out), cameras, held, np.diag(held.ravel() ** 2))
+    return Ties(ties=tuple(out), cameras=cameras, held=held, moment=np.diag(held.ravel() ** 2))
 
 
 def with_errors(ties: Ties, moment: np.ndarray) -> Ties:
@@ -124,7 +136,7 @@ def with_errors(ties: Ties, moment: np.ndarray) -> Ties:
 def _tie(model: pycolmap.Reconstruction, tie: TimedTie | SoftTie) -> Tie:
     frames = [model.image(i).frame_id for i in (tie.first, tie.second)]
     turn, place = np.sqrt(tie.covariance[0, 0]), np.sqrt(tie.covariance[3, 3])
-    return Tie(frames[0], frames[1], float(place), float(turn))
+    return Tie(first=frames[0], second=frames[1], place=float(place), turn=float(turn))
 
 
 def _moves(model: pycolmap.Reconstruction, tie: TimedTie) -> np.ndarray:
@@ -202,7 +214,9 @@ def _offset(
     sigma = np.inf if again is None else float(np.hypot(again.sigma_s, again.offset_s))
     top = float(np.max(np.linalg.norm(columns[:, :3], axis=1)))
     late = float(unknowns[0])
-    return TimeOffset(late, sigma, unknowns[1:] * scale, spread, abs(late) * top)
+    return TimeOffset(
+        offset_s=late, sigma_s=sigma, constant=unknowns[1:] * scale, spread=spread, moves_m=abs(late) * top
+    )
 
 
 def with_sightings_of(model: pycolmap.Reconstruction, mapped: pycolmap.Reconstruction) -> pycolmap.Reconstruction:

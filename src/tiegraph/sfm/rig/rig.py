@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pycolmap
-from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import SettingsError
 from tiegraph.geometry import transforms
+from tiegraph.geometry.align import l1_mean_rotation
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import image_poses, matrix
-from tiegraph.sfm.rig.tuning import DeriveTuning, RigTuning
+from tiegraph.sfm.tuning.rig import DeriveTuning, RigTuning
 
 
 def held_by_mapper(rig: Rig, mode: str, tuning: RigTuning) -> bool:
@@ -151,26 +151,14 @@ def _average(stack: np.ndarray, name: str, outlier_deg: float) -> tuple[np.ndarr
     translation = np.median(translations, axis=0)
     length = max(float(np.linalg.norm(translation)), 1e-12)
     off = float(np.median(np.linalg.norm(translations - translation, axis=1))) / length
-    scatter = SensorScatter(name, len(stack), float(np.median(angles)), off, float(np.mean(~close)))
+    scatter = SensorScatter(
+        sensor=name,
+        frames=len(stack),
+        scatter_deg=float(np.median(angles)),
+        scatter_baseline=off,
+        outliers=float(np.mean(~close)),
+    )
     return transforms.rigid(rotation, translation), scatter
-
-
-def l1_mean_rotation(rotations: np.ndarray, iterations: int = 50) -> np.ndarray:
-    """Geodesic L1 mean (3, 3) of rotations (K, 3, 3): Weiszfeld's algorithm (Hartley, Aftab, Trumpf 2011).
-
-    Starts at the member with the least summed angle, so that up to half of them may be wrong.
-    """
-    sample = rotations[:: max(1, len(rotations) // 200)]
-    sums = [np.sum(transforms.angle_deg(sample, candidate)) for candidate in sample]
-    mean = sample[int(np.argmin(sums))]
-    for _ in range(iterations):
-        logs = Rotation.from_matrix(rotations @ mean.T).as_rotvec()
-        weights = 1 / np.maximum(np.linalg.norm(logs, axis=1), 1e-9)
-        step = np.sum(weights[:, None] * logs, axis=0) / np.sum(weights)
-        mean = Rotation.from_rotvec(step).as_matrix() @ mean
-        if np.linalg.norm(step) < 1e-10:
-            break
-    return mean
 
 
 def model_extrinsics(reconstruction: pycolmap.Reconstruction, scene: Scene, index: int) -> list[np.ndarray | None]:

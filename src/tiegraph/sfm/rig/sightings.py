@@ -10,7 +10,7 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import image_poses
-from tiegraph.sfm.rig.tuning import HealthTuning
+from tiegraph.sfm.tuning.rig import HealthTuning
 
 
 @dataclass(frozen=True)

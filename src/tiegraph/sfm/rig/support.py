@@ -16,7 +16,7 @@ from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.model import image_poses, matrix, rigid3d
-from tiegraph.sfm.rig.tuning import SupportTuning
+from tiegraph.sfm.tuning.rig import SupportTuning
 
 
 def unsupported_sensors(

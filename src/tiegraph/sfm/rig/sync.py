@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.rig.tuning import SyncTuning
+from tiegraph.sfm.tuning.rig import SyncTuning
 
 
 @dataclass(frozen=True)
@@ -96,4 +96,6 @@ def time_offset(
     sigma = float(np.sqrt(np.linalg.inv(normal)[6, 6] * max(scale, 1.0)))
     top = float(np.max(np.linalg.norm(columns[:, :3], axis=1)))
     spread = 1.4826 * np.median(np.abs(left), axis=0)
-    return TimeOffset(float(found[6]), sigma, found[:6], spread, abs(float(found[6])) * top)
+    return TimeOffset(
+        offset_s=float(found[6]), sigma_s=sigma, constant=found[:6], spread=spread, moves_m=abs(float(found[6])) * top
+    )

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.placement.verified import Seen, Verified, agreement
-from tiegraph.sfm.rig.tuning import TiesTuning
+from tiegraph.sfm.tuning.rig import TiesTuning
+from tiegraph.sfm.verified import Seen, Verified, agreement
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def camera_ties(verified: Verified, seen: Seen, scene: Scene, tuning: TiesTuning
         if a != b and (a, a) in share and (b, b) in share:
             own = min(share[a, a][1], share[b, b][1])
             contradicted = 1 - between > max(tuning.contradicted, tuning.times * (1 - own))
-            out.append(CameraTies(a, b, count, between, own, contradicted))
+            out.append(CameraTies(first=a, second=b, pairs=count, between=between, own=own, contradicted=contradicted))
     return out
 
 

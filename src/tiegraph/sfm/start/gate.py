@@ -6,10 +6,10 @@ import numpy as np
 import pycolmap
 
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adjust import impossible_camera
+from tiegraph.sfm.adjustment.adjust import impossible_camera
 from tiegraph.sfm.model import observations
-from tiegraph.sfm.placement.verified import Verified, agreement, seen_by
 from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.verified import Verified, agreement, seen_by
 
 
 def why_not(model: pycolmap.Reconstruction, scene: Scene, verified: Verified, piece: np.ndarray, tuning: Tuning) -> str:

@@ -9,14 +9,14 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
+from tiegraph.geometry.align import l1_mean_rotation
 from tiegraph.scene.graph import parts
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses, rigid3d
-from tiegraph.sfm.placement.verified import Verified
-from tiegraph.sfm.rig.rig import l1_mean_rotation
 from tiegraph.sfm.start.scale import PathScale, path_scale
-from tiegraph.sfm.start.tuning import ScaleTuning, StartTuning
+from tiegraph.sfm.tuning.start import ScaleTuning, StartTuning
+from tiegraph.sfm.verified import Verified
 
 ONE_CENTRE = 1e-6  # metres: shorter baselines are none
 
@@ -60,7 +60,12 @@ def start_from(
     images = cam_from_world.copy()
     images[:, :3, 3] *= found.scale
     note = f"its path made {found.scale:.3g} times as long, by {found.by}"
-    return Start(fitted, frames, images, (note,) if abs(found.scale - 1) > tuning.told_change else ())
+    return Start(
+        rigs=fitted,
+        world_from_rig=frames,
+        cam_from_world=images,
+        notes=(note,) if abs(found.scale - 1) > tuning.told_change else (),
+    )
 
 
 def length_of_path(

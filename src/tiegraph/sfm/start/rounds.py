@@ -8,7 +8,7 @@ from pathlib import Path
 import pycolmap
 
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adjust import free_cameras
+from tiegraph.sfm.adjustment.adjust import free_cameras
 from tiegraph.sfm.solver import factorised
 from tiegraph.sfm.start.poses import Start, place_frames
 from tiegraph.sfm.tuning import Tuning

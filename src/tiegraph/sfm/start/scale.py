@@ -17,8 +17,8 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.placement.verified import Verified
-from tiegraph.sfm.start.tuning import ScaleTuning
+from tiegraph.sfm.tuning.start import ScaleTuning
+from tiegraph.sfm.verified import Verified
 
 
 @dataclass(frozen=True)

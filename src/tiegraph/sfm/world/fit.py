@@ -9,8 +9,8 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry.align import Similarity, robust_umeyama, umeyama
+from tiegraph.sfm.tuning.world import FitTuning
 from tiegraph.sfm.world.gravity import Up
-from tiegraph.sfm.world.tuning import FitTuning
 
 _MAX_LOG_SCALE = 5.0  # from the start: keeps a step of the solver finite
 

@@ -9,7 +9,7 @@ import numpy as np
 from tiegraph.scene.control import Control
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import held_out_frames
-from tiegraph.sfm.world.tuning import FixTuning
+from tiegraph.sfm.tuning.world import FixTuning
 
 NODES = 4  # frames that carry a position between frames: a cubic through them
 
@@ -186,7 +186,17 @@ def _fixes(frames: np.ndarray, weights: np.ndarray, rates: np.ndarray, *columns:
     time, position, sigma = columns
     home = frames[np.arange(len(frames)), np.argmax(np.abs(weights), axis=1)]
     empty = np.zeros(len(frames))
-    return Fixes(frames, weights, rates, home, time, position, sigma, empty.astype(int), empty.astype(bool))
+    return Fixes(
+        frames=frames,
+        weights=weights,
+        rates=rates,
+        home=home,
+        time_s=time,
+        position=position,
+        sigma=sigma,
+        level=empty.astype(int),
+        held=empty.astype(bool),
+    )
 
 
 def _joined(parts: list[Fixes]) -> Fixes:

@@ -17,15 +17,16 @@ from tiegraph.scene.evidence import Statement, table
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.settings import GeorefSettings
+from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.world.accuracy import PlacementError, widened
+from tiegraph.sfm.world.antenna import RIGHT_ANGLE_DEG
 from tiegraph.sfm.world.fit import Fit, jackknife_sigma
 from tiegraph.sfm.world.fixes import Fixes, Given
 from tiegraph.sfm.world.gravity import Up, up_vector
 from tiegraph.sfm.world.marks import point_table, targets, without_blunders
-from tiegraph.sfm.world.placing import RIGHT_ANGLE_DEG, Model, Placing, place
+from tiegraph.sfm.world.placing import Model, Placing, place
 from tiegraph.sfm.world.scale import RigScale, rig_scale
 from tiegraph.sfm.world.sources import rig_statement, up_statements
-from tiegraph.sfm.world.tuning import WorldTuning
 from tiegraph.text import known_to
 
 _AXES = ("east", "north", "up")
@@ -152,7 +153,7 @@ def georeference(
         found = targets(model, scene, given.control, tuning.marks)
         found = without_blunders(found, given.control, tuning.marks)
     scale = rig_scale(model, images, scene, tuning.scale, given.model_scale_sigma)
-    view = Model(images, up_vector(images, scene, tuning.up), scale, found, scene.names)
+    view = Model(images=images, up=up_vector(images, scene, tuning.up), scale=scale, targets=found, names=scene.names)
     placing = place(view, scene, settings, given, tuning)
     if placing is None:
         frames = np.isfinite(view.frames(scene)).all(axis=(1, 2))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.world.tuning import UpTuning
+from tiegraph.sfm.tuning.world import UpTuning
 
 
 @dataclass(frozen=True)
@@ -40,10 +40,10 @@ def up_vector(cam_from_world: np.ndarray, scene: Scene, tuning: UpTuning) -> Up 
     count, (top, looking) = _of_frames(scene.frame[use], (tops, cam_from_world[use, 2, :3]))
     several = count > 1
     if not several.any() or float(np.linalg.norm(looking[several], axis=1).mean()) >= tuning.round:
-        return Up(mean, tuning.lone_sigma_deg, False, "the images")
+        return Up(direction=mean, sigma_deg=tuning.lone_sigma_deg, ring=False, cameras="the images")
     leaning = np.degrees(np.arccos(np.clip(top[several] @ mean / np.linalg.norm(top[several], axis=1), -1, 1)))
     sigma = max(tuning.ring_sigma_deg, float(np.sqrt(np.mean(leaning**2))))
-    return Up(mean, sigma, True, "the ring of side cameras")
+    return Up(direction=mean, sigma_deg=sigma, ring=True, cameras="the ring of side cameras")
 
 
 def _of_frames(frame: np.ndarray, values: Sequence[np.ndarray]) -> tuple[np.ndarray, list[np.ndarray]]:

@@ -78,7 +78,16 @@ def statements(found: Georeference) -> list[Statement]:
     out += orientation_statements(placing.evidence, result, placing.tuning.sources)
     if np.isfinite(placing.clock[1]):
         value, sigma = placing.clock
-        out.append(Statement("clock", "images and positions", value, sigma, "s", bool(found.offset_s)))
+        out.append(
+            Statement(
+                quantity="clock",
+                source="images and positions",
+                value=value,
+                sigma=sigma,
+                unit="s",
+                used=bool(found.offset_s),
+            )
+        )
     return out
 
 
@@ -208,9 +217,10 @@ def _levels(found: Georeference, explained: bool) -> list[str]:
     assert placing is not None
     tuning, out = placing.tuning, []
     for level in placing.levels:
+        name = placing.weighed.name
         if level.factor > tuning.judging.scatter and level.count >= tuning.noise.min_rows and not explained:
             out.append(
-                f"{placing.name} of stated sigma {level.sigma_m:.2f} m scatter {level.factor:.1f} times as much "
+                f"{name} of stated sigma {level.sigma_m:.2f} m scatter {level.factor:.1f} times as much "
                 f"({level.count} of them, correlation of neighbours {level.correlation:.1f}): believed accordingly; "
                 "a receiver that is optimistic, or a lever arm or clock that is not known"
             )

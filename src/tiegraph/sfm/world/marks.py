@@ -16,7 +16,7 @@ from tiegraph.scene.control import Control
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import matrix
-from tiegraph.sfm.world.tuning import MarkTuning
+from tiegraph.sfm.tuning.world import MarkTuning
 
 _CE90, _LE90 = 2.146, 1.645  # 90 % of a two-dimensional and of a one-dimensional normal error, in sigmas
 
@@ -95,7 +95,12 @@ def _view(model: pycolmap.Reconstruction, name: str) -> tuple[np.ndarray, Any] |
 
 
 def _target(views: list, xy: np.ndarray, rows: np.ndarray, tuning: MarkTuning) -> Target:
-    nowhere = Target(np.full(3, np.nan), np.full((3, 3), np.nan), rows, np.full((len(rows), 2), np.nan))
+    nowhere = Target(
+        place=np.full(3, np.nan),
+        covariance=np.full((3, 3), np.nan),
+        marks=rows,
+        residual_px=np.full((len(rows), 2), np.nan),
+    )
     if len(rows) < 2:
         return Target(**{**nowhere.__dict__, "why_not": f"{len(rows)} marks in registered images, 2 are needed"})
     solution = _meet(views, xy, tuning.soft_px)
@@ -111,12 +116,24 @@ def _target(views: list, xy: np.ndarray, rows: np.ndarray, tuning: MarkTuning) -
     angle = float(np.degrees(np.arccos(np.clip((rays @ rays.T).min(), -1, 1))))
     residual = solution.fun.reshape(-1, 2)
     if angle < tuning.min_angle_deg:
-        return Target(place, nowhere.covariance, rows, residual, f"its rays meet at {angle:.1f} deg only")
+        return Target(
+            place=place,
+            covariance=nowhere.covariance,
+            marks=rows,
+            residual_px=residual,
+            why_not=f"its rays meet at {angle:.1f} deg only",
+        )
     if np.median(np.linalg.norm(residual, axis=1)) > tuning.max_mark_px:
         worst_px = float(np.median(np.linalg.norm(residual, axis=1)))
-        return Target(place, nowhere.covariance, rows, residual, f"its rays miss each other by {worst_px:.0f} px")
+        return Target(
+            place=place,
+            covariance=nowhere.covariance,
+            marks=rows,
+            residual_px=residual,
+            why_not=f"its rays miss each other by {worst_px:.0f} px",
+        )
     covariance = tuning.mark_sigma_px**2 * np.linalg.pinv(solution.jac.T @ solution.jac)
-    return Target(place, covariance, rows, residual)
+    return Target(place=place, covariance=covariance, marks=rows, residual_px=residual)
 
 
 def _meet(views: list, xy: np.ndarray, soft_px: float) -> Any:

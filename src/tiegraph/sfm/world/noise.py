@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiegraph.sfm.world.tuning import NoiseTuning
+from tiegraph.sfm.tuning.world import NoiseTuning
 
 MEDIAN_CHI2_3 = 2.366  # median of chi-square with three degrees of freedom
 SIMILARITY = 7  # unknowns
@@ -71,7 +71,14 @@ def levels(
     out = []
     for rows in _levels(level):
         r = correlation(residual[rows], time_s[rows], tuning)
-        out.append(Level(len(rows), float(np.median(sigma[rows, 0])), _scatter(residual[rows]), r))
+        out.append(
+            Level(
+                count=len(rows),
+                sigma_m=float(np.median(sigma[rows, 0])),
+                factor=_scatter(residual[rows]),
+                correlation=r,
+            )
+        )
     return sorted(out, key=lambda v: v.sigma_m)
 
 

@@ -9,7 +9,7 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.world.tuning import ScaleTuning
+from tiegraph.sfm.tuning.world import ScaleTuning
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,9 @@ def rig_scale(
         why = "its extrinsics are nominal"
     elif sigma > tuning.max_sigma:
         why = f"a baseline of {length:.3f} m at {depth:.0f} m gives a scale to {sigma:.1%} only"
-    return RigScale(scale, float(np.hypot(sigma, np.nan_to_num(inside))), not why, why)
+    return RigScale(
+        metres_per_unit=scale, sigma=float(np.hypot(sigma, np.nan_to_num(inside))), trusted=not why, why_not=why
+    )
 
 
 def relaxed(model: pycolmap.Reconstruction, scene: Scene) -> bool:

@@ -14,12 +14,12 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry.align import Similarity
 from tiegraph.scene.evidence import Statement
+from tiegraph.sfm.tuning.world import NoiseTuning, SourceTuning, WorldTuning
 from tiegraph.sfm.world import noise
 from tiegraph.sfm.world.accuracy import PlacementError
 from tiegraph.sfm.world.fit import Evidence, Fit, fit_similarity
 from tiegraph.sfm.world.gravity import Up
 from tiegraph.sfm.world.scale import RigScale
-from tiegraph.sfm.world.tuning import NoiseTuning, SourceTuning, WorldTuning
 
 POSITIONS = {"gnss": "GNSS positions", "exif": "EXIF positions", "trajectory": "trajectory positions"}
 CONTROL, RIG, ORIENTATIONS = "control points", "rig as given", "given orientations"
@@ -57,12 +57,33 @@ class Source:
         out = []
         if self.scale_sigma < tuning.told_scale:
             ratio = self.similarity.scale / result.scale
-            out.append(Statement(SCALE, self.name, ratio, ratio * self.scale_sigma, "", SCALE in used))
+            out.append(
+                Statement(
+                    quantity=SCALE,
+                    source=self.name,
+                    value=ratio,
+                    sigma=ratio * self.scale_sigma,
+                    unit="",
+                    used=SCALE in used,
+                )
+            )
         names = ((HEADING, 2, -1.0), (TILTS[0], 0, -1.0), (TILTS[1], 1, 1.0))
         for name, k, sign in names:
             if spread[k] < tuning.told_deg:
-                out.append(Statement(name, self.name, float(sign * turn[k]), float(spread[k]), "deg", name in used))
-        out += [Statement(n, self.name, float(v), float(s), "m", n in used) for n, v, s in zip(PLACES, off, place)]
+                out.append(
+                    Statement(
+                        quantity=name,
+                        source=self.name,
+                        value=float(sign * turn[k]),
+                        sigma=float(spread[k]),
+                        unit="deg",
+                        used=name in used,
+                    )
+                )
+        out += [
+            Statement(quantity=n, source=self.name, value=float(v), sigma=float(s), unit="m", used=n in used)
+            for n, v, s in zip(PLACES, off, place)
+        ]
         return out
 
 
@@ -93,7 +114,14 @@ def alone(
         own = replace(own, sigma=evidence.sigma[rows] * scatter)
         fit = fit_similarity(own, None, tuning.fit, fit.similarity)
     off = own.position_residuals(fit.similarity, fit.antenna)
-    return Source(name, fit.similarity, _with_slow(fit, own, float(common[3])), fit.middle, common[:3], off)
+    return Source(
+        name=name,
+        similarity=fit.similarity,
+        covariance=_with_slow(fit, own, float(common[3])),
+        middle=fit.middle,
+        common_m=common[:3],
+        residual=off,
+    )
 
 
 def _scatter(residual: np.ndarray, times: np.ndarray, tuning: NoiseTuning, least: float) -> float:
@@ -135,7 +163,7 @@ def rig_statement(scale: RigScale | None, result: Similarity, used: bool) -> lis
     if scale is None or not scale.trusted:
         return []
     ratio = scale.metres_per_unit / result.scale
-    return [Statement(SCALE, RIG, ratio, ratio * scale.sigma, "", used)]
+    return [Statement(quantity=SCALE, source=RIG, value=ratio, sigma=ratio * scale.sigma, unit="", used=used)]
 
 
 def up_statements(up: Up | None, result: Similarity, used: bool) -> list[Statement]:
@@ -144,7 +172,10 @@ def up_statements(up: Up | None, result: Similarity, used: bool) -> list[Stateme
         return []
     lean = result.rotation @ up.direction
     values = np.degrees([-np.arctan2(lean[1], lean[2]), -np.arctan2(lean[0], lean[2])])
-    return [Statement(n, up.cameras, float(v), up.sigma_deg, "deg", used) for n, v in zip(TILTS, values)]
+    return [
+        Statement(quantity=n, source=up.cameras, value=float(v), sigma=up.sigma_deg, unit="deg", used=used)
+        for n, v in zip(TILTS, values)
+    ]
 
 
 def orientation_statements(evidence: Evidence, result: Similarity, tuning: SourceTuning) -> list[Statement]:
@@ -159,4 +190,7 @@ def orientation_statements(evidence: Evidence, result: Similarity, tuning: Sourc
     scatter = np.degrees(np.sqrt(np.mean((turns * mean.inv()).magnitude() ** 2)))
     sigma = float(np.hypot(tuning.common_deg, scatter / np.sqrt(known.sum())))
     names = ((HEADING, 2, -1.0), (TILTS[0], 0, -1.0), (TILTS[1], 1, 1.0))
-    return [Statement(n, ORIENTATIONS, float(s * turn[k]), sigma, "deg", True) for n, k, s in names]
+    return [
+        Statement(quantity=n, source=ORIENTATIONS, value=float(s * turn[k]), sigma=sigma, unit="deg", used=True)
+        for n, k, s in names
+    ]

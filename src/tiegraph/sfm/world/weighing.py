@@ -8,10 +8,10 @@ import numpy as np
 
 from tiegraph.geometry.align import Similarity
 from tiegraph.scene.evidence import LIMIT, Trend, trend
+from tiegraph.sfm.tuning.world import SourceTuning, WorldTuning
 from tiegraph.sfm.world.fit import Evidence, fit_similarity
 from tiegraph.sfm.world.scale import RigScale
 from tiegraph.sfm.world.sources import CONTROL, RIG, Source, alone
-from tiegraph.sfm.world.tuning import SourceTuning, WorldTuning
 
 TWO_ENDS = LIMIT / np.sqrt(2)  # half a trend's size in sigmas of a position, when its ends contradict each other
 _AXES = ("east", "north", "up")
@@ -23,7 +23,7 @@ class Weighed:
     """The sources, which are used and why. ``scale_used``: sources of the scale; ``extra_m`` (3,): what is added to the
     positions' sigmas because another source says otherwise; ``scale_sigma``: to widen the scale's to, 0 = not at all;
     ``at`` (3,): the model point that places are compared at; ``why``: how the scale was decided, in words;
-    ``free_antenna``: no lever arm was given."""
+    ``free_antenna``: no lever arm was given; ``name`` of the positions."""
 
     sources: tuple[Source, ...]
     scale_used: tuple[str, ...]
@@ -33,6 +33,7 @@ class Weighed:
     at: np.ndarray
     why: str = ""
     free_antenna: bool = False
+    name: str = "positions"
 
     @property
     def rig_used(self) -> bool:
@@ -75,7 +76,17 @@ def weigh(asked: Question) -> Weighed:
     at = evidence.pose[~rows if points else rows, :3, 3].mean(axis=0)
     used, sigma, extra, why = _scale(asked, found)
     places, more = _places(found, at, asked.name, tuning.sources)
-    return Weighed(tuple(found.values()), used, places, np.hypot(extra, more), sigma, at, why, asked.free_antenna)
+    return Weighed(
+        sources=tuple(found.values()),
+        scale_used=used,
+        places_used=places,
+        extra_m=np.hypot(extra, more),
+        scale_sigma=sigma,
+        at=at,
+        why=why,
+        free_antenna=asked.free_antenna,
+        name=asked.name,
+    )
 
 
 def _few(evidence: Evidence, rows: np.ndarray, positions: Source | None) -> Source | None:
@@ -90,7 +101,14 @@ def _few(evidence: Evidence, rows: np.ndarray, positions: Source | None) -> Sour
     variance = np.mean(own.sigma**2, axis=0) / len(own.sigma)
     covariance = np.diag([10.0, 10.0, 10.0, *variance, 100.0])
     nothing = np.zeros(3)
-    return Source(CONTROL, shift, covariance, own.position.mean(axis=0), nothing, np.zeros_like(own.position))
+    return Source(
+        name=CONTROL,
+        similarity=shift,
+        covariance=covariance,
+        middle=own.position.mean(axis=0),
+        common_m=nothing,
+        residual=np.zeros_like(own.position),
+    )
 
 
 def _scale(asked: Question, found: dict[str, Source]) -> tuple[tuple[str, ...], float, np.ndarray, str]:

@@ -13,17 +13,17 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.control import Control
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adjust import free_cameras
+from tiegraph.sfm.adjustment.adjust import free_cameras
+from tiegraph.sfm.adjustment.given import given_geometry
+from tiegraph.sfm.adjustment.priors import add_priors
 from tiegraph.sfm.model import frame_poses, image_poses, matrix
-from tiegraph.sfm.priors import add_priors
-from tiegraph.sfm.rig.given import given_geometry
 from tiegraph.sfm.solver import factorised
 from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.tuning.world import AdjustmentTuning
 from tiegraph.sfm.world import costs, noise
 from tiegraph.sfm.world.fixes import Fixes
 from tiegraph.sfm.world.gravity import Up
 from tiegraph.sfm.world.marks import Target
-from tiegraph.sfm.world.tuning import AdjustmentTuning
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,15 @@ def adjust_in_world(world: pycolmap.Reconstruction, scene: Scene, given: Constra
     manager.filter_all_points3D(given.tuning.adjust.filter_px, given.tuning.adjust.filter_angle_deg)
     model.update_point_3d_errors()
     after = float(model.compute_mean_reprojection_error())
-    return Adjusted(model, arm, float(clock[0]), residual, factor, before, after)
+    return Adjusted(
+        model=model,
+        antenna=arm,
+        offset_s=float(clock[0]),
+        residual=residual,
+        factor=factor,
+        before_px=before,
+        after_px=after,
+    )
 
 
 def residuals(

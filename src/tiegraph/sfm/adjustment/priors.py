@@ -7,9 +7,8 @@ from typing import Any
 
 import pycolmap
 
-from tiegraph.sfm import lens
-from tiegraph.sfm.rig import compact
-from tiegraph.sfm.rig.soft import Soft, add_soft
+from tiegraph.sfm.adjustment import compact, lens
+from tiegraph.sfm.adjustment.soft import Soft, add_soft
 from tiegraph.sfm.tuning import AdjustTuning
 
 

@@ -13,7 +13,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from tiegraph.geometry.transforms import skew
-from tiegraph.sfm.jacobians import Layout
+from tiegraph.sfm.adjustment.jacobians import Layout
 
 _RIDGE = 1e-9  # of the stiffness: a frame that no point holds gets a huge sigma instead of a singular matrix
 _KNOWN = 1e-8  # of the stiffness: a scale held by more is known (a rig of fixed size), by less it is rounding

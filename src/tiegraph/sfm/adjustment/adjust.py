@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import pycolmap
 
-from tiegraph.sfm import lens
-from tiegraph.sfm.priors import add_priors
-from tiegraph.sfm.rig.soft import Soft
+from tiegraph.sfm.adjustment import lens
+from tiegraph.sfm.adjustment.priors import add_priors
+from tiegraph.sfm.adjustment.soft import Soft
 from tiegraph.sfm.solver import factorised
 from tiegraph.sfm.tuning import AdjustTuning
 

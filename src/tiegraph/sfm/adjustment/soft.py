@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 import pycolmap
 
+from tiegraph.sfm.adjustment.compact import Drawing
+from tiegraph.sfm.adjustment.timed import Timed, add_timed, pose_block
 from tiegraph.sfm.model import rigid3d
-from tiegraph.sfm.rig.compact import Drawing
-from tiegraph.sfm.rig.timed import Timed, add_timed, pose_block
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class PairPrior:
 class Soft:
     """All soft knowledge of one adjustment; true where it holds lengths.
 
-    ``drawings``: of nominal rigs by rig id, centres by camera id (``rig/compact.py``); they tell no size.
+    ``drawings``: of nominal rigs by rig id, centres by camera id (``compact``); they tell no size.
     """
 
     ties: Sequence[SoftTie] = ()

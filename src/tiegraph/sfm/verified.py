@@ -13,7 +13,7 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import MAX_IMAGES
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.placement.tuning import AgreementTuning
+from tiegraph.sfm.tuning.placement import AgreementTuning
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def seen_by(model: pycolmap.Reconstruction, scene: Scene, tuning: AgreementTunin
         if len(own) >= tuning.least_matches:
             depth = np.linalg.norm(transforms.apply(poses[k], own), axis=1)
             reach[k] = np.percentile(depth, tuning.reach_percent)
-    return Seen(cameras, poses, point, reach, xyz, tuning)
+    return Seen(cameras=cameras, cam_from_world=poses, point=point, reach=reach, xyz=xyz, tuning=tuning)
 
 
 def agreement(verified: Verified, seen: Seen) -> np.ndarray:

@@ -11,9 +11,8 @@ import pycolmap
 from scipy import sparse
 
 from tiegraph.geometry.transforms import skew
-from tiegraph.sfm import lens
+from tiegraph.sfm.adjustment import compact, lens
 from tiegraph.sfm.model import matrix
-from tiegraph.sfm.rig import compact
 from tiegraph.sfm.tuning import AdjustTuning, LensTuning
 
 
@@ -194,9 +193,15 @@ def jacobians(model: pycolmap.Reconstruction, layout: Layout, point_ids: list[in
     order = [(i, model.image(i).camera_id, xy) for i, rows in sorted(seen.items()) for _, _, xy in rows]
     image, camera, xy = (np.array(column) for column in zip(*order))
     return System(
-        sparse.vstack(parts_c).tocsr(), sparse.vstack(parts_p).tocsr(), np.concatenate(residuals),
-        image, camera, xy, np.concatenate(by_point), np.concatenate(levers),
-    )  # fmt: skip
+        cameras=sparse.vstack(parts_c).tocsr(),
+        points=sparse.vstack(parts_p).tocsr(),
+        residual=np.concatenate(residuals),
+        image=image,
+        camera=camera,
+        xy=xy,
+        by_point=np.concatenate(by_point),
+        lever=np.concatenate(levers),
+    )
 
 
 def of_image(

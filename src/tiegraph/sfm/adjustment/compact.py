@@ -16,10 +16,10 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry.transforms import skew
-from tiegraph.sfm.lens import available
+from tiegraph.sfm.adjustment.lens import available
 from tiegraph.sfm.model import rigid3d
-from tiegraph.sfm.rig.tuning import CompactTuning
 from tiegraph.sfm.tuning import AdjustTuning
+from tiegraph.sfm.tuning.rig import CompactTuning
 
 _ANY_RAD = 30.0  # nothing is expected of the turn
 

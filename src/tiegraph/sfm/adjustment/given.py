@@ -10,9 +10,9 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.rig.compact import Drawing
-from tiegraph.sfm.rig.soft import PairPrior, SensorPrior, Soft
-from tiegraph.sfm.rig.tuning import GivenTuning
+from tiegraph.sfm.adjustment.compact import Drawing
+from tiegraph.sfm.adjustment.soft import PairPrior, SensorPrior, Soft
+from tiegraph.sfm.tuning.rig import GivenTuning
 
 
 def given_geometry(model: pycolmap.Reconstruction, scene: Scene, rigs: Collection[int], tuning: GivenTuning) -> Soft:
@@ -63,7 +63,9 @@ def _sensors(row: pycolmap.Rig, rig: Rig, index: int, first: int, tuning: GivenT
             sigma_deg, sigma_m = tuning.free_deg, tuning.free_m
         turn, shift = np.radians(max(sigma_deg, tuning.least_deg)), max(sigma_m, tuning.least_m)
         covariance = np.diag([turn**2] * 3 + [shift**2] * 3)
-        out.append(SensorPrior(index + 1, first + place + 1, relative, covariance))
+        out.append(
+            SensorPrior(rig_id=index + 1, camera_id=first + place + 1, sensor_from_rig=relative, covariance=covariance)
+        )
     return out
 
 
@@ -74,5 +76,14 @@ def _pairs(rig: Rig, index: int, first: int, tuning: GivenTuning) -> list[PairPr
         angle = None if pair.axis_deg is None else float(np.radians(pair.axis_deg))
         turn = float(np.radians(max(pair.axis_sigma_deg or 0.0, tuning.least_deg)))
         length = max(pair.baseline_sigma_m or 0.0, tuning.least_m)
-        out.append(PairPrior(index + 1, cameras, pair.baseline_m, length, angle, turn))
+        out.append(
+            PairPrior(
+                rig_id=index + 1,
+                cameras=cameras,
+                length=pair.baseline_m,
+                length_sigma=length,
+                angle_rad=angle,
+                angle_sigma_rad=turn,
+            )
+        )
     return out

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pydantic import Field
 
 from tiegraph.settings import Section
-from tiegraph.sfm.placement.tuning import PlacementTuning
-from tiegraph.sfm.rig.tuning import CompactTuning, RigTuning
-from tiegraph.sfm.start.tuning import StartTuning
-from tiegraph.sfm.world.tuning import WorldTuning
+from tiegraph.sfm.tuning.placement import PlacementTuning
+from tiegraph.sfm.tuning.rig import CompactTuning, RigTuning
+from tiegraph.sfm.tuning.start import StartTuning
+from tiegraph.sfm.tuning.world import WorldTuning
 
 
 class MappingTuning(Section):
