@@ -12,7 +12,7 @@ from tiegraph.errors import InputError, SettingsError
 from tiegraph.pipeline import SHOTS, STAGES
 from tiegraph.pipeline.given import check_given
 from tiegraph.project import settings as project_settings
-from tiegraph.project.folder import SETTINGS, write_settings
+from tiegraph.project.folder import SETTINGS, check_format, write_settings
 from tiegraph.project.progress import Reporter
 from tiegraph.project.run import Inputs, Run, check_run, run_stages, status
 from tiegraph.project.settings import Settings
@@ -170,6 +170,7 @@ def open_project(
     _check_texts({"images": images, "out": out, **inputs})
     beside = {n: value for n in SETTING_OF if (value := inputs.pop(n, None)) is not None}
     folder = _folder(images, out)
+    check_format(folder)
     stored = project_settings.read_file(folder / SETTINGS)
     run = {**stored.pop("run", {}), **{k: str(v) for k, v in inputs.items() if v is not None}}
     if images is None and "images" not in run:

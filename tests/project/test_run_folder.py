@@ -73,6 +73,28 @@ def test_a_new_an_empty_and_a_made_folder_will_do(tmp_path):
         check_folder(tmp_path / "file")
 
 
+@pytest.mark.parametrize(("made", "which"), [(1, "an earlier"), (9, "a later"), ("odd", "an earlier"), (None, None)])
+def test_the_run_folder_of_another_version_is_refused_and_not_touched(proj, tmp_path, made, which, capsys):
+    """Names of files, and of what stands in them, change with the format; a mark without one was damaged."""
+    out = tmp_path / "out"
+    with working_in(out):
+        (out / "tiegraph.toml").write_text(f"[run]\nimages = '{proj / 'images'}'\n")
+    mark = json.loads((out / MARK).read_text())
+    (out / MARK).write_text(json.dumps({k: v for k, v in ({**mark, "format": made}).items() if v is not None}))
+    before = contents(out)
+    run, given = ["run", str(proj / "images"), "-o", str(out), "--quiet"], str(out)
+    if which is None:
+        check_folder(out)
+        return
+    for command in (run, ["status", given], ["network", given], ["compare", given, given], ["export", given, "x"]):
+        assert main(command) == 2
+        said = capsys.readouterr().err
+        assert f"{out} is the run folder of {which} version" in said and "give another folder" in said
+    assert contents(out) == before
+    with pytest.raises(InputError, match=f"{which} version"):
+        check_folder(out)
+
+
 @pytest.mark.parametrize(
     ("given", "says"),
     [

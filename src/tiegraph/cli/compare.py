@@ -9,6 +9,7 @@ import tyro
 
 from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say
+from tiegraph.project.folder import check_format
 from tiegraph.report.compare import compare_runs
 
 
@@ -28,5 +29,7 @@ def main(arguments: list[str]) -> int:
         return runs, html
 
     runs, html = options_of(compare, "tiegraph compare", arguments)
+    for run in runs:
+        check_format(run)
     say(compare_runs(list(runs), html).rstrip("\n"))
     return 0

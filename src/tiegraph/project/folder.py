@@ -22,7 +22,7 @@ log = logging.getLogger("tiegraph")
 
 SETTINGS = "tiegraph.toml"
 LOCK, LOG = ".lock", "log.txt"
-_FORMAT = 1  # of the run folder's layout
+_FORMAT = 2  # of the run folder: names of its files, and of what stands in them
 _HARMLESS = (SETTINGS, LOCK, ".ds_store", "thumbs.db", "desktop.ini")
 
 
@@ -42,13 +42,28 @@ def check_folder(folder: Path) -> None:
     except OSError as error:
         raise InputError(f"cannot read {folder}: {error.strerror}; give another -o folder") from error
     if not there or is_marked(folder):
+        check_format(folder)
         return
     shown = ", ".join(there[:3]) + (f" and {len(there) - 3} more" if len(there) > 3 else "")
     if (folder / "receipts" / "scan.json").is_file():
-        raise InputError(f"-o {folder} was made by an older version of tiegraph: give a new folder for the results")
+        raise _other_version(folder, "an earlier")
     raise InputError(
         f"-o {folder} holds files that tiegraph did not make ({shown}): give a new or empty folder for the results, "
         f"such as {folder / 'tiegraph_out'}"
+    )
+
+
+def check_format(folder: Path) -> None:
+    """Raise InputError for the run folder of a version that names its files, or what stands in them, otherwise."""
+    made = _mark(folder)["format"]
+    if made != _FORMAT:
+        raise _other_version(folder, "a later" if isinstance(made, int) and made > _FORMAT else "an earlier")
+
+
+def _other_version(folder: Path, which: str) -> InputError:
+    return InputError(
+        f"{folder} is the run folder of {which} version of tiegraph, which this one cannot read: give another folder, "
+        "or remove this one; nothing in it was touched"
     )
 
 
@@ -100,7 +115,7 @@ def _mark(folder: Path) -> dict:
         found = json.loads((folder / MARK).read_text())
     except (OSError, ValueError):
         found = None
-    return found if isinstance(found, dict) else {"made by": "tiegraph run", "format": _FORMAT}
+    return {"made by": "tiegraph run", "format": _FORMAT, **(found if isinstance(found, dict) else {})}
 
 
 @contextmanager
