@@ -1,11 +1,19 @@
 """Shared fixtures. Data sets that the project does not own are found by TIEGRAPH_DATA, and their tests skip without."""
 
+from __future__ import annotations
+
 import os
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
-import tiegraph  # noqa: F401  zlib before pycolmap
+import tiegraph  # zlib before pycolmap
+
+if TYPE_CHECKING:
+    from campaign.process import Server
+    from campaign.world import World
 
 
 @pytest.fixture(scope="session")
@@ -21,6 +29,31 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Files with slow tests first: of several processes none is left alone with a long one at the end."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
+
+
+@pytest.fixture(scope="session")
+def server() -> Iterator[Server]:
+    """Runs command lines as children of a process that has imported everything once (campaign/README.md)."""
+    from campaign.process import Server
+
+    made = Server(Path(tiegraph.__file__).parents[1])
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="session")
+def finished(server: Server, tmp_path_factory: pytest.TempPathFactory) -> World:
+    """The smallest survey that goes through all stages, and its run folder as it is after each of them: made once for
+    all processes of the suite. Tests work in copies (``World.after``)."""
+    import fcntl
+
+    from campaign.world import make
+
+    base = tmp_path_factory.getbasetemp()
+    root = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "finished"
+    with open(root.with_suffix(".lock"), "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        return make(root, server)
 
 
 @pytest.fixture(scope="session")

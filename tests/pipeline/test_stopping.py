@@ -6,81 +6,58 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import psutil
 import pytest
 
-import worlds
+from campaign.process import Running
+from campaign.world import NAMES
 
 pytestmark = pytest.mark.slow
 _PATIENCE_S = 240  # for a stage to begin
 _STOP_S = 25  # on a busy machine; 6 s and what it takes to print a line are meant
 
 
-@pytest.fixture(scope="module")
-def survey(tmp_path_factory):
-    return worlds.write_survey(tmp_path_factory.mktemp("survey"), frames=4)
+@pytest.fixture
+def run(finished, server, tmp_path):
+    """Starts the survey where the clean run was before a stage, and waits for the stage to begin."""
+
+    def start(stage: str) -> Running:
+        out = finished.after(before(stage), tmp_path / "out")
+        running = server.start(finished.command(out, "--pool", "local:2", "--quiet"), tmp_path / "said")
+        wait_for((out / "receipts" / f"{stage}.json").exists, running)
+        return running
+
+    return start
 
 
-@pytest.fixture(scope="module")
-def out(tmp_path_factory):
-    """One run folder for all: each test stops in a later stage."""
-    return tmp_path_factory.mktemp("run") / "out"
+def before(stage: str) -> str:
+    return NAMES[NAMES.index(stage) - 1] if stage != NAMES[0] else ""
 
 
-def begun(survey: Path, out: Path, stage: str) -> subprocess.Popen[str]:
-    """A run in a process group of its own, at the beginning of a stage."""
-    given = ["--gnss", str(survey / "gnss.csv"), "--times", str(survey / "times.csv"), "--pool", "local:2", "--quiet"]
-    command = [sys.executable, "-m", "tiegraph.cli.main", "run", str(survey / "images"), "-o", str(out), *given]
-    process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
-    receipt = out / "receipts" / f"{stage}.json"
-    began = time.time_ns()  # an earlier run may have been stopped in the same stage
-    wait_for(lambda: receipt.exists() and receipt.stat().st_mtime_ns > began, process)
-    return process
-
-
-def wait_for(condition: Callable[[], object], process: subprocess.Popen[str]) -> None:
+def wait_for(condition: Callable[[], object], running: Running) -> None:
     end = time.monotonic() + _PATIENCE_S
     while not condition():
-        assert process.poll() is None and time.monotonic() < end, "the run ended before, or nothing happens"
+        assert not running.poll() and time.monotonic() < end, "the run ended before, or nothing happens"
         time.sleep(0.005)
 
 
-def helpers(process: subprocess.Popen[str], of_child: bool) -> list[psutil.Process]:
+def helpers(running: Running, of_child: bool) -> list[psutil.Process]:
     """The workers, or the children of ``run_in_child``: these write into the log."""
     found = []
-    for below in psutil.Process(process.pid).children(recursive=True):
+    for below in running.children():
         try:
-            if "spawn_main" in " ".join(below.cmdline()):
-                found += [below] if os.readlink(f"/proc/{below.pid}/fd/1").endswith("log.txt") == of_child else []
+            found += [below] if os.readlink(f"/proc/{below.pid}/fd/1").endswith("log.txt") == of_child else []
         except (OSError, psutil.Error):
             pass
     return found
 
 
-def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
+def ended(running: Running) -> tuple[int | None, str]:
     """(exit code, what it said) of a run that has been told to stop, none of whose processes is left."""
-    try:
-        _, said = process.communicate(timeout=_STOP_S)
-    finally:
-        process.kill()
-    assert not in_group(process.pid), "processes are left"
-    return process.returncode, said
-
-
-def in_group(group: int) -> list[psutil.Process]:
-    """Processes of a group that do not end within a few seconds."""
-    there = []
-    for process in psutil.process_iter():
-        try:
-            if os.getpgid(process.pid) == group and process.status() != psutil.STATUS_ZOMBIE:
-                there.append(process)
-        except (OSError, psutil.Error):
-            pass
-    return psutil.wait_procs(there, timeout=10)[1]
+    end = running.wait(_STOP_S)
+    assert not end.hung and not end.left, f"processes are left: {end}"
+    return end.code, end.text
 
 
 STOPS = [
@@ -96,35 +73,57 @@ STOPS = [
 
 
 @pytest.mark.parametrize("stage, number, group", STOPS)
-def test_a_signal_stops_the_run_in_one_line(survey, out, stage, number, group):
-    process = begun(survey, out, stage)
+def test_a_signal_stops_the_run_in_one_line(run, stage, number, group):
+    running = run(stage)
     if stage == "match":  # within the child
-        wait_for(lambda: helpers(process, of_child=True), process)
-    (os.killpg if group else os.kill)(process.pid, number)
-    code, said = ended(process)
+        wait_for(lambda: helpers(running, of_child=True), running)
+    (os.killpg if group else os.kill)(running.pid, number)
+    code, said = ended(running)
     assert code == 1
     assert said == "tiegraph: stopped; finished work is kept: run the same command again to go on\n"
 
 
-def test_a_second_signal_ends_the_process_at_once(survey, out):
-    process = begun(survey, out, "dense")
-    for _ in range(2):
-        os.killpg(process.pid, signal.SIGINT)
-        time.sleep(0.05)
-    code, said = ended(process)
-    assert code in (1, -signal.SIGINT) and "Traceback" not in said
+def test_a_second_signal_ends_the_process_at_once(finished, tmp_path):
+    """Of a process that nobody forked."""
+    out = finished.after(before("dense"), tmp_path / "out")
+    asked = finished.command(out, "--pool", "local:2", "--quiet")
+    command = [sys.executable, "-m", "tiegraph.cli.main", *asked]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    try:
+        while not (out / "receipts" / "dense.json").exists():
+            assert process.poll() is None
+            time.sleep(0.005)
+        for _ in range(2):
+            os.killpg(process.pid, signal.SIGINT)
+            time.sleep(0.05)
+        _, said = process.communicate(timeout=_STOP_S)
+    finally:
+        process.kill()
+    assert not in_group(process.pid), "processes are left"
+    assert process.returncode in (1, -signal.SIGINT) and "Traceback" not in said
+
+
+def in_group(group: int) -> list[psutil.Process]:
+    """Processes of a group that do not end within a few seconds."""
+    there = []
+    for process in psutil.process_iter():
+        try:
+            if os.getpgid(process.pid) == group and process.status() != psutil.STATUS_ZOMBIE:
+                there.append(process)
+        except (OSError, psutil.Error):
+            pass
+    return psutil.wait_procs(there, timeout=10)[1]
 
 
 LOSSES = [("candidates", False), ("match", True), ("sparse", True), ("dense", False)]
 
 
 @pytest.mark.parametrize("stage, child", LOSSES)
-def test_a_killed_process_ends_the_run_with_a_clear_line(survey, tmp_path_factory, stage, child):
-    out = tmp_path_factory.getbasetemp() / "lost"
-    process = begun(survey, out, stage)
-    wait_for(lambda: helpers(process, child), process)
-    helpers(process, child)[0].kill()
-    code, said = ended(process)
+def test_a_killed_process_ends_the_run_with_a_clear_line(run, stage, child):
+    running = run(stage)
+    wait_for(lambda: helpers(running, child), running)
+    helpers(running, child)[0].kill()
+    code, said = ended(running)
     assert code == 1 and said.count("\n") == 1, said
     assert "ended from outside (signal SIGKILL)" in said and "finished work is kept" in said
 
