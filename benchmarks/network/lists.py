@@ -22,7 +22,7 @@ import pycolmap
 from tiegraph.features.database import create_database
 from tiegraph.features.preview import Preview
 from tiegraph.network.looks.retrieval import nearest_images
-from tiegraph.network.looks.tuning import WordsTuning
+from tiegraph.network.tuning.looks import WordsTuning
 from tiegraph.scene.scene import Scene
 
 NEAREST = 40  # images retrieved for each

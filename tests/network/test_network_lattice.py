@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from boat_world import Result, boat
-from tiegraph.network.offsets.lattice import Lattice, make_lattice
+from tiegraph.network.lattice import Lattice, make_lattice
 from tiegraph.network.passes import PreviewBook, find_passes
 from tiegraph.network.tuning import Tuning
 

@@ -8,7 +8,7 @@ import pytest
 from boat_world import Result, boat, ring
 from network_steps import estimate_network
 from tiegraph import papers
-from tiegraph.network.offsets.lattice import make_lattice
+from tiegraph.network.lattice import make_lattice
 from tiegraph.network.offsets.offsets import OFFSETS, estimate_offsets
 from tiegraph.network.passes import PreviewBook, find_passes, loose_images
 from tiegraph.network.rig.axes import angles_deg, vertical, yaw_between

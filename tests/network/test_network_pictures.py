@@ -10,7 +10,7 @@ from PIL import Image
 
 from boat_world import World, boat, ring
 from network_steps import Steps, estimate_network
-from tiegraph.network.offsets.lattice import make_lattice
+from tiegraph.network.lattice import make_lattice
 from tiegraph.network.offsets.surface import ridge, surfaces_of
 from tiegraph.network.passes import PreviewBook, find_passes
 from tiegraph.network.pictures import (

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from boat_world import Result
+from tiegraph.network.lattice import Level, make_lattice
 from tiegraph.network.looks.evidence import seen_by_the_rig, unrelated
 from tiegraph.network.looks.timeline import Timeline
 from tiegraph.network.offsets.background import band, level_within
-from tiegraph.network.offsets.lattice import Level, make_lattice
 from tiegraph.network.offsets.offsets import estimate_offsets
 from tiegraph.network.passes import PreviewBook, find_passes
 from tiegraph.network.settings import CandidatesSettings

@@ -6,11 +6,11 @@ from place_world import Places, found, passes_of, photos, shuffled_ring, video, 
 
 from boat_world import boat
 from tiegraph.network.looks.retrieval import loop_candidates, nearest_images, retrieve
-from tiegraph.network.looks.tuning import RetrievalTuning
 from tiegraph.network.looks.words import ImageWords, image_words
 from tiegraph.network.passes import PreviewBook, find_passes
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
+from tiegraph.network.tuning.looks import RetrievalTuning
 from tiegraph.scene.pairs import REASONS, Pairs
 
 SETTINGS, TUNING = CandidatesSettings(), Tuning()

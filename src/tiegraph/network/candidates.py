@@ -55,7 +55,11 @@ def find_candidates(
     """
     scene, order_notes = shown_order(scene, book, settings, tuning)
     scene, rig_notes = _checked(scene, book, settings, tuning)
-    found = _propose(Context(scene, find_passes(scene), book, settings, tuning, descriptors))
+    found = _propose(
+        Context(
+            scene=scene, passes=find_passes(scene), book=book, settings=settings, tuning=tuning, descriptors=descriptors
+        )
+    )
     return Candidates(
         pairs=found.pairs,
         scene=scene,

@@ -72,7 +72,13 @@ def join_network(
     notes += [*cut.notes, *component_notes(pairs, scene)]
     notes.append(f"{len(ties)} previews were matched, {100 * len(ties) / max(total, 1):.1f} % of all pairs of images")
     links, said = section_links(pairs, scene, cut.sections, tuning.sections)
-    return Network(pairs, scene, cut, (*notes, *said), {"section links": links} if links["rows"] else {})
+    return Network(
+        pairs=pairs,
+        scene=scene,
+        cut=cut,
+        notes=(*notes, *said),
+        tables={"section links": links} if links["rows"] else {},
+    )
 
 
 def positions_of(scene: Scene, cam_from_world: np.ndarray | None) -> tuple[np.ndarray | None, str]:

@@ -53,10 +53,10 @@ class Proposal:
 
     def __or__(self, other: Proposal) -> Proposal:
         return Proposal(
-            self.pairs | other.pairs,
-            self.notes + other.notes,
-            self.curves + other.curves,
-            self.surfaces + other.surfaces,
+            pairs=self.pairs | other.pairs,
+            notes=self.notes + other.notes,
+            curves=self.curves + other.curves,
+            surfaces=self.surfaces + other.surfaces,
         )
 
 
@@ -107,7 +107,7 @@ def from_file(context: Context) -> Proposal:
 def offsets(context: Context) -> Proposal:
     """Frame-offset voting within and between passes (papers 000, 001)."""
     found = estimate_offsets(context.passes, context.book, len(context.scene), context.settings, context.tuning)
-    return Proposal(found.pairs, found.notes, found.curves, found.surfaces)
+    return Proposal(pairs=found.pairs, notes=found.notes, curves=found.curves, surfaces=found.surfaces)
 
 
 def poses(context: Context) -> Proposal:

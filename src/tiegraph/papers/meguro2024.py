@@ -24,8 +24,8 @@ from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import MaskSource, check_shape, each
 from tiegraph.masks.tuning import Meguro2024Tuning
 from tiegraph.masks.tuning import Tuning as MasksTuning
+from tiegraph.network.lattice import Lattice, make_lattice
 from tiegraph.network.offsets.curves import OffsetResult, contained, curves_of, facing, sampled_ranks, votes_of
-from tiegraph.network.offsets.lattice import Lattice, make_lattice
 from tiegraph.network.passes import Pass, PreviewBook
 from tiegraph.network.rig import commonview
 from tiegraph.network.rig.axes import allowed_within

@@ -65,7 +65,7 @@ def judged_by_model(run: Run, candidates: tuple[Pairs, Scene], book: PreviewBook
     pairs, scene = candidates
     settings, tuning = (run.settings.candidates, run.settings.coarse), run.settings.tuning.network
     if not worth_a_model(scene, settings, tuning):
-        return Coarse(pairs, scene, None, np.zeros(len(scene), bool))
+        return Coarse(pairs=pairs, scene=scene, model=None, trusted=np.zeros(len(scene), bool))
     search, mapper = Search(candidates, book, settings, tuning.coarse), _Mapper(run, scene)
     while (wanted := search.wanted()) is not None:
         search.take(wanted, mapper.mapped(wanted))
@@ -139,9 +139,12 @@ def coarse_model(run: Run, scene: Scene, ties: Ties, rough: bool) -> CoarseModel
         remove(folder)
     cameras = {k: model.cameras[k] for k in model.cameras}
     own = [cast(pycolmap.Camera, s.camera) for s in scene.all_sensors]  # the scan gave each sensor one
+    points, image, point = tracks(model, scene)
     return CoarseModel(
-        image_poses(model, scene),
-        tuple(cameras.get(int(key) + 1, own[int(key)]) for key in scene.sensor_key),
-        *tracks(model, scene),
-        model_rigs(model, scene),
+        cam_from_world=image_poses(model, scene),
+        cameras=tuple(cameras.get(int(key) + 1, own[int(key)]) for key in scene.sensor_key),
+        points=points,
+        image=image,
+        point=point,
+        rigs=model_rigs(model, scene),
     )

@@ -107,10 +107,10 @@ def _from_arrays(data: dict[str, np.ndarray]) -> dict[tuple[int, int], PreviewMa
     for k, (i, j) in enumerate(data["pairs"].tolist()):
         rotation, shift = data["rotation"][k], data["shift"][k]
         out[i, j] = PreviewMatch(
-            int(data["inliers"][k]),
-            rotation if np.isfinite(rotation).all() else None,
-            shift if np.isfinite(shift).all() else None,
-            matches[k],
+            inliers=int(data["inliers"][k]),
+            rotation=rotation if np.isfinite(rotation).all() else None,
+            shift=shift if np.isfinite(shift).all() else None,
+            matches=matches[k],
         )
     return out
 

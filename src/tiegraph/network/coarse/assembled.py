@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tiegraph.network.coarse.model import CoarseModel
-from tiegraph.network.coarse.tuning import CoarseTuning
+from tiegraph.network.tuning.coarse import CoarseTuning
 from tiegraph.scene.blocks import Block
 from tiegraph.scene.joining import Joined, Poses, join_models, moved
 from tiegraph.scene.scene import Scene
@@ -103,8 +103,14 @@ def _together(
         count += int(keep.sum())
     best = max(members, key=lambda k: int(made[k][1].placed().sum()))
     cameras = [scene.sensor_of(n).camera if c is None else c for n, c in enumerate(cameras)]
-    joined_arrays = np.concatenate(points), np.concatenate(image), np.concatenate(point)
-    return CoarseModel(poses, tuple(cameras), *joined_arrays, made[best][1].rigs)
+    return CoarseModel(
+        cam_from_world=poses,
+        cameras=tuple(cameras),
+        points=np.concatenate(points),
+        image=np.concatenate(image),
+        point=np.concatenate(point),
+        rigs=made[best][1].rigs,
+    )
 
 
 def _notes(

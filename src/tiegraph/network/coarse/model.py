@@ -11,8 +11,8 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 from tiegraph.network.coarse.proxy import Proxy
-from tiegraph.network.coarse.tuning import CoarseTuning, ProxyTuning
 from tiegraph.network.coarse.visible import Overlap, observed_proxy, shared_surface, visible_points
+from tiegraph.network.tuning.coarse import CoarseTuning, ProxyTuning
 from tiegraph.scene.rig import Rig, camera_from_dict, camera_to_dict, rig_from_dict, rig_to_dict
 from tiegraph.scene.ties import Sights
 
@@ -80,4 +80,11 @@ class CoarseModel:
         kinds = [camera_from_dict(json.loads(str(c))) for c in data["cameras"]]
         rigs = tuple(rig_from_dict(json.loads(str(r))) for r in data["rigs"])
         cameras = tuple(kinds[k] for k in data["camera"])
-        return CoarseModel(data["cam_from_world"], cameras, data["points"], data["image"], data["point"], rigs)
+        return CoarseModel(
+            cam_from_world=data["cam_from_world"],
+            cameras=cameras,
+            points=data["points"],
+            image=data["image"],
+            point=data["point"],
+            rigs=rigs,
+        )

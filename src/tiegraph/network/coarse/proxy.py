@@ -9,8 +9,8 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
-from tiegraph.network.coarse.tuning import CoarseTuning, ProxyTuning
 from tiegraph.network.coarse.view import View
+from tiegraph.network.tuning.coarse import CoarseTuning, ProxyTuning
 
 
 @dataclass(frozen=True)
@@ -37,12 +37,12 @@ class Proxy:
         number = np.cumsum(mask) - 1
         seen = mask[self.point]
         return Proxy(
-            self.points[mask],
-            self.reach[mask],
-            self.towards[mask],
-            self.image[seen],
-            number[self.point[seen]],
-            self.assumed,
+            points=self.points[mask],
+            reach=self.reach[mask],
+            towards=self.towards[mask],
+            image=self.image[seen],
+            point=number[self.point[seen]],
+            assumed=self.assumed,
         )
 
 
@@ -64,7 +64,7 @@ def observed_proxy(
     reach = np.zeros(len(points))
     np.maximum.at(reach, point, tuning.far_observers * distance)
     track = np.bincount(point, minlength=len(points))
-    proxy = Proxy(points, np.where(track > 0, reach, np.inf), towards, image, point)
+    proxy = Proxy(points=points, reach=np.where(track > 0, reach, np.inf), towards=towards, image=image, point=point)
     good = track >= tuning.min_track
     return proxy.keep(good) if good.sum() >= tuning.tracked_share * len(points) else proxy
 
@@ -72,7 +72,9 @@ def observed_proxy(
 def points_proxy(points: np.ndarray) -> Proxy:
     """Proxy of bare points (P, 3), such as a laser scan, of which no observer is known."""
     none = np.zeros(0, int)
-    return Proxy(points, np.full(len(points), np.inf), np.zeros((len(points), 3)), none, none)
+    return Proxy(
+        points=points, reach=np.full(len(points), np.inf), towards=np.zeros((len(points), 3)), image=none, point=none
+    )
 
 
 def assumed_proxy(
@@ -99,15 +101,22 @@ def assumed_proxy(
         reach.append(np.full(len(world) * len(steps), tuning.proxy.assumed_reach * ranges[k]))
         image.append(np.full(len(world) * len(steps), k))
     if not points:
-        return Proxy(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)), np.zeros(0, int), np.zeros(0, int), True)
+        return Proxy(
+            points=np.zeros((0, 3)),
+            reach=np.zeros(0),
+            towards=np.zeros((0, 3)),
+            image=np.zeros(0, int),
+            point=np.zeros(0, int),
+            assumed=True,
+        )
     count = len(points) * len(points[0])
     return Proxy(
-        np.concatenate(points),
-        np.concatenate(reach),
-        np.concatenate(towards),
-        np.concatenate(image),
-        np.arange(count),
-        True,
+        points=np.concatenate(points),
+        reach=np.concatenate(reach),
+        towards=np.concatenate(towards),
+        image=np.concatenate(image),
+        point=np.arange(count),
+        assumed=True,
     )
 
 

@@ -18,12 +18,12 @@ from tiegraph.geometry import transforms
 from tiegraph.network.coarse.assembled import Assembled
 from tiegraph.network.coarse.model import CoarseModel
 from tiegraph.network.coarse.trust import Trust, trust
-from tiegraph.network.coarse.tuning import CoarseTuning
 from tiegraph.network.coarse.visible import Overlap
 from tiegraph.network.offsets.curves import contained
 from tiegraph.network.passes import PreviewBook
 from tiegraph.network.settings import CandidatesSettings, CoarseSettings
 from tiegraph.network.tuning import Tuning
+from tiegraph.network.tuning.coarse import CoarseTuning
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.rig import Rig, calibrated, camera_from_dict, camera_to_dict
 from tiegraph.scene.scene import Scene
@@ -98,7 +98,9 @@ class Search:
         best = max(tries, key=lambda t: (t.right(), not t.loose(tries, tuning).any(), t.trust.explained))
         said = (f"coarse model: made {len(tries)} times, {tries[0].wrong()}",) if len(tries) > 1 else ()
         if not best.models:
-            return Coarse(pairs, scene, None, np.zeros(len(scene), bool), (NO_MODEL, *best.notes))
+            return Coarse(
+                pairs=pairs, scene=scene, model=None, trusted=np.zeros(len(scene), bool), notes=(NO_MODEL, *best.notes)
+            )
         loose = best.loose(tries, tuning)
         trusted = best.trust.images & ~loose[scene.sensor_key]
         judged = _judged(pairs, best.overlap, np.where(trusted, best.part, -1), self._settings)
@@ -106,21 +108,37 @@ class Search:
         model = best.models[0]
         notes = (*_notes(scene, best), *best.notes, *said, *_loose_notes(scene, loose, best.turned))
         if model.placed().sum() < tuning.calibrates * len(scene):
-            return Coarse(judged, scene, model, trusted, notes)
+            return Coarse(pairs=judged, scene=scene, model=model, trusted=trusted, notes=notes)
         rigs, moved = calibrated_rigs(scene.rigs, model.rigs, tuning.most_focal, loose)
-        return Coarse(judged, scene.with_(rigs=rigs), model, trusted, notes + moved)
+        return Coarse(pairs=judged, scene=scene.with_(rigs=rigs), model=model, trusted=trusted, notes=notes + moved)
 
     def _tried(self, ties: Ties, made: Assembled) -> _Try:
         scene, models = self._scene, made.models
         part = np.full(len(scene), -1)
         if not models:
             none = np.zeros(len(scene.all_sensors))
-            return _Try((), part, Overlap.together(()), Trust.none(len(scene)), len(ties), made.notes, none)
+            return _Try(
+                models=(),
+                part=part,
+                overlap=Overlap.together(()),
+                trust=Trust.none(len(scene)),
+                ties=len(ties),
+                notes=made.notes,
+                turned=none,
+            )
         for k, one in enumerate(models):
             part[one.placed()] = k
         overlap = Overlap.together([one.overlap(self._settings.axes_deg, self._tuning) for one in models])
         believed = trust(scene, self._book, overlap, part, self._settings, self._tuning.trust)
-        return _Try(models, part, overlap, believed, len(ties), made.notes, _turned_deg(scene.rigs, models[0].rigs))
+        return _Try(
+            models=models,
+            part=part,
+            overlap=overlap,
+            trust=believed,
+            ties=len(ties),
+            notes=made.notes,
+            turned=_turned_deg(scene.rigs, models[0].rigs),
+        )
 
 
 def worth_a_model(scene: Scene, settings: tuple[CandidatesSettings, CoarseSettings], tuning: Tuning) -> bool:

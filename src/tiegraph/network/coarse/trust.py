@@ -16,10 +16,10 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
-from tiegraph.network.coarse.tuning import TrustTuning
 from tiegraph.network.coarse.visible import Overlap
 from tiegraph.network.passes import PreviewBook
 from tiegraph.network.settings import CandidatesSettings
+from tiegraph.network.tuning.coarse import TrustTuning
 from tiegraph.scene.graph import parts
 from tiegraph.scene.scene import Scene
 
@@ -43,7 +43,13 @@ class Trust:
     def none(images: int) -> Trust:
         """That in no model."""
         nothing = np.zeros(0, np.int64)
-        return Trust(np.zeros(images, bool), float("nan"), -1.0, (nothing, nothing), False)
+        return Trust(
+            images=np.zeros(images, bool),
+            agreement=float("nan"),
+            explained=-1.0,
+            suspects=(nothing, nothing),
+            sound=False,
+        )
 
 
 def trust(
@@ -82,11 +88,11 @@ def trust(
     believed = _largest(stretch, held > 0, (held != linked) | torn | (told & (linked == 0)))
     drawn = right & suspect.ravel()[couple]
     return Trust(
-        believed,
-        float(right[sure].mean()) if sure.any() else float("nan"),
-        float((count * right)[strong].sum() / max(count[strong].sum(), 1e-12)),
-        (i[drawn], j[drawn]),
-        bool(believed.sum() >= tuning.sound * np.sum(part >= 0)),
+        images=believed,
+        agreement=float(right[sure].mean()) if sure.any() else float("nan"),
+        explained=float((count * right)[strong].sum() / max(count[strong].sum(), 1e-12)),
+        suspects=(i[drawn], j[drawn]),
+        sound=bool(believed.sum() >= tuning.sound * np.sum(part >= 0)),
     )
 
 

@@ -18,8 +18,8 @@ from scipy.spatial import cKDTree
 
 from tiegraph.geometry import transforms
 from tiegraph.network.coarse.proxy import Proxy, assumed_proxy, observed_proxy, points_proxy
-from tiegraph.network.coarse.tuning import CoarseTuning, VisibleTuning
 from tiegraph.network.coarse.view import View
+from tiegraph.network.tuning.coarse import CoarseTuning, VisibleTuning
 from tiegraph.scene.ties import Sights
 
 __all__ = ["Overlap", "Proxy", "assumed_proxy", "observed_proxy", "points_proxy", "shared_surface"]
@@ -164,7 +164,7 @@ def shared_surface(
     found = _undirected(np.concatenate([_directed(seen, centre, tuning) for seen in sights], axis=1))
     too_much = (found.angle_deg > max_angle_deg) | (np.abs(np.log(found.scale)) > np.log(tuning.max_scale))
     found = found.where(~too_much)
-    return Overlap(known[found.i], known[found.j], found.share, found.angle_deg, found.scale)
+    return Overlap(i=known[found.i], j=known[found.j], share=found.share, angle_deg=found.angle_deg, scale=found.scale)
 
 
 def visible_points(
@@ -175,13 +175,14 @@ def visible_points(
     known = np.flatnonzero(np.isfinite(cam_from_world[:, :3]).all(axis=(1, 2)))
     if not len(known) or not len(proxy):
         none = np.zeros(0, np.int32)
-        return Sights(np.zeros(len(cam_from_world) + 1, np.int64), none, np.zeros((0, 3)), centre)
+        start = np.zeros(len(cam_from_world) + 1, np.int64)
+        return Sights(start=start, point=none, xyz=np.zeros((0, 3)), centre=centre)
     eyes = _eyes(cam_from_world, cameras, known, 0.0, tuning.guessed_view_deg)
     seen = _all_sights(eyes, known, proxy, tuning)
     image = known[seen.image]
     order = np.lexsort((seen.point, image))
     start = np.searchsorted(image[order], np.arange(len(cam_from_world) + 1))
-    return Sights(start, seen.point[order].astype(np.int32), seen.points, centre)
+    return Sights(start=start, point=seen.point[order].astype(np.int32), xyz=seen.points, centre=centre)
 
 
 def _eyes(
@@ -232,7 +233,9 @@ def _all_sights(eyes: list[_Eye], images: np.ndarray, proxy: Proxy, tuning: Visi
         owner[proxy.point] = proxy.image
         voter = owner[point] == images[image]
     vote = _votes(image, cell, voter, tuning.cells[0] * tuning.cells[1])
-    return _Table((len(eyes), len(proxy)), image, point, distance, vote, proxy.points)
+    return _Table(
+        shape=(len(eyes), len(proxy)), image=image, point=point, distance=distance, vote=vote, points=proxy.points
+    )
 
 
 def _owned(proxy: Proxy, images: np.ndarray) -> list[np.ndarray]:
@@ -329,7 +332,14 @@ def _sampled(seen: _Table, tuning: VisibleTuning) -> _Table:
     if part >= tuning.angle_share or np.any(seen.vote == 0):  # assumed points are few
         return seen
     keep = (np.random.default_rng(1).random(len(seen.points)) < part)[seen.point]
-    return _Table(seen.shape, seen.image[keep], seen.point[keep], seen.distance[keep], seen.vote[keep], seen.points)
+    return _Table(
+        shape=seen.shape,
+        image=seen.image[keep],
+        point=seen.point[keep],
+        distance=seen.distance[keep],
+        vote=seen.vote[keep],
+        points=seen.points,
+    )
 
 
 def _undirected(rows: np.ndarray) -> Overlap:
@@ -343,8 +353,13 @@ def _undirected(rows: np.ndarray) -> Overlap:
     first = np.ones(len(i), bool)
     first[1:] = (np.diff(i) != 0) | (np.diff(j) != 0)
     keep = order[first]
-    angle = np.degrees(np.arccos(np.clip(rows[3, keep], -1, 1)))
-    return Overlap(i[first], j[first], np.minimum(rows[2, keep], 1.0), angle, np.exp(ratio[keep]))
+    return Overlap(
+        i=i[first],
+        j=j[first],
+        share=np.minimum(rows[2, keep], 1.0),
+        angle_deg=np.degrees(np.arccos(np.clip(rows[3, keep], -1, 1))),
+        scale=np.exp(ratio[keep]),
+    )
 
 
 def pair_share(

@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from tiegraph.network.lattice import Level
 from tiegraph.network.looks.timeline import Timeline
-from tiegraph.network.looks.tuning import EvidenceTuning
 from tiegraph.network.offsets.background import Far
-from tiegraph.network.offsets.lattice import Level
 from tiegraph.network.passes import PreviewBook
 from tiegraph.network.tuning import Tuning
+from tiegraph.network.tuning.looks import EvidenceTuning
 
 
 def unrelated(line: Timeline, blocked: np.ndarray, book: PreviewBook, min_matches: int, tuning: Tuning) -> Level | None:

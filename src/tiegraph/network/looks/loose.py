@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array
 
-from tiegraph.network.looks.tuning import LooseTuning
 from tiegraph.network.looks.words import ImageWords
 from tiegraph.network.passes import PreviewBook
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
+from tiegraph.network.tuning.looks import LooseTuning
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
 

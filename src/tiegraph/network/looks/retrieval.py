@@ -14,15 +14,15 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from tiegraph.network.lattice import Level
 from tiegraph.network.looks.evidence import seen_by_the_rig, unrelated
 from tiegraph.network.looks.loose import scored_pairs
 from tiegraph.network.looks.timeline import Timeline, timeline
-from tiegraph.network.looks.tuning import WordsTuning
 from tiegraph.network.looks.words import ImageWords, image_words
-from tiegraph.network.offsets.lattice import Level
 from tiegraph.network.passes import Pass, PreviewBook, loose_images
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
+from tiegraph.network.tuning.looks import WordsTuning
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiegraph.network.looks.tuning import TimelineTuning
 from tiegraph.network.looks.words import ImageWords
 from tiegraph.network.passes import Pass
+from tiegraph.network.tuning.looks import TimelineTuning
 
 
 @dataclass(frozen=True)

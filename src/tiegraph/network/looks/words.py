@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array, hstack
 
-from tiegraph.network.looks.tuning import WordsTuning
+from tiegraph.network.tuning.looks import WordsTuning
 
 CHUNK = 40_000  # descriptors looked up at once
 BLOCK = 256  # images whose similarities are held at once

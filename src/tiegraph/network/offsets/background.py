@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from tiegraph.network.offsets.lattice import Lattice, Level
+from tiegraph.network.lattice import Lattice, Level
 from tiegraph.network.passes import Pass, PreviewBook
 from tiegraph.network.tuning import Tuning
 

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiegraph.network.offsets.lattice import Lattice
+from tiegraph.network.lattice import Lattice
 from tiegraph.network.offsets.surface import OffsetSurface
 from tiegraph.network.rig import commonview
 from tiegraph.network.rig.axes import angles_deg
-from tiegraph.network.rig.tuning import RigTuning
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import CountsTuning
+from tiegraph.network.tuning.rig import RigTuning
 from tiegraph.scene.pairs import Pairs
 
 
@@ -77,8 +77,18 @@ def curves_of(
         if not len(offsets):
             continue
         winner = int(offsets[np.argmax(votes)] if best is None else best[c, d])
-        names = p.rig.sensors[c].name, q.rig.sensors[d].name
-        out.append(OffsetCurve(p.name, q.name, *names, offsets, votes, winner, bool(accepted[c, d]), backwards))
+        curve = OffsetCurve(
+            pass_a=p.name,
+            pass_b=q.name,
+            sensor_a=p.rig.sensors[c].name,
+            sensor_b=q.rig.sensors[d].name,
+            offsets=offsets,
+            votes=votes,
+            best=winner,
+            accepted=bool(accepted[c, d]),
+            reversed=backwards,
+        )
+        out.append(curve)
     return tuple(out)
 
 

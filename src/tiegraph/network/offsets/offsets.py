@@ -16,18 +16,18 @@ from typing import cast
 import numpy as np
 
 from tiegraph.errors import choose
-from tiegraph.network.looks.copies import find_copies
-from tiegraph.network.looks.tuning import CopiesTuning
+from tiegraph.network.lattice import Lattice, Level, make_lattice
 from tiegraph.network.offsets.background import band, level_away, level_within
+from tiegraph.network.offsets.copies import find_copies
 from tiegraph.network.offsets.curves import OffsetResult, contained, curves_of, facing, sampled_ranks
-from tiegraph.network.offsets.lattice import Lattice, Level, make_lattice
 from tiegraph.network.offsets.surface import ridge, surfaces_of
 from tiegraph.network.passes import Pass, PreviewBook
 from tiegraph.network.rig import commonview
 from tiegraph.network.rig.axes import allowed_within
-from tiegraph.network.rig.tuning import RigTuning
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import CountsTuning, Tuning
+from tiegraph.network.tuning.looks import CopiesTuning
+from tiegraph.network.tuning.rig import RigTuning
 from tiegraph.scene.pairs import REASONS, Pairs
 
 log = logging.getLogger(__name__)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from tiegraph.network.offsets.lattice import Lattice
+from tiegraph.network.lattice import Lattice
 from tiegraph.network.tuning import Tuning
 
 MAX_CAMERA_PAIRS = 12  # of a couple of passes: those with the most evidence
@@ -73,8 +73,16 @@ def _excess(lattice: Lattice, threshold: float, tuning: Tuning) -> np.ndarray:
 
 
 def _surface(lattice: Lattice, evidence: np.ndarray, kept: np.ndarray, path: np.ndarray, sensors: str) -> OffsetSurface:
-    names = lattice.p.name, lattice.q.name
-    return OffsetSurface(*names, lattice.rows, lattice.columns, evidence.astype(np.float32), kept, path, sensors)
+    return OffsetSurface(
+        pass_a=lattice.p.name,
+        pass_b=lattice.q.name,
+        rows=lattice.rows,
+        columns=lattice.columns,
+        evidence=evidence.astype(np.float32),
+        kept=kept,
+        path=path,
+        sensors=sensors,
+    )
 
 
 def ridge(evidence: np.ndarray, kept: np.ndarray, bend: float) -> np.ndarray:

@@ -25,9 +25,9 @@ from tiegraph.network.coarse.visible import pair_share
 from tiegraph.network.passes import Pass, PreviewBook
 from tiegraph.network.poses.headings import with_headings
 from tiegraph.network.poses.poses import PoseResult, pose_pairs, prior_views, view_cameras
-from tiegraph.network.poses.tuning import PriorTuning
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
+from tiegraph.network.tuning.poses import PriorTuning
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 

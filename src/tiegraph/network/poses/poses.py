@@ -17,9 +17,9 @@ from scipy.spatial import cKDTree
 from tiegraph.network.coarse.visible import Overlap, Proxy, assumed_proxy, shared_surface
 from tiegraph.network.passes import Pass
 from tiegraph.network.poses.headings import with_headings
-from tiegraph.network.poses.tuning import PosesTuning
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
+from tiegraph.network.tuning.poses import PosesTuning
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
-from tiegraph.network.rig.tuning import AxesTuning
+from tiegraph.network.tuning.rig import AxesTuning
 from tiegraph.scene.rig import Rig
 
 

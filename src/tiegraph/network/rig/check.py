@@ -20,9 +20,9 @@ from tiegraph.network.passes import Pass, PreviewBook
 from tiegraph.network.rig.axes import allowed_within, predicted_shift
 from tiegraph.network.rig.order import Order, in_words, orders, reordered
 from tiegraph.network.rig.sync import frame_notes, lag_notes
-from tiegraph.network.rig.tuning import AxesTuning, CheckTuning
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
+from tiegraph.network.tuning.rig import AxesTuning, CheckTuning
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from tiegraph.network.offsets.lattice import Lattice
+from tiegraph.network.lattice import Lattice
 from tiegraph.network.rig.axes import angles_deg, yaw_between
-from tiegraph.network.rig.tuning import CommonViewTuning, RigTuning
 from tiegraph.network.tuning import Tuning
+from tiegraph.network.tuning.rig import CommonViewTuning, RigTuning
 
 COUPLES_NAMED = 8
 

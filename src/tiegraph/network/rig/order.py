@@ -8,7 +8,7 @@ from itertools import combinations, permutations
 import numpy as np
 
 from tiegraph.geometry import transforms
-from tiegraph.network.rig.tuning import OrderTuning
+from tiegraph.network.tuning.rig import OrderTuning
 from tiegraph.scene.rig import Rig
 
 

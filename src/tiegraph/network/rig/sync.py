@@ -13,9 +13,9 @@ import numpy as np
 
 from tiegraph.network.passes import Pass, PreviewBook
 from tiegraph.network.rig.axes import predicted_shift
-from tiegraph.network.rig.tuning import AxesTuning, SyncTuning
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
+from tiegraph.network.tuning.rig import AxesTuning, SyncTuning
 from tiegraph.scene.rig import Rig
 
 NAMED = 8  # passes told of one by one

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from tiegraph.network.looks.tuning import CopiesTuning
-from tiegraph.network.offsets.lattice import Lattice
+from tiegraph.network.lattice import Lattice
 from tiegraph.network.passes import PreviewBook
+from tiegraph.network.tuning.looks import CopiesTuning
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import gaussian_filter, label, maximum
 
-from tiegraph.network.offsets.tuning import LatticeTuning
 from tiegraph.network.passes import Pass, PreviewBook
 from tiegraph.network.tuning import CountsTuning, Tuning
+from tiegraph.network.tuning.offsets import LatticeTuning
 
 
 @dataclass(frozen=True)

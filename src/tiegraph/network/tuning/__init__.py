@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from tiegraph.network.coarse.tuning import CoarseTuning
-from tiegraph.network.looks.tuning import LooksTuning
-from tiegraph.network.offsets.tuning import OffsetsTuning
-from tiegraph.network.poses.tuning import PosesTuning
-from tiegraph.network.rig.tuning import RigTuning
-from tiegraph.network.sections.tuning import SectionsTuning
+from tiegraph.network.tuning.coarse import CoarseTuning
+from tiegraph.network.tuning.looks import LooksTuning
+from tiegraph.network.tuning.offsets import OffsetsTuning
+from tiegraph.network.tuning.poses import PosesTuning
+from tiegraph.network.tuning.rig import RigTuning
+from tiegraph.network.tuning.sections import SectionsTuning
 from tiegraph.settings import Section
 
 
