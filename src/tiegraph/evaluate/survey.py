@@ -20,6 +20,7 @@ from tiegraph.evaluate.trajectory import TrajectoryError, evaluate_trajectory, r
 from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.geodesy import Origin
+from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.registered import Registration
 from tiegraph.scene.results import Cloud, Metric
 from tiegraph.scene.scene import Scene
@@ -88,7 +89,7 @@ def pinhole_views(reconstruction: Any) -> list[View]:
     for image in reconstruction.images.values():
         if image.has_pose:
             camera = reconstruction.cameras[image.camera_id]
-            pose = np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]])
+            pose = matrix(image.cam_from_world())
             views.append(View(image.name, camera.calibration_matrix(), pose, camera.width, camera.height))
     return sorted(views, key=lambda v: v.name)
 

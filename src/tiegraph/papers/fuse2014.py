@@ -17,10 +17,10 @@ from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
 from tiegraph.design.design import Thinned
 from tiegraph.geometry import transforms
+from tiegraph.scene.colmapmodel import rigid3d
 from tiegraph.scene.graph import forest, parts
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import rigid3d
 from tiegraph.sfm.solver import repeatable
 from tiegraph.sfm.tuning import TwoViewTuning
 
