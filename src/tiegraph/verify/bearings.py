@@ -13,6 +13,7 @@ from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmapdatabase import Rows
 from tiegraph.scene.filecache import cached_by_file
+from tiegraph.scene.rays import pixel_rays
 from tiegraph.scene.rig import camera_from_dict, camera_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.verify.motion import Rays
@@ -105,7 +106,4 @@ def _rays(database: str, image: int, camera: tuple) -> np.ndarray:
     points = _connection(database).keypoints_of(image + 1)
     if not len(points):
         return np.zeros((0, 3))
-    plane = np.asarray(_camera(0, [dict(camera)]).cam_from_img(points))
-    rays = np.column_stack([plane, np.ones(len(plane))])
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    return np.nan_to_num(rays)
+    return np.nan_to_num(pixel_rays(_camera(0, [dict(camera)]), points))

@@ -12,6 +12,7 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmapdatabase import Rows, image_ids
 from tiegraph.scene.colmapmodel import matrix
+from tiegraph.scene.rays import rays_or_axis
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.placement.tuning import AgreementTuning
 
@@ -87,9 +88,7 @@ def agreement(verified: Verified, seen: Seen) -> np.ndarray:
 
     def of(k: int) -> np.ndarray:
         if k not in rays:
-            flat = np.nan_to_num(np.asarray(seen.cameras[k].cam_from_img(verified.xy[k]), float))
-            local = np.concatenate([flat, np.ones((len(flat), 1))], axis=1)
-            rays[k] = local / np.linalg.norm(local, axis=1, keepdims=True)
+            rays[k] = rays_or_axis(seen.cameras[k], verified.xy[k])
         return rays[k]
 
     usual = np.median(list(seen.reach.values()), axis=0) if seen.reach else np.array([0.0, np.inf])
