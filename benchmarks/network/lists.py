@@ -19,10 +19,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import numpy as np
 import pycolmap
 
-from tiegraph.features.database import create_database
 from tiegraph.features.preview import Preview
 from tiegraph.network.looks.retrieval import nearest_images
 from tiegraph.network.tuning.looks import WordsTuning
+from tiegraph.scene.colmaprows import create_database
 from tiegraph.scene.scene import Scene
 
 NEAREST = 40  # images retrieved for each

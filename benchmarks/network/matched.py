@@ -12,12 +12,12 @@ import pycolmap
 from scipy.sparse import coo_array, csr_matrix, vstack
 from scipy.sparse.csgraph import connected_components
 
-from tiegraph.features.database import pair_ids, reading
 from tiegraph.features.settings import PreviewSettings
 from tiegraph.features.tuning import PreviewTuning
 from tiegraph.pipeline.accuracy import with_accuracy
 from tiegraph.pipeline.previews import with_previews
 from tiegraph.pipeline.sparse import preview_poses
+from tiegraph.scene.colmapdatabase import pair_ids, reading
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Sights, Ties

@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 import pytest
-from features_world import FRAMES, features, filled_database, scene
 
+from features_world import FRAMES, features, filled_database, scene
 from tiegraph.errors import InputError, ReconstructionError, SettingsError
 from tiegraph.features import matchblocks
-from tiegraph.features.database import create_database, images_with_features, pair_ids, write_features
 from tiegraph.features.match import match_pairs, read_matches
 from tiegraph.features.settings import MatchSettings
+from tiegraph.scene.colmapdatabase import images_with_features, pair_ids, write_features
+from tiegraph.scene.colmaprows import create_database
 from tiegraph.scene.pairs import REASONS, Pairs
 
 SETTINGS = MatchSettings()
@@ -124,7 +125,7 @@ def test_killed_run_resumes_to_the_same_database_and_survives_names_with_spaces(
     path = filled_database(tmp_path / "database.db", scene(space=True), empty=(EMPTY,))
     script = tmp_path / "run.py"
     script.write_text(
-        f"import os, signal, sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        f"import os, signal, sys; sys.path[:0] = {[str(p) for p in Path(__file__).parents[:2]]!r}\n"
         "from pathlib import Path\nfrom test_features_match import *\n"
         "from tiegraph.features import match as match_module\n"
         "def stop(done, total):\n    if done:\n        os.kill(os.getpid(), signal.SIGKILL)\n"

@@ -12,6 +12,7 @@ from sfm_worlds import make_world, true_frames, with_positions, without_extrinsi
 from tiegraph.errors import ReconstructionError, SettingsError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
+from tiegraph.scene.colmapdatabase import image_ids
 from tiegraph.scene.colmapmodel import MAX_IMAGES
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
@@ -22,7 +23,6 @@ from tiegraph.sfm.rig.rig import model_extrinsics, rig_modes
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.tuning import MappingTuning, Tuning
 from tiegraph.sfm.tuning.world import FixTuning
-from tiegraph.sfm.verified import image_ids
 
 
 def _run(folder: Path, scene: Scene, **settings: object) -> SparseResult:

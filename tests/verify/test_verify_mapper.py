@@ -8,7 +8,7 @@ import numpy as np
 import pycolmap
 from verify_world import rig
 
-from tiegraph.features.database import create_database
+from tiegraph.scene.colmaprows import create_database
 from tiegraph.scene.scene import simple_scene
 from tiegraph.sfm.database import ViewGraph, write_working_copy
 

@@ -16,6 +16,7 @@ from tiegraph.dense.tuning import PartnerTuning
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry.stereo import rectifying_rotation, usable_rays
 from tiegraph.geometry.transforms import centre
+from tiegraph.scene.colmapmodel import matrix
 
 ONE_CENTRE = "nearly one centre: the rays hardly intersect"
 WIDE = "angle of intersection too wide to look alike"
@@ -91,7 +92,7 @@ def _table(reconstruction: pycolmap.Reconstruction) -> _Table:
     views: list[ViewPlan] = []
     focal: list[float] = []
     for image in images:
-        pose = np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]])
+        pose = matrix(image.cam_from_world())
         views.append(ViewPlan(image.name, cameras[image.camera_id], pose))
         focal.append(reconstruction.camera(image.camera_id).mean_focal_length())
     xyz: list[np.ndarray] = []

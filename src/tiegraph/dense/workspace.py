@@ -16,6 +16,7 @@ from tiegraph.dense.plan import CameraModel, ViewPlan
 from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tuning import ViewTuning
 from tiegraph.dense.undistort import load_view, pinhole_of
+from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.names import inside
 from tiegraph.scene.results import DepthMap
 
@@ -44,7 +45,7 @@ def write_workspace(
         if depth is None:
             continue
         names.append(image.name)
-        pose = np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]])
+        pose = matrix(image.cam_from_world())
         view = ViewPlan(image.name, CameraModel.of(model.camera(image.camera_id)), pose)
         path = inside(target / "images", image.name)
         path.parent.mkdir(parents=True, exist_ok=True)

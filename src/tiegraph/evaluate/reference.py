@@ -15,7 +15,7 @@ from tiegraph.geometry import geodesy, transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.scene.cloudfile import read_cloud, refuse_cut_las
-from tiegraph.scene.colmapmodel import is_model, read_model
+from tiegraph.scene.colmapmodel import is_model, matrix, read_model
 from tiegraph.scene.posefile import read_poses
 from tiegraph.scene.regular import regular
 from tiegraph.scene.scene import Scene
@@ -62,17 +62,13 @@ def model_poses(reconstruction: Any, scene: Scene) -> ModelPoses:
         k = scene.image_index.get(image.name)
         if k is None or not image.has_pose:
             continue
-        cameras[k] = transforms.invert(_matrix(image.cam_from_world()))
+        cameras[k] = transforms.invert(matrix(image.cam_from_world()))
         frame = scene.frame[k]
         if scene.sensor[k] == 0:
             rigs[frame] = cameras[k]
         elif reconstruction.rig(image.frame.rig_id).num_sensors() > 1:
-            second[frame] = transforms.invert(_matrix(image.frame.rig_from_world))
+            second[frame] = transforms.invert(matrix(image.frame.rig_from_world))
     return ModelPoses(cameras, np.where(np.isnan(rigs), second, rigs))
-
-
-def _matrix(rigid3d: Any) -> np.ndarray:
-    return np.vstack([rigid3d.matrix(), [0, 0, 0, 1]])
 
 
 def read_reference_poses(path: Path) -> ReferencePoses:
@@ -98,7 +94,7 @@ def check_reference(path: Path) -> None:
 def _read_colmap(folder: Path) -> dict[str, np.ndarray]:
     model = read_model(folder)
     posed = (i for i in model.images.values() if i.has_pose)
-    return {i.name: transforms.invert(_matrix(i.cam_from_world())) for i in posed}
+    return {i.name: transforms.invert(matrix(i.cam_from_world())) for i in posed}
 
 
 def read_tum(path: Path) -> tuple[np.ndarray, np.ndarray]:

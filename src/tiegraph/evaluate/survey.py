@@ -20,6 +20,7 @@ from tiegraph.evaluate.trajectory import TrajectoryError, evaluate_trajectory, r
 from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.geodesy import Origin
+from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.registered import Registration
 from tiegraph.scene.results import Cloud, Metric
 from tiegraph.scene.scene import Scene
@@ -96,12 +97,11 @@ def pinhole_views(reconstruction: Any) -> list[View]:
     for image in reconstruction.images.values():
         if image.has_pose:
             camera = reconstruction.cameras[image.camera_id]
-            pose = np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]])
             views.append(
                 View(
                     name=image.name,
                     K=camera.calibration_matrix(),
-                    cam_from_world=pose,
+                    cam_from_world=matrix(image.cam_from_world()),
                     width=camera.width,
                     height=camera.height,
                 )

@@ -11,9 +11,9 @@ import numpy as np
 import pycolmap
 
 from tiegraph.errors import InputError, ReconstructionError, SettingsError
-from tiegraph.features.database import feature_counts, pair_ids, reading, transaction, write_anew
 from tiegraph.features.matchblocks import cut, run_blocks
 from tiegraph.features.settings import MatchSettings
+from tiegraph.scene.colmapdatabase import Rows, feature_counts, keep_finished, match_counts, strike, write_anew
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 
@@ -68,7 +68,7 @@ def match_pairs(
     counts = feature_counts(database)
     usable = np.array([counts.get(k, 0) > 0 for k in range(len(scene))], bool)
     possible = usable[kept.i] & usable[kept.j]
-    finished = _forget_others(database, kept) & possible
+    finished = keep_finished(database, kept) & possible
     done, total = int(finished.sum()), int(possible.sum())
     tell = on_progress or (lambda done, total: None)
     tell(done, total)
@@ -76,7 +76,9 @@ def match_pairs(
     size = min(BLOCK_PAIRS, -(-len(todo) // processes))
     blocks = cut(scene, todo, max(1, size), settings.rig_verification)
     run_blocks(database, blocks, settings, processes, log, lambda more: tell(done + more, total))
-    _strike_watermarks(database)
+    # Most matches lie in the image border and moved alike: a caption or a part of the platform. COLMAP's mappers would
+    # still take the pair.
+    strike(database, _WATERMARK)
     write_anew(database)
     table = read_matches(database, kept)
     report = _report(scene, kept, table, counts, done, time.perf_counter() - started)
@@ -86,60 +88,17 @@ def match_pairs(
 
 
 def _check(database: Path, scene: Scene, settings: MatchSettings) -> None:
-    with reading(database) as cursor:
-        names = dict(cursor.execute("SELECT image_id - 1, name FROM images").fetchall())
-    if names != dict(enumerate(scene.names)):
+    with Rows(database) as rows:
+        names = rows.image_names()
+    if names != dict(enumerate(scene.names, 1)):
         raise InputError(f"{database} holds other images than the scene: delete it and run the features stage again")
     if settings.rig_verification and not all(rig.known() for rig in scene.rigs):
         raise SettingsError("match.rig_verification needs the extrinsics of every sensor of the rig: switch it off")
 
 
-def _forget_others(database: Path, pairs: Pairs) -> np.ndarray:
-    """(P,) bool: finished in the database. What it holds of other pairs, and halves of a pair, are deleted.
-
-    The mapper takes every pair in the database: one left from another list would enter the model unasked.
-    """
-    asked = pair_ids(pairs)
-    with transaction(database) as cursor:
-        matched = _column(cursor.execute("SELECT pair_id FROM matches"))
-        verified = _column(cursor.execute("SELECT pair_id FROM two_view_geometries"))
-        finished = np.intersect1d(np.intersect1d(matched, verified), asked)
-        for table, there in (("matches", matched), ("two_view_geometries", verified)):
-            gone = np.setdiff1d(there, finished)
-            cursor.executemany(f"DELETE FROM {table} WHERE pair_id = ?", [(int(k),) for k in gone])
-    return np.isin(asked, finished)
-
-
-def _column(rows: object) -> np.ndarray:
-    return np.array([row[0] for row in rows], np.int64)  # type: ignore[attr-defined]
-
-
-def _strike_watermarks(database: Path) -> None:
-    # Most matches lie in the image border and moved alike: a caption or a part of the platform. COLMAP's mappers would
-    # still take the pair.
-    with transaction(database) as cursor:
-        cursor.execute("UPDATE two_view_geometries SET rows = 0, data = NULL WHERE config = ?", (_WATERMARK,))
-
-
 def read_matches(database: Path, pairs: Pairs) -> MatchTable:
     """What the database holds of the pairs."""
-    with reading(database) as cursor:
-        matches = np.array(cursor.execute("SELECT pair_id, rows FROM matches").fetchall(), np.int64)
-        rows = cursor.execute("SELECT pair_id, rows, config FROM two_view_geometries").fetchall()
-    asked = pair_ids(pairs)
-    verified = np.array(rows, np.int64).reshape(-1, 3)
-    return MatchTable(
-        _looked_up(asked, *matches.reshape(-1, 2).T),
-        _looked_up(asked, verified[:, 0], verified[:, 1]),
-        _looked_up(asked, verified[:, 0], verified[:, 2]),
-    )
-
-
-def _looked_up(asked: np.ndarray, keys: np.ndarray, values: np.ndarray) -> np.ndarray:
-    order = np.argsort(keys)
-    keys, values = np.append(keys[order], -1), np.append(values[order], -1)
-    place = np.searchsorted(keys[:-1], asked)
-    return np.where(keys[place] == asked, values[place], -1)
+    return MatchTable(*match_counts(database, pairs))
 
 
 def _filled(pairs: Pairs, table: MatchTable) -> Pairs:

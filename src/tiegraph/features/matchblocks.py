@@ -7,9 +7,7 @@ moment disturb each other now and then (`benchmarks/sfm/matching_threads.py` cou
 from __future__ import annotations
 
 import shutil
-import sqlite3
 from collections.abc import Callable, Sequence
-from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -17,15 +15,13 @@ import pycolmap
 
 from tiegraph.child import run_in_children
 from tiegraph.errors import InputError, ReconstructionError
-from tiegraph.features.database import transaction
 from tiegraph.features.settings import MatchSettings
+from tiegraph.scene.colmapdatabase import copy_features, take_matches
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 
 _SEED = 0  # of RANSAC: the same matches give the same inliers
-_WHOLE = ("cameras", "rigs", "rig_sensors", "frames", "frame_data", "images")
-_OF_IMAGES = ("keypoints", "descriptors")
-_MADE = ("matches", "two_view_geometries")
+_ALIAS = "tiegraph:"
 
 
 def cut(scene: Scene, pairs: Pairs, size: int, whole_frames: bool) -> list[np.ndarray]:
@@ -69,7 +65,10 @@ def run_blocks(
 
     def take(message: tuple[str, int]) -> None:
         nonlocal done
-        _take(database, Path(message[0]))
+        block = Path(message[0])
+        take_matches(database, block)
+        for path in scratch.glob(f"{block.stem}.*"):
+            path.unlink()
         done += message[1]
         on_pairs(done)
 
@@ -100,7 +99,7 @@ def match_blocks(
     for name, block in blocks:
         pair_list = Path(name).with_suffix(".txt")
         pair_list.write_text("".join(f"{_alias(a)} {_alias(b)}\n" for a, b in block), encoding="utf-8")
-        _copy(Path(database), Path(name), np.unique(block))
+        copy_features(Path(database), Path(name), np.unique(block), _ALIAS)
         pycolmap.match_image_pairs(
             name,
             matching_options=matching,
@@ -126,35 +125,4 @@ def colmap_options(settings: MatchSettings) -> tuple[pycolmap.FeatureMatchingOpt
 
 def _alias(index: int) -> str:
     """A name without a space, as COLMAP's pair list needs it, of an image of a block's database."""
-    return f"tiegraph:{index + 1}"
-
-
-def _copy(database: Path, block: Path, images: np.ndarray) -> None:
-    """A new database with the features of some images (scene indices)."""
-    pycolmap.Database.open(block).close()
-    with closing(sqlite3.connect(block, isolation_level=None)) as connection:
-        connection.execute("PRAGMA synchronous=OFF")
-        connection.execute("ATTACH ? AS whole", (str(database),))
-        connection.execute("BEGIN")
-        connection.execute("CREATE TEMP TABLE wanted (image_id INTEGER PRIMARY KEY)")
-        connection.executemany("INSERT INTO wanted VALUES (?)", [(int(k) + 1,) for k in images])
-        for table in (*_WHOLE, *_OF_IMAGES):
-            names = _columns(connection, "main", table)
-            which = " WHERE image_id IN wanted" if table in _OF_IMAGES else ""
-            connection.execute(f"INSERT INTO {table} ({names}) SELECT {names} FROM whole.{table}{which}")
-        connection.execute("UPDATE images SET name = 'tiegraph:' || image_id")
-        connection.execute("COMMIT")
-
-
-def _take(database: Path, block: Path) -> None:
-    """Write a finished block's matches into the database and remove the block."""
-    with transaction(database, beside=block) as cursor:
-        for table in _MADE:
-            names = _columns(cursor, "main", table)
-            cursor.execute(f"INSERT INTO {table} ({names}) SELECT {names} FROM beside.{table}")
-    for path in block.parent.glob(f"{block.stem}.*"):
-        path.unlink()
-
-
-def _columns(cursor: sqlite3.Cursor | sqlite3.Connection, schema: str, table: str) -> str:
-    return ", ".join(row[1] for row in cursor.execute(f"PRAGMA {schema}.table_info({table})"))
+    return f"{_ALIAS}{index + 1}"

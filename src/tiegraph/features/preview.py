@@ -16,6 +16,7 @@ import pycolmap
 from tiegraph.features.preview_settings import PreviewSettings
 from tiegraph.features.sift import DESCRIPTOR_NORM, root_sift
 from tiegraph.features.tuning import PreviewTuning
+from tiegraph.scene.rays import on_plane
 
 BINS = 16  # of the brightness histogram
 
@@ -152,8 +153,8 @@ def match_previews(
         return PreviewMatch(0)
     known = camera_a is not None and camera_b is not None
     camera_a, camera_b = camera_a or guessed_camera(a, tuning), camera_b or guessed_camera(b, tuning)
-    rays_a = np.asarray(camera_a.cam_from_img(a.xy[left].astype(np.float64)))
-    rays_b = np.asarray(camera_b.cam_from_img(b.xy[right].astype(np.float64)))
+    rays_a = on_plane(camera_a, a.xy[left])
+    rays_b = on_plane(camera_b, b.xy[right])
     good = np.isfinite(rays_a).all(axis=1) & np.isfinite(rays_b).all(axis=1)
     if good.sum() < tuning.least_matches:
         return PreviewMatch(0)

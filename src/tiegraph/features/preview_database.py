@@ -6,11 +6,10 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-import pycolmap
 
-from tiegraph.features.database import DATABASE_BYTES, create_database
 from tiegraph.features.preview import Preview
 from tiegraph.limits import need_room
+from tiegraph.scene.colmaprows import DATABASE_BYTES, create_database, write_ties
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.ties import Ties
 
@@ -30,15 +29,5 @@ def write_preview_database(
     used = ties.counts() >= min_matches
     points = len(scene) * (1 + int(ties.matches.max(initial=0))) * _POINT_BYTES
     need_room(path.with_name(path.name + ".room"), DATABASE_BYTES + 2 * (points + ties.matches.size * _MATCH_BYTES))
-    with pycolmap.Database.open(path) as database, pycolmap.DatabaseTransaction(database):
-        for k, preview in enumerate(previews):
-            database.write_keypoints(k + 1, np.ascontiguousarray(preview.xy, np.float32))
-        for t in np.flatnonzero(used):
-            i, j = int(ties.i[t]) + 1, int(ties.j[t]) + 1
-            matches = ties.of(int(t)).astype(np.uint32)
-            database.write_matches(i, j, matches)
-            geometry = pycolmap.TwoViewGeometry()
-            geometry.config = pycolmap.TwoViewGeometryConfiguration.UNCALIBRATED
-            geometry.inlier_matches = matches
-            database.write_two_view_geometry(i, j, geometry)
+    write_ties(path, (preview.xy for preview in previews), ties, used)
     return used

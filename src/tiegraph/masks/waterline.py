@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from tiegraph.masks.classes import EGO, SKY, USE, WATER
 from tiegraph.masks.tuning import WaterlineTuning
+from tiegraph.scene.rays import pixel_rays
 
 
 @dataclass(frozen=True)
@@ -41,9 +42,7 @@ def camera_rays(camera: pycolmap.Camera, shape: tuple[int, ...], tuning: Waterli
     """Unit rays (h, C, 3) of the pixels of ``columns(w)`` of an image reduced to ``shape`` = (h, w), in camera axes."""
     across, down = np.meshgrid(columns(shape[1], tuning) + 0.5, np.arange(shape[0]) + 0.5)
     pixels = np.stack([across * camera.width / shape[1], down * camera.height / shape[0]], axis=-1)
-    plane = np.asarray(camera.cam_from_img(pixels.reshape(-1, 2)))
-    rays = np.concatenate([plane, np.ones((len(plane), 1))], axis=1)
-    return (rays / np.linalg.norm(rays, axis=1, keepdims=True)).reshape(*across.shape, 3)
+    return pixel_rays(camera, pixels.reshape(-1, 2)).reshape(*across.shape, 3)
 
 
 @dataclass(frozen=True)

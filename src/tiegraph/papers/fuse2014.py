@@ -17,10 +17,11 @@ from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
 from tiegraph.design.design import Thinned
 from tiegraph.geometry import transforms
+from tiegraph.scene.colmapmodel import rigid3d
 from tiegraph.scene.graph import forest, parts
 from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.rays import on_plane
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import rigid3d
 from tiegraph.sfm.solver import repeatable
 from tiegraph.sfm.tuning import TwoViewTuning
 
@@ -194,7 +195,7 @@ def two_view(
     """
     if len(xy_a) < tuning.min_points:
         return None
-    rays_a, rays_b = (np.asarray(c.cam_from_img(np.asarray(x, float))) for c, x in ((camera_a, xy_a), (camera_b, xy_b)))
+    rays_a, rays_b = on_plane(camera_a, xy_a), on_plane(camera_b, xy_b)
     good = np.isfinite(rays_a).all(axis=1) & np.isfinite(rays_b).all(axis=1)
     if good.sum() < tuning.min_points:
         return None

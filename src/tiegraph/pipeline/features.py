@@ -6,14 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from tiegraph.features import database
 from tiegraph.features.extract import extract_image
 from tiegraph.features.settings import FeaturesSettings
 from tiegraph.features.tuning import SiftTuning
 from tiegraph.pipeline.files import mask_path, scanned
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
+from tiegraph.scene import colmapdatabase as database
 from tiegraph.scene.atomic import claim
+from tiegraph.scene.colmaprows import create_database
 
 _SLAB_IMAGES = 16  # images a worker extracts before their features are written: bounds memory and what a kill loses
 
@@ -23,7 +24,7 @@ def features(run: Run) -> Outcome:
     scene, path = scanned(run), run.path("database.db")
     if not path.exists():
         claim(path)
-        database.create_database(path, scene.measured())
+        create_database(path, scene.measured())
     there = database.images_with_features(path)
     todo = [(k, n) for k, n in enumerate(scene.names) if k not in there]
     run.reporter.total(len(scene), len(there))

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.child import cores
-from tiegraph.features import database
 from tiegraph.features.match import match_pairs
 from tiegraph.pipeline.files import checked, pairs_of, save_npz
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
+from tiegraph.scene import colmapdatabase as database
 
 
 def forget_matches(folder: Path) -> None:

@@ -28,6 +28,7 @@ from tiegraph.pipeline.placed import world_unit
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
 from tiegraph.scene.atomic import same_file
+from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.world.gravity import up_vector
 
@@ -90,7 +91,7 @@ def _lines(
     matrices = np.full((len(scene), 4, 4), np.nan)
     for k, name in enumerate(scene.names):
         if name in poses:
-            matrices[k] = np.vstack([poses[name].matrix(), [0, 0, 0, 1]])
+            matrices[k] = matrix(poses[name])
     up = up_vector(matrices, scene, run.settings.tuning.sfm.world.up)
     if up is None or not up.ring:
         return {}, ("no ring of cameras shows which way is up: the water stays as it was learnt",)

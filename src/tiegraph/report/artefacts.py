@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
-from tiegraph.scene.colmapmodel import is_model
+from tiegraph.scene.colmapmodel import is_model, matrix
 from tiegraph.scene.colmapmodel import read_model as read_reconstruction
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.registered import Registration, registration
@@ -214,7 +214,7 @@ def _model_facts(model: Any, scene: Scene, images: Registration, folder: str, ot
         k = scene.image_index.get(image.name)
         if k is None or not image.has_pose:
             continue
-        poses[k] = transforms.invert(_matrix(image.cam_from_world()))
+        poses[k] = transforms.invert(matrix(image.cam_from_world()))
         key = int(scene.sensor_key[k])
         if key not in cameras:
             cameras[key] = _camera_facts(model.cameras[image.camera_id])
@@ -239,10 +239,6 @@ def _model_facts(model: Any, scene: Scene, images: Registration, folder: str, ot
     )
 
 
-def _matrix(rigid3d: Any) -> np.ndarray:
-    return np.vstack([rigid3d.matrix(), [0, 0, 0, 1]])
-
-
 def _camera_facts(camera: Any) -> dict:
     info = camera.params_info
     names = [n.strip() for n in str(info() if callable(info) else info).split(",")]
@@ -262,7 +258,7 @@ def _extrinsics(model: Any, image: Any) -> np.ndarray | None:
     sensor = image.data_id.sensor_id
     if rig.is_ref_sensor(sensor):
         return np.eye(4)
-    return _matrix(rig.sensor_from_rig(sensor)) if rig.has_sensor_from_rig(sensor) else None
+    return matrix(rig.sensor_from_rig(sensor)) if rig.has_sensor_from_rig(sensor) else None
 
 
 def _sparse_points(model: Any, most: int = 200_000) -> tuple[np.ndarray, np.ndarray]:

@@ -11,6 +11,7 @@ import pycolmap
 
 from tiegraph.scan.rigspec import RigSpec
 from tiegraph.scan.tuning import CameraTuning, RigTuning
+from tiegraph.scene.rays import on_plane
 from tiegraph.scene.rig import PAIR_KEYS, SensorPair
 
 
@@ -205,11 +206,7 @@ def _ends(camera: pycolmap.Camera, middle: np.ndarray, fisheye: bool, tuning: Ca
 
 
 def _ray(camera: pycolmap.Camera, pixel: np.ndarray) -> np.ndarray:
-    found = camera.cam_from_img(pixel)
-    if found is None:
-        return np.full(3, np.nan)
-    ray = np.ravel(np.asarray(found, float))
-    return ray if len(ray) == 3 else np.append(ray, 1.0)
+    return np.append(on_plane(camera, pixel[None])[0], 1.0)
 
 
 def _pixel(camera: pycolmap.Camera, ray: np.ndarray) -> np.ndarray:

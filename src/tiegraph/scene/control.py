@@ -14,6 +14,7 @@ import pyproj
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import ENU, Origin, crs_transformer, make_origin, vertical_note, world_from_geodetic
 from tiegraph.scene.gcp import FileMark, GcpFile
+from tiegraph.scene.rays import on_plane
 from tiegraph.scene.rig import Sensor, Source
 from tiegraph.scene.scene import Scene
 
@@ -266,9 +267,9 @@ def prepared_pixel(xy: tuple[float, float], sensor: Sensor) -> tuple[float, floa
     source = sensor.source or Source()
     left, top, _, _ = source.crop_px
     if source.camera is not None and sensor.camera is not None and _resampled(source.camera, sensor.camera):
-        ray = source.camera.cam_from_img(np.array(xy, float))
-        if ray is not None:
-            moved = sensor.camera.img_from_cam(np.append(ray, 1.0))
+        place = on_plane(source.camera, np.array([xy]))[0]
+        if np.isfinite(place).all():
+            moved = sensor.camera.img_from_cam(np.append(place, 1.0))
             return float(moved[0]), float(moved[1])
     return xy[0] - left, xy[1] - top
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pycolmap
 
+from tiegraph.scene.colmaprows import sizes
 from tiegraph.scene.rig import Rig, rig_from_dict, rig_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import write_working_copy
@@ -153,8 +154,7 @@ def _global(request: Request, working: Path, raw: Path) -> dict[int, pycolmap.Re
     mapper = pycolmap.GlobalMapperOptions(refine_sensor_from_rig=refine_rig)
     mapper.bundle_adjustment.refine_focal_length = not request.all_constant  # it knows no single constant cameras
     mapper.bundle_adjustment.refine_extra_params = not request.all_constant
-    with pycolmap.Database.open(working) as database:
-        factorised(mapper.bundle_adjustment, database.num_frames(), database.num_images())
+    factorised(mapper.bundle_adjustment, *sizes(working))
     if request.rough:
         mapper.track_required_tracks_per_view = request.tuning.mapping.rough_tracks
         mapper.skip_retriangulation = True

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +10,9 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
-from tiegraph.scene.colmapmodel import MAX_IMAGES
+from tiegraph.scene.colmapdatabase import Rows, image_ids
+from tiegraph.scene.colmapmodel import matrix
+from tiegraph.scene.rays import rays_or_axis
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.placement import AgreementTuning
 
@@ -30,46 +31,20 @@ class Verified:
         return Verified(self.pairs[chosen], tuple(self.matches[k] for k in chosen), self.xy)
 
 
-def _read_only(database: Path) -> sqlite3.Connection:
-    """COLMAP's own opening writes to the file."""
-    return sqlite3.connect(f"{database.absolute().as_uri()}?mode=ro", uri=True)
-
-
-def image_ids(database: Path, scene: Scene) -> dict[int, int]:
-    """COLMAP's image ids by scene index."""
-    connection = _read_only(database)
-    try:
-        rows = connection.execute("SELECT image_id, name FROM images").fetchall()
-    finally:
-        connection.close()
-    return {scene.image_index[name]: image_id for image_id, name in rows if name in scene.image_index}
-
-
 def read_verified(database: Path, scene: Scene, refused: Sequence[tuple[int, int]] = ()) -> Verified:
     """All verified matches but those of refused pairs (scene indices)."""
     away = {(min(p), max(p)) for p in refused}
     index = {image_id: k for k, image_id in image_ids(database, scene).items()}
-    connection = _read_only(database)
-    try:
+    with Rows(database) as rows:
         found: dict[tuple[int, int], np.ndarray] = {}
-        for pair_id, rows, data in connection.execute(
-            "SELECT pair_id, rows, data FROM two_view_geometries WHERE rows > 0"
-        ):
-            ends = index.get(pair_id // MAX_IMAGES), index.get(pair_id % MAX_IMAGES)
+        for a, b, matches in rows.verified():
+            ends = index.get(a), index.get(b)
             if ends[0] is None or ends[1] is None:
                 continue
-            matches = np.frombuffer(data, np.uint32).reshape(rows, 2).astype(np.int64)
             key = (min(ends[0], ends[1]), max(ends[0], ends[1]))
             if key not in away:
                 found[key] = matches if ends[0] < ends[1] else matches[:, ::-1]
-        xy = {}
-        for image_id, rows, columns, data in connection.execute("SELECT image_id, rows, cols, data FROM keypoints"):
-            if image_id in index:
-                xy[index[image_id]] = (
-                    np.frombuffer(data or b"", np.float32).reshape(rows, columns or 2)[:, :2].astype(float)
-                )
-    finally:
-        connection.close()
+        xy = {index[image_id]: points for image_id, points in rows.keypoints() if image_id in index}
     pairs = np.array(sorted(found), int).reshape(-1, 2)
     return Verified(pairs, tuple(found[int(a), int(b)] for a, b in pairs), xy)
 
@@ -97,7 +72,7 @@ def seen_by(model: pycolmap.Reconstruction, scene: Scene, tuning: AgreementTunin
         if k is None:
             continue
         cameras[k] = model.camera(image.camera_id)
-        poses[k] = np.vstack([image.cam_from_world().matrix(), [0.0, 0, 0, 1]])
+        poses[k] = matrix(image.cam_from_world())
         point[k] = np.array([int(p.point3D_id) if p.has_point3D() else -1 for p in image.points2D], np.int64)
         own = np.array([xyz[int(p)] for p in point[k][point[k] >= 0]]).reshape(-1, 3)
         if len(own) >= tuning.least_matches:
@@ -113,9 +88,7 @@ def agreement(verified: Verified, seen: Seen) -> np.ndarray:
 
     def of(k: int) -> np.ndarray:
         if k not in rays:
-            flat = np.nan_to_num(np.asarray(seen.cameras[k].cam_from_img(verified.xy[k]), float))
-            local = np.concatenate([flat, np.ones((len(flat), 1))], axis=1)
-            rays[k] = local / np.linalg.norm(local, axis=1, keepdims=True)
+            rays[k] = rays_or_axis(seen.cameras[k], verified.xy[k])
         return rays[k]
 
     usual = np.median(list(seen.reach.values()), axis=0) if seen.reach else np.array([0.0, np.inf])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,8 +11,9 @@ import pycolmap
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
-from tiegraph.scene.colmapmodel import MAX_IMAGES
+from tiegraph.scene.colmapdatabase import Rows
 from tiegraph.scene.filecache import cached_by_file
+from tiegraph.scene.rays import pixel_rays
 from tiegraph.scene.rig import camera_from_dict, camera_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.verify.motion import Rays
@@ -73,7 +73,7 @@ def load(task: Task, database: str, calibration: Calibration, most: int) -> Rays
     """The matches of all image pairs (i, j) of two units, i in the first: at most ``most`` of each, spread evenly."""
     parts: list[list[np.ndarray]] = [[] for _ in range(5)]
     for number, (i, j) in enumerate(task[2]):
-        matches = _matches(database, i, j)
+        matches = _connection(database).verified_of(i + 1, j + 1)
         if len(matches) > most:
             matches = matches[np.linspace(0, len(matches) - 1, most).astype(int)]
         for side, (image, column) in enumerate(((i, 0), (j, 1))):
@@ -91,21 +91,9 @@ def _frozen(value: object) -> object:
     return tuple(value) if isinstance(value, list) else value
 
 
-def _matches(database: str, i: int, j: int) -> np.ndarray:
-    low, high = min(i, j) + 1, max(i, j) + 1
-    query = "SELECT rows, data FROM two_view_geometries WHERE pair_id = ?"
-    row = _connection(database).execute(query, (MAX_IMAGES * low + high,)).fetchone()
-    if row is None or not row[0]:
-        return np.zeros((0, 2), np.int64)
-    matches = np.frombuffer(row[1], np.uint32).reshape(-1, 2).astype(np.int64)
-    return matches if i < j else matches[:, ::-1]
-
-
 @cached_by_file(maxsize=2)
-def _connection(database: str) -> sqlite3.Connection:
-    if not Path(database).is_file():
-        raise InputError(f"database {database} does not exist: run the features stage first")
-    return sqlite3.connect(f"{Path(database).absolute().as_uri()}?mode=ro", uri=True, check_same_thread=False)
+def _connection(database: str) -> Rows:
+    return Rows(Path(database), any_thread=True)
 
 
 def forget() -> None:
@@ -117,12 +105,7 @@ def forget() -> None:
 @cached_by_file(maxsize=_CACHED_IMAGES)
 def _rays(database: str, image: int, camera: tuple) -> np.ndarray:
     """(K, 3) unit rays of an image's key points in the sensor frame."""
-    query = "SELECT rows, cols, data FROM keypoints WHERE image_id = ?"
-    row = _connection(database).execute(query, (image + 1,)).fetchone()
-    if row is None or not row[0]:
+    points = _connection(database).keypoints_of(image + 1)
+    if not len(points):
         return np.zeros((0, 3))
-    points = np.frombuffer(row[2], np.float32).reshape(row[0], row[1])[:, :2].astype(float)
-    plane = np.asarray(_camera(0, [dict(camera)]).cam_from_img(points))
-    rays = np.column_stack([plane, np.ones(len(plane))])
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    return np.nan_to_num(rays)
+    return np.nan_to_num(pixel_rays(_camera(0, [dict(camera)]), points))

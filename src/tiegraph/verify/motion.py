@@ -14,6 +14,7 @@ import pycolmap
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
+from tiegraph.geometry.rays import cross, sampson
 from tiegraph.verify.tuning import MotionTuning
 
 _SEED = 0
@@ -40,10 +41,7 @@ def residuals(rays: Rays, motion: np.ndarray) -> np.ndarray:
     """(K,) Sampson distance on the unit sphere, radians, of matches to the epipolar planes of a motion (4, 4)."""
     q = rays.ray_m @ motion[:3, :3].T
     p = rays.centre_m @ motion[:3, :3].T + motion[:3, 3] - rays.centre_n
-    normal, other = cross(p, q), cross(rays.ray_n, p)
-    error = np.einsum("ij,ij->i", rays.ray_n, normal)
-    squared = np.einsum("ij,ij->i", normal, normal) + np.einsum("ij,ij->i", other, other) - 2 * error**2
-    return error / np.sqrt(np.maximum(squared, 1e-24))
+    return sampson(rays.ray_n, q, p)
 
 
 def agreeing(rays: Rays, motion: np.ndarray, bound_rad: float) -> np.ndarray:
@@ -163,15 +161,6 @@ def _thinned(rays: Rays, most: int) -> Rays:
     if len(rays.pair) <= most:
         return rays
     return rays.where(np.linspace(0, len(rays.pair) - 1, most).astype(int))
-
-
-def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Row-wise cross product (K, 3); several times faster than NumPy's."""
-    out = np.empty(a.shape)
-    out[:, 0] = a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1]
-    out[:, 1] = a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]
-    out[:, 2] = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-    return out
 
 
 def _cost(rays: Rays, motion: np.ndarray, bound_rad: float) -> float:

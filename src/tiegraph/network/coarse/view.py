@@ -7,6 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import pycolmap
 
+from tiegraph.geometry.rays import unit_rays
+from tiegraph.scene.rays import on_plane
+
 
 @dataclass(frozen=True)
 class View:
@@ -31,9 +34,8 @@ class View:
         if self.camera is None:
             xy = (2 * shares - 1) * self.slope
         else:
-            xy = np.asarray(self.camera.cam_from_img(shares * (self.camera.width, self.camera.height)), float)
-        rays = np.column_stack([xy, np.ones(len(xy))])
-        return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+            xy = on_plane(self.camera, shares * (self.camera.width, self.camera.height))
+        return unit_rays(xy)
 
     def project(self, local: np.ndarray, slack: float = 0.0) -> np.ndarray:
         """(K, 2) shares of the image 0..1, NaN = not in it, of points (K, 3) in the camera frame with z > 0.

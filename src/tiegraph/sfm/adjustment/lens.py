@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pycolmap
 
+from tiegraph.scene.rays import on_plane
 from tiegraph.sfm.tuning import AdjustTuning, LensTuning
 
 UNDISTORTED = ("SIMPLE_PINHOLE", "PINHOLE")  # calibrations that say nothing of distortion
@@ -95,7 +96,7 @@ def difference_px(a: pycolmap.Camera, b: pycolmap.Camera) -> float:
     """Median distance between the images of the same ray by two calibrations, over the image of ``a``."""
     x, y = np.linspace(0, a.width, 9), np.linspace(0, a.height, 9)
     grid = np.array([[u, v] for u in x for v in y])
-    rays = np.column_stack([a.cam_from_img(grid), np.ones(len(grid))])
+    rays = np.column_stack([on_plane(a, grid), np.ones(len(grid))])
     return float(np.nanmedian(np.linalg.norm(b.img_from_cam(rays) - grid, axis=1)))
 
 

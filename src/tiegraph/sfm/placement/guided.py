@@ -7,9 +7,7 @@ model must lie within some pixels of one place; there it has few rivals for the 
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,6 +16,8 @@ import pycolmap
 from scipy.spatial import cKDTree
 
 from tiegraph.geometry import transforms
+from tiegraph.scene.colmapdatabase import Rows as Database
+from tiegraph.scene.colmapmodel import matrix
 from tiegraph.sfm.placement.resect import Rows
 from tiegraph.sfm.tuning.placement import GuidedTuning
 from tiegraph.sfm.verified import Seen, Verified
@@ -36,13 +36,10 @@ class Descriptors:
     def of(self, image: int) -> np.ndarray:
         """Of an image; none if the database holds none."""
         if image not in self._held:
-            with closing(sqlite3.connect(f"{self.database.absolute().as_uri()}?mode=ro", uri=True)) as connection:
-                query = "SELECT rows, cols, data FROM descriptors WHERE image_id = ?"
-                row = connection.execute(query, (self.ids.get(image, -1),)).fetchone()
+            with Database(self.database) as rows:
+                table = rows.descriptors_of(self.ids.get(image, -1)).astype(np.float32)
             if len(self._held) > _MOST_HELD:
                 self._held.clear()
-            rows, columns, data = row if row and row[2] else (0, 128, b"")
-            table = np.frombuffer(data, np.uint8).reshape(rows, columns).astype(np.float32)
             self._held[image] = table / np.maximum(np.linalg.norm(table, axis=1, keepdims=True), 1e-6)
         return self._held[image]
 
@@ -152,7 +149,7 @@ def rows_of(found: Sequence[Found], verified: Verified, seen: Seen) -> Rows:
 def add_sightings(model: pycolmap.Reconstruction, found: Found, image_id: int, max_error_px: float) -> int:
     """Add what was found to the points' tracks, where the image's pose agrees; how many."""
     image = model.image(image_id)
-    pose = np.vstack([image.cam_from_world().matrix(), [0.0, 0, 0, 1]])
+    pose = matrix(image.cam_from_world())
     added = 0
     for key, point in zip(found.key.tolist(), found.point.tolist()):
         if point not in model.points3D or image.point2D(key).has_point3D():

@@ -220,7 +220,7 @@ def _block_motion(work: Repair, doubt: Doubt, seen: Seen) -> np.ndarray | None:
     found: Any = pycolmap.estimate_sim3d_robust(source, target, options)
     if found is None or not tuning.block_scale[0] < found["tgt_from_src"].scale < tuning.block_scale[1]:
         return None
-    mapped = transforms.apply(np.vstack([found["tgt_from_src"].matrix(), [0, 0, 0, 1]]), source)
+    mapped = transforms.apply(matrix(found["tgt_from_src"]), source)
     close = np.linalg.norm(mapped - target, axis=1) < bound
     if close.sum() < work.tuning.resect.min_inliers:
         return None

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
+from tiegraph.scene.colmapdatabase import image_ids
 from tiegraph.scene.registered import LEFT_OUT
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
@@ -18,7 +19,7 @@ from tiegraph.sfm.placement.complete import Completed, complete
 from tiegraph.sfm.placement.guided import Descriptors
 from tiegraph.sfm.placement.repair import Repair, label, points_anew, repair
 from tiegraph.sfm.tuning.placement import PlacementTuning
-from tiegraph.sfm.verified import image_ids, read_verified
+from tiegraph.sfm.verified import read_verified
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ import pycolmap
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
+from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import final_adjustment
 from tiegraph.sfm.adjustment.jacobians import Tie, Ties
@@ -190,7 +191,7 @@ def _offsets(model: pycolmap.Reconstruction, setting: _Setting, timed: Timed) ->
     scale = np.array([setting.metres_per_unit] * 3 + [1.0] * 3)
     for tie in timed.ties:
         poses = [model.image(i).cam_from_world() for i in (tie.first, tie.second)]
-        relative = np.vstack([(poses[1] * poses[0].inverse()).matrix(), [0, 0, 0, 1]])
+        relative = matrix(poses[1] * poses[0].inverse())
         left = (
             transforms.invert(expected(tie, timed.unknowns[tie.sensor])) @ relative
         )  # the frame as the camera sees it

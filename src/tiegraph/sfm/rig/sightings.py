@@ -8,6 +8,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
+from tiegraph.scene.rays import rays_or_axis
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.tuning.rig import HealthTuning
@@ -50,12 +51,10 @@ def sightings(reconstruction: pycolmap.Reconstruction, scene: Scene) -> Sighting
             continue
         camera = reconstruction.camera(found.camera_id)
         at = np.array([p.xy for p in seen])
-        flat = np.nan_to_num(np.asarray(camera.cam_from_img(at), float), nan=0.0)
-        local = np.concatenate([flat, np.ones((len(flat), 1))], axis=1)
         image.append(np.full(len(seen), index))
         point.append(np.searchsorted(ids, [p.point3D_id for p in seen]))
         xy.append(at)
-        ray.append(local / np.linalg.norm(local, axis=1, keepdims=True))
+        ray.append(rays_or_axis(camera, at))
         focal.append(np.full(len(seen), camera.mean_focal_length()))
     if not image:
         none = np.zeros(0, int)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pycolmap
 
+from tiegraph.scene.colmaprows import read_cache
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import free_cameras
 from tiegraph.sfm.solver import factorised
@@ -34,9 +35,7 @@ def model_from(
     ``options(free)``: the pipeline's options with intrinsics and extrinsics free or held. Frames without a pose are
     registered by their matches after the first adjustment. ``send`` is told how many frames are placed.
     """
-    with pycolmap.Database.open(database) as opened:
-        wanted = pycolmap.DatabaseCacheOptions(min_num_matches=options(False).min_num_matches, load_all_images=True)
-        cache = pycolmap.DatabaseCache.create(opened, wanted)
+    cache = read_cache(database, options(False).min_num_matches)
     model = pycolmap.Reconstruction()
     model.load(cache)
     place_frames(model, scene, start)

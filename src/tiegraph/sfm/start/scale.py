@@ -16,6 +16,8 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
+from tiegraph.geometry.rays import off_plane
+from tiegraph.scene.rays import rays_or_axis
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tuning.start import ScaleTuning
 from tiegraph.sfm.verified import Verified
@@ -58,9 +60,7 @@ class _Rays:
     def cost(self, scale: float, cap_rad: float) -> float:
         """Mean angle between rays and epipolar planes, cut at a cap and in units of it."""
         way = scale * self.path + self.lever
-        across = np.maximum(np.linalg.norm(np.cross(way, self.a), axis=1), 1e-12)
-        angle = np.abs(np.sum(way * self.normal, axis=1)) / across
-        return float(np.minimum(angle, cap_rad).mean() / cap_rad)
+        return float(np.minimum(off_plane(way, self.a, self.normal), cap_rad).mean() / cap_rad)
 
 
 def _rays(
@@ -90,10 +90,7 @@ def _rays(
 def _turned(scene: Scene, image: int, xy: np.ndarray, pose: np.ndarray, cam_from_rig: np.ndarray) -> np.ndarray:
     """Rays (M, 3) of pixels, unit length, in the world."""
     camera = cast(pycolmap.Camera, scene.sensor_of(image).camera)  # the scan gave each sensor one
-    flat = np.nan_to_num(np.asarray(camera.cam_from_img(xy), float))
-    local = np.concatenate([flat, np.ones((len(flat), 1))], axis=1)
-    local /= np.linalg.norm(local, axis=1, keepdims=True)
-    return local @ (cam_from_rig[:3, :3] @ pose[:3, :3].T)
+    return rays_or_axis(camera, xy) @ (cam_from_rig[:3, :3] @ pose[:3, :3].T)
 
 
 def _by_matches(rays: _Rays, cap_rad: float, tuning: ScaleTuning) -> float | None:

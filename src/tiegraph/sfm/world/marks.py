@@ -14,6 +14,7 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.control import Control
 from tiegraph.scene.evidence import LIMIT
+from tiegraph.scene.rays import on_plane
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import matrix
 from tiegraph.sfm.tuning.world import MarkTuning
@@ -140,7 +141,7 @@ def _meet(views: list, xy: np.ndarray, soft_px: float) -> Any:
     """Least squares over pixels from the linear meeting point of the rays."""
     normal, right = np.zeros((3, 3)), np.zeros(3)
     for (pose, camera), mark in zip(views, xy):
-        ray = np.append(camera.cam_from_img(mark), 1.0) @ pose[:3, :3]
+        ray = np.append(on_plane(camera, mark[None])[0], 1.0) @ pose[:3, :3]
         across = np.eye(3) - np.outer(ray, ray) / (ray @ ray)
         normal += across
         right += across @ transforms.centre(pose)

@@ -4,8 +4,9 @@ import numpy as np
 import pycolmap
 from scipy.spatial.transform import Rotation
 
-from tiegraph.features.database import create_database, write_features
 from tiegraph.geometry import transforms
+from tiegraph.scene.colmapdatabase import write_features
+from tiegraph.scene.colmaprows import create_database
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 

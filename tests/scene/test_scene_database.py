@@ -12,11 +12,12 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 import pytest
-from features_world import FRAMES, features, filled_database, poses, rig, scene
 
+from features_world import FRAMES, features, filled_database, poses, rig, scene
 from tiegraph.errors import InputError
-from tiegraph.features import database as db
 from tiegraph.geometry import transforms
+from tiegraph.scene import colmapdatabase as db
+from tiegraph.scene.colmaprows import create_database, position_priors
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import Rig, Sensor
 
@@ -27,7 +28,7 @@ def opened(path):
 
 def test_ids_names_frames_and_rig_are_those_of_the_scene(tmp_path):
     world = scene()
-    db.create_database(tmp_path / "database.db", world)
+    create_database(tmp_path / "database.db", world)
     with opened(tmp_path / "database.db") as database:
         images = {i.image_id - 1: i for i in database.read_all_images()}
         (row,) = database.read_all_rigs()
@@ -43,7 +44,7 @@ def test_ids_names_frames_and_rig_are_those_of_the_scene(tmp_path):
 
 @pytest.mark.parametrize(("known", "with_rig"), [(False, True), (True, False)])
 def test_sensors_without_extrinsics_stand_alone(tmp_path, known, with_rig):
-    db.create_database(tmp_path / "database.db", scene(known), with_rig)
+    create_database(tmp_path / "database.db", scene(known), with_rig)
     with opened(tmp_path / "database.db") as database:
         rigs = {r.rig_id: r.num_sensors() for r in database.read_all_rigs()}
         frames = {f.frame_id: [d.id for d in f.data_ids] for f in database.read_all_frames()}
@@ -56,7 +57,7 @@ def test_two_rigs_do_not_share_ids(tmp_path):
     one = scene()
     other = Rig("other", tuple(Sensor(f"b{k}", s.camera, s.sensor_from_rig) for k, s in enumerate(rig().sensors)))
     both = one.with_(rigs=(*one.rigs, other), rig=np.arange(FRAMES) % 2)
-    db.create_database(tmp_path / "database.db", both)
+    create_database(tmp_path / "database.db", both)
     with opened(tmp_path / "database.db") as database:
         frames = {f.frame_id: f.rig_id for f in database.read_all_frames()}
         cameras = [i.camera_id for i in database.read_all_images()]
@@ -74,7 +75,7 @@ def with_positions(rotation_known, sigma_m=0.05):
 
 def test_one_position_prior_a_frame_on_its_reference_image(tmp_path):
     world = with_positions(rotation_known=False)
-    db.create_database(tmp_path / "database.db", world)
+    create_database(tmp_path / "database.db", world)
     with opened(tmp_path / "database.db") as database:
         priors = {p.corr_data_id.id: p for p in database.read_all_pose_priors()}
     assert sorted(priors) == [2 * f + 1 for f in range(1, FRAMES)]
@@ -89,7 +90,7 @@ def test_prior_without_reference_image(rotation_known, sigma_m, stands_in):
     rest = [k for k in range(len(world)) if k != 2]  # the reference image of frame 1 is missing
     names = tuple(world.names[k] for k in rest)
     short = world.with_(names=names, frame=world.frame[rest], sensor=world.sensor[rest])
-    here = [p for p in db.position_priors(short) if p.pose_prior_id == 2]
+    here = [p for p in position_priors(short) if p.pose_prior_id == 2]
     assert len(here) == stands_in
     if rotation_known:
         centre = transforms.centre(rig().sensors[1].sensor_from_rig @ poses()[1])
@@ -100,7 +101,7 @@ def test_sensor_without_a_camera_is_an_input_error(tmp_path):
     world = scene()
     blind = Rig("pair", (world.rigs[0].sensors[0], Sensor("cam1")))
     with pytest.raises(InputError, match="'cam1' has no camera"):
-        db.create_database(tmp_path / "database.db", world.with_(rigs=(blind,)))
+        create_database(tmp_path / "database.db", world.with_(rigs=(blind,)))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -109,7 +110,7 @@ def test_a_new_database_replaces_the_old_one_and_its_log(tmp_path):
     filled_database(path, scene())
     stale = Path(f"{path}-wal")
     stale.write_bytes(b"stale log of another file")
-    db.create_database(path, scene())
+    create_database(path, scene())
     assert db.images_with_features(path) == set()
     assert not stale.exists() or stale.stat().st_size == 0
 
@@ -146,7 +147,7 @@ def test_pair_ids_are_colmaps():
 
 def test_a_batch_is_written_whole_or_not_at_all(tmp_path):
     path = tmp_path / "database.db"
-    db.create_database(path, scene())
+    create_database(path, scene())
     with pytest.raises(RuntimeError, match="stop"), db.transaction(path) as cursor:
         cursor.execute("INSERT INTO keypoints VALUES (1, 0, 4, NULL)")
         raise RuntimeError("stop")
@@ -157,10 +158,10 @@ def test_a_batch_is_written_whole_or_not_at_all(tmp_path):
 
 def test_sigkill_while_writing_keeps_whole_images_only(tmp_path):
     path = tmp_path / "database.db"
-    db.create_database(path, scene())
+    create_database(path, scene())
     script = (
-        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
-        "import numpy as np; from pathlib import Path; from tiegraph.features.database import write_features\n"
+        f"import sys; sys.path[:0] = {[str(p) for p in Path(__file__).parents[:2]]!r}\n"
+        "import numpy as np; from pathlib import Path; from tiegraph.scene.colmapdatabase import write_features\n"
         f"path = Path({str(path)!r})\n"
         "for n in range(100000):\n"
         "    k = n % 12\n"
@@ -191,7 +192,7 @@ def test_full_disk_is_an_input_error_and_earlier_batches_stay(tmp_path):
             db.write_features(path, [(0, np.zeros((90000, 4)), np.zeros((90000, 128), np.uint8))])
         resource.setrlimit(resource.RLIMIT_FSIZE, (20000, limits[1]))
         with pytest.raises(InputError, match=r"ulimit -f.*other\.db"):
-            db.create_database(tmp_path / "other.db", scene())
+            create_database(tmp_path / "other.db", scene())
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert db.feature_counts(path)[0] == len(features()[0][1])
@@ -209,7 +210,7 @@ def test_missing_or_damaged_database_is_explained(tmp_path):
 def test_the_bytes_tell_nothing_of_the_order_of_writing(tmp_path):
     found, at_once, one_by_one = features(), tmp_path / "a.db", tmp_path / "b.db"
     filled_database(at_once, scene())
-    db.create_database(one_by_one, scene())
+    create_database(one_by_one, scene())
     for each in reversed(found):
         db.write_features(one_by_one, [each])
     assert at_once.read_bytes() != one_by_one.read_bytes()

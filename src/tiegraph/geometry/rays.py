@@ -1,0 +1,42 @@
+"""Rays: unit vectors in a camera's frame, and how far off epipolar planes they lie."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def unit_rays(plane: np.ndarray) -> np.ndarray:
+    """(K, 3) unit vectors of places (K, 2) on the plane z = 1 in front of a camera; NaN stays."""
+    rays = np.column_stack([plane, np.ones(len(plane))])
+    return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+
+
+def off_plane(way: np.ndarray, ray: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """(K,) sine of the angle between a second ray and the epipolar plane of a first one and of the way to its camera.
+
+    way, ray (K, 3): from the first centre to the second, and the first ray; normal (K, 3): first ray x second ray, both
+    of unit length in the axes of ``way``.
+    """
+    across = np.maximum(np.linalg.norm(np.cross(way, ray), axis=1), 1e-12)
+    return np.abs(np.sum(way * normal, axis=1)) / across
+
+
+def sampson(ray: np.ndarray, turned: np.ndarray, way: np.ndarray) -> np.ndarray:
+    """(K,) Sampson distance on the unit sphere, radians, of pairs of rays to their epipolar planes.
+
+    ray (K, 3) of the second camera; turned (K, 3): of the first one, in the axes of the second; way (K, 3): from the
+    second centre to the first.
+    """
+    normal, other = cross(way, turned), cross(ray, way)
+    error = np.einsum("ij,ij->i", ray, normal)
+    squared = np.einsum("ij,ij->i", normal, normal) + np.einsum("ij,ij->i", other, other) - 2 * error**2
+    return error / np.sqrt(np.maximum(squared, 1e-24))
+
+
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Row-wise cross product (K, 3); several times faster than NumPy's."""
+    out = np.empty(a.shape)
+    out[:, 0] = a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1]
+    out[:, 1] = a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]
+    out[:, 2] = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    return out

@@ -1,0 +1,293 @@
+"""Rows of COLMAP's database by COLMAP's own objects: cameras, rigs, frames, images, priors, written in this place only.
+
+Features and matches are the rows of ``scene.colmapdatabase``.
+
+Ids: image_id = scene index + 1, camera_id = sensor key + 1, rig_id = rig index + 1, frame_id = frame + 1. Rows are
+written here and not by ``pycolmap.apply_rig_config``, which tells rigs apart by folder prefix and so would make one rig
+of each pass.
+
+COLMAP 4.2's mappers, incremental and global, give no model at all when one sensor of a rig lacks its extrinsics. Such a
+sensor is therefore written as a rig of its own (rig_id = number of rigs + camera_id) and each of its images as a frame
+of its own (frame_id = number of frames + image_id); without a rig all but the reference sensor are.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from copy import copy
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from tiegraph import limits
+from tiegraph.errors import InputError
+from tiegraph.geometry import transforms
+from tiegraph.scene.colmapdatabase import copy_verified, explained, remove
+from tiegraph.scene.colmapmodel import rigid3d
+from tiegraph.scene.rig import Rig
+from tiegraph.scene.scene import Scene
+from tiegraph.scene.ties import Ties
+
+DATABASE_BYTES = 1 << 20  # of the tables and indices of an empty database and of its log, generously
+_IMAGE_BYTES = 4096  # of an image's rows, its frame's and its prior's, in file and log, generously
+
+
+def create_database(path: Path, scene: Scene, with_rig: bool = True) -> None:
+    """Write a new database with the cameras, rigs, frames, images and position priors of a scene.
+
+    ``with_rig=False``: no two images share a frame. With a rig, those of unknown extrinsics stand alone (see above).
+    The file appears whole or not at all. Raises InputError for a sensor without a camera or a full disk.
+    """
+    for sensor in scene.all_sensors:
+        if sensor.camera is None:
+            raise InputError(f"sensor {sensor.name!r} has no camera: no image of it was found, take it off the rig")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(path.name + ".tmp")
+    remove(temporary)
+    limits.need_room(temporary, DATABASE_BYTES + _IMAGE_BYTES * len(scene))  # COLMAP would end the process
+    try:
+        with writing(temporary) as database:
+            _write_rigs(database, scene, with_rig)
+            _write_images(database, scene, with_rig)
+            for prior in position_priors(scene):
+                database.write_pose_prior(prior, use_pose_prior_id=True)
+        remove(path)
+        os.replace(temporary, path)
+    except (RuntimeError, ValueError, OSError) as error:
+        raise explained(path, error) from error
+    finally:
+        remove(temporary)
+
+
+def _write_rigs(database: pycolmap.Database, scene: Scene, with_rig: bool) -> None:
+    key = 0
+    for index, rig in enumerate(scene.rigs):
+        row = pycolmap.Rig(rig_id=index + 1)
+        row.add_ref_sensor(_sensor_id(key))
+        alone = []
+        for place, sensor in enumerate(rig.sensors):
+            camera = copy(sensor.camera)
+            assert camera is not None  # checked by create_database
+            camera.camera_id = key + 1
+            database.write_camera(camera, use_camera_id=True)
+            if place > 0 and with_rig and sensor.sensor_from_rig is not None:
+                row.add_sensor(_sensor_id(key), pycolmap.Rigid3d(np.asarray(sensor.sensor_from_rig, float)[:3]))
+            elif place > 0:
+                alone.append(pycolmap.Rig(rig_id=len(scene.rigs) + key + 1))
+                alone[-1].add_ref_sensor(_sensor_id(key))
+            key += 1
+        for each in (row, *alone):
+            database.write_rig(each, use_rig_id=True)
+
+
+def _write_images(database: pycolmap.Database, scene: Scene, with_rig: bool) -> None:
+    keys = scene.sensor_key
+    frame_id, rig_id = scene.frame.astype(int) + 1, scene.rig[scene.frame].astype(int) + 1
+    for k, name in enumerate(scene.names):
+        image = pycolmap.Image(name=name, camera_id=int(keys[k]) + 1, image_id=k + 1)
+        database.write_image(image, use_image_id=True)
+        if scene.sensor[k] > 0 and not (with_rig and scene.sensor_of(k).sensor_from_rig is not None):
+            frame_id[k], rig_id[k] = scene.frames + k + 1, len(scene.rigs) + keys[k] + 1
+    for members in _groups(frame_id):
+        frame = pycolmap.Frame(frame_id=int(frame_id[members[0]]), rig_id=int(rig_id[members[0]]))
+        for k in members:
+            frame.add_data_id(pycolmap.data_t(_sensor_id(int(keys[k])), int(k) + 1))
+        database.write_frame(frame, use_frame_id=True)
+
+
+def _groups(label: np.ndarray) -> list[np.ndarray]:
+    """Indices of equal labels, in the order of the labels."""
+    order = np.argsort(label, kind="stable")
+    return [g for g in np.split(order, np.flatnonzero(np.diff(label[order])) + 1) if len(g)]
+
+
+def position_priors(scene: Scene) -> list[pycolmap.PosePrior]:
+    """One position prior (camera centre, world metres) for each frame with a prior position, at most one a frame.
+
+    It belongs to the frame's reference image: one GNSS fix on six images would count six times in the adjustment. When
+    that image was left out, another stands in if its centre is known: by the full prior pose, or because it lies closer
+    to the rig's origin than the position's sigma. An unknown sigma stays NaN (COLMAP then takes its own).
+    """
+    priors = []
+    for members in _groups(scene.frame):
+        frame = int(scene.frame[members[0]])
+        if not np.isfinite(scene.world_from_rig[frame, :3, 3]).all():
+            continue
+        image, position_m = _prior_image(scene, frame, sorted(members.tolist(), key=lambda k: scene.sensor[k]))
+        if image is None:
+            continue
+        prior = pycolmap.PosePrior(pose_prior_id=frame + 1)
+        prior.corr_data_id = pycolmap.data_t(_sensor_id(int(scene.sensor_key[image])), image + 1)
+        prior.position = position_m
+        prior.position_covariance = np.diag(scene.position_sigma_m[frame] ** 2)
+        prior.coordinate_system = pycolmap.PosePriorCoordinateSystem.CARTESIAN
+        priors.append(prior)
+    return priors
+
+
+def _prior_image(scene: Scene, frame: int, members: list[int]) -> tuple[int | None, np.ndarray]:
+    world_from_rig = scene.world_from_rig[frame]
+    sigma_m = scene.position_sigma_m[frame]
+    for k in members:
+        if scene.sensor[k] == 0:
+            return k, world_from_rig[:3, 3]
+        sensor_from_rig = scene.sensor_of(k).sensor_from_rig
+        if sensor_from_rig is None:
+            continue
+        centre_m = transforms.centre(sensor_from_rig)
+        if np.isfinite(world_from_rig[:3, :3]).all():
+            return k, transforms.apply(world_from_rig, centre_m[None])[0]
+        if np.linalg.norm(centre_m) < np.nanmax(np.append(sigma_m, 0.0)):
+            return k, world_from_rig[:3, 3]
+    return None, world_from_rig[:3, 3]
+
+
+def write_working_copy(
+    source: Path,
+    target: Path,
+    scene: Scene,
+    with_rig: Mapping[int, Rig],
+    positions: tuple[np.ndarray, np.ndarray] | None,
+    refused: Sequence[tuple[int, int]] = (),
+    only: np.ndarray | None = None,
+) -> None:
+    """Copy what a mapper needs of ``source`` to a new database ``target``.
+
+    ``with_rig`` maps rig indices to the rigs to constrain by; images of other rigs, and of sensors whose extrinsics are
+    unknown there, become frames of their own. ``positions``: prior positions (F, 3) of the frames and their variances
+    (F, 3), world metres, NaN = none, for the mapper; None: it gets none. ``refused`` are pairs of scene indices whose
+    ties the mapper must not see. ``only``: scene indices of the images to copy, None = all. Descriptors and raw
+    matches, most of the bytes, stay behind.
+    """
+    names = None if only is None else {scene.names[k] for k in only.tolist()}
+    copy_verified(source, target, names, [(scene.names[i], scene.names[j]) for i, j in refused])
+    with writing(target) as database:
+        images = _scene_images(database, scene)
+        _update_cameras(database, scene, images)
+        _write_frames(database, scene, images, with_rig)
+        if positions is not None:
+            _write_positions(database, scene, images, *positions)
+
+
+def _scene_images(database: pycolmap.Database, scene: Scene) -> dict[int, pycolmap.Image]:
+    """Images of the database by scene index; one whose name the scene does not have is left out of every frame."""
+    found = {scene.image_index.get(image.name): image for image in database.read_all_images()}
+    return {index: image for index, image in sorted((k, i) for k, i in found.items() if k is not None)}
+
+
+def _update_cameras(database: pycolmap.Database, scene: Scene, images: dict[int, pycolmap.Image]) -> None:
+    """The scene's cameras: what the previews found of a guessed focal length is a better start than the guess."""
+    for k, camera_id in {int(scene.sensor_key[k]): image.camera_id for k, image in images.items()}.items():
+        camera = copy(scene.all_sensors[k].camera)
+        if camera is not None:
+            camera.camera_id = camera_id
+            database.update_camera(camera)
+
+
+def _write_frames(
+    database: pycolmap.Database, scene: Scene, images: dict[int, pycolmap.Image], with_rig: Mapping[int, Rig]
+) -> None:
+    """One rig and its frames for each constrained rig; one rig a camera, one frame an image for everything else."""
+    camera_of = {int(scene.sensor_key[k]): image.camera_id for k, image in images.items()}
+    first_key = np.cumsum([0] + [len(r.sensors) for r in scene.rigs])
+    bound: set[int] = set()
+    for index, rig in with_rig.items():
+        known = [s for s, sensor in enumerate(rig.sensors) if sensor.sensor_from_rig is not None]
+        cameras = {s: camera_of[key] for s in known if (key := int(first_key[index]) + s) in camera_of}
+        if cameras:
+            database.write_rig(_colmap_rig(index + 1, rig, cameras), use_rig_id=True)
+            bound |= set(cameras.values())
+    for camera in sorted({image.camera_id for image in images.values()} - bound):
+        row = pycolmap.Rig(rig_id=len(scene.rigs) + camera)  # ids above those of the constrained rigs
+        row.add_ref_sensor(_sensor_id(camera - 1))
+        database.write_rig(row, use_rig_id=True)
+    members: dict[tuple[int, int], list[pycolmap.Image]] = {}
+    for k, image in images.items():
+        if image.camera_id in bound:
+            frame = int(scene.frame[k])
+            members.setdefault((frame + 1, int(scene.rig[frame]) + 1), []).append(image)
+        else:
+            members[scene.frames + image.image_id, len(scene.rigs) + image.camera_id] = [image]
+    for (frame_id, rig_id), of_frame in members.items():
+        group = pycolmap.Frame(frame_id=frame_id, rig_id=rig_id)
+        for image in of_frame:
+            group.add_data_id(image.data_id)
+        database.write_frame(group, use_frame_id=True)
+
+
+def _colmap_rig(rig_id: int, rig: Rig, cameras: dict[int, int]) -> pycolmap.Rig:
+    """COLMAP's rig of the sensors that have images; without images of the reference, the next sensor takes its part."""
+    row = pycolmap.Rig(rig_id=rig_id)
+    first, *others = sorted(cameras)
+    row.add_ref_sensor(_sensor_id(cameras[first] - 1))
+    reference = np.asarray(rig.sensors[first].sensor_from_rig)
+    for s in others:
+        extrinsics = np.asarray(rig.sensors[s].sensor_from_rig)
+        row.add_sensor(_sensor_id(cameras[s] - 1), rigid3d(extrinsics @ np.linalg.inv(reference)))
+    return row
+
+
+def _write_positions(
+    database: pycolmap.Database,
+    scene: Scene,
+    images: dict[int, pycolmap.Image],
+    positions: np.ndarray,
+    variances: np.ndarray,
+) -> None:
+    """Position priors on reference images."""
+    prior_id = 0
+    for k, image in images.items():
+        frame = int(scene.frame[k])
+        if scene.sensor[k] != 0 or not np.isfinite(positions[frame]).all():
+            continue
+        prior_id += 1
+        prior = pycolmap.PosePrior(
+            pose_prior_id=prior_id,
+            corr_data_id=image.data_id,
+            position=positions[frame],
+            position_covariance=np.diag(variances[frame]),
+            coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN,
+        )
+        database.write_pose_prior(prior, use_pose_prior_id=True)
+
+
+def write_ties(path: Path, keypoints: Iterable[np.ndarray], ties: Ties, used: np.ndarray) -> None:
+    """Write the key points (K, 2) pixels of image after image, and the ``used`` (T,) ties as verified matches."""
+    with writing(path) as database:
+        for k, xy in enumerate(keypoints):
+            database.write_keypoints(k + 1, np.ascontiguousarray(xy, np.float32))
+        for t in np.flatnonzero(used):
+            i, j = int(ties.i[t]) + 1, int(ties.j[t]) + 1
+            matches = ties.of(int(t)).astype(np.uint32)
+            database.write_matches(i, j, matches)
+            geometry = pycolmap.TwoViewGeometry()
+            geometry.config = pycolmap.TwoViewGeometryConfiguration.UNCALIBRATED
+            geometry.inlier_matches = matches
+            database.write_two_view_geometry(i, j, geometry)
+
+
+def read_cache(path: Path, min_matches: int) -> pycolmap.DatabaseCache:
+    """All images of a database, and its verified pairs of so many matches, as COLMAP's mappers want them."""
+    with pycolmap.Database.open(path) as database:
+        wanted = pycolmap.DatabaseCacheOptions(min_num_matches=min_matches, load_all_images=True)
+        return pycolmap.DatabaseCache.create(database, wanted)
+
+
+def sizes(path: Path) -> tuple[int, int]:
+    """Number of frames and of images of a database."""
+    with pycolmap.Database.open(path) as database:
+        return database.num_frames(), database.num_images()
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[pycolmap.Database]:
+    """A database, opened or made anew by COLMAP, in one transaction."""
+    with pycolmap.Database.open(path) as database, pycolmap.DatabaseTransaction(database):
+        yield database
+
+
+def _sensor_id(key: int) -> pycolmap.sensor_t:
+    return pycolmap.sensor_t(pycolmap.SensorType.CAMERA, key + 1)
