@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 import pytest
-from features_world import FRAMES, features, filled_database, scene
 
+from features_world import FRAMES, features, filled_database, scene
 from tiegraph.errors import InputError, ReconstructionError, SettingsError
 from tiegraph.features import matchblocks
 from tiegraph.features.match import match_pairs, read_matches
