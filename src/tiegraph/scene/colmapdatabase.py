@@ -340,6 +340,7 @@ def _opened(path: Path) -> Iterator[sqlite3.Connection]:
 
 
 def explained(path: Path, error: Exception) -> TiegraphError:
+    """What an error of SQLite or COLMAP at a database means, with the remedy."""
     text = str(error)
     told = limits.explained(error, path.parent) or limits.explained_text(text, path.parent)
     if told is not None:
