@@ -18,7 +18,7 @@ from tiegraph.masks.ego import Ego, different_frames, learn_ego
 from tiegraph.masks.evidence import Evidence, choose_pairs, pair_evidence
 from tiegraph.masks.lookup import Learnt
 from tiegraph.masks.proof import NONE, Ties, cost, moves, white_ties, without_sky
-from tiegraph.masks.seeds import SeedJob, Seeds, first_seeds, second_seeds, ties_of
+from tiegraph.masks.seeds import SeedJob, Seeds, TriedJob, first_seeds, second_seeds, ties_of
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.tuning import Tuning
 from tiegraph.masks.tuning_learnt import EvidenceTuning, SeedTuning
@@ -76,9 +76,9 @@ def learn(
         for k in keys
     }
     # Once more, with what the first try calls water, sky and scene as seeds: they cover the images, the first did not.
-    again = list(apply(second_seeds, [(job, first[job.camera], settings) for job in jobs]))
+    again = list(apply(second_seeds, [TriedJob(job, first[job.camera], settings) for job in jobs]))
     made = _proven(first, jobs, again, settings.water == "on", tuning)
-    told = list(apply(ties_of, [(job, made[job.camera], settings) for job in jobs]))
+    told = list(apply(ties_of, [TriedJob(job, made[job.camera], settings) for job in jobs]))
     return {
         k: _with_notes(made[k], platforms[k], _of(k, jobs, [s.ties for s in again]), _of(k, jobs, told)) for k in keys
     }

@@ -77,8 +77,19 @@ def curves_of(
         if not len(offsets):
             continue
         winner = int(offsets[np.argmax(votes)] if best is None else best[c, d])
-        names = p.rig.sensors[c].name, q.rig.sensors[d].name
-        out.append(OffsetCurve(p.name, q.name, *names, offsets, votes, winner, bool(accepted[c, d]), backwards))
+        out.append(
+            OffsetCurve(
+                pass_a=p.name,
+                pass_b=q.name,
+                sensor_a=p.rig.sensors[c].name,
+                sensor_b=q.rig.sensors[d].name,
+                offsets=offsets,
+                votes=votes,
+                best=winner,
+                accepted=bool(accepted[c, d]),
+                reversed=backwards,
+            )
+        )
     return tuple(out)
 
 

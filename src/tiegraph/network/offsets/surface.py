@@ -73,8 +73,16 @@ def _excess(lattice: Lattice, threshold: float, tuning: Tuning) -> np.ndarray:
 
 
 def _surface(lattice: Lattice, evidence: np.ndarray, kept: np.ndarray, path: np.ndarray, sensors: str) -> OffsetSurface:
-    names = lattice.p.name, lattice.q.name
-    return OffsetSurface(*names, lattice.rows, lattice.columns, evidence.astype(np.float32), kept, path, sensors)
+    return OffsetSurface(
+        pass_a=lattice.p.name,
+        pass_b=lattice.q.name,
+        rows=lattice.rows,
+        columns=lattice.columns,
+        evidence=evidence.astype(np.float32),
+        kept=kept,
+        path=path,
+        sensors=sensors,
+    )
 
 
 def ridge(evidence: np.ndarray, kept: np.ndarray, bend: float) -> np.ndarray:

@@ -65,7 +65,10 @@ def find_sections(
     if not bridges:
         return whole_survey(scene, cues, "no two frames in a row are under a bridge")
     text = f"up camera: {bridges} bridge and {len(sections) - bridges} open sections; {_thresholds(cues, passes)}"
-    return SectionResult(tuple(sections), of_frame, *_grey(scene, cues), (text,), cues)
+    grey, threshold = _grey(scene, cues)
+    return SectionResult(
+        sections=tuple(sections), of_frame=of_frame, brightness=grey, threshold=threshold, notes=(text,), cues=cues
+    )
 
 
 def whole_survey(scene: Scene, cues: tuple[Cue, ...] = (), why: str = "") -> SectionResult:
