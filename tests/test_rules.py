@@ -26,7 +26,7 @@ OPTIONS = ("tiegraph.cli.run", "tiegraph.cli.options")
 # Tables, whose fields are their columns, records of a file, and what is still to be split.
 BAGS = {"Scene", "Pairs", "Stage", "Exif", "SensorSpec", "Network"}
 BAGS |= {"CloudComparison", "TrajectoryError", "Model", "PositionSigma", "SparseResult", "SensorHealth"}
-BAGS |= {"Evidence", "Fit", "Georeference", "Constraints"}
+BAGS |= {"Evidence", "Fit", "Georeference"}
 # `network` is being cut into stages.
 UNMENDED = ("tiegraph.network", "tiegraph.pipeline.network")
 

@@ -54,19 +54,11 @@ def learn(
     level = {k: zones[k] for k in keys if k not in upward}
     water = {} if settings.water == "off" else water_priors(level, settings.water == "on", tuning.water)
     count = max(tuning.seeds.least_images, tuning.seeds.images // max(1, len(keys)))
-    jobs = [
-        SeedJob(
-            camera=k,
-            image=image,
-            evidence=evidence,
-            zone=zones[k].mask if k in water else None,
-            ego=platforms[k].mask,
-            upward=k in upward,
-            tuning=tuning,
-        )
-        for k in keys
-        for image, evidence in _seed_images(cameras[k], seen[k], count)
-    ]
+    jobs = []
+    for k in keys:
+        zone, ego = zones[k].mask if k in water else None, platforms[k].mask
+        for image, evidence in _seed_images(cameras[k], seen[k], count):
+            jobs.append(SeedJob(k, image, evidence, zone=zone, ego=ego, upward=k in upward, tuning=tuning))
     seeds = list(apply(first_seeds, jobs))
     known = _appearances(jobs, seeds, upward, tuning)
     lowest = lowest_agreed([s.low for job, s in zip(jobs, seeds) if not job.upward], tuning.seeds)

@@ -22,7 +22,8 @@ from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.world.fixes import Given, PositionRows
 from tiegraph.sfm.world.georef import Georeference, georeference_all
-from tiegraph.sfm.world.ground import GroundRequest, Held, ground
+from tiegraph.sfm.world.ground import GroundRequest, ground
+from tiegraph.sfm.world.worldadjust import Held
 
 
 def georef(run: Run) -> Outcome:

@@ -98,24 +98,15 @@ def reconstruct(
     The database is read, never changed. Raises ReconstructionError, with the counts and remedies, when no model can be
     made; SettingsError for a fixed rig without extrinsics.
     """
-    database, refused = source.database, source.refused
     modes = rig_modes(scene, settings.rig)
-    graph = ViewGraph(database, scene, settings.min_matches, refused)
+    graph = ViewGraph(source.database, scene, settings.min_matches, source.refused)
     if len(graph.pairs) == 0:
         raise ReconstructionError(no_model_text(scene, graph, "no pair of images has enough verified matches"))
     out.mkdir(parents=True, exist_ok=True)
     for old in (p for p in out.iterdir() if p.is_dir() and p.name.isdigit()):
         shutil.rmtree(old)
-    alone, notes = unsupported_sensors(scene, graph, modes, tuning.rig.support), []
-    without = (*refused, *ties_of(scene, graph, alone))
-    if alone and len(without) - len(refused) < len(graph.pairs):  # else nothing would be left to map
-        names = ", ".join(scene.all_sensors[k].name for k in alone)
-        notes.append(f"too few ties of {names}: placed by the rig as given, its own ties are not used")
-        refused, graph = without, ViewGraph(database, scene, settings.min_matches, without)
-    else:
-        alone = ()
     job = Job(
-        source=replace(source, refused=refused),
+        source=source,
         out=out,
         scene=scene,
         settings=settings,
@@ -123,16 +114,29 @@ def reconstruct(
         shared=shared,
         log=log,
         graph=graph,
-        account=Account(notes=notes),
-        alone=alone,
+        account=Account(),
     )
     try:
-        return _reconstruct(job, modes)
+        return _reconstruct(_without_unsupported(job, modes), modes)
     finally:
         shutil.rmtree(out / SCRATCH, ignore_errors=True)
 
 
+def _without_unsupported(job: Job, modes: dict[int, str]) -> Job:
+    """Sensors with too few ties are placed by their rig: the job without their ties, where others are left to map."""
+    scene, graph, source = job.scene, job.graph, job.source
+    alone = unsupported_sensors(scene, graph, modes, job.tuning.rig.support)
+    without = (*source.refused, *ties_of(scene, graph, alone))
+    if not alone or len(without) - len(source.refused) >= len(graph.pairs):
+        return job
+    names = ", ".join(scene.all_sensors[k].name for k in alone)
+    job.account.notes.append(f"too few ties of {names}: placed by the rig as given, its own ties are not used")
+    graph = ViewGraph(source.database, scene, job.settings.min_matches, without)
+    return replace(job, source=replace(source, refused=without), graph=graph, alone=alone)
+
+
 def _reconstruct(job: Job, modes: dict[int, str]) -> SparseResult:
+    """Map, first without the rigs that are unknown and derived from that; finish the models; account for the rest."""
     rigs = {k: job.scene.rigs[k] for k, mode in modes.items() if mode != "derived"}
     outcome = None
     unknown = [k for k, mode in modes.items() if mode == "derived"]
