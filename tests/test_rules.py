@@ -5,6 +5,8 @@ import inspect
 import subprocess
 import sys
 import textwrap
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -14,6 +16,19 @@ FILES = sorted((ROOT / "src").rglob("*.py"))
 MAX_FILE_LINES = 400
 MAX_FUNCTION_LINES = 60
 MAX_PARAMETERS = 7
+MAX_FIELDS = 10
+MAX_POSITIONAL = 3
+MAX_RETURNED = 3
+MAX_UNPACKED = 2  # a pair is a thing; three things are arguments
+
+# Options of the command line are settings.
+OPTIONS = ("tiegraph.cli.run", "tiegraph.cli.options")
+# Tables, whose fields are their columns, records of a file, and what is still to be split.
+BAGS = {"Scene", "Pairs", "Stage", "Exif", "SensorSpec", "Network"}
+BAGS |= {"CloudComparison", "TrajectoryError", "Model", "PositionSigma", "SparseResult", "SensorHealth"}
+BAGS |= {"Evidence", "Fit", "Georeference"}
+# `network` is being cut into stages.
+UNMENDED = ("tiegraph.network", "tiegraph.pipeline.network")
 
 
 def ids(path):
@@ -129,3 +144,105 @@ def test_ci_runs_exactly_the_readme_command():
     assert f"\n{tests}\n" in readme
     assert "pytest" in tests
     assert "mkdocs build --strict" in documentation
+
+
+# --- values have names ----------------------------------------------------------------------------------------------
+
+
+def name_of(path: Path) -> str:
+    return ".".join(path.relative_to(ROOT / "src").with_suffix("").parts).removesuffix(".__init__")
+
+
+TREES = {name_of(p): ast.parse(p.read_text()) for p in FILES}
+
+
+def is_record(node: ast.ClassDef) -> bool:
+    """A dataclass or a named tuple."""
+    decorators = [d.func if isinstance(d, ast.Call) else d for d in node.decorator_list]
+    return any(getattr(n, "id", "") in ("dataclass", "NamedTuple") for n in (*decorators, *node.bases))
+
+
+RECORDS = {
+    (m, n.name): n for m, t in TREES.items() for n in ast.walk(t) if isinstance(n, ast.ClassDef) and is_record(n)
+}
+
+
+@cache
+def known(module: str) -> dict[str, tuple[str, str]]:
+    """Names of a module that are records: where each is defined. One that is handed on is looked up further."""
+    out = {name: (m, name) for m, name in RECORDS if m == module}
+    for node in ast.walk(TREES[module]):
+        if isinstance(node, ast.ImportFrom) and node.module in TREES and node.module != module:
+            for alias in node.names:
+                found = (node.module, alias.name)
+                if found not in RECORDS and alias.name in imported(node.module):
+                    found = (imported(node.module)[alias.name], alias.name)
+                if found in RECORDS:
+                    out[alias.asname or alias.name] = found
+    return out
+
+
+@cache
+def imported(module: str) -> dict[str, str]:
+    nodes = [n for n in ast.walk(TREES[module]) if isinstance(n, ast.ImportFrom) and n.module]
+    return {alias.asname or alias.name: str(n.module) for n in nodes for alias in n.names}
+
+
+def fields(module: str, node: ast.ClassDef) -> list[str]:
+    """Own and inherited."""
+    bases = [known(module).get(getattr(b, "id", "")) for b in node.bases]
+    out = [f for b in bases if b for f in fields(b[0], RECORDS[b])]
+    return out + [n.target.id for n in node.body if isinstance(n, ast.AnnAssign) and isinstance(n.target, ast.Name)]
+
+
+def calls(node: ast.AST, inside: str = "") -> Iterator[tuple[ast.Call, str]]:
+    """Calls, and the name of the class made: that of a ``cls`` is the class around it."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.Call):
+            called = getattr(child.func, "id", "")
+            yield child, inside if called == "cls" else called
+        yield from calls(child, child.name if isinstance(child, ast.ClassDef) else inside)
+
+
+def parts(annotation: ast.AST | None) -> int:
+    """The number of things in the largest tuple of fixed length that an annotation is, or is one of."""
+    if isinstance(annotation, ast.BinOp):
+        return max(parts(annotation.left), parts(annotation.right))
+    if isinstance(annotation, ast.Subscript) and getattr(annotation.value, "id", "") == "tuple":
+        inner = annotation.slice.elts if isinstance(annotation.slice, ast.Tuple) else [annotation.slice]
+        return 0 if any(isinstance(e, ast.Constant) and e.value is ... for e in inner) else len(inner)
+    return 0
+
+
+def mended(module: str) -> bool:
+    return not any(module == m or module.startswith(f"{m}.") for m in UNMENDED)
+
+
+def test_no_dataclass_is_a_bag():
+    large = {
+        n: len(fields(m, c)) for (m, n), c in RECORDS.items() if m not in OPTIONS and len(fields(m, c)) > MAX_FIELDS
+    }
+    assert {n: count for n, count in large.items() if n not in BAGS} == {}
+    assert set(large) >= BAGS, "an exception that is none goes"
+
+
+def test_dataclasses_are_built_by_name():
+    found = []
+    for module, tree in TREES.items():
+        records = known(module) if mended(module) else {}
+        made = [(c, name) for c, name in calls(tree) if name in records and len(c.args) > MAX_POSITIONAL]
+        found += [f"{module}:{c.lineno} {name}" for c, name in made]
+    assert found == []
+
+
+def test_no_tuple_stands_for_arguments_or_results():
+    found = []
+    for module, tree in TREES.items():
+        for f in (n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef) and mended(module)):
+            if parts(f.returns) > MAX_RETURNED:
+                found.append(f"{module}:{f.lineno} {f.name} returns {parts(f.returns)} things")
+            bags = {a.arg for a in (*f.args.args, *f.args.kwonlyargs) if parts(a.annotation) > MAX_UNPACKED}
+            for n in (n for n in ast.walk(f) if isinstance(n, ast.Assign) and isinstance(n.targets[0], ast.Tuple)):
+                if getattr(n.value, "id", "") in bags:
+                    found.append(f"{module}:{f.lineno} {f.name} unpacks {ast.unparse(n.value)}")
+    assert found == []

@@ -45,7 +45,8 @@ from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.world.fixes import Given, PositionRows
 from tiegraph.sfm.world.georef import Georeference
-from tiegraph.sfm.world.ground import Held, georeference_model
+from tiegraph.sfm.world.ground import georeference_model
+from tiegraph.sfm.world.worldadjust import Held
 
 WAYS = ("frames", "rows", "adjusted")
 SETS = ("canal", "canal_demo", "pandaset", "oppaiyama")

@@ -29,9 +29,10 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
-from tiegraph.sfm.finish import FinishRequest, finish_model
+from tiegraph.sfm.finish import FinishRequest, Held, finish_model
 from tiegraph.sfm.model import image_poses
-from tiegraph.sfm.run import Request, run_mapper
+from tiegraph.sfm.placement.settle import Matched
+from tiegraph.sfm.run import Fixed, Matches, Method, Request, run_mapper
 from tiegraph.sfm.tuning import Tuning
 
 STEP_M, POINTS_PER_M = 2.0, 30.0
@@ -91,18 +92,17 @@ def run(images: int) -> dict[str, float]:
         scene, truth, rough = survey(images // 4, folder / "database.db")
         clock = [time.process_time()]
         request = Request(
-            mapper="preview", seed=0, database=folder / "database.db", images=None, folder=folder / "run",
-            scene=scene.to_json(), rigs=Request.rigs_of({0: scene.rigs[0]}), fixed=(), positions=False,
-            constant_cameras=(), all_constant=False, min_matches=LEAST, poses=rough, tuning=Tuning(),
+            method=Method("preview"), matches=Matches(folder / "database.db", LEAST), fixed=Fixed(), images=None,
+            folder=folder / "run", scene=scene.to_json(), rigs=Request.rigs_of({0: scene.rigs[0]}), positions=False,
+            poses=rough, tuning=Tuning(),
         )  # fmt: skip
         mapped = run_mapper(request, lambda frames: None)
         clock.append(time.process_time())
         if mapped.refused:
             raise SystemExit(mapped.refused)
         finish = FinishRequest(
-            folder=mapped.folders[0], target=folder / "0", images=None, fixed=(), constant_cameras=(),
-            all_constant=False, covariance_frames=0, scene=scene.to_json(), tuning=Tuning(), rigs=(0,),
-            database=folder / "database.db",
+            folder=mapped.folders[0], target=folder / "0", scene=scene.to_json(), tuning=Tuning(), held=Held(rigs=(0,)),
+            matched=Matched(folder / "database.db", folder, (), folder / "placement"),
         )  # fmt: skip
         finish_model(finish, lambda message: None)
         clock.append(time.process_time())

@@ -24,9 +24,10 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import ViewGraph
-from tiegraph.sfm.finish import FinishRequest, finish_model
+from tiegraph.sfm.finish import FinishRequest, Held, finish_model
 from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.model import frame_poses, image_poses
+from tiegraph.sfm.placement.settle import Matched
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.rig.support import ties_of, unsupported_sensors
 from tiegraph.sfm.settings import SparseSettings
@@ -72,19 +73,22 @@ def _request(folder: Path, scene: Scene, scratch: Path) -> FinishRequest:
         folder=folder / "sparse" / "0",
         target=scratch / "finished",
         images=folder / "images",
-        fixed=tuple(k for k, mode in modes.items() if mode == "fixed"),
-        constant_cameras=constant,
-        all_constant=len(constant) == len(scene.all_sensors),
-        covariance_frames=0,
         scene=scene.to_json(),
         tuning=Tuning(),
-        alone=alone,
-        soft=tuple(k for k, mode in modes.items() if mode == "soft"),
-        rigs=tuple(modes),
-        database=folder / "database.db",
-        refused=(*refused, *ties_of(scene, graph, alone)),
+        held=Held(
+            rigs=tuple(modes),
+            fixed=tuple(k for k, mode in modes.items() if mode == "fixed"),
+            soft=tuple(k for k, mode in modes.items() if mode == "soft"),
+            alone=alone,
+            cameras=constant,
+        ),
+        matched=Matched(
+            database=folder / "database.db",
+            images=folder / "images",
+            refused=(*refused, *ties_of(scene, graph, alone)),
+            scratch=scratch / "placement",
+        ),
         preview=frame_poses(poses, scene),
-        scratch=scratch / "placement",
     )
 
 

@@ -84,7 +84,7 @@ def test_turned_images_stand_upright_for_every_reader(tmp_path: Path, orientatio
 
 def test_crop_moves_the_principal_point(tmp_path: Path) -> None:
     camera = pycolmap.Camera(model="OPENCV", width=64, height=48, params=[60, 61, 32, 24, 0, 0, 0, 0])
-    smaller = crop_camera(camera, (4, 6, 10, 2))
+    smaller = crop_camera(camera, 4, 6, 10, 2)
     assert (smaller.width, smaller.height) == (50, 40)
     assert list(smaller.params[:4]) == [60, 61, 28, 18]
     source = picture(tmp_path / "a.png")

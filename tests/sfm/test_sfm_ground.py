@@ -22,8 +22,9 @@ from tiegraph.sfm.world import worldadjust
 from tiegraph.sfm.world.fixes import Given, PositionRows, make_fixes
 from tiegraph.sfm.world.georef import georeference
 from tiegraph.sfm.world.gravity import Up
-from tiegraph.sfm.world.ground import Held, georeference_model
+from tiegraph.sfm.world.ground import georeference_model
 from tiegraph.sfm.world.placing import Model, place
+from tiegraph.sfm.world.worldadjust import Held
 
 import pycolmap  # isort: skip
 

@@ -17,7 +17,7 @@ from tiegraph.scene.rig import rig_from_dict, rig_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import final_adjustment
 from tiegraph.sfm.adjustment.soft import available
-from tiegraph.sfm.finish import Finished, FinishRequest, finish_model
+from tiegraph.sfm.finish import Finished, FinishRequest, Held, finish_model
 from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.rig.confront import hear, lever_sigmas, open_times, statements
 from tiegraph.sfm.tuning import Tuning
@@ -123,9 +123,8 @@ def _finished(case: str, folder: Path, **more: object) -> tuple[Finished, pycolm
     source, target = folder / "mapped", folder / "0"
     source.mkdir()
     model.write(source)
-    request = FinishRequest(
-        source, target, None, (0,), tuple(range(1, 7)), True, 0, scene.to_json(), Tuning(), rigs=(0,), **more
-    )  # type: ignore[arg-type]
+    held = Held(rigs=(0,), fixed=(0,), cameras=tuple(range(1, 7)), **more)  # type: ignore[arg-type]
+    request = FinishRequest(source, target, scene.to_json(), Tuning(), held)
     return finish_model(request, lambda _: None), pycolmap.Reconstruction(target), scene
 
 
@@ -192,8 +191,8 @@ def test_the_calibration_of_a_single_camera_is_confronted_too(tmp_path: Path, wr
     source.mkdir()
     truth.camera(1).params = given.params
     truth.write(source)
-    held = scene.with_(rigs=(rig,))
-    request = FinishRequest(source, tmp_path / "0", None, (), (1,), True, 0, held.to_json(), Tuning(), rigs=())
+    given_scene = scene.with_(rigs=(rig,))
+    request = FinishRequest(source, tmp_path / "0", given_scene.to_json(), Tuning(), Held(cameras=(1,)))
     finished = finish_model(request, lambda _: None)
     assert [said in line for line in finished.contradictions] == ([True] if said else [])
     assert ("what was given, and the images" in finished.tables) == (wrong == 1.02)

@@ -96,7 +96,7 @@ def test_a_relaxed_model_that_loses_images_is_not_kept(tmp_path: Path, monkeypat
     found = Diagnosis([], (), (0,), ["camera cam2 is not rigid"], True, {})
     monkeypatch.setattr(finish, "diagnose", lambda *_: found)
     monkeypatch.setattr(finish.soft, "available", lambda: True)
-    request = finish.FinishRequest(tmp_path, tmp_path, None, (0,), (), False, 0, scene.to_json(), Tuning(), rigs=(0,))
+    request = finish.FinishRequest(tmp_path, tmp_path, scene.to_json(), Tuning(), finish.Held(rigs=(0,), fixed=(0,)))
     for relaxed, kept in ((free, model), (pycolmap.Reconstruction(model), None)):
         monkeypatch.setattr(finish, "relax", lambda *_, to=relaxed: Relaxed(to, {}, ""))
         notes: list[str] = []

@@ -19,7 +19,7 @@ from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm import mapping
 from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.model import frame_poses, image_poses
-from tiegraph.sfm.run import Mapped, Request, run_mapper
+from tiegraph.sfm.run import Fixed, Mapped, Matches, Method, Request, run_mapper
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.start.poses import rig_of_poses, start_from
 from tiegraph.sfm.start.scale import path_scale
@@ -50,9 +50,9 @@ def _rough(true: np.ndarray, scene: Scene, turn_deg: float = 0.15, shift_m: floa
 
 def _map(folder: Path, scene: Scene, poses: np.ndarray, fixed: bool = True) -> Mapped:
     request = Request(
-        mapper="preview", seed=0, database=folder / "database.db", images=None, folder=folder / "run",
-        scene=scene.to_json(), rigs=Request.rigs_of(dict(enumerate(scene.rigs))), fixed=(0,) if fixed else (),
-        positions=False, constant_cameras=(1, 2, 3), all_constant=True, min_matches=15, poses=poses, tuning=Tuning(),
+        method=Method("preview"), matches=Matches(folder / "database.db", 15), images=None, folder=folder / "run",
+        fixed=Fixed((0,) if fixed else (), (1, 2, 3), all_cameras=True), scene=scene.to_json(),
+        rigs=Request.rigs_of(dict(enumerate(scene.rigs))), positions=False, poses=poses, tuning=Tuning(),
     )  # fmt: skip
     return run_mapper(request, lambda frames: None)
 

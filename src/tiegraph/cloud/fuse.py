@@ -93,13 +93,11 @@ def fuse(
     """Fuse the depth maps of ``names`` (``maps`` must be picklable if ``run`` uses processes). ``scratch`` is an empty
     folder for tile files, the result among them. Raises ReconstructionError if no depth map has a point."""
     voxel = settings.voxel_size or automatic_voxel(names, maps.depth, tuning.sampled_maps, run)
+    scatter = partial(_scatter_one, maps=maps, scratch=scratch, voxel=voxel, settings=settings, levels=tuning.levels)
     scattered: list[_Scattered] = []
     merged: dict[Tile, int] = {}
     for begin in range(0, len(names), _MAPS_AT_ONCE):
         numbered = list(enumerate(names))[begin : begin + _MAPS_AT_ONCE]
-        scatter = partial(
-            _scatter_one, maps=maps, scratch=scratch, voxel=voxel, settings=settings, levels=tuning.levels
-        )
         found = list(run(scatter, numbered))
         merged |= _merge(dict(zip([k for k, _ in numbered], found, strict=True)), scratch, voxel, tuning.levels, run)
         scattered += found

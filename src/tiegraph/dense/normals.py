@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -20,23 +20,31 @@ def with_normals(depth: DepthMap, tuning: NormalTuning) -> DepthMap:
     known = np.isfinite(depth.depth_m)
     inverse = np.where(known, 1 / np.where(known, depth.depth_m, 1), 0).astype(np.float64)
     middle = float(np.median(inverse[known])) if known.any() else 1.0
-    a, b, c, good = _plane(known.astype(np.float64), inverse / middle, tuning)
+    plane = _planes(known.astype(np.float64), inverse / middle, tuning)
     height, width = known.shape
     u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     K = depth.K
     # The window's plane is w = a (u' - u) + b (v' - v) + c about its centre (u, v).
     x, y = (u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]
-    n_x, n_y = a * K[0, 0], b * K[1, 1]
-    normal = np.stack([n_x, n_y, c - n_x * x - n_y * y], axis=-1)
+    n_x, n_y = plane.a * K[0, 0], plane.b * K[1, 1]
+    normal = np.stack([n_x, n_y, plane.c - n_x * x - n_y * y], axis=-1)
     normal = -normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
-    normal = np.where((good & known)[..., None], normal, np.nan).astype(np.float32)
+    normal = np.where((plane.good & known)[..., None], normal, np.nan).astype(np.float32)
     return replace(depth, normal=normal)
 
 
-def _plane(
-    known: np.ndarray, w: np.ndarray, tuning: NormalTuning
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Coefficients (a, b, c) of w = a du + b dv + c in the window about each pixel, and where the fit is good."""
+@dataclass(frozen=True)
+class _Planes:
+    """Coefficients (H, W) of w = a du + b dv + c in the window about each pixel, and where the fit is good."""
+
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+    good: np.ndarray  # bool
+
+
+def _planes(known: np.ndarray, w: np.ndarray, tuning: NormalTuning) -> _Planes:
+    """The planes that fit the known pixels best."""
     radius = tuning.radius_px
     k0 = np.ones(2 * radius + 1)
     k1 = np.arange(-radius, radius + 1, dtype=float)
@@ -60,4 +68,4 @@ def _plane(
     c = mw - a * mu - b * mv
     residual = np.maximum(sww / count - mw**2 - a * cwu - b * cwv, 0)
     good = (n >= tuning.min_pixels) & (det > 1e-3) & (residual <= (tuning.max_residual * mw) ** 2)
-    return a, b, c, good
+    return _Planes(a=a, b=b, c=c, good=good)

@@ -53,7 +53,9 @@ def load_view(
     if mask_path is not None and mask_path.exists():
         mask = _read(mask_path, cv2.IMREAD_GRAYSCALE, camera)
     K, size = pinhole_of(camera, settings, tuning)
-    x, y, valid = _maps(camera, (K[0, 0], K[1, 1], K[0, 2], K[1, 2]), size, tuning.round_trip_px)
+    params = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    pinhole = CameraModel(model="PINHOLE", width=size[0], height=size[1], params=params)
+    x, y, valid = _maps(camera, pinhole, tuning.round_trip_px)
     image, scale_x, scale_y = _reduced(image, K, camera, tuning.averaged_below)
     at_x, at_y = (x * scale_x - 0.5).astype(np.float32), (y * scale_y - 0.5).astype(np.float32)
     bgr = cv2.remap(image, at_x, at_y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
@@ -103,13 +105,10 @@ def _central_focal(camera: CameraModel) -> float:
 
 
 @lru_cache(maxsize=_MAX_CACHED_MAPS)
-def _maps(
-    camera: CameraModel, pinhole: tuple[float, float, float, float], size: tuple[int, int], round_trip_px: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Original pixel coordinates x, y (H, W) f4 of each undistorted pixel of the pinhole (fx, fy, cx, cy), and which
-    lie in the image (H, W) bool."""
-    fx, fy, cx, cy = pinhole
-    width, height = size
+def _maps(camera: CameraModel, pinhole: CameraModel, round_trip_px: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Original pixel coordinates x, y (H, W) f4 of each undistorted pixel, and which lie in the image (H, W) bool."""
+    fx, fy, cx, cy = pinhole.params
+    width, height = pinhole.width, pinhole.height
     u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     rays = np.stack([(u - cx) / fx, (v - cy) / fy, np.ones_like(u)], axis=-1).reshape(-1, 3)
     model = camera.pycolmap()

@@ -18,7 +18,7 @@ from tiegraph.masks.ego import Ego, different_frames, learn_ego
 from tiegraph.masks.evidence import Evidence, choose_pairs, pair_evidence
 from tiegraph.masks.lookup import Learnt
 from tiegraph.masks.proof import NONE, Ties, cost, moves, white_ties, without_sky
-from tiegraph.masks.seeds import SeedJob, Seeds, first_seeds, second_seeds, ties_of
+from tiegraph.masks.seeds import SeedJob, Seeds, TriedJob, first_seeds, second_seeds, ties_of
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.tuning import Tuning
 from tiegraph.masks.tuning_learnt import EvidenceTuning, SeedTuning
@@ -54,19 +54,11 @@ def learn(
     level = {k: zones[k] for k in keys if k not in upward}
     water = {} if settings.water == "off" else water_priors(level, settings.water == "on", tuning.water)
     count = max(tuning.seeds.least_images, tuning.seeds.images // max(1, len(keys)))
-    jobs = [
-        SeedJob(
-            camera=k,
-            image=image,
-            evidence=evidence,
-            zone=zones[k].mask if k in water else None,
-            ego=platforms[k].mask,
-            upward=k in upward,
-            tuning=tuning,
-        )
-        for k in keys
-        for image, evidence in _seed_images(cameras[k], seen[k], count)
-    ]
+    jobs = []
+    for k in keys:
+        zone, ego = zones[k].mask if k in water else None, platforms[k].mask
+        for image, evidence in _seed_images(cameras[k], seen[k], count):
+            jobs.append(SeedJob(k, image, evidence, zone=zone, ego=ego, upward=k in upward, tuning=tuning))
     seeds = list(apply(first_seeds, jobs))
     known = _appearances(jobs, seeds, upward, tuning)
     lowest = lowest_agreed([s.low for job, s in zip(jobs, seeds) if not job.upward], tuning.seeds)
@@ -76,9 +68,9 @@ def learn(
         for k in keys
     }
     # Once more, with what the first try calls water, sky and scene as seeds: they cover the images, the first did not.
-    again = list(apply(second_seeds, [(job, first[job.camera], settings) for job in jobs]))
+    again = list(apply(second_seeds, [TriedJob(job, first[job.camera], settings) for job in jobs]))
     made = _proven(first, jobs, again, settings.water == "on", tuning)
-    told = list(apply(ties_of, [(job, made[job.camera], settings) for job in jobs]))
+    told = list(apply(ties_of, [TriedJob(job, made[job.camera], settings) for job in jobs]))
     return {
         k: _with_notes(made[k], platforms[k], _of(k, jobs, [s.ties for s in again]), _of(k, jobs, told)) for k in keys
     }

@@ -69,9 +69,18 @@ def first_seeds(job: SeedJob) -> Seeds:
     return _seeds(image, {USE: static & free & ~water, WATER: water & free, SKY: sky & free & ~water}, tuning, low)
 
 
-def second_seeds(job: tuple[SeedJob, Learnt, MasksSettings]) -> Seeds:
+@dataclass(frozen=True)
+class TriedJob:
+    """An image with what was learnt of its camera, to be looked at again."""
+
+    seed: SeedJob
+    learnt: Learnt
+    settings: MasksSettings
+
+
+def second_seeds(job: TriedJob) -> Seeds:
     """What the first try calls water, sky and scene: it covers the images, the first seeds do not."""
-    seed, learnt, settings = job
+    seed, learnt, settings = job.seed, job.learnt, job.settings
     tuning = seed.tuning
     image = read_small(seed.image, tuning.frames.look_px)
     labels = classify(image, learnt, settings, tuning)
@@ -88,9 +97,9 @@ def second_seeds(job: tuple[SeedJob, Learnt, MasksSettings]) -> Seeds:
     return replace(seeds, ties=ties_in(classes, classes == SKY, seed.evidence, tuning.proof), edges=edges)
 
 
-def ties_of(job: tuple[SeedJob, Learnt, MasksSettings]) -> Ties:
+def ties_of(job: TriedJob) -> Ties:
     """Where the matches of an image lie in what ``learnt`` makes of it."""
-    seed, learnt, settings = job
+    seed, learnt, settings = job.seed, job.learnt, job.settings
     if seed.evidence is None:
         return NONE
     tuning = seed.tuning

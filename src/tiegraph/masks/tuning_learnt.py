@@ -90,7 +90,7 @@ class AppearanceTuning(Section):
     """Probability of a bin no seed ever fell into."""
 
     @property
-    def shape(self) -> tuple[int, int, int, int]:
+    def shape(self) -> tuple[int, ...]:
         """Bins of L, a, b and texture."""
         return self.light_bins, self.colour_bins, self.colour_bins, len(self.texture_edges_grey) + 1
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ def with_accuracy(
         return pairs
     matches = np.where(row >= 0, ties.counts()[row], 0)
     usable = np.flatnonzero((pairs.dropped == 0) & (matches >= tuning.min_points))
-    items = [(int(pairs.i[k]), int(pairs.j[k]), ties.of(int(row[k]))) for k in usable]
+    items = [_TwoViews(int(pairs.i[k]), int(pairs.j[k]), ties.of(int(row[k]))) for k in usable]
     found: list[TwoView | None] = run_map(_two_view_item, items, folder, tuning)
     sigma, ratio = np.array(pairs.sigma_m), np.array(pairs.h_over_b)
     frame_i, frame_j = scene.frame[pairs.i], scene.frame[pairs.j]
@@ -45,8 +46,17 @@ def with_accuracy(
     return pairs.with_(sigma_m=sigma, h_over_b=ratio)
 
 
-def _two_view_item(item: tuple[int, int, np.ndarray], folder: Path, tuning: TwoViewTuning) -> TwoView | None:
-    i, j, match = item
+@dataclass(frozen=True)
+class _TwoViews:
+    """Two images of the scene and their matches (M, 2)."""
+
+    i: int
+    j: int
+    match: np.ndarray
+
+
+def _two_view_item(item: _TwoViews, folder: Path, tuning: TwoViewTuning) -> TwoView | None:
+    i, j, match = item.i, item.j, item.match
     scene = _checked(folder)
     a, b = preview_of(folder, scene.names[i]), preview_of(folder, scene.names[j])
     cameras = [scene.sensor_of(k).camera for k in (i, j)]

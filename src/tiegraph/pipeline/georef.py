@@ -22,7 +22,8 @@ from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.world.fixes import Given, PositionRows
 from tiegraph.sfm.world.georef import Georeference, georeference_all
-from tiegraph.sfm.world.ground import GroundRequest, Held, ground
+from tiegraph.sfm.world.ground import GroundRequest, ground
+from tiegraph.sfm.world.worldadjust import Held
 
 
 def georef(run: Run) -> Outcome:
@@ -30,8 +31,13 @@ def georef(run: Run) -> Outcome:
     scene = checked(run).measured()
     receipt = run.receipts.read("sparse")
     sigma = receipt.get("counts", {})
-    inside = [sigma.get(n, float("nan")) for n in ("position_sigma_median", "scale_sigma")]
-    given = Given(_rows(run, scene), control_points(run, scene), _covered(run, scene), *inside)
+    given = Given(
+        rows=_rows(run, scene),
+        control=control_points(run, scene),
+        covered=_covered(run, scene),
+        model_sigma=sigma.get("position_sigma_median", float("nan")),
+        model_scale_sigma=sigma.get("scale_sigma", float("nan")),
+    )
     folders = sorted((p for p in run.path("sparse").iterdir() if p.name.isdigit()), key=lambda p: int(p.name))
     scratch = run.path("sparse", ".world")
     remove(scratch)

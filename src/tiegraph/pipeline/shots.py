@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -38,8 +39,8 @@ def shots(run: Run) -> Outcome:
     for frame in range(scene.frames):
         views = shot_views(scene, frame)
         found = depth_range(views, sought.near_m, sought.far_m, tuning)
-        items.append((cloud_path(run.folder, scene, frame), views, found))
-    todo = [item for item in items if not item[0].exists()]
+        items.append(_Shot(cloud_path(run.folder, scene, frame), views, found))
+    todo = [item for item in items if not item.cloud.exists()]
     run.reporter.total(len(items), len(items) - len(todo))
     run.map(partial(_shot, folder=run.folder, settings=run.settings), todo)
     remove(run.path(_FOLDER, ".tiles"))
@@ -69,11 +70,20 @@ def cloud_path(folder: Path, scene: Scene, frame: int) -> Path:
     return folder / _FOLDER / f"{name}_{frame:06d}.ply"
 
 
-def _shot(item: tuple[Path, list[ViewPlan], DepthRange], folder: Path, settings: Settings) -> None:
+@dataclass(frozen=True)
+class _Shot:
+    """One shot: where its cloud goes, its images, and the depths that are looked for."""
+
+    cloud: Path
+    views: list[ViewPlan]
+    depths: DepthRange
+
+
+def _shot(item: _Shot, folder: Path, settings: Settings) -> None:
     """Depth maps and cloud of one shot."""
-    path, views, sought = item
+    path = item.cloud
     dense, tuning, images = settings.dense, settings.tuning.dense, folder / "images"
-    plan = plan_shot(views, sought, dense, tuning)
+    plan = plan_shot(item.views, item.depths, dense, tuning)
     masks = folder / "masks" if (folder / "masks").is_dir() else None
     first = {n: depth_map(p, images, masks, dense, tuning, cv2.getNumThreads()) for n, p in plan.images.items()}
     for name, image in plan.images.items():

@@ -123,7 +123,9 @@ def assign(rig: str | None, usable: Usable, settings: ScanSettings, report: Repo
 
 
 def _shot(image: int, name: str, owner: tuple[int, int], place: Place, loose: bool) -> Shot:
-    return Shot(image, *owner, "" if loose else place.track, shot_stem(name, place.folder))
+    rig, sensor = owner
+    track = "" if loose else place.track
+    return Shot(image=image, rig=rig, sensor=sensor, track=track, stem=shot_stem(name, place.folder))
 
 
 def _guessed_rig(layout: Layout) -> RigSpec:

@@ -56,7 +56,7 @@ def calibrate(
                 f"crop_px = {list(crop)} of sensor {spec.name!r} leaves less than {tuning.min_side_px} px of "
                 f"{camera.width} x {camera.height}: left, top, right, bottom are the pixels to cut off"
             )
-        prepared = crop_camera(camera, crop)
+        prepared = crop_camera(camera, *crop)
     if settings.undistort:
         if spec.params is None:
             raise InputError(

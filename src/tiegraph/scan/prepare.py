@@ -46,9 +46,8 @@ def prepare_image(source: Path, target: Path, sensor: Sensor, settings: ScanSett
             write_pixels(partial, pixels, tuning)
 
 
-def crop_camera(camera: pycolmap.Camera, crop_px: tuple[int, int, int, int]) -> pycolmap.Camera:
-    """Camera of an image with pixels cut off (left, top, right, bottom)."""
-    left, top, right, bottom = crop_px
+def crop_camera(camera: pycolmap.Camera, left: int, top: int, right: int, bottom: int) -> pycolmap.Camera:
+    """Camera of an image with so many pixels cut off."""
     data = camera_to_dict(camera) or {}
     data["width"] -= left + right
     data["height"] -= top + bottom
@@ -85,7 +84,7 @@ def _changed_pixels(
         pixels = _turn(pixels, image.getexif().get(_ORIENTATION, 1))
     pixels = _cropped(pixels, how)
     if bend and how.camera is not None and sensor.camera is not None:
-        pixels = _undistort(pixels, crop_camera(how.camera, how.crop_px), sensor.camera)
+        pixels = _undistort(pixels, crop_camera(how.camera, *how.crop_px), sensor.camera)
     return pixels
 
 

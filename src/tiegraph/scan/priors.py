@@ -202,23 +202,32 @@ def _with_paths(priors: Priors, frames: Frames, paths: _Paths, notes: list[str],
             few = f"fewer than {tuning.least_positions}, or too close together"
             notes.append(f"trajectory of {where}: not laid on the positions ({few})")
             continue
-        rotation, antenna, scale, rms = laid
         measured = np.isfinite(pose[rows, 0, 3])
-        pose[rows] = rigid(rotation, np.where(measured[:, None], pose[rows, :3, 3], antenna))
+        pose[rows] = rigid(laid.rotation, np.where(measured[:, None], pose[rows, :3, 3], laid.antenna))
         notes.append(
-            f"trajectory of {where} laid level on {measured.sum()} positions: scale {scale:.4f}, rms {rms:.2f} m; "
-            f"{(~measured).sum()} frames without one take it from the trajectory, for choosing pairs only"
+            f"trajectory of {where} laid level on {measured.sum()} positions: scale {laid.scale:.4f}, "
+            f"rms {laid.rms_m:.2f} m; {(~measured).sum()} frames without one take it from the trajectory, for choosing "
+            "pairs only"
         )
     return replace(priors, world_from_rig=pose)
 
 
+@dataclass(frozen=True)
+class _Laid:
+    """Odometry in the world: world_from_rig rotations (R, 3, 3), antenna positions (R, 3), scale and rms."""
+
+    rotation: np.ndarray
+    antenna: np.ndarray
+    scale: float
+    rms_m: float
+
+
 def _lay_on_gnss(
     poses: np.ndarray, target: np.ndarray, sigma: np.ndarray, frames: Frames, rows: np.ndarray, tuning: TrajectoryTuning
-) -> tuple[np.ndarray, np.ndarray, float, float] | None:
+) -> _Laid | None:
     """Turn about the vertical, scale and shift that take the antenna's path in odometry to GNSS positions.
 
-    Level = the mean up direction of the body; a free rotation would be undetermined about a straight track. Returns
-    world_from_rig rotations (R, 3, 3), antenna positions (R, 3), scale and rms (m), or None.
+    Level = the mean up direction of the body; a free rotation would be undetermined about a straight track.
     """
     rig, spec = frames.rigs[frames.rows[rows[0]].rig], frames.specs[frames.rows[rows[0]].rig]
     rig_from_body, axes = body_of(spec)
@@ -236,8 +245,14 @@ def _lay_on_gnss(
         return None
     scale = 1.0
     for _ in range(tuning.scale_rounds):  # the lever arm is in metres, the odometry need not be
-        turn, scale, shift, rms = _fit_level((centre + arm / scale)[good], target[good], sigma[good], tuning.fit_rounds)
-    return turn @ level @ poses[:, :3, :3], (scale * centre + arm) @ turn.T + shift, scale, rms
+        fit = _fit_level((centre + arm / scale)[good], target[good], sigma[good], tuning.fit_rounds)
+        scale = fit.scale
+    return _Laid(
+        rotation=fit.turn @ level @ poses[:, :3, :3],
+        antenna=(scale * centre + arm) @ fit.turn.T + fit.shift,
+        scale=scale,
+        rms_m=fit.rms_m,
+    )
 
 
 def _turn_to_z(up: np.ndarray) -> np.ndarray:
@@ -248,10 +263,18 @@ def _turn_to_z(up: np.ndarray) -> np.ndarray:
     return np.eye(3) + x + x @ x / (1 + up[2])
 
 
-def _fit_level(
-    path: np.ndarray, target: np.ndarray, sigma: np.ndarray, rounds: int
-) -> tuple[np.ndarray, float, np.ndarray, float]:
-    """Rotation about z, scale, shift and rms, by reweighted least squares (Cauchy weights, residuals over sigma)."""
+@dataclass(frozen=True)
+class _LevelFit:
+    """Rotation about z (3, 3), scale, shift (3,) and rms."""
+
+    turn: np.ndarray
+    scale: float
+    shift: np.ndarray
+    rms_m: float
+
+
+def _fit_level(path: np.ndarray, target: np.ndarray, sigma: np.ndarray, rounds: int) -> _LevelFit:
+    """By reweighted least squares (Cauchy weights, residuals over sigma)."""
     source, goal = path[:, 0] + 1j * path[:, 1], target[:, 0] + 1j * target[:, 1]
     weight = 1 / sigma[:, 0] ** 2
     for _ in range(rounds):
@@ -264,4 +287,4 @@ def _fit_level(
     flat = g0 - a * s0
     height = np.average(target[:, 2] - scale * path[:, 2], weights=1 / sigma[:, 2] ** 2)
     rms = float(np.sqrt(np.average(residual**2, weights=weight)))
-    return turn, scale, np.array([flat.real, flat.imag, height]), rms
+    return _LevelFit(turn=turn, scale=scale, shift=np.array([flat.real, flat.imag, height]), rms_m=rms)

@@ -6,6 +6,7 @@ In a file coordinates are those of the CRS: world + the recorded shift. ENU and 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -261,7 +262,7 @@ def _ply_rows(cloud: Cloud, shift: np.ndarray) -> np.ndarray:
 def _read_ply(path: Path, origin: Origin | None) -> Cloud:
     with open(path, "rb") as file:
         header = _read_ply_header(file, path)
-        rows = _read_ply_body(file, path, *header[:3])
+        rows = _read_ply_body(file, path, header)
     if not {"x", "y", "z"} <= set(rows.dtype.names or ()):
         raise InputError(f"{path}: its vertices have no x, y, z")
     xyz = np.stack([rows[c].astype(float) for c in "xyz"], axis=1)
@@ -270,14 +271,23 @@ def _read_ply(path: Path, origin: Origin | None) -> Cloud:
     if {"red", "green", "blue"} <= set(names):
         rgb = np.stack([rows[c] for c in ("red", "green", "blue")], axis=1).astype(np.uint8)
     columns = {new: rows[old] for old, new in _PLY_NAMES.items() if old in names}
-    return _cloud(xyz, rgb, columns, origin if origin is not None else header[3])
+    return _cloud(xyz, rgb, columns, origin if origin is not None else header.origin)
 
 
 _PLY_NAMES = {"nx": "NormalX", "ny": "NormalY", "nz": "NormalZ", "sigma_m": "sigma_m", "views": "views"}
 
 
-def _read_ply_header(file: BinaryIO, path: Path) -> tuple[str, int, list[tuple[str, str]], Origin | None]:
-    """(format, number of vertices, their (name, type), origin from our own comments)."""
+@dataclass(frozen=True)
+class _PlyHeader:
+    """Format, number of vertices, their (name, type), origin from our own comments."""
+
+    kind: str
+    count: int
+    properties: list[tuple[str, str]]
+    origin: Origin | None
+
+
+def _read_ply_header(file: BinaryIO, path: Path) -> _PlyHeader:
     if file.readline().strip() != b"ply":
         raise InputError(f"{path} is not a PLY file: it does not begin with 'ply'")
     kind, count, element = "", 0, ""
@@ -301,7 +311,7 @@ def _read_ply_header(file: BinaryIO, path: Path) -> tuple[str, int, list[tuple[s
             properties.append((words[2], _PLY_TYPES[words[1]]))
         elif words[:1] == ["comment"] and len(words) > 2:
             comments[words[1]] = words[2:]
-    return kind, count, properties, _ply_origin(comments)
+    return _PlyHeader(kind=kind, count=count, properties=properties, origin=_ply_origin(comments))
 
 
 def _ply_origin(comments: dict[str, list[str]]) -> Origin | None:
@@ -313,7 +323,8 @@ def _ply_origin(comments: dict[str, list[str]]) -> Origin | None:
         return None
 
 
-def _read_ply_body(file: BinaryIO, path: Path, kind: str, count: int, properties: list[tuple[str, str]]) -> np.ndarray:
+def _read_ply_body(file: BinaryIO, path: Path, header: _PlyHeader) -> np.ndarray:
+    kind, count, properties = header.kind, header.count, header.properties
     order = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}.get(kind)
     if order is None:
         raise InputError(f"{path}: unknown PLY format {kind!r}")

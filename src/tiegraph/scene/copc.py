@@ -82,9 +82,10 @@ def write_copc(parts: Callable[[], Iterator[Cloud]], path: Path, spacing: float,
     sets how deep the octree is. Memory is that of one part and a batch of nodes; the folder ``scratch`` holds the
     records once more while it is written. Returns remarks as ``write_cloud``. Raises TiegraphError for a full disk.
     """
-    first, low, high, count = _extent(parts())
+    whole = _extent(parts())
+    first, low, high = whole.first, whole.low, whole.high
     header, notes = las_header(first, spacing)
-    if not count:
+    if not whole.count:
         low, high = np.zeros(3), np.ones(3)
     low, high = (v + shift_of(first.origin) for v in (low, high))
     side = float(max((high - low).max(), _CELLS * spacing)) * (1 + 1e-6)
@@ -102,7 +103,17 @@ def write_copc(parts: Callable[[], Iterator[Cloud]], path: Path, spacing: float,
     return notes
 
 
-def _extent(parts: Iterator[Cloud]) -> tuple[Cloud, np.ndarray, np.ndarray, int]:
+@dataclass(frozen=True)
+class _Extent:
+    """The first part of a cloud, the corners (3,) of all, and how many points there are."""
+
+    first: Cloud
+    low: np.ndarray
+    high: np.ndarray
+    count: int
+
+
+def _extent(parts: Iterator[Cloud]) -> _Extent:
     low, high, count = np.full(3, np.inf), np.full(3, -np.inf), 0
     first: Cloud | None = None
     for part in parts:
@@ -110,7 +121,7 @@ def _extent(parts: Iterator[Cloud]) -> tuple[Cloud, np.ndarray, np.ndarray, int]
         if len(part):
             low, high = np.minimum(low, part.xyz_m.min(axis=0)), np.maximum(high, part.xyz_m.max(axis=0))
             count += len(part)
-    return Cloud.empty() if first is None else first, low, high, count
+    return _Extent(first=Cloud.empty() if first is None else first, low=low, high=high, count=count)
 
 
 def _spilled(parts: Iterator[Cloud], tree: _Octree, header: laspy.LasHeader, path: Path) -> _Spill:

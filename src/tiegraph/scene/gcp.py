@@ -280,7 +280,9 @@ def _read_table(table: Table, points: dict[str, FilePoint], marks: list[FileMark
             raise InputError(f"{path}, line {line}: the point has no name")
         if whole[0] and any(table.cell(row, c) for c in columns):
             place = tuple(_number(table.cell(row, c), path, line) for c in columns)
-            _add(points, FilePoint(label, place, *_row_facts(table, row, tuning), line), path)  # type: ignore[arg-type]
+            sigma_m, check = _row_facts(table, row, tuning)
+            point = FilePoint(name=label, xyz=place, sigma_m=sigma_m, check=check, line=line)  # type: ignore[arg-type]
+            _add(points, point, path)
         if table.cell(row, image):
             xy = _number(table.cell(row, px), path, line), _number(table.cell(row, py), path, line)
             marks.append(FileMark(name=label, image=table.cell(row, image), xy=xy, line=line))

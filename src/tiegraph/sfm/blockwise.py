@@ -66,7 +66,12 @@ def poses_by_blocks(
     """Poses of all images from rough models of blocks. ``request``: that of the whole; ``run_map`` runs the blocks."""
     blocks = blocks_of(scene, _Links(graph.pairs[:, 0], graph.pairs[:, 1], graph.inliers), tuning.blocks)
     parts = [
-        replace(request, folder=request.folder / f"block-{k}", rough=True, only=block.images)
+        replace(
+            request,
+            folder=request.folder / f"block-{k}",
+            method=replace(request.method, rough=True),
+            matches=replace(request.matches, only=block.images),
+        )
         for k, block in enumerate(blocks)
     ]
     request.folder.mkdir(parents=True, exist_ok=True)

@@ -46,28 +46,32 @@ HEALTH_FILE = "rig_health.csv"
 
 
 @dataclass(frozen=True)
+class Held:
+    """How rigs (scene indices) and cameras (COLMAP ids) are held by what was given."""
+
+    rigs: tuple[int, ...] = ()  # that the model was made with
+    fixed: tuple[int, ...] = ()  # rigs whose extrinsics stay
+    soft: tuple[int, ...] = ()  # rigs whose extrinsics are known with a sigma
+    ordered: tuple[int, ...] = ()  # rigs that the user wants as given, whatever the images say
+    alone: tuple[int, ...] = ()  # keys of sensors placed by the rig as given
+    cameras: tuple[int, ...] = ()  # whose calibration stays
+    lenses_ordered: bool = False  # by the user
+
+
+@dataclass(frozen=True)
 class FinishRequest:
     """What the finishing of one model needs, in picklable form."""
 
     folder: Path
     target: Path
-    images: Path | None  # None = no colours
-    fixed: tuple[int, ...]  # rig indices whose extrinsics stay
-    constant_cameras: tuple[int, ...]
-    all_constant: bool
-    covariance_frames: int  # 0: no sigmas wanted
     scene: str  # JSON
     tuning: Tuning
-    alone: tuple[int, ...] = ()  # keys of sensors placed by the rig as given
-    soft: tuple[int, ...] = ()  # rig indices whose extrinsics are known with a sigma
-    rigs: tuple[int, ...] = ()  # rig indices the model was made with
-    database: Path | None = None  # None: the place of frames is not tested
-    refused: tuple[tuple[int, int], ...] = ()
+    held: Held
+    images: Path | None = None  # None = no colours
+    matched: Matched | None = None  # None: the place of frames is not tested
     preview: np.ndarray | None = None  # (F, 4, 4) world_from_rig of the frames in a rough model
-    scratch: Path | None = None  # None: below ``folder``
+    covariance_frames: int = 0  # 0: no sigmas wanted
     rough: bool = False  # as the mapper left it
-    ordered: tuple[int, ...] = ()  # rig indices that the user wants as given, whatever the images say
-    lenses_ordered: bool = False  # likewise the lenses
 
 
 @dataclass(frozen=True)
@@ -100,8 +104,8 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> Finishe
     if checked.statements:
         tables["what was given, and the images"] = statement_table(checked.statements)
     _ties_between(checked, scene, request, notes)
-    if request.alone:
-        place_as_given(model, scene, request.alone, request.tuning.rig.support)
+    if request.held.alone:
+        place_as_given(model, scene, request.held.alone, request.tuning.rig.support)
     try:
         if request.images is not None:
             model.extract_colors_for_all_images(request.images)
@@ -124,23 +128,18 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> Finishe
 
 
 def _settled(model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest) -> Settled:
-    if request.database is None:
+    if request.matched is None:
         return Settled(model)
-    # COLMAP asks for a folder of images, though points need none.
-    scratch = request.scratch or request.folder / "placement"
-    source = Matched(
-        database=request.database, images=request.images or request.folder, refused=request.refused, scratch=scratch
-    )
-    rigs = {k: scene.rigs[k] for k in request.rigs}
+    rigs = {k: scene.rigs[k] for k in request.held.rigs}
     try:
         return settle(
             pycolmap.Reconstruction(model),
             scene,
-            source,
+            request.matched,
             rigs,
             request.preview,
             request.tuning.placement,
-            frozenset(request.alone),
+            frozenset(request.held.alone),
         )
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
         return Settled(model, [f"the place of the frames could not be tested: {error}"])
@@ -151,15 +150,15 @@ def _adjusted(
 ) -> pycolmap.Reconstruction:
     rig = request.tuning.rig
     known = given_geometry(model, scene, (), rig.given)
-    fixed = [k + 1 for k in request.fixed]
-    if request.soft and soft.available():
+    fixed = [k + 1 for k in request.held.fixed]
+    if request.held.soft and soft.available():
         scale = 1 / units_per_metre(model, scene, rig.support)
         model.transform(pycolmap.Sim3d(scale, pycolmap.Rotation3d(), np.zeros(3)))
-        known = given_geometry(model, scene, request.soft, rig.given)
-    elif request.soft:
-        fixed += [k + 1 for k in request.soft]
+        known = given_geometry(model, scene, request.held.soft, rig.given)
+    elif request.held.soft:
+        fixed += [k + 1 for k in request.held.soft]
         notes.append("the rig's sigmas are not used, its extrinsics stay as mapped: the package pyceres is missing")
-    adjustment = final_adjustment(model, fixed, request.constant_cameras, known, tuning=request.tuning.adjust)
+    adjustment = final_adjustment(model, fixed, request.held.cameras, known, tuning=request.tuning.adjust)
     notes.append(adjustment.note)
     return adjustment.model
 
@@ -189,7 +188,7 @@ def _checked_rig(
     out = _Checked(model)
     if not request.rough:
         _single_lenses(out, scene, request, notes)
-    if not request.rigs:
+    if not request.held.rigs:
         return out
     metres = 1 / units_per_metre(model, scene, request.tuning.rig.support)
     try:
@@ -203,7 +202,7 @@ def _checked_rig(
     relaxed = _relaxed(out, mapped, scene, request, found, metres, notes)
     last: dict[int, Judgement] = {}
     for index, heard in found.heard.items():
-        if index not in relaxed and index in request.fixed:
+        if index not in relaxed and index in request.held.fixed:
             notes += open_times(heard, scene, index)
         elif index not in relaxed:
             out.levers |= {k: v / metres for k, v in lever_sigmas(heard, scene, index).items()}
@@ -223,7 +222,7 @@ def _single_lenses(out: _Checked, scene: Scene, request: FinishRequest, notes: l
     """Confront the calibrations of single cameras that were held with the images."""
     first = 0
     for index, rig in enumerate(scene.rigs):
-        held = len(rig.sensors) == 1 and first + 1 in request.constant_cameras
+        held = len(rig.sensors) == 1 and first + 1 in request.held.cameras
         first += len(rig.sensors)
         try:
             heard = hear_lens(out.model, scene, index, request.tuning) if held else None
@@ -236,11 +235,11 @@ def _single_lenses(out: _Checked, scene: Scene, request: FinishRequest, notes: l
 
 def _ties_between(checked: _Checked, scene: Scene, request: FinishRequest, notes: list[str]) -> None:
     """Say whether the verified matches between the cameras of rigs agree with the model as it is in the end."""
-    if request.database is None or request.rough or not request.rigs:
+    if request.matched is None or request.rough or not request.held.rigs:
         return
     try:
         seen = seen_by(checked.model, scene, request.tuning.placement.agreement)
-        verified = read_verified(request.database, scene, request.refused)
+        verified = read_verified(request.matched.database, scene, request.matched.refused)
         found = ties.camera_ties(verified, seen, scene, request.tuning.rig.ties)
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
         notes.append(f"the ties between cameras could not be checked: {error}")
@@ -268,7 +267,7 @@ def _relaxed(
     relaxed: dict[int, Relaxed] = {}
     for index in found.moving:
         name = scene.rigs[index].name
-        if index in request.ordered:
+        if index in request.held.ordered:
             out.contradictions.append(
                 f"rig {name} was ordered to stay as given (sparse.rig = fixed) and does; the images contradict it: "
                 + "; ".join(found.notes)
@@ -282,13 +281,13 @@ def _relaxed(
         # What the rigid adjustment threw out is wanted here: the points the mapper had.
         start = with_sightings_of(out.model, mapped) if found.loose or freed else out.model
         # What calibrated lenses do beyond their model looks like turned cameras; lenses that are adjusted do not.
-        bent = not request.constant_cameras and any(what == "mount" for what, _ in freed)
+        bent = not request.held.cameras and any(what == "mount" for what, _ in freed)
         calibrated = _measured(index, request) and not bent
         believed = Believed(
             metres_per_unit=metres,
             calibrated=calibrated,
-            constant_cameras=request.constant_cameras,
-            lenses_held=request.lenses_ordered,
+            constant_cameras=request.held.cameras,
+            lenses_held=request.held.lenses_ordered,
         )
         free = relax(start, scene, index, believed, request.tuning, found.loose)
         lost = lost_images(out.model, free.model, scene, request.tuning.adjust.min_points)
@@ -301,7 +300,7 @@ def _relaxed(
 
 
 def _measured(index: int, request: FinishRequest) -> bool:
-    return index in request.fixed or index in request.soft
+    return index in request.held.fixed or index in request.held.soft
 
 
 def _confronted(
@@ -315,9 +314,9 @@ def _confronted(
         heard = heard if again is None else again
     refined = None
     bent = any(what == "mount" for what, _ in heard.freed)
-    if bent and not relaxed and index in request.fixed and soft.available():
-        fixed = [k + 1 for k in request.fixed]
-        refined = refine(out.model, scene, index, heard, fixed, request.constant_cameras, request.tuning.adjust)
+    if bent and not relaxed and index in request.held.fixed and soft.available():
+        fixed = [k + 1 for k in request.held.fixed]
+        refined = refine(out.model, scene, index, heard, fixed, request.held.cameras, request.tuning.adjust)
     if refined is not None:  # where the rest is no longer bent by it, the sigmas are better
         again = hear(refined, scene, index, metres, request.tuning)
         if again is not None and any(what == "mount" for what, _ in again.freed):
@@ -328,7 +327,7 @@ def _confronted(
     if not said.contradictions:
         return heard
     how, followed = "", False
-    if index in request.ordered:
+    if index in request.held.ordered:
         how = "; held as given all the same (sparse.rig = fixed)"
     elif refined is not None and not lost_images(out.model, refined, scene, request.tuning.adjust.min_points):
         out.model, followed = refined, True
@@ -381,8 +380,8 @@ def _sigma(checked: _Checked, scene: Scene, request: FinishRequest, notes: list[
             notes.append(f"position sigmas not computed: {frames} frames, more than sparse.covariance_frames")
         return None
     try:
-        free = free_cameras(model, request.tuning.adjust) - set(request.constant_cameras)
-        rigs = set(model.rigs) - {k + 1 for k in request.fixed}
+        free = free_cameras(model, request.tuning.adjust) - set(request.held.cameras)
+        rigs = set(model.rigs) - {k + 1 for k in request.held.fixed}
         return position_sigma(
             model, free, rigs, checked.ties, drawings(model, scene), checked.off, tuning=request.tuning
         )

@@ -17,10 +17,9 @@ from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import RegisteredTuning
 from tiegraph.scene.tuning import Tuning as SceneTuning
-from tiegraph.sfm.blockwise import RunMap, serially
 from tiegraph.sfm.covariance import PositionSigma
 from tiegraph.sfm.database import ViewGraph
-from tiegraph.sfm.finish import Finished, FinishRequest, finish_model
+from tiegraph.sfm.finish import Finished, FinishRequest, Held, finish_model
 from tiegraph.sfm.losses import (
     camera_notes,
     camera_table,
@@ -30,13 +29,16 @@ from tiegraph.sfm.losses import (
     unregistered,
     weakly_held,
 )
-from tiegraph.sfm.mapping import SCRATCH, Job, Outcome, Progress, believed_cameras, map_images
+from tiegraph.sfm.mapping import SCRATCH, Account, Job, Outcome, Source, believed_cameras, map_images
 from tiegraph.sfm.model import frame_poses, registration_tables
+from tiegraph.sfm.placement.settle import Matched
 from tiegraph.sfm.rig.rig import DerivedRig, derive_rig, rig_modes, rig_table
 from tiegraph.sfm.rig.support import ties_of, unsupported_sensors
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.rig import DeriveTuning
+
+__all__ = ["Model", "Source", "SparseResult", "reconstruct"]
 
 
 @dataclass(frozen=True)
@@ -82,20 +84,6 @@ class SparseResult:
         return read_model(self.models[model].folder)
 
 
-@dataclass(frozen=True)
-class Source:
-    """What to map: a database with verified matches, the image folder (None: the points get no colours), pairs (scene
-    indices) not to use; ``rough``: poses good to 0.1 degrees will do, a fifth of the time."""
-
-    database: Path
-    images: Path | None
-    refused: tuple[tuple[int, int], ...] = ()
-    rough: bool = False
-    preview: np.ndarray | None = None  # (N, 4, 4) cam_from_world of the images in a rough model that is believed
-    run_map: RunMap = serially  # for the blocks of a large survey
-    on_progress: Progress = lambda registered, total: None  # counts images
-
-
 def reconstruct(
     source: Source,
     out: Path,
@@ -110,48 +98,45 @@ def reconstruct(
     The database is read, never changed. Raises ReconstructionError, with the counts and remedies, when no model can be
     made; SettingsError for a fixed rig without extrinsics.
     """
-    database, images, refused = source.database, source.images, source.refused
     modes = rig_modes(scene, settings.rig)
-    graph = ViewGraph(database, scene, settings.min_matches, refused)
+    graph = ViewGraph(source.database, scene, settings.min_matches, source.refused)
     if len(graph.pairs) == 0:
         raise ReconstructionError(no_model_text(scene, graph, "no pair of images has enough verified matches"))
     out.mkdir(parents=True, exist_ok=True)
     for old in (p for p in out.iterdir() if p.is_dir() and p.name.isdigit()):
         shutil.rmtree(old)
-    alone, notes = unsupported_sensors(scene, graph, modes, tuning.rig.support), []
-    without = (*refused, *ties_of(scene, graph, alone))
-    if alone and len(without) - len(refused) < len(graph.pairs):  # else nothing would be left to map
-        names = ", ".join(scene.all_sensors[k].name for k in alone)
-        notes.append(f"too few ties of {names}: placed by the rig as given, its own ties are not used")
-        refused, graph = without, ViewGraph(database, scene, settings.min_matches, without)
-    else:
-        alone = ()
     job = Job(
-        database=database,
-        images=images,
-        rough=source.rough,
+        source=source,
         out=out,
         scene=scene,
         settings=settings,
         tuning=tuning,
         shared=shared,
         log=log,
-        on_progress=source.on_progress,
         graph=graph,
-        runs=[],
-        notes=notes,
-        refused=refused,
-        alone=alone,
-        preview=source.preview,
-        run_map=source.run_map,
+        account=Account(),
     )
     try:
-        return _reconstruct(job, modes)
+        return _reconstruct(_without_unsupported(job, modes), modes)
     finally:
         shutil.rmtree(out / SCRATCH, ignore_errors=True)
 
 
+def _without_unsupported(job: Job, modes: dict[int, str]) -> Job:
+    """Sensors with too few ties are placed by their rig: the job without their ties, where others are left to map."""
+    scene, graph, source = job.scene, job.graph, job.source
+    alone = unsupported_sensors(scene, graph, modes, job.tuning.rig.support)
+    without = (*source.refused, *ties_of(scene, graph, alone))
+    if not alone or len(without) - len(source.refused) >= len(graph.pairs):
+        return job
+    names = ", ".join(scene.all_sensors[k].name for k in alone)
+    job.account.notes.append(f"too few ties of {names}: placed by the rig as given, its own ties are not used")
+    graph = ViewGraph(source.database, scene, job.settings.min_matches, without)
+    return replace(job, source=replace(source, refused=without), graph=graph, alone=alone)
+
+
 def _reconstruct(job: Job, modes: dict[int, str]) -> SparseResult:
+    """Map, first without the rigs that are unknown and derived from that; finish the models; account for the rest."""
     rigs = {k: job.scene.rigs[k] for k, mode in modes.items() if mode != "derived"}
     outcome = None
     unknown = [k for k, mode in modes.items() if mode == "derived"]
@@ -174,7 +159,7 @@ def _derive(job: Job, unknown: list[int], outcome: Outcome) -> dict[int, Rig]:
     rigs = {}
     for index in unknown:
         result = derive_rig(job.scene, index, models, job.tuning.rig.derive)
-        job.notes.append(_derived_note(job.scene.rigs[index], result, job.tuning.rig.derive))
+        job.account.notes.append(_derived_note(job.scene.rigs[index], result, job.tuning.rig.derive))
         if result.rig is not None:
             rigs[index] = result.rig
     return rigs
@@ -196,32 +181,40 @@ def _derived_note(rig: Rig, result: DerivedRig, tuning: DeriveTuning) -> str:
 def _finish(job: Job, outcome: Outcome, modes: dict[int, str]) -> Finished:
     """Adjust, check, colour and write the models to their place; what there is to say of the first."""
     out = []
-    constant = believed_cameras(job.scene, job.settings)
-    preview = None if job.preview is None else frame_poses(job.preview, job.scene)
+    held = Held(
+        rigs=() if job.source.rough else tuple(modes),
+        fixed=tuple(k for k, mode in modes.items() if mode == "fixed"),
+        soft=tuple(k for k, mode in modes.items() if mode == "soft"),
+        ordered=tuple(modes) if job.settings.rig == "fixed" else (),
+        alone=job.alone,
+        cameras=believed_cameras(job.scene, job.settings),
+        lenses_ordered=job.settings.refine_intrinsics == "no",
+    )
+    preview = None if job.source.preview is None else frame_poses(job.source.preview, job.scene)
     for number, folder in enumerate(outcome.folders):
         request = FinishRequest(
             folder=folder,
             target=job.out / str(number),
-            images=job.images,
-            fixed=tuple(k for k, mode in modes.items() if mode == "fixed"),
-            constant_cameras=constant,
-            all_constant=len(constant) == len(job.scene.all_sensors),
-            covariance_frames=0 if number else job.settings.covariance_frames,
+            images=job.source.images,
             scene=job.scene.to_json(),
             tuning=job.tuning,
-            alone=job.alone,
-            rough=job.rough,
-            soft=tuple(k for k, mode in modes.items() if mode == "soft"),
-            rigs=() if job.rough else tuple(modes),
-            ordered=tuple(modes) if job.settings.rig == "fixed" else (),
-            lenses_ordered=job.settings.refine_intrinsics == "no",
-            database=None if number or job.rough else job.database,
-            refused=job.refused,
+            held=held,
+            matched=None if number or job.source.rough else _matched(job, folder),
             preview=preview,
+            covariance_frames=0 if number else job.settings.covariance_frames,
+            rough=job.source.rough,
         )
         out.append(run_in_child(finish_model, request, log=job.log, task="final adjustment"))
-    job.notes.extend(out[0].notes)
+    job.account.notes.extend(out[0].notes)
     return out[0]
+
+
+def _matched(job: Job, folder: Path) -> Matched:
+    # COLMAP asks for a folder of images, though points need none.
+    images = job.source.images or folder
+    return Matched(
+        database=job.source.database, images=images, refused=job.source.refused, scratch=folder / "placement"
+    )
 
 
 def _account(job: Job, outcome: Outcome, rig: str, finished: Finished) -> SparseResult:
@@ -234,7 +227,7 @@ def _account(job: Job, outcome: Outcome, rig: str, finished: Finished) -> Sparse
         "models": models_table(models),
         "runs": {
             "columns": ["mapper", "rig", "priors", "", "models", "images seeing points", "points", "seconds"],
-            "rows": job.runs,
+            "rows": job.account.runs,
         },
         **registration_tables(scene, models[0].found),
         "cameras": camera_table(main, scene),
@@ -243,8 +236,10 @@ def _account(job: Job, outcome: Outcome, rig: str, finished: Finished) -> Sparse
     }
     first = models[0]
     held = [k for k, mode in rig_modes(scene, job.settings.rig).items() if mode in ("fixed", "soft")]
-    doubts = [] if job.rough else rig_doubts(main, scene, held, first.registered, job.graph.components[0], job.tuning)
-    held_by = [] if job.rough else weakly_held(scene, job.graph, first.found, job.tuning.losses)
+    doubts = (
+        [] if job.source.rough else rig_doubts(main, scene, held, first.registered, job.graph.components[0], job.tuning)
+    )
+    held_by = [] if job.source.rough else weakly_held(scene, job.graph, first.found, job.tuning.losses)
     counts: dict[str, float] = {
         "images": len(scene),
         "registered": first.registered,
@@ -264,7 +259,7 @@ def _account(job: Job, outcome: Outcome, rig: str, finished: Finished) -> Sparse
         scene=scene,
         components=tuple(job.graph.components),
         dropped=tuple(unregistered(scene, job.graph, [m.images for m in models], dict(finished.dropped))),
-        notes=(*job.notes, *held_by, *camera_notes(main, scene, job.tuning)),
+        notes=(*job.account.notes, *held_by, *camera_notes(main, scene, job.tuning)),
         tables=tables,
         counts=counts,
         sigma=finished.sigma,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +21,7 @@ from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.losses import no_model_text
 from tiegraph.sfm.model import frame_poses, image_poses, observations
 from tiegraph.sfm.rig.rig import held_by_mapper
-from tiegraph.sfm.run import Mapped, Request, run_mapper
+from tiegraph.sfm.run import Fixed, Mapped, Matches, Method, Request, run_mapper
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.start.poses import length_of_path
 from tiegraph.sfm.tuning import MappingTuning, Tuning
@@ -36,26 +36,41 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
-class Job:
-    """All that the runs of one reconstruction share."""
+class Source:
+    """What to map: a database with verified matches, the image folder (None: the points get no colours), pairs (scene
+    indices) not to use; ``rough``: poses good to 0.1 degrees will do, a fifth of the time."""
 
     database: Path
     images: Path | None
-    rough: bool
+    refused: tuple[tuple[int, int], ...] = ()
+    rough: bool = False
+    preview: np.ndarray | None = None  # (N, 4, 4) cam_from_world of the images in a rough model that is believed
+    run_map: RunMap = serially  # for the blocks of a large survey
+    on_progress: Progress = lambda registered, total: None  # counts images
+
+
+@dataclass(frozen=True)
+class Account:
+    """What the runs of a reconstruction have to say."""
+
+    runs: list[list] = field(default_factory=list)  # rows of the table of runs
+    notes: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Job:
+    """All that the runs of one reconstruction share."""
+
+    source: Source
     out: Path
     scene: Scene
     settings: SparseSettings
     tuning: Tuning
     shared: SceneTuning
     log: Path
-    on_progress: Progress
     graph: ViewGraph
-    runs: list[list]  # rows of the table of runs
-    notes: list[str]
-    refused: tuple[tuple[int, int], ...] = ()
+    account: Account
     alone: tuple[int, ...] = ()  # keys of sensors placed by the rig as given
-    preview: np.ndarray | None = None  # (N, 4, 4) cam_from_world of the images in a rough model that is believed
-    run_map: RunMap = serially
 
 
 @dataclass(frozen=True)
@@ -108,23 +123,30 @@ def map_images(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str
     """
     large = len(job.scene) > job.tuning.mapping.in_blocks
     asked = job.settings.mapper == "auto"
-    if not label and job.preview is not None and asked:
+    if not label and job.source.preview is not None and asked:
         outcome = _run(job, "preview", rigs, modes, label)
         if outcome.folders:
             return _with_others(job, outcome, rigs, modes)
-        job.notes.append(f"the model could not start from the coarse model: {outcome.refused}; mapped from nothing")
-    if not label and large and asked and not job.rough:
+        job.account.notes.append(
+            f"the model could not start from the coarse model: {outcome.refused}; mapped from nothing"
+        )
+    if not label and large and asked and not job.source.rough:
         mapper = choose_mapper(job.scene, job.settings, bool(rigs), job.tuning.mapping)
         request = replace(_request(job, mapper, rigs, modes), positions=False)
-        found = poses_by_blocks(request, job.scene, job.graph, job.shared, job.log, job.run_map)
-        job.notes.extend(found.notes)
-        outcome = _run(replace(job, preview=found.cam_from_world), "preview", rigs, modes, "from blocks")
+        found = poses_by_blocks(request, job.scene, job.graph, job.shared, job.log, job.source.run_map)
+        job.account.notes.extend(found.notes)
+        outcome = _run(_starting_at(job, found.cam_from_world), "preview", rigs, modes, "from blocks")
         if outcome.folders:
             return _with_others(job, outcome, rigs, modes)
-        job.notes.append(f"the blocks do not make one model: {outcome.refused}; mapped whole")
+        job.account.notes.append(f"the blocks do not make one model: {outcome.refused}; mapped whole")
     outcome = _as_long_as_its_rig(job, _mapped(job, rigs, modes, label), rigs, modes)
     # A rough model and one without the rig are steps on the way; what they leave out is dealt with at its end.
-    return outcome if label or job.rough else _with_others(job, outcome, rigs, modes)
+    return outcome if label or job.source.rough else _with_others(job, outcome, rigs, modes)
+
+
+def _starting_at(job: Job, poses: np.ndarray) -> Job:
+    """The same, from these poses (N, 4, 4)."""
+    return replace(job, source=replace(job.source, preview=poses))
 
 
 def _as_long_as_its_rig(job: Job, outcome: Outcome, rigs: dict[int, Rig], modes: dict[int, str]) -> Outcome:
@@ -135,15 +157,15 @@ def _as_long_as_its_rig(job: Job, outcome: Outcome, rigs: dict[int, Rig], modes:
     held = [k for k in rigs if held_by_mapper(rigs[k], modes[k], job.tuning.rig)]
     if not held:
         return outcome
-    verified = read_verified(job.database, job.scene, job.refused)
+    verified = read_verified(job.source.database, job.scene, job.source.refused)
     poses = image_poses(read_model(outcome.folders[0]), job.scene)
     length = length_of_path(frame_poses(poses, job.scene), job.scene, held, verified, job.tuning.start.scale)
     most = job.tuning.mapping.other_length
     if length is None or not np.isfinite(length.scale) or 1 / most < length.scale < most:
         return outcome
-    again = _run(replace(job, preview=poses), "preview", rigs, modes, "with its path as long as its rig says")
+    again = _run(_starting_at(job, poses), "preview", rigs, modes, "with its path as long as its rig says")
     if again.registered < job.tuning.mapping.clearly_fewer * outcome.registered:
-        job.notes.append(
+        job.account.notes.append(
             f"the model's path should be {length.scale:.3g} times as long for its rig, by {length.by}; made so, fewer "
             f"images have a place ({again.registered} of {outcome.registered}): left as it is; {again.refused}"
         )
@@ -170,7 +192,7 @@ def _with_others(job: Job, outcome: Outcome, rigs: dict[int, Rig], modes: dict[i
         if own.sum() >= job.tuning.mapping.second_survey:
             names = [job.scene.names[k] for k in np.flatnonzero(own)]
             mapped = np.any(there, axis=0)[own].any()
-            job.notes.append(
+            job.account.notes.append(
                 f"{len(names)} images ({names[0]} .. {names[-1]}) have no verified pair with the first model: another "
                 f"survey, or too little overlap; "
                 f"{'mapped by themselves, see the table of models' if mapped else 'they make no model'}"
@@ -185,14 +207,15 @@ def _mapped(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -
     outcome = _run(job, first, rigs, modes, label)
     reachable = job.graph.components[0]
     tuning = job.tuning.mapping
-    enough = (tuning.roughly_fewer if job.rough else tuning.clearly_fewer) * reachable
+    enough = (tuning.roughly_fewer if job.source.rough else tuning.clearly_fewer) * reachable
     other = "incremental" if first == "global" else "global"
-    for mapper, seed in ((first, 1), (other, 0))[: 1 if job.rough else 2]:  # a rough model is not worth the slow mapper
+    tries = ((first, 1),) if job.source.rough else ((first, 1), (other, 0))  # a rough one is not worth the slow mapper
+    for mapper, seed in tries:
         if job.settings.mapper != "auto" or outcome.registered >= enough:
             break
         second = _run(job, mapper, rigs, modes, label, seed)
         better = second if second.registered > outcome.registered else outcome
-        job.notes.append(
+        job.account.notes.append(
             f"{outcome.mapper} mapping {label} placed {outcome.registered} of {reachable} connected images, so "
             f"{mapper} mapping was tried too ({second.registered}): kept {better.mapper}"
         )
@@ -209,22 +232,20 @@ def _mapped(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str) -
 def _request(job: Job, mapper: str, rigs: dict[int, Rig], modes: dict[int, str], seed: int = 0) -> Request:
     constant = believed_cameras(job.scene, job.settings)
     return Request(
-        mapper=mapper,
-        seed=seed,
-        database=job.database,
-        images=job.images,
-        folder=job.out / SCRATCH / f"{len(job.runs)}-{mapper}",
+        method=Method(mapper, seed, rough=job.source.rough),
+        matches=Matches(job.source.database, job.settings.min_matches, job.source.refused),
+        fixed=Fixed(
+            rigs=tuple(k for k in rigs if held_by_mapper(rigs[k], modes[k], job.tuning.rig)),
+            cameras=constant,
+            all_cameras=len(constant) == len(job.scene.all_sensors),
+        ),
+        images=job.source.images,
+        folder=job.out / SCRATCH / f"{len(job.account.runs)}-{mapper}",
         scene=job.scene.to_json(),
         rigs=Request.rigs_of(rigs),
-        fixed=tuple(k for k in rigs if held_by_mapper(rigs[k], modes[k], job.tuning.rig)),
         positions=mapper == "incremental" and job.settings.use_positions and job.scene.has_positions(),
-        constant_cameras=constant,
-        all_constant=len(constant) == len(job.scene.all_sensors),
-        min_matches=job.settings.min_matches,
         tuning=job.tuning,
-        refused=job.refused,
-        rough=job.rough,
-        poses=job.preview if mapper == "preview" else None,
+        poses=job.source.preview if mapper == "preview" else None,
     )
 
 
@@ -238,25 +259,26 @@ def _run(
     only: np.ndarray | None = None,
 ) -> Outcome:
     scene = job.scene
-    request = replace(_request(job, mapper, rigs, modes, seed), only=only)
+    request = _request(job, mapper, rigs, modes, seed)
+    request = replace(request, matches=replace(request.matches, only=only))
     total = len(scene)
     per_frame = total / max(scene.frames, 1) if rigs else 1.0
-    job.on_progress(0, total)
+    job.source.on_progress(0, total)
     start = time.monotonic()
     mapped: Mapped = run_in_child(
         run_mapper,
         request,
         log=job.log,
-        on_message=lambda frames: job.on_progress(min(total, round(frames * per_frame)), total),
+        on_message=lambda frames: job.source.on_progress(min(total, round(frames * per_frame)), total),
         task=f"{mapper} mapping",
     )
     seconds = time.monotonic() - start
     folders = mapped.folders
-    job.notes.extend(f"{mapper} model: {note}" for note in mapped.notes)
+    job.account.notes.extend(f"{mapper} model: {note}" for note in mapped.notes)
     registered, points = _seeing(folders[0], scene, job.tuning.adjust.min_points) if folders else (0, 0)
     rig = "+".join(sorted({modes[k] for k in rigs})) or "absent"
     held = "positions" if request.positions else "none"
-    job.runs.append([mapper, rig, held, label, len(folders), registered, points, round(seconds, 1)])
+    job.account.runs.append([mapper, rig, held, label, len(folders), registered, points, round(seconds, 1)])
     _log.info("%s mapping, rig %s: %d images in the first of %d models", mapper, rig, registered, len(folders))
     return Outcome(mapper=mapper, folders=folders, registered=registered, refused=mapped.refused)
 

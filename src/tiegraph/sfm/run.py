@@ -24,25 +24,46 @@ from tiegraph.sfm.verified import read_verified
 
 
 @dataclass(frozen=True)
+class Method:
+    """How a model is made."""
+
+    mapper: str  # incremental, global, or preview: from the poses of the coarse model
+    seed: int = 0  # of every random choice: the same input gives the same model
+    rough: bool = False  # few tracks, none found later
+
+
+@dataclass(frozen=True)
+class Matches:
+    """What a mapper sees of the verified matches."""
+
+    database: Path
+    least: int  # of a pair
+    refused: tuple[tuple[int, int], ...] = ()  # scene indices of pairs it must not see
+    only: np.ndarray | None = None  # scene indices of the images to map, None = all
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """What must not move: rig indices by their extrinsics, COLMAP ids of cameras whose calibration is believed."""
+
+    rigs: tuple[int, ...] = ()
+    cameras: tuple[int, ...] = ()
+    all_cameras: bool = False
+
+
+@dataclass(frozen=True)
 class Request:
     """What one run needs, in picklable form."""
 
-    mapper: str  # incremental, global, or preview: from the poses of the coarse model
-    seed: int  # of every random choice: the same input gives the same model
-    database: Path
+    method: Method
+    matches: Matches
+    fixed: Fixed
     images: Path | None  # for colours; None = none are wanted
     folder: Path  # scratch; models go to folder/0, folder/1, ...
     scene: str  # JSON
     rigs: dict[int, dict]  # rig index -> rig with all extrinsics, as a dict
-    fixed: tuple[int, ...]  # rig indices whose extrinsics must not move
     positions: bool
-    constant_cameras: tuple[int, ...]  # COLMAP camera ids whose calibration is believed
-    all_constant: bool
-    min_matches: int
     tuning: Tuning
-    refused: tuple[tuple[int, int], ...] = ()  # scene indices of pairs the mapper must not see
-    rough: bool = False  # few tracks, none found later
-    only: np.ndarray | None = None  # scene indices of the images to map, None = all
     poses: np.ndarray | None = None  # (N, 4, 4) cam_from_world to start from (mapper "preview"); NaN = unknown
 
     @staticmethod
@@ -67,14 +88,17 @@ def run_mapper(request: Request, send: Callable[[Any], None]) -> Mapped:
     working = request.folder / "working.db"
     scene = Scene.from_json(request.scene)
     rigs = {k: rig_from_dict(r) for k, r in request.rigs.items()}
-    if request.mapper == "preview":
+    if request.method.mapper == "preview":
         return _from_poses(request, working, scene, rigs, send)
     positions = request.tuning.world.fixes if request.positions else None
-    write_working_copy(request.database, working, scene, rigs, positions, request.refused, request.only)
+    seen = request.matches
+    write_working_copy(seen.database, working, scene, rigs, positions, seen.refused, seen.only)
     raw = request.folder / "raw"
     raw.mkdir()
     models = (
-        _incremental(request, working, raw, send) if request.mapper == "incremental" else _global(request, working, raw)
+        _incremental(request, working, raw, send)
+        if request.method.mapper == "incremental"
+        else _global(request, working, raw)
     )
     ordered = sorted(models.values(), key=lambda m: (-m.num_reg_images(), -m.num_points3D()))
     folders = []
@@ -93,16 +117,17 @@ def _from_poses(
 ) -> Mapped:
     """One model from the poses that are roughly known, if it passes the gate."""
     assert request.poses is not None
-    verified = read_verified(request.database, scene, request.refused)
+    seen = request.matches
+    verified = read_verified(seen.database, scene, seen.refused)
     piece = largest_piece(request.poses, scene, rigs, verified.pairs)
     poses = np.where(piece[:, None, None], request.poses, np.nan)
     placed = np.isfinite(poses).all(axis=(1, 2))
     if placed.sum() < request.tuning.start.min_share * piece.sum():
         return Mapped([], refused=f"it places {placed.sum()} of {piece.sum()} images that hold together")
-    start = start_from(poses, scene, rigs, request.fixed, verified, request.tuning.start)
+    start = start_from(poses, scene, rigs, request.fixed.rigs, verified, request.tuning.start)
     if start is None:
         return Mapped([], refused="neither matches nor positions tell the length of its path against the rig")
-    write_working_copy(request.database, working, scene, start.rigs, None, request.refused, request.only)
+    write_working_copy(seen.database, working, scene, start.rigs, None, seen.refused, seen.only)
     model = model_from(working, scene, start, lambda free: _options(request, free), request.tuning, send)
     working.unlink()
     refused = why_not(model, scene, verified, piece, request.tuning)
@@ -116,18 +141,18 @@ def _from_poses(
 
 def _options(request: Request, free: bool) -> pycolmap.IncrementalPipelineOptions:
     """``free``: intrinsics and extrinsics are adjusted, where the request lets them."""
-    lens = free and not request.all_constant
+    lens = free and not request.fixed.all_cameras
     return pycolmap.IncrementalPipelineOptions(
-        random_seed=request.seed,
+        random_seed=request.method.seed,
         num_threads=THREADS,
-        min_num_matches=request.min_matches,
+        min_num_matches=request.matches.least,
         min_model_size=request.tuning.mapping.min_model_images,
         extract_colors=False,
         ba_refine_focal_length=lens,
         ba_refine_extra_params=lens,
-        constant_cameras=set(request.constant_cameras),
-        ba_refine_sensor_from_rig=free and len(request.fixed) < len(request.rigs),
-        constant_rigs={k + 1 for k in request.fixed},
+        constant_cameras=set(request.fixed.cameras),
+        ba_refine_sensor_from_rig=free and len(request.fixed.rigs) < len(request.rigs),
+        constant_rigs={k + 1 for k in request.fixed.rigs},
         use_prior_position=request.positions,
         use_robust_loss_on_prior_position=True,
     )
@@ -150,18 +175,18 @@ def _incremental(
 
 
 def _global(request: Request, working: Path, raw: Path) -> dict[int, pycolmap.Reconstruction]:
-    refine_rig = len(request.fixed) < len(request.rigs)
+    refine_rig = len(request.fixed.rigs) < len(request.rigs)
     mapper = pycolmap.GlobalMapperOptions(refine_sensor_from_rig=refine_rig)
-    mapper.bundle_adjustment.refine_focal_length = not request.all_constant  # it knows no single constant cameras
-    mapper.bundle_adjustment.refine_extra_params = not request.all_constant
+    mapper.bundle_adjustment.refine_focal_length = not request.fixed.all_cameras  # it knows no single constant cameras
+    mapper.bundle_adjustment.refine_extra_params = not request.fixed.all_cameras
     factorised(mapper.bundle_adjustment, *sizes(working))
-    if request.rough:
+    if request.method.rough:
         mapper.track_required_tracks_per_view = request.tuning.mapping.rough_tracks
         mapper.skip_retriangulation = True
     options = pycolmap.GlobalPipelineOptions(
-        random_seed=request.seed,
+        random_seed=request.method.seed,
         num_threads=THREADS,  # these two count, not the mapper's own
-        min_num_matches=request.min_matches,
+        min_num_matches=request.matches.least,
         min_model_size=request.tuning.mapping.min_model_images,
         mapper=mapper,
     )

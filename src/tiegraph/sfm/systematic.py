@@ -36,6 +36,16 @@ class Effect:
         return np.asarray(moved @ self.moment @ moved.T)
 
 
+@dataclass(frozen=True)
+class Score:
+    """What the observations say of K more unknowns at zero (``Weighed.score``)."""
+
+    gradient: np.ndarray  # (C, K) effect on the gradient of all points
+    score: np.ndarray  # (K,)
+    noise: np.ndarray  # (K, K) its covariance
+    information: np.ndarray  # (K, K) that the other unknowns leave of them
+
+
 class Weighed:
     """The observations with their robust weights, and the factor of their normal equations."""
 
@@ -70,7 +80,7 @@ class Weighed:
         """Weights of these observations in the gradient."""
         return np.asarray(self._first[2 * observations])
 
-    def score(self, columns: sparse.csr_matrix) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def score(self, columns: sparse.csr_matrix) -> Score:
         """Of more unknowns with these columns (2O, K), at zero: effect on the gradient (C, K) of all points; and of the
         points looked at, score (K,), its covariance (K, K), and the information (K, K) that the others leave of them.
         """
@@ -86,7 +96,7 @@ class Weighed:
         noise = (each.T @ each).toarray() - mixed - mixed.T + solved.T @ (self.scatter @ solved)
         score = np.asarray(each.sum(axis=0)).ravel() - np.asarray(self._of_point.sum(axis=0)).ravel() @ solved
         score -= own.T @ self._known
-        return gradient / self.share, score, noise, information
+        return Score(gradient=gradient / self.share, score=score, noise=noise, information=information)
 
 
 def gradients(jc: sparse.csr_matrix, jp: sparse.csr_matrix, weighted: np.ndarray) -> sparse.csr_matrix:
@@ -139,7 +149,8 @@ def _lens_error(
         (np.ones(both.size), (both.ravel(), (2 * number[:, None] + np.arange(2)).ravel())),
         shape=(2 * len(seen.xy), 2 * len(used)),
     )
-    gradient, score, noise, information = weighed.score(columns)
+    told = weighed.score(columns)
+    gradient, score, noise, information = told.gradient, told.score, told.noise, told.information
     middle = (np.stack([used % across, used // across], axis=1) + 0.5) * size
     apart = np.linalg.norm(middle[:, None] - middle[None], axis=2) / np.hypot(camera.width, camera.height)
     noise = noise + _RIDGE * np.diag(np.maximum(np.diag(information), 1e-12))
@@ -223,7 +234,8 @@ def misplaced(
         if not cameras:
             continue
         columns = sparse.hstack([_of_mounting(model, weighed.seen, c) for c in cameras]).tocsr()
-        gradient, score, noise, information = weighed.score(columns)
+        told = weighed.score(columns)
+        gradient, score, noise, information = told.gradient, told.score, told.noise, told.information
         if rig_id in off:
             at = (6 * np.searchsorted(every, cameras)[:, None] + np.arange(6)).ravel()
             moment = off[rig_id][np.ix_(at, at)]
@@ -263,10 +275,9 @@ def unrest(model: pycolmap.Reconstruction, weighed: Weighed, tuning: SharedError
     noise, information = np.tile(np.eye(size), (len(chosen), 1, 1)), np.zeros((len(chosen), size, size))
     for k, own in enumerate(chosen):
         part = slice(0, 6 * len(own))
-        effect, score[k, part], noise[k, part, part], information[k, part, part] = weighed.score(
-            _of_images(weighed.seen, own)
-        )
-        gradient.append(effect)
+        told = weighed.score(_of_images(weighed.seen, own))
+        score[k, part], noise[k, part, part], information[k, part, part] = told.score, told.noise, told.information
+        gradient.append(told.gradient)
     least = np.maximum(np.diagonal(information, axis1=1, axis2=2), 1e-300)
     place, turn = two_sizes(score, noise + _RIDGE * least[:, :, None] * np.eye(size), information, tuning)
     if place + turn <= 0:

@@ -45,16 +45,25 @@ def measure(task: Task, database: str, calibration: Calibration, bound_rad: floa
     return Measured(motion, counts(rays, agreeing(rays, motion, bound_rad), pairs), total)
 
 
+@dataclass(frozen=True)
+class Predicted:
+    """Two units, the rotation (3, 3) predicted between them, and which of their image pairs (P,) bool are doubtful."""
+
+    task: Task
+    rotation: np.ndarray
+    doubtful: np.ndarray
+
+
 def judge(
-    item: tuple[Task, np.ndarray, np.ndarray],
+    item: Predicted,
     database: str,
     calibration: Calibration,
     bound_rad: float,
     turn_deg: float,
     tuning: Tuning,
 ) -> Judged:
-    """Ask two units under a predicted rotation (3, 3), and each doubtful image pair (P,) bool for its own rotation."""
-    task, rotation, doubtful = item
+    """Ask two units under their predicted rotation, and each doubtful image pair for its own rotation."""
+    task, rotation, doubtful = item.task, item.rotation, item.doubtful
     rays, size = load(task, database, calibration, tuning.motion.matches_a_pair), calibration.size()
     pairs = len(task[2])
     motion = with_rotation(rays, rotation, bound_rad, size, turn_deg, tuning.motion)

@@ -10,6 +10,7 @@ where the images tell the place they outweigh it.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -34,7 +35,8 @@ def expected_centres(
 
     In model units; not for the reference. Empty for rigs of fewer than five cameras and for those of one centre.
     """
-    keys, centres, axes, drawn = _places(rig, drawing)
+    places = _places(rig, drawing)
+    keys, centres, axes, drawn = places.keys, places.centres, places.axes, places.drawn
     out = {}
     for row, key in enumerate(keys, start=1) if len(keys) >= tuning.least_others else ():
         others = np.arange(len(centres)) != row
@@ -45,13 +47,22 @@ def expected_centres(
     return {k: (centre, sigma) for k, (centre, sigma) in out.items() if sigma > 0}
 
 
-def _places(rig: pycolmap.Rig, drawing: Drawing | None) -> tuple[list[int], np.ndarray, np.ndarray, np.ndarray | None]:
+@dataclass(frozen=True)
+class _Places:
     """Ids of all cameras but the reference; centres, axes and drawn centres (N, 3) of the reference, then of these."""
+
+    keys: list[int]
+    centres: np.ndarray
+    axes: np.ndarray
+    drawn: np.ndarray | None
+
+
+def _places(rig: pycolmap.Rig, drawing: Drawing | None) -> _Places:
     poses = {i.id: pose.inverse() for i, pose in rig.non_ref_sensors.items() if pose is not None}
     centres = np.array([np.zeros(3), *(p.translation for p in poses.values())])
     axes = np.array([[0.0, 0, 1], *(p.rotation.matrix()[:, 2] for p in poses.values())])
     drawn = np.array([np.zeros(3), *((drawing or {}).get(k, np.full(3, np.nan)) for k in poses)])
-    return list(poses), centres, axes, drawn if np.isfinite(drawn).all() else None
+    return _Places(keys=list(poses), centres=centres, axes=axes, drawn=drawn if np.isfinite(drawn).all() else None)
 
 
 def _as_drawn(centres: np.ndarray, drawn: np.ndarray, place: np.ndarray, inexact: float) -> tuple[np.ndarray, float]:
@@ -81,7 +92,8 @@ def information(
     Of how they deviate from the rule, not of what the rule has from themselves: middle and distance, or turn and size.
     """
     expected = expected_centres(rig, tuning, drawing)
-    keys, centres, axes, drawn = _places(rig, drawing)
+    places = _places(rig, drawing)
+    keys, centres, axes, drawn = places.keys, places.centres, places.axes, places.drawn
     if len(expected) < len(keys) or not keys:
         return [], np.zeros((0, 0))
     outward = _outward(centres, axes, axes[0], tuning.uneven)[1]

@@ -175,7 +175,8 @@ def jacobians(model: pycolmap.Reconstruction, layout: Layout, point_ids: list[in
             seen.setdefault(element.image_id, []).append((k, point.xyz, xy))
     parts_c, parts_p, residuals, by_point, levers = [], [], [], [], []
     for image_id, rows in sorted(seen.items()):
-        dense, columns, of_point, residual = of_image(model, layout, model.image(image_id), rows)
+        found = of_image(model, layout, model.image(image_id), rows)
+        dense, columns, of_point, residual = found.dense, found.columns, found.of_point, found.residual
         count = len(residual)
         index = np.repeat(np.arange(2 * count), len(columns))
         parts_c.append(
@@ -204,10 +205,18 @@ def jacobians(model: pycolmap.Reconstruction, layout: Layout, point_ids: list[in
     )
 
 
-def of_image(
-    model: pycolmap.Reconstruction, layout: Layout, image: pycolmap.Image, rows: list
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Jacobian (O, 2, D) over the columns (D,), Jacobian to the points (O, 2, 3) and residuals (O, 2) of one image.
+@dataclass(frozen=True)
+class OfImage:
+    """Jacobian (O, 2, D) over the columns (D,), Jacobian to the points (O, 2, 3) and residuals (O, 2) of one image."""
+
+    dense: np.ndarray
+    columns: np.ndarray
+    of_point: np.ndarray
+    residual: np.ndarray
+
+
+def of_image(model: pycolmap.Reconstruction, layout: Layout, image: pycolmap.Image, rows: list) -> OfImage:
+    """The linearised observations of one image.
 
     A pose T = (R, c) moves as R Exp(-w) (X - c - v): the unknown v is the shift of the centre itself.
     """
@@ -236,7 +245,7 @@ def of_image(
     bad = ~(np.isfinite(dense).all(axis=(1, 2)) & np.isfinite(residual).all(axis=1))
     dense[bad], residual[bad] = 0.0, 0.0
     of_point = np.where(bad[:, None, None], 0.0, of_point)
-    return dense, np.concatenate(columns), of_point, residual
+    return OfImage(dense=dense, columns=np.concatenate(columns), of_point=of_point, residual=residual)
 
 
 def frame_pose(frame: pycolmap.Frame) -> pycolmap.Rigid3d:

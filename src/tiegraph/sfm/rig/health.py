@@ -97,16 +97,29 @@ def resect_all(
             sharp = others.sigma_px(part.point, pose, float(part.focal_px[0])) < tuning.max_point_spread_px
             part = part.where(sharp)
             camera = reconstruction.camera(reconstruction.find_image_with_name(scene.names[image]).camera_id)
-            row = _resect(part, others.xyz, camera, pose, tuning) if len(part.image) >= tuning.min_points else None
+            enough = len(part.image) >= tuning.min_points
+            row = _resect(int(image), part, others.xyz, camera, pose, tuning) if enough else None
             if row is not None:
-                rows.append((int(image), *row))
+                rows.append(row)
     return _against_rig(rows, seen, scene, reconstruction, metres_per_unit)
 
 
+@dataclass(frozen=True)
+class _Resected:
+    """An image placed by points: covariance (6, 6) of half rotation angles, translation."""
+
+    image: int
+    inliers: int
+    sigma_px: float
+    effect_px: float
+    cam_from_world: np.ndarray
+    covariance: np.ndarray
+
+
 def _resect(
-    part: Sightings, xyz: np.ndarray, camera: pycolmap.Camera, pose: np.ndarray, tuning: HealthTuning
-) -> tuple[int, float, float, np.ndarray, np.ndarray] | None:
-    """Inliers, their sigma px, effect px, cam_from_world, and covariance (6, 6: half rotation angles, translation)."""
+    image: int, part: Sightings, xyz: np.ndarray, camera: pycolmap.Camera, pose: np.ndarray, tuning: HealthTuning
+) -> _Resected | None:
+    """The pose of an image by points alone; None with too few that agree."""
     options = pycolmap.AbsolutePoseEstimationOptions()
     options.ransac.max_error = tuning.search_px
     options.ransac.random_seed = 0
@@ -122,17 +135,18 @@ def _resect(
     effect = float(np.nanmedian(np.linalg.norm(here - camera.img_from_cam(transforms.apply(pose, points)), axis=1)))
     # One coordinate's sigma, from the median length of a two-dimensional normal error: 1.1774 sigma.
     sigma_px = float(np.median(error)) / 1.1774
-    return (
-        int(found["num_inliers"]),
-        sigma_px,
-        effect,
-        own,
-        found["covariance"] * max(sigma_px, tuning.least_sigma_px) ** 2,
+    return _Resected(
+        image=image,
+        inliers=int(found["num_inliers"]),
+        sigma_px=sigma_px,
+        effect_px=effect,
+        cam_from_world=own,
+        covariance=found["covariance"] * max(sigma_px, tuning.least_sigma_px) ** 2,
     )
 
 
 def _against_rig(
-    rows: list[tuple[int, int, float, float, np.ndarray, np.ndarray]],
+    rows: list[_Resected],
     seen: Sightings,
     scene: Scene,
     reconstruction: pycolmap.Reconstruction,
@@ -142,7 +156,8 @@ def _against_rig(
     count = len(rows)
     shift, turn = np.zeros((count, 3)), np.zeros((count, 3))
     covariance, rig_pose = np.zeros((count, 6, 6)), np.tile(np.eye(4), (count, 1, 1))
-    for k, (image, _, _, _, own, spread) in enumerate(rows):
+    for k, row in enumerate(rows):
+        image, own = row.image, row.cam_from_world
         extrinsics = rigs[scene.rig[scene.frame[image]]].sensors[scene.sensor[image]].sensor_from_rig
         if extrinsics is not None:
             rig_pose[k] = transforms.rigid(extrinsics[:3, :3], metres_per_unit * extrinsics[:3, 3])
@@ -157,14 +172,20 @@ def _against_rig(
         change[:3, :3] = -2 * metres_per_unit * rig_from_cam @ _cross_matrix(own[:3, 3])
         change[:3, 3:] = -metres_per_unit * rig_from_cam
         change[3:, :3] = -2 * rig_from_cam
-        covariance[k] = change @ spread @ change.T
+        covariance[k] = change @ row.covariance @ change.T
     sigma = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)).reshape(count, 6)
-    head = np.array([row[:4] for row in rows], float).reshape(-1, 4)
     return Resections(
-        image=head[:, 0].astype(int), points=head[:, 1].astype(int), rms_px=head[:, 2], effect_px=head[:, 3],
-        shift_m=shift, turn_deg=turn, sigma_m=sigma[:, :3], sigma_deg=np.degrees(sigma[:, 3:]), covariance=covariance,
+        image=np.array([row.image for row in rows], int),
+        points=np.array([row.inliers for row in rows], int),
+        rms_px=np.array([row.sigma_px for row in rows], float),
+        effect_px=np.array([row.effect_px for row in rows], float),
+        shift_m=shift,
+        turn_deg=turn,
+        sigma_m=sigma[:, :3],
+        sigma_deg=np.degrees(sigma[:, 3:]),
+        covariance=covariance,
         rig_pose=rig_pose,
-    )  # fmt: skip
+    )
 
 
 def _cross_matrix(v: np.ndarray) -> np.ndarray:

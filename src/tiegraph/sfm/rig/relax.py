@@ -160,7 +160,16 @@ def _soft(model: pycolmap.Reconstruction, setting: _Setting) -> Soft:
         covariance = setting.covariance(other)
         if scene.sensor[first] == 0:
             key = int(scene.sensor_key[other])
-            timed.append(TimedTie(*ids, key, relative, setting.columns(other), covariance))
+            timed.append(
+                TimedTie(
+                    first=ids[0],
+                    second=ids[1],
+                    sensor=key,
+                    sensor_from_first=relative,
+                    columns=setting.columns(other),
+                    covariance=covariance,
+                )
+            )
         else:
             covariance[3:, 3:] += np.eye(3) * (late_s * np.linalg.norm(setting.columns(other)[:3])) ** 2
             ties.append(SoftTie(*ids, relative, covariance))

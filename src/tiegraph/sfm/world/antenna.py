@@ -43,7 +43,7 @@ def believed(evidence: Evidence, fixes: Fixes, up: Up | None, near: Similarity, 
         stretched = fixes.stretched(noise.factors(residual, fixes.level, fixes.time_s, tuning.noise, unknowns))
         evidence = replace(evidence, sigma=np.concatenate([stretched.sigma, evidence.sigma[count:]]))
         fit = fit_similarity(evidence, used, tuning.fit, near=fit.similarity)
-    return Fitted(evidence, fit, fixes, up)
+    return Fitted(evidence=evidence, fit=fit, fixes=fixes, up=up)
 
 
 def _again(now: Fitted, evidence: Evidence, tuning: WorldTuning) -> Fitted:

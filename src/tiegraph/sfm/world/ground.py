@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,17 +23,7 @@ from tiegraph.sfm.world.judging import judged
 from tiegraph.sfm.world.marks import marked, point_table, targets
 from tiegraph.sfm.world.placing import Placing
 from tiegraph.sfm.world.scale import relaxed
-from tiegraph.sfm.world.worldadjust import Adjusted, Constraints, adjust_in_world
-
-
-@dataclass(frozen=True)
-class Held:
-    """What an adjustment must leave as it is: COLMAP ids of rigs with calibrated extrinsics, and of such cameras;
-    ``soft``: indices in the scene of rigs whose extrinsics are known with a sigma."""
-
-    rigs: Collection[int] = ()
-    cameras: Collection[int] = ()
-    soft: Collection[int] = ()
+from tiegraph.sfm.world.worldadjust import Adjusted, Constraints, Held, Receiver, adjust_in_world
 
 
 def georeference_model(
@@ -131,18 +121,18 @@ def _constraints(
     return Constraints(
         fixes=placing.fixes,
         factor=placing.factor,
-        antenna=placing.fit.antenna,
-        offset_s=placing.fit.offset_s,
-        free_antenna=evidence.estimate_antenna,
-        free_offset=evidence.estimate_offset,
+        receiver=Receiver(
+            antenna=placing.fit.antenna,
+            offset_s=placing.fit.offset_s,
+            free_antenna=evidence.estimate_antenna,
+            free_offset=evidence.estimate_offset,
+        ),
+        held=held,
         tuning=tuning,
         control=control,
         targets=found,
         point_factor=stretch,
         up=up,
-        fixed_rigs=held.rigs,
-        constant_cameras=held.cameras,
-        soft_rigs=held.soft,
     )
 
 
@@ -166,8 +156,7 @@ def _check(
         constraints,
         fixes=fixes.where(keep),
         factor=placing.factor[keep],
-        antenna=blind.antenna,
-        offset_s=blind.offset_s,
+        receiver=replace(constraints.receiver, antenna=blind.antenna, offset_s=blind.offset_s),
     )
     made = adjust_in_world(start, scene, known, bounds.check_rounds)
     held = fixes.where(fixes.held)

@@ -116,7 +116,8 @@ def place(model: Model, scene: Scene, settings: GeorefSettings, given: Given, tu
     if len(np.unique(stated.home)) + len(points) < tuning.placing.min_positions:
         return None
     arm = _lever_arm(scene, settings, notes)
-    weighed, rough = _weighed(_Given(model, scene, settings, given, points, tuning), stated, arm)
+    about = _Given(model=model, scene=scene, settings=settings, measured=given, points=points, tuning=tuning)
+    weighed, rough = _weighed(about, stated, arm)
     now = believed(rough.evidence, rough.fixes, model.up, rough.fit.similarity, tuning)
     _refuse_exchanged(now, tuning)
     _refuse_upside_down(now, tuning)
@@ -165,7 +166,7 @@ def _weighed(about: _Given, stated: Fixes, arm: _Arm) -> tuple[Weighed, Fitted]:
         frames = model.frames(scene, metres)
         fixes = stated.widened(frames, metres, tuning.fixes)
     assert weighed is not None
-    return weighed, Fitted(evidence, fit, fixes.blurred(weighed.extra_m), model.up)
+    return weighed, Fitted(evidence=evidence, fit=fit, fixes=fixes.blurred(weighed.extra_m), up=model.up)
 
 
 def _question(evidence: Evidence, stated: Fixes, about: _Given, arm: _Arm) -> Question:

@@ -74,16 +74,16 @@ def weigh(asked: Question) -> Weighed:
         sources.append(own or _few(evidence, rows, sources[0] if sources else None))
     found = {s.name: s for s in sources if s is not None}
     at = evidence.pose[~rows if points else rows, :3, 3].mean(axis=0)
-    used, sigma, extra, why = _scale(asked, found)
+    scale = _scale(asked, found)
     places, more = _places(found, at, asked.name, tuning.sources)
     return Weighed(
         sources=tuple(found.values()),
-        scale_used=used,
+        scale_used=scale.used,
         places_used=places,
-        extra_m=np.hypot(extra, more),
-        scale_sigma=sigma,
+        extra_m=np.hypot(scale.extra_m, more),
+        scale_sigma=scale.sigma,
         at=at,
-        why=why,
+        why=scale.why,
         free_antenna=asked.free_antenna,
         name=asked.name,
     )
@@ -111,8 +111,18 @@ def _few(evidence: Evidence, rows: np.ndarray, positions: Source | None) -> Sour
     )
 
 
-def _scale(asked: Question, found: dict[str, Source]) -> tuple[tuple[str, ...], float, np.ndarray, str]:
-    """Sources of the scale that are used, the sigma to widen it to, what is added to positions (m), and why."""
+@dataclass(frozen=True)
+class _Scale:
+    """Sources of the scale that are used, the sigma to widen it to, what is added to positions (3,) m, and why."""
+
+    used: tuple[str, ...]
+    sigma: float
+    extra_m: np.ndarray
+    why: str
+
+
+def _scale(asked: Question, found: dict[str, Source]) -> _Scale:
+    """Which sources tell the scale."""
     nothing = np.zeros(3)
     most = asked.tuning.sources.any_scale
     told = {n: s for n, s in found.items() if np.isfinite(s.scale_sigma) and s.scale_sigma < most}
@@ -125,31 +135,35 @@ def _scale(asked: Question, found: dict[str, Source]) -> tuple[tuple[str, ...], 
     agreeing = [n for n in told if n not in against]
     if agreeing and asked.name in against:
         extra = apart[asked.name] * _spread(asked) * np.ones(3)
-        return (RIG, *agreeing), 0.0, extra, f"{asked.name} stand alone against the others and are not used for it"
+        return _Scale(
+            (RIG, *agreeing),
+            0.0,
+            extra_m=extra,
+            why=f"{asked.name} stand alone against the others and are not used for it",
+        )
     if agreeing or len(against) > 1:
-        return tuple(told), 0.0, nothing, "the rig as given stands alone against the others and is not used for it"
+        why = "the rig as given stands alone against the others and is not used for it"
+        return _Scale(tuple(told), 0.0, nothing, why=why)
     name, wide = against[0], float(apart[against[0]])
     own = _own_trend(asked, told[name]) if name == asked.name else None
     with_rig = _with_scale(asked, rig, told[name]) if name == asked.name else ""
     if own is None:
         fits = float(np.median(np.linalg.norm(told[name].residual, axis=1)))
         why = f"{with_rig}without the rig's scale they fit to {fits:.2g} m (median), so that of the {name} is used"
-        return (name,), wide, nothing, why
+        return _Scale((name,), wide, nothing, why=why)
     why = f"the residuals of the {name} {own.text()} even by themselves, so that of the rig is used"
-    return (RIG,), wide, wide * _spread(asked) * np.ones(3), why
+    return _Scale((RIG,), wide, wide * _spread(asked) * np.ones(3), why=why)
 
 
-def _positions_scale(
-    asked: Question, told: dict[str, Source], names: tuple[str, ...]
-) -> tuple[tuple[str, ...], float, np.ndarray, str]:
+def _positions_scale(asked: Question, told: dict[str, Source], names: tuple[str, ...]) -> _Scale:
     """The same where the rig contradicts nobody: positions against control points."""
     if asked.name in told and CONTROL in told:
         a, b = told[asked.name], told[CONTROL]
         apart = abs(float(np.log(a.similarity.scale / b.similarity.scale)))
         if apart > LIMIT * np.hypot(a.scale_sigma, b.scale_sigma):
             names = tuple(n for n in names if n != asked.name)
-            return names, 0.0, apart * _spread(asked) * np.ones(3), f"that of the {CONTROL} is used"
-    return names, 0.0, np.zeros(3), ""
+            return _Scale(names, 0.0, apart * _spread(asked) * np.ones(3), why=f"that of the {CONTROL} is used")
+    return _Scale(names, 0.0, np.zeros(3), why="")
 
 
 def _places(

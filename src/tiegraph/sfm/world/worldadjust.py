@@ -27,23 +27,38 @@ from tiegraph.sfm.world.marks import Target
 
 
 @dataclass(frozen=True)
+class Held:
+    """What an adjustment must leave as it is: COLMAP ids of rigs with calibrated extrinsics, and of such cameras;
+    ``soft``: indices in the scene of rigs whose extrinsics are known with a sigma."""
+
+    rigs: Collection[int] = ()
+    cameras: Collection[int] = ()
+    soft: Collection[int] = ()
+
+
+@dataclass(frozen=True)
+class Receiver:
+    """Where the antenna is in the rig frame and how far its clock is behind the cameras', and which are unknowns."""
+
+    antenna: np.ndarray  # (3,)
+    offset_s: float
+    free_antenna: bool
+    free_offset: bool
+
+
+@dataclass(frozen=True)
 class Constraints:
     """What holds a model in the world besides its images; lengths in metres."""
 
     fixes: Fixes  # sigmas as stated
     factor: np.ndarray  # (K,) by which they are believed to be too small
-    antenna: np.ndarray  # (3,)
-    offset_s: float
-    free_antenna: bool
-    free_offset: bool
+    receiver: Receiver
+    held: Held
     tuning: Tuning
     control: Control | None = None
     targets: Sequence[Target] = ()
     point_factor: float = 1.0
     up: Up | None = None  # in the world: holds the tilt where positions do not
-    fixed_rigs: Collection[int] = ()
-    constant_cameras: Collection[int] = ()
-    soft_rigs: Collection[int] = ()  # indices in the scene: what their rig file gives with a sigma is believed so far
 
 
 @dataclass(frozen=True)
@@ -79,7 +94,7 @@ def adjust_in_world(world: pycolmap.Reconstruction, scene: Scene, given: Constra
     """
     model = pycolmap.Reconstruction(world)
     before = float(model.compute_mean_reprojection_error())
-    factor, arm, clock = given.factor, np.array(given.antenna, float), np.array([given.offset_s])
+    factor, arm, clock = given.factor, np.array(given.receiver.antenna, float), np.array([given.receiver.offset_s])
     residual = residuals(model, scene, given.fixes, arm, float(clock[0]))
     known = given.tuning.world.noise
     for _ in range(rounds):
@@ -137,11 +152,11 @@ def _solve(
     config = pycolmap.BundleAdjustmentConfig()
     for image_id in model.reg_image_ids():
         config.add_image(image_id)
-    free = free_cameras(model, given.tuning.adjust) - set(given.constant_cameras)
+    free = free_cameras(model, given.tuning.adjust) - set(given.held.cameras)
     for camera_id in model.cameras:
         if camera_id not in free:
             config.set_constant_cam_intrinsics(camera_id)
-    for rig_id in given.fixed_rigs:
+    for rig_id in given.held.rigs:
         for sensor in model.rigs[rig_id].non_ref_sensors if rig_id in model.rigs else ():
             config.set_constant_sensor_from_rig_pose(sensor)
     adjuster = pycolmap.create_default_ceres_bundle_adjuster(options, config, model)
@@ -149,7 +164,7 @@ def _solve(
     kept = _add_positions(adjuster.problem, model, scene, given, (arm, clock, sigma_px))
     kept += _add_points(adjuster.problem, model, scene, given, sigma_px)
     kept += _add_up(adjuster.problem, model, scene, given, sigma_px)
-    known = given_geometry(model, scene, given.soft_rigs, given.tuning.rig.given)
+    known = given_geometry(model, scene, given.held.soft, given.tuning.rig.given)
     kept += add_priors(adjuster, model, known, given.tuning.adjust)
     adjuster.solve()
     del kept  # the problem only borrows the residuals written in Python
@@ -188,7 +203,8 @@ def _add_positions(
         kept += [cost, loss]
     if not len(fixes):
         return kept
-    weak = (arm, given.free_antenna, known.antenna_sigma_m), (clock, given.free_offset, known.offset_sigma_s)
+    free_arm, free_clock = given.receiver.free_antenna, given.receiver.free_offset
+    weak = (arm, free_arm, known.antenna_sigma_m), (clock, free_clock, known.offset_sigma_s)
     for block, free, sigma in weak:
         if free:
             prior = costs.PriorCost(np.zeros(len(block)), sigma / sigma_px)
