@@ -190,12 +190,13 @@ class Tracks:
         for k in self.point:
             image = model.images[self.image_id[k]]
             seen = np.flatnonzero(self.point[k] >= 0)
-            rows = [(0, xyz[int(self.point[k][n])], image.point2D(int(n)).xy) for n in seen]
+            world = [xyz[int(self.point[k][n])] for n in seen]
+            measured = [image.point2D(int(n)).xy for n in seen]
             by_camera = np.zeros((0, 2, 0))
             columns = np.zeros(0, int)
             by_point, residual = np.zeros((0, 2, 3)), np.zeros((0, 2))
-            if rows:
-                by_camera, columns, by_point, residual = of_image(model, layout, image, rows)
+            if len(seen):
+                by_camera, columns, by_point, residual = of_image(layout, image, np.stack(world), np.stack(measured))
             where = (2 * seen[:, None] + np.arange(2)).ravel()
             total = 2 * len(self.point[k])
             index = np.repeat(where, len(columns))

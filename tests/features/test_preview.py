@@ -11,6 +11,7 @@ from tiegraph.features.preview import (
     extract_preview,
     match_previews,
     spread,
+    tentative,
 )
 from tiegraph.features.preview_settings import PreviewSettings
 from tiegraph.features.tuning import PreviewTuning
@@ -135,3 +136,21 @@ def test_spread_takes_the_best_of_each_cell_first() -> None:
     assert spread(cell, response, 3).tolist() == [0, 3, 4]
     assert spread(cell, response, 4).tolist() == [0, 1, 3, 4]
     assert spread(cell, response, 99).tolist() == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_of_equal_descriptors_the_first_is_the_nearest(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    kinds = rng.integers(0, 60, (5, 128)).astype(np.uint8)
+    a, b = (
+        Preview(np.zeros((n, 2), np.float32), kinds[rng.integers(0, 5, n)], 640, 480, 1.0, 128.0, np.full(16, 1 / 16))
+        for n in rng.integers(2, 12, 2)
+    )
+    cosine = a.descriptors.astype(float) @ b.descriptors.astype(float).T
+    nearest = cosine.argmax(axis=1)
+    mutual = cosine.argmax(axis=0)[nearest] == np.arange(len(a))
+    loose = TUNING.model_copy(update={"max_distance": 2.0})
+    left, right = tentative(a, b, SETTINGS.model_copy(update={"ratio": 1.0}), loose)
+    assert 0 < mutual.sum() <= len(b)
+    np.testing.assert_array_equal(left, np.flatnonzero(mutual))
+    np.testing.assert_array_equal(right, nearest[mutual])

@@ -43,3 +43,21 @@ def test_interpolation_is_halfway_and_respects_gaps():
     assert abs(transforms.angle_deg(np.eye(3), out[0, :3, :3]) - np.degrees(0.5)) < 1e-9
     assert np.isnan(out[1]).all() and np.isnan(out[2]).all() and np.isnan(out[3]).all()
     np.testing.assert_allclose(out[4], poses[1])
+
+
+@given(vectors, vectors)
+@settings(max_examples=50)
+def test_jacobians_of_rotation_vectors(rotvec, direction):
+    v, step = rotvec / max(np.linalg.norm(rotvec), 1.0) * 3.0, direction / 100 * 1e-6
+    by_vector = transforms.turn_by_vector(v[None])[0]
+    moved = Rotation.from_rotvec(v + step) * Rotation.from_rotvec(v).inv()
+    np.testing.assert_allclose(moved.as_rotvec(), by_vector @ step, atol=1e-11)
+    np.testing.assert_allclose(transforms.vector_by_turn(v[None])[0] @ by_vector, np.eye(3), atol=1e-9)
+
+
+def test_jacobians_of_rotation_vectors_where_their_series_begin():
+    ends = np.array([[0.0, 0.0, 0.9999e-3], [0.0, 0.0, 1.0001e-3]])
+    for jacobian in (transforms.turn_by_vector, transforms.vector_by_turn):
+        first, second = jacobian(ends)
+        np.testing.assert_allclose(first, second, atol=2e-7)
+        np.testing.assert_array_equal(jacobian(np.zeros((1, 3)))[0], np.eye(3))

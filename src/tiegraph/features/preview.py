@@ -187,14 +187,17 @@ def tentative(
     nothing = np.zeros(0, int)
     if len(a) < 2 or len(b) < 2:
         return nothing, nothing
-    cosine = (a.descriptors.astype(np.float32) @ b.descriptors.astype(np.float32).T) / DESCRIPTOR_NORM**2
+    product = a.descriptors.astype(np.float32) @ b.descriptors.astype(np.float32).T  # whole numbers: exact
     rows = np.arange(len(a))
-    nearest = cosine.argmax(axis=1)
-    best = cosine[rows, nearest]
-    mutual = cosine.argmax(axis=0)[nearest] == rows
-    cosine[rows, nearest] = -1.0
-    best, second = (np.sqrt(np.maximum(0, 2 - 2 * c)) for c in (best, cosine.max(axis=1)))
-    good = mutual & (best <= settings.ratio * second) & (best <= tuning.max_distance)
+    nearest = product.argmax(axis=1)
+    most = product[rows, nearest]
+    highest = product.max(axis=0)
+    product[rows, nearest] = -1.0
+    cosines = (most / DESCRIPTOR_NORM**2, product.max(axis=1) / DESCRIPTOR_NORM**2)
+    best, second = (np.sqrt(np.maximum(0, 2 - 2 * c)) for c in cosines)
+    good = (most == highest[nearest]) & (best <= settings.ratio * second) & (best <= tuning.max_distance)
+    product[rows, nearest] = most
+    good[good] = product[:, nearest[good]].argmax(axis=0) == rows[good]  # of equals the first; slow, so of few
     return rows[good], nearest[good]
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+_SMALL_RAD = 1e-3  # below: series, whose next term is under 1e-14
+
 
 def rigid(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
     """(..., 4, 4) from rotation (..., 3, 3) and translation (..., 3)."""
@@ -38,6 +40,24 @@ def skew(v: np.ndarray) -> np.ndarray:
     out = np.zeros((len(v), 3, 3))
     out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
     return out - np.swapaxes(out, 1, 2)
+
+
+def turn_by_vector(v: np.ndarray) -> np.ndarray:
+    """(N, 3, 3) Jacobians J of rotation vectors v (N, 3): Exp(v + dv) = Exp(J dv) Exp(v), to the first order."""
+    angle, cross = np.linalg.norm(v, axis=1)[:, None, None], skew(v)
+    half = np.sinc(angle / (2 * np.pi))  # sin(a / 2) / (a / 2)
+    small = angle < _SMALL_RAD
+    cubic = np.where(small, 1 / 6 - angle**2 / 120, (angle - np.sin(angle)) / np.where(small, 1.0, angle) ** 3)
+    return np.asarray(np.eye(3) + half**2 / 2 * cross + cubic * (cross @ cross))
+
+
+def vector_by_turn(v: np.ndarray) -> np.ndarray:
+    """(N, 3, 3) the inverses of ``turn_by_vector``, for rotation vectors (N, 3) of at most half a turn."""
+    angle, cross = np.linalg.norm(v, axis=1)[:, None, None], skew(v)
+    small = angle < _SMALL_RAD
+    safe = np.where(small, 1.0, angle)
+    square = np.where(small, 1 / 12 + angle**2 / 720, (1 - safe / 2 / np.tan(safe / 2)) / safe**2)
+    return np.asarray(np.eye(3) - cross / 2 + square * (cross @ cross))
 
 
 def from_quaternion_wxyz(q_wxyz: np.ndarray, translation: np.ndarray) -> np.ndarray:

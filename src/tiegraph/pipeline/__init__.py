@@ -60,7 +60,7 @@ STAGES = (
     _stage("verify", ("coarse", "network", "match"), ("verify.npz",), "pair", version=2),
     _stage("sparse", ("coarse", "network", "match", "verify"), ("sparse",), version=14, scratch=("sparse/.run",),
            tuned=("scene", "sfm")),
-    _stage("georef", ("network", "sparse"), ("sparse/world", "world.json"), version=7,
+    _stage("georef", ("network", "sparse"), ("sparse/world", "world.json"), version=8,
            scratch=("sparse/.world",), tuned=("scene", "sfm")),
     _stage("remask", ("masks", "georef"), ("remask/masks", "remask/classes"), "image", version=3,
            tuned=("masks", "sfm")),

@@ -64,6 +64,7 @@ class Weighed:
         self.normal = Normal(own / share + prior, layout)
         self._pull = at_their_minimum(seen.points, np.sqrt(weights[1]), self._first * seen.residual, self._inverse)
         self._of_point = gradients(seen.cameras, seen.points, self._pull)
+        self._whole = np.asarray(self._of_point.sum(axis=0)).ravel()
         self.scatter = (self._of_point.T @ self._of_point).tocsr()  # (C, C)
 
     def without(self, known: np.ndarray) -> Weighed:
@@ -84,18 +85,20 @@ class Weighed:
         """Of more unknowns with these columns (2O, K), at zero: effect on the gradient (C, K) of all points; and of the
         points looked at, score (K,), its covariance (K, K), and the information (K, K) that the others leave of them.
         """
-        own = (self._root @ columns).tocsr()
-        by_point = (self.jp.T @ own).tocsr()
+        rows = np.flatnonzero(np.diff(columns.indptr))  # one camera or frame in a large model: a small part of all
+        columns, jc, jp = columns[rows], self._jc[rows], self.jp[rows]
+        own = (sparse.diags(self._root.diagonal()[rows]) @ columns).tocsr()
+        by_point = (jp.T @ own).tocsr()
         taken = (self._inverse @ by_point).tocsr()
-        gradient = (self._jc.T @ own - self.cross @ taken).toarray()
+        gradient = (jc.T @ own - self.cross @ taken).toarray()
         solved = self.normal.solve(gradient)
         information = (own.T @ own - by_point.T @ taken).toarray() - gradient.T @ solved / self.share
-        each = gradients(columns, self.seen.points, self._pull)
+        each = gradients(columns, self.seen.points[rows], self._pull[rows])
         solved /= self.share
         mixed = np.asarray(each.T @ self._of_point @ solved)
         noise = (each.T @ each).toarray() - mixed - mixed.T + solved.T @ (self.scatter @ solved)
-        score = np.asarray(each.sum(axis=0)).ravel() - np.asarray(self._of_point.sum(axis=0)).ravel() @ solved
-        score -= own.T @ self._known
+        score = np.asarray(each.sum(axis=0)).ravel() - self._whole @ solved
+        score -= own.T @ self._known[rows]
         return Score(gradient=gradient / self.share, score=score, noise=noise, information=information)
 
 

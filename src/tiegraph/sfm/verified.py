@@ -73,7 +73,8 @@ def seen_by(model: pycolmap.Reconstruction, scene: Scene, tuning: AgreementTunin
             continue
         cameras[k] = model.camera(image.camera_id)
         poses[k] = matrix(image.cam_from_world())
-        point[k] = np.array([int(p.point3D_id) if p.has_point3D() else -1 for p in image.points2D], np.int64)
+        point[k] = np.full(image.num_points2D(), -1)
+        point[k][image.get_observation_point2D_idxs()] = [p.point3D_id for p in image.get_observation_points2D()]
         own = np.array([xyz[int(p)] for p in point[k][point[k] >= 0]]).reshape(-1, 3)
         if len(own) >= tuning.least_matches:
             depth = np.linalg.norm(transforms.apply(poses[k], own), axis=1)

@@ -167,39 +167,33 @@ class System:
 
 def jacobians(model: pycolmap.Reconstruction, layout: Layout, point_ids: list[int]) -> System:
     """Jacobians of all observations of these points, and residuals."""
-    seen: dict[int, list[tuple[int, np.ndarray, np.ndarray]]] = {}
-    for k, point_id in enumerate(point_ids):
-        point = model.point3D(point_id)
-        for element in point.track.elements:
-            xy = model.image(element.image_id).point2D(element.point2D_idx).xy
-            seen.setdefault(element.image_id, []).append((k, point.xyz, xy))
-    parts_c, parts_p, residuals, by_point, levers = [], [], [], [], []
-    for image_id, rows in sorted(seen.items()):
-        found = of_image(model, layout, model.image(image_id), rows)
+    seen = _Observations.of(model, point_ids)
+    parts_c, parts_p, residuals, by_point, levers, cameras = [], [], [], [], [], []
+    for image_id, rows in seen.of_images():
+        image, world = model.image(image_id), seen.xyz[rows]
+        found = of_image(layout, image, world, seen.xy[rows])
         dense, columns, of_point, residual = found.dense, found.columns, found.of_point, found.residual
         count = len(residual)
         index = np.repeat(np.arange(2 * count), len(columns))
         parts_c.append(
             sparse.csr_matrix((dense.ravel(), (index, np.tile(columns, 2 * count))), shape=(2 * count, layout.size))
         )
-        number = np.array([k for k, _, _ in rows])
-        three = np.repeat(3 * number[:, None] + np.arange(3), 2, axis=0)
+        three = np.repeat(3 * seen.point[rows][:, None] + np.arange(3), 2, axis=0)
         index = np.repeat(np.arange(2 * count), 3)
         parts_p.append(
             sparse.csr_matrix((of_point.ravel(), (index, three.ravel())), shape=(2 * count, 3 * len(point_ids)))
         )
         residuals.append(residual.ravel())
         by_point.append(of_point)
-        levers.append(np.stack([x for _, x, _ in rows]) - model.image(image_id).projection_center())
-    order = [(i, model.image(i).camera_id, xy) for i, rows in sorted(seen.items()) for _, _, xy in rows]
-    image, camera, xy = (np.array(column) for column in zip(*order))
+        levers.append(world - image.projection_center())
+        cameras.append(np.full(count, image.camera_id))
     return System(
         cameras=sparse.vstack(parts_c).tocsr(),
         points=sparse.vstack(parts_p).tocsr(),
         residual=np.concatenate(residuals),
-        image=image,
-        camera=camera,
-        xy=xy,
+        image=seen.image,
+        camera=np.concatenate(cameras),
+        xy=seen.xy,
         by_point=np.concatenate(by_point),
         lever=np.concatenate(levers),
     )
@@ -215,15 +209,49 @@ class OfImage:
     residual: np.ndarray
 
 
-def of_image(model: pycolmap.Reconstruction, layout: Layout, image: pycolmap.Image, rows: list) -> OfImage:
+@dataclass(frozen=True)
+class _Observations:
+    """O observations of some points, by image id, then in the order of the points."""
+
+    image: np.ndarray  # (O,) id
+    point: np.ndarray  # (O,) place in the list of points
+    xyz: np.ndarray  # (O, 3) of the point
+    xy: np.ndarray  # (O, 2) measured, pixels
+
+    @staticmethod
+    def of(model: pycolmap.Reconstruction, point_ids: list[int]) -> _Observations:
+        """All of them. Asking pycolmap for an image or an array of two numbers takes a microsecond: once each."""
+        points = [model.point3D(k) for k in point_ids]
+        elements = [point.track.elements for point in points]
+        flat = np.array([(e.image_id, e.point2D_idx) for track in elements for e in track], np.int64).reshape(-1, 2)
+        point = np.repeat(np.arange(len(points)), [len(track) for track in elements])
+        order = np.argsort(flat[:, 0], kind="stable")
+        (image, feature), point = flat[order].T, point[order]
+        xyz = np.array([p.xyz for p in points]).reshape(-1, 3)[point]
+        found = _Observations(image=image, point=point, xyz=xyz, xy=np.empty((len(image), 2)))
+        for image_id, rows in found.of_images():
+            own = model.image(image_id)
+            at = np.empty((own.num_points2D(), 2))
+            at[own.get_observation_point2D_idxs()] = [p.xy for p in own.get_observation_points2D()]
+            found.xy[rows] = at[feature[rows]]
+        return found
+
+    def of_images(self) -> list[tuple[int, slice]]:
+        """(id, its rows) of each image."""
+        ids, first = np.unique(self.image, return_index=True)
+        ends = [*first[1:].tolist(), len(self.image)]
+        return [(k, slice(*rows)) for k, *rows in zip(ids.tolist(), first.tolist(), ends)]
+
+
+def of_image(layout: Layout, image: pycolmap.Image, world: np.ndarray, measured: np.ndarray) -> OfImage:
     """The linearised observations of one image.
 
-    A pose T = (R, c) moves as R Exp(-w) (X - c - v): the unknown v is the shift of the centre itself.
+    ``world`` (O, 3): the points; ``measured`` (O, 2) pixels. A pose T = (R, c) moves as R Exp(-w) (X - c - v): the
+    unknown v is the shift of the centre itself.
     """
     camera, frame = image.camera, image.frame
     assert camera is not None and frame is not None
     pose = matrix(image.cam_from_world())
-    world, measured = np.stack([x for _, x, _ in rows]), np.stack([xy for _, _, xy in rows])
     in_camera = world @ pose[:3, :3].T + pose[:3, 3]
     to_camera = _by_point(camera, in_camera)
     of_point = to_camera @ pose[:3, :3]

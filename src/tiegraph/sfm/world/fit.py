@@ -9,6 +9,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry.align import Similarity, robust_umeyama, umeyama
+from tiegraph.geometry.transforms import skew, turn_by_vector, vector_by_turn
 from tiegraph.sfm.tuning.world import FitTuning
 from tiegraph.sfm.world.gravity import Up
 
@@ -110,11 +111,32 @@ def roll_to_upright(upward: np.ndarray, axis: np.ndarray) -> float:
     return float(np.arctan2(axis @ np.cross(a, b), a @ b))
 
 
+def _roll_by_upward(upward: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """(3,) derivative of ``roll_to_upright`` by ``upward``."""
+    b = np.array([0.0, 0.0, 1.0]) - axis * axis[2]
+    across = np.cross(b, axis)
+    sine, cosine = across @ upward, b @ upward
+    return np.asarray((cosine * across - sine * b) / max(sine**2 + cosine**2, 1e-300))
+
+
 def _to_upright(upward: np.ndarray) -> np.ndarray:
     """Rotation vector (east, north parts) that brings ``upward`` to the vertical."""
     cross = np.cross(upward, [0.0, 0.0, 1.0])[:2]
     sine = float(np.linalg.norm(cross))
     return cross * (np.arctan2(sine, upward[2]) / sine if sine > 1e-12 else 1.0)
+
+
+def _upright_by_upward(upward: np.ndarray) -> np.ndarray:
+    """(2, 3) derivative of ``_to_upright`` by ``upward``."""
+    turned = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # from ``upward`` to its cross product with the vertical
+    cross = turned @ upward
+    sine = float(np.linalg.norm(cross))
+    if sine <= 1e-12:
+        return turned
+    angle = np.arctan2(sine, upward[2])
+    by_sine = cross @ turned / sine
+    by_angle = (upward[2] * by_sine - sine * np.array([0.0, 0.0, 1.0])) / (sine**2 + upward[2] ** 2)
+    return np.asarray(angle / sine * turned + np.outer(cross, by_angle / sine - angle / sine**2 * by_sine))
 
 
 def _by_orientation(evidence: Evidence, scale: float) -> Similarity:
@@ -201,9 +223,7 @@ class _Problem:
         similarity, _ = self.unpack(x)
         parts = [1e-3 * x[:3]]  # keeps the system regular where nothing holds a turn
         if len(self.oriented):
-            inverse = np.swapaxes(self.evidence.orientation[self.oriented], 1, 2)
-            turns = similarity.rotation @ self.evidence.pose[self.oriented, :3, :3] @ inverse
-            parts.append(Rotation.from_matrix(turns).as_rotvec().ravel() / self.orientation_sigma)
+            parts.append(self._off(similarity).ravel() / self.orientation_sigma)
         if self.up is not None:
             upward = similarity.rotation @ self.up.direction
             if self.up.ring:
@@ -220,6 +240,67 @@ class _Problem:
         if self.evidence.estimate_offset:
             parts.append(x[-1:] / self.tuning.offset_sigma_s)
         return np.concatenate(parts)
+
+    def _off(self, similarity: Similarity) -> np.ndarray:
+        """(O, 3) rotation vectors from the known orientations to those of the model, in the world."""
+        inverse = np.swapaxes(self.evidence.orientation[self.oriented], 1, 2)
+        turns = similarity.rotation @ self.evidence.pose[self.oriented, :3, :3] @ inverse
+        return np.asarray(Rotation.from_matrix(turns).as_rotvec())
+
+    def derivatives(self, x: np.ndarray, weight: np.ndarray, with_scale: bool = True) -> np.ndarray:
+        """(M, D) of ``positions``, weighted (K,), and of ``others`` by the unknowns; tested against differences."""
+        similarity, antenna = self.unpack(x)
+        turn = turn_by_vector(x[None, :3])[0]
+        free = float(abs(x[6]) < _MAX_LOG_SCALE)  # the scale is held within that
+        places = (
+            self._by_unknowns(x, similarity, antenna, turn, free) * (weight[:, None] / self.evidence.sigma)[:, :, None]
+        )
+        others = self._others_by_unknowns(x, similarity, turn, free, with_scale)
+        return np.concatenate([places.reshape(-1, self.size), *others])
+
+    def _by_unknowns(
+        self, x: np.ndarray, similarity: Similarity, antenna: np.ndarray, turn: np.ndarray, free: float
+    ) -> np.ndarray:
+        """(K, 3, D) of the antenna's places, metres."""
+        evidence, offset = self.evidence, self.offset(x)
+        pose = evidence.pose if evidence.speed is None or not offset else evidence.pose + offset * evidence.speed
+        reach = similarity.scale * (pose[:, :3, 3] - self.middle) @ similarity.rotation.T
+        out = np.zeros((len(pose), 3, self.size))
+        out[:, :, :3] = -skew(reach + pose[:, :3, :3] @ antenna @ similarity.rotation.T) @ turn
+        out[:, :, 3:6] = np.eye(3)
+        out[:, :, 6] = free * reach
+        if evidence.estimate_antenna:
+            out[:, :, 7:10] = similarity.rotation @ pose[:, :3, :3]
+        if evidence.estimate_offset and evidence.speed is not None:
+            moved = similarity.scale * evidence.speed[:, :3, 3] + evidence.speed[:, :3, :3] @ antenna
+            out[:, :, -1] = moved @ similarity.rotation.T
+        return out
+
+    def _others_by_unknowns(
+        self, x: np.ndarray, similarity: Similarity, turn: np.ndarray, free: float, with_scale: bool
+    ) -> list[np.ndarray]:
+        """Rows (., D) in the order of ``others``."""
+        evidence, unit = self.evidence, np.eye(self.size)
+        parts = [1e-3 * unit[:3]]
+
+        def turned(by_turn: np.ndarray) -> None:
+            parts.append(np.hstack([by_turn @ turn, np.zeros((len(by_turn), self.size - 3))]))
+
+        if len(self.oriented):
+            turned(vector_by_turn(self._off(similarity)).reshape(-1, 3) / self.orientation_sigma)
+        if self.up is not None:
+            upward = similarity.rotation @ self.up.direction
+            by_upward = _upright_by_upward(upward) if self.up.ring else _roll_by_upward(upward, self.axis)[None]
+            turned(by_upward @ -skew(upward[None])[0] / np.radians(self.up.sigma_deg))
+        if evidence.log_scale is not None and with_scale:
+            parts.append(free * unit[6:7] / evidence.log_scale_sigma)
+        if evidence.estimate_antenna:
+            parts.append(unit[7:10] / self.tuning.antenna_sigma_m)
+            if evidence.level is not None:
+                parts.append((evidence.level @ unit[7:10])[None] / self.tuning.held_m)
+        if evidence.estimate_offset:
+            parts.append(unit[-1:] / self.tuning.offset_sigma_s)
+        return parts
 
 
 def _refine(evidence: Evidence, up: Up | None, start: Similarity, tuning: FitTuning) -> tuple[float, Fit]:
@@ -250,7 +331,10 @@ def _solve(problem: _Problem, x: np.ndarray, weight: np.ndarray, with_scale: boo
     def residuals(y: np.ndarray) -> np.ndarray:
         return np.concatenate([(problem.positions(y) * weight[:, None]).ravel(), problem.others(y, with_scale)])
 
-    return least_squares(residuals, x, x_scale="jac", method="trf")
+    def jacobian(y: np.ndarray) -> np.ndarray:
+        return problem.derivatives(y, weight, with_scale)
+
+    return least_squares(residuals, x, jacobian, x_scale="jac", method="trf")
 
 
 def _report(problem: _Problem, solution: OptimizeResult, inlier: np.ndarray, cost: float) -> Fit:
