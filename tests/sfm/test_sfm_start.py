@@ -22,9 +22,10 @@ from tiegraph.sfm.model import frame_poses, image_poses
 from tiegraph.sfm.placement.verified import read_verified
 from tiegraph.sfm.run import Mapped, Request, run_mapper
 from tiegraph.sfm.settings import SparseSettings
+from tiegraph.sfm.start.gate import why_not
 from tiegraph.sfm.start.poses import rig_of_poses, start_from
 from tiegraph.sfm.start.scale import path_scale
-from tiegraph.sfm.start.tuning import StartTuning
+from tiegraph.sfm.start.tuning import GateTuning, StartTuning
 from tiegraph.sfm.tuning import Tuning
 
 TUNING = StartTuning()
@@ -48,11 +49,11 @@ def _rough(true: np.ndarray, scene: Scene, turn_deg: float = 0.15, shift_m: floa
     return extrinsics @ transforms.invert(frames[scene.frame])
 
 
-def _map(folder: Path, scene: Scene, poses: np.ndarray, fixed: bool = True) -> Mapped:
+def _map(folder: Path, scene: Scene, poses: np.ndarray, fixed: bool = True, tuning: Tuning | None = None) -> Mapped:
     request = Request(
         mapper="preview", seed=0, database=folder / "database.db", images=None, folder=folder / "run",
         scene=scene.to_json(), rigs=Request.rigs_of(dict(enumerate(scene.rigs))), fixed=(0,) if fixed else (),
-        positions=False, constant_cameras=(1, 2, 3), all_constant=True, min_matches=15, poses=poses, tuning=Tuning(),
+        positions=False, constant_cameras=(1, 2, 3), all_constant=True, min_matches=15, poses=poses, tuning=tuning or Tuning(),
     )  # fmt: skip
     return run_mapper(request, lambda frames: None)
 
@@ -178,8 +179,52 @@ def test_a_rig_of_one_centre_has_no_length_to_compare(world, tmp_path: Path) -> 
     np.testing.assert_allclose(started.world_from_rig, frame_poses(true, scene), atol=1e-9)
 
 
+def _spoiled(model: pycolmap.Reconstruction, how: str) -> pycolmap.Reconstruction:
+    """A right model, made wrong in one of the ways that the gate knows."""
+    out = pycolmap.Reconstruction(model)
+    rng = np.random.default_rng(0)
+    if how == "moved":
+        for k in out.reg_frame_ids()[1::2]:
+            out.frame(k).rig_from_world.translation += np.array([3.0, 0, 0])
+    if how == "lens":
+        out.camera(2).params = 1000 * out.camera(2).params
+    for number in out.reg_image_ids():
+        for row, point in enumerate(out.image(number).points2D):
+            if how == "noise":
+                point.xy = point.xy + 8 * rng.standard_normal(2)
+            if how == "bare" and number % 2 and point.has_point3D():
+                out.delete_observation(number, row)
+    out.update_point_3d_errors()
+    return out
+
+
+@pytest.mark.parametrize(
+    ("how", "why"),
+    [
+        ("", ""),
+        ("moved", "it contradicts 56 of 96 verified pairs"),
+        ("lens", "no lens is like what became of camera cam1"),
+        ("noise", "its reprojection error is 10.1 px"),
+        ("bare", "only 9 of 18 tied images see 10 of its points"),
+    ],
+)
+def test_the_gate_says_what_is_wrong_with_a_model(how: str, why: str, tmp_path: Path) -> None:
+    model, scene = moving_world(frames=6)
+    write_database(model, tmp_path / "database.db")
+    verified = read_verified(tmp_path / "database.db", scene)
+    said = why_not(_spoiled(model, how), scene, verified, np.ones(len(scene), bool), Tuning())
+    assert said.startswith(why) and bool(said) == bool(why)
+
+
+def test_a_model_that_does_not_pass_the_gate_is_not_kept(world, tmp_path: Path) -> None:
+    true, scene = world
+    strict = Tuning(start=StartTuning(gate=GateTuning(max_error_px=0.01)))
+    mapped = _map(tmp_path, scene, _rough(true, scene), tuning=strict)
+    assert mapped.folders == [] and mapped.refused.startswith("its reprojection error is 0."), mapped
+
+
 @pytest.mark.slow
-def test_poses_that_are_wrong_do_not_pass_the_gate(world, tmp_path: Path) -> None:
+def test_wrong_poses_are_mapped_from_nothing(world, tmp_path: Path) -> None:
     true, scene = world
     wrong = _rough(true, scene)
     wrong[:, :3, 3] += 6.0 * np.sin(scene.frame)[:, None]  # a frame here, the next elsewhere
