@@ -53,7 +53,8 @@ def _map(folder: Path, scene: Scene, poses: np.ndarray, fixed: bool = True, tuni
     request = Request(
         mapper="preview", seed=0, database=folder / "database.db", images=None, folder=folder / "run",
         scene=scene.to_json(), rigs=Request.rigs_of(dict(enumerate(scene.rigs))), fixed=(0,) if fixed else (),
-        positions=False, constant_cameras=(1, 2, 3), all_constant=True, min_matches=15, poses=poses, tuning=tuning or Tuning(),
+        positions=False, constant_cameras=(1, 2, 3), all_constant=True, min_matches=15, poses=poses,
+        tuning=tuning or Tuning(),
     )  # fmt: skip
     return run_mapper(request, lambda frames: None)
 
