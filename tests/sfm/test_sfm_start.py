@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 
 from near import assert_reconstruction_near
 from tiegraph.geometry import transforms
-from tiegraph.geometry.align import umeyama
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm import mapping
@@ -59,11 +58,9 @@ def _map(folder: Path, scene: Scene, poses: np.ndarray, fixed: bool = True, tuni
     return run_mapper(request, lambda frames: None)
 
 
-def _error(mapped: Mapped, true: np.ndarray, scene: Scene) -> tuple[float, float]:
-    """RMSE of the centres after a similarity, and its scale."""
-    found = transforms.centre(image_poses(pycolmap.Reconstruction(mapped.folders[0]), scene))
-    fit = umeyama(found, transforms.centre(true))
-    return float(np.sqrt(np.mean(np.sum((fit(found) - transforms.centre(true)) ** 2, axis=1)))), fit.scale
+def _assert_near(folder: Path, true: np.ndarray, scene: Scene, m: float = 0.004, deg: float = 0.03) -> float:
+    """``assert_reconstruction_near`` of the model in a folder."""
+    return assert_reconstruction_near(pycolmap.Reconstruction(folder), scene, true, m=m, deg=deg)
 
 
 def test_rough_poses_become_a_good_model(world, tmp_path: Path) -> None:
@@ -73,8 +70,7 @@ def test_rough_poses_become_a_good_model(world, tmp_path: Path) -> None:
     assert 0.01 < np.sqrt(np.mean(np.sum(before**2, axis=1))) < 0.1
     mapped = _map(tmp_path, scene, rough)
     assert mapped.refused == "" and mapped.notes == ()
-    error, scale = _error(mapped, true, scene)
-    assert 1e-5 < error < 0.004 and scale == pytest.approx(1, abs=0.005)  # of a rig of 0.4 m
+    assert _assert_near(mapped.folders[0], true, scene) == pytest.approx(1, abs=0.005)  # of a rig of 0.4 m
     assert not (tmp_path / "run" / "working.db").exists()
 
 
@@ -84,7 +80,7 @@ def test_frames_without_a_pose_are_registered(world, tmp_path: Path) -> None:
     rough[np.isin(scene.frame, (4, 13))] = np.nan
     mapped = _map(tmp_path, scene, rough)
     assert pycolmap.Reconstruction(mapped.folders[0]).num_reg_images() == len(scene)
-    assert _error(mapped, true, scene)[0] < 0.004
+    _assert_near(mapped.folders[0], true, scene)
 
 
 def test_a_refined_rig_takes_units_and_extrinsics_of_the_poses(world, tmp_path: Path) -> None:
@@ -99,7 +95,8 @@ def test_a_refined_rig_takes_units_and_extrinsics_of_the_poses(world, tmp_path: 
         np.testing.assert_allclose(found.sensor_from_rig[:3, :3], sensor.sensor_from_rig[:3, :3], atol=1e-9)
         np.testing.assert_allclose(found.sensor_from_rig[:3, 3], 0.2 * sensor.sensor_from_rig[:3, 3], atol=1e-9)
     mapped = _map(tmp_path, given, rough, fixed=False)
-    assert mapped.refused == "" and 1e-5 < _error(mapped, true, scene)[0] < 0.006
+    assert mapped.refused == ""
+    _assert_near(mapped.folders[0], true, scene, 0.006, 0.06)
 
 
 def _turned(k: int) -> np.ndarray:
@@ -114,8 +111,7 @@ def test_a_path_too_long_for_its_rig_is_made_right(world, tmp_path: Path) -> Non
     extrinsics = np.stack([scene.rigs[0].sensors[s].sensor_from_rig for s in scene.sensor])
     mapped = _map(tmp_path, scene, extrinsics @ transforms.invert(frames[scene.frame]))
     assert mapped.refused == "" and "0.125 times as long, by its matches" in mapped.notes[0]
-    error, scale = _error(mapped, true, scene)
-    assert error < 0.004 and scale == pytest.approx(1, abs=0.005)
+    assert _assert_near(mapped.folders[0], true, scene) == pytest.approx(1, abs=0.005)
 
 
 def test_what_a_mapper_made_too_long_is_mapped_again(world, tmp_path: Path, monkeypatch) -> None:
@@ -140,9 +136,7 @@ def test_what_a_mapper_made_too_long_is_mapped_again(world, tmp_path: Path, monk
         tmp_path / "log.txt",
     )
     assert any("0.125 times as long, by its matches" in note for note in made.notes)
-    again = Mapped([tmp_path / "sparse" / "0"], (), "")
-    error, scale = _error(again, true, scene)
-    assert error < 0.004 and scale == pytest.approx(1, abs=0.005)
+    assert _assert_near(tmp_path / "sparse" / "0", true, scene) == pytest.approx(1, abs=0.005)
     assert "path as long as its rig says" in str(made.tables)
 
 
