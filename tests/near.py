@@ -8,24 +8,35 @@ from tiegraph.geometry.align import umeyama
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import image_poses
 
-_COPIED_M = 1e-7  # nearer than that nothing is measured: it is the truth itself
+_COPIED_M, _COPIED_DEG = 1e-7, 1e-5  # nearer than that nothing is measured: it is the truth itself
 
 
 def assert_reconstruction_near(
-    model: pycolmap.Reconstruction, scene: Scene, truth: np.ndarray, *, m: float, deg: float
-) -> None:
+    model: pycolmap.Reconstruction,
+    scene: Scene,
+    truth: np.ndarray,
+    *,
+    m: float,
+    deg: float,
+    images: np.ndarray | None = None,
+) -> float:
     """Every image of the scene has a pose; after the best similarity their centres are within ``m`` metres of the true
-    ones and their rotations within ``deg`` degrees (root mean squares), and not the truth itself.
+    ones and their rotations within ``deg`` degrees (root mean squares), and not the truth itself. Returns the scale of
+    that similarity, which is 1 where the model keeps the metres of the truth.
 
-    ``truth``: (N, 4, 4) cam_from_world.
+    ``truth``: (N, 4, 4) cam_from_world. ``images``: rows of the scene that alone have a pose, None = all.
     """
     poses = image_poses(model, scene)
-    missing = [scene.names[k] for k in np.flatnonzero(~np.isfinite(poses).all(axis=(1, 2)))]
-    assert not missing, f"without a pose: {missing}"
+    posed = np.isfinite(poses).all(axis=(1, 2))
+    asked = np.ones(len(scene), bool) if images is None else np.isin(np.arange(len(scene)), images)
+    missing, more = ([scene.names[k] for k in np.flatnonzero(rows)] for rows in (asked & ~posed, posed & ~asked))
+    assert not missing and not more, f"without a pose: {missing}; with one: {more}"
+    poses, truth = poses[asked], truth[asked]
     found, true = transforms.centre(poses), transforms.centre(truth)
     fit = umeyama(found, true)
     off = float(np.sqrt(np.mean(np.sum((fit(found) - true) ** 2, axis=1))))
     turned = poses[:, :3, :3] @ fit.rotation.T
     angle = float(np.sqrt(np.mean(transforms.angle_deg(turned, truth[:, :3, :3]) ** 2)))
     assert _COPIED_M < off < m, f"centres off by {off:.3g} m (limit {m:g})"
-    assert angle < deg, f"rotations off by {angle:.3g} deg (limit {deg:g})"
+    assert _COPIED_DEG < angle < deg, f"rotations off by {angle:.3g} deg (limit {deg:g})"
+    return fit.scale

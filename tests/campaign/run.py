@@ -80,15 +80,16 @@ class Plan:
     short: bool = False
 
 
-def campaign(name: str, plan: Plan, tell: Callable[[list], None] | None = None) -> list:
-    """The results of the cases of one campaign, each worker on a fork server of its own."""
+def campaign(name: str, plan: Plan, tell: Callable[[list], None] | None = None, server=None) -> list:
+    """The results of the cases of one campaign, each worker on a fork server of its own, the first on ``server`` if one
+    is given (it stays open)."""
     import importlib
 
     from campaign.process import Server
     from campaign.world import make
 
     module = importlib.import_module(f"campaign.{name}")
-    first = Server(plan.source)
+    first = server or Server(plan.source)
     world = make(plan.work, first)
     prepare = getattr(module, "prepare", None)
     context = prepare(world, first, plan.short) if prepare else None
@@ -98,21 +99,22 @@ def campaign(name: str, plan: Plan, tell: Callable[[list], None] | None = None) 
     results: list = []
     lock = threading.Lock()
 
-    def work_off(server: Server | None, number: int) -> None:
-        server = server or Server(plan.source)
+    def work_off(number: int) -> None:
+        own = Server(plan.source) if number else first
         while True:
             try:
                 index = todo.get_nowait()
             except queue.Empty:
                 break
-            result = one(module, name, plan.seed, index, world, server, context)
+            result = one(module, name, plan.seed, index, world, own, context)
             with lock:
                 results.append(result)
                 if tell:
                     tell(results)
-        server.close()
+        if own is not server:
+            own.close()
 
-    threads = [threading.Thread(target=work_off, args=(first if k == 0 else None, k)) for k in range(plan.jobs)]
+    threads = [threading.Thread(target=work_off, args=(k,)) for k in range(plan.jobs)]
     for thread in threads:
         thread.start()
     for thread in threads:

@@ -167,6 +167,9 @@ def test_filters_drop_outliers_and_keep_the_surface():
     assert (~result.keep).sum() == result.statistical + result.radius
     only_radius = filter_points(np.r_[surface, outliers], spacing, CloudSettings(statistical_ratio=0), TUNING)
     assert only_radius.keep[: len(surface)].all() and not only_radius.keep[len(surface) :].any()
+    only_statistical = filter_points(np.r_[surface, outliers], spacing, CloudSettings(radius_neighbours=0), TUNING)
+    assert only_statistical.keep[: len(surface)].mean() > 0.97 and not only_statistical.keep[len(surface) :].any()
+    assert only_statistical.statistical == (~only_statistical.keep).sum() and only_statistical.radius == 0
     off = filter_points(
         np.r_[surface, outliers], spacing, CloudSettings(statistical_ratio=0, radius_neighbours=0), TUNING
     )

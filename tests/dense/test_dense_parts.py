@@ -95,6 +95,16 @@ def test_the_precise_partner_weighs_more():
     assert (sigma < TUNING.rays.sigma_px * 0.0002).all()
 
 
+def test_who_is_far_from_the_mean_is_left_out_and_who_is_near_counts_less():
+    """The last agrees with each of the others, within two sigmas of one; of the mean of all it is judged alone."""
+    inverse, _, support = solved([candidate(0.1), candidate(0.1), candidate(0.1), candidate(0.1014)], 1.0)
+    np.testing.assert_allclose(inverse, 0.1, rtol=1e-6)
+    assert (support == 0b0111).all()
+    inverse, _, support = solved([candidate(0.1), candidate(0.1), candidate(0.1), candidate(0.1011)], 1.0)
+    assert (support == 0b1111).all()
+    assert (inverse > 0.1 + 0.00005).all() and (inverse < 0.1 + 0.0002).all(), "the plain mean is 0.100275"
+
+
 def test_nothing_proposed_gives_nothing():
     inverse, sigma, support = solved([Candidates.nothing((4, 5)), Candidates.nothing((4, 5))], 1.0)
     assert np.isnan(inverse).all() and np.isnan(sigma).all() and (support == 0).all()

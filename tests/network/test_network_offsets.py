@@ -15,6 +15,7 @@ from tiegraph.network.rig.axes import angles_deg, vertical, yaw_between
 from tiegraph.network.rig.commonview import direction, in_words, strangers, votes, without_chance, yaw
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
+from tiegraph.papers.meguro2024 import _around
 from tiegraph.scene.pairs import REASONS
 
 TUNING = Tuning()
@@ -90,6 +91,25 @@ def test_paper_000_keeps_the_best_partner_of_each_camera() -> None:
     cameras = len(world.scene.rigs[0].sensors)
     assert len(kept) <= len(world.scene) * 2 * cameras
     assert network.pairs.funnel()["weak"] > 0
+
+
+def test_of_the_partners_around_an_offset_the_best_ones_are_kept() -> None:
+    """``offset_best`` of each image and camera pair; those of too few matches are none."""
+    world = boat((16, 16), (1.5, 1.5))
+    p, q = find_passes(world.scene)
+    settings = CandidatesSettings(offsets="constant", offset_range=4, min_matches=40)
+    book = PreviewBook(world.match, len(world.scene))
+    lattice = make_lattice(p, q, 1, np.ones((5, 5), bool), TUNING.offsets.lattice)
+    for best in (1, 2):
+        chosen = settings.model_copy(update={"offset_best": best})
+        pairs = _around(lattice, (1, 3, 15), True, book, chosen)
+        image, partner = np.where(np.isin(pairs.i, p.images[1]), (pairs.i, pairs.j), (pairs.j, pairs.i))
+        assert len(np.unique(image)) == 16 and np.isin(partner, q.images[3]).all()
+        for k in np.unique(image):
+            here = image == k
+            ranked = np.sort(pairs.score[here])[::-1]
+            enough = ranked[: min(best, int(np.sum(ranked >= 40)))]
+            np.testing.assert_array_equal(np.sort(pairs.score[here & (pairs.dropped == 0)])[::-1], enough)
 
 
 def test_axes_that_forbid_a_match_are_previewed_only_to_check_the_rig() -> None:

@@ -74,6 +74,19 @@ def test_frames_without_prior_fall_back_on_previews() -> None:
     assert any("3 of 20 frames have no prior position" in note for note in network.notes)
 
 
+def test_beyond_some_ranges_nothing_is_shared() -> None:
+    """And a prior that is not sure enough does not refuse."""
+    world = boat((10,), (2.0,))
+    scene = with_priors(world)
+    near = CandidatesSettings(sources=("poses",), range_m=3.5, axes_deg=80)
+    pairs = pose_pairs(scene, find_passes(scene), near, TUNING).pairs
+    far = pairs.dropped == REASONS.index("distance")
+    assert TUNING.poses.far_ranges == 2.0  # frames stand every 2 m
+    assert (pairs.baseline_m[~far].max(), pairs.baseline_m[far].min()) == (6.0, 8.0)
+    unsure = scene.with_(position_sigma_m=np.full((scene.frames, 3), 4.0))
+    assert "distance" not in pose_pairs(unsure, find_passes(scene), near, TUNING).pairs.funnel()
+
+
 def test_odometry_of_two_passes_is_never_compared() -> None:
     world = boat((10, 10), (2.0, 2.0))
     scene = with_priors(world).with_(prior="odometry")

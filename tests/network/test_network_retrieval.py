@@ -1,5 +1,7 @@
 """Retrieval: look-alikes by visual words, and loops nobody expects."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from place_world import Places, found, passes_of, photos, shuffled_ring, video, words_of
@@ -156,8 +158,16 @@ def test_scenes_without_passes_or_photographs() -> None:
 
 
 @pytest.mark.slow
-def test_four_thousand_images_are_looked_up_in_linear_memory() -> None:
-    world = Places(np.arange(4000) * 12.0, around=12000)
-    index, _ = nearest_images(world.descriptors(), 20, WORDS)
-    rows = np.repeat(np.arange(4000), 20)
-    assert (world.overlap(rows, index.ravel()) >= 0.1).mean() > 0.9
+def test_many_images_are_looked_up_in_linear_memory() -> None:
+    """Twice the images take twice the memory: a table of all pairs, at four bytes each, would add 4 %."""
+    peak = []
+    for count in (750, 1500):
+        world = Places(np.arange(count) * 12.0, around=3 * count)
+        descriptors = world.descriptors()
+        tracemalloc.start()
+        index, _ = nearest_images(descriptors, 20, WORDS)
+        peak.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        rows = np.repeat(np.arange(count), 20)
+        assert (world.overlap(rows, index.ravel()) >= 0.1).mean() > 0.9
+    assert 1.9 < peak[1] / peak[0] < 2.03

@@ -48,6 +48,15 @@ def test_the_cuts_sever_the_video() -> None:
     assert 6 <= found.counts["cut"] <= 6 * 21  # a complete severing of a window of six crosses 21 pairs
 
 
+def test_each_of_five_parts_is_cut_from_its_first_to_its_last_image() -> None:
+    pairs = video()
+    kept = design(pairs, photos(60), None, DesignSettings(method="fuse2014"), TUNING).pairs.kept()
+    for part in np.array_split(np.arange(60), 5):
+        inside = kept.where(np.isin(kept.i, part) & np.isin(kept.j, part))
+        label = components(inside, 60)
+        assert label[part[0]] != label[part[-1]] and len(inside) > 0
+
+
 def test_the_safe_variant_keeps_it_together() -> None:
     pairs = video()
     found = design(pairs, photos(60), None, DesignSettings(method="fuse2014_safe"), TUNING)

@@ -35,6 +35,17 @@ def test_small_areas_of_both_colours_go():
     assert difference_mask(a, c, 20, TUNING.meguro2024)[35, 35]
 
 
+def test_lines_thinner_than_the_square_go_however_long():
+    a = np.zeros((200, 200), np.uint8)
+    b = a.copy()
+    b[:, 100:] = 255
+    b[:, 40:45] = 255  # 1000 px of white, 5 px wide
+    b[:, 150:155] = 0  # and of black
+    mask = difference_mask(a, b, 20, TUNING.meguro2024)
+    assert TUNING.meguro2024.square_px == 7
+    assert not mask[:, :100].any() and mask[:, 100:].all()
+
+
 def test_threshold_is_the_smallest_difference_used():
     a = np.full((64, 64), 100, np.uint8)
     assert difference_mask(a, a + np.uint8(20), 20, TUNING.meguro2024).all()

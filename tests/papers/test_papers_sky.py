@@ -46,6 +46,27 @@ def test_final_mask_takes_sky_and_burnt_out_areas_and_leaves_the_scene():
     assert 0.9 < share(mask, slice(HORIZON + 8, None)) < 1.0
 
 
+def test_a_sky_that_is_not_blue_is_masked_down_to_its_edge():
+    image = np.full((*SHAPE, 3), 180, np.uint8)  # cloudy, and below what is burnt out
+    image[HORIZON:] = frame(0)[HORIZON:]
+    assert not blue_sky(image[:HORIZON], TUNING).any()
+    mask = final_mask(image, None, SETTINGS, TUNING)
+    assert share(mask, slice(0, HORIZON - 8)) == 0
+    assert share(mask, slice(HORIZON + 8, None)) > 0.95
+
+
+def test_a_block_is_masked_from_half_of_its_pixels_on():
+    grain = np.random.default_rng(0).integers(0, 2, (32, 64)) * 100
+    image = np.repeat(grain.astype(np.uint8)[..., None], 3, axis=2)  # edges everywhere: no sky
+    image[8:16, 16:19] = 255  # three of a block's eight columns are burnt out
+    image[8:16, 40:44] = 255  # four of them
+    mask = final_mask(image, None, SETTINGS, TUNING)[8:]
+    masked = np.zeros_like(mask)
+    masked[:8, 40:48] = True
+    assert (TUNING.block_px, TUNING.min_block) == (8, 0.5)
+    np.testing.assert_array_equal(~mask, masked)
+
+
 def test_final_mask_merges_the_initial_one():
     initial = np.ones(SHAPE, bool)
     initial[DECK:] = False

@@ -1,35 +1,28 @@
 """The same input, settings and version make the same bytes: whatever the pool, the order of hashes and of workers."""
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
+import tiegraph
 import worlds
 from artefacts import artefacts
-from tiegraph.scan.rigwrite import write_rig_toml
+from campaign.process import Server
 
 pytestmark = pytest.mark.slow
-
-
-def run(survey: Path, out: Path, pool: str, seed: str, *more: str) -> None:
-    command = [sys.executable, "-m", "tiegraph.cli.main", "run", str(survey / "images"), "-o", str(out), "--quiet"]
-    given = [word for name in ("gnss", "times") for word in (f"--{name}", str(survey / f"{name}.csv"))]
-    environment = {**os.environ, "PYTHONHASHSEED": seed}
-    subprocess.run([*command, *given, "--pool", pool, *more], check=True, env=environment)
+_PATIENCE_S = 400
 
 
 def test_serial_and_processes_make_the_same_bytes(tmp_path):
-    """With a calibrated rig, to the world; ``test_resume`` says so of all stages, and of a survey that is not known."""
-    made = worlds.make_survey(tmp_path / "images", frames=6)
-    worlds.write_gnss(made, tmp_path / "gnss.csv")
-    worlds.write_times(made, tmp_path / "times.csv")
-    write_rig_toml(made.rig, tmp_path / "rig.toml")
-    more = ("--rig", str(tmp_path / "rig.toml"), "--masks.source", "none", "--until", "georef")
-    run(tmp_path, tmp_path / "a", "serial", "1", *more)
-    run(tmp_path, tmp_path / "b", "local:2", "2", *more)
-    a, b = artefacts(tmp_path / "a"), artefacts(tmp_path / "b")
+    """With a rig that is not known, to the world; ``test_resume`` says so of all stages and of a calibrated rig."""
+    survey = worlds.write_survey(tmp_path / "survey", frames=3)
+    for pool, hashes in (("serial", "1"), ("local:2", "2")):
+        server = Server(Path(tiegraph.__file__).parents[1], hashes)
+        command = ["run", survey / "images", "-o", tmp_path / pool, "--pool", pool, "--until", "georef", "--quiet"]
+        given = [word for name in ("gnss", "times") for word in (f"--{name}", survey / f"{name}.csv")]
+        ended = server.run([*command, *given], tmp_path / "said", _PATIENCE_S)
+        server.close()
+        assert ended.good, ended
+    a, b = artefacts(tmp_path / "serial"), artefacts(tmp_path / "local:2")
     assert sorted(a) == sorted(b) and {"world.json", "database.db", "sparse/0/images.bin"} <= set(a)
     assert [name for name in a if a[name] != b[name]] == []
