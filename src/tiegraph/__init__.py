@@ -15,7 +15,7 @@ import zlib  # noqa: F401  isort: skip
 
 from typing import TYPE_CHECKING, Any
 
-from tiegraph.version import __version__
+from tiegraph.__version__ import __version__
 
 if TYPE_CHECKING:
     from tiegraph.api import Project

@@ -7,13 +7,13 @@ import os
 import sys
 from collections.abc import Sequence
 
+from tiegraph.__version__ import __version__
 from tiegraph.cli.output import complain, lost_output, prepare_streams, say
 from tiegraph.cli.stopping import hear, say_stopped, stoppable
 from tiegraph.cli.verbs import VERBS, wants_page
 from tiegraph.errors import EngineMissing, InputError, SettingsError, TiegraphError
 from tiegraph.limits import explained
 from tiegraph.scene.names import check_text
-from tiegraph.version import __version__
 
 DONE, FAILED, MISUSE = 0, 1, 2
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 from importlib.metadata import PackageNotFoundError, version
 
-from tiegraph.version import __version__
+from tiegraph.__version__ import __version__
 
 _PACKAGES = ("pycolmap", "numpy", "opencv-python-headless", "scipy", "laspy", "pyproj")
 
