@@ -24,11 +24,9 @@ MAX_UNPACKED = 2  # a pair is a thing; three things are arguments
 # Options of the command line are settings.
 OPTIONS = ("tiegraph.cli.run", "tiegraph.cli.options")
 # Tables, whose fields are their columns, records of a file, and what is still to be split.
-BAGS = {"Scene", "Pairs", "Stage", "Exif", "SensorSpec", "Network"}
+BAGS = {"Scene", "Pairs", "Stage", "Exif", "SensorSpec"}
 BAGS |= {"CloudComparison", "TrajectoryError", "Model", "PositionSigma", "SparseResult", "SensorHealth"}
 BAGS |= {"Evidence", "Fit", "Georeference"}
-# `network` is being cut into stages.
-UNMENDED = ("tiegraph.network", "tiegraph.pipeline.network")
 
 
 def ids(path):
@@ -214,10 +212,6 @@ def parts(annotation: ast.AST | None) -> int:
     return 0
 
 
-def mended(module: str) -> bool:
-    return not any(module == m or module.startswith(f"{m}.") for m in UNMENDED)
-
-
 def test_no_dataclass_is_a_bag():
     large = {
         n: len(fields(m, c)) for (m, n), c in RECORDS.items() if m not in OPTIONS and len(fields(m, c)) > MAX_FIELDS
@@ -229,7 +223,7 @@ def test_no_dataclass_is_a_bag():
 def test_dataclasses_are_built_by_name():
     found = []
     for module, tree in TREES.items():
-        records = known(module) if mended(module) else {}
+        records = known(module)
         made = [(c, name) for c, name in calls(tree) if name in records and len(c.args) > MAX_POSITIONAL]
         found += [f"{module}:{c.lineno} {name}" for c, name in made]
     assert found == []
@@ -238,7 +232,7 @@ def test_dataclasses_are_built_by_name():
 def test_no_tuple_stands_for_arguments_or_results():
     found = []
     for module, tree in TREES.items():
-        for f in (n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef) and mended(module)):
+        for f in (n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef)):
             if parts(f.returns) > MAX_RETURNED:
                 found.append(f"{module}:{f.lineno} {f.name} returns {parts(f.returns)} things")
             bags = {a.arg for a in (*f.args.args, *f.args.kwonlyargs) if parts(a.annotation) > MAX_UNPACKED}

@@ -15,7 +15,7 @@ from tiegraph.network.rig.axes import angles_deg, vertical, yaw_between
 from tiegraph.network.rig.commonview import direction, in_words, strangers, votes, without_chance, yaw
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
-from tiegraph.papers.meguro2024 import _around
+from tiegraph.papers.meguro2024 import _around, _At
 from tiegraph.scene.pairs import REASONS
 
 TUNING = Tuning()
@@ -102,7 +102,7 @@ def test_of_the_partners_around_an_offset_the_best_ones_are_kept() -> None:
     lattice = make_lattice(p, q, 1, np.ones((5, 5), bool), TUNING.offsets.lattice)
     for best in (1, 2):
         chosen = settings.model_copy(update={"offset_best": best})
-        pairs = _around(lattice, (1, 3, 15), True, book, chosen)
+        pairs = _around(lattice, _At(1, 3, 15), True, book, chosen)
         image, partner = np.where(np.isin(pairs.i, p.images[1]), (pairs.i, pairs.j), (pairs.j, pairs.i))
         assert len(np.unique(image)) == 16 and np.isin(partner, q.images[3]).all()
         for k in np.unique(image):

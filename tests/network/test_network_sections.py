@@ -156,9 +156,10 @@ def test_missing_up_images_take_the_state_of_their_neighbours() -> None:
 
 def test_otsu_splits_two_heaps() -> None:
     rng = np.random.default_rng(0)
-    threshold, separation, low, high = otsu(np.r_[rng.normal(60, 5, 30), rng.normal(150, 8, 70)])
+    found = otsu(np.r_[rng.normal(60, 5, 30), rng.normal(150, 8, 70)])
+    threshold, separation, low, high = found.threshold, found.separation, found.low, found.high
     assert 75 < threshold < 130 and 0.9 < separation <= 1 and 2.2 < high / low < 2.8
-    assert otsu(np.full(9, 7.0))[1] == 0.0
+    assert otsu(np.full(9, 7.0)).separation == 0.0
 
 
 @pytest.mark.parametrize(("say", "dark"), [((-4, 4, -4, -4), 0), ((-4, 4, 4, -4), 2), ((-1, 1, 1, -1), 0), ((), 0)])

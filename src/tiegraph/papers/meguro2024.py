@@ -12,6 +12,7 @@ of paper 001 (section c) is brute force without masks. The constants that the pa
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -83,13 +84,13 @@ def constant_offsets(p: Pass, q: Pass, book: PreviewBook, settings: CandidatesSe
         if not len(offsets):
             continue
         best[c, d] = offsets[np.argmax(votes)]
-        voted[c, d] = _supported(lattice, (*couple, int(best[c, d])), backwards, settings.min_matches, tuning)
+        voted[c, d] = _supported(lattice, _At(*couple, int(best[c, d])), backwards, settings.min_matches, tuning)
     seen = np.isfinite(lattice.inliers)
     why = np.where(voted, REASONS.index("offset"), REASONS.index("votes"))
     code = np.broadcast_to(why[:, :, None, None], seen.shape)
     looked_at = Pairs.make(*lattice.images(seen), "offsets", score=lattice.inliers[seen], dropped=code[seen])
     blocks = [
-        _around(lattice, (int(c), int(d), int(best[c, d])), backwards, book, settings) for c, d in np.argwhere(voted)
+        _around(lattice, _At(int(c), int(d), int(best[c, d])), backwards, book, settings) for c, d in np.argwhere(voted)
     ]
     for block in blocks:
         # Where both know a pair, the range decides: "offset" holds only outside of it.
@@ -143,11 +144,18 @@ def _backwards_by_votes(lattice: Lattice, min_matches: int, tuning: Tuning) -> b
     return height[1] > height[0]
 
 
-def _supported(
-    lattice: Lattice, block: tuple[int, int, int], backwards: bool, min_matches: int, tuning: Tuning
-) -> bool:
+@dataclass(frozen=True)
+class _At:
+    """A camera of each pass and the best offset of their frames."""
+
+    a: int
+    b: int
+    best: int
+
+
+def _supported(lattice: Lattice, at: _At, backwards: bool, min_matches: int, tuning: Tuning) -> bool:
     """Whether the best offset has enough matches on average, over enough sampled frames."""
-    c, d, best = block
+    c, d, best = at.a, at.b, at.best
     m, n = np.meshgrid(lattice.rows, lattice.columns, indexing="ij")
     step = int(np.max(np.diff(lattice.columns), initial=1))
     inliers = lattice.inliers[c, d]
@@ -157,11 +165,9 @@ def _supported(
     return frames >= tuning.offsets.constant.least_frames and float(count.mean()) >= min_matches
 
 
-def _around(
-    lattice: Lattice, block: tuple[int, int, int], backwards: bool, book: PreviewBook, settings: CandidatesSettings
-) -> Pairs:
+def _around(lattice: Lattice, at: _At, backwards: bool, book: PreviewBook, settings: CandidatesSettings) -> Pairs:
     """All frames of a camera pair within the range around its offset; of these the best by preview if so set."""
-    c, d, best = block
+    c, d, best = at.a, at.b, at.best
     p, q = lattice.p, lattice.q
     m, r = np.meshgrid(np.arange(len(p)), np.arange(-settings.offset_range, settings.offset_range + 1), indexing="ij")
     n = best + r - m if backwards else best + r + m

@@ -157,7 +157,7 @@ def bright_share(counts: np.ndarray) -> np.ndarray:
     share = counts / counts.sum(axis=1, keepdims=True)
     levels = np.arange(counts.shape[1])
     pixels = np.repeat(levels, np.rint(_PIXELS * share.mean(axis=0)).astype(int))
-    return share[:, levels > otsu(pixels)[0]].sum(axis=1)
+    return share[:, levels > otsu(pixels).threshold].sum(axis=1)
 
 
 # The range is our reading, as in ``meguro2024``.

@@ -91,21 +91,32 @@ def check_prior(
     tuning: Tuning,
 ) -> PriorCheck:
     """Preview a sample of what a prior proposes and refuses, and compare with other readings of the same prior."""
-    i, j, proposed, kind = _sample(scene, result.pairs, tuning.poses.prior)
+    drawn = _sample(scene, result.pairs, tuning.poses.prior)
+    i, j, kind = drawn.i, drawn.j, drawn.kind
     count = book.measure(i, j) if len(i) else np.zeros(0)
     tied = count >= tuning.counts.sure * settings.min_matches
-    rows = [(k, _counts(proposed[kind == k], tied[kind == k])) for k in range(len(KINDS)) if np.any(kind == k)]
+    rows = [(k, _counts(drawn.proposed[kind == k], tied[kind == k])) for k in range(len(KINDS)) if np.any(kind == k)]
     fit, better, better_fit = _readings(scene, passes, (i, j, count, tied, kind), result.range_m, tuning)
-    bad = [KINDS[k] for k, counts in rows if not _tells(*counts, tuning.poses.prior)]
-    table = tuple((KINDS[k], *counts) for k, counts in rows)
-    notes = _notes(table, bad, (fit, better, better_fit))
+    bad = [KINDS[k] for k, counts in rows if not _tells(counts, tuning.poses.prior)]
+    table = tuple((KINDS[k], c.proposed, c.tied, c.refused, c.lost) for k, c in rows)
+    notes = _notes(table, bad, fit=fit, better=better, better_fit=better_fit)
     return PriorCheck(
         good=not bad and not better, table=table, fit=fit, better=better, better_fit=better_fit, notes=notes
     )
 
 
-def _sample(scene: Scene, pairs: Pairs, tuning: PriorTuning) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Pairs i, j (K,) to preview, whether the prior proposes them, and their kind: some of each.
+@dataclass(frozen=True)
+class _Sample:
+    """Pairs i, j (K,) to preview, whether the prior proposes them, and their kind."""
+
+    i: np.ndarray
+    j: np.ndarray
+    proposed: np.ndarray
+    kind: np.ndarray
+
+
+def _sample(scene: Scene, pairs: Pairs, tuning: PriorTuning) -> _Sample:
+    """Some pairs of each kind.
 
     Refused are also pairs too far apart to be listed, drawn from all pairs of images with a prior position.
     """
@@ -125,7 +136,7 @@ def _sample(scene: Scene, pairs: Pairs, tuning: PriorTuning) -> tuple[np.ndarray
             of_kind = np.flatnonzero((kind == k) & (offered == side))
             rows.append(rng.choice(of_kind, min(tuning.sample, len(of_kind)), replace=False))
     take = np.sort(np.concatenate(rows))
-    return i[take], j[take], offered[take], kind[take]
+    return _Sample(i=i[take], j=j[take], proposed=offered[take], kind=kind[take])
 
 
 def _kind(scene: Scene, i: np.ndarray, j: np.ndarray, near_steps: int) -> np.ndarray:
@@ -137,20 +148,31 @@ def _kind(scene: Scene, i: np.ndarray, j: np.ndarray, near_steps: int) -> np.nda
     return np.where(near, 0, np.where(same, 1, np.where(loose, 3, 2)))
 
 
-def _counts(proposed: np.ndarray, tied: np.ndarray) -> tuple[int, int, int, int]:
-    return (
-        int(proposed.sum()),
-        int((proposed & tied).sum()),
-        int((~proposed).sum()),
-        int((~proposed & tied).sum()),
+@dataclass(frozen=True)
+class _Counts:
+    """Pairs that a prior proposes and those of them that tie; pairs that it refuses and those of them that tie."""
+
+    proposed: int
+    tied: int
+    refused: int
+    lost: int
+
+
+def _counts(proposed: np.ndarray, tied: np.ndarray) -> _Counts:
+    return _Counts(
+        proposed=int(proposed.sum()),
+        tied=int((proposed & tied).sum()),
+        refused=int((~proposed).sum()),
+        lost=int((~proposed & tied).sum()),
     )
 
 
-def _tells(proposed: int, tied: int, refused: int, lost: int, tuning: PriorTuning) -> bool:
+def _tells(counts: _Counts, tuning: PriorTuning) -> bool:
     """Whether a prior knows something of a kind of pairs: what it refuses ties much more rarely than what it proposes.
 
     With too few pairs or ties nothing speaks against it.
     """
+    proposed, tied, refused, lost = counts.proposed, counts.tied, counts.refused, counts.lost
     if proposed < tuning.enough or refused < tuning.enough or tied + lost < tuning.few_ties:
         return True
     yes, no = tied / proposed, lost / refused
@@ -284,8 +306,7 @@ def _area(share: np.ndarray, tied: np.ndarray, kind: np.ndarray, few: int) -> fl
     return float(np.mean(found)) if found else float("nan")
 
 
-def _notes(table: tuple, bad: list[str], readings: tuple[float, str, float]) -> tuple[str, ...]:
-    fit, better, better_fit = readings
+def _notes(table: tuple, bad: list[str], *, fit: float, better: str, better_fit: float) -> tuple[str, ...]:
     if not table:
         return ()
     parts = "; ".join(f"{name}: {pt} of {p} and {rt} of {r}" for name, p, pt, r, rt in table)

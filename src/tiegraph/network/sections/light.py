@@ -185,7 +185,8 @@ def _split(values: np.ndarray, tuning: SectionsTuning) -> _Split | None:
     known = values[np.isfinite(values)]
     if len(known) < tuning.min_frames:
         return None
-    threshold, separation, low, high = otsu(known)
+    split = otsu(known)
+    threshold, separation, low, high = split.threshold, split.separation, split.low, split.high
     below, above = known[known < threshold], known[known >= threshold]
     if min(len(below), len(above)) < tuning.min_class:
         separation = 0.0
@@ -193,8 +194,18 @@ def _split(values: np.ndarray, tuning: SectionsTuning) -> _Split | None:
     return _Split(threshold=threshold, low=low, high=high, scatter=scatter, separation=separation)
 
 
-def otsu(values: np.ndarray) -> tuple[float, float, float, float]:
-    """Threshold that splits values best (Otsu 1979), the share of the variance it explains, and the classes' means."""
+@dataclass(frozen=True)
+class Otsu:
+    """Threshold that splits values best, the share of the variance it explains, and the means of the two classes."""
+
+    threshold: float
+    separation: float
+    low: float
+    high: float
+
+
+def otsu(values: np.ndarray) -> Otsu:
+    """The split of values (n,) with the largest variance between its classes (Otsu 1979)."""
     values = np.sort(np.asarray(values, float))
     n, total = len(values), values.sum()
     low_count = np.arange(1, n)
@@ -204,7 +215,8 @@ def otsu(values: np.ndarray) -> tuple[float, float, float, float]:
     k = int(np.argmax(between))
     variance = float(values.var())
     separation = float(between[k]) / variance if variance > 1e-12 else 0.0
-    return float(0.5 * (values[k] + values[k + 1])), separation, float(low_mean[k]), float(high_mean[k])
+    threshold = float(0.5 * (values[k] + values[k + 1]))
+    return Otsu(threshold=threshold, separation=separation, low=float(low_mean[k]), high=float(high_mean[k]))
 
 
 def two_states(evidence: np.ndarray, tuning: SectionsTuning) -> np.ndarray:
