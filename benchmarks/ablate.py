@@ -16,8 +16,8 @@ from typing import Any
 from benchmarks.variants import Book, Variant, load, median, run, spread
 
 BASE = Variant("base")
-_RIGID = {"sync": {"sigmas": 1e9}, "health": {"max_ratio": 1e9}, "torn": {"min_sightings": 10**9}}
-_NO_PLACEMENT = {"repair": {"rounds": 0}, "adopt_rounds": 0, "guided": {"rounds": 0}}
+_RIGID = {"time_offset": {"sigmas": 1e9}, "diagnostics": {"max_ratio": 1e9}, "torn": {"min_sightings": 10**9}}
+_NO_PLACEMENT = {"repair": {"rounds": 0}, "missing_rounds": 0, "guided": {"rounds": 0}}
 VARIANTS = (
     Variant("rig check off", {"tuning": {"network": {"rig": {"check": {"min_votes": 10**6}}}}}, "given order believed"),
     Variant("offsets constant", {"candidates": {"offsets": "constant"}}, "one offset for each two passes (paper 000)"),
@@ -28,7 +28,7 @@ VARIANTS = (
     Variant("view-graph filtering off", {"verify": {"method": "off"}}, "no pair is refused"),
     Variant("minimum cut off", {"tuning": {"design": {"holding": {"wanted": 0.01}}}}, "no pairs to hold the parts"),
     Variant("bundle criterion off", {"tuning": {"design": {"bundle": {"max_unknowns": 0}}}}, "the net of resistances"),
-    Variant("law of matches off", {"tuning": {"design": {"foreseen": {"least_previewed": 10**9}}}}, "the usual law"),
+    Variant("law of matches off", {"tuning": {"design": {"match_prediction": {"least_previewed": 10**9}}}}, "usual"),
     Variant("design even where cheap", {"tuning": {"design": {"cost": {"little": 0.0}}}}, "small sets are chosen from"),
     Variant("design tree", {"design": {"method": "tree"}}, "forests instead of predicted accuracy"),
     Variant("design top", {"design": {"method": "top", "pairs_per_image": 20}}, "the 20 best pairs of an image"),
@@ -37,13 +37,13 @@ VARIANTS = (
     Variant("start from nothing", {"sparse": {"mapper": "global"}}, "COLMAP's global mapper"),
     Variant("rig held", {"sparse": {"rig": "fixed"}}, "never relaxed nor adjusted"),
     Variant("never relaxed", {"tuning": {"sfm": {"rig": _RIGID}}}, "cameras of a rig fire at one instant"),
-    Variant("rig not confronted", {"tuning": {"sfm": {"rig": {"judge": {"strong": 1e12}}}}}, "nothing is doubted"),
+    Variant("rig not confronted", {"tuning": {"sfm": {"rig": {"prior_test": {"strong": 1e12}}}}}, "nothing is doubted"),
     Variant("repair off", {"tuning": {"sfm": {"placement": {"repair": {"rounds": 0}}}}}, "no frame is moved"),
-    Variant("adoption off", {"tuning": {"sfm": {"placement": {"adopt_rounds": 0}}}}, "as the mapper left it"),
+    Variant("adoption off", {"tuning": {"sfm": {"placement": {"missing_rounds": 0}}}}, "as the mapper left it"),
     Variant("guided matching off", {"tuning": {"sfm": {"placement": {"guided": {"rounds": 0}}}}}, "for missing images"),
     Variant("repair, adoption, guided off", {"tuning": {"sfm": {"placement": _NO_PLACEMENT}}}, "the mapper's own"),
     Variant("rig absent", {"sparse": {"rig": "absent"}}, "images map one by one"),
-    Variant("lever-arm prior off", {"tuning": {"sfm": {"adjust": {"compact": {"least_others": 10**6}}}}}, "compact.py"),
+    Variant("lever-arm prior off", {"tuning": {"sfm": {"adjust": {"lever_arms": {"least_others": 10**6}}}}}, "none"),
     Variant("robust adjustment off", {"tuning": {"sfm": {"adjust": {"robust_rounds": 0}}}}, "plain least squares"),
     Variant("masks none", {"masks": {"source": "none"}}, "nothing masked"),
     Variant("masks not refuted", {"tuning": {"masks": {"proof": {"least_matches": 10**9}}}}, "no class is taken back"),
@@ -62,32 +62,32 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--work", type=Path, help="a folder that keeps the base runs")
     parser.add_argument("-o", "--output", type=Path, required=True)
     args = parser.parse_args(argv)
-    book = Book(args.output)
+    cache = Book(args.output)
     with tempfile.TemporaryDirectory() as scratch:
         work = args.work or Path(scratch)
         for name in args.sets:
             dataset, base = load(name, work), work / "base" / name
             for repeat in range(args.repeat):
                 out = base if repeat == 0 else work / "again"
-                if not book.has(name, BASE.name, repeat) or (repeat == 0 and not base.exists()):
-                    book.add(name, BASE, repeat, run(dataset, out, {}))
+                if not cache.has(name, BASE.name, repeat) or (repeat == 0 and not base.exists()):
+                    cache.add(name, BASE, repeat, run(dataset, out, {}))
             for variant in (v for v in VARIANTS if args.only is None or v.name in args.only):
                 for repeat in range(args.repeat):
-                    if not book.has(name, variant.name, repeat):
-                        book.add(name, variant, repeat, run(dataset, work / "variant", variant.settings, base))
-    sys.stdout.write(table(book, args.sets) + "\n")
-    return int(any(r["status"] != "done" for r in book.rows if r["set"] in args.sets))
+                    if not cache.has(name, variant.name, repeat):
+                        cache.add(name, variant, repeat, run(dataset, work / "variant", variant.settings, base))
+    sys.stdout.write(table(cache, args.sets) + "\n")
+    return int(any(r["status"] != "done" for r in cache.rows if r["set"] in args.sets))
 
 
-def table(book: Book, names: list[str]) -> str:
+def table(cache: Book, names: list[str]) -> str:
     """A table a set: each variant, and how it differs from the base."""
     lines = []
     for name in names:
-        base = book.of(name, BASE.name)
+        base = cache.of(name, BASE.name)
         lines += [f"\n{name}: base {_said(base)}; spread of {len(base)} runs {spread(base, 'ate_m'):.4f} m\n"]
         lines += ["| variant | registered | ATE | CPU | predicted / actual | |", "|---|---|---|---|---|---|"]
         for variant in VARIANTS:
-            rows = book.of(name, variant.name)
+            rows = cache.of(name, variant.name)
             if rows:
                 lines.append(f"| {variant.name} | {_cells(rows, base)} | {variant.what} |")
     return "\n".join(lines)

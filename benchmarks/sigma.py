@@ -36,7 +36,7 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import free_cameras
-from tiegraph.sfm.adjustment.given import drawings
+from tiegraph.sfm.adjustment.rigpriors import nominal_geometry
 from tiegraph.sfm.covariance import PositionSigma, position_sigma
 from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.rig.rig import rig_modes
@@ -203,7 +203,7 @@ def predicted(model: pycolmap.Reconstruction, scene: Scene) -> PositionSigma:
     constant = believed_cameras(scene, SparseSettings())
     fixed = {k + 1 for k, mode in rig_modes(scene, "auto").items() if mode == "fixed"}
     free = free_cameras(model, Tuning().adjust) - set(constant)
-    return position_sigma(model, free, set(model.rigs) - fixed, (), drawings(model, scene), tuning=Tuning())
+    return position_sigma(model, free, set(model.rigs) - fixed, (), nominal_geometry(model, scene), tuning=Tuning())
 
 
 def _with_truth(

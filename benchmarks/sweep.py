@@ -63,17 +63,17 @@ def main(argv: list[str] | None = None) -> int:
     args = parser.parse_args(argv)
     asked = [(p, v) for p, v in numbers(Tunings()) if _within(p, args.engines)]
     variants = [varied(place, value, factor) for place, value in asked for factor in FACTORS]
-    book = Book(args.output)
+    cache = Book(args.output)
     with tempfile.TemporaryDirectory() as scratch:
         work = args.work or Path(scratch)
         for name in args.sets:
             dataset, base = load(name, work), work / "base" / name
-            if not book.has(name, BASE.name) or not base.exists():
-                book.add(name, BASE, 0, run(dataset, base, {}))
-            for variant in (v for v in variants if v is not None and not book.has(name, v.name)):
-                book.add(name, variant, 0, run(dataset, work / "variant", variant.settings, base))
+            if not cache.has(name, BASE.name) or not base.exists():
+                cache.add(name, BASE, 0, run(dataset, base, {}))
+            for variant in (v for v in variants if v is not None and not cache.has(name, v.name)):
+                cache.add(name, variant, 0, run(dataset, work / "variant", variant.settings, base))
     refused = sum(v is None for v in variants)
-    sys.stdout.write(f"{len(asked)} constants, {refused} values refused\n{table(book, args.sets, args.most)}\n")
+    sys.stdout.write(f"{len(asked)} constants, {refused} values refused\n{table(cache, args.sets, args.most)}\n")
     return 0
 
 
@@ -81,13 +81,13 @@ def _within(place: str, engines: list[str] | None) -> bool:
     return engines is None or any(place == e or place.startswith(f"{e}.") for e in engines)
 
 
-def table(book: Book, names: list[str], most: int) -> str:
+def table(cache: Book, names: list[str], most: int) -> str:
     """The constants that change most, over all sets."""
     changes: dict[str, list[str]] = {}
     size: dict[str, float] = {}
     for name in names:
-        base = book.of(name, BASE.name)[0]
-        for row in (r for r in book.rows if r["set"] == name and r["variant"] != BASE.name):
+        base = cache.of(name, BASE.name)[0]
+        for row in (r for r in cache.rows if r["set"] == name and r["variant"] != BASE.name):
             if row["status"] != "done":
                 size[row["variant"]] = float("inf")
                 changes.setdefault(row["variant"], []).append(f"{name}: {row['status'][:60]}")

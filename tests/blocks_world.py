@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
 from tiegraph.network.coarse.model import CoarseModel
+from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
-from tiegraph.scene.ties import Ties
 
 FRAMES = 240  # of each of two passes, there and back, of two cameras: 960 images
 SEES = 25.0  # frames
@@ -28,7 +28,7 @@ def survey() -> tuple[Scene, np.ndarray]:
     order = np.array(sorted(range(len(names)), key=lambda k: names[k]))
     frame, sensor = frame[order], sensor[order]
     track, step = np.repeat([1, 0], FRAMES), np.tile(np.arange(FRAMES), 2)
-    scene = simple_scene(rig, [names[k] for k in order], frame, sensor, track, step, tracks=("back", "there"))
+    scene = simple_scene(rig, [names[k] for k in order], frame, sensor, track, step, sequences=("back", "there"))
     return scene, np.stack([pose(int(f), int(s)) for f, s in zip(frame, sensor)])
 
 
@@ -47,7 +47,7 @@ def pose(frame: int, sensor: int) -> np.ndarray:
     return transforms.rigid(rotation, -rotation @ centre)
 
 
-def ties_of(scene: Scene) -> Ties:
+def ties_of(scene: Scene) -> PreviewMatches:
     """Images that look to one side tie over SEES frames of the way, the more the nearer; of both passes."""
     where = np.array([place(int(f)) for f in scene.frame])
     side = (scene.sensor == 0) ^ (scene.frame >= FRAMES)
@@ -56,7 +56,7 @@ def ties_of(scene: Scene) -> Ties:
     good = np.flatnonzero((apart < SEES) & (side[i] == side[j]) & (np.random.default_rng(0).random(len(i)) < 0.3))
     count = (15 + 60 * (1 - apart[good] / SEES)).astype(int)
     start = np.concatenate([[0], np.cumsum(count)])
-    return Ties(i[good], j[good], start, np.zeros((start[-1], 2), np.uint16))
+    return PreviewMatches(i[good], j[good], start, np.zeros((start[-1], 2), np.uint16))
 
 
 class Mapper:
@@ -68,7 +68,7 @@ class Mapper:
         self.noise_m, self.broken = noise_m, broken
         self.sizes: list[int] = []
 
-    def __call__(self, scene: Scene, ties: Ties, rough: bool) -> CoarseModel:
+    def __call__(self, scene: Scene, ties: PreviewMatches, rough: bool) -> CoarseModel:
         assert ties.i.max() < len(scene) and rough == (len(scene) < len(self.truth))
         pose = np.stack([self.truth[name] for name in scene.names])
         centre = transforms.centre(pose) + self.rng.normal(0, self.noise_m, (len(pose), 3))

@@ -118,7 +118,7 @@ def boat(
     frame_, sensor_ = np.array(frame)[order], np.array(sensor)[order]
     tracks = tuple(f"{'back' if p % 2 else 'there'}{p}" for p in range(len(frames)))
     scene = simple_scene(
-        rig, [names[k] for k in order], frame_, sensor_, np.array(track), np.array(step), tracks=tracks
+        rig, [names[k] for k in order], frame_, sensor_, np.array(track), np.array(step), sequences=tracks
     )
     true = ring(sum(s.role != "up" for s in rig.sensors), any(s.role == "up" for s in rig.sensors))
     from_rig = np.stack([transforms.invert(s.sensor_from_rig) for s in true.sensors])

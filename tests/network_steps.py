@@ -12,16 +12,18 @@ from tiegraph.network.coarse.assembled import Assembled, assembled, is_whole
 from tiegraph.network.coarse.model import CoarseModel
 from tiegraph.network.coarse.search import Coarse, Search, worth_a_model
 from tiegraph.network.network import Network, join_network
-from tiegraph.network.passes import PreviewBook
+from tiegraph.network.passes import MatchCache
 from tiegraph.network.settings import CandidatesSettings, CoarseSettings, NetworkSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.blocks import Block, blocks_of
+from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.ties import Ties
 from tiegraph.scene.tuning import Tuning as SceneTuning
 
-Make = Callable[[Scene, Ties, bool], CoarseModel | None]  # scene and ties of a block, whether a rough model will do
+Make = Callable[
+    [Scene, PreviewMatches, bool], CoarseModel | None
+]  # scene and ties of a block, whether a rough model will do
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ class Steps:
     candidates: Candidates
     coarse: Coarse
     network: Network
-    ties: Ties
+    ties: PreviewMatches
 
     @property
     def pairs(self) -> Pairs:
@@ -56,7 +58,7 @@ class Steps:
     def pictures(self) -> list[tuple[str, bytes]]:
         """Of all three."""
         model = self.coarse.model
-        return self.network.pictures(None if model is None else model.cam_from_world) + self.candidates.pictures()
+        return self.network.plots(None if model is None else model.cam_from_world) + self.candidates.pictures()
 
 
 def estimate_network(
@@ -69,7 +71,7 @@ def estimate_network(
     sections: str = "link",
 ) -> Steps:
     """The three stages; ``make`` makes the coarse models, without it there is none."""
-    book = PreviewBook(match, len(scene))
+    book = MatchCache(match, len(scene))
     found = find_candidates(scene, book, settings, tuning)
     coarse = Coarse(found.pairs, found.scene, None, np.zeros(len(scene), bool))
     both = settings, CoarseSettings()
@@ -80,8 +82,8 @@ def estimate_network(
             search.take(wanted, mapper(wanted))
         coarse = search.result()
     own = NetworkSettings(sections=sections)
-    network = join_network(coarse.pairs, coarse.scene, book.ties(), light, (settings, own), tuning)
-    return Steps(found, coarse, network, book.ties())
+    network = join_network(coarse.pairs, coarse.scene, book.matches(), light, (settings, own), tuning)
+    return Steps(found, coarse, network, book.matches())
 
 
 class Mapper:
@@ -91,7 +93,7 @@ class Mapper:
         self._scene, self._make, self._tuning, self._scenes = scene, make, tuning, scenes
         self.blocks: tuple[Block, ...] = ()
 
-    def __call__(self, ties: Ties) -> Assembled:
+    def __call__(self, ties: PreviewMatches) -> Assembled:
         """The models, joined."""
         if not len(ties):
             return Assembled(())

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from tiegraph.report.facts import sigma_text
+from tiegraph.report.summary import sigma_text
 from tiegraph.sfm.finish import _open_notes
 from tiegraph.sfm.tuning import SigmaTuning
 from tiegraph.text import known_to

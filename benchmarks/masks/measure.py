@@ -33,7 +33,7 @@ from tiegraph.masks.compare import compare, compare_classes, table_text
 from tiegraph.masks.frames import full_size, image_size
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import SOURCES, Camera
-from tiegraph.masks.solid import places, without_solid
+from tiegraph.masks.skypoints import places, without_points
 from tiegraph.masks.tuning import Tuning
 from tiegraph.masks.waterline import View, camera_rays, final_classes, find_water, first_line, lines_of
 
@@ -152,9 +152,9 @@ def _remask(data: MaskSet, camera_of: Mapping[str, str], folder: Path, out: Path
     for name in camera_of:
         found = first[name]
         if name in views:
-            seen = places(images[name], model.cameras[images[name].camera_id], points, TUNING.solid)
+            seen = places(images[name], model.cameras[images[name].camera_id], points, TUNING.sky_points)
             lines = lines_of(views[name], up, water, TUNING.waterline)
-            found = without_solid(final_classes(found, lines, TUNING.waterline), seen, TUNING.solid)
+            found = without_points(final_classes(found, lines, TUNING.waterline), seen, TUNING.sky_points)
         _save(out / GEOMETRY / "classes" / f"{name}.png", found)
         keep = full_size(found == USE, image_size(data.folder / name))
         _save(out / GEOMETRY / "masks" / f"{name}.png", np.where(keep, 255, 0).astype(np.uint8))

@@ -167,7 +167,7 @@ def canal_world(images: int, seed: int = 0) -> CanalWorld:
         sensor,
         np.repeat([0, 1], frames),
         np.tile(np.arange(frames), 2),
-        tracks=("down", "up"),
+        sequences=("down", "up"),
     )
     dark = (start[side == CEILING, None] <= body[None, :, 0, 3]) & (
         body[None, :, 0, 3] < start[side == CEILING, None] + SECTION_M

@@ -16,10 +16,10 @@ import numpy as np
 from tiegraph.design.design import design
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tuning import Tuning
+from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
-from tiegraph.scene.ties import Ties
 
 CAMERAS = 5
 SEEN = 240  # landmarks in the view of an image
@@ -28,7 +28,7 @@ DETECTED, MATCHED = 0.6, 0.55  # chance of a feature, and of a match of two feat
 _BLOCK = 20_000  # pairs drawn together
 
 
-def large_survey(images: int, partners: int, previewed: float, seed: int = 0) -> tuple[Scene, Pairs, Ties]:
+def large_survey(images: int, partners: int, previewed: float, seed: int = 0) -> tuple[Scene, Pairs, PreviewMatches]:
     """A scene of about ``images`` images, ``images * partners`` candidates or fewer, and their ties."""
     rng = np.random.default_rng(seed)
     frames = images // (2 * CAMERAS)
@@ -46,7 +46,7 @@ def large_survey(images: int, partners: int, previewed: float, seed: int = 0) ->
         sensor,
         np.repeat([0, 1], frames),
         np.tile(np.arange(frames), 2),
-        tracks=("up", "down"),
+        sequences=("up", "down"),
     )
     i, j, shared = [], [], []
     for side in (False, True):
@@ -71,7 +71,9 @@ def large_survey(images: int, partners: int, previewed: float, seed: int = 0) ->
     return scene, pairs, _draw(i[seen], j[seen], chance[seen], first, rng)
 
 
-def _draw(i: np.ndarray, j: np.ndarray, chance: np.ndarray, first: np.ndarray, rng: np.random.Generator) -> Ties:
+def _draw(
+    i: np.ndarray, j: np.ndarray, chance: np.ndarray, first: np.ndarray, rng: np.random.Generator
+) -> PreviewMatches:
     """Matches of pairs i < j: landmarks both have a feature of, each with the chance of its pair."""
     key = i << 32 | j
     order = np.argsort(key)
@@ -87,7 +89,7 @@ def _draw(i: np.ndarray, j: np.ndarray, chance: np.ndarray, first: np.ndarray, r
         row, column = row[known], column[known]
         matches.append(np.stack([at[row, column], column], axis=1).astype(np.uint16))
         counts.append(np.bincount(row, minlength=len(at)))
-    return Ties(i, j, np.concatenate([[0], np.cumsum(np.concatenate(counts))]), np.concatenate(matches))
+    return PreviewMatches(i, j, np.concatenate([[0], np.cumsum(np.concatenate(counts))]), np.concatenate(matches))
 
 
 def _detected(image: np.ndarray, landmark: np.ndarray) -> np.ndarray:

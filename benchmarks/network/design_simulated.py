@@ -22,8 +22,8 @@ from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates
 from tiegraph.design.tuning import Tuning
 from tiegraph.scene.graph import forest
+from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import Pairs
-from tiegraph.scene.ties import Ties
 
 TUNING = Tuning()
 for name in papers.DESIGNS:
@@ -60,7 +60,7 @@ def orders(world: Survey, most: int, seed: int) -> dict[str, np.ndarray]:
     }
 
 
-def _by_top(world: Survey, pairs: Pairs, ties: Ties) -> np.ndarray:
+def _by_top(world: Survey, pairs: Pairs, ties: PreviewMatches) -> np.ndarray:
     """The pairs of method top with one pair an image, then two, ..."""
     taken: list[int] = []
     for k in range(1, 60):

@@ -215,7 +215,7 @@ def _truth(dataset: datasets.Dataset, scene: Scene, database: Path | None) -> Tr
     names = tuple(scene.source_name(k) for k in range(len(scene)))
     verified = truths.verified_pairs(database, names) if database is not None else None
     overlap = truths.true_overlap(dataset, names, database)
-    return Truth(names, overlap, verified, scene.track[scene.frame])
+    return Truth(names, overlap, verified, scene.sequence[scene.frame])
 
 
 def _pairs(folder: Path, row: dict[str, Any], scene: Scene, truth: Truth) -> np.ndarray:

@@ -20,8 +20,8 @@ import numpy as np
 import pycolmap
 
 from tiegraph.features.preview import Preview
-from tiegraph.network.looks.retrieval import nearest_images
-from tiegraph.network.tuning.looks import WordsTuning
+from tiegraph.network.retrieval.retrieval import nearest_images
+from tiegraph.network.tuning.retrieval import VocabularyTuning
 from tiegraph.scene.colmaprows import create_database
 from tiegraph.scene.scene import Scene
 
@@ -37,7 +37,7 @@ def exhaustive(scene: Scene, run: Path) -> list[Pair]:
 def sequential(scene: Scene, run: Path) -> list[Pair]:
     """COLMAP, sequential, each camera of each pass by itself."""
     out: list[Pair] = []
-    label = np.stack([scene.track[scene.frame], scene.sensor_key])
+    label = np.stack([scene.sequence[scene.frame], scene.sensor_key])
     for one in np.unique(label, axis=1).T:
         own = np.flatnonzero((label == one[:, None]).all(axis=0))
         out += _generated(scene, own, False, pycolmap.SequentialPairGenerator, pycolmap.SequentialPairingOptions())
@@ -53,7 +53,7 @@ def sequential_names(scene: Scene, run: Path) -> list[Pair]:
 def sequential_rig(scene: Scene, run: Path) -> list[Pair]:
     """COLMAP, sequential by name with the rig known and ``expand_rig_images``, each pass by itself."""
     out: list[Pair] = []
-    track = scene.track[scene.frame]
+    track = scene.sequence[scene.frame]
     options = pycolmap.SequentialPairingOptions(expand_rig_images=True)
     for one in np.unique(track):
         out += _generated(scene, np.flatnonzero(track == one), True, pycolmap.SequentialPairGenerator, options)
@@ -72,7 +72,7 @@ def retrieval(scene: Scene, run: Path) -> list[Pair]:
     for name in scene.names:
         with np.load(run / "preview" / f"{name}.npz") as data:
             descriptors.append(Preview.from_npz(dict(data)).descriptors)
-    found, _ = nearest_images(descriptors, NEAREST, WordsTuning())
+    found, _ = nearest_images(descriptors, NEAREST, VocabularyTuning())
     return [(scene.names[i], scene.names[j]) for i, row in enumerate(found) for j in row if j >= 0]
 
 
@@ -161,7 +161,7 @@ def _write_priors(database: pycolmap.Database, scene: Scene) -> None:
 def _part(scene: Scene, own: np.ndarray) -> Scene:
     """The scene of some images (K,), in order."""
     frames, frame = np.unique(scene.frame[own], return_inverse=True)
-    columns = ("rig", "track", "step", "time_s", "world_from_rig", "position_sigma_m", "section")
+    columns = ("rig", "sequence", "sequence_index", "time_s", "world_from_rig", "position_sigma_m", "section")
     return scene.with_(
         names=tuple(scene.names[k] for k in own),
         sources=tuple(scene.sources[k] for k in own) if scene.sources else (),

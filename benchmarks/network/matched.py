@@ -18,9 +18,9 @@ from tiegraph.pipeline.accuracy import with_accuracy
 from tiegraph.pipeline.previews import with_previews
 from tiegraph.pipeline.sparse import preview_poses
 from tiegraph.scene.colmapdatabase import pair_ids, reading
+from tiegraph.scene.matches import PreviewMatches, Visibility
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.ties import Sights, Ties
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.adjustment.jacobians import Layout, of_image
 from tiegraph.sfm.adjustment.normal import reduced
@@ -41,14 +41,17 @@ class Run:
     scene: Scene
     pairs: Pairs
     verified: Pairs
-    ties: Ties
-    sights: Sights | None
+    ties: PreviewMatches
+    sights: Visibility | None
 
     @staticmethod
     def read(folder: Path) -> Run:
         """A run with ``--design.method all`` up to the stage ``verify``."""
-        sights, model = folder / "network" / "sights.npz", folder / "network" / "model.npz"
-        pairs, ties = Pairs.from_npz(_npz(folder / "network.npz")), Ties.from_npz(_npz(folder / "network" / "ties.npz"))
+        sights, model = folder / "network" / "visibility.npz", folder / "network" / "model.npz"
+        pairs, ties = (
+            Pairs.from_npz(_npz(folder / "network.npz")),
+            PreviewMatches.from_npz(_npz(folder / "network" / "matches.npz")),
+        )
         pairs, ties, _ = with_previews(pairs, ties, folder, PreviewSettings(), PreviewTuning(), _in_turn)
         return Run(
             folder,
@@ -56,7 +59,7 @@ class Run:
             pairs,
             Pairs.from_npz(_npz(folder / "verify.npz")),
             ties,
-            Sights.from_npz(_npz(sights), _npz(model)["cam_from_world"]) if sights.exists() else None,
+            Visibility.from_npz(_npz(sights), _npz(model)["cam_from_world"]) if sights.exists() else None,
         )
 
     def with_accuracy(self) -> Pairs:

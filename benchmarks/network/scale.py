@@ -35,7 +35,7 @@ from tiegraph.features.preview import PreviewMatch
 from tiegraph.network.candidates import find_candidates
 from tiegraph.network.coarse.search import Coarse
 from tiegraph.network.network import Network, join_network
-from tiegraph.network.passes import PreviewBook
+from tiegraph.network.passes import MatchCache
 from tiegraph.pipeline import coarse as coarse_glue
 from tiegraph.pipeline.candidates import _Descriptors
 from tiegraph.project.run import Inputs, Run
@@ -104,15 +104,15 @@ def one(
         watch.enable()
     asked = run if "model" not in skip else Run(folder, Inputs(folder), _without_model(), pool="serial")
     with patch.object(coarse_glue, "coarse_model", clock.timed("model", coarse_glue.coarse_model)):
-        book = PreviewBook(clock.timed("match", match), len(world))
+        cache = MatchCache(clock.timed("match", match), len(world))
         descriptors = partial(_Descriptors, folder, world.scene)
-        coarse, found = clock.timed("network", _network)(world, asked, book, descriptors)
+        coarse, found = clock.timed("network", _network)(world, asked, cache, descriptors)
     if "pictures" not in skip:
-        clock.timed("pictures", found.pictures)(None if coarse.model is None else coarse.model.cam_from_world)
+        clock.timed("pictures", found.plots)(None if coarse.model is None else coarse.model.cam_from_world)
     made = None
     if "design" not in skip:
         how = run.settings.design, run.settings.tuning.design
-        made = clock.timed("design", design)(found.pairs, found.scene, book.ties(), *how)
+        made = clock.timed("design", design)(found.pairs, found.scene, cache.matches(), *how)
     if profile is not None:
         watch.disable()
         _write_profile(watch, profile)
@@ -132,7 +132,7 @@ def one(
         "own_peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         "child_peak_mib": resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024,
         "placed": float(coarse.model.placed().mean()) if coarse.model is not None else None,
-        "ties_mib": book.ties().matches.nbytes / 2**20,
+        "ties_mib": cache.matches().matches.nbytes / 2**20,
         **judged(found.pairs.kept(), world),
         "designed": len(made.pairs.kept()) if made is not None else None,
         "notes": [*coarse.notes, *found.notes, *(made.notes if made is not None else ())],
@@ -144,20 +144,20 @@ def _without_model() -> Settings:
 
 
 def _network(
-    world: CanalWorld, run: Run, book: PreviewBook, descriptors: Callable[[], Sequence[np.ndarray]]
+    world: CanalWorld, run: Run, cache: MatchCache, descriptors: Callable[[], Sequence[np.ndarray]]
 ) -> tuple[Coarse, Network]:
     """The stages candidates, coarse and network."""
     settings, tuning = run.settings, run.settings.tuning.network
-    found = find_candidates(world.scene, book, settings.candidates, tuning, descriptors)
-    coarse = coarse_glue.judged_by_model(run, (found.pairs, found.scene), book)
+    found = find_candidates(world.scene, cache, settings.candidates, tuning, descriptors)
+    coarse = coarse_glue.judged_by_model(run, (found.pairs, found.scene), cache)
     both = settings.candidates, settings.network
-    return coarse, join_network(coarse.pairs, coarse.scene, book.ties(), world.brightness, both, tuning)
+    return coarse, join_network(coarse.pairs, coarse.scene, cache.matches(), world.brightness, both, tuning)
 
 
 def judged(kept: Pairs, world: CanalWorld) -> dict[str, Any]:
     """Candidates against the true overlap."""
     overlap = world.overlap()
-    track = world.scene.track[world.scene.frame]
+    track = world.scene.sequence[world.scene.frame]
     share = overlap[kept.i, kept.j]
     right = np.triu(overlap >= USEFUL, 1)
     cross = right & (track[:, None] != track[None])

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.sparse import bsr_array, coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
+from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
-from tiegraph.scene.ties import Ties
 
 FOCAL, WIDTH, HEIGHT = 800.0, 1200, 900  # pixels
 SIGMA_PX = 0.7  # of an observation at full resolution
@@ -41,7 +41,7 @@ class Survey:
         score = np.array([len(m) for m in self.preview], float)
         return Pairs.make(self.edges[:, 0], self.edges[:, 1], "file", score=score)
 
-    def ties(self, which: np.ndarray | None = None) -> Ties:
+    def ties(self, which: np.ndarray | None = None) -> PreviewMatches:
         """The preview matches of the pairs which (K,), of all by default."""
         which = np.arange(len(self.edges)) if which is None else which
         seen: list[list[np.ndarray]] = [[np.zeros(0, int)] for _ in range(len(self))]
@@ -53,7 +53,7 @@ class Survey:
         for e in which:
             i, j = self.edges[e]
             rows.append(np.stack([np.searchsorted(known[k], self.preview[e]) for k in (i, j)], axis=1))
-        return Ties.make(self.edges[which, 0], self.edges[which, 1], rows)
+        return PreviewMatches.make(self.edges[which, 0], self.edges[which, 1], rows)
 
 
 def survey(kind: str, seed: int = 0, frames: int = 0) -> Survey:
@@ -100,7 +100,7 @@ def _video_survey(rng: np.random.Generator, frames: int) -> tuple:
     normal = np.stack([np.cos(u), np.sin(u), 0 * u], axis=1)
     names = [f"{k:05d}.jpg" for k in range(n)]
     rig = Rig("camera", (Sensor("camera"),))
-    scene = simple_scene(rig, names, np.arange(n), np.zeros(n), np.zeros(n), tracks=("video",))
+    scene = simple_scene(rig, names, np.arange(n), np.zeros(n), np.zeros(n), sequences=("video",))
     tried = [(i, j) for i in range(n) for j in range(i + 1, min(n, i + WINDOW + 1))]
     return scene, centre, rotation, points, normal, tried
 
@@ -126,7 +126,7 @@ def _rig_survey(rng: np.random.Generator, frames: int) -> tuple:
     names = [f"{('up', 'down')[a // f]}/cam{c}/{a % f:05d}.jpg" for a, c in zip(frame, sensor)]
     rig = Rig("ring", tuple(Sensor(f"cam{c}") for c in range(CAMERAS)))
     track, step = np.repeat([0, 1], f), np.tile(np.arange(f), 2)
-    scene = simple_scene(rig, names, frame, sensor, track, step, tracks=("up", "down"))
+    scene = simple_scene(rig, names, frame, sensor, track, step, sequences=("up", "down"))
     return scene, np.array(centre), np.array(rotation), points, normal, list(combinations(range(len(centre)), 2))
 
 

@@ -58,7 +58,7 @@ def corridor(
     order = np.argsort(names, kind="stable")
     frame, sensor = np.repeat(np.arange(len(s)), 4)[order], np.tile(np.arange(4), len(s))[order]
     scene = simple_scene(
-        rig, [names[k] for k in order], frame, sensor, np.zeros(len(s)), tracks=("up",), time_s=s / 1.5
+        rig, [names[k] for k in order], frame, sensor, np.zeros(len(s)), sequences=("up",), time_s=s / 1.5
     )
     return Corridor(truth, scene, model)
 

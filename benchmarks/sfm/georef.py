@@ -43,10 +43,10 @@ from tiegraph.sfm.model import frame_poses, image_poses
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning import Tuning
-from tiegraph.sfm.world.fixes import Given, PositionRows
+from tiegraph.sfm.world.fixes import Measurements, PositionRows
 from tiegraph.sfm.world.georef import Georeference
-from tiegraph.sfm.world.ground import georeference_model
-from tiegraph.sfm.world.worldadjust import Held
+from tiegraph.sfm.world.georeferencing import georeference_model
+from tiegraph.sfm.world.worldadjust import ConstantParameters
 
 WAYS = ("frames", "rows", "adjusted")
 SETS = ("canal", "canal_demo", "pandaset", "oppaiyama")
@@ -61,7 +61,7 @@ class Survey:
         self.model = pycolmap.Reconstruction(str(out / "sparse" / "0"))
         sparse = Settings().sparse
         rigs = tuple(k + 1 for k, mode in rig_modes(self.scene, sparse.rig).items() if mode == "fixed")
-        self.held = Held(rigs, believed_cameras(self.scene, sparse))
+        self.held = ConstantParameters(rigs, believed_cameras(self.scene, sparse))
         self.covered = _covered(out, self.scene)
         counts = json.loads((out / "receipts" / "sparse.json").read_text())["counts"]
         self.inner_sigma = counts.get("position_sigma_median")
@@ -87,7 +87,7 @@ def _covered(out: Path, scene: Scene) -> np.ndarray | None:
     return np.isin(scene.section, [r["number"] for r in json.loads(path.read_text()) if r["kind"] == "bridge"])
 
 
-def georeferenced(survey: Survey, way: str, given: Given) -> tuple[Georeference, Any, float]:
+def georeferenced(survey: Survey, way: str, given: Measurements) -> tuple[Georeference, Any, float]:
     """Georeference, model in the world, CPU seconds."""
     start = time.process_time()
     if way == "frames":
@@ -136,9 +136,9 @@ def _inner(survey: Survey, names: list[str], here: np.ndarray, true: np.ndarray)
 def held_out(found: Georeference) -> dict[str, float]:
     """Held-out positions by the blind similarity: robust root mean square per axis in stated sigmas, and how many."""
     placing = found.placing
-    if placing is None or placing.blind is None:
+    if placing is None or placing.held_out is None:
         return {}
-    fixes, blind = placing.fixes, placing.blind
+    fixes, blind = placing.fixes, placing.held_out
     off = placing.evidence.position_residuals(blind.similarity, blind.antenna, blind.offset_s)[: len(fixes)]
     squares = np.sum((off / fixes.sigma) ** 2, axis=1)[fixes.held]
     return {"held_out": int(fixes.held.sum()), "held_out_sigmas": float(np.sqrt(np.median(squares) / 2.366))}
@@ -152,7 +152,7 @@ def measure_set(survey: Survey, ways: tuple[str, ...] = WAYS) -> dict[str, Any]:
     """All ways on one set."""
     out = {}
     for way in ways:
-        given = Given(survey.rows(), survey.control(), survey.covered)
+        given = Measurements(survey.rows(), survey.control(), survey.covered)
         found, world, cpu = georeferenced(survey, way, given)
         row = errors(survey, found, world) | held_out(found)
         row |= {"cpu_s": round(cpu, 1), "adjusted": found.adjusted, "antenna_m": found.antenna_m}
@@ -173,7 +173,7 @@ def bad_cases(survey: Survey, way: str = "adjusted") -> dict[str, Any]:
         scene = survey.scene
         try:
             bad = _with_rows(survey, spoilt)
-            found, world, _ = georeferenced(bad, way, Given(spoilt, None, survey.covered))
+            found, world, _ = georeferenced(bad, way, Measurements(spoilt, None, survey.covered))
             out[name] = errors(bad, found, world) | {"notes": list(found.notes), "adjusted": found.adjusted}
         except TiegraphError as error:
             out[name] = {"error": str(error)}
@@ -232,7 +232,9 @@ def outage(length_m: float, gap_m: float, radial: float, seed: int) -> dict[str,
     for way, adjust in (("similarity", "no"), ("adjusted", "yes")):
         settings = GeorefSettings(adjust=adjust, sigma_floor_m=0.02)
         start = time.process_time()
-        found, world = georeference_model(model, scene, settings, Tuning(), Given(rows), Held((1,), range(1, 5)))
+        found, world = georeference_model(
+            model, scene, settings, Tuning(), Measurements(rows), ConstantParameters((1,), range(1, 5))
+        )
         place = frame_poses(image_poses(world, scene), scene)[:, :3, 3]
         off = np.linalg.norm(place - made.truth[:, :3, 3], axis=1)
         row = {"rms_m": _rms(off), "worst_in_gap_m": float(off[inside].max()), "cpu_s": time.process_time() - start}

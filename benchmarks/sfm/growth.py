@@ -31,7 +31,7 @@ from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.sfm.finish import FinishRequest, Held, finish_model
 from tiegraph.sfm.model import image_poses
-from tiegraph.sfm.placement.settle import Matched
+from tiegraph.sfm.placement.registration import MatchSource
 from tiegraph.sfm.run import Fixed, Matches, Method, Request, run_mapper
 from tiegraph.sfm.tuning import Tuning
 
@@ -56,7 +56,7 @@ def survey(frames: int, database: Path) -> tuple[Scene, np.ndarray, np.ndarray]:
     names = [f"cam{c}/{k:05d}.jpg" for k in range(frames) for c in range(4)]
     order = np.argsort(names, kind="stable")
     frame, sensor = np.repeat(np.arange(frames), 4)[order], np.tile(np.arange(4), frames)[order]
-    scene = simple_scene(rig, [names[k] for k in order], frame, sensor, np.zeros(frames), tracks=("up",))
+    scene = simple_scene(rig, [names[k] for k in order], frame, sensor, np.zeros(frames), sequences=("up",))
     _write(database, scene, [seen[k] for k in order])
     place = np.stack(cameras)[sensor]
     return scene, *(place @ transforms.invert(p[frame]) for p in (truth, drifted(truth, rng)))
@@ -102,7 +102,7 @@ def run(images: int) -> dict[str, float]:
             raise SystemExit(mapped.refused)
         finish = FinishRequest(
             folder=mapped.folders[0], target=folder / "0", scene=scene.to_json(), tuning=Tuning(), held=Held(rigs=(0,)),
-            matched=Matched(folder / "database.db", folder, (), folder / "placement"),
+            matched=MatchSource(folder / "database.db", folder, (), folder / "placement"),
         )  # fmt: skip
         finish_model(finish, lambda message: None)
         clock.append(time.process_time())

@@ -1,7 +1,7 @@
 """The rig in finished runs against the truth: rotation between its cameras, metric scale, time offsets, placement.
 
 Reads run folders (what ``benchmarks/run.py --keep`` leaves), takes their first model and does again what comes after
-the mapper: place of every frame, final adjustment, rig health, relaxing. Nothing in the run folders is changed.
+the mapper: place of every frame, final adjustment, rig diagnostics, relaxing. Nothing in the run folders is changed.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.finish import FinishRequest, Held, finish_model
 from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.model import frame_poses, image_poses
-from tiegraph.sfm.placement.settle import Matched
+from tiegraph.sfm.placement.registration import MatchSource
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.rig.support import ties_of, unsupported_sensors
 from tiegraph.sfm.settings import SparseSettings
@@ -79,10 +79,10 @@ def _request(folder: Path, scene: Scene, scratch: Path) -> FinishRequest:
             rigs=tuple(modes),
             fixed=tuple(k for k, mode in modes.items() if mode == "fixed"),
             soft=tuple(k for k, mode in modes.items() if mode == "soft"),
-            alone=alone,
+            unsupported=alone,
             cameras=constant,
         ),
-        matched=Matched(
+        matched=MatchSource(
             database=folder / "database.db",
             images=folder / "images",
             refused=(*refused, *ties_of(scene, graph, alone)),

@@ -10,7 +10,7 @@ from tiegraph.dense.settings import ShotsSettings
 from tiegraph.design.coverage import Coverage, coverage
 from tiegraph.errors import InputError, SettingsError
 from tiegraph.pipeline import SHOTS, STAGES
-from tiegraph.pipeline.given import check_given
+from tiegraph.pipeline.inputs import check_given
 from tiegraph.project import settings as project_settings
 from tiegraph.project.folder import SETTINGS, check_format, write_settings
 from tiegraph.project.progress import Reporter

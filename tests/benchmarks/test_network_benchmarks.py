@@ -131,7 +131,7 @@ def _scene(frames: int) -> Scene:
     position[:, :3, 3] = 30.0 * np.arange(frames)[:, None] * [1, 0, 0]
     sigma = np.ones((frames, 3))
     return simple_scene(
-        rig, sorted(names), frame[order], sensor[order], np.zeros(frames), np.arange(frames), tracks=("pass",),
+        rig, sorted(names), frame[order], sensor[order], np.zeros(frames), np.arange(frames), sequences=("pass",),
         world_from_rig=position, position_sigma_m=sigma, prior="gnss",
     )  # fmt: skip
 
@@ -161,7 +161,7 @@ def test_cost_counts_children(tmp_path: Path) -> None:
 def test_simulated_canal_has_true_and_false_ties() -> None:
     world = canal_world(60, seed=3)
     share = world.overlap()
-    assert len(world) == 60 and world.scene.tracks == ("down", "up")
+    assert len(world) == 60 and world.scene.sequences == ("down", "up")
     i, j = np.triu_indices(len(world), 1)
     count = np.array([m.inliers for m in world.match(np.stack([i, j], axis=1))])
     strong, none = share[i, j] > 0.5, share[i, j] == 0

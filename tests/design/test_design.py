@@ -18,10 +18,10 @@ from tiegraph.design.tuning import ExpectedTuning, NetTuning, Tuning
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning as NetworkTuning
 from tiegraph.scene.graph import component_notes, components, cuts, groups, two_links
+from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
-from tiegraph.scene.ties import Ties
 
 TUNING, NET, EXPECTED = Tuning(), NetTuning(), ExpectedTuning()
 papers.plug_in(papers.DESIGNS, "fuse2014_safe", PLUGGED)
@@ -35,7 +35,7 @@ def graph(count: int, edges: int, seed: int) -> Pairs:
     return Pairs.make(i, j, "offsets", score=score, dropped=np.where(rng.random(edges) < 0.2, 8, 0))
 
 
-def corridor(frames: int = 10, seed: int = 0) -> tuple[Scene, Pairs, Ties]:
+def corridor(frames: int = 10, seed: int = 0) -> tuple[Scene, Pairs, PreviewMatches]:
     """Two cameras there and back along a wall; every image sees 40 of its landmarks, 3 a frame; a third is matched."""
     rng = np.random.default_rng(seed)
     frame, sensor = np.repeat(np.arange(2 * frames), 2), np.tile([0, 1], 2 * frames)
@@ -44,7 +44,7 @@ def corridor(frames: int = 10, seed: int = 0) -> tuple[Scene, Pairs, Ties]:
     names = [f"{a:02d}_{c}.jpg" for a, c in zip(frame, sensor)]
     rig = Rig("two", (Sensor("left"), Sensor("right")))
     track, step = np.repeat([0, 1], frames), np.tile(np.arange(frames), 2)
-    scene = simple_scene(rig, names, frame, sensor, track, step, tracks=("up", "down"))
+    scene = simple_scene(rig, names, frame, sensor, track, step, sequences=("up", "down"))
     i, j, matches = [], [], []
     for a in range(len(names)):
         for b in range(a + 1, len(names)):
@@ -54,7 +54,7 @@ def corridor(frames: int = 10, seed: int = 0) -> tuple[Scene, Pairs, Ties]:
                 i.append(a)
                 j.append(b)
                 matches.append(np.stack([common - first[a], common - first[b]], axis=1))
-    ties = Ties.make(i, j, matches)
+    ties = PreviewMatches.make(i, j, matches)
     return scene, Pairs.make(i, j, "file", score=np.array([len(m) for m in matches], float)), ties
 
 
@@ -97,7 +97,7 @@ def test_top_keeps_every_pass_and_camera_in_an_images_list() -> None:
     ).pairs
     chosen = design(pairs, world.scene, None, DesignSettings(method="top", pairs_per_image=8), TUNING).pairs
     assert len(chosen.kept()) < 0.5 * len(pairs.kept())
-    track = world.scene.track[world.scene.frame]
+    track = world.scene.sequence[world.scene.frame]
 
     def across(p: Pairs) -> float:
         kept = p.kept()
@@ -157,7 +157,7 @@ def test_hybrid_predicts_less_loss_than_top_at_the_same_number_of_pairs() -> Non
 def test_an_image_that_hangs_by_little_does_not_rule_the_loss_of_a_known_rig() -> None:
     i, j = np.array([0, 2, 0, 1]), np.array([2, 4, 4, 3])  # images 0, 2, 4 see much; 1 and 3 of the same frames little
     strong = np.stack([np.arange(40)] * 2, axis=1)
-    ties = Ties.make(i, j, [strong, strong, strong + 100, strong[:1]])
+    ties = PreviewMatches.make(i, j, [strong, strong, strong + 100, strong[:1]])
     candidates = Candidates.make(i, j, ties.counts().astype(float), ties, 5)
     chosen = np.array([True, True, False, True])
 
@@ -200,7 +200,7 @@ def test_two_links_find_a_way_around_the_strongest_pair() -> None:
 
 def test_joined_tracks_bring_nothing_new() -> None:
     same = np.stack([np.arange(10)] * 2, axis=1)
-    ties = Ties.make([0, 0, 1], [1, 2, 2], [same, same[:6], same[:8]])
+    ties = PreviewMatches.make([0, 0, 1], [1, 2, 2], [same, same[:6], same[:8]])
     candidates = Candidates.make(np.array([0, 0, 1]), np.array([1, 2, 2]), np.array([10.0, 6, 8]), ties, 3)
     tracks = Tracks(candidates, NET)
     assert tracks.new().tolist() == [10, 6, 8]
@@ -211,7 +211,7 @@ def test_joined_tracks_bring_nothing_new() -> None:
 
 def test_unseen_pairs_are_expected_to_join_what_is_not_joined() -> None:
     same = np.stack([np.arange(10)] * 2, axis=1)
-    ties = Ties.make([0, 1], [1, 2], [same, same])
+    ties = PreviewMatches.make([0, 1], [1, 2], [same, same])
     i, j = np.array([0, 0, 0, 1, 1, 2]), np.array([1, 2, 3, 2, 3, 3])
     candidates = Candidates.make(i, j, np.array([10.0, 8, 6, 10, 6, 6]), ties, 4)
     tracks = Tracks(candidates, NET)
@@ -224,7 +224,7 @@ def test_unseen_pairs_are_expected_to_join_what_is_not_joined() -> None:
 
 def test_half_shared_features_carry_half_of_an_unseen_pair() -> None:
     same = np.stack([np.arange(10)] * 2, axis=1)
-    ties = Ties.make([0], [1], [same[:5]])
+    ties = PreviewMatches.make([0], [1], [same[:5]])
     candidates = Candidates.make(np.array([0, 0, 1]), np.array([1, 2, 2]), np.array([5.0, 10, 10]), ties, 3)
     tracks = Tracks(candidates, NET)
     tracks.choose(np.array([0]), tracks.new())
@@ -238,7 +238,7 @@ def test_expected_matches_follow_the_overlap() -> None:
     pairs = Pairs.make(np.arange(400), np.arange(1, 401), "model", overlap=overlap)
     shown = np.arange(0, 400, 2)
     count = rng.poisson(80 * overlap[shown])
-    ties = Ties.make(shown, shown + 1, [np.zeros((n, 2)) for n in count])
+    ties = PreviewMatches.make(shown, shown + 1, [np.zeros((n, 2)) for n in count])
     expected = expected_matches(pairs, ties, EXPECTED)
     hidden = np.arange(1, 400, 2)
     error = expected[hidden] - 80 * overlap[hidden]

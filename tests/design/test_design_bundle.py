@@ -9,15 +9,15 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.design.bundle import Bundle, _projected
 from tiegraph.design.design import design
-from tiegraph.design.foreseen import foresee, verified_chance
+from tiegraph.design.matchprediction import predict_matches, verified_chance
 from tiegraph.design.predict import joined
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates, Tracks
 from tiegraph.design.tuning import Tuning
+from tiegraph.scene.matches import PreviewMatches, Visibility
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.ties import Sights, Ties
 
 FOCAL = 500.0
 TUNING = Tuning()
@@ -37,7 +37,7 @@ def rig(cameras: int, nominal: bool) -> Rig:
     return Rig("fan", tuple(sensors), fixed=not nominal, nominal=nominal)
 
 
-def survey(frames: int, nominal: bool, cameras: int = 2, points: int = 900) -> tuple[Scene, Sights]:
+def survey(frames: int, nominal: bool, cameras: int = 2, points: int = 900) -> tuple[Scene, Visibility]:
     """Frames on a line past a wall, two metres apart, with what each image sees of it."""
     head, rng = rig(cameras, nominal), np.random.default_rng(0)
     names = tuple(f"{f:03d}_cam{s}.jpg" for f in range(frames) for s in range(cameras))
@@ -56,7 +56,7 @@ def survey(frames: int, nominal: bool, cameras: int = 2, points: int = 900) -> t
         seen.append(np.flatnonzero((local[:, 2] > 1) & (np.abs(pixel) < [300, 200]).all(axis=1)))
     centre = -np.einsum("nji,nj->ni", cam[:, :3, :3], cam[:, :3, 3])
     start = np.cumsum([0] + [len(s) for s in seen])
-    sights = Sights(start, np.concatenate(seen), xyz, centre, cam[:, :3, :3])
+    sights = Visibility(start, np.concatenate(seen), xyz, centre, cam[:, :3, :3])
     frame = np.repeat(np.arange(frames), cameras)
     step, nothing = np.arange(frames), np.zeros(frames, int)
     scene = Scene(
@@ -65,33 +65,33 @@ def survey(frames: int, nominal: bool, cameras: int = 2, points: int = 900) -> t
         frame=frame,
         sensor=np.tile(np.arange(cameras), frames),
         rig=nothing,
-        track=nothing,
-        step=step,
+        sequence=nothing,
+        sequence_index=step,
         time_s=np.full(frames, np.nan),
         world_from_rig=np.full((frames, 4, 4), np.nan),
         position_sigma_m=np.full((frames, 3), np.nan),
         section=np.full(frames, -1),
-        tracks=("a",),
+        sequences=("a",),
     )
     return scene, sights
 
 
-def all_pairs(scene: Scene, sights: Sights) -> tuple[Pairs, Ties, np.ndarray]:
+def all_pairs(scene: Scene, sights: Visibility) -> tuple[Pairs, PreviewMatches, np.ndarray]:
     i, j = np.triu_indices(len(scene), 1)
     common = [len(np.intersect1d(sights.of(a), sights.of(b))) for a, b in zip(i, j)]
     near = np.array(common) >= 8
     i, j = i[near], j[near]
-    found = foresee(i, j, np.full(len(i), np.nan), sights, TUNING.foreseen)
-    return Pairs.make(i, j, "offsets", score=found.expected), found.ties[0], found.expected
+    found = predict_matches(i, j, np.full(len(i), np.nan), sights, TUNING.match_prediction)
+    return Pairs.make(i, j, "offsets", score=found.expected), found.matches[0], found.expected
 
 
-def made(nominal: bool, frames: int = 3, points: int = 900) -> tuple[Scene, Sights, Candidates, Ties]:
+def made(nominal: bool, frames: int = 3, points: int = 900) -> tuple[Scene, Visibility, Candidates, PreviewMatches]:
     scene, sights = survey(frames, nominal, points=points)
     pairs, ties, expected = all_pairs(scene, sights)
     return scene, sights, Candidates.make(pairs.i, pairs.j, np.nan_to_num(expected, nan=1.0), ties, len(scene)), ties
 
 
-def projected(scene: Scene, sights: Sights, image: int, xyz: np.ndarray, x: np.ndarray) -> np.ndarray:
+def projected(scene: Scene, sights: Visibility, image: int, xyz: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Pixels of points in an image, the unknowns moved by x: six a frame, then the cameras (the second one's six of its
     place before its four)."""
     frames = scene.frames
@@ -165,11 +165,13 @@ def test_a_pair_gains_what_its_equations_take_from_the_variance() -> None:
 def test_the_choice_knows_what_the_images_share() -> None:
     scene, sights = survey(12, True, cameras=3, points=1500)
     pairs, _, expected = all_pairs(scene, sights)
-    ties = foresee(pairs.i, pairs.j, np.full(len(pairs), np.nan), sights, TUNING.foreseen, (1,)).ties[0]
+    ties = predict_matches(
+        pairs.i, pairs.j, np.full(len(pairs), np.nan), sights, TUNING.match_prediction, (1,)
+    ).matches[0]
     again = Candidates.make(pairs.i, pairs.j, expected, ties, len(scene))
     judge = Bundle(again, ties, sights, scene, TUNING.bundle)
 
-    def sigma(own: Sights | None) -> float:
+    def sigma(own: Visibility | None) -> float:
         settings = DesignSettings(budget="pairs", pairs_per_image=3)
         chosen = design(pairs, scene, None, settings, TUNING, own).pairs.dropped == 0
         return float(np.sqrt(judge.variances(judge.covariance(judge.normal(joined(again, chosen, TUNING.net)))).mean()))
@@ -193,14 +195,14 @@ def test_images_outside_the_preview_model_are_tied_all_the_same() -> None:
     pairs, _, _ = all_pairs(scene, sights)
     centre, rotation = np.array(sights.centre), np.array(sights.rotation)
     centre[13], rotation[13] = np.nan, np.nan
-    outside = Sights(sights.start, sights.point, sights.xyz, centre, rotation)
+    outside = Visibility(sights.start, sights.point, sights.xyz, centre, rotation)
     found = design(pairs, scene, None, DesignSettings(loss_percent=10.0), TUNING, outside)
     assert found.pairs.degree(len(scene))[13] >= 1
     assert len(found.pairs.kept()) < len(pairs)
 
 
 def test_chance_of_verification_rises_with_the_matches() -> None:
-    chance = verified_chance(np.array([1.0, 7.5, 15.0, 100.0]), TUNING.foreseen)
+    chance = verified_chance(np.array([1.0, 7.5, 15.0, 100.0]), TUNING.match_prediction)
     assert chance[0] < 0.03 and chance[1] == 0.5 and 0.7 < chance[2] < 0.9 and chance[3] > 0.99
 
 

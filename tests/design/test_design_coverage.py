@@ -24,7 +24,7 @@ def rig_scene(frames: int, cameras: int = 2, tracks: tuple[int, ...] = ()):
     if not tracks:
         return simple_scene(rig, names, frame, sensor)
     names_of = tuple(f"pass{k}" for k in range(max(tracks) + 1))
-    return simple_scene(rig, names, frame, sensor, np.array(tracks), tracks=names_of)
+    return simple_scene(rig, names, frame, sensor, np.array(tracks), sequences=names_of)
 
 
 def test_a_ring_is_sound() -> None:

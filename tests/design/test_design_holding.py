@@ -6,20 +6,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from boat_world import photos
-from tiegraph.design.cost import Cost, cost, foreseen_keypoints
+from tiegraph.design.cost import Cost, cost, predicted_keypoints
 from tiegraph.design.design import design
-from tiegraph.design.foreseen import verified_chance
 from tiegraph.design.holding import holding
+from tiegraph.design.matchprediction import verified_chance
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tuning import Tuning
 from tiegraph.scene.graph import components, parts
+from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import Pairs
-from tiegraph.scene.ties import Ties
 
 TUNING = Tuning()
 
 
-def kite(seed: int, count: int = 40) -> tuple[Pairs, Ties]:
+def kite(seed: int, count: int = 40) -> tuple[Pairs, PreviewMatches]:
     """Photographs all over a field of which each sees a part, dark and blurred ones among them: few previews match."""
     rng = np.random.default_rng(seed)
     place, mark = rng.random((count, 2)), rng.random((400, 2))
@@ -30,7 +30,7 @@ def kite(seed: int, count: int = 40) -> tuple[Pairs, Ties]:
     both = [m[rng.random(len(m)) < 0.8] for m in both]
     tied = np.array([len(m) >= 4 for m in both])
     i, j, both = i[tied], j[tied], [m for m, t in zip(both, tied) if t]
-    ties = Ties.make(i, j, [np.stack([m, m], axis=1) for m in both])
+    ties = PreviewMatches.make(i, j, [np.stack([m, m], axis=1) for m in both])
     return Pairs.make(i, j, "exhaustive", score=np.array([len(m) for m in both], float)), ties
 
 
@@ -46,7 +46,7 @@ def test_no_photograph_is_lost_to_save_pairs() -> None:
         pairs, ties = kite(seed)
         found = design(pairs, photos(40), ties, DesignSettings(), TUNING).pairs
         kept.append(len(found.kept()) / len(pairs))
-        chance = verified_chance(pairs.score.astype(float), TUNING.foreseen)
+        chance = verified_chance(pairs.score.astype(float), TUNING.match_prediction)
         for again in range(10):  # which pairs come through verification
             comes = np.random.default_rng(again).random(len(pairs)) < chance
             lost.append(np.sum(loose(found, comes, 40) & ~loose(pairs, comes, 40)))
@@ -61,7 +61,7 @@ def test_across_every_cut_the_strongest_pairs_stay_until_three_are_expected(coun
     ends = np.unique(np.sort(rng.integers(0, count, (edges, 2)), axis=1), axis=0)
     i, j = ends[ends[:, 0] < ends[:, 1]].T.reshape(2, -1)
     strength = rng.gamma(1.0, 12.0, len(i))
-    chance = verified_chance(strength, TUNING.foreseen)
+    chance = verified_chance(strength, TUNING.match_prediction)
     kept = np.zeros(len(i), bool)
     kept[np.concatenate([np.zeros(0, int), *holding(i, j, strength, chance, count, TUNING.holding)])] = True
     sides = [np.arange(count) == k for k in range(count)] + [rng.random(count) < 0.5 for _ in range(20)]
@@ -131,5 +131,5 @@ def test_where_all_pairs_cost_little_none_is_saved_and_it_is_said() -> None:
 
 
 def test_key_points_are_foreseen_by_the_area_that_is_used() -> None:
-    found = foreseen_keypoints(np.array([0.173, 0.307, 12.0]), np.array([0.48, 0.48, 1.0]), 4096, TUNING.cost)
+    found = predicted_keypoints(np.array([0.173, 0.307, 12.0]), np.array([0.48, 0.48, 1.0]), 4096, TUNING.cost)
     assert 0.8 < found[0] / 951 < 1.3 and 0.8 < found[1] / 1758 < 1.3 and found[2] == 4096

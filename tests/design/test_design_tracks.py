@@ -6,7 +6,7 @@ import numpy as np
 
 from tiegraph.design.tracks import Candidates, Tracks
 from tiegraph.design.tuning import NetTuning
-from tiegraph.scene.ties import Ties
+from tiegraph.scene.matches import PreviewMatches
 
 FEATURES = 6
 TUNING = NetTuning()
@@ -18,7 +18,7 @@ def chained(images: int) -> Tracks:
     right = np.stack([np.arange(FEATURES)] * 2, axis=1)
     matches = np.tile(np.concatenate([right[1:], [[0, 1]]]), (images - 1, 1))
     start = FEATURES * np.arange(images)
-    candidates = Candidates.make(i, j, np.full(len(i), 9.0), Ties(i, j, start, matches), images)
+    candidates = Candidates.make(i, j, np.full(len(i), 9.0), PreviewMatches(i, j, start, matches), images)
     tracks = Tracks(candidates, TUNING)
     tracks.join(np.arange(len(i)))
     return tracks

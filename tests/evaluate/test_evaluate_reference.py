@@ -16,7 +16,7 @@ from tiegraph.evaluate.backprojection import View
 from tiegraph.evaluate.metrics import metrics_to_dict
 from tiegraph.evaluate.reference import ModelPoses, ReferencePoses
 from tiegraph.evaluate.settings import EvaluateSettings
-from tiegraph.evaluate.survey import Made, evaluate_survey, pinhole_views
+from tiegraph.evaluate.survey import Products, evaluate_survey, pinhole_views
 from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry import geodesy, transforms
 from tiegraph.geometry.geodesy import Origin
@@ -46,7 +46,7 @@ def make_scene(times: bool = False) -> Scene:
     names = [f"up/cam{c}/{f:04d}.jpg" for c in range(2) for f in range(FRAMES)]
     time_s = 100.0 + np.arange(FRAMES) if times else np.full(FRAMES, np.nan)
     frame, sensor = np.tile(np.arange(FRAMES), 2), np.repeat([0, 1], FRAMES)
-    return simple_scene(rig, names, frame, sensor, np.zeros(FRAMES), tracks=("up",), time_s=time_s)
+    return simple_scene(rig, names, frame, sensor, np.zeros(FRAMES), sequences=("up",), time_s=time_s)
 
 
 def make_model(scene: Scene, missing: int = 0) -> pycolmap.Reconstruction:
@@ -170,8 +170,8 @@ def test_points_are_read_with_their_crs(tmp_path: Path) -> None:
 
 def made(
     scene: Scene, model: pycolmap.Reconstruction, cloud: Cloud | None = None, origin: Origin | None = None
-) -> Made:
-    return Made(model, registration(model, scene, RegisteredTuning()), cloud, origin)
+) -> Products:
+    return Products(model, registration(model, scene, RegisteredTuning()), cloud, origin)
 
 
 def test_a_survey_is_evaluated_whole(tmp_path: Path) -> None:

@@ -5,13 +5,13 @@ import pytest
 from masks_world import write
 from tiegraph.masks import appearance
 from tiegraph.masks.classes import EGO, NAMES, OVEREXPOSED, SKY, USE, WATER
-from tiegraph.masks.evidence import Evidence, choose_pairs, pair_evidence
+from tiegraph.masks.classification import classes_of
 from tiegraph.masks.learnt import learn
-from tiegraph.masks.lookup import classes_of
+from tiegraph.masks.matchability import Matchability, choose_pairs, pair_matchability
 from tiegraph.masks.settings import MasksSettings
-from tiegraph.masks.skyline import border_sky, calm_sky
+from tiegraph.masks.skyline import border_sky, textureless_sky
 from tiegraph.masks.tuning import Tuning
-from tiegraph.masks.tuning_learnt import EvidenceTuning
+from tiegraph.masks.tuning_learnt import MatchabilityTuning
 from tiegraph.masks.water import below_waterline, never_matching, water_priors
 
 SIZE = (240, 320)
@@ -72,7 +72,7 @@ def test_tables_and_maps_of_other_sizes_do_as_well(boat):
     varied = {
         "frames": {"look_px": 256},
         "appearance": {"light_bins": 13, "colour_bins": 10, "texture_edges_grey": (1.0, 3.0, 8.0)},
-        "seeds": {"places": (9, 11)},
+        "labels": {"places": (9, 11)},
         "water": {"grid": (45, 70), "block_px": (5, 3)},
     }
     tuning = Tuning.model_validate(varied)
@@ -108,7 +108,7 @@ def test_odd_sequences_give_a_result_and_invent_nothing(tmp_path, kind):
     found = classes_of(images[0], prepared, MasksSettings(), SIZE, TUNING)
     assert found.shape == SIZE and not (found == WATER).any()
     if kind in ("one", "still", "all sky", "dark"):
-        assert prepared.ego is None and "no platform learnt" in prepared.note
+        assert prepared.platform is None and "no platform learnt" in prepared.note
     if kind == "dark":
         assert (found == USE).all()
     elif kind != "all sky":
@@ -133,20 +133,20 @@ def test_border_of_the_sky():
 
 def test_calm_sky_of_an_upward_camera():
     image = river(0, 0)
-    sky = calm_sky(image[:SHORE], np.zeros((SHORE, 320), bool), TUNING.skyline)
+    sky = textureless_sky(image[:SHORE], np.zeros((SHORE, 320), bool), TUNING.skyline)
     assert sky is not None and sky[: SKYLINE - 8].mean() > 0.9 and sky[SKYLINE + 8 :].mean() < 0.05
-    assert calm_sky(image // 4, np.zeros(SIZE, bool), TUNING.skyline) is None, "a dark calm area is a bridge"
+    assert textureless_sky(image // 4, np.zeros(SIZE, bool), TUNING.skyline) is None, "a dark calm area is a bridge"
 
 
 def test_pairs_tell_what_matches(boat):
-    found_in_both = pair_evidence(boat[0][3], boat[0][4], TUNING.evidence)
+    found_in_both = pair_matchability(boat[0][3], boat[0][4], TUNING.matchability)
     assert len(found_in_both) == 2
     for found in found_in_both:
         row = found.xy[:, 1] * SIZE[0]
         wall, water = (row > SKYLINE) & (row < SHORE - 6), (row > SHORE + 6) & (row < DECK - 6)
         assert found.matched[wall].mean() > 0.15 and found.matched[water].mean() < 0.05
-    assert pair_evidence(boat[0][0], boat[1][0], TUNING.evidence) == ()
-    assert [len(p) for p in choose_pairs([boat[0], boat[1][:1], []], EvidenceTuning(most_pairs=6))] == [2, 0, 0]
+    assert pair_matchability(boat[0][0], boat[1][0], TUNING.matchability) == ()
+    assert [len(p) for p in choose_pairs([boat[0], boat[1][:1], []], MatchabilityTuning(most_pairs=6))] == [2, 0, 0]
 
 
 def test_matches_that_no_geometry_explains_are_none(boat, monkeypatch):
@@ -154,17 +154,17 @@ def test_matches_that_no_geometry_explains_are_none(boat, monkeypatch):
         raise cv2.error("(-215:Assertion failed) !model.empty() in function 'setModelParameters'")
 
     monkeypatch.setattr(cv2, "findFundamentalMat", refuse)
-    assert pair_evidence(boat[0][3], boat[0][4], TUNING.evidence) == ()
+    assert pair_matchability(boat[0][3], boat[0][4], TUNING.matchability) == ()
 
 
 def test_a_zone_that_never_matches():
     rng = np.random.default_rng(0)
     xy = rng.uniform(0, 1, (4000, 2)).astype(np.float32)
     matched = (xy[:, 1] < 0.6) & (rng.uniform(size=4000) < 0.3)
-    zone = never_matching([Evidence(None, xy, matched)], None, TUNING.water)
+    zone = never_matching([Matchability(None, xy, matched)], None, TUNING.water)
     rows = zone.mask.mean(axis=1)
     assert rows[:33].max() == 0 and rows[39:].min() > 0.9 and zone.says > 100
-    everywhere = never_matching([Evidence(None, xy, rng.uniform(size=4000) < 0.3)], None, TUNING.water)
+    everywhere = never_matching([Matchability(None, xy, rng.uniform(size=4000) < 0.3)], None, TUNING.water)
     assert everywhere.says < 8
     assert water_priors({0: zone, 1: zone}, asked=False, tuning=TUNING.water) == {}
     assert set(water_priors({0: zone, 1: zone, 2: everywhere}, asked=False, tuning=TUNING.water)) == {0, 1, 2}

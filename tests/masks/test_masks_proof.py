@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from tiegraph.masks.classes import EGO, OVEREXPOSED, SKY, USE, WATER
-from tiegraph.masks.ego import ego_of_frames
-from tiegraph.masks.evidence import Evidence, _shown
+from tiegraph.masks.matchability import Matchability, _shown
 from tiegraph.masks.parallax import nearness
-from tiegraph.masks.proof import Ties, cost, moves, ties_in, white_ties, without_sky
+from tiegraph.masks.platform import platform_of_frames
+from tiegraph.masks.proof import MatchCounts, cost, matches_in, moves, white_ties, without_sky
 from tiegraph.masks.tuning import Tuning
 
 SHAPE = (300, 400)
@@ -32,7 +32,7 @@ def two_views(focal, shift, turn_deg, seed=0):
 @pytest.mark.parametrize(("shift", "turn"), [((0.5, 0, 0), 0.0), ((0.5, 0.05, 0), 2.0), ((0.1, 0, -0.8), 0.0)])
 def test_sky_is_far_and_walls_are_near_whatever_the_lens(focal, shift, turn):
     a, b, far = two_views(focal, np.array(shift), turn)
-    near = nearness(a, b, SHAPE, TUNING.evidence)
+    near = nearness(a, b, SHAPE, TUNING.matchability)
     known = np.isfinite(near)
     assert known[far].mean() > 0.5 and known[~far].mean() > 0.5
     assert (near[far & known] > TUNING.proof.near).mean() < 0.2
@@ -41,8 +41,8 @@ def test_sky_is_far_and_walls_are_near_whatever_the_lens(focal, shift, turn):
 
 def test_what_cannot_be_told_is_unknown():
     a, b, _ = two_views(360, np.array([0.5, 0, 0]), 0.0)
-    assert np.isnan(nearness(a, a + 1e-3, SHAPE, TUNING.evidence)).all(), "no motion"
-    assert np.isnan(nearness(a[:4], b[:4], SHAPE, TUNING.evidence)).all(), "too few"
+    assert np.isnan(nearness(a, a + 1e-3, SHAPE, TUNING.matchability)).all(), "no motion"
+    assert np.isnan(nearness(a[:4], b[:4], SHAPE, TUNING.matchability)).all(), "too few"
 
 
 def test_ties_by_class_and_the_cost_of_a_mask():
@@ -50,8 +50,8 @@ def test_ties_by_class_and_the_cost_of_a_mask():
     y = np.array([0.1, 0.1, 0.24, 0.4, 0.4, 0.6, 0.9, 0.1])
     matched = np.array([1, 1, 1, 1, 1, 1, 1, 0], bool)
     near = np.array([1.0, 0.0, 1.0, 1, 1, 1, 1, np.nan], np.float32)
-    evidence = Evidence(Path("a"), np.column_stack([np.full(8, 0.5), y]).astype(np.float32), matched, near)
-    ties = ties_in(labels, labels == SKY, evidence, TUNING.proof)
+    evidence = Matchability(Path("a"), np.column_stack([np.full(8, 0.5), y]).astype(np.float32), matched, near)
+    ties = matches_in(labels, labels == SKY, evidence, TUNING.proof)
     assert ties.inside.tolist() == [2, 3, 1, 1, 0]
     assert (ties.near, ties.far) == (1, 1), "the third lies at the edge of the sky"
     assert cost([ties, ties]) == (10, 14)
@@ -60,7 +60,7 @@ def test_ties_by_class_and_the_cost_of_a_mask():
 
 def test_the_skies_of_all_cameras_are_judged_together():
     def ties(near, far, room=0.1):
-        return Ties(np.zeros(5, int), near, far, told=40, area=1, room=room)
+        return MatchCounts(np.zeros(5, int), near, far, told=40, area=1, room=room)
 
     assert without_sky({0: ties(21, 0), 1: ties(3, 0), 2: ties(0, 0)}, TUNING.proof) == {0, 1, 2}
     assert without_sky({0: ties(21, 0), 1: ties(2, 40)}, TUNING.proof) == set(), "the walls beside a true sky"
@@ -72,7 +72,7 @@ def test_the_skies_of_all_cameras_are_judged_together():
 
 
 def test_a_rig_that_no_frames_show_to_move_has_no_platform():
-    one = Evidence(Path("a"), np.zeros((1, 2), np.float32), np.ones(1, bool))
+    one = Matchability(Path("a"), np.zeros((1, 2), np.float32), np.ones(1, bool))
     for still in ([()] * 36, [], [(one, one)] + [()] * 35):
         assert not moves(still, TUNING.proof)
     assert moves([(one, one)] * 5 + [()] * 31, TUNING.proof)
@@ -82,7 +82,7 @@ def test_what_left_the_image_is_no_sign_of_water():
     rng = np.random.default_rng(3)
     here = rng.uniform((0, 0), (400, 180), (60, 2))
     every = np.column_stack([np.full(30, 200.0), np.linspace(5, 295, 30)])
-    shown = _shown(every, here, here + (0, 120), SHAPE, TUNING.evidence)
+    shown = _shown(every, here, here + (0, 120), SHAPE, TUNING.matchability)
     assert shown[every[:, 1] < 170].all() and not shown[every[:, 1] > 190].any()
 
 
@@ -96,7 +96,7 @@ def test_a_black_backdrop_is_no_platform_and_the_surround_of_a_lens_is():
 
     lens = (x - 160) ** 2 + (y - 120) ** 2 < 115**2
     fisheye = [np.where(lens, inside(k), 0).clip(0, 255).astype(np.uint8) for k in range(12)]
-    found = ego_of_frames(fisheye, TUNING.ego)
+    found = platform_of_frames(fisheye, TUNING.platform)
     assert found[~lens].mean() > 0.9 and found[(x - 160) ** 2 + (y - 120) ** 2 < 105**2].mean() < 0.02
     turned = []
     for k in range(12):
@@ -108,7 +108,7 @@ def test_a_black_backdrop_is_no_platform_and_the_surround_of_a_lens_is():
         )
         body = (u / a) ** 2 + (v / b) ** 2 < 1
         turned.append(np.where(body, inside(100 + k), 0).clip(0, 255).astype(np.uint8))
-    assert not ego_of_frames(turned, TUNING.ego).any()
+    assert not platform_of_frames(turned, TUNING.platform).any()
 
 
 def test_overexposed_areas_that_tie_are_a_surface():
@@ -117,7 +117,7 @@ def test_overexposed_areas_that_tie_are_a_surface():
     def ties(count, white, every=200):
         inside = np.zeros(5, int)
         inside[USE], inside[OVEREXPOSED] = every - count, count
-        return Ties(inside, area=10, white=white)
+        return MatchCounts(inside, area=10, white=white)
 
     assert white_ties([ties(20, 1.0), ties(0, 0.1)], TUNING.proof)
     for few in ([ties(3, 2.0)], [ties(2, 0.001)], []):

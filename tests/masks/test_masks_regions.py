@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from tiegraph.masks.classes import SKY, USE
-from tiegraph.masks.evidence import Evidence
+from tiegraph.masks.classification import _snapped
+from tiegraph.masks.labels import _like_sky, _wide
 from tiegraph.masks.learnt import lowest_agreed
-from tiegraph.masks.lookup import _snapped
-from tiegraph.masks.regions import calm_regions, pooled
-from tiegraph.masks.seeds import _like_sky, _wide
+from tiegraph.masks.matchability import Matchability
+from tiegraph.masks.regions import pooled, textureless_regions
 from tiegraph.masks.skyline import border_sky
 from tiegraph.masks.tuning import Tuning
 
@@ -20,7 +20,7 @@ def test_regions_end_at_edges_and_hold_soft_clouds():
     image = np.full((200, 320), 180, np.float32)
     image[:90] += 25 * np.sin(np.linspace(0, 6, 320))[None]  # clouds: a few grey levels a pixel at most
     image[90:] = 100
-    regions = calm_regions(np.clip(image, 0, 255).astype(np.uint8), TUNING.regions)
+    regions = textureless_regions(np.clip(image, 0, 255).astype(np.uint8), TUNING.regions)
     above, below = regions[5:85], regions[95:195]
     assert (above == above[0, 0]).all() and (below == below[0, 0]).all() and 0 < above[0, 0] != below[0, 0] > 0
     assert (regions[89:91] == 0).any(), "the edge itself is of no region"
@@ -41,9 +41,9 @@ def test_the_edge_of_the_sky_snaps_to_the_brightness():
     light = cv2.GaussianBlur(light, (3, 3), 0)
     labels = np.full((240, 640), USE, np.uint8)
     labels[:98] = SKY  # two pixels short
-    found = _snapped(labels, light, TUNING.lookup)
+    found = _snapped(labels, light, TUNING.classification)
     assert (found[:100] == SKY).all() and (found[101:] == USE).all()
-    flat = _snapped(labels, np.full((240, 640), 128, np.uint8), TUNING.lookup)
+    flat = _snapped(labels, np.full((240, 640), 128, np.uint8), TUNING.classification)
     assert (flat == labels).all(), "no brightness tells: the edge stays"
 
 
@@ -51,7 +51,7 @@ def test_narrow_strips_are_no_seeds():
     sky = np.zeros((100, 320), bool)
     sky[:30, :200] = True
     sky[30:90, 100:120] = True  # a border that ran down a pale wall
-    wide = _wide(sky, TUNING.seeds)
+    wide = _wide(sky, TUNING.labels)
     assert (wide[:30, :200]).all() and not wide[30:].any()
 
 
@@ -64,18 +64,18 @@ def test_a_pale_piece_that_matches_is_a_cloud_above_the_horizon_and_a_wall_below
     sky[:60] = True
     across, down = np.meshgrid(np.linspace(0.65, 0.95, 12), np.linspace(0.3, 0.4, 8))
     xy = np.stack([across.ravel(), down.ravel()], axis=1).astype(np.float32)
-    seen = Evidence(Path("a.jpg"), xy, np.ones(len(xy), bool))
-    found = _like_sky(image, sky, seen, TUNING.seeds, lowest=60 / 240)
+    seen = Matchability(Path("a.jpg"), xy, np.ones(len(xy), bool))
+    found = _like_sky(image, sky, seen, TUNING.labels, lowest=60 / 240)
     assert found[65:90, 210:310].all() == cloud
-    assert not found[:60].any() and not _like_sky(image, sky & False, seen, TUNING.seeds, 0.3).any()
+    assert not found[:60].any() and not _like_sky(image, sky & False, seen, TUNING.labels, 0.3).any()
 
 
 def test_the_lowest_sky_is_what_several_images_agree_on():
     rows = [0.0] * 20 + [0.3, 0.31, 0.33, 0.42, 0.43, 0.46]
-    assert lowest_agreed([*rows, 1.0], TUNING.seeds) == pytest.approx(0.46), "a border found on a road is alone"
-    assert lowest_agreed([*rows, 0.99, 1.0], TUNING.seeds) == pytest.approx(1.0)
-    assert lowest_agreed([0.0, 0.4], TUNING.seeds) == pytest.approx(0.4)
-    assert lowest_agreed([], TUNING.seeds) == lowest_agreed([0.0], TUNING.seeds) == 0
+    assert lowest_agreed([*rows, 1.0], TUNING.labels) == pytest.approx(0.46), "a border found on a road is alone"
+    assert lowest_agreed([*rows, 0.99, 1.0], TUNING.labels) == pytest.approx(1.0)
+    assert lowest_agreed([0.0, 0.4], TUNING.labels) == pytest.approx(0.4)
+    assert lowest_agreed([], TUNING.labels) == lowest_agreed([0.0], TUNING.labels) == 0
 
 
 def _street(fisheye):

@@ -23,7 +23,7 @@ def scene(cameras=2, frames=6, loose=False):
     names = [f"up/cam{c}/{k:03d}.jpg" for c in range(cameras) for k in range(frames)]
     track = np.full(frames, -1 if loose else 0)
     order, sensor = np.tile(np.arange(frames), cameras), np.repeat(np.arange(cameras), frames)
-    return simple_scene(rig, names, order, sensor, track, tracks=() if loose else ("up",))
+    return simple_scene(rig, names, order, sensor, track, sequences=() if loose else ("up",))
 
 
 def all_masks(name, images, **settings):

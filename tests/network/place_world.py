@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from boat_world import CHANCE, Result
-from tiegraph.network.looks.words import ImageWords, image_words
 from tiegraph.network.passes import Pass, find_passes
+from tiegraph.network.retrieval.vocabulary import BagsOfWords, bags_of_words
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
@@ -76,14 +76,14 @@ def _landmark(number: int) -> np.ndarray:
     return _known[number]
 
 
-_words: dict[bytes, ImageWords] = {}
+_words: dict[bytes, BagsOfWords] = {}
 
 
-def words_of(world: Places) -> ImageWords:
+def words_of(world: Places) -> BagsOfWords:
     """Words of a world, learnt once for all tests."""
     key = np.append(world.centre, world.around).astype(float).tobytes()
     if key not in _words:
-        _words[key] = image_words(world.descriptors(), Tuning().looks.words)
+        _words[key] = bags_of_words(world.descriptors(), Tuning().retrieval.vocabulary)
     return _words[key]
 
 
@@ -103,7 +103,7 @@ def video(count: int) -> Scene:
     rig = Rig("camera", (Sensor("camera"),))
     names = [f"clip/{k:05d}.jpg" for k in range(count)]
     return simple_scene(
-        rig, names, np.arange(count), np.zeros(count), np.zeros(count), np.arange(count), tracks=("clip",)
+        rig, names, np.arange(count), np.zeros(count), np.zeros(count), np.arange(count), sequences=("clip",)
     )
 
 

@@ -14,9 +14,9 @@ from tiegraph.network.coarse.model import CoarseModel
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.blocks import Block, blocks_of
 from tiegraph.scene.joining import Poses, join, join_models
+from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.rig import camera_to_dict, rig_to_dict
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.ties import Ties
 from tiegraph.scene.tuning import BlocksTuning
 from tiegraph.scene.tuning import Tuning as SceneTuning
 
@@ -24,7 +24,7 @@ TUNING = SceneTuning()
 
 
 @pytest.fixture(scope="module")
-def world() -> tuple[Scene, np.ndarray, Ties]:
+def world() -> tuple[Scene, np.ndarray, PreviewMatches]:
     scene, truth = survey()
     return scene, truth, ties_of(scene)
 
@@ -67,7 +67,7 @@ def test_a_small_survey_is_mapped_whole(world) -> None:
     made = Steps(small, Tuning(), mapper, TUNING)(inside)
     assert mapper.sizes == [len(few)] and len(made.models) == 1 and made.notes == ()
     assert [small.names[k] for k in (0, 7)] == [scene.names[few[k]] for k in (0, 7)]
-    assert np.array_equal(small.step[small.frame], scene.step[scene.frame[few]])
+    assert np.array_equal(small.sequence_index[small.frame], scene.sequence_index[scene.frame[few]])
 
 
 def test_blocks_come_together_in_one_frame(world) -> None:
@@ -101,7 +101,7 @@ def test_a_block_that_cannot_be_mapped_is_said(world) -> None:
     scene, truth, ties = world
     mapper = Mapper(scene, truth)
 
-    def make(part: Scene, inside: Ties, rough: bool) -> CoarseModel | None:
+    def make(part: Scene, inside: PreviewMatches, rough: bool) -> CoarseModel | None:
         model = mapper(part, inside, rough)
         return None if len(mapper.sizes) == 2 else model
 

@@ -8,8 +8,8 @@ from place_world import Places, found, photos, shuffled_ring, video
 
 from boat_world import Result, World, boat, ring
 from network_steps import Steps, estimate_network
-from tiegraph.network.looks.retrieval import retrieve
-from tiegraph.network.passes import PreviewBook, find_passes
+from tiegraph.network.passes import MatchCache, find_passes
+from tiegraph.network.retrieval.retrieval import retrieve
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.pairs import REASONS
@@ -26,7 +26,7 @@ def quality(world: World, network: Steps) -> tuple[float, float, float]:
     count = len(world.scene)
     i, j = np.triu_indices(count, 1)
     useful = np.maximum(world.overlap(i, j), world.overlap(j, i)) >= 0.15
-    track = world.scene.track[world.scene.frame]
+    track = world.scene.sequence[world.scene.frame]
     across = useful & (track[i] != track[j])
     recall, precision = found(network.pairs, (i, j, useful))
     return recall, precision, found(network.pairs, (i, j, across))[0]
@@ -38,7 +38,7 @@ def kept_images(world: World, keep: np.ndarray) -> World:
     frames = np.unique(scene.frame[keep])
     place = np.full(scene.frames, -1)
     place[frames] = np.arange(len(frames))
-    names = ("rig", "track", "step", "time_s", "world_from_rig", "section", "position_sigma_m")
+    names = ("rig", "sequence", "sequence_index", "time_s", "world_from_rig", "section", "position_sigma_m")
     columns = {n: getattr(scene, n)[frames] for n in names}
     less = scene.with_(
         names=tuple(np.array(scene.names)[keep]), frame=place[scene.frame[keep]], sensor=scene.sensor[keep], **columns
@@ -59,7 +59,7 @@ def test_one_camera_there_and_back() -> None:
 
 def test_a_pass_that_stops_half_way() -> None:
     world = boat((24, 24), (1.5, 1.5))
-    step, track = world.scene.step[world.scene.frame], world.scene.track[world.scene.frame]
+    step, track = world.scene.sequence_index[world.scene.frame], world.scene.sequence[world.scene.frame]
     short = kept_images(world, (track == 0) | (step < 11))
     network = network_of(short)
     recall, precision, across = quality(short, network)
@@ -71,7 +71,7 @@ def test_a_pass_that_stops_half_way() -> None:
 
 def test_a_camera_that_stopped_recording() -> None:
     world = boat((20, 16), (1.5, 1.9))
-    lost = (world.scene.sensor == 2) & (world.scene.step[world.scene.frame] >= 8)
+    lost = (world.scene.sensor == 2) & (world.scene.sequence_index[world.scene.frame] >= 8)
     short = kept_images(world, ~lost)
     network = network_of(short)
     recall, precision, across = quality(short, network)
@@ -93,7 +93,7 @@ def test_cameras_that_did_not_start_together(late) -> None:
     """Camera 2 lags: its k-th image belongs to the rig's frame k - late. The rig is wrong then; the ties are not."""
     world = boat((20, 16), (1.5, 1.9))
     scene = world.scene
-    step, track = scene.step[scene.frame], scene.track[scene.frame]
+    step, track = scene.sequence_index[scene.frame], scene.sequence[scene.frame]
     at = np.arange(len(scene))
     for k in np.flatnonzero(scene.sensor == 2):
         source = (scene.sensor == 2) & (track == track[k]) & (step == max(0, step[k] - late))
@@ -106,7 +106,7 @@ def test_cameras_that_did_not_start_together(late) -> None:
 def apart() -> World:
     """Two passes that share nothing."""
     world = boat((20, 20), (1.5, 1.5))
-    away = world.scene.track[world.scene.frame] == 1
+    away = world.scene.sequence[world.scene.frame] == 1
     poses = world.world_from_sensor.copy()
     poses[away, 0, 3] += 500
     return World(world.scene, poses)
@@ -117,7 +117,7 @@ def test_two_passes_far_apart_are_not_tied() -> None:
     network = network_of(world)
     recall, precision, _ = quality(world, network)
     kept = network.pairs.kept()
-    track = world.scene.track[world.scene.frame]
+    track = world.scene.sequence[world.scene.frame]
     assert recall > 0.93 and precision > 0.5
     assert np.sum(track[kept.i] != track[kept.j]) < 5
     assert any(note.startswith("the pairs fall into 4 components") for note in network.notes)  # up cameras apart
@@ -132,7 +132,7 @@ def test_two_passes_far_apart_have_no_heading() -> None:
 def test_the_same_pass_twice() -> None:
     world = boat((20, 20), (1.5, 1.5))
     scene = world.scene
-    step, track = scene.step[scene.frame], scene.track[scene.frame]
+    step, track = scene.sequence_index[scene.frame], scene.sequence[scene.frame]
     table = {(int(s), int(k)): n for n, (s, k, t) in enumerate(zip(scene.sensor, step, track)) if t == 0}
     twin = moved(world, np.array([table[int(s), int(k)] for s, k in zip(scene.sensor, step)]))
     network = network_of(twin)
@@ -145,7 +145,7 @@ def test_a_pass_written_anew_has_no_base() -> None:
     """Other files with the same pictures: nothing moves, every feature is found again."""
     world = boat((20, 20), (1.5, 1.5))
     scene = world.scene
-    step, track = scene.step[scene.frame], scene.track[scene.frame]
+    step, track = scene.sequence_index[scene.frame], scene.sequence[scene.frame]
     table = {(int(s), int(k)): n for n, (s, k, t) in enumerate(zip(scene.sensor, step, track)) if t == 0}
     twin = np.array([table[int(s), int(k)] for s, k in zip(scene.sensor, step)])
     copy = moved(world, twin)
@@ -212,9 +212,9 @@ def test_a_video_with_a_loop_is_closed_by_retrieval() -> None:
     i, j, useful = world.useful()
     assert found(network.pairs, (i, j, useful & (j - i < 100)))[0] > 0.95
     asked = world.asked
-    book = PreviewBook(world.match, 400)
+    cache = MatchCache(world.match, 400)
     loops = retrieve(
-        scene, find_passes(scene), book, CandidatesSettings(), Tuning(), world.descriptors, known=network.pairs
+        scene, find_passes(scene), cache, CandidatesSettings(), Tuning(), world.descriptors, known=network.pairs
     )
     recall, precision = found(network.pairs | loops.pairs, (i, j, useful))
     assert recall > 0.95 and precision > 0.7

@@ -5,9 +5,9 @@ import pytest
 from place_world import Places, found, photos, shuffled_ring, video, words_of
 
 from boat_world import Result
-from tiegraph.network.looks.loose import scored_pairs, supported
-from tiegraph.network.looks.words import image_words
-from tiegraph.network.passes import PreviewBook
+from tiegraph.network.passes import MatchCache
+from tiegraph.network.retrieval.loose import scored_pairs, supported
+from tiegraph.network.retrieval.vocabulary import bags_of_words
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.graph import components
@@ -15,14 +15,14 @@ from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 
 SETTINGS, TUNING = CandidatesSettings(), Tuning()
-LOOSE = TUNING.looks.loose
+LOOSE = TUNING.retrieval.loose
 
 
 def tied(world: Places, with_words: bool = True, scene: Scene | None = None, images=None) -> Pairs:
     count = len(world)
     words = words_of(world) if with_words else None
     chosen = np.arange(count) if images is None else images
-    return scored_pairs(scene or photos(count), chosen, PreviewBook(world.match, count), SETTINGS, TUNING, words)
+    return scored_pairs(scene or photos(count), chosen, MatchCache(world.match, count), SETTINGS, TUNING, words)
 
 
 def test_few_photographs_are_all_previewed() -> None:
@@ -71,11 +71,11 @@ def test_photographs_are_tied_to_the_frames_of_a_pass() -> None:
         names=tuple(names),
         frame=np.arange(240),
         sensor=np.zeros(240),
-        track=np.r_[np.zeros(200), np.full(40, -1)],
-        step=np.r_[np.arange(200), np.zeros(40)],
+        sequence=np.r_[np.zeros(200), np.full(40, -1)],
+        sequence_index=np.r_[np.arange(200), np.zeros(40)],
         section=np.full(240, -1),
         position_sigma_m=np.full((240, 3), np.nan),
-        tracks=clip.tracks,
+        sequences=clip.sequences,
         **more,
     )
     pairs = tied(world, scene=scene, images=np.arange(200, 240))
@@ -95,9 +95,9 @@ def test_without_words_names_and_chance_must_do() -> None:
 def test_nothing_to_tie() -> None:
     world = shuffled_ring(12)
     assert len(tied(world, images=np.zeros(0, int))) == 0
-    book = PreviewBook(lambda pairs: [Result(0) for _ in pairs], 150)
-    words = image_words([np.zeros((0, 128), np.uint8)] * 150, TUNING.looks.words)
-    pairs = scored_pairs(photos(150), np.arange(150), book, SETTINGS, TUNING, words)
+    cache = MatchCache(lambda pairs: [Result(0) for _ in pairs], 150)
+    words = bags_of_words([np.zeros((0, 128), np.uint8)] * 150, TUNING.retrieval.vocabulary)
+    pairs = scored_pairs(photos(150), np.arange(150), cache, SETTINGS, TUNING, words)
     assert len(pairs.kept()) == 0 and len(pairs) < 150 * 10
 
 

@@ -8,11 +8,11 @@ import pytest
 from boat_world import Result, boat, ring
 from network_steps import estimate_network
 from tiegraph import papers
-from tiegraph.network.lattice import make_lattice
 from tiegraph.network.offsets.offsets import OFFSETS, estimate_offsets
-from tiegraph.network.passes import PreviewBook, find_passes, loose_images
+from tiegraph.network.passes import MatchCache, find_passes, loose_images
 from tiegraph.network.rig.axes import angles_deg, vertical, yaw_between
 from tiegraph.network.rig.commonview import direction, in_words, strangers, votes, without_chance, yaw
+from tiegraph.network.scorematrix import score_matrix
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.papers.meguro2024 import _around, _At
@@ -37,7 +37,7 @@ def measure(world, settings, least=0.15):
     i, j = np.triu_indices(n, 1)
     useful = np.maximum(world.overlap(i, j), world.overlap(j, i)) >= least
     kept = kept_matrix(network.pairs, n)[i, j]
-    track = world.scene.track[world.scene.frame]
+    track = world.scene.sequence[world.scene.frame]
     across = useful & (track[i] != track[j])
     recall, cross = (kept & useful).sum() / useful.sum(), (kept & across).sum() / max(across.sum(), 1)
     return recall, (kept & useful).sum() / kept.sum(), cross, network
@@ -71,7 +71,7 @@ def test_constant_offsets_stay_in_their_range() -> None:
     best = {(c.pass_a, c.pass_b, c.sensor_a, c.sensor_b): c for c in network.candidates.curves if c.accepted}
     kept = network.pairs.kept()
     label = world.scene.image_label()
-    step = world.scene.step[world.scene.frame]
+    step = world.scene.sequence_index[world.scene.frame]
     assert len(kept)
     for i, j in zip(kept.i, kept.j):
         if (label[i][0], label[j][0], label[i][1], label[j][1]) not in best:
@@ -98,11 +98,11 @@ def test_of_the_partners_around_an_offset_the_best_ones_are_kept() -> None:
     world = boat((16, 16), (1.5, 1.5))
     p, q = find_passes(world.scene)
     settings = CandidatesSettings(offsets="constant", offset_range=4, min_matches=40)
-    book = PreviewBook(world.match, len(world.scene))
-    lattice = make_lattice(p, q, 1, np.ones((5, 5), bool), TUNING.offsets.lattice)
+    cache = MatchCache(world.match, len(world.scene))
+    lattice = score_matrix(p, q, 1, np.ones((5, 5), bool), TUNING.offsets.scores)
     for best in (1, 2):
         chosen = settings.model_copy(update={"offset_best": best})
-        pairs = _around(lattice, _At(1, 3, 15), True, book, chosen)
+        pairs = _around(lattice, _At(1, 3, 15), True, cache, chosen)
         image, partner = np.where(np.isin(pairs.i, p.images[1]), (pairs.i, pairs.j), (pairs.j, pairs.i))
         assert len(np.unique(image)) == 16 and np.isin(partner, q.images[3]).all()
         for k in np.unique(image):
@@ -142,7 +142,10 @@ def test_missing_images_and_frames_are_no_obstacle() -> None:
     frames = np.unique(scene.frame[keep])
     place = np.full(scene.frames, -1)
     place[frames] = np.arange(len(frames))
-    columns = {n: getattr(scene, n)[frames] for n in ("rig", "track", "step", "time_s", "world_from_rig", "section")}
+    columns = {
+        n: getattr(scene, n)[frames]
+        for n in ("rig", "sequence", "sequence_index", "time_s", "world_from_rig", "section")
+    }
     columns["position_sigma_m"] = scene.position_sigma_m[frames]
     names = tuple(np.array(scene.names)[keep])
     world.scene = scene.with_(names=names, frame=place[scene.frame[keep]], sensor=scene.sensor[keep], **columns)
@@ -181,10 +184,10 @@ def test_pairs_and_previews_grow_with_the_images_and_not_with_their_square() -> 
     for frames in (80, 240):
         world = boat((frames, frames), (1.0, 1.0), ring(3, up=False))
         n = len(world.scene)
-        book = PreviewBook(world.match, n)
-        found = estimate_offsets(find_passes(world.scene), book, n, CandidatesSettings(), TUNING)
+        cache = MatchCache(world.match, n)
+        found = estimate_offsets(find_passes(world.scene), cache, n, CandidatesSettings(), TUNING)
         rows.append(len(found.pairs) / n)
-        asked.append(len(book) / n)
+        asked.append(len(cache) / n)
     assert 0.5 < rows[1] / rows[0] < 1.3
     assert asked[1] / asked[0] < 1.3
 
@@ -192,7 +195,7 @@ def test_pairs_and_previews_grow_with_the_images_and_not_with_their_square() -> 
 def test_a_coarser_lattice_looks_no_further_from_the_path() -> None:
     """Out of its budget of previews the lattice takes every second frame, and still as many frames beside the path."""
     world = boat((160,), (1.0,), ring(3, up=False))
-    n, step = len(world.scene), world.scene.step[world.scene.frame]
+    n, step = len(world.scene), world.scene.sequence_index[world.scene.frame]
 
     def match(pairs: np.ndarray) -> list[Result]:
         apart = np.abs(step[pairs[:, 0]] - step[pairs[:, 1]])
@@ -202,10 +205,10 @@ def test_a_coarser_lattice_looks_no_further_from_the_path() -> None:
     for budget in (1000, 2):
         few = {"min_budget": 0, "previews_an_image": budget}
         tuning = TUNING.model_copy(update={"offsets": TUNING.offsets.model_copy(update=few)})
-        book = PreviewBook(match, n)
-        kept = estimate_offsets(find_passes(world.scene), book, n, CandidatesSettings(), tuning).pairs.kept()
+        cache = MatchCache(match, n)
+        kept = estimate_offsets(find_passes(world.scene), cache, n, CandidatesSettings(), tuning).pairs.kept()
         furthest.append(np.abs(step[kept.i] - step[kept.j]).max())
-        previews.append(len(book))
+        previews.append(len(cache))
     assert previews[1] < previews[0]
     assert 12 <= furthest[1] <= 1.3 * furthest[0]
 
@@ -213,7 +216,7 @@ def test_a_coarser_lattice_looks_no_further_from_the_path() -> None:
 def test_chance_gives_neither_heading_nor_direction() -> None:
     world = boat((20, 20), (1.5, 1.5))
     p, q = find_passes(world.scene)
-    lattice = make_lattice(p, q, 2, np.ones((6, 6), bool), TUNING.offsets.lattice)
+    lattice = score_matrix(p, q, 2, np.ones((6, 6), bool), TUNING.offsets.scores)
     rng = np.random.default_rng(3)
     few = np.zeros(lattice.inliers.shape)
     few[tuple(rng.integers(0, n, 6) for n in few.shape)] = 1.0
@@ -256,12 +259,12 @@ def test_yaw_and_vertical_of_a_ring() -> None:
 
 def test_book_asks_each_pair_once() -> None:
     world = boat((6,), (2.0,))
-    book = PreviewBook(world.match, len(world.scene))
+    cache = MatchCache(world.match, len(world.scene))
     i, j = np.array([3, 1, 3, 5]), np.array([1, 3, 9, 4])
-    first = book.measure(i, j)
-    assert world.asked == 3 and len(book) == 3
-    assert np.array_equal(book.measure(j, i), first) and world.asked == 3
-    assert np.isnan(book.known(np.array([0]), np.array([2])))
+    first = cache.measure(i, j)
+    assert world.asked == 3 and len(cache) == 3
+    assert np.array_equal(cache.measure(j, i), first) and world.asked == 3
+    assert np.isnan(cache.known(np.array([0]), np.array([2])))
     assert first[0] == first[1]
 
 
@@ -273,5 +276,5 @@ def test_passes_of_two_rigs_on_one_track_are_two() -> None:
     passes = find_passes(scene)
     assert [len(p) for p in passes] == [2, 2]
     assert passes[0].name != passes[1].name
-    loose = scene.with_(track=np.array([0, 0, -1, -1]))
+    loose = scene.with_(sequence=np.array([0, 0, -1, -1]))
     assert set(scene.frame[loose_images(loose)]) == {2, 3}

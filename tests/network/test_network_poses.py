@@ -7,7 +7,7 @@ import pytest
 from boat_world import World, boat, ring
 from network_steps import estimate_network
 from tiegraph.geometry import transforms
-from tiegraph.network.passes import PreviewBook, find_passes
+from tiegraph.network.passes import MatchCache, find_passes
 from tiegraph.network.poses.check import check_prior, checked_pose_pairs
 from tiegraph.network.poses.poses import assumed_range, pose_pairs, view_cameras
 from tiegraph.network.settings import CandidatesSettings
@@ -91,7 +91,7 @@ def test_odometry_of_two_passes_is_never_compared() -> None:
     world = boat((10, 10), (2.0, 2.0))
     scene = with_priors(world).with_(prior="odometry")
     pairs = pose_pairs(scene, find_passes(scene), SETTINGS, TUNING).pairs
-    track = scene.track[scene.frame]
+    track = scene.sequence[scene.frame]
     assert len(pairs) and (track[pairs.i] == track[pairs.j]).all()
 
 
@@ -192,9 +192,9 @@ def test_a_wrong_prior_is_noticed_and_named(name: str, canal: World) -> None:
     scene = true.with_(world_from_rig=spoil(np.array(true.world_from_rig)))
     passes = find_passes(scene)
     result = pose_pairs(scene, passes, SETTINGS, TUNING)
-    book = PreviewBook(canal.match, len(scene))
-    check = check_prior(scene, passes, book, result, SETTINGS, TUNING)
-    assert len(book) <= 240
+    cache = MatchCache(canal.match, len(scene))
+    check = check_prior(scene, passes, cache, result, SETTINGS, TUNING)
+    assert len(cache) <= 240
     assert check.good == (name == "as it is")
     assert said in check.better and bool(said) == bool(check.better)
     assert "prior checked by previews" in check.notes[0]
@@ -208,8 +208,8 @@ def test_a_right_prior_of_a_camera_that_looks_ahead_is_believed() -> None:
     world = boat((40,), (1.0,), ring(1, up=False))
     scene = with_priors(world)
     passes = find_passes(scene)
-    book = PreviewBook(world.match, len(scene))
-    check = check_prior(scene, passes, book, pose_pairs(scene, passes, SETTINGS, TUNING), SETTINGS, TUNING)
+    cache = MatchCache(world.match, len(scene))
+    check = check_prior(scene, passes, cache, pose_pairs(scene, passes, SETTINGS, TUNING), SETTINGS, TUNING)
     assert check.good and not check.better and check.fit < 0.6
 
 
@@ -217,7 +217,7 @@ def test_a_bad_prior_loses_no_pair(canal: World) -> None:
     true = with_priors(canal)
     poses = np.array(true.world_from_rig)[np.random.default_rng(0).permutation(true.frames)]
     scene = true.with_(world_from_rig=poses)
-    book = PreviewBook(canal.match, len(scene))
-    found = checked_pose_pairs(scene, find_passes(scene), book, SETTINGS, TUNING)
+    cache = MatchCache(canal.match, len(scene))
+    found = checked_pose_pairs(scene, find_passes(scene), cache, SETTINGS, TUNING)
     assert len(found.without) == scene.frames and (found.pairs.dropped == 0).all()
     assert any("refuses nothing" in note for note in found.notes)

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from boat_world import Result
-from tiegraph.network.lattice import Level, make_lattice
-from tiegraph.network.looks.evidence import seen_by_the_rig, unrelated
-from tiegraph.network.looks.timeline import Timeline
-from tiegraph.network.offsets.background import band, level_within
+from tiegraph.network.offsets.background import corridor, noise_floor_within
 from tiegraph.network.offsets.offsets import estimate_offsets
-from tiegraph.network.passes import PreviewBook, find_passes
+from tiegraph.network.passes import MatchCache, find_passes
+from tiegraph.network.retrieval.significance import seen_by_the_rig, unrelated
+from tiegraph.network.retrieval.timeline import Timeline
+from tiegraph.network.scorematrix import NoiseFloor, score_matrix
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.rig import Rig, Sensor
@@ -62,8 +62,8 @@ def few_axes(monkeypatch):
 
 def test_a_long_pass_is_tied_as_far_as_its_cameras_see_and_no_further(few_axes) -> None:
     world = Street()
-    book = PreviewBook(world.match, len(world.scene))
-    kept = estimate_offsets(find_passes(world.scene), book, len(world.scene), SETTINGS, TUNING).pairs.kept()
+    cache = MatchCache(world.match, len(world.scene))
+    kept = estimate_offsets(find_passes(world.scene), cache, len(world.scene), SETTINGS, TUNING).pairs.kept()
     i, j = np.triu_indices(len(world.scene), 1)
     hit = np.zeros((len(world.scene),) * 2, bool)
     hit[kept.i, kept.j] = True
@@ -75,26 +75,26 @@ def test_a_long_pass_is_tied_as_far_as_its_cameras_see_and_no_further(few_axes) 
 
 def test_the_level_of_frames_that_share_nothing() -> None:
     world = Street()
-    book = PreviewBook(world.match, len(world.scene))
+    cache = MatchCache(world.match, len(world.scene))
     p = find_passes(world.scene)[0]
-    level = level_within(p, np.ones((SENSORS, SENSORS), bool), book, 12, TUNING)
+    level = noise_floor_within(p, np.ones((SENSORS, SENSORS), bool), cache, 12, TUNING)
     assert level is not None and 13 < level.mean.mean() < 19  # half 8, half 24
     assert level.above(np.array(24.0), (0, 0)) == pytest.approx(24)
     assert level.above(np.array(level.mean[0, 0]), (0, 0)) == pytest.approx(8)
     short = Street(frames=20)
     p = find_passes(short.scene)[0]
-    assert level_within(p, np.ones((SENSORS, SENSORS), bool), PreviewBook(short.match, 80), 12, TUNING) is None
+    assert noise_floor_within(p, np.ones((SENSORS, SENSORS), bool), MatchCache(short.match, 80), 12, TUNING) is None
 
 
 def test_the_band_is_one_run_of_distances() -> None:
     p = find_passes(Street().scene)[0]
-    level = Level(np.full((4, 4), 12.0), 24.0, 8.0, 24.0, TUNING.offsets.lattice.most_level)
-    lattice = make_lattice(p, p, 5, np.ones((SENSORS, SENSORS), bool), TUNING.offsets.lattice, level)
+    level = NoiseFloor(np.full((4, 4), 12.0), 24.0, 8.0, 24.0, TUNING.offsets.scores.most_level)
+    lattice = score_matrix(p, p, 5, np.ones((SENSORS, SENSORS), bool), TUNING.offsets.scores, level)
     lattice.inliers[:] = 8.0
     a, b = np.indices(lattice.inliers.shape[2:])
     lattice.inliers[1, 1, np.abs(a - b) <= 2] = 24.0
     lattice.inliers[1, 1, (np.abs(a - b) == 6) & (a < 8)] = 24.0  # a wall that comes again, for some frames
-    near = band(lattice, np.arange(len(lattice.rows), dtype=float), 10, TUNING)
+    near = corridor(lattice, np.arange(len(lattice.rows), dtype=float), 10, TUNING)
     assert near[1, 1, 10, 8:13].all() and not near[1, 1, 2, 8] and not near[0, 0].any()
 
 
@@ -112,9 +112,9 @@ def line_of(world: Street) -> Timeline:
 
 def test_a_loop_is_what_most_cameras_see_again() -> None:
     world = Street(back_from=100)
-    line, book = line_of(world), PreviewBook(world.match, len(world.scene))
+    line, cache = line_of(world), MatchCache(world.match, len(world.scene))
     near = np.abs(np.subtract.outer(np.arange(15), np.arange(15))) <= 1
-    level = unrelated(line, near, book, 12, TUNING)
+    level = unrelated(line, near, cache, 12, TUNING)
     assert level is not None
     # One camera's hits of a true return, and of a wall that looks like another.
     again = [(line.image_at[f, 0], line.image_at[f + 100, 0]) for f in range(10, 40)]
@@ -122,4 +122,4 @@ def test_a_loop_is_what_most_cameras_see_again() -> None:
     hits = [(i, j) for i, j in alike if world.match(np.array([[i, j]]))[0].inliers > 20]
     i, j = np.array(again + hits).T
     patch = np.repeat([0, 1], [len(again), len(hits)])
-    assert list(seen_by_the_rig(line, (i, j), patch, book, level, TUNING.looks.evidence)) == [True, False]
+    assert list(seen_by_the_rig(line, (i, j), patch, cache, level, TUNING.retrieval.significance)) == [True, False]

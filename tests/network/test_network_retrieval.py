@@ -7,21 +7,21 @@ import pytest
 from place_world import Places, found, passes_of, photos, shuffled_ring, video, words_of
 
 from boat_world import boat
-from tiegraph.network.looks.retrieval import loop_candidates, nearest_images, retrieve
-from tiegraph.network.looks.words import ImageWords, image_words
-from tiegraph.network.passes import PreviewBook, find_passes
+from tiegraph.network.passes import MatchCache, find_passes
+from tiegraph.network.retrieval.retrieval import loop_candidates, nearest_images, retrieve
+from tiegraph.network.retrieval.vocabulary import BagsOfWords, bags_of_words
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
-from tiegraph.network.tuning.looks import RetrievalTuning
+from tiegraph.network.tuning.retrieval import LoopSearchTuning
 from tiegraph.scene.pairs import REASONS, Pairs
 
 SETTINGS, TUNING = CandidatesSettings(), Tuning()
-WORDS = TUNING.looks.words
+WORDS = TUNING.retrieval.vocabulary
 
 
-def loops(world: Places, known: Pairs | None = None, book: PreviewBook | None = None, tuning: Tuning = TUNING):
-    book = book or PreviewBook(world.match, len(world))
-    return loop_candidates(passes_of(len(world)), words_of(world), book, SETTINGS, tuning, known)
+def loops(world: Places, known: Pairs | None = None, cache: MatchCache | None = None, tuning: Tuning = TUNING):
+    cache = cache or MatchCache(world.match, len(world))
+    return loop_candidates(passes_of(len(world)), words_of(world), cache, SETTINGS, tuning, known)
 
 
 def far(world: Places, frames: int) -> tuple:
@@ -44,7 +44,7 @@ def test_words_are_the_same_every_time_and_do_not_care_for_order_of_features() -
     descriptors = shuffled_ring(40).descriptors()
     one, two = (nearest_images(descriptors, 5, WORDS) for _ in range(2))
     assert np.array_equal(one[0], two[0]) and np.array_equal(one[1], two[1])
-    words = image_words([np.concatenate([descriptors[0], descriptors[0][::-1]])] * 2 + descriptors, WORDS)
+    words = bags_of_words([np.concatenate([descriptors[0], descriptors[0][::-1]])] * 2 + descriptors, WORDS)
     assert words.between(np.array([0]), np.array([1]))[0] == pytest.approx(1)
 
 
@@ -61,13 +61,13 @@ def test_blank_images_have_no_look_alikes() -> None:
 
 
 def test_nearest_answers_queries_among_wanted_images() -> None:
-    words = image_words(shuffled_ring(60).descriptors(), WORDS)
+    words = bags_of_words(shuffled_ring(60).descriptors(), WORDS)
     everyone, _ = words.nearest(59)
     some = np.array([7, 3])
     assert np.array_equal(words.nearest(4, some)[0], everyone[some, :4])
     even, _ = words.nearest(5, some, lambda rows: np.broadcast_to(np.arange(60) % 2 == 0, (len(rows), 60)))
     assert (even[even >= 0] % 2 == 0).all() and (even[:, 0] >= 0).all()
-    first = ImageWords(words.weights).among(np.arange(10))
+    first = BagsOfWords(words.weights).among(np.arange(10))
     assert len(first) == 10 and first.between(np.array([1]), np.array([2])) == words.between([1], [2])
 
 
@@ -111,9 +111,9 @@ def test_known_loops_are_not_looked_at_again() -> None:
 
 
 def test_budget_of_previews_is_kept_and_said() -> None:
-    looks = TUNING.looks.model_copy(update={"retrieval": RetrievalTuning(previews_an_image=4)})
+    looks = TUNING.retrieval.model_copy(update={"loops": LoopSearchTuning(previews_an_image=4)})
     world = Places(np.arange(200) * 12.0, around=600)
-    result = loops(world, tuning=TUNING.model_copy(update={"looks": looks}))
+    result = loops(world, tuning=TUNING.model_copy(update={"retrieval": looks}))
     assert world.asked <= 4 * 200
     assert any("budget of previews was spent" in note for note in result.notes)
 
@@ -122,16 +122,16 @@ def test_the_return_pass_of_a_rig_is_found_without_any_order() -> None:
     survey = boat((14, 10), (2.0, 2.8))
     count = len(survey.scene)
     words = _words_by(survey, count)
-    result = loop_candidates(find_passes(survey.scene), words, PreviewBook(survey.match, count), SETTINGS, TUNING)
+    result = loop_candidates(find_passes(survey.scene), words, MatchCache(survey.match, count), SETTINGS, TUNING)
     i, j = np.triu_indices(count, 1)
-    track = survey.scene.track[survey.scene.frame]
+    track = survey.scene.sequence[survey.scene.frame]
     useful = (np.maximum(survey.overlap(i, j), survey.overlap(j, i)) >= 0.15) & (track[i] != track[j])
     recall, precision = found(result.pairs, (i, j, useful))
     assert recall > 0.6 and precision > 0.6
     assert survey.asked < 16 * count
 
 
-def _words_by(survey, count: int) -> ImageWords:
+def _words_by(survey, count: int) -> BagsOfWords:
     """Words that are as alike as the images overlap: rows of a matrix with the overlaps as products, nearly."""
     from scipy.sparse import csr_array
 
@@ -139,21 +139,21 @@ def _words_by(survey, count: int) -> ImageWords:
     share = np.maximum(survey.overlap(i, j), survey.overlap(j, i)).reshape(count, count)
     np.fill_diagonal(share, 1)
     rows = share / np.linalg.norm(share, axis=1, keepdims=True)
-    return ImageWords(csr_array(rows.astype(np.float32)))
+    return BagsOfWords(csr_array(rows.astype(np.float32)))
 
 
 def test_scenes_without_passes_or_photographs() -> None:
     world = shuffled_ring(30)
-    book = PreviewBook(world.match, 30)
-    words = image_words(world.descriptors(), WORDS)
-    assert loop_candidates((), words, book, SETTINGS, TUNING).notes == ()
-    alone = loop_candidates(passes_of(2), image_words(world.descriptors()[:2], WORDS), book, SETTINGS, TUNING)
+    cache = MatchCache(world.match, 30)
+    words = bags_of_words(world.descriptors(), WORDS)
+    assert loop_candidates((), words, cache, SETTINGS, TUNING).notes == ()
+    alone = loop_candidates(passes_of(2), bags_of_words(world.descriptors()[:2], WORDS), cache, SETTINGS, TUNING)
     assert len(alone.pairs) == 0
-    result = retrieve(photos(30), (), book, SETTINGS, TUNING, world.descriptors)
+    result = retrieve(photos(30), (), cache, SETTINGS, TUNING, world.descriptors)
     assert found(result.pairs, world.useful())[0] == 1
     assert "30 loose photographs" in result.notes[0]
     clip = video(30)
-    moving = retrieve(clip, find_passes(clip), PreviewBook(world.match, 30), SETTINGS, TUNING, world.descriptors)
+    moving = retrieve(clip, find_passes(clip), MatchCache(world.match, 30), SETTINGS, TUNING, world.descriptors)
     assert all("loose" not in note for note in moving.notes)
 
 

@@ -17,10 +17,10 @@ from tiegraph.features.preview import Preview, PreviewMatch, extract_preview, ma
 from tiegraph.features.preview_settings import PreviewSettings
 from tiegraph.features.tuning import PreviewTuning
 from tiegraph.geometry import transforms
-from tiegraph.network.passes import PreviewBook, find_passes
-from tiegraph.network.rig import sync as rigsync
+from tiegraph.network.passes import MatchCache, find_passes
+from tiegraph.network.rig import synchronisation as rigsync
+from tiegraph.network.rig.cameraorder import orders
 from tiegraph.network.rig.check import check_rig, check_rigs
-from tiegraph.network.rig.order import orders
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.rig import Rig, Sensor
@@ -45,7 +45,7 @@ def test_wrong_presets_are_corrected(mirror: bool, roll: int) -> None:
     turn = Rotation.from_euler("z", roll, degrees=True).as_matrix() @ np.diag([-1.0 if mirror else 1.0, 1, 1])
     world = boat((10, 10), (2.0, 2.0))
     scene = world.scene.with_(rigs=(changed(ring(), turn),))
-    checked, notes = check_rigs(scene, find_passes(scene), PreviewBook(world.match, len(scene)), SETTINGS, TUNING)
+    checked, notes = check_rigs(scene, find_passes(scene), MatchCache(world.match, len(scene)), SETTINGS, TUNING)
     # The camera that looks up shares nothing with the others: what hangs on it alone cannot be told.
     assert np.allclose(axes(checked.rigs[0])[:5], axes(ring())[:5], atol=1e-6)
     assert ("corrected" in notes[0]) == (mirror or roll > 0)
@@ -56,15 +56,15 @@ def test_wrong_presets_are_corrected(mirror: bool, roll: int) -> None:
 def test_a_calibrated_rig_is_told_of_and_kept() -> None:
     world = boat((10, 10), (2.0, 2.0))
     rig = replace(changed(ring(), np.diag([-1.0, 1, 1])), fixed=True)
-    outcome = check_rig(rig, find_passes(world.scene), PreviewBook(world.match, len(world.scene)), SETTINGS, TUNING)
+    outcome = check_rig(rig, find_passes(world.scene), MatchCache(world.match, len(world.scene)), SETTINGS, TUNING)
     assert not outcome.changed and outcome.rig is rig
     assert "mirrored" in outcome.note and "kept" in outcome.note
 
 
 def test_too_few_matches_are_said() -> None:
     world = boat((10,), (2.0,))
-    book = PreviewBook(lambda pairs: [Result(3) for _ in pairs], len(world.scene))
-    outcome = check_rig(ring(), find_passes(world.scene), book, SETTINGS, TUNING)
+    cache = MatchCache(lambda pairs: [Result(3) for _ in pairs], len(world.scene))
+    outcome = check_rig(ring(), find_passes(world.scene), cache, SETTINGS, TUNING)
     assert not outcome.changed and "could not be checked" in outcome.note
 
 
@@ -78,11 +78,11 @@ def test_swapped_stereo_cameras_are_found() -> None:
         np.tile(np.arange(10), 2),
         np.repeat([0, 1], 10),
         np.zeros(10),
-        tracks=("all",),
+        sequences=("all",),
     )
     # b stands right of a: things move to the left from a to b.
-    book = PreviewBook(lambda pairs: [Result(80, np.eye(3), np.array([-0.05, 0.0])) for _ in pairs], len(scene))
-    checked, notes = check_rigs(scene, find_passes(scene), book, SETTINGS, TUNING)
+    cache = MatchCache(lambda pairs: [Result(80, np.eye(3), np.array([-0.05, 0.0])) for _ in pairs], len(scene))
+    checked, notes = check_rigs(scene, find_passes(scene), cache, SETTINGS, TUNING)
     assert np.allclose(checked.rigs[0].sensors[1].sensor_from_rig, right)
     assert "corrected" in notes[0]
 
@@ -91,7 +91,7 @@ def test_rigs_without_poses_are_left_alone() -> None:
     world = boat((4,), (2.0,), ring(5))
     bare = Rig("rig", tuple(Sensor(s.name, s.camera) for s in ring().sensors))
     scene = world.scene.with_(rigs=(bare,))
-    checked, notes = check_rigs(scene, find_passes(scene), PreviewBook(world.match, len(scene)), SETTINGS, TUNING)
+    checked, notes = check_rigs(scene, find_passes(scene), MatchCache(world.match, len(scene)), SETTINGS, TUNING)
     assert notes == () and checked.rigs[0] is bare
 
 
@@ -114,7 +114,7 @@ def relative(rig: Rig) -> np.ndarray:
 def test_cameras_in_another_order_are_put_right(order: list[int]) -> None:
     world = boat((10, 10), (2.0, 2.0))
     scene = world.scene.with_(rigs=(swapped(ring(), order),))
-    checked, notes = check_rigs(scene, find_passes(scene), PreviewBook(world.match, len(scene)), SETTINGS, TUNING)
+    checked, notes = check_rigs(scene, find_passes(scene), MatchCache(world.match, len(scene)), SETTINGS, TUNING)
     turn = relative(checked.rigs[0]) - relative(ring())
     assert np.allclose((turn + 180) % 360 - 180, 0, atol=1e-6)
     assert "corrected; check the rig file" in notes[0] and "correlation of matches and axes" in notes[0]
@@ -129,7 +129,7 @@ def test_a_new_reference_camera_takes_poses_and_antenna_along() -> None:
     poses = np.tile(pose, (world.scene.frames, 1, 1))
     poses[3, :3, :3] = np.nan  # a position alone
     scene = world.scene.with_(rigs=(rig,), world_from_rig=poses)
-    checked, _ = check_rigs(scene, find_passes(scene), PreviewBook(world.match, len(scene)), SETTINGS, TUNING)
+    checked, _ = check_rigs(scene, find_passes(scene), MatchCache(world.match, len(scene)), SETTINGS, TUNING)
     new = checked.rigs[0]
     assert np.allclose(new.sensors[0].sensor_from_rig, np.eye(4))
     # Where the antenna and the camera that stays (cam2) are in the world does not change.
@@ -147,7 +147,7 @@ def test_a_new_reference_camera_takes_poses_and_antenna_along() -> None:
 def test_a_calibrated_rig_in_another_order_is_told_of_and_kept() -> None:
     world = boat((10, 10), (2.0, 2.0))
     rig = replace(swapped(ring(), ORDERS[0]), fixed=True)
-    outcome = check_rig(rig, find_passes(world.scene), PreviewBook(world.match, len(world.scene)), SETTINGS, TUNING)
+    outcome = check_rig(rig, find_passes(world.scene), MatchCache(world.match, len(world.scene)), SETTINGS, TUNING)
     assert not outcome.changed and outcome.rig is rig
     assert "cam1 and cam2 seem to be swapped" in outcome.note and "it is calibrated and kept" in outcome.note
 
@@ -162,11 +162,11 @@ def test_many_cameras_are_put_right_by_swaps() -> None:
     assert orders(rig, np.full_like(evidence, np.nan), TUNING.rig.order) == []
 
 
-def lagging(late: dict[int, int], frames: int = 20, flow: float = 0.06) -> tuple[Scene, PreviewBook]:
+def lagging(late: dict[int, int], frames: int = 20, flow: float = 0.06) -> tuple[Scene, MatchCache]:
     """A ring whose neighbours match best in the same moment; things move by ``flow`` of the image a frame."""
     world = boat((frames,), (1.5,))
     scene = world.scene
-    step, sensor = scene.step[scene.frame], scene.sensor
+    step, sensor = scene.sequence_index[scene.frame], scene.sensor
     moment = step - np.array([late.get(int(s), 0) for s in sensor])
 
     def match(pairs: np.ndarray) -> list[Result]:
@@ -181,13 +181,13 @@ def lagging(late: dict[int, int], frames: int = 20, flow: float = 0.06) -> tuple
             out.append(Result(int(9 + 50 * 0.7 ** abs(apart)), None, np.array([sign * 0.7 + flow * apart, 0.0])))
         return out
 
-    return scene, PreviewBook(match, len(scene))
+    return scene, MatchCache(match, len(scene))
 
 
 @pytest.mark.parametrize("late", [{2: 1}, {2: 4}, {0: -3}, {1: 2, 3: -2}, {4: 6}])
 def test_cameras_that_run_late_are_named_with_the_figure(late: dict[int, int]) -> None:
-    scene, book = lagging(late)
-    _, notes = check_rigs(scene, find_passes(scene), book, SETTINGS, TUNING)
+    scene, cache = lagging(late)
+    _, notes = check_rigs(scene, find_passes(scene), cache, SETTINGS, TUNING)
     said = [n for n in notes if "seems to run" in n]
     assert len(said) == len(late)
     for camera, lag in late.items():
@@ -196,24 +196,24 @@ def test_cameras_that_run_late_are_named_with_the_figure(late: dict[int, int]) -
 
 
 def test_cameras_in_step_are_looked_at_in_the_same_frame_only() -> None:
-    scene, book = lagging({})
-    _, notes = check_rigs(scene, find_passes(scene), book, SETTINGS, TUNING)
+    scene, cache = lagging({})
+    _, notes = check_rigs(scene, find_passes(scene), cache, SETTINGS, TUNING)
     assert not any("seems to run" in n for n in notes)
-    assert len(book) <= 300
+    assert len(cache) <= 300
 
 
 def test_evidence_without_fitting_motion_is_no_lag(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a camera sees two frames after another is no lag while things jump between them as the axes say now."""
     monkeypatch.setattr(rigsync, "_odd", lambda *_: True)
-    scene, book = lagging({2: 2})
-    assert any("cam2 seems to run 2" in n for n in check_rigs(scene, find_passes(scene), book, SETTINGS, TUNING)[1])
+    scene, cache = lagging({2: 2})
+    assert any("cam2 seems to run 2" in n for n in check_rigs(scene, find_passes(scene), cache, SETTINGS, TUNING)[1])
     late = np.where(scene.sensor == 2, 2, 0)
 
     def now(pairs: np.ndarray) -> list[Result]:
         shift = [np.array([0.06 * (late[j] - late[i]), 0.0]) for i, j in pairs.tolist()]
-        return [r if r.shift is None else replace(r, shift=r.shift + s) for r, s in zip(book._match(pairs), shift)]
+        return [r if r.shift is None else replace(r, shift=r.shift + s) for r, s in zip(cache._match(pairs), shift)]
 
-    notes = check_rigs(scene, find_passes(scene), PreviewBook(now, len(scene)), SETTINGS, TUNING)[1]
+    notes = check_rigs(scene, find_passes(scene), MatchCache(now, len(scene)), SETTINGS, TUNING)[1]
     assert not any("seems to run" in n for n in notes)
 
 
@@ -230,7 +230,7 @@ def _matched(a: Path, b: Path) -> PreviewMatch:
     return match_previews(_preview(a), _preview(b), DEMO_CAMERA, DEMO_CAMERA, PreviewSettings(), PreviewTuning())
 
 
-def canal_demo(mirrored: bool) -> tuple[Scene, PreviewBook]:
+def canal_demo(mirrored: bool) -> tuple[Scene, MatchCache]:
     folder = DATA / "canal_demo"
     if not (folder / "images").is_dir():
         pytest.skip(f"{folder} not there")
@@ -255,21 +255,21 @@ def canal_demo(mirrored: bool) -> tuple[Scene, PreviewBook]:
         np.array([int(n.split("/")[1][3:]) for n in names]),
         np.array([tracks.index(f[0]) for f in frames]),
         np.array([int(f[1].split(".")[0]) for f in frames]),
-        tracks=tuple(tracks),
+        sequences=tuple(tracks),
     )
 
     def match(pairs: np.ndarray) -> list:
         return [_matched(folder / "images" / names[i], folder / "images" / names[j]) for i, j in pairs.tolist()]
 
-    return scene, PreviewBook(match, len(scene))
+    return scene, MatchCache(match, len(scene))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_real_images_tell_a_mirrored_preset(mirrored: bool) -> None:
-    scene, book = canal_demo(mirrored)
+    scene, cache = canal_demo(mirrored)
     truth = canal_demo(False)[0].rigs[0]
-    checked, notes = check_rigs(scene, find_passes(scene), book, SETTINGS, TUNING)
+    checked, notes = check_rigs(scene, find_passes(scene), cache, SETTINGS, TUNING)
     assert np.allclose(axes(checked.rigs[0]), axes(truth), atol=1e-6)
     assert ("mirrored: corrected" in notes[0]) == mirrored
 
@@ -277,13 +277,13 @@ def test_real_images_tell_a_mirrored_preset(mirrored: bool) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("camera, late", [(0, 2), (1, -2), (3, 1)])
 def test_real_images_tell_a_camera_that_runs_late(camera: int, late: int) -> None:
-    scene, book = canal_demo(False)
-    step, track = scene.step[scene.frame], scene.track[scene.frame]
+    scene, cache = canal_demo(False)
+    step, track = scene.sequence_index[scene.frame], scene.sequence[scene.frame]
     at = np.arange(len(scene))
     for k in np.flatnonzero(scene.sensor == camera):
         own = (scene.sensor == camera) & (track == track[k]) & (step == np.clip(step[k] - late, 0, step.max()))
         at[k] = np.flatnonzero(own)[0]
-    lagged = PreviewBook(lambda pairs: book._match(at[pairs]), len(scene))
+    lagged = MatchCache(lambda pairs: cache._match(at[pairs]), len(scene))
     notes = check_rigs(scene, find_passes(scene), lagged, SETTINGS, TUNING)[1]
     frames = f"{abs(late)} frame{'s' if abs(late) > 1 else ''} {'late' if late > 0 else 'early'}"
     assert sum("seems to run" in n for n in notes) == 1
@@ -292,8 +292,8 @@ def test_real_images_tell_a_camera_that_runs_late(camera: int, late: int) -> Non
 
 @pytest.mark.slow
 def test_real_images_tell_swapped_cameras() -> None:
-    scene, book = canal_demo(False)
+    scene, cache = canal_demo(False)
     wrong = scene.with_(rigs=(swapped(scene.rigs[0], ORDERS[0]),))
-    checked, notes = check_rigs(wrong, find_passes(scene), book, SETTINGS, TUNING)
+    checked, notes = check_rigs(wrong, find_passes(scene), cache, SETTINGS, TUNING)
     assert np.allclose(axes(checked.rigs[0]), axes(scene.rigs[0]), atol=1e-6)
     assert "cam1 and cam2 seem to be swapped" in notes[0]

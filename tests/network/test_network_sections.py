@@ -20,8 +20,8 @@ TUNING = Tuning().sections
 def survey(frames: int = 20, dark: tuple[int, int] = (8, 13)):
     """Two passes; the first and the return pass see the bridge at the same place. Brightness (N,) by image."""
     world = boat((frames, frames), (2.0, 2.0))
-    step = world.scene.step[world.scene.frame]
-    there = np.where(world.scene.track[world.scene.frame] == 0, step, frames - step)
+    step = world.scene.sequence_index[world.scene.frame]
+    there = np.where(world.scene.sequence[world.scene.frame] == 0, step, frames - step)
     under = (there >= dark[0]) & (there < dark[1])
     noise = np.random.default_rng(0).normal(0, 4, len(world.scene))
     return world, np.where(under, 60, 150) + noise, under
@@ -115,7 +115,7 @@ def test_exif_exposure_gives_the_light_itself() -> None:
 
 def test_each_pass_has_its_own_threshold_and_a_clouded_pass_is_not_a_bridge() -> None:
     world, brightness, under = survey()
-    back = world.scene.track[world.scene.frame] == 1
+    back = world.scene.sequence[world.scene.frame] == 1
     passes = find_passes(world.scene)
     found = find_sections(world.scene, passes, np.where(back, 0.45, 1.0) * brightness, TUNING)
     truth = by_up_frame(world.scene, under.astype(float)) > 0.5
@@ -183,7 +183,7 @@ def test_places_are_joined_in_order_even_where_everything_sees_everything(back: 
     result = SectionResult(sections, of_frame, np.zeros(18), 1.0, ())
     joined = join_places(result, scene, pairs, TUNING)
     assert joined.of_frame.tolist() == np.repeat(place, 3).tolist()
-    within = scene.track[scene.frame[pairs.i]] == scene.track[scene.frame[pairs.j]]
+    within = scene.sequence[scene.frame[pairs.i]] == scene.sequence[scene.frame[pairs.j]]
     apart = join_places(result, scene, pairs.where(within), TUNING)
     assert len(apart.sections) == 6
 

@@ -8,7 +8,7 @@ import pytest
 from boat_world import Result, boat
 from network_steps import estimate_network
 from tiegraph.errors import InputError, SettingsError
-from tiegraph.network.passes import PreviewBook, find_passes
+from tiegraph.network.passes import MatchCache, find_passes
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.sources import Context, axes_count, axes_pairs, exhaustive, sequence
 from tiegraph.network.tuning import Tuning
@@ -24,8 +24,8 @@ def photos(count: int) -> Scene:
 
 
 def context(scene: Scene, settings: CandidatesSettings) -> Context:
-    book = PreviewBook(lambda pairs: [Result(0) for _ in pairs], len(scene))
-    return Context(scene, find_passes(scene), book, settings, Tuning())
+    cache = MatchCache(lambda pairs: [Result(0) for _ in pairs], len(scene))
+    return Context(scene, find_passes(scene), cache, settings, Tuning())
 
 
 def line_match(reach: int, seed: int = 0):
@@ -94,7 +94,7 @@ def test_pair_list_as_only_source_previews_nothing(tmp_path) -> None:
 def test_sequence_ties_the_next_frames_of_each_camera() -> None:
     world = boat((6, 5), (2.0, 2.0))
     plain = sequence(context(world.scene, CandidatesSettings(sequence_frames=2))).pairs
-    step, key = world.scene.step[world.scene.frame], world.scene.sensor_key
+    step, key = world.scene.sequence_index[world.scene.frame], world.scene.sensor_key
     assert len(plain) == 6 * (5 + 4) + 6 * (4 + 3)
     assert (key[plain.i] == key[plain.j]).all() and (np.abs(step[plain.i] - step[plain.j]) <= 2).all()
     wide = sequence(

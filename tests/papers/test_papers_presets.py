@@ -13,7 +13,7 @@ import pytest
 from boat_world import boat, ring
 from tiegraph import papers
 from tiegraph.masks.sources import SOURCES
-from tiegraph.network.passes import PreviewBook, find_passes
+from tiegraph.network.passes import MatchCache, find_passes
 from tiegraph.network.rig.check import check_rigs
 from tiegraph.network.sections.light import UpLight
 from tiegraph.network.sections.sections import find_sections
@@ -34,7 +34,7 @@ SWITCHES = {
     "georef.antenna": ("ignored", "auto"),
     "remask.geometry": ("off", "auto"),
     "tuning.sfm.placement.repair.rounds": (0, 4),
-    "tuning.sfm.placement.adopt_rounds": (0, 2),
+    "tuning.sfm.placement.missing_rounds": (0, 2),
     "tuning.sfm.placement.guided.rounds": (0, 3),
     "tuning.sfm.adjust.robust_rounds": (0, 2),
 }
@@ -75,7 +75,7 @@ def test_the_rig_is_checked_by_default_and_believed_by_the_papers(name: str) -> 
     sensors = tuple(replace(s, sensor_from_rig=mirror @ s.sensor_from_rig @ mirror) for s in ring().sensors)
     scene = world.scene.with_(rigs=(replace(ring(), sensors=sensors),))
     settings = merged(preset(name))
-    book = PreviewBook(world.match, len(scene))
+    book = MatchCache(world.match, len(scene))
     checked, _ = check_rigs(scene, find_passes(scene), book, settings.candidates, settings.tuning.network)
     assert (checked.rigs[0] is scene.rigs[0]) == (name != "default")
 

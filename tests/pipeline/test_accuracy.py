@@ -11,10 +11,10 @@ from tiegraph.features.tuning import PreviewTuning
 from tiegraph.pipeline.accuracy import with_accuracy
 from tiegraph.pipeline.preview import preview_path
 from tiegraph.pipeline.previews import with_previews
+from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
-from tiegraph.scene.ties import Ties
 from tiegraph.sfm.tuning import TwoViewTuning
 
 
@@ -26,7 +26,7 @@ def world_of_three(folder: Path) -> Scene:
     descriptors = rng.integers(0, 120, (60, 128)).astype(np.uint8)
     names = [f"{k}.jpg" for k in range(3)]
     scene = simple_scene(Rig("c", (Sensor("c", camera),)), names, np.arange(3), np.zeros(3), np.zeros(3),
-                         tracks=("video",))  # fmt: skip
+                         sequences=("video",))  # fmt: skip
     (folder / "network").mkdir()
     for path in (folder / "scene.json", folder / "network" / "scene.json"):
         path.write_text(scene.to_json())
@@ -47,7 +47,7 @@ def test_previewed_pairs_get_their_accuracy_and_base(tmp_path: Path) -> None:
     scene = world_of_three(tmp_path)
     all_points = np.stack([np.arange(60)] * 2, axis=1)
     pairs = Pairs.make([0, 0, 1], [1, 2, 2], "sequence")
-    ties = Ties.make([0, 0], [1, 2], [all_points, all_points])
+    ties = PreviewMatches.make([0, 0], [1, 2], [all_points, all_points])
     found = with_accuracy(pairs, scene, ties, tmp_path, in_turn, TwoViewTuning())
     assert np.isfinite(found.sigma_m).tolist() == [True, True, False], "the third was not previewed"
     assert np.all(found.sigma_m[:2] > 0) and np.all(found.sigma_m[:2] < 1.5)
@@ -57,14 +57,14 @@ def test_previewed_pairs_get_their_accuracy_and_base(tmp_path: Path) -> None:
 def test_pairs_without_previews_stay_as_they_are() -> None:
     scene = simple_scene(Rig("camera", (Sensor("camera"),)), ["a.jpg", "b.jpg"], np.arange(2), np.zeros(2))
     pairs = Pairs.make([0], [1], "sequence")
-    assert with_accuracy(pairs, scene, Ties.empty(), Path("."), lambda *_: [], TwoViewTuning()) is pairs
+    assert with_accuracy(pairs, scene, PreviewMatches.empty(), Path("."), lambda *_: [], TwoViewTuning()) is pairs
 
 
 def test_pairs_of_which_nothing_is_known_are_previewed_for_the_design(tmp_path: Path) -> None:
     world_of_three(tmp_path)
     by_model = Pairs.make([1], [2], "model", overlap=np.array([0.4]))
     dropped = Pairs.make([0], [2], "file", dropped=np.array([1]))
-    known = Ties.make([0], [2], [np.zeros((3, 2))])
+    known = PreviewMatches.make([0], [2], [np.zeros((3, 2))])
     listed, how = Pairs.make([0], [1], "sequence") | dropped | by_model, (PreviewSettings(), PreviewTuning())
     pairs, ties, count = with_previews(listed, known, tmp_path, *how, in_turn)
     assert count == 1, "one has an overlap, one was dropped"

@@ -75,7 +75,7 @@ def _photographs(folder: Path) -> tuple[pycolmap.Reconstruction, list[str]]:
     camera = next(iter(truth.cameras.values()))
     count = len(names)
     rig = Rig("photographs", (Sensor("camera", camera),))
-    scene = simple_scene(rig, names, np.arange(count), np.zeros(count, int), np.full(count, -1), tracks=())
+    scene = simple_scene(rig, names, np.arange(count), np.zeros(count, int), np.full(count, -1), sequences=())
     model = pycolmap.Reconstruction(truth)
     model.transform(pycolmap.Sim3d(0.3, pycolmap.Rotation3d(np.array([0.1, 0.2, 0.3, 0.9])), np.array([5.0, 1, 2])))
     (folder / "network").mkdir()

@@ -90,7 +90,7 @@ def make_scene(rng: np.random.Generator) -> Scene:
         np.array(sensor)[order],
         np.repeat([0, 1], FRAMES),
         np.tile(np.arange(FRAMES), 2),
-        tracks=PASSES,
+        sequences=PASSES,
         world_from_rig=prior,
         position_sigma_m=np.full((frames, 3), 0.3),
         section=np.repeat([0, 1, 0, 1], FRAMES // 2),

@@ -10,12 +10,12 @@ import pytest
 from fake_survey_run import FRAMES, make_run
 
 from tiegraph.errors import InputError
-from tiegraph.report import charts, facts, viewer, words
-from tiegraph.report.artefacts import read_run
+from tiegraph.report import charts, formatting, summary, viewer
 from tiegraph.report.html import environment, metric_text, write_report
+from tiegraph.report.networkpart import network_part
 from tiegraph.report.plan import frame_positions, tracks
+from tiegraph.report.runfolder import read_run
 from tiegraph.report.settings import ReportSettings
-from tiegraph.report.ties import network_part
 from tiegraph.scene.registered import Registration
 
 SMALL = ReportSettings(view_px=400, viewer_points=2000)
@@ -115,34 +115,34 @@ def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
 
 def test_verdict_levels(tmp_path: Path, full: Path) -> None:
     run = read_run(full)
-    assert facts.verdict(run).level == "check"
+    assert summary.verdict(run).level == "check"
     assert run.model is not None
     from dataclasses import replace
 
     everything = Registration(np.ones(60, bool), np.full(60, 10), 10)
     complete = replace(run, model=replace(run.model, images=everything))
-    assert facts.verdict(complete).level == "good"
+    assert summary.verdict(complete).level == "good"
     by_rig = replace(
         run,
         model=replace(run.model, images=replace(everything, points=np.r_[np.full(10, 9), everything.points[10:]])),
     )
-    assert facts.verdict(by_rig).level == "check" and "50 of 60 images (83 %)" in facts.verdict(by_rig).sentences[0]
+    assert summary.verdict(by_rig).level == "check" and "50 of 60 images (83 %)" in summary.verdict(by_rig).sentences[0]
     few = replace(everything, placed=np.arange(60) < 20)
-    poor = facts.verdict(replace(run, model=replace(run.model, images=few, others=(12, 8))))
+    poor = summary.verdict(replace(run, model=replace(run.model, images=few, others=(12, 8))))
     assert poor.level == "poor" and "the largest of 3; the others have 12, 8 images" in poor.sentences[0]
     assert any("3 separate models" in w for w in poor.warnings)
-    free = facts.verdict(replace(complete, world=None))
+    free = summary.verdict(replace(complete, world=None))
     assert free.level == "check" and any("not georeferenced" in w for w in free.warnings)
-    bent = facts.verdict(replace(complete, world={**(run.world or {}), "heldout_rms_m": 3.0}))
+    bent = summary.verdict(replace(complete, world={**(run.world or {}), "heldout_rms_m": 3.0}))
     assert any("times worse" in w for w in bent.warnings)
 
 
 def test_residuals_and_sigmas_in_any_form() -> None:
-    assert facts.residual_text(0.034) == "3.4 cm"
-    assert facts.residual_text([0.01, 0.02, 1.5]) == "1.0 cm east, 2.0 cm north, 1.50 m up"
-    assert facts.residual_text({"east_m": 0.3, "up": None}) == "30.0 cm east"
-    assert facts.residual_text(None) == facts.sigma_text(None) == facts.sigma_text({}) == ""
-    assert facts.sigma_text({"scale_ppm": 120.0, "heading_deg": 0.1, "position_m": 0.02}) == (
+    assert summary.residual_text(0.034) == "3.4 cm"
+    assert summary.residual_text([0.01, 0.02, 1.5]) == "1.0 cm east, 2.0 cm north, 1.50 m up"
+    assert summary.residual_text({"east_m": 0.3, "up": None}) == "30.0 cm east"
+    assert summary.residual_text(None) == summary.sigma_text(None) == summary.sigma_text({}) == ""
+    assert summary.sigma_text({"scale_ppm": 120.0, "heading_deg": 0.1, "position_m": 0.02}) == (
         "scale 120 ppm; heading 0.10°; position 2.0 cm"
     )
 
@@ -211,21 +211,21 @@ def test_a_sound_network_is_said_to_be_sound(tmp_path: Path) -> None:
 
 
 def test_words() -> None:
-    assert words.count(1698971) == "1\u202f698\u202f971" and words.count(None) == words.NONE
-    assert [words.number(v) for v in (0.02341, 2.345, 23.45, 1234.5, 0, float("nan"))] == [
-        "0.0234", "2.35", "23.4", "1\u202f234", "0", words.NONE,
+    assert formatting.count(1698971) == "1\u202f698\u202f971" and formatting.count(None) == formatting.NONE
+    assert [formatting.number(v) for v in (0.02341, 2.345, 23.45, 1234.5, 0, float("nan"))] == [
+        "0.0234", "2.35", "23.4", "1\u202f234", "0", formatting.NONE,
     ]  # fmt: skip
-    assert [words.length(v) for v in (0.0042, 0.034, 0.55, 12.3)] == ["4.2 mm", "3.4 cm", "0.550 m", "12.3 m"]
-    assert words.length(2.0, "units") == "2.00 units"
-    assert [words.seconds(v) for v in (3.21, 75, 245, 7500)] == ["3.2 s", "75 s", "4 min 05 s", "2 h 05 min"]
-    assert [words.percent(v) for v in (1.0, 0.9999, 0.5, 0.054)] == ["100 %", "99.9 %", "50 %", "5.4 %"]
-    assert words.size(3.2e9) == "3.20 GB" and words.size(4.2e6) == "4.2 MB"
-    assert words.plural(1, "image") == "1 image" and words.plural(2, "image") == "2 images"
-    table = words.table({"columns": ["camera_name", "iou"], "rows": [["a", 0.5], ["b", None], ["c", 0.1234]]})
+    assert [formatting.length(v) for v in (0.0042, 0.034, 0.55, 12.3)] == ["4.2 mm", "3.4 cm", "0.550 m", "12.3 m"]
+    assert formatting.length(2.0, "units") == "2.00 units"
+    assert [formatting.seconds(v) for v in (3.21, 75, 245, 7500)] == ["3.2 s", "75 s", "4 min 05 s", "2 h 05 min"]
+    assert [formatting.percent(v) for v in (1.0, 0.9999, 0.5, 0.054)] == ["100 %", "99.9 %", "50 %", "5.4 %"]
+    assert formatting.size(3.2e9) == "3.20 GB" and formatting.size(4.2e6) == "4.2 MB"
+    assert formatting.plural(1, "image") == "1 image" and formatting.plural(2, "image") == "2 images"
+    table = formatting.table({"columns": ["camera_name", "iou"], "rows": [["a", 0.5], ["b", None], ["c", 0.1234]]})
     assert table is not None and table.numeric == (False, True) and table.columns[0] == "camera name"
-    assert [row[1] for row in table.rows] == ["0.500", words.NONE, "0.123"]
-    assert words.table({"columns": ["a"], "rows": []}) is None and words.table(3) is None
-    assert words.table({"columns": ["a", "b"], "rows": [[1]]}).rows == (("1", words.NONE),)  # type: ignore[union-attr]
+    assert [row[1] for row in table.rows] == ["0.500", formatting.NONE, "0.123"]
+    assert formatting.table({"columns": ["a"], "rows": []}) is None and formatting.table(3) is None
+    assert formatting.table({"columns": ["a", "b"], "rows": [[1]]}).rows == (("1", formatting.NONE),)  # type: ignore[union-attr]
 
 
 def test_metrics_in_words() -> None:
@@ -248,9 +248,9 @@ def test_a_contradiction_is_a_level_of_its_own_and_the_evidence_a_section(tmp_pa
     rows += [["scale", "rig as given", 1.1128, 0.0022, "", "", "contradicts GNSS positions"]]
     receipt["contradictions"] = [text]
     receipt["tables"] = {**(receipt.get("tables") or {}), "evidence": {"columns": columns, "rows": rows}}
-    assert facts.verdict(read_run(folder)).level != "doubtful"
+    assert summary.verdict(read_run(folder)).level != "doubtful"
     (folder / "receipts" / "georef.json").write_text(json.dumps(receipt))
-    found = facts.verdict(read_run(folder))
+    found = summary.verdict(read_run(folder))
     assert found.level == "doubtful" and found.headline == "The survey contradicts itself: scale"
     page = write_report(folder, SMALL).read_text(encoding="utf-8")
     assert "usable with care" not in page and page.count(text) == 1

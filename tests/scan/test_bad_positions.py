@@ -310,7 +310,7 @@ def test_good_times_say_nothing(one_pass: Survey, two_passes: Survey, tmp_path: 
 
 def test_a_pass_whose_folders_have_no_name(one_pass: Survey, tmp_path: Path) -> None:
     scene = scan_times(Survey(one_pass.images / "up"), tmp_path, times_text())
-    assert scene.tracks == ("all",) and says(scene, "line 2: pass 'up' is taken for the only one here")
+    assert scene.sequences == ("all",) and says(scene, "line 2: pass 'up' is taken for the only one here")
     with pytest.raises(InputError, match="the passes here are all"):
         scan_times(Survey(one_pass.images / "up"), tmp_path, times_text("down,0,500"))
 

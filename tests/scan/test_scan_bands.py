@@ -51,7 +51,7 @@ def test_the_bands_of_a_sequoia_in_one_folder_are_a_rig(tmp_path: Path) -> None:
     scene = scan(tmp_path)
     rig = _rig(scene)
     assert [s.name for s in rig.sensors] == ["GRE", "NIR", "RED", "REG", "RGB"] and rig.nominal
-    assert scene.frames == 4 and len(scene) == 20 and scene.tracks == ("all",) and not scene.dropped
+    assert scene.frames == 4 and len(scene) == 20 and scene.sequences == ("all",) and not scene.dropped
     assert all(len(set(scene.frame[scene.sensor == k])) == 4 for k in range(5))
     for k in range(len(scene)):  # a frame is one shot
         assert f"_020{scene.frame[k]}_" in scene.names[k]
@@ -140,7 +140,7 @@ def test_several_lenses_of_one_make_are_several_cameras(tmp_path: Path) -> None:
         wide = k % 4 == 0
         _lens(tmp_path / f"frame{k:04d}.jpg", f"back camera {1.5 if wide else 4.2}mm", focal_mm=1.5 if wide else 4.2)
     scene = scan(tmp_path)
-    assert len(scene.rigs) == 2 and scene.tracks == ()
+    assert len(scene.rigs) == 2 and scene.sequences == ()
     assert sorted(np.bincount(scene.rig[scene.frame]).tolist()) == [10, 30]
     assert any("2 cameras by make, model, lens" in n for n in scene.notes)
     assert any("taken with different lenses" in n for n in scene.notes)
@@ -153,4 +153,4 @@ def test_one_lens_is_one_camera_also_where_some_files_do_not_say_it(tmp_path: Pa
         else:
             _lens(tmp_path / f"frame{k:04d}.jpg", "back camera", focal_mm=4.2)
     scene = scan(tmp_path)
-    assert len(scene.rigs) == 1 and scene.tracks == ("all",)
+    assert len(scene.rigs) == 1 and scene.sequences == ("all",)

@@ -50,7 +50,7 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Scene]:
 
 def test_each_panorama_is_a_frame_of_views_with_one_centre(walk: tuple[Path, Scene]) -> None:
     _, scene = walk
-    assert (len(scene), scene.frames, scene.tracks != ()) == (24, 4, True)
+    assert (len(scene), scene.frames, scene.sequences != ()) == (24, 4, True)
     rig = scene.rigs[0]
     assert rig.fixed and rig.known() and [s.role for s in rig.sensors] == ["side"] * 5 + ["up"]
     assert np.allclose(rig.baselines_m(), 0)

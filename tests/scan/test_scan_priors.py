@@ -194,7 +194,7 @@ def test_times_by_image_and_frames_in_time_order(tmp_path: Path) -> None:
     images = papers_rig(tmp_path / "in", ("up",), 2, 3)
     (tmp_path / "t.csv").write_text("image,time\nup/cam0/000000.jpg,30\nup/cam1/000001.jpg,20\nup/cam0/000002.jpg,10\n")
     scene = scan(images, times=tmp_path / "t.csv")
-    assert scene.time_s.tolist() == [10, 20, 30] and scene.step.tolist() == [0, 1, 2]
+    assert scene.time_s.tolist() == [10, 20, 30] and scene.sequence_index.tolist() == [0, 1, 2]
     assert scene.names[int(np.flatnonzero(scene.frame == 0)[0])] == "up/cam0/000002.jpg"
     assert any("ordered by time" in n for n in scene.notes)
 
@@ -362,7 +362,7 @@ def test_odometry_laid_on_gnss_gives_poses_in_the_world(tmp_path: Path, scale: f
     assert np.isfinite(scene.position_sigma_m[:, 0]).sum() == scene.measured_positions().sum() == 16
     body_from_cam0 = rigid(orient(30, -5, 0, "flu"), np.array([0.1, 0, 0.2]))
     for name in ("up", "down"):
-        rows = scene.track == scene.tracks.index(name)
+        rows = scene.sequence == scene.sequences.index(name)
         want = truth[name] @ body_from_cam0
         error = angle_deg(scene.world_from_rig[rows, :3, :3], want[:, :3, :3])
         assert 0 < error.max() < 1.0

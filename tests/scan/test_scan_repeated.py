@@ -21,7 +21,7 @@ def test_a_copied_pass_is_named_with_the_figure(tmp_path: Path) -> None:
         "pass up2 repeats pass up: 8 of 8 images are identical files; pairs between them carry no base, so they are"
         " left out"
     ]
-    assert scene.tracks == ("up",) and len(scene) == 8
+    assert scene.sequences == ("up",) and len(scene) == 8
 
 
 def test_a_partly_copied_camera_and_a_frozen_one(tmp_path: Path) -> None:

@@ -27,9 +27,9 @@ def frame_names(scene: Scene) -> list[list[str]]:
 
 def test_papers_layout(tmp_path: Path) -> None:
     scene = scan(papers_rig(tmp_path))
-    assert (len(scene), scene.frames, scene.tracks) == (18, 6, ("down", "up"))
+    assert (len(scene), scene.frames, scene.sequences) == (18, 6, ("down", "up"))
     assert scene.names == tuple(sorted(scene.names)) and scene.names[0] == "down/cam0/000000.jpg"
-    assert scene.step.tolist() == [0, 1, 2, 0, 1, 2] and scene.track.tolist() == [0, 0, 0, 1, 1, 1]
+    assert scene.sequence_index.tolist() == [0, 1, 2, 0, 1, 2] and scene.sequence.tolist() == [0, 0, 0, 1, 1, 1]
     for names in frame_names(scene):
         assert len({n.split("/")[0] for n in names}) == len({n.split("/")[2] for n in names}) == 1 and len(names) == 3
     assert [scene.sensor_of(k).name for k in range(18)] == [n.split("/")[1] for n in scene.names]
@@ -59,7 +59,7 @@ def test_folder_layouts(tmp_path: Path, folders: tuple[str, ...], cameras: int, 
         for k in range(30):
             picture(tmp_path / folder / f"{k:04d}.png")
     scene = scan(tmp_path)
-    assert (len(scene.rigs), len(scene.rigs[0].sensors), len(scene.tracks)) == (1, cameras, passes)
+    assert (len(scene.rigs), len(scene.rigs[0].sensors), len(scene.sequences)) == (1, cameras, passes)
     assert len(scene) == 30 * len(folders) and not scene.dropped
 
 
@@ -83,9 +83,9 @@ def test_the_layout_can_be_forced(tmp_path: Path) -> None:
         for k in range(3):
             picture(tmp_path / folder / f"{folder[-1]}{k}.jpg")
     assert len(scan(tmp_path, ScanSettings(layout="cameras")).all_sensors) == 2
-    assert scan(tmp_path, ScanSettings(layout="sequence")).tracks == ("x", "y")
+    assert scan(tmp_path, ScanSettings(layout="sequence")).sequences == ("x", "y")
     assert scan(tmp_path, ScanSettings(layout="sequence")).guessed == ()
-    assert (scan(tmp_path, ScanSettings(layout="loose")).track == -1).all()
+    assert (scan(tmp_path, ScanSettings(layout="loose")).sequence == -1).all()
 
 
 def test_frames_by_last_number_as_in_paper_000_figure_8(tmp_path: Path) -> None:
@@ -171,12 +171,12 @@ def test_loose_or_sequence_by_the_numbers(tmp_path: Path, pattern: str, count: i
     for k in range(count):
         picture(tmp_path / pattern.format(5 * k))
     scene = scan(tmp_path)
-    assert bool((scene.track == -1).all()) == loose
+    assert bool((scene.sequence == -1).all()) == loose
     assert scene.frames == count and any(("loose" if loose else "sequence") in n for n in scene.notes)
     camera = scene.sensor_of(0).camera
     assert camera is not None and camera.model.name == ("SIMPLE_RADIAL" if loose else "RADIAL")
     if not loose:
-        assert scene.tracks == ("all",) and scene.step.tolist() == list(range(count))
+        assert scene.sequences == ("all",) and scene.sequence_index.tolist() == list(range(count))
         assert scene.guessed == ("all",) and any("if the images bear it out" in n for n in scene.notes)
         assert scan(tmp_path, ScanSettings(layout="sequence")).guessed == ()
         (tmp_path / "times.csv").write_text("image,time\n" + "".join(f"{n},{k}\n" for k, n in enumerate(scene.names)))
@@ -191,7 +191,7 @@ def test_loose_or_sequence_by_the_times(tmp_path: Path, regular: bool) -> None:
         stamp = f"2024:05:01 10:{t // 60:02d}:{t % 60:02d}"
         picture(tmp_path / f"IMG_{k:04d}.jpg", exif=exif_of(time=stamp))
     scene = scan(tmp_path)
-    assert bool((scene.track == -1).all()) != regular and scene.guessed == (("all",) if regular else ())
+    assert bool((scene.sequence == -1).all()) != regular and scene.guessed == (("all",) if regular else ())
     assert np.allclose(np.diff(np.sort(scene.time_s)), np.diff(clock))
 
 
@@ -302,5 +302,5 @@ def test_four_thousand_images_take_seconds() -> None:
 def test_real_folders(folder: tuple[str, ...], rigs: int, sensors: int, frames: int, loose: bool) -> None:
     scene = scan(data(*folder))
     assert (len(scene.rigs), len(scene.all_sensors), scene.frames, scene.dropped) == (rigs, sensors, frames, ())
-    assert bool((scene.track == -1).all()) == loose
+    assert bool((scene.sequence == -1).all()) == loose
     assert len(find_images(data(*folder))) == len(scene)

@@ -28,8 +28,8 @@ def tuned(images: Path, changes: dict[str, Any], **inputs: Any) -> Scene:
 def test_few_images_are_loose_however_many_that_is(tmp_path: Path) -> None:
     for k in range(12):
         picture(tmp_path / f"{k:04d}.jpg")
-    assert "fewer than 30" in tuned(tmp_path, {}).notes[0] and tuned(tmp_path, {}).tracks == ()
-    assert tuned(tmp_path, {"folders": {"few": 12}}).tracks == ("all",)
+    assert "fewer than 30" in tuned(tmp_path, {}).notes[0] and tuned(tmp_path, {}).sequences == ()
+    assert tuned(tmp_path, {"folders": {"few": 12}}).sequences == ("all",)
 
 
 def test_the_guess_of_a_camera(tmp_path: Path) -> None:

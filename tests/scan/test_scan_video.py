@@ -50,7 +50,7 @@ def test_videos_are_passes_not_cameras(tmp_path: Path) -> None:
     for name, folder in zip(videos, picture_folders(videos)):
         take_pictures(tmp_path / "in" / name, tmp_path / "out" / folder, 1.0, PICTURES)
     scene = scan(tmp_path / "out")
-    assert (len(scene), scene.tracks, len(scene.all_sensors)) == (40, ("morning", "noon"), 1)
+    assert (len(scene), scene.sequences, len(scene.all_sensors)) == (40, ("morning", "noon"), 1)
 
 
 def test_what_is_no_video_is_said(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ def scene():
     rig = Rig("boat", (Sensor("cam0", camera, np.eye(4)), Sensor("cam1", camera, turned), Sensor("up", role="up")),
               antenna_m=(0, 0, 1.5))  # fmt: skip
     return simple_scene(rig, ["a/0", "a/1", "b/0"], np.array([0, 1, 0]), np.array([0, 0, 1]), np.zeros(2),
-                        origin=make_origin(35, 139, 10), dropped=(Dropped("x.jpg", "truncated"),), tracks=("up",),
+                        origin=make_origin(35, 139, 10), dropped=(Dropped("x.jpg", "truncated"),), sequences=("up",),
                         time_s=np.array([5.0, np.nan]))  # fmt: skip
 
 
@@ -44,7 +44,7 @@ def test_a_part_of_a_scene_keeps_what_its_images_are():
     whole = scene().with_(sources=("p", "q", "r"))
     part = whole.only(np.array([1, 2]))
     assert part.names == ("a/1", "b/0") and part.sources == ("q", "r") and part.frames == 2
-    assert part.frame.tolist() == [1, 0] and part.step[part.frame].tolist() == [1, 0]
+    assert part.frame.tolist() == [1, 0] and part.sequence_index[part.frame].tolist() == [1, 0]
     assert part.sensor_key.tolist() == whole.sensor_key[1:].tolist()
     last = whole.only(np.array([1]))
     assert last.frames == 1 and last.frame.tolist() == [0] and np.isnan(last.time_s).all()

@@ -148,5 +148,5 @@ def _scene(rig: Rig, drive: Drive) -> Scene:
     names, frame, sensor = zip(*table)
     time = INTERVAL_S * np.arange(drive.frames)
     return simple_scene(
-        rig, list(names), np.array(frame), np.array(sensor), np.zeros(drive.frames), tracks=("road",), time_s=time
+        rig, list(names), np.array(frame), np.array(sensor), np.zeros(drive.frames), sequences=("road",), time_s=time
     )

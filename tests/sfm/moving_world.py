@@ -103,7 +103,7 @@ def _scene(rig: Rig, frames: int) -> Scene:
     names, frame, sensor = zip(*table)
     time = INTERVAL_S * np.arange(frames)
     return simple_scene(
-        rig, list(names), np.array(frame), np.array(sensor), np.zeros(frames), tracks=("road",), time_s=time
+        rig, list(names), np.array(frame), np.array(sensor), np.zeros(frames), sequences=("road",), time_s=time
     )
 
 

@@ -51,7 +51,7 @@ def scene_of(truth: pycolmap.Reconstruction) -> Scene:
     sensor = np.array([camera_ids.index(i.camera_id) for i in images])
     rig = Rig("rig", sensors, fixed=True)
     track = np.zeros(len(frame_ids))
-    return simple_scene(rig, [i.name for i in images], frame, sensor, track=track, tracks=("pass",))
+    return simple_scene(rig, [i.name for i in images], frame, sensor, sequence=track, sequences=("pass",))
 
 
 def without_extrinsics(scene: Scene) -> Scene:

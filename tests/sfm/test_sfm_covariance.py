@@ -11,7 +11,7 @@ from sfm_worlds import make_world, true_frames
 
 from tiegraph.geometry.align import umeyama
 from tiegraph.sfm.adjustment.adjust import _solve, final_adjustment
-from tiegraph.sfm.adjustment.jacobians import Layout, Tie, Ties, skew
+from tiegraph.sfm.adjustment.jacobians import Layout, RigConstraint, RigConstraints, skew
 from tiegraph.sfm.covariance import MOUNTING, position_sigma
 from tiegraph.sfm.model import frame_poses, image_poses
 from tiegraph.sfm.tuning import Tuning
@@ -111,7 +111,7 @@ def test_ties_hold_frames_that_nothing_else_holds() -> None:
     """A tie's information knows nothing of a motion of the whole, and stops one frame from moving alone."""
     model, _ = moving_world(frames=4)
     first, second = sorted(model.reg_frame_ids())[:2]
-    layout = Layout(model, False, False, [Ties((Tie(first, second, 0.01, 0.001),))])
+    layout = Layout(model, False, False, [RigConstraints((RigConstraint(first, second, 0.01, 0.001),))])
     tied = layout.tied()
     whole = np.zeros((layout.size, 6))
     for f, centre in zip(layout.frame_ids, layout.centres):

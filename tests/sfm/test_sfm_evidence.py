@@ -16,13 +16,13 @@ from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.world import georef
-from tiegraph.sfm.world.fixes import Given
+from tiegraph.sfm.world.fixes import Measurements
 from tiegraph.sfm.world.georef import Georeference
 from tiegraph.sfm.world.gravity import Up
-from tiegraph.sfm.world.judging import judged
 from tiegraph.sfm.world.marks import Target, without_blunders
-from tiegraph.sfm.world.placing import Model, place
 from tiegraph.sfm.world.scale import RigScale
+from tiegraph.sfm.world.similarityfit import Model, fit_to_world
+from tiegraph.sfm.world.statements import with_statements
 
 COUNT = 40
 SETTINGS = GeorefSettings(antenna="ignored")
@@ -45,7 +45,7 @@ def drive(length_m: float = 40.0, back: bool = False) -> tuple[np.ndarray, Scene
     rig = Rig("ring", (Sensor("cam0", None, np.eye(4), "side"),))
     names = [f"cam0/{k:03d}.jpg" for k in range(COUNT)]
     scene = simple_scene(
-        rig, names, np.arange(COUNT), 0 * np.arange(COUNT), np.zeros(COUNT), tracks=("way",),
+        rig, names, np.arange(COUNT), 0 * np.arange(COUNT), np.zeros(COUNT), sequences=("way",),
         time_s=np.arange(COUNT) * 1.0,
     )  # fmt: skip
     return poses, scene
@@ -79,15 +79,15 @@ def found_by(
     """The judged placement of a model that is the truth itself, metres as units; the rig's scale times the truth's."""
     scale = None if rig_scale is None else RigScale(rig_scale, RIG_SIGMA, True)
     up = Up(np.array([0.0, 0.0, 1.0]), 3.0, True, "the ring of side cameras") if ring else None
-    found, given = [], Given()
+    found, given = [], Measurements()
     if points is not None:
-        given = Given(control=points[0])
+        given = Measurements(control=points[0])
         found = [Target(p, 1e-6 * np.eye(3), np.zeros(0, int), np.zeros((0, 2))) for p in points[1]]
         found = without_blunders(found, points[0], TUNING.marks)
     view = Model(transforms.invert(poses), up, scale, found, scene.names)
-    placing = place(view, scene, SETTINGS, given, TUNING)
+    placing = fit_to_world(view, scene, SETTINGS, given, TUNING)
     assert placing is not None
-    return judged(georef._placed(placing, view, scene, given), scene, 0.005, found)
+    return with_statements(georef._placed(placing, view, scene, given), scene, 0.005, found)
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ from tiegraph.sfm.model import frame_poses, image_poses
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.world.fit import Evidence, fit_similarity
-from tiegraph.sfm.world.fixes import Given
+from tiegraph.sfm.world.fixes import Measurements
 from tiegraph.sfm.world.georef import georeference, georeference_all
 from tiegraph.sfm.world.gravity import Up, up_vector
 
@@ -116,14 +116,15 @@ def test_images_that_hardly_carry_the_baseline_widen_the_scale_of_the_rig(world)
     truth, scene = world
     survey = with_positions(scene, 1.03 * true_frames(truth, scene)[:, :3, 3], 0.05)
     sure, vague = (
-        georeference(_moved(truth), survey, GeorefSettings(), TUNING, Given(model_scale_sigma=s)) for s in (1e-4, 0.05)
+        georeference(_moved(truth), survey, GeorefSettings(), TUNING, Measurements(model_scale_sigma=s))
+        for s in (1e-4, 0.05)
     )
     true_scale = 1 / 0.37
     assert sure.placing is not None and vague.placing is not None and sure.placing.model.scale is not None
     assert sure.placing.model.scale.sigma < 0.01
     assert vague.placing.model.scale == replace(sure.placing.model.scale, sigma=pytest.approx(0.05, rel=0.05))
     assert vague.world_from_model.scale == pytest.approx(1.03 * true_scale, rel=0.01)  # the positions have their say
-    alone = georeference(_moved(truth), scene, GeorefSettings(), TUNING, Given(model_scale_sigma=0.05))
+    alone = georeference(_moved(truth), scene, GeorefSettings(), TUNING, Measurements(model_scale_sigma=0.05))
     assert alone.scale_source == "rig baseline" and any("scale good to 5.0%" in n for n in alone.notes)
 
 

@@ -14,8 +14,8 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.colmapmodel import MAX_IMAGES
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses, image_poses
-from tiegraph.sfm.placement.predict import predicted
-from tiegraph.sfm.placement.settle import Matched, Settled, settle
+from tiegraph.sfm.placement.predictedpose import predicted_pose
+from tiegraph.sfm.placement.registration import MatchSource, RegistrationResult, repair_registration
 from tiegraph.sfm.tuning.placement import PlacementTuning
 
 TUNING = PlacementTuning()
@@ -56,10 +56,12 @@ def _without_ties(folder: Path, scene: Scene, images: np.ndarray) -> None:
                 db.execute("DELETE FROM two_view_geometries WHERE pair_id = ?", (pair,))
 
 
-def _settle(model: pycolmap.Reconstruction, scene: Scene, folder: Path, preview: np.ndarray | None = None) -> Settled:
+def _settle(
+    model: pycolmap.Reconstruction, scene: Scene, folder: Path, preview: np.ndarray | None = None
+) -> RegistrationResult:
     rigs = dict(enumerate(scene.rigs))
-    source = Matched(folder / "database.db", folder, (), folder / "scratch")
-    return settle(model, scene, source, rigs, preview, TUNING)
+    source = MatchSource(folder / "database.db", folder, (), folder / "scratch")
+    return repair_registration(model, scene, source, rigs, preview, TUNING)
 
 
 def _lose(model: pycolmap.Reconstruction, folder: Path, frame: int) -> pycolmap.Reconstruction:
@@ -128,11 +130,11 @@ def test_poses_are_predicted_by_the_preview_model_and_by_the_pass() -> None:
     turn = transforms.rigid(transforms.rigid(np.eye(3), np.zeros(3))[:3, :3][[2, 0, 1]], np.array([3.0, 1, 2]))
     preview = turn @ true
     preview[:, :3, 3] *= 0.3
-    by_preview, by_pass = (predicted(LOST, poses, p, scene, TUNING.predict) for p in (preview, None))
+    by_preview, by_pass = (predicted_pose(LOST, poses, p, scene, TUNING.predict) for p in (preview, None))
     assert by_preview.by == "poses of the coarse model" and by_preview.slack_rad == TUNING.predict.by_preview_rad
     np.testing.assert_allclose(by_preview.pose, true[LOST], atol=1e-6)
     assert by_pass.slack_rad == TUNING.predict.by_pass_rad
     assert 1e-4 < np.linalg.norm((by_pass.pose - true[LOST])[:3, 3]) < 0.1
     alone = np.where((np.arange(FRAMES) < FRAMES - 1)[:, None, None], poses, np.nan)
     # At the end of the pass, with frames on one side only.
-    assert predicted(FRAMES - 1, alone, None, scene, TUNING.predict) is None
+    assert predicted_pose(FRAMES - 1, alone, None, scene, TUNING.predict) is None

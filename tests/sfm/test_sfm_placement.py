@@ -12,9 +12,9 @@ from moving_world import moving_world, write_database
 from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import image_poses, rigid3d
-from tiegraph.sfm.placement.placement import Votes, judge
-from tiegraph.sfm.placement.settle import Matched, Settled, settle
-from tiegraph.sfm.placement.steps import course
+from tiegraph.sfm.placement.consistency import ConsistencyVotes, check_consistency
+from tiegraph.sfm.placement.continuity import motion_continuity
+from tiegraph.sfm.placement.registration import MatchSource, RegistrationResult, repair_registration
 from tiegraph.sfm.tuning.placement import PlacementTuning
 
 TUNING = PlacementTuning()
@@ -27,10 +27,12 @@ def world(tmp_path: Path) -> tuple[pycolmap.Reconstruction, Scene]:
     return model, scene
 
 
-def _settle(model: pycolmap.Reconstruction, scene: Scene, folder: Path, preview: np.ndarray | None = None) -> Settled:
+def _settle(
+    model: pycolmap.Reconstruction, scene: Scene, folder: Path, preview: np.ndarray | None = None
+) -> RegistrationResult:
     rigs = dict(enumerate(scene.rigs))
-    source = Matched(folder / "database.db", folder, (), folder / "scratch")
-    return settle(model, scene, source, rigs, preview, TUNING)
+    source = MatchSource(folder / "database.db", folder, (), folder / "scratch")
+    return repair_registration(model, scene, source, rigs, preview, TUNING)
 
 
 def _centres(model: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
@@ -123,7 +125,7 @@ def test_photographs_numbered_in_another_order_than_they_stand_all_stay(world, t
     true = _centres(model, scene)
     step = np.arange(14)
     step[2] = 14  # the last number, at the beginning of the road
-    settled = _settle(model, scene.with_(step=step, time_s=np.full(14, np.nan)), tmp_path)
+    settled = _settle(model, scene.with_(sequence_index=step, time_s=np.full(14, np.nan)), tmp_path)
     assert settled.dropped == [] and settled.table is None
     assert [n for n in settled.notes if "jumps" in n and "their ties hold them there: they stay" in n]
     assert settled.model.num_reg_images() == len(scene)
@@ -137,7 +139,7 @@ def test_a_missing_photograph_off_the_course_is_placed_by_its_ties(world, tmp_pa
     step[2] = 14  # the last number, at the beginning of the road
     model.deregister_frame(3)
     model.write(tmp_path)
-    numbered = scene.with_(step=step, time_s=np.full(14, np.nan))
+    numbered = scene.with_(sequence_index=step, time_s=np.full(14, np.nan))
     settled = _settle(pycolmap.Reconstruction(tmp_path), numbered, tmp_path)
     assert settled.dropped == [] and settled.model.num_reg_images() == len(scene)
     assert np.linalg.norm(_centres(settled.model, scene) - true, axis=1).max() < 0.05
@@ -159,21 +161,28 @@ def test_what_stands_beyond_a_jump_is_decided_by_its_ties(agree: dict, contradic
     along = np.array([0.0, 1, 2, 3, 4, 35, 36, 37, 38, 39])
     positions = np.stack([along, np.zeros(10), np.zeros(10)], axis=1)
     beside = {(k, k + 1): 500.0 for k in range(9) if k != 4}
-    said = Votes({**beside, **agree}, contradict, TUNING.votes)
-    found = judge(positions, scene, course(positions, scene, None, TUNING.course), said)
+    said = ConsistencyVotes({**beside, **agree}, contradict, TUNING.consistency)
+    found = check_consistency(positions, scene, motion_continuity(positions, scene, None, TUNING.continuity), said)
     assert len(found.main) == (10 if kept else 5) and len(found.beyond) == (5 if kept else 0)
-    assert [len(d.frames) for d in found.doubts] == ([] if kept else [5])
-    assert all("ties" in d.why for d in found.doubts)
+    assert [len(d.frames) for d in found.suspects] == ([] if kept else [5])
+    assert all("ties" in d.why for d in found.suspects)
 
 
 def test_blocks_never_join_over_a_jump() -> None:
     """Two passes torn at one place: each half stays with its half, although false ties bind the halves as well."""
     _, scene = moving_world(frames=12)
-    scene = scene.with_(track=np.repeat([0, 1], 6), step=np.tile(np.arange(6), 2), tracks=("up", "down"))
+    scene = scene.with_(
+        sequence=np.repeat([0, 1], 6), sequence_index=np.tile(np.arange(6), 2), sequences=("up", "down")
+    )
     scene = scene.with_(time_s=np.full(12, np.nan))
     along = np.tile([0.0, 1, 2, 23, 24, 25], 2)
     positions = np.stack([along, np.zeros(12), np.zeros(12)], axis=1)
     agree = {(0, 6): 500.0, (1, 7): 500.0, (2, 8): 500.0, (3, 9): 400.0, (4, 10): 400.0, (2, 9): 90.0}
-    found = judge(positions, scene, course(positions, scene, None, TUNING.course), Votes(agree, {}, TUNING.votes))
+    found = check_consistency(
+        positions,
+        scene,
+        motion_continuity(positions, scene, None, TUNING.continuity),
+        ConsistencyVotes(agree, {}, TUNING.consistency),
+    )
     assert found.main == (0, 1, 2, 6, 7, 8)
-    assert [d.frames for d in found.doubts] == [(3, 4, 5, 9, 10, 11)]
+    assert [d.frames for d in found.suspects] == [(3, 4, 5, 9, 10, 11)]

@@ -16,12 +16,12 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.rig import rig_from_dict, rig_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import final_adjustment
-from tiegraph.sfm.adjustment.soft import available
-from tiegraph.sfm.finish import Finished, FinishRequest, Held, finish_model
+from tiegraph.sfm.adjustment.constraints import available
+from tiegraph.sfm.finish import FinishRequest, FinishResult, Held, finish_model
 from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.rig.confront import hear, lever_sigmas, open_times, statements
 from tiegraph.sfm.tuning import Tuning
-from tiegraph.sfm.tuning.rig import JudgeTuning, RigTuning
+from tiegraph.sfm.tuning.rig import PriorTestTuning, RigTuning
 from tiegraph.sfm.world.scale import rig_scale
 
 RIG = RigTuning()
@@ -94,7 +94,7 @@ def _without_shared_points(model: pycolmap.Reconstruction, camera: int) -> pycol
 def test_what_one_step_cannot_tell_is_said_without_figures() -> None:
     """A model 128 times too long (PandaSet, standing): cameras "turned by 4522 deg" and "829 m off"."""
     model, scene = _rigid("turned")
-    heard = hear(model, scene, 0, 1.0, Tuning(rig=RigTuning(judge=JudgeTuning(freed_deg=0.05))))
+    heard = hear(model, scene, 0, 1.0, Tuning(rig=RigTuning(prior_test=PriorTestTuning(freed_deg=0.05))))
     assert heard is not None and heard.beyond == (2,) and heard.freed == ()
     said = statements(heard, scene, 0)
     assert said.statements == () and len(said.contradictions) == 1 and "(cam2)" in said.contradictions[0]
@@ -118,7 +118,7 @@ def test_a_camera_that_stands_elsewhere_widens_the_scale_of_its_rig() -> None:
     assert right is not None and statements(right, scene, 0).misfit == 0
 
 
-def _finished(case: str, folder: Path, **more: object) -> tuple[Finished, pycolmap.Reconstruction, Scene]:
+def _finished(case: str, folder: Path, **more: object) -> tuple[FinishResult, pycolmap.Reconstruction, Scene]:
     model, scene = driving_world(CASES[case])
     source, target = folder / "mapped", folder / "0"
     source.mkdir()

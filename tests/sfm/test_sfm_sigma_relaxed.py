@@ -20,13 +20,13 @@ from tiegraph.geometry.align import umeyama
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment import adjust
 from tiegraph.sfm.adjustment.adjust import final_adjustment
-from tiegraph.sfm.adjustment.jacobians import Layout, Tie, Ties
-from tiegraph.sfm.adjustment.soft import Soft, available
-from tiegraph.sfm.adjustment.timed import Timed
+from tiegraph.sfm.adjustment.constraints import PoseConstraints, available
+from tiegraph.sfm.adjustment.jacobians import Layout, RigConstraint, RigConstraints
+from tiegraph.sfm.adjustment.timecost import TimeOffsetPriors
 from tiegraph.sfm.covariance import position_sigma
 from tiegraph.sfm.model import image_poses, rigid3d
 from tiegraph.sfm.rig.confront import hear, mounting_errors
-from tiegraph.sfm.rig.relax import Believed, relax, with_errors
+from tiegraph.sfm.rig.timecalibration import TrustedCalibration, calibrate_times, with_errors
 from tiegraph.sfm.tuning import Tuning
 
 TUNING = Tuning()
@@ -43,9 +43,9 @@ def test_ties_of_a_camera_know_nothing_of_the_error_they_share() -> None:
     for a, b in ((ids[0], ids[1]), (ids[2], ids[3])):
         axes = model.frame(a).rig_from_world.rotation.matrix().T
         moves = np.kron(np.eye(2), axes) @ np.hstack([np.arange(6.0)[:, None], np.eye(6)])
-        ties.append(Tie(a, b, 0.002, 0.0003, 7, moves))
+        ties.append(RigConstraint(a, b, 0.002, 0.0003, 7, moves))
         shift[b] = moves @ np.concatenate([[late], place, turn])
-    layout = Layout(model, False, False, [Ties(tuple(ties), (7,), held[None], moment)])
+    layout = Layout(model, False, False, [RigConstraints(tuple(ties), (7,), held[None], moment)])
     assert layout.size == 6 * len(ids) + 7
     together = np.zeros(layout.size)
     for b, moved in shift.items():
@@ -82,7 +82,7 @@ def _actual(model: pycolmap.Reconstruction, scene: Scene, true: Sequence[np.ndar
     return float(np.median(np.linalg.norm(umeyama(here, np.stack(there))(here) - there, axis=1)))
 
 
-def _stated(model: pycolmap.Reconstruction, ties: Ties) -> float:
+def _stated(model: pycolmap.Reconstruction, ties: RigConstraints) -> float:
     """Median sigma of the images' places."""
     return position_sigma(model, False, False, [ties], tuning=TUNING).median
 
@@ -101,10 +101,10 @@ def test_positions_of_a_relaxed_rig_are_known_as_well_as_its_file_is_right() -> 
         scene = _misread(model, scene, held_to.held_to_m, held_to.held_to_deg, seed)
         cameras = sorted(model.cameras)
         rigid = final_adjustment(model, [1], cameras, tuning=TUNING.adjust).model
-        found = relax(rigid, scene, 0, Believed(1.0, True, cameras, lenses_held=True), TUNING)
+        found = calibrate_times(rigid, scene, 0, TrustedCalibration(1.0, True, cameras, lenses_held=True), TUNING)
         heard = hear(found.model, scene, 0, 1.0, TUNING)
-        moment = mounting_errors(heard, scene, 0, found.ties.cameras, TUNING.rig)
-        for row, ties in enumerate((found.ties, with_errors(found.ties, moment))):
+        moment = mounting_errors(heard, scene, 0, found.constraints.cameras, TUNING.rig)
+        for row, ties in enumerate((found.constraints, with_errors(found.constraints, moment))):
             stated[row, seed] = _stated(found.model, ties)
         actual[seed] = _actual(found.model, scene, true, drive)
     held, whole = np.median(stated / actual, axis=1)
@@ -115,10 +115,10 @@ def test_times_of_a_refused_trial_do_not_stay(monkeypatch: pytest.MonkeyPatch) -
     """Lenses with distortion are tried; where they gain nothing, the times are those of the model that stays."""
     model, _ = moving_world(frames=4)
     before = np.array([0.03, *[0.001] * 6])
-    soft = Soft(timed=Timed([], {2: before.copy()}, np.ones(7)))
+    soft = PoseConstraints(time_offsets=TimeOffsetPriors([], {2: before.copy()}, np.ones(7)))
 
     def solve(trial: pycolmap.Reconstruction, *given: object) -> None:
-        soft.timed.unknowns[2] += 0.01
+        soft.time_offsets.unknowns[2] += 0.01
 
     monkeypatch.setattr(adjust, "_solve", solve)
     for gain, kept in ((0.0, before), (0.5, before + 0.01)):
@@ -126,4 +126,4 @@ def test_times_of_a_refused_trial_do_not_stay(monkeypatch: pytest.MonkeyPatch) -
         monkeypatch.setattr(adjust, "robust_cost", lambda *_, costs=costs: next(costs))
         _, note = adjust._with_doubted(model, (), set(), {1, 2, 3}, soft, TUNING.adjust)
         assert bool(note) == (gain > 0)
-        np.testing.assert_allclose(soft.timed.unknowns[2], kept)
+        np.testing.assert_allclose(soft.time_offsets.unknowns[2], kept)

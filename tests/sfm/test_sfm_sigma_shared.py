@@ -13,7 +13,7 @@ from sfm_worlds import make_world, true_frames
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.sfm.adjustment.adjust import _solve
-from tiegraph.sfm.adjustment.jacobians import Layout, Tie, Ties, jacobians
+from tiegraph.sfm.adjustment.jacobians import Layout, RigConstraint, RigConstraints, jacobians
 from tiegraph.sfm.adjustment.normal import Normal, gauge, reduced
 from tiegraph.sfm.covariance import LENS, position_sigma, positions_free_gauge
 from tiegraph.sfm.model import frame_poses, image_poses, matrix
@@ -43,7 +43,11 @@ class _Pass:
     def normal(self, reach: int = 3) -> sparse.csr_matrix:
         """Frames tied to the next ones to a hundredth and a thousandth."""
         frames = len(self.frame_ids)
-        self.ties = (Ties(tuple(Tie(k, k + d, 0.01, 0.001) for d in range(1, reach + 1) for k in range(frames - d))),)
+        self.ties = (
+            RigConstraints(
+                tuple(RigConstraint(k, k + d, 0.01, 0.001) for d in range(1, reach + 1) for k in range(frames - d))
+            ),
+        )
         return Layout.tied(self)  # type: ignore[arg-type]
 
     _gathered = Layout._gathered

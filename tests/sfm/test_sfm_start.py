@@ -18,13 +18,13 @@ from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm import mapping
 from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.model import frame_poses, image_poses
-from tiegraph.sfm.run import Fixed, Mapped, Matches, Method, Request, run_mapper
+from tiegraph.sfm.run import Fixed, MappingResult, Matches, Method, Request, run_mapper
 from tiegraph.sfm.settings import SparseSettings
-from tiegraph.sfm.start.gate import why_not
+from tiegraph.sfm.start.acceptance import refusal
+from tiegraph.sfm.start.pathscale import path_scale
 from tiegraph.sfm.start.poses import rig_of_poses, start_from
-from tiegraph.sfm.start.scale import path_scale
 from tiegraph.sfm.tuning import Tuning
-from tiegraph.sfm.tuning.start import GateTuning, StartTuning
+from tiegraph.sfm.tuning.start import AcceptanceTuning, StartTuning
 from tiegraph.sfm.verified import read_verified
 
 TUNING = StartTuning()
@@ -48,7 +48,9 @@ def _rough(true: np.ndarray, scene: Scene, turn_deg: float = 0.15, shift_m: floa
     return extrinsics @ transforms.invert(frames[scene.frame])
 
 
-def _map(folder: Path, scene: Scene, poses: np.ndarray, fixed: bool = True, tuning: Tuning | None = None) -> Mapped:
+def _map(
+    folder: Path, scene: Scene, poses: np.ndarray, fixed: bool = True, tuning: Tuning | None = None
+) -> MappingResult:
     request = Request(
         method=Method("preview"), matches=Matches(folder / "database.db", 15), images=None, folder=folder / "run",
         fixed=Fixed((0,) if fixed else (), (1, 2, 3), all_cameras=True), scene=scene.to_json(),
@@ -206,13 +208,13 @@ def test_the_gate_says_what_is_wrong_with_a_model(how: str, why: str, tmp_path: 
     model, scene = moving_world(frames=6)
     write_database(model, tmp_path / "database.db")
     verified = read_verified(tmp_path / "database.db", scene)
-    said = why_not(_spoiled(model, how), scene, verified, np.ones(len(scene), bool), Tuning())
+    said = refusal(_spoiled(model, how), scene, verified, np.ones(len(scene), bool), Tuning())
     assert said.startswith(why) and bool(said) == bool(why)
 
 
 def test_a_model_that_does_not_pass_the_gate_is_not_kept(world, tmp_path: Path) -> None:
     true, scene = world
-    strict = Tuning(start=StartTuning(gate=GateTuning(max_error_px=0.01)))
+    strict = Tuning(start=StartTuning(acceptance=AcceptanceTuning(max_error_px=0.01)))
     mapped = _map(tmp_path, scene, _rough(true, scene), tuning=strict)
     assert mapped.folders == [] and mapped.refused.startswith("its reprojection error is 0."), mapped
 

@@ -11,13 +11,13 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.registered import Registration
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import simple_scene
-from tiegraph.sfm.losses import weakly_held
 from tiegraph.sfm.model import model_rigs
+from tiegraph.sfm.registrationreport import weakly_constrained
 from tiegraph.sfm.rig.support import place_as_given, ties_of, units_per_metre, unsupported_sensors
-from tiegraph.sfm.tuning import LossTuning
+from tiegraph.sfm.tuning import RegistrationTuning
 from tiegraph.sfm.tuning.rig import SupportTuning
 
-LOSSES = LossTuning()
+LOSSES = RegistrationTuning()
 TUNING = SupportTuning()
 
 
@@ -74,16 +74,16 @@ def test_what_little_holds_is_named() -> None:
     names = [f"cam{k}/{f:03d}.jpg" for f in range(10) for k in range(2)]
     sensors = tuple(Sensor(f"cam{k}", None, np.eye(4), "side") for k in range(2))
     frame, sensor = np.repeat(np.arange(10), 2), np.tile([0, 1], 10)
-    scene = simple_scene(Rig("pair", sensors), names, frame, sensor, np.zeros(10), tracks=("way",))
+    scene = simple_scene(Rig("pair", sensors), names, frame, sensor, np.zeros(10), sequences=("way",))
     whole = SimpleNamespace(component=sensor.copy())
     seen = Registration(np.ones(20, bool), np.full(20, 100), 10)
-    assert weakly_held(scene, whole, seen, LOSSES) == []
+    assert weakly_constrained(scene, whole, seen, LOSSES) == []
     torn = SimpleNamespace(component=np.where((sensor == 1) & (frame > 5), 2, sensor))
-    (said,) = weakly_held(scene, torn, seen, LOSSES)
+    (said,) = weakly_constrained(scene, torn, seen, LOSSES)
     assert said.startswith("4 images (cam1/006.jpg, cam1/007.jpg, cam1/008.jpg ...)") and "the rig alone" in said
     half = np.where(sensor == 1, np.where(frame > 4, 2, 0), 0)  # as many as are left, which see what cam0 sees
-    assert len(weakly_held(scene, SimpleNamespace(component=half), seen, LOSSES)) == 1
+    assert len(weakly_constrained(scene, SimpleNamespace(component=half), seen, LOSSES)) == 1
     points = np.where(frame == 3, [5, 12] * 10, 100)
-    by_rig, loose = weakly_held(scene, whole, Registration(np.ones(20, bool), points, 10), LOSSES)
+    by_rig, loose = weakly_constrained(scene, whole, Registration(np.ones(20, bool), points, 10), LOSSES)
     assert by_rig.startswith("1 images see fewer than 10") and "cam0/003.jpg" in by_rig
     assert "place of 1 frame rests on fewer than 20 points (cam0/003.jpg)" in loose

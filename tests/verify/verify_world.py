@@ -82,7 +82,7 @@ def world(frames: int = 5, sensors: int = 4, radius_m: float = 0.06, seed: int =
     n = frames * sensors
     frame, sensor = np.repeat(np.arange(frames), sensors), np.tile(np.arange(sensors), frames)
     names = [f"cam{s}/{f}.jpg" for f, s in zip(frame, sensor)]
-    scene = simple_scene(the_rig, names, frame, sensor, np.zeros(frames), np.arange(frames), tracks=("drive",))
+    scene = simple_scene(the_rig, names, frame, sensor, np.zeros(frames), np.arange(frames), sequences=("drive",))
     points, seen = [], []
     for k in range(n):
         f = frame[k]

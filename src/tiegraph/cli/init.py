@@ -72,7 +72,8 @@ def hints(scene: Scene) -> list[str]:
 def describe(scene: Scene) -> list[str]:
     """What a scan found, in lines for people."""
     lines = [
-        f"{len(scene)} images in {scene.frames} frames; passes: {', '.join(scene.tracks) or 'none (loose photographs)'}"
+        f"{len(scene)} images in {scene.frames} frames; passes: "
+        f"{', '.join(scene.sequences) or 'none (loose photographs)'}"
     ]
     for rig in scene.rigs:
         for sensor in rig.sensors:

@@ -17,7 +17,7 @@ _CHUNK = 200_000  # points asked at once: bounds the memory of the neighbour tab
 
 
 @dataclass(frozen=True)
-class Filtered:
+class FilterResult:
     """keep (M,) bool, and how many points each filter dropped."""
 
     keep: np.ndarray
@@ -27,7 +27,7 @@ class Filtered:
 
 def filter_points(
     xyz: np.ndarray, spacing: np.ndarray, settings: CloudSettings, tuning: Tuning, around: np.ndarray | None = None
-) -> Filtered:
+) -> FilterResult:
     """Both filters on points (M, 3) with spacing (M,); ``around`` (K, 3): points of the surroundings, counted as
     neighbours only, so that the border of a tile is not a border of the cloud.
 
@@ -36,7 +36,7 @@ def filter_points(
     """
     count, wanted = settings.neighbours, settings.radius_neighbours
     if len(xyz) == 0:
-        return Filtered(np.zeros(0, bool), 0, 0)
+        return FilterResult(np.zeros(0, bool), 0, 0)
     tree = cKDTree(xyz if around is None else np.concatenate([xyz, around]))
     statistical = settings.statistical_ratio > 0 and tree.n > count
     mean, furthest = np.zeros(len(xyz)), np.zeros(len(xyz))
@@ -49,7 +49,7 @@ def filter_points(
     near = _statistical_inliers(mean / spacing, settings.statistical_ratio, tuning.held_medians)
     dense = furthest <= settings.radius_voxels * spacing
     keep = near & dense
-    return Filtered(keep, int(np.count_nonzero(~near)), int(np.count_nonzero(near & ~dense)))
+    return FilterResult(keep, int(np.count_nonzero(~near)), int(np.count_nonzero(near & ~dense)))
 
 
 def _statistical_inliers(mean: np.ndarray, ratio: float, held_medians: float) -> np.ndarray:

@@ -53,7 +53,7 @@ class Maps:
 
 
 @dataclass(frozen=True)
-class Fused:
+class FusionResult:
     """The cloud as tile files, the voxel edge, and counts for the receipt."""
 
     tiles: tuple[tuple[Tile, Path], ...]
@@ -89,7 +89,7 @@ def fuse(
     tuning: Tuning,
     origin: Origin | None = None,
     run: Run = map,
-) -> Fused:
+) -> FusionResult:
     """Fuse the depth maps of ``names`` (``maps`` must be picklable if ``run`` uses processes). ``scratch`` is an empty
     folder for tile files, the result among them. Raises ReconstructionError if no depth map has a point."""
     voxel = settings.voxel_size or automatic_voxel(names, maps.depth, tuning.sampled_maps, run)
@@ -118,7 +118,7 @@ def fuse(
         "points": sum(n for n, _, _ in filtered),
     }
     files = ((tile, _tile_path(scratch, tile, "final")) for tile, (n, _, _) in zip(tiles, filtered, strict=True) if n)
-    return Fused(tiles=tuple(files), voxel=voxel, counts=counts, origin=origin)
+    return FusionResult(tiles=tuple(files), voxel=voxel, counts=counts, origin=origin)
 
 
 def map_points(depth: DepthMap, rgb: np.ndarray, settings: CloudSettings) -> tuple[Cloud, np.ndarray, int]:

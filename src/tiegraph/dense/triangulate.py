@@ -37,7 +37,7 @@ class Candidates:
 
 
 @dataclass(frozen=True, eq=False)
-class Triangulated:
+class Triangulation:
     """inverse (H, W) f4 inverse depth along the base rays, sigma (H, W) f4 its standard deviation, NaN = none; support
     (H, W) u1 bit mask of the partners that took part; sigma_px that of one disparity."""
 
@@ -47,7 +47,7 @@ class Triangulated:
     sigma_px: float
 
 
-def triangulate(candidates: Sequence[Candidates], tolerance_px: float, tuning: RayTuning) -> Triangulated:
+def triangulate(candidates: Sequence[Candidates], tolerance_px: float, tuning: RayTuning) -> Triangulation:
     """The intersection of the base rays with their partners' rays.
 
     1. *Consensus*: the proposal that most others agree with, within ``tolerance_px`` of both pairs' pixels together and
@@ -68,7 +68,7 @@ def triangulate(candidates: Sequence[Candidates], tolerance_px: float, tuning: R
         for s in range(0, inverse.shape[1], _STRIP_PIXELS)
     ]
     depth, sigma, support = (np.concatenate(part).reshape(shape) for part in zip(*found, strict=True))
-    return Triangulated(inverse=depth, sigma=sigma, support=support, sigma_px=sigma_px)
+    return Triangulation(inverse=depth, sigma=sigma, support=support, sigma_px=sigma_px)
 
 
 def disparity_sigma_px(inverse: np.ndarray, unit: np.ndarray, tolerance_px: float, tuning: RayTuning) -> float:

@@ -9,9 +9,9 @@
 
 Pairs of which nothing is known are previewed first (``pipeline.previews``): the sources ``sequence``, ``exhaustive``
 and ``file`` by themselves preview none, and method ``all`` needs none. Otherwise only a third of the candidates was
-ever previewed, and the tracks of all are predicted from the points of the coarse model (``foreseen``): how fast
+ever previewed, and the tracks of all are predicted from the points of the coarse model (``matchprediction``): how fast
 matches fall with the angle between the rays and with the ratio of the distances, and how often an image finds a point
-again at all, is fitted to the previewed pairs (``sights.npz`` holds the places of the points and the projection
+again at all, is fitted to the previewed pairs (``visibility.npz`` holds the places of the points and the projection
 centres).
 
 Where images share unknowns, the extrinsics of a rig that is adjusted or intrinsics, the measure is the bundle

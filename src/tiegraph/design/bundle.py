@@ -20,9 +20,9 @@ from scipy import sparse
 from tiegraph.design.tracks import Candidates, Tracks
 from tiegraph.design.tuning import BundleTuning
 from tiegraph.geometry import transforms
+from tiegraph.scene.matches import PreviewMatches, Visibility
 from tiegraph.scene.rig import calibrated
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.ties import Sights, Ties
 
 _BLOCK = 2000  # pairs looked at together: bounds the memory
 _INTRINSICS = 4  # focal length, principal point, radial distortion
@@ -68,7 +68,9 @@ class _Columns:
 class Bundle:
     """Information of chosen candidates about the frames' positions, and what each further candidate would add."""
 
-    def __init__(self, candidates: Candidates, ties: Ties, sights: Sights, scene: Scene, tuning: BundleTuning) -> None:
+    def __init__(
+        self, candidates: Candidates, ties: PreviewMatches, sights: Visibility, scene: Scene, tuning: BundleTuning
+    ) -> None:
         """``ties`` are those of the candidates, features being rows of ``sights``, whose poses are known."""
         self.candidates = self._c = candidates
         self._sights, self._scene, self._tuning = sights, scene, tuning
@@ -90,7 +92,7 @@ class Bundle:
         self._basis = self._similarities()
 
     @staticmethod
-    def possible(i: np.ndarray, j: np.ndarray, sights: Sights | None, scene: Scene, tuning: BundleTuning) -> bool:
+    def possible(i: np.ndarray, j: np.ndarray, sights: Visibility | None, scene: Scene, tuning: BundleTuning) -> bool:
         """Whether images share unknowns (else the net of resistances chooses as well, and faster), the coarse model
         holds nearly all of them, and the survey is small enough."""
         if sights is None or sights.rotation is None or not len(i):
@@ -104,7 +106,7 @@ class Bundle:
 
     # ------------------------------------------------------------------------------------------ linear equations
 
-    def _nodes(self, ties: Ties) -> tuple[np.ndarray, np.ndarray]:
+    def _nodes(self, ties: PreviewMatches) -> tuple[np.ndarray, np.ndarray]:
         """Point and image of each node of the candidates."""
         c = self._c
         image = np.repeat(np.arange(c.images), np.diff(c.first))

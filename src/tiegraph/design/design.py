@@ -12,9 +12,9 @@ from tiegraph.design.bundle import Bundle
 from tiegraph.design.cost import Cost
 from tiegraph.design.coverage import coverage
 from tiegraph.design.expected import counted_matches, expected_matches
-from tiegraph.design.foreseen import foresee, verified_chance
 from tiegraph.design.holding import holding
 from tiegraph.design.hybrid import Budget, Choice, choose
+from tiegraph.design.matchprediction import predict_matches, verified_chance
 from tiegraph.design.measure import ByBundle, ByNet, Judge, Measure
 from tiegraph.design.predict import Predictor
 from tiegraph.design.settings import DesignSettings
@@ -22,10 +22,10 @@ from tiegraph.design.tracks import Candidates
 from tiegraph.design.tuning import CostTuning, Tuning
 from tiegraph.errors import choose as choose_entry
 from tiegraph.scene.graph import cuts, forest, frame_links, groups, parts, two_links
+from tiegraph.scene.matches import PreviewMatches, Visibility
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.strongest import strongest_places
-from tiegraph.scene.ties import Sights, Ties
 
 
 @dataclass(frozen=True)
@@ -64,10 +64,10 @@ def takes_all(settings: DesignSettings, cost: Cost | None, tuning: CostTuning) -
 def design(
     pairs: Pairs,
     scene: Scene,
-    ties: Ties | None,
+    ties: PreviewMatches | None,
     settings: DesignSettings,
     tuning: Tuning,
-    sights: Sights | None = None,
+    sights: Visibility | None = None,
     cost: Cost | None = None,
 ) -> DesignResult:
     """Choose by the method of the settings; what was connected stays connected, but by some of ``METHODS``.
@@ -89,12 +89,12 @@ def design(
         thin = method(pairs, scene, expected)
         return _judged(pairs, thin.pairs, scene, thin.notes, dict(thin.counts))
     i, j, strength = pairs.i[kept], pairs.j[kept], expected[kept]
-    known: tuple[Ties | None, ...] = (ties,)
+    known: tuple[PreviewMatches | None, ...] = (ties,)
     bundle = settings.method == "hybrid" and Bundle.possible(i, j, sights, scene, tuning.bundle)
     if sights is not None:
         draws = (0, 1) if bundle else (0,)
-        seen = foresee(i, j, counted_matches(pairs, ties)[kept], sights, tuning.foreseen, draws)
-        known, strength = seen.ties, np.where(np.isfinite(seen.expected), seen.expected, strength)
+        seen = predict_matches(i, j, counted_matches(pairs, ties)[kept], sights, tuning.match_prediction, draws)
+        known, strength = seen.matches, np.where(np.isfinite(seen.expected), seen.expected, strength)
     start = _start(i, j, strength, scene, _room(settings, len(scene), tuning), tuning)
     if settings.method == "top":
         chosen = np.union1d(start, strongest_places(i, j, strength, scene, settings.pairs_per_image))
@@ -117,7 +117,12 @@ def design(
 
 
 def _by_bundle(
-    candidates: Candidates, foreseen: Sequence[Ties | None], sights: Sights, scene: Scene, judged: bool, tuning: Tuning
+    candidates: Candidates,
+    foreseen: Sequence[PreviewMatches | None],
+    sights: Visibility,
+    scene: Scene,
+    judged: bool,
+    tuning: Tuning,
 ) -> ByBundle:
     """The bundle adjustment, where images share unknowns and these are few enough; ``foreseen``: ties to choose by,
     and others to judge the choice by."""
@@ -127,7 +132,7 @@ def _by_bundle(
         assert ties is not None  # there are sights
         own = Candidates.make(i, j, expected, ties, len(scene)) if made else candidates
         made.append(Bundle(own, ties, sights, scene, tuning.bundle))
-    chance = verified_chance(expected, tuning.foreseen)
+    chance = verified_chance(expected, tuning.match_prediction)
     return ByBundle(made[0], chance, Judge(made[1], chance, tuning) if judged else None, tuning.measure)
 
 
@@ -197,7 +202,7 @@ def _judged(
 def _start(i: np.ndarray, j: np.ndarray, strength: np.ndarray, scene: Scene, room: int, tuning: Tuning) -> np.ndarray:
     """Places of the pairs every design keeps: a maximum spanning forest, two links of every group, and within ``room``
     pairs in all what holds every image and part."""
-    chance = verified_chance(strength, tuning.foreseen)
+    chance = verified_chance(strength, tuning.match_prediction)
     rounds = holding(i, j, strength, chance, len(scene), tuning.holding)
     places = np.unique(np.concatenate([rounds[0], *(two_links(i, j, g.member, strength) for g in groups(scene))]))
     more = np.concatenate([*rounds[1:], places[:0]])

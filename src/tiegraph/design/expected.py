@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from tiegraph.design.tuning import ExpectedTuning
+from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import Pairs
-from tiegraph.scene.ties import Ties
 
 
-def expected_matches(pairs: Pairs, ties: Ties | None, tuning: ExpectedTuning) -> np.ndarray:
+def expected_matches(pairs: Pairs, ties: PreviewMatches | None, tuning: ExpectedTuning) -> np.ndarray:
     """(P,) preview matches of each pair, measured or expected, at least 1.
 
     Counted matches first; else the score; else what previewed pairs of that predicted overlap have on average (a
@@ -24,7 +24,7 @@ def expected_matches(pairs: Pairs, ties: Ties | None, tuning: ExpectedTuning) ->
     return np.maximum(np.where(np.isfinite(out), out, usual), 1.0)
 
 
-def counted_matches(pairs: Pairs, ties: Ties | None) -> np.ndarray:
+def counted_matches(pairs: Pairs, ties: PreviewMatches | None) -> np.ndarray:
     """(P,) preview matches of the pairs that were previewed, NaN for the others."""
     if ties is None or not len(ties):
         return np.full(len(pairs), np.nan)

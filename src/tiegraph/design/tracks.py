@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array, diags_array
 
 from tiegraph.design.tuning import NetTuning
-from tiegraph.scene.ties import Ties
+from tiegraph.scene.matches import PreviewMatches
 
 _BLOCK = 1 << 22  # matches looked at together: bounds the memory
 
@@ -40,9 +40,11 @@ class Candidates:
         return len(self.first) - 1
 
     @staticmethod
-    def make(i: np.ndarray, j: np.ndarray, expected: np.ndarray, ties: Ties | None, images: int) -> Candidates:
+    def make(
+        i: np.ndarray, j: np.ndarray, expected: np.ndarray, ties: PreviewMatches | None, images: int
+    ) -> Candidates:
         """Candidates of pairs i < j (E,) from the preview matches of those that were previewed."""
-        ties = Ties.empty() if ties is None else ties
+        ties = PreviewMatches.empty() if ties is None else ties
         row = ties.find(i, j)
         count = np.where(row >= 0, np.append(ties.counts(), 0)[row], 0)
         start = np.concatenate([[0], np.cumsum(count)])

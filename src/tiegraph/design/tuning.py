@@ -48,8 +48,8 @@ class ExpectedTuning(Section):
     """Of its expectation that a pair has at least: a preview that failed does not prove that full resolution does."""
 
 
-class ForeseenTuning(Section):
-    """Matches by the points of the coarse model that two images should both see (`foreseen.py`)."""
+class MatchPredictionTuning(Section):
+    """Matches by the points of the coarse model that two images should both see (`matchprediction.py`)."""
 
     angles_deg: tuple[float, ...] = Field((3.5, 5.0, 7.0, 10.0, 14.0, 20.0, 28.0, 40.0), min_length=1)
     """Angles between the rays that are tried for the law: where chances fall to 1 / e."""
@@ -180,7 +180,7 @@ class Tuning(Section):
     """The cost of matching."""
     expected: ExpectedTuning = ExpectedTuning()
     """Expected matches by overlap."""
-    foreseen: ForeseenTuning = ForeseenTuning()
+    match_prediction: MatchPredictionTuning = MatchPredictionTuning()
     """Expected matches by the coarse model."""
     holding: HoldingTuning = HoldingTuning()
     """The pairs that hold every image and part."""

@@ -45,7 +45,7 @@ class ReferencePoses:
     """Reference poses of images by name, or of rigs in time order by pass ("" = one file for all)."""
 
     by_image: dict[str, np.ndarray]  # name -> world_from_camera (4, 4)
-    by_track: dict[str, tuple[np.ndarray, np.ndarray]]  # pass -> time_s (T,), world_from_rig (T, 4, 4)
+    by_sequence: dict[str, tuple[np.ndarray, np.ndarray]]  # pass -> time_s (T,), world_from_rig (T, 4, 4)
     path: Path
 
 
@@ -135,8 +135,8 @@ def _match_images(reference: ReferencePoses, model: ModelPoses, scene: Scene) ->
     match = PoseMatch(
         estimate=model.world_from_camera[rows],
         reference=np.array([reference.by_image[scene.names[k]] for k in rows]).reshape(-1, 4, 4),
-        group=np.where(scene.track[frame] >= 0, group, -1),
-        order=scene.step[frame],
+        group=np.where(scene.sequence[frame] >= 0, group, -1),
+        order=scene.sequence_index[frame],
         labels=tuple(f"{t} {s}".strip() for t, s in labels),
     )
     return match, f"images by name: {len(rows)} placed of {len(known)} with a reference ({len(scene)} in all)"
@@ -147,14 +147,14 @@ def _match_frames(
 ) -> tuple[PoseMatch, str]:
     truth = np.full((scene.frames, 4, 4), np.nan)
     how: list[str] = []
-    loose = (-1,) if np.any(scene.track < 0) else ()
-    for track in [*range(len(scene.tracks)), *loose]:
-        name = scene.tracks[track] if track >= 0 else ""
+    loose = (-1,) if np.any(scene.sequence < 0) else ()
+    for sequence in [*range(len(scene.sequences)), *loose]:
+        name = scene.sequences[sequence] if sequence >= 0 else ""
         found = _track_reference(reference, name)
         if found is None:
             continue
-        frames = np.flatnonzero(scene.track == track)
-        frames = frames[np.argsort(scene.step[frames], kind="stable")]
+        frames = np.flatnonzero(scene.sequence == sequence)
+        frames = frames[np.argsort(scene.sequence_index[frames], kind="stable")]
         named = name or "the frames"
         truth[frames], said = _at_frames(found, scene.time_s[frames], reference.path, named, max_gap_s)
         how.append(f"{name or 'frames'} {said}")
@@ -162,10 +162,15 @@ def _match_frames(
     rows = np.flatnonzero(known & np.isfinite(model.world_from_rig[:, 0, 0]))
     estimate = _with_mount(model.world_from_rig[rows], truth[rows])
     match = PoseMatch(
-        estimate=estimate, reference=truth[rows], group=scene.track[rows], order=scene.step[rows], labels=scene.tracks
+        estimate=estimate,
+        reference=truth[rows],
+        group=scene.sequence[rows],
+        order=scene.sequence_index[rows],
+        labels=scene.sequences,
     )
     said = (
-        "; ".join(how) or f"no file of {', '.join(reference.by_track)} is named after a pass {', '.join(scene.tracks)}"
+        "; ".join(how)
+        or f"no file of {', '.join(reference.by_sequence)} is named after a pass {', '.join(scene.sequences)}"
     )
     return (
         match,
@@ -181,12 +186,12 @@ def _without(scene: Scene, frames: np.ndarray) -> str:
     return f"; none for {', '.join(names)}" + (f" and {more} more" if more else "") if names else ""
 
 
-def _track_reference(reference: ReferencePoses, track: str) -> tuple[np.ndarray, np.ndarray] | None:
-    if "" in reference.by_track:
-        return reference.by_track[""]
-    for name in (track, f"rig_{track}", Path(track).name):
-        if name in reference.by_track:
-            return reference.by_track[name]
+def _track_reference(reference: ReferencePoses, sequence: str) -> tuple[np.ndarray, np.ndarray] | None:
+    if "" in reference.by_sequence:
+        return reference.by_sequence[""]
+    for name in (sequence, f"rig_{sequence}", Path(sequence).name):
+        if name in reference.by_sequence:
+            return reference.by_sequence[name]
     return None
 
 

@@ -12,7 +12,7 @@ from tiegraph.errors import InputError
 from tiegraph.evaluate import backprojection, reference
 from tiegraph.evaluate.backprojection import View, backprojection_rmse
 from tiegraph.evaluate.cloud import cloud_to_cloud, thin
-from tiegraph.evaluate.judge import Predicted, against_cloud, against_poses
+from tiegraph.evaluate.contradictions import Predicted, against_cloud, against_poses
 from tiegraph.evaluate.metrics import metrics_to_dict
 from tiegraph.evaluate.reference import ModelPoses
 from tiegraph.evaluate.settings import EvaluateSettings
@@ -35,7 +35,7 @@ class _Findings:
 
 
 @dataclass(frozen=True, eq=False)
-class Made:
+class Products:
     """What a run made: ``model`` a pycolmap reconstruction in the world frame, ``images`` which of the scene's are
     registered in it, the cloud, and the world's origin (None: the model's own frame)."""
 
@@ -57,7 +57,7 @@ class _Work:
 
 
 def evaluate_survey(
-    scene: Scene, made: Made, settings: EvaluateSettings, tuning: Tuning, predicted: Predicted | None = None
+    scene: Scene, made: Products, settings: EvaluateSettings, tuning: Tuning, predicted: Predicted | None = None
 ) -> dict[str, Any]:
     """The content of metrics.json for a run.
 
@@ -134,8 +134,8 @@ def _trajectory(work: _Work, path: Path) -> TrajectoryError:
 
 def _step_s(scene: Scene) -> float:
     """Median time between frames of a pass, NaN without times."""
-    order = np.lexsort((scene.step, scene.track))
-    step = np.diff(scene.time_s[order])[np.diff(scene.track[order]) == 0]
+    order = np.lexsort((scene.sequence_index, scene.sequence))
+    step = np.diff(scene.time_s[order])[np.diff(scene.sequence[order]) == 0]
     step = step[np.isfinite(step)]
     return float(np.median(step)) if len(step) else float("nan")
 

@@ -34,7 +34,7 @@ class CloudTuning(Section):
 
 
 class JudgeTuning(Section):
-    """References against what was predicted (`judge.py`)."""
+    """References against what was predicted (`contradictions.py`)."""
 
     beyond_sigmas: float = Field(3.0, gt=0)
     """An error beyond so many of its predicted sigmas contradicts."""

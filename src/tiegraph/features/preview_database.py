@@ -10,15 +10,15 @@ import numpy as np
 from tiegraph.features.preview import Preview
 from tiegraph.limits import need_room
 from tiegraph.scene.colmaprows import DATABASE_BYTES, create_database, write_ties
+from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.ties import Ties
 
 _POINT_BYTES = 24  # of a key point in the database
 _MATCH_BYTES = 8  # of each end of a match: it is there twice, as a match and as an inlier
 
 
 def write_preview_database(
-    path: Path, scene: Scene, previews: Iterable[Preview], ties: Ties, min_matches: int
+    path: Path, scene: Scene, previews: Iterable[Preview], ties: PreviewMatches, min_matches: int
 ) -> np.ndarray:
     """Database of the scene with the previews' key points (full-resolution pixels) and their ties as verified matches.
 

@@ -4,23 +4,24 @@ Source ``learnt``, the default for rigs on a path, learns platform, sky and wate
 labels or weights:
 
 1. Pairs of frames between which the scene moves are chosen (``frames``).
-2. The platform, where edges keep their gradient direction in all frames, and what these edges enclose (``ego``).
-3. Matchability: which features match in the neighbouring frame (``evidence``). Zones where none does are water if
+2. The platform, where edges keep their gradient direction in all frames, and what these edges enclose (``platform``).
+3. Matchability: which features match in the neighbouring frame (``matchability``). Zones where none does are water if
    most level cameras show them (``water``). The border of the sky gives sky (``skyline``), below the black surround
    of a fisheye lens, which is masked as platform; but not where that area is narrow, for there the border was run
-   down a pale wall (``seeds``).
+   down a pale wall (``labels``).
 4. Labels of the static scene. What is as bright as the sky and connected to it is no label of the scene if it hardly
    matches, or if it ends above the horizon, the lowest row of sky that several images agree on: straight ahead a
    cloud matches as a wall does, but a wall stands on the ground.
 5. From these labels one table a camera over colour, brightness and texture (``appearance``), learnt twice. The labels
    of a camera outweigh those of the others, whose clouds look like its walls.
-6. Classification of each image (``lookup``): sky by pixel, by region without an edge inside (``regions``) and by
-   place in the image, with its edge refined by a guided filter on brightness; water is what lies below the best line.
+6. Classification of each image (``classification``): sky by pixel, by region without an edge inside (``regions``) and
+   by place in the image, with its edge refined by a guided filter on brightness; water is what lies below the best
+   line.
 
 **Refinement.** Stage ``remask`` finds the water level where these lines meet the banks of the sparse model
 (``waterline``), and draws the lines again from geometry. It takes back sky in which points of the model lie, seen in
-that image or not, for sky occludes nothing (``solid``). The platform is not learnt again. Later stages read only the
-COLMAP masks; the classes are for the report and ``remask``.
+that image or not, for sky occludes nothing (``skypoints``). The platform is not learnt again. Later stages read only
+the COLMAP masks; the classes are for the report and ``remask``.
 
 **Tests before a class is masked** (``proof``). A platform needs frames that verify motion (a rig at rest has none). A
 sky whose verified matches are as near as the scene is refused, by all cameras together (``parallax``: two focal

@@ -14,14 +14,14 @@ from tiegraph.masks import appearance
 from tiegraph.masks.above import not_above
 from tiegraph.masks.appearance import Appearance
 from tiegraph.masks.classes import SKY, USE, WATER
-from tiegraph.masks.ego import Ego, different_frames, learn_ego
-from tiegraph.masks.evidence import Evidence, choose_pairs, pair_evidence
-from tiegraph.masks.lookup import Learnt
-from tiegraph.masks.proof import NONE, Ties, cost, moves, white_ties, without_sky
-from tiegraph.masks.seeds import SeedJob, Seeds, TriedJob, first_seeds, second_seeds, ties_of
+from tiegraph.masks.classification import Classifier
+from tiegraph.masks.labels import LabelJob, Labels, TriedJob, first_labels, second_labels, ties_of
+from tiegraph.masks.matchability import Matchability, choose_pairs, pair_matchability
+from tiegraph.masks.platform import PlatformMask, different_frames, learn_platform
+from tiegraph.masks.proof import NONE, MatchCounts, cost, moves, white_ties, without_sky
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.tuning import Tuning
-from tiegraph.masks.tuning_learnt import EvidenceTuning, SeedTuning
+from tiegraph.masks.tuning_learnt import LabelTuning, MatchabilityTuning
 from tiegraph.masks.water import never_matching, water_priors
 
 _NEAR, _NOT_ABOVE = "what matches in it is as near as the scene", "what looks like it does not lie above the rest"
@@ -35,7 +35,7 @@ def learn(
     tuning: Tuning,
     upward: Iterable[int] = (),
     apply: Map = map,
-) -> dict[int, Learnt]:
+) -> dict[int, Classifier]:
     """What is learnt from the images (paths, in order) of all cameras; ``apply`` maps a function over items.
 
     ``upward``: cameras that look up and have no water in view.
@@ -43,9 +43,9 @@ def learn(
     keys, upward = list(cameras), set(upward)
     different = dict(zip(keys, apply(partial(different_frames, tuning=tuning), [cameras[k] for k in keys])))
     of_ego = [(different[k], len(cameras[k])) for k in keys]
-    platforms = dict(zip(keys, apply(partial(_learn_ego, tuning=tuning), of_ego)))
-    pairs = choose_pairs([different[k] for k in keys], tuning.evidence)
-    found = list(apply(partial(_pair, tuning=tuning.evidence), [pair for own in pairs for pair in own]))
+    platforms = dict(zip(keys, apply(partial(_learn_platform, tuning=tuning), of_ego)))
+    pairs = choose_pairs([different[k] for k in keys], tuning.matchability)
+    found = list(apply(partial(_pair, tuning=tuning.matchability), [pair for own in pairs for pair in own]))
     if not moves(found, tuning.proof):
         platforms = {k: _unproven(p) for k, p in platforms.items()}
     each = iter(found)
@@ -53,37 +53,40 @@ def learn(
     zones = {k: never_matching([] if k in upward else seen[k], platforms[k].mask, tuning.water) for k in keys}
     level = {k: zones[k] for k in keys if k not in upward}
     water = {} if settings.water == "off" else water_priors(level, settings.water == "on", tuning.water)
-    count = max(tuning.seeds.least_images, tuning.seeds.images // max(1, len(keys)))
+    count = max(tuning.labels.least_images, tuning.labels.images // max(1, len(keys)))
     jobs = []
     for k in keys:
         zone, ego = zones[k].mask if k in water else None, platforms[k].mask
         for image, evidence in _seed_images(cameras[k], seen[k], count):
-            jobs.append(SeedJob(k, image, evidence, zone=zone, ego=ego, upward=k in upward, tuning=tuning))
-    seeds = list(apply(first_seeds, jobs))
+            jobs.append(LabelJob(k, image, evidence, zone=zone, platform=ego, upward=k in upward, tuning=tuning))
+    seeds = list(apply(first_labels, jobs))
     known = _appearances(jobs, seeds, upward, tuning)
-    lowest = lowest_agreed([s.low for job, s in zip(jobs, seeds) if not job.upward], tuning.seeds)
+    lowest = lowest_agreed([s.low for job, s in zip(jobs, seeds) if not job.upward], tuning.labels)
     rows = {k: 1.0 if k in upward else lowest for k in keys}
     first = {
-        k: Learnt(ego=platforms[k].mask, appearance=known[k], water=water.get(k), sky=None, sky_rows=rows[k], note="")
+        k: Classifier(
+            platform=platforms[k].mask, appearance=known[k], water=water.get(k), sky=None, sky_rows=rows[k], note=""
+        )
         for k in keys
     }
     # Once more, with what the first try calls water, sky and scene as seeds: they cover the images, the first did not.
-    again = list(apply(second_seeds, [TriedJob(job, first[job.camera], settings) for job in jobs]))
+    again = list(apply(second_labels, [TriedJob(job, first[job.camera], settings) for job in jobs]))
     made = _proven(first, jobs, again, settings.water == "on", tuning)
     told = list(apply(ties_of, [TriedJob(job, made[job.camera], settings) for job in jobs]))
     return {
-        k: _with_notes(made[k], platforms[k], _of(k, jobs, [s.ties for s in again]), _of(k, jobs, told)) for k in keys
+        k: _with_notes(made[k], platforms[k], _of(k, jobs, [s.matches for s in again]), _of(k, jobs, told))
+        for k in keys
     }
 
 
 def _proven(
-    first: Mapping[int, Learnt], jobs: Sequence[SeedJob], seeds: Sequence[Seeds], asked: bool, tuning: Tuning
-) -> dict[int, Learnt]:
+    first: Mapping[int, Classifier], jobs: Sequence[LabelJob], seeds: Sequence[Labels], asked: bool, tuning: Tuning
+) -> dict[int, Classifier]:
     """What is learnt the second time, without the sky that is refuted; without any, water must be ``asked`` for."""
     upward = {job.camera for job in jobs if job.upward}
-    known, places = _appearances(jobs, seeds, upward, tuning), _places(jobs, seeds, tuning.seeds)
+    known, places = _appearances(jobs, seeds, upward, tuning), _places(jobs, seeds, tuning.labels)
     refuted = _refuted(jobs, seeds, upward, tuning)
-    white = white_ties((s.ties for s in seeds), tuning.proof)
+    white = white_ties((s.matches for s in seeds), tuning.proof)
     dry = not asked and set(refuted) >= set(first) - upward
     made = {}
     for k, learnt in first.items():
@@ -91,35 +94,37 @@ def _proven(
         sky = None if k in refuted else places.get(k)
         water = None if dry else learnt.water
         why = refuted.get(k, "")
-        made[k] = replace(learnt, appearance=Appearance(table), sky=sky, water=water, no_sky=why, white_ties=white)
+        made[k] = replace(learnt, appearance=Appearance(table), sky=sky, water=water, no_sky=why, white_matches=white)
     return made
 
 
-def _refuted(jobs: Sequence[SeedJob], seeds: Sequence[Seeds], upward: set[int], tuning: Tuning) -> dict[int, str]:
+def _refuted(jobs: Sequence[LabelJob], seeds: Sequence[Labels], upward: set[int], tuning: Tuning) -> dict[int, str]:
     """The cameras whose sky is refuted, and by what."""
     cameras = {job.camera for job in jobs}
-    near = without_sky({k: sum(_of(k, jobs, [s.ties for s in seeds]), NONE) for k in cameras}, tuning.proof)
+    near = without_sky({k: sum(_of(k, jobs, [s.matches for s in seeds]), NONE) for k in cameras}, tuning.proof)
     anywhere = not_above({k: _of(k, jobs, [s.edges for s in seeds]) for k in cameras - upward}, tuning.above)
     return dict.fromkeys(anywhere, _NOT_ABOVE) | dict.fromkeys(near, _NEAR)
 
 
-def _of(camera: int, jobs: Sequence[SeedJob], items: Sequence) -> list:
+def _of(camera: int, jobs: Sequence[LabelJob], items: Sequence) -> list:
     return [item for job, item in zip(jobs, items) if job.camera == camera]
 
 
-def _unproven(ego: Ego) -> Ego:
+def _unproven(ego: PlatformMask) -> PlatformMask:
     if ego.mask is None:
         return ego
-    return Ego(None, ego.frames, "no platform learnt (no frames show that the camera moves)")
+    return PlatformMask(None, ego.frames, "no platform learnt (no frames show that the camera moves)")
 
 
-def _with_notes(learnt: Learnt, ego: Ego, before: Sequence[Ties], now: Sequence[Ties]) -> Learnt:
+def _with_notes(
+    learnt: Classifier, ego: PlatformMask, before: Sequence[MatchCounts], now: Sequence[MatchCounts]
+) -> Classifier:
     water = ", water" if learnt.water is not None else ", no water seen"
     sky = f", no sky: {learnt.no_sky}" if learnt.no_sky else ""
-    return replace(learnt, note=ego.note + sky + water, ties=(cost(before)[0], *cost(now)))
+    return replace(learnt, note=ego.note + sky + water, matches=(cost(before)[0], *cost(now)))
 
 
-def lowest_agreed(rows: Sequence[float], tuning: SeedTuning) -> float:
+def lowest_agreed(rows: Sequence[float], tuning: LabelTuning) -> float:
     """The largest of ``rows`` (shares of the height, 0 = no sky) that enough others come close to; 0 if there is none.
 
     A border found in a wall or on a road lies anywhere; the horizon is in the same place in many images.
@@ -131,24 +136,24 @@ def lowest_agreed(rows: Sequence[float], tuning: SeedTuning) -> float:
     return float(agreed.max()) if len(agreed) else float(known.max(initial=0))
 
 
-def _learn_ego(job: tuple[Sequence[Path], int], tuning: Tuning) -> Ego:
-    return learn_ego(*job, tuning)
+def _learn_platform(job: tuple[Sequence[Path], int], tuning: Tuning) -> PlatformMask:
+    return learn_platform(*job, tuning)
 
 
-def _pair(job: tuple[Path, Path], tuning: EvidenceTuning) -> tuple[Evidence, ...]:
-    return pair_evidence(*job, tuning)
+def _pair(job: tuple[Path, Path], tuning: MatchabilityTuning) -> tuple[Matchability, ...]:
+    return pair_matchability(*job, tuning)
 
 
 def _seed_images(
-    images: Sequence[Path], seen: Sequence[Evidence], count: int
-) -> list[tuple[Path, Evidence | None]]:  # with evidence first, then others spread over the sequence
-    by_image: dict[Path, Evidence | None] = {e.image: e for e in seen}
+    images: Sequence[Path], seen: Sequence[Matchability], count: int
+) -> list[tuple[Path, Matchability | None]]:  # with evidence first, then others spread over the sequence
+    by_image: dict[Path, Matchability | None] = {e.image: e for e in seen}
     spread = [images[k] for k in np.unique(np.linspace(0, len(images) - 1, min(count, len(images))).astype(int))]
     return [(image, by_image.get(image)) for image in dict.fromkeys([*by_image, *spread])]
 
 
 def _appearances(
-    jobs: Sequence[SeedJob], seeds: Sequence[Seeds], upward: set[int], tuning: Tuning
+    jobs: Sequence[LabelJob], seeds: Sequence[Labels], upward: set[int], tuning: Tuning
 ) -> dict[int, Appearance]:
     """The appearance for each camera: what it sees itself, and what all do that look level, or up, as it does.
 
@@ -163,11 +168,11 @@ def _appearances(
     return {key: appearance.learn(own[key], tuning.appearance, shared[up[key]]) for key in up}
 
 
-def _looks(seeds: Sequence[Seeds]) -> dict[int, np.ndarray]:
+def _looks(seeds: Sequence[Labels]) -> dict[int, np.ndarray]:
     return {label: np.sum([s.looks[label] for s in seeds], axis=0) for label in (USE, SKY, WATER)}
 
 
-def _places(jobs: Sequence[SeedJob], seeds: Sequence[Seeds], tuning: SeedTuning) -> dict[int, np.ndarray]:
+def _places(jobs: Sequence[LabelJob], seeds: Sequence[Labels], tuning: LabelTuning) -> dict[int, np.ndarray]:
     """Log of P(place | sky) / P(place | scene), (r, c) f4, for each level camera that shows sky at all."""
     found = {}
     for camera in {job.camera for job in jobs if not job.upward}:

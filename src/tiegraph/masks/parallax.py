@@ -9,12 +9,12 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from tiegraph.masks.tuning_learnt import EvidenceTuning
+from tiegraph.masks.tuning_learnt import MatchabilityTuning
 
 _SEED = 0
 
 
-def nearness(a: np.ndarray, b: np.ndarray, shape: tuple[int, int], tuning: EvidenceTuning) -> np.ndarray:
+def nearness(a: np.ndarray, b: np.ndarray, shape: tuple[int, int], tuning: MatchabilityTuning) -> np.ndarray:
     """Parallax (K,) f4 of matches ``a``, ``b`` (K, 2) pixels of two images of ``shape`` = (h, w), as a share of that at
     the median depth of all: 0 = infinitely far, 1 = as near as the scene; NaN where it cannot be told."""
     found = np.stack([_by_focal(a, b, shape, f * max(shape), tuning) for f in tuning.focals])
@@ -22,7 +22,9 @@ def nearness(a: np.ndarray, b: np.ndarray, shape: tuple[int, int], tuning: Evide
     return found[least, np.arange(len(a))].astype(np.float32)
 
 
-def _by_focal(a: np.ndarray, b: np.ndarray, shape: tuple[int, int], focal: float, tuning: EvidenceTuning) -> np.ndarray:
+def _by_focal(
+    a: np.ndarray, b: np.ndarray, shape: tuple[int, int], focal: float, tuning: MatchabilityTuning
+) -> np.ndarray:
     unknown = np.full(len(a), np.nan)
     centre = np.array(shape[::-1]) / 2
     ray_a, ray_b = (a - centre) / focal, (b - centre) / focal

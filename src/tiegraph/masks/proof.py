@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 
 from tiegraph.masks.classes import NAMES, OVEREXPOSED, USE
-from tiegraph.masks.evidence import Evidence
+from tiegraph.masks.matchability import Matchability
 from tiegraph.masks.tuning_learnt import ProofTuning
 
 
 @dataclass(frozen=True)
-class Ties:
+class MatchCounts:
     """Verified matches of some images: ``inside`` (5,) by the class they lie in; of those well inside of sky that tell
     how near they are, how many are ``near`` and how many ``far``. ``told``: of all, how many tell it; ``area``: of
     these images, in images; ``room``: of it, what is well inside of sky; ``white``: what is overexposed."""
@@ -31,8 +31,8 @@ class Ties:
     room: float = 0.0
     white: float = 0.0
 
-    def __add__(self, other: Ties) -> Ties:
-        return Ties(**{f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self)})
+    def __add__(self, other: MatchCounts) -> MatchCounts:
+        return MatchCounts(**{f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self)})
 
     def refuted(self, tuning: ProofTuning) -> bool:
         """Whether what lies in the sky is near, and as dense as a surface has matches."""
@@ -41,51 +41,51 @@ class Ties:
         return judged >= tuning.least_matches and self.near > tuning.refuted * judged and dense
 
 
-NONE = Ties(np.zeros(len(NAMES), int))
+NONE = MatchCounts(np.zeros(len(NAMES), int))
 
 
-def ties_in(labels: np.ndarray, sky: np.ndarray, evidence: Evidence | None, tuning: ProofTuning) -> Ties:
+def matches_in(labels: np.ndarray, sky: np.ndarray, evidence: Matchability | None, tuning: ProofTuning) -> MatchCounts:
     """Where the matches of an image lie in its classes (h, w) u1 and its sky (h, w) bool."""
     if evidence is None:
         return NONE
     row, column = _pixels(evidence, labels.shape)
     inside = np.bincount(labels[row, column], minlength=len(NAMES))
     if evidence.near is None:
-        return Ties(inside)
+        return MatchCounts(inside)
     inner = cv2.erode(sky.astype(np.uint8), np.ones((tuning.inner_px, tuning.inner_px), np.uint8), borderValue=1) > 0
     distance = evidence.near[evidence.matched]
     told = np.isfinite(distance)
     near = distance[inner[row, column] & told]
     counts = int((near > tuning.near).sum()), int((near <= tuning.near).sum()), int(told.sum())
     white = float((labels == OVEREXPOSED).mean())
-    return Ties(inside, *counts, area=1, room=float(inner.mean()), white=white)
+    return MatchCounts(inside, *counts, area=1, room=float(inner.mean()), white=white)
 
 
-def _pixels(evidence: Evidence, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+def _pixels(evidence: Matchability, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     column, row = (evidence.xy[evidence.matched] * (shape[1], shape[0])).astype(int).T
     return row.clip(0, shape[0] - 1), column.clip(0, shape[1] - 1)
 
 
-def moves(found: Sequence[Sequence[Evidence]], tuning: ProofTuning) -> bool:
+def moves(found: Sequence[Sequence[Matchability]], tuning: ProofTuning) -> bool:
     """Whether enough pairs of frames, ``found`` of each, verify that the cameras move; what stands still in a rig that
     does not is the scene."""
     return sum(len(pair) > 0 for pair in found) > tuning.min_moving * len(found)
 
 
-def without_sky(ties: Mapping[int, Ties], tuning: ProofTuning) -> set[int]:
+def without_sky(ties: Mapping[int, MatchCounts], tuning: ProofTuning) -> set[int]:
     """The cameras whose sky is refuted by what lies in it, those of all together: above one is sky if it is above
     the others. (`canal_demo`: where each judged alone, one lost a true sky beside pale walls, 92 -> 79 % IoU.)"""
     return set(ties) if sum(ties.values(), NONE).refuted(tuning) else set()
 
 
-def white_ties(ties: Iterable[Ties], tuning: ProofTuning) -> bool:
+def white_ties(ties: Iterable[MatchCounts], tuning: ProofTuning) -> bool:
     """Whether overexposed areas hold matches as a surface does: white paint and paper, not a burnt-out sky or deck."""
     every = sum(ties, NONE)
     here, all_of_them = int(every.inside[OVEREXPOSED]), int(every.inside.sum())
     return here >= tuning.least_matches and here * every.area > tuning.dense * all_of_them * every.white
 
 
-def cost(ties: Iterable[Ties]) -> tuple[int, int]:
+def cost(ties: Iterable[MatchCounts]) -> tuple[int, int]:
     """(matches that are masked, all) of some ties."""
     every = sum(ties, NONE)
     return int(every.inside.sum() - every.inside[USE]), int(every.inside.sum())

@@ -9,8 +9,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tiegraph.masks.ego import moved_share
 from tiegraph.masks.frames import grey, read_small
+from tiegraph.masks.platform import moved_share
 from tiegraph.masks.tuning import QualityTuning, Tuning
 
 

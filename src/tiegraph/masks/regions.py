@@ -8,7 +8,7 @@ import numpy as np
 from tiegraph.masks.tuning_learnt import RegionsTuning
 
 
-def calm_regions(brightness: np.ndarray, tuning: RegionsTuning) -> np.ndarray:
+def textureless_regions(brightness: np.ndarray, tuning: RegionsTuning) -> np.ndarray:
     """Regions (h, w) i4 of a grey image (h, w) u1 that no edge crosses, from 1; 0 = edges and small pieces."""
     fine = cv2.GaussianBlur(brightness.astype(np.float32), (0, 0), tuning.smooth_sigma_px)
     x, y = cv2.Sobel(fine, cv2.CV_32F, 1, 0, ksize=3), cv2.Sobel(fine, cv2.CV_32F, 0, 1, ksize=3)

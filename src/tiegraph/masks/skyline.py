@@ -83,10 +83,10 @@ def _believable(
         return False
     if np.median(yellow[sky]) > 128 + tuning.most_yellow:
         return False
-    return float(gradient[inner].mean()) < tuning.calm * float(gradient[ground].mean())
+    return float(gradient[inner].mean()) < tuning.textureless * float(gradient[ground].mean())
 
 
-def calm_sky(image: np.ndarray, matched: np.ndarray, tuning: SkylineTuning) -> np.ndarray | None:
+def textureless_sky(image: np.ndarray, matched: np.ndarray, tuning: SkylineTuning) -> np.ndarray | None:
     """Sky (h, w) bool in an image that looks up: large, calm, bright areas without a matched feature; None = none.
 
     ``matched`` (h, w) bool: round the features that were found again in another frame.
@@ -95,7 +95,7 @@ def calm_sky(image: np.ndarray, matched: np.ndarray, tuning: SkylineTuning) -> n
     around = (tuning.up_window_px, tuning.up_window_px)
     mean = cv2.blur(brightness, around)
     deviation = np.sqrt(np.maximum(cv2.blur(brightness * brightness, around) - mean * mean, 0))
-    calm = _inner((deviation < tuning.up_calm_grey) & ~matched, tuning.rim_px).astype(np.uint8)
+    calm = _inner((deviation < tuning.up_textureless_grey) & ~matched, tuning.rim_px).astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(calm, connectivity=4)
     light = np.bincount(labels.ravel(), brightness.ravel(), minlength=count) / np.maximum(stats[:, cv2.CC_STAT_AREA], 1)
     sky = (stats[:, cv2.CC_STAT_AREA] >= tuning.up_large * calm.size) & (light >= tuning.up_bright_grey)

@@ -14,10 +14,10 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.masks.classes import USE
+from tiegraph.masks.classification import Classifier, classes_of
 from tiegraph.masks.folder import check_folder, read_folder_mask
 from tiegraph.masks.frames import full_size, image_size, read_small, small_shape
 from tiegraph.masks.learnt import Map, learn
-from tiegraph.masks.lookup import Learnt, classes_of
 from tiegraph.masks.plugin import Model, model_classes, read_model
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.tuning import Tuning
@@ -76,7 +76,7 @@ def explain_source(scene: Scene, settings: MasksSettings, tuning: Tuning) -> tup
 def _automatic(scene: Scene, settings: MasksSettings, tuning: Tuning) -> tuple[str, str]:
     if settings.folder is not None:
         return "folder", "a folder of masks is given"
-    if (scene.track < 0).any():
+    if (scene.sequence < 0).any():
         return "none", "loose photographs share no platform that could be masked"
     if all(len(r.sensors) < 2 for r in scene.rigs):
         return "none", "a single camera: name a mask source if its platform is in view"
@@ -116,18 +116,20 @@ def _mask_nothing(
 
 def _prepare_learnt(
     cameras: Mapping[int, Camera], settings: MasksSettings, tuning: Tuning, apply: Map = map
-) -> dict[int, Learnt]:
+) -> dict[int, Classifier]:
     upward = [key for key, camera in cameras.items() if camera.upward]
     return learn({key: camera.images for key, camera in cameras.items()}, settings, tuning, upward, apply)
 
 
-def _classes_learnt(image: Path, prepared: Learnt, settings: MasksSettings, tuning: Tuning, name: str) -> np.ndarray:
+def _classes_learnt(
+    image: Path, prepared: Classifier, settings: MasksSettings, tuning: Tuning, name: str
+) -> np.ndarray:
     size = image_size(image)
-    check_shape(image, size, prepared.ego, tuning)
+    check_shape(image, size, prepared.platform, tuning)
     return classes_of(image, prepared, settings, small_shape(size, tuning.frames.work_px), tuning)
 
 
-def _mask_learnt(image: Path, prepared: Learnt, settings: MasksSettings, tuning: Tuning, name: str) -> np.ndarray:
+def _mask_learnt(image: Path, prepared: Classifier, settings: MasksSettings, tuning: Tuning, name: str) -> np.ndarray:
     return full_size(_classes_learnt(image, prepared, settings, tuning, name) == USE, image_size(image))
 
 

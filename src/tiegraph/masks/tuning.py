@@ -10,11 +10,11 @@ from pydantic import Field
 from tiegraph.masks.tuning_learnt import (
     AboveTuning,
     AppearanceTuning,
-    EvidenceTuning,
-    LookupTuning,
+    ClassificationTuning,
+    LabelTuning,
+    MatchabilityTuning,
     ProofTuning,
     RegionsTuning,
-    SeedTuning,
     SkylineTuning,
     WaterTuning,
 )
@@ -37,7 +37,7 @@ class FramesTuning(Section):
 
 
 class MovedTuning(Section):
-    """What of the texture moved between two frames (`ego.py`, `quality.py`); sizes at `frames.compare_px`."""
+    """What of the texture moved between two frames (`platform.py`, `quality.py`); sizes at `frames.compare_px`."""
 
     dark_grey: float = Field(10.0, gt=0)
     """Added to the grey values before their logarithm: so dark, noise is no contrast."""
@@ -79,8 +79,8 @@ class QualityTuning(Section):
     """Side of the square by which the used area is shrunk: the edge of the mask is no detail."""
 
 
-class EgoTuning(Section):
-    """The platform in the picture (`ego.py`); gradients in grey levels times the Sobel gain of 8."""
+class PlatformTuning(Section):
+    """The platform in the picture (`platform.py`); gradients in grey levels times the Sobel gain of 8."""
 
     max_read: int = Field(160, gt=0)
     """Frames looked at when choosing those that differ."""
@@ -237,8 +237,8 @@ class WaterlineTuning(Section):
     """Of the width: so many columns without a bank are bridged."""
 
 
-class SolidTuning(Section):
-    """Sky that cannot be sky, as the model has points there (`solid.py`)."""
+class SkyPointsTuning(Section):
+    """Sky that cannot be sky, as the model has points there (`skypoints.py`)."""
 
     dense: float = Field(0.2, ge=0)
     """Density of points within a piece of sky, with the holes in it, as a share of that outside of all sky: 0 .. 0.04
@@ -278,9 +278,9 @@ class Tuning(Section):
     """What moved between two frames."""
     quality: QualityTuning = QualityTuning()
     """Images hardly worth keeping."""
-    ego: EgoTuning = EgoTuning()
+    platform: PlatformTuning = PlatformTuning()
     """The platform."""
-    evidence: EvidenceTuning = EvidenceTuning()
+    matchability: MatchabilityTuning = MatchabilityTuning()
     """What matches, and how near it is."""
     proof: ProofTuning = ProofTuning()
     """What refutes a class."""
@@ -288,11 +288,11 @@ class Tuning(Section):
     """What classes look like."""
     skyline: SkylineTuning = SkylineTuning()
     """The border of the sky."""
-    seeds: SeedTuning = SeedTuning()
+    labels: LabelTuning = LabelTuning()
     """What is certain in single images, and what they agree on."""
     regions: RegionsTuning = RegionsTuning()
     """Regions without an edge."""
-    lookup: LookupTuning = LookupTuning()
+    classification: ClassificationTuning = ClassificationTuning()
     """Looking up an image."""
     above: AboveTuning = AboveTuning()
     """Edges of the sky."""
@@ -304,7 +304,7 @@ class Tuning(Section):
     """The recipe of paper 001, where it prints no number."""
     waterline: WaterlineTuning = WaterlineTuning()
     """Water by the model."""
-    solid: SolidTuning = SolidTuning()
+    sky_points: SkyPointsTuning = SkyPointsTuning()
     """Sky that the model contradicts."""
     remask: RemaskTuning = RemaskTuning()
     """What the model is asked."""

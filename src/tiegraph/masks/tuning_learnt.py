@@ -11,8 +11,8 @@ from tiegraph.settings import Section
 _Count = Annotated[int, Field(gt=0)]
 
 
-class EvidenceTuning(Section):
-    """What matches in neighbouring frames (`evidence.py`), and how near it is (`parallax.py`)."""
+class MatchabilityTuning(Section):
+    """What matches in neighbouring frames (`matchability.py`), and how near it is (`parallax.py`)."""
 
     most_pairs: int = Field(36, gt=0)
     """Pairs of neighbouring frames, of all cameras together, from which it is learnt what matches."""
@@ -128,9 +128,9 @@ class SkylineTuning(Section):
     """Mean brightness of a sky."""
     most_yellow: float = 10.0
     """Lab b: sand and sunlit plaster are yellow, skies hardly ever."""
-    calm: float = Field(0.5, ge=0)
+    textureless: float = Field(0.5, ge=0)
     """Texture of the sky, as a share of that below."""
-    up_calm_grey: float = Field(4.0, ge=0)
+    up_textureless_grey: float = Field(4.0, ge=0)
     """Standard deviation of the grey value in the sky above an upward camera."""
     up_window_px: int = Field(5, gt=0)
     """Side of the square over which this deviation is taken."""
@@ -140,8 +140,8 @@ class SkylineTuning(Section):
     """Of the image: a smaller calm area above an upward camera is not believed."""
 
 
-class SeedTuning(Section):
-    """Seeds of sky, water and scene in single images (`seeds.py`), at `frames.look_px`."""
+class LabelTuning(Section):
+    """Seeds of sky, water and scene in single images (`labels.py`), at `frames.look_px`."""
 
     images: int = Field(40, gt=0)
     """Images, of all cameras together, from which appearance is learnt."""
@@ -194,8 +194,8 @@ class RegionsTuning(Section):
     """One pixel's log ratio counts this much at most for its region."""
 
 
-class LookupTuning(Section):
-    """Looking up an image in what was learnt (`lookup.py`), at `frames.look_px` but for the edge of the sky."""
+class ClassificationTuning(Section):
+    """Looking up an image in what was learnt (`classification.py`), at `frames.look_px` but for the edge of the sky."""
 
     smooth_px: int = Field(5, gt=0)
     """Side of the square over which the log ratio of sky is averaged."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from tiegraph.masks.evidence import Evidence
+from tiegraph.masks.matchability import Matchability
 from tiegraph.masks.tuning_learnt import WaterTuning
 
 
@@ -22,7 +22,7 @@ class Zone:
     says: float
 
 
-def never_matching(evidence: Sequence[Evidence], ego: np.ndarray | None, tuning: WaterTuning) -> Zone:
+def never_matching(evidence: Sequence[Matchability], ego: np.ndarray | None, tuning: WaterTuning) -> Zone:
     """The zone of a camera's images that no match ever falls into, up from the bottom or the platform.
 
     Roads and meadows match now and then and are no such zone; of a place without texture this knows nothing.

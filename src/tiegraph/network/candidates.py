@@ -8,14 +8,14 @@ from tiegraph.errors import choose
 from tiegraph.network.offsets.curves import OffsetCurve
 from tiegraph.network.offsets.surface import OffsetSurface
 from tiegraph.network.order import shown_order
-from tiegraph.network.passes import PreviewBook, find_passes
+from tiegraph.network.passes import MatchCache, find_passes
 from tiegraph.network.rig.check import check_rigs
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.sources import SOURCES, Context, Descriptors, Proposal, automatic
 from tiegraph.network.tuning import Tuning
+from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.ties import Ties
 
 
 @dataclass(frozen=True)
@@ -25,13 +25,13 @@ class Candidates:
     pairs: Pairs
     scene: Scene
     notes: tuple[str, ...]
-    ties: Ties  # of everything that was previewed
+    ties: PreviewMatches  # of everything that was previewed
     curves: tuple[OffsetCurve, ...]
     surfaces: tuple[OffsetSurface, ...]
 
     def pictures(self) -> list[tuple[str, bytes]]:
         """(name, PNG) of the offset curves and surfaces, where offsets were looked for."""
-        from tiegraph.network import pictures as draw  # loads matplotlib
+        from tiegraph.network import plots as draw  # loads matplotlib
 
         out = []
         if self.surfaces:
@@ -43,7 +43,7 @@ class Candidates:
 
 def find_candidates(
     scene: Scene,
-    book: PreviewBook,
+    cache: MatchCache,
     settings: CandidatesSettings,
     tuning: Tuning,
     descriptors: Descriptors | None = None,
@@ -53,30 +53,35 @@ def find_candidates(
     ``book`` matches previews, each pair once; ``descriptors`` gives those of all previews, for retrieval. Raises
     SettingsError for an unknown source, InputError for a bad pair list.
     """
-    scene, order_notes = shown_order(scene, book, settings, tuning)
-    scene, rig_notes = _checked(scene, book, settings, tuning)
+    scene, order_notes = shown_order(scene, cache, settings, tuning)
+    scene, rig_notes = _checked(scene, cache, settings, tuning)
     found = _propose(
         Context(
-            scene=scene, passes=find_passes(scene), book=book, settings=settings, tuning=tuning, descriptors=descriptors
+            scene=scene,
+            passes=find_passes(scene),
+            cache=cache,
+            settings=settings,
+            tuning=tuning,
+            descriptors=descriptors,
         )
     )
     return Candidates(
         pairs=found.pairs,
         scene=scene,
         notes=(*order_notes, *rig_notes, *found.notes),
-        ties=book.ties(),
+        ties=cache.matches(),
         curves=found.curves,
         surfaces=found.surfaces,
     )
 
 
 def _checked(
-    scene: Scene, book: PreviewBook, settings: CandidatesSettings, tuning: Tuning
+    scene: Scene, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning
 ) -> tuple[Scene, tuple[str, ...]]:
     """The rig check, where any source looks at the images at all."""
     if not {"auto", "offsets", "poses"} & set(settings.sources) and not settings.sequence_cameras:
         return scene, ()
-    return check_rigs(scene, find_passes(scene), book, settings, tuning)
+    return check_rigs(scene, find_passes(scene), cache, settings, tuning)
 
 
 def _propose(context: Context) -> Proposal:

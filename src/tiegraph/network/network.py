@@ -16,9 +16,9 @@ from tiegraph.network.sources import axes_count, axes_pairs
 from tiegraph.network.tuning import SectionsTuning, Tuning
 from tiegraph.scene.figures import plain_text
 from tiegraph.scene.graph import component_notes
+from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.ties import Ties
 
 
 @dataclass(frozen=True)
@@ -32,10 +32,10 @@ class Network:
     tables: dict[str, dict] = field(default_factory=dict)
 
     @plain_text()
-    def pictures(self, cam_from_world: np.ndarray | None) -> list[tuple[str, bytes]]:
+    def plots(self, cam_from_world: np.ndarray | None) -> list[tuple[str, bytes]]:
         """(name, PNG) of the correspondence matrix, the map, the sections and the funnel. ``cam_from_world``
         (N, 4, 4): poses of the coarse model, where no prior says where the frames are; NaN = none."""
-        from tiegraph.network import pictures as draw  # loads matplotlib
+        from tiegraph.network import plots as draw  # loads matplotlib
 
         positions, unit = positions_of(self.scene, cam_from_world)
         out = [("matrix", draw.matrix_png(self.pairs, self.scene))]
@@ -49,7 +49,7 @@ class Network:
 def join_network(
     pairs: Pairs,
     scene: Scene,
-    ties: Ties,
+    ties: PreviewMatches,
     light: UpLight | np.ndarray,
     settings: tuple[CandidatesSettings, NetworkSettings],
     tuning: Tuning,

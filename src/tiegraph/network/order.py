@@ -12,14 +12,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from tiegraph.network.passes import Pass, PreviewBook, find_passes
+from tiegraph.network.passes import MatchCache, Pass, find_passes
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.scene import Scene
 
 
 def shown_order(
-    scene: Scene, book: PreviewBook, settings: CandidatesSettings, tuning: Tuning
+    scene: Scene, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning
 ) -> tuple[Scene, tuple[str, ...]]:
     """The scene without the passes whose order was guessed and is not borne out, and what was found.
 
@@ -30,18 +30,18 @@ def shown_order(
         return scene.with_(guessed=()), ()
     looks = bool({"auto", "offsets", "poses", "retrieval"} & set(settings.sources))
     lost, notes = [], []
-    for found in (p for p in find_passes(scene) if scene.tracks[p.track] in scene.guessed):
-        shown, why = _shown(found, book, settings, tuning) if looks else (False, "no preview was looked at")
+    for found in (p for p in find_passes(scene) if scene.sequences[p.sequence] in scene.guessed):
+        shown, why = _shown(found, cache, settings, tuning) if looks else (False, "no preview was looked at")
         if shown:
             notes.append(f"pass {found.name}: a sequence, {why}")
         else:
-            lost.append(found.track)
+            lost.append(found.sequence)
             text = f"pass {found.name}: {len(found)} loose photographs and no sequence, although their names or times"
             notes.append(f"{text} are in order: {why}; --scan.layout sequence takes them for one")
     return _without(scene, lost), tuple(notes)
 
 
-def _shown(found: Pass, book: PreviewBook, settings: CandidatesSettings, tuning: Tuning) -> tuple[bool, str]:
+def _shown(found: Pass, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning) -> tuple[bool, str]:
     """Whether previews show a pass of one camera to be a sequence, and the figures."""
     order = tuning.order
     images = found.images[0][found.images[0] >= 0]
@@ -53,7 +53,7 @@ def _shown(found: Pass, book: PreviewBook, settings: CandidatesSettings, tuning:
     a, b = np.triu_indices(count, k=max(half, 1))
     far = np.sort(rng.choice(len(a), min(len(a), order.sample), replace=False))
     first, second = np.r_[images[near], images[a[far]]], np.r_[images[near + 1], images[b[far]]]
-    counts = book.measure(first, second)
+    counts = cache.measure(first, second)
     close, apart = counts[: len(near)], counts[len(near) :]
     if len(close) < order.least_neighbours:
         return False, f"its {count} images are too few to tell"
@@ -72,9 +72,11 @@ def _without(scene: Scene, passes: list[int]) -> Scene:
     """The scene with the frames of some passes loose, and the others numbered anew."""
     if not passes:
         return scene.with_(guessed=())
-    kept = [k for k in range(len(scene.tracks)) if k not in passes]
-    number = np.full(len(scene.tracks) + 1, -1)  # the last is that of loose frames
+    kept = [k for k in range(len(scene.sequences)) if k not in passes]
+    number = np.full(len(scene.sequences) + 1, -1)  # the last is that of loose frames
     number[kept] = np.arange(len(kept))
-    track = number[scene.track]
-    step = np.where(track < 0, np.cumsum(track < 0) - 1, scene.step)
-    return scene.with_(track=track, step=step, tracks=tuple(scene.tracks[k] for k in kept), guessed=())
+    sequence = number[scene.sequence]
+    step = np.where(sequence < 0, np.cumsum(sequence < 0) - 1, scene.sequence_index)
+    return scene.with_(
+        sequence=sequence, sequence_index=step, sequences=tuple(scene.sequences[k] for k in kept), guessed=()
+    )

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.ties import Ties
 
 MatchFunction = Callable[[np.ndarray], Sequence[Any]]  # pairs (P, 2) -> P features.preview.PreviewMatch
 
@@ -20,7 +20,7 @@ class Pass:
     """Frames of one rig on one track, in order: ``images[s, k]`` = image of sensor s in the k-th frame, -1 = none."""
 
     name: str
-    track: int
+    sequence: int
     rig_index: int
     rig: Rig
     frames: np.ndarray  # (n,) i4 frame indices by step
@@ -33,33 +33,35 @@ class Pass:
 def find_passes(scene: Scene) -> tuple[Pass, ...]:
     """The passes of a scene; two rigs on one track are two passes, for their frames are not numbered together."""
     found = []
-    ids = sorted({(int(t), int(r)) for t, r in zip(scene.track, scene.rig) if t >= 0})
+    ids = sorted({(int(t), int(r)) for t, r in zip(scene.sequence, scene.rig) if t >= 0})
     image_of = np.full((scene.frames, max((len(r.sensors) for r in scene.rigs), default=1)), -1, np.int32)
     image_of[scene.frame, scene.sensor] = np.arange(len(scene))
-    for track, rig in ids:
-        frames = np.flatnonzero((scene.track == track) & (scene.rig == rig))
-        frames = frames[np.argsort(scene.step[frames], kind="stable")]
+    for sequence, rig in ids:
+        frames = np.flatnonzero((scene.sequence == sequence) & (scene.rig == rig))
+        frames = frames[np.argsort(scene.sequence_index[frames], kind="stable")]
         images = image_of[frames, : len(scene.rigs[rig].sensors)].T
-        name = scene.tracks[track] if track < len(scene.tracks) else f"pass {track}"
-        several = sum(t == track for t, _ in ids) > 1
+        name = scene.sequences[sequence] if sequence < len(scene.sequences) else f"pass {sequence}"
+        several = sum(t == sequence for t, _ in ids) > 1
         name = f"{name} (rig {rig + 1}, {scene.rigs[rig].name})" if several else name
-        found.append(Pass(name=name, track=track, rig_index=rig, rig=scene.rigs[rig], frames=frames, images=images))
+        found.append(
+            Pass(name=name, sequence=sequence, rig_index=rig, rig=scene.rigs[rig], frames=frames, images=images)
+        )
     return tuple(found)
 
 
 def loose_images(scene: Scene) -> np.ndarray:
     """Indices of the images that are on no pass."""
-    return np.flatnonzero(scene.track[scene.frame] < 0)
+    return np.flatnonzero(scene.sequence[scene.frame] < 0)
 
 
-class PreviewBook:
+class MatchCache:
     """Preview counts measured so far; each pair is matched once, many at a time. ``known``: what is measured already.
 
     The one object with a memory here: it stands between the sources so that none measures what another knows.
     """
 
-    def __init__(self, match: MatchFunction, images: int, known: Ties | None = None) -> None:
-        known = Ties.empty() if known is None else known
+    def __init__(self, match: MatchFunction, images: int, known: PreviewMatches | None = None) -> None:
+        known = PreviewMatches.empty() if known is None else known
         self._match = match
         self._images = images
         self._keys = self._key(known.i, known.j)
@@ -106,11 +108,11 @@ class PreviewBook:
         at = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)
         return np.where(self._keys[at] == keys, self._counts[at], np.nan).astype(np.float32)
 
-    def ties(self) -> Ties:
+    def matches(self) -> PreviewMatches:
         """The matches of everything measured."""
         nothing = np.zeros((0, 2), np.uint16)
         matches = [self._matches.get(int(k), nothing) for k in self._keys]
-        return Ties.make(self._keys // self._images, self._keys % self._images, matches)
+        return PreviewMatches.make(self._keys // self._images, self._keys % self._images, matches)
 
     def pairs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Everything measured: i (K,), j (K,), inliers (K,)."""

@@ -11,13 +11,13 @@ from operator import or_
 import numpy as np
 
 from tiegraph.errors import SettingsError
-from tiegraph.network.looks.loose import scored_pairs
-from tiegraph.network.looks.retrieval import retrieve
 from tiegraph.network.offsets.curves import OffsetCurve
 from tiegraph.network.offsets.offsets import estimate_offsets
 from tiegraph.network.offsets.surface import OffsetSurface
-from tiegraph.network.passes import Pass, PreviewBook, loose_images
+from tiegraph.network.passes import MatchCache, Pass, loose_images
 from tiegraph.network.poses.check import checked_pose_pairs
+from tiegraph.network.retrieval.loose import scored_pairs
+from tiegraph.network.retrieval.retrieval import retrieve
 from tiegraph.network.rig.axes import allowed_within
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
@@ -36,7 +36,7 @@ class Context:
 
     scene: Scene
     passes: tuple[Pass, ...]
-    book: PreviewBook
+    cache: MatchCache
     settings: CandidatesSettings
     tuning: Tuning
     descriptors: Descriptors | None = None  # of all previews; None = there is no looking for look-alikes
@@ -106,20 +106,20 @@ def from_file(context: Context) -> Proposal:
 
 def offsets(context: Context) -> Proposal:
     """Frame-offset voting within and between passes (papers 000, 001)."""
-    found = estimate_offsets(context.passes, context.book, len(context.scene), context.settings, context.tuning)
+    found = estimate_offsets(context.passes, context.cache, len(context.scene), context.settings, context.tuning)
     return Proposal(pairs=found.pairs, notes=found.notes, curves=found.curves, surfaces=found.surfaces)
 
 
 def poses(context: Context) -> Proposal:
     """Pairs by prior poses (paper 003), which a sample of previews checks; frames without prior, or with a wrong one,
     fall back on previews, so that none is lost."""
-    found = checked_pose_pairs(context.scene, context.passes, context.book, context.settings, context.tuning)
+    found = checked_pose_pairs(context.scene, context.passes, context.cache, context.settings, context.tuning)
     notes = list(found.notes)
     pairs = found.pairs
     if len(found.without) and "auto" not in context.settings.sources:
         rest = offsets(context).pairs | sequence(context).pairs
         alone = np.intersect1d(loose_images(context.scene), _images_of(context.scene, found.without))
-        rest = rest | scored_pairs(context.scene, alone, context.book, context.settings, context.tuning)
+        rest = rest | scored_pairs(context.scene, alone, context.cache, context.settings, context.tuning)
         lost = np.isin(context.scene.frame, found.without)
         rest = rest.where(lost[rest.i] | lost[rest.j])
         notes.append(f"poses: frames without prior are tied by previews and order instead: {len(rest.kept())} pairs")
@@ -136,7 +136,7 @@ def retrieval(context: Context, known: Pairs | None = None) -> Proposal:
     caller has no descriptors."""
     if context.descriptors is None:
         raise SettingsError("candidates.sources has 'retrieval', but the previews' descriptors are not at hand")
-    looked = context.scene, context.passes, context.book, context.settings, context.tuning
+    looked = context.scene, context.passes, context.cache, context.settings, context.tuning
     found = retrieve(*looked, context.descriptors, known)
     return Proposal(found.pairs, found.notes)
 
@@ -175,7 +175,7 @@ def automatic(context: Context) -> Proposal:
             parts.append(retrieval(context, known))
         elif len(loose):
             said.append("previews of loose photographs")
-            parts.append(Proposal(scored_pairs(scene, loose, context.book, context.settings, context.tuning)))
+            parts.append(Proposal(scored_pairs(scene, loose, context.cache, context.settings, context.tuning)))
     merged = Proposal(Pairs.empty(), (f"sources chosen: {', '.join(said)}",))
     for part in parts:
         merged = merged | part
@@ -185,7 +185,7 @@ def automatic(context: Context) -> Proposal:
 def _counted(proposal: Proposal, context: Context) -> Proposal:
     """A proposal with its pairs previewed and none dropped: the design needs to know what they share."""
     pairs = proposal.pairs
-    return replace(proposal, pairs=pairs.with_(score=context.book.measure(pairs.i, pairs.j)))
+    return replace(proposal, pairs=pairs.with_(score=context.cache.measure(pairs.i, pairs.j)))
 
 
 def confirmed(proposal: Proposal, context: Context) -> Proposal:
@@ -196,9 +196,9 @@ def confirmed(proposal: Proposal, context: Context) -> Proposal:
     pairs = proposal.pairs
     kept = np.flatnonzero(pairs.dropped == 0)
     score = pairs.score.copy()
-    score[kept] = context.book.measure(pairs.i[kept], pairs.j[kept])
+    score[kept] = context.cache.measure(pairs.i[kept], pairs.j[kept])
     weak = score < context.tuning.counts.sure * context.settings.min_matches
-    loose = context.scene.track[context.scene.frame] < 0
+    loose = context.scene.sequence[context.scene.frame] < 0
     near = _nearest(pairs, len(context.scene), context.tuning.sources.nearest) & loose[pairs.i] & loose[pairs.j]
     return Proposal(pairs.with_(score=score).drop(weak & ~near, "weak"), proposal.notes)
 

@@ -79,7 +79,7 @@ def thinned(pairs: Pairs, scene: Scene, expected: np.ndarray, safe: bool) -> Thi
 
 def image_order(scene: Scene) -> np.ndarray:
     """(N,) images in order of pass, step and camera: the paper's first to last frame."""
-    return np.lexsort((scene.sensor_key, scene.step[scene.frame], scene.track[scene.frame]))
+    return np.lexsort((scene.sensor_key, scene.sequence_index[scene.frame], scene.sequence[scene.frame]))
 
 
 def capacities(pairs: Pairs, expected: np.ndarray) -> np.ndarray:

@@ -25,11 +25,11 @@ from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import MaskSource, check_shape, each
 from tiegraph.masks.tuning import Meguro2024Tuning
 from tiegraph.masks.tuning import Tuning as MasksTuning
-from tiegraph.network.lattice import Lattice, make_lattice
 from tiegraph.network.offsets.curves import OffsetResult, contained, curves_of, facing, sampled_ranks, votes_of
-from tiegraph.network.passes import Pass, PreviewBook
+from tiegraph.network.passes import MatchCache, Pass
 from tiegraph.network.rig import commonview
 from tiegraph.network.rig.axes import allowed_within
+from tiegraph.network.scorematrix import ScoreMatrix, score_matrix
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.papers.presets import COLMAP_ALONE
@@ -70,11 +70,11 @@ def mask_of_camera(
 MASKS = MaskSource(each(prepare_difference), mask_of_camera)
 
 
-def constant_offsets(p: Pass, q: Pass, book: PreviewBook, settings: CandidatesSettings, tuning: Tuning) -> OffsetResult:
+def constant_offsets(p: Pass, q: Pass, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning) -> OffsetResult:
     """One offset a camera pair: votes on sampled frames, then every frame within the range around the winner."""
     if p is q and len(p.images) == 1:
         return OffsetResult(Pairs.empty(), (), ())
-    lattice, notes = _vote_constant(p, q, book, settings, tuning)
+    lattice, notes = _vote_constant(p, q, cache, settings, tuning)
     backwards = p is not q and _backwards_by_votes(lattice, settings.min_matches, tuning)
     voted = np.zeros(lattice.allowed.shape, bool)
     best = np.zeros(lattice.allowed.shape, int)
@@ -90,7 +90,8 @@ def constant_offsets(p: Pass, q: Pass, book: PreviewBook, settings: CandidatesSe
     code = np.broadcast_to(why[:, :, None, None], seen.shape)
     looked_at = Pairs.make(*lattice.images(seen), "offsets", score=lattice.inliers[seen], dropped=code[seen])
     blocks = [
-        _around(lattice, _At(int(c), int(d), int(best[c, d])), backwards, book, settings) for c, d in np.argwhere(voted)
+        _around(lattice, _At(int(c), int(d), int(best[c, d])), backwards, cache, settings)
+        for c, d in np.argwhere(voted)
     ]
     for block in blocks:
         # Where both know a pair, the range decides: "offset" holds only outside of it.
@@ -100,14 +101,14 @@ def constant_offsets(p: Pass, q: Pass, book: PreviewBook, settings: CandidatesSe
 
 
 def _vote_constant(
-    p: Pass, q: Pass, book: PreviewBook, settings: CandidatesSettings, tuning: Tuning
-) -> tuple[Lattice, tuple[str, ...]]:
+    p: Pass, q: Pass, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning
+) -> tuple[ScoreMatrix, tuple[str, ...]]:
     every = max(1, -(-len(q) // tuning.offsets.constant.max_columns))
     allowed = allowed_within(p.rig, settings.axes_deg) if p is q else np.ones((len(p.images), len(q.images)), bool)
-    empty = make_lattice(p, q, every, allowed, tuning.offsets.lattice)
+    empty = score_matrix(p, q, every, allowed, tuning.offsets.scores)
     rows = sampled_ranks(len(p), settings.sample_frames)
     shape = (*allowed.shape, len(rows), len(empty.columns))
-    lattice = Lattice(
+    lattice = ScoreMatrix(
         p=p, q=q, rows=rows, columns=empty.columns, allowed=allowed, inliers=np.full(shape, np.nan, np.float32)
     )
     c, d = np.ogrid[: shape[0], : shape[1]]
@@ -115,26 +116,26 @@ def _vote_constant(
     notes: tuple[str, ...] = ()
     if p is not q:  # a few frames show the heading, then the axes rule pairs of cameras out
         few = np.isin(np.arange(len(rows)), sampled_ranks(len(rows), tuning.offsets.constant.heading_frames))[:, None]
-        lattice = _measured_oblong(lattice, wanted & few, book)
+        lattice = _measured_oblong(lattice, wanted & few, cache)
         excess = commonview.above(lattice, lattice.inliers, settings.min_matches)
         allowed = facing(lattice, excess, settings, tuning.rig)
         said = commonview.in_words(lattice, excess, tuning.rig)
         notes = (said,) if said else ()
-        lattice = Lattice(p=p, q=q, rows=rows, columns=lattice.columns, allowed=allowed, inliers=lattice.inliers)
-    return _measured_oblong(lattice, wanted, book), notes
+        lattice = ScoreMatrix(p=p, q=q, rows=rows, columns=lattice.columns, allowed=allowed, inliers=lattice.inliers)
+    return _measured_oblong(lattice, wanted, cache), notes
 
 
-def _measured_oblong(lattice: Lattice, nodes: np.ndarray, book: PreviewBook) -> Lattice:
-    """``Lattice.measured`` without mirroring: rows and columns are different frames."""
+def _measured_oblong(lattice: ScoreMatrix, nodes: np.ndarray, cache: MatchCache) -> ScoreMatrix:
+    """``ScoreMatrix.measured`` without mirroring: rows and columns are different frames."""
     nodes = np.broadcast_to(nodes, lattice.inliers.shape) & lattice.exists() & np.isnan(lattice.inliers)
     inliers = lattice.inliers.copy()
-    inliers[nodes] = book.measure(*lattice.images(nodes))
-    return Lattice(
+    inliers[nodes] = cache.measure(*lattice.images(nodes))
+    return ScoreMatrix(
         p=lattice.p, q=lattice.q, rows=lattice.rows, columns=lattice.columns, allowed=lattice.allowed, inliers=inliers
     )
 
 
-def _backwards_by_votes(lattice: Lattice, min_matches: int, tuning: Tuning) -> bool:
+def _backwards_by_votes(lattice: ScoreMatrix, min_matches: int, tuning: Tuning) -> bool:
     """The direction in which the votes pile up higher."""
     height = [0.0, 0.0]
     for c, d in np.argwhere(lattice.allowed):
@@ -153,7 +154,7 @@ class _At:
     best: int
 
 
-def _supported(lattice: Lattice, at: _At, backwards: bool, min_matches: int, tuning: Tuning) -> bool:
+def _supported(lattice: ScoreMatrix, at: _At, backwards: bool, min_matches: int, tuning: Tuning) -> bool:
     """Whether the best offset has enough matches on average, over enough sampled frames."""
     c, d, best = at.a, at.b, at.best
     m, n = np.meshgrid(lattice.rows, lattice.columns, indexing="ij")
@@ -165,7 +166,7 @@ def _supported(lattice: Lattice, at: _At, backwards: bool, min_matches: int, tun
     return frames >= tuning.offsets.constant.least_frames and float(count.mean()) >= min_matches
 
 
-def _around(lattice: Lattice, at: _At, backwards: bool, book: PreviewBook, settings: CandidatesSettings) -> Pairs:
+def _around(lattice: ScoreMatrix, at: _At, backwards: bool, cache: MatchCache, settings: CandidatesSettings) -> Pairs:
     """All frames of a camera pair within the range around its offset; of these the best by preview if so set."""
     c, d, best = at.a, at.b, at.best
     p, q = lattice.p, lattice.q
@@ -177,8 +178,8 @@ def _around(lattice: Lattice, at: _At, backwards: bool, book: PreviewBook, setti
     exists = (i >= 0) & (j >= 0) & (i != j)
     i, j = i[exists], j[exists]
     if settings.offset_best == 0:
-        return Pairs.make(i, j, "offsets", score=book.known(i, j))
-    score = book.measure(i, j)
+        return Pairs.make(i, j, "offsets", score=cache.known(i, j))
+    score = cache.measure(i, j)
     order = np.lexsort((-score, i))
     first = np.r_[True, np.diff(i[order]) != 0]
     start = np.maximum.accumulate(np.where(first, np.arange(len(order)), 0))

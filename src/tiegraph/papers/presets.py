@@ -22,7 +22,7 @@ COLMAP_ALONE: dict[str, dict[str, Any]] = {
         "network": {"rig": {"check": {"min_votes": _NEVER}, "order": {"better": 3.0}}},
         # The model stays as the mapper leaves it, but for a last bundle adjustment by least squares.
         "sfm": {
-            "placement": {"repair": {"rounds": 0}, "adopt_rounds": 0, "guided": {"rounds": 0}},
+            "placement": {"repair": {"rounds": 0}, "missing_rounds": 0, "guided": {"rounds": 0}},
             "adjust": {"robust_rounds": 0},
         },
     },

@@ -13,14 +13,19 @@ from tiegraph.papers.fuse2014 import TwoView, two_view
 from tiegraph.pipeline.files import load_scene
 from tiegraph.pipeline.previews import preview_of
 from tiegraph.scene.filecache import cached_by_file
+from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.ties import Ties
 from tiegraph.sfm.tuning import TwoViewTuning
 
 
 def with_accuracy(
-    pairs: Pairs, scene: Scene, ties: Ties, folder: Path, run_map: Callable[..., list[Any]], tuning: TwoViewTuning
+    pairs: Pairs,
+    scene: Scene,
+    ties: PreviewMatches,
+    folder: Path,
+    run_map: Callable[..., list[Any]],
+    tuning: TwoViewTuning,
 ) -> Pairs:
     """The pairs with ``sigma_m`` (how far the adjustment moves the base) and ``h_over_b`` of those that were previewed.
 
@@ -36,7 +41,11 @@ def with_accuracy(
     found: list[TwoView | None] = run_map(_two_view_item, items, folder, tuning)
     sigma, ratio = np.array(pairs.sigma_m), np.array(pairs.h_over_b)
     frame_i, frame_j = scene.frame[pairs.i], scene.frame[pairs.j]
-    apart = np.where(scene.track[frame_i] == scene.track[frame_j], np.abs(scene.step[frame_i] - scene.step[frame_j]), 1)
+    apart = np.where(
+        scene.sequence[frame_i] == scene.sequence[frame_j],
+        np.abs(scene.sequence_index[frame_i] - scene.sequence_index[frame_j]),
+        1,
+    )
     base = np.maximum(apart, 1)
     for k, one in zip(usable, found):
         if one is not None:

@@ -12,7 +12,7 @@ import numpy as np
 from tiegraph import papers
 from tiegraph.network.candidates import find_candidates
 from tiegraph.network.offsets.offsets import OFFSETS
-from tiegraph.network.passes import PreviewBook
+from tiegraph.network.passes import MatchCache
 from tiegraph.pipeline.files import save_npz, scanned
 from tiegraph.pipeline.preview import read_preview
 from tiegraph.pipeline.previews import Matcher
@@ -30,9 +30,9 @@ def candidates(run: Run) -> Outcome:
     descriptors = partial(_Descriptors, run.folder, scene)
     settings, tuning = run.settings.candidates, run.settings.tuning.network
     papers.plug_in(papers.OFFSETS, settings.offsets, OFFSETS)
-    found = find_candidates(scene, PreviewBook(matcher, len(scene)), settings, tuning, descriptors)
+    found = find_candidates(scene, MatchCache(matcher, len(scene)), settings, tuning, descriptors)
     save_npz(run.path("candidates.npz"), **found.pairs.to_npz())
-    save_npz(run.path("candidates", "ties.npz"), **found.ties.to_npz())
+    save_npz(run.path("candidates", "matches.npz"), **found.ties.to_npz())
     write_atomic(run.path("candidates", "scene.json"), found.scene.to_json())
     for name, picture in found.pictures():
         write_atomic(run.path("candidates", f"{name}.png"), picture)

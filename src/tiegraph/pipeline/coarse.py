@@ -19,16 +19,16 @@ from tiegraph.features.preview_database import write_preview_database
 from tiegraph.network.coarse.assembled import Assembled, assembled, is_whole
 from tiegraph.network.coarse.model import CoarseModel
 from tiegraph.network.coarse.search import Coarse, Search, worth_a_model
-from tiegraph.network.passes import PreviewBook
+from tiegraph.network.passes import MatchCache
 from tiegraph.pipeline.files import load_npz, load_scene, pairs_of, save_npz, ties_of
 from tiegraph.pipeline.preview import read_preview
 from tiegraph.pipeline.previews import Matcher
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, remove, write_atomic
 from tiegraph.scene.blocks import Block, blocks_of
+from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.ties import Ties
 from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.model import image_poses, model_rigs, tracks
 from tiegraph.sfm.settings import SparseSettings
@@ -43,30 +43,30 @@ def coarse(run: Run) -> Outcome:
     pairs, ties = pairs_of(run, "candidates.npz"), ties_of(run, "candidates")
     scene = load_scene(run.path("candidates", "scene.json"))
     matcher = Matcher(run, MATCHED)
-    book = PreviewBook(matcher, len(scene), ties)
-    found = judged_by_model(run, (pairs, scene), book)
+    cache = MatchCache(matcher, len(scene), ties)
+    found = judged_by_model(run, (pairs, scene), cache)
     save_npz(run.path("coarse.npz"), **found.pairs.to_npz())
-    save_npz(run.path("coarse", "ties.npz"), **book.ties().to_npz())
+    save_npz(run.path("coarse", "matches.npz"), **cache.matches().to_npz())
     write_atomic(run.path("coarse", "scene.json"), found.scene.to_json())
-    counts = {"previews": len(book) - len(ties), "candidates": len(found.pairs), "kept": len(found.pairs.kept())}
+    counts = {"previews": len(cache) - len(ties), "candidates": len(found.pairs), "kept": len(found.pairs.kept())}
     if found.model is not None:
         poses, tuning = found.model.cam_from_world, run.settings.tuning.network.coarse
         reach = found.model.reach(tuning)
         save_npz(run.path("coarse", "model.npz"), cam_from_world=poses, reach=reach, trusted=found.trusted)
-        save_npz(run.path("coarse", "sights.npz"), **found.model.sights(tuning).to_npz())
+        save_npz(run.path("coarse", "visibility.npz"), **found.model.sights(tuning).to_npz())
         counts |= {"images": int(found.model.placed().sum()), "trusted": int(found.trusted.sum())}
     remove(run.path(*BLOCKS.split("/")))
     matcher.forget()
     return Outcome(counts, notes=found.notes)
 
 
-def judged_by_model(run: Run, candidates: tuple[Pairs, Scene], book: PreviewBook) -> Coarse:
+def judged_by_model(run: Run, candidates: tuple[Pairs, Scene], cache: MatchCache) -> Coarse:
     """Candidate pairs of a scene judged by the best coarse model; as they were, where none is worth making."""
     pairs, scene = candidates
     settings, tuning = (run.settings.candidates, run.settings.coarse), run.settings.tuning.network
     if not worth_a_model(scene, settings, tuning):
         return Coarse(pairs=pairs, scene=scene, model=None, trusted=np.zeros(len(scene), bool))
-    search, mapper = Search(candidates, book, settings, tuning.coarse), _Mapper(run, scene)
+    search, mapper = Search(candidates, cache, settings, tuning.coarse), _Mapper(run, scene)
     while (wanted := search.wanted()) is not None:
         search.take(wanted, mapper.mapped(wanted))
     return search.result()
@@ -79,7 +79,7 @@ class _Mapper:
         self._run, self._scene = run, scene
         self._blocks: tuple[Block, ...] = ()
 
-    def mapped(self, ties: Ties) -> Assembled:
+    def mapped(self, ties: PreviewMatches) -> Assembled:
         """The models of all blocks, joined; none of no ties."""
         if not len(ties):
             return Assembled(())
@@ -94,7 +94,7 @@ class _Mapper:
             models.append(model)
         return assembled(scene, self._blocks, models, tuning.network.coarse, tuning.scene.joining)
 
-    def _of_block(self, block: Block, ties: Ties) -> CoarseModel | None:
+    def _of_block(self, block: Block, ties: PreviewMatches) -> CoarseModel | None:
         """The model of a block: that of an earlier try, or of a run that was interrupted, if its ties are the same."""
         whole = is_whole(self._blocks, self._scene)
         part, inside = (self._scene, ties) if whole else block.part_of(self._scene, ties)
@@ -107,7 +107,7 @@ class _Mapper:
         return model
 
 
-def _key(block: Block, ties: Ties) -> str:
+def _key(block: Block, ties: PreviewMatches) -> str:
     """16 hex digits over the images of a block and the ties between them."""
     said = hashlib.blake2b(digest_size=8)
     for array in (block.images, ties.i, ties.j, ties.start, ties.matches):
@@ -115,7 +115,7 @@ def _key(block: Block, ties: Ties) -> str:
     return said.hexdigest()
 
 
-def coarse_model(run: Run, scene: Scene, ties: Ties, rough: bool) -> CoarseModel | None:
+def coarse_model(run: Run, scene: Scene, ties: PreviewMatches, rough: bool) -> CoarseModel | None:
     """A model of a survey or of a block of it (``rough``), made of previews; None where COLMAP finds none.
 
     It is made as the stage sparse makes one by default, whatever its settings are: pairs and matches stay when the

@@ -7,18 +7,18 @@ import csv
 import numpy as np
 
 from tiegraph import papers
-from tiegraph.design.cost import Cost, cost, foreseen_keypoints
+from tiegraph.design.cost import Cost, cost, predicted_keypoints
 from tiegraph.design.design import METHODS, takes_all
 from tiegraph.design.design import design as select_pairs
-from tiegraph.network.pictures import map_png, weak_pairs
+from tiegraph.network.plots import map_png, weak_pairs
 from tiegraph.pipeline.accuracy import with_accuracy
 from tiegraph.pipeline.files import checked, load_npz, pairs_of, reading, save_npz, ties_of
 from tiegraph.pipeline.previews import with_previews
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
+from tiegraph.scene.matches import Visibility
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.ties import Sights
 
 
 def design(run: Run) -> Outcome:
@@ -28,7 +28,7 @@ def design(run: Run) -> Outcome:
     settings, tuning = run.settings, run.settings.tuning
     # In passes false pairs of walls that repeat cost more than time: canal_demo with all 2734 pairs 9.1 mm, with the
     # 1604 chosen ones 4.8 mm.
-    loose = bool(np.all(scene.track[scene.frame] < 0))
+    loose = bool(np.all(scene.sequence[scene.frame] < 0))
     previews, spent = 0, _cost(run, scene, candidates) if loose else None
     if not takes_all(settings.design, spent, tuning.design.cost):
         candidates, ties, previews = with_previews(
@@ -65,14 +65,14 @@ def _cost(run: Run, scene: Scene, pairs: Pairs) -> Cost:
         used = np.array([percent[name] / 100 for name in scene.names])
     megapixels, kept = sizes[scene.sensor_key], pairs.kept()
     tuning = run.settings.tuning.design.cost
-    keypoints = foreseen_keypoints(megapixels, used, run.settings.features.max_features, tuning)
+    keypoints = predicted_keypoints(megapixels, used, run.settings.features.max_features, tuning)
     return cost(kept.i, kept.j, keypoints, megapixels, tuning)
 
 
-def _sights(run: Run) -> Sights | None:
+def _sights(run: Run) -> Visibility | None:
     """What each image sees of the coarse model, if there is one."""
-    path, model = run.path("coarse", "sights.npz"), run.path("coarse", "model.npz")
+    path, model = run.path("coarse", "visibility.npz"), run.path("coarse", "model.npz")
     if not path.exists():
         return None
     with reading(path):
-        return Sights.from_npz(load_npz(path), load_npz(model)["cam_from_world"])
+        return Visibility.from_npz(load_npz(path), load_npz(model)["cam_from_world"])

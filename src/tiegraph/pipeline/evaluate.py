@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from tiegraph.evaluate.judge import Predicted
+from tiegraph.evaluate.contradictions import Predicted
 from tiegraph.evaluate.settings import EvaluateSettings
-from tiegraph.evaluate.survey import Made, evaluate_survey
+from tiegraph.evaluate.survey import Products, evaluate_survey
 from tiegraph.masks.compare import compare
 from tiegraph.pipeline.files import FINAL, checked, load_json, load_model, reading
 from tiegraph.pipeline.placed import world_origin
@@ -28,7 +28,7 @@ def evaluate(run: Run) -> Outcome:
     world = load_json(run.path("world.json"))
     tuning = run.settings.tuning
     images = registration(model, scene, tuning.scene.registered)
-    made = Made(model=model, images=images, cloud=cloud, origin=origin if world["placed"] else None)
+    made = Products(model=model, images=images, cloud=cloud, origin=origin if world["placed"] else None)
     result = evaluate_survey(scene, made, settings, tuning.evaluate, predicted(world, cloud))
     if settings.reference_masks is not None:
         result["tables"]["mask accuracy"] = _masks(run, scene, settings)

@@ -22,10 +22,10 @@ from tiegraph.project.stages import write_atomic
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.depthfile import load_depth
 from tiegraph.scene.images import read_pixels
+from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.results import DepthMap
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.ties import Ties
 
 _OURS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)  # the machine's limits say nothing of a file
 
@@ -91,11 +91,11 @@ def pairs_of(run: Run, name: str) -> Pairs:
         return Pairs.from_npz(load_npz(run.path(name)))
 
 
-def ties_of(run: Run, stage: str = "coarse") -> Ties:
+def ties_of(run: Run, stage: str = "coarse") -> PreviewMatches:
     """The preview matches that ``candidates`` saw, or that ``coarse`` has added to them."""
-    path = run.path(stage, "ties.npz")
+    path = run.path(stage, "matches.npz")
     with reading(path):
-        return Ties.from_npz(load_npz(path))
+        return PreviewMatches.from_npz(load_npz(path))
 
 
 def save_npz(path: Path, **arrays: Any) -> None:

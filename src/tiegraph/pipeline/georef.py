@@ -8,7 +8,7 @@ import pycolmap
 from tiegraph.child import run_in_child
 from tiegraph.geometry.geodesy import world_from_geodetic
 from tiegraph.pipeline.files import checked, load_json, load_model
-from tiegraph.pipeline.given import control_points
+from tiegraph.pipeline.inputs import control_points
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome, remove
 from tiegraph.scene import evidence
@@ -20,10 +20,10 @@ from tiegraph.scene.tuning import RegisteredTuning
 from tiegraph.sfm.covariance import MOUNTING
 from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.rig.rig import rig_modes
-from tiegraph.sfm.world.fixes import Given, PositionRows
+from tiegraph.sfm.world.fixes import Measurements, PositionRows
 from tiegraph.sfm.world.georef import Georeference, georeference_all
-from tiegraph.sfm.world.ground import GroundRequest, ground
-from tiegraph.sfm.world.worldadjust import Held
+from tiegraph.sfm.world.georeferencing import GeorefRequest, georeference_folder
+from tiegraph.sfm.world.worldadjust import ConstantParameters
 
 
 def georef(run: Run) -> Outcome:
@@ -31,7 +31,7 @@ def georef(run: Run) -> Outcome:
     scene = checked(run).measured()
     receipt = run.receipts.read("sparse")
     sigma = receipt.get("counts", {})
-    given = Given(
+    given = Measurements(
         rows=_rows(run, scene),
         control=control_points(run, scene),
         covered=_covered(run, scene),
@@ -45,18 +45,18 @@ def georef(run: Run) -> Outcome:
     modes = rig_modes(scene, sparse.rig)
     rigs = tuple(k + 1 for k, mode in modes.items() if mode == "fixed")
     soft = tuple(k for k, mode in modes.items() if mode == "soft")
-    held = Held(rigs, believed_cameras(scene, sparse), soft)
+    held = ConstantParameters(rigs, believed_cameras(scene, sparse), soft)
     tuning = run.settings.tuning.sfm
-    request = GroundRequest(
+    request = GeorefRequest(
         folder=folders[0],
         target=scratch,
         scene=scene.to_json(),
         settings=run.settings.georef,
-        given=given,
-        held=held,
+        measurements=given,
+        constant=held,
         tuning=tuning,
     )
-    main = run_in_child(ground, request, log=run.log, task="georeferencing")
+    main = run_in_child(georeference_folder, request, log=run.log, task="georeferencing")
     others = [load_model(p) for p in folders[1:]]
     placed = georeference_all(others, scene, run.settings.georef, tuning.world, given)
     asked = run.settings.tuning.scene.registered

@@ -74,7 +74,7 @@ def _source(name: str) -> MaskSource:
 
 
 def _cameras(scene: Scene, folder: Path) -> dict[int, Camera]:
-    order = np.lexsort((scene.step[scene.frame], scene.track[scene.frame]))
+    order = np.lexsort((scene.sequence_index[scene.frame], scene.sequence[scene.frame]))
     return {
         key: Camera(tuple(folder / scene.names[k] for k in order if scene.sensor_key[k] == key), sensor.role == "up")
         for key, sensor in enumerate(scene.all_sensors)

@@ -23,7 +23,7 @@ def network(run: Run) -> Outcome:
     cut = [{"number": k, "name": s.name, "kind": s.kind} for k, s in enumerate(sections)]
     save_json(run.path("network", "sections.json"), cut)
     model = run.path("coarse", "model.npz")
-    for name, picture in found.pictures(load_npz(model)["cam_from_world"] if model.exists() else None):
+    for name, picture in found.plots(load_npz(model)["cam_from_world"] if model.exists() else None):
         write_atomic(run.path("network", f"{name}.png"), picture)
     funnel = found.pairs.funnel()
     rows = [[name, count] for name, count in funnel.items()]

@@ -18,9 +18,9 @@ from tiegraph.pipeline.preview import preview_path, read_preview
 from tiegraph.project.run import Run
 from tiegraph.project.stages import remove
 from tiegraph.scene.filecache import cached_by_file
+from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.ties import Ties
 
 _CHUNK = 2000  # previews, after which what was matched is kept: a second to some ten of work
 _CACHED_PREVIEWS = 512  # of about 110 kB each, in every worker; reading one costs a fifteenth of matching it
@@ -28,12 +28,12 @@ _CACHED_PREVIEWS = 512  # of about 110 kB each, in every worker; reading one cos
 
 def with_previews(
     pairs: Pairs,
-    ties: Ties,
+    ties: PreviewMatches,
     folder: Path,
     settings: PreviewSettings,
     tuning: PreviewTuning,
     run_map: Callable[..., list[Any]],
-) -> tuple[Pairs, Ties, int]:
+) -> tuple[Pairs, PreviewMatches, int]:
     """The pairs and ties after previews of every kept pair of which nothing is known, and how many these were.
 
     Pairs by order, by a pair list or of everybody with everybody come without previews: a method that chooses would
@@ -47,7 +47,7 @@ def with_previews(
         return pairs, ties, 0
     score = pairs.score.copy()
     score[rows] = [one.inliers for one in found]
-    new = Ties.make(pairs.i[rows], pairs.j[rows], [one.matches for one in found])
+    new = PreviewMatches.make(pairs.i[rows], pairs.j[rows], [one.matches for one in found])
     return pairs.with_(score=score), ties | new, len(rows)
 
 

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from tiegraph.masks.classes import NAMES, USE, WATER
 from tiegraph.masks.frames import full_size
-from tiegraph.masks.solid import places, without_solid
+from tiegraph.masks.skypoints import places, without_points
 from tiegraph.masks.tuning import Tuning
 from tiegraph.masks.waterline import (
     Lines,
@@ -79,7 +79,7 @@ def _seen(run: Run, model: pycolmap.Reconstruction, points: np.ndarray) -> dict[
         if not image.has_pose or not classes_path(run.folder, image.name).exists():
             continue
         near = points if tree is None else points[tree.query(image.projection_center(), most)[1]]
-        seen[image.name] = places(image, model.cameras[image.camera_id], near, tuning.solid)
+        seen[image.name] = places(image, model.cameras[image.camera_id], near, tuning.sky_points)
     return seen
 
 
@@ -146,7 +146,7 @@ def _final_item(item: tuple[str, Known | None], folder: Path, tuning: Tuning) ->
     if known is not None and classes.exists():
         first, use = _first_classes(name, folder), read_mask(folder, name)
         found = first if known.lines is None else final_classes(first, known.lines, tuning.waterline)
-        found = without_solid(found, known.points, tuning.solid)
+        found = without_points(found, known.points, tuning.sky_points)
         if use.any() and (found != first).any():
             save_png(classes_path(final, name), found)
             keep = full_size(found == USE, use.shape)  # type: ignore[arg-type]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.pipeline.given import check_against
+from tiegraph.pipeline.inputs import check_against
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scan.scan import ScanInputs, build_scene, prepare_image, probe_image
@@ -46,7 +46,7 @@ def scan(run: Run) -> Outcome:
         todo.setdefault(file_of[scene.source_name(k)], []).append((name, scene.sensor_of(k)))
     run.map(_prepare_item, list(todo.items()), root, run.path("images"), settings, tuning.pictures)
     write_atomic(run.path("scene.json"), scene.to_json())
-    counts = {"found": len(names), "images": len(scene), "frames": scene.frames, "passes": len(scene.tracks)}
+    counts = {"found": len(names), "images": len(scene), "frames": scene.frames, "passes": len(scene.sequences)}
     return Outcome(
         {**counts, "cameras": len(scene.all_sensors), "positions": _placed(scene.world_from_rig)},
         dropped=tuple((d.name, d.reason) for d in scene.dropped),

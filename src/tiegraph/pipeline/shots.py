@@ -65,8 +65,8 @@ def shot_views(scene: Scene, frame: int) -> list[ViewPlan]:
 
 def cloud_path(folder: Path, scene: Scene, frame: int) -> Path:
     """Where the cloud of a frame is."""
-    track = int(scene.track[frame])
-    name = shortened(scene.tracks[track].replace("/", "_")) if track >= 0 else "shot"
+    sequence = int(scene.sequence[frame])
+    name = shortened(scene.sequences[sequence].replace("/", "_")) if sequence >= 0 else "shot"
     return folder / _FOLDER / f"{name}_{frame:06d}.ply"
 
 

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from tiegraph.report.pictures import data_uri
+from tiegraph.report.thumbnails import data_uri
 from tiegraph.scene.pairs import AFTER_MATCHING, REASON_LOOKS, REASONS, Pairs
 from tiegraph.scene.scene import Scene
 
@@ -112,8 +112,8 @@ def matrices(before: Pairs, after: Pairs, scene: Scene) -> str:
 
 def image_order(scene: Scene) -> tuple[np.ndarray, list[tuple[float, str]], list[int]]:
     """Rank (N,) of each image by pass, camera and step; (middle, label) of each block and the blocks' borders."""
-    track = scene.track[scene.frame]
-    sequence = np.lexsort((scene.step[scene.frame], scene.sensor_key, track))
+    track = scene.sequence[scene.frame]
+    sequence = np.lexsort((scene.sequence_index[scene.frame], scene.sensor_key, track))
     rank = np.empty(len(scene), int)
     rank[sequence] = np.arange(len(scene))
     labels = scene.image_label()

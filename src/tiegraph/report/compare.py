@@ -14,9 +14,9 @@ from rich.console import Console
 from rich.table import Table as RichTable
 
 from tiegraph.errors import InputError
-from tiegraph.report import words
-from tiegraph.report.artefacts import STAGES, RunFolder, read_run
-from tiegraph.report.facts import metric_values
+from tiegraph.report import formatting
+from tiegraph.report.runfolder import STAGES, RunFolder, read_run
+from tiegraph.report.summary import metric_values
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.pairs import AFTER_MATCHING, REASONS
 
@@ -102,11 +102,11 @@ def compared(folders: Sequence[Path]) -> Comparison:
         raise InputError("tiegraph compare needs at least two run folders")
     runs = [read_run(Path(f), _CLOUD_POINTS) for f in folders]
     blocks = (
-        _block("Wall time", _times(runs, "seconds"), words.seconds),
-        _block("CPU time", _times(runs, "cpu_s"), words.seconds),
-        _block("Images and points", _sizes(runs), words.count),
-        _block("Pairs of images", _funnel(runs), words.count),
-        _block("Errors", _errors(runs), words.number),
+        _block("Wall time", _times(runs, "seconds"), formatting.seconds),
+        _block("CPU time", _times(runs, "cpu_s"), formatting.seconds),
+        _block("Images and points", _sizes(runs), formatting.count),
+        _block("Pairs of images", _funnel(runs), formatting.count),
+        _block("Errors", _errors(runs), formatting.number),
     )
     return Comparison(_names(folders), tuple(b for b in blocks if b.rows), tuple(_notes(runs)))
 
@@ -201,8 +201,8 @@ def _notes(runs: Sequence[RunFolder]) -> list[str]:
 def ratio(values: Sequence[float]) -> str:
     """First / second of two values."""
     if len(values) != 2 or not np.isfinite(values).all() or values[1] == 0:
-        return words.NONE if len(values) == 2 else ""
-    return f"{words.number(values[0] / values[1], 2)} x"
+        return formatting.NONE if len(values) == 2 else ""
+    return f"{formatting.number(values[0] / values[1], 2)} x"
 
 
 def to_text(comparison: Comparison) -> str:
@@ -234,7 +234,7 @@ def to_html(comparison: Comparison) -> str:
         columns = ("", *comparison.names, *(("ratio",) if two else ()))
         rows = [(n.strip(), *(block.text(v) for v in vs), *((ratio(vs),) if two else ())) for n, vs in block.rows]
         tables.append(
-            words.Table(
+            formatting.Table(
                 columns=columns, rows=tuple(rows), numeric=(False, *[True] * (len(columns) - 1)), title=block.title
             )
         )

@@ -11,14 +11,14 @@ from typing import Any
 import jinja2
 import numpy as np
 
-from tiegraph.report import charts, facts, plan, viewer, words
-from tiegraph.report.artefacts import STAGES, RunFolder, read_run
+from tiegraph.report import charts, formatting, plan, summary, viewer
 from tiegraph.report.cloudview import standard_views, with_scale_bar
-from tiegraph.report.evidence import EVIDENCE, evidence_table
-from tiegraph.report.pictures import CLASSES, jpeg, mask_share, masked_thumbnail
-from tiegraph.report.righealth import rig_health, rig_table
+from tiegraph.report.contradictions import EVIDENCE, evidence_table
+from tiegraph.report.networkpart import network_part
+from tiegraph.report.rigdiagnostics import rig_diagnostics, rig_table
+from tiegraph.report.runfolder import STAGES, RunFolder, read_run
 from tiegraph.report.settings import ReportSettings
-from tiegraph.report.ties import network_part
+from tiegraph.report.thumbnails import CLASSES, jpeg, mask_share, thumbnail
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.figures import plain_text
 from tiegraph.scene.registered import BY_RIG
@@ -48,8 +48,8 @@ def render(run: RunFolder, settings: ReportSettings) -> str:
     context = {
         "title": settings.title or run.path.resolve().name,
         "made": datetime.now(timezone.utc).strftime("%d %B %Y, %H:%M UTC"),
-        "verdict": facts.verdict(run),
-        "tiles": facts.tiles(run),
+        "verdict": summary.verdict(run),
+        "tiles": summary.tiles(run),
         "evidence": evidence_table(run),
         "scan": _scan(run),
         "masks": _masks(run, settings),
@@ -78,15 +78,15 @@ def environment() -> jinja2.Environment:
 def _scan(run: RunFolder) -> dict[str, Any]:
     scene, receipt = run.scene, run.receipts.get("scan", {})
     notes = list(dict.fromkeys([*(scene.notes if scene else ()), *map(str, receipt.get("notes") or [])]))
-    dropped = facts.dropped_images(run)
+    dropped = summary.dropped_images(run)
     facts_ = []
     if scene is not None:
         rigs = ", ".join(f"{r.name} ({len(r.sensors)} cameras)" if len(r.sensors) > 1 else r.name for r in scene.rigs)
         facts_ = [
-            ("images", words.count(len(scene))),
-            ("frames", words.count(scene.frames)),
+            ("images", formatting.count(len(scene))),
+            ("frames", formatting.count(scene.frames)),
             ("rig", rigs[:200] + (" …" if len(rigs) > 200 else "")),
-            ("passes", ", ".join(scene.tracks[:12]) or "none: loose photographs"),
+            ("passes", ", ".join(scene.sequences[:12]) or "none: loose photographs"),
             ("prior poses", {"none": "none"}.get(scene.prior, scene.prior)),
         ]
     return {
@@ -124,10 +124,10 @@ def _mask_strip(run: RunFolder, scene: Scene, key: int, name: str, shown: int) -
         image = scene.names[images[int(place * len(images))]]
         mask = _mask_path(run, image)
         classes = mask.parents[len(Path(image).parts)] / "classes" / f"{image}.png"
-        made = masked_thumbnail(run.path / "images" / image, mask, classes)
+        made = thumbnail(run.path / "images" / image, mask, classes)
         if made is not None:
             mean = float(np.mean(shares)) if shares else None
-            text = words.percent(mean) if mean is not None else ""
+            text = formatting.percent(mean) if mean is not None else ""
             out.append({"picture": made[0], "camera": name, "image": image, "share": made[1], "mean": text})
     return out
 
@@ -140,7 +140,7 @@ def _mask_path(run: RunFolder, image: str) -> Path:
 
 def _model(run: RunFolder) -> dict[str, Any]:
     out: dict[str, Any] = {"there": run.model is not None, "facts": [], "tables": [], "notes": [], "residuals": None}
-    out["more"], out["rig_health"] = [], rig_health(run)
+    out["more"], out["rig_diagnostics"] = [], rig_diagnostics(run)
     for stage, place in (("sparse", "more"), ("georef", "tables")):
         receipt = run.receipts.get(stage, {})
         out[place] += _tables(receipt)
@@ -150,16 +150,16 @@ def _model(run: RunFolder) -> dict[str, Any]:
         return out
     m = run.model
     out["facts"] = [
-        ("registered images", f"{words.count(int(m.registered.sum()))} of {words.count(len(m.registered))}"),
-        ("images " + BY_RIG, words.count(int(m.by_rig.sum()))),
-        ("sparse points", words.count(m.points)),
-        ("observations of an image", words.number(m.observations)),
-        ("images of a point (track length)", words.number(m.track_length)),
-        ("mean reprojection error", f"{words.number(m.reprojection_px)} px"),
-        ("models", words.count(1 + len(m.others))),
+        ("registered images", f"{formatting.count(int(m.registered.sum()))} of {formatting.count(len(m.registered))}"),
+        ("images " + BY_RIG, formatting.count(int(m.by_rig.sum()))),
+        ("sparse points", formatting.count(m.points)),
+        ("observations of an image", formatting.number(m.observations)),
+        ("images of a point (track length)", formatting.number(m.track_length)),
+        ("mean reprojection error", f"{formatting.number(m.reprojection_px)} px"),
+        ("models", formatting.count(1 + len(m.others))),
     ]
     rig = rig_table(run)
-    out["tables"] = [*out["tables"], *facts.registered_tables(run), *([rig] if rig else [])]
+    out["tables"] = [*out["tables"], *summary.registered_tables(run), *([rig] if rig else [])]
     out["residuals"] = _residuals(run)
     return out
 
@@ -169,9 +169,9 @@ def _residuals(run: RunFolder) -> str | None:
     if run.scene is None or len(rows) < 2:
         return None
     frames = np.array([int(r.get("frame", k)) for k, r in enumerate(rows)])
-    track = np.array([run.scene.track[f] if 0 <= f < run.scene.frames else -1 for f in frames])
+    track = np.array([run.scene.sequence[f] if 0 <= f < run.scene.frames else -1 for f in frames])
     used = np.array([bool(r.get("inlier", True)) for r in rows])
-    return charts.residuals(frames, np.array([r["residual_m"] for r in rows], float), used, track, run.scene.tracks)
+    return charts.residuals(frames, np.array([r["residual_m"] for r in rows], float), used, track, run.scene.sequences)
 
 
 def _three(value: Any) -> bool:
@@ -219,11 +219,11 @@ def _upright(world_from_camera: np.ndarray) -> np.ndarray:
 def _cloud_facts(run: RunFolder) -> dict[str, Any]:
     c = run.cloud
     assert c is not None
-    rows = [("file", f"{c.name}, {words.size(c.bytes)}"), ("points", words.count(c.count))]
+    rows = [("file", f"{c.name}, {formatting.size(c.bytes)}"), ("points", formatting.count(c.count))]
     if np.isfinite(c.sigma_m).any():
-        rows.append(("median standard deviation of a point", words.length(float(np.nanmedian(c.sigma_m)))))
+        rows.append(("median standard deviation of a point", formatting.length(float(np.nanmedian(c.sigma_m)))))
     if c.views.any():
-        rows.append(("images that saw a point, median", words.number(float(np.median(c.views)), 2)))
+        rows.append(("images that saw a point, median", formatting.number(float(np.median(c.views)), 2)))
     tables, notes = [], []
     for stage in ("dense", "cloud"):
         receipt = run.receipts.get(stage, {})
@@ -236,17 +236,17 @@ def _evaluation(run: RunFolder) -> dict[str, Any]:
     data = run.metrics or {}
     out: dict[str, Any] = {"there": bool(data), "metrics": None, "tables": [], "notes": data.get("notes") or []}
     rows = [
-        [metric_text(str(m["name"])), words.cell(m.get("value")), m.get("unit") or ""]
+        [metric_text(str(m["name"])), formatting.cell(m.get("value")), m.get("unit") or ""]
         for m in data.get("metrics") or []
         if isinstance(m, dict) and "name" in m
     ]
     if rows:
         body = tuple(tuple(str(v) for v in r) for r in rows)
-        out["metrics"] = words.Table(("figure", "value", "unit"), body, (False, True, False))
+        out["metrics"] = formatting.Table(("figure", "value", "unit"), body, (False, True, False))
     tables = data.get("tables") or {}
     # who is registered stands in the model section
     shown = {n: d for n, d in tables.items() if not n.startswith("registered by")}
-    out["tables"] = [t for n, d in shown.items() if (t := words.table(d, n.capitalize())) is not None]
+    out["tables"] = [t for n, d in shown.items() if (t := formatting.table(d, n.capitalize())) is not None]
     against = (tables.get("cloud against reference") or {}).get("rows")
     out["shares"] = charts.shares(against) if against else None
     return out
@@ -282,14 +282,14 @@ def metric_text(name: str) -> str:
 
 
 def _effort(run: RunFolder) -> dict[str, Any]:
-    rows = facts.stage_rows(run)
+    rows = summary.stage_rows(run)
     body = []
     for stage, wall, cpu, peak in rows:
         counts = run.counts(stage)
-        text = ", ".join(f"{words.cell(v)} {str(k).replace('_', ' ')}" for k, v in counts.items())
-        body.append((stage, words.seconds(wall), words.seconds(cpu), words.count(peak), text))
+        text = ", ".join(f"{formatting.cell(v)} {str(k).replace('_', ' ')}" for k, v in counts.items())
+        body.append((stage, formatting.seconds(wall), formatting.seconds(cpu), formatting.count(peak), text))
     columns = ("stage", "wall time", "CPU time", "peak MiB", "counts")
-    table = words.Table(columns, tuple(body), (False, True, True, True, False)) if body else None
+    table = formatting.Table(columns, tuple(body), (False, True, True, True, False)) if body else None
     receipts = {s: run.receipts[s] for s in STAGES if run.receipts.get(s, {}).get("settings")}
     settings = [(s, {**r["settings"], **_flat("tuning", r.get("tuning") or {})}) for s, r in receipts.items()]
     software: dict[str, str] = {}
@@ -298,7 +298,7 @@ def _effort(run: RunFolder) -> dict[str, Any]:
     return {
         "chart": charts.stage_times(rows) if rows else None,
         "table": table,
-        "settings": [(s, [(k, words.cell(v)) for k, v in values.items()]) for s, values in settings],
+        "settings": [(s, [(k, formatting.cell(v)) for k, v in values.items()]) for s, values in settings],
         "software": sorted(software.items()),
     }
 
@@ -311,11 +311,11 @@ def _flat(name: str, values: dict) -> dict[str, Any]:
     return out
 
 
-def _tables(receipt: dict, prefix: str = "") -> list[words.Table]:
+def _tables(receipt: dict, prefix: str = "") -> list[formatting.Table]:
     found = receipt.get("tables")
     if not isinstance(found, dict):
         return []
     found = {n: t for n, t in found.items() if n != EVIDENCE}
     # the funnel is drawn and printed from the pair table, up to the verified pairs
     named = ((f"{prefix}: {n}" if prefix else n.capitalize(), data) for n, data in found.items() if n != "funnel")
-    return [t for n, data in named if (t := words.table(data, n.replace("_", " "))) is not None]
+    return [t for n, data in named if (t := formatting.table(data, n.replace("_", " "))) is not None]

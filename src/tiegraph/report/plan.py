@@ -36,11 +36,11 @@ def tracks(scene: Scene, positions: np.ndarray) -> list[Track]:
     """The passes with the places of their missing frames, interpolated along the pass or taken from the prior."""
     prior = scene.world_from_rig[:, :3, 3]
     out = []
-    for t in [*range(len(scene.tracks)), -1]:
-        frames = np.flatnonzero(scene.track == t)
+    for t in [*range(len(scene.sequences)), -1]:
+        frames = np.flatnonzero(scene.sequence == t)
         if not len(frames):
             continue
-        frames = frames[np.argsort(scene.step[frames], kind="stable")]
+        frames = frames[np.argsort(scene.sequence_index[frames], kind="stable")]
         at = positions[frames]
         known = np.isfinite(at[:, 0])
         guess = np.full_like(at, np.nan)
@@ -51,7 +51,7 @@ def tracks(scene: Scene, positions: np.ndarray) -> list[Track]:
                 guess[within, c] = np.interp(place[within], place[known], at[known, c])
         guess = np.where(np.isfinite(guess), guess, prior[frames])
         missing = guess[~known & np.isfinite(guess[:, 0])]
-        out.append(Track(scene.tracks[t] if t >= 0 else "images", at, missing))
+        out.append(Track(scene.sequences[t] if t >= 0 else "images", at, missing))
     return out
 
 

@@ -25,7 +25,7 @@ from tiegraph.scan.folders import (
     shot_stem,
     words,
 )
-from tiegraph.scan.rigcheck import contradictions
+from tiegraph.scan.rigfaults import contradictions
 from tiegraph.scan.rigfile import read_rig_file
 from tiegraph.scan.rigspec import RigSpec, SensorSpec, preset, preset_sizes
 from tiegraph.scan.settings import ScanSettings
@@ -44,7 +44,7 @@ class Shot:
     image: int
     rig: int
     sensor: int
-    track: str  # "" = loose
+    sequence: str  # "" = loose
     stem: str
     key: str = ""
 
@@ -124,8 +124,8 @@ def assign(rig: str | None, usable: Usable, settings: ScanSettings, report: Repo
 
 def _shot(image: int, name: str, owner: tuple[int, int], place: Place, loose: bool) -> Shot:
     rig, sensor = owner
-    track = "" if loose else place.track
-    return Shot(image=image, rig=rig, sensor=sensor, track=track, stem=shot_stem(name, place.folder))
+    sequence = "" if loose else place.sequence
+    return Shot(image=image, rig=rig, sensor=sensor, sequence=sequence, stem=shot_stem(name, place.folder))
 
 
 def _guessed_rig(layout: Layout) -> RigSpec:

@@ -15,7 +15,7 @@ import pycolmap
 
 from tiegraph.errors import InputError
 from tiegraph.scan.assign import Survey
-from tiegraph.scan.rigcheck import lens_fault
+from tiegraph.scan.rigfaults import lens_fault
 from tiegraph.scan.rigfile import camera_table
 from tiegraph.scan.rigreader import nearest
 from tiegraph.scan.rigspec import SensorSpec

@@ -10,7 +10,7 @@ import pycolmap
 from tiegraph.errors import InputError
 from tiegraph.scan.folders import words
 from tiegraph.scan.prepare import crop_camera, pinhole_camera
-from tiegraph.scan.rigcheck import focal_fault, lens_fault
+from tiegraph.scan.rigfaults import focal_fault, lens_fault
 from tiegraph.scan.rigspec import SensorSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import CameraTuning

@@ -30,7 +30,7 @@ class Place:
     """Where an image belongs: sensor folder ("" = none) and pass."""
 
     folder: str
-    track: str
+    sequence: str
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ def guess_layout(
         for k, place in zip(inside, inner):
             places[k] = place
         folders = tuple(sorted({p.folder for p in inner}, key=natural))
-        passes = len({p.track for p in inner})
+        passes = len({p.sequence for p in inner})
         return Layout(tuple(places), folders, Order(False, f"{len(folders)} cameras, {passes} pass(es): {why}"))
     lone = tuple(Place("", _pass_name(p, _common(paths))) for p in paths)
     return Layout(lone, ("",), order_of(names, lone, exif, sizes, kind, tuning))
@@ -247,7 +247,7 @@ def order_of(
     if kind in ("loose", "sequence", "passes", "cameras"):
         word = "loose photographs" if kind == "loose" else "a sequence of one camera"
         return Order(kind == "loose", f"{word}, as the layout setting says")
-    passes = len({p.track for p in places if p})
+    passes = len({p.sequence for p in places if p})
     as_sequence = f"a sequence of one camera in {passes} pass(es), if the images bear it out"
     if len(names) < tuning.few:
         return Order(True, f"loose photographs: fewer than {tuning.few}, so their order does not matter")

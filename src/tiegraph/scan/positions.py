@@ -27,15 +27,15 @@ class Frames:
     """What the priors need to know of the frames found."""
 
     rows: tuple[FrameRow, ...]
-    tracks: tuple[str, ...]
+    sequences: tuple[str, ...]
     names: tuple[str, ...]  # file names of the images
     exif: tuple[Exif, ...]
     rigs: tuple[Rig, ...]
     specs: tuple[RigSpec | None, ...]  # rig file or preset of each rig
 
-    def track(self) -> np.ndarray:
+    def sequence(self) -> np.ndarray:
         """(F,) pass of each frame."""
-        return np.array([r.track for r in self.rows], int)
+        return np.array([r.sequence for r in self.rows], int)
 
 
 @dataclass(frozen=True)

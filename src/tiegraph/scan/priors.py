@@ -49,7 +49,7 @@ def estimate_priors(
     if settings.crs.lower() not in ("auto", ENU.lower()):
         parse_crs(settings.crs)
     files = {} if trajectory is None else {k: (f, read_trajectory(f)) for k, f in
-                                           trajectory_files(trajectory, frames.tracks).items()}  # fmt: skip
+                                           trajectory_files(trajectory, frames.sequences).items()}  # fmt: skip
     time_s = _times(frames, times, files, notes, tuning.times)
     notes += [note for _, found in files.values() for note in found.notes]
     paths = _paths(frames, files, time_s, settings, notes, tuning.trajectory)
@@ -75,7 +75,7 @@ def estimate_priors(
 
 def _times(frames: Frames, file: Path | None, files: dict, notes: list[str], tuning: TimesTuning) -> np.ndarray:
     if file is not None:
-        out, said = read_times(file, frames.rows, frames.tracks, frames.names, tuning)
+        out, said = read_times(file, frames.rows, frames.sequences, frames.names, tuning)
         notes.extend(said)
         if np.isnan(out).any():
             notes.append(f"{Path(file).name}: {np.isnan(out).sum()} of {len(out)} frames have no time in it")
@@ -92,8 +92,8 @@ def _times(frames: Frames, file: Path | None, files: dict, notes: list[str], tun
     if np.isfinite(named).any():
         notes.append("times of the frames read from the file names")
         return named
-    for track, (path, trajectory) in files.items():
-        rows = _rows_of(frames, track)
+    for sequence, (path, trajectory) in files.items():
+        rows = _rows_of(frames, sequence)
         if len(rows) == len(trajectory) and np.isfinite(trajectory.time_s).all():
             out[rows] = trajectory.time_s
             notes.append(f"{path.name}: as many poses as frames ({len(rows)}): the frames take its times in order")
@@ -112,12 +112,12 @@ def _unless_one(time_s: np.ndarray, where: str, notes: list[str]) -> np.ndarray:
     return np.full(len(time_s), np.nan)
 
 
-def _rows_of(frames: Frames, track: int) -> np.ndarray:
-    track_of = frames.track()
-    if track >= 0:
-        return np.flatnonzero(track_of == track)
+def _rows_of(frames: Frames, sequence: int) -> np.ndarray:
+    track_of = frames.sequence()
+    if sequence >= 0:
+        return np.flatnonzero(track_of == sequence)
     # One file in order fits only if there is one order of all frames.
-    return np.arange(len(track_of)) if len(frames.tracks) == 1 and (track_of >= 0).all() else np.zeros(0, int)
+    return np.arange(len(track_of)) if len(frames.sequences) == 1 and (track_of >= 0).all() else np.zeros(0, int)
 
 
 # --- trajectories ---------------------------------------------------------------------------------------------------
@@ -135,14 +135,14 @@ def _paths(
         return None
     own_worlds = len(files) > 1 and same_start([t for _, t in files.values()], tuning)
     poses, group = np.full((len(frames.rows), 4, 4), np.nan), np.full(len(frames.rows), -1)
-    for track, (path, trajectory) in files.items():
-        rows = np.arange(len(group)) if track < 0 else np.flatnonzero(frames.track() == track)
+    for sequence, (path, trajectory) in files.items():
+        rows = np.arange(len(group)) if sequence < 0 else np.flatnonzero(frames.sequence() == sequence)
         poses[rows] = _frame_poses(trajectory, path, rows, frames, time_s, settings)
-        group[rows] = max(track, 0) if own_worlds else 0
+        group[rows] = max(sequence, 0) if own_worlds else 0
         missing = int(np.isnan(poses[rows, 0, 0]).sum())
         if missing:
             notes.append(f"{path.name}: {missing} of {len(rows)} frames have no pose in it")
-    without = [name for k, name in enumerate(frames.tracks) if -1 not in files and k not in files]
+    without = [name for k, name in enumerate(frames.sequences) if -1 not in files and k not in files]
     if without:
         used = ", ".join(path.name for path, _ in files.values())
         notes.append(f"no trajectory of pass {', '.join(without)}: none of the other files than {used} has its name")
@@ -179,7 +179,7 @@ def _frame_poses(
                 f"frames' {np.nanmin(time_s[rows]):.2f} ... {np.nanmax(time_s[rows]):.2f} s: give --times in its clock"
             )
         return poses
-    in_order = len(np.unique(frames.track()[rows])) == 1
+    in_order = len(np.unique(frames.sequence()[rows])) == 1
     if in_order and len(rows) == len(trajectory):
         return trajectory.world_from_rig
     remedy = "give --times with a table image,time" if timed else "give one line a frame, or a TUM file and --times"
@@ -197,7 +197,7 @@ def _with_paths(priors: Priors, frames: Frames, paths: _Paths, notes: list[str],
     for group in np.unique(paths.group[paths.group >= 0]):
         rows = np.flatnonzero(paths.group == group)
         laid = _lay_on_gnss(paths.poses[rows], pose[rows, :3, 3], sigma[rows], frames, rows, tuning)
-        where = frames.tracks[group] if paths.own_worlds else "all passes"
+        where = frames.sequences[group] if paths.own_worlds else "all passes"
         if laid is None:
             few = f"fewer than {tuning.least_positions}, or too close together"
             notes.append(f"trajectory of {where}: not laid on the positions ({few})")

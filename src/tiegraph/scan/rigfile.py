@@ -51,7 +51,7 @@ import pycolmap
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import invert, rigid
-from tiegraph.scan.rigcheck import faults, lens_fault
+from tiegraph.scan.rigfaults import faults, lens_fault
 from tiegraph.scan.rigreader import Reader, is_number
 from tiegraph.scan.rigspec import AXES, PRESET_WORDS, RigSpec, SensorSpec, orient
 from tiegraph.scan.tuning import RigTuning

@@ -15,6 +15,7 @@ from tiegraph.scan.calibration import with_camera
 from tiegraph.scan.cameras import FileFacts, calibrate
 from tiegraph.scan.folders import natural
 from tiegraph.scan.frames import match_frames
+from tiegraph.scan.perspective import perspective_views
 from tiegraph.scan.positions import Frames
 from tiegraph.scan.prepare import KEPT_SUFFIXES, prepare_image
 from tiegraph.scan.priors import estimate_priors
@@ -22,7 +23,6 @@ from tiegraph.scan.rigspec import RigSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.times import FrameRow
 from tiegraph.scan.tuning import CameraTuning, FramesTuning, Tuning
-from tiegraph.scan.unfold import unfold
 from tiegraph.scan.usable import need_two, usable_images
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.images import IMAGES_FOLDER, Probe, find_images, probe_image
@@ -63,7 +63,7 @@ def build_scene(
     if Path(inputs.images, IMAGES_FOLDER).is_dir():
         report.notes.append(f"only the folder {IMAGES_FOLDER}/ was searched for images")
     usable = usable_images(names, probes, report)
-    views = unfold(usable, inputs.rig, settings, report, tuning)
+    views = perspective_views(usable, inputs.rig, settings, report, tuning)
     if views is None:
         files: Sequence[str] = names
         survey = assign(inputs.rig, usable, settings, report, tuning)
@@ -118,30 +118,30 @@ def _one_size(survey: Survey, names: Sequence[str], probes: Sequence[Probe], rep
 def _into_frames(survey: Survey, files: Sequence[str], how: str, report: Report, tuning: FramesTuning) -> Survey:
     groups: dict[tuple[int, str], list[Shot]] = {}
     for shot in survey.shots:
-        groups.setdefault((shot.rig, shot.track), []).append(shot)
+        groups.setdefault((shot.rig, shot.sequence), []).append(shot)
     out: list[Shot] = []
-    for (_, track), shots in groups.items():
+    for (_, sequence), shots in groups.items():
         if survey.loose:
             out += [replace(s, key=files[s.image]) for s in shots]
             continue
         sensors = sorted({s.sensor for s in shots})
         stems = {k: [s.stem for s in shots if s.sensor == k] for k in sensors}
         matched = match_frames(stems, how, tuning)
-        _say_frames(track, matched.how, stems, how, report)
+        _say_frames(sequence, matched.how, stems, how, report)
         for sensor in sensors:
             mine = [s for s in shots if s.sensor == sensor]
             out += _without_twins([replace(s, key=key) for s, key in zip(mine, matched.keys[sensor])], files, report)
     return replace(survey, shots=tuple(sorted(out, key=lambda s: s.image)))
 
 
-def _say_frames(track: str, how: str, stems: dict[int, list[str]], asked: str, report: Report) -> None:
+def _say_frames(sequence: str, how: str, stems: dict[int, list[str]], asked: str, report: Report) -> None:
     if len(stems) < 2:
         return
     counts = sorted({len(s) for s in stems.values()})
     if how == "number" and asked == "auto":
-        report.notes.append(f"pass {track}: images of one frame found by the last number in their names")
+        report.notes.append(f"pass {sequence}: images of one frame found by the last number in their names")
     if how == "order":
-        text = f"pass {track}: file names do not say which images belong together; taken in the order of names"
+        text = f"pass {sequence}: file names do not say which images belong together; taken in the order of names"
         if len(counts) > 1:
             text += f", although the cameras have {counts[0]} to {counts[-1]} images: check, or rename them"
         report.notes.append(text)
@@ -269,9 +269,9 @@ def _scene(
     tuning: Tuning,
 ) -> Scene:  # fmt: skip
     shots, sources = [survey.shots[k] for k in named.order], named.files
-    tracks = tuple(sorted({s.track for s in shots} - {""}, key=natural))
-    rows = _frame_rows(shots, tracks)
-    frames = Frames(rows=rows, tracks=tracks, names=sources, exif=named.exif, rigs=rigs, specs=survey.specs)
+    sequences = tuple(sorted({s.sequence for s in shots} - {""}, key=natural))
+    rows = _frame_rows(shots, sequences)
+    frames = Frames(rows=rows, sequences=sequences, names=sources, exif=named.exif, rigs=rigs, specs=survey.specs)
     priors = estimate_priors(frames, inputs.gnss, inputs.trajectory, inputs.times, settings, tuning)
     rows, priors_order = _in_time_order(rows, priors.time_s, report)
     _say_incomplete(rows, rigs, report)
@@ -288,18 +288,18 @@ def _scene(
         frame=frame,
         sensor=np.array([s.sensor for s in shots]),
         rig=np.array([r.rig for r in rows]),
-        track=np.array([r.track for r in rows]),
-        step=_steps(rows),
+        sequence=np.array([r.sequence for r in rows]),
+        sequence_index=_steps(rows),
         time_s=priors.time_s[priors_order],
         world_from_rig=priors.world_from_rig[priors_order],
         position_sigma_m=priors.position_sigma_m[priors_order],
         section=np.full(len(rows), -1),
-        tracks=tracks,
+        sequences=sequences,
         origin=priors.origin,
         prior=priors.prior,
         dropped=tuple(sorted(report.dropped, key=lambda d: d.name)),
         notes=(*report.notes, *priors.notes),
-        guessed=tracks if survey.guessed and not inputs.tells_order() else (),
+        guessed=sequences if survey.guessed and not inputs.tells_order() else (),
         sources=() if named.names == sources else sources,
     )
 
@@ -325,17 +325,20 @@ def safe_names(names: Sequence[str]) -> list[str]:
     return out
 
 
-def _frame_rows(shots: Sequence[Shot], tracks: tuple[str, ...]) -> tuple[FrameRow, ...]:
+def _frame_rows(shots: Sequence[Shot], sequences: tuple[str, ...]) -> tuple[FrameRow, ...]:
     frames: dict[tuple[int, int, str], list[int]] = {}
     for k, shot in enumerate(shots):
-        track = tracks.index(shot.track) if shot.track else -1
-        frames.setdefault((track, shot.rig, shot.key), []).append(k)
+        sequence = sequences.index(shot.sequence) if shot.sequence else -1
+        frames.setdefault((sequence, shot.rig, shot.key), []).append(k)
     ordered = sorted(frames, key=lambda f: (f[0], natural(f[2]), f[1]))
     return tuple(
         FrameRow(
-            rig=rig, track=track, key=key, images=tuple(sorted(frames[track, rig, key], key=lambda k: shots[k].sensor))
+            rig=rig,
+            sequence=sequence,
+            key=key,
+            images=tuple(sorted(frames[sequence, rig, key], key=lambda k: shots[k].sensor)),
         )
-        for track, rig, key in ordered
+        for sequence, rig, key in ordered
     )
 
 
@@ -344,8 +347,8 @@ def _in_time_order(
 ) -> tuple[tuple[FrameRow, ...], np.ndarray]:
     """Frames of each pass by time where all times are known and the names say otherwise; else as they are."""
     order = np.arange(len(rows))
-    for track in sorted({r.track for r in rows} - {-1}):
-        mine = np.array([k for k, r in enumerate(rows) if r.track == track])
+    for sequence in sorted({r.sequence for r in rows} - {-1}):
+        mine = np.array([k for k, r in enumerate(rows) if r.sequence == sequence])
         times = time_s[mine]
         if np.isfinite(times).all() and np.any(np.diff(times) < 0):
             order[mine] = mine[np.argsort(times, kind="stable")]
@@ -357,8 +360,8 @@ def _steps(rows: Sequence[FrameRow]) -> np.ndarray:
     seen: Counter = Counter()
     out = np.zeros(len(rows), int)
     for k, row in enumerate(rows):
-        out[k] = seen[row.track]
-        seen[row.track] += 1
+        out[k] = seen[row.sequence]
+        seen[row.sequence] += 1
     return out
 
 

@@ -29,13 +29,13 @@ class FrameRow:
     """One frame while the scene is built: its rig, pass (-1 = loose), label within the pass and image numbers."""
 
     rig: int
-    track: int
+    sequence: int
     key: str
     images: tuple[int, ...]
 
 
 def read_times(
-    path: Path, frames: Sequence[FrameRow], tracks: Sequence[str], names: Sequence[str], tuning: TimesTuning
+    path: Path, frames: Sequence[FrameRow], sequences: Sequence[str], names: Sequence[str], tuning: TimesTuning
 ) -> tuple[np.ndarray, list[str]]:
     """(F,) seconds from a table with the columns time and image, or time and frame and, with several passes, pass.
 
@@ -44,13 +44,13 @@ def read_times(
     times that are none, a frame or image with two times, one time for all frames, and when no row fits a frame.
     """
     table = read_table(path, "times file")
-    time, image, frame, track = (table.find(c) for c in (TIME, IMAGE, _FRAME, _PASS))
+    time, image, frame, sequence = (table.find(c) for c in (TIME, IMAGE, _FRAME, _PASS))
     if time is None or (image is None and frame is None):
         raise InputError(
             f"{path}: found the columns {', '.join(table.columns)}; expected time and image, or pass, frame and time"
         )
-    if image is None and track is None and len(tracks) > 1:
-        raise InputError(f"{path}: a frame's name is not unique over {len(tracks)} passes: add a column pass")
+    if image is None and sequence is None and len(sequences) > 1:
+        raise InputError(f"{path}: a frame's name is not unique over {len(sequences)} passes: add a column pass")
     seconds = _seconds(table, time)
     notes = list(table.notes)
     keys: list[tuple[str, ...]]
@@ -58,9 +58,9 @@ def read_times(
         keys = [(plain_name(table.cell(k, image)),) for k in range(len(seconds))]
         lookup: dict[tuple[str, ...], int] = _by_image(frames, names)
     else:
-        passes = _passes(table, track, tracks, notes)
+        passes = _passes(table, sequence, sequences, notes)
         keys = [(passes[k], _plain(table.cell(k, frame))) for k in range(len(seconds))]
-        lookup = _by_frame(frames, tracks)
+        lookup = _by_frame(frames, sequences)
     _refuse_two_times(table, keys, seconds, notes)
     rows: dict[int, list[int]] = {}
     for k, key in enumerate(keys):
@@ -68,7 +68,7 @@ def read_times(
             rows.setdefault(lookup[key], []).append(k)
     _say_unknown(table, [k for k, key in enumerate(keys) if key not in lookup], keys, names, notes)
     if not rows and len(frames):
-        here = f"; the passes here are {', '.join(tracks)}" if track is not None and tracks else ""
+        here = f"; the passes here are {', '.join(sequences)}" if sequence is not None and sequences else ""
         raise InputError(
             f"{path}, line {table.line(0)}: none of its {len(seconds)} rows names an image or frame found here "
             f"({'/'.join(keys[0])}), such as {names[frames[0].images[0]]}{here}"
@@ -97,17 +97,17 @@ def _seconds(table: Table, time: int) -> np.ndarray:
     return seconds
 
 
-def _passes(table: Table, track: int | None, tracks: Sequence[str], notes: list[str]) -> list[str]:
+def _passes(table: Table, sequence: int | None, sequences: Sequence[str], notes: list[str]) -> list[str]:
     """Pass of each row; rows that name none are of the only pass."""
-    only = tracks[0] if len(tracks) == 1 else ""
-    named = sorted({table.cell(k, track) for k in range(len(table.rows))} - {""})
+    only = sequences[0] if len(sequences) == 1 else ""
+    named = sorted({table.cell(k, sequence) for k in range(len(table.rows))} - {""})
     if only == LONE_PASS and len(named) == 1 and named[0] != only:
         notes.append(
             f"{table.path.name}, line {table.line(0)}: pass {named[0]!r} is taken for the only one here, whose "
             "folders have no name for it"
         )
         return [only] * len(table.rows)
-    return [table.cell(k, track) or only for k in range(len(table.rows))]
+    return [table.cell(k, sequence) or only for k in range(len(table.rows))]
 
 
 def _refuse_two_times(table: Table, keys: Sequence[tuple[str, ...]], seconds: np.ndarray, notes: list[str]) -> None:
@@ -160,8 +160,8 @@ def _say_odd(
     ``row`` is a frame's row in the table, ``apart_s`` how far the far ones are at least.
     """
     notes = []
-    for track in sorted({frames[k].track for k in row} - {-1}):
-        mine = np.array(sorted((k for k in row if frames[k].track == track), key=lambda k: time_s[k]))
+    for sequence in sorted({frames[k].sequence for k in row} - {-1}):
+        mine = np.array(sorted((k for k in row if frames[k].sequence == sequence), key=lambda k: time_s[k]))
         twins = np.flatnonzero(np.diff(time_s[mine]) == 0)
         if len(twins):
             a, b = mine[twins[0]], mine[twins[0] + 1]
@@ -216,8 +216,8 @@ def _by_image(frames: Sequence[FrameRow], names: Sequence[str]) -> dict[tuple[st
     return {**unique, **full}
 
 
-def _by_frame(frames: Sequence[FrameRow], tracks: Sequence[str]) -> dict[tuple[str, ...], int]:
-    return {(tracks[f.track] if f.track >= 0 else "", _plain(f.key)): k for k, f in enumerate(frames)}
+def _by_frame(frames: Sequence[FrameRow], sequences: Sequence[str]) -> dict[tuple[str, ...], int]:
+    return {(sequences[f.sequence] if f.sequence >= 0 else "", _plain(f.key)): k for k, f in enumerate(frames)}
 
 
 def _plain(key: str) -> str:

@@ -37,7 +37,7 @@ def write_tum(path: Path, time_s: np.ndarray, world_from_rig: np.ndarray) -> Non
     Path(path).write_text("\n".join(lines) + "\n")
 
 
-def trajectory_files(path: Path, tracks: Sequence[str]) -> dict[int, Path]:
+def trajectory_files(path: Path, sequences: Sequence[str]) -> dict[int, Path]:
     """Trajectory file of each pass: ``path`` is one file for all (key -1), or a folder with one a pass.
 
     In a folder the file's name contains the name of the pass: vo_up.tum, vo_down.tum. Raises InputError if the path is
@@ -53,12 +53,12 @@ def trajectory_files(path: Path, tracks: Sequence[str]) -> dict[int, Path]:
     files = next((found for found in kinds if found), [])
     if len(files) == 1:
         return {-1: files[0]}
-    found = {k: f for k, name in enumerate(tracks) if (f := _for_pass(name, files)) is not None}
+    found = {k: f for k, name in enumerate(sequences) if (f := _for_pass(name, files)) is not None}
     if not found:
         there = ", ".join(f.name for f in files) or "none ends in .tum, .txt, .csv"
         raise InputError(
             f"--trajectory {path}: none of its files ({there}) "
-            f"has the name of a pass in its own ({', '.join(tracks) or 'there is no pass'}), as in vo_up.tum"
+            f"has the name of a pass in its own ({', '.join(sequences) or 'there is no pass'}), as in vo_up.tum"
         )
     return found
 

@@ -45,7 +45,7 @@ class FramesTuning(Section):
 
 
 class CameraTuning(Section):
-    """What a camera can be (`rigcheck.py`), and what it is taken for where nothing tells (`cameras.py`)."""
+    """What a camera can be (`rigfaults.py`), and what it is taken for where nothing tells (`cameras.py`)."""
 
     guessed_focal: float = Field(1.2, gt=0)
     """Focal length in longer sides of the image: COLMAP's ImageReaderOptions.default_focal_length_factor, a guess of 45
@@ -83,7 +83,7 @@ class CameraTuning(Section):
 
 
 class RigTuning(Section):
-    """What a rig can be (`rigfile.py`, `rigcheck.py`), and what presets say (`rigspec.py`)."""
+    """What a rig can be (`rigfile.py`, `rigfaults.py`), and what presets say (`rigspec.py`)."""
 
     max_rig_m: float = Field(100.0, gt=0)
     """Between two cameras, or a camera and the antenna, of one rig; farther apart: wrong units."""
@@ -104,8 +104,8 @@ class RigTuning(Section):
 
 
 class PanoramaTuning(Section):
-    """The views of panoramas (`unfold.py`): like the side cameras of a Ladybug, seen by the same offsets and sections
-    as such a rig; and one up. What is below is the tripod, the operator or the platform."""
+    """The views of panoramas (`perspective.py`): like the side cameras of a Ladybug, seen by the same offsets and
+    sections as such a rig; and one up. What is below is the tripod, the operator or the platform."""
 
     most: float = Field(0.5, ge=0, lt=1)
     """A survey is one of panoramas if more than this share of the images are some."""

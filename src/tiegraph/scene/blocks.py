@@ -16,8 +16,8 @@ from scipy.sparse import coo_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
 from tiegraph.scene.graph import parts
+from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.ties import Ties
 from tiegraph.scene.tuning import BlocksTuning
 
 
@@ -44,12 +44,12 @@ class Block:
     def __len__(self) -> int:
         return len(self.images)
 
-    def part_of(self, scene: Scene, ties: Ties) -> tuple[Scene, Ties]:
+    def part_of(self, scene: Scene, ties: PreviewMatches) -> tuple[Scene, PreviewMatches]:
         """The scene of the block's images and the ties between them, numbered in that scene."""
         number = np.full(len(scene), -1)
         number[self.images] = np.arange(len(self))
         inside = ties.where((number[ties.i] >= 0) & (number[ties.j] >= 0))
-        return scene.only(self.images), Ties(
+        return scene.only(self.images), PreviewMatches(
             i=number[inside.i], j=number[inside.j], start=inside.start, matches=inside.matches
         )
 
@@ -82,10 +82,10 @@ def _links(scene: Scene, ties: Links, by_order: float) -> tuple[csr_array, csr_a
     apart = a != b
     matches = _symmetric(a[apart], b[apart], count[apart], scene.frames)
     pairs = _symmetric(a[apart], b[apart], np.ones(int(apart.sum())), scene.frames)
-    order = np.lexsort((scene.step, scene.rig, scene.track))
+    order = np.lexsort((scene.sequence_index, scene.rig, scene.sequence))
     before, after = order[:-1], order[1:]
-    next_ = (scene.track[before] == scene.track[after]) & (scene.rig[before] == scene.rig[after])
-    next_ &= scene.track[before] >= 0
+    next_ = (scene.sequence[before] == scene.sequence[after]) & (scene.rig[before] == scene.rig[after])
+    next_ &= scene.sequence[before] >= 0
     level = by_order * float(matches.data.mean()) if matches.nnz else 1.0
     path = _symmetric(before[next_], after[next_], np.full(int(next_.sum()), level), scene.frames)
     return csr_array(matches + path), pairs

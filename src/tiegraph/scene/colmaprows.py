@@ -27,9 +27,9 @@ from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.scene.colmapdatabase import copy_verified, explained, remove
 from tiegraph.scene.colmapmodel import rigid3d
+from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.ties import Ties
 
 DATABASE_BYTES = 1 << 20  # of the tables and indices of an empty database and of its log, generously
 _IMAGE_BYTES = 4096  # of an image's rows, its frame's and its prior's, in file and log, generously
@@ -254,7 +254,7 @@ def _write_positions(
         database.write_pose_prior(prior, use_pose_prior_id=True)
 
 
-def write_ties(path: Path, keypoints: Iterable[np.ndarray], ties: Ties, used: np.ndarray) -> None:
+def write_ties(path: Path, keypoints: Iterable[np.ndarray], ties: PreviewMatches, used: np.ndarray) -> None:
     """Write the key points (K, 2) pixels of image after image, and the ``used`` (T,) ties as verified matches."""
     with writing(path) as database:
         for k, xy in enumerate(keypoints):

@@ -155,14 +155,16 @@ def groups(scene: Scene) -> Iterator[Group]:
     names = [s.name for s in scene.all_sensors]
     for kind, label in (
         ("camera", scene.sensor_key),
-        ("pass", scene.track[scene.frame]),
+        ("pass", scene.sequence[scene.frame]),
         ("section", scene.section[scene.frame]),
     ):
         numbers = np.unique(label)
         if len(numbers) < 2:
             continue
         for k in numbers[numbers >= 0]:
-            name = names[k] if kind == "camera" else scene.tracks[k] if kind == "pass" and scene.tracks else f"{k}"
+            name = (
+                names[k] if kind == "camera" else scene.sequences[k] if kind == "pass" and scene.sequences else f"{k}"
+            )
             yield Group(kind, name, label == k)
 
 

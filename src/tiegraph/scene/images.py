@@ -51,14 +51,14 @@ class Probe:
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """Names (POSIX, relative to the folder, sorted) of the image files below a folder; what was passed over and why."""
 
     names: tuple[str, ...]
     notes: tuple[str, ...] = ()
 
 
-def search_images(root: Path) -> Found:
+def search_images(root: Path) -> SearchResult:
     """The image files below a folder.
 
     Hidden files and folders, ``._*``, ``Thumbs.db`` and the like are passed over. If ``root`` has a folder ``images``
@@ -76,7 +76,7 @@ def search_images(root: Path) -> Found:
     if not names:
         found = f"{len(files)} files, none of them an image" if files else "an empty folder"
         raise InputError(f"{root}: {'; '.join([found, *notes])}; images end in {' '.join(SUFFIXES)}")
-    return Found(tuple(sorted(names)), tuple(notes))
+    return SearchResult(tuple(sorted(names)), tuple(notes))
 
 
 def searched(root: Path) -> Path:

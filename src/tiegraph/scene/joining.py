@@ -49,7 +49,7 @@ class Join:
 
 
 @dataclass(frozen=True)
-class Joined:
+class JoinResult:
     """``world_from`` each model, ``part`` (M,): number of the connected part it is in, 0 = the one with most images;
     worlds of different parts have nothing to do with each other. ``joins``: all, those too that do not hold."""
 
@@ -58,7 +58,7 @@ class Joined:
     joins: tuple[Join, ...]
 
 
-def join_models(models: Sequence[Poses], tuning: JoiningTuning) -> Joined:
+def join_models(models: Sequence[Poses], tuning: JoiningTuning) -> JoinResult:
     """Put models into one frame, that of the first model of each part."""
     couples = ((a, b) for a in range(len(models)) for b in range(a))
     joins = tuple(j for a, b in couples if (j := join(a, b, models[a], models[b], tuning)))
@@ -68,7 +68,7 @@ def join_models(models: Sequence[Poses], tuning: JoiningTuning) -> Joined:
     size = np.bincount(part, [len(m.images) for m in models])
     rank = np.empty(len(size), int)
     rank[np.argsort(-size, kind="stable")] = np.arange(len(size))
-    return Joined(_adjusted(good, len(models), tuning.rounds), rank[part], joins)
+    return JoinResult(_adjusted(good, len(models), tuning.rounds), rank[part], joins)
 
 
 def moved(cam_from_model: np.ndarray, world_from_model: Similarity) -> np.ndarray:

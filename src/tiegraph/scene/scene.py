@@ -45,13 +45,13 @@ class Scene:
     frame: np.ndarray  # (N,) i4: frame of an image
     sensor: np.ndarray  # (N,) i2: sensor of an image, index into its rig's sensors
     rig: np.ndarray  # (F,) i2: rig of a frame
-    track: np.ndarray  # (F,) i2: pass of a frame, index into tracks; -1 = loose (no order)
-    step: np.ndarray  # (F,) i4: order on the pass
+    sequence: np.ndarray  # (F,) i2: pass of a frame, index into tracks; -1 = loose (no order)
+    sequence_index: np.ndarray  # (F,) i4: order on the pass
     time_s: np.ndarray  # (F,) f8, NaN = unknown
     world_from_rig: np.ndarray  # (F, 4, 4) f8 prior pose; NaN = unknown; the rotation alone may be NaN (GNSS)
     position_sigma_m: np.ndarray  # (F, 3) f8 of the prior position (east, north, up), NaN = no prior
     section: np.ndarray  # (F,) i2, -1 = not cut into sections
-    tracks: tuple[str, ...] = ()  # names of the passes
+    sequences: tuple[str, ...] = ()  # names of the passes
     origin: Origin | None = None  # None: the world is not on the Earth
     prior: str = "none"  # where the prior poses come from: one of PRIORS
     dropped: tuple[Dropped, ...] = ()
@@ -93,8 +93,8 @@ class Scene:
 
     def image_label(self) -> list[tuple[str, str]]:
         """(pass, sensor) names of each image, for tables."""
-        tracks = [self.tracks[t] if t >= 0 else "" for t in self.track[self.frame]]
-        return [(t, self.sensor_of(k).name) for k, t in enumerate(tracks)]
+        sequences = [self.sequences[t] if t >= 0 else "" for t in self.sequence[self.frame]]
+        return [(t, self.sensor_of(k).name) for k, t in enumerate(sequences)]
 
     def source_name(self, image: int) -> str:
         """File of an image below the folder the user gave."""
@@ -110,7 +110,7 @@ class Scene:
 
     def pose_world(self) -> np.ndarray:
         """(F,) i4: prior poses of frames with the same number may be compared; -1 = no prior position."""
-        world = np.where(self.prior == "odometry", self.track, 0)
+        world = np.where(self.prior == "odometry", self.sequence, 0)
         return np.where(np.isfinite(self.world_from_rig[:, :3, 3]).all(axis=1), world, -1).astype(np.int32)
 
     def measured_positions(self) -> np.ndarray:
@@ -156,9 +156,9 @@ class Scene:
         """Text of scene.json; NaN becomes null."""
         columns = {name: _listed(getattr(self, name)) for name in _COLUMNS}
         head = {
-            "format": 1,
+            "format": 2,
             "rigs": [rig_to_dict(r) for r in self.rigs],
-            "tracks": list(self.tracks),
+            "sequences": list(self.sequences),
             "origin": None if self.origin is None else self.origin.to_dict(),
             "prior": self.prior,
             "notes": list(self.notes),
@@ -183,7 +183,7 @@ class Scene:
             names=tuple(data["names"]),
             sources=tuple(data.get("sources", ())),
             guessed=tuple(data.get("guessed", ())),
-            tracks=tuple(data["tracks"]),
+            sequences=tuple(data["sequences"]),
             origin=None if data["origin"] is None else Origin.from_dict(data["origin"]),
             prior=data["prior"],
             notes=tuple(data["notes"]),
@@ -196,8 +196,8 @@ _COLUMNS = {
     "frame": np.int32,
     "sensor": np.int16,
     "rig": np.int16,
-    "track": np.int16,
-    "step": np.int32,
+    "sequence": np.int16,
+    "sequence_index": np.int32,
     "time_s": np.float64,
     "world_from_rig": np.float64,
     "position_sigma_m": np.float64,
@@ -218,16 +218,16 @@ def simple_scene(
     names: list[str],
     frame: np.ndarray,
     sensor: np.ndarray,
-    track: np.ndarray | None = None,
-    step: np.ndarray | None = None,
+    sequence: np.ndarray | None = None,
+    sequence_index: np.ndarray | None = None,
     **more: Any,
 ) -> Scene:
-    """A scene of one rig with unknown poses; for loose photographs leave track and step away."""
+    """A scene of one rig with unknown poses; for loose photographs leave sequence and sequence_index away."""
     frames = int(np.max(frame)) + 1 if len(names) else 0
     columns: dict[str, Any] = {
         "rig": np.zeros(frames),
-        "track": np.full(frames, -1) if track is None else track,
-        "step": np.arange(frames) if step is None else step,
+        "sequence": np.full(frames, -1) if sequence is None else sequence,
+        "sequence_index": np.arange(frames) if sequence_index is None else sequence_index,
         "time_s": np.full(frames, np.nan),
         "world_from_rig": np.full((frames, 4, 4), np.nan),
         "position_sigma_m": np.full((frames, 3), np.nan),

@@ -27,10 +27,10 @@ def strongest_pairs(pairs: Pairs, scene: Scene, per_image: int) -> Pairs:
 
 def following(pairs: Pairs, scene: Scene) -> np.ndarray:
     """(P,) bool: pairs of one camera's images of two frames that follow each other on a pass."""
-    track, step = scene.track[scene.frame], scene.step[scene.frame]
-    order = np.lexsort((step, scene.sensor_key, track))
-    near = (track[order][1:] == track[order][:-1]) & (scene.sensor_key[order][1:] == scene.sensor_key[order][:-1])
-    near &= track[order][1:] >= 0
+    sequence, step = scene.sequence[scene.frame], scene.sequence_index[scene.frame]
+    order = np.lexsort((step, scene.sensor_key, sequence))
+    near = (sequence[order][1:] == sequence[order][:-1]) & (scene.sensor_key[order][1:] == scene.sensor_key[order][:-1])
+    near &= sequence[order][1:] >= 0
     after = np.full(len(scene), -1)
     after[order[:-1][near]] = order[1:][near]
     return (after[pairs.i] == pairs.j) | (after[pairs.j] == pairs.i)
@@ -46,7 +46,7 @@ def strongest_places(i: np.ndarray, j: np.ndarray, strength: np.ndarray, scene: 
     image, partner = np.concatenate([i, j]), np.concatenate([j, i])
     strength = np.tile(strength, 2)
     sensors = len(scene.all_sensors)
-    group = (scene.track[scene.frame].astype(np.int64) + 1) * sensors + scene.sensor_key
+    group = (scene.sequence[scene.frame].astype(np.int64) + 1) * sensors + scene.sensor_key
     order = np.lexsort((partner, -strength, group[partner], image))
     turn = _rank(np.stack([image[order], group[partner[order]]]))
     again = np.lexsort((-strength[order], turn, image[order]))

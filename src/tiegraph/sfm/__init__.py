@@ -8,7 +8,7 @@ coarse model, a mapper makes rough models of blocks (``blockwise``, over the poo
 ``scene.blocks`` and ``scene.joining`` as the coarse model), and the start takes their poses. Images that no verified
 pair ties to the model are a survey of their own and become a model of their own, whichever mapper made it; the
 receipt names them. A rig held as given that leaves most tied images without a place, or shows as a principal point
-that no lens has, is reported to contradict the images (``losses``); it is not changed.
+that no lens has, is reported to contradict the images (``registrationreport``); it is not changed.
 
 **Final adjustment** (``adjustment``). Every model goes through one robust adjustment with free principal points, which
 COLMAP holds (on the example survey that bends rig and model), and, for RADIAL cameras, with aspect and decentring

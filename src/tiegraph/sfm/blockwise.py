@@ -22,12 +22,12 @@ from tiegraph.errors import ReconstructionError
 from tiegraph.geometry import transforms
 from tiegraph.scene.blocks import Block, blocks_of
 from tiegraph.scene.colmapmodel import read_model
-from tiegraph.scene.joining import Joined, Poses, join_models, moved
+from tiegraph.scene.joining import JoinResult, Poses, join_models, moved
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.model import image_poses, tracks
-from tiegraph.sfm.run import Mapped, Request, run_mapper
+from tiegraph.sfm.run import MappingResult, Request, run_mapper
 
 log = logging.getLogger(__name__)
 
@@ -84,7 +84,7 @@ def poses_by_blocks(
 def _map_block(request: Request, log_file: Path) -> list[Poses]:
     """The models of a block, roughly; none if COLMAP finds none or gives up."""
     try:
-        mapped: Mapped = run_in_child(run_mapper, request, log=log_file, task="mapping of a block")
+        mapped: MappingResult = run_in_child(run_mapper, request, log=log_file, task="mapping of a block")
     except ReconstructionError as error:
         log.warning("%s: %s", request.folder.name, error)
         return []
@@ -104,7 +104,7 @@ def _poses(model: pycolmap.Reconstruction, scene: Scene) -> Poses | None:
     return Poses(images, poses[images], float(np.median(far)))
 
 
-def _together(count: int, made: Sequence[tuple[Block, Poses]], joined: Joined) -> np.ndarray:
+def _together(count: int, made: Sequence[tuple[Block, Poses]], joined: JoinResult) -> np.ndarray:
     """(N, 4, 4) of the largest part; an image is taken from the block whose own it is, else from one that was lent
     it."""
     out = np.full((count, 4, 4), np.nan)
@@ -116,7 +116,7 @@ def _together(count: int, made: Sequence[tuple[Block, Poses]], joined: Joined) -
     return out
 
 
-def _notes(blocks: Sequence[Block], made: Sequence[tuple[Block, Poses]], joined: Joined) -> tuple[str, ...]:
+def _notes(blocks: Sequence[Block], made: Sequence[tuple[Block, Poses]], joined: JoinResult) -> tuple[str, ...]:
     held = sum(j.holds for j in joined.joins)
     placed = sum(joined.part[k] == 0 for k in range(len(made)))
     text = (

@@ -23,10 +23,10 @@ import numpy as np
 import pycolmap
 from scipy import sparse
 
-from tiegraph.sfm.adjustment.compact import Drawing
-from tiegraph.sfm.adjustment.jacobians import Layout, Ties, jacobians
+from tiegraph.sfm.adjustment.jacobians import Layout, RigConstraints, jacobians
+from tiegraph.sfm.adjustment.leverarmprior import NominalGeometry
 from tiegraph.sfm.adjustment.normal import Normal, by_blocks, point_inverse
-from tiegraph.sfm.systematic import LensError, Unrest, Weighed, lens_errors, misplaced, unrest
+from tiegraph.sfm.systematic import EffectWeights, LensError, Unrest, lens_errors, misplaced, unrest
 from tiegraph.sfm.tuning import SigmaTuning, Tuning
 
 _SEED = 0
@@ -104,8 +104,8 @@ def position_sigma(
     model: pycolmap.Reconstruction,
     free_intrinsics: bool | Collection[int] = True,
     free_rig: bool | Collection[int] = True,
-    ties: Collection[Ties] = (),
-    drawings: Mapping[int, Drawing] | None = None,
+    ties: Collection[RigConstraints] = (),
+    nominal: Mapping[int, NominalGeometry] | None = None,
     off: Mapping[int, np.ndarray] | None = None,
     *,
     tuning: Tuning,
@@ -129,10 +129,10 @@ def position_sigma(
     inflated = len(seen.residual) / redundancy
     variance = max((1.4826 * float(np.median(np.abs(seen.residual)))) ** 2 * inflated, 1e-12)
     held, pull = layout.held()
-    known = layout.prior(model, tuning.adjust, drawings) + layout.tied()
+    known = layout.prior(model, tuning.adjust, nominal) + layout.tied()
     prior = (variance * (known + held)).tocsr()
     first, second = _robust_weights(seen.residual, tuning.adjust.robust_px)
-    weighed = Weighed(seen, (first, second), share, prior, layout)
+    weighed = EffectWeights(seen, (first, second), share, prior, layout)
     asked, normal = _Asked(layout, weighed, tuning.sigma), weighed.normal
     sides = np.hstack([normal.asked(asked.functions), normal.scale()])
     solved = normal.solve(sides)
@@ -175,7 +175,7 @@ class _Asked:
     """What sigmas are wanted of: functions (C, K) of the unknowns. Places and turns of frames, then all that follows
     the frames, then points."""
 
-    def __init__(self, layout: Layout, weighed: Weighed, tuning: SigmaTuning) -> None:
+    def __init__(self, layout: Layout, weighed: EffectWeights, tuning: SigmaTuning) -> None:
         frames = _evenly(len(layout.frame_ids), tuning.frames)
         self.frame_ids = tuple(layout.frame_ids[k] for k in frames)
         at = 6 * frames[:, None] + np.arange(3)

@@ -1,4 +1,4 @@
-"""What a mapped model still needs, inside a child process: adjustment, rig health, colours, sigmas, files."""
+"""What a mapped model still needs, inside a child process: adjustment, rig diagnostics, colours, sigmas, files."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.evidence import Statement
 from tiegraph.scene.evidence import table as statement_table
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.adjustment import soft
+from tiegraph.sfm.adjustment import constraints
 from tiegraph.sfm.adjustment.adjust import final_adjustment, free_cameras
-from tiegraph.sfm.adjustment.given import drawings, given_geometry
-from tiegraph.sfm.adjustment.jacobians import Ties
+from tiegraph.sfm.adjustment.jacobians import RigConstraints
+from tiegraph.sfm.adjustment.rigpriors import nominal_geometry, rig_priors
 from tiegraph.sfm.covariance import Mounting, PositionSigma, position_sigma
-from tiegraph.sfm.placement.settle import Matched, Settled, settle
-from tiegraph.sfm.rig import ties
+from tiegraph.sfm.placement.registration import MatchSource, RegistrationResult, repair_registration
+from tiegraph.sfm.rig import cameramatches
 from tiegraph.sfm.rig.confront import (
     hear,
     hear_lens,
@@ -33,16 +33,23 @@ from tiegraph.sfm.rig.confront import (
     refine,
     statements,
 )
-from tiegraph.sfm.rig.diagnosis import Diagnosis, diagnose
-from tiegraph.sfm.rig.health import COLUMNS
-from tiegraph.sfm.rig.judge import Judgement
-from tiegraph.sfm.rig.relax import Believed, Relaxed, lost_images, relax, with_errors, with_sightings_of
+from tiegraph.sfm.rig.diagnostics import RigDiagnostics, rig_diagnostics
+from tiegraph.sfm.rig.priortest import PriorTest
+from tiegraph.sfm.rig.resections import COLUMNS
 from tiegraph.sfm.rig.support import place_as_given, units_per_metre
+from tiegraph.sfm.rig.timecalibration import (
+    TimeCalibration,
+    TrustedCalibration,
+    calibrate_times,
+    lost_images,
+    with_errors,
+    with_observations_of,
+)
 from tiegraph.sfm.tuning import SigmaTuning, Tuning
-from tiegraph.sfm.verified import read_verified, seen_by
+from tiegraph.sfm.verified import image_observations, read_verified
 from tiegraph.text import known_to
 
-HEALTH_FILE = "rig_health.csv"
+DIAGNOSTICS_FILE = "rig_diagnostics.csv"
 
 
 @dataclass(frozen=True)
@@ -53,7 +60,7 @@ class Held:
     fixed: tuple[int, ...] = ()  # rigs whose extrinsics stay
     soft: tuple[int, ...] = ()  # rigs whose extrinsics are known with a sigma
     ordered: tuple[int, ...] = ()  # rigs that the user wants as given, whatever the images say
-    alone: tuple[int, ...] = ()  # keys of sensors placed by the rig as given
+    unsupported: tuple[int, ...] = ()  # keys of sensors placed by the rig as given
     cameras: tuple[int, ...] = ()  # whose calibration stays
     lenses_ordered: bool = False  # by the user
 
@@ -68,14 +75,14 @@ class FinishRequest:
     tuning: Tuning
     held: Held
     images: Path | None = None  # None = no colours
-    matched: Matched | None = None  # None: the place of frames is not tested
+    matched: MatchSource | None = None  # None: the place of frames is not tested
     preview: np.ndarray | None = None  # (F, 4, 4) world_from_rig of the frames in a rough model
     covariance_frames: int = 0  # 0: no sigmas wanted
     rough: bool = False  # as the mapper left it
 
 
 @dataclass(frozen=True)
-class Finished:
+class FinishResult:
     """What the finishing of a model has to say of it."""
 
     sigma: PositionSigma | None
@@ -85,11 +92,11 @@ class Finished:
     contradictions: list[str] = field(default_factory=list)
 
 
-def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> Finished:
-    """Final adjustment, rig health, colours and position sigmas of one model; writes it to its target folder."""
+def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> FinishResult:
+    """Final adjustment, rig diagnostics, colours and position sigmas of one model; writes it to its target folder."""
     scene = Scene.from_json(request.scene)
     model = read_model(request.folder)
-    settled = _settled(model, scene, request)
+    settled = _registered(model, scene, request)
     model, notes = settled.model, settled.notes
     mapped = model
     try:
@@ -104,8 +111,8 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> Finishe
     if checked.statements:
         tables["what was given, and the images"] = statement_table(checked.statements)
     _ties_between(checked, scene, request, notes)
-    if request.held.alone:
-        place_as_given(model, scene, request.held.alone, request.tuning.rig.support)
+    if request.held.unsupported:
+        place_as_given(model, scene, request.held.unsupported, request.tuning.rig.support)
     try:
         if request.images is not None:
             model.extract_colors_for_all_images(request.images)
@@ -122,39 +129,39 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> Finishe
         names = {k + 1: s.name for k, s in enumerate(scene.all_sensors)}
         tables |= sigma.tables(names)
         notes += _open_notes(sigma, names, request.tuning.sigma)
-    return Finished(
+    return FinishResult(
         sigma=sigma, notes=notes, tables=tables, dropped=settled.dropped, contradictions=checked.contradictions
     )
 
 
-def _settled(model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest) -> Settled:
+def _registered(model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest) -> RegistrationResult:
     if request.matched is None:
-        return Settled(model)
+        return RegistrationResult(model)
     rigs = {k: scene.rigs[k] for k in request.held.rigs}
     try:
-        return settle(
+        return repair_registration(
             pycolmap.Reconstruction(model),
             scene,
             request.matched,
             rigs,
             request.preview,
             request.tuning.placement,
-            frozenset(request.held.alone),
+            frozenset(request.held.unsupported),
         )
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
-        return Settled(model, [f"the place of the frames could not be tested: {error}"])
+        return RegistrationResult(model, [f"the place of the frames could not be tested: {error}"])
 
 
 def _adjusted(
     model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest, notes: list[str]
 ) -> pycolmap.Reconstruction:
     rig = request.tuning.rig
-    known = given_geometry(model, scene, (), rig.given)
+    known = rig_priors(model, scene, (), rig.priors)
     fixed = [k + 1 for k in request.held.fixed]
-    if request.held.soft and soft.available():
+    if request.held.soft and constraints.available():
         scale = 1 / units_per_metre(model, scene, rig.support)
         model.transform(pycolmap.Sim3d(scale, pycolmap.Rotation3d(), np.zeros(3)))
-        known = given_geometry(model, scene, request.held.soft, rig.given)
+        known = rig_priors(model, scene, request.held.soft, rig.priors)
     elif request.held.soft:
         fixed += [k + 1 for k in request.held.soft]
         notes.append("the rig's sigmas are not used, its extrinsics stay as mapped: the package pyceres is missing")
@@ -169,7 +176,7 @@ class _Checked:
 
     model: pycolmap.Reconstruction
     tables: dict[str, dict] = field(default_factory=dict)
-    ties: list[Ties] = field(default_factory=list)  # of relaxed rigs
+    ties: list[RigConstraints] = field(default_factory=list)  # of relaxed rigs
     off: dict[int, np.ndarray] = field(default_factory=dict)  # rig id -> of mountings of rigid ones (``misplaced``)
     contradictions: list[str] = field(default_factory=list)
     statements: list[Statement] = field(default_factory=list)
@@ -184,7 +191,8 @@ def _checked_rig(
     request: FinishRequest,
     notes: list[str],
 ) -> _Checked:
-    """Rig health into its file; a rig that the images contradict gives way, unless it was ordered to stay: said so."""
+    """Rig diagnostics into its file; a rig that the images contradict gives way, unless it was ordered to stay: said
+    so."""
     out = _Checked(model)
     if not request.rough:
         _single_lenses(out, scene, request, notes)
@@ -192,15 +200,15 @@ def _checked_rig(
         return out
     metres = 1 / units_per_metre(model, scene, request.tuning.rig.support)
     try:
-        found = diagnose(model, scene, metres, request.tuning, mapped)
+        found = rig_diagnostics(model, scene, metres, request.tuning, mapped)
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
         notes.append(f"the rig could not be checked: {error}")
         return out
-    with (request.target / HEALTH_FILE).open("w", newline="") as stream:
+    with (request.target / DIAGNOSTICS_FILE).open("w", newline="") as stream:
         csv.writer(stream).writerows([COLUMNS, *found.rows])
     notes += found.notes
     relaxed = _relaxed(out, mapped, scene, request, found, metres, notes)
-    last: dict[int, Judgement] = {}
+    last: dict[int, PriorTest] = {}
     for index, heard in found.heard.items():
         if index not in relaxed and index in request.held.fixed:
             notes += open_times(heard, scene, index)
@@ -208,13 +216,13 @@ def _checked_rig(
             out.levers |= {k: v / metres for k, v in lever_sigmas(heard, scene, index).items()}
         last[index] = _confronted(out, scene, request, index, heard, index in relaxed)
     for index, free in relaxed.items():
-        ties_of = free.ties
+        ties_of = free.constraints
         if _measured(index, request):
             off = mounting_errors(last.get(index), scene, index, ties_of.cameras, request.tuning.rig)
             ties_of = with_errors(ties_of, in_units(off, metres))
         out.ties.append(ties_of)
     offsets = {k: o for r in relaxed.values() for k, o in r.offsets.items()}
-    out.tables["rig health"] = found.table(offsets, request.tuning.rig)
+    out.tables["rig diagnostics"] = found.table(offsets, request.tuning.rig)
     return out
 
 
@@ -238,15 +246,15 @@ def _ties_between(checked: _Checked, scene: Scene, request: FinishRequest, notes
     if request.matched is None or request.rough or not request.held.rigs:
         return
     try:
-        seen = seen_by(checked.model, scene, request.tuning.placement.agreement)
+        seen = image_observations(checked.model, scene, request.tuning.placement.agreement)
         verified = read_verified(request.matched.database, scene, request.matched.refused)
-        found = ties.camera_ties(verified, seen, scene, request.tuning.rig.ties)
+        found = cameramatches.camera_matches(verified, seen, scene, request.tuning.rig.camera_matches)
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
-        notes.append(f"the ties between cameras could not be checked: {error}")
+        notes.append(f"the matches between cameras could not be checked: {error}")
         return
     if found:
-        checked.tables["ties between cameras"] = ties.table(found, scene)
-    checked.contradictions += ties.sentence(found, scene)
+        checked.tables["matches between cameras"] = cameramatches.table(found, scene)
+    checked.contradictions += cameramatches.sentence(found, scene)
 
 
 def _in_their_time(mounting: Mapping[int, Mounting], levers: Mapping[int, float]) -> dict[int, Mounting]:
@@ -259,12 +267,12 @@ def _relaxed(
     mapped: pycolmap.Reconstruction,
     scene: Scene,
     request: FinishRequest,
-    found: Diagnosis,
+    found: RigDiagnostics,
     metres: float,
     notes: list[str],
-) -> dict[int, Relaxed]:
+) -> dict[int, TimeCalibration]:
     """Relax the rigs that move, into ``out.model``; what stays rigid though it moves is a contradiction."""
-    relaxed: dict[int, Relaxed] = {}
+    relaxed: dict[int, TimeCalibration] = {}
     for index in found.moving:
         name = scene.rigs[index].name
         if index in request.held.ordered:
@@ -273,23 +281,23 @@ def _relaxed(
                 + "; ".join(found.notes)
             )
             continue
-        if not soft.available():
+        if not constraints.available():
             why = "it stays rigid in the model: relaxing it needs the package pyceres"
             out.contradictions.append(f"rig {name} does not move as one ({'; '.join(found.notes)}); {why}")
             break
         freed = found.heard[index].freed if index in found.heard else ()
         # What the rigid adjustment threw out is wanted here: the points the mapper had.
-        start = with_sightings_of(out.model, mapped) if found.loose or freed else out.model
+        start = with_observations_of(out.model, mapped) if found.unstable or freed else out.model
         # What calibrated lenses do beyond their model looks like turned cameras; lenses that are adjusted do not.
         bent = not request.held.cameras and any(what == "mount" for what, _ in freed)
         calibrated = _measured(index, request) and not bent
-        believed = Believed(
+        believed = TrustedCalibration(
             metres_per_unit=metres,
             calibrated=calibrated,
             constant_cameras=request.held.cameras,
             lenses_held=request.held.lenses_ordered,
         )
-        free = relax(start, scene, index, believed, request.tuning, found.loose)
+        free = calibrate_times(start, scene, index, believed, request.tuning, found.unstable)
         lost = lost_images(out.model, free.model, scene, request.tuning.adjust.min_points)
         if lost:
             out.contradictions.append(_lost_note(scene, index, lost, found.notes))
@@ -304,8 +312,8 @@ def _measured(index: int, request: FinishRequest) -> bool:
 
 
 def _confronted(
-    out: _Checked, scene: Scene, request: FinishRequest, index: int, heard: Judgement, relaxed: bool
-) -> Judgement:
+    out: _Checked, scene: Scene, request: FinishRequest, index: int, heard: PriorTest, relaxed: bool
+) -> PriorTest:
     """Say where the file of a measured rig contradicts the images, and return what they want otherwise in the end; a
     turned or shifted camera may be adjusted."""
     metres = heard.system.metres_per_unit
@@ -314,7 +322,7 @@ def _confronted(
         heard = heard if again is None else again
     refined = None
     bent = any(what == "mount" for what, _ in heard.freed)
-    if bent and not relaxed and index in request.held.fixed and soft.available():
+    if bent and not relaxed and index in request.held.fixed and constraints.available():
         fixed = [k + 1 for k in request.held.fixed]
         refined = refine(out.model, scene, index, heard, fixed, request.held.cameras, request.tuning.adjust)
     if refined is not None:  # where the rest is no longer bent by it, the sigmas are better
@@ -349,7 +357,7 @@ def _lost_note(scene: Scene, index: int, lost: Sequence[int], why: Sequence[str]
     )
 
 
-def _relaxed_note(scene: Scene, index: int, relaxed: Relaxed, found: Diagnosis) -> str:
+def _relaxed_note(scene: Scene, index: int, relaxed: TimeCalibration, found: RigDiagnostics) -> str:
     rig = scene.rigs[index]
     unit = "ms" if found.timed else "% of the frame interval"
     factor = 1000.0 if found.timed else 100.0
@@ -383,7 +391,7 @@ def _sigma(checked: _Checked, scene: Scene, request: FinishRequest, notes: list[
         free = free_cameras(model, request.tuning.adjust) - set(request.held.cameras)
         rigs = set(model.rigs) - {k + 1 for k in request.held.fixed}
         return position_sigma(
-            model, free, rigs, checked.ties, drawings(model, scene), checked.off, tuning=request.tuning
+            model, free, rigs, checked.ties, nominal_geometry(model, scene), checked.off, tuning=request.tuning
         )
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         notes.append(f"position sigmas could not be computed: {error}")

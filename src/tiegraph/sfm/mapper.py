@@ -19,19 +19,19 @@ from tiegraph.scene.tuning import RegisteredTuning
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.covariance import PositionSigma
 from tiegraph.sfm.database import ViewGraph
-from tiegraph.sfm.finish import Finished, FinishRequest, Held, finish_model
-from tiegraph.sfm.losses import (
+from tiegraph.sfm.finish import FinishRequest, FinishResult, Held, finish_model
+from tiegraph.sfm.mapping import SCRATCH, Account, Job, Outcome, Source, believed_cameras, map_images
+from tiegraph.sfm.model import frame_poses, registration_tables
+from tiegraph.sfm.placement.registration import MatchSource
+from tiegraph.sfm.registrationreport import (
     camera_notes,
     camera_table,
     models_table,
     no_model_text,
     rig_doubts,
     unregistered,
-    weakly_held,
+    weakly_constrained,
 )
-from tiegraph.sfm.mapping import SCRATCH, Account, Job, Outcome, Source, believed_cameras, map_images
-from tiegraph.sfm.model import frame_poses, registration_tables
-from tiegraph.sfm.placement.settle import Matched
 from tiegraph.sfm.rig.rig import DerivedRig, derive_rig, rig_modes, rig_table
 from tiegraph.sfm.rig.support import ties_of, unsupported_sensors
 from tiegraph.sfm.settings import SparseSettings
@@ -132,7 +132,7 @@ def _without_unsupported(job: Job, modes: dict[int, str]) -> Job:
     names = ", ".join(scene.all_sensors[k].name for k in alone)
     job.account.notes.append(f"too few ties of {names}: placed by the rig as given, its own ties are not used")
     graph = ViewGraph(source.database, scene, job.settings.min_matches, without)
-    return replace(job, source=replace(source, refused=without), graph=graph, alone=alone)
+    return replace(job, source=replace(source, refused=without), graph=graph, unsupported=alone)
 
 
 def _reconstruct(job: Job, modes: dict[int, str]) -> SparseResult:
@@ -178,7 +178,7 @@ def _derived_note(rig: Rig, result: DerivedRig, tuning: DeriveTuning) -> str:
     )
 
 
-def _finish(job: Job, outcome: Outcome, modes: dict[int, str]) -> Finished:
+def _finish(job: Job, outcome: Outcome, modes: dict[int, str]) -> FinishResult:
     """Adjust, check, colour and write the models to their place; what there is to say of the first."""
     out = []
     held = Held(
@@ -186,7 +186,7 @@ def _finish(job: Job, outcome: Outcome, modes: dict[int, str]) -> Finished:
         fixed=tuple(k for k, mode in modes.items() if mode == "fixed"),
         soft=tuple(k for k, mode in modes.items() if mode == "soft"),
         ordered=tuple(modes) if job.settings.rig == "fixed" else (),
-        alone=job.alone,
+        unsupported=job.unsupported,
         cameras=believed_cameras(job.scene, job.settings),
         lenses_ordered=job.settings.refine_intrinsics == "no",
     )
@@ -209,15 +209,15 @@ def _finish(job: Job, outcome: Outcome, modes: dict[int, str]) -> Finished:
     return out[0]
 
 
-def _matched(job: Job, folder: Path) -> Matched:
+def _matched(job: Job, folder: Path) -> MatchSource:
     # COLMAP asks for a folder of images, though points need none.
     images = job.source.images or folder
-    return Matched(
+    return MatchSource(
         database=job.source.database, images=images, refused=job.source.refused, scratch=folder / "placement"
     )
 
 
-def _account(job: Job, outcome: Outcome, rig: str, finished: Finished) -> SparseResult:
+def _account(job: Job, outcome: Outcome, rig: str, finished: FinishResult) -> SparseResult:
     """Say what is in the models and what is not."""
     scene = job.scene
     folders = [job.out / str(k) for k in range(len(outcome.folders))]
@@ -239,7 +239,7 @@ def _account(job: Job, outcome: Outcome, rig: str, finished: Finished) -> Sparse
     doubts = (
         [] if job.source.rough else rig_doubts(main, scene, held, first.registered, job.graph.components[0], job.tuning)
     )
-    held_by = [] if job.source.rough else weakly_held(scene, job.graph, first.found, job.tuning.losses)
+    held_by = [] if job.source.rough else weakly_constrained(scene, job.graph, first.found, job.tuning.registration)
     counts: dict[str, float] = {
         "images": len(scene),
         "registered": first.registered,

@@ -18,10 +18,10 @@ from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.blockwise import RunMap, poses_by_blocks, serially
 from tiegraph.sfm.database import ViewGraph
-from tiegraph.sfm.losses import no_model_text
 from tiegraph.sfm.model import frame_poses, image_poses, observations
+from tiegraph.sfm.registrationreport import no_model_text
 from tiegraph.sfm.rig.rig import held_by_mapper
-from tiegraph.sfm.run import Fixed, Mapped, Matches, Method, Request, run_mapper
+from tiegraph.sfm.run import Fixed, MappingResult, Matches, Method, Request, run_mapper
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.start.poses import length_of_path
 from tiegraph.sfm.tuning import MappingTuning, Tuning
@@ -70,7 +70,7 @@ class Job:
     log: Path
     graph: ViewGraph
     account: Account
-    alone: tuple[int, ...] = ()  # keys of sensors placed by the rig as given
+    unsupported: tuple[int, ...] = ()  # keys of sensors placed by the rig as given
 
 
 @dataclass(frozen=True)
@@ -265,7 +265,7 @@ def _run(
     per_frame = total / max(scene.frames, 1) if rigs else 1.0
     job.source.on_progress(0, total)
     start = time.monotonic()
-    mapped: Mapped = run_in_child(
+    mapped: MappingResult = run_in_child(
         run_mapper,
         request,
         log=job.log,

@@ -62,7 +62,7 @@ def held_out_frames(scene: Scene, tuning: FixTuning) -> np.ndarray:
     has = np.flatnonzero(np.isfinite(scene.world_from_rig[:, :3, 3]).all(axis=1))
     if len(has) < tuning.least_to_hold_out:
         return out
-    order = has[np.lexsort((scene.step[has], scene.track[has]))]
+    order = has[np.lexsort((scene.sequence_index[has], scene.sequence[has]))]
     out[order[tuning.held_out_every // 2 :: tuning.held_out_every]] = True
     return out
 

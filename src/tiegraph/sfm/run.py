@@ -16,9 +16,9 @@ from tiegraph.scene.rig import Rig, rig_from_dict, rig_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.database import write_working_copy
 from tiegraph.sfm.solver import THREADS, factorised
-from tiegraph.sfm.start.gate import why_not
-from tiegraph.sfm.start.poses import largest_piece, start_from
-from tiegraph.sfm.start.rounds import model_from
+from tiegraph.sfm.start.acceptance import refusal
+from tiegraph.sfm.start.poses import largest_component, start_from
+from tiegraph.sfm.start.stagedadjustment import model_from
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.verified import read_verified
 
@@ -73,7 +73,7 @@ class Request:
 
 
 @dataclass(frozen=True)
-class Mapped:
+class MappingResult:
     """Folders of the models of one run, most registered images first; remarks; why there are none, if it is known."""
 
     folders: list[Path]
@@ -81,7 +81,7 @@ class Mapped:
     refused: str = ""
 
 
-def run_mapper(request: Request, send: Callable[[Any], None]) -> Mapped:
+def run_mapper(request: Request, send: Callable[[Any], None]) -> MappingResult:
     """Run one mapper. Sends the frames done so far."""
     shutil.rmtree(request.folder, ignore_errors=True)
     request.folder.mkdir(parents=True)
@@ -109,34 +109,34 @@ def run_mapper(request: Request, send: Callable[[Any], None]) -> Mapped:
         folders.append(folder)
     shutil.rmtree(raw)
     working.unlink()
-    return Mapped(folders)
+    return MappingResult(folders)
 
 
 def _from_poses(
     request: Request, working: Path, scene: Scene, rigs: dict[int, Rig], send: Callable[[Any], None]
-) -> Mapped:
+) -> MappingResult:
     """One model from the poses that are roughly known, if it passes the gate."""
     assert request.poses is not None
     seen = request.matches
     verified = read_verified(seen.database, scene, seen.refused)
-    piece = largest_piece(request.poses, scene, rigs, verified.pairs)
+    piece = largest_component(request.poses, scene, rigs, verified.pairs)
     poses = np.where(piece[:, None, None], request.poses, np.nan)
     placed = np.isfinite(poses).all(axis=(1, 2))
     if placed.sum() < request.tuning.start.min_share * piece.sum():
-        return Mapped([], refused=f"it places {placed.sum()} of {piece.sum()} images that hold together")
+        return MappingResult([], refused=f"it places {placed.sum()} of {piece.sum()} images that hold together")
     start = start_from(poses, scene, rigs, request.fixed.rigs, verified, request.tuning.start)
     if start is None:
-        return Mapped([], refused="neither matches nor positions tell the length of its path against the rig")
+        return MappingResult([], refused="neither matches nor positions tell the length of its path against the rig")
     write_working_copy(seen.database, working, scene, start.rigs, None, seen.refused, seen.only)
     model = model_from(working, scene, start, lambda free: _options(request, free), request.tuning, send)
     working.unlink()
-    refused = why_not(model, scene, verified, piece, request.tuning)
+    refused = refusal(model, scene, verified, piece, request.tuning)
     if refused:
-        return Mapped([], start.notes, refused)
+        return MappingResult([], start.notes, refused)
     folder = request.folder / "0"
     folder.mkdir()
     model.write(folder)
-    return Mapped([folder], start.notes)
+    return MappingResult([folder], start.notes)
 
 
 def _options(request: Request, free: bool) -> pycolmap.IncrementalPipelineOptions:

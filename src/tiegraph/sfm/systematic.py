@@ -38,7 +38,7 @@ class Effect:
 
 @dataclass(frozen=True)
 class Score:
-    """What the observations say of K more unknowns at zero (``Weighed.score``)."""
+    """What the observations say of K more unknowns at zero (``EffectWeights.score``)."""
 
     gradient: np.ndarray  # (C, K) effect on the gradient of all points
     score: np.ndarray  # (K,)
@@ -46,7 +46,7 @@ class Score:
     information: np.ndarray  # (K, K) that the other unknowns leave of them
 
 
-class Weighed:
+class EffectWeights:
     """The observations with their robust weights, and the factor of their normal equations."""
 
     def __init__(
@@ -67,7 +67,7 @@ class Weighed:
         self._whole = np.asarray(self._of_point.sum(axis=0)).ravel()
         self.scatter = (self._of_point.T @ self._of_point).tocsr()  # (C, C)
 
-    def without(self, known: np.ndarray) -> Weighed:
+    def without(self, known: np.ndarray) -> EffectWeights:
         """The same with what this part (2O,) of the observations' errors leaves in the residuals taken away."""
         own = self._root @ known
         by_point = self._inverse @ (self.jp.T @ own)
@@ -125,7 +125,7 @@ class LensError:
 
 
 def lens_errors(
-    model: pycolmap.Reconstruction, weighed: Weighed, tuning: SharedErrorTuning
+    model: pycolmap.Reconstruction, weighed: EffectWeights, tuning: SharedErrorTuning
 ) -> tuple[list[tuple[LensError, Effect]], np.ndarray]:
     """The shared error of each camera that the observations show, by its residuals over the image; (2O,) what of the
     residuals it explains."""
@@ -139,7 +139,7 @@ def lens_errors(
 
 
 def _lens_error(
-    camera: pycolmap.Camera, weighed: Weighed, tuning: SharedErrorTuning
+    camera: pycolmap.Camera, weighed: EffectWeights, tuning: SharedErrorTuning
 ) -> tuple[LensError, Effect, np.ndarray] | None:
     seen = weighed.seen
     across, down = tuning.bins if camera.width >= camera.height else tuning.bins[::-1]
@@ -220,7 +220,7 @@ class Unrest:
 
 def misplaced(
     model: pycolmap.Reconstruction,
-    weighed: Weighed,
+    weighed: EffectWeights,
     held: Collection[int],
     off: Mapping[int, np.ndarray],
     tuning: SharedErrorTuning,
@@ -258,7 +258,9 @@ def misplaced(
     return out, explained
 
 
-def unrest(model: pycolmap.Reconstruction, weighed: Weighed, tuning: SharedErrorTuning) -> list[tuple[Unrest, Effect]]:
+def unrest(
+    model: pycolmap.Reconstruction, weighed: EffectWeights, tuning: SharedErrorTuning
+) -> list[tuple[Unrest, Effect]]:
     """How far cameras stray from their places in the rig from shot to shot, where the observations show any.
 
     All cameras alike, the reference too; what the pose of a frame takes up of its images' shifts is counted in.

@@ -18,20 +18,20 @@ from tiegraph.sfm.tuning.placement import AgreementTuning
 
 
 @dataclass(frozen=True)
-class Verified:
+class VerifiedMatches:
     """Image pairs (P, 2), scene indices, low first, their matches (M, 2) and the images' key points (K, 2) px."""
 
     pairs: np.ndarray
     matches: tuple[np.ndarray, ...]
     xy: dict[int, np.ndarray]
 
-    def where(self, rows: np.ndarray) -> Verified:
+    def where(self, rows: np.ndarray) -> VerifiedMatches:
         """Some of the pairs (boolean or index array)."""
         chosen = np.flatnonzero(rows) if rows.dtype == bool else rows
-        return Verified(self.pairs[chosen], tuple(self.matches[k] for k in chosen), self.xy)
+        return VerifiedMatches(self.pairs[chosen], tuple(self.matches[k] for k in chosen), self.xy)
 
 
-def read_verified(database: Path, scene: Scene, refused: Sequence[tuple[int, int]] = ()) -> Verified:
+def read_verified(database: Path, scene: Scene, refused: Sequence[tuple[int, int]] = ()) -> VerifiedMatches:
     """All verified matches but those of refused pairs (scene indices)."""
     away = {(min(p), max(p)) for p in refused}
     index = {image_id: k for k, image_id in image_ids(database, scene).items()}
@@ -46,11 +46,11 @@ def read_verified(database: Path, scene: Scene, refused: Sequence[tuple[int, int
                 found[key] = matches if ends[0] < ends[1] else matches[:, ::-1]
         xy = {index[image_id]: points for image_id, points in rows.keypoints() if image_id in index}
     pairs = np.array(sorted(found), int).reshape(-1, 2)
-    return Verified(pairs, tuple(found[int(a), int(b)] for a, b in pairs), xy)
+    return VerifiedMatches(pairs, tuple(found[int(a), int(b)] for a, b in pairs), xy)
 
 
 @dataclass(frozen=True)
-class Seen:
+class ImageObservations:
     """What the images of a model know: camera, pose, point of each key point (-1 = none), reach (nearest, farthest);
     and ``tuning``: by what their matches are judged."""
 
@@ -62,7 +62,7 @@ class Seen:
     tuning: AgreementTuning
 
 
-def seen_by(model: pycolmap.Reconstruction, scene: Scene, tuning: AgreementTuning) -> Seen:
+def image_observations(model: pycolmap.Reconstruction, scene: Scene, tuning: AgreementTuning) -> ImageObservations:
     """The registered images of a model that the scene knows."""
     xyz = {int(k): p.xyz for k, p in model.points3D.items()}
     cameras, poses, point, reach = {}, {}, {}, {}
@@ -79,10 +79,10 @@ def seen_by(model: pycolmap.Reconstruction, scene: Scene, tuning: AgreementTunin
         if len(own) >= tuning.least_matches:
             depth = np.linalg.norm(transforms.apply(poses[k], own), axis=1)
             reach[k] = np.percentile(depth, tuning.reach_percent)
-    return Seen(cameras=cameras, cam_from_world=poses, point=point, reach=reach, xyz=xyz, tuning=tuning)
+    return ImageObservations(cameras=cameras, cam_from_world=poses, point=point, reach=reach, xyz=xyz, tuning=tuning)
 
 
-def agreement(verified: Verified, seen: Seen) -> np.ndarray:
+def agreement(verified: VerifiedMatches, seen: ImageObservations) -> np.ndarray:
     """(P, 2): matches of each pair that the model's poses explain, and all of them, both capped; 0, 0 = no opinion."""
     tuning = seen.tuning
     rays: dict[int, np.ndarray] = {}

@@ -21,7 +21,7 @@ from tiegraph.verify.tuning import LoopTuning
 
 
 @dataclass(frozen=True)
-class Averaged:
+class RotationAverage:
     """Rotations of U units and what E edges make of them."""
 
     unit_from_world: np.ndarray  # (U, 3, 3)
@@ -36,7 +36,7 @@ class Averaged:
 
 def average(
     units: int, ends: np.ndarray, rotations: np.ndarray, weight: np.ndarray, bound_deg: float, tuning: LoopTuning
-) -> Averaged:
+) -> RotationAverage:
     """Average n_from_m rotations (E, 3, 3) of edges ``ends`` (E, 2); one of weight 0 has none and is only judged."""
     there = np.flatnonzero(weight > 0)
     rotation, label = _Clusters(units, ends[there], rotations[there], weight[there], bound_deg, tuning.voters).join()
@@ -45,7 +45,7 @@ def average(
     residual[there] = _angles(rotation, ends[there], rotations[there])
     agreeing = np.zeros(len(ends), bool)
     agreeing[there] = residual[there] < bound_deg
-    return Averaged(
+    return RotationAverage(
         unit_from_world=rotation, component=label, residual_deg=residual, reliable=_reliable(units, ends, agreeing)
     )
 

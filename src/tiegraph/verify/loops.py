@@ -11,10 +11,10 @@ import numpy as np
 
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
-from tiegraph.verify.averaging import Averaged, average
+from tiegraph.verify.averaging import RotationAverage, average
 from tiegraph.verify.bearings import Calibration, Task
-from tiegraph.verify.judge import Judged, Measured, Predicted, judge, measure
 from tiegraph.verify.motion import support as backed
+from tiegraph.verify.pairmotion import MeasuredMotion, MotionTest, Predicted, judge, measure
 from tiegraph.verify.settings import VerifySettings
 from tiegraph.verify.tuning import LoopTuning, Tuning
 
@@ -86,7 +86,7 @@ def decide(work: Work, calibration: Calibration, method: str) -> Decided:
     settings, by_frame = work.settings, method.startswith("rig") and method != "rig does not hold"
     bound = settings.max_error_px / calibration.focal_px()
     tasks, groups = tasks_of(work, calibration.unit)
-    measured: list[Measured] = work.run_map(measure, tasks, work.database, calibration, bound, work.tuning.motion)
+    measured: list[MeasuredMotion] = work.run_map(measure, tasks, work.database, calibration, bound, work.tuning.motion)
     _log.info("%d pairs of units measured", len(tasks))
     wide = settings.max_loop_deg * _widened(method, work.tuning.loops)
     loops, tolerance, spread = _loops(work, tasks, measured, wide)
@@ -99,7 +99,7 @@ def decide(work: Work, calibration: Calibration, method: str) -> Decided:
         )
     items = [] if noisy else _doubts(tasks, measured, loops, tolerance, work.tuning)
     asked = [Predicted(tasks[k], rotation, doubtful) for k, rotation, doubtful in items]
-    judged: list[Judged] = work.run_map(judge, asked, work.database, calibration, bound, tolerance, work.tuning)
+    judged: list[MotionTest] = work.run_map(judge, asked, work.database, calibration, bound, tolerance, work.tuning)
     refused, undecided = np.zeros(len(work.pairs), bool), np.zeros(len(work.pairs), bool)
     motion = {k: m.motion for k, m in enumerate(measured) if m.motion is not None and loops.residual_deg[k] < tolerance}
     support = {k: measured[k].support(work.tuning.motion) for k in motion}
@@ -134,8 +134,8 @@ def _agrees(agree: np.ndarray, total: np.ndarray, tuning: Tuning) -> np.ndarray:
 
 
 def _loops(
-    work: Work, tasks: Sequence[Task], measured: Sequence[Measured], wide: float
-) -> tuple[Averaged, float, float]:
+    work: Work, tasks: Sequence[Task], measured: Sequence[MeasuredMotion], wide: float
+) -> tuple[RotationAverage, float, float]:
     """Rotations of all units by votes, how far a true tie may be off them, and how far half of them are; degrees."""
     tuning = work.tuning.loops
     ends = np.array([t[:2] for t in tasks], int).reshape(-1, 2)
@@ -154,13 +154,13 @@ def _loops(
 
 
 @dataclass(frozen=True)
-class _Predictor(Averaged):
+class _Predictor(RotationAverage):
     """Averaged rotations with the ends of the edges they judge."""
 
     ends: np.ndarray
 
     @staticmethod
-    def of(loops: Averaged, ends: np.ndarray) -> _Predictor:
+    def of(loops: RotationAverage, ends: np.ndarray) -> _Predictor:
         return _Predictor(
             unit_from_world=loops.unit_from_world,
             component=loops.component,
@@ -177,13 +177,13 @@ class _Predictor(Averaged):
 def _neighbours(scene: Scene, ends: np.ndarray, steps: int) -> np.ndarray:
     """(E,) bool: units of one pass at most so many steps apart."""
     frame = np.concatenate([np.arange(scene.frames), scene.frame])[ends]
-    track, step = scene.track[frame], scene.step[frame]
+    sequence, step = scene.sequence[frame], scene.sequence_index[frame]
     close = np.abs(step[:, 0].astype(int) - step[:, 1]) <= steps
-    return (track[:, 0] == track[:, 1]) & (track[:, 0] >= 0) & close
+    return (sequence[:, 0] == sequence[:, 1]) & (sequence[:, 0] >= 0) & close
 
 
 def _doubts(
-    tasks: Sequence[Task], measured: Sequence[Measured], loops: Averaged, tolerance: float, tuning: Tuning
+    tasks: Sequence[Task], measured: Sequence[MeasuredMotion], loops: RotationAverage, tolerance: float, tuning: Tuning
 ) -> list[tuple[int, np.ndarray, np.ndarray]]:
     """(task, predicted rotation, doubtful pairs) of everything that contradicts and can be decided."""
     assert isinstance(loops, _Predictor)

@@ -37,7 +37,7 @@ class MotionTuning(Section):
 
 
 class RigTuning(Section):
-    """The rig against the images, before it verifies them (`rigcheck.py`)."""
+    """The rig against the images, before it verifies them (`cameraturns.py`)."""
 
     frame_pairs: int = Field(24, gt=0)
     """Pairs of frames the rig is checked on, those with most image pairs."""

@@ -19,9 +19,9 @@ from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 from tiegraph.verify import bearings
 from tiegraph.verify.bearings import Calibration
+from tiegraph.verify.cameraturns import RigCheck, check_rig
 from tiegraph.verify.loops import Map, Motions, Work, decide, tasks_of
 from tiegraph.verify.prior import Prior, agreement, held_by_rig
-from tiegraph.verify.rigcheck import RigCheck, check_rig
 from tiegraph.verify.settings import VerifySettings
 from tiegraph.verify.tuning import Tuning
 

@@ -19,7 +19,7 @@ import numpy as np
 from tiegraph.network.coarse.model import CoarseModel
 from tiegraph.network.tuning.coarse import CoarseTuning
 from tiegraph.scene.blocks import Block
-from tiegraph.scene.joining import Joined, Poses, join_models, moved
+from tiegraph.scene.joining import JoinResult, Poses, join_models, moved
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import JoiningTuning
 
@@ -77,7 +77,7 @@ def _whose(scene: Scene, made: Sequence[tuple[Block, CoarseModel]], part: np.nda
 
 
 def _together(
-    scene: Scene, made: Sequence[tuple[Block, CoarseModel]], joined: Joined, whose: np.ndarray, part: int
+    scene: Scene, made: Sequence[tuple[Block, CoarseModel]], joined: JoinResult, whose: np.ndarray, part: int
 ) -> CoarseModel:
     """The models of one part in one frame. A point is taken from the model that most of its observers are taken from,
     so that what two blocks see alike is there once."""
@@ -114,7 +114,7 @@ def _together(
 
 
 def _notes(
-    scene: Scene, blocks: Sequence[Block], made: Sequence[tuple[Block, CoarseModel]], joined: Joined
+    scene: Scene, blocks: Sequence[Block], made: Sequence[tuple[Block, CoarseModel]], joined: JoinResult
 ) -> tuple[str, ...]:
     shared, agree = sum(j.shared for j in joined.joins if j.holds), sum(j.agree for j in joined.joins if j.holds)
     text = f"coarse model: mapped in {len(blocks)} blocks of up to {max(map(len, blocks), default=0)} images"
@@ -143,6 +143,6 @@ def _span(scene: Scene, block: Block) -> str:
     """From which to which own image of its first pass a block goes."""
     images = block.images[block.own]
     frame = scene.frame[images]
-    first = images[scene.track[frame] == scene.track[frame].min()]
-    order = np.argsort(scene.step[scene.frame[first]], kind="stable")
+    first = images[scene.sequence[frame] == scene.sequence[frame].min()]
+    order = np.argsort(scene.sequence_index[scene.frame[first]], kind="stable")
     return f"{scene.names[first[order[0]]]} .. {scene.names[first[order[-1]]]}"

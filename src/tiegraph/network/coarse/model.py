@@ -13,8 +13,8 @@ from tiegraph.geometry import transforms
 from tiegraph.network.coarse.proxy import Proxy
 from tiegraph.network.coarse.visible import Overlap, observed_proxy, shared_surface, visible_points
 from tiegraph.network.tuning.coarse import CoarseTuning, ProxyTuning
+from tiegraph.scene.matches import Visibility
 from tiegraph.scene.rig import Rig, camera_from_dict, camera_to_dict, rig_from_dict, rig_to_dict
-from tiegraph.scene.ties import Sights
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class CoarseModel:
         proxy = self.proxy(tuning.proxy)
         return shared_surface(self.cam_from_world, self.cameras, proxy, tuning.visible, max_angle_deg)
 
-    def sights(self, tuning: CoarseTuning) -> Sights:
+    def sights(self, tuning: CoarseTuning) -> Visibility:
         """The points each image should see."""
         return visible_points(self.cam_from_world, self.cameras, self.proxy(tuning.proxy), tuning.visible)
 

@@ -63,9 +63,9 @@ def observed_proxy(
     towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
     reach = np.zeros(len(points))
     np.maximum.at(reach, point, tuning.far_observers * distance)
-    track = np.bincount(point, minlength=len(points))
-    proxy = Proxy(points=points, reach=np.where(track > 0, reach, np.inf), towards=towards, image=image, point=point)
-    good = track >= tuning.min_track
+    sequence = np.bincount(point, minlength=len(points))
+    proxy = Proxy(points=points, reach=np.where(sequence > 0, reach, np.inf), towards=towards, image=image, point=point)
+    good = sequence >= tuning.min_track
     return proxy.keep(good) if good.sum() >= tuning.tracked_share * len(points) else proxy
 
 

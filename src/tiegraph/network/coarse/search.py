@@ -20,15 +20,15 @@ from tiegraph.network.coarse.model import CoarseModel
 from tiegraph.network.coarse.trust import Trust, trust
 from tiegraph.network.coarse.visible import Overlap
 from tiegraph.network.offsets.curves import contained
-from tiegraph.network.passes import PreviewBook
+from tiegraph.network.passes import MatchCache
 from tiegraph.network.settings import CandidatesSettings, CoarseSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.network.tuning.coarse import CoarseTuning
+from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.rig import Rig, calibrated, camera_from_dict, camera_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.strongest import strongest_pairs
-from tiegraph.scene.ties import Ties
 
 NO_MODEL = "coarse model: none could be made; pairs are chosen by preview counts alone"
 
@@ -57,18 +57,18 @@ class Search:
     def __init__(
         self,
         candidates: tuple[Pairs, Scene],
-        book: PreviewBook,
+        cache: MatchCache,
         settings: tuple[CandidatesSettings, CoarseSettings],
         tuning: CoarseTuning,
     ) -> None:
         self._pairs, self._scene = candidates
-        self._book, self._tuning = book, tuning
+        self._book, self._tuning = cache, tuning
         self._settings, self._per_image = settings[0], float(settings[1].pairs_per_image)
         self._without = np.zeros(0, np.int64)
         self._tries: list[_Try] = []
         self._over = False
 
-    def wanted(self) -> Ties | None:
+    def wanted(self) -> PreviewMatches | None:
         """The ties that the next model is to be made of; None: it is not worth a further try."""
         if self._over or len(self._tries) >= self._tuning.tries:
             return None
@@ -77,7 +77,7 @@ class Search:
             best = best.where(np.isfinite(self._book.known(best.i, best.j)))
         return _ties(best, self._book, self._without, self._tuning.tie_matches)
 
-    def take(self, ties: Ties, made: Assembled) -> None:
+    def take(self, ties: PreviewMatches, made: Assembled) -> None:
         """Judge the models made of the ties that were wanted."""
         tried = self._tried(ties, made)
         self._tries.append(tried)
@@ -112,7 +112,7 @@ class Search:
         rigs, moved = calibrated_rigs(scene.rigs, model.rigs, tuning.most_focal, loose)
         return Coarse(pairs=judged, scene=scene.with_(rigs=rigs), model=model, trusted=trusted, notes=notes + moved)
 
-    def _tried(self, ties: Ties, made: Assembled) -> _Try:
+    def _tried(self, ties: PreviewMatches, made: Assembled) -> _Try:
         scene, models = self._scene, made.models
         part = np.full(len(scene), -1)
         if not models:
@@ -177,10 +177,10 @@ class _Try:
         return bool(self.models) and self.trust.sound and not len(self.trust.suspects[0])
 
 
-def _ties(best: Pairs, book: PreviewBook, without: np.ndarray, least: int) -> Ties:
+def _ties(best: Pairs, cache: MatchCache, without: np.ndarray, least: int) -> PreviewMatches:
     """The preview matches of the best pairs, those whose keys (K,) are not to be used left out."""
-    book.measure(best.i, best.j)
-    ties = book.ties()
+    cache.measure(best.i, best.j)
+    ties = cache.matches()
     key = _key(ties.i, ties.j)
     return ties.where(np.isin(key, _key(best.i, best.j)) & ~np.isin(key, without) & (ties.counts() >= least))
 
@@ -263,7 +263,7 @@ def _judged(pairs: Pairs, overlap: Overlap, part: np.ndarray, settings: Candidat
 
 
 def _never_tied(
-    pairs: Pairs, scene: Scene, book: PreviewBook, settings: CandidatesSettings, tuning: CoarseTuning
+    pairs: Pairs, scene: Scene, cache: MatchCache, settings: CandidatesSettings, tuning: CoarseTuning
 ) -> np.ndarray:
     """(P,) bool: pairs of two cameras that the model says share surface and whose previews say never match.
 
@@ -274,7 +274,7 @@ def _never_tied(
     low, high = np.minimum(first, second).astype(int), np.maximum(first, second).astype(int)
     sensors = len(scene.all_sensors)
     group = low * sensors + high
-    count = book.known(pairs.i, pairs.j)
+    count = cache.known(pairs.i, pairs.j)
     seen = np.isfinite(count) & (pairs.overlap >= settings.min_overlap)
     total = np.bincount(group[seen], minlength=sensors * sensors)
     hits = np.bincount(group[seen], count[seen] >= settings.min_matches, minlength=sensors * sensors)

@@ -17,7 +17,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
 from tiegraph.network.coarse.visible import Overlap
-from tiegraph.network.passes import PreviewBook
+from tiegraph.network.passes import MatchCache
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning.coarse import TrustTuning
 from tiegraph.scene.graph import parts
@@ -54,7 +54,7 @@ class Trust:
 
 def trust(
     scene: Scene,
-    book: PreviewBook,
+    cache: MatchCache,
     overlap: Overlap,
     part: np.ndarray,
     settings: CandidatesSettings,
@@ -68,7 +68,7 @@ def trust(
     model tore at a bridge into two right halves, for the ties across the change of light had fewer matches than those
     of one half to a wall like its own. Only the largest set of stretches that hold together is believed.
     """
-    i, j, count = book.pairs()
+    i, j, count = cache.pairs()
     tied = (count >= settings.min_matches) & (part[i] >= 0) & (part[j] >= 0)
     i, j, count = i[tied], j[tied], count[tied]
     strong = count >= tuning.strong * settings.min_matches
@@ -78,8 +78,8 @@ def trust(
     stretch = _stretches(scene, part, *_doubts(scene, i[sure], j[sure], right[sure], tuning))
     n = int(stretch.max(initial=0)) + 1
     couple = stretch[i] * n + stretch[j]
-    total, good = (_couples(couple[strong], c[strong], n) for c in (count, count * right))
-    near_total, near_good = (_couples(couple[sure], c[sure], n) for c in (count, count * right))
+    total, good = (_sequence_pairs(couple[strong], c[strong], n) for c in (count, count * right))
+    near_total, near_good = (_sequence_pairs(couple[sure], c[sure], n) for c in (count, count * right))
     told = (total >= tuning.few * tuning.strong * settings.min_matches) & ~np.eye(n, dtype=bool)
     torn = (near_total > 0) & (near_good < tuning.trusted * near_total) & ~np.eye(n, dtype=bool)
     linked = np.where(told & (good >= tuning.linked * total), good, 0.0)
@@ -98,8 +98,10 @@ def trust(
 
 def _near(scene: Scene, i: np.ndarray, j: np.ndarray, steps: int) -> np.ndarray:
     a, b = scene.frame[i], scene.frame[j]
-    same = (scene.track[a] == scene.track[b]) & (scene.track[a] >= 0) & (scene.rig[a] == scene.rig[b]) & (a != b)
-    return same & (np.abs(scene.step[a] - scene.step[b]) <= steps)
+    same = (
+        (scene.sequence[a] == scene.sequence[b]) & (scene.sequence[a] >= 0) & (scene.rig[a] == scene.rig[b]) & (a != b)
+    )
+    return same & (np.abs(scene.sequence_index[a] - scene.sequence_index[b]) <= steps)
 
 
 def _doubts(
@@ -108,7 +110,7 @@ def _doubts(
     """(F,), (F,) bool: frames of whose near previews (K,) with those before, and with those after, most are not
     explained."""
     a, b = scene.frame[i], scene.frame[j]
-    later = scene.step[a] > scene.step[b]
+    later = scene.sequence_index[a] > scene.sequence_index[b]
     out = []
     # Forwards and backwards by themselves: at a tear one half of a frame's neighbours are where they should be.
     for ends in (np.where(later, a, b), np.where(later, b, a)):
@@ -123,17 +125,17 @@ def _stretches(scene: Scene, part: np.ndarray, before: np.ndarray, after: np.nda
     are cut before and after frames (F,) bool."""
     whole = np.full(scene.frames, -1)
     np.maximum.at(whole, scene.frame, part)
-    order = np.lexsort((scene.step, scene.rig, scene.track))
-    key = np.stack([scene.track, scene.rig, whole])[:, order]
+    order = np.lexsort((scene.sequence_index, scene.rig, scene.sequence))
+    key = np.stack([scene.sequence, scene.rig, whole])[:, order]
     cut = np.any(np.diff(key, axis=1) != 0, axis=0) | before[order][1:] | after[order][:-1]
     number = np.empty(scene.frames, int)
     number[order] = np.cumsum(np.append(True, cut))
-    number[scene.track < 0] = -whole[scene.track < 0]
+    number[scene.sequence < 0] = -whole[scene.sequence < 0]
     out = np.where(part >= 0, number[scene.frame], number.max() + 1)
     return np.where(part >= 0, np.unique(out, return_inverse=True)[1], -1)
 
 
-def _couples(couple: np.ndarray, weight: np.ndarray, n: int) -> np.ndarray:
+def _sequence_pairs(couple: np.ndarray, weight: np.ndarray, n: int) -> np.ndarray:
     """(n, n) sum of weights (K,) of each couple of stretches, in both orders."""
     table = np.bincount(couple, weight, minlength=n * n).reshape(n, n)
     return table + table.T

@@ -20,7 +20,7 @@ from tiegraph.geometry import transforms
 from tiegraph.network.coarse.proxy import Proxy, assumed_proxy, observed_proxy, points_proxy
 from tiegraph.network.coarse.view import View
 from tiegraph.network.tuning.coarse import CoarseTuning, VisibleTuning
-from tiegraph.scene.ties import Sights
+from tiegraph.scene.matches import Visibility
 
 __all__ = ["Overlap", "Proxy", "assumed_proxy", "observed_proxy", "points_proxy", "shared_surface"]
 
@@ -169,20 +169,20 @@ def shared_surface(
 
 def visible_points(
     cam_from_world: np.ndarray, cameras: Sequence[pycolmap.Camera | None], proxy: Proxy, tuning: VisibleTuning
-) -> Sights:
+) -> Visibility:
     """Which points of a proxy each image sees; of very many points a random part."""
     centre = transforms.centre(cam_from_world)
     known = np.flatnonzero(np.isfinite(cam_from_world[:, :3]).all(axis=(1, 2)))
     if not len(known) or not len(proxy):
         none = np.zeros(0, np.int32)
         start = np.zeros(len(cam_from_world) + 1, np.int64)
-        return Sights(start=start, point=none, xyz=np.zeros((0, 3)), centre=centre)
+        return Visibility(start=start, point=none, xyz=np.zeros((0, 3)), centre=centre)
     eyes = _eyes(cam_from_world, cameras, known, 0.0, tuning.guessed_view_deg)
     seen = _all_sights(eyes, known, proxy, tuning)
     image = known[seen.image]
     order = np.lexsort((seen.point, image))
     start = np.searchsorted(image[order], np.arange(len(cam_from_world) + 1))
-    return Sights(start=start, point=seen.point[order].astype(np.int32), xyz=seen.points, centre=centre)
+    return Visibility(start=start, point=seen.point[order].astype(np.int32), xyz=seen.points, centre=centre)
 
 
 def _eyes(

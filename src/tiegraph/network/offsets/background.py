@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from tiegraph.network.lattice import Lattice, Level
-from tiegraph.network.passes import Pass, PreviewBook
+from tiegraph.network.passes import MatchCache, Pass
+from tiegraph.network.scorematrix import NoiseFloor, ScoreMatrix
 from tiegraph.network.tuning import Tuning
 
 
@@ -29,7 +29,7 @@ class Far:
     d: np.ndarray
     count: np.ndarray
 
-    def level(self, shape: tuple[int, ...], min_matches: int, tuning: Tuning) -> Level:
+    def level(self, shape: tuple[int, ...], min_matches: int, tuning: Tuning) -> NoiseFloor:
         """The level of every two cameras, (S, T) of them."""
         low, high = tuning.counts.floor * min_matches, tuning.counts.ceiling * min_matches
         enough, outstanding = tuning.offsets.background.enough, tuning.offsets.background.outstanding
@@ -39,10 +39,12 @@ class Far:
         mean = np.bincount(key, value, minlength=len(number)) / np.maximum(number, 1)
         mean = np.where(number >= enough, mean, value.mean()).reshape(shape)
         most = max(high, float(np.quantile(self.count, outstanding)))
-        return Level(mean=mean, most=most, lowest=low, highest=high, most_level=tuning.offsets.lattice.most_level)
+        return NoiseFloor(mean=mean, most=most, lowest=low, highest=high, most_level=tuning.offsets.scores.most_level)
 
 
-def level_within(p: Pass, allowed: np.ndarray, book: PreviewBook, min_matches: int, tuning: Tuning) -> Level | None:
+def noise_floor_within(
+    p: Pass, allowed: np.ndarray, cache: MatchCache, min_matches: int, tuning: Tuning
+) -> NoiseFloor | None:
     """The level between frames of one pass far from each other, for cameras that are ``allowed`` (S, S); None for a
     short pass."""
     if len(p) < tuning.offsets.background.long_frames:
@@ -59,12 +61,12 @@ def level_within(p: Pass, allowed: np.ndarray, book: PreviewBook, min_matches: i
     there = (left >= 0) & (right >= 0)
     if not there.any():
         return None
-    count, c, d = book.measure(left[there], right[there]), c[there], d[there]
+    count, c, d = cache.measure(left[there], right[there]), c[there], d[there]
     far = Far(np.concatenate([c, d]), np.concatenate([d, c]), np.tile(count, 2))
     return far.level(allowed.shape, min_matches, tuning)
 
 
-def level_away(lattice: Lattice, beside: np.ndarray, min_matches: int, tuning: Tuning) -> Level | None:
+def noise_floor_away(lattice: ScoreMatrix, beside: np.ndarray, min_matches: int, tuning: Tuning) -> NoiseFloor | None:
     """The level of the measured nodes that are not ``beside`` (A, B) the path between two passes."""
     c, d, a, b = np.nonzero(np.isfinite(lattice.inliers) & ~beside)
     if not len(c):
@@ -72,7 +74,7 @@ def level_away(lattice: Lattice, beside: np.ndarray, min_matches: int, tuning: T
     return Far(c, d, lattice.inliers[c, d, a, b]).level(lattice.allowed.shape, min_matches, tuning)
 
 
-def band(lattice: Lattice, path: np.ndarray, window: int, tuning: Tuning) -> np.ndarray:
+def corridor(lattice: ScoreMatrix, path: np.ndarray, window: int, tuning: Tuning) -> np.ndarray:
     """(S, T, A, B) bool: nodes as far from the ``path`` (A,) of two long passes as their cameras tie all along it.
 
     What two cameras share changes slowly along a pass, so that all its frames together tell at which distances they

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from tiegraph.network.lattice import Lattice
-from tiegraph.network.passes import PreviewBook
-from tiegraph.network.tuning.looks import CopiesTuning
+from tiegraph.network.passes import MatchCache
+from tiegraph.network.scorematrix import ScoreMatrix
+from tiegraph.network.tuning.retrieval import CopiesTuning
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ def is_copy(result: Any, min_matches: int, tuning: CopiesTuning) -> bool:
     return bool(still and result.inliers >= tuning.found_again * features)
 
 
-def find_copies(lattice: Lattice, book: PreviewBook, min_matches: int, tuning: CopiesTuning) -> Copies | None:
+def find_copies(lattice: ScoreMatrix, cache: MatchCache, min_matches: int, tuning: CopiesTuning) -> Copies | None:
     """Same pictures in two passes of one rig; None within a pass and where the first look finds none."""
     p, q = lattice.p, lattice.q
     if lattice.same or len(p.images) != len(q.images):
@@ -47,13 +47,13 @@ def find_copies(lattice: Lattice, book: PreviewBook, min_matches: int, tuning: C
         some = m[np.unique(np.linspace(0, len(m) - 1, count).round().astype(int))] if len(m) else m
         if camera is None or not len(some):
             continue
-        first = _copies(p.images[camera, some], q.images[camera, some + step], book, min_matches, tuning)
+        first = _copies(p.images[camera, some], q.images[camera, some + step], cache, min_matches, tuning)
         if first.sum() >= max(tuning.least, tuning.many * len(some)):
-            return _all(lattice, m, step, book, min_matches, tuning)
+            return _all(lattice, m, step, cache, min_matches, tuning)
     return None
 
 
-def _best_offset(lattice: Lattice, min_matches: int, tuning: CopiesTuning) -> tuple[int | None, tuple[int, ...]]:
+def _best_offset(lattice: ScoreMatrix, min_matches: int, tuning: CopiesTuning) -> tuple[int | None, tuple[int, ...]]:
     """The camera that matches itself best, and frame offsets n - m of its best nodes; None = no strong match."""
     own = np.stack([np.nan_to_num(lattice.inliers[c, c]) for c in range(len(lattice.inliers))])
     camera = int(own.max(axis=(1, 2)).argmax())
@@ -64,22 +64,22 @@ def _best_offset(lattice: Lattice, min_matches: int, tuning: CopiesTuning) -> tu
     return camera, tuple(int(v) for v in values[np.argsort(-counts, kind="stable")][: tuning.offsets])
 
 
-def _copies(i: np.ndarray, j: np.ndarray, book: PreviewBook, min_matches: int, tuning: CopiesTuning) -> np.ndarray:
+def _copies(i: np.ndarray, j: np.ndarray, cache: MatchCache, min_matches: int, tuning: CopiesTuning) -> np.ndarray:
     """(K,) bool."""
     there = np.flatnonzero((i >= 0) & (j >= 0))
     out = np.zeros(len(i), bool)
     if len(there):
-        results = book.results(np.minimum(i, j)[there], np.maximum(i, j)[there])
+        results = cache.results(np.minimum(i, j)[there], np.maximum(i, j)[there])
         out[there] = [is_copy(r, min_matches, tuning) for r in results]
     return out
 
 
 def _all(
-    lattice: Lattice, m: np.ndarray, step: int, book: PreviewBook, min_matches: int, tuning: CopiesTuning
+    lattice: ScoreMatrix, m: np.ndarray, step: int, cache: MatchCache, min_matches: int, tuning: CopiesTuning
 ) -> Copies:
     p, q = lattice.p, lattice.q
     i, j = p.images[:, m].ravel(), q.images[:, m + step].ravel()
-    same = _copies(i, j, book, min_matches, tuning)
+    same = _copies(i, j, cache, min_matches, tuning)
     count, total = int(same.sum()), int((q.images >= 0).sum())
     note = f"pass {q.name} repeats pass {p.name}: {count} of {total} images show the same picture; "
     return Copies(i[same], j[same], note + "pairs of them carry no base and are dropped: leave one of the passes out")

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiegraph.network.lattice import Lattice
 from tiegraph.network.offsets.surface import OffsetSurface
 from tiegraph.network.rig import commonview
 from tiegraph.network.rig.axes import angles_deg
+from tiegraph.network.scorematrix import ScoreMatrix
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import CountsTuning
 from tiegraph.network.tuning.rig import RigTuning
@@ -51,7 +51,7 @@ def sampled_ranks(n: int, count: int) -> np.ndarray:
     return np.unique(np.linspace(0, n - 1, min(n, count)).round().astype(int))
 
 
-def facing(lattice: Lattice, excess: np.ndarray, settings: CandidatesSettings, tuning: RigTuning) -> np.ndarray:
+def facing(lattice: ScoreMatrix, excess: np.ndarray, settings: CandidatesSettings, tuning: RigTuning) -> np.ndarray:
     """(S, T) bool: camera pairs whose axes permit a match at the heading of q against p; all, while that is unknown."""
     yaw = commonview.yaw(lattice, excess, tuning)
     if yaw is None:
@@ -60,7 +60,7 @@ def facing(lattice: Lattice, excess: np.ndarray, settings: CandidatesSettings, t
 
 
 def curves_of(
-    lattice: Lattice,
+    lattice: ScoreMatrix,
     backwards: bool,
     accepted: np.ndarray,
     min_matches: int,
@@ -93,7 +93,7 @@ def curves_of(
 
 
 def votes_of(
-    lattice: Lattice,
+    lattice: ScoreMatrix,
     cameras: tuple[int, int],
     backwards: bool,
     min_matches: int,

@@ -16,17 +16,17 @@ from typing import cast
 import numpy as np
 
 from tiegraph.errors import choose
-from tiegraph.network.lattice import Lattice, Level, make_lattice
-from tiegraph.network.offsets.background import band, level_away, level_within
+from tiegraph.network.offsets.background import corridor, noise_floor_away, noise_floor_within
 from tiegraph.network.offsets.copies import find_copies
 from tiegraph.network.offsets.curves import OffsetResult, contained, curves_of, facing, sampled_ranks
-from tiegraph.network.offsets.surface import ridge, surfaces_of
-from tiegraph.network.passes import Pass, PreviewBook
+from tiegraph.network.offsets.surface import minimum_cost_path, surfaces_of
+from tiegraph.network.passes import MatchCache, Pass
 from tiegraph.network.rig import commonview
 from tiegraph.network.rig.axes import allowed_within
+from tiegraph.network.scorematrix import NoiseFloor, ScoreMatrix, score_matrix
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import CountsTuning, Tuning
-from tiegraph.network.tuning.looks import CopiesTuning
+from tiegraph.network.tuning.retrieval import CopiesTuning
 from tiegraph.network.tuning.rig import RigTuning
 from tiegraph.scene.pairs import REASONS, Pairs
 
@@ -37,7 +37,7 @@ log = logging.getLogger(__name__)
 class _Survey:
     """One finished lattice: smoothed counts, direction, yaw of q against p."""
 
-    lattice: Lattice
+    lattice: ScoreMatrix
     smooth: np.ndarray
     reversed: bool
     path: np.ndarray | None  # (A,) column node of each row, where evidence far from it does not count
@@ -46,21 +46,21 @@ class _Survey:
     complete: bool = True  # False: the budget of previews was spent before every hit was followed
 
 
-Estimate = Callable[[Pass, Pass, PreviewBook, CandidatesSettings, Tuning], OffsetResult]
+Estimate = Callable[[Pass, Pass, MatchCache, CandidatesSettings, Tuning], OffsetResult]
 OFFSETS: dict[str, Estimate] = {}
 """Ways by name to estimate the offsets of each two passes by themselves, beside ``local`` of this module."""
 
 
 def estimate_offsets(
-    passes: Sequence[Pass], book: PreviewBook, images: int, settings: CandidatesSettings, tuning: Tuning
+    passes: Sequence[Pass], cache: MatchCache, images: int, settings: CandidatesSettings, tuning: Tuning
 ) -> OffsetResult:
     """Candidate pairs within and between passes by the mode of ``settings.offsets``."""
     couples = [(a, b) for k, a in enumerate(passes) for b in passes[k:]]
     if settings.offsets == "local":
-        parts = _local_offsets(passes, couples, book, images, settings, tuning)
+        parts = _local_offsets(passes, couples, cache, images, settings, tuning)
     else:
         estimate = cast(Estimate, choose("mode of offsets", settings.offsets, OFFSETS))
-        parts = [estimate(p, q, book, settings, tuning) for p, q in couples]
+        parts = [estimate(p, q, cache, settings, tuning) for p, q in couples]
     pairs = Pairs.empty()
     for part in parts:
         pairs = pairs | part.pairs
@@ -72,34 +72,34 @@ def estimate_offsets(
 def _local_offsets(
     passes: Sequence[Pass],
     couples: list[tuple[Pass, Pass]],
-    book: PreviewBook,
+    cache: MatchCache,
     images: int,
     settings: CandidatesSettings,
     tuning: Tuning,
 ) -> list[OffsetResult]:
     """Of each couple of passes, within a budget of previews."""
     offsets, parts = tuning.offsets, []
-    budget = len(book) + max(offsets.min_budget, offsets.previews_an_image * images)
-    strides = {id(p): _stride(p, book, settings, tuning) for p in passes}
+    budget = len(cache) + max(offsets.min_budget, offsets.previews_an_image * images)
+    strides = {id(p): _stride(p, cache, settings, tuning) for p in passes}
     for k, (p, q) in enumerate(couples):
-        share = max(0, budget - len(book)) // (len(couples) - k)
+        share = max(0, budget - len(cache)) // (len(couples) - k)
         stride = finest = min(strides[id(p)], strides[id(q)])
-        survey = _survey((p, q), (stride, offsets.window_nodes), book, settings, tuning, len(book) + share)
+        survey = _survey((p, q), (stride, offsets.window_nodes), cache, settings, tuning, len(cache) + share)
         while not survey.complete and offsets.coarser_strides * stride < max(len(p), len(q)):
             stride *= 2  # coarser: the nodes of the finer lattice are known and cost nothing
             # As many frames from the path as before: else pairs, and previews, would grow faster than the images.
             window = max(offsets.least_window_nodes, offsets.window_nodes * finest // stride)
-            survey = _survey((p, q), (stride, window), book, settings, tuning, len(book) + share)
+            survey = _survey((p, q), (stride, window), cache, settings, tuning, len(cache) + share)
         local = _local(survey, settings, tuning)
-        parts.append(_without_copies(local, survey.lattice, book, settings, tuning.looks.copies))
+        parts.append(_without_copies(local, survey.lattice, cache, settings, tuning.retrieval.copies))
     return parts
 
 
-def _stride(p: Pass, book: PreviewBook, settings: CandidatesSettings, tuning: Tuning) -> int:
+def _stride(p: Pass, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning) -> int:
     """Lattice stride in frames: a share of the frames over which a typical camera keeps seeing the same things."""
     reach = []
     starts = sampled_ranks(len(p), settings.sample_frames)
-    level = level_within(p, allowed_within(p.rig, settings.axes_deg), book, settings.min_matches, tuning)
+    level = noise_floor_within(p, allowed_within(p.rig, settings.axes_deg), cache, settings.min_matches, tuning)
     for camera, images in enumerate(p.images):
         best = 0
         for step in tuning.offsets.ladder:
@@ -108,7 +108,7 @@ def _stride(p: Pass, book: PreviewBook, settings: CandidatesSettings, tuning: Tu
             there = (left >= 0) & (right >= 0)
             if not there.any():
                 break
-            count = book.measure(left[there], right[there])
+            count = cache.measure(left[there], right[there])
             if _usual(count, camera, level, settings.min_matches, tuning.counts) < settings.min_matches:
                 break
             best = step
@@ -117,7 +117,7 @@ def _stride(p: Pass, book: PreviewBook, settings: CandidatesSettings, tuning: Tu
     return int(np.clip(round(float(np.median(reach)) / tuning.offsets.strides_a_reach + 1), 1, most))
 
 
-def _usual(count: np.ndarray, camera: int, level: Level | None, min_matches: int, tuning: CountsTuning) -> float:
+def _usual(count: np.ndarray, camera: int, level: NoiseFloor | None, min_matches: int, tuning: CountsTuning) -> float:
     """What the previews (K,) of one camera at one distance reach, above what its unrelated frames do."""
     if level is None:
         return float(np.median(count))
@@ -128,7 +128,7 @@ def _usual(count: np.ndarray, camera: int, level: Level | None, min_matches: int
 def _survey(
     couple: tuple[Pass, Pass],
     grid: tuple[int, int],
-    book: PreviewBook,
+    cache: MatchCache,
     settings: CandidatesSettings,
     tuning: Tuning,
     budget: int,
@@ -140,10 +140,10 @@ def _survey(
     (p, q), (stride, window) = couple, grid
     reach = window + tuning.offsets.window_margin_nodes
     if p is q:
-        lattice, backwards, path = _seed_same(p, stride, book, settings, tuning), False, None
+        lattice, backwards, path = _seed_same(p, stride, cache, settings, tuning), False, None
         path = np.arange(len(lattice.rows), dtype=float)
     else:
-        lattice, backwards, path = _seed_across(couple, stride, book, settings, tuning, budget)
+        lattice, backwards, path = _seed_across(couple, stride, cache, settings, tuning, budget)
     path = path if min(len(p), len(q)) >= tuning.offsets.background.long_frames else None
     while True:
         smooth = lattice.smoothed(settings.min_matches, tuning)
@@ -153,7 +153,7 @@ def _survey(
             frontier &= _upper(lattice)
         if not frontier.any():
             return _Survey(lattice=lattice, smooth=smooth, reversed=backwards, path=path, reach=reach)
-        if len(book) + int(frontier.sum()) > budget:
+        if len(cache) + int(frontier.sum()) > budget:
             text = f"{p.name} - {q.name}: the budget of previews was spent before every hit was followed"
             return _Survey(
                 lattice=lattice,
@@ -164,10 +164,10 @@ def _survey(
                 notes=(text,),
                 complete=False,
             )
-        lattice = lattice.measured(frontier, book)
+        lattice = lattice.measured(frontier, cache)
 
 
-def _beside(lattice: Lattice, path: np.ndarray | None, reach: int) -> np.ndarray:
+def _beside(lattice: ScoreMatrix, path: np.ndarray | None, reach: int) -> np.ndarray:
     """(A, B) bool: nodes within reach of the path, or all without one. What a long pass shares with itself or another
     elsewhere is a loop: repeated walls look the same, so it takes more than a lattice to believe it (``retrieval``)."""
     if path is None:
@@ -175,42 +175,42 @@ def _beside(lattice: Lattice, path: np.ndarray | None, reach: int) -> np.ndarray
     return np.abs(np.arange(len(lattice.columns)) - path[:, None]) <= reach
 
 
-def _upper(lattice: Lattice) -> np.ndarray:
+def _upper(lattice: ScoreMatrix) -> np.ndarray:
     """(S, T, A, B) bool: one of the two nodes that hold the same image pair when both passes are one."""
     c, d, a, b = np.ogrid[tuple(slice(n) for n in lattice.inliers.shape)]
     return (c < d) | ((c == d) & (a < b))
 
 
-def _seed_same(p: Pass, stride: int, book: PreviewBook, settings: CandidatesSettings, tuning: Tuning) -> Lattice:
+def _seed_same(p: Pass, stride: int, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning) -> ScoreMatrix:
     """Sampled frames against the frames around them, for every two cameras that the axes permit."""
     allowed = allowed_within(p.rig, settings.axes_deg)
-    level = level_within(p, allowed, book, settings.min_matches, tuning)
-    lattice = make_lattice(p, p, stride, allowed, tuning.offsets.lattice, level)
+    level = noise_floor_within(p, allowed, cache, settings.min_matches, tuning)
+    lattice = score_matrix(p, p, stride, allowed, tuning.offsets.scores, level)
     a, b = np.ogrid[: len(lattice.rows), : len(lattice.columns)]
     sampled = np.isin(np.arange(len(lattice.rows)), sampled_ranks(len(lattice.rows), settings.sample_frames))
     near = sampled[:, None] & (np.abs(a - b) <= tuning.offsets.window_nodes)
-    return lattice.measured(_upper(lattice) & near, book)
+    return lattice.measured(_upper(lattice) & near, cache)
 
 
 def _seed_across(
-    couple: tuple[Pass, Pass], stride: int, book: PreviewBook, settings: CandidatesSettings, tuning: Tuning, budget: int
-) -> tuple[Lattice, bool, np.ndarray | None]:
+    couple: tuple[Pass, Pass], stride: int, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning, budget: int
+) -> tuple[ScoreMatrix, bool, np.ndarray | None]:
     """A coarse grid over both passes gives the path and the heading; then sampled frames around the path."""
     (p, q), offsets, least = couple, tuning.offsets, settings.min_matches
-    lattice = make_lattice(p, q, stride, np.ones((len(p.images), len(q.images)), bool), offsets.lattice)
+    lattice = score_matrix(p, q, stride, np.ones((len(p.images), len(q.images)), bool), offsets.scores)
     cameras = len(p.images) * len(q.images)
-    side = int(np.sqrt(max(0, budget - len(book)) * offsets.coarse_share / cameras))
+    side = int(np.sqrt(max(0, budget - len(cache)) * offsets.coarse_share / cameras))
     nodes = min(offsets.coarse_nodes, max(offsets.least_coarse_nodes, side))
     coarse = np.isin(np.arange(len(lattice.rows)), sampled_ranks(len(lattice.rows), nodes))[:, None] & np.isin(
         np.arange(len(lattice.columns)), sampled_ranks(len(lattice.columns), nodes)
     )
-    lattice = lattice.measured(np.broadcast_to(coarse, lattice.inliers.shape), book)
+    lattice = lattice.measured(np.broadcast_to(coarse, lattice.inliers.shape), cache)
     centre = None
     beside = np.ones(lattice.inliers.shape[2:], bool)
     if min(len(p), len(q)) >= offsets.background.long_frames:
-        centre = _ridge_path(lattice, least, tuning)
+        centre = _minimum_cost_path(lattice, least, tuning)
         beside = _beside(lattice, centre, offsets.window_nodes + offsets.window_margin_nodes)
-        lattice = replace(lattice, level=level_away(lattice, beside, least, tuning))
+        lattice = replace(lattice, level=noise_floor_away(lattice, beside, least, tuning))
     excess = commonview.above(lattice, lattice.smoothed(least, tuning), least) * beside
     backwards, _ = commonview.direction(lattice, excess, tuning.rig.common_view)
     lattice = replace(lattice, allowed=facing(lattice, excess, settings, tuning.rig))
@@ -219,10 +219,10 @@ def _seed_across(
         return lattice, backwards, None
     sampled = np.isin(np.arange(len(lattice.rows)), sampled_ranks(len(lattice.rows), settings.sample_frames))
     near = np.abs(np.arange(len(lattice.columns)) - centre[:, None]) <= offsets.window_nodes
-    return lattice.measured(np.broadcast_to(sampled[:, None] & near, lattice.inliers.shape), book), backwards, centre
+    return lattice.measured(np.broadcast_to(sampled[:, None] & near, lattice.inliers.shape), cache), backwards, centre
 
 
-def _ridge_path(lattice: Lattice, min_matches: int, tuning: Tuning) -> np.ndarray:
+def _minimum_cost_path(lattice: ScoreMatrix, min_matches: int, tuning: Tuning) -> np.ndarray:
     """(A,) column node of each row on the strongest path through what the whole rig shares above the rest of the grid.
 
     Most frames of two long passes share nothing: their median is what chance and repeated walls give.
@@ -235,11 +235,11 @@ def _ridge_path(lattice: Lattice, min_matches: int, tuning: Tuning) -> np.ndarra
     columns = np.flatnonzero(known.any(axis=(0, 1, 2)))
     grid = mean[np.ix_(rows, columns)]
     evidence = np.maximum(grid - np.median(grid), 0)
-    node = ridge(evidence, np.ones(evidence.shape, bool), tuning.offsets.surface.bend)
+    node = minimum_cost_path(evidence, np.ones(evidence.shape, bool), tuning.offsets.surface.bend)
     return np.interp(np.arange(len(lattice.rows)), rows, columns[node.astype(int)])
 
 
-def _path(lattice: Lattice, weight: np.ndarray) -> np.ndarray | None:
+def _path(lattice: ScoreMatrix, weight: np.ndarray) -> np.ndarray | None:
     """(A,) column node that a row of p shares most with, interpolated between the rows that have evidence."""
     rows = np.flatnonzero(weight.sum(axis=1) > 0)
     if not len(rows):
@@ -256,7 +256,7 @@ def _local(survey: _Survey, settings: CandidatesSettings, tuning: Tuning) -> Off
     smooth = commonview.without_chance(lattice, smooth, least, tuning)
     near = None
     if survey.path is not None:
-        near = band(lattice, survey.path, survey.reach, tuning)
+        near = corridor(lattice, survey.path, survey.reach, tuning)
         smooth = np.where(near | np.isnan(smooth), smooth, np.minimum(smooth, counts.floor * least))
     c, d, m, n, count = lattice.interpolated(smooth, least, counts)
     i, j = lattice.p.images[c, m], lattice.q.images[d, n]
@@ -282,7 +282,7 @@ def _local(survey: _Survey, settings: CandidatesSettings, tuning: Tuning) -> Off
     )
 
 
-def _said(lattice: Lattice, smooth: np.ndarray, min_matches: int, tuning: RigTuning) -> tuple[tuple[str, ...], str]:
+def _said(lattice: ScoreMatrix, smooth: np.ndarray, min_matches: int, tuning: RigTuning) -> tuple[tuple[str, ...], str]:
     """How two passes lie to each other as a note, or their names if they have nothing in common."""
     if lattice.same:
         return (), ""
@@ -294,12 +294,12 @@ def _said(lattice: Lattice, smooth: np.ndarray, min_matches: int, tuning: RigTun
 
 
 def _without_copies(
-    result: OffsetResult, lattice: Lattice, book: PreviewBook, settings: CandidatesSettings, tuning: CopiesTuning
+    result: OffsetResult, lattice: ScoreMatrix, cache: MatchCache, settings: CandidatesSettings, tuning: CopiesTuning
 ) -> OffsetResult:
     """Pairs of one picture twice are dropped: they match best of all and have no base."""
-    copies = find_copies(lattice, book, settings.min_matches, tuning)
+    copies = find_copies(lattice, cache, settings.min_matches, tuning)
     if copies is None:
         return result
-    twins = Pairs.make(copies.i, copies.j, "offsets", score=book.known(copies.i, copies.j))
+    twins = Pairs.make(copies.i, copies.j, "offsets", score=cache.known(copies.i, copies.j))
     pairs = result.pairs | twins
     return replace(result, pairs=pairs.drop(contained(pairs, twins), "similar"), notes=(*result.notes, copies.note))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from tiegraph.network.lattice import Lattice
+from tiegraph.network.scorematrix import ScoreMatrix
 from tiegraph.network.tuning import Tuning
 
 MAX_CAMERA_PAIRS = 12  # of a couple of passes: those with the most evidence
@@ -32,9 +32,11 @@ class OffsetSurface:
     sensors: str = ""
 
 
-def surfaces_of(lattice: Lattice, smooth: np.ndarray, threshold: float, tuning: Tuning) -> tuple[OffsetSurface, ...]:
-    """The surface of the rig and of its strongest camera pairs; ``smooth`` (S, T, A, B) as ``Lattice.smoothed``, kept
-    where it reaches ``threshold``."""
+def surfaces_of(
+    lattice: ScoreMatrix, smooth: np.ndarray, threshold: float, tuning: Tuning
+) -> tuple[OffsetSurface, ...]:
+    """The surface of the rig and of its strongest camera pairs; ``smooth`` (S, T, A, B) as ``ScoreMatrix.smoothed``,
+    kept where it reaches ``threshold``."""
     surface = tuning.offsets.surface
     kept = np.nan_to_num(smooth) >= threshold
     excess = _excess(lattice, threshold, tuning)
@@ -47,7 +49,7 @@ def surfaces_of(lattice: Lattice, smooth: np.ndarray, threshold: float, tuning: 
     seen = np.isfinite(excess[voted]).any(axis=0)
     path = np.full(len(lattice.rows), np.nan)
     if not lattice.same:
-        node = ridge(total, kept.any(axis=(0, 1)), surface.bend)
+        node = minimum_cost_path(total, kept.any(axis=(0, 1)), surface.bend)
         path = np.where(np.isnan(node), np.nan, lattice.columns[np.nan_to_num(node).astype(int)])
     out = [_surface(lattice, np.where(seen, total, np.nan), kept.any(axis=(0, 1)), path, "")]
     weight = np.nansum(np.where(kept, excess, 0), axis=(2, 3))
@@ -61,7 +63,7 @@ def surfaces_of(lattice: Lattice, smooth: np.ndarray, threshold: float, tuning: 
     return tuple(out)
 
 
-def _excess(lattice: Lattice, threshold: float, tuning: Tuning) -> np.ndarray:
+def _excess(lattice: ScoreMatrix, threshold: float, tuning: Tuning) -> np.ndarray:
     """(S, T, A, B) f4 matches above chance, smoothed over frames but not cut off so soon as for the decision."""
     known = np.isfinite(lattice.inliers)
     low, high = tuning.counts.floor * threshold, tuning.offsets.surface.ceiling * threshold
@@ -72,7 +74,9 @@ def _excess(lattice: Lattice, threshold: float, tuning: Tuning) -> np.ndarray:
     return np.where(known, mean, np.nan).astype(np.float32)
 
 
-def _surface(lattice: Lattice, evidence: np.ndarray, kept: np.ndarray, path: np.ndarray, sensors: str) -> OffsetSurface:
+def _surface(
+    lattice: ScoreMatrix, evidence: np.ndarray, kept: np.ndarray, path: np.ndarray, sensors: str
+) -> OffsetSurface:
     return OffsetSurface(
         pass_a=lattice.p.name,
         pass_b=lattice.q.name,
@@ -85,7 +89,7 @@ def _surface(lattice: Lattice, evidence: np.ndarray, kept: np.ndarray, path: np.
     )
 
 
-def ridge(evidence: np.ndarray, kept: np.ndarray, bend: float) -> np.ndarray:
+def minimum_cost_path(evidence: np.ndarray, kept: np.ndarray, bend: float) -> np.ndarray:
     """(A,) column of the strongest path through evidence (A, B) from the first to the last row; NaN in rows of which
     nothing is ``kept`` (A, B). Dynamic programme; moving aside has a price (``bend``), so that a lone peak does not
     catch it."""

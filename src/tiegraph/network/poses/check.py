@@ -22,7 +22,7 @@ import numpy as np
 from tiegraph.geometry import transforms
 from tiegraph.network.coarse.proxy import Proxy
 from tiegraph.network.coarse.visible import pair_share
-from tiegraph.network.passes import Pass, PreviewBook
+from tiegraph.network.passes import MatchCache, Pass
 from tiegraph.network.poses.headings import with_headings
 from tiegraph.network.poses.poses import PoseResult, pose_pairs, prior_views, view_cameras
 from tiegraph.network.settings import CandidatesSettings
@@ -63,7 +63,7 @@ class PriorCheck:
 def checked_pose_pairs(
     scene: Scene,
     passes: Sequence[Pass],
-    book: PreviewBook,
+    cache: MatchCache,
     settings: CandidatesSettings,
     tuning: Tuning,
     proxy: Proxy | None = None,
@@ -73,10 +73,10 @@ def checked_pose_pairs(
     result = pose_pairs(scene, passes, settings, tuning, proxy)
     if not len(result.pairs):
         return result
-    check = check_prior(scene, passes, book, result, settings, tuning)
+    check = check_prior(scene, passes, cache, result, settings, tuning)
     if check.good:
         return replace(result, notes=(*result.notes, *check.notes))
-    known = book.known(result.pairs.i, result.pairs.j)
+    known = cache.known(result.pairs.i, result.pairs.j)
     keep = (result.pairs.dropped == 0) | (known >= tuning.counts.sure * settings.min_matches)
     pairs = result.pairs.with_(dropped=np.zeros(len(result.pairs))).where(keep)
     return replace(result, pairs=pairs, without=np.arange(scene.frames), notes=(*result.notes, *check.notes))
@@ -85,7 +85,7 @@ def checked_pose_pairs(
 def check_prior(
     scene: Scene,
     passes: Sequence[Pass],
-    book: PreviewBook,
+    cache: MatchCache,
     result: PoseResult,
     settings: CandidatesSettings,
     tuning: Tuning,
@@ -93,7 +93,7 @@ def check_prior(
     """Preview a sample of what a prior proposes and refuses, and compare with other readings of the same prior."""
     drawn = _sample(scene, result.pairs, tuning.poses.prior)
     i, j, kind = drawn.i, drawn.j, drawn.kind
-    count = book.measure(i, j) if len(i) else np.zeros(0)
+    count = cache.measure(i, j) if len(i) else np.zeros(0)
     tied = count >= tuning.counts.sure * settings.min_matches
     rows = [(k, _counts(drawn.proposed[kind == k], tied[kind == k])) for k in range(len(KINDS)) if np.any(kind == k)]
     fit, better, better_fit = _readings(scene, passes, (i, j, count, tied, kind), result.range_m, tuning)
@@ -141,10 +141,10 @@ def _sample(scene: Scene, pairs: Pairs, tuning: PriorTuning) -> _Sample:
 
 def _kind(scene: Scene, i: np.ndarray, j: np.ndarray, near_steps: int) -> np.ndarray:
     """(K,) index into KINDS."""
-    track, step = scene.track[scene.frame], scene.step[scene.frame]
-    same = (track[i] == track[j]) & (track[i] >= 0)
+    sequence, step = scene.sequence[scene.frame], scene.sequence_index[scene.frame]
+    same = (sequence[i] == sequence[j]) & (sequence[i] >= 0)
     near = same & (np.abs(step[i] - step[j]) <= near_steps)
-    loose = (track[i] < 0) & (track[j] < 0)
+    loose = (sequence[i] < 0) & (sequence[j] < 0)
     return np.where(near, 0, np.where(same, 1, np.where(loose, 3, 2)))
 
 

@@ -16,10 +16,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
-from tiegraph.network.passes import Pass, PreviewBook
+from tiegraph.network.passes import MatchCache, Pass
 from tiegraph.network.rig.axes import allowed_within, predicted_shift
-from tiegraph.network.rig.order import Order, in_words, orders, reordered
-from tiegraph.network.rig.sync import frame_notes, lag_notes
+from tiegraph.network.rig.cameraorder import Order, in_words, orders, reordered
+from tiegraph.network.rig.synchronisation import frame_notes, lag_notes
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning import Tuning
 from tiegraph.network.tuning.rig import AxesTuning, CheckTuning
@@ -59,36 +59,40 @@ class _Votes:
 
 
 def check_rigs(
-    scene: Scene, passes: Sequence[Pass], book: PreviewBook, settings: CandidatesSettings, tuning: Tuning
+    scene: Scene, passes: Sequence[Pass], cache: MatchCache, settings: CandidatesSettings, tuning: Tuning
 ) -> tuple[Scene, tuple[str, ...]]:
     """The scene with rigs whose order, sense of rotation or roll the images contradict corrected, and what was found.
 
     Cameras with fewer frames than others and cameras that seem to run late are told of.
     """
-    rigs, notes, poses = list(scene.rigs), list(frame_notes(passes, scene.names, tuning.rig.sync)), scene.world_from_rig
+    rigs, notes, poses = (
+        list(scene.rigs),
+        list(frame_notes(passes, scene.names, tuning.rig.synchronisation)),
+        scene.world_from_rig,
+    )
     for k, rig in enumerate(scene.rigs):
         if len(rig.sensors) < 2 or not rig.known():
             continue
         own = [p for p in passes if p.rig_index == k]
-        outcome = check_rig(rig, own, book, settings, tuning)
+        outcome = check_rig(rig, own, cache, settings, tuning)
         rigs[k] = outcome.rig
         if not np.array_equal(outcome.old_from_new, np.eye(4)):
             turned = (scene.rig == k) & np.isfinite(poses).all(axis=(1, 2))  # a position alone stays where it is
             poses = np.where(turned[:, None, None], poses @ outcome.old_from_new, poses)
         notes.append(outcome.note)
         if outcome.ordered:
-            notes += lag_notes([replace(p, rig=outcome.rig) for p in own], book, settings, tuning)
+            notes += lag_notes([replace(p, rig=outcome.rig) for p in own], cache, settings, tuning)
     if any(a is not b for a, b in zip(rigs, scene.rigs)):
         scene = scene.with_(rigs=tuple(rigs), world_from_rig=poses)
     return scene, tuple(notes)
 
 
 def check_rig(
-    rig: Rig, passes: Sequence[Pass], book: PreviewBook, settings: CandidatesSettings, tuning: Tuning
+    rig: Rig, passes: Sequence[Pass], cache: MatchCache, settings: CandidatesSettings, tuning: Tuning
 ) -> RigCheck:
     """Vote on other orders, mirrored and rolled versions of a rig with previews; a calibrated rig is never changed."""
     check, axes = tuning.rig.check, tuning.rig.axes
-    everything = _collect(rig, passes, book, settings, tuning)
+    everything = _collect(rig, passes, cache, settings, tuning)
     found = orders(rig, everything.evidence, tuning.rig.order)
     if found:
         return _out_of_order(rig, found, everything, settings, tuning)
@@ -150,13 +154,13 @@ def _variant(rig: Rig, turn: np.ndarray, mirror: bool) -> Rig:
 
 
 def _collect(
-    rig: Rig, passes: Sequence[Pass], book: PreviewBook, settings: CandidatesSettings, tuning: Tuning
+    rig: Rig, passes: Sequence[Pass], cache: MatchCache, settings: CandidatesSettings, tuning: Tuning
 ) -> _Votes:
     """Previews of every two cameras in sampled frames; where next to none match, also from a frame to the next one."""
     couples = np.array([(a, b) for a in range(len(rig.sensors)) for b in range(a + 1, len(rig.sensors))])
     check = tuning.rig.check
     rows = _sampled(passes, couples, 0, check)
-    results = book.results(rows[2], rows[3]) if rows.size else []
+    results = cache.results(rows[2], rows[3]) if rows.size else []
     a, b, _, _, half = rows
     inliers = np.array([r.inliers for r in results], float)
     sure = inliers >= tuning.counts.sure * settings.min_matches
@@ -166,7 +170,7 @@ def _collect(
     if sure.sum() < check.min_votes:
         both = np.concatenate([couples, couples[:, ::-1]])
         following = _sampled(passes, both, 1, check)
-        inliers = np.append(inliers, book.measure(following[2], following[3]))
+        inliers = np.append(inliers, cache.measure(following[2], following[3]))
         rows = np.concatenate([rows, following], axis=1)
     evidence = _evidence(rows, inliers / settings.min_matches - 1, len(rig.sensors), check)
     return _Votes(a=a[enough], b=b[enough], shift=shift, angle_deg=np.array(angle, float), evidence=evidence)

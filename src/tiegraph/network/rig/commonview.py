@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from tiegraph.network.lattice import Lattice
 from tiegraph.network.rig.axes import angles_deg, yaw_between
+from tiegraph.network.scorematrix import ScoreMatrix
 from tiegraph.network.tuning import Tuning
 from tiegraph.network.tuning.rig import CommonViewTuning, RigTuning
 
-COUPLES_NAMED = 8
+PAIRS_NAMED = 8
 
 
 def votes(excess: np.ndarray) -> float:
@@ -22,7 +22,7 @@ def votes(excess: np.ndarray) -> float:
     return total * total / float(np.sum(excess.astype(float) ** 2)) if total > 0 else 0.0
 
 
-def direction(lattice: Lattice, excess: np.ndarray, tuning: CommonViewTuning) -> tuple[bool, bool]:
+def direction(lattice: ScoreMatrix, excess: np.ndarray, tuning: CommonViewTuning) -> tuple[bool, bool]:
     """Whether frames of q run against those of p (sign of the rank correlation), and whether that is significant."""
     weight = excess.sum(axis=(0, 1)).astype(float)
     if weight.sum() <= 0:
@@ -34,7 +34,7 @@ def direction(lattice: Lattice, excess: np.ndarray, tuning: CommonViewTuning) ->
     return correlation < 0, abs(correlation) * np.sqrt(votes(excess)) >= tuning.direction_sigmas
 
 
-def yaw(lattice: Lattice, excess: np.ndarray, tuning: RigTuning) -> float | None:
+def yaw(lattice: ScoreMatrix, excess: np.ndarray, tuning: RigTuning) -> float | None:
     """Heading of q against p in degrees by which cameras match; None where rigs differ or the votes are too few."""
     p, q = lattice.p, lattice.q
     if p.rig_index != q.rig_index or not p.rig.known() or len(p.images) < 2:
@@ -51,7 +51,7 @@ def yaw(lattice: Lattice, excess: np.ndarray, tuning: RigTuning) -> float | None
     return best if mean - float(cosine[level].mean()) >= tuning.common_view.yaw_sigmas * sigma > 0 else None
 
 
-def in_words(lattice: Lattice, excess: np.ndarray, tuning: RigTuning) -> str:
+def in_words(lattice: ScoreMatrix, excess: np.ndarray, tuning: RigTuning) -> str:
     """How pass q lies to pass p by evidence (S, T, A, B) above the threshold; empty where there is nothing to say."""
     turned, (backwards, sure) = yaw(lattice, excess, tuning), direction(lattice, excess, tuning.common_view)
     if turned is None and not sure:
@@ -62,7 +62,7 @@ def in_words(lattice: Lattice, excess: np.ndarray, tuning: RigTuning) -> str:
     return f"{lattice.q.name} {way} {lattice.p.name}{heading} (voted by previews){frames}"
 
 
-def _frames(lattice: Lattice, excess: np.ndarray, tuning: CommonViewTuning) -> str:
+def _frames(lattice: ScoreMatrix, excess: np.ndarray, tuning: CommonViewTuning) -> str:
     """The frames in common, where they are not nearly all of both passes."""
     weight = excess.sum(axis=(0, 1))
     said, partly = [], False
@@ -76,12 +76,12 @@ def _frames(lattice: Lattice, excess: np.ndarray, tuning: CommonViewTuning) -> s
     return f"; common view: {' and '.join(said)}" if partly else ""
 
 
-def above(lattice: Lattice, smooth: np.ndarray, min_matches: int) -> np.ndarray:
+def above(lattice: ScoreMatrix, smooth: np.ndarray, min_matches: int) -> np.ndarray:
     """(S, T, A, B) smoothed matches above ``min_matches``, 0 where less or not measured."""
     return np.maximum(0, np.nan_to_num(smooth) - min_matches)
 
 
-def without_chance(lattice: Lattice, smooth: np.ndarray, min_matches: int, tuning: Tuning) -> np.ndarray:
+def without_chance(lattice: ScoreMatrix, smooth: np.ndarray, min_matches: int, tuning: Tuning) -> np.ndarray:
     """``smooth`` lowered to chance between two passes when too few nodes of all are above ``min_matches``."""
     view = tuning.rig.common_view
     least = min(view.least_votes, view.least_share * int(np.isfinite(lattice.inliers).sum()))
@@ -95,6 +95,6 @@ def strangers(couples: list[str]) -> tuple[str, ...]:
     """One note for all couples of passes without a common view."""
     if not couples:
         return ()
-    more = len(couples) - COUPLES_NAMED
+    more = len(couples) - PAIRS_NAMED
     rest = f" and {more} more couples of passes" if more > 0 else ""
-    return (f"no common view was found: {', '.join(couples[:COUPLES_NAMED])}{rest}",)
+    return (f"no common view was found: {', '.join(couples[:PAIRS_NAMED])}{rest}",)

@@ -130,7 +130,7 @@ def join_places(result: SectionResult, scene: Scene, pairs: Pairs, tuning: Secti
     own = np.sqrt(np.outer(density.diagonal(), density.diagonal()))
     kinds = np.array([s.kind for s in result.sections])
     density[(kinds[:, None] != kinds[None]) | (density < tuning.min_shared * own)] = 0.0
-    passes = np.array([int(scene.track[s.frames[0]]) for s in result.sections])
+    passes = np.array([int(scene.sequence[s.frames[0]]) for s in result.sections])
     place = np.arange(count)
     for one, other in _aligned(density, passes):
         members = np.flatnonzero((place == place[one]) | (place == place[other]))

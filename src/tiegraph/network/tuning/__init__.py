@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from tiegraph.network.tuning.coarse import CoarseTuning
-from tiegraph.network.tuning.looks import LooksTuning
+from tiegraph.network.tuning.retrieval import RetrievalTuning
 from tiegraph.network.tuning.offsets import OffsetsTuning
 from tiegraph.network.tuning.poses import PosesTuning
 from tiegraph.network.tuning.rig import RigTuning
@@ -27,7 +27,7 @@ class CountsTuning(Section):
 
 
 class OrderTuning(Section):
-    """Whether a pass is a sequence (`order.py`)."""
+    """Whether a pass is a sequence (`cameraorder.py`)."""
 
     sample: int = Field(40, gt=0)
     """Pairs of neighbours, and of images half a pass apart, that are previewed."""
@@ -59,7 +59,7 @@ class Tuning(Section):
     """The order of passes."""
     sources: SourcesTuning = SourcesTuning()
     """The choice of sources."""
-    looks: LooksTuning = LooksTuning()
+    retrieval: RetrievalTuning = RetrievalTuning()
     """Which images look alike."""
     offsets: OffsetsTuning = OffsetsTuning()
     """Frame offsets within and between passes."""

@@ -7,8 +7,8 @@ from pydantic import Field
 from tiegraph.settings import Section
 
 
-class LatticeTuning(Section):
-    """Preview evidence on a lattice of frames (`lattice.py`)."""
+class ScoreMatrixTuning(Section):
+    """Preview evidence on a lattice of frames (`scorematrix.py`)."""
 
     peak: float = Field(1.2, ge=0)
     """Times `min_matches`: what a patch of evidence must reach somewhere."""
@@ -93,7 +93,7 @@ class OffsetsTuning(Section):
     """... and at least."""
     coarse_share: float = Field(0.5, gt=0, le=1)
     """Of the budget: what the first look may take."""
-    lattice: LatticeTuning = LatticeTuning()
+    scores: ScoreMatrixTuning = ScoreMatrixTuning()
     """Evidence on a lattice."""
     background: BackgroundTuning = BackgroundTuning()
     """What frames that share nothing reach."""

@@ -44,7 +44,7 @@ class CheckTuning(Section):
 
 
 class OrderTuning(Section):
-    """Cameras in another order (`order.py`)."""
+    """Cameras in another order (`cameraorder.py`)."""
 
     all_orders: int = Field(7, ge=0)
     """Side cameras up to which every order is tried (5040); beyond, swaps one after the other."""
@@ -60,8 +60,8 @@ class OrderTuning(Section):
     """Orders with the same neighbours that are told apart by the sense of rotation."""
 
 
-class SyncTuning(Section):
-    """Whether cameras keep step (`sync.py`)."""
+class SynchronisationTuning(Section):
+    """Whether cameras keep step (`synchronisation.py`)."""
 
     short: float = Field(0.6, ge=0)
     """Of the usual number of frames of the others: a pass that short may have ended early."""
@@ -117,7 +117,7 @@ class RigTuning(Section):
     """Mirrored and rolled rigs."""
     order: OrderTuning = OrderTuning()
     """Cameras in another order."""
-    sync: SyncTuning = SyncTuning()
+    synchronisation: SynchronisationTuning = SynchronisationTuning()
     """Frames that are lacking or late."""
     common_view: CommonViewTuning = CommonViewTuning()
     """Heading and direction of one pass against another."""

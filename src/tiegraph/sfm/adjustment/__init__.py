@@ -5,10 +5,11 @@ of it is not known here: start, rig, sigmas and the adjustment in the world all 
 
 **The final adjustment** (``adjust``) is robust, with free principal points.
 
-**Priors** (``priors`` adds them all). What rig.toml gives with a sigma (``given``, ``soft``), in the final adjustment
-and in the one with positions; cameras that fire at a time of their own (``timed``); what lenses look like (``lens``).
+**Priors** (``priors`` adds them all). What rig.toml gives with a sigma (``rigpriors``, ``constraints``), in the final
+adjustment and in the one with positions; cameras that fire at a time of their own (``timecost``); what lenses look like
+(``lens``).
 
-**Lever-arm prior from the rig's shape** (``compact``). The cameras look outwards from one body. The middle, the
+**Lever-arm prior from the rig's shape** (``leverarmprior``). The cameras look outwards from one body. The middle, the
 distance along the axis and the scatter of the other cameras are the prior, under a robust loss, of the place of a
 camera that hardly shares a point with them. On ``canal`` 16 tracks tie the up camera (sigma 44 mm): it stood 66 mm
 off without the prior, 12 mm with it. On PandaSet, whose cameras stand anywhere and are well tied, nothing moves.

@@ -9,8 +9,8 @@ import numpy as np
 import pycolmap
 
 from tiegraph.sfm.adjustment import lens
+from tiegraph.sfm.adjustment.constraints import PoseConstraints
 from tiegraph.sfm.adjustment.priors import add_priors
-from tiegraph.sfm.adjustment.soft import Soft
 from tiegraph.sfm.solver import factorised
 from tiegraph.sfm.tuning import AdjustTuning
 
@@ -30,7 +30,7 @@ def final_adjustment(
     model: pycolmap.Reconstruction,
     fixed_rigs: Collection[int] = (),
     constant_cameras: Collection[int] = (),
-    soft: Soft | None = None,
+    soft: PoseConstraints | None = None,
     doubted: Collection[int] = (),
     *,
     tuning: AdjustTuning,
@@ -73,7 +73,7 @@ def _with_doubted(
     fixed_rigs: Collection[int],
     free: set[int],
     doubted: set[int],
-    soft: Soft | None,
+    soft: PoseConstraints | None,
     tuning: AdjustTuning,
 ) -> tuple[pycolmap.Reconstruction, str]:
     """The model adjusted with distortion of these calibrated cameras, if that explains the images better; a note."""
@@ -82,7 +82,7 @@ def _with_doubted(
         return model, ""
     trial = lens.extended(model, names)
     given = {k: model.camera(k) for k in names}
-    times = {} if soft is None or soft.timed is None else soft.timed.unknowns
+    times = {} if soft is None or soft.time_offsets is None else soft.time_offsets.unknowns
     before = {k: v.copy() for k, v in times.items()}
     _solve(trial, fixed_rigs, free | set(names), True, soft, tuning, given)
     gain = 1 - robust_cost(trial, tuning.robust_px) / max(robust_cost(model, tuning.robust_px), 1e-12)
@@ -150,7 +150,7 @@ def _solve(
     fixed_rigs: Collection[int],
     free: set[int],
     robust: bool,
-    soft: Soft | None,
+    soft: PoseConstraints | None,
     tuning: AdjustTuning,
     given: Mapping[int, pycolmap.Camera] | None = None,
 ) -> None:

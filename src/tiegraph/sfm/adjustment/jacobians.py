@@ -11,13 +11,13 @@ import pycolmap
 from scipy import sparse
 
 from tiegraph.geometry.transforms import skew
-from tiegraph.sfm.adjustment import compact, lens
+from tiegraph.sfm.adjustment import lens, leverarmprior
 from tiegraph.sfm.model import matrix
 from tiegraph.sfm.tuning import AdjustTuning, LensTuning
 
 
 @dataclass(frozen=True)
-class Tie:
+class RigConstraint:
     """Two frames (ids) that keep together: sigma of the place, model units, and of the turn, rad.
 
     ``moves`` (6, K): shift of the second (model units) and its turn (rad), along the axes of the model, by a unit of
@@ -33,11 +33,11 @@ class Tie:
 
 
 @dataclass(frozen=True)
-class Ties:
+class RigConstraints:
     """Ties of the S cameras of a rig, and their constant errors, K a camera: ``held`` (S, K) sigma that the adjustment
     held them to; ``moment`` (SK, SK), mean of their products by all that is known."""
 
-    ties: tuple[Tie, ...]
+    constraints: tuple[RigConstraint, ...]
     cameras: tuple[int, ...] = ()  # keys
     held: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     moment: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
@@ -51,7 +51,7 @@ class Layout:
         model: pycolmap.Reconstruction,
         free_intrinsics: bool | Collection[int],
         free_rig: bool | Collection[int],
-        ties: Collection[Ties] = (),
+        ties: Collection[RigConstraints] = (),
     ) -> None:
         """``free_intrinsics``, ``free_rig``: ids of the cameras and rigs that are unknowns; True: all, False: none.
         What the ``ties`` of a camera share comes last."""
@@ -84,7 +84,7 @@ class Layout:
         self,
         model: pycolmap.Reconstruction,
         tuning: AdjustTuning,
-        drawings: Mapping[int, compact.Drawing] | None = None,
+        nominal: Mapping[int, leverarmprior.NominalGeometry] | None = None,
     ) -> sparse.csr_matrix:
         """(C, C) information of what is expected of lenses and of places in a rig before the images speak.
 
@@ -92,7 +92,9 @@ class Layout:
         """
         parts = []
         for rig_id in self.rigs:
-            keys, expected = compact.information(model.rigs[rig_id], tuning.compact, (drawings or {}).get(rig_id))
+            keys, expected = leverarmprior.information(
+                model.rigs[rig_id], tuning.lever_arms, (nominal or {}).get(rig_id)
+            )
             parts.append((np.array([self.sensor[k] + axis for k in keys for axis in range(3)], int), expected))
         for camera_id, column in self.camera.items():
             camera = model.camera(camera_id)
@@ -104,7 +106,9 @@ class Layout:
         """(C, C) information of frames that are tied to each other, beside what the ties of a camera share."""
         parts = []
         place = dict(zip(self.frame_ids, self.centres))
-        for tie in (t for rig in self.ties for t in rig.ties if t.first in self.frame and t.second in self.frame):
+        for tie in (
+            t for rig in self.ties for t in rig.constraints if t.first in self.frame and t.second in self.frame
+        ):
             a, b = self.frame[tie.first], self.frame[tie.second]
             rows = np.zeros((6, 12))  # shift of the second beside what a turn of the first does; turn of both
             rows[:3, :3], rows[:3, 6:9] = -np.eye(3), np.eye(3)

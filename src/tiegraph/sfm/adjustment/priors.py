@@ -7,15 +7,15 @@ from typing import Any
 
 import pycolmap
 
-from tiegraph.sfm.adjustment import compact, lens
-from tiegraph.sfm.adjustment.soft import Soft, add_soft
+from tiegraph.sfm.adjustment import lens, leverarmprior
+from tiegraph.sfm.adjustment.constraints import PoseConstraints, add_constraints
 from tiegraph.sfm.tuning import AdjustTuning
 
 
 def add_priors(
     adjuster: Any,
     model: pycolmap.Reconstruction,
-    soft: Soft | None,
+    soft: PoseConstraints | None,
     tuning: AdjustTuning,
     given: Mapping[int, pycolmap.Camera] | None = None,
 ) -> list[Any]:
@@ -23,7 +23,7 @@ def add_priors(
 
     ``given``: as of ``lens.add_priors``.
     """
-    soft = Soft() if soft is None else soft
-    kept = add_soft(adjuster, model, soft, tuning.robust_px)
+    soft = PoseConstraints() if soft is None else soft
+    kept = add_constraints(adjuster, model, soft, tuning.robust_px)
     kept += lens.add_priors(adjuster.problem, model, given or {}, tuning)
-    return kept + compact.add_priors(adjuster.problem, model, soft.known_sensors(), soft.drawings, tuning)
+    return kept + leverarmprior.add_priors(adjuster.problem, model, soft.known_sensors(), soft.nominal, tuning)

@@ -17,12 +17,19 @@ from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses, image_poses, matrix, model_rigs, rigid3d
-from tiegraph.sfm.placement.placement import Doubt, Judgement, judge, neighbours, opinion, votes
-from tiegraph.sfm.placement.resect import Placed, correspondences, place
-from tiegraph.sfm.placement.steps import Course, course
+from tiegraph.sfm.placement.consistency import (
+    ConsistencyCheck,
+    SuspectFrames,
+    check_consistency,
+    consistency_score,
+    consistency_votes,
+    neighbours,
+)
+from tiegraph.sfm.placement.continuity import MotionContinuity, motion_continuity
+from tiegraph.sfm.placement.resection import Resection, correspondences, resect
 from tiegraph.sfm.solver import THREADS
 from tiegraph.sfm.tuning.placement import PlacementTuning, RepairTuning
-from tiegraph.sfm.verified import Seen, Verified, agreement, seen_by
+from tiegraph.sfm.verified import ImageObservations, VerifiedMatches, agreement, image_observations
 
 
 @dataclass
@@ -31,7 +38,7 @@ class Repair:
 
     model: pycolmap.Reconstruction
     scene: Scene
-    verified: Verified
+    verified: VerifiedMatches
     preview: np.ndarray | None  # (F, 4, 4) world_from_rig of the coarse model, units of its own
     tuning: PlacementTuning
     moved: list[tuple[int, float, str]] = field(default_factory=list)  # frame, how far, why
@@ -44,19 +51,21 @@ class Repair:
         scene = self.scene.with_(rigs=model_rigs(self.model, self.scene))
         return frame_poses(image_poses(self.model, self.scene), scene)
 
-    def seen(self) -> Seen:
+    def seen(self) -> ImageObservations:
         """What the images of the model see."""
-        return seen_by(self.model, self.scene, self.tuning.agreement)
+        return image_observations(self.model, self.scene, self.tuning.agreement)
 
-    def way(self) -> Course:
+    def continuity(self) -> MotionContinuity:
         """The course of the passes."""
         preview = None if self.preview is None else self.preview[:, :3, 3]
-        return course(self.poses()[:, :3, 3], self.scene, preview, self.tuning.course)
+        return motion_continuity(self.poses()[:, :3, 3], self.scene, preview, self.tuning.continuity)
 
-    def judged(self) -> Judgement:
+    def judged(self) -> ConsistencyCheck:
         """Which frames stand where they should."""
-        said = votes(self.verified, agreement(self.verified, self.seen()), self.scene, self.tuning.votes)
-        return judge(self.poses()[:, :3, 3], self.scene, self.way(), said)
+        scores = consistency_votes(
+            self.verified, agreement(self.verified, self.seen()), self.scene, self.tuning.consistency
+        )
+        return check_consistency(self.poses()[:, :3, 3], self.scene, self.continuity(), scores)
 
 
 def repair(work: Repair) -> bool:
@@ -65,14 +74,14 @@ def repair(work: Repair) -> bool:
     for _ in range(work.tuning.repair.rounds):
         judged = work.judged()
         work.beyond = judged.beyond
-        if not judged.doubts:
+        if not judged.suspects:
             break
-        lost = sum(len(d.frames) for d in judged.doubts)
+        lost = sum(len(d.frames) for d in judged.suspects)
         if lost > work.tuning.repair.max_doubted * work.scene.frames:
             work.notes.append(f"{lost} of {work.scene.frames} frames stand in doubt: nothing is moved; see the map")
             break
         before = len(work.moved) + len(work.left_out)
-        for doubt in judged.doubts:
+        for doubt in judged.suspects:
             _settle(work, doubt, judged)
         if len(work.moved) + len(work.left_out) == before:
             break
@@ -80,7 +89,7 @@ def repair(work: Repair) -> bool:
     return changed
 
 
-def _settle(work: Repair, doubt: Doubt, judged: Judgement) -> None:
+def _settle(work: Repair, doubt: SuspectFrames, judged: ConsistencyCheck) -> None:
     main = set(judged.main)
     seen = only_frames(work.seen(), work.scene, main)
     here = around(work, seen)
@@ -93,7 +102,7 @@ def _settle(work: Repair, doubt: Doubt, judged: Judgement) -> None:
     for frame in doubt.frames:
         images = np.flatnonzero(work.scene.frame == frame).tolist()
         found = place_images(work, images, seen)
-        if found and found.holds(work.tuning.resect) and fits(work, images, found.pose, here):
+        if found and found.holds(work.tuning.resection) and fits(work, images, found.pose, here):
             _set(work, frame, here.poses[frame], found.pose, doubt.why)
             here = around(work, seen, here.frames | {frame})
         elif len(work.left_out) < work.tuning.repair.max_lost * work.scene.frames:
@@ -108,18 +117,18 @@ class Around:
     """What a place is tested by: believed frames, what their images see, all poses (F, 4, 4), the course of passes."""
 
     frames: set[int]
-    seen: Seen
+    seen: ImageObservations
     poses: np.ndarray
-    way: Course
+    continuity: MotionContinuity
 
 
-def around(work: Repair, seen: Seen, frames: set[int] | None = None) -> Around:
+def around(work: Repair, seen: ImageObservations, frames: set[int] | None = None) -> Around:
     """The model as it stands; ``frames``: those believed, None = those of the images in ``seen``."""
     own = {int(work.scene.frame[k]) for k in seen.point}
-    return Around(frames=own if frames is None else frames, seen=seen, poses=work.poses(), way=work.way())
+    return Around(frames=own if frames is None else frames, seen=seen, poses=work.poses(), continuity=work.continuity())
 
 
-def only_frames(seen: Seen, scene: Scene, frames: set[int]) -> Seen:
+def only_frames(seen: ImageObservations, scene: Scene, frames: set[int]) -> ImageObservations:
     """What the images of some frames see."""
     inside = {k for k in seen.point if int(scene.frame[k]) in frames}
     return replace(
@@ -130,15 +139,15 @@ def only_frames(seen: Seen, scene: Scene, frames: set[int]) -> Seen:
     )
 
 
-def place_images(work: Repair, images: Sequence[int], seen: Seen) -> Placed | None:
+def place_images(work: Repair, images: Sequence[int], seen: ImageObservations) -> Resection | None:
     """Images of one frame, bolted together, from their matches with points of the images in ``seen``.
 
     A lone image is its own rig, whatever the scene's rig says.
     """
     rows = correspondences(images, work.verified, seen)
-    if len(rows.image) < work.tuning.resect.min_inliers:
+    if len(rows.image) < work.tuning.resection.min_inliers:
         return None
-    return place(rows, *mounts(work, images), work.tuning)
+    return resect(rows, *mounts(work, images), work.tuning)
 
 
 def mounts(work: Repair, images: Sequence[int]) -> tuple[dict[int, pycolmap.Camera], dict[int, np.ndarray]]:
@@ -159,7 +168,7 @@ def fits(work: Repair, images: Sequence[int], pose: np.ndarray, here: Around) ->
     """Whether images of one frame may stand at a pose (4, 4), world_from_rig: it suits the course of the pass, or else
     their verified ties hold it there all the same."""
     frame = int(work.scene.frame[images[0]])
-    if near_course(frame, pose[:3, 3], here, work.scene):
+    if near_path(frame, pose[:3, 3], here, work.scene):
         return True
     cameras, cam_from_rig = mounts(work, images)
     there = {k: cam_from_rig[k] @ transforms.invert(pose) for k in cameras}
@@ -169,31 +178,39 @@ def fits(work: Repair, images: Sequence[int], pose: np.ndarray, here: Around) ->
         cam_from_world={**here.seen.cam_from_world, **there},
     )
     own = work.verified.where(np.isin(work.verified.pairs, sorted(there)).sum(axis=1) == 1)
-    said = votes(own, agreement(own, beside), work.scene, work.tuning.votes)
-    near = neighbours(work.scene, work.tuning.votes.near_steps)
-    return opinion([frame], here.frames - {frame}, said, near).holds()
+    scores = consistency_votes(own, agreement(own, beside), work.scene, work.tuning.consistency)
+    near = neighbours(work.scene, work.tuning.consistency.near_steps)
+    return consistency_score([frame], here.frames - {frame}, scores, near).holds()
 
 
-def near_course(frame: int, position: np.ndarray, here: Around, scene: Scene) -> bool:
+def near_path(frame: int, position: np.ndarray, here: Around, scene: Scene) -> bool:
     """Whether a position suits the nearest frames before and after on the pass; frames of no pass always do."""
-    track = int(scene.track[frame])
-    if track not in here.way.usual:
+    sequence = int(scene.sequence[frame])
+    if sequence not in here.continuity.usual:
         return True
     moved = here.poses[:, :3, 3].copy()
     moved[frame] = position
-    others = [f for f in here.frames if scene.track[f] == track and f != frame and np.isfinite(moved[f]).all()]
-    before = max((f for f in others if scene.step[f] < scene.step[frame]), key=lambda f: scene.step[f], default=None)
-    after = min((f for f in others if scene.step[f] > scene.step[frame]), key=lambda f: scene.step[f], default=None)
-    return all(not here.way.jumps(f, frame, moved, track) for f in (before, after) if f is not None)
+    others = [f for f in here.frames if scene.sequence[f] == sequence and f != frame and np.isfinite(moved[f]).all()]
+    before = max(
+        (f for f in others if scene.sequence_index[f] < scene.sequence_index[frame]),
+        key=lambda f: scene.sequence_index[f],
+        default=None,
+    )
+    after = min(
+        (f for f in others if scene.sequence_index[f] > scene.sequence_index[frame]),
+        key=lambda f: scene.sequence_index[f],
+        default=None,
+    )
+    return all(not here.continuity.jumps(f, frame, moved, sequence) for f in (before, after) if f is not None)
 
 
 def _ends_fit(frames: Sequence[int], motion: np.ndarray, here: Around, scene: Scene) -> bool:
     """Whether a moved block suits the main part where it meets it."""
     moved = {f: (motion @ here.poses[f])[:3, 3] for f in frames}
-    return any(near_course(f, moved[f], here, scene) for f in (min(frames), max(frames)))
+    return any(near_path(f, moved[f], here, scene) for f in (min(frames), max(frames)))
 
 
-def _block_motion(work: Repair, doubt: Doubt, seen: Seen) -> np.ndarray | None:
+def _block_motion(work: Repair, doubt: SuspectFrames, seen: ImageObservations) -> np.ndarray | None:
     """main_from_block (4, 4): points of the block on points of the main part that verified ties say are the same."""
     whole, tuning = work.seen(), work.tuning.repair
     inside = set(doubt.frames)
@@ -211,7 +228,7 @@ def _block_motion(work: Repair, doubt: Doubt, seen: Seen) -> np.ndarray | None:
         both = (p >= 0) & (q >= 0) & (p != q)
         a += [whole.xyz[int(x)] for x in p[both]]
         b += [whole.xyz[int(x)] for x in q[both]]
-    if len(a) < work.tuning.resect.min_inliers:
+    if len(a) < work.tuning.resection.min_inliers:
         return None
     source, target = np.array(a), np.array(b)
     size = float(np.median([r[0] for r in whole.reach.values()])) if whole.reach else 1.0
@@ -222,7 +239,7 @@ def _block_motion(work: Repair, doubt: Doubt, seen: Seen) -> np.ndarray | None:
         return None
     mapped = transforms.apply(matrix(found["tgt_from_src"]), source)
     close = np.linalg.norm(mapped - target, axis=1) < bound
-    if close.sum() < work.tuning.resect.min_inliers:
+    if close.sum() < work.tuning.resection.min_inliers:
         return None
     rigid = umeyama(source[close], target[close], with_scale=False)
     return transforms.rigid(rigid.rotation, rigid.translation)

@@ -15,10 +15,10 @@ from tiegraph.scene.evidence import LIMIT, Contradiction, Statement
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import final_adjustment
-from tiegraph.sfm.adjustment.soft import SensorPrior, Soft
+from tiegraph.sfm.adjustment.constraints import PoseConstraints, SensorPrior
 from tiegraph.sfm.model import model_rigs
-from tiegraph.sfm.rig.judge import Expected, Group, Judgement, expected, judge
 from tiegraph.sfm.rig.linear import RigSystem, rig_system
+from tiegraph.sfm.rig.priortest import Expected, Group, PriorTest, contradicted_priors, expected
 from tiegraph.sfm.tuning import AdjustTuning, Tuning
 from tiegraph.sfm.tuning.rig import RigTuning
 
@@ -29,7 +29,7 @@ _ONE_CAUSE = "the file of another rig, focal lengths or distortions unlike their
 
 def hear(
     model: pycolmap.Reconstruction, scene: Scene, index: int, metres_per_unit: float, tuning: Tuning
-) -> Judgement | None:
+) -> PriorTest | None:
     """What the images of a model want otherwise of rig ``index``; None where too little tells.
 
     Of a rig whose geometry was measured: times, mountings, lenses. Of another, whose geometry the model found: times.
@@ -59,10 +59,10 @@ def hear(
         known = replace(known, place_m=place, turn_deg=turn)
     if not known.late_s:  # said to be synchronised: the images may say otherwise
         known = replace(known, late_s=expected(replace(rig, synchronised=False), system.timed, tuning.rig).late_s)
-    return judge(system, known, groups)
+    return contradicted_priors(system, known, groups)
 
 
-def hear_lens(model: pycolmap.Reconstruction, scene: Scene, index: int, tuning: Tuning) -> Judgement | None:
+def hear_lens(model: pycolmap.Reconstruction, scene: Scene, index: int, tuning: Tuning) -> PriorTest | None:
     """The same of the calibration of a single camera, which is all that there is to contradict."""
     rig = scene.rigs[index]
     lenses = _calibrated(model, scene, index) if len(rig.sensors) == 1 and rig.measured() else ()
@@ -74,18 +74,18 @@ def hear_lens(model: pycolmap.Reconstruction, scene: Scene, index: int, tuning: 
     if system is None:
         return None
     system = system.only("lens")
-    return judge(system, expected(alone, system.timed, tuning.rig), [("lens", 0)])
+    return contradicted_priors(system, expected(alone, system.timed, tuning.rig), [("lens", 0)])
 
 
-def lever_sigmas(heard: Judgement, scene: Scene, index: int) -> dict[int, float]:
+def lever_sigmas(heard: PriorTest, scene: Scene, index: int) -> dict[int, float]:
     """Camera id -> sigma (m, root sum of squares) of its place against the reference, with times free unless said."""
     rig, system, tuning = scene.rigs[index], heard.system, heard.known.tuning
     first = sum(len(r.sensors) for r in scene.rigs[:index])
     others = len(rig.sensors) - 1
     known = replace(
         expected(rig, system.timed, tuning),
-        place_m=[_EXACTLY, *[tuning.judge.freed_m] * others],
-        turn_deg=[_EXACTLY, *[tuning.judge.freed_deg] * others],
+        place_m=[_EXACTLY, *[tuning.prior_test.freed_m] * others],
+        turn_deg=[_EXACTLY, *[tuning.prior_test.freed_deg] * others],
     )
     prior = known.sigma(system, (), times=True)
     prior[system.where("size")] = 0.0  # it is the size of these very levers
@@ -97,7 +97,7 @@ def lever_sigmas(heard: Judgement, scene: Scene, index: int) -> dict[int, float]
     return out
 
 
-def open_times(heard: Judgement, scene: Scene, index: int) -> list[str]:
+def open_times(heard: PriorTest, scene: Scene, index: int) -> list[str]:
     """A sentence on cameras of a rigid rig whose times the images leave open, which are then taken to fire together.
 
     At constant speed a camera's time and its place along the way are one unknown: all that is given beside the times is
@@ -146,7 +146,7 @@ def _calibrated(model: pycolmap.Reconstruction, scene: Scene, index: int) -> set
 
 
 @dataclass(frozen=True)
-class Said:
+class RigEvidence:
     """Statements on each camera of a rig, the sentences where two of them cannot both be right, and ``misfit``: by how
     much of its lever arm a camera stands elsewhere than given, where that is contradicted (root mean square of all)."""
 
@@ -155,7 +155,9 @@ class Said:
     misfit: float = 0.0
 
 
-def statements(heard: Judgement, scene: Scene, index: int, refined: pycolmap.Reconstruction | None = None) -> Said:
+def statements(
+    heard: PriorTest, scene: Scene, index: int, refined: pycolmap.Reconstruction | None = None
+) -> RigEvidence:
     """Place, turn, lens of each camera and times: as given, and by the images.
 
     ``refined``: a model adjusted with the freed mountings, which says better how far they are off than a first step.
@@ -203,7 +205,7 @@ def statements(heard: Judgement, scene: Scene, index: int, refined: pycolmap.Rec
             )
             rows += pair
             lines += _sentence(pair, "the cameras do not fire at one instant")
-    return Said(tuple(rows), tuple(lines), _misfit(off, rig))
+    return RigEvidence(tuple(rows), tuple(lines), _misfit(off, rig))
 
 
 def _misfit(off: np.ndarray, rig: Rig) -> float:
@@ -217,7 +219,7 @@ def _misfit(off: np.ndarray, rig: Rig) -> float:
 
 
 def mounting_errors(
-    heard: Judgement | None,
+    heard: PriorTest | None,
     scene: Scene,
     index: int,
     cameras: Sequence[int],
@@ -239,7 +241,7 @@ def mounting_errors(
     turn = np.maximum([s.sigma_deg or 0.0 for s in rig.sensors], bounds.held_to_deg)
     sensors = np.array(cameras, int) - sum(len(r.sensors) for r in scene.rigs[:index])
     if heard is None or heard.beyond:
-        worse = (0.0, 0.0) if heard is None else (tuning.judge.freed_m, tuning.judge.freed_deg)
+        worse = (0.0, 0.0) if heard is None else (tuning.prior_test.freed_m, tuning.prior_test.freed_deg)
         sigma = [np.maximum(place, worse[0]), np.radians(np.maximum(turn, worse[1]))]
         return np.diag(np.repeat(np.stack(sigma, axis=1)[sensors].ravel(), 3) ** 2)
     system = heard.system
@@ -271,7 +273,7 @@ def _unknowns(system: RigSystem, sensor: int) -> np.ndarray:
 
 
 def _mounting(
-    heard: Judgement, scene: Scene, index: int, sensor: int, refined: pycolmap.Reconstruction | None
+    heard: PriorTest, scene: Scene, index: int, sensor: int, refined: pycolmap.Reconstruction | None
 ) -> list[tuple[Statement, Statement]]:
     """Of place and turn the axis that is off most, as given (0) and by the images, in the frame of the rig."""
     system, camera, held_to = heard.system, scene.rigs[index].sensors[sensor], heard.known.tuning.confront
@@ -314,7 +316,7 @@ def _scaled_pose(pose: np.ndarray, factor: float) -> np.ndarray:
     return transforms.rigid(pose[:3, :3], factor * pose[:3, 3])
 
 
-def _focal(heard: Judgement, scene: Scene, index: int, sensor: int) -> tuple[Statement, Statement]:
+def _focal(heard: PriorTest, scene: Scene, index: int, sensor: int) -> tuple[Statement, Statement]:
     system, camera = heard.system, scene.rigs[index].sensors[sensor]
     assert camera.camera is not None
     at = next(k for k in system.where("lens") if system.keys[k][1:] == (sensor, 0))
@@ -345,7 +347,7 @@ def refine(
     model: pycolmap.Reconstruction,
     scene: Scene,
     index: int,
-    heard: Judgement,
+    heard: PriorTest,
     fixed: Sequence[int],
     constant_cameras: Collection[int],
     tuning: AdjustTuning,
@@ -357,12 +359,12 @@ def refine(
     known = expected(scene.rigs[index], heard.system.timed, heard.known.tuning)
     priors = _priors(model, scene, index, known, heard)
     others = [k for k in fixed if k != index + 1]
-    found = final_adjustment(model, others, constant_cameras, Soft(sensors=priors), tuning=tuning)
+    found = final_adjustment(model, others, constant_cameras, PoseConstraints(sensors=priors), tuning=tuning)
     return found.model if found.accepted else None
 
 
 def _priors(
-    model: pycolmap.Reconstruction, scene: Scene, index: int, known: Expected, heard: Judgement
+    model: pycolmap.Reconstruction, scene: Scene, index: int, known: Expected, heard: PriorTest
 ) -> list[SensorPrior]:
     """The file's extrinsics; where the reference itself is the one that is off, all the others are free against it."""
     rig, units = scene.rigs[index], 1 / heard.system.metres_per_unit
@@ -373,8 +375,8 @@ def _priors(
         if k == 0 or sensor.sensor_from_rig is None:
             continue
         free = every or ("mount", k) in heard.freed
-        place = (known.tuning.judge.freed_m if free else known.place_m[k]) * units
-        turn = np.radians(known.tuning.judge.freed_deg if free else known.turn_deg[k])
+        place = (known.tuning.prior_test.freed_m if free else known.place_m[k]) * units
+        turn = np.radians(known.tuning.prior_test.freed_deg if free else known.turn_deg[k])
         covariance = np.diag([turn**2] * 3 + [place**2] * 3)
         out.append(
             SensorPrior(

@@ -23,8 +23,8 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.jacobians import Layout, jacobians
 from tiegraph.sfm.adjustment.normal import at_their_minimum, by_blocks, point_inverse, reduced
 from tiegraph.sfm.model import image_poses
-from tiegraph.sfm.rig.release import released
-from tiegraph.sfm.rig.sync import rig_motion
+from tiegraph.sfm.rig.cameraframes import per_camera_frames
+from tiegraph.sfm.rig.timeoffset import rig_motion
 from tiegraph.sfm.tuning import Tuning
 
 _SEED = 0
@@ -111,7 +111,7 @@ def rig_system(
     "size" says what is left of it. All extrinsics of the rig must be given.
     """
     bounds = tuning.rig.system
-    alone = released(model, [k + 1 for k in range(len(scene.rigs))], scene)
+    alone = per_camera_frames(model, [k + 1 for k in range(len(scene.rigs))], scene)
     free = _stretch(alone, scene, index, bounds.most_frames)
     images = _Images.of(free, scene, index, metres_per_unit)
     if images is None or images.frames < bounds.least_frames:
@@ -309,7 +309,7 @@ def _stretch(model: pycolmap.Reconstruction, scene: Scene, index: int, most: int
         if k >= 0 and scene.rig[scene.frame[k]] == index:
             home[image.frame_id] = int(scene.frame[k])
             seen[scene.frame[k]] += image.num_points3D
-    order = np.lexsort((scene.step, scene.track))
+    order = np.lexsort((scene.sequence_index, scene.sequence))
     order = order[seen[order] > 0]
     if len(order) > most:
         first = int(np.argmax(np.convolve(seen[order], np.ones(most), "valid")))

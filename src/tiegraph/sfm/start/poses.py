@@ -14,9 +14,9 @@ from tiegraph.scene.graph import parts
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses, rigid3d
-from tiegraph.sfm.start.scale import PathScale, path_scale
+from tiegraph.sfm.start.pathscale import PathScale, path_scale
 from tiegraph.sfm.tuning.start import ScaleTuning, StartTuning
-from tiegraph.sfm.verified import Verified
+from tiegraph.sfm.verified import VerifiedMatches
 
 ONE_CENTRE = 1e-6  # metres: shorter baselines are none
 
@@ -40,7 +40,7 @@ def start_from(
     scene: Scene,
     rigs: Mapping[int, Rig],
     held: Collection[int],
-    verified: Verified,
+    verified: VerifiedMatches,
     tuning: StartTuning,
 ) -> Start | None:
     """A start from poses (N, 4, 4) of the images, NaN = unknown; ``held``: indices of rigs whose extrinsics stay.
@@ -69,7 +69,7 @@ def start_from(
 
 
 def length_of_path(
-    world_from_rig: np.ndarray, scene: Scene, held: Collection[int], verified: Verified, tuning: ScaleTuning
+    world_from_rig: np.ndarray, scene: Scene, held: Collection[int], verified: VerifiedMatches, tuning: ScaleTuning
 ) -> PathScale | None:
     """What the path of frames (F, 4, 4) needs to be as long as the rigs (indices ``held``) that must not change say;
     None where there is nothing to compare it with: panoramas, loose photographs."""
@@ -79,7 +79,7 @@ def length_of_path(
     return path_scale(scene, cam_from_rig, world_from_rig, verified, tuning)
 
 
-def largest_piece(cam_from_world: np.ndarray, scene: Scene, rigs: Collection[int], pairs: np.ndarray) -> np.ndarray:
+def largest_component(cam_from_world: np.ndarray, scene: Scene, rigs: Collection[int], pairs: np.ndarray) -> np.ndarray:
     """(N,) bool: images of the piece with most known poses that verified pairs (P, 2) and rigs hold together. What
     nothing ties to it would stay where a rough model had it, untested, and drift."""
     bound = np.isin(scene.rig[scene.frame], list(rigs))

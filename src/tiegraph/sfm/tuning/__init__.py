@@ -6,7 +6,7 @@ from pydantic import Field
 
 from tiegraph.settings import Section
 from tiegraph.sfm.tuning.placement import PlacementTuning
-from tiegraph.sfm.tuning.rig import CompactTuning, RigTuning
+from tiegraph.sfm.tuning.rig import LeverArmTuning, RigTuning
 from tiegraph.sfm.tuning.start import StartTuning
 from tiegraph.sfm.tuning.world import WorldTuning
 
@@ -101,7 +101,7 @@ class AdjustTuning(Section):
     """Of the robust cost: what distortion must gain over a calibration to be believed against it."""
     lens: LensTuning = LensTuning()
     """Priors of lenses."""
-    compact: CompactTuning = CompactTuning()
+    lever_arms: LeverArmTuning = LeverArmTuning()
     """What the cameras of a rig let expect of each other's places."""
 
 
@@ -145,8 +145,8 @@ class SigmaTuning(Section):
     """Errors of lenses, and of cameras in their rig."""
 
 
-class LossTuning(Section):
-    """What is said of a model's losses and doubts (`losses.py`)."""
+class RegistrationTuning(Section):
+    """What is said of a model's losses and doubts (`registrationreport.py`)."""
 
     loose_points: int = Field(20, gt=0)
     """Of a frame, twice what an image must see: with fewer its own noise, such as a blur, shows in no residual."""
@@ -158,7 +158,7 @@ class LossTuning(Section):
 
 
 class TwoViewTuning(Section):
-    """The accuracy of a pair by itself (`twoview.py`)."""
+    """The accuracy of a pair by itself (`papers/fuse2014.py`)."""
 
     min_points: int = Field(8, ge=5)
     """Matches, and points before both images, below which there is no geometry."""
@@ -183,7 +183,7 @@ class Tuning(Section):
     """The final adjustment."""
     sigma: SigmaTuning = SigmaTuning()
     """The sigmas of a model."""
-    losses: LossTuning = LossTuning()
+    registration: RegistrationTuning = RegistrationTuning()
     """What was lost, and what is in doubt."""
     two_view: TwoViewTuning = TwoViewTuning()
     """Two images alone."""

@@ -24,8 +24,8 @@ class AgreementTuning(Section):
     """Tolerances that the step between two images may be, seen from the farthest: parallel rays agree then."""
 
 
-class VotesTuning(Section):
-    """Frames judged by the ties between them (`placement.py`)."""
+class ConsistencyTuning(Section):
+    """Frames judged by the ties between them (`consistency.py`)."""
 
     near_steps: int = Field(3, gt=0)
     """Steps of a pass within which a tie is one of the neighbours'."""
@@ -39,8 +39,8 @@ class VotesTuning(Section):
     """Frames whose ties agree: false ties to one are soon found."""
 
 
-class CourseTuning(Section):
-    """Whether a model moves as its passes do (`steps.py`)."""
+class ContinuityTuning(Section):
+    """Whether a model moves as its passes do (`continuity.py`)."""
 
     expected_times: float = Field(2.0, ge=1)
     """Times the expected way between two frames that they may be apart ..."""
@@ -75,8 +75,8 @@ class RepairTuning(Section):
     """Of such a refinement."""
 
 
-class ResectTuning(Section):
-    """The place of a frame by matches with points of the model (`resect.py`)."""
+class ResectionTuning(Section):
+    """The place of a frame by matches with points of the model (`resection.py`)."""
 
     search_px: float = Field(6.0, gt=0)
     """Bound of the RANSAC."""
@@ -91,7 +91,7 @@ class ResectTuning(Section):
 
 
 class PredictTuning(Section):
-    """Where a frame should stand that no match has placed (`predict.py`)."""
+    """Where a frame should stand that no match has placed (`predictedpose.py`)."""
 
     neighbours: int = Field(8, gt=0)
     """Frames whose poses carry those of the coarse model over: what it drifts, it drifts slowly."""
@@ -106,7 +106,7 @@ class PredictTuning(Section):
 
 
 class GuidedTuning(Section):
-    """Guided matching, and what it places or ties (`guided.py`, `complete.py`)."""
+    """Guided matching, and what it places or ties (`guidedmatching.py`, `guidedregistration.py`)."""
 
     partners: int = Field(12, gt=0)
     """Images whose points an image is asked for."""
@@ -137,17 +137,17 @@ class GuidedTuning(Section):
 class PlacementTuning(Section):
     """The place of frames, tested, mended and completed."""
 
-    adopt_rounds: int = Field(4, ge=0)
+    missing_rounds: int = Field(4, ge=0)
     """Of placing what is missing by verified matches: each lets the next lean on it."""
     agreement: AgreementTuning = AgreementTuning()
     """Matches that a model explains."""
-    votes: VotesTuning = VotesTuning()
+    consistency: ConsistencyTuning = ConsistencyTuning()
     """What the ties of frames say of their place."""
-    course: CourseTuning = CourseTuning()
+    continuity: ContinuityTuning = ContinuityTuning()
     """The course of the passes."""
     repair: RepairTuning = RepairTuning()
     """Doubtful frames placed again."""
-    resect: ResectTuning = ResectTuning()
+    resection: ResectionTuning = ResectionTuning()
     """A place by matches."""
     predict: PredictTuning = PredictTuning()
     """A place predicted."""

@@ -7,8 +7,8 @@ from pydantic import Field
 from tiegraph.settings import Section
 
 
-class CompactTuning(Section):
-    """What the cameras of a rig let expect of each other's places (`compact.py`)."""
+class LeverArmTuning(Section):
+    """What the cameras of a rig let expect of each other's places (`leverarmprior.py`)."""
 
     least_others: int = Field(4, ge=3)
     """Cameras whose places tell something: twelve coordinates for the four unknowns of the rule."""
@@ -20,8 +20,8 @@ class CompactTuning(Section):
     """Scale of the robust loss, which lets go of a camera that stands apart."""
 
 
-class GivenTuning(Section):
-    """What a rig file gives with a sigma (`given.py`)."""
+class RigPriorTuning(Section):
+    """What a rig file gives with a sigma (`rigpriors.py`)."""
 
     least_deg: float = Field(0.001, gt=0)
     """A sigma of 0 means "exactly": as hard as the solver bears."""
@@ -65,8 +65,8 @@ class SupportTuning(Section):
     """Of these that are far enough apart, to tell the scale."""
 
 
-class HealthTuning(Section):
-    """A camera against its rig, frame by frame, by its own sightings (`health.py`, `sightings.py`)."""
+class DiagnosticsTuning(Section):
+    """A camera against its rig, frame by frame, by its own sightings (`resections.py`, `observations.py`)."""
 
     point_rounds: int = Field(3, gt=0)
     """In which points are made anew, robust from the second on."""
@@ -92,8 +92,8 @@ class HealthTuning(Section):
     """That a camera within these bounds is called loose for the few frames that happened to tell of it."""
 
 
-class SyncTuning(Section):
-    """Whether the cameras of a rig fire at one instant (`sync.py`, `diagnosis.py`)."""
+class TimeOffsetTuning(Section):
+    """Whether the cameras of a rig fire at one instant (`timeoffset.py`, `diagnostics.py`)."""
 
     min_frames: int = Field(8, gt=0)
     """Resected frames below which no offset is fitted."""
@@ -108,7 +108,7 @@ class SyncTuning(Section):
 
 
 class TornTuning(Section):
-    """A camera that lost its sightings in the adjustment (`diagnosis.py`)."""
+    """A camera that lost its sightings in the adjustment (`diagnostics.py`)."""
 
     min_sightings: int = Field(200, gt=0)
     """Of a camera in all its images, to judge what an adjustment left of them."""
@@ -118,8 +118,8 @@ class TornTuning(Section):
     """By which a camera with too few sightings left to be measured is let go."""
 
 
-class RelaxTuning(Section):
-    """A rig whose cameras do not fire at one instant (`relax.py`)."""
+class TimeCalibrationTuning(Section):
+    """A rig whose cameras do not fire at one instant (`timecalibration.py`)."""
 
     loose_deg: float = Field(0.05, gt=0)
     """From frame to frame, the turn of a camera whose extrinsics this model found: a mounting keeps."""
@@ -152,8 +152,8 @@ class SystemTuning(Section):
     """Of the rig, below which too little tells."""
 
 
-class JudgeTuning(Section):
-    """Which of a rig's givens the images contradict (`judge.py`). Lenses in parts of f."""
+class PriorTestTuning(Section):
+    """Which of a rig's givens the images contradict (`priortest.py`). Lenses in parts of f."""
 
     given_m: float = Field(0.002, gt=0)
     """Sigma of the places of a calibrated rig unless its file gives one."""
@@ -192,8 +192,8 @@ class ConfrontTuning(Section):
     """Of the turn in such extrinsics."""
 
 
-class TiesTuning(Section):
-    """Matches between two cameras of a rig against the model (`ties.py`). Shares of disagreeing matches: of cameras
+class CameraMatchesTuning(Section):
+    """Matches between two cameras of a rig against the model (`cameramatches.py`). Shares of disagreeing matches: of cameras
     with themselves 0.7 to 12 %, between two up to 10 % where all is well (boat, canal_demo, KITTI, vehicle), 19 to 79 %
     where they fire apart (pieces of PandaSet, vehicle 0.5 m apart along the way)."""
 
@@ -212,25 +212,25 @@ class RigTuning(Section):
     """Sigma of when a camera fires after the reference, before the images speak and where nobody says."""
     tight_deg: float = Field(0.5, ge=0)
     """Extrinsics known better than this lead the mapper as they are; worse ones it may refine."""
-    given: GivenTuning = GivenTuning()
+    priors: RigPriorTuning = RigPriorTuning()
     """What a file gives with a sigma."""
     derive: DeriveTuning = DeriveTuning()
     """Extrinsics from a model without rig."""
     support: SupportTuning = SupportTuning()
     """Sensors without ties, and the model's units."""
-    health: HealthTuning = HealthTuning()
-    """Rig health."""
-    sync: SyncTuning = SyncTuning()
+    diagnostics: DiagnosticsTuning = DiagnosticsTuning()
+    """Rig diagnostics."""
+    time_offset: TimeOffsetTuning = TimeOffsetTuning()
     """Times of the cameras."""
     torn: TornTuning = TornTuning()
     """Cameras that came off."""
-    relax: RelaxTuning = RelaxTuning()
+    time_calibration: TimeCalibrationTuning = TimeCalibrationTuning()
     """Rigs that are let go of."""
     system: SystemTuning = SystemTuning()
     """The linearised rig."""
-    judge: JudgeTuning = JudgeTuning()
+    prior_test: PriorTestTuning = PriorTestTuning()
     """What is freed."""
     confront: ConfrontTuning = ConfrontTuning()
     """What is said."""
-    ties: TiesTuning = TiesTuning()
+    camera_matches: CameraMatchesTuning = CameraMatchesTuning()
     """Ties between the cameras."""

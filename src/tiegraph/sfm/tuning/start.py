@@ -8,7 +8,7 @@ from tiegraph.settings import Section
 
 
 class ScaleTuning(Section):
-    """Whether a path is as long as its rig says (`scale.py`)."""
+    """Whether a path is as long as its rig says (`pathscale.py`)."""
 
     matches_a_pair: int = Field(40, gt=0)
     """Matches of a pair of images that vote."""
@@ -40,8 +40,8 @@ class ScaleTuning(Section):
     """... nor one within so many sigmas."""
 
 
-class RoundsTuning(Section):
-    """The rounds of adjustment from rough poses to a model (`rounds.py`)."""
+class StagedTuning(Section):
+    """The rounds of adjustment from rough poses to a model (`stagedadjustment.py`)."""
 
     iterations: int = Field(25, gt=0)
     """Of a round's adjustment, at most."""
@@ -53,8 +53,8 @@ class RoundsTuning(Section):
     """Of placing the frames that had no pose."""
 
 
-class GateTuning(Section):
-    """Whether a model that started from rough poses is good enough (`gate.py`).
+class AcceptanceTuning(Section):
+    """Whether a model that started from rough poses is good enough (`acceptance.py`).
 
     Measured on models that are right to some centimetres (canal, canal_demo, PandaSet, KITTI, Herz-Jesus-P25,
     oppaiyama, fountain-P11): 0.957 to 1.000 of the pairs agree, 0.97 to 1.00 of the tied images see points, 0.20 to
@@ -82,7 +82,7 @@ class StartTuning(Section):
     """Of the length of a path: a smaller one is not told."""
     scale: ScaleTuning = ScaleTuning()
     """The length of the path against the rig."""
-    rounds: RoundsTuning = RoundsTuning()
+    staged: StagedTuning = StagedTuning()
     """Points and rounds of adjustment."""
-    gate: GateTuning = GateTuning()
+    acceptance: AcceptanceTuning = AcceptanceTuning()
     """What a model must be."""

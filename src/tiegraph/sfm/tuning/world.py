@@ -148,8 +148,8 @@ class SourceTuning(Section):
     """Of the stated sigma: what scatters less is not measured but made."""
 
 
-class PlacingTuning(Section):
-    """Which evidence there is, and whether lever arm and clock can be told from it (`placing.py`)."""
+class SimilarityFitTuning(Section):
+    """Which evidence there is, and whether lever arm and clock can be told from it (`similarityfit.py`)."""
 
     min_positions: int = Field(3, ge=3)
     """Positions and control points, to place a model."""
@@ -175,8 +175,8 @@ class PlacingTuning(Section):
     """Weight of one frame in a fix, to compare orientations."""
 
 
-class JudgingTuning(Section):
-    """What a placement says of itself (`judging.py`, `georef.py`)."""
+class StatementTuning(Section):
+    """What a placement says of itself (`statements.py`, `georef.py`)."""
 
     scatter: float = Field(3.0, ge=1)
     """Times the stated sigma: what is beyond is no scatter but contradicts it."""
@@ -191,7 +191,7 @@ class JudgingTuning(Section):
 
 
 class AdjustmentTuning(Section):
-    """The bundle adjustment in the world, and whether it stands its check (`worldadjust.py`, `ground.py`)."""
+    """The bundle adjustment in the world, and whether it stands its check (`worldadjust.py`, `georeferencing.py`)."""
 
     rounds: int = Field(2, gt=0)
     """Of adjustment and new noise factors."""
@@ -232,11 +232,11 @@ class WorldTuning(Section):
     """The similarity."""
     sources: SourceTuning = SourceTuning()
     """The sources by themselves."""
-    placing: PlacingTuning = PlacingTuning()
+    similarity_fit: SimilarityFitTuning = SimilarityFitTuning()
     """The placement."""
     trend: TrendTuning = TrendTuning()
     """Residuals that are no noise."""
-    judging: JudgingTuning = JudgingTuning()
+    statements: StatementTuning = StatementTuning()
     """What is said of it."""
     adjustment: AdjustmentTuning = AdjustmentTuning()
     """The adjustment with the positions."""

@@ -10,16 +10,16 @@ well the images carry its baselines to the length of the whole (the adjustment's
 cameras back to back hardly tell) and with the share of its lever arms that the images contradict. Cameras all round
 (a ring, or two back to back) tell the vertical, to 3 deg or to what they lean from frame to frame.
 
-**Similarity** (``placing``, ``fit``). Lever arm and clock are estimated only where the fit tells them (sigma in plan
-below 0.5 m) and agrees clearly better (chi-square at 0.1 %; begun with the sigmas as stated, as without lever arm all
-positions look bad and wrong ones hide). What cannot be told is reported: along a straight way the clock is the lever
-arm, and the height of an antenna is the height of the world.
+**Similarity** (``similarityfit``, ``fit``). Lever arm and clock are estimated only where the fit tells them (sigma in
+plan below 0.5 m) and agrees clearly better (chi-square at 0.1 %; begun with the sigmas as stated, as without lever arm
+all positions look bad and wrong ones hide). What cannot be told is reported: along a straight way the clock is the
+lever arm, and the height of an antenna is the height of the world.
 
 **Adjustment with positions** (``worldadjust``). Images, positions and points are adjusted together, which takes out
 bends that a similarity cannot. Own residuals are small classes in ``costs``, added to COLMAP's Ceres problem through
 pyceres (one thread: Python's lock). The adjustment is kept only if every fifth position, which it did not know, is
-met as well as by the similarity, and the images fit no worse (``ground``). A model with a relaxed rig is not adjusted
-so, for what ties its cameras is not in that adjustment.
+met as well as by the similarity, and the images fit no worse (``georeference_folder``). A model with a relaxed rig is
+not adjusted so, for what ties its cameras is not in that adjustment.
 
 **What residuals cannot show** is added: what all positions of a receiver share is taken to be one stated sigma
 (without control points), and a fit to few rows is freed of what it took of a slow error. A note says what holds the

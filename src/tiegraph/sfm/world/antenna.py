@@ -37,7 +37,7 @@ def believed(evidence: Evidence, fixes: Fixes, up: Up | None, near: Similarity, 
     used = up_to_use(evidence, up, [], tuning, near)
     fit = fit_similarity(evidence, used, tuning.fit, near)
     count = len(fixes)
-    for _ in range(tuning.placing.noise_rounds if count else 0):
+    for _ in range(tuning.similarity_fit.noise_rounds if count else 0):
         residual = evidence.position_residuals(fit.similarity, fit.antenna, fit.offset_s)[:count] / fixes.sigma
         unknowns = noise.SIMILARITY + 3 * evidence.estimate_antenna + evidence.estimate_offset
         stretched = fixes.stretched(noise.factors(residual, fixes.level, fixes.time_s, tuning.noise, unknowns))
@@ -90,7 +90,7 @@ def with_lever_arm(now: Fitted, tuning: WorldTuning) -> Fitted:
 
 def _arm_limit_m(tuning: WorldTuning) -> float:
     """Sigma up to which a lever arm counts as known."""
-    return tuning.placing.arm_share * tuning.fit.antenna_sigma_m
+    return tuning.similarity_fit.arm_share * tuning.fit.antenna_sigma_m
 
 
 def _upward(now: Fitted) -> np.ndarray:
@@ -135,7 +135,7 @@ def try_clock(now: Fitted, notes: list[str], tuning: WorldTuning) -> tuple[Fitte
             f"the receiver's clock against the cameras' cannot be told (to {sigma:.2f} s, {metres:.2f} m on the way): "
             "at constant speed it is the lever arm along the track"
         )
-    elif abs(value) > tuning.placing.clock_sigmas * sigma and plain.cost - richer.fit.cost > CLOCK_GAIN:
+    elif abs(value) > tuning.similarity_fit.clock_sigmas * sigma and plain.cost - richer.fit.cost > CLOCK_GAIN:
         notes.append(f"the receiver's clock is {value:+.3f} s (sigma {sigma:.3f}) off the cameras': taken into account")
         return richer, (value, sigma)
     else:
@@ -153,14 +153,14 @@ def up_to_use(
     if up is None or np.isfinite(evidence.orientation).all(axis=(1, 2)).any():
         return None
     alone = fit_similarity(evidence, None, tuning.fit, near)
-    if up.ring and alone.tilt_sigma_deg > tuning.placing.tilt_share * up.sigma_deg:
+    if up.ring and alone.tilt_sigma_deg > tuning.similarity_fit.tilt_share * up.sigma_deg:
         known = known_to(alone.tilt_sigma_deg, RIGHT_ANGLE_DEG, f"{alone.tilt_sigma_deg:.1f} deg")
         notes.append(
             f"the positions leave the tilt open ({known}): the upward direction of {up.cameras} holds it, to about "
             f"{up.sigma_deg:.0f} deg; whether east and north, or one of them and the height, are exchanged cannot be "
             "told along so straight a track"
         )
-    elif not up.ring and alone.roll_sigma_deg > tuning.placing.roll_limit_deg:
+    elif not up.ring and alone.roll_sigma_deg > tuning.similarity_fit.roll_limit_deg:
         known = known_to(alone.roll_sigma_deg, RIGHT_ANGLE_DEG, f"{alone.roll_sigma_deg:.0f} deg")
         notes.append(
             f"the positions lie nearly on a straight line (roll about it {known}): the upward direction of "

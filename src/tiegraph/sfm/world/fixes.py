@@ -24,7 +24,7 @@ class PositionRows:
 
 
 @dataclass(frozen=True)
-class Given:
+class Measurements:
     """Known beyond the scene: the receiver's rows, control points, frames (F,) under bridges; a model's sigmas."""
 
     rows: PositionRows | None = None
@@ -92,7 +92,7 @@ class Fixes:
         return moved, np.einsum("kn,knij->kij", self.rates, there)
 
 
-def make_fixes(scene: Scene, registered: np.ndarray, given: Given, floor_m: float, tuning: FixTuning) -> Fixes:
+def make_fixes(scene: Scene, registered: np.ndarray, given: Measurements, floor_m: float, tuning: FixTuning) -> Fixes:
     """Fixes of the receiver's rows, or of the scene's prior positions where there are none with times.
 
     ``registered`` (F,) frames with a pose. Sigmas are at least ``floor_m``, and larger next to outages and under
@@ -100,11 +100,11 @@ def make_fixes(scene: Scene, registered: np.ndarray, given: Given, floor_m: floa
     """
     rows, parts, left = given.rows, [], registered.copy()
     if rows is not None and np.isfinite(scene.time_s).any():
-        for track in np.unique(scene.track[scene.track >= 0]):
+        for track in np.unique(scene.sequence[scene.sequence >= 0]):
             part = _of_track(scene, registered, rows, int(track), tuning)
             if part is not None:
                 parts.append(part)
-                left &= scene.track != track
+                left &= scene.sequence != track
     fixes = _joined([*parts, _of_frames(scene, left)])  # loose photographs have nothing between them
     sigma = np.where(np.isfinite(fixes.sigma), fixes.sigma, tuning.unknown_sigma_m)
     level = np.round(tuning.levels_per_octave * np.log2(np.maximum(sigma[:, 0], 1e-3))).astype(int)
@@ -125,7 +125,7 @@ def _of_frames(scene: Scene, registered: np.ndarray) -> Fixes:
 
 
 def _of_track(scene: Scene, registered: np.ndarray, rows: PositionRows, track: int, tuning: FixTuning) -> Fixes | None:
-    mine = np.flatnonzero((scene.track == track) & registered & np.isfinite(scene.time_s))
+    mine = np.flatnonzero((scene.sequence == track) & registered & np.isfinite(scene.time_s))
     mine = mine[np.argsort(scene.time_s[mine], kind="stable")]
     time = scene.time_s[mine]
     mine, time = mine[np.concatenate([[True], np.diff(time) > 1e-6])] if len(mine) else mine, np.unique(time)

@@ -21,11 +21,11 @@ from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.world.accuracy import PlacementError, widened
 from tiegraph.sfm.world.antenna import RIGHT_ANGLE_DEG
 from tiegraph.sfm.world.fit import Fit, jackknife_sigma
-from tiegraph.sfm.world.fixes import Fixes, Given
+from tiegraph.sfm.world.fixes import Fixes, Measurements
 from tiegraph.sfm.world.gravity import Up, up_vector
 from tiegraph.sfm.world.marks import point_table, targets, without_blunders
-from tiegraph.sfm.world.placing import Model, Placing, place
 from tiegraph.sfm.world.scale import RigScale, rig_scale
+from tiegraph.sfm.world.similarityfit import Model, SimilarityFit, fit_to_world
 from tiegraph.sfm.world.sources import rig_statement, up_statements
 from tiegraph.text import known_to
 
@@ -49,7 +49,7 @@ class Georeference:
     accuracy: dict[str, dict[str, float]] = field(default_factory=dict)  # gcp, check: RMSE, CE90, LE90
     offset_s: float = 0.0  # the receiver's clock behind the cameras'
     adjusted: bool = False  # by a bundle adjustment with the positions, not by the similarity alone
-    placing: Placing | None = None
+    placing: SimilarityFit | None = None
     error: PlacementError | None = None
     statements: tuple[Statement, ...] = ()
     contradictions: tuple[str, ...] = ()
@@ -137,7 +137,7 @@ def georeference(
     scene: Scene,
     settings: GeorefSettings,
     tuning: WorldTuning,
-    given: Given | None = None,
+    given: Measurements | None = None,
 ) -> Georeference:
     """Place a model by positions and control points; without three of them, level it by its cameras.
 
@@ -146,7 +146,7 @@ def georeference(
     points where their marks' rays meet; prior orientations; the rig's baselines where they are known and long enough;
     the cameras' upward direction where the positions leave the roll about a straight track open.
     """
-    given = given or Given()
+    given = given or Measurements()
     images = image_poses(model, scene)
     found = []
     if given.control is not None:
@@ -154,11 +154,11 @@ def georeference(
         found = without_blunders(found, given.control, tuning.marks)
     scale = rig_scale(model, images, scene, tuning.scale, given.model_scale_sigma)
     view = Model(images=images, up=up_vector(images, scene, tuning.up), scale=scale, targets=found, names=scene.names)
-    placing = place(view, scene, settings, given, tuning)
+    placing = fit_to_world(view, scene, settings, given, tuning)
     if placing is None:
         frames = np.isfinite(view.frames(scene)).all(axis=(1, 2))
         here = int((frames & np.isfinite(scene.world_from_rig[:, :3, 3]).all(axis=1)).sum())
-        few = f"{here} registered frames have a prior position, {tuning.placing.min_positions} are needed"
+        few = f"{here} registered frames have a prior position, {tuning.similarity_fit.min_positions} are needed"
         return _levelled(scene, view.up, view.scale, few)
     return _placed(placing, view, scene, given)
 
@@ -168,17 +168,17 @@ def georeference_all(
     scene: Scene,
     settings: GeorefSettings,
     tuning: WorldTuning,
-    given: Given | None = None,
+    given: Measurements | None = None,
 ) -> list[Georeference]:
     """Each model by itself; those that are ``placed`` share one world even where no image joins them.
 
     Sigmas in ``given`` are of the first model and are not believed of these.
     """
-    unknown = replace(given or Given(), model_sigma=float("nan"), model_scale_sigma=float("nan"))
+    unknown = replace(given or Measurements(), model_sigma=float("nan"), model_scale_sigma=float("nan"))
     return [georeference(model, scene, settings, tuning, unknown) for model in models]
 
 
-def _placed(placing: Placing, view: Model, scene: Scene, given: Given) -> Georeference:
+def _placed(placing: SimilarityFit, view: Model, scene: Scene, given: Measurements) -> Georeference:
     fit, evidence, fixes = placing.fit, placing.evidence, placing.fixes
     count = len(fixes)
     here = evidence.position_residuals(fit.similarity, fit.antenna, fit.offset_s)
@@ -188,12 +188,14 @@ def _placed(placing: Placing, view: Model, scene: Scene, given: Given) -> Georef
     residual[has] = here[at[has]]
     inlier = np.zeros(scene.frames, bool)
     inlier[has] = fit.inlier[at[has]]
-    if placing.blind is not None:
-        blind = placing.blind
+    if placing.held_out is not None:
+        blind = placing.held_out
         off = evidence.position_residuals(blind.similarity, blind.antenna, blind.offset_s)
         held = has[fixes.held[at[has]]]
         held_out[held] = off[at[held]]
-    order = np.lexsort((scene.step[fixes.home], scene.track[fixes.home]))  # control points stay in every part
+    order = np.lexsort(
+        (scene.sequence_index[fixes.home], scene.sequence[fixes.home])
+    )  # control points stay in every part
     points, sums, lines = _points(view, given, fit)
     sigma = _with_common(jackknife_sigma(evidence, placing.up, fit, order, placing.tuning.fit), placing, scene)
     return Georeference(
@@ -216,7 +218,7 @@ def _placed(placing: Placing, view: Model, scene: Scene, given: Given) -> Georef
     )
 
 
-def _with_common(sigma: dict[str, float], placing: Placing, scene: Scene) -> dict[str, float]:
+def _with_common(sigma: dict[str, float], placing: SimilarityFit, scene: Scene) -> dict[str, float]:
     """The sigmas of a placement with what all positions of a receiver share, which no residual shows.
 
     The errors of a receiver (base station, ambiguities, multipath, atmosphere) last minutes: their mean is known no
@@ -243,7 +245,7 @@ def row_of_frames(fixes: Fixes, frames: int) -> np.ndarray:
     return out
 
 
-def _points(view: Model, given: Given, fit: Fit) -> tuple[list[dict], dict, list[str]]:
+def _points(view: Model, given: Measurements, fit: Fit) -> tuple[list[dict], dict, list[str]]:
     """Table of control and check points, their accuracy, and what could not be used, with file and line."""
     control = given.control
     if control is None:
@@ -260,9 +262,9 @@ def _points(view: Model, given: Given, fit: Fit) -> tuple[list[dict], dict, list
     return rows, sums, lines
 
 
-def _scale_source(placing: Placing, scene: Scene, view: Model, fixes: int) -> str:
+def _scale_source(placing: SimilarityFit, scene: Scene, view: Model, fixes: int) -> str:
     held = view.scale is not None and placing.evidence.log_scale is not None
-    limit = placing.tuning.judging.rig_tells * placing.fit.sigma_positions_scale
+    limit = placing.tuning.statements.rig_tells * placing.fit.sigma_positions_scale
     if held and view.scale is not None and view.scale.sigma < limit:
         return "rig baseline"
     if not fixes:
@@ -270,16 +272,16 @@ def _scale_source(placing: Placing, scene: Scene, view: Model, fixes: int) -> st
     return scene.prior if scene.prior != "none" else "positions"
 
 
-def _remarks(placing: Placing, scene: Scene) -> list[str]:
+def _remarks(placing: SimilarityFit, scene: Scene) -> list[str]:
     notes, fit, tuning = [], placing.fit, placing.tuning
-    told, most = tuning.judging.scatter_told, tuning.judging.scatter
+    told, most = tuning.statements.scatter_told, tuning.statements.scatter
     for level in placing.levels:
         if told < level.factor <= most and level.count >= tuning.noise.min_rows:
             notes.append(
                 f"positions of stated sigma {level.sigma_m:.2f} m scatter {level.factor:.1f} times as much "
                 f"(correlation of neighbours {level.correlation:.1f}): believed accordingly"
             )
-    if fit.roll_sigma_deg > tuning.placing.roll_limit_deg:
+    if fit.roll_sigma_deg > tuning.similarity_fit.roll_limit_deg:
         known = known_to(fit.roll_sigma_deg, RIGHT_ANGLE_DEG, f"{fit.roll_sigma_deg:.0f} deg only")
         notes.append(f"the roll about the track is {known}")
     if scene.origin is None and not len(placing.points):
@@ -288,11 +290,11 @@ def _remarks(placing: Placing, scene: Scene) -> list[str]:
     return notes
 
 
-def _passes_without(placing: Placing, scene: Scene) -> list[str]:
+def _passes_without(placing: SimilarityFit, scene: Scene) -> list[str]:
     """Passes none of whose frames has a position: they hang on the others through the images alone."""
-    if not len(placing.fixes) or len(scene.tracks) < 2:
+    if not len(placing.fixes) or len(scene.sequences) < 2:
         return []
-    lost = [name for k, name in enumerate(scene.tracks) if not np.any(scene.track[placing.fixes.home] == k)]
+    lost = [name for k, name in enumerate(scene.sequences) if not np.any(scene.sequence[placing.fixes.home] == k)]
     return [f"pass {name!r} has no position: its place rests on its ties to the others" for name in lost]
 
 

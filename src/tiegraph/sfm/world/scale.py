@@ -74,8 +74,9 @@ def rig_scale(
 def relaxed(model: pycolmap.Reconstruction, scene: Scene) -> bool:
     """Whether images of one frame of the scene stand in several frames of the model.
 
-    What ties them is the business of the relaxing (``sfm/rig/relax.py``); an adjustment without it took PandaSet, whose
-    back camera shares few points with the others, from 22 to 59 mm and met the positions it did not know better.
+    What ties them is the business of the relaxing (``sfm/rig/timecalibration.py``); an adjustment without it took
+    PandaSet, whose back camera shares few points with the others, from 22 to 59 mm and met the positions it did not
+    know better.
     """
     home: dict[int, int] = {}
     for image_id in model.reg_image_ids():
@@ -108,9 +109,9 @@ def _ways(poses: np.ndarray, scene: Scene) -> np.ndarray:
     for k in np.flatnonzero(np.isfinite(poses).all(axis=(1, 2)))[::-1]:
         place[scene.frame[k]] = centres[k]  # of the first camera of the frame that is there
     out = np.zeros((scene.frames, 3))
-    for track in np.unique(scene.track):
-        rows = np.flatnonzero((scene.track == track) & np.isfinite(place).all(axis=1))
-        rows = rows[np.argsort(scene.step[rows], kind="stable")]
+    for track in np.unique(scene.sequence):
+        rows = np.flatnonzero((scene.sequence == track) & np.isfinite(place).all(axis=1))
+        rows = rows[np.argsort(scene.sequence_index[rows], kind="stable")]
         if len(rows) > 1:
             way = np.gradient(place[rows], axis=0)
             out[rows] = way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-12)

@@ -19,7 +19,7 @@ _HELD = 1e-6  # of a scale that is held
 
 
 @dataclass(frozen=True)
-class Weighed:
+class EvidenceWeights:
     """The sources, which are used and why. ``scale_used``: sources of the scale; ``extra_m`` (3,): what is added to the
     positions' sigmas because another source says otherwise; ``scale_sigma``: to widen the scale's to, 0 = not at all;
     ``at`` (3,): the model point that places are compared at; ``why``: how the scale was decided, in words;
@@ -56,7 +56,7 @@ class Question:
     free_antenna: bool = False
 
 
-def weigh(asked: Question) -> Weighed:
+def weigh(asked: Question) -> EvidenceWeights:
     """Ask each source alone, compare, and decide what is used of scale and places.
 
     A rig's baseline that the positions (or control points) contradict gives way to them if they fit without a trend of
@@ -76,7 +76,7 @@ def weigh(asked: Question) -> Weighed:
     at = evidence.pose[~rows if points else rows, :3, 3].mean(axis=0)
     scale = _scale(asked, found)
     places, more = _places(found, at, asked.name, tuning.sources)
-    return Weighed(
+    return EvidenceWeights(
         sources=tuple(found.values()),
         scale_used=scale.used,
         places_used=places,

@@ -14,8 +14,8 @@ from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.control import Control
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import free_cameras
-from tiegraph.sfm.adjustment.given import given_geometry
 from tiegraph.sfm.adjustment.priors import add_priors
+from tiegraph.sfm.adjustment.rigpriors import rig_priors
 from tiegraph.sfm.model import frame_poses, image_poses, matrix
 from tiegraph.sfm.solver import factorised
 from tiegraph.sfm.tuning import Tuning
@@ -27,7 +27,7 @@ from tiegraph.sfm.world.marks import Target
 
 
 @dataclass(frozen=True)
-class Held:
+class ConstantParameters:
     """What an adjustment must leave as it is: COLMAP ids of rigs with calibrated extrinsics, and of such cameras;
     ``soft``: indices in the scene of rigs whose extrinsics are known with a sigma."""
 
@@ -53,7 +53,7 @@ class Constraints:
     fixes: Fixes  # sigmas as stated
     factor: np.ndarray  # (K,) by which they are believed to be too small
     receiver: Receiver
-    held: Held
+    held: ConstantParameters
     tuning: Tuning
     control: Control | None = None
     targets: Sequence[Target] = ()
@@ -62,7 +62,7 @@ class Constraints:
 
 
 @dataclass(frozen=True)
-class Adjusted:
+class AdjustmentResult:
     """The model after it, lever arm, clock, residuals (K, 3) of the fixes (metres), factors, and pixel errors."""
 
     model: pycolmap.Reconstruction
@@ -85,7 +85,7 @@ def available() -> bool:
     return True
 
 
-def adjust_in_world(world: pycolmap.Reconstruction, scene: Scene, given: Constraints, rounds: int) -> Adjusted:
+def adjust_in_world(world: pycolmap.Reconstruction, scene: Scene, given: Constraints, rounds: int) -> AdjustmentResult:
     """Adjust a model that stands in the world by images, positions and control points.
 
     Positions have a Cauchy loss over the vector, reprojections one of their own. Both weigh by their
@@ -107,7 +107,7 @@ def adjust_in_world(world: pycolmap.Reconstruction, scene: Scene, given: Constra
     manager.filter_all_points3D(given.tuning.adjust.filter_px, given.tuning.adjust.filter_angle_deg)
     model.update_point_3d_errors()
     after = float(model.compute_mean_reprojection_error())
-    return Adjusted(
+    return AdjustmentResult(
         model=model,
         antenna=arm,
         offset_s=float(clock[0]),
@@ -164,7 +164,7 @@ def _solve(
     kept = _add_positions(adjuster.problem, model, scene, given, (arm, clock, sigma_px))
     kept += _add_points(adjuster.problem, model, scene, given, sigma_px)
     kept += _add_up(adjuster.problem, model, scene, given, sigma_px)
-    known = given_geometry(model, scene, given.held.soft, given.tuning.rig.given)
+    known = rig_priors(model, scene, given.held.soft, given.tuning.rig.priors)
     kept += add_priors(adjuster, model, known, given.tuning.adjust)
     adjuster.solve()
     del kept  # the problem only borrows the residuals written in Python

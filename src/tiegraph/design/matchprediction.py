@@ -1,0 +1,191 @@
+"""The matches a pair may be expected to have, from the points of the coarse model that both images should see.
+
+Only a part of the candidates is ever previewed, and a preview says little of what full resolution will find. How often
+a point is found again in a second image falls with the angle between the two rays and with the ratio of the distances:
+the previewed pairs tell how fast, and all pairs are foreseen by it in the same way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+
+from tiegraph.design.tuning import MatchPredictionTuning
+from tiegraph.scene.matches import PreviewMatches, Visibility
+
+_MIX = (np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB))  # splitmix64
+
+
+@dataclass(frozen=True)
+class PredictedMatches:
+    """``expected`` (P,) preview matches of the pairs, NaN without a common point, and for each draw the ties of the
+    others."""
+
+    expected: np.ndarray
+    matches: tuple[PreviewMatches, ...]
+
+
+@dataclass(frozen=True)
+class _Law:
+    """Matches of a preview = by_chance + rate * sum over common points of exp(-(angle / a)^2 - (octaves / o)^2)."""
+
+    angle_deg: float
+    octaves: float
+    rate: float
+    by_chance: float
+
+    def likely(self, angle_deg: np.ndarray, octaves: np.ndarray) -> np.ndarray:
+        """(K,) how likely points are found again, 1 where angle and distance are equal."""
+        return np.exp(-((angle_deg / self.angle_deg) ** 2) - (octaves / self.octaves) ** 2)
+
+
+def verified_chance(expected: np.ndarray, tuning: MatchPredictionTuning) -> np.ndarray:
+    """(P,) how likely pairs of so many expected preview matches come through verification at full resolution."""
+    return expected**2 / (expected**2 + tuning.even_matches**2)
+
+
+def predict_matches(
+    i: np.ndarray,
+    j: np.ndarray,
+    measured: np.ndarray,
+    sights: Visibility,
+    tuning: MatchPredictionTuning,
+    draws: Sequence[int] = (0,),
+) -> PredictedMatches:
+    """Ties and expected matches of pairs i < j (P,); ``measured`` (P,) preview matches, NaN = not previewed.
+
+    Which of the common points match is drawn at random, with the chance of each point, and always in the same way for
+    the same draw: a choice is judged by another draw than it was made by. A measured count and what the points promise
+    are taken together by their geometric mean.
+    """
+    law = _fitted(i, j, measured, sights, tuning)
+    image = np.repeat(np.arange(len(sights.centre)), np.diff(sights.start))
+    # Whether a point is detected in an image is alike for all its pairs.
+    detected = [_uniform(sights.point, image, image, draw) < np.sqrt(law.rate) for draw in draws]
+    expected = np.full(len(i), np.nan)
+    rows: list[int] = []
+    matches: list[list[np.ndarray]] = [[] for _ in draws]
+    for both in _in_common(i, j, sights):
+        likely = law.likely(*_geometry(both, sights))
+        size = np.bincount(both.number, minlength=len(both.pairs))
+        promised = law.rate * np.bincount(both.number, likely, len(both.pairs))
+        looked = measured[both.pairs]
+        shared = np.sqrt((np.maximum(np.nan_to_num(looked) - law.by_chance, 0.0) + 1.0) * (promised + 1.0)) - 1.0
+        count = np.where(np.isfinite(looked), shared, promised)
+        there = size > 0
+        expected[both.pairs[there]] = np.maximum(count, 1.0)[there]
+        rows += both.pairs[there].tolist()
+        chance = likely * (count / np.maximum(promised, 1e-9))[both.number]
+        left, right = both.rows(sights)
+        for found, seen, draw in zip(matches, detected, draws):
+            chosen = seen[left] & seen[right] & (_uniform(both.point, both.image, both.other, draw) < chance)
+            own = np.bincount(both.number[chosen], minlength=len(both.pairs))
+            pair = np.stack([both.left[chosen], both.right[chosen]], axis=1).astype(np.uint16)
+            found += [m for m, kept in zip(np.split(pair, np.cumsum(own)[:-1]), there) if kept]
+    at = np.array(rows, int)
+    return PredictedMatches(expected, tuple(PreviewMatches.make(i[at], j[at], found) for found in matches))
+
+
+@dataclass(frozen=True)
+class _Common:
+    """The points that one image shares with others, (K,) each: ``number`` of the pair among ``pairs`` (rows of the
+    table), ``point``, its places ``left`` and ``right`` among those that the image and the ``other`` see."""
+
+    image: int
+    pairs: np.ndarray
+    number: np.ndarray
+    other: np.ndarray
+    point: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+
+    def rows(self, sights: Visibility) -> tuple[np.ndarray, np.ndarray]:
+        """(K,) rows of the image and of the other in the table of sights."""
+        return sights.start[self.image] + self.left, sights.start[self.other] + self.right
+
+
+def _in_common(i: np.ndarray, j: np.ndarray, sights: Visibility) -> Iterator[_Common]:
+    """What the pairs i, j (P,) see in common, image by image."""
+    place = np.full(len(sights.xyz), -1)
+    order = np.argsort(i, kind="stable")
+    first = np.flatnonzero(np.r_[True, np.diff(i[order]) != 0]) if len(i) else np.zeros(0, int)
+    for rows in np.split(order, first[1:]) if len(i) else ():
+        image = int(i[rows[0]])
+        own = sights.of(image)
+        place[own] = np.arange(len(own))
+        begin, count = sights.start[j[rows]], sights.start[j[rows] + 1] - sights.start[j[rows]]
+        number = np.repeat(np.arange(len(rows)), count)
+        right = np.arange(len(number)) - np.repeat(np.cumsum(count) - count, count)
+        point = sights.point[begin[number] + right]
+        left = place[point]
+        hit = left >= 0
+        place[own] = -1
+        yield _Common(
+            image=image,
+            pairs=rows,
+            number=number[hit],
+            other=j[rows][number[hit]],
+            point=point[hit],
+            left=left[hit],
+            right=right[hit],
+        )
+
+
+def _geometry(both: _Common, sights: Visibility) -> tuple[np.ndarray, np.ndarray]:
+    """(K,) angles between the rays of two images to their common points, degrees; octaves between the distances."""
+    xyz = sights.xyz[both.point]
+    ray_a, ray_b = xyz - sights.centre[both.image], xyz - sights.centre[both.other]
+    far_a, far_b = np.linalg.norm(ray_a, axis=1), np.linalg.norm(ray_b, axis=1)
+    cosine = np.sum(ray_a * ray_b, axis=1) / np.maximum(far_a * far_b, 1e-12)
+    octaves = np.abs(np.log2(np.maximum(far_a, 1e-12) / np.maximum(far_b, 1e-12)))
+    return np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))), octaves
+
+
+def _fitted(
+    i: np.ndarray, j: np.ndarray, measured: np.ndarray, sights: Visibility, tuning: MatchPredictionTuning
+) -> _Law:
+    """The law that explains the previewed pairs best (weighted least squares, no number below zero)."""
+    known = np.flatnonzero(np.isfinite(measured))
+    if len(known) > tuning.sample:
+        known = np.random.default_rng(0).choice(known, tuning.sample, replace=False)
+    rows, columns = tuning.cells
+    cells = rows * columns
+    table = np.zeros((len(known), cells), np.float32)
+    for both in _in_common(i[known], j[known], sights):
+        angle, octaves = _geometry(both, sights)
+        row = np.minimum((angle / tuning.cell_deg).astype(int), rows - 1)
+        cell = row * columns + np.minimum((octaves / tuning.cell_octaves).astype(int), columns - 1)
+        size = len(both.pairs) * cells
+        table[both.pairs] = np.bincount(both.number * cells + cell, minlength=size).reshape(-1, cells)
+    filled = table.any(axis=1)
+    best, least = (
+        _Law(angle_deg=tuning.usual_angle_deg, octaves=tuning.usual_octaves, rate=tuning.usual_rate, by_chance=0.0),
+        np.inf,
+    )
+    if filled.sum() < tuning.least_previewed:
+        return best
+    table, count = table[filled], measured[known][filled]
+    weight = 1.0 / np.sqrt(np.maximum(count, tuning.least_variance))
+    angle = (np.arange(rows)[:, None] + 0.5) * tuning.cell_deg
+    octave = (np.arange(columns)[None] + 0.5) * tuning.cell_octaves
+    for a in tuning.angles_deg:
+        for o in tuning.octaves:
+            likely = table @ np.exp(-((angle / a) ** 2) - (octave / o) ** 2).ravel()
+            found, residual = nnls(np.stack([likely, np.ones(len(count))], axis=1) * weight[:, None], count * weight)
+            if residual < least and found[0] > 0:
+                best, least = _Law(angle_deg=a, octaves=o, rate=float(found[0]), by_chance=float(found[1])), residual
+    return best
+
+
+def _uniform(point: np.ndarray, a: int | np.ndarray, b: int | np.ndarray, draw: int) -> np.ndarray:
+    """(K,) numbers in [0, 1) that depend on points, pair and draw alone."""
+    with np.errstate(over="ignore"):
+        x = (point.astype(np.uint64) + np.uint64(draw << 40)) * _MIX[0]
+        x = x + np.asarray(a, np.uint64) * _MIX[1] + np.asarray(b, np.uint64) * _MIX[2]
+        x = (x ^ (x >> np.uint64(30))) * _MIX[1]
+        x = (x ^ (x >> np.uint64(27))) * _MIX[2]
+        x ^= x >> np.uint64(31)
+    return (x >> np.uint64(11)).astype(np.float64) / float(1 << 53)

@@ -1,0 +1,152 @@
+"""Looking up an image in what was learnt: sky, water, platform and burnt-out areas."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from tiegraph.masks.appearance import Appearance, bins
+from tiegraph.masks.classes import EGO, OVEREXPOSED, SKY, USE, WATER
+from tiegraph.masks.frames import grey, read_small, small_shape
+from tiegraph.masks.morphology import dilated, scaled
+from tiegraph.masks.regions import pooled, textureless_regions
+from tiegraph.masks.settings import MasksSettings
+from tiegraph.masks.tuning import Tuning
+from tiegraph.masks.tuning_learnt import ClassificationTuning
+from tiegraph.masks.water import below_waterline
+
+
+@dataclass(frozen=True)
+class Classifier:
+    """What one camera's images share; ``note`` says it in words."""
+
+    platform: np.ndarray | None  # (h, w) bool at reduced size, True = platform
+    appearance: Appearance
+    water: np.ndarray | None  # (r, c) f4 prior of water in its images, log ratio; None = no water seen
+    sky: np.ndarray | None  # (r, c) f4 prior of sky in its images, log ratio; None = it looks up
+    sky_rows: float  # share of the height below which no sky was seen in any image
+    note: str
+    no_sky: str = ""
+    """Why what looks like sky is none; "" where nothing refutes it."""
+    white_matches: bool = False
+    """Whether overexposed areas of the survey tie: then they are used."""
+    matches: tuple[int, int, int] = (0, 0, 0)
+    """Verified matches in its images: masked before classes were refuted, masked now, all."""
+
+
+def classify(image: np.ndarray, learnt: Classifier, settings: MasksSettings, tuning: Tuning) -> np.ndarray:
+    """Classes (h, w) u1 of an image (h, w, 3) u1 BGR at ``look_px``, without the platform: see ``classes_of``."""
+    shape = image.shape[:2]
+    own = tuning.classification
+    found = bins(image, tuning.appearance)
+    look = learnt.appearance
+    sky_ratio = cv2.blur(look.ratio(found, SKY, USE), (own.smooth_px, own.smooth_px))
+    sky_ratio = sky_ratio + pooled(sky_ratio, textureless_regions(grey(image), tuning.regions), tuning.regions)
+    if learnt.sky is not None:
+        sky_ratio += cv2.resize(learnt.sky, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
+    white = grey(image) >= settings.overexposed
+    sky = _cleaned((sky_ratio > own.sky_credit) & sought(shape, learnt, own), own)
+    sky = _with_white(_grown(sky, image, own), white, own)
+    labels = np.full(shape, USE, np.uint8)
+    if not learnt.white_matches:
+        labels[_cleaned(white, own)] = OVEREXPOSED
+    labels[sky] = SKY
+    if learnt.water is not None:
+        prior = cv2.resize(learnt.water, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR)
+        ratio = look.ratio(found, WATER, USE) + prior
+        ratio = np.where(sky_ratio > own.sky_credit, np.minimum(ratio, own.no_water), ratio)
+        ego = None if learnt.platform is None else scaled(learnt.platform, shape)
+        labels[below_waterline(ratio, ego, tuning.water)] = WATER
+    return labels
+
+
+def sought(shape: tuple[int, ...], learnt: Classifier, tuning: ClassificationTuning) -> np.ndarray:
+    """The rows (h, 1) bool of an image of ``shape`` in which sky is sought."""
+    return np.arange(shape[0])[:, None] < (learnt.sky_rows + tuning.sky_margin) * shape[0]
+
+
+def classes_of(
+    path: Path, learnt: Classifier, settings: MasksSettings, shape: tuple[int, int], tuning: Tuning
+) -> np.ndarray:
+    """Classes (h, w) u1 of an image at ``shape``, the reduced size of its mask."""
+    image = read_small(path, max(shape))
+    small = small_shape(shape, tuning.frames.look_px)
+    labels = classify(cv2.resize(image, small[::-1], interpolation=cv2.INTER_AREA), learnt, settings, tuning)
+    labels = cv2.resize(labels, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST)
+    if max(shape) > tuning.frames.look_px:
+        labels = _snapped(labels, grey(image), tuning.classification)
+    if learnt.platform is not None:
+        labels[scaled(learnt.platform, shape)] = EGO
+    return labels
+
+
+def _snapped(labels: np.ndarray, light: np.ndarray, tuning: ClassificationTuning) -> np.ndarray:
+    """Classes with the edge of the sky where the brightness has it: a guided filter (He et al. 2013), near the edge.
+
+    Its lines are fitted at half the size (He and Sun 2015).
+    """
+    sky = (labels == SKY).astype(np.uint8)
+    square = np.ones((tuning.edge_band_px, tuning.edge_band_px), np.uint8)
+    band = (cv2.dilate(sky, square) - cv2.erode(sky, square, borderValue=1)) > 0
+    rows = np.flatnonzero(band.any(axis=1))
+    if not len(rows):
+        return labels
+    part = slice(max(0, rows[0] - tuning.edge_around_px), rows[-1] + tuning.edge_around_px + 1)
+    guide, size = light[part].astype(np.float32), (labels.shape[1], len(labels[part]))
+    half = (max(1, size[0] // 2), max(1, size[1] // 2))
+    small, share = (cv2.resize(x, half, interpolation=cv2.INTER_AREA) for x in (guide, sky[part].astype(np.float32)))
+    slope, shift = _lines(small, share, tuning)
+    like = cv2.resize(slope, size) * guide + cv2.resize(shift, size) > 0.5
+    told = band[part] & ((labels[part] == SKY) | (labels[part] == USE))
+    found = labels.copy()
+    found[part] = np.where(told, np.where(like, SKY, USE), labels[part])
+    return found
+
+
+def _lines(guide: np.ndarray, share: np.ndarray, tuning: ClassificationTuning) -> tuple[np.ndarray, np.ndarray]:
+    """Slope and shift (h, w) f4 of the line that gives the share of sky from the brightness round each pixel."""
+    around = (tuning.edge_around_px + 1, tuning.edge_around_px + 1)
+    mean, mean_share = cv2.blur(guide, around), cv2.blur(share, around)
+    spread = cv2.blur(guide * guide, around) - mean * mean
+    slope = (cv2.blur(guide * share, around) - mean * mean_share) / (spread + tuning.told_grey**2)
+    return cv2.blur(slope, around), cv2.blur(mean_share - slope * mean, around)
+
+
+def _grown(sky: np.ndarray, image: np.ndarray, tuning: ClassificationTuning) -> np.ndarray:
+    """The sky up to its very edge, where texture told it apart from the sky: neighbours of the sky's own brightness."""
+    light = grey(image).astype(np.float32)
+    inside = sky.astype(np.float32)
+    around = (tuning.grow_window_px, tuning.grow_window_px)
+    mean = cv2.blur(light * inside, around) / np.maximum(cv2.blur(inside, around), 1e-6)
+    return sky | (dilated(sky, tuning.grow_px) & (np.abs(light - mean) < tuning.same_grey))
+
+
+def _with_white(sky: np.ndarray, white: np.ndarray, tuning: ClassificationTuning) -> np.ndarray:
+    """The sky with the sun and burnt-out clouds: white areas with sky round them."""
+    if not white.any() or not sky.any():
+        return sky
+    count, labels = cv2.connectedComponents(white.astype(np.uint8), connectivity=4)
+    square = np.ones((tuning.ring_px, tuning.ring_px), np.uint8)
+    ring = cv2.dilate(labels.astype(np.float32), square).astype(np.int32)
+    ring[white] = 0
+    around = np.bincount(ring.ravel(), minlength=count)
+    held = np.bincount(ring[sky], minlength=count)
+    belongs = held > tuning.sky_around * around
+    belongs[0] = False
+    return sky | belongs[labels]
+
+
+def _cleaned(mask: np.ndarray, tuning: ClassificationTuning) -> np.ndarray:
+    square = np.ones((tuning.open_px, tuning.open_px), np.uint8)
+    mask = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, square)
+    if not mask.any():
+        return mask > 0
+    for _ in range(2):  # small pieces go, then small holes
+        _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
+        small = stats[:, cv2.CC_STAT_AREA] < tuning.small * mask.size
+        small[0] = False
+        mask = 1 - np.where(small[labels], 0, mask).astype(np.uint8)
+    return mask > 0

@@ -1,0 +1,172 @@
+"""Seeds of sky, water and static scene in single images, from which their looks and places are learnt."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from tiegraph.masks.above import Edges, edges_of
+from tiegraph.masks.appearance import bins
+from tiegraph.masks.classes import EGO, SKY, USE, WATER
+from tiegraph.masks.classification import Classifier, classify, sought
+from tiegraph.masks.frames import grey, read_small
+from tiegraph.masks.matchability import Matchability
+from tiegraph.masks.morphology import dilated, scaled
+from tiegraph.masks.proof import NONE, MatchCounts, matches_in
+from tiegraph.masks.settings import MasksSettings
+from tiegraph.masks.skyline import border_sky, textureless_sky
+from tiegraph.masks.tuning import Tuning
+from tiegraph.masks.tuning_learnt import LabelTuning
+
+
+@dataclass(frozen=True)
+class LabelJob:
+    """An image to take seeds from, and what is known of it."""
+
+    camera: int
+    image: Path
+    matchability: Matchability | None
+    zone: np.ndarray | None  # where nothing ever matches: water
+    platform: np.ndarray | None
+    upward: bool
+    tuning: Tuning
+
+
+@dataclass(frozen=True)
+class Labels:
+    """Of one image: ``looks`` (bins,) counts and ``places`` (r, c) f4 shares of its seed pixels by class; ``low``:
+    share of the height above which its sky lies, narrow pieces included; ``ties``: what of its matches lies where;
+    ``edges`` of its sky, none of an image that looks up."""
+
+    looks: dict[int, np.ndarray]
+    places: dict[int, np.ndarray]
+    low: float
+    matches: MatchCounts = NONE
+    edges: Edges = Edges()
+
+
+def first_labels(job: LabelJob) -> Labels:
+    """What is certain before anything is learnt: matched features, the zone of water, sky above a border."""
+    tuning, own = job.tuning, job.tuning.labels
+    image = read_small(job.image, tuning.frames.look_px)
+    shape = image.shape[:2]
+    static = _matched(job.matchability, shape, own)
+    water = np.zeros(shape, bool) if job.zone is None else scaled(job.zone, shape)
+    sky = (
+        textureless_sky(image, static, tuning.skyline)
+        if job.upward
+        else border_sky(image, tuning.skyline, job.platform)
+    )
+    if sky is None or not job.upward and not _unmatched(sky, job.matchability, own):
+        sky = np.zeros(shape, bool)
+    else:  # what is well off the sky is scene or water
+        pale = _like_sky(image, sky, job.matchability, own)  # where the horizon is, is not known yet
+        static = (static | ~dilated(sky, own.off_sky_px)) & ~pale
+    free = np.ones(shape, bool) if job.platform is None else ~scaled(job.platform, shape)
+    rows = np.flatnonzero((sky & free & ~water & ~static).mean(axis=1) > own.low_share)
+    low = float(rows[-1] + 1) / shape[0] if len(rows) else 0.0
+    sky = (sky if job.upward else _wide(sky, own)) & ~static
+    return _seeds(image, {USE: static & free & ~water, WATER: water & free, SKY: sky & free & ~water}, tuning, low)
+
+
+@dataclass(frozen=True)
+class TriedJob:
+    """An image with what was learnt of its camera, to be looked at again."""
+
+    seed: LabelJob
+    learnt: Classifier
+    settings: MasksSettings
+
+
+def second_labels(job: TriedJob) -> Labels:
+    """What the first try calls water, sky and scene: it covers the images, the first seeds do not."""
+    seed, learnt, settings = job.seed, job.learnt, job.settings
+    tuning = seed.tuning
+    image = read_small(seed.image, tuning.frames.look_px)
+    labels = classify(image, learnt, settings, tuning)
+    static = _matched(seed.matchability, labels.shape, tuning.labels)
+    free = np.ones(labels.shape, bool) if learnt.platform is None else ~scaled(learnt.platform, labels.shape)
+    masks = {label: (labels == label) & free & ~static for label in (SKY, WATER)}
+    doubtful = np.arange(len(image))[:, None] > learnt.sky_rows * len(image)  # at the horizon clouds pale
+    masks[SKY] = masks[SKY] & ~doubtful
+    pale = _like_sky(image, labels == SKY, seed.matchability, tuning.labels, learnt.sky_rows)
+    classes = np.where(free, labels, EGO).astype(np.uint8)
+    seeds = _seeds(image, {USE: ((labels == USE) | static) & ~pale & free, **masks}, tuning)
+    told = free & (labels != WATER) & sought(labels.shape, learnt, tuning.classification)
+    edges = Edges() if seed.upward else edges_of(labels == SKY, told, tuning.above)
+    return replace(seeds, matches=matches_in(classes, classes == SKY, seed.matchability, tuning.proof), edges=edges)
+
+
+def ties_of(job: TriedJob) -> MatchCounts:
+    """Where the matches of an image lie in what ``learnt`` makes of it."""
+    seed, learnt, settings = job.seed, job.learnt, job.settings
+    if seed.matchability is None:
+        return NONE
+    tuning = seed.tuning
+    labels = classify(read_small(seed.image, tuning.frames.look_px), learnt, settings, tuning)
+    if learnt.platform is not None:
+        labels[scaled(learnt.platform, labels.shape)] = EGO
+    return matches_in(labels, labels == SKY, seed.matchability, tuning.proof)
+
+
+def _like_sky(
+    image: np.ndarray, sky: np.ndarray, evidence: Matchability | None, tuning: LabelTuning, lowest: float = -1.0
+) -> np.ndarray:
+    """What is as bright as the sky, hangs together with it, and hardly matches or ends above the horizon.
+
+    Pale clouds straight ahead match from frame to frame as a wall does, as neither has a parallax; but a wall stands on
+    the ground, and no cloud hangs below ``lowest``, the share of the height down to which sky is seen.
+    """
+    if not sky.any():
+        return np.zeros(sky.shape, bool)
+    light = grey(image)
+    bright = light >= np.percentile(light[sky], tuning.pale_percent)
+    _, joined = cv2.connectedComponents((bright | sky).astype(np.uint8), connectivity=4)
+    touching = np.isin(joined, np.unique(joined[sky])) & ~sky & bright
+    count, pieces, stats, _ = cv2.connectedComponentsWithStats(touching.astype(np.uint8), connectivity=4)
+    area = stats[:, cv2.CC_STAT_AREA]
+    row = int(np.clip(round((lowest + tuning.lower) * len(sky)), 0, len(sky)))
+    pale = np.bincount(pieces[row:].ravel(), minlength=count) <= tuning.on_ground * area
+    if evidence is not None:
+        place = (evidence.xy[evidence.matched] * np.array(sky.shape[::-1], np.float32)).astype(int)
+        at = pieces[place[:, 1].clip(0, sky.shape[0] - 1), place[:, 0].clip(0, sky.shape[1] - 1)]
+        pale |= np.bincount(at, minlength=count) * pieces.size < tuning.matched_sky * len(place) * area
+    pale[0] = False
+    return pale[pieces]
+
+
+def _seeds(image: np.ndarray, masks: Mapping[int, np.ndarray], tuning: Tuning, low: float = 0.0) -> Labels:
+    found, size = bins(image, tuning.appearance), tuning.labels.places[::-1]
+    looks = {label: np.bincount(found[mask], minlength=tuning.appearance.bins) for label, mask in masks.items()}
+    places = {
+        label: cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA) for label, mask in masks.items()
+    }
+    return Labels(looks, places, low)
+
+
+def _unmatched(sky: np.ndarray, evidence: Matchability | None, tuning: LabelTuning) -> bool:
+    """Whether hardly a feature in what looks like sky matches: a bright wall has as many as other walls."""
+    if evidence is None:
+        return False
+    place = (evidence.xy[evidence.matched] * np.array(sky.shape[::-1], np.float32)).astype(int)
+    inner = cv2.erode(sky.astype(np.uint8), np.ones((tuning.rim_px, tuning.rim_px), np.uint8)) > 0
+    inside = inner[place[:, 1].clip(0, sky.shape[0] - 1), place[:, 0].clip(0, sky.shape[1] - 1)]
+    return float(inside.mean()) < tuning.matched_sky * float(inner.mean())
+
+
+def _wide(sky: np.ndarray, tuning: LabelTuning) -> np.ndarray:
+    """The sky without what is narrow: where a border runs down a pale wall, it does so in a few columns only."""
+    across = np.ones((1, max(1, round(tuning.wide * sky.shape[1]))), np.uint8)
+    return cv2.morphologyEx(sky.astype(np.uint8), cv2.MORPH_OPEN, across) > 0
+
+
+def _matched(evidence: Matchability | None, shape: tuple[int, ...], tuning: LabelTuning) -> np.ndarray:
+    static = np.zeros(shape, np.uint8)
+    if evidence is not None:
+        for x, y in evidence.xy[evidence.matched] * np.array(shape[::-1], np.float32):
+            cv2.circle(static, (int(x), int(y)), tuning.static_px, 1, -1)
+    return static > 0

@@ -1,0 +1,108 @@
+"""What in the pictures matches and what never does: features of neighbouring frames, before anything else is known.
+
+A wall is found again in the next frame, water is not, however much texture it shows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from scipy.spatial import cKDTree
+
+from tiegraph.masks.frames import grey, read_small
+from tiegraph.masks.parallax import nearness
+from tiegraph.masks.tuning_learnt import MatchabilityTuning
+
+_SEED = 0
+
+
+@dataclass(frozen=True)
+class Matchability:
+    """Features of one image: ``xy`` (K, 2) f4 in shares of width and height; ``matched`` (K,) in the other; ``near``
+    (K,) f4: its parallax as a share of what the scene's median depth would give it, 0 = infinitely far, NaN = unknown.
+    """
+
+    image: Path
+    xy: np.ndarray
+    matched: np.ndarray
+    near: np.ndarray | None = None
+
+
+def pair_matchability(first: Path, second: Path, tuning: MatchabilityTuning) -> tuple[Matchability, ...]:
+    """Which features of each of two images are found again in the other; () if too few are to say anything."""
+    a, b = _features(first, tuning), _features(second, tuning)
+    if a is None or b is None:
+        return ()
+    (xy_a, seen_a, shape_a), (xy_b, seen_b, shape_b) = a, b
+    likeness = seen_a @ seen_b.T
+    partner = likeness.argmax(axis=1)
+    rows = np.arange(len(seen_a))
+    best = 2 - 2 * likeness[rows, partner]
+    mutual = likeness.argmax(axis=0)[partner] == rows
+    likeness[rows, partner] = -1
+    good = mutual & (best < tuning.ratio**2 * (2 - 2 * likeness.max(axis=1)))
+    moved = np.linalg.norm(xy_a - xy_b[partner], axis=1) > tuning.min_move_px
+    chosen = np.flatnonzero(good & moved)
+    if len(chosen) < tuning.min_inliers:
+        return ()
+    found = chosen[_agreeing(xy_a[chosen], xy_b[partner[chosen]], tuning)]
+    if len(found) < tuning.min_inliers:
+        return ()
+    at_a, at_b = xy_a[found], xy_b[partner[found]]
+    near = nearness(at_a, at_b, shape_a, tuning) if shape_a == shape_b else np.full(len(found), np.nan, np.float32)
+    shown_a, shown_b = _shown(xy_a, at_a, at_b, shape_b, tuning), _shown(xy_b, at_b, at_a, shape_a, tuning)
+    return (
+        _seen(first, xy_a / shape_a[::-1], found, near, shown_a),
+        _seen(second, xy_b / shape_b[::-1], partner[found], near, shown_b),
+    )
+
+
+def _shown(
+    xy: np.ndarray, here: np.ndarray, there: np.ndarray, shape: tuple[int, int], tuning: MatchabilityTuning
+) -> np.ndarray:
+    """Which features (K, 2) the other image of ``shape`` can show, by the way of the matches next to them: what left
+    the image is no sign of water."""
+    _, next_to = cKDTree(here).query(xy, tuning.around)
+    gone = xy + (there - here)[next_to].mean(axis=1)
+    return ((gone >= 0) & (gone < shape[::-1])).all(axis=1)
+
+
+def _agreeing(a: np.ndarray, b: np.ndarray, tuning: MatchabilityTuning) -> np.ndarray:
+    """Which of the matches (K, 2) one epipolar geometry explains, (K,) bool."""
+    cv2.setRNGSeed(_SEED)
+    try:
+        _, inliers = cv2.findFundamentalMat(a, b, cv2.USAC_MAGSAC, tuning.epipolar_px, tuning.confidence, tuning.trials)
+    except cv2.error:  # where no geometry fits any sample, OpenCV 5 stops at an assertion of its own (model.empty())
+        return np.zeros(len(a), bool)
+    return np.zeros(len(a), bool) if inliers is None else inliers.ravel() > 0
+
+
+def _seen(image: Path, xy: np.ndarray, found: np.ndarray, near: np.ndarray, shown: np.ndarray) -> Matchability:
+    matched, every = np.zeros(len(xy), bool), np.full(len(xy), np.nan, np.float32)
+    matched[found], every[found] = True, near
+    kept = shown | matched
+    return Matchability(image=image, xy=xy[kept].astype(np.float32), matched=matched[kept], near=every[kept])
+
+
+def _features(path: Path, tuning: MatchabilityTuning) -> tuple[np.ndarray, np.ndarray, tuple[int, int]] | None:
+    image = grey(read_small(path, tuning.match_px))
+    sift = cv2.SIFT_create(tuning.most_features, contrastThreshold=tuning.contrast)  # type: ignore[attr-defined]
+    points, seen = sift.detectAndCompute(image, None)
+    if seen is None or len(seen) < tuning.min_inliers:
+        return None
+    root = np.sqrt(seen / np.maximum(seen.sum(axis=1, keepdims=True), 1e-6))
+    return np.array([p.pt for p in points], np.float32), root, (image.shape[0], image.shape[1])
+
+
+def choose_pairs(cameras: Sequence[Sequence[Path]], tuning: MatchabilityTuning) -> list[list[tuple[Path, Path]]]:
+    """Neighbouring images of each camera, spread over its sequence, ``most_pairs`` for all cameras together."""
+    each = max(tuning.least_pairs, tuning.most_pairs // max(1, len(cameras)))
+    chosen = []
+    for images in cameras:
+        starts = np.unique(np.linspace(0, max(0, len(images) - 2), min(each, max(0, len(images) - 1))).astype(int))
+        chosen.append([(images[k], images[k + 1]) for k in starts])
+    return chosen

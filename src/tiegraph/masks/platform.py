@@ -1,0 +1,252 @@
+"""The platform in the picture: what stands still in a camera's images while everything else moves.
+
+Measured on gradients, not on grey values: their direction does not change with the light. An edge of the platform has
+the same direction at the same pixel in every frame, and does not even shake; a far skyline seen from a car has the
+first but not the second. What lies between such edges and shows nothing that moves is the platform's inside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from tiegraph.masks.frames import grey, read_frames
+from tiegraph.masks.tuning import MovedTuning, PlatformTuning, Tuning
+
+
+@dataclass(frozen=True)
+class PlatformMask:
+    """The platform in a camera's images: ``mask`` (h, w) bool, True = platform, None if none was found; and why."""
+
+    mask: np.ndarray | None
+    frames: int  # different frames it was learnt from
+    note: str
+
+    @property
+    def share(self) -> float:
+        """Share of the image, 0..1."""
+        return 0.0 if self.mask is None else float(self.mask.mean())
+
+
+def different_frames(images: Sequence[Path], tuning: Tuning) -> list[Path]:
+    """Those images of a camera, in order, between which most of the texture has moved: none while the camera stands."""
+    chosen: list[Path] = []
+    last: tuple[np.ndarray, np.ndarray] | None = None
+    for path, image in read_frames(_spread(images, tuning.platform.max_read), tuning.frames.compare_px):
+        detail = _detail(grey(image), tuning.moved)
+        if last is not None and last[0].shape != detail[0].shape:
+            continue
+        if last is not None and not _moved(last, detail, tuning.moved) >= tuning.platform.min_moved:
+            continue
+        last = detail
+        chosen.append(path)
+    return chosen
+
+
+def _spread(items: Sequence[Path], most: int) -> list[Path]:
+    return [items[k] for k in np.unique(np.linspace(0, len(items) - 1, min(most, len(items))).astype(int))]
+
+
+def _detail(image: np.ndarray, tuning: MovedTuning) -> tuple[np.ndarray, np.ndarray]:
+    fine = np.log(image.astype(np.float32) + tuning.dark_grey)
+    fine -= _blur(fine, tuning.detail_sigma_px)
+    contrast = np.sqrt(_blur(fine * fine, tuning.window_sigma_px))
+    return fine / (contrast + tuning.contrast_noise), contrast
+
+
+def moved_share(a: np.ndarray, b: np.ndarray, tuning: MovedTuning) -> float:
+    """Share 0..1 of the texture of two images (h, w, 3) u1 BGR of one size that is not where it was; NaN if none."""
+    if a.shape != b.shape:
+        return float("nan")
+    return _moved(_detail(grey(a), tuning), _detail(grey(b), tuning), tuning)
+
+
+def _moved(a: tuple[np.ndarray, np.ndarray], b: tuple[np.ndarray, np.ndarray], tuning: MovedTuning) -> float:
+    both, own_a, own_b = (_blur(p, tuning.window_sigma_px) for p in (a[0] * b[0], a[0] * a[0], b[0] * b[0]))
+    alike = both / (np.sqrt(own_a * own_b) + tuning.alike_noise)
+    textured = (a[1] > tuning.texture) & (b[1] > tuning.texture)
+    return float((alike[textured] < tuning.alike).mean()) if textured.any() else float("nan")
+
+
+def _blur(image: np.ndarray, sigma: float) -> np.ndarray:
+    return cv2.GaussianBlur(image, (0, 0), sigma)
+
+
+def learn_platform(different: Sequence[Path], found: int, tuning: Tuning) -> PlatformMask:
+    """The platform of one camera from images between which the scene has moved; ``found``: images it has in all."""
+    least = tuning.platform.min_frames
+    if len(different) < least:
+        why = "one image" if found == 1 else f"{found} images, {len(different)} of them different: it hardly moves"
+        return PlatformMask(None, len(different), f"no platform learnt ({why}; {least} are needed)")
+    frames = [
+        grey(image) for _, image in read_frames(_spread(different, tuning.platform.max_frames), tuning.frames.work_px)
+    ]
+    shapes = [f.shape for f in frames]
+    frames = [f for f in frames if f.shape == max(set(shapes), key=shapes.count)]
+    mask = platform_of_frames(frames, tuning.platform)
+    if len(frames) < tuning.platform.few_frames:
+        mask = _at_border(mask, tuning.platform.few_area)
+    if not mask.any():
+        return PlatformMask(None, len(frames), "no platform seen")
+    return PlatformMask(mask, len(frames), f"platform {100 * mask.mean():.0f} %")
+
+
+def platform_of_frames(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> np.ndarray:
+    """Platform (h, w) bool in grey images (h, w) u1 of one camera between which the scene has moved."""
+    evidence = _Directions(frames, tuning)
+    shake = _shake_px(frames, tuning)
+    still = np.where(evidence.coherence > tuning.very_coherent, tuning.still_coherent_px, tuning.still_px)
+    edges = evidence.coherence > tuning.coherent
+    fixed = _long(edges & (shake < still), tuning)
+    moving = evidence.moving(edges & (shake > tuning.shakes_px))
+    low, high = _range(frames, tuning)
+    steady = high - low < tuning.steady_grey
+    inside = _outlined((moving < tuning.moving) & ~fixed, fixed, tuning)
+    platform = inside | fixed
+    platform |= _outlined((steady | (moving < tuning.moving)) & ~platform, platform, tuning)
+    platform = _closed(platform, tuning.close_px)
+    platform = _at_border(platform, tuning.min_area)
+    platform = _opened(platform | _enclosed(platform, moving, tuning), tuning.open_px)
+    platform = _trimmed(_at_border(platform, tuning.min_area), tuning)
+    black = _outlined(high < tuning.black_grey, fixed, tuning)  # a black backdrop ends nowhere in particular
+    black = _at_border(black, tuning.min_area)
+    return platform | _grown(black, 2 * round(tuning.surround * max(black.shape)) + 1) if black.any() else platform
+
+
+def _trimmed(platform: np.ndarray, tuning: PlatformTuning) -> np.ndarray:
+    """The platform without the rim into which its edges blur; what is narrower than a railing stays."""
+    side = 2 * round(tuning.rim * max(platform.shape)) + 1
+    inner = cv2.erode(platform.astype(np.uint8), np.ones((side, side), np.uint8), borderValue=1) > 0
+    return inner | (platform & ~_opened(platform, side + tuning.railing_px))
+
+
+class _Directions:
+    """Mean direction of the gradients over the frames, and how often each frame's departs from it."""
+
+    def __init__(self, frames: Sequence[np.ndarray], tuning: PlatformTuning) -> None:
+        self.tuning = tuning
+        unit = [_unit_gradient(f, tuning) for f in frames]
+        self.sum_x, self.sum_y = sum(u[0] for u in unit), sum(u[1] for u in unit)
+        count = len(frames)
+        departs: np.ndarray = np.zeros(frames[0].shape, np.float32)
+        textured: np.ndarray = np.zeros_like(departs)
+        strength: np.ndarray = np.zeros_like(departs)
+        for x, y in unit:
+            size = np.sqrt(x * x + y * y)
+            others_x, others_y = self.sum_x - x, self.sum_y - y  # a frame is no witness for itself
+            others = np.sqrt(others_x * others_x + others_y * others_y) + 1e-6
+            clear = size > tuning.clear_gradient
+            departs += clear & ((x * others_x + y * others_y) < tuning.same_cosine * others)
+            textured += clear
+            strength += size
+        self.departs, self.textured, strength = departs / count, textured / count, strength / count
+        length = np.sqrt(self.sum_x**2 + self.sum_y**2) / count
+        self.coherence = np.where(strength > tuning.min_strength, length / (strength + tuning.strength_noise), 0)
+
+    def moving(self, shaking: np.ndarray) -> np.ndarray:
+        """Share (h, w) of the textured frames whose gradient departs, in the neighbourhood; shaking edges move."""
+        departs, textured = (
+            _blur(np.maximum(share, shaking).astype(np.float32), self.tuning.moving_sigma_px)
+            for share in (self.departs, self.textured)
+        )
+        return departs / (textured + self.tuning.moving_noise)
+
+
+def _unit_gradient(frame: np.ndarray, tuning: PlatformTuning) -> tuple[np.ndarray, np.ndarray]:
+    smooth = _blur(frame.astype(np.float32), tuning.smooth_sigma_px)
+    x, y = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=3), cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=3)
+    size = np.sqrt(x * x + y * y) + tuning.gradient_noise
+    return x / size, y / size
+
+
+def _shake_px(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> np.ndarray:
+    """How far the texture around each pixel moves against its median, pixels (``shake_share`` of the frames move less).
+
+    One step of Lucas and Kanade along the gradient of the median, on detail of which the contrast is taken out.
+    """
+    detail = []
+    for frame in frames[:: max(1, len(frames) // tuning.shake_frames)]:
+        fine = _blur(frame.astype(np.float32), tuning.smooth_sigma_px)
+        fine -= _blur(fine, tuning.shake_detail_sigma_px)
+        contrast = np.sqrt(_blur(fine * fine, tuning.shake_contrast_sigma_px))
+        detail.append(fine / (contrast + tuning.shake_contrast_grey))
+    median = np.partition(np.stack(detail), len(detail) // 2, axis=0)[len(detail) // 2]
+    x = cv2.Sobel(median, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8)
+    y = cv2.Sobel(median, cv2.CV_32F, 0, 1, ksize=3, scale=1 / 8)
+    around = tuning.shake_window_sigma_px
+    energy = _blur(x * x + y * y, around) + tuning.shake_energy
+    steps = [np.hypot(_blur((d - median) * x, around), _blur((d - median) * y, around)) / energy for d in detail]
+    rank = int(tuning.shake_share * (len(steps) - 1))
+    return np.partition(np.stack(steps), rank, axis=0)[rank]
+
+
+def _range(frames: Sequence[np.ndarray], tuning: PlatformTuning) -> tuple[np.ndarray, np.ndarray]:
+    """Darkest and brightest grey (h, w) f4 of each pixel over the frames, some left out at either end."""
+    half = [cv2.resize(f, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) for f in frames]
+    percent = (tuning.range_left_out_percent, 100 - tuning.range_left_out_percent)
+    low, high = np.percentile(np.stack([_blur(h, tuning.range_sigma_px) for h in half]), percent, axis=0)
+    shape = frames[0].shape[::-1]
+    return cv2.resize(low.astype(np.float32), shape), cv2.resize(high.astype(np.float32), shape)
+
+
+def _long(edges: np.ndarray, tuning: PlatformTuning) -> np.ndarray:
+    joined = _grown(edges, tuning.join_px).astype(np.uint8)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(joined, connectivity=8)
+    long = np.maximum(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]) >= tuning.min_edge_px
+    long[0] = False
+    return long[labels]
+
+
+def _outlined(region: np.ndarray, fixed: np.ndarray, tuning: PlatformTuning) -> np.ndarray:
+    """The parts of a region (h, w) whose outline follows fixed edges; the image border says nothing either way."""
+    region = _opened(region, tuning.open_px).astype(np.uint8)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(region, connectivity=4)
+    outline = (region > 0) & ~(cv2.erode(region, np.ones((3, 3), np.uint8), borderValue=1) > 0)
+    outline[[0, -1]] = outline[:, [0, -1]] = False
+    around = np.bincount(labels[outline], minlength=count)
+    held = np.bincount(labels[outline & _grown(fixed, tuning.outline_reach_px)], minlength=count)
+    accepted = (held > tuning.outline * around) & (stats[:, cv2.CC_STAT_AREA] >= tuning.min_region_px)
+    accepted[0] = False
+    return accepted[labels]
+
+
+def _at_border(platform: np.ndarray, min_area: float) -> np.ndarray:
+    """Parts that are large enough and reach the border of the image, as whatever carries a camera does."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(platform.astype(np.uint8), connectivity=8)
+    accepted = _touches(stats, platform.shape) & (stats[:, cv2.CC_STAT_AREA] >= min_area * platform.size)
+    accepted[0] = False
+    return accepted[labels]
+
+
+def _touches(stats: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    left, top = stats[:, cv2.CC_STAT_LEFT], stats[:, cv2.CC_STAT_TOP]
+    right, bottom = left + stats[:, cv2.CC_STAT_WIDTH], top + stats[:, cv2.CC_STAT_HEIGHT]
+    return (left == 0) | (top == 0) | (right == shape[1]) | (bottom == shape[0])
+
+
+def _enclosed(platform: np.ndarray, moving: np.ndarray, tuning: PlatformTuning) -> np.ndarray:
+    """Holes of the platform that show less movement than a scene would; the view through a railing stays."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats((~platform).astype(np.uint8), connectivity=4)
+    area = np.maximum(np.bincount(labels.ravel(), minlength=count), 1)
+    mean = np.bincount(labels.ravel(), moving.ravel(), minlength=count) / area
+    accepted = ~_touches(stats, platform.shape) & (area < tuning.max_enclosed_area * platform.size)
+    accepted &= mean < tuning.max_enclosed_moving
+    accepted |= area < tuning.pinhole_area * platform.size
+    accepted[0] = False
+    return accepted[labels]
+
+
+def _grown(mask: np.ndarray, size_px: int) -> np.ndarray:
+    return cv2.dilate(mask.astype(np.uint8), np.ones((size_px, size_px), np.uint8)) > 0
+
+
+def _closed(mask: np.ndarray, size_px: int) -> np.ndarray:
+    return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((size_px, size_px), np.uint8)) > 0
+
+
+def _opened(mask: np.ndarray, size_px: int) -> np.ndarray:
+    return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((size_px, size_px), np.uint8)) > 0

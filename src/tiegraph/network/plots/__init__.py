@@ -1,0 +1,166 @@
+"""Pictures of the network as PNG bytes: correspondence matrix and offset curves; the others by name from here too."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from tiegraph.network.offsets.curves import OffsetCurve
+from tiegraph.network.plots.common import DPI, png
+from tiegraph.network.plots.funnel import funnel_png, funnel_table
+from tiegraph.network.plots.map import map_png, weak_pairs
+from tiegraph.network.plots.sections import sections_png
+from tiegraph.network.plots.surfaces import surfaces_png
+from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs
+from tiegraph.scene.scene import Scene
+
+__all__ = [
+    "curves_png", "funnel_png", "funnel_table", "map_png", "matrix_png", "sections_png",
+    "surfaces_png", "weak_pairs",
+]  # fmt: skip
+MATRIX_CELLS = 1200  # cells a side at most: larger matrices are reduced by their most telling entry
+MAX_PANELS = 60
+NEVER = "#ffffff"
+
+
+def matrix_png(pairs: Pairs, scene: Scene) -> bytes:
+    """Correspondence matrix (paper 003): images by pass, camera and frame; colour = kept or why it was dropped."""
+    order = np.lexsort((scene.sequence_index[scene.frame], scene.sensor_key, scene.sequence[scene.frame]))
+    cells, reduced = _matrix(pairs, order, len(scene))
+    # Long camera names need room; the square of the matrix keeps its size.
+    room = 0.35 + 0.075 * max(len(s.name) for s in scene.all_sensors)
+    width, height = 6.2 + room + 3.6, 6.2 + room + 0.8
+    figure = Figure(figsize=(width, height), dpi=DPI)
+    axes = figure.add_axes((room / width, room / height, 6.2 / width, 6.2 / height))
+    right = (room + 6.55) / width
+    colours = ListedColormap([NEVER, *(REASON_LOOKS[r][1] for r in REASONS)])
+    norm = BoundaryNorm(np.arange(-0.5, len(REASONS) + 1.5), len(REASONS) + 1)
+    axes.imshow(cells, cmap=colours, norm=norm, interpolation="nearest", extent=(0, len(scene), len(scene), 0))
+    _matrix_grid(axes, scene, order)
+    funnel = pairs.funnel()
+    present = [r for k, r in enumerate(REASONS) if np.any(pairs.dropped == k)]
+    handles = [Patch(facecolor=REASON_LOOKS[r][1], label=f"{REASON_LOOKS[r][0]}: {_count(pairs, r)}") for r in present]
+    never = len(scene) * (len(scene) - 1) // 2 - len(pairs)
+    handles.append(Patch(facecolor=NEVER, edgecolor="#999999", label=f"not looked at: {never}"))
+    figure.legend(
+        handles=handles, loc="upper left", bbox_to_anchor=(right, (room + 6.3) / height), frameon=False, fontsize=9
+    )
+    title = f"Which images tie to which: {funnel['used']} of {len(scene) * (len(scene) - 1) // 2} pairs"
+    axes.set_title(title, fontsize=12, loc="left", pad=26)
+    if reduced > 1:
+        figure.text(right, room / height, f"one dot = {reduced} x {reduced} images", fontsize=8, color="#666666")
+    return png(figure)
+
+
+def _count(pairs: Pairs, reason: str) -> int:
+    return int(np.sum(pairs.dropped == REASONS.index(reason)))
+
+
+def _matrix(pairs: Pairs, order: np.ndarray, images: int) -> tuple[np.ndarray, int]:
+    """(M, M) u1 codes (0 = never, 1 + reason) in drawing order, and how many images one cell stands for."""
+    step = max(1, -(-images // MATRIX_CELLS))
+    place = np.empty(images, int)
+    place[order] = np.arange(images)
+    size = -(-images // step)
+    a, b = place[pairs.i] // step, place[pairs.j] // step
+    # Kept pairs are drawn last, so that they win over what was dropped in the same cell.
+    rows = np.argsort(pairs.dropped == 0, kind="stable")
+    cells = np.zeros((size, size), np.uint8)
+    cells[a[rows], b[rows]] = cells[b[rows], a[rows]] = 1 + pairs.dropped[rows]
+    return cells, step
+
+
+def _matrix_grid(axes: object, scene: Scene, order: np.ndarray) -> None:
+    """Thin lines between cameras, thick ones between passes, and their names."""
+    sequence = scene.sequence[scene.frame][order]
+    key = scene.sensor_key[order]
+    n = len(order)
+    camera_edges = np.r_[0, 1 + np.flatnonzero((np.diff(sequence) != 0) | (np.diff(key) != 0)), n]
+    pass_edges = np.r_[0, 1 + np.flatnonzero(np.diff(sequence) != 0), n]
+    few = len(camera_edges) <= 61
+    for edges, width, colour in ((camera_edges, 0.4, "#bbbbbb"), (pass_edges, 1.4, "#444444")):
+        if edges is camera_edges and not few:
+            continue
+        for e in edges[1:-1]:
+            axes.axhline(e, color=colour, lw=width)  # type: ignore[attr-defined]
+            axes.axvline(e, color=colour, lw=width)  # type: ignore[attr-defined]
+    names = [s.name for s in scene.all_sensors]
+    if few and len(names) > 1:
+        middles = (camera_edges[:-1] + camera_edges[1:]) / 2
+        labels = [names[key[e]] for e in camera_edges[:-1]]
+        axes.set_yticks(middles, labels, fontsize=8)  # type: ignore[attr-defined]
+        axes.set_xticks(middles, labels, fontsize=8, rotation=90)  # type: ignore[attr-defined]
+        axes.tick_params(length=0)  # type: ignore[attr-defined]
+    if len(scene.sequences) > 1 and len(pass_edges) <= 13:
+        for a, b in zip(pass_edges[:-1], pass_edges[1:]):
+            name = scene.sequences[sequence[a]] if sequence[a] >= 0 else "loose"
+            axes.text((a + b) / 2, -0.012 * n, name, ha="center", va="bottom", fontsize=10)  # type: ignore[attr-defined]
+            axes.text(1.012 * n, (a + b) / 2, name, ha="left", va="center", fontsize=10, rotation=270)  # type: ignore[attr-defined]
+
+
+def curves_png(curves: Sequence[OffsetCurve]) -> bytes:
+    """Votes against frame offset, one panel for each camera pair (papers 000, 001)."""
+    curves = list(curves)
+    hidden = max(0, len(curves) - MAX_PANELS)
+    # Of too many, those with the most votes are shown.
+    by_votes = sorted(range(len(curves)), key=lambda k: -float(curves[k].votes.max(initial=0)))
+    curves = [curves[k] for k in sorted(by_votes[:MAX_PANELS])]
+    groups = list(dict.fromkeys((c.pass_a, c.pass_b) for c in curves))
+    members = {g: [c for c in curves if (c.pass_a, c.pass_b) == g] for g in groups}
+    columns = 6
+    lines = {g: -(-len(m) // columns) for g, m in members.items()}
+    heights = [x for g in groups for x in (0.42, *([1.25] * lines[g]))]
+    figure = Figure(figsize=(12, sum(heights) + 0.9), dpi=DPI)
+    top = max((float(c.votes.max(initial=0)) for c in curves), default=1.0)
+    grid = figure.add_gridspec(
+        len(heights), columns, height_ratios=heights, hspace=0.95, wspace=0.14,
+        left=0.055, right=0.985, top=1 - 0.62 / (sum(heights) + 0.9), bottom=0.45 / (sum(heights) + 0.9),
+    )  # fmt: skip
+    row = 0
+    for g in groups:
+        head = figure.add_subplot(grid[row, :])
+        head.axis("off")
+        head.text(0, 0.1, _group_title(g, members[g]), fontsize=11, weight="bold")
+        for k, curve in enumerate(members[g]):
+            axes = figure.add_subplot(grid[row + 1 + k // columns, k % columns])
+            _draw_curve(axes, curve, top, left=k % columns == 0)
+        row += 1 + lines[g]
+    text = "Preview matches above chance against frame offset (blue: candidates, grey: camera pair rejected)"
+    more = f"; {hidden} weaker camera pairs not shown" if hidden else ""
+    figure.text(0.055, 1 - 0.32 / (sum(heights) + 0.9), text + more, fontsize=12)
+    return png(figure)
+
+
+def _group_title(group: tuple[str, str], curves: Sequence[OffsetCurve]) -> str:
+    if group[0] == group[1]:
+        return f"pass {group[0]}: frame of the second camera minus frame of the first"
+    kind = "plus" if curves[0].reversed else "minus"
+    way = "runs back" if curves[0].reversed else "same way"
+    return f"passes {group[0]} and {group[1]} ({way}): frame in {group[1]} {kind} frame in {group[0]}"
+
+
+def _draw_curve(axes: object, curve: OffsetCurve, top: float, left: bool) -> None:
+    colour = "#1b6ca8" if curve.accepted else "#9a9a9a"
+    axes.fill_between(curve.offsets, curve.votes, color=colour, alpha=0.25, lw=0)  # type: ignore[attr-defined]
+    axes.plot(curve.offsets, curve.votes, color=colour, lw=1.2)  # type: ignore[attr-defined]
+    if curve.accepted:
+        axes.axvline(curve.best, color="#c0392b", lw=0.8)  # type: ignore[attr-defined]
+    best = f" ({curve.best:+d})" if curve.accepted else " (rejected)"
+    axes.set_title(f"{curve.sensor_a} \N{EN DASH} {curve.sensor_b}{best}", fontsize=8, pad=2)  # type: ignore[attr-defined]
+    axes.set_yscale("function", functions=(_root, np.square))  # type: ignore[attr-defined]
+    axes.set_ylim(0, top * 1.05)  # type: ignore[attr-defined]
+    axes.set_yticks([v for v in (0, 5, 20, 50, 100, 200, 500, 1000) if v <= top])  # type: ignore[attr-defined]
+    axes.tick_params(labelsize=7, length=2)  # type: ignore[attr-defined]
+    if not left:
+        axes.set_yticklabels([])  # type: ignore[attr-defined]
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)  # type: ignore[attr-defined]
+
+
+def _root(values: np.ndarray) -> np.ndarray:
+    """Square root, for an axis on which faint peaks stay visible."""
+    return np.sqrt(np.maximum(values, 0))

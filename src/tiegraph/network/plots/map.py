@@ -1,0 +1,390 @@
+"""The tie graph on the map: frames at their positions, ties by kind, weak links in red."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import laplacian
+from scipy.sparse.linalg import eigsh
+
+from tiegraph.network.plots.common import DPI, INK, RED, grouped, png
+from tiegraph.scene.figures import plain_text
+from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.scene import Scene
+
+MAX_NODES = 300  # more frames than this are drawn as runs of neighbours
+MAX_LINES = 2500  # the strongest of each kind
+_SPECTRAL_LIMIT = 3000  # loose images laid out by their ties; beyond, on a circle
+_BULGE = 0.28  # height of a short arc, as a share of its chord
+_HIGHEST = 0.11  # height of the longest arc, as a share of the map's longer side
+_ARC = np.linspace(0, 1, 13)
+_PAGE_IN, _HEAD_IN = 12.0, 0.75
+KINDS = {"same camera": "#0072b2", "across cameras": "#009e73", "across passes": "#d55e00", "photographs": "#0072b2"}
+_PASSES = ("#222222", "#cc79a7", "#7a5c99", "#8a6d1f", "#56b4e9", "#8b949e")
+
+
+@dataclass(frozen=True)
+class _Nodes:
+    """Frames joined to M nodes: node of each frame (F,) (-1 = not drawn), place (M, 2), pass (M,), frames a node."""
+
+    of_frame: np.ndarray
+    place: np.ndarray
+    sequence: np.ndarray
+    sequence_index: int
+
+
+@dataclass(frozen=True)
+class _Ties:
+    """Ties of one kind: nodes a, b (K,), pairs of images (K,), mean strength (K,) NaN = unknown."""
+
+    a: np.ndarray
+    b: np.ndarray
+    count: np.ndarray
+    strength: np.ndarray
+    pairs: int
+
+
+@plain_text()
+def map_png(
+    pairs: Pairs,
+    positions: np.ndarray | None,
+    scene: Scene,
+    weak: np.ndarray | Sequence[tuple[int, int]] | None = None,
+    colour: Literal["kind", "strength"] = "kind",
+    unit: str = "m",
+) -> bytes:
+    """Plan of the kept pairs, one panel a kind of tie: same camera, across cameras, across passes.
+
+    ``positions`` (F, 2 or 3) of the frames, x to the right and y up, NaN = unknown (then between its neighbours on the
+    pass); None or all NaN: a layout by sequence or by ties, which the picture says. ``weak`` (K, 2): image pairs to be
+    drawn in red. ``colour``: by kind of tie, or by the verified (else preview) matches. ``unit`` of the positions.
+    """
+    kept = pairs.kept()
+    if np.any(pairs.inliers >= 0):
+        kept = kept.where(kept.inliers > 0)
+    place, said = _layout(kept, positions, scene)
+    nodes = _joined(place, scene)
+    links = np.zeros((0, 2), int) if weak is None else np.asarray(weak, int).reshape(-1, 2)
+    ties = {k: tie for k in KINDS if (tie := _aggregated(kept, scene, nodes, k)).pairs} or {
+        "same camera": _aggregated(kept, scene, nodes, "same camera")
+    }
+    top = max((float(np.nanmax(t.strength, initial=0)) for t in ties.values()), default=0.0)
+    norm = LogNorm(15, max(60.0, top)) if colour == "strength" else None
+    page = _Page.make(nodes, len(ties))
+    for n, (kind, tie) in enumerate(ties.items()):
+        axes = page.panel(n)
+        _lines(axes, nodes, tie, kind, norm)
+        _dots(axes, scene, nodes, kept)
+        _names(axes, scene, nodes, named=n == 0)
+        _weak(axes, nodes, scene.frame[links[_of_kind(scene, links) == kind]].reshape(-1, 2))
+        axes.set_title(f"{kind}: {grouped(tie.pairs)} pairs", fontsize=10, loc="left", color=KINDS[kind], pad=3)
+        if n == 0 and not said:
+            _scale_bar(axes, unit)
+    page.words(*_words(kept, scene, nodes, links, ties), said)
+    if norm is not None:
+        page.colour_bar(norm)
+    return png(page.figure)
+
+
+def weak_pairs(table: dict, scene: Scene) -> np.ndarray:
+    """(K, 2) images of the rows of a weak-links table ("columns", "rows") that name a pair as "first - second"."""
+    found = []
+    for row in table.get("rows") or []:
+        ends = [scene.image_index.get(name) for name in str(row[1]).split(" - ")] if len(row) > 1 else []
+        if len(ends) == 2 and None not in ends:
+            found.append(ends)
+    return np.array(found, int).reshape(-1, 2)
+
+
+# ---------------------------------------------------------------- places
+
+
+def _layout(kept: Pairs, positions: np.ndarray | None, scene: Scene) -> tuple[np.ndarray, str]:
+    """(F, 2) places of the frames, and what must be said of them."""
+    if positions is not None and np.isfinite(np.asarray(positions, float)[:, :2]).all(axis=1).any():
+        return _filled(np.asarray(positions, float)[:, :2], scene), ""
+    if (scene.sequence >= 0).any():
+        lane = np.where(scene.sequence >= 0, scene.sequence, scene.sequence.max() + 1)
+        rank = np.zeros(scene.frames)
+        for t in np.unique(lane):
+            own = np.flatnonzero(lane == t)
+            rank[own[np.argsort(scene.sequence_index[own], kind="stable")]] = np.arange(len(own))
+        gap = 0.25 * max(1.0, float(rank.max()))
+        text = "no positions: frames stand in the order of their passes, one row a pass; lengths mean nothing"
+        return np.stack([rank, -gap * lane], axis=1), text
+    return _by_ties(kept, scene), "no positions: photographs stand near those they tie to; lengths mean nothing"
+
+
+def _filled(place: np.ndarray, scene: Scene) -> np.ndarray:
+    """Frames without a position between their neighbours on the pass; beyond the ends they stay unknown."""
+    out = place.copy()
+    for t in np.unique(scene.sequence[scene.sequence >= 0]):
+        own = np.flatnonzero(scene.sequence == t)
+        own = own[np.argsort(scene.sequence_index[own], kind="stable")]
+        known = np.flatnonzero(np.isfinite(place[own]).all(axis=1))
+        if len(known) > 1:
+            inside = np.arange(known[0], known[-1] + 1)
+            for c in (0, 1):
+                out[own[inside], c] = np.interp(inside, known, place[own[known], c])
+    return out
+
+
+def _by_ties(kept: Pairs, scene: Scene) -> np.ndarray:
+    """Spectral layout (Hall 1970): second and third eigenvector of the normalised Laplacian of the frames' ties."""
+    n = scene.frames
+    a, b = scene.frame[kept.i], scene.frame[kept.j]
+    angle = 2 * np.pi * np.arange(n) / max(n, 1)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    if not 4 < n <= _SPECTRAL_LIMIT or not len(kept):
+        return circle
+    # A faint tie of all to all keeps separate parts apart and the problem well posed.
+    graph = coo_array((np.ones(len(a)), (a, b)), shape=(n, n)).tocsr()
+    dense = (graph + graph.T).toarray() + 0.02
+    found = eigsh(laplacian(dense, normed=True), k=3, sigma=-0.01, v0=np.ones(n))[1]
+    place = found[:, 1:3]
+    # Ranks on each axis, half way: clusters of look-alikes would else fall on one dot.
+    rank = np.argsort(np.argsort(place, axis=0, kind="stable"), axis=0) / n - 0.5
+    return 0.5 * place / max(float(np.abs(place).max()), 1e-9) + 0.5 * rank
+
+
+def _joined(place: np.ndarray, scene: Scene) -> _Nodes:
+    known = np.isfinite(place).all(axis=1)
+    step = max(1, -(-int(known.sum()) // MAX_NODES))
+    of_frame = np.full(scene.frames, -1)
+    places: list[np.ndarray] = []
+    tracks: list[int] = []
+    for t in np.unique(scene.sequence):
+        own = np.flatnonzero((scene.sequence == t) & known)
+        own = own[np.argsort(scene.sequence_index[own], kind="stable")]
+        width = step if t >= 0 else 1
+        for first in range(0, len(own), width):
+            run = own[first : first + width]
+            of_frame[run] = len(places)
+            places.append(place[run].mean(axis=0))
+            tracks.append(int(t))
+    return _Nodes(
+        of_frame=of_frame, place=np.array(places).reshape(-1, 2), sequence=np.array(tracks, int), sequence_index=step
+    )
+
+
+def _of_kind(scene: Scene, links: np.ndarray) -> np.ndarray:
+    """(K,) kind of image pairs (K, 2)."""
+    frames, keys = scene.frame[links], scene.sensor_key[links]
+    across = scene.sequence[frames[:, 0]] != scene.sequence[frames[:, 1]]
+    loose = (scene.sequence[frames] < 0).all(axis=1)
+    same = (keys[:, 0] == keys[:, 1]) & ~loose
+    inside = frames[:, 0] == frames[:, 1]
+    names = np.where(across, "across passes", np.where(same, "same camera", "across cameras"))
+    return np.where(inside, "within a frame", np.where(loose, "photographs", names))
+
+
+def _aggregated(kept: Pairs, scene: Scene, nodes: _Nodes, kind: str) -> _Ties:
+    fi, fj = scene.frame[kept.i], scene.frame[kept.j]
+    of_kind = _of_kind(scene, np.stack([kept.i, kept.j], axis=1)) == kind
+    a, b = np.minimum(nodes.of_frame[fi], nodes.of_frame[fj]), np.maximum(nodes.of_frame[fi], nodes.of_frame[fj])
+    rows = np.flatnonzero(of_kind & (a >= 0) & (a != b))
+    strength = np.where(kept.inliers[rows] > 0, kept.inliers[rows], kept.score[rows]).astype(float)
+    key, at = np.unique(a[rows].astype(np.int64) * len(nodes.place) + b[rows], return_inverse=True)
+    count = np.bincount(at, minlength=len(key))
+    known = np.isfinite(strength)
+    number = np.bincount(at, known, minlength=len(key))
+    total = np.bincount(at, np.where(known, strength, 0), minlength=len(key))
+    mean = np.where(number > 0, total / np.maximum(number, 1), np.nan)
+    best = np.sort(np.argsort(-count, kind="stable")[:MAX_LINES])
+    width = max(len(nodes.place), 1)
+    return _Ties(
+        a=key[best] // width, b=key[best] % width, count=count[best], strength=mean[best], pairs=int(of_kind.sum())
+    )
+
+
+# ---------------------------------------------------------------- drawing
+
+
+@dataclass(frozen=True)
+class _Page:
+    """Panels below each other where the map is wide, side by side where it is tall; all sizes in inches."""
+
+    figure: Figure
+    low: np.ndarray
+    high: np.ndarray
+    width: float
+    height: float
+    across: bool
+    count: int
+
+    @staticmethod
+    def make(nodes: _Nodes, count: int) -> _Page:
+        place = nodes.place if len(nodes.place) else np.zeros((1, 2))
+        low, high = place.min(axis=0), place.max(axis=0)
+        room = (0.04 + _HIGHEST) * max(float((high - low).max()), 1e-9)
+        low, high = low - room, high + room
+        shape = float((high - low)[1] / (high - low)[0])
+        across = shape > 0.55
+        width = _PAGE_IN / count if across else _PAGE_IN
+        width = min(width, 5.5) if across else width
+        height = float(np.clip(shape * width, 1.8, 7.5))
+        size = (
+            (max(width * count, 7.5), height + _HEAD_IN + 0.5)
+            if across
+            else (width, count * (height + 0.3) + _HEAD_IN + 0.3)
+        )
+        return _Page(
+            figure=Figure(figsize=size, dpi=DPI),
+            low=low,
+            high=high,
+            width=width,
+            height=height,
+            across=across,
+            count=count,
+        )
+
+    def panel(self, n: int) -> Axes:
+        w, h = self.figure.get_size_inches()
+        left = n * self.width if self.across else 0.0
+        top = _HEAD_IN + 0.25 + (0 if self.across else n * (self.height + 0.3))
+        box = ((left + 0.08) / w, 1 - (top + self.height) / h, (self.width - 0.16) / w, self.height / h)
+        axes = self.figure.add_axes(box)
+        # The panel keeps its shape: the map grows to it, so that lengths are equal both ways.
+        span, middle = self.high - self.low, 0.5 * (self.low + self.high)
+        scale = max(span[0] / (self.width - 0.16), span[1] / self.height)
+        axes.set_xlim(middle[0] - 0.5 * scale * (self.width - 0.16), middle[0] + 0.5 * scale * (self.width - 0.16))
+        axes.set_ylim(middle[1] - 0.5 * scale * self.height, middle[1] + 0.5 * scale * self.height)
+        axes.set_xticks([])
+        axes.set_yticks([])
+        for spine in axes.spines.values():
+            spine.set_color("#dddddd")
+        return axes
+
+    def words(self, title: str, more: str, said: str) -> None:
+        h = float(self.figure.get_figheight())
+        left = 0.1 / float(self.figure.get_figwidth())
+        self.figure.text(left, 1 - 0.1 / h, title, fontsize=12, va="top")
+        self.figure.text(left, 1 - 0.34 / h, more, fontsize=8.5, va="top", color="#555555")
+        self.figure.text(left, 1 - 0.53 / h, said, fontsize=9, va="top", color=RED)
+
+    def colour_bar(self, norm: LogNorm) -> None:
+        w, h = self.figure.get_size_inches()
+        axes = self.figure.add_axes((1 - 2.5 / w, 1 - 0.42 / h, 2.2 / w, 0.1 / h))
+        bar = self.figure.colorbar(ScalarMappable(norm, "viridis_r"), cax=axes, orientation="horizontal")
+        marks = [m for m in (15, 30, 60, 100, 200, 400, 1000, 2000) if m <= float(norm.vmax or 0)]
+        bar.set_ticks(marks, labels=[str(m) for m in marks])
+        bar.minorticks_off()
+        axes.tick_params(labelsize=7, length=2)
+        axes.set_title("matches of a pair, mean", fontsize=8, pad=2)
+
+
+def _lines(axes: Axes, nodes: _Nodes, ties: _Ties, kind: str, norm: LogNorm | None) -> None:
+    if not len(ties.a):
+        return
+    order = np.argsort(ties.count, kind="stable")
+    share = ties.count[order] / max(int(ties.count.max()), 1)
+    curves = _curves(nodes, ties.a[order], ties.b[order], 0.0 if kind in ("across passes", "photographs") else _BULGE)
+    # The more lines, the fainter each: the ink on the page stays about the same, and thick bundles stand out.
+    ink = np.clip(9 / np.sqrt(len(order)), 0.12, 0.85)
+    alpha = np.clip(ink * (0.12 + 0.88 * share**1.5), 0.04, 0.9)
+    looks: dict = {"color": KINDS[kind]}
+    if norm is not None:
+        looks = {"array": np.nan_to_num(ties.strength[order], nan=15.0), "cmap": "viridis_r", "norm": norm}
+    widths = 0.4 + 1.4 * share
+    axes.add_collection(LineCollection(list(curves), linewidths=widths, alpha=alpha, zorder=2, **looks))
+
+
+def _curves(nodes: _Nodes, a: np.ndarray, b: np.ndarray, bulge: float) -> np.ndarray:
+    """(K, 13, 2) arcs from nodes a to nodes b, to the left of the way for a positive bulge; straight for zero."""
+    start, end = nodes.place[a], nodes.place[b]
+    chord = end - start
+    length = np.maximum(np.linalg.norm(chord, axis=1, keepdims=True), 1e-12)
+    highest = _HIGHEST * max(float(np.ptp(nodes.place, axis=0).max()), 1e-12)
+    height = highest * np.tanh(bulge * length / highest)  # long arcs do not leave the page
+    side = np.stack([-chord[:, 1], chord[:, 0]], axis=1) / length * height
+    t = _ARC[None, :, None]
+    return start[:, None] + t * chord[:, None] + 4 * t * (1 - t) * side[:, None]
+
+
+def _dots(axes: Axes, scene: Scene, nodes: _Nodes, kept: Pairs) -> None:
+    degree = kept.degree(len(scene))
+    tied = np.zeros(len(nodes.place), bool)
+    drawn = nodes.of_frame[scene.frame] >= 0
+    np.logical_or.at(tied, nodes.of_frame[scene.frame[drawn]], degree[drawn] > 0)
+    size = float(np.clip(1200 / max(len(tied), 1), 5, 18))
+    for k, t in enumerate(np.unique(nodes.sequence)):
+        own = nodes.sequence == t
+        axes.plot(*nodes.place[own].T, color=INK, lw=0.6 if t >= 0 else 0, alpha=0.5, zorder=3)
+        colour = _PASSES[k % len(_PASSES)]
+        axes.scatter(
+            nodes.place[own & tied, 0],
+            nodes.place[own & tied, 1],
+            s=size,
+            color=colour,
+            zorder=4,
+            lw=0.3,
+            edgecolor="white",
+        )
+        if (own & ~tied).any():
+            axes.scatter(
+                nodes.place[own & ~tied, 0],
+                nodes.place[own & ~tied, 1],
+                s=3 * size,
+                facecolor="white",
+                edgecolor=RED,
+                zorder=5,
+                lw=1,
+            )
+
+
+def _names(axes: Axes, scene: Scene, nodes: _Nodes, named: bool) -> None:
+    tracks = [t for t in np.unique(nodes.sequence) if 0 <= t < len(scene.sequences)]
+    if not named or not 1 < len(tracks) <= 12:
+        return
+    left, low = nodes.place.min(axis=0)
+    span = np.maximum(np.ptp(nodes.place, axis=0), 1e-9)
+    for k, t in enumerate(tracks):
+        first = nodes.place[np.flatnonzero(nodes.sequence == t)[0]]
+        x, y = (first - (left, low)) / span
+        above = y > 0.5 or span[1] < 0.2 * span[0] and k % 2 == 0
+        away = (16 + 12 * (k // 2)) * (1 if above else -1)
+        axes.annotate(f"{scene.sequences[t]} starts", first, (0, away), textcoords="offset points",
+                      ha="left" if x < 0.34 else "right" if x > 0.66 else "center", va="bottom" if above else "top",
+                      fontsize=8.5, color=_PASSES[k % len(_PASSES)], zorder=7,
+                      arrowprops={"arrowstyle": "-", "color": INK, "lw": 0.5, "shrinkB": 3})  # fmt: skip
+
+
+def _weak(axes: Axes, nodes: _Nodes, frames: np.ndarray) -> None:
+    ends = nodes.of_frame[frames]
+    ends = ends[(ends >= 0).all(axis=1)]
+    if not len(ends):
+        return
+    axes.add_collection(LineCollection(list(nodes.place[ends]), color=RED, linewidths=2.2, alpha=0.9, zorder=6))
+    here = nodes.place[np.unique(ends)]
+    axes.scatter(here[:, 0], here[:, 1], s=40, facecolor="none", edgecolor=RED, lw=1.4, zorder=6)
+
+
+def _words(kept: Pairs, scene: Scene, nodes: _Nodes, links: np.ndarray, ties: dict[str, _Ties]) -> tuple[str, str]:
+    inside = int(np.sum(scene.frame[kept.i] == scene.frame[kept.j]))
+    lost = int(np.sum(nodes.of_frame < 0))
+    parts = [f"one dot = {nodes.sequence_index} frames" if nodes.sequence_index > 1 else "one dot = one frame"]
+    parts += [f"{grouped(inside)} pairs within a frame are not drawn"] if inside else []
+    parts += [f"{lost} frame{'s are' if lost > 1 else ' is'} left out, without a position"] if lost else []
+    if any(len(t.a) >= MAX_LINES for t in ties.values()):
+        parts.append(f"the {MAX_LINES} strongest lines of each kind")
+    parts += [f"red: {len(links)} weak links"] if len(links) else []
+    return f"The tie graph: {grouped(len(kept))} pairs of images, {grouped(scene.frames)} frames", "; ".join(parts)
+
+
+def _scale_bar(axes: Axes, unit: str) -> None:
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    want = 0.2 * (right - left)
+    power = 10.0 ** np.floor(np.log10(want))
+    length = max(m * power for m in (1, 2, 5) if m * power <= want)
+    x, y = left + 0.03 * (right - left), low + 0.05 * (high - low)
+    axes.plot([x, x + length], [y, y], color=INK, lw=2.5, solid_capstyle="butt", zorder=8)
+    axes.text(x + length / 2, y + 0.012 * (high - low), f"{length:g} {unit}", ha="center", va="bottom", fontsize=9)

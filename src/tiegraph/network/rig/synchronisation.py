@@ -1,0 +1,253 @@
+"""Do the cameras of a rig keep step? Frames that a camera lacks, and cameras whose images come frames too late.
+
+Two cameras of a rig that were triggered together stand in one place: their pictures match best in the same frame, and
+things jump from one to the other by what the angle between their axes says, at any distance. Both must speak for a lag.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tiegraph.network.passes import MatchCache, Pass
+from tiegraph.network.rig.axes import predicted_shift
+from tiegraph.network.settings import CandidatesSettings
+from tiegraph.network.tuning import Tuning
+from tiegraph.network.tuning.rig import AxesTuning, SynchronisationTuning
+from tiegraph.scene.rig import Rig
+
+NAMED = 8  # passes told of one by one
+
+
+def frame_notes(passes: Sequence[Pass], names: Sequence[str], tuning: SynchronisationTuning) -> tuple[str, ...]:
+    """One note a pass whose cameras have different frames: how many each has, and from where on they are missing; and
+    one on passes that are much shorter than the others."""
+    out = [text for p in passes if (text := _lacking(p, names))]
+    more = len(out) - NAMED
+    out = [*out[:NAMED], f"in {more} more passes some cameras lack frames too"] if more > 0 else out
+    return (*out, *_short(passes, names, tuning))
+
+
+def _short(passes: Sequence[Pass], names: Sequence[str], tuning: SynchronisationTuning) -> tuple[str, ...]:
+    """A pass that ended early is as good as any to every later step, so only its length can tell."""
+    length = np.array([len(p) for p in passes])
+    parts = []
+    for k, p in enumerate(passes):
+        usual = float(np.median(np.delete(length, k))) if len(length) > 1 else 0.0
+        if 0 < len(p) < tuning.short * usual:
+            last = p.images[:, -1]
+            parts.append(f"{p.name} has {len(p)} frames, the others {usual:g} (last: {names[last[last >= 0][0]]})")
+    if not parts:
+        return ()
+    more = f"; and {len(parts) - NAMED} more" if len(parts) > NAMED else ""
+    return (
+        f"short passes: {'; '.join(parts[:NAMED])}{more}. Did they end early? Where nothing is said of how one lies to "
+        "the others, it is too short to tell",
+    )
+
+
+def _lacking(p: Pass, names: Sequence[str]) -> str:
+    there = p.images >= 0
+    if len(there) < 2 or there.all():
+        return ""
+    parts = []
+    for row, (sensor, own) in enumerate(zip(p.rig.sensors, there)):
+        if own.all():
+            continue
+        have = np.flatnonzero(own)
+        if not len(have):
+            parts.append(f"{sensor.name} has none of {len(own)} frames")
+            continue
+        first, last = int(have[0]), int(have[-1])
+        where = []
+        if first > 0:
+            where.append(f"before frame {first + 1} ({names[p.images[row, first]]})")
+        if last < len(own) - 1:
+            where.append(f"after frame {last + 1} ({names[p.images[row, last]]})")
+        gaps = last - first + 1 - len(have)
+        where += [f"{gaps} in between"] if gaps else []
+        parts.append(f"{sensor.name} has {len(have)} of {len(own)} frames, missing: {', '.join(where)}")
+    return f"pass {p.name}: {'; '.join(parts)}"
+
+
+# ---------------------------------------------------------------- lag
+
+
+@dataclass(frozen=True)
+class _Steps:
+    """What K camera pairs share at offsets -L .. L: sensor c of frame m + offset against sensor d of frame m.
+
+    couples (K, 2); evidence (K, 2L+1), matches above min_matches in units of it; shift (K, 2L+1, 2) median motion in
+    the picture from c to d as a share of the image size, NaN = not seen; expected (K, 2) the same up to one factor;
+    matches (K, 2L+1) mean number of matches.
+    """
+
+    pairs: np.ndarray
+    evidence: np.ndarray
+    shift: np.ndarray
+    expected: np.ndarray
+    matches: np.ndarray
+
+    @property
+    def longest(self) -> int:
+        """L."""
+        return self.evidence.shape[1] // 2
+
+    def residual(self, factor: float) -> np.ndarray:
+        """(K, 2L+1) distance between seen and expected shift; NaN = not seen."""
+        return np.asarray(np.linalg.norm(self.shift - factor * self.expected[:, None], axis=2))
+
+    def factor(self, among: np.ndarray) -> float:
+        """Image sizes a unit of expected shift, by the camera pairs of a mask (K,) at offset 0; NaN = unknown."""
+        seen = self.shift[among, self.longest]
+        length = np.sum(self.expected[among] ** 2, axis=1)
+        ratio = np.sum(seen * self.expected[among], axis=1) / np.where(length > 1e-4, length, np.nan)
+        ratio = ratio[np.isfinite(ratio)]
+        return float(np.median(ratio)) if len(ratio) else float("nan")
+
+
+def lag_notes(passes: Sequence[Pass], cache: MatchCache, settings: CandidatesSettings, tuning: Tuning) -> list[str]:
+    """Cameras that by the images run some frames late or early against the others, one note a camera and lag.
+
+    In most surveys only the same frames are looked at; other offsets where those look odd, and for a stereo rig.
+    """
+    sync = tuning.rig.synchronisation
+    found: dict[tuple[int, int], list[tuple[str, str]]] = {}
+    chosen = np.unique(np.linspace(0, len(passes) - 1, min(len(passes), sync.lag_passes)).round().astype(int))
+    for p in (passes[k] for k in chosen if len(passes)):
+        couples = _neighbours(p.rig, sync.near_deg)
+        longest = min(sync.max_lag, (len(p) - 1) // sync.frames_a_lag)
+        if not len(couples) or longest < 1:
+            continue
+        if len(couples) > sync.few and not _odd(_measured(p, couples, 0, cache, settings, tuning), p, sync):
+            continue
+        steps = _measured(p, couples, longest, cache, settings, tuning)
+        lags = _lags(steps, len(p.rig.sensors), sync)
+        for c in np.flatnonzero(lags):
+            found.setdefault((int(c), int(lags[c])), []).append((p.name, _figures(p.rig, steps, int(c), lags)))
+    return [_late(passes[0].rig, camera, lag, seen) for (camera, lag), seen in found.items()]
+
+
+def _neighbours(rig: Rig, near_deg: float) -> np.ndarray:
+    """(K, 2) pairs of side cameras c < d, each with those whose axes are nearest to its own."""
+    side = [k for k, s in enumerate(rig.sensors) if s.role != "up"]
+    angle = rig.axis_angles_deg()
+    near = set()
+    for c in side:
+        others = [d for d in side if d != c]
+        least = min((angle[c, d] for d in others), default=np.nan)
+        near |= {(min(c, d), max(c, d)) for d in others if angle[c, d] <= least + near_deg}
+    return np.array(sorted(near), int).reshape(-1, 2)
+
+
+def _measured(
+    p: Pass, couples: np.ndarray, longest: int, cache: MatchCache, settings: CandidatesSettings, tuning: Tuning
+) -> _Steps:
+    some = tuning.rig.synchronisation.lag_frames
+    frames = np.unique(np.linspace(longest, len(p) - 1 - longest, some).round().astype(int))
+    k, at, m = (
+        x.ravel() for x in np.meshgrid(np.arange(len(couples)), np.arange(2 * longest + 1), frames, indexing="ij")
+    )
+    i, j = p.images[couples[k, 0], m + at - longest], p.images[couples[k, 1], m]
+    there = (i >= 0) & (j >= 0)
+    k, at, i, j = k[there], at[there], i[there], j[there]
+    results = cache.results(np.minimum(i, j), np.maximum(i, j)) if len(i) else []
+    evidence, matches = np.zeros((2, len(couples), 2 * longest + 1))
+    shift = np.full((len(couples), 2 * longest + 1, 2), np.nan)
+    for row in range(len(couples)):
+        for column in range(2 * longest + 1):
+            own = np.flatnonzero((k == row) & (at == column))
+            count = np.array([results[n].inliers for n in own], float)
+            if len(own):
+                matches[row, column] = count.mean()
+                evidence[row, column] = np.mean(np.clip(count / settings.min_matches - 1, 0, None))
+            sure = own[count >= tuning.counts.sure * settings.min_matches]
+            seen = [
+                np.asarray(results[n].shift) * (1 if i[n] < j[n] else -1) for n in sure if results[n].shift is not None
+            ]
+            if seen:
+                shift[row, column] = np.median(seen, axis=0)
+    expected = np.array([_expected(p.rig, int(c), int(d), tuning.rig.axes) for c, d in couples])
+    return _Steps(pairs=couples, evidence=evidence, shift=shift, expected=expected, matches=matches)
+
+
+def _expected(rig: Rig, c: int, d: int, tuning: AxesTuning) -> np.ndarray:
+    """(2,) predicted motion with the rows scaled like the columns, as shares of an image as wide as one unit."""
+    camera = rig.sensors[c].camera
+    return predicted_shift(rig, c, d, tuning) * (1.0, 1.0 if camera is None else camera.width / camera.height)
+
+
+def _odd(now: _Steps, p: Pass, tuning: SynchronisationTuning) -> bool:
+    """Whether the same frames give reason to look at others: unequal counts, wrong shifts, a camera none matches."""
+    counts = {int(n) for s, n in zip(p.rig.sensors, (p.images >= 0).sum(axis=1)) if s.role != "up"}
+    evidence = now.evidence[:, 0]
+    faint = evidence < max(tuning.faint * float(np.median(evidence)), tuning.least)
+    alone = [faint[(now.pairs == c).any(axis=1)].all() for c in np.unique(now.pairs)]
+    factor = now.factor(np.ones(len(evidence), bool))
+    off = now.residual(factor)[:, 0] > tuning.off
+    return bool(len(counts) > 1 or off.any() or any(alone))
+
+
+def _lags(steps: _Steps, sensors: int, tuning: SynchronisationTuning) -> np.ndarray:
+    """(S,) frames that each camera runs late; 0 unless evidence and shifts both say otherwise. Greedy, one by one."""
+    lags = np.zeros(sensors, int)
+    for _ in range(sensors // 2):  # the step of most cameras is the rig's
+        best, change = 0.0, None
+        for c in np.unique(steps.pairs)[::-1]:  # the reference camera last: it keeps its time if it can
+            for lag in range(-steps.longest, steps.longest + 1):
+                gain = _gain(steps, lags, int(c), lag, tuning)
+                if lag != lags[c] and gain > best:
+                    best, change = gain, (int(c), lag)
+        if change is None:
+            break
+        lags[change[0]] = change[1]
+    return lags
+
+
+def _gain(steps: _Steps, lags: np.ndarray, sensor: int, lag: int, tuning: SynchronisationTuning) -> float:
+    """Evidence won by moving one camera to a lag; 0 where not every one of its pairs agrees."""
+    moved = lags.copy()
+    moved[sensor] = lag
+    before, after = (steps.longest + v[steps.pairs[:, 0]] - v[steps.pairs[:, 1]] for v in (lags, moved))
+    if after.min() < 0 or after.max() > 2 * steps.longest:
+        return 0.0
+    rows = np.arange(len(before))
+    own = (steps.pairs == sensor).any(axis=1)
+    votes = own & (steps.evidence.max(axis=1) >= tuning.least)
+    if not votes.any():
+        return 0.0
+    scale = np.maximum(steps.evidence.max(axis=1), tuning.least)
+    old, new = steps.evidence[rows, before] / scale, steps.evidence[rows, after] / scale
+    weaker = np.any(new[votes] < tuning.change * old[votes])
+    if weaker or new[votes].sum() < tuning.gain * old[votes].sum():
+        return 0.0
+    residual = steps.residual(steps.factor(~own))
+    old_off, new_off = residual[rows, before][votes], residual[rows, after][votes]
+    known = np.isfinite(new_off)
+    if np.isfinite(residual).any() and (not known.any() or np.any(new_off[known] > tuning.off)):
+        return 0.0
+    if np.any(known & (new_off > old_off + tuning.off_more)):
+        return 0.0
+    return float(new[votes].sum() - old[votes].sum())
+
+
+def _figures(rig: Rig, steps: _Steps, sensor: int, lags: np.ndarray) -> str:
+    """Partners of a camera, and mean matches with them at its lag and in the same frame."""
+    own = np.flatnonzero((steps.pairs == sensor).any(axis=1))
+    other = [rig.sensors[d if c == sensor else c].name for c, d in steps.pairs[own]]
+    at = steps.longest + lags[steps.pairs[own, 0]] - lags[steps.pairs[own, 1]]
+    there, here = steps.matches[own, at].mean(), steps.matches[own, steps.longest].mean()
+    return f"{there:.0f} matches with {' and '.join(other)} there, {here:.0f} in the same frame"
+
+
+def _late(rig: Rig, sensor: int, lag: int, seen: list[tuple[str, str]]) -> str:
+    where = f"pass{'es' if len(seen) > 1 else ''} {' and '.join(name for name, _ in seen)}"
+    frames = f"{abs(lag)} frame{'s' if abs(lag) > 1 else ''}"
+    name = rig.sensors[sensor].name
+    return (
+        f"{where}: {name} seems to run {frames} {'late' if lag > 0 else 'early'}: its images fit those of the others "
+        f"taken {frames} {'before' if lag > 0 else 'after'} ({'; '.join(figures for _, figures in seen)}); all the "
+        "same the rig is taken as synchronised: rename the images so that those of one moment share a number"
+    )

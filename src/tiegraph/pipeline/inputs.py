@@ -1,0 +1,115 @@
+"""What a user hands over, checked before anything is made: by itself, and against the images of a scan.
+
+Refused before anything is made or stored: what cannot be meant, in a table, a rig, a pose file, a position or a CRS,
+with file, line, value and remedy. What is only doubtful is a note. What only the images can tell is checked at
+``scan``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+
+from tiegraph.errors import InputError, SettingsError, UnreadableArtefact
+from tiegraph.evaluate.settings import EvaluateSettings
+from tiegraph.geometry.geodesy import ENU, check_vertical, parse_crs
+from tiegraph.masks.plugin import read_model
+from tiegraph.pipeline.files import scanned
+from tiegraph.project.run import Run, status
+from tiegraph.project.settings import Settings
+from tiegraph.project.stages import Stage
+from tiegraph.project.userfiles import check_files, check_path
+from tiegraph.scan.calibration import read_camera
+from tiegraph.scan.perspective import PRESET
+from tiegraph.scan.rigfile import read_rig_file
+from tiegraph.scan.rigspec import preset_sizes
+from tiegraph.scan.trajectory import read_trajectory
+from tiegraph.scene.control import Control, locate
+from tiegraph.scene.gcp import read_gcps
+from tiegraph.scene.gnss import read_gnss
+from tiegraph.scene.pairlist import pair_lines, read_pair_list
+from tiegraph.scene.scene import Scene
+
+
+def check_given(stages: Sequence[Stage], run: Run) -> None:
+    """Refuse wrong inputs and settings before a stage runs and before they are stored; makes nothing.
+
+    Where the scan is up to date, files that only name its images are held against it, for it will not run again.
+    Raises InputError and SettingsError, naming option, path and remedy.
+    """
+    given, settings = run.inputs, run.settings
+    given.check()
+    for option, path, kind in (
+        ("--gnss", given.gnss, "file"),
+        ("--times", given.times, "file"),
+        ("--trajectory", given.trajectory, "file or folder"),
+    ):
+        if path is not None:
+            check_path(option, path, kind)
+    check_files(settings)
+    if settings.scan.crs.lower() not in ("auto", ENU.lower()):
+        parse_crs(settings.scan.crs)
+        check_vertical(settings.scan.crs)
+    if "file" in settings.candidates.sources and settings.candidates.pairs_file is None:
+        raise SettingsError("candidates.sources has 'file', but candidates.pairs_file names none")
+    _read_settings(settings)
+    if status(stages[:1], run)[0][1]:
+        _read_inputs(run)
+    else:
+        with suppress(UnreadableArtefact):  # then it is made again
+            check_against(run, scanned(run))
+
+
+def _read_settings(settings: Settings) -> None:
+    """Read the files of settings that need no image, for the errors this raises: most stages look hours later."""
+    if settings.georef.gcp is not None:
+        read_gcps(settings.georef.gcp, settings.tuning.scene.control, settings.georef.marks)
+    elif settings.georef.marks is not None:
+        raise InputError(f"--marks {settings.georef.marks}: marks of no points; give the points by --gcp")
+    if settings.candidates.pairs_file is not None:
+        pair_lines(settings.candidates.pairs_file)
+    if settings.masks.model is not None:
+        read_model(settings.masks.model)
+    if settings.evaluate.reference is not None or settings.evaluate.reference_cloud is not None:
+        _check_references(settings.evaluate)
+
+
+def _check_references(settings: EvaluateSettings) -> None:
+    from tiegraph.evaluate.reference import check_points, check_reference  # loads the engine
+
+    if settings.reference is not None:
+        check_reference(settings.reference)
+    if settings.reference_cloud is not None:
+        check_points(settings.reference_cloud)
+
+
+def _read_inputs(run: Run) -> None:
+    """Read the inputs that need no image, for the errors this raises."""
+    given, tuning = run.inputs, run.settings.tuning.scan.rig
+    if given.rig is not None and given.rig.strip().lower() != PRESET and not preset_sizes(given.rig, tuning):
+        read_rig_file(given.rig, tuning)
+    if given.camera is not None:
+        read_camera(given.camera, tuning)
+    if given.trajectory is not None and given.trajectory.is_file():
+        read_trajectory(given.trajectory)
+    if given.gnss is not None:
+        read_gnss(given.gnss, run.settings.tuning.scan.positions.gnss)
+
+
+def check_against(run: Run, scene: Scene) -> tuple[str, ...]:
+    """What control points and the pair list say of the images of a scan. Raises InputError if they do not fit."""
+    control = control_points(run, scene)
+    notes = () if control is None else control.notes
+    path = run.settings.candidates.pairs_file
+    return notes if path is None else (*notes, *read_pair_list(path, scene)[1])
+
+
+def control_points(run: Run, scene: Scene) -> Control | None:
+    """The control points of the settings in the scene's world; None without a file."""
+    settings = run.settings
+    path = settings.georef.gcp
+    if path is None:
+        return None
+    if not path.exists():
+        raise InputError(f"--gcp {path}: no such file")
+    return locate(read_gcps(path, settings.tuning.scene.control, settings.georef.marks), scene, settings.scan.crs)

@@ -1,0 +1,36 @@
+"""What contradicts what, over all stages, and the table of what says what."""
+
+from __future__ import annotations
+
+from textwrap import shorten
+
+from tiegraph.report import formatting
+from tiegraph.report.runfolder import STAGES, RunFolder
+from tiegraph.scene.evidence import figures
+
+EVIDENCE = "evidence"  # the table that has a section of its own
+_COLUMNS = 7
+_HEAD, _HEADS = 70, 3  # letters and number of contradictions in the headline
+
+
+def contradictions(run: RunFolder) -> tuple[str, ...]:
+    """What contradicts what, of every stage that has finished."""
+    every = (str(t) for stage in STAGES for t in run.receipts.get(stage, {}).get("contradictions") or [])
+    return tuple(dict.fromkeys(every))
+
+
+def about(said: tuple[str, ...]) -> str:
+    """What contradictions are about, for a headline: the words before their first colon or figure; "" if none."""
+    heads = dict.fromkeys(shorten(t.split(":")[0].split(" differ by")[0], _HEAD, placeholder=" ...") for t in said)
+    short = list(heads)[:_HEADS]
+    return "; ".join(short) + (f" and {len(heads) - len(short)} more" if len(heads) > len(short) else "")
+
+
+def evidence_table(run: RunFolder) -> formatting.Table | None:
+    """The statements of all stages, those of one quantity one below the other; None without any."""
+    found = [(run.receipts.get(s, {}).get("tables") or {}).get(EVIDENCE) for s in STAGES]
+    parts = [t for t in found if isinstance(t, dict) and t.get("rows") and len(t.get("columns") or []) == _COLUMNS]
+    rows = [[*r[:2], figures(r[2], r[3]), formatting.number(r[3], 2), *r[4:]] for t in parts for r in t["rows"]]
+    order = {q: k for k, q in enumerate(dict.fromkeys(r[0] for r in rows))}
+    rows.sort(key=lambda r: order[r[0]])
+    return formatting.table({"columns": parts[0]["columns"], "rows": rows}) if rows else None

@@ -1,0 +1,416 @@
+"""What the report says in words: the verdict, the numbers at the top, the warnings and the tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tiegraph.report import formatting, georeference
+from tiegraph.report.contradictions import about, contradictions
+from tiegraph.report.formatting import Table
+from tiegraph.report.runfolder import STAGES, RunFolder
+from tiegraph.scene.registered import BY_RIG
+from tiegraph.text import known_to
+
+GOOD_SHARE, POOR_SHARE = 0.95, 0.6  # of the images registered
+_WEAK = {"yaw_deg": (1.0, "heading", "°"), "tilt_deg": (1.0, "tilt", "°"), "scale": (0.01, "scale", "")}
+_FEW_TIES = 3  # an image with fewer ties hangs loosely
+_HELDOUT_FACTOR = 2.0  # held-out positions this much worse than those used: the model bends to its control
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The box at the top: level good, check, doubtful, poor or open; sentences; what contradicts what; warnings."""
+
+    level: str
+    headline: str
+    sentences: tuple[str, ...]
+    warnings: tuple[str, ...]
+    contradictions: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A number at the top."""
+
+    value: str
+    label: str
+
+
+def verdict(run: RunFolder) -> Verdict:
+    """The result in plain words, from what is there."""
+    said = contradictions(run)
+    if run.model is None or run.scene is None:
+        last = [s for s in STAGES if run.done(s) and s != "report"]
+        stop = f"The run has finished the stage {last[-1]}." if last else "No stage has finished."
+        return Verdict(
+            level="open",
+            headline="No model yet",
+            sentences=(stop, *_pairs_sentence(run)),
+            warnings=tuple(warnings(run)),
+            contradictions=said,
+        )
+    registered, total = int(run.model.registered.sum()), len(run.scene)
+    share = registered / max(total, 1)
+    serious = run.model.others or (run.done("georef") and not run.georeferenced) or weak_placement(run)
+    level = "poor" if share < POOR_SHARE else "check" if share < GOOD_SHARE or serious else "good"
+    level = "doubtful" if said and level != "poor" else level
+    headline = {
+        "doubtful": f"The survey contradicts itself: {about(said)}",
+        "good": "The survey is complete",
+        "check": "The survey is usable with care",
+        "poor": "A large part of the survey is missing",
+    }[level]
+    sentences = (_registered_sentence(run, registered, total), _world_sentence(run), *_accuracy_sentences(run))
+    return Verdict(
+        level=level,
+        headline=headline,
+        sentences=tuple(s for s in sentences if s),
+        warnings=tuple(warnings(run)),
+        contradictions=said,
+    )
+
+
+def _pairs_sentence(run: RunFolder) -> tuple[str, ...]:
+    if run.pairs is None or run.scene is None:
+        return ()
+    kept, n = int(np.sum(run.pairs.dropped == 0)), len(run.scene)
+    every = n * (n - 1) // 2
+    text = (
+        f"{formatting.count(kept)} of {formatting.count(every)} possible pairs of {formatting.count(n)} images are to "
+        f"be matched."
+    )
+    return (text,) if every else ()
+
+
+def _registered_sentence(run: RunFolder, registered: int, total: int) -> str:
+    assert run.model is not None
+    share = formatting.percent(registered / max(total, 1))
+    text = (
+        f"{formatting.count(registered)} of {formatting.count(total)} images ({share}) are registered in one "
+        f"connected model"
+    )
+    by_rig = int(run.model.by_rig.sum())
+    if by_rig:
+        text += (
+            f"; the place of {formatting.count(by_rig)} more rests on the rig, for fewer than "
+            f"{run.model.images.min_points} points are seen"
+        )
+    if not run.model.others:
+        return text + "."
+    rest = ", ".join(map(formatting.count, run.model.others[:4])) + (" ..." if len(run.model.others) > 4 else "")
+    several = len(run.model.others) + 1
+    return text + f", the largest of {several}; the others have {rest} images and are not in the products."
+
+
+def _world_sentence(run: RunFolder) -> str:
+    world = run.world or {}
+    scale = source_text(world.get("scale_from"))
+    if not run.georeferenced and world.get("placed"):
+        return f"It lies in the frame of {scale or 'the given positions'}, which is not tied to the Earth."
+    if not run.georeferenced:
+        based = f", with the scale from {scale}" if scale else " and without scale"
+        return f"It is not georeferenced: coordinates are in the model's own frame{based}."
+    text = f"It is georeferenced in {crs_text(world.get('crs'), world.get('origin'))}"
+    prior = source_text(run.scene.prior) if run.scene is not None else ""
+    if prior and scale and prior != scale:
+        text += f"; the position comes from {prior}, the scale from {scale}."
+    else:
+        text += f"; position and scale come from {scale}." if scale else "."
+    shift = world.get("shift_m") or [0, 0, 0]
+    if any(shift):
+        east, north, up = (f"{v:.0f}" for v in shift)
+        text += f" To keep numbers short, world coordinates are CRS coordinates minus ({east}, {north}, {up}) m."
+    return text
+
+
+def source_text(source: Any) -> str:
+    """Where scale or position come from, in words; "" if from nowhere."""
+    names = {"gnss": "the GNSS positions", "exif": "the GPS positions in the images", "trajectory": "the trajectory"}
+    names["rig baseline"] = names["rig"] = "the distances between the rig's cameras"
+    return "" if source in (None, "", "none") else names.get(str(source).lower(), str(source))
+
+
+def crs_text(crs: Any, origin: Any = None) -> str:
+    """Code and name of a CRS; of a local frame its origin."""
+    if str(crs).upper() == "ENU":
+        at = [(origin or {}).get(k) for k in ("lat_deg", "lon_deg", "height_m")]
+        place = "its origin"
+        if all(map(_is, at)):
+            place = f"latitude {at[0]:.6f}°, longitude {at[1]:.6f}°, height {at[2]:.2f} m"
+        return f"a local east-north-up frame about {place} (WGS 84)"
+    try:
+        import pyproj
+
+        return f"{crs} ({pyproj.CRS.from_user_input(crs).name})"
+    except Exception:
+        return str(crs)
+
+
+def _accuracy_sentences(run: RunFolder) -> list[str]:
+    world, out = run.world or {}, []
+    residual = residual_text(world.get("residual_rms_m"))
+    if residual:
+        source = source_text(world.get("scale_from")) or "the given positions"
+        rows = [r for r in world.get("frames") or [] if isinstance(r, dict)]
+        used = sum(bool(r.get("inlier", True)) for r in rows)
+        over = f" over {formatting.plural(used, 'frame')}" if used else ""
+        if used < len(rows):
+            over += f"; {len(rows) - used} more were taken for outliers"
+        source = source_text(run.scene.prior) if run.scene is not None and run.scene.prior != "none" else source
+        text = f"The cameras fit {source} with residuals of {residual} (root mean square{over})"
+        held = residual_text(world.get("heldout_rms_m"))
+        if held:
+            text += f"; positions left out of the fit are met within {held}, which is an independent check"
+        out.append(text + ".")
+    out += georeference.sentences(world)
+    sigma = sigma_text(world.get("sigma"))
+    if sigma:
+        text = f"Expected error of the placement (1 sigma, from the scatter of these residuals): {sigma}."
+        inside = (world.get("model_sigma") or {}).get("median")
+        if _is(inside):
+            text += (
+                f" Inside the model a camera is known to {formatting.length(inside)} (median of the bundle adjustment)."
+            )
+        out.append(text)
+    known = metric_values(run)
+    if "ate_se3_rmse" in known:
+        text = (
+            f"Against the reference poses the cameras are off by {formatting.length(known['ate_se3_rmse'])} (RMSE, "
+            f"rigid "
+        )
+        text += f"alignment), {formatting.length(known.get('ate_sim3_rmse'))} with the scale set free"
+        if "absolute_rmse" in known:
+            text += f", {formatting.length(known['absolute_rmse'])} without any alignment"
+        out.append(text + ".")
+    if "cloud_to_cloud_median" in known:
+        half, most = (
+            formatting.length(known["cloud_to_cloud_median"]),
+            formatting.length(known.get("cloud_to_cloud_90")),
+        )
+        out.append(f"Half of the cloud lies within {half} of the reference cloud, 90 % within {most}.")
+    if not out and run.done("georef"):
+        out.append("Nothing independent is there to state an accuracy from: no GNSS residuals and no reference.")
+    return out
+
+
+def residual_text(value: Any) -> str:
+    """Residuals per axis or as one number, in words; "" if unknown."""
+    if isinstance(value, dict):
+        parts = [f"{formatting.length(v)} {k.replace('_m', '').replace('_', ' ')}" for k, v in value.items() if _is(v)]
+        return ", ".join(parts)
+    if isinstance(value, (list, tuple)) and len(value) == 3 and all(_is(v) for v in value):
+        return ", ".join(f"{formatting.length(v)} {n}" for v, n in zip(value, ("east", "north", "up")))
+    return formatting.length(value) if _is(value) else ""
+
+
+def sigma_text(value: Any) -> str:
+    """Standard deviations with their units read from the names (..._m, ..._deg, ..._ppm); "" if unknown."""
+    if not isinstance(value, dict):
+        return residual_text(value)
+    parts = []
+    for name, v in value.items():
+        base, _, unit = name.rpartition("_")
+        if isinstance(v, (list, tuple)) and len(v) == 3 and unit in ("m", ""):
+            parts.append(f"{(base or name).replace('_', ' ')} {residual_text(v)}")
+        elif _is(v) and unit == "m":
+            parts.append(f"{base.replace('_', ' ')} {formatting.length(v)}")
+        elif _is(v) and unit in ("deg", "ppm"):
+            base = "heading" if base == "yaw" else base.replace("_", " ")
+            most, unit = (90, "°") if unit == "deg" else (1e6, " ppm")
+            parts.append(f"{base} {known_to(v, most, formatting.number(v, 2) + unit).removeprefix('known to ')}")
+        elif _is(v) and name == "scale":
+            parts.append(f"scale {known_to(v, 1, formatting.number(100 * v, 2) + ' %').removeprefix('known to ')}")
+        elif _is(v):
+            parts.append(f"{name.replace('_', ' ')} {formatting.number(v, 2)}")
+    return "; ".join(parts)
+
+
+def warnings(run: RunFolder) -> Iterable[str]:
+    """What a user should look at before using the products."""
+    for stage, receipt in run.receipts.items():
+        if "key" not in receipt and stage != "report":
+            yield f"The stage {stage} was interrupted; run the same command again to finish it."
+    dropped = dropped_images(run)
+    if dropped:
+        yield f"{formatting.plural(len(dropped), 'image file')} could not be used; the reasons are listed below."
+    if run.scene is not None and run.model is not None:
+        yield from _coverage_warnings(run)
+    untied = _untied_borders(run)
+    if untied:
+        borders = formatting.plural(untied, "border") + " between sections " + ("is" if untied == 1 else "are")
+        yield f"{borders} not tied by two independent pairs: the model may bend or part there."
+    if run.pairs is not None and run.scene is not None and np.any(run.pairs.inliers >= 0):
+        kept = run.pairs.kept()
+        ties = kept.where(kept.inliers > 0).degree(len(run.scene))
+        few = int(np.sum(ties < _FEW_TIES))
+        if few:
+            verb = "has" if few == 1 else "have"
+            yield f"{formatting.plural(few, 'image')} {verb} fewer than {_FEW_TIES} verified ties to other images."
+    world = run.world or {}
+    if run.done("georef") and not run.georeferenced and not world.get("placed"):
+        yield "The model is not georeferenced: give --gnss (or images with GPS) for coordinates on the Earth."
+    weak = weak_placement(run)
+    if weak:
+        yield f"The placement in the world is weak: known only in {weak}. More or better positions along the way help."
+    held, fit = _scalar(world.get("heldout_rms_m")), _scalar(world.get("residual_rms_m"))
+    if held is not None and fit is not None and held > _HELDOUT_FACTOR * fit:
+        text = f"Positions left out of the fit are met {formatting.number(held / fit, 2)} times worse than those used"
+        yield text + ": the model bends towards its control."
+
+
+def _untied_borders(run: RunFolder) -> int:
+    """Rows of the table of section links that say "not tied"."""
+    found = run.receipts.get("network", {}).get("tables")
+    table = next((t for n, t in found.items() if "section" in n), None) if isinstance(found, dict) else None
+    if not isinstance(table, dict) or "tied" not in (table.get("columns") or []):
+        return 0
+    place = table["columns"].index("tied")
+    return sum(row[place] is False for row in table.get("rows") or [] if len(row) > place)
+
+
+def _coverage_warnings(run: RunFolder) -> Iterable[str]:
+    assert run.scene is not None and run.model is not None
+    if run.model.others:
+        parts = len(run.model.others) + 1
+        yield f"The images fell into {parts} separate models: the parts do not share enough ties."
+    registered = run.model.registered
+    labels = np.array([" ".join(x).strip() for x in run.scene.image_label()])
+    for label in dict.fromkeys(labels):
+        of = labels == label
+        if label and np.mean(registered[of]) < 0.5:
+            more = int(run.model.by_rig[of].sum())
+            yield f"Of {label} only {int(registered[of].sum())} of {int(of.sum())} images are registered" + (
+                f"; {more} more stand where their rig places them." if more else "."
+            )
+
+
+def weak_placement(run: RunFolder) -> str:
+    """What of the placement in the world is poorly known, in words; "" if nothing."""
+    sigma = (run.world or {}).get("sigma")
+    if not isinstance(sigma, dict):
+        return ""
+    parts = []
+    for name, (limit, text, unit) in _WEAK.items():
+        value = sigma.get(name, 0.0)
+        if _is(value) and value > limit:
+            parts.append(
+                f"{text} to {formatting.number(value, 2)}{unit}" if unit else f"{text} to {formatting.percent(value)}"
+            )
+    return ", ".join(parts)
+
+
+def tiles(run: RunFolder) -> list[Tile]:
+    """The numbers at the top."""
+    out = []
+    if run.scene is not None:
+        n = len(run.scene)
+        used = f"{int(run.model.registered.sum())} / {n}" if run.model is not None else formatting.count(n)
+        out.append(Tile(used, "registered images" if run.model is not None else "images"))
+    if run.pairs is not None:
+        kept = run.pairs.kept()
+        matched = bool(np.any(kept.inliers >= 0))
+        amount = int(np.sum(kept.inliers > 0)) if matched else len(kept)
+        out.append(Tile(formatting.count(amount), "verified pairs" if matched else "pairs to match"))
+    if run.model is not None:
+        out.append(Tile(formatting.count(run.model.points), "sparse points"))
+        if run.model.reprojection_px > 0:
+            out.append(Tile(f"{formatting.number(run.model.reprojection_px, 2)} px", "mean reprojection error"))
+    if run.cloud is not None:
+        out.append(Tile(formatting.count(run.cloud.count), "points in the cloud"))
+    residual = _scalar((run.world or {}).get("residual_rms_m"))
+    if residual is not None:
+        out.append(Tile(formatting.length(residual), "residual to the positions (RMS)"))
+    known = metric_values(run)
+    if "ate_se3_rmse" in known:
+        out.append(Tile(formatting.length(known["ate_se3_rmse"]), "error against reference poses"))
+    total = sum(r.get("seconds") or 0 for r in run.receipts.values())
+    if total:
+        out.append(Tile(formatting.seconds(total), "computing time"))
+    return out
+
+
+def metric_values(run: RunFolder) -> dict[str, float]:
+    """name -> value of the known figures of merit."""
+    found = (run.metrics or {}).get("metrics") or []
+    return {m["name"]: m["value"] for m in found if isinstance(m, dict) and _is(m.get("value"))}
+
+
+def dropped_images(run: RunFolder) -> list[tuple[str, str]]:
+    """Files left out by the scan, with reasons."""
+    if run.scene is not None and run.scene.dropped:
+        return [(d.name, d.reason) for d in run.scene.dropped]
+    return [(str(d[0]), str(d[1])) for d in run.receipts.get("scan", {}).get("dropped") or [] if len(d) >= 2]
+
+
+def registered_tables(run: RunFolder) -> list[Table]:
+    """Registered of all images: a matrix of passes and cameras, and by section; those their rig places beside them."""
+    if run.scene is None or run.model is None:
+        return []
+    scene, registered = run.scene, run.model.registered
+    labels = scene.image_label()
+    cameras = list(dict.fromkeys(c for _, c in labels))
+    passes = [t for t in (*scene.sequences, "") if t in {p for p, _ in labels}]
+    names = np.array(labels).reshape(-1, 2)
+    rows = []
+    for camera in [*cameras, None]:
+        row: list[Any] = [camera if camera is not None else "all cameras"]
+        for track in [*passes, None] if len(passes) > 1 else [None]:
+            of = np.ones(len(scene), bool)
+            of &= names[:, 1] == camera if camera is not None else True
+            of &= names[:, 0] == track if track is not None else True
+            row.append(f"{int(registered[of].sum())} of {int(of.sum())}" if of.any() else formatting.NONE)
+        rows.append(row)
+    for row, camera in zip(rows, [*cameras, None]):
+        of = run.model.by_rig & (names[:, 1] == camera if camera is not None else True)
+        row.append(formatting.count(int(of.sum())))
+    columns = ["camera", *([p or "(loose)" for p in passes] if len(passes) > 1 else []), "all images"]
+    columns.append(BY_RIG)
+    out = [
+        Table(
+            columns=tuple(columns),
+            rows=tuple(map(tuple, rows)),
+            numeric=(False, *[True] * (len(columns) - 1)),
+            title="Registered images",
+        )
+    ]
+    sections = scene.section[scene.frame]
+    if len(np.unique(sections)) > 1:
+        body = []
+        for s in np.unique(sections):
+            of = sections == s
+            count = formatting.count(int(of.sum()))
+            by_rig = formatting.count(int(run.model.by_rig[of].sum()))
+            body.append((str(s) if s >= 0 else "(none)", formatting.count(int(registered[of].sum())), by_rig, count))
+        columns = ["section", "registered", BY_RIG, "images"]
+        numeric = False, True, True, True
+        out.append(Table(columns=tuple(columns), rows=tuple(body), numeric=numeric, title="By section"))
+    return out
+
+
+def stage_rows(run: RunFolder) -> list[tuple[str, float, float, float]]:
+    """(stage, wall s, CPU s, peak MiB) of the stages that have finished."""
+    out = []
+    for stage in STAGES:
+        r = run.receipts.get(stage, {})
+        if _is(r.get("seconds")):
+            out.append((stage, float(r["seconds"]), float(r.get("cpu_s") or 0), float(r.get("peak_mib") or 0)))
+    return out
+
+
+def _scalar(value: Any) -> float | None:
+    """One number for a residual: itself, its "total", or the length of its components."""
+    if isinstance(value, dict):
+        if _is(value.get("total")):
+            return float(value["total"])
+        value = [v for v in value.values() if _is(v)]
+    if isinstance(value, (list, tuple)):
+        return float(np.linalg.norm(value)) if len(value) and all(_is(v) for v in value) else None
+    return float(value) if _is(value) else None
+
+
+def _is(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and bool(np.isfinite(value))

@@ -1,0 +1,118 @@
+"""Ties: which preview features of two images match; sights: which points of a rough model an image sees."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class PreviewMatches:
+    """Preview matches of T image pairs i < j, sorted and unique, read-only.
+
+    ``matches`` (M, 2) u2: feature of image i, feature of image j (rows of the two images' previews), inliers of one
+    two-view geometry; the matches of pair t are rows ``start[t]`` to ``start[t + 1]``. A pair that was previewed
+    without success has none.
+    """
+
+    i: np.ndarray  # (T,) i4
+    j: np.ndarray  # (T,) i4
+    start: np.ndarray  # (T + 1,) i8
+    matches: np.ndarray  # (M, 2) u2
+
+    def __post_init__(self) -> None:
+        dtypes = {"i": np.int32, "j": np.int32, "start": np.int64, "matches": np.uint16}
+        for name, dtype in dtypes.items():
+            column = np.array(getattr(self, name), dtype=dtype)
+            column.setflags(write=False)
+            object.__setattr__(self, name, column)
+        key = self.i.astype(np.int64) << 32 | self.j
+        if np.any(self.i >= self.j) or np.any(np.diff(key) <= 0) or len(self.start) != len(self.i) + 1:
+            raise ValueError("ties must have i < j and be sorted and unique: build them with Ties.make")
+
+    @staticmethod
+    def make(i: np.ndarray, j: np.ndarray, matches: Sequence[np.ndarray]) -> PreviewMatches:
+        """Ties from any order of pairs (T,), (T,) with i < j and the matches (K, 2) of each; the first of repeated
+        pairs stays."""
+        i, j = np.asarray(i, np.int64).ravel(), np.asarray(j, np.int64).ravel()
+        order = np.unique(i << 32 | j, return_index=True)[1]
+        chosen = [np.asarray(matches[k], np.uint16).reshape(-1, 2) for k in order]
+        start = np.concatenate([[0], np.cumsum([len(m) for m in chosen])])
+        rows = np.concatenate([np.zeros((0, 2), np.uint16), *chosen])
+        return PreviewMatches(i=i[order], j=j[order], start=start, matches=rows)
+
+    @staticmethod
+    def empty() -> PreviewMatches:
+        """No ties."""
+        return PreviewMatches.make(np.zeros(0, int), np.zeros(0, int), [])
+
+    def __len__(self) -> int:
+        return len(self.i)
+
+    def __or__(self, other: PreviewMatches) -> PreviewMatches:
+        """The pairs of both; of a pair in both, the matches of the first."""
+        matches = [*map(self.of, range(len(self))), *map(other.of, range(len(other)))]
+        return PreviewMatches.make(np.concatenate([self.i, other.i]), np.concatenate([self.j, other.j]), matches)
+
+    def counts(self) -> np.ndarray:
+        """(T,) matches of each pair."""
+        return np.diff(self.start)
+
+    def of(self, t: int) -> np.ndarray:
+        """(K, 2) matches of the t-th pair."""
+        return self.matches[self.start[t] : self.start[t + 1]]
+
+    def where(self, mask: np.ndarray) -> PreviewMatches:
+        """The pairs of a mask (T,) bool."""
+        rows = np.flatnonzero(mask)
+        return PreviewMatches.make(self.i[rows], self.j[rows], [self.of(int(t)) for t in rows])
+
+    def find(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+        """(K,) row of image pairs (K,), (K,) in any order of their ends; -1 = not previewed."""
+        low, high = np.minimum(i, j).astype(np.int64), np.maximum(i, j).astype(np.int64)
+        own = self.i.astype(np.int64) << 32 | self.j
+        at = np.searchsorted(own, low << 32 | high)
+        at = np.minimum(at, max(len(own) - 1, 0))
+        return np.where(own[at] == (low << 32 | high), at, -1) if len(own) else np.full(len(low), -1)
+
+    def known(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+        """(K,) f4 matches of image pairs (K,), (K,); NaN = not previewed."""
+        row = self.find(i, j)
+        count = np.append(self.counts(), 0)[row]
+        return np.where(row >= 0, count, np.nan).astype(np.float32)
+
+    def to_npz(self) -> dict[str, np.ndarray]:
+        """Columns for ``np.savez``."""
+        return {"i": self.i, "j": self.j, "start": self.start, "matches": self.matches}
+
+    @staticmethod
+    def from_npz(data: dict[str, np.ndarray]) -> PreviewMatches:
+        """Inverse of ``to_npz``; other entries are ignored."""
+        return PreviewMatches(**{n: data[n] for n in ("i", "j", "start", "matches")})
+
+
+@dataclass(frozen=True)
+class Visibility:
+    """Points each image sees: those of image k are ``point[start[k]:start[k + 1]]``, increasing."""
+
+    start: np.ndarray  # (N + 1,)
+    point: np.ndarray  # (S,) rows of xyz
+    xyz: np.ndarray  # (P, 3) in the model's frame and units
+    centre: np.ndarray  # (N, 3) of the images, NaN = not in the model
+    rotation: np.ndarray | None = None  # (N, 3, 3) camera from the model's frame, where it is known
+
+    def of(self, image: int) -> np.ndarray:
+        """Points of an image."""
+        return self.point[self.start[image] : self.start[image + 1]]
+
+    def to_npz(self) -> dict[str, np.ndarray]:
+        """Columns for ``np.savez``."""
+        return {"start": self.start, "point": self.point, "xyz": self.xyz, "centre": self.centre}
+
+    @staticmethod
+    def from_npz(data: dict[str, np.ndarray], cam_from_world: np.ndarray | None = None) -> Visibility:
+        """Inverse of ``to_npz``; ``cam_from_world`` (N, 4, 4) are the model's poses, which lie beside."""
+        rotation = None if cam_from_world is None else cam_from_world[:, :3, :3]
+        return Visibility(**{n: data[n] for n in ("start", "point", "xyz", "centre")}, rotation=rotation)

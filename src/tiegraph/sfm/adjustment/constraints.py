@@ -1,0 +1,198 @@
+"""What is known of poses with a sigma, as residuals beside the reprojection errors in Ceres' problem.
+
+pycolmap hands out its problem and its own pose priors as objects of the package pyceres, which has to be installed
+beside it (the pycolmap wheel names these types but does not hold them).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pycolmap
+
+from tiegraph.sfm.adjustment.leverarmprior import NominalGeometry
+from tiegraph.sfm.adjustment.timecost import TimeOffsetPriors, add_time_offsets, pose_block
+from tiegraph.sfm.model import rigid3d
+
+
+@dataclass(frozen=True)
+class RelativePosePrior:
+    """Image ``second`` against ``first`` (COLMAP image ids, frames of their own): relative pose and covariance."""
+
+    first: int
+    second: int
+    second_from_first: np.ndarray  # (4, 4) model units
+    covariance: np.ndarray  # (6, 6) of a small change from the left: rotation vector (rad), translation (model units)
+
+
+@dataclass(frozen=True)
+class SensorPrior:
+    """Extrinsics of a sensor of a rig: sensor_from_rig (4, 4) in model units, covariance as of ``RelativePosePrior``.
+    """
+
+    rig_id: int
+    camera_id: int
+    sensor_from_rig: np.ndarray
+    covariance: np.ndarray
+
+
+@dataclass(frozen=True)
+class PairPrior:
+    """Two sensors of a rig: the length of their baseline and the angle between their axes, each None = not known."""
+
+    rig_id: int
+    cameras: tuple[int, int]
+    length: float | None = None  # model units
+    length_sigma: float = 0.0
+    angle_rad: float | None = None
+    angle_sigma_rad: float = 0.0
+
+
+@dataclass(frozen=True)
+class PoseConstraints:
+    """All soft knowledge of one adjustment; true where it holds lengths.
+
+    ``drawings``: of nominal rigs by rig id, centres by camera id (``compact``); they tell no size.
+    """
+
+    relative_poses: Sequence[RelativePosePrior] = ()
+    sensors: Sequence[SensorPrior] = ()
+    pairs: Sequence[PairPrior] = ()
+    time_offsets: TimeOffsetPriors | None = None
+    nominal: Mapping[int, NominalGeometry] = field(default_factory=dict)
+
+    def __bool__(self) -> bool:
+        return bool(self.relative_poses or self.sensors or self.pairs or self.time_offsets)
+
+    def known_sensors(self) -> frozenset[tuple[int, int]]:
+        """(rig id, camera id) of the sensors of whose place in the rig something is known."""
+        pairs = ((p.rig_id, c) for p in self.pairs for c in p.cameras)
+        return frozenset([*((s.rig_id, s.camera_id) for s in self.sensors), *pairs])
+
+
+@cache
+def available() -> bool:
+    """Whether pyceres is there and of the same making as pycolmap's Ceres."""
+    try:
+        import pyceres  # noqa: F401
+
+        cost = _costs().AbsolutePosePriorCost(np.eye(6), pycolmap.Rigid3d())
+        return bool(cost.num_residuals() == 6)
+    except (ImportError, TypeError, AttributeError):
+        return False
+
+
+def _costs() -> Any:
+    import pycolmap.cost_functions
+
+    return pycolmap.cost_functions
+
+
+def add_constraints(
+    adjuster: Any, model: pycolmap.Reconstruction, soft: PoseConstraints, robust_px: float
+) -> list[Any]:
+    """Add the residuals to the problem of an adjuster over ``model``; keep what is returned until it has solved.
+
+    The reprojection errors are in pixels and not divided by their sigma; so that both weigh what they should, the
+    priors are multiplied by it: ``robust_px``.
+    """
+    problem = adjuster.problem
+    kept: list[Any] = []
+
+    def add(cost: Any, *blocks: np.ndarray) -> None:
+        if all(problem.has_parameter_block(b) for b in blocks):
+            problem.add_residual_block(cost, None, list(blocks))
+            kept.append(cost)
+
+    for tie in soft.relative_poses:
+        a, b = pose_block(model, tie.first), pose_block(model, tie.second)
+        add(_costs().RelativePosePriorCost(tie.covariance / robust_px**2, rigid3d(tie.second_from_first)), b, a)
+    for prior in soft.sensors:
+        block = _extrinsics(model, prior.rig_id, prior.camera_id)
+        if block is not None:
+            covariance = prior.covariance / robust_px**2
+            add(_costs().AbsolutePosePriorCost(covariance, rigid3d(prior.sensor_from_rig)), block)
+    for pair in soft.pairs:
+        found = [_extrinsics(model, pair.rig_id, c) for c in pair.cameras]
+        blocks = [b for b in found if b is not None]
+        if blocks:
+            add(_pair_cost(pair, [b is not None for b in found], robust_px), *blocks)
+    if soft.time_offsets is not None:
+        kept += add_time_offsets(problem, model, soft.time_offsets, robust_px)
+    return kept
+
+
+def _extrinsics(model: pycolmap.Reconstruction, rig_id: int, camera_id: int) -> np.ndarray | None:
+    """The memory (7,) of a sensor's extrinsics in the model, None for a reference; the accessor by id gives a copy."""
+    for identity, pose in model.rigs[rig_id].non_ref_sensors.items() if rig_id in model.rigs else ():
+        if identity.id == camera_id and pose is not None:
+            return np.asarray(pose.params)
+    return None
+
+
+def pair_residuals(first: np.ndarray, second: np.ndarray, pair: PairPrior) -> np.ndarray:
+    """(2,) baseline and axis angle of two poses (7: quaternion x y z w, translation) against the prior, in sigmas."""
+    rotations = [_rotation(p[:4]) for p in (first, second)]
+    centres = [-r.T @ p[4:] for r, p in zip(rotations, (first, second))]
+    out = np.zeros(2)
+    if pair.length is not None:
+        out[0] = (np.linalg.norm(centres[0] - centres[1]) - pair.length) / pair.length_sigma
+    if pair.angle_rad is not None:
+        a, b = rotations[0][2], rotations[1][2]
+        angle = np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)
+        out[1] = (angle - pair.angle_rad) / pair.angle_sigma_rad
+    return out
+
+
+def _rotation(q: np.ndarray) -> np.ndarray:
+    x, y, z, w = q / np.linalg.norm(q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+_IDENTITY = np.array([0.0, 0, 0, 1, 0, 0, 0])
+_STEP = 1e-7
+
+
+def _pair_cost(pair: PairPrior, free: Sequence[bool], weight: float) -> Any:
+    """Paper 001's constraint as a Ceres cost; a sensor that is the reference has no block. Numeric derivatives: few."""
+    import pyceres
+
+    class PairCost(pyceres.CostFunction):  # type: ignore[misc, name-defined]
+        def __init__(self) -> None:
+            super().__init__()
+            self.set_num_residuals(2)
+            self.set_parameter_block_sizes([7] * sum(free))
+
+        def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:
+            given = iter(np.array(p) for p in parameters)
+            both = [next(given) if f else _IDENTITY for f in free]
+            residuals[:] = weight * pair_residuals(both[0], both[1], pair)
+            if jacobians is not None:
+                for block, side in enumerate(k for k, f in enumerate(free) if f):
+                    if jacobians[block] is not None:
+                        jacobians[block][:] = weight * _differences(both, side, pair).ravel()
+            return True
+
+    return PairCost()
+
+
+def _differences(both: Sequence[np.ndarray], side: int, pair: PairPrior) -> np.ndarray:
+    out = np.zeros((2, 7))
+    for k in range(7):
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = [b.copy() for b in both]
+            moved[side][k] += sign * _STEP
+            ends.append(pair_residuals(moved[0], moved[1], pair))
+        out[:, k] = (ends[0] - ends[1]) / (2 * _STEP)
+    return out

@@ -1,0 +1,149 @@
+"""What is expected of a rig before the images speak: its cameras look outwards from one body.
+
+A camera that shares hardly a point with the others, the up camera of a boat, has its lever arm from a handful of
+tracks: on canal from 16 of them, with a sigma of 44 mm in a rig of 60 mm. What the other cameras' places have in
+common, a middle and a distance from it along their optical axes, is what is expected of it, with the spread that they
+have around it (empirical Bayes: Efron and Morris 1975). A robust loss lets go of it where a camera stands apart, and
+where the images tell the place they outweigh it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pycolmap
+
+from tiegraph.geometry.transforms import skew
+from tiegraph.sfm.adjustment.lens import available
+from tiegraph.sfm.model import rigid3d
+from tiegraph.sfm.tuning import AdjustTuning
+from tiegraph.sfm.tuning.rig import LeverArmTuning
+
+_ANY_RAD = 30.0  # nothing is expected of the turn
+
+
+NominalGeometry = Mapping[
+    int, np.ndarray
+]  # camera id -> nominal centre (3,) in the frame of the reference, in any unit
+
+
+def expected_centres(
+    rig: pycolmap.Rig, tuning: LeverArmTuning, drawing: NominalGeometry | None = None
+) -> dict[int, tuple[np.ndarray, float]]:
+    """Camera id -> where the other cameras let expect its centre in the rig (3,), and sigma of each coordinate.
+
+    In model units; not for the reference. Empty for rigs of fewer than five cameras and for those of one centre.
+    """
+    places = _places(rig, drawing)
+    keys, centres, axes, drawn = places.keys, places.centres, places.axes, places.drawn
+    out = {}
+    for row, key in enumerate(keys, start=1) if len(keys) >= tuning.least_others else ():
+        others = np.arange(len(centres)) != row
+        rules = [_outward(centres[others], axes[others], axes[row], tuning.uneven)]
+        if drawn is not None and np.ptp(drawn[others], axis=0).any():
+            rules.append(_as_drawn(centres[others], drawn[others], drawn[row], tuning.inexact))
+        out[key] = min(rules, key=lambda rule: rule[1])
+    return {k: (centre, sigma) for k, (centre, sigma) in out.items() if sigma > 0}
+
+
+@dataclass(frozen=True)
+class _Places:
+    """Ids of all cameras but the reference; centres, axes and drawn centres (N, 3) of the reference, then of these."""
+
+    keys: list[int]
+    centres: np.ndarray
+    axes: np.ndarray
+    drawn: np.ndarray | None
+
+
+def _places(rig: pycolmap.Rig, drawing: NominalGeometry | None) -> _Places:
+    poses = {i.id: pose.inverse() for i, pose in rig.non_ref_sensors.items() if pose is not None}
+    centres = np.array([np.zeros(3), *(p.translation for p in poses.values())])
+    axes = np.array([[0.0, 0, 1], *(p.rotation.matrix()[:, 2] for p in poses.values())])
+    drawn = np.array([np.zeros(3), *((drawing or {}).get(k, np.full(3, np.nan)) for k in poses)])
+    return _Places(keys=list(poses), centres=centres, axes=axes, drawn=drawn if np.isfinite(drawn).all() else None)
+
+
+def _as_drawn(centres: np.ndarray, drawn: np.ndarray, place: np.ndarray, inexact: float) -> tuple[np.ndarray, float]:
+    """Turn and size (about the reference, which is where it is) that fit the drawing (N, 3) best to these cameras."""
+    u, stretch, v = np.linalg.svd(centres.T @ drawn)
+    mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))])
+    size = float(np.sum(stretch * np.diag(mirror)) / np.sum(drawn**2))
+    left = centres - size * drawn @ (u @ mirror @ v).T
+    variance = float(np.sum(left**2)) / (left.size - 3 - 4) + (inexact * size) ** 2 * float(np.mean(drawn**2))
+    return size * u @ mirror @ v @ place, float(np.sqrt(variance))
+
+
+def _outward(centres: np.ndarray, axes: np.ndarray, axis: np.ndarray, uneven: float) -> tuple[np.ndarray, float]:
+    """Middle and distance along the axis that fit these cameras (N, 3) best, for a camera with another axis (3,)."""
+    around, along = axes - axes.mean(axis=0), centres - centres.mean(axis=0)
+    distance = max(float(np.sum(around * along) / max(np.sum(around**2), 1e-12)), 0.0)
+    left = along - distance * around
+    variance = float(np.sum(left**2)) / (left.size - 4) + (uneven * distance) ** 2
+    return centres.mean(axis=0) + distance * (axis - axes.mean(axis=0)), float(np.sqrt(variance))
+
+
+def information(
+    rig: pycolmap.Rig, tuning: LeverArmTuning, drawing: NominalGeometry | None = None
+) -> tuple[list[int], np.ndarray]:
+    """Ids of cameras and the information (3N, 3N) of their centres that this expectation adds, 1 / model units squared.
+
+    Of how they deviate from the rule, not of what the rule has from themselves: middle and distance, or turn and size.
+    """
+    expected = expected_centres(rig, tuning, drawing)
+    places = _places(rig, drawing)
+    keys, centres, axes, drawn = places.keys, places.centres, places.axes, places.drawn
+    if len(expected) < len(keys) or not keys:
+        return [], np.zeros((0, 0))
+    outward = _outward(centres, axes, axes[0], tuning.uneven)[1]
+    if drawn is not None and drawn.any() and _as_drawn(centres, drawn, drawn[0], tuning.inexact)[1] < outward:
+        turned = np.array([skew(c[None])[0] for c in centres])
+        basis = np.concatenate([turned, centres[:, :, None]], axis=2)
+    else:
+        basis = np.concatenate([np.tile(np.eye(3), (len(centres), 1, 1)), axes[:, :, None]], axis=2)
+    off = [np.linalg.norm(c - expected[k][0]) / expected[k][1] for k, c in zip(keys, centres[1:])]
+    weight = np.array([1 / (1 + (o / tuning.cauchy_sigmas) ** 2) / expected[k][1] ** 2 for o, k in zip(off, keys)])
+    each = np.repeat([float(weight.mean()), *weight], 3)
+    rows = basis.reshape(-1, 4)
+    taken = each[:, None] * rows
+    whole = np.diag(each) - taken @ np.linalg.pinv(rows.T @ taken, hermitian=True) @ taken.T
+    return keys, whole[3:, 3:]
+
+
+def add_priors(
+    problem: Any,
+    model: pycolmap.Reconstruction,
+    known: Collection[tuple[int, int]],
+    nominal: Mapping[int, NominalGeometry] | None,
+    tuning: AdjustTuning,
+) -> list[Any]:
+    """Expect the free sensors of the problem near the others of their rig; keep what is returned until it has solved.
+
+    ``known``: (rig id, camera id) of sensors of which more is known; ``drawings`` of nominal rigs by rig id.
+    """
+    if not available():
+        return []
+    import pyceres
+    import pycolmap.cost_functions
+
+    kept: list[Any] = []
+    for rig_id, rig in model.rigs.items():
+        expected = expected_centres(rig, tuning.lever_arms, (nominal or {}).get(rig_id))
+        for identity, pose in rig.non_ref_sensors.items():
+            if identity.id not in expected or (rig_id, identity.id) in known:
+                continue
+            block = pose.params
+            if not problem.has_parameter_block(block) or problem.is_parameter_block_constant(block):
+                continue
+            centre, sigma = expected[identity.id]
+            turn = pose.rotation.matrix()
+            about = np.vstack([np.column_stack([turn, -turn @ centre]), [0.0, 0, 0, 1]])
+            covariance = np.diag([_ANY_RAD**2] * 3 + [sigma**2] * 3) / tuning.robust_px**2
+            cost = pycolmap.cost_functions.AbsolutePosePriorCost(covariance, rigid3d(about))
+            loss = pyceres.CauchyLoss(tuning.lever_arms.cauchy_sigmas * tuning.robust_px)
+            problem.add_residual_block(cost, loss, [block])
+            kept += [cost, loss]
+    return kept

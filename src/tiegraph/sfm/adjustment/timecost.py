@@ -1,0 +1,127 @@
+"""Ceres cost of a camera that fires at its own time: one offset a camera, shared by all frames of a rig that moves.
+
+A tie says where the second image of a frame stands against the first: by the extrinsics, moved by offset x motion of
+the frame, and by a constant error of the mounting. Offset and constant are unknowns of the adjustment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pycolmap
+import pycolmap.cost_functions
+from scipy.spatial.transform import Rotation
+
+from tiegraph.geometry import transforms
+from tiegraph.sfm.model import rigid3d
+
+_STEPS = np.array([1e-5, *[1e-6] * 6])
+
+
+@dataclass(frozen=True)
+class TimeOffsetPrior:
+    """Image ``second`` of a frame against ``first``, a camera of the reference's time (COLMAP ids); model units."""
+
+    first: int
+    second: int
+    sensor: int  # whose unknowns it is about
+    sensor_from_first: np.ndarray  # (4, 4) extrinsics
+    columns: np.ndarray  # (6,) place (model units) and attitude (rad) a second, in the frame of ``first``
+    covariance: np.ndarray  # (6, 6) of a small change from the left: rotation vector, translation
+
+
+@dataclass(frozen=True)
+class TimeOffsetPriors:
+    """Ties and, by sensor, unknowns (7,): offset in s, constant place (model units), turn (rad), frame of ``first``."""
+
+    priors: Sequence[TimeOffsetPrior]
+    unknowns: dict[int, np.ndarray]  # changed by the adjustment
+    sigma: np.ndarray  # (7,) of what is expected of them: zero
+
+
+def expected(tie: TimeOffsetPrior, unknowns: np.ndarray) -> np.ndarray:
+    """second_from_first (4, 4) of a tie under unknowns (7,)."""
+    moved = unknowns[0] * tie.columns
+    later = transforms.rigid(Rotation.from_rotvec(moved[3:]).as_matrix(), moved[:3])
+    # The constant turns the camera about its own centre.
+    lever = transforms.centre(tie.sensor_from_first)
+    turn = Rotation.from_rotvec(unknowns[4:]).as_matrix()
+    mounting = transforms.rigid(turn, unknowns[1:4] + lever - turn @ lever)
+    return tie.sensor_from_first @ transforms.invert(later @ mounting)
+
+
+def pose_block(model: pycolmap.Reconstruction, image_id: int) -> np.ndarray:
+    """The memory (7,) of the pose of an image's frame, as Ceres knows it."""
+    pose = model.frame(model.image(image_id).frame_id).rig_from_world
+    assert pose is not None
+    return np.asarray(pose.params)
+
+
+def add_time_offsets(problem: Any, model: pycolmap.Reconstruction, timed: TimeOffsetPriors, weight: float) -> list[Any]:
+    """Add the ties and what is expected of their unknowns; ``weight`` times each residual. Keep what is returned."""
+    costs: list[Any] = []
+    for tie in timed.priors:
+        blocks = [pose_block(model, i) for i in (tie.second, tie.first)]
+        if all(problem.has_parameter_block(b) for b in blocks):
+            costs.append(_tie_cost(tie, weight))
+            problem.add_residual_block(costs[-1], None, [*blocks, timed.unknowns[tie.sensor]])
+    for unknowns in timed.unknowns.values():
+        if problem.has_parameter_block(unknowns):
+            costs.append(_expectation(timed.sigma, weight))
+            problem.add_residual_block(costs[-1], None, [unknowns])
+    return costs
+
+
+def _tie_cost(tie: TimeOffsetPrior, weight: float) -> Any:
+    import pyceres
+
+    covariance = tie.covariance / weight**2
+
+    class TieCost(pyceres.CostFunction):  # type: ignore[misc, name-defined]
+        def __init__(self) -> None:
+            super().__init__()
+            self.set_num_residuals(6)
+            self.set_parameter_block_sizes([7, 7, 7])
+
+        def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:
+            second, first, unknowns = (np.array(p) for p in parameters)
+
+            def at(u: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
+                prior = rigid3d(expected(tie, u))
+                cost = pycolmap.cost_functions.RelativePosePriorCost(covariance, prior)
+                value, slopes = cost.evaluate(second, first)
+                return np.asarray(value).ravel(), slopes
+
+            value, slopes = at(unknowns)
+            residuals[:] = value
+            if jacobians is not None:
+                for block in (0, 1):
+                    if jacobians[block] is not None:
+                        jacobians[block][:] = np.asarray(slopes[block]).ravel()
+                if jacobians[2] is not None:
+                    columns = [(at(unknowns + s)[0] - at(unknowns - s)[0]) / (2 * s.sum()) for s in np.diag(_STEPS)]
+                    jacobians[2][:] = np.stack(columns, axis=1).ravel()
+            return True
+
+    return TieCost()
+
+
+def _expectation(sigma: np.ndarray, weight: float) -> Any:
+    import pyceres
+
+    class Expectation(pyceres.CostFunction):  # type: ignore[misc, name-defined]
+        def __init__(self) -> None:
+            super().__init__()
+            self.set_num_residuals(7)
+            self.set_parameter_block_sizes([7])
+
+        def Evaluate(self, parameters: Any, residuals: Any, jacobians: Any) -> bool:
+            residuals[:] = weight * np.array(parameters[0]) / sigma
+            if jacobians is not None and jacobians[0] is not None:
+                jacobians[0][:] = np.diag(weight / sigma).ravel()
+            return True
+
+    return Expectation()

@@ -1,0 +1,224 @@
+"""What a reconstruction lost and why, and the tables and remarks that say so."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pycolmap
+
+from tiegraph.scene.registered import BY_RIG, LEFT_OUT, Registration
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.database import ViewGraph
+from tiegraph.sfm.tuning import RegistrationTuning, Tuning
+
+
+def unregistered(
+    scene: Scene, graph: ViewGraph, registered: Sequence[np.ndarray], known: Mapping[str, str] | None = None
+) -> list[tuple[str, str]]:
+    """(image name, reason) of each image that is not in the first model.
+
+    ``registered`` holds the scene indices of each model's images, the first model first; ``known``: by name, why an
+    image was left out, or what else was tried.
+    """
+    main = np.zeros(len(scene), bool)
+    main[registered[0]] = True
+    home = graph.component[registered[0]]
+    home = home[home >= 0]
+    component = np.bincount(home).argmax() if len(home) else -1
+    other: dict[int, int] = {}
+    for number in range(len(registered) - 1, 0, -1):
+        other.update({int(k): number for k in registered[number]})
+    out = []
+    for k in np.flatnonzero(~main):
+        said = (known or {}).get(scene.names[k], "")
+        if said.startswith(LEFT_OUT):
+            reason = said
+        elif graph.features[k] == 0:
+            reason = "no features (masked, blank or unreadable)"
+        elif graph.degree[k] == 0:
+            reason = "no verified pair"
+        elif int(k) in other:
+            reason = f"in model {other[int(k)]}, not joined to the first"
+        elif graph.component[k] != component:
+            reason = "in another connected part of the view graph, without a model of its own"
+        else:
+            reason = (
+                f"{graph.degree[k]} verified pairs, but neither the mapper nor its matches gave it a place that holds"
+            )
+        tried = f"; {said}" if said and not said.startswith(LEFT_OUT) else ""
+        out.append((scene.names[k], reason + tried))
+    return out
+
+
+def weakly_constrained(scene: Scene, graph: ViewGraph, found: Registration, tuning: RegistrationTuning) -> list[str]:
+    """What has a place in a model but little to hold it there: a sentence a kind."""
+    return [*_by_rig(scene, found), *_loose(scene, found, tuning.loose_points), *_islands(scene, graph, found)]
+
+
+def _by_rig(scene: Scene, found: Registration) -> list[str]:
+    only = np.flatnonzero(found.by_rig)
+    if not len(only):
+        return []
+    return [
+        f"{len(only)} images see fewer than {found.min_points} points of the model: they are not registered but stand "
+        f"where their rig or those few points place them ({_named(scene, only)})"
+    ]
+
+
+def _loose(scene: Scene, found: Registration, enough: int) -> list[str]:
+    """Frames whose place so few points hold, in all cameras together, that the sigma of the others is not theirs."""
+    points, there = np.zeros(scene.frames, int), np.zeros(scene.frames, bool)
+    np.add.at(points, scene.frame, np.where(found.placed, found.points, 0))
+    there[scene.frame[found.placed]] = True
+    few = np.flatnonzero(there & (points < enough))
+    if not len(few):
+        return []
+    first = np.array([int(np.argmax(scene.frame == f)) for f in few])
+    return [
+        f"the place of {len(few)} frame{'s' if len(few) > 1 else ''} rests on fewer than {enough} points "
+        f"({_named(scene, first)}): blurred, or hardly any overlap; the images may be off by more than is stated"
+    ]
+
+
+def _islands(scene: Scene, graph: ViewGraph, found: Registration) -> list[str]:
+    """Images of one camera and pass that verified pairs tie to each other only: of another place, or behind a gap."""
+    out = []
+    size = np.bincount(graph.component[graph.component >= 0], minlength=1)
+    several = np.array([len(r.sensors) > 1 for r in scene.rigs])[scene.rig[scene.frame]]
+    asked = found.registered & (graph.component >= 0) & several
+    track = scene.sequence[scene.frame]
+    for key in np.unique(np.stack([track, scene.sensor], axis=1)[asked], axis=0):
+        own = asked & (track == key[0]) & (scene.sensor == key[1])
+        labels, count = np.unique(graph.component[own], return_counts=True)
+        for label in labels[(count == size[labels]) & (count < size[labels].max(initial=0))]:
+            images = np.flatnonzero(own & (graph.component == label))
+            out.append(
+                f"{len(images)} images ({_named(scene, images)}) share no verified pair with the rest of their "
+                "camera's pass, nor with another camera: the rig alone holds them, nothing else tells that they belong "
+                "there"
+            )
+    return out
+
+
+def _named(scene: Scene, images: np.ndarray) -> str:
+    return ", ".join(scene.names[int(k)] for k in images[:3]) + (" ..." if len(images) > 3 else "")
+
+
+def no_model_text(scene: Scene, graph: ViewGraph, why: str) -> str:
+    """Counts and remedies for a reconstruction that came to nothing."""
+    with_features = int(np.sum(graph.features > 0))
+    components = graph.components
+    return (
+        f"no model: {why}. Of {len(scene)} images {with_features} have features; {len(graph.pairs)} pairs are verified "
+        f"with {int(graph.inliers.sum())} matches in all (median {_median(graph.inliers)} a pair), the largest "
+        f"connected part holds {components[0] if components else 0} images. Remedies: look whether images overlap and "
+        f"the masks leave enough of them, match more pairs (candidates.sources = exhaustive for a small set), raise "
+        f"features.max_features, lower sparse.min_matches"
+    )
+
+
+def camera_notes(reconstruction: pycolmap.Reconstruction, scene: Scene, tuning: Tuning) -> list[str]:
+    """Remarks on adjusted cameras that no real lens has: the model is bent there."""
+    names = {k + 1: s.name for k, s in enumerate(scene.all_sensors)}
+    notes = []
+    for camera_id in sorted({reconstruction.image(i).camera_id for i in reconstruction.reg_image_ids()}):
+        camera = reconstruction.camera(camera_id)
+        size = max(camera.width, camera.height)
+        ratio = camera.mean_focal_length() / size
+        off = max(
+            abs(camera.principal_point_x / camera.width - 0.5), abs(camera.principal_point_y / camera.height - 0.5)
+        )
+        label = names.get(camera_id, str(camera_id))
+        if not tuning.adjust.focal_range[0] <= ratio <= tuning.adjust.focal_range[1]:
+            notes.append(
+                f"camera {label}: focal length {camera.mean_focal_length():.0f} px is {ratio:.2f} x the image size; do "
+                f"not trust the model round it: give the calibration and set sparse.refine_intrinsics = no"
+            )
+        if off > tuning.registration.max_centre_off:
+            notes.append(f"camera {label}: the principal point lies {off:.0%} of the image off its middle")
+    return notes
+
+
+def rig_doubts(
+    reconstruction: pycolmap.Reconstruction, scene: Scene, held: Sequence[int], placed: int, tied: int, tuning: Tuning
+) -> list[str]:
+    """What contradicts rigs (scene indices) whose extrinsics were held as given: the images seem to say otherwise.
+
+    Extrinsics that contradict the images leave most of these without a place (``placed`` of ``tied``), or, where the
+    lens is free, turn up as a principal point that no lens has: both move a camera's picture as a whole.
+    """
+    notes, remedy = [], "check order, axes and angles in the rig file, or set sparse.rig = refined or absent"
+    names = ", ".join(scene.rigs[k].name for k in held)
+    if held and placed < tuning.mapping.clearly_fewer * tied:
+        notes.append(
+            f"rig {names} was held as given, and only {placed} of {tied} images that are tied found a place: the given "
+            f"extrinsics may contradict the images; {remedy}"
+        )
+    key = 0
+    for index, rig in enumerate(scene.rigs):
+        for sensor in rig.sensors:
+            key += 1
+            turned = _turned_deg(reconstruction.cameras, key, sensor.camera) if index in held else 0.0
+            if turned > tuning.registration.max_turned_deg:
+                notes.append(
+                    f"camera {sensor.name}: its principal point moved by as much as a turn of {turned:.1f} deg, in rig "
+                    f"{rig.name}, which was held as given: its extrinsics may contradict the images; {remedy}"
+                )
+    return notes
+
+
+def _turned_deg(cameras: Any, key: int, given: pycolmap.Camera | None) -> float:
+    """The angle by which the principal point of a model's camera lies off the given one, else off the middle."""
+    if key not in cameras:
+        return 0.0
+    camera = cameras[key]
+    x, y = (camera.width / 2, camera.height / 2)
+    if given is not None:
+        x, y = given.principal_point_x, given.principal_point_y
+    off = np.hypot(camera.principal_point_x - x, camera.principal_point_y - y)
+    return float(np.degrees(np.arctan(off / camera.mean_focal_length())))
+
+
+def models_table(models: Sequence[Any]) -> dict:
+    """Table of the models (``mapper.Model``), most images first."""
+    rows = [
+        [
+            k,
+            m.registered,
+            len(m.images) - m.registered,
+            m.frames,
+            m.points,
+            round(m.reprojection_px, 3),
+            round(m.track_length, 2),
+        ]
+        for k, m in enumerate(models)
+    ]
+    columns = ["model", "registered", BY_RIG, "frames", "points", "reprojection px", "track length"]
+    return {"columns": columns, "rows": rows}
+
+
+def camera_table(reconstruction: pycolmap.Reconstruction, scene: Scene) -> dict:
+    """Table of the cameras: focal length before and after, distortion."""
+    before = {k + 1: s for k, s in enumerate(scene.all_sensors)}
+    rows = []
+    for camera_id in sorted({reconstruction.image(i).camera_id for i in reconstruction.reg_image_ids()}):
+        camera = reconstruction.camera(camera_id)
+        sensor = before.get(camera_id)
+        given = sensor.camera.mean_focal_length() if sensor is not None and sensor.camera is not None else float("nan")
+        extra = [float(f"{camera.params[i]:.5g}") for i in camera.extra_params_idxs()]
+        rows.append(
+            [
+                str(camera_id) if sensor is None else sensor.name,
+                camera.model.name,
+                None if np.isnan(given) else round(given, 2),
+                round(camera.mean_focal_length(), 2),
+                " ".join(f"{e:g}" for e in extra),
+            ]
+        )
+    return {"columns": ["camera", "model", "focal px given", "focal px adjusted", "distortion"], "rows": rows}
+
+
+def _median(values: np.ndarray) -> int:
+    return int(np.median(values)) if len(values) else 0

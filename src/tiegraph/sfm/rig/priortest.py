@@ -1,0 +1,140 @@
+"""Which of a rig's givens the images contradict: times, mountings, lenses, by comparison of models.
+
+A late camera, a turned camera and a wrong focal length all make images disagree with a rig, and each takes up part of
+what another did. So the hypotheses compete: of all groups of unknowns the one that explains most for its number of
+parameters is freed (Bayesian information criterion: Schwarz 1978), then the next beside it, until none explains more
+than chance. Gains are divided by how much wider the points scatter than independent errors would.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from tiegraph.scene.evidence import LIMIT
+from tiegraph.scene.rig import Rig
+from tiegraph.sfm.rig.linear import RigSolution, RigSystem
+from tiegraph.sfm.tuning.rig import RigTuning
+
+Group = tuple[str, int]  # "times" (-1), "mount" or "lens" of a sensor
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What is known of a rig's unknowns beforehand: sigmas of each sensor's place (m) and turn (deg), of times (s); and
+    of what is freed, by ``tuning``."""
+
+    place_m: Sequence[float]
+    turn_deg: Sequence[float]
+    late_s: float
+    focal_px: Sequence[float]
+    tuning: RigTuning
+
+    def sigma(self, system: RigSystem, freed: Collection[Group] = (), times: bool = False) -> np.ndarray:
+        """(K,) of the system's unknowns; 0 = known exactly. ``times``: free, as if the group were among the freed."""
+        out, free = np.zeros(len(system.keys)), self.tuning.prior_test
+        for k, (what, sensor, axis) in enumerate(system.keys):
+            mount = ("mount", sensor) in freed
+            if what == "place":
+                out[k] = max(free.freed_m if mount else 0.0, self.place_m[sensor])
+            elif what == "turn":
+                out[k] = np.radians(max(free.freed_deg if mount else 0.0, self.turn_deg[sensor]))
+            elif what == "time":
+                out[k] = self.late_s if times or ("times", -1) in freed else 0.0
+            elif what == "size":
+                out[k] = np.inf
+            elif ("lens", sensor) in freed:
+                out[k] = free.freed_lens * (self.focal_px[sensor] if axis < 4 else 1.0)
+        return out
+
+
+def expected(rig: Rig, timed: bool, tuning: RigTuning) -> Expected:
+    """What a rig file lets expect; ``timed``: frames have times, else times are counted in frame intervals."""
+    place = [max(s.sigma_m or 0.0, tuning.prior_test.given_m) for s in rig.sensors]
+    turn = [max(s.sigma_deg or 0.0, tuning.prior_test.given_deg) for s in rig.sensors]
+    one = rig.synchronised or all(s.source is not None and s.source.panorama for s in rig.sensors)
+    late = 0.0 if one else tuning.late_s if timed else tuning.prior_test.unknown_share
+    focal = [1.0 if s.camera is None else s.camera.mean_focal_length() for s in rig.sensors]
+    return Expected(place_m=place, turn_deg=turn, late_s=late, focal_px=focal, tuning=tuning)
+
+
+@dataclass(frozen=True)
+class PriorTest:
+    """What the images want freed, worst first, with the solution that has it free."""
+
+    freed: tuple[Group, ...]
+    solution: RigSolution
+    system: RigSystem
+    known: Expected
+    gains: Mapping[Group, float] = field(default_factory=dict)  # BIC at which each was freed
+    beyond: tuple[int, ...] = ()  # sensors that would move farther than one step of an adjustment can tell: none freed
+
+    def until(self, group: Group) -> RigSolution:
+        """The solution with this group and what was freed before it: what came later takes up a part of the same."""
+        return self.system.solve(self.known.sigma(self.system, self.freed[: self.freed.index(group) + 1]))
+
+    def times_s(self) -> dict[int, tuple[float, float]]:
+        """Sensor of the rig -> when it fires after the reference and sigma, if times were freed."""
+        if ("times", -1) not in self.freed:
+            return {}
+        sigma, system = self.solution.sigma(), self.system
+        return {system.keys[k][1]: (float(self.solution.value[k]), float(sigma[k])) for k in system.where("time")}
+
+
+def contradicted_priors(
+    system: RigSystem, known: Expected, candidates: Collection[Group], times: bool = False
+) -> PriorTest:
+    """Free groups among ``candidates`` as long as the images want it. ``times``: these are free beforehand."""
+    bounds = known.tuning.prior_test
+    freed: list[Group] = []
+    gains: dict[Group, float] = {}
+    now = system.solve(known.sigma(system, (), times))
+    while True:
+        best: tuple[float, Group, RigSolution] | None = None
+        for group in (g for g in candidates if g not in freed):
+            then = system.solve(known.sigma(system, [*freed, group], times))
+            gain = then.gain - now.gain
+            if gain < bounds.clear * system.observations / 2:
+                continue
+            criterion = _criterion(system, then, now, group)
+            if criterion > bounds.strong and (best is None or criterion > best[0]):
+                best = criterion, group, then
+        if best is None:
+            return _within_reach(PriorTest(freed=tuple(freed), solution=now, system=system, known=known, gains=gains))
+        gains[best[1]], now = best[0], best[2]
+        freed.append(best[1])
+        for group in freed[:-1]:  # what the newest group explains as well
+            less = [g for g in freed if g != group]
+            then = system.solve(known.sigma(system, less, times))
+            if _criterion(system, now, then, group) < bounds.strong:
+                freed, now = less, then
+
+
+def _within_reach(found: PriorTest) -> PriorTest:
+    """The same; nothing freed where a value lies outside of what freeing allows for, and the system is not linear."""
+    sigma = found.known.sigma(found.system, found.freed)
+    of = [k for group in found.freed for k in _members(found.system, group)]
+    sensors = sorted({found.system.keys[k][1] for k in of if abs(found.solution.value[k]) > LIMIT * sigma[k]})
+    if not sensors:
+        return found
+    return replace(found, freed=(), gains={}, beyond=tuple(sensors))
+
+
+def _criterion(system: RigSystem, more: RigSolution, less: RigSolution, group: Group) -> float:
+    """By how much a group free explains the images better than chance (BIC)."""
+    gain = (more.gain - less.gain) / _widening(more)
+    return float(gain - len(_members(system, group)) * np.log(system.observations))
+
+
+def _members(system: RigSystem, group: Group) -> np.ndarray:
+    kinds = {"times": ("time",), "mount": ("place", "turn"), "lens": ("lens",)}[group[0]]
+    return np.array([k for k, key in enumerate(system.keys) if key[0] in kinds and group[1] in (-1, key[1])], int)
+
+
+def _widening(solution: RigSolution) -> float:
+    """Variance of the unknowns over what independent errors would give (median); 1 at least."""
+    formal = np.diag(solution.formal)
+    free = formal > 0
+    return max(float(np.median(np.diag(solution.covariance)[free] / formal[free])), 1.0)

@@ -1,0 +1,101 @@
+"""Do the cameras of a rig fire at one instant? Time offsets from how far each stands off its place as the rig moves.
+
+A camera that fires dt late stands dt times the velocity ahead of its place, and is turned by dt times the turn rate. A
+constant error of the extrinsics does the same at constant speed, so both are estimated, and the offset is only believed
+when changes of speed tell them apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.tuning.rig import TimeOffsetTuning
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Velocity (F, 3) m/s and turn rate (F, 3) rad/s of the rig in its own frame; NaN where neighbours are missing.
+
+    ``timed``: by times of the scene; else by steps of the pass, and a second is a frame interval.
+    """
+
+    velocity: np.ndarray
+    rate: np.ndarray
+    timed: bool
+
+    def columns(self, frames: np.ndarray) -> np.ndarray:
+        """(K, 6) change of place (m) and attitude (rad) per second."""
+        return np.concatenate([self.velocity[frames], self.rate[frames]], axis=1)
+
+
+def rig_motion(world_from_rig: np.ndarray, scene: Scene) -> Motion:
+    """Differences between the neighbours in each pass, (F, 4, 4) poses in metres."""
+    timed = bool(np.isfinite(scene.time_s).all()) and float(np.ptp(scene.time_s)) > 0 if scene.frames else False
+    time = scene.time_s if timed else scene.sequence_index.astype(float)
+    velocity, rate = np.full((scene.frames, 3), np.nan), np.full((scene.frames, 3), np.nan)
+    known = np.isfinite(world_from_rig).all(axis=(1, 2))
+    for track in np.unique(scene.sequence[scene.sequence >= 0]):
+        members = np.flatnonzero((scene.sequence == track) & known)
+        members = members[np.argsort(scene.sequence_index[members], kind="stable")]
+        for k, frame in enumerate(members):
+            a, b = members[max(k - 1, 0)], members[min(k + 1, len(members) - 1)]
+            gap = time[b] - time[a]
+            if gap <= 0:
+                continue
+            body = world_from_rig[frame, :3, :3].T
+            velocity[frame] = body @ (world_from_rig[b, :3, 3] - world_from_rig[a, :3, 3]) / gap
+            turn = Rotation.from_matrix(world_from_rig[a, :3, :3].T @ world_from_rig[b, :3, :3]).as_rotvec()
+            rate[frame] = turn / gap
+    return Motion(velocity, rate, timed)
+
+
+@dataclass(frozen=True)
+class TimeOffset:
+    """When a camera fires against the rig's instant, and what the constant error of its extrinsics is."""
+
+    offset_s: float
+    sigma_s: float
+    constant: np.ndarray  # (6,) metres, radians, rig frame
+    spread: np.ndarray  # (6,) robust sigma of what neither explains
+    moves_m: float  # how far the offset moves the camera at the highest speed seen
+
+    def there(self, expected_m: float, tuning: TimeOffsetTuning) -> bool:
+        """Whether the camera fires at another instant, given the expected sigma of its place in a frame."""
+        sure = abs(self.offset_s) > tuning.sigmas * self.sigma_s and self.sigma_s < tuning.observable_s
+        return sure and self.moves_m > tuning.min_effect * expected_m
+
+
+def time_offset(
+    residual: np.ndarray, covariance: np.ndarray, columns: np.ndarray, tuning: TimeOffsetTuning
+) -> TimeOffset | None:
+    """Fit residual (K, 6) = constant + offset * columns (K, 6), weights from covariance (K, 6, 6), robust (Cauchy).
+
+    None with fewer than 8 rows. The sigma is scaled by how well the fit explains the rows.
+    """
+    rows = np.isfinite(columns).all(axis=1) & np.isfinite(residual).all(axis=1)
+    if rows.sum() < tuning.min_frames:
+        return None
+    residual, covariance, columns = residual[rows], covariance[rows], columns[rows]
+    design = np.zeros((len(residual), 6, 7))
+    design[:, :, :6], design[:, :, 6] = np.eye(6), columns
+    information = np.linalg.inv(covariance)
+    weight = np.ones(len(residual))
+    for _ in range(tuning.rounds):
+        normal = np.einsum("k,kia,kij,kjb->ab", weight, design, information, design)
+        normal += 1e-9 * np.diag(np.diag(normal))
+        right = np.einsum("k,kia,kij,kj->a", weight, design, information, residual)
+        found = np.linalg.solve(normal, right)
+        left = residual - design @ found
+        chi = np.einsum("ki,kij,kj->k", left, information, left) / 6
+        scale = max(float(np.median(chi)), 1e-12)
+        weight = 1 / (1 + chi / scale)
+    sigma = float(np.sqrt(np.linalg.inv(normal)[6, 6] * max(scale, 1.0)))
+    top = float(np.max(np.linalg.norm(columns[:, :3], axis=1)))
+    spread = 1.4826 * np.median(np.abs(left), axis=0)
+    return TimeOffset(
+        offset_s=float(found[6]), sigma_s=sigma, constant=found[:6], spread=spread, moves_m=abs(float(found[6])) * top
+    )

@@ -1,0 +1,96 @@
+"""From roughly known poses to a model: points, then rounds of adjustment that free more each time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pycolmap
+
+from tiegraph.scene.colmaprows import read_cache
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.adjustment.adjust import free_cameras
+from tiegraph.sfm.solver import factorised
+from tiegraph.sfm.start.poses import Start, place_frames
+from tiegraph.sfm.tuning import Tuning
+
+# What is adjusted beside poses and points: at first nothing, because lens and rig would soak up what is wrong with the
+# poses; then both; then principal points too, because the final adjustment alone does not get there: after it canal's
+# frames are 12 mm off with these held so long, else as the mapper's.
+STEPS = ("poses", "lens", "centre")
+
+Options = pycolmap.IncrementalPipelineOptions
+
+
+def model_from(
+    database: Path,
+    scene: Scene,
+    start: Start,
+    options: Callable[[bool], Options],
+    tuning: Tuning,
+    send: Callable[[int], None],
+) -> pycolmap.Reconstruction:
+    """Triangulate the verified matches of the mapper's ``database`` from the poses of ``start``, and adjust.
+
+    ``options(free)``: the pipeline's options with intrinsics and extrinsics free or held. Frames without a pose are
+    registered by their matches after the first adjustment. ``send`` is told how many frames are placed.
+    """
+    cache = read_cache(database, options(False).min_num_matches)
+    model = pycolmap.Reconstruction()
+    model.load(cache)
+    place_frames(model, scene, start)
+    send(model.num_reg_frames())
+    mapper = pycolmap.IncrementalMapper(cache)
+    mapper.begin_reconstruction(model)
+    triangulation = options(False).get_triangulation()
+    for image_id in list(model.reg_image_ids()):
+        mapper.triangulate_image(triangulation, image_id)
+    mapper.complete_and_merge_tracks(triangulation)
+    for stage in STEPS:
+        _round(mapper, options(stage != "poses"), tuning, stage == "centre")
+        if stage == "poses":
+            _register(mapper, options(False), tuning.start.staged.register_rounds)
+            send(model.num_reg_frames())
+    mapper.filter_frames(options(True).get_mapper())
+    mapper.end_reconstruction(False)
+    model.update_point_3d_errors()
+    return model
+
+
+def _round(mapper: pycolmap.IncrementalMapper, options: Options, tuning: Tuning, centre: bool) -> None:
+    held = options.get_mapper()
+    adjustment = options.get_global_bundle_adjustment()
+    adjustment.print_summary = False
+    adjustment.ceres.loss_function_type = pycolmap.LossFunctionType.SOFT_L1
+    adjustment.ceres.loss_function_scale = tuning.start.staged.soft_l1_px
+    solver = adjustment.ceres.solver_options
+    solver.max_num_iterations = tuning.start.staged.iterations
+    solver.function_tolerance = tuning.start.staged.tolerance
+    adjustment.ceres.solver_options = solver
+    factorised(adjustment, mapper.reconstruction.num_reg_frames(), mapper.reconstruction.num_reg_images())
+    if centre:
+        adjustment.refine_principal_point = True
+        free = free_cameras(mapper.reconstruction, tuning.adjust)
+        held.constant_cameras |= set(mapper.reconstruction.cameras) - free
+    mapper.adjust_global_bundle(held, adjustment)
+    mapper.filter_points(options.get_mapper())
+    triangulation = options.get_triangulation()
+    mapper.retriangulate(triangulation)
+    mapper.complete_and_merge_tracks(triangulation)
+    mapper.filter_points(options.get_mapper())
+
+
+def _register(mapper: pycolmap.IncrementalMapper, options: Options, rounds: int) -> None:
+    """Frames without a pose, by the points that their matches belong to."""
+    for _ in range(rounds):
+        placed = 0
+        for image_id in mapper.find_next_images(options.get_mapper(), structure_less=False):
+            if mapper.reconstruction.image(image_id).has_pose:
+                continue  # with another image of its frame
+            if mapper.register_next_image(options.get_mapper(), image_id):
+                frame = mapper.reconstruction.frame(mapper.reconstruction.image(image_id).frame_id)
+                for k in frame.image_ids:
+                    mapper.triangulate_image(options.get_triangulation(), k.id)
+                placed += 1
+        if not placed:
+            break

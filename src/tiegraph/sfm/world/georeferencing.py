@@ -1,0 +1,239 @@
+"""From a model to the world: the similarity, then the adjustment with positions where it stands its check."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pycolmap
+
+from tiegraph.geometry.align import Similarity
+from tiegraph.scene.colmapmodel import read_model
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.model import image_poses
+from tiegraph.sfm.settings import GeorefSettings
+from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.world import worldadjust
+from tiegraph.sfm.world.fixes import Fixes, Measurements
+from tiegraph.sfm.world.georef import Georeference, georeference, row_of_frames
+from tiegraph.sfm.world.marks import marked, point_table, targets
+from tiegraph.sfm.world.scale import relaxed
+from tiegraph.sfm.world.similarityfit import SimilarityFit
+from tiegraph.sfm.world.statements import with_statements
+from tiegraph.sfm.world.worldadjust import AdjustmentResult, ConstantParameters, Constraints, Receiver, adjust_in_world
+
+
+def georeference_model(
+    model: pycolmap.Reconstruction,
+    scene: Scene,
+    settings: GeorefSettings,
+    tuning: Tuning,
+    given: Measurements | None = None,
+    held: ConstantParameters | None = None,
+) -> tuple[Georeference, pycolmap.Reconstruction]:
+    """The georeference of a model, judged (``statements.py``), and the model in the world; see ``_grounded``."""
+    given, held = given or Measurements(), held or ConstantParameters()
+    found, world = _georeferenced(model, scene, settings, tuning, given, held)
+    points = targets(world, scene, given.control, tuning.world.marks) if given.control is not None else []
+    return with_statements(found, scene, given.model_sigma * found.world_from_model.scale, points), world
+
+
+def _georeferenced(
+    model: pycolmap.Reconstruction,
+    scene: Scene,
+    settings: GeorefSettings,
+    tuning: Tuning,
+    given: Measurements,
+    held: ConstantParameters,
+) -> tuple[Georeference, pycolmap.Reconstruction]:
+    """The georeference of a model and the model in the world.
+
+    First the similarity of ``georeference``. Then a bundle adjustment with the positions and control points takes out
+    drift, which no similarity can; it is kept only if positions it did not know (every fifth) are met at least as well
+    as with the similarity, and the images no worse. What was decided, and why, is in the notes.
+    """
+    first = georeference(model, scene, settings, tuning.world, given)
+    world = first.apply(model)
+    placing = first.placing
+    if placing is None or settings.adjust == "no":
+        return first, world
+    if not worldadjust.available():
+        return _with(first, "not adjusted with the positions: the package pyceres is not installed"), world
+    if relaxed(model, scene):
+        why = "a rig is relaxed, and only points would hold its cameras to the one that has the positions"
+        return _with(first, f"the similarity stays, a bundle adjustment with the positions was refused: {why}"), world
+    constraints = _constraints(world, scene, first, placing, tuning, given, held)
+    checked, why = _check(world, scene, placing, constraints)
+    if not checked and settings.adjust == "auto":
+        return _with(first, f"the similarity stays, a bundle adjustment with the positions was refused: {why}"), world
+    bounds = tuning.world.adjustment
+    made = adjust_in_world(world, scene, constraints, bounds.rounds)
+    if made.after_px > bounds.worse_pixels * made.before_px and settings.adjust == "auto":
+        text = f"the images fit worse with it ({made.before_px:.3f} -> {made.after_px:.3f} px)"
+        return _with(first, f"the similarity stays, a bundle adjustment with the positions was refused: {text}"), world
+    return _adjusted(first, made, model, world, scene, given, why), made.model
+
+
+@dataclass(frozen=True)
+class GeorefRequest:
+    """What a child process needs to bring a model on disk into the world; picklable."""
+
+    folder: Path
+    target: Path
+    scene: str  # JSON
+    settings: GeorefSettings
+    measurements: Measurements
+    constant: ConstantParameters
+    tuning: Tuning
+
+
+def georeference_folder(request: GeorefRequest, send: Callable[[Any], None]) -> Georeference:
+    """``georeference_model`` from folder to folder."""
+    model = read_model(request.folder)
+    found, world = georeference_model(
+        model, Scene.from_json(request.scene), request.settings, request.tuning, request.measurements, request.constant
+    )
+    request.target.mkdir(parents=True, exist_ok=True)
+    world.write(str(request.target))
+    return found
+
+
+def _with(georeference: Georeference, note: str) -> Georeference:
+    return replace(georeference, notes=(*georeference.notes, note))
+
+
+def _constraints(
+    world: pycolmap.Reconstruction,
+    scene: Scene,
+    first: Georeference,
+    placing: SimilarityFit,
+    tuning: Tuning,
+    given: Measurements,
+    held: ConstantParameters,
+) -> Constraints:
+    evidence, control = placing.evidence, given.control
+    up = placing.up
+    if up is not None:
+        up = replace(up, direction=np.array([0.0, 0.0, 1.0]))  # it was brought there by the similarity
+    stretch, found = 1.0, []
+    if control is not None:
+        found = marked(targets(world, scene, control, tuning.world.marks), first.control)
+    if control is not None and len(placing.points):
+        stretch = float(np.median(evidence.sigma[len(placing.fixes) :] / control.sigma_m[placing.points]))
+    return Constraints(
+        fixes=placing.fixes,
+        factor=placing.factor,
+        receiver=Receiver(
+            antenna=placing.fit.antenna,
+            offset_s=placing.fit.offset_s,
+            free_antenna=evidence.estimate_antenna,
+            free_offset=evidence.estimate_offset,
+        ),
+        held=held,
+        tuning=tuning,
+        control=control,
+        targets=found,
+        point_factor=stretch,
+        up=up,
+    )
+
+
+def _check(
+    world: pycolmap.Reconstruction, scene: Scene, placing: SimilarityFit, constraints: Constraints
+) -> tuple[bool, str]:
+    """Whether an adjustment without the held-out positions meets them at least as well as such a similarity; and how.
+
+    The model starts from the similarity that did not know them either.
+    """
+    fixes, blind, bounds = placing.fixes, placing.held_out, placing.tuning.adjustment
+    out = np.flatnonzero(fixes.held)
+    if blind is None or len(out) < bounds.min_held:
+        if len(placing.points) and not len(fixes):
+            return True, "control points only: nothing was held out"
+        return False, "too few positions to hold some back as a check"
+    start = pycolmap.Reconstruction(world)
+    start.transform(_between(placing.fit.similarity, blind.similarity))
+    keep = ~fixes.held
+    known = replace(
+        constraints,
+        fixes=fixes.where(keep),
+        factor=placing.factor[keep],
+        receiver=replace(constraints.receiver, antenna=blind.antenna, offset_s=blind.offset_s),
+    )
+    made = adjust_in_world(start, scene, known, bounds.check_rounds)
+    held = fixes.where(fixes.held)
+    sigma = held.sigma * placing.factor[out, None]
+    before = worldadjust.residuals(start, scene, held, blind.antenna, blind.offset_s) / sigma
+    after = worldadjust.residuals(made.model, scene, held, made.antenna, made.offset_s) / sigma
+    a, b = _score(before, bounds.clip_sigmas), _score(after, bounds.clip_sigmas)
+    most = (bounds.clip_sigmas * held.sigma) ** 2
+    lengths = [float(np.sqrt(np.mean(np.minimum(r**2, most)))) for r in (after * sigma, before * sigma)]
+    text = (
+        f"{len(out)} positions held back are met within {lengths[0]:.3f} m ({b:.2f} of their sigmas), "
+        f"with the similarity {lengths[1]:.3f} m ({a:.2f})"
+    )
+    return b <= bounds.not_worse * a, text
+
+
+def _score(residual: np.ndarray, clip: float) -> float:
+    """Root mean square per axis in sigmas, single outliers clipped."""
+    distance = np.minimum(np.linalg.norm(residual, axis=1), clip * np.sqrt(3))
+    return float(np.sqrt(np.mean(distance**2) / 3))
+
+
+def _between(first: Similarity, second: Similarity) -> pycolmap.Sim3d:
+    """From the world of one similarity to that of another."""
+    scale, rotation = second.scale / first.scale, second.rotation @ first.rotation.T
+    shift = second.translation - scale * rotation @ first.translation
+    return worldadjust.sim3d(Similarity(scale, rotation, shift))
+
+
+def _adjusted(
+    first: Georeference,
+    made: AdjustmentResult,
+    model: pycolmap.Reconstruction,
+    world: pycolmap.Reconstruction,
+    scene: Scene,
+    given: Measurements,
+    why: str,
+) -> Georeference:
+    assert first.placing is not None
+    tuning = first.placing.tuning
+    fixes: Fixes = first.placing.fixes
+    at = row_of_frames(fixes, scene.frames)
+    has = np.flatnonzero(at >= 0)
+    residual, inlier = np.full((scene.frames, 3), np.nan), np.zeros(scene.frames, bool)
+    residual[has] = made.residual[at[has]]
+    sigma = fixes.sigma * made.factor[:, None] if len(fixes) else fixes.sigma
+    inlier[has] = np.linalg.norm(made.residual / sigma, axis=1)[at[has]] < tuning.fit.inlier_sigmas * np.sqrt(3)
+    control, accuracy = list(first.control), first.accuracy
+    if given.control is not None:
+        found = marked(targets(made.model, scene, given.control, tuning.marks), first.control)
+        off = np.array([t.place for t in found]).reshape(-1, 3) - given.control.world_m
+        control, accuracy = point_table(given.control, found, off, scene.names)
+    moved = np.linalg.norm(_centres(world, scene) - _centres(made.model, scene), axis=1)
+    note = (
+        f"adjusted with the positions: frames moved by {np.nanmedian(moved):.3f} m (at most {np.nanmax(moved):.3f} m), "
+        f"reprojection {made.before_px:.3f} -> {made.after_px:.3f} px; {why}"
+    )
+    return replace(
+        first,
+        world_from_model=worldadjust.similarity_to(model, made.model, first.world_from_model),
+        residual_m=residual,
+        inlier=inlier,
+        fix_residual_m=made.residual,
+        antenna_m=tuple(float(v) for v in made.antenna) if made.antenna.any() else None,  # type: ignore[arg-type]
+        offset_s=made.offset_s,
+        control=tuple(control),
+        accuracy=accuracy,
+        adjusted=True,
+        notes=(*first.notes, note),
+    )
+
+
+def _centres(model: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
+    poses = image_poses(model, scene)
+    return -np.einsum("nji,nj->ni", poses[:, :3, :3], poses[:, :3, 3])

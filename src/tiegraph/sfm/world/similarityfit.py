@@ -1,0 +1,322 @@
+"""Placing a model: which evidence there is, what of it is used, and the fit to it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from tiegraph.errors import InputError
+from tiegraph.geometry.align import umeyama
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.model import frame_poses
+from tiegraph.sfm.settings import GeorefSettings
+from tiegraph.sfm.tuning.world import WorldTuning
+from tiegraph.sfm.world import noise
+from tiegraph.sfm.world.antenna import (
+    UNKNOWN,
+    Fitted,
+    arm_text,
+    believed,
+    try_clock,
+    try_lever_arm,
+    up_to_use,
+    with_lever_arm,
+)
+from tiegraph.sfm.world.fit import Evidence, Fit, fit_similarity
+from tiegraph.sfm.world.fixes import Fixes, Measurements, make_fixes
+from tiegraph.sfm.world.gravity import Up
+from tiegraph.sfm.world.marks import Target
+from tiegraph.sfm.world.scale import RigScale
+from tiegraph.sfm.world.sources import POSITIONS, common_of
+from tiegraph.sfm.world.weighing import EvidenceWeights, Question, weigh
+
+
+@dataclass(frozen=True)
+class _Arm:
+    """The lever arm that is given, or None, and whether to estimate it (None: if the positions can tell)."""
+
+    given: np.ndarray | None
+    estimate: bool | None
+
+
+@dataclass(frozen=True)
+class Model:
+    """What of the model a placement needs."""
+
+    images: np.ndarray  # cam_from_world (N, 4, 4)
+    up: Up | None
+    scale: RigScale | None
+    targets: list[Target]
+    names: tuple[str, ...] = ()  # of the images
+
+    def frames(self, scene: Scene, metres_per_unit: float | None = None) -> np.ndarray:
+        """world_from_rig (F, 4, 4), by the rig's scale if none is given."""
+        guess = 1.0 if self.scale is None else self.scale.metres_per_unit
+        return frame_poses(self.images, scene, metres_per_unit or guess)
+
+
+@dataclass(frozen=True)
+class SimilarityFit:
+    """All a placement rests on; rows of ``evidence`` are the fixes, then the control points."""
+
+    evidence: Evidence  # sigmas as believed
+    fixes: Fixes  # sigmas as stated, with doubt about outages and bridges
+    fit: Fit
+    up: Up | None  # used to hold the tilt
+    points: np.ndarray  # (C,) control points in the evidence: rows of the control file
+    notes: tuple[str, ...]
+    weighed: EvidenceWeights
+    model: Model
+    tuning: WorldTuning
+    clock: tuple[float, float] = UNKNOWN  # the receiver's behind the cameras' and sigma, s
+
+    @property
+    def factor(self) -> np.ndarray:
+        """(K,) by which the fixes' sigmas were multiplied."""
+        count = len(self.fixes)
+        return self.evidence.sigma[:count, 0] / self.fixes.sigma[:, 0] if count else np.zeros(0)
+
+    @cached_property
+    def held_out(self) -> Fit | None:
+        """The fit without the held-out fixes; None without any, or with too few others."""
+        held = np.zeros(len(self.evidence.frame), bool)
+        held[: len(self.fixes)] = self.fixes.held
+        if not held.any() or (~held).sum() < self.tuning.similarity_fit.min_positions:
+            return None
+        return fit_similarity(self.evidence.where(~held), self.up, self.tuning.fit, self.fit.similarity)
+
+    @cached_property
+    def levels(self) -> list[noise.Level]:
+        """How much worse the fixes of each stated sigma are."""
+        fit, fixes = self.fit, self.fixes
+        residual = self.evidence.position_residuals(fit.similarity, fit.antenna, fit.offset_s)[: len(fixes)]
+        return noise.levels(residual / fixes.sigma, fixes.level, fixes.sigma, fixes.time_s, self.tuning.noise)
+
+
+@dataclass(frozen=True)
+class _Given:
+    """What a placement is made of: model, survey, what was measured; ``points``: rows of the control points used."""
+
+    model: Model
+    scene: Scene
+    settings: GeorefSettings
+    measured: Measurements
+    points: np.ndarray
+    tuning: WorldTuning
+
+
+def fit_to_world(
+    model: Model, scene: Scene, settings: GeorefSettings, given: Measurements, tuning: WorldTuning
+) -> SimilarityFit | None:
+    """Fit the model to everything measured in the world; None with too few positions and points."""
+    notes: list[str] = []
+    registered = np.isfinite(model.frames(scene)).all(axis=(1, 2))
+    stated = make_fixes(scene, registered, given, settings.sigma_floor_m, tuning.fixes)
+    points = _usable_points(model, given)
+    if len(np.unique(stated.home)) + len(points) < tuning.similarity_fit.min_positions:
+        return None
+    arm = _lever_arm(scene, settings, notes)
+    about = _Given(model=model, scene=scene, settings=settings, measured=given, points=points, tuning=tuning)
+    weighed, rough = _weighed(about, stated, arm)
+    now = believed(rough.evidence, rough.fixes, model.up, rough.fit.similarity, tuning)
+    _refuse_exchanged(now, tuning)
+    _refuse_upside_down(now, tuning)
+    if arm.estimate is None:
+        now = try_lever_arm(now, notes, tuning)
+    elif arm.estimate:
+        now = with_lever_arm(now, tuning)
+        notes.append(arm_text(now, tuning))
+    clock = UNKNOWN
+    if given.rows is not None and settings.antenna != "ignored":
+        now, clock = try_clock(now, notes, tuning)
+    up = up_to_use(now.evidence, model.up, notes, tuning, now.fit.similarity)
+    return SimilarityFit(
+        evidence=now.evidence,
+        fixes=now.fixes,
+        fit=now.fit,
+        up=up,
+        points=points,
+        notes=tuple(notes),
+        weighed=weighed,
+        model=model,
+        tuning=tuning,
+        clock=clock,
+    )
+
+
+def _weighed(about: _Given, stated: Fixes, arm: _Arm) -> tuple[EvidenceWeights, Fitted]:
+    """What of all that was measured is used, and the first fit to it.
+
+    Weighed once, fitted twice: the second time with the true scale for frames known through another camera than the
+    first.
+    """
+    model, scene, tuning = about.model, about.scene, about.tuning
+    fixes, frames = stated, model.frames(scene)
+    metres = 1.0 if model.scale is None else model.scale.metres_per_unit
+    weighed: EvidenceWeights | None = None
+    for _ in range(tuning.similarity_fit.rounds):
+        evidence = _with_points(_evidence(frames, fixes, scene, arm, model.scale, tuning), about, metres)
+        if weighed is None:
+            weighed = weigh(_question(evidence, stated, about, arm))
+        fixes = fixes.blurred(weighed.extra_m)
+        blurred = np.concatenate([fixes.sigma, evidence.sigma[len(fixes) :]])
+        evidence = replace(evidence, sigma=blurred, log_scale=evidence.log_scale if weighed.rig_used else None)
+        fit = fit_similarity(evidence, up_to_use(evidence, model.up, [], tuning), tuning.fit)
+        metres = fit.similarity.scale
+        frames = model.frames(scene, metres)
+        fixes = stated.widened(frames, metres, tuning.fixes)
+    assert weighed is not None
+    return weighed, Fitted(evidence=evidence, fit=fit, fixes=fixes.blurred(weighed.extra_m), up=model.up)
+
+
+def _question(evidence: Evidence, stated: Fixes, about: _Given, arm: _Arm) -> Question:
+    free = arm.estimate is not False
+    reach = about.tuning.fit.antenna_sigma_m if free else 0.0
+    floor = about.settings.sigma_floor_m
+    return Question(
+        evidence=evidence,
+        count=len(stated),
+        times=time_order(about.scene, stated),
+        name=POSITIONS.get(about.scene.prior, "positions"),
+        common=common_of(stated.sigma, floor, reach) if len(stated) else np.zeros(4),
+        scale=about.model.scale,
+        tuning=about.tuning,
+        free_antenna=free,
+    )
+
+
+def time_order(scene: Scene, fixes: Fixes) -> np.ndarray:
+    """(K,) times of the fixes, or their places in the order of the passes where there are none."""
+    if np.isfinite(fixes.time_s).all():
+        return fixes.time_s
+    order = np.lexsort((scene.sequence_index[fixes.home], scene.sequence[fixes.home]))
+    return np.argsort(order, kind="stable").astype(float)
+
+
+def _usable_points(model: Model, given: Measurements) -> np.ndarray:
+    """Rows of the control points that enter the placement."""
+    if given.control is None:
+        return np.zeros(0, int)
+    usable = [k for k, t in enumerate(model.targets) if not t.why_not and not given.control.check[k]]
+    return np.array(usable, int)
+
+
+def _evidence(
+    frames: np.ndarray,
+    fixes: Fixes,
+    scene: Scene,
+    arm: _Arm,
+    scale: RigScale | None,
+    tuning: WorldTuning,
+) -> Evidence:
+    pose, speed = fixes.blend(frames)
+    orientation = scene.world_from_rig[fixes.home, :3, :3].copy()
+    orientation[fixes.weights.max(axis=1) < tuning.similarity_fit.at_frame] = np.nan
+    return Evidence(
+        frame=fixes.home,
+        pose=pose,
+        position=fixes.position,
+        sigma=fixes.sigma,
+        orientation=orientation,
+        antenna=np.zeros(3) if arm.given is None else arm.given,
+        estimate_antenna=arm.estimate is True,
+        log_scale=np.log(scale.metres_per_unit) if scale is not None and scale.trusted else None,
+        log_scale_sigma=scale.sigma if scale is not None else np.nan,
+        speed=speed,
+    )
+
+
+def _with_points(evidence: Evidence, about: _Given, metres: float) -> Evidence:
+    """The evidence with control points added: rows without rotation, so that no lever arm acts."""
+    model, points, control = about.model, about.points, about.measured.control
+    if not len(points) or control is None:
+        return evidence
+    pose = np.zeros((len(points), 4, 4))
+    pose[:, :3, 3] = [model.targets[k].place for k in points]
+    spread = np.array([np.sqrt(np.trace(model.targets[k].covariance) / 3) for k in points]) * metres
+    sigma = np.hypot(control.sigma_m[points], spread[:, None])
+    sigma *= _point_factor(pose[:, :3, 3], control.world_m[points], sigma, about.tuning)
+    return replace(
+        evidence,
+        frame=np.append(evidence.frame, np.full(len(points), -1)),
+        pose=np.concatenate([evidence.pose, pose]),
+        speed=None if evidence.speed is None else np.concatenate([evidence.speed, np.zeros_like(pose)]),
+        position=np.concatenate([evidence.position, control.world_m[points]]),
+        sigma=np.concatenate([evidence.sigma, sigma]),
+        orientation=np.concatenate([evidence.orientation, np.full((len(points), 3, 3), np.nan)]),
+    )
+
+
+def _point_factor(place: np.ndarray, world: np.ndarray, sigma: np.ndarray, tuning: WorldTuning) -> float:
+    """By how much control points disagree with each other more than their sigmas say; 1 with three of them."""
+    count = len(place)
+    if count < tuning.similarity_fit.min_positions + 1:
+        return 1.0
+    off = umeyama(place, world, 1 / sigma[:, 0] ** 2)(place) - world
+    squares = np.sum((off / sigma) ** 2, axis=1)
+    typical = float(np.mean(squares))
+    if count >= tuning.similarity_fit.many_points:
+        typical = float(np.median(squares)) * 3 / noise.MEDIAN_CHI2_3
+    return max(1.0, float(np.sqrt(typical * count / (3 * count - 7))))
+
+
+def _refuse_exchanged(now: Fitted, tuning: WorldTuning) -> None:
+    """Raise InputError where the positions fit clearly better with east and north exchanged: a mirror image.
+
+    A straight track is its own mirror image, so that nothing can be said of it.
+    """
+    evidence, fit, reach = now.evidence, now.fit, tuning.fit.antenna_sigma_m
+    if np.median(np.linalg.norm(evidence.position_residuals(fit.similarity, fit.antenna), axis=1)) < reach:
+        return
+    mirrored = replace(evidence, position=evidence.position[:, [1, 0, 2]])
+    other = fit_similarity(mirrored, None, tuning.fit)
+    sizes = [
+        float(np.median(np.linalg.norm(e.position_residuals(f.similarity, f.antenna)[:, :2], axis=1)))
+        for e, f in ((evidence, fit), (mirrored, other))
+    ]
+    if sizes[1] < sizes[0] / tuning.similarity_fit.mirror_gain and sizes[0] > reach:
+        raise InputError(
+            f"the positions are a mirror image of the survey: they miss the model by {sizes[0]:.2f} m (median), with "
+            f"their first two coordinates exchanged by {sizes[1]:.2f} m; are latitude and longitude, or north and "
+            "east, exchanged in the GNSS file?"
+        )
+
+
+def _refuse_upside_down(now: Fitted, tuning: WorldTuning) -> None:
+    """Raise InputError where the positions alone put a ring of cameras upside down: the mirror image of a track.
+
+    Two passes side by side and mirrored are the same passes turned over, so that the residuals of a fit tell nothing.
+    """
+    evidence, fixes, up = now.evidence, now.fixes, now.up
+    if up is None or not up.ring or len(fixes) < tuning.similarity_fit.min_positions:
+        return
+    rows = np.arange(len(evidence.frame)) < len(fixes)
+    free = replace(evidence.where(rows), sigma=fixes.sigma, estimate_antenna=True)
+    free = replace(free, orientation=np.full_like(free.orientation, np.nan))
+    alone = fit_similarity(free, None, tuning.fit)
+    residual = free.position_residuals(alone.similarity, alone.antenna) / fixes.sigma
+    factors = noise.factors(residual, fixes.level, fixes.time_s, tuning.noise)
+    free = replace(free, sigma=fixes.sigma * factors[:, None])
+    alone = fit_similarity(free, None, tuning.fit, alone.similarity)
+    lean = float((alone.similarity.rotation @ up.direction)[2])
+    if lean < tuning.similarity_fit.upside_down and alone.roll_sigma_deg < tuning.similarity_fit.roll_limit_deg:
+        raise InputError(
+            "the positions turn the survey upside down: the tops of the side cameras' images point to the ground, "
+            f"though the roll about the track is known to {alone.roll_sigma_deg:.1f} deg; are latitude and longitude, "
+            "or north and east, exchanged in the GNSS file (a mirror image)? Or do the cameras hang upside down: then "
+            "turn the images"
+        )
+
+
+def _lever_arm(scene: Scene, settings: GeorefSettings, notes: list[str]) -> _Arm:
+    if scene.prior in ("trajectory", "exif", "none") or settings.antenna == "ignored":
+        return _Arm(None, estimate=False)
+    arm = next((r.antenna_m for r in scene.rigs if r.antenna_m is not None), None)
+    given = None if arm is None else np.array(arm)
+    if settings.antenna == "estimated":
+        return _Arm(given, estimate=True)
+    if settings.antenna == "given" and given is None:
+        notes.append("georef.antenna = 'given', but the rig file gives no antenna: the cameras are taken to be there")
+    return _Arm(given, estimate=False if given is not None or settings.antenna == "given" else None)

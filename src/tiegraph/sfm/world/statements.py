@@ -1,0 +1,274 @@
+"""What a placement says of itself: the table of evidence, and each contradiction in one sentence."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+
+from tiegraph.scene.evidence import LIMIT, Contradiction, Statement, contradictions, trend
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.world.georef import Georeference
+from tiegraph.sfm.world.marks import Target
+from tiegraph.sfm.world.similarityfit import time_order
+from tiegraph.sfm.world.sources import (
+    CONTROL,
+    ORIENTATIONS,
+    RIG,
+    SCALE,
+    orientation_statements,
+    rig_statement,
+    up_statements,
+)  # fmt: skip
+from tiegraph.sfm.world.weighing import TWO_ENDS
+
+_AXES = ("east", "north", "up")
+_ALONG = "along the motion"
+
+
+def with_statements(found: Georeference, scene: Scene, model_sigma_m: float, targets: list[Target]) -> Georeference:
+    """The georeference with its statements and contradictions; sigmas widened where a contradiction says so.
+
+    ``model_sigma_m``: of a camera inside the model, NaN = not known; ``targets``: the control points in its world.
+    """
+    if found.placing is None:
+        return found
+    said = statements(found)
+    worst = _of_quantities(contradictions(said))
+    if found.placing.weighed.why and not any(c.first.quantity == SCALE for c in worst):
+        worst = [*worst, *_decided(said)]
+    sentences = [c.text(_culprit(c, said, found)) for c in worst]
+    sigma = dict(found.sigma)
+    wide = found.placing.weighed.scale_sigma
+    if wide:
+        sigma["scale"] = round(max(sigma["scale"], wide), 6)
+        sentences = [f"{t}; the scale is stated to {wide:.1%}" if t.startswith(SCALE) else t for t in sentences]
+    scale_said = any(c.first.quantity == SCALE for c in worst)
+    forms = _trends(found, scene, model_sigma_m, scale_said)
+    for axis, size, text in forms:
+        key = "height_m" if axis == "up" else "position_m"
+        sigma[key] = round(max(sigma[key], size / 2), 6)
+        if axis == _ALONG:
+            sigma["scale"] = round(max(sigma["scale"], size / _length(found)), 6)
+        sentences.append(text)
+    sentences += _levels(found, bool(forms))
+    sentences += _control(found, targets)
+    sentences += _check_points(found, model_sigma_m, targets)
+    error = found.error.widened_to(sigma) if found.error is not None else None
+    return replace(
+        found, sigma=sigma, error=error, statements=tuple(said), contradictions=tuple(sentences),
+        notes=(*found.notes, *_rests_on(found, scene)),
+    )  # fmt: skip
+
+
+def statements(found: Georeference) -> list[Statement]:
+    """What each source says, against the result."""
+    placing = found.placing
+    assert placing is not None
+    weighed, result = placing.weighed, found.world_from_model
+    out = []
+    for source in weighed.sources:
+        used = [SCALE] if source.name in weighed.scale_used else []
+        if source.name in weighed.places_used:
+            used += ["heading", "tilt towards north", "tilt towards east", "place east", "place north", "height"]
+        out += source.statements(result, weighed.at, used, placing.tuning.sources)
+    out += rig_statement(placing.model.scale, result, weighed.rig_used and placing.evidence.log_scale is not None)
+    out += up_statements(placing.model.up, result, placing.up is not None)
+    out += orientation_statements(placing.evidence, result, placing.tuning.sources)
+    if np.isfinite(placing.clock[1]):
+        value, sigma = placing.clock
+        out.append(
+            Statement(
+                quantity="clock",
+                source="images and positions",
+                value=value,
+                sigma=sigma,
+                unit="s",
+                used=bool(found.offset_s),
+            )
+        )
+    return out
+
+
+def _of_quantities(found: list[Contradiction]) -> list[Contradiction]:
+    """The worst of each quantity."""
+    out: dict[str, Contradiction] = {}
+    for c in found:
+        out.setdefault(c.first.quantity, c)
+    return list(out.values())
+
+
+def _decided(said: list[Statement]) -> list[Contradiction]:
+    """The scale's, where it was decided between its sources though the result lets them differ a little less."""
+    rows = [s for s in said if s.quantity == SCALE]
+    pairs = [(abs(a.value - b.value) / np.hypot(a.sigma, b.sigma), a, b) for a, b in combinations(rows, 2)]
+    return [Contradiction(a, b, float(s)) for s, a, b in sorted(pairs, key=lambda p: -p[0])[:1]]
+
+
+def _culprit(c: Contradiction, said: list[Statement], found: Georeference) -> str:
+    """Who is likely wrong, in words."""
+    assert found.placing is not None
+    names = {c.first.source, c.second.source}
+    if c.first.quantity == SCALE:
+        why = found.placing.weighed.why
+        hint = "do its cameras fire apart, or is a baseline wrong" if RIG in names else "another unit or projection"
+        return f"{why} ({hint}?)" if why else hint + "?"
+    others = [s for s in said if s.quantity == c.first.quantity and s.source not in names]
+    for one, other in ((c.first, c.second), (c.second, c.first)):
+        bad = [s for s in others if abs(s.value - one.value) > LIMIT * np.hypot(s.sigma, one.sigma)]
+        good = [s for s in others if abs(s.value - other.value) <= LIMIT * np.hypot(s.sigma, other.sigma)]
+        if others and len(bad) == len(good) == len(others):
+            return f"{one.source} stands alone against {' and '.join([other.source, *(s.source for s in others)])}"
+    if c.first.quantity == "height" and CONTROL in names:
+        return (
+            f"the difference is the same all over ({c.first.value - c.second.value:+.1f} m); heights above the start, "
+            f"above sea level, or none in one of them? those of the {CONTROL} are used"
+        )
+    if CONTROL in names and not names & {ORIENTATIONS}:
+        return f"another datum, or points of another survey? the {CONTROL} are used"
+    if ORIENTATIONS in names:
+        return "are the axes of the given orientations those of the rig?"
+    return "what is used is marked in the table of evidence"
+
+
+def _trends(found: Georeference, scene: Scene, model_sigma_m: float, scale_said: bool) -> list[tuple[str, float, str]]:
+    """(axis, size, sentence) of residuals that are no noise and larger than two positions and the model may differ."""
+    placing = found.placing
+    assert placing is not None
+    fixes = placing.fixes
+    if not len(fixes):
+        return []
+    order = np.argsort(time_order(scene, fixes), kind="stable")
+    stated = np.hypot(np.median(fixes.sigma, axis=0), np.nan_to_num(model_sigma_m))
+    residual = found.fix_residual_m[order]
+    way = _directions(fixes.position[order] + residual)
+    series = [(a, residual[:, k], float(stated[k])) for k, a in enumerate(_AXES)]
+    series.append((_ALONG, np.sum(residual * way, axis=1), float(stated[:2].max())))
+    out = []
+    for axis, values, sigma in series:
+        form = trend(values, placing.tuning.trend, len(series), offset=axis == _ALONG)
+        if (
+            form is not None
+            and form.form == "offset"
+            and placing.weighed.free_antenna
+            and not placing.fit.antenna.any()
+        ):
+            sigma = float(np.hypot(sigma, placing.tuning.fit.antenna_sigma_m))  # it stands anywhere on the vehicle
+        if form is None or form.size / 2 <= TWO_ENDS * sigma or (scale_said and form.form == "line"):
+            continue
+        out.append((axis, form.size, _trend_text(axis, form.text(), form.form, sigma, found)))
+    return sorted(out, key=lambda t: -t[1])[:1]  # one cause shows on several axes
+
+
+def _directions(place: np.ndarray) -> np.ndarray:
+    """(K, 3) unit vectors of the motion in plan at places (K, 3) in order."""
+    if len(place) < 3:
+        return np.zeros_like(place)
+    way = np.gradient(place, axis=0)
+    way[:, 2] = 0
+    return way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
+
+
+def _length(found: Georeference) -> float:
+    """Of the way that the positions go, end to end, metres."""
+    assert found.placing is not None
+    own = found.placing.fixes.position
+    return max(float(np.linalg.norm(np.ptp(own, axis=0))), 1e-9)
+
+
+def _rests_on(found: Georeference, scene: Scene) -> list[str]:
+    """What holds the scale where the rig does, and what checks it: its own images do not."""
+    placing = found.placing
+    assert placing is not None
+    rig = placing.model.scale
+    if rig is None or not placing.weighed.rig_used:
+        return []
+    most = placing.tuning.sources.told_scale
+    told = [s for s in placing.weighed.sources if np.isfinite(s.scale_sigma) and s.scale_sigma < most]
+    checked = " and ".join(f"the {s.name} tell it to {s.scale_sigma:.1%}" for s in told)
+    levers = ", ".join(s.name for r in scene.rigs if not r.nominal for s in r.sensors[1:])
+    return [
+        f"the scale rests on the lever arms of the rig as given ({levers}), by which the images tell it to "
+        f"{rig.sigma:.1%}; {checked or 'nothing else tells it'}"
+    ]
+
+
+def _trend_text(axis: str, text: str, form: str, sigma: float, found: Georeference) -> str:
+    where = axis if axis == _ALONG else f"towards {axis}" if axis != "up" else "in height"
+    assert found.placing is not None
+    holds = f"the {RIG}" if found.placing.weighed.rig_used else "something else"
+    causes = {
+        "line": f"positions that drift, or a scale that {holds} holds",
+        "curve": "a model that bends, or positions that drift",
+        "offset": "positions whose times are off, or an antenna ahead of or behind the cameras",
+        "step": "positions that jump (a receiver that lost and found its fix, another base), or a torn model",
+    }
+    kept = "" if found.adjusted else "; the images do not follow them"
+    return (
+        f"positions and model: the residuals {text} {where}, which noise does not do, with a sigma of {sigma:.2g} m "
+        f"stated: {causes[form]}{kept}"
+    )
+
+
+def _levels(found: Georeference, explained: bool) -> list[str]:
+    """Positions that scatter far beyond what is stated of them."""
+    placing = found.placing
+    assert placing is not None
+    tuning, out = placing.tuning, []
+    for level in placing.levels:
+        name = placing.weighed.name
+        if level.factor > tuning.statements.scatter and level.count >= tuning.noise.min_rows and not explained:
+            out.append(
+                f"{name} of stated sigma {level.sigma_m:.2f} m scatter {level.factor:.1f} times as much "
+                f"({level.count} of them, correlation of neighbours {level.correlation:.1f}): believed accordingly; "
+                "a receiver that is optimistic, or a lever arm or clock that is not known"
+            )
+    used = int(found.inlier.sum())
+    total = int(np.isfinite(found.residual_m).all(axis=1).sum())
+    if total >= tuning.statements.least_positions and used < tuning.statements.agreeing * total:
+        out.append(
+            f"only {used} of {total} positions agree with the model within three sigmas: the model is bent or torn, or "
+            "the positions are of another survey"
+        )
+    return out
+
+
+def _control(found: Georeference, targets: list[Target]) -> list[str]:
+    """Control points that contradict the others, and those that contradict each other without one to blame."""
+    placing, given = found.placing, found.given_control
+    assert placing is not None
+    out = [f"control point {r['name']!r} is not used: {r['why_not']}" for r in found.control if r["blunder"]]
+    if given is None or not len(placing.points):
+        return out
+    spread = np.array([np.trace(targets[k].covariance) / 3 for k in placing.points])
+    stated = np.sqrt(given.sigma_m[placing.points] ** 2 + spread[:, None])
+    factor = float(np.median(placing.evidence.sigma[len(placing.fixes) :] / stated))
+    if factor > placing.tuning.statements.scatter:
+        out.append(
+            f"{len(stated)} control points contradict each other: they scatter {factor:.1f} times their sigma of "
+            f"{np.median(given.sigma_m[placing.points]):.2g} m, and none of them alone is to blame"
+        )
+    return out
+
+
+def _check_points(found: Georeference, model_sigma_m: float, targets: list[Target]) -> list[str]:
+    """Check points whose error is far beyond what was predicted."""
+    given, placing = found.given_control, found.placing
+    assert placing is not None
+    rows = [k for k, r in enumerate(found.control) if r["role"] == "check" and r["off_m"] and not r["why_not"]]
+    if not rows or given is None or found.error is None:
+        return []
+    off = np.array([found.control[k]["off_m"] for k in rows], float)
+    spread = np.array([np.diag(targets[k].covariance) for k in rows])
+    known = found.error.sigma(given.world_m[rows])
+    inside = np.nan_to_num(model_sigma_m)
+    predicted = np.sqrt(given.sigma_m[rows] ** 2 + spread + known**2 + inside**2)
+    actual, expected = (float(np.sqrt(np.mean(np.sum(v**2, axis=1)))) for v in (off, predicted))
+    if actual <= placing.tuning.statements.scatter * expected:
+        return []
+    far = given.names[rows[int(np.argmax(np.linalg.norm(off / predicted, axis=1)))]]
+    return [
+        f"{len(rows)} check points and the model differ by {actual:.3g} m (RMSE), predicted {expected:.2g} m, most at "
+        f"{far!r}: their coordinates, or what placed the model, are wrong by that"
+    ]

@@ -1,0 +1,226 @@
+"""The coarse model on a simulated boat survey: it decides where it is right, and is not asked where it tore."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pycolmap
+import pytest
+from scipy.spatial.transform import Rotation
+
+from boat_world import HALF_WIDTH_M, World, boat
+from network_steps import estimate_network
+from tiegraph.geometry import transforms
+from tiegraph.network.coarse.model import CoarseModel
+from tiegraph.network.coarse.search import NO_MODEL, _judged, calibrated_rigs
+from tiegraph.network.settings import CandidatesSettings
+from tiegraph.network.tuning import Tuning
+from tiegraph.scene.pairs import REASONS, Pairs
+from tiegraph.scene.rig import Rig, Sensor
+
+SETTINGS, TUNING = CandidatesSettings(), Tuning()
+
+
+def true_model(world: World, broken_at: int | None = None, shifted_m: float = 0.0) -> CoarseModel:
+    """A model with exact poses and points on both walls; with ``broken_at`` all frames of a pass from that step on are
+    shifted by 60 m, which tears it; with ``shifted_m`` the whole second pass is shifted along the canal."""
+    scene = world.scene
+    pose = world.world_from_sensor.copy()
+    if broken_at is not None:
+        pose[scene.sequence_index[scene.frame] >= broken_at, 0, 3] += 60.0
+    pose[scene.sequence[scene.frame] == 1, 0, 3] += shifted_m
+    rng = np.random.default_rng(0)
+    x, z = rng.uniform(-15, 120, 6000), rng.uniform(-1, 9, 6000)
+    points = np.stack([x, np.where(rng.random(6000) < 0.5, -1, 1) * HALF_WIDTH_M, z], axis=1)
+    image, point = [], []
+    for k, world_from_cam in enumerate(pose):
+        local = transforms.apply(transforms.invert(world_from_cam), points)
+        seen = (local[:, 2] > 1) & (np.abs(local[:, :2]) < [1.03, 0.77] * local[:, 2:]).all(axis=1)
+        seen = np.flatnonzero(seen & (np.linalg.norm(local, axis=1) < 25))
+        seen = rng.choice(seen, min(40, len(seen)), replace=False)
+        image.append(np.full(len(seen), k)), point.append(seen)
+    cameras = tuple(scene.all_sensors[k].camera for k in scene.sensor_key)
+    return CoarseModel(
+        transforms.invert(pose), cameras, points, np.concatenate(image), np.concatenate(point), scene.rigs
+    )
+
+
+def network_of(world: World, model: CoarseModel | Callable[[], CoarseModel] | None, settings=SETTINGS):
+    """The network with a model, the same each time or the next one; the ties that the models were made of."""
+    asked = []
+
+    def make(scene, ties, rough):
+        assert not rough
+        asked.append(ties)
+        return model() if callable(model) else model
+
+    light = np.full(len(world.scene), 128.0)
+    return estimate_network(world.scene, light, world.match, settings, TUNING, make, sections="off"), asked
+
+
+def shares(world: World, pairs) -> tuple[float, float]:
+    """Recall and precision of the kept pairs against pairs that truly share a fifth of the view."""
+    i, j = np.triu_indices(len(world.scene), k=1)
+    useful = np.maximum(world.overlap(i, j), world.overlap(j, i)) >= 0.2
+    kept = pairs.matrix(len(world.scene))[i, j] == 1
+    return (kept & useful).sum() / useful.sum(), (kept & useful).sum() / kept.sum()
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return boat((12, 12), (2.0, 2.0))
+
+
+def test_the_model_finds_what_previews_miss(world) -> None:
+    found, asked = network_of(world, true_model(world))
+    recall, precision = shares(world, found.pairs)
+    without, _ = network_of(world, None)
+    assert precision > shares(world, without.pairs)[1]
+    assert recall > 0.9
+    assert np.any(found.pairs.from_source("model") & ~found.pairs.from_source("offsets"))
+    assert 0 < len(asked[0]) < 0.5 * len(world.scene) ** 2 / 2
+    assert asked[0].counts().min() >= 15
+    assert found.trusted.all()
+
+
+def test_pairs_that_share_nothing_are_dropped_with_their_reason(world) -> None:
+    found, _ = network_of(world, true_model(world))
+    gone = found.pairs.where(found.pairs.overlap < SETTINGS.min_overlap)
+    assert len(gone) and np.all(gone.dropped != 0)
+    assert found.pairs.funnel().get("overlap", 0) > 0
+
+
+def test_a_torn_model_is_made_again_and_believed_on_one_side_of_the_tear(world) -> None:
+    whole, once = network_of(world, true_model(world))
+    torn, asked = network_of(world, true_model(world, broken_at=7))
+    assert len(once) == 1 and len(asked) == TUNING.coarse.tries
+    step = world.scene.sequence_index[world.scene.frame]
+    assert torn.trusted[step < 7].all() and not torn.trusted[step >= 7].any()
+    assert any("not believed" in note for note in torn.notes)
+    assert any(f"made {TUNING.coarse.tries} times" in note for note in torn.notes)
+    across = (step[torn.pairs.i] >= 7) != (step[torn.pairs.j] >= 7)
+    assert np.isnan(torn.pairs.overlap[across]).all()
+    assert np.sum(across & (torn.pairs.dropped == 0)) > 20
+    assert whole.trusted.all()
+
+
+def test_a_model_is_made_again_until_it_holds(world) -> None:
+    models = iter((true_model(world, broken_at=7), true_model(world)))
+    found, asked = network_of(world, lambda: next(models))
+    assert len(asked) == 2
+    assert found.trusted.all()
+    assert any("made 2 times" in note for note in found.notes)
+
+
+def test_a_pass_put_some_metres_further_is_noticed_and_made_again_without_what_drew_it_there(world) -> None:
+    folded = true_model(world, shifted_m=30.0)
+    track = world.scene.sequence[world.scene.frame]
+    found, asked = network_of(world, folded)
+    assert len(asked) == TUNING.coarse.tries and len(asked[1]) < len(asked[0])
+    assert len(np.unique(track[found.trusted])) == 1
+    across = track[found.pairs.i] != track[found.pairs.j]
+    assert np.isnan(found.pairs.overlap[across]).all()
+    models = iter((folded, true_model(world)))
+    found, asked = network_of(world, lambda: next(models))
+    assert found.trusted.all() and len(asked) == 2
+
+
+def turned_by(model: CoarseModel, degrees: float) -> CoarseModel:
+    """The model with the mounting of its second camera turned, and the images of that camera with it."""
+    turn = Rotation.from_euler("y", degrees, degrees=True).as_matrix()
+    one = model.rigs[0].sensors[1]
+    sensor = replace(one, sensor_from_rig=transforms.rigid(turn, np.zeros(3)) @ one.sensor_from_rig)
+    sensors = (model.rigs[0].sensors[0], sensor, *model.rigs[0].sensors[2:])
+    return replace(model, rigs=(replace(model.rigs[0], sensors=sensors),))
+
+
+def test_a_camera_that_only_one_model_turns_far_is_made_again(world) -> None:
+    right = true_model(world)
+    once, _ = network_of(world, right)
+    models = iter((turned_by(right, 55.0), right))
+    found, asked = network_of(world, lambda: next(models))
+    assert len(asked) == 2 and found.trusted.all() and len(found.ties) == len(once.ties)
+    assert any("turned a camera of the rig far" in note for note in found.notes)
+    # Two models that agree are right: it is the nominal rig that is wrong.
+    found, asked = network_of(world, turned_by(right, 55.0))
+    assert len(asked) == 2 and found.trusted.all()
+    mounted = found.scene.rigs[0].sensors[1].sensor_from_rig
+    assert transforms.angle_deg(mounted[:3, :3], world.scene.rigs[0].sensors[1].sensor_from_rig[:3, :3]) > 54
+
+
+def test_a_camera_that_every_model_turns_otherwise_stays_as_given_and_is_not_believed(world) -> None:
+    models = iter(turned_by(true_model(world), d) for d in (55.0, 35.0, 75.0, 20.0))
+    found, asked = network_of(world, lambda: next(models))
+    second = world.scene.sensor == 1
+    assert len(asked) == TUNING.coarse.tries
+    assert not found.trusted[second].any() and found.trusted[~second].all()
+    assert np.array_equal(
+        found.scene.rigs[0].sensors[1].sensor_from_rig, world.scene.rigs[0].sensors[1].sensor_from_rig
+    )
+    assert any("not believed for cam1" in note for note in found.notes)
+
+
+def test_frames_of_one_camera_that_follow_each_other_always_tie_the_model(world) -> None:
+    _, asked = network_of(world, true_model(world))
+    scene = world.scene
+    track, step = scene.sequence[scene.frame], scene.sequence_index[scene.frame]
+    i, j = asked[0].i, asked[0].j
+    near = (track[i] == track[j]) & (scene.sensor_key[i] == scene.sensor_key[j]) & (np.abs(step[i] - step[j]) == 1)
+    a, b = np.triu_indices(len(scene), k=1)
+    possible = (track[a] == track[b]) & (scene.sensor_key[a] == scene.sensor_key[b]) & (np.abs(step[a] - step[b]) == 1)
+    possible &= world.overlap(a, b) >= 0.5
+    assert near.sum() >= 0.9 * possible.sum()
+
+
+def test_copies_of_a_picture_stay_out_though_they_share_all_their_surface(world) -> None:
+    model = true_model(world)
+    overlap = model.overlap(SETTINGS.axes_deg, TUNING.coarse)
+    best = int(np.argmax(overlap.share))
+    twin = np.array([overlap.i[best]]), np.array([overlap.j[best]])
+    copy = Pairs.make(*twin, "offsets", dropped=np.array([REASONS.index("similar")]))
+    judged = _judged(copy, overlap, np.where(model.placed(), 0, -1), SETTINGS)
+    assert judged.dropped[(judged.i == twin[0]) & (judged.j == twin[1])].tolist() == [REASONS.index("similar")]
+    assert len(judged.kept()) > 100
+
+
+def test_one_limit_of_the_angle_holds_for_axes_and_for_the_views_of_a_surface(world) -> None:
+    model = true_model(world)
+    wide = model.overlap(180.0, TUNING.coarse)
+    for limit, steeper in ((110.0, True), (50.0, False)):
+        found, _ = network_of(world, model, SETTINGS.model_copy(update={"axes_deg": limit}))
+        kept = found.pairs.matrix(len(world.scene))[wide.i, wide.j] == 1
+        assert np.any(kept & (wide.angle_deg > 55)) == steeper
+
+
+def test_without_a_model_counts_decide(world) -> None:
+    found, _ = network_of(world, None)
+    assert NO_MODEL in found.notes
+    assert found.coarse.model is None and not found.trusted.any()
+
+
+def test_only_what_was_guessed_is_calibrated() -> None:
+    guessed = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[768.0, 320, 240])
+    known = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[310.0, 321.5, 240])
+    known.has_prior_focal_length = True
+    found = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[305.0, 318, 241])
+    turn = transforms.rigid(np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]), np.array([0.1, 0.0, 0.2]))
+    nominal = transforms.rigid(np.eye(3), np.array([0.3, 0.0, 0.0]))
+    rig = Rig("r", (Sensor("a", guessed, np.eye(4)), Sensor("b", known, nominal)), nominal=True)
+    model = Rig("r", (Sensor("a", found, np.eye(4)), Sensor("b", found, turn)))
+    (out,), notes = calibrated_rigs([rig], [model], TUNING.coarse.most_focal)
+    assert out.sensors[0].camera.params[0] == 305.0
+    assert out.sensors[1].camera.params[0] == 310.0
+    assert np.allclose(out.sensors[1].sensor_from_rig[:3, :3], turn[:3, :3])
+    assert np.allclose(transforms.centre(out.sensors[1].sensor_from_rig), transforms.centre(nominal))
+    assert "90.00 deg" in notes[0]
+    sheet = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[320.0, 320, 240])
+    wrong = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[600.0, 320, 240])
+    for given, focal in ((sheet, 305.0), (wrong, 600.0)):
+        given.has_prior_focal_length = True
+        one = replace(rig, sensors=(Sensor("a", given, np.eye(4)),))
+        (lone,), _ = calibrated_rigs([one], [model], TUNING.coarse.most_focal)
+        camera = lone.sensors[0].camera
+        assert camera is not None and camera.params[0] == focal
+        assert camera.has_prior_focal_length == (focal == 600.0)
+    (kept,), said = calibrated_rigs([replace(rig, nominal=False)], [model], TUNING.coarse.most_focal)
+    assert np.allclose(kept.sensors[1].sensor_from_rig, nominal) and said == ()

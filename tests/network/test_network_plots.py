@@ -1,0 +1,202 @@
+"""Pictures are PNG of a readable size, and say what is in the table."""
+
+import io
+import warnings
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from boat_world import World, boat, ring
+from network_steps import Steps, estimate_network
+from tiegraph.network.offsets.surface import minimum_cost_path, surfaces_of
+from tiegraph.network.passes import MatchCache, find_passes
+from tiegraph.network.plots import (
+    _matrix,
+    funnel_png,
+    funnel_table,
+    map_png,
+    matrix_png,
+    sections_png,
+    surfaces_png,
+    weak_pairs,
+)
+from tiegraph.network.plots.common import edges_of
+from tiegraph.network.plots.map import _aggregated, _joined, _layout
+from tiegraph.network.scorematrix import score_matrix
+from tiegraph.network.sections.light import UpLight
+from tiegraph.network.sections.sections import find_sections
+from tiegraph.network.settings import CandidatesSettings
+from tiegraph.network.tuning import Tuning
+from tiegraph.scene.pairs import REASON_LOOKS, REASONS, Pairs
+
+RED, ORANGE = (192, 57, 43), (213, 94, 0)
+TUNING = Tuning()
+
+
+def opened(data: bytes) -> np.ndarray:
+    return np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
+
+
+def share_of(data: bytes, colour: tuple, reach: int = 8) -> float:
+    return float((np.abs(opened(data).astype(int) - np.array(colour)).max(axis=-1) < reach).mean())
+
+
+@lru_cache(maxsize=1)
+def surveyed() -> tuple[World, Steps]:
+    world = boat((8, 8), (3.0, 3.0), ring(4))
+    brightness = np.where(np.isin(world.scene.sequence_index[world.scene.frame], (3, 4, 5)), 60.0, 150.0)
+    return world, estimate_network(world.scene, brightness, world.match, CandidatesSettings(), TUNING)
+
+
+def positions(world: World) -> np.ndarray:
+    out = np.full((world.scene.frames, 3), np.nan)
+    out[world.scene.frame] = world.world_from_sensor[:, :3, 3]
+    return out
+
+
+def test_pictures_of_a_survey() -> None:
+    _, network = surveyed()
+    pictures = dict(network.pictures())
+    assert {"matrix", "offsets", "sections"} <= set(pictures)
+    for data in pictures.values():
+        image = opened(data)
+        assert 300 < image.shape[0] < 4000 and 800 < image.shape[1] < 2000
+    blue = tuple(int(REASON_LOOKS["kept"][1][k : k + 2], 16) for k in (1, 3, 5))
+    assert 0.02 < share_of(pictures["matrix"], blue) < 0.4
+
+
+def test_kept_pairs_win_where_cells_are_shared() -> None:
+    pairs = Pairs.make(
+        [0, 1, 2],
+        [2401, 2402, 2403],
+        "offsets",
+        dropped=np.array([REASONS.index("section"), 0, REASONS.index("section")]),
+    )
+    cells, step = _matrix(pairs, np.arange(2404), 2404)
+    assert step == 3 and cells.shape == (802, 802)
+    assert cells[0, 800] == 1 and cells[800, 0] == 1
+    assert np.count_nonzero(cells) in (2, 4)
+
+
+def test_loose_photographs_have_a_matrix_and_a_map() -> None:
+    from boat_world import photos
+
+    pairs = Pairs.make([0, 1, 2, 3], [1, 2, 3, 4], "exhaustive")
+    assert opened(matrix_png(pairs, photos(5))).size
+    assert share_of(map_png(pairs, None, photos(7)), RED) > 1e-4  # it says that there are no positions
+
+
+def test_the_map_shows_kinds_and_weak_links() -> None:
+    world, network = surveyed()
+    plain = map_png(network.pairs, positions(world), network.scene)
+    kept = network.pairs.kept()
+    ends = [int(np.flatnonzero((world.scene.frame == f) & (world.scene.sensor == 0))[0]) for f in (0, 7)]
+    weak = map_png(network.pairs, positions(world), network.scene, weak=[(ends[0], ends[1])])
+    assert share_of(plain, ORANGE, 60) > 0.001
+    assert share_of(weak, RED, 40) > share_of(plain, RED, 40) + 2e-4
+    side = {kind: _aggregated(kept, network.scene, _joined(positions(world)[:, :2], network.scene), kind).pairs
+            for kind in ("same camera", "across cameras", "across passes")}  # fmt: skip
+    inside = int(np.sum(network.scene.frame[kept.i] == network.scene.frame[kept.j]))
+    assert sum(side.values()) + inside == len(kept) and min(side.values()) > 0
+
+
+@pytest.mark.parametrize("colour", ["kind", "strength"])
+def test_a_map_without_positions_says_so_and_without_pairs_is_drawn(colour: str) -> None:
+    world, _ = surveyed()
+    assert share_of(map_png(Pairs.empty(), None, world.scene, colour=colour), RED) > 1e-4  # type: ignore[arg-type]
+
+
+def test_frames_without_a_position_lie_between_their_neighbours() -> None:
+    world, _ = surveyed()
+    at = positions(world)
+    at[[0, 3]] = np.nan
+    place, said = _layout(Pairs.empty(), at, world.scene)
+    assert said == "" and np.isnan(place[0]).all()
+    assert np.allclose(place[3], positions(world)[3, :2], atol=0.01)
+
+
+def test_many_frames_become_runs() -> None:
+    scene = boat((1200, 900), (0.5, 0.7)).scene
+    rank = np.stack([scene.sequence_index, scene.sequence], axis=1).astype(float)
+    nodes = _joined(rank, scene)
+    assert nodes.sequence_index == 7 and 295 <= len(nodes.place) <= 302
+    first = int(np.flatnonzero((scene.sequence_index == 0) & (scene.sequence == 0))[0])
+    assert np.allclose(nodes.place[nodes.of_frame[first]], [3.0, 0.0])
+
+
+def test_weak_links_are_read_from_the_table() -> None:
+    names = surveyed()[0].scene.names
+    rows = [["single link", f"{names[3]} - {names[40]}", 2, 1], ["joint", names[2], 1, 1], ["camera", "cam0", 4, 0]]
+    assert weak_pairs({"columns": [], "rows": rows}, surveyed()[0].scene).tolist() == [[3, 40]]
+    assert weak_pairs({}, surveyed()[0].scene).shape == (0, 2)
+
+
+def test_the_funnel_adds_up() -> None:
+    world, network = surveyed()
+    table = funnel_table(network.pairs, len(world.scene))
+    left = [row[2] for row in table["rows"]]
+    assert left[0] == len(world.scene) * (len(world.scene) - 1) // 2 and left[1] == len(network.pairs)
+    assert left[1] - sum(row[1] or 0 for row in table["rows"]) == left[-1] == len(network.pairs.kept())
+    assert opened(funnel_png(network.pairs, len(world.scene))).shape[1] > 800
+
+
+def test_surfaces_follow_the_way_back() -> None:
+    world = boat((14, 14), (4.0, 4.0))
+    p, q = find_passes(world.scene)
+    lattice = score_matrix(p, q, 1, np.ones((6, 6), bool), TUNING.offsets.scores)
+    lattice = lattice.measured(lattice.exists(), MatchCache(world.match, len(world.scene)))
+    surfaces = surfaces_of(lattice, lattice.smoothed(12, TUNING), 12, TUNING)
+    assert surfaces[0].sensors == "" and 2 < len(surfaces) <= 13 and surfaces[0].evidence.shape == (14, 14)
+    known = np.isfinite(surfaces[0].path)
+    assert known.sum() >= 10
+    # step k of the way there is where step 14 - k of the way back is
+    assert np.median(np.abs(surfaces[0].path[known] - (14 - surfaces[0].rows[known]))) <= 1.5
+    same = score_matrix(p, p, 2, np.ones((6, 6), bool), TUNING.offsets.scores)
+    alone = surfaces_of(same, same.smoothed(12, TUNING), 12, TUNING)
+    assert len(alone) == 1 and np.isnan(alone[0].path).all()
+    image = opened(surfaces_png((*surfaces, *alone)))
+    assert 700 < image.shape[0] < 1100 and 1200 < image.shape[1] < 1600
+
+
+def test_the_ridge_passes_a_lone_peak_by() -> None:
+    rows, columns = np.mgrid[:20, :30]
+    evidence = 10 * np.exp(-(((columns - rows - 4) / 2.0) ** 2))
+    evidence[10, 28] = 14.0
+    path = minimum_cost_path(evidence, evidence > 5, TUNING.offsets.surface.bend)
+    assert np.abs(path - (np.arange(20) + 4)).max() <= 1
+    assert np.isnan(minimum_cost_path(evidence, np.zeros_like(evidence, bool), TUNING.offsets.surface.bend)).all()
+
+
+def test_sections_show_every_cue() -> None:
+    world, network = surveyed()
+    under = np.isin(world.scene.sequence_index[world.scene.frame], (3, 4, 5))
+    light = UpLight(np.where(under, 60.0, 150.0), np.where(under, 0.1, 0.8))
+    found = find_sections(world.scene, find_passes(world.scene), light, TUNING.sections)
+    image = opened(sections_png(world.scene.with_(section=found.of_frame), found.sections, found.cues))
+    one = opened(sections_png(world.scene.with_(section=found.of_frame), found.sections, found.cues[:1]))
+    assert image.shape[0] > one.shape[0] + 150
+
+
+def test_edges_of_uneven_nodes() -> None:
+    assert edges_of(np.array([0, 2, 6])).tolist() == [-1, 1, 4, 8]
+    assert edges_of(np.array([3])).tolist() == [2.5, 3.5]
+
+
+def test_names_are_no_formulas() -> None:
+    from matplotlib.figure import Figure
+
+    from tiegraph.network.plots.common import png
+    from tiegraph.scene.figures import plain_text
+
+    @plain_text()
+    def drawn() -> bytes:
+        figure = Figure(figsize=(2, 2))
+        axes = figure.add_subplot(title="$\\frac{")
+        axes.set_xticks([0, 1], ["$\\frac{$", "戻り"])
+        return png(figure)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert drawn()[1:4] == b"PNG"

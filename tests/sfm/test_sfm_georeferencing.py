@@ -1,0 +1,264 @@
+"""The model in the world: control points, adjustment with positions, bad positions."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from sfm_worlds import make_world, true_frames, with_positions
+
+from tiegraph.errors import InputError
+from tiegraph.geometry import transforms
+from tiegraph.geometry.geodesy import Origin
+from tiegraph.scene.control import Control
+from tiegraph.scene.rig import Rig, Sensor
+from tiegraph.scene.scene import Scene, simple_scene
+from tiegraph.sfm.model import frame_poses, image_poses
+from tiegraph.sfm.settings import GeorefSettings
+from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.world import worldadjust
+from tiegraph.sfm.world.fixes import Measurements, PositionRows, make_fixes
+from tiegraph.sfm.world.georef import georeference
+from tiegraph.sfm.world.georeferencing import georeference_model
+from tiegraph.sfm.world.gravity import Up
+from tiegraph.sfm.world.similarityfit import Model, fit_to_world
+from tiegraph.sfm.world.worldadjust import ConstantParameters
+
+import pycolmap  # isort: skip
+
+TUNING = Tuning()
+WORLD = TUNING.world
+
+needs_pyceres = pytest.mark.skipif(not worldadjust.available(), reason="pyceres is not installed")
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    return make_world(tmp_path_factory.mktemp("world") / "database.db", cameras=2, frames=24)
+
+
+def _moved(truth):
+    model = pycolmap.Reconstruction(truth)
+    turn = Rotation.from_rotvec([0.4, -1.1, 0.7]).as_quat()
+    model.transform(pycolmap.Sim3d(0.37, pycolmap.Rotation3d(turn), np.array([5.0, -3.0, 2.0])))
+    return model
+
+
+def _error(model, truth, scene) -> float:
+    a = frame_poses(image_poses(model, scene), scene)[:, :3, 3]
+    b = frame_poses(image_poses(truth, scene), scene)[:, :3, 3]
+    return float(np.sqrt(np.mean(np.sum((a - b) ** 2, axis=1))))
+
+
+def _control(truth, scene, count: int = 6, sigma: float = 0.005, checks: int = 2) -> Control:
+    """Points of the truth as surveyed points, their observations as marks; the last ones are check points."""
+    ids = sorted(truth.points3D, key=lambda k: -truth.points3D[k].track.length())[:count]
+    rows = [
+        (n, scene.image_index[truth.image(e.image_id).name], truth.image(e.image_id).points2D[e.point2D_idx].xy)
+        for n, k in enumerate(ids)
+        for e in truth.points3D[k].track.elements[:6]
+    ]
+    rng = np.random.default_rng(0)
+    place = np.array([truth.points3D[k].xyz for k in ids]) + sigma * rng.standard_normal((count, 3))
+    return Control(
+        names=tuple(f"P{k}" for k in range(count)),
+        world_m=place,
+        sigma_m=np.full((count, 3), sigma),
+        check=np.arange(count) >= count - checks,
+        point=np.array([r[0] for r in rows]),
+        image=np.array([r[1] for r in rows]),
+        xy_px=np.array([r[2] for r in rows]),
+        line=np.arange(len(rows)) + 2,
+        origin=Origin(35.0, 139.0, 40.0),
+    )
+
+
+@needs_pyceres
+def test_control_points_alone_place_and_check_points_stay_out(world) -> None:
+    truth, scene = world
+    control = _control(truth, scene)
+    found, placed = georeference_model(_moved(truth), scene, GeorefSettings(), TUNING, Measurements(control=control))
+    assert found.placed and found.adjusted and found.scale_source in ("control points", "rig baseline")
+    assert 0.001 < _error(placed, truth, scene) < 0.1
+    assert found.accuracy["gcp"]["points"] == 4 and found.accuracy["check"]["points"] == 2
+    assert 0 < found.accuracy["check"]["rmse_m"] < 0.05
+    moved = replace(control, world_m=control.world_m + np.where(control.check, 3.0, 0.0)[:, None])
+    other, same = georeference_model(_moved(truth), scene, GeorefSettings(), TUNING, Measurements(control=moved))
+    assert _error(same, placed, scene) < 1e-6 and other.accuracy["check"]["rmse_east_m"] == pytest.approx(3, abs=0.1)
+
+
+def test_a_point_with_one_mark_is_said_with_its_line(world) -> None:
+    truth, scene = world
+    control = _control(truth, scene)
+    rows = (control.point != 1) | (np.arange(len(control.point)) == np.flatnonzero(control.point == 1)[0])
+    few = replace(control, **{n: getattr(control, n)[rows] for n in ("point", "image", "xy_px", "line")})
+    found = georeference(_moved(truth), scene, GeorefSettings(), WORLD, Measurements(control=few))
+    assert found.control[1]["off_m"] is None
+    assert any("'P1' is not used: 1 marks in registered images" in n and "line 8" in n for n in found.notes)
+
+
+@needs_pyceres
+def test_adjustment_meets_the_truth_and_says_what_it_did(world) -> None:
+    truth, scene = world
+    true = true_frames(truth, scene)
+    rng = np.random.default_rng(1)
+    arm = np.array([0.5, -0.3, 0.2])
+    survey = with_positions(
+        scene, true[:, :3, 3] + true[:, :3, :3] @ arm + 0.03 * rng.standard_normal((scene.frames, 3)), 0.03
+    )
+    plain, before = georeference_model(_moved(truth), survey, GeorefSettings(adjust="no"), TUNING)
+    found, after = georeference_model(_moved(truth), survey, GeorefSettings(adjust="yes"), TUNING)
+    assert not plain.adjusted and found.adjusted
+    assert 0.001 < _error(after, truth, scene) < 1.2 * _error(before, truth, scene) + 0.01
+    np.testing.assert_allclose(found.antenna_m, arm, atol=0.1)
+    assert any("positions held back are met within" in n for n in found.notes)
+
+
+@needs_pyceres
+def test_what_the_rig_file_gives_with_a_sigma_holds_among_the_positions_too(world) -> None:
+    truth, scene = world
+    frames = true_frames(truth, scene)[:, :3, 3]
+    noise = 0.01 * np.random.default_rng(5).standard_normal(frames.shape)
+    placed = with_positions(scene, frames + noise, 0.01)
+    given = np.array(scene.rigs[0].sensors[1].sensor_from_rig)
+    given[0, 3] += 0.05
+    places = []
+    for sigma, soft in ((0.001, (0,)), (1.0, (0,)), (1.0, ())):
+        sensor = replace(scene.rigs[0].sensors[1], sensor_from_rig=given, sigma_m=sigma, sigma_deg=10.0)
+        rig = replace(scene.rigs[0], sensors=(scene.rigs[0].sensors[0], sensor), fixed=False)
+        scene_given = placed.with_(rigs=(rig,))
+        _, model = georeference_model(
+            truth, scene_given, GeorefSettings(adjust="yes"), TUNING, None, ConstantParameters(soft=soft)
+        )
+        places.append(next(p.translation[0] for p in model.rig(1).non_ref_sensors.values()))
+    tight, loose, unknown = places
+    assert abs(tight - given[0, 3]) < 0.005
+    assert abs(loose - given[0, 3]) > 0.015 and loose == pytest.approx(unknown, abs=0.003)
+
+
+def test_every_fifth_gross_outlier_and_a_pass_without_positions(world) -> None:
+    truth, scene = world
+    true = true_frames(truth, scene)[:, :3, 3]
+    rng = np.random.default_rng(2)
+    wrong = true + 0.05 * rng.standard_normal(true.shape)
+    bad = rng.choice(scene.frames, 3, replace=False)
+    wrong[bad] += 30 * rng.standard_normal((3, 3))
+    found = georeference(_moved(truth), with_positions(scene, wrong, 0.05), GeorefSettings(antenna="ignored"), WORLD)
+    assert not found.inlier[bad].any() and found.inlier.sum() >= scene.frames - 5
+    assert _error(found.apply(_moved(truth)), truth, scene) < 0.1
+    half = np.where(np.arange(scene.frames)[:, None] < 12, true, np.nan)
+    two = with_positions(scene.with_(sequence=np.arange(24) >= 12, sequences=("up", "down")), half, 0.05)
+    lost = georeference(_moved(truth), two, GeorefSettings(), WORLD)
+    assert lost.placed and any("pass 'down' has no position" in n for n in lost.notes)
+
+
+def test_exchanged_axes_are_said(world) -> None:
+    truth, scene = world
+    true = true_frames(truth, scene)[:, [1, 0, 2], 3]
+    with pytest.raises(InputError, match="exchanged"):
+        georeference(_moved(truth), with_positions(scene, true, 0.05), GeorefSettings(), WORLD)
+
+
+def _straight(passes: int) -> tuple[Model, Scene, np.ndarray]:
+    """Passes there and back, 2.5 m apart, straight: model (the world itself), scene, positions."""
+    along = np.linspace(0, 48, 25)
+    rows = [(x, 0.0, 1.0) for x in along] + [(x, 2.5, -1.0) for x in along[::-1]]
+    poses = []
+    for x, y, ahead in rows[: 25 * passes]:
+        axes = np.stack([np.cross([0, 0, -1.0], [ahead, 0, 0]), [0, 0, -1.0], [ahead, 0, 0]], axis=1)
+        poses.append(transforms.rigid(axes, np.array([x, y, 2.0])))
+    count = len(poses)
+    rig = Rig("ring", (Sensor("cam0", None, np.eye(4), "side"),))
+    names = [f"cam0/{k:03d}.jpg" for k in range(count)]
+    track = np.arange(count) // 25
+    scene = simple_scene(
+        rig, names, np.arange(count), np.zeros(count, int), track, sequences=("up", "down")[:passes],
+        time_s=2.0 * np.arange(count),
+    )  # fmt: skip
+    place = np.array(poses)[:, :3, 3] + 0.02 * np.random.default_rng(0).standard_normal((count, 3))
+    up = Up(np.array([0.0, 0.0, 1.0]), 3.0, True, "the ring of side cameras")
+    return Model(transforms.invert(np.array(poses)), up, None, [], tuple(names)), scene, place
+
+
+def test_straight_passes_whose_mirror_image_hangs_upside_down_are_refused() -> None:
+    model, scene, place_m = _straight(2)
+    assert (
+        fit_to_world(model, with_positions(scene, place_m, 0.02), GeorefSettings(), Measurements(), WORLD) is not None
+    )
+    with pytest.raises(InputError, match="upside down"):
+        fit_to_world(model, with_positions(scene, place_m[:, [1, 0, 2]], 0.02), GeorefSettings(), Measurements(), WORLD)
+
+
+def test_one_straight_pass_tells_no_mirror_image_and_that_is_said() -> None:
+    model, scene, place_m = _straight(1)
+    found = fit_to_world(
+        model, with_positions(scene, place_m[:, [1, 0, 2]], 0.02), GeorefSettings(), Measurements(), WORLD
+    )
+    assert found is not None and any("exchanged cannot be told" in n for n in found.notes)
+
+
+def test_rows_between_frames_carry_lever_arm_and_clock() -> None:
+    """A boat goes out and back along an S at changing speed: five rows a second, a frame every two."""
+    fine = np.arange(0, 80.01, 0.2)
+    poses = _path(fine)
+    arm, clock = np.array([0.3, 0.0, 0.9]), 0.15
+    frames = np.arange(0, 80.01, 2.0)
+    scene = _drive(frames)
+    late = _path(fine + clock)  # the receiver's stamps are early: at its time t the boat is where it is at t + clock
+    noise = 0.02 * np.random.default_rng(3).standard_normal((len(fine), 3))
+    rows = PositionRows(fine, late[:, :3, 3] + late[:, :3, :3] @ arm + noise, np.full((len(fine), 3), 0.02))
+    fixes = make_fixes(scene, np.ones(scene.frames, bool), Measurements(rows), 0.01, WORLD.fixes)
+    assert 150 < len(fixes) <= 5 * scene.frames + scene.frames
+    moved, _ = fixes.blend(_path(frames))
+    at = np.searchsorted(fine, fixes.time_s - 1e-6)
+    np.testing.assert_allclose(moved[:, :3, 3], poses[at, :3, 3], atol=0.2)  # a cubic follows the curve
+    wide = fixes.widened(_path(frames), 1.0, WORLD.fixes)
+    off = np.linalg.norm(moved[:, :3, 3] - poses[at, :3, 3], axis=1)
+    assert np.all(off < 3 * wide.sigma[:, 0]) and np.median(wide.sigma) < 0.05
+    model = Model(transforms.invert(_path(frames)), None, None, [])
+    placing = fit_to_world(model, scene, GeorefSettings(sigma_floor_m=0.01), Measurements(rows), WORLD)
+    assert placing is not None
+    np.testing.assert_allclose(placing.fit.antenna[[0, 2]], arm[[0, 2]], atol=0.08)
+    assert placing.fit.offset_s == pytest.approx(clock, abs=0.03)
+    assert any("clock is +0.1" in n for n in placing.notes) and any("lever arm estimated" in n for n in placing.notes)
+    gap = (fine > 20) & (fine < 30)
+    few = PositionRows(*(v[~gap] for v in (rows.time_s, rows.position_m, rows.sigma_m)))
+    doubted = make_fixes(scene, np.ones(scene.frames, bool), Measurements(few), 0.01, WORLD.fixes)
+    after = (doubted.time_s >= 30) & (doubted.time_s < 39)
+    assert not np.any((doubted.time_s > 20.1) & (doubted.time_s < 29.9))
+    assert np.all(doubted.sigma[after] > 0.05) and np.all(doubted.sigma[doubted.time_s > 45] < 0.03)
+    bridge = make_fixes(
+        scene, np.ones(scene.frames, bool), Measurements(rows, covered=np.arange(scene.frames) < 5), 0.01, WORLD.fixes
+    )
+    assert bridge.sigma[0, 0] == pytest.approx(0.2, rel=0.01)
+
+
+def _path(time_s: np.ndarray) -> np.ndarray:
+    """world_from_rig (T, 4, 4) of a level camera that looks ahead (x right, y down, z forward)."""
+    s = 60 * np.sin(time_s / 12) + 8 * np.sin(time_s / 6)
+    along = np.stack([s, 10 * np.sin(s / 20), np.zeros_like(s)], axis=1)
+    ahead = np.gradient(along, time_s, axis=0)
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    down = np.tile([0.0, 0.0, -1.0], (len(s), 1))
+    return transforms.rigid(np.stack([np.cross(down, ahead), down, ahead], axis=2), along)
+
+
+def _drive(time_s: np.ndarray) -> Scene:
+    count = len(time_s)
+    names = [f"{k:03d}.jpg" for k in range(count)]
+    scene = simple_scene(Rig("lone", (Sensor("cam"),)), names, np.arange(count), np.zeros(count), np.zeros(count))
+    place = _path(time_s)[:, :3, 3]
+    return with_positions(scene.with_(sequences=("way",), time_s=time_s), place, 0.02)
+
+
+def test_a_relaxed_rig_is_not_adjusted_with_the_positions(world) -> None:
+    truth, scene = world
+    survey = with_positions(scene, true_frames(truth, scene)[:, :3, 3], 0.05)
+    assert georeference_model(_moved(truth), survey, GeorefSettings(adjust="yes"), TUNING)[0].adjusted
+    other = np.flatnonzero(survey.sensor == 1)  # its images stand in other frames of the model than of the scene
+    frame = survey.frame.copy()
+    frame[other] = np.roll(frame[other], 1)
+    found, _ = georeference_model(_moved(truth), survey.with_(frame=frame), GeorefSettings(adjust="yes"), TUNING)
+    assert not found.adjusted and any("relaxed" in n for n in found.notes)
