@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 NONE = "–"  # an en dash: not known
 _NOTHING = 1e-7  # smaller numbers are rounding errors
 
@@ -129,3 +131,19 @@ def _is_number(value: Any) -> bool:
 
 def _known(value: Any) -> bool:
     return _is_number(value) and math.isfinite(value)
+
+
+def scalar(value: Any) -> float | None:
+    """One number for a residual: itself, its "total", or the length of its components."""
+    if isinstance(value, dict):
+        if is_number(value.get("total")):
+            return float(value["total"])
+        value = [v for v in value.values() if is_number(v)]
+    if isinstance(value, (list, tuple)):
+        return float(np.linalg.norm(value)) if len(value) and all(is_number(v) for v in value) else None
+    return float(value) if is_number(value) else None
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value of a receipt is a finite number."""
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and bool(np.isfinite(value))

@@ -11,7 +11,7 @@ from typing import Any
 import jinja2
 import numpy as np
 
-from tiegraph.report import charts, formatting, plan, summary, viewer
+from tiegraph.report import charts, formatting, plan, summary, viewer, warnings
 from tiegraph.report.cloudview import standard_views, with_scale_bar
 from tiegraph.report.contradictions import EVIDENCE, evidence_table
 from tiegraph.report.networkpart import network_part
@@ -78,7 +78,7 @@ def environment() -> jinja2.Environment:
 def _scan(run: RunFolder) -> dict[str, Any]:
     scene, receipt = run.scene, run.receipts.get("scan", {})
     notes = list(dict.fromkeys([*(scene.notes if scene else ()), *map(str, receipt.get("notes") or [])]))
-    dropped = summary.dropped_images(run)
+    dropped = warnings.dropped_images(run)
     facts_ = []
     if scene is not None:
         rigs = ", ".join(f"{r.name} ({len(r.sensors)} cameras)" if len(r.sensors) > 1 else r.name for r in scene.rigs)

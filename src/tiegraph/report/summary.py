@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,15 +9,13 @@ import numpy as np
 
 from tiegraph.report import formatting, georeference
 from tiegraph.report.contradictions import about, contradictions
-from tiegraph.report.formatting import Table
+from tiegraph.report.formatting import Table, is_number, scalar
 from tiegraph.report.runfolder import STAGES, RunFolder
+from tiegraph.report.warnings import warnings, weak_placement
 from tiegraph.scene.registered import BY_RIG
 from tiegraph.text import known_to
 
 GOOD_SHARE, POOR_SHARE = 0.95, 0.6  # of the images registered
-_WEAK = {"yaw_deg": (1.0, "heading", "°"), "tilt_deg": (1.0, "tilt", "°"), "scale": (0.01, "scale", "")}
-_FEW_TIES = 3  # an image with fewer ties hangs loosely
-_HELDOUT_FACTOR = 2.0  # held-out positions this much worse than those used: the model bends to its control
 
 
 @dataclass(frozen=True)
@@ -139,7 +136,7 @@ def crs_text(crs: Any, origin: Any = None) -> str:
     if str(crs).upper() == "ENU":
         at = [(origin or {}).get(k) for k in ("lat_deg", "lon_deg", "height_m")]
         place = "its origin"
-        if all(map(_is, at)):
+        if all(map(is_number, at)):
             place = f"latitude {at[0]:.6f}°, longitude {at[1]:.6f}°, height {at[2]:.2f} m"
         return f"a local east-north-up frame about {place} (WGS 84)"
     try:
@@ -171,7 +168,7 @@ def _accuracy_sentences(run: RunFolder) -> list[str]:
     if sigma:
         text = f"Expected error of the placement (1 sigma, from the scatter of these residuals): {sigma}."
         inside = (world.get("model_sigma") or {}).get("median")
-        if _is(inside):
+        if is_number(inside):
             text += (
                 f" Inside the model a camera is known to {formatting.length(inside)} (median of the bundle adjustment)."
             )
@@ -200,11 +197,13 @@ def _accuracy_sentences(run: RunFolder) -> list[str]:
 def residual_text(value: Any) -> str:
     """Residuals per axis or as one number, in words; "" if unknown."""
     if isinstance(value, dict):
-        parts = [f"{formatting.length(v)} {k.replace('_m', '').replace('_', ' ')}" for k, v in value.items() if _is(v)]
+        parts = [
+            f"{formatting.length(v)} {k.replace('_m', '').replace('_', ' ')}" for k, v in value.items() if is_number(v)
+        ]
         return ", ".join(parts)
-    if isinstance(value, (list, tuple)) and len(value) == 3 and all(_is(v) for v in value):
+    if isinstance(value, (list, tuple)) and len(value) == 3 and all(is_number(v) for v in value):
         return ", ".join(f"{formatting.length(v)} {n}" for v, n in zip(value, ("east", "north", "up")))
-    return formatting.length(value) if _is(value) else ""
+    return formatting.length(value) if is_number(value) else ""
 
 
 def sigma_text(value: Any) -> str:
@@ -216,91 +215,17 @@ def sigma_text(value: Any) -> str:
         base, _, unit = name.rpartition("_")
         if isinstance(v, (list, tuple)) and len(v) == 3 and unit in ("m", ""):
             parts.append(f"{(base or name).replace('_', ' ')} {residual_text(v)}")
-        elif _is(v) and unit == "m":
+        elif is_number(v) and unit == "m":
             parts.append(f"{base.replace('_', ' ')} {formatting.length(v)}")
-        elif _is(v) and unit in ("deg", "ppm"):
+        elif is_number(v) and unit in ("deg", "ppm"):
             base = "heading" if base == "yaw" else base.replace("_", " ")
             most, unit = (90, "°") if unit == "deg" else (1e6, " ppm")
             parts.append(f"{base} {known_to(v, most, formatting.number(v, 2) + unit).removeprefix('known to ')}")
-        elif _is(v) and name == "scale":
+        elif is_number(v) and name == "scale":
             parts.append(f"scale {known_to(v, 1, formatting.number(100 * v, 2) + ' %').removeprefix('known to ')}")
-        elif _is(v):
+        elif is_number(v):
             parts.append(f"{name.replace('_', ' ')} {formatting.number(v, 2)}")
     return "; ".join(parts)
-
-
-def warnings(run: RunFolder) -> Iterable[str]:
-    """What a user should look at before using the products."""
-    for stage, receipt in run.receipts.items():
-        if "key" not in receipt and stage != "report":
-            yield f"The stage {stage} was interrupted; run the same command again to finish it."
-    dropped = dropped_images(run)
-    if dropped:
-        yield f"{formatting.plural(len(dropped), 'image file')} could not be used; the reasons are listed below."
-    if run.scene is not None and run.model is not None:
-        yield from _coverage_warnings(run)
-    untied = _untied_borders(run)
-    if untied:
-        borders = formatting.plural(untied, "border") + " between sections " + ("is" if untied == 1 else "are")
-        yield f"{borders} not tied by two independent pairs: the model may bend or part there."
-    if run.pairs is not None and run.scene is not None and np.any(run.pairs.inliers >= 0):
-        kept = run.pairs.kept()
-        ties = kept.where(kept.inliers > 0).degree(len(run.scene))
-        few = int(np.sum(ties < _FEW_TIES))
-        if few:
-            verb = "has" if few == 1 else "have"
-            yield f"{formatting.plural(few, 'image')} {verb} fewer than {_FEW_TIES} verified ties to other images."
-    world = run.world or {}
-    if run.done("georef") and not run.georeferenced and not world.get("placed"):
-        yield "The model is not georeferenced: give --gnss (or images with GPS) for coordinates on the Earth."
-    weak = weak_placement(run)
-    if weak:
-        yield f"The placement in the world is weak: known only in {weak}. More or better positions along the way help."
-    held, fit = _scalar(world.get("heldout_rms_m")), _scalar(world.get("residual_rms_m"))
-    if held is not None and fit is not None and held > _HELDOUT_FACTOR * fit:
-        text = f"Positions left out of the fit are met {formatting.number(held / fit, 2)} times worse than those used"
-        yield text + ": the model bends towards its control."
-
-
-def _untied_borders(run: RunFolder) -> int:
-    """Rows of the table of section links that say "not tied"."""
-    found = run.receipts.get("network", {}).get("tables")
-    table = next((t for n, t in found.items() if "section" in n), None) if isinstance(found, dict) else None
-    if not isinstance(table, dict) or "tied" not in (table.get("columns") or []):
-        return 0
-    place = table["columns"].index("tied")
-    return sum(row[place] is False for row in table.get("rows") or [] if len(row) > place)
-
-
-def _coverage_warnings(run: RunFolder) -> Iterable[str]:
-    assert run.scene is not None and run.model is not None
-    if run.model.others:
-        parts = len(run.model.others) + 1
-        yield f"The images fell into {parts} separate models: the parts do not share enough ties."
-    registered = run.model.registered
-    labels = np.array([" ".join(x).strip() for x in run.scene.image_label()])
-    for label in dict.fromkeys(labels):
-        of = labels == label
-        if label and np.mean(registered[of]) < 0.5:
-            more = int(run.model.by_rig[of].sum())
-            yield f"Of {label} only {int(registered[of].sum())} of {int(of.sum())} images are registered" + (
-                f"; {more} more stand where their rig places them." if more else "."
-            )
-
-
-def weak_placement(run: RunFolder) -> str:
-    """What of the placement in the world is poorly known, in words; "" if nothing."""
-    sigma = (run.world or {}).get("sigma")
-    if not isinstance(sigma, dict):
-        return ""
-    parts = []
-    for name, (limit, text, unit) in _WEAK.items():
-        value = sigma.get(name, 0.0)
-        if _is(value) and value > limit:
-            parts.append(
-                f"{text} to {formatting.number(value, 2)}{unit}" if unit else f"{text} to {formatting.percent(value)}"
-            )
-    return ", ".join(parts)
 
 
 def tiles(run: RunFolder) -> list[Tile]:
@@ -321,7 +246,7 @@ def tiles(run: RunFolder) -> list[Tile]:
             out.append(Tile(f"{formatting.number(run.model.reprojection_px, 2)} px", "mean reprojection error"))
     if run.cloud is not None:
         out.append(Tile(formatting.count(run.cloud.count), "points in the cloud"))
-    residual = _scalar((run.world or {}).get("residual_rms_m"))
+    residual = scalar((run.world or {}).get("residual_rms_m"))
     if residual is not None:
         out.append(Tile(formatting.length(residual), "residual to the positions (RMS)"))
     known = metric_values(run)
@@ -336,14 +261,7 @@ def tiles(run: RunFolder) -> list[Tile]:
 def metric_values(run: RunFolder) -> dict[str, float]:
     """name -> value of the known figures of merit."""
     found = (run.metrics or {}).get("metrics") or []
-    return {m["name"]: m["value"] for m in found if isinstance(m, dict) and _is(m.get("value"))}
-
-
-def dropped_images(run: RunFolder) -> list[tuple[str, str]]:
-    """Files left out by the scan, with reasons."""
-    if run.scene is not None and run.scene.dropped:
-        return [(d.name, d.reason) for d in run.scene.dropped]
-    return [(str(d[0]), str(d[1])) for d in run.receipts.get("scan", {}).get("dropped") or [] if len(d) >= 2]
+    return {m["name"]: m["value"] for m in found if isinstance(m, dict) and is_number(m.get("value"))}
 
 
 def registered_tables(run: RunFolder) -> list[Table]:
@@ -396,21 +314,6 @@ def stage_rows(run: RunFolder) -> list[tuple[str, float, float, float]]:
     out = []
     for stage in STAGES:
         r = run.receipts.get(stage, {})
-        if _is(r.get("seconds")):
+        if is_number(r.get("seconds")):
             out.append((stage, float(r["seconds"]), float(r.get("cpu_s") or 0), float(r.get("peak_mib") or 0)))
     return out
-
-
-def _scalar(value: Any) -> float | None:
-    """One number for a residual: itself, its "total", or the length of its components."""
-    if isinstance(value, dict):
-        if _is(value.get("total")):
-            return float(value["total"])
-        value = [v for v in value.values() if _is(v)]
-    if isinstance(value, (list, tuple)):
-        return float(np.linalg.norm(value)) if len(value) and all(_is(v) for v in value) else None
-    return float(value) if _is(value) else None
-
-
-def _is(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and bool(np.isfinite(value))

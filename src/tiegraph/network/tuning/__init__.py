@@ -5,9 +5,9 @@ from __future__ import annotations
 from pydantic import Field
 
 from tiegraph.network.tuning.coarse import CoarseTuning
-from tiegraph.network.tuning.retrieval import RetrievalTuning
 from tiegraph.network.tuning.offsets import OffsetsTuning
 from tiegraph.network.tuning.poses import PosesTuning
+from tiegraph.network.tuning.retrieval import RetrievalTuning
 from tiegraph.network.tuning.rig import RigTuning
 from tiegraph.network.tuning.sections import SectionsTuning
 from tiegraph.settings import Section

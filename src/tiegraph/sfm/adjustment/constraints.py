@@ -31,8 +31,8 @@ class RelativePosePrior:
 
 @dataclass(frozen=True)
 class SensorPrior:
-    """Extrinsics of a sensor of a rig: sensor_from_rig (4, 4) in model units, covariance as of ``RelativePosePrior``.
-    """
+    """Extrinsics of a sensor of a rig: sensor_from_rig (4, 4) in model units, covariance as of
+    ``RelativePosePrior``."""
 
     rig_id: int
     camera_id: int
