@@ -10,9 +10,9 @@ from scipy.optimize import approx_fprime
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry.align import Similarity
+from tiegraph.sfm.tuning.world import FitTuning
 from tiegraph.sfm.world.fit import Evidence, _Problem, fit_similarity
 from tiegraph.sfm.world.gravity import Up
-from tiegraph.sfm.world.tuning import FitTuning
 
 TUNING = FitTuning()
 TRUE = Similarity(2.5, Rotation.from_euler("xyz", [0.6, 0.3, -1.0]).as_matrix(), np.array([10.0, 20.0, 3.0]))
