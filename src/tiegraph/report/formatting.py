@@ -24,12 +24,12 @@ class Table:
 
 def count(value: Any) -> str:
     """A whole number with thin spaces between thousands."""
-    return NONE if not _known(value) else f"{round(value):,}".replace(",", "\u202f")
+    return NONE if not is_number(value) else f"{round(value):,}".replace(",", "\u202f")
 
 
 def number(value: Any, digits: int = 3) -> str:
     """A number with about three significant digits, never in powers of ten unless tiny."""
-    if not _known(value):
+    if not is_number(value):
         return NONE
     value = float(value)
     if abs(value) < _NOTHING:
@@ -44,8 +44,8 @@ def number(value: Any, digits: int = 3) -> str:
 
 def length(value: Any, unit: str = "m") -> str:
     """A length; below half a metre in centimetres or millimetres when the unit is metres."""
-    if not _known(value) or unit != "m" or abs(value) < _NOTHING:
-        return f"{number(value)} {unit}" if _known(value) else NONE
+    if not is_number(value) or unit != "m" or abs(value) < _NOTHING:
+        return f"{number(value)} {unit}" if is_number(value) else NONE
     if abs(value) < 0.01:
         return f"{number(1000 * value, 2)} mm"
     if abs(value) < 0.5:
@@ -60,7 +60,7 @@ def plural(amount: int, one: str, many: str = "") -> str:
 
 def percent(share: Any) -> str:
     """A share 0..1 in percent; 100 % only when it is all."""
-    if not _known(share):
+    if not is_number(share):
         return NONE
     text = f"{100 * share:.0f}" if share in (0, 1) or 0.1 < share < 0.99 else f"{100 * share:.1f}"
     return f"{'99.9' if text == '100.0' and share < 1 else text} %"
@@ -68,7 +68,7 @@ def percent(share: Any) -> str:
 
 def seconds(value: Any) -> str:
     """A duration."""
-    if not _known(value):
+    if not is_number(value):
         return NONE
     if value < 10:
         return f"{value:.1f} s"
@@ -80,7 +80,7 @@ def seconds(value: Any) -> str:
 
 def size(value: Any) -> str:
     """Bytes in MB or GB."""
-    if not _known(value):
+    if not is_number(value):
         return NONE
     return f"{value / 1e9:.2f} GB" if value >= 1e9 else f"{number(value / 1e6, 2)} MB"
 
@@ -99,14 +99,14 @@ def table(data: Any, title: str = "") -> Table | None:
 
 def _column(values: list[Any]) -> list[str]:
     """Numbers of one column with the same number of decimals, unless they are of very different size."""
-    sizes = sorted(abs(v) for v in values if _known(v) and abs(v) > _NOTHING)
-    if not sizes or all(isinstance(v, int) or not _known(v) or float(v).is_integer() for v in values):
+    sizes = sorted(abs(v) for v in values if is_number(v) and abs(v) > _NOTHING)
+    if not sizes or all(isinstance(v, int) or not is_number(v) or float(v).is_integer() for v in values):
         return [cell(v) for v in values]
     if sizes[-1] > 3000 * sizes[0]:
         return [cell(v) for v in values]
     middle = sizes[len(sizes) // 2]
     digits = min(max(0, 2 - math.floor(math.log10(middle))), 6)
-    return [f"{v:,.{digits}f}".replace(",", "\u202f") if _known(v) else NONE for v in values]
+    return [f"{v:,.{digits}f}".replace(",", "\u202f") if is_number(v) else NONE for v in values]
 
 
 def cell(value: Any) -> str:
@@ -129,7 +129,8 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
-def _known(value: Any) -> bool:
+def is_number(value: Any) -> bool:
+    """Whether a value of a receipt is a finite number."""
     return _is_number(value) and math.isfinite(value)
 
 
@@ -142,8 +143,3 @@ def scalar(value: Any) -> float | None:
     if isinstance(value, (list, tuple)):
         return float(np.linalg.norm(value)) if len(value) and all(is_number(v) for v in value) else None
     return float(value) if is_number(value) else None
-
-
-def is_number(value: Any) -> bool:
-    """Whether a value of a receipt is a finite number."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and bool(np.isfinite(value))

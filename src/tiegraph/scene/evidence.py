@@ -69,14 +69,14 @@ def contradictions(statements: Sequence[Statement]) -> list[Contradiction]:
 
 
 def table(statements: Sequence[Statement]) -> dict:
-    """Table of a receipt, one statement a row; the quantity's verdict in the last column."""
+    """Table of a receipt, one statement a row; what contradicts it in the last column."""
     found = contradictions(statements)
     rows = []
     for s in statements:
         against = [c.second if c.first is s else c.first for c in found if s is c.first or s is c.second]
-        verdict = f"contradicts {against[0].source}" if against else ""
-        rows.append([s.quantity, s.source, s.value, s.sigma, s.unit, "used" if s.used else "", verdict])
-    return {"columns": ["quantity", "source", "value", "sigma", "unit", "", "verdict"], "rows": rows}
+        other = against[0].source if against else ""
+        rows.append([s.quantity, s.source, s.value, s.sigma, s.unit, "yes" if s.used else "", other])
+    return {"columns": ["quantity", "source", "value", "sigma", "unit", "used", "contradicted by"], "rows": rows}
 
 
 @dataclass(frozen=True)
