@@ -158,8 +158,8 @@ def _cloud(work: _Work, cloud: Cloud, path: Path, trajectory: TrajectoryError | 
     found.metrics.extend(result.metrics())
     found.tables.update(result.tables())
     found.contradictions += against_cloud(result, points, work.predicted, alignment is not None, tuning.judge)
-    share = f"{100 * result.outside:.0f} % of the cloud lie outside the reference's outline and are not judged."
-    found.notes.append(f"Reference cloud {path.name}, {how}. {result.meaning} {share}")
+    share = f"{100 * result.judged.outside:.0f} % of the cloud lie outside the reference's outline and are not judged."
+    found.notes.append(f"Reference cloud {path.name}, {how}. {result.criteria.meaning} {share}")
 
 
 def _origin_of(settings: EvaluateSettings, crs: str | None) -> Origin | None:
