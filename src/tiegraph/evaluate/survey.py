@@ -175,10 +175,10 @@ def _alignment(
         return None, "compared as it is, without alignment"
     if trajectory is None:
         return None, "compared as it is: an alignment needs reference poses too"
-    off = abs(trajectory.sim3.scale - 1)
+    off = abs(trajectory.sim3.alignment.scale - 1)
     if settings.alignment == "rigid" and off < unscaled_share:
-        return trajectory.rigid, "after a rigid alignment by the matched poses"
+        return trajectory.se3.alignment, "after a rigid alignment by the matched poses"
     if settings.alignment == "rigid":
         how = f"the model's scale differs by {100 * off:.0f} %, so it was scaled too, by a similarity over the poses"
-        return trajectory.similarity, how
-    return trajectory.similarity, "after a similarity alignment by the matched poses"
+        return trajectory.sim3.alignment, how
+    return trajectory.sim3.alignment, "after a similarity alignment by the matched poses"
