@@ -154,7 +154,7 @@ def judged(cloud: Cloud, points: np.ndarray, fit: Similarity | None, cameras: np
     found = cloud_to_cloud(cloud, points, _JUDGED, _DISTANCES_M, fit, cameras)
     rows = {
         f"{d:g} m": [round(100 * x, 1) for x in (a, c, f)]
-        for d, a, c, f in zip(found.distances_m, found.accuracy, found.completeness, found.fscore, strict=True)
+        for d, a, c, f in zip(found.criteria.distances_m, found.accuracy, found.completeness, found.fscore, strict=True)
     }
     some = cloud.where(np.random.default_rng(0).permutation(len(cloud))[:200_000])
     away = nearest(fit(some.xyz_m) if fit else some.xyz_m, points, 1.0)

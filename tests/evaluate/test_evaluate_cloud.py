@@ -22,7 +22,7 @@ def quay(points: int = 20000, seed: int = 0, length: float = 10.0) -> np.ndarray
 def test_the_same_cloud_is_perfect() -> None:
     result = cloud_to_cloud(quay(), quay(), TUNING)
     assert result.accuracy == result.completeness == result.fscore == (1, 1, 1, 1)
-    assert result.median_m < 0.01 and result.ghosts == 0 and result.outside == 0
+    assert result.median_m < 0.01 and result.ghosts == 0 and result.judged.outside == 0
 
 
 def test_a_shift_shows_at_its_size() -> None:
@@ -44,8 +44,8 @@ def test_only_the_reference_near_the_cameras_counts() -> None:
     whole = quay(100_000)
     cameras = np.array([[0.0, 2.0, 1.5]])
     near = cloud_to_cloud(whole[whole[:, 0] < 5], whole, TUNING, (0.05,), None, cameras, 4.0)
-    assert near.completeness[0] > 0.99 and near.reference_points < 50_000 and near.range_m == 4.0
-    assert "within 4 m of a registered camera" in near.meaning
+    assert near.completeness[0] > 0.99 and near.judged.reference_points < 50_000 and near.criteria.range_m == 4.0
+    assert "within 4 m of a registered camera" in near.criteria.meaning
     with pytest.raises(ValueError, match="do both share a frame"):
         cloud_to_cloud(whole, whole, TUNING, (0.05,), None, cameras + 1000, 4.0)
 
@@ -57,7 +57,7 @@ def test_ghosts_are_inside_the_outline_only() -> None:
     body = quay(4000)
     result = cloud_to_cloud(np.vstack([body, inside, beyond]), quay(50_000, 2), TUNING, (0.1,))
     assert 0.15 < result.ghosts < 0.25
-    assert result.outside == pytest.approx(3 / 8, abs=0.05)
+    assert result.judged.outside == pytest.approx(3 / 8, abs=0.05)
 
 
 def test_thinning_keeps_to_its_limit() -> None:

@@ -34,7 +34,7 @@ def moved(poses: np.ndarray, scale: float, seed: int = 0) -> np.ndarray:
 
 def test_a_similarity_is_no_error_but_its_scale_shows() -> None:
     result = evaluate_trajectory(matched(moved(river(), 0.9), river()), (1.0, 10.0), TUNING)
-    assert result.sim3.rmse_m < 1e-9 and abs(result.sim3.scale - 1 / 0.9) < 1e-9
+    assert result.sim3.rmse_m < 1e-9 and abs(result.sim3.alignment.scale - 1 / 0.9) < 1e-9
     assert 1.0 < result.se3.rmse_m < 2.5
     assert 0.05 < result.relative[0].translation_m < 0.2 and 0.8 < result.relative[1].translation_m < 1.3
     assert result.within == 1.0 and result.absolute is None

@@ -44,7 +44,7 @@ def test_a_good_rig_scatters_as_expected() -> None:
     assert [h.name for h in found.sensors] == ["cam0", "cam1", "cam2"]
     for h in found.sensors:
         assert 0.5 < h.scatter_ratio < 2.0
-        assert 0.0005 < h.scatter_m < 0.05 and 0.002 < h.scatter_deg < 0.2
+        assert 0.0005 < h.place_m.scatter < 0.05 and 0.002 < h.turn_deg.scatter < 0.2
     assert all(len(row) == len(COLUMNS) for row in found.rows)
 
 

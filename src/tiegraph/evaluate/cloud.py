@@ -25,28 +25,42 @@ MEANING = (
 
 
 @dataclass(frozen=True)
-class CloudComparison:
-    """Result of ``cloud_to_cloud``; shares are 0..1, one per distance; distances are cloud to reference, metres."""
+class Criteria:
+    """What a cloud was judged by, metres."""
 
-    distances_m: tuple[float, ...]
-    accuracy: tuple[float, ...]
-    completeness: tuple[float, ...]
-    fscore: tuple[float, ...]
-    median_m: float
-    p90_m: float
-    ghosts: float
+    distances_m: tuple[float, ...]  # nearer is accurate, and complete
     ghost_m: float  # what is further from the reference is a ghost
-    outside: float  # share of the cloud's points outside the reference's outline: not judged
-    points: int  # judged points of the thinned cloud
-    reference_points: int  # judged points of the thinned reference
-    voxel_m: float
-    range_m: float | None
+    voxel_m: float  # one point of each
+    range_m: float | None  # from a camera, that the reference counts in; None: all of it
 
     @property
     def meaning(self) -> str:
         """The definitions in words."""
         near = f"reference points within {self.range_m:g} m of a registered camera" if self.range_m else "all of them"
         return MEANING.format(voxel_m=self.voxel_m, counted=near, ghost_m=self.ghost_m)
+
+
+@dataclass(frozen=True)
+class JudgedPoints:
+    """What was judged of the thinned clouds."""
+
+    points: int  # of the cloud
+    reference_points: int
+    outside: float  # share of the cloud's points outside the reference's outline: not judged
+
+
+@dataclass(frozen=True)
+class CloudComparison:
+    """Result of ``cloud_to_cloud``; shares are 0..1, one per distance; distances are cloud to reference, metres."""
+
+    criteria: Criteria
+    judged: JudgedPoints
+    accuracy: tuple[float, ...]
+    completeness: tuple[float, ...]
+    fscore: tuple[float, ...]
+    median_m: float
+    p90_m: float
+    ghosts: float
 
     def metrics(self) -> list[Metric]:
         """The figures of merit."""
@@ -55,14 +69,14 @@ class CloudComparison:
             Metric(name="cloud_to_cloud_90", value=self.p90_m, unit="m", better="low"),
             Metric(name="ghosts", value=100 * self.ghosts, unit="%", better="low", target=0.0),
         ]
-        for d, f in zip(self.distances_m, self.fscore):
+        for d, f in zip(self.criteria.distances_m, self.fscore):
             out.append(Metric(name=f"fscore_{d:g}m", value=100 * f, unit="%", better="high", target=100.0))
         return out
 
     def tables(self) -> dict[str, dict]:
         """Tables for metrics.json."""
         columns = ["distance m", "accuracy %", "completeness %", "F %"]
-        shares = zip(self.distances_m, self.accuracy, self.completeness, self.fscore)
+        shares = zip(self.criteria.distances_m, self.accuracy, self.completeness, self.fscore)
         rows = [[d, 100 * a, 100 * c, 100 * f] for d, a, c, f in shares]
         return {"cloud against reference": {"columns": columns, "rows": rows}}
 
@@ -102,19 +116,19 @@ def cloud_to_cloud(
     completeness = tuple(_share(to_cloud, d) for d in distances)
     median, p90 = (float(q) for q in np.quantile(to_reference, [0.5, 0.9])) if judged.any() else (np.nan, np.nan)
     return CloudComparison(
-        distances_m=distances,
+        criteria=Criteria(
+            distances_m=distances,
+            ghost_m=tuning.ghost_m,
+            voxel_m=max(voxel_a, voxel_b),
+            range_m=None if cameras is None else range_m,
+        ),
+        judged=JudgedPoints(points=int(judged.sum()), reference_points=len(counted), outside=float(1 - judged.mean())),
         accuracy=accuracy,
         completeness=completeness,
         fscore=tuple(2 * a * c / (a + c) if a + c > 0 else 0.0 for a, c in zip(accuracy, completeness)),
         median_m=median,
         p90_m=p90,
         ghosts=1 - _share(to_reference, tuning.ghost_m) if judged.any() else 0.0,
-        ghost_m=tuning.ghost_m,
-        outside=float(1 - judged.mean()),
-        points=int(judged.sum()),
-        reference_points=len(counted),
-        voxel_m=max(voxel_a, voxel_b),
-        range_m=None if cameras is None else range_m,
     )
 
 

@@ -80,7 +80,7 @@ def against_cloud(
     step = max(1, len(reference) // tuning.spacing_samples)
     spacing = float(np.median(cKDTree(reference).query(reference[::step], k=2)[0][:, 1]))
     reach = float(np.median(np.linalg.norm(reference - np.median(reference, axis=0), axis=1)))
-    parts = [predicted.point_m, np.nan_to_num(predicted.inside_m), max(spacing, result.voxel_m) / 2]
+    parts = [predicted.point_m, np.nan_to_num(predicted.inside_m), max(spacing, result.criteria.voxel_m) / 2]
     parts.append(reach * np.nan_to_num(predicted.scale))
     parts.append(0.0 if aligned else np.nan_to_num(predicted.placed_m))
     expected = float(np.linalg.norm(parts))

@@ -158,8 +158,8 @@ def _cloud(work: _Work, cloud: Cloud, path: Path, trajectory: TrajectoryError | 
     found.metrics.extend(result.metrics())
     found.tables.update(result.tables())
     found.contradictions += against_cloud(result, points, work.predicted, alignment is not None, tuning.judge)
-    share = f"{100 * result.outside:.0f} % of the cloud lie outside the reference's outline and are not judged."
-    found.notes.append(f"Reference cloud {path.name}, {how}. {result.meaning} {share}")
+    share = f"{100 * result.judged.outside:.0f} % of the cloud lie outside the reference's outline and are not judged."
+    found.notes.append(f"Reference cloud {path.name}, {how}. {result.criteria.meaning} {share}")
 
 
 def _origin_of(settings: EvaluateSettings, crs: str | None) -> Origin | None:
@@ -175,10 +175,10 @@ def _alignment(
         return None, "compared as it is, without alignment"
     if trajectory is None:
         return None, "compared as it is: an alignment needs reference poses too"
-    off = abs(trajectory.sim3.scale - 1)
+    off = abs(trajectory.sim3.alignment.scale - 1)
     if settings.alignment == "rigid" and off < unscaled_share:
-        return trajectory.rigid, "after a rigid alignment by the matched poses"
+        return trajectory.se3.alignment, "after a rigid alignment by the matched poses"
     if settings.alignment == "rigid":
         how = f"the model's scale differs by {100 * off:.0f} %, so it was scaled too, by a similarity over the poses"
-        return trajectory.similarity, how
-    return trajectory.similarity, "after a similarity alignment by the matched poses"
+        return trajectory.sim3.alignment, how
+    return trajectory.sim3.alignment, "after a similarity alignment by the matched poses"

@@ -15,6 +15,7 @@ from tiegraph.scene.registered import BY_RIG, Registration
 from tiegraph.scene.results import Metric
 
 _NAN = float("nan")
+_AS_IT_IS = Similarity(1.0, np.eye(3), np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -40,13 +41,13 @@ class PoseMatch:
 
 @dataclass(frozen=True)
 class PositionError:
-    """Distances between aligned and reference positions, metres; ``scale`` is the alignment's."""
+    """Distances between positions after their ``alignment`` and the reference's, metres."""
 
     rmse_m: float
     median_m: float
     p90_m: float
     max_m: float
-    scale: float
+    alignment: Similarity
     errors_m: np.ndarray  # (K,)
 
 
@@ -76,8 +77,6 @@ class TrajectoryError:
     relative: tuple[RelativeError, ...]
     yaw_drift_deg_per_100m: float
     groups: tuple[tuple[str, int, float, float, float], ...]
-    similarity: Similarity
-    rigid: Similarity
 
     def metrics(self) -> list[Metric]:
         """The figures of merit."""
@@ -86,7 +85,7 @@ class TrajectoryError:
             Metric(name="ate_sim3_median", value=self.sim3.median_m, unit="m", better="low"),
             Metric(name="ate_sim3_max", value=self.sim3.max_m, unit="m", better="low"),
             Metric(name="ate_se3_rmse", value=self.se3.rmse_m, unit="m", better="low"),
-            Metric(name="scale_error", value=abs(self.sim3.scale - 1) * 100, unit="%", better="low"),
+            Metric(name="scale_error", value=abs(self.sim3.alignment.scale - 1) * 100, unit="%", better="low"),
             Metric(
                 name=f"images_within_{self.within_m:g}m", value=100 * self.within, unit="%", better="high", target=100.0
             ),
@@ -128,35 +127,33 @@ def evaluate_trajectory(
     that a wrong pose counts; RPE and yaw drift use the rotations and the scale as they are after SE3.
     """
     est, ref = match.estimate[:, :3, 3], match.reference[:, :3, 3]
-    similarity, rigid = umeyama(est, ref), umeyama(est, ref, with_scale=False)
-    se3 = position_error(rigid(est), ref)
+    rigid = umeyama(est, ref, with_scale=False)
+    se3 = position_error(est, ref, rigid)
     off = est - ref
     aligned = transforms.rigid(rigid.rotation @ match.estimate[:, :3, :3], rigid(est))
     return TrajectoryError(
         matched=len(match),
-        sim3=position_error(similarity(est), ref, similarity.scale),
+        sim3=position_error(est, ref, umeyama(est, ref)),
         se3=se3,
-        absolute=position_error(est, ref) if same_frame else None,
+        absolute=position_error(est, ref, _AS_IT_IS) if same_frame else None,
         absolute_enu_m=tuple(np.sqrt(np.mean(off**2, axis=0)).tolist()) if same_frame else None,
         within=within(est, ref, tuning.within_m),
         within_m=tuning.within_m,
         relative=tuple(relative_error(match, d, tuning.max_stretch) for d in distances_m),
         yaw_drift_deg_per_100m=yaw_drift(match, aligned, tuning.min_drift_m),
         groups=_by_group(match, se3.errors_m),
-        similarity=similarity,
-        rigid=rigid,
     )
 
 
-def position_error(estimate: np.ndarray, reference: np.ndarray, scale: float = 1.0) -> PositionError:
-    """Statistics of the distances between positions (K, 3) in one frame."""
-    e = np.linalg.norm(estimate - reference, axis=1)
+def position_error(estimate: np.ndarray, reference: np.ndarray, alignment: Similarity) -> PositionError:
+    """Statistics of the distances between positions (K, 3), the estimate's brought to the reference's frame."""
+    e = np.linalg.norm(alignment(estimate) - reference, axis=1)
     return PositionError(
         rmse_m=float(np.sqrt(np.mean(e**2))),
         median_m=float(np.median(e)),
         p90_m=float(np.quantile(e, 0.9)),
         max_m=float(e.max()),
-        scale=scale,
+        alignment=alignment,
         errors_m=e,
     )
 

@@ -137,7 +137,7 @@ def _sizes(runs: Sequence[RunFolder]) -> list[tuple[str, list[float]]]:
         ("Input images", [len(r.scene) if r.scene else np.nan for r in runs]),
         ("Registered images", [_used(r) for r in runs]),
         ("Separate models", [1 + len(r.model.others) if r.model else np.nan for r in runs]),
-        ("Sparse points", [r.model.points if r.model else np.nan for r in runs]),
+        ("Sparse points", [r.model.figures.points if r.model else np.nan for r in runs]),
         ("Dense points", [r.cloud.count if r.cloud else np.nan for r in runs]),
         ("Peak memory, MiB", peak),
     ]
@@ -177,7 +177,7 @@ def _candidates(run: RunFolder) -> float:
 def _errors(runs: Sequence[RunFolder]) -> list[tuple[str, list[float]]]:
     known = [metric_values(r) for r in runs]
     rows = [(label, [float(k.get(name, np.nan)) for k in known]) for name, label in _METRICS]
-    pixels = [r.model.reprojection_px if r.model else np.nan for r in runs]
+    pixels = [r.model.figures.reprojection_px if r.model else np.nan for r in runs]
     return [("Mean reprojection error, px", pixels), *rows]
 
 

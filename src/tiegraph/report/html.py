@@ -152,10 +152,10 @@ def _model(run: RunFolder) -> dict[str, Any]:
     out["facts"] = [
         ("registered images", f"{formatting.count(int(m.registered.sum()))} of {formatting.count(len(m.registered))}"),
         ("images " + BY_RIG, formatting.count(int(m.by_rig.sum()))),
-        ("sparse points", formatting.count(m.points)),
-        ("observations of an image", formatting.number(m.observations)),
-        ("images of a point (track length)", formatting.number(m.track_length)),
-        ("mean reprojection error", f"{formatting.number(m.reprojection_px)} px"),
+        ("sparse points", formatting.count(m.figures.points)),
+        ("observations of an image", formatting.number(m.figures.observations)),
+        ("images of a point (track length)", formatting.number(m.figures.track_length)),
+        ("mean reprojection error", f"{formatting.number(m.figures.reprojection_px)} px"),
         ("models", formatting.count(1 + len(m.others))),
     ]
     rig = rig_table(run)
@@ -186,7 +186,8 @@ def _three_d(run: RunFolder, settings: ReportSettings) -> dict[str, Any]:
     upright = np.eye(3) if run.world else _upright(run.model.world_from_camera)
     unit = "m" if run.metric else "units"
     placed = run.georeferenced or bool((run.world or {}).get("placed"))
-    xyz, rgb = (run.cloud.xyz, run.cloud.rgb) if run.cloud is not None else (run.model.xyz, run.model.rgb)
+    seen = run.cloud or run.model.sample
+    xyz, rgb = seen.xyz, seen.rgb
     xyz = xyz @ upright.T
     found = plan.tracks(run.scene, plan.frame_positions(run.scene, run.model.centres @ upright.T))
     prior = run.scene.world_from_rig[:, :3, 3]

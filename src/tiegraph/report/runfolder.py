@@ -34,20 +34,34 @@ _WORLD_NAMES = {"scale_from": "scale_source", "residual_rms_m": "rms_m", "heldou
 
 
 @dataclass(frozen=True)
+class ModelFigures:
+    """A sparse model in numbers; the averages are over all of it."""
+
+    points: int
+    reprojection_px: float
+    track_length: float
+    observations: float  # per image
+
+
+@dataclass(frozen=True)
+class PointSample:
+    """Some of the sparse points."""
+
+    xyz: np.ndarray  # (K, 3), of the model
+    rgb: np.ndarray  # (K, 3) u1
+
+
+@dataclass(frozen=True)
 class Model:
     """Facts of a sparse model; rows of the arrays follow the scene's images, NaN = not in the model."""
 
     folder: str
     world_from_camera: np.ndarray  # (N, 4, 4)
     images: Registration  # which are registered, which only their rig places
-    points: int
-    reprojection_px: float
-    track_length: float
-    observations: float  # per image
+    figures: ModelFigures
     cameras: dict[int, dict]  # scene sensor_key -> {"model", "size", "focal_px", "params", "names"}
     sensor_from_rig: dict[int, np.ndarray]  # scene sensor_key -> (4, 4)
-    xyz: np.ndarray  # (K, 3) sample of the sparse points
-    rgb: np.ndarray  # (K, 3) u1
+    sample: PointSample
     others: tuple[int, ...] = ()  # registered images of the further models
 
     @property
@@ -222,19 +236,19 @@ def _model_facts(model: Any, scene: Scene, images: Registration, folder: str, ot
             found = _extrinsics(model, image)
             if found is not None:
                 sensor_from_rig[key] = found
-    xyz, rgb = _sparse_points(model)
     return Model(
         folder=folder,
         world_from_camera=poses,
         images=images,
-        points=model.num_points3D(),
-        reprojection_px=model.compute_mean_reprojection_error(),
-        track_length=model.compute_mean_track_length(),
-        observations=model.compute_mean_observations_per_reg_image(),
+        figures=ModelFigures(
+            points=model.num_points3D(),
+            reprojection_px=model.compute_mean_reprojection_error(),
+            track_length=model.compute_mean_track_length(),
+            observations=model.compute_mean_observations_per_reg_image(),
+        ),
         cameras=cameras,
         sensor_from_rig=sensor_from_rig,
-        xyz=xyz,
-        rgb=rgb,
+        sample=_sparse_points(model),
         others=others,
     )
 
@@ -261,12 +275,14 @@ def _extrinsics(model: Any, image: Any) -> np.ndarray | None:
     return matrix(rig.sensor_from_rig(sensor)) if rig.has_sensor_from_rig(sensor) else None
 
 
-def _sparse_points(model: Any, most: int = 200_000) -> tuple[np.ndarray, np.ndarray]:
+def _sparse_points(model: Any, most: int = 200_000) -> PointSample:
     ids = list(model.point3D_ids())
     ids = ids[:: max(1, -(-len(ids) // most))]
     points = [model.points3D[k] for k in ids]
-    xyz = np.array([p.xyz for p in points], float).reshape(-1, 3)
-    return xyz, np.array([p.color for p in points], np.uint8).reshape(-1, 3)
+    return PointSample(
+        xyz=np.array([p.xyz for p in points], float).reshape(-1, 3),
+        rgb=np.array([p.color for p in points], np.uint8).reshape(-1, 3),
+    )
 
 
 def read_cloud_sample(path: Path, most: int) -> CloudSample:

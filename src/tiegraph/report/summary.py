@@ -241,9 +241,9 @@ def tiles(run: RunFolder) -> list[Tile]:
         amount = int(np.sum(kept.inliers > 0)) if matched else len(kept)
         out.append(Tile(formatting.count(amount), "verified pairs" if matched else "pairs to match"))
     if run.model is not None:
-        out.append(Tile(formatting.count(run.model.points), "sparse points"))
-        if run.model.reprojection_px > 0:
-            out.append(Tile(f"{formatting.number(run.model.reprojection_px, 2)} px", "mean reprojection error"))
+        out.append(Tile(formatting.count(run.model.figures.points), "sparse points"))
+        if run.model.figures.reprojection_px > 0:
+            out.append(Tile(f"{formatting.number(run.model.figures.reprojection_px, 2)} px", "mean reprojection error"))
     if run.cloud is not None:
         out.append(Tile(formatting.count(run.cloud.count), "points in the cloud"))
     residual = scalar((run.world or {}).get("residual_rms_m"))

@@ -37,8 +37,8 @@ class RigDiagnostics:
             [
                 h.name,
                 h.frames,
-                *(round(v, 4) for v in (float(np.linalg.norm(h.shift_m)), h.scatter_m, h.expected_m)),
-                *(round(v, 3) for v in (h.turn_deg, h.scatter_deg, h.expected_deg)),
+                *(round(v, 4) for v in (h.place_m.size, h.place_m.scatter, h.place_m.expected)),
+                *(round(v, 3) for v in (h.turn_deg.size, h.turn_deg.scatter, h.turn_deg.expected)),
                 round(h.scatter_px, 2),
                 round(h.scatter_ratio, 1),
                 round(h.sure_ratio, 1),
@@ -82,12 +82,12 @@ def rig_diagnostics(
     notes += [_late_note(scene, key, *late[key], heard[int(rig_of[key])]) for key in late]
     for h in (scattered[h.sensor] for h in health):
         scatter = (
-            f"against the rig by {h.scatter_m:.3f} m and {h.scatter_deg:.2f} deg ({h.scatter_px:.1f} px), "
+            f"against the rig by {h.place_m.scatter:.3f} m and {h.turn_deg.scatter:.2f} deg ({h.scatter_px:.1f} px), "
             f"{h.scatter_ratio:.1f} x the expected, at least {h.sure_ratio:.1f} x by its {h.frames} frames"
         )
         if not h.rigid(tuning.rig.diagnostics):
             moving.add(int(rig_of[h.sensor]))
-            loose[h.sensor] = h.scatter_deg
+            loose[h.sensor] = h.turn_deg.scatter
             notes.append(f"camera {h.name} is not rigid or not synchronised: it scatters {scatter}")
         elif h.sure_ratio > tuning.rig.diagnostics.max_ratio:
             notes.append(f"camera {h.name} scatters {scatter}: too little to be seen, nothing is made of it")
@@ -109,7 +109,7 @@ def _late(
     heard: Mapping[int, PriorTest], health: Sequence[SensorDiagnostics], scene: Scene, tuning: TimeOffsetTuning
 ) -> dict[int, tuple[float, float]]:
     """Sensor key -> time after the reference and sigma, where it surely fires apart and that can be seen."""
-    expected = {h.sensor: h.expected_m for h in health}
+    expected = {h.sensor: h.place_m.expected for h in health}
     out = {}
     first = 0
     for index, rig in enumerate(scene.rigs):

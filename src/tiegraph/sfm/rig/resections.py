@@ -55,18 +55,28 @@ class Resections:
 
 
 @dataclass(frozen=True)
+class Deviation:
+    """How far a camera's own places, or turns, are off those of its rig, over the frames."""
+
+    median: tuple[float, float, float]  # rig frame
+    scatter: float  # robust sigma about the median, largest of the three directions
+    expected: float  # of the scatter, by what the images allow
+
+    @property
+    def size(self) -> float:
+        """Length of the median."""
+        return float(np.linalg.norm(self.median))
+
+
+@dataclass(frozen=True)
 class SensorDiagnostics:
     """One camera against its rig over the frames that could be resected."""
 
     sensor: int  # key over all rigs
     name: str
     frames: int
-    shift_m: tuple[float, float, float]  # median, rig frame
-    scatter_m: float  # robust sigma about the median, largest of the three directions
-    expected_m: float
-    turn_deg: float  # median
-    scatter_deg: float
-    expected_deg: float
+    place_m: Deviation
+    turn_deg: Deviation
     scatter_ratio: float  # scatter about the median over what the images allow: 1 = as good as they are
     scatter_px: float  # what that scatter moves in an image
     sure_ratio: float  # the scatter ratio is at least this, but for a small chance: few frames tell little
@@ -205,8 +215,8 @@ def sensor_diagnostics(found: Resections, scene: Scene, tuning: DiagnosticsTunin
         of = found.where(keys == key)
         if len(of.image) < tuning.min_frames:
             continue
-        shift, turn = np.median(of.shift_m, axis=0), np.median(of.turn_deg, axis=0)
-        about = of.residual() - np.concatenate([shift, np.radians(turn)])
+        place, turn = _deviation(of.shift_m, of.sigma_m), _deviation(of.turn_deg, of.sigma_deg)
+        about = of.residual() - np.concatenate([place.median, np.radians(turn.median)])
         chi = np.einsum("ki,kij,kj->k", about, np.linalg.inv(of.covariance), about) / 6
         ratio = float(np.sqrt(np.median(chi)))
         # An adjusted pose of n points is good to about sqrt(6 / 2n) of the pixel error in the image.
@@ -216,12 +226,8 @@ def sensor_diagnostics(found: Resections, scene: Scene, tuning: DiagnosticsTunin
                 sensor=int(key),
                 name=scene.all_sensors[key].name,
                 frames=len(of.image),
-                shift_m=(float(shift[0]), float(shift[1]), float(shift[2])),
-                scatter_m=float(np.max(_spread(of.shift_m - shift))),
-                expected_m=float(np.max(np.median(of.sigma_m, axis=0))),
-                turn_deg=float(np.linalg.norm(turn)),
-                scatter_deg=float(np.max(_spread(of.turn_deg - turn))),
-                expected_deg=float(np.max(np.median(of.sigma_deg, axis=0))),
+                place_m=place,
+                turn_deg=turn,
                 scatter_ratio=ratio,
                 scatter_px=ratio * pixel,
                 sure_ratio=float(np.sqrt(median_at_least(chi, tuning.chance))),
@@ -241,9 +247,15 @@ def median_at_least(values: np.ndarray, chance: float) -> float:
     return float(np.sort(values)[below - 1]) if below > 0 else 0.0
 
 
-def _spread(values: np.ndarray) -> np.ndarray:
-    """Robust sigma about zero of each column."""
-    return _MAD * np.median(np.abs(values), axis=0)
+def _deviation(values: np.ndarray, sigma: np.ndarray) -> Deviation:
+    """Of (K, 3) shifts or turns and what is expected of each."""
+    median = np.median(values, axis=0)
+    spread = _MAD * np.median(np.abs(values - median), axis=0)
+    return Deviation(
+        median=(float(median[0]), float(median[1]), float(median[2])),
+        scatter=float(np.max(spread)),
+        expected=float(np.max(np.median(sigma, axis=0))),
+    )
 
 
 def table_rows(found: Resections, scene: Scene) -> list[list[Any]]:
