@@ -25,7 +25,7 @@ MAX_UNPACKED = 2  # a pair is a thing; three things are arguments
 OPTIONS = ("tiegraph.cli.run", "tiegraph.cli.options")
 # Tables, whose fields are their columns, records of a file, and what is still to be split.
 BAGS = {"Scene", "Pairs", "Stage", "Exif", "SensorSpec"}
-BAGS |= {"CloudComparison", "TrajectoryError", "Model", "SparseResult", "SensorDiagnostics"}
+BAGS |= {"CloudComparison", "TrajectoryError", "Model", "SensorDiagnostics"}
 BAGS |= {"Evidence", "Fit", "Georeference"}
 
 
