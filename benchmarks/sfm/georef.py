@@ -139,7 +139,7 @@ def held_out(found: Georeference) -> dict[str, float]:
     if placing is None or placing.held_out is None:
         return {}
     fixes, blind = placing.fixes, placing.held_out
-    off = placing.evidence.position_residuals(blind.similarity, blind.antenna, blind.offset_s)[: len(fixes)]
+    off = placing.evidence.position_residuals(blind.similarity, blind.arm.place, blind.clock.offset_s)[: len(fixes)]
     squares = np.sum((off / fixes.sigma) ** 2, axis=1)[fixes.held]
     return {"held_out": int(fixes.held.sum()), "held_out_sigmas": float(np.sqrt(np.median(squares) / 2.366))}
 

@@ -93,6 +93,6 @@ def test_truth_is_found_with_lever_arm_and_clock() -> None:
     found = fit_similarity(replace(_winding(0.0), log_scale=None), UP, TUNING)
     assert found.similarity.scale == pytest.approx(TRUE.scale, rel=5e-4)
     np.testing.assert_allclose(found.similarity.rotation, TRUE.rotation, atol=2e-3)
-    np.testing.assert_allclose(found.antenna[:2], LEVER[:2], atol=0.02)
-    assert found.offset_s == pytest.approx(LATE_S, abs=0.01)
+    np.testing.assert_allclose(found.arm.place[:2], LEVER[:2], atol=0.02)
+    assert found.clock.offset_s == pytest.approx(LATE_S, abs=0.01)
     assert found.inlier.all()

@@ -220,8 +220,8 @@ def test_rows_between_frames_carry_lever_arm_and_clock() -> None:
     model = Model(transforms.invert(_path(frames)), None, None, [])
     placing = fit_to_world(model, scene, GeorefSettings(sigma_floor_m=0.01), Measurements(rows), WORLD)
     assert placing is not None
-    np.testing.assert_allclose(placing.fit.antenna[[0, 2]], arm[[0, 2]], atol=0.08)
-    assert placing.fit.offset_s == pytest.approx(clock, abs=0.03)
+    np.testing.assert_allclose(placing.fit.arm.place[[0, 2]], arm[[0, 2]], atol=0.08)
+    assert placing.fit.clock.offset_s == pytest.approx(clock, abs=0.03)
     assert any("clock is +0.1" in n for n in placing.notes) and any("lever arm estimated" in n for n in placing.notes)
     gap = (fine > 20) & (fine < 30)
     few = PositionRows(*(v[~gap] for v in (rows.time_s, rows.position_m, rows.sigma_m)))

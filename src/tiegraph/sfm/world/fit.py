@@ -11,7 +11,9 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry.align import Similarity, robust_umeyama, umeyama
 from tiegraph.geometry.transforms import skew, turn_by_vector, vector_by_turn
 from tiegraph.sfm.tuning.world import FitTuning
+from tiegraph.sfm.world.accuracy import PlacementError
 from tiegraph.sfm.world.gravity import Up
+from tiegraph.sfm.world.unknowns import Clock, FittedArm
 
 _MAX_LOG_SCALE = 5.0  # from the start: keeps a step of the solver finite
 
@@ -56,19 +58,14 @@ class Fit:
     """The similarity, which positions agree with it, and its uncertainty."""
 
     similarity: Similarity
-    antenna: np.ndarray
-    offset_s: float
+    arm: FittedArm
+    clock: Clock  # of offset 0 where it is not estimated
     inlier: np.ndarray
-    sigma: dict[str, float]
-    antenna_covariance: np.ndarray  # (3, 3) in the rig frame, square metres; NaN = not estimated
-    offset_sigma_s: float
+    sigma: dict[str, float]  # position_m, height_m, yaw_deg, tilt_deg, scale
     cost: float  # robust, in squared sigmas
     roll_sigma_deg: float  # about the direction in which the positions spread most
-    tilt_sigma_deg: float
     sigma_positions_scale: float  # of the logarithm of the scale, from the positions alone
-    chi2_per_dof: float
-    covariance: np.ndarray  # (7, 7) of turn, shift and log scale about ``middle``
-    middle: np.ndarray  # (3,) of the positions, in the world
+    error: PlacementError  # about the middle of the positions
 
 
 def fit_similarity(evidence: Evidence, up: Up | None, tuning: FitTuning, near: Similarity | None = None) -> Fit:
@@ -360,17 +357,12 @@ def _report(problem: _Problem, solution: OptimizeResult, inlier: np.ndarray, cos
     arm, clock = problem.evidence.estimate_antenna, problem.evidence.estimate_offset
     return Fit(
         similarity=similarity,
-        antenna=antenna,
-        offset_s=problem.offset(solution.x),
+        arm=FittedArm(antenna, covariance[7:10, 7:10] if arm else np.full((3, 3), np.nan)),
+        clock=Clock(problem.offset(solution.x), float(sd[-1]) if clock else float("nan")),
         inlier=inlier,
         sigma=sigma,
-        antenna_covariance=covariance[7:10, 7:10] if arm else np.full((3, 3), np.nan),
-        offset_sigma_s=float(sd[-1]) if clock else float("nan"),
         cost=cost,
         roll_sigma_deg=roll,
-        tilt_sigma_deg=sigma["tilt_deg"],
         sigma_positions_scale=float(np.sqrt(scale_alone)),
-        chi2_per_dof=chi2,
-        covariance=covariance[:7, :7],
-        middle=similarity(problem.middle),
+        error=PlacementError(similarity(problem.middle), covariance[:7, :7]),
     )

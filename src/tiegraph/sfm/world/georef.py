@@ -18,7 +18,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning.world import WorldTuning
-from tiegraph.sfm.world.accuracy import PlacementError, widened
+from tiegraph.sfm.world.accuracy import PlacementError
 from tiegraph.sfm.world.antenna import RIGHT_ANGLE_DEG
 from tiegraph.sfm.world.fit import Fit, jackknife_sigma
 from tiegraph.sfm.world.fixes import Fixes, Measurements
@@ -181,7 +181,7 @@ def georeference_all(
 def _placed(placing: SimilarityFit, view: Model, scene: Scene, given: Measurements) -> Georeference:
     fit, evidence, fixes = placing.fit, placing.evidence, placing.fixes
     count = len(fixes)
-    here = evidence.position_residuals(fit.similarity, fit.antenna, fit.offset_s)
+    here = evidence.position_residuals(fit.similarity, fit.arm.place, fit.clock.offset_s)
     at = row_of_frames(fixes, scene.frames)
     has = np.flatnonzero(at >= 0)
     residual, held_out = np.full((scene.frames, 3), np.nan), np.full((scene.frames, 3), np.nan)
@@ -190,7 +190,7 @@ def _placed(placing: SimilarityFit, view: Model, scene: Scene, given: Measuremen
     inlier[has] = fit.inlier[at[has]]
     if placing.held_out is not None:
         blind = placing.held_out
-        off = evidence.position_residuals(blind.similarity, blind.antenna, blind.offset_s)
+        off = evidence.position_residuals(blind.similarity, blind.arm.place, blind.clock.offset_s)
         held = has[fixes.held[at[has]]]
         held_out[held] = off[at[held]]
     order = np.lexsort(
@@ -206,15 +206,15 @@ def _placed(placing: SimilarityFit, view: Model, scene: Scene, given: Measuremen
         inlier=inlier,
         held_out_m=held_out,
         sigma=sigma,
-        antenna_m=tuple(float(v) for v in fit.antenna) if fit.antenna.any() else None,  # type: ignore[arg-type]
+        antenna_m=tuple(float(v) for v in fit.arm.place) if fit.arm.place.any() else None,  # type: ignore[arg-type]
         notes=(*placing.notes, *_remarks(placing, scene), *lines),
         control=tuple(points),
         accuracy=sums,
-        offset_s=fit.offset_s,
+        offset_s=fit.clock.offset_s,
         placing=placing,
         given_control=given.control,
         fix_residual_m=here[:count],
-        error=PlacementError(fit.middle, widened(fit.covariance, sigma)),
+        error=fit.error.widened_to(sigma),
     )
 
 

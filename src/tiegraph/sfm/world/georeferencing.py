@@ -127,8 +127,8 @@ def _constraints(
         fixes=placing.fixes,
         factor=placing.factor,
         receiver=Receiver(
-            antenna=placing.fit.antenna,
-            offset_s=placing.fit.offset_s,
+            antenna=placing.fit.arm.place,
+            offset_s=placing.fit.clock.offset_s,
             free_antenna=evidence.estimate_antenna,
             free_offset=evidence.estimate_offset,
         ),
@@ -161,12 +161,12 @@ def _check(
         constraints,
         fixes=fixes.where(keep),
         factor=placing.factor[keep],
-        receiver=replace(constraints.receiver, antenna=blind.antenna, offset_s=blind.offset_s),
+        receiver=replace(constraints.receiver, antenna=blind.arm.place, offset_s=blind.clock.offset_s),
     )
     made = adjust_in_world(start, scene, known, bounds.check_rounds)
     held = fixes.where(fixes.held)
     sigma = held.sigma * placing.factor[out, None]
-    before = worldadjust.residuals(start, scene, held, blind.antenna, blind.offset_s) / sigma
+    before = worldadjust.residuals(start, scene, held, blind.arm.place, blind.clock.offset_s) / sigma
     after = worldadjust.residuals(made.model, scene, held, made.antenna, made.offset_s) / sigma
     a, b = _score(before, bounds.clip_sigmas), _score(after, bounds.clip_sigmas)
     most = (bounds.clip_sigmas * held.sigma) ** 2

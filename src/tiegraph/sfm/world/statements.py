@@ -76,14 +76,13 @@ def statements(found: Georeference) -> list[Statement]:
     out += rig_statement(placing.model.scale, result, weighed.rig_used and placing.evidence.log_scale is not None)
     out += up_statements(placing.model.up, result, placing.up is not None)
     out += orientation_statements(placing.evidence, result, placing.tuning.sources)
-    if np.isfinite(placing.clock[1]):
-        value, sigma = placing.clock
+    if np.isfinite(placing.clock.sigma_s):
         out.append(
             Statement(
                 quantity="clock",
                 source="images and positions",
-                value=value,
-                sigma=sigma,
+                value=placing.clock.offset_s,
+                sigma=placing.clock.sigma_s,
                 unit="s",
                 used=bool(found.offset_s),
             )
@@ -152,7 +151,7 @@ def _trends(found: Georeference, scene: Scene, model_sigma_m: float, scale_said:
             form is not None
             and form.form == "offset"
             and placing.weighed.free_antenna
-            and not placing.fit.antenna.any()
+            and not placing.fit.arm.place.any()
         ):
             sigma = float(np.hypot(sigma, placing.tuning.fit.antenna_sigma_m))  # it stands anywhere on the vehicle
         if form is None or form.size / 2 <= TWO_ENDS * sigma or (scale_said and form.form == "line"):

@@ -202,7 +202,7 @@ def _with_scale(asked: Question, rig: RigScale, source: Source) -> str:
     wide = _spread(asked)
     own = replace(own, sigma=np.full_like(own.sigma, max(wide, 1e-6)), estimate_antenna=asked.free_antenna)
     fit = fit_similarity(own, None, asked.tuning.fit, source.similarity)
-    off = own.position_residuals(fit.similarity, fit.antenna)
+    off = own.position_residuals(fit.similarity, fit.arm.place)
     order = np.argsort(asked.times[: asked.count], kind="stable")
     main = np.linalg.svd(own.position - own.position.mean(axis=0), full_matrices=False)[2][0]
     if (own.position[order[-1]] - own.position[order[0]]) @ main < 0:
