@@ -21,6 +21,7 @@ from tiegraph.sfm.world.fit import Evidence, fit_similarity
 from tiegraph.sfm.world.fixes import Measurements
 from tiegraph.sfm.world.georef import georeference, georeference_all
 from tiegraph.sfm.world.gravity import Up, up_vector
+from tiegraph.sfm.world.unknowns import LeverArm
 
 import pycolmap  # isort: skip
 
@@ -182,8 +183,8 @@ def _straight(noise_m: float, seed: int = 0) -> tuple[Evidence, Similarity]:
     pose[:, :3, :3] = true.rotation.T @ upright
     evidence = Evidence(
         frame=np.arange(30), pose=pose, position=world + noise_m * rng.standard_normal((30, 3)),
-        sigma=np.full((30, 3), max(noise_m, 0.05)), orientation=np.full((30, 3, 3), np.nan), antenna=np.zeros(3),
-        estimate_antenna=False, log_scale=None, log_scale_sigma=np.nan,
+        sigma=np.full((30, 3), max(noise_m, 0.05)), orientation=np.full((30, 3, 3), np.nan), arm=LeverArm(np.zeros(3)),
+        log_scale=None,
     )  # fmt: skip
     return evidence, true
 

@@ -40,7 +40,7 @@ def believed(evidence: Evidence, fixes: Fixes, up: Up | None, near: Similarity, 
     count = len(fixes)
     for _ in range(tuning.similarity_fit.noise_rounds if count else 0):
         residual = evidence.position_residuals(fit.similarity, fit.arm.place, fit.clock.offset_s)[:count] / fixes.sigma
-        unknowns = noise.SIMILARITY + 3 * evidence.estimate_antenna + evidence.estimate_offset
+        unknowns = noise.SIMILARITY + 3 * evidence.arm.estimate + evidence.estimate_offset
         stretched = fixes.stretched(noise.factors(residual, fixes.level, fixes.time_s, tuning.noise, unknowns))
         evidence = replace(evidence, sigma=np.concatenate([stretched.sigma, evidence.sigma[count:]]))
         fit = fit_similarity(evidence, used, tuning.fit, near=fit.similarity)
@@ -52,16 +52,16 @@ def _again(now: Fitted, evidence: Evidence, tuning: WorldTuning) -> Fitted:
     return believed(evidence, now.fixes, now.up, now.fit.similarity, tuning)
 
 
-def _without(richer: Fitted, near: Fit, tuning: WorldTuning, **fewer: bool) -> Fit:
-    """The fit of the same evidence with an unknown fewer."""
+def _without(richer: Fitted, fewer: Evidence, near: Fit, tuning: WorldTuning) -> Fit:
+    """The fit of the same evidence with an unknown ``fewer``."""
     used = up_to_use(richer.evidence, richer.up, [], tuning, richer.fit.similarity)
-    return fit_similarity(replace(richer.evidence, **fewer), used, tuning.fit, near=near.similarity)  # type: ignore[arg-type]
+    return fit_similarity(fewer, used, tuning.fit, near=near.similarity)
 
 
 def try_lever_arm(now: Fitted, notes: list[str], tuning: WorldTuning) -> Fitted:
     """Estimate the lever arm if the positions tell it in plan and agree clearly better with it."""
     richer = with_lever_arm(now, tuning)
-    plain = _without(richer, now.fit, tuning, estimate_antenna=False)
+    plain = _without(richer, richer.evidence.with_arm(estimate=False), now.fit, tuning)
     plan_sigma = arm_sigma(richer)[0]
     if plan_sigma < _arm_limit_m(tuning) and plain.cost - richer.fit.cost > ARM_GAIN:
         notes.append(arm_text(richer, tuning))
@@ -82,10 +82,10 @@ def with_lever_arm(now: Fitted, tuning: WorldTuning) -> Fitted:
     for another reason hide.
     """
     stated = np.concatenate([now.fixes.sigma, now.evidence.sigma[len(now.fixes) :]])
-    free = replace(now.evidence, sigma=stated, estimate_antenna=True)
+    free = replace(now.evidence, sigma=stated).with_arm(estimate=True)
     richer = _again(now, free, tuning)
     if arm_sigma(richer)[1] > _arm_limit_m(tuning):
-        return _again(now, replace(free, level=_upward(richer)), tuning)
+        return _again(now, replace(free, arm=replace(free.arm, level=_upward(richer))), tuning)
     return richer
 
 
@@ -115,7 +115,7 @@ def arm_text(now: Fitted, tuning: WorldTuning) -> str:
     plan, height = arm_sigma(now)
     x, y, z = now.fit.arm.place
     text = f"lever arm estimated: {x:.2f} {y:.2f} {z:.2f} m in the reference camera's frame, to {plan:.2f} m in plan"
-    if now.evidence.level is not None or height > _arm_limit_m(tuning):
+    if now.evidence.arm.level is not None or height > _arm_limit_m(tuning):
         text += (
             "; its height cannot be told from the height of the world (taken as that of the camera, to 1 m): "
             "measure the antenna's height above the cameras where heights matter"
@@ -126,7 +126,7 @@ def arm_text(now: Fitted, tuning: WorldTuning) -> str:
 def try_clock(now: Fitted, notes: list[str], tuning: WorldTuning) -> tuple[Fitted, Clock]:
     """Estimate the offset of the receiver's clock if it is observable and differs from nothing; and what was found."""
     richer = _again(now, replace(now.evidence, estimate_offset=True), tuning)
-    plain = _without(richer, now.fit, tuning, estimate_offset=False)
+    plain = _without(richer, replace(richer.evidence, estimate_offset=False), now.fit, tuning)
     sigma, value = richer.fit.clock.sigma_s, richer.fit.clock.offset_s
     motion = now.evidence.speed
     speed = np.linalg.norm(motion[: len(now.fixes), :3, 3], axis=1) if motion is not None else np.zeros(1)

@@ -129,7 +129,7 @@ def _constraints(
         receiver=Receiver(
             antenna=placing.fit.arm.place,
             offset_s=placing.fit.clock.offset_s,
-            free_antenna=evidence.estimate_antenna,
+            free_antenna=evidence.arm.estimate,
             free_offset=evidence.estimate_offset,
         ),
         held=held,

@@ -30,7 +30,7 @@ from tiegraph.sfm.world.gravity import Up
 from tiegraph.sfm.world.marks import Target
 from tiegraph.sfm.world.scale import RigScale
 from tiegraph.sfm.world.sources import POSITIONS, common_of
-from tiegraph.sfm.world.unknowns import Clock
+from tiegraph.sfm.world.unknowns import Clock, LeverArm, LogScale
 from tiegraph.sfm.world.weighing import EvidenceWeights, Question, weigh
 
 
@@ -221,10 +221,8 @@ def _evidence(
         position=fixes.position,
         sigma=fixes.sigma,
         orientation=orientation,
-        antenna=np.zeros(3) if arm.given is None else arm.given,
-        estimate_antenna=arm.estimate is True,
-        log_scale=np.log(scale.metres_per_unit) if scale is not None and scale.trusted else None,
-        log_scale_sigma=scale.sigma if scale is not None else np.nan,
+        arm=LeverArm(np.zeros(3) if arm.given is None else arm.given, arm.estimate is True),
+        log_scale=LogScale(np.log(scale.metres_per_unit), scale.sigma) if scale is not None and scale.trusted else None,
         speed=speed,
     )
 
@@ -294,8 +292,7 @@ def _refuse_upside_down(now: Fitted, tuning: WorldTuning) -> None:
     if up is None or not up.ring or len(fixes) < tuning.similarity_fit.min_positions:
         return
     rows = np.arange(len(evidence.frame)) < len(fixes)
-    free = replace(evidence.where(rows), sigma=fixes.sigma, estimate_antenna=True)
-    free = replace(free, orientation=np.full_like(free.orientation, np.nan))
+    free = replace(evidence.where(rows), sigma=fixes.sigma).with_arm(estimate=True).without_orientations()
     alone = fit_similarity(free, None, tuning.fit)
     residual = free.position_residuals(alone.similarity, alone.arm.place) / fixes.sigma
     factors = noise.factors(residual, fixes.level, fixes.time_s, tuning.noise)

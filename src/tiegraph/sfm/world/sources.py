@@ -105,8 +105,7 @@ def alone(
     own = evidence.where(rows)
     if len(np.unique(own.pose[:, :3, 3].round(9), axis=0)) < _THREE:
         return None
-    nothing = np.full_like(own.orientation, np.nan)
-    own = replace(own, orientation=nothing, log_scale=None, estimate_antenna=free_antenna)
+    own = replace(own, log_scale=None).with_arm(free_antenna).without_orientations()
     fit = fit_similarity(own, None, tuning.fit)
     for _ in range(tuning.sources.rounds):
         off = own.position_residuals(fit.similarity, fit.arm.place)
