@@ -26,7 +26,6 @@ OPTIONS = ("tiegraph.cli.run", "tiegraph.cli.options")
 # Tables, whose fields are their columns, records of a file, and what is still to be split.
 BAGS = {"Scene", "Pairs", "Stage", "Exif", "SensorSpec"}
 BAGS |= {"CloudComparison", "TrajectoryError", "Model", "SensorDiagnostics"}
-BAGS |= {"Georeference"}
 
 
 def ids(path):
