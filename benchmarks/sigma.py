@@ -115,7 +115,7 @@ def measure(name: str, dataset: datasets.Dataset, folder: Path, second: Path | N
     out = {
         "set": name, "frames": len(ids), "points": model.num_points3D(), "pixel_sigma": round(sigma.pixel_sigma, 3),
         "position_m": _pair(fit.scale * _rms(sigma.sigma[rows]), fit.scale * _rms(off)),
-        "widened": round(sigma.widened, 2), "cpu_s": round(cpu, 1),
+        "widened": round(sigma.shared.widened, 2), "cpu_s": round(cpu, 1),
     }  # fmt: skip
     if sigma.covariance is not None:
         out |= modes(sigma.covariance, rows, off)
@@ -125,8 +125,8 @@ def measure(name: str, dataset: datasets.Dataset, folder: Path, second: Path | N
         turned = fit.rotation @ np.swapaxes(here[:, :3, :3], 1, 2) @ true[:, :3, :3]
         angle = transforms.angle_deg(turned, np.broadcast_to(np.eye(3), turned.shape))
         out["attitude_deg"] = _pair(float(np.degrees(_rms(sigma.turn[rows]))), float(np.sqrt(np.mean(angle**2))))
-        out["lens_px"] = {str(f.camera): [round(f.rms_px, 3), round(f.reach_px)] for f in sigma.lenses}
-        out["strays"] = [[f.always, f.place * fit.scale, float(np.degrees(f.turn))] for f in sigma.strays]
+        out["lens_px"] = {str(f.camera): [round(f.rms_px, 3), round(f.reach_px)] for f in sigma.shared.lenses}
+        out["strays"] = [[f.always, f.place * fit.scale, float(np.degrees(f.turn))] for f in sigma.shared.strays]
     out |= _points(name, model, sigma, dataset, fit)
     return {**out, **_with_truth(name, folder, dataset, second, out["position_m"])}
 
@@ -158,10 +158,10 @@ def _points(
     where depth jumps, is left out of both.
     """
     folder = dataset.images.parent / "gt" / "depth"
-    if sigma.point_sigma is None or not folder.is_dir():
+    if not folder.is_dir():
         return {}
     error, own = [], []
-    for point_id, axes in zip(sigma.point_ids, sigma.point_sigma):
+    for point_id, axes in zip(sigma.points.ids, sigma.points.sigma):
         point = model.point3D(point_id)
         found = [_true_place(model, e, dataset, folder) for e in point.track.elements]
         seen = [place for place in found if place is not None]

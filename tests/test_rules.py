@@ -23,10 +23,8 @@ MAX_UNPACKED = 2  # a pair is a thing; three things are arguments
 
 # Options of the command line are settings.
 OPTIONS = ("tiegraph.cli.run", "tiegraph.cli.options")
-# Tables, whose fields are their columns, records of a file, and what is still to be split.
+# Tables, whose fields are their columns, and records of a file.
 BAGS = {"Scene", "Pairs", "Stage", "Exif", "SensorSpec"}
-BAGS |= {"PositionSigma", "SparseResult"}
-BAGS |= {"Evidence", "Fit", "Georeference"}
 
 
 def ids(path):

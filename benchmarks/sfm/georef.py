@@ -107,7 +107,7 @@ def errors(survey: Survey, found: Georeference, world: Any) -> dict[str, Any]:
     rigid, free = umeyama(here, true, with_scale=False), umeyama(here, true)
     se3, sim3 = (np.linalg.norm(f(here) - true, axis=1) for f in (rigid, free))
     out: dict[str, Any] = {"images": len(names), "ate_se3_m": _rms(se3), "ate_se3_max_m": float(se3.max())}
-    out |= {"ate_sim3_m": _rms(sim3), "scale_off": float(free.scale - 1), "predicted": found.sigma}
+    out |= {"ate_sim3_m": _rms(sim3), "scale_off": float(free.scale - 1), "predicted": found.uncertainty.sigma}
     if survey.inner_sigma is not None:
         out["predicted_inner_m"] = survey.inner_sigma * found.world_from_model.scale
         out["actual_inner_m"] = _inner(survey, names, here, true)
@@ -139,7 +139,7 @@ def held_out(found: Georeference) -> dict[str, float]:
     if placing is None or placing.held_out is None:
         return {}
     fixes, blind = placing.fixes, placing.held_out
-    off = placing.evidence.position_residuals(blind.similarity, blind.antenna, blind.offset_s)[: len(fixes)]
+    off = placing.evidence.position_residuals(blind.similarity, blind.arm.place, blind.clock.offset_s)[: len(fixes)]
     squares = np.sum((off / fixes.sigma) ** 2, axis=1)[fixes.held]
     return {"held_out": int(fixes.held.sum()), "held_out_sigmas": float(np.sqrt(np.median(squares) / 2.366))}
 
@@ -155,8 +155,12 @@ def measure_set(survey: Survey, ways: tuple[str, ...] = WAYS) -> dict[str, Any]:
         given = Measurements(survey.rows(), survey.control(), survey.covered)
         found, world, cpu = georeferenced(survey, way, given)
         row = errors(survey, found, world) | held_out(found)
-        row |= {"cpu_s": round(cpu, 1), "adjusted": found.adjusted, "antenna_m": found.antenna_m}
-        row |= {"clock_s": found.offset_s, "accuracy": found.accuracy, "notes": list(found.notes)}
+        row |= {"cpu_s": round(cpu, 1), "adjusted": found.adjusted, "antenna_m": found.receiver.antenna_m}
+        row |= {
+            "clock_s": found.receiver.offset_s,
+            "accuracy": found.control.accuracy,
+            "notes": list(found.verdict.notes),
+        }
         out[way] = row
     return out
 
@@ -174,7 +178,7 @@ def bad_cases(survey: Survey, way: str = "adjusted") -> dict[str, Any]:
         try:
             bad = _with_rows(survey, spoilt)
             found, world, _ = georeferenced(bad, way, Measurements(spoilt, None, survey.covered))
-            out[name] = errors(bad, found, world) | {"notes": list(found.notes), "adjusted": found.adjusted}
+            out[name] = errors(bad, found, world) | {"notes": list(found.verdict.notes), "adjusted": found.adjusted}
         except TiegraphError as error:
             out[name] = {"error": str(error)}
         survey.scene = scene
@@ -239,7 +243,7 @@ def outage(length_m: float, gap_m: float, radial: float, seed: int) -> dict[str,
         off = np.linalg.norm(place - made.truth[:, :3, 3], axis=1)
         row = {"rms_m": _rms(off), "worst_in_gap_m": float(off[inside].max()), "cpu_s": time.process_time() - start}
         row["drift"] = row["worst_in_gap_m"] / gap_m
-        out[way] = {n: round(v, 5) for n, v in row.items()} | {"predicted_m": found.sigma.get("position_m")}
+        out[way] = {n: round(v, 5) for n, v in row.items()} | {"predicted_m": found.uncertainty.sigma.get("position_m")}
     return out
 
 

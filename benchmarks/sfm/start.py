@@ -55,7 +55,7 @@ def measure(name: str, out: Path, mapper: str, work: Path) -> dict[str, Any]:
     return {
         "set": name, "asked": mapper, "mapper": made.mapper, "cpu_s": round(cpu_s, 1),
         "registered": figures["largest"], "images": len(scene), "ate_m": figures["ate_m"],
-        "largest_m": float(np.linalg.norm(umeyama(a, b)(a) - b, axis=1).max()), "notes": made.notes,
+        "largest_m": float(np.linalg.norm(umeyama(a, b)(a) - b, axis=1).max()), "notes": made.remarks.notes,
     }  # fmt: skip
 
 

@@ -52,7 +52,7 @@ def test_blocks_make_one_model(world, tmp_path: Path) -> None:
         source, tmp_path / "sparse", scene, SparseSettings(covariance_frames=0), tuning, shared, tmp_path / "log.txt"
     )
     assert result.mapper == "preview" and result.counts["registered"] == len(scene) and result.counts["models"] == 1
-    assert any("mapped in 2 blocks" in n and "1 of 1 joins hold" in n for n in result.notes)
+    assert any("mapped in 2 blocks" in n and "1 of 1 joins hold" in n for n in result.remarks.notes)
     assert_reconstruction_near(result.load(), scene, true, m=0.006, deg=0.05)
     assert not (tmp_path / "sparse" / ".run").exists()
 
@@ -84,12 +84,12 @@ def test_two_surveys_in_one_folder_by_the_default_mapper(tmp_path: Path) -> None
     )
     assert result.mapper == "global" and result.components == (21, 15)
     assert [len(m.images) for m in result.models] == [21, 15]
-    (said,) = (n for n in result.notes if "another survey" in n)
+    (said,) = (n for n in result.remarks.notes if "another survey" in n)
     assert said.startswith("15 images (cam0/007.jpg .. cam2/011.jpg) have no verified pair")
     assert "mapped by themselves" in said and len(result.tables["runs"]["rows"]) == 1
     assert result.tables["models"]["rows"][1][1] == 15
-    assert len(result.dropped) == 15, "nothing is lost without a word"
-    assert all(why.startswith("in model 1, not joined to the first") for _, why in result.dropped)
+    assert len(result.remarks.dropped) == 15, "nothing is lost without a word"
+    assert all(why.startswith("in model 1, not joined to the first") for _, why in result.remarks.dropped)
     true = image_poses(model, scene)
     for made, there in zip(result.models, (scene.frame < 7, scene.frame >= 7), strict=True):
         images = np.flatnonzero(there)  # the second: 5 frames, free lenses
@@ -112,9 +112,11 @@ def test_two_surveys_in_one_folder_become_two_models(world, tmp_path: Path) -> N
         tmp_path / "log.txt",
     )
     assert result.mapper == "preview" and [len(m.images) for m in result.models] == [54, 18]
-    assert any("18 images" in n and "another survey" in n for n in result.notes)
-    assert len(result.dropped) == 18
-    assert all(why.startswith("in model 1, not joined to the first; guided matching") for _, why in result.dropped)
+    assert any("18 images" in n and "another survey" in n for n in result.remarks.notes)
+    assert len(result.remarks.dropped) == 18
+    assert all(
+        why.startswith("in model 1, not joined to the first; guided matching") for _, why in result.remarks.dropped
+    )
     for made, there in zip(result.models, (scene.frame < 18, scene.frame >= 18), strict=True):
         images = np.flatnonzero(there)
         assert_reconstruction_near(pycolmap.Reconstruction(made.folder), scene, true, m=0.01, deg=0.15, images=images)

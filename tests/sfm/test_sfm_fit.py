@@ -13,11 +13,13 @@ from tiegraph.geometry.align import Similarity
 from tiegraph.sfm.tuning.world import FitTuning
 from tiegraph.sfm.world.fit import Evidence, _Problem, fit_similarity
 from tiegraph.sfm.world.gravity import Up
+from tiegraph.sfm.world.unknowns import LeverArm, LogScale
 
 TUNING = FitTuning()
 TRUE = Similarity(2.5, Rotation.from_euler("xyz", [0.6, 0.3, -1.0]).as_matrix(), np.array([10.0, 20.0, 3.0]))
 UP = Up(TRUE.rotation.T @ np.array([0.02, -0.01, 0.99975]), 3.0, True, "the ring")
 LEVER, LATE_S = np.array([0.3, -0.2, 1.1]), 0.15
+GIVEN = np.array([0.1, 0.0, 1.0])  # of the lever arm
 
 
 def _winding(noise_m: float) -> Evidence:
@@ -40,19 +42,19 @@ def _winding(noise_m: float) -> Evidence:
     orientation[-3:] = np.nan
     return Evidence(
         frame=frame, pose=pose, position=position + noise_m * rng.standard_normal((40, 3)),
-        sigma=np.tile([0.05, 0.05, 0.1], (40, 1)), orientation=orientation, antenna=np.array([0.1, 0.0, 1.0]),
-        estimate_antenna=True, log_scale=np.log(2.6), log_scale_sigma=0.1, speed=speed, estimate_offset=True,
-        level=np.array([0.0, 0.0, 1.0]),
+        sigma=np.tile([0.05, 0.05, 0.1], (40, 1)), orientation=orientation,
+        arm=LeverArm(GIVEN, True, level=np.array([0.0, 0.0, 1.0])),
+        log_scale=LogScale(np.log(2.6), 0.1), speed=speed, estimate_offset=True,
     )  # fmt: skip
 
 
 WITHOUT = {
     "all": {},
-    "no lever arm": {"estimate_antenna": False, "level": None},
+    "no lever arm": {"arm": LeverArm(GIVEN)},
     "no clock": {"estimate_offset": False, "speed": None},
     "clock without speeds": {"speed": None},
     "positions alone": {
-        "estimate_antenna": False, "level": None, "estimate_offset": False, "speed": None, "log_scale": None,
+        "arm": LeverArm(GIVEN), "estimate_offset": False, "speed": None, "log_scale": None,
         "orientation": np.full((40, 3, 3), np.nan),
     },
 }  # fmt: skip
@@ -93,6 +95,6 @@ def test_truth_is_found_with_lever_arm_and_clock() -> None:
     found = fit_similarity(replace(_winding(0.0), log_scale=None), UP, TUNING)
     assert found.similarity.scale == pytest.approx(TRUE.scale, rel=5e-4)
     np.testing.assert_allclose(found.similarity.rotation, TRUE.rotation, atol=2e-3)
-    np.testing.assert_allclose(found.antenna[:2], LEVER[:2], atol=0.02)
-    assert found.offset_s == pytest.approx(LATE_S, abs=0.01)
+    np.testing.assert_allclose(found.arm.place[:2], LEVER[:2], atol=0.02)
+    assert found.clock.offset_s == pytest.approx(LATE_S, abs=0.01)
     assert found.inlier.all()

@@ -21,6 +21,7 @@ from tiegraph.sfm.world.fit import Evidence, fit_similarity
 from tiegraph.sfm.world.fixes import Measurements
 from tiegraph.sfm.world.georef import georeference, georeference_all
 from tiegraph.sfm.world.gravity import Up, up_vector
+from tiegraph.sfm.world.unknowns import LeverArm
 
 import pycolmap  # isort: skip
 
@@ -52,13 +53,13 @@ def test_positions_bring_the_model_back(world) -> None:
     assert found.placed and found.scale_source == "gnss"
     assert found.world_from_model.scale == pytest.approx(1 / 0.37, rel=0.03)
     assert 0.005 < error < 0.12  # better than one position, not perfect
-    assert not found.inlier[3] and found.inlier.sum() >= 18
-    assert 0.05 < np.hypot(*list(found.rms_m().values())[:2]) < 0.25
-    held = np.isfinite(found.held_out_m).all(axis=1)
-    assert held.sum() == 4 and 0.03 < found.held_out_rms_m()["east"] < 0.3
+    assert not found.residuals.inlier[3] and found.residuals.inlier.sum() >= 18
+    assert 0.05 < np.hypot(*list(found.residuals.rms_m().values())[:2]) < 0.25
+    held = np.isfinite(found.residuals.held_out_m).all(axis=1)
+    assert held.sum() == 4 and 0.03 < found.residuals.held_out_rms_m()["east"] < 0.3
     # What all positions of a receiver share (0.1 m east and north) no residual shows.
-    assert 0.14 < found.sigma["position_m"] < 0.2 and 0.1 < found.sigma["yaw_deg"] < 5
-    assert error < 5 * found.sigma["position_m"]
+    assert 0.14 < found.uncertainty.sigma["position_m"] < 0.2 and 0.1 < found.uncertainty.sigma["yaw_deg"] < 5
+    assert error < 5 * found.uncertainty.sigma["position_m"]
 
 
 def test_apply_scales_the_rig_too(world) -> None:
@@ -78,10 +79,10 @@ def test_lever_arm_given_and_estimated(world) -> None:
     given = survey.with_(rigs=(replace(scene.rigs[0], antenna_m=tuple(arm)),))
     without = georeference(_moved(truth), survey, GeorefSettings(antenna="ignored"), TUNING)
     with_arm = georeference(_moved(truth), given, GeorefSettings(), TUNING)
-    assert max(with_arm.rms_m().values()) < 1e-3 < 0.05 < max(without.rms_m().values())
+    assert max(with_arm.residuals.rms_m().values()) < 1e-3 < 0.05 < max(without.residuals.rms_m().values())
     estimated = georeference(_moved(truth), survey, GeorefSettings(antenna="estimated"), TUNING)
-    np.testing.assert_allclose(estimated.antenna_m, arm, atol=0.1)
-    assert any("estimated" in n for n in estimated.notes)
+    np.testing.assert_allclose(estimated.receiver.antenna_m, arm, atol=0.1)
+    assert any("estimated" in n for n in estimated.verdict.notes)
 
 
 def test_a_stretch_of_multipath_does_not_hide_behind_the_lever_arm(world) -> None:
@@ -92,8 +93,8 @@ def test_a_stretch_of_multipath_does_not_hide_behind_the_lever_arm(world) -> Non
     found = georeference(_moved(truth), with_positions(scene, antenna, 0.02), GeorefSettings(), TUNING)
     placed = frame_poses(image_poses(found.apply(_moved(truth)), scene), scene)[:, :3, 3]
     assert 0.001 < np.sqrt(np.mean(np.sum((placed - true[:, :3, 3]) ** 2, axis=1))) < 0.04
-    np.testing.assert_allclose(found.antenna_m, arm, atol=0.05)
-    assert not found.inlier[3:8].any() and found.inlier.sum() >= 15
+    np.testing.assert_allclose(found.receiver.antenna_m, arm, atol=0.05)
+    assert not found.residuals.inlier[3:8].any() and found.residuals.inlier.sum() >= 15
 
 
 def test_fixed_rig_alone_gives_the_scale(world) -> None:
@@ -103,13 +104,13 @@ def test_fixed_rig_alone_gives_the_scale(world) -> None:
     assert found.world_from_model.scale == pytest.approx(1 / 0.37, rel=1e-6)
     nominal = scene.with_(rigs=(replace(scene.rigs[0], nominal=True),))
     other = georeference(_moved(truth), nominal, GeorefSettings(), TUNING)
-    assert other.scale_source == "none" and any("nominal" in n for n in other.notes)
+    assert other.scale_source == "none" and any("nominal" in n for n in other.verdict.notes)
     shrink = np.array([[1, 1, 1, 0.02]] * 3 + [[1, 1, 1, 1]])
     short = tuple(replace(s, sensor_from_rig=s.sensor_from_rig * shrink) for s in scene.rigs[0].sensors)
     near = georeference(
         _moved(truth), scene.with_(rigs=(replace(scene.rigs[0], sensors=short),)), GeorefSettings(), TUNING
     )
-    assert near.scale_source == "none" and any("no scale taken from the rig" in n for n in near.notes)
+    assert near.scale_source == "none" and any("no scale taken from the rig" in n for n in near.verdict.notes)
 
 
 def test_images_that_hardly_carry_the_baseline_widen_the_scale_of_the_rig(world) -> None:
@@ -125,7 +126,7 @@ def test_images_that_hardly_carry_the_baseline_widen_the_scale_of_the_rig(world)
     assert vague.placing.model.scale == replace(sure.placing.model.scale, sigma=pytest.approx(0.05, rel=0.05))
     assert vague.world_from_model.scale == pytest.approx(1.03 * true_scale, rel=0.01)  # the positions have their say
     alone = georeference(_moved(truth), scene, GeorefSettings(), TUNING, Measurements(model_scale_sigma=0.05))
-    assert alone.scale_source == "rig baseline" and any("scale good to 5.0%" in n for n in alone.notes)
+    assert alone.scale_source == "rig baseline" and any("scale good to 5.0%" in n for n in alone.verdict.notes)
 
 
 @pytest.mark.parametrize(("yaws", "ring"), [((80, -80), True), ((0, 180), True), ((0, 10), False), ((0, 60), False)])
@@ -182,8 +183,8 @@ def _straight(noise_m: float, seed: int = 0) -> tuple[Evidence, Similarity]:
     pose[:, :3, :3] = true.rotation.T @ upright
     evidence = Evidence(
         frame=np.arange(30), pose=pose, position=world + noise_m * rng.standard_normal((30, 3)),
-        sigma=np.full((30, 3), max(noise_m, 0.05)), orientation=np.full((30, 3, 3), np.nan), antenna=np.zeros(3),
-        estimate_antenna=False, log_scale=None, log_scale_sigma=np.nan,
+        sigma=np.full((30, 3), max(noise_m, 0.05)), orientation=np.full((30, 3, 3), np.nan), arm=LeverArm(np.zeros(3)),
+        log_scale=None,
     )  # fmt: skip
     return evidence, true
 

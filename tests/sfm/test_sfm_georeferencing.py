@@ -82,11 +82,12 @@ def test_control_points_alone_place_and_check_points_stay_out(world) -> None:
     found, placed = georeference_model(_moved(truth), scene, GeorefSettings(), TUNING, Measurements(control=control))
     assert found.placed and found.adjusted and found.scale_source in ("control points", "rig baseline")
     assert 0.001 < _error(placed, truth, scene) < 0.1
-    assert found.accuracy["gcp"]["points"] == 4 and found.accuracy["check"]["points"] == 2
-    assert 0 < found.accuracy["check"]["rmse_m"] < 0.05
+    assert found.control.accuracy["gcp"]["points"] == 4 and found.control.accuracy["check"]["points"] == 2
+    assert 0 < found.control.accuracy["check"]["rmse_m"] < 0.05
     moved = replace(control, world_m=control.world_m + np.where(control.check, 3.0, 0.0)[:, None])
     other, same = georeference_model(_moved(truth), scene, GeorefSettings(), TUNING, Measurements(control=moved))
-    assert _error(same, placed, scene) < 1e-6 and other.accuracy["check"]["rmse_east_m"] == pytest.approx(3, abs=0.1)
+    assert _error(same, placed, scene) < 1e-6
+    assert other.control.accuracy["check"]["rmse_east_m"] == pytest.approx(3, abs=0.1)
 
 
 def test_a_point_with_one_mark_is_said_with_its_line(world) -> None:
@@ -95,8 +96,8 @@ def test_a_point_with_one_mark_is_said_with_its_line(world) -> None:
     rows = (control.point != 1) | (np.arange(len(control.point)) == np.flatnonzero(control.point == 1)[0])
     few = replace(control, **{n: getattr(control, n)[rows] for n in ("point", "image", "xy_px", "line")})
     found = georeference(_moved(truth), scene, GeorefSettings(), WORLD, Measurements(control=few))
-    assert found.control[1]["off_m"] is None
-    assert any("'P1' is not used: 1 marks in registered images" in n and "line 8" in n for n in found.notes)
+    assert found.control.rows[1]["off_m"] is None
+    assert any("'P1' is not used: 1 marks in registered images" in n and "line 8" in n for n in found.verdict.notes)
 
 
 @needs_pyceres
@@ -112,8 +113,8 @@ def test_adjustment_meets_the_truth_and_says_what_it_did(world) -> None:
     found, after = georeference_model(_moved(truth), survey, GeorefSettings(adjust="yes"), TUNING)
     assert not plain.adjusted and found.adjusted
     assert 0.001 < _error(after, truth, scene) < 1.2 * _error(before, truth, scene) + 0.01
-    np.testing.assert_allclose(found.antenna_m, arm, atol=0.1)
-    assert any("positions held back are met within" in n for n in found.notes)
+    np.testing.assert_allclose(found.receiver.antenna_m, arm, atol=0.1)
+    assert any("positions held back are met within" in n for n in found.verdict.notes)
 
 
 @needs_pyceres
@@ -146,12 +147,12 @@ def test_every_fifth_gross_outlier_and_a_pass_without_positions(world) -> None:
     bad = rng.choice(scene.frames, 3, replace=False)
     wrong[bad] += 30 * rng.standard_normal((3, 3))
     found = georeference(_moved(truth), with_positions(scene, wrong, 0.05), GeorefSettings(antenna="ignored"), WORLD)
-    assert not found.inlier[bad].any() and found.inlier.sum() >= scene.frames - 5
+    assert not found.residuals.inlier[bad].any() and found.residuals.inlier.sum() >= scene.frames - 5
     assert _error(found.apply(_moved(truth)), truth, scene) < 0.1
     half = np.where(np.arange(scene.frames)[:, None] < 12, true, np.nan)
     two = with_positions(scene.with_(sequence=np.arange(24) >= 12, sequences=("up", "down")), half, 0.05)
     lost = georeference(_moved(truth), two, GeorefSettings(), WORLD)
-    assert lost.placed and any("pass 'down' has no position" in n for n in lost.notes)
+    assert lost.placed and any("pass 'down' has no position" in n for n in lost.verdict.notes)
 
 
 def test_exchanged_axes_are_said(world) -> None:
@@ -220,8 +221,8 @@ def test_rows_between_frames_carry_lever_arm_and_clock() -> None:
     model = Model(transforms.invert(_path(frames)), None, None, [])
     placing = fit_to_world(model, scene, GeorefSettings(sigma_floor_m=0.01), Measurements(rows), WORLD)
     assert placing is not None
-    np.testing.assert_allclose(placing.fit.antenna[[0, 2]], arm[[0, 2]], atol=0.08)
-    assert placing.fit.offset_s == pytest.approx(clock, abs=0.03)
+    np.testing.assert_allclose(placing.fit.arm.place[[0, 2]], arm[[0, 2]], atol=0.08)
+    assert placing.fit.clock.offset_s == pytest.approx(clock, abs=0.03)
     assert any("clock is +0.1" in n for n in placing.notes) and any("lever arm estimated" in n for n in placing.notes)
     gap = (fine > 20) & (fine < 30)
     few = PositionRows(*(v[~gap] for v in (rows.time_s, rows.position_m, rows.sigma_m)))
@@ -261,4 +262,4 @@ def test_a_relaxed_rig_is_not_adjusted_with_the_positions(world) -> None:
     frame = survey.frame.copy()
     frame[other] = np.roll(frame[other], 1)
     found, _ = georeference_model(_moved(truth), survey.with_(frame=frame), GeorefSettings(adjust="yes"), TUNING)
-    assert not found.adjusted and any("relaxed" in n for n in found.notes)
+    assert not found.adjusted and any("relaxed" in n for n in found.verdict.notes)

@@ -52,7 +52,7 @@ def test_fixed_rig_keeps_its_metric_size(tmp_path: Path) -> None:
     result = reconstruct(source, tmp_path / "sparse", scene, settings, Tuning(), SceneTuning(), tmp_path / "log.txt")
     assert (tmp_path / "database.db").read_bytes() == before
     assert result.rig == "fixed" and result.mapper == "incremental"
-    assert result.counts["registered"] == len(scene) and result.dropped == ()
+    assert result.counts["registered"] == len(scene) and result.remarks.dropped == ()
     assert seen[0] == (0, len(scene)) and 0.5 * len(scene) <= seen[-1][0] <= len(scene)
     found = frame_poses(image_poses(result.load(), scene), scene)[:, :3, 3]
     scale = umeyama(found, true_frames(truth, scene)[:, :3, 3]).scale
@@ -78,7 +78,7 @@ def test_an_image_without_a_point_is_placed_by_its_rig_and_not_registered(tmp_pa
         connection.execute("DELETE FROM descriptors WHERE image_id = ?", (own,))  # nor would guided matching find any
     result = _run(tmp_path, scene, mapper="incremental", covariance_frames=0)
     assert result.counts["registered"] == len(scene) - 1 and result.counts["placed_by_rig"] == 1
-    assert result.dropped == () and any("1 images see fewer than 10 points" in n for n in result.notes)
+    assert result.remarks.dropped == () and any("1 images see fewer than 10 points" in n for n in result.remarks.notes)
     rows = {row[0]: row[1:] for row in result.tables["registered_per_camera"]["rows"]}
     assert rows[scene.sensor_of(blind).name] == [8, 7, 1] and sorted(rows.values())[1:] == [[8, 8, 0]] * 2
     assert result.tables["models"]["rows"][0][1:3] == [len(scene) - 1, 1]
@@ -92,7 +92,7 @@ def test_a_rough_model_needs_no_images_and_no_final_adjustment(tmp_path: Path) -
     assert result.mapper == "global"
     assert result.counts["registered"] + result.counts["placed_by_rig"] == len(scene)
     assert 0.02 < _centre_error(result, scene, truth) < 0.4  # of a few metres: 100 points, and nothing adjusted
-    assert not any("adjust" in note for note in result.notes)
+    assert not any("adjust" in note for note in result.remarks.notes)
 
 
 @pytest.mark.slow
@@ -105,7 +105,7 @@ def test_unknown_rig_is_found_and_used(tmp_path: Path) -> None:
     for sensor, pose in zip(scene.rigs[0].sensors[1:], extrinsics[1:]):
         assert pose is not None
         assert 0 < transforms.angle_deg(pose[:3, :3], sensor.sensor_from_rig[:3, :3]) < 0.5
-    assert any("found from a model without rig" in n for n in result.notes)
+    assert any("found from a model without rig" in n for n in result.remarks.notes)
     assert 0 < _centre_error(result, result.scene, truth) < 0.03
 
 
@@ -124,7 +124,7 @@ def test_absent_rig_and_lost_images_keep_their_reason(tmp_path: Path) -> None:
             )
     result = _run(tmp_path, scene, rig="absent")
     assert result.rig == "absent" and result.mapper == "incremental"
-    assert dict(result.dropped) == {
+    assert dict(result.remarks.dropped) == {
         name: "no features (masked, blank or unreadable)",
         name_before: "no verified pair; neither a coarse model nor neighbours say where it stands",
     }

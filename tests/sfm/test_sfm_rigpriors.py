@@ -56,6 +56,8 @@ def test_a_rig_that_contradicts_the_images_is_named(wrong, named, tmp_path: Path
         Source(tmp_path / "database.db", None), tmp_path / "sparse", scene.with_(rigs=(wrong(scene.rigs[0]),)),
         SparseSettings(covariance_frames=0), Tuning(), SceneTuning(), tmp_path / "log.txt",
     )  # fmt: skip
-    assert any("contradict" in said and named in said for said in result.contradictions), result.contradictions
-    lost = {name for name, _ in result.dropped}
+    assert any("contradict" in said and named in said for said in result.remarks.contradictions), (
+        result.remarks.contradictions
+    )
+    lost = {name for name, _ in result.remarks.dropped}
     assert len(lost) == len(scene) - len(result.models[0].images), "every image that is lost has its reason"

@@ -136,7 +136,7 @@ def test_what_a_mapper_made_too_long_is_mapped_again(world, tmp_path: Path, monk
         SceneTuning(),
         tmp_path / "log.txt",
     )
-    assert any("0.125 times as long, by its matches" in note for note in made.notes)
+    assert any("0.125 times as long, by its matches" in note for note in made.remarks.notes)
     assert _assert_near(tmp_path / "sparse" / "0", true, scene) == pytest.approx(1, abs=0.005)
     assert "path as long as its rig says" in str(made.tables)
 
@@ -234,7 +234,7 @@ def test_wrong_poses_are_mapped_from_nothing(world, tmp_path: Path) -> None:
         SceneTuning(),
         tmp_path / "log.txt",
     )
-    assert result.mapper == "global" and any("could not start from the coarse model" in n for n in result.notes)
+    assert result.mapper == "global" and any("could not start from the coarse model" in n for n in result.remarks.notes)
     assert_reconstruction_near(result.load(), scene, true, m=0.004, deg=0.03)
     assert [row[0] for row in result.tables["runs"]["rows"]][:2] == ["preview", "global"]
 

@@ -44,8 +44,9 @@ def sparse(run: Run) -> Outcome:
         counts |= {"position_sigma_median": made.sigma.median, "position_sigma_p90": made.sigma.p90}
         if made.sigma.scale is not None:
             counts["scale_sigma"] = made.sigma.scale
+    said = made.remarks
     return Outcome(
-        counts, dropped=made.dropped, notes=made.notes, tables=made.tables, contradictions=made.contradictions
+        counts, dropped=said.dropped, notes=said.notes, tables=made.tables, contradictions=said.contradictions
     )
 
 

@@ -42,10 +42,29 @@ class Mounting:
 
 
 @dataclass(frozen=True)
+class PointSigma:
+    """One-sigma uncertainty of points of the model."""
+
+    ids: tuple[int, ...]
+    sigma: np.ndarray  # (P, 3) along the model's axes, model units
+
+
+@dataclass(frozen=True)
+class SharedErrors:
+    """What independent errors of normal distribution do not explain: of lenses, of cameras off their places in the rig.
+
+    ``widened``: sigmas over those that such errors would have (median of the frames).
+    """
+
+    widened: float
+    lenses: tuple[LensError, ...]
+    strays: tuple[Unrest, ...]
+
+
+@dataclass(frozen=True)
 class PositionSigma:
     """One-sigma uncertainty of frames, points, scale, lenses after the best similarity of the positions to the truth.
 
-    ``widened``: sigmas over those that independent errors of normal distribution would have (median of the frames).
     ``interior``: rows of INTERIOR, one an adjusted parameter; ``mounting``: of a camera in its rig, by camera id.
     Of a large model the frames are a part, evenly over the pass; the points are always a random part.
     """
@@ -53,16 +72,13 @@ class PositionSigma:
     frame_ids: tuple[int, ...]  # of the model
     sigma: np.ndarray  # (F, 3) along the model's axes, model units
     pixel_sigma: float  # a posteriori sigma of one image coordinate, pixels, robust
-    widened: float = 1.0
+    points: PointSigma
+    shared: SharedErrors
     interior: tuple[tuple, ...] = ()
     mounting: dict[int, Mounting] = field(default_factory=dict)
     covariance: np.ndarray | None = None  # (3F, 3F) of the positions, model units squared
     turn: np.ndarray | None = None  # (F, 3) rad about the model's axes
     scale: float | None = None  # relative, of all lengths together; None: nothing in the adjustment knows it
-    point_ids: tuple[int, ...] = ()
-    point_sigma: np.ndarray | None = None  # (P, 3) along the model's axes, model units
-    lenses: tuple[LensError, ...] = ()
-    strays: tuple[Unrest, ...] = ()
 
     @property
     def median(self) -> float:
@@ -83,7 +99,8 @@ class PositionSigma:
         if self.mounting:
             named = [[names.get(k, k), *m.centre, m.sigma, m.sigma_deg] for k, m in self.mounting.items()]
             out[MOUNTING] = {"columns": ["camera", "x", "y", "z", "sigma", "sigma of the turn deg"], "rows": named}
-        bins = [[names.get(f.camera, f.camera), *(round(v, 2) for v in row)] for f in self.lenses for row in f.worst]
+        lenses = self.shared.lenses
+        bins = [[names.get(f.camera, f.camera), *(round(v, 2) for v in row)] for f in lenses for row in f.worst]
         if bins:
             out[LENS] = {"columns": ["camera", "x px", "y px", "dx px", "dy px", "times its sigma"], "rows": bins}
         return out
@@ -150,10 +167,11 @@ def position_sigma(
     noise = float(np.mean((first * seen.residual) ** 2)) * inflated / mean
     rest = _Rest(layout, asked.of_rest(full), tuning.sigma.strong_correlation)
     return PositionSigma(
-        **asked.answer(full, formal, noise), pixel_sigma=float(np.sqrt(variance)), interior=rest.interior(model),
-        mounting=rest.mounting(), scale=float(np.sqrt(full[-1, -1])) if normal.scale_known else None,
-        point_ids=tuple(points[k] for k in asked.points), lenses=tuple(f for f, _ in lenses),
-        strays=tuple(f for f, _ in strays),
+        **asked.of_frames(full), pixel_sigma=float(np.sqrt(variance)),
+        points=PointSigma(tuple(points[k] for k in asked.points), asked.of_points(full, noise)),
+        shared=SharedErrors(asked.widened(full, formal), tuple(f for f, _ in lenses), tuple(f for f, _ in strays)),
+        interior=rest.interior(model), mounting=rest.mounting(),
+        scale=float(np.sqrt(full[-1, -1])) if normal.scale_known else None,
     )  # fmt: skip
 
 
@@ -191,25 +209,35 @@ class _Asked:
         of_points = weighed.cross[:, columns] @ by_blocks(self.own)
         self.functions = sparse.hstack([identity, -of_points]).tocsc()
 
-    def answer(self, full: np.ndarray, formal: np.ndarray, noise: float) -> dict[str, Any]:
-        """Fields of PositionSigma by the covariance (K + 1, K + 1) of functions and scale, the variances that simple
-        errors would give, and the variance of an observation of a point."""
-        sigma = np.sqrt(np.clip(np.diag(full), 0, None))
-        m, r = 3 * len(self.frame_ids), len(self.rest)
-        place, turn = sigma[:m].reshape(-1, 3), sigma[m : 2 * m].reshape(-1, 3)
-        simple = np.sqrt(np.clip(formal[:m], 0, None)).reshape(-1, 3)
-        wider = np.linalg.norm(place, axis=1) / np.maximum(np.linalg.norm(simple, axis=1), 1e-300)
-        of_points = sigma[2 * m + r : -1].reshape(-1, 3) ** 2 + noise * np.einsum("kii->ki", self.own)
+    def of_frames(self, full: np.ndarray) -> dict[str, Any]:
+        """Fields of PositionSigma by the covariance (K + 1, K + 1) of functions and scale."""
+        sigma, m = _root(np.diag(full)), 3 * len(self.frame_ids)
         return {
-            "frame_ids": self.frame_ids, "sigma": place, "turn": turn, "widened": float(np.median(wider)),
-            "covariance": full[:m, :m], "point_sigma": np.sqrt(of_points),
+            "frame_ids": self.frame_ids, "sigma": sigma[:m].reshape(-1, 3), "turn": sigma[m : 2 * m].reshape(-1, 3),
+            "covariance": full[:m, :m],
         }  # fmt: skip
+
+    def widened(self, full: np.ndarray, formal: np.ndarray) -> float:
+        """The places' sigmas over those by the variances (K + 1,) that simple errors would give, median."""
+        m = 3 * len(self.frame_ids)
+        place, simple = (np.linalg.norm(_root(v[:m]).reshape(-1, 3), axis=1) for v in (np.diag(full), formal))
+        return float(np.median(place / np.maximum(simple, 1e-300)))
+
+    def of_points(self, full: np.ndarray, noise: float) -> np.ndarray:
+        """(P, 3) sigmas of points; ``noise``: variance of an observation of one."""
+        start = 6 * len(self.frame_ids) + len(self.rest)
+        shared = _root(np.diag(full))[start:-1].reshape(-1, 3) ** 2
+        return np.asarray(np.sqrt(shared + noise * np.einsum("kii->ki", self.own)))
 
     def of_rest(self, full: np.ndarray) -> np.ndarray:
         """(C, C) covariance with only what follows the frames in it: rig and lenses."""
         start = 6 * len(self.frame_ids)
         own = slice(start, start + len(self.rest))
         return full[own, own]
+
+
+def _root(variance: np.ndarray) -> np.ndarray:
+    return np.asarray(np.sqrt(np.clip(variance, 0, None)))
 
 
 def _evenly(count: int, most: int) -> np.ndarray:

@@ -64,6 +64,15 @@ class Model:
 
 
 @dataclass(frozen=True)
+class Remarks:
+    """What is said of the models in words."""
+
+    dropped: tuple[tuple[str, str], ...]  # image name, why it is not in the first model
+    notes: tuple[str, ...]
+    contradictions: tuple[str, ...]  # of what was given and the images
+
+
+@dataclass(frozen=True)
 class SparseResult:
     """The models, most images first, and the account of everything that is not in them."""
 
@@ -72,12 +81,10 @@ class SparseResult:
     rig: str  # absent, fixed, refined, derived (or several joined by +)
     scene: Scene  # as given, with derived extrinsics filled in
     components: tuple[int, ...]  # images of each connected part of the view graph
-    dropped: tuple[tuple[str, str], ...]  # image name, why it is not in the first model
-    notes: tuple[str, ...]
+    remarks: Remarks
     tables: dict[str, dict]
     counts: dict[str, float]
     sigma: PositionSigma | None  # of the first model's frames, model units
-    contradictions: tuple[str, ...] = ()  # of what was given and the images
 
     def load(self, model: int = 0) -> pycolmap.Reconstruction:
         """Read a model from disk."""
@@ -258,12 +265,14 @@ def _account(job: Job, outcome: Outcome, rig: str, finished: FinishResult) -> Sp
         rig=rig,
         scene=scene,
         components=tuple(job.graph.components),
-        dropped=tuple(unregistered(scene, job.graph, [m.images for m in models], dict(finished.dropped))),
-        notes=(*job.account.notes, *held_by, *camera_notes(main, scene, job.tuning)),
+        remarks=Remarks(
+            dropped=tuple(unregistered(scene, job.graph, [m.images for m in models], dict(finished.dropped))),
+            notes=(*job.account.notes, *held_by, *camera_notes(main, scene, job.tuning)),
+            contradictions=(*finished.contradictions, *doubts),
+        ),
         tables=tables,
         counts=counts,
         sigma=finished.sigma,
-        contradictions=(*finished.contradictions, *doubts),
     )
 
 

@@ -15,11 +15,12 @@ from tiegraph.sfm.world import noise
 from tiegraph.sfm.world.fit import Evidence, Fit, fit_similarity
 from tiegraph.sfm.world.fixes import Fixes
 from tiegraph.sfm.world.gravity import Up
+from tiegraph.sfm.world.unknowns import Clock
 from tiegraph.text import known_to
 
 RIGHT_ANGLE_DEG = 90.0  # an angle with a larger sigma is not known
 ARM_GAIN, CLOCK_GAIN = 16.3, 10.8  # chi-square of 3 and of 1 degrees of freedom at 0.1 %
-UNKNOWN = float("nan"), float("nan")  # value and sigma of a clock that was not asked for
+UNKNOWN = Clock(float("nan"), float("nan"))  # was not asked for
 
 
 @dataclass(frozen=True)
@@ -38,8 +39,8 @@ def believed(evidence: Evidence, fixes: Fixes, up: Up | None, near: Similarity, 
     fit = fit_similarity(evidence, used, tuning.fit, near)
     count = len(fixes)
     for _ in range(tuning.similarity_fit.noise_rounds if count else 0):
-        residual = evidence.position_residuals(fit.similarity, fit.antenna, fit.offset_s)[:count] / fixes.sigma
-        unknowns = noise.SIMILARITY + 3 * evidence.estimate_antenna + evidence.estimate_offset
+        residual = evidence.position_residuals(fit.similarity, fit.arm.place, fit.clock.offset_s)[:count] / fixes.sigma
+        unknowns = noise.SIMILARITY + 3 * evidence.arm.estimate + evidence.estimate_offset
         stretched = fixes.stretched(noise.factors(residual, fixes.level, fixes.time_s, tuning.noise, unknowns))
         evidence = replace(evidence, sigma=np.concatenate([stretched.sigma, evidence.sigma[count:]]))
         fit = fit_similarity(evidence, used, tuning.fit, near=fit.similarity)
@@ -51,16 +52,16 @@ def _again(now: Fitted, evidence: Evidence, tuning: WorldTuning) -> Fitted:
     return believed(evidence, now.fixes, now.up, now.fit.similarity, tuning)
 
 
-def _without(richer: Fitted, near: Fit, tuning: WorldTuning, **fewer: bool) -> Fit:
-    """The fit of the same evidence with an unknown fewer."""
+def _without(richer: Fitted, fewer: Evidence, near: Fit, tuning: WorldTuning) -> Fit:
+    """The fit of the same evidence with an unknown ``fewer``."""
     used = up_to_use(richer.evidence, richer.up, [], tuning, richer.fit.similarity)
-    return fit_similarity(replace(richer.evidence, **fewer), used, tuning.fit, near=near.similarity)  # type: ignore[arg-type]
+    return fit_similarity(fewer, used, tuning.fit, near=near.similarity)
 
 
 def try_lever_arm(now: Fitted, notes: list[str], tuning: WorldTuning) -> Fitted:
     """Estimate the lever arm if the positions tell it in plan and agree clearly better with it."""
     richer = with_lever_arm(now, tuning)
-    plain = _without(richer, now.fit, tuning, estimate_antenna=False)
+    plain = _without(richer, richer.evidence.with_arm(estimate=False), now.fit, tuning)
     plan_sigma = arm_sigma(richer)[0]
     if plan_sigma < _arm_limit_m(tuning) and plain.cost - richer.fit.cost > ARM_GAIN:
         notes.append(arm_text(richer, tuning))
@@ -81,10 +82,10 @@ def with_lever_arm(now: Fitted, tuning: WorldTuning) -> Fitted:
     for another reason hide.
     """
     stated = np.concatenate([now.fixes.sigma, now.evidence.sigma[len(now.fixes) :]])
-    free = replace(now.evidence, sigma=stated, estimate_antenna=True)
+    free = replace(now.evidence, sigma=stated).with_arm(estimate=True)
     richer = _again(now, free, tuning)
     if arm_sigma(richer)[1] > _arm_limit_m(tuning):
-        return _again(now, replace(free, level=_upward(richer)), tuning)
+        return _again(now, replace(free, arm=replace(free.arm, level=_upward(richer))), tuning)
     return richer
 
 
@@ -103,7 +104,7 @@ def _upward(now: Fitted) -> np.ndarray:
 
 def arm_sigma(now: Fitted) -> tuple[float, float]:
     """Sigmas (m) of an estimated lever arm: the larger one in plan, and along the vertical."""
-    upward, covariance = _upward(now), now.fit.antenna_covariance
+    upward, covariance = _upward(now), now.fit.arm.covariance
     flat = np.eye(3) - np.outer(upward, upward)
     plan = flat @ covariance @ flat
     return float(np.sqrt(np.linalg.eigvalsh(plan)[-1])), float(np.sqrt(upward @ covariance @ upward))
@@ -112,9 +113,9 @@ def arm_sigma(now: Fitted) -> tuple[float, float]:
 def arm_text(now: Fitted, tuning: WorldTuning) -> str:
     """The lever arm that was estimated, in words."""
     plan, height = arm_sigma(now)
-    x, y, z = now.fit.antenna
+    x, y, z = now.fit.arm.place
     text = f"lever arm estimated: {x:.2f} {y:.2f} {z:.2f} m in the reference camera's frame, to {plan:.2f} m in plan"
-    if now.evidence.level is not None or height > _arm_limit_m(tuning):
+    if now.evidence.arm.level is not None or height > _arm_limit_m(tuning):
         text += (
             "; its height cannot be told from the height of the world (taken as that of the camera, to 1 m): "
             "measure the antenna's height above the cameras where heights matter"
@@ -122,11 +123,11 @@ def arm_text(now: Fitted, tuning: WorldTuning) -> str:
     return text + "; a receiver whose positions jump between the passes looks the same and cannot be told from it"
 
 
-def try_clock(now: Fitted, notes: list[str], tuning: WorldTuning) -> tuple[Fitted, tuple[float, float]]:
+def try_clock(now: Fitted, notes: list[str], tuning: WorldTuning) -> tuple[Fitted, Clock]:
     """Estimate the offset of the receiver's clock if it is observable and differs from nothing; and what was found."""
     richer = _again(now, replace(now.evidence, estimate_offset=True), tuning)
-    plain = _without(richer, now.fit, tuning, estimate_offset=False)
-    sigma, value = richer.fit.offset_sigma_s, richer.fit.offset_s
+    plain = _without(richer, replace(richer.evidence, estimate_offset=False), now.fit, tuning)
+    sigma, value = richer.fit.clock.sigma_s, richer.fit.clock.offset_s
     motion = now.evidence.speed
     speed = np.linalg.norm(motion[: len(now.fixes), :3, 3], axis=1) if motion is not None else np.zeros(1)
     metres = sigma * float(np.median(speed)) * now.fit.similarity.scale
@@ -137,10 +138,10 @@ def try_clock(now: Fitted, notes: list[str], tuning: WorldTuning) -> tuple[Fitte
         )
     elif abs(value) > tuning.similarity_fit.clock_sigmas * sigma and plain.cost - richer.fit.cost > CLOCK_GAIN:
         notes.append(f"the receiver's clock is {value:+.3f} s (sigma {sigma:.3f}) off the cameras': taken into account")
-        return richer, (value, sigma)
+        return richer, richer.fit.clock
     else:
         notes.append(f"the receiver's clock agrees with the cameras' ({value:+.3f} s, sigma {sigma:.3f})")
-    return now, (value, sigma)
+    return now, richer.fit.clock
 
 
 def up_to_use(
@@ -153,8 +154,9 @@ def up_to_use(
     if up is None or np.isfinite(evidence.orientation).all(axis=(1, 2)).any():
         return None
     alone = fit_similarity(evidence, None, tuning.fit, near)
-    if up.ring and alone.tilt_sigma_deg > tuning.similarity_fit.tilt_share * up.sigma_deg:
-        known = known_to(alone.tilt_sigma_deg, RIGHT_ANGLE_DEG, f"{alone.tilt_sigma_deg:.1f} deg")
+    tilt = alone.sigma["tilt_deg"]
+    if up.ring and tilt > tuning.similarity_fit.tilt_share * up.sigma_deg:
+        known = known_to(tilt, RIGHT_ANGLE_DEG, f"{tilt:.1f} deg")
         notes.append(
             f"the positions leave the tilt open ({known}): the upward direction of {up.cameras} holds it, to about "
             f"{up.sigma_deg:.0f} deg; whether east and north, or one of them and the height, are exchanged cannot be "

@@ -11,7 +11,9 @@ from scipy.spatial.transform import Rotation
 from tiegraph.geometry.align import Similarity, robust_umeyama, umeyama
 from tiegraph.geometry.transforms import skew, turn_by_vector, vector_by_turn
 from tiegraph.sfm.tuning.world import FitTuning
+from tiegraph.sfm.world.accuracy import PlacementError
 from tiegraph.sfm.world.gravity import Up
+from tiegraph.sfm.world.unknowns import Clock, FittedArm, LeverArm, LogScale
 
 _MAX_LOG_SCALE = 5.0  # from the start: keeps a step of the solver finite
 
@@ -22,8 +24,7 @@ class Evidence:
 
     A pose may be a weighted sum of frames' poses, and that of a control point has no rotation (zeros): its lever arm is
     nothing. ``frame`` (K,) -1 = control point; ``speed`` (K, 4, 4) derivative of the pose by time; ``orientation``
-    (K, 3, 3) world_from_rig, NaN = unknown; ``antenna`` (3,) in the rig frame; ``log_scale`` None = the rig says
-    nothing of the scale.
+    (K, 3, 3) world_from_rig, NaN = unknown; ``log_scale`` None = the rig says nothing of the scale.
     """
 
     frame: np.ndarray
@@ -31,13 +32,18 @@ class Evidence:
     position: np.ndarray
     sigma: np.ndarray
     orientation: np.ndarray
-    antenna: np.ndarray
-    estimate_antenna: bool
-    log_scale: float | None
-    log_scale_sigma: float
+    arm: LeverArm
+    log_scale: LogScale | None
     speed: np.ndarray | None = None
     estimate_offset: bool = False
-    level: np.ndarray | None = None  # (3,) upward in the rig frame, along which the lever arm is held
+
+    def without_orientations(self) -> Evidence:
+        """The same, nothing known of orientations."""
+        return replace(self, orientation=np.full_like(self.orientation, np.nan))
+
+    def with_arm(self, estimate: bool) -> Evidence:
+        """The same, the lever arm an unknown or not."""
+        return replace(self, arm=replace(self.arm, estimate=estimate))
 
     def where(self, mask: np.ndarray) -> Evidence:
         """The rows of a mask (K,)."""
@@ -56,19 +62,14 @@ class Fit:
     """The similarity, which positions agree with it, and its uncertainty."""
 
     similarity: Similarity
-    antenna: np.ndarray
-    offset_s: float
+    arm: FittedArm
+    clock: Clock  # of offset 0 where it is not estimated
     inlier: np.ndarray
-    sigma: dict[str, float]
-    antenna_covariance: np.ndarray  # (3, 3) in the rig frame, square metres; NaN = not estimated
-    offset_sigma_s: float
+    sigma: dict[str, float]  # position_m, height_m, yaw_deg, tilt_deg, scale
     cost: float  # robust, in squared sigmas
     roll_sigma_deg: float  # about the direction in which the positions spread most
-    tilt_sigma_deg: float
     sigma_positions_scale: float  # of the logarithm of the scale, from the positions alone
-    chi2_per_dof: float
-    covariance: np.ndarray  # (7, 7) of turn, shift and log scale about ``middle``
-    middle: np.ndarray  # (3,) of the positions, in the world
+    error: PlacementError  # about the middle of the positions
 
 
 def fit_similarity(evidence: Evidence, up: Up | None, tuning: FitTuning, near: Similarity | None = None) -> Fit:
@@ -80,10 +81,8 @@ def fit_similarity(evidence: Evidence, up: Up | None, tuning: FitTuning, near: S
     if near is not None:
         return _refine(evidence, up, near, tuning)[1]
     spread = evidence.pose[:, :3, 3]
-    reach = np.linalg.norm(evidence.antenna)
-    loose = (
-        np.linalg.norm(evidence.sigma, axis=1) + reach + (tuning.antenna_sigma_m if evidence.estimate_antenna else 0)
-    )
+    reach = np.linalg.norm(evidence.arm.place)
+    loose = np.linalg.norm(evidence.sigma, axis=1) + reach + (tuning.antenna_sigma_m if evidence.arm.estimate else 0)
     start = robust_umeyama(spread, evidence.position, loose)[0]
     starts = [start]
     points = evidence.frame < 0
@@ -203,13 +202,13 @@ class _Problem:
         rotation = Rotation.from_rotvec(x[:3]).as_matrix() @ self.start.rotation
         scale = self.start.scale * np.exp(np.clip(x[6], -_MAX_LOG_SCALE, _MAX_LOG_SCALE))
         middle_world = self.start(self.middle) + x[3:6]
-        antenna = self.evidence.antenna + (x[7:10] if self.evidence.estimate_antenna else 0.0)
+        antenna = self.evidence.arm.place + (x[7:10] if self.evidence.arm.estimate else 0.0)
         return Similarity(float(scale), rotation, middle_world - scale * rotation @ self.middle), antenna
 
     @property
     def size(self) -> int:
         """Number of unknowns."""
-        return 7 + 3 * self.evidence.estimate_antenna + self.evidence.estimate_offset
+        return 7 + 3 * self.evidence.arm.estimate + self.evidence.estimate_offset
 
     def offset(self, x: np.ndarray) -> float:
         """Seconds by which the receiver's clock is behind the cameras'."""
@@ -231,12 +230,12 @@ class _Problem:
             else:
                 parts.append(np.array([roll_to_upright(upward, self.axis) / np.radians(self.up.sigma_deg)]))
         if self.evidence.log_scale is not None and with_scale:
-            off = np.log(similarity.scale) - self.evidence.log_scale
-            parts.append(np.array([off / self.evidence.log_scale_sigma]))
-        if self.evidence.estimate_antenna:
+            off = np.log(similarity.scale) - self.evidence.log_scale.value
+            parts.append(np.array([off / self.evidence.log_scale.sigma]))
+        if self.evidence.arm.estimate:
             parts.append(x[7:10] / self.tuning.antenna_sigma_m)
-            if self.evidence.level is not None:
-                parts.append(np.array([x[7:10] @ self.evidence.level / self.tuning.held_m]))
+            if self.evidence.arm.level is not None:
+                parts.append(np.array([x[7:10] @ self.evidence.arm.level / self.tuning.held_m]))
         if self.evidence.estimate_offset:
             parts.append(x[-1:] / self.tuning.offset_sigma_s)
         return np.concatenate(parts)
@@ -269,7 +268,7 @@ class _Problem:
         out[:, :, :3] = -skew(reach + pose[:, :3, :3] @ antenna @ similarity.rotation.T) @ turn
         out[:, :, 3:6] = np.eye(3)
         out[:, :, 6] = free * reach
-        if evidence.estimate_antenna:
+        if evidence.arm.estimate:
             out[:, :, 7:10] = similarity.rotation @ pose[:, :3, :3]
         if evidence.estimate_offset and evidence.speed is not None:
             moved = similarity.scale * evidence.speed[:, :3, 3] + evidence.speed[:, :3, :3] @ antenna
@@ -293,11 +292,11 @@ class _Problem:
             by_upward = _upright_by_upward(upward) if self.up.ring else _roll_by_upward(upward, self.axis)[None]
             turned(by_upward @ -skew(upward[None])[0] / np.radians(self.up.sigma_deg))
         if evidence.log_scale is not None and with_scale:
-            parts.append(free * unit[6:7] / evidence.log_scale_sigma)
-        if evidence.estimate_antenna:
+            parts.append(free * unit[6:7] / evidence.log_scale.sigma)
+        if evidence.arm.estimate:
             parts.append(unit[7:10] / self.tuning.antenna_sigma_m)
-            if evidence.level is not None:
-                parts.append((evidence.level @ unit[7:10])[None] / self.tuning.held_m)
+            if evidence.arm.level is not None:
+                parts.append((evidence.arm.level @ unit[7:10])[None] / self.tuning.held_m)
         if evidence.estimate_offset:
             parts.append(unit[-1:] / self.tuning.offset_sigma_s)
         return parts
@@ -351,26 +350,23 @@ def _report(problem: _Problem, solution: OptimizeResult, inlier: np.ndarray, cos
     scale_alone = np.linalg.pinv(alone.T @ alone)[6, 6] * max(1.0, chi2)
     sigma = {
         "position_m": float(np.hypot(sd[3], sd[4])),
-        "height_m": float(sd[5] if problem.evidence.level is None else np.hypot(sd[5], problem.tuning.antenna_sigma_m)),
+        "height_m": float(
+            sd[5] if problem.evidence.arm.level is None else np.hypot(sd[5], problem.tuning.antenna_sigma_m)
+        ),
         "yaw_deg": float(np.degrees(sd[2])),
         "tilt_deg": float(np.degrees(np.hypot(sd[0], sd[1]))),
         "scale": float(sd[6]),
     }
     sigma = {n: round(v, 6) for n, v in sigma.items()}
-    arm, clock = problem.evidence.estimate_antenna, problem.evidence.estimate_offset
+    arm, clock = problem.evidence.arm.estimate, problem.evidence.estimate_offset
     return Fit(
         similarity=similarity,
-        antenna=antenna,
-        offset_s=problem.offset(solution.x),
+        arm=FittedArm(antenna, covariance[7:10, 7:10] if arm else np.full((3, 3), np.nan)),
+        clock=Clock(problem.offset(solution.x), float(sd[-1]) if clock else float("nan")),
         inlier=inlier,
         sigma=sigma,
-        antenna_covariance=covariance[7:10, 7:10] if arm else np.full((3, 3), np.nan),
-        offset_sigma_s=float(sd[-1]) if clock else float("nan"),
         cost=cost,
         roll_sigma_deg=roll,
-        tilt_sigma_deg=sigma["tilt_deg"],
         sigma_positions_scale=float(np.sqrt(scale_alone)),
-        chi2_per_dof=chi2,
-        covariance=covariance[:7, :7],
-        middle=similarity(problem.middle),
+        error=PlacementError(similarity(problem.middle), covariance[:7, :7]),
     )

@@ -18,7 +18,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning.world import WorldTuning
-from tiegraph.sfm.world.accuracy import PlacementError, widened
+from tiegraph.sfm.world.accuracy import PlacementError
 from tiegraph.sfm.world.antenna import RIGHT_ANGLE_DEG
 from tiegraph.sfm.world.fit import Fit, jackknife_sigma
 from tiegraph.sfm.world.fixes import Fixes, Measurements
@@ -33,67 +33,104 @@ _AXES = ("east", "north", "up")
 
 
 @dataclass(frozen=True)
-class Georeference:
-    """The similarity from a model to the world, and how far to trust it. Columns (F, ...) follow the scene's frames."""
+class Residuals:
+    """Model minus measured positions: east, north, up, metres. Columns (F, ...) follow the scene's frames."""
 
-    world_from_model: Similarity
-    scale_source: str  # gnss, exif, trajectory, rig baseline, none
-    origin: Origin | None  # None: not on the Earth
-    residual_m: np.ndarray  # (F, 3) east, north, up: model minus prior; NaN = no prior or not in the model
+    frames_m: np.ndarray  # (F, 3); NaN = no prior or not in the model
     inlier: np.ndarray  # (F,) positions the fit believes
-    held_out_m: np.ndarray  # (F, 3) residuals of every fifth position, from a fit that did not know it; NaN = others
-    sigma: dict[str, float]  # position_m, height_m, yaw_deg, tilt_deg, scale of the placement; {} = not placed
-    antenna_m: tuple[float, float, float] | None  # lever arm used, rig frame
-    notes: tuple[str, ...]
-    control: tuple[dict, ...] = ()  # per control and check point: off_m east, north, up (model minus survey), rms_px
-    accuracy: dict[str, dict[str, float]] = field(default_factory=dict)  # gcp, check: RMSE, CE90, LE90
-    offset_s: float = 0.0  # the receiver's clock behind the cameras'
-    adjusted: bool = False  # by a bundle adjustment with the positions, not by the similarity alone
-    placing: SimilarityFit | None = None
-    error: PlacementError | None = None
-    statements: tuple[Statement, ...] = ()
-    contradictions: tuple[str, ...] = ()
-    given_control: Control | None = None
-    fix_residual_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))  # (K, 3) of all fixes of the placing
-
-    @property
-    def placed(self) -> bool:
-        """Whether positions put the model into the world."""
-        return bool(self.sigma)
+    held_out_m: np.ndarray  # (F, 3) of every fifth position, from a fit that did not know it; NaN = others
+    fixes_m: np.ndarray  # (K, 3) of all fixes of the placing
 
     def rms_m(self) -> dict[str, float]:
         """Root mean square of the believed residuals per axis, metres."""
-        return _rms(self.residual_m[self.inlier])
+        return _rms(self.frames_m[self.inlier])
 
     def held_out_rms_m(self) -> dict[str, float]:
         """The same of the held-out positions that are not outliers of the full fit."""
         return _rms(self.held_out_m[self.inlier & np.isfinite(self.held_out_m).all(axis=1)])
 
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """How well a placement is known."""
+
+    sigma: dict[str, float] = field(default_factory=dict)  # position_m, height_m, yaw_deg, tilt_deg, scale; {} = none
+    error: PlacementError | None = None
+
+
+@dataclass(frozen=True)
+class AppliedReceiver:
+    """What of the receiver's mounting and clock was taken into account."""
+
+    antenna_m: tuple[float, float, float] | None = None  # lever arm, rig frame
+    offset_s: float = 0.0  # its clock behind the cameras'
+
+
+@dataclass(frozen=True)
+class PointsFound:
+    """Control and check points, as given and in the model."""
+
+    given: Control | None = None
+    rows: tuple[dict, ...] = ()  # one a point: off_m east, north, up (model minus survey), rms_px
+    accuracy: dict[str, dict[str, float]] = field(default_factory=dict)  # gcp, check: RMSE, CE90, LE90
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What is said of a placement: in words, by each source, and where they contradict each other."""
+
+    notes: tuple[str, ...]
+    statements: tuple[Statement, ...] = ()
+    contradictions: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Georeference:
+    """The similarity from a model to the world, and how far to trust it."""
+
+    world_from_model: Similarity
+    scale_source: str  # gnss, exif, trajectory, rig baseline, none
+    origin: Origin | None  # None: not on the Earth
+    residuals: Residuals
+    verdict: Verdict
+    uncertainty: Uncertainty = Uncertainty()
+    receiver: AppliedReceiver = AppliedReceiver()
+    control: PointsFound = PointsFound()
+    adjusted: bool = False  # by a bundle adjustment with the positions, not by the similarity alone
+    placing: SimilarityFit | None = None
+
+    @property
+    def placed(self) -> bool:
+        """Whether positions put the model into the world."""
+        return bool(self.uncertainty.sigma)
+
     def counts(self) -> dict[str, float]:
         """Numbers for the receipt."""
-        positions = int(np.isfinite(self.residual_m).all(axis=1).sum())
-        out: dict[str, float] = {"positions": positions, "inliers": int(self.inlier.sum())}
+        residuals = self.residuals
+        positions = int(np.isfinite(residuals.frames_m).all(axis=1).sum())
+        out: dict[str, float] = {"positions": positions, "inliers": int(residuals.inlier.sum())}
         out["scale"] = self.world_from_model.scale
-        out.update({f"rms_{a}_m": v for a, v in self.rms_m().items()})
-        out.update({f"held_out_rms_{a}_m": v for a, v in self.held_out_rms_m().items()})
-        out.update({f"sigma_{n}": v for n, v in self.sigma.items()})
-        for role, values in self.accuracy.items():
+        out.update({f"rms_{a}_m": v for a, v in residuals.rms_m().items()})
+        out.update({f"held_out_rms_{a}_m": v for a, v in residuals.held_out_rms_m().items()})
+        out.update({f"sigma_{n}": v for n, v in self.uncertainty.sigma.items()})
+        for role, values in self.control.accuracy.items():
             out.update({f"{role}_{n}": v for n, v in values.items() if n in ("points", "rmse_m", "ce90_m", "le90_m")})
-        if self.control:
-            out["points_refused"] = sum(bool(row["why_not"]) for row in self.control)
-        out["contradictions"] = len(self.contradictions)
+        if self.control.rows:
+            out["points_refused"] = sum(bool(row["why_not"]) for row in self.control.rows)
+        out["contradictions"] = len(self.verdict.contradictions)
         return {n: round(v, 6) for n, v in out.items()}
 
     def to_dict(self) -> dict:
         """JSON-ready, for world.json."""
+        residuals, antenna_m, error = self.residuals, self.receiver.antenna_m, self.uncertainty.error
         rows = []
-        for f in np.flatnonzero(np.isfinite(self.residual_m).all(axis=1)):
-            held = self.held_out_m[f]
+        for f in np.flatnonzero(np.isfinite(residuals.frames_m).all(axis=1)):
+            held = residuals.held_out_m[f]
             rows.append(
                 {
                     "frame": int(f),
-                    "residual_m": [round(float(v), 4) for v in self.residual_m[f]],
-                    "inlier": bool(self.inlier[f]),
+                    "residual_m": [round(float(v), 4) for v in residuals.frames_m[f]],
+                    "inlier": bool(residuals.inlier[f]),
                     "held_out_m": [round(float(v), 4) for v in held] if np.isfinite(held).all() else None,
                 }
             )
@@ -106,21 +143,21 @@ class Georeference:
             "world_from_model": self.world_from_model.matrix.tolist(),
             "scale": self.world_from_model.scale,
             "positions": len(rows),
-            "inliers": int(self.inlier.sum()),
-            "rms_m": self.rms_m(),
-            "held_out_rms_m": self.held_out_rms_m(),
-            "sigma": self.sigma,
-            "antenna_m": None if self.antenna_m is None else list(self.antenna_m),
-            "clock_offset_s": round(self.offset_s, 4),
+            "inliers": int(residuals.inlier.sum()),
+            "rms_m": residuals.rms_m(),
+            "held_out_rms_m": residuals.held_out_rms_m(),
+            "sigma": self.uncertainty.sigma,
+            "antenna_m": None if antenna_m is None else list(antenna_m),
+            "clock_offset_s": round(self.receiver.offset_s, 4),
             "adjusted": self.adjusted,
             "vertical": None if self.origin is None else vertical_note(self.origin.crs),
-            "placement_error": None if self.error is None else self.error.to_dict(),
-            "control": list(self.control),
-            "accuracy": self.accuracy,
+            "placement_error": None if error is None else error.to_dict(),
+            "control": list(self.control.rows),
+            "accuracy": self.control.accuracy,
             "frames": rows,
-            "notes": list(self.notes),
-            "evidence": table(self.statements),
-            "contradictions": list(self.contradictions),
+            "notes": list(self.verdict.notes),
+            "evidence": table(self.verdict.statements),
+            "contradictions": list(self.verdict.contradictions),
         }
 
     def apply(self, model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
@@ -181,7 +218,7 @@ def georeference_all(
 def _placed(placing: SimilarityFit, view: Model, scene: Scene, given: Measurements) -> Georeference:
     fit, evidence, fixes = placing.fit, placing.evidence, placing.fixes
     count = len(fixes)
-    here = evidence.position_residuals(fit.similarity, fit.antenna, fit.offset_s)
+    here = evidence.position_residuals(fit.similarity, fit.arm.place, fit.clock.offset_s)
     at = row_of_frames(fixes, scene.frames)
     has = np.flatnonzero(at >= 0)
     residual, held_out = np.full((scene.frames, 3), np.nan), np.full((scene.frames, 3), np.nan)
@@ -190,7 +227,7 @@ def _placed(placing: SimilarityFit, view: Model, scene: Scene, given: Measuremen
     inlier[has] = fit.inlier[at[has]]
     if placing.held_out is not None:
         blind = placing.held_out
-        off = evidence.position_residuals(blind.similarity, blind.antenna, blind.offset_s)
+        off = evidence.position_residuals(blind.similarity, blind.arm.place, blind.clock.offset_s)
         held = has[fixes.held[at[has]]]
         held_out[held] = off[at[held]]
     order = np.lexsort(
@@ -202,20 +239,19 @@ def _placed(placing: SimilarityFit, view: Model, scene: Scene, given: Measuremen
         world_from_model=fit.similarity,
         scale_source=_scale_source(placing, scene, view, count),
         origin=scene.origin or (given.control.origin if given.control is not None else None),
-        residual_m=residual,
-        inlier=inlier,
-        held_out_m=held_out,
-        sigma=sigma,
-        antenna_m=tuple(float(v) for v in fit.antenna) if fit.antenna.any() else None,  # type: ignore[arg-type]
-        notes=(*placing.notes, *_remarks(placing, scene), *lines),
-        control=tuple(points),
-        accuracy=sums,
-        offset_s=fit.offset_s,
+        residuals=Residuals(frames_m=residual, inlier=inlier, held_out_m=held_out, fixes_m=here[:count]),
+        verdict=Verdict((*placing.notes, *_remarks(placing, scene), *lines)),
+        uncertainty=Uncertainty(sigma, fit.error.widened_to(sigma)),
+        receiver=applied_receiver(fit.arm.place, fit.clock.offset_s),
+        control=PointsFound(given.control, tuple(points), sums),
         placing=placing,
-        given_control=given.control,
-        fix_residual_m=here[:count],
-        error=PlacementError(fit.middle, widened(fit.covariance, sigma)),
     )
+
+
+def applied_receiver(antenna: np.ndarray, offset_s: float) -> AppliedReceiver:
+    """Lever arm (3,) and clock of a placement; a lever arm of nothing is none."""
+    x, y, z = antenna.tolist()
+    return AppliedReceiver((x, y, z) if antenna.any() else None, offset_s)
 
 
 def _with_common(sigma: dict[str, float], placing: SimilarityFit, scene: Scene) -> dict[str, float]:
@@ -316,15 +352,12 @@ def _levelled(scene: Scene, up: Up | None, scale: RigScale | None, why: str) -> 
     here = Similarity(factor, rotation, np.zeros(3))
     return Georeference(
         world_from_model=here,
-        statements=(*rig_statement(scale, here, True), *up_statements(up, here, True)),
         scale_source=source,
         origin=None,
-        residual_m=empty,
-        inlier=np.zeros(scene.frames, bool),
-        held_out_m=empty,
-        sigma={},
-        antenna_m=None,
-        notes=tuple(notes),
+        residuals=Residuals(
+            frames_m=empty, inlier=np.zeros(scene.frames, bool), held_out_m=empty, fixes_m=np.zeros((0, 3))
+        ),
+        verdict=Verdict(tuple(notes), (*rig_statement(scale, here, True), *up_statements(up, here, True))),
     )
 
 

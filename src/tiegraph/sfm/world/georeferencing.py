@@ -18,7 +18,7 @@ from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.world import worldadjust
 from tiegraph.sfm.world.fixes import Fixes, Measurements
-from tiegraph.sfm.world.georef import Georeference, georeference, row_of_frames
+from tiegraph.sfm.world.georef import Georeference, applied_receiver, georeference, row_of_frames
 from tiegraph.sfm.world.marks import marked, point_table, targets
 from tiegraph.sfm.world.scale import relaxed
 from tiegraph.sfm.world.similarityfit import SimilarityFit
@@ -102,7 +102,8 @@ def georeference_folder(request: GeorefRequest, send: Callable[[Any], None]) -> 
 
 
 def _with(georeference: Georeference, note: str) -> Georeference:
-    return replace(georeference, notes=(*georeference.notes, note))
+    verdict = georeference.verdict
+    return replace(georeference, verdict=replace(verdict, notes=(*verdict.notes, note)))
 
 
 def _constraints(
@@ -120,16 +121,16 @@ def _constraints(
         up = replace(up, direction=np.array([0.0, 0.0, 1.0]))  # it was brought there by the similarity
     stretch, found = 1.0, []
     if control is not None:
-        found = marked(targets(world, scene, control, tuning.world.marks), first.control)
+        found = marked(targets(world, scene, control, tuning.world.marks), first.control.rows)
     if control is not None and len(placing.points):
         stretch = float(np.median(evidence.sigma[len(placing.fixes) :] / control.sigma_m[placing.points]))
     return Constraints(
         fixes=placing.fixes,
         factor=placing.factor,
         receiver=Receiver(
-            antenna=placing.fit.antenna,
-            offset_s=placing.fit.offset_s,
-            free_antenna=evidence.estimate_antenna,
+            antenna=placing.fit.arm.place,
+            offset_s=placing.fit.clock.offset_s,
+            free_antenna=evidence.arm.estimate,
             free_offset=evidence.estimate_offset,
         ),
         held=held,
@@ -161,12 +162,12 @@ def _check(
         constraints,
         fixes=fixes.where(keep),
         factor=placing.factor[keep],
-        receiver=replace(constraints.receiver, antenna=blind.antenna, offset_s=blind.offset_s),
+        receiver=replace(constraints.receiver, antenna=blind.arm.place, offset_s=blind.clock.offset_s),
     )
     made = adjust_in_world(start, scene, known, bounds.check_rounds)
     held = fixes.where(fixes.held)
     sigma = held.sigma * placing.factor[out, None]
-    before = worldadjust.residuals(start, scene, held, blind.antenna, blind.offset_s) / sigma
+    before = worldadjust.residuals(start, scene, held, blind.arm.place, blind.clock.offset_s) / sigma
     after = worldadjust.residuals(made.model, scene, held, made.antenna, made.offset_s) / sigma
     a, b = _score(before, bounds.clip_sigmas), _score(after, bounds.clip_sigmas)
     most = (bounds.clip_sigmas * held.sigma) ** 2
@@ -209,29 +210,26 @@ def _adjusted(
     residual[has] = made.residual[at[has]]
     sigma = fixes.sigma * made.factor[:, None] if len(fixes) else fixes.sigma
     inlier[has] = np.linalg.norm(made.residual / sigma, axis=1)[at[has]] < tuning.fit.inlier_sigmas * np.sqrt(3)
-    control, accuracy = list(first.control), first.accuracy
+    control = first.control
     if given.control is not None:
-        found = marked(targets(made.model, scene, given.control, tuning.marks), first.control)
+        found = marked(targets(made.model, scene, given.control, tuning.marks), control.rows)
         off = np.array([t.place for t in found]).reshape(-1, 3) - given.control.world_m
-        control, accuracy = point_table(given.control, found, off, scene.names)
+        rows, accuracy = point_table(given.control, found, off, scene.names)
+        control = replace(control, rows=tuple(rows), accuracy=accuracy)
     moved = np.linalg.norm(_centres(world, scene) - _centres(made.model, scene), axis=1)
     note = (
         f"adjusted with the positions: frames moved by {np.nanmedian(moved):.3f} m (at most {np.nanmax(moved):.3f} m), "
         f"reprojection {made.before_px:.3f} -> {made.after_px:.3f} px; {why}"
     )
-    return replace(
+    adjusted = replace(
         first,
         world_from_model=worldadjust.similarity_to(model, made.model, first.world_from_model),
-        residual_m=residual,
-        inlier=inlier,
-        fix_residual_m=made.residual,
-        antenna_m=tuple(float(v) for v in made.antenna) if made.antenna.any() else None,  # type: ignore[arg-type]
-        offset_s=made.offset_s,
-        control=tuple(control),
-        accuracy=accuracy,
+        residuals=replace(first.residuals, frames_m=residual, inlier=inlier, fixes_m=made.residual),
+        receiver=applied_receiver(made.antenna, made.offset_s),
+        control=control,
         adjusted=True,
-        notes=(*first.notes, note),
     )
+    return _with(adjusted, note)
 
 
 def _centres(model: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:

@@ -30,6 +30,7 @@ from tiegraph.sfm.world.gravity import Up
 from tiegraph.sfm.world.marks import Target
 from tiegraph.sfm.world.scale import RigScale
 from tiegraph.sfm.world.sources import POSITIONS, common_of
+from tiegraph.sfm.world.unknowns import Clock, LeverArm, LogScale
 from tiegraph.sfm.world.weighing import EvidenceWeights, Question, weigh
 
 
@@ -70,7 +71,7 @@ class SimilarityFit:
     weighed: EvidenceWeights
     model: Model
     tuning: WorldTuning
-    clock: tuple[float, float] = UNKNOWN  # the receiver's behind the cameras' and sigma, s
+    clock: Clock = UNKNOWN  # as estimated, taken into account or not
 
     @property
     def factor(self) -> np.ndarray:
@@ -91,7 +92,7 @@ class SimilarityFit:
     def levels(self) -> list[noise.Level]:
         """How much worse the fixes of each stated sigma are."""
         fit, fixes = self.fit, self.fixes
-        residual = self.evidence.position_residuals(fit.similarity, fit.antenna, fit.offset_s)[: len(fixes)]
+        residual = self.evidence.position_residuals(fit.similarity, fit.arm.place, fit.clock.offset_s)[: len(fixes)]
         return noise.levels(residual / fixes.sigma, fixes.level, fixes.sigma, fixes.time_s, self.tuning.noise)
 
 
@@ -220,10 +221,8 @@ def _evidence(
         position=fixes.position,
         sigma=fixes.sigma,
         orientation=orientation,
-        antenna=np.zeros(3) if arm.given is None else arm.given,
-        estimate_antenna=arm.estimate is True,
-        log_scale=np.log(scale.metres_per_unit) if scale is not None and scale.trusted else None,
-        log_scale_sigma=scale.sigma if scale is not None else np.nan,
+        arm=LeverArm(np.zeros(3) if arm.given is None else arm.given, arm.estimate is True),
+        log_scale=LogScale(np.log(scale.metres_per_unit), scale.sigma) if scale is not None and scale.trusted else None,
         speed=speed,
     )
 
@@ -268,12 +267,12 @@ def _refuse_exchanged(now: Fitted, tuning: WorldTuning) -> None:
     A straight track is its own mirror image, so that nothing can be said of it.
     """
     evidence, fit, reach = now.evidence, now.fit, tuning.fit.antenna_sigma_m
-    if np.median(np.linalg.norm(evidence.position_residuals(fit.similarity, fit.antenna), axis=1)) < reach:
+    if np.median(np.linalg.norm(evidence.position_residuals(fit.similarity, fit.arm.place), axis=1)) < reach:
         return
     mirrored = replace(evidence, position=evidence.position[:, [1, 0, 2]])
     other = fit_similarity(mirrored, None, tuning.fit)
     sizes = [
-        float(np.median(np.linalg.norm(e.position_residuals(f.similarity, f.antenna)[:, :2], axis=1)))
+        float(np.median(np.linalg.norm(e.position_residuals(f.similarity, f.arm.place)[:, :2], axis=1)))
         for e, f in ((evidence, fit), (mirrored, other))
     ]
     if sizes[1] < sizes[0] / tuning.similarity_fit.mirror_gain and sizes[0] > reach:
@@ -293,10 +292,9 @@ def _refuse_upside_down(now: Fitted, tuning: WorldTuning) -> None:
     if up is None or not up.ring or len(fixes) < tuning.similarity_fit.min_positions:
         return
     rows = np.arange(len(evidence.frame)) < len(fixes)
-    free = replace(evidence.where(rows), sigma=fixes.sigma, estimate_antenna=True)
-    free = replace(free, orientation=np.full_like(free.orientation, np.nan))
+    free = replace(evidence.where(rows), sigma=fixes.sigma).with_arm(estimate=True).without_orientations()
     alone = fit_similarity(free, None, tuning.fit)
-    residual = free.position_residuals(alone.similarity, alone.antenna) / fixes.sigma
+    residual = free.position_residuals(alone.similarity, alone.arm.place) / fixes.sigma
     factors = noise.factors(residual, fixes.level, fixes.time_s, tuning.noise)
     free = replace(free, sigma=fixes.sigma * factors[:, None])
     alone = fit_similarity(free, None, tuning.fit, alone.similarity)

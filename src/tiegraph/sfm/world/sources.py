@@ -105,20 +105,19 @@ def alone(
     own = evidence.where(rows)
     if len(np.unique(own.pose[:, :3, 3].round(9), axis=0)) < _THREE:
         return None
-    nothing = np.full_like(own.orientation, np.nan)
-    own = replace(own, orientation=nothing, log_scale=None, estimate_antenna=free_antenna)
+    own = replace(own, log_scale=None).with_arm(free_antenna).without_orientations()
     fit = fit_similarity(own, None, tuning.fit)
     for _ in range(tuning.sources.rounds):
-        off = own.position_residuals(fit.similarity, fit.antenna)
+        off = own.position_residuals(fit.similarity, fit.arm.place)
         scatter = _scatter(off / evidence.sigma[rows], times, tuning.noise, tuning.sources.least)
         own = replace(own, sigma=evidence.sigma[rows] * scatter)
         fit = fit_similarity(own, None, tuning.fit, fit.similarity)
-    off = own.position_residuals(fit.similarity, fit.antenna)
+    off = own.position_residuals(fit.similarity, fit.arm.place)
     return Source(
         name=name,
         similarity=fit.similarity,
         covariance=_with_slow(fit, own, float(common[3])),
-        middle=fit.middle,
+        middle=fit.error.middle,
         common_m=common[:3],
         residual=off,
     )
@@ -140,7 +139,7 @@ def _scatter(residual: np.ndarray, times: np.ndarray, tuning: NoiseTuning, least
 
 def _with_slow(fit: Fit, own: Evidence, slow_m: float) -> np.ndarray:
     """The fit's covariance, and on its diagonal what an error of ``slow_m`` from end to end turns and stretches."""
-    out = fit.covariance.copy()
+    out = fit.error.covariance.copy()
     out[range(7), range(7)] = np.maximum(np.diag(out), 1e-18)
     off = own.position - own.position.mean(axis=0)
     east, north, up = np.mean(off**2, axis=0)

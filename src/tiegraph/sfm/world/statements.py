@@ -9,7 +9,7 @@ import numpy as np
 
 from tiegraph.scene.evidence import LIMIT, Contradiction, Statement, contradictions, trend
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.world.georef import Georeference
+from tiegraph.sfm.world.georef import Georeference, Uncertainty, Verdict
 from tiegraph.sfm.world.marks import Target
 from tiegraph.sfm.world.similarityfit import time_order
 from tiegraph.sfm.world.sources import (
@@ -39,7 +39,8 @@ def with_statements(found: Georeference, scene: Scene, model_sigma_m: float, tar
     if found.placing.weighed.why and not any(c.first.quantity == SCALE for c in worst):
         worst = [*worst, *_decided(said)]
     sentences = [c.text(_culprit(c, said, found)) for c in worst]
-    sigma = dict(found.sigma)
+    known = found.uncertainty
+    sigma = dict(known.sigma)
     wide = found.placing.weighed.scale_sigma
     if wide:
         sigma["scale"] = round(max(sigma["scale"], wide), 6)
@@ -55,11 +56,13 @@ def with_statements(found: Georeference, scene: Scene, model_sigma_m: float, tar
     sentences += _levels(found, bool(forms))
     sentences += _control(found, targets)
     sentences += _check_points(found, model_sigma_m, targets)
-    error = found.error.widened_to(sigma) if found.error is not None else None
-    return replace(
-        found, sigma=sigma, error=error, statements=tuple(said), contradictions=tuple(sentences),
-        notes=(*found.notes, *_rests_on(found, scene)),
-    )  # fmt: skip
+    error = known.error.widened_to(sigma) if known.error is not None else None
+    verdict = Verdict(
+        notes=(*found.verdict.notes, *_rests_on(found, scene)),
+        statements=tuple(said),
+        contradictions=tuple(sentences),
+    )
+    return replace(found, uncertainty=Uncertainty(sigma, error), verdict=verdict)
 
 
 def statements(found: Georeference) -> list[Statement]:
@@ -76,16 +79,15 @@ def statements(found: Georeference) -> list[Statement]:
     out += rig_statement(placing.model.scale, result, weighed.rig_used and placing.evidence.log_scale is not None)
     out += up_statements(placing.model.up, result, placing.up is not None)
     out += orientation_statements(placing.evidence, result, placing.tuning.sources)
-    if np.isfinite(placing.clock[1]):
-        value, sigma = placing.clock
+    if np.isfinite(placing.clock.sigma_s):
         out.append(
             Statement(
                 quantity="clock",
                 source="images and positions",
-                value=value,
-                sigma=sigma,
+                value=placing.clock.offset_s,
+                sigma=placing.clock.sigma_s,
                 unit="s",
-                used=bool(found.offset_s),
+                used=bool(found.receiver.offset_s),
             )
         )
     return out
@@ -141,7 +143,7 @@ def _trends(found: Georeference, scene: Scene, model_sigma_m: float, scale_said:
         return []
     order = np.argsort(time_order(scene, fixes), kind="stable")
     stated = np.hypot(np.median(fixes.sigma, axis=0), np.nan_to_num(model_sigma_m))
-    residual = found.fix_residual_m[order]
+    residual = found.residuals.fixes_m[order]
     way = _directions(fixes.position[order] + residual)
     series = [(a, residual[:, k], float(stated[k])) for k, a in enumerate(_AXES)]
     series.append((_ALONG, np.sum(residual * way, axis=1), float(stated[:2].max())))
@@ -152,7 +154,7 @@ def _trends(found: Georeference, scene: Scene, model_sigma_m: float, scale_said:
             form is not None
             and form.form == "offset"
             and placing.weighed.free_antenna
-            and not placing.fit.antenna.any()
+            and not placing.fit.arm.place.any()
         ):
             sigma = float(np.hypot(sigma, placing.tuning.fit.antenna_sigma_m))  # it stands anywhere on the vehicle
         if form is None or form.size / 2 <= TWO_ENDS * sigma or (scale_said and form.form == "line"):
@@ -224,8 +226,8 @@ def _levels(found: Georeference, explained: bool) -> list[str]:
                 f"({level.count} of them, correlation of neighbours {level.correlation:.1f}): believed accordingly; "
                 "a receiver that is optimistic, or a lever arm or clock that is not known"
             )
-    used = int(found.inlier.sum())
-    total = int(np.isfinite(found.residual_m).all(axis=1).sum())
+    used = int(found.residuals.inlier.sum())
+    total = int(np.isfinite(found.residuals.frames_m).all(axis=1).sum())
     if total >= tuning.statements.least_positions and used < tuning.statements.agreeing * total:
         out.append(
             f"only {used} of {total} positions agree with the model within three sigmas: the model is bent or torn, or "
@@ -236,9 +238,9 @@ def _levels(found: Georeference, explained: bool) -> list[str]:
 
 def _control(found: Georeference, targets: list[Target]) -> list[str]:
     """Control points that contradict the others, and those that contradict each other without one to blame."""
-    placing, given = found.placing, found.given_control
+    placing, given = found.placing, found.control.given
     assert placing is not None
-    out = [f"control point {r['name']!r} is not used: {r['why_not']}" for r in found.control if r["blunder"]]
+    out = [f"control point {r['name']!r} is not used: {r['why_not']}" for r in found.control.rows if r["blunder"]]
     if given is None or not len(placing.points):
         return out
     spread = np.array([np.trace(targets[k].covariance) / 3 for k in placing.points])
@@ -254,14 +256,15 @@ def _control(found: Georeference, targets: list[Target]) -> list[str]:
 
 def _check_points(found: Georeference, model_sigma_m: float, targets: list[Target]) -> list[str]:
     """Check points whose error is far beyond what was predicted."""
-    given, placing = found.given_control, found.placing
+    given, placing = found.control.given, found.placing
     assert placing is not None
-    rows = [k for k, r in enumerate(found.control) if r["role"] == "check" and r["off_m"] and not r["why_not"]]
-    if not rows or given is None or found.error is None:
+    rows = [k for k, r in enumerate(found.control.rows) if r["role"] == "check" and r["off_m"] and not r["why_not"]]
+    error = found.uncertainty.error
+    if not rows or given is None or error is None:
         return []
-    off = np.array([found.control[k]["off_m"] for k in rows], float)
+    off = np.array([found.control.rows[k]["off_m"] for k in rows], float)
     spread = np.array([np.diag(targets[k].covariance) for k in rows])
-    known = found.error.sigma(given.world_m[rows])
+    known = error.sigma(given.world_m[rows])
     inside = np.nan_to_num(model_sigma_m)
     predicted = np.sqrt(given.sigma_m[rows] ** 2 + spread + known**2 + inside**2)
     actual, expected = (float(np.sqrt(np.mean(np.sum(v**2, axis=1)))) for v in (off, predicted))

@@ -12,6 +12,7 @@ from tiegraph.sfm.tuning.world import SourceTuning, WorldTuning
 from tiegraph.sfm.world.fit import Evidence, fit_similarity
 from tiegraph.sfm.world.scale import RigScale
 from tiegraph.sfm.world.sources import CONTROL, RIG, Source, alone
+from tiegraph.sfm.world.unknowns import LogScale
 
 TWO_ENDS = LIMIT / np.sqrt(2)  # half a trend's size in sigmas of a position, when its ends contradict each other
 _AXES = ("east", "north", "up")
@@ -197,12 +198,12 @@ def _own_trend(asked: Question, source: Source) -> Trend | None:
 def _with_scale(asked: Question, rig: RigScale, source: Source) -> str:
     """The form of the positions' residuals under the rig's scale, in words; "" if it has none."""
     own = asked.evidence.where(np.arange(len(asked.evidence.frame)) < asked.count)
-    nothing = np.full_like(own.orientation, np.nan)
-    own = replace(own, orientation=nothing, log_scale=float(np.log(rig.metres_per_unit)), log_scale_sigma=_HELD)
+    own = replace(own, log_scale=LogScale(float(np.log(rig.metres_per_unit)), _HELD))
     wide = _spread(asked)
-    own = replace(own, sigma=np.full_like(own.sigma, max(wide, 1e-6)), estimate_antenna=asked.free_antenna)
+    own = replace(own, sigma=np.full_like(own.sigma, max(wide, 1e-6)))
+    own = own.with_arm(asked.free_antenna).without_orientations()
     fit = fit_similarity(own, None, asked.tuning.fit, source.similarity)
-    off = own.position_residuals(fit.similarity, fit.antenna)
+    off = own.position_residuals(fit.similarity, fit.arm.place)
     order = np.argsort(asked.times[: asked.count], kind="stable")
     main = np.linalg.svd(own.position - own.position.mean(axis=0), full_matrices=False)[2][0]
     if (own.position[order[-1]] - own.position[order[0]]) @ main < 0:
