@@ -240,7 +240,7 @@ def test_wrong_poses_are_mapped_from_nothing(world, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_stage_starts_from_the_preview_model(world, tmp_path: Path) -> None:
+def test_the_stage_starts_from_the_coarse_model(world, tmp_path: Path) -> None:
     true, scene = world
     source = Source(tmp_path / "database.db", None, preview=_rough(true, scene))
     result = reconstruct(
