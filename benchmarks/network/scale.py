@@ -1,7 +1,7 @@
 """Time and memory of network and design against the number of images: ``python benchmarks/network/scale.py``.
 
 A simulated canal survey (``canalworld``: 6 cameras, two passes, repeated walls); everything but the previews themselves
-is the program's own: ``estimate_network`` with the coarse model of the pipeline (COLMAP's mapper), then ``design``.
+is the program's own: candidates, coarse (COLMAP's mapper), network, then ``design``.
 Each size runs in a process of its own. The time of the simulated matching is taken off; what real previews would cost
 is given beside it (6 ms each, measured on canal).
 """

@@ -159,7 +159,7 @@ def measure_set(survey: Survey, ways: tuple[str, ...] = WAYS) -> dict[str, Any]:
         row |= {
             "clock_s": found.receiver.offset_s,
             "accuracy": found.control.accuracy,
-            "notes": list(found.verdict.notes),
+            "notes": list(found.findings.notes),
         }
         out[way] = row
     return out
@@ -178,7 +178,7 @@ def bad_cases(survey: Survey, way: str = "adjusted") -> dict[str, Any]:
         try:
             bad = _with_rows(survey, spoilt)
             found, world, _ = georeferenced(bad, way, Measurements(spoilt, None, survey.covered))
-            out[name] = errors(bad, found, world) | {"notes": list(found.verdict.notes), "adjusted": found.adjusted}
+            out[name] = errors(bad, found, world) | {"notes": list(found.findings.notes), "adjusted": found.adjusted}
         except TiegraphError as error:
             out[name] = {"error": str(error)}
         survey.scene = scene

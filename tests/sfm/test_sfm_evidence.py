@@ -97,8 +97,8 @@ def test_clean_sets_contradict_nothing(seed: int, sigma: float, actual: float) -
     poses, scene = drive(back=bool(seed % 2))
     survey = with_positions(scene, poses[:, :3, 3] + noise(seed, actual, 0.7), sigma)
     found = found_by(poses, survey, rig_scale=1.002, points=control(poses) if seed else None)
-    assert found.verdict.contradictions == ()
-    assert {s.quantity for s in found.verdict.statements} >= {"scale", "heading", "height", "place east"}
+    assert found.findings.contradictions == ()
+    assert {s.quantity for s in found.findings.statements} >= {"scale", "heading", "height", "place east"}
 
 
 def test_a_rig_that_is_wrong_does_not_overrule_positions_that_fit_without_it() -> None:
@@ -109,10 +109,10 @@ def test_a_rig_that_is_wrong_does_not_overrule_positions_that_fit_without_it() -
     assert found.world_from_model.scale == pytest.approx(1, abs=0.01) and found.scale_source == "gnss"
     assert 0.08 < found.uncertainty.sigma["scale"] < 0.14  # covers both: nothing else tells who is right
     assert max(found.residuals.rms_m().values()) < 0.05
-    (text,) = found.verdict.contradictions
+    (text,) = found.findings.contradictions
     assert text.startswith("scale: ") and "rig as given" in text and "11.3% too long" in text
     assert "run in a line from -0.68 m to +0.68 m" in text and "fit to 0.02" in text and "fire apart" in text
-    used = {s.source: s.used for s in found.verdict.statements if s.quantity == "scale"}
+    used = {s.source: s.used for s in found.findings.statements if s.quantity == "scale"}
     assert used == {"GNSS positions": True, "rig as given": False}
 
 
@@ -123,7 +123,7 @@ def test_positions_that_drift_by_themselves_do_not_take_the_scale_from_the_rig()
     off[:, 0] += 1.5 * np.linspace(-1, 1, COUNT) ** 2 + 1.5 * np.linspace(-1, 1, COUNT)
     found = found_by(poses, with_positions(scene, poses[:, :3, 3] + off, 0.05), rig_scale=1.0)
     assert abs(found.world_from_model.scale - 1) < 3 * found.uncertainty.sigma["scale"]
-    assert found.verdict.contradictions
+    assert found.findings.contradictions
 
 
 @pytest.mark.slow
@@ -133,11 +133,11 @@ def test_three_sources_tell_which_one_is_wrong() -> None:
     true = poses[:, :3, 3] + noise(3, 0.05)
     found = found_by(poses, with_positions(scene, true, 0.05), rig_scale=1.03, points=points)
     assert found.world_from_model.scale == pytest.approx(1, abs=0.005) and found.uncertainty.sigma["scale"] < 0.01
-    assert any("rig as given stands alone" in t for t in found.verdict.contradictions)
+    assert any("rig as given stands alone" in t for t in found.findings.contradictions)
     stretched = 1.03 * (true - true.mean(axis=0)) + true.mean(axis=0)
     found = found_by(poses, with_positions(scene, stretched, 0.05), rig_scale=1.001, points=points)
     assert found.world_from_model.scale == pytest.approx(1, abs=0.005) and found.uncertainty.sigma["scale"] < 0.01
-    assert any("GNSS positions stand alone" in t for t in found.verdict.contradictions)
+    assert any("GNSS positions stand alone" in t for t in found.findings.contradictions)
 
 
 def test_heights_above_the_start_are_a_contradiction_of_height_and_no_scatter() -> None:
@@ -145,7 +145,7 @@ def test_heights_above_the_start_are_a_contradiction_of_height_and_no_scatter() 
     low = poses[:, :3, 3] + noise(4, 2.0) * [1, 1, 2] - [0, 0, 64]
     points = control(poses)
     found = found_by(poses, with_positions(scene, low, 5.0, prior="exif"), points=points)
-    (text,) = [t for t in found.verdict.contradictions if t.startswith("height")]
+    (text,) = [t for t in found.findings.contradictions if t.startswith("height")]
     assert "EXIF positions" in text and "control points" in text and "above the start" in text
     assert abs(found.world_from_model(poses[:, :3, 3]) - poses[:, :3, 3]).max() < 0.2
     assert found.residuals.inlier.mean() > 0.9  # their plan is as good as ever
@@ -157,7 +157,7 @@ def test_one_control_point_tells_a_datum() -> None:
     poses, scene = drive(back=True)
     moved = poses[:, :3, 3] + noise(4, 0.05) + [120.0, -300.0, 0]
     found = found_by(poses, with_positions(scene, moved, 0.1), points=control(poses, count=1))
-    assert any(t.startswith("place ") and "datum" in t for t in found.verdict.contradictions)
+    assert any(t.startswith("place ") and "datum" in t for t in found.findings.contradictions)
 
 
 def test_a_refused_point_is_not_in_the_headline() -> None:
@@ -168,7 +168,7 @@ def test_a_refused_point_is_not_in_the_headline() -> None:
     found = found_by(poses, scene, points=(replace(given, world_m=wrong), true))
     assert found.control.accuracy["gcp"]["points"] == 6 and found.control.accuracy["gcp"]["rmse_m"] < 0.06
     assert found.counts()["points_refused"] == 1 and found.control.rows[3]["blunder"]
-    (text,) = found.verdict.contradictions
+    (text,) = found.findings.contradictions
     assert "'P3' is not used" in text and "differ by 27.7" in text
 
 
@@ -178,7 +178,7 @@ def test_control_points_that_fit_nowhere_are_said() -> None:
     given, true = control(poses, count=6)
     wrong = given.world_m + np.random.default_rng(1).standard_normal((6, 3))
     found = found_by(poses, scene, points=(replace(given, world_m=wrong), true))
-    assert any("contradict each other" in t for t in found.verdict.contradictions)
+    assert any("contradict each other" in t for t in found.findings.contradictions)
 
 
 @pytest.mark.slow
@@ -190,7 +190,7 @@ def test_a_step_in_good_positions_is_said_and_widens_the_sigma(size: float) -> N
     found = found_by(poses, with_positions(scene, poses[:, :3, 3] + off, 0.03), rig_scale=1.0)
     assert any(
         "which noise does not do" in t or "times as much" in t or "contradict" in t
-        for t in found.verdict.contradictions
+        for t in found.findings.contradictions
     )
     error = found.world_from_model(poses[:, :3, 3]) - poses[:, :3, 3]
     assert np.linalg.norm(error.mean(axis=0)[:2]) < 3 * found.uncertainty.sigma["position_m"]
@@ -202,7 +202,7 @@ def test_positions_that_lag_are_off_all_along() -> None:
     late = np.roll(poses[:, :3, 3], 1, axis=0)
     late[0] = poses[0, :3, 3]
     found = found_by(poses, with_positions(scene, late + noise(7, 0.03), 0.03), rig_scale=1.0)
-    assert found.verdict.contradictions
+    assert found.findings.contradictions
 
 
 @pytest.mark.slow
@@ -211,8 +211,8 @@ def test_check_points_beyond_what_was_predicted_are_said() -> None:
     given, true = control(poses, count=8)
     check = np.arange(8) >= 5
     fine = found_by(poses, scene, points=(replace(given, check=check), true))
-    assert fine.verdict.contradictions == () and fine.control.accuracy["check"]["points"] == 3
+    assert fine.findings.contradictions == () and fine.control.accuracy["check"]["points"] == 3
     moved = given.world_m + np.where(check[:, None], [0.4, -0.3, 0.2], 0.0)
     found = found_by(poses, scene, points=(replace(given, check=check, world_m=moved), true))
-    (text,) = found.verdict.contradictions
+    (text,) = found.findings.contradictions
     assert "3 check points" in text and "predicted 0.0" in text

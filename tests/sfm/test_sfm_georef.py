@@ -82,7 +82,7 @@ def test_lever_arm_given_and_estimated(world) -> None:
     assert max(with_arm.residuals.rms_m().values()) < 1e-3 < 0.05 < max(without.residuals.rms_m().values())
     estimated = georeference(_moved(truth), survey, GeorefSettings(antenna="estimated"), TUNING)
     np.testing.assert_allclose(estimated.receiver.antenna_m, arm, atol=0.1)
-    assert any("estimated" in n for n in estimated.verdict.notes)
+    assert any("estimated" in n for n in estimated.findings.notes)
 
 
 def test_a_stretch_of_multipath_does_not_hide_behind_the_lever_arm(world) -> None:
@@ -104,13 +104,13 @@ def test_fixed_rig_alone_gives_the_scale(world) -> None:
     assert found.world_from_model.scale == pytest.approx(1 / 0.37, rel=1e-6)
     nominal = scene.with_(rigs=(replace(scene.rigs[0], nominal=True),))
     other = georeference(_moved(truth), nominal, GeorefSettings(), TUNING)
-    assert other.scale_source == "none" and any("nominal" in n for n in other.verdict.notes)
+    assert other.scale_source == "none" and any("nominal" in n for n in other.findings.notes)
     shrink = np.array([[1, 1, 1, 0.02]] * 3 + [[1, 1, 1, 1]])
     short = tuple(replace(s, sensor_from_rig=s.sensor_from_rig * shrink) for s in scene.rigs[0].sensors)
     near = georeference(
         _moved(truth), scene.with_(rigs=(replace(scene.rigs[0], sensors=short),)), GeorefSettings(), TUNING
     )
-    assert near.scale_source == "none" and any("no scale taken from the rig" in n for n in near.verdict.notes)
+    assert near.scale_source == "none" and any("no scale taken from the rig" in n for n in near.findings.notes)
 
 
 def test_images_that_hardly_carry_the_baseline_widen_the_scale_of_the_rig(world) -> None:
@@ -126,7 +126,7 @@ def test_images_that_hardly_carry_the_baseline_widen_the_scale_of_the_rig(world)
     assert vague.placing.model.scale == replace(sure.placing.model.scale, sigma=pytest.approx(0.05, rel=0.05))
     assert vague.world_from_model.scale == pytest.approx(1.03 * true_scale, rel=0.01)  # the positions have their say
     alone = georeference(_moved(truth), scene, GeorefSettings(), TUNING, Measurements(model_scale_sigma=0.05))
-    assert alone.scale_source == "rig baseline" and any("scale good to 5.0%" in n for n in alone.verdict.notes)
+    assert alone.scale_source == "rig baseline" and any("scale good to 5.0%" in n for n in alone.findings.notes)
 
 
 @pytest.mark.parametrize(("yaws", "ring"), [((80, -80), True), ((0, 180), True), ((0, 10), False), ((0, 60), False)])

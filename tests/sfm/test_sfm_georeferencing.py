@@ -97,7 +97,7 @@ def test_a_point_with_one_mark_is_said_with_its_line(world) -> None:
     few = replace(control, **{n: getattr(control, n)[rows] for n in ("point", "image", "xy_px", "line")})
     found = georeference(_moved(truth), scene, GeorefSettings(), WORLD, Measurements(control=few))
     assert found.control.rows[1]["off_m"] is None
-    assert any("'P1' is not used: 1 marks in registered images" in n and "line 8" in n for n in found.verdict.notes)
+    assert any("'P1' is not used: 1 marks in registered images" in n and "line 8" in n for n in found.findings.notes)
 
 
 @needs_pyceres
@@ -114,7 +114,7 @@ def test_adjustment_meets_the_truth_and_says_what_it_did(world) -> None:
     assert not plain.adjusted and found.adjusted
     assert 0.001 < _error(after, truth, scene) < 1.2 * _error(before, truth, scene) + 0.01
     np.testing.assert_allclose(found.receiver.antenna_m, arm, atol=0.1)
-    assert any("positions held back are met within" in n for n in found.verdict.notes)
+    assert any("positions held back are met within" in n for n in found.findings.notes)
 
 
 @needs_pyceres
@@ -152,7 +152,7 @@ def test_every_fifth_gross_outlier_and_a_pass_without_positions(world) -> None:
     half = np.where(np.arange(scene.frames)[:, None] < 12, true, np.nan)
     two = with_positions(scene.with_(sequence=np.arange(24) >= 12, sequences=("up", "down")), half, 0.05)
     lost = georeference(_moved(truth), two, GeorefSettings(), WORLD)
-    assert lost.placed and any("pass 'down' has no position" in n for n in lost.verdict.notes)
+    assert lost.placed and any("pass 'down' has no position" in n for n in lost.findings.notes)
 
 
 def test_exchanged_axes_are_said(world) -> None:
@@ -262,4 +262,4 @@ def test_a_relaxed_rig_is_not_adjusted_with_the_positions(world) -> None:
     frame = survey.frame.copy()
     frame[other] = np.roll(frame[other], 1)
     found, _ = georeference_model(_moved(truth), survey.with_(frame=frame), GeorefSettings(adjust="yes"), TUNING)
-    assert not found.adjusted and any("relaxed" in n for n in found.verdict.notes)
+    assert not found.adjusted and any("relaxed" in n for n in found.findings.notes)

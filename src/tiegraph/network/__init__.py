@@ -2,9 +2,9 @@
 
 Counts of preview matches cannot tell true ties from repeated walls; geometry can. The network is found in four steps:
 
-1. Previews are matched on a coarse lattice of frames for every two cameras and passes, smoothed and interpolated
-   (``offsets``); by retrieval for loops and loose photographs (``looks``); by prior poses where there are some
-   (``poses``, checked by previews in ``poses.check``).
+1. Previews are matched on a coarse grid of frames (``scorematrix``) for every two cameras and passes, smoothed and
+   interpolated (``offsets``); by retrieval for loops and loose photographs (``retrieval``); by prior poses where there
+   are some (``poses``, checked by previews in ``poses.check``).
 2. The best pairs of each image make a coarse model of the survey (``coarse.search`` says which, and judges what came
    of them; the stage coarse maps them with the mapper and rig of the later stages).
 3. Its poses and points predict the surface that every two images share (``coarse.visible``). The prediction replaces

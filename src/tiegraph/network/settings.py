@@ -59,7 +59,7 @@ class CandidatesSettings(Section):
 
 
 class CoarseSettings(Section):
-    """The coarse reconstruction: a model of the survey made of previews, which says what images share."""
+    """The coarse model: a reconstruction of the survey from previews, which says what images share."""
 
     method: Literal["mapper", "off"] = "mapper"
     """mapper: the best previews are mapped, and the model says which images see the same surface; off: preview counts

@@ -20,7 +20,7 @@ from tiegraph.network.coarse.assembled import Assembled, assembled, is_whole
 from tiegraph.network.coarse.model import CoarseModel
 from tiegraph.network.coarse.search import Coarse, Search, worth_a_model
 from tiegraph.network.passes import MatchCache
-from tiegraph.pipeline.files import load_npz, load_scene, pairs_of, save_npz, ties_of
+from tiegraph.pipeline.files import load_npz, load_scene, pairs_of, reading, save_npz, ties_of
 from tiegraph.pipeline.preview import read_preview
 from tiegraph.pipeline.previews import Matcher
 from tiegraph.project.run import Run
@@ -100,8 +100,9 @@ class _Mapper:
         part, inside = (self._scene, ties) if whole else block.part_of(self._scene, ties)
         kept = self._run.path(*BLOCKS.split("/"), f"{_key(block, inside)}.npz")
         if kept.exists():
-            data = load_npz(kept)
-            return CoarseModel.from_npz(data) if data else None
+            with reading(kept):
+                data = load_npz(kept)
+                return CoarseModel.from_npz(data) if data else None
         model = coarse_model(self._run, part, inside, not whole) if len(inside) else None
         save_npz(kept, **({} if model is None else model.to_npz()))
         return model

@@ -60,7 +60,7 @@ def georef(run: Run) -> Outcome:
     others = [load_model(p) for p in folders[1:]]
     placed = georeference_all(others, scene, run.settings.georef, tuning.world, given)
     asked = run.settings.tuning.scene.registered
-    notes = [*main.verdict.notes, *(_other_note(k + 1, m, g, asked) for k, (m, g) in enumerate(zip(others, placed)))]
+    notes = [*main.findings.notes, *(_other_note(k + 1, m, g, asked) for k, (m, g) in enumerate(zip(others, placed)))]
     world = main.to_dict()
     if "position_sigma_median" in sigma:
         # Of the bundle adjustment, in the model's units: the shape of the survey, not its place on the Earth.
@@ -71,7 +71,7 @@ def georef(run: Run) -> Outcome:
     scratch.rename(run.path("sparse", "world"))
     save_json(run.path("world.json"), {**world, "notes": notes})
     tables = {**_tables(main), **_mounting(receipt, main)}
-    return Outcome(main.counts(), notes=tuple(notes), tables=tables, contradictions=main.verdict.contradictions)
+    return Outcome(main.counts(), notes=tuple(notes), tables=tables, contradictions=main.findings.contradictions)
 
 
 def _rows(run: Run, scene: Scene) -> PositionRows | None:
@@ -95,7 +95,7 @@ def _covered(run: Run, scene: Scene) -> np.ndarray | None:
 
 def _tables(placed: Georeference) -> dict[str, dict]:
     """What says what; control and check points, one a row, and their accuracy."""
-    said = {"evidence": evidence.table(placed.verdict.statements)} if placed.verdict.statements else {}
+    said = {"evidence": evidence.table(placed.findings.statements)} if placed.findings.statements else {}
     if not placed.control.rows:
         return said
     rows = []

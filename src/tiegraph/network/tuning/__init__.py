@@ -68,6 +68,6 @@ class Tuning(Section):
     rig: RigTuning = RigTuning()
     """The rig against the images."""
     coarse: CoarseTuning = CoarseTuning()
-    """The coarse reconstruction."""
+    """The coarse model."""
     sections: SectionsTuning = SectionsTuning()
     """Bridge and open sections."""

@@ -76,7 +76,7 @@ class PointsFound:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Findings:
     """What is said of a placement: in words, by each source, and where they contradict each other."""
 
     notes: tuple[str, ...]
@@ -92,7 +92,7 @@ class Georeference:
     scale_source: str  # gnss, exif, trajectory, rig baseline, none
     origin: Origin | None  # None: not on the Earth
     residuals: Residuals
-    verdict: Verdict
+    findings: Findings
     uncertainty: Uncertainty = Uncertainty()
     receiver: AppliedReceiver = AppliedReceiver()
     control: PointsFound = PointsFound()
@@ -117,7 +117,7 @@ class Georeference:
             out.update({f"{role}_{n}": v for n, v in values.items() if n in ("points", "rmse_m", "ce90_m", "le90_m")})
         if self.control.rows:
             out["points_refused"] = sum(bool(row["why_not"]) for row in self.control.rows)
-        out["contradictions"] = len(self.verdict.contradictions)
+        out["contradictions"] = len(self.findings.contradictions)
         return {n: round(v, 6) for n, v in out.items()}
 
     def to_dict(self) -> dict:
@@ -155,9 +155,9 @@ class Georeference:
             "control": list(self.control.rows),
             "accuracy": self.control.accuracy,
             "frames": rows,
-            "notes": list(self.verdict.notes),
-            "evidence": table(self.verdict.statements),
-            "contradictions": list(self.verdict.contradictions),
+            "notes": list(self.findings.notes),
+            "evidence": table(self.findings.statements),
+            "contradictions": list(self.findings.contradictions),
         }
 
     def apply(self, model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
@@ -240,7 +240,7 @@ def _placed(placing: SimilarityFit, view: Model, scene: Scene, given: Measuremen
         scale_source=_scale_source(placing, scene, view, count),
         origin=scene.origin or (given.control.origin if given.control is not None else None),
         residuals=Residuals(frames_m=residual, inlier=inlier, held_out_m=held_out, fixes_m=here[:count]),
-        verdict=Verdict((*placing.notes, *_remarks(placing, scene), *lines)),
+        findings=Findings((*placing.notes, *_remarks(placing, scene), *lines)),
         uncertainty=Uncertainty(sigma, fit.error.widened_to(sigma)),
         receiver=applied_receiver(fit.arm.place, fit.clock.offset_s),
         control=PointsFound(given.control, tuple(points), sums),
@@ -357,7 +357,7 @@ def _levelled(scene: Scene, up: Up | None, scale: RigScale | None, why: str) -> 
         residuals=Residuals(
             frames_m=empty, inlier=np.zeros(scene.frames, bool), held_out_m=empty, fixes_m=np.zeros((0, 3))
         ),
-        verdict=Verdict(tuple(notes), (*rig_statement(scale, here, True), *up_statements(up, here, True))),
+        findings=Findings(tuple(notes), (*rig_statement(scale, here, True), *up_statements(up, here, True))),
     )
 
 

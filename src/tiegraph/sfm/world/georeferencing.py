@@ -102,8 +102,8 @@ def georeference_folder(request: GeorefRequest, send: Callable[[Any], None]) -> 
 
 
 def _with(georeference: Georeference, note: str) -> Georeference:
-    verdict = georeference.verdict
-    return replace(georeference, verdict=replace(verdict, notes=(*verdict.notes, note)))
+    findings = georeference.findings
+    return replace(georeference, findings=replace(findings, notes=(*findings.notes, note)))
 
 
 def _constraints(

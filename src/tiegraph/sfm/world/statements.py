@@ -9,7 +9,7 @@ import numpy as np
 
 from tiegraph.scene.evidence import LIMIT, Contradiction, Statement, contradictions, trend
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.world.georef import Georeference, Uncertainty, Verdict
+from tiegraph.sfm.world.georef import Findings, Georeference, Uncertainty
 from tiegraph.sfm.world.marks import Target
 from tiegraph.sfm.world.similarityfit import time_order
 from tiegraph.sfm.world.sources import (
@@ -57,12 +57,12 @@ def with_statements(found: Georeference, scene: Scene, model_sigma_m: float, tar
     sentences += _control(found, targets)
     sentences += _check_points(found, model_sigma_m, targets)
     error = known.error.widened_to(sigma) if known.error is not None else None
-    verdict = Verdict(
-        notes=(*found.verdict.notes, *_rests_on(found, scene)),
+    findings = Findings(
+        notes=(*found.findings.notes, *_rests_on(found, scene)),
         statements=tuple(said),
         contradictions=tuple(sentences),
     )
-    return replace(found, uncertainty=Uncertainty(sigma, error), verdict=verdict)
+    return replace(found, uncertainty=Uncertainty(sigma, error), findings=findings)
 
 
 def statements(found: Georeference) -> list[Statement]:
