@@ -51,6 +51,21 @@ def test_a_worker_lost_while_idle_is_named_too():
             map_items(executor, workers, pid_of, [0])
 
 
+def test_a_worker_lost_while_the_next_one_starts_is_named_too(monkeypatch):
+    executor, workers = open_pool("local:2")
+    spawn = executor._spawn_process
+
+    def late():
+        if executor._processes:  # the second starts when the executor's thread has closed what it would be given
+            while not executor._call_queue._reader.closed:
+                time.sleep(0.01)
+        spawn()
+
+    monkeypatch.setattr(executor, "_spawn_process", late)
+    with executor, pytest.raises(ProcessLost, match="SIGKILL"):
+        map_items(executor, workers, die, [3, 4, 5, 6], (signal.SIGKILL,))
+
+
 def test_workers_do_not_hear_what_a_terminal_sends_to_all():
     executor, workers = open_pool("local:1")
     with executor:

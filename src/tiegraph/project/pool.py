@@ -40,6 +40,15 @@ class LocalPool(ProcessPoolExecutor):
         self.helpers = Helpers()
         super().__init__(workers, mp_context=self.helpers, initializer=_start_worker, initargs=(threads,))
 
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future:
+        """As the base class. Raises BrokenProcessPool too where a worker is lost while the next one starts."""
+        try:
+            return super().submit(fn, *args, **kwargs)
+        except OSError as error:  # the executor's thread has closed the queue that the new worker was to be given
+            if self._broken:
+                raise BrokenProcessPool(f"a worker was lost while another started: {error}") from error
+            raise
+
     def end(self) -> None:
         """End the workers at once, in the middle of what they do."""
         self.helpers.end()
