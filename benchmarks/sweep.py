@@ -1,6 +1,6 @@
 """Which constants matter: each number of the engines' Tuning a third down and up, and what that changes.
 
-``python -m benchmarks.sweep --sets fountain-P11 boat --engines verify sfm.adjust -o FILE [--work DIR] [--most 10]``.
+``python -m benchmarks.sweep --sets fountain-P11 boat --engines filter sfm.adjust -o FILE [--work DIR] [--most 10]``.
 An engine or a group of one, with points. Counts stay whole, shares stay within 0 and 1; a value that the Tuning refuses
 is left out and counted. The table lists the constants by the larger change of the trajectory error or of the registered
 images.

@@ -69,7 +69,7 @@ def most_exact(candidates: Sequence[Candidates]) -> list[Candidates]:
 
 def first_maps(plan: ImagePlan, out: Path, store: Path, variants: Sequence[str]) -> dict[str, float]:
     """Write the depth maps of one image before comparison; CPU seconds of each variant."""
-    masks = next(m for m in (out / "remask" / "masks", out / "masks") if m.exists())
+    masks = next(m for m in (out / "refine" / "masks", out / "masks") if m.exists())
     start = time.process_time()
     reference = load_view(plan.view, out / "images", masks, _SETTINGS, _TUNING.views)
     partners = [load_view(v, out / "images", masks, _SETTINGS, _TUNING.views) for v in plan.partners]

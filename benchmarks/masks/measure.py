@@ -109,7 +109,7 @@ def measure(name: str, sources: tuple[str, ...], model: Path | None, out: Path) 
             cpu[source] += time.process_time() - began
     if model is not None and "learnt" in sources:
         began = time.process_time()
-        _remask(data, camera_of, model, out)
+        _refine(data, camera_of, model, out)
         cpu[GEOMETRY] = cpu["learnt"] + time.process_time() - began
     notes = {c: getattr(prepared["learnt"][k], "note", "") for c, k in keys.items()} if "learnt" in sources else {}
     return [_row(name, s, data, camera_of, out / s, cpu[s], notes if "learnt" in s else {}) for s in cpu]
@@ -131,8 +131,8 @@ def _save(path: Path, image: np.ndarray) -> None:
     cv2.imwrite(str(path), image)
 
 
-def _remask(data: MaskSet, camera_of: Mapping[str, str], folder: Path, out: Path) -> None:
-    """What the remask stage does, with a model given: its cameras' tops on average point up."""
+def _refine(data: MaskSet, camera_of: Mapping[str, str], folder: Path, out: Path) -> None:
+    """What the refine stage does, with a model given: its cameras' tops on average point up."""
     model = pycolmap.Reconstruction(str(folder))
     images = {i.name: i for i in model.images.values() if i.has_pose and i.name in camera_of}
     level = [n for n in images if camera_of[n] not in data.upward]
@@ -146,7 +146,7 @@ def _remask(data: MaskSet, camera_of: Mapping[str, str], folder: Path, out: Path
         if camera not in grids:
             grids[camera] = camera_rays(model.cameras[camera], first[name].shape, TUNING.waterline)
         views[name] = View(grids[camera] @ image.cam_from_world().rotation.matrix(), image.projection_center())
-    points = np.array([p.xyz for p in model.points3D.values() if p.track.length() >= TUNING.remask.least_track])
+    points = np.array([p.xyz for p in model.points3D.values() if p.track.length() >= TUNING.refine.least_track])
     edges = [first_line(first[n], TUNING.waterline) for n in level]
     water = find_water([views[n] for n in level], edges, points, up, TUNING.waterline)
     for name in camera_of:

@@ -2,7 +2,7 @@
 
     python benchmarks/network/design_real.py --sets canal_demo --work WORK -o x.json
 
-All candidates of a set are matched once (``tiegraph run --design.method all --until verify``). Each design method then
+All candidates of a set are matched once (``tiegraph run --design.method all --until filter``). Each design method then
 chooses from the previews, as the stage does, and its choice is judged in two ways: the predicted sigma of the frames'
 positions, by the exact covariance of the bundle adjustment over the tracks that the chosen pairs make, and the error
 of a model mapped from these pairs alone, against the truth.
@@ -105,12 +105,12 @@ def _arguments(argv: list[str] | None) -> argparse.Namespace:
 def _matched(name: str, work: Path) -> Path:
     """The run folder in which all candidates of the set were matched; made where it is not there."""
     out = work / "base" / "out"
-    if (out / "verify.npz").exists():
+    if (out / "filter.npz").exists():
         return out
     work.mkdir(parents=True, exist_ok=True)
     kind, _, camera = name.partition(":")
     dataset = datasets.load(kind, work / "inputs")
-    options = ["--design.method", "all", "--until", "verify"]
+    options = ["--design.method", "all", "--until", "filter"]
     if camera:
         dataset = _video(dataset, camera, work)
         options += [

@@ -46,7 +46,7 @@ class Run:
 
     @staticmethod
     def read(folder: Path) -> Run:
-        """A run with ``--design.method all`` up to the stage ``verify``."""
+        """A run with ``--design.method all`` up to the stage ``filter``."""
         sights, model = folder / "network" / "visibility.npz", folder / "network" / "model.npz"
         pairs, ties = (
             Pairs.from_npz(_npz(folder / "network.npz")),
@@ -57,7 +57,7 @@ class Run:
             folder,
             Scene.from_json((folder / "network" / "scene.json").read_text()).measured(),
             pairs,
-            Pairs.from_npz(_npz(folder / "verify.npz")),
+            Pairs.from_npz(_npz(folder / "filter.npz")),
             ties,
             Visibility.from_npz(_npz(sights), _npz(model)["cam_from_world"]) if sights.exists() else None,
         )
@@ -75,7 +75,7 @@ class Run:
         chosen = np.zeros(len(self.pairs), bool)
         chosen[rows] = True
         if not np.array_equal(self.pairs.i, self.verified.i) or not np.array_equal(self.pairs.j, self.verified.j):
-            raise ValueError(f"{self.folder}: verify.npz and network.npz are of different runs")
+            raise ValueError(f"{self.folder}: filter.npz and network.npz are of different runs")
         return self.verified.where(chosen & (self.verified.dropped == 0) & (self.verified.inliers > 0))
 
     def map(self, rows: np.ndarray, out: Path, log: Path) -> list[Path]:

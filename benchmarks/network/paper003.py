@@ -105,7 +105,7 @@ def one_run(dataset: datasets.Dataset, source: str, folder: Path) -> dict[str, A
         "status": "done",
         "pairs": stage["match"]["counts"]["asked"],
         "verified": stage["match"]["counts"]["verified"],
-        "kept": stage["verify"]["counts"]["kept"],
+        "kept": stage["filter"]["counts"]["kept"],
         "network_cpu_s": stage["preview"]["cpu_s"] + stage["network"]["cpu_s"],
         "match_cpu_s": stage["match"]["cpu_s"],
         "sparse_cpu_s": stage["sparse"]["cpu_s"],

@@ -61,7 +61,7 @@ def measure(name: str, folder: Path, scratch: Path) -> dict[str, Any]:
 def _request(folder: Path, scene: Scene, scratch: Path) -> FinishRequest:
     modes = rig_modes(scene, "auto")
     constant = believed_cameras(scene, SparseSettings())
-    with np.load(folder / "verify.npz") as data:
+    with np.load(folder / "filter.npz") as data:
         pairs = Pairs.from_npz(dict(data))
     away = pairs.where(pairs.dropped == REASONS.index("repeat"))
     refused = tuple(zip(away.i.tolist(), away.j.tolist()))

@@ -36,7 +36,7 @@ def measure(name: str, out: Path, mapper: str, work: Path) -> dict[str, Any]:
     """Figures of one set and mapper; ``out``: the run folder of the kept run."""
     dataset = datasets.load(name, work)
     scene = Scene.from_json((out / "network" / "scene.json").read_text()).measured()
-    with np.load(out / "verify.npz") as data:
+    with np.load(out / "filter.npz") as data:
         pairs = Pairs.from_npz(dict(data))
     away = pairs.where(pairs.dropped == REASONS.index("repeat"))
     refused = tuple(zip(away.i.tolist(), away.j.tolist()))

@@ -113,8 +113,8 @@ class Project:
         return coverage(self.candidates(), self.scene())
 
     def pairs(self) -> Pairs:
-        """The pair table of the last stage that made one: `verify`, `match` (both with inliers) or `design`."""
-        there = [p for n in ("verify.npz", "match.npz") if (p := self.folder / n).exists()]
+        """The pair table of the last stage that made one: `filter`, `match` (both with inliers) or `design`."""
+        there = [p for n in ("filter.npz", "match.npz") if (p := self.folder / n).exists()]
         return _read_pairs(there[0] if there else self._needed("pairs.npz", "design"))
 
     def model(self) -> Any:

@@ -4,25 +4,25 @@ import pytest
 from benchmarks.variants import Book, Variant, median, spread
 
 from benchmarks import ablate, sweep
+from tiegraph.filter.tuning import Tuning as FilterTuning
 from tiegraph.project.settings import Tunings, merged
-from tiegraph.verify.tuning import Tuning as VerifyTuning
 
 
 def test_every_number_of_the_constants_is_found_by_its_place():
     found = dict(sweep.numbers(Tunings()))
-    assert found["verify.min_agree"] == 12 and found["verify.motion.search_widens"] == 2.0
-    assert not any("bounds" in place for place in found if place.startswith("verify.rig"))  # a table of numbers
+    assert found["filter.min_agree"] == 12 and found["filter.motion.search_widens"] == 2.0
+    assert not any("bounds" in place for place in found if place.startswith("filter.rig"))  # a table of numbers
     assert len(found) > 500
 
 
 @pytest.mark.parametrize(
     "place, value, factor, new",
     [
-        ("verify.min_agree", 12, 4 / 3, 16),
-        ("verify.loops.neighbour_steps", 1, 4 / 3, 2),  # rounding would leave it as it is
-        ("verify.prior.margin", 2.0, 2 / 3, 4 / 3),
-        ("verify.prior.margin", 1.2, 2 / 3, None),  # not below 1: the Tuning refuses it
-        ("verify.as_good", 0.9, 4 / 3, None),  # no share above 1
+        ("filter.min_agree", 12, 4 / 3, 16),
+        ("filter.loops.neighbour_steps", 1, 4 / 3, 2),  # rounding would leave it as it is
+        ("filter.prior.margin", 2.0, 2 / 3, 4 / 3),
+        ("filter.prior.margin", 1.2, 2 / 3, None),  # not below 1: the Tuning refuses it
+        ("filter.as_good", 0.9, 4 / 3, None),  # no share above 1
     ],
 )
 def test_a_constant_is_moved_by_a_third_and_stays_what_it_is(place, value, factor, new):
@@ -41,7 +41,7 @@ def test_every_subsystem_that_is_switched_off_is_a_valid_setting():
     assert len(set(names)) == len(names)
     for variant in ablate.VARIANTS:
         assert merged(variant.settings) != merged({}), f"{variant.name} changes nothing"
-    assert merged({"tuning": {"verify": {"min_agree": 12}}}).tuning.verify == VerifyTuning()
+    assert merged({"tuning": {"filter": {"min_agree": 12}}}).tuning.filter == FilterTuning()
 
 
 def row(registered, ate, cpu=10.0):
@@ -62,7 +62,7 @@ def test_rows_are_kept_and_the_tables_say_what_a_part_buys(tmp_path):
     assert "| rig check off | 30 | 22.0 mm (+100 %) | 5 s (-50 %) | 1.00 |" in said and "no pair verified" in said
     kept = Book(tmp_path / "sweep.json")
     kept.add("boat", sweep.BASE, 0, row(32, 0.010))
-    for name, ate in (("verify.min_agree 12 -> 16", 0.011), ("verify.as_good 0.65 -> 0.87", 0.030)):
+    for name, ate in (("filter.min_agree 12 -> 16", 0.011), ("filter.as_good 0.65 -> 0.87", 0.030)):
         kept.add("boat", Variant(name), 0, row(32, ate))
     lines = sweep.table(kept, ["boat"], most=1).splitlines()
-    assert lines[2:] == ["| `verify.as_good 0.65 -> 0.87` | boat: 32 images, ATE +200 % |"]
+    assert lines[2:] == ["| `filter.as_good 0.65 -> 0.87` | boat: 32 images, ATE +200 % |"]

@@ -12,9 +12,9 @@ from campaign.run import Plan, campaign, failures, table
 from campaign.world import NAMES, World
 
 pytestmark = pytest.mark.slow
-# A case costs what is left of the survey after its stage, so late ones: kills in `remask` and `dense` (in every stage:
+# A case costs what is left of the survey after its stage, so late ones: kills in `refine` and `dense` (in every stage:
 # test_resume), a full disk in `dense`, a limit to files in `evaluate`; artefacts of every fourth stage; inputs in turn.
-_LATE = tuple(NAMES.index(stage) for stage in ("remask", "dense"))
+_LATE = tuple(NAMES.index(stage) for stage in ("refine", "dense"))
 _SHORT = {"kills": _LATE, "disks": (8, 7), "artefacts": (0, 4, 8, 12, 16), "inputs": range(24)}
 _SEED = 14
 

@@ -80,7 +80,7 @@ def test_help_of_masks_shows_compare(said):
     for argument in ("--help", "--help-all"):
         assert "--compare" in options(said("masks", argument))
     assert {"--beside", "--classes", "--keep-labels"} <= options(said("masks", "--compare", "x", "--help"))
-    assert "--compare" not in options(said("remask", "--help"))
+    assert "--compare" not in options(said("refine", "--help"))
 
 
 def test_help_of_evaluate_shows_both_forms(said):

@@ -38,26 +38,26 @@ def test_about_seventy_settings_at_most():
 def test_the_constants_of_an_engine_are_in_reach_and_in_the_keys_of_its_stages(tmp_path):
     out = tmp_path / "out"
     out.mkdir()
-    (out / SETTINGS).write_text("[tuning.verify]\nmin_agree = 9\n[tuning.verify.motion]\ntrials = 300\n")
-    project = open_project(tmp_path, out, settings={"tuning": {"verify": {"motion": {"steps": 4}}}})
-    tuning = project.settings.tuning.verify
+    (out / SETTINGS).write_text("[tuning.filter]\nmin_agree = 9\n[tuning.filter.motion]\ntrials = 300\n")
+    project = open_project(tmp_path, out, settings={"tuning": {"filter": {"motion": {"steps": 4}}}})
+    tuning = project.settings.tuning.filter
     assert (tuning.min_agree, tuning.motion.trials, tuning.motion.steps, tuning.motion.directions) == (9, 300, 4, 200)
     project.save()
     assert open_project(out=out).settings == project.settings
-    changed_values = {"verify": {"min_agree": 9, "motion": {"trials": 300, "steps": 4}}}
+    changed_values = {"filter": {"min_agree": 9, "motion": {"trials": 300, "steps": 4}}}
     assert read_file(out / SETTINGS)["tuning"] == changed_values == changed(project.settings)["tuning"]
     before, after = (stage_keys(STAGES, s, "images") for s in (Settings(), project.settings))
-    needs_verify = {"verify", "sparse", "georef", "remask", "dense", "cloud", "evaluate", "report"}
-    assert {name for name in before if before[name] != after[name]} == needs_verify
+    needs_filter = {"filter", "sparse", "georef", "refine", "dense", "cloud", "evaluate", "report"}
+    assert {name for name in before if before[name] != after[name]} == needs_filter
 
 
 def test_typos_of_constants_are_refused_with_the_nearest_name():
-    with pytest.raises(SettingsError, match=r"'tuning.verify.motion.trails': perhaps you meant 'trials'"):
-        merged({"tuning": {"verify": {"motion": {"trails": 3}}}})
-    with pytest.raises(SettingsError, match=r"tuning.verify.prior.margin = 0.5"):
-        merged({"tuning": {"verify": {"prior": {"margin": 0.5}}}})
-    with pytest.raises(SettingsError, match=r"'tuning.verfy': perhaps you meant 'verify'"):
-        merged({"tuning": {"verfy": {}}})
+    with pytest.raises(SettingsError, match=r"'tuning.filter.motion.trails': perhaps you meant 'trials'"):
+        merged({"tuning": {"filter": {"motion": {"trails": 3}}}})
+    with pytest.raises(SettingsError, match=r"tuning.filter.prior.margin = 0.5"):
+        merged({"tuning": {"filter": {"prior": {"margin": 0.5}}}})
+    with pytest.raises(SettingsError, match=r"'tuning.fliter': perhaps you meant 'filter'"):
+        merged({"tuning": {"fliter": {}}})
 
 
 def test_precedence_defaults_preset_file_call(tmp_path):

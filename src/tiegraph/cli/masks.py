@@ -70,7 +70,7 @@ def _tables(
     beside: tuple[str, ...],
     json: bool,
 ) -> dict[str, dict]:
-    folder = out / "remask" if (out / "remask" / "masks").is_dir() and not first else out
+    folder = out / "refine" if (out / "refine" / "masks").is_dir() and not first else out
     if not (folder / "masks").is_dir() or not (out / "scene.json").is_file():
         raise InputError(f"{out}: no masks here; run `tiegraph masks` first")
     scene = Scene.from_json((out / "scene.json").read_text())

@@ -18,10 +18,10 @@ labels or weights:
    by place in the image, with its edge refined by a guided filter on brightness; water is what lies below the best
    line.
 
-**Refinement.** Stage ``remask`` finds the water level where these lines meet the banks of the sparse model
+**Refinement.** Stage ``refine`` finds the water level where these lines meet the banks of the sparse model
 (``waterline``), and draws the lines again from geometry. It takes back sky in which points of the model lie, seen in
 that image or not, for sky occludes nothing (``skypoints``). The platform is not learnt again. Later stages read only
-the COLMAP masks; the classes are for the report and ``remask``.
+the COLMAP masks; the classes are for the report and ``refine``.
 
 **Tests before a class is masked** (``proof``). A platform needs frames that verify motion (a rig at rest has none). A
 sky whose verified matches are as near as the scene is refused, by all cameras together (``parallax``: two focal

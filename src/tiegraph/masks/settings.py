@@ -63,7 +63,7 @@ class MasksSettings(Section):
         return self
 
 
-class RemaskSettings(Section):
+class RefineSettings(Section):
     """Final masks, for depth maps: the first ones with what the model knows of water and horizon."""
 
     geometry: Literal["auto", "off"] = "auto"

@@ -256,8 +256,8 @@ class SkyPointsTuning(Section):
     """Tangent of the angle off the axis up to which lens models are to be trusted."""
 
 
-class RemaskTuning(Section):
-    """What of the model corrects the first masks (`pipeline/remask.py`)."""
+class RefineTuning(Section):
+    """What of the model corrects the first masks (`pipeline/refine.py`)."""
 
     most_views: int = Field(240, gt=0)
     """Views whose waterlines measure the water's height."""
@@ -306,5 +306,5 @@ class Tuning(Section):
     """Water by the model."""
     sky_points: SkyPointsTuning = SkyPointsTuning()
     """Sky that the model contradicts."""
-    remask: RemaskTuning = RemaskTuning()
+    refine: RefineTuning = RefineTuning()
     """What the model is asked."""

@@ -11,12 +11,12 @@ COLMAP_ALONE: dict[str, dict[str, Any]] = {
     "coarse": {"method": "off"},
     # Every listed pair is matched, and what COLMAP verifies is kept.
     "design": {"method": "all"},
-    "verify": {"method": "off"},
+    "filter": {"method": "off"},
     # COLMAP's incremental mapper by images alone: "even when the relative positions of the cameras are unknown".
     "sparse": {"rig": "absent", "mapper": "incremental", "use_positions": False, "covariance_frames": 0},
     # Positions "were used to determine the scale": a similarity to the cameras, without lever arm or adjustment.
     "georef": {"adjust": "no", "antenna": "ignored"},
-    "remask": {"geometry": "off"},
+    "refine": {"geometry": "off"},
     "tuning": {
         # The rig is believed as it is given.
         "network": {"rig": {"check": {"min_votes": _NEVER}, "order": {"better": 3.0}}},

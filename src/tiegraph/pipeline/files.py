@@ -120,7 +120,7 @@ def classes_path(folder: Path, name: str) -> Path:
     return folder / "classes" / f"{name}.png"
 
 
-FINAL = "remask"
+FINAL = "refine"
 """Folder of the final masks and classes, laid out like the run folder."""
 
 

@@ -19,7 +19,7 @@ def sparse(run: Run) -> Outcome:
     def progress(registered: int, total: int) -> None:
         run.reporter.total(total, registered)
 
-    verified = pairs_of(run, "verify.npz")
+    verified = pairs_of(run, "filter.npz")
     away = verified.where(verified.dropped == REASONS.index("repeat"))
     refused = tuple(zip(away.i.tolist(), away.j.tolist()))
     source = Source(

@@ -22,7 +22,7 @@ log = logging.getLogger("tiegraph")
 
 SETTINGS = "tiegraph.toml"
 LOCK, LOG = ".lock", "log.txt"
-_FORMAT = 2  # of the run folder: names of its files, and of what stands in them
+_FORMAT = 3  # of the run folder: names of its files, and of what stands in them
 _HARMLESS = (SETTINGS, LOCK, ".ds_store", "thumbs.db", "desktop.ini")
 
 

@@ -22,7 +22,9 @@ from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.evaluate.tuning import Tuning as EvaluateTuning
 from tiegraph.features.settings import FeaturesSettings, MatchSettings, PreviewSettings
 from tiegraph.features.tuning import Tuning as FeaturesTuning
-from tiegraph.masks.settings import MasksSettings, RemaskSettings
+from tiegraph.filter.settings import FilterSettings
+from tiegraph.filter.tuning import Tuning as FilterTuning
+from tiegraph.masks.settings import MasksSettings, RefineSettings
 from tiegraph.masks.tuning import Tuning as MasksTuning
 from tiegraph.network.settings import CandidatesSettings, CoarseSettings, NetworkSettings
 from tiegraph.network.tuning import Tuning as NetworkTuning
@@ -34,8 +36,6 @@ from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.settings import Section
 from tiegraph.sfm.settings import GeorefSettings, SparseSettings
 from tiegraph.sfm.tuning import Tuning as SfmTuning
-from tiegraph.verify.settings import VerifySettings
-from tiegraph.verify.tuning import Tuning as VerifyTuning
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -57,7 +57,7 @@ class Tunings(Section):
     masks: MasksTuning = MasksTuning()
     network: NetworkTuning = NetworkTuning()
     design: DesignTuning = DesignTuning()
-    verify: VerifyTuning = VerifyTuning()
+    filter: FilterTuning = FilterTuning()
     sfm: SfmTuning = SfmTuning()
     dense: DenseTuning = DenseTuning()
     cloud: CloudTuning = CloudTuning()
@@ -76,10 +76,10 @@ class Settings(Section):
     design: DesignSettings = DesignSettings()
     features: FeaturesSettings = FeaturesSettings()
     match: MatchSettings = MatchSettings()
-    verify: VerifySettings = VerifySettings()
+    filter: FilterSettings = FilterSettings()
     sparse: SparseSettings = SparseSettings()
     georef: GeorefSettings = GeorefSettings()
-    remask: RemaskSettings = RemaskSettings()
+    refine: RefineSettings = RefineSettings()
     dense: DenseSettings = DenseSettings()
     cloud: CloudSettings = CloudSettings()
     evaluate: EvaluateSettings = EvaluateSettings()

@@ -24,7 +24,7 @@ _CLOUD_POINTS = 1000  # only the count is wanted
 
 # row -> the stages it adds up; names as in paper 000 table 1 and paper 001 table 5
 _TIMES: tuple[tuple[str, tuple[str, ...]], ...] = (
-    ("Mask image creation", ("masks", "remask")),
+    ("Mask image creation", ("masks", "refine")),
     ("Matching search", ("preview", "candidates", "coarse", "network")),
     ("Matching list creation", ("design",)),
     ("Feature extraction", ("features",)),

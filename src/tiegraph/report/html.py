@@ -99,7 +99,7 @@ def _scan(run: RunFolder) -> dict[str, Any]:
 
 
 def _masks(run: RunFolder, settings: ReportSettings) -> dict[str, Any]:
-    receipt, final = run.receipts.get("masks", {}), run.receipts.get("remask", {})
+    receipt, final = run.receipts.get("masks", {}), run.receipts.get("refine", {})
     strips: list[dict[str, Any]] = []
     if run.scene is not None and (run.path / "images").is_dir():
         for key, sensor in enumerate(run.scene.all_sensors[:24]):
@@ -134,7 +134,7 @@ def _mask_strip(run: RunFolder, scene: Scene, key: int, name: str, shown: int) -
 
 def _mask_path(run: RunFolder, image: str) -> Path:
     """The final mask of an image, else the first one."""
-    final = run.path / "remask" / "masks" / f"{image}.png"
+    final = run.path / "refine" / "masks" / f"{image}.png"
     return final if final.exists() else run.path / "masks" / f"{image}.png"
 
 

@@ -8,10 +8,10 @@ from tiegraph.report import charts, formatting
 from tiegraph.report.runfolder import RunFolder
 from tiegraph.report.thumbnails import file_uri
 
-STAGES = ("preview", "candidates", "coarse", "network", "design", "features", "match", "verify")
+STAGES = ("preview", "candidates", "coarse", "network", "design", "features", "match", "filter")
 TITLES = {
     "candidates": "Candidates", "coarse": "Coarse model", "network": "Network", "design": "Design",
-    "match": "Matching", "verify": "Verification",
+    "match": "Matching", "filter": "View-graph filtering",
 }  # fmt: skip
 # Pictures of the network folder in the order they are shown; the first word found in the file's name decides.
 CAPTIONS = {
@@ -33,7 +33,7 @@ _SOUND = "No weak links: no place hangs on a single tie or frame."
 
 
 def network_part(run: RunFolder) -> dict[str, Any]:
-    """Pictures, funnel, tables and remarks of the stages from preview to verification."""
+    """Pictures, funnel, tables and remarks of the stages from preview to view-graph filtering."""
     out: dict[str, Any] = {"matrix": None, "funnel": None, "degrees": None, "table": None, "sound": None}
     pairs = run.pairs if run.pairs is not None else run.network
     if pairs is not None and run.scene is not None and len(pairs):

@@ -27,8 +27,8 @@ log = logging.getLogger(__name__)
 T = TypeVar("T")
 
 STAGES = (
-    "scan", "masks", "preview", "candidates", "coarse", "network", "design", "features", "match", "verify", "sparse",
-    "georef", "remask", "dense", "cloud", "evaluate", "report",
+    "scan", "masks", "preview", "candidates", "coarse", "network", "design", "features", "match", "filter", "sparse",
+    "georef", "refine", "dense", "cloud", "evaluate", "report",
 )  # fmt: skip
 _WORLD_NAMES = {"scale_from": "scale_source", "residual_rms_m": "rms_m", "heldout_rms_m": "held_out_rms_m"}
 
@@ -150,7 +150,7 @@ def read_run(folder: Path, cloud_points: int = 1_000_000) -> RunFolder:
         scene=scene,
         scanned=scanned or scene,
         network=_try(folder / "network.npz", read_pairs),
-        pairs=next(filter(None, (_try(folder / f"{n}.npz", read_pairs) for n in ("verify", "match", "pairs"))), None),
+        pairs=next(filter(None, (_try(folder / f"{n}.npz", read_pairs) for n in ("filter", "match", "pairs"))), None),
         world=world or None,
         metrics=_json(folder / "metrics.json") or None,
         model=model,

@@ -239,7 +239,7 @@ def _better_camera(
     given: pycolmap.Camera | None, found: pycolmap.Camera | None, fixed: bool, most_focal: float
 ) -> pycolmap.Camera | None:
     """The camera to go on with. A focal length of a data sheet or of EXIF is right to some per cent and says nothing of
-    principal point and distortion; at the side of an image that is more than the degree ``verify`` allows."""
+    principal point and distortion; at the side of an image that is more than the degree ``filter`` allows."""
     if given is None or found is None:
         return given
     if not given.has_prior_focal_length:

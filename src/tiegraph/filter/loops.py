@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from tiegraph.filter.averaging import RotationAverage, average
+from tiegraph.filter.bearings import Calibration, Task
+from tiegraph.filter.motion import support as backed
+from tiegraph.filter.pairmotion import MeasuredMotion, MotionTest, Predicted, judge, measure
+from tiegraph.filter.settings import FilterSettings
+from tiegraph.filter.tuning import LoopTuning, Tuning
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
-from tiegraph.verify.averaging import RotationAverage, average
-from tiegraph.verify.bearings import Calibration, Task
-from tiegraph.verify.motion import support as backed
-from tiegraph.verify.pairmotion import MeasuredMotion, MotionTest, Predicted, judge, measure
-from tiegraph.verify.settings import VerifySettings
-from tiegraph.verify.tuning import LoopTuning, Tuning
 
 _log = logging.getLogger(__name__)
 
@@ -49,7 +49,7 @@ class Work:
     database: str
     scene: Scene
     pairs: Pairs  # kept ones only
-    settings: VerifySettings
+    settings: FilterSettings
     tuning: Tuning
     run_map: Map
 

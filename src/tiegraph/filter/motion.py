@@ -13,9 +13,9 @@ import numpy as np
 import pycolmap
 from scipy.spatial.transform import Rotation
 
+from tiegraph.filter.tuning import MotionTuning
 from tiegraph.geometry import transforms
 from tiegraph.geometry.rays import cross, sampson
-from tiegraph.verify.tuning import MotionTuning
 
 _SEED = 0
 _SMALL = 1e-6  # step of differences

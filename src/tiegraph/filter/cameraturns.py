@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tiegraph.verify.bearings import Calibration, Task, load
-from tiegraph.verify.motion import Rays, adjust, agreeing, counts, residuals, search
-from tiegraph.verify.tuning import Tuning
+from tiegraph.filter.bearings import Calibration, Task, load
+from tiegraph.filter.motion import Rays, adjust, agreeing, counts, residuals, search
+from tiegraph.filter.tuning import Tuning
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Glue of remask: the first masks, corrected by what the model knows."""
+"""Glue of refine: the first masks, corrected by what the model knows."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.world.gravity import up_vector
 
 
-def remask(run: Run) -> Outcome:
+def refine(run: Run) -> Outcome:
     """Final masks: waterline and horizon of the model where a mask knows its classes, the first masks elsewhere."""
     scene = checked(run)
     known: dict[str, Known] = {}
     notes: tuple[str, ...] = ("the first masks are the final ones, as the setting says",)
-    if run.settings.remask.geometry == "auto":
+    if run.settings.refine.geometry == "auto":
         known, notes = _known(run, scene)
     todo = [(n, known.get(n)) for n in scene.names if not mask_path(run.path(FINAL), n).exists()]
     run.reporter.total(len(scene), len(scene) - len(todo))
@@ -63,7 +63,7 @@ def _known(run: Run, scene: Scene) -> tuple[dict[str, Known], tuple[str, ...]]:
     if not any(classes_path(run.folder, n).exists() for n in scene.names):
         return {}, ("the first masks do not say what is sky and water: they are the final ones",)
     model = load_model(run.path("sparse", "world"))
-    least = run.settings.tuning.masks.remask.least_track
+    least = run.settings.tuning.masks.refine.least_track
     points = np.array([p.xyz for p in model.points3D.values() if p.track.length() >= least]).reshape(-1, 3)
     seen = _seen(run, model, points)
     lines, notes = _lines(run, scene, model, points)
@@ -72,7 +72,7 @@ def _known(run: Run, scene: Scene) -> tuple[dict[str, Known], tuple[str, ...]]:
 
 def _seen(run: Run, model: pycolmap.Reconstruction, points: np.ndarray) -> dict[str, np.ndarray]:
     tuning = run.settings.tuning.masks
-    most = tuning.remask.most_points
+    most = tuning.refine.most_points
     tree = cKDTree(points) if len(points) > most else None
     seen = {}
     for image in model.images.values():
@@ -129,7 +129,7 @@ def _views(run: Run, scene: Scene, model: pycolmap.Reconstruction, matrices: np.
 def _water(run: Run, scene: Scene, views: dict[str, View], points: np.ndarray, up: np.ndarray) -> Water | None:
     tuning = run.settings.tuning.masks
     level = [n for n in views if scene.sensor_of(scene.image_index[n]).role == "side"]
-    count = min(tuning.remask.most_views, len(level))
+    count = min(tuning.refine.most_views, len(level))
     chosen = [level[k] for k in np.unique(np.linspace(0, len(level) - 1, count).astype(int))]
     lines = [first_line(c, tuning.waterline) for c in run.map(_first_classes, chosen, run.folder)]
     return find_water([views[n] for n in chosen], lines, points, up, tuning.waterline)

@@ -1,4 +1,4 @@
-"""What verify decides by: each constant with its unit, its meaning and where its value comes from."""
+"""What filter decides by: each constant with its unit, its meaning and where its value comes from."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class MotionTuning(Section):
 
 
 class RigTuning(Section):
-    """The rig against the images, before it verifies them (`cameraturns.py`)."""
+    """The rig against the images, before it judges them (`cameraturns.py`)."""
 
     frame_pairs: int = Field(24, gt=0)
     """Pairs of frames the rig is checked on, those with most image pairs."""

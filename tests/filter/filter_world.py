@@ -10,13 +10,13 @@ import numpy as np
 import pycolmap
 from scipy.spatial.transform import Rotation
 
+from tiegraph.filter.filter import Filtering, filter_pairs
+from tiegraph.filter.settings import FilterSettings
+from tiegraph.filter.tuning import Tuning
 from tiegraph.geometry import transforms
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
-from tiegraph.verify.settings import VerifySettings
-from tiegraph.verify.tuning import Tuning
-from tiegraph.verify.verify import Verification, verify_pairs
 
 MAX_IMAGES = 2147483647
 NOISE_PX = 0.5
@@ -37,17 +37,17 @@ class World:
     matches: dict[tuple[int, int], np.ndarray]
     false: set[tuple[int, int]]
 
-    def run(self, folder: Path, scene: Scene | None = None, **settings) -> tuple[Verification, np.ndarray]:
-        """Verify with another rig than the true one, perhaps; (result, false pairs (P,) bool)."""
+    def run(self, folder: Path, scene: Scene | None = None, **settings) -> tuple[Filtering, np.ndarray]:
+        """Filter with another rig than the true one, perhaps; (result, false pairs (P,) bool)."""
         database = folder / "database.db"
         self.write(database)
         ends = np.array(sorted(self.matches))
         pairs = Pairs.make(ends[:, 0], ends[:, 1], "sequence")
-        result = verify_pairs(database, scene or self.scene, pairs, VerifySettings(**settings), Tuning(), serial)
+        result = filter_pairs(database, scene or self.scene, pairs, FilterSettings(**settings), Tuning(), serial)
         return result, np.array([(int(i), int(j)) in self.false for i, j in zip(pairs.i, pairs.j)])
 
     def write(self, path: Path) -> None:
-        """The two tables that verify reads."""
+        """The two tables that filter reads."""
         path.unlink(missing_ok=True)
         with sqlite3.connect(path) as c:
             c.execute("CREATE TABLE keypoints (image_id INTEGER PRIMARY KEY, rows, cols, data BLOB)")

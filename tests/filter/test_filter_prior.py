@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from filter_world import world
 from scipy.spatial.transform import Rotation
-from verify_world import world
 
+from tiegraph.filter.prior import Prior, held_by_rig, off_course_deg
+from tiegraph.filter.tuning import PriorTuning
 from tiegraph.geometry import transforms
-from tiegraph.verify.prior import Prior, held_by_rig, off_course_deg
-from tiegraph.verify.tuning import PriorTuning
 
 TUNING = PriorTuning()
 

@@ -15,19 +15,19 @@ from pathlib import Path
 
 import numpy as np
 
+from tiegraph.filter import bearings
+from tiegraph.filter.bearings import Calibration
+from tiegraph.filter.cameraturns import RigCheck, check_rig
+from tiegraph.filter.loops import Map, Motions, Work, decide, tasks_of
+from tiegraph.filter.prior import Prior, agreement, held_by_rig
+from tiegraph.filter.settings import FilterSettings
+from tiegraph.filter.tuning import Tuning
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
-from tiegraph.verify import bearings
-from tiegraph.verify.bearings import Calibration
-from tiegraph.verify.cameraturns import RigCheck, check_rig
-from tiegraph.verify.loops import Map, Motions, Work, decide, tasks_of
-from tiegraph.verify.prior import Prior, agreement, held_by_rig
-from tiegraph.verify.settings import VerifySettings
-from tiegraph.verify.tuning import Tuning
 
 
 @dataclass(frozen=True)
-class Verification:
+class Filtering:
     """The pair table with reason "repeat" and what was found on the way."""
 
     pairs: Pairs
@@ -39,15 +39,15 @@ class Verification:
     tables: dict[str, dict]
 
 
-def verify_pairs(
+def filter_pairs(
     database: Path,
     scene: Scene,
     pairs: Pairs,
-    settings: VerifySettings,
+    settings: FilterSettings,
     tuning: Tuning,
     run_map: Map,
     prior: Prior | None = None,
-) -> Verification:
+) -> Filtering:
     """Refuse ("repeat") the kept pairs that contradict the rig or loops of frames; the database is read only.
 
     Pairs of images that both are in the ``prior``, a rough model, are judged by it; all others by the rig and loops.
@@ -72,7 +72,7 @@ def verify_pairs(
         "undecided": int(undecided.sum()),
         "motions": len(others.motions.units),
     }
-    return Verification(
+    return Filtering(
         pairs=pairs.drop(_in_table(pairs, refused), "repeat"),
         motions=others.motions,
         method=cameras.method,
@@ -114,12 +114,12 @@ def _by_prior(work: Work, prior: Prior | None) -> tuple[np.ndarray, np.ndarray, 
     return asked, contradicts, [figures]
 
 
-def _nothing(pairs: Pairs, scene: Scene) -> Verification:
+def _nothing(pairs: Pairs, scene: Scene) -> Filtering:
     empty = Motions(units=np.zeros((0, 2), int), n_from_m=np.zeros((0, 4, 4)), support=np.zeros(0), by_frame=False)
     kept = pairs.kept()
     counts: dict[str, float] = {"pairs": len(kept), "kept": len(kept), "refused": 0}
     none = np.zeros(len(pairs), bool)
-    return Verification(
+    return Filtering(
         pairs=pairs,
         motions=empty,
         method="off",
@@ -141,7 +141,7 @@ def _units(scene: Scene, by_frame: bool) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Cameras:
-    """Cameras and extrinsics to verify with, how (`Verification.method`), why, and what the images say of the rig."""
+    """Cameras and extrinsics to test with, how (`Filtering.method`), why, and what the images say of the rig."""
 
     calibration: Calibration
     method: str

@@ -1,4 +1,4 @@
-"""Glue of verify: matched pairs that contradict the rig or loops of frames are refused before the mapping."""
+"""Glue of filter: matched pairs that contradict the rig or loops of frames are refused before the mapping."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from tiegraph.filter.filter import filter_pairs
+from tiegraph.filter.prior import Prior
 from tiegraph.pipeline.files import checked, load_npz, pairs_of, reading, save_npz
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
-from tiegraph.verify.prior import Prior
-from tiegraph.verify.verify import verify_pairs
 
 
-def verify(run: Run) -> Outcome:
+def filter(run: Run) -> Outcome:
     """Pairs whose matches agree with one motion of the rig and with loops; the database stays as `match` left it."""
     done = [0]
 
@@ -23,10 +23,10 @@ def verify(run: Run) -> Outcome:
         done[0] += len(items)
         return run.map(function, items, *args)
 
-    scene, pairs, settings = checked(run), pairs_of(run, "match.npz"), run.settings.verify
-    tuning = run.settings.tuning.verify
-    found = verify_pairs(run.path("database.db"), scene, pairs, settings, tuning, run_map, _prior(run))
-    save_npz(run.path("verify.npz"), **found.pairs.to_npz(), undecided=found.undecided, **found.motions.to_npz())
+    scene, pairs, settings = checked(run), pairs_of(run, "match.npz"), run.settings.filter
+    tuning = run.settings.tuning.filter
+    found = filter_pairs(run.path("database.db"), scene, pairs, settings, tuning, run_map, _prior(run))
+    save_npz(run.path("filter.npz"), **found.pairs.to_npz(), undecided=found.undecided, **found.motions.to_npz())
     return Outcome(found.counts, notes=found.notes, tables=found.tables)
 
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tiegraph.filter.bearings import Calibration, Task, load
+from tiegraph.filter.motion import Rays, agreeing, counts, search, support, with_rotation
+from tiegraph.filter.tuning import MotionTuning, Tuning
 from tiegraph.geometry import transforms
-from tiegraph.verify.bearings import Calibration, Task, load
-from tiegraph.verify.motion import Rays, agreeing, counts, search, support, with_rotation
-from tiegraph.verify.tuning import MotionTuning, Tuning
 
 
 @dataclass(frozen=True)

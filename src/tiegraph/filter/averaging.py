@@ -16,8 +16,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
+from tiegraph.filter.tuning import LoopTuning
 from tiegraph.geometry import transforms
-from tiegraph.verify.tuning import LoopTuning
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Verification of full-resolution matches by the rig and by loops of frames: ties on repeated walls are refused.
+"""View-graph filtering: matches are tested by the rig and by loops of frames; ties on repeated walls are refused.
 
 A pair of images of the coarse model is refused if its matches lie where no surface within reach explains them
 (``prior``): a wall that repeats along the way has the right rotation and the right epipolar lines, but impossible

@@ -6,7 +6,7 @@ import sqlite3
 
 import numpy as np
 import pycolmap
-from verify_world import rig
+from filter_world import rig
 
 from tiegraph.scene.colmaprows import create_database
 from tiegraph.scene.scene import simple_scene

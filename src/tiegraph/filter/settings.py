@@ -1,4 +1,4 @@
-"""Settings of the stage verify."""
+"""Settings of the stage filter."""
 
 from typing import Literal
 
@@ -7,8 +7,8 @@ from pydantic import Field
 from tiegraph.settings import Section
 
 
-class VerifySettings(Section):
-    """Verification of matched pairs by common motions of the rig and loops of frames."""
+class FilterSettings(Section):
+    """View-graph filtering: matched pairs tested by common motions of the rig and loops of frames."""
 
     method: Literal["auto", "rig", "images", "off"] = "auto"
     """What moves as one: rig (whole frames), images (each for itself), off (keep all), auto (the rig if it holds)."""

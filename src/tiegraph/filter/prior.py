@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tiegraph.filter.bearings import Calibration, load
+from tiegraph.filter.tuning import PriorTuning, Tuning
 from tiegraph.geometry import transforms
 from tiegraph.scene.scene import Scene
-from tiegraph.verify.bearings import Calibration, load
-from tiegraph.verify.tuning import PriorTuning, Tuning
 
 
 @dataclass(frozen=True)

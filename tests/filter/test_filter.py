@@ -1,4 +1,4 @@
-"""Verification on synthetic rigs with known motions and known false pairs."""
+"""View-graph filtering on synthetic rigs with known motions and known false pairs."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pycolmap
 import pytest
+from filter_world import add_repeats, serial, turned, world
 from scipy.spatial.transform import Rotation
-from verify_world import add_repeats, serial, turned, world
 
 from tiegraph.errors import InputError
+from tiegraph.filter.filter import filter_pairs
+from tiegraph.filter.settings import FilterSettings
+from tiegraph.filter.tuning import Tuning
 from tiegraph.scene.pairs import Pairs
-from tiegraph.verify.settings import VerifySettings
-from tiegraph.verify.tuning import Tuning
-from tiegraph.verify.verify import verify_pairs
 
 
 @pytest.fixture(scope="module")
@@ -111,4 +111,4 @@ def test_same_input_same_result(tmp_path):
 def test_missing_database_is_named(repeated, tmp_path):
     pairs = Pairs.make(np.array([0]), np.array([5]), "sequence")
     with pytest.raises(InputError, match="nowhere.db"):
-        verify_pairs(tmp_path / "nowhere.db", repeated.scene, pairs, VerifySettings(), Tuning(), serial)
+        filter_pairs(tmp_path / "nowhere.db", repeated.scene, pairs, FilterSettings(), Tuning(), serial)
