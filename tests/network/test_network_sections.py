@@ -47,10 +47,12 @@ def test_bridge_is_found_and_joined_over_both_passes() -> None:
     assert set(network.scene.section) == {0, 1, 2}
 
 
-def test_split_cuts_between_sections_and_link_does_not() -> None:
+def test_paper_001_cuts_between_sections_and_link_does_not() -> None:
     world, brightness, _ = survey()
     linked = estimate_network(world.scene, brightness, world.match, CandidatesSettings(), Tuning())
-    split = estimate_network(world.scene, brightness, world.match, CandidatesSettings(), Tuning(), sections="split")
+    split = estimate_network(
+        world.scene, brightness, world.match, CandidatesSettings(), Tuning(), sections="meguro2025"
+    )
     section = split.scene.section[split.scene.frame]
     kept = split.pairs.kept()
     assert (section[kept.i] == section[kept.j]).all()

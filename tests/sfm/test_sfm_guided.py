@@ -85,6 +85,21 @@ def test_a_frame_without_matches_is_placed_where_its_neighbours_predict_it(world
     assert all(settled.model.find_image_with_name(n).num_points3D > 40 for n in names)
 
 
+def test_what_is_tied_to_another_section_only_is_not_taken_from_it(world, tmp_path: Path) -> None:
+    model, scene = world
+    with sqlite3.connect(tmp_path / "database.db") as db:
+        frame = {i: int(scene.frame[scene.image_index[n]]) for i, n in db.execute("SELECT image_id, name FROM images")}
+        for (pair,) in db.execute("SELECT pair_id FROM two_view_geometries").fetchall():
+            a, b = (frame[k] for k in divmod(pair, MAX_IMAGES))
+            if (a < LOST) != (b < LOST):
+                db.execute("DELETE FROM two_view_geometries WHERE pair_id = ?", (pair,))
+    for later in range(LOST, FRAMES):
+        model.deregister_frame(later + 1)
+    model.write(tmp_path)
+    found = _settle(pycolmap.Reconstruction(tmp_path), scene, tmp_path)
+    assert found.model.num_reg_frames() == LOST and not any("guided" in note for note in found.notes)
+
+
 def test_a_frame_that_looks_like_nothing_is_missing_with_its_reason(world, tmp_path: Path) -> None:
     model, scene = world
     _without_ties(tmp_path, scene, scene.frame == LOST)

@@ -66,7 +66,7 @@ def join_network(
     pairs = pairs.with_(score=np.where(np.isnan(pairs.score), ties.known(pairs.i, pairs.j), pairs.score))
     cut = _sections(scene, light, pairs, own, tuning.sections)
     scene = scene.with_(section=cut.of_frame)
-    if own.sections in ("split", "meguro2025") and len(cut.sections) > 1:
+    if own.sections == "meguro2025" and len(cut.sections) > 1:
         pairs = split(pairs, scene)
     total = len(scene) * (len(scene) - 1) / 2
     notes += [*cut.notes, *component_notes(pairs, scene)]

@@ -23,7 +23,7 @@ from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.depthfile import load_depth
 from tiegraph.scene.images import read_pixels
 from tiegraph.scene.matches import PreviewMatches
-from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.results import DepthMap
 from tiegraph.scene.scene import Scene
 
@@ -89,6 +89,13 @@ def pairs_of(run: Run, name: str) -> Pairs:
     """The pair table of ``candidates.npz``, ``coarse.npz``, ``network.npz``, ``pairs.npz`` or ``match.npz``."""
     with reading(run.path(name)):
         return Pairs.from_npz(load_npz(run.path(name)))
+
+
+def refused_pairs(run: Run) -> tuple[tuple[int, int], ...]:
+    """Verified pairs (scene indices) that view-graph filtering refused."""
+    found = pairs_of(run, "filter.npz")
+    away = found.where(found.dropped == REASONS.index("repeat"))
+    return tuple(zip(away.i.tolist(), away.j.tolist()))
 
 
 def ties_of(run: Run, stage: str = "coarse") -> PreviewMatches:

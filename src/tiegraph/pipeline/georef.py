@@ -3,31 +3,28 @@
 from __future__ import annotations
 
 import numpy as np
-import pycolmap
 
 from tiegraph.child import run_in_child
 from tiegraph.geometry.geodesy import world_from_geodetic
-from tiegraph.pipeline.files import checked, load_json, load_model
+from tiegraph.pipeline.files import checked, load_json, refused_pairs
 from tiegraph.pipeline.inputs import control_points
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome, remove
 from tiegraph.scene import evidence
 from tiegraph.scene.atomic import claim
 from tiegraph.scene.gnss import read_gnss
-from tiegraph.scene.registered import agreeing_points
 from tiegraph.scene.scene import Scene
-from tiegraph.scene.tuning import RegisteredTuning
 from tiegraph.sfm.covariance import MOUNTING
 from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.world.fixes import Measurements, PositionRows
-from tiegraph.sfm.world.georef import Georeference, georeference_all
-from tiegraph.sfm.world.georeferencing import GeorefRequest, georeference_folder
+from tiegraph.sfm.world.georef import Georeference
+from tiegraph.sfm.world.georeferencing import GeorefRequest, georeference_folders
 from tiegraph.sfm.world.worldadjust import ConstantParameters
 
 
 def georef(run: Run) -> Outcome:
-    """The largest model into the world; what the others would say is noted."""
+    """The largest model into the world, and the others to it."""
     scene = checked(run).measured()
     receipt = run.receipts.read("sparse")
     sigma = receipt.get("counts", {})
@@ -48,19 +45,18 @@ def georef(run: Run) -> Outcome:
     held = ConstantParameters(rigs, believed_cameras(scene, sparse), soft)
     tuning = run.settings.tuning.sfm
     request = GeorefRequest(
-        folder=folders[0],
+        folders=tuple(folders),
         target=scratch,
         scene=scene.to_json(),
         settings=run.settings.georef,
         measurements=given,
         constant=held,
         tuning=tuning,
+        database=run.path("database.db"),
+        refused=refused_pairs(run),
     )
-    main = run_in_child(georeference_folder, request, log=run.log, task="georeferencing")
-    others = [load_model(p) for p in folders[1:]]
-    placed = georeference_all(others, scene, run.settings.georef, tuning.world, given)
-    asked = run.settings.tuning.scene.registered
-    notes = [*main.findings.notes, *(_other_note(k + 1, m, g, asked) for k, (m, g) in enumerate(zip(others, placed)))]
+    found = run_in_child(georeference_folders, request, log=run.log, task="georeferencing")
+    main, notes = found.first, found.notes()
     world = main.to_dict()
     if "position_sigma_median" in sigma:
         # Of the bundle adjustment, in the model's units: the shape of the survey, not its place on the Earth.
@@ -70,8 +66,14 @@ def georef(run: Run) -> Outcome:
     claim(run.path("sparse", "world"))
     scratch.rename(run.path("sparse", "world"))
     save_json(run.path("world.json"), {**world, "notes": notes})
-    tables = {**_tables(main), **_mounting(receipt, main)}
-    return Outcome(main.counts(), notes=tuple(notes), tables=tables, contradictions=main.findings.contradictions)
+    tables = {**_tables(main), **_mounting(receipt, main), **found.table()}
+    contradictions = (*main.findings.contradictions, *found.contradictions)
+    counts = {
+        **main.counts(),
+        "models": 1 + sum(bool(o.by) for o in found.others),
+        "contradictions": len(contradictions),
+    }
+    return Outcome(counts, notes=tuple(notes), tables=tables, contradictions=contradictions)
 
 
 def _rows(run: Run, scene: Scene) -> PositionRows | None:
@@ -118,11 +120,3 @@ def _mounting(receipt: dict, placed: Georeference) -> dict[str, dict]:
     rows = [[row[0], *(round(scale * v, 5) for v in row[1:5]), round(row[5], 4)] for row in found["rows"]]
     columns = ["camera", "x m", "y m", "z m", "sigma m", "sigma of the turn deg"]
     return {"lever arms of the cameras, in the frame of the first": {"columns": columns, "rows": rows}}
-
-
-def _other_note(number: int, model: pycolmap.Reconstruction, placed: Georeference, tuning: RegisteredTuning) -> str:
-    where = (
-        "can be placed in the same world by its positions" if placed.placed else "has too few positions to be placed"
-    )
-    images = sum(points >= tuning.min_points for points in agreeing_points(model, tuning).values())
-    return f"model {number} ({images} registered images, in sparse/{number}) {where}; it is not in the cloud"

@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tiegraph.pipeline.files import checked, load_npz, pairs_of, reading
+from tiegraph.pipeline.files import checked, load_npz, pairs_of, reading, refused_pairs
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
-from tiegraph.scene.pairs import REASONS
 from tiegraph.sfm.mapper import Source, reconstruct
 
 
@@ -19,13 +18,10 @@ def sparse(run: Run) -> Outcome:
     def progress(registered: int, total: int) -> None:
         run.reporter.total(total, registered)
 
-    verified = pairs_of(run, "filter.npz")
-    away = verified.where(verified.dropped == REASONS.index("repeat"))
-    refused = tuple(zip(away.i.tolist(), away.j.tolist()))
     source = Source(
         run.path("database.db"),
         run.path("images"),
-        refused,
+        _not_mapped(run),
         preview=preview_poses(run.folder),
         run_map=run.map,
         on_progress=progress,
@@ -48,6 +44,18 @@ def sparse(run: Run) -> Outcome:
     return Outcome(
         counts, dropped=said.dropped, notes=said.notes, tables=made.tables, contradictions=said.contradictions
     )
+
+
+def _not_mapped(run: Run) -> tuple[tuple[int, int], ...]:
+    """Pairs (scene indices) that no mapper sees: the refused ones, and where sections are mapped apart
+    (``network.sections = split``) those that join them: in the end these bring the models into one world."""
+    refused = refused_pairs(run)
+    if run.settings.network.sections != "split":
+        return refused
+    scene, pairs = checked(run), pairs_of(run, "filter.npz")
+    of_image = scene.section[scene.frame]
+    across = of_image[pairs.i] != of_image[pairs.j]
+    return tuple(sorted({*refused, *zip(pairs.i[across].tolist(), pairs.j[across].tolist())}))
 
 
 def preview_poses(folder: Path) -> np.ndarray | None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
+from tiegraph.geometry.align import Similarity
 from tiegraph.scene.names import check_text
 from tiegraph.scene.regular import regular
 from tiegraph.scene.rig import Rig
@@ -136,6 +137,14 @@ def rigid3d(target_from_source: np.ndarray) -> pycolmap.Rigid3d:
 
     rotation = pycolmap.Rotation3d(transforms.quaternion_xyzw(target_from_source[:3, :3]))
     return pycolmap.Rigid3d(rotation, np.asarray(target_from_source[:3, 3], float))
+
+
+def sim3d(similarity: Similarity) -> pycolmap.Sim3d:
+    """COLMAP's form of a similarity."""
+    import pycolmap
+
+    rotation = pycolmap.Rotation3d(transforms.quaternion_xyzw(similarity.rotation))
+    return pycolmap.Sim3d(similarity.scale, rotation, np.asarray(similarity.translation, float))
 
 
 def image_poses(reconstruction: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:

@@ -16,7 +16,7 @@ from tiegraph.sfm.placement.guidedmatching import (
     guided_matches,
     rows_of,
 )
-from tiegraph.sfm.placement.missing import Unit, missing, register
+from tiegraph.sfm.placement.missing import Unit, missing, register, tied_elsewhere
 from tiegraph.sfm.placement.predictedpose import PredictedPose, predicted_pose
 from tiegraph.sfm.placement.repair import Repair, around, fits, mounts
 from tiegraph.sfm.placement.resection import Resection, resect
@@ -53,7 +53,8 @@ def guided_registration(
 def _place_missing(work: Repair, image_ids: dict[int, int], descriptors: Descriptors, done: GuidedResult) -> None:
     scene, tuning = work.scene, work.tuning
     with_features = {k for k, xy in work.verified.xy.items() if len(xy)}
-    units = [u for u in missing(work, with_features) if u.frame not in dict(work.left_out)]
+    away, lost = tied_elsewhere(work), dict(work.left_out)
+    units = [u for u in missing(work, with_features) if u.frame not in lost and not away & set(u.images)]
     if not units:
         return
     here = around(work, work.seen())

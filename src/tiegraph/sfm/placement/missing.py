@@ -8,6 +8,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.geometry import transforms
+from tiegraph.scene.graph import parts
 from tiegraph.sfm.model import rigid3d
 from tiegraph.sfm.placement.repair import Repair, around, fits, place_images
 
@@ -49,6 +50,16 @@ def register_missing(work: Repair, image_ids: dict[int, int]) -> list[tuple[int,
 def tied_images(work: Repair) -> set[int]:
     """Images with a verified pair."""
     return set(np.unique(work.verified.pairs).tolist()) if len(work.verified.pairs) else set()
+
+
+def tied_elsewhere(work: Repair) -> set[int]:
+    """Images that verified pairs tie to each other and none, however long the way, to the model: a survey or a section
+    of their own."""
+    pairs = work.verified.pairs
+    part = parts(pairs[:, 0], pairs[:, 1], len(work.scene))
+    there = {work.scene.image_index.get(work.model.image(i).name, -1) for i in work.model.reg_image_ids()}
+    own = {int(part[k]) for k in there if k >= 0}
+    return {k for k in tied_images(work) if int(part[k]) not in own}
 
 
 def missing(work: Repair, among: set[int]) -> list[Unit]:

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import pycolmap
 from scipy.spatial.transform import Rotation
 
-from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.geodesy import Origin, vertical_note
 from tiegraph.scene.control import Control
 from tiegraph.scene.evidence import Statement, table
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import image_poses
+from tiegraph.sfm.model import image_poses, sim3d
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.world.accuracy import PlacementError
@@ -162,11 +160,14 @@ class Georeference:
 
     def apply(self, model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
         """A copy of the model in the world; the lengths of its rigs are scaled too."""
-        fit = self.world_from_model
-        moved = pycolmap.Reconstruction(model)
-        rotation = pycolmap.Rotation3d(transforms.quaternion_xyzw(fit.rotation))
-        moved.transform(pycolmap.Sim3d(fit.scale, rotation, np.asarray(fit.translation, float)))
-        return moved
+        return moved(model, self.world_from_model)
+
+
+def moved(model: pycolmap.Reconstruction, world_from_model: Similarity) -> pycolmap.Reconstruction:
+    """A copy of a model in the world; the lengths of its rigs are scaled too."""
+    out = pycolmap.Reconstruction(model)
+    out.transform(sim3d(world_from_model))
+    return out
 
 
 def georeference(
@@ -194,25 +195,13 @@ def georeference(
     placing = fit_to_world(view, scene, settings, given, tuning)
     if placing is None:
         frames = np.isfinite(view.frames(scene)).all(axis=(1, 2))
-        here = int((frames & np.isfinite(scene.world_from_rig[:, :3, 3]).all(axis=1)).sum())
-        few = f"{here} registered frames have a prior position, {tuning.similarity_fit.min_positions} are needed"
+        here = frames & np.isfinite(scene.world_from_rig[:, :3, 3]).all(axis=1)
+        places = len(np.unique(scene.world_from_rig[here, :3, 3], axis=0))
+        few = f"{here.sum()} registered frames have a prior position"
+        few += f" ({places} different ones)" if places < here.sum() else ""
+        few += f", {tuning.similarity_fit.min_positions} are needed"
         return _levelled(scene, view.up, view.scale, few)
     return _placed(placing, view, scene, given)
-
-
-def georeference_all(
-    models: Sequence[pycolmap.Reconstruction],
-    scene: Scene,
-    settings: GeorefSettings,
-    tuning: WorldTuning,
-    given: Measurements | None = None,
-) -> list[Georeference]:
-    """Each model by itself; those that are ``placed`` share one world even where no image joins them.
-
-    Sigmas in ``given`` are of the first model and are not believed of these.
-    """
-    unknown = replace(given or Measurements(), model_sigma=float("nan"), model_scale_sigma=float("nan"))
-    return [georeference(model, scene, settings, tuning, unknown) for model in models]
 
 
 def _placed(placing: SimilarityFit, view: Model, scene: Scene, given: Measurements) -> Georeference:

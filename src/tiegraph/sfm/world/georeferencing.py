@@ -13,13 +13,15 @@ import pycolmap
 from tiegraph.geometry.align import Similarity
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import image_poses
+from tiegraph.sfm.model import image_poses, sim3d
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.verified import VerifiedMatches, read_verified
 from tiegraph.sfm.world import worldadjust
 from tiegraph.sfm.world.fixes import Fixes, Measurements
 from tiegraph.sfm.world.georef import Georeference, applied_receiver, georeference, row_of_frames
 from tiegraph.sfm.world.marks import marked, point_table, targets
+from tiegraph.sfm.world.oneworld import ByPositions, OneWorld, one_world
 from tiegraph.sfm.world.scale import relaxed
 from tiegraph.sfm.world.similarityfit import SimilarityFit
 from tiegraph.sfm.world.statements import with_statements
@@ -79,26 +81,34 @@ def _georeferenced(
 
 @dataclass(frozen=True)
 class GeorefRequest:
-    """What a child process needs to bring a model on disk into the world; picklable."""
+    """What a child process needs to bring the models on disk into one world; picklable."""
 
-    folder: Path
+    folders: tuple[Path, ...]  # the first is the largest
     target: Path
     scene: str  # JSON
     settings: GeorefSettings
     measurements: Measurements
     constant: ConstantParameters
     tuning: Tuning
+    database: Path
+    refused: tuple[tuple[int, int], ...] = ()  # pairs (scene indices) whose matches are not believed
 
 
-def georeference_folder(request: GeorefRequest, send: Callable[[Any], None]) -> Georeference:
-    """``georeference_model`` from folder to folder."""
-    model = read_model(request.folder)
-    found, world = georeference_model(
-        model, Scene.from_json(request.scene), request.settings, request.tuning, request.measurements, request.constant
+def georeference_folders(request: GeorefRequest, send: Callable[[Any], None]) -> OneWorld:
+    """The models of ``folders`` in one world, as one model in ``target``; of that model, nothing is returned."""
+    scene, settings, tuning, held = Scene.from_json(request.scene), request.settings, request.tuning, request.constant
+    models = [read_model(folder) for folder in request.folders]
+    nothing = VerifiedMatches(np.zeros((0, 2), int), (), {})
+    verified = read_verified(request.database, scene, request.refused) if len(models) > 1 else nothing
+    by_positions = ByPositions(
+        similarity=lambda model, given: georeference(model, scene, settings, tuning.world, given),
+        whole=lambda model, given: georeference_model(model, scene, settings, tuning, given, held),
     )
+    made = one_world(models, scene, verified, by_positions, request.measurements, tuning)
+    assert made.model is not None
     request.target.mkdir(parents=True, exist_ok=True)
-    world.write(str(request.target))
-    return found
+    made.model.write(str(request.target))
+    return replace(made, model=None)
 
 
 def _with(georeference: Georeference, note: str) -> Georeference:
@@ -189,7 +199,7 @@ def _between(first: Similarity, second: Similarity) -> pycolmap.Sim3d:
     """From the world of one similarity to that of another."""
     scale, rotation = second.scale / first.scale, second.rotation @ first.rotation.T
     shift = second.translation - scale * rotation @ first.translation
-    return worldadjust.sim3d(Similarity(scale, rotation, shift))
+    return sim3d(Similarity(scale, rotation, shift))
 
 
 def _adjusted(

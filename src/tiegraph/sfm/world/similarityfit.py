@@ -116,7 +116,8 @@ def fit_to_world(
     registered = np.isfinite(model.frames(scene)).all(axis=(1, 2))
     stated = make_fixes(scene, registered, given, settings.sigma_floor_m, tuning.fixes)
     points = _usable_points(model, given)
-    if len(np.unique(stated.home)) + len(points) < tuning.similarity_fit.min_positions:
+    distinct = len(np.unique(stated.position, axis=0))  # EXIF may give a whole object one place
+    if min(len(np.unique(stated.home)), distinct) + len(points) < tuning.similarity_fit.min_positions:
         return None
     arm = _lever_arm(scene, settings, notes)
     about = _Given(model=model, scene=scene, settings=settings, measured=given, points=points, tuning=tuning)

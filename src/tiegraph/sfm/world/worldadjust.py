@@ -293,9 +293,3 @@ def similarity_to(before: pycolmap.Reconstruction, after: pycolmap.Reconstructio
     b = np.array([after.image(i).projection_center() for i in names])
     moved = umeyama(first(a), b)
     return Similarity(moved.scale * first.scale, moved.rotation @ first.rotation, moved(first.translation[None])[0])
-
-
-def sim3d(similarity: Similarity) -> pycolmap.Sim3d:
-    """COLMAP's form of a similarity."""
-    rotation = pycolmap.Rotation3d(transforms.quaternion_xyzw(similarity.rotation))
-    return pycolmap.Sim3d(similarity.scale, rotation, np.asarray(similarity.translation, float))

@@ -1,0 +1,253 @@
+"""All models of a survey in one world: sections mapped apart, parts that no tie joined for the mapper.
+
+What tells where a further model stands is tried in the order of trust. *Matches* between its images and those already
+in the world (``ties``): they need no positions, and a similarity that matches it did not know agree with is beyond
+doubt. Else its own *positions* and control points (``georeferencing``), if the first model stands in their world. A
+model that neither tells, or whose turn about a straight track is open, is named with the reason and stays out: nothing
+is guessed. What both tell is compared, and said where they cannot both be right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pycolmap
+
+from tiegraph.scene.evidence import LIMIT
+from tiegraph.scene.mergedmodel import merged
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.verified import ImageObservations, VerifiedMatches, image_observations
+from tiegraph.sfm.world.antenna import RIGHT_ANGLE_DEG
+from tiegraph.sfm.world.fixes import Measurements
+from tiegraph.sfm.world.georef import Georeference, moved
+from tiegraph.sfm.world.ties import TieFit, Ties, TieTest, apart, find_ties, fit_ties, tested
+from tiegraph.text import known_to
+
+COLUMNS = [
+    "model", "images", "in the world by", "matches that agree", "of", "image pairs", "of these independent",
+    "held-out matches that agree %", "halves differ m", "halves differ deg", "positions differ m",
+    "positions differ deg", "sigma m", "why not",
+]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ByPositions:
+    """How a model comes into the world by its own positions: the similarity alone, and with what follows it."""
+
+    similarity: Callable[[pycolmap.Reconstruction, Measurements], Georeference]
+    whole: Callable[[pycolmap.Reconstruction, Measurements], tuple[Georeference, pycolmap.Reconstruction]]
+
+
+@dataclass(frozen=True)
+class Joined:
+    """How a further model came into the world, or why it did not.
+
+    ``by``: matches, positions, or "". ``test``: of its matches, lengths in metres of the world, where there were any;
+    ``off``: metres and degrees between what matches and positions say; ``sigma_m``: of its place by positions.
+    """
+
+    number: int
+    images: int
+    by: str = ""
+    test: TieTest | None = None
+    off: tuple[float, float] | None = None
+    sigma_m: float | None = None
+    why_not: str = ""
+
+    def row(self) -> list:
+        """A row of the table (``COLUMNS``)."""
+        test = self.test
+        told = (None,) * 7 if test is None else (
+            test.ties, test.total, test.pairs, test.independent,
+            round(100 * test.explained), _rounded(test.jump), round(test.turn_deg, 3),
+        )  # fmt: skip
+        off = (None, None) if self.off is None else (_rounded(self.off[0]), round(self.off[1], 3))
+        return [f"sparse/{self.number}", self.images, self.by, *told, *off, _rounded(self.sigma_m), self.why_not]
+
+    def note(self, metric: bool) -> str:
+        """A sentence for people."""
+        name = f"model {self.number} ({self.images} images, in sparse/{self.number})"
+        unit = "m" if metric else "units of the model"
+        if self.by == "matches" and self.test is not None:
+            test = self.test
+            return (
+                f"{name} joined to the others by {test.ties} matches over {test.pairs} image pairs; the halves of "
+                f"these put it {test.jump:.3f} {unit} and {test.turn_deg:.2f} deg apart"
+            )
+        if self.by:
+            return f"{name} placed by its own positions, to about {self.sigma_m:.3f} m; no match ties it to the others"
+        return f"{name} is not in the world and not in the cloud: {self.why_not}"
+
+
+@dataclass(frozen=True)
+class OneWorld:
+    """The ``first`` model's georeference, the ``model`` of all that came into its world (None: it is on disk), the
+    others one by one."""
+
+    first: Georeference
+    model: pycolmap.Reconstruction | None
+    others: tuple[Joined, ...] = ()
+    contradictions: tuple[str, ...] = ()
+
+    def notes(self) -> list[str]:
+        """Of the first model, and what became of the others."""
+        metric = self.first.scale_source != "none"
+        return [*self.first.findings.notes, *(o.note(metric) for o in self.others)]
+
+    def table(self) -> dict[str, dict]:
+        """How each further model came into the world; {} if there is one only."""
+        rows = [o.row() for o in self.others]
+        return {"models in one world": {"columns": COLUMNS, "rows": rows}} if rows else {}
+
+
+def one_world(
+    models: Sequence[pycolmap.Reconstruction],
+    scene: Scene,
+    verified: VerifiedMatches,
+    place: ByPositions,
+    given: Measurements,
+    tuning: Tuning,
+) -> OneWorld:
+    """Bring the first model into the world by its positions, then the others to it. ``given`` is of the first."""
+    first, world = place.whole(models[0], given)
+    if len(models) == 1:
+        return OneWorld(first, world)
+    joining = _Joining(scene, verified, tuning, models, {0: world})
+    blind = replace(given, model_sigma=float("nan"), model_scale_sigma=float("nan"))
+    alone = {k: place.similarity(models[k], blind) for k in range(1, len(models))}
+    others: dict[int, Joined] = {}
+    contradictions: list[str] = []
+
+    def by_positions(number: int) -> Joined:
+        return _by_positions(number, models[number], first, alone[number], joining, tuning)
+
+    while left := [k for k in alone if k not in others]:
+        tied = joining.strongest(left)
+        if tied is not None:
+            number, fit, test = tied
+            off, sigma, said = _against_positions(number, first, alone[number], fit)
+            contradictions += said
+            images = models[number].num_reg_images()
+            others[number] = Joined(number, images, by="matches", test=test, off=off, sigma_m=sigma)
+            joining.add(number, moved(models[number], fit.first_from_second))
+            continue
+        found = next((j for j in map(by_positions, left) if j.by), None)
+        if found is None:
+            others |= {k: by_positions(k) for k in left}
+            break
+        others[found.number] = found
+        joining.add(found.number, place.whole(models[found.number], blind)[1])
+    whole = merged([joining.world[k] for k in sorted(joining.world)])
+    return OneWorld(
+        first=first, model=whole, others=tuple(others[k] for k in sorted(others)), contradictions=tuple(contradictions)
+    )
+
+
+class _Joining:
+    """The models in the world so far, and what ties the others to them."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        verified: VerifiedMatches,
+        tuning: Tuning,
+        models: Sequence[pycolmap.Reconstruction],
+        world: dict[int, pycolmap.Reconstruction],
+    ) -> None:
+        self.world, self._scene, self._verified, self._tuning = dict(world), scene, verified, tuning
+        self._other = {k: self._seen(m) for k, m in enumerate(models) if k not in world}
+        self._ties: dict[int, list[Ties]] = {k: [] for k in self._other}
+        self.tests: dict[int, TieTest] = {}
+        for model in world.values():
+            self._tie(model)
+
+    def add(self, number: int, model: pycolmap.Reconstruction) -> None:
+        """One more is in the world."""
+        self.world[number] = model
+        del self._other[number], self._ties[number]
+        self._tie(model)
+
+    def strongest(self, numbers: Sequence[int]) -> tuple[int, TieFit, TieTest] | None:
+        """The model most matches join to the world, of those whose matches hold."""
+        found: tuple[int, TieFit, TieTest] | None = None
+        for number in numbers:
+            ties = _together(self._ties.get(number, []))
+            fit = fit_ties(ties, self._tuning.placement) if ties is not None else None
+            if ties is None or fit is None:
+                continue
+            self.tests[number] = test = tested(ties, fit, self._tuning.placement)
+            if test.holds(self._tuning.placement) and (found is None or test.ties > found[2].ties):
+                found = number, fit, test
+        return found
+
+    def _seen(self, model: pycolmap.Reconstruction) -> ImageObservations:
+        return image_observations(model, self._scene, self._tuning.placement.agreement)
+
+    def _tie(self, model: pycolmap.Reconstruction) -> None:
+        here = self._seen(model)
+        for number, seen in self._other.items():
+            ties = find_ties(here, seen, self._verified, self._tuning.placement)
+            self._ties[number] += [ties] if len(ties) else []
+
+
+def _together(ties: Sequence[Ties]) -> Ties | None:
+    if not ties:
+        return None
+    return Ties(
+        np.concatenate([t.images for t in ties]),
+        np.concatenate([t.xyz for t in ties], axis=1),
+        np.concatenate([t.centre for t in ties], axis=1),
+    )
+
+
+def _by_positions(
+    number: int,
+    model: pycolmap.Reconstruction,
+    first: Georeference,
+    own: Georeference,
+    joining: _Joining,
+    tuning: Tuning,
+) -> Joined:
+    """What its positions make of a model that no match joins."""
+    test = joining.tests.get(number)
+    out = Joined(number, model.num_reg_images(), test=test)
+    loose = "no match runs between it and the others" if test is None else (
+        f"{test.total} matches run between it and the others, of which {test.ties} agree with one similarity"
+    )  # fmt: skip
+    if not own.placed or own.placing is None:
+        return replace(out, why_not=f"{loose}, and it has too few positions of its own")
+    if not first.placed:
+        return replace(out, why_not=f"{loose}, and the first model has no positions to meet its own")
+    roll = own.placing.fit.roll_sigma_deg
+    if roll > tuning.world.similarity_fit.roll_limit_deg:
+        known = known_to(roll, RIGHT_ANGLE_DEG, f"{roll:.0f} deg only")
+        return replace(out, why_not=f"{loose}, and its positions leave the turn about its track open ({known})")
+    return replace(out, by="positions", sigma_m=_sigma(own))
+
+
+def _against_positions(
+    number: int, first: Georeference, own: Georeference, fit: TieFit
+) -> tuple[tuple[float, float] | None, float | None, list[str]]:
+    """(metres, degrees) between matches and positions, the sigma of the latter, and whether both cannot be right."""
+    if not (first.placed and own.placed):
+        return None, None, []
+    off, sigma = apart(fit.first_from_second, own.world_from_model, fit), float(np.hypot(_sigma(own), _sigma(first)))
+    if off[0] <= LIMIT * sigma:
+        return off, sigma, []
+    said = (
+        f"model {number}: its matches with the others and its own positions put it {off[0]:.2f} m apart, "
+        f"{off[0] / sigma:.1f} sigmas; the matches were followed"
+    )
+    return off, sigma, [said]
+
+
+def _sigma(placed: Georeference) -> float:
+    sigma = placed.uncertainty.sigma
+    return float(np.hypot(sigma["position_m"], sigma["height_m"]))
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None or not np.isfinite(value) else round(float(value), 4)

@@ -1,0 +1,205 @@
+"""The similarity between two models of one survey, from the verified matches that run between their images.
+
+A match counts if its key point has a point in both models. From the first model's camera the second's point must then
+lie in the direction of the first's, and the other way round: angles, whose errors are those of key points, while the
+depth of a point is known far worse. RANSAC over triples of points finds the similarity, least squares over the angles
+refines it. What is held out proves it: fitted to every other pair of images, it must explain the matches of the rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pycolmap
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from tiegraph.geometry import transforms
+from tiegraph.geometry.align import Similarity
+from tiegraph.sfm.tuning import PlacementTuning
+from tiegraph.sfm.verified import ImageObservations, VerifiedMatches
+
+_MOST = 2000  # ties that a fit is made of: bounds its time, more say the same once more
+_ROUNDS = 3  # of fitting and asking again which ties agree
+
+
+@dataclass(frozen=True)
+class Ties:
+    """K matches between two models, in the units of each: ``images`` (K, 2) scene indices, the points ``xyz`` and the
+    projection centres ``centre`` (2, K, 3), first and second model."""
+
+    images: np.ndarray
+    xyz: np.ndarray
+    centre: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+    def where(self, rows: np.ndarray) -> Ties:
+        """Some of them (boolean or index array)."""
+        return Ties(self.images[rows], self.xyz[:, rows], self.centre[:, rows])
+
+    def angles(self, first_from_second: Similarity) -> np.ndarray:
+        """(K, 6) sines between what either camera sees of its own point and of the other model's."""
+        moved, back = first_from_second(self.xyz[1]), first_from_second(self.centre[1])
+        a = np.cross(_unit(self.xyz[0] - self.centre[0]), _unit(moved - self.centre[0]))
+        b = np.cross(_unit(moved - back), _unit(self.xyz[0] - back))
+        return np.concatenate([a, b], axis=1)
+
+    def agree(self, first_from_second: Similarity, tolerance_rad: float) -> np.ndarray:
+        """(K,) bool: both cameras see the two points in one direction, and before them."""
+        moved, back = first_from_second(self.xyz[1]), first_from_second(self.centre[1])
+        ahead = np.sum((self.xyz[0] - self.centre[0]) * (moved - self.centre[0]), axis=1) > 0
+        ahead &= np.sum((moved - back) * (self.xyz[0] - back), axis=1) > 0
+        sines = self.angles(first_from_second)
+        largest = np.maximum(np.linalg.norm(sines[:, :3], axis=1), np.linalg.norm(sines[:, 3:], axis=1))
+        return ahead & (largest < tolerance_rad)
+
+
+@dataclass(frozen=True)
+class TieFit:
+    """``first_from_second``, the ties that agree (K,), and the ``middle`` (3,) of their points in the first model."""
+
+    first_from_second: Similarity
+    agree: np.ndarray
+    middle: np.ndarray
+
+
+@dataclass(frozen=True)
+class TieTest:
+    """What holds a fit: ``ties`` that agree of ``total``, over ``pairs`` of images of which ``independent`` share none;
+    ``explained``: of the ties that a fit to the other pairs of images did not know, the share that agrees with it;
+    ``jump`` (first model's units) and ``turn_deg`` between the fits of the two halves, in the middle of the ties."""
+
+    ties: int
+    total: int
+    pairs: int
+    independent: int
+    explained: float
+    jump: float
+    turn_deg: float
+
+    def holds(self, tuning: PlacementTuning) -> bool:
+        """Whether it is more than chance, in what it knew and in what it did not."""
+        asked = tuning.resection
+        enough = self.ties >= asked.min_inliers and self.independent >= asked.min_partners
+        return enough and min(self.ties / self.total, self.explained) >= asked.min_share
+
+
+def find_ties(
+    first: ImageObservations, second: ImageObservations, verified: VerifiedMatches, tuning: PlacementTuning
+) -> Ties:
+    """The matches between images of two models that have a point in both."""
+    images, points = [], []
+    for (i, j), matches in zip(verified.pairs.tolist(), verified.matches):
+        if i in first.point and j in second.point:
+            a, b, matched = i, j, matches
+        elif j in first.point and i in second.point:
+            a, b, matched = j, i, matches[:, ::-1]
+        else:
+            continue
+        both = np.stack([first.point[a][matched[:, 0]], second.point[b][matched[:, 1]]], axis=1)
+        both = both[(both >= 0).all(axis=1)]
+        few = np.linspace(0, len(both) - 1, min(len(both), tuning.agreement.matches_a_pair)).astype(int)
+        points.append(both[few])
+        images.append(np.tile([a, b], (len(few), 1)))
+    at = np.concatenate(images) if images else np.zeros((0, 2), int)
+    ids = np.concatenate(points) if points else np.zeros((0, 2), int)
+    xyz = [np.array([m.xyz[int(k)] for k in ids[:, n]]).reshape(-1, 3) for n, m in enumerate((first, second))]
+    centre = [
+        np.array([transforms.centre(m.cam_from_world[k]) for k in at[:, n].tolist()]).reshape(-1, 3)
+        for n, m in enumerate((first, second))
+    ]
+    return Ties(at, np.stack(xyz), np.stack(centre))
+
+
+def fit_ties(ties: Ties, tuning: PlacementTuning) -> TieFit | None:
+    """The similarity that most ties agree with; None if there are too few or none comes out."""
+    least = tuning.resection.min_inliers
+    if len(ties) < least:
+        return None
+    some = ties.where(np.linspace(0, len(ties) - 1, min(len(ties), _MOST)).astype(int))
+    reach = float(np.median(np.linalg.norm(some.xyz[0] - some.centre[0], axis=1)))
+    options = pycolmap.RANSACOptions(
+        max_error=tuning.repair.block_error * reach, random_seed=0, max_num_trials=tuning.repair.block_trials
+    )
+    found: Any = pycolmap.estimate_sim3d_robust(some.xyz[1], some.xyz[0], options)
+    if found is None:
+        return None
+    start = found["tgt_from_src"]
+    fit = Similarity(float(start.scale), np.asarray(start.rotation.matrix()), np.asarray(start.translation, float))
+    # The search allows for depths, which are known badly; what agrees in depth alone says little, so begin wide.
+    for tolerance in tuning.agreement.tolerance_rad * 2.0 ** np.arange(_ROUNDS)[::-1]:
+        agree = some.agree(fit, tolerance)
+        if agree.sum() < least:
+            return None
+        fit = _refined(some.where(agree), fit, tuning.agreement.tolerance_rad)
+    agree = ties.agree(fit, tuning.agreement.tolerance_rad)
+    if agree.sum() < least:
+        return None
+    return TieFit(fit, agree, np.median(ties.xyz[0][agree], axis=0))
+
+
+def tested(ties: Ties, fit: TieFit, tuning: PlacementTuning) -> TieTest:
+    """What holds a fit, by what it knew and by what it did not."""
+    pairs = sorted({(int(a), int(b)) for a, b in ties.images[fit.agree]})
+    number = {pair: k for k, pair in enumerate(sorted({(int(a), int(b)) for a, b in ties.images}))}
+    half = np.array([number[int(a), int(b)] % 2 for a, b in ties.images])
+    explained, jump, turn = 0.0, float("inf"), 180.0
+    halves = [fit_ties(ties.where(half == k), tuning) for k in (0, 1)]
+    if halves[0] is not None and halves[1] is not None:
+        one, two = (h.first_from_second for h in halves if h is not None)
+        tolerance = tuning.agreement.tolerance_rad
+        unknown = [ties.where(half == k).agree(s, tolerance) for k, s in ((1, one), (0, two))]
+        explained = float(min(np.mean(a) for a in unknown))
+        jump, turn = apart(one, two, fit)
+    return TieTest(
+        ties=int(fit.agree.sum()),
+        total=len(ties),
+        pairs=len(pairs),
+        independent=_independent(pairs),
+        explained=explained,
+        jump=jump,
+        turn_deg=turn,
+    )
+
+
+def apart(one: Similarity, two: Similarity, fit: TieFit) -> tuple[float, float]:
+    """How far apart two similarities put what the ties see (units of the first model), and their turn in degrees."""
+    back = np.linalg.inv(fit.first_from_second.matrix)
+    there = transforms.apply(back, fit.middle[None])
+    jump = float(np.linalg.norm(one(there) - two(there)))
+    return jump, float(transforms.angle_deg(one.rotation, two.rotation))
+
+
+def _refined(ties: Ties, start: Similarity, tolerance_rad: float) -> Similarity:
+    middle = start(ties.xyz[1]).mean(axis=0)
+    reach = float(np.median(np.linalg.norm(ties.xyz[0] - ties.centre[0], axis=1)))
+
+    def moved(step: np.ndarray) -> Similarity:
+        turn, factor = Rotation.from_rotvec(step[:3]).as_matrix(), float(np.exp(step[6]))
+        shift = factor * turn @ (start.translation - middle) + middle + reach * step[3:6]
+        return Similarity(factor * start.scale, turn @ start.rotation, shift)
+
+    def off(step: np.ndarray) -> np.ndarray:
+        return ties.angles(moved(step)).ravel()
+
+    found = least_squares(off, np.zeros(7), loss="cauchy", f_scale=tolerance_rad / 3)
+    return moved(found.x)
+
+
+def _independent(pairs: list[tuple[int, int]]) -> int:
+    """How many of the pairs of images share no image: greedily, in their order."""
+    used: set[int] = set()
+    count = 0
+    for a, b in pairs:
+        if a not in used and b not in used:
+            used |= {a, b}
+            count += 1
+    return count
+
+
+def _unit(v: np.ndarray) -> np.ndarray:
+    return v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-300)
