@@ -6,7 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from tiegraph.dense.settings import ShotsSettings
 from tiegraph.design.coverage import Coverage, coverage
 from tiegraph.errors import InputError, SettingsError
 from tiegraph.pipeline import SHOTS, STAGES
@@ -81,8 +80,9 @@ class Project:
         self, near_m: float | None = None, far_m: float | None = None, reporter: Reporter | None = None
     ) -> list[Path]:
         """A cloud for each shot of a calibrated rig, from the calibration alone (paper 004): the PLY files, in the
-        frame of the rig's first camera. Raises InputError for a rig that is not fully calibrated."""
-        sought = ShotsSettings(near_m=near_m, far_m=far_m)
+        frame of the rig's first camera. Raises InputError for a rig that is not fully calibrated, SettingsError for a
+        distance that is none."""
+        sought = project_settings.merged({"shots": {"near_m": near_m, "far_m": far_m}}).shots
         self.settings = self.settings.model_copy(update={"shots": sought})
         self._run((*STAGES, SHOTS), SHOTS.name, reporter)
         scene = self.scene()

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from tiegraph.child import end_helpers
-from tiegraph.errors import InputError, SettingsError, TiegraphError, UnreadableArtefact
+from tiegraph.errors import EngineMissing, InputError, SettingsError, TiegraphError, UnreadableArtefact
 from tiegraph.limits import explained
 from tiegraph.project.artefacts import Artefacts
 from tiegraph.project.folder import LOG, check_folder, check_inputs, working_in
@@ -172,7 +172,7 @@ def run_stages(
                     artefacts.refuse(stage)
             while not _run_through(wanted, keys, run, artefacts, ran):
                 pass
-        except (InputError, SettingsError):
+        except (InputError, SettingsError, EngineMissing):
             if not ran:
                 take_back()
             raise
