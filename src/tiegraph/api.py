@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from tiegraph.project import settings as project_settings
 from tiegraph.project.folder import SETTINGS, check_format, write_settings
 from tiegraph.project.progress import Reporter
 from tiegraph.project.run import Inputs, Run, check_run, run_stages, status
-from tiegraph.project.settings import Settings
+from tiegraph.project.settings import SETTING_OF, Settings
 from tiegraph.project.stages import Stage
 from tiegraph.scene.cloudfile import read_cloud
 from tiegraph.scene.colmapmodel import read_model
@@ -27,8 +27,6 @@ from tiegraph.scene.scene import Scene
 
 _NAMED = ("rig", "camera")  # each a file, or words
 _PATHS = ("gnss", "trajectory", "times")
-# Inputs that are settings of a stage, so that only what follows it runs again when they change.
-SETTING_OF = {"gcp": ("georef", "gcp"), "marks": ("georef", "marks")}
 
 
 class Project:
@@ -154,13 +152,15 @@ def open_project(
     preset: str | None = None,
     pool: str = "local",
     settings: dict[str, dict[str, Any]] | Settings | None = None,
+    unset: Sequence[str] = (),
     **inputs: str | Path | None,
 ) -> Project:
     """A project over a folder of images, or (``images=None``) the one that a run folder ``out`` remembers.
 
     ``inputs``: rig (file or preset), camera (words or file), gnss, trajectory, times, gcp, marks. ``settings``:
-    {section: {name: value}} on top of the preset and of ``out``/tiegraph.toml, or complete Settings. ``out`` defaults
-    to ``<images>_tiegraph``.
+    {section: {name: value}} on top of the preset and of ``out``/tiegraph.toml, or complete Settings. ``unset``: inputs
+    and settings ("gnss", "masks.folder") that ``out``/tiegraph.toml no longer holds. ``out`` defaults to
+    ``<images>_tiegraph``.
     Raises InputError and SettingsError.
     """
     known = (*_NAMED, *_PATHS, *SETTING_OF)
@@ -171,7 +171,7 @@ def open_project(
     beside = {n: value for n in SETTING_OF if (value := inputs.pop(n, None)) is not None}
     folder = _folder(images, out)
     check_format(folder)
-    stored = project_settings.read_file(folder / SETTINGS)
+    stored = project_settings.without(project_settings.read_file(folder / SETTINGS), unset)
     run = {**stored.pop("run", {}), **{k: str(v) for k, v in inputs.items() if v is not None}}
     if images is None and "images" not in run:
         raise InputError(f"{folder} is not a run folder (no {SETTINGS}): start with `tiegraph run IMAGES`")

@@ -158,6 +158,11 @@ def test_arguments_in_any_order():
         assert (str(known.folder), str(known.out)) == ("im", "o"), arguments
 
 
+def test_what_is_to_be_unset_is_known_before_the_options_are_read():
+    known = preparsed(["im", "--unset", "gnss", "-o", "o", "--unset=masks.folder"])
+    assert known.unset == ("gnss", "masks.folder") and (str(known.folder), str(known.out)) == ("im", "o")
+
+
 def test_an_output_without_a_name():
     for arguments in (["im", "-o"], ["im", "-o", "--rig", "x"], ["im", "--out", ""], ["im", "--out="]):
         with pytest.raises(SettingsError, match="-o: no folder is named after it"):
