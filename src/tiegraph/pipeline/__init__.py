@@ -50,7 +50,7 @@ STAGES = (
     _stage("coarse", ("scan", "preview", "candidates"), ("coarse.npz", "coarse"), "block",
            uses=("candidates",), scratch=("coarse/blocks", "coarse/mapping", "coarse/matched"),
            tuned=("scene", "network", "features", "sfm")),
-    _stage("network", ("scan", "masks", "preview", "coarse"), ("network.npz", "network.csv", "network"), version=7,
+    _stage("network", ("scan", "masks", "preview", "coarse"), ("network.npz", "network.csv", "network"), version=8,
            uses=("candidates",), tuned=("scene",)),
     _stage("design", ("masks", "coarse", "network"), ("pairs.npz", "pairs.txt", "pairs", "design"), version=6,
            uses=("features",), tuned=("features", "sfm")),
