@@ -66,7 +66,7 @@ STAGES = (
            tuned=("masks", "sfm")),
     _stage("dense", ("georef", "refine"), ("depth",), "image", version=5),
     _stage("cloud", ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply"), scratch=(".tiles",)),
-    _stage("evaluate", ("filter", "georef", "refine", "dense", "cloud"), ("metrics.json",), version=2,
+    _stage("evaluate", ("filter", "georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv"), version=3,
            tuned=("scene",)),
     _stage("report", ("evaluate",), ("report.html",), version=2),
 )
