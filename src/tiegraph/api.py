@@ -106,9 +106,11 @@ class Project:
         """The pair table after `network`: every pair that was looked at, and why it was dropped."""
         return _read_pairs(self._needed("network.npz", "network"))
 
-    def coverage(self) -> Coverage:
-        """Do the candidate pairs hold the survey together, and where are they weak (paper 003's check on site)?"""
-        return coverage(self.candidates(), self.scene())
+    def coverage(self, chosen: bool = False) -> Coverage:
+        """Do the candidate pairs hold the survey together, and where are they weak (paper 003's check on site)?
+        ``chosen``: those that the design chose to be matched."""
+        pairs = _read_pairs(self._needed("pairs.npz", "design")) if chosen else self.candidates()
+        return coverage(pairs, self.scene())
 
     def pairs(self) -> Pairs:
         """The pair table of the last stage that made one: `filter`, `match` (both with inliers) or `design`."""
