@@ -129,7 +129,7 @@ class Project:
         return tuple(name for name, good in zip(scene.names, found) if good)
 
     def cloud(self) -> Cloud:
-        """The dense cloud."""
+        """The dense cloud in world coordinates, as the model is: those of its files, the CRS's, minus the shift."""
         return read_cloud(self._needed("cloud.laz", "cloud"))
 
     def report(self) -> Path:
