@@ -204,7 +204,7 @@ def preparsed(arguments: list[str]) -> Known:
     folder, out = (Path(known[n]) if known[n] else None for n in ("", "--out"))
     if known["--preset"]:
         choose("preset", known["--preset"], dict.fromkeys(PRESETS))
-    return Known(folder, out, known["--preset"] or None, tuple(unset))
+    return Known(folder=folder, out=out, preset=known["--preset"] or None, unset=tuple(unset))
 
 
 def _is_option(word: str) -> bool:
