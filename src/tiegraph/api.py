@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from tiegraph.dense.settings import ShotsSettings
 from tiegraph.design.coverage import Coverage, coverage
 from tiegraph.errors import InputError, SettingsError
 from tiegraph.pipeline import SHOTS, STAGES
@@ -15,7 +14,7 @@ from tiegraph.project import settings as project_settings
 from tiegraph.project.folder import SETTINGS, check_format, write_settings
 from tiegraph.project.progress import Reporter
 from tiegraph.project.run import Inputs, Run, check_run, run_stages, status
-from tiegraph.project.settings import Settings
+from tiegraph.project.settings import SETTING_OF, Settings
 from tiegraph.project.stages import Stage
 from tiegraph.scene.cloudfile import read_cloud
 from tiegraph.scene.colmapmodel import read_model
@@ -28,8 +27,6 @@ from tiegraph.scene.scene import Scene
 
 _NAMED = ("rig", "camera")  # each a file, or words
 _PATHS = ("gnss", "trajectory", "times")
-# Inputs that are settings of a stage, so that only what follows it runs again when they change.
-SETTING_OF = {"gcp": ("georef", "gcp"), "marks": ("georef", "marks")}
 
 
 class Project:
@@ -81,8 +78,9 @@ class Project:
         self, near_m: float | None = None, far_m: float | None = None, reporter: Reporter | None = None
     ) -> list[Path]:
         """A cloud for each shot of a calibrated rig, from the calibration alone (paper 004): the PLY files, in the
-        frame of the rig's first camera. Raises InputError for a rig that is not fully calibrated."""
-        sought = ShotsSettings(near_m=near_m, far_m=far_m)
+        frame of the rig's first camera. Raises InputError for a rig that is not fully calibrated, SettingsError for a
+        distance that is none."""
+        sought = project_settings.merged({"shots": {"near_m": near_m, "far_m": far_m}}).shots
         self.settings = self.settings.model_copy(update={"shots": sought})
         self._run((*STAGES, SHOTS), SHOTS.name, reporter)
         scene = self.scene()
@@ -108,9 +106,11 @@ class Project:
         """The pair table after `network`: every pair that was looked at, and why it was dropped."""
         return _read_pairs(self._needed("network.npz", "network"))
 
-    def coverage(self) -> Coverage:
-        """Do the candidate pairs hold the survey together, and where are they weak (paper 003's check on site)?"""
-        return coverage(self.candidates(), self.scene())
+    def coverage(self, chosen: bool = False) -> Coverage:
+        """Do the candidate pairs hold the survey together, and where are they weak (paper 003's check on site)?
+        ``chosen``: those that the design chose to be matched."""
+        pairs = _read_pairs(self._needed("pairs.npz", "design")) if chosen else self.candidates()
+        return coverage(pairs, self.scene())
 
     def pairs(self) -> Pairs:
         """The pair table of the last stage that made one: `filter`, `match` (both with inliers) or `design`."""
@@ -129,7 +129,7 @@ class Project:
         return tuple(name for name, good in zip(scene.names, found) if good)
 
     def cloud(self) -> Cloud:
-        """The dense cloud."""
+        """The dense cloud in world coordinates, as the model is: those of its files, the CRS's, minus the shift."""
         return read_cloud(self._needed("cloud.laz", "cloud"))
 
     def report(self) -> Path:
@@ -154,13 +154,15 @@ def open_project(
     preset: str | None = None,
     pool: str = "local",
     settings: dict[str, dict[str, Any]] | Settings | None = None,
+    unset: Sequence[str] = (),
     **inputs: str | Path | None,
 ) -> Project:
     """A project over a folder of images, or (``images=None``) the one that a run folder ``out`` remembers.
 
     ``inputs``: rig (file or preset), camera (words or file), gnss, trajectory, times, gcp, marks. ``settings``:
-    {section: {name: value}} on top of the preset and of ``out``/tiegraph.toml, or complete Settings. ``out`` defaults
-    to ``<images>_tiegraph``.
+    {section: {name: value}} on top of the preset and of ``out``/tiegraph.toml, or complete Settings. ``unset``: inputs
+    and settings ("gnss", "masks.folder") that ``out``/tiegraph.toml no longer holds. ``out`` defaults to
+    ``<images>_tiegraph``.
     Raises InputError and SettingsError.
     """
     known = (*_NAMED, *_PATHS, *SETTING_OF)
@@ -171,7 +173,7 @@ def open_project(
     beside = {n: value for n in SETTING_OF if (value := inputs.pop(n, None)) is not None}
     folder = _folder(images, out)
     check_format(folder)
-    stored = project_settings.read_file(folder / SETTINGS)
+    stored = project_settings.without(project_settings.read_file(folder / SETTINGS), unset)
     run = {**stored.pop("run", {}), **{k: str(v) for k, v in inputs.items() if v is not None}}
     if images is None and "images" not in run:
         raise InputError(f"{folder} is not a run folder (no {SETTINGS}): start with `tiegraph run IMAGES`")

@@ -1,5 +1,7 @@
 """Offset voting on a synthetic boat survey with exact overlap."""
 
+import csv
+import io
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +10,7 @@ import pytest
 from boat_world import Result, boat, ring
 from network_steps import estimate_network
 from tiegraph import papers
+from tiegraph.network.offsets.curves import curves_csv
 from tiegraph.network.offsets.offsets import OFFSETS, estimate_offsets
 from tiegraph.network.passes import MatchCache, find_passes, loose_images
 from tiegraph.network.rig.axes import angles_deg, vertical, yaw_between
@@ -80,6 +83,14 @@ def test_constant_offsets_stay_in_their_range() -> None:
         offset = step[j] + step[i] if curve.reversed else step[j] - step[i]
         assert abs(offset - curve.best) <= 2
     assert {c.reversed for c in network.candidates.curves if c.pass_a != c.pass_b} == {True}
+    rows = list(csv.DictReader(io.StringIO(curves_csv(network.candidates.curves))))
+    assert len(rows) == sum(len(c.offsets) for c in network.candidates.curves)
+    for (pass_a, pass_b, sensor_a, sensor_b), curve in best.items():
+        ends = {"pass1": pass_a, "camera1": sensor_a, "pass2": pass_b, "camera2": sensor_b}
+        own = [r for r in rows if ends.items() <= r.items()]
+        assert {r["accepted"] for r in own} == {"1"} and {r["direction"] for r in own} <= {"back", "same"}
+        assert [int(r["offset"]) for r in own if r["best"] == "1"] == [curve.best]
+        assert [float(r["votes"]) for r in own] == pytest.approx(curve.votes.tolist(), rel=1e-5)
 
 
 def test_paper_000_keeps_the_best_partner_of_each_camera() -> None:

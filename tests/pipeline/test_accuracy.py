@@ -54,10 +54,12 @@ def test_previewed_pairs_get_their_accuracy_and_base(tmp_path: Path) -> None:
     assert 8 < found.h_over_b[0] < 13 and 4 < found.h_over_b[1] < 6.5
 
 
-def test_pairs_without_previews_stay_as_they_are() -> None:
+def test_pairs_without_previews_have_no_accuracy() -> None:
     scene = simple_scene(Rig("camera", (Sensor("camera"),)), ["a.jpg", "b.jpg"], np.arange(2), np.zeros(2))
-    pairs = Pairs.make([0], [1], "sequence")
-    assert with_accuracy(pairs, scene, PreviewMatches.empty(), Path("."), lambda *_: [], TwoViewTuning()) is pairs
+    by_model = np.array([0.1])
+    pairs = Pairs.make([0], [1], "sequence", sigma_m=by_model, h_over_b=by_model)
+    found = with_accuracy(pairs, scene, PreviewMatches.empty(), Path("."), lambda *_: [], TwoViewTuning())
+    assert np.isnan([found.sigma_m[0], found.h_over_b[0]]).all(), "what the coarse model says is none of the paper's"
 
 
 def test_pairs_of_which_nothing_is_known_are_previewed_for_the_design(tmp_path: Path) -> None:

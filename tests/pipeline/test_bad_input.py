@@ -299,6 +299,17 @@ def test_unknown_setting(run: Run, images: Path, tmp_path: Path) -> None:
     assert code == 2 and "tiegraph.toml" in said and "sky_edge" in said
 
 
+def test_a_setting_that_was_stored_can_be_taken_out_again(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "masks").mkdir()
+    code, said = run("--masks.source", "folder", "--masks.folder", tmp_path / "masks", until="scan")
+    stored = tmp_path / "out/tiegraph.toml"
+    assert code == 0 and "folder =" in stored.read_text(), said
+    (tmp_path / "masks").rmdir()
+    assert run(until="scan")[0] == 2
+    code, said = run("--unset", "masks.folder", "--unset", "masks.source", until="scan")
+    assert code == 0 and "folder =" not in stored.read_text(), said
+
+
 def test_setting_out_of_range_unknown_stage_preset_pool_and_input(run: Run, images: Path, tmp_path: Path) -> None:
     code, said = run("--masks.difference", 999)
     assert code == 2 and "difference" in said and "999" in said

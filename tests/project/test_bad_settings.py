@@ -137,6 +137,13 @@ def test_what_is_refused_is_not_stored(tmp_path, monkeypatch, inputs, settings, 
     assert not (tmp_path / "out").exists()
 
 
+def test_a_distance_of_shots_that_is_none_is_a_setting_that_is_refused(tmp_path):
+    (tmp_path / "images").mkdir()
+    with pytest.raises(SettingsError, match=r"shots.near_m = -3.0: .*greater than 0"):
+        open_project(tmp_path / "images", tmp_path / "out").shots(near_m=-3.0)
+    assert not (tmp_path / "out").exists()
+
+
 def test_arguments_in_any_order():
     for arguments in (
         ["im", "-o", "o"],
@@ -149,6 +156,11 @@ def test_arguments_in_any_order():
     ):
         known = preparsed(arguments)
         assert (str(known.folder), str(known.out)) == ("im", "o"), arguments
+
+
+def test_what_is_to_be_unset_is_known_before_the_options_are_read():
+    known = preparsed(["im", "--unset", "gnss", "-o", "o", "--unset=masks.folder"])
+    assert known.unset == ("gnss", "masks.folder") and (str(known.folder), str(known.out)) == ("im", "o")
 
 
 def test_an_output_without_a_name():

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tiegraph.cli.main import main
-from tiegraph.errors import InputError, UnreadableArtefact
+from tiegraph.errors import EngineMissing, InputError, SettingsError, UnreadableArtefact
 from tiegraph.pipeline import STAGES as REAL
 from tiegraph.project.artefacts import Artefacts
 from tiegraph.project.folder import check_folder, check_inputs, working_in, write_settings
@@ -149,6 +149,19 @@ def test_a_refused_option_is_not_stored(proj, tmp_path):
     arguments = ["run", str(proj / "images"), "-o", str(out), "--quiet", "--pool", "serial"]
     assert main([*arguments, "--scan.crs", "foo"]) == 2
     assert not (out / "tiegraph.toml").exists()
+
+
+@pytest.mark.parametrize("refused", [InputError, SettingsError, EngineMissing])
+def test_what_the_first_stage_refuses_is_taken_back(make, refused):
+    kept = []
+
+    def refuse(run):
+        raise refused("not to be had")
+
+    with pytest.raises(refused):
+        stages = (Stage("last", refuse, (), ("last.txt",)),)
+        run_stages(stages, make(), remember=lambda: lambda: kept.append("taken back"))
+    assert kept == ["taken back"]
 
 
 # --- what a stage made ------------------------------------------------------------------------------------------------

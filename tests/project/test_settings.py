@@ -97,6 +97,25 @@ def test_misuse(tmp_path):
         open_project(tmp_path, tmp_path)
 
 
+def test_what_is_unset_holds_no_more(tmp_path):
+    (tmp_path / "images").mkdir()
+    (tmp_path / "g.csv").write_text("")
+    out, given = tmp_path / "out", tmp_path / "g.csv"
+    settings = {"masks": {"source": "folder", "folder": str(tmp_path), "water": "on"}}
+    stored = open_project(tmp_path / "images", out, rig="ladybug5", gnss=given, gcp=given, settings=settings)
+    stored.save()
+    project = open_project(out=out, unset=("gnss", "gcp", "masks.folder", "masks.source", "candidates.pairs-file"))
+    assert project.inputs.gnss is None and project.inputs.rig == "ladybug5"
+    assert changed(project.settings) == {"masks": {"water": "on"}}
+    assert open_project(out=out).inputs.gnss == given, "not before the project is saved"
+    project.save()
+    assert open_project(out=out).inputs == project.inputs and open_project(out=out).settings == project.settings
+    assert open_project(out=out, gnss=given, unset=("gnss",)).inputs.gnss == given, "what is given anew holds"
+    for name, message in (("masks.foldr", "perhaps you meant .masks.folder"), ("images", "neither one of rig, ca")):
+        with pytest.raises(SettingsError, match=f"--unset {name}: .*{message}"):
+            open_project(out=out, unset=(name,))
+
+
 def test_control_points_are_an_input_and_a_setting(tmp_path):
     from tiegraph.api import open_project
 

@@ -107,6 +107,34 @@ def test_a_changed_or_missing_artefact_and_a_changed_source_run_again(make):
     assert run_stages(STAGES, make()) == ["first", "second", "third"]
 
 
+def test_status_names_the_input_and_the_setting_that_changed(make, tmp_path):
+    listed, track = tmp_path / "pairs.txt", tmp_path / "track.csv"
+    listed.write_text("a b")
+    track.write_text("1")
+    two = Two(file=listed)
+
+    images = make().inputs.images
+
+    def asked(gnss=track, rig=None, **sections):
+        return Run(tmp_path / "out", Inputs(images, rig=rig, gnss=gnss), All(**sections), pool="serial")
+
+    def said(run):
+        return [why for _, why, _ in status(STAGES, run)]
+
+    run_stages(STAGES, asked(second=two))
+    assert said(asked(second=two)) == ["", "", ""]
+    assert said(asked(second=two, first=One(value=5))) == ["changed: first.value", "", "first is out of date"]
+    assert said(asked(second=two, gnss=None, rig="ring:3"))[0] == "changed: --rig, --gnss"
+    listed.write_text("a b c")
+    assert said(asked(second=two)) == ["", "changed: second.file", ""]
+    track.write_text("12")
+    assert said(asked(second=two))[0] == f"changed: --gnss {track}"
+    assert said(asked(second=two))[2] == "first is out of date"
+    track.write_text("1")
+    (images / "b.jpg").write_bytes(b"y")
+    assert f"the image folder {images}" in said(asked(second=two))[0]
+
+
 def test_a_file_named_by_a_setting_counts_with_its_content_stamp(make, tmp_path):
     listed = tmp_path / "pairs.txt"
     listed.write_text("a b")

@@ -51,6 +51,7 @@ def test_the_whole_report(page: str) -> None:
         "a note of network",
         "Settings of every stage",
         "39 % usable",
+        "The files of the cloud are in its coordinates; those of the model, to keep numbers short, in these minus (",
     ):
         assert text in page, text
 

@@ -28,6 +28,13 @@ def test_json_round_trip():
     assert two.rigs[0].sensors[0].camera.params.tolist() == one.rigs[0].sensors[0].camera.params.tolist()
 
 
+def test_exposure_is_there_where_it_is_known():
+    one = scene().with_(exposure=np.array([0.25, np.nan, 2.0]))
+    assert scene().exposure is None and Scene.from_json(scene().to_json()).exposure is None
+    np.testing.assert_array_equal(Scene.from_json(one.to_json()).exposure, one.exposure)
+    np.testing.assert_array_equal(one.only(np.array([0, 2])).exposure, [0.25, 2.0])
+
+
 def test_rig_geometry_and_priors():
     rig = scene().rigs[0]
     assert abs(rig.axis_angles_deg()[0, 1] - 90) < 1e-9

@@ -90,6 +90,7 @@ def test_a_rough_model_needs_no_images_and_no_final_adjustment(tmp_path: Path) -
     settings = SparseSettings(covariance_frames=0)
     result = reconstruct(source, tmp_path / "sparse", scene, settings, Tuning(), SceneTuning(), tmp_path / "log.txt")
     assert result.mapper == "global"
+    assert "Could not read image" not in (tmp_path / "log.txt").read_text(), "a line of each would fill the log"
     assert result.counts["registered"] + result.counts["placed_by_rig"] == len(scene)
     assert 0.02 < _centre_error(result, scene, truth) < 0.4  # of a few metres: 100 points, and nothing adjusted
     assert not any("adjust" in note for note in result.remarks.notes)

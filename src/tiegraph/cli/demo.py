@@ -59,6 +59,7 @@ def main(arguments: list[str]) -> int:
         options.out,
         preset=options.preset,
         pool=options.pool,
+        unset=options.unset,
         settings={"evaluate": evaluate},
         rig=survey / "rig.toml",
         gnss=survey / "gnss.csv",

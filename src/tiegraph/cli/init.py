@@ -45,7 +45,8 @@ def main(arguments: list[str]) -> int:
         return images, options
 
     images, options = options_of(init, "tiegraph init", arguments)
-    project = open_project(images, options.out, pool=options.pool, rig=options.rig, camera=options.camera)
+    given = {"rig": options.rig, "camera": options.camera}
+    project = open_project(images, options.out, pool=options.pool, unset=options.unset, **given)
     project.run("scan", options.reporter())
     scene = project.scene()
     written = _write_rigs(scene, project.folder)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
 from tiegraph.api import Project, open_project
 from tiegraph.cli import run
 from tiegraph.cli.output import say, show_table
+from tiegraph.design.coverage import Coverage
 
 _ROWS = 20  # weak links shown; the report has all
 
@@ -19,8 +20,9 @@ _ROWS = 20  # weak links shown; the report has all
 class _Options(run.Common):
     coverage: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False  # main takes it
     """Say what the tie graph leaves weak, on site: images without ties, what hangs on a single tie, which camera, pass
-    or section is tied to the others by fewer than two; exit code 1 if anything is. A folder of images instead of OUT is
-    run up to the network first, with the options of `tiegraph run`."""
+    or section is tied to the others by fewer than two; of all candidate pairs and of those that the design chose; exit
+    code 1 if anything is. A folder of images instead of OUT is run up to the design first, with the options of
+    `tiegraph run`."""
 
 
 def main(arguments: list[str]) -> int:
@@ -32,22 +34,32 @@ def main(arguments: list[str]) -> int:
     if known.folder is None:
         return run.main_stage("network", rest, _Options)
     if (known.folder / "scene.json").exists():
-        run.main_stage("network", rest)
+        run.main_stage("design", rest)
         return _show(open_project(None, known.folder), "--json" in rest)
-    run.main([*rest, "--until", "network"])
+    run.main([*rest, "--until", "design"])
     return _show(open_project(known.folder, known.out), "--json" in rest)
 
 
 def _show(project: Project, as_json: bool) -> int:
-    found = project.coverage()
+    found, chosen = project.coverage(), project.coverage(chosen=True)
+    sound = found.sound and chosen.sound
     if as_json:
-        say(json.dumps({"sound": found.sound, **found.counts, "weak_links": found.table}))
-        return 0 if found.sound else 1
+        say(json.dumps({**_told(found), "sound": sound, "chosen": _told(chosen)}))
+        return 0 if sound else 1
+    _show_one("candidate pairs", found)
+    _show_one("pairs that the design chose", chosen)
+    return 0 if sound else 1
+
+
+def _told(found: Coverage) -> dict[str, Any]:
+    return {"sound": found.sound, **found.counts, "weak_links": found.table}
+
+
+def _show_one(what: str, found: Coverage) -> None:
     for line in found.lines:
-        say(line)
+        say(f"{what}: {line}")
     rows = found.table["rows"]
     if rows:
-        show_table(found.table["columns"], rows[:_ROWS], "weak links")
+        show_table(found.table["columns"], rows[:_ROWS], f"weak links of the {what}")
     if len(rows) > _ROWS:
         say(f"... and {len(rows) - _ROWS} more: the report has all")
-    return 0 if found.sound else 1

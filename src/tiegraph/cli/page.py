@@ -22,6 +22,7 @@ options:
   -o, --out OUT     the run folder (default: <IMAGES>_tiegraph beside them)
   --until STAGE     the last stage to run (default: all)
   --preset NAME     fast, close-range, conventional, meguro2024 or meguro2025
+  --unset KEY       forget a stored input or setting: gnss, masks.folder
   --pool POOL       serial, local, local:<workers> or dask:<address>
   --json, --quiet   one JSON object a line instead of text; nothing but errors
   -h, --help        this page

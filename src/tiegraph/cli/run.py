@@ -9,12 +9,12 @@ from typing import Annotated, Any, get_args, get_origin
 import tyro
 from pydantic import ValidationError, create_model
 
-from tiegraph.api import SETTING_OF, Project, open_project
+from tiegraph.api import Project, open_project
 from tiegraph.cli.options import options_of
 from tiegraph.cli.verbs import HELP, HELP_ALL, wants_page
 from tiegraph.errors import SettingsError, choose
 from tiegraph.project.progress import Reporter
-from tiegraph.project.settings import PRESETS, STAGED, Settings, sections
+from tiegraph.project.settings import PRESETS, SETTING_OF, STAGED, Settings, sections
 from tiegraph.settings import Section
 
 _MANY = 1 << 20
@@ -30,6 +30,8 @@ class Common:
     """One JSON object a line on standard output instead of text."""
     quiet: bool = False
     """Say nothing but errors."""
+    unset: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """An input or setting of tiegraph.toml that no longer holds, such as gnss or masks.folder; once for each."""
 
     def reporter(self) -> Reporter:
         """The progress these options ask for."""
@@ -68,8 +70,8 @@ class RunOptions(Common):
 def main(arguments: list[str]) -> int:
     """`tiegraph run`."""
     known = preparsed(arguments)
-    before = open_project(known.folder, known.out, preset=known.preset) if known.folder else None
-    default = before.settings if before else Settings()
+    before = (known.folder, known.out) if known.folder else None
+    default = open_project(*before, preset=known.preset, unset=known.unset).settings if before else Settings()
     shown = _shown(default, STAGED)
 
     def run(
@@ -89,7 +91,8 @@ def main(arguments: list[str]) -> int:
     images, options, given = _cli(run, "tiegraph run", arguments)
     settings = _settings(default, given)
     inputs = {n: getattr(options, n) for n in ("rig", "camera", "gnss", "trajectory", "times", *SETTING_OF)}
-    project = open_project(images, options.out, preset=options.preset, pool=options.pool, settings=settings, **inputs)
+    how = {"preset": options.preset, "pool": options.pool, "unset": options.unset}
+    project = open_project(images, options.out, settings=settings, **how, **inputs)
     return finish(project, options.until, options.reporter())
 
 
@@ -99,8 +102,8 @@ def main_stage(stage: str, arguments: list[str], kind: type[Common] = Common, ab
     ``--help`` shows the stage's own settings, ``--help-all`` those of all. ``kind``: the class of the options;
     ``about``: more of the description.
     """
-    folder = preparsed(arguments).folder
-    default = open_project(None, folder).settings if folder else Settings()
+    known = preparsed(arguments)
+    default = open_project(None, known.folder, unset=known.unset).settings if known.folder else Settings()
     short = wants_page(arguments)
     shown = _shown(default, (stage,) if short else STAGED)
     arguments = [HELP[-1]] if short else arguments
@@ -121,7 +124,8 @@ def main_stage(stage: str, arguments: list[str], kind: type[Common] = Common, ab
     what += f"\n\nThe settings of the other stages: tiegraph {stage} {HELP_ALL}." if short else ""
     out, options, given = _cli(run_stage, f"tiegraph {stage}", arguments, description=what)
     settings = _settings(default, given)
-    return finish(open_project(None, out, pool=options.pool, settings=settings), stage, options.reporter())
+    project = open_project(None, out, pool=options.pool, settings=settings, unset=options.unset)
+    return finish(project, stage, options.reporter())
 
 
 def _shown(settings: Settings, names: Sequence[str]) -> Any:
@@ -167,6 +171,7 @@ class Known:
     folder: Path | None  # the first positional argument
     out: Path | None
     preset: str | None
+    unset: tuple[str, ...] = ()
 
 
 def preparsed(arguments: list[str]) -> Known:
@@ -175,6 +180,7 @@ def preparsed(arguments: list[str]) -> Known:
     Raises SettingsError for an unknown preset, an output without a folder and empty arguments.
     """
     words, known = list(arguments), {"--out": "", "--preset": "", "": ""}
+    unset: list[str] = []
     counts = _value_counts()
     while words:
         word = words.pop(0)
@@ -188,6 +194,8 @@ def preparsed(arguments: list[str]) -> Known:
             count = counts.get(name, 1)
             taken = next((k for k, w in enumerate(words) if _is_option(w)), len(words))
             values, words = words[: min(count, taken)], words[min(count, taken) :]
+        if name == "--unset":
+            unset += values
         if name in known:
             if not values or not values[0]:
                 what = {"": "the name of the folder is empty", "--out": "-o: no folder is named after it, as in -o OUT"}
@@ -196,7 +204,7 @@ def preparsed(arguments: list[str]) -> Known:
     folder, out = (Path(known[n]) if known[n] else None for n in ("", "--out"))
     if known["--preset"]:
         choose("preset", known["--preset"], dict.fromkeys(PRESETS))
-    return Known(folder, out, known["--preset"] or None)
+    return Known(folder=folder, out=out, preset=known["--preset"] or None, unset=tuple(unset))
 
 
 def _is_option(word: str) -> bool:

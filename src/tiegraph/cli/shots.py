@@ -43,7 +43,8 @@ def main(arguments: list[str]) -> int:
         return images, options
 
     images, options = options_of(shots, "tiegraph shots", arguments, config=(tyro.conf.FlagCreatePairsOff,))
-    project = open_project(images, options.out, preset=options.preset, pool=options.pool, rig=options.rig)
+    how = {"preset": options.preset, "pool": options.pool, "unset": options.unset}
+    project = open_project(images, options.out, rig=options.rig, **how)
     reporter = options.reporter()
     made = project.shots(options.near, options.far, reporter)
     reporter.say(f"{len(made)} clouds: {project.folder / 'shots'}")

@@ -66,6 +66,6 @@ VERBS: dict[str, Verb] = {
     "refine": Verb("stage: makes refine/masks, refine/classes", "run", "refine"),
     "dense": Verb("stage: makes depth", "run", "dense"),
     "cloud": Verb("stage: makes cloud.copc.laz, cloud.laz, cloud.ply", "run", "cloud"),
-    "evaluate": Verb("stage: makes metrics.json; or a point cloud against a reference cloud", "evaluate"),
+    "evaluate": Verb("stage: makes metrics.json, accuracy.csv; or a point cloud against a reference cloud", "evaluate"),
     "report": Verb("stage: makes report.html", "run", "report"),
 }

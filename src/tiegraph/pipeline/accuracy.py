@@ -32,6 +32,8 @@ def with_accuracy(
     The base between two frames of a pass is as long as their numbers are apart (002, 2.3), else one: lengths are in
     frames, not metres. ``run_map``: map over a pool.
     """
+    unknown = np.full(len(pairs), np.nan)  # what the coarse model says of them is none of the paper's
+    pairs = pairs.with_(sigma_m=unknown, h_over_b=unknown)
     row = ties.find(pairs.i, pairs.j)
     if not (row >= 0).any():  # nothing was previewed (pairs in sequence without a coarse model)
         return pairs
@@ -50,7 +52,7 @@ def with_accuracy(
     for k, one in zip(usable, found):
         if one is not None:
             sigma[k] = one.moved * base[k]
-            if np.isnan(ratio[k]) and frame_i[k] != frame_j[k]:  # images of one frame are no copies of each other
+            if frame_i[k] != frame_j[k]:  # images of one frame are no copies of each other
                 ratio[k] = one.range
     return pairs.with_(sigma_m=sigma, h_over_b=ratio)
 

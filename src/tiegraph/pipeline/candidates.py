@@ -11,6 +11,7 @@ import numpy as np
 
 from tiegraph import papers
 from tiegraph.network.candidates import find_candidates
+from tiegraph.network.offsets.curves import curves_csv
 from tiegraph.network.offsets.offsets import OFFSETS
 from tiegraph.network.passes import MatchCache
 from tiegraph.pipeline.files import save_npz, scanned
@@ -36,6 +37,8 @@ def candidates(run: Run) -> Outcome:
     write_atomic(run.path("candidates", "scene.json"), found.scene.to_json())
     for name, picture in found.pictures():
         write_atomic(run.path("candidates", f"{name}.png"), picture)
+    if found.curves:
+        write_atomic(run.path("candidates", "offsets.csv"), curves_csv(found.curves))
     matcher.forget()
     counts = {"previews": len(found.ties), "candidates": len(found.pairs), "kept": len(found.pairs.kept())}
     return Outcome(counts, notes=found.notes)

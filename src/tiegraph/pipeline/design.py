@@ -12,11 +12,10 @@ from tiegraph.design.design import METHODS, takes_all
 from tiegraph.design.design import design as select_pairs
 from tiegraph.network.plots import map_png, weak_pairs
 from tiegraph.pipeline.accuracy import with_accuracy
-from tiegraph.pipeline.files import checked, load_npz, pairs_of, reading, save_npz, ties_of
+from tiegraph.pipeline.files import checked, pairs_of, reading, save_npz, sights_of, ties_of
 from tiegraph.pipeline.previews import with_previews
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
-from tiegraph.scene.matches import Visibility
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 
@@ -37,7 +36,7 @@ def design(run: Run) -> Outcome:
     papers.plug_in(papers.DESIGNS, settings.design.method, METHODS)
     if settings.design.method in papers.DESIGNS:
         candidates = with_accuracy(candidates, scene, ties, run.folder, run.map, tuning.sfm.two_view)
-    made = select_pairs(candidates, scene, ties, settings.design, tuning.design, _sights(run), spent)
+    made = select_pairs(candidates, scene, ties, settings.design, tuning.design, sights_of(run), spent)
     pairs = made.pairs
     save_npz(run.path("pairs.npz"), **pairs.to_npz())
     write_atomic(run.path("pairs.txt"), pairs.to_text(scene.names))
@@ -67,12 +66,3 @@ def _cost(run: Run, scene: Scene, pairs: Pairs) -> Cost:
     tuning = run.settings.tuning.design.cost
     keypoints = predicted_keypoints(megapixels, used, run.settings.features.max_features, tuning)
     return cost(kept.i, kept.j, keypoints, megapixels, tuning)
-
-
-def _sights(run: Run) -> Visibility | None:
-    """What each image sees of the coarse model, if there is one."""
-    path, model = run.path("coarse", "visibility.npz"), run.path("coarse", "model.npz")
-    if not path.exists():
-        return None
-    with reading(path):
-        return Visibility.from_npz(load_npz(path), load_npz(model)["cam_from_world"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from tiegraph.evaluate.accuracytable import accuracy_csv
 from tiegraph.evaluate.contradictions import Predicted
 from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.evaluate.survey import Products, evaluate_survey
@@ -11,7 +12,7 @@ from tiegraph.masks.compare import compare
 from tiegraph.pipeline.files import FINAL, checked, load_json, load_model, reading
 from tiegraph.pipeline.placed import world_origin
 from tiegraph.project.run import Run, save_json
-from tiegraph.project.stages import Outcome
+from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scene.cloudfile import read_cloud
 from tiegraph.scene.registered import registration
 from tiegraph.scene.results import Cloud
@@ -33,6 +34,8 @@ def evaluate(run: Run) -> Outcome:
     if settings.reference_masks is not None:
         result["tables"]["mask accuracy"] = _masks(run, scene, settings)
     save_json(run.path("metrics.json"), result)
+    tables = {**run.receipts.read("georef").get("tables", {}), **result["tables"]}
+    write_atomic(run.path("accuracy.csv"), accuracy_csv(result["metrics"], tables, world))
     shown = {m["name"]: m["value"] for m in result["metrics"] if m["value"] is not None}
     notes = tuple(n for n in result["notes"] if n.startswith("Reference"))  # what could be compared with what
     said = tuple(result["contradictions"])

@@ -22,7 +22,7 @@ from tiegraph.project.stages import write_atomic
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.depthfile import load_depth
 from tiegraph.scene.images import read_pixels
-from tiegraph.scene.matches import PreviewMatches
+from tiegraph.scene.matches import PreviewMatches, Visibility
 from tiegraph.scene.pairs import REASONS, Pairs
 from tiegraph.scene.results import DepthMap
 from tiegraph.scene.scene import Scene
@@ -103,6 +103,15 @@ def ties_of(run: Run, stage: str = "coarse") -> PreviewMatches:
     path = run.path(stage, "matches.npz")
     with reading(path):
         return PreviewMatches.from_npz(load_npz(path))
+
+
+def sights_of(run: Run) -> Visibility | None:
+    """What each image sees of the coarse model, if there is one."""
+    path, model = run.path("coarse", "visibility.npz"), run.path("coarse", "model.npz")
+    if not path.exists():
+        return None
+    with reading(path):
+        return Visibility.from_npz(load_npz(path), load_npz(model)["cam_from_world"])
 
 
 def save_npz(path: Path, **arrays: Any) -> None:

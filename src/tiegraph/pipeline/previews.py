@@ -124,12 +124,13 @@ def match_item(pair: tuple[int, int], folder: Path, settings: PreviewSettings, t
 
 
 def up_light(run: Run, scene: Scene) -> UpLight:
-    """What the up cameras show: by the way that ``network.sections`` names, else by the previews and the masks."""
+    """What the up cameras show: by the way that ``network.sections`` names, else by previews, masks and EXIF."""
     way = run.settings.network.sections
     papers.plug_in(papers.LIGHTS, way, LIGHTS)
     if way in LIGHTS:
         return LIGHTS[way](scene, run.path("images"), run.map)
-    return UpLight(*np.array(run.map(_light_of, list(scene.names), run.folder)).reshape(-1, 2).T)
+    grey, sky = np.array(run.map(_light_of, list(scene.names), run.folder)).reshape(-1, 2).T
+    return UpLight(grey, sky, scene.exposure)
 
 
 def _light_of(name: str, folder: Path) -> tuple[float, float]:

@@ -28,6 +28,7 @@ from tiegraph.project.receipts import Receipts
 from tiegraph.project.stages import Outcome, Stage
 from tiegraph.scene.atomic import JOURNAL
 
+OTHER_KEY = "its inputs or settings changed"
 _SHOWN = 3
 
 
@@ -67,7 +68,7 @@ class Artefacts:
         if not receipt:
             return "not run yet"
         if receipt.get("key", receipt.get("began")) != key:
-            return "its inputs or settings changed"
+            return OTHER_KEY
         if "key" not in receipt:
             return "was interrupted"
         anew = [need for need, made in self._made_from(stage).items() if receipt.get("from", {}).get(need) != made]

@@ -14,19 +14,21 @@ from pathlib import Path
 from typing import Any
 
 from tiegraph.child import end_helpers
-from tiegraph.errors import InputError, SettingsError, TiegraphError, UnreadableArtefact
+from tiegraph.errors import EngineMissing, InputError, SettingsError, TiegraphError, UnreadableArtefact
 from tiegraph.limits import explained
-from tiegraph.project.artefacts import Artefacts
+from tiegraph.project.artefacts import OTHER_KEY, Artefacts
 from tiegraph.project.folder import LOG, check_folder, check_inputs, working_in
 from tiegraph.project.pool import Place, check_pool, map_items, open_pool
 from tiegraph.project.progress import Elsewhere, Meter, Reporter
 from tiegraph.project.receipts import Receipts
 from tiegraph.project.software import software
-from tiegraph.project.stages import Stage, digest, engines, stage_keys, stamp, write_atomic
+from tiegraph.project.stages import Stage, changed_parts, digest, engines, key_parts, stage_keys, stamp, write_atomic
 from tiegraph.scene.images import searched
 from tiegraph.scene.regular import names_file
 
 log = logging.getLogger("tiegraph")
+
+_IMAGES = "the image folder"  # what the user calls it in messages; the other inputs are options
 
 
 @dataclass(frozen=True)
@@ -42,11 +44,21 @@ class Inputs:
 
     def key(self) -> str:
         """Hash over names, sizes and times of all inputs."""
+        of = self.parts()
+        files = [of[n] for n in ("--gnss", "--trajectory", "--times")]
+        return digest([of[_IMAGES][0], *of["--rig"], [of[_IMAGES][1], *files], *of["--camera"]])
+
+    def parts(self) -> dict[str, Any]:
+        """Names, sizes and times of each input, by what the user calls it; None for what is not given."""
         rig = stamp(Path(self.rig)) if self.rig and Path(self.rig).exists() else None
-        images = searched(self.images)
-        files = [stamp(p) if p else None for p in (images, self.gnss, self.trajectory, self.times)]
         camera = [self.camera, *(stamp(Path(self.camera)) if names_file(self.camera) else [])] if self.camera else []
-        return digest([str(self.images), self.rig, rig, files, *camera])
+        files = {"--gnss": self.gnss, "--trajectory": self.trajectory, "--times": self.times}
+        return {
+            _IMAGES: [str(self.images), stamp(searched(self.images))],
+            "--rig": [self.rig, rig],
+            "--camera": camera,
+            **{option: stamp(path) if path else None for option, path in files.items()},
+        }
 
     def given(self) -> dict[str, Path]:
         """What the user calls each input -> where it is."""
@@ -59,7 +71,7 @@ class Inputs:
             "--trajectory": self.trajectory,
             "--times": self.times,
         }
-        return {"the image folder": searched(self.images), **{n: p for n, p in files.items() if p is not None}}
+        return {_IMAGES: searched(self.images), **{n: p for n, p in files.items() if p is not None}}
 
     def check(self) -> None:
         """Raise InputError for an input that is not there."""
@@ -172,7 +184,7 @@ def run_stages(
                     artefacts.refuse(stage)
             while not _run_through(wanted, keys, run, artefacts, ran):
                 pass
-        except (InputError, SettingsError):
+        except (InputError, SettingsError, EngineMissing):
             if not ran:
                 take_back()
             raise
@@ -240,6 +252,7 @@ def _run_one(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:
         log.warning("stage %s: %s", stage.name, text)
     run.reporter.event("started", stage=stage.name)
     log.info("stage %s started", stage.name)
+    parts = key_parts(stage, run.settings, {} if stage.needs else run.inputs.parts())
     start, meter = time.perf_counter(), Meter(elsewhere=run.elsewhere)
     try:
         with run.reporter.stage(stage.name):
@@ -261,6 +274,7 @@ def _run_one(stage: Stage, key: str, run: Run, artefacts: Artefacts) -> None:
     tunings = {engine: getattr(run.settings.tuning, engine) for engine in engines(stage, run.settings)}
     changed = {engine: t.model_dump(mode="json", exclude_defaults=True) for engine, t in tunings.items()}
     more = {
+        "key_parts": parts,
         "settings": section,
         "tuning": {engine: values for engine, values in changed.items() if values},
         "seconds": seconds,
@@ -304,12 +318,22 @@ def status(stages: Sequence[Stage], run: Run) -> list[tuple[str, str, dict]]:
     rows = []
     for stage in stages:
         why = artefacts.why(stage, keys[stage.name])
-        if not why and stale & set(stage.needs):
-            why = f"{sorted(stale & set(stage.needs))[0]} is out of date"
+        others = next((f"{need} is out of date" for need in sorted(stale & set(stage.needs))), "")
+        if why == OTHER_KEY:
+            why = _what_changed(stage, run, artefacts.receipts.read(stage.name).get("key_parts", {})) or others or why
+        why = why or others
         if why:
             stale.add(stage.name)
         rows.append((stage.name, why, artefacts.receipts.read(stage.name)))
     return rows
+
+
+def _what_changed(stage: Stage, run: Run, before: dict[str, str]) -> str:
+    """Which inputs and settings of its own a stage was made with otherwise; "" for none, or if that was not noted."""
+    given = run.inputs.given()
+    changed = changed_parts(before, key_parts(stage, run.settings, {} if stage.needs else run.inputs.parts()))
+    named = ", ".join(f"{n} {given[n]}" if n in given else n for n in changed)
+    return f"changed: {named}" if before and changed else ""
 
 
 def _short(value: Any) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +45,8 @@ else:
 
 _SHOWN = 80  # characters of a wrong value in a message
 RUN_KEYS = ("images", "rig", "camera", "gnss", "trajectory", "times", "preset")  # of [run]: the inputs of a run
+SETTING_OF = {"gcp": ("georef", "gcp"), "marks": ("georef", "marks")}
+"""Inputs that are settings of a stage, so that only what follows it runs again when they change."""
 
 
 class Tunings(Section):
@@ -174,6 +177,25 @@ def _remedy(name: str) -> str:
         return f"it is the setting {key} of [{section}]"
     near = difflib.get_close_matches(name, RUN_KEYS, n=1)
     return f"perhaps you meant {near[0]!r}?" if near else f"known are {', '.join(RUN_KEYS)}"
+
+
+def without(stored: dict[str, Any], keys: Iterable[str]) -> dict[str, Any]:
+    """The tables of a tiegraph.toml without some values, which may not be there: inputs ("gnss") and settings
+    ("masks.folder"). Raises SettingsError for a name that is neither."""
+    settings = {f"{section}.{name}": (section, name) for section, fields in sections() for name in fields}
+    places = {**{n: ("run", n) for n in RUN_KEYS[1:]}, **SETTING_OF, **settings}
+    out = {section: dict(values) if isinstance(values, dict) else values for section, values in stored.items()}
+    for key in keys:
+        name = key.replace("-", "_")
+        if name not in places:
+            near = difflib.get_close_matches(name, list(places), n=1)
+            hint = f"; perhaps you meant {near[0]!r}?" if near else ""
+            inputs = ", ".join(n for n in places if n not in settings)
+            raise SettingsError(f"--unset {key}: neither one of {inputs} nor a setting such as masks.folder{hint}")
+        section, entry = places[name]
+        if isinstance(out.get(section), dict):
+            out[section].pop(entry, None)
+    return out
 
 
 def sections() -> list[tuple[str, dict[str, Any]]]:

@@ -1,7 +1,8 @@
 """A stage turns artefacts into artefacts. Knows no photogrammetry.
 
 A stage's key is a hash over its name, its code version, its settings (files they name included) and the keys of what it
-needs: what it will be made from, before anything is made.
+needs: what it will be made from, before anything is made. Its parts stand in the receipt one by one, so that ``status``
+can name what changed.
 """
 
 from __future__ import annotations
@@ -75,6 +76,23 @@ def settings_key(section: Any) -> Any:
     values = section.model_dump(mode="json")
     files = {n: stamp(v) for n in type(section).model_fields if isinstance(v := getattr(section, n), Path)}
     return {"values": values, "files": files}
+
+
+def key_parts(stage: Stage, settings: Any, sources: Mapping[str, Any]) -> dict[str, str]:
+    """What a stage's key counts beside the keys of what it needs: name -> digest. ``sources``: what counts of each
+    input of the run, by what the user calls it; it counts for the stages that need no other."""
+    parts: dict[str, Any] = {} if stage.needs else dict(sources)
+    for name in (stage.name, *stage.uses):
+        key = settings_key(getattr(settings, name))
+        parts.update({f"{name}.{n}": [value, key["files"].get(n)] for n, value in key["values"].items()})
+    for engine in engines(stage, settings):
+        parts[f"tuning.{engine}"] = settings_key(getattr(settings.tuning, engine))
+    return {"version of tiegraph": digest(stage.version), **{name: digest(part) for name, part in parts.items()}}
+
+
+def changed_parts(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
+    """Names of the parts that differ, are gone or are new."""
+    return [name for name in {**now, **before} if before.get(name) != now.get(name)]
 
 
 def write_atomic(path: Path, data: bytes | str) -> None:

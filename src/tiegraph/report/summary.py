@@ -120,7 +120,8 @@ def _world_sentence(run: RunFolder) -> str:
     shift = world.get("shift_m") or [0, 0, 0]
     if any(shift):
         east, north, up = (f"{v:.0f}" for v in shift)
-        text += f" To keep numbers short, world coordinates are CRS coordinates minus ({east}, {north}, {up}) m."
+        text += " The files of the cloud are in its coordinates; those of the model, to keep numbers short, in these "
+        text += f"minus ({east}, {north}, {up}) m."
     return text
 
 

@@ -282,6 +282,7 @@ def _scene(
         report.notes.append(
             f"{named.renamed} images renamed (blanks, #, long names or formats that COLMAP does not take)"
         )
+    exposure = np.array([e.exposure for e in named.exif], float)
     return Scene(
         rigs=rigs,
         names=named.names,
@@ -301,6 +302,7 @@ def _scene(
         notes=(*report.notes, *priors.notes),
         guessed=sequences if survey.guessed and not inputs.tells_order() else (),
         sources=() if named.names == sources else sources,
+        exposure=exposure if np.isfinite(exposure).any() else None,
     )
 
 

@@ -15,6 +15,7 @@ NAN = float("nan")
 _EXIF_IFD, _GPS_IFD = 0x8769, 0x8825
 _MAKE, _MODEL, _ORIENTATION, _DATE_TIME = 0x010F, 0x0110, 0x0112, 0x0132
 _TIME_ORIGINAL, _SUBSEC_ORIGINAL, _OFFSET_ORIGINAL = 0x9003, 0x9291, 0x9011
+_EXPOSURE_S, _F_NUMBER, _ISO = 0x829A, 0x829D, 0x8827
 _FOCAL_MM, _FOCAL_35MM, _LENS = 0x920A, 0xA405, 0xA434
 _PLANE_X, _PLANE_UNIT, _EXIF_WIDTH, _EXIF_HEIGHT = 0xA20E, 0xA210, 0xA002, 0xA003
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
@@ -37,6 +38,7 @@ class Exif:
     model: str = ""
     lens: str = ""
     focal_mm: float = NAN
+    exposure: float = NAN  # time in s x ISO / (f-number squared); a fixed aperture or ISO may be left away
     rig: RigTags = RigTags()
     doubt: str = ""  # what is wrong with the position as written; it is used where lat_deg is finite all the same
 
@@ -65,6 +67,7 @@ def read_exif(image: Any, focal_range: tuple[float, float]) -> Exif:
         model=_text(base.get(_MODEL)),
         lens=_text(detail.get(_LENS)),
         focal_mm=_positive(detail.get(_FOCAL_MM)),
+        exposure=_exposure(detail),
         rig=read_rig_tags(image),
         doubt=doubt,
     )
@@ -100,6 +103,12 @@ def _focal(detail: dict, size: tuple[int, int], range_: tuple[float, float]) -> 
     # The density counts the pixels the camera took; the image may have been made smaller since.
     focal = mm * density / unit_mm * (longer / written if written == written else 1.0)
     return focal if _believable(focal, longer, range_) else NAN
+
+
+def _exposure(detail: dict) -> float:
+    iso = detail.get(_ISO, 1)
+    sensitivity = _positive(iso[0] if isinstance(iso, tuple) and iso else iso)
+    return _positive(detail.get(_EXPOSURE_S)) * sensitivity / _positive(detail.get(_F_NUMBER, 1)) ** 2
 
 
 def _believable(focal_px: float, longer_px: int, range_: tuple[float, float]) -> bool:

@@ -9,7 +9,7 @@ import pycolmap
 
 from tiegraph.geometry import transforms
 
-ROLES = ("side", "up", "wide")
+ROLES = ("side", "up")
 
 
 @dataclass(frozen=True)

@@ -58,10 +58,13 @@ class Scene:
     notes: tuple[str, ...] = ()  # what was guessed or found odd, for people
     guessed: tuple[str, ...] = ()  # passes whose order only names or times suggest: the network asks the images
     sources: tuple[str, ...] = ()  # N file names below the user's folder where they differ from names, else empty
+    exposure: np.ndarray | None = None  # (N,) f8: time in s x ISO / (f-number squared) by EXIF, NaN = unknown
 
     def __post_init__(self) -> None:
         for name, dtype in _COLUMNS.items():
             object.__setattr__(self, name, _frozen(getattr(self, name), dtype))
+        if self.exposure is not None:
+            object.__setattr__(self, "exposure", _frozen(self.exposure, np.float64))
 
     def __len__(self) -> int:
         return len(self.names)
@@ -148,8 +151,10 @@ class Scene:
     def only(self, images: np.ndarray) -> Scene:
         """A scene of some images (K,), increasing, and their frames; rigs and passes keep their numbers."""
         frames, frame = np.unique(self.frame[images], return_inverse=True)
-        columns = {name: getattr(self, name)[frames] for name in _COLUMNS if name not in ("frame", "sensor")}
+        of_frames = (name for name in _COLUMNS if name not in ("frame", "sensor"))
+        columns: dict[str, Any] = {name: getattr(self, name)[frames] for name in of_frames}
         names, sources = (tuple(column[k] for k in images) if column else () for column in (self.names, self.sources))
+        columns["exposure"] = None if self.exposure is None else self.exposure[images]
         return replace(self, names=names, sources=sources, frame=frame, sensor=self.sensor[images], **columns)
 
     def to_json(self) -> str:
@@ -167,6 +172,8 @@ class Scene:
             "sources": list(self.sources),
             "guessed": list(self.guessed),
         }
+        if self.exposure is not None:
+            columns["exposure"] = _listed(self.exposure)
         return json.dumps({**head, **columns}, allow_nan=False)
 
     @staticmethod
@@ -175,7 +182,8 @@ class Scene:
         data = json.loads(text)
         for name in data["names"]:
             check_name(name)
-        columns = {name: np.array(data[name], dtype=float) for name in _COLUMNS}
+        columns: dict[str, Any] = {name: np.array(data[name], dtype=float) for name in _COLUMNS}
+        columns["exposure"] = np.array(data["exposure"], float) if "exposure" in data else None
         columns["world_from_rig"] = columns["world_from_rig"].reshape(-1, 4, 4)
         columns["position_sigma_m"] = columns["position_sigma_m"].reshape(-1, 3)
         return Scene(

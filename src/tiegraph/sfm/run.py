@@ -190,4 +190,10 @@ def _global(request: Request, working: Path, raw: Path) -> dict[int, pycolmap.Re
         min_model_size=request.tuning.mapping.min_model_images,
         mapper=mapper,
     )
-    return pycolmap.global_mapping(working, request.images or raw, raw, options)
+    level = pycolmap.logging.minloglevel
+    if request.images is None:  # it would warn of each image that it cannot colour points by: a hundred lines and more
+        pycolmap.logging.minloglevel = 2
+    try:
+        return pycolmap.global_mapping(working, request.images or raw, raw, options)
+    finally:
+        pycolmap.logging.minloglevel = level

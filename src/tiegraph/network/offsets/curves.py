@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import csv
+import io
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -110,6 +113,18 @@ def votes_of(
     if not total:
         votes = votes / np.maximum(np.bincount(at, minlength=len(offsets)), 1)
     return offsets.astype(np.int32), votes.astype(np.float32)
+
+
+def curves_csv(curves: Iterable[OffsetCurve]) -> str:
+    """CSV of the curves, an offset of two cameras a row."""
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(["pass1", "camera1", "pass2", "camera2", "direction", "offset", "votes", "best", "accepted"])
+    for c in curves:
+        head = [c.pass_a, c.sensor_a, c.pass_b, c.sensor_b, "back" if c.reversed else "same"]
+        for offset, votes in zip(c.offsets, c.votes):
+            table.writerow([*head, offset, f"{votes:.6g}", int(offset == c.best), int(c.accepted)])
+    return text.getvalue()
 
 
 def contained(pairs: Pairs, other: Pairs) -> np.ndarray:

@@ -1,0 +1,79 @@
+"""How good the bases of pairs are, by the coarse model: base, distance over base, and the sigma they may give.
+
+The normal case of stereo (Kraus, Photogrammetry): of n matches, each good to one pixel, the place of one image across
+the base is known from the other to distance / (focal length * sqrt(n)). It tells pairs apart; of a whole network, whose
+images tie in many ways, it says nothing.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from tiegraph.geometry.align import umeyama
+from tiegraph.scene.matches import Visibility
+from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.scene import Scene
+
+_CHUNK = 20_000  # pairs whose points are looked up at once: bounds the memory
+
+
+def with_bases(pairs: Pairs, scene: Scene, sights: Visibility) -> Pairs:
+    """The pairs with ``h_over_b`` where both images see points of the model, ``baseline_m`` and ``sigma_m`` (for
+    matches good to one pixel, as many as ``score``) where measured positions tell the model's scale too.
+
+    A base that is known by poses stays.
+    """
+    base = np.linalg.norm(sights.centre[pairs.i] - sights.centre[pairs.j], axis=1)
+    distance = _distances(pairs, sights)
+    metres = metres_per_unit(scene.measured(), sights.centre)
+    focal_px = _focal_px(scene)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = distance / base
+        sigma = metres * distance / (0.5 * (focal_px[pairs.i] + focal_px[pairs.j]) * np.sqrt(pairs.score))
+    return pairs.with_(
+        baseline_m=np.where(np.isnan(pairs.baseline_m), metres * base, pairs.baseline_m),
+        h_over_b=np.where(np.isfinite(ratio), ratio, np.nan),
+        sigma_m=np.where(np.isfinite(sigma), sigma, np.nan),
+    )
+
+
+def metres_per_unit(scene: Scene, centre: np.ndarray) -> float:
+    """Size of the model's unit by the frames' prior positions and its image centres (N, 3); NaN where fewer than three
+    frames have both, or their spread is no larger than the sigma of the positions."""
+    where = np.full((scene.frames, 3), np.nan)
+    for k in np.flatnonzero(np.isfinite(centre).all(axis=1))[::-1]:
+        where[scene.frame[k]] = centre[k]
+    prior = scene.world_from_rig[:, :3, 3]
+    both = np.isfinite(where).all(axis=1) & np.isfinite(prior).all(axis=1)
+    if both.sum() < 3:
+        return float("nan")
+    sigma = np.nan_to_num(scene.position_sigma_m[both])  # a trajectory has none
+    spread = np.sqrt(np.sum(np.var(prior[both], axis=0)))
+    if spread <= np.sqrt(np.mean(np.sum(sigma**2, axis=1))):
+        return float("nan")
+    return umeyama(where[both], prior[both]).scale
+
+
+def _distances(pairs: Pairs, sights: Visibility) -> np.ndarray:
+    """(P,) mean distance of the points that both images see, from either; NaN = none."""
+    images = len(sights.start) - 1
+    image = np.repeat(np.arange(images), np.diff(sights.start))
+    away = np.linalg.norm(sights.xyz[sights.point] - sights.centre[image], axis=1)
+    shape = (images, len(sights.xyz))
+    far = csr_array((away, sights.point, sights.start), shape=shape)
+    seen = csr_array((np.ones(len(image)), sights.point, sights.start), shape=shape)
+    out = np.full(len(pairs), np.nan)
+    for first in range(0, len(pairs), _CHUNK):
+        rows = slice(first, first + _CHUNK)
+        i, j = pairs.i[rows], pairs.j[rows]
+        count = seen[i].multiply(seen[j]).sum(axis=1)
+        total = far[i].multiply(seen[j]).sum(axis=1) + far[j].multiply(seen[i]).sum(axis=1)
+        out[rows] = np.where(count > 0, 0.5 * total / np.maximum(count, 1), np.nan)
+    return out
+
+
+def _focal_px(scene: Scene) -> np.ndarray:
+    """(N,) of each image's camera, NaN where there is none."""
+    own = [np.nan if s.camera is None else s.camera.mean_focal_length() for s in scene.all_sensors]
+    return np.array(own, float)[scene.sensor_key]

@@ -1,0 +1,47 @@
+"""`tiegraph network --coverage`: the candidate pairs and those that the design chose."""
+
+import json
+
+import numpy as np
+import pytest
+
+from boat_world import photos
+from tiegraph.cli import network
+from tiegraph.scene.pairs import Pairs
+
+RING, CHAIN = Pairs.make([0, 1, 2, 0], [1, 2, 3, 3], "file"), Pairs.make([0, 1, 2], [1, 2, 3], "file")
+
+
+@pytest.fixture
+def judged(tmp_path, monkeypatch, capsys):
+    """What --coverage says of candidate pairs and of chosen ones, and its exit code."""
+    asked = []
+    monkeypatch.setattr(network.run, "main_stage", lambda stage, arguments, *_: asked.append(stage))
+    (tmp_path / "tiegraph.toml").write_text("[run]\nimages = '.'\n")
+    (tmp_path / "scene.json").write_text(photos(4).to_json())
+
+    def say(candidates, chosen, *more):
+        for name, pairs in (("network", candidates), ("pairs", chosen)):
+            np.savez(tmp_path / f"{name}.npz", **pairs.to_npz())
+        code = network.main(["--coverage", str(tmp_path), *more])
+        assert asked[-1] == "design", "else the pairs that it chose may be those of another network"
+        return code, capsys.readouterr().out
+
+    return say
+
+
+def test_coverage_judges_the_chosen_pairs_too(judged):
+    code, said = judged(RING, RING)
+    assert code == 0 and said.count("no place hangs on a single link") == 2
+    code, said = judged(RING, CHAIN)
+    assert code == 1 and "candidate pairs: 4 pairs hold 4 images together" in said
+    assert "pairs that the design chose: 3 single links" in said
+    assert "weak links of the pairs that the design chose" in said and "weak links of the candidate" not in said
+
+
+def test_coverage_as_json(judged):
+    code, said = judged(RING, CHAIN, "--json")
+    told = json.loads(said)
+    assert code == 1 and told["sound"] is False and told["bridges"] == 0 and told["pairs"] == 4
+    assert told["chosen"]["sound"] is False and told["chosen"]["bridges"] == 3
+    assert len(told["chosen"]["weak_links"]["rows"]) == 5 and told["weak_links"]["rows"] == []
