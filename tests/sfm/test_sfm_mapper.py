@@ -177,3 +177,23 @@ def test_positions_put_the_incremental_model_into_the_world(tmp_path: Path) -> N
     assert result.mapper == "incremental" and result.tables["runs"]["rows"][0][2] == "positions"
     found = frame_poses(image_poses(result.load(), scene), scene)[:, :3, 3]
     assert 0.001 < np.median(np.linalg.norm(found - true, axis=1)) < 0.1
+
+
+def test_sections_mapped_apart_are_joined_and_adjusted_as_one(tmp_path: Path) -> None:
+    truth, scene = make_world(tmp_path / "database.db", frames=16)
+    late = scene.frame >= 8
+    pairs = [(i, j) for i in range(len(scene)) for j in range(i + 1, len(scene)) if late[i] != late[j]]
+    args = SparseSettings(), Tuning(), SceneTuning(), tmp_path / "log.txt"
+    whole = reconstruct(Source(tmp_path / "database.db", tmp_path), tmp_path / "whole", scene, *args)
+    apart = Source(tmp_path / "database.db", tmp_path, apart=tuple(pairs))
+    result = reconstruct(apart, tmp_path / "apart", scene, *args)
+    assert len(result.models) == 1 and result.counts["registered"] + result.counts["placed_by_rig"] == len(scene)
+    table = result.tables["sections mapped apart"]
+    first, second = (dict(zip(table["columns"], row)) for row in table["rows"])
+    assert first["images"] + second["images"] == len(scene) and first["joined"] == second["joined"] == "yes"
+    assert second["matches that agree"] > 1000 and second["held-out matches that agree %"] > 70
+    assert 0 < second["halves differ (units)"] < 0.2 and second["halves differ deg"] < 2
+    errors = [_centre_error(r, scene, truth) for r in (whole, result)]
+    assert 0 < errors[0] < 0.05 and 0 < errors[1] < 1.5 * errors[0] + 1e-4
+    assert any("2 sections were mapped apart, 2 of them joined" in note for note in result.remarks.notes)
+    assert not any("no verified pair" in note for note in result.remarks.notes)

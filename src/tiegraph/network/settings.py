@@ -73,5 +73,5 @@ class NetworkSettings(Section):
 
     sections: Literal["off", "link", "split", "meguro2025"] = "link"
     """Bridge and open sections by the light in the up camera: not cut (off), cut with ties kept between them (link),
-    mapped apart and put into one world by the matches between them (split), or cut apart by the brightness of its
+    mapped apart, joined by the matches between them and adjusted as one (split), or cut apart by the brightness of its
     pixels alone, without a match between them (meguro2025, paper 001)."""

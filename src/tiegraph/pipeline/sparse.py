@@ -21,7 +21,8 @@ def sparse(run: Run) -> Outcome:
     source = Source(
         run.path("database.db"),
         run.path("images"),
-        _not_mapped(run),
+        refused_pairs(run),
+        apart=_between_sections(run),
         preview=preview_poses(run.folder),
         run_map=run.map,
         on_progress=progress,
@@ -46,16 +47,14 @@ def sparse(run: Run) -> Outcome:
     )
 
 
-def _not_mapped(run: Run) -> tuple[tuple[int, int], ...]:
-    """Pairs (scene indices) that no mapper sees: the refused ones, and where sections are mapped apart
-    (``network.sections = split``) those that join them: in the end these bring the models into one world."""
-    refused = refused_pairs(run)
+def _between_sections(run: Run) -> tuple[tuple[int, int], ...]:
+    """Pairs (scene indices) that run between sections, where these are mapped apart (``network.sections = split``)."""
     if run.settings.network.sections != "split":
-        return refused
+        return ()
     scene, pairs = checked(run), pairs_of(run, "filter.npz")
     of_image = scene.section[scene.frame]
     across = of_image[pairs.i] != of_image[pairs.j]
-    return tuple(sorted({*refused, *zip(pairs.i[across].tolist(), pairs.j[across].tolist())}))
+    return tuple(sorted(zip(pairs.i[across].tolist(), pairs.j[across].tolist())))
 
 
 def preview_poses(folder: Path) -> np.ndarray | None:

@@ -34,6 +34,7 @@ from tiegraph.sfm.registrationreport import (
 )
 from tiegraph.sfm.rig.rig import DerivedRig, derive_rig, rig_modes, rig_table
 from tiegraph.sfm.rig.support import ties_of, unsupported_sensors
+from tiegraph.sfm.sectionwise import start_from_sections
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.rig import DeriveTuning
@@ -154,6 +155,8 @@ def _reconstruct(job: Job, modes: dict[int, str]) -> SparseResult:
             rigs = {**rigs, **derived}
             job = replace(job, scene=job.scene.with_(rigs=tuple(rigs.get(k, r) for k, r in enumerate(job.scene.rigs))))
             outcome = None
+    if outcome is None and job.source.apart:
+        job = start_from_sections(job, rigs, modes)
     if outcome is None:
         outcome = map_images(job, rigs, modes, "")
     used = "+".join(sorted({modes[k] for k in rigs})) or "absent"
@@ -240,6 +243,7 @@ def _account(job: Job, outcome: Outcome, rig: str, finished: FinishResult) -> Sp
         "cameras": camera_table(main, scene),
         "rig": rig_table(scene, main),
         **finished.tables,
+        **job.account.tables,
     }
     first = models[0]
     held = [k for k, mode in rig_modes(scene, job.settings.rig).items() if mode in ("fixed", "soft")]

@@ -44,6 +44,7 @@ class Source:
     images: Path | None
     refused: tuple[tuple[int, int], ...] = ()
     rough: bool = False
+    apart: tuple[tuple[int, int], ...] = ()  # pairs between sections that are mapped apart first (``sectionwise``)
     preview: np.ndarray | None = None  # (N, 4, 4) cam_from_world of the images in a rough model that is believed
     run_map: RunMap = serially  # for the blocks of a large survey
     on_progress: Progress = lambda registered, total: None  # counts images
@@ -55,6 +56,7 @@ class Account:
 
     runs: list[list] = field(default_factory=list)  # rows of the table of runs
     notes: list[str] = field(default_factory=list)
+    tables: dict[str, dict] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

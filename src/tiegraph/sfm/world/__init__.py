@@ -21,9 +21,9 @@ pyceres (one thread: Python's lock). The adjustment is kept only if every fifth 
 met as well as by the similarity, and the images fit no worse (``georeference_folders``). A model with a relaxed rig is
 not adjusted so, for what ties its cameras is not in that adjustment.
 
-**Several models** (``oneworld``, ``ties``): sections that were mapped apart, and parts that no tie joined for the
-mapper, come into the world of the largest by the matches between them, else by their own positions, and into one
-model (``scene.mergedmodel``); what neither places is named.
+**Several models** (``oneworld``): parts of a survey that no tie joined for the mapper come into the world of the
+largest by the matches between them, else by their own positions, and into one model (``scene.mergedmodel``); what
+neither places is named.
 
 **What residuals cannot show** is added: what all positions of a receiver share is taken to be one stated sigma
 (without control points), and a fit to few rows is freed of what it took of a slow error. A note says what holds the

@@ -13,8 +13,9 @@ from tiegraph.geometry.geodesy import Origin, vertical_note
 from tiegraph.scene.control import Control
 from tiegraph.scene.evidence import Statement, table
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.model import image_poses, sim3d
+from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.settings import GeorefSettings
+from tiegraph.sfm.tiedmodels import moved
 from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.world.accuracy import PlacementError
 from tiegraph.sfm.world.antenna import RIGHT_ANGLE_DEG
@@ -161,13 +162,6 @@ class Georeference:
     def apply(self, model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
         """A copy of the model in the world; the lengths of its rigs are scaled too."""
         return moved(model, self.world_from_model)
-
-
-def moved(model: pycolmap.Reconstruction, world_from_model: Similarity) -> pycolmap.Reconstruction:
-    """A copy of a model in the world; the lengths of its rigs are scaled too."""
-    out = pycolmap.Reconstruction(model)
-    out.transform(sim3d(world_from_model))
-    return out
 
 
 def georeference(

@@ -1,4 +1,4 @@
-"""All models of a survey in one world: sections mapped apart, parts that no tie joined for the mapper.
+"""All models of a survey in one world: parts that no tie joined for the mapper.
 
 What tells where a further model stands is tried in the order of trust. *Matches* between its images and those already
 in the world (``ties``): they need no positions, and a similarity that matches it did not know agree with is beyond
@@ -18,12 +18,13 @@ import pycolmap
 from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.mergedmodel import merged
 from tiegraph.scene.scene import Scene
+from tiegraph.sfm.tiedmodels import Joining, moved
+from tiegraph.sfm.ties import TieFit, TieTest, apart
 from tiegraph.sfm.tuning import Tuning
-from tiegraph.sfm.verified import ImageObservations, VerifiedMatches, image_observations
+from tiegraph.sfm.verified import VerifiedMatches
 from tiegraph.sfm.world.antenna import RIGHT_ANGLE_DEG
 from tiegraph.sfm.world.fixes import Measurements
-from tiegraph.sfm.world.georef import Georeference, moved
-from tiegraph.sfm.world.ties import TieFit, Ties, TieTest, apart, find_ties, fit_ties, tested
+from tiegraph.sfm.world.georef import Georeference
 from tiegraph.text import known_to
 
 COLUMNS = [
@@ -115,7 +116,7 @@ def one_world(
     first, world = place.whole(models[0], given)
     if len(models) == 1:
         return OneWorld(first, world)
-    joining = _Joining(scene, verified, tuning, models, {0: world})
+    joining = Joining(scene, verified, tuning.placement, models, {0: world})
     blind = replace(given, model_sigma=float("nan"), model_scale_sigma=float("nan"))
     alone = {k: place.similarity(models[k], blind) for k in range(1, len(models))}
     others: dict[int, Joined] = {}
@@ -146,69 +147,12 @@ def one_world(
     )
 
 
-class _Joining:
-    """The models in the world so far, and what ties the others to them."""
-
-    def __init__(
-        self,
-        scene: Scene,
-        verified: VerifiedMatches,
-        tuning: Tuning,
-        models: Sequence[pycolmap.Reconstruction],
-        world: dict[int, pycolmap.Reconstruction],
-    ) -> None:
-        self.world, self._scene, self._verified, self._tuning = dict(world), scene, verified, tuning
-        self._other = {k: self._seen(m) for k, m in enumerate(models) if k not in world}
-        self._ties: dict[int, list[Ties]] = {k: [] for k in self._other}
-        self.tests: dict[int, TieTest] = {}
-        for model in world.values():
-            self._tie(model)
-
-    def add(self, number: int, model: pycolmap.Reconstruction) -> None:
-        """One more is in the world."""
-        self.world[number] = model
-        del self._other[number], self._ties[number]
-        self._tie(model)
-
-    def strongest(self, numbers: Sequence[int]) -> tuple[int, TieFit, TieTest] | None:
-        """The model most matches join to the world, of those whose matches hold."""
-        found: tuple[int, TieFit, TieTest] | None = None
-        for number in numbers:
-            ties = _together(self._ties.get(number, []))
-            fit = fit_ties(ties, self._tuning.placement) if ties is not None else None
-            if ties is None or fit is None:
-                continue
-            self.tests[number] = test = tested(ties, fit, self._tuning.placement)
-            if test.holds(self._tuning.placement) and (found is None or test.ties > found[2].ties):
-                found = number, fit, test
-        return found
-
-    def _seen(self, model: pycolmap.Reconstruction) -> ImageObservations:
-        return image_observations(model, self._scene, self._tuning.placement.agreement)
-
-    def _tie(self, model: pycolmap.Reconstruction) -> None:
-        here = self._seen(model)
-        for number, seen in self._other.items():
-            ties = find_ties(here, seen, self._verified, self._tuning.placement)
-            self._ties[number] += [ties] if len(ties) else []
-
-
-def _together(ties: Sequence[Ties]) -> Ties | None:
-    if not ties:
-        return None
-    return Ties(
-        np.concatenate([t.images for t in ties]),
-        np.concatenate([t.xyz for t in ties], axis=1),
-        np.concatenate([t.centre for t in ties], axis=1),
-    )
-
-
 def _by_positions(
     number: int,
     model: pycolmap.Reconstruction,
     first: Georeference,
     own: Georeference,
-    joining: _Joining,
+    joining: Joining,
     tuning: Tuning,
 ) -> Joined:
     """What its positions make of a model that no match joins."""
