@@ -17,10 +17,11 @@ from tiegraph.scan.times import FrameRow, absent, frame_by_image, plain_name
 from tiegraph.scan.tuning import PositionsTuning
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.gnss import Gnss, at_times, far_rows, on_clock_of, stuck_note, without_far
-from tiegraph.scene.gpstime import DAY_S
+from tiegraph.scene.gpstime import DAY_S, GPS_EPOCH_S
 from tiegraph.scene.rig import Rig
 
 _NAMED = 3  # frames without a position that are named
+_ZONE_H = 14  # the farthest time zone from UTC
 _CLOCKS = ((1e-3, "ms"), (1e-6, "us"), (1e-9, "ns"))
 
 
@@ -165,6 +166,12 @@ def _clock(gnss: Gnss, time_s: np.ndarray) -> str:
     for factor, unit in _CLOCKS:
         if gnss.time_s[0] * factor <= last and gnss.time_s[-1] * factor >= first and gnss.time_s[-1] > last:
             return f"; its times look like {unit}: give seconds, or name the column time ({unit})"
+    if gnss.time_s[0] + GPS_EPOCH_S <= last and gnss.time_s[-1] + GPS_EPOCH_S >= first:
+        return "; its times look like seconds since 1980 (GPS): name the column gps_seconds"
+    hours = round(4 * (np.median(gnss.time_s) - (first + last) / 2) / 3600) / 4  # zones are quarters of an hour apart
+    there = gnss.time_s[0] - 3600 * hours <= last and gnss.time_s[-1] - 3600 * hours >= first
+    if there and 0 < abs(hours) <= _ZONE_H:
+        return f"; {hours:+g} h would bring the frames' there: were the cameras' clocks in local time?"
     return ""
 
 
