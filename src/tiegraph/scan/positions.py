@@ -35,6 +35,7 @@ class Frames:
     exif: tuple[Exif, ...]
     rigs: tuple[Rig, ...]
     specs: tuple[RigSpec | None, ...]  # rig file or preset of each rig
+    sensors: tuple[int, ...] = ()  # of its rig, of each image
 
     def sequence(self) -> np.ndarray:
         """(F,) pass of each frame."""
