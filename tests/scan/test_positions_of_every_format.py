@@ -204,3 +204,42 @@ def test_an_mrk_of_two_flights_is_refused(tmp_path: Path) -> None:
         InputError, match="a.MRK, line 1: image 1 may be one/DJI_0001.JPG or two/DJI_0001.JPG: give the"
     ):
         scan(images, ScanSettings(layout="loose"), gnss=tmp_path / "a.MRK")
+
+
+# --- DJI's XMP ------------------------------------------------------------------------------------------------------
+
+
+def rtk_picture(path: Path, k: int, flag: int = 50, sigma: float = 0.012, element: bool = False) -> None:
+    """A JPEG of a drone with RTK: EXIF rounded to a metre, XMP exact."""
+    lat, lon = 35.69 + 1e-5 * k, 139.77
+    tags = {"GpsLatitude": f"+{lat:.9f}", "GpsLongitude": f"+{lon:.9f}", "AbsoluteAltitude": "+61.250", "RtkFlag": flag,
+            "RtkStdLon": sigma, "RtkStdLat": sigma / 2, "RtkStdHgt": 2 * sigma}  # fmt: skip
+    attributes = "" if element else " ".join(f'drone-dji:{n}="{v}"' for n, v in tags.items())
+    elements = "".join(f"<drone-dji:{n}>{v}</drone-dji:{n}>" for n, v in tags.items()) if element else ""
+    xmp = (
+        '<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF>'
+        '<rdf:Description xmlns:drone-dji="http://www.dji.com/drone-dji/1.0/" '
+        f"{attributes}>{elements}</rdf:Description></rdf:RDF></x:xmpmeta>"
+    )
+    picture(path, exif=exif_of(make="DJI", lat=round(lat, 4), lon=lon, alt=60.0))
+    body = b"http://ns.adobe.com/xap/1.0/\0" + xmp.encode()
+    raw = path.read_bytes()
+    path.write_bytes(raw[:2] + b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body + raw[2:])
+
+
+@pytest.mark.parametrize("element", [False, True])
+def test_positions_of_a_drone_with_rtk(tmp_path: Path, element: bool) -> None:
+    for k in range(4):
+        rtk_picture(tmp_path / f"DJI_{k:04d}.JPG", k, element=element)
+    scene = scan(tmp_path)
+    assert scene.prior == "exif"
+    assert np.diff(scene.world_from_rig[:, 1, 3]) == pytest.approx([1.109] * 3, abs=0.002)
+    np.testing.assert_allclose(scene.position_sigma_m, [[0.012, 0.012, 0.024]] * 4)
+
+
+def test_positions_of_a_drone_without_a_fix_are_those_of_exif(tmp_path: Path) -> None:
+    for k in range(4):
+        rtk_picture(tmp_path / f"DJI_{k:04d}.JPG", 100 * k, flag=0 if k % 2 else 16, sigma=0.012 if k % 2 else 1e5)
+    scene = scan(tmp_path)
+    assert np.all(scene.position_sigma_m[:, 0] == ScanSettings().gnss_sigma_m)
+    assert scene.world_from_rig[0, 2, 3] + scene.origin.shift_m[2] == pytest.approx(60.0)  # type: ignore[union-attr]

@@ -500,6 +500,16 @@ def test_sbet(tmp_path: Path) -> None:
     same_times(on_clock_of(found, np.array([NOON, NOON + 9])))
 
 
+def test_sbet_has_more_records_than_are_needed(tmp_path: Path) -> None:
+    rows = np.zeros((1001, 17))
+    rows[:, 0] = SECOND + np.arange(1001) / 200
+    rows[:, 1:4] = [*np.radians(LLH[0, :2]), 40.0]
+    rows[:, 1] += 1e-9 * np.arange(1001)
+    found = read(tmp_path, rows.astype("<f8").tobytes())
+    np.testing.assert_allclose(found.time_s, SECOND + np.arange(101) / 20, atol=1e-9)
+    assert found.line[:3] == (1, 11, 21) and any("one in 10 is used" in n for n in found.notes)
+
+
 def test_sbet_that_is_cut_off(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="positions.txt: 539 bytes are no whole records of 136 bytes: .* cut off"):
         read(tmp_path, sbet()[:-5])

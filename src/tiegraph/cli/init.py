@@ -65,7 +65,9 @@ def hints(scene: Scene) -> list[str]:
     if len(scene.all_sensors) == 1:
         lines.append(f"  --camera: the camera's calibration, if you have one; {WORDS}")
     if scene.prior == "none":
-        lines.append("  --gnss FILE: positions; columns time or image, lat, lon, height, if known sigma_h, sigma_v")
+        lines.append(
+            "  --gnss FILE: positions; a CSV (time or image, lat, lon, height, sigma_h, sigma_v), NMEA, .pos, GPX ..."
+        )
     return [*lines, f"  --gcp FILE: control points; {FORMS}"]
 
 

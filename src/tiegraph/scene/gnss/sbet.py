@@ -16,6 +16,7 @@ from tiegraph.scene.gpstime import WEEK_S
 
 _FIELDS = 17
 _RECORD = 8 * _FIELDS
+_ENOUGH_S = 0.05  # between rows: what carries a camera leaves a straight line by millimetres in that time
 _STEP_S = 10.0  # between two records, at most; they are written some 200 times a second
 
 
@@ -47,15 +48,20 @@ def read_sbet(path: Path, raw: bytes) -> Fixes:
             f"{path}: {len(raw)} bytes are no whole records of {_RECORD} bytes: the SBET file is cut off; copy it again"
         )
     records = _records(raw).astype(float)
+    step = float(np.median(np.diff(records[:, 0]))) if len(records) > 1 else _ENOUGH_S
+    every = max(1, round(_ENOUGH_S / step)) if step > 0 else 1
+    line = range(1, len(records) + 1, every)
+    records = records[::every]
     llh = records[:, 1:4].copy()
     llh[:, :2] = np.degrees(llh[:, :2])
+    thinned = f"; of its records one in {every} is used" if every > 1 else ""
     notes = [
         f"{path.name}: an SBET file has seconds of the GPS week and no week: that of the frames' times (UTC) is taken; "
-        "its angles are not used"
+        f"its angles are not used{thinned}"
     ]
     return Fixes(
         path=path,
-        line=range(1, len(records) + 1),
+        line=line,
         lat_lon_height=llh,
         time_s=records[:, 0],
         notes=notes,
