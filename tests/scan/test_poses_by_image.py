@@ -155,6 +155,13 @@ def test_poses_of_other_images_are_refused(tmp_path: Path) -> None:
         scan(images, trajectory=tmp_path / "t.json")
 
 
+def test_the_folder_above_a_model_says_where_it_is(tmp_path: Path) -> None:
+    images = papers_rig(tmp_path / "in", ("up",), 1, 3)
+    shutil.copytree(CANAL / "truth" / "colmap", tmp_path / "sparse" / "0")
+    with pytest.raises(InputError, match=r"--trajectory .*/sparse: no poses in it; .*/sparse/0 has some: give that"):
+        scan(images, trajectory=tmp_path / "sparse")
+
+
 @pytest.mark.parametrize("cut", [10, 400, 3000])
 def test_a_damaged_model_is_a_named_error(tmp_path: Path, cut: int) -> None:
     shutil.copytree(CANAL / "truth" / "colmap", tmp_path / "model")

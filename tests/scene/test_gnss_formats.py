@@ -423,6 +423,10 @@ def test_kml_points_named_as_images(tmp_path: Path) -> None:
             r"no gx:Track .* \(4 points without",
         ),
         (kml("<LineString><coordinates>1,2,3</coordinates></LineString>"), "no gx:Track"),
+        (
+            kml(f"<gx:Track><altitudeMode>relativeToGround</altitudeMode>{WHENS}{COORDS}</gx:Track>"),
+            "line 3: .* the ground",
+        ),
         (b"PK\x03\x04\x14\x00\x00\x00doc.kml\x00", "a packed KMZ: unpack it"),
     ],
 )

@@ -63,6 +63,9 @@ def trajectory_files(path: Path, sequences: Sequence[str]) -> dict[int, Path]:
     found = {k: f for k, name in enumerate(sequences) if (f := _for_pass(name, files)) is not None}
     if not found:
         there = ", ".join(f.name for f in files) or "none ends in .tum, .txt, .csv"
+        inside = next((f for f in every if has_named_poses(f)), None)
+        if inside is not None and not files:
+            raise InputError(f"--trajectory {path}: no poses in it; {inside} has some: give that")
         raise InputError(
             f"--trajectory {path}: none of its files ({there}) "
             f"has the name of a pass in its own ({', '.join(sequences) or 'there is no pass'}), as in vo_up.tum"

@@ -143,10 +143,7 @@ def _four_digits(day: str) -> str:
 
 
 def _sum(body: bytes) -> int:
-    total = 0
-    for byte in body:
-        total ^= byte
-    return total
+    return int(np.bitwise_xor.reduce(np.frombuffer(body, np.uint8)))
 
 
 def _said(path: Path, log: _Log) -> list[str]:

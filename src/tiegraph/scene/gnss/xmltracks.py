@@ -90,11 +90,17 @@ def read_gpx(path: Path, raw: bytes) -> Fixes:
 def read_kml(path: Path, raw: bytes) -> Fixes:
     """Rows of gx:Track (when, coord), or placemarks of points that are named as images or have a TimeStamp.
 
-    Raises InputError for damaged XML, a KMZ, a track of other times than places, and for nothing of the kind.
+    Raises InputError for damaged XML, a KMZ, heights above the ground, a track of other times than places, and nothing of the kind.
     """
     if _is_kmz(raw):
         raise InputError(f"{path}: a packed KMZ: unpack it (it is a ZIP archive) and give the KML file in it")
     root = _parsed(path, raw)
+    for mode in root.all("altitudeMode"):
+        if mode.text.strip() == "relativeToGround":
+            raise InputError(
+                f"{path}, line {mode.line}: heights above the ground (relativeToGround) place nothing: export absolute "
+                "altitudes"
+            )
     whens, places = [], []
     for track in root.all("Track"):
         mine = [c for c in track.children if c.name == "when"], [c for c in track.children if c.name == "coord"]
