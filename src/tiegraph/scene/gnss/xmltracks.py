@@ -90,7 +90,8 @@ def read_gpx(path: Path, raw: bytes) -> Fixes:
 def read_kml(path: Path, raw: bytes) -> Fixes:
     """Rows of gx:Track (when, coord), or placemarks of points that are named as images or have a TimeStamp.
 
-    Raises InputError for damaged XML, a KMZ, heights above the ground, a track of other times than places, and nothing of the kind.
+    Raises InputError for damaged XML, a KMZ, heights above the ground, a track of other times than places, and for
+    nothing of the kind.
     """
     if _is_kmz(raw):
         raise InputError(f"{path}: a packed KMZ: unpack it (it is a ZIP archive) and give the KML file in it")
