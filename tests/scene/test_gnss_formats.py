@@ -183,6 +183,13 @@ def test_nmea_over_midnight(tmp_path: Path) -> None:
         np.testing.assert_allclose(found.time_s, NOON - 43202 + np.arange(COUNT))
 
 
+def test_nmea_that_pauses_for_more_than_half_a_day(tmp_path: Path) -> None:
+    """The first row after the pause stands before its own date."""
+    rows = [gga(0, "080000.00"), rmc("080000.00", "300424"), gga(1, "210000.00"), rmc("210000.00"), gga(2, "210001.00")]
+    found = read(tmp_path, "".join(rows))
+    np.testing.assert_allclose(found.time_s, NOON + 3600 * np.array([-28, 9, 9 + 1 / 3600]))
+
+
 def test_nmea_south_and_west(tmp_path: Path) -> None:
     body = "GPGGA,120000,3351.5000,S,15112.6000,W,1,8,1.0,10.0,M,-20.5,M,,"
     found = read(tmp_path, rmc() + sentence(body))

@@ -62,7 +62,7 @@ class Table:
         """(R,) numbers of a column, NaN where there is none. Raises InputError for decimal commas."""
         if column is None:
             return np.full(len(self.rows), np.nan)
-        out = np.array([_number(self.cell(k, column)) for k in range(len(self.rows))], float)
+        out = np.array([number(self.cell(k, column)) for k in range(len(self.rows))], float)
         for k in np.flatnonzero(np.isnan(out)).tolist():
             if _DECIMAL_COMMA.fullmatch(self.cell(k, column)):
                 raise InputError(
@@ -201,9 +201,9 @@ def _joined_date(cells: tuple[str, ...], columns: int) -> tuple[str, ...]:
 
 def parse_time(text: str) -> float:
     """Seconds of a number, an ISO 8601 time (without zone: taken as UTC) or hh:mm:ss; NaN if it is none of them."""
-    number = _number(text)
-    if number == number:
-        return number
+    seconds = number(text)
+    if seconds == seconds:
+        return seconds
     clock = re.fullmatch(r"(\d{1,2}):([0-5]\d):([0-5]\d(?:\.\d+)?)Z?", text.strip())
     if clock:
         return int(clock[1]) * 3600 + int(clock[2]) * 60 + float(clock[3])
@@ -272,7 +272,8 @@ def _column(text: str) -> str:
     return re.sub(r"[^a-z0-9]+", "_", text).strip("_")
 
 
-def _number(text: str) -> float:
+def number(text: str) -> float:
+    """The number that a cell is, NaN if it is none."""
     try:
         return float(text)
     except ValueError:

@@ -11,7 +11,7 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import crs_transformer
 from tiegraph.scene.gcp import parse_crs_line
 from tiegraph.scene.gnss.fixes import Fixes
-from tiegraph.scene.table import decoded, text_lines
+from tiegraph.scene.table import decoded, number, text_lines
 
 _CRS = re.compile(r"(?i)EPSG:\d+(?:\+\d+)?$|\+(?:proj|init)=|WGS\s*84\s*UTM\s*\d+\s*[NS]$")
 _GCP = re.compile(r"[-+.\d]+(?:\s+[-+.\d]+){4}\s+\S+")
@@ -68,17 +68,10 @@ def _row(path: Path, n: int, line: str) -> tuple[str, list[float]]:
         raise InputError(f"{path}, line {n}: x y z px py image, as in a gcp_list.txt: give control points by --gcp")
     name, *cells = line.split()
     place, sigmas = cells[:3], cells[6:8] if len(cells) >= 8 else []
-    numbers = [_number(c) for c in (*place, *sigmas)]
+    numbers = [number(c) for c in (*place, *sigmas)]
     bad = next((c for c, v in zip((*place, *sigmas), numbers) if v != v), None)
     if len(place) < 2 or bad is not None:
         what = f"{bad!r} is no number" if bad is not None else f"{line!r:.80} has no x and y"
         raise InputError(f"{path}, line {n}: {what}; expected image x y z [yaw pitch roll] [sigma_h sigma_v]")
     nan = float("nan")
     return name, [*[*numbers[: len(place)], nan][:3], *(numbers[3:] or [nan, nan])]
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return float("nan")

@@ -17,6 +17,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.scene.gnss.fixes import Fixes, above_ellipsoid
 from tiegraph.scene.gpstime import DAY_S
+from tiegraph.scene.table import number
 
 _TOLD = re.compile(rb"(?m)^[^<\r\n]{0,64}\$[A-Z]{2}(?:GGA|RMC|ZDA|GST|GNS|GLL|GSA|GSV|VTG),")
 _SENTENCE = re.compile(rb"\$([A-Z]{2}(GGA|RMC|ZDA|GST),[^$*]*)(\*[0-9A-Fa-f]{2})?\s*$")
@@ -43,7 +44,7 @@ class _Log:
         self.rows.append((line, cells))
 
     def gst(self, cells: list[str]) -> None:
-        north, east, up = (_number(c) for c in cells[6:9])
+        north, east, up = (number(c) for c in cells[6:9])
         row = self._row_at.pop(cells[1], None)
         if row is None:
             self._sigma_at[cells[1]] = [east, north, up]
@@ -90,7 +91,7 @@ def read_nmea(path: Path, raw: bytes) -> Fixes:
             f"{path}, line {log.rows[odd][0]}: {','.join(cells[odd])}: heights in other units than metres (M)"
         )
     fixed = np.array([c[6] not in ("", "0") for c in cells])
-    above_sea, undulation = (np.array([_number(c[k]) for c in cells]) for k in (9, 11))
+    above_sea, undulation = (np.array([number(c[k]) for c in cells]) for k in (9, 11))
     height, said = above_ellipsoid(path, above_sea, undulation)
     places = np.array([[_angle(c[2], c[3]), _angle(c[4], c[5])] for c in cells])
     llh = np.column_stack([places, height])
@@ -160,11 +161,14 @@ def _said(path: Path, log: _Log) -> list[str]:
 
 
 def _days(log: _Log, seconds: np.ndarray) -> np.ndarray:
-    """(R,) start of the day of each row: of the date before it (of the first, also after it), the nearest way round."""
-    starts = np.array([row for row, _, _ in log.dates])
-    which = np.maximum(np.searchsorted(starts, np.arange(len(seconds)), side="right") - 1, 0)
-    second, day = (np.array([d[k] for d in log.dates])[which] for k in (1, 2))
-    return day + DAY_S * np.round((second - np.nan_to_num(seconds)) / DAY_S)
+    """(R,) start of the day of each row: by the date before or after it, the one whose time of day is nearer."""
+    starts, second, day = np.array(log.dates).T
+    clock = np.nan_to_num(seconds)
+    after = np.searchsorted(starts, np.arange(len(seconds)), side="right")
+    before, after = np.maximum(after - 1, 0), np.minimum(after, len(starts) - 1)
+    off = [np.abs((second[k] - clock + DAY_S / 2) % DAY_S - DAY_S / 2) for k in (before, after)]
+    which = np.where(off[1] < off[0], after, before)
+    return day[which] + DAY_S * np.round((second[which] - clock) / DAY_S)
 
 
 def _past_midnight(seconds: np.ndarray) -> np.ndarray:
@@ -192,10 +196,3 @@ def _second(text: str) -> float:
     """Second of the day of hhmmss.ss."""
     found = re.fullmatch(r"(\d\d)(\d\d)(\d\d(?:\.\d*)?)", text)
     return int(found[1]) * 3600 + int(found[2]) * 60 + float(found[3]) if found else _NAN
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return _NAN

@@ -17,7 +17,7 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import enu_axes, geodetic_from_ecef
 from tiegraph.scene.gnss.fixes import Fixes
 from tiegraph.scene.gpstime import GPS_EPOCH_S, WEEK_S, check_week, utc_from_gps
-from tiegraph.scene.table import decoded, parse_time, text_lines
+from tiegraph.scene.table import decoded, number, parse_time, text_lines
 from tiegraph.scene.timecolumns import gps_note
 
 _HEADER = re.compile(r"%[ \t]*(GPST|UTC|JST)\b[ \t,;]+(latitude|x-ecef|e-baseline)")
@@ -120,14 +120,14 @@ def _heights(path: Path, comments: list[tuple[int, str]]) -> list[str]:
 def _numbers(cells: list[str], header: _Header) -> list[float]:
     if not cells:
         return [float("nan")] * len(header.columns)
-    values = [_number(c) for c in cells]
+    values = [number(c) for c in cells]
     if not header.sexagesimal:
         return values
     return [_degrees(cells[:3]), _degrees(cells[3:6]), *values[6:]]
 
 
 def _degrees(cells: list[str]) -> float:
-    degrees, minutes, seconds = (_number(c) for c in cells)
+    degrees, minutes, seconds = (number(c) for c in cells)
     size = abs(degrees) + minutes / 60 + seconds / 3600
     return -size if cells[0].startswith("-") else size
 
@@ -163,7 +163,7 @@ def _time(path: Path, n: int, cells: list[str]) -> float:
         return float("nan")
     if "/" in cells[0] or "-" in cells[0]:
         return parse_time(f"{cells[0]} {cells[1]}")
-    week, seconds = _number(cells[0]), _number(cells[1])
+    week, seconds = number(cells[0]), number(cells[1])
     if not (week == week and 0 <= seconds <= WEEK_S):
         return float("nan")
     check_week(week, f"{path}, line {n}")
@@ -174,10 +174,3 @@ def _utc(time_s: np.ndarray, scale: str) -> np.ndarray:
     if scale == "GPST":
         return np.where(np.isfinite(time_s), utc_from_gps(np.nan_to_num(time_s) - GPS_EPOCH_S), np.nan)
     return time_s - _JST_S if scale == "JST" else time_s
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return float("nan")

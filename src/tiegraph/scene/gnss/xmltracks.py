@@ -16,7 +16,7 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.scene.gnss.fixes import Fixes, above_ellipsoid
-from tiegraph.scene.table import parse_time
+from tiegraph.scene.table import number, parse_time
 
 _NAN = float("nan")
 _IMAGE = re.compile(r"(?i)\.(jpe?g|png|tiff?|dng|bmp|webp|heic|insp)$")
@@ -74,13 +74,13 @@ def read_gpx(path: Path, raw: bytes) -> Fixes:
             f"{path}, line {points[0].line}: no track point has a time, so nothing says which image was taken there: "
             "export the track with times"
         )
-    above_sea, undulation = (np.array([_number(p.said(n)) for p in points]) for n in ("ele", "geoidheight"))
+    above_sea, undulation = (np.array([number(p.said(n)) for p in points]) for n in ("ele", "geoidheight"))
     height, notes = above_ellipsoid(path, above_sea, undulation)
     return Fixes(
         path=path,
         line=[p.line for p in points],
         lat_lon_height=np.column_stack(
-            [*([_number(p.given.get(n, "")) for p in points] for n in ("lat", "lon")), height]
+            [*([number(p.given.get(n, "")) for p in points] for n in ("lat", "lon")), height]
         ),
         time_s=np.array([parse_time(p.said("time")) for p in points]),
         notes=notes,
@@ -132,7 +132,7 @@ def read_kml(path: Path, raw: bytes) -> Fixes:
 
 
 def _kml_fixes(path: Path, line: list[int], lon_lat_height: list[list[str]], time_s: np.ndarray) -> Fixes:
-    lon, lat, above_sea = np.array([[_number(v) for v in [*cells, "", "", ""][:3]] for cells in lon_lat_height]).T
+    lon, lat, above_sea = np.array([[number(v) for v in [*cells, "", "", ""][:3]] for cells in lon_lat_height]).T
     height, notes = above_ellipsoid(path, above_sea, np.full(len(line), _NAN))
     return Fixes(
         path=path,
@@ -141,13 +141,6 @@ def _kml_fixes(path: Path, line: list[int], lon_lat_height: list[list[str]], tim
         time_s=time_s,
         notes=notes,
     )
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return _NAN
 
 
 def _parsed(path: Path, raw: bytes) -> _Node:
@@ -171,6 +164,8 @@ def _parsed(path: Path, raw: bytes) -> _Node:
     parser.EndElementHandler = lambda name: open_.pop()
     try:
         parser.Parse(raw, True)
+    except InputError:
+        raise
     except expat.ExpatError as error:
         raise InputError(
             f"{path}, line {error.lineno}: XML that is cut off or damaged ({expat.ErrorString(error.code)}): export "
