@@ -148,7 +148,13 @@ def test_tum_with_nanoseconds_as_orb_slam_writes_it(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "header",
-    ["# ts px py pz rw rx ry rz", "#timestamp, tx, ty, tz, rot_w, rot_x, rot_y, rot_z", "time x y z ow ox oy oz"],
+    [
+        "# ts px py pz rw rx ry rz",
+        "#timestamp, tx, ty, tz, rot_w, rot_x, rot_y, rot_z",
+        "time x y z ow ox oy oz",
+        "Time [s],Pos X [m],Pos Y [m],Pos Z [m],Quat W,Quat X,Quat Y,Quat Z",
+        "t,px,py,pz,w,x,y,z",
+    ],
 )
 def test_a_header_of_unusual_words(tmp_path: Path, header: str) -> None:
     rows = drive()

@@ -166,11 +166,11 @@ def _names(header: str) -> tuple[tuple[int, ...], int] | None:
     groups: dict[str, dict[str, int]] = {}
     time = None
     for k, cell in enumerate(cells):
-        part = re.fullmatch(r"(|.*[a-z0-9])?[._]*([wxyz])", cell)
+        part = re.fullmatch(r"(|.*[a-z0-9])[._\s-]*([wxyz])", cell)
         if re.fullmatch(_TIME, cell):
             time = k if time is None else time
         elif part:
-            groups.setdefault(part[1] or "", {}).setdefault(part[2], k)
+            groups.setdefault(part[1], {}).setdefault(part[2], k)
     turn = next((g for g in groups.values() if set(g) == set("wxyz")), None)
     place = next((g for g in groups.values() if g is not turn and set("xyz") <= set(g)), None)
     if time is None or turn is None or place is None:

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 W_LAST, W_FIRST = (0, 1, 2, 3), (1, 2, 3, 0)  # columns of x, y, z, w
 _STEPS, _MOVE = 8, 0.1  # moves needed to see which way a body drives, and the least one in median moves
 _BETTER, _UNSTEADY = 0.25, 0.01  # how much steadier the other order must be, and how unsteady this one
+_NOWHERE_M = 1e12  # products of larger numbers overflow
 _TURN_DEG = 10.0  # of turns that have an axis
 _FLAT, _WIDE = 0.1, 0.1  # of the middle extent of a path over a plane is its height, of its length its middle extent
 _ABOUT, _ASKEW = 0.9, 0.5  # |cosine| of turns about the normal of a plane, and of those that are not
@@ -42,8 +43,9 @@ def order_of_start(position: np.ndarray, quaternion: np.ndarray) -> Order:
 
 def order_of(position: np.ndarray, quaternion: np.ndarray) -> Order:
     """What positions (T, 3) say of quaternions (T, 4) of length 1."""
-    if not ((np.abs(quaternion) <= 2).all() and (np.abs(quaternion).max(axis=1) > 0.1).all()):
-        return Order()
+    no_places = not np.abs(position).max(initial=0.0) < _NOWHERE_M
+    if no_places or not ((np.abs(quaternion) <= 2).all() and (np.abs(quaternion).max(axis=1) > 0.1).all()):
+        return Order()  # who reads them says so
     last, first = (_unsteady(position, quaternion[:, list(o)]) for o in (W_LAST, W_FIRST))
     for is_first, this, other, words in (
         (True, first, last, ("first", "last")),
