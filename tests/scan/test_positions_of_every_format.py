@@ -7,12 +7,15 @@ from collections.abc import Callable, Sequence
 from datetime import datetime, timedelta, timezone
 from functools import reduce
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scan_worlds import exif_of, picture, scan
 
 from tiegraph.errors import InputError
+from tiegraph.pipeline.georef import _rows
+from tiegraph.project.settings import Settings
 from tiegraph.scan.scan import ScanInputs, build_scene, find_images, probe_image
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import Tuning
@@ -142,6 +145,19 @@ def test_every_format_gives_the_places_of_the_csv(canal: Canal, by_csv: Scene, t
     np.testing.assert_allclose(found.world_from_rig[:, :3, 3], by_csv.world_from_rig[:, :3, 3], rtol=0, atol=1e-3)
     if sigma:
         np.testing.assert_allclose(found.position_sigma_m, by_csv.position_sigma_m, rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["nmea by the frames' day", "sbet", "rtklib"])
+def test_georef_reads_the_rows_on_the_frames_clock(canal: Canal, tmp_path: Path, name: str) -> None:
+    write, kind, _ = FORMATS[name]
+    data = write(canal.rows)
+    path = tmp_path / "positions"
+    path.write_bytes(data if isinstance(data, bytes) else data.encode())
+    scene = canal.scan(path, times_file(tmp_path, kind))
+    run = SimpleNamespace(inputs=SimpleNamespace(gnss=path), settings=Settings())
+    rows = _rows(run, scene)  # type: ignore[arg-type]
+    assert rows is not None
+    np.testing.assert_allclose(rows.time_s, DAY + np.array([r[0] for r in canal.rows]), rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize(
