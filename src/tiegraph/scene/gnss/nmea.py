@@ -10,6 +10,7 @@ import re
 from collections import Counter
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -52,13 +53,10 @@ class _Log:
             self.sigma[row] = [east, north, up]
 
     def date(self, time: str, day: str) -> None:
-        """``day`` as ddmmyyyy."""
-        try:
-            stamp = datetime.strptime(day, "%d%m%Y").replace(tzinfo=timezone.utc).timestamp()
-        except ValueError:
-            return
-        if (second := _second(time)) == second:
-            self.dates.append((len(self.rows), second, stamp))
+        """``day`` as ddmmyyyy; what is none counts as not there."""
+        second, midnight = _second(time), _midnight(day)
+        if second == second and midnight == midnight:
+            self.dates.append((len(self.rows), second, midnight))
 
 
 def is_nmea(text: str, raw: bytes) -> bool:
@@ -136,6 +134,15 @@ def _read(raw: bytes) -> _Log:
         for time, day in void[:1]:  # of a receiver without a fix, but with a clock
             log.date(time, day)
     return log
+
+
+@lru_cache(maxsize=64)
+def _midnight(day: str) -> float:
+    """Seconds since 1970 at the start of ddmmyyyy."""
+    try:
+        return datetime.strptime(day, "%d%m%Y").replace(tzinfo=timezone.utc).timestamp()
+    except ValueError:
+        return _NAN
 
 
 def _four_digits(day: str) -> str:
