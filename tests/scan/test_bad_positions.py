@@ -193,7 +193,7 @@ def test_what_is_left_out_is_not_in_the_way(one_pass: Survey, tmp_path: Path) ->
         table(*((k, {"time": f'"{100 + k}"'}) for k in EVERY)),
         by_image(),
         by_image(images=[n.replace("/", "\\") for n in ALL]),
-        "%  GPST          latitude(deg) longitude(deg)  height(m)\n"
+        "%  UTC           latitude(deg) longitude(deg)  height(m)\n"
         + "".join(f"1970/01/01 00:01:{40 + k}.000  {35.69 + 1e-5 * k:.8f}  139.77  40.0\n" for k in EVERY),
     ],
 )  # fmt: skip

@@ -83,8 +83,90 @@ def test_w_first_without_a_header_is_not_read_as_x_first(tmp_path: Path, turn_de
     np.testing.assert_allclose(read_poses(written(tmp_path, rows)).poses, poses_of(rows), atol=1e-7)
     with pytest.raises(InputError, match=r"a.tum, line 1: the order .* not sure: .*'# time x y z qw qx qy qz'"):
         read_poses(written(tmp_path, rows[:, W_FIRST]))
-    with pytest.raises(InputError, match="line 1: the order .* not sure: values between commas"):
-        read_poses(written(tmp_path, rows, delimiter=","))
+
+
+@pytest.mark.parametrize("order, words", [(list(range(8)), "w last"), (W_FIRST, "w first")])
+@pytest.mark.parametrize("delimiter", [",", ";"])
+def test_the_path_tells_the_order_between_commas(tmp_path: Path, order: list, words: str, delimiter: str) -> None:
+    """By the direction of motion, by turns about the normal of the path, and by a start without a turn."""
+    drives, sways = drive(), drive(60, 340)
+    sways[:, 1:4] = np.random.default_rng(0).uniform(-1, 1, (60, 3)) * [40, 30, 0.5]  # it looks round as it sways
+    starts = drive(4, 1)
+    starts[0] = [99, 0, 0, 0, 0, 0, 0, 1]
+    for rows in (drives, sways, starts):
+        found = read_poses(written(tmp_path, rows[:, order], delimiter=delimiter))
+        np.testing.assert_allclose(found.poses, poses_of(rows), atol=1e-7)
+        assert len(found.notes) == 1 and f"quaternions with {words}: " in found.notes[0]
+
+
+def test_an_order_that_nothing_tells_is_asked_for(tmp_path: Path) -> None:
+    straight, wild = drive(30, 0.0), drive(40)
+    rng = np.random.default_rng(5)
+    wild[:, 1:4], wild[:, 4:] = rng.normal(0, 5, (40, 3)), Rotation.random(40, random_state=6).as_quat()
+    for rows in (straight, wild):
+        for order in (list(range(8)), W_FIRST):
+            path = written(tmp_path, rows[:, order], delimiter=",")
+            with pytest.raises(
+                InputError, match="a.tum, line 1: the order .* not sure: .*say it in a first line '# time"
+            ):
+                read_poses(path)
+
+
+def test_formats_whose_path_speaks_against_them_are_refused(tmp_path: Path) -> None:
+    rows = drive()
+    nanoseconds = [f"{START_NS + k * 10**9}," + ",".join(f"{v:.9f}" for v in row[1:]) for k, row in enumerate(rows)]
+    (tmp_path / "data.csv").write_text("\n".join(nanoseconds))
+    with pytest.raises(
+        InputError, match="data.csv, line 1: .*EuRoC's table has w first, but with w last the body moves"
+    ):
+        read_poses(tmp_path / "data.csv")
+    wrong = read_poses(written(tmp_path, rows[:, W_FIRST], "# time x y z qx qy qz qw"))
+    assert any("is the header right about the order" in n for n in wrong.notes)
+    right = read_poses(written(tmp_path, rows, "# time x y z qx qy qz qw"))
+    assert not right.notes
+
+
+def test_euroc_of_seventeen_columns_without_a_header(tmp_path: Path) -> None:
+    rows = drive()
+    more = "," + ",".join(["0.01"] * 9)
+    lines = [f"{START_NS + k * 10**9}," + ",".join(f"{v:.9f}" for v in row[W_FIRST][1:]) + more
+             for k, row in enumerate(rows)]  # fmt: skip
+    (tmp_path / "data.csv").write_text("\n".join(lines))
+    found = read_poses(tmp_path / "data.csv")
+    np.testing.assert_allclose(found.poses, poses_of(rows), atol=1e-7)
+    assert any("EuRoC's table, quaternions with w first" in n for n in found.notes)
+
+
+def test_tum_with_nanoseconds_as_orb_slam_writes_it(tmp_path: Path) -> None:
+    rows = drive()
+    lines = [f"{START_NS + k * 10**9}.000000 " + " ".join(f"{v:.9f}" for v in row[1:]) for k, row in enumerate(rows)]
+    (tmp_path / "CameraTrajectory.txt").write_text("\n".join(lines))
+    found = read_poses(tmp_path / "CameraTrajectory.txt")
+    np.testing.assert_allclose(found.poses, poses_of(rows), atol=1e-7)
+    assert not found.notes
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "# ts px py pz rw rx ry rz",
+        "#timestamp, tx, ty, tz, rot_w, rot_x, rot_y, rot_z",
+        "time x y z ow ox oy oz",
+        "Time [s],Pos X [m],Pos Y [m],Pos Z [m],Quat W,Quat X,Quat Y,Quat Z",
+        "t,px,py,pz,w,x,y,z",
+    ],
+)
+def test_a_header_of_unusual_words(tmp_path: Path, header: str) -> None:
+    rows = drive()
+    found = read_poses(written(tmp_path, rows[:, W_FIRST], header, "," if "," in header else " "))
+    np.testing.assert_allclose(found.poses, poses_of(rows), atol=1e-7)
+
+
+def test_a_header_that_is_not_understood_is_not_passed_over(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="line 1: a header of other columns, '# time x y z q0 q1 q2 q3'; name them as"):
+        read_poses(written(tmp_path, drive()[:, W_FIRST], "# time x y z q0 q1 q2 q3"))
+    said = "# made by a program in the year 2024 again"  # as many words as columns
+    assert len(read_poses(written(tmp_path, drive(), said)).poses) == 20
 
 
 def test_other_ways_to_move_are_left_alone(tmp_path: Path) -> None:

@@ -66,7 +66,8 @@ def hints(scene: Scene) -> list[str]:
     if len(scene.all_sensors) == 1:
         lines.append(f"  --camera: the camera's calibration, if you have one; {WORDS}")
     if scene.prior == "none":
-        lines.append("  --gnss FILE: positions; columns time or image, lat, lon, height, if known sigma_h, sigma_v")
+        columns = "columns time or image, lat, lon, height, if known sigma_h, sigma_v"
+        lines.append(f"  --gnss FILE: positions; {columns}; or NMEA, RTKLIB's .pos, GPX, KML, geo.txt, SBET, MRK")
     return [*lines, f"  --gcp FILE: control points; {FORMS}"]
 
 

@@ -12,8 +12,8 @@ inputs:
   IMAGES            the folder that holds the survey's images
   --rig RIG         rig.toml, rig_config.json, ladybug5, ring:N, stereo, ...
   --camera CAMERA   a single camera's calibration: a file, or MODEL,parameters
-  --gnss CSV        positions: time or image, lat, lon, height, sigma
-  --trajectory TUM  poses: a file, or a folder with one a pass
+  --gnss FILE       positions: CSV, NMEA, .pos, GPX, KML, geo.txt, SBET, MRK
+  --trajectory PATH poses: TUM, EuRoC, KITTI, transforms.json, a COLMAP model
   --gcp FILE        control and check points: gcp_list.txt or a CSV
   --marks CSV       their marks in the images, if in another file
   --times CSV       frames' times where EXIF has none: pass, frame, time

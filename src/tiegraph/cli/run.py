@@ -51,9 +51,10 @@ class RunOptions(Common):
     OPENCV,4000x3000,fx,fy,cx,cy,k1,k2,p1,p2 (the size may be left away), or a file: COLMAP's cameras.txt, OpenCV's,
     ROS's or Kalibr's YAML, or a rig.toml with one camera. Of the cameras of a rig: in its rig.toml."""
     gnss: Path | None = None
-    """CSV of positions: time, lat, lon, height, sigma."""
+    """Positions: a CSV (time or image, lat, lon, height, sigma), NMEA 0183, RTKLIB's .pos, GPX, KML, ODM's geo.txt,
+    SBET or DJI's Timestamp.MRK."""
     trajectory: Path | None = None
-    """Poses in TUM format: a file, or a folder with one file a pass."""
+    """Poses: a file of TUM, EuRoC or KITTI or a folder with one a pass, a transforms.json, or a COLMAP model."""
     gcp: Path | None = None
     """Ground control and check points: ODM's gcp_list.txt, or a CSV of points (name, x, y, z or name, lat, lon, height)
     and marks (name, image, px, py), as one table or two in one file (sets georef.gcp)."""

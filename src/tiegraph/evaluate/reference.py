@@ -15,7 +15,8 @@ from tiegraph.geometry import geodesy, transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.scene.cloudfile import read_cloud, refuse_cut_las
-from tiegraph.scene.colmapmodel import is_model, matrix, read_model
+from tiegraph.scene.colmapmodel import is_model, matrix
+from tiegraph.scene.namedposes import read_named_poses
 from tiegraph.scene.posefile import read_poses
 from tiegraph.scene.regular import regular
 from tiegraph.scene.scene import Scene
@@ -74,7 +75,7 @@ def model_poses(reconstruction: Any, scene: Scene) -> ModelPoses:
 def read_reference_poses(path: Path) -> ReferencePoses:
     """Read a COLMAP model folder, a TUM file or a folder of TUM files. Raises InputError naming the file."""
     if path.is_dir() and is_model(path):
-        return ReferencePoses(_read_colmap(path), {}, path)
+        return ReferencePoses(read_named_poses(path), {}, path)
     if path.is_dir():
         files = sorted(p for p in path.iterdir() if p.suffix in (".tum", ".txt"))
         if not files:
@@ -89,12 +90,6 @@ def check_reference(path: Path) -> None:
     """Raise InputError for reference poses that cannot be used, without reading a COLMAP model."""
     if not (path.is_dir() and is_model(path)):
         read_reference_poses(path)
-
-
-def _read_colmap(folder: Path) -> dict[str, np.ndarray]:
-    model = read_model(folder)
-    posed = (i for i in model.images.values() if i.has_pose)
-    return {i.name: transforms.invert(matrix(i.cam_from_world())) for i in posed}
 
 
 def read_tum(path: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -277,24 +277,28 @@ def crs_coordinates(world_m: np.ndarray, origin: Origin) -> np.ndarray:
 _ECEF = pyproj.Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=False)
 
 
-def _enu_axes(origin: Origin) -> np.ndarray:
-    lat, lon = np.radians([origin.lat_deg, origin.lon_deg])
-    return np.array(
-        [
-            [-np.sin(lon), np.cos(lon), 0.0],
-            [-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)],
-            [np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)],
-        ]
-    )
+def enu_axes(lat_deg: np.ndarray | float, lon_deg: np.ndarray | float) -> np.ndarray:
+    """(..., 3, 3) rows east, north, up in ECEF at places (...)."""
+    lat, lon = np.radians(lat_deg), np.radians(lon_deg)
+    east = [-np.sin(lon), np.cos(lon), np.zeros_like(lon)]
+    north = [-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)]
+    up = [np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)]
+    return np.stack([np.stack(row, axis=-1) for row in (east, north, up)], axis=-2)
+
+
+def geodetic_from_ecef(xyz_m: np.ndarray) -> np.ndarray:
+    """Geodetic positions (N, 3): degrees, degrees, ellipsoidal metres, of ECEF coordinates (N, 3) on WGS84."""
+    x, y, z = np.asarray(xyz_m, float).reshape(-1, 3).T
+    return np.stack(_ECEF.transform(x, y, z, direction="INVERSE"), axis=-1)
 
 
 def _to_enu(lat: np.ndarray, lon: np.ndarray, height: np.ndarray, origin: Origin) -> np.ndarray:
     ecef = np.stack(_ECEF.transform(lat, lon, height), axis=-1)
     zero = np.array(_ECEF.transform(origin.lat_deg, origin.lon_deg, origin.height_m))
-    return (ecef - zero) @ _enu_axes(origin).T
+    return (ecef - zero) @ enu_axes(origin.lat_deg, origin.lon_deg).T
 
 
 def _from_enu(enu_m: np.ndarray, origin: Origin) -> np.ndarray:
     zero = np.array(_ECEF.transform(origin.lat_deg, origin.lon_deg, origin.height_m))
-    ecef = enu_m @ _enu_axes(origin) + zero
-    return np.stack(_ECEF.transform(ecef[:, 0], ecef[:, 1], ecef[:, 2], direction="INVERSE"), axis=-1)
+    ecef = enu_m @ enu_axes(origin.lat_deg, origin.lon_deg) + zero
+    return geodetic_from_ecef(ecef)

@@ -12,7 +12,7 @@ from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome, remove
 from tiegraph.scene import evidence
 from tiegraph.scene.atomic import claim
-from tiegraph.scene.gnss import read_gnss
+from tiegraph.scene.gnss import on_clock_of, read_gnss
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.covariance import MOUNTING
 from tiegraph.sfm.mapping import believed_cameras
@@ -83,6 +83,7 @@ def _rows(run: Run, scene: Scene) -> PositionRows | None:
     gnss = read_gnss(run.inputs.gnss, run.settings.tuning.scan.positions.gnss)
     if gnss.names:
         return None
+    gnss = on_clock_of(gnss, scene.time_s)
     return PositionRows(gnss.time_s, world_from_geodetic(gnss.lat_lon_height, scene.origin), gnss.sigma_m)
 
 

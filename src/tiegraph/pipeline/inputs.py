@@ -27,6 +27,7 @@ from tiegraph.scan.trajectory import read_trajectory
 from tiegraph.scene.control import Control, locate
 from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.gnss import read_gnss
+from tiegraph.scene.namedposes import has_named_poses
 from tiegraph.scene.pairlist import pair_lines, read_pair_list
 from tiegraph.scene.scene import Scene
 
@@ -90,7 +91,7 @@ def _read_inputs(run: Run) -> None:
         read_rig_file(given.rig, tuning)
     if given.camera is not None:
         read_camera(given.camera, tuning)
-    if given.trajectory is not None and given.trajectory.is_file():
+    if given.trajectory is not None and (given.trajectory.is_file() or has_named_poses(given.trajectory)):
         read_trajectory(given.trajectory)
     if given.gnss is not None:
         read_gnss(given.gnss, run.settings.tuning.scan.positions.gnss)

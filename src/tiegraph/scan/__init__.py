@@ -5,7 +5,7 @@ here. Every file of the user passes ``scene.regular`` before it is opened (pipes
 is searched once whatever links lead back to it. COLMAP models are read by ``scene.colmapmodel.read_model``, which
 compares the records with the size of the file first. Images get names of ours where they are listed
 (``scene.names``): no native library sees a name that is not UTF-8. A table's header says which column is which; the
-order of a quaternion is never guessed (``scene.posefile``).
+order of a quaternion is that of the format or told by the path, never guessed (``scene.posefile``).
 
 Cameras that write into one folder are told apart by the ends of the file names (``bands``): the folder of a sensor is
 then a pattern, ``*_GRE``, and XMP rig relatives give their orientations. The calibration of a single camera is an

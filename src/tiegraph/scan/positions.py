@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field, replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 
@@ -15,10 +16,12 @@ from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.times import FrameRow, absent, frame_by_image, plain_name
 from tiegraph.scan.tuning import PositionsTuning
 from tiegraph.scene.exif import Exif
-from tiegraph.scene.gnss import Gnss, at_times, far_rows, stuck_note, without_far
+from tiegraph.scene.gnss import Gnss, at_times, far_rows, on_clock_of, stuck_note, without_far
+from tiegraph.scene.gpstime import DAY_S, GPS_EPOCH_S
 from tiegraph.scene.rig import Rig
 
 _NAMED = 3  # frames without a position that are named
+_ZONE_H = 14  # the farthest time zone from UTC
 _CLOCKS = ((1e-3, "ms"), (1e-6, "us"), (1e-9, "ns"))
 
 
@@ -32,6 +35,7 @@ class Frames:
     exif: tuple[Exif, ...]
     rigs: tuple[Rig, ...]
     specs: tuple[RigSpec | None, ...]  # rig file or preset of each rig
+    sensors: tuple[int, ...] = ()  # of its rig, of each image
 
     def sequence(self) -> np.ndarray:
         """(F,) pass of each frame."""
@@ -63,6 +67,7 @@ def from_gnss(
 
     Raises InputError if no row fits a frame, or the CRS of the settings does not fit the positions.
     """
+    gnss = on_clock_of(gnss, priors.time_s)
     if gnss.names:
         gnss = without_far(_known(gnss, frames, path), path, tuning.gnss.most_far)
     notes.extend(gnss.notes)
@@ -141,9 +146,17 @@ def _overlap(gnss: Gnss, time_s: np.ndarray, path: Path, settings: ScanSettings)
         raise InputError(
             f"{path}: times {gnss.time_s[0]:.2f} ... {gnss.time_s[-1]:.2f} s do not overlap the frames' "
             f"{np.nanmin(time_s):.2f} ... {np.nanmax(time_s):.2f} s: other epoch, other time zone, or another survey? "
-            f"Give --times in the clock of the GNSS file{_clock(gnss, time_s)}"
+            f"Give --times in the clock of the GNSS file{_clock(gnss, time_s)}{_within(gnss)}"
         )
     return near
+
+
+def _within(gnss: Gnss) -> str:
+    """What to say of times that count within a day or a week which neither the file nor the frames name."""
+    if not gnss.period_s:
+        return ""
+    what = "seconds of the GPS week" if gnss.period_s > DAY_S else "times of day (UTC)"
+    return f"; it has {what} without a date: give the frames' times as dates (UTC), or likewise"
 
 
 def _clock(gnss: Gnss, time_s: np.ndarray) -> str:
@@ -154,11 +167,18 @@ def _clock(gnss: Gnss, time_s: np.ndarray) -> str:
     for factor, unit in _CLOCKS:
         if gnss.time_s[0] * factor <= last and gnss.time_s[-1] * factor >= first and gnss.time_s[-1] > last:
             return f"; its times look like {unit}: give seconds, or name the column time ({unit})"
+    if gnss.time_s[0] + GPS_EPOCH_S <= last and gnss.time_s[-1] + GPS_EPOCH_S >= first:
+        return "; its times look like seconds since 1980 (GPS): name the column gps_seconds"
+    hours = round(4 * (np.median(gnss.time_s) - (first + last) / 2) / 3600) / 4  # zones are quarters of an hour apart
+    there = gnss.time_s[0] - 3600 * hours <= last and gnss.time_s[-1] - 3600 * hours >= first
+    if there and 0 < abs(hours) <= _ZONE_H:
+        return f"; {hours:+g} h would bring the frames' there: were the cameras' clocks in local time?"
     return ""
 
 
 def _known(gnss: Gnss, frames: Frames, path: Path) -> Gnss:
     """The rows of a file by image whose images are here. Raises InputError if there are none."""
+    gnss = _by_number(gnss, frames, path)
     lookup = frame_by_image(frames.rows, frames.names)
     keep = np.array([plain_name(name) in lookup for name in gnss.names], bool)
     if keep.all():
@@ -174,6 +194,25 @@ def _known(gnss: Gnss, frames: Frames, path: Path) -> Gnss:
         f"(line {gnss.line[first]}); {why}"
     )
     return gnss.only(np.flatnonzero(keep), [*gnss.notes, note])
+
+
+def _by_number(gnss: Gnss, frames: Frames, path: Path) -> Gnss:
+    """Rows named "#12" by the image of that number. Raises InputError where images of several frames have it."""
+    if not gnss.names[0].startswith("#"):
+        return gnss
+    found: dict[str, dict[int, str]] = {}
+    for k, row in enumerate(frames.rows):
+        for name in (frames.names[i] for i in row.images):
+            if digits := re.findall(r"\d+", PurePosixPath(name).stem):
+                found.setdefault(f"#{int(digits[-1])}", {}).setdefault(k, name)
+    for name, line in zip(gnss.names, gnss.line):
+        if len(found.get(name, ())) > 1:
+            one, other = list(found[name].values())[:2]
+            raise InputError(
+                f"{path}, line {line}: image {name[1:]} may be {one} or {other}: give the images of one flight, or a "
+                "table with columns image, lat, lon, height"
+            )
+    return replace(gnss, names=tuple(next(iter(found.get(n, {0: n}).values())) for n in gnss.names))
 
 
 def _by_image(

@@ -11,6 +11,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import ENU, parse_crs
 from tiegraph.geometry.transforms import interpolate, rigid
+from tiegraph.scan.poses import poses_by_image
 from tiegraph.scan.positions import Frames, Priors, body_of, from_exif, from_gnss
 from tiegraph.scan.rigspec import AXES
 from tiegraph.scan.settings import ScanSettings
@@ -133,6 +134,10 @@ def _paths(
 ) -> _Paths | None:
     if not files:
         return None
+    by_image = next(((path, t) for path, t in files.values() if t.names), None)
+    if by_image is not None:
+        poses = poses_by_image(by_image[1], by_image[0], frames, notes)
+        return _Paths(poses, np.where(np.isnan(poses[:, 0, 0]), -1, 0), own_worlds=False)
     own_worlds = len(files) > 1 and same_start([t for _, t in files.values()], tuning)
     poses, group = np.full((len(frames.rows), 4, 4), np.nan), np.full(len(frames.rows), -1)
     for sequence, (path, trajectory) in files.items():

@@ -271,7 +271,10 @@ def _scene(
     shots, sources = [survey.shots[k] for k in named.order], named.files
     sequences = tuple(sorted({s.sequence for s in shots} - {""}, key=natural))
     rows = _frame_rows(shots, sequences)
-    frames = Frames(rows=rows, sequences=sequences, names=sources, exif=named.exif, rigs=rigs, specs=survey.specs)
+    sensors = tuple(s.sensor for s in shots)
+    frames = Frames(
+        rows=rows, sequences=sequences, names=sources, exif=named.exif, rigs=rigs, specs=survey.specs, sensors=sensors
+    )
     priors = estimate_priors(frames, inputs.gnss, inputs.trajectory, inputs.times, settings, tuning)
     rows, priors_order = _in_time_order(rows, priors.time_s, report)
     _say_incomplete(rows, rigs, report)

@@ -15,8 +15,9 @@ from tiegraph.geometry.geodesy import apart
 from tiegraph.scan.folders import LONE_PASS
 from tiegraph.scan.tuning import TimesTuning
 from tiegraph.scene.exif import Exif
-from tiegraph.scene.gnss import IMAGE, TIME
+from tiegraph.scene.gnss import IMAGE
 from tiegraph.scene.table import Table, in_seconds, read_table
+from tiegraph.scene.timecolumns import Times, times_of
 
 _FRAME = ("frame", "frame_id", "frame_name", "shot")
 _PASS = ("pass", "track", "run", "strip")
@@ -44,7 +45,8 @@ def read_times(
     times that are none, a frame or image with two times, one time for all frames, and when no row fits a frame.
     """
     table = read_table(path, "times file")
-    time, image, frame, sequence = (table.find(c) for c in (TIME, IMAGE, _FRAME, _PASS))
+    time = times_of(table)
+    image, frame, sequence = (table.find(c) for c in (IMAGE, _FRAME, _PASS))
     if time is None or (image is None and frame is None):
         raise InputError(
             f"{path}: found the columns {', '.join(table.columns)}; expected time and image, or pass, frame and time"
@@ -52,7 +54,7 @@ def read_times(
     if image is None and sequence is None and len(sequences) > 1:
         raise InputError(f"{path}: a frame's name is not unique over {len(sequences)} passes: add a column pass")
     seconds = _seconds(table, time)
-    notes = list(table.notes)
+    notes = [*table.notes, *time.notes]
     keys: list[tuple[str, ...]]
     if image is not None:
         keys = [(plain_name(table.cell(k, image)),) for k in range(len(seconds))]
@@ -86,13 +88,13 @@ def read_times(
     return out, notes
 
 
-def _seconds(table: Table, time: int) -> np.ndarray:
-    seconds = table.times(time)
+def _seconds(table: Table, time: Times) -> np.ndarray:
+    seconds = time.seconds
     bad = np.flatnonzero(np.isnan(seconds)).tolist()
     if len(bad):
         raise InputError(
-            f"{table.path}, line {table.line(bad[0])}: {table.cell(bad[0], time)!r} is no time (seconds or ISO 8601); "
-            "correct it, or leave out rows without a time"
+            f"{table.path}, line {table.line(bad[0])}: {table.cell(bad[0], time.column)!r} is no time (seconds or "
+            "ISO 8601); correct it, or leave out rows without a time"
         )
     return seconds
 

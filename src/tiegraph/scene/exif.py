@@ -8,7 +8,7 @@ from datetime import datetime, timedelta, timezone
 from typing import Any
 
 from tiegraph.scene.gnss import HEIGHT_RANGE_M, SIGMA_RANGE_M
-from tiegraph.scene.xmp import RigTags, read_rig_tags
+from tiegraph.scene.xmp import RigTags, read_rig_tags, read_rtk_position
 
 NAN = float("nan")
 # Tags of the EXIF 2.32 standard (CIPA DC-008).
@@ -53,6 +53,9 @@ def read_exif(image: Any, focal_range: tuple[float, float]) -> Exif:
         return Exif()
     orientation = _number(base.get(_ORIENTATION, 1))
     place, doubt = _place(gps)
+    rtk = read_rtk_position(image)  # EXIF rounds to millimetres at best, and has no accuracy
+    if _is_place(rtk):
+        place, doubt = rtk, ""
     time_s, utc = _time(base, detail)
     return Exif(
         orientation=int(orientation) if orientation in range(1, 9) else 1,
@@ -73,7 +76,7 @@ def read_exif(image: Any, focal_range: tuple[float, float]) -> Exif:
     )
 
 
-def _place(gps: dict) -> tuple[tuple[float, float, float, float], str]:
+def _place(gps: dict) -> tuple[tuple[float, ...], str]:
     """Latitude, longitude, height and sigma, NaN where not written or not believable, and what is not believable."""
     if 2 not in gps and 4 not in gps:
         return (NAN, NAN, NAN, NAN), ""
@@ -89,6 +92,14 @@ def _place(gps: dict) -> tuple[tuple[float, float, float, float], str]:
     if not (_text(gps.get(1)) and _text(gps.get(3))):
         return (lat, lon, height, sigma), "nothing says whether it is north or south, east or west (N and E assumed)"
     return (lat, lon, height, sigma if sigma >= SIGMA_RANGE_M[0] else NAN), ""
+
+
+def _is_place(given: tuple[float, ...]) -> bool:
+    """Whether latitude, longitude, height and sigma are those of a receiver with a position."""
+    lat, lon, height, sigma = given
+    low, high = HEIGHT_RANGE_M
+    sure = SIGMA_RANGE_M[0] <= sigma <= SIGMA_RANGE_M[1]
+    return abs(lat) <= 90 and abs(lon) <= 180 and (lat, lon) != (0, 0) and low <= height <= high and sure
 
 
 def _focal(detail: dict, size: tuple[int, int], range_: tuple[float, float]) -> float:

@@ -1,8 +1,9 @@
 """Files of poses: TUM (``t x y z qx qy qz qw``), KITTI (12 numbers, 3x4 row by row), and tables whose header names the
 columns, such as EuRoC's (time in nanoseconds, w first).
 
-Which component of a quaternion comes first cannot be seen in it. A header tells; without one, eight columns are TUM's,
-as long as nothing speaks against it: commas, or a path that only makes sense with w first.
+Which component of a quaternion comes first cannot be seen in it. A header tells. Without one, eight columns between
+blanks are TUM's, and rows with nanoseconds between commas EuRoC's, as long as the path does not speak against it; other
+columns between commas are of the order that the path tells (``scene.poseorder``), or refused.
 """
 
 from __future__ import annotations
@@ -16,13 +17,15 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import rigid
+from tiegraph.scene.poseorder import order_of, order_of_start
 from tiegraph.scene.regular import regular
 from tiegraph.scene.table import in_seconds, out_of_order, text_lines
 
 FORMS = "a TUM file: t x y z qx qy qz qw"
-_TUM, _KITTI = 8, 12
+_TUM, _KITTI, _EUROC = 8, 12, 17  # columns
 _FIELDS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 _W_FIRST = (0, 1, 2, 3, 5, 6, 7, 4)  # columns of _FIELDS in a table with w first
+_TIME = r"t|ts|t_n?s|.*(time|stamp).*|secs?|seconds?"
 _HEADERS = "'# time x y z qx qy qz qw' or '# time x y z qw qx qy qz'"
 # What a file of poses can mean, and how its form is told; where that is not sure it is refused.
 _NANOSECONDS = 1e17  # times since 1970 above this are in nanoseconds
@@ -30,8 +33,6 @@ _LAST_S = 1e11  # a time later than this is none, in seconds
 _FAR_M = 1e8  # ECEF and grid coordinates are smaller
 _EXTENT_M = 1e6  # of a survey
 _MOVED = 1e-9  # poses that differ less are the same
-_STEPS, _MOVE = 8, 0.1  # moves needed to see which way a body drives, and the least one in median moves
-_BETTER, _UNSTEADY = 0.25, 0.01  # how much steadier the other order must be, and how unsteady this one
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,8 @@ def _rows(path: Path) -> _Rows:
         raise InputError(f"{path}: no poses; give {FORMS}")
     named = [(n, _names(line)) for n, line in lines[:start]]
     header = next(((n, found) for n, found in reversed(named) if found is not None), None)
-    if header is None and start > 0 and lines[start - 1][1][0] not in "#%":
+    width = len(_split(rows[0][1]))
+    if header is None and start > 0 and (lines[start - 1][1][0] not in "#%" or _is_header(lines[start - 1][1], width)):
         n, line = lines[start - 1]
         raise InputError(f"{path}, line {n}: a header of other columns, {line[:80]!r}; name them as in {_HEADERS}")
     numbers = _numbers(path, rows)
@@ -123,14 +125,24 @@ def _rows(path: Path) -> _Rows:
         lines=where,
         header=header[1][0] if header else None,
         nanoseconds=nanoseconds,
-        commas="," in rows[0][1],
+        commas=bool(re.search("[,;]", rows[0][1].rstrip(",; "))),
     )
+
+
+def _is_header(comment: str, width: int) -> bool:
+    """Whether a comment names as many columns as there are, the first of them a time."""
+    cells = _cells(comment)
+    return len(cells) == width and bool(re.fullmatch(_TIME, cells[0]))
+
+
+def _split(line: str) -> list[str]:
+    return re.split(r"\s*[,;]\s*|\s+", line.rstrip(",; "))
 
 
 def _numbers(path: Path, rows: list[tuple[int, str]]) -> np.ndarray:
     out, width = [], 0
     for n, line in rows:
-        cells = re.split(r"\s*[,;]\s*|\s+", line.rstrip(",; "))
+        cells = _split(line)
         width = width or len(cells)
         if len(cells) != width:
             raise InputError(f"{path}, line {n}: {len(cells)} columns, but the lines above have {width}")
@@ -145,67 +157,66 @@ def _numbers(path: Path, rows: list[tuple[int, str]]) -> np.ndarray:
 
 
 def _names(header: str) -> tuple[tuple[int, ...], int] | None:
-    """Columns of _FIELDS that a header names and how many it has in all; None if it is none."""
-    bare = re.sub(r"[(\[].*?[)\]]", "", header.strip("#%/ ").lower())
-    cells = [c.strip(" \"'") for c in (re.split(r"[,;]", bare) if re.search("[,;]", bare) else bare.split())]
-    found: dict[str, int] = {}
+    """Columns of _FIELDS that a header names and how many it has in all; None if it is none.
+
+    The quaternion is what has components x, y, z and w under one prefix (q, rot, orientation., r ...), the position the
+    first other one with x, y and z.
+    """
+    cells = _cells(header)
+    groups: dict[str, dict[str, int]] = {}
+    time = None
     for k, cell in enumerate(cells):
-        turn = re.fullmatch(r"(?:q|.*(?:quat|orient|rot)|q[._].*).*?([wxyz])", cell)
-        place = re.fullmatch(r"(?:[pt]?[._]?|[pt][._].*|.*(?:pos|trans).*)([xyz])", cell)
-        if turn:
-            found.setdefault(f"q{turn[1]}", k)
-        elif re.fullmatch(r"t|.*(time|stamp).*|secs?|seconds?", cell):
-            found.setdefault("t", k)
-        elif place:
-            found.setdefault(place[1], k)
-    return (tuple(found[f] for f in _FIELDS), len(cells)) if set(_FIELDS) <= set(found) else None
+        part = re.fullmatch(r"(|.*[a-z0-9])[._\s-]*([wxyz])", cell)
+        if re.fullmatch(_TIME, cell):
+            time = k if time is None else time
+        elif part:
+            groups.setdefault(part[1], {}).setdefault(part[2], k)
+    turn = next((g for g in groups.values() if set(g) == set("wxyz")), None)
+    place = next((g for g in groups.values() if g is not turn and set("xyz") <= set(g)), None)
+    if time is None or turn is None or place is None:
+        return None
+    return (time, *(place[c] for c in "xyz"), *(turn[c] for c in "xyzw")), len(cells)
+
+
+def _cells(header: str) -> list[str]:
+    bare = re.sub(r"[(\[].*?[)\]]", "", header.strip("#%/ ").lower())
+    return [c.strip(" \"'") for c in (re.split(r"[,;]", bare) if re.search("[,;]", bare) else bare.split())]
 
 
 # --- which column is which ------------------------------------------------------------------------------------------
 
 
 def _columns(rows: _Rows) -> tuple[tuple[int, ...], tuple[str, ...]]:
+    """Columns of _FIELDS, and what to say of them."""
+    name = rows.path.name
     if rows.header is not None:
-        said = (f"{rows.path.name}: quaternions with w first, as its header says",)
-        return rows.header, said if rows.header[7] < rows.header[4] else ()
-    width = rows.numbers.shape[1]
-    if width != _TUM:
+        table = rows.numbers[:, rows.header]
+        seen, w_first = order_of(table[:, 1:4], table[:, 4:]), rows.header[7] < rows.header[4]
+        said = [f"{name}: quaternions with w first, as its header says"] if w_first else []
+        if seen.sure and seen.first:  # of components that are in our order already
+            said.append(f"{name}: {seen.why}: is the header right about the order of the quaternions?")
+        return rows.header, tuple(said)
+    width, euroc = rows.numbers.shape[1], rows.commas and rows.numbers[0, 0] > _NANOSECONDS
+    if width != _TUM and not (euroc and width == _EUROC):
         raise rows.fail(
             0, f"{width} columns; expected 8 (TUM: t x y z qx qy qz qw) or 12 (KITTI), or a header that names them"
         )
-    why = _speaks_for_w_first(rows.numbers)
-    if rows.commas and (why or rows.numbers[0, 0] > _NANOSECONDS):
-        return _W_FIRST, (f"{rows.path.name}: no header; read as EuRoC's table, quaternions with w first",)
-    if why or rows.commas:
-        why = why or "values between commas may be TUM's (w last) or EuRoC's (w first)"
-        raise rows.fail(0, f"the order of the quaternions is not sure: {why}; say it in a first line {_HEADERS}")
-    return tuple(range(_TUM)), ()
-
-
-def _speaks_for_w_first(table: np.ndarray) -> str:
-    """Why eight columns without header seem to hold w first, "" if nothing says so.
-
-    A vehicle or hand drives in much the same direction of its own body all along. The angle between neighbours tells
-    nothing: it is the same in any order of the components.
-    """
-    if not table[0, 1:4].any() and np.allclose(table[0, 4:], [1, 0, 0, 0], atol=1e-6):
-        return "the first pose is at zero with 1 0 0 0, no turn with w first but half a turn with w last"
-    last, first = _unsteady(table[:, 1:4], table[:, 4:]), _unsteady(table[:, 1:4], table[:, [5, 6, 7, 4]])
-    if last > _UNSTEADY and first < _BETTER * last:
-        return "with w first the body moves in one direction of its own, with w last it does not"
-    return ""
-
-
-def _unsteady(position: np.ndarray, xyzw: np.ndarray) -> float:
-    """How much the direction of motion in the body's own frame varies: 0 = not at all, 1 = evenly spread."""
-    step = np.diff(position, axis=0)
-    length = np.sqrt(np.square(step / max(np.abs(step).max(initial=0.0), 1e-300)).sum(axis=1))
-    moved = length > _MOVE * np.median(length[length > 0]) if (length > 0).any() else length > 0
-    if moved.sum() < _STEPS or not ((np.abs(xyzw) <= 2).all() and (np.abs(xyzw).max(axis=1) > 0.1).all()):
-        return 0.0
-    ahead = step[moved] / np.linalg.norm(step[moved], axis=1, keepdims=True)
-    own = Rotation.from_quat(xyzw[:-1][moved]).apply(ahead, inverse=True)
-    return float(1 - np.linalg.norm(own.mean(axis=0)))
+    position, quaternion = rows.numbers[:, 1:4], rows.numbers[:, 4:8]
+    seen = order_of_start(position[0], quaternion[0])
+    seen = order_of(position, quaternion) if seen.first is None else seen
+    if euroc and not (seen.sure and seen.first is False):
+        return _W_FIRST, (f"{name}: no header; read as EuRoC's table, quaternions with w first",)
+    if rows.commas and not euroc and seen.first is not None:
+        order = "first" if seen.first else "last"
+        return _W_FIRST if seen.first else tuple(range(_TUM)), (f"{name}: quaternions with w {order}: {seen.why}",)
+    if rows.commas or (seen.sure and seen.first):
+        form = "EuRoC's table has w first, but " if euroc else "" if seen.why else "nothing in the path tells it; "
+        why = seen.why or "values between commas may be TUM's (w last) or EuRoC's (w first)"
+        raise rows.fail(0, f"the order of the quaternions is not sure: {form}{why}; say it in a first line {_HEADERS}")
+    doubt = (
+        f"{name}: read as TUM, quaternions with w last, but {seen.why}; if it is so, say it in a first line {_HEADERS}"
+    )
+    return tuple(range(_TUM)), (doubt,) if seen.first else ()
 
 
 # --- what no trajectory can be --------------------------------------------------------------------------------------

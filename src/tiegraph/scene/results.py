@@ -18,6 +18,7 @@ class Trajectory:
     sigma_m: np.ndarray
     origin: Origin | None = None
     notes: tuple[str, ...] = ()  # what to say of the file it came from
+    names: tuple[str, ...] = ()  # the image of each pose, which then is its camera's, in no order; else ()
 
     def __len__(self) -> int:
         return len(self.time_s)

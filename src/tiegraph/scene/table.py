@@ -62,7 +62,7 @@ class Table:
         """(R,) numbers of a column, NaN where there is none. Raises InputError for decimal commas."""
         if column is None:
             return np.full(len(self.rows), np.nan)
-        out = np.array([_number(self.cell(k, column)) for k in range(len(self.rows))], float)
+        out = np.array([number(self.cell(k, column)) for k in range(len(self.rows))], float)
         for k in np.flatnonzero(np.isnan(out)).tolist():
             if _DECIMAL_COMMA.fullmatch(self.cell(k, column)):
                 raise InputError(
@@ -74,21 +74,27 @@ class Table:
     def times(self, column: int | None, date: int | None = None) -> np.ndarray:
         """(R,) seconds of a time column: numbers, ISO 8601, or hh:mm:ss with a date column; NaN where there is none.
 
-        A unit in the header (ms, us, ns) is heeded; without one, times since 1970 tell it by their size.
+        A unit in the header, time (ns) or time_ns, is heeded; without one, times since 1970 tell it by their size.
         """
         self.numbers(column)
         cells = [self.cell(k, column) for k in range(len(self.rows))]
         if date is not None:
             cells = [f"{self.cell(k, date)} {c}" for k, c in enumerate(cells)]
         seconds = np.array([parse_time(c) for c in cells], float)
-        unit = _UNIT_S.get(self.unit(column))
+        named = "" if column is None else self.columns[column].rpartition("_")[2]
+        unit = _UNIT_S.get(self.unit(column) or named)
         seconds = in_seconds(seconds) if unit is None else seconds * unit
         return np.where(np.abs(seconds) <= TIME_LIMIT_S, seconds, np.nan)
 
     def some_lines(self, rows: Sequence[int] | np.ndarray) -> str:
         """The line numbers of some rows, in words: "line 4, 5, 9 ..."."""
-        numbers = [str(self.line(k)) for k in rows[:_SHOWN_LINES]]
-        return f"line {', '.join(numbers)}" + (" ..." if len(rows) > _SHOWN_LINES else "")
+        return some_lines([self.line(k) for k in rows])
+
+
+def some_lines(lines: Sequence[int]) -> str:
+    """The first of some line numbers, in words: "line 4, 5, 9 ..."."""
+    shown = ", ".join(str(n) for n in lines[:_SHOWN_LINES])
+    return f"line {shown}" + (" ..." if len(lines) > _SHOWN_LINES else "")
 
 
 def read_table(path: Path, purpose: str) -> Table:
@@ -97,7 +103,7 @@ def read_table(path: Path, purpose: str) -> Table:
     Raises InputError, naming file and line, if the file cannot be read as text, is empty, has no header, has a row with
     more cells than the header (decimal commas, a missing column name) or a second header that names other columns.
     """
-    text, notes = _text(Path(path), purpose)
+    text, notes = decoded(Path(path), whole_file(Path(path), purpose), purpose)
     lines = [(k + 1, line.strip()) for k, line in enumerate(text_lines(text)) if line.strip()]
     return table_of(Path(path), purpose, lines, notes)
 
@@ -132,12 +138,16 @@ def text_lines(text: str) -> list[str]:
     return re.split(r"\r\n|\r|\n", text)
 
 
-def _text(path: Path, purpose: str) -> tuple[str, list[str]]:
-    """Text of a file, and notes."""
+def whole_file(path: Path, purpose: str) -> bytes:
+    """What is in a file. Raises InputError if it cannot be read."""
     try:
-        raw = regular(path).read_bytes()
+        return regular(path).read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give the {purpose} as a CSV file") from None
+
+
+def decoded(path: Path, raw: bytes, purpose: str) -> tuple[str, list[str]]:
+    """Text of a file, UTF-8 or UTF-16 with its mark, and notes. Raises InputError if it is none."""
     utf16 = raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
         text = raw.decode("utf-16" if utf16 else "utf-8-sig")
@@ -191,9 +201,9 @@ def _joined_date(cells: tuple[str, ...], columns: int) -> tuple[str, ...]:
 
 def parse_time(text: str) -> float:
     """Seconds of a number, an ISO 8601 time (without zone: taken as UTC) or hh:mm:ss; NaN if it is none of them."""
-    number = _number(text)
-    if number == number:
-        return number
+    seconds = number(text)
+    if seconds == seconds:
+        return seconds
     clock = re.fullmatch(r"(\d{1,2}):([0-5]\d):([0-5]\d(?:\.\d+)?)Z?", text.strip())
     if clock:
         return int(clock[1]) * 3600 + int(clock[2]) * 60 + float(clock[3])
@@ -262,7 +272,8 @@ def _column(text: str) -> str:
     return re.sub(r"[^a-z0-9]+", "_", text).strip("_")
 
 
-def _number(text: str) -> float:
+def number(text: str) -> float:
+    """The number that a cell is, NaN if it is none."""
     try:
         return float(text)
     except ValueError:

@@ -1,8 +1,10 @@
-"""What multispectral cameras write into a file's XMP about the rig it belongs to.
+"""What cameras write into a file's XMP: the rig of a multispectral camera, and the position of a DJI drone with RTK.
 
-The tags are those of Pix4D's namespace Camera (http://pix4d.com/camera/1.0), written by Parrot, MicaSense and Sentera,
-as attributes, as elements or as lists: RigName, RigCameraIndex, BandName, RigRelatives and
-RigRelativesReferenceRigCameraIndex.
+The rig's tags are those of Pix4D's namespace Camera (http://pix4d.com/camera/1.0), written by Parrot, MicaSense and
+Sentera, as attributes, as elements or as lists: RigName, RigCameraIndex, BandName, RigRelatives and
+RigRelativesReferenceRigCameraIndex. DJI's stand in its namespace drone-dji (DJI, photo file description): GpsLatitude,
+GpsLongitude (in old firmware GpsLongtitude), AbsoluteAltitude, RtkFlag (0 none, 16 single, 34 float, 50 fixed) and the
+standard deviations RtkStdLat, RtkStdLon, RtkStdHgt in metres.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import numpy as np
 
 _XMP_TAG = 700  # of TIFF
 _MAX_DEG = 360.0
+_DJI = "drone-dji"
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,18 @@ def read_rig_tags(image: Any) -> RigTags:
     )
 
 
+def read_rtk_position(image: Any) -> tuple[float, ...]:
+    """Latitude, longitude, height and horizontal standard deviation that a DJI drone with RTK wrote into an opened PIL
+    image; NaN where it wrote none or had no position."""
+    text = _text(image)
+    if "RtkFlag" not in text or not _number(_value(text, "RtkFlag", _DJI)) > 0:
+        return (float("nan"),) * 4
+    lon = _value(text, "GpsLongitude", _DJI) or _value(text, "GpsLongtitude", _DJI)
+    height = _number(_value(text, "AbsoluteAltitude", _DJI))
+    sigma = max(_number(_value(text, tag, _DJI)) for tag in ("RtkStdLat", "RtkStdLon"))
+    return _number(_value(text, "GpsLatitude", _DJI)), _number(lon), height, sigma
+
+
 def relative_rotation(relatives_deg: tuple[float, ...]) -> np.ndarray:
     """(3, 3) reference_from_camera of RigRelatives: Rx(omega) Ry(phi) Rz(kappa), both frames x right, y down, z forward
     (as MicaSense's own library lays its bands on each other)."""
@@ -63,12 +78,12 @@ def _text(image: Any) -> str:
     return found.decode("utf-8", errors="replace") if isinstance(found, bytes) else str(found)
 
 
-def _value(text: str, tag: str) -> str:
+def _value(text: str, tag: str, space: str = "Camera") -> str:
     """Text of a tag written as an attribute, as an element or as a list, its items parted by blanks."""
-    attribute = re.search(rf'\bCamera:{tag}\s*=\s*["\']([^"\']*)["\']', text)
+    attribute = re.search(rf'\b{space}:{tag}\s*=\s*["\']([^"\']*)["\']', text)
     if attribute:
         return attribute[1].strip()
-    element = re.search(rf"<Camera:{tag}(?:\s[^>]*)?>(.*?)</Camera:{tag}>", text, re.DOTALL)
+    element = re.search(rf"<{space}:{tag}(?:\s[^>]*)?>(.*?)</{space}:{tag}>", text, re.DOTALL)
     return " ".join(re.sub(r"<[^>]*>", " ", element[1]).split()) if element else ""
 
 

@@ -1,0 +1,205 @@
+"""Sentences of a receiver (NMEA 0183): GGA has place and time of day, RMC or ZDA the date, GST the standard deviations.
+
+Other sentences, and the binary messages that receivers write between them, are passed over; damaged sentences are told
+by their checksums and said.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import dataclass, field
+from datetime import datetime, timezone
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from tiegraph.errors import InputError
+from tiegraph.scene.gnss.fixes import Fixes, above_ellipsoid
+from tiegraph.scene.gpstime import DAY_S
+from tiegraph.scene.table import number
+
+_TOLD = re.compile(rb"(?m)^[^<\r\n]{0,64}\$[A-Z]{2}(?:GGA|RMC|ZDA|GST|GNS|GLL|GSA|GSV|VTG),")
+_SENTENCE = re.compile(rb"\$([A-Z]{2}(GGA|RMC|ZDA|GST),[^$*]*)(\*[0-9A-Fa-f]{2})?\s*$")
+_FIXES = {"1": "single", "2": "differential", "3": "PPS", "4": "RTK fixed", "5": "RTK float", "6": "dead reckoning",
+          "7": "manual", "8": "simulated"}  # fmt: skip
+_NAN = float("nan")
+
+
+@dataclass
+class _Log:
+    """What the sentences of a file say, in their order."""
+
+    rows: list[tuple[int, list[str]]] = field(default_factory=list)  # line and cells of a GGA
+    dates: list[tuple[int, float, float]] = field(default_factory=list)  # rows before it, second of the day, its day
+    sigma: dict[int, list[float]] = field(default_factory=dict)  # east, north, up of a row
+    damaged: list[tuple[int, str]] = field(default_factory=list)  # line and sentence
+    _row_at: dict[str, int] = field(default_factory=dict)  # the last GGA of a time of day
+    _sigma_at: dict[str, list[float]] = field(default_factory=dict)  # of a GST that stands before its GGA
+
+    def gga(self, line: int, cells: list[str]) -> None:
+        self._row_at[cells[1]] = len(self.rows)
+        if cells[1] in self._sigma_at:
+            self.sigma[len(self.rows)] = self._sigma_at.pop(cells[1])
+        self.rows.append((line, cells))
+
+    def gst(self, cells: list[str]) -> None:
+        north, east, up = (number(c) for c in cells[6:9])
+        row = self._row_at.pop(cells[1], None)
+        if row is None:
+            self._sigma_at[cells[1]] = [east, north, up]
+        else:
+            self.sigma[row] = [east, north, up]
+
+    def date(self, time: str, day: str) -> None:
+        """``day`` as ddmmyyyy; what is none counts as not there."""
+        second, midnight = _second(time), _midnight(day)
+        if second == second and midnight == midnight:
+            self.dates.append((len(self.rows), second, midnight))
+
+
+def is_nmea(text: str, raw: bytes) -> bool:
+    """Whether sentences of positions stand in the first bytes of a file."""
+    return bool(_TOLD.search(raw))
+
+
+def read_nmea(path: Path, raw: bytes) -> Fixes:
+    """The GGA sentences of a log; heights are above the ellipsoid by the undulation that they give.
+
+    Without RMC and ZDA times are those of the day. Raises InputError for no GGA, none that is whole, and heights that
+    are not in metres.
+    """
+    log = _read(raw)
+    if not log.rows:
+        if log.damaged:
+            n, text = log.damaged[0]
+            raise InputError(
+                f"{path}, line {n}: {text!r:.80} has no or a wrong checksum, as have all {len(log.damaged)} sentences "
+                "with positions, times and dates: was the file edited or cut off? Copy it again from the receiver"
+            )
+        raise InputError(
+            f"{path}: no GGA sentence; the others have no height: let the receiver write GGA, and RMC or ZDA"
+        )
+    notes = _said(path, log)
+    cells = [c for _, c in log.rows]
+    odd = next((k for k, c in enumerate(cells) if {c[10], c[12]} - {"M", ""}), None)
+    if odd is not None:
+        raise InputError(
+            f"{path}, line {log.rows[odd][0]}: {','.join(cells[odd])}: heights in other units than metres (M)"
+        )
+    fixed = np.array([c[6] not in ("", "0") for c in cells])
+    above_sea, undulation = (np.array([number(c[k]) for c in cells]) for k in (9, 11))
+    height, said = above_ellipsoid(path, above_sea, undulation)
+    places = np.array([[_angle(c[2], c[3]), _angle(c[4], c[5])] for c in cells])
+    llh = np.column_stack([places, height])
+    llh[~fixed] = np.nan
+    seconds = np.array([_second(c[1]) for c in cells])
+    dated = bool(log.dates)
+    if not dated:
+        notes.append(f"{path.name}: no RMC or ZDA gives a date: its times of day (UTC) are those of the frames' day")
+    return Fixes(
+        path=path,
+        line=[n for n, _ in log.rows],
+        lat_lon_height=llh,
+        time_s=seconds + (_days(log, seconds) if dated else _past_midnight(seconds)),
+        sigma_m=np.array([log.sigma.get(k, [_NAN] * 3) for k in range(len(cells))]),
+        notes=[*notes, *said],
+        period_s=0.0 if dated else DAY_S,
+    )
+
+
+def _read(raw: bytes) -> _Log:
+    lines = re.split(rb"\r\n|\r|\n", raw)
+    found = [(n, m) for n, line in enumerate(lines, start=1) if b"$" in line and (m := _SENTENCE.search(line))]
+    summed = any(m[3] for _, m in found)  # a receiver writes checksums or does not
+    void: list[tuple[str, str]] = []
+    log = _Log()
+    for n, match in found:
+        cells = match[1].decode("ascii", errors="replace").split(",")
+        least = {b"GGA": 13, b"RMC": 10, b"ZDA": 5, b"GST": 9}[match[2]]
+        if len(cells) < least or (summed and not (match[3] and _sum(match[1]) == int(match[3][1:], 16))):
+            log.damaged.append((n, match[0].decode("ascii", errors="replace").strip()))
+        elif match[2] == b"GGA":
+            log.gga(n, cells)
+        elif match[2] == b"GST":
+            log.gst(cells)
+        elif match[2] == b"ZDA":
+            log.date(cells[1], f"{cells[2]:0>2}{cells[3]:0>2}{cells[4]}")
+        elif cells[2] == "A":
+            log.date(cells[1], _four_digits(cells[9]))
+        else:
+            void.append((cells[1], _four_digits(cells[9])))
+    if not log.dates:
+        for time, day in void[:1]:  # of a receiver without a fix, but with a clock
+            log.date(time, day)
+    return log
+
+
+@lru_cache(maxsize=64)
+def _midnight(day: str) -> float:
+    """Seconds since 1970 at the start of ddmmyyyy."""
+    try:
+        return datetime.strptime(day, "%d%m%Y").replace(tzinfo=timezone.utc).timestamp()
+    except ValueError:
+        return _NAN
+
+
+def _four_digits(day: str) -> str:
+    """ddmmyyyy of ddmmyy."""
+    return day[:4] + ("19" if day[4:] >= "80" else "20") + day[4:]
+
+
+def _sum(body: bytes) -> int:
+    return int(np.bitwise_xor.reduce(np.frombuffer(body, np.uint8)))
+
+
+def _said(path: Path, log: _Log) -> list[str]:
+    notes = []
+    if log.damaged:
+        n, text = log.damaged[0]
+        notes.append(
+            f"{path.name}, line {n}: {text!r:.60} is cut off or has a wrong checksum: {len(log.damaged)} such "
+            "sentences are left out"
+        )
+    kinds = Counter(_FIXES.get(c[6], "no fix") for _, c in log.rows)
+    counted = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
+    return [*notes, f"{path.name}: {len(log.rows)} positions by NMEA: {counted}"]
+
+
+def _days(log: _Log, seconds: np.ndarray) -> np.ndarray:
+    """(R,) start of the day of each row: by the date before or after it, the one whose time of day is nearer."""
+    starts, second, day = np.array(log.dates).T
+    clock = np.nan_to_num(seconds)
+    after = np.searchsorted(starts, np.arange(len(seconds)), side="right")
+    before, after = np.maximum(after - 1, 0), np.minimum(after, len(starts) - 1)
+    off = [np.abs((second[k] - clock + DAY_S / 2) % DAY_S - DAY_S / 2) for k in (before, after)]
+    which = np.where(off[1] < off[0], after, before)
+    return day[which] + DAY_S * np.round((second[which] - clock) / DAY_S)
+
+
+def _past_midnight(seconds: np.ndarray) -> np.ndarray:
+    """(R,) what to add to times of day so that they go on after midnight."""
+    known = np.nan_to_num(seconds, nan=_first(seconds))
+    return DAY_S * np.concatenate([[0.0], np.cumsum(-np.round(np.diff(known) / DAY_S))])
+
+
+def _first(seconds: np.ndarray) -> float:
+    good = seconds[np.isfinite(seconds)]
+    return float(good[0]) if len(good) else 0.0
+
+
+def _angle(text: str, side: str) -> float:
+    """Degrees of ddmm.mmmm or dddmm.mmmm with N, S, E or W."""
+    found = re.fullmatch(r"(\d{1,3})(\d\d(?:\.\d*)?)", text)
+    if found is None or side not in ("N", "S", "E", "W"):
+        return _NAN
+    minutes = float(found[2])
+    degrees = int(found[1]) + minutes / 60 if minutes < 60 else _NAN
+    return -degrees if side in ("S", "W") else degrees
+
+
+def _second(text: str) -> float:
+    """Second of the day of hhmmss.ss."""
+    found = re.fullmatch(r"(\d\d)(\d\d)(\d\d(?:\.\d*)?)", text)
+    return int(found[1]) * 3600 + int(found[2]) * 60 + float(found[3]) if found else _NAN

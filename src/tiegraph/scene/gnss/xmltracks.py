@@ -1,0 +1,176 @@
+"""Positions from GPX tracks, KML tracks (gx:Track) and KML placemarks named as images.
+
+Heights of both are above the sea by their specifications, in GPX with the undulation (geoidheight) where a program
+writes it. Times are UTC.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from xml.parsers import expat
+
+import numpy as np
+
+from tiegraph.errors import InputError
+from tiegraph.scene.gnss.fixes import Fixes, above_ellipsoid
+from tiegraph.scene.table import number, parse_time
+
+_NAN = float("nan")
+_IMAGE = re.compile(r"(?i)\.(jpe?g|png|tiff?|dng|bmp|webp|heic|insp)$")
+
+
+@dataclass
+class _Node:
+    """An element without the prefix of its name."""
+
+    name: str
+    line: int
+    given: dict[str, str]
+    text: str = ""
+    children: list[_Node] = field(default_factory=list)
+
+    def all(self, name: str) -> Iterator[_Node]:
+        """Elements of a name at any depth, in their order."""
+        todo = [self]
+        while todo:
+            node = todo.pop()
+            if node.name == name:
+                yield node
+            todo.extend(reversed(node.children))
+
+    def said(self, name: str) -> str:
+        """Text of the first child of a name, "" without one."""
+        return next((c.text.strip() for c in self.children if c.name == name), "")
+
+
+def is_gpx(text: str, raw: bytes) -> bool:
+    """Whether the first bytes of a file are those of GPX."""
+    return text.lstrip().startswith("<") and bool(re.search(r"<(?:\w+:)?gpx[\s>]", text))
+
+
+def is_kml(text: str, raw: bytes) -> bool:
+    """Whether the first bytes of a file are those of KML, or of a KMZ."""
+    return _is_kmz(raw) or (text.lstrip().startswith("<") and bool(re.search(r"<(?:\w+:)?kml[\s>]", text)))
+
+
+def _is_kmz(raw: bytes) -> bool:
+    return raw.startswith(b"PK\x03\x04") and b".kml" in raw[:512]
+
+
+def read_gpx(path: Path, raw: bytes) -> Fixes:
+    """Track points of GPX 1.0 and 1.1 with their times. Raises InputError for damaged XML and for no timed points."""
+    root = _parsed(path, raw)
+    points = list(root.all("trkpt"))
+    if not points:
+        others = sum(1 for n in ("rtept", "wpt") for _ in root.all(n))
+        raise InputError(
+            f"{path}: no track points (trkpt), {others} of routes and waypoints; export the recorded track"
+        )
+    if not any(p.said("time") for p in points):
+        raise InputError(
+            f"{path}, line {points[0].line}: no track point has a time, so nothing says which image was taken there: "
+            "export the track with times"
+        )
+    above_sea, undulation = (np.array([number(p.said(n)) for p in points]) for n in ("ele", "geoidheight"))
+    height, notes = above_ellipsoid(path, above_sea, undulation)
+    return Fixes(
+        path=path,
+        line=[p.line for p in points],
+        lat_lon_height=np.column_stack(
+            [*([number(p.given.get(n, "")) for p in points] for n in ("lat", "lon")), height]
+        ),
+        time_s=np.array([parse_time(p.said("time")) for p in points]),
+        notes=notes,
+    )
+
+
+def read_kml(path: Path, raw: bytes) -> Fixes:
+    """Rows of gx:Track (when, coord), or placemarks of points that are named as images or have a TimeStamp.
+
+    Raises InputError for damaged XML, a KMZ, heights above the ground, a track of other times than places, and for
+    nothing of the kind.
+    """
+    if _is_kmz(raw):
+        raise InputError(f"{path}: a packed KMZ: unpack it (it is a ZIP archive) and give the KML file in it")
+    root = _parsed(path, raw)
+    for mode in root.all("altitudeMode"):
+        if mode.text.strip() == "relativeToGround":
+            raise InputError(
+                f"{path}, line {mode.line}: heights above the ground (relativeToGround) place nothing: export absolute "
+                "altitudes"
+            )
+    whens, places = [], []
+    for track in root.all("Track"):
+        mine = [c for c in track.children if c.name == "when"], [c for c in track.children if c.name == "coord"]
+        if len(mine[0]) != len(mine[1]):
+            raise InputError(
+                f"{path}, line {track.line}: a gx:Track of {len(mine[0])} times and {len(mine[1])} places: is the "
+                "file cut off? Export it again"
+            )
+        whens += mine[0]
+        places += mine[1]
+    if places:
+        times = np.array([parse_time(w.text.strip()) for w in whens])
+        return _kml_fixes(path, [p.line for p in places], [p.text.split() for p in places], times)
+    marks = [(m, p) for m in root.all("Placemark") for p in m.all("Point")]
+    named = [(m.said("name"), p) for m, p in marks if _IMAGE.search(m.said("name"))]
+    if named:
+        where = [p.said("coordinates").split(",") for _, p in named]
+        found = _kml_fixes(path, [p.line for _, p in named], where, np.full(len(named), _NAN))
+        return replace(found, names=[n for n, _ in named])
+    timed = [(s, p) for m, p in marks for s in m.all("TimeStamp")]
+    if not timed:
+        raise InputError(
+            f"{path}: no gx:Track and no points named as images or with a TimeStamp ({len(marks)} points without); "
+            "a line alone has no times: export the track as GPX, or as KML with times"
+        )
+    times = np.array([parse_time(s.said("when")) for s, _ in timed])
+    return _kml_fixes(path, [p.line for _, p in timed], [p.said("coordinates").split(",") for _, p in timed], times)
+
+
+def _kml_fixes(path: Path, line: list[int], lon_lat_height: list[list[str]], time_s: np.ndarray) -> Fixes:
+    lon, lat, above_sea = np.array([[number(v) for v in [*cells, "", "", ""][:3]] for cells in lon_lat_height]).T
+    height, notes = above_ellipsoid(path, above_sea, np.full(len(line), _NAN))
+    return Fixes(
+        path=path,
+        line=line,
+        lat_lon_height=np.stack([lat, lon, height], axis=1),
+        time_s=time_s,
+        notes=notes,
+    )
+
+
+def _parsed(path: Path, raw: bytes) -> _Node:
+    """The elements of an XML file. Raises InputError, with the line, for one that is damaged or defines entities."""
+    parser = expat.ParserCreate()
+    parser.buffer_text = True
+    root = _Node("", 0, {})
+    open_ = [root]
+
+    def start(name: str, given: dict[str, str]) -> None:
+        open_[-1].children.append(_Node(name.rpartition(":")[2], parser.CurrentLineNumber, given))
+        open_.append(open_[-1].children[-1])
+
+    def data(text: str) -> None:
+        open_[-1].text += text
+
+    def entity(*_: object) -> None:
+        raise InputError(f"{path}, line {parser.CurrentLineNumber}: defines entities, which no track needs: remove it")
+
+    parser.StartElementHandler, parser.CharacterDataHandler, parser.EntityDeclHandler = start, data, entity
+    parser.EndElementHandler = lambda name: open_.pop()
+    try:
+        parser.Parse(raw, True)
+    except InputError:
+        raise
+    except expat.ExpatError as error:
+        raise InputError(
+            f"{path}, line {error.lineno}: XML that is cut off or damaged ({expat.ErrorString(error.code)}): export "
+            "the track again"
+        ) from None
+    except (LookupError, ValueError) as error:  # of an encoding that expat does not know itself
+        raise InputError(f"{path}, line 1: XML that cannot be decoded ({error}): save it as UTF-8") from None
+    return root

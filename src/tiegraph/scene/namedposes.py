@@ -1,0 +1,104 @@
+"""Poses by image name: a COLMAP model, and the transforms.json of nerfstudio and instant-ngp.
+
+COLMAP's cameras are ours: x right, y down, z forward; its quaternions have w first, which pycolmap reads. The cameras
+of transforms.json are OpenGL's: x right, y up, z backward (docs.nerf.studio, data conventions). The worlds of both, and
+their scales, are of any kind.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tiegraph.errors import InputError
+from tiegraph.geometry import transforms
+from tiegraph.scene.colmapmodel import is_model, matrix, read_model
+from tiegraph.scene.regular import regular
+
+TRANSFORMS = "transforms.json"
+_ROTATION = 1e-2  # by so much may R R^T miss 1
+
+
+def has_named_poses(path: Path) -> bool:
+    """Whether a path is a COLMAP model, a transforms.json, or a folder with one."""
+    return is_model(path) or (path / TRANSFORMS).is_file() or _is_json(path)
+
+
+def _is_json(path: Path) -> bool:
+    return path.suffix.lower() == ".json" and path.is_file()
+
+
+def read_named_poses(path: Path) -> dict[str, np.ndarray]:
+    """world_from_camera (4, 4) by image name, cameras x right, y down, z forward.
+
+    Raises InputError, naming what is damaged, and for files without poses or with the same pose for all images.
+    """
+    path = Path(path)
+    if path.is_dir() and not is_model(path):
+        path = path / TRANSFORMS
+    found = _of_model(path) if path.is_dir() else _of_transforms(path)
+    if not found:
+        raise InputError(f"{path}: no image has a pose in it; give a finished model, or leave it out")
+    poses = np.array(list(found.values()))
+    if len(poses) > 1 and np.ptp(poses, axis=0).max() < 1e-9:
+        raise InputError(f"{path}: all {len(poses)} poses are the same: a trajectory that says nothing; leave it away")
+    return found
+
+
+def _of_model(folder: Path) -> dict[str, np.ndarray]:
+    model = read_model(folder)
+    posed = (i for i in model.images.values() if i.has_pose)
+    return {i.name: transforms.invert(matrix(i.cam_from_world())) for i in posed}
+
+
+def _of_transforms(path: Path) -> dict[str, np.ndarray]:
+    frames = _frames(path)
+    out: dict[str, np.ndarray] = {}
+    for k, frame in enumerate(frames):
+        where = f"{path}, frame {k}"
+        name = frame.get("file_path") if isinstance(frame, dict) else None
+        if not isinstance(name, str) or not name:
+            raise InputError(f"{where}: no file_path: write the image that each pose is of")
+        pose = _pose(frame.get("transform_matrix"), f"{where} ({name:.80})")
+        if name in out and not np.allclose(out[name], pose, rtol=0, atol=1e-9):
+            raise InputError(f"{where}: {name:.80} has another pose above: leave the right one")
+        out[name] = pose
+    return out
+
+
+def _frames(path: Path) -> list[Any]:
+    try:
+        data = json.loads(regular(path).read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give a transforms.json of nerfstudio") from None
+    except json.JSONDecodeError as error:
+        raise InputError(f"{path}, line {error.lineno}: no JSON ({error.msg}): is the file cut off?") from None
+    except (UnicodeDecodeError, RecursionError):
+        raise InputError(f"{path}: no JSON text; give a transforms.json of nerfstudio or instant-ngp") from None
+    frames = data.get("frames") if isinstance(data, dict) else None
+    if not isinstance(frames, list):
+        raise InputError(f"{path}: no list 'frames'; give a transforms.json of nerfstudio or instant-ngp")
+    return frames
+
+
+def _pose(given: Any, where: str) -> np.ndarray:
+    try:
+        pose = np.array(given, float)
+    except (TypeError, ValueError):
+        pose = np.zeros(0)
+    if pose.shape not in ((4, 4), (3, 4)) or not np.isfinite(pose).all():
+        raise InputError(f"{where}: transform_matrix is no 4 x 4 matrix of numbers: remove that frame")
+    turn = pose[:3, :3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = np.abs(turn @ turn.T - np.eye(3)).max()
+    if not (off <= _ROTATION and np.linalg.det(turn) > 0):
+        raise InputError(
+            f"{where}: transform_matrix has no rotation in its first three columns (scaled, or mirrored): write "
+            "camera-to-world matrices with a rotation and a translation"
+        )
+    out = transforms.rigid(turn, pose[:3, 3])
+    out[:3, 1:3] *= -1  # from OpenGL's camera
+    return out
