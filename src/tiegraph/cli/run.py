@@ -43,7 +43,8 @@ class RunOptions(Common):
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """The run folder (default: <IMAGES>_tiegraph beside the images)."""
     rig: str | None = None
-    """A rig.toml, a COLMAP rig_config.json, or ladybug5, ring:N, stereo, single, panorama (default: guessed)."""
+    """A rig.toml, a COLMAP rig_config.json, the folder of another run (its rig as found), or ladybug5, ring:N, stereo,
+    single, panorama (default: guessed)."""
     camera: Annotated[str | None, tyro.conf.arg(aliases=["--calibration"])] = None
     """The calibration of a single camera: MODEL,parameters as COLMAP has them, such as
     OPENCV,4000x3000,fx,fy,cx,cy,k1,k2,p1,p2 (the size may be left away), or a file: COLMAP's cameras.txt, OpenCV's,

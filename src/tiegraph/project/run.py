@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
@@ -17,14 +18,14 @@ from tiegraph.child import end_helpers
 from tiegraph.errors import InputError, SettingsError, TiegraphError, UnreadableArtefact
 from tiegraph.limits import explained
 from tiegraph.project.artefacts import Artefacts
-from tiegraph.project.folder import LOG, check_folder, check_inputs, working_in
+from tiegraph.project.folder import LOG, check_folder, check_inputs, names_run, working_in
 from tiegraph.project.pool import Place, check_pool, map_items, open_pool
 from tiegraph.project.progress import Elsewhere, Meter, Reporter
 from tiegraph.project.receipts import Receipts
 from tiegraph.project.software import software
 from tiegraph.project.stages import Stage, digest, engines, stage_keys, stamp, write_atomic
 from tiegraph.scene.images import searched
-from tiegraph.scene.regular import names_file
+from tiegraph.scene.regular import names_file, regular
 
 log = logging.getLogger("tiegraph")
 
@@ -42,7 +43,7 @@ class Inputs:
 
     def key(self) -> str:
         """Hash over names, sizes and times of all inputs."""
-        rig = stamp(Path(self.rig)) if self.rig and Path(self.rig).exists() else None
+        rig = _rig_stamp(Path(self.rig)) if self.rig and Path(self.rig).exists() else None
         images = searched(self.images)
         files = [stamp(p) if p else None for p in (images, self.gnss, self.trajectory, self.times)]
         camera = [self.camera, *(stamp(Path(self.camera)) if names_file(self.camera) else [])] if self.camera else []
@@ -70,6 +71,17 @@ class Inputs:
         for option, path in (("--gnss", self.gnss), ("--trajectory", self.trajectory), ("--times", self.times)):
             if path is not None and not path.exists():
                 raise InputError(f"{option} {path}: no such file or folder")
+
+
+def _rig_stamp(rig: Path) -> Any:
+    """Of a rig file and the files it names, or of the receipts of the stages of another run that its rig comes from."""
+    if names_run(str(rig)):
+        return [stamp(rig / "receipts" / f"{stage}.json") for stage in ("sparse", "georef")]
+    try:
+        named = re.findall(r"\bfile\s*=\s*[\"']([^\"']+)", regular(rig).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError):
+        named = []
+    return [stamp(rig), *(stamp(rig.parent / n) for n in named)] if named else stamp(rig)
 
 
 class Run:
