@@ -72,7 +72,7 @@ def _model(folder: Path, poses: list[np.ndarray] | None, params: list[float], mo
 
 def _scene(rigs: tuple[Rig, ...]) -> Scene:
     count = len(rigs[0].sensors)
-    names = [f"{s.folder}/{f}.jpg" for f in range(2) for s in rigs[0].sensors]
+    names = [f"{s.folder or 'x'}/{f}.jpg" for f in range(2) for s in rigs[0].sensors]
     scene = simple_scene(rigs[0], names, np.repeat([0, 1], count), np.tile(np.arange(count), 2))
     return scene.with_(rigs=rigs)
 
@@ -219,6 +219,13 @@ def test_cameras_are_written_as_the_files_of_the_user_have_them(tmp_path: Path) 
     assert any("a: only the focal length is written, for OPENCV with" in s for s in found.said)
 
 
+def test_a_single_camera_needs_no_metres(tmp_path: Path) -> None:
+    alone = _given(sensors=(replace(_given().sensors[0], folder=""),), nominal=False)
+    found = rig_file(_run(tmp_path / "out", alone, None, georef=False))
+    (sensor,) = _read(found.text).sensors
+    assert sensor.params == tuple(FOUND) and sensor.folder == "" and found.said == ()
+
+
 def test_folders_that_have_no_rig_to_give(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"nowhere is no run folder: give one that"):
         rig_file(tmp_path / "nowhere")
@@ -229,6 +236,10 @@ def test_folders_that_have_no_rig_to_give(tmp_path: Path) -> None:
     views = tuple(replace(s, source=Source(panorama=True)) for s in _given().sensors)
     with pytest.raises(InputError, match=r"views of panoramas, .* give --rig panorama"):
         rig_file(_run(tmp_path / "views", _given(sensors=views), _poses(0.3)))
+    damaged = _run(tmp_path / "damaged", _given(), _poses(0.3))
+    (damaged / "world.json").write_text("{")
+    with pytest.raises(InputError, match=r"world.json cannot be read any more .* finish that run again"):
+        rig_file(damaged)
     two = (
         replace(_given(), name="x", sensors=_given().sensors[:1]),
         replace(_given(), name="y", sensors=_given().sensors[1:2]),
@@ -296,7 +307,9 @@ def test_another_run_starts_from_it_at_once(tmp_path: Path, capsys: pytest.Captu
     assert main(command) == 0 and "scan  up to date" not in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("what, words", [("sparse", "no sparse model yet"), ("mark", "not a file|no run folder")])
+@pytest.mark.parametrize(
+    "what, words", [("sparse", "no sparse model yet"), ("mark", "a folder, but no run folder of tiegraph")]
+)
 def test_a_folder_that_cannot_be_meant_stores_nothing(
     tmp_path: Path, what: str, words: str, capsys: pytest.CaptureFixture
 ) -> None:

@@ -254,6 +254,8 @@ def _changed(form: str, old: str, new: str) -> str:
         ),
         ("plumb_bob", "[2900.0, 0,", "[2900.0, 3.0,", r"a skew of 3"),
         ("ros2 message", "binning_x: 0", "binning_x: 2", r"binning_x = 2: the camera_info is of binned images"),
+        ("plumb_bob", "camera_matrix", "camera_matrix: 1\ncamera_matrix", r"2 camera matrices; keep those of"),
+        ("kalibr fov", "cam0:", "cam0:\n  camera_model: pinhole\n  more:", r"each camera has one camera_model"),
         ("ros2 message", "x_offset: 0", "x_offset: 64", r"x_offset = 64: the camera_info is of"),
     ],
 )
@@ -262,6 +264,13 @@ def test_what_no_model_can_say_is_refused(tmp_path: Path, form: str, old: str, n
     with pytest.raises(InputError, match=words) as error:
         read_camera(str(tmp_path / "camera.x"), RIG)
     assert "camera.x" in str(error.value)
+
+
+def test_line_ends_of_windows_are_line_ends(tmp_path: Path) -> None:
+    (tmp_path / "c.yaml").write_bytes(_camchain([np.eye(4)]).replace("\n", "\r\n").encode())
+    with pytest.raises(InputError, match=r"2 cameras \(cam0, cam1\); keep the one"):
+        read_camera(str(tmp_path / "c.yaml"), RIG)
+    assert len(read_rig_file(tmp_path / "c.yaml", RIG)[0].sensors) == 2
 
 
 def test_several_cameras_in_one_file_are_named(tmp_path: Path) -> None:

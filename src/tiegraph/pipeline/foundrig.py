@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pycolmap
 
-from tiegraph.errors import InputError
+from tiegraph.errors import InputError, UnreadableArtefact
 from tiegraph.pipeline.files import load_json, load_model, load_scene
 from tiegraph.project.folder import check_format, names_run
 from tiegraph.project.receipts import Receipts
@@ -78,7 +78,10 @@ def rig_file(folder: Path, form: str = TOML) -> RigFile:
     Raises InputError for a folder without a sparse model, for a rig.toml whose lengths would not be metres, for several
     rigs in one rig.toml, and for panoramas.
     """
-    run = _read(Path(folder))
+    try:
+        run = _read(Path(folder))
+    except UnreadableArtefact as error:
+        raise InputError(f"{error}; finish that run again") from None
     rigs = [_found(run, index) for index in range(len(run.scene.rigs))]
     if form == CONFIG:
         _check_prefixes(run, rigs)

@@ -48,7 +48,7 @@ def read_camera_file(path: Path, where: str) -> list[FoundCamera]:
         data = regular(path).read_bytes()
         if path.suffix.lower() == ".bin":
             return cameras_bin(data, where)
-        content = data.decode("utf-8-sig")
+        content = data.decode("utf-8-sig").replace("\r\n", "\n")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{where}: cannot be read as text in UTF-8 ({error}); known are {PROGRAMS}") from None
     known = next((f for f in FORMATS if f.mine(content)), None)

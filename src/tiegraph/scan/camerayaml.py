@@ -37,6 +37,9 @@ def is_opencv(content: str) -> bool:
 
 def opencv(content: str, where: str) -> list[FoundCamera]:
     """The camera of OpenCV's YAML or XML, or of ROS's camera_info. Raises InputError."""
+    count = len(re.findall(r"(?im)^[ \t-]*camera_?matrix[ \t]*:|<camera_?matrix\b", content))
+    if count > 1:
+        raise InputError(f"{where}: {count} camera matrices; keep those of the camera that took the images")
     matrix = numbers_of(content, "camera_matrix", "Camera_Matrix", "cameraMatrix", "CameraMatrix", "K", "k")
     fx, skew, cx, _, fy, cy, *_ = exactly(matrix, 9, f"{where}: camera_matrix")
     if abs(skew) > 1e-6 * abs(fx):
@@ -95,6 +98,10 @@ def kalibr_blocks(content: str) -> dict[str, str]:
 def kalibr(content: str, where: str) -> list[FoundCamera]:
     """The cameras of Kalibr's camchain.yaml. Raises InputError."""
     blocks = kalibr_blocks(content) or {"": content}
+    if len(re.findall(r"camera_model\s*:", content)) != len(blocks):
+        raise InputError(
+            f"{where}: each camera has one camera_model, below a name (cam0:) that begins its line; mend it"
+        )
     return [_kalibr(name, text, where if len(blocks) == 1 else f"{where}, {name}") for name, text in blocks.items()]
 
 
