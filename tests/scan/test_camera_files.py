@@ -236,6 +236,9 @@ def _changed(form: str, old: str, new: str) -> str:
         ("agisoft frame", "<b1>", "<b2>0.5</b2><b1>", r"b2 = 0.5, which no camera model of COLMAP has here; optimise"),
         ("agisoft frame", "<k1>", "<k4>-0.01</k4><k1>", r"k4 = -0.01, which no .* optimise or calibrate without it"),
         ("agisoft frame", "<k1>", "<p3>0.01</p3><k1>", r"p3 = 0.01, which no"),
+        ("agisoft frame", "<f>2900.0</f>", "<f>29x0</f>", r"f = '29x0': expected a number"),
+        ("agisoft fisheye", "<f>2900.0</f>", "<fy>2900.0</fy><f></f>", r"no calibration that is known|f = ''"),
+        ("kalibr fov", "[4000, 3000]", "[4000, 1e999]", r"images of 4000 x 1000000000: at most"),
         ("agisoft frame", ">frame<", ">spherical<", r"a camera of type spherical: read are frame and fisheye"),
         ("agisoft frame", "<width>4000</width>", "", r"width and height are missing"),
         ("agisoft frame", "<f>2900.0</f>", "<fx>2900</fx><fy>2900</fy>", r"old version \(fx, fy\): p1 = 0.002"),
@@ -323,6 +326,7 @@ def test_a_camchain_is_a_rig(tmp_path: Path, flow: bool) -> None:
 @pytest.mark.parametrize(
     "old, new, words",
     [
+        ("[1.0, 0.0, 0.0,", "[1e999, 0.0, 0.0,", r"cam1: T_cn_cnm1 is no rotation and place"),
         ("T_cn_cnm1", "T_cam_imu", r"camchain.yaml, cam1: no T_cn_cnm1: where it is .* or give a rig.toml"),
         ("[1.0, 0.0, 0.0,", "[2.0, 0.0, 0.0,", r"cam1: T_cn_cnm1 is no rotation and place"),
         ("[0.0, 0.0, 1.0, 0.0]", "[0.0, 0.0, 1.0]", r"cam1: T_cn_cnm1: 15 numbers, 16 expected"),

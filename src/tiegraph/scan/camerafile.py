@@ -65,6 +65,8 @@ def check_lens(found: FoundCamera, tuning: CameraTuning) -> None:
     if found.size is None:
         return
     width, height = found.size
+    if max(found.size) > tuning.max_side_px:
+        raise InputError(f"{found.where}: images of {width} x {height}: at most {tuning.max_side_px} are read; mend it")
     camera = pycolmap.Camera(model=found.model, width=width, height=height, params=list(found.params))
     if wrong := lens_fault(camera, tuning):
         raise InputError(f"{found.where}: {wrong}")

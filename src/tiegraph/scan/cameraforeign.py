@@ -20,7 +20,7 @@ import re
 from typing import Any
 
 from tiegraph.errors import InputError
-from tiegraph.scan.cameraread import FoundCamera, numbers, zero
+from tiegraph.scan.cameraread import NUMBER, FoundCamera, size_of, zero
 from tiegraph.scan.rigreader import is_number
 
 # --- OpenSfM ----------------------------------------------------------------------------------------------------------
@@ -53,7 +53,8 @@ def _opensfm(name: str, row: dict[str, Any], where: str) -> FoundCamera:
     value = {k: float(v) for k, v in row.items() if k != "projection_type"}
     if min(value.get("width", 0), value.get("height", 0)) < 1:
         raise InputError(f"{where}: width and height are missing, and lengths are parts of the longer side; add them")
-    size = int(value["width"]), int(value["height"])
+    size = size_of((value["width"], value["height"]))
+    assert size is not None
     focal = value.get("focal", value.get("focal_x", 0.0)), value.get("focal", value.get("focal_y", 0.0))
     if min(focal) <= 0:
         raise InputError(f"{where}: no focal length (focal, or focal_x and focal_y)")
@@ -97,6 +98,11 @@ def _opensfm_lens(
 # --- Agisoft ----------------------------------------------------------------------------------------------------------
 
 
+_TERMS = (
+    "width", "height", "f", "fx", "fy", "cx", "cy", "skew", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4",
+)  # fmt: skip
+
+
 def is_agisoft(content: str) -> bool:
     """Whether a text is a calibration or a camera file of Metashape, PhotoScan or Lens."""
     return bool(re.search(r"<calibration\b", content) and re.search(r"<fx?>", content))
@@ -118,7 +124,7 @@ def agisoft(content: str, where: str) -> list[FoundCamera]:
 
 
 def _agisoft(name: str, head: str, text: str, where: str) -> FoundCamera:
-    value = {k: numbers(v)[0] for k, v in re.findall(r"<(\w+)>([^<]*)</\1>", text) if numbers(v) and k != "date"}
+    value = _values(text, where)
     kind = re.search(r"<projection>\s*(\w+)", text) or re.search(r'type="(\w+)"', head)
     place = re.search(r'<resolution width="(\d+)" height="(\d+)"', text)
     width, height = map(float, place.groups()) if place else (value.get("width", 0.0), value.get("height", 0.0))
@@ -131,10 +137,24 @@ def _agisoft(name: str, head: str, text: str, where: str) -> FoundCamera:
         focal = value["fx"], value.get("fy", value["fx"])
         middle = value.get("cx", width / 2), value.get("cy", height / 2)
     else:
+        if "f" not in value:
+            raise InputError(f"{where}: no focal length (f); export the calibration again")
         focal = value["f"] + value.get("b1", 0.0), value["f"]
         middle = width / 2 + value.get("cx", 0.0), height / 2 + value.get("cy", 0.0)
     model, params = _agisoft_lens(kind[1] if kind else "frame", (*focal, *middle), value, where, remedy)
-    return FoundCamera(model=model, params=params, size=(int(width), int(height)), where=where, name=name)
+    return FoundCamera(model=model, params=params, size=size_of((width, height)), where=where, name=name)
+
+
+def _values(text: str, where: str) -> dict[str, float]:
+    """The numbers of the elements that are known. Raises InputError for one that is none."""
+    out = {}
+    for name, content in re.findall(r"<(\w+)>([^<]*)</\1>", text):
+        if name not in _TERMS:
+            continue
+        if not re.fullmatch(NUMBER, content.strip()):
+            raise InputError(f"{where}: {name} = {content.strip()!r:.99}: expected a number")
+        out[name] = float(content)
+    return out
 
 
 def _agisoft_lens(

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from tiegraph.errors import InputError
 
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_ENDLESS_PX = 1e9  # no image is so large, and whole numbers of COLMAP hold it
 CENTRE = 0.5  # OpenCV, ROS and Kalibr count pixels from the centre of the first one, COLMAP from its corner
 
 
@@ -97,5 +98,7 @@ def exactly(values: tuple[float, ...], count: int, what: str) -> tuple[float, ..
 
 
 def size_of(values: tuple[float, ...]) -> tuple[int, int] | None:
-    """Width and height, None if there are not two that can be meant."""
-    return (int(values[0]), int(values[1])) if len(values) == 2 and min(values) >= 1 else None
+    """Width and height, None if there are not two that can be meant; no more than ``_ENDLESS_PX`` of an endless one."""
+    if len(values) != 2 or min(values) < 1:
+        return None
+    return int(min(values[0], _ENDLESS_PX)), int(min(values[1], _ENDLESS_PX))
