@@ -168,6 +168,14 @@ def test_a_rig_that_was_held_keeps_its_lengths(tmp_path: Path) -> None:
     for mine, true in zip(_sensor_from_rig(spec), poses):
         np.testing.assert_allclose(mine, true, rtol=0, atol=1e-9)
     assert spec.fixed and spec.sensors[1].sigma_m is None and any("the run held them" in s for s in found.said)
+    turned = [poses[0], poses[1], _poses(0.3, 0.2)[2]]
+    out = _run(tmp_path / "turned", _given(nominal=False, fixed=True), turned)
+    receipt = out / "receipts" / "sparse.json"
+    receipt.write_text(json.dumps({**json.loads(receipt.read_text()), "contradictions": ["c is turned by 0.2 deg"]}))
+    found = rig_file(out)
+    assert any("held by the run but for c, which the images turned or moved" in s for s in found.said)
+    assert "# contradicted in that run: c is turned by 0.2 deg" in found.text
+    np.testing.assert_allclose(_sensor_from_rig(_read(found.text))[1], poses[1], rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("georef", [True, False])
@@ -308,7 +316,7 @@ def test_another_run_starts_from_it_at_once(tmp_path: Path, capsys: pytest.Captu
 
 
 @pytest.mark.parametrize(
-    "what, words", [("sparse", "no sparse model yet"), ("mark", "a folder, but no run folder of tiegraph")]
+    "what, words", [("sparse", "no sparse model yet"), ("mark", "a folder, not a file, and no run folder")]
 )
 def test_a_folder_that_cannot_be_meant_stores_nothing(
     tmp_path: Path, what: str, words: str, capsys: pytest.CaptureFixture

@@ -97,6 +97,7 @@ def rig_file(folder: Path, form: str = TOML) -> RigFile:
             f"{folder}: {len(rigs)} rigs ({', '.join(r.name for r in rigs[:4])}), and a rig.toml holds one; take "
             "--format rig_config, or the cameras of the COLMAP model in its folder sparse"
         )
+    run.said += [f"contradicted in that run: {text}" for text in run.receipt.get("contradictions", ())]
     said = [f"As the run in {folder} found it.", *run.said]
     text = rig_toml(rigs[0], "\n".join(said))
     parse_rig_file(Path(folder), text, run.tuning)  # what cannot be read again must not be written
@@ -164,12 +165,22 @@ def _found(run: _Run, index: int) -> Rig:
         found = given
     elif mode == "fixed":
         found = _scaled(held, 1 / _units(held, given))
-        run.said.append(f"{given.name}: its places are as given: the run held them")
+        _say_held(run, found, given)
     else:
         _say_scale(run, found)
         found = _with_sigmas(run, replace(found, fixed=False), given)
     sensors = tuple(replace(s, camera=c.camera, source=c.source) for s, c in zip(found.sensors, cameras))
     return replace(found, sensors=sensors, antenna_m=run.antenna_m or given.antenna_m)
+
+
+def _say_held(run: _Run, found: Rig, given: Rig) -> None:
+    pairs = [(s.name, s.sensor_from_rig, g.sensor_from_rig) for s, g in zip(found.sensors, given.sensors)]
+    moved = [n for n, a, b in pairs if a is not None and b is not None and not np.allclose(a, b, rtol=0, atol=1e-6)]
+    if moved:
+        but = f"but for {', '.join(moved)}, which the images turned or moved"
+        run.said.append(f"{given.name}: its places were held by the run {but}")
+    else:
+        run.said.append(f"{given.name}: its places are as given: the run held them")
 
 
 def _say_loose(run: _Run, rig: Rig, mode: str) -> None:

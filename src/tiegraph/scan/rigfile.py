@@ -91,7 +91,7 @@ def read_rig_file(path: Path | str, tuning: RigTuning) -> tuple[RigSpec, ...]:
     if not path.exists():
         raise InputError(f"--rig {path}: no such file, and no preset: {PRESET_WORDS}")
     if path.is_dir():
-        raise InputError(f"--rig {path}: a folder, but no run folder of tiegraph; give one, or a rig file")
+        raise InputError(f"--rig {path}: a folder, not a file, and no run folder of tiegraph: give one of these")
     try:
         text = regular(path).read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
