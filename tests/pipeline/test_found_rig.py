@@ -195,13 +195,16 @@ def test_lengths_that_nothing_tells_in_metres_are_refused_in_a_rig_toml(tmp_path
 def test_a_rig_whose_cameras_have_their_own_times_says_what_is_left_out(tmp_path: Path) -> None:
     rows = [["a", 0.0, None], ["b", 0.1, -31.0], ["c", 0.1, 11.5]]
     tables = {"rig diagnostics": {"columns": ["camera", "off m", "time offset ms"], "rows": rows}}
-    found = rig_file(_run(tmp_path / "out", _given(), None, tables=tables))
+    found = rig_file(_run(tmp_path / "out", _given(nominal=False, fixed=True), None, tables=tables))
     spec = _read(found.text)
     for mine, given in zip(_sensor_from_rig(spec), _poses(0.3)):
         np.testing.assert_allclose(mine, given, rtol=0, atol=1e-9)
-    assert spec.nominal and all(s.params == tuple(FOUND) for s in spec.sensors)
+    assert spec.fixed and all(s.params == tuple(FOUND) for s in spec.sensors)
     assert any("do not fire at one instant" in s and "b -31 ms, c +11.5 ms" in s for s in found.said)
     assert "-31 ms" in found.text
+    found = rig_file(_run(tmp_path / "nominal", _given(), None, tables=tables))  # no images here: no frames
+    assert any("b stands as given: too few frames of it" in s for s in found.said)
+    assert 0.9 < _read(found.text).sensors[1].sigma_deg < 1.1  # type: ignore[operator]
     receipt = tmp_path / "out" / "receipts" / "sparse.json"
     receipt.write_text(receipt.read_text().replace('"auto"', '"absent"'))
     assert any("sparse.rig = absent" in s for s in rig_file(tmp_path / "out").said)

@@ -15,6 +15,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.errors import InputError, UnreadableArtefact
+from tiegraph.geometry.transforms import centre
 from tiegraph.pipeline.files import load_json, load_model, load_scene
 from tiegraph.project.folder import check_format, names_run
 from tiegraph.project.receipts import Receipts
@@ -27,6 +28,7 @@ from tiegraph.scene.colmapmodel import model_rigs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.covariance import INTERIOR_TABLE, MOUNTING
+from tiegraph.sfm.rig.mountings import relaxed_mountings
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.tuning import Tuning
 
@@ -159,10 +161,10 @@ def _found(run: _Run, index: int) -> Rig:
     held = model_rigs(run.mapped, run.scene)[index]
     found = model_rigs(run.world, run.scene)[index]
     cameras = [_with_camera(run, s, f) for s, f in zip(given.sensors, found.sensors)]
-    if several and not rigid:
-        _say_loose(run, given, mode)
-    if not several or not rigid:
+    if not several:
         found = given
+    elif not rigid:
+        found = _loose(run, given, index, mode)
     elif mode == "fixed":
         found = _scaled(held, 1 / _units(held, given))
         _say_held(run, found, given)
@@ -183,18 +185,52 @@ def _say_held(run: _Run, found: Rig, given: Rig) -> None:
         run.said.append(f"{given.name}: its places are as given: the run held them")
 
 
-def _say_loose(run: _Run, rig: Rig, mode: str) -> None:
+def _loose(run: _Run, given: Rig, index: int, mode: str) -> Rig:
+    """A rig that the model does not have as one: whose cameras fire at their own times, or that was not used."""
     if not mode:
-        run.said.append(f"{rig.name}: its places are as given: the run did not use the rig (sparse.rig = absent)")
-        return
+        run.said.append(f"{given.name}: its places are as given: the run did not use the rig (sparse.rig = absent)")
+        return given
+    late = _late_ms(run, given)
+    told = ", ".join(f"{n} {ms:+g} ms" for n, ms in late.items()) or "their times"
+    run.said.append(
+        f"{given.name}: the cameras do not fire at one instant, and each has a time of its own in the model. Left out, "
+        f"because a rig file cannot say it: {told}"
+    )
+    if mode in ("fixed", "soft") or not late:
+        run.said.append(f"{given.name}: its places are as given")
+        return given
+    seconds = {n: ms / 1000 for n, ms in late.items()}
+    found = relaxed_mountings(run.world, run.scene, index, seconds, Tuning().rig)
+    sensors = [given.sensors[0]]
+    for sensor in given.sensors[1:]:
+        if sensor.name in found:
+            mounting = found[sensor.name]
+            metres = _with_scale(run, mounting.sigma, float(np.linalg.norm(centre(mounting.sensor_from_rig))))
+            sensor = replace(sensor, sigma_deg=_short(mounting.sigma_deg), sigma_m=_short(metres))
+            sensors.append(replace(sensor, sensor_from_rig=mounting.sensor_from_rig))
+        else:
+            run.said.append(f"{given.name}: {sensor.name} stands as given: too few frames of it are in the model")
+            drawn = Tuning().rig.time_calibration
+            if sensor.sensor_from_rig is not None:
+                sensor = replace(sensor, sigma_deg=drawn.nominal_deg, sigma_m=drawn.nominal_m)
+            sensors.append(sensor)
+    rig = replace(given, sensors=tuple(sensors), nominal=False, fixed=False, pairs=())
+    _say_scale(run, rig)
+    return rig
+
+
+def _late_ms(run: _Run, rig: Rig) -> dict[str, float]:
+    """When each camera but the first fires against it, milliseconds; {} if the run has no times."""
     columns = run.receipt.get("tables", {}).get("rig diagnostics", {}).get("columns", [])
     at = columns.index(_LATE) if _LATE in columns else -1
-    names = {s.name for s in rig.sensors}
-    late = [f"{r[0]} {r[at]:+g} ms" for r in run.rows("rig diagnostics") if at >= 0 and r[0] in names and r[at]]
-    run.said.append(
-        f"{rig.name}: its places are as given: the cameras do not fire at one instant, and each has a time of its own "
-        f"in the model. Left out, because a rig file cannot say it: {', '.join(late) or 'their times'}"
-    )
+    names = {s.name for s in rig.sensors[1:]}
+    rows = run.rows("rig diagnostics") if at >= 0 else []
+    return {r[0]: r[at] for r in rows if r[0] in names and r[at] is not None}
+
+
+def _with_scale(run: _Run, sigma_m: float, length_m: float) -> float:
+    """Sigma of a coordinate with that of the scale of all lengths."""
+    return float(np.hypot(sigma_m, length_m * float(np.nan_to_num(run.metres.sigma)) / np.sqrt(3)))
 
 
 def _in_model(run: _Run, index: int) -> bool:
@@ -264,11 +300,10 @@ def _with_sigmas(run: _Run, found: Rig, given: Rig) -> Rig:
 
 def _sigmas(run: _Run, row: list) -> tuple[float, float]:
     """Sigma of each axis in degrees, and of each coordinate in metres with that of the scale: x, y, z, sigma, turn."""
-    scale, share = float(np.nan_to_num(run.metres.scale, nan=1.0)), float(np.nan_to_num(run.metres.sigma))
-    length = scale * float(np.linalg.norm(row[:3]))
+    scale = float(np.nan_to_num(run.metres.scale, nan=1.0))
     most_deg, most_m = run.tuning.sigma_deg[1], run.tuning.sigma_m[1]
-    place = np.hypot(scale * row[3], length * share) / np.sqrt(3)
-    return min(row[4] / np.sqrt(3), most_deg), min(float(place), most_m)
+    place = _with_scale(run, scale * row[3] / np.sqrt(3), scale * float(np.linalg.norm(row[:3])))
+    return min(row[4] / np.sqrt(3), most_deg), min(place, most_m)
 
 
 def _unmoved(sensor: Sensor, before: Sensor) -> bool:
