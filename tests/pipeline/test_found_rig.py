@@ -330,3 +330,16 @@ def test_a_folder_that_cannot_be_meant_stores_nothing(
     assert main(["run", str(images), "-o", str(tmp_path / "out"), "--rig", str(before), "--until", "scan"]) == 2
     err = capsys.readouterr().err
     assert any(w in err for w in words.split("|")) and not (tmp_path / "out").exists()
+
+
+def test_a_calibration_that_a_rig_file_names_counts_among_the_inputs(tmp_path: Path) -> None:
+    from tiegraph.project.run import Inputs
+
+    (tmp_path / "images").mkdir()
+    (tmp_path / "rig.toml").write_text('[[sensors]]\nname = "a"\ncamera = {file = "left.yaml"}\n')
+    (tmp_path / "left.yaml").write_text("one")
+    given = Inputs(tmp_path / "images", rig=str(tmp_path / "rig.toml"))
+    before = given.key()
+    assert given.key() == before
+    (tmp_path / "left.yaml").write_text("another")
+    assert given.key() != before
