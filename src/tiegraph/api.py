@@ -8,10 +8,10 @@ from typing import Any
 
 from tiegraph.design.coverage import Coverage, coverage
 from tiegraph.errors import InputError, SettingsError
-from tiegraph.pipeline import SHOTS, STAGES
+from tiegraph.pipeline import SHOTS, STAGES, foundrig
 from tiegraph.pipeline.inputs import check_given
 from tiegraph.project import settings as project_settings
-from tiegraph.project.folder import SETTINGS, check_format, write_settings
+from tiegraph.project.folder import SETTINGS, check_format, names_run, write_settings
 from tiegraph.project.progress import Reporter
 from tiegraph.project.run import Inputs, Run, check_run, run_stages, status
 from tiegraph.project.settings import SETTING_OF, Settings
@@ -96,6 +96,13 @@ class Project:
 
         return hand_over(Run(self.folder, self.inputs, self.settings), Path(folder))
 
+    def rig_file(self, form: str = "rig") -> tuple[str, tuple[str, ...]]:
+        """The rig as the model has it, with sigmas, as text of a rig.toml or (``form`` = "rig_config") of COLMAP's
+        rig_config.json; and what to say of it. Raises InputError if there is no sparse model, or nothing told metres.
+        """
+        found = foundrig.rig_file(self.folder, form)
+        return found.text, found.said
+
     def scene(self) -> Scene:
         """The images, frames and rigs (after `network`: with sections and a checked rig)."""
         checked = self.folder / "network" / "scene.json"
@@ -179,7 +186,7 @@ def open_project(
         raise InputError(f"{folder} is not a run folder (no {SETTINGS}): start with `tiegraph run IMAGES`")
     # Absolute, so that the run folder can be used from anywhere.
     found = real_path(images if images is not None else run["images"])
-    run.update({n: str(real_path(run[n])) for n in _NAMED if n in run and names_file(run[n])})
+    run.update({n: str(real_path(run[n])) for n in _NAMED if n in run and (names_file(run[n]) or names_run(run[n]))})
     name = preset or run.get("preset", "default")
     if isinstance(settings, Settings):
         complete = settings

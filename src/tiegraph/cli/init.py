@@ -26,7 +26,8 @@ class InitOptions(Common):
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """The run folder to prepare (default: <IMAGES>_tiegraph beside the images)."""
     rig: str | None = None
-    """A rig.toml, a COLMAP rig_config.json, or ladybug5, ring:N, stereo, single, panorama (default: guessed)."""
+    """A rig.toml, a COLMAP rig_config.json, the folder of another run (its rig as found), or ladybug5, ring:N, stereo,
+    single, panorama (default: guessed)."""
     camera: Annotated[str | None, tyro.conf.arg(aliases=["--calibration"])] = None
     """The calibration of a single camera: MODEL,parameters as COLMAP has them, or a file (as of `tiegraph run`)."""
 

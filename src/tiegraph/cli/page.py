@@ -10,7 +10,7 @@ From a folder of images to the cloud and the report. Run again, it goes on.
 
 inputs:
   IMAGES            the folder that holds the survey's images
-  --rig RIG         rig.toml, rig_config.json, ladybug5, ring:N, stereo, ...
+  --rig RIG         rig.toml, rig_config.json, OUT of another run, ring:N, ...
   --camera CAMERA   a single camera's calibration: a file, or MODEL,parameters
   --gnss FILE       positions: CSV, NMEA, .pos, GPX, KML, geo.txt, SBET, MRK
   --trajectory PATH poses: TUM, EuRoC, KITTI, transforms.json, a COLMAP model

@@ -45,11 +45,13 @@ class RunOptions(Common):
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """The run folder (default: <IMAGES>_tiegraph beside the images)."""
     rig: str | None = None
-    """A rig.toml, a COLMAP rig_config.json, or ladybug5, ring:N, stereo, single, panorama (default: guessed)."""
+    """A rig.toml, a COLMAP rig_config.json, the folder of another run (its rig as found), or ladybug5, ring:N, stereo,
+    single, panorama (default: guessed)."""
     camera: Annotated[str | None, tyro.conf.arg(aliases=["--calibration"])] = None
     """The calibration of a single camera: MODEL,parameters as COLMAP has them, such as
-    OPENCV,4000x3000,fx,fy,cx,cy,k1,k2,p1,p2 (the size may be left away), or a file: COLMAP's cameras.txt, OpenCV's,
-    ROS's or Kalibr's YAML, or a rig.toml with one camera. Of the cameras of a rig: in its rig.toml."""
+    OPENCV,4000x3000,fx,fy,cx,cy,k1,k2,p1,p2 (the size may be left away), or a file: COLMAP's cameras.txt or .bin,
+    OpenCV's or ROS's YAML or XML, Kalibr's camchain.yaml, OpenSfM's camera_models.json, Agisoft's XML, or a rig.toml
+    with one camera. Of the cameras of a rig: in its rig.toml."""
     gnss: Path | None = None
     """Positions: a CSV (time or image, lat, lon, height, sigma), NMEA 0183, RTKLIB's .pos, GPX, KML, ODM's geo.txt,
     SBET or DJI's Timestamp.MRK."""

@@ -20,7 +20,8 @@ class ShotOptions(Common):
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """The run folder (default: <IMAGES>_tiegraph beside the images)."""
     rig: str | None = None
-    """A rig.toml or COLMAP rig_config.json with the intrinsics and the place of every camera."""
+    """A rig.toml, a COLMAP rig_config.json or the folder of another run, with the intrinsics and the place of every
+    camera."""
     near: float | None = None
     """Nearest distance of the object in metres (default: 5 times the longest baseline)."""
     far: float | None = None

@@ -15,6 +15,7 @@ from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.geometry.geodesy import ENU, check_vertical, parse_crs
 from tiegraph.masks.plugin import read_model
 from tiegraph.pipeline.files import scanned
+from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.project.run import Run, status
 from tiegraph.project.settings import Settings
 from tiegraph.project.stages import Stage
@@ -87,8 +88,9 @@ def _check_references(settings: EvaluateSettings) -> None:
 def _read_inputs(run: Run) -> None:
     """Read the inputs that need no image, for the errors this raises."""
     given, tuning = run.inputs, run.settings.tuning.scan.rig
-    if given.rig is not None and given.rig.strip().lower() != PRESET and not preset_sizes(given.rig, tuning):
-        read_rig_file(given.rig, tuning)
+    named = given.rig is not None and given.rig.strip().lower() != PRESET and not preset_sizes(given.rig, tuning)
+    if named and rig_of_run(given.rig) is None:
+        read_rig_file(str(given.rig), tuning)
     if given.camera is not None:
         read_camera(given.camera, tuning)
     if given.trajectory is not None and (given.trajectory.is_file() or has_named_poses(given.trajectory)):

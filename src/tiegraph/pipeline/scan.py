@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.errors import InputError
+from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.pipeline.inputs import check_against
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
@@ -29,9 +30,11 @@ def scan(run: Run) -> Outcome:
     names = clean_names(files)  # from here on: only their opening needs the names that the file system has
     run.reporter.total(2 * len(names))
     probes = run.map(probe_image, [root / f for f in files], run.settings.tuning.scene.images)
+    known = rig_of_run(given.rig)
     inputs = ScanInputs(
         images=root,
         rig=given.rig,
+        rig_text=None if known is None else known.text,
         camera=given.camera,
         gnss=given.gnss,
         trajectory=given.trajectory,
@@ -50,7 +53,14 @@ def scan(run: Run) -> Outcome:
     return Outcome(
         {**counts, "cameras": len(scene.all_sensors), "positions": _placed(scene.world_from_rig)},
         dropped=tuple((d.name, d.reason) for d in scene.dropped),
-        notes=(*said, *_unreadable_names(names, files), *found.notes, *scene.notes, *told),
+        notes=(
+            *said,
+            *(() if known is None else known.said),
+            *_unreadable_names(names, files),
+            *found.notes,
+            *scene.notes,
+            *told,
+        ),
     )
 
 

@@ -31,6 +31,14 @@ def is_marked(folder: Path) -> bool:
     return (folder / MARK).is_file() or any((folder / "receipts" / "files").glob("*.json"))
 
 
+def names_run(text: str) -> bool:
+    """Whether an option that takes words, a file or a run folder names a run folder."""
+    try:
+        return Path(text).is_dir() and is_marked(Path(text))
+    except (OSError, ValueError):
+        return False
+
+
 def check_folder(folder: Path) -> None:
     """Raise InputError for a run folder that would not be ours alone: it must be new, empty, or made by a run."""
     if not os.path.lexists(folder):

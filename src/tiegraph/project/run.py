@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
@@ -17,14 +18,14 @@ from tiegraph.child import end_helpers
 from tiegraph.errors import EngineMissing, InputError, SettingsError, TiegraphError, UnreadableArtefact
 from tiegraph.limits import explained
 from tiegraph.project.artefacts import OTHER_KEY, Artefacts
-from tiegraph.project.folder import LOG, check_folder, check_inputs, working_in
+from tiegraph.project.folder import LOG, check_folder, check_inputs, names_run, working_in
 from tiegraph.project.pool import Place, check_pool, map_items, open_pool
 from tiegraph.project.progress import Elsewhere, Meter, Reporter
 from tiegraph.project.receipts import Receipts
 from tiegraph.project.software import software
 from tiegraph.project.stages import Stage, changed_parts, digest, engines, key_parts, stage_keys, stamp, write_atomic
 from tiegraph.scene.images import searched
-from tiegraph.scene.regular import names_file
+from tiegraph.scene.regular import names_file, regular
 
 log = logging.getLogger("tiegraph")
 
@@ -50,7 +51,7 @@ class Inputs:
 
     def parts(self) -> dict[str, Any]:
         """Names, sizes and times of each input, by what the user calls it; None for what is not given."""
-        rig = stamp(Path(self.rig)) if self.rig and Path(self.rig).exists() else None
+        rig = _rig_stamp(Path(self.rig)) if self.rig and Path(self.rig).exists() else None
         camera = [self.camera, *(stamp(Path(self.camera)) if names_file(self.camera) else [])] if self.camera else []
         files = {"--gnss": self.gnss, "--trajectory": self.trajectory, "--times": self.times}
         return {
@@ -82,6 +83,17 @@ class Inputs:
         for option, path in (("--gnss", self.gnss), ("--trajectory", self.trajectory), ("--times", self.times)):
             if path is not None and not path.exists():
                 raise InputError(f"{option} {path}: no such file or folder")
+
+
+def _rig_stamp(rig: Path) -> Any:
+    """Of a rig file and the files it names, or of the receipts of the stages of another run that its rig comes from."""
+    if names_run(str(rig)):
+        return [stamp(rig / "receipts" / f"{stage}.json") for stage in ("sparse", "georef")]
+    try:
+        named = re.findall(r"\bfile\s*=\s*[\"']([^\"']+)", regular(rig).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError):
+        named = []
+    return [stamp(rig), *(stamp(rig.parent / n) for n in named)] if named else stamp(rig)
 
 
 class Run:

@@ -26,7 +26,7 @@ from tiegraph.scan.folders import (
     words,
 )
 from tiegraph.scan.rigfaults import contradictions
-from tiegraph.scan.rigfile import read_rig_file
+from tiegraph.scan.rigfile import parse_rig_file, read_rig_file
 from tiegraph.scan.rigspec import RigSpec, SensorSpec, preset, preset_sizes
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import FoldersTuning, Tuning
@@ -87,8 +87,16 @@ class Usable:
         return [p.exif for p in self.probes], [p.upright_size() for p in self.probes]
 
 
-def assign(rig: str | None, usable: Usable, settings: ScanSettings, report: Report, tuning: Tuning) -> Survey:
-    """Rig, sensor and pass of each usable image. Raises InputError for a rig that is wrong or does not fit."""
+def assign(
+    rig: str | None, usable: Usable, settings: ScanSettings, report: Report, tuning: Tuning, text: str | None = None
+) -> Survey:
+    """Rig, sensor and pass of each usable image; ``text``: of a rig.toml that comes from ``rig``, a run folder.
+
+    Raises InputError for a rig that is wrong or does not fit.
+    """
+    if rig is not None and text is not None:
+        specs = parse_rig_file(Path(rig), text, tuning.rig)
+        return _assign_by_file(Path(rig), specs, usable, settings, report, tuning)
     cameras = preset_sizes(rig, tuning.rig) if rig else ()
     exif, sizes = usable.facts()
     layout = band_layout(usable.names, exif, settings.layout, tuning.bands) or guess_layout(
@@ -108,7 +116,7 @@ def assign(rig: str | None, usable: Usable, settings: ScanSettings, report: Repo
         spec = preset(rig, layout.folders, tuning.rig)
         report.notes.append(f"layout guessed: {layout.note}; rig preset {rig}: nominal axes and centres")
     else:
-        return _assign_by_file(Path(rig), usable, settings, report, tuning)
+        return _assign_by_file(Path(rig), read_rig_file(rig, tuning.rig), usable, settings, report, tuning)
     index = {s.folder: k for k, s in enumerate(spec.sensors)}
     shots = tuple(
         _shot(image, name, (0, index[place.folder]), place, layout.loose)
@@ -144,8 +152,10 @@ def _guessed_rig(layout: Layout) -> RigSpec:
     return RigSpec("rig", sensors, body_is_reference=True)
 
 
-def _assign_by_file(file: Path, usable: Usable, settings: ScanSettings, report: Report, tuning: Tuning) -> Survey:
-    specs = tuple(_bound(_checked(s), usable.names) for s in read_rig_file(file, tuning.rig))
+def _assign_by_file(
+    file: Path, read: Sequence[RigSpec], usable: Usable, settings: ScanSettings, report: Report, tuning: Tuning
+) -> Survey:
+    specs = tuple(_bound(_checked(s), usable.names) for s in read)
     owner = {(s.folder or ""): (r, k) for r, spec in enumerate(specs) for k, s in enumerate(spec.sensors)}
     if len(owner) < sum(len(spec.sensors) for spec in specs):
         raise InputError(f"{file}: two sensors have the same folder ({', '.join(owner)}): give each its own")

@@ -1,4 +1,4 @@
-"""Rig files: tiegraph's rig.toml and COLMAP's rig_config.json, read and written.
+"""Rig files: tiegraph's rig.toml, COLMAP's rig_config.json and Kalibr's camchain.yaml (``rigkalibr``), read.
 
 rig.toml::
 
@@ -25,7 +25,8 @@ rig.toml::
     sigma_deg = 0.1                          # optional: how well its orientation and its place are known;
     sigma_m = 0.002                          # a sensor with sigmas is adjusted about what is given
     crop_px = [0, 0, 0, 0]                   # optional: left, top, right, bottom
-    camera = {hfov_deg = 90}                 # optional: instead of the shared one
+    camera = {hfov_deg = 90}                 # optional: instead of the shared one; {file = "left.yaml"}: a calibration
+                                             # of another program, as of ``--camera``, beside the rig file
 
     [[pairs]]                # optional: what was measured between two sensors, with its sigma
     sensors = ["cam0", "cam2"]
@@ -51,7 +52,10 @@ import pycolmap
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import invert, rigid
+from tiegraph.scan.camerafile import check_lens, read_camera_file
+from tiegraph.scan.cameraread import only_one
 from tiegraph.scan.rigfaults import faults, lens_fault
+from tiegraph.scan.rigkalibr import kalibr_rig
 from tiegraph.scan.rigreader import Reader, is_number
 from tiegraph.scan.rigspec import AXES, PRESET_WORDS, RigSpec, SensorSpec, orient
 from tiegraph.scan.tuning import RigTuning
@@ -68,28 +72,37 @@ _SENSOR_KEYS = (
     "name", "folder", "role", "position_m", "yaw_pitch_roll_deg", "body_from_sensor_wxyz", "body_from_sensor",
     "crop_px", "camera", "sigma_deg", "sigma_m",
 )  # fmt: skip
-_CAMERA_KEYS = ("model", "size", "params", "focal_px", "hfov_deg")
+_CAMERA_KEYS = ("model", "size", "params", "focal_px", "hfov_deg", "file")
 _COLMAP_KEYS = (
     "image_prefix", "ref_sensor", "cam_from_rig_rotation", "cam_from_rig_translation", "camera_model_name",
     "camera_params",
 )  # fmt: skip
+_KALIBR = (".yaml", ".yml")
 RIG_NAME = "rig"  # of a file that gives none: a file's own name says how it was sent, not what it describes
 _TURNS = ("yaw_pitch_roll_deg", "body_from_sensor_wxyz", "body_from_sensor")
 
 
 def read_rig_file(path: Path | str, tuning: RigTuning) -> tuple[RigSpec, ...]:
-    """Rigs of a rig.toml (one) or a COLMAP rig_config.json (one or more).
+    """Rigs of a rig.toml or Kalibr's camchain.yaml (one) or a COLMAP rig_config.json (one or more).
 
     Raises InputError with file, line and key for what is missing, unknown, misspelt or of the wrong kind.
     """
     path = Path(path)
     if not path.exists():
         raise InputError(f"--rig {path}: no such file, and no preset: {PRESET_WORDS}")
+    if path.is_dir():
+        raise InputError(f"--rig {path}: a folder, not a file, and no run folder of tiegraph: give one of these")
     try:
         text = regular(path).read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: cannot be read as text in UTF-8 ({error})") from None
-    colmap = path.suffix.lower() == ".json"
+    if path.suffix.lower() in _KALIBR:
+        return (kalibr_rig(path, text, RIG_NAME, tuning),)
+    return parse_rig_file(path, text, tuning, path.suffix.lower() == ".json")
+
+
+def parse_rig_file(path: Path, text: str, tuning: RigTuning, colmap: bool = False) -> tuple[RigSpec, ...]:
+    """The rigs of the text of a rig.toml or rig_config.json that comes from ``path``. Raises InputError, naming it."""
     reader = _ColmapReader(path, text, tuning) if colmap else _TomlReader(path, text, tuning)
     try:
         rigs = reader.rigs()
@@ -260,6 +273,8 @@ class _TomlReader(Reader):
         if not isinstance(data, dict):
             raise self.fail("camera", f"camera of {where}: expected a table such as {{hfov_deg = 90}}", *at)
         self.known(data, _CAMERA_KEYS, f"the camera of {where}", *at)
+        if "file" in data:
+            return self.other_program(data, where, *at)
         params, size = self.numbers(data, "params", (), *at), self.numbers(data, "size", (2,), *at)
         given = [k for k in ("params", "focal_px", "hfov_deg") if k in data]
         if len(given) > 1:
@@ -285,6 +300,18 @@ class _TomlReader(Reader):
             "focal_px": data.get("focal_px"),
             "hfov_deg": data.get("hfov_deg"),
         }
+
+    def other_program(self, data: dict, where: str, table: str, number: int) -> dict:
+        """The camera of a file of another program, its path from the folder of this one."""
+        if len(data) > 1 or not isinstance(data["file"], str):
+            raise self.fail(
+                "file", f"camera of {where}: file = the path of a calibration, and no other key", table, number
+            )
+        at = f"{self.at('file', table, number)}: {data['file']}"
+        found = only_one(read_camera_file(self.path.parent / data["file"], at), at)
+        check_lens(found, self.tuning.camera)
+        given = {"at": found.where, "model": found.model, "size": found.size, "params": found.params}
+        return {**given, "focal_px": None, "hfov_deg": None}
 
 
 _CAMERA_TABLE = "cameras"

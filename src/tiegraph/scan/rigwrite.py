@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,16 @@ params: COLMAP's model and order, for images of size (width, height); pixels cou
 
 
 def write_rig_config(rig: Rig, path: Path) -> None:
-    """Write a rig as COLMAP's rig_config.json (image prefixes are the sensors' folders, quaternions w first)."""
+    """Write a rig as COLMAP's rig_config.json."""
+    Path(path).write_text(rig_config([rig]), encoding="utf-8")
+
+
+def rig_config(rigs: Sequence[Rig]) -> str:
+    """Rigs as text of COLMAP's rig_config.json (image prefixes are the sensors' folders, quaternions w first)."""
+    return json.dumps([{"cameras": _colmap_cameras(rig)} for rig in rigs], indent=2) + "\n"
+
+
+def _colmap_cameras(rig: Rig) -> list[dict]:
     cameras: list[dict] = []
     for number, sensor in enumerate(rig.sensors):
         camera: dict[str, Any] = {"image_prefix": f"{sensor.folder}/" if sensor.folder else ""}
@@ -44,11 +54,16 @@ def write_rig_config(rig: Rig, path: Path) -> None:
             camera["camera_model_name"] = sensor.camera.model.name
             camera["camera_params"] = [float(p) for p in sensor.camera.params]
         cameras.append(camera)
-    Path(path).write_text(json.dumps([{"cameras": cameras}], indent=2) + "\n", encoding="utf-8")
+    return cameras
 
 
 def write_rig_toml(rig: Rig, path: Path, comment: str = "") -> None:
-    """Write a rig as rig.toml that explains itself; its body frame is the reference sensor's (axes = camera)."""
+    """Write a rig as rig.toml that explains itself."""
+    Path(path).write_text(rig_toml(rig, comment), encoding="utf-8")
+
+
+def rig_toml(rig: Rig, comment: str = "") -> str:
+    """A rig as text of a rig.toml that explains itself; its body frame is the reference sensor's (axes = camera)."""
     lines = [f"# {line}" for line in (*comment.splitlines(), *EXPLAINED.splitlines())]
     lines += [
         f"name = {json.dumps(rig.name, ensure_ascii=False)}",
@@ -87,7 +102,7 @@ def write_rig_toml(rig: Rig, path: Path, comment: str = "") -> None:
     for pair in rig.pairs:
         lines += ["", "[[pairs]]", f"sensors = {json.dumps(list(pair.sensors), ensure_ascii=False)}"]
         lines += [f"{key} = {float(v)!r}" for key in PAIR_KEYS if (v := getattr(pair, key)) is not None]
-    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return "\n".join(lines) + "\n"
 
 
 def _toml(values: Any) -> str:

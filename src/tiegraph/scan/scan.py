@@ -35,8 +35,8 @@ __all__ = ["Probe", "ScanInputs", "build_scene", "find_images", "prepare_image",
 
 @dataclass(frozen=True)
 class ScanInputs:
-    """What the user gave: the folder of images, and optional rig (file or preset), camera (in words or a file), GNSS,
-    trajectory and times."""
+    """What the user gave: the folder of images, and optional rig (file or preset; ``rig_text``: of a rig.toml that
+    stands for it), camera (in words or a file), GNSS, trajectory and times."""
 
     images: Path
     rig: str | None = None
@@ -44,6 +44,7 @@ class ScanInputs:
     gnss: Path | None = None
     trajectory: Path | None = None
     times: Path | None = None
+    rig_text: str | None = None
     video: bool = False  # the images are pictures of videos
 
     def tells_order(self) -> bool:
@@ -66,7 +67,7 @@ def build_scene(
     views = perspective_views(usable, inputs.rig, settings, report, tuning)
     if views is None:
         files: Sequence[str] = names
-        survey = assign(inputs.rig, usable, settings, report, tuning)
+        survey = assign(inputs.rig, usable, settings, report, tuning, inputs.rig_text)
     else:
         names, probes, files, survey = views.names, views.probes, views.files, views.survey
     survey = _one_size(survey, names, probes, report)

@@ -95,7 +95,7 @@ class PositionSigma:
         out = {}
         if self.interior:
             rows = [[names.get(row[0], row[0]), *row[1:]] for row in self.interior]
-            out["interior orientation"] = {"columns": list(INTERIOR), "rows": rows}
+            out[INTERIOR_TABLE] = {"columns": list(INTERIOR), "rows": rows}
         if self.mounting:
             named = [[names.get(k, k), *m.centre, m.sigma, m.sigma_deg] for k, m in self.mounting.items()]
             out[MOUNTING] = {"columns": ["camera", "x", "y", "z", "sigma", "sigma of the turn deg"], "rows": named}
@@ -112,6 +112,7 @@ class PositionSigma:
         return {k: s for k, s in shares.items() if s > tuning.open_share and self.mounting[k].sigma > most}
 
 
+INTERIOR_TABLE = "interior orientation"
 MOUNTING = "mounting in the rig, units of the model"
 LENS = "lens errors left: mean residual where it is not noise"
 INTERIOR = ("camera", "parameter", "value", "sigma", "strongest correlation", "with")

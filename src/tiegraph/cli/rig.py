@@ -1,0 +1,55 @@
+"""`tiegraph rig OUT`: the rig as a run found it, for the next survey, `shots` or COLMAP."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from tiegraph.api import open_project
+from tiegraph.cli.options import options_of
+from tiegraph.cli.output import complain, say
+from tiegraph.errors import InputError
+from tiegraph.project.stages import write_atomic
+
+
+@dataclass(frozen=True)
+class RigOptions:
+    """Options of `tiegraph rig`."""
+
+    out: Annotated[Path | None, tyro.conf.arg(name="out", aliases=["-o"])] = None
+    """The file to write; it must not exist (default: standard output)."""
+    format: Literal["rig", "rig_config"] = "rig"
+    """rig = a rig.toml with sigmas, lengths in metres; rig_config = COLMAP's rig_config.json, which has neither."""
+
+
+def main(arguments: list[str]) -> int:
+    """`tiegraph rig`."""
+
+    def rig(
+        folder: tyro.conf.Positional[Path], options: Annotated[RigOptions, tyro.conf.arg(name="")] = RigOptions()
+    ) -> tuple[Path, RigOptions]:
+        """Write the rig as a run found it: cameras, places and turns in the rig, with their sigmas.
+
+        Read it with --rig in the next run; `tiegraph run IMAGES --rig FOLDER` takes it from the run folder at once.
+
+        Args:
+            folder: A run folder with a sparse model.
+        """
+        return folder, options
+
+    folder, options = options_of(rig, "tiegraph rig", arguments)
+    if options.out is not None and os.path.lexists(options.out):
+        raise InputError(f"-o {options.out} is there already: give another name, or remove it")
+    text, said = open_project(None, folder).rig_file(options.format)
+    if options.out is not None:
+        write_atomic(options.out, text)
+        say(f"written: {options.out}")
+    else:
+        say(text.rstrip("\n"))
+    for line in said if options.format != "rig" else ():  # a rig.toml has them as comments
+        complain(line)
+    return 0

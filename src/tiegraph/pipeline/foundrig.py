@@ -1,0 +1,378 @@
+"""The rigs of a run folder as its model has them: for the next survey, for ``shots``, for COLMAP.
+
+Where what from: cameras and places from ``sparse/world`` once ``georef`` has made it, before from ``sparse/0``. A rig
+that was held as given keeps its own lengths: what the positions say of the scale of a survey does not change a measured
+rig. A rig that was adjusted has the lengths of the world, and is refused where nothing told metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pycolmap
+
+from tiegraph.errors import InputError, UnreadableArtefact
+from tiegraph.geometry.transforms import centre
+from tiegraph.pipeline.files import load_json, load_model, load_scene
+from tiegraph.project.folder import check_format, names_run
+from tiegraph.project.receipts import Receipts
+from tiegraph.scan.prepare import crop_camera
+from tiegraph.scan.rigfaults import lens_fault
+from tiegraph.scan.rigfile import parse_rig_file
+from tiegraph.scan.rigwrite import rig_config, rig_toml
+from tiegraph.scan.tuning import RigTuning
+from tiegraph.scene.colmapmodel import model_rigs
+from tiegraph.scene.rig import Rig, Sensor
+from tiegraph.scene.scene import Scene
+from tiegraph.sfm.covariance import INTERIOR_TABLE, MOUNTING
+from tiegraph.sfm.rig.mountings import relaxed_mountings
+from tiegraph.sfm.rig.rig import rig_modes
+from tiegraph.sfm.tuning import Tuning
+
+TOML, CONFIG = "rig", "rig_config"
+_LATE = "time offset ms"
+_DIGITS = 3  # of a sigma
+
+
+@dataclass(frozen=True)
+class RigFile:
+    """A rig file as text, and what to say of it."""
+
+    text: str
+    said: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Metres:
+    """What a unit of ``sparse/0`` is in metres (NaN = nothing told), the sigma of that (a share), and who told."""
+
+    scale: float = np.nan
+    sigma: float = np.nan
+    source: str = "none"
+
+
+@dataclass
+class _Run:
+    """What of a run folder the rigs are read from."""
+
+    folder: Path
+    scene: Scene
+    receipt: dict[str, Any]  # of sparse
+    mapped: pycolmap.Reconstruction  # as sparse left it
+    world: pycolmap.Reconstruction  # as georef left it; the same without
+    metres: _Metres
+    antenna_m: tuple[float, float, float] | None
+    said: list[str] = field(default_factory=list)
+    unscaled: list[str] = field(default_factory=list)  # rigs whose lengths are in units of the model
+    tuning: RigTuning = field(default_factory=RigTuning)
+
+    def rows(self, table: str) -> list[list]:
+        """Rows of a table of the receipt of sparse."""
+        return list(self.receipt.get("tables", {}).get(table, {}).get("rows", ()))
+
+
+def rig_file(folder: Path, form: str = TOML) -> RigFile:
+    """The rig as the run in a folder found it, as a rig.toml or (``form`` = "rig_config") COLMAP's rig_config.json.
+
+    Raises InputError for a folder without a sparse model, for a rig.toml whose lengths would not be metres, for several
+    rigs in one rig.toml, and for panoramas.
+    """
+    try:
+        run = _read(Path(folder))
+    except UnreadableArtefact as error:
+        raise InputError(f"{error}; finish that run again") from None
+    rigs = [_found(run, index) for index in range(len(run.scene.rigs))]
+    if form == CONFIG:
+        _check_prefixes(run, rigs)
+        return RigFile(rig_config(rigs), tuple(run.said))
+    if run.unscaled:
+        raise InputError(
+            f"{folder}: nothing in this run told metres, and the places of {run.unscaled[0]} would be in units of the "
+            f"model: give positions, control points or a measured baseline ([[pairs]] of the rig file) and run "
+            f"`tiegraph georef {folder}`, or take --format {CONFIG}, which has no unit"
+        )
+    if len(rigs) > 1:
+        raise InputError(
+            f"{folder}: {len(rigs)} rigs ({', '.join(r.name for r in rigs[:4])}), and a rig.toml holds one; take "
+            "--format rig_config, or the cameras of the COLMAP model in its folder sparse"
+        )
+    run.said += [f"contradicted in that run: {text}" for text in run.receipt.get("contradictions", ())]
+    said = [f"As the run in {folder} found it.", *run.said]
+    text = rig_toml(rigs[0], "\n".join(said))
+    parse_rig_file(Path(folder), text, run.tuning)  # what cannot be read again must not be written
+    return RigFile(text, tuple(run.said))
+
+
+def rig_of_run(rig: str | None) -> RigFile | None:
+    """The rig.toml of the run folder that ``--rig`` names, None if it names something else. Raises as ``rig_file``."""
+    return rig_file(Path(rig)) if rig is not None and names_run(rig) else None
+
+
+# --- what the run left ------------------------------------------------------------------------------------------------
+
+
+def _read(folder: Path) -> _Run:
+    if not names_run(str(folder)):
+        raise InputError(f"{folder} is no run folder: give one that `tiegraph run IMAGES -o FOLDER` made")
+    check_format(folder)
+    receipts = Receipts(folder)
+    receipt, placed = receipts.read("sparse"), receipts.read("georef")
+    first, world = folder / "sparse" / "0", folder / "sparse" / "world"
+    if not receipt.get("finished") or not (first / "cameras.bin").exists():
+        raise InputError(f"{folder}: this run has no sparse model yet; `tiegraph sparse {folder}` makes it")
+    scene = load_scene(folder / "network" / "scene.json")
+    if any(s.source is not None and s.source.panorama for s in scene.all_sensors):
+        raise InputError(f"{folder}: its cameras are views of panoramas, which need no rig file: give --rig panorama")
+    mapped = load_model(first)
+    current = placed.get("finished") and placed.get("from", {}).get("sparse") == receipt.get("made")
+    if not current or not (world / "cameras.bin").exists():
+        return _Run(
+            folder=folder,
+            scene=scene,
+            receipt=receipt,
+            mapped=mapped,
+            world=mapped,
+            metres=_Metres(),
+            antenna_m=None,
+        )
+    told = load_json(folder / "world.json")
+    scale = float("nan") if told["scale_source"] == "none" else float(told["scale"])
+    sigma = told.get("sigma", {}).get("scale", receipt.get("counts", {}).get("scale_sigma", 0.0))
+    arm = told.get("antenna_m")
+    return _Run(
+        folder=folder,
+        scene=scene,
+        receipt=receipt,
+        mapped=mapped,
+        world=load_model(world),
+        metres=_Metres(scale, sigma, told["scale_source"]),
+        antenna_m=None if arm is None else tuple(arm),
+    )
+
+
+def _found(run: _Run, index: int) -> Rig:
+    """A rig with the cameras, places and sigmas of the model."""
+    given, several = run.scene.rigs[index], len(run.scene.rigs[index].sensors) > 1
+    mode = rig_modes(run.scene.measured(), run.receipt.get("settings", {}).get("rig", "auto")).get(index, "")
+    rigid = several and bool(mode) and _in_model(run, index)
+    held = model_rigs(run.mapped, run.scene)[index]
+    found = model_rigs(run.world, run.scene)[index]
+    cameras = [_with_camera(run, s, f) for s, f in zip(given.sensors, found.sensors)]
+    if not several:
+        found = given
+    elif not rigid:
+        found = _loose(run, given, index, mode)
+    elif mode == "fixed":
+        found = _scaled(held, 1 / _units(held, given))
+        _say_held(run, found, given)
+    else:
+        _say_scale(run, found)
+        found = _with_sigmas(run, replace(found, fixed=False), given)
+    sensors = tuple(replace(s, camera=c.camera, source=c.source) for s, c in zip(found.sensors, cameras))
+    return replace(found, sensors=sensors, antenna_m=run.antenna_m or given.antenna_m)
+
+
+def _say_held(run: _Run, found: Rig, given: Rig) -> None:
+    pairs = [(s.name, s.sensor_from_rig, g.sensor_from_rig) for s, g in zip(found.sensors, given.sensors)]
+    moved = [n for n, a, b in pairs if a is not None and b is not None and not np.allclose(a, b, rtol=0, atol=1e-6)]
+    if moved:
+        but = f"but for {', '.join(moved)}, which the images turned or moved"
+        run.said.append(f"{given.name}: its places were held by the run {but}")
+    else:
+        run.said.append(f"{given.name}: its places are as given: the run held them")
+
+
+def _loose(run: _Run, given: Rig, index: int, mode: str) -> Rig:
+    """A rig that the model does not have as one: whose cameras fire at their own times, or that was not used."""
+    if not mode:
+        run.said.append(f"{given.name}: its places are as given: the run did not use the rig (sparse.rig = absent)")
+        return given
+    late = _late_ms(run, given)
+    told = ", ".join(f"{n} {ms:+g} ms" for n, ms in late.items()) or "their times"
+    run.said.append(
+        f"{given.name}: the cameras do not fire at one instant, and each has a time of its own in the model. Left out, "
+        f"because a rig file cannot say it: {told}"
+    )
+    if mode in ("fixed", "soft") or not late:
+        run.said.append(f"{given.name}: its places are as given")
+        return given
+    seconds = {n: ms / 1000 for n, ms in late.items()}
+    found = relaxed_mountings(run.world, run.scene, index, seconds, Tuning().rig)
+    sensors = [given.sensors[0]]
+    for sensor in given.sensors[1:]:
+        if sensor.name in found:
+            mounting = found[sensor.name]
+            metres = _with_scale(run, mounting.sigma, float(np.linalg.norm(centre(mounting.sensor_from_rig))))
+            sensor = replace(sensor, sigma_deg=_short(mounting.sigma_deg), sigma_m=_short(metres))
+            sensors.append(replace(sensor, sensor_from_rig=mounting.sensor_from_rig))
+        else:
+            run.said.append(f"{given.name}: {sensor.name} stands as given: too few frames of it are in the model")
+            drawn = Tuning().rig.time_calibration
+            if sensor.sensor_from_rig is not None:
+                sensor = replace(sensor, sigma_deg=drawn.nominal_deg, sigma_m=drawn.nominal_m)
+            sensors.append(sensor)
+    rig = replace(given, sensors=tuple(sensors), nominal=False, fixed=False, pairs=())
+    _say_scale(run, rig)
+    return rig
+
+
+def _late_ms(run: _Run, rig: Rig) -> dict[str, float]:
+    """When each camera but the first fires against it, milliseconds; {} if the run has no times."""
+    columns = run.receipt.get("tables", {}).get("rig diagnostics", {}).get("columns", [])
+    at = columns.index(_LATE) if _LATE in columns else -1
+    names = {s.name for s in rig.sensors[1:]}
+    rows = run.rows("rig diagnostics") if at >= 0 else []
+    return {r[0]: r[at] for r in rows if r[0] in names and r[at] is not None}
+
+
+def _with_scale(run: _Run, sigma_m: float, length_m: float) -> float:
+    """Sigma of a coordinate with that of the scale of all lengths."""
+    return float(np.hypot(sigma_m, length_m * float(np.nan_to_num(run.metres.sigma)) / np.sqrt(3)))
+
+
+def _in_model(run: _Run, index: int) -> bool:
+    """Whether the model has the rig as one, with the reference of the scene."""
+    first = 1 + sum(len(r.sensors) for r in run.scene.rigs[:index])
+    reference = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, first)
+    return index + 1 in run.mapped.rigs and run.mapped.rigs[index + 1].is_ref_sensor(reference)
+
+
+def _say_scale(run: _Run, rig: Rig) -> None:
+    metres = run.metres
+    if np.isfinite(metres.scale):
+        known = f", known to {100 * metres.sigma:.2g} %" if metres.sigma > 0 else ""
+        run.said.append(f"{rig.name}: lengths are in metres by {metres.source}{known}")
+    elif any(s.sensor_from_rig is not None and s.sensor_from_rig[:3, 3].any() for s in rig.sensors):
+        run.unscaled.append(rig.name)
+        run.said.append(f"{rig.name}: lengths are in units of the model, for nothing told metres")
+
+
+def _scaled(rig: Rig, factor: float) -> Rig:
+    sensors = []
+    for sensor in rig.sensors:
+        pose = None if sensor.sensor_from_rig is None else np.array(sensor.sensor_from_rig)
+        if pose is not None:
+            pose[:3, 3] *= factor
+        sensors.append(replace(sensor, sensor_from_rig=pose))
+    return replace(rig, sensors=tuple(sensors))
+
+
+def _units(held: Rig, given: Rig) -> float:
+    """Units of the model in a metre, by the lengths of a rig that was held as given."""
+    pairs = [(s.sensor_from_rig, g.sensor_from_rig) for s, g in zip(held.sensors, given.sensors)]
+    lengths = [
+        (np.linalg.norm(a[:3, 3]), np.linalg.norm(b[:3, 3])) for a, b in pairs if a is not None and b is not None
+    ]
+    ratios = [a / b for a, b in lengths if b > 0]
+    return float(np.median(ratios)) if ratios else 1.0
+
+
+# --- sigmas -----------------------------------------------------------------------------------------------------------
+
+
+def _with_sigmas(run: _Run, found: Rig, given: Rig) -> Rig:
+    """Sigmas of the adjustment for each axis; of sensors that hardly a tie held, what a drawing is trusted with.
+
+    What was measured between pairs is in the sigmas, and left away: it would count twice.
+    """
+    table = {row[0]: row[1:] for row in run.rows(MOUNTING)}
+    names = [s.name for s in found.sensors[1:]]
+    untold = [n for n in names if n not in table]
+    if untold:
+        run.said.append(f"{found.name}: the run has no sigmas of the places of {', '.join(untold)}")
+        return found
+    sensors, kept = [found.sensors[0]], []
+    for sensor, before in zip(found.sensors[1:], given.sensors[1:]):
+        sigma_deg, sigma_m = _sigmas(run, table[sensor.name])
+        if _unmoved(sensor, before):
+            kept.append(sensor.name)
+            trusted = Tuning().rig.time_calibration
+            drawn = (trusted.nominal_deg, trusted.nominal_m) if given.nominal else (0.0, 0.0)
+            sigma_deg, sigma_m = before.sigma_deg or max(sigma_deg, drawn[0]), before.sigma_m or max(sigma_m, drawn[1])
+        sensors.append(replace(sensor, sigma_deg=_short(sigma_deg), sigma_m=_short(sigma_m)))
+    if kept:
+        run.said.append(f"{found.name}: {', '.join(kept)} turned as given: too few ties told its place in the rig")
+    return replace(found, sensors=tuple(sensors), nominal=False, pairs=())
+
+
+def _sigmas(run: _Run, row: list) -> tuple[float, float]:
+    """Sigma of each axis in degrees, and of each coordinate in metres with that of the scale: x, y, z, sigma, turn."""
+    scale = float(np.nan_to_num(run.metres.scale, nan=1.0))
+    most_deg, most_m = run.tuning.sigma_deg[1], run.tuning.sigma_m[1]
+    place = _with_scale(run, scale * row[3] / np.sqrt(3), scale * float(np.linalg.norm(row[:3])))
+    return min(row[4] / np.sqrt(3), most_deg), min(place, most_m)
+
+
+def _unmoved(sensor: Sensor, before: Sensor) -> bool:
+    """Whether a sensor of an adjusted rig looks exactly where it was given."""
+    if sensor.sensor_from_rig is None or before.sensor_from_rig is None:
+        return False
+    return bool(np.allclose(sensor.sensor_from_rig[:3, :3], before.sensor_from_rig[:3, :3], rtol=0, atol=1e-12))
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.{_DIGITS}g}")
+
+
+# --- cameras ----------------------------------------------------------------------------------------------------------
+
+
+def _with_camera(run: _Run, given: Sensor, found: Sensor) -> Sensor:
+    """A sensor with the camera of the model, as the files of the user have it: before cropping."""
+    camera, source = found.camera, given.source
+    if camera is None or given.camera is None:
+        return given
+    if not given.camera.has_prior_focal_length and _same(camera, given.camera):
+        run.said.append(f"{given.name}: its camera was guessed and not adjusted: left away")
+        return replace(given, camera=None, source=None if source is None else replace(source, camera=None))
+    if source is not None and source.camera is not None and not _as_cropped(given, source.camera):
+        run.said.append(f"{given.name}: its images were undistorted by the camera given, which stands here")
+        return given
+    left, top, right, bottom = (0, 0, 0, 0) if source is None else source.crop_px
+    camera = crop_camera(camera, -left, -top, -right, -bottom)
+    if wrong := lens_fault(camera, run.tuning.camera):
+        focal = camera.mean_focal_length()
+        run.said.append(f"{given.name}: only the focal length is written, for {wrong}")
+        camera = _undistorted(camera, focal)
+    else:
+        sigmas = [f"{r[1]} {r[3]:.2g}" for r in run.rows(INTERIOR_TABLE) if r[0] == given.name]
+        run.said += [f"{given.name}: sigmas of its camera: {', '.join(sigmas)}"] if sigmas else []
+    return replace(given, camera=camera, source=None if source is None else replace(source, camera=camera))
+
+
+def _same(a: pycolmap.Camera, b: pycolmap.Camera) -> bool:
+    return a.model == b.model and np.array_equal(a.params, b.params)
+
+
+def _as_cropped(sensor: Sensor, whole: pycolmap.Camera) -> bool:
+    """Whether the images of a sensor are those of its files but for what was cut off."""
+    assert sensor.source is not None and sensor.camera is not None
+    made = crop_camera(whole, *sensor.source.crop_px)
+    return made.model == sensor.camera.model and (made.width, made.height) == (
+        sensor.camera.width,
+        sensor.camera.height,
+    )
+
+
+def _undistorted(camera: pycolmap.Camera, focal_px: float) -> pycolmap.Camera:
+    fisheye = "FISHEYE" in camera.model.name
+    model = "SIMPLE_RADIAL_FISHEYE" if fisheye else "SIMPLE_RADIAL"
+    made = pycolmap.Camera.create_from_model_name(0, model, focal_px, camera.width, camera.height)
+    out = pycolmap.Camera(model=model, width=camera.width, height=camera.height, params=made.params)
+    out.has_prior_focal_length = True
+    return out
+
+
+def _check_prefixes(run: _Run, rigs: list[Rig]) -> None:
+    """Say where COLMAP would not find the images: its prefixes begin a name, folders of passes come before them."""
+    folders = [s.folder for r in rigs for s in r.sensors]
+    if any(f and not any(n.startswith(f"{f}/") for n in run.scene.names) for f in folders):
+        run.said.append("COLMAP's image_prefix begins a name: put the folder of a pass before each, or move the images")
+    if len(set(folders)) < len(folders):
+        raise InputError(
+            f"{run.folder}: its cameras are told by EXIF and share folders, and a rig_config.json goes by folder: "
+            "take the cameras of the COLMAP model in its folder sparse"
+        )
