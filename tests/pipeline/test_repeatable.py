@@ -5,7 +5,6 @@ from pathlib import Path
 import pytest
 
 import tiegraph
-import worlds
 from artefacts import artefacts
 from campaign.process import Server
 
@@ -13,9 +12,9 @@ pytestmark = pytest.mark.slow
 _PATIENCE_S = 400
 
 
-def test_serial_and_processes_make_the_same_bytes(tmp_path):
+def test_serial_and_processes_make_the_same_bytes(finished, tmp_path):
     """With a rig that is not known, to the world; ``test_resume`` says so of all stages and of a calibrated rig."""
-    survey = worlds.write_survey(tmp_path / "survey", frames=3)
+    survey = finished.inputs
     for pool, hashes in (("serial", "1"), ("local:2", "2")):
         server = Server(Path(tiegraph.__file__).parents[1], hashes)
         command = ["run", survey / "images", "-o", tmp_path / pool, "--pool", pool, "--until", "georef", "--quiet"]
