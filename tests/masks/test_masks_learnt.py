@@ -78,7 +78,7 @@ def test_tables_and_maps_of_other_sizes_do_as_well(boat):
         "water": {"grid": (45, 70), "block_px": (5, 3)},
     }
     tuning = Tuning.model_validate(varied)
-    prepared = learn(boat, MasksSettings(), tuning)[0]
+    prepared = learn({0: boat[0]}, MasksSettings(water="on"), tuning)[0]
     assert prepared.water.shape == (45, 70) and prepared.sky.shape == (9, 11)
     assert {len(t) for t in prepared.appearance.table.values()} == {13 * 10 * 10 * 4}
     found = classes_of(boat[0][5], prepared, MasksSettings(), SIZE, tuning)
