@@ -368,6 +368,7 @@ def model(folder: Path, found: Poses) -> None:
     made.write(folder)
 
 
+@pytest.mark.slow
 def test_the_bench_writes_a_row_a_case_and_goes_on_where_it_was(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

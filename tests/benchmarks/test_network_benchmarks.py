@@ -158,6 +158,7 @@ def test_cost_counts_children(tmp_path: Path) -> None:
     assert late["returncode"] is None and late["wall_s"] < 10
 
 
+@pytest.mark.slow
 def test_simulated_canal_has_true_and_false_ties() -> None:
     world = canal_world(60, seed=3)
     share = world.overlap()

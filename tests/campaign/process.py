@@ -38,17 +38,15 @@ class Ended:
 
 
 class Server:
-    """One fork server; runs one command at a time. ``hashes``: of the seed of Python's hashes ("random" or a number),
-    which the order of sets follows."""
+    """One fork server; runs one command at a time."""
 
-    def __init__(self, source: Path, hashes: str = "random") -> None:
+    def __init__(self, source: Path) -> None:
         self._source = source
-        self._hashes = hashes
         self._open()
 
     def _open(self) -> None:
         path = os.pathsep.join([str(self._source), str(TESTS), str(TESTS / "campaign" / "site")])
-        environment = {**os.environ, "PYTHONPATH": path, "COLUMNS": "200", "PYTHONHASHSEED": self._hashes}
+        environment = {**os.environ, "PYTHONPATH": path, "COLUMNS": "200", "PYTHONHASHSEED": "random"}
         self._process = subprocess.Popen(
             [sys.executable, "-m", "campaign.server"],
             stdin=subprocess.PIPE,

@@ -8,6 +8,7 @@ leaves through the interpreter's own end, and what it spawns starts like the chi
 from __future__ import annotations
 
 import ctypes
+import gc
 import importlib
 import json
 import os
@@ -29,6 +30,7 @@ def preload() -> None:
             importlib.import_module(module.name)
         except ImportError:  # an extra that is not installed
             continue
+    gc.freeze()  # a child's collector would touch, and so copy, every page of it
 
 
 def end_with_parent() -> None:

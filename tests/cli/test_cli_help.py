@@ -55,6 +55,7 @@ def test_help_of_run_names_every_input_and_option_and_no_other():
         assert name in RUN
 
 
+@pytest.mark.slow
 def test_help_all_of_run_has_every_option(said):
     text = said("run", "--help-all")
     assert own() | settings() <= options(text)

@@ -35,6 +35,7 @@ def test_what_needs_no_engine_loads_none(arguments):
     assert not loaded(*arguments.split()) & HEAVY
 
 
+@pytest.mark.slow
 def test_a_verb_that_computes_loads_engines():
     """The other side: the test above would see them."""
     assert {"pycolmap", "numpy", "tyro"} <= loaded("compare", "--help")

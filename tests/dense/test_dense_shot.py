@@ -49,6 +49,7 @@ def photograph(folder, plan, seed=0):
     return z
 
 
+@pytest.mark.slow
 def test_a_shot_gives_depths_with_their_sigma(tmp_path):
     truth = {v.name: photograph(tmp_path, v, k) for k, v in enumerate(SQUARE)}
     plan = plan_shot(SQUARE, RANGE, SETTINGS, TUNING)
@@ -65,6 +66,7 @@ def test_a_shot_gives_depths_with_their_sigma(tmp_path):
     assert np.mean(error > 0.02) < 0.01
 
 
+@pytest.mark.slow
 def test_the_rig_of_a_rendered_survey_needs_no_model(tmp_path):
     survey = render(tmp_path)
     views = [

@@ -40,6 +40,7 @@ def true_map(survey, plan):
     )
 
 
+@pytest.mark.slow
 def test_colmap_fuses_our_depth_maps(survey, tmp_path):
     model = true_model(survey)
     plans = plan_images(model, SETTINGS, TUNING.partners).images

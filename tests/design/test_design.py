@@ -63,6 +63,7 @@ def test_all_keeps_everything() -> None:
     assert design(pairs, photos(20), None, DesignSettings(method="all"), TUNING).pairs is pairs
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(st.integers(2, 30), st.integers(0, 200), st.integers(0, 99), st.integers(1, 6), st.sampled_from(METHODS))
 def test_every_method_only_drops_and_keeps_the_components(count, edges, seed, most, method) -> None:

@@ -108,6 +108,7 @@ def projected(scene: Scene, sights: Visibility, image: int, xyz: np.ndarray, x: 
     return ((FOCAL + f) * flat * (1 + k * np.sum(flat**2, axis=0)) + np.array([[cx], [cy]])).T
 
 
+@pytest.mark.slow
 def test_the_normal_equations_are_those_of_the_projections() -> None:
     scene, sights, candidates, ties = made(nominal=True, points=90)
     tracks = Tracks(candidates, TUNING.net)
@@ -162,6 +163,7 @@ def test_a_pair_gains_what_its_equations_take_from_the_variance() -> None:
     assert np.all(bundle.gains(before, place, 2 * worth) > gains)
 
 
+@pytest.mark.slow
 def test_the_choice_knows_what_the_images_share() -> None:
     scene, sights = survey(12, True, cameras=3, points=1500)
     pairs, _, expected = all_pairs(scene, sights)
@@ -179,6 +181,7 @@ def test_the_choice_knows_what_the_images_share() -> None:
     assert sigma(sights) < 0.98 * sigma(replace(sights, rotation=None))
 
 
+@pytest.mark.slow
 def test_a_stricter_loss_costs_pairs_and_the_loss_is_kept_to() -> None:
     scene, sights = survey(10, True)
     pairs, _, _ = all_pairs(scene, sights)

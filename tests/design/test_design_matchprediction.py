@@ -38,6 +38,7 @@ def test_fewer_where_the_rays_meet_at_a_larger_angle() -> None:
     assert counts[2] < 0.2 * counts[0]
 
 
+@pytest.mark.slow
 def test_the_previewed_pairs_tell_how_fast_chances_fall() -> None:
     n, rng = 60, np.random.default_rng(1)
     xyz = rng.uniform((-10, -3, 10), (70, 3, 10), (4000, 3))

@@ -25,6 +25,7 @@ def test_the_same_cloud_is_perfect() -> None:
     assert result.median_m < 0.01 and result.ghosts == 0 and result.judged.outside == 0
 
 
+@pytest.mark.slow
 def test_a_shift_shows_at_its_size() -> None:
     result = cloud_to_cloud(quay(200_000) + [0, 0.07, 0.07], quay(200_000, 1), TUNING, (0.05, 0.1, 0.2))
     assert 0.06 < result.median_m < 0.08

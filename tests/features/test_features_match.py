@@ -69,6 +69,7 @@ def test_exactly_the_kept_pairs_are_matched_and_counted(done):
     assert progress[0] == (0, report.matched) and progress[-1] == (report.matched, report.matched)
 
 
+@pytest.mark.slow
 def test_any_number_of_threads_and_any_history_make_the_same_bytes(done, tmp_path):
     folder, *_ = done
     path = filled_database(tmp_path / "database.db", scene(), empty=(EMPTY,))
@@ -108,6 +109,7 @@ def test_a_second_run_does_nothing_and_gives_the_same(done, monkeypatch):
     assert all(np.array_equal(getattr(again, n), getattr(pairs, n)) for n in ("i", "j", "dropped", "inliers"))
 
 
+@pytest.mark.slow
 def test_pairs_of_another_list_and_half_written_pairs_leave_the_database(tmp_path):
     path = filled_database(tmp_path / "database.db", scene())
     with pycolmap.Database.open(path) as database:
@@ -145,6 +147,7 @@ def test_killed_run_resumes_to_the_same_database_and_survives_names_with_spaces(
     assert not [name for name in os.listdir(tmp_path) if "match" in name]
 
 
+@pytest.mark.slow
 def test_no_verified_pair_is_an_error_with_the_counts(tmp_path):
     path = tmp_path / "database.db"
     create_database(path, scene())

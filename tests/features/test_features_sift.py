@@ -84,6 +84,7 @@ def test_root_sift_has_colmaps_length_and_survives_zeros():
     assert root_sift(np.zeros((1, 128))).sum() == 0
 
 
+@pytest.mark.slow
 @engines
 def test_no_support_reaches_into_the_mask(extract):
     image = texture(360, 480)

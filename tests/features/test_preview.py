@@ -60,6 +60,7 @@ def test_same_place_matches_with_its_rotation(views) -> None:
     assert match_previews(a, b, CAMERA, CAMERA, SETTINGS, TUNING).inliers == found.inliers
 
 
+@pytest.mark.slow
 def test_unrelated_images_stay_at_chance() -> None:
     previews = [extract_preview(view(texture(s), np.eye(3), (0, 0, 0)), None, SETTINGS, TUNING) for s in range(2, 7)]
     pairs = np.array([(a, b) for a in range(5) for b in range(a)])

@@ -27,6 +27,7 @@ def _shares(result, false):
     return kept[~false].mean(), kept[false].mean()
 
 
+@pytest.mark.slow
 def test_true_pairs_stay_and_repeats_go(repeated, tmp_path):
     result, false = repeated.run(tmp_path)
     true_kept, false_kept = _shares(result, false)
@@ -37,6 +38,7 @@ def test_true_pairs_stay_and_repeats_go(repeated, tmp_path):
     assert result.counts["refused"] == np.sum(result.pairs.dropped > 0) > 0.9 * false.sum()
 
 
+@pytest.mark.slow
 def test_frame_motions_are_true(tmp_path):
     made = world(frames=4)
     result, _ = made.run(tmp_path)
@@ -47,6 +49,7 @@ def test_frame_motions_are_true(tmp_path):
         assert 0 < np.degrees(error) < 0.3
 
 
+@pytest.mark.slow
 def test_wide_rig(tmp_path):
     result, false = add_repeats(world(radius_m=1.0)).run(tmp_path)
     true_kept, false_kept = _shares(result, false)
@@ -54,6 +57,7 @@ def test_wide_rig(tmp_path):
     assert false_kept <= 0.1
 
 
+@pytest.mark.slow
 def test_turned_rig_is_refined_and_loses_nothing(repeated, tmp_path):
     result, false = repeated.run(tmp_path, turned(repeated.scene, 2.0))
     true_kept, false_kept = _shares(result, false)
@@ -63,6 +67,7 @@ def test_turned_rig_is_refined_and_loses_nothing(repeated, tmp_path):
     assert false_kept <= 0.1
 
 
+@pytest.mark.slow
 def test_wrong_focal_length_falls_back_loudly(repeated, tmp_path):
     rig = repeated.scene.rigs[0]
     camera = pycolmap.Camera(model="PINHOLE", width=640, height=480, params=[768, 768, 320, 240])
@@ -73,6 +78,7 @@ def test_wrong_focal_length_falls_back_loudly(repeated, tmp_path):
     assert _shares(result, false)[0] >= 0.97
 
 
+@pytest.mark.slow
 def test_unknown_rig_goes_by_loops_of_images(repeated, tmp_path):
     rig = repeated.scene.rigs[0]
     rig = replace(rig, sensors=tuple(replace(s, sensor_from_rig=None) for s in rig.sensors))
@@ -100,6 +106,7 @@ def test_off_keeps_all(repeated, tmp_path):
     assert np.all(result.pairs.dropped == 0)
 
 
+@pytest.mark.slow
 def test_same_input_same_result(tmp_path):
     made = add_repeats(world(frames=4, sensors=3))
     a, _ = made.run(tmp_path)

@@ -68,12 +68,14 @@ def _found(tmp_path, images):
     return made, np.stack([classes_of(p, made, MasksSettings(), SIZE, TUNING) for p in paths])
 
 
+@pytest.mark.slow
 def test_pale_roads_seen_from_above_are_used(tmp_path):
     made, found = _found(tmp_path, [from_above(k) for k in range(12)])
     assert made.no_sky
     assert (found == USE).mean() > 0.99
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("roll", [0, 25])
 def test_an_overcast_sky_of_the_same_looks_is_masked(tmp_path, roll):
     turn = cv2.getRotationMatrix2D((SIZE[1] / 2, SIZE[0] / 2), roll, 1.5)

@@ -57,6 +57,7 @@ def truth():
     return np.repeat(rows[:, None], SIZE[1], axis=1)
 
 
+@pytest.mark.slow
 def test_sky_water_and_platform_of_a_boat(boat, learnt):
     for camera, images in boat.items():
         assert "platform" in learnt[camera].note and learnt[camera].note.endswith(", water")
@@ -68,6 +69,7 @@ def test_sky_water_and_platform_of_a_boat(boat, learnt):
                 assert both / either.sum() > 0.75, NAMES[label]
 
 
+@pytest.mark.slow
 def test_tables_and_maps_of_other_sizes_do_as_well(boat):
     varied = {
         "frames": {"look_px": 256},
@@ -76,13 +78,14 @@ def test_tables_and_maps_of_other_sizes_do_as_well(boat):
         "water": {"grid": (45, 70), "block_px": (5, 3)},
     }
     tuning = Tuning.model_validate(varied)
-    prepared = learn(boat, MasksSettings(), tuning)[0]
+    prepared = learn({0: boat[0]}, MasksSettings(water="on"), tuning)[0]
     assert prepared.water.shape == (45, 70) and prepared.sky.shape == (9, 11)
     assert {len(t) for t in prepared.appearance.table.values()} == {13 * 10 * 10 * 4}
     found = classes_of(boat[0][5], prepared, MasksSettings(), SIZE, tuning)
     assert ((found == USE) == (truth() == USE)).mean() > 0.9
 
 
+@pytest.mark.slow
 def test_water_only_where_it_is_asked_for_or_seen_by_several_cameras(boat):
     one = {0: boat[0]}
     assert learn(one, MasksSettings(water="on"), TUNING)[0].note.endswith(", water")
@@ -92,6 +95,7 @@ def test_water_only_where_it_is_asked_for_or_seen_by_several_cameras(boat):
     assert (a == b).all(), "twice the same"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["grey", "deep", "exposures", "all sky", "one", "still", "dark"])
 def test_odd_sequences_give_a_result_and_invent_nothing(tmp_path, kind):
     frames = {

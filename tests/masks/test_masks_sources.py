@@ -99,6 +99,7 @@ def test_single_grey_and_oddly_shaped_images(tmp_path, name):
         all_masks(name, [mixed[0], mixed[2], mixed[1]])
 
 
+@pytest.mark.slow
 def test_large_images_give_the_mask_of_small_ones_at_full_size(tmp_path):
     small = [cv2.resize(frame(k), (640, 480), interpolation=cv2.INTER_LINEAR) for k in range(2)]
     large = [cv2.resize(s, (2560, 1920), interpolation=cv2.INTER_LINEAR) for s in small]

@@ -71,6 +71,7 @@ def world() -> World:
     return boat((12, 12), (2.0, 2.0))
 
 
+@pytest.mark.slow
 def test_the_model_finds_what_previews_miss(world) -> None:
     found, asked = network_of(world, true_model(world))
     recall, precision = shares(world, found.pairs)
@@ -90,6 +91,7 @@ def test_pairs_that_share_nothing_are_dropped_with_their_reason(world) -> None:
     assert found.pairs.funnel().get("overlap", 0) > 0
 
 
+@pytest.mark.slow
 def test_a_torn_model_is_made_again_and_believed_on_one_side_of_the_tear(world) -> None:
     whole, once = network_of(world, true_model(world))
     torn, asked = network_of(world, true_model(world, broken_at=7))
@@ -104,6 +106,7 @@ def test_a_torn_model_is_made_again_and_believed_on_one_side_of_the_tear(world) 
     assert whole.trusted.all()
 
 
+@pytest.mark.slow
 def test_a_model_is_made_again_until_it_holds(world) -> None:
     models = iter((true_model(world, broken_at=7), true_model(world)))
     found, asked = network_of(world, lambda: next(models))
@@ -112,6 +115,7 @@ def test_a_model_is_made_again_until_it_holds(world) -> None:
     assert any("made 2 times" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_a_pass_put_some_metres_further_is_noticed_and_made_again_without_what_drew_it_there(world) -> None:
     folded = true_model(world, shifted_m=30.0)
     track = world.scene.sequence[world.scene.frame]
@@ -134,6 +138,7 @@ def turned_by(model: CoarseModel, degrees: float) -> CoarseModel:
     return replace(model, rigs=(replace(model.rigs[0], sensors=sensors),))
 
 
+@pytest.mark.slow
 def test_a_camera_that_only_one_model_turns_far_is_made_again(world) -> None:
     right = true_model(world)
     once, _ = network_of(world, right)
@@ -148,6 +153,7 @@ def test_a_camera_that_only_one_model_turns_far_is_made_again(world) -> None:
     assert transforms.angle_deg(mounted[:3, :3], world.scene.rigs[0].sensors[1].sensor_from_rig[:3, :3]) > 54
 
 
+@pytest.mark.slow
 def test_a_camera_that_every_model_turns_otherwise_stays_as_given_and_is_not_believed(world) -> None:
     models = iter(turned_by(true_model(world), d) for d in (55.0, 35.0, 75.0, 20.0))
     found, asked = network_of(world, lambda: next(models))
@@ -160,6 +166,7 @@ def test_a_camera_that_every_model_turns_otherwise_stays_as_given_and_is_not_bel
     assert any("not believed for cam1" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_frames_of_one_camera_that_follow_each_other_always_tie_the_model(world) -> None:
     _, asked = network_of(world, true_model(world))
     scene = world.scene
@@ -183,6 +190,7 @@ def test_copies_of_a_picture_stay_out_though_they_share_all_their_surface(world)
     assert len(judged.kept()) > 100
 
 
+@pytest.mark.slow
 def test_one_limit_of_the_angle_holds_for_axes_and_for_the_views_of_a_surface(world) -> None:
     model = true_model(world)
     wide = model.overlap(180.0, TUNING.coarse)

@@ -57,6 +57,7 @@ def test_one_camera_there_and_back() -> None:
     assert recall > 0.9 and precision > 0.5
 
 
+@pytest.mark.slow
 def test_a_pass_that_stops_half_way() -> None:
     world = boat((24, 24), (1.5, 1.5))
     step, track = world.scene.sequence_index[world.scene.frame], world.scene.sequence[world.scene.frame]
@@ -69,6 +70,7 @@ def test_a_pass_that_stops_half_way() -> None:
     assert len(said) == 1 and "back1 has 11 frames, the others 24 (last: back1/cam0/0010.jpg)" in said[0]
 
 
+@pytest.mark.slow
 def test_a_camera_that_stopped_recording() -> None:
     world = boat((20, 16), (1.5, 1.9))
     lost = (world.scene.sensor == 2) & (world.scene.sequence_index[world.scene.frame] >= 8)
@@ -88,6 +90,7 @@ def test_one_camera_says_nothing_odd() -> None:
     assert not any(word in note for note in network_of(world).notes for word in odd)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late", [2, 6])
 def test_cameras_that_did_not_start_together(late) -> None:
     """Camera 2 lags: its k-th image belongs to the rig's frame k - late. The rig is wrong then; the ties are not."""
@@ -112,6 +115,7 @@ def apart() -> World:
     return World(world.scene, poses)
 
 
+@pytest.mark.slow
 def test_two_passes_far_apart_are_not_tied() -> None:
     world = apart()
     network = network_of(world)
@@ -129,6 +133,7 @@ def test_two_passes_far_apart_have_no_heading() -> None:
     assert not any("voted by previews" in note for note in notes)
 
 
+@pytest.mark.slow
 def test_the_same_pass_twice() -> None:
     world = boat((20, 20), (1.5, 1.5))
     scene = world.scene
@@ -183,6 +188,7 @@ def test_a_rig_file_with_cameras_in_another_order_is_called_wrong(order) -> None
     assert any("check the rig file" in note for note in notes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", ORDERS)
 def test_a_rig_file_with_cameras_in_another_order_loses_few_ties(order) -> None:
     world = boat((20, 16), (1.5, 1.9), permuted(ring(), order))
@@ -206,6 +212,7 @@ def test_photographs_of_two_places_are_named_as_two() -> None:
     assert any("the pairs fall into 2 components: 75 images with" in note for note in network.notes)
 
 
+@pytest.mark.slow
 def test_a_video_with_a_loop_is_closed_by_retrieval() -> None:
     world, scene = Places(np.arange(400) * 12.0, around=3600, ghosts=0.05), video(400)
     network = estimate_network(scene, np.zeros(400), world.match, CandidatesSettings(), Tuning())

@@ -32,6 +32,7 @@ def test_few_photographs_are_all_previewed() -> None:
     assert recall > 0.98 and precision > 0.8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ghosts, least", [(0.0, 0.8), (0.2, 0.5)])
 def test_a_ring_of_300_photographs_needs_few_previews(ghosts, least) -> None:
     world = shuffled_ring(300)

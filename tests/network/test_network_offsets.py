@@ -46,6 +46,7 @@ def measure(world, settings, least=0.15):
     return recall, (kept & useful).sum() / kept.sum(), cross, network
 
 
+@pytest.mark.slow
 def test_default_finds_the_return_pass_at_another_speed() -> None:
     world = boat((24, 15), (1.5, 2.4))
     recall, precision, cross, network = measure(world, CandidatesSettings())
@@ -56,6 +57,7 @@ def test_default_finds_the_return_pass_at_another_speed() -> None:
     assert (network.pairs.degree(len(world.scene)) > 0).all()
 
 
+@pytest.mark.slow
 def test_constant_offsets_lose_what_local_ones_keep() -> None:
     paper = CandidatesSettings(sources=("sequence", "offsets"), offsets="constant", axes_deg=90, offset_range=3)
     slow = measure(boat((24, 24), (1.5, 1.5)), paper)
@@ -166,6 +168,7 @@ def test_missing_images_and_frames_are_no_obstacle() -> None:
     assert network.pairs.j.max() < keep.sum()
 
 
+@pytest.mark.slow
 def test_result_does_not_depend_on_how_often_it_is_asked() -> None:
     one, two = (measure(boat((12, 9), (2.0, 2.6)), CandidatesSettings())[3] for _ in range(2))
     for name in one.pairs.columns():
@@ -190,6 +193,7 @@ def test_four_thousand_images_need_few_previews() -> None:
     assert len(network.pairs) < 200 * n  # rows of the table, dropped ones too: bounded by the image
 
 
+@pytest.mark.slow
 def test_pairs_and_previews_grow_with_the_images_and_not_with_their_square() -> None:
     rows, asked = [], []
     for frames in (80, 240):

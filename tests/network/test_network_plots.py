@@ -56,6 +56,7 @@ def positions(world: World) -> np.ndarray:
     return out
 
 
+@pytest.mark.slow
 def test_pictures_of_a_survey() -> None:
     _, network = surveyed()
     pictures = dict(network.pictures())
@@ -88,6 +89,7 @@ def test_loose_photographs_have_a_matrix_and_a_map() -> None:
     assert share_of(map_png(pairs, None, photos(7)), RED) > 1e-4  # it says that there are no positions
 
 
+@pytest.mark.slow
 def test_the_map_shows_kinds_and_weak_links() -> None:
     world, network = surveyed()
     plain = map_png(network.pairs, positions(world), network.scene)
@@ -142,6 +144,7 @@ def test_the_funnel_adds_up() -> None:
     assert opened(funnel_png(network.pairs, len(world.scene))).shape[1] > 800
 
 
+@pytest.mark.slow
 def test_surfaces_follow_the_way_back() -> None:
     world = boat((14, 14), (4.0, 4.0))
     p, q = find_passes(world.scene)

@@ -61,6 +61,7 @@ def test_positions_alone_take_the_heading_from_the_track() -> None:
     assert np.isfinite(angles).mean() > 0.9
 
 
+@pytest.mark.slow
 def test_frames_without_prior_fall_back_on_previews() -> None:
     world = boat((10, 10), (2.0, 2.0))
     scene = with_priors(world)
@@ -203,6 +204,7 @@ def test_a_wrong_prior_is_noticed_and_named(name: str, canal: World) -> None:
         assert check.fit > 0.5 and len(check.notes) == 1
 
 
+@pytest.mark.slow
 def test_a_right_prior_of_a_camera_that_looks_ahead_is_believed() -> None:
     # All near frames share nearly all of their pictures: readings that only follow the distance correlate better.
     world = boat((40,), (1.0,), ring(1, up=False))
@@ -213,6 +215,7 @@ def test_a_right_prior_of_a_camera_that_looks_ahead_is_believed() -> None:
     assert check.good and not check.better and check.fit < 0.6
 
 
+@pytest.mark.slow
 def test_a_bad_prior_loses_no_pair(canal: World) -> None:
     true = with_priors(canal)
     poses = np.array(true.world_from_rig)[np.random.default_rng(0).permutation(true.frames)]

@@ -71,6 +71,7 @@ def test_nearest_answers_queries_among_wanted_images() -> None:
     assert len(first) == 10 and first.between(np.array([1]), np.array([2])) == words.between([1], [2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ghosts", [0.0, 0.2])
 def test_a_video_that_comes_back_is_tied_to_its_start(ghosts) -> None:
     world = Places(np.arange(400) * 12.0, around=3600, ghosts=ghosts)
@@ -83,6 +84,7 @@ def test_a_video_that_comes_back_is_tied_to_its_start(ghosts) -> None:
     assert result.pairs.from_source("retrieval").all()
 
 
+@pytest.mark.slow
 def test_a_slow_video_is_sampled_and_the_frames_between_are_filled() -> None:
     world = Places(np.arange(400) * 4.0, around=1200)
     result = loops(world)
@@ -92,6 +94,7 @@ def test_a_slow_video_is_sampled_and_the_frames_between_are_filled() -> None:
     assert len(result.pairs.kept()) > 5 * world.asked
 
 
+@pytest.mark.slow
 def test_single_false_look_alikes_are_not_believed() -> None:
     world = Places(np.arange(300) * 12.0, ghosts=0.2)
     result = loops(world)
@@ -118,6 +121,7 @@ def test_budget_of_previews_is_kept_and_said() -> None:
     assert any("budget of previews was spent" in note for note in result.notes)
 
 
+@pytest.mark.slow
 def test_the_return_pass_of_a_rig_is_found_without_any_order() -> None:
     survey = boat((14, 10), (2.0, 2.8))
     count = len(survey.scene)

@@ -120,6 +120,7 @@ def test_few_photographs_are_compared_with_one_another() -> None:
     assert "sources chosen: exhaustive" in network.notes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count, share", [(150, 1.0), (700, 0.35)])
 def test_many_photographs_are_found_by_previews(count, share) -> None:
     place, match = line_match(8)(count)

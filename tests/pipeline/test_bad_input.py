@@ -68,6 +68,7 @@ def _dropped(out: Path) -> dict[str, str]:
     return dict(tiegraph.open(out=out).receipt("scan")["dropped"])
 
 
+@pytest.mark.slow
 def test_the_same_flags_again(run: Run) -> None:
     for _ in range(2):  # the second time they are the folder's defaults
         code, said = run("--coarse.method", "off", "--match.guided")
@@ -99,6 +100,7 @@ def test_absent_folder_and_a_file_as_folder(run: Run, images: Path, tmp_path: Pa
     assert code == 2 and "000000.jpg" in said and "folder" in said
 
 
+@pytest.mark.slow
 def test_two_images_make_no_survey_but_a_clear_answer(run: Run, survey: worlds.Survey, tmp_path: Path) -> None:
     pair = tmp_path / "pair"
     pair.mkdir()
@@ -160,6 +162,7 @@ def test_mask_of_the_wrong_size(run: Run, images: Path, tmp_path: Path) -> None:
     assert code == 2 and "000001.jpg.png" in said and "160" in said and "320" in said
 
 
+@pytest.mark.slow
 def test_mask_with_values_that_are_none_is_repaired_by_hand_and_goes_on(run: Run, images: Path, tmp_path: Path) -> None:
     masks = _masks(images, tmp_path / "own")
     cv2.imwrite(str(masks / "up/cam0/000001.jpg.png"), np.full((240, 320), 7, np.uint8))
@@ -235,6 +238,7 @@ def test_pair_file_naming_an_unknown_image(run: Run, rig: Path, tmp_path: Path) 
     assert code == 2 and "up/cam9/000001.jpg" in said and "mine.txt" in said and "2" in said
 
 
+@pytest.mark.slow
 def test_pairs_and_control_points_are_held_against_the_images_at_scan_and_before_a_second_run(
     run: Run, rig: Path, tmp_path: Path
 ) -> None:
@@ -264,6 +268,7 @@ def test_pairs_and_control_points_are_held_against_the_images_at_scan_and_before
         path.write_text(right)
 
 
+@pytest.mark.slow
 def test_no_matches_at_all(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     for k in range(5):
@@ -277,6 +282,7 @@ def test_no_matches_at_all(tmp_path: Path) -> None:
     assert (tmp_path / "out/database.db").exists() and project.receipt("features")["counts"]["images"] == 5
 
 
+@pytest.mark.slow
 def test_images_without_texture(tmp_path: Path) -> None:
     (tmp_path / "images").mkdir()
     for k in range(4):
@@ -310,6 +316,7 @@ def test_a_setting_that_was_stored_can_be_taken_out_again(run: Run, tmp_path: Pa
     assert code == 0 and "folder =" not in stored.read_text(), said
 
 
+@pytest.mark.slow
 def test_setting_out_of_range_unknown_stage_preset_pool_and_input(run: Run, images: Path, tmp_path: Path) -> None:
     code, said = run("--masks.difference", 999)
     assert code == 2 and "difference" in said and "999" in said
@@ -323,6 +330,7 @@ def test_setting_out_of_range_unknown_stage_preset_pool_and_input(run: Run, imag
 # -------------------------------------------------------------------------------------------------------- disk full
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("artefact", ["scene.json", "000002.jpg.png", "masks.json"])
 def test_disk_full_says_so_and_the_next_run_goes_on(
     artefact: str, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

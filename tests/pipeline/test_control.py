@@ -21,6 +21,7 @@ import pycolmap  # isort: skip
 EAST, NORTH = 386_000.0, 3_951_000.0  # of the world's zero, EPSG:32654
 
 
+@pytest.mark.slow
 def test_a_file_of_another_survey_is_refused_before_anything_is_made(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -35,6 +36,7 @@ def test_a_file_of_another_survey_is_refused_before_anything_is_made(
     assert not (out / "scene.json").exists() and not (out / "masks").exists()
 
 
+@pytest.mark.slow
 def test_marks_in_an_unknown_image_are_left_out_and_said_and_the_rest_is_used(tmp_path: Path) -> None:
     model, names = _photographs(tmp_path)
     points = sorted(model.points3D, key=lambda k: (-model.point3D(k).track.length(), k))[:6]

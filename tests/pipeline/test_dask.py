@@ -1,5 +1,6 @@
 """A whole survey over the workers of Dask: the same bytes as without, and a clean end."""
 
+import importlib.util
 import signal
 import subprocess
 import sys
@@ -12,9 +13,18 @@ import tiegraph
 from campaign.compare import differences
 from campaign.world import NAMES
 
-distributed = pytest.importorskip("distributed")
-pytestmark = pytest.mark.slow
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="without Dask"),
+]
 _PATIENCE_S = 600
+
+
+@pytest.fixture(scope="module")
+def address():
+    """Of two workers that were started by Dask's commands."""
+    with dask_world.commands(2) as (made, _):
+        yield made
 
 
 def command(finished, out: str, address: str, *more: str) -> list[str]:
@@ -22,10 +32,9 @@ def command(finished, out: str, address: str, *more: str) -> list[str]:
     return [sys.executable, "-m", "tiegraph.cli.main", *finished.command(out, "--pool", f"dask:{address}", *more)]
 
 
-def test_a_survey_over_two_workers(finished, tmp_path):
-    with distributed.LocalCluster(2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0") as cluster:
-        whole = command(finished, "out", cluster.scheduler_address)
-        done = subprocess.run(whole, cwd=tmp_path, capture_output=True, text=True, timeout=_PATIENCE_S)
+def test_a_survey_over_two_workers(finished, address, tmp_path):
+    whole = command(finished, "out", address)
+    done = subprocess.run(whole, cwd=tmp_path, capture_output=True, text=True, timeout=_PATIENCE_S)
     assert done.returncode == 0, done.stderr
     assert "distributed" not in done.stderr and "Warning" not in done.stderr
     out, clean = tmp_path / "out", finished.clean[NAMES[-1]]
@@ -36,22 +45,20 @@ def test_a_survey_over_two_workers(finished, tmp_path):
     assert here["peak_mib"] > 0.5 * there["peak_mib"], "the workers' memory counts"
 
 
-def test_ctrl_c_ends_with_one_line_and_the_next_run_goes_on(finished, tmp_path):
-    """On workers that were started by Dask's commands."""
+def test_ctrl_c_ends_with_one_line_and_the_next_run_goes_on(finished, address, tmp_path):
     finished.after("scan", tmp_path / "out")
-    with dask_world.commands(2) as (address, _):
-        asked = command(finished, "out", address, "--until", "preview")
-        process = subprocess.Popen(asked, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
-        end = time.monotonic() + _PATIENCE_S
-        while not list((tmp_path / "out" / "masks").rglob("*.png")) and time.monotonic() < end:
-            assert process.poll() is None
-            time.sleep(0.01)
-        process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=120)
-        last = said.strip().splitlines()[-1]
-        assert process.returncode == 1 and last.startswith("tiegraph: stopped"), said
-        assert "Traceback" not in said and "distributed" not in said, said
-        again = subprocess.run(asked, cwd=tmp_path, capture_output=True, text=True, timeout=_PATIENCE_S)
+    asked = command(finished, "out", address, "--until", "preview")
+    process = subprocess.Popen(asked, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    end = time.monotonic() + _PATIENCE_S
+    while not list((tmp_path / "out" / "masks").rglob("*.png")) and time.monotonic() < end:
+        assert process.poll() is None
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=120)
+    last = said.strip().splitlines()[-1]
+    assert process.returncode == 1 and last.startswith("tiegraph: stopped"), said
+    assert "Traceback" not in said and "distributed" not in said, said
+    again = subprocess.run(asked, cwd=tmp_path, capture_output=True, text=True, timeout=_PATIENCE_S)
     assert again.returncode == 0, again.stderr
     assert "distributed" not in again.stderr and "Warning" not in again.stderr
     assert differences(finished.clean["preview"], tmp_path / "out", until="preview") == []

@@ -1,28 +1,27 @@
 """The same input, settings and version make the same bytes: whatever the pool, the order of hashes and of workers."""
 
-from pathlib import Path
+import os
+import subprocess
+import sys
 
 import pytest
 
-import tiegraph
-import worlds
 from artefacts import artefacts
-from campaign.process import Server
 
 pytestmark = pytest.mark.slow
 _PATIENCE_S = 400
 
 
-def test_serial_and_processes_make_the_same_bytes(tmp_path):
+def test_serial_and_processes_make_the_same_bytes(finished, tmp_path):
     """With a rig that is not known, to the world; ``test_resume`` says so of all stages and of a calibrated rig."""
-    survey = worlds.write_survey(tmp_path / "survey", frames=3)
+    survey = finished.inputs
     for pool, hashes in (("serial", "1"), ("local:2", "2")):
-        server = Server(Path(tiegraph.__file__).parents[1], hashes)
         command = ["run", survey / "images", "-o", tmp_path / pool, "--pool", pool, "--until", "georef", "--quiet"]
         given = [word for name in ("gnss", "times") for word in (f"--{name}", survey / f"{name}.csv")]
-        ended = server.run([*command, *given], tmp_path / "said", _PATIENCE_S)
-        server.close()
-        assert ended.good, ended
+        subprocess.run(
+            [sys.executable, "-m", "tiegraph", *command, *given],
+            env={**os.environ, "PYTHONHASHSEED": hashes}, timeout=_PATIENCE_S, check=True,
+        )  # fmt: skip
     a, b = artefacts(tmp_path / "serial"), artefacts(tmp_path / "local:2")
     assert sorted(a) == sorted(b) and {"world.json", "database.db", "sparse/0/images.bin"} <= set(a)
     assert [name for name in a if a[name] != b[name]] == []

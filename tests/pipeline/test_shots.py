@@ -45,6 +45,7 @@ def rig_file(path: Path, calibrated: bool = True) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_each_shot_becomes_a_metric_cloud(tmp_path):
     plane(tmp_path / "images", 2)
     rig = rig_file(tmp_path / "rig.toml")

@@ -1,5 +1,6 @@
 """The pool of Dask: items on its workers, what they use, and everything that can be wrong with a cluster."""
 
+import importlib.util
 import json
 import os
 import signal
@@ -19,13 +20,28 @@ from tiegraph.project import daskpool
 from tiegraph.project.pool import Place, map_items, open_pool
 from tiegraph.project.progress import Elsewhere, Meter
 
-distributed = pytest.importorskip("distributed")
-pytestmark = pytest.mark.slow
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="without Dask"),
+]
+
+
+def local_cluster(workers, threads=1, **more):
+    import distributed  # half a second, and every process of the suite imports this file
+
+    return distributed.LocalCluster(workers, threads_per_worker=threads, dashboard_address="127.0.0.1:0", **more)
 
 
 @pytest.fixture(scope="module")
 def cluster():
-    with distributed.LocalCluster(2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0") as made:
+    with local_cluster(2, processes=True) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def one_worker():
+    """Of three threads."""
+    with local_cluster(1, threads=3, processes=True) as made:
         yield made
 
 
@@ -37,6 +53,8 @@ def pool(cluster):
 
 
 def on_workers(cluster, function, *args):
+    import distributed
+
     with distributed.Client(cluster.scheduler_address, set_as_default=False) as client:
         return client.run(function, *args)
 
@@ -102,12 +120,11 @@ def test_use_of_the_workers_is_counted_once(cluster, tmp_path, monkeypatch, belo
     assert used["peak_mib"] > 400
 
 
-def test_only_one_item_at_a_time_in_a_worker_of_many_threads():
-    with distributed.LocalCluster(1, threads_per_worker=3, processes=True, dashboard_address="127.0.0.1:0") as made:
-        executor, workers = open_pool(f"dask:{made.scheduler_address}")
-        spans = sorted(map_items(executor, workers, dask_world.span, range(6), (0.1,)))
-        threads = map_items(executor, workers, dask_world.threads, [0])
-        executor.shutdown()
+def test_only_one_item_at_a_time_in_a_worker_of_many_threads(one_worker):
+    executor, workers = open_pool(f"dask:{one_worker.scheduler_address}")
+    spans = sorted(map_items(executor, workers, dask_world.span, range(6), (0.1,)))
+    threads = map_items(executor, workers, dask_world.threads, [0])
+    executor.shutdown()
     assert workers == 1
     assert all(end <= start for (_, end), (start, _) in zip(spans, spans[1:]))
     assert threads == [(3, "3")]
@@ -224,9 +241,9 @@ def test_workers_stop_when_the_run_is_killed(cluster, tmp_path):
     assert 0 < count == len(list(work.iterdir())) < 40  # a chunk has 25
 
 
-@pytest.mark.parametrize("lost", ["worker", "scheduler"])
-def test_the_loss_of_a_worker_or_of_the_scheduler_ends_the_run(lost, capfd):
-    with dask_world.commands(2, ("--no-nanny",)) as (address, (scheduler, worker, _)):
+@pytest.mark.parametrize("lost, of", [("worker", 2), ("scheduler", 1)])
+def test_the_loss_of_a_worker_or_of_the_scheduler_ends_the_run(lost, of, capfd):
+    with dask_world.commands(of, ("--no-nanny",)) as (address, (scheduler, worker, *_)):
         executor, workers = open_pool(f"dask:{address}")
         futures = [executor.submit(dask_world.span, k, 60.0) for k in range(4)]
         time.sleep(0.5)
@@ -241,12 +258,11 @@ def test_the_loss_of_a_worker_or_of_the_scheduler_ends_the_run(lost, capfd):
     assert "Traceback" not in capfd.readouterr().err
 
 
-def test_an_item_that_ends_its_worker_is_not_tried_again_and_again(capfd):
-    with distributed.LocalCluster(1, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0") as made:
-        executor, workers = open_pool(f"dask:{made.scheduler_address}")
-        with pytest.raises(TiegraphError, match="worker .* was lost"):
-            map_items(executor, workers, dask_world.end_process, [0])
-        executor.shutdown(cancel_futures=True)
+def test_an_item_that_ends_its_worker_is_not_tried_again_and_again(one_worker):
+    executor, workers = open_pool(f"dask:{one_worker.scheduler_address}")
+    with pytest.raises(TiegraphError, match="worker .* was lost"):
+        map_items(executor, workers, dask_world.end_process, [0])
+    executor.shutdown(cancel_futures=True)
 
 
 def test_counts_elsewhere_are_sums_of_cpu_and_of_peaks():

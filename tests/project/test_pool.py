@@ -33,6 +33,7 @@ def interrupt(item, done):
         raise KeyboardInterrupt
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number, said", [(signal.SIGKILL, "outside.*memory"), (signal.SIGABRT, "fault in a native")])
 def test_a_worker_lost_at_work_is_named_by_its_signal(number, said):
     executor, workers = open_pool("local:2")

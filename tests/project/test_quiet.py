@@ -35,6 +35,7 @@ def test_an_error_within_gives_standard_error_back(tmp_path: Path, capfd: pytest
     assert sys.stderr is before and "back" in capfd.readouterr().err
 
 
+@pytest.mark.slow
 def test_images_with_odd_tags_do_not_fill_the_terminal(tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()
     rng = np.random.default_rng(0)

@@ -410,6 +410,7 @@ def test_names_as_long_as_the_file_system_takes_can_be_written(tmp_path):
     assert len(list(tmp_path.iterdir())) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "option", ["--gnss", "--times", "--trajectory", "--rig", "--gcp", "--evaluate.reference-cloud"]
 )

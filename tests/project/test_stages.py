@@ -222,6 +222,7 @@ def square(x, power):
     return x**power
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spec", ["serial", "local:2"])
 def test_pools_give_the_same_results_in_order(spec):
     executor, workers = open_pool(spec)

@@ -84,6 +84,7 @@ def test_the_viewer_gets_the_points_it_can_unpack(full: Path, page: str) -> None
 SLOW = [pytest.param(s, marks=pytest.mark.slow) for s in ("masks", "network", "match", "georef", "cloud")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("until", ["scan", "design", "sparse", *SLOW])
 def test_a_run_that_stopped_early(tmp_path: Path, until: str) -> None:
     text = write_report(make_run(tmp_path / "run", until), SMALL).read_text(encoding="utf-8")
@@ -95,6 +96,7 @@ def test_a_run_that_stopped_early(tmp_path: Path, until: str) -> None:
         assert "The run has finished the stage design." in text and "pairs to match" in text
 
 
+@pytest.mark.slow
 def test_missing_and_damaged_pieces_are_left_out(tmp_path: Path) -> None:
     run = make_run(tmp_path / "run")
     for name in ("cloud.laz", "network.npz", "metrics.json", "receipts/masks.json"):
@@ -178,6 +180,7 @@ def test_funnel_rows_add_up(full: Path) -> None:
     assert left[before] == counts["matched at full resolution"] and left[-1] == left[-2] == counts["verified"]
 
 
+@pytest.mark.slow
 def test_the_network_says_whether_it_holds(tmp_path: Path) -> None:
     run = make_run(tmp_path / "run", "design")
     for stage, more in (
@@ -203,6 +206,7 @@ _WEAK = {"columns": ["kind", "where"], "rows": [["joint", "up/cam0/000003.jpg"]]
 _LINKS = {"columns": ["pass", "before", "tied"], "rows": [["up", "open 1", False]]}
 
 
+@pytest.mark.slow
 def test_a_sound_network_is_said_to_be_sound(tmp_path: Path) -> None:
     run = make_run(tmp_path / "run", "design")
     path = run / "receipts" / "design.json"
@@ -239,6 +243,7 @@ def test_what_acts_without_being_seen_is_escaped() -> None:
     assert page.render(name="<script>\x1b\u202e\udc8e", ours="<b>") == "&lt;script&gt;\\x1b\\u202e\\x8e|<b>"
 
 
+@pytest.mark.slow
 def test_a_contradiction_is_a_level_of_its_own_and_the_evidence_a_section(tmp_path: Path) -> None:
     folder = make_run(tmp_path / "run", "georef")
     receipt = json.loads((folder / "receipts" / "georef.json").read_text())

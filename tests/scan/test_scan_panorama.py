@@ -63,6 +63,7 @@ def test_each_panorama_is_a_frame_of_views_with_one_centre(walk: tuple[Path, Sce
     assert Scene.from_json(scene.to_json()).rigs[0].sensors[3].source == rig.sensors[3].source
 
 
+@pytest.mark.slow
 def test_views_show_what_their_rays_see(walk: tuple[Path, Scene], tmp_path: Path) -> None:
     folder, scene = walk
     for k in range(len(scene)):

@@ -42,6 +42,7 @@ def test_the_guess_of_a_camera(tmp_path: Path) -> None:
     assert any("a fisheye of 90 degrees across" in n for n in scene.notes)
 
 
+@pytest.mark.slow
 def test_a_run_takes_them_from_its_settings(tmp_path: Path) -> None:
     images, out = papers_rig(tmp_path / "in", cameras=2, frames=2), tmp_path / "out"
     changed = {"scan": {"rig": {"camera": {"guessed_focal": 0.5}}}}

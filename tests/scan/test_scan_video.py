@@ -6,6 +6,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 from scan_worlds import scan
 
 from tiegraph.scan.tuning import PicturesTuning
@@ -43,6 +44,7 @@ def test_the_sharpest_of_each_second_is_taken_in_order(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_videos_are_passes_not_cameras(tmp_path: Path) -> None:
     for k, name in enumerate(("morning.avi", "noon.avi")):
         film(tmp_path / "in" / name, 20, seed=k)

@@ -45,6 +45,7 @@ def test_the_whole_cloud_comes_back_from_any_reader(tmp_path: Path, origin: Orig
     assert (after.views == 3).all() and np.allclose(after.normal, [0, 1, 0]) and np.allclose(after.sigma_m, 0.01)
 
 
+@pytest.mark.slow
 def test_levels_thin_the_cloud_evenly_and_boxes_are_found(tmp_path: Path) -> None:
     parts = [wall(60_000, 0, UTM), wall(60_000, 1, UTM)]
     path = tmp_path / "c.copc.laz"

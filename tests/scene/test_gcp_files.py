@@ -89,6 +89,7 @@ def test_the_list_of_odm_is_read_as_ever(tmp_path: Path) -> None:
     assert found.points[0].xyz == (494399.2, 4232697.1, 5.0)
 
 
+@pytest.mark.slow
 def test_marks_without_points_are_refused_before_anything_is_made(tmp_path: Path, capsys) -> None:
     (tmp_path / "in").mkdir()
     marks = _written(tmp_path, "marks.csv", MARKS)

@@ -82,6 +82,7 @@ def test_what_acts_is_shown_as_an_escape() -> None:
     assert one_line("a\nb") == "a\\nb" and printable("戻り é") == "戻り é"
 
 
+@pytest.mark.slow
 def test_pixels_of_a_file_that_opencv_could_not_name(tmp_path: Path) -> None:
     survey = worlds.make_survey(tmp_path / "s", passes=("up",), frames=1)
     path = tmp_path / SJIS
@@ -123,6 +124,7 @@ def test_paths_that_no_file_of_ours_could_hold_are_refused(value: str, tmp_path:
     assert main(["status", value]) == 2
 
 
+@pytest.mark.slow
 def test_a_survey_of_nasty_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     survey = worlds.make_survey(tmp_path / "s", passes=("up",), frames=3)
     nasty = os.fsencode(tmp_path) + b"/images/\x8e\xca\x1b[31m\n\xe2\x80\xae$\\frac{ <script>'\""

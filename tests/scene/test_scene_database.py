@@ -156,6 +156,7 @@ def test_a_batch_is_written_whole_or_not_at_all(tmp_path):
     assert db.images_with_features(path) == set()
 
 
+@pytest.mark.slow
 def test_sigkill_while_writing_keeps_whole_images_only(tmp_path):
     path = tmp_path / "database.db"
     create_database(path, scene())

@@ -67,6 +67,7 @@ def _cut(folder: Path, scene: Scene, frame: int) -> None:
                 db.execute("DELETE FROM two_view_geometries WHERE pair_id = ?", (pair,))
 
 
+@pytest.mark.slow
 def test_two_surveys_in_one_folder_by_the_default_mapper(tmp_path: Path) -> None:
     """The mapper makes two models by itself; that they are two surveys, and which images, is said."""
     model, scene = moving_world(frames=12)

@@ -58,6 +58,7 @@ def test_modes() -> None:
     assert not held_by_mapper(_with_sigma(scene, 3.0, 0.01).rigs[0], "soft", RigTuning())
 
 
+@pytest.mark.slow
 @needs_pyceres
 @pytest.mark.parametrize(("sigma_m", "least", "most"), [(0.0005, 0.02, 0.04), (0.05, 0.0, 0.012)])
 def test_a_wrong_lever_is_kept_or_left_by_its_sigma(sigma_m: float, least: float, most: float) -> None:
@@ -73,6 +74,7 @@ def test_a_wrong_lever_is_kept_or_left_by_its_sigma(sigma_m: float, least: float
     assert least <= max(off) <= most
 
 
+@pytest.mark.slow
 @needs_pyceres
 def test_a_pair_sets_baseline_and_axis() -> None:
     model, scene = moving_world(frames=12)

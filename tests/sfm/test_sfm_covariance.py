@@ -47,6 +47,7 @@ def world(tmp_path_factory):
     return make_world(tmp_path_factory.mktemp("world") / "database.db", cameras=2, frames=6, noise_px=0.0)
 
 
+@pytest.mark.slow
 def test_predicted_sigma_is_the_scatter_of_many_adjustments(world) -> None:
     truth, scene = world
     true = true_frames(truth, scene)[:, :3, 3]

@@ -101,6 +101,7 @@ def test_clean_sets_contradict_nothing(seed: int, sigma: float, actual: float) -
     assert {s.quantity for s in found.findings.statements} >= {"scale", "heading", "height", "place east"}
 
 
+@pytest.mark.slow
 def test_a_rig_that_is_wrong_does_not_overrule_positions_that_fit_without_it() -> None:
     """Six cameras that fire apart along 12 m: the rig's scale is 11.5 % off, and said to be good to 0.2 %."""
     poses, scene = drive(12.0)
@@ -140,6 +141,7 @@ def test_three_sources_tell_which_one_is_wrong() -> None:
     assert any("GNSS positions stand alone" in t for t in found.findings.contradictions)
 
 
+@pytest.mark.slow
 def test_heights_above_the_start_are_a_contradiction_of_height_and_no_scatter() -> None:
     poses, scene = drive(back=True)
     low = poses[:, :3, 3] + noise(4, 2.0) * [1, 1, 2] - [0, 0, 64]

@@ -41,6 +41,7 @@ def _moved(truth):
     return model
 
 
+@pytest.mark.slow
 def test_positions_bring_the_model_back(world) -> None:
     truth, scene = world
     true = true_frames(truth, scene)[:, :3, 3]
@@ -71,6 +72,7 @@ def test_apply_scales_the_rig_too(world) -> None:
         np.testing.assert_allclose(placed.rig(1).sensor_from_rig(sensor).translation, pose.translation, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_lever_arm_given_and_estimated(world) -> None:
     truth, scene = world
     true = true_frames(truth, scene)
@@ -85,6 +87,7 @@ def test_lever_arm_given_and_estimated(world) -> None:
     assert any("estimated" in n for n in estimated.findings.notes)
 
 
+@pytest.mark.slow
 def test_a_stretch_of_multipath_does_not_hide_behind_the_lever_arm(world) -> None:
     truth, scene = world
     true, arm = true_frames(truth, scene), np.array([0.9, -0.4, 0.5])
@@ -113,6 +116,7 @@ def test_fixed_rig_alone_gives_the_scale(world) -> None:
     assert near.scale_source == "none" and any("no scale taken from the rig" in n for n in near.findings.notes)
 
 
+@pytest.mark.slow
 def test_images_that_hardly_carry_the_baseline_widen_the_scale_of_the_rig(world) -> None:
     truth, scene = world
     survey = with_positions(scene, 1.03 * true_frames(truth, scene)[:, :3, 3], 0.05)
@@ -160,6 +164,7 @@ def test_trajectory_orientations_hold_the_roll(world) -> None:
     np.testing.assert_allclose(placed, poses, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_to_dict_is_json(world) -> None:
     truth, scene = world
     survey = with_positions(scene, true_frames(truth, scene)[:, :3, 3], 0.05)

@@ -75,6 +75,7 @@ def _control(truth, scene, count: int = 6, sigma: float = 0.005, checks: int = 2
     )
 
 
+@pytest.mark.slow
 @needs_pyceres
 def test_control_points_alone_place_and_check_points_stay_out(world) -> None:
     truth, scene = world
@@ -100,6 +101,7 @@ def test_a_point_with_one_mark_is_said_with_its_line(world) -> None:
     assert any("'P1' is not used: 1 marks in registered images" in n and "line 8" in n for n in found.findings.notes)
 
 
+@pytest.mark.slow
 @needs_pyceres
 def test_adjustment_meets_the_truth_and_says_what_it_did(world) -> None:
     truth, scene = world
@@ -117,6 +119,7 @@ def test_adjustment_meets_the_truth_and_says_what_it_did(world) -> None:
     assert any("positions held back are met within" in n for n in found.findings.notes)
 
 
+@pytest.mark.slow
 @needs_pyceres
 def test_what_the_rig_file_gives_with_a_sigma_holds_among_the_positions_too(world) -> None:
     truth, scene = world
@@ -139,6 +142,7 @@ def test_what_the_rig_file_gives_with_a_sigma_holds_among_the_positions_too(worl
     assert abs(loose - given[0, 3]) > 0.015 and loose == pytest.approx(unknown, abs=0.003)
 
 
+@pytest.mark.slow
 def test_every_fifth_gross_outlier_and_a_pass_without_positions(world) -> None:
     truth, scene = world
     true = true_frames(truth, scene)[:, :3, 3]
@@ -155,6 +159,7 @@ def test_every_fifth_gross_outlier_and_a_pass_without_positions(world) -> None:
     assert lost.placed and any("pass 'down' has no position" in n for n in lost.findings.notes)
 
 
+@pytest.mark.slow
 def test_exchanged_axes_are_said(world) -> None:
     truth, scene = world
     true = true_frames(truth, scene)[:, [1, 0, 2], 3]
@@ -183,6 +188,7 @@ def _straight(passes: int) -> tuple[Model, Scene, np.ndarray]:
     return Model(transforms.invert(np.array(poses)), up, None, [], tuple(names)), scene, place
 
 
+@pytest.mark.slow
 def test_straight_passes_whose_mirror_image_hangs_upside_down_are_refused() -> None:
     model, scene, place_m = _straight(2)
     assert (
@@ -192,6 +198,7 @@ def test_straight_passes_whose_mirror_image_hangs_upside_down_are_refused() -> N
         fit_to_world(model, with_positions(scene, place_m[:, [1, 0, 2]], 0.02), GeorefSettings(), Measurements(), WORLD)
 
 
+@pytest.mark.slow
 def test_one_straight_pass_tells_no_mirror_image_and_that_is_said() -> None:
     model, scene, place_m = _straight(1)
     found = fit_to_world(
@@ -200,6 +207,7 @@ def test_one_straight_pass_tells_no_mirror_image_and_that_is_said() -> None:
     assert found is not None and any("exchanged cannot be told" in n for n in found.notes)
 
 
+@pytest.mark.slow
 def test_rows_between_frames_carry_lever_arm_and_clock() -> None:
     """A boat goes out and back along an S at changing speed: five rows a second, a frame every two."""
     fine = np.arange(0, 80.01, 0.2)
@@ -254,6 +262,7 @@ def _drive(time_s: np.ndarray) -> Scene:
     return with_positions(scene.with_(sequences=("way",), time_s=time_s), place, 0.02)
 
 
+@pytest.mark.slow
 def test_a_relaxed_rig_is_not_adjusted_with_the_positions(world) -> None:
     truth, scene = world
     survey = with_positions(scene, true_frames(truth, scene)[:, :3, 3], 0.05)

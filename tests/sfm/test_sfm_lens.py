@@ -76,6 +76,7 @@ def test_an_extended_camera_projects_as_before(tmp_path) -> None:
     assert wide.camera(1).img_from_cam(rays) == pytest.approx(start.camera(1).img_from_cam(rays))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not lens.available(), reason="pyceres is not there")
 def test_the_final_adjustment_finds_aspect_and_decentring_and_the_rig_gains(tmp_path, monkeypatch) -> None:
     truth, start = _world(tmp_path)
@@ -99,6 +100,7 @@ def test_priors_are_those_of_a_lens() -> None:
     assert np.linalg.eigvalsh(expected).min() > 0
 
 
+@pytest.mark.slow
 def test_cameras_of_other_models_and_believed_ones_stay(tmp_path) -> None:
     _, start = _world(tmp_path)
     kept = final_adjustment(start, constant_cameras=[1], tuning=Tuning().adjust).model

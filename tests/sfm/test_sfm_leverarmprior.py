@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 from sfm_worlds import make_world
 
@@ -99,6 +100,7 @@ def test_what_a_rule_has_from_the_rig_itself_is_no_information() -> None:
     assert np.sum(stiff > 1e-6 * stiff[-1]) == 15 - 4
 
 
+@pytest.mark.slow
 def test_a_camera_that_the_images_place_stays(tmp_path: Path) -> None:
     truth, _ = make_world(tmp_path / "database.db", cameras=6, frames=10, noise_px=0.2, points=300)
     _, sigma = leverarmprior.expected_centres(truth.rig(1), TUNING)[6]
@@ -106,6 +108,7 @@ def test_a_camera_that_the_images_place_stays(tmp_path: Path) -> None:
     assert moved < 0.05 * sigma
 
 
+@pytest.mark.slow
 def test_a_camera_that_the_images_leave_open_goes_where_it_is_expected(tmp_path: Path, monkeypatch) -> None:
     truth, _ = make_world(tmp_path / "database.db", cameras=6, frames=10, noise_px=0.2, points=300)
     start = _hardly_seeing(truth)

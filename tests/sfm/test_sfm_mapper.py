@@ -43,6 +43,7 @@ def _centre_error(result: SparseResult, scene: Scene, truth: object) -> float:
     return float(np.sqrt(np.mean(np.sum((umeyama(found, true)(found) - true) ** 2, axis=1))))
 
 
+@pytest.mark.slow
 def test_fixed_rig_keeps_its_metric_size(tmp_path: Path) -> None:
     truth, scene = make_world(tmp_path / "database.db")
     before = (tmp_path / "database.db").read_bytes()
@@ -66,6 +67,7 @@ def test_fixed_rig_keeps_its_metric_size(tmp_path: Path) -> None:
     assert [row[1:3] for row in result.tables["registered_per_camera"]["rows"]] == [[8, 8]] * 3
 
 
+@pytest.mark.slow
 def test_an_image_without_a_point_is_placed_by_its_rig_and_not_registered(tmp_path: Path) -> None:
     _, scene = make_world(tmp_path / "database.db")
     blind = scene.image_index[next(n for k, n in enumerate(scene.names) if scene.sensor[k] == 1)]
@@ -84,6 +86,7 @@ def test_an_image_without_a_point_is_placed_by_its_rig_and_not_registered(tmp_pa
     assert result.tables["models"]["rows"][0][1:3] == [len(scene) - 1, 1]
 
 
+@pytest.mark.slow
 def test_a_rough_model_needs_no_images_and_no_final_adjustment(tmp_path: Path) -> None:
     truth, scene = make_world(tmp_path / "database.db")
     source = Source(tmp_path / "database.db", None, rough=True)

@@ -66,6 +66,7 @@ def test_a_good_model_is_let_be(world, tmp_path: Path) -> None:
     assert not (tmp_path / "scratch" / "placement.db").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("previewed", [True, False])
 def test_a_frame_at_a_repeated_wall_is_placed_again(world, tmp_path: Path, previewed: bool) -> None:
     model, scene = world
@@ -80,6 +81,7 @@ def test_a_frame_at_a_repeated_wall_is_placed_again(world, tmp_path: Path, previ
     assert settled.model.image(1 + 3 * 6).num_points3D > 50  # it sees the points of the others again
 
 
+@pytest.mark.slow
 def test_a_block_is_moved_as_one(world, tmp_path: Path) -> None:
     model, scene = world
     true = _centres(model, scene)
@@ -89,6 +91,7 @@ def test_a_block_is_moved_as_one(world, tmp_path: Path) -> None:
     assert np.linalg.norm(_centres(settled.model, scene) - true, axis=1).max() < 0.1
 
 
+@pytest.mark.slow
 def test_a_frame_without_true_ties_is_left_out_with_its_reason(world, tmp_path: Path) -> None:
     """Its matches with the others are shuffled: nothing says where it belongs."""
     model, scene = world
@@ -107,6 +110,7 @@ def test_a_frame_without_true_ties_is_left_out_with_its_reason(world, tmp_path: 
     assert settled.model.num_reg_images() == len(scene) - 3
 
 
+@pytest.mark.slow
 def test_missing_frames_are_placed_by_their_matches(world, tmp_path: Path) -> None:
     model, scene = world
     true = _centres(model, scene)
@@ -132,6 +136,7 @@ def test_photographs_numbered_in_another_order_than_they_stand_all_stay(world, t
     assert np.linalg.norm(_centres(settled.model, scene) - true, axis=1).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_a_missing_photograph_off_the_course_is_placed_by_its_ties(world, tmp_path: Path) -> None:
     model, scene = world
     true = _centres(model, scene)

@@ -45,6 +45,7 @@ WANTED = (
 )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("case", "first"), WANTED)
 def test_what_the_images_want_otherwise_is_told_apart(case: str, first: tuple[str, int] | None) -> None:
     model, scene = _rigid(case)
@@ -128,6 +129,7 @@ def _finished(case: str, folder: Path, **more: object) -> tuple[FinishResult, py
     return finish_model(request, lambda _: None), pycolmap.Reconstruction(target), scene
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not available(), reason="pyceres is not there")
 def test_a_turned_camera_is_said_and_followed_the_others_stay(tmp_path: Path) -> None:
     finished, model, _ = _finished("turned", tmp_path)
@@ -136,6 +138,7 @@ def test_a_turned_camera_is_said_and_followed_the_others_stay(tmp_path: Path) ->
     assert "what was given, and the images" in finished.tables
 
 
+@pytest.mark.slow
 def test_what_the_user_orders_is_obeyed_and_the_contradiction_said(tmp_path: Path) -> None:
     finished, model, scene = _finished("late", tmp_path, ordered=(0,), lenses_ordered=True)
     assert any("ordered" in line and "not synchronised" in line for line in finished.contradictions)

@@ -37,6 +37,7 @@ def _rigid(model: pycolmap.Reconstruction) -> pycolmap.Reconstruction:
     return final_adjustment(model, [1], [1, 2, 3], tuning=Tuning().adjust).model
 
 
+@pytest.mark.slow
 def test_a_good_rig_scatters_as_expected() -> None:
     model, scene = moving_world()
     found = rig_diagnostics(_rigid(model), scene, 1.0, Tuning())
@@ -77,6 +78,7 @@ def _scattered(frames: int, times: float, seed: int) -> SensorDiagnostics:
     return sensor_diagnostics(found, scene, RIG.diagnostics)[0]
 
 
+@pytest.mark.slow
 def test_few_frames_do_not_make_a_camera_loose() -> None:
     """A scatter just above the bound is chance in nine frames and a finding in two hundred."""
     few, many = (_scattered(frames, 1.3 * MAX_RATIO, 0) for frames in (9, 200))
@@ -108,6 +110,7 @@ def test_a_relaxed_model_that_loses_images_is_not_kept(tmp_path: Path, monkeypat
         assert bool(said) == (kept is model)
 
 
+@pytest.mark.slow
 def test_a_loose_camera_is_named() -> None:
     model, scene = moving_world(loose_deg=(0, 0, 0.2))
     found = rig_diagnostics(_rigid(model), scene, 1.0, Tuning())
@@ -115,6 +118,7 @@ def test_a_loose_camera_is_named() -> None:
     assert any("cam2 is not rigid" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_a_camera_that_comes_off_is_named_and_let_go() -> None:
     """At 2 degrees the adjustment throws its sightings out: that gives it away."""
     model, scene = moving_world(loose_deg=(0, 0, 2.0))

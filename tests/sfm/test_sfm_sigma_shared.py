@@ -65,6 +65,7 @@ def test_sparse_solution_is_the_dense_one() -> None:
     np.testing.assert_allclose(positions_free_gauge(normal, world), expected, atol=1e-6 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 def test_a_pass_of_two_thousand_frames_has_sigmas() -> None:
     """Grows linearly: under ten seconds; a pass four times as long bends at its ends 4^1.5 to 4^2 times as far."""
     assert SparseSettings().covariance_frames >= 2000

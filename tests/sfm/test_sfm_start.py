@@ -64,6 +64,7 @@ def _assert_near(folder: Path, true: np.ndarray, scene: Scene, m: float = 0.004,
     return assert_reconstruction_near(pycolmap.Reconstruction(folder), scene, true, m=m, deg=deg)
 
 
+@pytest.mark.slow
 def test_rough_poses_become_a_good_model(world, tmp_path: Path) -> None:
     true, scene = world
     rough = _rough(true, scene)
@@ -75,6 +76,7 @@ def test_rough_poses_become_a_good_model(world, tmp_path: Path) -> None:
     assert not (tmp_path / "run" / "working.db").exists()
 
 
+@pytest.mark.slow
 def test_frames_without_a_pose_are_registered(world, tmp_path: Path) -> None:
     true, scene = world
     rough = _rough(true, scene)
@@ -84,6 +86,7 @@ def test_frames_without_a_pose_are_registered(world, tmp_path: Path) -> None:
     _assert_near(mapped.folders[0], true, scene)
 
 
+@pytest.mark.slow
 def test_a_refined_rig_takes_units_and_extrinsics_of_the_poses(world, tmp_path: Path) -> None:
     true, scene = world
     rough = _rough(true, scene)
@@ -104,6 +107,7 @@ def _turned(k: int) -> np.ndarray:
     return Rotation.from_rotvec([0.0, np.radians(2.0 * k), 0.0]).as_matrix()
 
 
+@pytest.mark.slow
 def test_a_path_too_long_for_its_rig_is_made_right(world, tmp_path: Path) -> None:
     """A coarse model had PandaSet's path 16 times too long against its rig; adjustment does not get out of that."""
     true, scene = world
@@ -115,6 +119,7 @@ def test_a_path_too_long_for_its_rig_is_made_right(world, tmp_path: Path) -> Non
     assert _assert_near(mapped.folders[0], true, scene) == pytest.approx(1, abs=0.005)
 
 
+@pytest.mark.slow
 def test_what_a_mapper_made_too_long_is_mapped_again(world, tmp_path: Path, monkeypatch) -> None:
     true, scene = world
     model = pycolmap.Reconstruction(_map(tmp_path, scene, _rough(true, scene)).folders[0])
@@ -212,6 +217,7 @@ def test_the_gate_says_what_is_wrong_with_a_model(how: str, why: str, tmp_path: 
     assert said.startswith(why) and bool(said) == bool(why)
 
 
+@pytest.mark.slow
 def test_a_model_that_does_not_pass_the_gate_is_not_kept(world, tmp_path: Path) -> None:
     true, scene = world
     strict = Tuning(start=StartTuning(acceptance=AcceptanceTuning(max_error_px=0.01)))

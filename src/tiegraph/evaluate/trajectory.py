@@ -204,7 +204,8 @@ def yaw_drift(match: PoseMatch, aligned: np.ndarray, min_drift_m: float) -> floa
         path = path_length(match.reference[rows, :3, 3])
         if len(rows) < 3 or path[-1] < min_drift_m:
             continue
-        turn = aligned[rows, :3, :3] @ np.swapaxes(match.reference[rows, :3, :3], 1, 2)
+        true = match.reference[rows, :3, :3]
+        turn = aligned[rows, :3, :3] @ np.swapaxes(true, 1, 2)
         yaw = np.degrees(np.unwrap(Rotation.from_matrix(turn).as_rotvec()[:, 2]))
         slopes.append(abs(np.polyfit(path, yaw, 1)[0]) * 100)
     return float(np.median(slopes)) if slopes else _NAN

@@ -48,7 +48,8 @@ def tracks(scene: Scene, positions: np.ndarray) -> list[Track]:
             place = np.arange(len(frames))
             within = (place > place[known][0]) & (place < place[known][-1])
             for c in range(3):
-                guess[within, c] = np.interp(place[within], place[known], at[known, c])
+                found = at[known, c]
+                guess[within, c] = np.interp(place[within], place[known], found)
         guess = np.where(np.isfinite(guess), guess, prior[frames])
         missing = guess[~known & np.isfinite(guess[:, 0])]
         out.append(Track(scene.sequences[t] if t >= 0 else "images", at, missing))

@@ -63,7 +63,8 @@ def contradictions(spec: RigSpec, tuning: RigTuning) -> list[str]:
             continue
         a, b = (places[n] for n in pair.sensors)
         baseline = float(np.linalg.norm(a[:3, 3] - b[:3, 3]))
-        axis = float(np.degrees(np.arccos(np.clip(a[:3, 2] @ b[:3, 2], -1, 1))))
+        cosine = float(a[:3, 2] @ b[:3, 2])
+        axis = float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
         said = (
             (pair.baseline_m, pair.baseline_sigma_m, baseline, "m apart"),
             (pair.axis_deg, pair.axis_sigma_deg, axis, "degrees between the axes"),

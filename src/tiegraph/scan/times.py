@@ -77,7 +77,8 @@ def read_times(
         )
     out = np.full(len(frames), np.nan)
     for found, mine in rows.items():
-        out[found] = np.median(seconds[mine])
+        taken = seconds[mine]
+        out[found] = np.median(taken)
     _say_spread(table, rows, seconds, notes, tuning.same_shot_s)
     notes += _say_odd(table, {k: mine[0] for k, mine in rows.items()}, out, frames, tuning.apart_s)
     if len(rows) > 1 and np.nanmax(out) == np.nanmin(out):

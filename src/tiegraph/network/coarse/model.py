@@ -44,7 +44,8 @@ class CoarseModel:
         order = np.argsort(self.image, kind="stable")
         ends = np.searchsorted(self.image[order], np.arange(len(out) + 1))
         for k in np.flatnonzero(np.diff(ends) >= tuning.reach_points):
-            out[k] = np.percentile(distance[order[ends[k] : ends[k + 1]]], tuning.reach_percentiles)
+            own = order[ends[k] : ends[k + 1]]
+            out[k] = np.percentile(distance[own], tuning.reach_percentiles)
         return out
 
     def proxy(self, tuning: ProxyTuning) -> Proxy:
