@@ -1,5 +1,6 @@
 """Base, distance over base and sigma of pairs by a coarse model of known geometry."""
 
+import csv
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,11 @@ import pycolmap
 import pytest
 
 from tiegraph.network.coarse.bases import metres_per_unit, with_bases
-from tiegraph.scene.matches import Visibility
+from tiegraph.network.sections.light import UpLight
+from tiegraph.pipeline import network as glue
+from tiegraph.project.run import Inputs, Run
+from tiegraph.project.settings import Settings
+from tiegraph.scene.matches import PreviewMatches, Visibility
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
@@ -54,3 +59,24 @@ def test_without_positions_that_tell_the_scale_only_the_ratio_is_known():
     for uncertain in (scene, nowhere, replace(scene, prior="odometry")):
         found = with_bases(pairs, uncertain, sights)
         assert np.isnan([found.baseline_m[0], found.sigma_m[0]]).all() and np.isfinite(found.h_over_b[0])
+
+
+def test_the_stage_network_writes_them(tmp_path, monkeypatch):
+    scene, sights = world()
+    pairs = Pairs.make([0, 1], [1, 2], "sequence", score=np.array([100.0, 100.0]))
+    (tmp_path / "coarse").mkdir()
+    (tmp_path / "coarse" / "scene.json").write_text(scene.to_json())
+    np.savez(tmp_path / "coarse.npz", **pairs.to_npz())
+    np.savez(tmp_path / "coarse" / "matches.npz", **PreviewMatches.empty().to_npz())
+    np.savez(tmp_path / "coarse" / "visibility.npz", **sights.to_npz())
+    poses = np.tile(np.eye(4), (4, 1, 1))
+    poses[:, :3, 3] = -sights.centre
+    np.savez(tmp_path / "coarse" / "model.npz", cam_from_world=poses)
+    monkeypatch.setattr(glue, "up_light", lambda run, scene: UpLight(np.full(len(scene), 99.0)))
+    glue.network(Run(tmp_path, Inputs(tmp_path), Settings(), "serial"))
+    with (tmp_path / "network.csv").open(newline="") as file:
+        row = next(csv.DictReader(file))
+    assert float(row["h_over_b"]) == pytest.approx(10.1 / 2, rel=0.02) and float(row["baseline_m"]) == 8
+    assert float(row["sigma_m"]) == pytest.approx(40.4 / FOCAL_PX / 10, rel=0.02)
+    with np.load(tmp_path / "network.npz") as stored:
+        assert np.isfinite(stored["h_over_b"]).all()

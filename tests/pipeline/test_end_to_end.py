@@ -1,6 +1,7 @@
 """The whole way on a small survey with exact truth: images to cloud and report, through the public API and the CLI."""
 
 import base64
+import csv
 import json
 import re
 
@@ -91,6 +92,17 @@ def test_report_is_one_offline_page(project):
     pictures = re.findall(r'src="data:image/(?:png|jpeg);base64,([^"]+)"', text)
     assert len(pictures) >= 4 and all(len(base64.b64decode(p)) > 1000 for p in pictures)
     assert text.count('id="viewer-data"') == 1
+
+
+def test_curves_and_accuracies_are_tables_too(project):
+    with (project.folder / "candidates" / "offsets.csv").open(newline="") as file:
+        assert {row["direction"] for row in csv.DictReader(file)} <= {"same", "back"}
+    with (project.folder / "accuracy.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    said = {row["quantity"]: float(row["value"]) for row in rows if row["about"] == "survey" and row["value"]}
+    measured = json.loads((project.folder / "metrics.json").read_text())["metrics"]
+    assert said == pytest.approx({m["name"]: m["value"] for m in measured if m["value"] is not None}, rel=1e-4)
+    assert sum(row["about"] == "residual of a frame, m" for row in rows) >= 3 * 6
 
 
 def test_receipts_account_for_everything(project):
