@@ -343,8 +343,8 @@ def _with_camera(run: _Run, given: Sensor, found: Sensor) -> Sensor:
     else:
         rows = [r for r in run.rows(INTERIOR_TABLE) if r[0] == given.name]
         sigmas = [f"{r[1]} {r[3]:.2g}" for r in rows]
-        focal = next((r[3] for r in rows if r[1] in ("f", "fx")), given.camera_sigma_px)
-        given = replace(given, camera_sigma_px=focal)
+        sigma_px = next((r[3] for r in rows if r[1] in ("f", "fx")), given.camera_sigma_px)
+        given = replace(given, camera_sigma_px=sigma_px)
         run.said += [f"{given.name}: sigmas of its camera: {', '.join(sigmas)}"] if sigmas else []
     return replace(given, camera=camera, source=None if source is None else replace(source, camera=camera))
 
