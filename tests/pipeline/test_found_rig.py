@@ -22,7 +22,9 @@ from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.rig import Rig, Sensor, Source
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.sfm.covariance import INTERIOR, INTERIOR_TABLE, MOUNTING
+from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.model import rigid3d
+from tiegraph.sfm.settings import SparseSettings
 
 RIG = RigTuning()
 SIZE = (64, 48)
@@ -132,6 +134,7 @@ def test_what_is_written_is_read_as_it_was_found(tmp_path: Path) -> None:
     assert not spec.nominal and not spec.fixed
     assert "# head: lengths are in metres by gnss, known to 2 %" in found.text
     assert "# b: sigmas of its camera: fx 0.34" in found.text
+    assert [s.camera_sigma_px for s in spec.sensors] == [None, 0.34, None]
 
 
 def test_sigmas_are_those_of_an_axis_in_metres_with_the_scale(tmp_path: Path) -> None:
@@ -343,3 +346,13 @@ def test_a_calibration_that_a_rig_file_names_counts_among_the_inputs(tmp_path: P
     assert given.key() == before
     (tmp_path / "left.yaml").write_text("another")
     assert given.key() != before
+
+
+def test_a_camera_with_a_sigma_is_adjusted_and_one_without_is_held() -> None:
+    sensors = tuple(replace(s, camera=_camera("OPENCV", FOUND)) for s in _given().sensors)
+    soft = (sensors[0], replace(sensors[1], camera_sigma_px=0.3), sensors[2])
+    scene = _scene((_given(sensors=soft),))
+    assert believed_cameras(scene, SparseSettings()) == (1, 3)
+    assert believed_cameras(Scene.from_json(scene.to_json()), SparseSettings()) == (1, 3)
+    assert believed_cameras(_scene((_given(sensors=sensors),)), SparseSettings()) == (1, 2, 3)
+    assert "camera_sigma_px" not in _scene((_given(sensors=sensors),)).to_json()

@@ -54,7 +54,8 @@ class _Columns:
                 if place and rig.known() and not rig.measured():
                     sensor[key], size = size, size + 6
                 stated = one.camera is not None and rig.fixed and one.camera.has_prior_focal_length
-                if not (stated or (one.camera is not None and calibrated(one.camera))):
+                believed = stated or (one.camera is not None and calibrated(one.camera))
+                if not believed or one.camera_sigma_px:
                     camera[key], size = size, size + _INTRINSICS
                 key += 1
         columns = np.full((len(scene), 12 + _INTRINSICS), size)

@@ -171,7 +171,10 @@ def _found(run: _Run, index: int) -> Rig:
     else:
         _say_scale(run, found)
         found = _with_sigmas(run, replace(found, fixed=False), given)
-    sensors = tuple(replace(s, camera=c.camera, source=c.source) for s, c in zip(found.sensors, cameras))
+    sensors = tuple(
+        replace(s, camera=c.camera, source=c.source, camera_sigma_px=c.camera_sigma_px)
+        for s, c in zip(found.sensors, cameras)
+    )
     return replace(found, sensors=sensors, antenna_m=run.antenna_m or given.antenna_m)
 
 
@@ -338,7 +341,10 @@ def _with_camera(run: _Run, given: Sensor, found: Sensor) -> Sensor:
         run.said.append(f"{given.name}: only the focal length is written, for {wrong}")
         camera = _undistorted(camera, focal)
     else:
-        sigmas = [f"{r[1]} {r[3]:.2g}" for r in run.rows(INTERIOR_TABLE) if r[0] == given.name]
+        rows = [r for r in run.rows(INTERIOR_TABLE) if r[0] == given.name]
+        sigmas = [f"{r[1]} {r[3]:.2g}" for r in rows]
+        sigma_px = next((r[3] for r in rows if r[1] in ("f", "fx")), given.camera_sigma_px)
+        given = replace(given, camera_sigma_px=sigma_px)
         run.said += [f"{given.name}: sigmas of its camera: {', '.join(sigmas)}"] if sigmas else []
     return replace(given, camera=camera, source=None if source is None else replace(source, camera=camera))
 

@@ -97,7 +97,9 @@ def _takers(
     others = [s.name for k, (s, _) in sensors.items() if k != key]
     if others:
         notes.append(f"{given.at}: taken for {sensor.name}; {len(others)} other cameras keep what EXIF says")
-    camera = {n: getattr(given, n) for n in ("model", "size", "params", "focal_px", "hfov_deg", "at")}
+    camera = {
+        n: getattr(given, n) for n in ("model", "size", "params", "focal_px", "hfov_deg", "camera_sigma_px", "at")
+    }
     return {key: replace(sensor, **camera)}
 
 

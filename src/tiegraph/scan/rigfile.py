@@ -13,6 +13,7 @@ rig.toml::
     model = "OPENCV"         # COLMAP's model and order of parameters
     size = [3072, 2048]      # width, height the parameters belong to; rescaled to images of the same shape
     params = [2759.5, 2764.2, 1520.7, 1006.8, 0, 0, 0, 0]     # or focal_px = 2760, or hfov_deg = 58
+    sigma_px = 0.4           # optional: of the focal length; a camera with one is adjusted, one without held as it is
 
     [[sensors]]              # the first one is the reference
     name = "cam0"
@@ -72,7 +73,7 @@ _SENSOR_KEYS = (
     "name", "folder", "role", "position_m", "yaw_pitch_roll_deg", "body_from_sensor_wxyz", "body_from_sensor",
     "crop_px", "camera", "sigma_deg", "sigma_m",
 )  # fmt: skip
-_CAMERA_KEYS = ("model", "size", "params", "focal_px", "hfov_deg", "file")
+_CAMERA_KEYS = ("model", "size", "params", "focal_px", "hfov_deg", "file", "sigma_px")
 _COLMAP_KEYS = (
     "image_prefix", "ref_sensor", "cam_from_rig_rotation", "cam_from_rig_translation", "camera_model_name",
     "camera_params",
@@ -136,8 +137,6 @@ def camera_table(path: Path, text: str, tuning: RigTuning) -> SensorSpec:
 
 
 _SENSORS_TABLE = r"\s*\[\[\s*sensors\s*\]\]"
-
-
 _PAIRS_TABLE = r"\s*\[\[\s*pairs\s*\]\]"
 _MAX_TURN_DEG = 360.0  # a full turn
 
@@ -299,6 +298,7 @@ class _TomlReader(Reader):
             "params": params,
             "focal_px": data.get("focal_px"),
             "hfov_deg": data.get("hfov_deg"),
+            "camera_sigma_px": self.positive(data, "sigma_px", *at) or None,
         }
 
     def other_program(self, data: dict, where: str, table: str, number: int) -> dict:

@@ -39,6 +39,7 @@ class SensorSpec:
     crop_px: tuple[int, int, int, int] | None = None
     sigma_deg: float | None = None
     sigma_m: float | None = None
+    camera_sigma_px: float | None = None  # of the focal length; a camera with one is adjusted
     of_panorama: bool = False  # a view that is rendered from an equirectangular panorama
     number: int = 0  # of its table in the rig file
     at: str = ""  # file and line of its camera, "" = from no file

@@ -28,7 +28,8 @@ Instead of yaw_pitch_roll_deg, camera to body (the inverse of COLMAP's cam_from_
   body_from_sensor_wxyz = the same rotation as a quaternion, w first.
 antenna_m: the GNSS antenna in the body frame, metres. fixed = true: never refined. nominal = true: degrees off.
 sigma_deg, sigma_m of a sensor: how well its angles and its position are known; it is adjusted about them.
-params: COLMAP's model and order, for images of size (width, height); pixels count from the image's corner."""
+params: COLMAP's model and order, for images of size (width, height); pixels count from the image's corner.
+sigma_px: how well its focal length is known; such a camera is adjusted, one without is held as it stands here."""
 
 
 def write_rig_config(rig: Rig, path: Path) -> None:
@@ -99,6 +100,7 @@ def rig_toml(rig: Rig, comment: str = "") -> str:
         if camera is not None:
             lines += ["[sensors.camera]", f'model = "{camera.model.name}"', f"size = [{camera.width}, {camera.height}]"]
             lines.append(f"params = {_toml(camera.params)}")
+            lines += [f"sigma_px = {float(sensor.camera_sigma_px)!r}"] if sensor.camera_sigma_px else []
     for pair in rig.pairs:
         lines += ["", "[[pairs]]", f"sensors = {json.dumps(list(pair.sensors), ensure_ascii=False)}"]
         lines += [f"{key} = {float(v)!r}" for key in PAIR_KEYS if (v := getattr(pair, key)) is not None]

@@ -189,7 +189,8 @@ def _rigs(
                 folder=sensor.folder or "",
                 source=calibrated.source,
             )
-            sensors.append(replace(made, sigma_deg=sensor.sigma_deg, sigma_m=sensor.sigma_m))
+            made = replace(made, sigma_deg=sensor.sigma_deg, sigma_m=sensor.sigma_m)
+            sensors.append(replace(made, camera_sigma_px=sensor.camera_sigma_px))
         there = {s.name for s in sensors}
         pairs = tuple(p for p in spec.pairs if set(p.sensors) <= there)
         arm = _antenna(spec, present[0])

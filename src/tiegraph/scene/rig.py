@@ -35,6 +35,9 @@ class Sensor:
     source: Source | None = None  # None: the files are the images
     sigma_deg: float | None = None  # of each axis of the given rotation; None = not said
     sigma_m: float | None = None  # of each coordinate of the given place
+    camera_sigma_px: float | None = (
+        None  # of the given focal length: a start, to be adjusted; None = exact, or not said
+    )
 
     def soft(self) -> bool:
         """Whether its extrinsics are given with a sigma, to be adjusted about."""
@@ -160,6 +163,7 @@ def rig_to_dict(rig: Rig) -> dict:
                 "camera": camera_to_dict(s.camera),
                 "sensor_from_rig": None if s.sensor_from_rig is None else s.sensor_from_rig.tolist(),
                 "sigma": [s.sigma_deg, s.sigma_m],
+                **({} if s.camera_sigma_px is None else {"camera_sigma_px": s.camera_sigma_px}),
             }
             for s in rig.sensors
         ],
@@ -178,6 +182,7 @@ def rig_from_dict(data: dict) -> Rig:
             source=_source_from_dict(s.get("source")),
             sigma_deg=s.get("sigma", (None, None))[0],
             sigma_m=s.get("sigma", (None, None))[1],
+            camera_sigma_px=s.get("camera_sigma_px"),
         )
         for s in data["sensors"]
     )

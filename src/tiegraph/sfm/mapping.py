@@ -111,7 +111,7 @@ def believed_cameras(scene: Scene, settings: SparseSettings) -> tuple[int, ...]:
             key += 1
             camera = sensor.camera
             stated = camera is not None and rig.fixed and camera.has_prior_focal_length
-            believed = stated or (camera is not None and calibrated(camera))
+            believed = (stated or (camera is not None and calibrated(camera))) and not sensor.camera_sigma_px
             if settings.refine_intrinsics == "no" or believed:
                 out.append(key)
     return tuple(out)
