@@ -227,14 +227,6 @@ def write_gnss(survey: Survey, path: Path, sigma_m: float = 0.02, seed: int = 0)
     return path
 
 
-def write_survey(folder: Path, frames: int) -> Path:
-    """A survey as a user hands it over, below ``folder``, which is returned: images/, gnss.csv and times.csv."""
-    made = make_survey(folder / "images", frames=frames)
-    write_gnss(made, folder / "gnss.csv")
-    write_times(made, folder / "times.csv")
-    return folder
-
-
 def write_times(survey: Survey, path: Path) -> Path:
     """Times of the frames: pass,frame,time."""
     rows = [f"{key.replace('/', ',')},{time_s:.3f}" for key, time_s in sorted(survey.times_s.items())]

@@ -183,10 +183,8 @@ def canal() -> World:
     return boat((12, 12), (2.0, 2.0))
 
 
-FAST = ("as it is", "inverted", "late")
-
-
-@pytest.mark.parametrize("name", [n if n in FAST else pytest.param(n, marks=pytest.mark.slow) for n in WRONG])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", WRONG)
 def test_a_wrong_prior_is_noticed_and_named(name: str, canal: World) -> None:
     spoil, said = WRONG[name]
     true = with_priors(canal)
