@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from sfm_worlds import make_world, true_frames, with_positions, without_extrinsics
 
+from tiegraph.child import run_in_child
 from tiegraph.errors import ReconstructionError, SettingsError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
@@ -16,6 +17,7 @@ from tiegraph.scene.colmapdatabase import image_ids
 from tiegraph.scene.colmapmodel import MAX_IMAGES
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import Tuning as SceneTuning
+from tiegraph.sfm import mapping
 from tiegraph.sfm.mapper import Source, SparseResult, reconstruct
 from tiegraph.sfm.mapping import choose_mapper
 from tiegraph.sfm.model import frame_poses, held_out_frames, image_poses
@@ -87,7 +89,8 @@ def test_an_image_without_a_point_is_placed_by_its_rig_and_not_registered(tmp_pa
 
 
 @pytest.mark.slow
-def test_a_rough_model_needs_no_images_and_no_final_adjustment(tmp_path: Path) -> None:
+def test_a_rough_model_needs_no_images_and_no_final_adjustment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mapping, "run_in_child", run_in_child)  # the log is of a real child
     truth, scene = make_world(tmp_path / "database.db")
     source = Source(tmp_path / "database.db", None, rough=True)
     settings = SparseSettings(covariance_frames=0)

@@ -53,7 +53,7 @@ def georef(run: Run) -> Outcome:
         constant=held,
         tuning=tuning,
         database=run.path("database.db"),
-        refused=refused_pairs(run),
+        refused=refused_pairs(run) if len(folders) > 1 else (),
     )
     found = run_in_child(georeference_folders, request, log=run.log, task="georeferencing")
     main, notes = found.first, found.notes()
