@@ -10,6 +10,7 @@ from multiprocessing.queues import SimpleQueue
 
 import pytest
 
+from tiegraph.child import Helper
 from tiegraph.errors import ProcessLost, SettingsError
 from tiegraph.project import pool
 from tiegraph.project.pool import SerialExecutor, check_pool, map_items, open_pool
@@ -65,6 +66,27 @@ def test_a_worker_lost_while_the_next_one_starts_is_named_too(monkeypatch):
     monkeypatch.setattr(executor, "_spawn_process", late)
     with executor, pytest.raises(ProcessLost, match="SIGKILL"):
         map_items(executor, workers, die, [3, 4, 5, 6], (signal.SIGKILL,))
+
+
+def test_a_worker_that_starts_while_another_is_lost_is_not_waited_for(monkeypatch):
+    executor, workers = open_pool("local:2")
+    start = Helper.start
+
+    def slowly(process):
+        start(process)
+        if process is not executor.helpers.made[0]:
+            while not executor._call_queue._closed:  # the executor's thread has told all it knows of to end
+                time.sleep(0.01)
+
+    monkeypatch.setattr(Helper, "start", slowly)
+    with pytest.raises(ProcessLost, match="SIGKILL"):
+        map_items(executor, workers, die, [3, 4, 5, 6], (signal.SIGKILL,))
+    left = threading.Thread(target=executor.shutdown, kwargs={"cancel_futures": True}, daemon=True)
+    left.start()
+    left.join(20)
+    hung = left.is_alive()
+    executor.helpers.end()
+    assert not hung
 
 
 def test_workers_do_not_hear_what_a_terminal_sends_to_all():

@@ -144,7 +144,10 @@ def map_items(
             if on_done is not None:
                 on_done(len(chunks[k]))
     except BrokenProcessPool as error:
-        raise ProcessLost(_why_lost(executor, error)) from None
+        why = _why_lost(executor, error)
+        if isinstance(executor, LocalPool):
+            executor.end()  # a worker that was starting meanwhile hears of nothing, and the executor would wait for it
+        raise ProcessLost(why) from None
     except Exception:
         for future in futures:
             future.cancel()
