@@ -198,7 +198,7 @@ def test_sections_mapped_apart_are_joined_and_adjusted_as_one(tmp_path: Path) ->
     first, second = (dict(zip(table["columns"], row)) for row in table["rows"])
     assert first["images"] + second["images"] == len(scene) and first["joined"] == second["joined"] == "yes"
     assert second["matches that agree"] > 1000 and second["held-out matches that agree %"] > 70
-    assert 0 < second["halves differ (units)"] < 0.2 and second["halves differ deg"] < 2
+    assert 0 < second["halves differ"] < 0.2 and second["halves differ deg"] < 2
     errors = [_centre_error(r, scene, truth) for r in (whole, result)]
     assert 0 < errors[0] < 0.05 and 0 < errors[1] < 1.5 * errors[0] + 1e-4
     assert any("2 sections were mapped apart, 2 of them joined" in note for note in result.remarks.notes)

@@ -16,13 +16,10 @@ from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.mapping import Account, Job, map_images
 from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.tiedmodels import Joining, moved
-from tiegraph.sfm.ties import TieTest
+from tiegraph.sfm.ties import TEST_COLUMNS, TieTest
 from tiegraph.sfm.verified import read_verified
 
-COLUMNS = [
-    "section", "images", "matches that agree", "of", "image pairs", "of these independent",
-    "held-out matches that agree %", "halves differ (units)", "halves differ deg", "joined",
-]  # fmt: skip
+COLUMNS = ["section", "images", *TEST_COLUMNS, "joined"]
 
 
 def start_from_sections(job: Job, rigs: dict[int, Rig], modes: dict[int, str]) -> Job:
@@ -53,8 +50,5 @@ def start_from_sections(job: Job, rigs: dict[int, Rig], modes: dict[int, str]) -
 
 
 def _row(number: int, images: int, test: TieTest | None, joined: bool) -> list:
-    told = (None,) * 7 if test is None else (
-        test.ties, test.total, test.pairs, test.independent, round(100 * test.explained),
-        round(test.jump, 4) if np.isfinite(test.jump) else None, round(test.turn_deg, 3),
-    )  # fmt: skip
+    told = [None] * len(TEST_COLUMNS) if test is None else test.cells()
     return [number, images, *told, "yes" if joined else "no"]

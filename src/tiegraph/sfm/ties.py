@@ -21,6 +21,11 @@ from tiegraph.geometry.align import Similarity
 from tiegraph.sfm.tuning import PlacementTuning
 from tiegraph.sfm.verified import ImageObservations, VerifiedMatches
 
+TEST_COLUMNS = [
+    "matches that agree", "of", "image pairs", "of these independent", "held-out matches that agree %", "halves differ",
+    "halves differ deg",
+]  # fmt: skip
+"""Heads of ``TieTest.cells``; lengths in the first model's units."""
 _MOST = 2000  # ties that a fit is made of: bounds its time, more say the same once more
 _ROUNDS = 3  # of fitting and asking again which ties agree
 
@@ -80,6 +85,12 @@ class TieTest:
     explained: float
     jump: float
     turn_deg: float
+
+    def cells(self) -> list:
+        """What a table shows of it (``TEST_COLUMNS``)."""
+        jump = round(self.jump, 4) if np.isfinite(self.jump) else None
+        share, turn = round(100 * self.explained), round(self.turn_deg, 3)
+        return [self.ties, self.total, self.pairs, self.independent, share, jump, turn]
 
     def holds(self, tuning: PlacementTuning) -> bool:
         """Whether it is more than chance, in what it knew and in what it did not."""

@@ -19,7 +19,7 @@ from tiegraph.scene.evidence import LIMIT
 from tiegraph.scene.mergedmodel import merged
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tiedmodels import Joining, moved
-from tiegraph.sfm.ties import TieFit, TieTest, apart
+from tiegraph.sfm.ties import TEST_COLUMNS, TieFit, TieTest, apart
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.verified import VerifiedMatches
 from tiegraph.sfm.world.antenna import RIGHT_ANGLE_DEG
@@ -28,9 +28,8 @@ from tiegraph.sfm.world.georef import Georeference
 from tiegraph.text import known_to
 
 COLUMNS = [
-    "model", "images", "in the world by", "matches that agree", "of", "image pairs", "of these independent",
-    "held-out matches that agree %", "halves differ m", "halves differ deg", "positions differ m",
-    "positions differ deg", "sigma m", "why not",
+    "model", "images", "in the world by", *TEST_COLUMNS, "positions differ m", "positions differ deg", "sigma m",
+    "why not",
 ]  # fmt: skip
 
 
@@ -60,11 +59,7 @@ class Joined:
 
     def row(self) -> list:
         """A row of the table (``COLUMNS``)."""
-        test = self.test
-        told = (None,) * 7 if test is None else (
-            test.ties, test.total, test.pairs, test.independent,
-            round(100 * test.explained), _rounded(test.jump), round(test.turn_deg, 3),
-        )  # fmt: skip
+        told = [None] * len(TEST_COLUMNS) if self.test is None else self.test.cells()
         off = (None, None) if self.off is None else (_rounded(self.off[0]), round(self.off[1], 3))
         return [f"sparse/{self.number}", self.images, self.by, *told, *off, _rounded(self.sigma_m), self.why_not]
 
