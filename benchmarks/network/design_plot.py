@@ -13,7 +13,6 @@ import numpy as np
 
 _LOOKS = {  # method: label, colour, marker
     "hybrid": ("hybrid", "#1b6ca8", "o"),
-    "tree": ("tree", "#2e8b57", "s"),
     "top": ("best of each image", "#b8860b", "^"),
     "random": ("random + forest", "#888888", "x"),
     "fuse2014": ("fuse2014", "#c0392b", "v"),

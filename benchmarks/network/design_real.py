@@ -45,7 +45,7 @@ SETS = ("canal_demo", "canal", "pandaset", "kitti_stereo", "kitti_stereo:image_l
 SHARES = (0.05, 0.1, 0.2, 0.4)
 for name in papers.DESIGNS:
     papers.plug_in(papers.DESIGNS, name, PLUGGED)
-METHODS = ("hybrid", "tree", "top", "random", "fuse2014", "fuse2014_safe", "all")
+METHODS = ("hybrid", "top", "random", "fuse2014", "fuse2014_safe", "all")
 SEEDS = 3
 WINDOW = 20  # frames, paper 002
 

@@ -47,14 +47,13 @@ def orders(world: Survey, most: int, seed: int) -> dict[str, np.ndarray]:
     def after(rest: np.ndarray) -> np.ndarray:
         return np.concatenate([tree, rest[~np.isin(rest, tree)]])
 
-    def drawn(c: Candidates, joins: bool = True) -> np.ndarray:
-        return choose(c, forest(c.i, c.j, c.expected, c.images), budget, TUNING, joins).places
+    def drawn(c: Candidates) -> np.ndarray:
+        return choose(c, forest(c.i, c.j, c.expected, c.images), budget, TUNING).places
 
     return {
         "random + forest": after(rng.permutation(len(pairs))),
         "most matches + forest": after(np.argsort(-score, kind="stable")),
         "top (round robin)": _by_top(world, pairs, ties),
-        "tree": drawn(counted, joins=False),
         "hybrid": drawn(counted),
         "hybrid, 1/3 previewed": drawn(Candidates.make(i, j, guess, some_ties, len(world))),
     }
@@ -90,7 +89,6 @@ def table(kind: str, seed: int, rigid: bool, budgets_only: bool = False) -> None
         ("hybrid, loss 5 %", DesignSettings(), pairs, ties),
         ("hybrid, loss 20 %", DesignSettings(loss_percent=20), pairs, ties),
         ("hybrid 1/3 seen, loss 5 %", DesignSettings(), partly, ties.where(third)),
-        ("tree, loss 5 %", DesignSettings(method="tree"), pairs, ties),
         ("fuse2014", DesignSettings(method="fuse2014"), pairs, ties),
         ("fuse2014_safe", DesignSettings(method="fuse2014_safe"), pairs, ties),
     ):

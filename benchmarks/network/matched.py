@@ -47,7 +47,7 @@ class Run:
     @staticmethod
     def read(folder: Path) -> Run:
         """A run with ``--design.method all`` up to the stage ``filter``."""
-        sights, model = folder / "network" / "visibility.npz", folder / "network" / "model.npz"
+        sights = folder / "network" / "visibility.npz"
         pairs, ties = (
             Pairs.from_npz(_npz(folder / "network.npz")),
             PreviewMatches.from_npz(_npz(folder / "network" / "matches.npz")),
@@ -59,7 +59,7 @@ class Run:
             pairs,
             Pairs.from_npz(_npz(folder / "filter.npz")),
             ties,
-            Visibility.from_npz(_npz(sights), _npz(model)["cam_from_world"]) if sights.exists() else None,
+            Visibility.from_npz(_npz(sights)) if sights.exists() else None,
         )
 
     def with_accuracy(self) -> Pairs:

@@ -25,7 +25,7 @@ from tiegraph.scene.scene import Scene, simple_scene
 
 TUNING, NET, EXPECTED = Tuning(), NetTuning(), ExpectedTuning()
 papers.plug_in(papers.DESIGNS, "fuse2014_safe", PLUGGED)
-METHODS = ("hybrid", "tree", "top", "fuse2014_safe")
+METHODS = ("hybrid", "top", "fuse2014_safe")
 
 
 def graph(count: int, edges: int, seed: int) -> Pairs:
@@ -83,7 +83,7 @@ def test_every_method_only_drops_and_keeps_the_components(count, edges, seed, mo
 @given(st.integers(3, 25), st.integers(0, 120), st.integers(0, 99))
 def test_a_single_link_stays_single_only_where_there_is_no_second(count, edges, seed) -> None:
     pairs = graph(count, edges, seed).kept()
-    wanted = DesignSettings(method="tree", budget="pairs", pairs_per_image=1)
+    wanted = DesignSettings(budget="pairs", pairs_per_image=1)
     chosen = design(pairs, photos(count), None, wanted, TUNING).pairs.kept()
     before, after = cuts(pairs.i, pairs.j, count), cuts(chosen.i, chosen.j, count)
     single = {(int(i), int(j)) for i, j in zip(chosen.i[after.bridge], chosen.j[after.bridge])}
@@ -128,12 +128,11 @@ def test_components_and_lonely_images_are_named() -> None:
     assert component_notes(Pairs.make([0], [1], "file"), photos(2)) == ()
 
 
-@pytest.mark.parametrize("method", ["hybrid", "tree"])
-def test_a_stricter_budget_of_loss_costs_pairs(method) -> None:
+def test_a_stricter_budget_of_loss_costs_pairs() -> None:
     scene, pairs, ties = corridor()
     kept = []
     for loss in (0.5, 1.0, 60.0):
-        found = design(pairs, scene, ties, DesignSettings(method=method, loss_percent=loss), TUNING)
+        found = design(pairs, scene, ties, DesignSettings(loss_percent=loss), TUNING)
         assert 0 <= found.counts["preview_loss_percent"] <= loss
         assert f"asked: {loss:g} %" in found.notes[0]
         kept.append(len(found.pairs.kept()))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tiegraph.design.matchprediction import predict_matches
+from tiegraph.design.matchprediction import predict_matches, verified_chance
 from tiegraph.design.tuning import MatchPredictionTuning
 from tiegraph.scene.matches import Visibility
 
@@ -21,14 +21,14 @@ def sights(x: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Visibility:
 
 def test_matches_are_among_the_common_points_and_always_the_same() -> None:
     found = predict_matches(np.array([0, 0, 1]), np.array([1, 2, 2]), NOT_PREVIEWED, sights(), TUNING)
-    assert found.matches[0].i.tolist() == [0] and found.matches[0].j.tolist() == [1]  # the others share nothing
+    assert found.matches.i.tolist() == [0] and found.matches.j.tolist() == [1]  # the others share nothing
     assert np.isnan(found.expected).tolist() == [False, True, True]
-    assert 70 <= found.matches[0].counts()[0] <= 130  # half of 200
-    left, right = found.matches[0].of(0).T
+    assert 70 <= found.matches.counts()[0] <= 130  # half of 200
+    left, right = found.matches.of(0).T
     assert np.array_equal(sights().of(0)[left], sights().of(1)[right])
     assert left.min() >= 200
     again = predict_matches(np.array([0, 0, 1]), np.array([1, 2, 2]), NOT_PREVIEWED, sights(), TUNING)
-    assert np.array_equal(found.matches[0].matches, again.matches[0].matches)
+    assert np.array_equal(found.matches.matches, again.matches.matches)
 
 
 def test_fewer_where_the_rays_meet_at_a_larger_angle() -> None:
@@ -67,3 +67,8 @@ def test_the_previewed_pairs_tell_how_fast_chances_fall() -> None:
         hidden = np.isnan(known) & (count > 20)
         assert np.corrcoef(found[hidden], count[hidden] - 8)[0, 1] > 0.98
         assert np.median(found[hidden] / (count[hidden] - 8)) == pytest.approx(1.0, abs=0.15)
+
+
+def test_chance_of_verification_rises_with_the_matches() -> None:
+    chance = verified_chance(np.array([1.0, 7.5, 15.0, 100.0]), TUNING)
+    assert chance[0] < 0.03 and chance[1] == 0.5 and 0.7 < chance[2] < 0.9 and 0.99 < chance[3] <= 1.0

@@ -4,8 +4,9 @@
    are expected to be verified.
 2. Loose photographs whose matching costs less than a fifth of the run (``cost``: measured times, no clock) are all
    matched.
-3. Otherwise a greedy choice (``hybrid``): the pairs of the largest gain by a measure (``measure``), until the
-   predicted sigma of the positions is within the budget of that of all candidates.
+3. Otherwise a greedy choice (``hybrid``): the pairs of the largest gain, effective resistance times new tracks
+   (``resistance``, ``tracks``), until the predicted sigma of the positions is within the budget of that of all
+   candidates (``predict``), which counts the frames of a known rig, not its images.
 
 Pairs of which nothing is known are previewed first (``pipeline.previews``): the sources ``sequence``, ``exhaustive``
 and ``file`` by themselves preview none, and method ``all`` needs none. Otherwise only a third of the candidates was
@@ -14,11 +15,8 @@ matches fall with the angle between the rays and with the ratio of the distances
 again at all, is fitted to the previewed pairs (``visibility.npz`` holds the places of the points and the projection
 centres).
 
-Where images share unknowns, the extrinsics of a rig that is adjusted or intrinsics, the measure is the bundle
-adjustment itself, linearised at the coarse model (``bundle``). The gain of a pair is the fall of the mean variance
-of the frames by its epipolar equations. The loss is evaluated on an independent sample of tracks: on the sample used
-for the choice it is biased low. A matrix is inverted in each round, so beyond 800 unknowns, and where nothing is
-shared, effective resistance times new tracks is the measure (``resistance``, ``predict``), whose predicted loss
-counts the frames of a known rig, not its images. Paper 002's accuracy of a pair (``pipeline.accuracy``,
-``papers.fuse2014``) comes to ``fuse2014`` as a column of the pair table.
+A net of resistances has one unknown an image. Choosing by the bundle adjustment, with the extrinsics and intrinsics
+that images share, gave a sigma 1 to 8 % better at equal pairs and no better trajectory (benchmarks/README.md); it is
+gone. Paper 002's accuracy of a pair (``pipeline.accuracy``, ``papers.fuse2014``) comes to ``fuse2014`` as a column of
+the pair table.
 """

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, cast
 
 import numpy as np
 
-from tiegraph.design.bundle import Bundle
 from tiegraph.design.cost import Cost
 from tiegraph.design.coverage import coverage
 from tiegraph.design.expected import counted_matches, expected_matches
 from tiegraph.design.holding import holding
 from tiegraph.design.hybrid import Budget, Choice, choose
 from tiegraph.design.matchprediction import predict_matches, verified_chance
-from tiegraph.design.measure import ByBundle, ByNet, Judge, Measure
 from tiegraph.design.predict import Predictor
 from tiegraph.design.settings import DesignSettings
 from tiegraph.design.tracks import Candidates
@@ -48,7 +46,7 @@ class Thinned:
     counts: dict[str, int]
 
 
-_OWN = ("hybrid", "tree", "top", "all")
+_OWN = ("hybrid", "top", "all")
 Method = Callable[[Pairs, Scene, np.ndarray], Thinned]
 METHODS: dict[str, Method] = {}
 """Methods by name that thin pairs by the matches (P,) expected of them, beside those of this module."""
@@ -56,7 +54,7 @@ METHODS: dict[str, Method] = {}
 
 def takes_all(settings: DesignSettings, cost: Cost | None, tuning: CostTuning) -> bool:
     """Whether every kept pair is to be matched: asked for, or a loss is allowed and matching them all costs little."""
-    if settings.method in ("hybrid", "tree") and settings.budget == "loss" and cost is not None:
+    if settings.method == "hybrid" and settings.budget == "loss" and cost is not None:
         return cost.little(tuning)
     return settings.method == "all"
 
@@ -74,8 +72,8 @@ def design(
 
     ``ties``: preview matches of the pairs that were previewed; for the others matches are expected from the score or
     the overlap. ``sights``, the points of a coarse model each image sees, tell which tracks all of them would join.
-    Methods hybrid, tree and top keep a maximum spanning forest of the images, two pairs without a common image from
-    every camera, pass and section to the rest, and a second link wherever frames would hang on one; hybrid and tree
+    Methods hybrid and top keep a maximum spanning forest of the images, two pairs without a common image from
+    every camera, pass and section to the rest, and a second link wherever frames would hang on one; hybrid
     also the strongest pairs of every image and part (``holding``), within a share of a budget of pairs or seconds.
     Where they may lose accuracy and all pairs are matched at little ``cost``, nothing is chosen.
     """
@@ -89,23 +87,18 @@ def design(
         thin = method(pairs, scene, expected)
         return _judged(pairs, thin.pairs, scene, thin.notes, dict(thin.counts))
     i, j, strength = pairs.i[kept], pairs.j[kept], expected[kept]
-    known: tuple[PreviewMatches | None, ...] = (ties,)
-    bundle = settings.method == "hybrid" and Bundle.possible(i, j, sights, scene, tuning.bundle)
+    known = ties
     if sights is not None:
-        draws = (0, 1) if bundle else (0,)
-        seen = predict_matches(i, j, counted_matches(pairs, ties)[kept], sights, tuning.match_prediction, draws)
+        seen = predict_matches(i, j, counted_matches(pairs, ties)[kept], sights, tuning.match_prediction)
         known, strength = seen.matches, np.where(np.isfinite(seen.expected), seen.expected, strength)
     start = _start(i, j, strength, scene, _room(settings, len(scene), tuning), tuning)
     if settings.method == "top":
         chosen = np.union1d(start, strongest_places(i, j, strength, scene, settings.pairs_per_image))
         choice = Choice(chosen, np.nan, 0)
     else:
-        candidates = Candidates.make(i, j, strength, known[0], len(scene))
-        if bundle and sights is not None:
-            measure: Measure = _by_bundle(candidates, known, sights, scene, settings.budget == "loss", tuning)
-        else:
-            measure = _by_net(candidates, scene, settings, tuning)
-        choice = choose(candidates, start, _budget(settings, scene), tuning, settings.method == "hybrid", measure)
+        candidates = Candidates.make(i, j, strength, known, len(scene))
+        judge = Predictor(candidates, tuning.net, _units(scene)) if settings.budget == "loss" else None
+        choice = choose(candidates, start, _budget(settings, scene), tuning, judge)
     second = _second_links(i, j, strength, choice.places, scene)
     keep = np.zeros(len(pairs), bool)
     keep[kept[np.concatenate([choice.places, second])]] = True
@@ -114,32 +107,6 @@ def design(
         counts["preview_loss_percent"] = round(100 * choice.loss, 2)
     notes = _budget_notes(choice, settings, len(start), len(kept), len(scene))
     return _judged(pairs, pairs.drop(~keep, "cut"), scene, notes, counts)
-
-
-def _by_bundle(
-    candidates: Candidates,
-    foreseen: Sequence[PreviewMatches | None],
-    sights: Visibility,
-    scene: Scene,
-    judged: bool,
-    tuning: Tuning,
-) -> ByBundle:
-    """The bundle adjustment, where images share unknowns and these are few enough; ``foreseen``: ties to choose by,
-    and others to judge the choice by."""
-    i, j, expected = candidates.i, candidates.j, candidates.expected
-    made: list[Bundle] = []
-    for ties in foreseen[: 1 + judged]:
-        assert ties is not None  # there are sights
-        own = Candidates.make(i, j, expected, ties, len(scene)) if made else candidates
-        made.append(Bundle(own, ties, sights, scene, tuning.bundle))
-    chance = verified_chance(expected, tuning.match_prediction)
-    return ByBundle(made[0], chance, Judge(made[1], chance, tuning) if judged else None, tuning.measure)
-
-
-def _by_net(candidates: Candidates, scene: Scene, settings: DesignSettings, tuning: Tuning) -> ByNet:
-    hybrid, judged = settings.method == "hybrid", settings.budget == "loss"
-    judge = Predictor(candidates, tuning.net, hybrid, _units(scene)) if judged else None
-    return ByNet(candidates, hybrid, judge, tuning)
 
 
 def _units(scene: Scene) -> np.ndarray:

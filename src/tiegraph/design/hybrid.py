@@ -3,8 +3,8 @@
 Gain of a pair that would join ``new`` tracks of its ``n`` matches, between images of effective resistance R in the
 network chosen so far: log(1 + R (new + known n)), where matches of tracks that are joined already count little. That is
 the growth of the log-determinant of the network's Laplacian (tree-connectivity: Khosoussi et al. 2016, arXiv
-1611.00889) with the matches that bundle adjustment does not have yet. Tree-connectivity itself is log(1 + R n). Both
-shrink as pairs are chosen, so choosing greedily is near the optimum.
+1611.00889) with the matches that bundle adjustment does not have yet. It shrinks as pairs are chosen, so choosing
+greedily is near the optimum.
 
 Pairs are chosen in rounds that grow the network by a few percent, each image once a round while pairs are few: all
 gains are computed together, and a pair chosen does not make its neighbours' gains stale.
@@ -17,10 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiegraph.design.measure import ByNet, Measure
 from tiegraph.design.predict import Predictor
+from tiegraph.design.resistance import Net, laplacian
 from tiegraph.design.tracks import Candidates, Tracks
-from tiegraph.design.tuning import GrowthTuning, Tuning
+from tiegraph.design.tuning import GrowthTuning, NetTuning, Tuning
 
 _log = logging.getLogger(__name__)
 
@@ -44,51 +44,45 @@ class Budget:
 
 
 def choose(
-    candidates: Candidates,
-    start: np.ndarray,
-    budget: Budget,
-    tuning: Tuning,
-    by_tracks: bool = True,
-    measure: Measure | None = None,
+    candidates: Candidates, start: np.ndarray, budget: Budget, tuning: Tuning, judge: Predictor | None = None
 ) -> Choice:
     """Greedy design from the candidates at start (K,), which must connect what is connectable; never fewer than those.
 
-    ``by_tracks``: gain by new tracks (hybrid), else by matches (tree-connectivity). ``measure``: the worth of pairs and
-    the loss, by default those of the net of resistances.
+    ``judge`` predicts the loss where the budget asks for one; by default images count one by one.
     """
-    if measure is None:
-        judge = Predictor(candidates, tuning.net, by_tracks) if budget.loss is not None else None
-        measure = ByNet(candidates, by_tracks, judge, tuning)
+    judge = Predictor(candidates, tuning.net) if judge is None and budget.loss is not None else judge
     tracks, own = Tracks(candidates, tuning.net), tuning.growth
     chosen = np.zeros(len(candidates), bool)
+    weight = np.zeros(len(candidates))  # of the chosen links of the net
     chosen[start] = True
-    measure.chose(start, np.where(chosen, candidates.expected, 0.0))
+    weight[start] = candidates.expected[start]
     tracks.choose(start, tracks.new())
     order, loss, rounds, looked, before = [start], np.nan, 0, 0, 0
     growth = own.fine if candidates.images <= own.many_images else own.coarse
     while True:
         count = int(chosen.sum())
         done = count == len(candidates)
-        if budget.loss is not None and (done or count >= (1 + own.look) * looked):
+        if judge is not None and budget.loss is not None and (done or count >= (1 + own.look) * looked):
             before, looked = looked, count
-            loss = measure.loss(tracks.chosen, tracks)
+            loss = judge.loss(tracks.chosen, tracks)
             _log.info("round %d: %d of %d pairs, loss over previews %.1f %%", rounds, count, len(chosen), 100 * loss)
             if loss <= budget.loss:
                 places = np.concatenate(order)
                 between = max(before, len(start)), count
-                end, loss = _shortest(places, len(chosen), between, (loss, budget.loss), measure, own)
+                end, loss = _shortest(places, len(chosen), between, (loss, budget.loss), judge, own)
                 return Choice(places[:end], loss, rounds)
         room = min(budget.pairs, len(candidates)) - count
         if room <= 0:
             break
-        new = tracks.new() if by_tracks else np.where(chosen, 0.0, candidates.expected)
+        new = tracks.new()
         pace = growth if count < own.dense_pairs * candidates.images else own.coarse
         wanted = min(max(1, int(pace * count)), room)
         each = max(1, round(2 * pace * count / candidates.images))
-        picked = _apart(candidates, measure.gains(chosen, tracks, new, wanted), wanted, each, own)
+        gain = np.where(chosen, -1.0, _gains(candidates, weight, new, tuning.net))
+        picked = _apart(candidates, gain, wanted, each, own)
         if not len(picked):  # nothing tells the rest apart
             picked = np.flatnonzero(~chosen)[:room]
-        measure.chose(picked, new)
+        weight[picked] = np.maximum(new[picked], tuning.net.known * candidates.expected[picked])
         tracks.choose(picked, new)
         chosen[picked] = True
         order.append(picked)
@@ -96,12 +90,18 @@ def choose(
     return Choice(np.concatenate(order), loss, rounds)
 
 
+def _gains(c: Candidates, weight: np.ndarray, new: np.ndarray, tuning: NetTuning) -> np.ndarray:
+    """(E,) log(1 + R (new + known n)), R the effective resistance in the net of links of ``weight`` (E,)."""
+    resistance = Net(laplacian(c.i, c.j, weight, c.images), tuning).resistance(c.i, c.j)
+    return np.log1p(np.where(np.isfinite(resistance), resistance, 0.0) * (new + tuning.known * c.expected))
+
+
 def _shortest(
     places: np.ndarray,
     pairs: int,
     between: tuple[int, int],
     losses: tuple[float, float],
-    measure: Measure,
+    judge: Predictor,
     tuning: GrowthTuning,
 ) -> tuple[int, float]:
     """The least number of the first places of ``pairs``, within bounds, of an allowed loss, and it; ``losses``: that
@@ -113,7 +113,7 @@ def _shortest(
             break
         chosen = np.zeros(pairs, bool)
         chosen[places[:middle]] = True
-        there = measure.loss(chosen)
+        there = judge.loss(chosen)
         low, high, loss = (low, middle, there) if there <= allowed else (middle, high, loss)
     return high, loss
 

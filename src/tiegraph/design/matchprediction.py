@@ -7,7 +7,7 @@ the previewed pairs tell how fast, and all pairs are foreseen by it in the same 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,11 +21,10 @@ _MIX = (np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(
 
 @dataclass(frozen=True)
 class PredictedMatches:
-    """``expected`` (P,) preview matches of the pairs, NaN without a common point, and for each draw the ties of the
-    others."""
+    """``expected`` (P,) preview matches of the pairs, NaN without a common point, and the ties of the others."""
 
     expected: np.ndarray
-    matches: tuple[PreviewMatches, ...]
+    matches: PreviewMatches
 
 
 @dataclass(frozen=True)
@@ -48,26 +47,20 @@ def verified_chance(expected: np.ndarray, tuning: MatchPredictionTuning) -> np.n
 
 
 def predict_matches(
-    i: np.ndarray,
-    j: np.ndarray,
-    measured: np.ndarray,
-    sights: Visibility,
-    tuning: MatchPredictionTuning,
-    draws: Sequence[int] = (0,),
+    i: np.ndarray, j: np.ndarray, measured: np.ndarray, sights: Visibility, tuning: MatchPredictionTuning
 ) -> PredictedMatches:
     """Ties and expected matches of pairs i < j (P,); ``measured`` (P,) preview matches, NaN = not previewed.
 
-    Which of the common points match is drawn at random, with the chance of each point, and always in the same way for
-    the same draw: a choice is judged by another draw than it was made by. A measured count and what the points promise
-    are taken together by their geometric mean.
+    Which of the common points match is drawn at random, with the chance of each point, and always in the same way.
+    A measured count and what the points promise are taken together by their geometric mean.
     """
     law = _fitted(i, j, measured, sights, tuning)
     image = np.repeat(np.arange(len(sights.centre)), np.diff(sights.start))
     # Whether a point is detected in an image is alike for all its pairs.
-    detected = [_uniform(sights.point, image, image, draw) < np.sqrt(law.rate) for draw in draws]
+    detected = _uniform(sights.point, image, image) < np.sqrt(law.rate)
     expected = np.full(len(i), np.nan)
     rows: list[int] = []
-    matches: list[list[np.ndarray]] = [[] for _ in draws]
+    matches: list[np.ndarray] = []
     for both in _in_common(i, j, sights):
         likely = law.likely(*_geometry(both, sights))
         size = np.bincount(both.number, minlength=len(both.pairs))
@@ -80,13 +73,12 @@ def predict_matches(
         rows += both.pairs[there].tolist()
         chance = likely * (count / np.maximum(promised, 1e-9))[both.number]
         left, right = both.rows(sights)
-        for found, seen, draw in zip(matches, detected, draws):
-            chosen = seen[left] & seen[right] & (_uniform(both.point, both.image, both.other, draw) < chance)
-            own = np.bincount(both.number[chosen], minlength=len(both.pairs))
-            pair = np.stack([both.left[chosen], both.right[chosen]], axis=1).astype(np.uint16)
-            found += [m for m, kept in zip(np.split(pair, np.cumsum(own)[:-1]), there) if kept]
+        chosen = detected[left] & detected[right] & (_uniform(both.point, both.image, both.other) < chance)
+        own = np.bincount(both.number[chosen], minlength=len(both.pairs))
+        pair = np.stack([both.left[chosen], both.right[chosen]], axis=1).astype(np.uint16)
+        matches += [m for m, kept in zip(np.split(pair, np.cumsum(own)[:-1]), there) if kept]
     at = np.array(rows, int)
-    return PredictedMatches(expected, tuple(PreviewMatches.make(i[at], j[at], found) for found in matches))
+    return PredictedMatches(expected, PreviewMatches.make(i[at], j[at], matches))
 
 
 @dataclass(frozen=True)
@@ -180,10 +172,10 @@ def _fitted(
     return best
 
 
-def _uniform(point: np.ndarray, a: int | np.ndarray, b: int | np.ndarray, draw: int) -> np.ndarray:
-    """(K,) numbers in [0, 1) that depend on points, pair and draw alone."""
+def _uniform(point: np.ndarray, a: int | np.ndarray, b: int | np.ndarray) -> np.ndarray:
+    """(K,) numbers in [0, 1) that depend on points and pair alone."""
     with np.errstate(over="ignore"):
-        x = (point.astype(np.uint64) + np.uint64(draw << 40)) * _MIX[0]
+        x = point.astype(np.uint64) * _MIX[0]
         x = x + np.asarray(a, np.uint64) * _MIX[1] + np.asarray(b, np.uint64) * _MIX[2]
         x = (x ^ (x >> np.uint64(30))) * _MIX[1]
         x = (x ^ (x >> np.uint64(27))) * _MIX[2]

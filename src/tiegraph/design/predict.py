@@ -20,14 +20,12 @@ class Predictor:
     count, and a camera that sees little hangs on the others.
     """
 
-    def __init__(
-        self, candidates: Candidates, tuning: NetTuning, by_tracks: bool = True, unit: np.ndarray | None = None
-    ) -> None:
+    def __init__(self, candidates: Candidates, tuning: NetTuning, unit: np.ndarray | None = None) -> None:
         self._candidates, self._tuning = candidates, tuning
         n = candidates.images
         number = np.arange(n) if unit is None else np.unique(unit, return_inverse=True)[1]
         rigid = int(number.max(initial=-1)) + 1 < n
-        self._power = tuning.power_rig if rigid else tuning.power_tracks if by_tracks else tuning.power_matches
+        self._power = tuning.power_rig if rigid else tuning.power
         self._unit = csr_array((np.ones(n), (number, np.arange(n))), shape=(int(number.max(initial=-1)) + 1, n))
         tracks = joined(candidates, np.ones(len(candidates), bool), tuning)
         self._final = tracks.pieces()

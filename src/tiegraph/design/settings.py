@@ -8,18 +8,17 @@ from pydantic import Field
 
 from tiegraph.settings import Section
 
-MethodName = Literal["hybrid", "tree", "top", "all", "fuse2014", "fuse2014_safe"]
+MethodName = Literal["hybrid", "top", "all", "fuse2014", "fuse2014_safe"]
 
 
 class DesignSettings(Section):
     """Which of the candidate pairs are matched at full resolution."""
 
     method: MethodName = "hybrid"
-    """hybrid: pairs that join new tracks where the network is weak; tree: the same by match counts alone, faster; top:
-    the best pairs of each image; all: every kept pair; fuse2014: minimum cuts as in paper 002, which may disconnect;
-    fuse2014_safe: the same, kept together."""
+    """hybrid: pairs that join new tracks where the network is weak; top: the best pairs of each image; all: every kept
+    pair; fuse2014: minimum cuts as in paper 002, which may disconnect; fuse2014_safe: the same, kept together."""
     budget: Literal["loss", "pairs", "seconds"] = "loss"
-    """Methods hybrid and tree stop at loss_percent (loss), pairs_per_image (pairs) or seconds (seconds)."""
+    """Method hybrid stops at loss_percent (loss), pairs_per_image (pairs) or seconds (seconds)."""
     loss_percent: float = Field(5.0, ge=0, le=1000)
     """Budget loss: increase of the position sigma over using all candidates, by what previews show, percent. Of loose
     photographs all are matched where that takes less than a fifth of the run."""

@@ -102,53 +102,13 @@ class NetTuning(Section):
     """Long waves of a net beyond, whose variance is computed one by one."""
     least_share: float = Field(0.01, ge=0, le=1)
     """Of what an unseen pair was expected to join that is counted always: no chosen pair ties nothing."""
-    power_tracks: float = Field(2.5, ge=1)
-    """Power from the ratio of predicted sigmas to that of adjusted ones (`Predictor.loss`), for a choice by tracks."""
-    power_matches: float = Field(1.7, ge=1)
-    """The same for a choice by match counts alone."""
+    known: float = Field(0.05, ge=0)
+    """Worth of a match whose track is joined already: another observation against outliers."""
+    power: float = Field(2.5, ge=1)
+    """Power from the ratio of predicted sigmas to that of adjusted ones (`Predictor.loss`)."""
     power_rig: float = Field(8.0, ge=1)
     """The same for frames of a known rig, whose net is stiffer than their adjustment: 2 on KITTI, 11 on PandaSet, 16 on
     canal_demo, where rig and intrinsics are adjusted too (design_real.py); too large costs only pairs."""
-
-
-class BundleTuning(Section):
-    """The bundle adjustment linearised at the coarse model (`bundle.py`)."""
-
-    max_unknowns: int = Field(800, ge=0)
-    """Of a survey that is chosen for by the bundle adjustment: an inverse a round costs 0.2 s then."""
-    min_placed: float = Field(0.9, ge=0, le=1)
-    """Share of the images with candidates that must be in the coarse model."""
-    points: int = Field(2500, gt=0)
-    """Of the coarse model, drawn at random: enough for the information of all."""
-    matches: int = Field(4, gt=0)
-    """Of a pair, that stand for all of them: as many as two images have degrees of freedom, less one."""
-    sigma_px: float = Field(0.5, gt=0)
-    """Of a coordinate; counts only against the weak priors."""
-    focal_prior: float = Field(0.2, gt=0)
-    """Weak prior of focal length and principal point, sigma as a share of the focal length (as `sfm.covariance`)."""
-    distortion_prior: float = Field(0.5, gt=0)
-    """Weak prior of the distortion, sigma (as `sfm.covariance`)."""
-    wide_cosine: float = Field(0.2, gt=0, le=1)
-    """Cosine of the angle to the axis (78 deg) beyond which no lens is a pinhole."""
-
-
-class MeasureTuning(Section):
-    """What a pair is worth and how far a choice is from all (`measure.py`)."""
-
-    known: float = Field(0.05, ge=0)
-    """Worth of a match whose track is joined already: another observation against outliers."""
-    again: float = Field(0.20, ge=0)
-    """Growth of the network after which the bundle's information is made anew from its tracks."""
-    all_again: float = Field(0.5, ge=0)
-    """Growth after which the gains of all pairs are computed anew; between, of those that were best."""
-    top_times: float = Field(6.0, ge=1)
-    """Of those that were best: so many times the number of pairs wanted ..."""
-    top_more: int = Field(400, ge=0)
-    """... and so many more have their gains computed anew each round."""
-    free: float = Field(0.1, gt=0)
-    """Sigma of a frame that nothing holds, in sizes of the survey."""
-    min_held: float = Field(0.5, ge=0, le=1)
-    """Share of the frames that all pairs must hold, for a loss to mean anything."""
 
 
 class GrowthTuning(Section):
@@ -186,9 +146,5 @@ class Tuning(Section):
     """The pairs that hold every image and part."""
     net: NetTuning = NetTuning()
     """The net of resistances and its tracks."""
-    bundle: BundleTuning = BundleTuning()
-    """The linearised bundle adjustment."""
-    measure: MeasureTuning = MeasureTuning()
-    """Gains and losses."""
     growth: GrowthTuning = GrowthTuning()
     """Rounds of the choice."""

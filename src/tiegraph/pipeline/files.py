@@ -107,11 +107,11 @@ def ties_of(run: Run, stage: str = "coarse") -> PreviewMatches:
 
 def sights_of(run: Run) -> Visibility | None:
     """What each image sees of the coarse model, if there is one."""
-    path, model = run.path("coarse", "visibility.npz"), run.path("coarse", "model.npz")
+    path = run.path("coarse", "visibility.npz")
     if not path.exists():
         return None
     with reading(path):
-        return Visibility.from_npz(load_npz(path), load_npz(model)["cam_from_world"])
+        return Visibility.from_npz(load_npz(path))
 
 
 def save_npz(path: Path, **arrays: Any) -> None:

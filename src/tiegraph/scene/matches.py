@@ -101,7 +101,6 @@ class Visibility:
     point: np.ndarray  # (S,) rows of xyz
     xyz: np.ndarray  # (P, 3) in the model's frame and units
     centre: np.ndarray  # (N, 3) of the images, NaN = not in the model
-    rotation: np.ndarray | None = None  # (N, 3, 3) camera from the model's frame, where it is known
 
     def of(self, image: int) -> np.ndarray:
         """Points of an image."""
@@ -112,7 +111,6 @@ class Visibility:
         return {"start": self.start, "point": self.point, "xyz": self.xyz, "centre": self.centre}
 
     @staticmethod
-    def from_npz(data: dict[str, np.ndarray], cam_from_world: np.ndarray | None = None) -> Visibility:
-        """Inverse of ``to_npz``; ``cam_from_world`` (N, 4, 4) are the model's poses, which lie beside."""
-        rotation = None if cam_from_world is None else cam_from_world[:, :3, :3]
-        return Visibility(**{n: data[n] for n in ("start", "point", "xyz", "centre")}, rotation=rotation)
+    def from_npz(data: dict[str, np.ndarray]) -> Visibility:
+        """Inverse of ``to_npz``."""
+        return Visibility(**{n: data[n] for n in ("start", "point", "xyz", "centre")})
