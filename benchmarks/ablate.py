@@ -17,7 +17,6 @@ from benchmarks.variants import Book, Variant, load, median, run, spread
 
 BASE = Variant("base")
 _RIGID = {"time_offset": {"sigmas": 1e9}, "diagnostics": {"max_ratio": 1e9}, "torn": {"min_sightings": 10**9}}
-_NO_PLACEMENT = {"repair": {"rounds": 0}, "missing_rounds": 0, "guided": {"rounds": 0}}
 VARIANTS = (
     Variant("rig check off", {"tuning": {"network": {"rig": {"check": {"min_votes": 10**6}}}}}, "given order believed"),
     Variant("offsets constant", {"candidates": {"offsets": "constant"}}, "one offset for each two passes (paper 000)"),
@@ -37,10 +36,7 @@ VARIANTS = (
     Variant("rig held", {"sparse": {"rig": "fixed"}}, "never relaxed nor adjusted"),
     Variant("never relaxed", {"tuning": {"sfm": {"rig": _RIGID}}}, "cameras of a rig fire at one instant"),
     Variant("rig not confronted", {"tuning": {"sfm": {"rig": {"prior_test": {"strong": 1e12}}}}}, "nothing is doubted"),
-    Variant("repair off", {"tuning": {"sfm": {"placement": {"repair": {"rounds": 0}}}}}, "no frame is moved"),
-    Variant("adoption off", {"tuning": {"sfm": {"placement": {"missing_rounds": 0}}}}, "as the mapper left it"),
-    Variant("guided matching off", {"tuning": {"sfm": {"placement": {"guided": {"rounds": 0}}}}}, "for missing images"),
-    Variant("repair, adoption, guided off", {"tuning": {"sfm": {"placement": _NO_PLACEMENT}}}, "the mapper's own"),
+    Variant("placement not tested", {"tuning": {"sfm": {"placement": {"max_left_out": 0}}}}, "nothing is left out"),
     Variant("rig absent", {"sparse": {"rig": "absent"}}, "images map one by one"),
     Variant("lever-arm prior off", {"tuning": {"sfm": {"adjust": {"lever_arms": {"least_others": 10**6}}}}}, "none"),
     Variant("robust adjustment off", {"tuning": {"sfm": {"adjust": {"robust_rounds": 0}}}}, "plain least squares"),

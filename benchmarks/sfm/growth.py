@@ -31,7 +31,7 @@ from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.sfm.finish import FinishRequest, Held, finish_model
 from tiegraph.sfm.model import image_poses
-from tiegraph.sfm.placement.registration import MatchSource
+from tiegraph.sfm.placement.doubtful import MatchSource
 from tiegraph.sfm.run import Fixed, Matches, Method, Request, run_mapper
 from tiegraph.sfm.tuning import Tuning
 
@@ -102,7 +102,7 @@ def run(images: int) -> dict[str, float]:
             raise SystemExit(mapped.refused)
         finish = FinishRequest(
             folder=mapped.folders[0], target=folder / "0", scene=scene.to_json(), tuning=Tuning(), held=Held(rigs=(0,)),
-            matched=MatchSource(folder / "database.db", folder, (), folder / "placement"),
+            matched=MatchSource(folder / "database.db"),
         )  # fmt: skip
         finish_model(finish, lambda message: None)
         clock.append(time.process_time())

@@ -27,7 +27,7 @@ from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.finish import FinishRequest, Held, finish_model
 from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.model import frame_poses, image_poses
-from tiegraph.sfm.placement.registration import MatchSource
+from tiegraph.sfm.placement.doubtful import MatchSource
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.rig.support import ties_of, unsupported_sensors
 from tiegraph.sfm.settings import SparseSettings
@@ -82,12 +82,7 @@ def _request(folder: Path, scene: Scene, scratch: Path) -> FinishRequest:
             unsupported=alone,
             cameras=constant,
         ),
-        matched=MatchSource(
-            database=folder / "database.db",
-            images=folder / "images",
-            refused=(*refused, *ties_of(scene, graph, alone)),
-            scratch=scratch / "placement",
-        ),
+        matched=MatchSource(folder / "database.db", (*refused, *ties_of(scene, graph, alone))),
         preview=frame_poses(poses, scene),
     )
 

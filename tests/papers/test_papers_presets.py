@@ -33,9 +33,7 @@ SWITCHES = {
     "georef.adjust": ("no", "auto"),
     "georef.antenna": ("ignored", "auto"),
     "refine.geometry": ("off", "auto"),
-    "tuning.sfm.placement.repair.rounds": (0, 4),
-    "tuning.sfm.placement.missing_rounds": (0, 2),
-    "tuning.sfm.placement.guided.rounds": (0, 3),
+    "tuning.sfm.placement.max_left_out": (0, 0.2),
     "tuning.sfm.adjust.robust_rounds": (0, 2),
 }
 

@@ -21,10 +21,7 @@ COLMAP_ALONE: dict[str, dict[str, Any]] = {
         # The rig is believed as it is given.
         "network": {"rig": {"check": {"min_votes": _NEVER}, "order": {"better": 3.0}}},
         # The model stays as the mapper leaves it, but for a last bundle adjustment by least squares.
-        "sfm": {
-            "placement": {"repair": {"rounds": 0}, "missing_rounds": 0, "guided": {"rounds": 0}},
-            "adjust": {"robust_rounds": 0},
-        },
+        "sfm": {"placement": {"max_left_out": 0}, "adjust": {"robust_rounds": 0}},
     },
 }
 """Switched off is what the papers did not have. What they had and tiegraph does otherwise stays tiegraph's: who

@@ -21,7 +21,7 @@ from tiegraph.sfm.adjustment.adjust import final_adjustment, free_cameras
 from tiegraph.sfm.adjustment.jacobians import RigConstraints
 from tiegraph.sfm.adjustment.rigpriors import nominal_geometry, rig_priors
 from tiegraph.sfm.covariance import Mounting, PositionSigma, position_sigma
-from tiegraph.sfm.placement.registration import MatchSource, RegistrationResult, repair_registration
+from tiegraph.sfm.placement.doubtful import MatchSource, PlacementCheck, leave_out_doubtful
 from tiegraph.sfm.rig import cameramatches
 from tiegraph.sfm.rig.confront import (
     hear,
@@ -96,9 +96,8 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> FinishR
     """Final adjustment, rig diagnostics, colours and position sigmas of one model; writes it to its target folder."""
     scene = Scene.from_json(request.scene)
     model = read_model(request.folder)
-    settled = _registered(model, scene, request)
-    model, notes = settled.model, settled.notes
-    mapped = model
+    model, placed = _placed(model, scene, request)
+    mapped, notes = model, placed.notes
     try:
         if not request.rough:
             model, mapped = _adjusted(model, scene, request, notes), model
@@ -119,8 +118,8 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> FinishR
     except (RuntimeError, ValueError) as error:
         notes.append(f"the points have no colours: {error}")
     model.write(request.target)
-    if settled.table is not None:
-        tables["placement"] = settled.table
+    if placed.table is not None:
+        tables["placement"] = placed.table
     sigma = _sigma(checked, scene, request, notes)
     if sigma is not None:
         sigma = replace(sigma, mounting=_in_their_time(sigma.mounting, checked.levers))
@@ -130,26 +129,21 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> FinishR
         tables |= sigma.tables(names)
         notes += _open_notes(sigma, names, request.tuning.sigma)
     return FinishResult(
-        sigma=sigma, notes=notes, tables=tables, dropped=settled.dropped, contradictions=checked.contradictions
+        sigma=sigma, notes=notes, tables=tables, dropped=placed.dropped, contradictions=checked.contradictions
     )
 
 
-def _registered(model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest) -> RegistrationResult:
+def _placed(
+    model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest
+) -> tuple[pycolmap.Reconstruction, PlacementCheck]:
+    """The model without the frames whose place is doubtful, and what is to be said of them."""
     if request.matched is None:
-        return RegistrationResult(model)
-    rigs = {k: scene.rigs[k] for k in request.held.rigs}
+        return model, PlacementCheck()
+    tested = pycolmap.Reconstruction(model)
     try:
-        return repair_registration(
-            pycolmap.Reconstruction(model),
-            scene,
-            request.matched,
-            rigs,
-            request.preview,
-            request.tuning.placement,
-            frozenset(request.held.unsupported),
-        )
+        return tested, leave_out_doubtful(tested, scene, request.matched, request.preview, request.tuning.placement)
     except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
-        return RegistrationResult(model, [f"the place of the frames could not be tested: {error}"])
+        return model, PlacementCheck([f"the place of the frames could not be tested: {error}"])
 
 
 def _adjusted(

@@ -22,7 +22,7 @@ from tiegraph.sfm.database import ViewGraph
 from tiegraph.sfm.finish import FinishRequest, FinishResult, Held, finish_model
 from tiegraph.sfm.mapping import SCRATCH, Account, Job, Outcome, Source, believed_cameras, map_images
 from tiegraph.sfm.model import frame_poses, registration_tables
-from tiegraph.sfm.placement.registration import MatchSource
+from tiegraph.sfm.placement.doubtful import MatchSource
 from tiegraph.sfm.registrationreport import (
     camera_notes,
     camera_table,
@@ -201,6 +201,7 @@ def _finish(job: Job, outcome: Outcome, modes: dict[int, str]) -> FinishResult:
         lenses_ordered=job.settings.refine_intrinsics == "no",
     )
     preview = None if job.source.preview is None else frame_poses(job.source.preview, job.scene)
+    matched = MatchSource(job.source.database, job.source.refused)
     for number, folder in enumerate(outcome.folders):
         request = FinishRequest(
             folder=folder,
@@ -209,7 +210,7 @@ def _finish(job: Job, outcome: Outcome, modes: dict[int, str]) -> FinishResult:
             scene=job.scene.to_json(),
             tuning=job.tuning,
             held=held,
-            matched=None if number or job.source.rough else _matched(job, folder),
+            matched=None if number or job.source.rough else matched,
             preview=preview,
             covariance_frames=0 if number else job.settings.covariance_frames,
             rough=job.source.rough,
@@ -217,14 +218,6 @@ def _finish(job: Job, outcome: Outcome, modes: dict[int, str]) -> FinishResult:
         out.append(run_in_child(finish_model, request, log=job.log, task="final adjustment"))
     job.account.notes.extend(out[0].notes)
     return out[0]
-
-
-def _matched(job: Job, folder: Path) -> MatchSource:
-    # COLMAP asks for a folder of images, though points need none.
-    images = job.source.images or folder
-    return MatchSource(
-        database=job.source.database, images=images, refused=job.source.refused, scratch=folder / "placement"
-    )
 
 
 def _account(job: Job, outcome: Outcome, rig: str, finished: FinishResult) -> SparseResult:

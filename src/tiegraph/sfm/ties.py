@@ -26,8 +26,6 @@ TEST_COLUMNS = [
     "halves differ deg",
 ]  # fmt: skip
 """Heads of ``TieTest.cells``; lengths in the first model's units."""
-_MOST = 2000  # ties that a fit is made of: bounds its time, more say the same once more
-_ROUNDS = 3  # of fitting and asking again which ties agree
 
 
 @dataclass(frozen=True)
@@ -94,9 +92,9 @@ class TieTest:
 
     def holds(self, tuning: PlacementTuning) -> bool:
         """Whether it is more than chance, in what it knew and in what it did not."""
-        asked = tuning.resection
-        enough = self.ties >= asked.min_inliers and self.independent >= asked.min_partners
-        return enough and min(self.ties / self.total, self.explained) >= asked.min_share
+        asked = tuning.ties
+        enough = self.ties >= asked.least and self.independent >= asked.independent
+        return enough and min(self.ties / self.total, self.explained) >= asked.share
 
 
 def find_ties(
@@ -128,27 +126,25 @@ def find_ties(
 
 def fit_ties(ties: Ties, tuning: PlacementTuning) -> TieFit | None:
     """The similarity that most ties agree with; None if there are too few or none comes out."""
-    least = tuning.resection.min_inliers
-    if len(ties) < least:
+    asked, tolerance_rad = tuning.ties, tuning.agreement.tolerance_rad
+    if len(ties) < asked.least:
         return None
-    some = ties.where(np.linspace(0, len(ties) - 1, min(len(ties), _MOST)).astype(int))
+    some = ties.where(np.linspace(0, len(ties) - 1, min(len(ties), asked.most)).astype(int))
     reach = float(np.median(np.linalg.norm(some.xyz[0] - some.centre[0], axis=1)))
-    options = pycolmap.RANSACOptions(
-        max_error=tuning.repair.block_error * reach, random_seed=0, max_num_trials=tuning.repair.block_trials
-    )
+    options = pycolmap.RANSACOptions(max_error=asked.error * reach, random_seed=0, max_num_trials=asked.trials)
     found: Any = pycolmap.estimate_sim3d_robust(some.xyz[1], some.xyz[0], options)
     if found is None:
         return None
     start = found["tgt_from_src"]
     fit = Similarity(float(start.scale), np.asarray(start.rotation.matrix()), np.asarray(start.translation, float))
     # The search allows for depths, which are known badly; what agrees in depth alone says little, so begin wide.
-    for tolerance in tuning.agreement.tolerance_rad * 2.0 ** np.arange(_ROUNDS)[::-1]:
+    for tolerance in tolerance_rad * 2.0 ** np.arange(asked.rounds)[::-1]:
         agree = some.agree(fit, tolerance)
-        if agree.sum() < least:
+        if agree.sum() < asked.least:
             return None
-        fit = _refined(some.where(agree), fit, tuning.agreement.tolerance_rad)
-    agree = ties.agree(fit, tuning.agreement.tolerance_rad)
-    if agree.sum() < least:
+        fit = _refined(some.where(agree), fit, tolerance_rad)
+    agree = ties.agree(fit, tolerance_rad)
+    if agree.sum() < asked.least:
         return None
     return TieFit(fit, agree, np.median(ties.xyz[0][agree], axis=0))
 

@@ -3,8 +3,8 @@
 A repeated wall holds a frame, a block or a whole pass at the wrong place with ties that agree among themselves. What
 gives it away are the verified ties to the neighbours in the pass, which the mapper had to throw out: they all disagree.
 A jump in the course of a pass is a reason to ask, never one to leave a frame out: whoever numbers photographs of a yard
-makes jumps too. Frames whose ties contradict their place, or hardly hold it where the course jumps, are placed again
-from the ties of the others, or left out with the reason.
+makes jumps too. Frames whose ties contradict their place, or hardly hold it where the course jumps, are left out with
+the reason.
 """
 
 from __future__ import annotations

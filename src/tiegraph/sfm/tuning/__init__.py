@@ -190,7 +190,7 @@ class Tuning(Section):
     start: StartTuning = StartTuning()
     """The start from poses that are roughly known."""
     placement: PlacementTuning = PlacementTuning()
-    """The place of frames, tested, mended and completed."""
+    """The place of frames, tested."""
     rig: RigTuning = RigTuning()
     """The rig against the images."""
     world: WorldTuning = WorldTuning()
