@@ -1,5 +1,7 @@
 """Pairs from prior poses: distance, axes, line of sight, baseline, and gaps in the priors."""
 
+from dataclasses import replace
+
 import numpy as np
 import pycolmap
 import pytest
@@ -152,11 +154,15 @@ def test_a_guessed_focal_length_is_widened_to_the_rig() -> None:
     guess = pycolmap.Camera(model="SIMPLE_PINHOLE", width=640, height=480, params=[768.0, 320.0, 240.0])
     world = boat((3,), (2.0,))
     rig = world.scene.rigs[0]
-    scene = world.scene.with_(rigs=(rig.with_cameras({s.name: guess for s in rig.sensors}),))
+
+    def with_camera(camera: pycolmap.Camera) -> Scene:
+        return world.scene.with_(rigs=(replace(rig, sensors=tuple(replace(s, camera=camera) for s in rig.sensors)),))
+
+    scene = with_camera(guess)
     focal = {c.mean_focal_length() for c in view_cameras(scene, TUNING.poses)}
     assert len(focal) <= 2 and max(focal) < 330  # five cameras, 72 degrees apart
     guess.has_prior_focal_length = True
-    known = world.scene.with_(rigs=(rig.with_cameras({s.name: guess for s in rig.sensors}),))
+    known = with_camera(guess)
     assert {c.mean_focal_length() for c in view_cameras(known, TUNING.poses)} == {768.0}
 
 

@@ -92,13 +92,6 @@ class Rows:
         row = self._connection.execute(query, (image,)).fetchone()
         return _points(*row) if row and row[0] else np.zeros((0, 2))
 
-    def descriptors_of(self, image: int) -> np.ndarray:
-        """(K, 128) u1 descriptors of an image; none if there are none."""
-        query = "SELECT rows, cols, data FROM descriptors WHERE image_id = ?"
-        row = self._connection.execute(query, (image,)).fetchone()
-        rows, columns, data = row if row and row[2] else (0, 128, b"")
-        return np.frombuffer(data, np.uint8).reshape(rows, columns)
-
 
 def _images(pair_id: int) -> tuple[int, int]:
     return pair_id // MAX_IMAGES, pair_id % MAX_IMAGES

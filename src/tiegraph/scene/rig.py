@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pycolmap
@@ -48,12 +48,6 @@ class Sensor:
         if self.sensor_from_rig is None:
             return np.full(3, np.nan)
         return self.sensor_from_rig[2, :3].copy()
-
-    def field_of_view_deg(self) -> float:
-        """Horizontal field of view of the undistorted pinhole, degrees; NaN without a camera."""
-        if self.camera is None:
-            return float("nan")
-        return float(np.degrees(2 * np.arctan(self.camera.width / 2 / self.camera.mean_focal_length())))
 
 
 PAIR_KEYS = ("baseline_m", "baseline_sigma_m", "axis_deg", "axis_sigma_deg")
@@ -111,10 +105,6 @@ class Rig:
     def index(self, sensor_name: str) -> int:
         """Place of a sensor by name."""
         return [s.name for s in self.sensors].index(sensor_name)
-
-    def with_cameras(self, cameras: dict[str, pycolmap.Camera]) -> Rig:
-        """The same rig with cameras filled in by sensor name."""
-        return replace(self, sensors=tuple(replace(s, camera=cameras.get(s.name, s.camera)) for s in self.sensors))
 
 
 def calibrated(camera: pycolmap.Camera) -> bool:
