@@ -3,7 +3,8 @@
 ``python -m benchmarks.sweep --sets fountain-P11 boat --engines filter sfm.adjust -o FILE [--work DIR] [--most 10]``.
 An engine or a group of one, with points. Counts stay whole, shares stay within 0 and 1; a value that the Tuning refuses
 is left out and counted. The table lists the constants by the larger change of the trajectory error or of the registered
-images.
+images. ``--groups`` moves all constants of a group together: nine hundred take days, and most groups move nothing; what
+does is swept again without it.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,7 @@ def numbers(section: Section, where: str = "") -> Iterator[tuple[str, float | in
 
 
 def varied(place: str, value: float | int, factor: float) -> Variant | None:
-    """The variant of one constant; None where rounding leaves it as it is or the Tuning refuses it."""
+    """The variant of one constant; None where the Tuning refuses it."""
     new: float | int = value * factor
     if isinstance(value, int):
         new = round(new)
@@ -52,17 +53,41 @@ def varied(place: str, value: float | int, factor: float) -> Variant | None:
     return Variant(f"{place} {value:g} -> {new:g}", {"tuning": settings})
 
 
+def grouped(asked: list[tuple[str, float | int]], factor: float) -> list[Variant]:
+    """One variant a group, all its constants moved that the Tuning lets move, one after the other."""
+    groups: dict[str, dict[str, Any]] = {}
+    count: dict[str, int] = {}
+    for place, value in asked:
+        one, group = varied(place, value, factor), place.rpartition(".")[0]
+        if one is None:
+            continue
+        both = _merged(groups.get(group, {}), one.settings)
+        try:
+            Settings.model_validate(both)
+        except ValidationError:  # an order among them
+            continue
+        groups[group], count[group] = both, count.get(group, 0) + 1
+    return [Variant(f"{g}: {count[g]} constants x {factor:.2f}", settings) for g, settings in groups.items()]
+
+
+def _merged(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, Any]:
+    return {**a, **{k: _merged(a.get(k, {}), v) if isinstance(v, Mapping) else v for k, v in b.items()}}
+
+
 def main(argv: list[str] | None = None) -> int:
     """Command line; 0."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sets", nargs="+", required=True)
     parser.add_argument("--engines", nargs="+", help="engines or groups, such as verify or sfm.adjust (default: all)")
+    parser.add_argument("--groups", action="store_true", help="all constants of a group at once")
     parser.add_argument("--work", type=Path, help="a folder that keeps the base runs")
     parser.add_argument("--most", type=int, default=10, help="constants in the table")
     parser.add_argument("-o", "--output", type=Path, required=True)
     args = parser.parse_args(argv)
     asked = [(p, v) for p, v in numbers(Tunings()) if _within(p, args.engines)]
-    variants = [varied(place, value, factor) for place, value in asked for factor in FACTORS]
+    variants: list[Variant | None] = [varied(place, value, factor) for place, value in asked for factor in FACTORS]
+    if args.groups:
+        variants = [v for factor in FACTORS for v in grouped(asked, factor)]
     cache = Book(args.output)
     with tempfile.TemporaryDirectory() as scratch:
         work = args.work or Path(scratch)

@@ -36,6 +36,17 @@ def test_a_constant_is_moved_by_a_third_and_stays_what_it_is(place, value, facto
     assert settings == pytest.approx(new) and type(settings) is type(new)
 
 
+def test_a_group_moves_what_its_tuning_lets_move_together():
+    asked = [(p, v) for p, v in sweep.numbers(Tunings()) if p.startswith(("filter.prior.", "filter.min_agree"))]
+    groups = {v.name: merged(v.settings).tuning.filter for v in sweep.grouped(asked, 2 / 3)}
+    assert len(groups) == 2
+    (name, prior), (_, own) = sorted(groups.items(), key=lambda g: "prior" not in g[0])
+    default = FilterTuning()
+    moved = [n for n, v in sweep.numbers(default.prior) if dict(sweep.numbers(prior.prior))[n] != v]
+    assert len(moved) == int(name.split()[1]) >= 6 and prior.min_agree == 12
+    assert own.min_agree == 8 and own.prior == default.prior
+
+
 def test_every_subsystem_that_is_switched_off_is_a_valid_setting():
     names = [v.name for v in ablate.VARIANTS]
     assert len(set(names)) == len(names)
