@@ -1,5 +1,6 @@
 """Settings of the scan stage."""
 
+from math import isfinite
 from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
@@ -40,11 +41,29 @@ class ScanSettings(Section):
     video_fps: float = Field(default=2.0, gt=0, le=60)
     """Pictures taken of a second of video (in a folder with videos and no images): the sharpest of each stretch."""
 
+    video_clock: Literal["start", "end"] = "start"
+    """Whether the creation time in a video's file is that of the start of the recording or that of its end."""
+
+    video_clock_s: float = Field(default=0.0, ge=-4.2e9, le=4.2e9)
+    """Seconds to add to the times of all videos, so that they are those of the GNSS file: 3600 for a clock that is
+    an hour behind; for videos without a creation time when they began, in seconds since 1970."""
+
+    video_offset: tuple[str, ...] = ()
+    """When videos of a rig began, each in seconds after the one of its first camera, as cam1=0.35; default: found from
+    the motion of their pictures. Of any other video: seconds to add to its times."""
+
     crop_px: tuple[_Px, _Px, _Px, _Px] = (0, 0, 0, 0)
     """Pixels cut off every image: left, top, right, bottom (a rig file may give this for each sensor)."""
 
     undistort: bool = False
     """Resample the images to a pinhole camera; needs calibrated cameras in the rig file."""
+
+    @field_validator("video_offset")
+    @classmethod
+    def _names_and_seconds(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        """Refuses what is not a name, = and a number, and a name that stands there twice."""
+        video_offsets(value)
+        return value
 
     @field_validator("crs")
     @classmethod
@@ -52,3 +71,18 @@ class ScanSettings(Section):
         """A UTM zone by its name as the EPSG code that everything else reads; other words as they are."""
         zones = utm_by_name(value)
         return zones[0] if len(zones) == 1 else value
+
+
+def video_offsets(words: tuple[str, ...]) -> dict[str, float]:
+    """Seconds by name of ``scan.video_offset``. Raises ValueError for words of another form."""
+    found: dict[str, float] = {}
+    for word in words:
+        name, _, number = word.rpartition("=")
+        try:
+            seconds = float(number)
+        except ValueError:
+            seconds = float("nan")
+        if not name or not isfinite(seconds) or name in found:
+            raise ValueError(f"{word!r}: give a video once, as its name without ending = seconds: cam1=0.35")
+        found[name] = seconds
+    return found
