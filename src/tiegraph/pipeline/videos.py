@@ -71,7 +71,12 @@ def photographs(run: Run) -> tuple[Path, tuple[str, ...]]:
     first = [_Job(videos[g[0]], folder / videos[g[0]].folder) for g in groups]
     taken = run.map(_take, first, settings.video_fps, tuning.pictures)
     others = [
-        _Job(videos[k], folder / videos[k].folder, p.numbers, tuple(s - videos[k].offset_s for s in p.stamps_s))
+        _Job(
+            video=videos[k],
+            target=folder / videos[k].folder,
+            numbers=p.numbers,
+            stamps_s=tuple(s - videos[k].offset_s for s in p.stamps_s),
+        )
         for g, p in zip(groups, taken)
         for k in g[1:]
     ]

@@ -37,7 +37,8 @@ def find_offset(first: MotionCurve, second: MotionCurve, tuning: OffsetTuning) -
     """The offset of ``second`` to ``first``.
 
     Its sigma is that of a jackknife over blocks of what they share, or half of what the two halves of it differ by, if
-    that is more. Refused where another offset fits nearly as well, or the halves contradict each other.
+    that is more, and what interpolation adds. Refused where another offset fits nearly as well, or the halves
+    contradict each other.
     """
     few = min(len(first.stamp_s), len(second.stamp_s))
     if few < tuning.least_frames:
@@ -48,13 +49,13 @@ def find_offset(first: MotionCurve, second: MotionCurve, tuning: OffsetTuning) -
     rough, refused = _stands_out(fine, _candidates(coarse, tuning), coarse.step_s, tuning)
     if refused:
         return Offset(refused=refused)
-    sums = _BlockSums(fine, rough, 1.5 * step, tuning)
+    sums = _BlockSums(fine, rough, 1.5 * coarse.step_s, tuning)
     every = np.ones(tuning.blocks, bool)
     early = np.arange(tuning.blocks) < tuning.blocks // 2
     best, apart = sums.peak(every), sums.peak(early) - sums.peak(~early)
     left_out = np.array([sums.peak(np.arange(tuning.blocks) != k) for k in range(tuning.blocks)])
     jackknife = float(np.sqrt((tuning.blocks - 1) * np.mean((left_out - left_out.mean()) ** 2)))
-    sigma = max(jackknife, abs(apart) / 2)
+    sigma = float(np.hypot(max(jackknife, abs(apart) / 2), tuning.smoothing * step))
     if sigma > tuning.most_sigma * step:
         return Offset(refused=f"its motion says {best:+.3f} s, but its halves differ by {abs(apart):.3f} s")
     begin, end = fine.shared(best)

@@ -58,7 +58,8 @@ def video_clock(video: Path, settings: ScanSettings, tuning: PicturesTuning) -> 
         utc = known
         notes.append(f"{name}: {said}")
     start += settings.video_clock_s
-    return VideoClock(start, known or settings.video_clock_s != 0, utc, subtitles, "; ".join(notes))
+    known = known or settings.video_clock_s != 0
+    return VideoClock(start_s=start, known=known, utc=utc, subtitles=subtitles, note="; ".join(notes))
 
 
 def _by_container(video: Path, word: str, tuning: PicturesTuning) -> tuple[float, bool, str]:
