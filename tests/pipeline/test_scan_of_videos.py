@@ -116,6 +116,7 @@ def test_videos_of_a_rig_are_aligned_by_their_motion(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_positions_by_time_and_a_video_without_one_say_the_remedy(tmp_path: Path) -> None:
     film(tmp_path / "in" / "walk.avi", 3)
     gnss = track(tmp_path / "track.csv")
@@ -125,6 +126,29 @@ def test_positions_by_time_and_a_video_without_one_say_the_remedy(tmp_path: Path
     known = {"scan": {"video_clock_s": START_S}}
     project = tiegraph.open(tmp_path / "in", tmp_path / "known", pool="serial", gnss=gnss, settings=known)
     assert np.isfinite(project.run("scan").scene().world_from_rig[:, 0, 3]).all()
+
+
+def test_a_broken_video_of_a_rig_is_named(tmp_path: Path) -> None:
+    film(tmp_path / "in" / "cam0.avi", 2)
+    (tmp_path / "in" / "cam1.avi").write_bytes(b"\0" * 5000)
+    project = tiegraph.open(tmp_path / "in", tmp_path / "out", pool="serial").run("scan")
+    assert len(project.scene()) == 4 and any("cam1.avi cannot be decoded" in n for n in receipt_notes(project))
+    (tmp_path / "rig.toml").write_text('[[sensors]]\nname = "cam0"\n[[sensors]]\nname = "cam1"\n')
+    with pytest.raises(InputError, match="'cam1'.*cam1.avi cannot be decoded"):
+        tiegraph.open(tmp_path / "in", tmp_path / "rig", pool="serial", rig=str(tmp_path / "rig.toml")).run("scan")
+
+
+@pytest.mark.slow
+def test_recordings_that_all_begin_at_zero_are_said(tmp_path: Path) -> None:
+    for name in ("morning", "noon"):
+        film(tmp_path / "in" / f"{name}.avi", 1 + len(name) % 3)
+    project = tiegraph.open(tmp_path / "in", tmp_path / "out", pool="serial").run("scan")
+    assert any("2 videos, such as morning.avi and noon.avi, each count from" in n for n in receipt_notes(project))
+    later = {"scan": {"video_offset": ("noon=100",)}}
+    project = tiegraph.open(tmp_path / "in", tmp_path / "later", pool="serial", settings=later).run("scan")
+    assert not any("each count from" in n for n in receipt_notes(project))
+    times = project.scene().time_s[project.scene().sequence == 1]
+    assert 100 <= times.min() < times.max() < 104
 
 
 @pytest.mark.slow

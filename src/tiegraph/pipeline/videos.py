@@ -12,7 +12,7 @@ from tiegraph.errors import InputError
 from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.project.run import Run
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.tuning import PicturesTuning, Tuning
+from tiegraph.scan.tuning import OffsetTuning, PicturesTuning, Tuning
 from tiegraph.scan.video import Pictures, find_videos, nearest, open_video, picture_folders, sharpest, take_pictures
 from tiegraph.scan.videomotion import MotionCurve, motion_curve
 from tiegraph.scan.videooffset import Offset, find_offset
@@ -85,7 +85,20 @@ def photographs(run: Run) -> tuple[Path, tuple[str, ...]]:
     if not has_images(folder) or len(find_images(folder)) < 2:
         raise InputError(f"{images}: at least 2 pictures are needed: {'; '.join(notes)}")
     clocks = [v.clock.note for v in videos if v.width]
-    return folder, tuple(filter(None, notes + clocks))
+    return folder, tuple(filter(None, notes + clocks + _unknown_starts(videos, groups)))
+
+
+def _unknown_starts(videos: Sequence[_Video], groups: Sequence[tuple[int, ...]]) -> list[str]:
+    """What to say of recordings one after another that all count from zero."""
+    lost = [videos[g[0]] for g in groups if videos[g[0]].width and not videos[g[0]].clock.known]
+    told = [v for v in lost if v.offset_s]
+    if len(lost) < 2 or len(told) >= len(lost) - 1:
+        return []
+    names = " and ".join(v.name for v in lost[:2])
+    return [
+        f"{len(lost)} videos, such as {names}, each count from their own start: positions by time would put them on "
+        f"top of each other; --scan.video-offset {lost[1].folder}=SECONDS says when each began, or --times"
+    ]
 
 
 def _look(item: tuple[Path, str], settings: ScanSettings, tuning: PicturesTuning) -> _Video:
@@ -109,15 +122,18 @@ def _in_time(run: Run, videos: Sequence[_Video]) -> tuple[list[_Video], list[tup
     groups = _groups(run, videos)
     told = offsets_given([v.folder for v in videos], run.settings.scan)
     out = [replace(v, offset_s=told.get(k, 0.0)) for k, v in enumerate(videos)]
-    asked = [k for g in groups if not told.keys() >= set(g[1:]) for k in g]
-    curves = dict(zip(asked, run.map(_curve, [videos[k] for k in asked], tuning)))
+    asked = {k: g[0] for g in groups for k in g[1:] if k not in told}
+    moving = sorted({*asked, *asked.values()})
+    curves = dict(zip(moving, run.map(_curve, [videos[k] for k in moving], tuning)))
+    pairs = [(curves[first], curves[k]) for k, first in asked.items()]
+    offsets = dict(zip(asked, run.map(_offset, pairs, tuning.offset)))
     notes = []
     for group in groups:
         first = out[group[0]]
         for k in group[1:]:
             how = "as --scan.video-offset says"
             if k not in told:
-                found = find_offset(curves[group[0]], curves[k], tuning.offset)
+                found = offsets[k]
                 _check(found, first, out[k])
                 out[k] = replace(out[k], offset_s=found.seconds)
                 sigma = f"{1e3 * found.sigma_s:.1f} ms"
@@ -137,7 +153,11 @@ def _groups(run: Run, videos: Sequence[_Video]) -> list[tuple[int, ...]]:
     films = [Film(videos[k].folder, videos[k].width, videos[k].height) for k in good]
     rig, known = run.inputs.rig, rig_of_run(run.inputs.rig)
     text = None if known is None else known.text
-    together = films_together(films, rig, text, run.settings.scan, run.settings.tuning.scan)
+    try:
+        together = films_together(films, rig, text, run.settings.scan, run.settings.tuning.scan)
+    except InputError as error:
+        broken = ", ".join(v.name for v in videos if not v.width)
+        raise InputError(f"{error}" + (f"; {broken} cannot be decoded" if broken else "")) from None
     return [tuple(good[f] for f in g) for g in together] + alone
 
 
@@ -172,6 +192,10 @@ def _share_clock(videos: list[_Video], group: Sequence[int]) -> None:
 def _curve(video: _Video, tuning: Tuning) -> MotionCurve:
     with open_video(video.path, tuning.pictures) as opened:
         return motion_curve(opened.frames(), tuning.motion)
+
+
+def _offset(curves: tuple[MotionCurve, MotionCurve], tuning: OffsetTuning) -> Offset:
+    return find_offset(*curves, tuning)
 
 
 def _take(job: _Job, per_second: float, tuning: PicturesTuning) -> Pictures:
