@@ -141,14 +141,18 @@ def test_a_broken_video_of_a_rig_is_named(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_recordings_that_all_begin_at_zero_are_said(tmp_path: Path) -> None:
     for name in ("morning", "noon"):
-        film(tmp_path / "in" / f"{name}.avi", 1 + len(name) % 3)
+        film(tmp_path / "in" / f"{name}.avi", 3 + len(name) % 3)
     project = tiegraph.open(tmp_path / "in", tmp_path / "out", pool="serial").run("scan")
     assert any("2 videos, such as morning.avi and noon.avi, each count from" in n for n in receipt_notes(project))
+    clock = {"scan": {"video_clock_s": START_S}}
+    project = tiegraph.open(tmp_path / "in", tmp_path / "dated", pool="serial", settings=clock).run("scan")
+    assert any("avi were recorded at the same time by their clocks" in n for n in receipt_notes(project))
     later = {"scan": {"video_offset": ("noon=100",)}}
     project = tiegraph.open(tmp_path / "in", tmp_path / "later", pool="serial", settings=later).run("scan")
     assert not any("each count from" in n for n in receipt_notes(project))
     times = project.scene().time_s[project.scene().sequence == 1]
-    assert 100 <= times.min() < times.max() < 104
+    assert 100 <= times.min() < times.max() < 106
+    assert not any("at the same time" in n for n in receipt_notes(project))
 
 
 @pytest.mark.slow

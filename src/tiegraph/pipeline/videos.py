@@ -85,7 +85,24 @@ def photographs(run: Run) -> tuple[Path, tuple[str, ...]]:
     if not has_images(folder) or len(find_images(folder)) < 2:
         raise InputError(f"{images}: at least 2 pictures are needed: {'; '.join(notes)}")
     clocks = [v.clock.note for v in videos if v.width]
-    return folder, tuple(filter(None, notes + clocks + _unknown_starts(videos, groups)))
+    late = _at_once([(videos[g[0]], p) for g, p in zip(groups, taken) if p.stamps_s], tuning.pictures.creation_apart_s)
+    return folder, tuple(filter(None, notes + clocks + _unknown_starts(videos, groups) + late))
+
+
+def _at_once(recorded: Sequence[tuple[_Video, Pictures]], least_s: float) -> list[str]:
+    """A note if recordings of known clocks overlap in time, as chapters do that all have the time of the first."""
+    spans = sorted(
+        (v.clock.start_s + p.stamps_s[0], v.clock.start_s + p.stamps_s[-1], v.name, v.folder)
+        for v, p in recorded
+        if v.clock.known
+    )
+    for (_, end, name, _), (begin, _, later, folder) in zip(spans, spans[1:]):
+        if begin < end - least_s:
+            return [
+                f"{name} and {later} were recorded at the same time by their clocks, for {end - begin:.0f} s: if one "
+                f"camera took both, one of them is wrong: --scan.video-offset {folder}=SECONDS"
+            ]
+    return []
 
 
 def _unknown_starts(videos: Sequence[_Video], groups: Sequence[tuple[int, ...]]) -> list[str]:
