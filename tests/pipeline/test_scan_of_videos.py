@@ -10,11 +10,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 import tiegraph
 import video_world
 from tiegraph.api import Project
 from tiegraph.errors import InputError
+from tiegraph.scene.exif import read_exif
 
 START_S = datetime(2024, 5, 1, 10, 0, 0, tzinfo=timezone.utc).timestamp()
 
@@ -66,6 +68,11 @@ def recorded(path: Path, begin_s: float, **camera: object) -> Path:
     return path
 
 
+def taken_s(file: Path) -> float:
+    with Image.open(file) as image:
+        return read_exif(image, (0.3, 10.0)).time_s
+
+
 def track(path: Path) -> Path:
     """A receiver's fixes, five a second: 3 m/s to the north."""
     rows = [f"{START_S + t:.1f},{35 + 3 * t / 110_946:.9f},139.0,40.0,0.02" for t in np.arange(-5, 20, 0.2)]
@@ -102,6 +109,10 @@ def test_videos_of_a_rig_are_aligned_by_their_motion(tmp_path: Path) -> None:
     project = tiegraph.open(tmp_path / "in", tmp_path / "out", pool="serial").run("scan")
     scene, notes = project.scene(), receipt_notes(project)
     assert len(scene.all_sensors) == 2 and scene.frames == 10 and len(scene) == 19  # cam1 lacks the first
+    times = [taken_s(tmp_path / "out" / "images" / n) for n in scene.names]
+    for frame in range(1, scene.frames):
+        one, other = (times[k] for k in np.flatnonzero(scene.frame == frame))
+        assert 0 < abs(one - other) < 0.02 and abs((one + other) / 2 - scene.time_s[frame]) < 1e-5
     said = next(n for n in notes if n.startswith("cam1.mp4 begins"))
     offset, sigma_ms = (
         float(v) for v in re.findall(r"begins ([-+.\d]+) s after cam0.mp4 \(sigma ([.\d]+) ms", said)[0]
