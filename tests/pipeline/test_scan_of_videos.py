@@ -91,7 +91,7 @@ def test_frames_of_a_video_meet_positions_by_time(tmp_path: Path) -> None:
     north = scene.world_from_rig[:, 1, 3]
     assert np.allclose(north - north[0], 3 * (scene.time_s - scene.time_s[0]), atol=0.02)
     assert any("walk.mp4: begins at 2024-05-01 10:00:02 UTC" in n for n in receipt_notes(project))
-    late = {"scan": {"video_clock_s": 1.0}}
+    late = {"scan": {"video_offset": ("1.0",)}}
     moved = (
         tiegraph.open(tmp_path / "in", tmp_path / "late", pool="serial", gnss=gnss, settings=late).run("scan").scene()
     )
@@ -131,10 +131,10 @@ def test_videos_of_a_rig_are_aligned_by_their_motion(tmp_path: Path) -> None:
 def test_positions_by_time_and_a_video_without_one_say_the_remedy(tmp_path: Path) -> None:
     film(tmp_path / "in" / "walk.avi", 3)
     gnss = track(tmp_path / "track.csv")
-    began = re.escape(f"--scan.video-clock-s {START_S - 5:.0f}")
+    began = re.escape(f"--scan.video-offset {START_S - 5:.0f}")
     with pytest.raises(InputError, match=f"count from the start of a video.*{began}"):
         tiegraph.open(tmp_path / "in", tmp_path / "out", pool="serial", gnss=gnss).run("scan")
-    known = {"scan": {"video_clock_s": START_S}}
+    known = {"scan": {"video_offset": (str(START_S),)}}
     project = tiegraph.open(tmp_path / "in", tmp_path / "known", pool="serial", gnss=gnss, settings=known)
     assert np.isfinite(project.run("scan").scene().world_from_rig[:, 0, 3]).all()
 
@@ -155,7 +155,7 @@ def test_recordings_that_all_begin_at_zero_are_said(tmp_path: Path) -> None:
         film(tmp_path / "in" / f"{name}.avi", 3 + len(name) % 3)
     project = tiegraph.open(tmp_path / "in", tmp_path / "out", pool="serial").run("scan")
     assert any("2 videos, such as morning.avi and noon.avi, each count from" in n for n in receipt_notes(project))
-    clock = {"scan": {"video_clock_s": START_S}}
+    clock = {"scan": {"video_offset": (str(START_S),)}}
     project = tiegraph.open(tmp_path / "in", tmp_path / "dated", pool="serial", settings=clock).run("scan")
     assert any("avi were recorded at the same time by their clocks" in n for n in receipt_notes(project))
     later = {"scan": {"video_offset": ("noon=100",)}}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scan_worlds import data
 
-from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.settings import ScanSettings, video_offsets
 from tiegraph.scan.tuning import MotionTuning, OffsetTuning, Tuning
 from tiegraph.scan.videomotion import MotionCurve, motion_curve
 from tiegraph.scan.videooffset import find_offset
@@ -116,8 +116,12 @@ def test_offsets_by_name() -> None:
         offsets_given(["cam0", "cam1"], ScanSettings(video_offset=("cam9=1",)))
     with pytest.raises(ValueError, match="several videos"):
         offsets_given(["a/cam1", "b/cam1"], ScanSettings(video_offset=("cam1=1",)))
-    for wrong in ("cam1", "=3", "cam1=x", "cam1=nan"):
-        with pytest.raises(ValueError, match="name without ending = seconds"):
+    for wrong in ("cam1", "=3", "cam1=x", "cam1=nan", "nan", ""):
+        with pytest.raises(ValueError, match="NAME=SECONDS"):
             ScanSettings(video_offset=(wrong,))
-    with pytest.raises(ValueError, match="once"):
-        ScanSettings(video_offset=("cam1=1", "cam1=2"))
+    for twice in (("cam1=1", "cam1=2"), ("3", "4"), ("end", "end")):
+        with pytest.raises(ValueError, match="each once"):
+            ScanSettings(video_offset=twice)
+    every = video_offsets(("-7200.5", "cam1=2", "end"))
+    assert (every.all_s, every.by_name, every.from_end) == (-7200.5, {"cam1": 2.0}, True)
+    assert video_offsets(("end=3",)).by_name == {"end": 3.0}

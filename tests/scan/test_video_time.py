@@ -86,9 +86,9 @@ def test_the_container_says_when_a_video_began(tmp_path: Path, wide: bool) -> No
     video = stamped(film(tmp_path / "a.mp4"), START, wide)
     found = clock(video)
     assert found.start_s == START and found.known and found.utc
-    assert "2024-05-01 10:00:00 UTC" in found.note and "--scan.video-clock end" in found.note
-    assert clock(video, video_clock="end").start_s == pytest.approx(START - 2.0, abs=0.11)  # 20 frames, 10 a second
-    assert clock(video, video_clock_s=-7200.5).start_s == START - 7200.5
+    assert "2024-05-01 10:00:00 UTC" in found.note and "--scan.video-offset SECONDS, or end" in found.note
+    assert clock(video, video_offset=("end",)).start_s == pytest.approx(START - 2.0, abs=0.11)  # 20 frames, 10 a second
+    assert clock(video, video_offset=("-7200.5",)).start_s == START - 7200.5
 
 
 def test_a_video_without_creation_time_counts_from_its_start(tmp_path: Path) -> None:
@@ -98,12 +98,14 @@ def test_a_video_without_creation_time_counts_from_its_start(tmp_path: Path) -> 
         found = clock(video)
         assert (found.start_s, found.known, found.utc) == (0.0, False, False)
         assert f"{video.name}: it does not say when it was recorded" in found.note
-    assert clock(tmp_path / "a.mp4", video_clock_s=START).known
+    assert clock(tmp_path / "a.mp4", video_offset=(str(START),)).known
 
 
 def test_pictures_carry_the_time_of_their_frames(tmp_path: Path) -> None:
     video = stamped(film(tmp_path / "a.mp4"), START)
-    taken = take_pictures(video, tmp_path / "out", sharpest(2.0, PICTURES), clock(video, video_clock_s=0.25), PICTURES)
+    taken = take_pictures(
+        video, tmp_path / "out", sharpest(2.0, PICTURES), clock(video, video_offset=("0.25",)), PICTURES
+    )
     found = [exif(f) for f in sorted((tmp_path / "out").glob("*.jpg"))]
     assert [e.time_s for e in found] == pytest.approx([START + 0.25 + s for s in taken.stamps_s], abs=1e-6)
     assert all(e.time_utc for e in found) and len(found) == 4
@@ -149,7 +151,7 @@ def test_each_form_of_a_drones_subtitles(tmp_path: Path, text: str, start: str, 
 def test_subtitles_beside_a_video_come_first_and_others_are_said(tmp_path: Path) -> None:
     video = stamped(film(tmp_path / "DJI_0001.mp4"), START)
     (tmp_path / "DJI_0001.SRT").write_text(NEW)
-    found = clock(video, video_clock_s=-7200.0)
+    found = clock(video, video_offset=("-7200.0",))
     assert found.start_s == pytest.approx(seconds("2024-05-01T10:00:00.774808"), abs=1e-6) and not found.utc
     assert "2 of 2 rows have a position" in found.note and "own clock and zone" in found.note
     take_pictures(video, tmp_path / "out", sharpest(2.0, PICTURES), found, PICTURES)

@@ -1,5 +1,6 @@
 """Settings of the scan stage."""
 
+from dataclasses import dataclass, field
 from math import isfinite
 from typing import Annotated, Literal
 
@@ -41,16 +42,10 @@ class ScanSettings(Section):
     video_fps: float = Field(default=2.0, gt=0, le=60)
     """Pictures taken of a second of video (in a folder with videos and no images): the sharpest of each stretch."""
 
-    video_clock: Literal["start", "end"] = "start"
-    """Whether the creation time in a video's file is that of the start of the recording or that of its end."""
-
-    video_clock_s: float = Field(default=0.0, ge=-4.2e9, le=4.2e9)
-    """Seconds to add to the times of all videos, so that they are those of the GNSS file: 3600 for a clock that is
-    an hour behind; for videos without a creation time when they began, in seconds since 1970."""
-
     video_offset: tuple[str, ...] = ()
-    """When videos of a rig began, each in seconds after the one of its first camera, as cam1=0.35; default: found from
-    the motion of their pictures. Of any other video: seconds to add to its times."""
+    """Times of videos. cam1=0.35: this video began 0.35 s after that of its rig's first camera (default: by the motion
+    of their pictures), or, of no rig, seconds to add to its times; -7200: seconds to add to those of all videos, or
+    when they began (since 1970) if they do not say; end: their creation times are those of the end."""
 
     crop_px: tuple[_Px, _Px, _Px, _Px] = (0, 0, 0, 0)
     """Pixels cut off every image: left, top, right, bottom (a rig file may give this for each sensor)."""
@@ -61,7 +56,7 @@ class ScanSettings(Section):
     @field_validator("video_offset")
     @classmethod
     def _names_and_seconds(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        """Refuses what is not a name, = and a number, and a name that stands there twice."""
+        """Refuses words of another form, and what stands there twice."""
         video_offsets(value)
         return value
 
@@ -73,16 +68,29 @@ class ScanSettings(Section):
         return zones[0] if len(zones) == 1 else value
 
 
-def video_offsets(words: tuple[str, ...]) -> dict[str, float]:
-    """Seconds by name of ``scan.video_offset``. Raises ValueError for words of another form."""
-    found: dict[str, float] = {}
+@dataclass(frozen=True)
+class VideoOffsets:
+    """What ``scan.video_offset`` says: seconds to add to the times of all videos, and by name; whether files give the
+    time of the end."""
+
+    all_s: float = 0.0
+    by_name: dict[str, float] = field(default_factory=dict)
+    from_end: bool = False
+
+
+def video_offsets(words: tuple[str, ...]) -> VideoOffsets:
+    """``scan.video_offset`` read. Raises ValueError for words of another form."""
+    found: dict[tuple[bool, str], float] = {}  # the key of "end" is that of no name
     for word in words:
-        name, _, number = word.rpartition("=")
+        name, equals, number = word.rpartition("=")
         try:
-            seconds = float(number)
+            seconds = 0.0 if word == "end" else float(number)
         except ValueError:
             seconds = float("nan")
-        if not name or not isfinite(seconds) or name in found:
-            raise ValueError(f"{word!r}: give a video once, as its name without ending = seconds: cam1=0.35")
-        found[name] = seconds
-    return found
+        if (equals and not name) or not isfinite(seconds) or (word == "end", name) in found:
+            form = "NAME=SECONDS (the video's name without ending), SECONDS or end"
+            raise ValueError(f"{word!r}: give {form}, each once")
+        found[word == "end", name] = seconds
+    from_end = found.pop((True, ""), None) is not None
+    all_s = found.pop((False, ""), 0.0)
+    return VideoOffsets(all_s=all_s, by_name={name: s for (_, name), s in found.items()}, from_end=from_end)

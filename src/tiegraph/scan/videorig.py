@@ -53,7 +53,7 @@ def offsets_given(folders: Sequence[str], settings: ScanSettings) -> dict[int, f
     Raises InputError for a name that none or several have.
     """
     found = {}
-    for name, seconds in video_offsets(settings.video_offset).items():
+    for name, seconds in video_offsets(settings.video_offset).by_name.items():
         mine = [k for k, f in enumerate(folders) if f == name or (folders.count(name) == 0 and f.endswith(f"/{name}"))]
         if len(mine) != 1:
             word = "no video is" if not mine else "several videos are"

@@ -11,7 +11,7 @@ from typing import BinaryIO
 import numpy as np
 
 from tiegraph.scan.djisubtitles import Subtitles, read_subtitles, subtitles_of
-from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.settings import ScanSettings, video_offsets
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.exifwrite import Taken
 from tiegraph.scene.names import clean
@@ -45,8 +45,8 @@ class VideoClock:
 
 
 def video_clock(video: Path, settings: ScanSettings, tuning: PicturesTuning) -> VideoClock:
-    """The clock of a video, ``scan.video_clock`` and ``scan.video_clock_s`` applied; never raises for a broken file."""
-    name, file = clean(video.name), subtitles_of(video)
+    """The clock of a video, what ``scan.video_offset`` says of all videos applied; never raises for a broken file."""
+    name, file, told = clean(video.name), subtitles_of(video), video_offsets(settings.video_offset)
     subtitles = None if file is None else read_subtitles(file, settings.gnss_sigma_m)
     notes = [] if file is None or subtitles is None else subtitles.notes(clean(file.name))
     if file is not None and subtitles is None:
@@ -54,24 +54,23 @@ def video_clock(video: Path, settings: ScanSettings, tuning: PicturesTuning) -> 
     if subtitles is not None and np.isfinite(subtitles.start_s):
         start, known, utc = subtitles.start_s, True, False
     else:
-        start, known, said = _by_container(video, settings.video_clock, tuning)
+        start, known, said = _by_container(video, told.from_end, tuning)
         utc = known
         notes.append(f"{name}: {said}")
-    start += settings.video_clock_s
-    known = known or settings.video_clock_s != 0
-    return VideoClock(start_s=start, known=known, utc=utc, subtitles=subtitles, note="; ".join(notes))
+    known = known or told.all_s != 0
+    return VideoClock(start_s=start + told.all_s, known=known, utc=utc, subtitles=subtitles, note="; ".join(notes))
 
 
-def _by_container(video: Path, word: str, tuning: PicturesTuning) -> tuple[float, bool, str]:
+def _by_container(video: Path, from_end: bool, tuning: PicturesTuning) -> tuple[float, bool, str]:
     """Start, whether it is known, and what to say of it."""
     created = _created(video)
     if created is None or not tuning.recorded_range_s[0] <= created[0] <= tuning.recorded_range_s[1]:
-        remedy = "--scan.video-clock-s says when it began (seconds since 1970)"
+        remedy = "--scan.video-offset says when it began (seconds since 1970)"
         return 0.0, False, f"it does not say when it was recorded: its times count from its start; {remedy}"
     time_s, length_s = created
-    start = time_s - (length_s if word == "end" else 0.0)
+    start = time_s - (length_s if from_end else 0.0)
     when = datetime.fromtimestamp(start, timezone.utc).strftime("%Y-%m-%d %H:%M:%S")
-    doubt = "which has whole seconds and may be local or that of its end (--scan.video-clock end, --scan.video-clock-s)"
+    doubt = "which has whole seconds and may be local or that of its end (--scan.video-offset SECONDS, or end)"
     return start, True, f"begins at {when} UTC by the creation time in it, {doubt}"
 
 
