@@ -14,7 +14,8 @@ import tiegraph
 from tiegraph.cli.main import main
 from tiegraph.errors import InputError
 from tiegraph.scan.tuning import PicturesTuning
-from tiegraph.scan.video import take_pictures
+from tiegraph.scan.video import sharpest, take_pictures
+from tiegraph.scan.videotime import VideoClock
 from tiegraph.scene import images as scene_images
 from tiegraph.scene.images import probe_image, search_images
 from tiegraph.scene.regular import regular
@@ -160,4 +161,6 @@ def test_what_is_no_video_does_not_hold_the_scan(tmp_path: Path) -> None:
         (tmp_path / "list.mkv").write_text(f"#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:9,\n{address}\n#EXT-X-ENDLIST\n")
         for name, word in (("pipe.mp4", "named pipe"), ("empty.mp4", "decoded"), ("text.mp4", "decoded"),
                            ("list.mkv", "decoded")):  # fmt: skip
-            assert word in take_pictures(tmp_path / name, tmp_path / "out" / name, 1.0, PICTURES)
+            choice = sharpest(1.0, PICTURES)
+            taken = take_pictures(tmp_path / name, tmp_path / "out" / name, choice, VideoClock(), PICTURES)
+            assert word in taken.said

@@ -7,16 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from tiegraph.errors import InputError
 from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.pipeline.inputs import check_against
+from tiegraph.pipeline.videos import photographs
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scan.scan import ScanInputs, build_scene, prepare_image, probe_image
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PicturesTuning
-from tiegraph.scan.video import find_videos, picture_folders, take_pictures
-from tiegraph.scene.images import find_images, has_images, search_images
+from tiegraph.scene.images import search_images
 from tiegraph.scene.names import clean_names
 from tiegraph.scene.rig import Sensor
 
@@ -24,7 +23,7 @@ from tiegraph.scene.rig import Sensor
 def scan(run: Run) -> Outcome:
     """Open every image once, sort them into rigs, frames and passes, and lay the usable ones below images/."""
     given, settings, tuning = run.inputs, run.settings.scan, run.settings.tuning.scan
-    root, said = _photographs(run)
+    root, said = photographs(run)
     found = search_images(root)
     files = list(found.names)
     names = clean_names(files)  # from here on: only their opening needs the names that the file system has
@@ -70,27 +69,6 @@ def _unreadable_names(names: Sequence[str], files: Sequence[str]) -> list[str]:
         return []
     text = "have names with control characters or bytes that are not UTF-8 (an archive of another system?)"
     return [f"{len(odd)} images {text}: such a byte is written as %XX here, as in {odd[0]}"]
-
-
-def _photographs(run: Run) -> tuple[Path, tuple[str, ...]]:
-    """The folder of images: the user's own, or of the pictures taken from the videos in it; and what to say of them."""
-    images = run.inputs.images
-    videos = find_videos(images)
-    if not videos:
-        return images, ()
-    if has_images(images):
-        return images, (f"{len(videos)} videos beside the images are left out: give them in a folder of their own",)
-    run.reporter.total(len(videos))
-    folder = run.path("images") / ".video"
-    todo = [(images / v, folder / f) for v, f in zip(videos, picture_folders(videos))]
-    said = run.map(_take_pictures, todo, run.settings.scan.video_fps, run.settings.tuning.scan.pictures)
-    if not has_images(folder) or len(find_images(folder)) < 2:
-        raise InputError(f"{images}: at least 2 pictures are needed: {'; '.join(said)}")
-    return folder, tuple(s for s in said if s)
-
-
-def _take_pictures(item: tuple[Path, Path], per_second: float, tuning: PicturesTuning) -> str:
-    return take_pictures(*item, per_second, tuning)
 
 
 def _placed(world_from_rig: np.ndarray) -> int:

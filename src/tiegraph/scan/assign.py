@@ -77,10 +77,15 @@ class Usable:
     images: tuple[int, ...]
     names: tuple[str, ...]
     probes: tuple[Probe, ...]
+    video: bool = False  # pictures of videos, each a sequence however short
 
-    def order(self, places: Sequence[Place | None], layout: str, tuning: FoldersTuning) -> Order:
+    def layout(self, settings: ScanSettings) -> str:
+        """The layout that the settings ask for; of videos ``video``, where they ask for none."""
+        return "video" if self.video and settings.layout == "auto" else settings.layout
+
+    def order(self, places: Sequence[Place | None], settings: ScanSettings, tuning: FoldersTuning) -> Order:
         """Whether these are loose photographs, and why."""
-        return order_of(self.names, places, *self.facts(), layout, tuning)
+        return order_of(self.names, places, *self.facts(), self.layout(settings), tuning)
 
     def facts(self) -> tuple[list[Exif], list[tuple[int, int]]]:
         """EXIF and upright sizes."""
@@ -99,10 +104,11 @@ def assign(
         return _assign_by_file(Path(rig), specs, usable, settings, report, tuning)
     cameras = preset_sizes(rig, tuning.rig) if rig else ()
     exif, sizes = usable.facts()
-    layout = band_layout(usable.names, exif, settings.layout, tuning.bands) or guess_layout(
-        usable.names, exif, sizes, settings.layout, tuning.folders, cameras
+    kind = usable.layout(settings)
+    layout = band_layout(usable.names, exif, kind, tuning.bands) or guess_layout(
+        usable.names, exif, sizes, kind, tuning.folders, cameras
     )
-    if layout.folders == ("",) and not layout.loose and settings.layout == "auto" and len(_lenses(usable)) > 1:
+    if layout.folders == ("",) and not layout.loose and kind == "auto" and len(_lenses(usable)) > 1:
         layout = replace(layout, order=Order(True, "loose photographs: taken with different lenses"))
     if rig is None:
         report.notes.append(f"layout guessed: {layout.note}")
@@ -125,8 +131,8 @@ def assign(
     )
     strays = [name for name, place in zip(usable.names, layout.places) if place is None]
     report.drop(strays, f"outside the camera folders ({some(layout.folders)})")
-    if layout.loose:
-        return _by_camera(spec, shots, usable, report)
+    if layout.loose or (kind == "video" and layout.folders == ("",)):
+        return _by_camera(spec, shots, usable, report, loose=layout.loose)
     return Survey(specs=(spec,), shots=shots, loose=False, guessed=layout.order.guessed)
 
 
@@ -163,7 +169,7 @@ def _assign_by_file(
     _all_found(file, specs, places, usable.names)
     stray = [name for name, place in zip(usable.names, places) if place is None]
     report.drop(stray, f"below no sensor folder of {file.name} ({', '.join(owner)})")
-    order = usable.order(places, settings.layout, tuning.folders) if len(owner) == 1 else Order(False, "")
+    order = usable.order(places, settings, tuning.folders) if len(owner) == 1 else Order(False, "")
     report.notes.append(f"rig file {file.name}: {len(owner)} sensor(s)" + (f"; {order.why}" if order.why else ""))
     report.notes += [f"{file.name}: {text}" for spec in specs for text in contradictions(spec, tuning.rig)]
     shots = [
@@ -219,8 +225,8 @@ def _all_found(file: Path, specs: Sequence[RigSpec], places: Sequence[Place | No
             )
 
 
-def _by_camera(spec: RigSpec, shots: tuple[Shot, ...], usable: Usable, report: Report) -> Survey:
-    """Loose photographs of several cameras (or sizes, or focal lengths) as rigs of one sensor each."""
+def _by_camera(spec: RigSpec, shots: tuple[Shot, ...], usable: Usable, report: Report, *, loose: bool) -> Survey:
+    """Loose photographs, or videos, of several cameras (or sizes, or focal lengths) as rigs of one sensor each."""
     probe_of = dict(zip(usable.images, usable.probes))
 
     def camera(shot: Shot) -> tuple:
@@ -231,7 +237,7 @@ def _by_camera(spec: RigSpec, shots: tuple[Shot, ...], usable: Usable, report: R
     kinds = Counter(camera(s) for s in shots)
     order = [kind for kind, _ in kinds.most_common()]
     if len(order) == 1:
-        return Survey((spec,), shots, True)
+        return Survey((spec,), shots, loose)
     specs: list[RigSpec] = []
     several = len({kind[3] for kind in order}) > 1
     for k, ((width, height), make, model, lens, focal) in enumerate(order):
@@ -242,7 +248,7 @@ def _by_camera(spec: RigSpec, shots: tuple[Shot, ...], usable: Usable, report: R
         f"{len(order)} cameras by make, model, lens, image size and EXIF focal length: "
         + some(f"{s.name} ({kinds[o]})" for s, o in zip(specs, order))
     )
-    return Survey(tuple(specs), tuple(replace(s, rig=order.index(camera(s))) for s in shots), True)
+    return Survey(tuple(specs), tuple(replace(s, rig=order.index(camera(s))) for s in shots), loose)
 
 
 def _millimetres(exif: Exif) -> str:

@@ -248,6 +248,8 @@ def order_of(
         word = "loose photographs" if kind == "loose" else "a sequence of one camera"
         return Order(kind == "loose", f"{word}, as the layout setting says")
     passes = len({p.sequence for p in places if p})
+    if kind == "video":
+        return Order(False, f"videos of one camera each, {passes} pass(es)")
     as_sequence = f"a sequence of one camera in {passes} pass(es), if the images bear it out"
     if len(names) < tuning.few:
         return Order(True, f"loose photographs: fewer than {tuning.few}, so their order does not matter")

@@ -164,6 +164,11 @@ def _clock(gnss: Gnss, time_s: np.ndarray) -> str:
     if gnss.names:
         return ""
     first, last = np.nanmin(time_s), np.nanmax(time_s)
+    if last < DAY_S and gnss.time_s[0] > GPS_EPOCH_S:
+        return (
+            "; the frames' count from the start of a video, or of another clock without a date: for videos "
+            f"--scan.video-offset {gnss.time_s[0]:.0f} if they began with the file"
+        )
     for factor, unit in _CLOCKS:
         if gnss.time_s[0] * factor <= last and gnss.time_s[-1] * factor >= first and gnss.time_s[-1] > last:
             return f"; its times look like {unit}: give seconds, or name the column time ({unit})"
@@ -172,7 +177,8 @@ def _clock(gnss: Gnss, time_s: np.ndarray) -> str:
     hours = round(4 * (np.median(gnss.time_s) - (first + last) / 2) / 3600) / 4  # zones are quarters of an hour apart
     there = gnss.time_s[0] - 3600 * hours <= last and gnss.time_s[-1] - 3600 * hours >= first
     if there and 0 < abs(hours) <= _ZONE_H:
-        return f"; {hours:+g} h would bring the frames' there: were the cameras' clocks in local time?"
+        remedy = f" (videos: --scan.video-offset {3600 * hours:g})"
+        return f"; {hours:+g} h would bring the frames' there: were the cameras' clocks in local time?{remedy}"
     return ""
 
 

@@ -17,6 +17,7 @@ from tiegraph.errors import InputError
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.atomic import replacing
+from tiegraph.scene.exifwrite import Taken, exif_of
 from tiegraph.scene.filecache import cached_by_file
 from tiegraph.scene.images import decode_deep, deep_png, open_image
 from tiegraph.scene.panorama import render_view
@@ -181,8 +182,11 @@ def _link(source: Path, target: Path) -> None:
                 raise
 
 
-def write_pixels(target: Path, pixels: np.ndarray, tuning: PicturesTuning) -> None:
-    """Write RGB or grey pixels (H, W[, 3]) u1 by the suffix; JPEG nearly without loss. Raises OSError (full disk)."""
+def write_pixels(target: Path, pixels: np.ndarray, tuning: PicturesTuning, taken: Taken | None = None) -> None:
+    """Write RGB or grey pixels (H, W[, 3]) u1 by the suffix; JPEG nearly without loss, and with EXIF that says when and
+    where it was taken. Raises OSError (full disk)."""
     suffix = target.suffix.lower()
-    jpeg: dict[str, Any] = {"quality": tuning.jpeg_quality, "subsampling": 0}
-    Image.fromarray(np.ascontiguousarray(pixels)).save(target, **(jpeg if suffix in (".jpg", ".jpeg") else {}))
+    how: dict[str, Any] = {} if taken is None else {"exif": exif_of(taken)}
+    if suffix in (".jpg", ".jpeg"):
+        how |= {"quality": tuning.jpeg_quality, "subsampling": 0}
+    Image.fromarray(np.ascontiguousarray(pixels)).save(target, **how)

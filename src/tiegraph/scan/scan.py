@@ -63,7 +63,7 @@ def build_scene(
     report = Report()
     if Path(inputs.images, IMAGES_FOLDER).is_dir():
         report.notes.append(f"only the folder {IMAGES_FOLDER}/ was searched for images")
-    usable = usable_images(names, probes, report)
+    usable = replace(usable_images(names, probes, report), video=inputs.video)
     views = perspective_views(usable, inputs.rig, settings, report, tuning)
     if views is None:
         files: Sequence[str] = names

@@ -1,5 +1,7 @@
 """Settings of the scan stage."""
 
+from dataclasses import dataclass, field
+from math import isfinite
 from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
@@ -40,11 +42,23 @@ class ScanSettings(Section):
     video_fps: float = Field(default=2.0, gt=0, le=60)
     """Pictures taken of a second of video (in a folder with videos and no images): the sharpest of each stretch."""
 
+    video_offset: tuple[str, ...] = ()
+    """Times of videos. cam1=0.35: this video began 0.35 s after that of its rig's first camera (default: by the motion
+    of their pictures), or, of no rig, seconds to add to its times; -7200: seconds to add to those of all videos, or
+    when they began (since 1970) if they do not say; end: their creation times are those of the end."""
+
     crop_px: tuple[_Px, _Px, _Px, _Px] = (0, 0, 0, 0)
     """Pixels cut off every image: left, top, right, bottom (a rig file may give this for each sensor)."""
 
     undistort: bool = False
     """Resample the images to a pinhole camera; needs calibrated cameras in the rig file."""
+
+    @field_validator("video_offset")
+    @classmethod
+    def _names_and_seconds(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        """Refuses words of another form, and what stands there twice."""
+        video_offsets(value)
+        return value
 
     @field_validator("crs")
     @classmethod
@@ -52,3 +66,31 @@ class ScanSettings(Section):
         """A UTM zone by its name as the EPSG code that everything else reads; other words as they are."""
         zones = utm_by_name(value)
         return zones[0] if len(zones) == 1 else value
+
+
+@dataclass(frozen=True)
+class VideoOffsets:
+    """What ``scan.video_offset`` says: seconds to add to the times of all videos, and by name; whether files give the
+    time of the end."""
+
+    all_s: float = 0.0
+    by_name: dict[str, float] = field(default_factory=dict)
+    from_end: bool = False
+
+
+def video_offsets(words: tuple[str, ...]) -> VideoOffsets:
+    """``scan.video_offset`` read. Raises ValueError for words of another form."""
+    found: dict[tuple[bool, str], float] = {}  # the key of "end" is that of no name
+    for word in words:
+        name, equals, number = word.rpartition("=")
+        try:
+            seconds = 0.0 if word == "end" else float(number)
+        except ValueError:
+            seconds = float("nan")
+        if (equals and not name) or not isfinite(seconds) or (word == "end", name) in found:
+            form = "NAME=SECONDS (the video's name without ending), SECONDS or end"
+            raise ValueError(f"{word!r}: give {form}, each once")
+        found[word == "end", name] = seconds
+    from_end = found.pop((True, ""), None) is not None
+    all_s = found.pop((False, ""), 0.0)
+    return VideoOffsets(all_s=all_s, by_name={name: s for (_, name), s in found.items()}, from_end=from_end)

@@ -128,6 +128,54 @@ class PicturesTuning(Section):
     """Width at which sharpness is compared."""
     max_fps: float = Field(1000.0, gt=0)
     """Frames a second from which the header of a video is not believed."""
+    recorded_range_s: tuple[float, float] = (946684800.0, 4102444800.0)
+    """2000 ... 2100: creation times of videos outside are those of clocks that were never set (0 = 1904, 1970)."""
+    creation_apart_s: float = Field(2.0, ge=0)
+    """Creation times of two videos of a rig, in whole seconds each, that contradict their offset by more are said."""
+    nearest_steps: float = Field(0.75, gt=0)
+    """Frames of the other cameras of a rig are taken up to so many of their steps from those of the first: half a
+    step, and some play for stamps in whole milliseconds."""
+
+
+class MotionTuning(Section):
+    """How a video's picture moves (`videomotion.py`)."""
+
+    width_px: int = Field(640, ge=64)
+    """Width at which pictures are compared: KITTI's two cameras agree best there (of 320, 640 and 1241)."""
+    most_s: float = Field(300.0, gt=0)
+    """Of a video, from its start; clocks of cameras drift by 10 to 50 us a second, 15 ms in this time at most."""
+    rounds: int = Field(5, gt=0)
+    """Of the reweighted least squares."""
+    noise_px: float = Field(0.02, gt=0)
+    """Residual below which flow is as good as exact."""
+
+
+class OffsetTuning(Section):
+    """When one video of a rig began after another (`videooffset.py`)."""
+
+    least_frames: int = Field(20, ge=4)
+    """Frames of a video whose motion can tell."""
+    least_s: float = Field(2.0, gt=0)
+    """Seconds that two videos must share at an offset that is tried."""
+    coarse_s: float = Field(0.1, gt=0)
+    """Steps of the search over all offsets."""
+    candidates: int = Field(8, ge=2)
+    """Of that search, looked at in steps of a frame."""
+    noise_px: float = Field(0.02, gt=0)
+    """Sigma of the measured motion a step."""
+    apart_steps: float = Field(4.0, gt=0)
+    """Offsets that are farther apart are different ones: the motion of a second is alike in itself."""
+    least_gain: float = Field(2.5, ge=1)
+    """Of the likelihood of the best offset over that of the best different one, and over that of noise. Of wrong ones
+    the best has up to 1.6 times the next (curves of 20 s); KITTI's 5 s of a straight road have 3.7."""
+    smoothing: float = Field(0.01, ge=0)
+    """Steps; what interpolation between frames may add to the error (synthetic curves: 0.007)."""
+    near_steps: float = Field(0.6, gt=0)
+    """About the best offset, where a parabola is fitted to the likelihood."""
+    blocks: int = Field(8, ge=4)
+    """Of time, of the jackknife."""
+    most_sigma: float = Field(0.5, gt=0)
+    """Steps; an offset that is worse known could as well be that of the next frame."""
 
 
 class TimesTuning(Section):
@@ -186,6 +234,10 @@ class Tuning(Section):
     """Panoramas."""
     pictures: PicturesTuning = PicturesTuning()
     """What is written."""
+    motion: MotionTuning = MotionTuning()
+    """Motion of videos."""
+    offset: OffsetTuning = OffsetTuning()
+    """Offsets between videos."""
     times: TimesTuning = TimesTuning()
     """Times of frames."""
     positions: PositionsTuning = PositionsTuning()

@@ -1,10 +1,14 @@
-"""Videos as image sequences: the sharpest picture of each stretch of time, numbered in order."""
+"""Videos as image sequences: the sharpest picture of each stretch of time, numbered in order, each with its time."""
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
-from collections.abc import Iterable, Iterator, Sequence
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 
 import cv2
@@ -12,12 +16,34 @@ import numpy as np
 
 from tiegraph.scan.prepare import write_pixels
 from tiegraph.scan.tuning import PicturesTuning
+from tiegraph.scan.videotime import VideoClock
 from tiegraph.scene.atomic import claim
 from tiegraph.scene.images import files_below
 from tiegraph.scene.names import clean, clean_names, shortened
 from tiegraph.scene.regular import real_path, regular
 
 SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".webm")
+_TAKEN = ".taken.json"  # hidden: no image
+_SAME_S = 1e-6  # by so much are stamps rounded
+
+Frame = tuple[float, np.ndarray]  # stamp in s since the first frame, BGR picture
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which frames of a video become pictures, with their numbers; and in words."""
+
+    pick: Callable[[Iterator[Frame]], Iterator[tuple[int, Frame]]]
+    words: str
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """What was taken from a video: numbers and stamps (s) of the pictures, and what a person should know."""
+
+    numbers: tuple[int, ...] = ()
+    stamps_s: tuple[float, ...] = ()
+    said: str = ""
 
 
 def find_videos(root: Path) -> list[str]:
@@ -32,92 +58,146 @@ def picture_folders(videos: Sequence[str]) -> list[str]:
     return [b if bare.count(b) == 1 else v.replace(".", "_") for b, v in zip(bare, safe)]
 
 
-def take_pictures(video: Path, folder: Path, per_second: float, tuning: PicturesTuning) -> str:
-    """Write the sharpest picture of each 1/``per_second`` s of a video below ``folder``, numbered from 0.
+class OpenVideo:
+    """An opened video: its frames with their stamps, and what is wrong with it."""
 
-    Sharpness is the variance of the Laplacian of the reduced grey picture: it only compares neighbours in time. The
-    folder is made whole or not at all. Returns what a person should know of the video; never raises for a broken one.
+    def __init__(self, capture: cv2.VideoCapture, max_fps: float) -> None:
+        self._capture = capture
+        self.count = self.unstamped = 0
+        fps = float(capture.get(cv2.CAP_PROP_FPS)) if capture.isOpened() else 0.0
+        self.fps = fps if 0 < fps < max_fps else 0.0
+        self.expected = float(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+
+    def frames(self) -> Iterator[Frame]:
+        """Frames in order; one whose stamp is not later than the one before it is taken to follow it by 1 / fps."""
+        last = -1.0
+        while self.fps:
+            there, picture = self._capture.read()
+            if not there:
+                return
+            stamp = float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000
+            if not (np.isfinite(stamp) and stamp > last):
+                stamp = last + 1 / self.fps if self.count else 0.0
+                self.unstamped += self.count > 0
+            self.count += 1
+            last = stamp
+            yield stamp, picture
+
+
+@contextmanager
+def open_video(video: Path, tuning: PicturesTuning) -> Iterator[OpenVideo]:
+    """A video, opened by OpenCV.
+
+    It gets a link for a name: one that is not UTF-8 would end the process, and %d would mean numbered files.
+    """
+    os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "protocol_whitelist;file")  # a play list may name a server
+    with tempfile.TemporaryDirectory() as folder:
+        link = Path(folder) / f"video{video.suffix.lower()}"
+        try:
+            link.symlink_to(real_path(video))
+        except (OSError, NotImplementedError):
+            link = video
+        capture = cv2.VideoCapture(str(link))
+    try:
+        yield OpenVideo(capture, tuning.max_fps)
+    finally:
+        capture.release()
+
+
+def take_pictures(video: Path, folder: Path, choice: Choice, clock: VideoClock, tuning: PicturesTuning) -> Pictures:
+    """Write the chosen frames of a video below ``folder``, with time and position in their EXIF.
+
+    The folder is made whole or not at all; one that is there is what it was. Never raises for a broken video.
     """
     if folder.exists():
-        return ""
+        return _taken(folder)
+    name = clean(video.name)
     try:
         regular(video, None)
     except OSError as error:
-        return f"{clean(video.name)} is no video: {error.strerror}"
-    os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "protocol_whitelist;file")  # a play list may name a server
+        return Pictures(said=f"{name} is no video: {error.strerror}")
     partial = folder.with_name(f".{os.getpid()}-{folder.name}")
     claim(partial)
     claim(folder)
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
-    capture, fps = _opened(video, partial / f"video{video.suffix.lower()}")
-    count = 0
+    numbers, stamps = [], []
     try:
-        expected = capture.get(cv2.CAP_PROP_FRAME_COUNT)
-        decoded = _Decoded(capture)
-        for picture in _sharpest(decoded if 0 < fps < tuning.max_fps else (), fps, per_second, tuning):
-            write_pixels(partial / f"{folder.name}_{count:06d}.jpg", picture[..., ::-1], tuning)
-            count += 1
-        if count:
+        with open_video(video, tuning) as opened:
+            for number, (stamp, picture) in choice.pick(opened.frames()):
+                target = partial / f"{folder.name}_{number:06d}.jpg"
+                write_pixels(target, picture[..., ::-1], tuning, clock.taken(stamp))
+                numbers.append(number)
+                stamps.append(stamp)
+        found = Pictures(tuple(numbers), tuple(stamps), _said(name, choice.words, len(stamps), opened, tuning))
+        if stamps:
+            (partial / _TAKEN).write_text(json.dumps(asdict(found)))
             os.replace(partial, folder)
     finally:
-        capture.release()
         shutil.rmtree(partial, ignore_errors=True)
-    name = clean(video.name)
+    return found
+
+
+def _taken(folder: Path) -> Pictures:
+    data = json.loads((folder / _TAKEN).read_text())
+    return Pictures(tuple(data["numbers"]), tuple(data["stamps_s"]), data["said"])
+
+
+def _said(name: str, words: str, count: int, opened: OpenVideo, tuning: PicturesTuning) -> str:
     if not count:
         return f"{name} cannot be decoded as a video: convert it to H.264 in MP4, or extract its pictures"
-    said = f"{name}: {count} pictures, the sharpest of every {1 / per_second:.2g} s"
-    if decoded.count < tuning.least_decoded * expected:
-        said += f"; only {decoded.count} of its {expected:.0f} frames could be decoded: is the file cut off?"
+    said = f"{name}: {count} pictures, {words}"
+    if opened.count < tuning.least_decoded * opened.expected:
+        said += f"; only {opened.count} of its {opened.expected:.0f} frames could be decoded: is the file cut off?"
+    if opened.unstamped:
+        said += (
+            f"; {opened.unstamped} of its {opened.count} frames have no stamp, or one out of order: taken "
+            f"{1 / opened.fps:.3f} s after the one before"
+        )
     return said
 
 
-def _opened(video: Path, link: Path) -> tuple[cv2.VideoCapture, float]:
-    """The opened video and its frames a second, 0 if it cannot be decoded.
+def sharpest(per_second: float, tuning: PicturesTuning) -> Choice:
+    """The sharpest frame of each 1/``per_second`` s.
 
-    OpenCV gets a link for a name: one that is not UTF-8 would end the process, and %d would mean numbered files.
+    Sharpness is the variance of the Laplacian of the reduced grey picture: it only compares neighbours in time.
     """
-    try:
-        link.symlink_to(real_path(video))
-    except (OSError, NotImplementedError):
-        link = video
-    capture = cv2.VideoCapture(str(link))
-    if link != video:
-        link.unlink()
-    return capture, float(capture.get(cv2.CAP_PROP_FPS)) if capture.isOpened() else 0.0
+
+    def choose(frames: Iterator[Frame]) -> Iterator[tuple[int, Frame]]:
+        best: tuple[float, Frame] | None = None
+        stretch = number = 0
+        for frame in frames:
+            now = int((frame[0] + _SAME_S) * per_second)
+            if now != stretch and best is not None:
+                yield number, best[1]
+                best, number = None, number + 1
+            stretch, sharp = now, _sharpness(frame[1], tuning.sharp_px)
+            if best is None or sharp > best[0]:
+                best = sharp, frame
+        if best is not None:
+            yield number, best[1]
+
+    return Choice(choose, f"the sharpest of every {1 / per_second:.2g} s")
 
 
-def _sharpest(
-    pictures: Iterable[np.ndarray], fps: float, per_second: float, tuning: PicturesTuning
-) -> Iterator[np.ndarray]:
-    best: tuple[float, np.ndarray] | None = None
-    stretch = 0
-    for number, picture in enumerate(pictures):
-        now = int(number / fps * per_second)
-        if now != stretch and best is not None:
-            yield best[1]
-            best = None
-        stretch, sharp = now, _sharpness(picture, tuning.sharp_px)
-        if best is None or sharp > best[0]:
-            best = sharp, picture
-    if best is not None:
-        yield best[1]
+def nearest(numbers: Sequence[int], stamps_s: Sequence[float], most_s: float) -> Choice:
+    """The frame nearest to each of some increasing stamps, no farther than ``most_s``; numbered as they are."""
 
+    def choose(frames: Iterator[Frame]) -> Iterator[tuple[int, Frame]]:
+        wanted = list(zip(numbers, stamps_s))[::-1]
+        before: Frame | None = None
+        for frame in frames:
+            while wanted and wanted[-1][1] <= frame[0]:
+                number, stamp = wanted.pop()
+                near = frame if before is None or frame[0] - stamp < stamp - before[0] else before
+                if abs(near[0] - stamp) <= most_s:
+                    yield number, near
+            before = frame
+        for number, stamp in wanted[::-1]:
+            if before is not None and abs(before[0] - stamp) <= most_s:
+                yield number, before
 
-class _Decoded:
-    """The pictures of a video, and how many there were."""
-
-    def __init__(self, capture: cv2.VideoCapture) -> None:
-        self._capture = capture
-        self.count = 0
-
-    def __iter__(self) -> Iterator[np.ndarray]:
-        while True:
-            there, picture = self._capture.read()
-            if not there:
-                return
-            self.count += 1
-            yield picture
+    return Choice(choose, "those nearest in time to the pictures of the rig's first camera")
 
 
 def _sharpness(picture: np.ndarray, width_px: int) -> float:

@@ -12,9 +12,9 @@ from tiegraph.scene.xmp import RigTags, read_rig_tags, read_rtk_position
 
 NAN = float("nan")
 # Tags of the EXIF 2.32 standard (CIPA DC-008).
-_EXIF_IFD, _GPS_IFD = 0x8769, 0x8825
+EXIF_IFD, GPS_IFD = 0x8769, 0x8825
 _MAKE, _MODEL, _ORIENTATION, _DATE_TIME = 0x010F, 0x0110, 0x0112, 0x0132
-_TIME_ORIGINAL, _SUBSEC_ORIGINAL, _OFFSET_ORIGINAL = 0x9003, 0x9291, 0x9011
+TIME_ORIGINAL, SUBSEC_ORIGINAL, OFFSET_ORIGINAL = 0x9003, 0x9291, 0x9011
 _EXPOSURE_S, _F_NUMBER, _ISO = 0x829A, 0x829D, 0x8827
 _FOCAL_MM, _FOCAL_35MM, _LENS = 0x920A, 0xA405, 0xA434
 _PLANE_X, _PLANE_UNIT, _EXIF_WIDTH, _EXIF_HEIGHT = 0xA20E, 0xA210, 0xA002, 0xA003
@@ -48,7 +48,7 @@ def read_exif(image: Any, focal_range: tuple[float, float]) -> Exif:
     image sides)."""
     try:
         base = image.getexif()
-        detail, gps = base.get_ifd(_EXIF_IFD), base.get_ifd(_GPS_IFD)
+        detail, gps = base.get_ifd(EXIF_IFD), base.get_ifd(GPS_IFD)
     except Exception:  # a damaged EXIF block makes PIL raise anything from struct.error to SyntaxError
         return Exif()
     orientation = _number(base.get(_ORIENTATION, 1))
@@ -143,14 +143,14 @@ def _height(gps: dict) -> float:
 
 
 def _time(base: Any, detail: dict) -> tuple[float, bool]:
-    text = _text(detail.get(_TIME_ORIGINAL)) or _text(base.get(_DATE_TIME))
+    text = _text(detail.get(TIME_ORIGINAL)) or _text(base.get(_DATE_TIME))
     try:
         stamp = datetime.strptime(text[:19], "%Y:%m:%d %H:%M:%S")
     except ValueError:
         return NAN, False
-    fraction = _text(detail.get(_SUBSEC_ORIGINAL))
+    fraction = _text(detail.get(SUBSEC_ORIGINAL))
     seconds = float(f"0.{fraction}") if fraction.isdigit() else 0.0
-    offset = re.fullmatch(r"([+-])(\d\d):(\d\d)", _text(detail.get(_OFFSET_ORIGINAL)))
+    offset = re.fullmatch(r"([+-])(\d\d):(\d\d)", _text(detail.get(OFFSET_ORIGINAL)))
     shift = timedelta()
     if offset:
         shift = timedelta(hours=int(offset[2]), minutes=int(offset[3])) * (1 if offset[1] == "+" else -1)

@@ -1,0 +1,238 @@
+"""Glue of scan for videos: their clocks, the offsets between those of a rig, and their pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from tiegraph.errors import InputError
+from tiegraph.pipeline.foundrig import rig_of_run
+from tiegraph.project.run import Run
+from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.tuning import OffsetTuning, PicturesTuning, Tuning
+from tiegraph.scan.video import Pictures, find_videos, nearest, open_video, picture_folders, sharpest, take_pictures
+from tiegraph.scan.videomotion import MotionCurve, motion_curve
+from tiegraph.scan.videooffset import Offset, find_offset
+from tiegraph.scan.videorig import Film, films_together, offsets_given
+from tiegraph.scan.videotime import VideoClock, video_clock
+from tiegraph.scene.images import find_images, has_images
+from tiegraph.scene.names import clean
+from tiegraph.scene.regular import regular
+
+
+@dataclass(frozen=True)
+class _Video:
+    """A video as one look at it found it, and when it began."""
+
+    path: Path
+    folder: str
+    clock: VideoClock
+    width: int = 0  # 0: cannot be decoded
+    height: int = 0
+    fps: float = 0.0
+    offset_s: float = 0.0  # to be added to its stamps to get those of its rig's first
+
+    @property
+    def name(self) -> str:
+        """Its file name, as it may be shown."""
+        return clean(self.path.name)
+
+
+@dataclass(frozen=True)
+class _Job:
+    """Pictures to take: the sharpest of each stretch, or those at numbered stamps."""
+
+    video: _Video
+    target: Path
+    numbers: tuple[int, ...] | None = None
+    stamps_s: tuple[float, ...] = ()
+
+
+def photographs(run: Run) -> tuple[Path, tuple[str, ...]]:
+    """The folder of images: the user's own, or of the pictures taken from the videos in it; and what to say of them.
+
+    Raises InputError where videos of a rig do not tell when each began, and where fewer than two pictures come of all.
+    """
+    images = run.inputs.images
+    found = find_videos(images)
+    if not found:
+        return images, ()
+    if has_images(images):
+        return images, (f"{len(found)} videos beside the images are left out: give them in a folder of their own",)
+    settings, tuning = run.settings.scan, run.settings.tuning.scan
+    folder = run.path("images") / ".video"
+    run.reporter.total(2 * len(found))
+    items = [(images / v, f) for v, f in zip(found, picture_folders(found))]
+    videos = run.map(_look, items, settings, tuning.pictures)
+    videos, groups, said = _in_time(run, videos)
+    first = [_Job(videos[g[0]], folder / videos[g[0]].folder) for g in groups]
+    taken = run.map(_take, first, settings.video_fps, tuning.pictures)
+    others = [
+        _Job(
+            video=videos[k],
+            target=folder / videos[k].folder,
+            numbers=p.numbers,
+            stamps_s=tuple(s - videos[k].offset_s for s in p.stamps_s),
+        )
+        for g, p in zip(groups, taken)
+        for k in g[1:]
+    ]
+    beside = run.map(_take, others, settings.video_fps, tuning.pictures)
+    notes = [p.said for p in (*taken, *beside)] + said + [_apart(j, p) for j, p in zip(others, beside)]
+    if not has_images(folder) or len(find_images(folder)) < 2:
+        raise InputError(f"{images}: at least 2 pictures are needed: {'; '.join(notes)}")
+    clocks = [v.clock.note for v in videos if v.width]
+    late = _at_once([(videos[g[0]], p) for g, p in zip(groups, taken) if p.stamps_s], tuning.pictures.creation_apart_s)
+    return folder, tuple(filter(None, notes + clocks + _unknown_starts(videos, groups) + late))
+
+
+def _at_once(recorded: Sequence[tuple[_Video, Pictures]], least_s: float) -> list[str]:
+    """A note if recordings of known clocks overlap in time, as chapters do that all have the time of the first."""
+    spans = sorted(
+        (v.clock.start_s + p.stamps_s[0], v.clock.start_s + p.stamps_s[-1], v.name, v.folder)
+        for v, p in recorded
+        if v.clock.known
+    )
+    for (_, end, name, _), (begin, _, later, folder) in zip(spans, spans[1:]):
+        if begin < end - least_s:
+            return [
+                f"{name} and {later} were recorded at the same time by their clocks, for {end - begin:.0f} s: if one "
+                f"camera took both, one of them is wrong: --scan.video-offset {folder}=SECONDS"
+            ]
+    return []
+
+
+def _unknown_starts(videos: Sequence[_Video], groups: Sequence[tuple[int, ...]]) -> list[str]:
+    """What to say of recordings one after another that all count from zero."""
+    lost = [videos[g[0]] for g in groups if videos[g[0]].width and not videos[g[0]].clock.known]
+    told = [v for v in lost if v.offset_s]
+    if len(lost) < 2 or len(told) >= len(lost) - 1:
+        return []
+    names = " and ".join(v.name for v in lost[:2])
+    return [
+        f"{len(lost)} videos, such as {names}, each count from their own start: positions by time would put them on "
+        f"top of each other; --scan.video-offset {lost[1].folder}=SECONDS says when each began, or --times"
+    ]
+
+
+def _look(item: tuple[Path, str], settings: ScanSettings, tuning: PicturesTuning) -> _Video:
+    path, folder = item
+    try:
+        regular(path, None)
+    except OSError:
+        return _Video(path, folder, VideoClock())
+    with open_video(path, tuning) as opened:
+        frame = next(opened.frames(), None)
+    if frame is None:
+        return _Video(path, folder, VideoClock())
+    height, width = frame[1].shape[:2]
+    clock = video_clock(path, settings, tuning)
+    return _Video(path=path, folder=folder, clock=clock, width=width, height=height, fps=opened.fps)
+
+
+def _in_time(run: Run, videos: Sequence[_Video]) -> tuple[list[_Video], list[tuple[int, ...]], list[str]]:
+    """The videos with their offsets, those of a rig on the clock of its first, the groups of them, and notes."""
+    tuning = run.settings.tuning.scan
+    groups = _groups(run, videos)
+    told = offsets_given([v.folder for v in videos], run.settings.scan)
+    out = [replace(v, offset_s=told.get(k, 0.0)) for k, v in enumerate(videos)]
+    asked = {k: g[0] for g in groups for k in g[1:] if k not in told}
+    moving = sorted({*asked, *asked.values()})
+    curves = dict(zip(moving, run.map(_curve, [videos[k] for k in moving], tuning)))
+    pairs = [(curves[first], curves[k]) for k, first in asked.items()]
+    offsets = dict(zip(asked, run.map(_offset, pairs, tuning.offset)))
+    notes = []
+    for group in groups:
+        first = out[group[0]]
+        for k in group[1:]:
+            how = "as --scan.video-offset says"
+            if k not in told:
+                found = offsets[k]
+                _check(found, first, out[k])
+                out[k] = replace(out[k], offset_s=found.seconds)
+                sigma = f"{1e3 * found.sigma_s:.1f} ms"
+                how = f"sigma {sigma}, by the motion of the pictures in the {found.shared_s:.1f} s that both show"
+            notes.append(f"{out[k].name} begins {out[k].offset_s:+.4f} s after {first.name} ({how})")
+            notes += _contradiction(first.clock, out[k], tuning.pictures.creation_apart_s)
+        _share_clock(out, group)
+    return out, groups, notes
+
+
+def _groups(run: Run, videos: Sequence[_Video]) -> list[tuple[int, ...]]:
+    """Numbers of the videos that a rig recorded together; the first is the one of its first camera."""
+    good = [k for k, v in enumerate(videos) if v.width]
+    alone: list[tuple[int, ...]] = [(k,) for k, v in enumerate(videos) if not v.width]
+    if not good:
+        return alone
+    films = [Film(videos[k].folder, videos[k].width, videos[k].height) for k in good]
+    rig, known = run.inputs.rig, rig_of_run(run.inputs.rig)
+    text = None if known is None else known.text
+    try:
+        together = films_together(films, rig, text, run.settings.scan, run.settings.tuning.scan)
+    except InputError as error:
+        broken = ", ".join(v.name for v in videos if not v.width)
+        raise InputError(f"{error}" + (f"; {broken} cannot be decoded" if broken else "")) from None
+    return [tuple(good[f] for f in g) for g in together] + alone
+
+
+def _check(offset: Offset, first: _Video, other: _Video) -> None:
+    if offset.refused:
+        raise InputError(
+            f"{other.name}: the motion of its pictures does not tell when it began after {first.name}, whose rig it is "
+            f"of: {offset.refused}. Give --scan.video-offset {other.folder}=SECONDS (0 if they began together), or "
+            "--scan.layout sequence if they are passes of one camera"
+        )
+
+
+def _contradiction(first: VideoClock, other: _Video, most_s: float) -> list[str]:
+    """A note if the times at which two videos say that they began differ otherwise than they do."""
+    by_clock = other.clock.start_s - first.start_s
+    if not (first.known and other.clock.known) or abs(by_clock - other.offset_s) <= most_s:
+        return []
+    return [f"{other.name}: by its own clock it would begin {by_clock:+.0f} s after: that of the first is used"]
+
+
+def _share_clock(videos: list[_Video], group: Sequence[int]) -> None:
+    """Puts the videos of a group on one clock: that of the first whose start is known."""
+    first = videos[group[0]]
+    lead = next((videos[k] for k in group if videos[k].clock.known), first)
+    start = lead.clock.start_s - (0.0 if lead is first else lead.offset_s) + first.offset_s
+    for k in group:
+        late = 0.0 if k == group[0] else videos[k].offset_s
+        clock = replace(videos[k].clock, start_s=start + late, known=lead.clock.known, utc=lead.clock.utc)
+        videos[k] = replace(videos[k], clock=clock)
+
+
+def _curve(video: _Video, tuning: Tuning) -> MotionCurve:
+    with open_video(video.path, tuning.pictures) as opened:
+        return motion_curve(opened.frames(), tuning.motion)
+
+
+def _offset(curves: tuple[MotionCurve, MotionCurve], tuning: OffsetTuning) -> Offset:
+    return find_offset(*curves, tuning)
+
+
+def _take(job: _Job, per_second: float, tuning: PicturesTuning) -> Pictures:
+    video = job.video
+    if job.numbers is None:
+        choice = sharpest(per_second, tuning)
+    else:
+        choice = nearest(job.numbers, job.stamps_s, tuning.nearest_steps / video.fps)
+    return take_pictures(video.path, job.target, choice, video.clock, tuning)
+
+
+def _apart(job: _Job, taken: Pictures) -> str:
+    """How far the pictures of another camera lie from the instants of the first's."""
+    if job.numbers is None or not taken.stamps_s:
+        return ""
+    wanted = dict(zip(job.numbers, job.stamps_s))
+    off = np.abs([s - wanted[n] for n, s in zip(taken.numbers, taken.stamps_s)])
+    lacking = len(job.numbers) - len(taken.numbers)
+    more = f"; {lacking} of {len(job.numbers)} instants are not in it" if lacking else ""
+    return (
+        f"{job.video.name}: its pictures lie {1e3 * np.median(off):.1f} ms from the instants of the first camera's, at "
+        f"most {1e3 * np.max(off):.1f} ms{more}"
+    )

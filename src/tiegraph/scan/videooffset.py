@@ -1,0 +1,177 @@
+"""When one video of a rig began after another: by the motion of their pictures.
+
+Two cameras on one body turn together, so the motion of one picture is a linear function of the motion of the other at
+the same instant, of unknown coefficients (their axes and lenses differ). The likelihood of an offset is that of the
+best linear relation: the mutual information of two Gaussian signals, -1/2 log(det C / (det Cx det Cy)) a sample. The
+motion is made white by its own first autocorrelation before, or any two slow turns would fit. Between frames both
+curves are interpolated alike, by half the change of the offset, on grids of several phases, so that the smoothing of
+one does not draw the offset to whole frames.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from tiegraph.scan.tuning import OffsetTuning
+from tiegraph.scan.videomotion import CHANNELS, MotionCurve
+
+# Resolution of the search, not decisions:
+_PHASES = 4  # grids between two steps
+_FINE = 12  # offsets tried between two steps
+
+
+@dataclass(frozen=True)
+class Offset:
+    """What to add to the stamps of a video to get those of another, and its sigma; or ``refused``: why none is told."""
+
+    seconds: float = float("nan")
+    sigma_s: float = float("nan")
+    shared_s: float = 0.0  # seconds that both videos show
+    refused: str = ""
+
+
+def find_offset(first: MotionCurve, second: MotionCurve, tuning: OffsetTuning) -> Offset:
+    """The offset of ``second`` to ``first``.
+
+    Its sigma is that of a jackknife over blocks of what they share, or half of what the two halves of it differ by, if
+    that is more, and what interpolation adds. Refused where another offset fits nearly as well, or the halves
+    contradict each other.
+    """
+    few = min(len(first.stamp_s), len(second.stamp_s))
+    if few < tuning.least_frames:
+        return Offset(refused=f"{few} frames are too few")
+    step = max(first.step_s(), second.step_s())
+    coarse = _Pair(first, second, max(step, tuning.coarse_s), tuning)
+    fine = _Pair(first, second, step, tuning)
+    rough, refused = _stands_out(fine, _candidates(coarse, tuning), coarse.step_s, tuning)
+    if refused:
+        return Offset(refused=refused)
+    sums = _BlockSums(fine, rough, 1.5 * coarse.step_s, tuning)
+    every = np.ones(tuning.blocks, bool)
+    early = np.arange(tuning.blocks) < tuning.blocks // 2
+    best, apart = sums.peak(every), sums.peak(early) - sums.peak(~early)
+    left_out = np.array([sums.peak(np.arange(tuning.blocks) != k) for k in range(tuning.blocks)])
+    jackknife = float(np.sqrt((tuning.blocks - 1) * np.mean((left_out - left_out.mean()) ** 2)))
+    sigma = float(np.hypot(max(jackknife, abs(apart) / 2), tuning.smoothing * step))
+    if sigma > tuning.most_sigma * step:
+        return Offset(refused=f"its motion says {best:+.3f} s, but its halves differ by {abs(apart):.3f} s")
+    begin, end = fine.shared(best)
+    return Offset(best, sigma, end - begin)
+
+
+def _candidates(pair: _Pair, tuning: OffsetTuning) -> list[float]:
+    """The likeliest offsets, best first, each apart from the others, of all that leave enough to compare."""
+    offsets = pair.offsets(tuning.least_s)
+    likelihood = np.array([pair.likelihood(o) for o in offsets])
+    found: list[float] = []
+    for k in np.argsort(-likelihood, kind="stable"):
+        if len(found) == tuning.candidates:
+            break
+        if all(abs(offsets[k] - f) > tuning.apart_steps * pair.step_s for f in found):
+            found.append(float(offsets[k]))
+    return found
+
+
+def _stands_out(pair: _Pair, candidates: list[float], reach_s: float, tuning: OffsetTuning) -> tuple[float, str]:
+    """The likeliest of some offsets, each looked at in quarters of steps about it; and why it is not to be believed."""
+    if not candidates:
+        return 0.0, f"the videos are shorter than the {tuning.least_s:g} s that are compared at least"
+    around = pair.step_s / 4 * np.arange(-int(4 * reach_s / pair.step_s), int(4 * reach_s / pair.step_s) + 1)
+    tried = [[pair.likelihood(c + o) for o in around] for c in candidates]
+    likelihood = np.max(tried, axis=1)
+    order = np.argsort(-likelihood, kind="stable")
+    offset = [c + around[int(np.argmax(row))] for c, row in zip(candidates, tried)]
+    best, second = offset[order[0]], float(likelihood[order[1]]) if len(order) > 1 else 0.0
+    if likelihood[order[0]] < tuning.least_gain * max(second, CHANNELS**2 / 2):
+        also = f"; {offset[order[1]]:+.2f} s fits nearly as well" if len(order) > 1 else ""
+        return 0.0, f"no offset stands out ({best:+.2f} s fits best{also})"
+    return float(best), ""
+
+
+def _information(covariance: np.ndarray, noise_px: float) -> float:
+    """Mutual information a sample (nats) of the two halves of jointly Gaussian signals of zero mean."""
+    noisy = covariance + noise_px**2 * np.eye(len(covariance))
+    half = len(covariance) // 2
+    parts = np.linalg.slogdet(noisy[:half, :half])[1] + np.linalg.slogdet(noisy[half:, half:])[1]
+    return float(0.5 * (parts - np.linalg.slogdet(noisy)[1]))
+
+
+class _Pair:
+    """The white motion of two videos in equal steps of time, for any offset between them."""
+
+    def __init__(self, first: MotionCurve, second: MotionCurve, step_s: float, tuning: OffsetTuning) -> None:
+        self.step_s, self._tuning = step_s, tuning
+        self._splines = [CubicSpline(c.stamp_s, c.moved_px) for c in (first, second)]
+        self._ends = [(float(c.stamp_s[0]), float(c.stamp_s[-1])) for c in (first, second)]
+        colour = [
+            _autocorrelation(np.diff(s(np.arange(*e, step_s)), axis=0)) for s, e in zip(self._splines, self._ends)
+        ]
+        self._colour = float(np.mean(colour))
+
+    def offsets(self, least_s: float) -> np.ndarray:
+        """Offsets in half steps at which the videos share ``least_s`` seconds."""
+        (a, b), (c, d) = self._ends
+        low, high = a - d + least_s, b - c - least_s
+        return (
+            low + self.step_s / 2 * np.arange(int((high - low) / (self.step_s / 2)) + 1) if high >= low else np.zeros(0)
+        )
+
+    def shared(self, offset_s: float) -> tuple[float, float]:
+        """First and last stamp of the first video that the second shows too."""
+        (a, b), (c, d) = self._ends
+        return max(a, c + offset_s), min(b, d + offset_s)
+
+    def likelihood(self, offset_s: float) -> float:
+        """Of an offset, by all that the videos share at it (nats); 0 where that is less than ``least_s``."""
+        begin, end = self.shared(offset_s)
+        if end - begin < self._tuning.least_s:
+            return 0.0
+        at = begin + self.step_s * np.arange(int((end - begin) / self.step_s + 1e-9) + 1)
+        moved = self.moved(at, at - offset_s)
+        return len(moved) * _information(moved.T @ moved / len(moved), self._tuning.noise_px)
+
+    def moved(self, first_s: np.ndarray, second_s: np.ndarray) -> np.ndarray:
+        """(n, 2 CHANNELS) motion of both a step, less what the step before foretells, at stamps (n + 2,) of each."""
+        both = np.hstack([np.diff(s(t), axis=0) for s, t in zip(self._splines, (first_s, second_s))])
+        white = both[1:] - self._colour * both[:-1]
+        return white - white.mean(axis=0)
+
+
+def _autocorrelation(moved: np.ndarray) -> float:
+    """Of the next step, mean over the channels that move."""
+    centred = moved - moved.mean(axis=0)
+    power = np.sum(centred**2, axis=0)
+    return float(np.sum(centred[1:] * centred[:-1] / np.where(power > 0, power, np.inf)) / CHANNELS)
+
+
+class _BlockSums:
+    """Second moments of the motion by offset and block of time, about a rough offset."""
+
+    def __init__(self, pair: _Pair, rough_s: float, reach_s: float, tuning: OffsetTuning) -> None:
+        fine = pair.step_s / _FINE
+        count = int(np.ceil(reach_s / fine))
+        self._change = fine * np.arange(-count, count + 1)
+        self._rough_s, self._near_s, self._noise_px = rough_s, tuning.near_steps * pair.step_s, tuning.noise_px
+        begin, end = pair.shared(rough_s)
+        at = np.arange(begin + reach_s, end - reach_s - pair.step_s, pair.step_s)
+        block = np.arange(max(len(at) - 2, 0)) * tuning.blocks // max(len(at) - 2, 1)
+        self._sums = np.zeros((len(self._change), tuning.blocks, 2 * CHANNELS, 2 * CHANNELS))
+        self._count = np.bincount(block, minlength=tuning.blocks)
+        for phase in pair.step_s * np.arange(_PHASES) / _PHASES:
+            for k, change in enumerate(self._change):
+                moved = pair.moved(at + phase + change / 2, at + phase - rough_s - change / 2)
+                for b in range(tuning.blocks):
+                    self._sums[k, b] += moved[block == b].T @ moved[block == b] / _PHASES
+
+    def peak(self, blocks: np.ndarray) -> float:
+        """The most likely offset by some of the blocks (B,): the top of a parabola about the best one tried."""
+        count = self._count[blocks].sum()
+        likelihood = np.array([_information(s[blocks].sum(axis=0) / count, self._noise_px) for s in self._sums])
+        best = self._change[int(np.argmax(likelihood))]
+        near = np.abs(self._change - best) <= self._near_s
+        curved, slope, _ = np.polyfit(self._change[near] - best, likelihood[near], 2)
+        top = -slope / (2 * curved) if curved < 0 else 0.0
+        return float(self._rough_s + best + np.clip(top, -self._near_s, self._near_s))
