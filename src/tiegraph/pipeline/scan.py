@@ -14,6 +14,7 @@ from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scan.scan import ScanInputs, build_scene, prepare_image, probe_image
 from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.startmodel import read_start
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.video import find_videos, picture_folders, take_pictures
 from tiegraph.scene.images import find_images, has_images, search_images
@@ -38,6 +39,7 @@ def scan(run: Run) -> Outcome:
         camera=given.camera,
         gnss=given.gnss,
         trajectory=given.trajectory,
+        start=None if given.start is None else read_start(given.start),
         times=given.times,
         video=root != given.images,
     )

@@ -8,15 +8,20 @@ camera.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import pycolmap
+
 from tiegraph.errors import InputError
-from tiegraph.scan.assign import Survey
+from tiegraph.scan.assign import Survey, some
 from tiegraph.scan.camerafile import PROGRAMS, check_lens, in_words, read_camera_file
 from tiegraph.scan.cameraread import FoundCamera, only_one
+from tiegraph.scan.poses import images_by_name
 from tiegraph.scan.rigfile import camera_table
 from tiegraph.scan.rigspec import SensorSpec
+from tiegraph.scan.startmodel import StartModel
 from tiegraph.scan.tuning import CameraTuning, RigTuning
 from tiegraph.scene.regular import names_file, regular
 
@@ -101,6 +106,65 @@ def _takers(
         n: getattr(given, n) for n in ("model", "size", "params", "focal_px", "hfov_deg", "camera_sigma_px", "at")
     }
     return {key: replace(sensor, **camera)}
+
+
+def with_start_cameras(
+    survey: Survey, sizes: dict[tuple[int, int], tuple[int, int]], start: StartModel, notes: list[str],
+    names: Sequence[str], tuning: CameraTuning,
+) -> Survey:  # fmt: skip
+    """The survey with the cameras of a start model where nobody gave one: a start, to be adjusted.
+
+    ``sizes`` as for ``with_camera``; ``names`` of the images' files. Raises InputError for a camera of images of
+    another shape.
+    """
+    taken_by = images_by_name(list(start.cameras), start.path, names) if start.cameras else {}
+    cameras, specs, given = list(start.cameras.values()), list(survey.specs), []
+    for (r, k), size in sizes.items():
+        sensor = specs[r].sensors[k]
+        own = [taken_by[s.image] for s in survey.shots if (s.rig, s.sensor) == (r, k) and s.image in taken_by]
+        if not own:
+            continue
+        if sensor.params is not None or sensor.focal_px is not None or (sensor.hfov_deg is not None and specs[r].file):
+            given.append(sensor.name)
+            continue
+        found = _middle([cameras[row] for row in own], sensor.name, notes)
+        if found is None:
+            continue
+        if not _same_shape(found.size, size, tuning):
+            w, h = found.size or size
+            raise InputError(
+                f"{found.where}: its images of {sensor.name!r} have {w} x {h}, those here {size[0]} x {size[1]}: start "
+                "from a model of these images (not undistorted, cropped or turned)"
+            )
+        check_lens(found, tuning)
+        focal = (
+            tuning.start_focal
+            * pycolmap.Camera(
+                model=found.model, width=size[0], height=size[1], params=list(found.params)
+            ).mean_focal_length()
+        )
+        changed = replace(
+            sensor, model=found.model, size=found.size, params=found.params, camera_sigma_px=focal, at=found.where
+        )
+        specs[r] = replace(specs[r], sensors=tuple(changed if n == k else s for n, s in enumerate(specs[r].sensors)))
+    if given:
+        notes.append(f"{some(given)}: the cameras given are used, not those of the start model")
+    return replace(survey, specs=tuple(specs))
+
+
+def _middle(cameras: list[FoundCamera], name: str, notes: list[str]) -> FoundCamera | None:
+    """The camera of a sensor of those that a model has for its images: the one of the middle focal length, which is
+    the first parameter of every model; None if they are of several models or sizes."""
+    different = list(dict.fromkeys(cameras))
+    if len({(c.model, c.size) for c in different}) > 1:
+        notes.append(f"{name}: the start model has cameras of several models or sizes for it: none is taken")
+        return None
+    order = sorted(different, key=lambda c: c.params[0])
+    if len(order) > 1:
+        low, high = order[0].params[0], order[-1].params[0]
+        focal = f"focal length {low:.1f} to {high:.1f} px"
+        notes.append(f"{name}: of {len(order)} cameras of the start model ({focal}) the middle one is taken")
+    return order[len(order) // 2]
 
 
 def _same_shape(given: tuple[int, int] | None, size: tuple[int, int], tuning: CameraTuning) -> bool:
