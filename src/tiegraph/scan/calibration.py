@@ -143,9 +143,8 @@ def with_start_cameras(
                 model=found.model, width=size[0], height=size[1], params=list(found.params)
             ).mean_focal_length()
         )
-        changed = replace(
-            sensor, model=found.model, size=found.size, params=found.params, camera_sigma_px=focal, at=found.where
-        )
+        changed = replace(sensor, model=found.model, size=found.size, params=found.params, at=found.where)
+        changed = replace(changed, camera_sigma_px=focal, started=True)
         specs[r] = replace(specs[r], sensors=tuple(changed if n == k else s for n, s in enumerate(specs[r].sensors)))
     if given:
         notes.append(f"{some(given)}: the cameras given are used, not those of the start model")

@@ -280,7 +280,8 @@ def _laid(
             fit, _ = robust_umeyama(poses[good, :3, 3], target[good], sigma[good, 0])
             antenna = fit(poses[:, :3, 3])
             rms = float(np.sqrt(np.mean(np.sum((antenna[good] - target[good]) ** 2, axis=1))))
-            return _Laid(fit.rotation @ poses[:, :3, :3], antenna, fit.scale, rms, how="by a similarity")
+            turned = fit.rotation @ poses[:, :3, :3]
+            return _Laid(rotation=turned, antenna=antenna, scale=fit.scale, rms_m=rms, how="by a similarity")
     return _lay_on_gnss(poses, target, sigma, frames, rows, tuning)
 
 

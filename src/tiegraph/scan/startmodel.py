@@ -72,7 +72,7 @@ def _colmap(folder: Path) -> Found:
     poses = poses_of_model(model)
     return Found(
         poses=poses,
-        cameras={i.name: cameras[i.camera_id] for i in model.images.values()},
+        cameras={i.name: cameras[i.camera_id] for i in sorted(model.images.values(), key=lambda i: i.name)},
         unposed=len(model.images) - len(poses),
         notes=notes,
     )

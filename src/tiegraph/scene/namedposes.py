@@ -55,7 +55,7 @@ def check_poses(found: dict[str, np.ndarray], path: Path) -> None:
 
 def poses_of_model(model: Any) -> dict[str, np.ndarray]:
     """world_from_camera (4, 4) by image name of a ``pycolmap.Reconstruction``."""
-    posed = (i for i in model.images.values() if i.has_pose)
+    posed = sorted((i for i in model.images.values() if i.has_pose), key=lambda i: i.name)
     return {i.name: transforms.invert(matrix(i.cam_from_world())) for i in posed}
 
 

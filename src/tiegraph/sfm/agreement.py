@@ -74,8 +74,8 @@ def told(found: Agreement, scene: Scene, tuning: AgreementTuning) -> tuple[str, 
     if not len(bad):
         return f"start model: {agree}", False
     names = ", ".join(scene.names[k] for k in bad[:_NAMED]) + (" ..." if len(bad) > _NAMED else "")
-    turned, off = np.median(found.turned_deg[bad]), np.nanmedian(np.append(found.off[bad], np.nan))
-    where = f" and {off:.2g} of that distance off" if np.isfinite(off) else ""
+    turned, off = np.median(found.turned_deg[bad]), found.off[found.bad & np.isfinite(found.off)]
+    where = f" and {np.median(off):.2g} of that distance off" if len(off) else ""
     text = f"{len(bad)} images do not: turned against the others by {turned:.2g} deg{where} (median), such as {names}"
     why = (
         "is it of another survey, or are images named otherwise?" if found.share > tuning.most else "is it bent there?"

@@ -96,7 +96,7 @@ def _notes(
 ) -> tuple[str, ...]:
     notes = []
     if not settings.range_m:
-        unit = "m" if scene.metric_positions() else "units of the start model"
+        unit = "m" if scene.metric_positions() else "units"
         notes.append(
             f"poses: distance to the object taken as {reach:.1f} {unit} (ten times the distance between frames)"
         )
