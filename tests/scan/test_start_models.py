@@ -86,13 +86,12 @@ def test_a_start_measures_nothing_and_is_never_in_metres(tmp_path: Path) -> None
 
 
 def test_its_camera_is_a_start_and_no_calibration(tmp_path: Path) -> None:
-    scene = scan(photographs(tmp_path), LOOSE, start=read_start(FORMATS["Metashape file"](tmp_path)))
-    (sensor,) = scene.rigs[0].sensors
-    assert sensor.camera_sigma_px == pytest.approx(0.01 * FOCAL_PX) and not scene.rigs[0].measured()
-    given = replace(sensor, camera_sigma_px=None)
-    principal = pycolmap.Camera(model="PINHOLE", width=64, height=48, params=[60.0, 60, 33, 24])
-    principal.has_prior_focal_length = True
-    assert replace(scene.rigs[0], sensors=(replace(given, camera=principal),)).measured()
+    start = read_start(metashape_file(tmp_path / "c.xml", walk(), lens="<cx>1.5</cx><cy>-0.5</cy>"))
+    (rig,) = scan(photographs(tmp_path), LOOSE, start=start).rigs
+    (sensor,) = rig.sensors
+    assert sensor.camera is not None and sensor.camera.principal_point_x == pytest.approx(33.5, abs=1e-6)
+    assert sensor.camera_sigma_px == pytest.approx(0.01 * FOCAL_PX, rel=1e-3) and not rig.measured()
+    assert replace(rig, sensors=(replace(sensor, camera_sigma_px=None),)).measured()
 
 
 def test_a_camera_that_the_user_gives_stays(tmp_path: Path) -> None:
@@ -114,6 +113,26 @@ def test_cameras_of_another_shape_are_refused_and_of_another_size_scaled(tmp_pat
         picture(tmp_path / "in" / f"a_{k}.jpg", (WIDTH, WIDTH))
     with pytest.raises(InputError, match=r"transforms_train.json.*64 x 48, those here 64 x 64: start from a model of"):
         scan(tmp_path / "in", LOOSE, start=start)
+
+
+@pytest.mark.parametrize(
+    "words, most_px",
+    [("OPENCV 64 48 60 60.3 33 23 -0.05 0.01 0.0005 -0.0003", 0.2), ("PINHOLE 64 48 60 60 32 24", 1e-9),
+     ("FULL_OPENCV 64 48 60 60 32 24 -0.05 0.01 0 0 0.002 0 0 0", 0.02)],
+)  # fmt: skip
+def test_a_perspective_camera_is_adjusted_from_the_nearest_radial_one(
+    tmp_path: Path, words: str, most_px: float
+) -> None:
+    """Of it nothing runs off that a straight survey does not tell: fy beside fx, tangential and high terms."""
+    folder = colmap_model(tmp_path / "m", walk())
+    (folder / "cameras.txt").write_text(f"7 {words}\n")
+    camera = scan(photographs(tmp_path), LOOSE, start=read_start(folder)).rigs[0].sensors[0].camera
+    assert camera is not None and camera.model.name == "RADIAL"
+    model, width, height, *params = words.split()
+    given = pycolmap.Camera(model=model, width=int(width), height=int(height), params=[float(v) for v in params])
+    rays = np.array([[x, y, 1.0] for x in np.linspace(-0.5, 0.5, 5) for y in np.linspace(-0.35, 0.35, 5)])
+    off = np.linalg.norm(camera.img_from_cam(rays) - given.img_from_cam(rays), axis=1)
+    assert off.max() < most_px
 
 
 def test_of_several_cameras_the_middle_one_is_taken(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pycolmap
 
 from tiegraph.errors import InputError
@@ -23,6 +24,7 @@ from tiegraph.scan.rigfile import camera_table
 from tiegraph.scan.rigspec import SensorSpec
 from tiegraph.scan.startmodel import StartModel
 from tiegraph.scan.tuning import CameraTuning, RigTuning
+from tiegraph.scene.rays import on_plane
 from tiegraph.scene.regular import names_file, regular
 
 WORDS = (
@@ -137,18 +139,41 @@ def with_start_cameras(
                 "from a model of these images (not undistorted, cropped or turned)"
             )
         check_lens(found, tuning)
-        focal = (
-            tuning.start_focal
-            * pycolmap.Camera(
-                model=found.model, width=size[0], height=size[1], params=list(found.params)
-            ).mean_focal_length()
-        )
+        found = _adjustable(found, size)
+        focal = tuning.start_focal * found.params[0]
         changed = replace(sensor, model=found.model, size=found.size, params=found.params, at=found.where)
         changed = replace(changed, camera_sigma_px=focal, started=True)
         specs[r] = replace(specs[r], sensors=tuple(changed if n == k else s for n, s in enumerate(specs[r].sensors)))
     if given:
         notes.append(f"{some(given)}: the cameras given are used, not those of the start model")
     return replace(survey, specs=tuple(specs))
+
+
+def _adjustable(found: FoundCamera, size: tuple[int, int]) -> FoundCamera:
+    """The camera that a perspective one is adjusted from: the RADIAL that is nearest to it over its image.
+
+    Freed, the second focal length and the terms beyond of other models run off where a survey is straight; what a lens
+    has of them the final adjustment adds, with what is expected of lenses (``sfm.adjustment.lens``).
+    """
+    width, height = found.size or size
+    camera = pycolmap.Camera(model=found.model, width=width, height=height, params=list(found.params))
+    if found.model not in _PERSPECTIVE:
+        return found
+    grid = np.array([[u, v] for u in np.linspace(0, width, _GRID) for v in np.linspace(0, height, _GRID)])
+    plane = on_plane(camera, grid)
+    seen = np.isfinite(plane).all(axis=1)
+    plane, grid = plane[seen], grid[seen]
+    square = np.sum(plane**2, axis=1, keepdims=True)
+    # pixel = centre + f (1 + k1 r2 + k2 r4) (x, y) is linear in f, f k1, f k2 and the centre.
+    terms = np.stack([plane, plane * square, plane * square**2], axis=2).reshape(-1, 3)
+    middle = np.tile(np.eye(2), (len(plane), 1))
+    f, k1, k2, cx, cy = np.linalg.lstsq(np.hstack([terms, middle]), grid.ravel(), rcond=None)[0]
+    params = tuple(float(v) for v in (f, cx, cy, k1 / f, k2 / f))
+    return replace(found, model="RADIAL", params=params, size=(width, height))
+
+
+_PERSPECTIVE = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
+_GRID = 15  # points across an image at which cameras are compared
 
 
 def _middle(cameras: list[FoundCamera], name: str, notes: list[str]) -> FoundCamera | None:
