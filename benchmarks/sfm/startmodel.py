@@ -26,6 +26,7 @@ from scipy.spatial.transform import Rotation
 import tiegraph  # noqa: F401  before pycolmap
 from benchmarks import datasets
 from benchmarks.accuracy import evaluate
+from tiegraph.pipeline import STAGES
 from tiegraph.scan.startmodel import read_start
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.pairs import Pairs, source_bit
@@ -34,6 +35,7 @@ from tiegraph.scene.startplace import find_start
 
 VARIANTS = ("without", "started", "turned", "stretched", "shuffled")
 _TURN_DEG, _STRETCH, _SHARED = 20.0, 3.0, 15
+_UNTIL = [s.name for s in STAGES].index("georef") + 1
 
 
 def spoiled(poses: dict[str, np.ndarray], how: str) -> dict[str, np.ndarray]:
@@ -71,7 +73,7 @@ def run(images: Path, out: Path, more: list[str]) -> None:
 
 def figures(out: Path, dataset: datasets.Dataset, model: Path) -> dict[str, Any]:
     """Figures of a finished run; ``model``: the COLMAP model that others start from."""
-    told = {p.stem: json.loads(p.read_text()) for p in (out / "receipts").glob("*.json")}
+    told = {s.name: json.loads((out / "receipts" / f"{s.name}.json").read_text()) for s in STAGES[:_UNTIL]}
     models = sorted((p for p in (out / "sparse").iterdir() if p.name.isdigit()), key=lambda p: int(p.name))
     found = evaluate(models, dataset)
     return {
