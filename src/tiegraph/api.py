@@ -26,7 +26,7 @@ from tiegraph.scene.results import Cloud
 from tiegraph.scene.scene import Scene
 
 _NAMED = ("rig", "camera")  # each a file, or words
-_PATHS = ("gnss", "trajectory", "times")
+_PATHS = ("gnss", "trajectory", "start", "times")
 
 
 class Project:
@@ -166,7 +166,7 @@ def open_project(
 ) -> Project:
     """A project over a folder of images, or (``images=None``) the one that a run folder ``out`` remembers.
 
-    ``inputs``: rig (file or preset), camera (words or file), gnss, trajectory, times, gcp, marks. ``settings``:
+    ``inputs``: rig (file or preset), camera (words or file), gnss, trajectory, start, times, gcp, marks. ``settings``:
     {section: {name: value}} on top of the preset and of ``out``/tiegraph.toml, or complete Settings. ``unset``: inputs
     and settings ("gnss", "masks.folder") that ``out``/tiegraph.toml no longer holds. ``out`` defaults to
     ``<images>_tiegraph``.

@@ -14,8 +14,8 @@ inputs:
   --camera CAMERA   a single camera's calibration: a file, or MODEL,parameters
   --gnss FILE       positions: CSV, NMEA, .pos, GPX, KML, geo.txt, SBET, MRK
   --trajectory PATH poses: TUM, EuRoC, KITTI, transforms.json, a COLMAP model
-  --gcp FILE        control and check points: gcp_list.txt or a CSV
-  --marks CSV       their marks in the images, if in another file
+  --start MODEL     go on from COLMAP, OpenSfM/ODM, nerfstudio or Metashape
+  --gcp, --marks    control and check points; their marks, if in another file
   --times CSV       frames' times where EXIF has none: pass, frame, time
 
 options:

@@ -57,6 +57,10 @@ class RunOptions(Common):
     SBET or DJI's Timestamp.MRK."""
     trajectory: Path | None = None
     """Poses: a file of TUM, EuRoC or KITTI or a folder with one a pass, a transforms.json, or a COLMAP model."""
+    start: Path | None = None
+    """A model to go on from, of these images: a COLMAP model or workspace, OpenSfM's or ODM's reconstruction.json,
+    nerfstudio's transforms.json, or Metashape's camera XML. Its poses choose pairs and are tested, its cameras are a
+    start where none is given; its unit and place are not taken over. Not together with --trajectory."""
     gcp: Path | None = None
     """Ground control and check points: ODM's gcp_list.txt, or a CSV of points (name, x, y, z or name, lat, lon, height)
     and marks (name, image, px, py), as one table or two in one file (sets georef.gcp)."""
@@ -93,7 +97,7 @@ def main(arguments: list[str]) -> int:
 
     images, options, given = _cli(run, "tiegraph run", arguments)
     settings = _settings(default, given)
-    inputs = {n: getattr(options, n) for n in ("rig", "camera", "gnss", "trajectory", "times", *SETTING_OF)}
+    inputs = {n: getattr(options, n) for n in ("rig", "camera", "gnss", "trajectory", "start", "times", *SETTING_OF)}
     how = {"preset": options.preset, "pool": options.pool, "unset": options.unset}
     project = open_project(images, options.out, settings=settings, **how, **inputs)
     return finish(project, options.until, options.reporter())

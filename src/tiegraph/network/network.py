@@ -82,12 +82,12 @@ def join_network(
 
 
 def positions_of(scene: Scene, cam_from_world: np.ndarray | None) -> tuple[np.ndarray | None, str]:
-    """(F, 3) of the frames and their unit: the priors in m where most frames have one, else those of a model (N, 4, 4)
-    in its own units; None = nowhere."""
+    """(F, 3) of the frames and their unit: the priors (in m, or units of a start model) where most frames have one,
+    else those of a model (N, 4, 4) in its own units; None = nowhere."""
     prior = scene.world_from_rig[:, :3, 3]
     told = np.isfinite(prior).all(axis=1)
     if told.mean() >= 0.5 or cam_from_world is None:
-        return prior if told.any() else None, "m"
+        return prior if told.any() else None, "m" if scene.metric_positions() else "units"
     centre = transforms.centre(cam_from_world)
     out = np.full((scene.frames, 3), np.nan)
     for k in np.flatnonzero(np.isfinite(centre).all(axis=1))[::-1]:

@@ -24,6 +24,7 @@ from tiegraph.scan.calibration import read_camera
 from tiegraph.scan.perspective import PRESET
 from tiegraph.scan.rigfile import read_rig_file
 from tiegraph.scan.rigspec import preset_sizes
+from tiegraph.scan.startmodel import read_start
 from tiegraph.scan.trajectory import read_trajectory
 from tiegraph.scene.control import Control, locate
 from tiegraph.scene.gcp import read_gcps
@@ -45,6 +46,7 @@ def check_given(stages: Sequence[Stage], run: Run) -> None:
         ("--gnss", given.gnss, "file"),
         ("--times", given.times, "file"),
         ("--trajectory", given.trajectory, "file or folder"),
+        ("--start", given.start, "file or folder"),
     ):
         if path is not None:
             check_path(option, path, kind)
@@ -95,6 +97,8 @@ def _read_inputs(run: Run) -> None:
         read_camera(given.camera, tuning)
     if given.trajectory is not None and (given.trajectory.is_file() or has_named_poses(given.trajectory)):
         read_trajectory(given.trajectory)
+    if given.start is not None:
+        read_start(given.start)
     if given.gnss is not None:
         read_gnss(given.gnss, run.settings.tuning.scan.positions.gnss)
 

@@ -14,6 +14,7 @@ from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scan.scan import ScanInputs, build_scene, prepare_image, probe_image
 from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.startmodel import read_start
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.images import search_images
 from tiegraph.scene.names import clean_names
@@ -37,6 +38,7 @@ def scan(run: Run) -> Outcome:
         camera=given.camera,
         gnss=given.gnss,
         trajectory=given.trajectory,
+        start=None if given.start is None else read_start(given.start),
         times=given.times,
         video=root != given.images,
     )

@@ -6,9 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from tiegraph.pipeline.files import checked, load_npz, pairs_of, reading, refused_pairs
+from tiegraph.geometry import transforms
+from tiegraph.pipeline.files import checked, load_model, load_npz, load_scene, pairs_of, reading, refused_pairs
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
+from tiegraph.scan.poses import images_by_name
+from tiegraph.scan.startmodel import read_start
+from tiegraph.scene.colmapmodel import image_poses, tracks
+from tiegraph.sfm.agreement import agreement, told
 from tiegraph.sfm.mapper import Source, reconstruct
 
 
@@ -42,9 +47,30 @@ def sparse(run: Run) -> Outcome:
         if made.sigma.scale is not None:
             counts["scale_sigma"] = made.sigma.scale
     said = made.remarks
-    return Outcome(
-        counts, dropped=said.dropped, notes=said.notes, tables=made.tables, contradictions=said.contradictions
-    )
+    started = _against_start(run)
+    counts |= started.counts
+    notes, contradictions = (*said.notes, *started.notes), (*said.contradictions, *started.contradictions)
+    return Outcome(counts, dropped=said.dropped, notes=notes, tables=made.tables, contradictions=contradictions)
+
+
+def _against_start(run: Run) -> Outcome:
+    """What the largest model says of the one that the user started from."""
+    if run.inputs.start is None:
+        return Outcome({})
+    scene, start = load_scene(run.path("scene.json")), read_start(run.inputs.start)
+    model, tuning = load_model(run.path("sparse", "0")), run.settings.tuning.sfm.agreement
+    files = [scene.source_name(k) for k in range(len(scene))]
+    names = list(start.poses)
+    given = np.full((len(scene), 4, 4), np.nan)
+    for k, row in images_by_name(names, start.path, files).items():
+        given[k] = start.poses[names[row]]
+    made = transforms.invert(image_poses(model, scene))
+    xyz, image, point = tracks(model, scene)
+    reach = float(np.median(np.linalg.norm(xyz[point] - made[image, :3, 3], axis=1)))
+    found = agreement(given, made, reach, tuning)
+    text, contradicts = told(found, scene, tuning)
+    counts = {"start_images": int(found.both.sum()), "start_disagrees": int(found.bad.sum())}
+    return Outcome(counts, notes=() if contradicts else (text,), contradictions=(text,) if contradicts else ())
 
 
 def _between_sections(run: Run) -> tuple[tuple[int, int], ...]:

@@ -26,6 +26,7 @@ from tiegraph.project.software import software
 from tiegraph.project.stages import Stage, changed_parts, digest, engines, key_parts, stage_keys, stamp, write_atomic
 from tiegraph.scene.images import searched
 from tiegraph.scene.regular import names_file, regular
+from tiegraph.scene.startplace import find_start
 
 log = logging.getLogger("tiegraph")
 
@@ -42,18 +43,19 @@ class Inputs:
     trajectory: Path | None = None
     times: Path | None = None
     camera: str | None = None  # a calibration in words, or its file
+    start: Path | None = None  # a model to go on from
 
     def key(self) -> str:
         """Hash over names, sizes and times of all inputs."""
         of = self.parts()
-        files = [of[n] for n in ("--gnss", "--trajectory", "--times")]
+        files = [of[n] for n in ("--gnss", "--trajectory", "--times", *(("--start",) if self.start else ()))]
         return digest([of[_IMAGES][0], *of["--rig"], [of[_IMAGES][1], *files], *of["--camera"]])
 
     def parts(self) -> dict[str, Any]:
         """Names, sizes and times of each input, by what the user calls it; None for what is not given."""
         rig = _rig_stamp(Path(self.rig)) if self.rig and Path(self.rig).exists() else None
         camera = [self.camera, *(stamp(Path(self.camera)) if names_file(self.camera) else [])] if self.camera else []
-        files = {"--gnss": self.gnss, "--trajectory": self.trajectory, "--times": self.times}
+        files = self._files()
         return {
             _IMAGES: [str(self.images), stamp(searched(self.images))],
             "--rig": [self.rig, rig],
@@ -68,9 +70,7 @@ class Inputs:
         files = {
             "--rig": rig,
             "--camera": camera,
-            "--gnss": self.gnss,
-            "--trajectory": self.trajectory,
-            "--times": self.times,
+            **self._files(),
         }
         return {_IMAGES: searched(self.images), **{n: p for n, p in files.items() if p is not None}}
 
@@ -80,9 +80,20 @@ class Inputs:
             raise InputError(f"{self.images}: no such folder; give the folder that holds the survey's images")
         if not self.images.is_dir():
             raise InputError(f"{self.images} is a file; give the folder that holds the survey's images")
-        for option, path in (("--gnss", self.gnss), ("--trajectory", self.trajectory), ("--times", self.times)):
+        for option, path in self._files().items():
             if path is not None and not path.exists():
                 raise InputError(f"{option} {path}: no such file or folder")
+        if self.start is not None and self.trajectory is not None:
+            raise InputError(
+                f"--start {self.start} and --trajectory {self.trajectory}: both give poses: leave one out (if it is "
+                "stored, by --unset start or --unset trajectory)"
+            )
+
+    def _files(self) -> dict[str, Path | None]:
+        files = {"--gnss": self.gnss, "--trajectory": self.trajectory, "--times": self.times, "--start": self.start}
+        with suppress(InputError, OSError):  # of a project folder only the model is read; reading says if there is none
+            files["--start"] = None if self.start is None else find_start(self.start)[1]
+        return files
 
 
 def _rig_stamp(rig: Path) -> Any:

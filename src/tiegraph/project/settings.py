@@ -44,7 +44,16 @@ else:
     import tomli as tomllib
 
 _SHOWN = 80  # characters of a wrong value in a message
-RUN_KEYS = ("images", "rig", "camera", "gnss", "trajectory", "times", "preset")  # of [run]: the inputs of a run
+RUN_KEYS = (
+    "images",
+    "rig",
+    "camera",
+    "gnss",
+    "trajectory",
+    "start",
+    "times",
+    "preset",
+)  # of [run]: the inputs of a run
 SETTING_OF = {"gcp": ("georef", "gcp"), "marks": ("georef", "marks")}
 """Inputs that are settings of a stage, so that only what follows it runs again when they change."""
 

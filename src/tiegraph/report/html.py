@@ -87,7 +87,7 @@ def _scan(run: RunFolder) -> dict[str, Any]:
             ("frames", formatting.count(scene.frames)),
             ("rig", rigs[:200] + (" …" if len(rigs) > 200 else "")),
             ("passes", ", ".join(scene.sequences[:12]) or "none: loose photographs"),
-            ("prior poses", {"none": "none"}.get(scene.prior, scene.prior)),
+            ("prior poses", _prior(scene)),
         ]
     return {
         "facts": facts_,
@@ -176,6 +176,12 @@ def _residuals(run: RunFolder) -> str | None:
 
 def _three(value: Any) -> bool:
     return isinstance(value, (list, tuple)) and len(value) == 3 and all(isinstance(v, (int, float)) for v in value)
+
+
+def _prior(scene: Scene) -> str:
+    if not scene.started:
+        return scene.prior
+    return "start model" if scene.prior == "trajectory" else f"{scene.prior}, start model"
 
 
 def _three_d(run: RunFolder, settings: ReportSettings) -> dict[str, Any]:

@@ -8,16 +8,23 @@ camera.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+import pycolmap
+
 from tiegraph.errors import InputError
-from tiegraph.scan.assign import Survey
+from tiegraph.scan.assign import Survey, some
 from tiegraph.scan.camerafile import PROGRAMS, check_lens, in_words, read_camera_file
 from tiegraph.scan.cameraread import FoundCamera, only_one
+from tiegraph.scan.poses import images_by_name
 from tiegraph.scan.rigfile import camera_table
 from tiegraph.scan.rigspec import SensorSpec
+from tiegraph.scan.startmodel import StartModel
 from tiegraph.scan.tuning import CameraTuning, RigTuning
+from tiegraph.scene.rays import on_plane
 from tiegraph.scene.regular import names_file, regular
 
 WORDS = (
@@ -101,6 +108,87 @@ def _takers(
         n: getattr(given, n) for n in ("model", "size", "params", "focal_px", "hfov_deg", "camera_sigma_px", "at")
     }
     return {key: replace(sensor, **camera)}
+
+
+def with_start_cameras(
+    survey: Survey, sizes: dict[tuple[int, int], tuple[int, int]], start: StartModel, notes: list[str],
+    names: Sequence[str], tuning: CameraTuning,
+) -> Survey:  # fmt: skip
+    """The survey with the cameras of a start model where nobody gave one: a start, to be adjusted.
+
+    ``sizes`` as for ``with_camera``; ``names`` of the images' files. Raises InputError for a camera of images of
+    another shape.
+    """
+    taken_by = images_by_name(list(start.cameras), start.path, names) if start.cameras else {}
+    cameras, specs, given = list(start.cameras.values()), list(survey.specs), []
+    for (r, k), size in sizes.items():
+        sensor = specs[r].sensors[k]
+        own = [taken_by[s.image] for s in survey.shots if (s.rig, s.sensor) == (r, k) and s.image in taken_by]
+        if not own:
+            continue
+        if sensor.params is not None or sensor.focal_px is not None or (sensor.hfov_deg is not None and specs[r].file):
+            given.append(sensor.name)
+            continue
+        found = _middle([cameras[row] for row in own], sensor.name, notes)
+        if found is None:
+            continue
+        if not _same_shape(found.size, size, tuning):
+            w, h = found.size or size
+            raise InputError(
+                f"{found.where}: its images of {sensor.name!r} have {w} x {h}, those here {size[0]} x {size[1]}: start "
+                "from a model of these images (not undistorted, cropped or turned)"
+            )
+        check_lens(found, tuning)
+        found = _adjustable(found, size)
+        focal = tuning.start_focal * found.params[0]
+        changed = replace(sensor, model=found.model, size=found.size, params=found.params, at=found.where)
+        changed = replace(changed, camera_sigma_px=focal, started=True)
+        specs[r] = replace(specs[r], sensors=tuple(changed if n == k else s for n, s in enumerate(specs[r].sensors)))
+    if given:
+        notes.append(f"{some(given)}: the cameras given are used, not those of the start model")
+    return replace(survey, specs=tuple(specs))
+
+
+def _adjustable(found: FoundCamera, size: tuple[int, int]) -> FoundCamera:
+    """The camera that a perspective one is adjusted from: the RADIAL that is nearest to it over its image.
+
+    Freed, the second focal length and the terms beyond of other models run off where a survey is straight; what a lens
+    has of them the final adjustment adds, with what is expected of lenses (``sfm.adjustment.lens``).
+    """
+    width, height = found.size or size
+    camera = pycolmap.Camera(model=found.model, width=width, height=height, params=list(found.params))
+    if found.model not in _PERSPECTIVE:
+        return found
+    grid = np.array([[u, v] for u in np.linspace(0, width, _GRID) for v in np.linspace(0, height, _GRID)])
+    plane = on_plane(camera, grid)
+    seen = np.isfinite(plane).all(axis=1)
+    plane, grid = plane[seen], grid[seen]
+    square = np.sum(plane**2, axis=1, keepdims=True)
+    # pixel = centre + f (1 + k1 r2 + k2 r4) (x, y) is linear in f, f k1, f k2 and the centre.
+    terms = np.stack([plane, plane * square, plane * square**2], axis=2).reshape(-1, 3)
+    middle = np.tile(np.eye(2), (len(plane), 1))
+    f, k1, k2, cx, cy = np.linalg.lstsq(np.hstack([terms, middle]), grid.ravel(), rcond=None)[0]
+    params = tuple(float(v) for v in (f, cx, cy, k1 / f, k2 / f))
+    return replace(found, model="RADIAL", params=params, size=(width, height))
+
+
+_PERSPECTIVE = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
+_GRID = 15  # points across an image at which cameras are compared
+
+
+def _middle(cameras: list[FoundCamera], name: str, notes: list[str]) -> FoundCamera | None:
+    """The camera of a sensor of those that a model has for its images: the one of the middle focal length, which is
+    the first parameter of every model; None if they are of several models or sizes."""
+    different = list(dict.fromkeys(cameras))
+    if len({(c.model, c.size) for c in different}) > 1:
+        notes.append(f"{name}: the start model has cameras of several models or sizes for it: none is taken")
+        return None
+    order = sorted(different, key=lambda c: c.params[0])
+    if len(order) > 1:
+        low, high = order[0].params[0], order[-1].params[0]
+        focal = f"focal length {low:.1f} to {high:.1f} px"
+        notes.append(f"{name}: of {len(order)} cameras of the start model ({focal}) the middle one is taken")
+    return order[len(order) // 2]
 
 
 def _same_shape(given: tuple[int, int] | None, size: tuple[int, int], tuning: CameraTuning) -> bool:

@@ -38,7 +38,11 @@ def opensfm(content: str, where: str) -> list[FoundCamera]:
     except (json.JSONDecodeError, RecursionError) as error:
         raise InputError(f"{where}: not valid JSON: {error}") from None
     parts = data if isinstance(data, list) else [data]
-    tables = [p.get("cameras", p) for p in parts if isinstance(p, dict)]
+    return opensfm_cameras([p.get("cameras", p) for p in parts if isinstance(p, dict)], where)
+
+
+def opensfm_cameras(tables: list[Any], where: str) -> list[FoundCamera]:
+    """The cameras of tables name -> camera. Raises InputError."""
     found = {name: row for table in tables if isinstance(table, dict) for name, row in table.items()}
     if not found or not all(isinstance(row, dict) for row in found.values()):
         raise InputError(f'{where}: cameras of OpenSfM are {{"name": {{"projection_type": ..., "width": ...}}}}')

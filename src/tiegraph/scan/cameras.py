@@ -78,7 +78,7 @@ def _file_camera(
     spec: SensorSpec, facts: FileFacts, file: str, settings: ScanSettings, tuning: CameraTuning
 ) -> tuple[pycolmap.Camera, str]:
     if spec.params is not None and spec.model is not None:
-        return _from_params(spec.model, spec.params, spec, facts, file, tuning)
+        return _from_params(spec.model, spec.params, spec, facts, spec.at if spec.started else file, tuning)
     model = spec.model or _default_model(spec, facts, settings)
     fisheye = "FISHEYE" in model
     width, height = facts.size

@@ -51,6 +51,7 @@ class Priors:
     position_sigma_m: np.ndarray
     origin: Origin | None = None
     prior: str = "none"
+    started: bool = False  # as of the Scene
     notes: tuple[str, ...] = field(default_factory=tuple)
 
 

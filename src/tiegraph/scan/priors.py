@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
@@ -9,12 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from tiegraph.errors import InputError
+from tiegraph.geometry.align import robust_umeyama
 from tiegraph.geometry.geodesy import ENU, parse_crs
 from tiegraph.geometry.transforms import interpolate, rigid
 from tiegraph.scan.poses import poses_by_image
 from tiegraph.scan.positions import Frames, Priors, body_of, from_exif, from_gnss
 from tiegraph.scan.rigspec import AXES
 from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.startmodel import StartModel
 from tiegraph.scan.times import exif_times, name_times, read_times
 from tiegraph.scan.trajectory import read_trajectory, same_start, trajectory_files
 from tiegraph.scan.tuning import TimesTuning, TrajectoryTuning, Tuning
@@ -29,17 +32,18 @@ class _Paths:
     poses: np.ndarray  # (F, 4, 4) odometry_from_rig
     group: np.ndarray  # (F,) i4: frames of one number share an odometry frame; -1 = no pose
     own_worlds: bool
+    started: bool = False  # by a start model
 
 
 def estimate_priors(
     frames: Frames,
     gnss: Path | None,
-    trajectory: Path | None,
+    trajectory: Path | StartModel | None,
     times: Path | None,
     settings: ScanSettings,
     tuning: Tuning,
 ) -> Priors:
-    """Times, positions and poses of the frames from what the user has.
+    """Times, positions and poses of the frames from what the user has; ``trajectory`` may be a start model.
 
     Position priors from GNSS are those of the antenna (``Rig.antenna_m`` is applied when the model is georeferenced).
     With a trajectory too, each of its worlds is laid on the GNSS positions level, so that the frames get rotations and
@@ -49,11 +53,14 @@ def estimate_priors(
     notes: list[str] = []
     if settings.crs.lower() not in ("auto", ENU.lower()):
         parse_crs(settings.crs)
-    files = {} if trajectory is None else {k: (f, read_trajectory(f)) for k, f in
-                                           trajectory_files(trajectory, frames.sequences).items()}  # fmt: skip
+    files = _files(trajectory, frames.sequences)
+    start = trajectory if isinstance(trajectory, StartModel) else None
     time_s = _times(frames, times, files, notes, tuning.times)
     notes += [note for _, found in files.values() for note in found.notes]
-    paths = _paths(frames, files, time_s, settings, notes, tuning.trajectory)
+    if start is not None:
+        paths: _Paths | None = _of_start(frames, start, notes, tuning.trajectory)
+    else:
+        paths = _paths(frames, files, time_s, settings, notes, tuning.trajectory)
     count = len(frames.rows)
     priors = Priors(time_s, np.full((count, 4, 4), np.nan), np.full((count, 3), np.nan))
     if gnss is not None:
@@ -69,6 +76,13 @@ def estimate_priors(
     if paths is not None:
         priors = _with_paths(priors, frames, paths, notes, tuning.trajectory)
     return replace(priors, notes=tuple(notes))
+
+
+def _files(trajectory: Path | StartModel | None, sequences: Sequence[str]) -> dict[int, tuple[Path, Trajectory]]:
+    """The trajectory of each pass (-1: of all) with its file."""
+    if trajectory is None or isinstance(trajectory, StartModel):
+        return {}
+    return {k: (f, read_trajectory(f)) for k, f in trajectory_files(trajectory, sequences).items()}
 
 
 # --- times ----------------------------------------------------------------------------------------------------------
@@ -136,8 +150,8 @@ def _paths(
         return None
     by_image = next(((path, t) for path, t in files.values() if t.names), None)
     if by_image is not None:
-        poses = poses_by_image(by_image[1], by_image[0], frames, notes)
-        return _Paths(poses, np.where(np.isnan(poses[:, 0, 0]), -1, 0), own_worlds=False)
+        notes.append(f"{by_image[0].name}: its unit is taken for metres; give it by --start if nothing says that it is")
+        return _by_image(by_image[1], by_image[0], frames, notes, tuning)
     own_worlds = len(files) > 1 and same_start([t for _, t in files.values()], tuning)
     poses, group = np.full((len(frames.rows), 4, 4), np.nan), np.full(len(frames.rows), -1)
     for sequence, (path, trajectory) in files.items():
@@ -172,6 +186,26 @@ def _paths(
     return _Paths(poses, group, own_worlds)
 
 
+def _by_image(
+    trajectory: Trajectory, path: Path, frames: Frames, notes: list[str], tuning: TrajectoryTuning,
+    started: bool = False,
+) -> _Paths:  # fmt: skip
+    poses = poses_by_image(trajectory, path, frames, notes, tuning, metric=not started)
+    return _Paths(poses, np.where(np.isnan(poses[:, 0, 0]), -1, 0), own_worlds=False, started=started)
+
+
+def _of_start(frames: Frames, start: StartModel, notes: list[str], tuning: TrajectoryTuning) -> _Paths:
+    unknown = np.full(len(start.poses), np.nan)
+    trajectory = Trajectory(unknown, np.array(list(start.poses.values())), unknown, names=tuple(start.poses))
+    without = f", {start.unposed} of its images have no pose" if start.unposed else ""
+    notes.append(
+        f"start model of {start.program}, {start.path}{without}: its poses choose pairs and are tested against the "
+        "images; its unit and its place are not taken over"
+    )
+    notes += start.notes
+    return _by_image(trajectory, start.path, frames, notes, tuning, started=True)
+
+
 def _frame_poses(
     trajectory: Trajectory, path: Path, rows: np.ndarray, frames: Frames, time_s: np.ndarray, settings: ScanSettings
 ) -> np.ndarray:
@@ -197,11 +231,15 @@ def _with_paths(priors: Priors, frames: Frames, paths: _Paths, notes: list[str],
     if priors.prior == "none":
         known = np.isfinite(paths.poses[:, 0, 0])
         pose = np.where(known[:, None, None], paths.poses, priors.world_from_rig)
-        return replace(priors, world_from_rig=pose, prior="odometry" if paths.own_worlds else "trajectory")
+        prior = "odometry" if paths.own_worlds else "trajectory"
+        return replace(priors, world_from_rig=pose, prior=prior, started=paths.started)
     pose, sigma = priors.world_from_rig.copy(), priors.position_sigma_m
+    if paths.started and np.isfinite(pose[:, :3, :3]).any():
+        notes.append("start model: not laid on the positions, which come with headings of their own")
+        return priors
     for group in np.unique(paths.group[paths.group >= 0]):
         rows = np.flatnonzero(paths.group == group)
-        laid = _lay_on_gnss(paths.poses[rows], pose[rows, :3, 3], sigma[rows], frames, rows, tuning)
+        laid = _laid(paths, pose[:, :3, 3], sigma, frames, rows, tuning)
         where = frames.sequences[group] if paths.own_worlds else "all passes"
         if laid is None:
             few = f"fewer than {tuning.least_positions}, or too close together"
@@ -210,11 +248,11 @@ def _with_paths(priors: Priors, frames: Frames, paths: _Paths, notes: list[str],
         measured = np.isfinite(pose[rows, 0, 3])
         pose[rows] = rigid(laid.rotation, np.where(measured[:, None], pose[rows, :3, 3], laid.antenna))
         notes.append(
-            f"trajectory of {where} laid level on {measured.sum()} positions: scale {laid.scale:.4f}, "
+            f"trajectory of {where} laid {laid.how} on {measured.sum()} positions: scale {laid.scale:.4f}, "
             f"rms {laid.rms_m:.2f} m; {(~measured).sum()} frames without one take it from the trajectory, for choosing "
             "pairs only"
         )
-    return replace(priors, world_from_rig=pose)
+    return replace(priors, world_from_rig=pose, started=paths.started)
 
 
 @dataclass(frozen=True)
@@ -225,6 +263,26 @@ class _Laid:
     antenna: np.ndarray
     scale: float
     rms_m: float
+    how: str = "level"
+
+
+def _laid(
+    paths: _Paths, target: np.ndarray, sigma: np.ndarray, frames: Frames, rows: np.ndarray, tuning: TrajectoryTuning
+) -> _Laid | None:
+    """Poses of some frames in the world; a start model freely where its positions tell its tilt, else level: the
+    cameras of a drone have no common direction that is up."""
+    poses, target, sigma = paths.poses[rows], target[rows], sigma[rows]
+    good = np.isfinite(target[:, 0])
+    if paths.started and good.sum() > tuning.least_positions:
+        off = target[good] - target[good].mean(axis=0)
+        across = float(np.linalg.svd(off, compute_uv=False)[1]) / np.sqrt(good.sum())
+        if across > tuning.least_extent_sigmas * np.median(sigma[good, 0]):
+            fit, _ = robust_umeyama(poses[good, :3, 3], target[good], sigma[good, 0])
+            antenna = fit(poses[:, :3, 3])
+            rms = float(np.sqrt(np.mean(np.sum((antenna[good] - target[good]) ** 2, axis=1))))
+            turned = fit.rotation @ poses[:, :3, :3]
+            return _Laid(rotation=turned, antenna=antenna, scale=fit.scale, rms_m=rms, how="by a similarity")
+    return _lay_on_gnss(poses, target, sigma, frames, rows, tuning)
 
 
 def _lay_on_gnss(

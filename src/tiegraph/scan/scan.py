@@ -10,8 +10,9 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
+from tiegraph.errors import InputError
 from tiegraph.scan.assign import Report, Shot, Survey, assign, some
-from tiegraph.scan.calibration import with_camera
+from tiegraph.scan.calibration import with_camera, with_start_cameras
 from tiegraph.scan.cameras import FileFacts, calibrate
 from tiegraph.scan.folders import natural
 from tiegraph.scan.frames import match_frames
@@ -21,6 +22,7 @@ from tiegraph.scan.prepare import KEPT_SUFFIXES, prepare_image
 from tiegraph.scan.priors import estimate_priors
 from tiegraph.scan.rigspec import RigSpec
 from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.startmodel import StartModel
 from tiegraph.scan.times import FrameRow
 from tiegraph.scan.tuning import CameraTuning, FramesTuning, Tuning
 from tiegraph.scan.usable import need_two, usable_images
@@ -36,13 +38,14 @@ __all__ = ["Probe", "ScanInputs", "build_scene", "find_images", "prepare_image",
 @dataclass(frozen=True)
 class ScanInputs:
     """What the user gave: the folder of images, and optional rig (file or preset; ``rig_text``: of a rig.toml that
-    stands for it), camera (in words or a file), GNSS, trajectory and times."""
+    stands for it), camera (in words or a file), GNSS, trajectory or a model to start from, and times."""
 
     images: Path
     rig: str | None = None
     camera: str | None = None
     gnss: Path | None = None
     trajectory: Path | None = None
+    start: StartModel | None = None
     times: Path | None = None
     rig_text: str | None = None
     video: bool = False  # the images are pictures of videos
@@ -75,6 +78,12 @@ def build_scene(
     need_two(len(survey.shots), report)
     sizes = {k: _facts(shots, probes, survey.loose).size for k, shots in _sensors(survey).items()}
     survey = with_camera(survey, sizes, inputs.camera, report.notes, tuning.rig)
+    if inputs.start is not None:
+        if views is not None:
+            raise InputError(
+                f"--start {inputs.start.path}: a model of panoramas, of which views are mapped here: leave it out"
+            )
+        survey = with_start_cameras(survey, sizes, inputs.start, report.notes, names, tuning.rig.camera)
     rigs, survey = _rigs(survey, probes, settings, report, tuning.rig.camera)
     return _scene(inputs, _Named.of(survey, names, files, probes), rigs, survey, settings, report, tuning)
 
@@ -277,7 +286,7 @@ def _scene(
     frames = Frames(
         rows=rows, sequences=sequences, names=sources, exif=named.exif, rigs=rigs, specs=survey.specs, sensors=sensors
     )
-    priors = estimate_priors(frames, inputs.gnss, inputs.trajectory, inputs.times, settings, tuning)
+    priors = estimate_priors(frames, inputs.gnss, inputs.start or inputs.trajectory, inputs.times, settings, tuning)
     rows, priors_order = _in_time_order(rows, priors.time_s, report)
     _say_incomplete(rows, rigs, report)
     frame = np.zeros(len(shots), int)
@@ -303,6 +312,7 @@ def _scene(
         sequences=sequences,
         origin=priors.origin,
         prior=priors.prior,
+        started=priors.started,
         dropped=tuple(sorted(report.dropped, key=lambda d: d.name)),
         notes=(*report.notes, *priors.notes),
         guessed=sequences if survey.guessed and not inputs.tells_order() else (),

@@ -56,6 +56,8 @@ class CameraTuning(Section):
     """Relative difference of two aspect ratios that rounding to whole pixels may cause."""
     min_side_px: int = Field(32, gt=0)
     """Side that cropping must leave."""
+    start_focal: float = Field(0.01, gt=0)
+    """Sigma of the focal length of a camera of a start model, of that length: it is adjusted."""
     max_side_px: int = Field(100_000, gt=0)
     """Side of an image that a rig file may name."""
     max_focal_px: float = Field(1e6, gt=0)
@@ -213,6 +215,8 @@ class TrajectoryTuning(Section):
     """Of the scale, which converges linearly, by the ratio of the lever arm to the length of the track."""
     fit_rounds: int = Field(20, gt=0)
     """Of the reweighted least squares in each of them."""
+    least_baselines: int = Field(3, gt=0)
+    """Pairs of images of one frame with a known baseline that tell the unit of a start model."""
     same_start_m: float = Field(1e-3, ge=0)
     """First poses of trajectories that are nearer are one: each trajectory has a world of its own ..."""
     same_start_deg: float = Field(0.1, ge=0)

@@ -39,23 +39,31 @@ def read_named_poses(path: Path) -> dict[str, np.ndarray]:
     path = Path(path)
     if path.is_dir() and not is_model(path):
         path = path / TRANSFORMS
-    found = _of_model(path) if path.is_dir() else _of_transforms(path)
+    found = poses_of_model(read_model(path)) if path.is_dir() else poses_of_transforms(read_json(path), path)
+    check_poses(found, path)
+    return found
+
+
+def check_poses(found: dict[str, np.ndarray], path: Path) -> None:
+    """Raise InputError for no poses, and for several that are all the same."""
     if not found:
         raise InputError(f"{path}: no image has a pose in it; give a finished model, or leave it out")
     poses = np.array(list(found.values()))
     if len(poses) > 1 and np.ptp(poses, axis=0).max() < 1e-9:
         raise InputError(f"{path}: all {len(poses)} poses are the same: a trajectory that says nothing; leave it away")
-    return found
 
 
-def _of_model(folder: Path) -> dict[str, np.ndarray]:
-    model = read_model(folder)
-    posed = (i for i in model.images.values() if i.has_pose)
+def poses_of_model(model: Any) -> dict[str, np.ndarray]:
+    """world_from_camera (4, 4) by image name of a ``pycolmap.Reconstruction``."""
+    posed = sorted((i for i in model.images.values() if i.has_pose), key=lambda i: i.name)
     return {i.name: transforms.invert(matrix(i.cam_from_world())) for i in posed}
 
 
-def _of_transforms(path: Path) -> dict[str, np.ndarray]:
-    frames = _frames(path)
+def poses_of_transforms(data: Any, path: Path) -> dict[str, np.ndarray]:
+    """The same of what a transforms.json holds. Raises InputError, naming the frame."""
+    frames = data.get("frames") if isinstance(data, dict) else None
+    if not isinstance(frames, list):
+        raise InputError(f"{path}: no list 'frames'; give a transforms.json of nerfstudio or instant-ngp")
     out: dict[str, np.ndarray] = {}
     for k, frame in enumerate(frames):
         where = f"{path}, frame {k}"
@@ -69,19 +77,16 @@ def _of_transforms(path: Path) -> dict[str, np.ndarray]:
     return out
 
 
-def _frames(path: Path) -> list[Any]:
+def read_json(path: Path, what: str = "a transforms.json of nerfstudio or instant-ngp") -> Any:
+    """What a file of JSON holds. Raises InputError, with the line, for one that is none; ``what`` to give instead."""
     try:
-        data = json.loads(regular(path).read_text(encoding="utf-8-sig"))
+        return json.loads(regular(path).read_text(encoding="utf-8-sig"))
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give a transforms.json of nerfstudio") from None
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give {what}") from None
     except json.JSONDecodeError as error:
         raise InputError(f"{path}, line {error.lineno}: no JSON ({error.msg}): is the file cut off?") from None
     except (UnicodeDecodeError, RecursionError):
-        raise InputError(f"{path}: no JSON text; give a transforms.json of nerfstudio or instant-ngp") from None
-    frames = data.get("frames") if isinstance(data, dict) else None
-    if not isinstance(frames, list):
-        raise InputError(f"{path}: no list 'frames'; give a transforms.json of nerfstudio or instant-ngp")
-    return frames
+        raise InputError(f"{path}: no JSON text; give {what}") from None
 
 
 def _pose(given: Any, where: str) -> np.ndarray:
@@ -91,14 +96,19 @@ def _pose(given: Any, where: str) -> np.ndarray:
         pose = np.zeros(0)
     if pose.shape not in ((4, 4), (3, 4)) or not np.isfinite(pose).all():
         raise InputError(f"{where}: transform_matrix is no 4 x 4 matrix of numbers: remove that frame")
+    out = checked_pose(pose, f"{where}: transform_matrix")
+    out[:3, 1:3] *= -1  # from OpenGL's camera
+    return out
+
+
+def checked_pose(pose: np.ndarray, what: str) -> np.ndarray:
+    """(4, 4) of a camera-to-world matrix (3 or 4, 4). Raises InputError, naming ``what``, if it has no rotation."""
     turn = pose[:3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
         off = np.abs(turn @ turn.T - np.eye(3)).max()
     if not (off <= _ROTATION and np.linalg.det(turn) > 0):
         raise InputError(
-            f"{where}: transform_matrix has no rotation in its first three columns (scaled, or mirrored): write "
+            f"{what} has no rotation in its first three columns (scaled, or mirrored): write "
             "camera-to-world matrices with a rotation and a translation"
         )
-    out = transforms.rigid(turn, pose[:3, 3])
-    out[:3, 1:3] *= -1  # from OpenGL's camera
-    return out
+    return transforms.rigid(turn, pose[:3, 3])

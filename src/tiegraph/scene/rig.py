@@ -86,7 +86,7 @@ class Rig:
 
     def measured(self) -> bool:
         """Whether it comes from a calibration: said so, or with measured intrinsics and not called nominal."""
-        given = all(s.camera is not None and calibrated(s.camera) for s in self.sensors)
+        given = all(s.camera is not None and calibrated(s.camera) and not s.camera_sigma_px for s in self.sensors)
         return self.fixed or (not self.nominal and given)
 
     def axis_angles_deg(self) -> np.ndarray:

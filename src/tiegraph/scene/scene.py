@@ -54,6 +54,7 @@ class Scene:
     sequences: tuple[str, ...] = ()  # names of the passes
     origin: Origin | None = None  # None: the world is not on the Earth
     prior: str = "none"  # where the prior poses come from: one of PRIORS
+    started: bool = False  # rotations, and positions without a sigma, are those of a start model: never measured
     dropped: tuple[Dropped, ...] = ()
     notes: tuple[str, ...] = ()  # what was guessed or found odd, for people
     guessed: tuple[str, ...] = ()  # passes whose order only names or times suggest: the network asks the images
@@ -119,19 +120,26 @@ class Scene:
     def measured_positions(self) -> np.ndarray:
         """(F,) bool: frames whose prior position was measured and may hold or judge a model.
 
-        Not among them: positions carried over a GNSS gap by a trajectory (sigma NaN), and odometry with a world
-        of its own for each pass.
+        Not among them: positions carried over a GNSS gap by a trajectory (sigma NaN), odometry with a world of its
+        own for each pass, and those of a start model, whose unit may be any.
         """
         there = np.isfinite(self.world_from_rig[:, :3, 3]).all(axis=1)
         if self.prior in ("gnss", "exif"):
             return there & np.isfinite(self.position_sigma_m).all(axis=1)
-        return there & (self.prior == "trajectory")
+        return there & (self.prior == "trajectory" and not self.started)
+
+    def metric_positions(self) -> bool:
+        """Whether the prior positions are in metres: not those of a start model alone."""
+        return not (self.prior == "trajectory" and self.started)
 
     def measured(self) -> Scene:
-        """This scene with only the measured prior positions: what a model may be held by and judged with."""
+        """This scene with only the measured prior positions and orientations: what a model may be held by and judged
+        with."""
         keep = self.measured_positions()
         pose = np.array(self.world_from_rig)
         pose[~keep, :3, 3] = np.nan
+        if self.started:
+            pose[:, :3, :3] = np.nan
         sigma = np.where(keep[:, None], self.position_sigma_m, np.nan)
         return replace(self, world_from_rig=pose, position_sigma_m=sigma)
 
@@ -166,6 +174,7 @@ class Scene:
             "sequences": list(self.sequences),
             "origin": None if self.origin is None else self.origin.to_dict(),
             "prior": self.prior,
+            "started": self.started,
             "notes": list(self.notes),
             "dropped": [[d.name, d.reason] for d in self.dropped],
             "names": list(self.names),
@@ -194,6 +203,7 @@ class Scene:
             sequences=tuple(data["sequences"]),
             origin=None if data["origin"] is None else Origin.from_dict(data["origin"]),
             prior=data["prior"],
+            started=data.get("started", False),
             notes=tuple(data["notes"]),
             dropped=tuple(Dropped(*d) for d in data["dropped"]),
             **columns,

@@ -22,7 +22,7 @@ def with_bases(pairs: Pairs, scene: Scene, sights: Visibility) -> Pairs:
     """The pairs with ``h_over_b`` where both images see points of the model, ``baseline_m`` and ``sigma_m`` (for
     matches good to one pixel, as many as ``score``) where measured positions tell the model's scale too.
 
-    A base that is known by poses stays.
+    A base that is known by poses in metres stays.
     """
     base = np.linalg.norm(sights.centre[pairs.i] - sights.centre[pairs.j], axis=1)
     distance = _distances(pairs, sights)
@@ -31,8 +31,9 @@ def with_bases(pairs: Pairs, scene: Scene, sights: Visibility) -> Pairs:
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = distance / base
         sigma = metres * distance / (0.5 * (focal_px[pairs.i] + focal_px[pairs.j]) * np.sqrt(pairs.score))
+    known = np.isfinite(pairs.baseline_m) & scene.metric_positions()
     return pairs.with_(
-        baseline_m=np.where(np.isnan(pairs.baseline_m), metres * base, pairs.baseline_m),
+        baseline_m=np.where(known, pairs.baseline_m, metres * base),
         h_over_b=np.where(np.isfinite(ratio), ratio, np.nan),
         sigma_m=np.where(np.isfinite(sigma), sigma, np.nan),
     )

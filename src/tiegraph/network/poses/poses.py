@@ -96,7 +96,10 @@ def _notes(
 ) -> tuple[str, ...]:
     notes = []
     if not settings.range_m:
-        notes.append(f"poses: distance to the object taken as {reach:.1f} m (ten times the distance between frames)")
+        unit = "m" if scene.metric_positions() else "units"
+        notes.append(
+            f"poses: distance to the object taken as {reach:.1f} {unit} (ten times the distance between frames)"
+        )
     if headings.any():
         notes.append(
             f"poses: the heading of {int(headings.sum())} frames comes from the track of their positions; "

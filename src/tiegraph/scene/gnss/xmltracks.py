@@ -7,43 +7,18 @@ writes it. Times are UTC.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from xml.parsers import expat
 
 import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.scene.gnss.fixes import Fixes, above_ellipsoid
 from tiegraph.scene.table import number, parse_time
+from tiegraph.scene.xmltree import parse_xml
 
 _NAN = float("nan")
 _IMAGE = re.compile(r"(?i)\.(jpe?g|png|tiff?|dng|bmp|webp|heic|insp)$")
-
-
-@dataclass
-class _Node:
-    """An element without the prefix of its name."""
-
-    name: str
-    line: int
-    given: dict[str, str]
-    text: str = ""
-    children: list[_Node] = field(default_factory=list)
-
-    def all(self, name: str) -> Iterator[_Node]:
-        """Elements of a name at any depth, in their order."""
-        todo = [self]
-        while todo:
-            node = todo.pop()
-            if node.name == name:
-                yield node
-            todo.extend(reversed(node.children))
-
-    def said(self, name: str) -> str:
-        """Text of the first child of a name, "" without one."""
-        return next((c.text.strip() for c in self.children if c.name == name), "")
 
 
 def is_gpx(text: str, raw: bytes) -> bool:
@@ -62,7 +37,7 @@ def _is_kmz(raw: bytes) -> bool:
 
 def read_gpx(path: Path, raw: bytes) -> Fixes:
     """Track points of GPX 1.0 and 1.1 with their times. Raises InputError for damaged XML and for no timed points."""
-    root = _parsed(path, raw)
+    root = parse_xml(path, raw)
     points = list(root.all("trkpt"))
     if not points:
         others = sum(1 for n in ("rtept", "wpt") for _ in root.all(n))
@@ -95,7 +70,7 @@ def read_kml(path: Path, raw: bytes) -> Fixes:
     """
     if _is_kmz(raw):
         raise InputError(f"{path}: a packed KMZ: unpack it (it is a ZIP archive) and give the KML file in it")
-    root = _parsed(path, raw)
+    root = parse_xml(path, raw)
     for mode in root.all("altitudeMode"):
         if mode.text.strip() == "relativeToGround":
             raise InputError(
@@ -141,36 +116,3 @@ def _kml_fixes(path: Path, line: list[int], lon_lat_height: list[list[str]], tim
         time_s=time_s,
         notes=notes,
     )
-
-
-def _parsed(path: Path, raw: bytes) -> _Node:
-    """The elements of an XML file. Raises InputError, with the line, for one that is damaged or defines entities."""
-    parser = expat.ParserCreate()
-    parser.buffer_text = True
-    root = _Node("", 0, {})
-    open_ = [root]
-
-    def start(name: str, given: dict[str, str]) -> None:
-        open_[-1].children.append(_Node(name.rpartition(":")[2], parser.CurrentLineNumber, given))
-        open_.append(open_[-1].children[-1])
-
-    def data(text: str) -> None:
-        open_[-1].text += text
-
-    def entity(*_: object) -> None:
-        raise InputError(f"{path}, line {parser.CurrentLineNumber}: defines entities, which no track needs: remove it")
-
-    parser.StartElementHandler, parser.CharacterDataHandler, parser.EntityDeclHandler = start, data, entity
-    parser.EndElementHandler = lambda name: open_.pop()
-    try:
-        parser.Parse(raw, True)
-    except InputError:
-        raise
-    except expat.ExpatError as error:
-        raise InputError(
-            f"{path}, line {error.lineno}: XML that is cut off or damaged ({expat.ErrorString(error.code)}): export "
-            "the track again"
-        ) from None
-    except (LookupError, ValueError) as error:  # of an encoding that expat does not know itself
-        raise InputError(f"{path}, line 1: XML that cannot be decoded ({error}): save it as UTF-8") from None
-    return root

@@ -174,6 +174,21 @@ class TwoViewTuning(Section):
     """Of the bundle adjustment."""
 
 
+class AgreementTuning(Section):
+    """Whether a start model agrees with the model that the images made (`agreement.py`)."""
+
+    least: int = Field(3, ge=3)
+    """Images with both poses that tell something."""
+    turn_deg: float = Field(2.0, gt=0)
+    """Against the part that agrees: a finished model is straighter, one that a mapper bent is not."""
+    off: float = Field(0.1, gt=0)
+    """Likewise of the place, in distances to what is seen: beyond it predicts other overlap."""
+    share: float = Field(0.1, ge=0, le=1)
+    """Of the images: if more disagree, model and images contradict each other."""
+    most: float = Field(0.5, ge=0, le=1)
+    """Of the images: if more disagree, the model may be of something else."""
+
+
 class Tuning(Section):
     """Constants of the engine that are the same for every user."""
 
@@ -195,3 +210,5 @@ class Tuning(Section):
     """The rig against the images."""
     world: WorldTuning = WorldTuning()
     """The model in the world."""
+    agreement: AgreementTuning = AgreementTuning()
+    """A start model against the images."""

@@ -1,0 +1,134 @@
+"""``--start``: a survey goes on from a model, a good one and one that is wrong, and ends in the same place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+from scipy.spatial.transform import Rotation
+
+import tiegraph
+import worlds
+from tiegraph.api import Project
+from tiegraph.cli.run import main
+from tiegraph.errors import InputError
+from tiegraph.evaluate.reference import model_poses
+from tiegraph.geometry.align import umeyama
+from tiegraph.geometry.transforms import invert
+from tiegraph.scan.rigwrite import write_rig_toml
+
+_UNIT = 0.13  # of the start model, in metres
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory: pytest.TempPathFactory) -> worlds.Survey:
+    folder = tmp_path_factory.mktemp("survey")
+    made = worlds.make_survey(folder / "images", frames=4)
+    bare = replace(made.rig, sensors=tuple(replace(s, camera=None) for s in made.rig.sensors), fixed=False)
+    write_rig_toml(bare, folder / "rig.toml")
+    worlds.write_times(made, folder / "times.csv")
+    return made
+
+
+def start_of(made: worlds.Survey, folder: Path, turned_deg: float = 0.0) -> Path:
+    """The truth as a COLMAP model in another unit; if a pass of it is turned about its first image, its focal length is
+    a tenth too long, too."""
+    folder.mkdir()
+    camera = made.rig.sensors[0].camera
+    assert camera is not None
+    params = np.array(camera.params) * ([1.1, 1.1, 1, 1] if turned_deg else 1.0)
+    lens = " ".join(map(repr, params.tolist()))
+    (folder / "cameras.txt").write_text(f"1 PINHOLE {camera.width} {camera.height} {lens}\n")
+    turn = Rotation.from_euler("z", turned_deg, degrees=True).as_matrix()
+    pivot = invert(made.cam_from_world["up/cam0/000000.jpg"])[:3, 3]
+    rows = []
+    for k, name in enumerate(sorted(made.cam_from_world), 1):
+        pose = invert(made.cam_from_world[name])
+        if name.startswith("up/"):
+            pose[:3, 3] = turn @ (pose[:3, 3] - pivot) + pivot
+            pose[:3, :3] = turn @ pose[:3, :3]
+        pose[:3, 3] /= _UNIT
+        cam = invert(pose)
+        x, y, z, w = Rotation.from_matrix(cam[:3, :3]).as_quat()
+        rows += [f"{k} " + " ".join(repr(float(v)) for v in (w, x, y, z, *cam[:3, 3])) + f" 1 {name}", ""]
+    (folder / "images.txt").write_text("\n".join(rows) + "\n")
+    (folder / "points3D.txt").write_text("")
+    return folder
+
+
+def opened(made: worlds.Survey, out: Path, **inputs: Path) -> Project:
+    root = made.images.parent
+    settings = {"masks": {"source": "none"}}
+    more = {"rig": root / "rig.toml", "times": root / "times.csv", **inputs}
+    return tiegraph.open(made.images, out, pool="serial", settings=settings, **more)
+
+
+def check_model(project: Project, made: worlds.Survey) -> float:
+    """All images in one model, in their places (a rig that is adjusted, four frames a pass); its scale."""
+    scene = project.scene()
+    poses = model_poses(project.model(), scene)
+    assert poses.placed.all() and len(scene) == 16
+    truth = made.centres_m(list(scene.names))
+    fit = umeyama(poses.centres(), truth)
+    assert 1e-5 < np.sqrt(np.mean(np.sum((fit(poses.centres()) - truth) ** 2, axis=1))) < 0.03
+    return fit.scale
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("turned_deg", [0.0, 20.0])
+def test_a_survey_goes_on_from_a_model(survey: worlds.Survey, tmp_path: Path, turned_deg: float) -> None:
+    """The unit of the model is not taken over: the rig's baseline tells metres. What is turned in it is named."""
+    start = start_of(survey, tmp_path / "start", turned_deg)
+    project = opened(survey, tmp_path / "out", start=start).run("georef")
+    assert check_model(project, survey) == pytest.approx(1, abs=0.1), "of the rig, 0.5 m long; the start's are 7.7"
+    scanned, sparse = project.receipt("scan"), project.receipt("sparse")
+    assert any(f"its unit is {_UNIT:.4g} m by the distances" in n for n in scanned["notes"])
+    assert any("camera from" in n and "start, camera 1" in n for n in scanned["notes"])
+    assert any("sources chosen: sequence, offsets, poses" in n for n in project.receipt("candidates")["notes"])
+    assert sparse["counts"]["start_images"] == 16
+    focal = [c.mean_focal_length() / 211.2 for c in project.model().cameras.values()]
+    assert focal == pytest.approx([1, 1], abs=0.01)
+    if not turned_deg:
+        assert sparse["contradictions"] == [] and sparse["counts"]["start_disagrees"] == 0
+        assert any(n.startswith("start model: 16 of 16 images agree with it") for n in sparse["notes"])
+        return
+    assert sparse["counts"]["start_disagrees"] == 8
+    (said,) = [c for c in sparse["contradictions"] if c.startswith("start model and images")]
+    assert "8 of 16 images agree" in said and "turned against the others by 20 deg" in said
+
+
+def test_a_start_and_a_trajectory_are_refused_together(survey: worlds.Survey, tmp_path: Path) -> None:
+    start = start_of(survey, tmp_path / "start")
+    both = opened(survey, tmp_path / "out", start=start, trajectory=start)
+    with pytest.raises(InputError, match=r"--start .*start and --trajectory .*start: both give poses: leave one out"):
+        both.run("scan")
+    assert not (tmp_path / "out" / "tiegraph.toml").exists()
+
+
+def test_a_wrong_start_is_refused_before_anything_is_stored(survey: worlds.Survey, tmp_path: Path) -> None:
+    (tmp_path / "notes.json").write_text("{}")
+    with pytest.raises(InputError, match="notes.json: no model that is known; give a COLMAP model"):
+        opened(survey, tmp_path / "out", start=tmp_path / "notes.json").run("scan")
+    assert not (tmp_path / "out" / "tiegraph.toml").exists()
+    start = start_of(survey, tmp_path / "start")
+    (start / "cameras.txt").write_text("1 PINHOLE 320 320 211 211 160 160\n")
+    with pytest.raises(InputError, match=r"start, camera 1: .*'cam0' have 320 x 320, those here 320 x 240"):
+        opened(survey, tmp_path / "out", start=start).run("scan")
+
+
+def test_a_start_is_stored_and_only_its_model_is_watched(survey: worlds.Survey, tmp_path: Path) -> None:
+    start_of(survey, tmp_path / "work").rename(tmp_path / "0")
+    (tmp_path / "work" / "sparse").mkdir(parents=True)
+    (tmp_path / "0").rename(tmp_path / "work" / "sparse" / "0")
+    words = [str(survey.images), "-o", str(tmp_path / "out"), "--start", str(tmp_path / "work"), "--until", "scan"]
+    assert main([*words, "--quiet", "--pool", "serial"]) == 0
+    again = tiegraph.open(out=tmp_path / "out")
+    assert again.inputs.start == tmp_path / "work" and again.status()[0][1] == ""
+    (tmp_path / "work" / "database.db").write_bytes(b"x")
+    assert again.status()[0][1] == ""
+    model = pycolmap.Reconstruction(str(tmp_path / "work" / "sparse" / "0"))
+    model.write_binary(str(tmp_path / "work" / "sparse" / "0"))
+    assert again.status()[0][1] == f"changed: --start {tmp_path / 'work' / 'sparse' / '0'}"
