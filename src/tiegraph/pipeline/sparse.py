@@ -13,8 +13,8 @@ from tiegraph.project.stages import Outcome
 from tiegraph.scan.poses import images_by_name
 from tiegraph.scan.startmodel import read_start
 from tiegraph.scene.colmapmodel import image_poses, tracks
-from tiegraph.sfm.agreement import agreement, told
 from tiegraph.sfm.mapper import Source, reconstruct
+from tiegraph.sfm.startcheck import check_start, told
 
 
 def sparse(run: Run) -> Outcome:
@@ -58,7 +58,7 @@ def _against_start(run: Run) -> Outcome:
     if run.inputs.start is None:
         return Outcome({})
     scene, start = load_scene(run.path("scene.json")), read_start(run.inputs.start)
-    model, tuning = load_model(run.path("sparse", "0")), run.settings.tuning.sfm.agreement
+    model, tuning = load_model(run.path("sparse", "0")), run.settings.tuning.sfm.start_check
     files = [scene.source_name(k) for k in range(len(scene))]
     names = list(start.poses)
     given = np.full((len(scene), 4, 4), np.nan)
@@ -67,7 +67,7 @@ def _against_start(run: Run) -> Outcome:
     made = transforms.invert(image_poses(model, scene))
     xyz, image, point = tracks(model, scene)
     reach = float(np.median(np.linalg.norm(xyz[point] - made[image, :3, 3], axis=1)))
-    found = agreement(given, made, reach, tuning)
+    found = check_start(given, made, reach, tuning)
     text, contradicts = told(found, scene, tuning)
     counts = {"start_images": int(found.both.sum()), "start_disagrees": int(found.bad.sum())}
     return Outcome(counts, notes=() if contradicts else (text,), contradictions=(text,) if contradicts else ())

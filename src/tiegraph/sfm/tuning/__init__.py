@@ -174,8 +174,8 @@ class TwoViewTuning(Section):
     """Of the bundle adjustment."""
 
 
-class AgreementTuning(Section):
-    """Whether a start model agrees with the model that the images made (`agreement.py`)."""
+class StartCheckTuning(Section):
+    """Whether a start model agrees with the model that the images made (`startcheck.py`)."""
 
     least: int = Field(3, ge=3)
     """Images with both poses that tell something."""
@@ -210,5 +210,5 @@ class Tuning(Section):
     """The rig against the images."""
     world: WorldTuning = WorldTuning()
     """The model in the world."""
-    agreement: AgreementTuning = AgreementTuning()
+    start_check: StartCheckTuning = StartCheckTuning()
     """A start model against the images."""

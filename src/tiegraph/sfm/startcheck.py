@@ -15,14 +15,14 @@ import numpy as np
 from tiegraph.geometry.align import l1_mean_rotation, robust_umeyama
 from tiegraph.geometry.transforms import angle_deg
 from tiegraph.scene.scene import Scene
-from tiegraph.sfm.tuning import AgreementTuning
+from tiegraph.sfm.tuning import StartCheckTuning
 
 _SAMPLE = 300  # images whose turns are tried: bounds the time
 _NAMED = 3  # images that a sentence names
 
 
 @dataclass(frozen=True)
-class Agreement:
+class StartCheck:
     """Of N images: which have both poses, ``turned_deg`` (N,) against the part that agrees, ``off`` (N,) distance from
     where that part puts them over the distance to what is seen (NaN = not told), ``bad`` (N,) those that disagree."""
 
@@ -37,14 +37,14 @@ class Agreement:
         return float(self.bad.sum()) / max(int(self.both.sum()), 1)
 
 
-def agreement(given: np.ndarray, made: np.ndarray, reach: float, tuning: AgreementTuning) -> Agreement:
+def check_start(given: np.ndarray, made: np.ndarray, reach: float, tuning: StartCheckTuning) -> StartCheck:
     """Poses ``given`` (N, 4, 4) against those of a model ``made`` (N, 4, 4), world_from_camera, NaN = none; ``reach``:
     usual distance of the model's cameras to what they see, its units."""
     both = np.isfinite(given[:, :3]).all(axis=(1, 2)) & np.isfinite(made[:, :3]).all(axis=(1, 2))
     rows = np.flatnonzero(both)
     turned, off = np.full(len(given), np.nan), np.full(len(given), np.nan)
     if len(rows) < tuning.least:
-        return Agreement(both=both, turned_deg=turned, off=off, bad=np.zeros(len(given), bool))
+        return StartCheck(both=both, turned_deg=turned, off=off, bad=np.zeros(len(given), bool))
     between = made[rows, :3, :3] @ np.swapaxes(given[rows, :3, :3], 1, 2)
     tried = between[:: max(1, len(rows) // _SAMPLE)]
     votes = [int(np.sum(angle_deg(between, one) <= tuning.turn_deg)) for one in tried]
@@ -56,10 +56,10 @@ def agreement(given: np.ndarray, made: np.ndarray, reach: float, tuning: Agreeme
         fit, _ = robust_umeyama(*places, sigma=tuning.off / 3 * reach)  # which takes three sigmas
         off[rows] = np.linalg.norm(fit(given[rows, :3, 3]) - made[rows, :3, 3], axis=1) / reach
     bad = both & ~((turned <= tuning.turn_deg) & (off <= tuning.off))
-    return Agreement(both=both, turned_deg=turned, off=off, bad=bad)
+    return StartCheck(both=both, turned_deg=turned, off=off, bad=bad)
 
 
-def told(found: Agreement, scene: Scene, tuning: AgreementTuning) -> tuple[str, bool]:
+def told(found: StartCheck, scene: Scene, tuning: StartCheckTuning) -> tuple[str, bool]:
     """The agreement of a start model in a sentence, and whether it contradicts the images."""
     count, bad = int(found.both.sum()), np.flatnonzero(found.bad)
     if count < tuning.least:

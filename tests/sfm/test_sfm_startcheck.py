@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 import worlds
 from tiegraph.geometry.transforms import rigid
 from tiegraph.scene.scene import Scene, simple_scene
-from tiegraph.sfm.agreement import agreement, told
-from tiegraph.sfm.tuning import AgreementTuning
+from tiegraph.sfm.startcheck import check_start, told
+from tiegraph.sfm.tuning import StartCheckTuning
 
-TUNING, COUNT, REACH = AgreementTuning(), 40, 8.0
+TUNING, COUNT, REACH = StartCheckTuning(), 40, 8.0
 
 
 def river(seed: int = 0) -> np.ndarray:
@@ -46,7 +46,7 @@ def scene() -> Scene:
 
 
 def test_a_model_of_another_world_and_unit_agrees() -> None:
-    found = agreement(elsewhere(river()), river(), REACH, TUNING)
+    found = check_start(elsewhere(river()), river(), REACH, TUNING)
     assert found.both.all() and not found.bad.any()
     assert 0.01 < np.median(found.turned_deg) < 0.5 and 1e-4 < np.median(found.off) < 0.02
     text, contradicts = told(found, scene(), TUNING)
@@ -56,7 +56,7 @@ def test_a_model_of_another_world_and_unit_agrees() -> None:
 @pytest.mark.parametrize("rows", [slice(22, None), slice(0, 14), slice(30, None)])
 def test_a_part_that_is_turned_is_found_and_named(rows: slice) -> None:
     given = turned(elsewhere(river()), rows, 20.0)
-    found = agreement(given, river(), REACH, TUNING)
+    found = check_start(given, river(), REACH, TUNING)
     wrong = np.zeros(COUNT, bool)
     wrong[rows] = True
     assert np.array_equal(found.bad, wrong)
@@ -69,26 +69,26 @@ def test_a_part_that_is_turned_is_found_and_named(rows: slice) -> None:
 def test_a_part_of_another_scale_is_found_though_it_is_not_turned() -> None:
     given = elsewhere(river())
     given[25:, :3, 3] = given[25, :3, 3] + 3 * (given[25:, :3, 3] - given[25, :3, 3])
-    found = agreement(given, river(), REACH, TUNING)
+    found = check_start(given, river(), REACH, TUNING)
     assert not found.bad[:25].any() and found.bad[26:].mean() > 0.9 and np.nanmax(found.turned_deg) < 1
     assert told(found, scene(), TUNING)[1]
 
 
 def test_another_survey_of_the_same_names_is_told_as_one() -> None:
     given = river()[np.random.default_rng(1).permutation(COUNT)]
-    text, contradicts = told(agreement(given, river(), REACH, TUNING), scene(), TUNING)
+    text, contradicts = told(check_start(given, river(), REACH, TUNING), scene(), TUNING)
     assert contradicts and "is it of another survey, or are images named otherwise?" in text
 
 
 def test_few_wrong_images_are_told_and_no_contradiction() -> None:
     given = turned(elsewhere(river()), slice(37, None), 20.0)
-    text, contradicts = told(agreement(given, river(), REACH, TUNING), scene(), TUNING)
+    text, contradicts = told(check_start(given, river(), REACH, TUNING), scene(), TUNING)
     assert not contradicts and "37 of 40 images agree" in text and "3 images do not" in text
 
 
 def test_too_few_common_images_say_nothing() -> None:
     given = elsewhere(river())
     given[2:] = np.nan
-    found = agreement(given, river(), REACH, TUNING)
+    found = check_start(given, river(), REACH, TUNING)
     assert found.both.sum() == 2 and not found.bad.any()
     assert told(found, scene(), TUNING) == ("start model: 2 of its images are in the model, too few to test it", False)
