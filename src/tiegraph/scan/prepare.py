@@ -18,6 +18,7 @@ from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.filecache import cached_by_file
+from tiegraph.scene.fisheye import render_lens_view
 from tiegraph.scene.images import decode_deep, deep_png, open_image
 from tiegraph.scene.panorama import render_view
 from tiegraph.scene.regular import real_path, regular
@@ -74,8 +75,9 @@ def _changed_pixels(
     try:
         data = regular(path).read_bytes()
         image = _opened(data)
-        bend = settings.undistort and how.camera is not None and not how.camera.is_undistorted()
-        if image is not None and not bend and not any(how.crop_px) and _plain(image, data, suffix):
+        bend = settings.undistort and how.view is None and how.camera is not None and not how.camera.is_undistorted()
+        changed = bend or how.view is not None or any(how.crop_px)
+        if image is not None and not changed and _plain(image, data, suffix):
             return None
         pixels = _eight_bit(image, data, how.bits)
     except OSError as error:
@@ -83,6 +85,8 @@ def _changed_pixels(
     if image is not None and how.upright:
         pixels = _turn(pixels, image.getexif().get(_ORIENTATION, 1))
     pixels = _cropped(pixels, how)
+    if how.view is not None and sensor.camera is not None:
+        return render_lens_view(pixels, how.view, sensor.camera)
     if bend and how.camera is not None and sensor.camera is not None:
         pixels = _undistort(pixels, crop_camera(how.camera, *how.crop_px), sensor.camera)
     return pixels

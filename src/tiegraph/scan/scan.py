@@ -13,6 +13,7 @@ import numpy as np
 from tiegraph.scan.assign import Report, Shot, Survey, assign, some
 from tiegraph.scan.calibration import with_camera
 from tiegraph.scan.cameras import FileFacts, calibrate
+from tiegraph.scan.fisheye import Pictures, into_views, with_lit_circle
 from tiegraph.scan.folders import natural
 from tiegraph.scan.frames import match_frames
 from tiegraph.scan.perspective import perspective_views
@@ -22,7 +23,7 @@ from tiegraph.scan.priors import estimate_priors
 from tiegraph.scan.rigspec import RigSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.times import FrameRow
-from tiegraph.scan.tuning import CameraTuning, FramesTuning, Tuning
+from tiegraph.scan.tuning import FramesTuning, Tuning
 from tiegraph.scan.usable import need_two, usable_images
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.images import IMAGES_FOLDER, Probe, find_images, probe_image
@@ -75,8 +76,11 @@ def build_scene(
     need_two(len(survey.shots), report)
     sizes = {k: _facts(shots, probes, survey.loose).size for k, shots in _sensors(survey).items()}
     survey = with_camera(survey, sizes, inputs.camera, report.notes, tuning.rig)
-    rigs, survey = _rigs(survey, probes, settings, report, tuning.rig.camera)
-    return _scene(inputs, _Named.of(survey, names, files, probes), rigs, survey, settings, report, tuning)
+    rigs, survey = _rigs(survey, probes, settings, report, tuning)
+    rigs, survey, pictures = into_views(
+        rigs, survey, Pictures(names, probes, files), settings, report, tuning.lens_views
+    )
+    return _scene(inputs, _Named.of(survey, pictures), rigs, survey, settings, report, tuning)
 
 
 # --- sizes and frames -----------------------------------------------------------------------------------------------
@@ -163,7 +167,7 @@ def _without_twins(shots: list[Shot], names: Sequence[str], report: Report) -> l
 
 
 def _rigs(
-    survey: Survey, probes: Sequence[Probe], settings: ScanSettings, report: Report, tuning: CameraTuning
+    survey: Survey, probes: Sequence[Probe], settings: ScanSettings, report: Report, tuning: Tuning
 ) -> tuple[tuple[Rig, ...], Survey]:
     groups = _sensors(survey)
     hows: dict[str, list[str]] = {}
@@ -178,7 +182,7 @@ def _rigs(
             sensor = spec.sensors[k]
             renumber[r, k] = len(rigs), len(sensors)
             facts = _facts(groups[r, k], probes, survey.loose)
-            calibrated = calibrate(sensor, facts, spec.file, settings, tuning)
+            calibrated = calibrate(sensor, facts, spec.file, settings, tuning.rig.camera)
             hows.setdefault(calibrated.how, []).append(sensor.name)
             pose = _sensor_from_rig(spec, k, present[0])
             made = Sensor(
@@ -189,6 +193,7 @@ def _rigs(
                 folder=sensor.folder or "",
                 source=calibrated.source,
             )
+            made = with_lit_circle(made, [probes[s.image] for s in groups[r, k]], tuning.lens_views)
             made = replace(made, sigma_deg=sensor.sigma_deg, sigma_m=sensor.sigma_m)
             sensors.append(replace(made, camera_sigma_px=sensor.camera_sigma_px))
         there = {s.name for s in sensors}
@@ -256,7 +261,8 @@ class _Named:
     renamed: int
 
     @staticmethod
-    def of(survey: Survey, names: Sequence[str], files: Sequence[str], probes: Sequence[Probe]) -> _Named:
+    def of(survey: Survey, pictures: Pictures) -> _Named:
+        names, probes, files = pictures.names, pictures.probes, pictures.files
         given = [names[s.image] for s in survey.shots]
         safe = safe_names(given)
         order = sorted(range(len(safe)), key=lambda k: safe[k])

@@ -117,6 +117,21 @@ class PanoramaTuning(Section):
     """Of a view, from top to bottom."""
 
 
+class LensViewsTuning(Section):
+    """What a fisheye lens lights, and the views of a calibrated one (`fisheye.py`)."""
+
+    wider_deg: float = Field(150.0, gt=0, le=180)
+    """A lens that sees more across is cut into views: at its rim a pixel counts 15 times and more in a plane."""
+    fov_deg: float = Field(90.0, gt=0, lt=180)
+    """Of a view, across and down ..."""
+    off_axis_deg: float = Field(45.0, gt=0, le=90)
+    """... and how far the four around look off the axis of the lens: with 90 degrees to where it looks no more."""
+    most: float = Field(0.5, ge=0, lt=1)
+    """The circle of a lens is believed if more than this share of its images show one."""
+    rim: float = Field(0.03, ge=0, lt=1)
+    """Of its radius: a lens ends in a blurred, coloured rim."""
+
+
 class PicturesTuning(Section):
     """Images that scan writes (`prepare.py`), and those it takes from videos (`video.py`)."""
 
@@ -184,6 +199,8 @@ class Tuning(Section):
     """Rigs and their cameras."""
     panorama: PanoramaTuning = PanoramaTuning()
     """Panoramas."""
+    lens_views: LensViewsTuning = LensViewsTuning()
+    """Fisheye images."""
     pictures: PicturesTuning = PicturesTuning()
     """What is written."""
     times: TimesTuning = TimesTuning()

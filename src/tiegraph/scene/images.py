@@ -17,8 +17,10 @@ from PIL import Image, ImageFile
 
 from tiegraph.errors import InputError
 from tiegraph.scene.exif import Exif, read_exif
+from tiegraph.scene.fisheye import image_circles
 from tiegraph.scene.panorama import is_equirectangular
 from tiegraph.scene.regular import regular
+from tiegraph.scene.rig import Circle
 from tiegraph.scene.tuning import ImageTuning
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".pgm")
@@ -43,6 +45,7 @@ class Probe:
     exif: Exif = Exif()
     digest: str = ""  # of the file's bytes
     panorama: bool = False  # equirectangular, the whole sphere
+    circles: tuple[Circle, ...] = ()  # what fisheye lenses light of it: one, or two side by side
     reason: str = ""
 
     def upright_size(self) -> tuple[int, int]:
@@ -185,6 +188,7 @@ def _describe(data: bytes, digest: str, tuning: ImageTuning) -> Probe:
         raise _Unusable(f"only {image.width} x {image.height} pixels")
     if image.mode == "F":
         raise _Unusable("floating-point pixels: convert to 8 or 16 bits")
+    circles = image_circles(image, tuning.fisheye)
     return Probe(
         width=image.width,
         height=image.height,
@@ -192,7 +196,8 @@ def _describe(data: bytes, digest: str, tuning: ImageTuning) -> Probe:
         bits=_significant_bits(image, data),
         exif=read_exif(image, tuning.focal_range),
         digest=digest,
-        panorama=is_equirectangular(image, tuning.panorama),
+        panorama=not circles and is_equirectangular(image, tuning.panorama),
+        circles=circles,
     )
 
 
