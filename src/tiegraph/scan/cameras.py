@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pycolmap
@@ -66,12 +66,9 @@ def calibrate(
         if not prepared.is_undistorted():
             prepared = pinhole_camera(prepared)
     changed = spec.of_panorama or any(crop) or prepared.model != camera.model or not facts.upright or facts.bits > 8
-    source = (
-        Source(camera=camera, crop_px=crop, upright=facts.upright, bits=facts.bits, panorama=spec.of_panorama)
-        if changed
-        else None
-    )
-    return Calibrated(prepared, source, how)
+    source = Source(camera=camera, crop_px=crop, upright=facts.upright, bits=facts.bits, panorama=spec.of_panorama)
+    source = replace(source, part=spec.part)
+    return Calibrated(prepared, source if changed or spec.part is not None else None, how)
 
 
 def _file_camera(

@@ -2,6 +2,10 @@
 
 COLMAP verifies and registers in the plane before the camera, where an error of a pixel 75 degrees off the axis counts
 15 times, and beyond 90 degrees there is no such plane: the outer half of a 200 degree fisheye ties hardly anything.
+
+Two lenses back to back are a 360 camera: level views all round, as of a panorama, for below is who carries it. One is
+turned against the other about the camera's upright, so the turn between them tells how it lies in their images. A lens
+without such a partner is cut into views all round its axis.
 """
 
 from __future__ import annotations
@@ -12,6 +16,7 @@ from pathlib import PurePosixPath
 
 import numpy as np
 import pycolmap
+from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import rigid
@@ -68,7 +73,7 @@ def into_views(
     for r, rig in enumerate(rigs):
         sensors: list[Sensor] = []
         for k, sensor in enumerate(rig.sensors):
-            views = _views(sensor, tuning) if cut[r, k] == "" else [sensor]
+            views = _views(sensor, _cut_of(rig, k, tuning)) if cut[r, k] == "" else [sensor]
             places[r, k] = list(range(len(sensors), len(sensors) + len(views)))
             sensors += views
         made.append(_rig_of_views(rig, tuple(sensors)))
@@ -123,28 +128,56 @@ def _say(rigs: Sequence[Rig], cut: dict[tuple[int, int], str | None], settings: 
         )
     names = [rigs[r].sensors[k].name for (r, k), why in cut.items() if why == ""]
     if names:
-        report.notes.append(
-            f"{some(names)}: each fisheye image is cut into {_COUNT} views up to 90 degrees off its axis"
-        )
+        report.notes.append(f"{some(names)}: each fisheye image is cut into views up to 90 degrees off its axis")
 
 
-_COUNT = 5
-_AXES = ("front", "right", "left", "up", "down")
+_FRONT = "front"
 
 
-def _views(sensor: Sensor, tuning: LensViewsTuning) -> list[Sensor]:
-    """The views of a lens: ahead, right, left, up and down, at the resolution of its middle."""
+@dataclass(frozen=True)
+class _Cut:
+    """Which views a lens is cut into: view_from_lens (3, 3) by name, and what they see across and down."""
+
+    turns: dict[str, np.ndarray]
+    hfov_deg: float
+    vfov_deg: float
+
+
+def _cut_of(rig: Rig, sensor: int, tuning: LensViewsTuning) -> _Cut:
+    upright = _upright(rig, sensor, tuning)
+    if upright is None:
+        off = 90.0 - tuning.fov_deg / 2
+        ways = {_FRONT: (0.0, 0.0), "right": (off, 0.0), "left": (-off, 0.0), "up": (0.0, off), "down": (0.0, -off)}
+        return _Cut({n: orient(*way, 0).T for n, way in ways.items()}, tuning.fov_deg, tuning.fov_deg)
+    off = 90.0 - tuning.level_hfov_deg / 2
+    level = {_FRONT: 0.0, "right": off, "left": -off}
+    turns = {n: orient(yaw, 0, 0).T @ upright for n, yaw in level.items()}
+    return _Cut(turns, tuning.level_hfov_deg, tuning.level_vfov_deg)
+
+
+def _upright(rig: Rig, sensor: int, tuning: LensViewsTuning) -> np.ndarray | None:
+    """The rotation (3, 3) about its axis that makes a lens' image upright, none or a quarter, by the lens that looks
+    the other way; None if there is none. Of a quarter, which way round is not known."""
+    mine = rig.sensors[sensor].sensor_from_rig
+    for other in rig.sensors:
+        if mine is None or other.sensor_from_rig is None or not is_fisheye(other.camera):
+            continue
+        turn = Rotation.from_matrix(mine[:3, :3] @ other.sensor_from_rig[:3, :3].T).as_rotvec()
+        if mine[2, :3] @ other.sensor_from_rig[2, :3] <= np.cos(np.radians(tuning.back_to_back_deg)):
+            return orient(0, 0, 90.0 if abs(turn[0]) > abs(turn[1]) else 0.0)
+    return None
+
+
+def _views(sensor: Sensor, cut: _Cut) -> list[Sensor]:
+    """The views of a lens at the resolution of its middle."""
     lens, source = sensor.camera, sensor.source or Source()
     assert lens is not None
-    half = np.radians(tuning.fov_deg / 2)
     focal = lens.mean_focal_length()
-    side = 2 * round(focal * np.tan(half))
-    camera = pycolmap.Camera(model="SIMPLE_PINHOLE", width=side, height=side, params=[focal, side / 2, side / 2])
+    width, height = (2 * round(focal * np.tan(np.radians(v / 2))) for v in (cut.hfov_deg, cut.vfov_deg))
+    camera = pycolmap.Camera(model="SIMPLE_PINHOLE", width=width, height=height, params=[focal, width / 2, height / 2])
     camera.has_prior_focal_length = True
-    off = tuning.off_axis_deg
     out = []
-    for name, yaw, pitch in zip(_AXES, (0, off, -off, 0, 0), (0, 0, 0, off, -off)):
-        view_from_lens = orient(yaw, pitch, 0).T
+    for name, view_from_lens in cut.turns.items():
         view = LensView(sensor.name, lens, tuple(float(v) for v in view_from_lens.ravel()))
         pose = sensor.sensor_from_rig
         made = replace(
@@ -162,5 +195,5 @@ def _views(sensor: Sensor, tuning: LensViewsTuning) -> list[Sensor]:
 def _between_views(pair: SensorPair, sensors: Sequence[Sensor]) -> SensorPair:
     """What was measured between two lenses, between their front views, which have their centres and axes."""
     there = {s.name for s in sensors}
-    first, second = (n if n in there else f"{n}-{_AXES[0]}" for n in pair.sensors)
+    first, second = (n if n in there else f"{n}-{_FRONT}" for n in pair.sensors)
     return replace(pair, sensors=(first, second))

@@ -21,18 +21,23 @@ PRESET = "panorama"
 
 
 @dataclass(frozen=True)
-class PerspectiveViews:
-    """The views of the panoramas in place of the files: names, probes, files and owners, parallel."""
+class SharedFiles:
+    """The images of a survey whose files hold a whole shot each: names, probes, files and owners, parallel."""
 
     names: tuple[str, ...]
     probes: tuple[Probe, ...]
     files: tuple[str, ...]
     survey: Survey
 
+    def order(self) -> str:
+        """How they are ordered, for people."""
+        passes = len({s.sequence for s in self.survey.shots})
+        return "in no order" if self.survey.loose else f"in the order of their names, {passes} pass(es)"
+
 
 def perspective_views(
     usable: Usable, rig: str | None, settings: ScanSettings, report: Report, tuning: Tuning
-) -> PerspectiveViews | None:
+) -> SharedFiles | None:
     """Views of a survey of panoramas; None if it is none.
 
     Panoramas are noticed where no rig is given and most images are some; ``panorama`` as rig says so. Raises InputError
@@ -57,33 +62,43 @@ def perspective_views(
 
 def _views(
     names: tuple[str, ...], probes: tuple[Probe, ...], settings: ScanSettings, report: Report, tuning: Tuning
-) -> PerspectiveViews:
+) -> SharedFiles:
     width = Counter(p.width for p in probes).most_common(1)[0][0]
     spec = panorama_rig(width, tuning.panorama)
+    shared = share_files(names, probes, spec, settings, tuning)
+    sensors = [spec.sensors[s.sensor] for s in shared.survey.shots]
+    made = tuple(_as_view(p, p.width / width, s) for p, s in zip(shared.probes, sensors))
+    columns, rows = spec.sensors[0].size or (0, 0)
+    level = len(spec.sensors) - 1
+    report.notes.append(
+        f"{len(names)} equirectangular panoramas, {width} x {width // 2} pixels: each unfolded into {level} level "
+        f"views and one up, of {columns} x {rows} pixels: a calibrated rig without a base; {shared.order()}"
+    )
+    return replace(shared, probes=made)
+
+
+def share_files(
+    names: tuple[str, ...], probes: tuple[Probe, ...], spec: RigSpec, settings: ScanSettings, tuning: Tuning
+) -> SharedFiles:
+    """The images that the sensors of a rig have of each file, named as it in a folder of the sensor's name, with the
+    probes of the files."""
     kind = "sequence" if settings.layout == "auto" else settings.layout
     sizes = [p.upright_size() for p in probes]
     layout = guess_layout(names, [p.exif for p in probes], sizes, kind, tuning.folders)
     views: list[str] = []
-    made: list[Probe] = []
     shots: list[Shot] = []
-    for name, probe, place in zip(names, probes, layout.places):
+    for name, place in zip(names, layout.places):
         path = PurePosixPath(name)
         sequence = "" if layout.loose or place is None else place.sequence
         for k, sensor in enumerate(spec.sensors):
             shots.append(Shot(image=len(views), rig=0, sensor=k, sequence=sequence, stem=path.stem))
             views.append(str(path.parent / sensor.name / path.name))
-            made.append(_as_view(probe, probe.width / width, sensor))
-    passes = len({s.sequence for s in shots})
-    order = "in no order" if layout.loose else f"in the order of their names, {passes} pass(es)"
-    columns, rows = spec.sensors[0].size or (0, 0)
-    level = len(spec.sensors) - 1
-    report.notes.append(
-        f"{len(names)} equirectangular panoramas, {width} x {width // 2} pixels: each unfolded into {level} level "
-        f"views and one up, of {columns} x {rows} pixels: a calibrated rig without a base; {order}"
-    )
-    files = tuple(name for name in names for _ in spec.sensors)
-    return PerspectiveViews(
-        names=tuple(views), probes=tuple(made), files=files, survey=Survey((spec,), tuple(shots), layout.loose)
+    each = len(spec.sensors)
+    return SharedFiles(
+        names=tuple(views),
+        probes=tuple(p for p in probes for _ in range(each)),
+        files=tuple(n for n in names for _ in range(each)),
+        survey=Survey((spec,), tuple(shots), layout.loose),
     )
 
 

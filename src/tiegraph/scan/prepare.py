@@ -76,7 +76,7 @@ def _changed_pixels(
         data = regular(path).read_bytes()
         image = _opened(data)
         bend = settings.undistort and how.view is None and how.camera is not None and not how.camera.is_undistorted()
-        changed = bend or how.view is not None or any(how.crop_px)
+        changed = bend or how.view is not None or how.part is not None or any(how.crop_px)
         if image is not None and not changed and _plain(image, data, suffix):
             return None
         pixels = _eight_bit(image, data, how.bits)
@@ -84,12 +84,18 @@ def _changed_pixels(
         raise _gone(path, error) from None
     if image is not None and how.upright:
         pixels = _turn(pixels, image.getexif().get(_ORIENTATION, 1))
-    pixels = _cropped(pixels, how)
+    pixels = _cropped(_part(pixels, how), how)
     if how.view is not None and sensor.camera is not None:
         return render_lens_view(pixels, how.view, sensor.camera)
     if bend and how.camera is not None and sensor.camera is not None:
         pixels = _undistort(pixels, crop_camera(how.camera, *how.crop_px), sensor.camera)
     return pixels
+
+
+def _part(pixels: np.ndarray, how: Source) -> np.ndarray:
+    """Of two images side by side the one of the lens."""
+    width = pixels.shape[1] // 2
+    return pixels if how.part is None else pixels[:, how.part * width : (how.part + 1) * width]
 
 
 def _gone(path: Path, error: OSError) -> InputError:

@@ -24,6 +24,7 @@ from tiegraph.scan.rigspec import RigSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.times import FrameRow
 from tiegraph.scan.tuning import FramesTuning, Tuning
+from tiegraph.scan.twolenses import two_lenses
 from tiegraph.scan.usable import need_two, usable_images
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.images import IMAGES_FOLDER, Probe, find_images, probe_image
@@ -65,7 +66,9 @@ def build_scene(
     if Path(inputs.images, IMAGES_FOLDER).is_dir():
         report.notes.append(f"only the folder {IMAGES_FOLDER}/ was searched for images")
     usable = usable_images(names, probes, report)
-    views = perspective_views(usable, inputs.rig, settings, report, tuning)
+    views = two_lenses(usable, inputs.rig, inputs.rig_text, settings, report, tuning) or perspective_views(
+        usable, inputs.rig, settings, report, tuning
+    )
     if views is None:
         files: Sequence[str] = names
         survey = assign(inputs.rig, usable, settings, report, tuning, inputs.rig_text)

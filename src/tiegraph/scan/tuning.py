@@ -122,12 +122,20 @@ class LensViewsTuning(Section):
 
     wider_deg: float = Field(150.0, gt=0, le=180)
     """A lens that sees more across is cut into views: at its rim a pixel counts 15 times and more in a plane."""
+    back_to_back_deg: float = Field(150.0, gt=0, le=180)
+    """Between two lenses: from here on they are those of a 360 camera."""
+    level_hfov_deg: float = Field(80.0, gt=0, lt=180)
+    """Of a level view of one, as of a panorama's: one ahead, two to the sides as far as 90 degrees off the axis ..."""
+    level_vfov_deg: float = Field(90.0, gt=0, lt=180)
+    """... from top to bottom."""
     fov_deg: float = Field(90.0, gt=0, lt=180)
-    """Of a view, across and down ..."""
-    off_axis_deg: float = Field(45.0, gt=0, le=90)
-    """... and how far the four around look off the axis of the lens: with 90 degrees to where it looks no more."""
+    """Of a view of a lens alone, across and down: one ahead, four around as far as 90 degrees off the axis."""
     most: float = Field(0.5, ge=0, lt=1)
     """The circle of a lens is believed if more than this share of its images show one."""
+    nominal_deg: float = Field(200.0, gt=0, lt=360)
+    """Across the circle of a lens of a 360 camera that nobody calibrated: Insta360's see 195 to 200."""
+    nominal_sigma: float = Field(0.05, gt=0)
+    """Of its focal length, a share."""
     rim: float = Field(0.03, ge=0, lt=1)
     """Of its radius: a lens ends in a blurred, coloured rim."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import os
+import re
 import warnings
 from collections import deque
 from collections.abc import Iterator
@@ -23,7 +24,7 @@ from tiegraph.scene.regular import regular
 from tiegraph.scene.rig import Circle
 from tiegraph.scene.tuning import ImageTuning
 
-SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".pgm")
+SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".pgm", ".insp")
 # Photographs nobody here can decode: found, and refused by name, so that they are not missed silently.
 UNREADABLE = (".heic", ".heif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".gif", ".jp2")
 IMAGES_FOLDER = "images"
@@ -46,6 +47,7 @@ class Probe:
     digest: str = ""  # of the file's bytes
     panorama: bool = False  # equirectangular, the whole sphere
     circles: tuple[Circle, ...] = ()  # what fisheye lenses light of it: one, or two side by side
+    lenses: str = ""  # what Insta360's factory says of the two lenses
     reason: str = ""
 
     def upright_size(self) -> tuple[int, int]:
@@ -198,7 +200,16 @@ def _describe(data: bytes, digest: str, tuning: ImageTuning) -> Probe:
         digest=digest,
         panorama=not circles and is_equirectangular(image, tuning.panorama),
         circles=circles,
+        lenses=_factory_lenses(data) if len(circles) > 1 else "",
     )
+
+
+_FACTORY = re.compile(rb"2(?:_-?\d+(?:\.\d+)?){15}(?![_.\d])")
+
+
+def _factory_lenses(data: bytes) -> str:
+    found = _FACTORY.search(data)
+    return found.group().decode() if found else ""
 
 
 def _refuse_bomb(image: Image.Image, size: int) -> None:

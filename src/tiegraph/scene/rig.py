@@ -41,6 +41,7 @@ class Source:
     panorama: bool = False  # the file is an equirectangular panorama; the image is a view of it along the rig's sensor
     view: LensView | None = None  # the file, cropped, is a fisheye image; the image is a view of it
     circle_px: Circle | None = None  # what the lens lights of the cropped file; None = all of it
+    part: int | None = None  # which of the two images side by side in the file this is of; None = the file is one
 
     @property
     def rendered(self) -> bool:
@@ -234,6 +235,8 @@ def _source_to_dict(source: Source | None) -> dict | None:
         rest["view"] = {"name": view.name, "lens": camera_to_dict(view.lens), "rotation": list(view.rotation)}
     if source.circle_px is not None:
         rest["circle_px"] = list(source.circle_px)
+    if source.part is not None:
+        rest["part"] = source.part
     return {"camera": camera, "crop_px": list(source.crop_px), **rest}
 
 
@@ -250,4 +253,5 @@ def _source_from_dict(data: dict | None) -> Source | None:
         panorama=data.get("panorama", False),
         view=None if view is None or lens is None else LensView(view["name"], lens, tuple(view["rotation"])),
         circle_px=None if circle is None else tuple(circle),
+        part=data.get("part"),
     )
