@@ -12,6 +12,7 @@ from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.pipeline.inputs import check_against
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
+from tiegraph.scan.lensvideos import two_tracks_note
 from tiegraph.scan.scan import ScanInputs, build_scene, prepare_image, probe_image
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PicturesTuning
@@ -86,7 +87,7 @@ def _photographs(run: Run) -> tuple[Path, tuple[str, ...]]:
     said = run.map(_take_pictures, todo, run.settings.scan.video_fps, run.settings.tuning.scan.pictures)
     if not has_images(folder) or len(find_images(folder)) < 2:
         raise InputError(f"{images}: at least 2 pictures are needed: {'; '.join(said)}")
-    return folder, tuple(s for s in said if s)
+    return folder, tuple(s for s in (*said, *(two_tracks_note(images / v) for v in videos)) if s)
 
 
 def _take_pictures(item: tuple[Path, Path], per_second: float, tuning: PicturesTuning) -> str:
