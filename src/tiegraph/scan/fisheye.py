@@ -65,7 +65,7 @@ def into_views(
 ) -> tuple[tuple[Rig, ...], Survey, Pictures]:  # fmt: skip
     """The survey with views in place of wide fisheye images. Raises InputError if they are asked for and impossible."""
     cut = {(r, k): _why_not(s, settings, tuning) for r, rig in enumerate(rigs) for k, s in enumerate(rig.sensors)}
-    _say(rigs, cut, settings, report)
+    _say(rigs, cut, settings, report, tuning)
     if not any(why == "" for why in cut.values()):
         return rigs, survey, pictures
     made: list[Rig] = []
@@ -114,7 +114,13 @@ def _why_not(sensor: Sensor, settings: ScanSettings, tuning: LensViewsTuning) ->
     return "" if known else "its lens is not calibrated"
 
 
-def _say(rigs: Sequence[Rig], cut: dict[tuple[int, int], str | None], settings: ScanSettings, report: Report) -> None:
+def _say(
+    rigs: Sequence[Rig],
+    cut: dict[tuple[int, int], str | None],
+    settings: ScanSettings,
+    report: Report,
+    tuning: LensViewsTuning,
+) -> None:
     named = {why: [rigs[r].sensors[k].name for (r, k), w in cut.items() if w == why] for why in cut.values() if why}
     for why, names in named.items():
         if settings.fisheye == "views":
@@ -123,12 +129,14 @@ def _say(rigs: Sequence[Rig], cut: dict[tuple[int, int], str | None], settings: 
                 "whole images will do: `tiegraph rig OUT`)"
             )
         report.notes.append(
-            f"{some(names)}: fisheye images are used whole and only near their axis, for {why}; with a rig file that "
-            "has its distortion (`tiegraph rig OUT` of this run) they are cut into views and used up to 90 degrees"
+            f"{some(names)}: fisheye images are used whole and only near their axis, for {why}; with its "
+            "distortion in a rig file (`tiegraph rig OUT` of this run) they are cut into views and used nearly up to 90"
         )
     names = [rigs[r].sensors[k].name for (r, k), why in cut.items() if why == ""]
     if names:
-        report.notes.append(f"{some(names)}: each fisheye image is cut into views up to 90 degrees off its axis")
+        report.notes.append(
+            f"{some(names)}: each fisheye image is cut into views up to {tuning.reach_deg:g} degrees off its axis"
+        )
 
 
 _FRONT = "front"
@@ -146,10 +154,10 @@ class _Cut:
 def _cut_of(rig: Rig, sensor: int, tuning: LensViewsTuning) -> _Cut:
     upright = _upright(rig, sensor, tuning)
     if upright is None:
-        off = 90.0 - tuning.fov_deg / 2
+        off = tuning.reach_deg - tuning.fov_deg / 2
         ways = {_FRONT: (0.0, 0.0), "right": (off, 0.0), "left": (-off, 0.0), "up": (0.0, off), "down": (0.0, -off)}
         return _Cut({n: orient(*way, 0).T for n, way in ways.items()}, tuning.fov_deg, tuning.fov_deg)
-    off = 90.0 - tuning.level_hfov_deg / 2
+    off = tuning.reach_deg - tuning.level_hfov_deg / 2
     level = {_FRONT: 0.0, "right": off, "left": -off}
     turns = {n: orient(yaw, 0, 0).T @ upright for n, yaw in level.items()}
     return _Cut(turns, tuning.level_hfov_deg, tuning.level_vfov_deg)

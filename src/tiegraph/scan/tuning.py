@@ -125,11 +125,13 @@ class LensViewsTuning(Section):
     back_to_back_deg: float = Field(150.0, gt=0, le=180)
     """Between two lenses: from here on they are those of a 360 camera."""
     level_hfov_deg: float = Field(80.0, gt=0, lt=180)
-    """Of a level view of one, as of a panorama's: one ahead, two to the sides as far as 90 degrees off the axis ..."""
+    """Of a level view of one, as of a panorama's: one ahead, two to the sides as far as the reach ..."""
     level_vfov_deg: float = Field(90.0, gt=0, lt=180)
     """... from top to bottom."""
     fov_deg: float = Field(90.0, gt=0, lt=180)
-    """Of a view of a lens alone, across and down: one ahead, four around as far as 90 degrees off the axis."""
+    """Of a view of a lens alone, across and down: one ahead, four around as far as the reach."""
+    reach_deg: float = Field(88.0, gt=0, lt=90)
+    """Off the axis, how far views reach: at 90 degrees COLMAP's lenses end, and the last pixels would be black."""
     most: float = Field(0.5, ge=0, lt=1)
     """The circle of a lens is believed if more than this share of its images show one."""
     nominal_deg: float = Field(200.0, gt=0, lt=360)
