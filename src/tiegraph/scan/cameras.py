@@ -118,7 +118,7 @@ def _from_params(
     if (width, height) != facts.size:
         camera.rescale(*facts.size)
     camera.has_prior_focal_length = True
-    origin = "an exact view of the panoramas" if spec.of_panorama else f"camera from {file}"
+    origin = "an exact view of the panoramas" if spec.of_panorama else f"camera from {file or 'its circle, a guess'}"
     return camera, f"{origin}{_scaled(scale)}"
 
 

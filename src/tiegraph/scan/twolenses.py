@@ -17,7 +17,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import rigid
 from tiegraph.scan.assign import Report, Usable
-from tiegraph.scan.perspective import SharedFiles, share_files
+from tiegraph.scan.perspective import PRESET, SharedFiles, share_files
 from tiegraph.scan.rigfile import parse_rig_file, read_rig_file
 from tiegraph.scan.rigspec import RigSpec, SensorSpec, orient, preset_sizes
 from tiegraph.scan.settings import ScanSettings
@@ -36,6 +36,8 @@ def two_lenses(
     rig.toml that comes from ``rig``, a run folder. Without, they stand back to back and see what is usual. Raises
     InputError for another rig.
     """
+    if (rig or "").strip().lower() == PRESET:  # the user says they are panoramas
+        return None
     both = [len(p.circles) == len(NAMES) and p.exif.orientation <= 1 for p in usable.probes]
     if sum(both) <= tuning.lens_views.most * len(both):
         return None
