@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
 
@@ -52,42 +53,45 @@ def perspective_views(
         if any(full):
             report.notes.append(f"{sum(full)} images look like panoramas; --rig {PRESET} reads them as such")
         return None
-    sizes_px = {(p.width, p.height) for p, f in zip(usable.probes, full) if f}
-    full = [f or (p.width, p.height) in sizes_px for p, f in zip(usable.probes, full)]  # one with dark poles, say
-    report.drop([n for n, f in zip(usable.names, full) if not f], "not a panorama, as most images here are")
-    names = tuple(n for n, f in zip(usable.names, full) if f)
-    probes = tuple(p for p, f in zip(usable.probes, full) if f)
-    return _views(names, probes, settings, report, tuning)
+    return _views(
+        of_one_kind(usable, full, "not a panorama, as most images here are", report), settings, report, tuning
+    )
 
 
-def _views(
-    names: tuple[str, ...], probes: tuple[Probe, ...], settings: ScanSettings, report: Report, tuning: Tuning
-) -> SharedFiles:
-    width = Counter(p.width for p in probes).most_common(1)[0][0]
+def of_one_kind(usable: Usable, surely: Sequence[bool], otherwise: str, report: Report) -> Usable:
+    """The images that are ``surely`` of a kind, and those of their sizes: it does not show in one taken in the dark.
+    The report gets the others, with the reason ``otherwise``."""
+    sizes_px = {(p.width, p.height) for p, sure in zip(usable.probes, surely) if sure}
+    kept = [k for k, p in enumerate(usable.probes) if (p.width, p.height) in sizes_px]
+    report.drop([n for k, n in enumerate(usable.names) if k not in set(kept)], otherwise)
+    names, probes = tuple(usable.names[k] for k in kept), tuple(usable.probes[k] for k in kept)
+    return replace(usable, images=tuple(usable.images[k] for k in kept), names=names, probes=probes)
+
+
+def _views(usable: Usable, settings: ScanSettings, report: Report, tuning: Tuning) -> SharedFiles:
+    width = Counter(p.width for p in usable.probes).most_common(1)[0][0]
     spec = panorama_rig(width, tuning.panorama)
-    shared = share_files(names, probes, spec, settings, tuning)
+    shared = share_files(usable, spec, settings, tuning)
     sensors = [spec.sensors[s.sensor] for s in shared.survey.shots]
     made = tuple(_as_view(p, p.width / width, s) for p, s in zip(shared.probes, sensors))
     columns, rows = spec.sensors[0].size or (0, 0)
     level = len(spec.sensors) - 1
     report.notes.append(
-        f"{len(names)} equirectangular panoramas, {width} x {width // 2} pixels: each unfolded into {level} level "
-        f"views and one up, of {columns} x {rows} pixels: a calibrated rig without a base; {shared.order()}"
+        f"{len(usable.names)} equirectangular panoramas, {width} x {width // 2} pixels: each unfolded into {level} "
+        f"level views and one up, of {columns} x {rows} pixels: a calibrated rig without a base; {shared.order()}"
     )
     return replace(shared, probes=made)
 
 
-def share_files(
-    names: tuple[str, ...], probes: tuple[Probe, ...], spec: RigSpec, settings: ScanSettings, tuning: Tuning
-) -> SharedFiles:
+def share_files(usable: Usable, spec: RigSpec, settings: ScanSettings, tuning: Tuning) -> SharedFiles:
     """The images that the sensors of a rig have of each file, named as it in a folder of the sensor's name, with the
     probes of the files."""
     kind = "sequence" if settings.layout == "auto" else settings.layout
-    sizes = [p.upright_size() for p in probes]
-    layout = guess_layout(names, [p.exif for p in probes], sizes, kind, tuning.folders)
+    exif, sizes = usable.facts()
+    layout = guess_layout(usable.names, exif, sizes, kind, tuning.folders)
     views: list[str] = []
     shots: list[Shot] = []
-    for name, place in zip(names, layout.places):
+    for name, place in zip(usable.names, layout.places):
         path = PurePosixPath(name)
         sequence = "" if layout.loose or place is None else place.sequence
         for k, sensor in enumerate(spec.sensors):
@@ -96,8 +100,8 @@ def share_files(
     each = len(spec.sensors)
     return SharedFiles(
         names=tuple(views),
-        probes=tuple(p for p in probes for _ in range(each)),
-        files=tuple(n for n in names for _ in range(each)),
+        probes=tuple(p for p in usable.probes for _ in range(each)),
+        files=tuple(n for n in usable.names for _ in range(each)),
         survey=Survey((spec,), tuple(shots), layout.loose),
     )
 

@@ -17,7 +17,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import rigid
 from tiegraph.scan.assign import Report, Usable
-from tiegraph.scan.perspective import PRESET, SharedFiles, share_files
+from tiegraph.scan.perspective import PRESET, SharedFiles, of_one_kind, share_files
 from tiegraph.scan.rigfile import parse_rig_file, read_rig_file
 from tiegraph.scan.rigspec import RigSpec, SensorSpec, orient, preset_sizes
 from tiegraph.scan.settings import ScanSettings
@@ -41,16 +41,12 @@ def two_lenses(
     both = [len(p.circles) == len(NAMES) and p.exif.orientation <= 1 for p in usable.probes]
     if sum(both) <= tuning.lens_views.most * len(both):
         return None
-    sizes = {(p.width, p.height) for p, two in zip(usable.probes, both) if two}
-    kept = [two or (p.width, p.height) in sizes for p, two in zip(usable.probes, both)]  # one in the dark, say
-    report.drop([n for n, k in zip(usable.names, kept) if not k], "not two fisheye images, as most files here are")
-    names = tuple(n for n, k in zip(usable.names, kept) if k)
-    probes = tuple(p for p, k in zip(usable.probes, kept) if k)
-    spec = _nominal(probes, report, tuning.lens_views) if rig is None else _given(rig, text, tuning)
-    shared = share_files(names, probes, spec, settings, tuning)
+    kept = of_one_kind(usable, both, "not two fisheye images, as most files here are", report)
+    spec = _nominal(kept.probes, report, tuning.lens_views) if rig is None else _given(rig, text, tuning)
+    shared = share_files(kept, spec, settings, tuning)
     halves = tuple(_half(p, s.sensor) for p, s in zip(shared.probes, shared.survey.shots))
     jpeg = tuple(n if PurePosixPath(n).suffix.lower() != ".insp" else f"{n[:-5]}.jpg" for n in shared.names)
-    report.notes.append(f"{len(names)} files with the images of two fisheye lenses side by side; {shared.order()}")
+    report.notes.append(f"{len(kept.names)} files with the images of two fisheye lenses side by side; {shared.order()}")
     return replace(shared, names=jpeg, probes=halves)
 
 
