@@ -97,11 +97,14 @@ def test_views_show_what_the_rig_sees_there(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_guessed_lens_stays_whole_and_says_so(tmp_path: Path) -> None:
     images = two_lenses(tmp_path / "in")
-    guessed = scan(images, ScanSettings(camera_model="OPENCV_FISHEYE"))
+    guessed = scan(images)
     assert len(guessed.all_sensors) == 2 and any("not calibrated" in n for n in guessed.notes)
+    cameras = [s.camera for s in guessed.all_sensors if s.camera is not None]  # by their circles: no name says fisheye
+    assert [c.model.name for c in cameras] == ["OPENCV_FISHEYE"] * 2 and not cameras[0].has_prior_focal_length
+    assert all(0.98 < c.mean_focal_length() / (CIRCLE / np.radians(100)) < 1.02 for c in cameras)
     assert all(s.source is not None and s.source.circle_px is not None for s in guessed.all_sensors)
     with pytest.raises(InputError, match=r"scan.fisheye = views.*fish_a.*not calibrated"):
-        scan(images, ScanSettings(camera_model="OPENCV_FISHEYE", fisheye="views"))
+        scan(images, ScanSettings(fisheye="views"))
 
 
 def test_what_the_user_asks_for_holds(tmp_path: Path) -> None:

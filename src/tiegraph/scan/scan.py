@@ -77,7 +77,7 @@ def build_scene(
     survey = _one_size(survey, names, probes, report)
     survey = _into_frames(survey, files, settings.frames, report, tuning.frames)
     need_two(len(survey.shots), report)
-    sizes = {k: _facts(shots, probes, survey.loose).size for k, shots in _sensors(survey).items()}
+    sizes = {k: _facts(shots, probes, survey.loose, tuning).size for k, shots in _sensors(survey).items()}
     survey = with_camera(survey, sizes, inputs.camera, report.notes, tuning.rig)
     rigs, survey = _rigs(survey, probes, settings, report, tuning)
     rigs, survey, pictures = into_views(
@@ -184,7 +184,7 @@ def _rigs(
         for k in present:
             sensor = spec.sensors[k]
             renumber[r, k] = len(rigs), len(sensors)
-            facts = _facts(groups[r, k], probes, survey.loose)
+            facts = _facts(groups[r, k], probes, survey.loose, tuning)
             calibrated = calibrate(sensor, facts, spec.file, settings, tuning.rig.camera)
             hows.setdefault(calibrated.how, []).append(sensor.name)
             pose = _sensor_from_rig(spec, k, present[0])
@@ -221,17 +221,19 @@ def _rigs(
     return tuple(rigs), replace(survey, specs=kept, shots=shots)
 
 
-def _facts(shots: list[Shot], probes: Sequence[Probe], loose: bool) -> FileFacts:
+def _facts(shots: list[Shot], probes: Sequence[Probe], loose: bool, tuning: Tuning) -> FileFacts:
     upright = _upright(shots, probes, loose)
     of = [probes[s.image] for s in shots]
     focal = [p.exif.focal_px for p in of if np.isfinite(p.exif.focal_px)]
     bits = max(p.bits for p in of)
+    radii = [p.circles[0][2] for p in of if len(p.circles) == 1]
     return FileFacts(
         size=_size(of[0], upright),
         focal_px=float(np.median(focal)) if focal else float("nan"),
         upright=upright,
         bits=bits,
         loose=loose,
+        radius_px=float(np.median(radii)) if len(radii) > tuning.lens_views.most * len(of) else float("nan"),
     )
 
 

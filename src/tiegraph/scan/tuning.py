@@ -51,7 +51,9 @@ class CameraTuning(Section):
     """Focal length in longer sides of the image: COLMAP's ImageReaderOptions.default_focal_length_factor, a guess of 45
     degrees of view."""
     guessed_fisheye_deg: float = Field(180.0, gt=0, le=360)
-    """What a fisheye image sees across."""
+    """What a fisheye image sees across, where its circle does not show ..."""
+    guessed_circle_deg: float = Field(200.0, gt=0, lt=360)
+    """... and where it does, what the lens sees across it: those of 360 cameras 195 to 200."""
     same_shape: float = Field(0.01, ge=0)
     """Relative difference of two aspect ratios that rounding to whole pixels may cause."""
     min_side_px: int = Field(32, gt=0)
@@ -134,10 +136,8 @@ class LensViewsTuning(Section):
     """Off the axis, how far views reach: at 90 degrees COLMAP's lenses end, and the last pixels would be black."""
     most: float = Field(0.5, ge=0, lt=1)
     """The circle of a lens is believed if more than this share of its images show one."""
-    nominal_deg: float = Field(200.0, gt=0, lt=360)
-    """Across the circle of a lens of a 360 camera that nobody calibrated: Insta360's see 195 to 200."""
     nominal_sigma: float = Field(0.05, gt=0)
-    """Of its focal length, a share."""
+    """Of the focal length of a lens of a 360 camera that nobody calibrated, a share."""
     rim: float = Field(0.03, ge=0, lt=1)
     """Of its radius: a lens ends in a blurred, coloured rim."""
 

@@ -21,7 +21,7 @@ from tiegraph.scan.perspective import PRESET, SharedFiles, of_one_kind, share_fi
 from tiegraph.scan.rigfile import parse_rig_file, read_rig_file
 from tiegraph.scan.rigspec import RigSpec, SensorSpec, orient, preset_sizes
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.tuning import LensViewsTuning, Tuning
+from tiegraph.scan.tuning import Tuning
 from tiegraph.scene.images import Probe
 
 NAMES = ("lens0", "lens1")
@@ -42,7 +42,7 @@ def two_lenses(
     if sum(both) <= tuning.lens_views.most * len(both):
         return None
     kept = of_one_kind(usable, both, "not two fisheye images, as most files here are", report)
-    spec = _nominal(kept.probes, report, tuning.lens_views) if rig is None else _given(rig, text, tuning)
+    spec = _nominal(kept.probes, report, tuning) if rig is None else _given(rig, text, tuning)
     shared = share_files(kept, spec, settings, tuning)
     halves = tuple(_half(p, s.sensor) for p, s in zip(shared.probes, shared.survey.shots))
     jpeg = tuple(n if PurePosixPath(n).suffix.lower() != ".insp" else f"{n[:-5]}.jpg" for n in shared.names)
@@ -58,7 +58,8 @@ def _half(probe: Probe, part: int) -> Probe:
     return replace(probe, width=width, exif=exif, circles=circles)
 
 
-def _nominal(probes: Sequence[Probe], report: Report, tuning: LensViewsTuning) -> RigSpec:
+def _nominal(probes: Sequence[Probe], report: Report, tuning: Tuning) -> RigSpec:
+    across_deg = tuning.rig.camera.guessed_circle_deg
     found = [p for p in probes if len(p.circles) == len(NAMES)]
     circles = np.median([[c for c in p.circles] for p in found], axis=0)  # (2, 3)
     width, height = found[0].width // len(NAMES), found[0].height
@@ -68,7 +69,7 @@ def _nominal(probes: Sequence[Probe], report: Report, tuning: LensViewsTuning) -
     sensors = []
     for k, name in enumerate(NAMES):
         x, y, radius = (float(v) for v in circles[k] - (k * width, 0, 0))
-        focal = radius / np.radians(tuning.nominal_deg / 2)
+        focal = radius / np.radians(across_deg / 2)
         sensors.append(
             SensorSpec(
                 name=name,
@@ -77,13 +78,11 @@ def _nominal(probes: Sequence[Probe], report: Report, tuning: LensViewsTuning) -
                 model="OPENCV_FISHEYE",
                 size=(width, height),
                 params=(focal, focal, x, y, 0.0, 0.0, 0.0, 0.0),
-                camera_sigma_px=tuning.nominal_sigma * focal,
+                camera_sigma_px=tuning.lens_views.nominal_sigma * focal,
                 part=k,
             )
         )
-    report.notes.append(
-        f"two lenses back to back, {told}; each taken to see {tuning.nominal_deg:g} degrees across its circle"
-    )
+    report.notes.append(f"two lenses back to back, {told}; each taken to see {across_deg:g} degrees across its circle")
     return RigSpec("360", tuple(sensors), nominal=True, synchronised=True, body_is_reference=True)
 
 
