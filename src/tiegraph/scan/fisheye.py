@@ -129,7 +129,7 @@ def _say(
                 "whole images will do: `tiegraph rig OUT`)"
             )
         report.notes.append(
-            f"{some(names)}: fisheye images are used whole and only near their axis, for {why}; with its "
+            f"{some(names)}: fisheye images are used whole, which ties little far off their axis, for {why}; with its "
             "distortion in a rig file (`tiegraph rig OUT` of this run) they are cut into views and used nearly up to 90"
         )
     names = [rigs[r].sensors[k].name for (r, k), why in cut.items() if why == ""]
