@@ -274,7 +274,7 @@ class Tuning(Section):
     """Frames every camera must have before ``source = auto`` learns masks from them."""
     fisheye_half_deg: float = Field(89.0, gt=0, lt=90)
     """Off the axis, what of a fisheye image is used that is not cut into views: farther out COLMAP has no rays. With 80
-    kerry_park_360rig, whole, had 417 points where it has 1027."""
+    kerry_park_360rig, whole, fell apart (417 points; 755 with 89)."""
     frames: FramesTuning = FramesTuning()
     """Reading images."""
     moved: MovedTuning = MovedTuning()
