@@ -1,4 +1,5 @@
 import time
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -8,6 +9,7 @@ from pydantic import ValidationError
 from masks_world import DECK, HORIZON, SHAPE, frame, sequence, share, write
 from tiegraph import papers
 from tiegraph.errors import InputError
+from tiegraph.masks import sources
 from tiegraph.masks.compare import compare
 from tiegraph.masks.settings import MasksSettings
 from tiegraph.masks.sources import SOURCES, Camera, explain_source
@@ -135,3 +137,13 @@ def test_paper_001_table_2_on_the_example_survey(canal, tmp_path):
         accuracy[name] = compare(tmp_path / name, truth, keep_labels=(4,)).rows[-1].accuracy
     assert 0.45 < accuracy["meguro2024"] < accuracy["meguro2025"] < 0.9
     assert accuracy["meguro2025"] > 0.62
+
+
+def test_views_of_a_lens_are_one_witness_of_water(monkeypatch):
+    asked = []
+    monkeypatch.setattr(sources, "learn", lambda images, settings, *rest: asked.append(settings.water) or {})
+    for lens in ("", "left"):
+        cameras = {k: Camera((Path("a.png"),), lens=lens and f"{lens}{k % 2}") for k in range(6)}
+        SOURCES["learnt"].prepare(cameras, MasksSettings(source="learnt"), Tuning(), map)
+    SOURCES["learnt"].prepare(cameras, MasksSettings(source="learnt", water="on"), Tuning(), map)
+    assert asked == ["auto", "off", "on"]

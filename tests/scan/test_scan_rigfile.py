@@ -12,6 +12,7 @@ from tiegraph.geometry.transforms import angle_deg, from_quaternion_wxyz, invert
 from tiegraph.scan.rigfile import read_rig_file
 from tiegraph.scan.rigspec import AXES, orient, preset, yaw_pitch_roll_deg
 from tiegraph.scan.rigwrite import write_rig_config, write_rig_toml
+from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.rig import Rig, Sensor, rig_from_dict, rig_to_dict
 
@@ -336,7 +337,7 @@ def test_an_unknown_rig_is_written_without_poses(tmp_path: Path) -> None:
 
 def test_a_real_fisheye_rig() -> None:
     folder = data("kerry_park_360rig")
-    scene = scan(folder, rig=str(folder / "rig_config.json"))
+    scene = scan(folder, ScanSettings(fisheye="whole"), rig=str(folder / "rig_config.json"))
     assert (len(scene), scene.frames, scene.dropped) == (48, 24, ())
     rig = scene.rigs[0]
     assert rig.axis_angles_deg()[0, 1] == pytest.approx(180) and rig.baselines_m()[0, 1] == pytest.approx(0.0307)

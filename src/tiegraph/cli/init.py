@@ -96,7 +96,7 @@ def _write_rigs(scene: Scene, folder: Path) -> list[Path]:
     written = []
     for number, rig in enumerate(scene.rigs):
         path = folder / ("rig.toml" if len(scene.rigs) == 1 else f"rig_{number}.toml")
-        given = any(s.source is not None and s.source.panorama for s in rig.sensors)
+        given = any(s.source is not None and s.source.rendered for s in rig.sensors)
         if len(rig.sensors) > 1 and not given and not path.exists():
             write_rig_toml(_without_guesses(rig), path, _COMMENT)
             written.append(path)

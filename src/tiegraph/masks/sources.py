@@ -26,10 +26,11 @@ from tiegraph.scene.scene import Scene
 
 @dataclass(frozen=True)
 class Camera:
-    """The images of one sensor, paths in order; ``upward``: it looks up."""
+    """The images of one sensor, paths in order; ``upward``: it looks up; ``lens``: whose views they are, if any's."""
 
     images: tuple[Path, ...]
     upward: bool = False
+    lens: str = ""
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ def explain_source(scene: Scene, settings: MasksSettings, tuning: Tuning) -> tup
     automatic = settings.source == "auto"
     name, why = _automatic(scene, settings, tuning) if automatic else (settings.source, "as the setting says")
     if name == "folder" and settings.folder is not None:
-        check_folder(settings.folder, [scene.source_name(k) for k in range(len(scene))])
+        check_folder(settings.folder, [scene.mask_name(k) for k in range(len(scene))])
     return name, why
 
 
@@ -118,6 +119,9 @@ def _prepare_learnt(
     cameras: Mapping[int, Camera], settings: MasksSettings, tuning: Tuning, apply: Map = map
 ) -> dict[int, Classifier]:
     upward = [key for key, camera in cameras.items() if camera.upward]
+    lenses = {camera.lens or key for key, camera in cameras.items() if not camera.upward}
+    if settings.water == "auto" and len(lenses) < tuning.water.least_cameras:  # views of one lens are one witness
+        settings = settings.model_copy(update={"water": "off"})
     return learn({key: camera.images for key, camera in cameras.items()}, settings, tuning, upward, apply)
 
 

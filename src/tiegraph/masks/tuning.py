@@ -272,6 +272,9 @@ class Tuning(Section):
 
     auto_frames: int = Field(5, gt=0)
     """Frames every camera must have before ``source = auto`` learns masks from them."""
+    fisheye_half_deg: float = Field(89.0, gt=0, lt=90)
+    """Off the axis, what of a fisheye image is used that is not cut into views: farther out COLMAP has no rays. With 80
+    kerry_park_360rig, whole, fell apart (417 points; 755 with 89)."""
     frames: FramesTuning = FramesTuning()
     """Reading images."""
     moved: MovedTuning = MovedTuning()

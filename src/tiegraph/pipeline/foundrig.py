@@ -126,6 +126,11 @@ def _read(folder: Path) -> _Run:
     scene = load_scene(folder / "network" / "scene.json")
     if any(s.source is not None and s.source.panorama for s in scene.all_sensors):
         raise InputError(f"{folder}: its cameras are views of panoramas, which need no rig file: give --rig panorama")
+    if any(s.source is not None and s.source.view is not None for s in scene.all_sensors):
+        raise InputError(
+            f"{folder}: its cameras are views of fisheye images, whose lenses it used as they were given: give the rig "
+            "file of that run, or calibrate them in a run with --scan.fisheye whole"
+        )
     mapped = load_model(first)
     current = placed.get("finished") and placed.get("from", {}).get("sparse") == receipt.get("made")
     if not current or not (world / "cameras.bin").exists():

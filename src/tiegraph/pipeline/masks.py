@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ import numpy as np
 
 from tiegraph import papers
 from tiegraph.errors import choose
-from tiegraph.masks.classes import NAMES, USE
+from tiegraph.masks.classes import EGO, NAMES, USE
 from tiegraph.masks.frames import full_size, image_size
 from tiegraph.masks.quality import Quality, flags, image_quality
 from tiegraph.masks.settings import MasksSettings
@@ -22,6 +22,7 @@ from tiegraph.masks.tuning import Tuning
 from tiegraph.pipeline.files import classes_path, mask_path, read_image, read_mask, save_png, scanned
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
+from tiegraph.scene.fisheye import lit
 from tiegraph.scene.scene import Scene
 
 
@@ -33,8 +34,9 @@ def masks(run: Run) -> Outcome:
     prepared: dict[int, Any] = {}
     if any(not mask_path(run.folder, n).exists() for n in scene.names):
         prepared = _source(source).prepare(_cameras(scene, run.path("images")), settings, tuning, _apply(run))
-    keyed = {n: (int(scene.sensor_key[k]), scene.source_name(k)) for k, n in enumerate(scene.names)}
-    how = _How(folder=run.folder, source=source, settings=settings, tuning=tuning)
+    keyed = {n: (int(scene.sensor_key[k]), scene.mask_name(k)) for k, n in enumerate(scene.names)}
+    seen = {k: lit(s, tuning.fisheye_half_deg) for k, s in enumerate(scene.all_sensors)}
+    how = _How(folder=run.folder, source=source, settings=settings, tuning=tuning, lit=seen)
     run.make_missing(_mask_item, scene.names, lambda n: mask_path(run.folder, n), how, prepared, keyed)
     shares = np.array(run.map(_shares, list(scene.names), run.folder))  # (N, classes)
     flagged = _flagged(run, scene)
@@ -60,7 +62,7 @@ def masks_by(source: str, scene: Scene, images: Path, target: Path) -> None:
     settings, tuning = MasksSettings(source=source), Tuning()  # type: ignore[arg-type]
     prepared = made.prepare(_cameras(scene, images), settings, tuning, map)
     for k, name in enumerate(scene.names):
-        keep = made.mask(images / name, prepared[int(scene.sensor_key[k])], settings, tuning, scene.source_name(k))
+        keep = made.mask(images / name, prepared[int(scene.sensor_key[k])], settings, tuning, scene.mask_name(k))
         save_png(target / f"{name}.png", np.where(keep, 255, 0).astype(np.uint8))
 
 
@@ -75,11 +77,13 @@ def _source(name: str) -> MaskSource:
 
 def _cameras(scene: Scene, folder: Path) -> dict[int, Camera]:
     order = np.lexsort((scene.sequence_index[scene.frame], scene.sequence[scene.frame]))
-    return {
-        key: Camera(tuple(folder / scene.names[k] for k in order if scene.sensor_key[k] == key), sensor.role == "up")
-        for key, sensor in enumerate(scene.all_sensors)
-        if (scene.sensor_key == key).any()
-    }
+    found = {}
+    for key, sensor in enumerate(scene.all_sensors):
+        images = tuple(folder / scene.names[k] for k in order if scene.sensor_key[k] == key)
+        view = None if sensor.source is None else sensor.source.view
+        if images:
+            found[key] = Camera(images, sensor.role == "up", "" if view is None else view.name)
+    return found
 
 
 def _apply(run: Run) -> Callable[[Callable, Sequence], list]:
@@ -97,17 +101,22 @@ class _How:
     source: str
     settings: MasksSettings
     tuning: Tuning
+    lit: Mapping[int, np.ndarray | None]  # of the cameras: (H, W) bool, what their lenses light
 
 
 def _mask_item(name: str, how: _How, prepared: dict[int, Any], keyed: dict[str, tuple[int, str]]) -> None:
     key, found = keyed[name]
-    made, image = _source(how.source), how.folder / "images" / name
+    made, image, lit_there = _source(how.source), how.folder / "images" / name, how.lit[key]
     if made.classes is None:
         keep = made.mask(image, prepared[key], how.settings, how.tuning, found)
     else:
         classes = made.classes(image, prepared[key], how.settings, how.tuning, found)
+        if lit_there is not None:
+            classes = np.where(full_size(lit_there, classes.shape), classes, EGO).astype(np.uint8)
         save_png(classes_path(how.folder, name), classes)
         keep = full_size(classes == USE, image_size(image))
+    if lit_there is not None:
+        keep = keep & lit_there
     save_png(mask_path(how.folder, name), np.where(keep, 255, 0).astype(np.uint8))
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.project.run import Run
+from tiegraph.scan.lensvideos import SUFFIX, two_tracks_note
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import OffsetTuning, PicturesTuning, Tuning
 from tiegraph.scan.video import Pictures, find_videos, nearest, open_video, picture_folders, sharpest, take_pictures
@@ -84,7 +85,7 @@ def photographs(run: Run) -> tuple[Path, tuple[str, ...]]:
     notes = [p.said for p in (*taken, *beside)] + said + [_apart(j, p) for j, p in zip(others, beside)]
     if not has_images(folder) or len(find_images(folder)) < 2:
         raise InputError(f"{images}: at least 2 pictures are needed: {'; '.join(notes)}")
-    clocks = [v.clock.note for v in videos if v.width]
+    clocks = [v.clock.note for v in videos if v.width] + [two_tracks_note(v.path) for v in videos]
     late = _at_once([(videos[g[0]], p) for g, p in zip(groups, taken) if p.stamps_s], tuning.pictures.creation_apart_s)
     return folder, tuple(filter(None, notes + clocks + _unknown_starts(videos, groups) + late))
 
@@ -139,7 +140,8 @@ def _in_time(run: Run, videos: Sequence[_Video]) -> tuple[list[_Video], list[tup
     groups = _groups(run, videos)
     told = offsets_given([v.folder for v in videos], run.settings.scan)
     out = [replace(v, offset_s=told.get(k, 0.0)) for k, v in enumerate(videos)]
-    asked = {k: g[0] for g in groups for k in g[1:] if k not in told}
+    lenses = {k for k, v in enumerate(videos) if v.path.suffix.lower() == SUFFIX} - told.keys()  # of one recording
+    asked = {k: g[0] for g in groups for k in g[1:] if k not in told.keys() | lenses}
     moving = sorted({*asked, *asked.values()})
     curves = dict(zip(moving, run.map(_curve, [videos[k] for k in moving], tuning)))
     pairs = [(curves[first], curves[k]) for k, first in asked.items()]
@@ -148,8 +150,8 @@ def _in_time(run: Run, videos: Sequence[_Video]) -> tuple[list[_Video], list[tup
     for group in groups:
         first = out[group[0]]
         for k in group[1:]:
-            how = "as --scan.video-offset says"
-            if k not in told:
+            how = "the lenses of one recording" if k in lenses else "as --scan.video-offset says"
+            if k in asked:
                 found = offsets[k]
                 _check(found, first, out[k])
                 out[k] = replace(out[k], offset_s=found.seconds)

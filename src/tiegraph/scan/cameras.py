@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pycolmap
@@ -26,6 +26,7 @@ class FileFacts:
     upright: bool
     bits: int
     loose: bool
+    radius_px: float = float("nan")  # of the circle that a fisheye lens lights of most of them, NaN = none shows
 
 
 @dataclass(frozen=True)
@@ -66,12 +67,9 @@ def calibrate(
         if not prepared.is_undistorted():
             prepared = pinhole_camera(prepared)
     changed = spec.of_panorama or any(crop) or prepared.model != camera.model or not facts.upright or facts.bits > 8
-    source = (
-        Source(camera=camera, crop_px=crop, upright=facts.upright, bits=facts.bits, panorama=spec.of_panorama)
-        if changed
-        else None
-    )
-    return Calibrated(prepared, source, how)
+    source = Source(camera=camera, crop_px=crop, upright=facts.upright, bits=facts.bits, panorama=spec.of_panorama)
+    source = replace(source, part=spec.part)
+    return Calibrated(prepared, source if changed or spec.part is not None else None, how)
 
 
 def _file_camera(
@@ -100,6 +98,10 @@ def _file_camera(
     if spec.hfov_deg is not None:
         how = f"focal length from the preset's nominal field of view of {spec.hfov_deg:g} degrees"
         return _camera(model, _from_hfov(spec.hfov_deg, width, fisheye), facts, False), how
+    if fisheye and np.isfinite(facts.radius_px):
+        across = tuning.guessed_circle_deg
+        how = f"focal length guessed: a fisheye of {across:g} degrees across its circle"
+        return _camera(model, _from_hfov(across, 2 * facts.radius_px, fisheye), facts, False), how
     if fisheye:
         across = tuning.guessed_fisheye_deg
         how = f"focal length guessed: a fisheye of {across:g} degrees across"
@@ -121,7 +123,7 @@ def _from_params(
     if (width, height) != facts.size:
         camera.rescale(*facts.size)
     camera.has_prior_focal_length = True
-    origin = "an exact view of the panoramas" if spec.of_panorama else f"camera from {file}"
+    origin = "an exact view of the panoramas" if spec.of_panorama else f"camera from {file or 'its circle, a guess'}"
     return camera, f"{origin}{_scaled(scale)}"
 
 
@@ -143,7 +145,7 @@ def _scaled(scale: float) -> str:
     return "" if scale == 1 else f", rescaled by {scale:.4g} to the size of the images"
 
 
-def _from_hfov(hfov_deg: float, width: int, fisheye: bool) -> float:
+def _from_hfov(hfov_deg: float, width: float, fisheye: bool) -> float:
     half = np.radians(hfov_deg) / 2
     return float(width / 2 / (half if fisheye else np.tan(half)))
 
@@ -151,7 +153,7 @@ def _from_hfov(hfov_deg: float, width: int, fisheye: bool) -> float:
 def _default_model(spec: SensorSpec, facts: FileFacts, settings: ScanSettings) -> str:
     if settings.camera_model != "auto":
         return settings.camera_model
-    if "fisheye" in words(spec.folder or spec.name):
+    if "fisheye" in words(spec.folder or spec.name) or np.isfinite(facts.radius_px):
         return "OPENCV_FISHEYE"
     # Loose photographs: few images of a camera, so one distortion parameter. Rigs and sequences: wide lenses need two,
     # but on the nearly straight tracks of a survey fy and the tangential terms of OPENCV are hardly observable (they

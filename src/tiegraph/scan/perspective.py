@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
 
@@ -21,18 +22,23 @@ PRESET = "panorama"
 
 
 @dataclass(frozen=True)
-class PerspectiveViews:
-    """The views of the panoramas in place of the files: names, probes, files and owners, parallel."""
+class SharedFiles:
+    """The images of a survey whose files hold a whole shot each: names, probes, files and owners, parallel."""
 
     names: tuple[str, ...]
     probes: tuple[Probe, ...]
     files: tuple[str, ...]
     survey: Survey
 
+    def order(self) -> str:
+        """How they are ordered, for people."""
+        passes = len({s.sequence for s in self.survey.shots})
+        return "in no order" if self.survey.loose else f"in the order of their names, {passes} pass(es)"
+
 
 def perspective_views(
     usable: Usable, rig: str | None, settings: ScanSettings, report: Report, tuning: Tuning
-) -> PerspectiveViews | None:
+) -> SharedFiles | None:
     """Views of a survey of panoramas; None if it is none.
 
     Panoramas are noticed where no rig is given and most images are some; ``panorama`` as rig says so. Raises InputError
@@ -47,43 +53,56 @@ def perspective_views(
         if any(full):
             report.notes.append(f"{sum(full)} images look like panoramas; --rig {PRESET} reads them as such")
         return None
-    sizes_px = {(p.width, p.height) for p, f in zip(usable.probes, full) if f}
-    full = [f or (p.width, p.height) in sizes_px for p, f in zip(usable.probes, full)]  # one with dark poles, say
-    report.drop([n for n, f in zip(usable.names, full) if not f], "not a panorama, as most images here are")
-    names = tuple(n for n, f in zip(usable.names, full) if f)
-    probes = tuple(p for p, f in zip(usable.probes, full) if f)
-    return _views(names, probes, settings, report, tuning)
+    return _views(
+        of_one_kind(usable, full, "not a panorama, as most images here are", report), settings, report, tuning
+    )
 
 
-def _views(
-    names: tuple[str, ...], probes: tuple[Probe, ...], settings: ScanSettings, report: Report, tuning: Tuning
-) -> PerspectiveViews:
-    width = Counter(p.width for p in probes).most_common(1)[0][0]
+def of_one_kind(usable: Usable, surely: Sequence[bool], otherwise: str, report: Report) -> Usable:
+    """The images that are ``surely`` of a kind, and those of their sizes: it does not show in one taken in the dark.
+    The report gets the others, with the reason ``otherwise``."""
+    sizes_px = {(p.width, p.height) for p, sure in zip(usable.probes, surely) if sure}
+    kept = [k for k, p in enumerate(usable.probes) if (p.width, p.height) in sizes_px]
+    report.drop([n for k, n in enumerate(usable.names) if k not in set(kept)], otherwise)
+    names, probes = tuple(usable.names[k] for k in kept), tuple(usable.probes[k] for k in kept)
+    return replace(usable, images=tuple(usable.images[k] for k in kept), names=names, probes=probes)
+
+
+def _views(usable: Usable, settings: ScanSettings, report: Report, tuning: Tuning) -> SharedFiles:
+    width = Counter(p.width for p in usable.probes).most_common(1)[0][0]
     spec = panorama_rig(width, tuning.panorama)
+    shared = share_files(usable, spec, settings, tuning)
+    sensors = [spec.sensors[s.sensor] for s in shared.survey.shots]
+    made = tuple(_as_view(p, p.width / width, s) for p, s in zip(shared.probes, sensors))
+    columns, rows = spec.sensors[0].size or (0, 0)
+    level = len(spec.sensors) - 1
+    report.notes.append(
+        f"{len(usable.names)} equirectangular panoramas, {width} x {width // 2} pixels: each unfolded into {level} "
+        f"level views and one up, of {columns} x {rows} pixels: a calibrated rig without a base; {shared.order()}"
+    )
+    return replace(shared, probes=made)
+
+
+def share_files(usable: Usable, spec: RigSpec, settings: ScanSettings, tuning: Tuning) -> SharedFiles:
+    """The images that the sensors of a rig have of each file, named as it in a folder of the sensor's name, with the
+    probes of the files."""
     kind = "sequence" if settings.layout == "auto" else settings.layout
-    sizes = [p.upright_size() for p in probes]
-    layout = guess_layout(names, [p.exif for p in probes], sizes, kind, tuning.folders)
+    exif, sizes = usable.facts()
+    layout = guess_layout(usable.names, exif, sizes, kind, tuning.folders)
     views: list[str] = []
-    made: list[Probe] = []
     shots: list[Shot] = []
-    for name, probe, place in zip(names, probes, layout.places):
+    for name, place in zip(usable.names, layout.places):
         path = PurePosixPath(name)
         sequence = "" if layout.loose or place is None else place.sequence
         for k, sensor in enumerate(spec.sensors):
             shots.append(Shot(image=len(views), rig=0, sensor=k, sequence=sequence, stem=path.stem))
             views.append(str(path.parent / sensor.name / path.name))
-            made.append(_as_view(probe, probe.width / width, sensor))
-    passes = len({s.sequence for s in shots})
-    order = "in no order" if layout.loose else f"in the order of their names, {passes} pass(es)"
-    columns, rows = spec.sensors[0].size or (0, 0)
-    level = len(spec.sensors) - 1
-    report.notes.append(
-        f"{len(names)} equirectangular panoramas, {width} x {width // 2} pixels: each unfolded into {level} level "
-        f"views and one up, of {columns} x {rows} pixels: a calibrated rig without a base; {order}"
-    )
-    files = tuple(name for name in names for _ in spec.sensors)
-    return PerspectiveViews(
-        names=tuple(views), probes=tuple(made), files=files, survey=Survey((spec,), tuple(shots), layout.loose)
+    each = len(spec.sensors)
+    return SharedFiles(
+        names=tuple(views),
+        probes=tuple(p for p in usable.probes for _ in range(each)),
+        files=tuple(n for n in usable.names for _ in range(each)),
+        survey=Survey((spec,), tuple(shots), layout.loose),
     )
 
 

@@ -19,6 +19,7 @@ from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.exifwrite import Taken, exif_of
 from tiegraph.scene.filecache import cached_by_file
+from tiegraph.scene.fisheye import render_lens_view
 from tiegraph.scene.images import decode_deep, deep_png, open_image
 from tiegraph.scene.panorama import render_view
 from tiegraph.scene.regular import real_path, regular
@@ -75,18 +76,27 @@ def _changed_pixels(
     try:
         data = regular(path).read_bytes()
         image = _opened(data)
-        bend = settings.undistort and how.camera is not None and not how.camera.is_undistorted()
-        if image is not None and not bend and not any(how.crop_px) and _plain(image, data, suffix):
+        bend = settings.undistort and how.view is None and how.camera is not None and not how.camera.is_undistorted()
+        changed = bend or how.view is not None or how.part is not None or any(how.crop_px)
+        if image is not None and not changed and _plain(image, data, suffix):
             return None
         pixels = _eight_bit(image, data, how.bits)
     except OSError as error:
         raise _gone(path, error) from None
     if image is not None and how.upright:
         pixels = _turn(pixels, image.getexif().get(_ORIENTATION, 1))
-    pixels = _cropped(pixels, how)
+    pixels = _cropped(_part(pixels, how), how)
+    if how.view is not None and sensor.camera is not None:
+        return render_lens_view(pixels, how.view, sensor.camera)
     if bend and how.camera is not None and sensor.camera is not None:
         pixels = _undistort(pixels, crop_camera(how.camera, *how.crop_px), sensor.camera)
     return pixels
+
+
+def _part(pixels: np.ndarray, how: Source) -> np.ndarray:
+    """Of two images side by side the one of the lens."""
+    width = pixels.shape[1] // 2
+    return pixels if how.part is None else pixels[:, how.part * width : (how.part + 1) * width]
 
 
 def _gone(path: Path, error: OSError) -> InputError:

@@ -10,10 +10,10 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from tiegraph.errors import InputError
 from tiegraph.scan.assign import Report, Shot, Survey, assign, some
 from tiegraph.scan.calibration import with_camera, with_start_cameras
 from tiegraph.scan.cameras import FileFacts, calibrate
+from tiegraph.scan.fisheye import ImageFiles, into_views, with_lit_circle
 from tiegraph.scan.folders import natural
 from tiegraph.scan.frames import match_frames
 from tiegraph.scan.perspective import perspective_views
@@ -22,9 +22,10 @@ from tiegraph.scan.prepare import KEPT_SUFFIXES, prepare_image
 from tiegraph.scan.priors import estimate_priors
 from tiegraph.scan.rigspec import RigSpec
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.startmodel import StartModel
+from tiegraph.scan.startmodel import StartModel, must_be_whole
 from tiegraph.scan.times import FrameRow
-from tiegraph.scan.tuning import CameraTuning, FramesTuning, Tuning
+from tiegraph.scan.tuning import FramesTuning, Tuning
+from tiegraph.scan.twolenses import two_lenses
 from tiegraph.scan.usable import need_two, usable_images
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.images import IMAGES_FOLDER, Probe, find_images, probe_image
@@ -67,7 +68,9 @@ def build_scene(
     if Path(inputs.images, IMAGES_FOLDER).is_dir():
         report.notes.append(f"only the folder {IMAGES_FOLDER}/ was searched for images")
     usable = replace(usable_images(names, probes, report), video=inputs.video)
-    views = perspective_views(usable, inputs.rig, settings, report, tuning)
+    views = two_lenses(usable, inputs.rig, inputs.rig_text, settings, report, tuning) or perspective_views(
+        usable, inputs.rig, settings, report, tuning
+    )
     if views is None:
         files: Sequence[str] = names
         survey = assign(inputs.rig, usable, settings, report, tuning, inputs.rig_text)
@@ -76,16 +79,18 @@ def build_scene(
     survey = _one_size(survey, names, probes, report)
     survey = _into_frames(survey, files, settings.frames, report, tuning.frames)
     need_two(len(survey.shots), report)
-    sizes = {k: _facts(shots, probes, survey.loose).size for k, shots in _sensors(survey).items()}
+    sizes = {k: _facts(shots, probes, survey.loose, tuning).size for k, shots in _sensors(survey).items()}
     survey = with_camera(survey, sizes, inputs.camera, report.notes, tuning.rig)
     if inputs.start is not None:
-        if views is not None:
-            raise InputError(
-                f"--start {inputs.start.path}: a model of panoramas, of which views are mapped here: leave it out"
-            )
+        must_be_whole(inputs.start, views is None)
         survey = with_start_cameras(survey, sizes, inputs.start, report.notes, names, tuning.rig.camera)
-    rigs, survey = _rigs(survey, probes, settings, report, tuning.rig.camera)
-    return _scene(inputs, _Named.of(survey, names, files, probes), rigs, survey, settings, report, tuning)
+    rigs, survey = _rigs(survey, probes, settings, report, tuning)
+    rigs, survey, pictures = into_views(
+        rigs, survey, ImageFiles(names, probes, files), settings, report, tuning.lens_views
+    )
+    if inputs.start is not None:
+        must_be_whole(inputs.start, pictures.names is names)
+    return _scene(inputs, _Named.of(survey, pictures), rigs, survey, settings, report, tuning)
 
 
 # --- sizes and frames -----------------------------------------------------------------------------------------------
@@ -172,7 +177,7 @@ def _without_twins(shots: list[Shot], names: Sequence[str], report: Report) -> l
 
 
 def _rigs(
-    survey: Survey, probes: Sequence[Probe], settings: ScanSettings, report: Report, tuning: CameraTuning
+    survey: Survey, probes: Sequence[Probe], settings: ScanSettings, report: Report, tuning: Tuning
 ) -> tuple[tuple[Rig, ...], Survey]:
     groups = _sensors(survey)
     hows: dict[str, list[str]] = {}
@@ -186,8 +191,8 @@ def _rigs(
         for k in present:
             sensor = spec.sensors[k]
             renumber[r, k] = len(rigs), len(sensors)
-            facts = _facts(groups[r, k], probes, survey.loose)
-            calibrated = calibrate(sensor, facts, spec.file, settings, tuning)
+            facts = _facts(groups[r, k], probes, survey.loose, tuning)
+            calibrated = calibrate(sensor, facts, spec.file, settings, tuning.rig.camera)
             hows.setdefault(calibrated.how, []).append(sensor.name)
             pose = _sensor_from_rig(spec, k, present[0])
             made = Sensor(
@@ -198,6 +203,7 @@ def _rigs(
                 folder=sensor.folder or "",
                 source=calibrated.source,
             )
+            made = with_lit_circle(made, [probes[s.image] for s in groups[r, k]], tuning.lens_views)
             made = replace(made, sigma_deg=sensor.sigma_deg, sigma_m=sensor.sigma_m)
             sensors.append(replace(made, camera_sigma_px=sensor.camera_sigma_px))
         there = {s.name for s in sensors}
@@ -222,17 +228,19 @@ def _rigs(
     return tuple(rigs), replace(survey, specs=kept, shots=shots)
 
 
-def _facts(shots: list[Shot], probes: Sequence[Probe], loose: bool) -> FileFacts:
+def _facts(shots: list[Shot], probes: Sequence[Probe], loose: bool, tuning: Tuning) -> FileFacts:
     upright = _upright(shots, probes, loose)
     of = [probes[s.image] for s in shots]
     focal = [p.exif.focal_px for p in of if np.isfinite(p.exif.focal_px)]
     bits = max(p.bits for p in of)
+    radii = [p.circles[0][2] for p in of if len(p.circles) == 1]
     return FileFacts(
         size=_size(of[0], upright),
         focal_px=float(np.median(focal)) if focal else float("nan"),
         upright=upright,
         bits=bits,
         loose=loose,
+        radius_px=float(np.median(radii)) if len(radii) > tuning.lens_views.most * len(of) else float("nan"),
     )
 
 
@@ -265,7 +273,8 @@ class _Named:
     renamed: int
 
     @staticmethod
-    def of(survey: Survey, names: Sequence[str], files: Sequence[str], probes: Sequence[Probe]) -> _Named:
+    def of(survey: Survey, pictures: ImageFiles) -> _Named:
+        names, probes, files = pictures.names, pictures.probes, pictures.files
         given = [names[s.image] for s in survey.shots]
         safe = safe_names(given)
         order = sorted(range(len(safe)), key=lambda k: safe[k])

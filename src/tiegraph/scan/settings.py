@@ -53,6 +53,10 @@ class ScanSettings(Section):
     undistort: bool = False
     """Resample the images to a pinhole camera; needs calibrated cameras in the rig file."""
 
+    fisheye: Literal["auto", "views", "whole"] = "auto"
+    """Images of fisheye lenses: views = each is cut into five pinhole views with one centre, up to 90 degrees off its
+    axis; whole = as they are; auto = views of calibrated lenses that see more than 150 degrees across."""
+
     @field_validator("video_offset")
     @classmethod
     def _names_and_seconds(cls, value: tuple[str, ...]) -> tuple[str, ...]:

@@ -130,3 +130,12 @@ _READERS: dict[str, Callable[[Path], Found]] = {
     "nerfstudio": _transforms,
     "Metashape": metashape,
 }
+
+
+def must_be_whole(start: StartModel, whole: bool) -> None:
+    """Raises InputError where views of the images are mapped: a model knows whole ones by their names."""
+    if not whole:
+        raise InputError(
+            f"--start {start.path}: a model of whole images, of which views are mapped here (panoramas, fisheye "
+            "lenses): leave it out, or take fisheye images as they are by --scan.fisheye whole"
+        )

@@ -51,7 +51,9 @@ class CameraTuning(Section):
     """Focal length in longer sides of the image: COLMAP's ImageReaderOptions.default_focal_length_factor, a guess of 45
     degrees of view."""
     guessed_fisheye_deg: float = Field(180.0, gt=0, le=360)
-    """What a fisheye image sees across."""
+    """What a fisheye image sees across, where its circle does not show ..."""
+    guessed_circle_deg: float = Field(200.0, gt=0, lt=360)
+    """... and where it does, what the lens sees across it: those of 360 cameras 195 to 200."""
     same_shape: float = Field(0.01, ge=0)
     """Relative difference of two aspect ratios that rounding to whole pixels may cause."""
     min_side_px: int = Field(32, gt=0)
@@ -117,6 +119,29 @@ class PanoramaTuning(Section):
     """Of a view: 8 degrees more than a fifth of the circle, so that features at the edges have a neighbourhood."""
     vfov_deg: float = Field(90.0, gt=0, lt=180)
     """Of a view, from top to bottom."""
+
+
+class LensViewsTuning(Section):
+    """What a fisheye lens lights, and the views of a calibrated one (`fisheye.py`)."""
+
+    wider_deg: float = Field(150.0, gt=0, le=180)
+    """A lens that sees more across is cut into views: at its rim a pixel counts 15 times and more in a plane."""
+    back_to_back_deg: float = Field(150.0, gt=0, le=180)
+    """Between two lenses: from here on they are those of a 360 camera."""
+    level_hfov_deg: float = Field(80.0, gt=0, lt=180)
+    """Of a level view of one, as of a panorama's: one ahead, two to the sides as far as the reach ..."""
+    level_vfov_deg: float = Field(90.0, gt=0, lt=180)
+    """... from top to bottom."""
+    fov_deg: float = Field(90.0, gt=0, lt=180)
+    """Of a view of a lens alone, across and down: one ahead, four around as far as the reach."""
+    reach_deg: float = Field(88.0, gt=0, lt=90)
+    """Off the axis, how far views reach: at 90 degrees COLMAP's lenses end, and the last pixels would be black."""
+    most: float = Field(0.5, ge=0, lt=1)
+    """The circle of a lens is believed if more than this share of its images show one."""
+    nominal_sigma: float = Field(0.05, gt=0)
+    """Of the focal length of a lens of a 360 camera that nobody calibrated, a share."""
+    rim: float = Field(0.03, ge=0, lt=1)
+    """Of its radius: a lens ends in a blurred, coloured rim."""
 
 
 class PicturesTuning(Section):
@@ -236,6 +261,8 @@ class Tuning(Section):
     """Rigs and their cameras."""
     panorama: PanoramaTuning = PanoramaTuning()
     """Panoramas."""
+    lens_views: LensViewsTuning = LensViewsTuning()
+    """Fisheye images."""
     pictures: PicturesTuning = PicturesTuning()
     """What is written."""
     motion: MotionTuning = MotionTuning()

@@ -14,6 +14,7 @@ from pathlib import Path, PurePosixPath
 import cv2
 import numpy as np
 
+from tiegraph.scan.lensvideos import lens_folders
 from tiegraph.scan.prepare import write_pixels
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videotime import VideoClock
@@ -22,7 +23,7 @@ from tiegraph.scene.images import files_below
 from tiegraph.scene.names import clean, clean_names, shortened
 from tiegraph.scene.regular import real_path, regular
 
-SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".webm")
+SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".webm", ".insv")
 _TAKEN = ".taken.json"  # hidden: no image
 _SAME_S = 1e-6  # by so much are stamps rounded
 
@@ -55,7 +56,7 @@ def picture_folders(videos: Sequence[str]) -> list[str]:
     """A folder for the pictures of each video: its name without the ending, where that is unique."""
     safe = ["/".join(shortened(part) for part in name.split("/")) for name in clean_names(videos)]
     bare = [str(PurePosixPath(v).with_suffix("")) for v in safe]
-    return [b if bare.count(b) == 1 else v.replace(".", "_") for b, v in zip(bare, safe)]
+    return lens_folders(safe, [b if bare.count(b) == 1 else v.replace(".", "_") for b, v in zip(bare, safe)])
 
 
 class OpenVideo:

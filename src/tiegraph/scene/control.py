@@ -137,7 +137,7 @@ def _marks_in(file: GcpFile, scene: Scene, notes: list[str]) -> tuple[list[FileM
 
 def _check_inside(file: GcpFile, mark: FileMark, sensor: Sensor, image: str) -> None:
     camera = sensor.source.camera if sensor.source is not None and sensor.source.camera is not None else sensor.camera
-    if camera is None or (sensor.source is not None and sensor.source.panorama) or _inside(mark.xy, camera):
+    if camera is None or (sensor.source is not None and sensor.source.rendered) or _inside(mark.xy, camera):
         return
     turned = _inside(mark.xy[::-1], camera)
     raise InputError(
@@ -265,6 +265,8 @@ def _check_place(file: GcpFile, world: np.ndarray, scene: Scene) -> None:
 def prepared_pixel(xy: tuple[float, float], sensor: Sensor) -> tuple[float, float]:
     """Pixel in the prepared image of a mark in the user's upright image: cropped and undistorted as that was."""
     source = sensor.source or Source()
+    if source.view is not None:  # a mark of a view
+        return xy
     left, top, _, _ = source.crop_px
     if source.camera is not None and sensor.camera is not None and _resampled(source.camera, sensor.camera):
         place = on_plane(source.camera, np.array([xy]))[0]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import os
+import re
 import warnings
 from collections import deque
 from collections.abc import Iterator
@@ -17,11 +18,13 @@ from PIL import Image, ImageFile
 
 from tiegraph.errors import InputError
 from tiegraph.scene.exif import Exif, read_exif
+from tiegraph.scene.fisheye import image_circles
 from tiegraph.scene.panorama import is_equirectangular
 from tiegraph.scene.regular import regular
+from tiegraph.scene.rig import Circle
 from tiegraph.scene.tuning import ImageTuning
 
-SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".pgm")
+SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".pgm", ".insp")
 # Photographs nobody here can decode: found, and refused by name, so that they are not missed silently.
 UNREADABLE = (".heic", ".heif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".orf", ".rw2", ".raf", ".gif", ".jp2")
 IMAGES_FOLDER = "images"
@@ -43,6 +46,8 @@ class Probe:
     exif: Exif = Exif()
     digest: str = ""  # of the file's bytes
     panorama: bool = False  # equirectangular, the whole sphere
+    circles: tuple[Circle, ...] = ()  # what fisheye lenses light of it: one, or two side by side
+    lenses: str = ""  # what Insta360's factory says of the two lenses
     reason: str = ""
 
     def upright_size(self) -> tuple[int, int]:
@@ -185,6 +190,7 @@ def _describe(data: bytes, digest: str, tuning: ImageTuning) -> Probe:
         raise _Unusable(f"only {image.width} x {image.height} pixels")
     if image.mode == "F":
         raise _Unusable("floating-point pixels: convert to 8 or 16 bits")
+    circles = image_circles(image, tuning.fisheye)
     return Probe(
         width=image.width,
         height=image.height,
@@ -192,8 +198,18 @@ def _describe(data: bytes, digest: str, tuning: ImageTuning) -> Probe:
         bits=_significant_bits(image, data),
         exif=read_exif(image, tuning.focal_range),
         digest=digest,
-        panorama=is_equirectangular(image, tuning.panorama),
+        panorama=not circles and is_equirectangular(image, tuning.panorama),
+        circles=circles,
+        lenses=_factory_lenses(data) if len(circles) > 1 else "",
     )
+
+
+_FACTORY = re.compile(rb"2(?:_-?\d+(?:\.\d+)?){15}(?![_.\d])")
+
+
+def _factory_lenses(data: bytes) -> str:
+    found = _FACTORY.search(data)
+    return found.group().decode() if found else ""
 
 
 def _refuse_bomb(image: Image.Image, size: int) -> None:

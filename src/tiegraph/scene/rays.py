@@ -13,8 +13,19 @@ if TYPE_CHECKING:
 
 
 def on_plane(camera: pycolmap.Camera, xy: np.ndarray) -> np.ndarray:
-    """(K, 2) places on the plane z = 1 of the camera's frame of pixels (K, 2); NaN where its lens has no inverse."""
-    return np.asarray(camera.cam_from_img(np.asarray(xy, float)), float)
+    """(K, 2) places on the plane z = 1 of the camera's frame of pixels (K, 2); NaN where its lens has no inverse.
+
+    Of pixels 90 degrees off the axis of a fisheye lens and more, which have none, COLMAP gives places far inside.
+    """
+    xy = np.asarray(xy, float)
+    plane = np.asarray(camera.cam_from_img(xy), float)
+    if "FISHEYE" in camera.model.name and len(plane):
+        back = np.asarray(camera.img_from_cam(np.column_stack([plane, np.ones(len(plane))])), float)
+        plane[~(np.abs(back - xy).max(axis=1) < _SAME_PX)] = np.nan
+    return plane
+
+
+_SAME_PX = 0.5  # between a pixel and the way there and back
 
 
 def pixel_rays(camera: pycolmap.Camera, xy: np.ndarray) -> np.ndarray:

@@ -12,6 +12,24 @@ from tiegraph.geometry import transforms
 ROLES = ("side", "up")
 
 
+Circle = tuple[float, float, float]
+"""What a fisheye lens lights of an image: centre x, y and radius, pixels."""
+
+
+@dataclass(frozen=True)
+class LensView:
+    """Of a view that is cut out of a fisheye image: the sensor that took it and its camera, cropped, and the rotation
+    view_from_lens, row by row."""
+
+    name: str
+    lens: pycolmap.Camera
+    rotation: tuple[float, ...]
+
+    def view_from_lens(self) -> np.ndarray:
+        """Rotation (3, 3)."""
+        return np.reshape(self.rotation, (3, 3))
+
+
 @dataclass(frozen=True)
 class Source:
     """How the files of a sensor become its prepared images, where they are not simply linked."""
@@ -21,6 +39,14 @@ class Source:
     upright: bool = True  # turn by the EXIF orientation; False: keep the sensor's own rows and columns
     bits: int = 8  # significant bits of a pixel in the file, reduced to 8 the same way for all images of a sensor
     panorama: bool = False  # the file is an equirectangular panorama; the image is a view of it along the rig's sensor
+    view: LensView | None = None  # the file, cropped, is a fisheye image; the image is a view of it
+    circle_px: Circle | None = None  # what the lens lights of the cropped file; None = all of it
+    part: int | None = None  # which of the two images side by side in the file this is of; None = the file is one
+
+    @property
+    def rendered(self) -> bool:
+        """Whether the image is one of several views of its file, made with a known lens."""
+        return self.panorama or self.view is not None
 
 
 @dataclass(frozen=True)
@@ -193,14 +219,29 @@ def rig_from_dict(data: dict) -> Rig:
 def _source_to_dict(source: Source | None) -> dict | None:
     if source is None:
         return None
-    camera = camera_to_dict(source.camera)
-    rest = {"upright": source.upright, "bits": source.bits, "panorama": source.panorama}
+    camera, view = camera_to_dict(source.camera), source.view
+    rest: dict = {"upright": source.upright, "bits": source.bits, "panorama": source.panorama}
+    if view is not None:
+        rest["view"] = {"name": view.name, "lens": camera_to_dict(view.lens), "rotation": list(view.rotation)}
+    if source.circle_px is not None:
+        rest["circle_px"] = list(source.circle_px)
+    if source.part is not None:
+        rest["part"] = source.part
     return {"camera": camera, "crop_px": list(source.crop_px), **rest}
 
 
 def _source_from_dict(data: dict | None) -> Source | None:
     if data is None:
         return None
-    crop = tuple(int(p) for p in data["crop_px"])
-    rest = data["upright"], data["bits"], data.get("panorama", False)
-    return Source(camera_from_dict(data["camera"]), crop, *rest)  # type: ignore[arg-type]
+    view, circle = data.get("view"), data.get("circle_px")
+    lens = None if view is None else camera_from_dict(view["lens"])
+    return Source(
+        camera=camera_from_dict(data["camera"]),
+        crop_px=tuple(int(p) for p in data["crop_px"]),  # type: ignore[arg-type]
+        upright=data["upright"],
+        bits=data["bits"],
+        panorama=data.get("panorama", False),
+        view=None if view is None or lens is None else LensView(view["name"], lens, tuple(view["rotation"])),
+        circle_px=None if circle is None else tuple(circle),
+        part=data.get("part"),
+    )

@@ -104,6 +104,11 @@ class Scene:
         """File of an image below the folder the user gave."""
         return self.sources[image] if self.sources else self.names[image]
 
+    def mask_name(self, image: int) -> str:
+        """Name of an image in a folder of the user's masks: of its file, or its own where a file has several views."""
+        source = self.sensor_of(image).source
+        return self.names[image] if source is not None and source.rendered else self.source_name(image)
+
     def has_positions(self) -> bool:
         """Whether any frame has a prior position."""
         return bool(np.isfinite(self.world_from_rig[:, :3, 3]).all(axis=1).any())

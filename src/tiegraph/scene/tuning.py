@@ -27,6 +27,37 @@ class PanoramaTuning(Section):
     """Such a step at least: a clear sky has none."""
 
 
+class FisheyeTuning(Section):
+    """The circle that a fisheye lens lights in its image (`fisheye.py`), at `look_px` where pixels are meant."""
+
+    min_side_px: int = Field(64, gt=0)
+    """Smaller images have no circle that could be told."""
+    look_px: int = Field(480, gt=0)
+    """Longer side of a lens' image at which its circle is sought: a pixel is 0.4 % of its radius."""
+    corner: float = Field(0.02, gt=0, lt=0.5)
+    """Of the shorter side: squares in the corners that must be dark. A circle as wide as the image leaves 0.1."""
+    dark_grey: float = Field(24.0, ge=0, le=255)
+    """Brightest channel of what no light falls on, with JPEG's noise; kerry_park's surround has 0 .. 12."""
+    blur_sigma_px: float = Field(0.8, gt=0)
+    """Blur before the end of what is lit is sought."""
+    rays: int = Field(240, gt=3)
+    """From the middle, along which it is sought ..."""
+    step_px: float = Field(0.5, gt=0)
+    """... in such steps."""
+    play_px: float = Field(1.5, gt=0)
+    """By which a place may lie off the circle: a pixel and its blur; of those so near the border none is used ..."""
+    play: float = Field(0.01, ge=0)
+    """... or by this share of the radius: the rim of a lens is no exact circle."""
+    least_share: float = Field(0.4, gt=0, le=1)
+    """Of the rays that must end on the circle: the image may cut it on two or four sides, and dark scenes end early."""
+    off_middle: float = Field(0.1, ge=0)
+    """Of the shorter side: between the circle's centre and the image's."""
+    least_radius: float = Field(0.3, gt=0)
+    """Of the shorter side: a smaller circle is a spot of light in a dark picture."""
+    alike: float = Field(0.03, ge=0)
+    """Relative difference of the radii of two circles side by side."""
+
+
 class ImageTuning(Section):
     """What a look at an image file tells (`images.py`, `exif.py`)."""
 
@@ -36,6 +67,8 @@ class ImageTuning(Section):
     """Focal lengths in longer image sides that EXIF is believed: 136 degrees of view ... a 700 mm lens."""
     panorama: PanoramaTuning = PanoramaTuning()
     """Panoramas."""
+    fisheye: FisheyeTuning = FisheyeTuning()
+    """Fisheye images."""
 
 
 class GnssTuning(Section):

@@ -54,7 +54,7 @@ def expected(rig: Rig, timed: bool, tuning: RigTuning) -> Expected:
     """What a rig file lets expect; ``timed``: frames have times, else times are counted in frame intervals."""
     place = [max(s.sigma_m or 0.0, tuning.prior_test.given_m) for s in rig.sensors]
     turn = [max(s.sigma_deg or 0.0, tuning.prior_test.given_deg) for s in rig.sensors]
-    one = rig.synchronised or all(s.source is not None and s.source.panorama for s in rig.sensors)
+    one = rig.synchronised or all(s.source is not None and s.source.rendered for s in rig.sensors)
     late = 0.0 if one else tuning.late_s if timed else tuning.prior_test.unknown_share
     focal = [1.0 if s.camera is None else s.camera.mean_focal_length() for s in rig.sensors]
     return Expected(place_m=place, turn_deg=turn, late_s=late, focal_px=focal, tuning=tuning)

@@ -1,0 +1,207 @@
+"""Fisheye images: what their lens lights, and those that see far aside cut into pinhole views, a rig with one centre.
+
+COLMAP verifies and registers in the plane before the camera, where an error of a pixel 75 degrees off the axis counts
+15 times, and beyond 90 degrees there is no such plane: the outer half of a 200 degree fisheye ties hardly anything.
+
+Two lenses back to back are a 360 camera: level views all round, as of a panorama, for below is who carries it. One is
+turned against the other about the camera's upright, so the turn between them tells how it lies in their images. A lens
+without such a partner is cut into views all round its axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import PurePosixPath
+
+import numpy as np
+import pycolmap
+from scipy.spatial.transform import Rotation
+
+from tiegraph.errors import InputError
+from tiegraph.geometry.transforms import rigid
+from tiegraph.scan.assign import Report, Shot, Survey, some
+from tiegraph.scan.rigspec import orient
+from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.tuning import LensViewsTuning
+from tiegraph.scene.fisheye import is_fisheye, seen_half_deg
+from tiegraph.scene.images import Probe
+from tiegraph.scene.rig import LensView, Rig, Sensor, SensorPair, Source
+
+
+@dataclass(frozen=True)
+class ImageFiles:
+    """The images of a survey: their names, what a look at the files found, and the files; parallel."""
+
+    names: Sequence[str]
+    probes: Sequence[Probe]
+    files: Sequence[str]
+
+
+def with_lit_circle(sensor: Sensor, probes: Sequence[Probe], tuning: LensViewsTuning) -> Sensor:
+    """A sensor with the circle that its fisheye lens lights, without the blurred rim, if most of its images show one.
+
+    The median over the images, of those circles whose middle cropping leaves.
+    """
+    if not is_fisheye(sensor.camera):
+        return sensor
+    source = sensor.source or Source(camera=sensor.camera)
+    left, top, right, bottom = source.crop_px
+    found = []
+    for probe in probes:
+        if probe.exif.orientation > 1 and source.upright:
+            continue
+        inside = [c for c in probe.circles if left < c[0] < probe.width - right and top < c[1] < probe.height - bottom]
+        found += inside[:1]
+    if len(found) <= tuning.most * len(probes):
+        return sensor
+    x, y, radius = (float(v) for v in np.median(found, axis=0))
+    return replace(sensor, source=replace(source, circle_px=(x - left, y - top, radius * (1 - tuning.rim))))
+
+
+def into_views(
+    rigs: tuple[Rig, ...], survey: Survey, pictures: ImageFiles, settings: ScanSettings, report: Report,
+    tuning: LensViewsTuning,
+) -> tuple[tuple[Rig, ...], Survey, ImageFiles]:  # fmt: skip
+    """The survey with views in place of wide fisheye images. Raises InputError if they are asked for and impossible."""
+    cut = {(r, k): _why_not(s, settings, tuning) for r, rig in enumerate(rigs) for k, s in enumerate(rig.sensors)}
+    _say(rigs, cut, settings, report, tuning)
+    if not any(why == "" for why in cut.values()):
+        return rigs, survey, pictures
+    made: list[Rig] = []
+    places: dict[tuple[int, int], list[int]] = {}
+    for r, rig in enumerate(rigs):
+        sensors: list[Sensor] = []
+        for k, sensor in enumerate(rig.sensors):
+            views = _views(sensor, _cut_of(rig, k, tuning)) if cut[r, k] == "" else [sensor]
+            places[r, k] = list(range(len(sensors), len(sensors) + len(views)))
+            sensors += views
+        made.append(_rig_of_views(rig, tuple(sensors)))
+    shots: list[Shot] = []
+    names: list[str] = []
+    probes: list[Probe] = []
+    files: list[str] = []
+    for shot in survey.shots:
+        for place in places[shot.rig, shot.sensor]:
+            sensor = made[shot.rig].sensors[place]
+            path = PurePosixPath(pictures.names[shot.image])
+            view = sensor.source is not None and sensor.source.view is not None
+            shots.append(replace(shot, sensor=place, image=len(names)))
+            names.append(str(path.parent / PurePosixPath(sensor.folder).name / path.name) if view else str(path))
+            probes.append(pictures.probes[shot.image])
+            files.append(pictures.files[shot.image])
+    return tuple(made), replace(survey, shots=tuple(shots)), ImageFiles(names, probes, files)
+
+
+def _rig_of_views(rig: Rig, sensors: tuple[Sensor, ...]) -> Rig:
+    """A rig with views in place of lenses: those of one lens stand exactly to each other, so it is held where its
+    lenses are, and where they are drawn or measured with a sigma, each view has that of its lens."""
+    pairs = tuple(_between_views(p, sensors) for p in rig.pairs)
+    held = len(rig.sensors) == 1 or rig.fixed or (rig.known() and not rig.nominal and not rig.soft())
+    return replace(rig, sensors=sensors, pairs=pairs, fixed=held)
+
+
+def _why_not(sensor: Sensor, settings: ScanSettings, tuning: LensViewsTuning) -> str | None:
+    """ "" for a sensor whose images are cut into views; why not, where somebody should know; else None."""
+    camera = sensor.camera
+    if settings.fisheye == "whole" or camera is None or not is_fisheye(camera):
+        return None
+    wide = seen_half_deg(camera)
+    if settings.fisheye == "auto" and wide < tuning.wider_deg / 2:
+        return None
+    bent = bool(np.any(np.asarray(camera.params)[camera.extra_params_idxs()]))
+    known = camera.has_prior_focal_length and (bent or settings.fisheye == "views")
+    return "" if known else "its lens is not calibrated"
+
+
+def _say(
+    rigs: Sequence[Rig],
+    cut: dict[tuple[int, int], str | None],
+    settings: ScanSettings,
+    report: Report,
+    tuning: LensViewsTuning,
+) -> None:
+    named = {why: [rigs[r].sensors[k].name for (r, k), w in cut.items() if w == why] for why in cut.values() if why}
+    for why, names in named.items():
+        if settings.fisheye == "views":
+            raise InputError(
+                f"scan.fisheye = views: {some(names)}: {why}; give its camera in a rig file (that of a run of the "
+                "whole images will do: `tiegraph rig OUT`)"
+            )
+        report.notes.append(
+            f"{some(names)}: fisheye images are used whole, which ties little far off their axis, for {why}; with its "
+            "distortion in a rig file (`tiegraph rig OUT` of this run) they are cut into views and used nearly up to 90"
+        )
+    names = [rigs[r].sensors[k].name for (r, k), why in cut.items() if why == ""]
+    if names:
+        report.notes.append(
+            f"{some(names)}: each fisheye image is cut into views up to {tuning.reach_deg:g} degrees off its axis"
+        )
+
+
+_FRONT = "front"
+
+
+@dataclass(frozen=True)
+class _Cut:
+    """Which views a lens is cut into: view_from_lens (3, 3) by name, and what they see across and down."""
+
+    turns: dict[str, np.ndarray]
+    hfov_deg: float
+    vfov_deg: float
+
+
+def _cut_of(rig: Rig, sensor: int, tuning: LensViewsTuning) -> _Cut:
+    upright = _upright(rig, sensor, tuning)
+    if upright is None:
+        off = tuning.reach_deg - tuning.fov_deg / 2
+        ways = {_FRONT: (0.0, 0.0), "right": (off, 0.0), "left": (-off, 0.0), "up": (0.0, off), "down": (0.0, -off)}
+        return _Cut({n: orient(*way, 0).T for n, way in ways.items()}, tuning.fov_deg, tuning.fov_deg)
+    off = tuning.reach_deg - tuning.level_hfov_deg / 2
+    level = {_FRONT: 0.0, "right": off, "left": -off}
+    turns = {n: orient(yaw, 0, 0).T @ upright for n, yaw in level.items()}
+    return _Cut(turns, tuning.level_hfov_deg, tuning.level_vfov_deg)
+
+
+def _upright(rig: Rig, sensor: int, tuning: LensViewsTuning) -> np.ndarray | None:
+    """The rotation (3, 3) about its axis that makes a lens' image upright, none or a quarter, by the lens that looks
+    the other way; None if there is none. Of a quarter, which way round is not known."""
+    mine = rig.sensors[sensor].sensor_from_rig
+    for other in rig.sensors:
+        if mine is None or other.sensor_from_rig is None or not is_fisheye(other.camera):
+            continue
+        turn = Rotation.from_matrix(mine[:3, :3] @ other.sensor_from_rig[:3, :3].T).as_rotvec()
+        if mine[2, :3] @ other.sensor_from_rig[2, :3] <= np.cos(np.radians(tuning.back_to_back_deg)):
+            return orient(0, 0, 90.0 if abs(turn[0]) > abs(turn[1]) else 0.0)
+    return None
+
+
+def _views(sensor: Sensor, cut: _Cut) -> list[Sensor]:
+    """The views of a lens at the resolution of its middle."""
+    lens, source = sensor.camera, sensor.source or Source()
+    assert lens is not None
+    focal = lens.mean_focal_length()
+    width, height = (2 * round(focal * np.tan(np.radians(v / 2))) for v in (cut.hfov_deg, cut.vfov_deg))
+    camera = pycolmap.Camera(model="SIMPLE_PINHOLE", width=width, height=height, params=[focal, width / 2, height / 2])
+    camera.has_prior_focal_length = True
+    out = []
+    for name, view_from_lens in cut.turns.items():
+        view = LensView(sensor.name, lens, tuple(float(v) for v in view_from_lens.ravel()))
+        pose = sensor.sensor_from_rig
+        made = replace(
+            sensor,
+            name=f"{sensor.name}-{name}",
+            folder=str(PurePosixPath(sensor.folder) / name),
+            camera=camera,
+            source=replace(source, camera=camera, view=view),
+        )
+        turned = None if pose is None else rigid(view_from_lens, np.zeros(3)) @ pose
+        out.append(replace(made, camera_sigma_px=None, sensor_from_rig=turned))
+    return out
+
+
+def _between_views(pair: SensorPair, sensors: Sequence[Sensor]) -> SensorPair:
+    """What was measured between two lenses, between their front views, which have their centres and axes."""
+    there = {s.name for s in sensors}
+    first, second = (n if n in there else f"{n}-{_FRONT}" for n in pair.sensors)
+    return replace(pair, sensors=(first, second))

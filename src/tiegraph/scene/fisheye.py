@@ -1,0 +1,204 @@
+"""Fisheye images as pixels: the circle that the lens lights, one or two of them in a file, and views cut out of it."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import cv2
+import numpy as np
+import pycolmap
+from PIL import Image
+
+from tiegraph.geometry.rays import unit_rays
+from tiegraph.scene.rig import Circle, LensView, Sensor
+from tiegraph.scene.tuning import FisheyeTuning
+
+
+def image_circles(image: Image.Image, tuning: FisheyeTuning) -> tuple[Circle, ...]:
+    """The circles that lenses light in a decoded image: one, two side by side of equal size, or () in any other."""
+    width, height = image.size
+    if min(width, height) < tuning.min_side_px:
+        return ()
+    if width == 2 * height and (halves := _circles(image, 2, tuning)):
+        return halves
+    return _circles(image, 1, tuning)
+
+
+def _circles(image: Image.Image, count: int, tuning: FisheyeTuning) -> tuple[Circle, ...]:
+    side = image.width // count
+    halves = [(k * side, 0, (k + 1) * side, image.height) for k in range(count)]
+    parts = [image] if count == 1 else [image.crop(half) for half in halves]
+    if not all(_dark_corners(part, tuning) for part in parts):
+        return ()
+    found: list[Circle] = []
+    scale = min(1.0, tuning.look_px / max(parts[0].size))
+    size = max(1, round(side * scale)), max(1, round(image.height * scale))
+    for k, part in enumerate(parts):
+        brightest = np.asarray(part.convert("RGB").resize(size, Image.Resampling.BOX)).max(axis=2)
+        circle = lit_circle(brightest, tuning)
+        if circle is None:
+            return ()
+        x, y, radius = (v * side / size[0] for v in circle)
+        found.append((k * side + x, y, radius))
+    radii = [radius for _, _, radius in found]
+    return tuple(found) if max(radii) - min(radii) <= tuning.alike * max(radii) else ()
+
+
+def _dark_corners(part: Image.Image, tuning: FisheyeTuning) -> bool:
+    """Whether the corners of a picture are black: of nearly every photograph, they are not."""
+    side = max(2, round(tuning.corner * min(part.size)))
+    for x in (0, part.width - side):
+        for y in (0, part.height - side):
+            corner = part.crop((x, y, x + side, y + side)).convert("RGB")
+            if np.median(np.asarray(corner).max(axis=2)) > tuning.dark_grey:
+                return False
+    return True
+
+
+def lit_circle(brightness: np.ndarray, tuning: FisheyeTuning) -> Circle | None:
+    """The circle that a lens lights in an image (h, w) u1 with dark corners, pixels; None if what is lit is no circle.
+
+    Along rays from the middle the last pixel that is not dark is sought. Of the circles through three such places, a
+    quarter of the way round from each other (images cut their circles at up to four sides), the one most places lie on
+    is taken and laid on these again: a dark tree ends before its lens does, and a flare beyond.
+    """
+    height, width = brightness.shape
+    ends = _ends(cv2.GaussianBlur(brightness.astype(np.float32), (0, 0), tuning.blur_sigma_px), tuning)
+    play = tuning.play_px
+    inside = np.all((ends > play) & (ends < (width - play, height - play)), axis=1)
+    on = np.zeros(len(ends), bool)
+    for k in range(tuning.rays):
+        three = (k + np.arange(3) * (tuning.rays // 4)) % tuning.rays
+        if inside[three].all() and (close := inside & _close(ends, _fit(ends[three]), tuning)).sum() > on.sum():
+            on = close
+    if on.sum() < tuning.least_share * tuning.rays:
+        return None
+    x, y, radius = _fit(ends[on])
+    shorter = min(height, width)
+    central = np.hypot(x - width / 2, y - height / 2) <= tuning.off_middle * shorter
+    return (x, y, radius) if central and radius >= tuning.least_radius * shorter else None
+
+
+def _close(points: np.ndarray, circle: Circle, tuning: FisheyeTuning) -> np.ndarray:
+    x, y, radius = circle
+    off = np.abs(np.hypot(points[:, 0] - x, points[:, 1] - y) - radius)
+    return np.asarray(off <= max(tuning.play_px, tuning.play * radius))
+
+
+def _ends(brightness: np.ndarray, tuning: FisheyeTuning) -> np.ndarray:
+    """(K, 2) the outermost place on each ray from the middle that is not dark; the middle where all of a ray is."""
+    height, width = brightness.shape
+    angle = np.arange(tuning.rays) * 2 * np.pi / tuning.rays
+    reach = np.arange(0.0, np.hypot(height, width) / 2, tuning.step_px)
+    x = width / 2 + np.outer(np.cos(angle), reach)
+    y = height / 2 + np.outer(np.sin(angle), reach)
+    seen = cv2.remap(brightness, (x - 0.5).astype(np.float32), (y - 0.5).astype(np.float32), cv2.INTER_LINEAR)
+    inside = (x > 0) & (x < width) & (y > 0) & (y < height)
+    lit = (seen > tuning.dark_grey) & inside
+    last = np.where(lit.any(axis=1), lit.shape[1] - 1 - lit[:, ::-1].argmax(axis=1), 0)
+    rows = np.arange(tuning.rays)
+    return np.stack([x[rows, last], y[rows, last]], axis=1)
+
+
+def _fit(points: np.ndarray) -> Circle:
+    """Circle of least squares on points (K, 2): x2 + y2 = 2 a x + 2 b y + c (Kasa 1976)."""
+    system = np.column_stack([2 * points, np.ones(len(points))])
+    a, b, c = np.linalg.lstsq(system, (points**2).sum(axis=1), rcond=None)[0]
+    return float(a), float(b), float(np.sqrt(max(c + a * a + b * b, 0.0)))
+
+
+def is_fisheye(camera: pycolmap.Camera | None) -> bool:
+    """Whether a camera has a fisheye model, which may see the half space before it."""
+    return camera is not None and "FISHEYE" in camera.model.name
+
+
+def seen_half_deg(camera: pycolmap.Camera) -> float:
+    """How far off its axis a camera sees, degrees, at most 90: along the sides of its image, where it sees most."""
+    angle = np.linspace(0, _grows_until(camera), 181)[:-1]
+    seen = 0.0
+    for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        rays = np.column_stack([x * np.sin(angle), y * np.sin(angle), np.cos(angle)])
+        at = np.asarray(camera.img_from_cam(rays), float)
+        inside = (at > 0).all(axis=1) & (at < (camera.width, camera.height)).all(axis=1)
+        seen = max(seen, float(angle[inside].max(initial=0.0)))
+    return float(np.degrees(seen))
+
+
+def render_lens_view(pixels: np.ndarray, view: LensView, camera: pycolmap.Camera) -> np.ndarray:
+    """Pixels (H, W[, 3]) of the pinhole ``camera`` that looks out of a fisheye image (h, w[, 3]); black beyond it."""
+    x, y = _lens_map(_frozen(view.lens), view.rotation, _frozen(camera))
+    return cv2.remap(pixels, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT)
+
+
+def lit(sensor: Sensor, half_deg: float) -> np.ndarray | None:
+    """(H, W) bool: what of a sensor's images the lens lights, and, of a fisheye image as a whole, what it sees less
+    than ``half_deg`` off its axis; None where that is all."""
+    source, camera = sensor.source, sensor.camera
+    if source is None or camera is None or (source.view is None and source.circle_px is None):
+        return None
+    if source.view is not None:
+        lens = source.view.lens
+        x, y = (m + 0.5 for m in _lens_map(_frozen(lens), source.view.rotation, _frozen(camera)))
+        seen = (x > 0) & (x < lens.width) & (y > 0) & (y < lens.height)
+    else:
+        x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+        seen = _within(camera, half_deg)
+    if source.circle_px is not None:
+        at_x, at_y, radius = source.circle_px
+        seen &= (x - at_x) ** 2 + (y - at_y) ** 2 <= radius * radius
+    return None if seen.all() else seen
+
+
+def _within(camera: pycolmap.Camera, half_deg: float) -> np.ndarray:
+    """(H, W) bool: pixels less than an angle off the axis of a fisheye camera, by the rim of that cone in its image."""
+    around = np.linspace(0, 2 * np.pi, _RIM, endpoint=False)
+    off = np.sin(np.radians(half_deg))
+    cone = np.column_stack([off * np.cos(around), off * np.sin(around), np.full(_RIM, np.cos(np.radians(half_deg)))])
+    rim = np.asarray(camera.img_from_cam(cone), float)
+    seen = np.zeros((camera.height, camera.width), np.uint8)
+    if not is_fisheye(camera) or not np.isfinite(rim).all():
+        return seen == 0
+    cv2.fillPoly(seen, [np.round(rim - 0.5).astype(np.int32)], 1)
+    return seen > 0
+
+
+_RIM = 360  # corners of the rim of a cone, drawn as a polygon
+
+
+def _frozen(camera: pycolmap.Camera) -> tuple:
+    return camera.model.name, camera.width, camera.height, tuple(camera.params)
+
+
+@lru_cache(maxsize=2)
+def _lens_map(lens: tuple, rotation: tuple[float, ...], pinhole: tuple) -> tuple[np.ndarray, np.ndarray]:
+    """x, y (H, W) f4 of a view's pixels in the fisheye image as OpenCV counts; _NOWHERE where the lens does not look.
+
+    Of every ``_STEP``-th pixel, and between them linearly, which is 2 / focal length of a pixel off: large views would
+    take seconds each and a gigabyte to keep.
+    """
+    model, columns, rows, params = pinhole
+    view = pycolmap.Camera(model=model, width=columns, height=rows, params=params)
+    fx, fy, cx, cy = view.calibration_matrix()[[0, 1, 0, 1], [0, 1, 2, 2]]
+    across, down = (_STEP * (np.arange(-1, -(-n // _STEP) + 1) + 0.5) for n in (columns, rows))
+    plane = np.stack(np.meshgrid((across - cx) / fx, (down - cy) / fy), axis=-1)
+    camera = pycolmap.Camera(model=lens[0], width=lens[1], height=lens[2], params=lens[3])
+    rays = unit_rays(plane.reshape(-1, 2)) @ np.reshape(rotation, (3, 3))
+    rays[rays[:, 2] < np.cos(_grows_until(camera))] = np.nan
+    found = np.asarray(camera.img_from_cam(rays), np.float32).reshape(*plane.shape) - 0.5
+    size = plane.shape[1] * _STEP, plane.shape[0] * _STEP
+    maps = cv2.resize(found, size, interpolation=cv2.INTER_LINEAR)[_STEP : _STEP + rows, _STEP : _STEP + columns]
+    maps = np.where(np.isfinite(maps), maps, _NOWHERE).astype(np.float32)
+    return np.ascontiguousarray(maps[..., 0]), np.ascontiguousarray(maps[..., 1])
+
+
+_STEP = 4
+_NOWHERE = -8.0  # farther from the image than the interpolation reaches
+
+
+def _grows_until(camera: pycolmap.Camera) -> float:
+    """The angle off the axis, radians, up to which a fisheye camera's image grows: beyond it, its polynomial folds."""
+    angle = np.linspace(0, np.pi / 2, 181)[:-1]  # at 90 degrees and beyond COLMAP gives no pixel
+    rays = np.column_stack([np.sin(angle), np.zeros(len(angle)), np.cos(angle)])
+    x = np.asarray(camera.img_from_cam(rays), float)[:, 0]
+    falls = np.flatnonzero(~(np.diff(x) > 0))
+    return float(angle[falls[0]]) if len(falls) else float(np.pi / 2)

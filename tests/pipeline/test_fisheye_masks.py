@@ -1,0 +1,71 @@
+"""What a fisheye lens does not light is masked, whatever the source of the masks; the user's are those of the views."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import tiegraph
+from tiegraph.errors import InputError
+
+SIDE = 160
+
+
+def lenses(folder: Path, radius: float) -> Path:
+    """Two frames of a lens that lights a circle, with a focal length that shows 2 rad at its rim."""
+    x, y = np.meshgrid(np.arange(SIDE) + 0.5 - SIDE / 2, np.arange(SIDE) + 0.5 - SIDE / 2)
+    folder.mkdir(parents=True)
+    for k in range(2):
+        picture = np.random.default_rng(k).integers(90, 255, (SIDE, SIDE, 3), dtype=np.uint8)
+        picture[np.hypot(x, y) > radius] = 0
+        cv2.imwrite(str(folder / f"{k}.png"), picture)
+    return folder
+
+
+def rig(path: Path, distortion: float) -> Path:
+    params = [40.0, 40.0, SIDE / 2, SIDE / 2, distortion, 0, 0, 0]
+    camera = {"image_prefix": "", "ref_sensor": True, "camera_model_name": "OPENCV_FISHEYE", "camera_params": params}
+    path.write_text(json.dumps([{"cameras": [camera]}]))
+    return path
+
+
+def used(out: Path, name: str) -> np.ndarray:
+    mask = cv2.imread(str(out / "masks" / f"{name}.png"), cv2.IMREAD_GRAYSCALE)
+    assert mask is not None
+    return mask > 0
+
+
+@pytest.mark.slow
+def test_beyond_the_circle_nothing_is_used(tmp_path: Path) -> None:
+    images, out = lenses(tmp_path / "in", radius=50.0), tmp_path / "out"
+    options = {"rig": str(rig(tmp_path / "rig.json", 1e-6)), "settings": {"masks": {"source": "none"}}}
+    tiegraph.open(images, out, pool="serial", **options).run("masks")
+    views = ("front", "right", "left", "up", "down")
+    front, *around = (used(out, f"{v}/0.png") for v in views)
+    assert front.all()  # the rim, 3 % within 50 px, is 69.5 degrees off the axis
+    right = around[0][len(around[0]) // 2]  # looks 43 degrees off the axis
+    assert abs(right.mean() - (0.5 + np.tan(np.radians(69.5 - 43)) / 2)) < 0.03
+    whole = {**options, "settings": {"masks": {"source": "none"}, "scan": {"fisheye": "whole"}}}
+    tiegraph.open(images, tmp_path / "whole", pool="serial", **whole).run("masks")
+    assert abs(used(tmp_path / "whole", "0.png").sum() / (np.pi * 48.5**2) - 1) < 0.05
+
+
+@pytest.mark.slow
+def test_masks_of_the_user_are_those_of_the_views(tmp_path: Path) -> None:
+    images, out = lenses(tmp_path / "in", radius=79.0), tmp_path / "out"
+    (tmp_path / "mine").mkdir()
+    settings = {"masks": {"source": "folder", "folder": str(tmp_path / "mine")}}
+    options = {"rig": str(rig(tmp_path / "rig.json", 1e-6)), "settings": settings, "pool": "serial"}
+    with pytest.raises(InputError, match="front/0.png"):
+        tiegraph.open(images, out, **options).run("masks")
+    side = 80
+    for view in ("front", "right", "left", "up", "down"):
+        mask = np.full((side, side), 255, np.uint8)
+        mask[: side // 2] = 0
+        cv2.imwrite(str(tmp_path / "mine" / f"{view}.png"), mask)
+    tiegraph.open(images, out, **options).run("masks")
+    assert abs(used(out, "front/1.png").mean() - 0.5) < 0.01
