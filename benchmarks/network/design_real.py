@@ -173,8 +173,9 @@ def _chosen(matched: Run, method: str, share: float, seed: int) -> Choice:
         settings = DesignSettings(method=method)
         if method == "top":
             settings = DesignSettings(method=method, pairs_per_image=_top(matched, count))
-        elif share:  # a budget of pairs to the pair
-            settings = DesignSettings(method=method, budget="seconds", seconds=count, pairs_per_second=1.0)
+        elif share:
+            each = max(1, round(2 * count / len(matched.scene)))
+            settings = DesignSettings(method=method, budget="pairs", pairs_per_image=each)
         if method.startswith("fuse2014"):
             pairs = matched.with_accuracy()
         found = design(pairs, matched.scene, matched.ties, settings, Tuning(), matched.sights)

@@ -74,7 +74,7 @@ def design(
     the overlap. ``sights``, the points of a coarse model each image sees, tell which tracks all of them would join.
     Methods hybrid and top keep a maximum spanning forest of the images, two pairs without a common image from
     every camera, pass and section to the rest, and a second link wherever frames would hang on one; hybrid
-    also the strongest pairs of every image and part (``holding``), within a share of a budget of pairs or seconds.
+    also the strongest pairs of every image and part (``holding``), within a share of a budget of pairs.
     Where they may lose accuracy and all pairs are matched at little ``cost``, nothing is chosen.
     """
     kept = np.flatnonzero(pairs.dropped == 0)
@@ -131,9 +131,7 @@ def _budget(settings: DesignSettings, scene: Scene) -> Budget:
 
 
 def _pairs_allowed(settings: DesignSettings, images: int) -> int:
-    if settings.budget == "pairs":
-        return int(images * settings.pairs_per_image / 2)
-    return int(settings.seconds * settings.pairs_per_second)
+    return int(images * settings.pairs_per_image / 2)
 
 
 def _budget_notes(choice: Choice, settings: DesignSettings, start: int, kept: int, images: int) -> tuple[str, ...]:

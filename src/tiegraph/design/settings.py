@@ -17,14 +17,10 @@ class DesignSettings(Section):
     method: MethodName = "hybrid"
     """hybrid: pairs that join new tracks where the network is weak; top: the best pairs of each image; all: every kept
     pair; fuse2014: minimum cuts as in paper 002, which may disconnect; fuse2014_safe: the same, kept together."""
-    budget: Literal["loss", "pairs", "seconds"] = "loss"
-    """Method hybrid stops at loss_percent (loss), pairs_per_image (pairs) or seconds (seconds)."""
+    budget: Literal["loss", "pairs"] = "loss"
+    """Method hybrid stops at loss_percent (loss) or pairs_per_image (pairs)."""
     loss_percent: float = Field(5.0, ge=0, le=1000)
     """Budget loss: increase of the position sigma over using all candidates, by what previews show, percent. Of loose
     photographs all are matched where that takes less than a fifth of the run."""
     pairs_per_image: int = Field(40, ge=1, le=1000)
     """Budget pairs: pairs an image has on average; method top: pairs an image keeps because of its own ranking."""
-    seconds: float = Field(3600.0, gt=0, le=1e7)
-    """Budget seconds: wall time the matching at full resolution may take, seconds."""
-    pairs_per_second: float = Field(20.0, gt=0, le=1e6)
-    """Budget seconds: pairs this machine matches in a second; the receipt of an earlier match stage tells it."""

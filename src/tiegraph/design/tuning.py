@@ -135,7 +135,7 @@ class Tuning(Section):
     """Constants of the engine that are the same for every user."""
 
     start_share: float = Field(0.5, ge=0, le=1)
-    """Of a budget of pairs or seconds that the pairs may take which stay whatever a design is after."""
+    """Of a budget of pairs that the pairs may take which stay whatever a design is after."""
     cost: CostTuning = CostTuning()
     """The cost of matching."""
     expected: ExpectedTuning = ExpectedTuning()
