@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import tiegraph
+from tiegraph.errors import InputError
 from tiegraph.scan.lensvideos import two_tracks_note, video_tracks
 from tiegraph.scan.video import picture_folders
 
@@ -65,9 +66,18 @@ def test_tracks_of_a_file_are_counted_and_two_are_said(tmp_path: Path) -> None:
 def test_videos_of_two_lenses_become_a_rig(tmp_path: Path) -> None:
     film(tmp_path / "in" / "VID_20220110_121609_00_657.insv", seed=1)
     film(tmp_path / "in" / "VID_20220110_121609_10_657.insv", seed=2)
-    scene = tiegraph.open(tmp_path / "in", tmp_path / "out", pool="serial").run("scan").scene()
+    project = tiegraph.open(tmp_path / "in", tmp_path / "out", pool="serial").run("scan")
+    scene = project.scene()
     assert (len(scene), scene.frames, [s.name for s in scene.all_sensors]) == (8, 4, ["fisheye0", "fisheye1"])
+    assert any("+0.0000 s after" in n and "the lenses of one recording" in n for n in project.receipt("scan")["notes"])
     film(tmp_path / "both" / "VID_20220110_121609_00_657.insv", lenses=2)
     scene = tiegraph.open(tmp_path / "both", tmp_path / "out2", pool="serial").run("scan").scene()
     assert (len(scene), scene.frames, [s.name for s in scene.all_sensors]) == (8, 4, ["lens0", "lens1"])
     assert scene.rigs[0].nominal and (tmp_path / "out2" / "images" / scene.names[7]).exists()
+
+
+def test_videos_of_two_cameras_are_not_one_recording_by_their_ending(tmp_path: Path) -> None:
+    film(tmp_path / "in" / "cam0.insv", seed=1)
+    film(tmp_path / "in" / "cam1.insv", seed=2)
+    with pytest.raises(InputError, match=r"--scan.video-offset cam1=SECONDS"):
+        tiegraph.open(tmp_path / "in", tmp_path / "out", pool="serial").run("scan")

@@ -11,7 +11,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.project.run import Run
-from tiegraph.scan.lensvideos import SUFFIX, two_tracks_note
+from tiegraph.scan.lensvideos import is_of_lens, two_tracks_note
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import OffsetTuning, PicturesTuning, Tuning
 from tiegraph.scan.video import Pictures, find_videos, nearest, open_video, picture_folders, sharpest, take_pictures
@@ -140,7 +140,7 @@ def _in_time(run: Run, videos: Sequence[_Video]) -> tuple[list[_Video], list[tup
     groups = _groups(run, videos)
     told = offsets_given([v.folder for v in videos], run.settings.scan)
     out = [replace(v, offset_s=told.get(k, 0.0)) for k, v in enumerate(videos)]
-    lenses = {k for k, v in enumerate(videos) if v.path.suffix.lower() == SUFFIX} - told.keys()  # of one recording
+    lenses = {k for k, v in enumerate(videos) if is_of_lens(v.path)} - told.keys()  # of one recording
     asked = {k: g[0] for g in groups for k in g[1:] if k not in told.keys() | lenses}
     moving = sorted({*asked, *asked.values()})
     curves = dict(zip(moving, run.map(_curve, [videos[k] for k in moving], tuning)))

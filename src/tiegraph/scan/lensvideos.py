@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from pathlib import Path, PurePosixPath
+from pathlib import Path, PurePath, PurePosixPath
 from typing import BinaryIO
 
+from tiegraph.scan.mp4 import boxes
 from tiegraph.scene.regular import regular
 
 SUFFIX = ".insv"
@@ -21,15 +22,21 @@ _OF_LENS = re.compile(r"^(VID_\d+_\d+)_([01])0_(\d+)$", re.IGNORECASE)
 def lens_folders(videos: Sequence[str], folders: Sequence[str]) -> list[str]:
     """Folders for the pictures of videos (names, POSIX): <shot>/fisheye0 and <shot>/fisheye1 where two files of a shot
     have a lens each, else the ``folders`` given."""
-    found = [_OF_LENS.match(PurePosixPath(v).stem) for v in videos]
-    shots = [
-        str(PurePosixPath(v).with_name(f"{m[1]}_{m[3]}")) if m and v.lower().endswith(SUFFIX) else ""
-        for v, m in zip(videos, found)
-    ]
+    found = [_of_lens(PurePosixPath(v)) for v in videos]
+    shots = [str(PurePosixPath(v).with_name(f"{m[1]}_{m[3]}")) if m else "" for v, m in zip(videos, found)]
     return [
-        f"{shot}/fisheye{m[2]}" if m and shot and shots.count(shot) == 2 else folder
+        f"{shot}/fisheye{m[2]}" if m and shots.count(shot) == 2 else folder
         for shot, m, folder in zip(shots, found, folders)
     ]
+
+
+def is_of_lens(video: PurePath) -> bool:
+    """Whether a video is by its name one lens of a shot, recorded together with the other."""
+    return _of_lens(video) is not None
+
+
+def _of_lens(video: PurePath) -> re.Match[str] | None:
+    return _OF_LENS.match(video.stem) if video.suffix.lower() == SUFFIX else None
 
 
 def two_tracks_note(video: Path) -> str:
@@ -48,35 +55,16 @@ def video_tracks(path: Path) -> int:
     """How many video tracks the header of an MP4 file names (ISO 14496-12: moov/trak/mdia/hdlr); 0 if it is none."""
     try:
         with regular(path, None).open("rb") as file:
-            headers = _boxes(file, 0, file.seek(0, 2), b"moov")
-            tracks = [track for header in headers for track in _boxes(file, *header, b"trak")]
+            headers = boxes(file, b"moov", 0, file.seek(0, 2))
+            tracks = [track for header in headers for track in boxes(file, b"trak", *header)]
             return sum(_is_video(file, *track) for track in tracks)
     except OSError:
         return 0
 
 
 def _is_video(file: BinaryIO, start: int, end: int) -> bool:
-    for media in _boxes(file, start, end, b"mdia"):
-        for handler, _ in _boxes(file, *media, b"hdlr"):
+    for media in boxes(file, b"mdia", start, end):
+        for handler, _ in boxes(file, b"hdlr", *media):
             file.seek(handler + 8)  # version, flags and a field that is 0
             return file.read(4) == b"vide"
     return False
-
-
-def _boxes(file: BinaryIO, start: int, end: int, kind: bytes) -> list[tuple[int, int]]:
-    """Where the contents of the boxes of a kind begin and end, between two places of a file."""
-    found = []
-    while start + 8 <= end:
-        file.seek(start)
-        head = file.read(16)
-        size, first = int.from_bytes(head[:4], "big"), 8
-        if size == 1:  # the size is too large for 4 bytes
-            size, first = int.from_bytes(head[8:16], "big"), 16
-        elif size == 0:  # to the end
-            size = end - start
-        if size < first or start + size > end:
-            break
-        if head[4:8] == kind:
-            found.append((start + first, start + size))
-        start += size
-    return found

@@ -6,11 +6,11 @@ import struct
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
 from tiegraph.scan.djisubtitles import Subtitles, read_subtitles, subtitles_of
+from tiegraph.scan.mp4 import boxes
 from tiegraph.scan.settings import ScanSettings, video_offsets
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.exifwrite import Taken
@@ -18,7 +18,6 @@ from tiegraph.scene.names import clean
 from tiegraph.scene.regular import regular
 
 _MP4_EPOCH_S = datetime(1904, 1, 1, tzinfo=timezone.utc).timestamp()  # ISO/IEC 14496-12, 8.2.2
-_MOST_BOXES = 10_000
 
 
 @dataclass(frozen=True)
@@ -79,8 +78,8 @@ def _created(video: Path) -> tuple[float, float] | None:
     try:
         with regular(video, None).open("rb") as file:
             size = file.seek(0, 2)
-            movie = _box(file, b"moov", 0, size)
-            header = movie and _box(file, b"mvhd", *movie)
+            movie = next(boxes(file, b"moov", 0, size), None)
+            header = movie and next(boxes(file, b"mvhd", *movie), None)
             if not header:
                 return None
             file.seek(header[0])
@@ -90,22 +89,3 @@ def _created(video: Path) -> tuple[float, float] | None:
     except (OSError, struct.error, IndexError):
         return None
     return created + _MP4_EPOCH_S, length / scale if scale else 0.0
-
-
-def _box(file: BinaryIO, kind: bytes, begin: int, end: int) -> tuple[int, int] | None:
-    """First and last byte of what a box holds, among the boxes between two places of a file."""
-    for _ in range(_MOST_BOXES):
-        if end - begin < 8:
-            return None
-        file.seek(begin)
-        size, name = struct.unpack(">I4s", file.read(8))
-        head = 8
-        if size == 1:
-            size, head = struct.unpack(">Q", file.read(8))[0], 16
-        size = end - begin if size == 0 else size
-        if size < head:
-            return None
-        if name == kind:
-            return begin + head, min(begin + size, end)
-        begin += size
-    return None

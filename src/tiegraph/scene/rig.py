@@ -61,9 +61,7 @@ class Sensor:
     source: Source | None = None  # None: the files are the images
     sigma_deg: float | None = None  # of each axis of the given rotation; None = not said
     sigma_m: float | None = None  # of each coordinate of the given place
-    camera_sigma_px: float | None = (
-        None  # of the given focal length: a start, to be adjusted; None = exact, or not said
-    )
+    camera_sigma_px: float | None = None  # of the given focal length, to be adjusted; None = exact, or not said
 
     def soft(self) -> bool:
         """Whether its extrinsics are given with a sigma, to be adjusted about."""
