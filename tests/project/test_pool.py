@@ -1,5 +1,6 @@
 """The pool: workers that are lost, at work or idle, and what may be asked for."""
 
+import contextlib
 import gc
 import os
 import signal
@@ -74,7 +75,10 @@ def test_a_worker_that_starts_while_another_is_lost_is_not_waited_for(monkeypatc
 
     def slowly(process):
         start(process)
-        if process is not executor.helpers.made[0]:
+        first = executor.helpers.made[0]
+        if process is not first:
+            with contextlib.suppress(ProcessLookupError):  # it has died of its own item
+                os.kill(first.pid, signal.SIGKILL)
             while not executor._call_queue._closed:  # the executor's thread has told all it knows of to end
                 time.sleep(0.01)
 
