@@ -162,6 +162,20 @@ class PicturesTuning(Section):
     nearest_steps: float = Field(0.75, gt=0)
     """Frames of the other cameras of a rig are taken up to so many of their steps from those of the first: half a
     step, and some play for stamps in whole milliseconds."""
+    most_dop: float = Field(5.0, gt=0)
+    """Dilution of precision of a camera's own receiver from which a fix is left out: "under 500 is good", GoPro says of
+    its hundredfold (gpmf-parser)."""
+    most_height_m: float = Field(100_000.0, gt=0)
+    """Above or below the sea: other numbers are no heights."""
+    receiver_apart_s: float = Field(0.5, gt=0)
+    """Median difference of the receiver's clock from the video's that is said: those of payloads differ by a tenth."""
+    zone_apart_s: float = Field(60.0, gt=0, lt=450)
+    """Between the middles of a recording and of its fixes, once whole quarters of an hour, which are a time zone, are
+    taken off: a receiver may find its first fix late."""
+    zone_inside: float = Field(0.9, gt=0, le=1)
+    """Share of the fixes within a recording from which its creation time is taken for UTC without more ado."""
+    creation_days: float = Field(1.1, gt=0)
+    """Creation time of a video that is farther from its receiver's times than any time zone is said."""
 
 
 class MotionTuning(Section):
