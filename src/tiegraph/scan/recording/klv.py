@@ -67,7 +67,7 @@ def entries(data: bytes) -> Iterator[Entry]:
         begin, length = at + _HEAD, size * count
         if begin + length > len(data):
             raise BrokenEntry(f"{key!r} says {count} rows of {size} bytes, and {len(data) - begin} bytes are left")
-        yield Entry(key, chr(data[at + 4]), size, count, data[begin : begin + length])
+        yield Entry(key, chr(data[at + 4]), size=size, count=count, data=data[begin : begin + length])
         at = begin + length + -length % 4
 
 

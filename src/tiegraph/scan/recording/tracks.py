@@ -95,7 +95,7 @@ def samples(file: BinaryIO, track: Track) -> Samples:
     length = np.repeat(steps[:, 1], _at_most(counts, len(sizes))).astype(float) / scale
     if len(length) < len(sizes):
         raise BrokenTrack(f"its table stts has times of {len(length)} samples of {len(sizes)}")
-    return Samples(offset, sizes, np.cumsum(length) - length, length)
+    return Samples(offset, sizes, begin_s=np.cumsum(length) - length, length_s=length)
 
 
 def _at_most(counts: np.ndarray, total: int) -> np.ndarray:
