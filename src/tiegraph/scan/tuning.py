@@ -139,7 +139,15 @@ class LensViewsTuning(Section):
     most: float = Field(0.5, ge=0, lt=1)
     """The circle of a lens is believed if more than this share of its images show one."""
     nominal_sigma: float = Field(0.05, gt=0)
-    """Of the focal length of a lens of a 360 camera that nobody calibrated, a share."""
+    """Of the focal length of a lens of a 360 camera that nobody calibrated, a share ..."""
+    factory_sigma: float = Field(0.01, gt=0)
+    """... and of one that its factory did: three of its models of one camera agree to 0.4 %."""
+    most_sigma: float = Field(0.0075, gt=0)
+    """A lens whose focal length is known worse, a share, is not cut into views: they hold it as it is."""
+    factory_edge_deg: tuple[float, float] = (90.0, 106.0)
+    """Where the circle of a picture must end by what the factory says, off the axis: lenses see 95 to 102 degrees."""
+    factory_off: float = Field(0.02, gt=0)
+    """How far its middle may be from the centre that the factory says, a share of its radius."""
     rim: float = Field(0.03, ge=0, lt=1)
     """Of its radius: a lens ends in a blurred, coloured rim."""
 
