@@ -84,6 +84,20 @@ def test_two_tracks_of_a_file_become_a_rig_with_times_and_positions(tmp_path: Pa
     assert any("001.insv, track 2 begins +0.0000 s after" in n and "the lenses of one" in n for n in notes)
 
 
+@pytest.mark.slow
+def test_the_fixes_in_the_file_of_one_lens_place_both(tmp_path: Path) -> None:
+    start = datetime(2024, 5, 1, 10, 0, 0, tzinfo=timezone.utc)
+    for lens in (0, 1):
+        video = film(tmp_path / "in" / f"VID_20240501_120000_{lens}0_001.insv", seed=lens)
+        world.created(video, start.timestamp() + 7200)
+        if lens == 0:
+            world.with_trailer(video, [(7, world.gps_record(world.walk(start, 30, 10)))])
+    project = tiegraph.open(tmp_path / "in", tmp_path / "out", pool="serial").run("scan")
+    scene = project.scene()
+    assert np.isfinite(scene.world_from_rig[:, :3, 3]).all() and 0 <= scene.time_s[0] - start.timestamp() < 0.5
+    assert not any("by its own clock" in n for n in project.receipt("scan")["notes"])
+
+
 def frames(path: Path) -> list[np.ndarray]:
     """All pictures of a video, RGB."""
     capture, out = cv2.VideoCapture(str(path)), []

@@ -157,7 +157,8 @@ def _in_time(run: Run, videos: Sequence[_Video]) -> tuple[list[_Video], list[tup
                 sigma = f"{1e3 * found.sigma_s:.1f} ms"
                 how = f"sigma {sigma}, by the motion of the pictures in the {found.shared_s:.1f} s that both show"
             notes.append(f"{out[k].name} begins {out[k].offset_s:+.4f} s after {first.name} ({how})")
-            notes += _contradiction(first.clock, out[k], tuning.pictures.creation_apart_s)
+            if k not in lenses:  # the fixes that mend a clock stand in the file of one lens only
+                notes += _contradiction(first.clock, out[k], tuning.pictures.creation_apart_s)
         _share_clock(out, group)
     return out, groups, notes
 
