@@ -11,7 +11,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.project.run import Run
-from tiegraph.scan.lensvideos import is_of_lens, two_tracks_note
+from tiegraph.scan.lensvideos import Recording, is_of_lens, recordings_of
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import OffsetTuning, PicturesTuning, Tuning
 from tiegraph.scan.video import Pictures, find_videos, nearest, open_video, picture_folders, sharpest, take_pictures
@@ -20,7 +20,6 @@ from tiegraph.scan.videooffset import Offset, find_offset
 from tiegraph.scan.videorig import Film, films_together, offsets_given
 from tiegraph.scan.videotime import VideoClock, video_clock
 from tiegraph.scene.images import find_images, has_images
-from tiegraph.scene.names import clean
 from tiegraph.scene.regular import regular
 
 
@@ -28,9 +27,9 @@ from tiegraph.scene.regular import regular
 class _Video:
     """A video as one look at it found it, and when it began."""
 
-    path: Path
+    recording: Recording
     folder: str
-    clock: VideoClock
+    clock: VideoClock = VideoClock()
     width: int = 0  # 0: cannot be decoded
     height: int = 0
     fps: float = 0.0
@@ -38,8 +37,8 @@ class _Video:
 
     @property
     def name(self) -> str:
-        """Its file name, as it may be shown."""
-        return clean(self.path.name)
+        """Its file name, as it may be shown, and which of its tracks it is."""
+        return self.recording.name
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ def photographs(run: Run) -> tuple[Path, tuple[str, ...]]:
     settings, tuning = run.settings.scan, run.settings.tuning.scan
     folder = run.path("images") / ".video"
     run.reporter.total(2 * len(found))
-    items = [(images / v, f) for v, f in zip(found, picture_folders(found))]
+    items = [r for v, f in zip(found, picture_folders(found)) for r in recordings_of(images / v, f)]
     videos = run.map(_look, items, settings, tuning.pictures)
     videos, groups, said = _in_time(run, videos)
     first = [_Job(videos[g[0]], folder / videos[g[0]].folder) for g in groups]
@@ -85,7 +84,7 @@ def photographs(run: Run) -> tuple[Path, tuple[str, ...]]:
     notes = [p.said for p in (*taken, *beside)] + said + [_apart(j, p) for j, p in zip(others, beside)]
     if not has_images(folder) or len(find_images(folder)) < 2:
         raise InputError(f"{images}: at least 2 pictures are needed: {'; '.join(notes)}")
-    clocks = [v.clock.note for v in videos if v.width] + [two_tracks_note(v.path) for v in videos]
+    clocks = list(dict.fromkeys(v.clock.note for v in videos if v.width))  # of several tracks, once
     late = _at_once([(videos[g[0]], p) for g, p in zip(groups, taken) if p.stamps_s], tuning.pictures.creation_apart_s)
     return folder, tuple(filter(None, notes + clocks + _unknown_starts(videos, groups) + late))
 
@@ -119,19 +118,19 @@ def _unknown_starts(videos: Sequence[_Video], groups: Sequence[tuple[int, ...]])
     ]
 
 
-def _look(item: tuple[Path, str], settings: ScanSettings, tuning: PicturesTuning) -> _Video:
-    path, folder = item
+def _look(item: tuple[Recording, str], settings: ScanSettings, tuning: PicturesTuning) -> _Video:
+    recording, folder = item
     try:
-        regular(path, None)
+        regular(recording.file, None)
     except OSError:
-        return _Video(path, folder, VideoClock())
-    with open_video(path, tuning) as opened:
+        return _Video(recording, folder)
+    with open_video(recording, tuning) as opened:
         frame = next(opened.frames(), None)
     if frame is None:
-        return _Video(path, folder, VideoClock())
+        return _Video(recording, folder)
     height, width = frame[1].shape[:2]
-    clock = video_clock(path, settings, tuning)
-    return _Video(path=path, folder=folder, clock=clock, width=width, height=height, fps=opened.fps)
+    clock = video_clock(recording.file, settings, tuning)
+    return _Video(recording, folder, clock, width=width, height=height, fps=opened.fps)
 
 
 def _in_time(run: Run, videos: Sequence[_Video]) -> tuple[list[_Video], list[tuple[int, ...]], list[str]]:
@@ -140,7 +139,7 @@ def _in_time(run: Run, videos: Sequence[_Video]) -> tuple[list[_Video], list[tup
     groups = _groups(run, videos)
     told = offsets_given([v.folder for v in videos], run.settings.scan)
     out = [replace(v, offset_s=told.get(k, 0.0)) for k, v in enumerate(videos)]
-    lenses = {k for k, v in enumerate(videos) if is_of_lens(v.path)} - told.keys()  # of one recording
+    lenses = {k for k, v in enumerate(videos) if is_of_lens(v.recording)} - told.keys()  # of one recording
     asked = {k: g[0] for g in groups for k in g[1:] if k not in told.keys() | lenses}
     moving = sorted({*asked, *asked.values()})
     curves = dict(zip(moving, run.map(_curve, [videos[k] for k in moving], tuning)))
@@ -158,7 +157,8 @@ def _in_time(run: Run, videos: Sequence[_Video]) -> tuple[list[_Video], list[tup
                 sigma = f"{1e3 * found.sigma_s:.1f} ms"
                 how = f"sigma {sigma}, by the motion of the pictures in the {found.shared_s:.1f} s that both show"
             notes.append(f"{out[k].name} begins {out[k].offset_s:+.4f} s after {first.name} ({how})")
-            notes += _contradiction(first.clock, out[k], tuning.pictures.creation_apart_s)
+            if k not in lenses:  # the fixes that mend a clock stand in the file of one lens only
+                notes += _contradiction(first.clock, out[k], tuning.pictures.creation_apart_s)
         _share_clock(out, group)
     return out, groups, notes
 
@@ -209,7 +209,7 @@ def _share_clock(videos: list[_Video], group: Sequence[int]) -> None:
 
 
 def _curve(video: _Video, tuning: Tuning) -> MotionCurve:
-    with open_video(video.path, tuning.pictures) as opened:
+    with open_video(video.recording, tuning.pictures) as opened:
         return motion_curve(opened.frames(), tuning.motion)
 
 
@@ -223,7 +223,7 @@ def _take(job: _Job, per_second: float, tuning: PicturesTuning) -> Pictures:
         choice = sharpest(per_second, tuning)
     else:
         choice = nearest(job.numbers, job.stamps_s, tuning.nearest_steps / video.fps)
-    return take_pictures(video.path, job.target, choice, video.clock, tuning)
+    return take_pictures(video.recording, job.target, choice, video.clock, tuning)
 
 
 def _apart(job: _Job, taken: Pictures) -> str:

@@ -7,20 +7,21 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 
 import cv2
 import numpy as np
 
-from tiegraph.scan.lensvideos import lens_folders
+from tiegraph.scan.lensvideos import Recording, lens_folders
 from tiegraph.scan.prepare import write_pixels
+from tiegraph.scan.recording.tracks import OneVideoTrack
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videotime import VideoClock
 from tiegraph.scene.atomic import claim
 from tiegraph.scene.images import files_below
-from tiegraph.scene.names import clean, clean_names, shortened
+from tiegraph.scene.names import clean_names, shortened
 from tiegraph.scene.regular import real_path, regular
 
 SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".webm", ".insv")
@@ -86,35 +87,42 @@ class OpenVideo:
 
 
 @contextmanager
-def open_video(video: Path, tuning: PicturesTuning) -> Iterator[OpenVideo]:
-    """A video, opened by OpenCV.
-
-    It gets a link for a name: one that is not UTF-8 would end the process, and %d would mean numbered files.
-    """
+def open_video(recording: Recording, tuning: PicturesTuning) -> Iterator[OpenVideo]:
+    """A video, or one track of it, opened by OpenCV."""
     os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "protocol_whitelist;file")  # a play list may name a server
+    with ExitStack() as stack:
+        if recording.track is None:
+            capture = _capture(recording.file)
+        else:
+            view = stack.enter_context(OneVideoTrack(recording.file, recording.track))
+            capture = cv2.VideoCapture(view, cv2.CAP_FFMPEG, [])  # type: ignore[call-overload]
+        stack.callback(capture.release)
+        yield OpenVideo(capture, tuning.max_fps)
+
+
+def _capture(video: Path) -> cv2.VideoCapture:
+    """It gets a link for a name: one that is not UTF-8 would end the process, and %d would mean numbered files."""
     with tempfile.TemporaryDirectory() as folder:
         link = Path(folder) / f"video{video.suffix.lower()}"
         try:
             link.symlink_to(real_path(video))
         except (OSError, NotImplementedError):
             link = video
-        capture = cv2.VideoCapture(str(link))
-    try:
-        yield OpenVideo(capture, tuning.max_fps)
-    finally:
-        capture.release()
+        return cv2.VideoCapture(str(link))
 
 
-def take_pictures(video: Path, folder: Path, choice: Choice, clock: VideoClock, tuning: PicturesTuning) -> Pictures:
+def take_pictures(
+    recording: Recording, folder: Path, choice: Choice, clock: VideoClock, tuning: PicturesTuning
+) -> Pictures:
     """Write the chosen frames of a video below ``folder``, with time and position in their EXIF.
 
     The folder is made whole or not at all; one that is there is what it was. Never raises for a broken video.
     """
     if folder.exists():
         return _taken(folder)
-    name = clean(video.name)
+    name = recording.name
     try:
-        regular(video, None)
+        regular(recording.file, None)
     except OSError as error:
         return Pictures(said=f"{name} is no video: {error.strerror}")
     partial = folder.with_name(f".{os.getpid()}-{folder.name}")
@@ -124,7 +132,7 @@ def take_pictures(video: Path, folder: Path, choice: Choice, clock: VideoClock, 
     partial.mkdir(parents=True)
     numbers, stamps = [], []
     try:
-        with open_video(video, tuning) as opened:
+        with open_video(recording, tuning) as opened:
             for number, (stamp, picture) in choice.pick(opened.frames()):
                 target = partial / f"{folder.name}_{number:06d}.jpg"
                 write_pixels(target, picture[..., ::-1], tuning, clock.taken(stamp))
