@@ -145,6 +145,23 @@ class SigmaTuning(Section):
     """Errors of lenses, and of cameras in their rig."""
 
 
+class ShutterTuning(Section):
+    """Whether the rows of images are read one after another (`shutter.py`)."""
+
+    max_gap_s: float = Field(3.0, gt=0)
+    """Between neighbours of a pass: beyond, their difference is no velocity at either (`scan.max_gap_s`)."""
+    most_points: int = Field(20_000, gt=0)
+    """Looked at: a random part of more."""
+    sigmas: float = Field(5.0, gt=0)
+    """Of a readout that is believed: a sigma of points knows nothing of what a lens does to all."""
+    range_s: tuple[float, float] = (0.005, 0.1)
+    """A shorter one is not known of any shutter, and KITTI's lenses look like 0.003; ODM's table ends at 0.074."""
+    rounds: int = Field(4, gt=0)
+    """Of an adjustment and a step of the readout, until a step is below its sigma."""
+    min_gain: float = Field(0.001, ge=0, le=1)
+    """Of the robust cost, foreseen, then reached: PandaSet 0.0025 to 0.005, KITTI (global) 0.0006, canal 0.0000."""
+
+
 class RegistrationTuning(Section):
     """What is said of a model's losses and doubts (`registrationreport.py`)."""
 
@@ -198,6 +215,8 @@ class Tuning(Section):
     """The final adjustment."""
     sigma: SigmaTuning = SigmaTuning()
     """The sigmas of a model."""
+    shutter: ShutterTuning = ShutterTuning()
+    """Rolling shutters."""
     registration: RegistrationTuning = RegistrationTuning()
     """What was lost, and what is in doubt."""
     two_view: TwoViewTuning = TwoViewTuning()
