@@ -2,9 +2,9 @@
 
     TIEGRAPH_DATA=... .venv/bin/python -m benchmarks.foundrig --sets pandaset canal_demo -o FILE --work DIR
 
-The frames are halved in the order of their names. The first half is run with the rig of the set; `tiegraph rig` writes
-what it found; the second half is run with that file (``found``) and with the rig of the set (``self``: it calibrates
-itself). ``--drawn`` gives the rig as a drawing: no calibration, places to 0.1 m, angles to 5 degrees.
+The frames are halved in the order of their names. Each half is run with the rig of the set (``self``: it calibrates
+itself) and with what `tiegraph rig` writes of the other half's run (``found``). ``--drawn`` gives the rig as a drawing:
+no calibration, places to 0.1 m, angles to 5 degrees.
 """
 
 from __future__ import annotations
@@ -54,22 +54,23 @@ def _dataset(given: Given, name: str, folder: Path) -> datasets.Dataset:
 
 
 def measure(name: str, as_drawn: bool, work: Path, book: variants.Book) -> None:
-    """Three runs of a set, those that ``book`` does not have: the first half, the second with its rig, and without."""
+    """Four runs of a set, those that ``book`` does not have: each half with its rig, and with that of the other."""
     given = of_dataset(datasets.load(name, work / "datasets"))
     if given.rig is None or len(given.rig.sensors) < 2:
         raise SystemExit(f"{name}: no rig")
     if as_drawn:
         name, given = f"{name} drawn", replace(given, rig=drawn(given.rig))
     folder = work / name.replace(" ", "-")
-    first, second = (_dataset(half, name, folder / f"given{k}") for k, half in enumerate(halves(given)))
-    _kept(name, "first half", first, folder, book)
-    found = rig_file(folder / "first half")
-    for line in found.said:
-        sys.stderr.write(f"  {line}\n")
-    rig = folder / "found.toml"
-    rig.write_text(found.text)
-    _kept(name, "found", replace(second, rig=rig), folder, book)
-    _kept(name, "self", second, folder, book)
+    parts = [_dataset(half, name, folder / f"given{k}") for k, half in enumerate(halves(given))]
+    for k, part in enumerate(parts):
+        _kept(name, f"self {k + 1}", part, folder, book)
+    for k, part in enumerate(parts):
+        found = rig_file(folder / f"self {2 - k}")
+        for line in found.said:
+            sys.stderr.write(f"  {line}\n")
+        rig = folder / f"found{k + 1}.toml"
+        rig.write_text(found.text)
+        _kept(name, f"found {k + 1}", replace(part, rig=rig), folder, book)
 
 
 def _kept(name: str, variant: str, dataset: datasets.Dataset, folder: Path, book: variants.Book) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,16 +17,16 @@ from moving_world import sighted
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.scan.rigspec import orient
-from tiegraph.scene.rig import Rig, Sensor
+from tiegraph.scene.rig import Rig, Sensor, Source
 from tiegraph.scene.scene import Scene, simple_scene
-from tiegraph.sfm import shutter
 from tiegraph.sfm.finish import FinishResult, finish_model
 from tiegraph.sfm.model import rigid3d
 from tiegraph.sfm.rigcheck import FinishRequest, Held
+from tiegraph.sfm.shutter import Readout, find_readout, image_motion, unrolled
 from tiegraph.sfm.tuning import ShutterTuning, Tuning
 
 FPS, FRAMES, READOUT_S = 10.0, 30, 0.02
-TUNING = ShutterTuning()
+TUNING, CONSTANTS = ShutterTuning(), Tuning()
 
 
 def pose_at(time_s: float) -> np.ndarray:
@@ -65,21 +66,23 @@ def walk(readout_s: float) -> tuple[pycolmap.Reconstruction, Scene]:
         if len(track) > 2:
             model.add_point3D(points[point], pycolmap.Track(track))
     model.update_point_3d_errors()
-    names, frame = [f"{f:03d}.jpg" for f in range(FRAMES)], np.arange(FRAMES)
+    names, order = [f"{f:03d}.jpg" for f in range(FRAMES)], np.arange(FRAMES)
     scene = simple_scene(
-        Rig("telephone", (Sensor("telephone", camera),)), names, frame, 0 * frame, 0 * frame, sequences=("walk",),
-        time_s=frame / FPS,
+        Rig("telephone", (Sensor("telephone", camera),)), names, order, 0 * order, 0 * order, sequences=("walk",),
+        time_s=order / FPS,
     )  # fmt: skip
     return model, scene
 
 
-def finished(model: pycolmap.Reconstruction, scene: Scene, folder: Path, given_ms: float | None) -> FinishResult:
+def finished(
+    model: pycolmap.Reconstruction, scene: Scene, folder: Path, given_ms: float | None, tuning: Tuning = CONSTANTS
+) -> FinishResult:
     """The stage's own finishing of the model, into ``folder``/0."""
     source = folder / "mapped"
     source.mkdir(parents=True)
     model.write(source)
     held = Held(cameras=(1,), readout_ms=given_ms)
-    request = FinishRequest(source, folder / "0", scene.to_json(), Tuning(), held, covariance_frames=100)
+    request = FinishRequest(source, folder / "0", scene.to_json(), tuning, held, covariance_frames=100)
     return finish_model(request, lambda _: None)
 
 
@@ -94,7 +97,7 @@ def ate_mm(folder: Path) -> float:
 def test_velocity_and_turn_are_those_of_the_way_and_not_across_a_gap() -> None:
     model, scene = walk(0.0)
     time = scene.time_s + np.where(np.arange(FRAMES) >= 20, 100.0, 0.0)
-    whole, cut = (shutter.image_motion(model, s, TUNING) for s in (scene, scene.with_(time_s=time)))
+    whole, cut = (image_motion(model, s, TUNING) for s in (scene, scene.with_(time_s=time)))
     assert len(whole) == len(cut) == FRAMES
     step = 1e-4
     for f in (5, 12, 25):
@@ -102,19 +105,22 @@ def test_velocity_and_turn_are_those_of_the_way_and_not_across_a_gap() -> None:
         velocity = (after[:3, 3] - before[:3, 3]) / (2 * step)
         turn = (after[:3, :3] - before[:3, :3]) @ pose_at(f / FPS)[:3, :3].T / (2 * step)
         true = np.concatenate([velocity, [turn[2, 1], turn[0, 2], turn[1, 0]]])
-        np.testing.assert_allclose(whole[f + 1], true, rtol=0, atol=0.03 * np.linalg.norm(true))
-        np.testing.assert_allclose(cut[f + 1], true, rtol=0, atol=0.03 * np.linalg.norm(true))
+        near = 0.03 * float(np.linalg.norm(true))
+        np.testing.assert_allclose(whole[f + 1], true, rtol=0, atol=near)
+        np.testing.assert_allclose(cut[f + 1], true, rtol=0, atol=near)
     assert np.linalg.norm(cut[20][:3]) > 1.0  # at the gap itself: from its own side
-    assert shutter.image_motion(model, scene.with_(time_s=np.full(FRAMES, np.nan)), TUNING) == {}
+    assert image_motion(model, scene.with_(time_s=np.full(FRAMES, np.nan)), TUNING) == {}
+    views = replace(scene.rigs[0], sensors=(replace(scene.rigs[0].sensors[0], source=Source(panorama=True)),))
+    assert image_motion(model, scene.with_(rigs=(views,)), TUNING) == {}  # their rows are not the camera's
 
 
 def test_key_points_go_to_where_the_middle_row_sees_them() -> None:
     model, scene = walk(READOUT_S)
     assert 0.8 < model.compute_mean_reprojection_error()
-    out = shutter.unrolled(model, model, scene, READOUT_S, TUNING)
+    out = unrolled(model, model, scene, READOUT_S, TUNING)
     out.update_point_3d_errors()
     assert 0.36 < out.compute_mean_reprojection_error() < 0.40  # 0.3 px in both coordinates
-    again = shutter.unrolled(out, model, scene, -READOUT_S, TUNING)
+    again = unrolled(out, model, scene, -READOUT_S, TUNING)
     moved = [a.xy - b.xy for a, b in zip(again.image(3).points2D, model.image(3).points2D)]
     assert 0 < np.abs(moved).max() < 0.1  # the row itself has moved a little
 
@@ -123,15 +129,19 @@ def test_key_points_go_to_where_the_middle_row_sees_them() -> None:
 def test_a_shutter_is_found_and_taken_out(tmp_path: Path) -> None:
     model, scene = walk(READOUT_S)
     found = finished(model, scene, tmp_path / "auto", None)
-    told = next(n for n in found.notes if n.startswith("rolling shutter: images are read in "))
-    seconds, sigma = float(told.split()[6]) / 1000, float(told.split()[9].strip("),")) / 1000
+    told = next(n for n in found.notes if n.startswith("rolling shutter of ")).split()
+    seconds, sigma = float(told[3]) / 1000, float(told[6].strip("),")) / 1000
     assert 0 < sigma < 0.0005 and abs(seconds - READOUT_S) < 3 * sigma
     given = finished(model, scene, tmp_path / "given", 1000 * READOUT_S)
     assert any("20 ms as given" in n for n in given.notes)
+    weak = Tuning(shutter=ShutterTuning(used_gain=0.5))
+    left = finished(model, scene, tmp_path / "told", None, weak)
+    assert any("would explain the images better" in n and "--sparse.readout-ms 2" in n for n in left.notes)
     finished(model, scene, tmp_path / "global", 0)
     true, scene = walk(0.0)
     finished(true, scene, tmp_path / "true", 0)
     bent, best = ate_mm(tmp_path / "global"), ate_mm(tmp_path / "true")
+    assert ate_mm(tmp_path / "told") == pytest.approx(bent)
     assert 0.2 < best < 1.5 and bent > 3 * best
     assert all(ate_mm(tmp_path / name) < 1.5 * best for name in ("auto", "given"))
 
@@ -139,12 +149,23 @@ def test_a_shutter_is_found_and_taken_out(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_global_shutter_stays_one(tmp_path: Path) -> None:
     model, scene = walk(0.0)
-    found = shutter.find_readout(model, scene, (), Tuning())
+    found = find_readout(model, scene, (), CONSTANTS)
     assert found is not None and not found.there(TUNING)
-    assert 0 < found.sigma < 0.001 and abs(found.seconds) < 4 * found.sigma and found.gain < TUNING.min_gain
+    assert (
+        found.gap_s == pytest.approx(1 / FPS)
+        and 0 < found.sigma < 0.001
+        and abs(found.seconds) < 4 * found.sigma
+        and found.gain < TUNING.told_gain
+    )
     assert not any("rolling" in n for n in finished(model, scene, tmp_path / "auto", None).notes)
+    least = Readout(seconds=-0.02, sigma=0.003, gain=0.002, step=-0.01, gap_s=0.2)
+    assert least.there(TUNING) and str(least) == "-20.0 ms (sigma 3.0)"
+    for change in ({"sigma": 0.005}, {"gain": 0.0005}, {"seconds": 0.004, "sigma": 0.0001}, {"seconds": 0.2}):
+        assert not replace(least, **change).there(TUNING)
+    assert not least.clear(TUNING) and replace(least, gain=0.03).clear(TUNING)
+    assert not replace(least, gain=0.03, gap_s=0.5).clear(TUNING)
     untimed = scene.with_(time_s=np.full(FRAMES, np.nan))
     assert any(
-        "readout_ms = 20 is not used: the frames of the passes have no times" in n
+        "readout_ms = 20 is not used: that needs frames of a pass with times" in n
         for n in finished(model, untimed, tmp_path / "untimed", 20.0).notes
     )

@@ -114,7 +114,10 @@ def _without_rolling(
     if given is None:
         return _with_found(checked, anew, scene, request)
     if not shutter.image_motion(checked.model, scene, tuning):
-        checked.notes.append(f"sparse.readout_ms = {given:g} is not used: the frames of the passes have no times")
+        checked.notes.append(
+            f"sparse.readout_ms = {given:g} is not used: that needs frames of a pass with times (--times, video, EXIF) "
+            "and images that are no views of panoramas or fisheye images"
+        )
         return checked
     checked = anew(checked, given / 1000)
     checked.notes.append(
@@ -131,7 +134,13 @@ def _with_found(
     found = shutter.find_readout(checked.model, scene, fixed, tuning)
     if found is None or not found.there(tuning.shutter):
         return checked
-    last, seconds, least = checked, 0.0, tuning.shutter.range_s[0]
+    checked.notes.append(
+        f"a rolling shutter of {found} would explain the images better, by {100 * found.gain:.1f} % of the robust sum "
+        f"of squares: not used; to use it give --sparse.readout-ms {1000 * found.seconds:.0f}"
+    )
+    if not found.clear(tuning.shutter):
+        return checked
+    last, seconds = checked, 0.0
     for _ in range(tuning.shutter.rounds):
         seconds += found.step
         last = anew(last, seconds)
@@ -139,12 +148,11 @@ def _with_found(
         if found is None or abs(found.seconds) < found.sigma:
             break
     cost, before = (robust_cost(c.model, tuning.adjust.robust_px) for c in (last, checked))
-    if found is None or abs(seconds) < least or cost > (1 - tuning.shutter.min_gain) * before:
+    if found is None or cost > (1 - tuning.shutter.used_gain) * before:
         return checked
     last.notes.append(
-        f"rolling shutter: images are read in {1000 * seconds:.1f} ms (sigma {1000 * found.sigma:.1f}), by the motion "
-        f"from frame to frame; key points are where the middle row sees them, and the robust sum of squares fell by "
-        f"{100 * (1 - cost / before):.1f} %"
+        f"rolling shutter of {replace(found, seconds=seconds)}, by the motion from frame to frame: key points are "
+        f"where the middle row sees them, and the robust sum of squares fell by {100 * (1 - cost / before):.1f} %"
     )
     return last
 

@@ -37,18 +37,27 @@ from tiegraph.sfm.tuning import ShutterTuning, Tuning
 class Readout:
     """Seconds from the first row of an image to the last (negative: from the last), and their sigma; ``gain``: by which
     share it lowers the robust cost; ``step``: seconds that may be gone at once, for far from its minimum the robust
-    cost is less curved than there."""
+    cost is less curved than there; ``gap_s``: between the images whose poses tell the motion, median."""
 
     seconds: float
     sigma: float
     gain: float
     step: float
+    gap_s: float
 
     def there(self, tuning: ShutterTuning) -> bool:
         """Whether it is a shutter's and not noise or a lens."""
         least, most = tuning.range_s
-        sure = abs(self.seconds) > tuning.sigmas * self.sigma and self.gain > tuning.min_gain
+        sure = abs(self.seconds) > tuning.sigmas * self.sigma and self.gain > tuning.told_gain
         return sure and least <= abs(self.seconds) <= most
+
+    def clear(self, tuning: ShutterTuning) -> bool:
+        """Whether it is used unasked."""
+        return self.gain > tuning.used_gain and self.gap_s <= tuning.used_gap_s
+
+    def __str__(self) -> str:
+        """In milliseconds."""
+        return f"{1000 * self.seconds:.1f} ms (sigma {1000 * self.sigma:.1f})"
 
 
 def image_motion(model: pycolmap.Reconstruction, scene: Scene, tuning: ShutterTuning) -> dict[int, np.ndarray]:
@@ -56,26 +65,31 @@ def image_motion(model: pycolmap.Reconstruction, scene: Scene, tuning: ShutterTu
 
     Of images whose neighbours of the same camera in the same pass are in the model; none where frames have no times.
     """
-    if not scene.frames or not np.isfinite(scene.time_s).all() or not np.ptp(scene.time_s) > 0:
-        return {}
-    world_from_cam = transforms.invert(image_poses(model, scene))
-    ids = {scene.image_index[model.image(i).name]: i for i in model.reg_image_ids()}
-    rows = np.array(sorted(ids), int)
-    time, track = scene.time_s[scene.frame], scene.sequence[scene.frame]
-    rows = rows[track[rows] >= 0]
-    rows = rows[np.lexsort((time[rows], scene.sensor_key[rows], track[rows]))]
-    lines = np.stack([track[rows], scene.sensor_key[rows]])
-    steps = np.diff(time[rows])
-    cut = np.any(np.diff(lines, axis=1) != 0, axis=0) | (steps <= 0) | (steps > tuning.max_gap_s)
+    world_from_cam, time = transforms.invert(image_poses(model, scene)), scene.time_s[scene.frame]
     out: dict[int, np.ndarray] = {}
-    for stretch in np.split(rows, np.flatnonzero(cut) + 1):
-        if len(stretch) > 1:
-            at, pose = time[stretch] - time[stretch[0]], world_from_cam[stretch]
-            velocity = CubicSpline(at, pose[:, :3, 3])(at, 1)
-            turned = Rotation.from_matrix(pose[:, :3, :3])
-            rate = turned.apply(RotationSpline(at, turned)(at, 1))  # it gives the rate along the camera's own axes
-            out |= {ids[int(k)]: v for k, v in zip(stretch, np.hstack([velocity, rate]))}
+    ids = {scene.image_index[model.image(i).name]: i for i in model.reg_image_ids()}
+    for stretch in _stretches(np.array(sorted(ids), int), scene, tuning):
+        at, pose = time[stretch] - time[stretch[0]], world_from_cam[stretch]
+        velocity = CubicSpline(at, pose[:, :3, 3])(at, 1)
+        turned = Rotation.from_matrix(pose[:, :3, :3])
+        rate = turned.apply(RotationSpline(at, turned)(at, 1))  # it gives the rate along the camera's own axes
+        out |= {ids[int(k)]: v for k, v in zip(stretch, np.hstack([velocity, rate]))}
     return out
+
+
+def _stretches(images: np.ndarray, scene: Scene, tuning: ShutterTuning) -> list[np.ndarray]:
+    """Images (K,) of one camera that follow each other in a pass, two and more; none where frames have no times, and
+    of views, whose rows are not those of the camera."""
+    views = any(s.source is not None and s.source.rendered for s in scene.all_sensors)
+    if views or not scene.frames or not np.isfinite(scene.time_s).all():
+        return []
+    time, track = scene.time_s[scene.frame], scene.sequence[scene.frame]
+    rows = images[track[images] >= 0]
+    rows = rows[np.lexsort((time[rows], scene.sensor_key[rows], track[rows]))]
+    steps = np.diff(time[rows])
+    other = np.any(np.diff([track[rows], scene.sensor_key[rows]], axis=1) != 0, axis=0)
+    cut = other | (steps <= 0) | (steps > tuning.max_gap_s)
+    return [stretch for stretch in np.split(rows, np.flatnonzero(cut) + 1) if len(stretch) > 1]
 
 
 def find_readout(
@@ -103,11 +117,14 @@ def find_readout(
     cost = tuning.adjust.robust_px**2 * float(np.sum(np.log1p(square / tuning.adjust.robust_px**2)))
     score = float(told.score[0])
     first, second = found.weights
+    images = np.array(sorted(scene.image_index[model.image(i).name] for i in motion), int)
+    gaps = [np.diff(scene.time_s[scene.frame[s]]) for s in _stretches(images, scene, tuning.shutter)]
     return Readout(
         seconds=-score / information,
         step=-score / information * float(second.sum() / first.sum()),
         sigma=float(np.sqrt(max(told.noise[0, 0], 0.0))) / information,
         gain=score**2 / information / max(cost, 1e-12),
+        gap_s=float(np.median(np.concatenate(gaps))),
     )
 
 
