@@ -61,7 +61,6 @@ class _Run:
 
     folder: Path
     scene: Scene
-    drawn: tuple[Rig, ...]  # as candidates left them, before the coarse model turned cameras
     receipt: dict[str, Any]  # of sparse
     mapped: pycolmap.Reconstruction  # as sparse left it
     world: pycolmap.Reconstruction  # as georef left it; the same without
@@ -70,6 +69,10 @@ class _Run:
     said: list[str] = field(default_factory=list)
     unscaled: list[str] = field(default_factory=list)  # rigs whose lengths are in units of the model
     tuning: RigTuning = field(default_factory=RigTuning)
+
+    def drawn(self, index: int) -> Rig:
+        """A rig as candidates left it, before the coarse model turned cameras."""
+        return load_scene(self.folder / "candidates" / "scene.json").rigs[index]
 
     def rows(self, table: str) -> list[list]:
         """Rows of a table of the receipt of sparse."""
@@ -133,14 +136,12 @@ def _read(folder: Path) -> _Run:
             f"{folder}: its cameras are views of fisheye images, whose lenses it used as they were given: give the rig "
             "file of that run, or calibrate them in a run with --scan.fisheye whole"
         )
-    drawn = load_scene(folder / "candidates" / "scene.json").rigs
     mapped = load_model(first)
     current = placed.get("finished") and placed.get("from", {}).get("sparse") == receipt.get("made")
     if not current or not (world / "cameras.bin").exists():
         return _Run(
             folder=folder,
             scene=scene,
-            drawn=drawn,
             receipt=receipt,
             mapped=mapped,
             world=mapped,
@@ -154,7 +155,6 @@ def _read(folder: Path) -> _Run:
     return _Run(
         folder=folder,
         scene=scene,
-        drawn=drawn,
         receipt=receipt,
         mapped=mapped,
         world=load_model(world),
@@ -322,7 +322,7 @@ def _with_sigmas(run: _Run, found: Rig, index: int) -> Rig:
             if given.nominal:  # the coarse model may have turned it by ties that did not hold
                 trusted = Tuning().rig.time_calibration
                 sigma_deg, sigma_m = trusted.nominal_deg, trusted.nominal_m
-                sensor = replace(sensor, sensor_from_rig=run.drawn[index].sensors[place].sensor_from_rig)
+                sensor = replace(sensor, sensor_from_rig=run.drawn(index).sensors[place].sensor_from_rig)
         sensors.append(replace(sensor, sigma_deg=_short(sigma_deg), sigma_m=_short(sigma_m)))
     if kept:
         run.said.append(f"{found.name}: {', '.join(kept)} stands as given: too few ties told its place in the rig")
