@@ -19,7 +19,7 @@ from tiegraph.scene.tuning import RegisteredTuning
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.covariance import PositionSigma
 from tiegraph.sfm.database import ViewGraph
-from tiegraph.sfm.finish import FinishRequest, FinishResult, Held, finish_model
+from tiegraph.sfm.finish import FinishResult, finish_model
 from tiegraph.sfm.mapping import SCRATCH, Account, Job, Outcome, Source, believed_cameras, map_images
 from tiegraph.sfm.model import frame_poses, registration_tables
 from tiegraph.sfm.placement.doubtful import MatchSource
@@ -34,6 +34,7 @@ from tiegraph.sfm.registrationreport import (
 )
 from tiegraph.sfm.rig.rig import DerivedRig, derive_rig, rig_modes, rig_table
 from tiegraph.sfm.rig.support import ties_of, unsupported_sensors
+from tiegraph.sfm.rigcheck import FinishRequest, Held
 from tiegraph.sfm.sectionwise import start_from_sections
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.tuning import Tuning
@@ -199,6 +200,7 @@ def _finish(job: Job, outcome: Outcome, modes: dict[int, str]) -> FinishResult:
         unsupported=job.unsupported,
         cameras=believed_cameras(job.scene, job.settings),
         lenses_ordered=job.settings.refine_intrinsics == "no",
+        readout_ms=job.settings.readout_ms,
     )
     preview = None if job.source.preview is None else frame_poses(job.source.preview, job.scene)
     matched = MatchSource(job.source.database, job.source.refused)
