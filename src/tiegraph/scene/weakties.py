@@ -51,7 +51,7 @@ def weakly_tied(point: np.ndarray, frame: np.ndarray, present: np.ndarray, least
     ends, count = (shared.row[upper], shared.col[upper]), shared.data[upper]
     there = np.unique(home[present])
     size = np.bincount(home[present], minlength=len(present))
-    asked = [*there[:, None], *strongest_first(*ends, count, len(present))] if len(there) > 1 else []
+    asked = [*there[:, None], *strongest_first(ends[0], ends[1], count, len(present))] if len(there) > 1 else []
     found = []
     for group in asked:
         larger = 2 * int(size[group].sum()) + (there[0] in group) > int(present.sum())

@@ -182,7 +182,7 @@ def _wrong_together(
     ends = np.array(sorted(scores.agree), int).reshape(-1, 2)
     believed, out = main - doubted, []
     strength = np.array([scores.agree[a, b] for a, b in ends.tolist()])
-    for group in strongest_first(*ends.T, strength, len(near)):
+    for group in strongest_first(ends[:, 0], ends[:, 1], strength, len(near)):
         own = [f for f in group.tolist() if f in believed]
         if not 1 < len(own) <= len(believed) // 2:
             continue
