@@ -26,6 +26,7 @@ from tiegraph.sfm.placement.doubtful import MatchSource
 from tiegraph.sfm.registrationreport import (
     camera_notes,
     camera_table,
+    few_points,
     models_table,
     no_model_text,
     rig_doubts,
@@ -245,7 +246,10 @@ def _account(job: Job, outcome: Outcome, rig: str, finished: FinishResult) -> Sp
     doubts = (
         [] if job.source.rough else rig_doubts(main, scene, held, first.registered, job.graph.components[0], job.tuning)
     )
-    held_by = [] if job.source.rough else weakly_constrained(scene, job.graph, first.found, job.tuning.registration)
+    weak = () if job.source.rough else few_points(main, scene, first.found, job.tuning.registration)
+    held_by = (
+        [] if job.source.rough else weakly_constrained(scene, job.graph, first.found, weak, job.tuning.registration)
+    )
     counts: dict[str, float] = {
         "images": len(scene),
         "registered": first.registered,
@@ -254,6 +258,7 @@ def _account(job: Job, outcome: Outcome, rig: str, finished: FinishResult) -> Sp
         "models": len(models),
         "components": len(job.graph.components),
         "points": first.points,
+        "on_few_points": sum(len(group.frames) for group in weak),
         "pairs_verified": len(job.graph.pairs),
         "reprojection_px": round(first.reprojection_px, 4),
         "track_length": round(first.track_length, 3),

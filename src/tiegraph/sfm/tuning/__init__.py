@@ -171,8 +171,9 @@ class ShutterTuning(Section):
 class RegistrationTuning(Section):
     """What is said of a model's losses and doubts (`registrationreport.py`)."""
 
-    loose_points: int = Field(20, gt=0)
-    """Of a frame, twice what an image must see: with fewer its own noise, such as a blur, shows in no residual."""
+    few_points: int = Field(50, gt=0)
+    """Points that a frame or a group of frames shares with all others, below which its own noise, such as a blur,
+    shows in no residual."""
     max_turned_deg: float = Field(3.0, ge=0)
     """By which the principal point of a camera in a held rig lies off; 1.5 at most in the right rigs of canal and
     kerry_park."""
