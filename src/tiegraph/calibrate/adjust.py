@@ -53,7 +53,8 @@ def adjust_robustly(seen: Observations, start: State, tuning: AdjustTuning) -> A
         state = adjust(kept, state.at(kept.instants()), tuning, tuning.stages_px[-1:])
     scale = max(tuning.robust_sigmas * robust_sigma(view_residuals(kept, state)), tuning.least_scale_px)
     state = adjust(kept, state, tuning, (scale,))
-    return Adjusted(kept, state, tuple(left_out.items()), robust_sigma(view_residuals(kept, state)))
+    sigma_px = robust_sigma(view_residuals(kept, state))
+    return Adjusted(seen=kept, state=state, left_out=tuple(left_out.items()), sigma_px=sigma_px)
 
 
 def _first(left_out: dict[str, str]) -> str:

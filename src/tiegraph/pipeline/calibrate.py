@@ -117,10 +117,15 @@ def _read_folder(images: Path, settings: CalibrateSettings, pool: str, reporter:
     upright = [len({probes[k].exif.orientation for k in own}) == 1 for own in owned]
     models = _models(settings.model, [f or "camera" for f in layout.folders])
     cameras = tuple(
-        CameraImages(f or "camera", f, model, _one_size(f, [names[k] for k in own], [probes[k] for k in own], up),
-                     len(own))
+        CameraImages(
+            name=f or "camera",
+            folder=f,
+            model=model,
+            size=_one_size(f, [names[k] for k in own], [probes[k] for k in own], up),
+            count=len(own),
+        )
         for f, model, own, up in zip(layout.folders, models, owned, upright)
-    )  # fmt: skip
+    )
     instants = _instants(names, owned, sequence, settings.frames, tuning)
     files = tuple(
         _File(path=paths[k], camera=c, instant=instants[k], name=names[k], upright=upright[c], bits=probes[k].bits)
