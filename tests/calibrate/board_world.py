@@ -148,7 +148,7 @@ def board_before(
     axis = np.array([np.cos(around), np.sin(around), 0])
     turn = Rotation.from_rotvec(np.radians(rng.uniform(0.6, 1) * tilt_deg) * axis)
     upright = np.diag([1.0, -1.0, -1.0]) if board.kind == APRILGRID else np.eye(3)  # its y points up
-    spin = Rotation.from_rotvec([0, 0, rng.uniform(-0.4, 0.4)])
+    spin = Rotation.from_rotvec([0, 0, rng.uniform(-1.6, 1.6)])
     rotation = (turn * spin).as_matrix() @ upright
     place = rng.uniform(*depth_m) * ray / ray[2] - rotation @ board.points.mean(axis=0)
     return transforms.rigid(rotation, place)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calibrate.board_world import board_before, boards_of_rig, camera, observed, rig_pose
-from tiegraph.calibrate.adjust import adjust_robustly
+from tiegraph.calibrate.adjust import adjust_robustly, place_boards
 from tiegraph.calibrate.board import read_board
 from tiegraph.calibrate.covariance import parameters, precision
 from tiegraph.calibrate.exchange import kalibr_yaml, opencv_yaml
@@ -113,6 +113,20 @@ def test_every_lens_starts_from_nothing(model, params):
     off = np.asarray(found.state.cameras[0].img_from_cam(rays)) - grid
     assert 1e-4 < np.abs(off - off.mean(axis=0)).max() < 0.5
     assert abs(found.state.cameras[0].mean_focal_length() / truth.cameras[0].mean_focal_length() - 1) < 2e-3
+
+
+@pytest.mark.slow
+def test_corners_seen_once_or_never_and_cameras_without_a_view_are_no_trouble(done):
+    """pycolmap refuses points of one image, and aborts for held ones of none."""
+    _, found = done
+    alone = next(v for v in found.seen.views if sum(w.instant == v.instant for w in found.seen.views) == 1)
+    few = found.seen.among({alone.instant})
+    state = found.state.at({alone.instant})
+    pushed = state.rig_from_board[alone.instant].copy()
+    pushed[:3, 3] += 0.004
+    placed = place_boards(few, replace(state, rig_from_board={alone.instant: pushed}), TUNING.adjust, 1.0)
+    off = placed.rig_from_board[alone.instant][:3, 3] - state.rig_from_board[alone.instant][:3, 3]
+    assert np.linalg.norm(off) < 3e-4
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from tiegraph.geometry import transforms
 from tiegraph.scan.rigfile import read_rig_file
 from tiegraph.scan.tuning import Tuning as ScanTuning
 
-WORDS = "charuco:14x10:0.02:0.015"
+WORDS = "charuco:18x13:0.018:0.0115:4X4_250"
 BOARD = read_board(WORDS, Tuning().board)
 SIZE = (960, 720)
 NAMES = ["cam0", "cam1", "cam2"]
@@ -30,7 +30,7 @@ def truth() -> State:
         for k in range(3)
     ]
     sensors = [np.eye(4), rig_pose((1, 25, -2), (0.12, 0.005, 0.01)), rig_pose((-2, 50, 1), (0.23, -0.004, -0.03))]
-    boards = boards_of_rig(BOARD, cameras, sensors, count=50, seed=1, depth_m=(0.3, 0.5))
+    boards = boards_of_rig(BOARD, cameras, sensors, count=40, seed=1, depth_m=(0.3, 0.5))
     return State(tuple(cameras), np.stack(sensors), boards)
 
 

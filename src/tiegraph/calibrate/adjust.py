@@ -33,7 +33,7 @@ class Adjusted:
 def adjust_robustly(seen: Observations, start: State, tuning: AdjustTuning) -> Adjusted:
     """Adjust all, leave out views that contradict the others, and adjust the rest.
 
-    Raises ReconstructionError if most contradict.
+    Raises ReconstructionError if most of a camera's contradict.
     """
     state = adjust(seen, start, tuning, tuning.stages_px)
     left_out: dict[str, str] = {}
@@ -44,12 +44,7 @@ def adjust_robustly(seen: Observations, start: State, tuning: AdjustTuning) -> A
             break
         left_out |= found
         kept = seen.without(left_out)
-        if len(kept.views) < tuning.most_doubted * len(seen.views):
-            raise ReconstructionError(
-                f"{len(left_out)} of {len(seen.views)} views of the board contradict the others ({_first(left_out)}): "
-                "is the camera model right (--model), the board as --board says, and are images of one instant called "
-                "alike?"
-            )
+        _check_kept(seen, kept, left_out, tuning)
         state = adjust(kept, state.at(kept.instants()), tuning, tuning.stages_px[-1:])
     scale = max(tuning.robust_sigmas * robust_sigma(view_residuals(kept, state)), tuning.least_scale_px)
     state = adjust(kept, state, tuning, (scale,))
@@ -57,9 +52,16 @@ def adjust_robustly(seen: Observations, start: State, tuning: AdjustTuning) -> A
     return Adjusted(seen=kept, state=state, left_out=tuple(left_out.items()), sigma_px=sigma_px)
 
 
-def _first(left_out: dict[str, str]) -> str:
-    name, reason = next(iter(left_out.items()))
-    return f"{name}: {reason}"
+def _check_kept(seen: Observations, kept: Observations, left_out: dict[str, str], tuning: AdjustTuning) -> None:
+    for number, camera in enumerate(seen.cameras):
+        before, after = (len(o.of_camera(number).views) for o in (seen, kept))
+        if after < tuning.most_doubted * before:
+            name, reason = next(iter(left_out.items()))
+            raise ReconstructionError(
+                f"{camera.name}: {before - after} of {before} views of the board contradict the others ({name}: "
+                f"{reason}): is the camera model right (--model), the board as --board says, and are images of one "
+                "instant called alike?"
+            )
 
 
 def _doubtful(seen: Observations, state: State, tuning: AdjustTuning) -> dict[str, str]:
@@ -146,7 +148,10 @@ def build(seen: Observations, state: State) -> pycolmap.Reconstruction:
         else:
             rig.add_sensor(sensor(number), rigid3d(state.sensor_from_rig[number]))
     model.add_rig(rig)
-    points = [model.add_point3D(p, pycolmap.Track(), np.zeros(3, np.uint8)) for p in seen.board.points]
+    black = np.zeros(3, np.uint8)
+    # One that no image sees would end the process: it is no block of Ceres' problem, and cannot be held.
+    corners = np.unique(np.concatenate([view.corners for view in seen.views]))
+    points = {int(k): model.add_point3D(seen.board.points[k], pycolmap.Track(), black) for k in corners}
     for frame, instant in enumerate(seen.instants(), 1):
         images = _images(seen, instant, frame, model.num_images() + 1)
         made = pycolmap.Frame(frame_id=frame, rig_id=_RIG)
@@ -154,11 +159,14 @@ def build(seen: Observations, state: State) -> pycolmap.Reconstruction:
         for image, _ in images:
             made.add_data_id(image.data_id)
         model.add_frame(made)
-        for image, corners in images:
+        for image, of_points in images:
             model.add_image(image)
-            for row, corner in enumerate(corners):
-                model.add_observation(points[corner], pycolmap.TrackElement(image.image_id, row))
+            for row, corner in enumerate(of_points):
+                model.add_observation(points[int(corner)], pycolmap.TrackElement(image.image_id, row))
         model.register_frame(frame)
+    for point in model.points3D.values():
+        if point.track.length() == 1:  # pycolmap refuses it, as nothing could be triangulated; each image counts once
+            point.track.add_element(point.track.elements[0])
     return model
 
 

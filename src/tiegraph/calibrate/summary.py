@@ -11,6 +11,10 @@ from tiegraph.calibrate.covariance import PLACE, TURN, Parameter, Precision
 from tiegraph.calibrate.judge import Verdict
 
 _CAMERA = ("views", "corners", "RMS px", "RMS held out px", "image covered", "largest tilt deg")
+_PLACES = (
+    "Places: of the projection centre in the frame of the first camera. Turns: rotation vector of the camera against "
+    "the first one; their sigmas are about the camera's own axes."
+)
 _SCALE = (
     "All lengths come from the board: had its squares another size than `--board` says, every length of the rig would "
     "be wrong by that ratio, and no residual would show it. Measure the board with a ruler over many squares."
@@ -35,8 +39,7 @@ def summary(done: Adjusted, verdict: Verdict, board: str, notes: Sequence[str], 
         "## What to do better",
         _bullets(verdict.advice) or "Nothing.",
         "## Parameters",
-        "Places: of the projection centre in the frame of the first camera. Turns: rotation vector of the camera "
-        "against the first one; their sigmas are about the camera's own axes.",
+        *([_PLACES] if len(names) > 1 else []),
         _table(COLUMNS, parameter_rows(verdict.precision, names)),
         *(f"![{name}]({pictures[name]})" for name in names),
         "## Left out",

@@ -62,7 +62,7 @@ class AdjustTuning(Section):
     doubt_rounds: int = Field(5, ge=0)
     """Times that the worst views are left out, one an instant, and the rest adjusted again."""
     most_doubted: float = Field(0.5, gt=0, le=1)
-    """Share of the views that must stay: else board, model or instants are wrong and not the views."""
+    """Share of a camera's views that must stay: else board, model or instants are wrong and not the views."""
 
 
 class JudgeTuning(Section):

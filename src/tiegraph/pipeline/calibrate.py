@@ -45,6 +45,7 @@ from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.tuning import ImageTuning
 from tiegraph.text import one_line
 
+_LENGTHS = "all lengths come from the size of the board's squares, which no image can check: measure it"
 _FOLDER = "_calibration"  # beside the rig.toml: its name without suffix, and this
 
 
@@ -70,7 +71,8 @@ def calibrate(
     done = adjust_robustly(seen, start(seen, tuning), tuning.adjust)
     verdict = judge(done, tuning)
     _write(made, done, verdict, (board, *survey.notes), tuning)
-    for text in (*(f"left out: {n}: {why}" for n, why in done.left_out), *verdict.advice, *made.said()):
+    left_out = (f"left out: {name}: {why}" for name, why in done.left_out)
+    for text in (*left_out, *verdict.advice, _LENGTHS, *made.said()):
         reporter.say(text)
     return verdict
 
