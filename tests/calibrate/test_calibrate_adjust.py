@@ -71,13 +71,21 @@ def test_a_rig_whose_outer_cameras_share_no_view_is_found_within_its_sigmas(done
 
 @pytest.mark.slow
 def test_sigmas_are_those_of_many_calibrations():
-    """Root mean square of error over sigma, over parameters and noise: 1 for true sigmas."""
-    truth, off = lone("OPENCV", OPENCV, count=15), []
-    for seed in range(12):
-        found = calibrated(observed(BOARD, truth, ["camera"], noise_px=0.1, seed=seed))
-        error = np.array([p.value for p in parameters(found.state)]) - [p.value for p in parameters(truth)]
-        off.append(error / precision(found, TUNING.adjust).sigma)
-    assert 0.75 < np.sqrt(np.mean(np.square(off))) < 1.2
+    """Root mean square of error over sigma, over noise: 1 for true sigmas, of lenses, places and turns each."""
+    cameras = [camera("OPENCV", OPENCV, SIZE)] * 2
+    sensors = [np.eye(4), rig_pose((1, 15, -2), (0.12, 0.005, 0.01))]
+    boards = boards_of_rig(BOARD, cameras, sensors, count=12, seed=1)
+    truth, off = State(tuple(cameras), np.stack(sensors), boards), []
+    true = np.array([p.value for p in parameters(truth)])
+    for seed in range(10):
+        found = calibrated(observed(BOARD, truth, NAMES, noise_px=0.1, seed=seed))
+        off.append(
+            (np.array([p.value for p in parameters(found.state)]) - true) / precision(found, TUNING.adjust).sigma
+        )
+    lenses, places, turns = (np.sqrt(np.mean(part**2)) for part in np.split(np.stack(off), (16, 19), axis=1))
+    assert 0.8 < lenses < 1.2
+    assert 0.65 < places < 1.35
+    assert 0.65 < turns < 1.35
 
 
 @pytest.mark.slow
