@@ -21,7 +21,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import BlocksTuning
 from tiegraph.scene.tuning import Tuning as SceneTuning
 
-TUNING = SceneTuning()
+TUNING = SceneTuning(blocks=BlocksTuning(whole=600, own=420))  # small enough for a world of 960 images
 
 
 @pytest.fixture(scope="module")
