@@ -55,7 +55,7 @@ def test_both_passes_of_a_place_are_in_one_block(world) -> None:
 def test_the_size_of_blocks_is_in_reach(world) -> None:
     scene, _, ties = world
     assert len(blocks_of(scene, ties, BlocksTuning(whole=960))) == 1
-    small = blocks_of(scene, ties, BlocksTuning(own=200, lent=20))
+    small = blocks_of(scene, ties, BlocksTuning(whole=600, own=200, lent=20))
     assert len(small) >= 5 and max(int(b.own.sum()) for b in small) <= 200
 
 
