@@ -14,13 +14,15 @@ from pathlib import Path, PurePosixPath
 import cv2
 import numpy as np
 
+from tiegraph.scan.bagfilms import BagFilm, names_topic, open_topic
 from tiegraph.scan.lensvideos import lens_folders
 from tiegraph.scan.prepare import write_pixels
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videotime import VideoClock
 from tiegraph.scene.atomic import claim
+from tiegraph.scene.bags.topics import shown
 from tiegraph.scene.images import files_below
-from tiegraph.scene.names import clean, clean_names, shortened
+from tiegraph.scene.names import clean_names, shortened
 from tiegraph.scene.regular import real_path, regular
 
 SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".mts", ".webm", ".insv")
@@ -62,6 +64,8 @@ def picture_folders(videos: Sequence[str]) -> list[str]:
 class OpenVideo:
     """An opened video: its frames with their stamps, and what is wrong with it."""
 
+    broken = "cannot be decoded as a video: convert it to H.264 in MP4, or extract its pictures"
+
     def __init__(self, capture: cv2.VideoCapture, max_fps: float) -> None:
         self._capture = capture
         self.count = self.unstamped = 0
@@ -83,6 +87,31 @@ class OpenVideo:
             self.count += 1
             last = stamp
             yield stamp, picture
+
+    def doubts(self, tuning: PicturesTuning) -> str:
+        """What is wrong with the frames seen, to follow other words; "" for nothing."""
+        said = ""
+        if self.count < tuning.least_decoded * self.expected:
+            said += f"; only {self.count} of its {self.expected:.0f} frames could be decoded: is the file cut off?"
+        if self.unstamped:
+            said += (
+                f"; {self.unstamped} of its {self.count} frames have no stamp, or one out of order: taken "
+                f"{1 / self.fps:.3f} s after the one before"
+            )
+        return said
+
+
+def check_film(film: Path) -> None:
+    """Raise OSError for a video that is no file; the topic of a bag says what is wrong when it is opened."""
+    if not names_topic(film):
+        regular(film, None)
+
+
+@contextmanager
+def open_film(film: Path, tuning: PicturesTuning) -> Iterator[OpenVideo | BagFilm]:
+    """A video, or the topic of a bag. Raises InputError for a bag that is damaged."""
+    with open_topic(film, tuning) if names_topic(film) else open_video(film, tuning) as opened:
+        yield opened
 
 
 @contextmanager
@@ -106,15 +135,16 @@ def open_video(video: Path, tuning: PicturesTuning) -> Iterator[OpenVideo]:
 
 
 def take_pictures(video: Path, folder: Path, choice: Choice, clock: VideoClock, tuning: PicturesTuning) -> Pictures:
-    """Write the chosen frames of a video below ``folder``, with time and position in their EXIF.
+    """Write the chosen frames of a video, or a topic of a bag, below ``folder``, with time and position in their EXIF.
 
-    The folder is made whole or not at all; one that is there is what it was. Never raises for a broken video.
+    The folder is made whole or not at all; one that is there is what it was. Never raises for a broken video; raises
+    InputError for a bag that is damaged.
     """
     if folder.exists():
         return _taken(folder)
-    name = clean(video.name)
+    name = shown(video)
     try:
-        regular(video, None)
+        check_film(video)
     except OSError as error:
         return Pictures(said=f"{name} is no video: {error.strerror}")
     partial = folder.with_name(f".{os.getpid()}-{folder.name}")
@@ -124,7 +154,7 @@ def take_pictures(video: Path, folder: Path, choice: Choice, clock: VideoClock, 
     partial.mkdir(parents=True)
     numbers, stamps = [], []
     try:
-        with open_video(video, tuning) as opened:
+        with open_film(video, tuning) as opened:
             for number, (stamp, picture) in choice.pick(opened.frames()):
                 target = partial / f"{folder.name}_{number:06d}.jpg"
                 write_pixels(target, picture[..., ::-1], tuning, clock.taken(stamp))
@@ -144,18 +174,10 @@ def _taken(folder: Path) -> Pictures:
     return Pictures(tuple(data["numbers"]), tuple(data["stamps_s"]), data["said"])
 
 
-def _said(name: str, words: str, count: int, opened: OpenVideo, tuning: PicturesTuning) -> str:
+def _said(name: str, words: str, count: int, opened: OpenVideo | BagFilm, tuning: PicturesTuning) -> str:
     if not count:
-        return f"{name} cannot be decoded as a video: convert it to H.264 in MP4, or extract its pictures"
-    said = f"{name}: {count} pictures, {words}"
-    if opened.count < tuning.least_decoded * opened.expected:
-        said += f"; only {opened.count} of its {opened.expected:.0f} frames could be decoded: is the file cut off?"
-    if opened.unstamped:
-        said += (
-            f"; {opened.unstamped} of its {opened.count} frames have no stamp, or one out of order: taken "
-            f"{1 / opened.fps:.3f} s after the one before"
-        )
-    return said
+        return f"{name}: none of its {opened.count} frames is wanted" if opened.count else f"{name} {opened.broken}"
+    return f"{name}: {count} pictures, {words}{opened.doubts(tuning)}"
 
 
 def sharpest(per_second: float, tuning: PicturesTuning) -> Choice:

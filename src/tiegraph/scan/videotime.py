@@ -27,6 +27,7 @@ class VideoClock:
     start_s: float = 0.0
     known: bool = False
     utc: bool = False
+    shared: bool = False  # with others: the stamps of messages, of which the start is one
     subtitles: Subtitles | None = None
     note: str = ""
 
