@@ -33,8 +33,8 @@ class Row:
     built: Callable[[Make, Any], Any]
 
 
-def bag(folder: Path, form: str, rows: Iterable[Row], name: str = "run") -> Path:
-    """Write messages in the order of their receipt; the path of the bag."""
+def bag(folder: Path, form: str, rows: Iterable[Row], name: str = "run", packed: tuple[Any, ...] = ()) -> Path:
+    """Write messages in the order of their receipt; the path of the bag. ``packed``: what ``set_compression`` takes."""
     store = get_typestore(Stores.ROS1_NOETIC if form == "ros1" else Stores.ROS2_HUMBLE)
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / (f"{name}.bag" if form == "ros1" else name)
@@ -52,6 +52,8 @@ def bag(folder: Path, form: str, rows: Iterable[Row], name: str = "run") -> Path
         more = {"seq": 0} if form == "ros1" else {}
         return store.types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame, **more)
 
+    if packed:
+        writer.set_compression(*packed)
     with writer:
         connections: dict[tuple[str, str], Any] = {}
         for row in sorted(rows, key=lambda r: r.received_s):

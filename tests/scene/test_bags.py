@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from scipy.spatial.transform import Rotation
 
 import bag_world as world
@@ -57,6 +58,21 @@ def test_a_covariance_that_is_not_known_gives_no_sigma_and_a_header_without_a_st
     found = read_gnss(world.bag(tmp_path, "ros1", rows), GnssTuning())
     assert np.isnan(found.sigma_m).all()
     np.testing.assert_allclose(found.time_s, TIMES, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "form, packed",
+    [
+        ("ros1", (world.rosbag1.Writer.CompressionFormat.LZ4,)),
+        ("ros1", (world.rosbag1.Writer.CompressionFormat.BZ2,)),
+        ("sqlite", (CompressionMode.FILE, CompressionFormat.ZSTD)),
+        ("sqlite", (CompressionMode.MESSAGE, CompressionFormat.ZSTD)),
+        ("mcap", (CompressionMode.STORAGE, CompressionFormat.ZSTD)),
+    ],
+)
+def test_compressed_bags_are_read(tmp_path: Path, form: str, packed: tuple) -> None:
+    found = read_gnss(world.bag(tmp_path, form, fixes(), packed=packed), GnssTuning())
+    assert np.array_equal(found.lat_lon_height, LLH)
 
 
 @pytest.mark.parametrize("form", FORMS)

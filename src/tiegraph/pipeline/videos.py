@@ -12,7 +12,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.project.run import Run
-from tiegraph.scan.bagfilms import BagFilm, bag_films, find_bags
+from tiegraph.scan.bagfilms import BagFilm, bag_films, find_bags, fixes_notes
 from tiegraph.scan.cameraread import FoundCamera
 from tiegraph.scan.lensvideos import is_of_lens, two_tracks_note
 from tiegraph.scan.settings import ScanSettings, video_offsets
@@ -93,6 +93,8 @@ def photographs(run: Run) -> Photographs:
     settings, tuning = run.settings.scan, run.settings.tuning.scan
     folder = run.path("images") / ".video"
     items, left_out = _films(found, bags, images, asked)
+    if run.inputs.gnss is None:
+        left_out += [note for bag in bags for note in fixes_notes(bag)]
     run.reporter.total(2 * len(items))
     videos = run.map(_look, items, settings, tuning)
     videos, groups, said = _in_time(run, videos)

@@ -68,11 +68,6 @@ def bag_films(bag_path: Path, folder: str, asked: Sequence[str]) -> tuple[list[t
                 notes.append(f"{shown(of_topic(bag_path, topic.name))}: left out: {why}")
             else:
                 cameras.setdefault(_camera_name(topic.name), []).append(topic)
-        notes += [
-            f"{bag_path.name} has positions, {t}: --gnss {of_topic(bag_path, t.name)} takes them"
-            for t in bag.topics
-            if t.kind in FIXES and t.count
-        ]
     if not cameras:
         raise InputError(f"{bag_path}: no topic with pictures: {'; '.join(notes)}")
     several = next((topics for topics in cameras.values() if len(topics) > 1), None)
@@ -83,6 +78,13 @@ def bag_films(bag_path: Path, folder: str, asked: Sequence[str]) -> tuple[list[t
             f"are cameras behind the bag or the folder of the images, as in {of_topic(bag_path, one)}"
         )
     return [(of_topic(bag_path, t.name), f"{folder}/{c}") for c, (t,) in cameras.items()], notes
+
+
+def fixes_notes(bag_path: Path) -> list[str]:
+    """What to say of the positions in a bag, where none were given. Raises what ``open_bag`` raises."""
+    with open_bag(bag_path) as bag:
+        found = [t for t in bag.topics if t.kind in FIXES and t.count]
+    return [f"{bag_path.name} has positions, {t}: --gnss {of_topic(bag_path, t.name)} takes them" for t in found]
 
 
 def _why_not(bag: Bag, topic: Topic) -> str:
