@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 import tiegraph  # zlib before pycolmap
+from tiegraph.child import cores
 
 # Hundreds of processes import the same files: byte code is kept, also where the environment says otherwise.
 sys.dont_write_bytecode = False
@@ -29,6 +30,12 @@ def data_root() -> Path:
     if not root.is_dir():
         pytest.skip(f"data sets not there ({root}): set TIEGRAPH_DATA")
     return root
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """``-n auto``: one process more than there are cores, for tests wait for processes of their own."""
+    return cores() + 1
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -106,6 +106,7 @@ def test_examples_say_how_they_are_called():
         assert f"python examples/{path.name}" in path.read_text()
 
 
+@pytest.mark.slow
 def test_the_quick_example_runs(tmp_path, capsys):
     """In this process: what it prints is what a reader sees."""
     runpy.run_path(str(ROOT / "examples" / "read_survey.py"))["main"](str(tmp_path / "out"))

@@ -18,6 +18,8 @@ from tiegraph.dense.tuning import Tuning
 from tiegraph.errors import ReconstructionError
 from tiegraph.geometry.transforms import rigid
 
+pytestmark = pytest.mark.slow  # the world they share
+
 SETTINGS = DenseSettings()
 TUNING = Tuning()
 NAME = "up/cam0/000002.jpg"

@@ -12,6 +12,8 @@ from tiegraph.dense.settings import DenseSettings
 from tiegraph.dense.tuning import Tuning
 from tiegraph.errors import SettingsError
 
+pytestmark = pytest.mark.slow  # the world they share
+
 SETTINGS = DenseSettings()
 TUNING = Tuning()
 NAMES = [f"up/cam0/{k:06d}.jpg" for k in (1, 2, 3)]

@@ -59,6 +59,7 @@ def test_colmap_fuses_our_depth_maps(survey, tmp_path):
     assert np.nanmedian(np.abs(said / there[inside, 2] - 1)) < 0.005
 
 
+@pytest.mark.slow
 def test_the_model_of_the_workspace_sees_the_same_points(survey):
     model = true_model(survey)
     names = {i.name for i in model.images.values() if "/cam0/" in i.name}

@@ -47,6 +47,7 @@ def done(tmp_path_factory):
     return folder, pairs, report, progress
 
 
+@pytest.mark.slow
 def test_exactly_the_kept_pairs_are_matched_and_counted(done):
     folder, pairs, report, progress = done
     kept = listed().dropped == 0

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from blocks_world import FRAMES, WALL_M, Mapper, place, survey, ties_of
+from blocks_world import CAMERA, FRAMES, WALL_M, Mapper, place, survey, ties_of
 from network_steps import Mapper as Steps
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, umeyama
+from tiegraph.network.coarse.assembled import assembled
 from tiegraph.network.coarse.model import CoarseModel
 from tiegraph.network.tuning import Tuning
 from tiegraph.scene.blocks import Block, blocks_of
@@ -183,3 +184,42 @@ def test_a_loop_of_blocks_closes_and_a_false_join_is_refused() -> None:
     refused = [j for j in joined.joins if not j.holds]
     assert [(j.a, j.b) for j in refused] == [(3, 1)]
     assert joined.part.tolist() == [0, 0, 0, 0]
+
+
+def _tied_model(part: Scene, truth: np.ndarray, ties: PreviewMatches, off_m: float) -> CoarseModel:
+    """A model whose ties share a point each, with the way back displaced along the way: there only every fourth tie
+    between the passes has its point, of those that the displaced ones would have."""
+    pose = truth.copy()
+    back = part.frame >= FRAMES if part.frames == 2 * FRAMES else np.array([n.startswith("back") for n in part.names])
+    pose[back, :3, 3] += pose[back, :3, 0] * off_m
+    across = back[ties.i] != back[ties.j]
+    kept = ~across | (off_m == 0) | (np.arange(len(ties)) % 4 == 0)
+    i, j, n = ties.i[kept], ties.j[kept], int(kept.sum())
+    point = transforms.centre(pose)[i] + WALL_M * pose[i, 2, :3]
+    images, points = np.concatenate([i, j]), np.tile(np.arange(n), 2)
+    return CoarseModel(pose, (CAMERA,) * len(pose), point, images, points, part.rigs)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", [0, 1])
+def test_the_ties_that_put_one_pass_of_a_block_elsewhere_are_found(world, wrong: int) -> None:
+    """And only those of the block that is wrong; the frames of a pass are never cut apart."""
+    scene, truth, ties = world
+    blocks = blocks_of(scene, ties, TUNING.blocks)
+    models = []
+    for k, block in enumerate(blocks):
+        part, inside = block.part_of(scene, ties)
+        models.append(_tied_model(part, truth[block.images], inside, 30.0 if k == wrong else 0.0))
+    made = assembled(scene, blocks, models, Tuning().coarse, TUNING.joining)
+    i, j = made.suspects
+    assert len(i) > 50 and len(made.models) > 1
+    inside = np.isin(np.arange(len(scene)), blocks[wrong].images)
+    assert inside[i].all() and inside[j].all()
+    assert ((scene.frame[i] >= FRAMES) != (scene.frame[j] >= FRAMES)).all()
+    across = (scene.frame[ties.i] >= FRAMES) != (scene.frame[ties.j] >= FRAMES)
+    sharing = {(a, b) for a, b in zip(i, j)}
+    false = [(a, b) for a, b in zip(ties.i[across], ties.j[across]) if inside[a] and inside[b]]
+    assert 0.2 < np.mean([pair in sharing for pair in false]) < 0.3, "every fourth made it into the model"
+    right = [_tied_model(*(b.part_of(scene, ties)[0], truth[b.images], b.part_of(scene, ties)[1]), 0.0) for b in blocks]
+    whole = assembled(scene, blocks, right, Tuning().coarse, TUNING.joining)
+    assert len(whole.models) == 1 and not len(whole.suspects[0])

@@ -45,6 +45,7 @@ def test_a_ring_of_300_photographs_needs_few_previews(ghosts, least) -> None:
     assert pairs.from_source("retrieval").all()
 
 
+@pytest.mark.slow
 def test_previews_grow_with_the_images_and_not_with_their_square() -> None:
     small, large = shuffled_ring(120), shuffled_ring(300)
     assert found(tied(small), small.useful())[0] > 0.97 and found(tied(large), large.useful())[0] > 0.97

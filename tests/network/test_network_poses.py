@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pycolmap
 import pytest
+from scipy.spatial.transform import Rotation
 
-from boat_world import World, boat, ring
+from boat_world import Result, World, boat, ring
 from network_steps import estimate_network
 from tiegraph.geometry import transforms
+from tiegraph.network.candidates import find_candidates
 from tiegraph.network.passes import MatchCache, find_passes
 from tiegraph.network.poses.check import check_prior, checked_pose_pairs
 from tiegraph.network.poses.poses import assumed_range, pose_pairs, view_cameras
@@ -96,6 +98,70 @@ def test_odometry_of_two_passes_is_never_compared() -> None:
     pairs = pose_pairs(scene, find_passes(scene), SETTINGS, TUNING).pairs
     track = scene.sequence[scene.frame]
     assert len(pairs) and (track[pairs.i] == track[pairs.j]).all()
+
+
+@pytest.fixture(scope="module")
+def two_passes() -> World:
+    return boat((10, 10), (2.0, 2.0))
+
+
+def _across(scene: Scene, pairs: Pairs) -> int:
+    track = scene.sequence[scene.frame]
+    return int(np.sum(track[pairs.i] != track[pairs.j]))
+
+
+@pytest.mark.slow
+def test_passes_with_odometry_of_their_own_are_tied_by_previews(two_passes: World) -> None:
+    scene = with_priors(two_passes).with_(prior="odometry")
+    found = find_candidates(scene, MatchCache(two_passes.match, len(scene)), SETTINGS, TUNING)
+    share, precision = recall(two_passes, found.pairs)
+    assert 0.9 < share < 1 and 0.7 < precision < 1
+    assert 500 < _across(scene, found.pairs.kept()) < 2000
+    assert any("2 passes have poses in worlds of their own" in note for note in found.notes)
+
+
+def test_passes_that_nothing_ties_are_said(two_passes: World) -> None:
+    """Previews that find nothing between the passes: not silence, but a sentence."""
+    scene = with_priors(two_passes).with_(prior="odometry")
+    track = scene.sequence[scene.frame]
+
+    def blind(pairs: np.ndarray) -> list[Result]:
+        same = track[pairs[:, 0]] == track[pairs[:, 1]]
+        return [m if s else Result(inliers=0) for m, s in zip(two_passes.match(pairs), same)]
+
+    found = find_candidates(scene, MatchCache(blind, len(scene)), SETTINGS, TUNING)
+    assert _across(scene, found.pairs.kept()) == 0
+    assert any("nothing ties them, so that they can only make models" in note for note in found.notes)
+
+
+MOVED = {
+    "far away": (np.zeros(3), (500.0, 0.0, 0.0)),
+    "turned and far away": (np.array([0.0, 0.0, np.pi]), (300.0, 50.0, 0.0)),
+    "laid over the other": (np.array([0.0, 0.0, np.pi]), (18.0, 0.0, 0.0)),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [None, *MOVED])
+def test_a_trajectory_of_each_pass_in_a_frame_that_nothing_tells(name: str | None, two_passes: World) -> None:
+    """They do not start at the same pose, so that only the images can tell that they are not in one world."""
+    scene = with_priors(two_passes)
+    turn, shift = MOVED[name] if name else (np.zeros(3), (0.0, 0.0, 0.0))
+    moved = transforms.rigid(Rotation.from_rotvec(turn).as_matrix(), np.array(shift))
+    poses = np.array(scene.world_from_rig)
+    second = scene.sequence == 1
+    poses[second] = moved @ poses[second]
+    scene = scene.with_(world_from_rig=poses)
+    found = find_candidates(scene, MatchCache(two_passes.match, len(scene)), SETTINGS, TUNING)
+    share, precision = recall(two_passes, found.pairs)
+    assert 0.9 < share < 1 and 0.6 < precision < 1
+    assert any("do not stand in one world" in note for note in found.notes) == (name is not None)
+    assert found.scene.prior == ("odometry" if name else "trajectory")
+    assert found.scene.measured_positions().any() == (name is None)
+    if name:  # what the poses know of their own pass is kept
+        track = scene.sequence[scene.frame]
+        same = track[found.pairs.i] == track[found.pairs.j]
+        assert {"sight", "overlap"} <= set(found.pairs.where(same).funnel())
 
 
 def test_too_short_a_base_of_one_camera_is_dropped() -> None:

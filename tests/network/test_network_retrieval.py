@@ -104,6 +104,7 @@ def test_single_false_look_alikes_are_not_believed() -> None:
     assert "no loops: none of" in result.notes[0]
 
 
+@pytest.mark.slow
 def test_known_loops_are_not_looked_at_again() -> None:
     world = Places(np.arange(400) * 12.0, around=3600)
     i, j, useful = far(world, 100)

@@ -298,6 +298,7 @@ def test_the_verb_writes_what_colmap_and_tiegraph_read(tmp_path: Path, capsys: p
     assert "is not a run folder" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_another_run_starts_from_it_at_once(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     poses = _poses(0.37, 1.5)
     before = _run(tmp_path / "before", _given(), poses, tables=_mounting(poses))

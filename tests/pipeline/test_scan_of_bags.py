@@ -12,6 +12,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 import bag_world as world
+import recording_world
 import tiegraph
 from bag_world import FORMS, START_S
 from tiegraph.api import Project
@@ -154,6 +155,18 @@ def test_bags_are_passes_of_one_rig(tmp_path: Path) -> None:
     scene = scanned(tmp_path / "in", tmp_path / "out").scene()
     assert (scene.sequences, len(scene.rigs), len(scene.all_sensors), len(scene)) == (("down", "up"), 1, 2, 32)
     assert np.ptp(scene.time_s) > 99
+
+
+@pytest.mark.slow
+def test_a_bag_and_the_tracks_of_a_video_lie_in_one_folder(tmp_path: Path) -> None:
+    one, other = (recording_world.film(tmp_path / f"{k}.mp4", level=k) for k in (20, 150))
+    world.bag(tmp_path / "in", "ros1", camera() + camera("/right/image_raw", APART_S))
+    recording_world.two_tracks(tmp_path / "in" / "shot.insv", one, other)
+    project = scanned(tmp_path / "in", tmp_path / "out")
+    folders = {n.rpartition("/")[0] for n in project.scene().names}
+    assert folders == {"run/left", "run/right", "shot/fisheye0", "shot/fisheye1"}
+    assert said(project, "run.bag:/right/image_raw begins +0.0130 s after run.bag:/left/image_raw (by the stamps")
+    assert said(project, "shot.insv, track 2 begins +0.0000 s after shot.insv, track 1 (the lenses of one recording)")
 
 
 @pytest.mark.slow

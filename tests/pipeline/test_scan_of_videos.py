@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import recording_world
 import tiegraph
 import video_world
 from tiegraph.api import Project
@@ -100,6 +101,29 @@ def test_frames_of_a_video_meet_positions_by_time(tmp_path: Path) -> None:
     (tmp_path / "times.csv").write_text("\n".join(["image,time", *rows]))
     told = tiegraph.open(tmp_path / "in", tmp_path / "told", pool="serial", times=tmp_path / "times.csv").run("scan")
     assert told.scene().time_s.tolist() == list(range(100, 110))
+
+
+@pytest.mark.slow
+def test_a_camera_with_a_receiver_says_where_times_and_positions_came_from(tmp_path: Path) -> None:
+    video = recorded(tmp_path / "in" / "GX010001.mp4", 2.0)
+    start = datetime(2024, 5, 1, 8, 0, 2, 500000, timezone.utc)  # the container is two hours late: local time
+    fixes = recording_world.walk(start, 50, 10)
+    fixes[:5] = recording_world.walk(start, 5, 10, fix=0)
+    recording_world.with_telemetry(video, [recording_world.gps9(fixes[k : k + 10]) for k in range(0, 50, 10)])
+    project = tiegraph.open(tmp_path / "in", tmp_path / "out", pool="serial").run("scan")
+    scene = project.scene()
+    assert np.all(np.abs(scene.time_s - start.timestamp() - 0.25 - 0.5 * np.arange(10)) < 0.26)
+    placed = np.isfinite(scene.world_from_rig[:, 1, 3])
+    assert 9 <= placed.sum() <= 10 and placed[1:].all()
+    place, time_s = scene.world_from_rig[placed, :2, 3], scene.time_s[placed]
+    way = np.hypot(*(place - place[0]).T)
+    assert np.allclose(way, recording_world.SPEED * (time_s - time_s[0]), atol=0.01)
+    said = next(n for n in receipt_notes(project) if n.startswith("GX010001.mp4: begins"))
+    assert "2024-05-01 08:00:02.500 UTC by 45 times of its receiver" in said
+    assert "(GPS9): 45 of 50 fixes used (5 without a fix left out), heights above the sea" in said
+    gnss = track(tmp_path / "track.csv")  # what the user gives comes first: nothing of it is of that time
+    with pytest.raises(InputError, match="times"):
+        tiegraph.open(tmp_path / "in", tmp_path / "given", pool="serial", gnss=gnss).run("scan")
 
 
 @pytest.mark.slow

@@ -20,6 +20,8 @@ from tiegraph.geometry.align import umeyama
 from tiegraph.geometry.transforms import invert
 from tiegraph.scan.rigwrite import write_rig_toml
 
+pytestmark = pytest.mark.slow  # the world they share
+
 _UNIT = 0.13  # of the start model, in metres
 
 
@@ -77,7 +79,6 @@ def check_model(project: Project, made: worlds.Survey) -> float:
     return fit.scale
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("turned_deg", [0.0, 20.0])
 def test_a_survey_goes_on_from_a_model(survey: worlds.Survey, tmp_path: Path, turned_deg: float) -> None:
     """The unit of the model is not taken over: the rig's baseline tells metres. What is turned in it is named."""

@@ -16,6 +16,8 @@ from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.world.fixes import Measurements, PositionRows
 from tiegraph.sfm.world.georef import georeference
 
+pytestmark = pytest.mark.slow  # the world they share
+
 RTK, FLOAT = "gnss.csv", "gnss_float.csv"
 OUTAGES_S = {RTK: ((36003.6, 36008.4), (36250.6, 36255.4)), FLOAT: ((36003.8, 36007.8), (36251.4, 36255.2))}
 

@@ -1,16 +1,18 @@
-"""Videos of 360 cameras before stitching: two files of a shot are two cameras, two tracks of a file are said."""
+"""Videos of 360 cameras before stitching: two files of a shot, or two tracks of a file, are two cameras."""
 
 from __future__ import annotations
 
+from datetime import datetime, timezone
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
+import recording_world as world
 import tiegraph
 from tiegraph.errors import InputError
-from tiegraph.scan.lensvideos import two_tracks_note, video_tracks
 from tiegraph.scan.video import picture_folders
 
 
@@ -30,36 +32,12 @@ def film(path: Path, width: int = 96, seed: int = 0, lenses: int = 1) -> Path:
     return made.rename(path)
 
 
-def two_tracks(path: Path) -> Path:
-    """The MP4 with its video track named a second time in its header, which stands at the end."""
-    data = path.read_bytes()
-    at = data.rindex(b"moov") - 4
-    track = data.index(b"trak", at) - 4
-    size = int.from_bytes(data[track : track + 4], "big")
-    moov = data[at + 4 :] + data[track : track + size]
-    path.write_bytes(data[:at] + (4 + len(moov)).to_bytes(4, "big") + moov)
-    return path
-
-
 def test_two_files_of_a_shot_are_two_cameras() -> None:
     shot, alone = "a/VID_20220110_121609_657", "a/VID_20220110_130000_00_658"
     videos = ["a/VID_20220110_121609_00_657.insv", "a/VID_20220110_121609_10_657.insv", f"{alone}.insv"]
     assert picture_folders(videos) == [f"{shot}/fisheye0", f"{shot}/fisheye1", alone]
     others = [v.replace(".insv", ".mp4") for v in videos]
     assert picture_folders(others) == [v[:-4] for v in others]
-
-
-def test_tracks_of_a_file_are_counted_and_two_are_said(tmp_path: Path) -> None:
-    one = film(tmp_path / "one.insv")
-    assert video_tracks(one) == 1 and two_tracks_note(one) == ""
-    two = two_tracks(film(tmp_path / "two.insv"))
-    assert video_tracks(two) == 2 and "ffmpeg -i two.insv" in two_tracks_note(two)
-    assert two_tracks_note(two.rename(tmp_path / "two.mp4")) == ""
-    broken = tmp_path / "broken.insv"
-    for data in (b"", b"\0" * 5000, b"\xff" * 5000, one.read_bytes()[:3000], b"\0\0\0\x09moov\0\0\0\0\x08trak"):
-        broken.write_bytes(data)
-        assert video_tracks(broken) == 0
-    assert video_tracks(tmp_path / "none.insv") == 0
 
 
 @pytest.mark.slow
@@ -81,3 +59,48 @@ def test_videos_of_two_cameras_are_not_one_recording_by_their_ending(tmp_path: P
     film(tmp_path / "in" / "cam1.insv", seed=2)
     with pytest.raises(InputError, match=r"--scan.video-offset cam1=SECONDS"):
         tiegraph.open(tmp_path / "in", tmp_path / "out", pool="serial").run("scan")
+
+
+@pytest.mark.slow
+def test_two_tracks_of_a_file_become_a_rig_with_times_and_positions(tmp_path: Path) -> None:
+    one, other = film(tmp_path / "one.mp4", seed=1), film(tmp_path / "other.mp4", seed=2)
+    video = tmp_path / "in" / "VID_20240501_120000_00_001.insv"
+    video.parent.mkdir()
+    start = datetime(2024, 5, 1, 10, 0, 0, tzinfo=timezone.utc)
+    world.created(world.two_tracks(video, one, other), start.timestamp() + 7200)
+    world.with_trailer(video, [(7, world.gps_record(world.walk(start, 30, 10)))], gap=100)
+    project = tiegraph.open(tmp_path / "in", tmp_path / "out", pool="serial").run("scan")
+    scene, notes = project.scene(), project.receipt("scan")["notes"]
+    assert (len(scene), scene.frames, [s.name for s in scene.all_sensors]) == (8, 4, ["fisheye0", "fisheye1"])
+    for track, file in enumerate((one, other)):  # each camera has the pictures of its lens
+        alone = next(iter(frames(file)))
+        name = next(n for k, n in enumerate(scene.names) if f"fisheye{track}" in n)
+        with Image.open(tmp_path / "out" / "images" / name) as image:
+            assert min(np.abs(np.asarray(image, float) - f).mean() for f in frames(file)) < 4 < alone.mean()
+    assert 0 <= scene.time_s[0] - start.timestamp() < 0.5
+    way = scene.world_from_rig[:, :2, 3] - scene.world_from_rig[0, :2, 3]
+    assert np.hypot(*way.T) == pytest.approx(world.SPEED * (scene.time_s - scene.time_s[0]), abs=0.01)
+    assert sum("2 h from UTC by these fixes" in n for n in notes) == 1
+    assert any("001.insv, track 2 begins +0.0000 s after" in n and "the lenses of one" in n for n in notes)
+
+
+@pytest.mark.slow
+def test_the_fixes_in_the_file_of_one_lens_place_both(tmp_path: Path) -> None:
+    start = datetime(2024, 5, 1, 10, 0, 0, tzinfo=timezone.utc)
+    for lens in (0, 1):
+        video = film(tmp_path / "in" / f"VID_20240501_120000_{lens}0_001.insv", seed=lens)
+        world.created(video, start.timestamp() + 7200)
+        if lens == 0:
+            world.with_trailer(video, [(7, world.gps_record(world.walk(start, 30, 10)))])
+    project = tiegraph.open(tmp_path / "in", tmp_path / "out", pool="serial").run("scan")
+    scene = project.scene()
+    assert np.isfinite(scene.world_from_rig[:, :3, 3]).all() and 0 <= scene.time_s[0] - start.timestamp() < 0.5
+    assert not any("by its own clock" in n for n in project.receipt("scan")["notes"])
+
+
+def frames(path: Path) -> list[np.ndarray]:
+    """All pictures of a video, RGB."""
+    capture, out = cv2.VideoCapture(str(path)), []
+    while (read := capture.read())[0]:
+        out.append(read[1][..., ::-1].astype(float))
+    return out

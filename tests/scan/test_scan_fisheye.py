@@ -215,3 +215,38 @@ def test_a_rig_file_for_two_circles_side_by_side(tmp_path: Path) -> None:
     one.write_text(json.dumps([{"cameras": json.loads(Path(rig).read_text())[0]["cameras"][:1]}]))
     with pytest.raises(InputError, match=r"1 sensor\(s\), but the files hold two fisheye images"):
         scan(images, rig=str(one))
+
+
+def sphere(focal_px: float = FOCAL, middle: float = SIDE / 2) -> bytes:
+    """The factory's newer words for two lenses of the images here: a unified sphere fitted to the equidistant lens."""
+    angle = np.radians(np.arange(1, 100))
+    m = np.tan(angle / 2)  # sin / (cos + xi), xi = 1
+    f, *k = np.linalg.lstsq(np.stack([m, m**3, m**5, m**7], axis=1), focal_px * angle, rcond=None)[0]
+    bent = "_".join(f"{v / f:.8f}" for v in (*k, 0, 0))
+    each = [
+        f"1.0_{f:.3f}_{f:.3f}_{x}_{middle}_0.1_-0.2_0.3_0.0_0.0_-0.03_{bent}_480_240_113"
+        for x in (middle, middle + 240)
+    ]
+    return f"\x01\x022_{each[0]}_{each[1]}_{(3 << 16) + 1024}\0".encode()
+
+
+def test_the_distortion_starts_from_what_the_factory_measured(tmp_path: Path) -> None:
+    old = FACTORY % (b"0.1", b"0.2")
+    scene = scan(side_by_side(tmp_path / "in", 2, old + sphere()))
+    assert [s.name for s in scene.all_sensors] == ["lens0", "lens1"] and scene.rigs[0].nominal
+    rays = np.array([[np.sin(a), 0, np.cos(a)] for a in np.radians([20, 50, 80])])
+    for sensor in scene.all_sensors:
+        assert sensor.camera is not None and sensor.camera_sigma_px == pytest.approx(0.01 * FOCAL, rel=0.01)
+        at = np.asarray(sensor.camera.img_from_cam(rays))
+        expected = 120 + FOCAL * np.radians([20, 50, 80])
+        assert np.allclose(at[:, 0], expected, atol=0.15) and np.allclose(at[:, 1], 120)
+    assert any("their distortion starts from what the factory measured" in n for n in scene.notes)
+    assert any("used whole" in n and "its calibration is a start" in n for n in scene.notes)  # views hold their lens
+    assert len(scan(tmp_path / "in", ScanSettings(fisheye="views")).all_sensors) == 6
+
+
+@pytest.mark.parametrize("words", [sphere(focal_px=52.0), sphere(middle=125.0), sphere().replace(b"1.0_", b"-9.0_")])
+def test_what_does_not_fit_the_circles_is_not_used_and_said(tmp_path: Path, words: bytes) -> None:
+    scene = scan(side_by_side(tmp_path / "in", 2, words))
+    assert all(s.camera is not None and not np.any(s.camera.params[4:]) for s in scene.all_sensors)
+    assert any("what the factory measured does not fit the circles" in n for n in scene.notes)

@@ -335,6 +335,7 @@ def test_an_unknown_rig_is_written_without_poses(tmp_path: Path) -> None:
     assert np.array_equal(found.sensors[0].sensor_from_rig, np.eye(4)) and found.sensors[1].sensor_from_rig is None
 
 
+@pytest.mark.slow
 def test_a_real_fisheye_rig() -> None:
     folder = data("kerry_park_360rig")
     scene = scan(folder, ScanSettings(fisheye="whole"), rig=str(folder / "rig_config.json"))

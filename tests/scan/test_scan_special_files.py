@@ -13,6 +13,7 @@ from scan_worlds import papers_rig, picture
 import tiegraph
 from tiegraph.cli.main import main
 from tiegraph.errors import InputError
+from tiegraph.scan.recording.recording import Recording
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.video import sharpest, take_pictures
 from tiegraph.scan.videotime import VideoClock
@@ -162,5 +163,5 @@ def test_what_is_no_video_does_not_hold_the_scan(tmp_path: Path) -> None:
         for name, word in (("pipe.mp4", "named pipe"), ("empty.mp4", "decoded"), ("text.mp4", "decoded"),
                            ("list.mkv", "decoded")):  # fmt: skip
             choice = sharpest(1.0, PICTURES)
-            taken = take_pictures(tmp_path / name, tmp_path / "out" / name, choice, VideoClock(), PICTURES)
+            taken = take_pictures(Recording(tmp_path / name), tmp_path / "out" / name, choice, VideoClock(), PICTURES)
             assert word in taken.said

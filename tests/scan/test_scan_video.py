@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scan_worlds import scan
 
+from tiegraph.scan.recording.recording import Recording
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.video import (
     OpenVideo,
@@ -38,7 +39,7 @@ def film(path: Path, seconds: int, sharp: int = 3, seed: int = 0) -> Path:
 
 
 def take(video: Path, folder: Path, per_second: float) -> Pictures:
-    return take_pictures(video, folder, sharpest(per_second, PICTURES), VideoClock(), PICTURES)
+    return take_pictures(Recording(video), folder, sharpest(per_second, PICTURES), VideoClock(), PICTURES)
 
 
 def test_the_sharpest_of_each_second_is_taken_in_order(tmp_path: Path) -> None:

@@ -270,7 +270,7 @@ def test_without_rosbags_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.
 def test_a_topic_is_named_behind_its_bag(tmp_path: Path) -> None:
     path = world.bag(tmp_path, "ros1", fixes())
     assert split_topics(Path(f"{path}:/a/b,c")) == (path, ("/a/b", "/c"))
-    assert shown(Path(f"{path}:/a/b")) == "run.bag:/a/b" and is_bag(Path(f"{path}:/a"))
+    assert shown(path, "/a/b") == "run.bag:/a/b" and is_bag(Path(f"{path}:/a"))
     (tmp_path / "positions.csv").write_text("x")
     for plain in ("run.bag", "none.bag:/a", "positions.csv:/a", "run.bag:"):
         assert split_topics(tmp_path / plain) == (tmp_path / plain, ())

@@ -183,6 +183,7 @@ def test_positions_put_the_incremental_model_into_the_world(tmp_path: Path) -> N
     assert 0.001 < np.median(np.linalg.norm(found - true, axis=1)) < 0.1
 
 
+@pytest.mark.slow
 def test_sections_mapped_apart_are_joined_and_adjusted_as_one(tmp_path: Path) -> None:
     truth, scene = make_world(tmp_path / "database.db", frames=16)
     late = scene.frame >= 8

@@ -86,6 +86,7 @@ def _with_positions(survey, moved_m=0.0, sigma_m=0.02):
     return with_positions(scene, true + noise, sigma_m)
 
 
+@pytest.mark.slow
 def test_matches_join_two_models_without_any_position(survey) -> None:
     found = _joined(survey)
     (second,) = found.others
@@ -99,6 +100,7 @@ def test_matches_join_two_models_without_any_position(survey) -> None:
     assert "joined to the others by" in second.note(metric=True)
 
 
+@pytest.mark.slow
 def test_the_merged_model_is_whole(survey, tmp_path) -> None:
     found = _joined(survey)
     found.model.write(tmp_path)
@@ -124,6 +126,7 @@ def test_an_image_of_two_models_stays_once(survey) -> None:
     assert not points
 
 
+@pytest.mark.slow
 def test_matches_that_agree_with_nothing_join_nothing(survey) -> None:
     scene, _, (first, _), verified = survey
     rng = np.random.default_rng(2)
@@ -146,6 +149,7 @@ def test_one_repeated_wall_joins_nothing(survey) -> None:
     assert found.others[0].by == ""
 
 
+@pytest.mark.slow
 def test_positions_place_what_no_match_joins(survey) -> None:
     found = _joined(survey, NONE, _with_positions(survey))
     (second,) = found.others
@@ -179,6 +183,7 @@ def test_one_place_for_all_frames_is_no_position(survey) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_turn_about_the_track_that_is_open_keeps_a_model_out(survey) -> None:
     """Positions so loose that they tell the place and no turn."""
     found = _joined(survey, NONE, _with_positions(survey, sigma_m=5.0))
@@ -186,6 +191,7 @@ def test_a_turn_about_the_track_that_is_open_keeps_a_model_out(survey) -> None:
     assert found.model.num_reg_images() == 2 * FIRST
 
 
+@pytest.mark.slow
 def test_positions_that_contradict_the_matches_are_said(survey) -> None:
     right, wrong = (_joined(survey, scene=_with_positions(survey, moved)) for moved in (0.0, 3.0))
     assert right.others[0].by == wrong.others[0].by == "matches"

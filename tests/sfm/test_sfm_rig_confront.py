@@ -66,6 +66,7 @@ def test_what_the_images_want_otherwise_is_told_apart(case: str, first: tuple[st
         assert len(said) >= 1 and all("cam2" in line for line in said)
 
 
+@pytest.mark.slow
 def test_times_that_the_images_leave_open_are_said() -> None:
     """Six cameras that see each other's surfaces tell their times; one of them without such ties does not."""
     model, scene = _rigid("as given")

@@ -65,6 +65,8 @@ def find_candidates(
             descriptors=descriptors,
         )
     )
+    if found.apart and scene.prior == "trajectory" and not scene.started:
+        scene = scene.with_(prior="odometry")
     return Candidates(
         pairs=found.pairs,
         scene=scene,

@@ -16,6 +16,7 @@ from tiegraph.network.offsets.offsets import estimate_offsets
 from tiegraph.network.offsets.surface import OffsetSurface
 from tiegraph.network.passes import MatchCache, Pass, loose_images
 from tiegraph.network.poses.check import checked_pose_pairs
+from tiegraph.network.poses.poses import PoseResult
 from tiegraph.network.retrieval.loose import scored_pairs
 from tiegraph.network.retrieval.retrieval import retrieve
 from tiegraph.network.rig.axes import allowed_within
@@ -50,6 +51,7 @@ class Proposal:
     notes: tuple[str, ...] = ()
     curves: tuple[OffsetCurve, ...] = ()
     surfaces: tuple[OffsetSurface, ...] = ()
+    apart: bool = False  # the images say that the poses of different passes do not stand in one world
 
     def __or__(self, other: Proposal) -> Proposal:
         return Proposal(
@@ -57,6 +59,7 @@ class Proposal:
             notes=self.notes + other.notes,
             curves=self.curves + other.curves,
             surfaces=self.surfaces + other.surfaces,
+            apart=self.apart or other.apart,
         )
 
 
@@ -111,24 +114,42 @@ def offsets(context: Context) -> Proposal:
 
 
 def poses(context: Context) -> Proposal:
-    """Pairs by prior poses (paper 003), which a sample of previews checks; frames without prior, or with a wrong one,
-    fall back on previews, so that none is lost."""
+    """Pairs by prior poses (paper 003), which a sample of previews checks. What the poses cannot compare, frames
+    without prior or with a wrong one and passes with odometry of their own, previews tie, so that none is lost."""
     found = checked_pose_pairs(context.scene, context.passes, context.cache, context.settings, context.tuning)
-    notes = list(found.notes)
-    pairs = found.pairs
-    if len(found.without) and "auto" not in context.settings.sources:
-        rest = offsets(context).pairs | sequence(context).pairs
-        alone = np.intersect1d(loose_images(context.scene), _images_of(context.scene, found.without))
-        rest = rest | scored_pairs(context.scene, alone, context.cache, context.settings, context.tuning)
-        lost = np.isin(context.scene.frame, found.without)
-        rest = rest.where(lost[rest.i] | lost[rest.j])
-        notes.append(f"poses: frames without prior are tied by previews and order instead: {len(rest.kept())} pairs")
-        pairs = pairs | rest
+    known = Proposal(found.pairs, found.notes, apart=found.apart)
+    compared = found.world.min() >= 0 and np.ptp(found.world) == 0
+    return known if compared or "auto" in context.settings.sources else known | _not_compared(context, found)
+
+
+def _not_compared(context: Context, found: PoseResult) -> Proposal:
+    """Pairs by previews and order of images that the poses do not compare: of different worlds, or without one."""
+    scene, world = context.scene, found.world[context.scene.frame]
+    worlds = len(np.unique(world[world >= 0]))
+    pairs = offsets(context).pairs | sequence(context).pairs
+    alone = np.intersect1d(loose_images(scene), np.flatnonzero(world < 0))
+    pairs = pairs | scored_pairs(scene, alone, context.cache, context.settings, context.tuning)
+    if worlds > 1 and context.descriptors is not None:  # passes may meet at a place only
+        pairs = pairs | retrieval(context, found.pairs | pairs).pairs
+    pairs = pairs.where(np.any(_which(world, pairs), axis=0))
+    lost, across = (int(which.sum()) for which in _which(world, pairs.kept()))
+    notes = []
+    if len(found.without):
+        notes.append(f"poses: frames without prior are tied by previews and order instead: {lost} pairs")
+    if worlds > 1:
+        none = "" if across else "; nothing ties them, so that they can only make models of their own"
+        notes.append(
+            f"poses: {worlds} passes have poses in worlds of their own, which say nothing of each other, and are tied "
+            f"by previews: {across} pairs{none}"
+        )
     return Proposal(pairs, tuple(notes))
 
 
-def _images_of(scene: Scene, frames: np.ndarray) -> np.ndarray:
-    return np.flatnonzero(np.isin(scene.frame, frames))
+def _which(world: np.ndarray, pairs: Pairs) -> tuple[np.ndarray, np.ndarray]:
+    """(P,) bool: pairs of an image without prior (``world`` (N,) -1), and pairs across two worlds."""
+    a, b = world[pairs.i], world[pairs.j]
+    lost = (a < 0) | (b < 0)
+    return lost, ~lost & (a != b)
 
 
 def retrieval(context: Context, known: Pairs | None = None) -> Proposal:
@@ -200,7 +221,7 @@ def confirmed(proposal: Proposal, context: Context) -> Proposal:
     weak = score < context.tuning.counts.sure * context.settings.min_matches
     loose = context.scene.sequence[context.scene.frame] < 0
     near = _nearest(pairs, len(context.scene), context.tuning.sources.nearest) & loose[pairs.i] & loose[pairs.j]
-    return Proposal(pairs.with_(score=score).drop(weak & ~near, "weak"), proposal.notes)
+    return replace(proposal, pairs=pairs.with_(score=score).drop(weak & ~near, "weak"))
 
 
 def _nearest(pairs: Pairs, images: int, count: int) -> np.ndarray:

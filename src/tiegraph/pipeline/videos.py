@@ -14,7 +14,8 @@ from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.project.run import Run
 from tiegraph.scan.bagfilms import BagFilm, bag_films, find_bags, fixes_notes
 from tiegraph.scan.cameraread import FoundCamera
-from tiegraph.scan.lensvideos import is_of_lens, two_tracks_note
+from tiegraph.scan.lensvideos import is_of_lens, recordings_of
+from tiegraph.scan.recording.recording import Recording
 from tiegraph.scan.settings import ScanSettings, video_offsets
 from tiegraph.scan.tuning import OffsetTuning, PicturesTuning, Tuning
 from tiegraph.scan.video import (
@@ -31,17 +32,17 @@ from tiegraph.scan.videomotion import MotionCurve, motion_curve
 from tiegraph.scan.videooffset import Offset, find_offset
 from tiegraph.scan.videorig import Film, films_together, offsets_given
 from tiegraph.scan.videotime import VideoClock, video_clock
-from tiegraph.scene.bags.topics import shown, split_topics
+from tiegraph.scene.bags.topics import split_topics
 from tiegraph.scene.images import find_images, has_images
 
 
 @dataclass(frozen=True)
 class _Video:
-    """A video, or an image topic of a bag, as one look at it found it, and when it began."""
+    """A recording as one look at it found it, and when it began."""
 
-    path: Path
+    recording: Recording
     folder: str
-    clock: VideoClock
+    clock: VideoClock = VideoClock()
     width: int = 0  # 0: cannot be decoded
     height: int = 0
     fps: float = 0.0
@@ -50,8 +51,8 @@ class _Video:
 
     @property
     def name(self) -> str:
-        """Its file name, as it may be shown."""
-        return shown(self.path)
+        """As it may be shown."""
+        return self.recording.name
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,7 @@ def photographs(run: Run) -> Photographs:
     notes = [p.said for p in (*taken, *beside)] + said + [_apart(j, p) for j, p in zip(others, beside)]
     if not has_images(folder) or len(find_images(folder)) < 2:
         raise InputError(f"{images}: at least 2 pictures are needed: {'; '.join(notes)}")
-    clocks = [v.clock.note for v in videos if v.width] + [two_tracks_note(v.path) for v in videos]
+    clocks = list(dict.fromkeys(v.clock.note for v in videos if v.width))  # of several tracks, once
     late = _at_once([(videos[g[0]], p) for g, p in zip(groups, taken) if p.stamps_s], tuning.pictures.creation_apart_s)
     return Photographs(
         folder,
@@ -125,11 +126,11 @@ def photographs(run: Run) -> Photographs:
 
 def _films(
     videos: Sequence[Path], bags: Sequence[Path], root: Path, asked: Sequence[str]
-) -> tuple[list[tuple[Path, str]], list[str]]:
-    """Videos and image topics of bags, each with the folder for its pictures; and notes on topics left out."""
+) -> tuple[list[tuple[Recording, str]], list[str]]:
+    """The recordings in videos and bags, each with the folder for its pictures; and notes on topics left out."""
     names = [b.name if b == root else b.relative_to(root).as_posix() for b in (*videos, *bags)]
     folders = picture_folders(names)
-    items, notes = list(zip(videos, folders)), []
+    items, notes = [r for v, f in zip(videos, folders) for r in recordings_of(v, f)], []
     for bag, folder in zip(bags, folders[len(videos) :]):
         films, said = bag_films(bag, folder, asked)
         items += films
@@ -166,25 +167,25 @@ def _unknown_starts(videos: Sequence[_Video], groups: Sequence[tuple[int, ...]])
     ]
 
 
-def _look(item: tuple[Path, str], settings: ScanSettings, tuning: Tuning) -> _Video:
-    path, folder = item
+def _look(item: tuple[Recording, str], settings: ScanSettings, tuning: Tuning) -> _Video:
+    recording, folder = item
     try:
-        check_film(path)
+        check_film(recording)
     except OSError:
-        return _Video(path, folder, VideoClock())
-    with open_film(path, tuning.pictures) as opened:
+        return _Video(recording, folder)
+    with open_film(recording, tuning.pictures) as opened:
         frame = next(opened.frames(), None)
         if frame is None:
-            return _Video(path, folder, VideoClock())
+            return _Video(recording, folder)
         height, width = frame[1].shape[:2]
         camera, said = None, ""
         if isinstance(opened, BagFilm):
             clock = opened.clock(video_offsets(settings.video_offset).all_s)
             camera, said = opened.camera((width, height), tuning.rig.camera)
         else:
-            clock = video_clock(path, settings, tuning.pictures)
+            clock = video_clock(recording.file, settings, tuning.pictures)
         clock = replace(clock, note="; ".join(filter(None, (clock.note, said))))
-        found = _Video(path=path, folder=folder, clock=clock, width=width, height=height, fps=opened.fps)
+        found = _Video(recording, folder, clock, width=width, height=height, fps=opened.fps)
         return replace(found, camera=camera)
 
 
@@ -194,7 +195,7 @@ def _in_time(run: Run, videos: Sequence[_Video]) -> tuple[list[_Video], list[tup
     groups = _groups(run, videos)
     told = offsets_given([v.folder for v in videos], run.settings.scan)
     out = [replace(v, offset_s=told.get(k, 0.0)) for k, v in enumerate(videos)]
-    lenses = {k for k, v in enumerate(videos) if is_of_lens(v.path)} - told.keys()  # of one recording
+    lenses = {k for k, v in enumerate(videos) if is_of_lens(v.recording)} - told.keys()  # of one recording
     stamped = {k: by for g in groups for k in g[1:] if (by := _by_stamps(videos[g[0]], videos[k])) is not None}
     asked = {k: g[0] for g in groups for k in g[1:] if k not in told.keys() | lenses | stamped.keys()}
     moving = sorted({*asked, *asked.values()})
@@ -215,7 +216,8 @@ def _in_time(run: Run, videos: Sequence[_Video]) -> tuple[list[_Video], list[tup
                 sigma = f"{1e3 * found.sigma_s:.1f} ms"
                 how = f"sigma {sigma}, by the motion of the pictures in the {found.shared_s:.1f} s that both show"
             notes.append(f"{out[k].name} begins {out[k].offset_s:+.4f} s after {first.name} ({how})")
-            notes += _contradiction(first.clock, out[k], tuning.pictures.creation_apart_s)
+            if k not in lenses:  # the fixes that mend a clock stand in the file of one lens only
+                notes += _contradiction(first.clock, out[k], tuning.pictures.creation_apart_s)
         _share_clock(out, group)
     return out, groups, notes
 
@@ -272,7 +274,7 @@ def _share_clock(videos: list[_Video], group: Sequence[int]) -> None:
 
 
 def _curve(video: _Video, tuning: Tuning) -> MotionCurve:
-    with open_film(video.path, tuning.pictures) as opened:
+    with open_film(video.recording, tuning.pictures) as opened:
         return motion_curve(opened.frames(), tuning.motion)
 
 
@@ -286,7 +288,7 @@ def _take(job: _Job, per_second: float, tuning: PicturesTuning) -> Pictures:
         choice = sharpest(per_second, tuning)
     else:
         choice = nearest(job.numbers, job.stamps_s, tuning.nearest_steps / video.fps)
-    return take_pictures(video.path, job.target, choice, video.clock, tuning)
+    return take_pictures(video.recording, job.target, choice, video.clock, tuning)
 
 
 def _apart(job: _Job, taken: Pictures) -> str:

@@ -22,22 +22,18 @@ from tiegraph.scan.camerafile import check_lens
 from tiegraph.scan.cameraread import FoundCamera
 from tiegraph.scan.camerayaml import opencv
 from tiegraph.scan.folders import is_camera
+from tiegraph.scan.recording.recording import Recording
 from tiegraph.scan.tuning import CameraTuning, PicturesTuning
 from tiegraph.scan.videotime import VideoClock
 from tiegraph.scene.bags.bag import Bag, Topic, open_bag, stamp_ns
 from tiegraph.scene.bags.pixels import KINDS, bgr, unread
-from tiegraph.scene.bags.topics import METADATA, SUFFIXES, is_bag, of_topic, shown, split_topics
+from tiegraph.scene.bags.topics import METADATA, SUFFIXES, in_full, is_bag, of_topic, shown
 from tiegraph.scene.gnss.navsat import KINDS as FIXES
 from tiegraph.scene.images import files_below
 
 _INFO = "sensor_msgs/CameraInfo"
 _COMPRESSED = "/compressed"
 _IMAGE = re.compile(r"image(_\w+)?")
-
-
-def names_topic(path: Path) -> bool:
-    """Whether a path is that of a topic of a bag, not of a video."""
-    return bool(split_topics(path)[1])
 
 
 def find_bags(root: Path) -> list[Path]:
@@ -51,8 +47,8 @@ def find_bags(root: Path) -> list[Path]:
     return sorted(folders | {f for f in files if f.suffix.lower() in SUFFIXES and f.parent not in folders})
 
 
-def bag_films(bag_path: Path, folder: str, asked: Sequence[str]) -> tuple[list[tuple[Path, str]], list[str]]:
-    """The image topics of a bag as (path, folder for its pictures below ``folder``), and notes.
+def bag_films(bag_path: Path, folder: str, asked: Sequence[str]) -> tuple[list[tuple[Recording, str]], list[str]]:
+    """The image topics of a bag, each with the folder for its pictures below ``folder``, and notes.
 
     Without topics that are ``asked`` for all are cameras but those of depths, and of what stands there twice. Raises
     InputError for a damaged bag, one without images, and several topics of one camera.
@@ -65,7 +61,7 @@ def bag_films(bag_path: Path, folder: str, asked: Sequence[str]) -> tuple[list[t
             source = topic.name.removesuffix(_COMPRESSED)
             why = f"as {source} is" if source != topic.name and source in names else _why_not(bag, topic)
             if why:
-                notes.append(f"{shown(of_topic(bag_path, topic.name))}: left out: {why}")
+                notes.append(f"{shown(bag_path, topic.name)}: left out: {why}")
             else:
                 cameras.setdefault(_camera_name(topic.name), []).append(topic)
     if not cameras:
@@ -77,7 +73,8 @@ def bag_films(bag_path: Path, folder: str, asked: Sequence[str]) -> tuple[list[t
             f"{bag_path}: {' and '.join(map(str, several))} are of one camera by their names: name all topics that "
             f"are cameras behind the bag or the folder of the images, as in {of_topic(bag_path, one)}"
         )
-    return [(of_topic(bag_path, t.name), f"{folder}/{c}") for c, (t,) in cameras.items()], notes
+    films = [(Recording(bag_path, topic=in_full(t.name)), f"{folder}/{c}") for c, (t,) in cameras.items()]
+    return films, notes
 
 
 def fixes_notes(bag_path: Path) -> list[str]:
@@ -105,11 +102,10 @@ def _camera_name(topic: str) -> str:
 
 
 @contextmanager
-def open_topic(path: Path, tuning: PicturesTuning) -> Iterator[BagFilm]:
+def open_topic(bag_path: Path, topic: str, tuning: PicturesTuning) -> Iterator[BagFilm]:
     """An image topic of a bag. Raises what ``open_bag`` raises, and InputError if the topic is none of images."""
-    bag_path, asked = split_topics(path)
     with open_bag(bag_path) as bag:
-        yield BagFilm(bag, bag.only(KINDS, asked), tuning)
+        yield BagFilm(bag, bag.only(KINDS, (topic,)), tuning)
 
 
 class BagFilm:
@@ -152,7 +148,7 @@ class BagFilm:
 
     def clock(self, shift_s: float) -> VideoClock:
         """The clock of the headers, ``shift_s`` later: one for all topics of a bag."""
-        start_s, name = self._start_ns * 1e-9, shown(of_topic(self._bag.path, self._topic.name))
+        start_s, name = self._start_ns * 1e-9, shown(self._bag.path, self._topic.name)
         low, high = self._tuning.recorded_range_s
         dated = low <= start_s <= high
         when = f"{datetime.fromtimestamp(start_s, timezone.utc):%Y-%m-%d %H:%M:%S} UTC" if dated else f"{start_s:.3f} s"
@@ -170,7 +166,7 @@ class BagFilm:
         if info is None:
             return None, ""
         message, _ = next(self._bag.messages(info))
-        where = shown(of_topic(self._bag.path, info.name))
+        where = shown(self._bag.path, info.name)
         try:
             found = _camera(message, where, rectified=parts[-1].startswith("image_rect"))
             if found is not None and found.size is not None and found.size != size:

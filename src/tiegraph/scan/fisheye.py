@@ -111,7 +111,11 @@ def _why_not(sensor: Sensor, settings: ScanSettings, tuning: LensViewsTuning) ->
         return None
     bent = bool(np.any(np.asarray(camera.params)[camera.extra_params_idxs()]))
     known = camera.has_prior_focal_length and (bent or settings.fisheye == "views")
-    return "" if known else "its lens is not calibrated"
+    if not known:
+        return "its lens is not calibrated"
+    rough = (sensor.camera_sigma_px or 0.0) > tuning.most_sigma * camera.mean_focal_length()
+    start = f"its calibration is a start (sigma of the focal length above {100 * tuning.most_sigma:g} %)"
+    return start if rough and settings.fisheye == "auto" else ""
 
 
 def _say(

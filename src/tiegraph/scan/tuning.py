@@ -139,7 +139,15 @@ class LensViewsTuning(Section):
     most: float = Field(0.5, ge=0, lt=1)
     """The circle of a lens is believed if more than this share of its images show one."""
     nominal_sigma: float = Field(0.05, gt=0)
-    """Of the focal length of a lens of a 360 camera that nobody calibrated, a share."""
+    """Of the focal length of a lens of a 360 camera that nobody calibrated, a share ..."""
+    factory_sigma: float = Field(0.01, gt=0)
+    """... and of one that its factory did: three of its models of one camera agree to 0.4 %."""
+    most_sigma: float = Field(0.0075, gt=0)
+    """A lens whose focal length is known worse, a share, is not cut into views: they hold it as it is."""
+    factory_edge_deg: tuple[float, float] = (90.0, 106.0)
+    """Where the circle of a picture must end by what the factory says, off the axis: lenses see 95 to 102 degrees."""
+    factory_off: float = Field(0.02, gt=0)
+    """How far its middle may be from the centre that the factory says, a share of its radius."""
     rim: float = Field(0.03, ge=0, lt=1)
     """Of its radius: a lens ends in a blurred, coloured rim."""
 
@@ -164,6 +172,20 @@ class PicturesTuning(Section):
     nearest_steps: float = Field(0.75, gt=0)
     """Frames of the other cameras of a rig are taken up to so many of their steps from those of the first: half a
     step, and some play for stamps in whole milliseconds."""
+    most_dop: float = Field(5.0, gt=0)
+    """Dilution of precision of a camera's own receiver from which a fix is left out: "under 500 is good", GoPro says of
+    its hundredfold (gpmf-parser)."""
+    most_height_m: float = Field(100_000.0, gt=0)
+    """Above or below the sea: other numbers are no heights."""
+    receiver_apart_s: float = Field(0.5, gt=0)
+    """Median difference of the receiver's clock from the video's that is said: those of payloads differ by a tenth."""
+    zone_apart_s: float = Field(60.0, gt=0, lt=450)
+    """Between the middles of a recording and of its fixes, once whole quarters of an hour, which are a time zone, are
+    taken off: a receiver may find its first fix late."""
+    zone_inside: float = Field(0.9, gt=0, le=1)
+    """Share of the fixes within a recording from which its creation time is taken for UTC without more ado."""
+    creation_days: float = Field(1.1, gt=0)
+    """Creation time of a video that is farther from its receiver's times than any time zone is said."""
 
 
 class MotionTuning(Section):

@@ -1,23 +1,27 @@
 """Files with the circles of two fisheye lenses side by side, as 360 cameras write them: a frame of two lenses each.
 
-Insta360's .insp is such a JPEG. What its factory measured of the lenses stands in a line behind the picture:
-"2_R_x_y_yaw_pitch_roll_R_x_y_yaw_pitch_roll_width_height_kind", radii and centres in pixels of the whole file, angles
-in degrees (ExifTool's Parameters). Of that only how the lenses are rolled is used: both lie on their sides in most
-cameras, and then the second is not turned about its own upright but about the first one's horizontal.
+Insta360's .insp is such a JPEG. What its factory measured of the lenses stands behind the picture
+(``recording.factory``): how the lenses are rolled, for both lie on their sides in most cameras, and then the second is
+not turned about its own upright but about the first one's horizontal; and in newer cameras their distortion, a start
+where it fits the circles of the pictures.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 import numpy as np
+import pycolmap
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import rigid
 from tiegraph.scan.assign import Report, Usable
 from tiegraph.scan.perspective import PRESET, SharedFiles, of_one_kind, share_files
+from tiegraph.scan.recording.factory import FactoryLens, factory_lenses
+from tiegraph.scan.rigfaults import lens_fault
 from tiegraph.scan.rigfile import parse_rig_file, read_rig_file
 from tiegraph.scan.rigspec import RigSpec, SensorSpec, orient, preset_sizes
 from tiegraph.scan.settings import ScanSettings
@@ -63,13 +67,17 @@ def _nominal(probes: Sequence[Probe], report: Report, tuning: Tuning) -> RigSpec
     found = [p for p in probes if len(p.circles) == len(NAMES)]
     circles = np.median([[c for c in p.circles] for p in found], axis=0)  # (2, 3)
     width, height = found[0].width // len(NAMES), found[0].height
-    rolled = [r for p in found if (r := _roll_deg(p)) is not None]
-    told = "as its factory says" if rolled else "nothing says how they are rolled: taken for upright"
+    factory = [pair for p in found if (pair := factory_lenses(p.lenses)) is not None]
+    told = "as its factory says" if factory else "nothing says how they are rolled: taken for upright"
+    rolled = [sum(lens.roll_deg for lens in pair) for pair in factory]
     roll = 90 * round(float(np.median(rolled)) / 90) if rolled else 0
+    measured = [_factory_camera(factory, k, (width, height), circles[k], tuning) for k in range(len(NAMES))]
     sensors = []
     for k, name in enumerate(NAMES):
         x, y, radius = (float(v) for v in circles[k] - (k * width, 0, 0))
         focal = radius / np.radians(across_deg / 2)
+        share = tuning.lens_views.factory_sigma if all(measured) else tuning.lens_views.nominal_sigma
+        params = measured[k] if all(measured) else (focal, focal, x, y, 0.0, 0.0, 0.0, 0.0)
         sensors.append(
             SensorSpec(
                 name=name,
@@ -77,22 +85,42 @@ def _nominal(probes: Sequence[Probe], report: Report, tuning: Tuning) -> RigSpec
                 body_from_sensor=rigid(orient(180.0 * k, 0, roll * k), np.zeros(3)),
                 model="OPENCV_FISHEYE",
                 size=(width, height),
-                params=(focal, focal, x, y, 0.0, 0.0, 0.0, 0.0),
-                camera_sigma_px=tuning.lens_views.nominal_sigma * focal,
+                params=params,
+                camera_sigma_px=share * params[0],
                 part=k,
             )
         )
-    report.notes.append(f"two lenses back to back, {told}; each taken to see {across_deg:g} degrees across its circle")
+    seen = f"each taken to see {across_deg:g} degrees across its circle"
+    if all(measured):
+        seen = "their distortion starts from what the factory measured, which fits the circles of the pictures"
+    elif any(lens.sphere for pair in factory for lens in pair):
+        seen += ", for what the factory measured does not fit the circles of these pictures: are they cropped?"
+    report.notes.append(f"two lenses back to back, {told}; {seen}")
     return RigSpec("360", tuple(sensors), nominal=True, synchronised=True, body_is_reference=True)
 
 
-def _roll_deg(probe: Probe) -> float | None:
-    """How far the two lenses of a shot are rolled together, by the factory; None if the file does not say, or says it
-    of a picture of another shape."""
-    words = probe.lenses.split("_")
-    if len(words) != 16 or float(words[13]) != 2 * float(words[14]):
-        return None
-    return float(words[6]) + float(words[12])
+def _factory_camera(
+    factory: Sequence[tuple[FactoryLens, FactoryLens]], number: int, size: tuple[int, int], circle: np.ndarray,
+    tuning: Tuning,
+) -> tuple[float, ...]:  # fmt: skip
+    """Parameters of OPENCV_FISHEYE as the factory of most of the files' cameras measured them; () where nothing is
+    told, or where it does not fit the circle (3,) that the lens lights in half a file of a size."""
+    told = Counter(pair for pair in factory if pair[number].sphere)
+    if not told:
+        return ()
+    lens = told.most_common(1)[0][0][number]
+    with np.errstate(all="ignore"):
+        params = lens.opencv_fisheye(number, size[0])
+        scale = size[0] * len(NAMES) / lens.size[0]
+        first, last = scale * lens.radius_px(np.radians(tuning.lens_views.factory_edge_deg))
+    if not np.isfinite(params).all() or not len(params):
+        return ()
+    x, y, radius = circle - (number * size[0], 0, 0)
+    near = np.hypot(params[2] - x, params[3] - y) <= tuning.lens_views.factory_off * radius
+    if not (near and first <= radius <= last):
+        return ()
+    camera = pycolmap.Camera(model="OPENCV_FISHEYE", width=size[0], height=size[1], params=params)
+    return () if lens_fault(camera, tuning.rig.camera) else params
 
 
 def _given(rig: str, text: str | None, tuning: Tuning) -> RigSpec:

@@ -7,20 +7,21 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 
 import cv2
 import numpy as np
 
-from tiegraph.scan.bagfilms import BagFilm, names_topic, open_topic
+from tiegraph.scan.bagfilms import BagFilm, open_topic
 from tiegraph.scan.lensvideos import lens_folders
 from tiegraph.scan.prepare import write_pixels
+from tiegraph.scan.recording.recording import Recording
+from tiegraph.scan.recording.tracks import OneVideoTrack
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videotime import VideoClock
 from tiegraph.scene.atomic import claim
-from tiegraph.scene.bags.topics import shown
 from tiegraph.scene.images import files_below
 from tiegraph.scene.names import clean_names, shortened
 from tiegraph.scene.regular import real_path, regular
@@ -101,50 +102,61 @@ class OpenVideo:
         return said
 
 
-def check_film(film: Path) -> None:
+def check_film(recording: Recording) -> None:
     """Raise OSError for a video that is no file; the topic of a bag says what is wrong when it is opened."""
-    if not names_topic(film):
-        regular(film, None)
+    if recording.topic is None:
+        regular(recording.file, None)
 
 
 @contextmanager
-def open_film(film: Path, tuning: PicturesTuning) -> Iterator[OpenVideo | BagFilm]:
-    """A video, or the topic of a bag. Raises InputError for a bag that is damaged."""
-    with open_topic(film, tuning) if names_topic(film) else open_video(film, tuning) as opened:
-        yield opened
+def open_film(recording: Recording, tuning: PicturesTuning) -> Iterator[OpenVideo | BagFilm]:
+    """A video, one track of it, or the topic of a bag. Raises InputError for a bag that is damaged."""
+    if recording.topic is None:
+        with _open_video(recording, tuning) as video:
+            yield video
+    else:
+        with open_topic(recording.file, recording.topic, tuning) as topic:
+            yield topic
 
 
 @contextmanager
-def open_video(video: Path, tuning: PicturesTuning) -> Iterator[OpenVideo]:
-    """A video, opened by OpenCV.
-
-    It gets a link for a name: one that is not UTF-8 would end the process, and %d would mean numbered files.
-    """
+def _open_video(recording: Recording, tuning: PicturesTuning) -> Iterator[OpenVideo]:
+    """By OpenCV."""
     os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "protocol_whitelist;file")  # a play list may name a server
+    with ExitStack() as stack:
+        if recording.track is None:
+            capture = _capture(recording.file)
+        else:
+            view = stack.enter_context(OneVideoTrack(recording.file, recording.track))
+            capture = cv2.VideoCapture(view, cv2.CAP_FFMPEG, [])  # type: ignore[call-overload]
+        stack.callback(capture.release)
+        yield OpenVideo(capture, tuning.max_fps)
+
+
+def _capture(video: Path) -> cv2.VideoCapture:
+    """It gets a link for a name: one that is not UTF-8 would end the process, and %d would mean numbered files."""
     with tempfile.TemporaryDirectory() as folder:
         link = Path(folder) / f"video{video.suffix.lower()}"
         try:
             link.symlink_to(real_path(video))
         except (OSError, NotImplementedError):
             link = video
-        capture = cv2.VideoCapture(str(link))
-    try:
-        yield OpenVideo(capture, tuning.max_fps)
-    finally:
-        capture.release()
+        return cv2.VideoCapture(str(link))
 
 
-def take_pictures(video: Path, folder: Path, choice: Choice, clock: VideoClock, tuning: PicturesTuning) -> Pictures:
-    """Write the chosen frames of a video, or a topic of a bag, below ``folder``, with time and position in their EXIF.
+def take_pictures(
+    recording: Recording, folder: Path, choice: Choice, clock: VideoClock, tuning: PicturesTuning
+) -> Pictures:
+    """Write the chosen frames of a recording below ``folder``, with time and position in their EXIF.
 
     The folder is made whole or not at all; one that is there is what it was. Never raises for a broken video; raises
     InputError for a bag that is damaged.
     """
     if folder.exists():
         return _taken(folder)
-    name = shown(video)
+    name = recording.name
     try:
-        check_film(video)
+        check_film(recording)
     except OSError as error:
         return Pictures(said=f"{name} is no video: {error.strerror}")
     partial = folder.with_name(f".{os.getpid()}-{folder.name}")
@@ -154,7 +166,7 @@ def take_pictures(video: Path, folder: Path, choice: Choice, clock: VideoClock, 
     partial.mkdir(parents=True)
     numbers, stamps = [], []
     try:
-        with open_film(video, tuning) as opened:
+        with open_film(recording, tuning) as opened:
             for number, (stamp, picture) in choice.pick(opened.frames()):
                 target = partial / f"{folder.name}_{number:06d}.jpg"
                 write_pixels(target, picture[..., ::-1], tuning, clock.taken(stamp))

@@ -1,4 +1,5 @@
-"""When a video was recorded: by its container, by the subtitles of a DJI drone beside it, or from its own start."""
+"""When a video was recorded, and where: by the subtitles of a DJI drone beside it, by the fixes of the camera's own
+receiver in the file, by its container, or from its own start."""
 
 from __future__ import annotations
 
@@ -6,18 +7,32 @@ import struct
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
-from tiegraph.scan.djisubtitles import Subtitles, read_subtitles, subtitles_of
+from tiegraph.scan.djisubtitles import read_subtitles, subtitles_of
 from tiegraph.scan.mp4 import boxes
-from tiegraph.scan.settings import ScanSettings, video_offsets
+from tiegraph.scan.recording.fixes import Fixes, Readings, believed
+from tiegraph.scan.recording.gpmf import Telemetry, read_gpmf
+from tiegraph.scan.recording.insta360 import BrokenTrailer, read_trailer
+from tiegraph.scan.settings import ScanSettings, VideoOffsets, video_offsets
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scene.exifwrite import Taken
+from tiegraph.scene.gpstime import DAY_S
 from tiegraph.scene.names import clean
 from tiegraph.scene.regular import regular
 
 _MP4_EPOCH_S = datetime(1904, 1, 1, tzinfo=timezone.utc).timestamp()  # ISO/IEC 14496-12, 8.2.2
+_QUARTER_S = 900.0  # time zones are whole quarters of an hour ...
+_ZONES_S = (-12 * 3600.0, 14 * 3600.0)  # ... in this range
+
+
+class Places(Protocol):
+    """Where the frames of a video were taken."""
+
+    def place(self, stamp_s: float) -> Taken:
+        """The place of the frame with a stamp; without one if nothing says it."""
 
 
 @dataclass(frozen=True)
@@ -28,12 +43,12 @@ class VideoClock:
     known: bool = False
     utc: bool = False
     shared: bool = False  # with others: the stamps of messages, of which the start is one
-    subtitles: Subtitles | None = None
+    places: Places | None = None
     note: str = ""
 
     def taken(self, stamp_s: float) -> Taken:
         """When and where the frame with a stamp was taken."""
-        place = self.subtitles.place(stamp_s) if self.subtitles is not None else Taken()
+        place = self.places.place(stamp_s) if self.places is not None else Taken()
         return Taken(
             time_s=self.start_s + stamp_s,
             utc=self.utc,
@@ -44,6 +59,16 @@ class VideoClock:
         )
 
 
+@dataclass(frozen=True)
+class _Container:
+    """What the header of a file says: when the recording began (s since 1970), whether it does, and its length (s)."""
+
+    start_s: float
+    known: bool
+    length_s: float
+    said: str
+
+
 def video_clock(video: Path, settings: ScanSettings, tuning: PicturesTuning) -> VideoClock:
     """The clock of a video, what ``scan.video_offset`` says of all videos applied; never raises for a broken file."""
     name, file, told = clean(video.name), subtitles_of(video), video_offsets(settings.video_offset)
@@ -52,26 +77,93 @@ def video_clock(video: Path, settings: ScanSettings, tuning: PicturesTuning) -> 
     if file is not None and subtitles is None:
         notes.append(f"{clean(file.name)}: subtitles, but no times or positions of a DJI drone in them: not used")
     if subtitles is not None and np.isfinite(subtitles.start_s):
-        start, known, utc = subtitles.start_s, True, False
+        start = subtitles.start_s + told.all_s
+        return VideoClock(start_s=start, known=True, places=subtitles, note="; ".join(notes))
+    container = _container(video, told.from_end, tuning)
+    telemetry = None if subtitles is not None else read_gpmf(video, settings.max_gap_s, tuning)
+    if telemetry is not None:
+        found = _by_telemetry(telemetry, container, told, tuning)
+    elif subtitles is not None:
+        found = _by_container(container, told)
     else:
-        start, known, said = _by_container(video, told.from_end, tuning)
-        utc = known
-        notes.append(f"{name}: {said}")
-    known = known or told.all_s != 0
-    return VideoClock(start_s=start + told.all_s, known=known, utc=utc, subtitles=subtitles, note="; ".join(notes))
+        found = _by_trailer(video, container, told, settings.max_gap_s, tuning)
+    notes.append(f"{name}: {found.note}")
+    places = subtitles or found.places
+    return VideoClock(found.start_s, found.known, found.utc, places=places, note="; ".join(notes))
 
 
-def _by_container(video: Path, from_end: bool, tuning: PicturesTuning) -> tuple[float, bool, str]:
-    """Start, whether it is known, and what to say of it."""
+def _by_container(container: _Container, told: VideoOffsets) -> VideoClock:
+    known = container.known or told.all_s != 0
+    return VideoClock(container.start_s + told.all_s, known, utc=container.known, note=container.said)
+
+
+def _by_telemetry(
+    telemetry: Telemetry, container: _Container, told: VideoOffsets, tuning: PicturesTuning
+) -> VideoClock:
+    """The clock of a video whose fixes stand on its own clock."""
+    if np.isnan(telemetry.start_s):
+        clock = _by_container(container, told)
+        return VideoClock(
+            clock.start_s, clock.known, clock.utc, places=telemetry.fixes, note=f"{clock.note}; {telemetry.note}"
+        )
+    note, apart = telemetry.note, abs(container.start_s - telemetry.start_s) / DAY_S
+    if container.known and apart > tuning.creation_days:
+        note += f"; its creation time is {apart:.0f} days from that and not used: set the camera's clock"
+    return VideoClock(telemetry.start_s + told.all_s, known=True, utc=True, places=telemetry.fixes, note=note)
+
+
+def _by_trailer(
+    video: Path, container: _Container, told: VideoOffsets, max_gap_s: float, tuning: PicturesTuning
+) -> VideoClock:
+    """The clock of a video whose fixes, if it has some, have times in UTC and no stamps."""
+    clock = _by_container(container, told)
+    try:
+        readings = read_trailer(video)
+    except (BrokenTrailer, OSError) as error:
+        note = f"{clock.note}; its Insta360 trailer cannot be read ({error}): no positions from it"
+        return VideoClock(clock.start_s, clock.known, clock.utc, note=note)
+    if readings is None:
+        return clock
+    kept, words = believed(readings, tuning)
+    kept = kept.take(np.argsort(kept.time_s, kind="stable")[: int(np.isfinite(kept.time_s).sum())])
+    said = f"positions from its Insta360 trailer: {words}"
+    zone_s = _zone(kept, clock, container.length_s, tuning)
+    if not len(kept) or zone_s is None:
+        why = "" if not len(kept) else ", but their times are not those of the recording (--scan.video-offset SECONDS)"
+        return VideoClock(clock.start_s, clock.known, clock.utc, note=f"{clock.note}; {said}{why}: none used")
+    if zone_s:
+        said += f"; its creation time is local, {-zone_s / 3600:+g} h from UTC by these fixes: times are UTC"
+    start = clock.start_s + zone_s
+    fixes = Fixes(kept.time_s - start, kept.lat_lon_height, max_gap_s)
+    return VideoClock(start, known=True, utc=True, places=fixes, note=f"{clock.note}; {said}")
+
+
+def _zone(fixes: Readings, clock: VideoClock, length_s: float, tuning: PicturesTuning) -> float | None:
+    """Seconds to add to the start of a recording so that it is UTC, by its fixes; None if no time zone makes them
+    those of the recording."""
+    if not len(fixes) or not clock.known:
+        return None
+    stamp_s = fixes.time_s - clock.start_s
+    if np.mean((stamp_s >= 0) & (stamp_s <= length_s)) >= tuning.zone_inside:
+        return 0.0
+    apart = float(stamp_s[0] + stamp_s[-1] - length_s) / 2
+    zone = _QUARTER_S * round(apart / _QUARTER_S)
+    fits = _ZONES_S[0] <= -zone <= _ZONES_S[1] and abs(apart - zone) <= tuning.zone_apart_s
+    return zone if fits else None
+
+
+def _container(video: Path, from_end: bool, tuning: PicturesTuning) -> _Container:
     created = _created(video)
     if created is None or not tuning.recorded_range_s[0] <= created[0] <= tuning.recorded_range_s[1]:
         remedy = "--scan.video-offset says when it began (seconds since 1970)"
-        return 0.0, False, f"it does not say when it was recorded: its times count from its start; {remedy}"
+        said = f"it does not say when it was recorded: its times count from its start; {remedy}"
+        return _Container(0.0, known=False, length_s=created[1] if created else 0.0, said=said)
     time_s, length_s = created
     start = time_s - (length_s if from_end else 0.0)
     when = datetime.fromtimestamp(start, timezone.utc).strftime("%Y-%m-%d %H:%M:%S")
     doubt = "which has whole seconds and may be local or that of its end (--scan.video-offset SECONDS, or end)"
-    return start, True, f"begins at {when} UTC by the creation time in it, {doubt}"
+    said = f"begins at {when} UTC by the creation time in it, {doubt}"
+    return _Container(start, known=True, length_s=length_s, said=said)
 
 
 def _created(video: Path) -> tuple[float, float] | None:

@@ -1,4 +1,4 @@
-"""Graphs of images and frames: forests, components, bridges, articulation points, links between groups."""
+"""Graphs of images and frames: forests, components, cuts, bridges, articulation points, links between groups."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components, maximum_flow, minimum_spanning_tree
 
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
@@ -31,6 +31,16 @@ def forest(i: np.ndarray, j: np.ndarray, strength: np.ndarray, nodes: int) -> np
     tree = minimum_spanning_tree(coo_array((cost, (low[best], high[best])), shape=(nodes, nodes)).tocsr()).tocoo()
     ends = np.minimum(*tree.coords).astype(np.int64) * nodes + np.maximum(*tree.coords)
     return best[np.isin(low[best] * nodes + high[best], ends)]
+
+
+def cheapest_cut(capacity: csr_array, a: int, b: int) -> np.ndarray:
+    """(nodes,) bool: the side of node a where the least integer capacity is cut between nodes a and b (minimum cut)."""
+    rest = capacity - maximum_flow(capacity, a, b).flow
+    rest.data[rest.data < 0] = 0
+    rest.eliminate_zeros()
+    side = np.zeros(capacity.shape[0], bool)
+    side[breadth_first_order(rest, a, return_predecessors=False)] = True
+    return side
 
 
 @dataclass(frozen=True)

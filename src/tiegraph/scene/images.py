@@ -204,12 +204,12 @@ def _describe(data: bytes, digest: str, tuning: ImageTuning) -> Probe:
     )
 
 
-_FACTORY = re.compile(rb"2(?:_-?\d+(?:\.\d+)?){15}(?![_.\d])")
+_FACTORY = [re.compile(rb"2(?:_-?\d+(?:\.\d+)?){%d}(?![_.\d])" % count) for count in (39, 15)]  # two forms of it
 
 
 def _factory_lenses(data: bytes) -> str:
-    found = _FACTORY.search(data)
-    return found.group().decode() if found else ""
+    """Strings of numbers, separated by blanks."""
+    return " ".join(found.group().decode() for form in _FACTORY if (found := form.search(data)))
 
 
 def _refuse_bomb(image: Image.Image, size: int) -> None:

@@ -31,16 +31,22 @@ class Poses:
 
 @dataclass(frozen=True)
 class Join:
-    """Two models a, b: ``b_from_a``, how many images they share, how many of them agree with it, how many must, and
-    ``middle`` (3,) of their centres in the frame of a."""
+    """Two models a, b: ``b_from_a``, how many images they share, which of them agree with it, ``images`` (K,), how many
+    must, and ``middle`` (3,) of their centres in the frame of a. ``refused``: other joins contradict it."""
 
     a: int
     b: int
     b_from_a: Similarity
     shared: int
-    agree: int
+    images: np.ndarray
     needed: float
     middle: np.ndarray
+    refused: bool = False
+
+    @property
+    def agree(self) -> int:
+        """How many of the shared images agree."""
+        return 0 if self.refused else len(self.images)
 
     @property
     def holds(self) -> bool:
@@ -63,7 +69,7 @@ def join_models(models: Sequence[Poses], tuning: JoiningTuning) -> JoinResult:
     couples = ((a, b) for a in range(len(models)) for b in range(a))
     joins = tuple(j for a, b in couples if (j := join(a, b, models[a], models[b], tuning)))
     good = _consistent([j for j in joins if j.holds], len(models), tuning)
-    joins = tuple(j if not j.holds or any(j is g for g in good) else replace(j, agree=0) for j in joins)
+    joins = tuple(j if not j.holds or any(j is g for g in good) else replace(j, refused=True) for j in joins)
     part = parts(np.array([j.a for j in good], int), np.array([j.b for j in good], int), len(models))
     size = np.bincount(part, [len(m.images) for m in models])
     rank = np.empty(len(size), int)
@@ -88,9 +94,8 @@ def join(a: int, b: int, first: Poses, second: Poses, tuning: JoiningTuning) -> 
     turn, same = _mean_turn(turns, tuning)
     x, y = transforms.centre(pose_a), transforms.centre(pose_b)
     x_turned = x @ turn.T
-    scale = _scale(x_turned, y, (first.range_, second.range_), tuning.shift)
     limit = tuning.shift * second.range_
-    shift = np.median((y - scale * x_turned)[same], axis=0)
+    scale, shift = _start(x_turned, y, same, (first.range_, second.range_), tuning)
     agree = same & (np.linalg.norm(scale * x_turned + shift - y, axis=1) < limit)
     for _ in range(tuning.refits):
         if agree.sum() < tuning.shared:
@@ -103,7 +108,7 @@ def join(a: int, b: int, first: Poses, second: Poses, tuning: JoiningTuning) -> 
         b=b,
         b_from_a=Similarity(scale, turn, shift),
         shared=len(shared),
-        agree=int(agree.sum()),
+        images=shared[agree],
         needed=needed,
         middle=np.median(x, axis=0),
     )
@@ -118,15 +123,28 @@ def _mean_turn(turns: np.ndarray, tuning: JoiningTuning) -> tuple[np.ndarray, np
     return mean, transforms.angle_deg(mean[None], turns) < tuning.turn_deg
 
 
-def _scale(x: np.ndarray, y: np.ndarray, ranges: tuple[float, float], hardly: float) -> float:
-    """Median ratio of the distances between centres y and x (K, 3), of the longer half; where the images hardly moved,
-    ratio of the distances to what they see, their ``ranges``. ``hardly``: as a share of these."""
-    i, j = np.triu_indices(len(x), 1)
+def _start(
+    x: np.ndarray, y: np.ndarray, same: np.ndarray, ranges: tuple[float, float], tuning: JoiningTuning
+) -> tuple[float, np.ndarray]:
+    """Scale and shift that take most of the centres x to y (K, 3), of those ``same`` (K,): of the ones that two of them
+    far apart give. Where the images hardly moved, the scale is the ratio of the distances to what they see, ``ranges``.
+
+    No median over all: where a model has one of two passes in a wrong place, half the distances are wrong.
+    """
+    of = np.flatnonzero(same)
+    asked = of[np.unique(np.linspace(0, len(of) - 1, min(len(of), tuning.asked)).round().astype(int))]
+    i, j = (asked[k] for k in np.triu_indices(len(asked), 1))
     dx, dy = np.linalg.norm(x[i] - x[j], axis=1), np.linalg.norm(y[i] - y[j], axis=1)
-    long = dx >= np.median(dx)
-    if np.median(dx[long]) < hardly * ranges[0]:
-        return ranges[1] / ranges[0]
-    return float(np.median(dy[long] / dx[long]))
+    long = dx >= np.median(dx) if len(dx) else np.zeros(0, bool)
+    if not long.any() or np.median(dx[long]) < tuning.shift * ranges[0]:
+        scale = ranges[1] / ranges[0]
+        return scale, np.median((y - scale * x)[same], axis=0)
+    scales = dy[long] / dx[long]
+    middle_x, middle_y = (x[i] + x[j])[long] / 2, (y[i] + y[j])[long] / 2
+    shifts = middle_y - scales[:, None] * middle_x
+    off = np.linalg.norm(scales[:, None, None] * x[of] + shifts[:, None] - y[of], axis=2)
+    best = np.argmin(np.minimum(off, tuning.shift * ranges[1]).sum(axis=1))
+    return float(scales[best]), shifts[best]
 
 
 def _fitted(x: np.ndarray, y: np.ndarray, scale: float, limit: float) -> tuple[float, np.ndarray]:

@@ -4,9 +4,10 @@ Time grows linearly with the images. Up to 600 images the model is mapped whole.
 graph of frames into blocks that keep both passes of a place together and share the frames at their borders. Each
 block is mapped by itself, roughly (few tracks, no final adjustment), and ``scene.joining`` puts the models into one
 frame by the images they share. Joins that the shared images or the other joins contradict are refused and reported.
-Parts that do not hold together are judged each by itself, and the counts decide between them. The previews of an
-image are bounded (``offsets``), pairs that the axes rule out are counted and not listed, and no process holds the
-previews of all images.
+Where two blocks have a group of images elsewhere, the ties that hold it there are found (``torn``), and the next try
+is made without them. Parts that do not hold together in the end are judged each by itself, and the counts decide
+between them. The previews of an image are bounded (``offsets``), pairs that the axes rule out are counted and not
+listed, and no process holds the previews of all images.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tiegraph.network.coarse.model import CoarseModel
+from tiegraph.network.coarse.torn import false_ties
 from tiegraph.network.tuning.coarse import CoarseTuning
 from tiegraph.scene.blocks import Block
 from tiegraph.scene.joining import JoinResult, Poses, join_models, moved
@@ -29,10 +31,12 @@ NAMED = 5  # tears named one by one in the notes
 @dataclass(frozen=True)
 class Assembled:
     """Models of the survey, most images first, none of which shares an image with another, and what people should
-    know. One, if the survey was mapped whole or all blocks hold together; more where it is torn; perhaps none."""
+    know. One, if the survey was mapped whole or all blocks hold together; more where it is torn; perhaps none.
+    ``suspects``: images i, j (K,) of the ties that put blocks at odds (``torn``)."""
 
     models: tuple[CoarseModel, ...]
     notes: tuple[str, ...] = ()
+    suspects: tuple[np.ndarray, np.ndarray] = (np.zeros(0, np.int64), np.zeros(0, np.int64))
 
 
 def assembled(
@@ -46,11 +50,16 @@ def assembled(
     if is_whole(blocks, scene):
         return Assembled(tuple(m for m in models if m is not None and m.placed().any()))
     made = [(b, m) for b, m in zip(blocks, models) if m is not None and m.placed().any()]
-    joined = join_models([_poses(block, model, tuning) for block, model in made], joining)
+    poses = [_poses(block, model, tuning) for block, model in made]
+    joined = join_models(poses, joining)
     whose = _whose(scene, made, joined.part)
     found = [_together(scene, made, joined, whose, k) for k in range(int(joined.part.max(initial=-1)) + 1)]
     found.sort(key=lambda m: -int(m.placed().sum()))
-    return Assembled(tuple(m for m in found if m.placed().any()), _notes(scene, blocks, made, joined))
+    return Assembled(
+        models=tuple(m for m in found if m.placed().any()),
+        notes=_notes(scene, blocks, made, joined),
+        suspects=false_ties(scene, made, poses, joined.joins, tuning.trust.near_steps, joining),
+    )
 
 
 def is_whole(blocks: Sequence[Block], scene: Scene) -> bool:

@@ -130,6 +130,8 @@ class Search:
             part[one.placed()] = k
         overlap = Overlap.together([one.overlap(self._settings.axes_deg, self._tuning) for one in models])
         believed = trust(scene, self._book, overlap, part, self._settings, self._tuning.trust)
+        i, j = (np.concatenate(both) for both in zip(believed.suspects, made.suspects))
+        believed = replace(believed, suspects=(i, j))
         return _Try(
             models=models,
             part=part,

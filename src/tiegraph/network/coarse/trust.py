@@ -14,13 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import csr_array
-from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
 from tiegraph.network.coarse.visible import Overlap
 from tiegraph.network.passes import MatchCache
 from tiegraph.network.settings import CandidatesSettings
 from tiegraph.network.tuning.coarse import TrustTuning
-from tiegraph.scene.graph import parts
+from tiegraph.scene.graph import cheapest_cut, parts
 from tiegraph.scene.scene import Scene
 
 
@@ -74,7 +73,7 @@ def trust(
     strong = count >= tuning.strong * settings.min_matches
     seen = overlap.where(~(overlap.angle_deg > tuning.steep_deg))
     right = seen.between(i, j) >= settings.min_overlap
-    sure = _near(scene, i, j, tuning.near_steps) & strong
+    sure = near_frames(scene, scene.frame[i], scene.frame[j], tuning.near_steps) & strong
     stretch = _stretches(scene, part, *_doubts(scene, i[sure], j[sure], right[sure], tuning))
     n = int(stretch.max(initial=0)) + 1
     couple = stretch[i] * n + stretch[j]
@@ -96,8 +95,8 @@ def trust(
     )
 
 
-def _near(scene: Scene, i: np.ndarray, j: np.ndarray, steps: int) -> np.ndarray:
-    a, b = scene.frame[i], scene.frame[j]
+def near_frames(scene: Scene, a: np.ndarray, b: np.ndarray, steps: int) -> np.ndarray:
+    """(K,) bool: frames a, b (K,) are not the same, and at most so many steps of one pass apart."""
     same = (
         (scene.sequence[a] == scene.sequence[b]) & (scene.sequence[a] >= 0) & (scene.rig[a] == scene.rig[b]) & (a != b)
     )
@@ -146,12 +145,7 @@ def _without_false(linked: np.ndarray, torn: np.ndarray) -> np.ndarray:
     held = linked.copy()
     held[torn] = 0
     for a, b in zip(*np.nonzero(np.triu(torn))):
-        capacity = csr_array(np.ceil(held).astype(np.int32))
-        rest = capacity - maximum_flow(capacity, a, b).flow
-        rest.data[rest.data < 0] = 0
-        rest.eliminate_zeros()
-        side = np.zeros(len(held), bool)
-        side[breadth_first_order(rest, a, return_predecessors=False)] = True
+        side = cheapest_cut(csr_array(np.ceil(held).astype(np.int32)), a, b)
         held[side[:, None] != side[None]] = 0
     return held
 

@@ -4,18 +4,23 @@ axes, inverted poses, mirrored, shifted in time) is noticed and loses no pair si
 Of each kind of pairs (near in sequence, same pass, other pass, loose) 40 that the prior proposes and 40 that it
 refuses are previewed. A prior whose refused pairs tie more than 0.6 times as often as the proposed ones, or not
 significantly less, is not believed: it then refuses nothing, and previews and order find the pairs as if there were
-no prior. Nor is it believed if another reading of it (other axes, inverted, mirrored, some frames early or late)
-predicts the same previews better. Two tests must agree for that. The predicted overlap correlates better with the
-number of matches (rank correlation, by 0.04, and 0.45 in all). It also separates the pairs that tie from the others
-better (area under the ROC curve, by 0.03): for cameras that look along the path the correlation alone is best for
-whatever falls with the distance. The reading is named with its remedy. The assumed range is part of this: at a tenth
-of the right one, any reading that compresses the path looks better.
+no prior. What a prior hardly proposes (passes whose trajectories were put far apart) must tie no more often than what
+it refuses elsewhere. Where only the pairs of other passes fail, each trajectory is right by itself and only its place
+among the others is not: it then counts within its own pass alone, as odometry does, and previews find the pairs
+between the passes.
+
+Nor is a prior believed if another reading of it (other axes, inverted, mirrored, some frames early or late) predicts
+the same previews better. Two tests must agree for that. The predicted overlap correlates better with the number of
+matches (rank correlation, by 0.04, and 0.45 in all). It also separates the pairs that tie from the others better (area
+under the ROC curve, by 0.03): for cameras that look along the path the correlation alone is best for whatever falls
+with the distance. The reading is named with its remedy. The assumed range is part of this: at a tenth of the right one,
+any reading that compresses the path looks better.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -32,6 +37,7 @@ from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
 
 KINDS = ("near in sequence", "same pass", "other pass", "loose photographs")
+OTHER_PASS = 2
 # rig axes (columns) in the axes the trajectory may use instead of the camera's x right, y down, z forward
 _AXES = {
     "its axes are x forward, y left, z up (vehicle, ROS)": np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]),
@@ -45,7 +51,7 @@ Reading = Callable[[np.ndarray, Sequence[Pass]], np.ndarray]
 
 @dataclass(frozen=True)
 class PriorCheck:
-    """How good a prior is, by previews.
+    """How good a prior is, by previews: ``good``; where it is not, ``apart`` says that it is good within each pass.
 
     ``table``: (kind, pairs proposed, of them tied, refused, of them tied); ``fit`` = rank correlation
     of predicted overlap and preview matches (NaN = cannot be said); ``better``: the reading that fits better, "" =
@@ -53,6 +59,7 @@ class PriorCheck:
     """
 
     good: bool
+    apart: bool
     table: tuple[tuple[str, int, int, int, int], ...]
     fit: float
     better: str
@@ -68,18 +75,26 @@ def checked_pose_pairs(
     tuning: Tuning,
     proxy: Proxy | None = None,
 ) -> PoseResult:
-    """``pose_pairs``, checked. A bad prior refuses nothing: all its frames count as without prior (``without``), its
-    proposals stay, and so do all sampled pairs that tie."""
+    """``pose_pairs``, checked. A bad prior refuses nothing: all its frames count as without prior (``world``), its
+    proposals stay, and so do all sampled pairs that tie. One that is bad between passes alone says nothing of them."""
     result = pose_pairs(scene, passes, settings, tuning, proxy)
     if not len(result.pairs):
         return result
     check = check_prior(scene, passes, cache, result, settings, tuning)
     if check.good:
         return replace(result, notes=(*result.notes, *check.notes))
-    known = cache.known(result.pairs.i, result.pairs.j)
-    keep = (result.pairs.dropped == 0) | (known >= tuning.counts.sure * settings.min_matches)
-    pairs = result.pairs.with_(dropped=np.zeros(len(result.pairs))).where(keep)
-    return replace(result, pairs=pairs, without=np.arange(scene.frames), notes=(*result.notes, *check.notes))
+    pairs, sequence = result.pairs, scene.sequence[scene.frame]
+    tied = cache.known(pairs.i, pairs.j) >= tuning.counts.sure * settings.min_matches
+    if check.apart:
+        world = np.where(result.world >= 0, scene.sequence, -1)
+        bad = sequence[pairs.i] != sequence[pairs.j]
+        keep = ~bad | tied
+    else:
+        world = np.full(scene.frames, -1)
+        bad = np.ones(len(pairs), bool)
+        keep = (pairs.dropped == 0) | tied
+    pairs = pairs.with_(dropped=np.where(bad, 0, pairs.dropped)).where(keep)
+    return replace(result, pairs=pairs, world=world, notes=(*result.notes, *check.notes), apart=check.apart)
 
 
 def check_prior(
@@ -97,12 +112,12 @@ def check_prior(
     tied = count >= tuning.counts.sure * settings.min_matches
     rows = [(k, _counts(drawn.proposed[kind == k], tied[kind == k])) for k in range(len(KINDS)) if np.any(kind == k)]
     fit, better, better_fit = _readings(scene, passes, (i, j, count, tied, kind), result.range_m, tuning)
-    bad = [KINDS[k] for k, counts in rows if not _tells(counts, tuning.poses.prior)]
+    bad = [KINDS[k] for k, counts in rows if not _tells(counts, _others(rows, k), tuning.poses.prior)]
     table = tuple((KINDS[k], c.proposed, c.tied, c.refused, c.lost) for k, c in rows)
-    notes = _notes(table, bad, fit=fit, better=better, better_fit=better_fit)
-    return PriorCheck(
-        good=not bad and not better, table=table, fit=fit, better=better, better_fit=better_fit, notes=notes
-    )
+    apart = bad == [KINDS[OTHER_PASS]] and not better and bool((scene.sequence >= 0).all())
+    notes = _apart_notes(scene, table) if apart else _notes(table, bad, fit=fit, better=better, better_fit=better_fit)
+    good = not bad and not better
+    return PriorCheck(good=good, apart=apart, table=table, fit=fit, better=better, better_fit=better_fit, notes=notes)
 
 
 @dataclass(frozen=True)
@@ -167,18 +182,34 @@ def _counts(proposed: np.ndarray, tied: np.ndarray) -> _Counts:
     )
 
 
-def _tells(counts: _Counts, tuning: PriorTuning) -> bool:
-    """Whether a prior knows something of a kind of pairs: what it refuses ties much more rarely than what it proposes.
+def _others(rows: list[tuple[int, _Counts]], kind: int) -> _Counts:
+    """All other kinds together."""
+    others = [c for k, c in rows if k != kind]
+    return _Counts(*(sum(getattr(c, f.name) for c in others) for f in fields(_Counts)))
+
+
+def _tells(counts: _Counts, others: _Counts, tuning: PriorTuning) -> bool:
+    """Whether a prior knows something of a kind of pairs: what it refuses ties much more rarely than what it proposes;
+    where it proposes hardly any, not more often than what it refuses of the ``others``.
 
     With too few pairs or ties nothing speaks against it.
     """
     proposed, tied, refused, lost = counts.proposed, counts.tied, counts.refused, counts.lost
-    if proposed < tuning.enough or refused < tuning.enough or tied + lost < tuning.few_ties:
+    if refused < tuning.enough or tied + lost < tuning.few_ties:
         return True
-    yes, no = tied / proposed, lost / refused
-    mean = (tied + lost) / (proposed + refused)
-    error = np.sqrt(mean * (1 - mean) * (1 / proposed + 1 / refused))
-    return bool(yes - no > tuning.sigmas * error and no < tuning.bad_ratio * yes)
+    if proposed < tuning.enough:
+        more = _significance((lost, refused), (others.lost, others.refused))
+        return others.refused < tuning.enough or more < tuning.lost_sigmas
+    significant = _significance((tied, proposed), (lost, refused)) > tuning.sigmas
+    return significant and lost / refused < tuning.bad_ratio * tied / proposed
+
+
+def _significance(first: tuple[int, int], second: tuple[int, int]) -> float:
+    """By how many standard deviations the share of ties, (ties, pairs), is larger in the first than in the second."""
+    (a, of_a), (b, of_b) = first, second
+    mean = (a + b) / (of_a + of_b)
+    error = np.sqrt(mean * (1 - mean) * (1 / of_a + 1 / of_b))
+    return float((a / of_a - b / of_b) / max(error, 1e-12))
 
 
 def _readings(
@@ -306,11 +337,26 @@ def _area(share: np.ndarray, tied: np.ndarray, kind: np.ndarray, few: int) -> fl
     return float(np.mean(found)) if found else float("nan")
 
 
+def _apart_notes(scene: Scene, table: tuple) -> tuple[str, ...]:
+    told = _table_note(table)
+    passes = ", ".join(scene.sequences[k] for k in np.unique(scene.sequence))
+    return (
+        told,
+        f"the poses of the passes ({passes}) do not stand in one world: images of different passes tie where their "
+        "poses say that they share nothing. They count within each pass only, as odometry that starts anew does; "
+        "previews find the pairs between the passes",
+    )
+
+
+def _table_note(table: tuple) -> str:
+    parts = "; ".join(f"{name}: {pt} of {p} and {rt} of {r}" for name, p, pt, r, rt in table)
+    return f"prior checked by previews, ties among pairs it proposes and among pairs it refuses: {parts}"
+
+
 def _notes(table: tuple, bad: list[str], *, fit: float, better: str, better_fit: float) -> tuple[str, ...]:
     if not table:
         return ()
-    parts = "; ".join(f"{name}: {pt} of {p} and {rt} of {r}" for name, p, pt, r, rt in table)
-    notes = [f"prior checked by previews, ties among pairs it proposes and among pairs it refuses: {parts}"]
+    notes = [_table_note(table)]
     if better:
         notes.append(
             f"the prior looks wrong: {better}. Read so, its predicted overlap and the preview matches correlate by "

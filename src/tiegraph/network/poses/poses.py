@@ -26,12 +26,18 @@ from tiegraph.scene.scene import Scene
 
 @dataclass(frozen=True)
 class PoseResult:
-    """Pairs of the source, frames without a usable prior, what people should know, and the assumed range."""
+    """Pairs of the source, which frames its poses compare, what people should know, and the assumed range."""
 
     pairs: Pairs
-    without: np.ndarray  # (W,) frame indices
+    world: np.ndarray  # (F,) i4: frames of one number were compared; -1 = no usable prior
     notes: tuple[str, ...]
     range_m: float = float("nan")
+    apart: bool = False  # the images say that the poses of different passes do not stand in one world
+
+    @property
+    def without(self) -> np.ndarray:
+        """(W,) frames without a usable prior."""
+        return np.flatnonzero(self.world < 0)
 
 
 @dataclass(frozen=True)
@@ -73,9 +79,10 @@ def pose_pairs(
     world of the prior; without them points at an assumed range. Tests that need what is unknown are left out.
     """
     with_prior = np.isfinite(scene.world_from_rig[:, :3, 3]).all(axis=1)
-    without = np.flatnonzero(~with_prior)
+    world = scene.pose_world()
     if with_prior.sum() < 2:
-        return PoseResult(Pairs.empty(), without, ("poses: fewer than two frames have a prior position",))
+        nowhere = np.full(scene.frames, -1)
+        return PoseResult(Pairs.empty(), nowhere, ("poses: fewer than two frames have a prior position",))
     poses, headings = with_headings(scene, passes, tuning)
     reach = settings.range_m or assumed_range(scene, passes, tuning.poses)
     views = prior_views(scene, poses, headings, passes)
@@ -87,7 +94,7 @@ def pose_pairs(
         i, j, "poses", dropped=code, overlap=share, baseline_m=base, angle_deg=_angle(views.axis()[i], views.axis()[j])
     )
     return PoseResult(
-        pairs=pairs, without=without, notes=_notes(scene, settings, reach, headings, without), range_m=reach
+        pairs=pairs, world=world, notes=_notes(scene, settings, reach, headings, ~with_prior), range_m=reach
     )
 
 
@@ -105,8 +112,8 @@ def _notes(
             f"poses: the heading of {int(headings.sum())} frames comes from the track of their positions; "
             "lines of sight are not tested there, only angles between axes"
         )
-    if len(without):
-        notes.append(f"poses: {len(without)} of {scene.frames} frames have no prior position")
+    if without.any():
+        notes.append(f"poses: {int(without.sum())} of {scene.frames} frames have no prior position")
     return tuple(notes)
 
 

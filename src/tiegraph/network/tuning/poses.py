@@ -22,6 +22,9 @@ class PriorTuning(Section):
     """Of the ties among the proposed: a prior whose refused pairs tie more often tells nothing ..."""
     sigmas: float = Field(2.0, ge=0)
     """... nor one whose refused pairs tie more rarely by no more than this many standard deviations."""
+    lost_sigmas: float = Field(2.5, ge=0)
+    """Standard deviations by which what it refuses of a kind that it hardly proposes may tie more often than what it
+    refuses of the others: 0.6 % by chance."""
     few_ties: int = Field(8, gt=0)
     """Ties among both, below which a kind of pairs tells nothing."""
     better: float = Field(0.04, ge=0)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tiegraph.errors import EngineMissing, InputError
-from tiegraph.scene.bags.topics import ROS1, of_topic
+from tiegraph.scene.bags.topics import ROS1, in_full, of_topic
 from tiegraph.scene.names import clean
 from tiegraph.scene.regular import regular
 
@@ -59,13 +59,13 @@ class Bag:
         """
         found = [t for t in self.topics if t.kind in kinds and t.count]
         for name in asked:
-            mine = [t for t in self.topics if f"/{t.name.strip('/')}" == name]
+            mine = [t for t in self.topics if in_full(t.name) == name]
             if not set(mine) & set(found):
                 what = f"topic {mine[0]} has no messages of" if mine else f"has no topic {clean(name)} of"
                 raise InputError(f"{self._named()}: {what} {_either(kinds)}; {self._listed(found)}")
         if not found:
             raise InputError(f"{self._named()}: no messages of {_either(kinds)}; {self._listed([])}")
-        return [t for t in found if f"/{t.name.strip('/')}" in asked] if asked else found
+        return [t for t in found if in_full(t.name) in asked] if asked else found
 
     def only(self, kinds: Sequence[str], asked: Sequence[str]) -> Topic:
         """The one topic of some kinds. Raises InputError, naming them, for several, and as ``of_kinds``."""

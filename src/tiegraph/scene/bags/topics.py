@@ -18,7 +18,12 @@ def split_topics(path: Path) -> tuple[Path, tuple[str, ...]]:
     bag = Path(head)
     if not tail or path.exists() or not (bag.is_dir() or _is_file(bag)):
         return path, ()
-    return bag, tuple(f"/{name.strip('/')}" for name in tail.split(",") if name.strip("/"))
+    return bag, tuple(in_full(name) for name in tail.split(",") if name.strip("/"))
+
+
+def in_full(topic: str) -> str:
+    """A topic's name with the slash before it, which need not be written."""
+    return f"/{topic.strip('/')}"
 
 
 def source_of(path: Path) -> Path:
@@ -31,10 +36,9 @@ def of_topic(bag: Path, topic: str) -> Path:
     return Path(f"{bag}:{topic}")
 
 
-def shown(path: Path) -> str:
-    """A bag, or a topic of one, without the folders it lies in."""
-    bag, topics = split_topics(path)
-    return clean(bag.name + (f":{','.join(topics)}" if topics else ""))
+def shown(bag: Path, topic: str) -> str:
+    """A topic of a bag, without the folders it lies in."""
+    return clean(str(of_topic(Path(bag.name), topic)))
 
 
 def is_bag(path: Path) -> bool:

@@ -1,0 +1,83 @@
+"""Positions that a camera's own receiver wrote into its video: which are believed, and where a frame was taken."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tiegraph.scan.tuning import PicturesTuning
+from tiegraph.scene.exifwrite import Taken
+
+
+@dataclass(frozen=True)
+class Readings:
+    """What a receiver wrote, row by row; NaN = not said. All (N,) but ``lat_lon_height`` (N, 3), degrees and metres."""
+
+    stamp_s: np.ndarray  # on the video's clock
+    time_s: np.ndarray  # seconds since 1970, UTC
+    lat_lon_height: np.ndarray
+    fix: np.ndarray  # 0 = none, 2 = without height, 3
+    dop: np.ndarray  # dilution of precision
+
+    def __len__(self) -> int:
+        return len(self.stamp_s)
+
+    def take(self, rows: np.ndarray) -> Readings:
+        """Some of them: a mask or numbers."""
+        return Readings(
+            stamp_s=self.stamp_s[rows],
+            time_s=self.time_s[rows],
+            lat_lon_height=self.lat_lon_height[rows],
+            fix=self.fix[rows],
+            dop=self.dop[rows],
+        )
+
+
+@dataclass(frozen=True)
+class Fixes:
+    """Where the receiver was at stamps of the video, increasing; height NaN = not known."""
+
+    stamp_s: np.ndarray  # (R,)
+    lat_lon_height: np.ndarray  # (R, 3) degrees, m
+    max_gap_s: float
+
+    def place(self, stamp_s: float) -> Taken:
+        """Where the frame with a stamp was taken: on the line between the fixes about it, if they are not too far
+        apart in time."""
+        after = int(np.searchsorted(self.stamp_s, stamp_s, side="right"))
+        if after == 0 or (after == len(self.stamp_s) and stamp_s > self.stamp_s[-1]):
+            return Taken()
+        after = min(after, len(self.stamp_s) - 1)
+        begin, end = self.stamp_s[after - 1 : after + 1] if after else (stamp_s, stamp_s)
+        if end - begin > self.max_gap_s:
+            return Taken()
+        one, other = self.lat_lon_height[max(after - 1, 0)], self.lat_lon_height[after]
+        share = (stamp_s - begin) / (end - begin) if end > begin else 0.0
+        step = other - one
+        step[1] = (step[1] + 180) % 360 - 180  # the shorter way round
+        lat, lon, height = (float(v) for v in one + share * step)
+        return Taken(lat_deg=lat, lon_deg=(lon + 180) % 360 - 180, height_m=height)
+
+
+def believed(readings: Readings, tuning: PicturesTuning) -> tuple[Readings, str]:
+    """Those with a fix and a DOP that is not too large, in order of their stamps; and how many were left out, why."""
+    lat, lon, height = readings.lat_lon_height.T
+    no_fix = (readings.fix < 2) | ((lat == 0) & (lon == 0))
+    on_earth = (np.abs(lat) <= 90) & (np.abs(lon) <= 180) & ~(np.abs(height) > tuning.most_height_m)
+    nowhere = ~no_fix & ~on_earth
+    poor = ~no_fix & on_earth & (readings.dop > tuning.most_dop)
+    reasons = {
+        "without a fix": no_fix,
+        f"with a DOP above {tuning.most_dop:g}": poor,
+        "not on the Earth": nowhere,
+    }
+    words = ", ".join(f"{rows.sum()} {why}" for why, rows in reasons.items() if rows.any())
+    good = readings.take(~(no_fix | nowhere | poor))
+    good = good.take(np.argsort(good.stamp_s, kind="stable"))
+    level = good.lat_lon_height.copy()
+    level[good.fix == 2, 2] = np.nan
+    first, last = tuning.recorded_range_s
+    time = np.where((good.time_s >= first) & (good.time_s <= last), good.time_s, np.nan)
+    kept = Readings(good.stamp_s, time, level, fix=good.fix, dop=good.dop)
+    return kept, f"{len(kept)} of {len(readings)} fixes used" + (f" ({words} left out)" if words else "")

@@ -1,0 +1,188 @@
+"""GoPro's telemetry track: where its receiver was and when, on the clock of the video.
+
+A payload lasts about a second and holds devices (DEVC), these streams (STRM). Of a stream, the entries before the
+readings say how to take them. GPS5 (to HERO10): latitude, longitude, height and two speeds, divided by SCAL; once a
+payload the time of the first (GPSU, UTC as yymmddhhmmss.sss), the fix (GPSF) and the DOP times 100 (GPSP). GPS9 (from
+HERO11): each row has days since 2000 and seconds of the day, UTC, DOP and fix itself. GPSA is MSLV where heights are
+above the sea; without, they are above the ellipsoid (gpmf-parser's README and issues 4, 46, 81).
+
+Readings have no stamps of their own: they share out the time of their payload, as GoPro's own parser does it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from tiegraph.scan.recording.fixes import Fixes, Readings, believed
+from tiegraph.scan.recording.klv import BrokenEntry, Entry, entries
+from tiegraph.scan.recording.tracks import BrokenTrack, Samples, samples, tracks
+from tiegraph.scan.tuning import PicturesTuning
+from tiegraph.scene.gpstime import DAY_S
+from tiegraph.scene.regular import regular
+
+_FORMAT = b"gpmd"
+_EPOCH_S = datetime(2000, 1, 1, tzinfo=timezone.utc).timestamp()
+_UTC = re.compile(r"(\d\d)(\d\d)(\d\d)(\d\d)(\d\d)(\d\d)\.(\d{3})")
+_HUNDRED = 100.0  # GPSP is DOP times 100
+_GPS5, _GPS9 = 5, 9  # numbers a row
+_Stream = dict[str, Entry]
+
+
+@dataclass(frozen=True)
+class Telemetry:
+    """What a telemetry track says: fixes (None = none usable), when the video began (s since 1970, UTC; NaN =
+    unknown), and in words where both came from."""
+
+    fixes: Fixes | None
+    start_s: float
+    note: str
+
+
+@dataclass
+class _Found:
+    """Readings by kind, payloads that could not be read, the first of these's reason, and heights above the sea."""
+
+    readings: dict[str, list[Readings]] = field(default_factory=lambda: {"GPS5": [], "GPS9": []})
+    payloads: int = 0
+    broken: int = 0
+    why: str = ""
+    above_sea: bool = False
+
+    def blame(self, why: str) -> None:
+        self.broken += 1
+        self.why = self.why or why
+
+
+def read_gpmf(video: Path, max_gap_s: float, tuning: PicturesTuning) -> Telemetry | None:
+    """The telemetry of a GoPro's video; None of a file without such a track. A damaged one is said, never raised."""
+    try:
+        with regular(video, None).open("rb") as file:
+            track = next((t for t in tracks(file) if t.format == _FORMAT), None)
+            if track is None:
+                return None
+            found = _read(file, samples(file, track))
+    except (BrokenTrack, OSError) as error:
+        return Telemetry(None, np.nan, f"its GPMF track cannot be read ({error}): no times or positions from it")
+    return _judge(found, max_gap_s, tuning)
+
+
+def _read(file: BinaryIO, table: Samples) -> _Found:
+    found = _Found(payloads=len(table.size))
+    end = file.seek(0, 2)
+    if table.size.sum() > end:
+        raise BrokenTrack(f"its {len(table.size)} payloads are larger together than the file")
+    for offset, size, begin, length in zip(table.offset, table.size, table.begin_s, table.length_s):
+        if offset < 0 or offset + size > end:
+            found.blame("a payload lies behind the end of the file: is it cut off?")
+            continue
+        file.seek(int(offset))
+        try:
+            _add(found, file.read(int(size)), float(begin), float(length))
+        except BrokenEntry as error:
+            found.blame(str(error))
+    return found
+
+
+def _add(found: _Found, payload: bytes, begin_s: float, length_s: float) -> None:
+    for stream in _streams(payload):
+        for kind, read in (("GPS5", _gps5), ("GPS9", _gps9)):
+            if kind not in stream:
+                continue
+            readings = read(stream)
+            stamps = begin_s + length_s * np.arange(len(readings)) / max(len(readings), 1)
+            found.readings[kind].append(
+                Readings(stamps, readings.time_s, readings.lat_lon_height, fix=readings.fix, dop=readings.dop)
+            )
+            if "GPSA" in stream:
+                found.above_sea = stream["GPSA"].text() == "MSLV"
+
+
+def _streams(payload: bytes) -> Iterator[_Stream]:
+    for device in entries(payload):
+        if device.key == "DEVC" and device.kind == "\0":
+            for stream in entries(device.data):
+                if stream.key == "STRM" and stream.kind == "\0":
+                    yield {e.key: e for e in entries(stream.data)}
+
+
+def _scaled(stream: _Stream, key: str, columns: int) -> np.ndarray:
+    """(rows, columns) in degrees, metres and what else they are: divided by SCAL."""
+    types = stream["TYPE"].text() if "TYPE" in stream else ""
+    rows = stream[key].rows(types)
+    if "SCAL" not in stream:
+        raise BrokenEntry(f"{key} without a scale (SCAL)")
+    scale = stream["SCAL"].rows().ravel()
+    if rows.shape[1] != columns or len(scale) not in (1, columns) or not np.all(scale):
+        raise BrokenEntry(f"{key} with {rows.shape[1]} numbers a row and {len(scale)} scales: {columns} are meant")
+    return rows / scale
+
+
+def _gps5(stream: _Stream) -> Readings:
+    rows = _scaled(stream, "GPS5", _GPS5)
+    count = len(rows)
+    time = np.full(count, np.nan)
+    time[:1] = _utc(stream["GPSU"].text()) if "GPSU" in stream else np.nan
+    fix, dop = (np.full(count, _first(stream, key)) for key in ("GPSF", "GPSP"))
+    return Readings(np.full(count, np.nan), time, rows[:, :3], fix=fix, dop=dop / _HUNDRED)
+
+
+def _gps9(stream: _Stream) -> Readings:
+    rows = _scaled(stream, "GPS9", _GPS9)
+    time = _EPOCH_S + DAY_S * rows[:, 5] + rows[:, 6]
+    return Readings(np.full(len(rows), np.nan), time, rows[:, :3], fix=rows[:, 8], dop=rows[:, 7])
+
+
+def _first(stream: _Stream, key: str) -> float:
+    numbers = stream[key].rows().ravel() if key in stream else np.zeros(0)
+    return float(numbers[0]) if len(numbers) else np.nan
+
+
+def _utc(text: str) -> float:
+    found = _UTC.fullmatch(text)
+    if found is None:
+        return float("nan")
+    year, month, day, hour, minute, second, ms = (int(v) for v in found.groups())
+    try:
+        return datetime(2000 + year, month, day, hour, minute, second, 1000 * ms, timezone.utc).timestamp()
+    except ValueError:  # or second 60, a leap second
+        return float("nan")
+
+
+def _judge(found: _Found, max_gap_s: float, tuning: PicturesTuning) -> Telemetry:
+    kind = "GPS9" if found.readings["GPS9"] else "GPS5"
+    parts = found.readings[kind]
+    damaged = (
+        f"{found.broken} of its {found.payloads} GPMF payloads cannot be read ({found.why})" if found.broken else ""
+    )
+    if not any(len(p) for p in parts):
+        return Telemetry(None, np.nan, "; ".join(filter(None, ["its GPMF track has no fixes of a receiver", damaged])))
+    kept, words = believed(_joined(parts), tuning)
+    where = "above the sea" if found.above_sea else "above the ellipsoid"
+    said = [f"positions from its GPMF track ({kind}): {words}, heights {where}", damaged]
+    late = (kept.time_s - kept.stamp_s)[np.isfinite(kept.time_s)]
+    start = float("nan")
+    if len(late):
+        start = float(np.median(late))
+        spread = float(np.median(np.abs(late - start)))
+        when = datetime.fromtimestamp(start, timezone.utc).strftime("%Y-%m-%d %H:%M:%S.%f")[:-3]
+        doubt = f", in which they contradict each other by {spread:.1f} s" if spread > tuning.receiver_apart_s else ""
+        said.insert(0, f"begins at {when} UTC by {len(late)} times of its receiver{doubt}")
+    fixes = Fixes(kept.stamp_s, kept.lat_lon_height, max_gap_s) if len(kept) else None
+    return Telemetry(fixes, start, "; ".join(filter(None, said)))
+
+
+def _joined(parts: list[Readings]) -> Readings:
+    return Readings(
+        stamp_s=np.concatenate([p.stamp_s for p in parts]),
+        time_s=np.concatenate([p.time_s for p in parts]),
+        lat_lon_height=np.concatenate([p.lat_lon_height for p in parts]),
+        fix=np.concatenate([p.fix for p in parts]),
+        dop=np.concatenate([p.dop for p in parts]),
+    )

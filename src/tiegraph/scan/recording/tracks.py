@@ -1,0 +1,211 @@
+"""Tracks of an MP4 or QuickTime file (ISO/IEC 14496-12, 8.3 to 8.7): which there are, where their samples lie and when.
+
+Tables say their own length; it is checked against the box and the file before anything is read.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from tiegraph.scan.mp4 import boxes
+from tiegraph.scene.regular import regular
+
+VIDEO = b"vide"
+_MOST_SAMPLES = 1_000_000  # bound of memory: of telemetry, one a second, 11 days
+
+
+class BrokenTrack(ValueError):
+    """Tables of a track that contradict each other or the file; the text says which."""
+
+
+@dataclass(frozen=True)
+class Track:
+    """A track: first and last byte of what its box holds, its kind and the format of its samples (four letters), and
+    width and height of its pictures as its header has them (8 bytes)."""
+
+    span: tuple[int, int]
+    kind: bytes
+    format: bytes
+    shown: bytes
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Where the samples of a track lie in the file, bytes, and when they begin and how long they last, s. All (N,)."""
+
+    offset: np.ndarray
+    size: np.ndarray
+    begin_s: np.ndarray
+    length_s: np.ndarray
+
+
+def tracks(file: BinaryIO) -> list[Track]:
+    """The tracks that the header of an MP4 file names, in its order; none of another file."""
+    headers = boxes(file, b"moov", 0, file.seek(0, 2))
+    spans = [span for header in headers for span in boxes(file, b"trak", *header)]
+    return [
+        Track(span, _four(file, span, _KIND, 8), _four(file, span, _FORMAT, 12), shown=_shown(file, span))
+        for span in spans
+    ]
+
+
+_KIND = (b"mdia", b"hdlr")
+_TABLES = (b"mdia", b"minf", b"stbl")
+_FORMAT = (*_TABLES, b"stsd")
+
+
+def _four(file: BinaryIO, span: tuple[int, int], path: Sequence[bytes], skip: int) -> bytes:
+    found = _inside(file, span, path)
+    if found is None or found[1] - found[0] < skip + 4:
+        return b""
+    file.seek(found[0] + skip)
+    return file.read(4)
+
+
+def _shown(file: BinaryIO, span: tuple[int, int]) -> bytes:
+    """The last 8 bytes of the track's header (8.3.2)."""
+    found = _inside(file, span, (b"tkhd",))
+    if found is None or found[1] - found[0] < 8:
+        return b""
+    file.seek(found[1] - 8)
+    return file.read(8)
+
+
+def _inside(file: BinaryIO, span: tuple[int, int], path: Sequence[bytes]) -> tuple[int, int] | None:
+    """The box at the end of a path of boxes, each the first of its kind."""
+    found: tuple[int, int] | None = span
+    for kind in path:
+        found = next(boxes(file, kind, *found), None) if found else None
+    return found
+
+
+def samples(file: BinaryIO, track: Track) -> Samples:
+    """Places and times of a track's samples. Raises BrokenTrack."""
+    sizes = _sizes(file, track)
+    offset = _offsets(file, track, sizes)
+    scale = _scale(file, track)
+    steps = _table(file, track, b"stts", 8, ">u4", columns=2)  # 8.6.1.2: how many, how long
+    counts = np.minimum(steps[:, 0], len(sizes)).astype(np.int64)
+    length = np.repeat(steps[:, 1], _at_most(counts, len(sizes))).astype(float) / scale
+    if len(length) < len(sizes):
+        raise BrokenTrack(f"its table stts has times of {len(length)} samples of {len(sizes)}")
+    return Samples(offset, sizes, begin_s=np.cumsum(length) - length, length_s=length)
+
+
+def _at_most(counts: np.ndarray, total: int) -> np.ndarray:
+    """Counts (N,) cut off where their sum passes a total."""
+    before = np.minimum(np.cumsum(counts) - counts, total)
+    return np.minimum(counts, total - before)
+
+
+def _scale(file: BinaryIO, track: Track) -> int:
+    """Units a second of a track's times (8.4.2)."""
+    found = _inside(file, track.span, (b"mdia", b"mdhd"))
+    data = b""
+    if found is not None:
+        file.seek(found[0])
+        data = file.read(min(24, found[1] - found[0]))
+    wide = data[:1] == b"\1"
+    scale = int.from_bytes(data[20:24] if wide else data[12:16], "big")
+    if not scale:
+        raise BrokenTrack("its header mdhd has no time scale")
+    return scale
+
+
+def _sizes(file: BinaryIO, track: Track) -> np.ndarray:
+    """(N,) bytes of each sample (8.7.3.2): one size for all, or a table."""
+    found = _inside(file, track.span, (*_TABLES, b"stsz"))
+    if found is None or found[1] - found[0] < 12:
+        raise BrokenTrack("it has no table stsz")
+    file.seek(found[0] + 4)
+    size, count = (int(v) for v in np.frombuffer(file.read(8), ">u4"))
+    if count > _MOST_SAMPLES:
+        raise BrokenTrack(f"its table stsz has {count} samples, more than the {_MOST_SAMPLES} that are read")
+    if size:
+        return np.full(count, size, np.int64)
+    return _table(file, track, b"stsz", 12, ">u4")[:, 0].astype(np.int64)
+
+
+def _offsets(file: BinaryIO, track: Track, sizes: np.ndarray) -> np.ndarray:
+    """(N,) first byte of each sample: samples stand in chunks, one behind the other (8.7.4, 8.7.5)."""
+    wide = _inside(file, track.span, (*_TABLES, b"co64")) is not None
+    chunks = _table(file, track, b"co64" if wide else b"stco", 8, ">u8" if wide else ">u4")[:, 0]
+    runs = _table(file, track, b"stsc", 8, ">u4", columns=3).astype(np.int64)  # first chunk from 1, samples in each
+    if not len(sizes):
+        return np.zeros(0, np.int64)
+    firsts = np.append(runs[:, 0] - 1, len(chunks))
+    if not len(runs) or firsts[0] or np.any(np.diff(firsts) < 0):
+        raise BrokenTrack("its tables stsc and stco contradict each other")
+    counts = np.minimum(np.repeat(runs[:, 1], np.diff(firsts)), len(sizes))
+    chunk = np.repeat(np.arange(len(chunks)), _at_most(counts, len(sizes)))
+    if len(chunk) < len(sizes):
+        raise BrokenTrack(f"its tables stsc and stco have {len(chunk)} samples, stsz has {len(sizes)}")
+    before = np.cumsum(sizes) - sizes
+    new = np.diff(chunk, prepend=-1) != 0
+    inside = before - before[np.flatnonzero(new)][np.cumsum(new) - 1]
+    return chunks[chunk].astype(np.int64) + inside
+
+
+def _table(file: BinaryIO, track: Track, kind: bytes, head: int, dtype: str, columns: int = 1) -> np.ndarray:
+    """(N, columns) rows of a table box; their number stands in the last four bytes of its head."""
+    found = _inside(file, track.span, (*_TABLES, kind))
+    name = kind.decode()
+    if found is None or found[1] - found[0] < head:
+        raise BrokenTrack(f"it has no table {name}")
+    file.seek(found[0] + head - 4)
+    count = int.from_bytes(file.read(4), "big")
+    row = columns * np.dtype(dtype).itemsize
+    there = (found[1] - found[0] - head) // row
+    if count > there:
+        raise BrokenTrack(f"its table {name} says {count} rows and has room for {there}")
+    if count > _MOST_SAMPLES:
+        raise BrokenTrack(f"its table {name} has {count} rows, more than the {_MOST_SAMPLES} that are read")
+    data = file.read(count * row)
+    if len(data) < count * row:
+        raise BrokenTrack(f"its table {name} is cut off")
+    return np.frombuffer(data, dtype).reshape(-1, columns)
+
+
+class OneVideoTrack(io.BufferedIOBase):
+    """An MP4 file as if it had one of its video tracks alone: the boxes of the others are named free space."""
+
+    def __init__(self, path: Path, number: int) -> None:
+        """``number``: among the video tracks, from 0. Raises OSError."""
+        self._file = regular(path, None).open("rb")
+        videos = [t for t in tracks(self._file) if t.kind == VIDEO]
+        self._hidden = [_kind_at(self._file, t) for k, t in enumerate(videos) if k != number]
+        self._file.seek(0)
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """As of a file; nothing where it can no longer be read, for who calls is not Python."""
+        begin = self._file.tell()
+        try:
+            data = self._file.read(-1 if size is None else size)
+        except OSError:
+            return b""
+        for at in self._hidden:
+            first, last = max(at, begin), min(at + 4, begin + len(data))
+            if first < last:
+                data = data[: first - begin] + b"free"[first - at : last - at] + data[last - begin :]
+        return data
+
+    def seek(self, offset: int, whence: int = 0, /) -> int:
+        """As of a file."""
+        return self._file.seek(offset, whence)
+
+    def close(self) -> None:
+        """As of a file."""
+        self._file.close()
+        super().close()
+
+
+def _kind_at(file: BinaryIO, track: Track) -> int:
+    """Where the kind of a track's box stands: before its contents, or, of a box with a long size, before that."""
+    file.seek(track.span[0] - 4)
+    return track.span[0] - (4 if file.read(4) == b"trak" else 12)
