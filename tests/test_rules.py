@@ -74,6 +74,8 @@ def documented(section):
 
 
 def test_every_setting_is_documented():
+    from tiegraph.calibrate.settings import CalibrateSettings
+    from tiegraph.calibrate.tuning import Tuning as CalibrateTuning
     from tiegraph.project.settings import STAGED, Settings, Tunings
     from tiegraph.settings import Section
 
@@ -89,6 +91,8 @@ def test_every_setting_is_documented():
     for stage in STAGED:
         check(stage, getattr(Settings(), stage))
     check("tuning", Tunings())
+    check("calibrate", CalibrateSettings())  # it has no run folder, so these stand beside the settings of the stages
+    check("tuning.calibrate", CalibrateTuning())
 
 
 def test_stages_settings_and_verbs_have_one_name():

@@ -64,9 +64,9 @@ def load(name: str, work: Path) -> Given:
     sigma_m, sigma_deg = _TRUTH.get(base, (0.0, 0.0))
     given = replace(given, truth=replace(given.truth, sigma_m=sigma_m, sigma_deg=sigma_deg))
     if base == "pandaset":
-        given = _cut(_anchored(given), int(piece), PIECE)
+        given = cut(_anchored(given), int(piece), PIECE)
     elif piece:
-        given = _cut(given, 0, int(piece))
+        given = cut(given, 0, int(piece))
     return given
 
 
@@ -94,7 +94,7 @@ def _anchored(given: Given) -> Given:
     )
 
 
-def _cut(given: Given, first: int, count: int) -> Given:
+def cut(given: Given, first: int, count: int) -> Given:
     """Some of the frames; the receiver's rows to a second before and after."""
     frames = set(given.in_order()[first : first + count])
     keep = [n for n in given.images if given.frame_of(n) in frames]

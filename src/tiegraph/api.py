@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from tiegraph.design.coverage import Coverage, coverage
+from tiegraph.design.coverage import Coverage
 from tiegraph.errors import InputError, SettingsError
 from tiegraph.pipeline import SHOTS, STAGES, foundrig
 from tiegraph.pipeline.inputs import check_given
@@ -117,8 +117,10 @@ class Project:
     def coverage(self, chosen: bool = False) -> Coverage:
         """Do the candidate pairs hold the survey together, and where are they weak (paper 003's check on site)?
         ``chosen``: those that the design chose to be matched."""
-        pairs = _read_pairs(self._needed("pairs.npz", "design")) if chosen else self.candidates()
-        return coverage(pairs, self.scene())
+        from tiegraph.pipeline.design import coverage_of  # loads the engine
+
+        self._needed(*(("pairs.npz", "design") if chosen else ("network.npz", "network")))
+        return coverage_of(Run(self.folder, self.inputs, self.settings), chosen)
 
     def pairs(self) -> Pairs:
         """The pair table of the last stage that made one: `filter`, `match` (both with inliers) or `design`."""

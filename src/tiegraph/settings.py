@@ -26,7 +26,7 @@ class Section(BaseModel):
         """Pydantic takes true for 1 and 1 for true: of a file that is a value on the wrong line."""
         for name, field in cls.model_fields.items():
             given = data.get(name) if isinstance(data, dict) else None
-            if isinstance(given, bool) and field.annotation in (int, float):
+            if isinstance(given, bool) and field.annotation in (int, float, float | None):
                 raise ValueError(f"{name} = {str(given).lower()}: give a number")
             if isinstance(given, (int, float, str)) and not isinstance(given, bool) and field.annotation is bool:
                 raise ValueError(f"{name} = {given!r}: give true or false")

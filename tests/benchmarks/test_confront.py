@@ -286,7 +286,7 @@ def test_a_piece_keeps_its_frames_and_the_truth_is_put_where_the_positions_are()
     found = sets._anchored(lost).truth
     assert found.origin == ORIGIN
     assert all(np.allclose(p, found.cam_from_world[n], atol=1e-9) for n, p in given.truth.cam_from_world.items())
-    piece = sets._cut(given, 2, 4)
+    piece = sets.cut(given, 2, 4)
     assert sorted(piece.images) == [f"{c}/{k:03d}.jpg" for c in "ab" for k in range(2, 6)]
     assert piece.positions.time_s.tolist() == [102.0, 103.0, 104.0, 105.0] and len(piece.times) == 4
 

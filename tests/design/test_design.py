@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 from boat_world import boat, photos
 from network_steps import estimate_network
 from tiegraph import papers
+from tiegraph.design.coverage import coverage
 from tiegraph.design.design import METHODS as PLUGGED
-from tiegraph.design.design import design
+from tiegraph.design.design import design, with_coverage
 from tiegraph.design.expected import expected_matches
 from tiegraph.design.predict import Predictor
 from tiegraph.design.settings import DesignSettings
@@ -259,7 +260,8 @@ def test_fewer_previews_still_give_a_good_design() -> None:
 
 def test_the_funnel_and_the_weak_links_come_as_tables() -> None:
     scene, pairs, ties = corridor()
-    found = design(pairs, scene, ties, DesignSettings(), TUNING)
+    made = design(pairs, scene, ties, DesignSettings(), TUNING)
+    found = with_coverage(made, coverage(made.pairs, scene))
     assert dict(found.tables["funnel"]["rows"])["candidates"] == len(pairs)
     assert dict(found.tables["funnel"]["rows"])["used"] == found.counts["pairs"] == len(found.pairs.kept())
     assert set(np.unique(found.pairs.dropped)) <= {0, REASONS.index("cut")}
@@ -267,6 +269,7 @@ def test_the_funnel_and_the_weak_links_come_as_tables() -> None:
 
 
 def test_nothing_to_choose_from_is_no_error() -> None:
-    found = design(Pairs.empty(), photos(3), None, DesignSettings(), TUNING)
+    made = design(Pairs.empty(), photos(3), None, DesignSettings(), TUNING)
+    found = with_coverage(made, coverage(made.pairs, photos(3)))
     assert len(found.pairs) == 0
     assert "3 images have no pair" in found.notes[0]

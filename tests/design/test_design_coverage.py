@@ -5,8 +5,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from boat_world import photos
-from tiegraph.design.coverage import coverage
+from tiegraph.design.coverage import coverage, on_few_points, unknown_across
+from tiegraph.design.tuning import Tuning
 from tiegraph.scene.graph import cuts, frame_links, parts
+from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import simple_scene
@@ -38,7 +40,7 @@ def test_two_rings_on_one_pair() -> None:
     found = coverage(pairs_of("01 02 12 23 34 35 45"), photos(6))
     assert not found.sound
     rows = found.table["rows"]
-    assert ["single link", "002.jpg - 003.jpg", 3, 1] in rows
+    assert ["single link", "002.jpg - 003.jpg", 3, 1, None] in rows
     assert [r[1:3] for r in rows if r[0] == "joint"] == [["002.jpg", 3], ["003.jpg", 3]] or [
         r[1:3] for r in rows if r[0] == "joint"
     ] == [["002.jpg", 2], ["003.jpg", 2]]
@@ -48,7 +50,7 @@ def test_two_rings_on_one_pair() -> None:
 def test_two_rings_on_one_image() -> None:
     found = coverage(pairs_of("01 02 12 23 24 34"), photos(5))
     assert found.counts["bridges"] == 0
-    assert found.table["rows"] == [["joint", "002.jpg", 2, 1]]
+    assert found.table["rows"] == [["joint", "002.jpg", 2, 1, None]]
     assert "1 joint" in found.lines[0]
     assert "002.jpg (2 frames)" in found.lines[0]
 
@@ -57,7 +59,7 @@ def test_a_chain_hangs_on_every_pair() -> None:
     found = coverage(pairs_of("01 12 23"), photos(4))
     assert found.counts["bridges"] == 3
     assert found.counts["joints"] == 2
-    assert found.table["rows"][0] == ["single link", "001.jpg - 002.jpg", 2, 1]  # the worst first
+    assert found.table["rows"][0] == ["single link", "001.jpg - 002.jpg", 2, 1, None]  # the worst first
 
 
 def test_a_link_of_two_pairs_is_single_if_they_share_an_image() -> None:
@@ -92,6 +94,38 @@ def test_dropped_pairs_do_not_count() -> None:
     found = coverage(pairs, photos(3))
     assert found.counts["pairs"] == 2
     assert found.counts["bridges"] == 2
+
+
+def previews(counts: dict[tuple[int, int], int]) -> PreviewMatches:
+    """As many matches of equal features of every pair."""
+    rows = [np.stack([np.arange(n)] * 2, axis=1) for n in counts.values()]
+    return PreviewMatches.make(*np.array(list(counts)).T, rows)
+
+
+def test_many_pairs_that_hardly_match_do_not_hold() -> None:
+    """Two rings of four, and every image of one paired with every image of the other: by pairs alone that is sound."""
+    rings = {(a, b): 400 for k in (0, 4) for a in range(k, k + 4) for b in range(a + 1, k + 4)}
+    noise = {(a, b): 20 for a in range(4) for b in range(4, 8)}
+    pairs, tuning = Pairs.make(*np.array([*rings, *noise]).T, "file"), Tuning()
+    assert coverage(pairs, photos(8)).sound
+    (weak,) = on_few_points(pairs, photos(8), previews(rings | noise), tuning)
+    assert set(weak.frames) in ({0, 1, 2, 3}, {4, 5, 6, 7}) and weak.points == 0
+    found = coverage(pairs, photos(8), (weak,))
+    assert not found.sound and found.counts["on_few_points"] == 4
+    assert found.table["rows"][0][0] == "few points" and found.table["rows"][0][2:] == [4, None, 0]
+    true = noise | {(1, 5): 150, (2, 6): 350}
+    assert on_few_points(pairs, photos(8), previews(rings | true), tuning) == ()
+    assert on_few_points(pairs, photos(8), PreviewMatches.empty(), tuning) == ()  # nothing was looked at
+
+
+def test_pairs_across_that_were_not_looked_at_are_asked_for() -> None:
+    """They may be what holds the frames; pairs inside of a side, dropped ones and known ones are not wanted."""
+    rings = {(0, 1): 400, (2, 3): 400, (0, 2): 20}
+    pairs = pairs_of("01 02 03 12 13 23").drop(np.array([False, False, True, False, False, False]), "cut")
+    weak = on_few_points(pairs, photos(4), previews(rings), Tuning())
+    assert [set(w.frames) for w in weak] in ([{0, 1}], [{2, 3}])
+    assert np.flatnonzero(unknown_across(pairs, photos(4), previews(rings), weak)).tolist() == [3, 4]
+    assert not unknown_across(pairs, photos(4), previews(rings), ()).any()
 
 
 @settings(max_examples=40, deadline=None)

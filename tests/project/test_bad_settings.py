@@ -46,6 +46,7 @@ def test_no_number_is_without_bounds(section, name, field):
         ("[cloud]\nvoxel_size = nan", "cloud.voxel_size = nan"),
         ("[cloud]\nvoxel_size = 2020-01-01", "cloud.voxel_size = datetime.date"),
         ("[cloud]\nvoxel_size = true", "voxel_size = true: give a number"),
+        ("[sparse]\nreadout_ms = true", "readout_ms = true: give a number"),
         ("[match]\nguided = 1", "guided = 1: give true or false"),
         ("[match]\nguided = 'no'", "guided = 'no': give true or false"),
         ("[dense]\npartners = [4]", "dense.partners = .4."),

@@ -29,9 +29,15 @@ def pose_at(time_s: float) -> np.ndarray:
 
 
 def moving_world(
-    late_s: Sequence[float] = (0.0, 0.0, 0.0), loose_deg: Sequence[float] = (0.0, 0.0, 0.0), frames: int = 18
+    late_s: Sequence[float] = (0.0, 0.0, 0.0),
+    loose_deg: Sequence[float] = (0.0, 0.0, 0.0),
+    frames: int = 18,
+    readout_s: float = 0.0,
 ) -> tuple[pycolmap.Reconstruction, Scene]:
-    """Model as a mapper with a rigid rig would start it (true points and frames), and its calibrated scene."""
+    """Model as a mapper with a rigid rig would start it (true points and frames), and its calibrated scene.
+
+    ``readout_s``: from the first row of an image to the last; the middle one is seen at the camera's time.
+    """
     rng = np.random.default_rng(5)
     camera = pycolmap.Camera(model="PINHOLE", width=800, height=600, params=[400.0, 400.0, 400.0, 300.0])
     yaws, levers = (0.0, -45.0, 45.0), ([0.0, 0, 0], [-0.4, 0, 0.1], [0.4, 0, 0.1])
@@ -45,9 +51,11 @@ def moving_world(
         for s in range(3):
             image = pycolmap.Image(name=f"cam{s}/{f:03d}.jpg", camera_id=s + 1, image_id=1 + 3 * f + s)
             image.frame_id = f + 1
-            pose = places[s] @ transforms.invert(pose_at(INTERVAL_S * f + late_s[s]))
             turn = transforms.rigid(_turn(np.radians(loose_deg[s]) * rng.standard_normal(3)), np.zeros(3))
-            seen, xy = _sighted(camera, turn @ pose, points, rng)
+            time_s = INTERVAL_S * f + late_s[s]
+            rows_s = time_s + readout_s * np.array([-0.5, 0.0, 0.5])
+            poses = [turn @ places[s] @ transforms.invert(pose_at(t)) for t in rows_s]
+            seen, xy = sighted(camera, poses, points, rng)
             image.points2D = pycolmap.Point2DList([pycolmap.Point2D(p) for p in xy])
             for row, point in enumerate(seen):
                 tracks.setdefault(int(point), []).append((image.image_id, row))
@@ -88,12 +96,16 @@ def _points(rng: np.random.Generator) -> np.ndarray:
     return sides[np.abs(sides[:, 0]) > 4]
 
 
-def _sighted(
-    camera: pycolmap.Camera, pose: np.ndarray, points: np.ndarray, rng: np.random.Generator
+def sighted(
+    camera: pycolmap.Camera, poses: Sequence[np.ndarray], points: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    local = transforms.apply(pose, points)
+    """Points in view and where: ``poses`` of the first, the middle and the last row, even motion between them."""
+    local = transforms.apply(poses[1], points)
     ahead = np.flatnonzero((local[:, 2] > 1) & (local[:, 2] < 16))
-    xy = camera.img_from_cam(local[ahead])
+    first, xy, last = (camera.img_from_cam(transforms.apply(pose, points[ahead])) for pose in poses)
+    moved = last - first
+    late = (xy[:, 1] / camera.height - 0.5) / (1 - moved[:, 1] / camera.height)
+    xy = xy + late[:, None] * moved
     inside = ((xy > 0) & (xy < [camera.width, camera.height])).all(axis=1)
     return ahead[inside], xy[inside] + 0.3 * rng.standard_normal((inside.sum(), 2))
 

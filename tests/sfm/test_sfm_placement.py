@@ -85,7 +85,8 @@ def test_a_model_that_fell_apart_keeps_its_frames_and_it_is_said(world, tmp_path
     _shift(model, range(9, 14), 15.0)  # a third of the frames, and a fifth may be left out
     found = _test(model, scene, tmp_path)
     assert found.table is None and found.dropped == [] and model.num_reg_images() == len(scene)
-    assert found.notes == ["5 of 14 frames stand in doubt: none is left out; see the map"]
+    named = "cam0/009.jpg, cam0/010.jpg, cam0/011.jpg, cam0/012.jpg and 1 more"
+    assert found.notes == [f"5 of 14 frames stand in doubt: none is left out ({named})"]
 
 
 def test_photographs_numbered_in_another_order_than_they_stand_all_stay(world, tmp_path: Path) -> None:
@@ -122,6 +123,31 @@ def test_what_stands_beyond_a_jump_is_decided_by_its_ties(agree: dict, contradic
     assert len(found.main) == (10 if kept else 5) and len(found.beyond) == (5 if kept else 0)
     assert [len(d.frames) for d in found.suspects] == ([] if kept else [5])
     assert all("ties" in d.why for d in found.suspects)
+
+
+@pytest.mark.parametrize(
+    "agree, contradict, left_out",
+    [
+        ({(3, 4): 60.0, (5, 8): 55.0}, {(3, 5): 80.0, (4, 7): 90.0}, (4, 5, 6)),  # more speak against than for them
+        ({(3, 4): 300.0}, {(2, 4): 90.0, (5, 7): 90.0}, (4, 5, 6)),  # for them one frame alone, which may be chance
+        ({(3, 4): 300.0, (5, 8): 200.0}, {(2, 4): 90.0, (5, 7): 90.0}, ()),  # two frames hold them
+        ({(3, 4): 300.0}, {(2, 4): 60.0}, ()),  # little speaks against the one
+        ({(3, 4): 60.0, (5, 8): 55.0}, {}, ()),  # few points hold them, and all agree: said elsewhere
+    ],
+)
+def test_frames_that_stand_wrong_together_are_asked_together(agree: dict, contradict: dict, left_out: tuple) -> None:
+    """Each of three frames has most of its ties with the other two, which agree: alone none is in doubt."""
+    _, scene = moving_world(frames=10)
+    scene = scene.with_(sequence=np.full(10, -1))  # photographs: no course that could jump
+    positions = np.stack([np.arange(10.0), np.zeros(10), np.zeros(10)], axis=1)
+    inside = {(4, 5): 800.0, (5, 6): 700.0, (4, 6): 600.0}
+    outside = {(a, b): 500.0 for a in range(10) for b in range(a + 1, a + 3) if b < 10 and not {a, b} & {4, 5, 6}}
+    outside[3, 7] = 500.0
+    said = ConsistencyVotes({**inside, **outside, **agree}, contradict, TUNING.consistency)
+    found = check_consistency(positions, scene, motion_continuity(positions, scene, None, TUNING.continuity), said)
+    assert [d.frames for d in found.suspects] == ([left_out] if left_out else [])
+    assert set(found.main) == set(range(10)) - set(left_out)
+    assert all("asked together with the 2 it is tied to most" in d.why for d in found.suspects)
 
 
 def test_blocks_never_join_over_a_jump() -> None:

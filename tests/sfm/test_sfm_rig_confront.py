@@ -17,9 +17,10 @@ from tiegraph.scene.rig import rig_from_dict, rig_to_dict
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import final_adjustment
 from tiegraph.sfm.adjustment.constraints import available
-from tiegraph.sfm.finish import FinishRequest, FinishResult, Held, finish_model
+from tiegraph.sfm.finish import FinishResult, finish_model
 from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.rig.confront import hear, lever_sigmas, open_times, statements
+from tiegraph.sfm.rigcheck import FinishRequest, Held
 from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.rig import PriorTestTuning, RigTuning
 from tiegraph.sfm.world.scale import rig_scale

@@ -10,7 +10,7 @@ import pytest
 from moving_world import moving_world
 
 from tiegraph.geometry import transforms
-from tiegraph.sfm import finish
+from tiegraph.sfm import rigcheck
 from tiegraph.sfm.adjustment.adjust import final_adjustment
 from tiegraph.sfm.adjustment.constraints import available
 from tiegraph.sfm.model import image_poses
@@ -98,13 +98,15 @@ def test_a_relaxed_model_that_loses_images_is_not_kept(tmp_path: Path, monkeypat
             free.delete_observation(image.image_id, row)
     assert lost_images(model, free, scene, 10) == (poor,) and lost_images(free, model, scene, 10) == ()
     found = RigDiagnostics([], (), (0,), ["camera cam2 is not rigid"], True, {})
-    monkeypatch.setattr(finish, "rig_diagnostics", lambda *_: found)
-    monkeypatch.setattr(finish.constraints, "available", lambda: True)
-    request = finish.FinishRequest(tmp_path, tmp_path, scene.to_json(), Tuning(), finish.Held(rigs=(0,), fixed=(0,)))
+    monkeypatch.setattr(rigcheck, "rig_diagnostics", lambda *_: found)
+    monkeypatch.setattr(rigcheck.constraints, "available", lambda: True)
+    request = rigcheck.FinishRequest(
+        tmp_path, tmp_path, scene.to_json(), Tuning(), rigcheck.Held(rigs=(0,), fixed=(0,))
+    )
     for relaxed, kept in ((free, model), (pycolmap.Reconstruction(model), None)):
-        monkeypatch.setattr(finish, "calibrate_times", lambda *_, to=relaxed: TimeCalibration(to, {}, ""))
+        monkeypatch.setattr(rigcheck, "calibrate_times", lambda *_, to=relaxed: TimeCalibration(to, {}, ""))
         notes: list[str] = []
-        checked = finish._checked_rig(model, model, scene, request, notes)
+        checked = rigcheck.checked_rig(model, model, scene, request, notes)
         assert checked.model is (kept or relaxed)
         said = [line for line in checked.contradictions if "stays rigid" in line and scene.names[poor] in line]
         assert bool(said) == (kept is model)

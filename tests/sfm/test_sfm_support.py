@@ -4,6 +4,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pycolmap
 import pytest
 from sfm_worlds import make_world, true_frames, with_positions
 
@@ -11,8 +12,9 @@ from tiegraph.geometry import transforms
 from tiegraph.scene.registered import Registration
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import simple_scene
+from tiegraph.scene.weakties import WeaklyTied
 from tiegraph.sfm.model import model_rigs
-from tiegraph.sfm.registrationreport import weakly_constrained
+from tiegraph.sfm.registrationreport import few_points, weakly_constrained
 from tiegraph.sfm.rig.support import place_as_given, ties_of, units_per_metre, unsupported_sensors
 from tiegraph.sfm.tuning import RegistrationTuning
 from tiegraph.sfm.tuning.rig import SupportTuning
@@ -69,7 +71,7 @@ def test_its_place_is_as_given(world) -> None:
 
 
 def test_what_little_holds_is_named() -> None:
-    """Two cameras that see nothing together, ten frames: of cam1 the last four tie to each other only; a frame of few
+    """Two cameras that see nothing together, ten frames: of cam1 the last four tie to each other only; a frame on few
     points; a whole camera that ties to no other is no island."""
     names = [f"cam{k}/{f:03d}.jpg" for f in range(10) for k in range(2)]
     sensors = tuple(Sensor(f"cam{k}", None, np.eye(4), "side") for k in range(2))
@@ -77,13 +79,31 @@ def test_what_little_holds_is_named() -> None:
     scene = simple_scene(Rig("pair", sensors), names, frame, sensor, np.zeros(10), sequences=("way",))
     whole = SimpleNamespace(component=sensor.copy())
     seen = Registration(np.ones(20, bool), np.full(20, 100), 10)
-    assert weakly_constrained(scene, whole, seen, LOSSES) == []
+    assert weakly_constrained(scene, whole, seen, (), LOSSES) == []
     torn = SimpleNamespace(component=np.where((sensor == 1) & (frame > 5), 2, sensor))
-    (said,) = weakly_constrained(scene, torn, seen, LOSSES)
+    (said,) = weakly_constrained(scene, torn, seen, (), LOSSES)
     assert said.startswith("4 images (cam1/006.jpg, cam1/007.jpg, cam1/008.jpg ...)") and "the rig alone" in said
     half = np.where(sensor == 1, np.where(frame > 4, 2, 0), 0)  # as many as are left, which see what cam0 sees
-    assert len(weakly_constrained(scene, SimpleNamespace(component=half), seen, LOSSES)) == 1
+    assert len(weakly_constrained(scene, SimpleNamespace(component=half), seen, (), LOSSES)) == 1
     points = np.where(frame == 3, [5, 12] * 10, 100)
-    by_rig, loose = weakly_constrained(scene, whole, Registration(np.ones(20, bool), points, 10), LOSSES)
+    found, weak = Registration(np.ones(20, bool), points, 10), (WeaklyTied((3,), 12), WeaklyTied((7, 8, 9), 31))
+    by_rig, loose = weakly_constrained(scene, whole, found, weak, LOSSES)
     assert by_rig.startswith("1 images see fewer than 10") and "cam0/003.jpg" in by_rig
-    assert "place of 1 frame rests on fewer than 20 points (cam0/003.jpg)" in loose
+    assert "place of 4 frames rests on fewer than 50 points seen from elsewhere too" in loose
+    assert "(cam0/003.jpg: 12, cam0/007.jpg .. cam0/009.jpg (3 frames): 31)" in loose
+
+
+def test_frames_that_few_points_of_the_model_tie_to_the_rest(world) -> None:
+    """The last frames of a model see hardly any of the points that others see."""
+    truth, scene = world
+    everything = Registration(np.ones(len(scene), bool), np.full(len(scene), 100), 10)
+    assert few_points(truth, scene, everything, LOSSES) == ()
+    model, last = pycolmap.Reconstruction(truth), {scene.frames - 2, scene.frames - 1}
+    tracks = [[(e.image_id, e.point2D_idx) for e in p.track.elements] for p in model.points3D.values()]
+    for image_id, row in (end for track in tracks[30:] for end in track):
+        image = model.image(image_id)
+        if scene.frame[scene.image_index[image.name]] in last and image.point2D(row).has_point3D():
+            model.delete_observation(image_id, row)
+    weak = few_points(model, scene, everything, LOSSES)
+    assert {f for group in weak for f in group.frames} == last
+    assert 0 < sum(group.points for group in weak) <= 60

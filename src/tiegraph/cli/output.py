@@ -62,5 +62,5 @@ def show_table(columns: Sequence[str], rows: Iterable[Sequence[object]], title: 
 
     table = Table(*map(one_line, columns), title=title and one_line(title), box=None, title_justify="left")
     for row in rows:
-        table.add_row(*(one_line(str(cell)) for cell in row))
+        table.add_row(*("" if cell is None else one_line(str(cell)) for cell in row))
     Console(markup=False, highlight=False, emoji=False).print(table)

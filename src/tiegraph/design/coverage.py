@@ -1,17 +1,28 @@
-"""Coverage: does the network of pairs hold together, and where is it weak. Seconds on a field laptop (paper 003)."""
+"""Coverage: does the network of pairs hold together, and where is it weak. Seconds on a field laptop (paper 003).
+
+Pairs alone do not tell: where hardly anything matches, many pairs are tried. So the matches of the previews are asked,
+which are there already. A pair that may fail at full resolution counts nothing: on small images an essential matrix
+finds twenty inliers in noise. Pairs that are all but sure to be verified join features to tracks, and frames that share
+few of these with all the others are named.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from tiegraph.design.matchprediction import verified_chance
+from tiegraph.design.tuning import Tuning
 from tiegraph.scene.graph import component_notes, components, cuts, frame_links, groups, parts, some, two_links
+from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.weakties import WeaklyTied, named, weakly_tied
 
-_COLUMNS = ["kind", "where", "frames at stake", "independent links"]
+_COLUMNS = ["kind", "where", "frames at stake", "independent links", "matched points"]
 _LISTED = 200  # weak links in the table, worst first
 
 
@@ -27,13 +38,36 @@ class Coverage:
     @property
     def sound(self) -> bool:
         """Whether nothing is missing and nothing hangs on one link."""
-        return not any(self.counts[k] for k in ("alone", "bridges", "joints", "weak_groups")) and (
-            self.counts["components"] <= 1
-        )
+        weak = ("alone", "bridges", "joints", "weak_groups", "on_few_points")
+        return not any(self.counts[k] for k in weak) and (self.counts["components"] <= 1)
 
 
-def coverage(pairs: Pairs, scene: Scene) -> Coverage:
-    """Weak places of the kept pairs: images without pair, parts that are apart, single links, joints, loose groups.
+def on_few_points(pairs: Pairs, scene: Scene, ties: PreviewMatches, tuning: Tuning) -> tuple[WeaklyTied, ...]:
+    """Frames, and groups of frames, that the kept pairs tie to all others by few points, by the matches of previews.
+
+    Nothing where no kept pair was previewed: there the pairs alone can be judged.
+    """
+    kept = pairs.kept()
+    own = ties.where(np.isin(np.arange(len(ties)), ties.find(kept.i, kept.j)))
+    if not len(own):
+        return ()
+    sure = own.where(verified_chance(own.counts(), tuning.match_prediction) >= tuning.holding.sure)
+    track, image = sure.tracks()
+    return weakly_tied(track, scene.frame[image], np.ones(scene.frames, bool), tuning.few_points)
+
+
+def unknown_across(pairs: Pairs, scene: Scene, ties: PreviewMatches, weak: Sequence[WeaklyTied]) -> np.ndarray:
+    """(P,) bool: kept pairs without a preview that tie weakly tied frames to others: they may be what holds them."""
+    side = np.full(scene.frames, -1)
+    for number, group in enumerate(weak):
+        side[list(group.frames)] = number
+    across = side[scene.frame[pairs.i]] != side[scene.frame[pairs.j]]
+    return across & (pairs.dropped == 0) & (ties.find(pairs.i, pairs.j) < 0)
+
+
+def coverage(pairs: Pairs, scene: Scene, weak: Sequence[WeaklyTied] = ()) -> Coverage:
+    """Weak places of the kept pairs: images without pair, parts that are apart, single links, joints, loose groups,
+    and ``weak``, what hangs on few points (``on_few_points``).
 
     The images of a frame are one node, for the rig holds them. A single link (bridge) is a pair, or pairs that share
     one image, without which frames come apart; a joint (articulation point) is a frame without which they do.
@@ -45,16 +79,16 @@ def coverage(pairs: Pairs, scene: Scene) -> Coverage:
     bridges = bridges[np.argsort(-found.side[bridges], kind="stable")]
     joints = np.flatnonzero(found.joint)
     joints = joints[np.argsort(-found.falls[joints], kind="stable")]
-    first_image = _first_images(scene)
     rows: list[list[Any]] = []
     loose = _loose_groups(kept, scene)
-    rows += [[kind, name, frames, count] for kind, name, frames, count in loose]
+    rows += [[kind, name, frames, count, None] for kind, name, frames, count in loose]
+    rows += [["few points", named(g, scene.frame_names), len(g.frames), None, g.points] for g in weak]
     for k in bridges[:_LISTED]:
         pair = links.row[k]
         where = f"{scene.names[kept.i[pair]]} - {scene.names[kept.j[pair]]}"
-        rows.append(["single link", where, int(found.side[k]), 1])
+        rows.append(["single link", where, int(found.side[k]), 1, None])
     for k in joints[:_LISTED]:
-        rows.append(["joint", scene.names[first_image[k]], int(found.falls[k]), 1])
+        rows.append(["joint", scene.frame_names[k], int(found.falls[k]), 1, None])
     lines = component_notes(pairs, scene) + _lines(rows, len(bridges), len(joints))
     size = np.bincount(components(pairs, len(scene)), minlength=1)
     counts = {
@@ -65,19 +99,13 @@ def coverage(pairs: Pairs, scene: Scene) -> Coverage:
         "bridges": len(bridges),
         "joints": len(joints),
         "weak_groups": len(loose),
+        "on_few_points": sum(len(group.frames) for group in weak),
     }
     return Coverage(lines or (_fine(counts),), {"columns": list(_COLUMNS), "rows": rows}, counts)
 
 
 def _fine(counts: dict[str, int]) -> str:
     return f"{counts['pairs']} pairs hold {counts['images']} images together; no place hangs on a single link"
-
-
-def _first_images(scene: Scene) -> np.ndarray:
-    """(F,) the first image of each frame."""
-    out = np.zeros(scene.frames, int)
-    out[scene.frame[::-1]] = np.arange(len(scene))[::-1]
-    return out
 
 
 def _loose_groups(kept: Pairs, scene: Scene) -> list[tuple[str, str, int, int]]:
@@ -97,15 +125,17 @@ def _lines(rows: list[list[Any]], bridges: int, joints: int) -> tuple[str, ...]:
             names = [str(r[1]) for r in rows if r[0] == kind and r[3] == count]
             if names:
                 out.append(f"{words} {kind} {some(names)} to the others")
-    named = [f"{r[1]} ({_frames(r[2])})" for r in rows if r[0] == "single link"]
+    few = [f"{r[1]}: {r[4]}" for r in rows if r[0] == "few points"]
+    if few:
+        out.append(f"hardly tied to the others, matched points that they share with them: {_first(few, len(few))}")
+    single = [f"{r[1]} ({_frames(r[2])})" for r in rows if r[0] == "single link"]
     if bridges:
-        out.append(
-            f"{bridges} single {_plural('link', bridges)}, frames that hang on it in brackets: {_first(named, bridges)}"
-        )
-    named = [f"{r[1]} ({_frames(r[2])})" for r in rows if r[0] == "joint"]
+        words = f"{bridges} single {_plural('link', bridges)}, frames that hang on it in brackets"
+        out.append(f"{words}: {_first(single, bridges)}")
+    joint = [f"{r[1]} ({_frames(r[2])})" for r in rows if r[0] == "joint"]
     if joints:
         words = f"{joints} {_plural('joint', joints)} (in brackets what falls off without this frame)"
-        out.append(f"{words}: {_first(named, joints)}")
+        out.append(f"{words}: {_first(joint, joints)}")
     return tuple(out)
 
 

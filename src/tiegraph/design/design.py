@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from tiegraph.design.cost import Cost
-from tiegraph.design.coverage import coverage
+from tiegraph.design.coverage import Coverage
 from tiegraph.design.expected import counted_matches, expected_matches
 from tiegraph.design.holding import holding
 from tiegraph.design.hybrid import Budget, Choice, choose
@@ -80,12 +80,12 @@ def design(
     kept = np.flatnonzero(pairs.dropped == 0)
     if takes_all(settings, cost, tuning.cost) or not len(kept):
         said = () if settings.method == "all" or cost is None or not len(kept) else (cost.said(tuning.cost),)
-        return _judged(pairs, pairs, scene, said, {})
+        return _made(pairs, pairs, said, {})
     expected = expected_matches(pairs, ties, tuning.expected)
     if settings.method not in _OWN:
         method = cast(Method, choose_entry("design method", settings.method, METHODS))
         thin = method(pairs, scene, expected)
-        return _judged(pairs, thin.pairs, scene, thin.notes, dict(thin.counts))
+        return _made(pairs, thin.pairs, thin.notes, dict(thin.counts))
     i, j, strength = pairs.i[kept], pairs.j[kept], expected[kept]
     known = ties
     if sights is not None:
@@ -106,7 +106,7 @@ def design(
     if np.isfinite(choice.loss):
         counts["preview_loss_percent"] = round(100 * choice.loss, 2)
     notes = _budget_notes(choice, settings, len(start), len(kept), len(scene))
-    return _judged(pairs, pairs.drop(~keep, "cut"), scene, notes, counts)
+    return _made(pairs, pairs.drop(~keep, "cut"), notes, counts)
 
 
 def _units(scene: Scene) -> np.ndarray:
@@ -149,18 +149,23 @@ def _budget_notes(choice: Choice, settings: DesignSettings, start: int, kept: in
     return (share,)
 
 
-def _judged(
-    before: Pairs, after: Pairs, scene: Scene, notes: tuple[str, ...], counts: dict[str, float]
-) -> DesignResult:
-    """The result with its funnel and its weak links."""
+def _made(before: Pairs, after: Pairs, notes: tuple[str, ...], counts: dict[str, float]) -> DesignResult:
+    """The result with its funnel."""
     funnel = after.funnel()
     table = {"columns": ["step", "pairs"], "rows": [[k, v] for k, v in funnel.items()]}
-    found = coverage(after, scene)
     figures = {"candidates": float(np.sum(before.dropped == 0)), "pairs": float(funnel["used"]), **counts}
-    figures.update({k: float(v) for k, v in found.counts.items() if k not in ("images", "pairs")})
+    return DesignResult(pairs=after, notes=notes, counts=figures, tables={"funnel": table})
+
+
+def with_coverage(made: DesignResult, found: Coverage) -> DesignResult:
+    """A result with its weak links."""
+    figures = {k: float(v) for k, v in found.counts.items() if k not in ("images", "pairs")}
     said = () if found.sound else found.lines
     return DesignResult(
-        pairs=after, notes=(*notes, *said), counts=figures, tables={"funnel": table, "weak links": found.table}
+        pairs=made.pairs,
+        notes=(*made.notes, *said),
+        counts={**made.counts, **figures},
+        tables={**made.tables, "weak links": found.table},
     )
 
 

@@ -134,6 +134,9 @@ class GrowthTuning(Section):
 class Tuning(Section):
     """Constants of the engine that are the same for every user."""
 
+    few_points: int = Field(230, gt=0)
+    """Tracks of previews that a frame or a group of frames shares with all others, below which `coverage.py` names it.
+    """
     start_share: float = Field(0.5, ge=0, le=1)
     """Of a budget of pairs that the pairs may take which stay whatever a design is after."""
     cost: CostTuning = CostTuning()

@@ -8,27 +8,31 @@ import numpy as np
 
 from tiegraph import papers
 from tiegraph.design.cost import Cost, cost, predicted_keypoints
-from tiegraph.design.design import METHODS, takes_all
+from tiegraph.design.coverage import Coverage, coverage, on_few_points, unknown_across
+from tiegraph.design.design import METHODS, DesignResult, takes_all, with_coverage
 from tiegraph.design.design import design as select_pairs
 from tiegraph.network.plots import map_png, weak_pairs
 from tiegraph.pipeline.accuracy import with_accuracy
 from tiegraph.pipeline.files import checked, pairs_of, reading, save_npz, sights_of, ties_of
-from tiegraph.pipeline.previews import with_previews
+from tiegraph.pipeline.previews import previews_of, with_previews
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
+from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.scene import Scene
+
+LOOKED = "design/matches.npz"
 
 
 def design(run: Run) -> Outcome:
     """Which of the candidate pairs are matched at full resolution; COLMAP pair lists, one a section and one for all."""
     scene = checked(run)
-    candidates, ties = pairs_of(run, "network.npz"), ties_of(run)
+    candidates, known = pairs_of(run, "network.npz"), ties_of(run)
     settings, tuning = run.settings, run.settings.tuning
     # In passes false pairs of walls that repeat cost more than time: canal_demo with all 2734 pairs 9.1 mm, with the
     # 1604 chosen ones 4.8 mm.
     loose = bool(np.all(scene.sequence[scene.frame] < 0))
-    previews, spent = 0, _cost(run, scene, candidates) if loose else None
+    ties, previews, spent = known, 0, _cost(run, scene, candidates) if loose else None
     if not takes_all(settings.design, spent, tuning.design.cost):
         candidates, ties, previews = with_previews(
             candidates, ties, run.folder, settings.preview, tuning.features.preview, run.map
@@ -37,6 +41,7 @@ def design(run: Run) -> Outcome:
     if settings.design.method in papers.DESIGNS:
         candidates = with_accuracy(candidates, scene, ties, run.folder, run.map, tuning.sfm.two_view)
     made = select_pairs(candidates, scene, ties, settings.design, tuning.design, sights_of(run), spent)
+    made, ties = _covered(run, made, scene, ties)
     pairs = made.pairs
     save_npz(run.path("pairs.npz"), **pairs.to_npz())
     write_atomic(run.path("pairs.txt"), pairs.to_text(scene.names))
@@ -47,12 +52,34 @@ def design(run: Run) -> Outcome:
         write_atomic(run.path("pairs", f"section_{max(number, 0)}.txt"), own.to_text(scene.names))
     counts = {"images_without": int(np.sum(pairs.degree(len(scene)) == 0)), "previews": previews, **made.counts}
     run.path("design").mkdir(exist_ok=True)
+    save_npz(run.path(*LOOKED.split("/")), **ties.where(known.find(ties.i, ties.j) < 0).to_npz())
     positions = scene.world_from_rig[:, :3, 3]
     weak = weak_pairs(made.tables.get("weak links", {}), scene)
     picture = map_png(pairs, positions if np.isfinite(positions).any() else None, scene, weak=weak)
     write_atomic(run.path("design", "map.png"), picture)
     looked = (f"{previews} pairs of which nothing was known were previewed first",) if previews else ()
     return Outcome(counts, notes=(*looked, *made.notes), tables=made.tables)
+
+
+def coverage_of(run: Run, chosen: bool) -> Coverage:
+    """The weak places of the candidates, or of the pairs that were ``chosen``, by all previews that were matched."""
+    pairs, ties = pairs_of(run, "pairs.npz" if chosen else "network.npz"), ties_of(run)
+    if run.path(*LOOKED.split("/")).exists():
+        ties = ties | ties_of(run, "design")
+    scene = checked(run)
+    return coverage(pairs, scene, on_few_points(pairs, scene, ties, run.settings.tuning.design))
+
+
+def _covered(run: Run, made: DesignResult, scene: Scene, ties: PreviewMatches) -> tuple[DesignResult, PreviewMatches]:
+    """The design with its weak links, and the previews that told them: chosen pairs across what seems to hang on few
+    points are looked at first, for only some of the candidates have been."""
+    settings, tuning = run.settings.preview, run.settings.tuning
+    weak = on_few_points(made.pairs, scene, ties, tuning.design)
+    unknown = unknown_across(made.pairs, scene, ties, weak)
+    if unknown.any():
+        ties = ties | previews_of(made.pairs.where(unknown), run.folder, settings, tuning.features.preview, run.map)
+        weak = on_few_points(made.pairs, scene, ties, tuning.design)
+    return with_coverage(made, coverage(made.pairs, scene, weak)), ties
 
 
 def _cost(run: Run, scene: Scene, pairs: Pairs) -> Cost:

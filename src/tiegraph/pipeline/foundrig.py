@@ -17,10 +17,9 @@ import pycolmap
 from tiegraph.errors import InputError, UnreadableArtefact
 from tiegraph.geometry.transforms import centre
 from tiegraph.pipeline.files import load_json, load_model, load_scene
+from tiegraph.pipeline.foundcameras import with_camera
 from tiegraph.project.folder import check_format, names_run
 from tiegraph.project.receipts import Receipts
-from tiegraph.scan.prepare import crop_camera
-from tiegraph.scan.rigfaults import lens_fault
 from tiegraph.scan.rigfile import parse_rig_file
 from tiegraph.scan.rigwrite import rig_config, rig_toml
 from tiegraph.scan.tuning import RigTuning
@@ -28,8 +27,10 @@ from tiegraph.scene.colmapmodel import model_rigs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.covariance import INTERIOR_TABLE, MOUNTING
+from tiegraph.sfm.mapping import believed_cameras
 from tiegraph.sfm.rig.mountings import relaxed_mountings
 from tiegraph.sfm.rig.rig import rig_modes
+from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.tuning import Tuning
 
 TOML, CONFIG = "rig", "rig_config"
@@ -68,6 +69,10 @@ class _Run:
     said: list[str] = field(default_factory=list)
     unscaled: list[str] = field(default_factory=list)  # rigs whose lengths are in units of the model
     tuning: RigTuning = field(default_factory=RigTuning)
+
+    def drawn(self, index: int) -> Rig:
+        """A rig as candidates left it, before the coarse model turned cameras."""
+        return load_scene(self.folder / "candidates" / "scene.json").rigs[index]
 
     def rows(self, table: str) -> list[list]:
         """Rows of a table of the receipt of sparse."""
@@ -165,7 +170,7 @@ def _found(run: _Run, index: int) -> Rig:
     rigid = several and bool(mode) and _in_model(run, index)
     held = model_rigs(run.mapped, run.scene)[index]
     found = model_rigs(run.world, run.scene)[index]
-    cameras = [_with_camera(run, s, f) for s, f in zip(given.sensors, found.sensors)]
+    cameras = _cameras(run, index, found)
     if not several:
         found = given
     elif not rigid:
@@ -175,12 +180,25 @@ def _found(run: _Run, index: int) -> Rig:
         _say_held(run, found, given)
     else:
         _say_scale(run, found)
-        found = _with_sigmas(run, replace(found, fixed=False), given)
+        found = _with_sigmas(run, replace(found, fixed=False), index)
     sensors = tuple(
         replace(s, camera=c.camera, source=c.source, camera_sigma_px=c.camera_sigma_px)
         for s, c in zip(found.sensors, cameras)
     )
     return replace(found, sensors=sensors, antenna_m=run.antenna_m or given.antenna_m)
+
+
+def _cameras(run: _Run, index: int, found: Rig) -> list[Sensor]:
+    """The sensors of a rig with the cameras of the model."""
+    settings = SparseSettings(refine_intrinsics=run.receipt.get("settings", {}).get("refine_intrinsics", "auto"))
+    held = believed_cameras(run.scene, settings)
+    first = 1 + sum(len(r.sensors) for r in run.scene.rigs[:index])
+    out = []
+    for key, (given, new) in enumerate(zip(run.scene.rigs[index].sensors, found.sensors), start=first):
+        sensor, said = with_camera(given, new.camera, key in held, run.rows(INTERIOR_TABLE), run.tuning.camera)
+        out.append(sensor)
+        run.said += said
+    return out
 
 
 def _say_held(run: _Run, found: Rig, given: Rig) -> None:
@@ -281,11 +299,13 @@ def _units(held: Rig, given: Rig) -> float:
 # --- sigmas -----------------------------------------------------------------------------------------------------------
 
 
-def _with_sigmas(run: _Run, found: Rig, given: Rig) -> Rig:
-    """Sigmas of the adjustment for each axis; of sensors that hardly a tie held, what a drawing is trusted with.
+def _with_sigmas(run: _Run, found: Rig, index: int) -> Rig:
+    """Sigmas of the adjustment for each axis. Sensors that hardly a tie held stand as the rig file of the run had them,
+    those of a drawing with what one is trusted with.
 
     What was measured between pairs is in the sigmas, and left away: it would count twice.
     """
+    given = run.scene.rigs[index]
     table = {row[0]: row[1:] for row in run.rows(MOUNTING)}
     names = [s.name for s in found.sensors[1:]]
     untold = [n for n in names if n not in table]
@@ -293,16 +313,19 @@ def _with_sigmas(run: _Run, found: Rig, given: Rig) -> Rig:
         run.said.append(f"{found.name}: the run has no sigmas of the places of {', '.join(untold)}")
         return found
     sensors, kept = [found.sensors[0]], []
-    for sensor, before in zip(found.sensors[1:], given.sensors[1:]):
+    for place, sensor in enumerate(found.sensors[1:], start=1):
+        before = given.sensors[place]
         sigma_deg, sigma_m = _sigmas(run, table[sensor.name])
         if _unmoved(sensor, before):
             kept.append(sensor.name)
-            trusted = Tuning().rig.time_calibration
-            drawn = (trusted.nominal_deg, trusted.nominal_m) if given.nominal else (0.0, 0.0)
-            sigma_deg, sigma_m = before.sigma_deg or max(sigma_deg, drawn[0]), before.sigma_m or max(sigma_m, drawn[1])
+            sigma_deg, sigma_m = before.sigma_deg or sigma_deg, before.sigma_m or sigma_m
+            if given.nominal:  # the coarse model may have turned it by ties that did not hold
+                trusted = Tuning().rig.time_calibration
+                sigma_deg, sigma_m = trusted.nominal_deg, trusted.nominal_m
+                sensor = replace(sensor, sensor_from_rig=run.drawn(index).sensors[place].sensor_from_rig)
         sensors.append(replace(sensor, sigma_deg=_short(sigma_deg), sigma_m=_short(sigma_m)))
     if kept:
-        run.said.append(f"{found.name}: {', '.join(kept)} turned as given: too few ties told its place in the rig")
+        run.said.append(f"{found.name}: {', '.join(kept)} stands as given: too few ties told its place in the rig")
     return replace(found, sensors=tuple(sensors), nominal=False, pairs=())
 
 
@@ -323,58 +346,6 @@ def _unmoved(sensor: Sensor, before: Sensor) -> bool:
 
 def _short(value: float) -> float:
     return float(f"{value:.{_DIGITS}g}")
-
-
-# --- cameras ----------------------------------------------------------------------------------------------------------
-
-
-def _with_camera(run: _Run, given: Sensor, found: Sensor) -> Sensor:
-    """A sensor with the camera of the model, as the files of the user have it: before cropping."""
-    camera, source = found.camera, given.source
-    if camera is None or given.camera is None:
-        return given
-    if not given.camera.has_prior_focal_length and _same(camera, given.camera):
-        run.said.append(f"{given.name}: its camera was guessed and not adjusted: left away")
-        return replace(given, camera=None, source=None if source is None else replace(source, camera=None))
-    if source is not None and source.camera is not None and not _as_cropped(given, source.camera):
-        run.said.append(f"{given.name}: its images were undistorted by the camera given, which stands here")
-        return given
-    left, top, right, bottom = (0, 0, 0, 0) if source is None else source.crop_px
-    camera = crop_camera(camera, -left, -top, -right, -bottom)
-    if wrong := lens_fault(camera, run.tuning.camera):
-        focal = camera.mean_focal_length()
-        run.said.append(f"{given.name}: only the focal length is written, for {wrong}")
-        camera = _undistorted(camera, focal)
-    else:
-        rows = [r for r in run.rows(INTERIOR_TABLE) if r[0] == given.name]
-        sigmas = [f"{r[1]} {r[3]:.2g}" for r in rows]
-        sigma_px = next((r[3] for r in rows if r[1] in ("f", "fx")), given.camera_sigma_px)
-        given = replace(given, camera_sigma_px=sigma_px)
-        run.said += [f"{given.name}: sigmas of its camera: {', '.join(sigmas)}"] if sigmas else []
-    return replace(given, camera=camera, source=None if source is None else replace(source, camera=camera))
-
-
-def _same(a: pycolmap.Camera, b: pycolmap.Camera) -> bool:
-    return a.model == b.model and np.array_equal(a.params, b.params)
-
-
-def _as_cropped(sensor: Sensor, whole: pycolmap.Camera) -> bool:
-    """Whether the images of a sensor are those of its files but for what was cut off."""
-    assert sensor.source is not None and sensor.camera is not None
-    made = crop_camera(whole, *sensor.source.crop_px)
-    return made.model == sensor.camera.model and (made.width, made.height) == (
-        sensor.camera.width,
-        sensor.camera.height,
-    )
-
-
-def _undistorted(camera: pycolmap.Camera, focal_px: float) -> pycolmap.Camera:
-    fisheye = "FISHEYE" in camera.model.name
-    model = "SIMPLE_RADIAL_FISHEYE" if fisheye else "SIMPLE_RADIAL"
-    made = pycolmap.Camera.create_from_model_name(0, model, focal_px, camera.width, camera.height)
-    out = pycolmap.Camera(model=model, width=camera.width, height=camera.height, params=made.params)
-    out.has_prior_focal_length = True
-    return out
 
 
 def _check_prefixes(run: _Run, rigs: list[Rig]) -> None:

@@ -41,14 +41,25 @@ def with_previews(
     """
     unknown = (pairs.dropped == 0) & np.isnan(pairs.score) & np.isnan(pairs.overlap)
     rows = np.flatnonzero(unknown & (ties.find(pairs.i, pairs.j) < 0))
-    items = list(zip(pairs.i[rows].tolist(), pairs.j[rows].tolist()))
-    found: list[PreviewMatch] = run_map(match_item, items, folder, settings, tuning)
-    if not found:
+    if not len(rows):
         return pairs, ties, 0
+    new = previews_of(pairs.where(rows), folder, settings, tuning, run_map)
     score = pairs.score.copy()
-    score[rows] = [one.inliers for one in found]
-    new = PreviewMatches.make(pairs.i[rows], pairs.j[rows], [one.matches for one in found])
+    score[rows] = new.known(pairs.i[rows], pairs.j[rows])
     return pairs.with_(score=score), ties | new, len(rows)
+
+
+def previews_of(
+    pairs: Pairs,
+    folder: Path,
+    settings: PreviewSettings,
+    tuning: PreviewTuning,
+    run_map: Callable[..., list[Any]],
+) -> PreviewMatches:
+    """The matches of the previews of all pairs."""
+    items = list(zip(pairs.i.tolist(), pairs.j.tolist()))
+    found: list[PreviewMatch] = run_map(match_item, items, folder, settings, tuning)
+    return PreviewMatches.make(pairs.i, pairs.j, [one.matches for one in found])
 
 
 class Matcher:

@@ -63,6 +63,13 @@ def _coverage_warnings(run: RunFolder) -> Iterable[str]:
     if run.model.others:
         parts = len(run.model.others) + 1
         yield f"The images fell into {parts} separate models: the parts do not share enough ties."
+    few = run.counts("sparse").get("on_few_points")
+    if is_number(few) and few:
+        verb = "rests" if few == 1 else "rest"
+        yield (
+            f"The place of {formatting.plural(few, 'frame')} {verb} on few points (named in the remarks of sparse): "
+            "these images may be off by more than is stated."
+        )
     registered = run.model.registered
     labels = np.array([" ".join(x).strip() for x in run.scene.image_label()])
     for label in dict.fromkeys(labels):

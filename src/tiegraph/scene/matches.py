@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tiegraph.scene.graph import parts
+
 
 @dataclass(frozen=True)
 class PreviewMatches:
@@ -68,6 +70,14 @@ class PreviewMatches:
         """The pairs of a mask (T,) bool."""
         rows = np.flatnonzero(mask)
         return PreviewMatches.make(self.i[rows], self.j[rows], [self.of(int(t)) for t in rows])
+
+    def tracks(self) -> tuple[np.ndarray, np.ndarray]:
+        """(K,), (K,) number of the track and image of every feature that has a match: what matches join is one."""
+        pair = np.repeat(np.arange(len(self)), self.counts())
+        ends = np.stack([self.i[pair], self.j[pair]]).astype(np.int64) << 16 | self.matches.T
+        feature, node = np.unique(ends, return_inverse=True)
+        one, other = node.reshape(ends.shape)
+        return parts(one, other, len(feature)), feature >> 16
 
     def find(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
         """(K,) row of image pairs (K,), (K,) in any order of their ends; -1 = not previewed."""

@@ -81,6 +81,12 @@ class Scene:
         return {name: k for k, name in enumerate(self.names)}
 
     @cached_property
+    def frame_names(self) -> tuple[str, ...]:
+        """What people are told of each frame (F): the name of its first image."""
+        first = np.unique(self.frame, return_index=True)[1]
+        return tuple(self.names[k] for k in first)
+
+    @cached_property
     def sensor_key(self) -> np.ndarray:
         """(N,) i4: one number for each sensor over all rigs, in the order of ``all_sensors``."""
         start = np.cumsum([0] + [len(r.sensors) for r in self.rigs])[:-1]

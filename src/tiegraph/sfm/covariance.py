@@ -136,25 +136,15 @@ def position_sigma(
     by the S-transformation over all positions, so a sigma is that of a position after the best alignment to the truth.
     (pycolmap's estimate_ba_covariance refuses rigs.) Raises ValueError for a model without redundancy.
     """
-    layout = Layout(model, free_intrinsics, free_rig, ties)
-    if len(layout.frame_ids) < 3:
-        raise ValueError("needs at least 3 frames")
-    points, share = _sample(model, tuning.sigma.most_points)
-    seen = jacobians(model, layout, points)
-    redundancy = len(seen.residual) - (layout.size - 7) - 3 * len(points)
-    if redundancy <= 0:
-        raise ValueError("no redundancy")
-    inflated = len(seen.residual) / redundancy
-    variance = max((1.4826 * float(np.median(np.abs(seen.residual)))) ** 2 * inflated, 1e-12)
-    held, pull = layout.held()
-    known = layout.prior(model, tuning.adjust, nominal) + layout.tied()
-    prior = (variance * (known + held)).tocsr()
-    first, second = _robust_weights(seen.residual, tuning.adjust.robust_px)
-    weighed = EffectWeights(seen, (first, second), share, prior, layout)
+    seen = Linearised(
+        model, Layout(model, free_intrinsics, free_rig, ties), nominal or {}, tuning, tuning.sigma.most_points
+    )
+    layout, points, share, weighed = seen.layout, seen.points, seen.share, seen.weighed
+    (first, second), residual, variance = seen.weights, seen.weighed.seen.residual, seen.variance
     asked, normal = _Asked(layout, weighed, tuning.sigma), weighed.normal
     sides = np.hstack([normal.asked(asked.functions), normal.scale()])
     solved = normal.solve(sides)
-    full = solved.T @ (weighed.scatter @ solved) / share + variance**2 * solved.T @ ((known + pull) @ solved)
+    full = solved.T @ (weighed.scatter @ solved) / share + variance**2 * solved.T @ (seen.pull @ solved)
     fixed, shared = () if free_rig is True else set(model.rigs) - set(free_rig or ()), tuning.sigma.shared
     mounted, explained = misplaced(model, weighed, fixed, off or {}, shared)
     weighed = weighed.without(explained)
@@ -165,7 +155,7 @@ def position_sigma(
     mean = float(np.mean(second))
     # What independent normal errors of this sigma would give: the curvature had no robust weights then.
     formal = variance * mean * np.einsum("ij,ij->j", sides, solved)
-    noise = float(np.mean((first * seen.residual) ** 2)) * inflated / mean
+    noise = float(np.mean((first * residual) ** 2)) * seen.inflated / mean
     rest = _Rest(layout, asked.of_rest(full), tuning.sigma.strong_correlation)
     return PositionSigma(
         **asked.of_frames(full), pixel_sigma=float(np.sqrt(variance)),
@@ -174,6 +164,39 @@ def position_sigma(
         interior=rest.interior(model), mounting=rest.mounting(),
         scale=float(np.sqrt(full[-1, -1])) if normal.scale_known else None,
     )  # fmt: skip
+
+
+class Linearised:
+    """The observations of a model's points, at most so many of them, with what is known beside them.
+
+    ``inflated``: observations over redundancy. ``variance`` of one coordinate, px2. ``weights`` (2O,) of the robust
+    cost's gradient and of its curvature. ``pull`` (C, C): scatter of the gradient by what is known beside the images.
+    Raises ValueError for a model without redundancy.
+    """
+
+    def __init__(
+        self,
+        model: pycolmap.Reconstruction,
+        layout: Layout,
+        nominal: Mapping[int, NominalGeometry],
+        tuning: Tuning,
+        most_points: int,
+    ) -> None:
+        if len(layout.frame_ids) < 3:
+            raise ValueError("needs at least 3 frames")
+        self.layout = layout
+        self.points, self.share = _sample(model, most_points)
+        seen = jacobians(model, layout, self.points)
+        redundancy = len(seen.residual) - (layout.size - 7) - 3 * len(self.points)
+        if redundancy <= 0:
+            raise ValueError("no redundancy")
+        self.inflated = len(seen.residual) / redundancy
+        self.variance = max((1.4826 * float(np.median(np.abs(seen.residual)))) ** 2 * self.inflated, 1e-12)
+        held, pull = layout.held()
+        known = layout.prior(model, tuning.adjust, nominal) + layout.tied()
+        self.weights = _robust_weights(seen.residual, tuning.adjust.robust_px)
+        prior = (self.variance * (known + held)).tocsr()
+        self.weighed, self.pull = EffectWeights(seen, self.weights, self.share, prior, layout), known + pull
 
 
 def _sample(model: pycolmap.Reconstruction, most: int) -> tuple[list[int], float]:

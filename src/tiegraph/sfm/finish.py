@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,72 +11,20 @@ import pycolmap
 
 from tiegraph.scene.atomic import claim
 from tiegraph.scene.colmapmodel import read_model
-from tiegraph.scene.evidence import Statement
 from tiegraph.scene.evidence import table as statement_table
 from tiegraph.scene.scene import Scene
+from tiegraph.sfm import shutter
 from tiegraph.sfm.adjustment import constraints
-from tiegraph.sfm.adjustment.adjust import final_adjustment, free_cameras
-from tiegraph.sfm.adjustment.jacobians import RigConstraints
+from tiegraph.sfm.adjustment.adjust import final_adjustment, free_cameras, robust_cost
 from tiegraph.sfm.adjustment.rigpriors import nominal_geometry, rig_priors
 from tiegraph.sfm.covariance import Mounting, PositionSigma, position_sigma
-from tiegraph.sfm.placement.doubtful import MatchSource, PlacementCheck, leave_out_doubtful
+from tiegraph.sfm.placement.doubtful import PlacementCheck, leave_out_doubtful
 from tiegraph.sfm.rig import cameramatches
-from tiegraph.sfm.rig.confront import (
-    hear,
-    hear_lens,
-    in_units,
-    lever_sigmas,
-    mounting_errors,
-    open_times,
-    refine,
-    statements,
-)
-from tiegraph.sfm.rig.diagnostics import RigDiagnostics, rig_diagnostics
-from tiegraph.sfm.rig.priortest import PriorTest
-from tiegraph.sfm.rig.resections import COLUMNS
 from tiegraph.sfm.rig.support import place_as_given, units_per_metre
-from tiegraph.sfm.rig.timecalibration import (
-    TimeCalibration,
-    TrustedCalibration,
-    calibrate_times,
-    lost_images,
-    with_errors,
-    with_observations_of,
-)
-from tiegraph.sfm.tuning import SigmaTuning, Tuning
+from tiegraph.sfm.rigcheck import Checked, FinishRequest, checked_rig
+from tiegraph.sfm.tuning import SigmaTuning
 from tiegraph.sfm.verified import image_observations, read_verified
 from tiegraph.text import known_to
-
-DIAGNOSTICS_FILE = "rig_diagnostics.csv"
-
-
-@dataclass(frozen=True)
-class Held:
-    """How rigs (scene indices) and cameras (COLMAP ids) are held by what was given."""
-
-    rigs: tuple[int, ...] = ()  # that the model was made with
-    fixed: tuple[int, ...] = ()  # rigs whose extrinsics stay
-    soft: tuple[int, ...] = ()  # rigs whose extrinsics are known with a sigma
-    ordered: tuple[int, ...] = ()  # rigs that the user wants as given, whatever the images say
-    unsupported: tuple[int, ...] = ()  # keys of sensors placed by the rig as given
-    cameras: tuple[int, ...] = ()  # whose calibration stays
-    lenses_ordered: bool = False  # by the user
-
-
-@dataclass(frozen=True)
-class FinishRequest:
-    """What the finishing of one model needs, in picklable form."""
-
-    folder: Path
-    target: Path
-    scene: str  # JSON
-    tuning: Tuning
-    held: Held
-    images: Path | None = None  # None = no colours
-    matched: MatchSource | None = None  # None: the place of frames is not tested
-    preview: np.ndarray | None = None  # (F, 4, 4) world_from_rig of the frames in a rough model
-    covariance_frames: int = 0  # 0: no sigmas wanted
-    rough: bool = False  # as the mapper left it
 
 
 @dataclass(frozen=True)
@@ -96,17 +42,11 @@ def finish_model(request: FinishRequest, send: Callable[[Any], None]) -> FinishR
     """Final adjustment, rig diagnostics, colours and position sigmas of one model; writes it to its target folder."""
     scene = Scene.from_json(request.scene)
     model = read_model(request.folder)
-    model, placed = _placed(model, scene, request)
-    mapped, notes = model, placed.notes
-    try:
-        if not request.rough:
-            model, mapped = _adjusted(model, scene, request, notes), model
-    except (RuntimeError, ValueError) as error:
-        notes.append(f"the final adjustment failed, the mapper's own stays: {error}")
+    mapped, placed = _placed(model, scene, request)
     claim(request.target)
     request.target.mkdir(parents=True, exist_ok=True)
-    checked = _checked_rig(model, mapped, scene, request, notes)
-    model, tables = checked.model, checked.tables
+    checked = _without_rolling(_finished(mapped, scene, request), mapped, scene, request)
+    model, tables, notes = checked.model, checked.tables, placed.notes + checked.notes
     if checked.statements:
         tables["what was given, and the images"] = statement_table(checked.statements)
     _ties_between(checked, scene, request, notes)
@@ -146,6 +86,77 @@ def _placed(
         return model, PlacementCheck([f"the place of the frames could not be tested: {error}"])
 
 
+def _finished(mapped: pycolmap.Reconstruction, scene: Scene, request: FinishRequest) -> Checked:
+    """A mapped model adjusted, its rigs checked."""
+    model: pycolmap.Reconstruction = mapped
+    notes: list[str] = []
+    try:
+        if not request.rough:
+            model = _adjusted(mapped, scene, request, notes)
+    except (RuntimeError, ValueError) as error:
+        notes.append(f"the final adjustment failed, the mapper's own stays: {error}")
+    checked = checked_rig(model, mapped, scene, request, notes)
+    checked.notes = notes
+    return checked
+
+
+def _without_rolling(
+    checked: Checked, mapped: pycolmap.Reconstruction, scene: Scene, request: FinishRequest
+) -> Checked:
+    """The same, or made anew of key points without what a rolling shutter did to them: as given, else if found."""
+    given, tuning = request.held.readout_ms, request.tuning.shutter
+
+    def anew(last: Checked, seconds: float) -> Checked:
+        return _finished(shutter.unrolled(mapped, last.model, scene, seconds, tuning), scene, request)
+
+    if given == 0 or request.rough or (given is None and not request.covariance_frames):
+        return checked
+    if given is None:
+        return _with_found(checked, anew, scene, request)
+    if not shutter.image_motion(checked.model, scene, tuning):
+        checked.notes.append(
+            f"sparse.readout_ms = {given:g} is not used: that needs frames of a pass with times (--times, video, EXIF) "
+            "and images that are no views of panoramas or fisheye images"
+        )
+        return checked
+    checked = anew(checked, given / 1000)
+    checked.notes.append(
+        f"rolling shutter, {given:g} ms as given: key points are where the middle row's pose sees them"
+    )
+    return checked
+
+
+def _with_found(
+    checked: Checked, anew: Callable[[Checked, float], Checked], scene: Scene, request: FinishRequest
+) -> Checked:
+    """The same, or ``anew`` with the readout that explains the images best, if they show one."""
+    fixed, tuning = [k + 1 for k in request.held.fixed], request.tuning
+    found = shutter.find_readout(checked.model, scene, fixed, tuning)
+    if found is None or not found.there(tuning.shutter):
+        return checked
+    checked.notes.append(
+        f"a rolling shutter of {found} would explain the images better, by {100 * found.gain:.1f} % of the robust sum "
+        f"of squares: not used; to use it give --sparse.readout-ms {1000 * found.seconds:.0f}"
+    )
+    if not found.clear(tuning.shutter):
+        return checked
+    last, seconds = checked, 0.0
+    for _ in range(tuning.shutter.rounds):
+        seconds += found.step
+        last = anew(last, seconds)
+        found = shutter.find_readout(last.model, scene, fixed, tuning)
+        if found is None or abs(found.seconds) < found.sigma:
+            break
+    cost, before = (robust_cost(c.model, tuning.adjust.robust_px) for c in (last, checked))
+    if found is None or cost > (1 - tuning.shutter.used_gain) * before:
+        return checked
+    last.notes.append(
+        f"rolling shutter of {replace(found, seconds=seconds)}, by the motion from frame to frame: key points are "
+        f"where the middle row sees them, and the robust sum of squares fell by {100 * (1 - cost / before):.1f} %"
+    )
+    return last
+
+
 def _adjusted(
     model: pycolmap.Reconstruction, scene: Scene, request: FinishRequest, notes: list[str]
 ) -> pycolmap.Reconstruction:
@@ -164,78 +175,7 @@ def _adjusted(
     return adjustment.model
 
 
-@dataclass
-class _Checked:
-    """A model whose rigs were confronted with the images, and what came out."""
-
-    model: pycolmap.Reconstruction
-    tables: dict[str, dict] = field(default_factory=dict)
-    ties: list[RigConstraints] = field(default_factory=list)  # of relaxed rigs
-    off: dict[int, np.ndarray] = field(default_factory=dict)  # rig id -> of mountings of rigid ones (``misplaced``)
-    contradictions: list[str] = field(default_factory=list)
-    statements: list[Statement] = field(default_factory=list)
-    levers: dict[int, float] = field(default_factory=dict)  # camera id -> sigma with its time free, model units
-    misfit: float = 0.0  # of the lever arms as given, where they are contradicted: a share
-
-
-def _checked_rig(
-    model: pycolmap.Reconstruction,
-    mapped: pycolmap.Reconstruction,
-    scene: Scene,
-    request: FinishRequest,
-    notes: list[str],
-) -> _Checked:
-    """Rig diagnostics into its file; a rig that the images contradict gives way, unless it was ordered to stay: said
-    so."""
-    out = _Checked(model)
-    if not request.rough:
-        _single_lenses(out, scene, request, notes)
-    if not request.held.rigs:
-        return out
-    metres = 1 / units_per_metre(model, scene, request.tuning.rig.support)
-    try:
-        found = rig_diagnostics(model, scene, metres, request.tuning, mapped)
-    except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
-        notes.append(f"the rig could not be checked: {error}")
-        return out
-    with (request.target / DIAGNOSTICS_FILE).open("w", newline="") as stream:
-        csv.writer(stream).writerows([COLUMNS, *found.rows])
-    notes += found.notes
-    relaxed = _relaxed(out, mapped, scene, request, found, metres, notes)
-    last: dict[int, PriorTest] = {}
-    for index, heard in found.heard.items():
-        if index not in relaxed and index in request.held.fixed:
-            notes += open_times(heard, scene, index)
-        elif index not in relaxed:
-            out.levers |= {k: v / metres for k, v in lever_sigmas(heard, scene, index).items()}
-        last[index] = _confronted(out, scene, request, index, heard, index in relaxed)
-    for index, free in relaxed.items():
-        ties_of = free.constraints
-        if _measured(index, request):
-            off = mounting_errors(last.get(index), scene, index, ties_of.cameras, request.tuning.rig)
-            ties_of = with_errors(ties_of, in_units(off, metres))
-        out.ties.append(ties_of)
-    offsets = {k: o for r in relaxed.values() for k, o in r.offsets.items()}
-    out.tables["rig diagnostics"] = found.table(offsets, request.tuning.rig)
-    return out
-
-
-def _single_lenses(out: _Checked, scene: Scene, request: FinishRequest, notes: list[str]) -> None:
-    """Confront the calibrations of single cameras that were held with the images."""
-    first = 0
-    for index, rig in enumerate(scene.rigs):
-        held = len(rig.sensors) == 1 and first + 1 in request.held.cameras
-        first += len(rig.sensors)
-        try:
-            heard = hear_lens(out.model, scene, index, request.tuning) if held else None
-        except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
-            notes.append(f"the calibration of {rig.sensors[0].name} could not be checked: {error}")
-            continue
-        if heard is not None:
-            _confronted(out, scene, request, index, heard, False)
-
-
-def _ties_between(checked: _Checked, scene: Scene, request: FinishRequest, notes: list[str]) -> None:
+def _ties_between(checked: Checked, scene: Scene, request: FinishRequest, notes: list[str]) -> None:
     """Say whether the verified matches between the cameras of rigs agree with the model as it is in the end."""
     if request.matched is None or request.rough or not request.held.rigs:
         return
@@ -256,115 +196,6 @@ def _in_their_time(mounting: Mapping[int, Mounting], levers: Mapping[int, float]
     return {k: replace(m, sigma=max(m.sigma, levers.get(k, 0.0))) for k, m in mounting.items()}
 
 
-def _relaxed(
-    out: _Checked,
-    mapped: pycolmap.Reconstruction,
-    scene: Scene,
-    request: FinishRequest,
-    found: RigDiagnostics,
-    metres: float,
-    notes: list[str],
-) -> dict[int, TimeCalibration]:
-    """Relax the rigs that move, into ``out.model``; what stays rigid though it moves is a contradiction."""
-    relaxed: dict[int, TimeCalibration] = {}
-    for index in found.moving:
-        name = scene.rigs[index].name
-        if index in request.held.ordered:
-            out.contradictions.append(
-                f"rig {name} was ordered to stay as given (sparse.rig = fixed) and does; the images contradict it: "
-                + "; ".join(found.notes)
-            )
-            continue
-        if not constraints.available():
-            why = "it stays rigid in the model: relaxing it needs the package pyceres"
-            out.contradictions.append(f"rig {name} does not move as one ({'; '.join(found.notes)}); {why}")
-            break
-        freed = found.heard[index].freed if index in found.heard else ()
-        # What the rigid adjustment threw out is wanted here: the points the mapper had.
-        start = with_observations_of(out.model, mapped) if found.unstable or freed else out.model
-        # What calibrated lenses do beyond their model looks like turned cameras; lenses that are adjusted do not.
-        bent = not request.held.cameras and any(what == "mount" for what, _ in freed)
-        calibrated = _measured(index, request) and not bent
-        believed = TrustedCalibration(
-            metres_per_unit=metres,
-            calibrated=calibrated,
-            constant_cameras=request.held.cameras,
-            lenses_held=request.held.lenses_ordered,
-        )
-        free = calibrate_times(start, scene, index, believed, request.tuning, found.unstable)
-        lost = lost_images(out.model, free.model, scene, request.tuning.adjust.min_points)
-        if lost:
-            out.contradictions.append(_lost_note(scene, index, lost, found.notes))
-            continue
-        relaxed[index], out.model = free, free.model
-        notes.append(_relaxed_note(scene, index, free, found))
-    return relaxed
-
-
-def _measured(index: int, request: FinishRequest) -> bool:
-    return index in request.held.fixed or index in request.held.soft
-
-
-def _confronted(
-    out: _Checked, scene: Scene, request: FinishRequest, index: int, heard: PriorTest, relaxed: bool
-) -> PriorTest:
-    """Say where the file of a measured rig contradicts the images, and return what they want otherwise in the end; a
-    turned or shifted camera may be adjusted."""
-    metres = heard.system.metres_per_unit
-    if relaxed:  # with its times free, other things may be left to say, or none
-        again = hear(out.model, scene, index, metres, request.tuning)
-        heard = heard if again is None else again
-    refined = None
-    bent = any(what == "mount" for what, _ in heard.freed)
-    if bent and not relaxed and index in request.held.fixed and constraints.available():
-        fixed = [k + 1 for k in request.held.fixed]
-        refined = refine(out.model, scene, index, heard, fixed, request.held.cameras, request.tuning.adjust)
-    if refined is not None:  # where the rest is no longer bent by it, the sigmas are better
-        again = hear(refined, scene, index, metres, request.tuning)
-        if again is not None and any(what == "mount" for what, _ in again.freed):
-            heard = again
-    said = statements(heard, scene, index, refined)
-    out.statements += said.statements
-    out.misfit = max(out.misfit, said.misfit)
-    if not said.contradictions:
-        return heard
-    how, followed = "", False
-    if index in request.held.ordered:
-        how = "; held as given all the same (sparse.rig = fixed)"
-    elif refined is not None and not lost_images(out.model, refined, scene, request.tuning.adjust.min_points):
-        out.model, followed = refined, True
-        how = "; the images were followed, the other cameras held as given"
-    out.contradictions += [f"{line}{how}" for line in said.contradictions]
-    count, first = len(scene.rigs[index].sensors), sum(len(r.sensors) for r in scene.rigs[:index])
-    if count > 1 and not relaxed and _measured(index, request):
-        cameras = range(first + 1, first + count)
-        off = mounting_errors(heard, scene, index, cameras, request.tuning.rig, followed, relaxed=False)
-        out.off[index + 1] = in_units(off, metres)
-    return heard
-
-
-def _lost_note(scene: Scene, index: int, lost: Sequence[int], why: Sequence[str]) -> str:
-    names = ", ".join(scene.names[k] for k in lost[:3]) + (" ..." if len(lost) > 3 else "")
-    return (
-        f"rig {scene.rigs[index].name} stays rigid all the same: relaxed, fewer images would have a place by points; "
-        f"{len(lost)} would lose theirs ({names}); the images contradict it: {'; '.join(why)}"
-    )
-
-
-def _relaxed_note(scene: Scene, index: int, relaxed: TimeCalibration, found: RigDiagnostics) -> str:
-    rig = scene.rigs[index]
-    unit = "ms" if found.timed else "% of the frame interval"
-    factor = 1000.0 if found.timed else 100.0
-    times = ", ".join(
-        f"{scene.all_sensors[k].name} {factor * o.offset_s:+.0f} {unit} ({o.moves_m:.2f} m at top speed)"
-        for k, o in relaxed.offsets.items()
-    )
-    return (
-        f"rig {rig.name} relaxed: each camera has its own time, estimated from the motion against "
-        f"{rig.sensors[0].name}: {times}; {relaxed.note}"
-    )
-
-
 def _open_notes(sigma: PositionSigma, names: Mapping[int, str], tuning: SigmaTuning) -> list[str]:
     return [
         f"the lever arm of {names.get(camera, camera)} is "
@@ -374,7 +205,7 @@ def _open_notes(sigma: PositionSigma, names: Mapping[int, str], tuning: SigmaTun
     ]
 
 
-def _sigma(checked: _Checked, scene: Scene, request: FinishRequest, notes: list[str]) -> PositionSigma | None:
+def _sigma(checked: Checked, scene: Scene, request: FinishRequest, notes: list[str]) -> PositionSigma | None:
     model = checked.model
     frames = model.num_reg_frames()
     if frames > request.covariance_frames:

@@ -19,13 +19,14 @@ from tiegraph.scene.tuning import RegisteredTuning
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.covariance import PositionSigma
 from tiegraph.sfm.database import ViewGraph
-from tiegraph.sfm.finish import FinishRequest, FinishResult, Held, finish_model
+from tiegraph.sfm.finish import FinishResult, finish_model
 from tiegraph.sfm.mapping import SCRATCH, Account, Job, Outcome, Source, believed_cameras, map_images
 from tiegraph.sfm.model import frame_poses, registration_tables
 from tiegraph.sfm.placement.doubtful import MatchSource
 from tiegraph.sfm.registrationreport import (
     camera_notes,
     camera_table,
+    few_points,
     models_table,
     no_model_text,
     rig_doubts,
@@ -34,6 +35,7 @@ from tiegraph.sfm.registrationreport import (
 )
 from tiegraph.sfm.rig.rig import DerivedRig, derive_rig, rig_modes, rig_table
 from tiegraph.sfm.rig.support import ties_of, unsupported_sensors
+from tiegraph.sfm.rigcheck import FinishRequest, Held
 from tiegraph.sfm.sectionwise import start_from_sections
 from tiegraph.sfm.settings import SparseSettings
 from tiegraph.sfm.tuning import Tuning
@@ -199,6 +201,7 @@ def _finish(job: Job, outcome: Outcome, modes: dict[int, str]) -> FinishResult:
         unsupported=job.unsupported,
         cameras=believed_cameras(job.scene, job.settings),
         lenses_ordered=job.settings.refine_intrinsics == "no",
+        readout_ms=job.settings.readout_ms,
     )
     preview = None if job.source.preview is None else frame_poses(job.source.preview, job.scene)
     matched = MatchSource(job.source.database, job.source.refused)
@@ -243,7 +246,10 @@ def _account(job: Job, outcome: Outcome, rig: str, finished: FinishResult) -> Sp
     doubts = (
         [] if job.source.rough else rig_doubts(main, scene, held, first.registered, job.graph.components[0], job.tuning)
     )
-    held_by = [] if job.source.rough else weakly_constrained(scene, job.graph, first.found, job.tuning.registration)
+    weak = () if job.source.rough else few_points(main, scene, first.found, job.tuning.registration)
+    held_by = (
+        [] if job.source.rough else weakly_constrained(scene, job.graph, first.found, weak, job.tuning.registration)
+    )
     counts: dict[str, float] = {
         "images": len(scene),
         "registered": first.registered,
@@ -252,6 +258,7 @@ def _account(job: Job, outcome: Outcome, rig: str, finished: FinishResult) -> Sp
         "models": len(models),
         "components": len(job.graph.components),
         "points": first.points,
+        "on_few_points": sum(len(group.frames) for group in weak),
         "pairs_verified": len(job.graph.pairs),
         "reprojection_px": round(first.reprojection_px, 4),
         "track_length": round(first.track_length, 3),

@@ -8,10 +8,15 @@ from typing import Any
 import numpy as np
 import pycolmap
 
+from tiegraph.scene.graph import some
 from tiegraph.scene.registered import BY_RIG, LEFT_OUT, Registration
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.weakties import WeaklyTied, named, weakly_tied
 from tiegraph.sfm.database import ViewGraph
+from tiegraph.sfm.model import tracks
 from tiegraph.sfm.tuning import RegistrationTuning, Tuning
+
+_NAMED = 5  # frames or groups that a remark names
 
 
 def unregistered(
@@ -52,9 +57,22 @@ def unregistered(
     return out
 
 
-def weakly_constrained(scene: Scene, graph: ViewGraph, found: Registration, tuning: RegistrationTuning) -> list[str]:
-    """What has a place in a model but little to hold it there: a sentence a kind."""
-    return [*_by_rig(scene, found), *_loose(scene, found, tuning.loose_points), *_islands(scene, graph, found)]
+def weakly_constrained(
+    scene: Scene, graph: ViewGraph, found: Registration, weak: Sequence[WeaklyTied], tuning: RegistrationTuning
+) -> list[str]:
+    """What has a place in a model but little to hold it there: a sentence a kind. ``weak``: see ``few_points``."""
+    return [*_by_rig(scene, found), *_on_few_points(scene, weak, tuning.few_points), *_islands(scene, graph, found)]
+
+
+def few_points(
+    model: pycolmap.Reconstruction, scene: Scene, found: Registration, tuning: RegistrationTuning
+) -> tuple[WeaklyTied, ...]:
+    """Frames, and groups of frames, that share so few points of a model with all others that the sigma of the others
+    is not theirs."""
+    _, image, point = tracks(model, scene)
+    there = np.zeros(scene.frames, bool)
+    there[scene.frame[found.placed]] = True
+    return weakly_tied(point, scene.frame[image], there, tuning.few_points)
 
 
 def _by_rig(scene: Scene, found: Registration) -> list[str]:
@@ -67,18 +85,14 @@ def _by_rig(scene: Scene, found: Registration) -> list[str]:
     ]
 
 
-def _loose(scene: Scene, found: Registration, enough: int) -> list[str]:
-    """Frames whose place so few points hold, in all cameras together, that the sigma of the others is not theirs."""
-    points, there = np.zeros(scene.frames, int), np.zeros(scene.frames, bool)
-    np.add.at(points, scene.frame, np.where(found.placed, found.points, 0))
-    there[scene.frame[found.placed]] = True
-    few = np.flatnonzero(there & (points < enough))
-    if not len(few):
+def _on_few_points(scene: Scene, weak: Sequence[WeaklyTied], enough: int) -> list[str]:
+    if not weak:
         return []
-    first = np.array([int(np.argmax(scene.frame == f)) for f in few])
+    count = sum(len(group.frames) for group in weak)
+    said = some([f"{named(group, scene.frame_names)}: {group.points}" for group in weak], _NAMED)
     return [
-        f"the place of {len(few)} frame{'s' if len(few) > 1 else ''} rests on fewer than {enough} points "
-        f"({_named(scene, first)}): blurred, or hardly any overlap; the images may be off by more than is stated"
+        f"the place of {count} frame{'s' if count > 1 else ''} rests on fewer than {enough} points seen from elsewhere "
+        f"too ({said}): blurred, or hardly any overlap; the images may be off by more than is stated"
     ]
 
 

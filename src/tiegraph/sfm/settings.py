@@ -25,6 +25,10 @@ class SparseSettings(Section):
     refine_intrinsics: Literal["auto", "yes", "no"] = "auto"
     """Adjust focal length, principal point, distortion with the model; auto = yes but for calibrated cameras."""
 
+    readout_ms: float | None = Field(default=None, ge=-200, le=200)
+    """Milliseconds from the first row of an image to the last (rolling shutter; negative: from the last to the first),
+    0 = all at once; default: estimated where frames have times. Of all cameras."""
+
     min_matches: int = Field(default=15, ge=4, le=1000)
     """Pairs with fewer verified matches are not used."""
 

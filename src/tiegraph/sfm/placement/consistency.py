@@ -4,7 +4,8 @@ A repeated wall holds a frame, a block or a whole pass at the wrong place with t
 gives it away are the verified ties to the neighbours in the pass, which the mapper had to throw out: they all disagree.
 A jump in the course of a pass is a reason to ask, never one to leave a frame out: whoever numbers photographs of a yard
 makes jumps too. Frames whose ties contradict their place, or hardly hold it where the course jumps, are left out with
-the reason.
+the reason. Frames are asked one by one and in the groups that their agreeing ties join: each of three frames that stand
+wrong together has most of its ties with the other two, which agree.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from tiegraph.scene.scene import Scene
+from tiegraph.scene.weakties import strongest_first
 from tiegraph.sfm.placement.continuity import MotionContinuity, Segment, segments
 from tiegraph.sfm.tuning.placement import ConsistencyTuning
 from tiegraph.sfm.verified import VerifiedMatches
@@ -113,6 +115,12 @@ class ConsistencyScore:
             )
         if self.against >= least and self.against > self.agree:
             return f"most of its ties contradict its place ({self.against:.0f} matches to {self.agree:.0f})"
+        alone = self.partners < self.tuning.min_partners
+        if alone and self.against >= max(least, self.tuning.lone_against * (self.agree + self.against)):
+            return (
+                f"no more than {self.partners} frame agrees with its place ({self.agree:.0f} matches), and "
+                f"{self.against:.0f} matches with others contradict it"
+            )
         return ""
 
     def holds(self) -> bool:
@@ -145,8 +153,8 @@ def consistency_score(
 def check_consistency(
     positions: np.ndarray, scene: Scene, continuity: MotionContinuity, scores: ConsistencyVotes
 ) -> ConsistencyCheck:
-    """Blocks that a jump parts from the rest and that their ties do not hold there, and single frames whose ties
-    contradict their place."""
+    """Blocks that a jump parts from the rest and that their ties do not hold there, and frames whose ties contradict
+    their place, by themselves or together with those they are tied to most."""
     blocks = [
         sorted(f for p in block for f in p.frames) for block in _blocks(segments(positions, scene, continuity), scores)
     ]
@@ -161,8 +169,28 @@ def check_consistency(
         why = consistency_score([frame], main, scores, near).contradiction()
         if why:
             suspects.append(SuspectFrames((frame,), why))
-    single = {f for d in suspects for f in d.frames}
-    return ConsistencyCheck(tuple(sorted(main - single)), tuple(suspects), tuple(sorted(set(beyond) - single)))
+    suspects += _wrong_together(main, {f for d in suspects for f in d.frames}, scores, near)
+    doubted = {f for d in suspects for f in d.frames}
+    return ConsistencyCheck(tuple(sorted(main - doubted)), tuple(suspects), tuple(sorted(set(beyond) - doubted)))
+
+
+def _wrong_together(
+    main: set[int], doubted: set[int], scores: ConsistencyVotes, near: Sequence[set[int]]
+) -> list[SuspectFrames]:
+    """Groups of frames that agree among themselves and that their ties to the others contradict, each before those it
+    is part of; never the larger half. ``doubted``: frames that are in doubt by themselves."""
+    ends = np.array(sorted(scores.agree), int).reshape(-1, 2)
+    believed, out = main - doubted, []
+    strength = np.array([scores.agree[a, b] for a, b in ends.tolist()])
+    for group in strongest_first(ends[:, 0], ends[:, 1], strength, len(near)):
+        own = [f for f in group.tolist() if f in believed]
+        if not 1 < len(own) <= len(believed) // 2:
+            continue
+        why = consistency_score(own, believed, scores, near).contradiction()
+        if why:
+            out.append(SuspectFrames(tuple(own), f"{why}, asked together with the {len(own) - 1} it is tied to most"))
+            believed = believed - set(own)
+    return out
 
 
 def _held(

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import pycolmap
 
+from tiegraph.scene.graph import some
 from tiegraph.scene.registered import LEFT_OUT
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import frame_poses, image_poses, model_rigs
@@ -16,6 +17,8 @@ from tiegraph.sfm.placement.consistency import ConsistencyCheck, check_consisten
 from tiegraph.sfm.placement.continuity import motion_continuity
 from tiegraph.sfm.tuning.placement import PlacementTuning
 from tiegraph.sfm.verified import VerifiedMatches, agreement, image_observations, read_verified
+
+_NAMED = 4  # frames that a remark names; the table has all
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,7 @@ def leave_out_doubtful(
     if not why:
         return PlacementCheck(notes)
     if len(why) > tuning.max_left_out * scene.frames:
-        notes.append(f"{len(why)} of {scene.frames} frames stand in doubt: none is left out; see the map")
+        notes.append(f"{len(why)} of {scene.frames} frames stand in doubt: none is left out ({_named(why, scene)})")
         return PlacementCheck(notes)
     notes.append(
         f"{len(why)} of {scene.frames} frames stood at a doubtful place and were left out; see the table of placement"
@@ -89,9 +92,11 @@ def _judged(
 def _beyond_notes(check: ConsistencyCheck, scene: Scene) -> list[str]:
     if not check.beyond:
         return []
-    first = [scene.names[int(np.flatnonzero(scene.frame == f)[0])] for f in check.beyond[:4]]
-    shown = ", ".join(first) + (" ..." if len(check.beyond) > 4 else "")
     return [
         f"{len(check.beyond)} frames stand where the course of their pass jumps, and their ties hold them there: they "
-        f"stay ({shown})"
+        f"stay ({_named(check.beyond, scene)})"
     ]
+
+
+def _named(frames: Iterable[int], scene: Scene) -> str:
+    return some([scene.frame_names[f] for f in sorted(frames)], _NAMED)

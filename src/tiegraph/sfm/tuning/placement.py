@@ -37,6 +37,9 @@ class ConsistencyTuning(Section):
     """Matches that make an opinion of two frames."""
     min_partners: int = Field(2, gt=0)
     """Frames whose ties agree: false ties to one are soon found."""
+    lone_against: float = Field(0.25, ge=0, le=1)
+    """Share of matches that contradict a place, from which fewer frames that agree do not hold it: 0.49 where two
+    frames of kerry_park stood two thirds of its extent away, tied to one; none of canal, KITTI, PandaSet has one."""
 
 
 class ContinuityTuning(Section):

@@ -1,0 +1,194 @@
+"""The joint adjustment of interiors, rig and boards, by pycolmap's bundle adjustment over points that are held."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pycolmap
+
+from tiegraph.calibrate.observations import Observations
+from tiegraph.calibrate.state import State, robust_sigma, view_residuals
+from tiegraph.calibrate.tuning import AdjustTuning
+from tiegraph.errors import ReconstructionError
+from tiegraph.scene.colmapmodel import matrix, rigid3d
+
+_RIG = 1
+_THREADS = 1  # Ceres adds up the parts of its threads in the order they come
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """The outcome: the views that were kept, the state, why others were left out, sigma of one coordinate, pixels."""
+
+    seen: Observations
+    state: State
+    left_out: tuple[tuple[str, str], ...]
+    sigma_px: float
+
+
+def adjust_robustly(seen: Observations, start: State, tuning: AdjustTuning) -> Adjusted:
+    """Adjust all, leave out views that contradict the others, and adjust the rest.
+
+    Raises ReconstructionError if most of a camera's contradict.
+    """
+    state = adjust(seen, start, tuning, tuning.stages_px)
+    left_out: dict[str, str] = {}
+    kept = seen
+    for _ in range(tuning.doubt_rounds):
+        found = _doubtful(kept, state, tuning)
+        if not found:
+            break
+        left_out |= found
+        kept = seen.without(left_out)
+        _check_kept(seen, kept, left_out, tuning)
+        state = adjust(kept, state.at(kept.instants()), tuning, tuning.stages_px[-1:])
+    scale = max(tuning.robust_sigmas * robust_sigma(view_residuals(kept, state)), tuning.least_scale_px)
+    state = adjust(kept, state, tuning, (scale,))
+    sigma_px = robust_sigma(view_residuals(kept, state))
+    return Adjusted(seen=kept, state=state, left_out=tuple(left_out.items()), sigma_px=sigma_px)
+
+
+def _check_kept(seen: Observations, kept: Observations, left_out: dict[str, str], tuning: AdjustTuning) -> None:
+    for number, camera in enumerate(seen.cameras):
+        before, after = (len(o.of_camera(number).views) for o in (seen, kept))
+        if after < tuning.most_doubted * before:
+            name, reason = next(iter(left_out.items()))
+            raise ReconstructionError(
+                f"{camera.name}: {before - after} of {before} views of the board contradict the others ({name}: "
+                f"{reason}): is the camera model right (--model), the board as --board says, and are images of one "
+                "instant called alike?"
+            )
+
+
+def _doubtful(seen: Observations, state: State, tuning: AdjustTuning) -> dict[str, str]:
+    """The worst view of every instant, if it is off by much more than the others, with the reason: the rest of its
+    instant may fit without it."""
+    all_off = view_residuals(seen, state)
+    usual = robust_sigma(all_off)
+    limit = max(tuning.doubt_px, tuning.doubt_sigmas * usual)
+    worst: dict[int, tuple[float, str]] = {}
+    for view, residual in zip(seen.views, all_off):
+        off = float(np.median(np.nan_to_num(np.hypot(*residual.T), nan=np.inf)))
+        if off > max(limit, worst.get(view.instant, (0.0, ""))[0]):
+            worst[view.instant] = off, view.name
+    return {
+        name: f"its corners are {off:.1f} px off, where one of the others is {usual:.2f} px: another instant than its "
+        "name says, or the board was not read rightly"
+        for off, name in worst.values()
+    }
+
+
+def adjust(
+    seen: Observations, start: State, tuning: AdjustTuning, scales_px: Sequence[float], principal_point: bool = True
+) -> State:
+    """Interiors, relative orientations and boards adjusted, once for every scale of the Cauchy loss."""
+    model = build(seen, start)
+    for scale in scales_px:
+        problem(model, tuning, scale, principal_point).solve()
+    return _state(model, start)
+
+
+def place_boards(seen: Observations, start: State, tuning: AdjustTuning, scale_px: float) -> State:
+    """The boards alone adjusted, cameras and rig held."""
+    model = build(seen, start)
+    problem(model, tuning, scale_px, free=False).solve()
+    return _state(model, start)
+
+
+def problem(
+    model: pycolmap.Reconstruction,
+    tuning: AdjustTuning,
+    scale_px: float,
+    principal_point: bool = True,
+    free: bool = True,
+) -> Any:
+    """pycolmap's adjuster over all images, with the points held; ``free`` = False: cameras and rig held too."""
+    options = pycolmap.BundleAdjustmentOptions(
+        print_summary=False,
+        refine_focal_length=free,
+        refine_extra_params=free,
+        refine_principal_point=free and principal_point,
+        refine_sensor_from_rig=free,
+    )
+    ceres = options.ceres
+    ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
+    ceres.loss_function_scale = scale_px
+    solver = ceres.solver_options
+    solver.max_num_iterations, solver.num_threads = tuning.iterations, _THREADS
+    solver.function_tolerance = 1e-12
+    ceres.solver_options = solver
+    options.ceres = ceres
+    config = pycolmap.BundleAdjustmentConfig()
+    for image in model.reg_image_ids():
+        config.add_image(image)
+    for point in model.point3D_ids():
+        config.add_constant_point(point)
+    return pycolmap.create_default_ceres_bundle_adjuster(options, config, model)
+
+
+def sensor(camera: int) -> pycolmap.sensor_t:
+    """COLMAP's identity of a camera's number."""
+    return pycolmap.sensor_t(pycolmap.SensorType.CAMERA, camera + 1)
+
+
+def build(seen: Observations, state: State) -> pycolmap.Reconstruction:
+    """COLMAP's model: the board is the world, an instant a frame of the rig."""
+    model = pycolmap.Reconstruction()
+    rig = pycolmap.Rig(rig_id=_RIG)
+    for number, camera in enumerate(state.cameras):
+        copy = deepcopy(camera)
+        copy.camera_id = number + 1
+        model.add_camera(copy)
+        if number == 0:
+            rig.add_ref_sensor(sensor(number))
+        else:
+            rig.add_sensor(sensor(number), rigid3d(state.sensor_from_rig[number]))
+    model.add_rig(rig)
+    black = np.zeros(3, np.uint8)
+    # One that no image sees would end the process: it is no block of Ceres' problem, and cannot be held.
+    corners = np.unique(np.concatenate([view.corners for view in seen.views]))
+    points = {int(k): model.add_point3D(seen.board.points[k], pycolmap.Track(), black) for k in corners}
+    for frame, instant in enumerate(seen.instants(), 1):
+        images = _images(seen, instant, frame, model.num_images() + 1)
+        made = pycolmap.Frame(frame_id=frame, rig_id=_RIG)
+        made.rig_from_world = rigid3d(state.rig_from_board[instant])
+        for image, _ in images:
+            made.add_data_id(image.data_id)
+        model.add_frame(made)
+        for image, of_points in images:
+            model.add_image(image)
+            for row, corner in enumerate(of_points):
+                model.add_observation(points[int(corner)], pycolmap.TrackElement(image.image_id, row))
+        model.register_frame(frame)
+    for point in model.points3D.values():
+        if point.track.length() == 1:  # pycolmap refuses it, as nothing could be triangulated; each image counts once
+            point.track.add_element(point.track.elements[0])
+    return model
+
+
+def _images(seen: Observations, instant: int, frame: int, first: int) -> list[tuple[pycolmap.Image, np.ndarray]]:
+    """Images of an instant, and the corners that their points are of."""
+    out = []
+    for number, view in enumerate((v for v in seen.views if v.instant == instant), first):
+        points = [pycolmap.Point2D(xy) for xy in view.xy]
+        image = pycolmap.Image(image_id=number, name=view.name, camera_id=view.camera + 1, points2D=points)
+        image.frame_id = frame
+        out.append((image, view.corners))
+    return out
+
+
+def _state(model: pycolmap.Reconstruction, start: State) -> State:
+    cameras = tuple(deepcopy(model.camera(k + 1)) for k in range(len(start.cameras)))
+    sensors = dict(model.rigs[_RIG].non_ref_sensors.items())
+    poses = [np.eye(4)] + [_matrix(sensors[sensor(k)]) for k in range(1, len(cameras))]
+    boards = {i: _matrix(model.frame(f).rig_from_world) for f, i in enumerate(sorted(start.rig_from_board), 1)}
+    return State(cameras, np.stack(poses), boards)
+
+
+def _matrix(pose: pycolmap.Rigid3d | None) -> np.ndarray:
+    assert pose is not None
+    return matrix(pose)

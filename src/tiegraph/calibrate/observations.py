@@ -1,0 +1,114 @@
+"""What the cameras see of the board: one view for every camera and instant; and what they must see at least."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tiegraph.calibrate.board import Board
+from tiegraph.calibrate.tuning import StartTuning
+from tiegraph.errors import InputError
+
+
+@dataclass(frozen=True)
+class CameraImages:
+    """A camera by the folder of its images: name, folder ("" = all images), COLMAP's model, width and height in
+    pixels, number of images."""
+
+    name: str
+    folder: str
+    model: str
+    size: tuple[int, int]
+    count: int
+
+
+@dataclass(frozen=True)
+class View:
+    """What a camera sees of the board at an instant (numbers of both): ``corners`` (K,) of the board at ``xy`` (K, 2),
+    COLMAP's pixels."""
+
+    camera: int
+    instant: int
+    name: str
+    corners: np.ndarray
+    xy: np.ndarray
+
+
+@dataclass(frozen=True)
+class Observations:
+    """All views of a calibration."""
+
+    board: Board
+    cameras: tuple[CameraImages, ...]
+    views: tuple[View, ...]
+
+    def of_camera(self, camera: int) -> Observations:
+        """One camera and its views, in which it is the first."""
+        views = tuple(replace(v, camera=0) for v in self.views if v.camera == camera)
+        return Observations(self.board, self.cameras[camera : camera + 1], views)
+
+    def instants(self) -> list[int]:
+        """The instants at which any camera sees the board."""
+        return sorted({v.instant for v in self.views})
+
+    def among(self, instants: Collection[int]) -> Observations:
+        """The views of these instants."""
+        return replace(self, views=tuple(v for v in self.views if v.instant in instants))
+
+    def without(self, views: Collection[str]) -> Observations:
+        """All views but those of these names."""
+        return replace(self, views=tuple(v for v in self.views if v.name not in views))
+
+
+def check_views(seen: Observations, tuning: StartTuning) -> None:
+    """Raise InputError for a camera that sees the board in no image or too few, for cameras that number its corners
+    differently, and for cameras that nothing ties together."""
+    for number, camera in enumerate(seen.cameras):
+        views = len(seen.of_camera(number).views)
+        if views == 0:
+            raise InputError(
+                f"{camera.name}: the board was found in none of its {camera.count} images: does --board say what was "
+                "printed (counts, dictionary), and is the board sharp and whole in them?"
+            )
+        if views < tuning.least_views:
+            raise InputError(
+                f"{camera.name}: the board was found in {views} of its {camera.count} images, and {tuning.least_views} "
+                "are the least: take 20 or more, near and far, tilted, in every part of the image"
+            )
+    if len(seen.cameras) > 1 and seen.board.turnable:
+        raise InputError(
+            f"a checkerboard of {seen.board.counts[0]} x {seen.board.counts[1]} inner corners looks the same after "
+            "half a turn, so cameras may number its corners differently: take one with an odd and an even count, or "
+            "ChArUco"
+        )
+    check_ties(seen, tuning)
+
+
+def joint_instants(seen: Observations) -> np.ndarray:
+    """(C, C) number of instants at which two cameras see the board together."""
+    there = np.zeros((len(seen.cameras), max(seen.instants(), default=0) + 1), int)
+    for view in seen.views:
+        there[view.camera, view.instant] = 1
+    return there @ there.T
+
+
+def check_ties(seen: Observations, tuning: StartTuning) -> None:
+    """Raise InputError if some cameras hang together with no others, naming them."""
+    tied = joint_instants(seen) >= tuning.least_joint
+    parts: list[set[int]] = []
+    left = set(range(len(seen.cameras)))
+    while left:
+        part = {min(left)}
+        while more := {b for a in part for b in left - part if tied[a, b]}:
+            part |= more
+        parts.append(part)
+        left -= part
+    if len(parts) > 1:
+        named = " | ".join(", ".join(seen.cameras[k].name for k in sorted(part)) for part in parts)
+        raise InputError(
+            f"nothing ties these cameras together: {named}. At {tuning.least_joint} instants or more one of each group "
+            "must see the board together with one of another (a part of it will do with ChArUco and AprilGrid). Are "
+            "images of one instant called alike?"
+        )

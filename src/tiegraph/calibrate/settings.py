@@ -1,0 +1,19 @@
+"""Settings of a calibration by a board."""
+
+from typing import Literal
+
+from tiegraph.settings import Section
+
+
+class CalibrateSettings(Section):
+    """How the images of a board are read, and what the cameras are taken for."""
+
+    model: tuple[str, ...] = ("OPENCV",)
+    """COLMAP's camera model, such as SIMPLE_RADIAL, OPENCV, FULL_OPENCV or OPENCV_FISHEYE; of one camera:
+    cam3=OPENCV_FISHEYE."""
+    layout: Literal["auto", "passes", "cameras", "sequence"] = "auto"
+    """Meaning of the folders: cameras = camera/[pass/]image, passes = pass/camera/image, sequence = one camera; auto
+    guesses and says what it guessed."""
+    frames: Literal["auto", "name", "number", "order"] = "auto"
+    """Which images were taken at one instant: equal file names, equal last numbers in the names, or equal places in the
+    order of names, which is never guessed."""

@@ -1,0 +1,91 @@
+"""The summary of a calibration, as Markdown, and its parameters as tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from tiegraph.calibrate.adjust import Adjusted
+from tiegraph.calibrate.covariance import PLACE, TURN, Parameter, Precision
+from tiegraph.calibrate.judge import Verdict
+
+_CAMERA = ("views", "corners", "RMS px", "RMS held out px", "image covered", "largest tilt deg")
+_PLACES = (
+    "Places: of the projection centre in the frame of the first camera. Turns: rotation vector of the camera against "
+    "the first one; their sigmas are about the camera's own axes."
+)
+_SCALE = (
+    "All lengths come from the board: had its squares another size than `--board` says, every length of the rig would "
+    "be wrong by that ratio, and no residual would show it. Measure the board with a ruler over many squares."
+)
+
+
+def summary(done: Adjusted, verdict: Verdict, board: str, notes: Sequence[str], pictures: Mapping[str, str]) -> str:
+    """Markdown: cameras, advice, parameters, what was left out; ``pictures``: file names by camera."""
+    names = [c.name for c in done.seen.cameras]
+    cameras = [
+        [name, v.views, v.corners, f"{v.rms_px:.3f}", f"{v.held_out_px:.3f}", f"{v.coverage:.0%}", f"{v.tilt_deg:.0f}"]
+        for name, v in zip(names, verdict.cameras)
+    ]
+    parts = [
+        "# Calibration",
+        f"Board `{board}`, {len(done.seen.instants())} instants, {len(done.seen.views)} views. Sigma of one coordinate "
+        f"of a corner: {done.sigma_px:.3f} px.",
+        _SCALE,
+        _table(("camera", *_CAMERA), cameras),
+        "RMS: of one coordinate, of all corners. Held out: instants that took no part in the adjustment, to which only "
+        "the place of the board was fitted.",
+        "## What to do better",
+        _bullets(verdict.advice) or "Nothing.",
+        "## Parameters",
+        *([_PLACES] if len(names) > 1 else []),
+        _table(COLUMNS, parameter_rows(verdict.precision, names)),
+        *(f"![{name}]({pictures[name]})" for name in names),
+        "## Left out",
+        _bullets([f"{name}: {reason}" for name, reason in done.left_out]) or "Nothing.",
+        "## How the images were read",
+        _bullets(notes),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+COLUMNS = ("camera", "parameter", "value", "sigma", "strongest correlation", "with")
+
+
+def parameter_rows(exact: Precision, names: Sequence[str]) -> list[list[str]]:
+    """Every parameter with its sigma and what it is most correlated with."""
+    rows = []
+    others = np.abs(exact.correlation - np.eye(len(exact.sigma)))
+    for k, (parameter, sigma) in enumerate(zip(exact.parameters, exact.sigma)):
+        most = int(np.argmax(others[k]))
+        said = [f"{parameter.value:.9g}", f"{sigma:.2g}", f"{exact.correlation[k, most]:.2f}"]
+        rows.append([names[parameter.camera], parameter.name, *said, label(exact.parameters[most], names)])
+    return rows
+
+
+def label(parameter: Parameter, names: Sequence[str]) -> str:
+    """Camera and name of a parameter."""
+    return f"{names[parameter.camera]} {parameter.name}"
+
+
+def correlation_csv(exact: Precision, names: Sequence[str]) -> str:
+    """All correlations as CSV."""
+    labels = [f'"{label(p, names)}"' for p in exact.parameters]
+    rows = [",".join([name, *(f"{v:.4f}" for v in row)]) for name, row in zip(labels, exact.correlation)]
+    return "\n".join([",".join(["parameter", *labels]), *rows]) + "\n"
+
+
+def rig_sigmas(exact: Precision, camera: int) -> tuple[float, float]:
+    """(deg of each axis, m of each coordinate) of a camera in the rig."""
+    turn, place = (float(np.sqrt(np.mean(exact.of(camera, *names) ** 2))) for names in (TURN, PLACE))
+    return turn, place
+
+
+def _table(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    lines = [columns, ["---"] * len(columns), *rows]
+    return "\n".join(f"| {' | '.join(map(str, line))} |" for line in lines)
+
+
+def _bullets(texts: Sequence[str]) -> str:
+    return "\n".join(f"* {text}" for text in texts)

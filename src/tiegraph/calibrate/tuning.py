@@ -1,0 +1,93 @@
+"""What a calibration decides by: each constant with its unit, its meaning and where its value comes from."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from tiegraph.settings import Section
+
+
+class BoardTuning(Section):
+    """What a board can be, and when it counts as seen (`board.py`, `detect.py`)."""
+
+    max_square_m: float = Field(1.0, gt=0)
+    """Side of a square or tag: more are millimetres."""
+    max_count: int = Field(100, gt=2)
+    """Squares, corners or tags along a side."""
+    least_corners: int = Field(8, ge=4)
+    """Corners of a view: four hold a pose without telling anything of it."""
+    least_area: float = Field(0.15, ge=0, le=1)
+    """Smaller over larger side of the box around the seen corners, on the board: a row of corners holds no pose."""
+    refine_share: float = Field(0.8, gt=0, lt=1)
+    """Half window of the refinement of a corner, in the distance from it to other edges of the print ..."""
+    refine_px: tuple[int, int] = (2, 11)
+    """... and its bounds."""
+
+
+class StartTuning(Section):
+    """Start values (`start.py`)."""
+
+    focal: tuple[float, float] = (0.25, 8.0)
+    """Focal lengths that are tried, in longer sides of the image: 127 to 7 degrees of view ..."""
+    fisheye_focal: tuple[float, float] = (0.15, 2.0)
+    """... and those of fisheye lenses: 380 to 29 degrees."""
+    focal_steps: int = Field(24, ge=2)
+    """Focal lengths tried, in equal ratios: neighbours are 16 % apart, from where the adjustment converges."""
+    most_views: int = Field(20, ge=3)
+    """Views that decide between them."""
+    least_views: int = Field(3, ge=2)
+    """Views of a camera: two of a plane fix a focal length and no more."""
+    least_joint: int = Field(2, ge=1)
+    """Instants at which two cameras see the board together, for one to be tied to the other: a single one may be wrong
+    unnoticed."""
+    clip_px: float = Field(50.0, gt=0)
+    """A corner off by more counts no more when poses are compared."""
+
+
+class AdjustTuning(Section):
+    """The adjustment (`adjust.py`)."""
+
+    stages_px: tuple[float, ...] = (50.0, 5.0)
+    """Scales of the Cauchy loss of the first adjustments: undistorted start values are tens of pixels off."""
+    robust_sigmas: float = Field(2.385, gt=0)
+    """Scale of the last ones, in sigmas of a corner: 95 % efficient for normal errors (Holland and Welsch 1977)."""
+    least_scale_px: float = Field(0.02, gt=0)
+    """Its lower bound."""
+    iterations: int = Field(200, gt=0)
+    """Of Ceres."""
+    doubt_sigmas: float = Field(10.0, gt=0)
+    """A view whose median residual is more, in sigmas of a corner, and ..."""
+    doubt_px: float = Field(1.0, gt=0)
+    """... more than this is left out: taken at another instant, or the board read wrongly."""
+    doubt_rounds: int = Field(5, ge=0)
+    """Times that the worst views are left out, one an instant, and the rest adjusted again."""
+    most_doubted: float = Field(0.5, gt=0, le=1)
+    """Share of a camera's views that must stay: else board, model or instants are wrong and not the views."""
+
+
+class JudgeTuning(Section):
+    """How good it is (`judge.py`)."""
+
+    folds: int = Field(5, ge=2)
+    """Parts of the instants, each held back once."""
+    undetermined: float = Field(0.01, gt=0)
+    """Relative sigma of a focal length that is an error ..."""
+    weak: float = Field(0.001, gt=0)
+    """... and one that is advice: half the 0.05 % a calibration should reach would need it four times smaller."""
+    few_views: int = Field(10, gt=0)
+    """Views of a camera below which more are advised (OpenCV's tutorial: at least 10)."""
+    tilt_deg: float = Field(20.0, gt=0)
+    """Tilt of the board against the image that some views should have."""
+    cells: int = Field(10, ge=3)
+    """Cells along the longer side of the image, for the coverage and the mean residuals."""
+    held_out_ratio: float = Field(1.5, gt=1)
+    """Error of held-out instants over that of the adjusted ones from which it is told."""
+
+
+class Tuning(Section):
+    """Constants of the engine that are the same for every user."""
+
+    board: BoardTuning = BoardTuning()
+    start: StartTuning = StartTuning()
+    adjust: AdjustTuning = AdjustTuning()
+    judge: JudgeTuning = JudgeTuning()

@@ -1,0 +1,313 @@
+"""Glue of pattern calibration: from a folder of images of a board to a rig file, with what is to be said of it.
+
+There is no run folder: what is made are a rig.toml and, beside it, a folder with the same for other programs and a
+summary. Neither may be there before.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pycolmap
+
+from tiegraph.calibrate.adjust import Adjusted, adjust_robustly
+from tiegraph.calibrate.board import Board, read_board
+from tiegraph.calibrate.detect import Corners, detect
+from tiegraph.calibrate.exchange import kalibr_yaml, opencv_yaml
+from tiegraph.calibrate.judge import Verdict, judge, relative_focal_sigma
+from tiegraph.calibrate.observations import CameraImages, Observations, View, check_views
+from tiegraph.calibrate.picture import residual_picture
+from tiegraph.calibrate.settings import CalibrateSettings
+from tiegraph.calibrate.start import start
+from tiegraph.calibrate.summary import correlation_csv, rig_sigmas, summary
+from tiegraph.calibrate.tuning import BoardTuning, Tuning
+from tiegraph.errors import InputError
+from tiegraph.project.pool import map_items, open_pool
+from tiegraph.project.progress import Reporter
+from tiegraph.project.stages import write_atomic
+from tiegraph.scan.assign import Report
+from tiegraph.scan.camerafile import MODELS
+from tiegraph.scan.folders import guess_layout
+from tiegraph.scan.frames import match_frames
+from tiegraph.scan.rigreader import nearest
+from tiegraph.scan.rigwrite import rig_config, rig_toml
+from tiegraph.scan.tuning import Tuning as ScanTuning
+from tiegraph.scan.usable import usable_images
+from tiegraph.scene.images import Probe, probe_image, search_images
+from tiegraph.scene.names import clean_names
+from tiegraph.scene.rig import Rig, Sensor
+from tiegraph.scene.tuning import ImageTuning
+from tiegraph.text import one_line
+
+_LENGTHS = "all lengths come from the size of the board's squares, which no image can check: measure it"
+_FOLDER = "_calibration"  # beside the rig.toml: its name without suffix, and this
+
+
+def calibrate(
+    images: Path,
+    board: str,
+    out: Path,
+    settings: CalibrateSettings,
+    pool: str = "local",
+    reporter: Reporter | None = None,
+) -> Verdict:
+    """Calibrate the cameras whose images of a board lie below a folder; writes ``out`` and a folder beside it.
+
+    Raises InputError for a board, images or outputs that cannot be used, and ReconstructionError for views that
+    contradict each other or leave a focal length open; then nothing is written.
+    """
+    reporter, tuning = reporter or Reporter("quiet"), Tuning()
+    made = _Outputs.beside(out)
+    pattern = read_board(board, tuning.board)
+    survey = _read_folder(images, settings, pool, reporter)
+    seen = _detect(survey, pattern, tuning.board, pool, reporter)
+    check_views(seen, tuning.start)
+    done = adjust_robustly(seen, start(seen, tuning), tuning.adjust)
+    verdict = judge(done, tuning)
+    _write(made, done, verdict, (board, *survey.notes), tuning)
+    left_out = (f"left out: {name}: {why}" for name, why in done.left_out)
+    for text in (*left_out, *verdict.advice, _LENGTHS, *made.said()):
+        reporter.say(text)
+    return verdict
+
+
+# --- the images -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _File:
+    """One image: its path, camera's and instant's number, name, how its pixels are read."""
+
+    path: Path
+    camera: int
+    instant: int
+    name: str
+    upright: bool
+    bits: int
+
+
+@dataclass(frozen=True)
+class _Survey:
+    cameras: tuple[CameraImages, ...]
+    files: tuple[_File, ...]
+    notes: tuple[str, ...]
+
+
+def _read_folder(images: Path, settings: CalibrateSettings, pool: str, reporter: Reporter) -> _Survey:
+    """Cameras, instants and files below a folder, in the layouts that ``scan`` reads."""
+    tuning, report = ScanTuning(), Report()
+    found = search_images(images)
+    names = clean_names(list(found.names))
+    paths = [Path(images, f) for f in found.names]
+    with reporter.stage("images"):
+        reporter.total(len(paths))
+        probes = _map(pool, reporter, probe_image, paths, ImageTuning())
+    usable = usable_images(names, probes, report)
+    layout = guess_layout(usable.names, *usable.facts(), settings.layout, tuning.folders)
+    report.notes.append(f"layout: {len(layout.folders)} camera(s){'' if layout.loose else ': ' + layout.note}")
+    kept = [k for k, place in zip(usable.images, layout.places) if place is not None]
+    folder = {k: place.folder for k, place in zip(usable.images, layout.places) if place is not None}
+    sequence = {k: place.sequence for k, place in zip(usable.images, layout.places) if place is not None}
+    report.drop([names[k] for k in usable.images if k not in folder], "outside the camera folders")
+    owned = [[k for k in kept if folder[k] == f] for f in layout.folders]
+    upright = [len({probes[k].exif.orientation for k in own}) == 1 for own in owned]
+    models = _models(settings.model, [f or "camera" for f in layout.folders])
+    cameras = tuple(
+        CameraImages(
+            name=f or "camera",
+            folder=f,
+            model=model,
+            size=_one_size(f, [names[k] for k in own], [probes[k] for k in own], up),
+            count=len(own),
+        )
+        for f, model, own, up in zip(layout.folders, models, owned, upright)
+    )
+    instants = _instants(names, owned, sequence, settings.frames, tuning)
+    files = tuple(
+        _File(path=paths[k], camera=c, instant=instants[k], name=names[k], upright=upright[c], bits=probes[k].bits)
+        for c, own in enumerate(owned)
+        for k in own
+    )
+    dropped = (f"{d.name}: {d.reason}" for d in report.dropped)
+    return _Survey(cameras, files, (*found.notes, *report.notes, *dropped))
+
+
+def _one_size(folder: str, names: Sequence[str], probes: Sequence[Probe], upright: bool) -> tuple[int, int]:
+    sizes = [p.upright_size() if upright else (p.width, p.height) for p in probes]
+    (usual, _), *others = Counter(sizes).most_common()
+    if others:
+        odd = next(k for k, size in enumerate(sizes) if size != usual)
+        raise InputError(
+            f"{names[odd]} has {sizes[odd][0]} x {sizes[odd][1]} pixels, but most images of {folder or 'the camera'} "
+            f"have {usual[0]} x {usual[1]}: a calibration holds for one size. Put each camera's images into a folder "
+            "of its own (cam0/, cam1/), and take out what was cropped or reduced"
+        )
+    return usual
+
+
+def _models(words: Sequence[str], names: Sequence[str]) -> list[str]:
+    """The camera model of each camera. Raises InputError for a model or camera that there is not."""
+    shared, own = "OPENCV", {}
+    for word in words:
+        name, _, model = word.rpartition("=")
+        if model.upper() not in MODELS:
+            raise InputError(f"--model {word}: no camera model {model!r}{nearest(model.upper(), MODELS)}")
+        if name and name not in names:
+            raise InputError(f"--model {word}: no camera {name!r}; found are {', '.join(names)}")
+        if name:
+            own[name] = model.upper()
+        else:
+            shared = model.upper()
+    return [own.get(name, shared) for name in names]
+
+
+def _instants(
+    names: Sequence[str], owned: Sequence[Sequence[int]], sequence: dict[int, str], how: str, tuning: ScanTuning
+) -> dict[int, int]:
+    """The number of the instant of each image. Raises InputError if the names of a rig do not say it."""
+    if len(owned) == 1:
+        return {k: number for number, k in enumerate(owned[0])}
+    for kind in ("name", "number") if how == "auto" else (how,):
+        label = _labels(names, owned, sequence, kind, tuning)
+        cameras = Counter(one for images in owned for one in {label[k] for k in images})
+        if how != "auto" or max(cameras.values()) > 1:
+            break
+    else:
+        raise InputError(
+            f"the names of the images do not say which were taken at one instant (as {names[owned[0][0]]} and "
+            f"{names[owned[1][0]]}): call them alike, or give --frames order if their order says it"
+        )
+    for images in owned:
+        twice = [one for one, count in Counter(label[k] for k in images).items() if count > 1]
+        if twice:
+            both = ", ".join(names[k] for k in images if label[k] == twice[0])
+            raise InputError(f"two images of one camera at one instant: {both}: keep one, or give --frames name")
+    order = {one: number for number, one in enumerate(sorted(set(label.values())))}
+    return {k: order[one] for k, one in label.items()}
+
+
+def _labels(
+    names: Sequence[str], owned: Sequence[Sequence[int]], sequence: dict[int, str], how: str, tuning: ScanTuning
+) -> dict[int, tuple[str, str]]:
+    """Pass and frame of each image, as ``scan`` matches them."""
+    out: dict[int, tuple[str, str]] = {}
+    for one in sorted(set(sequence.values())):
+        own = {c: [k for k in images if sequence[k] == one] for c, images in enumerate(owned)}
+        stems = {c: [Path(names[k]).stem for k in images] for c, images in own.items() if images}
+        found = match_frames(stems, how, tuning.frames)
+        out |= {k: (one, key) for c in stems for k, key in zip(own[c], found.keys[c])}
+    return out
+
+
+def _map(pool: str, reporter: Reporter, function: object, items: Sequence, *args: object) -> list:
+    executor, workers = open_pool(pool)
+    with executor:
+        return map_items(executor, workers, function, items, args, reporter.advance)  # type: ignore[arg-type]
+
+
+# --- the corners ----------------------------------------------------------------------------------------------------
+
+
+def _detect(survey: _Survey, board: Board, tuning: BoardTuning, pool: str, reporter: Reporter) -> Observations:
+    """The board's corners in all images."""
+    with reporter.stage("corners"):
+        reporter.total(len(survey.files))
+        found = _map(pool, reporter, _corners, survey.files, board, tuning)
+    views = tuple(
+        View(camera=f.camera, instant=f.instant, name=f.name, corners=numbers, xy=xy)
+        for f, (numbers, xy) in zip(survey.files, found)
+        if len(numbers)
+    )
+    return Observations(board, survey.cameras, views)
+
+
+def _corners(file: _File, board: Board, tuning: BoardTuning) -> Corners:
+    """The corners in one image."""
+    flag = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | (0 if file.upright else cv2.IMREAD_IGNORE_ORIENTATION)
+    pixels = cv2.imdecode(np.frombuffer(file.path.read_bytes(), np.uint8), flag)
+    if pixels is None:
+        raise InputError(f"{file.path}: OpenCV cannot read it: convert it to JPEG or PNG")
+    if pixels.dtype != np.uint8:
+        pixels = (pixels // 2 ** (file.bits - 8)).astype(np.uint8)
+    return detect(pixels, board, tuning)
+
+
+# --- what is written ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Outputs:
+    """The rig.toml and the folder beside it."""
+
+    rig: Path
+    folder: Path
+
+    @classmethod
+    def beside(cls, out: Path) -> _Outputs:
+        """Raises InputError if one of them is there, or ``out`` is no TOML file."""
+        if out.suffix.lower() != ".toml":
+            raise InputError(f"-o {out}: the rig is written as TOML: give a name that ends in .toml")
+        made = cls(out, out.with_name(out.stem + _FOLDER))
+        for path in (made.rig, made.folder):
+            if os.path.lexists(path):
+                raise InputError(f"-o {out}: {path} is there already: give another name, or remove it")
+        return made
+
+    def said(self) -> tuple[str, str]:
+        """What was made, for people."""
+        return f"written: {self.rig}", f"summary: {self.folder / 'summary.md'}"
+
+
+def _write(made: _Outputs, done: Adjusted, verdict: Verdict, said: Sequence[str], tuning: Tuning) -> None:
+    board, *notes = said
+    names = [c.name for c in done.seen.cameras]
+    rig = _rig(done, verdict)
+    files = [f"camera{k}" for k in range(len(names))]  # folders may have several levels
+    for k, stem in enumerate(files):
+        text = opencv_yaml(done.state.cameras[k])
+        if text is None:
+            notes.append(f"no OpenCV YAML of {names[k]}: OpenCV has no model {done.state.cameras[k].model.name}")
+        else:
+            write_atomic(made.folder / f"{stem}.yaml", text)
+        write_atomic(made.folder / f"{stem}_residuals.png", residual_picture(done, k, tuning.judge))
+    chain = kalibr_yaml(done.state.cameras, done.state.sensor_from_rig)
+    if chain is None:
+        notes.append("no camchain.yaml: Kalibr has no such camera model")
+    else:
+        write_atomic(made.folder / "camchain.yaml", chain)
+    pictures = {name: f"{stem}_residuals.png" for name, stem in zip(names, files)}
+    write_atomic(made.folder / "correlations.csv", correlation_csv(verdict.precision, names))
+    write_atomic(made.folder / "rig_config.json", rig_config([rig]))
+    write_atomic(made.folder / "summary.md", summary(done, verdict, board, notes, pictures))
+    comment = f"Calibrated by tiegraph with the board {one_line(board)}: {len(done.seen.views)} views, sigma of a " \
+              f"corner {done.sigma_px:.3f} px.\nLengths come from the size of its squares."  # fmt: skip
+    write_atomic(made.rig, rig_toml(rig, comment))
+
+
+def _rig(done: Adjusted, verdict: Verdict) -> Rig:
+    """The rig with its sigmas."""
+    sensors = []
+    for k, (images, camera) in enumerate(zip(done.seen.cameras, done.state.cameras)):
+        turn, place = rig_sigmas(verdict.precision, k) if k else (None, None)
+        sensors.append(
+            Sensor(
+                name=images.name,
+                camera=camera,
+                sensor_from_rig=done.state.sensor_from_rig[k],
+                folder=images.folder,
+                sigma_deg=turn,
+                sigma_m=place,
+                camera_sigma_px=_focal_sigma_px(camera, done, verdict, k),
+            )
+        )
+    return Rig("rig" if len(sensors) > 1 else "camera", tuple(sensors), synchronised=len(sensors) > 1)
+
+
+def _focal_sigma_px(camera: pycolmap.Camera, done: Adjusted, verdict: Verdict, number: int) -> float:
+    return relative_focal_sigma(done, verdict.precision, number) * camera.mean_focal_length()

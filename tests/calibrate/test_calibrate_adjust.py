@@ -1,0 +1,232 @@
+"""Start, adjustment, sigmas and verdict on corners with known truth and normal errors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calibrate.board_world import board_before, boards_of_rig, camera, observed, rig_pose
+from tiegraph.calibrate.adjust import adjust_robustly, place_boards
+from tiegraph.calibrate.board import read_board
+from tiegraph.calibrate.covariance import parameters, precision
+from tiegraph.calibrate.exchange import kalibr_yaml, opencv_yaml
+from tiegraph.calibrate.judge import judge
+from tiegraph.calibrate.observations import check_views
+from tiegraph.calibrate.start import start
+from tiegraph.calibrate.state import State
+from tiegraph.calibrate.summary import parameter_rows
+from tiegraph.calibrate.tuning import Tuning
+from tiegraph.errors import InputError, ReconstructionError
+from tiegraph.geometry import transforms
+from tiegraph.scan.camerafile import read_camera_file
+from tiegraph.scan.rigfile import read_rig_file
+from tiegraph.scan.tuning import Tuning as ScanTuning
+
+TUNING = Tuning()
+BOARD = read_board("charuco:9x7:0.03:0.022", TUNING.board)
+SIZE = (640, 480)
+OPENCV = [800.0, 802.0, 325.0, 238.0, -0.2, 0.05, 0.0005, -0.0003]
+NAMES = ["left", "middle", "right"]
+
+
+def rig(count: int = 30, seed: int = 1) -> State:
+    """Three cameras in a fan: the outer ones never see the board together."""
+    cameras = [camera("OPENCV", [v + k for v in OPENCV[:4]] + OPENCV[4:], SIZE) for k in range(3)]
+    sensors = [np.eye(4), rig_pose((1, 28, -2), (0.12, 0.005, 0.01)), rig_pose((-2, 56, 1), (0.23, -0.004, -0.03))]
+    return State(tuple(cameras), np.stack(sensors), boards_of_rig(BOARD, cameras, sensors, count=count, seed=seed))
+
+
+def lone(model: str, params: list[float], tilt_deg: float = 40.0, count: int = 20, seed: int = 0) -> State:
+    """One camera."""
+    made, rng = camera(model, params, SIZE), np.random.default_rng(seed)
+    boards = {k: board_before(BOARD, made, rng, tilt_deg=tilt_deg, depth_m=(0.35, 0.6)) for k in range(count)}
+    return State((made,), np.eye(4)[None], boards)
+
+
+def calibrated(seen):
+    return adjust_robustly(seen, start(seen, TUNING), TUNING.adjust)
+
+
+@pytest.fixture(scope="module")
+def done():
+    truth = rig()
+    seen = observed(BOARD, truth, NAMES, noise_px=0.05)
+    together = {(a.camera, b.camera) for a in seen.views for b in seen.views if a.instant == b.instant}
+    assert (0, 2) not in together
+    return truth, calibrated(seen)
+
+
+@pytest.mark.slow
+def test_a_rig_whose_outer_cameras_share_no_view_is_found_within_its_sigmas(done):
+    truth, found = done
+    exact = precision(found, TUNING.adjust)
+    values = np.array([[p.value for p in parameters(s)] for s in (found.state, truth)])
+    off = (values[0] - values[1]) / exact.sigma
+    assert 0.5 < np.sqrt(np.mean(off**2)) < 1.6
+    assert 0.045 < found.sigma_px < 0.055
+    assert np.abs(values[0, :2] / values[1, :2] - 1).max() < 5e-4
+    assert np.allclose(np.diag(exact.correlation), 1)
+    assert np.abs(exact.correlation).max() < 1 + 1e-9
+
+
+@pytest.mark.slow
+def test_sigmas_are_those_of_many_calibrations():
+    """Root mean square of error over sigma, over noise: 1 for true sigmas, of lenses, places and turns each."""
+    cameras = [camera("OPENCV", OPENCV, SIZE)] * 2
+    sensors = [np.eye(4), rig_pose((1, 15, -2), (0.12, 0.005, 0.01))]
+    boards = boards_of_rig(BOARD, cameras, sensors, count=12, seed=1)
+    truth, off = State(tuple(cameras), np.stack(sensors), boards), []
+    true = np.array([p.value for p in parameters(truth)])
+    for seed in range(10):
+        found = calibrated(observed(BOARD, truth, NAMES, noise_px=0.1, seed=seed))
+        off.append(
+            (np.array([p.value for p in parameters(found.state)]) - true) / precision(found, TUNING.adjust).sigma
+        )
+    lenses, places, turns = (np.sqrt(np.mean(part**2)) for part in np.split(np.stack(off), (16, 19), axis=1))
+    assert 0.8 < lenses < 1.2
+    assert 0.65 < places < 1.35
+    assert 0.65 < turns < 1.35
+
+
+@pytest.mark.slow
+def test_errors_that_the_corners_of_a_view_share_widen_the_sigmas():
+    truth = lone("OPENCV", OPENCV)
+    plain = observed(BOARD, truth, ["camera"], noise_px=0.1)
+    bent = replace(BOARD, points=BOARD.points + [0, 0, 1] * (0.0008 * np.sin(30 * BOARD.points[:, :1])))
+    warped = replace(observed(bent, truth, ["camera"], noise_px=0.1), board=BOARD)
+    sigmas = []
+    for seen in (plain, warped):
+        found = calibrated(seen)
+        sigmas.append(precision(found, TUNING.adjust).of(0, "fx")[0] / found.sigma_px)
+    assert sigmas[1] > 1.3 * sigmas[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("model", "params"),
+    [
+        ("SIMPLE_RADIAL", [700.0, 322.0, 243.0, -0.15]),
+        ("FULL_OPENCV", [*OPENCV, 0.0, 0.0, 0.0, 0.0]),
+        ("OPENCV_FISHEYE", [210.0, 211.0, 322.0, 243.0, -0.01, 0.004, -0.001, 0.0002]),
+        ("EUCM", [300.0, 300.0, 322.0, 243.0, 0.6, 1.1]),
+    ],
+)
+def test_every_lens_starts_from_nothing(model, params):
+    """Compared are pixels and not parameters: those of FULL_OPENCV stand for each other."""
+    truth = lone(model, params)
+    found = calibrated(observed(BOARD, truth, ["camera"], noise_px=0.05))
+    assert found.left_out == ()
+    grid = np.stack(np.meshgrid(np.linspace(150, 490, 9), np.linspace(120, 360, 7)), axis=-1).reshape(-1, 2)
+    rays = np.column_stack([truth.cameras[0].cam_from_img(grid), np.ones(len(grid))])
+    off = np.asarray(found.state.cameras[0].img_from_cam(rays)) - grid
+    assert 1e-4 < np.abs(off - off.mean(axis=0)).max() < 0.5
+    assert abs(found.state.cameras[0].mean_focal_length() / truth.cameras[0].mean_focal_length() - 1) < 2e-3
+
+
+@pytest.mark.slow
+def test_corners_seen_once_or_never_and_cameras_without_a_view_are_no_trouble(done):
+    """pycolmap refuses points of one image, and aborts for held ones of none."""
+    _, found = done
+    alone = next(v for v in found.seen.views if sum(w.instant == v.instant for w in found.seen.views) == 1)
+    few = found.seen.among({alone.instant})
+    state = found.state.at({alone.instant})
+    pushed = state.rig_from_board[alone.instant].copy()
+    pushed[:3, 3] += 0.004
+    placed = place_boards(few, replace(state, rig_from_board={alone.instant: pushed}), TUNING.adjust, 1.0)
+    off = placed.rig_from_board[alone.instant][:3, 3] - state.rig_from_board[alone.instant][:3, 3]
+    assert np.linalg.norm(off) < 3e-4
+
+
+@pytest.mark.slow
+def test_an_image_of_another_instant_is_left_out_and_named():
+    """Of two images of one instant either may be the wrong one."""
+    seen = observed(BOARD, rig(), NAMES, noise_px=0.05)
+    instants = [view.instant for view in seen.views]
+    number = next(k for k, v in enumerate(seen.views) if v.camera == 1 and instants.count(v.instant) == 2)
+    moved = replace(seen.views[number], xy=seen.views[number].xy + 6.0)
+    found = calibrated(replace(seen, views=(*seen.views[:number], moved, *seen.views[number + 1 :])))
+    ((name, reason),) = found.left_out
+    assert name in [v.name for v in seen.views if v.instant == moved.instant]
+    assert "px off" in reason
+    assert 0.045 < found.sigma_px < 0.055
+
+
+@pytest.mark.slow
+def test_the_verdict_names_the_empty_part_of_the_image_and_the_held_out_error(done):
+    _, found = done
+    verdict = judge(found, TUNING)
+    for of_camera in verdict.cameras:
+        assert 0.045 < of_camera.rms_px < of_camera.held_out_px < 0.07
+        assert 0.6 < of_camera.coverage <= 1
+    rows = parameter_rows(verdict.precision, NAMES)
+    assert len(rows) == 3 * 8 + 2 * 6
+    cut = [v for v in found.seen.views if v.camera != 1]
+    cut += [
+        replace(v, corners=v.corners[keep], xy=v.xy[keep])
+        for v in found.seen.views
+        if v.camera == 1 and (keep := (v.xy > 165).any(axis=1) & ((v.xy[:, 0] > 220) | (v.xy[:, 1] > 165))).any()
+    ]
+    advice = judge(replace(found, seen=replace(found.seen, views=tuple(cut))), TUNING).advice
+    assert any(a.startswith("middle: no corner in the upper left of the image: move the board there") for a in advice)
+
+
+@pytest.mark.slow
+def test_a_board_that_is_never_tilted_leaves_the_focal_length_open():
+    truth = lone("OPENCV", OPENCV, tilt_deg=0.3)
+    found = calibrated(observed(BOARD, truth, ["front"], noise_px=0.3))
+    with pytest.raises(ReconstructionError, match="front: these views do not determine its focal length.*sigma of"):
+        judge(found, TUNING)
+
+
+def test_what_cannot_be_calibrated_is_said_at_the_start():
+    seen = observed(BOARD, rig(12), NAMES, noise_px=0.05)
+
+    def refused(views, said, board=BOARD):
+        with pytest.raises(InputError, match=said):
+            check_views(replace(seen, views=tuple(views), board=board), TUNING.start)
+
+    check_views(seen, TUNING.start)
+    refused([v for v in seen.views if v.camera != 2], "right: the board was found in none of its 12 images")
+    first = next(v for v in seen.views if v.camera == 2)
+    refused([*(v for v in seen.views if v.camera != 2), first], "right: the board was found in 1 of its 12 images")
+    apart = [v if v.camera < 2 else replace(v, instant=v.instant + 100) for v in seen.views]
+    refused(apart, r"nothing ties these cameras together: left, middle \| right")
+    refused(seen.views, "looks the same after half a turn", read_board("checker:8x6:0.03", TUNING.board))
+
+
+@pytest.mark.slow
+def test_most_views_contradicting_is_an_error():
+    seen = observed(BOARD, lone("OPENCV", OPENCV), ["camera"], noise_px=0.05)
+    rng = np.random.default_rng(0)
+    views = [
+        v if k < 8 else replace(v, xy=v.xy[rng.permutation(len(v.xy))]) for k, v in enumerate(seen.views)
+    ]  # corners misnumbered
+    with pytest.raises(ReconstructionError, match="contradict the others"):
+        calibrated(replace(seen, views=tuple(views)))
+
+
+@pytest.mark.parametrize("model", ["SIMPLE_RADIAL", "OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE", "RADIAL_FISHEYE"])
+def test_opencvs_file_reads_back_as_the_same_lens(tmp_path, model):
+    made = camera(model, {
+        "SIMPLE_RADIAL": [700, 322, 243, -0.15], "OPENCV": OPENCV, "FULL_OPENCV": [*OPENCV, 0.01, 0.02, 0.03, 0.04],
+        "OPENCV_FISHEYE": [300, 301, 322, 243, 0.01, 0.02, 0.003, 0.004], "RADIAL_FISHEYE": [300, 322, 243, 0.01, 0.02],
+    }[model], SIZE)  # fmt: skip
+    path = tmp_path / "camera.yaml"
+    path.write_text(opencv_yaml(made) or "")
+    (read,) = read_camera_file(path, "camera")
+    assert read.size == SIZE
+    grid = np.random.default_rng(0).uniform(-0.3, 0.3, (50, 2))
+    rays = np.column_stack([grid, np.ones(50)])
+    np.testing.assert_allclose(camera(read.model, list(read.params), SIZE).img_from_cam(rays), made.img_from_cam(rays))
+
+
+def test_kalibrs_file_reads_back_as_the_same_rig(tmp_path):
+    truth = rig(3)
+    path = tmp_path / "camchain.yaml"
+    path.write_text(kalibr_yaml(truth.cameras, truth.sensor_from_rig) or "")
+    (read,) = read_rig_file(path, ScanTuning().rig)
+    for k, sensor in enumerate(read.sensors):
+        assert sensor.body_from_sensor is not None and sensor.params is not None
+        np.testing.assert_allclose(sensor.body_from_sensor, transforms.invert(truth.sensor_from_rig[k]), atol=1e-12)
+        np.testing.assert_allclose(sensor.params, truth.cameras[k].params)
+    assert kalibr_yaml((camera("EUCM", [300, 300, 322, 243, 0.6, 1.1], SIZE),), np.eye(4)[None]) is None
