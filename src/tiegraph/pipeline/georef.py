@@ -65,7 +65,7 @@ def georef(run: Run) -> Outcome:
     remove(run.path("sparse", "world"))
     claim(run.path("sparse", "world"))
     scratch.rename(run.path("sparse", "world"))
-    save_json(run.path("world.json"), {**world, "notes": notes})
+    save_json(run.path("world.json"), {**world, "models": found.records(), "notes": notes})
     tables = {**_tables(main), **_mounting(receipt, main), **found.table()}
     contradictions = (*main.findings.contradictions, *found.contradictions)
     counts = {

@@ -18,7 +18,7 @@ from tiegraph.sfm.verified import ImageObservations, VerifiedMatches, image_obse
 class Joining:
     """The models that stand in one frame so far (``world``, by number), and what ties the others to them.
 
-    ``tests``: what the matches of each model said, also where they did not hold.
+    ``scene``: that they are of; ``tests``: what the matches of each model said, also where they did not hold.
     """
 
     def __init__(
@@ -29,7 +29,7 @@ class Joining:
         models: Sequence[pycolmap.Reconstruction],
         world: Mapping[int, pycolmap.Reconstruction],
     ) -> None:
-        self.world, self._scene, self._verified, self._tuning = dict(world), scene, verified, tuning
+        self.world, self.scene, self._verified, self._tuning = dict(world), scene, verified, tuning
         self._other = {k: self._seen(m) for k, m in enumerate(models) if k not in world}
         self._ties: dict[int, list[Ties]] = {k: [] for k in self._other}
         self.tests: dict[int, TieTest] = {}
@@ -56,7 +56,7 @@ class Joining:
         return found
 
     def _seen(self, model: pycolmap.Reconstruction) -> ImageObservations:
-        return image_observations(model, self._scene, self._tuning.agreement)
+        return image_observations(model, self.scene, self._tuning.agreement)
 
     def _tie(self, model: pycolmap.Reconstruction) -> None:
         here = self._seen(model)

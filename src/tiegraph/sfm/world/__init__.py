@@ -22,8 +22,10 @@ met as well as by the similarity, and the images fit no worse (``georeference_fo
 not adjusted so, for what ties its cameras is not in that adjustment.
 
 **Several models** (``oneworld``): parts of a survey that no tie joined for the mapper come into the world of the
-largest by the matches between them, else by their own positions, and into one model (``scene.mergedmodel``); what
-neither places is named.
+largest by the matches between them, else by their own positions, else by their points where these lie on the others'
+in one place only (``clouds``), and into one model (``scene.mergedmodel``); what none of them places is named. Poses of
+a model's rig in the others' points would add no pair of images: of the matches between two passes mapped apart an
+eighth has a point on one side only, and every pair that has such has others too (`canal`, `canal_demo`, KITTI).
 
 **What residuals cannot show** is added: what all positions of a receiver share is taken to be one stated sigma
 (without control points), and a fit to few rows is freed of what it took of a slow error. A note says what holds the

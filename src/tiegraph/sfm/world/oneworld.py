@@ -2,9 +2,10 @@
 
 What tells where a further model stands is tried in the order of trust. *Matches* between its images and those already
 in the world (``ties``): they need no positions, and a similarity that matches it did not know agree with is beyond
-doubt. Else its own *positions* and control points (``georeferencing``), if the first model stands in their world. A
-model that neither tells, or whose turn about a straight track is open, is named with the reason and stays out: nothing
-is guessed. What both tell is compared, and said where they cannot both be right.
+doubt. Else its own *positions* and control points (``georeferencing``), if the first model stands in their world. Else
+its *points* (``clouds``), where they lie on the others' in one place only. A model that none of them tells, or whose
+turn about a straight track is open, is named with the reason and stays out: nothing is guessed. What matches and
+positions tell is compared, and said where they cannot both be right.
 """
 
 from __future__ import annotations
@@ -21,15 +22,17 @@ from tiegraph.scene.scene import Scene
 from tiegraph.sfm.tiedmodels import Joining, moved
 from tiegraph.sfm.ties import TEST_COLUMNS, TieFit, TieTest, apart
 from tiegraph.sfm.tuning import Tuning
+from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.verified import VerifiedMatches
 from tiegraph.sfm.world.antenna import RIGHT_ANGLE_DEG
+from tiegraph.sfm.world.clouds import CloudFit, fit_clouds, surface_of
 from tiegraph.sfm.world.fixes import Measurements
 from tiegraph.sfm.world.georef import Georeference
 from tiegraph.text import known_to
 
 COLUMNS = [
     "model", "images", "in the world by", *TEST_COLUMNS, "positions differ m", "positions differ deg", "sigma m",
-    "why not",
+    "held-out points that fit %", "in the next best place %", "halves of the points differ", "why not",
 ]  # fmt: skip
 
 
@@ -45,8 +48,9 @@ class ByPositions:
 class Joined:
     """How a further model came into the world, or why it did not.
 
-    ``by``: matches, positions, or "". ``test``: of its matches, lengths in metres of the world, where there were any;
-    ``off``: metres and degrees between what matches and positions say; ``sigma_m``: of its place by positions.
+    ``by``: matches, positions, points, or "". ``test``: of its matches, lengths in metres of the world, where there
+    were any; ``off``: metres and degrees between what matches and positions say; ``sigma_m``: of its place by
+    positions; ``cloud``: of its points, where these were asked.
     """
 
     number: int
@@ -55,13 +59,18 @@ class Joined:
     test: TieTest | None = None
     off: tuple[float, float] | None = None
     sigma_m: float | None = None
+    cloud: CloudFit | None = None
     why_not: str = ""
 
     def row(self) -> list:
         """A row of the table (``COLUMNS``)."""
         told = [None] * len(TEST_COLUMNS) if self.test is None else self.test.cells()
         off = (None, None) if self.off is None else (_rounded(self.off[0]), round(self.off[1], 3))
-        return [f"sparse/{self.number}", self.images, self.by, *told, *off, _rounded(self.sigma_m), self.why_not]
+        points: list = [None] * 3
+        if self.cloud is not None:
+            points = [round(100 * self.cloud.explained), round(100 * self.cloud.rival), _rounded(self.cloud.jump)]
+        sigma = _rounded(self.sigma_m)
+        return [f"sparse/{self.number}", self.images, self.by, *told, *off, sigma, *points, self.why_not]
 
     def note(self, metric: bool) -> str:
         """A sentence for people."""
@@ -72,6 +81,13 @@ class Joined:
             return (
                 f"{name} joined to the others by {test.ties} matches over {test.pairs} image pairs; the halves of "
                 f"these put it {test.jump:.3f} {unit} and {test.turn_deg:.2f} deg apart"
+            )
+        if self.by == "points" and self.cloud is not None:
+            fit = self.cloud
+            return (
+                f"{name} placed by its points alone, to decimetres rather than centimetres: {fit.explained:.0%} of "
+                f"those held back lie on the others', {fit.rival:.0%} in the next best place; its halves fit "
+                f"{fit.jump:.3f} {unit} and {fit.turn_deg:.2f} deg apart. No match or position says so too"
             )
         if self.by:
             return f"{name} placed by its own positions, to about {self.sigma_m:.3f} m; no match ties it to the others"
@@ -97,6 +113,10 @@ class OneWorld:
         """How each further model came into the world; {} if there is one only."""
         rows = [o.row() for o in self.others]
         return {"models in one world": {"columns": COLUMNS, "rows": rows}} if rows else {}
+
+    def records(self) -> list[dict]:
+        """The same for world.json: what each model was placed by, and what held it."""
+        return [dict(zip(COLUMNS, o.row())) for o in self.others]
 
 
 def one_world(
@@ -131,11 +151,17 @@ def one_world(
             joining.add(number, moved(models[number], fit.first_from_second))
             continue
         found = next((j for j in map(by_positions, left) if j.by), None)
-        if found is None:
-            others |= {k: by_positions(k) for k in left}
+        if found is not None:
+            others[found.number] = found
+            joining.add(found.number, place.whole(models[found.number], blind)[1])
+            continue
+        by_points = [_by_points(by_positions(k), models[k], (first, alone[k]), joining, tuning.world) for k in left]
+        best = max(by_points, key=lambda j: j.cloud.explained if j.by and j.cloud is not None else -1.0)
+        if best.cloud is None or not best.by:
+            others |= {j.number: j for j in by_points}
             break
-        others[found.number] = found
-        joining.add(found.number, place.whole(models[found.number], blind)[1])
+        others[best.number] = best
+        joining.add(best.number, moved(models[best.number], best.cloud.world_from_model))
     whole = merged([joining.world[k] for k in sorted(joining.world)])
     return OneWorld(
         first=first, model=whole, others=tuple(others[k] for k in sorted(others)), contradictions=tuple(contradictions)
@@ -165,6 +191,34 @@ def _by_positions(
         known = known_to(roll, RIGHT_ANGLE_DEG, f"{roll:.0f} deg only")
         return replace(out, why_not=f"{loose}, and its positions leave the turn about its track open ({known})")
     return replace(out, by="positions", sigma_m=_sigma(own))
+
+
+def _by_points(
+    unplaced: Joined,
+    model: pycolmap.Reconstruction,
+    placed: tuple[Georeference, Georeference],
+    joining: Joining,
+    tuning: WorldTuning,
+) -> Joined:
+    """What its points make of a model that neither matches nor positions place; ``placed``: the first model and it.
+
+    Not where its matches contradict each other: points cannot settle that.
+    """
+    if unplaced.test is not None:
+        return unplaced
+    scene = joining.scene
+    world, own = surface_of(list(joining.world.values()), scene, tuning), surface_of([model], scene, tuning)
+    if world is None or own is None:
+        why = "its points could not be laid on the others': they are few, or the cameras do not tell what is up"
+        return replace(unplaced, why_not=f"{unplaced.why_not}; {why}")
+    metric = all(p.scale_source != "none" for p in placed)
+    fit = fit_clouds(world, own, placed[1].world_from_model.scale if metric else None, tuning.clouds)
+    if fit is None:
+        return replace(unplaced, why_not=f"{unplaced.why_not}; its points fit nowhere on the others'")
+    refused = fit.why_not(tuning.clouds)
+    if refused:
+        return replace(unplaced, cloud=fit, why_not=f"{unplaced.why_not}; {refused}")
+    return replace(unplaced, by="points", cloud=fit, why_not="")
 
 
 def _against_positions(
