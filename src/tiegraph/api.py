@@ -16,6 +16,7 @@ from tiegraph.project.progress import Reporter
 from tiegraph.project.run import Inputs, Run, check_run, run_stages, status
 from tiegraph.project.settings import SETTING_OF, Settings
 from tiegraph.project.stages import Stage
+from tiegraph.scene.bags.topics import source_of
 from tiegraph.scene.cloudfile import read_cloud
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.names import check_text
@@ -221,7 +222,7 @@ def _folder(images: str | Path | None, out: str | Path | None) -> Path:
         return Path(out).absolute()
     if images is None:
         raise InputError("give the folder of the images, or a run folder by out=")
-    path = real_path(images)
+    path = source_of(real_path(images))
     return path.with_name(path.name + "_tiegraph")
 
 

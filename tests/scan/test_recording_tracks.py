@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 import recording_world as world
-from tiegraph.scan.lensvideos import Recording, recordings_of
+from tiegraph.scan.lensvideos import recordings_of
+from tiegraph.scan.recording.recording import Recording
 from tiegraph.scan.recording.tracks import OneVideoTrack, tracks
 from tiegraph.scan.tuning import PicturesTuning
-from tiegraph.scan.video import open_video
+from tiegraph.scan.video import open_film
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +24,7 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("track, level", [(0, 20), (1, 150), (None, 20)])
 def test_frames_of_each_track(two: Path, track: int | None, level: int) -> None:
-    with open_video(Recording(two, track), PicturesTuning()) as opened:
+    with open_film(Recording(two, track), PicturesTuning()) as opened:
         frames = list(opened.frames())
     assert [stamp for stamp, _ in frames] == pytest.approx(np.arange(20) / 10)
     assert np.all(np.abs([picture.mean() - level - k for k, (_, picture) in enumerate(frames)]) < 6)
@@ -53,7 +54,7 @@ def test_a_track_in_a_box_of_a_long_size_is_hidden_too(tmp_path: Path, two: Path
     path = tmp_path / "long.insv"
     path.write_bytes(data[: data.rindex(b"moov") - 4] + world.box(b"moov", boxes))
     for track, level in ((0, 20), (1, 150)):
-        with open_video(Recording(path, track), PicturesTuning()) as opened:
+        with open_film(Recording(path, track), PicturesTuning()) as opened:
             assert abs(next(opened.frames())[1].mean() - level) < 6
 
 

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from tiegraph.scan.djisubtitles import read_subtitles
-from tiegraph.scan.lensvideos import Recording
+from tiegraph.scan.recording.recording import Recording
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.video import sharpest, take_pictures

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import struct
+import zipfile
 from functools import reduce
 from pathlib import Path
 
@@ -408,6 +410,23 @@ def test_kml_tracks(tmp_path: Path, data: str) -> None:
     same_times(found)
 
 
+def kmz(files: dict[str, str]) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, text in files.items():
+            archive.writestr(name, text)
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize("name", ["doc.kml", "track.KML", "files/other.kml"])
+def test_kml_packed_as_kmz(tmp_path: Path, name: str) -> None:
+    track = kml(f"<Placemark><gx:Track>{WHENS}{COORDS}</gx:Track></Placemark>")
+    more = {"images/pin.png": "x" * 5000, "a.kml": kml("")} if name == "doc.kml" else {}
+    found = read(tmp_path, kmz({**more, name: track}), "flight.kmz")
+    same_places(found)
+    same_times(found)
+
+
 def test_kml_points_named_as_images(tmp_path: Path) -> None:
     found = read(tmp_path, kml("".join(f"<Placemark><name>{n}</name>{p}</Placemark>" for n, p in zip(IMAGES, POINTS))))
     same_places(found)
@@ -434,7 +453,10 @@ def test_kml_points_named_as_images(tmp_path: Path) -> None:
             kml(f"<gx:Track><altitudeMode>relativeToGround</altitudeMode>{WHENS}{COORDS}</gx:Track>"),
             "line 3: .* the ground",
         ),
-        (b"PK\x03\x04\x14\x00\x00\x00doc.kml\x00", "a packed KMZ: unpack it"),
+        (b"PK\x03\x04\x14\x00\x00\x00doc.kml\x00", "a KMZ or another ZIP archive that is cut off or damaged"),
+        (kmz({"notes.txt": "x"}), r"a ZIP archive, but no KMZ \(no KML in it\)"),
+        (kmz({"doc.kml": "<kml>"}), "XML that is cut off or damaged"),
+        (kmz({"doc.kml": kml("") * 20})[:-30], "cut off or damaged"),
     ],
 )
 def test_tracks_that_cannot_be_used(tmp_path: Path, data: str | bytes, words: str) -> None:

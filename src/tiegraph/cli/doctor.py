@@ -6,6 +6,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import psutil
@@ -45,6 +46,7 @@ def findings() -> Iterator[tuple[str, str]]:
     yield "ONNX Runtime", _onnx()
     yield "PROJ grids", _grids()
     yield "dask", _dask()
+    yield "rosbags", _rosbags()
 
 
 def _disk(place: Callable[[], Path]) -> str:
@@ -69,6 +71,13 @@ def _onnx() -> str:
     except ImportError:
         return "not installed (pip install 'tiegraph[onnx]' for --masks.source model)"
     return onnxruntime.__version__
+
+
+def _rosbags() -> str:
+    try:
+        return version("rosbags")
+    except PackageNotFoundError:
+        return "not installed (pip install 'tiegraph[ros]' for bags of ROS)"
 
 
 def _grids() -> str:

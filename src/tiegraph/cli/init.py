@@ -68,7 +68,7 @@ def hints(scene: Scene) -> list[str]:
         lines.append(f"  --camera: the camera's calibration, if you have one; {WORDS}")
     if scene.prior == "none":
         columns = "columns time or image, lat, lon, height, if known sigma_h, sigma_v"
-        lines.append(f"  --gnss FILE: positions; {columns}; or NMEA, RTKLIB's .pos, GPX, KML, geo.txt, SBET, MRK")
+        lines.append(f"  --gnss FILE: positions; {columns}; or NMEA, .pos, GPX, KML, geo.txt, SBET, MRK, a ROS bag")
     return [*lines, f"  --gcp FILE: control points; {FORMS}"]
 
 

@@ -9,11 +9,11 @@ usage: tiegraph run IMAGES [-o OUT] [OPTIONS]
 From a folder of images to the cloud and the report. Run again, it goes on.
 
 inputs:
-  IMAGES            the folder that holds the survey's images
+  IMAGES            the folder of the images, videos or ROS bags; BAG:TOPIC,...
   --rig RIG         rig.toml, rig_config.json, OUT of another run, ring:N, ...
   --camera CAMERA   a single camera's calibration: a file, or MODEL,parameters
-  --gnss FILE       positions: CSV, NMEA, .pos, GPX, KML, geo.txt, SBET, MRK
-  --trajectory PATH poses: TUM, EuRoC, KITTI, transforms.json, a COLMAP model
+  --gnss FILE       CSV, NMEA, .pos, GPX, KML, geo.txt, SBET, MRK, a ROS bag
+  --trajectory PATH TUM, EuRoC, KITTI, transforms.json, COLMAP model, ROS bag
   --start MODEL     go on from COLMAP, OpenSfM/ODM, nerfstudio or Metashape
   --gcp, --marks    control and check points; their marks, if in another file
   --times CSV       frames' times where EXIF has none: pass, frame, time

@@ -53,10 +53,11 @@ class RunOptions(Common):
     OpenCV's or ROS's YAML or XML, Kalibr's camchain.yaml, OpenSfM's camera_models.json, Agisoft's XML, or a rig.toml
     with one camera. Of the cameras of a rig: in its rig.toml."""
     gnss: Path | None = None
-    """Positions: a CSV (time or image, lat, lon, height, sigma), NMEA 0183, RTKLIB's .pos, GPX, KML, ODM's geo.txt,
-    SBET or DJI's Timestamp.MRK."""
+    """Positions: a CSV (time or image, lat, lon, height, sigma), NMEA 0183, RTKLIB's .pos, GPX, KML, KMZ, ODM's
+    geo.txt, SBET, DJI's Timestamp.MRK, or a ROS bag (BAG:TOPIC where it has several)."""
     trajectory: Path | None = None
-    """Poses: a file of TUM, EuRoC or KITTI or a folder with one a pass, a transforms.json, or a COLMAP model."""
+    """Poses: a file of TUM, EuRoC or KITTI or a folder with one a pass, a transforms.json, a COLMAP model, or a ROS bag
+    (BAG:TOPIC where it has several)."""
     start: Path | None = None
     """A model to go on from, of these images: a COLMAP model or workspace, OpenSfM's or ODM's reconstruction.json,
     nerfstudio's transforms.json, or Metashape's camera XML. Its poses choose pairs and are tested, its cameras are a
@@ -91,7 +92,8 @@ def main(arguments: list[str]) -> int:
         A second run continues: what is up to date is skipped, finished items of an interrupted stage stay.
 
         Args:
-            images: The folder that holds the survey's images, in any of the layouts the README names.
+            images: The folder that holds the survey's images, in any of the layouts the README names, videos or ROS
+                bags; or a bag, or some of its topics, BAG:TOPIC,TOPIC.
         """
         return images, options, settings
 

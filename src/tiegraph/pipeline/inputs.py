@@ -26,6 +26,7 @@ from tiegraph.scan.rigfile import read_rig_file
 from tiegraph.scan.rigspec import preset_sizes
 from tiegraph.scan.startmodel import read_start
 from tiegraph.scan.trajectory import read_trajectory
+from tiegraph.scene.bags.topics import is_bag, source_of
 from tiegraph.scene.control import Control, locate
 from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.gnss import read_gnss
@@ -49,7 +50,7 @@ def check_given(stages: Sequence[Stage], run: Run) -> None:
         ("--start", given.start, "file or folder"),
     ):
         if path is not None:
-            check_path(option, path, kind)
+            check_path(option, source_of(path), "file or folder" if is_bag(path) else kind)
     check_files(settings)
     if settings.scan.crs.lower() not in ("auto", ENU.lower()):
         parse_crs(settings.scan.crs)
@@ -95,8 +96,9 @@ def _read_inputs(run: Run) -> None:
         read_rig_file(str(given.rig), tuning)
     if given.camera is not None:
         read_camera(given.camera, tuning)
-    if given.trajectory is not None and (given.trajectory.is_file() or has_named_poses(given.trajectory)):
-        read_trajectory(given.trajectory)
+    poses = given.trajectory
+    if poses is not None and (poses.is_file() or is_bag(poses) or has_named_poses(poses)):
+        read_trajectory(poses)
     if given.start is not None:
         read_start(given.start)
     if given.gnss is not None:

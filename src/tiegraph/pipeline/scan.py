@@ -12,10 +12,12 @@ from tiegraph.pipeline.inputs import check_against
 from tiegraph.pipeline.videos import photographs
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
+from tiegraph.scan.calibration import start_cameras
 from tiegraph.scan.scan import ScanInputs, build_scene, prepare_image, probe_image
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.startmodel import read_start
 from tiegraph.scan.tuning import PicturesTuning
+from tiegraph.scene.bags.topics import source_of
 from tiegraph.scene.images import search_images
 from tiegraph.scene.names import clean_names
 from tiegraph.scene.rig import Sensor
@@ -24,7 +26,8 @@ from tiegraph.scene.rig import Sensor
 def scan(run: Run) -> Outcome:
     """Open every image once, sort them into rigs, frames and passes, and lay the usable ones below images/."""
     given, settings, tuning = run.inputs, run.settings.scan, run.settings.tuning.scan
-    root, said = photographs(run)
+    taken = photographs(run)
+    root = taken.folder
     found = search_images(root)
     files = list(found.names)
     names = clean_names(files)  # from here on: only their opening needs the names that the file system has
@@ -40,7 +43,8 @@ def scan(run: Run) -> Outcome:
         trajectory=given.trajectory,
         start=None if given.start is None else read_start(given.start),
         times=given.times,
-        video=root != given.images,
+        video=root != source_of(given.images),
+        cameras=start_cameras(root, taken.cameras, names),
     )
     scene = build_scene(inputs, names, probes, settings, tuning)
     told = check_against(run, scene)  # wrong files are better said now than after hours
@@ -55,7 +59,7 @@ def scan(run: Run) -> Outcome:
         {**counts, "cameras": len(scene.all_sensors), "positions": _placed(scene.world_from_rig)},
         dropped=tuple((d.name, d.reason) for d in scene.dropped),
         notes=(
-            *said,
+            *taken.notes,
             *(() if known is None else known.said),
             *_unreadable_names(names, files),
             *found.notes,

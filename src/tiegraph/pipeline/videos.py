@@ -1,9 +1,10 @@
-"""Glue of scan for videos: their clocks, the offsets between those of a rig, and their pictures."""
+"""Glue of scan for videos and the image topics of bags: their clocks, the offsets between those of a rig, and their
+pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,21 +12,33 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.project.run import Run
-from tiegraph.scan.lensvideos import Recording, is_of_lens, recordings_of
-from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.bagfilms import BagFilm, bag_films, find_bags, fixes_notes
+from tiegraph.scan.cameraread import FoundCamera
+from tiegraph.scan.lensvideos import is_of_lens, recordings_of
+from tiegraph.scan.recording.recording import Recording
+from tiegraph.scan.settings import ScanSettings, video_offsets
 from tiegraph.scan.tuning import OffsetTuning, PicturesTuning, Tuning
-from tiegraph.scan.video import Pictures, find_videos, nearest, open_video, picture_folders, sharpest, take_pictures
+from tiegraph.scan.video import (
+    Pictures,
+    check_film,
+    find_videos,
+    nearest,
+    open_film,
+    picture_folders,
+    sharpest,
+    take_pictures,
+)
 from tiegraph.scan.videomotion import MotionCurve, motion_curve
 from tiegraph.scan.videooffset import Offset, find_offset
 from tiegraph.scan.videorig import Film, films_together, offsets_given
 from tiegraph.scan.videotime import VideoClock, video_clock
+from tiegraph.scene.bags.topics import split_topics
 from tiegraph.scene.images import find_images, has_images
-from tiegraph.scene.regular import regular
 
 
 @dataclass(frozen=True)
 class _Video:
-    """A video as one look at it found it, and when it began."""
+    """A recording as one look at it found it, and when it began."""
 
     recording: Recording
     folder: str
@@ -34,10 +47,11 @@ class _Video:
     height: int = 0
     fps: float = 0.0
     offset_s: float = 0.0  # to be added to its stamps to get those of its rig's first
+    camera: FoundCamera | None = None  # as a bag has it
 
     @property
     def name(self) -> str:
-        """Its file name, as it may be shown, and which of its tracks it is."""
+        """As it may be shown."""
         return self.recording.name
 
 
@@ -51,22 +65,39 @@ class _Job:
     stamps_s: tuple[float, ...] = ()
 
 
-def photographs(run: Run) -> tuple[Path, tuple[str, ...]]:
-    """The folder of images: the user's own, or of the pictures taken from the videos in it; and what to say of them.
+@dataclass(frozen=True)
+class Photographs:
+    """A folder of images, what to say of where they come from, and cameras by the folder below it that they are of."""
 
-    Raises InputError where videos of a rig do not tell when each began, and where fewer than two pictures come of all.
+    folder: Path
+    notes: tuple[str, ...] = ()
+    cameras: Mapping[str, FoundCamera] = field(default_factory=dict)
+
+
+def photographs(run: Run) -> Photographs:
+    """The folder of images: the user's own, or of the pictures taken from the videos and bags in it.
+
+    Raises InputError where videos of a rig do not tell when each began, where fewer than two pictures come of all, and
+    for bags as ``bag_films`` does.
     """
-    images = run.inputs.images
-    found = find_videos(images)
-    if not found:
-        return images, ()
+    images, asked = split_topics(run.inputs.images)
+    found = [images / v for v in find_videos(images)] if images.is_dir() and not asked else []
+    bags = find_bags(images)
+    if asked and not bags:
+        raise InputError(f"{run.inputs.images}: no bag there that could have topics")
+    if not found and not bags:
+        return Photographs(images)
     if has_images(images):
-        return images, (f"{len(found)} videos beside the images are left out: give them in a folder of their own",)
+        what = "videos and bags" if bags else "videos"
+        note = f"{len(found) + len(bags)} {what} beside the images are left out: give them in a folder of their own"
+        return Photographs(images, (note,))
     settings, tuning = run.settings.scan, run.settings.tuning.scan
     folder = run.path("images") / ".video"
-    run.reporter.total(2 * len(found))
-    items = [r for v, f in zip(found, picture_folders(found)) for r in recordings_of(images / v, f)]
-    videos = run.map(_look, items, settings, tuning.pictures)
+    items, left_out = _films(found, bags, images, asked)
+    if run.inputs.gnss is None:
+        left_out += [note for bag in bags for note in fixes_notes(bag)]
+    run.reporter.total(2 * len(items))
+    videos = run.map(_look, items, settings, tuning)
     videos, groups, said = _in_time(run, videos)
     first = [_Job(videos[g[0]], folder / videos[g[0]].folder) for g in groups]
     taken = run.map(_take, first, settings.video_fps, tuning.pictures)
@@ -86,7 +117,25 @@ def photographs(run: Run) -> tuple[Path, tuple[str, ...]]:
         raise InputError(f"{images}: at least 2 pictures are needed: {'; '.join(notes)}")
     clocks = list(dict.fromkeys(v.clock.note for v in videos if v.width))  # of several tracks, once
     late = _at_once([(videos[g[0]], p) for g, p in zip(groups, taken) if p.stamps_s], tuning.pictures.creation_apart_s)
-    return folder, tuple(filter(None, notes + clocks + _unknown_starts(videos, groups) + late))
+    return Photographs(
+        folder,
+        tuple(filter(None, left_out + notes + clocks + _unknown_starts(videos, groups) + late)),
+        {v.folder: v.camera for v in videos if v.camera is not None},
+    )
+
+
+def _films(
+    videos: Sequence[Path], bags: Sequence[Path], root: Path, asked: Sequence[str]
+) -> tuple[list[tuple[Recording, str]], list[str]]:
+    """The recordings in videos and bags, each with the folder for its pictures; and notes on topics left out."""
+    names = [b.name if b == root else b.relative_to(root).as_posix() for b in (*videos, *bags)]
+    folders = picture_folders(names)
+    items, notes = [r for v, f in zip(videos, folders) for r in recordings_of(v, f)], []
+    for bag, folder in zip(bags, folders[len(videos) :]):
+        films, said = bag_films(bag, folder, asked)
+        items += films
+        notes += said
+    return items, notes
 
 
 def _at_once(recorded: Sequence[tuple[_Video, Pictures]], least_s: float) -> list[str]:
@@ -118,19 +167,26 @@ def _unknown_starts(videos: Sequence[_Video], groups: Sequence[tuple[int, ...]])
     ]
 
 
-def _look(item: tuple[Recording, str], settings: ScanSettings, tuning: PicturesTuning) -> _Video:
+def _look(item: tuple[Recording, str], settings: ScanSettings, tuning: Tuning) -> _Video:
     recording, folder = item
     try:
-        regular(recording.file, None)
+        check_film(recording)
     except OSError:
         return _Video(recording, folder)
-    with open_video(recording, tuning) as opened:
+    with open_film(recording, tuning.pictures) as opened:
         frame = next(opened.frames(), None)
-    if frame is None:
-        return _Video(recording, folder)
-    height, width = frame[1].shape[:2]
-    clock = video_clock(recording.file, settings, tuning)
-    return _Video(recording, folder, clock, width=width, height=height, fps=opened.fps)
+        if frame is None:
+            return _Video(recording, folder)
+        height, width = frame[1].shape[:2]
+        camera, said = None, ""
+        if isinstance(opened, BagFilm):
+            clock = opened.clock(video_offsets(settings.video_offset).all_s)
+            camera, said = opened.camera((width, height), tuning.rig.camera)
+        else:
+            clock = video_clock(recording.file, settings, tuning.pictures)
+        clock = replace(clock, note="; ".join(filter(None, (clock.note, said))))
+        found = _Video(recording, folder, clock, width=width, height=height, fps=opened.fps)
+        return replace(found, camera=camera)
 
 
 def _in_time(run: Run, videos: Sequence[_Video]) -> tuple[list[_Video], list[tuple[int, ...]], list[str]]:
@@ -140,7 +196,8 @@ def _in_time(run: Run, videos: Sequence[_Video]) -> tuple[list[_Video], list[tup
     told = offsets_given([v.folder for v in videos], run.settings.scan)
     out = [replace(v, offset_s=told.get(k, 0.0)) for k, v in enumerate(videos)]
     lenses = {k for k, v in enumerate(videos) if is_of_lens(v.recording)} - told.keys()  # of one recording
-    asked = {k: g[0] for g in groups for k in g[1:] if k not in told.keys() | lenses}
+    stamped = {k: by for g in groups for k in g[1:] if (by := _by_stamps(videos[g[0]], videos[k])) is not None}
+    asked = {k: g[0] for g in groups for k in g[1:] if k not in told.keys() | lenses | stamped.keys()}
     moving = sorted({*asked, *asked.values()})
     curves = dict(zip(moving, run.map(_curve, [videos[k] for k in moving], tuning)))
     pairs = [(curves[first], curves[k]) for k, first in asked.items()]
@@ -150,6 +207,8 @@ def _in_time(run: Run, videos: Sequence[_Video]) -> tuple[list[_Video], list[tup
         first = out[group[0]]
         for k in group[1:]:
             how = "the lenses of one recording" if k in lenses else "as --scan.video-offset says"
+            if k in stamped and k not in told:
+                out[k], how = replace(out[k], offset_s=stamped[k]), "by the stamps of their messages"
             if k in asked:
                 found = offsets[k]
                 _check(found, first, out[k])
@@ -161,6 +220,12 @@ def _in_time(run: Run, videos: Sequence[_Video]) -> tuple[list[_Video], list[tup
                 notes += _contradiction(first.clock, out[k], tuning.pictures.creation_apart_s)
         _share_clock(out, group)
     return out, groups, notes
+
+
+def _by_stamps(first: _Video, other: _Video) -> float | None:
+    """Offset of two topics whose stamps are of one clock; None of others."""
+    shared = first.clock.shared and other.clock.shared
+    return other.clock.start_s - first.clock.start_s if shared else None
 
 
 def _groups(run: Run, videos: Sequence[_Video]) -> list[tuple[int, ...]]:
@@ -209,7 +274,7 @@ def _share_clock(videos: list[_Video], group: Sequence[int]) -> None:
 
 
 def _curve(video: _Video, tuning: Tuning) -> MotionCurve:
-    with open_video(video.recording, tuning.pictures) as opened:
+    with open_film(video.recording, tuning.pictures) as opened:
         return motion_curve(opened.frames(), tuning.motion)
 
 

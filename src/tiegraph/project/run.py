@@ -24,6 +24,7 @@ from tiegraph.project.progress import Elsewhere, Meter, Reporter
 from tiegraph.project.receipts import Receipts
 from tiegraph.project.software import software
 from tiegraph.project.stages import Stage, changed_parts, digest, engines, key_parts, stage_keys, stamp, write_atomic
+from tiegraph.scene.bags.topics import is_bag, source_of, split_topics
 from tiegraph.scene.images import searched
 from tiegraph.scene.regular import names_file, regular
 from tiegraph.scene.startplace import find_start
@@ -57,10 +58,10 @@ class Inputs:
         camera = [self.camera, *(stamp(Path(self.camera)) if names_file(self.camera) else [])] if self.camera else []
         files = self._files()
         return {
-            _IMAGES: [str(self.images), stamp(searched(self.images))],
+            _IMAGES: [str(self.images), stamp(searched(source_of(self.images)))],
             "--rig": [self.rig, rig],
             "--camera": camera,
-            **{option: stamp(path) if path else None for option, path in files.items()},
+            **{option: _stamp(path) if path else None for option, path in files.items()},
         }
 
     def given(self) -> dict[str, Path]:
@@ -72,16 +73,18 @@ class Inputs:
             "--camera": camera,
             **self._files(),
         }
-        return {_IMAGES: searched(self.images), **{n: p for n, p in files.items() if p is not None}}
+        images = searched(source_of(self.images))
+        return {_IMAGES: images, **{n: source_of(p) for n, p in files.items() if p is not None}}
 
     def check(self) -> None:
         """Raise InputError for an input that is not there."""
-        if not self.images.exists():
-            raise InputError(f"{self.images}: no such folder; give the folder that holds the survey's images")
-        if not self.images.is_dir():
-            raise InputError(f"{self.images} is a file; give the folder that holds the survey's images")
+        images = source_of(self.images)
+        if not images.exists():
+            raise InputError(f"{images}: no such folder; give the folder that holds the survey's images")
+        if not images.is_dir() and not is_bag(images):
+            raise InputError(f"{images} is a file; give the folder that holds the survey's images")
         for option, path in self._files().items():
-            if path is not None and not path.exists():
+            if path is not None and not source_of(path).exists():
                 raise InputError(f"{option} {path}: no such file or folder")
         if self.start is not None and self.trajectory is not None:
             raise InputError(
@@ -94,6 +97,12 @@ class Inputs:
         with suppress(InputError, OSError):  # of a project folder only the model is read; reading says if there is none
             files["--start"] = None if self.start is None else find_start(self.start)[1]
         return files
+
+
+def _stamp(path: Path) -> Any:
+    """Of a file or folder, and the topics of a bag that its path names."""
+    source, topics = split_topics(path)
+    return [list(topics), stamp(source)] if topics else stamp(source)
 
 
 def _rig_stamp(rig: Path) -> Any:
@@ -142,7 +151,7 @@ class Run:
     def open(self) -> Executor:
         """The pool, opened when first asked for. Raises what ``open_pool`` raises."""
         if self._executor is None:
-            place = Place(self.folder, (self.inputs.images,), self.elsewhere)
+            place = Place(self.folder, (source_of(self.inputs.images),), self.elsewhere)
             self._executor, self._workers = open_pool(self._pool_spec, place=place)
         return self._executor
 

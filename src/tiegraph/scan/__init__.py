@@ -19,4 +19,7 @@ Videos become pictures before anything else (``video``), with the time and place
 the same reading of folders as their pictures (``videorig``) and aligned by their motion (``videomotion``,
 ``videooffset``). PyAV would decode sound, but its wheels bundle x264 and x265 (GPL); OpenCV's FFmpeg is LGPL, and gives
 stamps.
+
+An image topic of a ROS bag is a video whose stamps are those of its messages' headers (``bagfilms``): what chooses and
+writes the pictures of videos does it here, and the camera that a bag has for them is a start, as a start model's is.
 """

@@ -8,9 +8,9 @@ camera.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 import pycolmap
@@ -110,6 +110,14 @@ def _takers(
     return {key: replace(sensor, **camera)}
 
 
+def start_cameras(root: Path, by_folder: Mapping[str, FoundCamera], names: Sequence[str]) -> StartModel | None:
+    """The cameras that bags have for the images below some folders of ``root``, as a start model without poses; None if
+    there are none."""
+    above = {name: [str(p) for p in PurePosixPath(name).parents] for name in names}
+    found = {n: by_folder[f] for n, folders in above.items() for f in folders if f in by_folder}
+    return StartModel(path=root, program="the bag", poses={}, cameras=found) if found else None
+
+
 def with_start_cameras(
     survey: Survey, sizes: dict[tuple[int, int], tuple[int, int]], start: StartModel, notes: list[str],
     names: Sequence[str], tuning: CameraTuning,
@@ -129,7 +137,7 @@ def with_start_cameras(
         if sensor.params is not None or sensor.focal_px is not None or (sensor.hfov_deg is not None and specs[r].file):
             given.append(sensor.name)
             continue
-        found = _middle([cameras[row] for row in own], sensor.name, notes)
+        found = _middle([cameras[row] for row in own], sensor.name, start.cameras_of(), notes)
         if found is None:
             continue
         if not _same_shape(found.size, size, tuning):
@@ -145,7 +153,7 @@ def with_start_cameras(
         changed = replace(changed, camera_sigma_px=focal, started=True)
         specs[r] = replace(specs[r], sensors=tuple(changed if n == k else s for n, s in enumerate(specs[r].sensors)))
     if given:
-        notes.append(f"{some(given)}: the cameras given are used, not those of the start model")
+        notes.append(f"{some(given)}: the cameras given are used, not those of {start.cameras_of()}")
     return replace(survey, specs=tuple(specs))
 
 
@@ -176,18 +184,18 @@ _PERSPECTIVE = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"
 _GRID = 15  # points across an image at which cameras are compared
 
 
-def _middle(cameras: list[FoundCamera], name: str, notes: list[str]) -> FoundCamera | None:
+def _middle(cameras: list[FoundCamera], name: str, whose: str, notes: list[str]) -> FoundCamera | None:
     """The camera of a sensor of those that a model has for its images: the one of the middle focal length, which is
     the first parameter of every model; None if they are of several models or sizes."""
     different = list(dict.fromkeys(cameras))
     if len({(c.model, c.size) for c in different}) > 1:
-        notes.append(f"{name}: the start model has cameras of several models or sizes for it: none is taken")
+        notes.append(f"{name}: {whose} has cameras of several models or sizes for it: none is taken")
         return None
     order = sorted(different, key=lambda c: c.params[0])
     if len(order) > 1:
         low, high = order[0].params[0], order[-1].params[0]
         focal = f"focal length {low:.1f} to {high:.1f} px"
-        notes.append(f"{name}: of {len(order)} cameras of the start model ({focal}) the middle one is taken")
+        notes.append(f"{name}: of {len(order)} cameras of {whose} ({focal}) the middle one is taken")
     return order[len(order) // 2]
 
 

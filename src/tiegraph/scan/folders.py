@@ -62,6 +62,11 @@ class Layout:
         return self.order.why
 
 
+def is_camera(folder: str) -> bool:
+    """Whether a folder is named like a camera's."""
+    return bool(words(folder) & _CAMERA_WORDS)
+
+
 def natural(text: str) -> list[tuple[int, int, str]]:
     """Sort key that puts cam2 before cam10."""
     parts = re.split(r"(\d+)", text)
@@ -202,7 +207,7 @@ def _camera_level(
     fitting = [k for k in range(depth) if len(levels[k]) in cameras]
     if len(fitting) == 1:
         return fitting[0], f"the folders {_some(levels[fitting[0]])} are as many as the rig has cameras"
-    likeness = [sum(bool(words(f) & _CAMERA_WORDS) for f in level) / len(level) for level in levels]
+    likeness = [sum(map(is_camera, level)) / len(level) for level in levels]
     best = max(range(depth), key=lambda k: (likeness[k], k))
     if likeness[best] >= tuning.named and (len(levels[best]) > 1 or depth > 1):
         return best, f"the folders {_some(levels[best])} are named like cameras"

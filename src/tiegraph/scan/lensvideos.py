@@ -9,28 +9,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path, PurePath, PurePosixPath
 
+from tiegraph.scan.recording.recording import Recording
 from tiegraph.scan.recording.tracks import VIDEO, tracks
-from tiegraph.scene.names import clean
 from tiegraph.scene.regular import regular
 
 SUFFIX = ".insv"
 _OF_LENS = re.compile(r"^(VID_\d+_\d+)_([01])0_(\d+)$", re.IGNORECASE)
-
-
-@dataclass(frozen=True)
-class Recording:
-    """What is one video to the rest of scan: a file, or one of the video tracks of a file, from 0."""
-
-    file: Path
-    track: int | None = None
-
-    @property
-    def name(self) -> str:
-        """As it may be shown."""
-        return clean(self.file.name) + ("" if self.track is None else f", track {self.track + 1}")
 
 
 def lens_folders(videos: Sequence[str], folders: Sequence[str]) -> list[str]:

@@ -21,6 +21,7 @@ from tiegraph.scan.startmodel import StartModel
 from tiegraph.scan.times import exif_times, name_times, read_times
 from tiegraph.scan.trajectory import read_trajectory, same_start, trajectory_files
 from tiegraph.scan.tuning import TimesTuning, TrajectoryTuning, Tuning
+from tiegraph.scene.bags.topics import source_of
 from tiegraph.scene.gnss import read_gnss
 from tiegraph.scene.results import Trajectory
 
@@ -65,7 +66,7 @@ def estimate_priors(
     priors = Priors(time_s, np.full((count, 4, 4), np.nan), np.full((count, 3), np.nan))
     if gnss is not None:
         rows = read_gnss(gnss, tuning.positions.gnss)
-        priors = from_gnss(priors, frames, rows, Path(gnss), settings, notes, tuning.positions)
+        priors = from_gnss(priors, frames, rows, source_of(Path(gnss)), settings, notes, tuning.positions)
     else:
         priors = from_exif(priors, frames, settings, notes, tuning.positions)
     if priors.origin is None and settings.crs.lower() != "auto":
@@ -82,7 +83,7 @@ def _files(trajectory: Path | StartModel | None, sequences: Sequence[str]) -> di
     """The trajectory of each pass (-1: of all) with its file."""
     if trajectory is None or isinstance(trajectory, StartModel):
         return {}
-    return {k: (f, read_trajectory(f)) for k, f in trajectory_files(trajectory, sequences).items()}
+    return {k: (source_of(f), read_trajectory(f)) for k, f in trajectory_files(trajectory, sequences).items()}
 
 
 # --- times ----------------------------------------------------------------------------------------------------------

@@ -49,7 +49,8 @@ class ScanInputs:
     start: StartModel | None = None
     times: Path | None = None
     rig_text: str | None = None
-    video: bool = False  # the images are pictures of videos
+    video: bool = False  # the images are pictures of videos, or of bags
+    cameras: StartModel | None = None  # those that bags have, without poses
 
     def tells_order(self) -> bool:
         """Whether somebody knows when each image was taken, so that its neighbours are those in time."""
@@ -83,7 +84,8 @@ def build_scene(
     survey = with_camera(survey, sizes, inputs.camera, report.notes, tuning.rig)
     if inputs.start is not None:
         must_be_whole(inputs.start, views is None)
-        survey = with_start_cameras(survey, sizes, inputs.start, report.notes, names, tuning.rig.camera)
+    for start in filter(None, (inputs.start, inputs.cameras if views is None else None)):
+        survey = with_start_cameras(survey, sizes, start, report.notes, names, tuning.rig.camera)
     rigs, survey = _rigs(survey, probes, settings, report, tuning)
     rigs, survey, pictures = into_views(
         rigs, survey, ImageFiles(names, probes, files), settings, report, tuning.lens_views

@@ -36,6 +36,10 @@ class StartModel:
     unposed: int = 0
     notes: tuple[str, ...] = ()
 
+    def cameras_of(self) -> str:
+        """Whose its cameras are, in words: those that a bag has come without poses."""
+        return "the start model" if self.poses else self.program
+
 
 def read_start(path: Path) -> StartModel:
     """The model that ``--start`` names. Raises InputError for what is none, or is damaged."""

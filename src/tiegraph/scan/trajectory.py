@@ -11,6 +11,8 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import angle_deg, quaternion_xyzw
 from tiegraph.scan.folders import words
 from tiegraph.scan.tuning import TrajectoryTuning
+from tiegraph.scene.bags.poses import read_bag_poses
+from tiegraph.scene.bags.topics import is_bag
 from tiegraph.scene.namedposes import has_named_poses, read_named_poses
 from tiegraph.scene.posefile import read_poses
 from tiegraph.scene.results import Trajectory
@@ -19,8 +21,8 @@ _SUFFIXES = ((".tum",), (".txt", ".kitti"), (".csv",))  # the first kind that a 
 
 
 def read_trajectory(path: Path) -> Trajectory:
-    """Poses of a file of TUM, KITTI (its times are NaN) or EuRoC, as ``scene.posefile.read_poses`` reads it, or
-    those of the images of a COLMAP model or a transforms.json.
+    """Poses of a file of TUM, KITTI (its times are NaN) or EuRoC, as ``scene.posefile.read_poses`` reads it, of a ROS
+    bag (``scene.bags.poses``), or those of the images of a COLMAP model or a transforms.json.
 
     Sorted by time; rows with the time of another row are left out. Raises InputError with the line number for a wrong
     number of columns, text, and values that are none or make no sense.
@@ -29,7 +31,7 @@ def read_trajectory(path: Path) -> Trajectory:
         named = read_named_poses(path)
         unknown = np.full(len(named), np.nan)
         return Trajectory(unknown, np.array(list(named.values())), unknown, names=tuple(named))
-    found = read_poses(path)
+    found = read_bag_poses(path) if is_bag(path) else read_poses(path)
     return Trajectory(found.time_s, found.poses, np.full(len(found.poses), np.nan), notes=found.notes)
 
 
@@ -44,14 +46,14 @@ def write_tum(path: Path, time_s: np.ndarray, world_from_rig: np.ndarray) -> Non
 
 
 def trajectory_files(path: Path, sequences: Sequence[str]) -> dict[int, Path]:
-    """Trajectory file of each pass: ``path`` is one file for all (key -1), or a folder with one a pass. A COLMAP model
-    and a folder with a transforms.json are one for all, too.
+    """Trajectory file of each pass: ``path`` is one file for all (key -1), or a folder with one a pass. A COLMAP model,
+    a folder with a transforms.json and a ROS bag are one for all, too.
 
     In a folder the file's name contains the name of the pass: vo_up.tum, vo_down.tum. Raises InputError if the path is
     not there, or if no file of the folder fits a pass.
     """
     path = Path(path)
-    if (path.exists() and not path.is_dir()) or has_named_poses(path):
+    if (path.exists() and not path.is_dir()) or is_bag(path) or has_named_poses(path):
         return {-1: path}
     if not path.exists():
         raise InputError(f"--trajectory {path}: no such file or folder")

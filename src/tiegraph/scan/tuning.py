@@ -165,6 +165,8 @@ class PicturesTuning(Section):
     """Frames a second from which the header of a video is not believed."""
     recorded_range_s: tuple[float, float] = (946684800.0, 4102444800.0)
     """2000 ... 2100: creation times of videos outside are those of clocks that were never set (0 = 1904, 1970)."""
+    rate_frames: int = Field(50, gt=1)
+    """Messages of an image topic of a bag, from its start, whose stamps tell its rate."""
     creation_apart_s: float = Field(2.0, ge=0)
     """Creation times of two videos of a rig, in whole seconds each, that contradict their offset by more are said."""
     nearest_steps: float = Field(0.75, gt=0)

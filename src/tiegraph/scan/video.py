@@ -14,8 +14,10 @@ from pathlib import Path, PurePosixPath
 import cv2
 import numpy as np
 
-from tiegraph.scan.lensvideos import Recording, lens_folders
+from tiegraph.scan.bagfilms import BagFilm, open_topic
+from tiegraph.scan.lensvideos import lens_folders
 from tiegraph.scan.prepare import write_pixels
+from tiegraph.scan.recording.recording import Recording
 from tiegraph.scan.recording.tracks import OneVideoTrack
 from tiegraph.scan.tuning import PicturesTuning
 from tiegraph.scan.videotime import VideoClock
@@ -63,6 +65,8 @@ def picture_folders(videos: Sequence[str]) -> list[str]:
 class OpenVideo:
     """An opened video: its frames with their stamps, and what is wrong with it."""
 
+    broken = "cannot be decoded as a video: convert it to H.264 in MP4, or extract its pictures"
+
     def __init__(self, capture: cv2.VideoCapture, max_fps: float) -> None:
         self._capture = capture
         self.count = self.unstamped = 0
@@ -85,10 +89,39 @@ class OpenVideo:
             last = stamp
             yield stamp, picture
 
+    def doubts(self, tuning: PicturesTuning) -> str:
+        """What is wrong with the frames seen, to follow other words; "" for nothing."""
+        said = ""
+        if self.count < tuning.least_decoded * self.expected:
+            said += f"; only {self.count} of its {self.expected:.0f} frames could be decoded: is the file cut off?"
+        if self.unstamped:
+            said += (
+                f"; {self.unstamped} of its {self.count} frames have no stamp, or one out of order: taken "
+                f"{1 / self.fps:.3f} s after the one before"
+            )
+        return said
+
+
+def check_film(recording: Recording) -> None:
+    """Raise OSError for a video that is no file; the topic of a bag says what is wrong when it is opened."""
+    if recording.topic is None:
+        regular(recording.file, None)
+
 
 @contextmanager
-def open_video(recording: Recording, tuning: PicturesTuning) -> Iterator[OpenVideo]:
-    """A video, or one track of it, opened by OpenCV."""
+def open_film(recording: Recording, tuning: PicturesTuning) -> Iterator[OpenVideo | BagFilm]:
+    """A video, one track of it, or the topic of a bag. Raises InputError for a bag that is damaged."""
+    if recording.topic is None:
+        with _open_video(recording, tuning) as video:
+            yield video
+    else:
+        with open_topic(recording.file, recording.topic, tuning) as topic:
+            yield topic
+
+
+@contextmanager
+def _open_video(recording: Recording, tuning: PicturesTuning) -> Iterator[OpenVideo]:
+    """By OpenCV."""
     os.environ.setdefault("OPENCV_FFMPEG_CAPTURE_OPTIONS", "protocol_whitelist;file")  # a play list may name a server
     with ExitStack() as stack:
         if recording.track is None:
@@ -114,15 +147,16 @@ def _capture(video: Path) -> cv2.VideoCapture:
 def take_pictures(
     recording: Recording, folder: Path, choice: Choice, clock: VideoClock, tuning: PicturesTuning
 ) -> Pictures:
-    """Write the chosen frames of a video below ``folder``, with time and position in their EXIF.
+    """Write the chosen frames of a recording below ``folder``, with time and position in their EXIF.
 
-    The folder is made whole or not at all; one that is there is what it was. Never raises for a broken video.
+    The folder is made whole or not at all; one that is there is what it was. Never raises for a broken video; raises
+    InputError for a bag that is damaged.
     """
     if folder.exists():
         return _taken(folder)
     name = recording.name
     try:
-        regular(recording.file, None)
+        check_film(recording)
     except OSError as error:
         return Pictures(said=f"{name} is no video: {error.strerror}")
     partial = folder.with_name(f".{os.getpid()}-{folder.name}")
@@ -132,7 +166,7 @@ def take_pictures(
     partial.mkdir(parents=True)
     numbers, stamps = [], []
     try:
-        with open_video(recording, tuning) as opened:
+        with open_film(recording, tuning) as opened:
             for number, (stamp, picture) in choice.pick(opened.frames()):
                 target = partial / f"{folder.name}_{number:06d}.jpg"
                 write_pixels(target, picture[..., ::-1], tuning, clock.taken(stamp))
@@ -152,18 +186,10 @@ def _taken(folder: Path) -> Pictures:
     return Pictures(tuple(data["numbers"]), tuple(data["stamps_s"]), data["said"])
 
 
-def _said(name: str, words: str, count: int, opened: OpenVideo, tuning: PicturesTuning) -> str:
+def _said(name: str, words: str, count: int, opened: OpenVideo | BagFilm, tuning: PicturesTuning) -> str:
     if not count:
-        return f"{name} cannot be decoded as a video: convert it to H.264 in MP4, or extract its pictures"
-    said = f"{name}: {count} pictures, {words}"
-    if opened.count < tuning.least_decoded * opened.expected:
-        said += f"; only {opened.count} of its {opened.expected:.0f} frames could be decoded: is the file cut off?"
-    if opened.unstamped:
-        said += (
-            f"; {opened.unstamped} of its {opened.count} frames have no stamp, or one out of order: taken "
-            f"{1 / opened.fps:.3f} s after the one before"
-        )
-    return said
+        return f"{name}: none of its {opened.count} frames is wanted" if opened.count else f"{name} {opened.broken}"
+    return f"{name}: {count} pictures, {words}{opened.doubts(tuning)}"
 
 
 def sharpest(per_second: float, tuning: PicturesTuning) -> Choice:

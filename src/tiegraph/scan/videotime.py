@@ -42,6 +42,7 @@ class VideoClock:
     start_s: float = 0.0
     known: bool = False
     utc: bool = False
+    shared: bool = False  # with others: the stamps of messages, of which the start is one
     places: Places | None = None
     note: str = ""
 

@@ -78,6 +78,30 @@ def read_poses(path: Path) -> PoseFile:
     bad = np.flatnonzero(np.abs(time_s) > _LAST_S)
     if len(bad):
         raise rows.fail(bad[0], f"the time {table[bad[0], 0]:g} is none: seconds, or nanoseconds since 1970")
+    return _checked(rows, time_s, table, said)
+
+
+def checked_poses(path: Path, time_s: np.ndarray, xyz: np.ndarray, quaternion_xyzw: np.ndarray) -> PoseFile:
+    """Poses of a file without text as ``read_poses`` gives them, by their columns (T, ...); lines are their numbers."""
+    table = np.column_stack([time_s, xyz, quaternion_xyzw])
+    rows = _Rows(
+        path=path,
+        numbers=table,
+        lines=list(range(1, len(table) + 1)),
+        header=None,
+        nanoseconds=False,
+        commas=False,
+    )
+    if not len(table):
+        raise InputError(f"{path}: no poses")
+    bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
+    if len(bad):
+        raise rows.fail(bad[0], "not a finite number; leave lost poses out of the file")
+    return _checked(rows, time_s, table)
+
+
+def _checked(rows: _Rows, time_s: np.ndarray, table: np.ndarray, said: tuple[str, ...] = ()) -> PoseFile:
+    """Poses of (T, 8) columns of _FIELDS in time order. Raises InputError for what no trajectory can be."""
     with np.errstate(over="ignore"):
         length = np.linalg.norm(table[:, 4:], axis=1)
     bad = np.flatnonzero(~(np.abs(length - 1) <= 1e-2))

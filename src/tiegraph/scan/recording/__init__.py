@@ -1,5 +1,6 @@
 """What a camera wrote into its files beside the pictures: tracks, the fixes of its receiver, the factory's calibration.
 
+A ``Recording`` names one film (``recording``): a file, a track of one, or a topic of a bag.
 ``tracks`` reads the tables of an MP4 file, and shows OpenCV one video track of several: its FFmpeg takes the first and
 knows no other (``CAP_PROP_VIDEO_STREAM`` is refused), but reads from a Python stream, in which the other tracks are
 named free space. GoPro's telemetry is a track of key, length, value (``klv``, ``gpmf``), Insta360's a trailer behind

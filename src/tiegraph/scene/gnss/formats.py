@@ -7,7 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from tiegraph.scene.gnss import columns, geotxt, mrk, nmea, rtklib, sbet, xmltracks
+from tiegraph.scene.bags.topics import is_bag
+from tiegraph.scene.gnss import columns, geotxt, mrk, navsat, nmea, rtklib, sbet, xmltracks
 from tiegraph.scene.gnss.fixes import Fixes, judged
 from tiegraph.scene.gnss.rows import Gnss
 from tiegraph.scene.table import whole_file
@@ -37,11 +38,13 @@ FORMATS: dict[str, Format] = {
 
 
 def read_gnss(path: Path, tuning: GnssTuning) -> Gnss:
-    """Read positions of any of ``FORMATS``.
+    """Read positions of any of ``FORMATS``, or of a ROS bag (of a topic of one: ``scene.bags.topics``).
 
     Rows without a usable position are left out and noted with their lines. Raises InputError, naming file and line, for
     what cannot be read, is damaged, or has no usable row.
     """
+    if is_bag(Path(path)):
+        return judged(navsat.read_navsat(Path(path)), tuning)
     raw = whole_file(Path(path), "GNSS file")
     utf16 = raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     head = raw[:_HEAD].decode("utf-16" if utf16 else "utf-8-sig", errors="replace")

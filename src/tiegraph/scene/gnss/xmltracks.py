@@ -1,4 +1,4 @@
-"""Positions from GPX tracks, KML tracks (gx:Track) and KML placemarks named as images.
+"""Positions from GPX tracks, KML tracks (gx:Track) and KML placemarks named as images, packed (KMZ) or not.
 
 Heights of both are above the sea by their specifications, in GPX with the undulation (geoidheight) where a program
 writes it. Times are UTC.
@@ -6,7 +6,10 @@ writes it. Times are UTC.
 
 from __future__ import annotations
 
+import io
 import re
+import zipfile
+import zlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +21,7 @@ from tiegraph.scene.table import number, parse_time
 from tiegraph.scene.xmltree import parse_xml
 
 _NAN = float("nan")
+_MOST_BYTES = 1 << 29  # bound of memory: of a KMZ's document
 _IMAGE = re.compile(r"(?i)\.(jpe?g|png|tiff?|dng|bmp|webp|heic|insp)$")
 
 
@@ -32,7 +36,23 @@ def is_kml(text: str, raw: bytes) -> bool:
 
 
 def _is_kmz(raw: bytes) -> bool:
-    return raw.startswith(b"PK\x03\x04") and b".kml" in raw[:512]
+    return raw.startswith(b"PK\x03\x04")  # a ZIP archive; no other format here is one
+
+
+def _unpacked(path: Path, raw: bytes) -> bytes:
+    """The KML document of a KMZ: doc.kml, else the first (OGC 12-007r2, C.2). Raises InputError."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(raw)) as archive:
+            inside = [f for f in archive.infolist() if f.filename.lower().endswith(".kml")]
+            first = min(inside, key=lambda f: f.filename.lower() != "doc.kml", default=None)
+            if first is not None and first.file_size <= _MOST_BYTES:
+                return archive.read(first)
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, OSError) as error:
+        raise InputError(
+            f"{path}: a KMZ or another ZIP archive that is cut off or damaged ({error}): export it again"
+        ) from None
+    why = "no KML in it" if first is None else f"{first.filename} has {first.file_size / 2**30:.3g} GiB unpacked"
+    raise InputError(f"{path}: a ZIP archive, but no KMZ ({why}): give a KMZ or one of the formats of positions")
 
 
 def read_gpx(path: Path, raw: bytes) -> Fixes:
@@ -65,12 +85,10 @@ def read_gpx(path: Path, raw: bytes) -> Fixes:
 def read_kml(path: Path, raw: bytes) -> Fixes:
     """Rows of gx:Track (when, coord), or placemarks of points that are named as images or have a TimeStamp.
 
-    Raises InputError for damaged XML, a KMZ, heights above the ground, a track of other times than places, and for
+    Raises InputError for damaged XML or KMZ, heights above the ground, a track of other times than places, and for
     nothing of the kind.
     """
-    if _is_kmz(raw):
-        raise InputError(f"{path}: a packed KMZ: unpack it (it is a ZIP archive) and give the KML file in it")
-    root = parse_xml(path, raw)
+    root = parse_xml(path, _unpacked(path, raw) if _is_kmz(raw) else raw)
     for mode in root.all("altitudeMode"):
         if mode.text.strip() == "relativeToGround":
             raise InputError(

@@ -1,0 +1,199 @@
+"""Image topics of ROS bags, each a camera: told apart, and read as videos are, picture by picture with stamps.
+
+ROS has no rule but a habit: the topics below one name are of one camera (/left/image_raw, /left/image_rect,
+/left/camera_info), and what ``image_transport`` compressed is called as its source, /left/image_raw/compressed. So the
+folder of the pictures is called as what stands before ``image``: left.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from datetime import datetime, timezone
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tiegraph.errors import InputError
+from tiegraph.scan.camerafile import check_lens
+from tiegraph.scan.cameraread import FoundCamera
+from tiegraph.scan.camerayaml import opencv
+from tiegraph.scan.folders import is_camera
+from tiegraph.scan.recording.recording import Recording
+from tiegraph.scan.tuning import CameraTuning, PicturesTuning
+from tiegraph.scan.videotime import VideoClock
+from tiegraph.scene.bags.bag import Bag, Topic, open_bag, stamp_ns
+from tiegraph.scene.bags.pixels import KINDS, bgr, unread
+from tiegraph.scene.bags.topics import METADATA, SUFFIXES, in_full, is_bag, of_topic, shown
+from tiegraph.scene.gnss.navsat import KINDS as FIXES
+from tiegraph.scene.images import files_below
+
+_INFO = "sensor_msgs/CameraInfo"
+_COMPRESSED = "/compressed"
+_IMAGE = re.compile(r"image(_\w+)?")
+
+
+def find_bags(root: Path) -> list[Path]:
+    """The bags below a folder, sorted; or ``root`` alone, if it is one."""
+    if is_bag(root):
+        return [root]
+    if not root.is_dir():
+        return []
+    files = list(files_below(root))
+    folders = {f.parent for f in files if f.name == METADATA and is_bag(f.parent)}
+    return sorted(folders | {f for f in files if f.suffix.lower() in SUFFIXES and f.parent not in folders})
+
+
+def bag_films(bag_path: Path, folder: str, asked: Sequence[str]) -> tuple[list[tuple[Recording, str]], list[str]]:
+    """The image topics of a bag, each with the folder for its pictures below ``folder``, and notes.
+
+    Without topics that are ``asked`` for all are cameras but those of depths, and of what stands there twice. Raises
+    InputError for a damaged bag, one without images, and several topics of one camera.
+    """
+    with open_bag(bag_path) as bag:
+        found = bag.of_kinds(KINDS, asked)
+        names, notes = {t.name for t in found}, []
+        cameras: dict[str, list[Topic]] = {}
+        for topic in found:
+            source = topic.name.removesuffix(_COMPRESSED)
+            why = f"as {source} is" if source != topic.name and source in names else _why_not(bag, topic)
+            if why:
+                notes.append(f"{shown(bag_path, topic.name)}: left out: {why}")
+            else:
+                cameras.setdefault(_camera_name(topic.name), []).append(topic)
+    if not cameras:
+        raise InputError(f"{bag_path}: no topic with pictures: {'; '.join(notes)}")
+    several = next((topics for topics in cameras.values() if len(topics) > 1), None)
+    if several is not None:
+        one = ",".join(topics[0].name for topics in cameras.values())
+        raise InputError(
+            f"{bag_path}: {' and '.join(map(str, several))} are of one camera by their names: name all topics that "
+            f"are cameras behind the bag or the folder of the images, as in {of_topic(bag_path, one)}"
+        )
+    films = [(Recording(bag_path, topic=in_full(t.name)), f"{folder}/{c}") for c, (t,) in cameras.items()]
+    return films, notes
+
+
+def fixes_notes(bag_path: Path) -> list[str]:
+    """What to say of the positions in a bag, where none were given. Raises what ``open_bag`` raises."""
+    with open_bag(bag_path) as bag:
+        found = [t for t in bag.topics if t.kind in FIXES and t.count]
+    return [f"{bag_path.name} has positions, {t}: --gnss {of_topic(bag_path, t.name)} takes them" for t in found]
+
+
+def _why_not(bag: Bag, topic: Topic) -> str:
+    message, _ = next(bag.messages(topic))
+    return unread(message)
+
+
+def _source(topic: str) -> list[str]:
+    """The parts of a topic's name without that of its compression."""
+    return [p for p in topic.removesuffix(_COMPRESSED).split("/") if p]
+
+
+def _camera_name(topic: str) -> str:
+    """What a topic's camera is called: a word that folders of cameras are told by is in it."""
+    parts = _source(topic)
+    name = re.sub(r"[^A-Za-z0-9]+", "_", "_".join(parts[:-1] if _IMAGE.fullmatch(parts[-1]) else parts)).strip("_")
+    return name if is_camera(name) else f"cam_{name}" if name else "cam"
+
+
+@contextmanager
+def open_topic(bag_path: Path, topic: str, tuning: PicturesTuning) -> Iterator[BagFilm]:
+    """An image topic of a bag. Raises what ``open_bag`` raises, and InputError if the topic is none of images."""
+    with open_bag(bag_path) as bag:
+        yield BagFilm(bag, bag.only(KINDS, (topic,)), tuning)
+
+
+class BagFilm:
+    """An opened image topic: its frames as those of an ``OpenVideo``, and what is wrong with them."""
+
+    def __init__(self, bag: Bag, topic: Topic, tuning: PicturesTuning) -> None:
+        self._bag, self._topic, self._tuning = bag, topic, tuning
+        self.count = self.late = 0
+        first, received_ns = next(bag.messages(topic))
+        self._start_ns = stamp_ns(first.header, received_ns)
+        self._received_ns, self._stamped = received_ns, self._start_ns != received_ns
+
+    broken = "has no picture that can be decoded: record it again as sensor_msgs/Image, or as JPEG or PNG"
+
+    @property
+    def fps(self) -> float:
+        """Frames a second, by the stamps of the first messages."""
+        first = islice(self._bag.messages(self._topic), self._tuning.rate_frames)
+        steps = np.diff([stamp_ns(m.header, t) for m, t in first]) * 1e-9
+        return float(1 / np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
+
+    def frames(self) -> Iterator[tuple[float, np.ndarray]]:
+        """(stamp in s since the first message, BGR picture) in order; frames that are not later than those before them
+        are left out."""
+        last = -1.0
+        for message, received_ns in self._bag.messages(self._topic):
+            stamp = (stamp_ns(message.header, received_ns) - self._start_ns) * 1e-9
+            picture = bgr(message)
+            if picture is not None and stamp > last:
+                self.count, last = self.count + 1, stamp
+                yield stamp, picture
+            elif picture is not None:
+                self.late += 1
+
+    def doubts(self, tuning: PicturesTuning) -> str:
+        """What is wrong with the frames seen, to follow other words; "" for nothing."""
+        lost = self._topic.count - self.count - self.late
+        said = f"; {lost} of its {self._topic.count} messages hold no whole picture" if lost > 0 else ""
+        return said + (f"; {self.late} have a stamp that is not later than the one before" if self.late else "")
+
+    def clock(self, shift_s: float) -> VideoClock:
+        """The clock of the headers, ``shift_s`` later: one for all topics of a bag."""
+        start_s, name = self._start_ns * 1e-9, shown(self._bag.path, self._topic.name)
+        low, high = self._tuning.recorded_range_s
+        dated = low <= start_s <= high
+        when = f"{datetime.fromtimestamp(start_s, timezone.utc):%Y-%m-%d %H:%M:%S} UTC" if dated else f"{start_s:.3f} s"
+        late = f"which it was received {(self._received_ns - self._start_ns) * 1e-9:.3f} s after"
+        by = f"the stamp of its first message, {late}" if self._stamped else "its receipt: its headers have no stamps"
+        return VideoClock(
+            start_s=start_s + shift_s, known=True, utc=dated, shared=True, note=f"{name}: begins at {when} by {by}"
+        )
+
+    def camera(self, size: tuple[int, int], tuning: CameraTuning) -> tuple[FoundCamera | None, str]:
+        """The calibration that the bag has for images of a size (width, height), and what to say of it."""
+        parts = _source(self._topic.name)
+        beside = {"/" + "/".join([*above, "camera_info"]) for above in (parts[:-1], parts)}
+        info = next((t for t in self._bag.topics if t.kind == _INFO and t.count and t.name in beside), None)
+        if info is None:
+            return None, ""
+        message, _ = next(self._bag.messages(info))
+        where = shown(self._bag.path, info.name)
+        try:
+            found = _camera(message, where, rectified=parts[-1].startswith("image_rect"))
+            if found is not None and found.size is not None and found.size != size:
+                raise InputError(f"{where}: of images of {found.size[0]} x {found.size[1]}, not {size[0]} x {size[1]}")
+            if found is not None:
+                check_lens(found, tuning)
+        except InputError as error:
+            return None, f"no calibration is taken from {error}"
+        return found, "" if found else f"{where}: a camera that was not calibrated (K = 0): nothing is taken from it"
+
+
+def _camera(info: Any, where: str, rectified: bool) -> FoundCamera | None:
+    """The camera of a CameraInfo, read as ROS's YAML of it is; None of one that was not calibrated. Of rectified images
+    it is that of P, without distortion."""
+    given = {key: [float(v) for v in getattr(info, key, getattr(info, key.upper(), ()))] for key in "kdp"}
+    matrix = [*given["p"][0:3], *given["p"][4:7], *given["p"][8:11]] if rectified else given["k"]
+    if not any(matrix[:1]):
+        return None
+    text = {
+        "image_width": info.width,
+        "image_height": info.height,
+        "distortion_model": "plumb_bob" if rectified or not any(given["d"]) else info.distortion_model,
+        "camera_matrix": f"{{data: {matrix}}}",
+        "distortion_coefficients": f"{{data: {[] if rectified else given['d']}}}",
+        "binning_x": info.binning_x,
+        "binning_y": info.binning_y,
+        "x_offset": info.roi.x_offset,
+        "y_offset": info.roi.y_offset,
+    }
+    return opencv("\n".join(f"{key}: {value}" for key, value in text.items()), where)[0]

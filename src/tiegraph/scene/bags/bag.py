@@ -1,0 +1,144 @@
+"""An opened bag: its topics, and their messages one after another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tiegraph.errors import EngineMissing, InputError
+from tiegraph.scene.bags.topics import ROS1, in_full, of_topic
+from tiegraph.scene.names import clean
+from tiegraph.scene.regular import regular
+
+_LISTED = 12  # topics in an error
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic, the kind of its messages ("sensor_msgs/Image") and their number."""
+
+    name: str
+    kind: str
+    count: int
+
+    def __str__(self) -> str:
+        return f"{clean(self.name)} ({clean(self.kind)}, {self.count})"
+
+
+class Bag:
+    """What ``open_bag`` gives."""
+
+    def __init__(self, path: Path, reader: Any, decoded: Callable[[bytes, str], Any]) -> None:
+        self.path, self._reader, self._decoded = path, reader, decoded
+        self._connections: dict[Topic, list[Any]] = {}
+        by_name: dict[tuple[str, str], list[Any]] = {}
+        for connection in reader.connections:
+            by_name.setdefault((connection.topic, _kind(connection)), []).append(connection)
+        for (name, kind), mine in sorted(by_name.items()):
+            self._connections[Topic(name, kind, sum(c.msgcount for c in mine))] = mine
+        self.topics = tuple(self._connections)
+
+    def messages(self, topic: Topic) -> Iterator[tuple[Any, int]]:
+        """The messages of a topic in the order of their receipt, with its time (ns); at least one, if it counts any.
+        Raises InputError for a bag that is damaged."""
+        left = topic.count
+        with _reading(self.path):
+            for connection, received_ns, data in self._reader.messages(connections=self._connections[topic]):
+                yield self._decoded(data, connection.msgtype), received_ns
+                left = 0
+            if left:
+                raise ValueError(f"it should have {topic}, and has none")
+
+    def of_kinds(self, kinds: Sequence[str], asked: Sequence[str] = ()) -> list[Topic]:
+        """The topics that have messages of some kinds; those that are asked for, where some are.
+
+        Raises InputError, with what there is, where one that is asked for is none of them, and where there is none.
+        """
+        found = [t for t in self.topics if t.kind in kinds and t.count]
+        for name in asked:
+            mine = [t for t in self.topics if in_full(t.name) == name]
+            if not set(mine) & set(found):
+                what = f"topic {mine[0]} has no messages of" if mine else f"has no topic {clean(name)} of"
+                raise InputError(f"{self._named()}: {what} {_either(kinds)}; {self._listed(found)}")
+        if not found:
+            raise InputError(f"{self._named()}: no messages of {_either(kinds)}; {self._listed([])}")
+        return [t for t in found if in_full(t.name) in asked] if asked else found
+
+    def only(self, kinds: Sequence[str], asked: Sequence[str]) -> Topic:
+        """The one topic of some kinds. Raises InputError, naming them, for several, and as ``of_kinds``."""
+        found = self.of_kinds(kinds, asked)
+        if len(found) > 1 or len(asked) > 1:
+            one = of_topic(self.path, found[0].name)
+            raise InputError(f"{self._named()}: {self._listed(found)}: name one of them, such as {clean(str(one))}")
+        return found[0]
+
+    def _named(self) -> str:
+        return clean(str(self.path))
+
+    def _listed(self, topics: Sequence[Topic]) -> str:
+        """Topics in words; of none, all that there are."""
+        listed, what = topics or self.topics, "topics of that kind" if topics else "topics in it"
+        more = f" and {len(listed) - _LISTED} more" if len(listed) > _LISTED else ""
+        return f"{len(listed)} {what}: {', '.join(map(str, listed[:_LISTED]))}{more}" if listed else "it is empty"
+
+
+@contextmanager
+def open_bag(path: Path) -> Iterator[Bag]:
+    """A bag of ROS 1 (a file) or ROS 2 (a folder, or a file of one).
+
+    Raises EngineMissing without ``rosbags``, and InputError for what cannot be opened: no bag, cut off, not indexed.
+    """
+    ros1 = path.suffix.lower() in ROS1 and not path.is_dir()
+    try:
+        from rosbags import rosbag1, rosbag2
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise EngineMissing(
+            f"{clean(str(path))}: bags are read by rosbags, which is not installed: pip install 'tiegraph[ros]'"
+        ) from None
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.LATEST)
+    with _reading(path):
+        for file in [f for f in path.iterdir() if f.suffix] if path.is_dir() else [path]:
+            regular(file, None)
+        reader: Any = rosbag1.Reader(path) if ros1 else rosbag2.Reader(path)
+        reader.open()
+    try:
+        yield Bag(path, reader, store.deserialize_ros1 if ros1 else store.deserialize_cdr)
+    finally:
+        reader.close()
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Whatever rosbags and what it reads by raise of a damaged bag, as an InputError."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:  # also MemoryError (of lengths that are none), and those of SQLite, LZ4, Zstandard, YAML
+        why = clean(str(getattr(error, "strerror", None) or error).replace("\n", " ")) or type(error).__name__
+        kinds = {f.suffix.lower() for f in (path.iterdir() if path.is_dir() else [path])}
+        tool = "`rosbag reindex`" if kinds & {*ROS1} else "`mcap recover`" if ".mcap" in kinds else "`sqlite3 .recover`"
+        more = " or `ros2 bag reindex`" if path.is_dir() else ""
+        raise InputError(
+            f"{clean(str(path))}: cannot be read as a ROS bag ({why:.200}); if its recording was broken off, "
+            f"{tool}{more} may mend it, else copy it again"
+        ) from None
+
+
+def stamp_ns(header: Any, received_ns: int) -> int:
+    """When a message was measured (ns): by its header, or where that is not set, when it was received."""
+    return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec) or received_ns
+
+
+def _kind(connection: Any) -> str:
+    """The kind of a connection's messages, as ROS 1 writes it; with their encoding, where that is not ROS's own."""
+    encoding = getattr(connection.ext, "serialization_format", "cdr")
+    return connection.msgtype.replace("/msg/", "/") + ("" if encoding == "cdr" else f" in {encoding}")
+
+
+def _either(kinds: Sequence[str]) -> str:
+    return " or ".join([", ".join(kinds[:-1]), kinds[-1]] if len(kinds) > 1 else kinds)

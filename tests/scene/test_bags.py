@@ -1,0 +1,278 @@
+"""Bags of ROS: positions, poses and pictures to the last digit, and what is wrong with a bag said by name."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sqlite3
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
+from scipy.spatial.transform import Rotation
+
+import bag_world as world
+from bag_world import FORMS, START_S
+from tiegraph.errors import EngineMissing, InputError
+from tiegraph.scan.trajectory import read_trajectory
+from tiegraph.scene.bags.bag import open_bag
+from tiegraph.scene.bags.pixels import KINDS, bgr, unread
+from tiegraph.scene.bags.topics import is_bag, shown, split_topics
+from tiegraph.scene.gnss import read_gnss
+from tiegraph.scene.tuning import GnssTuning
+
+COUNT = 5
+TIMES = START_S + 0.123456789 + 0.5 * np.arange(COUNT)
+LLH = np.array([[35.69 + 1e-5 * k, 139.77 - 2e-5 * k, 40.0 + 0.125 * k] for k in range(COUNT)])
+TURNS = Rotation.from_euler("zyx", [[20.0 + 9 * k, 5, -3] for k in range(COUNT)], degrees=True)
+PLACES = np.array([[1.5 * k, 0.2 * k * k, 0.1] for k in range(COUNT)])
+
+
+def fixes(topic: str = "/gps/fix", **how: object) -> list[world.Row]:
+    return [world.fix(topic, t, p, **how) for t, p in zip(TIMES, LLH)]
+
+
+def odometry(topic: str = "/odom") -> list[world.Row]:
+    return [world.odometry(topic, *row) for row in zip(TIMES, PLACES, TURNS.as_quat())]
+
+
+# --- positions ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_fixes_have_the_time_of_their_header_and_the_sigmas_of_their_covariance(tmp_path: Path, form: str) -> None:
+    rows = fixes(sigma_m=(0.02, 0.03, 0.05)) + [world.fix("/gps/fix", TIMES[0] + 0.1, (0, 0, 0), status=-1)]
+    found = read_gnss(world.bag(tmp_path, form, rows), GnssTuning())
+    assert np.array_equal(found.lat_lon_height, LLH)
+    np.testing.assert_allclose(found.time_s, TIMES, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(found.sigma_m, np.tile([0.02, 0.03, 0.05], (COUNT, 1)))
+    assert "/gps/fix (sensor_msgs/NavSatFix, 6); 1 of them without a fix are left out" in found.notes[0]
+
+
+def test_a_covariance_that_is_not_known_gives_no_sigma_and_a_header_without_a_stamp_the_receipt(tmp_path: Path) -> None:
+    rows = [world.fix("/fix", 0.0, p) for p in LLH]
+    rows = [world.Row(r.topic, r.kind, t, r.built) for r, t in zip(rows, TIMES)]
+    found = read_gnss(world.bag(tmp_path, "ros1", rows), GnssTuning())
+    assert np.isnan(found.sigma_m).all()
+    np.testing.assert_allclose(found.time_s, TIMES, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "form, packed",
+    [
+        ("ros1", (world.rosbag1.Writer.CompressionFormat.LZ4,)),
+        ("ros1", (world.rosbag1.Writer.CompressionFormat.BZ2,)),
+        ("sqlite", (CompressionMode.FILE, CompressionFormat.ZSTD)),
+        ("sqlite", (CompressionMode.MESSAGE, CompressionFormat.ZSTD)),
+        ("mcap", (CompressionMode.STORAGE, CompressionFormat.ZSTD)),
+    ],
+)
+def test_compressed_bags_are_read(tmp_path: Path, form: str, packed: tuple) -> None:
+    found = read_gnss(world.bag(tmp_path, form, fixes(), packed=packed), GnssTuning())
+    assert np.array_equal(found.lat_lon_height, LLH)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_of_several_topics_one_is_named(tmp_path: Path, form: str) -> None:
+    more = [world.fix("/rtk/fix", t, p + [0, 0, 1]) for t, p in zip(TIMES, LLH)]
+    path = world.bag(tmp_path, form, fixes() + more + odometry())
+    both = r"2 topics of that kind: /gps/fix \(sensor_msgs/NavSatFix, 5\), /rtk/fix \(.*5\): name one"
+    with pytest.raises(InputError, match=both):
+        read_gnss(path, GnssTuning())
+    for name in ("/rtk/fix", "rtk/fix"):
+        assert np.array_equal(read_gnss(Path(f"{path}:{name}"), GnssTuning()).lat_lon_height, LLH + [0, 0, 1])
+    with pytest.raises(InputError, match=r"has no topic /rkt/fix of sensor_msgs/NavSatFix; 2 topics of that kind"):
+        read_gnss(Path(f"{path}:/rkt/fix"), GnssTuning())
+    with pytest.raises(InputError, match=r"topic /odom \(nav_msgs/Odometry, 5\) has no messages of sensor_msgs/Nav"):
+        read_gnss(Path(f"{path}:/odom"), GnssTuning())
+    with pytest.raises(InputError, match="name one of them, such as"):
+        read_gnss(Path(f"{path}:/gps/fix,/rtk/fix"), GnssTuning())
+
+
+@pytest.mark.parametrize(
+    "rows, words",
+    [
+        ([], "it is empty"),
+        (fixes(status=-1), "none of the messages of /gps/fix .* has a fix"),
+        (odometry(), r"no messages of sensor_msgs/NavSatFix; 1 topics in it: /odom \(nav_msgs/Odometry, 5\)"),
+    ],
+)
+def test_bags_without_positions_say_what_is_there(tmp_path: Path, rows: list[world.Row], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        read_gnss(world.bag(tmp_path, "mcap", rows), GnssTuning())
+
+
+# --- poses ----------------------------------------------------------------------------------------------------------
+
+
+def as_path(topic: str) -> list[world.Row]:
+    """A path that grows, as SLAM sends it."""
+    poses = list(zip(TIMES, PLACES, TURNS.as_quat()))
+    return [world.path(topic, TIMES[k] + 0.01, poses[: k + 1]) for k in range(COUNT)]
+
+
+def as_poses(topic: str) -> list[world.Row]:
+    return [world.pose(topic, *row) for row in zip(TIMES, PLACES, TURNS.as_quat())]
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("made", [odometry, as_poses, as_path])
+def test_poses_have_their_quaternions_in_order(tmp_path: Path, form: str, made) -> None:
+    found = read_trajectory(world.bag(tmp_path, form, made("/slam")))
+    np.testing.assert_allclose(found.world_from_rig[:, :3, 3], PLACES, atol=1e-12)
+    off = (Rotation.from_matrix(found.world_from_rig[:, :3, :3]) * TURNS.inv()).magnitude()
+    assert off.max() < 1e-9 < 0.3 < TURNS.magnitude().min()
+    np.testing.assert_allclose(found.time_s, TIMES, rtol=0, atol=1e-6)
+    assert "poses of /slam" in found.notes[0] and ("base_link in 'odom'" in found.notes[0]) == (made is odometry)
+
+
+def test_poses_that_cannot_be_are_refused_with_their_number(tmp_path: Path) -> None:
+    broken = [world.pose("/p", TIMES[1] + 0.1, (1, 2, 3), (0, 0, 0, 2.0))]
+    with pytest.raises(InputError, match=r"run.bag, line 3: the quaternion qx qy qz qw has length 2"):
+        read_trajectory(world.bag(tmp_path, "ros1", as_poses("/p") + broken))
+    lost = [world.pose("/p", TIMES[1] + 0.1, (np.nan, 2, 3), (0, 0, 0, 1.0))]
+    with pytest.raises(InputError, match=r"lost.bag, line 3: not a finite number"):
+        read_trajectory(world.bag(tmp_path, "ros1", as_poses("/p") + lost, name="lost"))
+    with pytest.raises(InputError, match=r"2 topics of that kind: /a \(geometry.*5\), /odom \(nav_msgs/Odometry, 5\)"):
+        read_trajectory(world.bag(tmp_path, "ros1", as_poses("/a") + odometry(), name="two"))
+    empty = world.bag(tmp_path, "ros1", [world.path("/way", START_S, [])], name="none")
+    with pytest.raises(InputError, match="none.bag: no poses"):
+        read_trajectory(empty)
+
+
+# --- pictures -------------------------------------------------------------------------------------------------------
+
+SMOOTH = cv2.resize(np.random.default_rng(3).integers(20, 235, (4, 6, 3), dtype=np.uint8), (96, 64))
+
+
+def mosaic(pattern: str) -> np.ndarray:
+    """What a sensor with a colour filter, named row by row from the first pixel, sees of SMOOTH (BGR)."""
+    channel = np.array([["bgr".index(c) for c in row] for row in (pattern[:2], pattern[2:])])
+    y, x = np.mgrid[: SMOOTH.shape[0], : SMOOTH.shape[1]]
+    return np.take_along_axis(SMOOTH, channel[y % 2, x % 2][..., None], axis=2)[..., 0]
+
+
+def decoded(folder: Path, row: world.Row) -> np.ndarray | None:
+    with open_bag(world.bag(folder, "ros1", [row])) as bag:
+        message, _ = next(bag.messages(bag.only(KINDS, ())))
+        assert unread(message) == ""
+        return bgr(message)
+
+
+GREY = cv2.cvtColor(SMOOTH, cv2.COLOR_BGR2GRAY)
+
+
+@pytest.mark.parametrize(
+    "encoding, pixels, truth, off",
+    [
+        ("bgr8", SMOOTH, SMOOTH, 0),
+        ("rgb8", SMOOTH[..., ::-1], SMOOTH, 0),
+        ("bgra8", np.dstack([SMOOTH, GREY]), SMOOTH, 0),
+        ("mono8", GREY, np.dstack([GREY] * 3), 0),
+        ("mono16", GREY.astype("<u2") * 256 + 255, np.dstack([GREY] * 3), 0),
+        ("bayer_rggb8", mosaic("rggb"), SMOOTH, 12),
+        ("bayer_bggr8", mosaic("bggr"), SMOOTH, 12),
+        ("bayer_gbrg8", mosaic("gbrg"), SMOOTH, 12),
+        ("bayer_grbg8", mosaic("grbg"), SMOOTH, 12),
+    ],
+)
+def test_encodings_become_the_colours_they_stand_for(tmp_path: Path, encoding, pixels, truth, off) -> None:
+    found = decoded(tmp_path, world.image("/image", START_S, pixels, encoding, padding=5))
+    assert found is not None and found.shape == truth.shape
+    inside = np.s_[2:-2, 2:-2]
+    assert np.abs(found[inside].astype(int) - truth[inside]).max() <= off
+
+
+def test_compressed_pictures_and_what_is_none(tmp_path: Path) -> None:
+    found = decoded(tmp_path / "a", world.compressed("/image/compressed", START_S, SMOOTH))
+    assert np.array_equal(found, SMOOTH)
+    jpeg = decoded(tmp_path / "b", world.compressed("/image/compressed", START_S, SMOOTH, "jpg"))
+    assert 0 < np.abs(jpeg.astype(int) - SMOOTH).mean() < 4
+    short = world.image("/image", START_S, SMOOTH[:, :, 0], "bgr8")  # a third of its bytes
+    assert decoded(tmp_path / "c", short) is None
+    for row in (
+        world.image("/depth", START_S, np.ones((8, 8), np.uint16), "16UC1"),
+        world.compressed("/depth/compressedDepth", START_S, SMOOTH, form="16UC1; compressedDepth png"),
+    ):
+        with open_bag(world.bag(tmp_path, "ros1", [row], name=row.kind.replace("/", "_"))) as bag:
+            assert unread(next(bag.messages(bag.topics[0]))[0])
+
+
+# --- what is no bag -------------------------------------------------------------------------------------------------
+
+
+def cut(path: Path, form: str) -> Path:
+    """The bag as a copy that was broken off leaves it."""
+    file = path if form == "ros1" else next(f for f in path.iterdir() if f.suffix in (".db3", ".mcap"))
+    file.write_bytes(file.read_bytes()[: int(0.6 * file.stat().st_size)])
+    return path
+
+
+@pytest.mark.parametrize(
+    "form, tool", [("ros1", "rosbag reindex"), ("sqlite", "sqlite3 .recover"), ("mcap", "mcap recover")]
+)
+def test_bags_that_are_cut_off_say_how_they_are_mended(tmp_path: Path, form: str, tool: str) -> None:
+    path = cut(world.bag(tmp_path, form, [r for k in range(30) for r in fixes(f"/gps{k}/fix")]), form)
+    with pytest.raises(InputError, match=f"run.*: cannot be read as a ROS bag .*`{tool}"):
+        read_gnss(Path(f"{path}:/gps0/fix"), GnssTuning())
+
+
+def test_a_count_of_messages_that_are_not_there_is_no_crash(tmp_path: Path) -> None:
+    folder = world.bag(tmp_path, "sqlite", fixes() + odometry())
+    file = next(folder.glob("*.db3"))
+    with sqlite3.connect(file) as database:
+        database.execute("DELETE FROM messages WHERE topic_id = (SELECT id FROM topics WHERE name = '/gps/fix')")
+    with pytest.raises(InputError, match=r"should have /gps/fix \(sensor_msgs/NavSatFix, 5\), and has none"):
+        read_gnss(folder, GnssTuning())
+    (folder / "metadata.yaml").write_text("nothing: 1")
+    with pytest.raises(InputError, match="cannot be read as a ROS bag .*`ros2 bag reindex` may mend it"):
+        read_gnss(folder, GnssTuning())
+
+
+def unindexed(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    at = data.index(b"index_pos=") + len(b"index_pos=")
+    data[at : at + 8] = bytes(8)
+    path.write_bytes(data)
+
+
+def test_files_that_are_no_bags_are_named(tmp_path: Path) -> None:
+    for name, data in (("a.bag", b""), ("b.bag", b"time,lat,lon\n"), ("c.mcap", b"x" * 99), ("d.db3", b"y" * 99)):
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises(InputError, match=f"{name}: cannot be read as a ROS bag"):
+            read_gnss(tmp_path / name, GnssTuning())
+    path = world.bag(tmp_path, "ros1", fixes())
+    unindexed(path)
+    with pytest.raises(InputError, match="Bag is not indexed.*`rosbag reindex`"):
+        read_gnss(path, GnssTuning())
+    os.mkfifo(tmp_path / "pipe.bag")
+    with pytest.raises(InputError, match="pipe.bag: cannot be read .*a named pipe"):
+        read_gnss(tmp_path / "pipe.bag", GnssTuning())
+    folder = world.bag(tmp_path, "sqlite", fixes(), name="two")
+    next(folder.glob("*.db3")).unlink()
+    with pytest.raises(InputError, match="two: cannot be read .*missing"):
+        read_gnss(folder, GnssTuning())
+
+
+def test_without_rosbags_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = world.bag(tmp_path, "ros1", fixes())
+    monkeypatch.setitem(sys.modules, "rosbags", None)
+    with pytest.raises(EngineMissing, match=r"run.bag: .*pip install 'tiegraph\[ros\]'"):
+        read_gnss(path, GnssTuning())
+
+
+# --- names ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_topic_is_named_behind_its_bag(tmp_path: Path) -> None:
+    path = world.bag(tmp_path, "ros1", fixes())
+    assert split_topics(Path(f"{path}:/a/b,c")) == (path, ("/a/b", "/c"))
+    assert shown(path, "/a/b") == "run.bag:/a/b" and is_bag(Path(f"{path}:/a"))
+    (tmp_path / "positions.csv").write_text("x")
+    for plain in ("run.bag", "none.bag:/a", "positions.csv:/a", "run.bag:"):
+        assert split_topics(tmp_path / plain) == (tmp_path / plain, ())
+    odd = Path(shutil.copy(path, tmp_path / "run:1.bag"))
+    assert split_topics(odd) == (odd, ()) and split_topics(Path(f"{odd}:/a")) == (odd, ("/a",))
