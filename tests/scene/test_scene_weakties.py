@@ -42,7 +42,7 @@ def test_frames_that_hold_together_by_sums_are_not_weak() -> None:
     assert weakly_tied(point, frame, np.ones(6, bool), 50) == ()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.integers(2, 7), st.lists(st.sets(st.integers(0, 6), min_size=1, max_size=4), max_size=40), st.integers(1, 8))
 def test_what_is_found_is_weak_and_a_frame_that_is_weak_is_found(frames: int, points: list, least: int) -> None:
     tracks = [tuple(sorted({f % frames for f in p})) for p in points]

@@ -173,7 +173,9 @@ class RegistrationTuning(Section):
 
     few_points: int = Field(50, gt=0)
     """Points that a frame or a group of frames shares with all others, below which its own noise, such as a blur,
-    shows in no residual."""
+    shows in no residual. In 15 runs of kerry_park those with fewer are off by up to 120 times the median, with 50 to
+    100 by up to 13; P8 thinned to 89 points 5 times with 16, once with 40; KITTI thinned to 807 has none below 50, and
+    a half of its pass below 75, off 5 times. Sets that do well have 449 and more."""
     max_turned_deg: float = Field(3.0, ge=0)
     """By which the principal point of a camera in a held rig lies off; 1.5 at most in the right rigs of canal and
     kerry_park."""
