@@ -26,6 +26,7 @@ def test_three_frames_that_hang_on_few_points_are_named_together() -> None:
     point, frame = seen(*chain, *inside, *across)
     assert weakly_tied(point, frame, np.ones(13, bool), 50) == (WeaklyTied((10, 11, 12), 31),)
     assert weakly_tied(point, frame, np.ones(13, bool), 31) == ()
+    assert weakly_tied(point, frame, np.ones(13, bool), 50, 10) == (WeaklyTied((10, 11, 12), 31),)
     assert named(WeaklyTied((10, 11, 12), 31), tuple(f"{k}.jpg" for k in range(13))) == "10.jpg .. 12.jpg (3 frames)"
 
 
@@ -33,6 +34,7 @@ def test_a_frame_without_points_is_weak_only_where_it_has_a_place() -> None:
     point, frame = seen(*[(0, 1, 2)] * 60)
     assert weakly_tied(point, frame, np.array([True, True, True, False]), 50) == ()
     assert weakly_tied(point, frame, np.ones(4, bool), 50) == (WeaklyTied((3,), 0),)
+    assert weakly_tied(point, frame, np.array([True, True, True, False]), 100, 50) == ()  # 60 are enough for one
     assert weakly_tied(point, np.zeros(len(frame), int), np.array([True]), 50) == ()  # there is no rest
 
 

@@ -53,7 +53,8 @@ def on_few_points(pairs: Pairs, scene: Scene, ties: PreviewMatches, tuning: Tuni
         return ()
     sure = own.where(verified_chance(own.counts(), tuning.match_prediction) >= tuning.holding.sure)
     track, image = sure.tracks()
-    return weakly_tied(track, scene.frame[image], np.ones(scene.frames, bool), tuning.few_points)
+    everywhere = np.ones(scene.frames, bool)
+    return weakly_tied(track, scene.frame[image], everywhere, tuning.few_points, tuning.few_points_alone)
 
 
 def unknown_across(pairs: Pairs, scene: Scene, ties: PreviewMatches, weak: Sequence[WeaklyTied]) -> np.ndarray:

@@ -135,9 +135,12 @@ class Tuning(Section):
     """Constants of the engine that are the same for every user."""
 
     few_points: int = Field(230, gt=0)
-    """Tracks of previews that a frame or a group of frames shares with all others, below which `coverage.py` names it.
-    The three frames that kerry_park misplaces share 84 to 183 in seven runs; the weakest frames of P8, canal_demo,
+    """Tracks of previews that a group of frames shares with all others, below which `coverage.py` names it. The three
+    frames that kerry_park misplaces share 84 to 183 in seven runs; the weakest frames of P8, canal_demo,
     canal, KITTI, PandaSet and a rendered room 296 and more."""
+    few_points_alone: int = Field(50, gt=0)
+    """The same of a single frame, which needs no more to be resected: kerry_park's blurred frame, off by up to 27 %,
+    shares 0 to 36. Views of an object with little texture (40 of dino) share 63 and more."""
     start_share: float = Field(0.5, ge=0, le=1)
     """Of a budget of pairs that the pairs may take which stay whatever a design is after."""
     cost: CostTuning = CostTuning()

@@ -38,8 +38,11 @@ def strongest_first(a: np.ndarray, b: np.ndarray, weight: np.ndarray, nodes: int
         yield members[one]
 
 
-def weakly_tied(point: np.ndarray, frame: np.ndarray, present: np.ndarray, least: int) -> tuple[WeaklyTied, ...]:
-    """Groups of frames that share fewer than ``least`` points with the others, the fewest first; none is in two.
+def weakly_tied(
+    point: np.ndarray, frame: np.ndarray, present: np.ndarray, least: int, alone: int | None = None
+) -> tuple[WeaklyTied, ...]:
+    """Groups of frames that share fewer than ``least`` points with the others, and single frames with fewer than
+    ``alone`` (None: likewise), the fewest first; no frame is in two.
 
     point, frame (K,): which frame sees which point. ``present`` (F,) bool: frames that have a place. Of two sides the
     smaller is the group. Frames that share ``least`` points are on one side always, so only what is weak is looked at.
@@ -59,7 +62,8 @@ def weakly_tied(point: np.ndarray, frame: np.ndarray, present: np.ndarray, least
         if 0 < len(inside) < len(there):
             across = _across(seen, inside)
             frames = np.flatnonzero(present & np.isin(home, inside)).tolist()
-            found += [WeaklyTied(tuple(frames), across)] if across < least else []
+            enough = least if alone is None or len(frames) > 1 else alone
+            found += [WeaklyTied(tuple(frames), across)] if across < enough else []
     return _disjoint(found)
 
 
