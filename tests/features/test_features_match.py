@@ -11,7 +11,7 @@ import pycolmap
 import pytest
 
 from features_world import FRAMES, features, filled_database, scene
-from tiegraph.errors import InputError, ReconstructionError, SettingsError
+from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.features import matchblocks
 from tiegraph.features.match import match_pairs, read_matches
 from tiegraph.features.settings import MatchSettings
@@ -171,22 +171,13 @@ def test_database_of_another_scene_is_refused(tmp_path):
         match_pairs(path, renamed, listed(), SETTINGS, tmp_path / "log.txt")
 
 
-def test_rig_verification_needs_extrinsics(tmp_path):
-    path = filled_database(tmp_path / "database.db", scene(known=False))
-    with pytest.raises(SettingsError, match="extrinsics of every sensor"):
-        match_pairs(path, scene(known=False), listed(), MatchSettings(rig_verification=True), tmp_path / "log.txt")
-
-
-def test_blocks_keep_frames_whole_for_rig_verification():
+def test_blocks_hold_every_pair_once():
     pairs = listed()
-    for whole in (False, True):
-        blocks = matchblocks.cut(scene(), pairs, 3, whole)
-        together = np.concatenate(blocks)
-        assert sorted(map(tuple, together.tolist())) == list(zip(pairs.i.tolist(), pairs.j.tolist()))
-        keys = [{tuple(sorted(k)) for k in (scene().frame[b]).tolist()} for b in blocks]
-        shared = sum(len(a & b) for n, a in enumerate(keys) for b in keys[n + 1 :])
-        assert (shared == 0) == whole
-    assert matchblocks.cut(scene(), Pairs.empty(), 3, False) == []
+    blocks = matchblocks.cut(pairs, 3)
+    together = np.concatenate(blocks)
+    assert together.tolist() == list(map(list, zip(pairs.i.tolist(), pairs.j.tolist())))
+    assert len(blocks) > 1 and {len(b) for b in blocks[:-1]} == {3}
+    assert matchblocks.cut(Pairs.empty(), 3) == []
 
 
 def test_watermarks_are_struck_out(tmp_path):

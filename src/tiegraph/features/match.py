@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
-from tiegraph.errors import InputError, ReconstructionError, SettingsError
+from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.features.matchblocks import cut, run_blocks
 from tiegraph.features.settings import MatchSettings
 from tiegraph.scene.colmapdatabase import Rows, feature_counts, keep_finished, match_counts, strike, write_anew
@@ -63,7 +63,7 @@ def match_pairs(
     another scene or a full disk, ReconstructionError if COLMAP's process ends or no pair at all is verified.
     """
     started = time.perf_counter()
-    _check(database, scene, settings)
+    _check(database, scene)
     kept = pairs.kept()
     counts = feature_counts(database)
     usable = np.array([counts.get(k, 0) > 0 for k in range(len(scene))], bool)
@@ -74,7 +74,7 @@ def match_pairs(
     tell(done, total)
     todo = kept.where(possible & ~finished)
     size = min(BLOCK_PAIRS, -(-len(todo) // processes))
-    blocks = cut(scene, todo, max(1, size), settings.rig_verification)
+    blocks = cut(todo, max(1, size))
     run_blocks(database, blocks, settings, processes, log, lambda more: tell(done + more, total))
     # Most matches lie in the image border and moved alike: a caption or a part of the platform. COLMAP's mappers would
     # still take the pair.
@@ -87,13 +87,11 @@ def match_pairs(
     return _filled(pairs, table), report
 
 
-def _check(database: Path, scene: Scene, settings: MatchSettings) -> None:
+def _check(database: Path, scene: Scene) -> None:
     with Rows(database) as rows:
         names = rows.image_names()
     if names != dict(enumerate(scene.names, 1)):
         raise InputError(f"{database} holds other images than the scene: delete it and run the features stage again")
-    if settings.rig_verification and not all(rig.known() for rig in scene.rigs):
-        raise SettingsError("match.rig_verification needs the extrinsics of every sensor of the rig: switch it off")
 
 
 def read_matches(database: Path, pairs: Pairs) -> MatchTable:

@@ -18,29 +18,15 @@ from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.features.settings import MatchSettings
 from tiegraph.scene.colmapdatabase import copy_features, take_matches
 from tiegraph.scene.pairs import Pairs
-from tiegraph.scene.scene import Scene
 
 _SEED = 0  # of RANSAC: the same matches give the same inliers
 _ALIAS = "tiegraph:"
 
 
-def cut(scene: Scene, pairs: Pairs, size: int, whole_frames: bool) -> list[np.ndarray]:
-    """Blocks (B, 2) of scene indices; with ``whole_frames`` all image pairs of two frames are in one block."""
+def cut(pairs: Pairs, size: int) -> list[np.ndarray]:
+    """Blocks (B, 2) of scene indices, of ``size`` pairs."""
     index = np.stack([pairs.i, pairs.j], axis=1)
-    if len(index) == 0:
-        return []
-    if not whole_frames:
-        return np.split(index, np.arange(size, len(index), size))
-    frames = np.sort(scene.frame[index], axis=1)
-    order = np.lexsort((frames[:, 1], frames[:, 0]))
-    index, frames = index[order], frames[order]
-    starts = np.flatnonzero(np.any(np.diff(frames, axis=0) != 0, axis=1)) + 1
-    cuts, last = [], 0
-    for start in starts.tolist():
-        if start - last >= size:
-            cuts.append(start)
-            last = start
-    return np.split(index, cuts)
+    return np.split(index, np.arange(size, len(index), size)) if len(index) else []
 
 
 def run_blocks(
@@ -113,7 +99,6 @@ def colmap_options(settings: MatchSettings) -> tuple[pycolmap.FeatureMatchingOpt
     """COLMAP's options of our settings."""
     matching = pycolmap.FeatureMatchingOptions(num_threads=1, use_gpu=False)
     matching.guided_matching = settings.guided
-    matching.rig_verification = settings.rig_verification
     matching.skip_image_pairs_in_same_frame = False  # what is listed is matched: the network decides
     matching.sift.max_ratio = settings.max_ratio
     verification = pycolmap.TwoViewGeometryOptions(min_num_inliers=settings.min_inliers)

@@ -34,7 +34,5 @@ class MatchSettings(Section):
     """Fewest verified matches of a pair; a pair with fewer is dropped."""
     guided: bool = False
     """Match again along the epipolar lines once a pair is verified: more matches, about twice the time."""
-    rig_verification: bool = False
-    """Verify whole frames of the rig together (needs good extrinsics, twenty times slower), not image pairs."""
     stationary: bool = False
     """Throw out matches at the same pixel in both images (the platform itself). Not for a platform that ever stops."""

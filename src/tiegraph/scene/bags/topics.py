@@ -16,7 +16,7 @@ def split_topics(path: Path) -> tuple[Path, tuple[str, ...]]:
     """What a path names, and the topics that stand behind it: (``run.bag``, ("/gps/fix",)), or (the path, ())."""
     head, _, tail = str(path).rpartition(":")
     bag = Path(head)
-    if not tail or path.exists() or not (bag.is_dir() or _is_file(bag)):
+    if not head or not tail or path.exists() or not (bag.is_dir() or _is_file(bag)):
         return path, ()
     return bag, tuple(in_full(name) for name in tail.split(",") if name.strip("/"))
 
