@@ -19,7 +19,7 @@ from tiegraph.sfm.database import write_working_copy
 from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.settings import SparseSettings
-from tiegraph.sfm.tuning import MappingTuning, Tuning
+from tiegraph.sfm.tuning import Tuning
 
 
 @pytest.fixture
@@ -46,10 +46,9 @@ def test_a_working_copy_of_some_images_holds_nothing_else(world, tmp_path: Path)
 def test_blocks_make_one_model(world, tmp_path: Path) -> None:
     true, scene = world
     shared = SceneTuning(blocks=BlocksTuning(whole=30, own=40, least=6, lent=18))
-    tuning = Tuning(mapping=MappingTuning(in_blocks=30))
     source = Source(tmp_path / "database.db", None)
     result = reconstruct(
-        source, tmp_path / "sparse", scene, SparseSettings(covariance_frames=0), tuning, shared, tmp_path / "log.txt"
+        source, tmp_path / "sparse", scene, SparseSettings(covariance_frames=0), Tuning(), shared, tmp_path / "log.txt"
     )
     assert result.mapper == "preview" and result.counts["registered"] == len(scene) and result.counts["models"] == 1
     assert any("mapped in 2 blocks" in n and "1 of 1 joins hold" in n for n in result.remarks.notes)

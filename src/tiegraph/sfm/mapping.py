@@ -123,7 +123,7 @@ def map_images(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str
 
     The start takes a half or a third of the CPU time of mapping from nothing and is as accurate (benchmarks/sfm).
     """
-    large = len(job.scene) > job.tuning.mapping.in_blocks
+    large = len(job.scene) > job.shared.blocks.whole
     asked = job.settings.mapper == "auto"
     if not label and job.source.preview is not None and asked:
         outcome = _run(job, "preview", rigs, modes, label)

@@ -17,9 +17,6 @@ class MappingTuning(Section):
     global_from_images: int = Field(60, ge=0)
     """Images from which a survey without a rig is mapped globally: below some tens of images the incremental mapper is
     as fast (PYCOLMAP 4)."""
-    in_blocks: int = Field(1000, ge=0)
-    """Images above which a survey without a coarse model to start from is mapped in blocks whose poses are the
-    start."""
     clearly_fewer: float = Field(0.8, ge=0, le=1)
     """Of the images tied to each other: fewer placed ask for another try, and for a word on why."""
     roughly_fewer: float = Field(0.5, ge=0, le=1)
