@@ -120,6 +120,7 @@ def test_passes_with_odometry_of_their_own_are_tied_by_previews(two_passes: Worl
     assert any("2 passes have poses in worlds of their own" in note for note in found.notes)
 
 
+@pytest.mark.slow
 def test_passes_that_nothing_ties_are_said(two_passes: World) -> None:
     """Previews that find nothing between the passes: not silence, but a sentence."""
     scene = with_priors(two_passes).with_(prior="odometry")
