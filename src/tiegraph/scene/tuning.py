@@ -122,9 +122,11 @@ class BlocksTuning(Section):
 
     whole: int = Field(1500, gt=0)
     """Images that are mapped in one piece. Of 1200 rendered ones with repeated walls (canal generator, seed 5) three
-    blocks of 420 were wrong each by itself, four times; in one piece the first model had 1188 of them, to 15 mm."""
+    blocks of 420, mapped roughly, were wrong each by itself, four times; in one piece the first model had 1188 of
+    them, to 15 mm."""
     own: int = Field(1000, gt=0)
-    """Images that a block has of its own, at most: the smaller a block, the less outweighs its false ties."""
+    """Images that a block has of its own, at most: in blocks of 420 of those images one of three came out right even
+    when it was not mapped roughly. A thousand was not tried on rendered images."""
     least: int = Field(30, gt=0)
     """Images of a block: a smaller one, that nothing ties to the rest, is left out."""
     lent: int = Field(60, ge=0)

@@ -25,7 +25,7 @@ from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.tuning.world import WorldTuning
 from tiegraph.sfm.verified import VerifiedMatches
 from tiegraph.sfm.world.antenna import RIGHT_ANGLE_DEG
-from tiegraph.sfm.world.clouds import CloudFit, fit_clouds, surface_of
+from tiegraph.sfm.world.clouds import CloudFit, Surface, fit_clouds, surface_of
 from tiegraph.sfm.world.fixes import Measurements
 from tiegraph.sfm.world.georef import Georeference
 from tiegraph.text import known_to
@@ -150,12 +150,14 @@ def one_world(
             others[number] = Joined(number, images, by="matches", test=test, off=off, sigma_m=sigma)
             joining.add(number, moved(models[number], fit.first_from_second))
             continue
-        found = next((j for j in map(by_positions, left) if j.by), None)
+        asked = [by_positions(k) for k in left]
+        found = next((j for j in asked if j.by), None)
         if found is not None:
             others[found.number] = found
             joining.add(found.number, place.whole(models[found.number], blind)[1])
             continue
-        by_points = [_by_points(by_positions(k), models[k], (first, alone[k]), joining, tuning.world) for k in left]
+        ground = surface_of(list(joining.world.values()), scene, tuning.world)
+        by_points = [_by_points(j, models, (first, alone[j.number]), (ground, scene), tuning.world) for j in asked]
         best = max(by_points, key=lambda j: j.cloud.explained if j.by and j.cloud is not None else -1.0)
         if best.cloud is None or not best.by:
             others |= {j.number: j for j in by_points}
@@ -195,19 +197,20 @@ def _by_positions(
 
 def _by_points(
     unplaced: Joined,
-    model: pycolmap.Reconstruction,
+    models: Sequence[pycolmap.Reconstruction],
     placed: tuple[Georeference, Georeference],
-    joining: Joining,
+    ground: tuple[Surface | None, Scene],
     tuning: WorldTuning,
 ) -> Joined:
-    """What its points make of a model that neither matches nor positions place; ``placed``: the first model and it.
+    """What its points make of a model that neither matches nor positions place; ``placed``: the first model and it;
+    ``ground``: what is in the world already.
 
     Not where its matches contradict each other: points cannot settle that.
     """
     if unplaced.test is not None:
         return unplaced
-    scene = joining.scene
-    world, own = surface_of(list(joining.world.values()), scene, tuning), surface_of([model], scene, tuning)
+    world, scene = ground
+    own = surface_of([models[unplaced.number]], scene, tuning)
     if world is None or own is None:
         why = "its points could not be laid on the others': they are few, or the cameras do not tell what is up"
         return replace(unplaced, why_not=f"{unplaced.why_not}; {why}")
