@@ -21,7 +21,7 @@ from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import BlocksTuning
 from tiegraph.scene.tuning import Tuning as SceneTuning
 
-TUNING = SceneTuning(blocks=BlocksTuning(whole=600, own=420))  # small enough for a world of 960 images
+TUNING = SceneTuning(blocks=BlocksTuning(unplaced=1))  # small enough for a world of 960 images
 
 
 @pytest.fixture(scope="module")
@@ -48,14 +48,52 @@ def test_both_passes_of_a_place_are_in_one_block(world) -> None:
         where = np.array([place(int(f)) for f in scene.frame[block.images[block.own]]])
         back = scene.frame[block.images[block.own]] >= FRAMES
         assert abs(np.mean(where[back]) - np.mean(where[~back])) < 6
-        assert np.ptp(where) < 1.3 * block.own.sum() / 4
+        assert spread(scene, block) < 1.3
         assert 1.0 <= len(block) / block.own.sum() < 1.7
+
+
+def spread(scene: Scene, block: Block) -> float:
+    """Frames of the way over which a block's own images lie, over those that they would fill."""
+    return float(np.ptp([place(int(f)) for f in scene.frame[block.images[block.own]]]) / (block.own.sum() / 4))
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.3])
+def test_positions_keep_places_that_look_alike_apart(world, missing: float) -> None:
+    """A wall that repeats every 100 frames: a cut by matches alone puts places 100 frames apart into one block."""
+    scene, truth, ties = world
+    rng = np.random.default_rng(0)
+    where = np.array([place(int(f)) for f in scene.frame])
+    i, j = np.triu_indices(len(scene), 1)
+    alike = np.flatnonzero((np.abs(np.abs(where[i] - where[j]) - 100) < 8) & (rng.random(len(i)) < 0.5))
+    false = PreviewMatches(
+        i[alike], j[alike], 60 * np.arange(len(alike) + 1), np.zeros((60 * len(alike), 2), np.uint16)
+    )
+    torn = ties | false
+    assert max(spread(scene, b) for b in blocks_of(scene, torn, TUNING.blocks)) > 1.8
+    first = np.unique(scene.frame, return_index=True)[1]
+    known = np.full((scene.frames, 4, 4), np.nan)
+    known[:, :3, 3] = transforms.centre(truth[first]) + rng.normal(0, 4.0, (scene.frames, 3))
+    for gap in (40, 300):
+        known[gap : gap + int(missing * FRAMES)] = np.nan
+    placed = scene.with_(world_from_rig=known, prior="gnss")
+    found = blocks_of(placed, torn, BlocksTuning())
+    assert len(found) in (3, 4) and max(map(len, found)) <= 600
+    for block in found:
+        assert spread(scene, block) < 1.3
+        middle = [where[block.images[block.own & (scene.frame[block.images] // FRAMES == k)]].mean() for k in (0, 1)]
+        assert abs(middle[0] - middle[1]) < 20
+
+
+def test_surveys_without_positions_are_cut_into_larger_blocks(world) -> None:
+    scene, truth, ties = world
+    assert len(blocks_of(scene, ties, BlocksTuning())) == 1  # 960 of up to 1500
+    assert len(blocks_of(scene, ties, BlocksTuning(unplaced=1.2))) == 2
 
 
 def test_the_size_of_blocks_is_in_reach(world) -> None:
     scene, _, ties = world
-    assert len(blocks_of(scene, ties, BlocksTuning(whole=960))) == 1
-    small = blocks_of(scene, ties, BlocksTuning(whole=600, own=200, lent=20))
+    assert len(blocks_of(scene, ties, BlocksTuning(whole=960, unplaced=1))) == 1
+    small = blocks_of(scene, ties, BlocksTuning(own=200, lent=20, unplaced=1))
     assert len(small) >= 5 and max(int(b.own.sum()) for b in small) <= 200
 
 

@@ -45,7 +45,7 @@ def test_a_working_copy_of_some_images_holds_nothing_else(world, tmp_path: Path)
 @pytest.mark.slow
 def test_blocks_make_one_model(world, tmp_path: Path) -> None:
     true, scene = world
-    shared = SceneTuning(blocks=BlocksTuning(whole=30, own=40, least=6, lent=18))
+    shared = SceneTuning(blocks=BlocksTuning(whole=30, own=40, least=6, lent=18, unplaced=1))
     source = Source(tmp_path / "database.db", None)
     result = reconstruct(
         source, tmp_path / "sparse", scene, SparseSettings(covariance_frames=0), Tuning(), shared, tmp_path / "log.txt"

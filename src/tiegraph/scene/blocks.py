@@ -4,6 +4,10 @@ The frames are a graph, linked by the preview matches of their images and by the
 2000), nested until every part is small enough, keep what sees the same place together: both passes there, whatever
 their order. Each part then takes from its neighbours the frames it is tied to best; by these, which two blocks share,
 they are joined again (as in Zhu et al. 2018, Very large-scale global SfM by distributed motion averaging).
+
+Where walls repeat, a third of the matches tie places that lie far apart, and a cut through such a graph puts them into
+one block, where nothing contradicts them. So where frames have prior positions, only links between near frames count:
+each block is then one stretch of the way with all its passes, and ties between far places are in no block.
 """
 
 from __future__ import annotations
@@ -14,9 +18,11 @@ from typing import Protocol
 import numpy as np
 from scipy.sparse import coo_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
+from scipy.spatial import cKDTree
 
 from tiegraph.scene.graph import parts
 from tiegraph.scene.matches import PreviewMatches
+from tiegraph.scene.places import between_neighbours
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import BlocksTuning
 
@@ -58,11 +64,11 @@ def blocks_of(scene: Scene, ties: Links, tuning: BlocksTuning) -> tuple[Block, .
     """Blocks of a survey by its ties; one that holds everything of a small one. Every image is some block's own, but
     for those of small pieces that nothing ties to the rest."""
     everything = np.arange(len(scene))
-    if len(scene) <= tuning.whole:
+    if in_one_piece(scene, tuning):
         return (Block(everything, np.ones(len(scene), bool)),)
     size = np.bincount(scene.frame, minlength=scene.frames)
-    graph, ties_between = _links(scene, ties, tuning.order)
-    label = _cut(graph, size, tuning)
+    graph, ties_between = _links(scene, ties, tuning)
+    label = _cut(graph, size, round(_times(scene, tuning) * tuning.own), tuning)
     lent = _lent(graph, ties_between, label, size, tuning)
     out = []
     for k in range(label.max() + 1):
@@ -73,22 +79,49 @@ def blocks_of(scene: Scene, ties: Links, tuning: BlocksTuning) -> tuple[Block, .
     return tuple(out)
 
 
-def _links(scene: Scene, ties: Links, by_order: float) -> tuple[csr_array, csr_array]:
-    """(F, F) strength of the links between frames by preview matches and order; (F, F) pairs of images that tie.
+def in_one_piece(scene: Scene, tuning: BlocksTuning) -> bool:
+    """Whether a survey is so small that it is mapped in one piece."""
+    return len(scene) <= _times(scene, tuning) * tuning.whole
 
-    ``by_order``: of the mean link, what the order of a pass alone links its frames with.
-    """
+
+def _times(scene: Scene, tuning: BlocksTuning) -> float:
+    """By which blocks are larger: 1 where most frames have positions in one world, which keep far places out of a
+    block."""
+    world = scene.pose_world()
+    return 1.0 if np.bincount(world[world >= 0], minlength=1).max() > 0.5 * scene.frames else tuning.unplaced
+
+
+def _links(scene: Scene, ties: Links, tuning: BlocksTuning) -> tuple[csr_array, csr_array]:
+    """(F, F) strength of the links between frames by preview matches and order; (F, F) pairs of images that tie."""
     a, b, count = scene.frame[ties.i], scene.frame[ties.j], ties.counts().astype(float)
-    apart = a != b
+    apart = (a != b) & ~_far(scene, a, b, tuning.near)
     matches = _symmetric(a[apart], b[apart], count[apart], scene.frames)
     pairs = _symmetric(a[apart], b[apart], np.ones(int(apart.sum())), scene.frames)
     order = np.lexsort((scene.sequence_index, scene.rig, scene.sequence))
     before, after = order[:-1], order[1:]
     next_ = (scene.sequence[before] == scene.sequence[after]) & (scene.rig[before] == scene.rig[after])
     next_ &= scene.sequence[before] >= 0
-    level = by_order * float(matches.data.mean()) if matches.nnz else 1.0
+    level = tuning.order * float(matches.data.mean()) if matches.nnz else 1.0
     path = _symmetric(before[next_], after[next_], np.full(int(next_.sum()), level), scene.frames)
     return csr_array(matches + path), pairs
+
+
+def _far(scene: Scene, a: np.ndarray, b: np.ndarray, near: int) -> np.ndarray:
+    """(T,) bool: links between frames a, b (T,) neither of which is among so many nearest ones of the other, by prior
+    positions. Frames without one stand between their neighbours on the pass; nothing is known of others."""
+    pose = np.array(scene.world_from_rig)
+    positions = pose[:, :3, 3] = between_neighbours(pose[:, :3, 3], scene)
+    world = scene.with_(world_from_rig=pose).pose_world()
+    beside = csr_array((scene.frames, scene.frames), dtype=bool)
+    for number in np.unique(world[world >= 0]):
+        frames = np.flatnonzero(world == number)
+        _, nearest = cKDTree(positions[frames]).query(positions[frames], k=min(near + 1, len(frames)))
+        nearest = frames[nearest.reshape(len(frames), -1)]
+        here = np.repeat(frames, nearest.shape[1])
+        beside = beside + csr_array((np.ones(nearest.size, bool), (here, nearest.ravel())), shape=beside.shape)
+    beside = csr_array(beside + beside.T)
+    compared = (world[a] >= 0) & (world[a] == world[b])
+    return compared & ~np.asarray(beside[a, b]).ravel()
 
 
 def _symmetric(a: np.ndarray, b: np.ndarray, value: np.ndarray, n: int) -> csr_array:
@@ -99,18 +132,18 @@ def _symmetric(a: np.ndarray, b: np.ndarray, value: np.ndarray, n: int) -> csr_a
 # ---------------------------------------------------------------- cutting
 
 
-def _cut(graph: csr_array, size: np.ndarray, tuning: BlocksTuning) -> np.ndarray:
-    """(F,) part of every frame; none has more images than a block of its own, unless one frame has."""
+def _cut(graph: csr_array, size: np.ndarray, own: int, tuning: BlocksTuning) -> np.ndarray:
+    """(F,) part of every frame; none has more than ``own`` images, unless one frame has."""
     label = np.zeros(len(size), int)
     todo = [np.flatnonzero(piece) for piece in _pieces(graph)]
     done: list[np.ndarray] = []
     while todo:
         frames = todo.pop()
-        count = -(-int(size[frames].sum()) // tuning.own)
+        count = -(-int(size[frames].sum()) // own)
         if count < 2 or len(frames) < 2:
             done.append(frames)
             continue
-        first = _first_side(csr_array(graph[frames][:, frames]), size[frames], (count // 2, count), tuning)
+        first = _first_side(csr_array(graph[frames][:, frames]), size[frames], (count // 2, count), own, tuning)
         todo += [frames[first], frames[~first]]
     for k, frames in enumerate(done):
         label[frames] = k
@@ -125,7 +158,9 @@ def _pieces(graph: csr_array) -> list[np.ndarray]:
     return [label == k for k in range(label.max() + 1)]
 
 
-def _first_side(graph: csr_array, size: np.ndarray, blocks: tuple[int, int], tuning: BlocksTuning) -> np.ndarray:
+def _first_side(
+    graph: csr_array, size: np.ndarray, blocks: tuple[int, int], own: int, tuning: BlocksTuning
+) -> np.ndarray:
     """(F,) bool: the side for the first of so many ``blocks``, (some, all), cut where least is cut."""
     share, total = blocks[0] / blocks[1], float(size.sum())
     order = np.argsort(_second_vector(graph, tuning), kind="stable")
@@ -138,7 +173,7 @@ def _first_side(graph: csr_array, size: np.ndarray, blocks: tuple[int, int], tun
     done = np.cumsum(size[order])[:-1] / total
     allowed = np.abs(done - share) <= tuning.margin * min(share, 1 - share)
     # Neither side may need one block more than it was meant to: a block too many costs more than a cut through ties.
-    allowed &= (done * total <= blocks[0] * tuning.own) & ((1 - done) * total <= (blocks[1] - blocks[0]) * tuning.own)
+    allowed &= (done * total <= blocks[0] * own) & ((1 - done) * total <= (blocks[1] - blocks[0]) * own)
     allowed[np.argmin(np.abs(done - share))] = True
     volume = np.cumsum(np.bincount(place[coo.coords[0]], coo.data, len(order)))
     cost = severed / np.maximum(np.minimum(volume[:-1], volume[-1] - volume[:-1]), 1e-12)

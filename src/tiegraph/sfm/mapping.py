@@ -12,6 +12,7 @@ import numpy as np
 
 from tiegraph.child import run_in_child
 from tiegraph.errors import ReconstructionError
+from tiegraph.scene.blocks import in_one_piece
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.rig import Rig, calibrated
 from tiegraph.scene.scene import Scene
@@ -123,7 +124,7 @@ def map_images(job: Job, rigs: dict[int, Rig], modes: dict[int, str], label: str
 
     The start takes a half or a third of the CPU time of mapping from nothing and is as accurate (benchmarks/sfm).
     """
-    large = len(job.scene) > job.shared.blocks.whole
+    large = not in_one_piece(job.scene, job.shared.blocks)
     asked = job.settings.mapper == "auto"
     if not label and job.source.preview is not None and asked:
         outcome = _run(job, "preview", rigs, modes, label)

@@ -1,6 +1,6 @@
 """The coarse model of a survey of any size: mapped whole, or in blocks that are joined by the images they share.
 
-Time grows linearly with the images. Up to 1500 images the model is mapped whole. Beyond, ``scene.blocks`` cuts the
+Time grows linearly with the images. A survey of some hundred images is mapped whole. Beyond, ``scene.blocks`` cuts the
 graph of frames into blocks that keep both passes of a place together and share the frames at their borders. Each
 block is mapped by itself, roughly (few tracks, no final adjustment), and ``scene.joining`` puts the models into one
 frame by the images they share. Joins that the shared images or the other joins contradict are refused and reported.

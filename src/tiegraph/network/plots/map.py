@@ -19,6 +19,7 @@ from scipy.sparse.linalg import eigsh
 from tiegraph.network.plots.common import DPI, INK, RED, grouped, png
 from tiegraph.scene.figures import plain_text
 from tiegraph.scene.pairs import Pairs
+from tiegraph.scene.places import between_neighbours
 from tiegraph.scene.scene import Scene
 
 MAX_NODES = 300  # more frames than this are drawn as runs of neighbours
@@ -111,7 +112,7 @@ def weak_pairs(table: dict, scene: Scene) -> np.ndarray:
 def _layout(kept: Pairs, positions: np.ndarray | None, scene: Scene) -> tuple[np.ndarray, str]:
     """(F, 2) places of the frames, and what must be said of them."""
     if positions is not None and np.isfinite(np.asarray(positions, float)[:, :2]).all(axis=1).any():
-        return _filled(np.asarray(positions, float)[:, :2], scene), ""
+        return between_neighbours(np.asarray(positions, float)[:, :2], scene), ""
     if (scene.sequence >= 0).any():
         lane = np.where(scene.sequence >= 0, scene.sequence, scene.sequence.max() + 1)
         rank = np.zeros(scene.frames)
@@ -122,20 +123,6 @@ def _layout(kept: Pairs, positions: np.ndarray | None, scene: Scene) -> tuple[np
         text = "no positions: frames stand in the order of their passes, one row a pass; lengths mean nothing"
         return np.stack([rank, -gap * lane], axis=1), text
     return _by_ties(kept, scene), "no positions: photographs stand near those they tie to; lengths mean nothing"
-
-
-def _filled(place: np.ndarray, scene: Scene) -> np.ndarray:
-    """Frames without a position between their neighbours on the pass; beyond the ends they stay unknown."""
-    out = place.copy()
-    for t in np.unique(scene.sequence[scene.sequence >= 0]):
-        own = np.flatnonzero(scene.sequence == t)
-        own = own[np.argsort(scene.sequence_index[own], kind="stable")]
-        known = np.flatnonzero(np.isfinite(place[own]).all(axis=1))
-        if len(known) > 1:
-            inside = np.arange(known[0], known[-1] + 1)
-            for c in (0, 1):
-                out[own[inside], c] = np.interp(inside, known, place[own[known], c])
-    return out
 
 
 def _by_ties(kept: Pairs, scene: Scene) -> np.ndarray:
