@@ -341,7 +341,7 @@ def _write_times(rows: list[tuple[str, float]], work: Path) -> Path:
 
 
 def _write_rig(rig: Rig, work: Path) -> Path:
-    from tiegraph.scan.rigwrite import write_rig_toml
+    from tiegraph.scan.rigfiles.rigwrite import write_rig_toml
 
     path = work / "rig.toml"
     write_rig_toml(rig, path)

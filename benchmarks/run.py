@@ -30,7 +30,7 @@ import tiegraph  # noqa: F401  before pycolmap
 from benchmarks import accuracy, datasets, table
 from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import Origin
-from tiegraph.scan.rigfile import read_rig_file
+from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.rig import camera_to_dict
 

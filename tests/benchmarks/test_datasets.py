@@ -9,7 +9,7 @@ from benchmarks import accuracy, datasets, table
 from tiegraph.errors import InputError, SettingsError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import world_from_geodetic
-from tiegraph.scan.rigfile import read_rig_file
+from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.tuning import RigTuning
 
 RIG = RigTuning()

@@ -9,7 +9,7 @@ from benchmarks.foundrig import drawn, halves
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import transforms
-from tiegraph.scan.rigspec import orient
+from tiegraph.scan.rigfiles.rigspec import orient
 from tiegraph.scene.rig import Rig, Sensor
 
 TURNED = transforms.invert(transforms.rigid(orient(73.4, 1.9, -3.1), np.array([0.33, -0.04, 1.16])))

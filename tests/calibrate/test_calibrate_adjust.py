@@ -18,8 +18,8 @@ from tiegraph.calibrate.summary import parameter_rows
 from tiegraph.calibrate.tuning import Tuning
 from tiegraph.errors import InputError, ReconstructionError
 from tiegraph.geometry import transforms
-from tiegraph.scan.camerafile import read_camera_file
-from tiegraph.scan.rigfile import read_rig_file
+from tiegraph.scan.rigfiles.camerafile import read_camera_file
+from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.tuning import Tuning as ScanTuning
 
 TUNING = Tuning()

@@ -14,7 +14,7 @@ from tiegraph.calibrate.state import State
 from tiegraph.calibrate.tuning import Tuning
 from tiegraph.cli.main import main
 from tiegraph.geometry import transforms
-from tiegraph.scan.rigfile import read_rig_file
+from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.tuning import Tuning as ScanTuning
 
 WORDS = "charuco:18x13:0.018:0.0115:4X4_250"

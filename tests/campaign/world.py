@@ -19,7 +19,7 @@ from campaign.process import Server
 from tiegraph.geometry import transforms
 from tiegraph.geometry.geodesy import geodetic_from_world
 from tiegraph.pipeline import STAGES
-from tiegraph.scan.rigwrite import write_rig_config, write_rig_toml
+from tiegraph.scan.rigfiles.rigwrite import write_rig_config, write_rig_toml
 
 NAMES = tuple(s.name for s in STAGES)
 PATIENCE_S = 400.0  # for a whole run on a machine with other work; a clean one takes half a minute

@@ -15,7 +15,7 @@ from tiegraph.evaluate.reference import model_poses
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.geometry.geodesy import geodetic_from_world, world_from_geodetic
-from tiegraph.scan.rigwrite import write_rig_toml
+from tiegraph.scan.rigfiles.rigwrite import write_rig_toml
 
 pytestmark = pytest.mark.slow
 _PATIENCE_S = 400

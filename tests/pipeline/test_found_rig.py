@@ -16,8 +16,8 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import centre, invert, rigid
 from tiegraph.pipeline.foundrig import rig_file
 from tiegraph.scan.prepare import crop_camera
-from tiegraph.scan.rigfile import parse_rig_file, read_rig_file
-from tiegraph.scan.rigspec import RigSpec, orient
+from tiegraph.scan.rigfiles.rigfile import parse_rig_file, read_rig_file
+from tiegraph.scan.rigfiles.rigspec import RigSpec, orient
 from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.rig import Rig, Sensor, Source
 from tiegraph.scene.scene import Scene, simple_scene

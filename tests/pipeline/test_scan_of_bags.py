@@ -18,7 +18,7 @@ from bag_world import FORMS, START_S
 from tiegraph.api import Project
 from tiegraph.cli.main import main
 from tiegraph.errors import InputError
-from tiegraph.scan.bagfilms import find_bags
+from tiegraph.scan.videos.bagfilms import find_bags
 from tiegraph.scene.exif import read_exif
 
 SIZE = (160, 120)

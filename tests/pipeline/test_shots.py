@@ -10,7 +10,7 @@ import pytest
 import tiegraph
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import rigid
-from tiegraph.scan.rigwrite import write_rig_toml
+from tiegraph.scan.rigfiles.rigwrite import write_rig_toml
 from tiegraph.scene.cloudfile import read_cloud
 from tiegraph.scene.rig import Rig, Sensor
 

@@ -18,8 +18,8 @@ from scan_worlds import papers_rig, scan
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import centre, rigid
 from tiegraph.scan.calibration import read_camera
-from tiegraph.scan.rigfile import read_rig_file
-from tiegraph.scan.rigspec import orient
+from tiegraph.scan.rigfiles.rigfile import read_rig_file
+from tiegraph.scan.rigfiles.rigspec import orient
 from tiegraph.scan.tuning import RigTuning
 
 RIG = RigTuning()

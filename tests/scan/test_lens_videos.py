@@ -13,7 +13,7 @@ from PIL import Image
 import recording_world as world
 import tiegraph
 from tiegraph.errors import InputError
-from tiegraph.scan.video import picture_folders
+from tiegraph.scan.videos.video import picture_folders
 
 
 def film(path: Path, width: int = 96, seed: int = 0, lenses: int = 1) -> Path:

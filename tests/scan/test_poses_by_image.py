@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import angle_deg, rigid
+from tiegraph.scan.priors.trajectory import read_trajectory
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.trajectory import read_trajectory
 from tiegraph.scene.scene import Scene
 
 CANAL = Path(__file__).parents[2] / "examples" / "canal"

@@ -15,7 +15,7 @@ from recording_world import ONE_EACH, Fix, Layout, klv, nest
 from tiegraph.scan.recording.klv import BrokenEntry, entries
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PicturesTuning
-from tiegraph.scan.videotime import VideoClock, video_clock
+from tiegraph.scan.videos.videotime import VideoClock, video_clock
 
 PICTURES = PicturesTuning()
 START = datetime(2016, 12, 31, 23, 59, 58, 250000, timezone.utc)  # a leap second came 1.75 s later: UTC has none of it

@@ -14,7 +14,7 @@ from recording_world import Fix
 from tiegraph.scan.recording.insta360 import read_trailer
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PicturesTuning
-from tiegraph.scan.videotime import VideoClock, video_clock
+from tiegraph.scan.videos.videotime import VideoClock, video_clock
 
 START = datetime(2024, 5, 1, 10, 0, 0, tzinfo=timezone.utc)
 FIXES = world.walk(START - timedelta(seconds=0.5), 40, 10)  # before and beyond the three seconds

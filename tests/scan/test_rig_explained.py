@@ -9,8 +9,8 @@ import pytest
 from scan_worlds import exif_of, papers_rig, picture, scan
 
 from tiegraph.cli.main import main
-from tiegraph.scan.rigfile import read_rig_file
-from tiegraph.scan.rigwrite import EXPLAINED
+from tiegraph.scan.rigfiles.rigfile import read_rig_file
+from tiegraph.scan.rigfiles.rigwrite import EXPLAINED
 from tiegraph.scan.tuning import RigTuning
 
 RIG = RigTuning()

@@ -13,7 +13,7 @@ import pytest
 from scan_worlds import papers_rig, picture, scan
 
 from tiegraph.errors import InputError
-from tiegraph.scan.rigfile import read_rig_file
+from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.gcp import read_gcps

@@ -11,9 +11,9 @@ from scan_worlds import papers_rig, picture, scan
 from test_scan_rigfile import FREE, LEFT, REF, TOML, colmap, toml
 
 from tiegraph.errors import InputError
-from tiegraph.scan.rigfaults import lens_fault
-from tiegraph.scan.rigfile import read_rig_file
-from tiegraph.scan.rigspec import preset_sizes
+from tiegraph.scan.rigfiles.rigfaults import lens_fault
+from tiegraph.scan.rigfiles.rigfile import read_rig_file
+from tiegraph.scan.rigfiles.rigspec import preset_sizes
 from tiegraph.scan.tuning import RigTuning
 
 RIG = RigTuning()

@@ -15,8 +15,8 @@ from tiegraph.cli.main import main
 from tiegraph.errors import InputError
 from tiegraph.scan.recording.recording import Recording
 from tiegraph.scan.tuning import PicturesTuning
-from tiegraph.scan.video import sharpest, take_pictures
-from tiegraph.scan.videotime import VideoClock
+from tiegraph.scan.videos.video import sharpest, take_pictures
+from tiegraph.scan.videos.videotime import VideoClock
 from tiegraph.scene import images as scene_images
 from tiegraph.scene.images import probe_image, search_images
 from tiegraph.scene.regular import regular

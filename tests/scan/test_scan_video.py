@@ -11,7 +11,7 @@ from scan_worlds import scan
 
 from tiegraph.scan.recording.recording import Recording
 from tiegraph.scan.tuning import PicturesTuning
-from tiegraph.scan.video import (
+from tiegraph.scan.videos.video import (
     OpenVideo,
     Pictures,
     find_videos,
@@ -20,7 +20,7 @@ from tiegraph.scan.video import (
     sharpest,
     take_pictures,
 )
-from tiegraph.scan.videotime import VideoClock
+from tiegraph.scan.videos.videotime import VideoClock
 from tiegraph.scene.images import has_images
 
 PICTURES = PicturesTuning()

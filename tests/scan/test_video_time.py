@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tiegraph.scan.djisubtitles import read_subtitles
 from tiegraph.scan.recording.recording import Recording
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PicturesTuning
-from tiegraph.scan.video import sharpest, take_pictures
-from tiegraph.scan.videotime import VideoClock, video_clock
+from tiegraph.scan.videos.djisubtitles import read_subtitles
+from tiegraph.scan.videos.video import sharpest, take_pictures
+from tiegraph.scan.videos.videotime import VideoClock, video_clock
 from tiegraph.scene.exif import Exif, read_exif
 from tiegraph.scene.exifwrite import Taken, exif_of
 

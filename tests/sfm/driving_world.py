@@ -13,7 +13,7 @@ import tiegraph  # noqa: F401  (zlib before pycolmap)
 import pycolmap  # isort: skip
 
 from tiegraph.geometry import transforms
-from tiegraph.scan.rigspec import orient
+from tiegraph.scan.rigfiles.rigspec import orient
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.sfm.model import rigid3d

@@ -9,7 +9,7 @@ import pycolmap
 from driving_world import INTERVAL_S, LATE_S, PLACES, YAWS, Drive, driving_world
 
 from tiegraph.geometry import transforms
-from tiegraph.scan.rigspec import orient
+from tiegraph.scan.rigfiles.rigspec import orient
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.model import rigid3d
 from tiegraph.sfm.rig.cameraframes import per_camera_frames

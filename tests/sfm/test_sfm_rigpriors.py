@@ -10,7 +10,7 @@ import pytest
 from moving_world import moving_world, write_database
 
 from tiegraph.geometry import transforms
-from tiegraph.scan.rigspec import orient
+from tiegraph.scan.rigfiles.rigspec import orient
 from tiegraph.scene.rig import Rig
 from tiegraph.scene.tuning import Tuning as SceneTuning
 from tiegraph.sfm.mapper import Source, reconstruct

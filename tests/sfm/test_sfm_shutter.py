@@ -16,7 +16,7 @@ from moving_world import sighted
 
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
-from tiegraph.scan.rigspec import orient
+from tiegraph.scan.rigfiles.rigspec import orient
 from tiegraph.scene.rig import Rig, Sensor, Source
 from tiegraph.scene.scene import Scene, simple_scene
 from tiegraph.sfm.finish import FinishResult, finish_model

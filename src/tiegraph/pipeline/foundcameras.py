@@ -9,7 +9,7 @@ import numpy as np
 import pycolmap
 
 from tiegraph.scan.prepare import crop_camera
-from tiegraph.scan.rigfaults import lens_fault
+from tiegraph.scan.rigfiles.rigfaults import lens_fault
 from tiegraph.scan.tuning import CameraTuning
 from tiegraph.scene.rig import Sensor
 from tiegraph.sfm.adjustment.lens import difference_px

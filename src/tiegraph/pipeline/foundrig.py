@@ -20,8 +20,8 @@ from tiegraph.pipeline.files import load_json, load_model, load_scene
 from tiegraph.pipeline.foundcameras import with_camera
 from tiegraph.project.folder import check_format, names_run
 from tiegraph.project.receipts import Receipts
-from tiegraph.scan.rigfile import parse_rig_file
-from tiegraph.scan.rigwrite import rig_config, rig_toml
+from tiegraph.scan.rigfiles.rigfile import parse_rig_file
+from tiegraph.scan.rigfiles.rigwrite import rig_config, rig_toml
 from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.colmapmodel import model_rigs
 from tiegraph.scene.rig import Rig, Sensor

@@ -12,13 +12,13 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.project.run import Run
-from tiegraph.scan.bagfilms import BagFilm, bag_films, find_bags, fixes_notes
-from tiegraph.scan.cameraread import FoundCamera
-from tiegraph.scan.lensvideos import is_of_lens, recordings_of
 from tiegraph.scan.recording.recording import Recording
+from tiegraph.scan.rigfiles.cameraread import FoundCamera
 from tiegraph.scan.settings import ScanSettings, video_offsets
 from tiegraph.scan.tuning import OffsetTuning, PicturesTuning, Tuning
-from tiegraph.scan.video import (
+from tiegraph.scan.videos.bagfilms import BagFilm, bag_films, find_bags, fixes_notes
+from tiegraph.scan.videos.lensvideos import is_of_lens, recordings_of
+from tiegraph.scan.videos.video import (
     Pictures,
     check_film,
     find_videos,
@@ -28,10 +28,10 @@ from tiegraph.scan.video import (
     sharpest,
     take_pictures,
 )
-from tiegraph.scan.videomotion import MotionCurve, motion_curve
-from tiegraph.scan.videooffset import Offset, find_offset
-from tiegraph.scan.videorig import Film, films_together, offsets_given
-from tiegraph.scan.videotime import VideoClock, video_clock
+from tiegraph.scan.videos.videomotion import MotionCurve, motion_curve
+from tiegraph.scan.videos.videooffset import Offset, find_offset
+from tiegraph.scan.videos.videorig import Film, films_together, offsets_given
+from tiegraph.scan.videos.videotime import VideoClock, video_clock
 from tiegraph.scene.bags.topics import split_topics
 from tiegraph.scene.images import find_images, has_images
 

@@ -25,9 +25,9 @@ from tiegraph.scan.folders import (
     shot_stem,
     words,
 )
-from tiegraph.scan.rigfaults import contradictions
-from tiegraph.scan.rigfile import parse_rig_file, read_rig_file
-from tiegraph.scan.rigspec import RigSpec, SensorSpec, preset, preset_sizes
+from tiegraph.scan.rigfiles.rigfaults import contradictions
+from tiegraph.scan.rigfiles.rigfile import parse_rig_file, read_rig_file
+from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec, preset, preset_sizes
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import FoldersTuning, Tuning
 from tiegraph.scene.exif import Exif

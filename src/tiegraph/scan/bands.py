@@ -16,7 +16,7 @@ import numpy as np
 
 from tiegraph.geometry.transforms import rigid
 from tiegraph.scan.folders import Layout, Order, Place, is_pattern, natural, pass_names
-from tiegraph.scan.rigspec import RigSpec, SensorSpec
+from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec
 from tiegraph.scan.tuning import BandsTuning
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.xmp import relative_rotation

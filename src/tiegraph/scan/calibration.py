@@ -17,12 +17,12 @@ import pycolmap
 
 from tiegraph.errors import InputError
 from tiegraph.scan.assign import Survey, some
-from tiegraph.scan.camerafile import PROGRAMS, check_lens, in_words, read_camera_file
-from tiegraph.scan.cameraread import FoundCamera, only_one
-from tiegraph.scan.poses import images_by_name
-from tiegraph.scan.rigfile import camera_table
-from tiegraph.scan.rigspec import SensorSpec
-from tiegraph.scan.startmodel import StartModel
+from tiegraph.scan.priors.poses import images_by_name
+from tiegraph.scan.priors.startmodel import StartModel
+from tiegraph.scan.rigfiles.camerafile import PROGRAMS, check_lens, in_words, read_camera_file
+from tiegraph.scan.rigfiles.cameraread import FoundCamera, only_one
+from tiegraph.scan.rigfiles.rigfile import camera_table
+from tiegraph.scan.rigfiles.rigspec import SensorSpec
 from tiegraph.scan.tuning import CameraTuning, RigTuning
 from tiegraph.scene.rays import on_plane
 from tiegraph.scene.regular import names_file, regular

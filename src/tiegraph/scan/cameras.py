@@ -10,8 +10,8 @@ import pycolmap
 from tiegraph.errors import InputError
 from tiegraph.scan.folders import words
 from tiegraph.scan.prepare import crop_camera, pinhole_camera
-from tiegraph.scan.rigfaults import focal_fault, lens_fault
-from tiegraph.scan.rigspec import SensorSpec
+from tiegraph.scan.rigfiles.rigfaults import focal_fault, lens_fault
+from tiegraph.scan.rigfiles.rigspec import SensorSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import CameraTuning
 from tiegraph.scene.rig import Source

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import rigid
 from tiegraph.scan.assign import Report, Shot, Survey, some
-from tiegraph.scan.rigspec import orient
+from tiegraph.scan.rigfiles.rigspec import orient
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import LensViewsTuning
 from tiegraph.scene.fisheye import is_fisheye, seen_half_deg

@@ -13,7 +13,7 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import rigid
 from tiegraph.scan.assign import Report, Shot, Survey, Usable, some
 from tiegraph.scan.folders import guess_layout
-from tiegraph.scan.rigspec import RigSpec, SensorSpec, orient
+from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec, orient
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PanoramaTuning, Tuning
 from tiegraph.scene.images import Probe

@@ -17,13 +17,13 @@ from tiegraph.scan.fisheye import ImageFiles, into_views, with_lit_circle
 from tiegraph.scan.folders import natural
 from tiegraph.scan.frames import match_frames
 from tiegraph.scan.perspective import perspective_views
-from tiegraph.scan.positions import Frames
 from tiegraph.scan.prepare import KEPT_SUFFIXES, prepare_image
-from tiegraph.scan.priors import estimate_priors
-from tiegraph.scan.rigspec import RigSpec
+from tiegraph.scan.priors.positions import Frames
+from tiegraph.scan.priors.priors import estimate_priors
+from tiegraph.scan.priors.startmodel import StartModel, must_be_whole
+from tiegraph.scan.priors.times import FrameRow
+from tiegraph.scan.rigfiles.rigspec import RigSpec
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.startmodel import StartModel, must_be_whole
-from tiegraph.scan.times import FrameRow
 from tiegraph.scan.tuning import FramesTuning, Tuning
 from tiegraph.scan.twolenses import two_lenses
 from tiegraph.scan.usable import need_two, usable_images

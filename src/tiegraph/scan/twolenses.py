@@ -21,9 +21,9 @@ from tiegraph.geometry.transforms import rigid
 from tiegraph.scan.assign import Report, Usable
 from tiegraph.scan.perspective import PRESET, SharedFiles, of_one_kind, share_files
 from tiegraph.scan.recording.factory import FactoryLens, factory_lenses
-from tiegraph.scan.rigfaults import lens_fault
-from tiegraph.scan.rigfile import parse_rig_file, read_rig_file
-from tiegraph.scan.rigspec import RigSpec, SensorSpec, orient, preset_sizes
+from tiegraph.scan.rigfiles.rigfaults import lens_fault
+from tiegraph.scan.rigfiles.rigfile import parse_rig_file, read_rig_file
+from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec, orient, preset_sizes
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import Tuning
 from tiegraph.scene.images import Probe

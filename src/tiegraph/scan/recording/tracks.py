@@ -13,7 +13,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from tiegraph.scan.mp4 import boxes
+from tiegraph.scan.recording.mp4 import boxes
 from tiegraph.scene.regular import regular
 
 VIDEO = b"vide"

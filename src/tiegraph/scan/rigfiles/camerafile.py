@@ -16,11 +16,11 @@ from pathlib import Path
 import pycolmap
 
 from tiegraph.errors import InputError
-from tiegraph.scan.cameraforeign import agisoft, is_agisoft, is_opensfm, opensfm
-from tiegraph.scan.cameraread import NUMBER, FoundCamera
-from tiegraph.scan.camerayaml import is_kalibr, is_opencv, kalibr, opencv
-from tiegraph.scan.rigfaults import lens_fault
-from tiegraph.scan.rigreader import nearest
+from tiegraph.scan.rigfiles.cameraforeign import agisoft, is_agisoft, is_opensfm, opensfm
+from tiegraph.scan.rigfiles.cameraread import NUMBER, FoundCamera
+from tiegraph.scan.rigfiles.camerayaml import is_kalibr, is_opencv, kalibr, opencv
+from tiegraph.scan.rigfiles.rigfaults import lens_fault
+from tiegraph.scan.rigfiles.rigreader import nearest
 from tiegraph.scan.tuning import CameraTuning
 from tiegraph.scene.regular import regular
 from tiegraph.scene.table import text_lines

@@ -11,13 +11,13 @@ from typing import Protocol
 
 import numpy as np
 
-from tiegraph.scan.djisubtitles import read_subtitles, subtitles_of
-from tiegraph.scan.mp4 import boxes
 from tiegraph.scan.recording.fixes import Fixes, Readings, believed
 from tiegraph.scan.recording.gpmf import Telemetry, read_gpmf
 from tiegraph.scan.recording.insta360 import BrokenTrailer, read_trailer
+from tiegraph.scan.recording.mp4 import boxes
 from tiegraph.scan.settings import ScanSettings, VideoOffsets, video_offsets
 from tiegraph.scan.tuning import PicturesTuning
+from tiegraph.scan.videos.djisubtitles import read_subtitles, subtitles_of
 from tiegraph.scene.exifwrite import Taken
 from tiegraph.scene.gpstime import DAY_S
 from tiegraph.scene.names import clean

@@ -23,8 +23,8 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
-from tiegraph.scan.cameraforeign import agisoft, opensfm_cameras
-from tiegraph.scan.cameraread import NUMBER, FoundCamera, numbers
+from tiegraph.scan.rigfiles.cameraforeign import agisoft, opensfm_cameras
+from tiegraph.scan.rigfiles.cameraread import NUMBER, FoundCamera, numbers
 from tiegraph.scene.namedposes import checked_pose, read_json
 from tiegraph.scene.regular import regular
 from tiegraph.scene.xmltree import Element, parse_xml

@@ -11,9 +11,9 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import Origin, area_note, make_origin, world_from_geodetic
 from tiegraph.geometry.transforms import rigid
-from tiegraph.scan.rigspec import AXES, RigSpec
+from tiegraph.scan.priors.times import FrameRow, absent, frame_by_image, plain_name
+from tiegraph.scan.rigfiles.rigspec import AXES, RigSpec
 from tiegraph.scan.settings import ScanSettings
-from tiegraph.scan.times import FrameRow, absent, frame_by_image, plain_name
 from tiegraph.scan.tuning import PositionsTuning
 from tiegraph.scene.exif import Exif
 from tiegraph.scene.gnss import Gnss, at_times, far_rows, on_clock_of, stuck_note, without_far

@@ -14,13 +14,13 @@ from pathlib import Path, PurePosixPath
 import cv2
 import numpy as np
 
-from tiegraph.scan.bagfilms import BagFilm, open_topic
-from tiegraph.scan.lensvideos import lens_folders
 from tiegraph.scan.prepare import write_pixels
 from tiegraph.scan.recording.recording import Recording
 from tiegraph.scan.recording.tracks import OneVideoTrack
 from tiegraph.scan.tuning import PicturesTuning
-from tiegraph.scan.videotime import VideoClock
+from tiegraph.scan.videos.bagfilms import BagFilm, open_topic
+from tiegraph.scan.videos.lensvideos import lens_folders
+from tiegraph.scan.videos.videotime import VideoClock
 from tiegraph.scene.atomic import claim
 from tiegraph.scene.images import files_below
 from tiegraph.scene.names import clean_names, shortened

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from tiegraph.scan.tuning import OffsetTuning
-from tiegraph.scan.videomotion import CHANNELS, MotionCurve
+from tiegraph.scan.videos.videomotion import CHANNELS, MotionCurve
 
 # Resolution of the search, not decisions:
 _PHASES = 4  # grids between two steps

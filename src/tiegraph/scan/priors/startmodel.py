@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scan.cameraread import FoundCamera
-from tiegraph.scan.rigreader import is_number
-from tiegraph.scan.startforeign import Found, metashape, opensfm_model
+from tiegraph.scan.priors.startforeign import Found, metashape, opensfm_model
+from tiegraph.scan.rigfiles.cameraread import FoundCamera
+from tiegraph.scan.rigfiles.rigreader import is_number
 from tiegraph.scene.colmapmodel import is_model, read_model
 from tiegraph.scene.namedposes import check_poses, poses_of_model, poses_of_transforms, read_json
 from tiegraph.scene.startplace import ACCEPTED, called, find_start

@@ -53,12 +53,12 @@ import pycolmap
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import invert, rigid
-from tiegraph.scan.camerafile import check_lens, read_camera_file
-from tiegraph.scan.cameraread import only_one
-from tiegraph.scan.rigfaults import faults, lens_fault
-from tiegraph.scan.rigkalibr import kalibr_rig
-from tiegraph.scan.rigreader import Reader, is_number
-from tiegraph.scan.rigspec import AXES, PRESET_WORDS, RigSpec, SensorSpec, orient
+from tiegraph.scan.rigfiles.camerafile import check_lens, read_camera_file
+from tiegraph.scan.rigfiles.cameraread import only_one
+from tiegraph.scan.rigfiles.rigfaults import faults, lens_fault
+from tiegraph.scan.rigfiles.rigkalibr import kalibr_rig
+from tiegraph.scan.rigfiles.rigreader import Reader, is_number
+from tiegraph.scan.rigfiles.rigspec import AXES, PRESET_WORDS, RigSpec, SensorSpec, orient
 from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.regular import regular
 from tiegraph.scene.rig import PAIR_KEYS, ROLES, SensorPair

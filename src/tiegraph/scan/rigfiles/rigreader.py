@@ -13,8 +13,8 @@ import pycolmap
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import from_quaternion_wxyz
-from tiegraph.scan.rigfaults import Fault
-from tiegraph.scan.rigspec import RigSpec
+from tiegraph.scan.rigfiles.rigfaults import Fault
+from tiegraph.scan.rigfiles.rigspec import RigSpec
 from tiegraph.scan.tuning import RigTuning
 from tiegraph.scene.table import text_lines
 

@@ -20,8 +20,8 @@ import re
 from typing import Any
 
 from tiegraph.errors import InputError
-from tiegraph.scan.cameraread import NUMBER, FoundCamera, size_of, zero
-from tiegraph.scan.rigreader import is_number
+from tiegraph.scan.rigfiles.cameraread import NUMBER, FoundCamera, size_of, zero
+from tiegraph.scan.rigfiles.rigreader import is_number
 
 # --- OpenSfM ----------------------------------------------------------------------------------------------------------
 

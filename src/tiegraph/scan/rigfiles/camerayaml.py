@@ -17,7 +17,7 @@ from __future__ import annotations
 import re
 
 from tiegraph.errors import InputError
-from tiegraph.scan.cameraread import CENTRE, FoundCamera, exactly, numbers_of, size_of, word, zero
+from tiegraph.scan.rigfiles.cameraread import CENTRE, FoundCamera, exactly, numbers_of, size_of, word, zero
 
 _BROWN = ("", "none", "plumb_bob", "rational_polynomial", "radtan", "brown", "opencv", "pinhole", "perspective")
 _FISHEYE = ("equidistant", "fisheye", "kannala_brandt")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tiegraph.geometry.transforms import invert, quaternion_xyzw
-from tiegraph.scan.rigspec import yaw_pitch_roll_deg
+from tiegraph.scan.rigfiles.rigspec import yaw_pitch_roll_deg
 from tiegraph.scene.rig import PAIR_KEYS, Rig
 
 _ANGLE_DECIMALS = 9  # of a degree

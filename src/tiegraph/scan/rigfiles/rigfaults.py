@@ -9,7 +9,7 @@ from math import dist
 import numpy as np
 import pycolmap
 
-from tiegraph.scan.rigspec import RigSpec
+from tiegraph.scan.rigfiles.rigspec import RigSpec
 from tiegraph.scan.tuning import CameraTuning, RigTuning
 from tiegraph.scene.rays import on_plane
 from tiegraph.scene.rig import PAIR_KEYS, SensorPair

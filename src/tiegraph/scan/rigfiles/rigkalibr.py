@@ -14,11 +14,11 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import invert
-from tiegraph.scan.camerafile import check_count, check_lens
-from tiegraph.scan.cameraread import exactly, matrix_of
-from tiegraph.scan.camerayaml import kalibr, kalibr_blocks
-from tiegraph.scan.rigfaults import faults
-from tiegraph.scan.rigspec import RigSpec, SensorSpec
+from tiegraph.scan.rigfiles.camerafile import check_count, check_lens
+from tiegraph.scan.rigfiles.cameraread import exactly, matrix_of
+from tiegraph.scan.rigfiles.camerayaml import kalibr, kalibr_blocks
+from tiegraph.scan.rigfiles.rigfaults import faults
+from tiegraph.scan.rigfiles.rigspec import RigSpec, SensorSpec
 from tiegraph.scan.tuning import RigTuning
 
 _CHAIN = "T_cn_cnm1"

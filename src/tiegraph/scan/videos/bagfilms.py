@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scan.camerafile import check_lens
-from tiegraph.scan.cameraread import FoundCamera
-from tiegraph.scan.camerayaml import opencv
 from tiegraph.scan.folders import is_camera
 from tiegraph.scan.recording.recording import Recording
+from tiegraph.scan.rigfiles.camerafile import check_lens
+from tiegraph.scan.rigfiles.cameraread import FoundCamera
+from tiegraph.scan.rigfiles.camerayaml import opencv
 from tiegraph.scan.tuning import CameraTuning, PicturesTuning
-from tiegraph.scan.videotime import VideoClock
+from tiegraph.scan.videos.videotime import VideoClock
 from tiegraph.scene.bags.bag import Bag, Topic, open_bag, stamp_ns
 from tiegraph.scene.bags.pixels import KINDS, bgr, unread
 from tiegraph.scene.bags.topics import METADATA, SUFFIXES, in_full, is_bag, of_topic, shown
