@@ -104,7 +104,7 @@ def test_what_cannot_be_compared_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="reference has no points"):
         clouds = tiled(quay(100), np.zeros((0, 3)), tmp_path)
         cloud_to_cloud(clouds, criteria_of(clouds, TUNING), TUNING, tmp_path)
-    with pytest.raises(ValueError, match=r"from \(0.0.* and the reference \(from \(1000.0.* do not meet.* one CRS"):
+    with pytest.raises(ValueError, match=r"from \(0.0.* and the other \(from \(1000.0.* do not meet.* one CRS"):
         judged(quay(500), quay(500) + 1000, tmp_path, (0.1,))
 
 

@@ -139,8 +139,9 @@ class _reading:
 
     def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:
         if isinstance(error, Exception) and not isinstance(error, InputError):
+            why = str(error).partition("\n")[0]  # libE57 writes a page
             raise InputError(
-                f"{self._path}: not a readable point cloud: {error}; is it cut short? Copy or export it again"
+                f"{self._path}: not a readable point cloud: {why}; is it cut short? Copy or export it again"
             ) from None
 
 

@@ -20,9 +20,9 @@ _JUDGED = np.dtype([("xyz", "<f8", 3), ("distance_m", "<f4")])
 MEANING = (
     "Of either cloud one point a voxel ({voxel_m:g} m) is judged, so that dense patches do not outweigh thin ones. "
     "Accuracy: share of the cloud's points nearer than the distance to the reference, among those where the reference "
-    "has points within {observed_m:g} m in plan and in its range of heights: what it observed. Completeness: share of the "
-    "reference's points nearer than the distance to the cloud, among {counted}; whether a camera could see a point is "
-    "not looked at. F = 2AC/(A+C). Ghosts: points where the reference observed, further than {ghost_m:g} m from it. "
+    "has points within {observed_m:g} m in plan and in its range of heights: what it observed. Completeness: share of "
+    "the reference's points nearer than the distance to the cloud, among {counted}; whether a camera could see a point "
+    "is not looked at. F = 2AC/(A+C). Ghosts: points where the reference observed, further than {ghost_m:g} m from it. "
     "The reference's points are {spacing_m:.2g} m apart: distances below half of that are not told."
 )
 
@@ -189,7 +189,7 @@ def cloud_to_cloud(
             out.write(rows.tobytes())
     sides = (_Found.joined(found[0]), _Found.joined(found[1]))
     if not sides[0].counts.any():
-        raise ValueError(_apart(clouds))
+        raise ValueError(apart(clouds))
     if not sides[1].counts.any():
         raise ValueError(f"no reference point lies within {criteria.range_m:g} m of a camera: do both share a frame?")
     groups = ((), ()) if cameras is None else (_band_names(tuning.bands_m), cameras.sections())
@@ -323,11 +323,17 @@ def _band_names(edges_m: Sequence[float]) -> tuple[str, ...]:
     return (*between, f"over {edges_m[-1]:g} m")
 
 
-def _apart(clouds: TiledClouds) -> str:
-    """Two clouds that do not meet, and where they are."""
+def meeting(clouds: TiledClouds) -> None:
+    """Raise ValueError for clouds whose boxes do not meet."""
+    if (np.maximum(*clouds.low) > np.minimum(*clouds.high)).any():
+        raise ValueError(apart(clouds))
+
+
+def apart(clouds: TiledClouds) -> str:
+    """That two clouds do not meet, and where they are."""
     where = [f"from {_corner(clouds.low[k])} to {_corner(clouds.high[k])}" for k in (0, 1)]
     return (
-        f"the cloud (x, y, z {where[0]}) and the reference ({where[1]}) do not meet: are both in one CRS, with "
+        f"the cloud (x, y, z {where[0]}) and the other ({where[1]}) do not meet: are both in one CRS, with "
         "heights above the same surface?"
     )
 
