@@ -32,7 +32,7 @@ def _clouds(arguments: list[str]) -> int:
         distances_m: tuple[float, ...] = (),
         register: Register = "none",
         out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
-    ) -> tuple[Path, Path, Path | None, Question]:
+    ) -> tuple[tuple[Path, Path], Path | None, Question]:
         """How near a point cloud is to a reference cloud; of any size, tile by tile.
 
         Args:
@@ -44,10 +44,10 @@ def _clouds(arguments: list[str]) -> int:
                 found is part of the result.
             out: Folder for metrics.json, the map of differences and both clouds with their distances.
         """
-        return cloud, reference, out, Question(distances_m=distances_m, register=register)
+        return (cloud, reference), out, Question(distances_m=distances_m, register=register)
 
-    found = options_of(evaluate, "tiegraph evaluate", arguments)
-    result = evaluate_clouds(*found)
+    files, out, question = options_of(evaluate, "tiegraph evaluate", arguments)
+    result = evaluate_clouds(files, out, question)
     for metric in result["metrics"]:
         value = "-" if metric["value"] is None else f"{metric['value']:.4g}"
         say(f"{metric['name']:<24} {value} {metric['unit']}")

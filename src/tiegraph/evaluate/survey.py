@@ -167,7 +167,7 @@ def _cloud(work: _Work, made: Products, path: Path, trajectory: TrajectoryError 
     cameras = _cameras(work)
     if alignment is not None:
         own, cameras = own.moved(alignment), Cameras(alignment(cameras.centres), cameras.section)
-    question = Question(settings.distances_m, made.gsd_m, cameras, settings.range_m)
+    question = Question(distances_m=settings.distances_m, gsd_m=made.gsd_m, cameras=cameras, range_m=settings.range_m)
     result = judge_cloud(own, truth, made.scratch, question, tuning)
     found.metrics.extend(result.metrics())
     found.tables.update(result.tables())

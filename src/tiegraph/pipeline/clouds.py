@@ -20,12 +20,12 @@ from tiegraph.project.run import save_json
 from tiegraph.scene.cloudchunks import PointSource, open_cloud
 
 
-def evaluate_clouds(cloud: Path, reference: Path, out: Path | None, question: Question) -> dict[str, Any]:
-    """Judge a cloud file by another; the content of metrics.json. ``out``: a folder made of it, a map and clouds.
+def evaluate_clouds(files: tuple[Path, Path], out: Path | None, question: Question) -> dict[str, Any]:
+    """Judge the first of two cloud files by the second; the content of metrics.json. ``out``: a folder made of it, a map and clouds.
 
     Raises InputError for files that are no clouds or do not meet, and for a folder that is there.
     """
-    own, truth = open_cloud(cloud), open_cloud(reference)
+    own, truth = (open_cloud(path) for path in files)
     notes = [] if out is None else [f"written: {out}"]
     if own.crs and truth.crs and own.crs != truth.crs:
         notes.append(f"the reference was brought from {truth.crs} into {own.crs}; heights are taken as ellipsoidal")

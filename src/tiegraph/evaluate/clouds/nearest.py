@@ -175,7 +175,7 @@ def cloud_to_cloud(
         if not clouds.count(which):
             raise ValueError(f"the {what} has no points to compare")
     path = scratch / "judged.points"
-    judge = _Judge(clouds, criteria, tuning, cameras)
+    judge = _Judge(clouds=clouds, criteria=criteria, tuning=tuning, cameras=cameras)
     found: tuple[list[_Found], list[_Found]] = ([], [])
     with open(path, "wb") as out:
         for tile in range(len(clouds)):

@@ -50,10 +50,11 @@ def difference_map(found: Differences, title: str, only_significant: bool = Fals
     return out.getvalue()
 
 
-def _extent(xyz: np.ndarray, edge: float) -> tuple[float, float, float, float]:
+def _extent(xyz: np.ndarray, edge: float) -> np.ndarray:
+    """(4,) left, right, low, high of the grid."""
     low = xyz[:, :2].min(axis=0)
     size = np.floor((xyz[:, :2].max(axis=0) - low) / edge) + 1
-    return float(low[0]), float(low[0] + size[0] * edge), float(low[1]), float(low[1] + size[1] * edge)
+    return np.column_stack([low, low + size * edge]).ravel()
 
 
 def _grid(xyz: np.ndarray, value: np.ndarray, edge: float) -> np.ndarray:
@@ -70,7 +71,7 @@ def _grid(xyz: np.ndarray, value: np.ndarray, edge: float) -> np.ndarray:
     return out
 
 
-def _scale_bar(axes, extent: tuple[float, float, float, float]) -> None:  # type: ignore[no-untyped-def]
+def _scale_bar(axes, extent: np.ndarray) -> None:  # type: ignore[no-untyped-def]
     left, right, low, high = extent
     wanted = (right - left) / 4
     tens = 10.0 ** np.floor(np.log10(wanted))

@@ -136,7 +136,7 @@ def _meet(
         rows, w = design[part == k], weight[part == k]
         matrices.append((w[:, None] * rows).T @ rows)
         vectors.append(rows.T @ (w * residual[part == k]))
-    pairs = _Pairs(np.array(matrices), np.array(vectors), sigma, float(met.mean()))
+    pairs = _Pairs(matrices=np.array(matrices), vectors=np.array(vectors), sigma=sigma, share=float(met.mean()))
     values, vectors_ = np.linalg.eigh(pairs.matrix)
     if values[0] < tuning.open_share * values[-1]:
         loose = _NAMES[int(np.argmax(np.abs(vectors_[:, 0])))]
