@@ -21,7 +21,8 @@ from tiegraph.scene.cloudchunks import PointSource, open_cloud
 
 
 def evaluate_clouds(files: tuple[Path, Path], out: Path | None, question: Question) -> dict[str, Any]:
-    """Judge the first of two cloud files by the second; the content of metrics.json. ``out``: a folder made of it, a map and clouds.
+    """Judge the first of two cloud files by the second; the content of metrics.json. ``out``: a folder for it, a map
+    and clouds.
 
     Raises InputError for files that are no clouds or do not meet, and for a folder that is there.
     """

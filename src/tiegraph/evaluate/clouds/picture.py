@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -26,7 +27,7 @@ def difference_map(found: Differences, title: str, only_significant: bool = Fals
     axes.set_title(title, fontsize=11, loc="left")
     if len(xyz):
         edge = max(float(np.ptp(xyz[:, :2], axis=0).max()) / _CELLS, found.cylinders.cores_m)
-        extent = _extent(xyz, edge)
+        extent: Any = tuple(_extent(xyz, edge))
         limit = float(np.percentile(np.abs(value), 95)) or 1e-3
         if only_significant:
             loud = found.significant[found.known]
