@@ -52,9 +52,18 @@ class _Epoch:
     origin: Origin | None
     error: PlacementError | None
 
-    @property
-    def shift(self) -> np.ndarray:
-        return np.zeros(3) if self.origin is None else np.asarray(self.origin.shift_m)
+
+@dataclass(frozen=True)
+class Pair:
+    """Two clouds in one world, what holds them together and, in words, how; ``cameras`` are the first's."""
+
+    first: PointSource
+    second: PointSource
+    cameras: Cameras
+    origin: Origin | None
+    held: str
+    sigma: Sigma | None = None
+    fitted: Registration | None = None
 
 
 def compare_epochs(folders: tuple[Path, Path], out: Path, options: EpochOptions) -> dict[str, Any]:
@@ -64,25 +73,36 @@ def compare_epochs(folders: tuple[Path, Path], out: Path, options: EpochOptions)
     meet.
     """
     first, second = (_read(folder) for folder in folders)
-    tuning = Tuning()
     other = _in_world_of(first, second, options)
-    cameras = _cameras(first)
+    common: dict[str, Any] = {"first": first.cloud, "cameras": _cameras(first), "origin": first.origin}
+    if options.register == "none":
+        held = "as the surveys stand on the Earth, with both their sigmas"
+        pair = Pair(**common, second=other, held=held, sigma=_placed(first, second))
+    else:
+        fitted = _registered(first, other)
+        moved, along = other.moved(fitted.fit), fitted.sigma_along
+        pair = Pair(**common, second=moved, held="by ICP", sigma=along, fitted=fitted)
+    return differences_of(pair, out, options.depth_m)
+
+
+def differences_of(pair: Pair, out: Path, depth_m: float | None) -> dict[str, Any]:
+    """What changed from the first cloud to the second, written into a new folder.
+
+    Raises InputError if they do not meet, or the folder is there.
+    """
+    tuning = Tuning()
     with new_folder(out) as folder, tempfile.TemporaryDirectory(dir=folder) as scratch:
         assert folder is not None
+        clouds = tile_clouds(pair.first, pair.second, Path(scratch), tuning.cloud)
         try:
-            fitted = _registered(first, other, options, tuning)
-            if fitted is not None:
-                other = other.moved(fitted.fit)
-            clouds = tile_clouds(first.cloud, other, Path(scratch), tuning.cloud)
             meeting(clouds)
         except ValueError as error:
-            raise InputError(f"{folders[1]}: {error}") from None
-        cylinders = cylinders_of(clouds, tuning.m3c2, options.depth_m)
-        sigma = fitted.sigma_along if fitted is not None else _placed(first, second)
-        found = m3c2_tiled(clouds, cylinders, tuning.m3c2, cameras, sigma)
+            raise InputError(f"{pair.second.name}: {error}") from None
+        cylinders = cylinders_of(clouds, tuning.m3c2, depth_m)
+        found = m3c2_tiled(clouds, cylinders, tuning.m3c2, pair.cameras, pair.sigma)
         changed = changes(found, tuning.changes)
-        result = _result(found, changed, first, fitted, tuning.changes.listed)
-        _write(folder, found, changed, result, first)
+        result = _result(found, changed, pair, tuning.changes.listed)
+        _write(folder, found, changed, result, pair.origin)
     return result
 
 
@@ -96,13 +116,17 @@ def _read(folder: Path) -> _Epoch:
         raise InputError(f"{folder}: nothing told its scale, so differences have no unit: give positions or a rig")
     origin = None if world.get("origin") is None else Origin.from_dict(world["origin"])
     error = world.get("placement_error")
-    shift = np.zeros(3) if origin is None else np.asarray(origin.shift_m)
+    shift = _shift(origin)
     return _Epoch(
         folder=folder,
         cloud=open_cloud(path).moved(lambda xyz: xyz - shift),
         origin=origin,
         error=None if error is None else PlacementError.from_dict(error),
     )
+
+
+def _shift(origin: Origin | None) -> np.ndarray:
+    return np.zeros(3) if origin is None else np.asarray(origin.shift_m)
 
 
 def _in_world_of(first: _Epoch, second: _Epoch, options: EpochOptions) -> PointSource:
@@ -119,11 +143,12 @@ def _in_world_of(first: _Epoch, second: _Epoch, options: EpochOptions) -> PointS
     return second.cloud.moved(lambda xyz: to_world(xyz, b, a))
 
 
-def _registered(first: _Epoch, other: PointSource, options: EpochOptions, tuning: Tuning) -> Registration | None:
-    if options.register == "none":
-        return None
-    some = [source.sample(tuning.registration.points) for source in (other, first.cloud)]
-    return register(some[0], some[1], tuning.registration)
+def _registered(first: _Epoch, other: PointSource) -> Registration:
+    tuning = Tuning().registration
+    try:
+        return register(other.sample(tuning.points), first.cloud.sample(tuning.points), tuning)
+    except ValueError as error:
+        raise InputError(f"{other.name}: {error}") from None
 
 
 def _placed(first: _Epoch, second: _Epoch) -> Sigma:
@@ -144,31 +169,27 @@ def _cameras(epoch: _Epoch) -> Cameras:
     return Cameras(centres, ("",) * len(centres))
 
 
-def _result(
-    found: Differences, changed: Changes, first: _Epoch, fitted: Registration | None, listed: int
-) -> dict[str, Any]:
-    crs = None if first.origin is None else first.origin.crs
-    held = "by ICP" if fitted is not None else "as the surveys stand on the Earth, with both their sigmas"
+def _result(found: Differences, changed: Changes, pair: Pair, listed: int) -> dict[str, Any]:
     return {
         "differences": {k: float(f"{v:.6g}") for k, v in found.summary().items()},
         "areas_and_volumes": {k: float(f"{v:.6g}") for k, v in changed.totals().items()},
-        "changes": changed.table(first.shift, listed),
+        "changes": changed.table(_shift(pair.origin), listed),
         "cylinders": asdict(found.cylinders),
-        "registration": None if fitted is None else fitted.table(),
-        "crs": crs,
+        "registration": None if pair.fitted is None else pair.fitted.table(),
+        "crs": None if pair.origin is None else pair.origin.crs,
         "notes": [
-            f"Second minus first along the first's normal, towards its cameras; compared {held}. Significant: larger "
+            f"Second minus first along the first's normal, towards its cameras; compared {pair.held}. Significant: larger "
             "than the level of detection at 95 %, so about 5 % of what stayed is too; a change is listed where enough "
             "significant points of one sign stand together. Differences beyond the cylinders are not found."
         ],
     }
 
 
-def _write(folder: Path, found: Differences, changed: Changes, result: dict[str, Any], first: _Epoch) -> None:
+def _write(folder: Path, found: Differences, changed: Changes, result: dict[str, Any], origin: Origin | None) -> None:
     save_json(folder / "changes.json", result)
-    table = changed.table(first.shift, len(changed.listed))
+    table = changed.table(_shift(origin), len(changed.listed))
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([table["columns"], *table["rows"]])
     write_atomic(folder / "changes.csv", text.getvalue())
     write_atomic(folder / "changes.png", difference_map(found, "second minus first epoch", only_significant=True))
-    write_measured([measured(found)], folder / "changes.laz", first.origin, found.cylinders.cores_m)
+    write_measured([measured(found)], folder / "changes.laz", origin, found.cylinders.cores_m)
