@@ -1,14 +1,17 @@
 """Accuracy, completeness and ghosts of clouds made for it, against brute force."""
 
+import tracemalloc
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from clouds_world import quay, tiled
+from tiegraph.evaluate.clouds import tiles
 from tiegraph.evaluate.clouds.nearest import Cameras, CloudComparison, cloud_to_cloud, criteria_of
 from tiegraph.evaluate.tuning import CloudTuning
-from tiegraph.scene.cloudchunks import points_of
+from tiegraph.scene.cloudchunks import Points, PointSource, points_of
 
 TUNING = CloudTuning()
 
@@ -111,3 +114,26 @@ def test_what_cannot_be_compared_is_refused(tmp_path: Path) -> None:
 def test_a_sample_is_even() -> None:
     some = points_of(np.arange(30.0).reshape(10, 3)).sample(4)
     assert len(some) <= 4 and np.array_equal(some[:, 0], np.arange(0, 30, 12)[: len(some)])
+
+
+@pytest.mark.slow
+def test_memory_is_that_of_a_tile(tmp_path: Path, monkeypatch) -> None:
+    """Of a street four times as long: only what is held of each judged point grows, half of its coordinates."""
+    monkeypatch.setattr(tiles, "_PART", 5000)
+
+    def street(points: int, seed: int) -> PointSource:
+        def parts() -> Iterator[Points]:
+            rng = np.random.default_rng(seed)
+            for start in range(0, points, 5000):
+                xyz = rng.uniform((0, 0, 0), (5.0, 10.0, 0.01), (5000, 3)) + [start / 1000, 0, 0]
+                yield Points(xyz, np.full(5000, np.nan))
+
+        return PointSource("a street", parts)
+
+    peaks = []
+    for points in (80_000, 320_000):
+        tracemalloc.start()
+        judged(street(points, 0), street(points, 1), tmp_path, (0.1,), 40_000)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[0] < 10e6 and 5 < (peaks[1] - peaks[0]) / (2 * 240_000) < 20  # bytes

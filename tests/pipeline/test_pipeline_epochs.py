@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 from pathlib import Path
 
 import laspy
@@ -14,6 +15,10 @@ from tiegraph.cli.main import main
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.pipeline.epochs import EpochOptions, compare_epochs
+from tiegraph.pipeline.evaluate import evaluate
+from tiegraph.pipeline.passes import compare_passes
+from tiegraph.project.run import Run
+from tiegraph.project.settings import merged
 from tiegraph.scene.cloudfile import write_cloud
 from tiegraph.scene.results import Cloud
 
@@ -106,3 +111,27 @@ def test_what_cannot_be_compared_is_said_and_nothing_written(tmp_path: Path) -> 
     assert (
         compare_epochs((first, elsewhere), tmp_path / "out", EpochOptions(depth_m=0.5))["cylinders"]["depth_m"] == 0.5
     )
+
+
+@pytest.mark.slow
+def test_passes_of_one_run_and_its_evaluation_by_a_cloud(finished, tmp_path: Path, capsys) -> None:
+    folder = finished.after("cloud", tmp_path / "run")
+    assert main(["compare", "--passes", str(folder), "-o", str(tmp_path / "passes")]) == 0
+    assert "what both share is not told" in capsys.readouterr().out
+    found = json.loads((tmp_path / "passes" / "changes.json").read_text())
+    assert abs(found["differences"]["median m"]) < 0.05 and found["differences"]["core points"] > 100
+    shutil.copyfile(folder / "cloud.laz", tmp_path / "reference.laz")
+    asked = {"reference_cloud": tmp_path / "reference.laz", "alignment": "none"}
+    outcome = evaluate(Run(folder, None, merged({"evaluate": asked})))  # type: ignore[arg-type]
+    assert outcome.counts["m3c2_median"] == 0 and outcome.counts["ghosts"] == 0
+    made = sorted(p.name for p in (folder / "evaluate").iterdir())
+    assert made == ["distances.laz", "m3c2.laz", "m3c2.png"]
+    tables = json.loads((folder / "metrics.json").read_text())["tables"]
+    assert "cloud against reference, M3C2" in tables and "cloud against reference" in tables
+
+
+def test_one_pass_has_nothing_to_compare_with(finished, tmp_path: Path) -> None:
+    folder = finished.after("cloud", tmp_path / "run")
+    shutil.rmtree(folder / "depth")
+    with pytest.raises(InputError, match="depth maps of 0 passes, and two are needed: run it to the stage dense"):
+        compare_passes(Run(folder, None, merged({})), tmp_path / "out")  # type: ignore[arg-type]

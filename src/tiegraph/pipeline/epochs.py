@@ -178,9 +178,9 @@ def _result(found: Differences, changed: Changes, pair: Pair, listed: int) -> di
         "registration": None if pair.fitted is None else pair.fitted.table(),
         "crs": None if pair.origin is None else pair.origin.crs,
         "notes": [
-            f"Second minus first along the first's normal, towards its cameras; compared {pair.held}. Significant: larger "
-            "than the level of detection at 95 %, so about 5 % of what stayed is too; a change is listed where enough "
-            "significant points of one sign stand together. Differences beyond the cylinders are not found."
+            f"Second minus first along the first's normal, towards its cameras; compared {pair.held}. Significant: "
+            "larger than the level of detection at 95 %, so about 5 % of what stayed is too; a change is listed where "
+            "enough significant points of one sign stand together. Differences beyond the cylinders are not found."
         ],
     }
 
@@ -191,5 +191,5 @@ def _write(folder: Path, found: Differences, changed: Changes, result: dict[str,
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([table["columns"], *table["rows"]])
     write_atomic(folder / "changes.csv", text.getvalue())
-    write_atomic(folder / "changes.png", difference_map(found, "second minus first epoch", only_significant=True))
+    write_atomic(folder / "changes.png", difference_map(found, "second minus first", only_significant=True))
     write_measured([measured(found)], folder / "changes.laz", origin, found.cylinders.cores_m)

@@ -97,7 +97,7 @@ def m3c2_tiled(
 ) -> Differences:
     """Differences at core points on cloud 0, thinned to one a voxel of ``cores_m``: cloud 1 minus cloud 0.
 
-    Normals point to the nearest camera, else up. Memory grows by 64 bytes a core point.
+    Normals point to the nearest camera, else up. Memory grows by some 100 bytes a core point.
     """
     reach = float(np.hypot(cylinders.radius_m, cylinders.depth_m))
     parts = []

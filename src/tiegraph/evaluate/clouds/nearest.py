@@ -168,7 +168,7 @@ def cloud_to_cloud(
     """Compare cloud 0 with the reference, cloud 1, both in one frame and in metres.
 
     With cameras, completeness counts the reference within ``criteria.range_m`` of one of them. Definitions: MEANING.
-    Memory grows by 7 bytes a judged point. Raises ValueError when either side is empty, none of the reference
+    Memory grows by some 16 bytes a judged point. Raises ValueError when either side is empty, none of the reference
     is in range, or no point of the cloud is where the reference observed.
     """
     for which, what in enumerate(("cloud", "reference")):
