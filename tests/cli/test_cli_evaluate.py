@@ -60,6 +60,10 @@ def test_what_does_not_meet_is_refused_with_a_remedy(tmp_path: Path, capsys) -> 
     assert main(["evaluate", cloud, reference, "-o", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err
     assert "b.laz: the cloud (x, y, z from (3822" in said and "do not meet: are both in one CRS" in said
+    assert main(["evaluate", cloud, las(tmp_path / "one.laz", np.zeros((1, 3)))]) == 2
+    assert "one.laz (EPSG:32654 by its header): half of the points" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+    assert main(["evaluate", cloud, cloud, "--distances-m", "-1"]) == 2
+    assert "--distances-m -1: give metres above 0" in capsys.readouterr().err
     assert main(["evaluate", cloud, las(tmp_path / "c.laz", ground(300, 1) + 500), "--register", "rigid"]) == 2
-    assert "c.laz: only 0 of" in capsys.readouterr().err
+    assert "c.laz (EPSG:32654 by its header): only 0 of" in capsys.readouterr().err

@@ -53,6 +53,8 @@ class M3c2Tuning(Section):
     """Radius in which the normal is found, in radii of the cylinder."""
     depth_radii: float = Field(6.0, ge=1)
     """How far the cylinder reaches to either side, in its radii: larger differences are not found."""
+    most_radii: float = Field(200.0, ge=1)
+    """The same, if it is asked for, at most."""
     least_points: int = Field(10, ge=2)
     """Of each cloud in a cylinder: with fewer the spread does not tell the level of detection."""
     confidence: float = Field(1.96, gt=0)

@@ -9,6 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tiegraph.errors import InputError
 from tiegraph.evaluate.clouds.judge import Question, judge_cloud
 from tiegraph.evaluate.metrics import metrics_to_dict
@@ -26,6 +28,9 @@ def evaluate_clouds(files: tuple[Path, Path], out: Path | None, question: Questi
 
     Raises InputError for files that are no clouds or do not meet, and for a folder that is there.
     """
+    for distance in question.distances_m:
+        if not 0 < distance < np.inf:
+            raise InputError(f"--distances-m {distance:g}: give metres above 0")
     own, truth = (open_cloud(path) for path in files)
     notes = [] if out is None else [f"written: {out}"]
     if own.crs and truth.crs and own.crs != truth.crs:

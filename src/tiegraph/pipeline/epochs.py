@@ -96,9 +96,9 @@ def differences_of(pair: Pair, out: Path, depth_m: float | None) -> dict[str, An
         clouds = tile_clouds(pair.first, pair.second, Path(scratch), tuning.cloud)
         try:
             meeting(clouds)
+            cylinders = cylinders_of(clouds, tuning.m3c2, depth_m)
         except ValueError as error:
             raise InputError(f"{pair.second.name}: {error}") from None
-        cylinders = cylinders_of(clouds, tuning.m3c2, depth_m)
         found = m3c2_tiled(clouds, cylinders, tuning.m3c2, pair.cameras, pair.sigma)
         changed = changes(found, tuning.changes)
         result = _result(found, changed, pair, tuning.changes.listed)

@@ -39,8 +39,9 @@ def evaluate(run: Run) -> Outcome:
     placed = origin if world["placed"] else None
     gsd = (run.receipts.read("cloud").get("counts") or {}).get("voxel")
     scratch = run.path("evaluate", ".tiles")
-    remove(run.path("evaluate"))
-    scratch.mkdir(parents=True)
+    remove(scratch)
+    if settings.reference_cloud is not None:
+        scratch.mkdir(parents=True)
     made = Products(model=model, images=images, cloud=cloud, origin=placed, gsd_m=gsd, scratch=scratch)
     found = evaluate_survey(scene, made, settings, tuning.evaluate, predicted(world, cloud))
     if found.cloud is not None:

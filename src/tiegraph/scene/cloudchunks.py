@@ -76,8 +76,10 @@ def open_cloud(path: Path) -> PointSource:
     """
     check_cloud(path)
     kind = path.suffix.lower()
-    read, crs = {".ply": (_ply, None), ".e57": (_e57, None)}.get(kind, (_las, None))
-    return PointSource(str(path), lambda: _checked(path, read), crs if kind in (".ply", ".e57") else las_crs(path))
+    read = {".ply": _ply, ".e57": _e57}.get(kind, _las)
+    crs = las_crs(path) if kind in (".las", ".laz") else None
+    name = str(path) if crs is None else f"{path} ({crs} by its header)"
+    return PointSource(name, lambda: _checked(path, read), crs)
 
 
 def check_cloud(path: Path) -> None:

@@ -82,10 +82,11 @@ def judge_cloud(
             cameras = cameras and Cameras(fitted.fit(cameras.centres), cameras.section)
         clouds = tile_clouds(cloud, reference, scratch, tuning.cloud)
         criteria = criteria_of(clouds, tuning.cloud, question.distances_m, question.gsd_m, question.range_m)
+        cylinders = cylinders_of(clouds, tuning.m3c2)
         nearest = cloud_to_cloud(clouds, criteria, tuning.cloud, scratch, cameras)
     except ValueError as error:
         raise InputError(f"{reference.name}: {error}") from None
     clouds = clouds.exchanged()
     sigma = None if fitted is None else fitted.sigma_along
-    differences = m3c2_tiled(clouds, cylinders_of(clouds, tuning.m3c2), tuning.m3c2, cameras, sigma)
+    differences = m3c2_tiled(clouds, cylinders, tuning.m3c2, cameras, sigma)
     return CloudJudgement(nearest, differences, fitted)

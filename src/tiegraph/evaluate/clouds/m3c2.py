@@ -39,10 +39,17 @@ class Cylinders:
 
 
 def cylinders_of(clouds: TiledClouds, tuning: M3c2Tuning, depth_m: float | None = None) -> Cylinders:
-    """Cylinders that fit the spacing of the thinner cloud."""
-    radius = tuning.radius_spacings * float(np.nanmax(clouds.spacing_m))
-    radius = float(f"{radius:.2g}")
+    """Cylinders that fit the spacing of the thinner cloud. Raises ValueError for a depth that does not fit
+    them, and for clouds without a spacing."""
+    spacing = float(np.max(clouds.spacing_m))  # NaN of one point stays
+    if not 0 < spacing < np.inf:
+        raise ValueError(
+            "half of the points of a cloud stand in one place, or it has only one: no surface"
+        )
+    radius = float(f"{tuning.radius_spacings * spacing:.2g}")
     depth = tuning.depth_radii * radius if depth_m is None else depth_m
+    if not radius <= depth <= tuning.most_radii * radius:
+        raise ValueError(f"a depth of {depth:g} m does not fit: give {radius:g} to {tuning.most_radii * radius:g} m")
     return Cylinders(radius_m=radius, normal_m=tuning.normal_radii * radius, depth_m=depth, cores_m=radius)
 
 
