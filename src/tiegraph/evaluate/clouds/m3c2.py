@@ -43,9 +43,7 @@ def cylinders_of(clouds: TiledClouds, tuning: M3c2Tuning, depth_m: float | None 
     them, and for clouds without a spacing."""
     spacing = float(np.max(clouds.spacing_m))  # NaN of one point stays
     if not 0 < spacing < np.inf:
-        raise ValueError(
-            "half of the points of a cloud stand in one place, or it has only one: no surface"
-        )
+        raise ValueError("half of the points of a cloud stand in one place, or it has only one: no surface")
     radius = float(f"{tuning.radius_spacings * spacing:.2g}")
     depth = tuning.depth_radii * radius if depth_m is None else depth_m
     if not radius <= depth <= tuning.most_radii * radius:
