@@ -43,11 +43,12 @@ from tiegraph.dense.triangulate import Candidates
 from tiegraph.dense.tsgm import match_tsgm
 from tiegraph.dense.tuning import Tuning
 from tiegraph.dense.undistort import load_view
-from tiegraph.evaluate.cloud import cloud_to_cloud, nearest
-from tiegraph.evaluate.reference import read_points
+from tiegraph.evaluate.clouds.nearest import Cameras, cloud_to_cloud, criteria_of, nearest
+from tiegraph.evaluate.clouds.tiles import tile_clouds
 from tiegraph.evaluate.tuning import CloudTuning as JudgedCloud
 from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.pipeline.dense import coloured
+from tiegraph.scene.cloudchunks import open_cloud, points_of
 from tiegraph.scene.cloudfile import write_cloud
 from tiegraph.scene.depthfile import load_depth, save_depth
 from tiegraph.scene.results import Cloud, DepthMap
@@ -57,6 +58,7 @@ Truth = Callable[[ImagePlan], "np.ndarray | None"]  # depth at the pixels of the
 VARIANTS = ("sgbm", "pairs", "rays")
 _SETTINGS, _TUNING, _JUDGED = DenseSettings(), Tuning(), JudgedCloud()
 _DISTANCES_M = (0.02, 0.05, 0.10, 0.20)
+_RANGE_M, _MOST_POINTS = 50.0, 20_000_000
 _BINS_M = (0.0, 5.0, 10.0, 20.0, 40.0, 1e9)  # distance from the camera
 
 
@@ -151,10 +153,15 @@ def alignment(reconstruction: pycolmap.Reconstruction, data: Dataset) -> Similar
 
 def judged(cloud: Cloud, points: np.ndarray, fit: Similarity | None, cameras: np.ndarray) -> dict[str, Any]:
     """Accuracy, completeness, F, ghosts, and the distance to the reference by predicted sigma (quarters)."""
-    found = cloud_to_cloud(cloud, points, _JUDGED, _DISTANCES_M, fit, cameras)
+    own = points_of(fit(cloud.xyz_m) if fit else cloud.xyz_m)
+    views = Cameras(fit(cameras) if fit else cameras, ("all",) * len(cameras))
+    with tempfile.TemporaryDirectory() as scratch:
+        tiled = tile_clouds(own, points_of(points), Path(scratch), _JUDGED)
+        criteria = criteria_of(tiled, _JUDGED, _DISTANCES_M, range_m=_RANGE_M)
+        found = cloud_to_cloud(tiled, criteria, _JUDGED, Path(scratch), views).whole
     rows = {
         f"{d:g} m": [round(100 * x, 1) for x in (a, c, f)]
-        for d, a, c, f in zip(found.criteria.distances_m, found.accuracy, found.completeness, found.fscore, strict=True)
+        for d, a, c, f in zip(_DISTANCES_M, found.accuracy, found.completeness, found.fscore, strict=True)
     }
     some = cloud.where(np.random.default_rng(0).permutation(len(cloud))[:200_000])
     away = nearest(fit(some.xyz_m) if fit else some.xyz_m, points, 1.0)
@@ -269,7 +276,7 @@ def depth_truth(data: Dataset, fit: Similarity, folder: Path | None) -> Truth:
 def reference_points(path: Path) -> np.ndarray:
     """Points (M, 3) in metres of a reference cloud: LAS, LAZ, PLY, or PandaSet's .npz of centimetres."""
     if path.suffix != ".npz":
-        return read_points(path, _JUDGED.read_points)[0]
+        return open_cloud(path).sample(_MOST_POINTS)
     with np.load(path) as file:
         return file["xyz_cm"].astype(float) / 100
 

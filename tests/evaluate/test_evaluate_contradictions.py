@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tiegraph.evaluate.cloud import cloud_to_cloud
+from clouds_world import tiled
+from tiegraph.evaluate.clouds.nearest import cloud_to_cloud, criteria_of
 from tiegraph.evaluate.contradictions import Predicted, against_cloud, against_poses
 from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory
 from tiegraph.evaluate.tuning import Tuning
@@ -71,11 +72,15 @@ def test_a_shift_on_the_earth_is_said_apart() -> None:
     assert "on the Earth" in text and "-1.50 m north" in text
 
 
-def test_a_cloud_farther_than_predicted() -> None:
+def test_a_cloud_farther_than_predicted(tmp_path) -> None:
+    def said(cloud: np.ndarray) -> list[str]:
+        clouds = tiled(cloud, wall, tmp_path)
+        found = cloud_to_cloud(clouds, criteria_of(clouds, TUNING.cloud, (0.02, 0.2)), TUNING.cloud, tmp_path)
+        return against_cloud(found, 3.0, SIGMA, True, TUNING.judge)
+
     rng = np.random.default_rng(0)
     wall = np.column_stack([rng.uniform(0, 10, 20000), np.zeros(20000), rng.uniform(0, 4, 20000)])
     near = wall[:8000] + [0.0, 0.01, 0.0] * rng.standard_normal((8000, 1))
-    assert against_cloud(cloud_to_cloud(near, wall, TUNING.cloud), wall, SIGMA, True, TUNING.judge) == []
-    far = cloud_to_cloud(near + [0, 0.3, 0], wall, TUNING.cloud)
-    (text,) = against_cloud(far, wall, SIGMA, True, TUNING.judge)
-    assert "differ by 0.3 m" in text or "differ by 0.2" in text
+    assert said(near) == []
+    (text,) = said(near + [0, 0.18, 0])
+    assert "differ by 0.18" in text or "differ by 0.17" in text

@@ -149,29 +149,15 @@ def test_local_metres_become_world_metres() -> None:
     assert np.allclose(reference.to_world(moved, world, local), points, atol=1e-4)
 
 
-def test_points_are_read_with_their_crs(tmp_path: Path) -> None:
-    import pyproj
-
-    header = laspy.LasHeader(point_format=6, version="1.4")
-    header.scales = np.full(3, 0.001)
-    header.add_crs(pyproj.CRS("EPSG:6691"))
-    las = laspy.LasData(header)
-    las.xyz = np.arange(30.0).reshape(10, 3)
-    las.write(tmp_path / "scan.laz")
-    xyz, crs = reference.read_points(tmp_path / "scan.laz", TUNING.cloud.read_points)
-    assert crs == "EPSG:6691" and np.allclose(xyz, np.arange(30.0).reshape(10, 3))
-    assert len(reference.read_points(tmp_path / "scan.laz", most=4)[0]) == 4
-    (tmp_path / "broken.laz").write_bytes(b"LASF")
-    with pytest.raises(InputError, match="broken.laz: not a readable"):
-        reference.read_points(tmp_path / "broken.laz", TUNING.cloud.read_points)
-    with pytest.raises(InputError, match="no such point cloud"):
-        reference.read_points(tmp_path / "none.laz", TUNING.cloud.read_points)
-
-
 def made(
-    scene: Scene, model: pycolmap.Reconstruction, cloud: Cloud | None = None, origin: Origin | None = None
+    scene: Scene,
+    model: pycolmap.Reconstruction,
+    cloud: Cloud | None = None,
+    origin: Origin | None = None,
+    scratch: Path | None = None,
 ) -> Products:
-    return Products(model, registration(model, scene, RegisteredTuning()), cloud, origin)
+    images = registration(model, scene, RegisteredTuning())
+    return Products(model=model, images=images, cloud=cloud, origin=origin, scratch=scratch)
 
 
 def test_a_survey_is_evaluated_whole(tmp_path: Path) -> None:
@@ -180,9 +166,11 @@ def test_a_survey_is_evaluated_whole(tmp_path: Path) -> None:
     las = laspy.LasData(laspy.LasHeader(point_format=2, version="1.2"))
     las.xyz = a_cloud().xyz_m
     las.write(tmp_path / "lidar.laz")
-    settings = EvaluateSettings(reference=tmp_path, reference_cloud=tmp_path / "lidar.laz", range_m=100)
+    settings = EvaluateSettings(
+        reference=tmp_path, reference_cloud=tmp_path / "lidar.laz", range_m=100, distances_m=(0.02, 0.1)
+    )
     model = make_model(scene, missing=3)
-    data = evaluate_survey(scene, made(scene, model, a_cloud()), settings, TUNING)
+    data = evaluate_survey(scene, made(scene, model, a_cloud(), scratch=tmp_path), settings, TUNING).metrics
     values = {m["name"]: m["value"] for m in data["metrics"]}
     assert values["registered_images"] == pytest.approx(100 * 20 / 24) and values["ate_se3_rmse"] < 1e-6
     assert 0.001 < values["backprojection_rmse"] < 0.1 and values["fscore_0.02m"] > 99
@@ -194,7 +182,7 @@ def test_a_survey_is_evaluated_whole(tmp_path: Path) -> None:
 
 def test_a_survey_without_references_or_cloud(tmp_path: Path) -> None:
     scene = make_scene()
-    data = evaluate_survey(scene, made(scene, make_model(scene)), EvaluateSettings(), TUNING)
+    data = evaluate_survey(scene, made(scene, make_model(scene)), EvaluateSettings(), TUNING).metrics
     assert [m["name"] for m in data["metrics"]] == ["registered_images", "images_by_rig"]
 
 
@@ -218,7 +206,7 @@ def test_absolute_error_in_a_common_crs(tmp_path: Path) -> None:
     result = evaluate_trajectory(match, (2.0,), TUNING.trajectory, same_frame=True)
     assert result.absolute is not None and result.absolute.rmse_m == pytest.approx(0.2, abs=1e-3)
     settings = EvaluateSettings(reference=tmp_path / "up.tum", reference_origin=lat_lon_height)
-    data = evaluate_survey(scene, made(scene, model, origin=world), settings, TUNING)
+    data = evaluate_survey(scene, made(scene, model, origin=world), settings, TUNING).metrics
     assert "absolute_rmse" in [m["name"] for m in data["metrics"]]
 
 
@@ -242,13 +230,3 @@ def test_the_rendered_canal_matches_itself() -> None:
 def test_view_of_pinhole() -> None:
     views = pinhole_views(make_model(make_scene()))
     assert len(views) == 24 and isinstance(views[0], View) and views[0].K[0, 0] == 500
-
-
-def test_points_at_no_place_are_refused_by_number(tmp_path):
-    path = tmp_path / "reference.ply"
-    path.write_text(
-        "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
-        "1 2 3\n1 nan 3\n"
-    )
-    with pytest.raises(InputError, match="reference.ply: 1 points are at no place .* point 2"):
-        reference.read_points(path, TUNING.cloud.read_points)

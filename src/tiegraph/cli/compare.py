@@ -1,26 +1,40 @@
-"""`tiegraph compare A B ...`."""
+"""`tiegraph compare A B ...`: runs side by side, or with --epochs what has changed between two surveys."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
+from tiegraph.api import open_project
 from tiegraph.cli.options import options_of
-from tiegraph.cli.output import say
+from tiegraph.cli.output import say, show_table
+from tiegraph.pipeline.epochs import EpochOptions, compare_epochs
+from tiegraph.pipeline.passes import compare_passes
 from tiegraph.project.folder import check_format
+from tiegraph.project.run import Run
 from tiegraph.report.compare import compare_runs
+
+_EPOCHS, _PASSES = "--epochs", "--passes"
+_SHOWN = 10  # changes; the others stand in changes.csv
 
 
 def main(arguments: list[str]) -> int:
-    """Print the papers' tables for two or more runs side by side."""
+    """Print the papers' tables for two or more runs side by side, or the changes between two epochs."""
+    if _EPOCHS in arguments:
+        return _epochs([a for a in arguments if a != _EPOCHS])
+    if _PASSES in arguments:
+        return _passes([a for a in arguments if a != _PASSES])
 
     def compare(
         runs: tyro.conf.Positional[tuple[Path, ...]],
         html: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     ) -> tuple[tuple[Path, ...], Path | None]:
         """Two or more run folders side by side: times, pairs, images used, points, errors.
+
+        With --epochs: what has changed between two surveys of one place (--epochs --help). With --passes: how well two
+        passes of one survey agree (--passes --help).
 
         Args:
             runs: Run folders made by `tiegraph run`.
@@ -33,3 +47,62 @@ def main(arguments: list[str]) -> int:
         check_format(run)
     say(compare_runs(list(runs), html).rstrip("\n"))
     return 0
+
+
+def _epochs(arguments: list[str]) -> int:
+    def epochs(
+        first: tyro.conf.Positional[Path],
+        second: tyro.conf.Positional[Path],
+        options: Annotated[EpochOptions, tyro.conf.arg(name="")],
+        out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("changes"),
+    ) -> tuple[tuple[Path, Path], Path, EpochOptions]:
+        """What has changed between two surveys of one place, by M3C2 with both surveys' sigmas.
+
+        Args:
+            first: The run folder of the earlier survey.
+            second: That of the later one.
+            out: The folder to write: changes.json, changes.csv, changes.png, changes.laz.
+        """
+        return (first, second), out, options
+
+    folders, out, options = options_of(epochs, f"tiegraph compare {_EPOCHS}", arguments)
+    _say(compare_epochs(folders, out, options), out)
+    return 0
+
+
+def _passes(arguments: list[str]) -> int:
+    def passes(
+        run: tyro.conf.Positional[Path],
+        out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("passes"),
+        depth_m: float | None = None,
+    ) -> tuple[Path, Path, float | None]:
+        """How well the clouds of the two largest passes of one survey agree, by M3C2; no reference is needed.
+
+        Args:
+            run: A run folder with depth maps.
+            out: The folder to write: changes.json, changes.csv, changes.png, changes.laz.
+            depth_m: Largest difference that is looked for, to either side (default: by the spacing of the clouds).
+        """
+        return run, out, depth_m
+
+    run, out, depth_m = options_of(passes, f"tiegraph compare {_PASSES}", arguments)
+    project = open_project(None, run)
+    _say(compare_passes(Run(project.folder, project.inputs, project.settings), out, depth_m), out)
+    return 0
+
+
+def _say(result: dict[str, Any], out: Path) -> None:
+    for part in ("differences", "areas_and_volumes"):
+        for name, value in result[part].items():
+            say(f"{name.replace('_', ' '):<24} {value:g}")
+    if result["registration"] is not None:
+        show_table(result["registration"]["columns"], _texts(result["registration"]["rows"]), "registration")
+    rows = result["changes"]["rows"]
+    show_table(result["changes"]["columns"], _texts(rows[:_SHOWN]), "changes, the largest")
+    for note in result["notes"]:
+        say(note)
+    say(f"written: {out}")
+
+
+def _texts(rows: list[list]) -> list[list[str]]:
+    return [["" if v is None else f"{v:.2f}" if isinstance(v, float) else str(v) for v in row] for row in rows]

@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
 from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say, show_table
 from tiegraph.cli.run import main_stage
-from tiegraph.evaluate.cloud import cloud_to_cloud
-from tiegraph.evaluate.tuning import CloudTuning
-from tiegraph.scene.cloudfile import read_cloud
+from tiegraph.evaluate.clouds.judge import Question, Register
+from tiegraph.pipeline.clouds import evaluate_clouds
+from tiegraph.scene.cloudchunks import CLOUD_ENDINGS
 
-_TWO_CLOUDS = "\n\nOr two point clouds: tiegraph evaluate CLOUD REFERENCE (.laz, .las or .ply; --help after them)."
+_TWO_CLOUDS = "\n\nOr two point clouds: tiegraph evaluate CLOUD REFERENCE (.laz, .las, .ply, .e57; --help after them)."
 
 
 def main(arguments: list[str]) -> int:
     """The stage for a run folder, or the comparison of two cloud files."""
     files = [a for a in arguments if not a.startswith("-")]
-    if len(files) >= 2 and all(Path(f).suffix.lower() in (".las", ".laz", ".ply") for f in files[:2]):
+    if len(files) >= 2 and all(Path(f).suffix.lower() in CLOUD_ENDINGS for f in files[:2]):
         return _clouds(arguments)
     return main_stage("evaluate", arguments, about=_TWO_CLOUDS)
 
@@ -28,21 +29,31 @@ def _clouds(arguments: list[str]) -> int:
     def evaluate(
         cloud: tyro.conf.Positional[Path],
         reference: tyro.conf.Positional[Path],
-        distances_m: tuple[float, ...] = (0.02, 0.05, 0.10, 0.20),
-    ) -> tuple[Path, Path, tuple[float, ...]]:
-        """How near a point cloud is to a reference cloud in the same coordinates.
+        distances_m: tuple[float, ...] = (),
+        register: Register = "none",
+        out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    ) -> tuple[tuple[Path, Path], Path | None, Question]:
+        """How near a point cloud is to a reference cloud; of any size, tile by tile.
 
         Args:
-            cloud: The cloud to judge (.laz, .las or .ply).
-            reference: The cloud that counts as true.
-            distances_m: Distances in metres at which accuracy, completeness and F-score are stated.
+            cloud: The cloud to judge (.laz, .las, .copc.laz, .ply or .e57).
+            reference: The cloud that counts as true; brought into the CRS of the other where both headers name one.
+            distances_m: Distances in metres at which accuracy, completeness and F-score are stated (default: four that
+                fit the cloud's spacing).
+            register: Lay the cloud on the reference first, by ICP: as a rigid motion or with its scale. What was
+                found is part of the result.
+            out: Folder for metrics.json, the map of differences and both clouds with their distances.
         """
-        return cloud, reference, distances_m
+        return (cloud, reference), out, Question(distances_m=distances_m, register=register)
 
-    cloud, reference, distances = options_of(evaluate, "tiegraph evaluate", arguments)
-    result = cloud_to_cloud(read_cloud(cloud), read_cloud(reference), CloudTuning(), distances)
-    for metric in result.metrics():
-        say(f"{metric.name:<24} {metric.value:.4g} {metric.unit}")
-    for name, content in result.tables().items():
-        show_table(content["columns"], [[f"{v:.3g}" for v in row] for row in content["rows"]], name)
+    files, out, question = options_of(evaluate, "tiegraph evaluate", arguments)
+    result = evaluate_clouds(files, out, question)
+    for metric in result["metrics"]:
+        value = "-" if metric["value"] is None else f"{metric['value']:.4g}"
+        say(f"{metric['name']:<24} {value} {metric['unit']}")
+    for name, content in result["tables"].items():
+        rows = [[f"{v:.3g}" if isinstance(v, float) else "" if v is None else v for v in r] for r in content["rows"]]
+        show_table(content["columns"], rows, name)
+    for note in result["notes"]:
+        say(note)
     return 0

@@ -44,7 +44,7 @@ VERBS: dict[str, Verb] = {
     "demo": Verb("the example survey, from images to the report", "demo"),
     "init": Verb("show what is found in a folder; write tiegraph.toml and rig.toml to edit", "init"),
     "status": Verb("which stages of a run folder are up to date, and why not", "status"),
-    "compare": Verb("two or more run folders side by side: the papers' tables", "compare"),
+    "compare": Verb("two or more run folders side by side; --epochs: what has changed between two surveys", "compare"),
     "shots": Verb("a point cloud for each shot of a calibrated rig, without a sparse model", "shots"),
     "calibrate": Verb("cameras and rig from images of a board (ChArUco, checkerboard, AprilGrid)", "calibrate"),
     "rig": Verb("the rig and cameras as a run found them, as rig.toml or COLMAP's rig_config.json", "rig"),
@@ -68,6 +68,8 @@ VERBS: dict[str, Verb] = {
     "refine": Verb("stage: makes refine/masks, refine/classes", "run", "refine"),
     "dense": Verb("stage: makes depth", "run", "dense"),
     "cloud": Verb("stage: makes cloud.copc.laz, cloud.laz, cloud.ply", "run", "cloud"),
-    "evaluate": Verb("stage: makes metrics.json, accuracy.csv; or a point cloud against a reference cloud", "evaluate"),
+    "evaluate": Verb(
+        "stage: makes metrics.json, accuracy.csv, evaluate; or a point cloud against a reference cloud", "evaluate"
+    ),
     "report": Verb("stage: makes report.html", "run", "report"),
 }

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize_scalar
-from scipy.spatial import cKDTree
 
-from tiegraph.evaluate.cloud import CloudComparison
+from tiegraph.evaluate.clouds.nearest import CloudComparison
 from tiegraph.evaluate.trajectory import PoseMatch, TrajectoryError
 from tiegraph.evaluate.tuning import JudgeTuning
 from tiegraph.geometry.align import umeyama
@@ -68,26 +67,27 @@ def against_poses(
 
 
 def against_cloud(
-    result: CloudComparison, reference: np.ndarray, predicted: Predicted, aligned: bool, tuning: JudgeTuning
+    result: CloudComparison, reach_m: float, predicted: Predicted, aligned: bool, tuning: JudgeTuning
 ) -> list[str]:
-    """Sentences about a reference cloud (G, 3) that the cloud contradicts: half its points are farther than predicted.
+    """Sentences about a reference cloud that the cloud contradicts: half its points are farther than predicted.
 
     What the reference's own spacing leaves between a point and its nearest counts as predicted, and what the scale's
-    sigma moves a point by at the middle one of their distances from the centre.
+    sigma moves a point by at ``reach_m``, the middle one of the reference's distances from its centre.
     """
-    if not np.isfinite([predicted.point_m, result.median_m]).all():
+    criteria = result.criteria
+    if not np.isfinite(predicted.point_m):
         return []
-    step = max(1, len(reference) // tuning.spacing_samples)
-    spacing = float(np.median(cKDTree(reference).query(reference[::step], k=2)[0][:, 1]))
-    reach = float(np.median(np.linalg.norm(reference - np.median(reference, axis=0), axis=1)))
-    parts = [predicted.point_m, np.nan_to_num(predicted.inside_m), max(spacing, result.criteria.voxel_m) / 2]
-    parts.append(reach * np.nan_to_num(predicted.scale))
+    found = np.isfinite(result.whole.median_m)
+    median = result.whole.median_m if found else criteria.reach_m
+    parts = [predicted.point_m, np.nan_to_num(predicted.inside_m), max(criteria.spacing_m, criteria.voxel_m) / 2]
+    parts.append(reach_m * np.nan_to_num(predicted.scale))
     parts.append(0.0 if aligned else np.nan_to_num(predicted.placed_m))
     expected = float(np.linalg.norm(parts))
-    if result.median_m <= tuning.beyond_sigmas * expected:
+    if median <= tuning.beyond_sigmas * expected:
         return []
+    more = "" if found else "more than "
     return [
-        f"the reference cloud and the cloud differ by {_m(result.median_m)} (median), predicted {_m(expected)}: "
+        f"the reference cloud and the cloud differ by {more}{_m(median)} (median), predicted {_m(expected)}: "
         "another frame or datum, or a place that has changed"
     ]
 

@@ -1,4 +1,4 @@
-"""Reference data: poses from a COLMAP model or TUM files, points from LAS, LAZ or PLY, brought into the run's world."""
+"""Reference data: poses from a COLMAP model or TUM files, brought into the run's world."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import laspy
 import numpy as np
 
 from tiegraph.errors import InputError
@@ -14,11 +13,9 @@ from tiegraph.evaluate.trajectory import PoseMatch
 from tiegraph.geometry import geodesy, transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.geometry.geodesy import Origin
-from tiegraph.scene.cloudfile import read_cloud, refuse_cut_las
 from tiegraph.scene.colmapmodel import is_model, matrix
 from tiegraph.scene.namedposes import read_named_poses
 from tiegraph.scene.posefile import read_poses
-from tiegraph.scene.regular import regular
 from tiegraph.scene.scene import Scene
 
 _NAMED = 3  # frames without a reference that are named
@@ -245,59 +242,3 @@ def poses_to_world(match: PoseMatch, source: Origin, world: Origin) -> PoseMatch
     u, _, vt = np.linalg.svd((corner[1:] - corner[0]).T)
     turned = (u @ vt) @ match.reference[:, :3, :3]
     return replace(match, reference=transforms.rigid(turned, to_world(positions, source, world)))
-
-
-def read_points(path: Path, most: int) -> tuple[np.ndarray, str | None]:
-    """Points (M, 3) f8 of a LAS, LAZ or PLY file, in file coordinates, and "EPSG:n" if a LAS header names one.
-
-    Of a file with more than ``most`` points every n-th is taken. Raises InputError naming the file, also for a point
-    that is at no place.
-    """
-    points, crs = _read_points(path, most)
-    lost = np.flatnonzero(~np.isfinite(points).all(axis=1))
-    if len(lost):
-        raise InputError(f"{path}: {len(lost)} points are at no place (NaN or infinite), such as point {lost[0] + 1}: "
-                         "take them out")  # fmt: skip
-    return points, crs
-
-
-def _read_points(path: Path, most: int) -> tuple[np.ndarray, str | None]:
-    if not path.exists():
-        raise InputError(f"{path}: no such point cloud; give a .laz, .las or .ply file")
-    try:
-        regular(path, None)
-        if path.suffix.lower() == ".ply":
-            return _read_ply(path, most), None
-        return _read_las(path, most)
-    except InputError:
-        raise
-    except Exception as error:
-        raise InputError(f"{path}: not a readable point cloud: {error}") from None
-
-
-def check_points(path: Path) -> None:
-    """Raise InputError for a file that is no point cloud by its first bytes."""
-    ply = path.suffix.lower() == ".ply"
-    with open(path, "rb") as file:
-        first = file.read(4)
-    if not first.startswith(b"ply" if ply else b"LASF"):
-        raise InputError(f"{path}: not a readable point cloud: no {'PLY' if ply else 'LAS or LAZ'} file by its content")
-
-
-def _read_las(path: Path, most: int) -> tuple[np.ndarray, str | None]:
-    refuse_cut_las(path)
-    with laspy.open(path) as reader:
-        step = -(-reader.header.point_count // most)
-        crs = reader.header.parse_crs()
-        parts: list[np.ndarray] = []
-        for chunk in reader.chunk_iterator(1_000_000):
-            parts.append(np.column_stack([chunk.x, chunk.y, chunk.z])[:: max(1, step)])
-    if crs is not None and crs.is_compound:
-        crs = crs.sub_crs_list[0]
-    code = crs.to_epsg() if crs is not None else None
-    return np.concatenate([np.zeros((0, 3)), *parts]), None if code is None else f"EPSG:{code}"
-
-
-def _read_ply(path: Path, most: int) -> np.ndarray:
-    xyz = read_cloud(path).xyz_m
-    return np.asarray(xyz)[:: max(1, -(-len(xyz) // most))]

@@ -15,7 +15,7 @@ class EvaluateSettings(Section):
     """Reference poses: a COLMAP model folder (by image name), a TUM file, or a folder of TUM files, one a pass."""
 
     reference_cloud: Path | None = user_path("file")
-    """Reference point cloud (.laz, .las or .ply), for instance a LiDAR scan."""
+    """Reference point cloud (.laz, .las, .ply or .e57), for instance a LiDAR scan."""
 
     reference_origin: (
         tuple[
@@ -36,8 +36,9 @@ class EvaluateSettings(Section):
     alignment: Literal["rigid", "similarity", "none"] = "rigid"
     """How the cloud is laid on the reference: by the matched poses without scale, with scale, or as it is."""
 
-    distances_m: tuple[Annotated[float, Field(gt=0, le=100_000)], ...] = Field((0.02, 0.05, 0.10, 0.20), min_length=1)
-    """Distances (m) at which accuracy, completeness and F-score of the cloud are stated."""
+    distances_m: tuple[Annotated[float, Field(gt=0, le=100_000)], ...] = ()
+    """Distances (m) at which accuracy, completeness and F-score of the cloud are stated (default: four of the series 1,
+    2, 5, 10 from the ground sampling distance on)."""
 
     range_m: float = Field(50.0, gt=0, le=100_000)
     """Only the part of the reference cloud nearer than this (m) to a registered camera counts for completeness."""

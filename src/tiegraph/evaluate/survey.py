@@ -11,7 +11,8 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.evaluate import backprojection, reference
 from tiegraph.evaluate.backprojection import View, backprojection_rmse
-from tiegraph.evaluate.cloud import cloud_to_cloud, thin
+from tiegraph.evaluate.clouds.judge import CloudJudgement, Question, judge_cloud
+from tiegraph.evaluate.clouds.nearest import Cameras
 from tiegraph.evaluate.contradictions import Predicted, against_cloud, against_poses
 from tiegraph.evaluate.metrics import metrics_to_dict
 from tiegraph.evaluate.reference import ModelPoses
@@ -20,6 +21,7 @@ from tiegraph.evaluate.trajectory import TrajectoryError, evaluate_trajectory, r
 from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.geodesy import Origin
+from tiegraph.scene.cloudchunks import Points, PointSource, open_cloud
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.registered import Registration
 from tiegraph.scene.results import Cloud, Metric
@@ -37,12 +39,23 @@ class _Findings:
 @dataclass(frozen=True, eq=False)
 class Products:
     """What a run made: ``model`` a pycolmap reconstruction in the world frame, ``images`` which of the scene's are
-    registered in it, the cloud, and the world's origin (None: the model's own frame)."""
+    registered in it, the cloud, the world's origin (None: the model's own frame), the ground sampling distance, and an
+    empty folder for the tiles of clouds."""
 
     model: Any
     images: Registration
     cloud: Cloud | None
     origin: Origin | None = None
+    gsd_m: float | None = None
+    scratch: Path | None = None
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The content of metrics.json, and how the cloud was judged by a reference cloud, if there is one."""
+
+    metrics: dict[str, Any]
+    cloud: CloudJudgement | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +71,8 @@ class _Work:
 
 def evaluate_survey(
     scene: Scene, made: Products, settings: EvaluateSettings, tuning: Tuning, predicted: Predicted | None = None
-) -> dict[str, Any]:
-    """The content of metrics.json for a run.
+) -> Evaluation:
+    """Figures of merit, tables and notes of a run.
 
     ``predicted``: the run's own sigmas, which its references are held against. Raises InputError for
     references that cannot be read or matched.
@@ -83,9 +96,10 @@ def evaluate_survey(
         found.metrics.extend(result.metrics())
         found.notes.append(backprojection.MEANING)
     trajectory = None if settings.reference is None else _trajectory(work, settings.reference)
+    judged = None
     if settings.reference_cloud is not None and cloud is not None and len(cloud):
-        _cloud(work, cloud, settings.reference_cloud, trajectory)
-    return metrics_to_dict(found.metrics, found.tables, found.notes, found.contradictions)
+        judged = _cloud(work, made, settings.reference_cloud, trajectory)
+    return Evaluation(metrics_to_dict(found.metrics, found.tables, found.notes, found.contradictions), judged)
 
 
 def pinhole_views(reconstruction: Any) -> list[View]:
@@ -140,26 +154,39 @@ def _step_s(scene: Scene) -> float:
     return float(np.median(step)) if len(step) else float("nan")
 
 
-def _cloud(work: _Work, cloud: Cloud, path: Path, trajectory: TrajectoryError | None) -> None:
+def _cloud(work: _Work, made: Products, path: Path, trajectory: TrajectoryError | None) -> CloudJudgement:
     """A reference cloud against the run's."""
-    settings, tuning, origin, found = work.settings, work.tuning, work.origin, work.found
-    points, crs = reference.read_points(path, tuning.cloud.read_points)
-    source = _origin_of(settings, crs)
-    if source is not None and origin is not None and len(points):
-        # thinned first: the way through geodetic coordinates costs more than the comparison
-        thinned, _ = thin(points, min(settings.distances_m) / 2, tuning.cloud)
-        points = reference.to_world(thinned, source, origin)
+    settings, tuning, origin, found, cloud = work.settings, work.tuning, work.origin, work.found, made.cloud
+    assert cloud is not None and made.scratch is not None
+    truth = open_cloud(path)
+    source = _origin_of(settings, truth.crs)
+    if source is not None and origin is not None:
+        truth = truth.moved(lambda xyz: reference.to_world(xyz, source, origin))
     alignment, how = _alignment(settings, trajectory, tuning.unscaled_share)
-    centres = work.model.centres()
-    try:
-        result = cloud_to_cloud(cloud, points, tuning.cloud, settings.distances_m, alignment, centres, settings.range_m)
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from None
+    own = PointSource("the cloud", lambda: iter([Points(cloud.xyz_m, cloud.sigma_m)]))
+    cameras = _cameras(work)
+    if alignment is not None:
+        own, cameras = own.moved(alignment), Cameras(alignment(cameras.centres), cameras.section)
+    question = Question(distances_m=settings.distances_m, gsd_m=made.gsd_m, cameras=cameras, range_m=settings.range_m)
+    result = judge_cloud(own, truth, made.scratch, question, tuning)
     found.metrics.extend(result.metrics())
     found.tables.update(result.tables())
-    found.contradictions += against_cloud(result, points, work.predicted, alignment is not None, tuning.judge)
-    share = f"{100 * result.judged.outside:.0f} % of the cloud lie outside the reference's outline and are not judged."
-    found.notes.append(f"Reference cloud {path.name}, {how}. {result.criteria.meaning} {share}")
+    aligned = alignment is not None
+    found.contradictions += against_cloud(result.nearest, _reach(result), work.predicted, aligned, tuning.judge)
+    found.notes.append(f"Reference cloud {path.name}, {how}. {result.notes()}")
+    return result
+
+
+def _cameras(work: _Work) -> Cameras:
+    placed, scene = work.model.placed, work.scene
+    section = scene.section[scene.frame][placed]
+    return Cameras(work.model.centres(), tuple(f"{s}" if s >= 0 else "(none)" for s in section))
+
+
+def _reach(result: CloudJudgement) -> float:
+    """How far the middle one of the reference's core points is from their centre."""
+    xyz = result.differences.xyz
+    return float(np.median(np.linalg.norm(xyz - np.median(xyz, axis=0), axis=1))) if len(xyz) else 0.0
 
 
 def _origin_of(settings: EvaluateSettings, crs: str | None) -> Origin | None:

@@ -21,16 +21,79 @@ class TrajectoryTuning(Section):
 
 
 class CloudTuning(Section):
-    """A cloud against a reference cloud (`cloud.py`)."""
+    """A cloud against a reference cloud (`clouds/`)."""
 
-    ghost_m: float = Field(0.5, gt=0)
-    """A ghost is further than this from the reference: five times 0.10 m; the outline is widened by as much."""
-    max_points: int = Field(12_000_000, gt=0)
-    """Of a thinned cloud: a k-d tree of this many points takes about 1 GiB."""
-    voxel_growth: float = Field(1.5, gt=1)
-    """Factor by which the voxel grows until at most so many points are left."""
-    read_points: int = Field(20_000_000, gt=0)
-    """Points of a reference cloud that are taken, every n-th."""
+    tile_points: int = Field(2_000_000, gt=0)
+    """Of both clouds in a tile, at most: with halo and search trees about 0.7 GiB."""
+    spacing_points: int = Field(5000, gt=0)
+    """Points of a cloud that tell its spacing."""
+    steps: int = Field(4, gt=0)
+    """Distances at which clouds are judged where none are given: so many of the series 1, 2, 5, 10, the first not
+    below the ground sampling distance."""
+    ghost_factor: float = Field(5.0, gt=0)
+    """A ghost is further from the reference than this many times the least distance, as the tables of 3D benchmarks
+    have it, and ..."""
+    ghost_spacings: float = Field(3.0, gt=0)
+    """... than so many of the reference's spacings, lest its gaps make ghosts."""
+    observed_factor: float = Field(4.0, ge=1)
+    """The reference observed where it has points within so many times that distance in plan: a smaller one would excuse
+    walls in the wrong place, a larger one calls more of what lies beyond its border wrong."""
+    search_factor: float = Field(10.0, ge=1)
+    """Nearest points are looked for up to this many times the largest distance."""
+    bands_m: tuple[float, ...] = (5.0, 10.0, 20.0, 50.0)
+    """Between the bands of distance from camera to point."""
+
+
+class M3c2Tuning(Section):
+    """Differences along the normal (`clouds/m3c2.py`); Lague, Brodu, Leroux 2013."""
+
+    radius_spacings: float = Field(5.0, gt=0)
+    """Radius of the cylinder in spacings of the thinner cloud: 20 points of a random cloud lie in it."""
+    normal_radii: float = Field(2.0, ge=1)
+    """Radius in which the normal is found, in radii of the cylinder."""
+    depth_radii: float = Field(6.0, ge=1)
+    """How far the cylinder reaches to either side, in its radii: larger differences are not found."""
+    most_radii: float = Field(200.0, ge=1)
+    """The same, if it is asked for, at most."""
+    least_points: int = Field(10, ge=2)
+    """Of each cloud in a cylinder: with fewer the spread does not tell the level of detection."""
+    confidence: float = Field(1.96, gt=0)
+    """Sigmas at which 5 % of the differences of equal surfaces are called significant."""
+
+
+class RegistrationTuning(Section):
+    """A cloud laid on another by ICP (`clouds/register.py`)."""
+
+    points: int = Field(200_000, gt=0)
+    """Of either cloud that take part, at most."""
+    normal_neighbours: int = Field(20, ge=3)
+    """Points that tell the normal of a point of the reference."""
+    reach_spacings: tuple[float, ...] = (40.0, 20.0, 10.0, 5.0)
+    """To the nearest point at most, in spacings of what takes part, one after another."""
+    rounds: int = Field(20, gt=0)
+    """With each of these, at most ..."""
+    still: float = Field(1e-3, gt=0)
+    """... until no point moves by more than this share of the spacing."""
+    tukey: float = Field(4.685, gt=0)
+    """Residuals beyond so many sigmas do not count (Tukey's function, 95 % efficient)."""
+    least_points: int = Field(100, ge=7)
+    """Pairs of points, to go on."""
+    open_share: float = Field(0.005, gt=0)
+    """Smallest to largest eigenvalue of the equations, all unknowns in metres of motion, below which surfaces slide:
+    noise of the normals alone makes 0.0005 of a plane and 0.0024 of a corridor, a corner has 0.08."""
+
+
+class ChangesTuning(Section):
+    """What has changed between two epochs (`clouds/changes.py`)."""
+
+    link_spacings: float = Field(2.0, gt=1)
+    """Significant core points this near, in spacings of core points, are one change."""
+    least_cores: int = Field(12, gt=0)
+    """Of a change that is listed: fewer stand together by chance (5 % of unchanged ones are called significant)."""
+    area_spacings: float = Field(3.0, gt=1)
+    """Core points within so many spacings tell what area one stands for."""
+    listed: int = Field(50, gt=0)
+    """Changes in the table, the largest first."""
 
 
 class JudgeTuning(Section):
@@ -48,8 +111,6 @@ class JudgeTuning(Section):
     """On both sides of the best start, where the scale is sought: a little more than between two starts."""
     lag_rounds: int = Field(3, gt=0)
     """Rounds of alignment and lag in turn."""
-    spacing_samples: int = Field(2000, gt=0)
-    """Points of a reference cloud that tell its spacing."""
 
 
 class Tuning(Section):
@@ -63,5 +124,11 @@ class Tuning(Section):
     """Reference poses."""
     cloud: CloudTuning = CloudTuning()
     """Reference clouds."""
+    m3c2: M3c2Tuning = M3c2Tuning()
+    """Differences along the normal."""
+    registration: RegistrationTuning = RegistrationTuning()
+    """A cloud laid on another."""
+    changes: ChangesTuning = ChangesTuning()
+    """What has changed."""
     judge: JudgeTuning = JudgeTuning()
     """What contradicts."""

@@ -66,8 +66,8 @@ STAGES = (
            tuned=("masks", "sfm")),
     _stage("dense", ("georef", "refine"), ("depth",), "image", version=5),
     _stage("cloud", ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply"), scratch=(".tiles",)),
-    _stage("evaluate", ("filter", "georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv"), version=3,
-           tuned=("scene",)),
+    _stage("evaluate", ("filter", "georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv", "evaluate"),
+           version=4, scratch=("evaluate/.tiles",), tuned=("scene",)),
     _stage("report", ("evaluate",), ("report.html",), version=2),
 )
 # fmt: on

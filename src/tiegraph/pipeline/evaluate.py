@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from tiegraph.evaluate.accuracytable import accuracy_csv
+from tiegraph.evaluate.clouds.judge import CloudJudgement
+from tiegraph.evaluate.clouds.m3c2 import Differences
+from tiegraph.evaluate.clouds.picture import difference_map
 from tiegraph.evaluate.contradictions import Predicted
 from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.evaluate.survey import Products, evaluate_survey
+from tiegraph.geometry.geodesy import Origin
 from tiegraph.masks.compare import compare
 from tiegraph.pipeline.files import FINAL, checked, load_json, load_model, reading
 from tiegraph.pipeline.placed import world_origin
 from tiegraph.project.run import Run, save_json
-from tiegraph.project.stages import Outcome, write_atomic
+from tiegraph.project.stages import Outcome, remove, write_atomic
 from tiegraph.scene.cloudfile import read_cloud
+from tiegraph.scene.measuredcloud import Measured, write_measured
 from tiegraph.scene.registered import registration
 from tiegraph.scene.results import Cloud
 from tiegraph.scene.scene import Scene
@@ -29,8 +36,18 @@ def evaluate(run: Run) -> Outcome:
     world = load_json(run.path("world.json"))
     tuning = run.settings.tuning
     images = registration(model, scene, tuning.scene.registered)
-    made = Products(model=model, images=images, cloud=cloud, origin=origin if world["placed"] else None)
-    result = evaluate_survey(scene, made, settings, tuning.evaluate, predicted(world, cloud))
+    placed = origin if world["placed"] else None
+    gsd = (run.receipts.read("cloud").get("counts") or {}).get("voxel")
+    scratch = run.path("evaluate", ".tiles")
+    remove(scratch)
+    if settings.reference_cloud is not None:
+        scratch.mkdir(parents=True)
+    made = Products(model=model, images=images, cloud=cloud, origin=placed, gsd_m=gsd, scratch=scratch)
+    found = evaluate_survey(scene, made, settings, tuning.evaluate, predicted(world, cloud))
+    if found.cloud is not None:
+        write_judgement(found.cloud, run.path("evaluate"), origin)
+    remove(scratch)
+    result = found.metrics
     if settings.reference_masks is not None:
         result["tables"]["mask accuracy"] = _masks(run, scene, settings)
     save_json(run.path("metrics.json"), result)
@@ -40,6 +57,27 @@ def evaluate(run: Run) -> Outcome:
     notes = tuple(n for n in result["notes"] if n.startswith("Reference"))  # what could be compared with what
     said = tuple(result["contradictions"])
     return Outcome({k: float(f"{v:.4g}") for k, v in shown.items()}, notes=notes, contradictions=said)
+
+
+def write_judgement(found: CloudJudgement, folder: Path, origin: Origin | None) -> None:
+    """The map of differences, and both clouds with what was measured, into a folder."""
+    differences, spacing = found.differences, found.nearest.criteria.voxel_m
+    limit = found.nearest.criteria.ghost_m
+    write_atomic(folder / "m3c2.png", difference_map(differences, "cloud minus reference"))
+    parts = (Measured(xyz, {"distance_m": away}, (0.0, limit)) for xyz, away in found.nearest.points())
+    write_measured(parts, folder / "distances.laz", origin, spacing)
+    write_measured([measured(differences)], folder / "m3c2.laz", origin, spacing)
+
+
+def measured(found: Differences) -> Measured:
+    """The core points with difference, level of detection, and 1 where the difference is significant."""
+    columns = {
+        "distance_m": found.distance_m,
+        "lod_m": found.lod_m,
+        "significant": np.where(found.known, found.significant, np.nan),
+    }
+    limit = float(np.nanpercentile(np.abs(found.distance_m), 95)) if found.known.any() else 1.0
+    return Measured(found.xyz, columns, (-limit, limit))
 
 
 def predicted(world: dict, cloud: Cloud) -> Predicted:

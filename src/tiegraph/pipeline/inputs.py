@@ -27,6 +27,7 @@ from tiegraph.scan.priors.trajectory import read_trajectory
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.rigfiles.rigspec import preset_sizes
 from tiegraph.scene.bags.topics import is_bag, source_of
+from tiegraph.scene.cloudchunks import check_cloud
 from tiegraph.scene.control import Control, locate
 from tiegraph.scene.gcp import read_gcps
 from tiegraph.scene.gnss import read_gnss
@@ -80,12 +81,12 @@ def _read_settings(settings: Settings) -> None:
 
 
 def _check_references(settings: EvaluateSettings) -> None:
-    from tiegraph.evaluate.reference import check_points, check_reference  # loads the engine
+    from tiegraph.evaluate.reference import check_reference  # loads the engine
 
     if settings.reference is not None:
         check_reference(settings.reference)
     if settings.reference_cloud is not None:
-        check_points(settings.reference_cloud)
+        check_cloud(settings.reference_cloud)
 
 
 def _read_inputs(run: Run) -> None:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from tiegraph.geometry.geodesy import Origin
+from tiegraph.geometry.placement import PlacementError
 from tiegraph.pipeline.files import load_json
 from tiegraph.project.run import Run
-from tiegraph.sfm.world.accuracy import PlacementError
 
 
 def world_origin(run: Run) -> Origin | None:

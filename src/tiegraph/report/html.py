@@ -18,7 +18,7 @@ from tiegraph.report.networkpart import network_part
 from tiegraph.report.rigdiagnostics import rig_diagnostics, rig_table
 from tiegraph.report.runfolder import STAGES, RunFolder, read_run
 from tiegraph.report.settings import ReportSettings
-from tiegraph.report.thumbnails import CLASSES, jpeg, mask_share, thumbnail
+from tiegraph.report.thumbnails import CLASSES, file_uri, jpeg, mask_share, thumbnail
 from tiegraph.scene.atomic import replacing
 from tiegraph.scene.figures import plain_text
 from tiegraph.scene.registered import BY_RIG
@@ -256,6 +256,7 @@ def _evaluation(run: RunFolder) -> dict[str, Any]:
     out["tables"] = [t for n, d in shown.items() if (t := formatting.table(d, n.capitalize())) is not None]
     against = (tables.get("cloud against reference") or {}).get("rows")
     out["shares"] = charts.shares(against) if against else None
+    out["map"] = file_uri(run.path / "evaluate" / "m3c2.png") if against else None
     return out
 
 

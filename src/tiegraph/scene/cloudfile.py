@@ -5,7 +5,7 @@ In a file coordinates are those of the CRS: world + the recorded shift. ENU and 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -141,11 +141,14 @@ def _enu_note(origin: Origin) -> str:
     )
 
 
-def las_header(first: Cloud, spacing: float | None) -> tuple[laspy.LasHeader, tuple[str, ...]]:
-    """Header of LAS 1.4 for clouds such as the first part, and remarks; see ``write_cloud``."""
+def las_header(
+    first: Cloud, spacing: float | None, extra: Sequence[tuple[str, str]] = _EXTRA
+) -> tuple[laspy.LasHeader, tuple[str, ...]]:
+    """Header of LAS 1.4 for clouds such as the first part, and remarks; see ``write_cloud``. ``extra``: names and types
+    of the extra dimensions."""
     header = laspy.LasHeader(point_format=7, version="1.4")
     header.generating_software = "tiegraph"
-    header.add_extra_dims([laspy.ExtraBytesParams(name, kind) for name, kind in _EXTRA])
+    header.add_extra_dims([laspy.ExtraBytesParams(name, kind) for name, kind in extra])
     offset = shift_of(first.origin)
     middle = first.xyz_m.mean(axis=0) if len(first) else np.zeros(3)
     header.offsets = offset + np.where(np.abs(middle) > _FAR, np.round(middle), 0)
@@ -324,6 +327,20 @@ def _ply_origin(comments: dict[str, list[str]]) -> Origin | None:
 
 
 def _read_ply_body(file: BinaryIO, path: Path, header: _PlyHeader) -> np.ndarray:
+    return np.concatenate(list(_ply_rows_of(file, path, header, max(header.count, 1))))
+
+
+def ply_parts(path: Path, most: int) -> Iterator[np.ndarray]:
+    """The vertices of a PLY file, at most ``most`` at a time, as records with x, y, z. Raises InputError."""
+    with open(path, "rb") as file:
+        header = _read_ply_header(file, path)
+        if not {"x", "y", "z"} <= {name for name, _ in header.properties}:
+            raise InputError(f"{path}: its vertices have no x, y, z")
+        yield from _ply_rows_of(file, path, header, most)
+
+
+def _ply_rows_of(file: BinaryIO, path: Path, header: _PlyHeader, most: int) -> Iterator[np.ndarray]:
+    """The vertices in parts; one part, maybe empty, at least."""
     kind, count, properties = header.kind, header.count, header.properties
     order = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}.get(kind)
     if order is None:
@@ -333,14 +350,16 @@ def _read_ply_body(file: BinaryIO, path: Path, header: _PlyHeader) -> np.ndarray
     there = path.stat().st_size - file.tell()
     if not 0 <= count * least <= there:
         raise InputError(f"{path} is cut short: its header says {count} points, and {there} bytes follow it")
-    if kind == "ascii":
-        table = np.loadtxt(file, max_rows=count, ndmin=2) if count else np.zeros((0, len(properties)))
-        rows = np.zeros(len(table), dtype)
-        for k, (name, _) in enumerate(properties):
-            rows[name] = table[:, k]
-    else:
-        data = file.read(count * dtype.itemsize)
-        rows = np.frombuffer(data[: len(data) // dtype.itemsize * dtype.itemsize], dtype)
-    if len(rows) != count:
-        raise InputError(f"{path} is cut short: {len(rows)} of {count} points")
-    return rows
+    for start in range(0, max(count, 1), most):
+        wanted = min(most, count - start)
+        if kind == "ascii":
+            table = np.loadtxt(file, max_rows=wanted, ndmin=2) if wanted else np.zeros((0, len(properties)))
+            rows = np.zeros(len(table), dtype)
+            for k, (name, _) in enumerate(properties):
+                rows[name] = table[:, k]
+        else:
+            data = file.read(wanted * dtype.itemsize)
+            rows = np.frombuffer(data[: len(data) // dtype.itemsize * dtype.itemsize], dtype)
+        if len(rows) != wanted:
+            raise InputError(f"{path} is cut short: {start + len(rows)} of {count} points")
+        yield rows

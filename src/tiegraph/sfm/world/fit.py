@@ -9,9 +9,9 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry.align import Similarity, robust_umeyama, umeyama
+from tiegraph.geometry.placement import PlacementError
 from tiegraph.geometry.transforms import skew, turn_by_vector, vector_by_turn
 from tiegraph.sfm.tuning.world import FitTuning
-from tiegraph.sfm.world.accuracy import PlacementError
 from tiegraph.sfm.world.gravity import Up
 from tiegraph.sfm.world.unknowns import Clock, FittedArm, LeverArm, LogScale
 

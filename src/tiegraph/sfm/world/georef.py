@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.geodesy import Origin, vertical_note
+from tiegraph.geometry.placement import PlacementError
 from tiegraph.scene.control import Control
 from tiegraph.scene.evidence import Statement, table
 from tiegraph.scene.scene import Scene
@@ -17,7 +18,6 @@ from tiegraph.sfm.model import image_poses
 from tiegraph.sfm.settings import GeorefSettings
 from tiegraph.sfm.tiedmodels import moved
 from tiegraph.sfm.tuning.world import WorldTuning
-from tiegraph.sfm.world.accuracy import PlacementError
 from tiegraph.sfm.world.antenna import RIGHT_ANGLE_DEG
 from tiegraph.sfm.world.fit import Fit, jackknife_sigma
 from tiegraph.sfm.world.fixes import Fixes, Measurements

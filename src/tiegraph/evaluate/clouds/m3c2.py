@@ -1,0 +1,222 @@
+"""M3C2: the difference of two clouds along the normal of the first, with its level of detection.
+
+Lague, Brodu, Leroux 2013 (ISPRS J. 82, 10-26). At each core point a cylinder about the normal cuts both clouds; the
+difference is that of the mean places of their points along the axis. The level of detection is 1.96 times the root of
+the sum of the variances of both means and of the registration (there: standard error plus registration error, which
+calls too few changes significant where that error is random). Points of one survey that stand together err together:
+what the cloud states as sigma of its points is therefore not divided by their number (as James, Robson, Smith 2017,
+"M3C2-PM"), while the spread in the cylinder is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from tiegraph.evaluate.clouds.nearest import Cameras, thinned
+from tiegraph.evaluate.clouds.tiles import TiledClouds
+from tiegraph.evaluate.tuning import M3c2Tuning
+from tiegraph.scene.cloudchunks import Points
+
+_CORES = 10_000  # core points looked at together: some 10 million pairs of points at most
+_OBLIQUE = np.array([0.36, 0.48, 0.8])  # where normals point without cameras: up, else to the north-east
+
+Sigma = Callable[[np.ndarray, np.ndarray], np.ndarray]  # of points (N, 3) along normals (N, 3): metres (N,)
+
+
+@dataclass(frozen=True)
+class Cylinders:
+    """Lengths in metres: radius of the cylinders, of the neighbourhood that tells the normal, how far the cylinders
+    reach to either side, and how far core points stand apart."""
+
+    radius_m: float
+    normal_m: float
+    depth_m: float
+    cores_m: float
+
+
+def cylinders_of(clouds: TiledClouds, tuning: M3c2Tuning, depth_m: float | None = None) -> Cylinders:
+    """Cylinders that fit the spacing of the thinner cloud. Raises ValueError for a depth that does not fit
+    them, and for clouds without a spacing."""
+    spacing = float(np.max(clouds.spacing_m))  # NaN of one point stays
+    if not 0 < spacing < np.inf:
+        raise ValueError("half of the points of a cloud stand in one place, or it has only one: no surface")
+    radius = float(f"{tuning.radius_spacings * spacing:.2g}")
+    depth = tuning.depth_radii * radius if depth_m is None else depth_m
+    if not radius <= depth <= tuning.most_radii * radius:
+        raise ValueError(f"a depth of {depth:g} m does not fit: give {radius:g} to {tuning.most_radii * radius:g} m")
+    return Cylinders(radius_m=radius, normal_m=tuning.normal_radii * radius, depth_m=depth, cores_m=radius)
+
+
+@dataclass(frozen=True)
+class Differences:
+    """Of core points (N, 3) on the first cloud: ``normal`` (N, 3), ``distance_m`` (N,) of the second cloud along it
+    (NaN: too few points of one in the cylinder), ``lod_m`` (N,) level of detection at 95 %."""
+
+    xyz: np.ndarray
+    normal: np.ndarray
+    distance_m: np.ndarray
+    lod_m: np.ndarray
+    cylinders: Cylinders
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+    @property
+    def known(self) -> np.ndarray:
+        """(N,) bool: there is a difference with its level of detection."""
+        return np.isfinite(self.distance_m) & np.isfinite(self.lod_m)
+
+    @property
+    def significant(self) -> np.ndarray:
+        """(N,) bool: the difference is larger than its level of detection."""
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.abs(self.distance_m) > self.lod_m)
+
+    def summary(self) -> dict[str, float]:
+        """Median, spread (half of 16 % to 84 %), 95 % of the absolute values, level of detection, shares in %."""
+        d, known = self.distance_m[self.known], self.known
+        if not len(d):
+            return {"core points": len(self), "compared %": 0.0}
+        low, median, high = np.percentile(d, [16, 50, 84])
+        return {
+            "core points": len(self),
+            "compared %": 100 * float(known.mean()),
+            "median m": float(median),
+            "spread m": float(high - low) / 2,
+            "95 % of absolute m": float(np.percentile(np.abs(d), 95)),
+            "level of detection m": float(np.median(self.lod_m[known])),
+            "significant %": 100 * float(self.significant[known].mean()),
+        }
+
+
+def m3c2_tiled(
+    clouds: TiledClouds,
+    cylinders: Cylinders,
+    tuning: M3c2Tuning,
+    cameras: Cameras | None = None,
+    registration: Sigma | None = None,
+) -> Differences:
+    """Differences at core points on cloud 0, thinned to one a voxel of ``cores_m``: cloud 1 minus cloud 0.
+
+    Normals point to the nearest camera, else up. Memory grows by some 100 bytes a core point.
+    """
+    reach = float(np.hypot(cylinders.radius_m, cylinders.depth_m))
+    parts = []
+    for tile in range(len(clouds)):
+        cores = thinned(clouds, 0, tile, cylinders.cores_m)
+        first = clouds.around(0, tile, max(reach, cylinders.normal_m))
+        second = clouds.around(1, tile, reach)
+        normal = _facing(normals(cores, first.xyz, cylinders.normal_m), cores, cameras)
+        known = np.isfinite(normal[:, 0])
+        cores, normal = cores[known], normal[known]
+        reg = np.zeros(len(cores)) if registration is None else registration(cores, normal)
+        distance, lod = m3c2(cores, normal, (first, second), cylinders, tuning, reg)
+        parts.append((cores, normal.astype(np.float32), distance.astype(np.float32), lod.astype(np.float32)))
+    joined = [np.concatenate(column) for column in zip(*parts)]
+    return Differences(xyz=joined[0], normal=joined[1], distance_m=joined[2], lod_m=joined[3], cylinders=cylinders)
+
+
+def m3c2(
+    cores: np.ndarray,
+    normal: np.ndarray,
+    clouds: tuple[Points, Points],
+    cylinders: Cylinders,
+    tuning: M3c2Tuning,
+    registration: np.ndarray | float = 0.0,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Difference (N,) second minus first along the normals (N, 3) at core points (N, 3), and level of detection (N,).
+
+    ``registration`` (N,): sigma of what one cloud may be shifted against the other, along the normal.
+    """
+    one, two = (_sections(cores, normal, points, cylinders) for points in clouds)
+    enough = (one.count >= tuning.least_points) & (two.count >= tuning.least_points)
+    distance = np.where(enough, two.mean - one.mean, np.nan)
+    variance = one.variance_of_mean() + two.variance_of_mean() + np.square(registration)
+    return distance, np.where(enough, tuning.confidence * np.sqrt(variance), np.nan)
+
+
+@dataclass(frozen=True)
+class _Section:
+    """What cylinders cut out of a cloud: number of points, mean and variance of their places along the axis, and mean
+    of the squared sigmas that the cloud states (0: it states none)."""
+
+    count: np.ndarray
+    mean: np.ndarray
+    variance: np.ndarray
+    stated: np.ndarray
+
+    def variance_of_mean(self) -> np.ndarray:
+        """(N,) NaN below two points."""
+        return np.asarray(self.variance / np.maximum(self.count, 1) + self.stated)
+
+
+def _sections(cores: np.ndarray, normal: np.ndarray, points: Points, cylinders: Cylinders) -> _Section:
+    """Of each cylinder. It is covered by balls along its axis: one ball around it would hold all walls beside it."""
+    sums = np.zeros((4, len(cores)))
+    if len(points) and len(cores):
+        tree = cKDTree(points.xyz)
+        sigma2 = np.nan_to_num(np.square(points.sigma))
+        steps = int(np.ceil(cylinders.depth_m / cylinders.radius_m))
+        edges = np.linspace(-cylinders.depth_m, cylinders.depth_m, steps + 1)
+        half = cylinders.depth_m / steps
+        ball = float(np.hypot(cylinders.radius_m, half)) * (1 + 1e-9)
+        for part in _batches(len(cores)):
+            for low, high in zip(edges[:-1], edges[1:]):
+                centre = cores[part] + (low + half) * normal[part]
+                core, point = _pairs(centre, tree, ball)
+                off = points.xyz[point] - cores[part][core]
+                along = np.einsum("ij,ij->i", off, normal[part][core])
+                away = np.sum(off**2, axis=1) - along**2
+                inside = (away <= cylinders.radius_m**2) & (along >= low) & (along < high)
+                core, along = core[inside], along[inside]
+                for k, w in enumerate((None, along, along**2, sigma2[point[inside]])):
+                    sums[k, part] += np.bincount(core, w, part.stop - part.start)
+    count, total, square, stated = sums
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = total / count
+        variance = np.maximum(square - count * mean**2, 0) / (count - 1)
+        return _Section(count=count, mean=mean, variance=variance, stated=stated / count)
+
+
+def normals(cores: np.ndarray, xyz: np.ndarray, radius: float) -> np.ndarray:
+    """(N, 3) normals of a cloud's surface by its points within a radius, of either sign; NaN of fewer than 3 points."""
+    out = np.full((len(cores), 3), np.nan)
+    tree = cKDTree(xyz) if len(xyz) else None
+    for part in _batches(len(cores) if tree is not None else 0):
+        core, point = _pairs(cores[part], tree, radius)
+        size = part.stop - part.start
+        off = xyz[point] - cores[part][core]
+        count = np.bincount(core, minlength=size)
+        mean = np.stack([np.bincount(core, off[:, k], size) for k in range(3)], axis=1) / np.maximum(count, 1)[:, None]
+        spread = np.empty((size, 3, 3))
+        for a in range(3):
+            for b in range(3):
+                spread[:, a, b] = np.bincount(core, off[:, a] * off[:, b], size) - count * mean[:, a] * mean[:, b]
+        enough = count >= 3
+        out[np.arange(part.start, part.stop)[enough]] = np.linalg.eigh(spread[enough])[1][:, :, 0]
+    return out
+
+
+def _batches(count: int) -> Iterator[slice]:
+    for start in range(0, count, _CORES):
+        yield slice(start, min(start + _CORES, count))
+
+
+def _pairs(centres: np.ndarray, tree: cKDTree, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """(P,) numbers of centres and of the tree's points within a radius."""
+    found = cKDTree(centres).sparse_distance_matrix(tree, radius, output_type="ndarray")
+    return found["i"], found["j"]
+
+
+def _facing(normal: np.ndarray, cores: np.ndarray, cameras: Cameras | None) -> np.ndarray:
+    """Normals turned to the nearest camera, else upwards."""
+    if cameras is None:
+        towards = np.broadcast_to(_OBLIQUE, cores.shape)
+    else:
+        towards = cameras.centres[cKDTree(cameras.centres).query(cores)[1]] - cores
+    away = np.einsum("ij,ij->i", normal, towards) < 0
+    return np.where(away[:, None], -normal, normal)

@@ -1,0 +1,346 @@
+"""Cloud against reference by nearest points: accuracy, completeness, F-score, ghosts; as a whole and by groups."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from tiegraph.evaluate.clouds.tiles import TiledClouds
+from tiegraph.evaluate.tuning import CloudTuning
+from tiegraph.scene.results import Metric
+from tiegraph.scene.sorting import row_numbers, run_starts
+
+_PART = 500_000  # points looked up at once
+_STEPS = np.array([1.0, 2.0, 5.0])
+_JUDGED = np.dtype([("xyz", "<f8", 3), ("distance_m", "<f4")])
+MEANING = (
+    "Of either cloud one point a voxel ({voxel_m:g} m) is judged, so that dense patches do not outweigh thin ones. "
+    "Accuracy: share of the cloud's points nearer than the distance to the reference, among those where the reference "
+    "has points within {observed_m:g} m in plan and in its range of heights: what it observed. Completeness: share of "
+    "the reference's points nearer than the distance to the cloud, among {counted}; whether a camera could see a point "
+    "is not looked at. F = 2AC/(A+C). Ghosts: points where the reference observed, further than {ghost_m:g} m from it. "
+    "The reference's points are {spacing_m:.2g} m apart: distances below half of that are not told."
+)
+
+
+@dataclass(frozen=True)
+class Criteria:
+    """What a cloud was judged by, metres."""
+
+    distances_m: tuple[float, ...]  # nearer is accurate, and complete
+    ghost_m: float  # what is further from the reference is a ghost
+    observed_m: float  # in plan from the reference's points: what it observed
+    voxel_m: float  # one point of each is judged
+    reach_m: float  # nearest points are looked for so far
+    spacing_m: float  # of the reference's points
+    range_m: float | None = None  # from a camera, that the reference counts in; None: all of it
+
+    @property
+    def meaning(self) -> str:
+        """The definitions in words."""
+        near = f"reference points within {self.range_m:g} m of a registered camera" if self.range_m else "all of them"
+        return MEANING.format(counted=near, **{k: v for k, v in self.__dict__.items() if k != "range_m"})
+
+
+def criteria_of(
+    clouds: TiledClouds,
+    tuning: CloudTuning,
+    distances_m: Sequence[float] = (),
+    gsd_m: float | None = None,
+    range_m: float | None = None,
+) -> Criteria:
+    """The distances given, or those of the series 1, 2, 5 from the ground sampling distance (else the cloud's spacing)
+    on; the rest follows from them. Cloud 1 is the reference."""
+    distances = tuple(sorted(distances_m)) or _series(gsd_m or clouds.spacing_m[0], tuning.steps)
+    spacing = float(np.nan_to_num(clouds.spacing_m[1]))
+    ghost = float(f"{max(tuning.ghost_factor * distances[0], tuning.ghost_spacings * spacing):.3g}")
+    return Criteria(
+        distances_m=distances,
+        ghost_m=ghost,
+        observed_m=tuning.observed_factor * ghost,
+        voxel_m=distances[0] / 2,
+        reach_m=tuning.search_factor * max(distances[-1], ghost),
+        spacing_m=spacing,
+        range_m=range_m,
+    )
+
+
+def _series(least: float, count: int) -> tuple[float, ...]:
+    """So many numbers 1, 2, 5 x 10^k, none below the least."""
+    start = int(np.floor(np.log10(least))) if np.isfinite(least) and least > 0 else -2
+    steps = [float(f"{s * 10.0**k:.6g}") for k in range(start, start + count + 1) for s in _STEPS]
+    return tuple([s for s in steps if s >= least * (1 - 1e-9)] if np.isfinite(least) else steps)[:count]
+
+
+@dataclass(frozen=True)
+class Cameras:
+    """Registered cameras: ``centres`` (K, 3) in the frame of the comparison, and the ``section`` (K,) of each."""
+
+    centres: np.ndarray
+    section: tuple[str, ...]
+
+    def sections(self) -> tuple[str, ...]:
+        """Names of the sections, each once."""
+        return tuple(dict.fromkeys(self.section))
+
+    def section_numbers(self) -> np.ndarray:
+        """(K,) number of each camera's section."""
+        number = {name: k for k, name in enumerate(self.sections())}
+        return np.array([number[s] for s in self.section], int)
+
+
+@dataclass(frozen=True)
+class Shares:
+    """How some points were judged; shares are 0..1, one per distance; distances are cloud to reference, metres."""
+
+    points: int  # of the cloud, judged
+    reference_points: int
+    outside: float  # share of the cloud's points where the reference observed nothing: not judged
+    accuracy: tuple[float, ...]
+    completeness: tuple[float, ...]
+    median_m: float  # NaN: further than nearest points are looked for
+    p90_m: float
+    ghosts: float
+
+    @property
+    def fscore(self) -> tuple[float, ...]:
+        """Harmonic means of accuracy and completeness."""
+        return tuple(2 * a * c / (a + c) if a + c > 0 else 0.0 for a, c in zip(self.accuracy, self.completeness))
+
+
+@dataclass(frozen=True)
+class CloudComparison:
+    """Result of ``cloud_to_cloud``: of all points, of those by section, by band of distance from the cameras."""
+
+    criteria: Criteria
+    whole: Shares
+    sections: dict[str, Shares]
+    bands: dict[str, Shares]
+    judged: Path  # file of the points judged
+
+    def points(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """The cloud's points that were judged, part by part: (N, 3) and their distances (N,) (NaN: further than looked
+        for)."""
+        count = self.judged.stat().st_size // _JUDGED.itemsize
+        for start in range(0, count, _PART):
+            rows = np.fromfile(self.judged, _JUDGED, min(_PART, count - start), offset=start * _JUDGED.itemsize)
+            yield rows["xyz"], rows["distance_m"]
+
+    def metrics(self) -> list[Metric]:
+        """The figures of merit."""
+        out = [
+            Metric(name="cloud_to_cloud_median", value=self.whole.median_m, unit="m", better="low"),
+            Metric(name="cloud_to_cloud_90", value=self.whole.p90_m, unit="m", better="low"),
+            Metric(name="ghosts", value=100 * self.whole.ghosts, unit="%", better="low", target=0.0),
+        ]
+        for d, f in zip(self.criteria.distances_m, self.whole.fscore):
+            out.append(Metric(name=f"fscore_{d:g}m", value=100 * f, unit="%", better="high", target=100.0))
+        return out
+
+    def tables(self) -> dict[str, dict]:
+        """Tables for metrics.json."""
+        columns = ["distance m", "accuracy %", "completeness %", "F %"]
+        shares = zip(self.criteria.distances_m, self.whole.accuracy, self.whole.completeness, self.whole.fscore)
+        rows = [[d, 100 * a, 100 * c, 100 * f] for d, a, c, f in shares]
+        out = {"cloud against reference": {"columns": columns, "rows": rows}}
+        for what, groups in (("section", self.sections), ("distance from camera", self.bands)):
+            if groups:
+                out[f"cloud against reference by {what}"] = self._by(what, groups)
+        return out
+
+    def _by(self, what: str, groups: dict[str, Shares]) -> dict:
+        each = [f"F at {d:g} m %" for d in self.criteria.distances_m]
+        columns = [what, "points", "reference points", "median m", "90 % m", "ghosts %", *each]
+        rows = [
+            [name, s.points, s.reference_points, s.median_m, s.p90_m, 100 * s.ghosts, *(100 * f for f in s.fscore)]
+            for name, s in groups.items()
+        ]
+        return {"columns": columns, "rows": rows}
+
+
+def cloud_to_cloud(
+    clouds: TiledClouds, criteria: Criteria, tuning: CloudTuning, scratch: Path, cameras: Cameras | None = None
+) -> CloudComparison:
+    """Compare cloud 0 with the reference, cloud 1, both in one frame and in metres.
+
+    With cameras, completeness counts the reference within ``criteria.range_m`` of one of them. Definitions: MEANING.
+    Memory grows by some 16 bytes a judged point. Raises ValueError when either side is empty, none of the reference
+    is in range, or no point of the cloud is where the reference observed.
+    """
+    for which, what in enumerate(("cloud", "reference")):
+        if not clouds.count(which):
+            raise ValueError(f"the {what} has no points to compare")
+    path = scratch / "judged.points"
+    judge = _Judge(clouds=clouds, criteria=criteria, tuning=tuning, cameras=cameras)
+    found: tuple[list[_Found], list[_Found]] = ([], [])
+    with open(path, "wb") as out:
+        for tile in range(len(clouds)):
+            own, reference = judge.cloud(tile), judge.reference(tile)
+            found[0].append(own.found)
+            found[1].append(reference.found)
+            judged = own.found.counts
+            rows = np.zeros(int(judged.sum()), _JUDGED)
+            rows["xyz"], distance = own.xyz[judged], own.found.distance[judged]
+            rows["distance_m"] = np.where(np.isfinite(distance), distance, np.nan)
+            out.write(rows.tobytes())
+    sides = (_Found.joined(found[0]), _Found.joined(found[1]))
+    if not sides[0].counts.any():
+        raise ValueError(apart(clouds))
+    if not sides[1].counts.any():
+        raise ValueError(f"no reference point lies within {criteria.range_m:g} m of a camera: do both share a frame?")
+    groups = ((), ()) if cameras is None else (_band_names(tuning.bands_m), cameras.sections())
+    return CloudComparison(
+        criteria=criteria,
+        whole=_shares(*sides, criteria),
+        sections=_grouped(*sides, criteria, 1, groups[1]),
+        bands=_grouped(*sides, criteria, 0, groups[0]),
+        judged=path,
+    )
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Of points (N,): the distance to the other cloud (inf: further than looked for), the numbers (N, 2) of their band
+    and section, and whether they count."""
+
+    distance: np.ndarray
+    group: np.ndarray
+    counts: np.ndarray
+
+    @staticmethod
+    def joined(parts: Sequence[_Found]) -> _Found:
+        return _Found(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("distance", "group", "counts")))
+
+    def where(self, group: int, number: int) -> _Found:
+        one = self.group[:, group] == number
+        return _Found(self.distance[one], self.group[one], self.counts[one])
+
+
+@dataclass(frozen=True)
+class _Side:
+    """Points (N, 3) of a tile that are judged, and what was found."""
+
+    xyz: np.ndarray
+    found: _Found
+
+
+@dataclass(frozen=True)
+class _Judge:
+    """Judges the points of either side in a tile."""
+
+    clouds: TiledClouds
+    criteria: Criteria
+    tuning: CloudTuning
+    cameras: Cameras | None
+
+    def cloud(self, tile: int) -> _Side:
+        """A point counts where the reference observed."""
+        criteria, clouds = self.criteria, self.clouds
+        xyz = thinned(clouds, 0, tile, criteria.voxel_m)
+        other = clouds.around(1, tile, criteria.reach_m).xyz
+        low, high = (corner[1][2] for corner in (clouds.low, clouds.high))
+        inside = (xyz[:, 2] >= low - criteria.observed_m) & (xyz[:, 2] <= high + criteria.observed_m)
+        inside &= nearest(xyz[:, :2], other[:, :2], criteria.observed_m) <= criteria.observed_m
+        _, group = self._groups(xyz)
+        return _Side(xyz, _Found(nearest(xyz, other, criteria.reach_m).astype(np.float32), group, inside))
+
+    def reference(self, tile: int) -> _Side:
+        """A point counts near a camera."""
+        criteria = self.criteria
+        xyz = thinned(self.clouds, 1, tile, criteria.voxel_m)
+        other = self.clouds.around(0, tile, criteria.reach_m).xyz
+        away, group = self._groups(xyz)
+        counts = away <= (np.inf if criteria.range_m is None else criteria.range_m)
+        return _Side(xyz, _Found(nearest(xyz, other, criteria.reach_m).astype(np.float32), group, counts))
+
+    def _groups(self, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Distance (N,) to the nearest camera, and the numbers (N, 2) of band and section."""
+        if self.cameras is None:
+            return np.zeros(len(xyz)), np.zeros((len(xyz), 2), np.uint8)
+        away, near = cKDTree(self.cameras.centres).query(xyz)
+        section = self.cameras.section_numbers()[near]
+        return away, np.stack([np.searchsorted(self.tuning.bands_m, away), section], axis=1).astype(np.uint8)
+
+
+def thinned(clouds: TiledClouds, which: int, tile: int, voxel_m: float) -> np.ndarray:
+    """(N, 3) the points of a tile that are, of all the cloud's points in their voxel, nearest to its centre."""
+    own = clouds.own(which, tile).xyz
+    if not len(own):
+        return own
+    xyz = np.concatenate([own, clouds.halo(which, tile, 2 * voxel_m).xyz])
+    cell = np.floor(xyz / voxel_m)
+    off = np.sum((xyz / voxel_m - cell - 0.5) ** 2, axis=1)
+    key = row_numbers(cell.astype(np.int64).T)
+    order = np.lexsort((off, key))
+    first = order[run_starts(key[order])]
+    return own[np.sort(first[first < len(own)])]
+
+
+def nearest(points: np.ndarray, target: np.ndarray, limit: float = np.inf) -> np.ndarray:
+    """(N,) distances from points (N, D) to the nearest target; inf beyond ``limit``. Works in parts."""
+    out = np.full(len(points), np.inf)
+    if not len(target):
+        return out
+    tree = cKDTree(target)
+    for start in range(0, len(points), _PART):
+        part = slice(start, start + _PART)
+        out[part] = tree.query(points[part], distance_upper_bound=limit * (1 + 1e-12), workers=-1)[0]
+    return out
+
+
+def _shares(cloud: _Found, reference: _Found, criteria: Criteria) -> Shares:
+    away, back = cloud.distance[cloud.counts], reference.distance[reference.counts]
+    with np.errstate(invalid="ignore"):  # between two distances that were not found
+        quantiles = np.quantile(away, [0.5, 0.9]) if len(away) else np.full(2, np.nan)
+    median, p90 = (float(q) if np.isfinite(q) else float("nan") for q in quantiles)
+    return Shares(
+        points=len(away),
+        reference_points=len(back),
+        outside=1 - _share(cloud.counts),
+        accuracy=tuple(_share(away < d) for d in criteria.distances_m),
+        completeness=tuple(_share(back < d) for d in criteria.distances_m),
+        median_m=median,
+        p90_m=p90,
+        ghosts=_share(away > criteria.ghost_m),
+    )
+
+
+def _grouped(
+    cloud: _Found, reference: _Found, criteria: Criteria, group: int, names: Sequence[str]
+) -> dict[str, Shares]:
+    """Shares by group; none of what has no points. One group alone is the whole."""
+    found = {n: _shares(cloud.where(group, k), reference.where(group, k), criteria) for k, n in enumerate(names)}
+    found = {n: s for n, s in found.items() if s.points or s.reference_points}
+    return found if len(found) > 1 else {}
+
+
+def _band_names(edges_m: Sequence[float]) -> tuple[str, ...]:
+    between = [f"{a:g} to {b:g} m" for a, b in zip((0.0, *edges_m), edges_m)]
+    return (*between, f"over {edges_m[-1]:g} m")
+
+
+def meeting(clouds: TiledClouds) -> None:
+    """Raise ValueError for clouds whose boxes do not meet."""
+    if (np.maximum(*clouds.low) > np.minimum(*clouds.high)).any():
+        raise ValueError(apart(clouds))
+
+
+def apart(clouds: TiledClouds) -> str:
+    """That two clouds do not meet, and where they are."""
+    where = [f"from {_corner(clouds.low[k])} to {_corner(clouds.high[k])}" for k in (0, 1)]
+    return (
+        f"the cloud (x, y, z {where[0]}) and the other ({where[1]}) do not meet: are both in one CRS, with "
+        "heights above the same surface?"
+    )
+
+
+def _corner(xyz: np.ndarray) -> str:
+    return "(" + ", ".join(f"{v:.2f}" for v in xyz) + ")"
+
+
+def _share(true: np.ndarray) -> float:
+    return float(np.mean(true)) if len(true) else 0.0

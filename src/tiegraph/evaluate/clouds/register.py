@@ -1,0 +1,161 @@
+"""A cloud laid on another: point-to-plane ICP of a rigid motion or a similarity, with the sigma of what it found.
+
+Chen, Medioni 1992, with Tukey's weights. The points of a patch err together, so the sigma is that of a jackknife over
+parts of the survey: what the fit becomes without each of them. A fit that the surfaces leave open is refused.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from tiegraph.evaluate.tuning import RegistrationTuning
+from tiegraph.geometry.align import Similarity
+from tiegraph.geometry.placement import PlacementError
+
+_PARTS, _CELLS = 10, 20  # of the jackknife: each a tenth of the cells, of which the survey's length has so many
+_NAMES = ("turn about x", "turn about y", "turn about z", "x", "y", "z", "scale")
+
+
+@dataclass(frozen=True)
+class Registration:
+    """``fit`` takes the cloud to the reference; ``error`` its covariance; ``residual_m`` robust sigma of a point's
+    distance from the surface; ``used`` the share of the points that has a partner."""
+
+    fit: Similarity
+    error: PlacementError
+    residual_m: float
+    used: float
+
+    def sigma_along(self, xyz: np.ndarray, normal: np.ndarray) -> np.ndarray:
+        """(N,) what the fit leaves uncertain at points (N, 3) along normals (N, 3), metres."""
+        return np.sqrt(np.sum((self.error.sigma(xyz) * normal) ** 2, axis=1))
+
+    def table(self) -> dict:
+        """A table for metrics.json: value and sigma of each part of the transform."""
+        sd = np.sqrt(np.clip(np.diag(self.error.covariance), 0, None))
+        turn = Rotation.from_matrix(self.fit.rotation).as_rotvec(degrees=True)
+        shift = self.fit(self.error.middle[None])[0] - self.error.middle
+        rows: list[list] = [
+            *([f"turn about {a}, deg", float(v), float(np.degrees(s))] for a, v, s in zip("xyz", turn, sd)),
+            *([f"shift in {a} at the middle, m", float(v), float(s)] for a, v, s in zip("xyz", shift, sd[3:])),
+            ["scale", self.fit.scale, float(sd[6])],
+            ["residual (robust sigma), m", self.residual_m, None],
+            ["points with a partner, %", 100 * self.used, None],
+        ]
+        return {"columns": ["of the registration", "value", "sigma"], "rows": rows}
+
+
+def register(
+    cloud: np.ndarray,
+    reference: np.ndarray,
+    tuning: RegistrationTuning,
+    with_scale: bool = False,
+    start: Similarity | None = None,
+) -> Registration:
+    """Lay a cloud (N, 3) on a reference (M, 3) from a start (None: as they are).
+
+    Raises ValueError if too few points meet, or their surfaces leave a direction open (a plane slides in itself).
+    """
+    fit = start or Similarity(1.0, np.eye(3), np.zeros(3))
+    tree = cKDTree(reference)
+    normal = _normals(reference, tree, tuning.normal_neighbours)
+    spacing = float(np.median(tree.query(reference[:: max(1, len(reference) // 5000)], k=2)[0][:, 1]))
+    middle = np.median(fit(cloud), axis=0)
+    extent = float(np.median(np.linalg.norm(fit(cloud) - middle, axis=1)))
+    unknowns = 7 if with_scale else 6
+    unit = np.r_[np.full(3, 1 / extent), np.ones(3), 1 / extent][:unknowns]  # all unknowns move points by metres
+    for reach in tuning.reach_spacings:
+        for _ in range(tuning.rounds):
+            pairs = _meet(fit(cloud), tree, normal, reach * spacing, tuning, middle, unit)
+            step = np.linalg.solve(pairs.matrix, pairs.vector)
+            fit = _moved(fit, np.r_[step * unit, np.zeros(7 - unknowns)], middle)
+            if np.abs(step).max() < tuning.still * spacing:
+                break
+    pairs = _meet(fit(cloud), tree, normal, tuning.reach_spacings[-1] * spacing, tuning, middle, unit)
+    covariance = np.zeros((7, 7))
+    covariance[:unknowns, :unknowns] = pairs.covariance() * np.outer(unit, unit)
+    return Registration(fit=fit, error=PlacementError(middle, covariance), residual_m=pairs.sigma, used=pairs.share)
+
+
+@dataclass(frozen=True)
+class _Pairs:
+    """Normal equations of the points that met, of each part of the survey (P, U, U), (P, U); and their residuals."""
+
+    matrices: np.ndarray
+    vectors: np.ndarray
+    sigma: float
+    share: float
+
+    @property
+    def matrix(self) -> np.ndarray:
+        return np.asarray(self.matrices.sum(axis=0))
+
+    @property
+    def vector(self) -> np.ndarray:
+        return np.asarray(self.vectors.sum(axis=0))
+
+    def covariance(self) -> np.ndarray:
+        """Of the unknowns: what the fit becomes without each part, and the formal one if that is larger."""
+        formal = np.linalg.inv(self.matrix) * self.sigma**2
+        left = [np.linalg.solve(self.matrix - m, self.vector - v) for m, v in zip(self.matrices, self.vectors)]
+        off = np.array(left) - np.mean(left, axis=0)
+        return np.asarray(formal + (len(left) - 1) / len(left) * off.T @ off)
+
+
+def _meet(
+    xyz: np.ndarray,
+    tree: cKDTree,
+    normal: np.ndarray,
+    reach: float,
+    tuning: RegistrationTuning,
+    middle: np.ndarray,
+    unit: np.ndarray,
+) -> _Pairs:
+    """Pair points (N, 3) with the nearest planes of the reference, and set up the equations of the next step."""
+    away, at = tree.query(xyz, distance_upper_bound=reach, workers=-1)
+    met = np.isfinite(away)
+    if met.sum() < tuning.least_points:
+        raise ValueError(
+            f"only {met.sum()} of {len(xyz)} points lie within {reach:.3g} m of the other cloud: they do not overlap, "
+            "or stand too far apart for a fine registration"
+        )
+    n, from_middle = normal[at[met]], xyz[met] - middle
+    residual = np.einsum("ij,ij->i", n, np.asarray(tree.data)[at[met]] - xyz[met])
+    sigma = 1.4826 * float(np.median(np.abs(residual - np.median(residual)))) + 1e-12
+    weight = np.square(np.clip(1 - np.square(residual / (tuning.tukey * sigma)), 0, None))
+    growth = np.einsum("ij,ij->i", n, from_middle)
+    design = np.column_stack([np.cross(from_middle, n), n, growth])[:, : len(unit)] * unit
+    cell = np.floor(from_middle * (_CELLS / np.ptp(from_middle, axis=0).max())).astype(int)
+    part = cell @ (1, 3, 7) % _PARTS
+    matrices, vectors = [], []
+    for k in range(_PARTS):
+        rows, w = design[part == k], weight[part == k]
+        matrices.append((w[:, None] * rows).T @ rows)
+        vectors.append(rows.T @ (w * residual[part == k]))
+    pairs = _Pairs(matrices=np.array(matrices), vectors=np.array(vectors), sigma=sigma, share=float(met.mean()))
+    values, vectors_ = np.linalg.eigh(pairs.matrix)
+    if values[0] < tuning.open_share * values[-1]:
+        loose = _NAMES[int(np.argmax(np.abs(vectors_[:, 0])))]
+        raise ValueError(f"the surfaces do not tell {loose}: they slide along each other; compare without registration")
+    return pairs
+
+
+def _moved(fit: Similarity, step: np.ndarray, middle: np.ndarray) -> Similarity:
+    """The fit followed by a turn, shift and growth about the middle."""
+    turn, scale = Rotation.from_rotvec(step[:3]).as_matrix(), float(np.exp(step[6]))
+    shift = scale * turn @ (fit.translation - middle) + middle + step[3:6]
+    return Similarity(scale * fit.scale, turn @ fit.rotation, shift)
+
+
+def _normals(xyz: np.ndarray, tree: cKDTree, neighbours: int) -> np.ndarray:
+    out = np.empty((len(xyz), 3))
+    for start in range(0, len(xyz), 50_000):
+        part = xyz[start : start + 50_000]
+        near = xyz[tree.query(part, k=min(neighbours, len(xyz)), workers=-1)[1]]
+        off = near - near.mean(axis=1, keepdims=True)
+        out[start : start + 50_000] = np.linalg.eigh(np.einsum("nki,nkj->nij", off, off))[1][:, :, 0]
+    return out

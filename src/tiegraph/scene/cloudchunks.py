@@ -1,0 +1,197 @@
+"""Point clouds read a part at a time, in double precision: LAS, LAZ, COPC, PLY and E57, of any number of points.
+
+Memory is that of a part (of an E57 file: that of a scan).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pyproj
+
+from tiegraph.errors import InputError
+from tiegraph.geometry.geodesy import parse_crs
+from tiegraph.scene.cloudfile import ply_parts, refuse_cut_las
+from tiegraph.scene.regular import regular
+
+CLOUD_ENDINGS = (".las", ".laz", ".ply", ".e57")
+_PART = 1_000_000
+_FIRST_BYTES = {".las": b"LASF", ".laz": b"LASF", ".ply": b"ply", ".e57": b"ASTM"}
+
+
+@dataclass(frozen=True)
+class Points:
+    """Some points of a cloud: ``xyz`` (N, 3) f8 and ``sigma`` (N,) one standard deviation of a point, NaN = unknown."""
+
+    xyz: np.ndarray
+    sigma: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+
+@dataclass(frozen=True)
+class PointSource:
+    """A cloud that is gone through part by part; ``name`` is what errors call it, ``crs`` "EPSG:n" if it says one."""
+
+    name: str
+    parts: Callable[[], Iterator[Points]]
+    crs: str | None = None
+
+    def moved(self, function: Callable[[np.ndarray], np.ndarray], crs: str | None = None) -> PointSource:
+        """The cloud with its coordinates (N, 3) carried by a function; sigmas stay."""
+
+        def parts() -> Iterator[Points]:
+            for part in self.parts():
+                yield Points(function(part.xyz), part.sigma)
+
+        return PointSource(self.name, parts, crs)
+
+    def sample(self, most: int) -> np.ndarray:
+        """(N, 3) at most so many points, evenly from the order in the file."""
+        kept, step, seen = [np.zeros((0, 3))], 1, 0
+        for part in self.parts():
+            kept.append(part.xyz[(-seen) % step :: step])
+            seen += len(part)
+            while sum(map(len, kept)) > most:
+                kept, step = [np.concatenate(kept)[::2]], 2 * step
+        return np.concatenate(kept)
+
+
+def points_of(xyz: np.ndarray, name: str = "the cloud") -> PointSource:
+    """A source of points (N, 3) in memory, without sigmas."""
+    xyz = np.asarray(xyz, float).reshape(-1, 3)
+    return PointSource(name, lambda: iter([Points(xyz, np.full(len(xyz), np.nan))]))
+
+
+def open_cloud(path: Path) -> PointSource:
+    """The points of a .las, .laz (also COPC), .ply or .e57 file.
+
+    Raises InputError, here or while its parts are read, for a file that is not there, no point cloud, cut short or
+    empty, for points at no place, and for a CRS that is not projected in metres.
+    """
+    check_cloud(path)
+    kind = path.suffix.lower()
+    read = {".ply": _ply, ".e57": _e57}.get(kind, _las)
+    crs = las_crs(path) if kind in (".las", ".laz") else None
+    name = str(path) if crs is None else f"{path} ({crs} by its header)"
+    return PointSource(name, lambda: _checked(path, read), crs)
+
+
+def check_cloud(path: Path) -> None:
+    """Raise InputError for a file that is no point cloud by its ending and first bytes, or whose header says that it
+    has no points, is cut short or counts in another unit than metres."""
+    kind = path.suffix.lower()
+    if kind not in CLOUD_ENDINGS:
+        raise InputError(f"{path}: clouds are read from .las, .laz, .ply or .e57: convert it")
+    if not path.exists():
+        raise InputError(f"{path}: no such point cloud; give a .laz, .las, .ply or .e57 file")
+    regular(path, None)
+    with open(path, "rb") as file:
+        first = file.read(8)
+    if not first.startswith(_FIRST_BYTES[kind]):
+        raise InputError(f"{path}: not a readable point cloud: no {kind[1:].upper()} file by its content")
+    if kind in (".las", ".laz"):
+        with _reading(path):
+            refuse_cut_las(path)
+            with laspy.open(path) as reader:
+                count = reader.header.point_count
+        if not count:
+            raise InputError(f"{path}: its header says 0 points: give a file with points")
+        las_crs(path)
+    if kind == ".e57":
+        _e57_module(path)
+
+
+def las_crs(path: Path) -> str | None:
+    """ "EPSG:n" of the horizontal CRS that the header of a LAS file names, None if it names none.
+
+    Raises InputError for one that is not projected in metres.
+    """
+    try:
+        with laspy.open(path) as reader:
+            crs = reader.header.parse_crs()
+    except pyproj.exceptions.CRSError:
+        return None
+    if crs is not None and crs.is_compound:
+        crs = crs.sub_crs_list[0]
+    code = None if crs is None else crs.to_epsg()
+    if code is None:
+        return None
+    try:
+        parse_crs(f"EPSG:{code}")
+    except InputError as error:
+        raise InputError(f"{path}: the CRS in its header cannot be used: {error}; convert the file to such a one, or "
+                         "take the CRS out of its header if it is wrong") from None  # fmt: skip
+    return f"EPSG:{code}"
+
+
+class _reading:
+    """What libraries raise for a damaged file is an InputError that names it."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, Exception) and not isinstance(error, InputError):
+            why = str(error).partition("\n")[0]  # libE57 writes a page
+            raise InputError(
+                f"{self._path}: not a readable point cloud: {why}; is it cut short? Copy or export it again"
+            ) from None
+
+
+def _checked(path: Path, read: Callable[[Path], Iterator[Points]]) -> Iterator[Points]:
+    parts, seen = read(path), 0
+    while True:
+        with _reading(path):
+            part = next(parts, None)
+        if part is None:
+            break
+        lost = np.flatnonzero(~np.isfinite(part.xyz).all(axis=1))
+        if len(lost):
+            raise InputError(f"{path}: {len(lost)} points are at no place (NaN or infinite), such as point "
+                             f"{seen + lost[0] + 1}: take them out")  # fmt: skip
+        seen += len(part)
+        yield part
+    if not seen:
+        raise InputError(f"{path}: it has no points: give a file with points")
+
+
+def _las(path: Path) -> Iterator[Points]:
+    with laspy.open(path) as reader:
+        stated = "sigma_m" in set(reader.header.point_format.extra_dimension_names)
+        for part in reader.chunk_iterator(_PART):
+            sigma = np.asarray(part["sigma_m"], float) if stated else np.full(len(part), np.nan)
+            yield Points(np.column_stack([part.x, part.y, part.z]), sigma)
+
+
+def _ply(path: Path) -> Iterator[Points]:
+    for rows in ply_parts(path, _PART):
+        names = rows.dtype.names or ()
+        sigma = rows["sigma_m"].astype(float) if "sigma_m" in names else np.full(len(rows), np.nan)
+        yield Points(np.column_stack([rows[c].astype(float) for c in "xyz"]), sigma)
+
+
+def _e57_module(path: Path) -> object:
+    try:
+        import pye57
+    except ImportError:
+        raise InputError(f"{path}: E57 files need pye57: pip install tiegraph[e57], or convert it to LAZ") from None
+    return pye57
+
+
+def _e57(path: Path) -> Iterator[Points]:
+    file = _e57_module(path).E57(str(path))  # type: ignore[attr-defined]
+    for scan in range(file.scan_count):
+        found = file.read_scan(scan, ignore_missing_fields=True)
+        xyz = np.column_stack([found["cartesianX"], found["cartesianY"], found["cartesianZ"]]).astype(float)
+        for start in range(0, len(xyz), _PART):
+            part = xyz[start : start + _PART]
+            yield Points(part, np.full(len(part), np.nan))
