@@ -58,17 +58,17 @@ STAGES = (
     _stage("match", ("network", "design", "features"), ("match.npz",), "block of pairs",
            changes=("database.db",), clear=_forget_matches),
     _stage("filter", ("coarse", "network", "match"), ("filter.npz",), "pair", version=2),
-    _stage("sparse", ("coarse", "network", "match", "filter"), ("sparse",), version=16, scratch=("sparse/.run",),
+    _stage("sparse", ("coarse", "network", "match", "filter"), ("sparse",), version=17, scratch=("sparse/.run",),
            tuned=("scene", "sfm")),
-    _stage("georef", ("network", "match", "filter", "sparse"), ("sparse/world", "world.json"), version=10,
+    _stage("georef", ("network", "match", "filter", "sparse"), ("sparse/world", "world.json"), version=11,
            scratch=("sparse/.world",), tuned=("scene", "sfm")),
     _stage("refine", ("masks", "georef"), ("refine/masks", "refine/classes"), "image", version=3,
            tuned=("masks", "sfm")),
     _stage("dense", ("georef", "refine"), ("depth",), "image", version=5),
-    _stage("cloud", ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply"), scratch=(".tiles",)),
-    _stage("evaluate", ("filter", "georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv"), version=3,
+    _stage("cloud", ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply"), version=2, scratch=(".tiles",)),
+    _stage("evaluate", ("filter", "georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv"), version=4,
            tuned=("scene",)),
-    _stage("report", ("evaluate",), ("report.html",), version=2),
+    _stage("report", ("evaluate",), ("report.html",), version=3),
 )
 # fmt: on
 

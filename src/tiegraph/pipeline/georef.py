@@ -16,6 +16,7 @@ from tiegraph.scene.gnss import on_clock_of, read_gnss
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.covariance import MOUNTING
 from tiegraph.sfm.mapping import believed_cameras
+from tiegraph.sfm.relativesigma import BETWEEN
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.world.fixes import Measurements, PositionRows
 from tiegraph.sfm.world.georef import Georeference
@@ -60,8 +61,10 @@ def georef(run: Run) -> Outcome:
     world = main.to_dict()
     if "position_sigma_median" in sigma:
         # Of the bundle adjustment, in the model's units: the shape of the survey, not its place on the Earth.
-        scaled = {n: main.world_from_model.scale * sigma[f"position_sigma_{n}"] for n in ("median", "p90")}
-        world["model_sigma"] = scaled
+        scale = main.world_from_model.scale
+        world["model_sigma"] = {n: scale * sigma[f"position_sigma_{n}"] for n in ("median", "p90")}
+        between = receipt.get("tables", {}).get(BETWEEN, {}).get("rows", [])
+        world["between_frames"] = [[scale * apart, scale * s] for apart, s, _ in between]  # apart, sigma
     remove(run.path("sparse", "world"))
     claim(run.path("sparse", "world"))
     scratch.rename(run.path("sparse", "world"))
