@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,16 +10,19 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.evaluate import backprojection, reference
+from tiegraph.evaluate.accuracy import Predicted, Stated, cloud_figure, in_layers, pose_figures
 from tiegraph.evaluate.backprojection import View, backprojection_rmse
 from tiegraph.evaluate.cloud import cloud_to_cloud, thin
-from tiegraph.evaluate.contradictions import Predicted, against_cloud, against_poses
+from tiegraph.evaluate.contradictions import against_cloud, against_poses
 from tiegraph.evaluate.metrics import metrics_to_dict
 from tiegraph.evaluate.reference import ModelPoses
 from tiegraph.evaluate.settings import EvaluateSettings
+from tiegraph.evaluate.tolerance import answered
 from tiegraph.evaluate.trajectory import TrajectoryError, evaluate_trajectory, registered_metrics, registered_table
 from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.geodesy import Origin
+from tiegraph.scene.accuracy import Figure
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.registered import Registration
 from tiegraph.scene.results import Cloud, Metric
@@ -32,6 +35,7 @@ class _Findings:
     tables: dict[str, dict] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     contradictions: list[str] = field(default_factory=list)
+    figures: list[Figure] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,14 +61,14 @@ class _Work:
 
 
 def evaluate_survey(
-    scene: Scene, made: Products, settings: EvaluateSettings, tuning: Tuning, predicted: Predicted | None = None
+    scene: Scene, made: Products, settings: EvaluateSettings, tuning: Tuning, stated: Stated | None = None
 ) -> dict[str, Any]:
     """The content of metrics.json for a run.
 
-    ``predicted``: the run's own sigmas, which its references are held against. Raises InputError for
-    references that cannot be read or matched.
+    ``stated``: what the run says of itself, which its references are held against. Raises InputError for references
+    that cannot be read or matched.
     """
-    found, cloud = _Findings(), made.cloud
+    found, cloud, stated = _Findings(), made.cloud, stated or Stated()
     model = reference.model_poses(made.model, scene)
     work = _Work(
         scene=scene,
@@ -72,7 +76,7 @@ def evaluate_survey(
         settings=settings,
         tuning=tuning,
         origin=made.origin,
-        predicted=predicted or Predicted(),
+        predicted=stated.predicted,
         found=found,
     )
     found.metrics.extend(registered_metrics(made.images))
@@ -85,7 +89,12 @@ def evaluate_survey(
     trajectory = None if settings.reference is None else _trajectory(work, settings.reference)
     if settings.reference_cloud is not None and cloud is not None and len(cloud):
         _cloud(work, cloud, settings.reference_cloud, trajectory)
-    return metrics_to_dict(found.metrics, found.tables, found.notes, found.contradictions)
+    accuracy = in_layers(stated, found.figures)
+    if settings.tolerance_m is not None:
+        contradicted = bool(found.contradictions or stated.world.get("contradictions"))
+        answer = answered(settings.tolerance_m, accuracy, stated.predicted, stated.hold, contradicted)
+        accuracy = replace(accuracy, answer=answer)
+    return metrics_to_dict(found.metrics, found.tables, found.notes, found.contradictions, accuracy)
 
 
 def pinhole_views(reconstruction: Any) -> list[View]:
@@ -118,13 +127,16 @@ def _trajectory(work: _Work, path: Path) -> TrajectoryError:
     if settings.reference_origin is not None and origin is not None:
         match = reference.poses_to_world(match, reference.enu_origin(settings.reference_origin), origin)
     try:
-        result = evaluate_trajectory(match, settings.rpe_m, tuning.trajectory, same_frame=comparable)
+        distances = tuning.trajectory.relative_m
+        result = evaluate_trajectory(match, distances, tuning.trajectory, same_frame=comparable)
     except np.linalg.LinAlgError as error:
         raise InputError(f"{path}: the poses cannot be aligned: {error}") from None
     found.metrics.extend(result.metrics())
     found.tables.update(result.tables())
     found.notes.append(f"Reference poses {path.name}: {said}.")
-    found.contradictions += against_poses(match, result, work.predicted, tuning.judge, _step_s(work.scene))
+    figures, metric = pose_figures(match, result, work.predicted, tuning.trajectory), work.predicted.metric
+    found.figures += figures
+    found.contradictions += against_poses(match, figures, metric, tuning.judge, _step_s(work.scene))
     if comparable:
         found.notes.append("absolute_rmse compares positions in the same CRS without any alignment.")
     else:
@@ -157,7 +169,9 @@ def _cloud(work: _Work, cloud: Cloud, path: Path, trajectory: TrajectoryError | 
         raise InputError(f"{path}: {error}") from None
     found.metrics.extend(result.metrics())
     found.tables.update(result.tables())
-    found.contradictions += against_cloud(result, points, work.predicted, alignment is not None, tuning.judge)
+    figure = cloud_figure(result, points, work.predicted, alignment is not None, tuning.judge.spacing_samples)
+    found.figures.append(figure)
+    found.contradictions += against_cloud(figure, tuning.judge)
     share = f"{100 * result.judged.outside:.0f} % of the cloud lie outside the reference's outline and are not judged."
     found.notes.append(f"Reference cloud {path.name}, {how}. {result.criteria.meaning} {share}")
 

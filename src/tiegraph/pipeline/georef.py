@@ -32,7 +32,7 @@ def georef(run: Run) -> Outcome:
     given = Measurements(
         rows=_rows(run, scene),
         control=control_points(run, scene),
-        covered=_covered(run, scene),
+        covered=covered_frames(run, scene),
         model_sigma=sigma.get("position_sigma_median", float("nan")),
         model_scale_sigma=sigma.get("scale_sigma", float("nan")),
     )
@@ -90,7 +90,7 @@ def _rows(run: Run, scene: Scene) -> PositionRows | None:
     return PositionRows(gnss.time_s, world_from_geodetic(gnss.lat_lon_height, scene.origin), gnss.sigma_m)
 
 
-def _covered(run: Run, scene: Scene) -> np.ndarray | None:
+def covered_frames(run: Run, scene: Scene) -> np.ndarray | None:
     """(F,) frames in sections under a bridge, as the network stage wrote them."""
     path = run.path("network", "sections.json")
     if not path.exists():
@@ -110,7 +110,7 @@ def _tables(placed: Georeference) -> dict[str, dict]:
         rows.append([point["name"], point["role"], point["marks"], *off, point["rms_px"], point["why_not"]])
     columns = ["point", "role", "marks", "dE m", "dN m", "dU m", "px", "not used because"]
     sums = [[role, *values.values()] for role, values in placed.control.accuracy.items()]
-    heads = ["", "points", "east m", "north m", "up m", "plan m", "RMSE m", "CE90 m", "LE90 m"]
+    heads = ["", "points", "east m", "north m", "up m", "plan m", "RMSE m", "CE90 m", "LE90 m", "predicted m"]
     out = {**said, "control and check points": {"columns": columns, "rows": rows}}
     return {**out, "accuracy of points (model minus survey)": {"columns": heads, "rows": sums}} if sums else out
 

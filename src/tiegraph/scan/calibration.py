@@ -103,7 +103,7 @@ def _takers(
         raise InputError(f"{given.at}: the rig file gives a camera for {sensor.name!r} too: leave one of the two away")
     others = [s.name for k, (s, _) in sensors.items() if k != key]
     if others:
-        notes.append(f"{given.at}: taken for {sensor.name}; {len(others)} other cameras keep what EXIF says")
+        notes.append(f"{Path(given.at).name}: taken for {sensor.name}; {len(others)} other cameras keep what EXIF says")
     camera = {
         n: getattr(given, n) for n in ("model", "size", "params", "focal_px", "hfov_deg", "camera_sigma_px", "at")
     }

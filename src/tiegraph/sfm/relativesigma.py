@@ -43,4 +43,5 @@ def between_frames(model: pycolmap.Reconstruction, sigma: PositionSigma, min_pai
 
 def _centre(frame: pycolmap.Frame) -> np.ndarray:
     """(3,) place of a frame in the world."""
-    return np.asarray(frame.rig_from_world.inverse().translation, float)
+    pose = frame.rig_from_world
+    return np.full(3, np.nan) if pose is None else np.asarray(pose.inverse().translation, float)

@@ -165,9 +165,7 @@ class _Check:
     held: HeldOut | None = None
 
 
-def _check(
-    world: pycolmap.Reconstruction, scene: Scene, placing: SimilarityFit, constraints: Constraints
-) -> _Check:
+def _check(world: pycolmap.Reconstruction, scene: Scene, placing: SimilarityFit, constraints: Constraints) -> _Check:
     """Whether an adjustment without the held-out positions meets them at least as well as such a similarity; and how.
 
     The model starts from the similarity that did not know them either.
