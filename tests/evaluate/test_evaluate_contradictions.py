@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tiegraph.evaluate.accuracy import Predicted, cloud_figure, pose_figures
 from tiegraph.evaluate.cloud import cloud_to_cloud
-from tiegraph.evaluate.contradictions import Predicted, against_cloud, against_poses
+from tiegraph.evaluate.contradictions import against_cloud, against_poses
 from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory
 from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry import transforms
@@ -31,7 +32,8 @@ def judged(reference: np.ndarray, estimate: np.ndarray | None = None, predicted:
     turn = np.tile(np.eye(3), (60, 1, 1))
     match = PoseMatch(transforms.rigid(turn, est), transforms.rigid(turn, reference), np.zeros(60, int), np.arange(60))
     found = evaluate_trajectory(match, (10.0,), TUNING.trajectory, same_frame=same)
-    return against_poses(match, found, predicted, TUNING.judge, 0.5)
+    figures = pose_figures(match, found, predicted, TUNING.trajectory)
+    return against_poses(match, figures, predicted.metric, TUNING.judge, 0.5)
 
 
 def test_a_reference_that_agrees_is_no_contradiction() -> None:
@@ -75,7 +77,8 @@ def test_a_cloud_farther_than_predicted() -> None:
     rng = np.random.default_rng(0)
     wall = np.column_stack([rng.uniform(0, 10, 20000), np.zeros(20000), rng.uniform(0, 4, 20000)])
     near = wall[:8000] + [0.0, 0.01, 0.0] * rng.standard_normal((8000, 1))
-    assert against_cloud(cloud_to_cloud(near, wall, TUNING.cloud), wall, SIGMA, True, TUNING.judge) == []
-    far = cloud_to_cloud(near + [0, 0.3, 0], wall, TUNING.cloud)
-    (text,) = against_cloud(far, wall, SIGMA, True, TUNING.judge)
+    fits = cloud_figure(cloud_to_cloud(near, wall, TUNING.cloud), wall, SIGMA, True, 2000)
+    assert against_cloud(fits, TUNING.judge) == [] and 0.3 < fits.ratio < 1.5
+    far = cloud_figure(cloud_to_cloud(near + [0, 0.3, 0], wall, TUNING.cloud), wall, SIGMA, True, 2000)
+    (text,) = against_cloud(far, TUNING.judge)
     assert "differ by 0.3 m" in text or "differ by 0.2" in text

@@ -26,6 +26,7 @@ _NOT = {
     "world.control_points": "anything: the adjustment knew them",
     "world.positions": "anything: the fit knew them",
     "shape": _OWN,
+    "shape.measured": "the place in the world; the reference's own errors count as this run's",
     "shape.rig": "the place of the rig as a whole",
     "point": _OWN + "; not the place of the surface as a whole",
     "point.reference_cloud": "the place in the world: both were laid on each other first, or the shape of the whole",
@@ -122,7 +123,7 @@ def _own(stated: Stated) -> Iterator[Figure]:
     placed = world.get("placed", False)
     if placed:
         yield _figure("world", POINT, predicted.world_m)
-        yield _figure("world.nine_in_ten", POINT_90, predicted.world_90_m, of_layer="world")
+        yield _figure("world.nine_in_ten", POINT_90, predicted.world_90_m, proof="world")
     for key, role, name in (("check_points", "check", "check"), ("control_points", "gcp", "control")):
         found = (world.get("accuracy") or {}).get(role)
         if found:
@@ -139,8 +140,8 @@ def _own(stated: Stated) -> Iterator[Figure]:
         yield _figure("world.positions", "a position", NAN, _length(world["rms_m"]), by="the positions of the fit")
     for name, distance in (("10m", 10.0), ("100m", 100.0)):
         if np.isfinite(predicted.over_m(distance)):
-            yield _figure(f"shape.{name}", _over(distance), predicted.over_m(distance), of_layer="shape")
-    yield _figure("shape.whole", "a camera, over the whole", predicted.inside_m, of_layer="shape")
+            yield _figure(f"shape.{name}", _over(distance), predicted.over_m(distance), proof="shape")
+    yield _figure("shape.whole", "a camera, over the whole", predicted.inside_m, proof="shape")
     if predicted.metric and np.isfinite(stated.rig).all():
         scatter, expected = stated.rig
         by = "the points of the other cameras"
@@ -158,12 +159,14 @@ def pose_figures(
     spread = float(np.sqrt(np.mean(np.sum((ref - ref.mean(axis=0)) ** 2, axis=1))))
     poses: dict[str, Any] = {"by": f"{len(match)} reference poses", "independent": True}
     whole = "a camera, over the whole"
-    out = [_figure("shape.whole", whole, predicted.whole_m(spread), factor * fit.rmse_m, of_layer="shape", **poses)]
+    out = [
+        _figure("shape.whole", whole, predicted.whole_m(spread), factor * fit.rmse_m, proof="shape.measured", **poses)
+    ]
     for distance in (10.0, 100.0) if predicted.metric else ():
         off = between(fit.alignment(est), ref, distance, tuning)
         if np.isfinite(off):
             key = f"shape.{distance:g}m"
-            out.append(_figure(key, _over(distance), predicted.over_m(distance), off, of_layer="shape", **poses))
+            out.append(_figure(key, _over(distance), predicted.over_m(distance), off, proof="shape.measured", **poses))
     if result.absolute is not None:
         of = "a camera"
         out.append(_figure("world.reference_poses", of, predicted.camera_m, result.absolute.rmse_m, **poses))
@@ -196,17 +199,15 @@ def cloud_figure(
     parts.append(reach * np.nan_to_num(predicted.scale))
     parts.append(0.0 if aligned else np.nan_to_num(predicted.placed_m))
     layer = "world" if np.isfinite(predicted.placed_m) and not aligned else "point"
-    by = f"a reference cloud of {result.judged.reference_points} points, nearest point, median"
+    by = f"a reference cloud ({result.judged.reference_points} points; the nearest one, median)"
     return _figure(
         f"{layer}.reference_cloud", "a point of the cloud", float(np.linalg.norm(parts)), result.median_m, by=by,
         independent=True,
     )  # fmt: skip
 
 
-def _figure(
-    key: str, of: str, predicted: float = NAN, measured: float = NAN, of_layer: str = "", **more: Any
-) -> Figure:
-    return Figure(key, of, float(predicted), float(measured), proves_not=_NOT[of_layer or key], **more)
+def _figure(key: str, of: str, predicted: float = NAN, measured: float = NAN, proof: str = "", **more: Any) -> Figure:
+    return Figure(key, of, float(predicted), float(measured), proves_not=_NOT[proof or key], **more)
 
 
 def _over(distance_m: float) -> str:

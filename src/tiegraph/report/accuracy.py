@@ -20,7 +20,8 @@ from tiegraph.text import known_to
 _DISTANCES = (("10m", "over 10 m"), ("100m", "over 100 m"), ("whole", "over the whole"))
 _PLACEMENT = {  # name -> (words, unit, factor, where nothing is known)
     "position_m": ("position", "m", 1.0, 0.0), "height_m": ("height", "m", 1.0, 0.0),
-    "yaw_deg": ("heading", "°", 1.0, 90.0), "tilt_deg": ("tilt", "°", 1.0, 90.0), "scale": ("scale", " %", 100.0, 100.0),
+    "yaw_deg": ("heading", "°", 1.0, 90.0), "tilt_deg": ("tilt", "°", 1.0, 90.0),
+    "scale": ("scale", " %", 100.0, 100.0),
 }  # fmt: skip
 
 
@@ -43,7 +44,7 @@ def tiles(accuracy: Accuracy) -> Iterator[tuple[Markup, Markup]]:
     for layer, name in LAYERS.items():
         first = accuracy.figure("shape.whole") if layer == "shape" else accuracy.figure(layer)
         best = _best(accuracy.of(layer))
-        told = Markup(", measured {}").format(_value(accuracy, best, MEASURED)) if best else ""
+        told = Markup("; measured {} ({})").format(_value(accuracy, best, MEASURED), best.of) if best else ""
         yield _value(accuracy, first, PREDICTED), Markup("{}, predicted{}").format(name, told)
 
 
@@ -55,7 +56,7 @@ def table(accuracy: Accuracy) -> formatting.Table:
         known = f"{f.key}.ratio" in accuracy.values()
         ratio = marked(f"{f.key}.ratio", formatting.number(f.ratio, 2)) if known else formatting.NONE
         rows.append((LAYERS[f.layer], f.of, *values, ratio, f.by or formatting.NONE, f.proves_not))
-    columns = ("layer", "of", "predicted", "measured", "measured / predicted", "measured by", "does not tell of")
+    columns = ("layer", "of", "predicted", "measured", "measured / predicted", "measured by", "does not prove")
     return formatting.Table(columns, tuple(rows), (False, False, True, True, True, False, False))
 
 
@@ -83,7 +84,7 @@ def _answer(accuracy: Accuracy) -> Iterator[Markup]:
         return
     asked = marked("tolerance", formatting.length(answer.tolerance_m))
     remedy = f" What would make it yes: {answer.remedy}." if answer.remedy else ""
-    yield Markup("Tolerance of {} in the world: {}. It is {}.{}").format(asked, answer.said, answer.why, remedy)
+    yield Markup("Tolerance of {} in the world: {}. Reason: {}.{}").format(asked, answer.said, answer.why, remedy)
 
 
 def _world(accuracy: Accuracy) -> Markup:
@@ -91,9 +92,7 @@ def _world(accuracy: Accuracy) -> Markup:
     if not accuracy.of("world"):
         return Markup("In the world: not known, for nothing holds it there.")
     known = [_value(accuracy, f, PREDICTED) for f in (first, most)]
-    text = Markup(
-        "In the world: {} predicted for a point of the cloud (median), {} for nine in ten of them; held by {}."
-    )
+    text = Markup("In the world: {} predicted of a point of the cloud (median), {} of nine in ten; held by {}.")
     return text.format(*known, accuracy.held_by) + _measured(accuracy, accuracy.of("world"))
 
 

@@ -96,10 +96,8 @@ def table(data: Any, title: str = "", key: str = "") -> Table | None:
     numeric = tuple(all(v is None or _is_number(v) for v in column) for column in zip(*rows))
     printed = [_column(list(column)) if n else [cell(v) for v in column] for column, n in zip(zip(*rows), numeric)]
     if key:
-        named = enumerate(zip(numeric, printed))
-        printed = [
-            [_marked(f"{key}.{r}.{c}", v) for r, v in enumerate(column)] if n else column for c, (n, column) in named
-        ]
+        for c in (c for c, n in enumerate(numeric) if n):
+            printed[c] = [_marked(f"{key}.{r}.{c}", text) for r, text in enumerate(printed[c])]
     return Table(columns=tuple(columns), rows=tuple(zip(*printed)), numeric=numeric, title=title)
 
 
@@ -108,7 +106,7 @@ def _marked(key: str, text: str) -> str:
 
 
 def marked(key: str, text: str) -> Markup:
-    """A figure on the page, with the key of its value: "world.predicted", "metrics.ghosts", "receipts.sparse.rig.0.3"."""
+    """A figure on the page, with the key of its value: "world.predicted", "metrics.ghosts", "tables.<name>.0.3"."""
     return Markup('<data data-accuracy="{}">{}</data>').format(key, text)
 
 
@@ -137,7 +135,7 @@ def cell(value: Any) -> str:
         return number(value)
     if isinstance(value, (list, tuple)):
         return ", ".join(cell(v) for v in value)
-    return str(value)
+    return value if isinstance(value, str) else str(value)
 
 
 def _is_number(value: Any) -> bool:

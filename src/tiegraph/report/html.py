@@ -341,6 +341,7 @@ def _tables(receipt: dict, prefix: str = "") -> list[formatting.Table]:
         return []
     found = {n: t for n, t in found.items() if n != EVIDENCE}
     # the funnel is drawn and printed from the pair table, up to the verified pairs
-    named = ((f"{prefix}: {n}" if prefix else n.capitalize(), data) for n, data in found.items() if n != "funnel")
+    named = {n: f"{prefix}: {n}" if prefix else n.capitalize() for n in found if n != "funnel"}
     key = f"receipts.{receipt.get('stage')}"
-    return [t for n, data in named if (t := formatting.table(data, n.replace("_", " "), f"{key}.{n}")) is not None]
+    tables = (formatting.table(found[n], title.replace("_", " "), f"{key}.{n}") for n, title in named.items())
+    return [t for t in tables if t is not None]

@@ -51,7 +51,10 @@ def verdict(run: RunFolder) -> Verdict:
         )
     registered, total = int(run.model.registered.sum()), len(run.scene)
     share = registered / max(total, 1)
-    serious = run.model.others or (run.done("georef") and not run.georeferenced) or weak_placement(run)
+    answer = run.accuracy.answer if run.accuracy is not None else None
+    unplaced = run.done("georef") and not run.georeferenced
+    open_question = answer is not None and answer.said != "yes"
+    serious = any((run.model.others, unplaced, weak_placement(run), open_question))
     level = "poor" if share < POOR_SHARE else "check" if share < GOOD_SHARE or serious else "good"
     level = "doubtful" if said and level != "poor" else level
     headline = {

@@ -48,7 +48,7 @@ def warnings(run: RunFolder) -> Iterable[str]:
     if run.accuracy is not None:
         held, fit = (run.accuracy.figure(f"world.{name}").measured for name in ("held_out", "positions"))
         if held > _HELDOUT_FACTOR * fit:
-            yield "Positions held back from the fit are met far worse than those used: the model bends towards its control."
+            yield "Positions held back from the fit are met far worse than those used: the model bends to its control."
 
 
 def _untied_borders(run: RunFolder) -> int:
