@@ -16,7 +16,10 @@ WORDS = re.compile(
     r"sigma|rms|residual|accura|error|deviation|known to|off by|predicted|measured|median|rmse|scatter|max m"
 )
 LENGTH = re.compile(r"(?<![\w.])\d[\d.]*\s?(?:mm|cm|m)\b")
-DISTANCE = re.compile(r"(?:over|at) [\d.]+ m\b|[\d.]+ m apart|images within [\d.]+ m")  # over which, not how well
+DISTANCE = re.compile(  # over which, not how well
+    r"(?:over|at) [\d.]+ m\b|[\d.]+ m apart|images within [\d.]+ m|"
+    r"(?:within|than) [\d.]+ m (?:of a registered|from the reference)|voxel \([\d.]+ m"
+)
 
 
 def source(folder: Path, key: str) -> float | None:

@@ -23,7 +23,7 @@ WORLD = {
     "held_out": {"count": 4, "rms_m": {"east": 0.03, "north": 0.0, "up": 0.04}, "sigma_m": 0.1},
     "rms_m": {"east": 0.03, "north": 0.04, "up": 0.0},
 }
-PREDICTED = Predicted(0.01, 0.001, 0.03, point_m=0.02, world_m=0.04, world_90_m=0.045)
+PREDICTED = Predicted(0.01, 0.001, 20.0, placed_m=0.03, point_m=0.02, world_m=0.04, world_90_m=0.045)
 HELD = Hold(source="GNSS positions", positions=14, frames=20, covered=6)
 
 

@@ -13,7 +13,7 @@ from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory
 from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry import transforms
 
-SIGMA = Predicted(inside_m=0.002, scale=0.0005, placed_m=0.05, point_m=0.01)
+SIGMA = Predicted(inside_m=0.002, scale=0.0005, spread_m=12.2, placed_m=0.05, point_m=0.01)
 TUNING = Tuning()
 
 

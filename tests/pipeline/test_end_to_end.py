@@ -19,7 +19,7 @@ from tiegraph.geometry.align import umeyama
 from tiegraph.geometry.geodesy import geodetic_from_world, world_from_geodetic
 from tiegraph.report.accuracy import terminal_lines
 from tiegraph.scan.rigwrite import write_rig_toml
-from tiegraph.scene.accuracy import Accuracy
+from tiegraph.scene.accuracy import LAYERS, Accuracy
 
 pytestmark = pytest.mark.slow
 _PATIENCE_S = 400
@@ -107,8 +107,8 @@ def test_every_accuracy_has_one_source(project):
     assert said.answer.said == "cannot be told" and "check points" in said.answer.remedy
     lines = terminal_lines(folder / "metrics.json")
     assert len(lines) == 4 and lines[0].startswith("Tolerance of 5.00 m in the world: cannot be told.")
-    figures = [said.figure(key).predicted for key in ("world", "point")]
-    stated = [f"{name} {value:g} m" for name, value in zip(("in the world", "of a point"), figures)]
+    stated = [f"{name} {said.head(layer).predicted:.3g} m" for layer, name in LAYERS.items()]
+    stated.append(f"held in the world by {said.held_by}")
     for name in ("cloud.laz", "cloud.copc.laz"):
         text = laspy.open(folder / name).header.vlrs.get_by_id("LASF_Spec", [3])[0].record_data_bytes().decode()
         assert all(part in text for part in stated), text

@@ -35,12 +35,14 @@ _NOT = {
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """Sigmas of a run, metres: of a camera ``inside_m`` the model (NaN = not known), of the scale (share; NaN: the
-    scale is not known), of what lies ``between`` two frames (K, 2: apart, sigma), of the place of a camera in the world
-    by what places the model (NaN: not placed), of a point of the cloud, and of it in the world: median, nine in ten."""
+    """Sigmas of a run, metres, NaN = not known: of a camera ``inside_m`` the model; of the scale (share; ``spread_m``:
+    of the cameras, root mean square from their middle); of what lies ``between`` two frames (K, 2: apart, sigma); of
+    the place of a camera in the world by what places the model; of a point of the cloud, and of it in the world: of
+    half of them, of nine in ten."""
 
     inside_m: float = NAN
     scale: float = NAN
+    spread_m: float = NAN
     placed_m: float = NAN
     point_m: float = NAN
     world_m: float = NAN
@@ -52,9 +54,10 @@ class Predicted:
         """Whether the model has a scale that can be held against a reference's."""
         return bool(np.isfinite(self.scale))
 
-    def whole_m(self, spread_m: float) -> float:
-        """Of a camera after the best alignment of a survey of such a spread (root mean square from its middle)."""
-        return float(np.hypot(self.inside_m, spread_m * self.scale if self.metric else 0.0))
+    @property
+    def whole_m(self) -> float:
+        """Of a camera after the best alignment of the whole, the scale as it is."""
+        return float(np.hypot(self.inside_m, np.nan_to_num(self.spread_m * self.scale)))
 
     def over_m(self, distance_m: float) -> float:
         """Of what lies between two cameras so far apart; NaN beyond the survey."""
@@ -141,7 +144,7 @@ def _own(stated: Stated) -> Iterator[Figure]:
     for name, distance in (("10m", 10.0), ("100m", 100.0)):
         if np.isfinite(predicted.over_m(distance)):
             yield _figure(f"shape.{name}", _over(distance), predicted.over_m(distance), proof="shape")
-    yield _figure("shape.whole", "a camera, over the whole", predicted.inside_m, proof="shape")
+    yield _figure("shape.whole", "a camera, over the whole", predicted.whole_m, proof="shape")
     if predicted.metric and np.isfinite(stated.rig).all():
         scatter, expected = stated.rig
         by = "the points of the other cameras"
@@ -156,12 +159,9 @@ def pose_figures(
     est, ref = match.estimate[:, :3, 3], match.reference[:, :3, 3]
     fit = result.se3 if predicted.metric else result.sim3
     factor = 1.0 if predicted.metric else 1 / fit.alignment.scale
-    spread = float(np.sqrt(np.mean(np.sum((ref - ref.mean(axis=0)) ** 2, axis=1))))
     poses: dict[str, Any] = {"by": f"{len(match)} reference poses", "independent": True}
     whole = "a camera, over the whole"
-    out = [
-        _figure("shape.whole", whole, predicted.whole_m(spread), factor * fit.rmse_m, proof="shape.measured", **poses)
-    ]
+    out = [_figure("shape.whole", whole, predicted.whole_m, factor * fit.rmse_m, proof="shape.measured", **poses)]
     for distance in (10.0, 100.0) if predicted.metric else ():
         off = between(fit.alignment(est), ref, distance, tuning)
         if np.isfinite(off):

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 
 from tiegraph.cloud.fuse import Maps, fuse
+from tiegraph.evaluate.accuracy import in_layers
 from tiegraph.pipeline.dense import coloured, depth_path, plan_of, read_depth
 from tiegraph.pipeline.files import load_json
-from tiegraph.pipeline.placed import placement_error, world_origin, world_unit
+from tiegraph.pipeline.placed import placement_error, world_origin
+from tiegraph.pipeline.predicted import stated
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, remove
 from tiegraph.scene.accuracy import LAYERS
@@ -34,7 +36,7 @@ def cloud(run: Run) -> Outcome:
     settings, tuning = run.settings.cloud, run.settings.tuning.cloud
     fused = fuse(sorted(plans), maps, scratch, settings, tuning, world_origin(run), _mapper(run))
     sigmas = _sigmas(run, fused.clouds())
-    said = _said(sigmas, world_unit(run))
+    said = _said(run, sigmas)
     notes = [*write_copc(fused.clouds, run.path("cloud.copc.laz"), fused.voxel, scratch, said)]
     same_file(run.path("cloud.copc.laz"), run.path("cloud.laz"))
     notes += write_ply(fused.clouds(), run.path("cloud.ply"), said)
@@ -60,12 +62,13 @@ def _sigmas(run: Run, parts: Iterable[Cloud]) -> dict[str, float]:
     return {f"{name}_m": round(float(value), 4) for name, value in known.items()}
 
 
-def _said(sigmas: dict[str, float], unit: str) -> str:
-    """The accuracy that the cloud's files state, as far as it is known when they are written; "" if it is not."""
-    names = {"world": "world_sigma_median_m", "point": "sigma_median_m"}
-    parts = [f"{LAYERS[k]} {sigmas[name]:g} {unit}" for k, name in names.items() if name in sigmas]
-    how = "predicted (standard deviation, median of the points), nothing measured"
-    return f"accuracy {', '.join(parts)}: {how}; metrics.json has all" if parts else ""
+def _said(run: Run, sigmas: dict[str, float]) -> str:
+    """The accuracy that the cloud's files state: what is predicted, for nothing is measured when they are made."""
+    found = in_layers(stated(run, sigmas), ())
+    heads = {name: found.head(layer).predicted for layer, name in LAYERS.items()}
+    parts = [f"{name} {value:.3g} {found.unit}" for name, value in heads.items() if np.isfinite(value)]
+    how = f"one standard deviation; held in the world by {found.held_by}; what was measured stands in metrics.json"
+    return f"accuracy predicted: {', '.join(parts)} ({how})" if parts else ""
 
 
 def _mapper(run: Run) -> Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]:

@@ -42,10 +42,9 @@ def terminal_lines(metrics_file: Path) -> list[str]:
 def tiles(accuracy: Accuracy) -> Iterator[tuple[Markup, Markup]]:
     """(figure, label) of each layer."""
     for layer, name in LAYERS.items():
-        first = accuracy.figure("shape.whole") if layer == "shape" else accuracy.figure(layer)
         best = _best(accuracy.of(layer))
         told = Markup("; measured {} ({})").format(_value(accuracy, best, MEASURED), best.of) if best else ""
-        yield _value(accuracy, first, PREDICTED), Markup("{}, predicted{}").format(name, told)
+        yield _value(accuracy, accuracy.head(layer), PREDICTED), Markup("{}, predicted{}").format(name, told)
 
 
 def table(accuracy: Accuracy) -> formatting.Table:

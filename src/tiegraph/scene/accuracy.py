@@ -68,8 +68,12 @@ class Accuracy:
     answer: Answer | None = None
 
     def of(self, layer: str) -> list[Figure]:
-        """The figures of a layer, the first is its prediction."""
+        """The figures of a layer."""
         return [f for f in self.figures if f.layer == layer]
+
+    def head(self, layer: str) -> Figure:
+        """The figure that stands for a layer: of a point in the world, of the shape as a whole, of a point."""
+        return self.figure("shape.whole" if layer == "shape" else layer)
 
     def figure(self, key: str) -> Figure:
         """A figure by its key; one without values if there is none."""
