@@ -207,7 +207,8 @@ def cloud_figure(
 
 
 def _figure(key: str, of: str, predicted: float = NAN, measured: float = NAN, proof: str = "", **more: Any) -> Figure:
-    return Figure(key, of, float(predicted), float(measured), proves_not=_NOT[proof or key], **more)
+    told, found = float(predicted), float(measured)
+    return Figure(key=key, of=of, predicted=told, measured=found, proves_not=_NOT[proof or key], **more)
 
 
 def _over(distance_m: float) -> str:

@@ -23,7 +23,7 @@ def answered(tolerance_m: float, accuracy: Accuracy, predicted: Predicted, hold:
     said, why, remedy = _judged(tolerance_m, predicted, hold, measured)
     if said == YES and contradicted:
         said, why, remedy = OPEN, "the survey contradicts itself", "what settles the contradictions stated above"
-    return Answer(tolerance_m, said, why, remedy)
+    return Answer(tolerance_m=tolerance_m, said=said, why=why, remedy=remedy)
 
 
 def _judged(tolerance_m: float, predicted: Predicted, hold: Hold, measured: list[Figure]) -> tuple[str, str, str]:

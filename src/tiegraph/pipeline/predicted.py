@@ -18,7 +18,8 @@ _SOURCES = {"gnss": "GNSS positions", "exif": "the images' GPS positions", "traj
 def stated(run: Run, points: Mapping[str, float]) -> Stated:
     """All of it; ``points``: what the cloud's receipt counts of the sigmas of its points."""
     world = load_json(run.path("world.json"))
-    return Stated(_predicted(run, world, points), _hold(run, world), world, _rig(run))
+    predicted = _predicted(run, world, points)
+    return Stated(predicted=predicted, hold=_hold(run, world), world=world, rig=_rig(run))
 
 
 def _predicted(run: Run, world: dict, points: Mapping[str, float]) -> Predicted:
