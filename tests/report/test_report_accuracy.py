@@ -61,8 +61,3 @@ def test_what_is_not_known_is_said_to_be_so() -> None:
         "m", "positions", (Figure("world", "a", 0.1), Figure("world.held_out", "a", measured=0.2, by="4 b"))
     )
     assert "4 b are met within 20.0 cm" in accuracy.sentences(held)[0].striptags()
-
-
-def test_a_heading_that_is_not_known_has_no_figure() -> None:
-    said = Accuracy("m", "positions", (), {"yaw_deg": 120.0, "tilt_deg": 2.0, "scale": 0.003})
-    assert accuracy.placement(said).striptags().endswith("heading not known; tilt 2.0°; scale 0.30 %.")
