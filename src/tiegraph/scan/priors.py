@@ -199,9 +199,10 @@ def _of_start(frames: Frames, start: StartModel, notes: list[str], tuning: Traje
     unknown = np.full(len(start.poses), np.nan)
     trajectory = Trajectory(unknown, np.array(list(start.poses.values())), unknown, names=tuple(start.poses))
     without = f", {start.unposed} of its images have no pose" if start.unposed else ""
+    named = f"{start.path.parent.name}/{start.path.name}"  # sparse/0
     notes.append(
-        f"start model of {start.program}, {start.path.name}{without}: its poses choose pairs and are tested against "
-        "the images; its unit and its place are not taken over"
+        f"start model of {start.program}, {named}{without}: its poses choose pairs and are tested against the "
+        "images; its unit and its place are not taken over"
     )
     notes += start.notes
     return _by_image(trajectory, start.path, frames, notes, tuning, started=True)
