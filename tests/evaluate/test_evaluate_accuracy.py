@@ -24,7 +24,7 @@ WORLD = {
     "rms_m": {"east": 0.03, "north": 0.04, "up": 0.0},
 }
 PREDICTED = Predicted(0.01, 0.001, 20.0, placed_m=0.03, point_m=0.02, world_m=0.04, world_90_m=0.045)
-HELD = Hold(source="GNSS positions", positions=14, frames=20, covered=6)
+HELD = Hold(source="GNSS positions", positions=14, frames=20, covered=6, checks=3)
 
 
 def line(count: int, seed: int = 0, scale: float = 1.0) -> PoseMatch:
@@ -103,15 +103,16 @@ def test_what_is_not_placed_has_no_figure_in_the_world() -> None:
     ],
 )  # fmt: skip
 def test_a_tolerance_is_answered(tolerance: float, predicted: Predicted, world: dict, said: str, because: str) -> None:
-    layers = in_layers(Stated(predicted, HELD, world), ())
-    answer = answered(tolerance, layers, predicted, HELD, contradicted=False)
+    stated = Stated(predicted, HELD, world)
+    answer = answered(tolerance, in_layers(stated, ()), stated, contradicted=False, min_checks=3)
     assert (answer.said, answer.tolerance_m) == (said, tolerance) and because in answer.why
     assert bool(answer.remedy) == (said != "yes")
 
 
 def test_what_would_make_it_yes_is_what_the_error_is_made_of() -> None:
     def remedy(predicted: Predicted, hold: Hold) -> str:
-        return answered(0.01, in_layers(Stated(predicted, hold, WORLD), ()), predicted, hold, False).remedy
+        stated = Stated(predicted, hold, WORLD)
+        return answered(0.01, in_layers(stated, ()), stated, False, 3).remedy
 
     placed = replace(PREDICTED, world_m=0.4, world_90_m=0.5)
     assert "positions under the bridge (6 frames" in remedy(placed, HELD)
@@ -121,5 +122,11 @@ def test_what_would_make_it_yes_is_what_the_error_is_made_of() -> None:
 
 
 def test_a_survey_that_contradicts_itself_holds_no_tolerance() -> None:
-    layers = in_layers(Stated(PREDICTED, HELD, WORLD), ())
-    assert answered(0.05, layers, PREDICTED, HELD, contradicted=True).said == "cannot be told"
+    stated = Stated(PREDICTED, HELD, WORLD)
+    assert answered(0.05, in_layers(stated, ()), stated, True, 3).said == "cannot be told"
+
+
+def test_too_few_check_points_hold_no_tolerance_but_may_refuse_it() -> None:
+    stated = Stated(PREDICTED, replace(HELD, checks=2), WORLD)
+    fine, bad = (answered(t, in_layers(stated, ()), stated, False, 3) for t in (0.05, 0.03))
+    assert (fine.said, bad.said) == ("cannot be told", "no") and "one or two are too few" in fine.remedy

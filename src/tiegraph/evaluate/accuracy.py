@@ -75,13 +75,14 @@ class Predicted:
 
 @dataclass(frozen=True)
 class Hold:
-    """What holds a run in the world: positions of how many of its frames, control points; where its scale is from."""
+    """What holds a run in the world: positions of how many of its frames, control points; and what checks it there."""
 
     source: str = ""  # what its positions are, in words
     positions: int = 0  # of frames, that the fit believes
     frames: int = 0
     covered: int = 0  # frames under a bridge that have none
     control: int = 0  # points that the fit used
+    checks: int = 0  # points that it did not
 
     @property
     def text(self) -> str:

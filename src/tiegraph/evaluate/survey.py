@@ -92,7 +92,7 @@ def evaluate_survey(
     accuracy = in_layers(stated, found.figures)
     if settings.tolerance_m is not None:
         contradicted = bool(found.contradictions or stated.world.get("contradictions"))
-        answer = answered(settings.tolerance_m, accuracy, stated.predicted, stated.hold, contradicted)
+        answer = answered(settings.tolerance_m, accuracy, stated, contradicted, tuning.min_checks)
         accuracy = replace(accuracy, answer=answer)
     return metrics_to_dict(found.metrics, found.tables, found.notes, found.contradictions, accuracy)
 

@@ -63,6 +63,8 @@ class Tuning(Section):
     """Points of the cloud projected back in each view; others in the next, so that the whole cloud takes part."""
     carrier_m: float = Field(0.1, gt=0)
     """Positions stated to this or better are of a carrier phase (RTK, PPK): code alone gives a metre."""
+    min_checks: int = Field(3, gt=0)
+    """Check points that may hold a tolerance: fewer say hardly anything of a survey (ASPRS asks for 30)."""
     unscaled_share: float = Field(0.1, ge=0)
     """A model whose scale is further off than this share was never metric."""
     trajectory: TrajectoryTuning = TrajectoryTuning()

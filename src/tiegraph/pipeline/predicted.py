@@ -60,8 +60,9 @@ def _hold(run: Run, world: dict) -> Hold:
     without = np.setdiff1d(np.arange(scene.frames), rows)
     covered = covered_frames(run, scene)
     under = 0 if covered is None else int(covered[without].sum())
-    used = sum(row["role"] == "gcp" and row["off_m"] is not None and not row["why_not"] for row in world["control"])
-    return Hold(source=source, positions=len(rows), frames=scene.frames, covered=under, control=used)
+    found = [row["role"] for row in world["control"] if row["off_m"] is not None and not row["why_not"]]
+    points = {"control": found.count("gcp"), "checks": found.count("check")}
+    return Hold(source=source, positions=len(rows), frames=scene.frames, covered=under, **points)
 
 
 def _rig(run: Run) -> tuple[float, float]:
