@@ -236,7 +236,7 @@ def _adjusted(
     moved = np.linalg.norm(_centres(world, scene) - _centres(made.model, scene), axis=1)
     note = (
         f"adjusted with the positions: frames moved by {np.nanmedian(moved):.3f} m (at most {np.nanmax(moved):.3f} m), "
-        f"reprojection {made.before_px:.3f} -> {made.after_px:.3f} px; {why}"
+        f"reprojection {made.before_px:.3f} -> {made.after_px:.3f} px"
     )
     adjusted = replace(
         first,
@@ -246,7 +246,7 @@ def _adjusted(
         control=control,
         adjusted=True,
     )
-    return _with(adjusted, note)
+    return _with(_with(adjusted, note), f"check of this adjustment: {why}")
 
 
 def _centres(model: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:
