@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -55,7 +56,8 @@ def main() -> None:
     rows = table([receipts(run) for run in parser.parse_args().runs])
     width = [max(len(r[k]) for r in rows) for k in range(len(rows[0]))]
     for row in rows:
-        print(row[0].ljust(width[0]), *(c.rjust(w) for c, w in zip(row[1:], width[1:])), sep="  ")
+        cells = [row[0].ljust(width[0]), *(c.rjust(w) for c, w in zip(row[1:], width[1:]))]
+        sys.stdout.write("  ".join(cells).rstrip() + "\n")
 
 
 if __name__ == "__main__":

@@ -6,7 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from tiegraph.report.summary import sigma_text
+from tiegraph.report.accuracy import placement, placement_part
+from tiegraph.scene.accuracy import Accuracy
 from tiegraph.sfm.finish import _open_notes
 from tiegraph.sfm.tuning import SigmaTuning
 from tiegraph.text import known_to
@@ -24,9 +25,9 @@ def test_a_lever_arm_whose_sigma_exceeds_it_is_not_known(share: float, words: st
 
 
 def test_sigmas_larger_than_what_they_are_of_are_words() -> None:
-    said = sigma_text({"scale": 3.1e5, "heading_deg": 4.0e4, "tilt_deg": 1.5})
-    assert said == "scale not known; heading not known; tilt 1.5°"
-    assert sigma_text({"scale": 0.01}) == "scale 1.0 %"
+    said = Accuracy("m", "positions", (), {"scale": 3.1e5, "yaw_deg": 4.0e4, "tilt_deg": 1.5})
+    assert placement(said).striptags().endswith("heading not known; tilt 1.5°; scale not known.")
+    assert placement_part(Accuracy("m", "", (), {"scale": 0.01}), "scale").striptags() == "scale 1.0 %"
 
 
 def test_the_limit_is_the_size_of_the_thing() -> None:

@@ -165,14 +165,14 @@ def open_project(
     pool: str = "local",
     settings: dict[str, dict[str, Any]] | Settings | None = None,
     unset: Sequence[str] = (),
-    **inputs: str | Path | None,
+    **inputs: str | Path | float | None,
 ) -> Project:
     """A project over a folder of images, or (``images=None``) the one that a run folder ``out`` remembers.
 
-    ``inputs``: rig (file or preset), camera (words or file), gnss, trajectory, start, times, gcp, marks. ``settings``:
-    {section: {name: value}} on top of the preset and of ``out``/tiegraph.toml, or complete Settings. ``unset``: inputs
-    and settings ("gnss", "masks.folder") that ``out``/tiegraph.toml no longer holds. ``out`` defaults to
-    ``<images>_tiegraph``.
+    ``inputs``: rig (file or preset), camera (words or file), gnss, trajectory, start, times, gcp, marks, tolerance (m).
+    ``settings``: {section: {name: value}} on top of the preset and of ``out``/tiegraph.toml, or complete Settings.
+    ``unset``: inputs and settings ("gnss", "masks.folder") that ``out``/tiegraph.toml no longer holds. ``out`` defaults
+    to ``<images>_tiegraph``.
     Raises InputError and SettingsError.
     """
     known = (*_NAMED, *_PATHS, *SETTING_OF)
@@ -198,8 +198,12 @@ def open_project(
         complete = project_settings.merged(project_settings.preset(name), stored, settings or {}, where=where)
     for input_name, value in beside.items():
         section, key = SETTING_OF[input_name]
-        changed = getattr(complete, section).model_copy(update={key: real_path(value)})
-        complete = complete.model_copy(update={section: changed})
+        values = {
+            **getattr(complete, section).model_dump(),
+            key: value if isinstance(value, int | float) else real_path(value),
+        }
+        changed = project_settings.merged({section: values}, where=f"--{input_name}")
+        complete = complete.model_copy(update={section: getattr(changed, section)})
     paths = {n: real_path(run[n]) if n in run else None for n in _PATHS}
     _check_texts({"images": found, **paths})
     return Project(folder, Inputs(found, run.get("rig"), camera=run.get("camera"), **paths), complete, name, pool)

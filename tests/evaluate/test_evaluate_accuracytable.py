@@ -4,6 +4,7 @@ import csv
 import io
 
 from tiegraph.evaluate.accuracytable import accuracy_csv
+from tiegraph.scene.accuracy import Accuracy, Figure
 
 
 def test_every_figure_has_its_row():
@@ -11,14 +12,15 @@ def test_every_figure_has_its_row():
     columns = ["point", "role", "dE m", "not used because"]
     tables = {"control and check points": {"columns": columns, "rows": [["A, 1", "check", 0.0123, None]]}}
     frames = [{"frame": 7, "residual_m": [0.01, -0.02, 0.03], "held_out_m": None}]
-    world = {"rms_m": {"east": 0.05}, "sigma": {"yaw_deg": 0.19}, "held_out_rms_m": None, "frames": frames}
-    rows = list(csv.DictReader(io.StringIO(accuracy_csv(metrics, tables, world))))
+    layers = Accuracy("m", "nothing", (Figure("world", "a point", 0.37),), {"yaw_deg": 0.19}).to_dict()
+    said = {"accuracy": layers, "metrics": metrics}
+    rows = list(csv.DictReader(io.StringIO(accuracy_csv(said, tables, {"frames": frames}))))
     said = {(r["about"], r["item"], r["quantity"]): (r["value"], r["unit"]) for r in rows}
     assert said == {
         ("survey", "", "ate_se3_rmse"): ("0.00676", "m"),
         ("survey", "", "ghosts"): ("", "%"),
-        ("residuals of the positions, m", "", "east"): ("0.05", ""),
-        ("sigma of the place in the world", "", "yaw_deg"): ("0.19", ""),
+        ("accuracy", "", "world.predicted"): ("0.37", "m"),
+        ("accuracy", "", "placement.yaw_deg"): ("0.19", ""),
         ("residual of a frame, m", "7", "east"): ("0.01", ""),
         ("residual of a frame, m", "7", "north"): ("-0.02", ""),
         ("residual of a frame, m", "7", "up"): ("0.03", ""),

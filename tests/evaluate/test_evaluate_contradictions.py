@@ -7,13 +7,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from clouds_world import tiled
+from tiegraph.evaluate.accuracy import Predicted, cloud_figure, pose_figures
 from tiegraph.evaluate.clouds.nearest import cloud_to_cloud, criteria_of
-from tiegraph.evaluate.contradictions import Predicted, against_cloud, against_poses
+from tiegraph.evaluate.contradictions import against_cloud, against_poses
 from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory
 from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry import transforms
+from tiegraph.scene.accuracy import Figure
 
-SIGMA = Predicted(inside_m=0.002, scale=0.0005, placed_m=0.05, point_m=0.01)
+SIGMA = Predicted(inside_m=0.002, scale=0.0005, spread_m=12.2, placed_m=0.05, point_m=0.01)
 TUNING = Tuning()
 
 
@@ -32,7 +34,8 @@ def judged(reference: np.ndarray, estimate: np.ndarray | None = None, predicted:
     turn = np.tile(np.eye(3), (60, 1, 1))
     match = PoseMatch(transforms.rigid(turn, est), transforms.rigid(turn, reference), np.zeros(60, int), np.arange(60))
     found = evaluate_trajectory(match, (10.0,), TUNING.trajectory, same_frame=same)
-    return against_poses(match, found, predicted, TUNING.judge, 0.5)
+    figures = pose_figures(match, found, predicted, TUNING.trajectory)
+    return against_poses(match, figures, predicted.metric, TUNING.judge, 0.5)
 
 
 def test_a_reference_that_agrees_is_no_contradiction() -> None:
@@ -73,14 +76,15 @@ def test_a_shift_on_the_earth_is_said_apart() -> None:
 
 
 def test_a_cloud_farther_than_predicted(tmp_path) -> None:
-    def said(cloud: np.ndarray) -> list[str]:
+    def said(cloud: np.ndarray) -> Figure:
         clouds = tiled(cloud, wall, tmp_path)
         found = cloud_to_cloud(clouds, criteria_of(clouds, TUNING.cloud, (0.02, 0.2)), TUNING.cloud, tmp_path)
-        return against_cloud(found, 3.0, SIGMA, True, TUNING.judge)
+        return cloud_figure(found, 3.0, SIGMA, True)
 
     rng = np.random.default_rng(0)
     wall = np.column_stack([rng.uniform(0, 10, 20000), np.zeros(20000), rng.uniform(0, 4, 20000)])
     near = wall[:8000] + [0.0, 0.01, 0.0] * rng.standard_normal((8000, 1))
-    assert said(near) == []
-    (text,) = said(near + [0, 0.18, 0])
+    fits = said(near)
+    assert against_cloud(fits, TUNING.judge) == [] and 0.3 < fits.ratio < 1.5
+    (text,) = against_cloud(said(near + [0, 0.18, 0]), TUNING.judge)
     assert "differ by 0.18" in text or "differ by 0.17" in text

@@ -4,6 +4,7 @@ import base64
 import csv
 import json
 import re
+from pathlib import Path
 
 import laspy
 import numpy as np
@@ -11,11 +12,14 @@ import pytest
 
 import tiegraph
 import worlds
+from accuracy_marks import check, unmarked
 from tiegraph.evaluate.reference import model_poses
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.geometry.geodesy import geodetic_from_world, world_from_geodetic
+from tiegraph.report.accuracy import terminal_lines
 from tiegraph.scan.rigfiles.rigwrite import write_rig_toml
+from tiegraph.scene.accuracy import LAYERS, Accuracy
 
 pytestmark = pytest.mark.slow
 _PATIENCE_S = 400
@@ -38,7 +42,7 @@ def project(survey):
     }
     # Walls fill these small images, so that first and last frame are too alike for masks from their difference.
     return tiegraph.open(
-        made.images, folder / "out", pool="serial", settings={"masks": {"source": "none"}}, **inputs
+        made.images, folder / "out", pool="serial", settings={"masks": {"source": "none"}}, tolerance=5.0, **inputs
     ).run()
 
 
@@ -92,6 +96,30 @@ def test_report_is_one_offline_page(project):
     pictures = re.findall(r'src="data:image/(?:png|jpeg);base64,([^"]+)"', text)
     assert len(pictures) >= 4 and all(len(base64.b64decode(p)) > 1000 for p in pictures)
     assert text.count('id="viewer-data"') == 1
+
+
+def test_every_accuracy_has_one_source(project):
+    page, folder = project.report().read_text(), project.folder
+    said = Accuracy.from_dict(json.loads((folder / "metrics.json").read_text())["accuracy"])
+    assert set(said.values()) <= check(folder, page) and unmarked(page) == []
+    assert 0.005 < said.figure("world").predicted < 5 and 0.001 < said.figure("point").predicted < 0.5
+    assert said.held_by == "GNSS positions of RTK quality of 8 of 8 frames" and 0 < said.placement["tilt_deg"] < 10
+    assert said.answer.said == "cannot be told" and "check points" in said.answer.remedy
+    lines = terminal_lines(folder / "metrics.json")
+    assert len(lines) == 4 and lines[0].startswith("Tolerance of 5.00 m in the world: cannot be told.")
+    stated = [f"{name} {said.head(layer).predicted:.3g} m" for layer, name in LAYERS.items()]
+    stated.append(f"held in the world by {said.held_by}")
+    for name in ("cloud.laz", "cloud.copc.laz"):
+        text = laspy.open(folder / name).header.vlrs.get_by_id("LASF_Spec", [3])[0].record_data_bytes().decode()
+        assert all(part in text for part in stated), text
+    assert all(part.encode() in (folder / "cloud.ply").read_bytes()[:2000] for part in stated)
+
+
+def test_the_report_names_no_folder_of_this_machine(project):
+    for name in ("report.html", "metrics.json", "accuracy.csv"):
+        text = (project.folder / name).read_text()
+        assert str(project.folder.parent) not in text and str(Path.home()) not in text, name
+    assert "rig.toml" in project.report().read_text()
 
 
 def test_curves_and_accuracies_are_tables_too(project):

@@ -129,3 +129,16 @@ def test_control_points_are_an_input_and_a_setting(tmp_path):
     assert again.settings.georef.gcp == points.resolve()
     with pytest.raises(SettingsError, match="known are rig, .*gcp, marks"):
         open_project(tmp_path / "images", tmp_path / "out", gcps=points)
+
+
+def test_a_tolerance_is_an_input_and_a_setting(tmp_path):
+    (tmp_path / "images").mkdir()
+    project = open_project(tmp_path / "images", tmp_path / "out", tolerance=0.05)
+    assert project.settings.evaluate.tolerance_m == 0.05
+    project.folder.mkdir()
+    project.save()
+    assert open_project(out=tmp_path / "out").settings.evaluate.tolerance_m == 0.05
+    assert open_project(out=tmp_path / "out", unset=["tolerance"]).settings.evaluate.tolerance_m is None
+    for wrong in (-0.05, 0, float("nan"), "5 cm"):
+        with pytest.raises(SettingsError, match="--tolerance: evaluate.tolerance_m = "):
+            open_project(tmp_path / "images", tmp_path / "out", tolerance=wrong)

@@ -12,6 +12,7 @@ import pycolmap
 from scipy.spatial.transform import Rotation
 
 from tiegraph.geometry import geodesy, transforms
+from tiegraph.scene.accuracy import Accuracy, Answer, Figure
 from tiegraph.scene.pairs import Pairs
 from tiegraph.scene.rig import Rig, Sensor
 from tiegraph.scene.scene import Dropped, Scene, simple_scene
@@ -210,9 +211,7 @@ def make_world(scene: Scene, rng: np.random.Generator) -> dict:
         "origin": scene.origin.to_dict(),
         "scale_from": "gnss",
         "similarity": {"scale": 1.7, "rotation": np.eye(3).tolist(), "translation": [0, 0, 0]},
-        "residual_rms_m": {"east": 0.21, "north": 0.19, "up": 0.42},
-        "heldout_rms_m": 0.55,
-        "sigma": {"position_m": [0.06, 0.06, 0.11], "heading_deg": 0.12},
+        "placed": True,
         "notes": ["no GNSS under the bridge: 3 frames hang on their neighbours"],
         "frames": [{"frame": f, "residual_m": r.tolist()} for f, r in zip(frames, residuals)],
     }
@@ -248,7 +247,25 @@ def make_metrics() -> dict:
     shares = [[0.02, 31.0, 22.0, 25.7], [0.05, 62.0, 40.0, 48.6], [0.1, 80.0, 55.0, 65.2], [0.2, 90.1, 63.0, 74.2]]
     columns = ["distance m", "accuracy %", "completeness %", "F %"]
     tables = {"cloud against reference": {"columns": columns, "rows": shares}}
-    return {"metrics": metrics, "tables": tables, "notes": ["Back-projection error is a round trip."]}
+    notes = ["Back-projection error is a round trip."]
+    return {"accuracy": make_accuracy().to_dict(), "metrics": metrics, "tables": tables, "notes": notes}
+
+
+def make_accuracy() -> Accuracy:
+    """Figures of all layers, some predicted only, some measured."""
+    figures = (
+        Figure("world", "a point of the cloud (median)", 2.58, proves_not="what it does not know of"),
+        Figure("world.nine_in_ten", "nine in ten points of the cloud", 3.1),
+        Figure("world.check_points", "a check point", 0.05, 0.062, "3 check points", True, "anything elsewhere"),
+        Figure("world.held_out", "a position", 0.3, 0.55, "4 positions held back from the fit"),
+        Figure("world.positions", "a position", measured=0.51, by="the positions of the fit"),
+        Figure("shape.whole", "a camera, over the whole", 0.1, 0.121, "54 reference poses", True),
+        Figure("shape.10m", "what lies between two cameras 10 m apart", 0.004),
+        Figure("point", "a point of the cloud (median)", 0.036),
+    )
+    placement = {"position_m": 0.06, "height_m": 0.11, "yaw_deg": 0.12, "tilt_deg": 0.3, "scale": 0.002}
+    answer = Answer(0.05, "no", "3 check points measured more", "more control points")
+    return Accuracy("m", "3 control points", figures, placement, answer)
 
 
 def write_receipt(folder: Path, stage: str, seconds: float) -> None:

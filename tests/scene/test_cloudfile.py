@@ -10,7 +10,7 @@ from tiegraph.errors import InputError, TiegraphError
 from tiegraph.geometry.geodesy import Origin, make_origin
 from tiegraph.scene import cloudfile
 from tiegraph.scene.atomic import replacing
-from tiegraph.scene.cloudfile import read_cloud, write_cloud, write_las
+from tiegraph.scene.cloudfile import read_cloud, write_cloud, write_las, write_ply
 from tiegraph.scene.copc import write_copc
 from tiegraph.scene.depthfile import load_depth, save_depth
 from tiegraph.scene.results import Cloud, DepthMap
@@ -89,6 +89,16 @@ def test_las_states_crs_version_and_full_coordinates(tmp_path):
     np.testing.assert_allclose(np.mean(las.x), cloud().xyz_m[:, 0].mean() + UTM.shift_m[0], atol=0.001)
     assert UTM.shift_m[0] > 100_000 and UTM.shift_m[1] > 3_000_000
     assert las.red.max() > 60_000
+
+
+def test_what_is_said_of_a_cloud_stands_in_its_header(tmp_path):
+    write_copc(lambda: iter([cloud(UTM)]), tmp_path / "c.copc.laz", 0.5, tmp_path, "accuracy of a point 0.04 m")
+    write_ply(cloud(UTM), tmp_path / "c.ply", "accuracy of a point 0.04 m")
+    (text,) = laspy.read(tmp_path / "c.copc.laz").header.vlrs.get_by_id("LASF_Spec", [3])
+    assert text.record_data_bytes() == b"accuracy of a point 0.04 m\0"
+    assert b"comment accuracy of a point 0.04 m\n" in (tmp_path / "c.ply").read_bytes()[:500]
+    for name in ("c.copc.laz", "c.ply"):
+        assert len(read_cloud(tmp_path / name)) == len(cloud())
 
 
 def test_world_is_found_again_from_the_file_alone(tmp_path):

@@ -14,6 +14,7 @@ from tiegraph.sfm.adjustment.adjust import _solve, final_adjustment
 from tiegraph.sfm.adjustment.jacobians import Layout, RigConstraint, RigConstraints, skew
 from tiegraph.sfm.covariance import MOUNTING, position_sigma
 from tiegraph.sfm.model import frame_poses, image_poses
+from tiegraph.sfm.relativesigma import between_frames
 from tiegraph.sfm.tuning import Tuning
 
 import pycolmap  # isort: skip
@@ -51,15 +52,22 @@ def world(tmp_path_factory):
 def test_predicted_sigma_is_the_scatter_of_many_adjustments(world) -> None:
     truth, scene = world
     true = true_frames(truth, scene)[:, :3, 3]
-    squares = []
+    squares, pairs = [], []
     predicted = None
     for seed in range(12):
         model = _noisy(truth, 0.5, seed)
         predicted = position_sigma(model, free_intrinsics=False, free_rig=False, tuning=TUNING)
         found = frame_poses(image_poses(model, scene), scene)[:, :3, 3]
         squares.append(np.sum((umeyama(found, true)(found) - true) ** 2, axis=1))
+        aligned = umeyama(found, true)(found) - true
+        pairs.append(aligned[1:] - aligned[:-1])
     actual = np.sqrt(np.mean(squares))
     expected = np.sqrt(np.mean(np.sum(predicted.sigma**2, axis=1)))
+    (told,) = between_frames(model, predicted, 3).values()
+    near = float(np.median(np.linalg.norm(true[1:] - true[:-1], axis=1)))
+    at = min(told["rows"], key=lambda row: abs(np.log(row[0] / near)))
+    assert at[1] == pytest.approx(np.sqrt(np.mean(np.sum(np.concatenate(pairs) ** 2, axis=1))), rel=0.4)
+    assert between_frames(model, predicted, 1000) == {}
     assert 0.4 < predicted.pixel_sigma < 0.6
     assert expected == pytest.approx(actual, rel=0.25)
 

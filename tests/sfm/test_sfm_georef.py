@@ -57,7 +57,9 @@ def test_positions_bring_the_model_back(world) -> None:
     assert not found.residuals.inlier[3] and found.residuals.inlier.sum() >= 18
     assert 0.05 < np.hypot(*list(found.residuals.rms_m().values())[:2]) < 0.25
     held = np.isfinite(found.residuals.held_out_m).all(axis=1)
-    assert held.sum() == 4 and 0.03 < found.residuals.held_out_rms_m()["east"] < 0.3
+    assert held.sum() == len(found.residuals.held.residual_m) == found.to_dict()["held_out"]["count"] == 4
+    assert 0.05 < found.to_dict()["held_out"]["sigma_m"] < 0.6
+    assert 0.03 < found.residuals.held_out_rms_m()["east"] < 0.3
     # What all positions of a receiver share (0.1 m east and north) no residual shows.
     assert 0.14 < found.uncertainty.sigma["position_m"] < 0.2 and 0.1 < found.uncertainty.sigma["yaw_deg"] < 5
     assert error < 5 * found.uncertainty.sigma["position_m"]

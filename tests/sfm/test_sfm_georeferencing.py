@@ -117,6 +117,11 @@ def test_adjustment_meets_the_truth_and_says_what_it_did(world) -> None:
     assert 0.001 < _error(after, truth, scene) < 1.2 * _error(before, truth, scene) + 0.01
     np.testing.assert_allclose(found.receiver.antenna_m, arm, atol=0.1)
     assert any("positions held back are met within" in n for n in found.findings.notes)
+    held, without = found.residuals.held, plain.residuals.held
+    assert 3 <= len(held.residual_m) == len(without.residual_m) and not np.allclose(held.residual_m, without.residual_m)
+    assert 0.2 < np.sqrt(np.mean((held.residual_m / held.sigma_m) ** 2)) < 2, (
+        "they are believed as well as they are met"
+    )
 
 
 @pytest.mark.slow

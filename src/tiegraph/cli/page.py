@@ -20,10 +20,10 @@ inputs:
 
 options:
   -o, --out OUT     the run folder (default: <IMAGES>_tiegraph beside them)
+  --tolerance M     is it so good in the world, metres? yes, no, or why not told
   --until STAGE     the last stage to run (default: all)
   --preset NAME     fast, close-range, conventional, meguro2024 or meguro2025
   --unset KEY       forget a stored input or setting: gnss, masks.folder
   --pool POOL       serial, local, local:<workers> or dask:<address>
   --json, --quiet   one JSON object a line instead of text; nothing but errors
-  -h, --help        this page
-  --help-all        every option and setting, such as --scan.crs, --masks.folder"""
+  -h, --help        this page; --help-all: all, as --scan.crs, --masks.folder"""

@@ -15,9 +15,11 @@ from tiegraph.cli.verbs import HELP, HELP_ALL, wants_page
 from tiegraph.errors import SettingsError, choose
 from tiegraph.project.progress import Reporter
 from tiegraph.project.settings import PRESETS, SETTING_OF, STAGED, Settings, sections
+from tiegraph.report.accuracy import terminal_lines
 from tiegraph.settings import Section
 
 _MANY = 1 << 20
+_STATED = (None, "evaluate", "report")  # runs that end with a statement of accuracy
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,9 @@ class RunOptions(Common):
     """CSV of the points' marks (name, image, px, py), if they are not in the file of the points (sets georef.marks)."""
     times: Path | None = None
     """CSV of the frames' times, where EXIF has none: pass, frame, time (or image, time)."""
+    tolerance: float | None = None
+    """Accuracy in the world, metres, that is asked for: answered yes, no or cannot be told (sets
+    evaluate.tolerance_m)."""
     until: str | None = None
     """The last stage to run (default: all)."""
     preset: str | None = None
@@ -151,6 +156,8 @@ def _settings(before: Settings, given: Section) -> Settings:
 def finish(project: Project, until: str | None, reporter: Reporter) -> int:
     """Run a project and say where its results are."""
     project.run(until, reporter)
+    for line in terminal_lines(project.folder / "metrics.json") if until in _STATED else ():
+        reporter.say(line)
     report = project.folder / "report.html"
     reporter.say(f"report: {report}" if until is None and report.exists() else f"results: {project.folder}")
     reporter.event("done", folder=str(project.folder), report=str(report) if report.exists() else None)

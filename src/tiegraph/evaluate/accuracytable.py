@@ -4,37 +4,33 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
+from tiegraph.scene.accuracy import MEASURED, PREDICTED, Accuracy
+
 _AXES = ("east", "north", "up")
-_GEOREF = {  # of world.json -> what the table calls it
-    "rms_m": "residuals of the positions, m",
-    "held_out_rms_m": "residuals of held out positions, m",
-    "sigma": "sigma of the place in the world",
-    "model_sigma": "sigma of positions inside the model, m",
-}
 
 
-def accuracy_csv(metrics: Iterable[Mapping[str, Any]], tables: Mapping[str, Mapping[str, Any]], world: dict) -> str:
-    """CSV (about, item, quantity, value, unit) of the metrics, the tables {name: {"columns", "rows"}} by their first
-    column, and what ``world`` (world.json) says of the georeference and of each frame's position."""
+def accuracy_csv(said: Mapping[str, Any], tables: Mapping[str, Mapping[str, Any]], world: dict) -> str:
+    """CSV (about, item, quantity, value, unit) of what metrics.json says (``said``: its layers and metrics), of the
+    tables {name: {"columns", "rows"}} by their first column, and of each frame's position by ``world`` (world.json)."""
     text = io.StringIO()
     out = csv.writer(text, lineterminator="\n")
     out.writerow(["about", "item", "quantity", "value", "unit"])
-    for m in metrics:
+    for key, value in Accuracy.from_dict(said["accuracy"]).values().items():
+        unit = said["accuracy"]["unit"] if key.endswith((PREDICTED, MEASURED)) else ""
+        out.writerow(["accuracy", "", key, _text(value), unit])
+    for m in said["metrics"]:
         out.writerow(["survey", "", m["name"], _text(m["value"]), m["unit"]])
-    out.writerows([about, item, name, _text(value), ""] for about, item, name, value in _georef(world))
+    out.writerows([about, item, name, _text(value), ""] for about, item, name, value in _frames(world))
     for about, table in tables.items():
         for first, *cells in table["rows"]:
             out.writerows([about, first, name, _text(v), ""] for name, v in zip(table["columns"][1:], cells))
     return text.getvalue()
 
 
-def _georef(world: dict) -> Iterator[tuple[str, Any, str, Any]]:
-    for name, about in _GEOREF.items():
-        for key, value in (world.get(name) or {}).items():
-            yield about, "", key, value
+def _frames(world: dict) -> Iterator[tuple[str, Any, str, Any]]:
     for frame in world.get("frames", ()):
         for kind in ("residual_m", "held_out_m"):
             for axis, value in zip(_AXES, frame.get(kind) or ()):

@@ -2,99 +2,65 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from tiegraph.evaluate.clouds.nearest import CloudComparison
-from tiegraph.evaluate.trajectory import PoseMatch, TrajectoryError
+from tiegraph.evaluate.trajectory import PoseMatch
 from tiegraph.evaluate.tuning import JudgeTuning
 from tiegraph.geometry.align import umeyama
+from tiegraph.scene.accuracy import Figure
 
 _AXES = "xyz"
 
 
-@dataclass(frozen=True)
-class Predicted:
-    """Sigmas of a run, metres: of a camera ``inside_m`` the model (NaN = not known), of the scale (share; NaN: the
-    scale is not known), of the place on the Earth ``placed_m`` (NaN: not placed), of a point of the cloud."""
-
-    inside_m: float = float("nan")
-    scale: float = float("nan")
-    placed_m: float = float("nan")
-    point_m: float = float("nan")
-
-    @property
-    def metric(self) -> bool:
-        """Whether the model has a scale that can be held against a reference's."""
-        return bool(np.isfinite(self.scale))
-
-
 def against_poses(
-    match: PoseMatch,
-    result: TrajectoryError,
-    predicted: Predicted,
-    tuning: JudgeTuning,
-    step_s: float = float("nan"),
+    match: PoseMatch, figures: Sequence[Figure], metric: bool, tuning: JudgeTuning, step_s: float = float("nan")
 ) -> list[str]:
-    """Sentences about reference poses (K) that the model contradicts; none where nothing was predicted.
+    """Sentences about reference poses (K) that the model contradicts by ``figures`` (``accuracy.pose_figures``).
 
-    ``step_s``: the frames' interval, to say a lag in seconds.
+    ``metric``: the model's own scale is known; ``step_s``: the frames' interval, to say a lag in seconds.
     """
-    if not np.isfinite(predicted.inside_m):
-        return []
-    est, ref = match.estimate[:, :3, 3], match.reference[:, :3, 3]
-    spread = float(np.sqrt(np.mean(np.sum((ref - ref.mean(axis=0)) ** 2, axis=1))))
-    actual = result.se3.rmse_m if predicted.metric else result.sim3.rmse_m
-    expected = float(np.hypot(predicted.inside_m, spread * predicted.scale if predicted.metric else 0.0))
-    out = []
-    if actual > tuning.beyond_sigmas * expected:
-        why = _explained(match, actual, predicted.metric, tuning, step_s)
-        why = why or "one of the two is wrong by more than it says"
-        out.append(f"the reference poses and the model differ by {_m(actual)} (RMSE), predicted {_m(expected)}: {why}")
-    elif result.absolute is not None and np.isfinite(predicted.placed_m):
-        expected = float(np.hypot(expected, predicted.placed_m))
-        if result.absolute.rmse_m > tuning.beyond_sigmas * expected:
-            east, north, up = np.mean(est - ref, axis=0)
-            out.append(
-                f"the reference poses and the model differ by {_m(result.absolute.rmse_m)} on the Earth, predicted "
-                f"{_m(expected)}, though their shapes agree to {_m(actual)}: the model stands {east:+.2f} m east, "
-                f"{north:+.2f} m north, {up:+.2f} m up of it: another datum or origin?"
-            )
-    return out
+    by_key = {f.key: f for f in figures}
+    whole, placed = by_key["shape.whole"], by_key.get("world.reference_poses")
+    if beyond(whole, tuning):
+        why = _explained(match, metric, tuning, step_s) or "one of the two is wrong by more than it says"
+        return [f"the reference poses and the model differ by {_said(whole, metric)}: {why}"]
+    if placed is not None and beyond(placed, tuning):
+        east, north, up = np.mean(match.estimate[:, :3, 3] - match.reference[:, :3, 3], axis=0)
+        return [
+            f"the reference poses and the model differ by {_said(placed, True)} on the Earth, though their shapes "
+            "agree: "
+            f"the model stands {east:+.2f} m east, {north:+.2f} m north, {up:+.2f} m up of it: another datum or origin?"
+        ]
+    return []
 
 
-def against_cloud(
-    result: CloudComparison, reach_m: float, predicted: Predicted, aligned: bool, tuning: JudgeTuning
-) -> list[str]:
-    """Sentences about a reference cloud that the cloud contradicts: half its points are farther than predicted.
-
-    What the reference's own spacing leaves between a point and its nearest counts as predicted, and what the scale's
-    sigma moves a point by at ``reach_m``, the middle one of the reference's distances from its centre.
-    """
-    criteria = result.criteria
-    if not np.isfinite(predicted.point_m):
+def against_cloud(figure: Figure, tuning: JudgeTuning) -> list[str]:
+    """Sentences about a reference cloud that the cloud contradicts: half its points are farther than predicted."""
+    if not beyond(figure, tuning):
         return []
-    found = np.isfinite(result.whole.median_m)
-    median = result.whole.median_m if found else criteria.reach_m
-    parts = [predicted.point_m, np.nan_to_num(predicted.inside_m), max(criteria.spacing_m, criteria.voxel_m) / 2]
-    parts.append(reach_m * np.nan_to_num(predicted.scale))
-    parts.append(0.0 if aligned else np.nan_to_num(predicted.placed_m))
-    expected = float(np.linalg.norm(parts))
-    if median <= tuning.beyond_sigmas * expected:
-        return []
-    more = "" if found else "more than "
     return [
-        f"the reference cloud and the cloud differ by {more}{_m(median)} (median), predicted {_m(expected)}: "
+        f"the reference cloud and the cloud differ by {_said(figure, True)} (median): "
         "another frame or datum, or a place that has changed"
     ]
 
 
-def _explained(match: PoseMatch, actual: float, metric: bool, tuning: JudgeTuning, step_s: float) -> str:
+def beyond(figure: Figure, tuning: JudgeTuning) -> bool:
+    """Whether what was measured contradicts what was predicted; never where one of them is not known."""
+    return figure.measured > tuning.beyond_sigmas * figure.predicted
+
+
+def _said(figure: Figure, metric: bool) -> str:
+    values = (_m(v) if metric else f"{v:.3g} units" for v in (figure.measured, figure.predicted))
+    return ", predicted ".join(values)
+
+
+def _explained(match: PoseMatch, metric: bool, tuning: JudgeTuning, step_s: float) -> str:
     """What of the reference would explain the difference, in words; "" if nothing does."""
     est, ref = match.estimate[:, :3, 3], match.reference[:, :3, 3]
+    actual = _left(est, ref, metric)
     tries = [(umeyama(est, ref), umeyama(est, ref).scale)] if metric else []
     if tries:
         fit, scale = tries[0]

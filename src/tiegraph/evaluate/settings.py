@@ -43,5 +43,5 @@ class EvaluateSettings(Section):
     range_m: float = Field(50.0, gt=0, le=100_000)
     """Only the part of the reference cloud nearer than this (m) to a registered camera counts for completeness."""
 
-    rpe_m: tuple[Annotated[float, Field(gt=0, le=100_000)], ...] = Field((1.0, 10.0, 100.0), min_length=1)
-    """Travelled distances (m) over which the relative pose error is stated."""
+    tolerance_m: float | None = Field(None, gt=0, le=100_000)
+    """Accuracy in the world (m) that is asked for: answered yes, no or cannot be told, with what would make it yes."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,17 +10,20 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.evaluate import backprojection, reference
+from tiegraph.evaluate.accuracy import Predicted, Stated, cloud_figure, in_layers, pose_figures
 from tiegraph.evaluate.backprojection import View, backprojection_rmse
 from tiegraph.evaluate.clouds.judge import CloudJudgement, Question, judge_cloud
 from tiegraph.evaluate.clouds.nearest import Cameras
-from tiegraph.evaluate.contradictions import Predicted, against_cloud, against_poses
+from tiegraph.evaluate.contradictions import against_cloud, against_poses
 from tiegraph.evaluate.metrics import metrics_to_dict
 from tiegraph.evaluate.reference import ModelPoses
 from tiegraph.evaluate.settings import EvaluateSettings
+from tiegraph.evaluate.tolerance import answered
 from tiegraph.evaluate.trajectory import TrajectoryError, evaluate_trajectory, registered_metrics, registered_table
 from tiegraph.evaluate.tuning import Tuning
 from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.geodesy import Origin
+from tiegraph.scene.accuracy import Figure
 from tiegraph.scene.cloudchunks import Points, PointSource, open_cloud
 from tiegraph.scene.colmapmodel import matrix
 from tiegraph.scene.registered import Registration
@@ -34,6 +37,7 @@ class _Findings:
     tables: dict[str, dict] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     contradictions: list[str] = field(default_factory=list)
+    figures: list[Figure] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,14 +74,14 @@ class _Work:
 
 
 def evaluate_survey(
-    scene: Scene, made: Products, settings: EvaluateSettings, tuning: Tuning, predicted: Predicted | None = None
+    scene: Scene, made: Products, settings: EvaluateSettings, tuning: Tuning, stated: Stated | None = None
 ) -> Evaluation:
-    """Figures of merit, tables and notes of a run.
+    """The content of metrics.json for a run, and how its cloud was judged.
 
-    ``predicted``: the run's own sigmas, which its references are held against. Raises InputError for
-    references that cannot be read or matched.
+    ``stated``: what the run says of itself, which its references are held against. Raises InputError for references
+    that cannot be read or matched.
     """
-    found, cloud = _Findings(), made.cloud
+    found, cloud, stated = _Findings(), made.cloud, stated or Stated()
     model = reference.model_poses(made.model, scene)
     work = _Work(
         scene=scene,
@@ -85,7 +89,7 @@ def evaluate_survey(
         settings=settings,
         tuning=tuning,
         origin=made.origin,
-        predicted=predicted or Predicted(),
+        predicted=stated.predicted,
         found=found,
     )
     found.metrics.extend(registered_metrics(made.images))
@@ -99,7 +103,12 @@ def evaluate_survey(
     judged = None
     if settings.reference_cloud is not None and cloud is not None and len(cloud):
         judged = _cloud(work, made, settings.reference_cloud, trajectory)
-    return Evaluation(metrics_to_dict(found.metrics, found.tables, found.notes, found.contradictions), judged)
+    accuracy = in_layers(stated, found.figures)
+    if settings.tolerance_m is not None:
+        contradicted = bool(found.contradictions or stated.world.get("contradictions"))
+        answer = answered(settings.tolerance_m, accuracy, stated, contradicted, tuning.min_checks)
+        accuracy = replace(accuracy, answer=answer)
+    return Evaluation(metrics_to_dict(found.metrics, found.tables, found.notes, found.contradictions, accuracy), judged)
 
 
 def pinhole_views(reconstruction: Any) -> list[View]:
@@ -132,13 +141,16 @@ def _trajectory(work: _Work, path: Path) -> TrajectoryError:
     if settings.reference_origin is not None and origin is not None:
         match = reference.poses_to_world(match, reference.enu_origin(settings.reference_origin), origin)
     try:
-        result = evaluate_trajectory(match, settings.rpe_m, tuning.trajectory, same_frame=comparable)
+        distances = tuning.trajectory.relative_m
+        result = evaluate_trajectory(match, distances, tuning.trajectory, same_frame=comparable)
     except np.linalg.LinAlgError as error:
         raise InputError(f"{path}: the poses cannot be aligned: {error}") from None
     found.metrics.extend(result.metrics())
     found.tables.update(result.tables())
     found.notes.append(f"Reference poses {path.name}: {said}.")
-    found.contradictions += against_poses(match, result, work.predicted, tuning.judge, _step_s(work.scene))
+    figures, metric = pose_figures(match, result, work.predicted, tuning.trajectory), work.predicted.metric
+    found.figures += figures
+    found.contradictions += against_poses(match, figures, metric, tuning.judge, _step_s(work.scene))
     if comparable:
         found.notes.append("absolute_rmse compares positions in the same CRS without any alignment.")
     else:
@@ -171,8 +183,9 @@ def _cloud(work: _Work, made: Products, path: Path, trajectory: TrajectoryError 
     result = judge_cloud(own, truth, made.scratch, question, tuning)
     found.metrics.extend(result.metrics())
     found.tables.update(result.tables())
-    aligned = alignment is not None
-    found.contradictions += against_cloud(result.nearest, _reach(result), work.predicted, aligned, tuning.judge)
+    figure = cloud_figure(result.nearest, _reach(result), work.predicted, alignment is not None)
+    found.figures.append(figure)
+    found.contradictions += against_cloud(figure, tuning.judge)
     found.notes.append(f"Reference cloud {path.name}, {how}. {result.notes()}")
     return result
 

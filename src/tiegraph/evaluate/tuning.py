@@ -16,6 +16,10 @@ class TrajectoryTuning(Section):
     """An image nearer than this to its true place, after a robust alignment, is called right."""
     max_stretch: float = Field(1.5, ge=1)
     """Pairs of poses of the relative error are farther apart than the distance wanted by at most this factor."""
+    between_poses: int = Field(1500, gt=1)
+    """Of more, an even part tells the error of what lies between two: a million pairs."""
+    relative_m: tuple[float, ...] = (1.0, 10.0, 100.0)
+    """Travelled distances of the relative pose error."""
     min_drift_m: float = Field(5.0, gt=0)
     """Below this travelled distance a drift per 100 m means nothing."""
 
@@ -118,6 +122,10 @@ class Tuning(Section):
 
     points_tried: int = Field(100_000, gt=0)
     """Points of the cloud projected back in each view; others in the next, so that the whole cloud takes part."""
+    carrier_m: float = Field(0.1, gt=0)
+    """Positions stated to this or better are of a carrier phase (RTK, PPK): code alone gives a metre."""
+    min_checks: int = Field(3, gt=0)
+    """Check points that may hold a tolerance: fewer say hardly anything of a survey (ASPRS asks for 30)."""
     unscaled_share: float = Field(0.1, ge=0)
     """A model whose scale is further off than this share was never metric."""
     trajectory: TrajectoryTuning = TrajectoryTuning()

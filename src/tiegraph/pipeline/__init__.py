@@ -42,7 +42,7 @@ _BESIDE_DATABASE = tuple(f"database.db{s}" for s in ("-wal", "-shm", "-journal",
 
 # fmt: off
 STAGES = (
-    _stage("scan", (), ("scene.json", "images"), "image", version=5, tuned=("scene",)),
+    _stage("scan", (), ("scene.json", "images"), "image", version=6, tuned=("scene",)),
     _stage("masks", ("scan",), ("masks", "classes", "masks.csv"), "image", version=8),
     _stage("preview", ("scan", "masks"), ("preview",), "image", version=2, tuned=("features",)),
     _stage("candidates", ("scan", "preview"), ("candidates.npz", "candidates"), "pair", version=2,
@@ -58,17 +58,18 @@ STAGES = (
     _stage("match", ("network", "design", "features"), ("match.npz",), "block of pairs",
            changes=("database.db",), clear=_forget_matches),
     _stage("filter", ("coarse", "network", "match"), ("filter.npz",), "pair", version=2),
-    _stage("sparse", ("coarse", "network", "match", "filter"), ("sparse",), version=16, scratch=("sparse/.run",),
+    _stage("sparse", ("coarse", "network", "match", "filter"), ("sparse",), version=17, scratch=("sparse/.run",),
            tuned=("scene", "sfm")),
-    _stage("georef", ("network", "match", "filter", "sparse"), ("sparse/world", "world.json"), version=10,
+    _stage("georef", ("network", "match", "filter", "sparse"), ("sparse/world", "world.json"), version=11,
            scratch=("sparse/.world",), tuned=("scene", "sfm")),
     _stage("refine", ("masks", "georef"), ("refine/masks", "refine/classes"), "image", version=3,
            tuned=("masks", "sfm")),
     _stage("dense", ("georef", "refine"), ("depth",), "image", version=5),
-    _stage("cloud", ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply"), scratch=(".tiles",)),
+    _stage("cloud", ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply"), version=2, scratch=(".tiles",),
+           tuned=("evaluate",)),
     _stage("evaluate", ("filter", "georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv", "evaluate"),
            version=4, scratch=("evaluate/.tiles",), tuned=("scene",)),
-    _stage("report", ("evaluate",), ("report.html",), version=2),
+    _stage("report", ("evaluate",), ("report.html",), version=3),
 )
 # fmt: on
 

@@ -9,12 +9,16 @@ from typing import Any
 import numpy as np
 
 from tiegraph.cloud.fuse import Maps, fuse
+from tiegraph.evaluate.accuracy import in_layers
 from tiegraph.pipeline.dense import coloured, depth_path, plan_of, read_depth
+from tiegraph.pipeline.files import load_json
 from tiegraph.pipeline.placed import placement_error, world_origin
+from tiegraph.pipeline.predicted import stated
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, remove
+from tiegraph.scene.accuracy import LAYERS
 from tiegraph.scene.atomic import same_file
-from tiegraph.scene.cloudfile import write_cloud
+from tiegraph.scene.cloudfile import write_ply
 from tiegraph.scene.copc import write_copc
 from tiegraph.scene.results import Cloud
 
@@ -31,28 +35,40 @@ def cloud(run: Run) -> Outcome:
     maps = Maps(partial(read_depth, folder=run.folder), colours)
     settings, tuning = run.settings.cloud, run.settings.tuning.cloud
     fused = fuse(sorted(plans), maps, scratch, settings, tuning, world_origin(run), _mapper(run))
-    notes = [*write_copc(fused.clouds, run.path("cloud.copc.laz"), fused.voxel, scratch)]
+    sigmas = _sigmas(run, fused.clouds())
+    said = _said(run, sigmas)
+    notes = [*write_copc(fused.clouds, run.path("cloud.copc.laz"), fused.voxel, scratch, said)]
     same_file(run.path("cloud.copc.laz"), run.path("cloud.laz"))
-    notes += write_cloud(fused.clouds(), run.path("cloud.ply"))
-    world = _world_sigma(run, fused.clouds())
+    notes += write_ply(fused.clouds(), run.path("cloud.ply"), said)
     remove(scratch)
-    counts = {"points": fused.counts["points"], **{k: v for k, v in fused.counts.items() if k != "points"}, **world}
+    counts = {"points": fused.counts["points"], **{k: v for k, v in fused.counts.items() if k != "points"}, **sigmas}
     return Outcome({**counts, "voxel": float(f"{fused.voxel:.3g}")}, notes=tuple(dict.fromkeys(notes)))
 
 
-def _world_sigma(run: Run, parts: Iterable[Cloud]) -> dict[str, float]:
-    """Median and 90th percentile of the points' sigma in the world: of the matching and of the placement together."""
-    error, found = placement_error(run), []
-    if error is None:
-        return {}
+def _sigmas(run: Run, parts: Iterable[Cloud]) -> dict[str, float]:
+    """Median of the points' sigma, and median and 90th percentile of that in the world, where the model is placed: of
+    the matching, of the cameras inside the model and of the placement together."""
+    error, own, world = placement_error(run), [], []
+    inside = (load_json(run.path("world.json")).get("model_sigma") or {}).get("median", 0.0)
     for part in parts:
         some = part.where(np.arange(0, len(part), _EVERY))
-        placed = np.linalg.norm(error.sigma(some.xyz_m), axis=1)
-        found.append(np.hypot(placed, np.nan_to_num(some.sigma_m)))
-    both = np.concatenate(found) if found else np.zeros(0)
-    if not len(both):
-        return {}
-    return {f"world_sigma_{n}_m": round(float(np.percentile(both, p)), 4) for n, p in (("median", 50), ("p90", 90))}
+        own.append(some.sigma_m)
+        if error is not None:
+            placed = np.linalg.norm(error.sigma(some.xyz_m), axis=1)
+            world.append(np.sqrt(placed**2 + inside**2 + np.nan_to_num(some.sigma_m) ** 2))
+    asked = {"sigma_median": (own, 50), "world_sigma_median": (world, 50), "world_sigma_p90": (world, 90)}
+    there = {name: (np.concatenate(found), share) for name, (found, share) in asked.items() if found}
+    known = {n: np.nanpercentile(v, share) for n, (v, share) in there.items() if np.isfinite(v).any()}
+    return {f"{name}_m": round(float(value), 4) for name, value in known.items()}
+
+
+def _said(run: Run, sigmas: dict[str, float]) -> str:
+    """The accuracy that the cloud's files state: what is predicted, for nothing is measured when they are made."""
+    found = in_layers(stated(run, sigmas), ())
+    heads = {name: found.head(layer).predicted for layer, name in LAYERS.items()}
+    parts = [f"{name} {value:.3g} {found.unit}" for name, value in heads.items() if np.isfinite(value)]
+    how = f"one standard deviation; held in the world by {found.held_by}; what was measured stands in metrics.json"
+    return f"accuracy predicted: {', '.join(parts)} ({how})" if parts else ""
 
 
 def _mapper(run: Run) -> Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]:

@@ -10,19 +10,18 @@ from tiegraph.evaluate.accuracytable import accuracy_csv
 from tiegraph.evaluate.clouds.judge import CloudJudgement
 from tiegraph.evaluate.clouds.m3c2 import Differences
 from tiegraph.evaluate.clouds.picture import difference_map
-from tiegraph.evaluate.contradictions import Predicted
 from tiegraph.evaluate.settings import EvaluateSettings
 from tiegraph.evaluate.survey import Products, evaluate_survey
 from tiegraph.geometry.geodesy import Origin
 from tiegraph.masks.compare import compare
 from tiegraph.pipeline.files import FINAL, checked, load_json, load_model, reading
 from tiegraph.pipeline.placed import world_origin
+from tiegraph.pipeline.predicted import stated
 from tiegraph.project.run import Run, save_json
 from tiegraph.project.stages import Outcome, remove, write_atomic
 from tiegraph.scene.cloudfile import read_cloud
 from tiegraph.scene.measuredcloud import Measured, write_measured
 from tiegraph.scene.registered import registration
-from tiegraph.scene.results import Cloud
 from tiegraph.scene.scene import Scene
 
 
@@ -37,13 +36,13 @@ def evaluate(run: Run) -> Outcome:
     tuning = run.settings.tuning
     images = registration(model, scene, tuning.scene.registered)
     placed = origin if world["placed"] else None
-    gsd = (run.receipts.read("cloud").get("counts") or {}).get("voxel")
+    counts = run.receipts.read("cloud").get("counts") or {}
     scratch = run.path("evaluate", ".tiles")
     remove(scratch)
     if settings.reference_cloud is not None:
         scratch.mkdir(parents=True)
-    made = Products(model=model, images=images, cloud=cloud, origin=placed, gsd_m=gsd, scratch=scratch)
-    found = evaluate_survey(scene, made, settings, tuning.evaluate, predicted(world, cloud))
+    made = Products(model=model, images=images, cloud=cloud, origin=placed, gsd_m=counts.get("voxel"), scratch=scratch)
+    found = evaluate_survey(scene, made, settings, tuning.evaluate, stated(run, counts))
     if found.cloud is not None:
         write_judgement(found.cloud, run.path("evaluate"), origin)
     remove(scratch)
@@ -52,11 +51,10 @@ def evaluate(run: Run) -> Outcome:
         result["tables"]["mask accuracy"] = _masks(run, scene, settings)
     save_json(run.path("metrics.json"), result)
     tables = {**run.receipts.read("georef").get("tables", {}), **result["tables"]}
-    write_atomic(run.path("accuracy.csv"), accuracy_csv(result["metrics"], tables, world))
-    shown = {m["name"]: m["value"] for m in result["metrics"] if m["value"] is not None}
+    write_atomic(run.path("accuracy.csv"), accuracy_csv(result, tables, world))
+    shown = {"figures": sum(m["value"] is not None for m in result["metrics"]), "tables": len(result["tables"])}
     notes = tuple(n for n in result["notes"] if n.startswith("Reference"))  # what could be compared with what
-    said = tuple(result["contradictions"])
-    return Outcome({k: float(f"{v:.4g}") for k, v in shown.items()}, notes=notes, contradictions=said)
+    return Outcome(shown, notes=notes, contradictions=tuple(result["contradictions"]))
 
 
 def write_judgement(found: CloudJudgement, folder: Path, origin: Origin | None) -> None:
@@ -78,21 +76,6 @@ def measured(found: Differences) -> Measured:
     }
     limit = float(np.nanpercentile(np.abs(found.distance_m), 95)) if found.known.any() else 1.0
     return Measured(found.xyz, columns, (-limit, limit))
-
-
-def predicted(world: dict, cloud: Cloud) -> Predicted:
-    """The run's own sigmas, from world.json and its cloud."""
-    sigma, inside = world.get("sigma") or {}, world.get("model_sigma") or {}
-    half, most = inside.get("median", np.nan), inside.get("p90", np.nan)
-    scale = sigma.get("scale", np.nan)
-    if not sigma and world["scale_source"] != "none":  # not placed: the rig alone says how large it is
-        rows = world.get("evidence", {}).get("rows", [])
-        scale = next((row[3] for row in rows if row[0] == "scale"), np.nan)
-    placed = np.hypot(sigma.get("position_m", np.nan), sigma.get("height_m", np.nan))
-    point = float(np.nanmedian(cloud.sigma_m)) if len(cloud) and np.isfinite(cloud.sigma_m).any() else np.nan
-    return Predicted(
-        inside_m=float(np.hypot(half, most) / np.sqrt(2)), scale=float(scale), placed_m=float(placed), point_m=point
-    )
 
 
 def _masks(run: Run, scene: Scene, settings: EvaluateSettings) -> dict:

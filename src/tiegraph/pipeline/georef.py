@@ -16,6 +16,7 @@ from tiegraph.scene.gnss import on_clock_of, read_gnss
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.covariance import MOUNTING
 from tiegraph.sfm.mapping import believed_cameras
+from tiegraph.sfm.relativesigma import BETWEEN
 from tiegraph.sfm.rig.rig import rig_modes
 from tiegraph.sfm.world.fixes import Measurements, PositionRows
 from tiegraph.sfm.world.georef import Georeference
@@ -31,7 +32,7 @@ def georef(run: Run) -> Outcome:
     given = Measurements(
         rows=_rows(run, scene),
         control=control_points(run, scene),
-        covered=_covered(run, scene),
+        covered=covered_frames(run, scene),
         model_sigma=sigma.get("position_sigma_median", float("nan")),
         model_scale_sigma=sigma.get("scale_sigma", float("nan")),
     )
@@ -60,8 +61,10 @@ def georef(run: Run) -> Outcome:
     world = main.to_dict()
     if "position_sigma_median" in sigma:
         # Of the bundle adjustment, in the model's units: the shape of the survey, not its place on the Earth.
-        scaled = {n: main.world_from_model.scale * sigma[f"position_sigma_{n}"] for n in ("median", "p90")}
-        world["model_sigma"] = scaled
+        scale = main.world_from_model.scale
+        world["model_sigma"] = {n: scale * sigma[f"position_sigma_{n}"] for n in ("median", "p90")}
+        between = receipt.get("tables", {}).get(BETWEEN, {}).get("rows", [])
+        world["between_frames"] = [[scale * apart, scale * s] for apart, s, _ in between]  # apart, sigma
     remove(run.path("sparse", "world"))
     claim(run.path("sparse", "world"))
     scratch.rename(run.path("sparse", "world"))
@@ -87,7 +90,7 @@ def _rows(run: Run, scene: Scene) -> PositionRows | None:
     return PositionRows(gnss.time_s, world_from_geodetic(gnss.lat_lon_height, scene.origin), gnss.sigma_m)
 
 
-def _covered(run: Run, scene: Scene) -> np.ndarray | None:
+def covered_frames(run: Run, scene: Scene) -> np.ndarray | None:
     """(F,) frames in sections under a bridge, as the network stage wrote them."""
     path = run.path("network", "sections.json")
     if not path.exists():
@@ -107,7 +110,7 @@ def _tables(placed: Georeference) -> dict[str, dict]:
         rows.append([point["name"], point["role"], point["marks"], *off, point["rms_px"], point["why_not"]])
     columns = ["point", "role", "marks", "dE m", "dN m", "dU m", "px", "not used because"]
     sums = [[role, *values.values()] for role, values in placed.control.accuracy.items()]
-    heads = ["", "points", "east m", "north m", "up m", "plan m", "RMSE m", "CE90 m", "LE90 m"]
+    heads = ["", "points", "east m", "north m", "up m", "plan m", "RMSE m", "CE90 m", "LE90 m", "predicted m"]
     out = {**said, "control and check points": {"columns": columns, "rows": rows}}
     return {**out, "accuracy of points (model minus survey)": {"columns": heads, "rows": sums}} if sums else out
 

@@ -54,7 +54,7 @@ RUN_KEYS = (
     "times",
     "preset",
 )  # of [run]: the inputs of a run
-SETTING_OF = {"gcp": ("georef", "gcp"), "marks": ("georef", "marks")}
+SETTING_OF = {"gcp": ("georef", "gcp"), "marks": ("georef", "marks"), "tolerance": ("evaluate", "tolerance_m")}
 """Inputs that are settings of a stage, so that only what follows it runs again when they change."""
 
 

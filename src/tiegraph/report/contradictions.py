@@ -28,9 +28,15 @@ def about(said: tuple[str, ...]) -> str:
 
 def evidence_table(run: RunFolder) -> formatting.Table | None:
     """The statements of all stages, those of one quantity one below the other; None without any."""
-    found = [(run.receipts.get(s, {}).get("tables") or {}).get(EVIDENCE) for s in STAGES]
-    parts = [t for t in found if isinstance(t, dict) and t.get("rows") and len(t.get("columns") or []) == _COLUMNS]
-    rows = [[*r[:2], figures(r[2], r[3]), formatting.number(r[3], 2), *r[4:]] for t in parts for r in t["rows"]]
+    found = {s: (run.receipts.get(s, {}).get("tables") or {}).get(EVIDENCE) for s in STAGES}
+    parts = {s: t for s, t in found.items() if isinstance(t, dict) and len(t.get("columns") or []) == _COLUMNS}
+    rows = []
+    for stage, data in parts.items():
+        for k, row in enumerate(data.get("rows") or []):
+            key = f"receipts.{stage}.{EVIDENCE}.{k}"
+            value = formatting.marked(f"{key}.2", figures(row[2], row[3]))
+            sigma = formatting.marked(f"{key}.3", formatting.number(row[3], 2))
+            rows.append([*row[:2], value, sigma, *row[4:]])
     order = {q: k for k, q in enumerate(dict.fromkeys(r[0] for r in rows))}
     rows.sort(key=lambda r: order[r[0]])
-    return formatting.table({"columns": parts[0]["columns"], "rows": rows}) if rows else None
+    return formatting.table({"columns": next(iter(parts.values()))["columns"], "rows": rows}) if rows else None

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
+from markupsafe import Markup
 
 NONE = "–"  # an en dash: not known
 _NOTHING = 1e-7  # smaller numbers are rounding errors
@@ -85,8 +85,9 @@ def size(value: Any) -> str:
     return f"{value / 1e9:.2f} GB" if value >= 1e9 else f"{number(value / 1e6, 2)} MB"
 
 
-def table(data: Any, title: str = "") -> Table | None:
-    """A Table from {"columns": [..], "rows": [[..], ..]}; None if it is not one or has no rows."""
+def table(data: Any, title: str = "", key: str = "") -> Table | None:
+    """A Table from {"columns": [..], "rows": [[..], ..]}; None if it is not one or has no rows. ``key``: numbers are
+    marked with it, their row and their column, so that they can be held against their source."""
     if not isinstance(data, dict) or not data.get("rows") or not data.get("columns"):
         return None
     rows = [list(row) if isinstance(row, (list, tuple)) else [row] for row in data["rows"]]
@@ -94,7 +95,19 @@ def table(data: Any, title: str = "") -> Table | None:
     rows = [(row + [None] * len(columns))[: len(columns)] for row in rows]
     numeric = tuple(all(v is None or _is_number(v) for v in column) for column in zip(*rows))
     printed = [_column(list(column)) if n else [cell(v) for v in column] for column, n in zip(zip(*rows), numeric)]
+    if key:
+        for c in (c for c, n in enumerate(numeric) if n):
+            printed[c] = [_marked(f"{key}.{r}.{c}", text) for r, text in enumerate(printed[c])]
     return Table(columns=tuple(columns), rows=tuple(zip(*printed)), numeric=numeric, title=title)
+
+
+def _marked(key: str, text: str) -> str:
+    return text if text == NONE else marked(key, text)
+
+
+def marked(key: str, text: str) -> Markup:
+    """A figure on the page, with the key of its value: "world.predicted", "metrics.ghosts", "tables.<name>.0.3"."""
+    return Markup('<data data-accuracy="{}">{}</data>').format(key, text)
 
 
 def _column(values: list[Any]) -> list[str]:
@@ -122,7 +135,7 @@ def cell(value: Any) -> str:
         return number(value)
     if isinstance(value, (list, tuple)):
         return ", ".join(cell(v) for v in value)
-    return str(value)
+    return value if isinstance(value, str) else str(value)
 
 
 def _is_number(value: Any) -> bool:
@@ -132,14 +145,3 @@ def _is_number(value: Any) -> bool:
 def is_number(value: Any) -> bool:
     """Whether a value of a receipt is a finite number."""
     return _is_number(value) and math.isfinite(value)
-
-
-def scalar(value: Any) -> float | None:
-    """One number for a residual: itself, its "total", or the length of its components."""
-    if isinstance(value, dict):
-        if is_number(value.get("total")):
-            return float(value["total"])
-        value = [v for v in value.values() if is_number(v)]
-    if isinstance(value, (list, tuple)):
-        return float(np.linalg.norm(value)) if len(value) and all(is_number(v) for v in value) else None
-    return float(value) if is_number(value) else None

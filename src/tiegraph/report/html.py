@@ -11,9 +11,10 @@ from typing import Any
 import jinja2
 import numpy as np
 
-from tiegraph.report import charts, formatting, plan, summary, viewer, warnings
+from tiegraph.report import accuracy, charts, formatting, plan, summary, viewer, warnings
 from tiegraph.report.cloudview import standard_views, with_scale_bar
 from tiegraph.report.contradictions import EVIDENCE, evidence_table
+from tiegraph.report.formatting import marked
 from tiegraph.report.networkpart import network_part
 from tiegraph.report.rigdiagnostics import rig_diagnostics, rig_table
 from tiegraph.report.runfolder import STAGES, RunFolder, read_run
@@ -50,7 +51,7 @@ def render(run: RunFolder, settings: ReportSettings) -> str:
         "made": datetime.now(timezone.utc).strftime("%d %B %Y, %H:%M UTC"),
         "verdict": summary.verdict(run),
         "tiles": summary.tiles(run),
-        "evidence": evidence_table(run),
+        "sure": _how_sure(run),
         "scan": _scan(run),
         "masks": _masks(run, settings),
         "network": network_part(run),
@@ -73,6 +74,14 @@ def environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+
+
+def _how_sure(run: RunFolder) -> dict[str, Any]:
+    """Every accuracy with what it does not prove, and what each source says by itself."""
+    out: dict[str, Any] = {"table": None, "placement": "", "evidence": evidence_table(run)}
+    if run.accuracy is not None:
+        out |= {"table": accuracy.table(run.accuracy), "placement": accuracy.placement(run.accuracy)}
+    return out
 
 
 def _scan(run: RunFolder) -> dict[str, Any]:
@@ -227,8 +236,6 @@ def _cloud_facts(run: RunFolder) -> dict[str, Any]:
     c = run.cloud
     assert c is not None
     rows = [("file", f"{c.name}, {formatting.size(c.bytes)}"), ("points", formatting.count(c.count))]
-    if np.isfinite(c.sigma_m).any():
-        rows.append(("median standard deviation of a point", formatting.length(float(np.nanmedian(c.sigma_m)))))
     if c.views.any():
         rows.append(("images that saw a point, median", formatting.number(float(np.median(c.views)), 2)))
     tables, notes = [], []
@@ -243,17 +250,21 @@ def _evaluation(run: RunFolder) -> dict[str, Any]:
     data = run.metrics or {}
     out: dict[str, Any] = {"there": bool(data), "metrics": None, "tables": [], "notes": data.get("notes") or []}
     rows = [
-        [metric_text(str(m["name"])), formatting.cell(m.get("value")), m.get("unit") or ""]
+        [
+            metric_text(str(m["name"])),
+            marked(f"metrics.{m['name']}", formatting.cell(m.get("value"))),
+            m.get("unit") or "",
+        ]
         for m in data.get("metrics") or []
         if isinstance(m, dict) and "name" in m
     ]
     if rows:
-        body = tuple(tuple(str(v) for v in r) for r in rows)
-        out["metrics"] = formatting.Table(("figure", "value", "unit"), body, (False, True, False))
+        out["metrics"] = formatting.Table(("figure", "value", "unit"), tuple(map(tuple, rows)), (False, True, False))
     tables = data.get("tables") or {}
     # who is registered stands in the model section
     shown = {n: d for n, d in tables.items() if not n.startswith("registered by")}
-    out["tables"] = [t for n, d in shown.items() if (t := formatting.table(d, n.capitalize())) is not None]
+    named = ((n, formatting.table(d, n.capitalize(), f"tables.{n}")) for n, d in shown.items())
+    out["tables"] = [t for _, t in named if t is not None]
     against = (tables.get("cloud against reference") or {}).get("rows")
     out["shares"] = charts.shares(against) if against else None
     out["map"] = file_uri(run.path / "evaluate" / "m3c2.png") if against else None
@@ -294,7 +305,8 @@ def _effort(run: RunFolder) -> dict[str, Any]:
     body = []
     for stage, wall, cpu, peak in rows:
         counts = run.counts(stage)
-        text = ", ".join(f"{formatting.cell(v)} {str(k).replace('_', ' ')}" for k, v in counts.items())
+        whole = {k: v for k, v in counts.items() if isinstance(v, int)}  # what is no number of things stands elsewhere
+        text = ", ".join(f"{formatting.count(v)} {str(k).replace('_', ' ')}" for k, v in whole.items())
         body.append((stage, formatting.seconds(wall), formatting.seconds(cpu), formatting.count(peak), text))
     columns = ("stage", "wall time", "CPU time", "peak MiB", "counts")
     table = formatting.Table(columns, tuple(body), (False, True, True, True, False)) if body else None
@@ -306,9 +318,14 @@ def _effort(run: RunFolder) -> dict[str, Any]:
     return {
         "chart": charts.stage_times(rows) if rows else None,
         "table": table,
-        "settings": [(s, [(k, formatting.cell(v)) for k, v in values.items()]) for s, values in settings],
+        "settings": [(s, [(k, formatting.cell(_named(v))) for k, v in values.items()]) for s, values in settings],
         "software": sorted(software.items()),
     }
+
+
+def _named(value: Any) -> Any:
+    """A setting that is a path by the name of what it names: where it lies on the maker's machine is nobody's."""
+    return Path(value).name if isinstance(value, str) and Path(value).is_absolute() else value
 
 
 def _flat(name: str, values: dict) -> dict[str, Any]:
@@ -325,5 +342,7 @@ def _tables(receipt: dict, prefix: str = "") -> list[formatting.Table]:
         return []
     found = {n: t for n, t in found.items() if n != EVIDENCE}
     # the funnel is drawn and printed from the pair table, up to the verified pairs
-    named = ((f"{prefix}: {n}" if prefix else n.capitalize(), data) for n, data in found.items() if n != "funnel")
-    return [t for n, data in named if (t := formatting.table(data, n.replace("_", " "))) is not None]
+    named = {n: f"{prefix}: {n}" if prefix else n.capitalize() for n in found if n != "funnel"}
+    key = f"receipts.{receipt.get('stage')}"
+    tables = (formatting.table(found[n], title.replace("_", " "), f"{key}.{n}") for n, title in named.items())
+    return [t for t in tables if t is not None]

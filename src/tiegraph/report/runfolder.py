@@ -6,6 +6,7 @@ import json
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -15,6 +16,7 @@ from pydantic import ValidationError
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
+from tiegraph.scene.accuracy import Accuracy
 from tiegraph.scene.colmapmodel import is_model, matrix
 from tiegraph.scene.colmapmodel import read_model as read_reconstruction
 from tiegraph.scene.pairs import Pairs
@@ -30,7 +32,7 @@ STAGES = (
     "scan", "masks", "preview", "candidates", "coarse", "network", "design", "features", "match", "filter", "sparse",
     "georef", "refine", "dense", "cloud", "evaluate", "report",
 )  # fmt: skip
-_WORLD_NAMES = {"scale_from": "scale_source", "residual_rms_m": "rms_m", "heldout_rms_m": "held_out_rms_m"}
+_WORLD_NAMES = {"scale_from": "scale_source"}
 
 
 @dataclass(frozen=True)
@@ -125,6 +127,12 @@ class RunFolder:
     def georeferenced(self) -> bool:
         """Whether world coordinates are on the Earth."""
         return bool(self.world and self.world.get("crs"))
+
+    @cached_property
+    def accuracy(self) -> Accuracy | None:
+        """The accuracy of the run; None if it has not been evaluated."""
+        said = (self.metrics or {}).get("accuracy")
+        return None if said is None else Accuracy.from_dict(said)
 
     @property
     def metric(self) -> bool:

@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from tiegraph.report import formatting, georeference
+from tiegraph.report import accuracy, formatting, georeference
 from tiegraph.report.contradictions import about, contradictions
-from tiegraph.report.formatting import Table, is_number, scalar
+from tiegraph.report.formatting import Table, is_number
 from tiegraph.report.runfolder import STAGES, RunFolder
 from tiegraph.report.warnings import warnings, weak_placement
 from tiegraph.scene.registered import BY_RIG
-from tiegraph.text import known_to
 
 GOOD_SHARE, POOR_SHARE = 0.95, 0.6  # of the images registered
 
@@ -52,7 +51,10 @@ def verdict(run: RunFolder) -> Verdict:
         )
     registered, total = int(run.model.registered.sum()), len(run.scene)
     share = registered / max(total, 1)
-    serious = run.model.others or (run.done("georef") and not run.georeferenced) or weak_placement(run)
+    answer = run.accuracy.answer if run.accuracy is not None else None
+    unplaced = run.done("georef") and not run.georeferenced
+    open_question = answer is not None and answer.said != "yes"
+    serious = any((run.model.others, unplaced, weak_placement(run), open_question))
     level = "poor" if share < POOR_SHARE else "check" if share < GOOD_SHARE or serious else "good"
     level = "doubtful" if said and level != "poor" else level
     headline = {
@@ -61,7 +63,9 @@ def verdict(run: RunFolder) -> Verdict:
         "check": "The survey is usable with care",
         "poor": "A large part of the survey is missing",
     }[level]
-    sentences = (_registered_sentence(run, registered, total), _world_sentence(run), *_accuracy_sentences(run))
+    of_world = georeference.sentences(run.world or {})
+    said_of_model = (_registered_sentence(run, registered, total), _world_sentence(run), *of_world)
+    sentences = (*_accuracy_sentences(run), *said_of_model)
     return Verdict(
         level=level,
         headline=headline,
@@ -149,89 +153,14 @@ def crs_text(crs: Any, origin: Any = None) -> str:
 
 
 def _accuracy_sentences(run: RunFolder) -> list[str]:
-    world, out = run.world or {}, []
-    residual = residual_text(world.get("residual_rms_m"))
-    if residual:
-        source = source_text(world.get("scale_from")) or "the given positions"
-        rows = [r for r in world.get("frames") or [] if isinstance(r, dict)]
-        used = sum(bool(r.get("inlier", True)) for r in rows)
-        over = f" over {formatting.plural(used, 'frame')}" if used else ""
-        if used < len(rows):
-            over += f"; {len(rows) - used} more were taken for outliers"
-        source = source_text(run.scene.prior) if run.scene is not None and run.scene.prior != "none" else source
-        text = f"The cameras fit {source} with residuals of {residual} (root mean square{over})"
-        held = residual_text(world.get("heldout_rms_m"))
-        if held:
-            text += f"; positions left out of the fit are met within {held}, which is an independent check"
-        out.append(text + ".")
-    out += georeference.sentences(world)
-    sigma = sigma_text(world.get("sigma"))
-    if sigma:
-        text = f"Expected error of the placement (1 sigma, from the scatter of these residuals): {sigma}."
-        inside = (world.get("model_sigma") or {}).get("median")
-        if is_number(inside):
-            text += (
-                f" Inside the model a camera is known to {formatting.length(inside)} (median of the bundle adjustment)."
-            )
-        out.append(text)
-    known = metric_values(run)
-    if "ate_se3_rmse" in known:
-        text = (
-            f"Against the reference poses the cameras are off by {formatting.length(known['ate_se3_rmse'])} (RMSE, "
-            f"rigid "
-        )
-        text += f"alignment), {formatting.length(known.get('ate_sim3_rmse'))} with the scale set free"
-        if "absolute_rmse" in known:
-            text += f", {formatting.length(known['absolute_rmse'])} without any alignment"
-        out.append(text + ".")
-    if "cloud_to_cloud_median" in known:
-        half, most = (
-            formatting.length(known["cloud_to_cloud_median"]),
-            formatting.length(known.get("cloud_to_cloud_90")),
-        )
-        out.append(f"Half of the cloud lies within {half} of the reference cloud, 90 % within {most}.")
-    if not out and run.done("georef"):
-        out.append("Nothing independent is there to state an accuracy from: no GNSS residuals and no reference.")
-    return out
-
-
-def residual_text(value: Any) -> str:
-    """Residuals per axis or as one number, in words; "" if unknown."""
-    if isinstance(value, dict):
-        parts = [
-            f"{formatting.length(v)} {k.replace('_m', '').replace('_', ' ')}" for k, v in value.items() if is_number(v)
-        ]
-        return ", ".join(parts)
-    if isinstance(value, (list, tuple)) and len(value) == 3 and all(is_number(v) for v in value):
-        return ", ".join(f"{formatting.length(v)} {n}" for v, n in zip(value, ("east", "north", "up")))
-    return formatting.length(value) if is_number(value) else ""
-
-
-def sigma_text(value: Any) -> str:
-    """Standard deviations with their units read from the names (..._m, ..._deg, ..._ppm); "" if unknown."""
-    if not isinstance(value, dict):
-        return residual_text(value)
-    parts = []
-    for name, v in value.items():
-        base, _, unit = name.rpartition("_")
-        if isinstance(v, (list, tuple)) and len(v) == 3 and unit in ("m", ""):
-            parts.append(f"{(base or name).replace('_', ' ')} {residual_text(v)}")
-        elif is_number(v) and unit == "m":
-            parts.append(f"{base.replace('_', ' ')} {formatting.length(v)}")
-        elif is_number(v) and unit in ("deg", "ppm"):
-            base = "heading" if base == "yaw" else base.replace("_", " ")
-            most, unit = (90, "°") if unit == "deg" else (1e6, " ppm")
-            parts.append(f"{base} {known_to(v, most, formatting.number(v, 2) + unit).removeprefix('known to ')}")
-        elif is_number(v) and name == "scale":
-            parts.append(f"scale {known_to(v, 1, formatting.number(100 * v, 2) + ' %').removeprefix('known to ')}")
-        elif is_number(v):
-            parts.append(f"{name.replace('_', ' ')} {formatting.number(v, 2)}")
-    return "; ".join(parts)
+    if run.accuracy is not None:
+        return [*accuracy.sentences(run.accuracy)]
+    return ["How good it is has not been evaluated yet: `tiegraph evaluate` says so."] if run.done("georef") else []
 
 
 def tiles(run: RunFolder) -> list[Tile]:
     """The numbers at the top."""
-    out = []
+    out = [Tile(*t) for t in accuracy.tiles(run.accuracy)] if run.accuracy is not None else []
     if run.scene is not None:
         n = len(run.scene)
         used = f"{int(run.model.registered.sum())} / {n}" if run.model is not None else formatting.count(n)
@@ -247,12 +176,6 @@ def tiles(run: RunFolder) -> list[Tile]:
             out.append(Tile(f"{formatting.number(run.model.figures.reprojection_px, 2)} px", "mean reprojection error"))
     if run.cloud is not None:
         out.append(Tile(formatting.count(run.cloud.count), "points in the cloud"))
-    residual = scalar((run.world or {}).get("residual_rms_m"))
-    if residual is not None:
-        out.append(Tile(formatting.length(residual), "residual to the positions (RMS)"))
-    known = metric_values(run)
-    if "ate_se3_rmse" in known:
-        out.append(Tile(formatting.length(known["ate_se3_rmse"]), "error against reference poses"))
     total = sum(r.get("seconds") or 0 for r in run.receipts.values())
     if total:
         out.append(Tile(formatting.seconds(total), "computing time"))

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
+from markupsafe import Markup
 
 from tiegraph.report import formatting
-from tiegraph.report.formatting import is_number, scalar
+from tiegraph.report.accuracy import placement_part
+from tiegraph.report.formatting import is_number
 from tiegraph.report.runfolder import RunFolder
 
-_WEAK = {"yaw_deg": (1.0, "heading", "°"), "tilt_deg": (1.0, "tilt", "°"), "scale": (0.01, "scale", "")}
+_WEAK = {"yaw_deg": 1.0, "tilt_deg": 1.0, "scale": 0.01}
 _FEW_TIES = 3  # an image with fewer ties hangs loosely
 _HELDOUT_FACTOR = 2.0  # held-out positions this much worse than those used: the model bends to its control
 
@@ -41,11 +43,12 @@ def warnings(run: RunFolder) -> Iterable[str]:
         yield "The model is not georeferenced: give --gnss (or images with GPS) for coordinates on the Earth."
     weak = weak_placement(run)
     if weak:
-        yield f"The placement in the world is weak: known only in {weak}. More or better positions along the way help."
-    held, fit = scalar(world.get("heldout_rms_m")), scalar(world.get("residual_rms_m"))
-    if held is not None and fit is not None and held > _HELDOUT_FACTOR * fit:
-        text = f"Positions left out of the fit are met {formatting.number(held / fit, 2)} times worse than those used"
-        yield text + ": the model bends towards its control."
+        text = "The placement in the world is weak: {}. More or better positions along the way help."
+        yield Markup(text).format(weak)
+    if run.accuracy is not None:
+        held, fit = (run.accuracy.figure(f"world.{name}").measured for name in ("held_out", "positions"))
+        if held > _HELDOUT_FACTOR * fit:
+            yield "Positions held back from the fit are met far worse than those used: the model bends to its control."
 
 
 def _untied_borders(run: RunFolder) -> int:
@@ -81,19 +84,12 @@ def _coverage_warnings(run: RunFolder) -> Iterable[str]:
             )
 
 
-def weak_placement(run: RunFolder) -> str:
+def weak_placement(run: RunFolder) -> Markup:
     """What of the placement in the world is poorly known, in words; "" if nothing."""
-    sigma = (run.world or {}).get("sigma")
-    if not isinstance(sigma, dict):
-        return ""
-    parts = []
-    for name, (limit, text, unit) in _WEAK.items():
-        value = sigma.get(name, 0.0)
-        if is_number(value) and value > limit:
-            parts.append(
-                f"{text} to {formatting.number(value, 2)}{unit}" if unit else f"{text} to {formatting.percent(value)}"
-            )
-    return ", ".join(parts)
+    if run.accuracy is None:
+        return Markup()
+    weak = [name for name, limit in _WEAK.items() if run.accuracy.placement.get(name, 0.0) > limit]
+    return Markup(", ").join(placement_part(run.accuracy, name) for name in weak)
 
 
 def dropped_images(run: RunFolder) -> list[tuple[str, str]]:

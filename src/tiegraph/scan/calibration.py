@@ -17,8 +17,8 @@ import pycolmap
 
 from tiegraph.errors import InputError
 from tiegraph.scan.assign import Survey, some
-from tiegraph.scan.priors.poses import images_by_name
-from tiegraph.scan.priors.startmodel import StartModel
+from tiegraph.scan.priors.priors.poses import images_by_name
+from tiegraph.scan.priors.priors.startmodel import StartModel
 from tiegraph.scan.rigfiles.camerafile import PROGRAMS, check_lens, in_words, read_camera_file
 from tiegraph.scan.rigfiles.cameraread import FoundCamera, only_one
 from tiegraph.scan.rigfiles.rigfile import camera_table
@@ -103,7 +103,7 @@ def _takers(
         raise InputError(f"{given.at}: the rig file gives a camera for {sensor.name!r} too: leave one of the two away")
     others = [s.name for k, (s, _) in sensors.items() if k != key]
     if others:
-        notes.append(f"{given.at}: taken for {sensor.name}; {len(others)} other cameras keep what EXIF says")
+        notes.append(f"{Path(given.at).name}: taken for {sensor.name}; {len(others)} other cameras keep what EXIF says")
     camera = {
         n: getattr(given, n) for n in ("model", "size", "params", "focal_px", "hfov_deg", "camera_sigma_px", "at")
     }

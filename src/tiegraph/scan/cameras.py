@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pycolmap
@@ -78,21 +79,21 @@ def _file_camera(
     if spec.params is not None and spec.model is not None:
         return _from_params(spec.model, spec.params, spec, facts, spec.at if spec.started else file, tuning)
     model = spec.model or _default_model(spec, facts, settings)
-    fisheye = "FISHEYE" in model
+    fisheye, named = "FISHEYE" in model, Path(file).name  # where it lies on this machine is nobody's
     width, height = facts.size
     if spec.focal_px is not None:
         scale = _scale(spec, facts, file, tuning)
         wrong = focal_fault(spec.focal_px * scale, width, fisheye, tuning)
         if wrong:
             raise InputError(f"{spec.at or file}: sensor {spec.name!r}: {wrong}")
-        return _camera(model, spec.focal_px * scale, facts, True), f"focal length from {file}{_scaled(scale)}"
+        return _camera(model, spec.focal_px * scale, facts, True), f"focal length from {named}{_scaled(scale)}"
     if spec.hfov_deg is not None and file:
         if not fisheye and not tuning.min_fov_deg <= spec.hfov_deg <= tuning.max_fov_deg:
             raise InputError(
                 f"{spec.at or file}: sensor {spec.name!r}: hfov_deg = {spec.hfov_deg:g}: a {model} image sees "
                 f"{tuning.min_fov_deg:g} to {tuning.max_fov_deg:g} degrees; give a fisheye model?"
             )
-        return _camera(model, _from_hfov(spec.hfov_deg, width, fisheye), facts, True), f"field of view from {file}"
+        return _camera(model, _from_hfov(spec.hfov_deg, width, fisheye), facts, True), f"field of view from {named}"
     if np.isfinite(facts.focal_px):
         return _camera(model, facts.focal_px, facts, True), "focal length from EXIF"
     if spec.hfov_deg is not None:
@@ -123,7 +124,8 @@ def _from_params(
     if (width, height) != facts.size:
         camera.rescale(*facts.size)
     camera.has_prior_focal_length = True
-    origin = "an exact view of the panoramas" if spec.of_panorama else f"camera from {file or 'its circle, a guess'}"
+    named = Path(file).name or "its circle, a guess"
+    origin = "an exact view of the panoramas" if spec.of_panorama else f"camera from {named}"
     return camera, f"{origin}{_scaled(scale)}"
 
 

@@ -103,19 +103,20 @@ def undate(path: Path) -> None:
         file.write(bytes(4))
 
 
-def write_ply(clouds: Cloud | Iterable[Cloud], path: Path) -> tuple[str, ...]:
-    """Write binary little-endian PLY, positions as double; CRS and shift stand in comments. The positions are the
-    file's CRS coordinates. Raises TiegraphError when the disk is full."""
+def write_ply(clouds: Cloud | Iterable[Cloud], path: Path, said: str = "") -> tuple[str, ...]:
+    """Write binary little-endian PLY, positions as double; CRS, shift and what is ``said`` (ASCII) stand in comments.
+
+    The positions are the file's CRS coordinates. Raises TiegraphError when the disk is full."""
     parts, first = _parts(clouds)
     shift = shift_of(first.origin)
     with replacing(path) as temporary, open(temporary, "wb") as out:
-        out.write(_ply_header(first.origin, 0))
+        out.write(_ply_header(first.origin, 0, said))
         count = 0
         for part in chain([first], parts):
             out.write(_ply_rows(part, shift).tobytes())
             count += len(part)
         out.seek(0)
-        out.write(_ply_header(first.origin, count))
+        out.write(_ply_header(first.origin, count, said))
     return () if first.origin is None or first.origin.crs != ENU else (_enu_note(first.origin),)
 
 
@@ -142,12 +143,14 @@ def _enu_note(origin: Origin) -> str:
 
 
 def las_header(
-    first: Cloud, spacing: float | None, extra: Sequence[tuple[str, str]] = _EXTRA
+    first: Cloud, spacing: float | None, said: str = "", extra: Sequence[tuple[str, str]] = _EXTRA
 ) -> tuple[laspy.LasHeader, tuple[str, ...]]:
-    """Header of LAS 1.4 for clouds such as the first part, and remarks; see ``write_cloud``. ``extra``: names and types
-    of the extra dimensions."""
+    """Header of LAS 1.4 for clouds such as the first part, and remarks; see ``write_cloud``. What is ``said`` (ASCII)
+    stands in the record that the standard has for text. ``extra``: names and types of the extra dimensions."""
     header = laspy.LasHeader(point_format=7, version="1.4")
     header.generating_software = "tiegraph"
+    if said:
+        header.vlrs.append(laspy.VLR("LASF_Spec", 3, "text area", said.encode("ascii") + b"\0"))
     header.add_extra_dims([laspy.ExtraBytesParams(name, kind) for name, kind in extra])
     offset = shift_of(first.origin)
     middle = first.xyz_m.mean(axis=0) if len(first) else np.zeros(3)
@@ -237,8 +240,9 @@ def _origin_of(header: laspy.LasHeader, xyz: np.ndarray) -> Origin | None:
     return Origin(lat_deg=float(lat), lon_deg=float(lon), height_m=float(height), crs=name, shift_m=draft.shift_m)
 
 
-def _ply_header(origin: Origin | None, count: int) -> bytes:
+def _ply_header(origin: Origin | None, count: int, said: str) -> bytes:
     lines = ["ply", "format binary_little_endian 1.0", "comment tiegraph"]
+    lines += [f"comment {said}"] if said else []
     if origin is None:
         lines.append("comment crs none (the model's own frame and scale)")
     else:

@@ -75,16 +75,19 @@ def _beginnings(keys: np.ndarray) -> np.ndarray:
     return np.flatnonzero(np.r_[True, (np.diff(keys, axis=0) != 0).any(axis=1)][: len(keys)])
 
 
-def write_copc(parts: Callable[[], Iterator[Cloud]], path: Path, spacing: float, scratch: Path) -> tuple[str, ...]:
+def write_copc(
+    parts: Callable[[], Iterator[Cloud]], path: Path, spacing: float, scratch: Path, said: str = ""
+) -> tuple[str, ...]:
     """Write a cloud as COPC: any reader of LAZ 1.4 reads it, viewers show it without loading all of it.
 
     ``parts()`` gives the cloud part by part, each time it is called; ``spacing`` of the points (units of the world)
     sets how deep the octree is. Memory is that of one part and a batch of nodes; the folder ``scratch`` holds the
-    records once more while it is written. Returns remarks as ``write_cloud``. Raises TiegraphError for a full disk.
+    records once more while it is written; ``said`` (ASCII) stands in its header. Returns remarks as ``write_cloud``.
+    Raises TiegraphError for a full disk.
     """
     whole = _extent(parts())
     first, low, high = whole.first, whole.low, whole.high
-    header, notes = las_header(first, spacing)
+    header, notes = las_header(first, spacing, said)
     if not whole.count:
         low, high = np.zeros(3), np.ones(3)
     low, high = (v + shift_of(first.origin) for v in (low, high))

@@ -36,7 +36,7 @@ def write_measured(parts: Iterable[Measured], path: Path, origin: Origin | None,
         return 0
     empty = Cloud.empty(origin)
     cloud = Cloud(**{**empty.__dict__, "xyz_m": first.xyz})
-    header, _ = las_header(cloud, spacing, [(name, "f4") for name in first.columns])
+    header, _ = las_header(cloud, spacing, extra=[(name, "f4") for name in first.columns])
     count = 0
     with replacing(path) as temporary:
         with laspy.open(temporary, mode="w", header=header, do_compress=path.suffix.lower() == ".laz") as out:

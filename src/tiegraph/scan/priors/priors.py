@@ -13,11 +13,11 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.align import robust_umeyama
 from tiegraph.geometry.geodesy import ENU, parse_crs
 from tiegraph.geometry.transforms import interpolate, rigid
-from tiegraph.scan.priors.poses import poses_by_image
-from tiegraph.scan.priors.positions import Frames, Priors, body_of, from_exif, from_gnss
-from tiegraph.scan.priors.startmodel import StartModel
-from tiegraph.scan.priors.times import exif_times, name_times, read_times
-from tiegraph.scan.priors.trajectory import read_trajectory, same_start, trajectory_files
+from tiegraph.scan.priors.priors.poses import poses_by_image
+from tiegraph.scan.priors.priors.positions import Frames, Priors, body_of, from_exif, from_gnss
+from tiegraph.scan.priors.priors.startmodel import StartModel
+from tiegraph.scan.priors.priors.times import exif_times, name_times, read_times
+from tiegraph.scan.priors.priors.trajectory import read_trajectory, same_start, trajectory_files
 from tiegraph.scan.rigfiles.rigspec import AXES
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import TimesTuning, TrajectoryTuning, Tuning
@@ -199,8 +199,9 @@ def _of_start(frames: Frames, start: StartModel, notes: list[str], tuning: Traje
     unknown = np.full(len(start.poses), np.nan)
     trajectory = Trajectory(unknown, np.array(list(start.poses.values())), unknown, names=tuple(start.poses))
     without = f", {start.unposed} of its images have no pose" if start.unposed else ""
+    named = f"{start.path.parent.name}/{start.path.name}"  # sparse/0
     notes.append(
-        f"start model of {start.program}, {start.path}{without}: its poses choose pairs and are tested against the "
+        f"start model of {start.program}, {named}{without}: its poses choose pairs and are tested against the "
         "images; its unit and its place are not taken over"
     )
     notes += start.notes

@@ -166,7 +166,7 @@ class BagFilm:
         if info is None:
             return None, ""
         message, _ = next(self._bag.messages(info))
-        where = shown(self._bag.path, info.name)
+        where = shown(Path(self._bag.path.name), info.name)
         try:
             found = _camera(message, where, rectified=parts[-1].startswith("image_rect"))
             if found is not None and found.size is not None and found.size != size:

@@ -32,6 +32,20 @@ _AXES = ("east", "north", "up")
 
 
 @dataclass(frozen=True)
+class HeldOut:
+    """Every fifth fix, of frames and between them, as the last fit that did not know it meets it; no outliers of the
+    full fit."""
+
+    residual_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))  # (H, 3)
+    sigma_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))  # (H, 3) that they are believed with
+
+    def to_dict(self) -> dict:
+        """JSON-ready: how many, root mean square per axis, and of the sigmas together, metres."""
+        sigma = float(np.sqrt(np.mean(np.sum(self.sigma_m**2, axis=1)))) if len(self.sigma_m) else None
+        return {"count": len(self.residual_m), "rms_m": _rms(self.residual_m), "sigma_m": sigma}
+
+
+@dataclass(frozen=True)
 class Residuals:
     """Model minus measured positions: east, north, up, metres. Columns (F, ...) follow the scene's frames."""
 
@@ -39,14 +53,15 @@ class Residuals:
     inlier: np.ndarray  # (F,) positions the fit believes
     held_out_m: np.ndarray  # (F, 3) of every fifth position, from a fit that did not know it; NaN = others
     fixes_m: np.ndarray  # (K, 3) of all fixes of the placing
+    held: HeldOut
 
     def rms_m(self) -> dict[str, float]:
         """Root mean square of the believed residuals per axis, metres."""
         return _rms(self.frames_m[self.inlier])
 
     def held_out_rms_m(self) -> dict[str, float]:
-        """The same of the held-out positions that are not outliers of the full fit."""
-        return _rms(self.held_out_m[self.inlier & np.isfinite(self.held_out_m).all(axis=1)])
+        """The same of the fixes held back."""
+        return _rms(self.held.residual_m)
 
 
 @dataclass(frozen=True)
@@ -144,7 +159,7 @@ class Georeference:
             "positions": len(rows),
             "inliers": int(residuals.inlier.sum()),
             "rms_m": residuals.rms_m(),
-            "held_out_rms_m": residuals.held_out_rms_m(),
+            "held_out": residuals.held.to_dict(),
             "sigma": self.uncertainty.sigma,
             "antenna_m": None if antenna_m is None else list(antenna_m),
             "clock_offset_s": round(self.receiver.offset_s, 4),
@@ -206,13 +221,15 @@ def _placed(placing: SimilarityFit, view: Model, scene: Scene, given: Measuremen
     has = np.flatnonzero(at >= 0)
     residual, held_out = np.full((scene.frames, 3), np.nan), np.full((scene.frames, 3), np.nan)
     residual[has] = here[at[has]]
-    inlier = np.zeros(scene.frames, bool)
+    inlier, held_fixes = np.zeros(scene.frames, bool), HeldOut()
     inlier[has] = fit.inlier[at[has]]
     if placing.held_out is not None:
         blind = placing.held_out
         off = evidence.position_residuals(blind.similarity, blind.arm.place, blind.clock.offset_s)
         held = has[fixes.held[at[has]]]
         held_out[held] = off[at[held]]
+        good = fixes.held & fit.inlier[:count]
+        held_fixes = HeldOut(off[:count][good], (fixes.sigma * placing.factor[:, None])[good])
     order = np.lexsort(
         (scene.sequence_index[fixes.home], scene.sequence[fixes.home])
     )  # control points stay in every part
@@ -222,7 +239,7 @@ def _placed(placing: SimilarityFit, view: Model, scene: Scene, given: Measuremen
         world_from_model=fit.similarity,
         scale_source=_scale_source(placing, scene, view, count),
         origin=scene.origin or (given.control.origin if given.control is not None else None),
-        residuals=Residuals(frames_m=residual, inlier=inlier, held_out_m=held_out, fixes_m=here[:count]),
+        residuals=Residuals(residual, inlier, held_out_m=held_out, fixes_m=here[:count], held=held_fixes),
         findings=Findings((*placing.notes, *_remarks(placing, scene), *lines)),
         uncertainty=Uncertainty(sigma, fit.error.widened_to(sigma)),
         receiver=applied_receiver(fit.arm.place, fit.clock.offset_s),
@@ -338,7 +355,7 @@ def _levelled(scene: Scene, up: Up | None, scale: RigScale | None, why: str) -> 
         scale_source=source,
         origin=None,
         residuals=Residuals(
-            frames_m=empty, inlier=np.zeros(scene.frames, bool), held_out_m=empty, fixes_m=np.zeros((0, 3))
+            empty, np.zeros(scene.frames, bool), held_out_m=empty, fixes_m=np.zeros((0, 3)), held=HeldOut()
         ),
         findings=Findings(tuple(notes), (*rig_statement(scale, here, True), *up_statements(up, here, True))),
     )

@@ -19,7 +19,7 @@ from tiegraph.sfm.tuning import Tuning
 from tiegraph.sfm.verified import VerifiedMatches, read_verified
 from tiegraph.sfm.world import worldadjust
 from tiegraph.sfm.world.fixes import Fixes, Measurements
-from tiegraph.sfm.world.georef import Georeference, applied_receiver, georeference, row_of_frames
+from tiegraph.sfm.world.georef import Georeference, HeldOut, applied_receiver, georeference, row_of_frames
 from tiegraph.sfm.world.marks import marked, point_table, targets
 from tiegraph.sfm.world.oneworld import ByPositions, OneWorld, one_world
 from tiegraph.sfm.world.scale import relaxed
@@ -68,7 +68,8 @@ def _georeferenced(
         why = "a rig is relaxed, and only points would hold its cameras to the one that has the positions"
         return _with(first, f"the similarity stays, a bundle adjustment with the positions was refused: {why}"), world
     constraints = _constraints(world, scene, first, placing, tuning, given, held)
-    checked, why = _check(world, scene, placing, constraints)
+    check = _check(world, scene, placing, constraints)
+    checked, why = check.good, check.why
     if not checked and settings.adjust == "auto":
         return _with(first, f"the similarity stays, a bundle adjustment with the positions was refused: {why}"), world
     bounds = tuning.world.adjustment
@@ -76,7 +77,10 @@ def _georeferenced(
     if made.after_px > bounds.worse_pixels * made.before_px and settings.adjust == "auto":
         text = f"the images fit worse with it ({made.before_px:.3f} -> {made.after_px:.3f} px)"
         return _with(first, f"the similarity stays, a bundle adjustment with the positions was refused: {text}"), world
-    return _adjusted(first, made, model, world, scene, given, why), made.model
+    adjusted = _adjusted(first, made, model, world, scene, given, why)
+    if check.held is not None:
+        adjusted = replace(adjusted, residuals=replace(adjusted.residuals, held=check.held))
+    return adjusted, made.model
 
 
 @dataclass(frozen=True)
@@ -152,9 +156,16 @@ def _constraints(
     )
 
 
-def _check(
-    world: pycolmap.Reconstruction, scene: Scene, placing: SimilarityFit, constraints: Constraints
-) -> tuple[bool, str]:
+@dataclass(frozen=True)
+class _Check:
+    """Whether an adjustment may be kept, why, and how it meets the positions it did not know."""
+
+    good: bool
+    why: str
+    held: HeldOut | None = None
+
+
+def _check(world: pycolmap.Reconstruction, scene: Scene, placing: SimilarityFit, constraints: Constraints) -> _Check:
     """Whether an adjustment without the held-out positions meets them at least as well as such a similarity; and how.
 
     The model starts from the similarity that did not know them either.
@@ -163,8 +174,8 @@ def _check(
     out = np.flatnonzero(fixes.held)
     if blind is None or len(out) < bounds.min_held:
         if len(placing.points) and not len(fixes):
-            return True, "control points only: nothing was held out"
-        return False, "too few positions to hold some back as a check"
+            return _Check(True, "control points only: nothing was held out")
+        return _Check(False, "too few positions to hold some back as a check")
     start = pycolmap.Reconstruction(world)
     start.transform(_between(placing.fit.similarity, blind.similarity))
     keep = ~fixes.held
@@ -180,13 +191,9 @@ def _check(
     before = worldadjust.residuals(start, scene, held, blind.arm.place, blind.clock.offset_s) / sigma
     after = worldadjust.residuals(made.model, scene, held, made.antenna, made.offset_s) / sigma
     a, b = _score(before, bounds.clip_sigmas), _score(after, bounds.clip_sigmas)
-    most = (bounds.clip_sigmas * held.sigma) ** 2
-    lengths = [float(np.sqrt(np.mean(np.minimum(r**2, most)))) for r in (after * sigma, before * sigma)]
-    text = (
-        f"{len(out)} positions held back are met within {lengths[0]:.3f} m ({b:.2f} of their sigmas), "
-        f"with the similarity {lengths[1]:.3f} m ({a:.2f})"
-    )
-    return b <= bounds.not_worse * a, text
+    believed = placing.fit.inlier[out]
+    text = f"{len(out)} positions held back are met within {b:.2f} of their sigmas, with the similarity {a:.2f}"
+    return _Check(b <= bounds.not_worse * a, text, HeldOut((after * sigma)[believed], sigma[believed]))
 
 
 def _score(residual: np.ndarray, clip: float) -> float:
@@ -229,7 +236,7 @@ def _adjusted(
     moved = np.linalg.norm(_centres(world, scene) - _centres(made.model, scene), axis=1)
     note = (
         f"adjusted with the positions: frames moved by {np.nanmedian(moved):.3f} m (at most {np.nanmax(moved):.3f} m), "
-        f"reprojection {made.before_px:.3f} -> {made.after_px:.3f} px; {why}"
+        f"reprojection {made.before_px:.3f} -> {made.after_px:.3f} px"
     )
     adjusted = replace(
         first,
@@ -239,7 +246,7 @@ def _adjusted(
         control=control,
         adjusted=True,
     )
-    return _with(adjusted, note)
+    return _with(_with(adjusted, note), f"check of this adjustment: {why}")
 
 
 def _centres(model: pycolmap.Reconstruction, scene: Scene) -> np.ndarray:

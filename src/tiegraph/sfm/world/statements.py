@@ -55,14 +55,15 @@ def with_statements(found: Georeference, scene: Scene, model_sigma_m: float, tar
         sentences.append(text)
     sentences += _levels(found, bool(forms))
     sentences += _control(found, targets)
-    sentences += _check_points(found, model_sigma_m, targets)
     error = known.error.widened_to(sigma) if known.error is not None else None
+    found = _with_predicted(replace(found, uncertainty=Uncertainty(sigma, error)), model_sigma_m, targets)
+    sentences += _check_points(found, model_sigma_m, targets)
     findings = Findings(
         notes=(*found.findings.notes, *_rests_on(found, scene)),
         statements=tuple(said),
         contradictions=tuple(sentences),
     )
-    return replace(found, uncertainty=Uncertainty(sigma, error), findings=findings)
+    return replace(found, findings=findings)
 
 
 def statements(found: Georeference) -> list[Statement]:
@@ -258,16 +259,11 @@ def _check_points(found: Georeference, model_sigma_m: float, targets: list[Targe
     """Check points whose error is far beyond what was predicted."""
     given, placing = found.control.given, found.placing
     assert placing is not None
-    rows = [k for k, r in enumerate(found.control.rows) if r["role"] == "check" and r["off_m"] and not r["why_not"]]
-    error = found.uncertainty.error
-    if not rows or given is None or error is None:
+    rows, predicted = _points_known(found, "check", model_sigma_m, targets)
+    if not len(predicted) or given is None:
         return []
     off = np.array([found.control.rows[k]["off_m"] for k in rows], float)
-    spread = np.array([np.diag(targets[k].covariance) for k in rows])
-    known = error.sigma(given.world_m[rows])
-    inside = np.nan_to_num(model_sigma_m)
-    predicted = np.sqrt(given.sigma_m[rows] ** 2 + spread + known**2 + inside**2)
-    actual, expected = (float(np.sqrt(np.mean(np.sum(v**2, axis=1)))) for v in (off, predicted))
+    actual, expected = _root_mean_square(off), _root_mean_square(predicted)
     if actual <= placing.tuning.statements.scatter * expected:
         return []
     far = given.names[rows[int(np.argmax(np.linalg.norm(off / predicted, axis=1)))]]
@@ -275,3 +271,30 @@ def _check_points(found: Georeference, model_sigma_m: float, targets: list[Targe
         f"{len(rows)} check points and the model differ by {actual:.3g} m (RMSE), predicted {expected:.2g} m, most at "
         f"{far!r}: their coordinates, or what placed the model, are wrong by that"
     ]
+
+
+def _with_predicted(found: Georeference, model_sigma_m: float, targets: list[Target]) -> Georeference:
+    """The accuracies of control and check points with what is predicted of their differences (``predicted_m``)."""
+    accuracy = {}
+    for role, values in found.control.accuracy.items():
+        known = _points_known(found, role, model_sigma_m, targets)[1]
+        more = {"predicted_m": round(_root_mean_square(known), 4)} if len(known) else {}
+        accuracy[role] = {**values, **more}
+    return replace(found, control=replace(found.control, accuracy=accuracy))
+
+
+def _points_known(
+    found: Georeference, role: str, model_sigma_m: float, targets: list[Target]
+) -> tuple[list[int], np.ndarray]:
+    """Rows of the points of a role that are used, and sigmas (P, 3) of model minus survey; none where not placed."""
+    rows = [k for k, r in enumerate(found.control.rows) if r["role"] == role and r["off_m"] and not r["why_not"]]
+    given, error = found.control.given, found.uncertainty.error
+    if not rows or given is None or error is None:
+        return rows, np.zeros((0, 3))
+    spread = np.array([np.diag(targets[k].covariance) for k in rows])
+    known, inside = error.sigma(given.world_m[rows]), np.nan_to_num(model_sigma_m)
+    return rows, np.sqrt(given.sigma_m[rows] ** 2 + spread + known**2 + inside**2)
+
+
+def _root_mean_square(vectors: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))

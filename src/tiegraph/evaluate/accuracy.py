@@ -1,0 +1,221 @@
+"""The accuracy of a run in layers (``scene.accuracy``): what its stages predicted beside what references measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.spatial.distance import pdist
+
+from tiegraph.evaluate.clouds.nearest import CloudComparison
+from tiegraph.evaluate.trajectory import PoseMatch, TrajectoryError
+from tiegraph.evaluate.tuning import TrajectoryTuning
+from tiegraph.scene.accuracy import NAN, Accuracy, Figure
+
+POINT, POINT_90 = "a point of the cloud (median)", "nine in ten points of the cloud"
+_OWN = "the run's own account: an error that it does not know of is not in it"
+_NOT = {
+    "world": _OWN + "; what all positions share counts as stated",
+    "world.check_points": "anything away from the check points",
+    "world.reference_cloud": "what the reference does not show; its own errors count as this run's",
+    "world.reference_poses": "the cloud away from the cameras; the reference's own errors count as this run's",
+    "world.held_out": "an error that all positions share (base station, datum), nor frames without a position",
+    "world.control_points": "anything: the adjustment knew them",
+    "world.positions": "anything: the fit knew them",
+    "shape": _OWN,
+    "shape.measured": "the place in the world; the reference's own errors count as this run's",
+    "shape.rig": "the place of the rig as a whole",
+    "point": _OWN + "; not the place of the surface as a whole",
+    "point.reference_cloud": "the place in the world: both were laid on each other first, or the shape of the whole",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Predicted:
+    """Sigmas of a run, metres, NaN = not known: of a camera ``inside_m`` the model; of the scale (share; ``spread_m``:
+    of the cameras, root mean square from their middle); of what lies ``between`` two frames (K, 2: apart, sigma); of
+    the place of a camera in the world by what places the model; of a point of the cloud, and of it in the world: of
+    half of them, of nine in ten."""
+
+    inside_m: float = NAN
+    scale: float = NAN
+    spread_m: float = NAN
+    placed_m: float = NAN
+    point_m: float = NAN
+    world_m: float = NAN
+    world_90_m: float = NAN
+    between: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+
+    @property
+    def metric(self) -> bool:
+        """Whether the model has a scale that can be held against a reference's."""
+        return bool(np.isfinite(self.scale))
+
+    @property
+    def whole_m(self) -> float:
+        """Of a camera after the best alignment of the whole, the scale as it is."""
+        return float(np.hypot(self.inside_m, np.nan_to_num(self.spread_m * self.scale)))
+
+    def over_m(self, distance_m: float) -> float:
+        """Of what lies between two cameras so far apart; NaN beyond the survey."""
+        known = self.between
+        if not len(known) or not self.metric or not known[0, 0] <= distance_m <= np.sqrt(2) * known[-1, 0]:
+            return NAN
+        own = np.interp(np.log(distance_m), np.log(known[:, 0]), known[:, 1])
+        return float(np.hypot(own, distance_m * self.scale))
+
+    @property
+    def camera_m(self) -> float:
+        """Of a camera in the world."""
+        return float(np.hypot(np.nan_to_num(self.inside_m), self.placed_m))
+
+
+@dataclass(frozen=True)
+class Hold:
+    """What holds a run in the world: positions of how many of its frames, control points; and what checks it there."""
+
+    source: str = ""  # what its positions are, in words
+    positions: int = 0  # of frames, that the fit believes
+    frames: int = 0
+    covered: int = 0  # frames under a bridge that have none
+    control: int = 0  # points that the fit used
+    checks: int = 0  # points that it did not
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        parts = [f"{self.source} of {self.positions} of {self.frames} frames"] if self.positions else []
+        parts += [f"{self.control} control points"] if self.control else []
+        return " and ".join(parts) or "nothing"
+
+
+@dataclass(frozen=True, eq=False)
+class Stated:
+    """What the stages before say of a run: ``world`` is world.json, {} without; ``rig``: (scatter of the cameras about
+    their places in the rig, its expected value), metres."""
+
+    predicted: Predicted = Predicted()
+    hold: Hold = Hold()
+    world: Mapping[str, Any] = field(default_factory=dict)
+    rig: tuple[float, float] = (NAN, NAN)
+
+
+def in_layers(stated: Stated, measured: Iterable[Figure]) -> Accuracy:
+    """All figures of a run; ``measured``: those of its references. Layers in their order, what is predicted first, then
+    what is independent."""
+    own = {f.key: f for f in _own(stated)}
+    found = {**own, **{f.key: f for f in measured}}
+    order = {key: k for k, key in enumerate(_ORDER)}
+    unit = "m" if stated.predicted.metric else "units"
+    figures = tuple(sorted(found.values(), key=lambda f: order[f.key]))
+    return Accuracy(unit=unit, held_by=stated.hold.text, figures=figures, placement=stated.world.get("sigma") or {})
+
+
+_ORDER = (
+    "world", "world.nine_in_ten", "world.check_points", "world.reference_cloud", "world.reference_poses",
+    "world.held_out", "world.control_points", "world.positions", "shape.whole", "shape.10m", "shape.100m", "shape.rig",
+    "point", "point.reference_cloud",
+)  # fmt: skip
+
+
+def _own(stated: Stated) -> Iterator[Figure]:
+    """What the run says of itself: predictions, and what the fit's own inputs tell."""
+    predicted, world = stated.predicted, stated.world
+    placed = world.get("placed", False)
+    if placed:
+        yield _figure("world", POINT, predicted.world_m)
+        yield _figure("world.nine_in_ten", POINT_90, predicted.world_90_m, proof="world")
+    for key, role, name in (("check_points", "check", "check"), ("control_points", "gcp", "control")):
+        found = (world.get("accuracy") or {}).get(role)
+        if found:
+            count = int(found["points"])
+            yield _figure(
+                f"world.{key}", f"a {name} point", found.get("predicted_m", NAN), found["rmse_m"],
+                by=f"{count} {name} point{'s' if count > 1 else ''}", independent=role == "check",
+            )  # fmt: skip
+    held = world.get("held_out") or {}
+    if placed and held.get("count"):
+        by = f"{held['count']} positions held back from the fit"
+        yield _figure("world.held_out", "a position", _number(held["sigma_m"]), _length(held["rms_m"]), by=by)
+    if placed and world.get("rms_m"):
+        yield _figure("world.positions", "a position", NAN, _length(world["rms_m"]), by="the positions of the fit")
+    for name, distance in (("10m", 10.0), ("100m", 100.0)):
+        if np.isfinite(predicted.over_m(distance)):
+            yield _figure(f"shape.{name}", _over(distance), predicted.over_m(distance), proof="shape")
+    yield _figure("shape.whole", "a camera, over the whole", predicted.whole_m, proof="shape")
+    if predicted.metric and np.isfinite(stated.rig).all():
+        scatter, expected = stated.rig
+        by = "the points of the other cameras"
+        yield _figure("shape.rig", "a camera in its rig, from frame to frame", expected, scatter, by=by)
+    yield _figure("point", POINT, predicted.point_m)
+
+
+def pose_figures(
+    match: PoseMatch, result: TrajectoryError, predicted: Predicted, tuning: TrajectoryTuning
+) -> list[Figure]:
+    """What reference poses (K) measure; in units of the model where nothing tells its scale."""
+    est, ref = match.estimate[:, :3, 3], match.reference[:, :3, 3]
+    fit = result.se3 if predicted.metric else result.sim3
+    factor = 1.0 if predicted.metric else 1 / fit.alignment.scale
+    poses: dict[str, Any] = {"by": f"{len(match)} reference poses", "independent": True}
+    whole = "a camera, over the whole"
+    out = [_figure("shape.whole", whole, predicted.whole_m, factor * fit.rmse_m, proof="shape.measured", **poses)]
+    for distance in (10.0, 100.0) if predicted.metric else ():
+        off = between(fit.alignment(est), ref, distance, tuning)
+        if np.isfinite(off):
+            key = f"shape.{distance:g}m"
+            out.append(_figure(key, _over(distance), predicted.over_m(distance), off, proof="shape.measured", **poses))
+    if result.absolute is not None:
+        of = "a camera"
+        out.append(_figure("world.reference_poses", of, predicted.camera_m, result.absolute.rmse_m, **poses))
+    return out
+
+
+def between(estimate: np.ndarray, reference: np.ndarray, distance_m: float, tuning: TrajectoryTuning) -> float:
+    """Root mean square error of the vector between two positions (K, 3) about so far apart in the reference, both in
+    one frame; of many positions an even part. NaN where no two are."""
+    rows = np.unique(np.linspace(0, len(reference) - 1, min(len(reference), tuning.between_poses)).round().astype(int))
+    apart = pdist(reference[rows])
+    of = (apart >= distance_m) & (apart <= tuning.max_stretch * distance_m)
+    i, j = (k[of] for k in np.triu_indices(len(rows), 1))
+    off = (estimate - reference)[rows]
+    return float(np.sqrt(np.mean(np.sum((off[j] - off[i]) ** 2, axis=1)))) if of.any() else NAN
+
+
+def cloud_figure(result: CloudComparison, reach_m: float, predicted: Predicted, aligned: bool) -> Figure:
+    """What a reference cloud measures: of a point where it was laid on it first, else in the world.
+
+    What the reference's own spacing leaves between a point and its nearest counts as predicted, and what the scale's
+    sigma moves a point by at ``reach_m``, the middle one of the reference's distances from its centre. Where half of
+    the points have none near, the distance to which nearest ones were looked for.
+    """
+    criteria, found = result.criteria, np.isfinite(result.whole.median_m)
+    parts = [predicted.point_m, np.nan_to_num(predicted.inside_m), max(criteria.spacing_m, criteria.voxel_m) / 2]
+    parts.append(reach_m * np.nan_to_num(predicted.scale))
+    parts.append(0.0 if aligned else np.nan_to_num(predicted.placed_m))
+    layer = "world" if np.isfinite(predicted.placed_m) and not aligned else "point"
+    which = "the nearest one, median" if found else "half of the points have none so near"
+    by = f"a reference cloud ({result.whole.reference_points} points; {which})"
+    return _figure(
+        f"{layer}.reference_cloud", "a point of the cloud", float(np.linalg.norm(parts)),
+        result.whole.median_m if found else criteria.reach_m, by=by, independent=True,
+    )  # fmt: skip
+
+
+def _figure(key: str, of: str, predicted: float = NAN, measured: float = NAN, proof: str = "", **more: Any) -> Figure:
+    told, found = float(predicted), float(measured)
+    return Figure(key=key, of=of, predicted=told, measured=found, proves_not=_NOT[proof or key], **more)
+
+
+def _over(distance_m: float) -> str:
+    return f"what lies between two cameras {distance_m:g} m apart"
+
+
+def _length(axes: Mapping[str, float]) -> float:
+    return float(np.linalg.norm(list(axes.values())))
+
+
+def _number(value: float | None) -> float:
+    return NAN if value is None else value

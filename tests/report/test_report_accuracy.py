@@ -1,0 +1,63 @@
+"""Every accuracy on the page is marked with its key and is the one of the source; none stands there without."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from fake_survey_run import make_accuracy, make_run
+
+from accuracy_marks import check, unmarked
+from tiegraph.report import accuracy
+from tiegraph.report.html import write_report
+from tiegraph.report.settings import ReportSettings
+from tiegraph.scene.accuracy import Accuracy, Figure
+
+SMALL = ReportSettings(view_px=400, viewer_points=2000)
+
+
+@pytest.fixture(scope="module")
+def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_run(tmp_path_factory.mktemp("run") / "quay")
+
+
+def test_every_accuracy_on_the_page_is_the_one_of_the_source(full: Path) -> None:
+    page = write_report(full, SMALL).read_text(encoding="utf-8")
+    keys = check(full, page)
+    layers = set(make_accuracy().values())
+    assert layers <= keys, "each figure of the source stands on the page"
+    assert {"metrics.ate_se3_rmse", "tables.cloud against reference.0.1"} <= keys
+    assert unmarked(page) == []
+    top = page[page.index('<section class="verdict') : page.index('<div class="tiles">')]
+    order = [top.index(text) for text in ("Tolerance of", "In the world:", "In shape", "Of a point")]
+    assert order == sorted(order) and order[0] < top.index("are registered")
+
+
+def test_the_check_finds_what_it_is_for(full: Path) -> None:
+    page = write_report(full, SMALL).read_text(encoding="utf-8")
+    with pytest.raises(AssertionError):
+        check(full, page.replace(">2.58 m<", ">2.50 m<"))
+    assert unmarked(page.replace("</h1>", "</h1><p>A point has a standard deviation of 3.6 cm.</p>"))
+    assert unmarked(page.replace("</main>", "<table><tr><th>rmse m</th></tr><tr><td>0.02</td></tr></table></main>"))
+
+
+def test_the_terminal_says_what_the_page_says(full: Path) -> None:
+    lines = accuracy.terminal_lines(full / "metrics.json")
+    assert [line.split()[0] for line in lines] == ["Tolerance", "In", "In", "Of"]
+    assert lines[0].startswith("Tolerance of 5.0 cm in the world: no. Reason: 3 check points measured more. What would")
+    assert "2.58 m predicted" in lines[1] and "Measured 6.2 cm (a check point) by 3 check points" in lines[1]
+    assert "4.0 mm over 10 m, 10.0 cm over the whole predicted" in lines[2] and "12.1 cm over the whole" in lines[2]
+    assert "3.6 cm predicted" in lines[3] and "Nothing independent measured it" in lines[3]
+    assert not any("<" in line for line in lines)
+    assert accuracy.terminal_lines(full / "none.json") == []
+
+
+def test_what_is_not_known_is_said_to_be_so() -> None:
+    said = Accuracy("units", "nothing", (Figure("shape.whole", "a camera", 0.3), Figure("point", "a point")))
+    world, shape, point = (str(s.striptags()) for s in accuracy.sentences(said))
+    assert "not known" in world and "0.300 units" in shape and "Nothing independent" in shape and "\u2013" in point
+    assert accuracy.placement(said) == ""
+    held = Accuracy(
+        "m", "positions", (Figure("world", "a", 0.1), Figure("world.held_out", "a", measured=0.2, by="4 b"))
+    )
+    assert "4 b are met within 20.0 cm" in accuracy.sentences(held)[0].striptags()
