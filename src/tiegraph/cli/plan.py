@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json as json_text
+from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from tiegraph.cli.options import options_of
 from tiegraph.cli.output import say, show_table
+from tiegraph.pipeline.plan import compare
 from tiegraph.pipeline.plan import plan as make_plan
 from tiegraph.plan.request import PlanRequest
 from tiegraph.plan.tables import path_tables, station_table
@@ -31,6 +33,8 @@ def main(arguments: list[str]) -> int:
         return request, json
 
     request, json = options_of(plan, "tiegraph plan", arguments)
+    if request.output.compare is not None:
+        return _compare(request.output.compare, request.output.planned, json)
     made = make_plan(request)
     if json:
         say(json_text.dumps(made.to_dict(), indent=1))
@@ -44,4 +48,13 @@ def main(arguments: list[str]) -> int:
         say(text)
     if request.output.out is not None:
         say(f"written: {request.output.out}")
+    return 0
+
+
+def _compare(run: Path, planned: Path | None, json: bool) -> int:
+    table = compare(run, planned)
+    if json:
+        say(json_text.dumps({"columns": table.columns, "rows": table.rows}, indent=1))
+    else:
+        show_table(table.columns, table.rows, table.title)
     return 0

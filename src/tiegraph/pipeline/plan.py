@@ -13,20 +13,25 @@ import pycolmap
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.plan.accuracy import Shape
-from tiegraph.plan.network import MountedCamera
+from tiegraph.plan.compare import comparison, frames_apart
+from tiegraph.plan.network import MountedCamera, model_figures
 from tiegraph.plan.planner import Plan, Rigged, make_plan
 from tiegraph.plan.request import CameraRequest, PlanRequest
+from tiegraph.plan.tables import Table
 from tiegraph.plan.tuning import Tuning
 from tiegraph.project.run import save_json
 from tiegraph.project.stages import write_atomic
 from tiegraph.report.html import environment
-from tiegraph.report.plan import Track
+from tiegraph.report.plan import Track, frame_positions
+from tiegraph.report.runfolder import read_run
+from tiegraph.report.summary import metric_values
 from tiegraph.report.viewer import viewer_data, viewer_script
 from tiegraph.scan.cameras import FileFacts, calibrate
 from tiegraph.scan.rigfile import read_rig_file
 from tiegraph.scan.rigspec import AXES, RigSpec, SensorSpec, preset, preset_sizes
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import Tuning as ScanTuning
+from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.rig import Rig, Sensor, calibrated
 from tiegraph.sfm.adjustment.adjust import free_cameras
 from tiegraph.sfm.covariance import position_sigma
@@ -52,6 +57,46 @@ def plan(request: PlanRequest) -> Plan:
         if made.path is not None:
             write_atomic(out / "plan.html", _page(made))
     return made
+
+
+def compare(folder: Path, planned: Path | None) -> Table:
+    """What a run reached beside what was planned. Raises InputError for files that are none."""
+    path = planned or folder / "plan.json"
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"{path}: no plan.json that can be read ({error}): `tiegraph plan --shape ... -o FOLDER` makes one; "
+            "put it into the run folder, or name it by --planned"
+        ) from None
+    if not isinstance(data, dict):
+        raise InputError(f"{path}: no plan.json of tiegraph: `tiegraph plan --shape ... -o FOLDER` makes one")
+    return comparison(data, reached(folder))
+
+
+def reached(folder: Path) -> dict[str, float | None]:
+    """The figures of a finished run that a plan has, too; None or absent = not known."""
+    run = read_run(folder, cloud_points=0)
+    if run.scene is None or run.model is None:
+        raise InputError(f"{folder}: no sparse model in it: run it to `sparse` or `georef`, then compare")
+    model = read_model(folder / run.model.folder)
+    world = run.world or {}
+    base = frames_apart(frame_positions(run.scene, run.model.centres), run.scene.sequence, run.scene.sequence_index)
+    out: dict[str, float | None] = {"images": int(run.model.registered.sum())}
+    if not run.metric:
+        return out | {k: v for k, v in model_figures(model, 1.0).items() if k != "tie_gsd_m"}
+    out |= model_figures(model, 1.0)
+    camera = next(iter(model.cameras.values()))
+    if base is not None:
+        out |= {"base_m": base, "overlap": max(0.0, 1 - base / (float(out["tie_gsd_m"] or 0) * camera.width))}
+    shape = (world.get("model_sigma") or {}).get("median")
+    sigma = world.get("sigma") or {}
+    out["position_shape_sigma_median_m"] = shape
+    if shape is not None and "position_m" in sigma:
+        out["place_world_sigma_median_m"] = float(np.hypot(shape, sigma["position_m"]))
+        out["height_world_sigma_median_m"] = float(np.hypot(shape, sigma["height_m"]))
+    out["ate_m"] = metric_values(run).get("ate_sim3_rmse")
+    return out
 
 
 def _propagate(model: pycolmap.Reconstruction, rigged: Rigged) -> Shape:

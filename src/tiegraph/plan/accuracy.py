@@ -73,10 +73,15 @@ class Expected:
 
     frames: np.ndarray  # (f,)
     shape: np.ndarray
-    world: np.ndarray
+    world_axes: np.ndarray  # (f, 3) along x, y, z
     near: np.ndarray  # (P,) row of the frame nearest to each point
     point_shape: np.ndarray
     point_world: np.ndarray
+
+    @property
+    def world(self) -> np.ndarray:
+        """(f,) of positions in the world."""
+        return np.asarray(np.linalg.norm(self.world_axes, axis=1))
 
 
 def propagate(network: Network, by: Propagate, tie_px: float, widened: float) -> Shape:
@@ -124,7 +129,7 @@ def expected(shape: Shape, network: Network, path: Path, known: Known) -> Expect
     return Expected(
         frames=shape.frames,
         shape=shape.sigma(),
-        world=world,
+        world_axes=world,
         near=near,
         point_shape=np.linalg.norm(shape.point_sigma, axis=1),
         point_world=np.sqrt(np.sum(shape.point_sigma**2, axis=1) + placed),
@@ -132,9 +137,9 @@ def expected(shape: Shape, network: Network, path: Path, known: Known) -> Expect
 
 
 def _world(shape: Shape, centres: np.ndarray, xyz: np.ndarray, known: Known) -> tuple[np.ndarray, np.ndarray]:
-    """Sigmas (f,) of the positions in the world, and the variances (P,) that the placement adds to points."""
+    """Sigmas (f, 3) of the positions in the world, and the variances (P,) that the placement adds to points."""
     if not known.placed:
-        return np.full(len(centres), np.nan), np.full(len(xyz), np.nan)
+        return np.full(centres.shape, np.nan), np.full(len(xyz), np.nan)
     middle = centres.mean(axis=0)
     extent = max(float(np.sqrt(np.mean(np.sum((centres - middle) ** 2, axis=1)))), 1e-9)
     moved = _motions(centres - middle).reshape(-1, 7)
@@ -152,7 +157,7 @@ def _world(shape: Shape, centres: np.ndarray, xyz: np.ndarray, known: Known) -> 
     positions = np.clip(variance, 0, None).reshape(-1, 3) + known.common**2
     of_points = _motions(xyz - middle)
     placed = np.einsum("nij,jk,nik->n", of_points, placement, of_points) + float(np.sum(known.common**2))
-    return np.sqrt(positions.sum(axis=1)), placed
+    return np.sqrt(positions), placed
 
 
 def _motions(from_middle: np.ndarray) -> np.ndarray:

@@ -51,10 +51,10 @@ class Network:
     seen: np.ndarray  # (F,) observations a frame will have
     normals: np.ndarray  # (P, 3) of the surface at point id 1 + row
 
-    @property
-    def track_length(self) -> float:
-        """Mean number of images of a point."""
-        return float(self.model.compute_mean_track_length())
+    def figures(self) -> dict[str, float]:
+        """``model_figures`` of all the points that there will be."""
+        made = model_figures(self.model, 1.0)
+        return {**made, "ties_an_image": made["ties_an_image"] / self.share}
 
 
 @dataclass(frozen=True)
@@ -103,6 +103,27 @@ def make_network(
     noise = ties.sigma_px * np.sqrt(share) * rng.standard_normal(sights.xy.shape)
     model = _model(path, cameras, sights, sights.xy + noise)
     return Network(model, share, np.round(made.reshape(len(path), -1).sum(axis=1) / share).astype(int), sights.normal)
+
+
+def model_figures(model: pycolmap.Reconstruction, metres: float) -> dict[str, float]:
+    """Of a model, planned or made: pixel at the tie points, tie points of an image, images of one.
+
+    ``metres``: length of a unit of the model.
+    """
+    sizes = []
+    for image_id in model.reg_image_ids():
+        image = model.image(image_id)
+        seen = image.get_observation_points2D()
+        if not seen:
+            continue
+        xyz = np.array([model.point3D(p.point3D_id).xyz for p in seen])
+        far = np.linalg.norm(xyz - image.projection_center(), axis=1)
+        sizes.append(metres * far / model.camera(image.camera_id).mean_focal_length())
+    return {
+        "tie_gsd_m": float(np.median(np.concatenate(sizes))),
+        "ties_an_image": float(model.compute_mean_observations_per_reg_image()),
+        "track_length": float(model.compute_mean_track_length()),
+    }
 
 
 def _poses(path: Path, cameras: list[MountedCamera]) -> np.ndarray:

@@ -44,21 +44,26 @@ class PathPlan:
     places: tuple[Place, ...]
     worst: tuple[str, ...]
     advice: tuple[str, ...]
+    scale: float | None  # relative sigma of all lengths by the rig alone, None = the rig tells none
 
     def summary(self) -> dict[str, float | int | None]:
         """Medians and largest values, JSON-ready; names as in the receipts of `sparse` and in world.json."""
         e = self.expected
-        return {
-            "frames": len(self.path), "images": len(self.path) * len(self.cameras),
-            "points": round(self.network.model.num_points3D() / self.network.share),
-            "track_length": self.network.track_length, "scale_sigma": self.scale,
-            **{f"{name}_{what}_m": _number(take(values)) for name, values in (
-                ("position_shape_sigma", e.shape), ("position_world_sigma", e.world),
-                ("point_shape_sigma", e.point_shape), ("point_world_sigma", e.point_world))
-               for what, take in (("median", np.median), ("max", np.max)) if len(values)},
+        sigmas = {
+            "position_shape": e.shape, "position_world": e.world, "height_world": e.world_axes[:, 2],
+            "place_world": np.linalg.norm(e.world_axes[:, :2], axis=1), "point_shape": e.point_shape,
+            "point_world": e.point_world,
         }  # fmt: skip
-
-    scale: float | None = None
+        out: dict[str, float | int | None] = {
+            "frames": len(self.path), "images": len(self.path) * len(self.cameras),
+            "points": round(self.network.model.num_points3D() / self.network.share), "scale_sigma": self.scale,
+        }  # fmt: skip
+        out |= self.network.figures()
+        for name, values in sigmas.items():
+            if len(values):
+                out[f"{name}_sigma_median_m"] = _number(np.median(values))
+                out[f"{name}_sigma_max_m"] = _number(np.max(values))
+        return out
 
 
 def plan_path(

@@ -21,6 +21,7 @@ from tiegraph.plan.waypoints import Anchor, read_anchor, waypoint_csv, waypoint_
 from tiegraph.plan.world import ControlPoints, Receiver
 
 FORMAT = 1
+_WAYS = ("canal", "corridor", "tunnel")
 
 
 @dataclass(frozen=True)
@@ -108,6 +109,8 @@ def _sweep(
 
 def _with_path(plan: Plan, request: PlanRequest, rigged: Rigged, by: Propagate, tuning: Tuning) -> Plan:
     asked, world, made = request.path, request.world, plan.stations[0]
+    if asked.passes is not None and (asked.passes not in (1, 2) or asked.shape not in _WAYS):
+        raise InputError(f"--passes {asked.passes}: 1 or 2, of {', '.join(_WAYS)}; other shapes have rows or rings")
     told = (_receiver(world.gnss, world.outage, tuning), ControlPoints(world.control, world.control_sigma))
     anchor = None if world.origin is None else read_anchor(world.origin, world.heading)
     across = made.footprint_m[1 - plan.lens.along]

@@ -37,10 +37,10 @@ class ControlPoints:
     sigma_m: float
 
     def __post_init__(self) -> None:
-        if self.count < 0 or not self.sigma_m > 0:
-            raise InputError(
-                f"--control {self.count} --control-sigma {self.sigma_m:g}: neither may be negative or none"
-            )
+        if self.count < 0:
+            raise InputError(f"--control {self.count}: give how many control points there are")
+        if not self.sigma_m > 0:
+            raise InputError(f"--control-sigma {self.sigma_m:g}: give metres, above zero")
 
 
 def along(path: Path) -> np.ndarray:
