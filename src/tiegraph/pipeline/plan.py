@@ -99,10 +99,10 @@ def reached(folder: Path) -> dict[str, float | None]:
     return out
 
 
-def _propagate(model: pycolmap.Reconstruction, rigged: Rigged) -> Shape:
+def _propagate(model: pycolmap.Reconstruction, calibrated: bool, *, rigged: Rigged) -> Shape:
     """What the stage `sparse` would say of an adjusted model: rig and lenses unknown where nobody calibrated them."""
     tuning = SfmTuning()
-    free = free_cameras(model, tuning.adjust) - set(rigged.held)
+    free = set() if calibrated else free_cameras(model, tuning.adjust) - set(rigged.held)
     try:
         found = position_sigma(model, free, not rigged.fixed, tuning=tuning)
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:

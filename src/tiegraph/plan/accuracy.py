@@ -18,7 +18,7 @@ from tiegraph.plan.network import Network
 from tiegraph.plan.path import Path
 from tiegraph.plan.tuning import WorldTuning
 
-_UNKNOWN = 1e6  # sigma of a turn (rad) or scale that nothing tells, over what anything could
+_OPEN_TURN, _OPEN_SCALE, _OPEN_SHIFT = np.pi, 1.0, 1e6  # sigmas of what nothing tells: rad, parts, extents
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,8 @@ class Shape:
         return np.asarray(np.sqrt(np.clip(np.diag(self.covariance), 0, None).reshape(-1, 3).sum(axis=1)))
 
 
-Propagate = Callable[[pycolmap.Reconstruction], Shape]
+Propagate = Callable[[pycolmap.Reconstruction, bool], Shape]
+"""The covariance of an adjusted model; True: as if its lenses were calibrated."""
 
 
 @dataclass(frozen=True)
@@ -84,12 +85,13 @@ class Expected:
         return np.asarray(np.linalg.norm(self.world_axes, axis=1))
 
 
-def propagate(network: Network, by: Propagate, tie_px: float, widened: float) -> Shape:
+def propagate(network: Network, by: Propagate, tie_px: float, widened: float, calibrated: bool = False) -> Shape:
     """The shape's sigmas, of all the points that there will be.
 
-    ``widened``: sigmas with the errors that observations share, which the synthetic ones do not.
+    ``calibrated``: as if the lenses were. ``widened``: sigmas with the errors that observations share, which the
+    synthetic ones do not.
     """
-    found = by(network.model)
+    found = by(network.model, calibrated)
     own = own_variance(network.model, found.points)
     shared = np.clip(found.point_sigma**2 - found.pixel_sigma**2 * own, 0, None)
     return Shape(
@@ -132,7 +134,7 @@ def expected(shape: Shape, network: Network, path: Path, known: Known) -> Expect
         world_axes=world,
         near=near,
         point_shape=np.linalg.norm(shape.point_sigma, axis=1),
-        point_world=np.sqrt(np.sum(shape.point_sigma**2, axis=1) + placed),
+        point_world=np.sqrt(np.sum(shape.point_sigma**2, axis=1) + np.clip(placed, 0, None)),
     )
 
 
@@ -168,8 +170,7 @@ def _motions(from_middle: np.ndarray) -> np.ndarray:
 
 def _prior(shape: Shape, known: Known, extent: float) -> np.ndarray:
     """(7, 7) information on turn, shift and scale beside the fixes."""
-    sigma = np.full(7, _UNKNOWN)
-    sigma[3:6] *= extent
+    sigma = np.repeat([_OPEN_TURN, _OPEN_SHIFT * extent, _OPEN_SCALE], [3, 3, 1])
     if known.vertical_deg is not None:
         sigma[:2] = np.radians(known.vertical_deg)
     if shape.scale is not None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pycolmap
+from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
@@ -85,6 +86,8 @@ def make_network(
             "plan a part of it (a shorter --length: accuracy repeats), or take a larger --base"
         )
     rng = np.random.default_rng(_SEED)
+    wobble = Rotation.from_rotvec(np.radians(tuning.wobble_deg) * rng.standard_normal((len(path), 3))).as_matrix()
+    path = replace(path, world_from_body=path.world_from_body @ transforms.rigid(wobble, np.zeros(3)))
     sensor_from_world = _poses(path, cameras)
     images = len(sensor_from_world)
     start = int(max(tuning.least_points, tuning.most_points // images))

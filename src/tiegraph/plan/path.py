@@ -130,8 +130,10 @@ def _facade(c: Course, tuning: PathTuning) -> Path:
 
 
 def _grid(c: Course, tuning: PathTuning) -> Path:
-    """Ground from above, by lines to and fro."""
-    ground = Facet(np.zeros(3), np.array([[c.length_m, 0, 0], [0, c.width_m, 0]]))
+    """Ground from above, by lines to and fro; it goes on round about."""
+    more = c.distance_m
+    edges = np.diag([c.length_m + 2 * more, c.width_m + 2 * more, 0.0])[:2]
+    ground = Facet(np.array([-more, -more, 0.0]), edges)
     lines = [np.array([0, y, c.distance_m]) for y in _evenly(c.width_m, c.row_m)]
     ahead = np.stack([[0.0, -1, 0], [-1, 0, 0], [0, 0, -1]], axis=1)  # right of the body = right of the way
     return _rows(c, lines, ahead, "line", (ground,))
@@ -195,7 +197,7 @@ def _rows(c: Course, lines: list[np.ndarray], turn: np.ndarray, word: str, surfa
 
 
 def _steps(length: float, base: float) -> np.ndarray:
-    return np.arange(int(np.floor(length / base + 1e-9)) + 1) * base
+    return np.arange(int(np.floor(length / base + 1e-9)) + 1) * float(base)
 
 
 def _evenly(size: float, row: float) -> np.ndarray:

@@ -57,9 +57,12 @@ class NetworkTuning(Section):
     relief: float = Field(0.1, ge=0, le=1)
     """Unevenness of a surface where none is given, sigma, in parts of the distance: no wall is a plane, which would
     leave lenses open. canal: 0.25 (houses behind quays)."""
+    wobble_deg: float = Field(1.5, ge=0)
+    """How much the rig is turned from frame to frame, sigma about each axis: boats, vehicles and hands are never still,
+    and exactly parallel views would leave focal length and distance one unknown (canal: 0.5 to 1 deg)."""
     most_points: int = Field(3000, gt=0)
     """Points that are simulated: fewer than there will be, of so much smaller errors that they tell as much."""
-    least_points: int = Field(15, gt=0)
+    least_points: int = Field(25, gt=0)
     """That start from an image, however many images there are: fewer hold no camera."""
     most_frames: int = Field(1500, gt=0)
     """More are too many to propagate here."""
@@ -88,6 +91,8 @@ class WorldTuning(Section):
     """Length of the mean of the viewing directions below which cameras look all round."""
     mark_px: float = Field(0.5, gt=0)
     """Of a control point marked in an image."""
+    least_marks: int = Field(3, ge=2)
+    """Images that a control point is marked in, where as many see it."""
     height_factor: float = Field(1.5, gt=0)
     """Sigma of a receiver's height over that of its place, where none is given."""
     sections: int = Field(8, ge=1)

@@ -82,6 +82,8 @@ def control_point(path: Path, network: Network, shape: Shape, frame: int, sigma_
     ids = {p.point3D_id for k in images for p in network.model.image(k.id).get_observation_points2D()}
     if not ids:
         return Fix(frame, path.centres[shape.frames[frame]], np.full(3, np.inf))
-    best = max(sorted(ids), key=lambda k: network.model.point3D(k).track.length())  # marked in as many as there are
+    well = [k for k in sorted(ids) if network.model.point3D(k).track.length() >= tuning.least_marks] or sorted(ids)
+    here = path.centres[shape.frames[frame]]
+    best = min(well, key=lambda k: float(np.linalg.norm(network.model.point3D(k).xyz - here)))
     met = tuning.mark_px**2 * own_variance(network.model, np.array([best]))[0]
     return Fix(frame, network.model.point3D(best).xyz, np.sqrt(sigma_m**2 + met))
