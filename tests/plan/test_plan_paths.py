@@ -112,7 +112,8 @@ def test_sigmas_follow_the_noise_and_not_the_number_simulated():
     assert 0.85 < np.median(many.expected.shape) / middle < 1.15
     assert 0.8 < np.median(many.expected.point_shape) / np.median(few.expected.point_shape) < 1.25
     row = few.expected.shape[few.path.leg == 0]
-    assert 0.6 < row[0] / row[-1] < 1.6 and row[len(row) // 2] < row[0]
+    first, last = row[: len(row) // 2].mean(), row[(len(row) + 1) // 2 :].mean()
+    assert 0.6 < first / last < 1.6
     assert few.advice == (
         "nothing places the path in the world: with --gnss or --control its accuracy there is worked out, too",
     )

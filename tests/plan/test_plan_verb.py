@@ -2,6 +2,8 @@
 
 import csv
 import json
+from pathlib import Path
+from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import cv2
@@ -10,8 +12,10 @@ import pytest
 
 from report.fake_survey_run import make_run
 from tiegraph.cli.main import main
+from tiegraph.pipeline.report import report
 from tiegraph.plan.effort import effort
 from tiegraph.plan.tuning import Tuning
+from tiegraph.report.settings import ReportSettings
 
 PAPER = ["--focal", "8", "--pixel", "3.45", "--size", "2448x2048", "--base", "0.075", "--match-px", "0.3"]
 WALL = ["--focal-px", "900", "--size", "1200x900", "--distance", "8", "--shape", "facade", "--length", "15"]
@@ -84,6 +88,17 @@ def test_planned_stands_beside_reached(planned, tmp_path, capsys):
     (run / "plan.json").write_text((planned / "plan.json").read_text())
     assert main(["plan", "--compare", str(run)]) == 0
     assert "planned and reached" in capsys.readouterr().out
+    page = _reported(run)
+    assert "planned and reached" in page and "frames apart, m" in page
+    (run / "plan.json").write_text("[]")
+    assert "planned and reached" not in _reported(run)
+
+
+def _reported(folder: Path) -> str:
+    """The page of the stage `report`."""
+    run = SimpleNamespace(folder=folder, path=folder.joinpath, settings=SimpleNamespace(report=ReportSettings()))
+    report(run)
+    return (folder / "report.html").read_text()
 
 
 def test_what_a_survey_costs_grows_with_its_images():

@@ -37,6 +37,7 @@ from tiegraph.sfm.adjustment.adjust import free_cameras
 from tiegraph.sfm.covariance import position_sigma
 from tiegraph.sfm.tuning import Tuning as SfmTuning
 
+PLAN = "plan.json"
 _VIEWER_POINTS = 20_000
 
 
@@ -53,7 +54,7 @@ def plan(request: PlanRequest) -> Plan:
     if out is not None:
         for name, data in made.files().items():
             write_atomic(out / name, data)
-        save_json(out / "plan.json", made.to_dict())
+        save_json(out / PLAN, made.to_dict())
         if made.path is not None:
             write_atomic(out / "plan.html", _page(made))
     return made
@@ -61,7 +62,7 @@ def plan(request: PlanRequest) -> Plan:
 
 def compare(folder: Path, planned: Path | None) -> Table:
     """What a run reached beside what was planned. Raises InputError for files that are none."""
-    path = planned or folder / "plan.json"
+    path = planned or folder / PLAN
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
