@@ -136,7 +136,7 @@ def _cameras(request: CameraRequest) -> Rigged:
         body = np.eye(4)
         body[:3, :3] = AXES[spec.axes]
         pose = transforms.invert(body @ sensor.body_from_sensor)
-        sensors.append(Sensor(sensor.name, camera, pose, sensor.role, camera_sigma_px=sensor.camera_sigma_px,
+        sensors.append(Sensor(sensor.name, camera, pose, role=sensor.role, camera_sigma_px=sensor.camera_sigma_px,
                               sigma_deg=sensor.sigma_deg, sigma_m=sensor.sigma_m))  # fmt: skip
         mounted.append(MountedCamera(sensor.name, camera, pose))
     rig = Rig(spec.name, tuple(sensors), fixed=spec.fixed, nominal=spec.nominal, pairs=spec.pairs)

@@ -16,7 +16,7 @@ def report(run: Run) -> Outcome:
     if run.path(PLAN).is_file():
         try:
             found = compare(run.folder, None)
-            planned = Table(found.columns, found.rows, (False, True, True, True), found.title)
+            planned = Table(found.columns, found.rows, (False, True, True, True), title=found.title)
         except InputError as error:
             notes.append(str(error))
     path = write_report(run.folder, run.settings.report, planned)

@@ -40,7 +40,7 @@ def comparison(planned: Mapping[str, Any], reached: Mapping[str, float | None]) 
     return Table("planned and reached", ("figure", "planned", "reached", "reached / planned"), tuple(rows))
 
 
-def _row(name: str, planned: Any, reached: Any, factor: float) -> tuple[str, str, str, str]:
+def _row(name: str, planned: Any, reached: Any, factor: float) -> tuple[str, ...]:
     def shown(value: Any) -> str:
         return f"{factor * value:.4g}" if _known(value) else "-"
 

@@ -50,12 +50,20 @@ class Network:
     model: pycolmap.Reconstruction
     share: float
     seen: np.ndarray  # (F,) observations a frame will have
-    normals: np.ndarray  # (P, 3) of the surface at point id 1 + row
 
     def figures(self) -> dict[str, float]:
         """``model_figures`` of all the points that there will be."""
         made = model_figures(self.model, 1.0)
         return {**made, "ties_an_image": made["ties_an_image"] / self.share}
+
+
+@dataclass(frozen=True)
+class _Draw:
+    """Points that start from an image, unevenness of the surface (sigma, m), and the generator."""
+
+    start: int
+    relief_m: float
+    rng: np.random.Generator
 
 
 @dataclass(frozen=True)
@@ -91,7 +99,8 @@ def make_network(
     sensor_from_world = _poses(path, cameras)
     images = len(sensor_from_world)
     start = int(max(tuning.least_points, tuning.most_points // images))
-    sights = _sights(path, cameras, sensor_from_world, (start, relief_m, rng), tuning)
+    drawn = _Draw(start, relief_m, rng)
+    sights = _sights(path, cameras, sensor_from_world, drawn, tuning)
     if len(sights.xyz) < 3 * len(path):
         raise InputError(
             f"only {len(sights.xyz)} points of the surface are seen by two of the {images} images: they see past it or "
@@ -105,7 +114,8 @@ def make_network(
     share = float(made.sum() / wanted.sum())
     noise = ties.sigma_px * np.sqrt(share) * rng.standard_normal(sights.xy.shape)
     model = _model(path, cameras, sights, sights.xy + noise)
-    return Network(model, share, np.round(made.reshape(len(path), -1).sum(axis=1) / share).astype(int), sights.normal)
+    seen = np.round(made.reshape(len(path), -1).sum(axis=1) / share).astype(int)
+    return Network(model, share, seen)
 
 
 def model_figures(model: pycolmap.Reconstruction, metres: float) -> dict[str, float]:
@@ -140,11 +150,11 @@ def _sights(
     path: Path,
     cameras: list[MountedCamera],
     poses: np.ndarray,
-    drawn: tuple[int, float, np.random.Generator],
+    drawn: _Draw,
     tuning: NetworkTuning,
 ) -> _Sights:
-    """``drawn``: points that start from an image, unevenness of the surface, m, and the generator."""
-    start, relief_m, rng = drawn
+    """Points that start from images, and which images see them."""
+    start, relief_m, rng = drawn.start, drawn.relief_m, drawn.rng
     xyz, normal, base = [], [], []
     for k, pose in enumerate(poses):
         camera = cameras[k % len(cameras)].camera

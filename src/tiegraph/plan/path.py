@@ -154,7 +154,8 @@ def _orbit(c: Course, tuning: PathTuning) -> Path:
     poses = [rigid(_turn(-o) @ _mounted(c), far * o + z * _UP) for z in levels for o in out]
     way = np.tile(far * around, len(levels))
     names = tuple(f"ring {k + 1}" for k in range(len(levels)))
-    return Path(np.stack(poses), way, np.repeat(np.arange(len(levels)), count), names, surface)
+    leg = np.repeat(np.arange(len(levels)), count)
+    return Path(world_from_body=np.stack(poses), way_m=way, leg=leg, legs=names, surface=surface)
 
 
 SHAPES = {
@@ -180,7 +181,8 @@ def _ways(c: Course, beside: float, height: float, surface: tuple[Facet, ...]) -
         parts.append(np.stack([rigid(turn, place) for place in places]))
     names = ("the way",) if c.passes == 1 else tuple(f"pass {k + 1} {('out', 'back')[k % 2]}" for k in range(c.passes))
     leg = np.repeat(np.arange(c.passes), len(steps))
-    return Path(np.concatenate(parts), np.tile(steps, c.passes), leg, names, surface)
+    way = np.tile(steps, c.passes)
+    return Path(world_from_body=np.concatenate(parts), way_m=way, leg=leg, legs=names, surface=surface)
 
 
 def _rows(c: Course, lines: list[np.ndarray], turn: np.ndarray, word: str, surface: tuple[Facet, ...]) -> Path:
@@ -193,7 +195,8 @@ def _rows(c: Course, lines: list[np.ndarray], turn: np.ndarray, word: str, surfa
             poses.append(rigid(turn @ _mounted(c), start + np.array([at, 0, 0])))
         way.append(steps)
     names = tuple(f"{word} {k + 1}" for k in range(len(lines)))
-    return Path(np.stack(poses), np.concatenate(way), np.repeat(np.arange(len(lines)), len(steps)), names, surface)
+    leg = np.repeat(np.arange(len(lines)), len(steps))
+    return Path(world_from_body=np.stack(poses), way_m=np.concatenate(way), leg=leg, legs=names, surface=surface)
 
 
 def _steps(length: float, base: float) -> np.ndarray:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 from tiegraph.errors import InputError
@@ -45,7 +45,7 @@ class Plan:
     path: PathPlan | None = None
     effort: Effort | None = None
     anchor: Anchor | None = None
-    shape: dict[str, object] = field(default_factory=dict)
+    shape: Mapping[str, object] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, object]:
         """JSON-ready: plan.json."""
@@ -82,7 +82,9 @@ def make_plan(request: PlanRequest, rigged: Rigged, by: Propagate, tuning: Tunin
     lens = Lens(camera.mean_focal_length(), (camera.width, camera.height), along=1 if shape == "grid" else 0)
     groups, said = _sweep(request, lens, tuning)
     stations = tuple(s for _, group in groups for s in group)
-    plan = Plan(lens, stations, groups, tuple(said), wanted_m=request.images.precision)
+    plan = Plan(
+        lens=lens, stations=stations, groups=groups, advice=tuple(said), wanted_m=request.images.precision
+    )  # fmt: skip
     if shape is None:
         return plan
     if len(stations) > 1:
@@ -132,10 +134,9 @@ def _with_path(plan: Plan, request: PlanRequest, rigged: Rigged, by: Propagate, 
     found = plan_path(path, rigged.cameras, by, told, (Ties(world.tie_px, world.ties), relief), tuning)
     sizes = [(c.camera.width, c.camera.height) for c in rigged.cameras]
     cost = effort(sizes, len(path), path.length_m, request.images.speed, tuning.effort)
-    return Plan(
-        plan.lens, plan.stations, plan.groups, (*plan.advice, *found.advice), plan.wanted_m, found, cost, anchor,
-        {"shape": course.shape, "distance_m": course.distance_m, "length_m": course.length_m, "legs": len(path.legs)},
-    )  # fmt: skip
+    facts = {"shape": course.shape, "distance_m": course.distance_m, "length_m": course.length_m}
+    said = (*plan.advice, *found.advice)
+    return replace(plan, advice=said, path=found, effort=cost, anchor=anchor, shape=facts)
 
 
 def _receiver(gnss: str | None, outages: Sequence[str], tuning: Tuning) -> Receiver | None:

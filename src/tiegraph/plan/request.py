@@ -95,7 +95,7 @@ class ImageRequest:
         if base is None and overlap is None and self.motion().base_m is None:
             overlap = _OVERLAP
         check_overlap("sidelap", self.sidelap)
-        return Wanted(base, overlap, self.precision, self.match_px)
+        return Wanted(base, overlap, self.precision, match_px=self.match_px)
 
     def distances(self) -> list[float]:
         """Distances of the sweep. Raises InputError without any."""
