@@ -68,13 +68,12 @@ class _Draw:
 
 @dataclass(frozen=True)
 class _Sights:
-    """Observations: image, point and pixel of each; points and their normals; how much of each image shows surface."""
+    """Observations: image, point and pixel of each; the points; how much of each image shows surface."""
 
     image: np.ndarray  # (O,)
     point: np.ndarray  # (O,)
     xy: np.ndarray  # (O, 2)
     xyz: np.ndarray  # (P, 3)
-    normal: np.ndarray  # (P, 3)
     shown: np.ndarray  # (I,) 0 to 1
 
 
@@ -192,7 +191,7 @@ def _sights(
         found.append((np.full(int(inside.sum()), k), rows[inside], xy[inside]))
     image, point, pixel = (np.concatenate(column) for column in zip(*found))
     shown = np.bincount(first, minlength=len(poses)) / start
-    made = _Sights(image=image, point=point, xy=pixel, xyz=points, normal=normals, shown=shown)
+    made = _Sights(image=image, point=point, xy=pixel, xyz=points, shown=shown)
     return _useful(made, centres, tuning)
 
 
@@ -223,7 +222,7 @@ def _useful(sights: _Sights, centres: np.ndarray, tuning: NetworkTuning) -> _Sig
     good = kept[sights.point]
     return _Sights(
         image=sights.image[good], point=number[sights.point[good]], xy=sights.xy[good], xyz=sights.xyz[kept],
-        normal=sights.normal[kept], shown=sights.shown,
+        shown=sights.shown,
     )  # fmt: skip
 
 
