@@ -47,6 +47,7 @@ VERBS: dict[str, Verb] = {
     "compare": Verb("two or more run folders side by side; --epochs: what has changed between two surveys", "compare"),
     "shots": Verb("a point cloud for each shot of a calibrated rig, without a sparse model", "shots"),
     "calibrate": Verb("cameras and rig from images of a board (ChArUco, checkerboard, AprilGrid)", "calibrate"),
+    "plan": Verb("what a survey will give: precision by distance, accuracy of a whole path, effort", "plan"),
     "rig": Verb("the rig and cameras as a run found them, as rig.toml or COLMAP's rig_config.json", "rig"),
     "export": Verb("the depth maps as a dense workspace for COLMAP's stereo_fusion", "export"),
     "doctor": Verb("versions, cores, memory, disk, and what is missing", "doctor"),

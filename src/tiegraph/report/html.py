@@ -30,13 +30,14 @@ _MASKS_READ = 25  # masks opened for a camera's mean share
 _DROPPED_SHOWN = 200
 
 
-def write_report(folder: Path, settings: ReportSettings) -> Path:
+def write_report(folder: Path, settings: ReportSettings, planned: formatting.Table | None = None) -> Path:
     """Write ``folder/report.html`` from what the folder holds; stages that have not run are left out.
 
-    Raises InputError if the folder holds no run, TiegraphError if the disk is full.
+    ``planned``: what was planned beside what was reached. Raises InputError if the folder holds no run, TiegraphError
+    if the disk is full.
     """
     run = read_run(folder, settings.view_points)
-    text = render(run, settings)
+    text = render(run, settings, planned)
     target = folder / "report.html"
     with replacing(target) as temporary:
         temporary.write_text(text, encoding="utf-8")
@@ -44,7 +45,7 @@ def write_report(folder: Path, settings: ReportSettings) -> Path:
 
 
 @plain_text()
-def render(run: RunFolder, settings: ReportSettings) -> str:
+def render(run: RunFolder, settings: ReportSettings, planned: formatting.Table | None = None) -> str:
     """The page as text."""
     context = {
         "title": settings.title or run.path.resolve().name,
@@ -56,6 +57,7 @@ def render(run: RunFolder, settings: ReportSettings) -> str:
         "masks": _masks(run, settings),
         "network": network_part(run),
         "model": _model(run),
+        "planned": planned,
         "evaluation": _evaluation(run),
         "effort": _effort(run),
         **_three_d(run, settings),

@@ -1,0 +1,186 @@
+"""Glue of the planner: cameras as `scan` reads them, the covariance of `sparse`, the viewer of `report`; files."""
+
+from __future__ import annotations
+
+import json
+import os
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from tiegraph.errors import InputError
+from tiegraph.geometry import transforms
+from tiegraph.plan.accuracy import Shape
+from tiegraph.plan.compare import comparison, frames_apart
+from tiegraph.plan.network import MountedCamera, model_figures
+from tiegraph.plan.planner import Plan, Rigged, make_plan
+from tiegraph.plan.request import CameraRequest, PlanRequest
+from tiegraph.plan.tables import Table
+from tiegraph.plan.tuning import Tuning
+from tiegraph.project.run import save_json
+from tiegraph.project.stages import write_atomic
+from tiegraph.report.html import environment
+from tiegraph.report.plan import Track, frame_positions
+from tiegraph.report.runfolder import read_run
+from tiegraph.report.summary import metric_values
+from tiegraph.report.viewer import viewer_data, viewer_script
+from tiegraph.scan.cameras import FileFacts, calibrate
+from tiegraph.scan.rigfiles.rigfile import read_rig_file
+from tiegraph.scan.rigfiles.rigspec import AXES, RigSpec, SensorSpec, preset, preset_sizes
+from tiegraph.scan.settings import ScanSettings
+from tiegraph.scan.tuning import Tuning as ScanTuning
+from tiegraph.scene.colmapmodel import read_model
+from tiegraph.scene.rig import Rig, Sensor, calibrated
+from tiegraph.sfm.adjustment.adjust import free_cameras
+from tiegraph.sfm.covariance import position_sigma
+from tiegraph.sfm.tuning import Tuning as SfmTuning
+
+PLAN = "plan.json"
+_VIEWER_POINTS = 20_000
+
+
+def plan(request: PlanRequest) -> Plan:
+    """The plan of what is asked; its files, where a folder for them is named.
+
+    Raises InputError for values that make no survey, and for a folder that is there.
+    """
+    out = request.output.out
+    if out is not None and os.path.lexists(out):
+        raise InputError(f"-o {out} is there already: give another name, or remove it")
+    rigged = _cameras(request.camera)
+    made = make_plan(request, rigged, partial(_propagate, rigged=rigged), Tuning())
+    if out is not None:
+        for name, data in made.files().items():
+            write_atomic(out / name, data)
+        save_json(out / PLAN, made.to_dict())
+        if made.path is not None:
+            write_atomic(out / "plan.html", _page(made))
+    return made
+
+
+def compare(folder: Path, planned: Path | None) -> Table:
+    """What a run reached beside what was planned. Raises InputError for files that are none."""
+    path = planned or folder / PLAN
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"{path}: no plan.json that can be read ({error}): `tiegraph plan --shape ... -o FOLDER` makes one; "
+            "put it into the run folder, or name it by --planned"
+        ) from None
+    if not isinstance(data, dict):
+        raise InputError(f"{path}: no plan.json of tiegraph: `tiegraph plan --shape ... -o FOLDER` makes one")
+    return comparison(data, reached(folder))
+
+
+def reached(folder: Path) -> dict[str, float | None]:
+    """The figures of a finished run that a plan has, too; None or absent = not known."""
+    run = read_run(folder, cloud_points=0)
+    if run.scene is None or run.model is None:
+        raise InputError(f"{folder}: no sparse model in it: run it to `sparse` or `georef`, then compare")
+    model = read_model(folder / run.model.folder)
+    world = run.world or {}
+    base = frames_apart(frame_positions(run.scene, run.model.centres), run.scene.sequence, run.scene.sequence_index)
+    out: dict[str, float | None] = {"images": int(run.model.registered.sum())}
+    if not run.metric:
+        return out | {k: v for k, v in model_figures(model, 1.0).items() if k != "tie_gsd_m"}
+    out |= model_figures(model, 1.0)
+    camera = next(iter(model.cameras.values()))
+    if base is not None:
+        out |= {"base_m": base, "overlap": max(0.0, 1 - base / (float(out["tie_gsd_m"] or 0) * camera.width))}
+    shape = (world.get("model_sigma") or {}).get("median")
+    sigma = world.get("sigma") or {}
+    out["position_shape_sigma_median_m"] = shape
+    if shape is not None and "position_m" in sigma:
+        out["place_world_sigma_median_m"] = float(np.hypot(shape, sigma["position_m"]))
+        out["height_world_sigma_median_m"] = float(np.hypot(shape, sigma["height_m"]))
+    out["ate_m"] = metric_values(run).get("ate_sim3_rmse")
+    return out
+
+
+def _propagate(model: pycolmap.Reconstruction, calibrated: bool, *, rigged: Rigged) -> Shape:
+    """What the stage `sparse` would say of an adjusted model: rig and lenses unknown where nobody calibrated them."""
+    tuning = SfmTuning()
+    free = set() if calibrated else free_cameras(model, tuning.adjust) - set(rigged.held)
+    try:
+        found = position_sigma(model, free, not rigged.fixed, tuning=tuning)
+    except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
+        raise InputError(
+            f"the network of this path cannot be adjusted ({error}): give more overlap or frames"
+        ) from None
+    return Shape(
+        frames=np.array(found.frame_ids) - 1,
+        covariance=np.asarray(found.covariance),
+        scale=found.scale,
+        pixel_sigma=found.pixel_sigma,
+        points=np.array(found.points.ids),
+        point_sigma=found.points.sigma,
+    )
+
+
+# --- the cameras ----------------------------------------------------------------------------------------------------
+
+
+def _cameras(request: CameraRequest) -> Rigged:
+    """The cameras of the rig. Raises InputError where their size, lens or place is not known."""
+    tuning = ScanTuning()
+    size, focal = request.image_size(), request.focal_length_px()
+    spec = _spec(request.rig, tuning)
+    sensors, mounted = [], []
+    for sensor in spec.sensors:
+        camera = _camera(sensor, spec, size, focal, tuning)
+        if sensor.body_from_sensor is None:
+            raise InputError(f"--rig {request.rig}: sensor {sensor.name!r} has no place in the rig: a plan needs it")
+        body = np.eye(4)
+        body[:3, :3] = AXES[spec.axes]
+        pose = transforms.invert(body @ sensor.body_from_sensor)
+        sensors.append(Sensor(sensor.name, camera, pose, role=sensor.role, camera_sigma_px=sensor.camera_sigma_px,
+                              sigma_deg=sensor.sigma_deg, sigma_m=sensor.sigma_m))  # fmt: skip
+        mounted.append(MountedCamera(sensor.name, camera, pose))
+    rig = Rig(spec.name, tuple(sensors), fixed=spec.fixed, nominal=spec.nominal, pairs=spec.pairs)
+    held = tuple(
+        k
+        for k, s in enumerate(sensors, 1)
+        if s.camera is not None and (rig.fixed or calibrated(s.camera)) and not s.camera_sigma_px
+    )
+    return Rigged(mounted, held=held, fixed=rig.measured() and not rig.soft())
+
+
+def _spec(text: str | None, tuning: ScanTuning) -> RigSpec:
+    sizes = preset_sizes(text or "single", tuning.rig)
+    if sizes:
+        return preset(text or "single", tuple(f"cam{k}" for k in range(sizes[0])), tuning.rig)
+    rigs = read_rig_file(Path(text or ""), tuning.rig)
+    if len(rigs) > 1:
+        raise InputError(f"--rig {text}: it has {len(rigs)} rigs; a plan is of one")
+    return rigs[0]
+
+
+def _camera(
+    sensor: SensorSpec, spec: RigSpec, size: tuple[int, int] | None, focal_px: float | None, tuning: ScanTuning
+) -> pycolmap.Camera:
+    known = sensor.params is not None or sensor.focal_px is not None or (sensor.hfov_deg is not None)
+    size = sensor.size or size
+    if size is None:
+        raise InputError("nothing says how large the images are: give --size 2448x2050, or a --rig with cameras")
+    if not known and focal_px is None:
+        raise InputError(f"the focal length of {sensor.name} is not known: give --focal and --pixel, or --focal-px")
+    facts = FileFacts(size, focal_px or float("nan"), upright=True, bits=8, loose=False)
+    return calibrate(sensor, facts, spec.file, ScanSettings(), tuning.rig.camera).camera
+
+
+# --- the page -------------------------------------------------------------------------------------------------------
+
+
+def _page(made: Plan) -> str:
+    """The path in 3-D, in the viewer of the report."""
+    assert made.path is not None
+    path, points = made.path.path, made.path.network.model.points3D.values()
+    xyz = np.array([p.xyz for p in points])
+    tracks = [Track(name, path.centres[path.leg == k], np.zeros((0, 3))) for k, name in enumerate(path.legs)]
+    data = viewer_data(xyz, np.full(xyz.shape, 128), tracks, _VIEWER_POINTS, "m")
+    packed = json.dumps(data).replace("<", "\\u003c")
+    page = environment().get_template("planned.html.jinja")
+    return page.render(data=packed, script=viewer_script(), lines=(*made.path.worst, *made.advice))

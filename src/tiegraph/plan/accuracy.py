@@ -1,0 +1,184 @@
+"""What a planned network is expected to know: positions and points, in shape and in the world, by place on the path.
+
+The covariance comes from a function that is handed in: that of the stage ``sparse``, run on the synthetic network. The
+world is universal kriging: the shape's covariance C is free of any similarity, the similarity is unknown, and fixes
+(positions, control points) tell both it and the bends of the shape, as an adjustment with them does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pycolmap
+
+from tiegraph.geometry.transforms import skew
+from tiegraph.plan.network import Network
+from tiegraph.plan.path import Path
+from tiegraph.plan.tuning import WorldTuning
+
+_OPEN_TURN, _OPEN_SCALE, _OPEN_SHIFT = np.pi, 1.0, 1e6  # sigmas of what nothing tells: rad, parts, extents
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What the covariance of ``sparse`` says of a network, after the best similarity, metres.
+
+    ``frames``: those (f,) whose positions are in ``covariance`` (3f, 3f); ``scale``: relative sigma, None = unknown.
+    """
+
+    frames: np.ndarray
+    covariance: np.ndarray
+    scale: float | None
+    pixel_sigma: float
+    points: np.ndarray  # (P,) ids
+    point_sigma: np.ndarray  # (P, 3)
+
+    def sigma(self) -> np.ndarray:
+        """(f,) root sum of squares of each position."""
+        return np.asarray(np.sqrt(np.clip(np.diag(self.covariance), 0, None).reshape(-1, 3).sum(axis=1)))
+
+
+Propagate = Callable[[pycolmap.Reconstruction, bool], Shape]
+"""The covariance of an adjusted model; True: as if its lenses were calibrated."""
+
+
+@dataclass(frozen=True)
+class Fix:
+    """Something known in the world: a place (3,), its sigmas (3,), and the frame (row of ``Shape.frames``) nearest."""
+
+    frame: int
+    place: np.ndarray
+    sigma: np.ndarray
+
+
+@dataclass(frozen=True)
+class Known:
+    """What ties the path to the world. ``common``: sigmas (3,) that all positions of a receiver share, none = 0;
+    ``vertical_deg``: how well the cameras tell the vertical, None = they do not."""
+
+    fixes: tuple[Fix, ...]
+    common: np.ndarray
+    vertical_deg: float | None
+
+    @property
+    def placed(self) -> bool:
+        """Whether there is enough for a place and a heading: two fixes apart."""
+        return len(self.fixes) > 1
+
+
+@dataclass(frozen=True)
+class Expected:
+    """Sigmas of positions (f,) and points (P,), metres, root sum of squares; NaN where nothing places them."""
+
+    frames: np.ndarray  # (f,)
+    shape: np.ndarray
+    world_axes: np.ndarray  # (f, 3) along x, y, z
+    near: np.ndarray  # (P,) row of the frame nearest to each point
+    point_shape: np.ndarray
+    point_world: np.ndarray
+
+    @property
+    def world(self) -> np.ndarray:
+        """(f,) of positions in the world."""
+        return np.asarray(np.linalg.norm(self.world_axes, axis=1))
+
+
+def propagate(network: Network, by: Propagate, tie_px: float, widened: float, calibrated: bool = False) -> Shape:
+    """The shape's sigmas, of all the points that there will be.
+
+    ``calibrated``: as if the lenses were. ``widened``: sigmas with the errors that observations share, which the
+    synthetic ones do not.
+    """
+    found = by(network.model, calibrated)
+    own = own_variance(network.model, found.points)
+    shared = np.clip(found.point_sigma**2 - found.pixel_sigma**2 * own, 0, None)
+    return Shape(
+        frames=found.frames,
+        covariance=widened**2 * found.covariance,
+        scale=None if found.scale is None else widened * found.scale,
+        pixel_sigma=tie_px,
+        points=found.points,
+        point_sigma=np.sqrt(widened**2 * shared + tie_px**2 * own),
+    )
+
+
+def own_variance(model: pycolmap.Reconstruction, points: np.ndarray) -> np.ndarray:
+    """(P, 3) variances of points by their own rays, poses known, for observations of sigma 1 px."""
+    out = np.empty((len(points), 3))
+    for row, key in enumerate(points):
+        point = model.point3D(int(key))
+        information = np.zeros((3, 3))
+        for element in point.track.elements:
+            image = model.image(element.image_id)
+            pose = image.cam_from_world().matrix()
+            at = pose[:, :3] @ point.xyz + pose[:, 3]
+            step = 1e-5 * np.linalg.norm(at)
+            ends = model.camera(image.camera_id).img_from_cam(at + step * np.concatenate([np.eye(3), -np.eye(3)]))
+            jacobian = (ends[:3] - ends[3:]).T / (2 * step) @ pose[:, :3]
+            information += jacobian.T @ jacobian
+        out[row] = np.diag(np.linalg.inv(information))
+    return out
+
+
+def expected(shape: Shape, network: Network, path: Path, known: Known) -> Expected:
+    """Sigmas of all that is asked, by the frames of ``shape``."""
+    centres = path.centres[shape.frames]
+    xyz = np.array([network.model.point3D(int(k)).xyz for k in shape.points]).reshape(-1, 3)
+    near = np.argmin(np.linalg.norm(xyz[:, None] - centres[None], axis=2), axis=1)
+    world, placed = _world(shape, centres, xyz, known)
+    return Expected(
+        frames=shape.frames,
+        shape=shape.sigma(),
+        world_axes=world,
+        near=near,
+        point_shape=np.linalg.norm(shape.point_sigma, axis=1),
+        point_world=np.sqrt(np.sum(shape.point_sigma**2, axis=1) + np.clip(placed, 0, None)),
+    )
+
+
+def _world(shape: Shape, centres: np.ndarray, xyz: np.ndarray, known: Known) -> tuple[np.ndarray, np.ndarray]:
+    """Sigmas (f, 3) of the positions in the world, and the variances (P,) that the placement adds to points."""
+    if not known.placed:
+        return np.full(centres.shape, np.nan), np.full(len(xyz), np.nan)
+    middle = centres.mean(axis=0)
+    extent = max(float(np.sqrt(np.mean(np.sum((centres - middle) ** 2, axis=1)))), 1e-9)
+    moved = _motions(centres - middle).reshape(-1, 7)
+    frames = [f.frame for f in known.fixes]
+    rows = (3 * np.array(frames)[:, None] + np.arange(3)).ravel()
+    fixed = _motions(np.array([f.place for f in known.fixes]) - middle).reshape(-1, 7)
+    noise = np.concatenate([f.sigma for f in known.fixes]) ** 2
+    inverse = np.linalg.inv(shape.covariance[np.ix_(rows, rows)] + np.diag(noise))
+    prior = _prior(shape, known, extent)
+    placement = np.linalg.inv(fixed.T @ inverse @ fixed + prior)
+    gain = shape.covariance[:, rows] @ inverse
+    bent = np.einsum("ij,ij->i", gain, shape.covariance[:, rows])
+    rest = moved - gain @ fixed
+    variance = np.diag(shape.covariance) - bent + np.einsum("ij,jk,ik->i", rest, placement, rest)
+    positions = np.clip(variance, 0, None).reshape(-1, 3) + known.common**2
+    of_points = _motions(xyz - middle)
+    placed = np.einsum("nij,jk,nik->n", of_points, placement, of_points) + float(np.sum(known.common**2))
+    return np.sqrt(positions), placed
+
+
+def _motions(from_middle: np.ndarray) -> np.ndarray:
+    """(N, 3, 7) what a turn (rad), a shift (m) and a change of scale do to places."""
+    shift = np.broadcast_to(np.eye(3), (len(from_middle), 3, 3))
+    return np.concatenate([-skew(from_middle), shift, from_middle[:, :, None]], axis=2)
+
+
+def _prior(shape: Shape, known: Known, extent: float) -> np.ndarray:
+    """(7, 7) information on turn, shift and scale beside the fixes."""
+    sigma = np.repeat([_OPEN_TURN, _OPEN_SHIFT * extent, _OPEN_SCALE], [3, 3, 1])
+    if known.vertical_deg is not None:
+        sigma[:2] = np.radians(known.vertical_deg)
+    if shape.scale is not None:
+        sigma[6] = shape.scale
+    return np.diag(1 / sigma**2)
+
+
+def looks_round(axes: np.ndarray, tuning: WorldTuning) -> bool:
+    """Whether cameras with these viewing directions (S, 3) in the body look all round its down axis."""
+    level = axes[np.abs(axes[:, 1]) < 0.7]  # less than 45 degrees up or down
+    return len(level) > 1 and float(np.linalg.norm(level.mean(axis=0))) < tuning.all_round

@@ -1,0 +1,187 @@
+"""One camera before a surface, in closed form (paper 004, equations 1 and 2, table 1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tiegraph.errors import InputError
+from tiegraph.plan.tuning import StationTuning
+
+
+@dataclass(frozen=True)
+class Lens:
+    """The camera that the closed forms are about: focal length and image size, pixels; which side runs along the
+    motion (0 = the width, 1 = the height)."""
+
+    focal_px: float
+    size: tuple[int, int]
+    along: int = 0
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How the camera moves: speed m/s, frames a second, exposure s; None = not said."""
+
+    speed_m_s: float | None = None
+    rate_hz: float | None = None
+    exposure_s: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in (("speed", self.speed_m_s), ("rate", self.rate_hz), ("exposure", self.exposure_s)):
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise InputError(f"--{name} {value:g}: give a number above zero, or leave it away")
+        for name, value, other in (("speed", self.speed_m_s, "rate"), ("rate", self.rate_hz, "speed")):
+            missing = self.rate_hz if name == "speed" else self.speed_m_s
+            if value is not None and missing is None:
+                raise InputError(f"--{name} {value:g} without --{other}: both together say how far frames are apart")
+        if self.exposure_s is not None and self.speed_m_s is None:
+            raise InputError(f"--exposure {self.exposure_s:g} without --speed: a camera at rest does not blur")
+
+    @property
+    def base_m(self) -> float | None:
+        """Way between two frames."""
+        if self.speed_m_s is None or self.rate_hz is None:
+            return None
+        return self.speed_m_s / self.rate_hz
+
+
+@dataclass(frozen=True)
+class Station:
+    """What images at one distance give; lengths in metres."""
+
+    distance_m: float
+    gsd_m: float  # of a pixel on the surface
+    footprint_m: tuple[float, float]  # width, height of an image on the surface
+    base_m: float
+    overlap: float  # of two images a base apart, along the motion
+    precision_m: tuple[float, ...]  # sigma of a depth from 2, 3, ... rays, each a base further
+    across_m: float  # sigma of a point along the surface, two rays
+    farthest_m: float | None = None  # at which two rays still give the wanted precision
+    blur_px: float | None = None  # by the given exposure
+    exposure_s: float | None = None  # longest without blur
+
+    @property
+    def points_mm2(self) -> float:
+        """Pixels, and so points of a dense cloud, on a square millimetre."""
+        return 1e-6 / self.gsd_m**2
+
+    def row(self) -> dict[str, float | None]:
+        """JSON-ready, a name with its unit for each figure."""
+        deep = {f"depth_sigma_{n}_rays_m": s for n, s in enumerate(self.precision_m, 2)}
+        return {
+            "distance_m": self.distance_m, "gsd_m": self.gsd_m, "px_per_mm2": self.points_mm2,
+            "footprint_width_m": self.footprint_m[0], "footprint_height_m": self.footprint_m[1],
+            "base_m": self.base_m, "overlap": self.overlap, **deep, "across_sigma_m": self.across_m,
+            "farthest_m": self.farthest_m, "blur_px": self.blur_px, "longest_exposure_s": self.exposure_s,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is asked of the images: base (m) or overlap (0 to 1) along the motion, precision of a depth (m; None = not
+    said) and the sigma of a disparity (px)."""
+
+    base_m: float | None = None
+    overlap: float | None = None
+    precision_m: float | None = None
+    match_px: float = 0.3
+
+    def __post_init__(self) -> None:
+        for name, value in (("base", self.base_m), ("precision", self.precision_m), ("match-px", self.match_px)):
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise InputError(f"--{name} {value:g}: give a number above zero")
+        if self.overlap is not None:
+            check_overlap("overlap", self.overlap)
+
+
+def check_overlap(name: str, value: float) -> None:
+    """Raises InputError unless it is a share."""
+    if not 0 <= value < 1:
+        raise InputError(
+            f"--{name} {value:g}: an overlap is a share from 0 to below 1, such as 0.8; at 1 no frame is new"
+        )
+
+
+def station(lens: Lens, distance_m: float, wanted: Wanted, motion: Motion, tuning: StationTuning) -> Station:
+    """The figures of one distance. The base is that which is given, else way between two frames, else by the overlap.
+
+    Raises InputError for a distance that is none, and where nothing says how far frames are apart.
+    """
+    if not (np.isfinite(distance_m) and distance_m > 0):
+        raise InputError(f"--distance {distance_m:g}: give the distance from camera to surface in metres, above zero")
+    gsd = distance_m / lens.focal_px
+    width, height = (gsd * side for side in lens.size)
+    along = (width, height)[lens.along]
+    base = wanted.base_m or motion.base_m
+    if base is None:
+        if wanted.overlap is None:
+            raise InputError("nothing says how far images are apart: give --overlap, --base, or --speed and --rate")
+        base = (1 - wanted.overlap) * along
+    overlap = max(0.0, 1 - base / along)
+    most = int(np.clip(np.floor(along / base) + 1, 2, tuning.most_rays))
+    two = distance_m**2 / (lens.focal_px * base) * wanted.match_px  # equation 2
+    farthest = None
+    if wanted.precision_m is not None:
+        farthest = float(np.sqrt(wanted.precision_m * lens.focal_px * base / wanted.match_px))
+    limit = None if motion.speed_m_s is None else tuning.blur_px * gsd / motion.speed_m_s
+    blur = None
+    if motion.exposure_s is not None and motion.speed_m_s is not None:
+        blur = motion.speed_m_s * motion.exposure_s / gsd
+    return Station(
+        distance_m=distance_m,
+        gsd_m=gsd,
+        footprint_m=(width, height),
+        base_m=base,
+        overlap=overlap,
+        precision_m=tuple(two * rays_gain(n) for n in range(2, most + 1)) if overlap > 0 else (),
+        across_m=gsd * wanted.match_px / 2,  # each image has a half of the disparity's variance, and there are two
+        farthest_m=farthest,
+        blur_px=blur,
+        exposure_s=limit,
+    )
+
+
+def rays_gain(rays: int) -> float:
+    """Sigma of a depth from so many images in a row, each a base further, over that from two of them.
+
+    Least squares of the disparities x_k = f k B / H: the sum of (k - mean k)^2 is n (n^2 - 1) / 12, and 1/2 for two.
+    """
+    return float(np.sqrt(6 / (rays * (rays**2 - 1))))
+
+
+def advice(made: Station, lens: Lens, wanted: Wanted, motion: Motion) -> list[str]:
+    """What must change for what is wanted, each with the figure that would do."""
+    out = []
+    where = f"at {made.distance_m:g} m"
+    if not made.precision_m:
+        out.append(f"{where} images {made.base_m:.3g} m apart do not overlap: nothing can be measured")
+    elif wanted.precision_m is not None and made.precision_m[0] > wanted.precision_m:
+        base = made.distance_m**2 * wanted.match_px / (lens.focal_px * wanted.precision_m)
+        share = 1 - base / made.footprint_m[lens.along]
+        rays = [n for n, s in enumerate(made.precision_m, 2) if s <= wanted.precision_m]
+        more = f"points seen {rays[0]} times have it" if rays else "no number of rays up to the last one has it"
+        instead = f"or a base of {base:.3g} m" if share > 0 else "and no base with overlap gives it"
+        out.append(
+            f"{where} two rays give {_mm(made.precision_m[0])} for the {_mm(wanted.precision_m)} wanted: {more}, "
+            f"{instead}, or a distance of {made.farthest_m:.3g} m"
+        )
+    if wanted.overlap is not None and made.overlap < wanted.overlap and motion.speed_m_s and motion.rate_hz:
+        base = (1 - wanted.overlap) * made.footprint_m[lens.along]
+        if wanted.base_m is None:
+            out.append(
+                f"{where} {motion.speed_m_s:g} m/s at {motion.rate_hz:g} frames/s overlap by "
+                f"{100 * made.overlap:.0f} %: for {100 * wanted.overlap:.0f} % go {base * motion.rate_hz:.3g} m/s "
+                f"or take {motion.speed_m_s / base:.3g} frames/s"
+            )
+    if made.blur_px is not None and made.exposure_s is not None and made.exposure_s < (motion.exposure_s or 0):
+        out.append(
+            f"{where} {1000 * (motion.exposure_s or 0):g} ms blur by {made.blur_px:.2g} px: expose "
+            f"{1000 * made.exposure_s:.2g} ms at most"
+        )
+    return out
+
+
+def _mm(value: float) -> str:
+    return f"{1000 * value:.3g} mm"

@@ -1,0 +1,265 @@
+"""The synthetic network of a planned path: points of the surface, the images that see them, noisy observations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pycolmap
+from scipy.spatial.transform import Rotation
+
+from tiegraph.errors import InputError
+from tiegraph.geometry import transforms
+from tiegraph.plan.path import Facet, Path
+from tiegraph.plan.tuning import NetworkTuning
+
+_SEED = 0
+
+
+@dataclass(frozen=True)
+class MountedCamera:
+    """A camera of the rig with its place: sensor_from_body (4, 4)."""
+
+    name: str
+    camera: pycolmap.Camera
+    sensor_from_body: np.ndarray
+
+
+@dataclass(frozen=True)
+class Ties:
+    """Tie points: sigma of an image coordinate, px; observations of an image, None = by its pixels."""
+
+    sigma_px: float
+    an_image: float | None = None
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.sigma_px) and self.sigma_px > 0):
+            raise InputError(f"--tie-px {self.sigma_px:g}: give the sigma of a tie point in an image, above zero")
+        if self.an_image is not None and not self.an_image >= 1:
+            raise InputError(f"--ties {self.an_image:g}: give the tie points that an image sees, 1 or more")
+
+
+@dataclass(frozen=True)
+class Network:
+    """A COLMAP model whose frame ids are 1 + the path's frames, one rig of all cameras.
+
+    ``share``: points that were made over those that there will be. The errors are scaled by its root, so that the model
+    knows its poses as well as the whole would; of what a point's own rays say, that root is taken off again.
+    """
+
+    model: pycolmap.Reconstruction
+    share: float
+    seen: np.ndarray  # (F,) observations a frame will have
+
+    def figures(self) -> dict[str, float]:
+        """``model_figures`` of all the points that there will be."""
+        made = model_figures(self.model, 1.0)
+        return {**made, "ties_an_image": made["ties_an_image"] / self.share}
+
+
+@dataclass(frozen=True)
+class _Draw:
+    """Points that start from an image, unevenness of the surface (sigma, m), and the generator."""
+
+    start: int
+    relief_m: float
+    rng: np.random.Generator
+
+
+@dataclass(frozen=True)
+class _Sights:
+    """Observations: image, point and pixel of each; the points; how much of each image shows surface."""
+
+    image: np.ndarray  # (O,)
+    point: np.ndarray  # (O,)
+    xy: np.ndarray  # (O, 2)
+    xyz: np.ndarray  # (P, 3)
+    shown: np.ndarray  # (I,) 0 to 1
+
+
+def make_network(
+    path: Path, cameras: list[MountedCamera], ties: Ties, relief_m: float, tuning: NetworkTuning
+) -> Network:
+    """The network of a path over a surface of this unevenness (sigma).
+
+    Points start from pixels drawn evenly over each image, so features are as frequent everywhere in an image that
+    shows surface. Another image sees such a point as often as the tolerances of ``tuning`` let it: they are drawn for
+    each point, as some features are found again from everywhere and most from nearby only. Raises InputError for
+    paths that are too long, and for images that see too little surface or do not overlap.
+    """
+    if len(path) > tuning.most_frames:
+        raise InputError(
+            f"the path has {len(path)} frames: the accuracy of more than {tuning.most_frames} is not propagated here; "
+            "plan a part of it (a shorter --length: accuracy repeats), or take a larger --base"
+        )
+    rng = np.random.default_rng(_SEED)
+    wobble = Rotation.from_rotvec(np.radians(tuning.wobble_deg) * rng.standard_normal((len(path), 3))).as_matrix()
+    path = replace(path, world_from_body=path.world_from_body @ transforms.rigid(wobble, np.zeros(3)))
+    sensor_from_world = _poses(path, cameras)
+    images = len(sensor_from_world)
+    start = int(max(tuning.least_points, tuning.most_points // images))
+    drawn = _Draw(start, relief_m, rng)
+    sights = _sights(path, cameras, sensor_from_world, drawn, tuning)
+    if len(sights.xyz) < 3 * len(path):
+        raise InputError(
+            f"only {len(sights.xyz)} points of the surface are seen by two of the {images} images: they see past it or "
+            "do not overlap; look at the drawing (-o), change --overlap, --base, --yaw or --pitch"
+        )
+    megapixels = np.array([c.camera.width * c.camera.height / 1e6 for c in cameras] * len(path))
+    wanted = np.minimum(tuning.ties_a_megapixel * megapixels, tuning.most_ties) * sights.shown
+    if ties.an_image is not None:
+        wanted = np.full(images, float(ties.an_image))
+    made = np.bincount(sights.image, minlength=images)
+    share = float(made.sum() / wanted.sum())
+    noise = ties.sigma_px * np.sqrt(share) * rng.standard_normal(sights.xy.shape)
+    model = _model(path, cameras, sights, sights.xy + noise)
+    seen = np.round(made.reshape(len(path), -1).sum(axis=1) / share).astype(int)
+    return Network(model, share, seen)
+
+
+def model_figures(model: pycolmap.Reconstruction, metres: float) -> dict[str, float]:
+    """Of a model, planned or made: pixel at the tie points, tie points of an image, images of one.
+
+    ``metres``: length of a unit of the model.
+    """
+    sizes = []
+    for image_id in model.reg_image_ids():
+        image = model.image(image_id)
+        seen = image.get_observation_points2D()
+        if not seen:
+            continue
+        xyz = np.array([model.point3D(p.point3D_id).xyz for p in seen])
+        far = np.linalg.norm(xyz - image.projection_center(), axis=1)
+        sizes.append(metres * far / model.camera(image.camera_id).mean_focal_length())
+    return {
+        "tie_gsd_m": float(np.median(np.concatenate(sizes))),
+        "ties_an_image": float(model.compute_mean_observations_per_reg_image()),
+        "track_length": float(model.compute_mean_track_length()),
+    }
+
+
+def _poses(path: Path, cameras: list[MountedCamera]) -> np.ndarray:
+    """(F * S, 4, 4) sensor_from_world, frame by frame."""
+    body_from_world = transforms.invert(path.world_from_body)
+    mounted = np.stack([c.sensor_from_body for c in cameras])
+    return np.asarray((mounted[None] @ body_from_world[:, None]).reshape(-1, 4, 4))
+
+
+def _sights(
+    path: Path,
+    cameras: list[MountedCamera],
+    poses: np.ndarray,
+    drawn: _Draw,
+    tuning: NetworkTuning,
+) -> _Sights:
+    """Points that start from images, and which images see them."""
+    start, relief_m, rng = drawn.start, drawn.relief_m, drawn.rng
+    xyz, normal, base = [], [], []
+    for k, pose in enumerate(poses):
+        camera = cameras[k % len(cameras)].camera
+        xy = rng.uniform(0, 1, (start, 2)) * [camera.width, camera.height]
+        rays = np.column_stack([np.asarray(camera.cam_from_img(xy)), np.ones(start)]) @ pose[:3, :3]
+        centre = transforms.centre(pose)
+        far, facing = _hit(centre, rays, path.surface)
+        far = far + relief_m * rng.standard_normal(start) / np.linalg.norm(rays, axis=1)
+        good = np.isfinite(far) & (far > 0)
+        xyz.append(centre + far[good, None] * rays[good])
+        normal.append(facing[good])
+        base.append(np.full(int(good.sum()), k))
+    points, normals, first = np.concatenate(xyz), np.concatenate(normal), np.concatenate(base)
+    centres = transforms.centre(poses)
+    ray = points - centres[first]
+    reach = np.linalg.norm(ray, axis=1)
+    ray /= reach[:, None]
+    # Features of a wall seen at a grazing angle are of what stands out of it: they face half-way to the camera.
+    normals = normals - ray
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    turned = np.cos(np.minimum(rng.exponential(np.radians(tuning.turn_deg), len(points)), np.pi))
+    nearer = np.exp(rng.exponential(np.log(tuning.nearer), len(points)))
+    found = []
+    for k, pose in enumerate(poses):
+        camera = cameras[k % len(cameras)].camera
+        to = points - centres[k]
+        depth = to @ pose[2, :3]
+        far = np.maximum(np.linalg.norm(to, axis=1), 1e-9)
+        to = to / far[:, None]
+        seen = (depth > 0) & (-np.sum(to * normals, axis=1) > np.cos(np.radians(tuning.incidence_deg)))
+        seen &= (np.sum(to * ray, axis=1) > turned) & (far < nearer * reach) & (reach < nearer * far)
+        rows = np.flatnonzero(seen & ((first == k) | (rng.random(len(points)) < tuning.repeat)))
+        xy = camera.img_from_cam(transforms.apply(pose, points[rows]))
+        inside = np.all((xy >= 0) & (xy <= [camera.width, camera.height]), axis=1)
+        found.append((np.full(int(inside.sum()), k), rows[inside], xy[inside]))
+    image, point, pixel = (np.concatenate(column) for column in zip(*found))
+    shown = np.bincount(first, minlength=len(poses)) / start
+    made = _Sights(image=image, point=point, xy=pixel, xyz=points, shown=shown)
+    return _useful(made, centres, tuning)
+
+
+def _hit(centre: np.ndarray, rays: np.ndarray, surface: tuple[Facet, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Lengths (N,) along rays (N, 3) to the first facet, NaN = none, and its normal (N, 3)."""
+    best, normal = np.full(len(rays), np.inf), np.full(rays.shape, np.nan)
+    for facet in surface:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            far = ((facet.corner - centre) @ facet.normal) / (rays @ facet.normal)
+            at = (centre + far[:, None] * rays - facet.corner) @ np.linalg.pinv(facet.edges)
+        hit = (rays @ facet.normal < 0) & (far > 0) & (far < best) & np.all((at >= 0) & (at <= 1), axis=1)
+        best[hit], normal[hit] = far[hit], facet.normal
+    return np.where(np.isfinite(best), best, np.nan), normal
+
+
+def _useful(sights: _Sights, centres: np.ndarray, tuning: NetworkTuning) -> _Sights:
+    """Without points whose rays meet at too small an angle, or that one image sees."""
+    ray = sights.xyz[sights.point] - centres[sights.image]
+    ray /= np.linalg.norm(ray, axis=1)[:, None]
+    order = np.argsort(sights.point, kind="stable")
+    point, ray = sights.point[order], ray[order]
+    first = np.searchsorted(point, point)  # the first ray of each point; the farthest from it tells the angle
+    apart = np.arccos(np.clip(np.sum(ray * ray[first], axis=1), -1, 1))
+    widest = np.zeros(len(sights.xyz))
+    np.maximum.at(widest, point, apart)
+    kept = widest >= np.radians(tuning.least_angle_deg)
+    number = np.cumsum(kept) - 1
+    good = kept[sights.point]
+    return _Sights(
+        image=sights.image[good], point=number[sights.point[good]], xy=sights.xy[good], xyz=sights.xyz[kept],
+        shown=sights.shown,
+    )  # fmt: skip
+
+
+def _model(path: Path, cameras: list[MountedCamera], sights: _Sights, xy: np.ndarray) -> pycolmap.Reconstruction:
+    """COLMAP's model. The first camera is the reference of the rig."""
+    model, rig = pycolmap.Reconstruction(), pycolmap.Rig(rig_id=1)
+    body_from_first = transforms.invert(cameras[0].sensor_from_body)
+    for k, mounted in enumerate(cameras):
+        camera = pycolmap.Camera(mounted.camera.todict())
+        camera.camera_id = k + 1
+        model.add_camera(camera)
+        if k == 0:
+            rig.add_ref_sensor(camera.sensor_id)
+        else:
+            rig.add_sensor(camera.sensor_id, pycolmap.Rigid3d((mounted.sensor_from_body @ body_from_first)[:3]))
+    model.add_rig(rig)
+    first_from_world = transforms.invert(path.world_from_body @ body_from_first)
+    number = np.empty(len(xy), int)  # of each observation in its image
+    for f in range(len(path)):
+        frame = pycolmap.Frame(frame_id=f + 1, rig_id=1)
+        ids = [f * len(cameras) + c for c in range(len(cameras))]
+        for c, k in enumerate(ids):
+            frame.add_data_id(pycolmap.data_t(model.camera(c + 1).sensor_id, k + 1))
+        frame.rig_from_world = pycolmap.Rigid3d(first_from_world[f, :3])
+        model.add_frame(frame)
+        for c, k in enumerate(ids):
+            rows = np.flatnonzero(sights.image == k)
+            number[rows] = np.arange(len(rows))
+            name = f"{cameras[c].name}/{f:06d}"
+            image = pycolmap.Image(name=name, camera_id=c + 1, image_id=k + 1, keypoints=xy[rows])
+            image.frame_id = f + 1
+            model.add_image(image)
+    order = np.argsort(sights.point, kind="stable")
+    grey = np.full(3, 128, np.uint8)
+    for rows in np.split(order, np.flatnonzero(np.diff(sights.point[order])) + 1):
+        track = [pycolmap.TrackElement(int(sights.image[r]) + 1, int(number[r])) for r in rows]
+        model.add_point3D(sights.xyz[sights.point[rows[0]]], pycolmap.Track(track), grey)
+    for f in range(len(path)):
+        model.register_frame(f + 1)
+    return model

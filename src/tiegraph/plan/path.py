@@ -1,0 +1,220 @@
+"""Shapes of surveys: where the rig stands at each frame, and the surfaces it sees.
+
+World: x along the first way, y to its left, z up, metres. Body: x right, y down, z forward, which is along the way in
+canal, corridor and tunnel, to the surface at facade and orbit, and down over a grid (its top then points ahead).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tiegraph.errors import InputError, choose
+from tiegraph.geometry.transforms import rigid
+from tiegraph.plan.tuning import PathTuning
+
+_BEYOND = 4.0  # distances that walls go on before and behind the way
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True)
+class Course:
+    """What a path is made of, metres and degrees. ``base``: way between frames; ``row``: between rows or lines;
+    ``turned``: yaw to the right and pitch up, out of the direction that the shape gives the body."""
+
+    shape: str
+    distance_m: float
+    length_m: float
+    width_m: float
+    height_m: float
+    base_m: float
+    row_m: float
+    passes: int = 1
+    turned_deg: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Facet:
+    """A flat piece of surface: a corner and two edges, (3,) each; it is seen from where edge x edge points."""
+
+    corner: np.ndarray
+    edges: np.ndarray  # (2, 3)
+
+    @property
+    def normal(self) -> np.ndarray:
+        """Unit vector (3,)."""
+        normal = np.cross(*self.edges)
+        return np.asarray(normal / np.linalg.norm(normal))
+
+
+@dataclass(frozen=True)
+class Path:
+    """F frames: poses (F, 4, 4) of the body, way (F,) along the leg, number of the leg (F,) with its name; surface."""
+
+    world_from_body: np.ndarray
+    way_m: np.ndarray
+    leg: np.ndarray
+    legs: tuple[str, ...]
+    surface: tuple[Facet, ...]
+
+    def __len__(self) -> int:
+        return len(self.way_m)
+
+    @property
+    def centres(self) -> np.ndarray:
+        """(F, 3) places of the body."""
+        return self.world_from_body[:, :3, 3]
+
+    @property
+    def length_m(self) -> float:
+        """From the first frame to the last, with the ways between legs."""
+        return float(np.linalg.norm(np.diff(self.centres, axis=0), axis=1).sum())
+
+    def place(self, frame: int) -> str:
+        """Where a frame is, in words."""
+        return f"{self.way_m[frame]:.0f} m along {self.legs[self.leg[frame]]}"
+
+
+def make_path(course: Course, tuning: PathTuning) -> Path:
+    """The frames and the surface of a shape. Raises SettingsError for an unknown shape, InputError for sizes."""
+    shape: Callable[[Course, PathTuning], Path] = choose("shape", course.shape, SHAPES)  # type: ignore[assignment]
+    for name in ("length", "width", "height"):
+        value = getattr(course, f"{name}_m")
+        if not (np.isfinite(value) and value > 0):
+            raise InputError(f"--{name} {value:g}: give metres, above zero")
+    path = shape(course, tuning)
+    if len(path) < 3:
+        raise InputError(
+            f"the path has {len(path)} frame(s), {course.base_m:.3g} m apart: less than the 3 that an adjustment "
+            "needs; give a larger --length, or a smaller --base"
+        )
+    return path
+
+
+def _canal(c: Course, tuning: PathTuning) -> Path:
+    """Walls on both sides and water below, which is no surface: out and back, each way right of the middle."""
+    beside = tuning.passes_apart * c.distance_m / 2 if c.passes > 1 else 0.0
+    reach = _BEYOND * c.distance_m
+    walls = (_wall(c, -reach, c.distance_m, c.height_m, 1), _wall(c, -reach, -c.distance_m, c.height_m, -1))
+    return _ways(c, beside, tuning.camera_m, walls)
+
+
+def _corridor(c: Course, tuning: PathTuning) -> Path:
+    """Two walls, floor and ceiling."""
+    reach, side = _BEYOND * c.distance_m, c.distance_m
+    walls = [_wall(c, -reach, side, c.height_m, 1), _wall(c, -reach, -side, c.height_m, -1)]
+    long = np.array([c.length_m + 2 * reach, 0, 0])
+    across = np.array([0, 2 * side, 0])
+    walls.append(Facet(np.array([-reach, -side, 0.0]), np.stack([long, across])))
+    walls.append(Facet(np.array([-reach, -side, c.height_m]), np.stack([across, long])))
+    return _ways(c, 0.0, c.height_m / 2, tuple(walls))
+
+
+def _tunnel(c: Course, tuning: PathTuning) -> Path:
+    """A round lining about the way."""
+    angle = 2 * np.pi * np.arange(tuning.facets + 1) / tuning.facets
+    ring = c.distance_m * np.stack([np.zeros_like(angle), np.cos(angle), np.sin(angle)], axis=1)
+    reach = _BEYOND * c.distance_m
+    start, long = np.array([-reach, 0, 0]), np.array([c.length_m + 2 * reach, 0, 0])
+    return _ways(c, 0.0, 0.0, tuple(Facet(start + a, np.stack([long, b - a])) for a, b in zip(ring, ring[1:])))
+
+
+def _facade(c: Course, tuning: PathTuning) -> Path:
+    """A wall, by rows to and fro."""
+    wall = Facet(np.array([0, c.distance_m, 0]), np.array([[c.length_m, 0, 0], [0, 0, c.height_m]]))
+    lines = [np.array([0, 0, z]) for z in _evenly(c.height_m, c.row_m)]
+    return _rows(c, lines, _turn(np.array([0.0, 1.0, 0.0])), "row", (wall,))
+
+
+def _grid(c: Course, tuning: PathTuning) -> Path:
+    """Ground from above, by lines to and fro; it goes on round about."""
+    more = c.distance_m
+    edges = np.diag([c.length_m + 2 * more, c.width_m + 2 * more, 0.0])[:2]
+    ground = Facet(np.array([-more, -more, 0.0]), edges)
+    lines = [np.array([0, y, c.distance_m]) for y in _evenly(c.width_m, c.row_m)]
+    ahead = np.stack([[0.0, -1, 0], [-1, 0, 0], [0, 0, -1]], axis=1)  # right of the body = right of the way
+    return _rows(c, lines, ahead, "line", (ground,))
+
+
+def _orbit(c: Course, tuning: PathTuning) -> Path:
+    """A round object of the given width, by rings about it. Frames are a base apart on its surface."""
+    radius = c.width_m / 2
+    angle = 2 * np.pi * np.arange(tuning.facets + 1) / tuning.facets
+    ring = radius * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
+    up = np.array([0, 0, c.height_m])
+    surface = tuple(Facet(a, np.stack([b - a, up])) for a, b in zip(ring, ring[1:]))
+    count = max(3, int(np.ceil(2 * np.pi * radius / c.base_m)))
+    around = 2 * np.pi * np.arange(count) / count
+    out = np.stack([np.cos(around), np.sin(around), np.zeros(count)], axis=1)
+    levels = _evenly(c.height_m, c.row_m)
+    far = radius + c.distance_m
+    poses = [rigid(_turn(-o) @ _mounted(c), far * o + z * _UP) for z in levels for o in out]
+    way = np.tile(far * around, len(levels))
+    names = tuple(f"ring {k + 1}" for k in range(len(levels)))
+    leg = np.repeat(np.arange(len(levels)), count)
+    return Path(world_from_body=np.stack(poses), way_m=way, leg=leg, legs=names, surface=surface)
+
+
+SHAPES = {
+    "canal": _canal, "corridor": _corridor, "tunnel": _tunnel, "facade": _facade, "grid": _grid, "orbit": _orbit,
+}  # fmt: skip
+
+
+def _wall(c: Course, start: float, y: float, height: float, side: int) -> Facet:
+    """A wall along the way at ``y``, seen from the side away from ``side``."""
+    edges = np.array([[c.length_m - 2 * start, 0, 0], [0, 0, height]])
+    return Facet(np.array([start, y, 0.0]), edges if side > 0 else edges[::-1])
+
+
+def _ways(c: Course, beside: float, height: float, surface: tuple[Facet, ...]) -> Path:
+    """Out along x, and back for two passes; ``beside`` the middle to the right."""
+    steps = _steps(c.length_m, c.base_m)
+    parts = []
+    for k in range(c.passes):
+        forward = np.array([1.0 if k % 2 == 0 else -1.0, 0, 0])
+        at = steps if k % 2 == 0 else c.length_m - steps
+        places = np.stack([at, np.full_like(at, -beside * forward[0]), np.full_like(at, height)], axis=1)
+        turn = _turn(forward) @ _mounted(c)
+        parts.append(np.stack([rigid(turn, place) for place in places]))
+    names = ("the way",) if c.passes == 1 else tuple(f"pass {k + 1} {('out', 'back')[k % 2]}" for k in range(c.passes))
+    leg = np.repeat(np.arange(c.passes), len(steps))
+    way = np.tile(steps, c.passes)
+    return Path(world_from_body=np.concatenate(parts), way_m=way, leg=leg, legs=names, surface=surface)
+
+
+def _rows(c: Course, lines: list[np.ndarray], turn: np.ndarray, word: str, surface: tuple[Facet, ...]) -> Path:
+    """To and fro along x from the starts (3,) of lines. The body looks the same way on all: it does not turn about."""
+    steps = _steps(c.length_m, c.base_m)
+    poses, way = [], []
+    for k, start in enumerate(lines):
+        for s in steps:
+            at = s if k % 2 == 0 else c.length_m - s
+            poses.append(rigid(turn @ _mounted(c), start + np.array([at, 0, 0])))
+        way.append(steps)
+    names = tuple(f"{word} {k + 1}" for k in range(len(lines)))
+    leg = np.repeat(np.arange(len(lines)), len(steps))
+    return Path(world_from_body=np.stack(poses), way_m=np.concatenate(way), leg=leg, legs=names, surface=surface)
+
+
+def _steps(length: float, base: float) -> np.ndarray:
+    return np.arange(int(np.floor(length / base + 1e-9)) + 1) * float(base)
+
+
+def _evenly(size: float, row: float) -> np.ndarray:
+    """Middles of rows that cover a size, no further apart than ``row``."""
+    count = max(1, int(np.ceil(size / row - 1e-9)))
+    return (np.arange(count) + 0.5) * size / count
+
+
+def _turn(forward: np.ndarray) -> np.ndarray:
+    """world_from_body (3, 3) of a level body that looks along ``forward``."""
+    right = np.cross(forward, _UP)
+    return np.stack([right, -_UP, forward], axis=1)
+
+
+def _mounted(c: Course) -> np.ndarray:
+    """body_from_mounted (3, 3): yaw to the right about the body's down axis, then pitch up."""
+    return np.asarray(Rotation.from_euler("YX", c.turned_deg, degrees=True).as_matrix())

@@ -1,0 +1,158 @@
+"""From what is asked to the plan: the sweep of stations, and the path with its accuracy and effort."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+
+from tiegraph.errors import InputError
+from tiegraph.plan.accuracy import Propagate
+from tiegraph.plan.drawing import path_picture, sweep_picture
+from tiegraph.plan.effort import Effort, effort
+from tiegraph.plan.figures import Lens, Station, advice, station
+from tiegraph.plan.network import MountedCamera, Ties
+from tiegraph.plan.path import Course, make_path
+from tiegraph.plan.places import PathPlan, plan_path
+from tiegraph.plan.request import PlanRequest, numbers
+from tiegraph.plan.tables import station_csv
+from tiegraph.plan.tuning import Tuning
+from tiegraph.plan.waypoints import Anchor, read_anchor, waypoint_csv, waypoint_geojson, waypoint_kml
+from tiegraph.plan.world import ControlPoints, Receiver
+
+FORMAT = 1
+_WAYS = ("canal", "corridor", "tunnel")
+
+
+@dataclass(frozen=True)
+class Rigged:
+    """The cameras of the rig; COLMAP ids of those that are calibrated; whether their places in the rig are."""
+
+    cameras: list[MountedCamera]
+    held: tuple[int, ...] = ()
+    fixed: bool = False
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What `tiegraph plan` says."""
+
+    lens: Lens
+    stations: tuple[Station, ...]
+    groups: tuple[tuple[str, tuple[Station, ...]], ...]
+    advice: tuple[str, ...]
+    wanted_m: float | None = None
+    path: PathPlan | None = None
+    effort: Effort | None = None
+    anchor: Anchor | None = None
+    shape: Mapping[str, object] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, object]:
+        """JSON-ready: plan.json."""
+        out: dict[str, object] = {
+            "format": FORMAT,
+            "camera": {"focal_px": self.lens.focal_px, "size": list(self.lens.size)},
+            "stations": [s.row() for s in self.stations],
+            "advice": list(self.advice),
+        }
+        if self.path is not None and self.effort is not None:
+            out["path"] = {
+                **self.shape, **self.path.summary(), "effort": self.effort.row(),
+                "places": [p.row() for p in self.path.places], "worst": list(self.path.worst),
+            }  # fmt: skip
+        return out
+
+    def files(self) -> dict[str, bytes | str]:
+        """name -> content of what is written beside plan.json."""
+        out: dict[str, bytes | str] = {"stations.csv": station_csv(self.stations)}
+        if len(self.stations) > 1:
+            out["sweep.png"] = sweep_picture(self.groups, self.wanted_m)
+        if self.path is not None:
+            out |= {"path.png": path_picture(self.path), "waypoints.csv": waypoint_csv(self.path.path, self.anchor)}
+            if self.anchor is not None:
+                out["waypoints.geojson"] = waypoint_geojson(self.path.path, self.anchor)
+                out["waypoints.kml"] = waypoint_kml(self.path.path, self.anchor)
+        return out
+
+
+def make_plan(request: PlanRequest, rigged: Rigged, by: Propagate, tuning: Tuning) -> Plan:
+    """The plan. ``by``: the covariance of an adjusted model. Raises InputError for what makes no survey."""
+    shape = request.path.shape
+    camera = rigged.cameras[0].camera
+    lens = Lens(camera.mean_focal_length(), (camera.width, camera.height), along=1 if shape == "grid" else 0)
+    groups, said = _sweep(request, lens, tuning)
+    stations = tuple(s for _, group in groups for s in group)
+    plan = Plan(
+        lens=lens, stations=stations, groups=groups, advice=tuple(said), wanted_m=request.images.precision
+    )  # fmt: skip
+    if shape is None:
+        return plan
+    if len(stations) > 1:
+        raise InputError(f"--shape {shape} is of one distance and base: {len(stations)} are given")
+    return _with_path(plan, request, rigged, by, tuning)
+
+
+def _sweep(
+    request: PlanRequest, lens: Lens, tuning: Tuning
+) -> tuple[tuple[tuple[str, tuple[Station, ...]], ...], list[str]]:
+    """Stations by the distances, for each base and overlap; advice."""
+    images, said, groups = request.images, [], []
+    motion = images.motion()
+    bases, overlaps = numbers("base", images.base), numbers("overlap", images.overlap)
+    for base, overlap in product(bases, overlaps):
+        wanted = images.wanted(base, overlap)
+        made = [station(lens, d, wanted, motion, tuning.station) for d in images.distances()]
+        said += [text for one in made for text in advice(one, lens, wanted, motion)]
+        name = f"base {base:g} m, " if len(bases) > 1 and base else ""
+        name += f"overlap {100 * overlap:g} %, " if len(overlaps) > 1 and overlap is not None else ""
+        groups.append((name, tuple(made)))
+    return tuple(groups), said
+
+
+def _with_path(plan: Plan, request: PlanRequest, rigged: Rigged, by: Propagate, tuning: Tuning) -> Plan:
+    asked, world, made = request.path, request.world, plan.stations[0]
+    if asked.passes is not None and (asked.passes not in (1, 2) or asked.shape not in _WAYS):
+        raise InputError(f"--passes {asked.passes}: 1 or 2, of {', '.join(_WAYS)}; other shapes have rows or rings")
+    told = (_receiver(world.gnss, world.outage, tuning), ControlPoints(world.control, world.control_sigma))
+    anchor = None if world.origin is None else read_anchor(world.origin, world.heading)
+    across = made.footprint_m[1 - plan.lens.along]
+    course = Course(
+        shape=str(asked.shape),
+        distance_m=made.distance_m,
+        length_m=asked.length,
+        width_m=asked.length if asked.width is None else asked.width,
+        height_m=2 * made.distance_m if asked.height is None else asked.height,
+        base_m=made.base_m,
+        row_m=(1 - request.images.sidelap) * across,
+        passes=(2 if asked.shape == "canal" else 1) if asked.passes is None else asked.passes,
+        turned_deg=(asked.yaw, asked.pitch),
+    )
+    relief = tuning.network.relief * made.distance_m if asked.relief is None else asked.relief
+    if not relief >= 0:
+        raise InputError(f"--relief {relief:g}: give metres, zero or more")
+    path = make_path(course, tuning.path)
+    found = plan_path(path, rigged.cameras, by, told, (Ties(world.tie_px, world.ties), relief), tuning)
+    sizes = [(c.camera.width, c.camera.height) for c in rigged.cameras]
+    cost = effort(sizes, len(path), path.length_m, request.images.speed, tuning.effort)
+    facts = {"shape": course.shape, "distance_m": course.distance_m, "length_m": course.length_m}
+    said = (*plan.advice, *found.advice)
+    return replace(plan, advice=said, path=found, effort=cost, anchor=anchor, shape=facts)
+
+
+def _receiver(gnss: str | None, outages: Sequence[str], tuning: Tuning) -> Receiver | None:
+    """Raises InputError for words that are no sigmas or stretches."""
+    if gnss is None:
+        if outages:
+            raise InputError(f"--outage {outages[0]} without --gnss: there are no positions that could fail")
+        return None
+    sigma = [v for v in numbers("gnss", gnss) if v is not None]
+    if len(sigma) > 2:
+        raise InputError(f"--gnss {gnss}: give the sigma in plan, or in plan and height: 0.02,0.03")
+    stretches = []
+    for text in outages:
+        ends = text.split("-")
+        try:
+            stretches.append((float(ends[0]), float(ends[1])))
+        except (ValueError, IndexError):
+            raise InputError(f"--outage {text}: give FROM-TO, metres from the start of the way: 25-33") from None
+    return Receiver(sigma[0], sigma[-1] if len(sigma) > 1 else tuning.world.height_factor * sigma[0], tuple(stretches))

@@ -1,0 +1,186 @@
+"""What a user says of a survey: the options of `tiegraph plan`, in groups, and what they mean."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from tiegraph.errors import InputError
+from tiegraph.plan.figures import Motion, Wanted, check_overlap
+
+
+@dataclass(frozen=True)
+class CameraRequest:
+    """Which cameras."""
+
+    rig: str | None = None
+    """A rig.toml (or Kalibr's or COLMAP's rig file) with cameras, or a preset: ring:5, stereo:0.54, ladybug5. Cameras
+    that it leaves open are those of the options below."""
+    size: str | None = None
+    """Image size in pixels, such as 2448x2050."""
+    focal: float | None = None
+    """Focal length in mm, with --pixel or --sensor."""
+    pixel: float | None = None
+    """Pixel pitch in micrometres."""
+    sensor: float | None = None
+    """Width of the sensor in mm, in place of --pixel."""
+    focal_px: float | None = None
+    """Focal length in pixels, in place of --focal."""
+
+    def image_size(self) -> tuple[int, int] | None:
+        """Width and height, pixels; None = not said. Raises InputError for what is no size."""
+        if self.size is None:
+            return None
+        try:
+            width, height = (int(word) for word in self.size.lower().split("x"))
+        except ValueError:
+            raise InputError(f"--size {self.size}: give width x height in pixels, such as 2448x2050") from None
+        if min(width, height) < 1:
+            raise InputError(f"--size {self.size}: an image has pixels: give width x height, such as 2448x2050")
+        return width, height
+
+    def focal_length_px(self) -> float | None:
+        """Focal length in pixels, None = not said. Raises InputError for values that make none."""
+        for name in ("focal", "pixel", "sensor", "focal_px"):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value > 0):
+                raise InputError(f"--{name.replace('_', '-')} {value:g}: give a number above zero")
+        if self.focal_px is not None and self.focal is not None:
+            raise InputError("--focal and --focal-px say the same: give one of them")
+        if self.focal_px is not None or self.focal is None:
+            return self.focal_px
+        if self.pixel is not None and self.sensor is not None:
+            raise InputError("--pixel and --sensor say the same: give one of them")
+        if self.pixel is not None:
+            return 1000 * self.focal / self.pixel
+        size = self.image_size()
+        if self.sensor is None or size is None:
+            raise InputError(f"--focal {self.focal:g} mm: give --pixel too, or --sensor and --size")
+        return self.focal * size[0] / self.sensor
+
+
+@dataclass(frozen=True)
+class ImageRequest:
+    """What the images shall give, and how they are taken. Lists such as 0.5,0.7,1.0 are a sweep."""
+
+    distance: str | None = None
+    """From camera to surface, metres; flying height of a grid."""
+    base: str | None = None
+    """Way between two images, or base of a rig, metres; else by --speed and --rate, else by --overlap."""
+    overlap: str | None = None
+    """Of images along the way, 0 to below 1 (default 0.8 where nothing says how far images are apart)."""
+    sidelap: float = 0.6
+    """Of rows or lines, 0 to below 1."""
+    precision: float | None = None
+    """Sigma of a depth that is wanted, metres."""
+    match_px: float = 0.3
+    """Sigma of a disparity, pixels (paper 004: 0.2 to 0.3)."""
+    speed: float | None = None
+    """Metres a second; with --rate."""
+    rate: float | None = None
+    """Frames a second."""
+    exposure: float | None = None
+    """Milliseconds."""
+
+    def motion(self) -> Motion:
+        """How the camera moves. Raises InputError for values that are none."""
+        return Motion(self.speed, self.rate, None if self.exposure is None else self.exposure / 1000)
+
+    def wanted(self, base: float | None, overlap: float | None) -> Wanted:
+        """What is asked of one station of a sweep."""
+        if base is None and overlap is None and self.motion().base_m is None:
+            overlap = _OVERLAP
+        check_overlap("sidelap", self.sidelap)
+        return Wanted(base, overlap, self.precision, match_px=self.match_px)
+
+    def distances(self) -> list[float]:
+        """Distances of the sweep. Raises InputError without any."""
+        found = [d for d in numbers("distance", self.distance) if d is not None]
+        if not found:
+            raise InputError("give --distance, from camera to surface in metres; a list such as 0.5,0.7,1.0 is a sweep")
+        return found
+
+
+@dataclass(frozen=True)
+class PathRequest:
+    """A whole path. Shapes: canal (out and back between two walls), corridor, tunnel, facade, grid, orbit."""
+
+    shape: str | None = None
+    """Shape of the path; without one there is only the table of distances."""
+    length: float = 100.0
+    """Of the way, of a facade, of the lines of a grid, metres."""
+    width: float | None = None
+    """Of a grid across its lines, of the object that is orbited, metres (default: length)."""
+    height: float | None = None
+    """Of walls, facade, corridor or object, metres (default: twice the distance)."""
+    relief: float | None = None
+    """How much the surface is uneven, sigma, metres: houses behind a quay, columns of a facade, forest (default: a
+    tenth of the distance)."""
+    passes: int | None = None
+    """Out and back: 2 (default of a canal), 1 (of corridor and tunnel)."""
+    yaw: float = 0.0
+    """Turn of the rig to the right, degrees, out of the direction of the way (facade, orbit: to the surface)."""
+    pitch: float = 0.0
+    """Likewise, up."""
+
+
+@dataclass(frozen=True)
+class WorldRequest:
+    """Tie points, and what places the path in the world."""
+
+    gnss: str | None = None
+    """Sigma of positions in plan, or plan,height, metres: 0.02,0.03."""
+    outage: tuple[str, ...] = ()
+    """Stretches without positions, FROM-TO, metres from the start of the way: 25-33."""
+    control: int = 0
+    """Control points, evenly along the path."""
+    control_sigma: float = 0.01
+    """Of each of their coordinates, metres."""
+    tie_px: float = 0.2
+    """Sigma of a tie point in an image, pixels (measured: 0.13 to 0.34)."""
+    ties: float | None = None
+    """Tie points that an image sees, from a survey before (default: by its pixels)."""
+    origin: str | None = None
+    """Where the path starts, LAT,LON or LAT,LON,HEIGHT: for waypoints on the Earth."""
+    heading: float = 90.0
+    """Direction of the first way there, degrees clockwise from north."""
+
+
+@dataclass(frozen=True)
+class OutputRequest:
+    """What is written."""
+
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """A new folder for plan.json, table, pictures, 3-D view and waypoints."""
+    compare: Path | None = None
+    """A finished run: what was planned (--planned) against what it reached."""
+    planned: Path | None = None
+    """The plan.json to compare with (default: plan.json in the run folder)."""
+
+
+@dataclass(frozen=True)
+class PlanRequest:
+    """All that is said."""
+
+    camera: CameraRequest = CameraRequest()
+    images: ImageRequest = ImageRequest()
+    path: PathRequest = PathRequest()
+    world: WorldRequest = WorldRequest()
+    output: OutputRequest = OutputRequest()
+
+
+_OVERLAP = 0.8
+
+
+def numbers(name: str, text: str | None) -> list[float | None]:
+    """The numbers of a list such as 0.5,0.7; [None] where nothing is given. Raises InputError."""
+    if text is None:
+        return [None]
+    try:
+        return [float(word) for word in text.split(",")]
+    except ValueError:
+        raise InputError(f"--{name} {text}: give a number, or several with commas between, such as 0.5,0.7") from None

@@ -1,0 +1,113 @@
+"""What a plan takes for granted: each constant with its unit, its meaning and where its value comes from."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from tiegraph.settings import Section
+
+
+class EffortTuning(Section):
+    """What a survey costs (`effort.py`): CPU seconds of one core of an AMD EPYC, as benchmarks/results has them."""
+
+    start_s: float = Field(5.0, ge=0)
+    """Of a run."""
+    image_s: float = Field(0.8, ge=0)
+    """Of an image from `scan` to `georef`, and ..."""
+    megapixel_s: float = Field(1.0, ge=0)
+    """... of its megapixels: small_sets.json and large_sets.json, seven sets of 8 to 300 images within a third (canal
+    441 s measured, 337 so; PandaSet 269 and 400; KITTI 164 and 134; canal_demo 121 and 121; Herz-Jesus-P25 59 and
+    64)."""
+    dense_megapixel_s: float = Field(2.4, ge=0)
+    """Of a megapixel in `dense` and `cloud`: whole_way.json, canal, 221 s for 92 megapixels."""
+    image_bytes: float = Field(0.3, gt=0)
+    """Of a pixel as JPEG: canal 0.27, PandaSet 0.13; cameras set to their finest write up to 0.6."""
+    run_bytes: float = Field(7.5, gt=0)
+    """Of a pixel in a run folder with depth maps, cloud and report: canal_demo 7.7 (1.7 of them up to `georef`)."""
+
+
+class StationTuning(Section):
+    """The closed forms (`figures.py`)."""
+
+    blur_px: float = Field(0.5, gt=0)
+    """Motion during the exposure that is allowed: key points and matching keep their precision."""
+    most_rays: int = Field(6, ge=2)
+    """Rays of a point up to which its precision is tabled."""
+
+
+class NetworkTuning(Section):
+    """The synthetic network (`network.py`): how many tie points, and which images see one."""
+
+    ties_a_megapixel: float = Field(4000.0, gt=0)
+    """Observations of tie points of an image, for each megapixel that shows surface: PandaSet 1400, canal_demo 4000,
+    KITTI 4700, canal 6000."""
+    most_ties: int = Field(4000, gt=0)
+    """Of an image."""
+    repeat: float = Field(0.45, gt=0, le=1)
+    """Of the images that could see a point, those that do, ..."""
+    turn_deg: float = Field(18.0, gt=0, lt=90)
+    """... mean of how far, seen from the point, they may stand off each other, and ..."""
+    nearer: float = Field(1.5, gt=1)
+    """... mean of how many times as near one may be as the other: so the tracks of canal come out as measured (7 images
+    in the mean, 2 to 20; rays 18 deg apart in the median, distances 1.3 times)."""
+    incidence_deg: float = Field(80.0, gt=0, lt=90)
+    """Of a ray on the surface."""
+    least_angle_deg: float = Field(1.0, ge=0)
+    """Between the rays of a point, as `sparse` keeps them."""
+    relief: float = Field(0.1, ge=0, le=1)
+    """Unevenness of a surface where none is given, sigma, in parts of the distance: no wall is a plane, which would
+    leave lenses open. canal: 0.25 (houses behind quays)."""
+    wobble_deg: float = Field(1.5, ge=0)
+    """How much the rig is turned from frame to frame, sigma about each axis: boats, vehicles and hands are never still,
+    and exactly parallel views would leave focal length and distance one unknown (canal: 0.5 to 1 deg)."""
+    most_points: int = Field(3000, gt=0)
+    """Points that are simulated: fewer than there will be, of so much smaller errors that they tell as much."""
+    least_points: int = Field(25, gt=0)
+    """That start from an image, however many images there are: fewer hold no camera."""
+    most_frames: int = Field(1500, gt=0)
+    """More are too many to propagate here."""
+    widened: float = Field(1.85, ge=1)
+    """Sigmas with errors that observations share over those of independent ones, as `sparse` finds them: median of
+    ten sets in sigma.json (1.45 to 2.9; KITTI 10)."""
+
+
+class PathTuning(Section):
+    """Shapes (`path.py`)."""
+
+    passes_apart: float = Field(0.3, ge=0, lt=2)
+    """Between the ways out and back, in parts of the distance to the wall: one keeps to the right."""
+    camera_m: float = Field(2.0, gt=0)
+    """Height of a camera over water or road."""
+    facets: int = Field(16, ge=6)
+    """Of a round tunnel or object."""
+
+
+class WorldTuning(Section):
+    """The placement in the world (`world.py`)."""
+
+    ring_vertical_deg: float = Field(3.0, gt=0)
+    """To which cameras all round tell the vertical, as `georef` has it."""
+    all_round: float = Field(0.5, ge=0, le=1)
+    """Length of the mean of the viewing directions below which cameras look all round."""
+    mark_px: float = Field(0.5, gt=0)
+    """Of a control point marked in an image."""
+    least_marks: int = Field(3, ge=2)
+    """Images that a control point is marked in, where as many see it."""
+    height_factor: float = Field(1.5, gt=0)
+    """Sigma of a receiver's height over that of its place, where none is given."""
+    sections: int = Field(8, ge=1)
+    """Of a way that are told apart."""
+    worst: int = Field(3, ge=1)
+    """Places that are named."""
+    gain: float = Field(0.15, gt=0, lt=1)
+    """By which a change must lower the worst sigma to be advised."""
+
+
+class Tuning(Section):
+    """All constants of the planner."""
+
+    effort: EffortTuning = EffortTuning()
+    station: StationTuning = StationTuning()
+    network: NetworkTuning = NetworkTuning()
+    path: PathTuning = PathTuning()
+    world: WorldTuning = WorldTuning()

@@ -1,0 +1,208 @@
+"""Planned paths: where frames stand, what they see, how well their synthetic network is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pycolmap
+import pyproj
+import pytest
+
+from tiegraph.errors import InputError, SettingsError
+from tiegraph.geometry.transforms import skew
+from tiegraph.pipeline.plan import _propagate
+from tiegraph.plan.accuracy import Fix, Known, Shape, _world
+from tiegraph.plan.network import MountedCamera, Network, Ties, _hit, make_network
+from tiegraph.plan.path import SHAPES, Course, Path, make_path
+from tiegraph.plan.places import PathPlan, plan_path
+from tiegraph.plan.planner import Rigged
+from tiegraph.plan.tuning import Tuning
+from tiegraph.plan.waypoints import read_anchor
+from tiegraph.plan.world import ControlPoints, Receiver
+
+TUNING = Tuning()
+COURSE = Course("canal", distance_m=8, length_m=30, width_m=20, height_m=8, base_m=2, row_m=3, passes=2)
+SIDEWAYS = replace(COURSE, shape="facade", passes=1, height_m=4)
+
+
+def camera(name: str = "cam0", shift: float = 0.0) -> MountedCamera:
+    pose = np.eye(4)
+    pose[0, 3] = -shift
+    made = pycolmap.Camera(model="PINHOLE", width=1200, height=900, params=[900, 900, 610, 440])
+    made.has_prior_focal_length = True
+    return MountedCamera(name, made, pose)
+
+
+def propagated(model: pycolmap.Reconstruction, calibrated: bool) -> Shape:
+    """Calibrated cameras in a fixed rig."""
+    return _propagate(model, calibrated, rigged=Rigged([], held=(1, 2), fixed=True))
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_frames_look_at_the_surface_and_are_a_base_apart(shape):
+    """Body axes are a rotation; from a frame the middle of the view, or for ways along it a side, meets a facet."""
+    path = make_path(replace(COURSE, shape=shape), TUNING.path)
+    turns = path.world_from_body[:, :3, :3]
+    assert np.allclose(turns @ np.swapaxes(turns, 1, 2), np.eye(3))
+    assert np.allclose(np.linalg.det(turns), 1)
+    step = np.linalg.norm(np.diff(path.centres, axis=0), axis=1)[np.diff(path.leg) == 0]
+    expected = 2.0 * (10 + 8) / 10 if shape == "orbit" else 2.0
+    assert np.all(step <= expected + 1e-9) and np.all(step > 0.9 * expected)
+    beyond = shape in ("canal", "corridor", "tunnel")
+    view = path.world_from_body[len(path) // 2 - 1]
+    away = view[:3, 0] if beyond else view[:3, 2]
+    far, normal = _hit(view[:3, 3], away[None], path.surface)
+    assert 0.6 * 8 < far[0] < 1.4 * 8
+    assert normal[0] @ away < -0.9
+
+
+def test_a_canal_is_gone_out_and_back_on_the_right():
+    path = make_path(COURSE, TUNING.path)
+    out, back = (path.centres[path.leg == k] for k in (0, 1))
+    assert path.legs == ("pass 1 out", "pass 2 back")
+    assert np.allclose(out[:, 1], -1.2) and np.allclose(back[:, 1], 1.2)
+    assert np.allclose(out[:, 0], back[::-1, 0] - (30 - out[-1, 0]))
+    assert np.allclose(path.world_from_body[path.leg == 1][:, :3, 2], [-1, 0, 0])
+
+
+def test_yaw_turns_to_the_right_and_pitch_up():
+    path = make_path(replace(COURSE, turned_deg=(90.0, 0.0)), TUNING.path)
+    assert np.allclose(path.world_from_body[0, :3, 2], [0, -1, 0])
+    path = make_path(replace(COURSE, turned_deg=(0.0, 30.0)), TUNING.path)
+    assert path.world_from_body[0, 2, 2] == pytest.approx(0.5)
+
+
+def network(course: Course = SIDEWAYS, most: int = 800, tie_px: float = 0.2) -> tuple[Path, Network]:
+    path = make_path(course, TUNING.path)
+    tuning = TUNING.network.model_copy(update={"most_points": most})
+    return path, make_network(path, [camera(), camera("cam1", 0.5)], Ties(tie_px), 0.4, tuning)
+
+
+def test_the_network_is_what_the_cameras_see():
+    path, made = network()
+    model = made.model
+    assert model.num_reg_images() == 2 * len(path)
+    for key in list(model.point3D_ids())[:100]:
+        point = model.point3D(key)
+        rays = []
+        for element in point.track.elements:
+            image = model.image(element.image_id)
+            seen = image.points2D[element.point2D_idx].xy
+            off = image.camera.img_from_cam(image.cam_from_world() * point.xyz) - seen
+            assert np.all(np.abs(off) < 6 * 0.2) and np.all((seen > -2) & (seen < [1202, 902]))
+            rays.append((point.xyz - image.projection_center()) / np.linalg.norm(point.xyz - image.projection_center()))
+        assert np.degrees(np.arccos(np.min(np.array(rays) @ np.array(rays).T))) > 0.9
+    assert 3 < made.figures()["track_length"] < 15
+    assert 0 < made.share <= 1
+
+
+@pytest.mark.slow
+def test_sigmas_follow_the_noise_and_not_the_number_simulated():
+    """Twice the noise, twice the sigma; half the points of so much smaller errors, the same sigma. Symmetric paths have
+    symmetric sigmas."""
+    told = (None, ControlPoints(0, 0.01))
+
+    def plan(tie_px: float, most: int) -> PathPlan:
+        tuning = TUNING.model_copy(update={"network": TUNING.network.model_copy(update={"most_points": most})})
+        path = make_path(SIDEWAYS, TUNING.path)
+        return plan_path(path, [camera(), camera("cam1", 0.5)], propagated, told, (Ties(tie_px), 0.4), tuning)
+
+    few, twice, many = plan(0.15, 1500), plan(0.3, 1500), plan(0.15, 3000)
+    middle = np.median(few.expected.shape)
+    assert 1.8 < np.median(twice.expected.shape) / middle < 2.2
+    assert 0.85 < np.median(many.expected.shape) / middle < 1.15
+    assert 0.8 < np.median(many.expected.point_shape) / np.median(few.expected.point_shape) < 1.25
+    row = few.expected.shape[few.path.leg == 0]
+    first, last = row[: len(row) // 2].mean(), row[(len(row) + 1) // 2 :].mean()
+    assert 0.6 < first / last < 1.6
+    assert few.advice == (
+        "nothing places the path in the world: with --gnss or --control its accuracy there is worked out, too",
+    )
+    # The points that two cameras 0.5 m apart and their neighbours see: no worse than the widest pair of rays allows.
+    gsd = 8 / 900
+    assert 0.2 * 0.15 * gsd < np.median(few.expected.point_shape) < 8 * 0.15 * gsd * 8 / 2
+
+
+def shape_of(count: int, sigma: float = 0.0, walk: float = 0.0, scale: float | None = 1e-9) -> Shape:
+    """Positions of independent errors, and of errors that add up along the way."""
+    one = sigma**2 * np.eye(count) + walk**2 * np.minimum.outer(np.arange(count), np.arange(count))
+    return Shape(np.arange(count), np.kron(one, np.eye(3)), scale, 0.2, np.zeros(0, int), np.zeros((0, 3)))
+
+
+def row(count: int) -> np.ndarray:
+    return np.column_stack([np.arange(count), np.zeros((count, 2))]).astype(float)
+
+
+def fixes(centres: np.ndarray, rows: range | list[int], sigma: float) -> tuple[Fix, ...]:
+    return tuple(Fix(k, centres[k], np.full(3, sigma)) for k in rows)
+
+
+def test_a_rigid_path_is_placed_as_a_line_is_fitted():
+    """Shift and turn of n positions of sigma s: s / sqrt(n) in the middle, and by the line's ends 2 s / sqrt(n)."""
+    centres, count = row(101), 101
+    known = Known(fixes(centres, range(count), 0.02), np.zeros(3), 1.0)
+    world, _ = _world(shape_of(count), centres, np.zeros((0, 3)), known)
+    assert world[50] == pytest.approx(np.full(3, 0.02 / np.sqrt(count)), rel=0.01)
+    assert world[0, 1:] == pytest.approx(np.full(2, 2 * 0.02 / np.sqrt(count)), rel=0.03)
+    assert world[0, 0] == pytest.approx(0.02 / np.sqrt(count), rel=0.01)  # the rig holds the scale
+    common, _ = _world(shape_of(count), centres, np.zeros((0, 3)), replace(known, common=np.array([0.02, 0.02, 0.03])))
+    assert common**2 - world**2 == pytest.approx(np.tile([0.02**2, 0.02**2, 0.03**2], (count, 1)))
+
+
+def test_the_world_is_that_of_least_squares():
+    """Against the normal equations of an unknown similarity with a loose prior, for errors that add up."""
+    rng, count = np.random.default_rng(1), 12
+    centres = row(count) + rng.normal(0, 2, (count, 3))
+    shape = shape_of(count, 0.01, 0.02, scale=None)
+    some = fixes(centres, [0, 3, 4, 9], 0.03)
+    world, _ = _world(shape, centres, np.zeros((0, 3)), Known(some, np.zeros(3), None))
+    shift = np.tile(np.eye(3), (count, 1, 1))
+    moved = np.concatenate([-skew(centres), shift, centres[:, :, None]], axis=2).reshape(-1, 7)
+    whole = shape.covariance + 1e2 * moved @ moved.T
+    rows = (3 * np.array([0, 3, 4, 9])[:, None] + np.arange(3)).ravel()
+    gain = whole[:, rows] @ np.linalg.inv(whole[np.ix_(rows, rows)] + 0.03**2 * np.eye(12))
+    assert world.ravel() == pytest.approx(np.sqrt(np.diag(whole - gain @ whole[rows])), rel=0.01)
+
+
+def test_an_outage_is_where_errors_grow_and_a_point_in_it_stops_them():
+    centres, count = row(60), 60
+    shape = shape_of(count, 0.001, 0.02)
+    open_sky = [k for k in range(count) if not 20 <= k <= 45]
+    known = Known(fixes(centres, open_sky, 0.02), np.zeros(3), 1.0)
+    world = np.linalg.norm(_world(shape, centres, np.zeros((0, 3)), known)[0], axis=1)
+    assert 30 <= np.argmax(world) <= 36 and world[33] > 2 * world[5]
+    held = replace(known, fixes=(*known.fixes, *fixes(centres, [33], 0.005)))
+    mended = np.linalg.norm(_world(shape, centres, np.zeros((0, 3)), held)[0], axis=1)
+    assert mended[33] < 0.3 * world[33] and np.all(mended <= world + 1e-12)
+
+
+def test_waypoints_on_the_earth_keep_lengths_and_heading():
+    anchor = read_anchor("35.6965,139.7695,40", 30.0)
+    geodetic, grid = anchor.coordinates(np.array([[0, 0, 0], [100, 0, 0], [0, 50, 2.0]]))
+    forward, _, far = pyproj.Geod(ellps="WGS84").inv(*geodetic[0, [1, 0]], *geodetic[1, [1, 0]])
+    assert forward == pytest.approx(30.0, abs=0.001) and far == pytest.approx(100 * 6371 / 6371.04, abs=0.002)
+    left, _, _ = pyproj.Geod(ellps="WGS84").inv(*geodetic[0, [1, 0]], *geodetic[2, [1, 0]])
+    assert left == pytest.approx(-60.0, abs=0.001) and geodetic[2, 2] == pytest.approx(42.0, abs=0.01)
+    assert 99.9 < np.linalg.norm(grid[1, :2] - grid[0, :2]) < 100.1
+
+
+@pytest.mark.parametrize(
+    "make, said",
+    [
+        (lambda: make_path(replace(COURSE, shape="canl"), TUNING.path), "canal"),
+        (lambda: make_path(replace(COURSE, length_m=-1), TUNING.path), "--length -1"),
+        (lambda: make_path(replace(COURSE, passes=1, length_m=1), TUNING.path), "1 frame"),
+        (lambda: network(replace(COURSE, base_m=0.01)), "1500"),
+        (lambda: network(replace(COURSE, turned_deg=(0, 90))), "see past it"),
+        (lambda: Ties(0.0), "--tie-px 0"),
+        (lambda: Ties(0.2, 0), "--ties 0"),
+        (lambda: Receiver(0.0, 0.02), "--gnss 0"),
+        (lambda: Receiver(0.02, 0.02, ((5, 3),)), "--outage 5-3"),
+        (lambda: ControlPoints(-1, 0.01), "--control -1"),
+        (lambda: ControlPoints(1, 0.0), "--control-sigma 0"),
+        (lambda: read_anchor("91,3", 0.0), "--origin 91,3"),
+        (lambda: read_anchor("here", 0.0), "LAT,LON"),
+    ],
+)  # fmt: skip
+def test_what_makes_no_path_is_refused_by_name(make, said):
+    with pytest.raises((InputError, SettingsError), match=said):
+        make()
