@@ -24,7 +24,7 @@ import numpy as np
 from benchmarks import datasets, run
 from benchmarks.network.measure import add_row, run_tiegraph
 from tiegraph.geometry import transforms
-from tiegraph.scan.priors.priors.trajectory import write_tum
+from tiegraph.scan.priors.trajectory import write_tum
 
 SETS = ("canal_demo", "kitti_stereo", "pandaset")
 SOURCES = ("exhaustive", "poses")

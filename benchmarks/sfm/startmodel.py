@@ -27,7 +27,7 @@ import tiegraph  # noqa: F401  before pycolmap
 from benchmarks import datasets
 from benchmarks.accuracy import evaluate
 from tiegraph.pipeline import STAGES
-from tiegraph.scan.priors.priors.startmodel import read_start
+from tiegraph.scan.priors.startmodel import read_start
 from tiegraph.scene.colmapmodel import read_model
 from tiegraph.scene.pairs import Pairs, source_bit
 from tiegraph.scene.scene import Scene

@@ -29,7 +29,7 @@ def run_in(folder) -> SimpleNamespace:
     return SimpleNamespace(
         folder=folder,
         path=lambda *parts: folder.joinpath(*parts),
-        settings=Settings.model_validate({"tuning": {"scene": {"blocks": {"whole": 600, "own": 420}}}}),
+        settings=Settings.model_validate({"tuning": {"scene": {"blocks": {"unplaced": 1}}}}),
         reporter=Reporter("quiet"),
         map=lambda function, items, *args: [function(item, *args) for item in items],
     )

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import angle_deg, rigid
-from tiegraph.scan.priors.priors.trajectory import read_trajectory
+from tiegraph.scan.priors.trajectory import read_trajectory
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.scene import Scene
 

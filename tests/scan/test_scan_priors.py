@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import geodetic_from_world, make_origin, world_from_geodetic
 from tiegraph.geometry.transforms import angle_deg, rigid
-from tiegraph.scan.priors.priors.times import _time_in
-from tiegraph.scan.priors.priors.trajectory import read_trajectory, write_tum
+from tiegraph.scan.priors.times import _time_in
+from tiegraph.scan.priors.trajectory import read_trajectory, write_tum
 from tiegraph.scan.rigfiles.rigspec import AXES, orient
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import TimesTuning

@@ -26,7 +26,7 @@ from start_models import (
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import angle_deg
-from tiegraph.scan.priors.priors.startmodel import read_start
+from tiegraph.scan.priors.startmodel import read_start
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.startplace import find_start

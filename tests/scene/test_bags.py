@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 import bag_world as world
 from bag_world import FORMS, START_S
 from tiegraph.errors import EngineMissing, InputError
-from tiegraph.scan.priors.priors.trajectory import read_trajectory
+from tiegraph.scan.priors.trajectory import read_trajectory
 from tiegraph.scene.bags.bag import open_bag
 from tiegraph.scene.bags.pixels import KINDS, bgr, unread
 from tiegraph.scene.bags.topics import is_bag, shown, split_topics

@@ -22,8 +22,8 @@ from tiegraph.project.stages import Stage
 from tiegraph.project.userfiles import check_files, check_path
 from tiegraph.scan.calibration import read_camera
 from tiegraph.scan.perspective import PRESET
-from tiegraph.scan.priors.priors.startmodel import read_start
-from tiegraph.scan.priors.priors.trajectory import read_trajectory
+from tiegraph.scan.priors.startmodel import read_start
+from tiegraph.scan.priors.trajectory import read_trajectory
 from tiegraph.scan.rigfiles.rigfile import read_rig_file
 from tiegraph.scan.rigfiles.rigspec import preset_sizes
 from tiegraph.scene.bags.topics import is_bag, source_of

@@ -13,7 +13,7 @@ from tiegraph.pipeline.videos import photographs
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scan.calibration import start_cameras
-from tiegraph.scan.priors.priors.startmodel import read_start
+from tiegraph.scan.priors.startmodel import read_start
 from tiegraph.scan.scan import ScanInputs, build_scene, prepare_image, probe_image
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PicturesTuning

@@ -10,8 +10,8 @@ from tiegraph.geometry import transforms
 from tiegraph.pipeline.files import checked, load_model, load_npz, load_scene, pairs_of, reading, refused_pairs
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome
-from tiegraph.scan.priors.priors.poses import images_by_name
-from tiegraph.scan.priors.priors.startmodel import read_start
+from tiegraph.scan.priors.poses import images_by_name
+from tiegraph.scan.priors.startmodel import read_start
 from tiegraph.scene.colmapmodel import image_poses, tracks
 from tiegraph.sfm.mapper import Source, reconstruct
 from tiegraph.sfm.startcheck import check_start, told

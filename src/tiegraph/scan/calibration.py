@@ -17,8 +17,8 @@ import pycolmap
 
 from tiegraph.errors import InputError
 from tiegraph.scan.assign import Survey, some
-from tiegraph.scan.priors.priors.poses import images_by_name
-from tiegraph.scan.priors.priors.startmodel import StartModel
+from tiegraph.scan.priors.poses import images_by_name
+from tiegraph.scan.priors.startmodel import StartModel
 from tiegraph.scan.rigfiles.camerafile import PROGRAMS, check_lens, in_words, read_camera_file
 from tiegraph.scan.rigfiles.cameraread import FoundCamera, only_one
 from tiegraph.scan.rigfiles.rigfile import camera_table

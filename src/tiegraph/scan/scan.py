@@ -18,10 +18,10 @@ from tiegraph.scan.folders import natural
 from tiegraph.scan.frames import match_frames
 from tiegraph.scan.perspective import perspective_views
 from tiegraph.scan.prepare import KEPT_SUFFIXES, prepare_image
+from tiegraph.scan.priors.positions import Frames
 from tiegraph.scan.priors.priors import estimate_priors
-from tiegraph.scan.priors.priors.positions import Frames
-from tiegraph.scan.priors.priors.startmodel import StartModel, must_be_whole
-from tiegraph.scan.priors.priors.times import FrameRow
+from tiegraph.scan.priors.startmodel import StartModel, must_be_whole
+from tiegraph.scan.priors.times import FrameRow
 from tiegraph.scan.rigfiles.rigspec import RigSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import FramesTuning, Tuning

@@ -10,8 +10,8 @@ import numpy as np
 
 from tiegraph.errors import InputError
 from tiegraph.geometry.transforms import centre, rigid
-from tiegraph.scan.priors.priors.positions import Frames
-from tiegraph.scan.priors.priors.times import absent, plain_name
+from tiegraph.scan.priors.positions import Frames
+from tiegraph.scan.priors.times import absent, plain_name
 from tiegraph.scan.tuning import TrajectoryTuning
 from tiegraph.scene.results import Trajectory
 from tiegraph.scene.startplace import called

@@ -11,7 +11,7 @@ import numpy as np
 from tiegraph.errors import InputError
 from tiegraph.geometry.geodesy import Origin, area_note, make_origin, world_from_geodetic
 from tiegraph.geometry.transforms import rigid
-from tiegraph.scan.priors.priors.times import FrameRow, absent, frame_by_image, plain_name
+from tiegraph.scan.priors.times import FrameRow, absent, frame_by_image, plain_name
 from tiegraph.scan.rigfiles.rigspec import AXES, RigSpec
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import PositionsTuning

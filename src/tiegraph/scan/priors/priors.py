@@ -13,11 +13,11 @@ from tiegraph.errors import InputError
 from tiegraph.geometry.align import robust_umeyama
 from tiegraph.geometry.geodesy import ENU, parse_crs
 from tiegraph.geometry.transforms import interpolate, rigid
-from tiegraph.scan.priors.priors.poses import poses_by_image
-from tiegraph.scan.priors.priors.positions import Frames, Priors, body_of, from_exif, from_gnss
-from tiegraph.scan.priors.priors.startmodel import StartModel
-from tiegraph.scan.priors.priors.times import exif_times, name_times, read_times
-from tiegraph.scan.priors.priors.trajectory import read_trajectory, same_start, trajectory_files
+from tiegraph.scan.priors.poses import poses_by_image
+from tiegraph.scan.priors.positions import Frames, Priors, body_of, from_exif, from_gnss
+from tiegraph.scan.priors.startmodel import StartModel
+from tiegraph.scan.priors.times import exif_times, name_times, read_times
+from tiegraph.scan.priors.trajectory import read_trajectory, same_start, trajectory_files
 from tiegraph.scan.rigfiles.rigspec import AXES
 from tiegraph.scan.settings import ScanSettings
 from tiegraph.scan.tuning import TimesTuning, TrajectoryTuning, Tuning

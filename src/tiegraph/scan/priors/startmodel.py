@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from tiegraph.errors import InputError
-from tiegraph.scan.priors.priors.startforeign import Found, metashape, opensfm_model
+from tiegraph.scan.priors.startforeign import Found, metashape, opensfm_model
 from tiegraph.scan.rigfiles.cameraread import FoundCamera
 from tiegraph.scan.rigfiles.rigreader import is_number
 from tiegraph.scene.colmapmodel import is_model, read_model
