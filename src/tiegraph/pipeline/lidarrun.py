@@ -1,0 +1,166 @@
+"""Glue of the LiDAR reference: what a run made, beside the LiDAR's trajectory and map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from tiegraph.errors import InputError
+from tiegraph.evaluate.cloud import cloud_to_cloud
+from tiegraph.evaluate.reference import model_poses
+from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory
+from tiegraph.evaluate.tuning import Tuning as EvaluateTuning
+from tiegraph.geometry.align import Similarity
+from tiegraph.geometry.geodesy import Origin
+from tiegraph.lidar.handeye import HandEye, Poses, lidar_from_run, rig_in_lidar_world
+from tiegraph.lidar.tables import Column, hand_eye_table, survey_table
+from tiegraph.pipeline.files import load_json, load_model, load_scene, reading
+from tiegraph.project.folder import check_format
+from tiegraph.project.receipts import Receipts
+from tiegraph.scene.cloudfile import read_cloud
+from tiegraph.scene.registered import registration
+from tiegraph.scene.results import Cloud
+from tiegraph.scene.scene import Scene
+from tiegraph.scene.tuning import RegisteredTuning
+
+_RPE_M = (1.0, 10.0, 100.0)
+_STAGES = {  # rows of paper 001's tables 1 and 5, and the stages they add up
+    "Mask processing": ("masks", "refine"),
+    "SfM": ("preview", "candidates", "coarse", "network", "design", "features", "match", "filter", "sparse", "georef"),
+    "MVS": ("dense", "cloud"),
+}
+
+
+@dataclass(frozen=True)
+class SurveyRun:
+    """What of a run is compared: its frames with a pose and a time, sorted by time, and their numbers; which of its
+    images (N,) are registered; its cloud, if it has one; seconds of paper 001's rows."""
+
+    scene: Scene
+    rig: Poses
+    frame: np.ndarray
+    used: np.ndarray
+    cloud: Cloud | None
+    seconds: dict[str, float]
+
+    @classmethod
+    def read(cls, folder: Path) -> SurveyRun:
+        """Raises InputError for a folder without a model in the world, and for a run without times."""
+        check_format(folder)
+        world = folder / "sparse" / "world"
+        if not (world / "cameras.bin").exists():
+            raise InputError(f"--run {folder}: there is no model in {world}: run `tiegraph georef {folder}` first")
+        scene = load_scene(folder / "network" / "scene.json")
+        model = load_model(world)
+        rigs = model_poses(model, scene).world_from_rig
+        placed = np.isfinite(rigs[:, 0, 0])
+        timed = np.flatnonzero(placed & np.isfinite(scene.time_s))
+        if not len(timed):
+            raise InputError(
+                f"--run {folder}: none of its {int(placed.sum())} placed frames has a time: run it with --times"
+            )
+        frame = timed[np.argsort(scene.time_s[timed], kind="stable")]
+        return cls(
+            scene=scene,
+            rig=Poses(scene.time_s[frame], rigs[frame], scene.sequence[frame]),
+            frame=frame,
+            used=registration(model, scene, RegisteredTuning()).registered,
+            cloud=_cloud(folder),
+            seconds=_seconds(folder),
+        )
+
+
+def _cloud(folder: Path) -> Cloud | None:
+    path, origin = folder / "cloud.laz", load_json(folder / "world.json").get("origin")
+    if not path.exists():
+        return None
+    with reading(path):
+        return read_cloud(path, None if origin is None else Origin.from_dict(origin))
+
+
+def _seconds(folder: Path) -> dict[str, float]:
+    receipts = Receipts(folder)
+    out = {row: float(sum(receipts.read(s).get("seconds") or 0 for s in names)) for row, names in _STAGES.items()}
+    return {**out, "Overall processing": sum(out.values())}
+
+
+def compared(run: SurveyRun, lidar: Poses, reference: Cloud, found: HandEye) -> dict[str, Any]:
+    """What lidar.json says of a run: tables, hand-eye calibration, notes."""
+    by_lidar = rig_in_lidar_world(lidar, run.rig.time_s, found)
+    inside = np.flatnonzero(np.isfinite(by_lidar[:, 0, 0]))
+    rig, frame, by_lidar = run.rig.where(inside), run.frame[inside], by_lidar[inside]
+    world = lidar_from_run(rig, by_lidar, found.scale)
+    estimate = rig.poses.copy()
+    estimate[:, :3, 3] = world(rig.poses[:, :3, 3])
+    estimate[:, :3, :3] = world.rotation @ rig.poses[:, :3, :3]
+    match = PoseMatch(estimate, by_lidar, rig.group, np.arange(len(frame)), run.scene.sequences)
+    error = evaluate_trajectory(match, _RPE_M, EvaluateTuning().trajectory)
+    judged = _Judged(run, world, reference, match, run.scene.section[frame])
+    whole = replace(judged.column("all", None), seconds=run.seconds)
+    sections = np.unique(run.scene.section[run.scene.section >= 0])
+    columns = [whole, *(judged.column(f"section {s}", int(s)) for s in sections if len(sections) > 1)]
+    tables = {"hand-eye": hand_eye_table(found), "survey": survey_table(columns), **error.tables(), **judged.tables}
+    notes = [f"left open by the motion, and not to be used: {what}" for what in found.left_open]
+    if run.cloud is None:
+        notes.append("the run has no cloud.laz: trajectories only were compared")
+    return {
+        "hand_eye": {
+            "rig_from_lidar": found.rig_from_lidar,
+            "clock_s": found.clock_s,
+            "scale": found.scale,
+            "place_sigma_m": found.place_sigma_m,
+            "turn_sigma_deg": found.turn_sigma_deg,
+            "clock_sigma_s": found.clock_sigma_s,
+            "scale_sigma": found.scale_sigma,
+            "frames": int(found.fit.frames.sum()),
+            "turn_rms_deg": found.fit.turn_rms_deg,
+            "step_rms_m": found.fit.step_rms_m,
+            "left_open": found.left_open,
+        },
+        "lidar_from_run": world.matrix,
+        "metrics": {m.name: m.value for m in error.metrics()},
+        "tables": tables,
+        "run_notes": notes,
+    }
+
+
+class _Judged:
+    """The whole survey or a section of it beside the LiDAR."""
+
+    def __init__(
+        self, run: SurveyRun, world: Similarity, reference: Cloud, match: PoseMatch, sections: np.ndarray
+    ) -> None:
+        self.run, self.world, self.match, self.sections = run, world, match, sections
+        self.reference = reference.xyz_m
+        self.tables: dict[str, Any] = {}
+        centres = run.rig.poses[:, :3, 3]
+        of_frame = run.scene.section[run.frame]
+        self.xyz = np.zeros((0, 3)) if run.cloud is None else world(run.cloud.xyz_m)
+        near = cKDTree(world(centres))
+        self.of_point = of_frame[near.query(self.xyz)[1]]
+        self.of_reference = of_frame[near.query(self.reference)[1]]
+        self.centres = world(centres)
+
+    def column(self, name: str, section: int | None) -> Column:
+        scene = self.run.scene
+        images = np.ones(len(scene), bool) if section is None else scene.section[scene.frame] == section
+        rows = np.flatnonzero(np.ones(len(self.match), bool) if section is None else self.sections == section)
+        out = Column(name, int(images.sum()), int(self.run.used[images].sum()), frames=len(rows))
+        if len(rows) >= 3:
+            part = PoseMatch(
+                self.match.estimate[rows], self.match.reference[rows], self.match.group[rows], self.match.order[rows]
+            )
+            error = evaluate_trajectory(part, _RPE_M, EvaluateTuning().trajectory)
+            out = replace(out, rmse_m=error.se3.rmse_m, scale=error.sim3.alignment.scale * self.world.scale)
+        points = self.xyz if section is None else self.xyz[self.of_point == section]
+        reference = self.reference if section is None else self.reference[self.of_reference == section]
+        if len(points) and len(reference):
+            result = cloud_to_cloud(points, reference, EvaluateTuning().cloud, cameras=self.centres)
+            out = replace(out, points=len(points), cloud_m=(result.median_m, result.p90_m))
+            if section is None:
+                self.tables |= result.tables()
+        return out
