@@ -44,7 +44,9 @@ def message_points(message: Any, name: str) -> Points:
     )
     data = np.asarray(message.data, np.uint8)
     if len(data) < message.height * message.row_step or message.width * message.point_step > message.row_step:
-        raise InputError(f"{name}: {len(data)} bytes for {message.height} rows of {message.width} points: it is cut short")
+        raise InputError(
+            f"{name}: {len(data)} bytes for {message.height} rows of {message.width} points: it is cut short"
+        )
     rows = data[: message.height * message.row_step].reshape(message.height, message.row_step)
     rows = np.ascontiguousarray(rows[:, : message.width * message.point_step])
     table = rows.reshape(-1).view(dtype)

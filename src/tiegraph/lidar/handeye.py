@@ -6,11 +6,14 @@ too, as is the scale of the run. Steps over a few frames enter, not whole poses:
 Turns tell the turn of X, and the clock; the lever arm is told by turns alone, so a path on which the rig hardly turns
 leaves it open, and that is said with the direction. Sigmas: the larger of the adjustment's, for residuals as large as
 they are, and of the jackknife over parts of the time.
+
+What both sides have measured tells more than their motion (``pointtie``): with one world laid on the other, every frame
+has the LiDAR's place on the rig (``settled``). What is left of the clock's sigma times the speed is in its sigma.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -19,9 +22,11 @@ from scipy.spatial.transform import Rotation, Slerp
 from tiegraph.errors import InputError
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import Similarity, l1_mean_rotation
+from tiegraph.lidar.pointtie import PointTie
 from tiegraph.lidar.tuning import HandEyeTuning
 
 _TURN, _PLACE, _SCALE, _CLOCK = slice(0, 3), slice(3, 6), 6, 7  # of the parameters
+_CLOCK_OPEN = "the clock offset"
 _MAD = 1.4826  # sigma over median absolute deviation of normal errors
 
 
@@ -61,6 +66,7 @@ class HandEye:
     scale_sigma: float
     left_open: tuple[str, ...]
     fit: Fit
+    tie: PointTie | None = None
 
 
 @dataclass(frozen=True)
@@ -96,6 +102,40 @@ def hand_eye(rig: Poses, lidar: Poses, given: Given, tuning: HandEyeTuning) -> H
         scale_sigma=float(np.exp(values[_SCALE]) * sigma[_SCALE]),
         left_open=_left_open(sigma, place_cov, tuning) if not held.all() else (),
         fit=Fit(found.inside(values[_CLOCK]), float(np.degrees(_rms(turns))), _rms(steps)),
+    )
+
+
+def settled(rig: Poses, lidar: Poses, found: HandEye, tie: PointTie, tuning: HandEyeTuning) -> HandEye:
+    """The LiDAR's place on the rig at all frames by a tie of the two worlds; unchanged where the tie tells less than
+    the motion does, or contradicts it."""
+    path = _Path(lidar)
+    frames = rig.where(path.inside(rig.time_s + found.clock_s))
+    there = path(frames.time_s + found.clock_s)
+    world = tie.lidar_from_run
+    placed = transforms.rigid(world.rotation @ frames.poses[:, :3, :3], world(frames.poses[:, :3, 3]))
+    each = transforms.invert(placed) @ there
+    turn, place = l1_mean_rotation(each[:, :3, :3]), np.median(each[:, :3, 3], axis=0)
+    ahead = path(frames.time_s + found.clock_s + path.interval)
+    speed = np.linalg.norm(np.nanmean(ahead[:, :3, 3] - there[:, :3, 3], axis=0)) / path.interval
+    alike = np.sqrt(len(each))
+    scatter = _MAD * np.median(np.abs(each[:, :3, 3] - place), axis=0) / alike
+    late = 0.0 if np.isnan(found.clock_sigma_s) else float(speed * found.clock_sigma_s)
+    place_sigma = np.sqrt(tie.place_sigma_m**2 + scatter**2 + late**2)
+    off = np.degrees(Rotation.from_matrix(each[:, :3, :3] @ turn.T).magnitude())
+    turn_sigma = np.full(3, np.hypot(tie.turn_sigma_deg, np.median(off) / alike))
+    both = np.hypot(found.place_sigma_m, place_sigma)
+    apart = np.abs(place - found.rig_from_lidar[:3, 3]) > tuning.agree_sigmas * both
+    if apart.any() or not place_sigma.max() < found.place_sigma_m.max():
+        return found
+    return replace(
+        found,
+        rig_from_lidar=transforms.rigid(turn, place),
+        scale=world.scale,
+        scale_sigma=tie.scale_sigma,
+        place_sigma_m=place_sigma,
+        turn_sigma_deg=turn_sigma,
+        left_open=tuple(o for o in found.left_open if o.startswith(_CLOCK_OPEN)),
+        tie=tie,
     )
 
 
@@ -307,7 +347,7 @@ class _Problem:
 def _left_open(sigma: np.ndarray, place_cov: np.ndarray, tuning: HandEyeTuning) -> tuple[str, ...]:
     out = []
     if sigma[_CLOCK] > tuning.open_time_s:
-        out.append(f"the clock offset (sigma {sigma[_CLOCK]:.2g} s)")
+        out.append(f"{_CLOCK_OPEN} (sigma {sigma[_CLOCK]:.2g} s)")
     for axis, turn in zip("xyz", np.degrees(sigma[_TURN])):
         if turn > tuning.open_turn_deg:
             out.append(f"the turn about {axis} of the rig (sigma {turn:.2g} degrees)")

@@ -97,12 +97,47 @@ class HandEyeTuning(Section):
     """Scale of the Cauchy loss in sigmas: 95 % efficient for normal errors (Holland and Welsch 1977)."""
     blocks: int = Field(6, ge=3)
     """Parts of the time, each left out once for the sigmas (jackknife)."""
+    agree_sigmas: float = Field(4.0, gt=0)
+    """The lever arm by points may differ by so many sigmas from that by the motion."""
     open_time_s: float = Field(0.1, gt=0)
     """A sigma above these says that the data leave a parameter open: clock ..."""
     open_turn_deg: float = Field(2.0, gt=0)
     """... turn ..."""
     open_place_m: float = Field(0.5, gt=0)
     """... lever arm."""
+
+
+class TieTuning(Section):
+    """The run's points against the LiDAR's map (`pointtie.py`)."""
+
+    thin_m: float = Field(0.2, gt=0)
+    """Surfaces are sought about one point of the map a voxel of this size, ..."""
+    neighbours: int = Field(24, ge=4)
+    """... in so many neighbours ..."""
+    radius_m: float = Field(0.8, gt=0)
+    """... within this distance, ..."""
+    thick_m: float = Field(0.05, gt=0)
+    """... that scatter by no more about a plane, ..."""
+    flat: float = Field(0.1, gt=0, lt=1)
+    """... with a smallest eigenvalue of at most this share of the middle one, ..."""
+    wide: float = Field(0.05, gt=0, lt=1)
+    """... and a middle one of at least this share of the largest."""
+    reaches_m: tuple[float, ...] = (1.0, 0.5, 0.3, 0.15, 0.1)
+    """Points that are nearer to a surface take part, in turn; at last within four sigmas of both sides' points."""
+    iterations: int = Field(10, ge=1)
+    """Steps of each turn, at most; ..."""
+    still: float = Field(1e-5, gt=0)
+    """... fewer where one is smaller (m, rad)."""
+    robust: float = Field(2.385, gt=0)
+    """Scale of the Cauchy weight in sigmas: 95 % efficient for normal errors (Holland and Welsch 1977)."""
+    least_sigma_m: float = Field(0.005, gt=0)
+    """Lower bound of the sigma of a distance."""
+    least_points: int = Field(200, ge=10)
+    """Points that must be near a surface."""
+    most_condition: float = Field(1e8, gt=1)
+    """Of the normal equations: above it a direction is open, such as along a bare tunnel."""
+    cluster_m: float = Field(1.0, gt=0)
+    """Points nearer to each other err together."""
 
 
 class Tuning(Section):
@@ -113,3 +148,4 @@ class Tuning(Section):
     adjust: AdjustTuning = AdjustTuning()
     map: MapTuning = MapTuning()
     hand_eye: HandEyeTuning = HandEyeTuning()
+    tie: TieTuning = TieTuning()

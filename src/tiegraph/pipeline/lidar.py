@@ -18,7 +18,7 @@ from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory
 from tiegraph.evaluate.tuning import Tuning as EvaluateTuning
 from tiegraph.geometry import transforms
 from tiegraph.lidar.adjust import adjusted
-from tiegraph.lidar.handeye import Given, Poses, hand_eye, rig_in_lidar_world
+from tiegraph.lidar.handeye import Given, Poses, rig_in_lidar_world
 from tiegraph.lidar.mapcloud import MapCloud
 from tiegraph.lidar.motion import deskew, velocities
 from tiegraph.lidar.odometry import before_pose, odometry
@@ -27,7 +27,7 @@ from tiegraph.lidar.settings import LidarSettings
 from tiegraph.lidar.tables import finite
 from tiegraph.lidar.tuning import Tuning
 from tiegraph.pipeline.files import load_json
-from tiegraph.pipeline.lidarrun import SurveyRun, compared
+from tiegraph.pipeline.lidarrun import SurveyRun, calibrated, compared
 from tiegraph.project.progress import Reporter
 from tiegraph.project.run import save_json
 from tiegraph.scan.trajectory import write_tum
@@ -77,7 +77,7 @@ def lidar(scans: Path, out: Path, settings: LidarSettings, reporter: Reporter | 
     found = None
     if beside is not None:
         with reporter.stage("hand-eye"):
-            found = hand_eye(beside.rig, _poses(path), given, tuning.hand_eye)
+            found = calibrated(beside, _poses(path), path.map, given, tuning)
         told = compared(beside, _poses(path), path.map, found)
         summary = {**summary, **told, "tables": {**summary["tables"], **told["tables"]}}
     out.mkdir(parents=True, exist_ok=True)

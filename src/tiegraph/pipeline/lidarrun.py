@@ -16,8 +16,10 @@ from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory
 from tiegraph.evaluate.tuning import Tuning as EvaluateTuning
 from tiegraph.geometry.align import Similarity
 from tiegraph.geometry.geodesy import Origin
-from tiegraph.lidar.handeye import HandEye, Poses, lidar_from_run, rig_in_lidar_world
+from tiegraph.lidar.handeye import Given, HandEye, Poses, hand_eye, lidar_from_run, rig_in_lidar_world, settled
+from tiegraph.lidar.pointtie import tie_by_points
 from tiegraph.lidar.tables import Column, hand_eye_table, survey_table
+from tiegraph.lidar.tuning import Tuning
 from tiegraph.pipeline.files import load_json, load_model, load_scene, reading
 from tiegraph.project.folder import check_format
 from tiegraph.project.receipts import Receipts
@@ -27,6 +29,7 @@ from tiegraph.scene.results import Cloud
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import RegisteredTuning
 
+_SURE = 3  # images that a point is seen in: of two, a wrong match is not noticed
 _RPE_M = (1.0, 10.0, 100.0)
 _STAGES = {  # rows of paper 001's tables 1 and 5, and the stages they add up
     "Mask processing": ("masks", "refine"),
@@ -38,12 +41,13 @@ _STAGES = {  # rows of paper 001's tables 1 and 5, and the stages they add up
 @dataclass(frozen=True)
 class SurveyRun:
     """What of a run is compared: its frames with a pose and a time, sorted by time, and their numbers; which of its
-    images (N,) are registered; its cloud, if it has one; seconds of paper 001's rows."""
+    images (N,) are registered; points (M, 3) of its model; its cloud, if it has one; seconds of paper 001's rows."""
 
     scene: Scene
     rig: Poses
     frame: np.ndarray
     used: np.ndarray
+    points: np.ndarray
     cloud: Cloud | None
     seconds: dict[str, float]
 
@@ -69,6 +73,7 @@ class SurveyRun:
             rig=Poses(scene.time_s[frame], rigs[frame], scene.sequence[frame]),
             frame=frame,
             used=registration(model, scene, RegisteredTuning()).registered,
+            points=np.array([p.xyz for p in model.points3D.values() if p.track.length() >= _SURE]).reshape(-1, 3),
             cloud=_cloud(folder),
             seconds=_seconds(folder),
         )
@@ -88,12 +93,24 @@ def _seconds(folder: Path) -> dict[str, float]:
     return {**out, "Overall processing": sum(out.values())}
 
 
+def calibrated(run: SurveyRun, lidar: Poses, reference: Cloud, given: Given, tuning: Tuning) -> HandEye:
+    """The LiDAR on the rig: by the two trajectories, then by the points that both sides have of one surface."""
+    found = hand_eye(run.rig, lidar, given, tuning.hand_eye)
+    if given.rig_from_lidar is not None:
+        return found
+    by_lidar = rig_in_lidar_world(lidar, run.rig.time_s, found)
+    inside = np.isfinite(by_lidar[:, 0, 0])
+    start = lidar_from_run(run.rig.where(inside), by_lidar[inside], found.scale)
+    tie = tie_by_points(run.points, reference.xyz_m, start, tuning.tie)
+    return found if tie is None else settled(run.rig, lidar, found, tie, tuning.hand_eye)
+
+
 def compared(run: SurveyRun, lidar: Poses, reference: Cloud, found: HandEye) -> dict[str, Any]:
     """What lidar.json says of a run: tables, hand-eye calibration, notes."""
     by_lidar = rig_in_lidar_world(lidar, run.rig.time_s, found)
     inside = np.flatnonzero(np.isfinite(by_lidar[:, 0, 0]))
     rig, frame, by_lidar = run.rig.where(inside), run.frame[inside], by_lidar[inside]
-    world = lidar_from_run(rig, by_lidar, found.scale)
+    world = found.tie.lidar_from_run if found.tie else lidar_from_run(rig, by_lidar, found.scale)
     estimate = rig.poses.copy()
     estimate[:, :3, 3] = world(rig.poses[:, :3, 3])
     estimate[:, :3, :3] = world.rotation @ rig.poses[:, :3, :3]
@@ -105,6 +122,11 @@ def compared(run: SurveyRun, lidar: Poses, reference: Cloud, found: HandEye) -> 
     columns = [whole, *(judged.column(f"section {s}", int(s)) for s in sections if len(sections) > 1)]
     tables = {"hand-eye": hand_eye_table(found), "survey": survey_table(columns), **error.tables(), **judged.tables}
     notes = [f"left open by the motion, and not to be used: {what}" for what in found.left_open]
+    if found.tie is not None:
+        tied = (
+            f"{found.tie.points} points of the run within {1000 * found.tie.rms_m:.0f} mm RMS of the LiDAR's surfaces"
+        )
+        notes.append(f"the LiDAR's place on the rig by {tied}; by the motion alone it would be known worse")
     if run.cloud is None:
         notes.append("the run has no cloud.laz: trajectories only were compared")
     return {
@@ -120,6 +142,7 @@ def compared(run: SurveyRun, lidar: Poses, reference: Cloud, found: HandEye) -> 
             "turn_rms_deg": found.fit.turn_rms_deg,
             "step_rms_m": found.fit.step_rms_m,
             "left_open": found.left_open,
+            "tied_points": 0 if found.tie is None else found.tie.points,
         },
         "lidar_from_run": world.matrix,
         "metrics": {m.name: m.value for m in error.metrics()},
