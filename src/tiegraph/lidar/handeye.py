@@ -252,7 +252,7 @@ class _Problem:
         return (
             f"the frames' times, {start:.3f} to {end:.3f} s, and the LiDAR's, {self.path.start:.3f} to "
             f"{self.path.end:.3f} s, have less than {self.tuning.least_frames} frames in common, with an offset of up "
-            f"to {self.tuning.search_s:g} s: give what is to be added to the frames' times by --clock"
+            f"to {self.tuning.search_s:g} s: give what is to be added to the frames' times by --clock-s"
         )
 
     def _start(self, clock_s: float) -> np.ndarray:

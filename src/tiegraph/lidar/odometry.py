@@ -46,7 +46,7 @@ def odometry(scans: Iterator[Scan], near_m: float, far_m: float, tuning: Tuning)
         seen = (reach >= near_m) & (reach <= far_m)
         if seen.sum() < tuning.scan.least_points:
             raise InputError(
-                f"{scan.name}: {int(seen.sum())} points between {near_m:g} and {far_m:g} m (--near, --far), "
+                f"{scan.name}: {int(seen.sum())} points between {near_m:g} and {far_m:g} m (--near-m, --far-m), "
                 f"{tuning.scan.least_points} are needed; the nearest is {reach.min():.3g} m away, the furthest "
                 f"{reach.max():.3g} m"
             )

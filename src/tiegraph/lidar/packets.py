@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
-
 from tiegraph.errors import EngineMissing, InputError
 from tiegraph.lidar.formats import Points
 from tiegraph.scene.regular import regular

@@ -1,7 +1,7 @@
 """The run's world laid on the LiDAR's by points: those of the run against surfaces of the map.
 
-Two trajectories of a few seconds tell the turn of a LiDAR on the rig and the clocks, but hardly its lever arm. What both
-have measured tells where one world lies in the other, and with it the lever arm at every frame.
+Two trajectories of a few seconds tell the turn of a LiDAR on the rig and the clocks, but hardly its lever arm. What
+both have measured tells where one world lies in the other, and with it the lever arm at every frame.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def tie_by_points(points: np.ndarray, surface: np.ndarray, start: Similarity, tu
             weight = 1 / (1 + (residual / (tuning.robust * sigma)) ** 2)
             slope = np.column_stack([np.cross(away, axis), axis, np.einsum("ni,ni->n", away, axis)])
             matrix = slope.T @ (slope * weight[:, None])
-            if np.linalg.cond(matrix) > tuning.most_condition:
+            if np.linalg.eigvalsh(matrix[3:6, 3:6]).min() < tuning.least_facing * weight.sum():
                 return None
             step = -np.linalg.solve(matrix, slope.T @ (weight * residual))
             turn, grow = Rotation.from_rotvec(step[:3]).as_matrix(), 1 + step[6]

@@ -81,7 +81,7 @@ def _stream(
     path: Path, how: Reading, tuning: ScanTuning, read: Callable[[Path], Iterator[tuple[float, Points]]]
 ) -> Recording:
     if how.poses is not None or how.times is not None or how.rate_hz is not None:
-        raise InputError(f"{path}: its scans have times of their own: leave --times, --rate and --poses out")
+        raise InputError(f"{path}: its scans have times of their own: leave --times, --rate-hz and --poses out")
 
     def scans() -> Iterator[Scan]:
         found = ((f"scan {k}", stamp, points) for k, (stamp, points) in enumerate(read(path), start=1))
@@ -149,7 +149,7 @@ def _scan(name: str, stamp_s: float | None, points: Points, tuning: ScanTuning) 
             f"{tuning.least_points} are needed: leave the scan out"
         )
     if stamp_s is None:
-        raise InputError(f"{name}: nothing says when it was taken: give --times FILE, or --rate HZ")
+        raise InputError(f"{name}: nothing says when it was taken: give --times FILE, or --rate-hz")
     return Scan(name, float(stamp_s), points.xyz_m[good], offset, int(np.sum(~good)))
 
 
@@ -167,7 +167,9 @@ def _offsets(name: str, time_s: np.ndarray, stamp_s: float | None, tuning: ScanT
             "another unit than seconds, or are these several scans?"
         )
     if stamp_s is None:
-        raise InputError(f"{name}: its points have times from its start, which nothing tells: give --times or --rate")
+        raise InputError(
+            f"{name}: its points have times from its start, which nothing tells: give --times or --rate-hz"
+        )
     return time_s, stamp_s
 
 

@@ -41,7 +41,7 @@ class LidarSettings(Section):
     """A run folder of the same survey, to be compared with the LiDAR."""
 
     place: Path | None = None
-    """Where the LiDAR stands on the rig and what its clock is off: lidar.json of an earlier call; not estimated then."""
+    """Place of the LiDAR on the rig and clock offset: lidar.json of an earlier call; not estimated then."""
 
     clock_s: float | None = Field(None, ge=-1e11, le=1e11)
     """LiDAR time minus frame time (s); not estimated then."""

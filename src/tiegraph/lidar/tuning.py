@@ -134,8 +134,9 @@ class TieTuning(Section):
     """Lower bound of the sigma of a distance."""
     least_points: int = Field(200, ge=10)
     """Points that must be near a surface."""
-    most_condition: float = Field(1e8, gt=1)
-    """Of the normal equations: above it a direction is open, such as along a bare tunnel."""
+    least_facing: float = Field(0.002, gt=0, lt=1)
+    """Mean square of the cosine between any direction and the normals, at least: below it normals face it by their
+    noise only, such as along a bare tunnel."""
     cluster_m: float = Field(1.0, gt=0)
     """Points nearer to each other err together."""
 
