@@ -1,6 +1,6 @@
 """Glue of the LiDAR reference: scans -> trajectory and map -> beside a run.
 
-What is made stands in a folder of its own; ``evaluate`` takes rig.tum and map.laz from there as references of a run.
+What is made stands in a folder of its own; ``evaluate`` takes rig and map.laz from there as references of a run.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from tiegraph.scan.trajectory import write_tum
 from tiegraph.scene.cloudfile import write_cloud
 from tiegraph.scene.results import Cloud
 
-TRAJECTORY, MAP, RIG, SUMMARY = "trajectory.tum", "map.laz", "rig.tum", "lidar.json"
+TRAJECTORY, MAP, RIG, SUMMARY = "trajectory.tum", "map.laz", "rig", "lidar.json"
 _RPE_M = (1.0, 10.0, 100.0)
 
 
@@ -84,9 +84,18 @@ def lidar(scans: Path, out: Path, settings: LidarSettings, reporter: Reporter | 
     write_tum(out / TRAJECTORY, path.time_s, path.poses)
     write_cloud(path.map, out / MAP, settings.voxel_m)
     if beside is not None and found is not None:
-        write_tum(out / RIG, beside.rig.time_s, rig_in_lidar_world(_poses(path), beside.rig.time_s, found))
+        _write_rig(out / RIG, beside, rig_in_lidar_world(_poses(path), beside.rig.time_s, found))
     save_json(out / SUMMARY, finite(summary))
     return summary
+
+
+def _write_rig(folder: Path, run: SurveyRun, poses: np.ndarray) -> None:
+    """Poses of the rig (F, 4, 4) by the LiDAR, one file a pass that it saw, as ``evaluate`` reads them."""
+    folder.mkdir()
+    for number, name in enumerate(run.scene.sequences):
+        rows = np.flatnonzero((run.rig.group == number) & np.isfinite(poses[:, 0, 0]))
+        if len(rows):
+            write_tum(folder / f"{Path(name).name}.tum", run.rig.time_s[rows], poses[rows])
 
 
 def _given(settings: LidarSettings) -> Given:
