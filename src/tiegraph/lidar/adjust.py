@@ -99,10 +99,11 @@ def _find_planes(world: np.ndarray, scan: np.ndarray, stage: tuple[float, float]
     """Flat voxels that two scans at least have points in."""
     side_m, thick_m = stage
     _, voxel = np.unique(voxel_keys(world, side_m), return_inverse=True)
-    _, middle, spread, axes = _scatter(world, voxel, np.ones(len(world), bool))
-    off = np.abs(np.einsum("ni,ni->n", world - middle[voxel], axes[voxel, :, 0]))
-    near = off < tuning.trim_sigmas * np.sqrt(np.maximum(spread[:, 0], tuning.sigma_m**2))[voxel]
-    count, middle, spread, axes = _scatter(world, voxel, near)
+    first = _scatter(world, voxel, np.ones(len(world), bool))
+    off = np.abs(np.einsum("ni,ni->n", world - first.middle[voxel], first.axes[voxel, :, 0]))
+    near = off < tuning.trim_sigmas * np.sqrt(np.maximum(first.spread[:, 0], tuning.sigma_m**2))[voxel]
+    found = _scatter(world, voxel, near)
+    count, spread = found.count, found.spread
     several = np.bincount(np.unique(voxel[near] * (scan[-1] + 1) + scan[near]) // (scan[-1] + 1), minlength=len(count))
     good = (
         (count >= tuning.least_points)
@@ -113,13 +114,22 @@ def _find_planes(world: np.ndarray, scan: np.ndarray, stage: tuple[float, float]
     )
     number = np.cumsum(good) - 1
     row = np.flatnonzero(near & good[voxel])
-    return _Planes(middle[good], axes[good], number[voxel[row]], row)
+    return _Planes(middle=found.middle[good], axes=found.axes[good], plane=number[voxel[row]], row=row)
 
 
-def _scatter(
-    world: np.ndarray, voxel: np.ndarray, taken: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Of each voxel the number of points taken, their mean, the eigenvalues of their scatter (growing) and its axes."""
+@dataclass(frozen=True)
+class _Scatter:
+    """Of V voxels: number of points (V,), their mean (V, 3), the eigenvalues of their scatter (V, 3), growing, and its
+    axes (V, 3, 3), columns."""
+
+    count: np.ndarray
+    middle: np.ndarray
+    spread: np.ndarray
+    axes: np.ndarray
+
+
+def _scatter(world: np.ndarray, voxel: np.ndarray, taken: np.ndarray) -> _Scatter:
+    """Of the points (N, 3) taken (N,) bool, by their voxel (N,)."""
     cells, voxel, world = int(voxel.max()) + 1, voxel[taken], world[taken]
     count = np.bincount(voxel, minlength=cells)
     some = np.maximum(count, 1)[:, None]
@@ -127,7 +137,7 @@ def _scatter(
     away = world - middle[voxel]
     spread = _second_moments(away, voxel, cells) / some[:, None]
     values, axes = np.linalg.eigh(spread)
-    return count, middle, values, axes
+    return _Scatter(count=count, middle=middle, spread=values, axes=axes)
 
 
 def _second_moments(rows: np.ndarray, group: np.ndarray, groups: int) -> np.ndarray:
@@ -146,7 +156,7 @@ def _moments(xyz: np.ndarray, scan: np.ndarray, plane: np.ndarray) -> _Groups:
     moments = _second_moments(np.column_stack([xyz, np.ones(len(xyz))]), group, len(both))
     values, vectors = np.linalg.eigh(moments)
     rows = np.sqrt(np.maximum(values, 0))[:, :, None] * np.swapaxes(vectors, 1, 2)
-    return _Groups(both // scans, both % scans, np.bincount(group), rows)
+    return _Groups(plane=both // scans, scan=both % scans, count=np.bincount(group), rows=rows)
 
 
 def _solve(groups: _Groups, planes: _Planes, poses: np.ndarray, held: int, tuning: AdjustTuning) -> np.ndarray:

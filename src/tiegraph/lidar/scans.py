@@ -113,7 +113,7 @@ def _files(folder: Path, how: Reading, tuning: ScanTuning) -> Recording:
             points = Points(transforms.apply(transforms.invert(given[k]), points.xyz_m), None)
         return _scan(str(files[k]), stamps[k], points, tuning)
 
-    return Recording(folder, scans, len(files), given, tuple(notes))
+    return Recording(path=folder, read=scans, count=len(files), given=given, notes=tuple(notes))
 
 
 def scan_files(folder: Path) -> tuple[list[Path], list[str]]:
@@ -150,7 +150,13 @@ def _scan(name: str, stamp_s: float | None, points: Points, tuning: ScanTuning) 
         )
     if stamp_s is None:
         raise InputError(f"{name}: nothing says when it was taken: give --times FILE, or --rate-hz")
-    return Scan(name, float(stamp_s), points.xyz_m[good], offset, int(np.sum(~good)))
+    return Scan(
+        name=name,
+        stamp_s=float(stamp_s),
+        xyz_m=points.xyz_m[good],
+        offset_s=offset,
+        lost=int(np.sum(~good)),
+    )
 
 
 def _offsets(name: str, time_s: np.ndarray, stamp_s: float | None, tuning: ScanTuning) -> tuple[np.ndarray, float]:

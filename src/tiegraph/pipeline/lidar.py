@@ -59,7 +59,7 @@ def lidar(scans: Path, out: Path, settings: LidarSettings, reporter: Reporter | 
         raise InputError(f"-o {out}: is there already: give a new or an empty folder")
     beside = None if settings.run is None else SurveyRun.read(settings.run)
     given = _given(settings)
-    how = Reading(settings.columns, settings.times, settings.rate_hz, settings.poses)
+    how = Reading(columns=settings.columns, times=settings.times, rate_hz=settings.rate_hz, poses=settings.poses)
     recording = open_scans(scans, how, tuning.scan)
     path = _trajectory(recording, settings, tuning, reporter)
     summary: dict[str, Any] = {
@@ -140,7 +140,13 @@ def _trajectory(recording: Recording, settings: LidarSettings, tuning: Tuning, r
                      f"{time_s[gaps[0]]:.3f} s: the motion across them was taken as constant")  # fmt: skip
     if cloud.voxel_m > settings.voxel_m:
         notes.append(f"the map's voxels grew to {cloud.voxel_m:.3g} m, to keep within memory")
-    return LidarPath(time_s, poses, cloud.cloud(), time.monotonic() - start, tuple(notes))
+    return LidarPath(
+        time_s=time_s,
+        poses=poses,
+        map=cloud.cloud(),
+        seconds=time.monotonic() - start,
+        notes=tuple(notes),
+    )
 
 
 def _map(
@@ -186,6 +192,6 @@ def _against_given(poses: np.ndarray, given: np.ndarray) -> dict[str, Any]:
     ]
     if len(poses) >= 3:
         group = np.zeros(len(poses), int)
-        match = PoseMatch(poses, given, group, np.arange(len(poses)))
+        match = PoseMatch(estimate=poses, reference=given, group=group, order=np.arange(len(poses)))
         rows.append(["ATE after SE3 [m]", evaluate_trajectory(match, _RPE_M, EvaluateTuning().trajectory).se3.rmse_m])
     return {"columns": ["LiDAR odometry", "against the given poses"], "rows": rows}

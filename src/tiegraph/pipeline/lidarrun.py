@@ -114,7 +114,13 @@ def compared(run: SurveyRun, lidar: Poses, reference: Cloud, found: HandEye) -> 
     estimate = rig.poses.copy()
     estimate[:, :3, 3] = world(rig.poses[:, :3, 3])
     estimate[:, :3, :3] = world.rotation @ rig.poses[:, :3, :3]
-    match = PoseMatch(estimate, by_lidar, rig.group, np.arange(len(frame)), run.scene.sequences)
+    match = PoseMatch(
+        estimate=estimate,
+        reference=by_lidar,
+        group=rig.group,
+        order=np.arange(len(frame)),
+        labels=run.scene.sequences,
+    )
     error = evaluate_trajectory(match, _RPE_M, EvaluateTuning().trajectory)
     judged = _Judged(run, world, reference, match, run.scene.section[frame])
     whole = replace(judged.column("all", None), seconds=run.seconds)
@@ -175,7 +181,10 @@ class _Judged:
         out = Column(name, int(images.sum()), int(self.run.used[images].sum()), frames=len(rows))
         if len(rows) >= 3:
             part = PoseMatch(
-                self.match.estimate[rows], self.match.reference[rows], self.match.group[rows], self.match.order[rows]
+                estimate=self.match.estimate[rows],
+                reference=self.match.reference[rows],
+                group=self.match.group[rows],
+                order=self.match.order[rows],
             )
             error = evaluate_trajectory(part, _RPE_M, EvaluateTuning().trajectory)
             out = replace(out, rmse_m=error.se3.rmse_m, scale=error.sim3.alignment.scale * self.world.scale)
