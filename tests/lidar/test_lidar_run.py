@@ -62,6 +62,7 @@ def test_a_run_beside_the_lidar() -> None:
     assert np.abs(found.rig_from_lidar[:3, 3] - _PLACE[:3, 3]).max() < 0.01
     assert abs(found.clock_s) < 0.005
     told = compared(run, lidar, _cloud(hall), found)
+    assert not any("one survey" in note for note in told["run_notes"])
     table = {row[0]: row[1:] for row in told["tables"]["survey"]["rows"]}
     assert told["tables"]["survey"]["columns"] == ["", "all", "section 0", "section 1"]
     assert table["The number of input images"] == [24, 12, 12]
@@ -71,6 +72,25 @@ def test_a_run_beside_the_lidar() -> None:
     assert all(0 < v < 0.01 for v in table["RMSE of positions against the LiDAR [m]"])
     assert all(abs(v - 1) < 0.01 for v in table["scale against the LiDAR"])
     assert 0 < table["cloud to LiDAR, median [m]"][0] < 3 * off_m
+
+
+@pytest.mark.slow
+def test_another_survey_is_noticed() -> None:
+    """The run's frames go another way than the LiDAR."""
+    time_s, scans = START_S + 0.2 * np.arange(1, 13), START_S + np.arange(0, 3, 0.1)
+    run = SurveyRun(
+        scene=_Scene(12),  # type: ignore[arg-type]
+        rig=Poses(time_s, world_from_lidar(START_S + 3 * (time_s[::-1] - START_S)), np.zeros(12, int)),
+        frame=np.arange(12),
+        used=np.ones(24, bool),
+        points=np.zeros((0, 3)),
+        cloud=None,
+        seconds={},
+    )
+    lidar, reference = Poses(scans, world_from_lidar(scans), np.zeros(len(scans), int)), _cloud(np.ones((3, 3)))
+    found = calibrated(run, lidar, reference, Given(), Tuning())
+    assert found.tie is None
+    assert any("are these one survey" in note for note in compared(run, lidar, reference, found)["run_notes"])
 
 
 def _seen(xyz: np.ndarray, offset_s: np.ndarray, start_s: float) -> np.ndarray:

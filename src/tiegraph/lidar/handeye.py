@@ -242,7 +242,10 @@ class _Problem:
             self._pairs(clock, all_kept)
             values = self.refine(values)
             cost = np.log1p((self._weighted(values) / tuning.robust) ** 2).mean()
-            refined.append((float(cost), float(clock), values))
+            if self._pairs(float(values[_CLOCK]), all_kept):
+                refined.append((float(cost), float(clock), values))
+        if not refined:
+            raise InputError(self._apart())
         best = min(refined, key=lambda s: s[:2])
         self._pairs(float(best[2][_CLOCK]), all_kept)
         return best[2]
@@ -328,10 +331,11 @@ class _Problem:
     def _jackknife(self, values: np.ndarray) -> np.ndarray:
         """Covariance of the free parameters by leaving parts of the time out."""
         inside = np.flatnonzero(self.inside(values[_CLOCK]))
-        blocks = np.array_split(inside, min(self.tuning.blocks, len(inside) - self.tuning.least_frames + 1))
+        parts = min(self.tuning.blocks, len(inside) - self.tuning.least_frames + 1)
+        blocks = np.array_split(inside, parts) if parts >= 3 else []
         kept = self.first, self.last, self.turn, self.step, self.jacobian, self.weight
         out = []
-        for block in blocks if len(blocks) >= 3 else ():
+        for block in blocks:
             mask = np.ones(len(self.rig.time_s), bool)
             mask[block] = False
             if self._pairs(float(values[_CLOCK]), mask):

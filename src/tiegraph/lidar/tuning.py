@@ -99,6 +99,8 @@ class HandEyeTuning(Section):
     """Parts of the time, each left out once for the sigmas (jackknife)."""
     agree_sigmas: float = Field(4.0, gt=0)
     """The lever arm by points may differ by so many sigmas from that by the motion."""
+    unlike_deg: float = Field(1.0, gt=0)
+    """Turns of rig and LiDAR that differ by more (RMS) are hardly those of one survey."""
     open_time_s: float = Field(0.1, gt=0)
     """A sigma above these says that the data leave a parameter open: clock ..."""
     open_turn_deg: float = Field(2.0, gt=0)

@@ -89,7 +89,8 @@ def _cloud(folder: Path) -> Cloud | None:
 
 def _seconds(folder: Path) -> dict[str, float]:
     receipts = Receipts(folder)
-    out = {row: float(sum(receipts.read(s).get("seconds") or 0 for s in names)) for row, names in _STAGES.items()}
+    told = {row: [receipts.read(s).get("seconds") for s in names] for row, names in _STAGES.items()}
+    out = {row: float(sum(t for t in found if t)) for row, found in told.items() if any(found)}
     return {**out, "Overall processing": sum(out.values())}
 
 
@@ -128,6 +129,9 @@ def compared(run: SurveyRun, lidar: Poses, reference: Cloud, found: HandEye) -> 
     columns = [whole, *(judged.column(f"section {s}", int(s)) for s in sections if len(sections) > 1)]
     tables = {"hand-eye": hand_eye_table(found), "survey": survey_table(columns), **error.tables(), **judged.tables}
     notes = [f"left open by the motion, and not to be used: {what}" for what in found.left_open]
+    if found.fit.turn_rms_deg > Tuning().hand_eye.unlike_deg:
+        off = f"the turns of rig and LiDAR differ by {found.fit.turn_rms_deg:.2g} degrees RMS"
+        notes.insert(0, f"{off}: are these one survey, and are the times right? Trust nothing below until then")
     if found.tie is not None:
         tied = (
             f"{found.tie.points} points of the run within {1000 * found.tie.rms_m:.0f} mm RMS of the LiDAR's surfaces"
