@@ -76,6 +76,8 @@ def documented(section):
 def test_every_setting_is_documented():
     from tiegraph.calibrate.settings import CalibrateSettings
     from tiegraph.calibrate.tuning import Tuning as CalibrateTuning
+    from tiegraph.lidar.settings import LidarSettings
+    from tiegraph.lidar.tuning import Tuning as LidarTuning
     from tiegraph.plan.tuning import Tuning as PlanTuning
     from tiegraph.project.settings import STAGED, Settings, Tunings
     from tiegraph.settings import Section
@@ -95,6 +97,8 @@ def test_every_setting_is_documented():
     check("calibrate", CalibrateSettings())  # it has no run folder, so these stand beside the settings of the stages
     check("tuning.calibrate", CalibrateTuning())
     check("tuning.plan", PlanTuning())
+    check("lidar", LidarSettings())
+    check("tuning.lidar", LidarTuning())
 
 
 def test_stages_settings_and_verbs_have_one_name():

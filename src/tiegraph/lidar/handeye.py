@@ -1,0 +1,367 @@
+"""Where a LiDAR stands on a camera rig, and what its clock is off: hand-eye calibration of two trajectories.
+
+Between two frames the rig moved by A and the LiDAR by L; A X = X L for its place X on the rig (Tsai and Lenz 1989,
+Park and Martin 1994). The LiDAR's poses are interpolated at the frames' times plus the clock offset, which is unknown
+too, as is the scale of the run. Steps over a few frames enter, not whole poses: so the drift of neither side does harm.
+Turns tell the turn of X, and the clock; the lever arm is told by turns alone, so a path on which the rig hardly turns
+leaves it open, and that is said with the direction. Sigmas: the larger of the adjustment's, for residuals as large as
+they are, and of the jackknife over parts of the time.
+
+What both sides have measured tells more than their motion (``pointtie``): with one world laid on the other, every frame
+has the LiDAR's place on the rig (``settled``). What is left of the clock's sigma times the speed is in its sigma.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation, Slerp
+
+from tiegraph.errors import InputError
+from tiegraph.geometry import transforms
+from tiegraph.geometry.align import Similarity, l1_mean_rotation
+from tiegraph.lidar.pointtie import PointTie
+from tiegraph.lidar.tuning import HandEyeTuning
+
+_TURN, _PLACE, _SCALE, _CLOCK = slice(0, 3), slice(3, 6), 6, 7  # of the parameters
+_CLOCK_OPEN = "the clock offset"
+_MAD = 1.4826  # sigma over median absolute deviation of normal errors
+
+
+@dataclass(frozen=True)
+class Poses:
+    """T poses world_from_body (T, 4, 4) at growing times (T,), s; ``group`` (T,): the pass of each."""
+
+    time_s: np.ndarray
+    poses: np.ndarray
+    group: np.ndarray
+
+    def where(self, mask: np.ndarray) -> Poses:
+        """Those of a mask or index array."""
+        return Poses(self.time_s[mask], self.poses[mask], self.group[mask])
+
+
+@dataclass(frozen=True)
+class Given:
+    """What the user says: rig_from_lidar (4, 4), clock_s; None = to be estimated."""
+
+    rig_from_lidar: np.ndarray | None = None
+    clock_s: float | None = None
+
+
+@dataclass(frozen=True)
+class HandEye:
+    """A LiDAR on a rig. LiDAR time = frame time + ``clock_s``; ``scale``: metres of the LiDAR in a unit of the run;
+    sigmas of turn (3,) about the rig's axes, degrees, of place (3,), of clock and scale; NaN = given. ``left_open``:
+    what the motion does not tell, in words; ``frames`` used; RMS of relative turns and steps."""
+
+    rig_from_lidar: np.ndarray
+    clock_s: float
+    scale: float
+    turn_sigma_deg: np.ndarray
+    place_sigma_m: np.ndarray
+    clock_sigma_s: float
+    scale_sigma: float
+    left_open: tuple[str, ...]
+    fit: Fit
+    tie: PointTie | None = None
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What the calibration rests on."""
+
+    frames: np.ndarray  # (F,) bool: within the LiDAR's times
+    turn_rms_deg: float
+    step_rms_m: float
+
+
+def hand_eye(rig: Poses, lidar: Poses, given: Given, tuning: HandEyeTuning) -> HandEye:
+    """The place of a LiDAR on a rig by their trajectories.
+
+    Raises InputError where too few frames were taken within the LiDAR's times.
+    """
+    found = _Problem(rig, lidar, given, tuning)
+    values = found.best()
+    for _ in range(tuning.rounds):
+        found.measure(values)
+        values = found.refine(values)
+    sigma, place_cov = found.sigmas(values)
+    turns, steps = found.residuals(values)
+    place = transforms.rigid(Rotation.from_rotvec(values[_TURN]).as_matrix(), values[_PLACE])
+    held = np.isnan(sigma)
+    return HandEye(
+        rig_from_lidar=place,
+        clock_s=float(values[_CLOCK]),
+        scale=float(np.exp(values[_SCALE])),
+        turn_sigma_deg=np.degrees(sigma[_TURN]),
+        place_sigma_m=sigma[_PLACE],
+        clock_sigma_s=float(sigma[_CLOCK]),
+        scale_sigma=float(np.exp(values[_SCALE]) * sigma[_SCALE]),
+        left_open=_left_open(sigma, place_cov, tuning) if not held.all() else (),
+        fit=Fit(found.inside(values[_CLOCK]), float(np.degrees(_rms(turns))), _rms(steps)),
+    )
+
+
+def settled(rig: Poses, lidar: Poses, found: HandEye, tie: PointTie, tuning: HandEyeTuning) -> HandEye:
+    """The LiDAR's place on the rig at all frames by a tie of the two worlds; unchanged where the tie tells less than
+    the motion does, or contradicts it."""
+    path = _Path(lidar)
+    frames = rig.where(path.inside(rig.time_s + found.clock_s))
+    there = path(frames.time_s + found.clock_s)
+    world = tie.lidar_from_run
+    placed = transforms.rigid(world.rotation @ frames.poses[:, :3, :3], world(frames.poses[:, :3, 3]))
+    each = transforms.invert(placed) @ there
+    turn, place = l1_mean_rotation(each[:, :3, :3]), np.median(each[:, :3, 3], axis=0)
+    ahead = path(frames.time_s + found.clock_s + path.interval)
+    speed = np.linalg.norm(np.nanmean(ahead[:, :3, 3] - there[:, :3, 3], axis=0)) / path.interval
+    alike = np.sqrt(len(each))
+    scatter = _MAD * np.median(np.abs(each[:, :3, 3] - place), axis=0) / alike
+    late = 0.0 if np.isnan(found.clock_sigma_s) else float(speed * found.clock_sigma_s)
+    place_sigma = np.sqrt(tie.place_sigma_m**2 + scatter**2 + late**2)
+    off = np.degrees(Rotation.from_matrix(each[:, :3, :3] @ turn.T).magnitude())
+    turn_sigma = np.full(3, np.hypot(tie.turn_sigma_deg, np.median(off) / alike))
+    both = np.hypot(found.place_sigma_m, place_sigma)
+    apart = np.abs(place - found.rig_from_lidar[:3, 3]) > tuning.agree_sigmas * both
+    if apart.any() or not place_sigma.max() < found.place_sigma_m.max():
+        return found
+    return replace(
+        found,
+        rig_from_lidar=transforms.rigid(turn, place),
+        scale=world.scale,
+        scale_sigma=tie.scale_sigma,
+        place_sigma_m=place_sigma,
+        turn_sigma_deg=turn_sigma,
+        left_open=tuple(o for o in found.left_open if o.startswith(_CLOCK_OPEN)),
+        tie=tie,
+    )
+
+
+def rig_in_lidar_world(lidar: Poses, time_s: np.ndarray, found: HandEye) -> np.ndarray:
+    """(F, 4, 4) poses of the rig at frames' times (F,) by the LiDAR, in its world; NaN outside its times."""
+    at = _Path(lidar)(time_s + found.clock_s)
+    return at @ transforms.invert(found.rig_from_lidar)
+
+
+def lidar_from_run(rig: Poses, by_lidar: np.ndarray, scale: float) -> Similarity:
+    """What takes the run's world to the LiDAR's, by the rig's poses in both; robust against single frames."""
+    rotation = l1_mean_rotation(by_lidar[:, :3, :3] @ np.swapaxes(rig.poses[:, :3, :3], 1, 2))
+    moved = scale * rig.poses[:, :3, 3] @ rotation.T
+    return Similarity(scale, rotation, np.median(by_lidar[:, :3, 3] - moved, axis=0))
+
+
+class _Path:
+    """Poses at any time: slerp and straight lines."""
+
+    def __init__(self, poses: Poses) -> None:
+        self.start, self.end = float(poses.time_s[0]), float(poses.time_s[-1])
+        self.interval = float(np.median(np.diff(poses.time_s)))
+        self._time, self._places = poses.time_s, poses.poses[:, :3, 3]
+        self._turns = Slerp(poses.time_s, Rotation.from_matrix(poses.poses[:, :3, :3]))
+
+    def inside(self, time_s: np.ndarray) -> np.ndarray:
+        return (time_s >= self.start) & (time_s <= self.end)
+
+    def __call__(self, time_s: np.ndarray) -> np.ndarray:
+        at = np.clip(time_s, self.start, self.end)
+        place = np.stack([np.interp(at, self._time, self._places[:, k]) for k in range(3)], axis=1)
+        out = transforms.rigid(self._turns(at).as_matrix(), place)
+        out[~self.inside(time_s)] = np.nan
+        return out
+
+
+class _Problem:
+    """Relative motions of both sides, and what is known of them."""
+
+    def __init__(self, rig: Poses, lidar: Poses, given: Given, tuning: HandEyeTuning) -> None:
+        self.rig, self.given, self.tuning = rig, given, tuning
+        self.path = _Path(lidar)
+        self.sigma = np.radians(tuning.sigma_deg), tuning.sigma_m
+        self.free = np.ones(8, bool)
+        self.free[:6] = given.rig_from_lidar is None
+        self.free[_CLOCK] = given.clock_s is None
+        self._pairs(0.0 if given.clock_s is None else given.clock_s, np.ones(len(rig.time_s), bool))
+
+    def inside(self, clock_s: float) -> np.ndarray:
+        """(F,) bool: frames within the LiDAR's times."""
+        return self.path.inside(self.rig.time_s + clock_s)
+
+    def _pairs(self, clock_s: float, kept: np.ndarray) -> bool:
+        """The motions between frames that are inside for an offset; False if there are too few."""
+        rows = np.flatnonzero(self.inside(clock_s) & kept)
+        first, last = [np.zeros(0, int)], [np.zeros(0, int)]
+        for span in self.tuning.span_frames:
+            a, b = rows[:-span], rows[span:]
+            same = self.rig.group[a] == self.rig.group[b]
+            first.append(a[same])
+            last.append(b[same])
+        self.first, self.last = np.concatenate(first), np.concatenate(last)
+        self.frames = len(rows)
+        step = transforms.invert(self.rig.poses[self.first]) @ self.rig.poses[self.last]
+        self.turn, self.step = Rotation.from_matrix(step[:, :3, :3]) if len(step) else None, step[:, :3, 3]
+        return len(rows) >= self.tuning.least_frames and len(self.first) >= self.tuning.least_frames - 1
+
+    def _moved(self, clock_s: float) -> np.ndarray:
+        at = np.clip(self.rig.time_s + clock_s, self.path.start, self.path.end)
+        poses = self.path(at)
+        return transforms.invert(poses[self.first]) @ poses[self.last]
+
+    def residuals(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(P, 3) turns, rad, and (P, 3) steps, m, by which A X and X L differ."""
+        assert self.turn is not None
+        moved = self._moved(values[_CLOCK])
+        turn = Rotation.from_rotvec(values[_TURN])
+        turns = ((self.turn * turn).inv() * (turn * Rotation.from_matrix(moved[:, :3, :3]))).as_rotvec()
+        place = values[_PLACE]
+        there = self.turn.apply(place) + np.exp(values[_SCALE]) * self.step
+        return turns, there - turn.apply(moved[:, :3, 3]) - place
+
+    def _weighted(self, values: np.ndarray) -> np.ndarray:
+        turns, steps = self.residuals(values)
+        prior = values[_PLACE] / self.tuning.prior_place_m if self.free[0] else np.zeros(0)
+        return np.concatenate([(turns / self.sigma[0]).ravel(), (steps / self.sigma[1]).ravel(), prior])
+
+    def best(self) -> np.ndarray:
+        """The best of starts with different clock offsets, refined."""
+        tuning = self.tuning
+        reach = np.arange(0, tuning.search_s + 1e-9, tuning.search_step_s)
+        clocks = np.concatenate([-reach[:0:-1], reach]) if self.given.clock_s is None else [self.given.clock_s]
+        all_kept = np.ones(len(self.rig.time_s), bool)
+        starts = []
+        for clock in clocks:
+            if self._pairs(float(clock), all_kept):
+                values = self._start(float(clock))
+                cost = np.log1p((self._weighted(values) / tuning.robust) ** 2).mean()
+                starts.append((float(cost), float(clock), values))
+        if not starts:
+            raise InputError(self._apart())
+        refined = []
+        for _, clock, values in sorted(starts, key=lambda s: s[:2])[: tuning.refined]:
+            self._pairs(clock, all_kept)
+            values = self.refine(values)
+            cost = np.log1p((self._weighted(values) / tuning.robust) ** 2).mean()
+            if self._pairs(float(values[_CLOCK]), all_kept):
+                refined.append((float(cost), float(clock), values))
+        if not refined:
+            raise InputError(self._apart())
+        best = min(refined, key=lambda s: s[:2])
+        self._pairs(float(best[2][_CLOCK]), all_kept)
+        return best[2]
+
+    def _apart(self) -> str:
+        start, end = self.rig.time_s.min(), self.rig.time_s.max()
+        return (
+            f"the frames' times, {start:.3f} to {end:.3f} s, and the LiDAR's, {self.path.start:.3f} to "
+            f"{self.path.end:.3f} s, have less than {self.tuning.least_frames} frames in common, with an offset of up "
+            f"to {self.tuning.search_s:g} s: give what is to be added to the frames' times by --clock-s"
+        )
+
+    def _start(self, clock_s: float) -> np.ndarray:
+        """Turn by the directions of turns and steps on both sides, then lever arm and scale by least squares."""
+        assert self.turn is not None
+        moved = self._moved(clock_s)
+        turns = self.turn.as_rotvec(), Rotation.from_matrix(moved[:, :3, :3]).as_rotvec()
+        scale = np.linalg.norm(moved[:, :3, 3], axis=1).sum() / max(np.linalg.norm(self.step, axis=1).sum(), 1e-12)
+        values = np.array([0, 0, 0, 0, 0, 0, np.log(max(scale, 1e-12)), clock_s])
+        if self.given.rig_from_lidar is not None:
+            values[_TURN] = Rotation.from_matrix(self.given.rig_from_lidar[:3, :3]).as_rotvec()
+            values[_PLACE] = self.given.rig_from_lidar[:3, 3]
+            return values
+        outer = (turns[0] / self.sigma[0] ** 2).T @ turns[1]
+        outer += (scale * self.step / self.sigma[1] ** 2).T @ moved[:, :3, 3]
+        u, _, vt = np.linalg.svd(outer)
+        turn = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+        values[_TURN] = Rotation.from_matrix(turn).as_rotvec()
+        left = (self.turn.as_matrix() - np.eye(3)).reshape(-1, 3)
+        right = (moved[:, :3, 3] @ turn.T - scale * self.step).ravel()
+        weight = (self.sigma[1] / self.tuning.prior_place_m) ** 2
+        values[_PLACE] = np.linalg.solve(left.T @ left + weight * np.eye(3), left.T @ right)
+        return values
+
+    def refine(self, values: np.ndarray) -> np.ndarray:
+        """Robust least squares over what is not given.
+
+        The slope along the clock is that over an interval of the scans: over less it would be their noise.
+        """
+        free = self.free
+
+        def wrapped(part: np.ndarray) -> np.ndarray:
+            full = values.copy()
+            full[free] = part
+            return self._weighted(full)
+
+        steps = np.array([*[1e-5] * 6, 1e-5, self.path.interval])[free]
+
+        def slopes(part: np.ndarray) -> np.ndarray:
+            sides = [wrapped(part + s) - wrapped(part - s) for s in np.diag(steps)]
+            return np.stack(sides, axis=1) / (2 * steps)
+
+        scale = np.array([0.01, 0.01, 0.01, 0.1, 0.1, 0.1, 0.01, 0.01])[free]
+        loss = {"loss": "cauchy", "f_scale": self.tuning.robust}
+        done = least_squares(wrapped, values[free], slopes, x_scale=scale, **loss)
+        out = values.copy()
+        out[free] = done.x
+        self.jacobian, self.weight = slopes(done.x), 1 / (1 + (wrapped(done.x) / self.tuning.robust) ** 2)
+        return out
+
+    def measure(self, values: np.ndarray) -> None:
+        """Sigmas of turns and steps by their residuals."""
+        turns, steps = self.residuals(values)
+        share = np.sqrt(turns.size / max(turns.size - self.free.sum() / 2, 1))
+        tuning = self.tuning
+        self.sigma = (
+            max(_MAD * share * float(np.median(np.abs(turns))), np.radians(tuning.least_sigma_deg)),
+            max(_MAD * share * float(np.median(np.abs(steps))), tuning.least_sigma_m),
+        )
+
+    def sigmas(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(8,) of the parameters, NaN = given, and (3, 3) covariance of the lever arm."""
+        rows = self.jacobian * np.sqrt(self.weight)[:, None]
+        again = len(self.first) / max(self.frames - 1, 1)  # motions over several frames share these
+        formal = np.linalg.pinv(rows.T @ rows) * again
+        spread = self._jackknife(values)
+        ratio = np.sqrt(np.maximum(np.diag(spread) / np.diag(formal), 1))
+        both = formal * np.outer(ratio, ratio)
+        sigma = np.full(8, np.nan)
+        sigma[self.free] = np.sqrt(np.diag(both))
+        return sigma, both[3:6, 3:6] if self.free[0] else np.zeros((3, 3))
+
+    def _jackknife(self, values: np.ndarray) -> np.ndarray:
+        """Covariance of the free parameters by leaving parts of the time out."""
+        inside = np.flatnonzero(self.inside(values[_CLOCK]))
+        parts = min(self.tuning.blocks, len(inside) - self.tuning.least_frames + 1)
+        blocks = np.array_split(inside, parts) if parts >= 3 else []
+        kept = self.first, self.last, self.turn, self.step, self.jacobian, self.weight
+        out = []
+        for block in blocks:
+            mask = np.ones(len(self.rig.time_s), bool)
+            mask[block] = False
+            if self._pairs(float(values[_CLOCK]), mask):
+                out.append(self.refine(values)[self.free])
+        self.first, self.last, self.turn, self.step, self.jacobian, self.weight = kept
+        self.frames = len(inside)
+        if len(out) < 3:
+            return np.zeros((int(self.free.sum()),) * 2)
+        away = np.array(out) - np.mean(out, axis=0)
+        return (len(out) - 1) / len(out) * away.T @ away
+
+
+def _left_open(sigma: np.ndarray, place_cov: np.ndarray, tuning: HandEyeTuning) -> tuple[str, ...]:
+    out = []
+    if sigma[_CLOCK] > tuning.open_time_s:
+        out.append(f"{_CLOCK_OPEN} (sigma {sigma[_CLOCK]:.2g} s)")
+    for axis, turn in zip("xyz", np.degrees(sigma[_TURN])):
+        if turn > tuning.open_turn_deg:
+            out.append(f"the turn about {axis} of the rig (sigma {turn:.2g} degrees)")
+    values, axes = np.linalg.eigh(place_cov)
+    for variance, axis in zip(values[::-1], axes.T[::-1]):
+        if np.sqrt(max(variance, 0)) > tuning.open_place_m:
+            said = ", ".join(f"{a:+.2f}" for a in axis)
+            out.append(f"the lever arm along ({said}) of the rig (sigma {np.sqrt(variance):.2g} m)")
+    return tuple(out)
+
+
+def _rms(rows: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.sum(rows**2, axis=1)))) if len(rows) else float("nan")

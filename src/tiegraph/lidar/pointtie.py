@@ -1,0 +1,96 @@
+"""The run's world laid on the LiDAR's by points: those of the run against surfaces of the map.
+
+Two trajectories of a few seconds tell the turn of a LiDAR on the rig and the clocks, but hardly its lever arm. What
+both have measured tells where one world lies in the other, and with it the lever arm at every frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from tiegraph.geometry.align import Similarity
+from tiegraph.lidar.motion import first_of_voxels, voxel_keys
+from tiegraph.lidar.tuning import TieTuning
+
+_MAD = 1.4826
+
+
+@dataclass(frozen=True)
+class PointTie:
+    """``lidar_from_run``; sigmas of a place in the middle of the map (m) and of a turn (degrees), the largest of any
+    direction, and of the scale; points that agree, and their RMS distance (m)."""
+
+    lidar_from_run: Similarity
+    place_sigma_m: float
+    turn_sigma_deg: float
+    scale_sigma: float
+    points: int
+    rms_m: float
+
+
+def tie_by_points(points: np.ndarray, surface: np.ndarray, start: Similarity, tuning: TieTuning) -> PointTie | None:
+    """Points (M, 3) of a run against the map (G, 3), point to plane, with scale, from a start; None where fewer than
+    ``least_points`` agree or a direction stays open."""
+    middle, normal = _surfaces(surface, tuning)
+    if not len(middle):
+        return None
+    tree = cKDTree(middle)
+    fit, centre = start, np.median(middle, axis=0)
+    rows = np.zeros(0, int)
+    for reach in tuning.reaches_m:
+        for _ in range(tuning.iterations):
+            at = fit(points)
+            distance, near = tree.query(at, distance_upper_bound=reach)
+            rows = np.flatnonzero(np.isfinite(distance))
+            if len(rows) < tuning.least_points:
+                return None
+            away, axis = at[rows] - centre, normal[near[rows]]
+            residual = np.einsum("ni,ni->n", at[rows] - middle[near[rows]], axis)
+            sigma = max(_MAD * float(np.median(np.abs(residual))), tuning.least_sigma_m)
+            weight = 1 / (1 + (residual / (tuning.robust * sigma)) ** 2)
+            slope = np.column_stack([np.cross(away, axis), axis, np.einsum("ni,ni->n", away, axis)])
+            matrix = slope.T @ (slope * weight[:, None])
+            if np.linalg.eigvalsh(matrix[3:6, 3:6]).min() < tuning.least_facing * weight.sum():
+                return None
+            step = -np.linalg.solve(matrix, slope.T @ (weight * residual))
+            turn, grow = Rotation.from_rotvec(step[:3]).as_matrix(), 1 + step[6]
+            shift = grow * turn @ (fit.translation - centre) + centre + step[3:6]
+            fit = Similarity(fit.scale * grow, turn @ fit.rotation, shift)
+            if np.abs(step).max() < tuning.still:
+                break
+    covariance = _sandwich(matrix, slope * (weight * residual)[:, None], fit(points[rows]), tuning.cluster_m)
+    return PointTie(
+        lidar_from_run=fit,
+        place_sigma_m=float(np.sqrt(np.linalg.eigvalsh(covariance[3:6, 3:6]).max())),
+        turn_sigma_deg=float(np.degrees(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3]).max()))),
+        scale_sigma=float(fit.scale * np.sqrt(covariance[6, 6])),
+        points=len(rows),
+        rms_m=float(np.sqrt(np.average(residual**2, weights=weight))),
+    )
+
+
+def _sandwich(matrix: np.ndarray, score: np.ndarray, places: np.ndarray, cluster_m: float) -> np.ndarray:
+    """Covariance of the parameters where points (K, 3) of one voxel err together, as edges and texture make them."""
+    _, cluster = np.unique(voxel_keys(places, cluster_m), return_inverse=True)
+    sums = np.stack([np.bincount(cluster, column) for column in score.T], axis=1)
+    inverse = np.linalg.inv(matrix)
+    return inverse @ (sums.T @ sums) @ inverse
+
+
+def _surfaces(surface: np.ndarray, tuning: TieTuning) -> tuple[np.ndarray, np.ndarray]:
+    """Middles and normals (K, 3) of the map where it is flat about a point."""
+    picked = surface[first_of_voxels(surface, tuning.thin_m)] if len(surface) else surface
+    if len(picked) < tuning.neighbours:
+        return np.zeros((0, 3)), np.zeros((0, 3))
+    distance, near = cKDTree(surface).query(picked, k=tuning.neighbours)
+    around = surface[near]
+    middle = around.mean(axis=1)
+    away = around - middle[:, None]
+    values, axes = np.linalg.eigh(np.swapaxes(away, 1, 2) @ away / tuning.neighbours)
+    flat = (values[:, 0] < tuning.flat * values[:, 1]) & (values[:, 1] > tuning.wide * values[:, 2])
+    flat &= (distance[:, -1] < tuning.radius_m) & (values[:, 0] < tuning.thick_m**2)
+    return middle[flat], axes[flat, :, 0]

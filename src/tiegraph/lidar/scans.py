@@ -1,0 +1,195 @@
+"""Scans of a LiDAR, one after another: from a folder of files, a ROS bag, or packets of a Velodyne."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from tiegraph.errors import InputError
+from tiegraph.geometry import transforms
+from tiegraph.lidar.cloudmessages import bag_scans
+from tiegraph.lidar.formats import BIN_COLUMNS, READERS, Points
+from tiegraph.lidar.packets import pcap_scans
+from tiegraph.lidar.scantimes import find_times, of_scans, read_scan_times
+from tiegraph.lidar.tuning import ScanTuning
+from tiegraph.lidar.undo import read_scan_poses
+from tiegraph.scene.bags.topics import is_bag
+from tiegraph.scene.table import in_seconds
+
+_FOLDERS = ("velodyne", "velodyne_points/data", "lidar")  # of KITTI odometry, KITTI raw, PandaSet
+_ABSOLUTE_S = 1e6  # times of points above this count from an epoch and not from the scan's start
+_KINDS = f"a folder of scans ({', '.join(sorted(READERS))}), a ROS bag, or a .pcap file"
+
+
+@dataclass(frozen=True)
+class Scan:
+    """One turn of a scanner: xyz_m (N, 3) in its frame, finite; ``offset_s`` (N,) of each point from ``stamp_s``, None
+    where points have no times; ``lost``: points that were at no place."""
+
+    name: str
+    stamp_s: float
+    xyz_m: np.ndarray
+    offset_s: np.ndarray | None
+    lost: int = 0
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How scans are read: columns of a .bin, files of times and poses, scans a second."""
+
+    columns: tuple[str, ...] = BIN_COLUMNS
+    times: Path | None = None
+    rate_hz: float | None = None
+    poses: Path | None = None
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Scans that can be gone through any number of times; ``given`` (T, 4, 4): where the files' poses have the scanner,
+    None if they have none."""
+
+    path: Path
+    read: Callable[[], Iterator[Scan]]
+    count: int | None = None
+    given: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
+
+
+def open_scans(path: Path, how: Reading, tuning: ScanTuning) -> Recording:
+    """A recording; only lists of files, times and poses are read.
+
+    Raises InputError for a path without scans, for times or poses that do not fit the scans, and, while it is gone
+    through, for scans that are damaged, empty or out of order.
+    """
+    if is_bag(path):
+        return _stream(path, how, tuning, bag_scans)
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder; give {_KINDS}")
+    if path.suffix.lower() == ".pcap":
+        return _stream(path, how, tuning, pcap_scans)
+    if not path.is_dir():
+        raise InputError(f"{path}: one file; give {_KINDS}")
+    return _files(path, how, tuning)
+
+
+def _stream(
+    path: Path, how: Reading, tuning: ScanTuning, read: Callable[[Path], Iterator[tuple[float, Points]]]
+) -> Recording:
+    if how.poses is not None or how.times is not None or how.rate_hz is not None:
+        raise InputError(f"{path}: its scans have times of their own: leave --times, --rate-hz and --poses out")
+
+    def scans() -> Iterator[Scan]:
+        found = ((f"scan {k}", stamp, points) for k, (stamp, points) in enumerate(read(path), start=1))
+        return _in_order(path, (_scan(*one, tuning) for one in found))
+
+    return Recording(path, scans)
+
+
+def _files(folder: Path, how: Reading, tuning: ScanTuning) -> Recording:
+    files, notes = scan_files(folder)
+    if len(files) < tuning.least_scans:
+        raise InputError(f"{files[0]}: the only scan; a trajectory needs at least {tuning.least_scans}")
+    stems = [f.stem for f in files]
+    stamps: list[float | None] = [None] * len(files)
+    times = how.times or (None if how.rate_hz else find_times(files[0].parent))
+    if how.rate_hz is not None:
+        stamps = [k / how.rate_hz for k in range(len(files))]
+    elif times is not None:
+        stamps = list(read_scan_times(times, stems))
+        notes.append(f"times of the scans: {times.name}")
+    given = None if how.poses is None else of_scans(how.poses, read_scan_poses(how.poses), stems)
+
+    def scans() -> Iterator[Scan]:
+        return _in_order(folder, (one(k) for k in range(len(files))))
+
+    def one(k: int) -> Scan:
+        points = READERS[files[k].suffix.lower()](files[k], how.columns)
+        if given is not None:  # points in a world were put there by their own times
+            points = Points(transforms.apply(transforms.invert(given[k]), points.xyz_m), None)
+        return _scan(str(files[k]), stamps[k], points, tuning)
+
+    return Recording(path=folder, read=scans, count=len(files), given=given, notes=tuple(notes))
+
+
+def scan_files(folder: Path) -> tuple[list[Path], list[str]]:
+    """The scans of a folder in the order of their numbers, and what was left out. Raises InputError for none."""
+    for place in (folder, *(folder / f for f in _FOLDERS)):
+        files = [f for f in sorted(place.iterdir()) if f.suffix.lower() in READERS] if place.is_dir() else []
+        if files:
+            break
+    else:
+        raise InputError(f"{folder}: no scans in it; give {_KINDS}")
+    kinds = Counter(_pattern(f) for f in files)
+    usual = max(kinds, key=lambda k: kinds[k])
+    taken = [f for f in files if _pattern(f) == usual]
+    others = [f.name for f in files if _pattern(f) != usual]
+    notes = [f"left out, not named as the others are: {', '.join(others[:5])}"] if others else []
+    return sorted(taken, key=lambda f: ([int(n) for n in re.findall(r"\d+", f.stem)], f.name)), notes
+
+
+def _pattern(file: Path) -> tuple[str, str]:
+    return re.sub(r"\d+", "#", file.stem), file.suffix.lower()
+
+
+def _scan(name: str, stamp_s: float | None, points: Points, tuning: ScanTuning) -> Scan:
+    """A scan without points at no place, its times in seconds from its stamp."""
+    good = np.isfinite(points.xyz_m).all(axis=1) & (points.xyz_m != 0).any(axis=1)
+    offset = None
+    if points.time_s is not None:
+        good &= np.isfinite(points.time_s)
+        offset, stamp_s = _offsets(name, points.time_s[good], stamp_s, tuning)
+    if good.sum() < tuning.least_points:
+        raise InputError(
+            f"{name}: {int(good.sum())} of {len(good)} points are at a place (not NaN, not 0); "
+            f"{tuning.least_points} are needed: leave the scan out"
+        )
+    if stamp_s is None:
+        raise InputError(f"{name}: nothing says when it was taken: give --times FILE, or --rate-hz")
+    return Scan(
+        name=name,
+        stamp_s=float(stamp_s),
+        xyz_m=points.xyz_m[good],
+        offset_s=offset,
+        lost=int(np.sum(~good)),
+    )
+
+
+def _offsets(name: str, time_s: np.ndarray, stamp_s: float | None, tuning: ScanTuning) -> tuple[np.ndarray, float]:
+    if not len(time_s):
+        return time_s, 0.0 if stamp_s is None else stamp_s
+    time_s = in_seconds(time_s)
+    start = float(time_s.min())
+    if start > _ABSOLUTE_S:
+        time_s, stamp_s = time_s - start, start if stamp_s is None else stamp_s
+    span = float(np.ptp(time_s))
+    if span > tuning.most_sweep_s:
+        raise InputError(
+            f"{name}: its points were taken over {span:g} s, more than {tuning.most_sweep_s:g} s: is their time in "
+            "another unit than seconds, or are these several scans?"
+        )
+    if stamp_s is None:
+        raise InputError(
+            f"{name}: its points have times from its start, which nothing tells: give --times or --rate-hz"
+        )
+    return time_s, stamp_s
+
+
+def _in_order(path: Path, scans: Iterator[Scan]) -> Iterator[Scan]:
+    """The scans. Raises InputError for stamps that do not grow, and for a single scan."""
+    last = None
+    count = 0
+    for scan in scans:
+        if last is not None and not scan.stamp_s > last.stamp_s:
+            raise InputError(
+                f"{scan.name}: its time {scan.stamp_s:.6f} s does not come after {last.stamp_s:.6f} s of {last.name}: "
+                "sort the scans, or give their times by --times"
+            )
+        last, count = replace(scan, xyz_m=scan.xyz_m[:0], offset_s=None), count + 1
+        yield scan
+    if count < 2:
+        raise InputError(f"{path}: {count} scan in it; a trajectory needs more")

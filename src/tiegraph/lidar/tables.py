@@ -1,0 +1,69 @@
+"""What is told of a run beside the LiDAR: the rows of paper 001's tables 1 and 3 to 5, and the hand-eye calibration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tiegraph.lidar.handeye import HandEye
+
+_NAN = float("nan")
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of the table: the whole survey or a section. Shares of the clouds are medians and 90 % of distances to
+    the LiDAR's map, m; ``rmse_m`` that of the frames' positions against the LiDAR's trajectory."""
+
+    name: str
+    images: int
+    used: int
+    points: int = 0
+    seconds: dict[str, float] | None = None  # of mask, SfM, MVS, overall processing
+    frames: int = 0  # with a pose of the LiDAR
+    rmse_m: float = _NAN
+    scale: float = _NAN
+    cloud_m: tuple[float, float] = (_NAN, _NAN)
+
+
+TIMES = ("Mask processing", "SfM", "MVS", "Overall processing")
+
+
+def survey_table(columns: list[Column]) -> dict[str, Any]:
+    """{"columns", "rows"}: the rows as paper 001 names them."""
+    rows: list[list[Any]] = []
+    for time in TIMES:
+        rows.append([f"{time} [s]", *((c.seconds or {}).get(time, _NAN) for c in columns)])
+    rows.append(["The number of input images", *(c.images for c in columns)])
+    rows.append(["The number of used images", *(c.used for c in columns)])
+    rows.append(["The number of points after MVS", *(c.points for c in columns)])
+    rows.append(["RMSE of positions against the LiDAR [m]", *(c.rmse_m for c in columns)])
+    rows.append(["frames with a pose of the LiDAR", *(c.frames for c in columns)])
+    rows.append(["scale against the LiDAR", *(c.scale for c in columns)])
+    rows.append(["cloud to LiDAR, median [m]", *(c.cloud_m[0] for c in columns)])
+    rows.append(["cloud to LiDAR, 90 % [m]", *(c.cloud_m[1] for c in columns)])
+    known = [r for r in rows if any(np.isfinite(v) for v in r[1:])]
+    return {"columns": ["", *(c.name for c in columns)], "rows": known}
+
+
+def hand_eye_table(found: HandEye) -> dict[str, Any]:
+    """{"columns", "rows"}: value and sigma of each parameter."""
+    place = found.rig_from_lidar[:3, 3]
+    rows = [["clock offset [s]", found.clock_s, found.clock_sigma_s]]
+    rows += [[f"lever arm {a} [m]", v, s] for a, v, s in zip("xyz", place, found.place_sigma_m)]
+    rows += [[f"turn about {a} [deg]", _NAN, s] for a, s in zip("xyz", found.turn_sigma_deg)]
+    rows.append(["scale", found.scale, found.scale_sigma])
+    return {"columns": ["LiDAR on the rig", "value", "sigma"], "rows": rows}
+
+
+def finite(value: Any) -> Any:
+    """A value for JSON: NaN and infinity become null, arrays lists."""
+    if isinstance(value, dict):
+        return {k: finite(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [finite(v) for v in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -1,0 +1,207 @@
+"""Glue of the LiDAR reference: what a run made, beside the LiDAR's trajectory and map."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from tiegraph.errors import InputError
+from tiegraph.evaluate.clouds.judge import Question, judge_cloud
+from tiegraph.evaluate.clouds.nearest import Cameras, CloudComparison
+from tiegraph.evaluate.reference import model_poses
+from tiegraph.evaluate.trajectory import PoseMatch, evaluate_trajectory
+from tiegraph.evaluate.tuning import Tuning as EvaluateTuning
+from tiegraph.geometry.align import Similarity
+from tiegraph.geometry.geodesy import Origin
+from tiegraph.lidar.handeye import Given, HandEye, Poses, hand_eye, lidar_from_run, rig_in_lidar_world, settled
+from tiegraph.lidar.pointtie import tie_by_points
+from tiegraph.lidar.tables import Column, hand_eye_table, survey_table
+from tiegraph.lidar.tuning import Tuning
+from tiegraph.pipeline.files import load_json, load_model, load_scene, reading
+from tiegraph.project.folder import check_format
+from tiegraph.project.receipts import Receipts
+from tiegraph.scene.cloudchunks import Points, PointSource
+from tiegraph.scene.cloudfile import read_cloud
+from tiegraph.scene.registered import registration
+from tiegraph.scene.results import Cloud
+from tiegraph.scene.scene import Scene
+from tiegraph.scene.tuning import RegisteredTuning
+
+_SURE = 3  # images that a point is seen in: of two, a wrong match is not noticed
+_RPE_M = (1.0, 10.0, 100.0)
+_STAGES = {  # rows of paper 001's tables 1 and 5, and the stages they add up
+    "Mask processing": ("masks", "refine"),
+    "SfM": ("preview", "candidates", "coarse", "network", "design", "features", "match", "filter", "sparse", "georef"),
+    "MVS": ("dense", "cloud"),
+}
+
+
+@dataclass(frozen=True)
+class SurveyRun:
+    """What of a run is compared: its frames with a pose and a time, sorted by time, and their numbers; which of its
+    images (N,) are registered; points (M, 3) of its model; its cloud, if it has one; seconds of paper 001's rows."""
+
+    scene: Scene
+    rig: Poses
+    frame: np.ndarray
+    used: np.ndarray
+    points: np.ndarray
+    cloud: Cloud | None
+    seconds: dict[str, float]
+
+    @classmethod
+    def read(cls, folder: Path) -> SurveyRun:
+        """Raises InputError for a folder without a model in the world, and for a run without times."""
+        check_format(folder)
+        world = folder / "sparse" / "world"
+        if not (world / "cameras.bin").exists():
+            raise InputError(f"--run {folder}: there is no model in {world}: run `tiegraph georef {folder}` first")
+        scene = load_scene(folder / "network" / "scene.json")
+        model = load_model(world)
+        rigs = model_poses(model, scene).world_from_rig
+        placed = np.isfinite(rigs[:, 0, 0])
+        timed = np.flatnonzero(placed & np.isfinite(scene.time_s))
+        if not len(timed):
+            raise InputError(
+                f"--run {folder}: none of its {int(placed.sum())} placed frames has a time: run it with --times"
+            )
+        frame = timed[np.argsort(scene.time_s[timed], kind="stable")]
+        return cls(
+            scene=scene,
+            rig=Poses(scene.time_s[frame], rigs[frame], scene.sequence[frame]),
+            frame=frame,
+            used=registration(model, scene, RegisteredTuning()).registered,
+            points=np.array([p.xyz for p in model.points3D.values() if p.track.length() >= _SURE]).reshape(-1, 3),
+            cloud=_cloud(folder),
+            seconds=_seconds(folder),
+        )
+
+
+def _cloud(folder: Path) -> Cloud | None:
+    path, origin = folder / "cloud.laz", load_json(folder / "world.json").get("origin")
+    if not path.exists():
+        return None
+    with reading(path):
+        return read_cloud(path, None if origin is None else Origin.from_dict(origin))
+
+
+def _seconds(folder: Path) -> dict[str, float]:
+    receipts = Receipts(folder)
+    told = {row: [receipts.read(s).get("seconds") for s in names] for row, names in _STAGES.items()}
+    out = {row: float(sum(t for t in found if t)) for row, found in told.items() if any(found)}
+    return {**out, "Overall processing": sum(out.values())}
+
+
+def calibrated(run: SurveyRun, lidar: Poses, reference: Cloud, given: Given, tuning: Tuning) -> HandEye:
+    """The LiDAR on the rig: by the two trajectories, then by the points that both sides have of one surface."""
+    found = hand_eye(run.rig, lidar, given, tuning.hand_eye)
+    if given.rig_from_lidar is not None:
+        return found
+    by_lidar = rig_in_lidar_world(lidar, run.rig.time_s, found)
+    inside = np.isfinite(by_lidar[:, 0, 0])
+    start = lidar_from_run(run.rig.where(inside), by_lidar[inside], found.scale)
+    tie = tie_by_points(run.points, reference.xyz_m, start, tuning.tie)
+    return found if tie is None else settled(run.rig, lidar, found, tie, tuning.hand_eye)
+
+
+def compared(run: SurveyRun, lidar: Poses, reference: Cloud, found: HandEye) -> dict[str, Any]:
+    """What lidar.json says of a run: tables, hand-eye calibration, notes."""
+    by_lidar = rig_in_lidar_world(lidar, run.rig.time_s, found)
+    inside = np.flatnonzero(np.isfinite(by_lidar[:, 0, 0]))
+    rig, frame, by_lidar = run.rig.where(inside), run.frame[inside], by_lidar[inside]
+    world = found.tie.lidar_from_run if found.tie else lidar_from_run(rig, by_lidar, found.scale)
+    estimate = rig.poses.copy()
+    estimate[:, :3, 3] = world(rig.poses[:, :3, 3])
+    estimate[:, :3, :3] = world.rotation @ rig.poses[:, :3, :3]
+    match = PoseMatch(
+        estimate=estimate,
+        reference=by_lidar,
+        group=rig.group,
+        order=np.arange(len(frame)),
+        labels=run.scene.sequences,
+    )
+    error = evaluate_trajectory(match, _RPE_M, EvaluateTuning().trajectory)
+    judged = _Judged(run, world, reference, match, run.scene.section[frame])
+    whole = replace(judged.column("all", None), seconds=run.seconds)
+    sections = np.unique(run.scene.section[run.scene.section >= 0])
+    columns = [whole, *(judged.column(f"section {s}", int(s)) for s in sections if len(sections) > 1)]
+    tables = {"hand-eye": hand_eye_table(found), "survey": survey_table(columns), **error.tables(), **judged.tables}
+    notes = [f"left open by the motion, and not to be used: {what}" for what in found.left_open]
+    if found.fit.turn_rms_deg > Tuning().hand_eye.unlike_deg:
+        off = f"the turns of rig and LiDAR differ by {found.fit.turn_rms_deg:.2g} degrees RMS"
+        notes.insert(0, f"{off}: are these one survey, and are the times right? Trust nothing below until then")
+    if found.tie is not None:
+        tied = (
+            f"{found.tie.points} points of the run within {1000 * found.tie.rms_m:.0f} mm RMS of the LiDAR's surfaces"
+        )
+        notes.append(f"the LiDAR's place on the rig by {tied}; by the motion alone it would be known worse")
+    if run.cloud is None:
+        notes.append("the run has no cloud.laz: trajectories only were compared")
+    return {
+        "hand_eye": {
+            "rig_from_lidar": found.rig_from_lidar,
+            "clock_s": found.clock_s,
+            "scale": found.scale,
+            "place_sigma_m": found.place_sigma_m,
+            "turn_sigma_deg": found.turn_sigma_deg,
+            "clock_sigma_s": found.clock_sigma_s,
+            "scale_sigma": found.scale_sigma,
+            "frames": int(found.fit.frames.sum()),
+            "turn_rms_deg": found.fit.turn_rms_deg,
+            "step_rms_m": found.fit.step_rms_m,
+            "left_open": found.left_open,
+            "tied_points": 0 if found.tie is None else found.tie.points,
+        },
+        "lidar_from_run": world.matrix,
+        "metrics": {m.name: m.value for m in error.metrics()},
+        "tables": tables,
+        "run_notes": notes,
+    }
+
+
+class _Judged:
+    """The whole survey or a section of it beside the LiDAR."""
+
+    def __init__(
+        self, run: SurveyRun, world: Similarity, reference: Cloud, match: PoseMatch, sections: np.ndarray
+    ) -> None:
+        self.run, self.world, self.match, self.sections = run, world, match, sections
+        centres, section = world(run.rig.poses[:, :3, 3]), run.scene.section[run.frame]
+        xyz = np.zeros((0, 3)) if run.cloud is None else world(run.cloud.xyz_m)
+        self.of_point = section[cKDTree(centres).query(xyz)[1]]
+        self.cloud = None if run.cloud is None else _judged(xyz, reference, Cameras(centres, tuple(map(str, section))))
+        self.tables: dict[str, Any] = {} if self.cloud is None else self.cloud.tables()
+
+    def column(self, name: str, section: int | None) -> Column:
+        scene = self.run.scene
+        images = np.ones(len(scene), bool) if section is None else scene.section[scene.frame] == section
+        rows = np.flatnonzero(np.ones(len(self.match), bool) if section is None else self.sections == section)
+        out = Column(name, int(images.sum()), int(self.run.used[images].sum()), frames=len(rows))
+        if len(rows) >= 3:
+            part = PoseMatch(
+                estimate=self.match.estimate[rows],
+                reference=self.match.reference[rows],
+                group=self.match.group[rows],
+                order=self.match.order[rows],
+            )
+            error = evaluate_trajectory(part, _RPE_M, EvaluateTuning().trajectory)
+            out = replace(out, rmse_m=error.se3.rmse_m, scale=error.sim3.alignment.scale * self.world.scale)
+        if self.cloud is not None:
+            judged = self.cloud.whole if section is None else self.cloud.sections.get(str(section))
+            points = len(self.of_point) if section is None else int(np.sum(self.of_point == section))
+            if judged is not None:
+                out = replace(out, points=points, cloud_m=(judged.median_m, judged.p90_m))
+        return out
+
+
+def _judged(xyz: np.ndarray, reference: Cloud, cameras: Cameras) -> CloudComparison:
+    """The run's cloud (N, 3) by the LiDAR's map, both in the LiDAR's world."""
+    own = PointSource("the run's cloud", lambda: iter([Points(xyz, np.full(len(xyz), np.nan))]))
+    truth = PointSource("the LiDAR's map", lambda: iter([Points(reference.xyz_m, reference.sigma_m)]))
+    with tempfile.TemporaryDirectory() as scratch:
+        return judge_cloud(own, truth, Path(scratch), Question(cameras=cameras), EvaluateTuning()).nearest

@@ -1,0 +1,91 @@
+"""Trajectory and map of a simulated scanner."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("kiss_icp")
+from lidar.lidar_world import HALL, Turn, turns, world_from_lidar
+from tiegraph.errors import InputError
+from tiegraph.geometry import transforms
+from tiegraph.geometry.align import umeyama
+from tiegraph.lidar.adjust import adjust, adjusted
+from tiegraph.lidar.mapcloud import MapCloud
+from tiegraph.lidar.odometry import ThinScan, odometry
+from tiegraph.lidar.scans import Scan
+from tiegraph.lidar.tuning import AdjustTuning, MapTuning, Tuning
+
+_TUNING = Tuning()
+
+
+def _scans(made: list[Turn], timed: bool = True) -> list[Scan]:
+    return [Scan(f"{k}", t.start_s, t.xyz_m, t.offset_s if timed else None) for k, t in enumerate(made)]
+
+
+def _thin(made: list[Turn], timed: bool = True) -> list[ThinScan]:
+    return list(odometry(iter(_scans(made, timed)), 0.5, 60.0, _TUNING))
+
+
+def _error_m(thin: list[ThinScan], poses: np.ndarray) -> float:
+    """RMS after a rigid alignment."""
+    true = world_from_lidar(np.array([s.time_s for s in thin]))[:, :3, 3]
+    fit = umeyama(poses[:, :3, 3], true, with_scale=False)
+    return float(np.sqrt(np.mean(np.sum((fit(poses[:, :3, 3]) - true) ** 2, axis=1))))
+
+
+@pytest.mark.slow
+def test_adjusted_scans_are_better_than_odometry() -> None:
+    thin = _thin(turns(16))
+    first, second = np.array([s.pose for s in thin]), np.array(list(adjusted(thin, _TUNING.adjust)))
+    path = 2.0 * (thin[-1].time_s - thin[0].time_s)
+    before, after = _error_m(thin, first), _error_m(thin, second)
+    assert 0 < after < 0.005 * path
+    assert after < 0.7 * before
+    true = world_from_lidar(np.array([s.time_s for s in thin]))
+    moved, should = (transforms.invert(p[0]) @ p[-1] for p in (second, true))
+    assert transforms.angle_deg(moved[:3, :3], should[:3, :3]) < 0.2
+    again = np.array(list(adjusted(_thin(turns(16)), _TUNING.adjust)))
+    np.testing.assert_array_equal(second, again)
+
+
+@pytest.mark.slow
+def test_windows_go_on_where_the_last_one_ended() -> None:
+    thin = _thin(turns(18))
+    poses = np.array(list(adjusted(thin, AdjustTuning(window=12))))
+    assert len(poses) == len(thin)
+    assert 0 < _error_m(thin, poses) < 0.03
+    steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    assert 0.15 < steps.min() and steps.max() < 0.25
+
+
+@pytest.mark.slow
+def test_times_of_points_count() -> None:
+    """Without them a turn is bent by its own motion, 20 cm at 2 m/s."""
+    made = turns(10)
+    with_times, without = _thin(made), _thin(made, timed=False)
+    held = np.array([s.pose for s in without])
+    loose = adjust(without, held, 1, _TUNING.adjust)
+    sharp = adjust(with_times, np.array([s.pose for s in with_times]), 1, _TUNING.adjust)
+    assert _error_m(with_times, sharp) < 0.8 * _error_m(without, loose)
+    assert without[0].before_s is None and without[0].time_s == pytest.approx(made[0].start_s)
+
+
+def test_ranges_without_points() -> None:
+    with pytest.raises(InputError, match="--near-m, --far-m"):
+        next(odometry(iter(_scans(turns(1, rings=4))), 200.0, 300.0, _TUNING))
+
+
+def test_the_map_has_a_point_a_voxel_and_keeps_within_memory() -> None:
+    rng = np.random.default_rng(0)
+    xyz = rng.uniform(HALL[0], HALL[1], (5000, 3))
+    fine = MapCloud(0.5, MapTuning(batch_points=900))
+    for part in np.array_split(xyz, 10):
+        fine.add(part)
+    cloud = fine.cloud()
+    assert cloud.views.sum() == 5000
+    cells = np.floor(cloud.xyz_m / 0.5)
+    assert len(np.unique(cells, axis=0)) == len(cloud)
+    few = MapCloud(0.1, MapTuning(most_points=300))
+    few.add(xyz)
+    assert 0 < len(few.cloud()) <= 300 and few.voxel_m > 0.1
