@@ -76,6 +76,7 @@ def documented(section):
 def test_every_setting_is_documented():
     from tiegraph.calibrate.settings import CalibrateSettings
     from tiegraph.calibrate.tuning import Tuning as CalibrateTuning
+    from tiegraph.odometry.tuning import Tuning as OdometryTuning
     from tiegraph.project.settings import STAGED, Settings, Tunings
     from tiegraph.settings import Section
 
@@ -93,6 +94,7 @@ def test_every_setting_is_documented():
     check("tuning", Tunings())
     check("calibrate", CalibrateSettings())  # it has no run folder, so these stand beside the settings of the stages
     check("tuning.calibrate", CalibrateTuning())
+    check("tuning.odometry", OdometryTuning())
 
 
 def test_stages_settings_and_verbs_have_one_name():

@@ -47,6 +47,7 @@ VERBS: dict[str, Verb] = {
     "compare": Verb("two or more run folders side by side: the papers' tables", "compare"),
     "shots": Verb("a point cloud for each shot of a calibrated rig, without a sparse model", "shots"),
     "calibrate": Verb("cameras and rig from images of a board (ChArUco, checkerboard, AprilGrid)", "calibrate"),
+    "odometry": Verb("the path of a stereo camera, a rig or a single camera from the images alone", "odometry"),
     "rig": Verb("the rig and cameras as a run found them, as rig.toml or COLMAP's rig_config.json", "rig"),
     "export": Verb("the depth maps as a dense workspace for COLMAP's stereo_fusion", "export"),
     "doctor": Verb("versions, cores, memory, disk, and what is missing", "doctor"),

@@ -32,12 +32,16 @@ def adjust(
     model, ids = _build(world, numbers, seen.where(usable))
     _solve(model, [k + 1 for k in numbers if k in held], loss_px, iterations)
     for k in free:
-        world.move(k, matrix(model.frame(k + 1).rig_from_world))
+        pose = model.frame(k + 1).rig_from_world
+        assert pose is not None
+        world.move(k, matrix(pose))
     world.xyz[list(ids)] = [model.point3D(number).xyz for number in ids.values()]
     world.forget(seen, usable & (world.errors_px(seen) > tuning.outlier_px))
 
 
-def _build(world: WorldMap, numbers: Sequence[int], seen: Observations) -> tuple[pycolmap.Reconstruction, dict[int, int]]:
+def _build(
+    world: WorldMap, numbers: Sequence[int], seen: Observations
+) -> tuple[pycolmap.Reconstruction, dict[int, int]]:
     """COLMAP's model, in which a keyframe's number + 1 is its frame's; number of a point in the map -> in the model."""
     model = pycolmap.Reconstruction()
     _add_rig(model, world.cameras)

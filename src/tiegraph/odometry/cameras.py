@@ -68,9 +68,7 @@ class Cameras:
         model = self.models[camera]
         x, y = xy[:, 0], xy[:, 1]
         with np.errstate(invalid="ignore"):
-            return (
-                (x >= margin_px) & (y >= margin_px) & (x < model.width - margin_px) & (y < model.height - margin_px)
-            )
+            return (x >= margin_px) & (y >= margin_px) & (x < model.width - margin_px) & (y < model.height - margin_px)
 
     def partners(self, tuning: FollowTuning) -> dict[int, tuple[int, ...]]:
         """Camera with corners of its own -> the others that see some of what it sees."""

@@ -63,7 +63,9 @@ def wider(classical: np.ndarray, clustered: np.ndarray) -> np.ndarray:
     return np.asarray(0.5 * (classical + classical.T) * np.outer(root, root))
 
 
-def resection_covariance(cameras: Cameras, pose: np.ndarray, seen: Tracks, xyz: np.ndarray, loss_px: float) -> np.ndarray:
+def resection_covariance(
+    cameras: Cameras, pose: np.ndarray, seen: Tracks, xyz: np.ndarray, loss_px: float
+) -> np.ndarray:
     """(6, 6) as of a keyframe, of one frame's pose by points (K, 3) whose places are taken as known."""
     by_pose, _, residual = _derivatives(cameras, pose, seen.camera, seen.xy, xyz)
     weight = np.repeat(1 / (1 + np.sum(residual**2, axis=1) / loss_px**2), 2)
@@ -145,7 +147,9 @@ def _eliminated(
     inverse = sparse.bsr_matrix((np.linalg.inv(blocks), np.arange(points), np.arange(points + 1))).tocsr()
     cross = by_pose.T @ weighted @ by_point
     reduced = by_pose.T @ weighted @ by_pose - cross @ inverse @ cross.T
-    pulls = sparse.csr_matrix((weight * residual, (np.arange(len(residual)), np.repeat(row, 2))), shape=(len(residual), points))
+    pulls = sparse.csr_matrix(
+        (weight * residual, (np.arange(len(residual)), np.repeat(row, 2))), shape=(len(residual), points)
+    )
     by_own = by_point.T @ pulls
     return reduced, (by_pose.T @ pulls - cross @ inverse @ by_own).tocsr()
 

@@ -47,11 +47,15 @@ def followed(
     """Where corners (K, 2) of an image are in another (K, 2), from a guess (K, 2); and whether (K,) they were found."""
     if not len(xy):
         return np.zeros((0, 2)), np.zeros(0, bool)
-    start, first = (np.ascontiguousarray(v[:, None], np.float32) for v in (xy, guess))
-    how = {"winSize": (tuning.window_px, tuning.window_px), "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}
-    there, found, _ = cv2.calcOpticalFlowPyrLK(before, after, start, first.copy(), maxLevel=tuning.levels, **how)
+    start, first = (np.array(v[:, None], np.float32) for v in (xy, guess))
+    size, flags = (tuning.window_px, tuning.window_px), cv2.OPTFLOW_USE_INITIAL_FLOW
+    there, found, _ = cv2.calcOpticalFlowPyrLK(
+        before, after, start, first.copy(), winSize=size, maxLevel=tuning.levels, flags=flags
+    )
     # The way back starts where it should end: a short one, which a level or two will do for.
-    back, returned, _ = cv2.calcOpticalFlowPyrLK(after, before, there, start.copy(), maxLevel=1, **how)
+    back, returned, _ = cv2.calcOpticalFlowPyrLK(
+        after, before, there, start.copy(), winSize=size, maxLevel=1, flags=flags
+    )
     off = np.linalg.norm((back - start)[:, 0], axis=1)
     place = there[:, 0].astype(float)
     height, width = after.shape

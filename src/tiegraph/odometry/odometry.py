@@ -20,7 +20,7 @@ from tiegraph.odometry.worldmap import Keyframe, WorldMap
 
 @dataclass(frozen=True)
 class Posed:
-    """A frame with a pose: the keyframe it hangs on (its number), rig_from_keyframe (4, 4), the points it agrees with."""
+    """A frame with a pose: number of the keyframe it hangs on, rig_from_keyframe (4, 4), the points it agrees with."""
 
     keyframe: int
     rig_from_keyframe: np.ndarray
@@ -144,9 +144,7 @@ class Odometry:
         guess = self._velocity @ self._before.pose
         tracks = self._followed(images, self._before.tracks, self._expected(self._before.tracks, guess))
         placed = tracks.where(self._placed(tracks))
-        found = resect(
-            self.cameras, placed.camera, placed.xy, self.world.xyz[placed.point], guess, self._tuning.pose
-        )
+        found = resect(self.cameras, placed.camera, placed.xy, self.world.xyz[placed.point], guess, self._tuning.pose)
         if found is None:
             self._recover(frame, images, masks)
             return
@@ -193,7 +191,9 @@ class Odometry:
         adjust(self.world, window, held, tuning, tuning.loss_px, tuning.iterations)
         pose = self.world.keyframes[number].rig_from_world
         placed = self._placed(tracks)
-        off = errors_px(self.cameras, pose, tracks.camera[placed], tracks.xy[placed], self.world.xyz[tracks.point[placed]])
+        off = errors_px(
+            self.cameras, pose, tracks.camera[placed], tracks.xy[placed], self.world.xyz[tracks.point[placed]]
+        )
         bad = np.zeros(len(tracks), bool)
         bad[placed] = off > tuning.outlier_px
         self._before = _Before(images, tracks.where(~bad), pose)

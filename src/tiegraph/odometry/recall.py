@@ -14,7 +14,7 @@ import numpy as np
 
 from tiegraph.odometry.cameras import Cameras
 from tiegraph.odometry.follow import Images, Tracks
-from tiegraph.odometry.resect import Resection, resect
+from tiegraph.odometry.resect import resect
 from tiegraph.odometry.tuning import PoseTuning, RecallTuning
 from tiegraph.odometry.worldmap import Keyframe, WorldMap
 
@@ -36,8 +36,8 @@ def thumbnails(images: Images, tuning: RecallTuning) -> dict[int, np.ndarray]:
     """Camera -> small image of mean 0 and length 1."""
     out = {}
     for camera, image in images.items():
-        small = cv2.resize(image, tuning.thumbnail, interpolation=cv2.INTER_AREA).astype(np.float32)
-        small = cv2.GaussianBlur(small, (0, 0), 1.0)
+        reduced = cv2.resize(image, tuning.thumbnail, interpolation=cv2.INTER_AREA)
+        small = np.asarray(cv2.GaussianBlur(reduced, (0, 0), 1.0), np.float32)
         small -= small.mean()
         out[camera] = small / max(float(np.linalg.norm(small)), 1e-6)
     return out
@@ -57,7 +57,7 @@ class Recall:
         loose = {"inlier_px": tuning.inlier_px, "least_points": tuning.least_points}
         self._pose = pose.model_copy(update=loose)
         self._described: dict[int, tuple[Tracks, np.ndarray]] = {}
-        self._sift = cv2.SIFT_create()
+        self._sift = cv2.SIFT.create()
 
     def most_alike(self, thumbs: dict[int, np.ndarray], numbers: Sequence[int]) -> list[int]:
         """Of some keyframes those whose thumbnails are most like these, the best first."""
@@ -115,8 +115,8 @@ class Recall:
 
 
 def scale_to(cameras: Cameras, recalled: Recalled, world: WorldMap, own: Tracks, pose: np.ndarray) -> float:
-    """Old unit of length over the new one, by points that a frame sees in both: of the map (``recalled``) and of its own
-    corners (``own``), whose map has the frame at ``pose``; NaN if they share none."""
+    """Old unit of length over the new one, by points that a frame sees in both: of the map (``recalled``) and of its
+    own corners (``own``), whose map has the frame at ``pose``; NaN if they share none."""
     mine = world.xyz[own.point[recalled.row]]
     theirs = world.xyz[recalled.seen.point]
     both = ~np.isnan(mine[:, 0]) & ~np.isnan(theirs[:, 0])
@@ -127,6 +127,3 @@ def scale_to(cameras: Cameras, recalled: Recalled, world: WorldMap, own: Tracks,
         for p, m in ((theirs, recalled.rig_from_world), (mine, pose))
     ]
     return float(np.median(depth[0] / depth[1]))
-
-
-__all__ = ["Read", "Recall", "Recalled", "Resection", "likeness", "scale_to", "thumbnails"]

@@ -27,7 +27,9 @@ def relative_pose(cameras: Cameras, before: Tracks, after: Tracks, tuning: Start
 
     The base line of a single camera has length one; that of a rig is in metres, by its own size.
     """
-    options = pycolmap.RANSACOptions(max_error=tuning.inlier_px, min_num_trials=100, max_num_trials=3000, random_seed=_SEED)
+    options = pycolmap.RANSACOptions(
+        max_error=tuning.inlier_px, min_num_trials=100, max_num_trials=3000, random_seed=_SEED
+    )
     if len(cameras) == 1:
         model = cameras.models[0]
         made = pycolmap.estimate_relative_pose(model, before.xy, model, after.xy, options)

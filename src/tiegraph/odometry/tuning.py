@@ -53,7 +53,7 @@ class MapTuning(Section):
     """Keyframes and points (`worldmap.py`, `adjust.py`)."""
 
     moved: float = Field(0.06, gt=0)
-    """A frame is a keyframe when its points have moved by so much since the last one, in longer sides of the image ..."""
+    """A frame is a keyframe when its points have moved by so much since the last, in longer sides of the image ..."""
     kept: float = Field(0.6, gt=0, lt=1)
     """... or when less of the last one's points than this are left."""
     angle_deg: float = Field(0.2, gt=0)

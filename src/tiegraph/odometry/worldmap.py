@@ -86,8 +86,8 @@ class WorldMap:
         return out
 
     def forget(self, seen: Observations, bad: np.ndarray) -> None:
-        """Take observations (M,) bool of what keyframes see away; a point that has lost some, with fewer than two left, has
-        no place any more."""
+        """Take observations (M,) bool of what keyframes see away; a point that has lost some, with fewer than two left,
+        has no place any more."""
         for number in np.unique(seen.keyframe[bad]):
             frame, own = self.keyframes[number], seen.keyframe == number
             self.keyframes[number] = replace(frame, seen=frame.seen.where(~bad[own]))
@@ -124,5 +124,7 @@ class WorldMap:
         rays = self.cameras.rays(seen.camera, seen.xy)
         poses = np.stack([self.keyframes[k].rig_from_world for k in seen.keyframe])
         world_from_rig = transforms.invert(poses)
-        centre = np.einsum("kij,kj->ki", world_from_rig, np.insert(self.cameras.rig_from_sensor[seen.camera, :3, 3], 3, 1, 1))
+        centre = np.einsum(
+            "kij,kj->ki", world_from_rig, np.insert(self.cameras.rig_from_sensor[seen.camera, :3, 3], 3, 1, 1)
+        )
         return centre[:, :3], np.einsum("kij,kj->ki", world_from_rig[:, :3, :3], rays)
