@@ -56,7 +56,6 @@ class Odometry:
         self._velocity = np.eye(4)
         self._lost = 0
         self._first = 0  # the first keyframe of the segment
-        self._joined: set[int] = set()  # segments in the world of an earlier one
 
     @property
     def metric(self) -> bool:
@@ -88,6 +87,7 @@ class Odometry:
         self.world.triangulate([self._first], self._tuning.map)
         if self._placed(tracks).sum() >= self._tuning.start.least_points:
             self._begun(images, tracks, np.eye(4))
+            self._look_back(images, self._first)
         else:
             self.world.keyframes.pop()
 
@@ -212,7 +212,7 @@ class Odometry:
         if found is None:
             self._lost += 1
             if self._lost >= self._tuning.recall.patience:
-                self.segment += 1
+                self.segment = 1 + max(k.segment for k in self.world.keyframes)
                 self._begin(frame, images, masks)
             return
         self._lost, self._velocity = 1, np.eye(4)
@@ -226,13 +226,11 @@ class Odometry:
         """Join the segment to an earlier one, or close a loop, if the keyframe shows a known place."""
         tuning, last = self._tuning.recall, self.world.keyframes[number]
         here = last.segment
-        far = [
-            k for k, other in enumerate(self.world.keyframes)
-            if (other.segment != here) or number - k >= tuning.apart
-        ]  # fmt: skip
-        if here not in self._joined and here > 0:
-            far = [k for k in far if self.world.keyframes[k].segment != here]
+        others = [k for k, other in enumerate(self.world.keyframes) if other.segment != here]
+        far = others or list(range(max(number + 1 - tuning.apart, 0)))
         candidates = self._recall.most_alike(last.thumbnails, far)
+        if self._first - 1 in others:  # the place of the loss may be near
+            candidates = list(dict.fromkeys([self._first - 1, *candidates]))
         own = last.seen.where(np.isin(last.seen.camera, list(self.partners)))
         found = self._recall.find(images, own, candidates)
         if found is None:
@@ -272,6 +270,7 @@ class Odometry:
         self._before = replace(self._before, pose=self.world.keyframes[number].rig_from_world)
         self._velocity = self._velocity.copy()
         self._velocity[:3, 3] *= scale
+        self.segment = segment
         self.loops += 1
         return True
 

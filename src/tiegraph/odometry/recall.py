@@ -12,9 +12,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from tiegraph.geometry import transforms
 from tiegraph.odometry.cameras import Cameras
+from tiegraph.odometry.covariance import resection_covariance
 from tiegraph.odometry.follow import Images, Tracks
-from tiegraph.odometry.resect import resect
+from tiegraph.odometry.resect import Resection, resect
 from tiegraph.odometry.tuning import PoseTuning, RecallTuning
 from tiegraph.odometry.worldmap import Keyframe, WorldMap
 
@@ -67,29 +69,39 @@ class Recall:
 
     def find(self, images: Images, corners: Tracks, numbers: Sequence[int]) -> Recalled | None:
         """The place of a frame with corners (their points do not matter), by the first keyframe that tells it."""
-        described = self._describe(images, corners) if numbers else np.zeros((0, 128), np.float32)
+        if not numbers or len(corners) < self._tuning.least_points:
+            return None
+        described = [self._describe(images, corners, scale) for scale in self._tuning.scales]
         for number in numbers:
             found = self._by(number, corners, described)
             if found is not None:
                 return found
         return None
 
-    def _by(self, number: int, corners: Tracks, described: np.ndarray) -> Recalled | None:
+    def _by(self, number: int, corners: Tracks, described: Sequence[np.ndarray]) -> Recalled | None:
         seen, known = self._of(number)
-        if len(seen) < self._tuning.least_points or len(corners) < 2:
+        if len(seen) < self._tuning.least_points:
             return None
-        pairs = cv2.BFMatcher(cv2.NORM_L2).knnMatch(known, described, k=2)
-        best = [p[0] for p in pairs if len(p) == 2 and p[0].distance < self._tuning.ratio * p[1].distance]
-        if len(best) < self._tuning.least_points:
+        theirs, ours = _matches(known, described, self._tuning.ratio)
+        if len(ours) < self._tuning.least_points:
             return None
-        ours, theirs = np.array([m.trainIdx for m in best]), np.array([m.queryIdx for m in best])
         point, camera, xy = seen.point[theirs], corners.camera[ours], corners.xy[ours]
-        found = resect(self._world.cameras, camera, xy, self._world.xyz[point], None, self._pose)
-        if found is None:
+        xyz = self._world.xyz[point]
+        found = resect(self._world.cameras, camera, xy, xyz, None, self._pose)
+        if found is None or not self._sure(found, camera, xy, xyz):
             return None
-        _, once = np.unique(np.where(found.inlier, point, -1), return_index=True)
-        keep = np.isin(np.arange(len(point)), once) & found.inlier
+        first = np.unique(np.where(found.inlier, point, -1), return_index=True)[1]
+        keep = np.isin(np.arange(len(point)), first) & found.inlier
         return Recalled(found.rig_from_world, Tracks(point, camera, xy).where(keep), ours[keep])
+
+    def _sure(self, found: Resection, camera: np.ndarray, xy: np.ndarray, xyz: np.ndarray) -> bool:
+        """Whether the points tell where the frame is: far ones in a corner of the image do not."""
+        good, pose = found.inlier, found.rig_from_world
+        seen = Tracks(np.arange(good.sum()), camera[good], xy[good])
+        loss = self._tuning.inlier_px
+        sigma = np.sqrt(np.trace(resection_covariance(self._world.cameras, pose, seen, xyz[good], loss)[:3, :3]))
+        away = np.median(np.linalg.norm(transforms.apply(pose, xyz[good]), axis=1))
+        return bool(sigma < self._tuning.sigma * away)
 
     def _of(self, number: int) -> tuple[Tracks, np.ndarray]:
         """Points with places that a keyframe sees, and their descriptors."""
@@ -98,20 +110,35 @@ class Recall:
             cameras = np.unique(frame.seen.camera).tolist()
             read = ((c, self._read(frame.frame, c)) for c in cameras)
             images = {c: image for c, image in read if image is not None}
-            self._described[number] = frame.seen, self._describe(images, frame.seen)
+            self._described[number] = frame.seen, self._describe(images, frame.seen, 1.0)
         seen, described = self._described[number]
         placed = ~np.isnan(self._world.xyz[seen.point, 0])
         return seen.where(placed), described[placed]
 
-    def _describe(self, images: Images, corners: Tracks) -> np.ndarray:
+    def _describe(self, images: Images, corners: Tracks, scale: float) -> np.ndarray:
         out = np.zeros((len(corners), 128), np.float32)
         for camera, image in images.items():
             at = np.flatnonzero(corners.camera == camera)
-            points = [cv2.KeyPoint(x, y, self._tuning.patch_px) for x, y in corners.xy[at].tolist()]
+            points = [cv2.KeyPoint(x, y, scale * self._tuning.patch_px) for x, y in corners.xy[at].tolist()]
             kept, described = self._sift.compute(image, points)
             if len(kept) == len(at) and described is not None:
-                out[at] = described
+                out[at] = described / np.maximum(np.linalg.norm(described, axis=1, keepdims=True), 1e-6)
         return out
+
+
+def _matches(known: np.ndarray, described: Sequence[np.ndarray], ratio: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of known descriptors (K, 128) and of those of corners (N, 128), at several scales, that are each other's
+    nearest, and much nearer than the next."""
+    alike = np.max([known @ d.T for d in described], axis=0)
+    best = np.argmax(alike, axis=1)
+    rows = np.arange(len(known))
+    nearest = alike[rows, best]
+    alike[rows, best] = -1.0
+    second = alike.max(axis=1)
+    alike[rows, best] = nearest
+    # of unit vectors the squared distance is twice what the product lacks to one
+    clear = (1 - nearest < ratio**2 * (1 - second)) & (np.argmax(alike, axis=0)[best] == rows)
+    return rows[clear], best[clear]
 
 
 def scale_to(cameras: Cameras, recalled: Recalled, world: WorldMap, own: Tracks, pose: np.ndarray) -> float:

@@ -112,6 +112,10 @@ class RecallTuning(Section):
     """Distance of the best over that of the second best descriptor (Lowe 2004)."""
     patch_px: float = Field(12.0, gt=0)
     """Size of the key points that are described at the corners; upright."""
+    scales: tuple[float, ...] = (0.71, 1.0, 1.41)
+    """Of the key points of the frame that is looked for: it may stand nearer or farther."""
+    sigma: float = Field(0.01, gt=0)
+    """Sigma of the place that is told, in distances of the points, above which it is not."""
     inlier_px: float = Field(4.0, gt=0)
     """Of the pose by matched points: corners are found again to a pixel or two."""
 

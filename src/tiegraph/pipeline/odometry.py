@@ -160,7 +160,7 @@ def _write(tum: Path, scene: Scene, frames: np.ndarray, path: OdometryPath, rig_
     rows, table = [], [",".join(_COLUMNS)]
     place, turn = path.sigmas()
     for k, frame in enumerate(frames.tolist()):
-        start = [scene.frame_names[frame], f"{times[k]:.6f}"]
+        start = [scene.source_name(int(np.flatnonzero(scene.frame == frame)[0])), f"{times[k]:.6f}"]
         if path.segment[k] < 0:
             table.append(",".join([*start, "", "0", *[""] * 13]))
             continue
