@@ -82,7 +82,9 @@ def images(cameras: Cameras, frame: int) -> dict[int, np.ndarray]:
     return {c: image(frame, -float(pose[0, 3])) for c, pose in enumerate(cameras.sensor_from_rig)}
 
 
-def drive(cameras: Cameras, frames: list[int], dark: tuple[int, ...] = (), tuning: Tuning | None = None) -> OdometryPath:
+def drive(
+    cameras: Cameras, frames: list[int], dark: tuple[int, ...] = (), tuning: Tuning | None = None
+) -> OdometryPath:
     """The odometry of a drive over frames, at some places of which the images are black."""
     tuning = tuning or Tuning()
 

@@ -15,7 +15,6 @@ from tiegraph.scene.rig import Rig, Sensor
 pytestmark = pytest.mark.slow
 
 ALL = list(range(FRAMES))
-AWAY = ALL[:9] + [-40, -39, -38, -37, -36] + ALL[7:16]  # -40 and so on: another part of the corridor
 
 
 def length_m(path):

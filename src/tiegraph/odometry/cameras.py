@@ -99,18 +99,19 @@ def cameras_of(rigs: Sequence[Rig]) -> Cameras:
     if len(rigs) != 1:
         names = ", ".join(r.name for r in rigs)
         raise InputError(f"odometry follows one rig or camera, but there are {len(rigs)} ({names}): give one's images")
-    models, poses = [], []
     for sensor in rigs[0].sensors:
         if sensor.sensor_from_rig is None or not np.isfinite(sensor.sensor_from_rig).all():
             raise InputError(
                 f"camera {sensor.name}: its place in the rig is not known: odometry holds the rig as it is given; "
                 "give --rig rig.toml (`tiegraph calibrate` makes one)"
             )
+    models, poses = [], []
+    for sensor in rigs[0].sensors:
         if sensor.camera is None or not sensor.camera.has_prior_focal_length:
             raise InputError(
                 f"camera {sensor.name}: its focal length is not known: give --rig rig.toml (`tiegraph calibrate` makes "
                 "one) or --camera"
             )
         models.append(sensor.camera)
-        poses.append(sensor.sensor_from_rig)
+        poses.append(np.asarray(sensor.sensor_from_rig))
     return Cameras(tuple(s.name for s in rigs[0].sensors), tuple(models), np.stack(poses))

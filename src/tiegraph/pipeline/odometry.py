@@ -188,6 +188,7 @@ def _said(name: str, scene: Scene, frames: np.ndarray, path: OdometryPath, rate:
         out.append("a single camera tells no scale: the first base line has length 1, and the file says so")
     if not scene.sequences:
         out.append("loose photographs: taken in the order of their names")
+    out += [f"left out: {d.name}: {d.reason}" for d in scene.dropped]
     if not posed.all():
         lost = np.flatnonzero(~posed)
         out.append(f"{len(lost)} frames have no pose, the first is {scene.frame_names[frames[lost[0]]]}")
