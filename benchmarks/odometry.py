@@ -32,7 +32,8 @@ from tiegraph.scan.rigwrite import write_rig_toml
 from tiegraph.scene.posefile import read_poses
 from tiegraph.scene.rig import Rig, Sensor
 
-COMPETITORS = ("toyvo", "orbslam3")
+_PATIENCE_S = 400.0
+COMPETITORS = ("orbslam3", "toyvo")
 LENGTHS_M = (10.0, 20.0, 30.0, 40.0, 50.0)
 
 
@@ -170,7 +171,8 @@ def other(name: str, python: str, sequence: Sequence, work: Path) -> dict:
 
 def _timed(command: list[str], environment: dict[str, str] | None = None) -> tuple[str, float]:
     before = os.times()
-    done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, **(environment or {})})
+    environment = {**os.environ, **(environment or {})}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=_PATIENCE_S)
     if done.returncode:
         raise RuntimeError((done.stderr or done.stdout).strip().splitlines()[-1])
     after = os.times()
@@ -233,7 +235,7 @@ def main() -> None:
                 made = ours(sequence, work) if own else other(program, args.competitors, sequence, work)
                 row[program] = figures(sequence, made)
             except Exception as error:  # a competitor that cannot
-                row[program] = {"failed": str(error)}
+                row[program] = {"failed": str(error)[-200:]}
             row[program] |= {"load_before": round(load, 1), "wall_s": round(time.time() - begun, 1)}
             sys.stdout.write(f"{name:14s} {program:9s} {json.dumps(row[program])}\n")
         args.out.write_text(json.dumps(results, indent=1) + "\n")

@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 import pycolmap
 from scipy.spatial.transform import Rotation
-from worlds import corridor
 
 from tiegraph.geometry import transforms
 from tiegraph.odometry.cameras import Cameras
@@ -16,6 +15,7 @@ from tiegraph.odometry.odometry import Odometry
 from tiegraph.odometry.path import OdometryPath, path_of
 from tiegraph.odometry.tuning import Tuning
 from tiegraph.scene.rig import Rig, Sensor
+from worlds import corridor
 
 SIZE = (320, 240)
 FRAMES = 24
