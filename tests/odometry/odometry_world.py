@@ -42,10 +42,11 @@ def stereo() -> Cameras:
 
 def back_to_back() -> Cameras:
     """Two cameras that look to the sides, without a common view."""
-    turns = [Rotation.from_euler("y", a, degrees=True).as_matrix() for a in (90, -90)]
+    turns = [Rotation.from_euler("y", a, degrees=True).as_matrix() for a in (60, -60)]
     poses = [transforms.rigid(t, [0, 0, 0.1]) for t in turns]
-    poses = [p @ transforms.invert(poses[0]) for p in poses]
-    return Cameras(("port", "starboard"), (camera(), camera()), np.stack(poses))
+    return Cameras(
+        ("port", "starboard"), (camera(), camera()), np.stack([p @ transforms.invert(poses[0]) for p in poses])
+    )
 
 
 def rig_of(cameras: Cameras) -> Rig:
@@ -69,17 +70,17 @@ def truth(frame: int) -> np.ndarray:
 
 
 @cache
-def image(frame: int, side_m: float) -> np.ndarray:
-    """Grey image of the camera this far to the right of the left one."""
-    right = transforms.rigid(np.eye(3), [-side_m, 0, 0])
-    colour = corridor(3, length_m=20.0).render(camera(), right @ transforms.invert(truth(frame)))
-    noise = np.random.default_rng([frame, int(1000 * side_m)]).normal(0, _NOISE, colour.shape[:2])
+def _rendered(frame: int, sensor_from_rig: tuple[float, ...]) -> np.ndarray:
+    pose = np.reshape(sensor_from_rig, (4, 4))
+    colour = corridor(3, length_m=20.0).render(camera(), pose @ transforms.invert(truth(frame)))
+    seed = [frame, int(1000 * abs(pose[0, 3]))]
+    noise = np.random.default_rng(seed).normal(0, _NOISE, colour.shape[:2])
     return np.clip(cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY) + noise, 0, 255).astype(np.uint8)
 
 
 def images(cameras: Cameras, frame: int) -> dict[int, np.ndarray]:
-    """Camera -> image of a frame of the drive."""
-    return {c: image(frame, -float(pose[0, 3])) for c, pose in enumerate(cameras.sensor_from_rig)}
+    """Camera -> grey image of a frame of the drive."""
+    return {c: _rendered(frame, tuple(pose.ravel().tolist())) for c, pose in enumerate(cameras.sensor_from_rig)}
 
 
 def drive(

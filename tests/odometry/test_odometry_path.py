@@ -50,9 +50,18 @@ def test_one_camera_gives_the_shape_without_a_scale():
 
 
 def test_cameras_without_a_common_view_are_followed_together():
+    """Their scale is known only as far as they turn: hardly, on so short a drive; the sigma along the path says so."""
     rig = back_to_back()
     assert rig.partners(Tuning().follow) == {0: (), 1: ()}
     assert stereo().partners(Tuning().follow) == {0: (1,)}
+    path, truth = drive(rig, ALL), true_path(ALL)
+    assert path.metric and (path.segment == 0).all()
+    places = path.world_from_rig[:, :3, 3]
+    fit = umeyama(places, truth[:, :3, 3])
+    assert 1e-4 < np.linalg.norm(fit(places) - truth[:, :3, 3], axis=1).max() < 0.1 * length_m(truth)
+    assert 0.5 < fit.scale < 2
+    place = path.sigmas()[0][-1]
+    assert place[2] > 10 * place[1] and abs(path.world_from_rig - truth)[-1, 2, 3] < 5 * place[2]
 
 
 def test_dark_frames_are_lost_and_the_path_goes_on():

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from odometry.odometry_world import image, rig_of, stereo, true_path
+from odometry.odometry_world import images, rig_of, stereo, true_path
 from tiegraph.api import open_project
 from tiegraph.cli.main import main
 from tiegraph.scan.rigwrite import write_rig_toml
@@ -14,17 +14,17 @@ from tiegraph.scan.trajectory import FREE_UNIT
 from tiegraph.scene.posefile import read_poses
 
 FRAMES = 8
-SIDES = {"left": 0.0, "right": 0.3}
 
 
 @pytest.fixture(scope="module")
 def survey(tmp_path_factory):
     """images/left, images/right and rig.toml."""
     folder = tmp_path_factory.mktemp("drive")
-    for name, side_m in SIDES.items():
-        (folder / "images" / name).mkdir(parents=True)
-        for frame in range(FRAMES):
-            cv2.imwrite(str(folder / "images" / name / f"{frame:06d}.png"), image(frame, side_m))
+    for frame in range(FRAMES):
+        for camera, image in images(stereo(), frame).items():
+            path = folder / "images" / stereo().names[camera] / f"{frame:06d}.png"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            cv2.imwrite(str(path), image)
     write_rig_toml(rig_of(stereo()), folder / "rig.toml")
     return folder
 
