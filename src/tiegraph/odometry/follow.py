@@ -11,6 +11,8 @@ import numpy as np
 from tiegraph.odometry.cameras import Cameras
 from tiegraph.odometry.tuning import FollowTuning
 
+CORNER_PX = 0.5
+"""The middle of the first pixel, from the corner of the image, where COLMAP begins to count; OpenCV begins there."""
 Images = Mapping[int, np.ndarray]
 """Camera -> its grey image (H, W) u1; a camera whose image is missing is not there."""
 
@@ -47,7 +49,7 @@ def followed(
     """Where corners (K, 2) of an image are in another (K, 2), from a guess (K, 2); and whether (K,) they were found."""
     if not len(xy):
         return np.zeros((0, 2)), np.zeros(0, bool)
-    start, first = (np.array(v[:, None], np.float32) for v in (xy, guess))
+    start, first = (np.array(v[:, None] - CORNER_PX, np.float32) for v in (xy, guess))
     size, flags = (tuning.window_px, tuning.window_px), cv2.OPTFLOW_USE_INITIAL_FLOW
     there, found, _ = cv2.calcOpticalFlowPyrLK(
         before, after, start, first.copy(), winSize=size, maxLevel=tuning.levels, flags=flags
@@ -57,7 +59,7 @@ def followed(
         after, before, there, start.copy(), winSize=size, maxLevel=1, flags=flags
     )
     off = np.linalg.norm((back - start)[:, 0], axis=1)
-    place = there[:, 0].astype(float)
+    place = there[:, 0].astype(float) + CORNER_PX
     height, width = after.shape
     edge = tuning.margin_px
     inside = (place >= edge).all(axis=1) & (place[:, 0] < width - edge) & (place[:, 1] < height - edge)
@@ -72,13 +74,13 @@ def corners(image: np.ndarray, mask: np.ndarray | None, taken: np.ndarray, tunin
     free[edge:-edge, edge:-edge] = 255
     if mask is not None:
         free[mask == 0] = 0
-    for x, y in np.rint(taken).astype(int).tolist():
+    for x, y in np.rint(taken - CORNER_PX).astype(int).tolist():
         cv2.circle(free, (x, y), round(spacing), 0, -1)
     wanted = tuning.corners - len(taken)
     if wanted <= 0:
         return np.zeros((0, 2))
     found = cv2.goodFeaturesToTrack(image, wanted, tuning.quality, spacing, mask=free)
-    return np.zeros((0, 2)) if found is None else found[:, 0].astype(float)
+    return np.zeros((0, 2)) if found is None else found[:, 0].astype(float) + CORNER_PX
 
 
 def in_partners(
