@@ -32,7 +32,7 @@ def world_of(cameras, seed, noise_px=NOISE_PX, shared=0.0):
             xy = cameras.project(where, transforms.apply(pose, points))
             own = np.sqrt(1 - shared**2) * rng.normal(0, noise_px, xy.shape) + shared * common
             seen = seen.plus(Tracks(np.arange(POINTS), where, xy + own).where(cameras.inside(camera, xy)))
-        world.keyframes.append(Keyframe(number, 0, pose, seen))
+        world.keyframes.append(Keyframe(frame=number, segment=0, rig_from_world=pose, seen=seen))
     return world, poses
 
 

@@ -36,7 +36,9 @@ def test_sigmas_of_a_drive_are_of_the_size_of_its_errors():
     place, turn = path.sigmas()
     assert (place[0] == 0).all() and (np.diff(np.linalg.norm(place[path.keyframe], axis=1)) > 0).all()
     off = np.abs((path.world_from_rig - truth)[1:, :3, 3])
-    assert 0.3 < np.median(off / place[1:]) / 0.6745 < 4
+    assert 0.4 < np.median(off / place[1:]) / 0.6745 < 2
+    turned = transforms.angle_deg(path.world_from_rig[1:, :3, :3], truth[1:, :3, :3])
+    assert 0.4 < np.median(turned / np.linalg.norm(turn[1:], axis=1)) < 2
 
 
 def test_one_camera_gives_the_shape_without_a_scale():

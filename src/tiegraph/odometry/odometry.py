@@ -290,7 +290,8 @@ class Odometry:
         return np.asarray(~np.isnan(self.world.xyz[tracks.point, 0]))
 
     def _keyframe(self, frame: int, pose: np.ndarray, seen: Tracks, images: Images) -> Keyframe:
-        return Keyframe(frame, self.segment, pose, seen, thumbnails(images, self._tuning.recall))
+        thumbs = thumbnails(images, self._tuning.recall)
+        return Keyframe(frame=frame, segment=self.segment, rig_from_world=pose, seen=seen, thumbnails=thumbs)
 
     def _hang(self, frame: int, keyframe: int, pose: np.ndarray, seen: Tracks) -> None:
         step = pose @ transforms.invert(self.world.keyframes[keyframe].rig_from_world)

@@ -60,7 +60,7 @@ def path_of(odometry: Odometry, frames: Sequence[int], tuning: MapTuning) -> Odo
         if at.frame != frame:
             seen = posed.seen.where(~np.isnan(world.xyz[posed.seen.point, 0]))
             carried = carried + resection_covariance(world.cameras, pose, seen, world.xyz[seen.point], tuning.loss_px)
-        covariance[row] = carried
+        covariance[row] = tuning.shared**2 * carried
     order = {old: new for new, old in enumerate(dict.fromkeys(segment[segment >= 0].tolist()))}
     named = np.array([order.get(s, -1) for s in segment.tolist()], int)
     return OdometryPath(poses, named, keyframe, covariance, odometry.metric, odometry.loops)

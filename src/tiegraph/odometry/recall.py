@@ -119,7 +119,9 @@ class Recall:
         out = np.zeros((len(corners), 128), np.float32)
         for camera, image in images.items():
             at = np.flatnonzero(corners.camera == camera)
-            points = [cv2.KeyPoint(x, y, scale * self._tuning.patch_px) for x, y in (corners.xy[at] - CORNER_PX).tolist()]
+            points = [
+                cv2.KeyPoint(x, y, scale * self._tuning.patch_px) for x, y in (corners.xy[at] - CORNER_PX).tolist()
+            ]
             kept, described = self._sift.compute(image, points)
             if len(kept) == len(at) and described is not None:
                 out[at] = described / np.maximum(np.linalg.norm(described, axis=1, keepdims=True), 1e-6)

@@ -37,7 +37,9 @@ class Observations:
 
     def where(self, keep: np.ndarray) -> Observations:
         """Some of them."""
-        return Observations(self.keyframe[keep], self.point[keep], self.camera[keep], self.xy[keep])
+        return Observations(
+            keyframe=self.keyframe[keep], point=self.point[keep], camera=self.camera[keep], xy=self.xy[keep]
+        )
 
 
 class WorldMap:
@@ -67,14 +69,12 @@ class WorldMap:
 
     def observations(self, numbers: Sequence[int]) -> Observations:
         """What some keyframes see."""
-        frames = [self.keyframes[k] for k in numbers]
-        if not frames:
-            return Observations(np.zeros(0, int), np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2)))
+        seen = [self.keyframes[k].seen for k in numbers] or [Tracks.none()]
         return Observations(
-            np.repeat(np.asarray(numbers, int), [len(f.seen) for f in frames]),
-            np.concatenate([f.seen.point for f in frames]),
-            np.concatenate([f.seen.camera for f in frames]),
-            np.concatenate([f.seen.xy for f in frames]),
+            keyframe=np.repeat(np.asarray([*numbers] or [0], int), [len(s) for s in seen]),
+            point=np.concatenate([s.point for s in seen]),
+            camera=np.concatenate([s.camera for s in seen]),
+            xy=np.concatenate([s.xy for s in seen]),
         )
 
     def errors_px(self, seen: Observations) -> np.ndarray:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,8 +29,6 @@ _COLUMNS = (
     "image", "time", "segment", "keyframe", "x", "y", "z", "qx", "qy", "qz", "qw",
     "sigma_x", "sigma_y", "sigma_z", "sigma_turn_x_deg", "sigma_turn_y_deg", "sigma_turn_z_deg",
 )  # fmt: skip
-_Images = dict[int, "np.ndarray | None"]
-_AHEAD = 3  # frames whose images are read while others are worked on: bounds memory
 
 
 @dataclass(frozen=True)
@@ -122,7 +119,8 @@ def _follow(run: Run, scene: Scene, cameras: Cameras, frames: np.ndarray) -> tup
 
     engine = Odometry(cameras, read, tuning)
     run.reporter.total(len(frames))
-    for frame, images in _ahead(frames.tolist(), lambda f: {c: read(f, c) for c in range(len(cameras))}):
+    for frame in frames.tolist():
+        images = {c: read(frame, c) for c in range(len(cameras))}
         there = {c: image for c, image in images.items() if image is not None}
         unread += [image_of[frame, c] for c, i in images.items() if i is None and (frame, c) in image_of]
         masks = {c: m for c in there if (m := mask(frame, c)) is not None}
@@ -131,17 +129,6 @@ def _follow(run: Run, scene: Scene, cameras: Cameras, frames: np.ndarray) -> tup
     engine.finish()
     notes = [f"{len(unread)} images cannot be read, the first is {unread[0]}"] if unread else []
     return path_of(engine, frames.tolist(), tuning.map), notes
-
-
-def _ahead(items: Sequence[int], read: Callable[[int], _Images]) -> Iterator[tuple[int, _Images]]:
-    """Items in order, each with what was read of it while those before were worked on."""
-    with ThreadPoolExecutor(1) as reader:
-        waiting = [reader.submit(read, item) for item in items[:_AHEAD]]
-        for number, item in enumerate(items):
-            images = waiting.pop(0).result()
-            if number + _AHEAD < len(items):
-                waiting.append(reader.submit(read, items[number + _AHEAD]))
-            yield item, images
 
 
 # --- writing --------------------------------------------------------------------------------------------------------
