@@ -63,7 +63,10 @@ def path_of(odometry: Odometry, frames: Sequence[int], tuning: MapTuning) -> Odo
         covariance[row] = tuning.shared**2 * carried
     order = {old: new for new, old in enumerate(dict.fromkeys(segment[segment >= 0].tolist()))}
     named = np.array([order.get(s, -1) for s in segment.tolist()], int)
-    return OdometryPath(poses, named, keyframe, covariance, odometry.metric, odometry.loops)
+    return OdometryPath(
+        world_from_rig=poses, segment=named, keyframe=keyframe, covariance=covariance,
+        metric=odometry.metric, loops=odometry.loops,
+    )  # fmt: skip
 
 
 def _carried(covariance: np.ndarray, keyframe: np.ndarray, pose: np.ndarray) -> np.ndarray:
