@@ -78,6 +78,7 @@ def test_every_setting_is_documented():
     from tiegraph.calibrate.tuning import Tuning as CalibrateTuning
     from tiegraph.lidar.settings import LidarSettings
     from tiegraph.lidar.tuning import Tuning as LidarTuning
+    from tiegraph.odometry.tuning import Tuning as OdometryTuning
     from tiegraph.plan.tuning import Tuning as PlanTuning
     from tiegraph.project.settings import STAGED, Settings, Tunings
     from tiegraph.settings import Section
@@ -99,6 +100,7 @@ def test_every_setting_is_documented():
     check("tuning.plan", PlanTuning())
     check("lidar", LidarSettings())
     check("tuning.lidar", LidarTuning())
+    check("tuning.odometry", OdometryTuning())
 
 
 def test_stages_settings_and_verbs_have_one_name():

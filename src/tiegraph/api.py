@@ -89,6 +89,17 @@ class Project:
 
         return [cloud_path(self.folder, scene, frame) for frame in range(scene.frames)]
 
+    def odometry(self, out: str | Path, reporter: Reporter | None = None) -> tuple[Any, ...]:
+        """The path of the cameras from the images alone: a TUM file ``out`` and a CSV beside it, or a folder with a
+        pair a pass; what was made of each (``pipeline.odometry.Made``). Masks are used if the settings name a folder.
+        Raises InputError for a rig or camera that is not calibrated and files that are there already,
+        ReconstructionError if nothing can be followed."""
+        from tiegraph.pipeline.odometry import odometry  # loads the engine
+
+        reporter = reporter or Reporter("quiet")
+        self._run(STAGES, "scan" if self.settings.masks.folder is None else "masks", reporter)
+        return odometry(Run(self.folder, self.inputs, self.settings, self.pool, reporter), Path(out))
+
     def export(self, folder: str | Path) -> int:
         """Write the depth maps as a dense workspace of COLMAP; their number. Raises InputError if there are none or the
         folder holds something."""

@@ -19,6 +19,7 @@ class Trajectory:
     origin: Origin | None = None
     notes: tuple[str, ...] = ()  # what to say of the file it came from
     names: tuple[str, ...] = ()  # the image of each pose, which then is its camera's, in no order; else ()
+    metric: bool = True  # lengths are metres
 
     def __len__(self) -> int:
         return len(self.time_s)

@@ -184,7 +184,10 @@ def _paths(
     if len(files) > 1:
         each = "each pass in a world of its own (they all start at the same pose)" if own_worlds else "all in one world"
         notes.append(f"{len(files)} trajectory files, {each}")
-    return _Paths(poses, group, own_worlds)
+    free = [path.name for path, t in files.values() if not t.metric]
+    if free:
+        notes.append(f"{', '.join(free)}: no scale, as it says: its poses choose pairs; it holds and places nothing")
+    return _Paths(poses, group, own_worlds, started=bool(free))
 
 
 def _by_image(

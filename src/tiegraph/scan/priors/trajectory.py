@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from tiegraph.scene.namedposes import has_named_poses, read_named_poses
 from tiegraph.scene.posefile import read_poses
 from tiegraph.scene.results import Trajectory
 
+_HEAD_LINES = 10
 _SUFFIXES = ((".tum",), (".txt", ".kitti"), (".csv",))  # the first kind that a folder has
 
 
@@ -32,7 +34,19 @@ def read_trajectory(path: Path) -> Trajectory:
         unknown = np.full(len(named), np.nan)
         return Trajectory(unknown, np.array(list(named.values())), unknown, names=tuple(named))
     found = read_bag_poses(path) if is_bag(path) else read_poses(path)
-    return Trajectory(found.time_s, found.poses, np.full(len(found.poses), np.nan), notes=found.notes)
+    unknown = np.full(len(found.poses), np.nan)
+    return Trajectory(found.time_s, found.poses, unknown, notes=found.notes, metric=not _says_free(path))
+
+
+FREE_UNIT = "# unit: free (a single camera tells no scale)"
+"""A line of a TUM file whose lengths are no metres."""
+
+
+def _says_free(path: Path) -> bool:
+    if is_bag(path):
+        return False
+    with path.open(errors="replace") as stream:
+        return FREE_UNIT in (line.rstrip() for line in islice(stream, _HEAD_LINES))
 
 
 def write_tum(path: Path, time_s: np.ndarray, world_from_rig: np.ndarray) -> None:

@@ -1,0 +1,64 @@
+"""`tiegraph odometry IMAGES --rig rig.toml -o vo.tum`: the path of the cameras from the images alone."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from tiegraph.api import open_project
+from tiegraph.cli.options import options_of
+from tiegraph.project.progress import Reporter
+
+
+@dataclass(frozen=True)
+class OdometryOptions:
+    """Options of `tiegraph odometry`."""
+
+    rig: str | None = None
+    """The calibrated rig: a rig.toml, COLMAP's rig_config.json, or the folder of another run."""
+    camera: str | None = None
+    """The calibration of a single camera, as for `tiegraph run`."""
+    masks: Path | None = None
+    """Folder of masks (0 = ignore), as --masks.folder of `tiegraph run`."""
+    times: Path | None = None
+    """CSV of the frames' times, where the images have none: pass, frame, time (or image, time)."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("vo.tum")
+    """The TUM file to write, and beside it a CSV of its name with segments and sigmas; of several passes a folder of
+    this name without suffix. Nothing of that may be there."""
+    pool: str = "local"
+    """Where images are checked: serial, local, local:<workers>."""
+    json: bool = False
+    """One JSON object a line on standard output instead of text."""
+    quiet: bool = False
+    """Say nothing but errors."""
+
+
+def main(arguments: list[str]) -> int:
+    """`tiegraph odometry`."""
+
+    def odometry(
+        images: tyro.conf.Positional[Path], options: Annotated[OdometryOptions, tyro.conf.arg(name="")]
+    ) -> tuple[Path, OdometryOptions]:
+        """The path of a stereo camera, a rig or a single camera, frame after frame; --trajectory reads what it writes.
+
+        Args:
+            images: The folder that holds the images, in any of the layouts of `tiegraph run`, videos or ROS bags.
+        """
+        return images, options
+
+    images, options = options_of(odometry, "tiegraph odometry", arguments)
+    reporter = Reporter("json" if options.json else "quiet" if options.quiet else "auto")
+    settings = {} if options.masks is None else {"masks": {"source": "folder", "folder": options.masks.absolute()}}
+    given = {"rig": options.rig, "camera": options.camera, "times": options.times}
+    with tempfile.TemporaryDirectory(prefix="tiegraph_odometry_") as folder:
+        project = open_project(images, Path(folder) / "run", pool=options.pool, settings=settings, **given)
+        made = project.odometry(options.out, reporter)
+    for one in made:
+        for text in (*one.said, str(one.tum)):
+            reporter.say(text)
+        reporter.event("odometry", trajectory=one.tum, said=one.said, frames_per_s=round(one.frames_per_s, 2))
+    return 0

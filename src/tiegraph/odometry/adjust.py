@@ -1,0 +1,112 @@
+"""Keyframes and points adjusted together by pycolmap's bundle adjustment; cameras and rig are held."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from copy import deepcopy
+
+import numpy as np
+import pycolmap
+
+from tiegraph.odometry.cameras import Cameras
+from tiegraph.odometry.tuning import MapTuning
+from tiegraph.odometry.worldmap import Observations, WorldMap
+from tiegraph.scene.colmapmodel import matrix, rigid3d
+
+_RIG = 1
+_THREADS = 1  # Ceres adds up the parts of its threads in the order they come
+_TOLERANCE = 1e-4  # relative change of the cost at which Ceres stops: the next keyframe adjusts the same again
+_BLACK = np.zeros(3, np.uint8)
+
+
+def adjust(
+    world: WorldMap, numbers: Sequence[int], held: Collection[int], tuning: MapTuning, loss_px: float, iterations: int
+) -> None:
+    """Adjust keyframes but those held, with all points that two observations of them see; forget what then is off."""
+    seen = world.observations(numbers)
+    points, row, count = np.unique(seen.point, return_inverse=True, return_counts=True)
+    usable = ~np.isnan(world.xyz[seen.point, 0]) & (count[row] >= 2)
+    free = [k for k in numbers if k not in held]
+    if not usable.any() or not free:
+        return
+    model, ids = _build(world, numbers, seen.where(usable))
+    _solve(model, [k + 1 for k in numbers if k in held], loss_px, iterations)
+    for k in free:
+        pose = model.frame(k + 1).rig_from_world
+        assert pose is not None
+        world.move(k, matrix(pose))
+    world.xyz[list(ids)] = [model.point3D(number).xyz for number in ids.values()]
+    world.forget(seen, usable & (world.errors_px(seen) > tuning.outlier_px))
+
+
+def _build(
+    world: WorldMap, numbers: Sequence[int], seen: Observations
+) -> tuple[pycolmap.Reconstruction, dict[int, int]]:
+    """COLMAP's model, in which a keyframe's number + 1 is its frame's; number of a point in the map -> in the model."""
+    model = pycolmap.Reconstruction()
+    _add_rig(model, world.cameras)
+    image_of: dict[tuple[int, int], int] = {}
+    row = np.zeros(len(seen.point), int)
+    for number in numbers:
+        frame = pycolmap.Frame(frame_id=number + 1, rig_id=_RIG)
+        frame.rig_from_world = rigid3d(world.keyframes[number].rig_from_world)
+        images = []
+        for camera in np.unique(seen.camera[seen.keyframe == number]).tolist():
+            at = np.flatnonzero((seen.keyframe == number) & (seen.camera == camera))
+            row[at] = np.arange(len(at))
+            key = image_of[number, camera] = len(image_of) + 1
+            image = pycolmap.Image(name=str(key), keypoints=seen.xy[at], camera_id=camera + 1, image_id=key)
+            image.frame_id = number + 1
+            frame.add_data_id(image.data_id)
+            images.append(image)
+        model.add_frame(frame)
+        for image in images:
+            model.add_image(image)
+        model.register_frame(number + 1)
+    order = np.argsort(seen.point, kind="stable")
+    images_of = [image_of[k, c] for k, c in zip(seen.keyframe[order].tolist(), seen.camera[order].tolist())]
+    elements = [pycolmap.TrackElement(i, r) for i, r in zip(images_of, row[order].tolist())]
+    points, first = np.unique(seen.point[order], return_index=True)
+    ends = [*first[1:].tolist(), len(elements)]
+    ids = {
+        point: model.add_point3D(world.xyz[point], pycolmap.Track(elements[a:b]), _BLACK)
+        for point, a, b in zip(points.tolist(), first.tolist(), ends)
+    }
+    return model, ids
+
+
+def _add_rig(model: pycolmap.Reconstruction, cameras: Cameras) -> None:
+    rig = pycolmap.Rig(rig_id=_RIG)
+    for number, camera in enumerate(cameras.models):
+        copy = deepcopy(camera)
+        copy.camera_id = number + 1
+        model.add_camera(copy)
+        sensor = pycolmap.sensor_t(pycolmap.SensorType.CAMERA, number + 1)
+        if number == 0:
+            rig.add_ref_sensor(sensor)
+        else:
+            rig.add_sensor(sensor, cameras.rigid[number])
+    model.add_rig(rig)
+
+
+def _solve(model: pycolmap.Reconstruction, held: Collection[int], loss_px: float, iterations: int) -> None:
+    options = pycolmap.BundleAdjustmentOptions(
+        print_summary=False,
+        refine_focal_length=False,
+        refine_extra_params=False,
+        refine_principal_point=False,
+        refine_sensor_from_rig=False,
+    )
+    ceres = options.ceres
+    ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
+    ceres.loss_function_scale = loss_px
+    solver = ceres.solver_options
+    solver.max_num_iterations, solver.num_threads, solver.function_tolerance = iterations, _THREADS, _TOLERANCE
+    ceres.solver_options = solver
+    options.ceres = ceres
+    config = pycolmap.BundleAdjustmentConfig()
+    for image in model.reg_image_ids():
+        config.add_image(image)
+    for frame in held:
+        config.set_constant_rig_from_world_pose(frame)
+    pycolmap.create_default_ceres_bundle_adjuster(options, config, model).solve()

@@ -1,0 +1,190 @@
+"""Glue of the odometry: from a scanned survey to trajectories with sigmas, a file a pass."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tiegraph.errors import InputError, ReconstructionError
+from tiegraph.geometry.transforms import quaternion_xyzw
+from tiegraph.odometry.cameras import Cameras, cameras_of
+from tiegraph.odometry.odometry import Odometry
+from tiegraph.odometry.path import OdometryPath, path_of
+from tiegraph.odometry.tuning import Tuning
+from tiegraph.pipeline.files import scanned
+from tiegraph.pipeline.foundrig import rig_of_run
+from tiegraph.project.run import Run
+from tiegraph.project.stages import write_atomic
+from tiegraph.scan.priors.trajectory import FREE_UNIT
+from tiegraph.scan.rigfiles.rigfile import parse_rig_file, read_rig_file
+from tiegraph.scene.images import read_pixels
+from tiegraph.scene.regular import names_file
+from tiegraph.scene.scene import Scene
+
+_COLUMNS = (
+    "image", "time", "segment", "keyframe", "x", "y", "z", "qx", "qy", "qz", "qw",
+    "sigma_x", "sigma_y", "sigma_z", "sigma_turn_x_deg", "sigma_turn_y_deg", "sigma_turn_z_deg",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Made:
+    """What the odometry of one pass made: the trajectory's file, what is to be said of it, frames a second."""
+
+    tum: Path
+    said: tuple[str, ...]
+    frames_per_s: float
+
+
+def odometry(run: Run, out: Path) -> tuple[Made, ...]:
+    """Follow the rig through every pass of a scanned survey; write ``out`` (TUM) and beside it a CSV of the same name
+    with segments and sigmas, or of several passes a folder named as ``out`` without suffix, with a pair a pass.
+
+    Raises InputError for a rig that is not calibrated, and outputs that are there already; ReconstructionError if
+    nothing can be followed.
+    """
+    scene = scanned(run)
+    cameras, rig_from_body = cameras_of(scene.rigs), _rig_from_body(run)
+    passes = _passes(scene)
+    targets = {name: target for name, target in zip(passes, _targets(out, list(passes)))}
+    made = []
+    for name, frames in passes.items():
+        started = time.perf_counter()
+        with run.reporter.stage("odometry"):
+            path, said = _follow(run, scene, cameras, frames)
+        if path.main() < 0:
+            raise ReconstructionError(
+                f"{name or 'the images'}: no pose was found: frames must share textured surface, seen from places "
+                f"apart where cameras have no common view, and the focal lengths must be right. {'; '.join(said)}"
+            )
+        rate = len(frames) / (time.perf_counter() - started)
+        _write(targets[name], scene, frames, path, rig_from_body)
+        made.append(Made(targets[name], tuple(_said(name, scene, frames, path, rate) + said), rate))
+    return tuple(made)
+
+
+def _targets(out: Path, names: Sequence[str]) -> list[Path]:
+    """The TUM file of each pass. Raises InputError if one is there."""
+    if len(names) == 1:
+        targets = [out if out.suffix else out.with_suffix(".tum")]
+    else:
+        slugs = (name.lower().replace("/", "_").replace(" ", "_") for name in names)
+        targets = [out.with_suffix("") / f"{slug}.tum" for slug in slugs]
+    for path in (p for t in targets for p in (t, t.with_suffix(".csv"))):
+        if path.exists():
+            raise InputError(f"{path} is there already: give another -o, or remove it")
+    return targets
+
+
+def _passes(scene: Scene) -> dict[str, np.ndarray]:
+    """Frames of each pass in order; loose photographs in the order of their names."""
+    if not scene.sequences:
+        return {"": np.arange(scene.frames)}
+    frames = {name: np.flatnonzero(scene.sequence == k) for k, name in enumerate(scene.sequences)}
+    return {name: own[np.argsort(scene.sequence_index[own], kind="stable")] for name, own in frames.items() if len(own)}
+
+
+def _rig_from_body(run: Run) -> np.ndarray:
+    """(4, 4) of the rig file's body, whose poses a trajectory has; the reference camera where there is none."""
+    given, tuning = run.inputs.rig, run.settings.tuning.scan.rig
+    known = rig_of_run(given)
+    if known is not None:
+        specs = parse_rig_file(Path(str(given)), known.text, tuning)
+    elif given is not None and names_file(given):
+        specs = read_rig_file(given, tuning)
+    else:
+        return np.eye(4)
+    pose = specs[0].rig_from_body()
+    return np.eye(4) if pose is None else pose
+
+
+# --- following ------------------------------------------------------------------------------------------------------
+
+
+def _follow(run: Run, scene: Scene, cameras: Cameras, frames: np.ndarray) -> tuple[OdometryPath, list[str]]:
+    tuning, unread = Tuning(), []
+    image_of = {(int(scene.frame[k]), int(scene.sensor[k])): scene.names[k] for k in range(len(scene))}
+    masked = run.path("masks").is_dir()
+
+    def read(frame: int, camera: int) -> np.ndarray | None:
+        name = image_of.get((frame, camera))
+        return None if name is None else read_pixels(run.path("images", name))
+
+    def mask(frame: int, camera: int) -> np.ndarray | None:
+        return read_pixels(run.path("masks", f"{image_of[frame, camera]}.png")) if masked else None
+
+    engine = Odometry(cameras, read, tuning)
+    run.reporter.total(len(frames))
+    for frame in frames.tolist():
+        images = {c: read(frame, c) for c in range(len(cameras))}
+        there = {c: image for c, image in images.items() if image is not None}
+        unread += [image_of[frame, c] for c, i in images.items() if i is None and (frame, c) in image_of]
+        masks = {c: m for c in there if (m := mask(frame, c)) is not None}
+        engine.add(frame, there, masks)
+        run.reporter.advance()
+    engine.finish()
+    notes = [f"{len(unread)} images cannot be read, the first is {unread[0]}"] if unread else []
+    return path_of(engine, frames.tolist(), tuning.map), notes
+
+
+# --- writing --------------------------------------------------------------------------------------------------------
+
+
+def _write(tum: Path, scene: Scene, frames: np.ndarray, path: OdometryPath, rig_from_body: np.ndarray) -> None:
+    """The main segment as TUM, all of them with sigmas as CSV."""
+    poses = path.world_from_rig @ rig_from_body
+    timed = np.isfinite(scene.time_s[frames]).all()
+    times = scene.time_s[frames] if timed else np.arange(len(frames), dtype=float)
+    head = [
+        "# visual odometry of tiegraph; poses of the rig's body, or of its first camera (x right, y down, z forward)"
+    ]
+    head += [] if path.metric else [FREE_UNIT]
+    head += [] if timed else ["# the images have no times: numbers of the frames stand for them"]
+    rows, table = [], [",".join(_COLUMNS)]
+    place, turn = path.sigmas()
+    for k, frame in enumerate(frames.tolist()):
+        start = [scene.source_name(int(np.flatnonzero(scene.frame == frame)[0])), f"{times[k]:.6f}"]
+        if path.segment[k] < 0:
+            table.append(",".join([*start, "", "0", *[""] * 13]))
+            continue
+        numbers = [f"{v:.9f}" for v in (*poses[k, :3, 3], *quaternion_xyzw(poses[k, :3, :3]))]
+        sigmas = [f"{v:.3g}" for v in (*place[k], *turn[k])]
+        table.append(",".join([*start, str(path.segment[k]), str(int(path.keyframe[k])), *numbers, *sigmas]))
+        if path.segment[k] == path.main():
+            rows.append(" ".join([f"{times[k]:.6f}", *numbers]))
+    tum.parent.mkdir(parents=True, exist_ok=True)
+    write_atomic(tum, "\n".join([*head, "# time x y z qx qy qz qw", *rows]) + "\n")
+    write_atomic(tum.with_suffix(".csv"), "\n".join(table) + "\n")
+
+
+def _said(name: str, scene: Scene, frames: np.ndarray, path: OdometryPath, rate: float) -> list[str]:
+    """What people should know of a path."""
+    unit, posed = ("m" if path.metric else "units"), path.segment >= 0
+    own = np.flatnonzero(path.segment == path.main())
+    steps = np.linalg.norm(np.diff(path.world_from_rig[own, :3, 3], axis=0), axis=1)
+    last = float(np.linalg.norm(path.sigmas()[0][own[-1]]))
+    out = [
+        f"{name + ': ' if name else ''}{posed.sum()} of {len(frames)} frames, {steps.sum():.4g} {unit}, sigma at the "
+        f"end {last:.2g} {unit}, {path.keyframe.sum()} keyframes, {path.loops} places seen again, {rate:.1f} frames/s"
+    ]
+    if not path.metric:
+        out.append("a single camera tells no scale: the first base line has length 1, and the file says so")
+    if not scene.sequences:
+        out.append("loose photographs: taken in the order of their names")
+    out += [f"left out: {d.name}: {d.reason}" for d in scene.dropped]
+    if not posed.all():
+        lost = np.flatnonzero(~posed)
+        out.append(f"{len(lost)} frames have no pose, the first is {scene.frame_names[frames[lost[0]]]}")
+    for other in range(path.segment.max() + 1):
+        if other != path.main():
+            rows = np.flatnonzero(path.segment == other)
+            first, end = (scene.frame_names[frames[k]] for k in (rows[0], rows[-1]))
+            out.append(
+                f"segment {other}, {len(rows)} frames from {first} to {end}, could not be joined: it is in the CSV "
+                "only, in a world of its own"
+            )
+    return out

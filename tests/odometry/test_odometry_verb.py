@@ -1,0 +1,118 @@
+"""`tiegraph odometry` from rendered images to a trajectory that `run --trajectory` reads, and what it refuses."""
+
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+from odometry.odometry_world import images, rig_of, stereo, true_path
+from tiegraph.api import open_project
+from tiegraph.cli.main import main
+from tiegraph.scan.priors.trajectory import FREE_UNIT
+from tiegraph.scan.rigfiles.rigwrite import write_rig_toml
+from tiegraph.scene.posefile import read_poses
+
+FRAMES = 8
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory):
+    """images/left, images/right and rig.toml."""
+    folder = tmp_path_factory.mktemp("drive")
+    for frame in range(FRAMES):
+        for camera, image in images(stereo(), frame).items():
+            path = folder / "images" / stereo().names[camera] / f"{frame:06d}.png"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            cv2.imwrite(str(path), image)
+    write_rig_toml(rig_of(stereo()), folder / "rig.toml")
+    return folder
+
+
+def run(folder, *arguments, images="images"):
+    return main(["odometry", str(folder / images), "--pool", "serial", "--quiet", *map(str, arguments)])
+
+
+def copied(survey, tmp_path):
+    shutil.copytree(survey / "images", tmp_path / "images")
+    return tmp_path
+
+
+@pytest.mark.slow
+def test_what_the_verb_writes_is_read_by_run(survey, tmp_path):
+    out = tmp_path / "vo.tum"
+    assert run(survey, "--rig", survey / "rig.toml", "-o", out) == 0
+    truth = true_path(list(range(FRAMES)))
+    found = read_poses(out).poses
+    assert 1e-6 < np.linalg.norm((found - truth)[:, :3, 3], axis=1).max() < 0.02
+    table = np.genfromtxt(tmp_path / "vo.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    assert table["image"].tolist() == [f"left/{k:06d}.png" for k in range(FRAMES)]
+    assert table["sigma_x"][0] == 0 < table["sigma_x"][-1] < 0.05
+    for times in (None, tmp_path / "vo.csv"):
+        project = open_project(
+            survey / "images", tmp_path / f"out{times is None}", pool="serial", rig=str(survey / "rig.toml"),
+            trajectory=out, times=times,
+        )  # fmt: skip
+        scene = project.run("scan").scene()
+        assert scene.prior == "trajectory" and not scene.started
+        assert np.allclose(scene.world_from_rig, found, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_single_camera_says_that_it_has_no_scale_and_holds_nothing(survey, tmp_path, capsys):
+    camera = "PINHOLE,320x240,250,250,162,117"
+    arguments = ["odometry", str(survey / "images" / "left"), "--pool", "serial", "--camera", camera]
+    assert main([*arguments, "-o", str(tmp_path / "vo.tum")]) == 0
+    assert "no scale" in "".join(capsys.readouterr()) and FREE_UNIT in (tmp_path / "vo.tum").read_text()
+    project = open_project(
+        survey / "images" / "left", tmp_path / "out", pool="serial", camera=camera, trajectory=tmp_path / "vo.tum"
+    )
+    scene = project.run("scan").scene()
+    assert scene.started and not scene.measured_positions().any() and scene.has_orientations()
+
+
+@pytest.mark.slow
+def test_an_image_that_cannot_be_read_and_one_of_another_size_are_told_and_not_fatal(survey, tmp_path, capsys):
+    folder = copied(survey, tmp_path)
+    (folder / "images" / "left" / "000003.png").write_bytes(b"no image")
+    small = cv2.imread(str(folder / "images" / "right" / "000005.png"))[:100]
+    cv2.imwrite(str(folder / "images" / "right" / "000005.png"), small)
+    arguments = ["odometry", str(folder / "images"), "--pool", "serial", "--rig", str(survey / "rig.toml")]
+    assert main([*arguments, "-o", str(tmp_path / "vo.tum")]) == 0
+    said = "".join(capsys.readouterr())
+    assert "left/000003.png" in said and "320 x 100" in said
+    assert len(read_poses(tmp_path / "vo.tum").poses) >= FRAMES - 1
+    assert not (tmp_path / "tiegraph.toml").exists()
+
+
+def test_a_stereo_head_without_its_rig_is_refused(survey, tmp_path, capsys):
+    assert run(survey, "-o", tmp_path / "vo.tum") == 2
+    assert "its place in the rig is not known" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_one_frame_is_refused(survey, tmp_path, capsys):
+    (tmp_path / "one").mkdir()
+    shutil.copy(survey / "images" / "left" / "000000.png", tmp_path / "one")
+    assert run(tmp_path, "-o", tmp_path / "vo.tum", images="one") == 2
+    assert "usable image" in capsys.readouterr().err
+    assert not (tmp_path / "vo.tum").exists()
+
+
+def test_a_file_that_is_there_is_not_written_over(survey, tmp_path, capsys):
+    out = tmp_path / "vo.tum"
+    out.with_suffix(".csv").write_text("mine")
+    assert run(survey, "--rig", survey / "rig.toml", "-o", out) == 2
+    assert "vo.csv is there already" in capsys.readouterr().err
+    assert out.with_suffix(".csv").read_text() == "mine" and not out.exists()
+
+
+def test_images_without_texture_give_an_error_and_no_file(tmp_path, capsys):
+    for frame in range(3):
+        (tmp_path / "grey").mkdir(exist_ok=True)
+        grey = np.full((240, 320), 128 + frame, np.uint8)
+        cv2.imwrite(str(tmp_path / "grey" / f"{frame:06d}.png"), grey)
+    camera = ("--camera", "PINHOLE,320x240,250,250,162,117")
+    assert run(tmp_path, *camera, "-o", tmp_path / "vo.tum", images="grey") != 0
+    assert "no pose was found" in capsys.readouterr().err
+    assert not (tmp_path / "vo.tum").exists()
