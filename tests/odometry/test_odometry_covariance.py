@@ -15,8 +15,8 @@ from tiegraph.odometry.worldmap import Keyframe, WorldMap
 KEYFRAMES, POINTS, NOISE_PX, LOSS_PX = 7, 300, 0.4, 1.0
 
 
-def world_of(cameras, seed, noise_px=NOISE_PX, shared=0.0):
-    """A map at the truth with noisy observations; ``shared``: share of the noise that a point has in all images."""
+def world_of(cameras, seed, noise_px=NOISE_PX):
+    """A map at the truth with noisy observations."""
     rng = np.random.default_rng(seed)
     world = WorldMap(cameras)
     first = transforms.invert(truth(0))
@@ -24,14 +24,13 @@ def world_of(cameras, seed, noise_px=NOISE_PX, shared=0.0):
     points = np.column_stack([rng.uniform(-4, 4, POINTS), rng.uniform(-2, 1.5, POINTS), rng.uniform(3, 14, POINTS)])
     world.new_points(POINTS)
     world.xyz[:] = points
-    common = rng.normal(0, noise_px, (POINTS, 2))
     for number, pose in enumerate(poses):
         seen = Tracks.none()
         for camera in range(len(cameras)):
             where = np.full(POINTS, camera)
             xy = cameras.project(where, transforms.apply(pose, points))
-            own = np.sqrt(1 - shared**2) * rng.normal(0, noise_px, xy.shape) + shared * common
-            seen = seen.plus(Tracks(np.arange(POINTS), where, xy + own).where(cameras.inside(camera, xy)))
+            noisy = xy + rng.normal(0, noise_px, xy.shape)
+            seen = seen.plus(Tracks(np.arange(POINTS), where, noisy).where(cameras.inside(camera, xy)))
         world.keyframes.append(Keyframe(frame=number, segment=0, rig_from_world=pose, seen=seen))
     return world, poses
 
