@@ -125,7 +125,7 @@ def test_a_file_of_the_settings_that_is_not_there_is_refused_before_anything_run
         ({}, {"candidates": {"sources": ["file"], "pairs_file": "text"}}, "text, line 1: expected two image names"),
         ({}, {"evaluate": {"reference": "text"}}, "text: no poses"),
         ({}, {"evaluate": {"reference": "images"}}, "neither a COLMAP model"),
-        ({}, {"evaluate": {"reference_cloud": "text"}}, "text: not a readable point cloud"),
+        ({}, {"evaluate": {"reference_cloud": "text"}}, "text: clouds are read from .las, .laz, .ply or .e57"),
         ({}, {"masks": {"source": "model", "model": "text"}}, "text: not valid TOML"),
     ],
 )
