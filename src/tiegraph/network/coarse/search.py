@@ -17,7 +17,7 @@ import pycolmap
 from tiegraph.geometry import transforms
 from tiegraph.network.coarse.assembled import Assembled
 from tiegraph.network.coarse.model import CoarseModel
-from tiegraph.network.coarse.trust import Trust, trust
+from tiegraph.network.coarse.trust import Trust, pair_key, trust
 from tiegraph.network.coarse.visible import Overlap
 from tiegraph.network.offsets.curves import contained
 from tiegraph.network.passes import MatchCache
@@ -65,6 +65,7 @@ class Search:
         self._book, self._tuning = cache, tuning
         self._settings, self._per_image = settings[0], float(settings[1].pairs_per_image)
         self._without = np.zeros(0, np.int64)
+        self._best = np.zeros(0, np.int64), np.zeros(0, np.int64)
         self._tries: list[_Try] = []
         self._over = False
 
@@ -75,13 +76,14 @@ class Search:
         best = strongest_pairs(self._pairs, self._scene, round(self._per_image))
         if any(t.right() for t in self._tries):  # only a camera was turned too far: no reason to look at more
             best = best.where(np.isfinite(self._book.known(best.i, best.j)))
+        self._best = best.i, best.j
         return _ties(best, self._book, self._without, self._tuning.tie_matches)
 
     def take(self, ties: PreviewMatches, made: Assembled) -> None:
         """Judge the models made of the ties that were wanted."""
         tried = self._tried(ties, made)
         self._tries.append(tried)
-        suspects = _key(*tried.trust.suspects)
+        suspects = pair_key(*tried.trust.suspects)
         self._over = not tried.models or (tried.right() and not tried.loose(self._tries, self._tuning).any())
         if len(suspects):
             self._without = np.union1d(self._without, suspects)
@@ -129,7 +131,7 @@ class Search:
         for k, one in enumerate(models):
             part[one.placed()] = k
         overlap = Overlap.together([one.overlap(self._settings.axes_deg, self._tuning) for one in models])
-        believed = trust(scene, self._book, overlap, part, self._settings, self._tuning.trust)
+        believed = trust(scene, self._book, self._best, overlap, part, self._settings, self._tuning.trust)
         i, j = (np.concatenate(both) for both in zip(believed.suspects, made.suspects))
         believed = replace(believed, suspects=(i, j))
         return _Try(
@@ -183,8 +185,8 @@ def _ties(best: Pairs, cache: MatchCache, without: np.ndarray, least: int) -> Pr
     """The preview matches of the best pairs, those whose keys (K,) are not to be used left out."""
     cache.measure(best.i, best.j)
     ties = cache.matches()
-    key = _key(ties.i, ties.j)
-    return ties.where(np.isin(key, _key(best.i, best.j)) & ~np.isin(key, without) & (ties.counts() >= least))
+    key = pair_key(ties.i, ties.j)
+    return ties.where(np.isin(key, pair_key(best.i, best.j)) & ~np.isin(key, without) & (ties.counts() >= least))
 
 
 def _turned_deg(given: Sequence[Rig], found: Sequence[Rig]) -> np.ndarray:
@@ -198,10 +200,6 @@ def _turned_deg(given: Sequence[Rig], found: Sequence[Rig]) -> np.ndarray:
             )
             out.append(float(transforms.angle_deg(*poses[:, :3, :3])))
     return np.array(out)
-
-
-def _key(i: np.ndarray, j: np.ndarray) -> np.ndarray:
-    return i.astype(np.int64) << 32 | j
 
 
 def calibrated_rigs(

@@ -54,12 +54,15 @@ class Trust:
 def trust(
     scene: Scene,
     cache: MatchCache,
+    asked: tuple[np.ndarray, np.ndarray],
     overlap: Overlap,
     part: np.ndarray,
     settings: CandidatesSettings,
     tuning: TrustTuning,
 ) -> Trust:
-    """How far a model is believed. ``part`` (N,): the part of it that holds an image, -1 = none.
+    """How far a model is believed. ``part`` (N,): the part of it that holds an image, -1 = none. ``asked``: the best
+    pairs i, j (K,) of the images, which it is to be made of: what lies between two stretches is told by them, for of
+    all previews of a long survey most are of walls alike, the more the longer it is.
 
     Walls may repeat anywhere but hardly from one frame to the next. So a pass is cut into stretches where the model
     contradicts the strong previews between near frames. Two stretches that are torn apart cannot both be right to a
@@ -77,7 +80,8 @@ def trust(
     stretch = _stretches(scene, part, *_doubts(scene, i[sure], j[sure], right[sure], tuning))
     n = int(stretch.max(initial=0)) + 1
     couple = stretch[i] * n + stretch[j]
-    total, good = (_sequence_pairs(couple[strong], c[strong], n) for c in (count, count * right))
+    best = strong & np.isin(pair_key(i, j), pair_key(*asked))
+    total, good = (_sequence_pairs(couple[best], c[best], n) for c in (count, count * right))
     near_total, near_good = (_sequence_pairs(couple[sure], c[sure], n) for c in (count, count * right))
     told = (total >= tuning.few * tuning.strong * settings.min_matches) & ~np.eye(n, dtype=bool)
     torn = (near_total > 0) & (near_good < tuning.trusted * near_total) & ~np.eye(n, dtype=bool)
@@ -101,6 +105,11 @@ def near_frames(scene: Scene, a: np.ndarray, b: np.ndarray, steps: int) -> np.nd
         (scene.sequence[a] == scene.sequence[b]) & (scene.sequence[a] >= 0) & (scene.rig[a] == scene.rig[b]) & (a != b)
     )
     return same & (np.abs(scene.sequence_index[a] - scene.sequence_index[b]) <= steps)
+
+
+def pair_key(i: np.ndarray, j: np.ndarray) -> np.ndarray:
+    """(K,) one number for each pair i, j (K,)."""
+    return i.astype(np.int64) << 32 | j
 
 
 def _doubts(
