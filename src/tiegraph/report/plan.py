@@ -8,6 +8,7 @@ import matplotlib
 import numpy as np
 
 from tiegraph.report.charts import ALERT, PASSES, STYLE, figure_axes, saved
+from tiegraph.scene.places import between_neighbours
 from tiegraph.scene.scene import Scene
 
 _BACKDROP = 60_000
@@ -34,7 +35,8 @@ def frame_positions(scene: Scene, centres: np.ndarray) -> np.ndarray:
 
 def tracks(scene: Scene, positions: np.ndarray) -> list[Track]:
     """The passes with the places of their missing frames, interpolated along the pass or taken from the prior."""
-    prior = scene.world_from_rig[:, :3, 3]
+    between = between_neighbours(positions, scene)
+    guess = np.where(np.isfinite(between), between, scene.world_from_rig[:, :3, 3])
     out = []
     for t in [*range(len(scene.sequences)), -1]:
         frames = np.flatnonzero(scene.sequence == t)
@@ -42,16 +44,7 @@ def tracks(scene: Scene, positions: np.ndarray) -> list[Track]:
             continue
         frames = frames[np.argsort(scene.sequence_index[frames], kind="stable")]
         at = positions[frames]
-        known = np.isfinite(at[:, 0])
-        guess = np.full_like(at, np.nan)
-        if t >= 0 and known.sum() >= 2:
-            place = np.arange(len(frames))
-            within = (place > place[known][0]) & (place < place[known][-1])
-            for c in range(3):
-                found = at[known, c]
-                guess[within, c] = np.interp(place[within], place[known], found)
-        guess = np.where(np.isfinite(guess), guess, prior[frames])
-        missing = guess[~known & np.isfinite(guess[:, 0])]
+        missing = guess[frames][~np.isfinite(at[:, 0]) & np.isfinite(guess[frames, 0])]
         out.append(Track(scene.sequences[t] if t >= 0 else "images", at, missing))
     return out
 
