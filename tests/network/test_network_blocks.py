@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -262,3 +264,24 @@ def test_the_ties_that_put_one_pass_of_a_block_elsewhere_are_found(world, wrong:
     right = [_tied_model(*(b.part_of(scene, ties)[0], truth[b.images], b.part_of(scene, ties)[1]), 0.0) for b in blocks]
     whole = assembled(scene, blocks, right, Tuning().coarse, TUNING.joining)
     assert len(whole.models) == 1 and not len(whole.suspects[0])
+
+
+def test_a_rig_is_taken_from_the_block_that_agrees_with_the_others(world) -> None:
+    """Not from the one with most images, which may be mapped as roughly as any."""
+    scene, truth, ties = world
+    blocks = blocks_of(scene, ties, TUNING.blocks)
+    models = []
+    for block in blocks:
+        part, inside = block.part_of(scene, ties)
+        models.append(_tied_model(part, truth[block.images], inside, 0.0))
+    largest = int(np.argmax([len(b) for b in blocks]))
+    rng = np.random.default_rng(1)
+    for k, model in enumerate(models):
+        turned = Rotation.from_euler("y", 10.0 if k == largest else rng.normal(0, 0.1), degrees=True)
+        turn = transforms.rigid(turned.as_matrix(), np.zeros(3))
+        first, second, *rest = scene.rigs[0].sensors
+        second = replace(second, sensor_from_rig=turn @ second.sensor_from_rig)
+        models[k] = replace(model, rigs=(replace(scene.rigs[0], sensors=(first, second, *rest)),))
+    (made,) = assembled(scene, blocks, models, Tuning().coarse, TUNING.joining).models
+    pose, truth_pose = (r.sensors[1].sensor_from_rig[:3, :3] for r in (made.rigs[0], scene.rigs[0]))
+    assert 0.001 < transforms.angle_deg(pose, truth_pose) < 0.3

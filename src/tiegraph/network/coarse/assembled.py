@@ -17,11 +17,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tiegraph.geometry import transforms
 from tiegraph.network.coarse.model import CoarseModel
 from tiegraph.network.coarse.torn import false_ties
 from tiegraph.network.tuning.coarse import CoarseTuning
 from tiegraph.scene.blocks import Block
 from tiegraph.scene.joining import JoinResult, Poses, join_models, moved
+from tiegraph.scene.rig import Rig
 from tiegraph.scene.scene import Scene
 from tiegraph.scene.tuning import JoiningTuning
 
@@ -110,7 +112,6 @@ def _together(
         image.append(block.images[model.image[observed]])
         point.append(number[model.point[observed]])
         count += int(keep.sum())
-    best = max(members, key=lambda k: int(made[k][1].placed().sum()))
     cameras = [scene.sensor_of(n).camera if c is None else c for n, c in enumerate(cameras)]
     return CoarseModel(
         cam_from_world=poses,
@@ -118,8 +119,35 @@ def _together(
         points=np.concatenate(points),
         image=np.concatenate(image),
         point=np.concatenate(point),
-        rigs=made[best][1].rigs,
+        rigs=_rigs(scene, [made[k] for k in members]),
     )
+
+
+def _rigs(scene: Scene, members: Sequence[tuple[Block, CoarseModel]]) -> tuple[Rig, ...]:
+    """Each rig as the block has it that differs least from the others which hold images of it: a block is mapped
+    roughly, and one of ten had a camera turned by 10 deg. Of equal ones that with most images of the rig."""
+    out = []
+    for index, given in enumerate(scene.rigs):
+        rig = scene.rig[scene.frame]
+        count = [int(np.sum(rig[block.images[model.placed()]] == index)) for block, model in members]
+        order = [k for k in np.argsort(-np.array(count), kind="stable") if count[k]]
+        found = [members[k][1].rigs[index] for k in order]
+        apart = [sum(_apart(one, other) for other in found) for one in found]
+        out.append(found[int(np.argmin(apart))] if found else given)
+    return tuple(out)
+
+
+def _apart(one: Rig, other: Rig) -> float:
+    """By how much two estimates of a rig differ: the angles between the mountings of its cameras, and what their focal
+    lengths turn a ray at 45 degrees by, added up in radians."""
+    total = 0.0
+    for a, b in zip(one.sensors, other.sensors):
+        if a.sensor_from_rig is not None and b.sensor_from_rig is not None:
+            total += float(np.radians(transforms.angle_deg(a.sensor_from_rig[:3, :3], b.sensor_from_rig[:3, :3])))
+        focal = [c.mean_focal_length() for c in (a.camera, b.camera) if c is not None]
+        if len(focal) == 2 and min(focal) > 0:  # a panorama has none
+            total += 0.5 * abs(float(np.log(focal[0] / focal[1])))
+    return total
 
 
 def _notes(
