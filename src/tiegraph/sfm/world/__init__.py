@@ -18,8 +18,8 @@ lever arm, and the height of an antenna is the height of the world.
 **Adjustment with positions** (``worldadjust``). Images, positions and points are adjusted together, which takes out
 bends that a similarity cannot. Own residuals are small classes in ``costs``, added to COLMAP's Ceres problem through
 pyceres (one thread: Python's lock). The adjustment is kept only if every fifth position, which it did not know, is
-met as well as by the similarity, and the images fit no worse (``georeference_folders``). A model with a relaxed rig is
-not adjusted so, for what ties its cameras is not in that adjustment.
+met as well as by the similarity, and the images fit no worse (``georeference_folders``). The cameras of a relaxed rig
+keep how they stand to each other in each frame (``rigpriors.relaxed_frames``).
 
 **Several models** (``oneworld``): parts of a survey that no tie joined for the mapper come into the world of the
 largest by the matches between them, else by their own positions, else by their points where these lie on the others'

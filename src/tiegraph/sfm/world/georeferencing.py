@@ -22,7 +22,6 @@ from tiegraph.sfm.world.fixes import Fixes, Measurements
 from tiegraph.sfm.world.georef import Georeference, HeldOut, applied_receiver, georeference, row_of_frames
 from tiegraph.sfm.world.marks import marked, point_table, targets
 from tiegraph.sfm.world.oneworld import ByPositions, OneWorld, one_world
-from tiegraph.sfm.world.scale import relaxed
 from tiegraph.sfm.world.similarityfit import SimilarityFit
 from tiegraph.sfm.world.statements import with_statements
 from tiegraph.sfm.world.worldadjust import AdjustmentResult, ConstantParameters, Constraints, Receiver, adjust_in_world
@@ -64,9 +63,6 @@ def _georeferenced(
         return first, world
     if not worldadjust.available():
         return _with(first, "not adjusted with the positions: the package pyceres is not installed"), world
-    if relaxed(model, scene):
-        why = "a rig is relaxed, and only points would hold its cameras to the one that has the positions"
-        return _with(first, f"the similarity stays, a bundle adjustment with the positions was refused: {why}"), world
     constraints = _constraints(world, scene, first, placing, tuning, given, held)
     check = _check(world, scene, placing, constraints)
     checked, why = check.good, check.why

@@ -72,12 +72,7 @@ def rig_scale(
 
 
 def relaxed(model: pycolmap.Reconstruction, scene: Scene) -> bool:
-    """Whether images of one frame of the scene stand in several frames of the model.
-
-    What ties them is the business of the relaxing (``sfm/rig/timecalibration.py``); an adjustment without it took
-    PandaSet, whose back camera shares few points with the others, from 22 to 59 mm and met the positions it did not
-    know better.
-    """
+    """Whether images of one frame of the scene stand in several frames of the model."""
     home: dict[int, int] = {}
     for image_id in model.reg_image_ids():
         image = model.image(image_id)

@@ -14,8 +14,9 @@ from tiegraph.geometry.align import Similarity, umeyama
 from tiegraph.scene.control import Control
 from tiegraph.scene.scene import Scene
 from tiegraph.sfm.adjustment.adjust import free_cameras
+from tiegraph.sfm.adjustment.constraints import RelativePosePrior
 from tiegraph.sfm.adjustment.priors import add_priors
-from tiegraph.sfm.adjustment.rigpriors import rig_priors
+from tiegraph.sfm.adjustment.rigpriors import relaxed_frames, rig_priors
 from tiegraph.sfm.model import frame_poses, image_poses, matrix
 from tiegraph.sfm.solver import factorised
 from tiegraph.sfm.tuning import Tuning
@@ -97,8 +98,9 @@ def adjust_in_world(world: pycolmap.Reconstruction, scene: Scene, given: Constra
     factor, arm, clock = given.factor, np.array(given.receiver.antenna, float), np.array([given.receiver.offset_s])
     residual = residuals(model, scene, given.fixes, arm, float(clock[0]))
     known = given.tuning.world.noise
+    ties = relaxed_frames(world, scene, given.tuning.rig.time_calibration)
     for _ in range(rounds):
-        _solve(model, scene, replace(given, factor=factor), arm, clock)
+        _solve(model, scene, replace(given, factor=factor), ties, (arm, clock))
         residual = residuals(model, scene, given.fixes, arm, float(clock[0]))
         if len(given.fixes):
             factor = noise.factors(residual / given.fixes.sigma, given.fixes.level, given.fixes.time_s, known)
@@ -138,9 +140,13 @@ def pixel_sigma(model: pycolmap.Reconstruction, tuning: AdjustmentTuning) -> flo
 
 
 def _solve(
-    model: pycolmap.Reconstruction, scene: Scene, given: Constraints, arm: np.ndarray, clock: np.ndarray
+    model: pycolmap.Reconstruction,
+    scene: Scene,
+    given: Constraints,
+    ties: Sequence[RelativePosePrior],
+    receiver: tuple[np.ndarray, np.ndarray],
 ) -> None:
-    """One adjustment; changes the model, the lever arm (3,) and the clock (1,)."""
+    """One adjustment; changes the model and the ``receiver``: lever arm (3,) and clock (1,)."""
     options = pycolmap.BundleAdjustmentOptions(print_summary=False, refine_principal_point=True)
     options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
     options.ceres.loss_function_scale = given.tuning.adjust.robust_px
@@ -161,11 +167,11 @@ def _solve(
             config.set_constant_sensor_from_rig_pose(sensor)
     adjuster = pycolmap.create_default_ceres_bundle_adjuster(options, config, model)
     sigma_px = pixel_sigma(model, given.tuning.world.adjustment)
-    kept = _add_positions(adjuster.problem, model, scene, given, (arm, clock, sigma_px))
+    kept = _add_positions(adjuster.problem, model, scene, given, (*receiver, sigma_px))
     kept += _add_points(adjuster.problem, model, scene, given, sigma_px)
     kept += _add_up(adjuster.problem, model, scene, given, sigma_px)
     known = rig_priors(model, scene, given.held.soft, given.tuning.rig.priors)
-    kept += add_priors(adjuster, model, known, given.tuning.adjust)
+    kept += add_priors(adjuster, model, replace(known, relative_poses=ties), given.tuning.adjust)
     adjuster.solve()
     del kept  # the problem only borrows the residuals written in Python
 
