@@ -13,7 +13,7 @@ from tiegraph.pipeline.inputs import check_given
 from tiegraph.project import settings as project_settings
 from tiegraph.project.folder import SETTINGS, check_format, names_run, write_settings
 from tiegraph.project.progress import Reporter
-from tiegraph.project.run import Inputs, Run, check_run, run_stages, status
+from tiegraph.project.run import FOLLOW, Inputs, Run, check_run, run_stages, status
 from tiegraph.project.settings import SETTING_OF, Settings
 from tiegraph.project.stages import Stage
 from tiegraph.scene.bags.topics import source_of
@@ -216,6 +216,8 @@ def open_project(
         changed = project_settings.merged({section: values}, where=f"--{input_name}")
         complete = complete.model_copy(update={section: getattr(changed, section)})
     paths = {n: real_path(run[n]) if n in run else None for n in _PATHS}
+    if run.get("trajectory") == str(FOLLOW):
+        paths["trajectory"] = FOLLOW
     _check_texts({"images": found, **paths})
     return Project(folder, Inputs(found, run.get("rig"), camera=run.get("camera"), **paths), complete, name, pool)
 

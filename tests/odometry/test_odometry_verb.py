@@ -9,6 +9,7 @@ import pytest
 from odometry.odometry_world import images, rig_of, stereo, true_path
 from tiegraph.api import open_project
 from tiegraph.cli.main import main
+from tiegraph.errors import InputError
 from tiegraph.scan.priors.trajectory import FREE_UNIT
 from tiegraph.scan.rigfiles.rigwrite import write_rig_toml
 from tiegraph.scene.posefile import read_poses
@@ -56,6 +57,28 @@ def test_what_the_verb_writes_is_read_by_run(survey, tmp_path):
         scene = project.run("scan").scene()
         assert scene.prior == "trajectory" and not scene.started
         assert np.allclose(scene.world_from_rig, found, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_run_follows_its_own_images(survey, tmp_path):
+    truth = true_path(list(range(FRAMES)))
+    project = open_project(
+        survey / "images", tmp_path / "out", pool="serial", rig=str(survey / "rig.toml"), trajectory="auto"
+    )
+    scene = project.run("scan").scene()
+    assert scene.prior == "trajectory" and not scene.started
+    assert 1e-6 < np.linalg.norm((scene.world_from_rig - truth)[:, :3, 3], axis=1).max() < 0.02
+    assert np.allclose(read_poses(tmp_path / "out" / "odometry" / "path.tum").poses, scene.world_from_rig, atol=1e-6)
+    again = open_project(out=tmp_path / "out")
+    assert str(again.inputs.trajectory) == "auto" and again.status()[0][1] == ""
+    plain = open_project(out=tmp_path / "out", unset=("trajectory",)).run("scan")
+    assert plain.scene().prior == "none" and not (tmp_path / "out" / "odometry").exists()
+
+
+def test_a_run_that_is_to_follow_its_images_needs_a_calibrated_rig(survey, tmp_path):
+    project = open_project(survey / "images", tmp_path / "out", pool="serial", trajectory="auto")
+    with pytest.raises(InputError, match="calibrat"):
+        project.run("scan")
 
 
 @pytest.mark.slow

@@ -59,7 +59,7 @@ class RunOptions(Common):
     geo.txt, SBET, DJI's Timestamp.MRK, or a ROS bag (BAG:TOPIC where it has several)."""
     trajectory: Path | None = None
     """Poses: a file of TUM, EuRoC or KITTI or a folder with one a pass, a transforms.json, a COLMAP model, or a ROS bag
-    (BAG:TOPIC where it has several)."""
+    (BAG:TOPIC where it has several); auto: by odometry from the images, whose cameras must be calibrated."""
     start: Path | None = None
     """A model to go on from, of these images: a COLMAP model or workspace, OpenSfM's or ODM's reconstruction.json,
     nerfstudio's transforms.json, or Metashape's camera XML. Its poses choose pairs and are tested, its cameras are a

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from pathlib import Path
 
 from tiegraph.errors import InputError, SettingsError, UnreadableArtefact
 from tiegraph.evaluate.settings import EvaluateSettings
@@ -16,7 +17,7 @@ from tiegraph.geometry.geodesy import ENU, check_vertical, parse_crs
 from tiegraph.masks.plugin import read_model
 from tiegraph.pipeline.files import scanned
 from tiegraph.pipeline.foundrig import rig_of_run
-from tiegraph.project.run import Run, status
+from tiegraph.project.run import FOLLOW, Inputs, Run, status
 from tiegraph.project.settings import Settings
 from tiegraph.project.stages import Stage
 from tiegraph.project.userfiles import check_files, check_path
@@ -47,7 +48,7 @@ def check_given(stages: Sequence[Stage], run: Run) -> None:
     for option, path, kind in (
         ("--gnss", given.gnss, "file"),
         ("--times", given.times, "file"),
-        ("--trajectory", given.trajectory, "file or folder"),
+        ("--trajectory", _trajectory(given), "file or folder"),
         ("--start", given.start, "file or folder"),
     ):
         if path is not None:
@@ -64,6 +65,11 @@ def check_given(stages: Sequence[Stage], run: Run) -> None:
     else:
         with suppress(UnreadableArtefact):  # then it is made again
             check_against(run, scanned(run))
+
+
+def _trajectory(given: Inputs) -> Path | None:
+    """The trajectory's file or folder, if it is not to be made from the images."""
+    return None if given.trajectory == FOLLOW else given.trajectory
 
 
 def _read_settings(settings: Settings) -> None:
@@ -97,7 +103,7 @@ def _read_inputs(run: Run) -> None:
         read_rig_file(str(given.rig), tuning)
     if given.camera is not None:
         read_camera(given.camera, tuning)
-    poses = given.trajectory
+    poses = _trajectory(given)
     if poses is not None and (poses.is_file() or is_bag(poses) or has_named_poses(poses)):
         read_trajectory(poses)
     if given.start is not None:

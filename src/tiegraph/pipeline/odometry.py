@@ -19,6 +19,7 @@ from tiegraph.pipeline.files import scanned
 from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.project.run import Run
 from tiegraph.project.stages import write_atomic
+from tiegraph.scan.priors.priors import Followed
 from tiegraph.scan.priors.trajectory import FREE_UNIT
 from tiegraph.scan.rigfiles.rigfile import parse_rig_file, read_rig_file
 from tiegraph.scene.images import read_pixels
@@ -29,6 +30,12 @@ _COLUMNS = (
     "image", "time", "segment", "keyframe", "x", "y", "z", "qx", "qy", "qz", "qw",
     "sigma_x", "sigma_y", "sigma_z", "sigma_turn_x_deg", "sigma_turn_y_deg", "sigma_turn_z_deg",
 )  # fmt: skip
+
+
+_NO_POSE = (
+    "no pose was found: frames must share textured surface, seen from places apart where cameras have no common view, "
+    "and the focal lengths must be right"
+)
 
 
 @dataclass(frozen=True)
@@ -57,27 +64,55 @@ def odometry(run: Run, out: Path) -> tuple[Made, ...]:
         with run.reporter.stage("odometry"):
             path, said = _follow(run, scene, cameras, frames)
         if path.main() < 0:
-            raise ReconstructionError(
-                f"{name or 'the images'}: no pose was found: frames must share textured surface, seen from places "
-                f"apart where cameras have no common view, and the focal lengths must be right. {'; '.join(said)}"
-            )
+            raise ReconstructionError(f"{name or 'the images'}: {_NO_POSE}. {'; '.join(said)}")
         rate = len(frames) / (time.perf_counter() - started)
         _write(targets[name], scene, frames, path, rig_from_body)
         made.append(Made(targets[name], tuple(_said(name, scene, frames, path, rate) + said), rate))
     return tuple(made)
 
 
+def followed(run: Run, scene: Scene) -> tuple[Followed, tuple[str, ...]]:
+    """The poses that odometry finds of a survey whose images are being scanned, and what is to be said of them; its
+    files go to ``odometry/`` of the run folder.
+
+    Of each pass the longest segment counts. A pass that cannot be followed has no poses, and it is said. Raises
+    InputError for a rig that is not calibrated.
+    """
+    cameras = cameras_of(scene.rigs)
+    body, poses, notes, metric = _rig_from_body(run), {}, [], True
+    passes = _passes(scene)
+    for (name, frames), target in zip(passes.items(), _files(run.path("odometry", "path"), list(passes))):
+        path, said = _follow(run, scene, cameras, frames)
+        main = path.main()
+        if main < 0:
+            notes.append(f"odometry: {name or 'the images'}: {_NO_POSE}")
+            continue
+        metric &= path.metric
+        _write(target, scene, frames, path, body)
+        pose_of = dict(
+            zip(frames.tolist(), np.where((path.segment == main)[:, None, None], path.world_from_rig, np.nan))
+        )
+        for k in np.flatnonzero(np.isin(scene.frame, frames)):
+            if np.isfinite(pose_of[int(scene.frame[k])]).all():
+                poses[scene.source_name(int(k))] = pose_of[int(scene.frame[k])]
+        notes += [f"odometry: {text}" for text in (*_told(name, scene, frames, path), *said)]
+    return Followed(poses, metric), tuple(notes)
+
+
 def _targets(out: Path, names: Sequence[str]) -> list[Path]:
     """The TUM file of each pass. Raises InputError if one is there."""
-    if len(names) == 1:
-        targets = [out if out.suffix else out.with_suffix(".tum")]
-    else:
-        slugs = (name.lower().replace("/", "_").replace(" ", "_") for name in names)
-        targets = [out.with_suffix("") / f"{slug}.tum" for slug in slugs]
+    targets = _files(out, names)
     for path in (p for t in targets for p in (t, t.with_suffix(".csv"))):
         if path.exists():
             raise InputError(f"{path} is there already: give another -o, or remove it")
     return targets
+
+
+def _files(out: Path, names: Sequence[str]) -> list[Path]:
+    if len(names) == 1:
+        return [out if out.suffix else out.with_suffix(".tum")]
+    slugs = (name.lower().replace("/", "_").replace(" ", "_") for name in names)
+    return [out.with_suffix("") / f"{slug}.tum" for slug in slugs]
 
 
 def _passes(scene: Scene) -> dict[str, np.ndarray]:
@@ -162,20 +197,25 @@ def _write(tum: Path, scene: Scene, frames: np.ndarray, path: OdometryPath, rig_
 
 
 def _said(name: str, scene: Scene, frames: np.ndarray, path: OdometryPath, rate: float) -> list[str]:
-    """What people should know of a path."""
+    """What people should know of a path that they asked for."""
+    first, *more = _told(name, scene, frames, path)
+    return [f"{first}, {rate:.1f} frames/s", *more, *(f"left out: {d.name}: {d.reason}" for d in scene.dropped)]
+
+
+def _told(name: str, scene: Scene, frames: np.ndarray, path: OdometryPath) -> list[str]:
+    """What a path is like."""
     unit, posed = ("m" if path.metric else "units"), path.segment >= 0
     own = np.flatnonzero(path.segment == path.main())
     steps = np.linalg.norm(np.diff(path.world_from_rig[own, :3, 3], axis=0), axis=1)
     last = float(np.linalg.norm(path.sigmas()[0][own[-1]]))
     out = [
         f"{name + ': ' if name else ''}{posed.sum()} of {len(frames)} frames, {steps.sum():.4g} {unit}, sigma at the "
-        f"end {last:.2g} {unit}, {path.keyframe.sum()} keyframes, {path.loops} places seen again, {rate:.1f} frames/s"
+        f"end {last:.2g} {unit}, {path.keyframe.sum()} keyframes, {path.loops} places seen again"
     ]
     if not path.metric:
         out.append("a single camera tells no scale: the first base line has length 1, and the file says so")
     if not scene.sequences:
         out.append("loose photographs: taken in the order of their names")
-    out += [f"left out: {d.name}: {d.reason}" for d in scene.dropped]
     if not posed.all():
         lost = np.flatnonzero(~posed)
         out.append(f"{len(lost)} frames have no pose, the first is {scene.frame_names[frames[lost[0]]]}")

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.pipeline.inputs import check_against
+from tiegraph.pipeline.odometry import followed
 from tiegraph.pipeline.videos import photographs
-from tiegraph.project.run import Run
+from tiegraph.project.run import FOLLOW, Run
 from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scan.calibration import start_cameras
 from tiegraph.scan.priors.startmodel import read_start
@@ -40,7 +42,7 @@ def scan(run: Run) -> Outcome:
         rig_text=None if known is None else known.text,
         camera=given.camera,
         gnss=given.gnss,
-        trajectory=given.trajectory,
+        trajectory=None if given.trajectory == FOLLOW else given.trajectory,
         start=None if given.start is None else read_start(given.start),
         times=given.times,
         video=root != source_of(given.images),
@@ -53,6 +55,10 @@ def scan(run: Run) -> Outcome:
     for k, name in enumerate(scene.names):
         todo.setdefault(file_of[scene.source_name(k)], []).append((name, scene.sensor_of(k)))
     run.map(_prepare_item, list(todo.items()), root, run.path("images"), settings, tuning.pictures)
+    if given.trajectory == FOLLOW:
+        found_path, said = followed(run, scene)
+        scene = build_scene(replace(inputs, trajectory=found_path), names, probes, settings, tuning)
+        told = (*told, *said)
     write_atomic(run.path("scene.json"), scene.to_json())
     counts = {"found": len(names), "images": len(scene), "frames": scene.frames, "passes": len(scene.sequences)}
     return Outcome(

@@ -31,6 +31,9 @@ from tiegraph.scene.startplace import find_start
 
 log = logging.getLogger("tiegraph")
 
+FOLLOW = Path("auto")
+"""A trajectory that is made by odometry from the survey's own images."""
+
 _IMAGES = "the image folder"  # what the user calls it in messages; the other inputs are options
 
 
@@ -41,7 +44,7 @@ class Inputs:
     images: Path
     rig: str | None = None
     gnss: Path | None = None
-    trajectory: Path | None = None
+    trajectory: Path | None = None  # FOLLOW: made by odometry
     times: Path | None = None
     camera: str | None = None  # a calibration in words, or its file
     start: Path | None = None  # a model to go on from
@@ -62,6 +65,7 @@ class Inputs:
             "--rig": [self.rig, rig],
             "--camera": camera,
             **{option: _stamp(path) if path else None for option, path in files.items()},
+            **({"--trajectory": str(FOLLOW)} if self.trajectory == FOLLOW else {}),
         }
 
     def given(self) -> dict[str, Path]:
@@ -93,7 +97,8 @@ class Inputs:
             )
 
     def _files(self) -> dict[str, Path | None]:
-        files = {"--gnss": self.gnss, "--trajectory": self.trajectory, "--times": self.times, "--start": self.start}
+        trajectory = None if self.trajectory == FOLLOW else self.trajectory
+        files = {"--gnss": self.gnss, "--trajectory": trajectory, "--times": self.times, "--start": self.start}
         with suppress(InputError, OSError):  # of a project folder only the model is read; reading says if there is none
             files["--start"] = None if self.start is None else find_start(self.start)[1]
         return files

@@ -19,7 +19,7 @@ from tiegraph.scan.frames import match_frames
 from tiegraph.scan.perspective import perspective_views
 from tiegraph.scan.prepare import KEPT_SUFFIXES, prepare_image
 from tiegraph.scan.priors.positions import Frames
-from tiegraph.scan.priors.priors import estimate_priors
+from tiegraph.scan.priors.priors import Followed, estimate_priors
 from tiegraph.scan.priors.startmodel import StartModel, must_be_whole
 from tiegraph.scan.priors.times import FrameRow
 from tiegraph.scan.rigfiles.rigspec import RigSpec
@@ -39,13 +39,14 @@ __all__ = ["Probe", "ScanInputs", "build_scene", "find_images", "prepare_image",
 @dataclass(frozen=True)
 class ScanInputs:
     """What the user gave: the folder of images, and optional rig (file or preset; ``rig_text``: of a rig.toml that
-    stands for it), camera (in words or a file), GNSS, trajectory or a model to start from, and times."""
+    stands for it), camera (in words or a file), GNSS, trajectory (a file, or what odometry found) or a model to start
+    from, and times."""
 
     images: Path
     rig: str | None = None
     camera: str | None = None
     gnss: Path | None = None
-    trajectory: Path | None = None
+    trajectory: Path | Followed | None = None
     start: StartModel | None = None
     times: Path | None = None
     rig_text: str | None = None
@@ -54,7 +55,7 @@ class ScanInputs:
 
     def tells_order(self) -> bool:
         """Whether somebody knows when each image was taken, so that its neighbours are those in time."""
-        return self.video or self.trajectory is not None or self.times is not None
+        return self.video or isinstance(self.trajectory, Path) or self.times is not None
 
 
 def build_scene(

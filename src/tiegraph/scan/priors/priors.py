@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
@@ -36,15 +36,25 @@ class _Paths:
     started: bool = False  # by a start model
 
 
+@dataclass(frozen=True)
+class Followed:
+    """What odometry found of the images of a survey: poses (4, 4) of their rigs, each pass in a world of its own, by
+    the name of the image; whether lengths are metres."""
+
+    world_from_rig: Mapping[str, np.ndarray]
+    metric: bool
+
+
 def estimate_priors(
     frames: Frames,
     gnss: Path | None,
-    trajectory: Path | StartModel | None,
+    trajectory: Path | StartModel | Followed | None,
     times: Path | None,
     settings: ScanSettings,
     tuning: Tuning,
 ) -> Priors:
-    """Times, positions and poses of the frames from what the user has; ``trajectory`` may be a start model.
+    """Times, positions and poses of the frames from what the user has; ``trajectory`` may be a start model, or what
+    odometry found.
 
     Position priors from GNSS are those of the antenna (``Rig.antenna_m`` is applied when the model is georeferenced).
     With a trajectory too, each of its worlds is laid on the GNSS positions level, so that the frames get rotations and
@@ -60,6 +70,8 @@ def estimate_priors(
     notes += [note for _, found in files.values() for note in found.notes]
     if start is not None:
         paths: _Paths | None = _of_start(frames, start, notes, tuning.trajectory)
+    elif isinstance(trajectory, Followed):
+        paths = _of_odometry(frames, trajectory)
     else:
         paths = _paths(frames, files, time_s, settings, notes, tuning.trajectory)
     count = len(frames.rows)
@@ -79,9 +91,11 @@ def estimate_priors(
     return replace(priors, notes=tuple(notes))
 
 
-def _files(trajectory: Path | StartModel | None, sequences: Sequence[str]) -> dict[int, tuple[Path, Trajectory]]:
+def _files(
+    trajectory: Path | StartModel | Followed | None, sequences: Sequence[str]
+) -> dict[int, tuple[Path, Trajectory]]:
     """The trajectory of each pass (-1: of all) with its file."""
-    if trajectory is None or isinstance(trajectory, StartModel):
+    if trajectory is None or isinstance(trajectory, StartModel | Followed):
         return {}
     return {k: (source_of(f), read_trajectory(f)) for k, f in trajectory_files(trajectory, sequences).items()}
 
@@ -209,6 +223,15 @@ def _of_start(frames: Frames, start: StartModel, notes: list[str], tuning: Traje
     )
     notes += start.notes
     return _by_image(trajectory, start.path, frames, notes, tuning, started=True)
+
+
+def _of_odometry(frames: Frames, followed: Followed) -> _Paths:
+    poses = np.full((len(frames.rows), 4, 4), np.nan)
+    for k, row in enumerate(frames.rows):
+        found = (followed.world_from_rig.get(frames.names[i]) for i in row.images)
+        poses[k] = next((pose for pose in found if pose is not None), poses[k])
+    group = np.where(np.isnan(poses[:, 0, 0]), -1, np.maximum(frames.sequence(), 0))
+    return _Paths(poses, group, own_worlds=len(np.unique(group[group >= 0])) > 1, started=not followed.metric)
 
 
 def _frame_poses(
