@@ -82,6 +82,8 @@ class JudgeTuning(Section):
     """Cells along the longer side of the image, for the coverage and the mean residuals."""
     held_out_ratio: float = Field(1.5, gt=1)
     """Error of held-out instants over that of the adjusted ones from which it is told."""
+    agree_sigmas: float = Field(3.0, gt=0)
+    """Two calibrations differ by less, in sigmas of both: by chance more in one of 370."""
 
 
 class Tuning(Section):

@@ -1,8 +1,9 @@
-"""`tiegraph calibrate IMAGES --board BOARD -o rig.toml`: cameras and rig from images of a board."""
+"""`tiegraph calibrate IMAGES --board BOARD -o rig.toml`: cameras and rig from images of a board; `--from OUT`: as a run
+found them, beside those of a board."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +11,9 @@ import tyro
 
 from tiegraph.calibrate.settings import CalibrateSettings
 from tiegraph.cli.options import options_of
+from tiegraph.errors import SettingsError
 from tiegraph.pipeline.calibrate import calibrate as calibrate_images
+from tiegraph.pipeline.selfcalibration import self_calibration
 from tiegraph.project.progress import Reporter
 
 _DEFAULT = CalibrateSettings()
@@ -20,9 +23,13 @@ _DEFAULT = CalibrateSettings()
 class CalibrateOptions:
     """Options of `tiegraph calibrate`."""
 
-    board: str
+    board: str | None = None
     """charuco:7x5:0.04:0.03:DICT_5X5_1000 (squares across x down, side of a square and of a marker in metres,
     dictionary), checker:9x6:0.025 (inner corners, side of a square), or Kalibr's aprilgrid.yaml."""
+    run: Annotated[Path | None, tyro.conf.arg(name="from")] = None
+    """A run folder instead of images: the calibration that this survey found (as `tiegraph rig` writes it)."""
+    against: Path | None = None
+    """With --from: a rig file, such as a board's, that it is compared with."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("rig.toml")
     """The rig file to write, with a folder of its name beside it; neither may be there."""
     pool: str = "local"
@@ -37,10 +44,10 @@ def main(arguments: list[str]) -> int:
     """`tiegraph calibrate`."""
 
     def calibrate(
-        images: tyro.conf.Positional[Path],
-        options: Annotated[CalibrateOptions, tyro.conf.arg(name="")],
+        images: tyro.conf.Positional[Path | None] = None,
+        options: Annotated[CalibrateOptions, tyro.conf.arg(name="")] = CalibrateOptions(),
         settings: Annotated[CalibrateSettings, tyro.conf.arg(name="")] = _DEFAULT,
-    ) -> tuple[Path, CalibrateOptions, CalibrateSettings]:
+    ) -> tuple[Path | None, CalibrateOptions, CalibrateSettings]:
         """Calibrate a camera, or the cameras of a rig, by images of a board; --rig reads what it writes.
 
         Args:
@@ -50,6 +57,14 @@ def main(arguments: list[str]) -> int:
 
     images, options, settings = options_of(calibrate, "tiegraph calibrate", arguments)
     reporter = Reporter("json" if options.json else "quiet" if options.quiet else "auto")
+    if options.run is not None:
+        if images is not None or options.board is not None:
+            raise SettingsError("--from OUT takes the calibration of a run: leave the images and --board away")
+        rows = self_calibration(options.run, options.out, options.against, reporter)
+        reporter.event("calibrated", rig=options.out, differences=[asdict(r) for r in rows])
+        return 0
+    if images is None or options.board is None or options.against is not None:
+        raise SettingsError("give images and --board, or --from OUT (and --against RIG_FILE)")
     verdict = calibrate_images(images, options.board, options.out, settings, options.pool, reporter)
     reporter.event("calibrated", rig=options.out, advice=verdict.advice)
     return 0

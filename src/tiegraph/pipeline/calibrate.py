@@ -63,7 +63,7 @@ def calibrate(
     contradict each other or leave a focal length open; then nothing is written.
     """
     reporter, tuning = reporter or Reporter("quiet"), Tuning()
-    made = _Outputs.beside(out)
+    made = Outputs.beside(out)
     pattern = read_board(board, tuning.board)
     survey = _read_folder(images, settings, pool, reporter)
     seen = _detect(survey, pattern, tuning.board, pool, reporter)
@@ -242,14 +242,14 @@ def _corners(file: _File, board: Board, tuning: BoardTuning) -> Corners:
 
 
 @dataclass(frozen=True)
-class _Outputs:
+class Outputs:
     """The rig.toml and the folder beside it."""
 
     rig: Path
     folder: Path
 
     @classmethod
-    def beside(cls, out: Path) -> _Outputs:
+    def beside(cls, out: Path) -> Outputs:
         """Raises InputError if one of them is there, or ``out`` is no TOML file."""
         if out.suffix.lower() != ".toml":
             raise InputError(f"-o {out}: the rig is written as TOML: give a name that ends in .toml")
@@ -264,7 +264,7 @@ class _Outputs:
         return f"written: {self.rig}", f"summary: {self.folder / 'summary.md'}"
 
 
-def _write(made: _Outputs, done: Adjusted, verdict: Verdict, said: Sequence[str], tuning: Tuning) -> None:
+def _write(made: Outputs, done: Adjusted, verdict: Verdict, said: Sequence[str], tuning: Tuning) -> None:
     board, *notes = said
     names = [c.name for c in done.seen.cameras]
     rig = _rig(done, verdict)
