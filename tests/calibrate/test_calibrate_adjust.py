@@ -230,3 +230,20 @@ def test_kalibrs_file_reads_back_as_the_same_rig(tmp_path):
         np.testing.assert_allclose(sensor.body_from_sensor, transforms.invert(truth.sensor_from_rig[k]), atol=1e-12)
         np.testing.assert_allclose(sensor.params, truth.cameras[k].params)
     assert kalibr_yaml((camera("EUCM", [300, 300, 322, 243, 0.6, 1.1], SIZE),), np.eye(4)[None]) is None
+
+
+@pytest.mark.slow
+def test_the_bend_of_a_board_is_found_and_taken_out():
+    """A board that sags by 1.5 mm: held flat, it makes the lens wrong and the residuals large."""
+    place = BOARD.points[:, :2] - BOARD.points[:, :2].mean(axis=0)
+    sag = 0.0015 * (1 - np.sum(place**2, axis=1) / np.sum(place**2, axis=1).max())
+    bent = replace(BOARD, points=BOARD.points + np.outer(sag - sag.mean(), [0, 0, 1]))
+    truth = lone("OPENCV", OPENCV)
+    seen = replace(observed(bent, truth, ["one"], noise_px=0.05), board=BOARD)
+    begin = start(seen, TUNING)
+    flat, free = (adjust_robustly(seen, begin, TUNING.adjust, sigma) for sigma in (0.0, 0.001))
+    assert flat.sigma_px > 3 * free.sigma_px and 0.04 < free.sigma_px < 0.06
+    off = np.abs([f.state.cameras[0].params[0] / OPENCV[0] - 1 for f in (flat, free)])
+    assert 1e-6 < off[1] < 1e-3 and off[1] < off[0] / 2, off
+    assert 0.0 < np.sqrt(np.mean((free.bent_m[:, 2] - (sag - sag.mean())) ** 2)) < 1e-4
+    assert not flat.bent_m.any()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -28,10 +28,12 @@ class Adjusted:
     state: State
     left_out: tuple[tuple[str, str], ...]
     sigma_px: float
+    bent_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))  # (K, 3) of the board's corners from a plane
 
 
-def adjust_robustly(seen: Observations, start: State, tuning: AdjustTuning) -> Adjusted:
-    """Adjust all, leave out views that contradict the others, and adjust the rest.
+def adjust_robustly(seen: Observations, start: State, tuning: AdjustTuning, board_sigma_m: float = 0.0) -> Adjusted:
+    """Adjust all, leave out views that contradict the others, and adjust the rest; with a sigma of the board's corners
+    these too, about where a flat board has them.
 
     Raises ReconstructionError if most of a camera's contradict.
     """
@@ -48,8 +50,43 @@ def adjust_robustly(seen: Observations, start: State, tuning: AdjustTuning) -> A
         state = adjust(kept, state.at(kept.instants()), tuning, tuning.stages_px[-1:])
     scale = max(tuning.robust_sigmas * robust_sigma(view_residuals(kept, state)), tuning.least_scale_px)
     state = adjust(kept, state, tuning, (scale,))
+    flat = kept.board.points
+    if board_sigma_m > 0:
+        kept, state = _with_bent_board(kept, state, tuning, scale, board_sigma_m)
     sigma_px = robust_sigma(view_residuals(kept, state))
-    return Adjusted(seen=kept, state=state, left_out=tuple(left_out.items()), sigma_px=sigma_px)
+    left = tuple(left_out.items())
+    return Adjusted(seen=kept, state=state, left_out=left, sigma_px=sigma_px, bent_m=kept.board.points - flat)
+
+
+def _with_bent_board(
+    seen: Observations, state: State, tuning: AdjustTuning, scale_px: float, sigma_m: float
+) -> tuple[Observations, State]:
+    """Corners of the board adjusted with all else, each held to its place by a sigma. Place, turn and size of the board
+    cost the priors and gain nothing, so they stay; what a corner does that no camera explains is the board's."""
+    for _ in range(tuning.board_rounds):  # the sigma of a pixel falls once the bend is no longer in it
+        model = build(seen, state)
+        adjuster = problem(model, tuning, scale_px, points=True)
+        pixel = robust_sigma(view_residuals(seen, state))
+        kept = _add_flatness(adjuster.problem, model, sigma_m / pixel)
+        adjuster.solve()
+        del kept  # the problem only borrows them
+        points = np.array(seen.board.points)
+        for key, corner in zip(sorted(model.point3D_ids()), seen.corners()):
+            points[corner] = model.point3D(key).xyz
+        seen, state = replace(seen, board=replace(seen.board, points=points)), _state(model, state)
+        scale_px = max(tuning.robust_sigmas * robust_sigma(view_residuals(seen, state)), tuning.least_scale_px)
+    return seen, state
+
+
+def _add_flatness(problem: Any, model: pycolmap.Reconstruction, sigma: float) -> list[Any]:
+    import pyceres
+
+    kept = []
+    for point in model.points3D.values():
+        prior = pyceres.factors.NormalPrior(np.array(point.xyz), sigma**2 * np.eye(3))
+        problem.add_residual_block(prior, None, [point.xyz])
+        kept.append(prior)
+    return kept
 
 
 def _check_kept(seen: Observations, kept: Observations, left_out: dict[str, str], tuning: AdjustTuning) -> None:
@@ -105,8 +142,10 @@ def problem(
     scale_px: float,
     principal_point: bool = True,
     free: bool = True,
+    points: bool = False,
 ) -> Any:
-    """pycolmap's adjuster over all images, with the points held; ``free`` = False: cameras and rig held too."""
+    """pycolmap's adjuster over all images, with the points held unless ``points``; ``free`` = False: cameras and rig
+    held too."""
     options = pycolmap.BundleAdjustmentOptions(
         print_summary=False,
         refine_focal_length=free,
@@ -125,7 +164,7 @@ def problem(
     config = pycolmap.BundleAdjustmentConfig()
     for image in model.reg_image_ids():
         config.add_image(image)
-    for point in model.point3D_ids():
+    for point in () if points else model.point3D_ids():
         config.add_constant_point(point)
     return pycolmap.create_default_ceres_bundle_adjuster(options, config, model)
 
@@ -150,8 +189,7 @@ def build(seen: Observations, state: State) -> pycolmap.Reconstruction:
     model.add_rig(rig)
     black = np.zeros(3, np.uint8)
     # One that no image sees would end the process: it is no block of Ceres' problem, and cannot be held.
-    corners = np.unique(np.concatenate([view.corners for view in seen.views]))
-    points = {int(k): model.add_point3D(seen.board.points[k], pycolmap.Track(), black) for k in corners}
+    points = {int(k): model.add_point3D(seen.board.points[k], pycolmap.Track(), black) for k in seen.corners()}
     for frame, instant in enumerate(seen.instants(), 1):
         images = _images(seen, instant, frame, model.num_images() + 1)
         made = pycolmap.Frame(frame_id=frame, rig_id=_RIG)

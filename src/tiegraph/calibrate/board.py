@@ -32,7 +32,7 @@ _DEFAULT_DICTIONARY = "DICT_5X5_1000"
 
 @dataclass(frozen=True)
 class Board:
-    """A flat board; ``points`` (K, 3) of its corners, metres, z = 0."""
+    """A board; ``points`` (K, 3) of its corners, metres, z = 0 where it is flat."""
 
     kind: str
     counts: tuple[int, int]  # squares, inner corners or tags, across and down

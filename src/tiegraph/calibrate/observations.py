@@ -53,6 +53,10 @@ class Observations:
         """The instants at which any camera sees the board."""
         return sorted({v.instant for v in self.views})
 
+    def corners(self) -> np.ndarray:
+        """(K,) numbers of the corners that any view has, ascending."""
+        return np.unique(np.concatenate([view.corners for view in self.views]))
+
     def among(self, instants: Collection[int]) -> Observations:
         """The views of these instants."""
         return replace(self, views=tuple(v for v in self.views if v.instant in instants))

@@ -33,6 +33,7 @@ def summary(done: Adjusted, verdict: Verdict, board: str, notes: Sequence[str], 
         f"Board `{board}`, {len(done.seen.instants())} instants, {len(done.seen.views)} views. Sigma of one coordinate "
         f"of a corner: {done.sigma_px:.3f} px.",
         _SCALE,
+        *_bend(done),
         _table(("camera", *_CAMERA), cameras),
         "RMS: of one coordinate, of all corners. Held out: instants that took no part in the adjustment, to which only "
         "the place of the board was fitted.",
@@ -48,6 +49,18 @@ def summary(done: Adjusted, verdict: Verdict, board: str, notes: Sequence[str], 
         _bullets(notes),
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def _bend(done: Adjusted) -> list[str]:
+    """How far the corners were found from a flat board."""
+    if not done.bent_m.any():
+        return []
+    seen = 1000 * done.bent_m[done.seen.corners()]
+    across, inside = np.abs(seen[:, 2]), np.linalg.norm(seen[:, :2], axis=1)
+    return [
+        f"The board is not held flat: its corners were found up to {across.max():.2f} mm off its plane (RMS "
+        f"{np.sqrt(np.mean(across**2)):.2f} mm) and up to {inside.max():.2f} mm from their places in it."
+    ]
 
 
 COLUMNS = ("camera", "parameter", "value", "sigma", "strongest correlation", "with")

@@ -61,6 +61,8 @@ class AdjustTuning(Section):
     """... more than this is left out: taken at another instant, or the board read wrongly."""
     doubt_rounds: int = Field(5, ge=0)
     """Times that the worst views are left out, one an instant, and the rest adjusted again."""
+    board_rounds: int = Field(2, ge=1)
+    """Adjustments with the board's corners, where they have a sigma."""
     most_doubted: float = Field(0.5, gt=0, le=1)
     """Share of a camera's views that must stay: else board, model or instants are wrong and not the views."""
 

@@ -68,7 +68,7 @@ def calibrate(
     survey = _read_folder(images, settings, pool, reporter)
     seen = _detect(survey, pattern, tuning.board, pool, reporter)
     check_views(seen, tuning.start)
-    done = adjust_robustly(seen, start(seen, tuning), tuning.adjust)
+    done = adjust_robustly(seen, start(seen, tuning), tuning.adjust, settings.board_sigma)
     verdict = judge(done, tuning)
     _write(made, done, verdict, (board, *survey.notes), tuning)
     left_out = (f"left out: {name}: {why}" for name, why in done.left_out)
