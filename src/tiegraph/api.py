@@ -9,6 +9,7 @@ from typing import Any
 from tiegraph.design.coverage import Coverage
 from tiegraph.errors import InputError, SettingsError
 from tiegraph.pipeline import SHOTS, STAGES, foundrig
+from tiegraph.pipeline.forecast import Forecast, forecast
 from tiegraph.pipeline.inputs import check_given
 from tiegraph.project import settings as project_settings
 from tiegraph.project.folder import SETTINGS, check_format, names_run, write_settings
@@ -53,6 +54,10 @@ class Project:
         check_run(stages, run)
         check_given(stages, run)
         run_stages(stages, run, until, self.save)
+
+    def forecast(self) -> Forecast | None:
+        """What a run will need of disk and CPU time; None for videos and bags. Nothing is written."""
+        return forecast(Run(self.folder, self.inputs, self.settings, self.pool))
 
     def status(self) -> list[tuple[str, str, dict]]:
         """(stage, why it is out of date or "", its receipt) for every stage, without running."""

@@ -76,6 +76,8 @@ class RunOptions(Common):
     evaluate.tolerance_m)."""
     until: str | None = None
     """The last stage to run (default: all)."""
+    plan: bool = False
+    """Only say what the run would need (images, disk, CPU time) and make nothing."""
     preset: str | None = None
     """A named way of working: default, fast, close-range, conventional, meguro2024, meguro2025."""
 
@@ -107,7 +109,21 @@ def main(arguments: list[str]) -> int:
     inputs = {n: getattr(options, n) for n in ("rig", "camera", "gnss", "trajectory", "start", "times", *SETTING_OF)}
     how = {"preset": options.preset, "pool": options.pool, "unset": options.unset}
     project = open_project(images, options.out, settings=settings, **how, **inputs)
+    if options.plan:
+        return _forecast(project, options.reporter())
     return finish(project, options.until, options.reporter())
+
+
+def _forecast(project: Project, reporter: Reporter) -> int:
+    """Say what a run would need."""
+    found = project.forecast()
+    if found is None:
+        reporter.say("the frames of videos and bags are counted by the stage scan: run --until scan, then ask again")
+        return 0
+    for line in found.lines(project.folder):
+        reporter.say(line)
+    reporter.event("forecast", **found.cost.row(), there_bytes=found.there_bytes, free_bytes=found.free_bytes)
+    return 0 if found.enough() else 1
 
 
 def main_stage(stage: str, arguments: list[str], kind: type[Common] = Common, about: str = "") -> int:

@@ -15,13 +15,20 @@ class Effort:
     way_m: float
     site_s: float | None
     image_bytes: float
-    run_bytes: float
+    model_bytes: float  # of the run folder up to georef
+    dense_bytes: float  # depth maps and cloud on top
+    scratch_bytes: float  # while sparse works
     sparse_cpu_s: float  # from the images to the georeferenced model, one core
     dense_cpu_s: float  # depth maps and cloud on top
 
+    @property
+    def run_bytes(self) -> float:
+        """Of the run folder in the end."""
+        return self.model_bytes + self.dense_bytes
+
     def row(self) -> dict[str, float | None]:
         """JSON-ready."""
-        return dict(self.__dict__)
+        return {**self.__dict__, "run_bytes": self.run_bytes}
 
 
 def effort(
@@ -30,12 +37,16 @@ def effort(
     """Cost of so many frames of cameras of these sizes (width, height), pixels."""
     pixels = frames * sum(width * height for width, height in sizes)
     images, megapixels = frames * len(sizes), pixels / 1e6
+    each = (min(tuning.features_a_megapixel * w * h / 1e6, tuning.most_features) for w, h in sizes)
+    features = frames * sum(each)
     return Effort(
         images=images,
         way_m=way_m,
         site_s=None if speed_m_s is None else way_m / speed_m_s,
         image_bytes=tuning.image_bytes * pixels,
-        run_bytes=tuning.run_bytes * pixels,
+        model_bytes=tuning.room_bytes * images + tuning.feature_bytes * features,
+        dense_bytes=tuning.dense_bytes * pixels,
+        scratch_bytes=tuning.copied_bytes * features,
         sparse_cpu_s=tuning.start_s + tuning.image_s * images + tuning.megapixel_s * megapixels,
         dense_cpu_s=tuning.dense_megapixel_s * megapixels,
     )

@@ -22,8 +22,19 @@ class EffortTuning(Section):
     """Of a megapixel in `dense` and `cloud`: whole_way.json, canal, 221 s for 92 megapixels."""
     image_bytes: float = Field(0.3, gt=0)
     """Of a pixel as JPEG: canal 0.27, PandaSet 0.13; cameras set to their finest write up to 0.6."""
-    run_bytes: float = Field(7.5, gt=0)
-    """Of a pixel in a run folder with depth maps, cloud and report: canal_demo 7.7 (1.7 of them up to `georef`)."""
+    room_bytes: float = Field(110e3, gt=0)
+    """Of an image in the run folder up to `georef`: preview, masks, its part of the tables; and ..."""
+    feature_bytes: float = Field(250.0, gt=0)
+    """... of each of its features, in the database and the model."""
+    features_a_megapixel: float = Field(5600.0, gt=0)
+    """Features, up to `most_features`. Of ten sets the room up to `georef` is met within a factor of 2: kB an image
+    canal_demo 323 measured, 348 so, canal 523 and 544, KITTI 1025 and 740, PandaSet 395 and 838, P8 1004 and 1134."""
+    copied_bytes: float = Field(160.0, gt=0)
+    """Of a feature, in the copy of the database that `sparse` works on."""
+    most_features: int = Field(4096, gt=0)
+    """As `features.max_features`."""
+    dense_bytes: float = Field(6.0, gt=0)
+    """Of a pixel: depth maps and cloud, three files; canal_demo 7.0, kerry_park, half of whose images are placed, 0.5."""
 
 
 class StationTuning(Section):

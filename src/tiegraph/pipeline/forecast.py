@@ -1,0 +1,75 @@
+"""What a run will need before it begins: images, disk, CPU time."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from tiegraph.plan.effort import Effort, effort
+from tiegraph.plan.tuning import EffortTuning
+from tiegraph.project.run import Run
+from tiegraph.scene.bags.topics import is_bag, source_of, split_topics
+from tiegraph.scene.images import probe_image, search_images
+
+_PROBED = 40  # images whose size stands for all
+_GB = 1e9
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What a survey costs, and the disk of its run folder: bytes that are there already, and that are free."""
+
+    cost: Effort
+    there_bytes: int
+    free_bytes: int
+
+    def needed_bytes(self) -> float:
+        """What is still to be written, with what is only there for a while."""
+        return max(self.cost.run_bytes + self.cost.scratch_bytes - self.there_bytes, 0.0)
+
+    def enough(self) -> bool:
+        """Whether the disk has room for it."""
+        return self.needed_bytes() < self.free_bytes
+
+    def lines(self, folder: Path) -> list[str]:
+        """For people."""
+        cost = self.cost
+        cpu = (cost.sparse_cpu_s / 3600, cost.dense_cpu_s / 3600)
+        verdict = "enough" if self.enough() else "NOT ENOUGH: give -o on another disk, or stop before dense by --until"
+        return [
+            f"images: {cost.images}",
+            f"disk: about {_gb(cost.model_bytes)} to georef, {_gb(cost.dense_bytes)} more with depth maps and cloud "
+            f"(within a factor of two), and {_gb(cost.scratch_bytes)} for a while during sparse; "
+            f"{_gb(self.there_bytes)} are there, {_gb(self.free_bytes)} free at {folder}: {verdict}",
+            f"CPU time: about {cpu[0]:.2g} h to georef, {cpu[1]:.2g} h more with depth maps and cloud, of one core of "
+            "an AMD EPYC (the larger part runs on all cores)",
+        ]
+
+
+def forecast(run: Run) -> Forecast | None:
+    """The cost of a run by the sizes of some of its images; None where they are frames of videos or bags, which only
+    `scan` counts. Nothing is written. Raises InputError for folders without images."""
+    source = split_topics(run.inputs.images)[0]
+    if is_bag(source):
+        return None
+    found = search_images(source_of(run.inputs.images))
+    some = found.names[:: max(len(found.names) // _PROBED, 1)]
+    probes = [probe_image(source / name, run.settings.tuning.scene.images) for name in some]
+    sizes = [(p.width, p.height) for p in probes if not p.reason]
+    if not sizes:
+        return None
+    tuning = EffortTuning(most_features=run.settings.features.max_features)
+    count = len(found.names)
+    cost = effort((sizes * (count // len(sizes) + 1))[:count], 1, 0.0, None, tuning)
+    where = next(p for p in (run.folder, *run.folder.parents) if p.exists())
+    return Forecast(cost, _size(run.folder), shutil.disk_usage(where).free)
+
+
+def _size(folder: Path) -> int:
+    files = (p for p in folder.rglob("*") if p.is_file() and not p.is_symlink()) if folder.is_dir() else ()
+    return sum(p.stat().st_size for p in files)
+
+
+def _gb(size: float) -> str:
+    return f"{size / _GB:.2g} GB"
