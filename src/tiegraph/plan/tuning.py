@@ -34,7 +34,7 @@ class EffortTuning(Section):
     most_features: int = Field(4096, gt=0)
     """As `features.max_features`."""
     dense_bytes: float = Field(6.0, gt=0)
-    """Of a pixel: depth maps and cloud, three files; canal_demo 7.0, kerry_park, half of whose images are placed, 0.5."""
+    """Of a pixel: depth maps and cloud, three files; canal_demo 7.0, kerry_park, half of it placed, 0.5."""
 
 
 class StationTuning(Section):
