@@ -15,8 +15,9 @@ from pathlib import Path
 from tiegraph.pipeline.cloud import cloud
 from tiegraph.pipeline.dense import dense
 from tiegraph.pipeline.files import FINAL
+from tiegraph.project.inputs import Inputs
 from tiegraph.project.progress import Meter
-from tiegraph.project.run import Inputs, Run
+from tiegraph.project.run import Run
 from tiegraph.project.settings import Settings
 
 _NEEDED = ("scene.json", "world.json", "sparse", "images", "masks", FINAL, "network")

@@ -38,7 +38,8 @@ from tiegraph.network.network import Network, join_network
 from tiegraph.network.passes import MatchCache
 from tiegraph.pipeline import coarse as coarse_glue
 from tiegraph.pipeline.candidates import _Descriptors
-from tiegraph.project.run import Inputs, Run
+from tiegraph.project.inputs import Inputs
+from tiegraph.project.run import Run
 from tiegraph.project.settings import Settings
 from tiegraph.scene.pairs import Pairs
 

@@ -13,8 +13,9 @@ from tiegraph.pipeline.forecast import Forecast, forecast
 from tiegraph.pipeline.inputs import check_given
 from tiegraph.project import settings as project_settings
 from tiegraph.project.folder import SETTINGS, check_format, names_run, write_settings
+from tiegraph.project.inputs import FOLLOW, Inputs
 from tiegraph.project.progress import Reporter
-from tiegraph.project.run import FOLLOW, Inputs, Run, check_run, run_stages, status
+from tiegraph.project.run import Run, check_run, let_go, run_stages, status
 from tiegraph.project.settings import SETTING_OF, Settings
 from tiegraph.project.stages import Stage
 from tiegraph.scene.bags.topics import source_of
@@ -54,6 +55,12 @@ class Project:
         check_run(stages, run)
         check_given(stages, run)
         run_stages(stages, run, until, self.save)
+
+    def let_go(self) -> int:
+        """Remove the depth maps of a finished survey, by far its largest files; the bytes that this freed.
+
+        All else stays up to date; they are made again when a stage or ``export`` needs them."""
+        return let_go(STAGES, Run(self.folder, self.inputs, self.settings, self.pool))
 
     def forecast(self) -> Forecast | None:
         """What a run will need of disk and CPU time; None for videos and bags. Nothing is written."""

@@ -10,7 +10,8 @@ import pytest
 from tiegraph.network.coarse.bases import metres_per_unit, with_bases
 from tiegraph.network.sections.light import UpLight
 from tiegraph.pipeline import network as glue
-from tiegraph.project.run import Inputs, Run
+from tiegraph.project.inputs import Inputs
+from tiegraph.project.run import Run
 from tiegraph.project.settings import Settings
 from tiegraph.scene.matches import PreviewMatches, Visibility
 from tiegraph.scene.pairs import Pairs

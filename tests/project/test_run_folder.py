@@ -12,7 +12,8 @@ from tiegraph.errors import EngineMissing, InputError, SettingsError, Unreadable
 from tiegraph.pipeline import STAGES as REAL
 from tiegraph.project.artefacts import Artefacts
 from tiegraph.project.folder import check_folder, check_inputs, working_in, write_settings
-from tiegraph.project.run import Inputs, Run, run_stages, status
+from tiegraph.project.inputs import Inputs
+from tiegraph.project.run import Run, run_stages, status
 from tiegraph.project.settings import Settings as RealSettings
 from tiegraph.project.stages import Outcome, Stage, write_atomic
 from tiegraph.scene.atomic import JOURNAL, MARK, claim, replacing

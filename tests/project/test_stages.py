@@ -8,8 +8,9 @@ from pydantic import Field
 
 from tiegraph.errors import InputError
 from tiegraph.project.folder import working_in
+from tiegraph.project.inputs import Inputs
 from tiegraph.project.pool import map_items, open_pool
-from tiegraph.project.run import Inputs, Run, run_stages, status
+from tiegraph.project.run import Run, let_go, run_stages, status
 from tiegraph.project.stages import Outcome, Stage, stage_keys, write_atomic
 from tiegraph.settings import Section
 
@@ -230,3 +231,34 @@ def test_pools_give_the_same_results_in_order(spec):
         assert map_items(executor, workers, square, list(range(12)), (2,)) == [x * x for x in range(12)]
         with pytest.raises(InputError, match="unlucky"):
             map_items(executor, workers, square, list(range(20)), (2,))
+
+
+PASSING = (Stage("first", first, (), ("first",), "file", passing=True), *STAGES[1:])
+
+
+def test_files_that_were_let_go_are_missed_by_nobody_until_a_stage_needs_them(make):
+    run_stages(PASSING, make())
+    before = make().receipts.read("first")["made"]
+    assert let_go(PASSING, make()) == 3 and not list(make().path("first").glob("*"))
+    assert make().path("third.txt").exists() and [why for _, why, _ in status(PASSING, make())] == ["", "", ""]
+    assert run_stages(PASSING, make()) == [] and let_go(PASSING, make()) == 0
+    make().path("third.txt").unlink()
+    assert run_stages(PASSING, make()) == ["first", "third"]
+    assert make().receipts.read("first")["made"] == before and make().path("first", "2.txt").exists()
+    assert let_go(PASSING, make()) == 3
+    assert run_stages(PASSING, make(), until="first") == ["first"]  # asked for
+
+
+def test_nothing_is_let_go_that_a_stage_still_needs(make):
+    run_stages(PASSING, make(), until="first")
+    assert let_go(PASSING, make()) == 0
+    run_stages(PASSING, make())
+    make().path("third.txt").unlink()
+    assert let_go(PASSING, make()) == 0 and make().path("first", "0.txt").exists()
+
+
+def test_files_of_the_user_stay_where_others_are_let_go(make):
+    run_stages(PASSING, make())
+    make().path("first", "mine.txt").write_text("notes")
+    let_go(PASSING, make())
+    assert [p.name for p in make().path("first").iterdir()] == ["mine.txt"]

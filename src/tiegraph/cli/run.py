@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import tyro
 from pydantic import ValidationError, create_model
@@ -76,6 +76,8 @@ class RunOptions(Common):
     evaluate.tolerance_m)."""
     until: str | None = None
     """The last stage to run (default: all)."""
+    keep: Literal["all", "results"] = "all"
+    """results: remove the depth maps at the end; they are made again when something needs them."""
     plan: bool = False
     """Only say what the run would need (images, disk, CPU time) and make nothing."""
     preset: str | None = None
@@ -111,7 +113,10 @@ def main(arguments: list[str]) -> int:
     project = open_project(images, options.out, settings=settings, **how, **inputs)
     if options.plan:
         return _forecast(project, options.reporter())
-    return finish(project, options.until, options.reporter())
+    code = finish(project, options.until, options.reporter())
+    if options.keep == "results" and (freed := project.let_go()):
+        options.reporter().say(f"depth maps removed as ordered (--keep results): {freed / 1e9:.2g} GB are free again")
+    return code
 
 
 def _forecast(project: Project, reporter: Reporter) -> int:

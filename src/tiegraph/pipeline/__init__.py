@@ -64,7 +64,7 @@ STAGES = (
            scratch=("sparse/.world",), tuned=("scene", "sfm")),
     _stage("refine", ("masks", "georef"), ("refine/masks", "refine/classes"), "image", version=3,
            tuned=("masks", "sfm")),
-    _stage("dense", ("georef", "refine"), ("depth",), "image", version=5),
+    _stage("dense", ("georef", "refine"), ("depth",), "image", version=5, passing=True),
     _stage("cloud", ("dense",), ("cloud.copc.laz", "cloud.laz", "cloud.ply"), version=2, scratch=(".tiles",),
            tuned=("evaluate",)),
     _stage("evaluate", ("filter", "georef", "refine", "dense", "cloud"), ("metrics.json", "accuracy.csv", "evaluate"),

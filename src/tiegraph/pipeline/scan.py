@@ -12,7 +12,8 @@ from tiegraph.pipeline.foundrig import rig_of_run
 from tiegraph.pipeline.inputs import check_against
 from tiegraph.pipeline.odometry import followed
 from tiegraph.pipeline.videos import photographs
-from tiegraph.project.run import FOLLOW, Run
+from tiegraph.project.inputs import FOLLOW
+from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
 from tiegraph.scan.calibration import start_cameras
 from tiegraph.scan.priors.startmodel import read_start

@@ -28,6 +28,7 @@ from tiegraph.project.receipts import Receipts
 from tiegraph.project.stages import Outcome, Stage
 from tiegraph.scene.atomic import JOURNAL
 
+_LET_GO = "files let go"
 OTHER_KEY = "its inputs or settings changed"
 _SHOWN = 3
 
@@ -48,7 +49,7 @@ class Artefacts:
         reads those whose size and time are as they were."""
         self._troubles = {}
         for stage in self._stages:
-            for name, what in self._differences(stage, thorough):
+            for name, what in () if self.is_let_go(stage) else self._differences(stage, thorough):
                 for own in {stage.name, self._maker(name)} - {""}:
                     self._troubles.setdefault(own, {})[name] = what
         return bool(self._troubles)
@@ -75,6 +76,23 @@ class Artefacts:
         if anew:
             return f"{anew[0]} was made anew"
         return next((f"{name} {what}" for name, what in self._troubles.get(stage.name, {}).items()), "")
+
+    def let_go(self, stage: Stage) -> int:
+        """Remove the files of a stage that is up to date, which stays so until another needs them; their bytes.
+
+        Its receipt says so first: a stage whose files are missing by order is never taken for damaged.
+        """
+        receipt, files = self.receipts.read(stage.name), self.receipts.files(stage.name) or {}
+        own = [n for n in files if covered(n, stage.makes) and (self.folder / n).exists()]
+        size = sum((self.folder / n).stat().st_size for n in own)
+        self.receipts.write(stage.name, {**receipt, _LET_GO: True})
+        take_away(self.folder, own)
+        self.receipts.write_files(stage.name, {n: e for n, e in files.items() if n not in set(own)})
+        return size
+
+    def is_let_go(self, stage: Stage) -> bool:
+        """Whether the files of a stage were removed by ``let_go``."""
+        return bool(self.receipts.read(stage.name).get(_LET_GO))
 
     def strangers(self, stage: Stage) -> list[str]:
         """Files where a stage's artefacts go that it did not make."""

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import json
 import logging
-import re
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
-from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -18,107 +16,16 @@ from tiegraph.child import end_helpers
 from tiegraph.errors import EngineMissing, InputError, SettingsError, TiegraphError, UnreadableArtefact
 from tiegraph.limits import explained
 from tiegraph.project.artefacts import OTHER_KEY, Artefacts
-from tiegraph.project.folder import LOG, check_folder, check_inputs, names_run, working_in
+from tiegraph.project.folder import LOG, check_folder, check_inputs, working_in
+from tiegraph.project.inputs import Inputs
 from tiegraph.project.pool import Place, check_pool, map_items, open_pool
 from tiegraph.project.progress import Elsewhere, Meter, Reporter
 from tiegraph.project.receipts import Receipts
 from tiegraph.project.software import software
-from tiegraph.project.stages import Stage, changed_parts, digest, engines, key_parts, stage_keys, stamp, write_atomic
-from tiegraph.scene.bags.topics import is_bag, source_of, split_topics
-from tiegraph.scene.images import searched
-from tiegraph.scene.regular import names_file, regular
-from tiegraph.scene.startplace import find_start
+from tiegraph.project.stages import Stage, changed_parts, engines, key_parts, stage_keys, write_atomic
+from tiegraph.scene.bags.topics import source_of
 
 log = logging.getLogger("tiegraph")
-
-FOLLOW = Path("auto")
-"""A trajectory that is made by odometry from the survey's own images."""
-
-_IMAGES = "the image folder"  # what the user calls it in messages; the other inputs are options
-
-
-@dataclass(frozen=True)
-class Inputs:
-    """What a user hands to a run."""
-
-    images: Path
-    rig: str | None = None
-    gnss: Path | None = None
-    trajectory: Path | None = None  # FOLLOW: made by odometry
-    times: Path | None = None
-    camera: str | None = None  # a calibration in words, or its file
-    start: Path | None = None  # a model to go on from
-
-    def key(self) -> str:
-        """Hash over names, sizes and times of all inputs."""
-        of = self.parts()
-        files = [of[n] for n in ("--gnss", "--trajectory", "--times", *(("--start",) if self.start else ()))]
-        return digest([of[_IMAGES][0], *of["--rig"], [of[_IMAGES][1], *files], *of["--camera"]])
-
-    def parts(self) -> dict[str, Any]:
-        """Names, sizes and times of each input, by what the user calls it; None for what is not given."""
-        rig = _rig_stamp(Path(self.rig)) if self.rig and Path(self.rig).exists() else None
-        camera = [self.camera, *(stamp(Path(self.camera)) if names_file(self.camera) else [])] if self.camera else []
-        files = self._files()
-        return {
-            _IMAGES: [str(self.images), stamp(searched(source_of(self.images)))],
-            "--rig": [self.rig, rig],
-            "--camera": camera,
-            **{option: _stamp(path) if path else None for option, path in files.items()},
-            **({"--trajectory": str(FOLLOW)} if self.trajectory == FOLLOW else {}),
-        }
-
-    def given(self) -> dict[str, Path]:
-        """What the user calls each input -> where it is."""
-        rig = Path(self.rig) if self.rig and Path(self.rig).exists() else None
-        camera = Path(self.camera) if self.camera and names_file(self.camera) else None
-        files = {
-            "--rig": rig,
-            "--camera": camera,
-            **self._files(),
-        }
-        images = searched(source_of(self.images))
-        return {_IMAGES: images, **{n: source_of(p) for n, p in files.items() if p is not None}}
-
-    def check(self) -> None:
-        """Raise InputError for an input that is not there."""
-        images = source_of(self.images)
-        if not images.exists():
-            raise InputError(f"{images}: no such folder; give the folder that holds the survey's images")
-        if not images.is_dir() and not is_bag(images):
-            raise InputError(f"{images} is a file; give the folder that holds the survey's images")
-        for option, path in self._files().items():
-            if path is not None and not source_of(path).exists():
-                raise InputError(f"{option} {path}: no such file or folder")
-        if self.start is not None and self.trajectory is not None:
-            raise InputError(
-                f"--start {self.start} and --trajectory {self.trajectory}: both give poses: leave one out (if it is "
-                "stored, by --unset start or --unset trajectory)"
-            )
-
-    def _files(self) -> dict[str, Path | None]:
-        trajectory = None if self.trajectory == FOLLOW else self.trajectory
-        files = {"--gnss": self.gnss, "--trajectory": trajectory, "--times": self.times, "--start": self.start}
-        with suppress(InputError, OSError):  # of a project folder only the model is read; reading says if there is none
-            files["--start"] = None if self.start is None else find_start(self.start)[1]
-        return files
-
-
-def _stamp(path: Path) -> Any:
-    """Of a file or folder, and the topics of a bag that its path names."""
-    source, topics = split_topics(path)
-    return [list(topics), stamp(source)] if topics else stamp(source)
-
-
-def _rig_stamp(rig: Path) -> Any:
-    """Of a rig file and the files it names, or of the receipts of the stages of another run that its rig comes from."""
-    if names_run(str(rig)):
-        return [stamp(rig / "receipts" / f"{stage}.json") for stage in ("sparse", "georef")]
-    try:
-        named = re.findall(r"\bfile\s*=\s*[\"']([^\"']+)", regular(rig).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError):
-        named = []
-    return [stamp(rig), *(stamp(rig.parent / n) for n in named)] if named else stamp(rig)
 
 
 class Run:
@@ -236,7 +143,7 @@ def run_stages(
 def _run_through(wanted: list[Stage], keys: dict[str, str], run: Run, artefacts: Artefacts, ran: list[str]) -> bool:
     """Run what is out of date; False if a stage could not read what another had made, which is then out of date."""
     for stage in wanted:
-        if not artefacts.why(stage, keys[stage.name]):
+        if not artefacts.why(stage, keys[stage.name]) and not _wanted_back(stage, wanted, keys, artefacts):
             if stage.name not in ran:
                 run.reporter.say(f"{stage.name:>9}  up to date")
                 run.reporter.event("skipped", stage=stage.name)
@@ -252,6 +159,27 @@ def _run_through(wanted: list[Stage], keys: dict[str, str], run: Run, artefacts:
             raise
         ran.append(stage.name)
     return True
+
+
+def _wanted_back(stage: Stage, wanted: list[Stage], keys: dict[str, str], artefacts: Artefacts) -> bool:
+    """Whether the files of a stage were let go and are needed: by a stage that is out of date, or asked for."""
+    if not artefacts.is_let_go(stage):
+        return False
+    after = [s for s in wanted if stage.name in s.needs]
+    return not after or any(artefacts.why(s, keys[s.name]) for s in after)
+
+
+def let_go(stages: Sequence[Stage], run: Run) -> int:
+    """Remove what serves no stage any more, where all that need it are up to date; the bytes that this freed."""
+    keys, artefacts, freed = stage_keys(stages, run.settings, run.inputs.key()), Artefacts(run.folder, stages), 0
+    with working_in(run.folder):
+        artefacts.look()
+        for stage in stages:
+            others = [s for s in stages if stage.name in s.needs]
+            done = not any(artefacts.why(s, keys[s.name]) for s in (stage, *others))
+            if stage.passing and done and not artefacts.is_let_go(stage):
+                freed += artefacts.let_go(stage)
+    return freed
 
 
 _TRIES = 3

@@ -1,0 +1,106 @@
+"""What a user hands to a run, and by what a change of it is noticed."""
+
+from __future__ import annotations
+
+import re
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tiegraph.errors import InputError
+from tiegraph.project.folder import names_run
+from tiegraph.project.stages import digest, stamp
+from tiegraph.scene.bags.topics import is_bag, source_of, split_topics
+from tiegraph.scene.images import searched
+from tiegraph.scene.regular import names_file, regular
+from tiegraph.scene.startplace import find_start
+
+FOLLOW = Path("auto")
+"""A trajectory that is made by odometry from the survey's own images."""
+
+_IMAGES = "the image folder"  # what the user calls it in messages; the other inputs are options
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What a user hands to a run."""
+
+    images: Path
+    rig: str | None = None
+    gnss: Path | None = None
+    trajectory: Path | None = None  # FOLLOW: made by odometry
+    times: Path | None = None
+    camera: str | None = None  # a calibration in words, or its file
+    start: Path | None = None  # a model to go on from
+
+    def key(self) -> str:
+        """Hash over names, sizes and times of all inputs."""
+        of = self.parts()
+        files = [of[n] for n in ("--gnss", "--trajectory", "--times", *(("--start",) if self.start else ()))]
+        return digest([of[_IMAGES][0], *of["--rig"], [of[_IMAGES][1], *files], *of["--camera"]])
+
+    def parts(self) -> dict[str, Any]:
+        """Names, sizes and times of each input, by what the user calls it; None for what is not given."""
+        rig = _rig_stamp(Path(self.rig)) if self.rig and Path(self.rig).exists() else None
+        camera = [self.camera, *(stamp(Path(self.camera)) if names_file(self.camera) else [])] if self.camera else []
+        files = self._files()
+        return {
+            _IMAGES: [str(self.images), stamp(searched(source_of(self.images)))],
+            "--rig": [self.rig, rig],
+            "--camera": camera,
+            **{option: _stamp(path) if path else None for option, path in files.items()},
+            **({"--trajectory": str(FOLLOW)} if self.trajectory == FOLLOW else {}),
+        }
+
+    def given(self) -> dict[str, Path]:
+        """What the user calls each input -> where it is."""
+        rig = Path(self.rig) if self.rig and Path(self.rig).exists() else None
+        camera = Path(self.camera) if self.camera and names_file(self.camera) else None
+        files = {
+            "--rig": rig,
+            "--camera": camera,
+            **self._files(),
+        }
+        images = searched(source_of(self.images))
+        return {_IMAGES: images, **{n: source_of(p) for n, p in files.items() if p is not None}}
+
+    def check(self) -> None:
+        """Raise InputError for an input that is not there."""
+        images = source_of(self.images)
+        if not images.exists():
+            raise InputError(f"{images}: no such folder; give the folder that holds the survey's images")
+        if not images.is_dir() and not is_bag(images):
+            raise InputError(f"{images} is a file; give the folder that holds the survey's images")
+        for option, path in self._files().items():
+            if path is not None and not source_of(path).exists():
+                raise InputError(f"{option} {path}: no such file or folder")
+        if self.start is not None and self.trajectory is not None:
+            raise InputError(
+                f"--start {self.start} and --trajectory {self.trajectory}: both give poses: leave one out (if it is "
+                "stored, by --unset start or --unset trajectory)"
+            )
+
+    def _files(self) -> dict[str, Path | None]:
+        trajectory = None if self.trajectory == FOLLOW else self.trajectory
+        files = {"--gnss": self.gnss, "--trajectory": trajectory, "--times": self.times, "--start": self.start}
+        with suppress(InputError, OSError):  # of a project folder only the model is read; reading says if there is none
+            files["--start"] = None if self.start is None else find_start(self.start)[1]
+        return files
+
+
+def _stamp(path: Path) -> Any:
+    """Of a file or folder, and the topics of a bag that its path names."""
+    source, topics = split_topics(path)
+    return [list(topics), stamp(source)] if topics else stamp(source)
+
+
+def _rig_stamp(rig: Path) -> Any:
+    """Of a rig file and the files it names, or of the receipts of the stages of another run that its rig comes from."""
+    if names_run(str(rig)):
+        return [stamp(rig / "receipts" / f"{stage}.json") for stage in ("sparse", "georef")]
+    try:
+        named = re.findall(r"\bfile\s*=\s*[\"']([^\"']+)", regular(rig).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError):
+        named = []
+    return [stamp(rig), *(stamp(rig.parent / n) for n in named)] if named else stamp(rig)
