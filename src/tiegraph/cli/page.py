@@ -13,7 +13,7 @@ inputs:
   --rig RIG         rig.toml, rig_config.json, OUT of another run, ring:N, ...
   --camera CAMERA   a single camera's calibration: a file, or MODEL,parameters
   --gnss FILE       CSV, NMEA, .pos, GPX, KML, geo.txt, SBET, MRK, a ROS bag
-  --trajectory PATH TUM, EuRoC, KITTI, transforms.json, COLMAP model, ROS bag
+  --trajectory PATH TUM, EuRoC, KITTI, COLMAP, ...; auto: odometry of the images
   --start MODEL     go on from COLMAP, OpenSfM/ODM, nerfstudio or Metashape
   --gcp, --marks    control and check points; their marks, if in another file
   --times CSV       frames' times where EXIF has none: pass, frame, time
@@ -21,9 +21,9 @@ inputs:
 options:
   -o, --out OUT     the run folder (default: <IMAGES>_tiegraph beside them)
   --tolerance M     is it so good in the world, metres? yes, no, or why not told
-  --until STAGE     the last stage to run (default: all)
+  --until STAGE     the last stage to run; --plan: say what disk and time it needs
   --preset NAME     fast, close-range, conventional, meguro2024 or meguro2025
-  --unset KEY       forget a stored input or setting: gnss, masks.folder
+  --unset KEY       forget a stored input or setting; --keep results: no depths
   --pool POOL       serial, local, local:<workers> or dask:<address>
   --json, --quiet   one JSON object a line instead of text; nothing but errors
   -h, --help        this page; --help-all: all, as --scan.crs, --masks.folder"""

@@ -54,7 +54,7 @@ VERBS: dict[str, Verb] = {
     "export": Verb("the depth maps as a dense workspace for COLMAP's stereo_fusion", "export"),
     "doctor": Verb("versions, cores, memory, disk, and what is missing", "doctor"),
     # The stages, as in pipeline.STAGES (tests/cli/test_cli_verbs.py holds them together).
-    "scan": Verb("stage: makes scene.json, images", "run", "scan"),
+    "scan": Verb("stage: makes scene.json, images, odometry", "run", "scan"),
     "masks": Verb("stage: makes masks, classes, masks.csv; --compare FOLDER: against true masks", "masks"),
     "preview": Verb("stage: makes preview", "run", "preview"),
     "candidates": Verb("stage: makes candidates.npz, candidates", "run", "candidates"),
