@@ -21,7 +21,7 @@ inputs:
 options:
   -o, --out OUT     the run folder (default: <IMAGES>_tiegraph beside them)
   --tolerance M     is it so good in the world, metres? yes, no, or why not told
-  --until STAGE     the last stage to run; --plan: say what disk and time it needs
+  --until STAGE     the last stage to run; --plan: say what room, time it needs
   --preset NAME     fast, close-range, conventional, meguro2024 or meguro2025
   --unset KEY       forget a stored input or setting; --keep results: no depths
   --pool POOL       serial, local, local:<workers> or dask:<address>
