@@ -66,7 +66,7 @@ class Corridor:
         for box in range(len(self.boxes_m)):
             window = self._window(box, k, cam_from_world, x.shape, n)
             if window is not None:
-                self._enter(box, origin, inverse[:, *window], depth[window], face[window])
+                self._enter(box, origin, inverse[(slice(None), *window)], depth[window], face[window])
         return depth, face, direction
 
     def _window(
