@@ -39,29 +39,34 @@ class Corridor:
         n = _OVERSAMPLE
         depth, face, direction = self._cast(camera, cam_from_world, n)
         hit = np.isfinite(depth)
-        points = transforms.centre(cam_from_world).astype(np.float32) + np.where(hit, depth, 0)[..., None] * direction
-        colour = np.where(hit[..., None], self._texture(points, face), np.array(SKY_BGR, np.float32))
-        image = colour.reshape(camera.height, n, camera.width, n, 3).mean(axis=(1, 3))
-        return np.clip(image + 0.5, 0, 255).astype(np.uint8)
+        centre = transforms.centre(cam_from_world).astype(np.float32)
+        points = centre[:, None, None] + np.where(hit, depth, 0) * direction
+        colour = np.where(hit, self._texture(points, face), np.array(SKY_BGR, np.float32)[:, None, None])
+        image = sum(colour[:, i::n, j::n] for i in range(n) for j in range(n)) / np.float32(n * n)
+        return np.clip(image + 0.5, 0, 255).astype(np.uint8).transpose(1, 2, 0).copy()
 
     def depth_m(self, camera: pycolmap.Camera, cam_from_world: np.ndarray) -> np.ndarray:
         """Depth (H, W) f4 along the optical axis at the pixel centres, inf = sky."""
         return self._cast(camera, cam_from_world, 1)[0]
 
     def _cast(self, camera: pycolmap.Camera, cam_from_world: np.ndarray, n: int) -> tuple[np.ndarray, ...]:
-        """Depth (h, w), face (h, w) = 6 * box + 2 * axis + side, direction (h, w, 3) at n x n points a pixel."""
+        """Depth (h, w), face (h, w) = 6 * box + 2 * axis + side, direction (3, h, w) at n x n points a pixel. Planes of
+        one axis each: numpy is slow along an axis of three."""
         k = camera.calibration_matrix()
         u, v = ((np.arange(length * n) + 0.5) / n for length in (camera.width, camera.height))
         x, y = np.meshgrid((u - k[0, 2]) / k[0, 0], (v - k[1, 2]) / k[1, 1])
         world_from_cam = transforms.invert(cam_from_world)
         # Depth 1 along the axis = length 1 of these directions, so the ray parameter is the depth itself.
-        direction = (np.stack([x, y, np.ones_like(x)], axis=-1) @ world_from_cam[:3, :3].T).astype(np.float32)
+        direction = np.stack([x, y, np.ones_like(x)], axis=-1) @ world_from_cam[:3, :3].T
+        direction = np.moveaxis(direction, -1, 0).astype(np.float32, order="C")
         origin = world_from_cam[:3, 3].astype(np.float32)
+        with np.errstate(divide="ignore"):
+            inverse = 1 / direction
         depth, face = np.full(x.shape, np.inf, np.float32), np.full(x.shape, -1)
         for box in range(len(self.boxes_m)):
             window = self._window(box, k, cam_from_world, x.shape, n)
             if window is not None:
-                self._enter(box, origin, direction[window], depth[window], face[window])
+                self._enter(box, origin, inverse[(slice(None), *window)], depth[window], face[window])
         return depth, face, direction
 
     def _window(
@@ -79,41 +84,43 @@ class Corridor:
         low, high = np.maximum(low, 0), np.minimum(high, shape[::-1])
         return (slice(low[1], high[1]), slice(low[0], high[0])) if (low < high).all() else None
 
-    def _enter(self, box: int, origin: np.ndarray, direction: np.ndarray, depth: np.ndarray, face: np.ndarray) -> None:
-        """Put a box into the views ``depth`` and ``face`` where its surface is the nearest so far (slab method)."""
-        with np.errstate(divide="ignore"):
-            inverse = 1 / direction
-        low, high = self.boxes_m[box].astype(np.float32)
-        t0, t1 = (low - origin) * inverse, (high - origin) * inverse
-        near = np.minimum(t0, t1)
-        enter = near.max(axis=-1)
-        closer = (enter > 0) & (enter < np.maximum(t0, t1).min(axis=-1)) & (enter < depth)
+    def _enter(self, box: int, origin: np.ndarray, inverse: np.ndarray, depth: np.ndarray, face: np.ndarray) -> None:
+        """Put a box into the views ``depth`` and ``face`` where its surface is the nearest so far (slab method);
+        ``inverse`` (3, h, w): of the directions."""
+        low, high = (c[:, None, None] for c in self.boxes_m[box].astype(np.float32))
+        t0, t1 = (low - origin[:, None, None]) * inverse, (high - origin[:, None, None]) * inverse
+        near, far = np.minimum(t0, t1), np.maximum(t0, t1)
+        enter = np.maximum(np.maximum(near[0], near[1]), near[2])
+        leave = np.minimum(np.minimum(far[0], far[1]), far[2])
+        closer = (enter > 0) & (enter < leave) & (enter < depth)
         depth[closer] = enter[closer]
-        axis = near[closer].argmax(axis=-1)
-        face[closer] = 6 * box + 2 * axis + (np.take_along_axis(inverse[closer], axis[:, None], axis=-1)[:, 0] < 0)
+        axis = near[:, closer].argmax(axis=0)
+        face[closer] = 6 * box + 2 * axis + (np.take_along_axis(inverse[:, closer], axis[None], axis=0)[0] < 0)
 
     def _texture(self, points: np.ndarray, face: np.ndarray) -> np.ndarray:
-        """BGR (h, w, 3) f4 of surface points (h, w, 3): blocks of two sizes and smooth noise, all random."""
+        """BGR (3, h, w) f4 of surface points (3, h, w): blocks of two sizes and smooth noise, all random."""
         axis = face // 2 % 3
-        u = np.where(axis == 0, points[..., 1], points[..., 0])
-        v = np.where(axis == 2, points[..., 1], points[..., 2])
+        u = np.where(axis == 0, points[1], points[0])
+        v = np.where(axis == 2, points[1], points[2])
         rng = np.random.default_rng(self.seed)
         tables = rng.random((4, _TABLE, _TABLE), np.float32)
         shift = (_TABLE * rng.random((2, 6 * len(self.boxes_m)), np.float32))[:, face]
-        tint = (rng.random((6 * len(self.boxes_m), 3), np.float32) - 0.5)[face]
+        tint = (rng.random((6 * len(self.boxes_m), 3), np.float32) - 0.5).T[:, face]
         grey = 0.30 * _blocks(tables[0], u / 0.9 + shift[0], v / 0.9 + shift[1])
         grey += 0.30 * _blocks(tables[1], u / 0.31 + shift[0], v / 0.31 + shift[1])
         grey += 0.25 * _smooth(tables[2], u / 0.23 + shift[0], v / 0.23 + shift[1])
         grey += 0.15 * _smooth(tables[3], u / 0.09 + shift[0], v / 0.09 + shift[1])
-        return np.clip(128 + 400 * (grey[..., None] - 0.5) + 40 * tint, 0, 255)
+        return np.clip(128 + 400 * (grey - 0.5) + 40 * tint, 0, 255)
 
 
 def _blocks(table: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    return table[np.floor(y).astype(int) % _TABLE, np.floor(x).astype(int) % _TABLE]
+    row, column = (np.floor(c).astype(np.int32) % _TABLE for c in (y, x))
+    return table.ravel()[row * _TABLE + column]
 
 
 def _smooth(table: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    return cv2.remap(table, x % _TABLE, y % _TABLE, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+    x, y = (c - _TABLE * np.floor(c / _TABLE) for c in (x, y))
+    return cv2.remap(table, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
 
 
 @dataclass(frozen=True)

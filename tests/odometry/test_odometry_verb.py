@@ -17,17 +17,26 @@ from tiegraph.scene.posefile import read_poses
 FRAMES = 8
 
 
-@pytest.fixture(scope="module")
-def survey(tmp_path_factory):
+def written(folder, frames):
     """images/left, images/right and rig.toml."""
-    folder = tmp_path_factory.mktemp("drive")
-    for frame in range(FRAMES):
+    for frame in range(frames):
         for camera, image in images(stereo(), frame).items():
             path = folder / "images" / stereo().names[camera] / f"{frame:06d}.png"
             path.parent.mkdir(parents=True, exist_ok=True)
             cv2.imwrite(str(path), image)
     write_rig_toml(rig_of(stereo()), folder / "rig.toml")
     return folder
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory):
+    return written(tmp_path_factory.mktemp("drive"), FRAMES)
+
+
+@pytest.fixture(scope="module")
+def start(tmp_path_factory):
+    """Its first two frames, for what is refused before any is followed."""
+    return written(tmp_path_factory.mktemp("start"), 2)
 
 
 def run(folder, *arguments, images="images"):
@@ -108,24 +117,24 @@ def test_an_image_that_cannot_be_read_and_one_of_another_size_are_told_and_not_f
     assert not (tmp_path / "tiegraph.toml").exists()
 
 
-def test_a_stereo_head_without_its_rig_is_refused(survey, tmp_path, capsys):
-    assert run(survey, "-o", tmp_path / "vo.tum") == 2
+def test_a_stereo_head_without_its_rig_is_refused(start, tmp_path, capsys):
+    assert run(start, "-o", tmp_path / "vo.tum") == 2
     assert "its place in the rig is not known" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 
-def test_one_frame_is_refused(survey, tmp_path, capsys):
+def test_one_frame_is_refused(start, tmp_path, capsys):
     (tmp_path / "one").mkdir()
-    shutil.copy(survey / "images" / "left" / "000000.png", tmp_path / "one")
+    shutil.copy(start / "images" / "left" / "000000.png", tmp_path / "one")
     assert run(tmp_path, "-o", tmp_path / "vo.tum", images="one") == 2
     assert "usable image" in capsys.readouterr().err
     assert not (tmp_path / "vo.tum").exists()
 
 
-def test_a_file_that_is_there_is_not_written_over(survey, tmp_path, capsys):
+def test_a_file_that_is_there_is_not_written_over(start, tmp_path, capsys):
     out = tmp_path / "vo.tum"
     out.with_suffix(".csv").write_text("mine")
-    assert run(survey, "--rig", survey / "rig.toml", "-o", out) == 2
+    assert run(start, "--rig", start / "rig.toml", "-o", out) == 2
     assert "vo.csv is there already" in capsys.readouterr().err
     assert out.with_suffix(".csv").read_text() == "mine" and not out.exists()
 

@@ -31,10 +31,16 @@ def odometry_of(made: worlds.Survey, folder: Path, own_start: bool) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> worlds.Survey:
+    return worlds.make_survey(tmp_path_factory.mktemp("survey") / "images", frames=4)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("own_start", [True, False])
-def test_two_passes_with_odometry_of_their_own_end_in_one_model(own_start: bool, tmp_path: Path) -> None:
-    made = worlds.make_survey(tmp_path / "images", frames=4)
+def test_two_passes_with_odometry_of_their_own_end_in_one_model(
+    own_start: bool, made: worlds.Survey, tmp_path: Path
+) -> None:
     write_rig_toml(made.rig, tmp_path / "rig.toml")
     given = {
         "rig": tmp_path / "rig.toml",

@@ -133,6 +133,7 @@ def test_passes_of_one_run_and_its_evaluation_by_a_cloud(finished, tmp_path: Pat
     assert "cloud against reference, M3C2" in tables and "cloud against reference" in tables
 
 
+@pytest.mark.slow
 def test_one_pass_has_nothing_to_compare_with(finished, tmp_path: Path) -> None:
     folder = finished.after("cloud", tmp_path / "run")
     shutil.rmtree(folder / "depth")

@@ -21,8 +21,12 @@ def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return make_run(tmp_path_factory.mktemp("run") / "quay")
 
 
-def test_every_accuracy_on_the_page_is_the_one_of_the_source(full: Path) -> None:
-    page = write_report(full, SMALL).read_text(encoding="utf-8")
+@pytest.fixture(scope="module")
+def page(full: Path) -> str:
+    return write_report(full, SMALL).read_text(encoding="utf-8")
+
+
+def test_every_accuracy_on_the_page_is_the_one_of_the_source(full: Path, page: str) -> None:
     keys = check(full, page)
     layers = set(make_accuracy().values())
     assert layers <= keys, "each figure of the source stands on the page"
@@ -33,8 +37,7 @@ def test_every_accuracy_on_the_page_is_the_one_of_the_source(full: Path) -> None
     assert order == sorted(order) and order[0] < top.index("are registered")
 
 
-def test_the_check_finds_what_it_is_for(full: Path) -> None:
-    page = write_report(full, SMALL).read_text(encoding="utf-8")
+def test_the_check_finds_what_it_is_for(full: Path, page: str) -> None:
     with pytest.raises(AssertionError):
         check(full, page.replace(">2.58 m<", ">2.50 m<"))
     assert unmarked(page.replace("</h1>", "</h1><p>A point has a standard deviation of 3.6 cm.</p>"))

@@ -1,5 +1,6 @@
 """`tiegraph run IMAGES -o OUT` and `tiegraph <stage> OUT`."""
 
+import inspect
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -7,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
 import tyro
-from pydantic import ValidationError, create_model
+from pydantic import Field, ValidationError, create_model
 
 from tiegraph.api import Project, open_project
 from tiegraph.cli.options import options_of
@@ -164,8 +165,14 @@ def main_stage(stage: str, arguments: list[str], kind: type[Common] = Common, ab
 
 
 def _shown(settings: Settings, names: Sequence[str]) -> Any:
-    """The settings with these sections only: what the command line takes and shows."""
-    fields: dict[str, Any] = {name: (type(getattr(settings, name)), getattr(settings, name)) for name in names}
+    """The settings with these sections only: what the command line takes and shows.
+
+    Each is described here, else tyro parses this file in search of the class, section by section.
+    """
+    shown = {name: getattr(settings, name) for name in names}
+    fields: dict[str, Any] = {
+        name: (type(section), Field(section, description=inspect.getdoc(section))) for name, section in shown.items()
+    }
     return create_model("Shown", __base__=Section, **fields)()
 
 
