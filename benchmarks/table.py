@@ -21,8 +21,8 @@ def markdown(results: dict[str, Any], against: str, stages: bool = True) -> str:
     for name in dict.fromkeys(row["set"] for row in results["runs"]):
         groups = _groups([row for row in results["runs"] if row["set"] == name])
         base = next((rows for (competitor, _), rows in groups.items() if competitor == against), None)
-        lines = [f"### {name}", "", _line(COLUMNS), _line(["---"] * len(COLUMNS))]
-        lines += [_line(_cells(label, rows, base)) for label, rows in groups.items()]
+        lines = [f"### {name}", "", line(COLUMNS), line(["---"] * len(COLUMNS))]
+        lines += [line(_cells(label, rows, base)) for label, rows in groups.items()]
         blocks.append("\n".join(lines))
         if stages:
             blocks.append(_stage_table(groups))
@@ -69,18 +69,19 @@ def _get(row: dict[str, Any], key: str) -> float | None:
 
 def _stage_table(groups: dict[tuple[str, str], list[dict[str, Any]]]) -> str:
     names = list(dict.fromkeys(s["stage"] for rows in groups.values() for row in rows for s in row.get("stages", [])))
-    lines = [_line(["CPU s / wall s", *names]), _line(["---"] * (len(names) + 1))]
+    lines = [line(["CPU s / wall s", *names]), line(["---"] * (len(names) + 1))]
     for (competitor, _), rows in groups.items():
         cells = []
         for name in names:
             found = [s for row in rows for s in row.get("stages", []) if s["stage"] == name]
             pair = [median(s[key] for s in found) for key in ("cpu_s", "wall_s")] if found else []
             cells.append(" / ".join(_text(v, 1) for v in pair))
-        lines.append(_line([competitor, *cells]))
+        lines.append(line([competitor, *cells]))
     return "\n".join(lines)
 
 
-def _line(cells: Any) -> str:
+def line(cells: Any) -> str:
+    """A row of a markdown table."""
     return "| " + " | ".join(str(cell) for cell in cells) + " |"
 
 
