@@ -1,7 +1,7 @@
 """The surveys that stand for those of the papers.
 
 000 and 001 (a boat with a ring of cameras on a canal, out and back): ``canal_demo``, and its sections as surveys of
-their own. 002 (a hand-held video round a structure): the first 60 frames of ``rgbd_250``, a kitchen. 003 (six scenes,
+their own. 002 (a hand-held video round a structure): the first 40 frames of ``rgbd_250``, a kitchen. 003 (six scenes,
 images and an odometry beside them): three stretches of the kitchen chosen by its true poses (the camera goes to and
 fro; its axes meet in one object; it moves freely), a stereo pair and a ring on a car, a ring on a boat. Trajectories as
 a user would have them: ``canal_demo`` its drifting odometry, one file a pass, laid on GNSS, with the nominal rig in the
@@ -34,11 +34,11 @@ REFERENCE = {"kitti_stereo": "image_l", "pandaset": "front_camera"}  # the camer
 
 
 def load(name: str, work: Path, sections: Callable[[], Scene] | None = None) -> datasets.Dataset:
-    """One of ``SIX``, ``kitchen 60``, ``canal_demo section K`` (of the scene that ``sections`` gives), or any set of
+    """One of ``SIX``, ``kitchen 40``, ``canal_demo section K`` (of the scene that ``sections`` gives), or any set of
     ``benchmarks.close``; files are made below ``work``."""
     work.mkdir(parents=True, exist_ok=True)
-    if name == "kitchen 60":
-        return _kitchen(work, 0, 60)
+    if name == "kitchen 40":
+        return _kitchen(work, 0, 40)
     if name.startswith("handheld "):
         first, count = KITCHEN[name.partition(" ")[2]]
         return with_trajectory(_kitchen(work / "made", first, count), work)

@@ -203,7 +203,7 @@ def test_a_block_is_a_folder_of_links(project, survey, tmp_path):
     assert len(files) == len(block.scene) == 12 and not block.whole
     assert {p.relative_to(block.images).as_posix() for p in files} == set(block.scene.names)
     assert all(p.samefile(survey[0].images / p.relative_to(block.images)) for p in files)
-    with pytest.raises(InputError, match="--sample 5: give at least 12"):
+    with pytest.raises(InputError, match="--sample 5: give at least 6"):
         lay_out(run, 5, tmp_path / "other")
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "a.txt").write_text("")
