@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -95,30 +96,37 @@ def _passes(arguments: list[str]) -> int:
     return 0
 
 
+@dataclass(frozen=True)
+class BaselineOptions:
+    """Options of `tiegraph compare --baseline`."""
+
+    baseline: Literal["conventional", "meguro2024", "meguro2025", "colmap"]
+    """What to compare with: COLMAP alone with every pair, or a paper's method as a preset."""
+    sample: int
+    """Images of the block, a connected stretch of the path (all, if the survey has fewer)."""
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """The folder that keeps the block and both runs (default: RUN_block<sample>); again, it goes on there."""
+    pool: str = "local"
+    """Where items run: serial, local, local:<workers>."""
+    quiet: bool = False
+    """Say nothing of the runs."""
+
+
 def _baseline(arguments: list[str]) -> int:
     def against(
-        run: tyro.conf.Positional[Path],
-        baseline: Literal["conventional", "meguro2024", "meguro2025", "colmap"],
-        sample: int,
-        out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
-        pool: str = "local",
-        quiet: bool = False,
-    ) -> tuple[Path, dict[str, Any], str, bool]:
+        run: tyro.conf.Positional[Path], options: Annotated[BaselineOptions, tyro.conf.arg(name="")]
+    ) -> tuple[Path, BaselineOptions]:
         """Another method on a block of a finished survey: what it costs at equal registration.
 
         Args:
             run: A run folder with a model (to georef).
-            baseline: What to compare with: COLMAP alone with every pair, or a paper's method as a preset.
-            sample: Images of the block, a connected stretch of the path (all, if the survey has fewer).
-            out: The folder that keeps the block and both runs (default: RUN_block<sample>); again, it goes on there.
-            pool: Where items run: serial, local, local:<workers>.
-            quiet: Say nothing of the runs.
         """
-        return run, {"name": baseline, "sample": sample, "out": out}, pool, quiet
+        return run, options
 
-    run, asked, pool, quiet = options_of(against, f"tiegraph compare {_BASELINE}", arguments)
-    reporter = Reporter("quiet" if quiet else "auto")
-    result = open_project(None, run, pool=pool).baseline(**asked, reporter=reporter)
+    run, options = options_of(against, f"tiegraph compare {_BASELINE}", arguments)
+    reporter = Reporter("quiet" if options.quiet else "auto")
+    project = open_project(None, run, pool=options.pool)
+    result = project.baseline(options.baseline, options.sample, options.out, reporter)
     for part in ("figures", "stages", "sections"):
         show_table(result[part]["columns"], [[_figure(v) for v in row] for row in result[part]["rows"]], part)
     for text in (*result["speed_up"], *result["notes"]):

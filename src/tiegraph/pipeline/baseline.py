@@ -70,7 +70,7 @@ def lay_out(run: Run, sample: int, out: Path) -> Block:
         raise InputError(f"--sample {sample}: give at least {least} images, three frames of this survey")
     taken = stretch(scene, _frame_centres(run, scene), sample)
     part = scene.only(taken)
-    block = Block(out, run, part, len(part) == len(scene))
+    block = Block(folder=out, run=run, scene=part, whole=len(part) == len(scene))
     said = {"format": 1, "survey": str(run.folder), "images": [part.source_name(k) for k in range(len(part))]}
     path = out / _BLOCK
     if out.exists() and any(out.iterdir()) and not (path.exists() and load_json(path) == said):
@@ -147,12 +147,20 @@ def _side(
     known = {n: v for n, v in counts.items() if v is not None}
     nothing = np.full(len(scene), np.nan)
     if not models:
-        return Side(name, np.zeros(len(scene), bool), np.tile(nothing[:, None], 3), nothing, stages, known)
+        none = np.zeros(len(scene), bool)
+        nowhere = np.tile(nothing[:, None], 3)
+        return Side(name=name, registered=none, centres=nowhere, sigma=nothing, stages=stages, counts=known)
     found = [registration(model, scene, tuning.scene.registered).registered for model in models]
     best = int(np.argmax([f.sum() for f in found]))
     model = models[best]
-    centres = model_poses(model, scene).world_from_camera[:, :3, 3]
-    return Side(name, found[best], centres, _sigma(model, block), stages, {**known, "points": model.num_points3D()})
+    return Side(
+        name=name,
+        registered=found[best],
+        centres=model_poses(model, scene).world_from_camera[:, :3, 3],
+        sigma=_sigma(model, block),
+        stages=stages,
+        counts={**known, "points": model.num_points3D()},
+    )
 
 
 def _sigma(model: pycolmap.Reconstruction, block: Block) -> np.ndarray:

@@ -96,13 +96,13 @@ def _judge(side: Side, reference: Reference) -> _Judged:
     known = np.isfinite(side.centres).all(axis=1) & np.isfinite(reference.centres_m).all(axis=1) & side.registered
     error, right = np.full(len(known), np.nan), np.zeros(len(known), bool)
     if known.sum() < _LEAST_POSES:
-        return _Judged(side, error, right, np.nan)
+        return _Judged(side=side, error_m=error, right=right, scale=np.nan)
     source, target = side.centres[known], reference.centres_m[known]
     plain: Similarity = umeyama(source, target)
     robust, _ = robust_umeyama(source, target, reference.right_m / 3)
     error[known] = np.linalg.norm(plain(source) - target, axis=1)
     right[known] = np.linalg.norm(robust(source) - target, axis=1) < reference.right_m
-    return _Judged(side, error, right, plain.scale)
+    return _Judged(side=side, error_m=error, right=right, scale=plain.scale)
 
 
 def _figures(both: list[_Judged], reference: Reference) -> list[list[Any]]:
