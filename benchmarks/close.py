@@ -33,7 +33,8 @@ def load(name: str, work: Path) -> datasets.Dataset:
     return loader(datasets.data_root(), made)
 
 
-def _linked(files: Mapping[str, Path], folder: Path) -> Path:
+def linked(files: Mapping[str, Path], folder: Path) -> Path:
+    """The folder ``images`` below ``folder`` with links to files under these names."""
     for name, source in files.items():
         place = folder / "images" / name
         place.parent.mkdir(parents=True, exist_ok=True)
@@ -55,7 +56,7 @@ def _dino(root: Path, work: Path) -> datasets.Dataset:
     near = sorted(centres, key=lambda n: float(np.linalg.norm(centres[n] - middle)))[:DINO_VIEWS]
     truth = {n: truth[n] for n in sorted(near)}
     return datasets.Dataset(
-        name="dino_part", images=_linked({n: folder / n for n in truth}, work), cam_from_world=truth,
+        name="dino_part", images=linked({n: folder / n for n in truth}, work), cam_from_world=truth,
         notes=("40 neighbouring views; no calibration given",),
     )  # fmt: skip
 
@@ -67,7 +68,7 @@ def _kitchen(root: Path, work: Path) -> datasets.Dataset:
         truth[name] = transforms.invert(np.loadtxt(folder / image.name.replace(".color.jpg", ".pose.txt")))
         files[name] = image
     return datasets.Dataset(
-        name="rgbd_part", images=_linked(files, work), cam_from_world=truth,
+        name="rgbd_part", images=linked(files, work), cam_from_world=truth,
         notes=("first 60 frames; no calibration given; poses of KinectFusion: good to centimetres",),
     )  # fmt: skip
 
@@ -81,7 +82,7 @@ def _ring(root: Path, work: Path) -> datasets.Dataset:
         truth[f"camera{number}.jpg"] = transforms.invert(transforms.rigid(pose[:, :3], pose[:, 3]))
         files[f"camera{number}.jpg"] = folder / f"image_camera{number}.jpg"
     return datasets.Dataset(
-        name="ring", images=_linked(files, work), cam_from_world=truth,
+        name="ring", images=linked(files, work), cam_from_world=truth,
         notes=("one capture of twelve cameras as loose photographs; no calibration given",),
     )  # fmt: skip
 

@@ -114,7 +114,7 @@ def _canal(folder: Path, work: Path) -> Dataset:
         name=folder.name,
         images=folder / "images",
         cam_from_world=_poses_of_colmap_text(folder / "gt" / "colmap" / "images.txt"),
-        rig=_write_rig(Rig("ring", sensors, nominal=True), work),
+        rig=write_rig(Rig("ring", sensors, nominal=True), work),
         gnss=folder / "sensors" / "gnss.csv",
         times=_canal_times(folder, work),
         truth_origin=Origin(meta["lat"], meta["lon"], meta["height"]),
@@ -177,7 +177,7 @@ def _pandaset(folder: Path, work: Path) -> Dataset:
         name="pandaset",
         images=folder / "camera",
         cam_from_world=truth,
-        rig=_write_rig(Rig("car", sensors), work),
+        rig=write_rig(Rig("car", sensors), work),
         gnss=_pandaset_gnss(folder, work),
         times=_write_times([(f"front_camera/{f}", front[int(Path(f).stem)]) for f in frames], work),
         reference_cloud=folder / "lidar" / "static_reference_8cm.npz",
@@ -233,7 +233,7 @@ def _kitti(folder: Path, work: Path) -> Dataset:
         name="kitti_stereo",
         images=folder,
         cam_from_world=truth,
-        rig=_write_rig(Rig("stereo", tuple(sensors), fixed=True), work),
+        rig=write_rig(Rig("stereo", tuple(sensors), fixed=True), work),
         cameras=cameras,
         notes=("rectified grey stereo pair; scale only from the 0.54 m baseline",),
     )
@@ -265,7 +265,7 @@ def _strecha(folder: Path, work: Path) -> Dataset:
         name=folder.name,
         images=folder / "images",
         cam_from_world=truth,
-        rig=_write_rig(rig, work),
+        rig=write_rig(rig, work),
         cameras=cameras,
         notes=("calibration of the 3072x2048 photographs, halved", "no scale and no position is known to the method"),
     )
@@ -340,7 +340,8 @@ def _write_times(rows: list[tuple[str, float]], work: Path) -> Path:
     return path
 
 
-def _write_rig(rig: Rig, work: Path) -> Path:
+def write_rig(rig: Rig, work: Path) -> Path:
+    """The rig as ``rig.toml`` below ``work``."""
     from tiegraph.scan.rigfiles.rigwrite import write_rig_toml
 
     path = work / "rig.toml"

@@ -17,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from datetime import datetime, timezone
 from importlib import metadata
 from pathlib import Path
@@ -48,14 +49,14 @@ _PACKAGES = ("tiegraph", "pycolmap", "opencv-python-headless", "numpy", "scipy")
 def main(argv: list[str] | None = None) -> int:
     """Run what the command line asks; 0 if every run was done, 1 if one failed."""
     args = _arguments(argv)
-    results = _load(args.output, args.note)
+    results = load_results(args.output, args.note)
     with tempfile.TemporaryDirectory(prefix="tiegraph-benchmark-", dir=args.work) as folder:
         for name in args.sets:
             dataset = datasets.load(name, Path(folder) / "inputs")
             for repeat in range(args.repeat):
                 for competitor in args.competitors:
                     row = run_one(dataset, competitor, repeat, Path(folder), args)
-                    _add(results, row, args.output)
+                    add_row(results, row, args.output)
                     sys.stderr.write(f"{name} {competitor}: {row['status']}, {row['wall_s']:.0f} s\n")
     sys.stdout.write(table.markdown(results, args.against) + "\n")
     wanted = [row for row in results["runs"] if row["set"] in args.sets and row["competitor"] in args.competitors]
@@ -206,7 +207,8 @@ def _outcome(returncode: int | None, said: dict[str, Any]) -> dict[str, Any]:
 # --------------------------------------------------------------------------------------------------- results file
 
 
-def _load(path: Path, note: str) -> dict[str, Any]:
+def load_results(path: Path, note: str) -> dict[str, Any]:
+    """The results file, or an empty one; ends the program if it was measured on another machine."""
     machine = _machine()
     if not path.exists():
         return {"format": 1, "machine": machine, "note": note, "runs": []}
@@ -216,9 +218,11 @@ def _load(path: Path, note: str) -> dict[str, Any]:
     return {**results, "note": note or results["note"]}
 
 
-def _add(results: dict[str, Any], row: dict[str, Any], path: Path) -> None:
-    """Add a run (in the place of an earlier one of the same name) and write the file in one step."""
-    key = ("set", "competitor", "repeat", "calibration")
+_ROW = ("set", "competitor", "repeat", "calibration")
+
+
+def add_row(results: dict[str, Any], row: dict[str, Any], path: Path, key: Sequence[str] = _ROW) -> None:
+    """Add a run (in the place of an earlier one of the same ``key``) and write the file in one step."""
     results["runs"] = [old for old in results["runs"] if any(old[k] != row[k] for k in key)] + [row]
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_suffix(".part")

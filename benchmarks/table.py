@@ -1,10 +1,14 @@
-"""Results as a markdown table, with ratios against one competitor: ``python benchmarks/table.py results/x.json``."""
+"""Results as a markdown table, with ratios against one competitor: ``python -m benchmarks.table results/x.json``.
+
+``python -m benchmarks.table --write`` puts the table of figures between its markers in README.md, docs/benchmarks.md.
+"""
 
 from __future__ import annotations
 
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -15,14 +19,75 @@ COLUMNS = (
 )  # fmt: skip
 
 
+_ROOT = Path(__file__).resolve().parents[1]
+_FILES = ("small_sets", "large_sets")
+BEGIN, END = "<!-- python -m benchmarks.table --write -->", "<!-- end of the table -->"
+_SHOWN = (
+    ("canal_demo", "`canal_demo` (the example): boat, 6 cameras, out and back"),
+    ("canal", "`canal`: the same, longer, two bridge passages"),
+    ("pandaset", "PandaSet: car, 6 cameras, calibrated rig"),
+    ("kitti_stereo", "KITTI: stereo, calibrated"),
+    ("Herz-Jesus-P25", "Strecha Herz-Jesus-P25"),
+)
+_MORE = (
+    ("fountain-P11", "Strecha fountain-P11"),
+    ("Herz-Jesus-P8", "Strecha Herz-Jesus-P8"),
+    ("oppaiyama", "Oppaiyama: phone photographs with EXIF GPS (the truth is that GPS)"),
+)
+_OTHERS = (
+    ("colmap_sequential", "COLMAP sequential"),
+    ("colmap_rig", "COLMAP exhaustive with the rig"),
+    ("openmvg", "openMVG"),
+)
+_DOCUMENTS = {"README.md": (_SHOWN, ()), "docs/benchmarks.md": ((*_SHOWN, *_MORE), _OTHERS)}
+
+
+def figures(sets: Sequence[tuple[str, str]], others: Sequence[tuple[str, str]] = ()) -> str:
+    """The table of figures: a row a set; tiegraph, exhaustive COLMAP with its defaults, and ``others``."""
+    rows = [r for f in _FILES for r in json.loads((_ROOT / "benchmarks" / "results" / f"{f}.json").read_text())["runs"]]
+    competitors = (("tiegraph", "tiegraph"), ("colmap_exhaustive", "COLMAP exhaustive"), *others)
+    head = ["images", *(f"{title}: in its largest model, ATE, CPU s" if k == 0 else title
+                        for k, (_, title) in enumerate(competitors))]  # fmt: skip
+    lines = [line(head), line(["---"] * len(head))]
+    for name, title in sets:
+        mine = [r for r in rows if r["set"] == name]
+        cells = [_figure([r for r in mine if r["competitor"] == c]) for c, _ in competitors]
+        lines.append(line([f"{title}, {mine[0]['images']}", *cells]))
+    return "\n".join(lines)
+
+
+def _figure(rows: Sequence[dict[str, Any]]) -> str:
+    """A competitor on a set; that it was given the calibration is said, of tiegraph it goes without saying."""
+    said = []
+    for row in sorted(rows, key=lambda r: (r["calibration"], r["repeat"])):
+        given = "calibrated: " if row["calibration"] == "given" and row["competitor"] != "tiegraph" else ""
+        more = f" of {row['registered']} in {row['components']} models" if row["registered"] > row["largest"] else ""
+        error = _metres(row["ate_m"]) if row["largest"] else "no model"
+        said.append(f"{given}{row['largest']}{more}, {error}, {row['cpu_s']:.0f} s")
+    return "; ".join(said) or "not run"
+
+
+def _metres(value: float) -> str:
+    return f"{1000 * value:.0f} mm" if value < 0.1 else f"{value:.2g} m"
+
+
+def write(root: Path = _ROOT) -> None:
+    """Put the table of figures between its markers in the documents."""
+    for name, (sets, others) in _DOCUMENTS.items():
+        path = root / name
+        before, _, rest = path.read_text().partition(BEGIN)
+        _, _, after = rest.partition(END)
+        path.write_text(f"{before}{BEGIN}\n{figures(sets, others)}\n{END}{after}")
+
+
 def markdown(results: dict[str, Any], against: str, stages: bool = True) -> str:
     """One table a data set (median over the repeats), ratios = value / value of ``against`` in the same file."""
     blocks = []
     for name in dict.fromkeys(row["set"] for row in results["runs"]):
         groups = _groups([row for row in results["runs"] if row["set"] == name])
         base = next((rows for (competitor, _), rows in groups.items() if competitor == against), None)
-        lines = [f"### {name}", "", _line(COLUMNS), _line(["---"] * len(COLUMNS))]
-        lines += [_line(_cells(label, rows, base)) for label, rows in groups.items()]
+        lines = [f"### {name}", "", line(COLUMNS), line(["---"] * len(COLUMNS))]
+        lines += [line(_cells(label, rows, base)) for label, rows in groups.items()]
         blocks.append("\n".join(lines))
         if stages:
             blocks.append(_stage_table(groups))
@@ -69,18 +134,19 @@ def _get(row: dict[str, Any], key: str) -> float | None:
 
 def _stage_table(groups: dict[tuple[str, str], list[dict[str, Any]]]) -> str:
     names = list(dict.fromkeys(s["stage"] for rows in groups.values() for row in rows for s in row.get("stages", [])))
-    lines = [_line(["CPU s / wall s", *names]), _line(["---"] * (len(names) + 1))]
+    lines = [line(["CPU s / wall s", *names]), line(["---"] * (len(names) + 1))]
     for (competitor, _), rows in groups.items():
         cells = []
         for name in names:
             found = [s for row in rows for s in row.get("stages", []) if s["stage"] == name]
             pair = [median(s[key] for s in found) for key in ("cpu_s", "wall_s")] if found else []
             cells.append(" / ".join(_text(v, 1) for v in pair))
-        lines.append(_line([competitor, *cells]))
+        lines.append(line([competitor, *cells]))
     return "\n".join(lines)
 
 
-def _line(cells: Any) -> str:
+def line(cells: Any) -> str:
+    """A row of a markdown table."""
     return "| " + " | ".join(str(cell) for cell in cells) + " |"
 
 
@@ -95,10 +161,13 @@ def _share(value: float | None) -> str:
 def main(argv: list[str] | None = None) -> int:
     """Print the table of one or more result files."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("files", nargs="+", type=Path)
+    parser.add_argument("files", nargs="*", type=Path)
+    parser.add_argument("--write", action="store_true", help="the table of figures into README.md, docs/benchmarks.md")
     parser.add_argument("--against", default="colmap_exhaustive")
     parser.add_argument("--no-stages", action="store_true")
     args = parser.parse_args(argv)
+    if args.write:
+        write()
     for path in args.files:
         sys.stdout.write(markdown(json.loads(path.read_text()), args.against, not args.no_stages) + "\n\n")
     return 0

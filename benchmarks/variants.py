@@ -64,13 +64,17 @@ def run(dataset: datasets.Dataset, out: Path, settings: Settings, base: Path | N
     shutil.rmtree(out, ignore_errors=True)
     if base is not None:
         shutil.copytree(base, out, symlinks=True)
-    given: dict[str, Any] = {"images": dataset.images, "out": out, "settings": settings}
+    error = start(dataset, out, UNTIL, settings)
+    return {"status": error} if error else {"status": "done", **figures(dataset, out)}
+
+
+def start(dataset: datasets.Dataset, out: Path, until: str, settings: Settings, preset: str = "default") -> str:
+    """Run a survey to ``out`` in a process of its own, or go on with it; the last line of its error, "" = none."""
+    given: dict[str, Any] = {"images": dataset.images, "out": out, "settings": settings, "preset": preset}
     given |= {n: v for n in ("rig", "gnss", "trajectory", "times") if (v := getattr(dataset, n)) is not None}
-    command = [sys.executable, "-c", _DRIVER, json.dumps(given, default=str), UNTIL]
+    command = [sys.executable, "-c", _DRIVER, json.dumps(given, default=str), until]
     done = subprocess.run(command, capture_output=True, text=True, env={**os.environ})
-    if done.returncode:
-        return {"status": (done.stderr.strip().splitlines() or ["no word"])[-1][:300]}
-    return {"status": "done", **figures(dataset, out)}
+    return (done.stderr.strip().splitlines() or ["no word"])[-1][:300] if done.returncode else ""
 
 
 def figures(dataset: datasets.Dataset, out: Path) -> dict[str, Any]:

@@ -1,8 +1,8 @@
 """Competitor: pycolmap, every image against every other, all defaults."""
 
-from colmap import arguments, reconstruct
+from colmap import arguments, run
 
 if __name__ == "__main__":
     import pycolmap
 
-    reconstruct(arguments(__doc__), pycolmap.match_exhaustive)
+    run(arguments(__doc__), pycolmap.match_exhaustive)

@@ -8,7 +8,9 @@ import os
 from pathlib import Path
 
 import numpy as np
-from colmap import Stages, arguments
+from colmap import arguments
+
+from tiegraph.papers.colmap import Stages
 
 import pycolmap  # isort: skip
 
@@ -20,25 +22,25 @@ def main() -> None:
     try:
         import openmvg_rs
     except ImportError:
-        return stages.fail("openmvg-rs is not installed: pip install openmvg-rs")
+        return stages.end("openmvg-rs is not installed: pip install openmvg-rs")
     names = _flat(args.images, args.out / "images")
     if args.cameras:
         matrix = _matrix(json.loads(args.cameras.read_text()))
         if matrix is None:
-            return stages.fail("cameras differ or have distortion: openMVG takes one matrix for all images")
+            return stages.end("cameras differ or have distortion: openMVG takes one matrix for all images")
         np.savetxt(args.out / "images" / "K.txt", matrix)
     try:
         found = stages.run("sparse", lambda: openmvg_rs.reconstruct(args.out / "images", progress=False))
     except openmvg_rs.OpenMVGError as error:
-        return stages.fail(f"{type(error).__name__}: {error}")
+        return stages.end(f"{type(error).__name__}: {error}")
     found.write_colmap(args.out)
     folder = args.out / "sparse" / "0"
     model = pycolmap.Reconstruction(folder)
     for image in model.images.values():
         image.name = names[Path(image.name).name]
     model.write(str(folder))
-    stages.data |= {"models": [str(folder)], "software": {"openmvg-rs": openmvg_rs.__version__}, "status": "done"}
-    stages.save()
+    stages.data |= {"models": [str(folder)], "software": {"openmvg-rs": openmvg_rs.__version__}}
+    stages.end()
 
 
 def _flat(images: Path, target: Path) -> dict[str, str]:

@@ -8,8 +8,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from colmap import Stages, arguments, pairs_of
+from colmap import arguments
 
+from tiegraph.papers.colmap import Stages, pairs_of
 from tiegraph.pipeline import STAGES
 
 
@@ -17,16 +18,13 @@ def main() -> None:
     """Run the command, then hand over what its receipts say."""
     args = arguments(__doc__)
     stages = Stages(args.json)
-    command = [str(Path(sys.executable).with_name("tiegraph")), "run", str(args.images), "-o", str(args.out)]
+    command = [sys.executable, "-m", "tiegraph", "run", str(args.images), "-o", str(args.out)]
     for name in ("rig", "gnss", "trajectory", "times"):
         if getattr(args, name):
             command += [f"--{name}", getattr(args, name)]
     done = subprocess.run([*command, "--until", args.until, *args.options], check=False, stdin=subprocess.DEVNULL)
     stages.data |= figures(args.out)
-    stages.data["status"] = "done" if done.returncode == 0 else "failed"
-    if done.returncode:
-        stages.data["reason"] = f"exit code {done.returncode}"
-    stages.save()
+    stages.end(f"exit code {done.returncode}" if done.returncode else "")
 
 
 def figures(out: Path) -> dict[str, Any]:

@@ -29,7 +29,7 @@ import pycolmap  # isort: skip
 from benchmarks import accuracy, datasets, run
 from benchmarks.network.design_plot import plot
 from benchmarks.network.matched import Run, Tracks
-from benchmarks.network.measure import add_row, run_tiegraph
+from benchmarks.network.measure import run_tiegraph
 from tiegraph import papers
 from tiegraph.design.design import METHODS as PLUGGED
 from tiegraph.design.design import design
@@ -70,14 +70,14 @@ class Choice:
 def main(argv: list[str] | None = None) -> int:
     """Run what the command line asks; prints one table a set."""
     args = _arguments(argv)
-    results = run._load(args.output, args.note)
+    results = run.load_results(args.output, args.note)
     for name in args.sets:
         work = args.work / name.replace(":", "_")
         base = _matched(name, work)
         judge = Judge(name, work, Run.read(base), datasets.load(name.partition(":")[0], work / "inputs"))
         for choice in choices(judge.run, args.methods, args.shares, args.seeds):
             row = {**judge.row(choice, mapped=not args.sigma_only and choice.seed == 0), "set": name}
-            add_row(results, row, ("set", "method", "asked_share", "seed"), args.output)
+            run.add_row(results, row, args.output, ("set", "method", "asked_share", "seed"))
             sys.stderr.write(f"{name} {choice.name}: {_short(row)}\n")
     plot(results["runs"], args.output.with_suffix(".png"))
     sys.stdout.write(markdown(results["runs"]) + "\n")

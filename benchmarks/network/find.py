@@ -26,7 +26,7 @@ from benchmarks import datasets, run
 from benchmarks.network import overlap as truths
 from benchmarks.network.lists import METHODS as LISTS
 from benchmarks.network.lists import NEED_PREVIEWS
-from benchmarks.network.measure import add_row, finished_tiegraph, measured, run_tiegraph
+from benchmarks.network.measure import finished_tiegraph, measured, run_tiegraph
 from tiegraph.errors import InputError
 from tiegraph.pipeline import STAGES
 from tiegraph.scene.pairs import Pairs
@@ -64,7 +64,7 @@ class Truth:
 def main(argv: list[str] | None = None) -> int:
     """Run what the command line asks; prints one table a set."""
     args = _arguments(argv)
-    results = run._load(args.output, args.note)
+    results = run.load_results(args.output, args.note)
     failed = False
     with tempfile.TemporaryDirectory(prefix="tiegraph-find-", dir=args.work) as folder:
         for name in args.sets:
@@ -83,7 +83,7 @@ def main(argv: list[str] | None = None) -> int:
                     row |= _verified(method, row, work / method, truth, database)
                 failed |= row["status"] != "done"
                 row.pop("out", None)
-                add_row(results, row, ("set", "method"), args.output)
+                run.add_row(results, row, args.output, ("set", "method"))
                 sys.stderr.write(f"{name} {method}: {row['status']}\n")
     sys.stdout.write(markdown(results) + "\n")
     return int(failed)

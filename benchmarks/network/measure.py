@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.datasets import Dataset
-from benchmarks.run import _rounded as rounded
 from tiegraph.pipeline import STAGES
 
 _POLL_S = 0.5
@@ -90,15 +89,6 @@ def _spent(out: Path) -> list[dict[str, Any]]:
     """Name, cost and counts of the finished stages of a run folder, by their receipts."""
     receipts = [json.loads(p.read_text()) for p in sorted((out / "receipts").glob("*.json"))]
     return [{k: r[k] for k in ("stage", "seconds", "cpu_s", "peak_mib", "counts")} for r in receipts if "finished" in r]
-
-
-def add_row(results: dict[str, Any], row: dict[str, Any], key: tuple[str, ...], path: Path) -> None:
-    """Add a run in the place of an earlier one with the same key, and write the file in one step."""
-    results["runs"] = [old for old in results["runs"] if any(old[k] != row[k] for k in key)] + [row]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_suffix(".part")
-    temporary.write_text(json.dumps(rounded(results), indent=1) + "\n")
-    os.replace(temporary, path)
 
 
 def _children_cpu_s() -> float:

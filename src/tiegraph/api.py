@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tiegraph.design.coverage import Coverage
-from tiegraph.errors import InputError, SettingsError
+from tiegraph.errors import InputError, ReconstructionError, SettingsError, choose
 from tiegraph.pipeline import SHOTS, STAGES, foundrig
 from tiegraph.pipeline.forecast import Forecast, forecast
 from tiegraph.pipeline.inputs import check_given
@@ -111,6 +111,43 @@ class Project:
         reporter = reporter or Reporter("quiet")
         self._run(STAGES, "scan" if self.settings.masks.folder is None else "masks", reporter)
         return odometry(Run(self.folder, self.inputs, self.settings, self.pool, reporter), Path(out))
+
+    def baseline(
+        self, name: str, sample: int, out: str | Path | None = None, reporter: Reporter | None = None
+    ) -> dict[str, Any]:
+        """This survey's method beside another (``pipeline.baseline.BASELINES``) on a block of about ``sample`` of its
+        images, each run by itself to `georef`: tables, and the speed-up at equal registration. ``out`` (default:
+        ``<run folder>_block<sample>``) keeps both; again, it goes on there. Raises InputError for a run without a
+        model, a name that is none, and an ``out`` that holds something else."""
+        from tiegraph.pipeline import baseline as glue  # loads the engine
+
+        choose("baseline", name, dict.fromkeys(glue.BASELINES))
+        folder = self.folder.with_name(f"{self.folder.name}_block{sample}") if out is None else Path(out).absolute()
+        block = glue.lay_out(Run(self.folder, self.inputs, self.settings), sample, folder)
+        sides = {"tiegraph": (self.preset, self.settings), name: (name, self._as_given())}
+        notes = []
+        for side, (preset, settings) in sides.items():
+            if side == "colmap":
+                glue.run_colmap(block, block.side("tiegraph") / "images")
+                continue
+            project = self if block.side(side) == self.folder else self._of_block(block, side, preset, settings)
+            notes.append(glue.interrupted_note(block, side, STAGES))
+            try:
+                project.run(glue.UNTIL, reporter)
+            except ReconstructionError as error:
+                notes.append(glue.lost_note(side, error))
+        return glue.judged(block, name, STAGES, [n for n in notes if n])
+
+    def _as_given(self) -> dict[str, dict[str, Any]]:
+        """The settings that say what the inputs are, not what is made of them."""
+        scan = self.settings.scan.model_dump(mode="json", exclude_defaults=True)
+        control = {"gcp": self.settings.georef.gcp, "marks": self.settings.georef.marks}
+        return {"scan": scan, "georef": {k: v for k, v in control.items() if v is not None}}
+
+    def _of_block(self, block: Any, side: str, preset: str, settings: Any) -> Project:
+        """The survey of a block's images with the same inputs; a model to start from is the survey's own method's."""
+        given = {n: getattr(self.inputs, n) for n in (*_NAMED, *_PATHS) if n != "start" or side == "tiegraph"}
+        return open_project(block.images, block.side(side), preset=preset, settings=settings, pool=self.pool, **given)
 
     def export(self, folder: str | Path) -> int:
         """Write the depth maps as a dense workspace of COLMAP; their number. Raises InputError if there are none or the

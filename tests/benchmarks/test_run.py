@@ -55,16 +55,16 @@ def test_outcome_names_the_stage_that_ended_a_run(returncode: int, said: dict, s
 
 def test_a_run_replaces_its_own_row_and_figures_of_two_machines_do_not_mix(tmp_path: Path) -> None:
     path = tmp_path / "x.json"
-    results = run._load(path, "note")
+    results = run.load_results(path, "note")
     key = {"set": "s", "competitor": "c", "repeat": 0, "calibration": "estimated"}
     for cpu_s in (1.23456789, 2.0):
-        run._add(results, {**key, "cpu_s": cpu_s}, path)
-    run._add(results, {**key, "repeat": 1, "cpu_s": 3.0}, path)
-    again = run._load(path, "")
+        run.add_row(results, {**key, "cpu_s": cpu_s}, path)
+    run.add_row(results, {**key, "repeat": 1, "cpu_s": 3.0}, path)
+    again = run.load_results(path, "")
     assert [row["cpu_s"] for row in again["runs"]] == [2.0, 3.0] and again["note"] == "note"
     path.write_text(json.dumps({**again, "machine": {"cpu": "another"}}))
     with pytest.raises(SystemExit, match="another machine"):
-        run._load(path, "")
+        run.load_results(path, "")
 
 
 def test_unknown_competitor_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,10 +13,15 @@ import pytest
 import tiegraph
 import worlds
 from accuracy_marks import check, unmarked
+from tiegraph.cli.main import main
+from tiegraph.errors import InputError, SettingsError
 from tiegraph.evaluate.reference import model_poses
 from tiegraph.geometry import transforms
 from tiegraph.geometry.align import umeyama
 from tiegraph.geometry.geodesy import geodetic_from_world, world_from_geodetic
+from tiegraph.pipeline import STAGES
+from tiegraph.pipeline.baseline import lay_out
+from tiegraph.project.run import Run, needed
 from tiegraph.report.accuracy import terminal_lines
 from tiegraph.scan.rigfiles.rigwrite import write_rig_toml
 from tiegraph.scene.accuracy import LAYERS, Accuracy
@@ -161,3 +166,54 @@ def test_presets_run_to_a_model_and_compare(preset, finished, server, tmp_path):
     assert project.preset == preset and 6 <= project.receipt("sparse")["counts"]["registered"] <= 12
     compared = server.run(["compare", finished.clean["report"], out], tmp_path / "said", _PATIENCE_S)
     assert compared.good and "Registered images" in compared.text and preset in compared.text, compared
+<<<<<<< HEAD
+=======
+
+
+def test_first_claim_of_paper_000(project, survey, tmp_path):
+    """Brute force looks at every pair of images, the network at a part, and both place all images (000 kept 44 %)."""
+    made, _ = survey
+    n = len(project.scene())
+    brute = tiegraph.open(made.images, tmp_path / "brute", preset="conventional", pool="serial").run("design")
+    assert len(brute.pairs().kept()) == n * (n - 1) // 2
+    assert len(project.pairs().kept()) < 0.8 * n * (n - 1) / 2
+
+
+def test_another_method_on_the_same_images(project, survey, tmp_path, capsys):
+    out = tmp_path / "block"
+    asked = ["compare", "--baseline", "colmap", "--sample", "99", str(project.folder), "-o", str(out), "--quiet"]
+    assert main(asked) == 0
+    said = capsys.readouterr().out
+    assert "registered, in the largest model" in said and "all of it" in said and "no reference poses" in said
+    result = json.loads((out / "colmap.json").read_text())
+    rows = {row[0]: row[1:] for row in result["figures"]["rows"]}
+    registered, cpu_s = rows["registered, in the largest model"], rows["CPU s"]
+    to_georef = [s.name for s in needed(STAGES, "georef")]
+    own = sum(project.receipt(stage)["cpu_s"] for stage in to_georef)
+    assert registered[0] == len(project.registered()) and cpu_s[0] == pytest.approx(own, rel=1e-3)
+    assert 0 <= registered[1] <= 16 and cpu_s[1] > 0 and rows["images"][:2] == [16, 16]
+    assert rows["ATE, m"][0] == pytest.approx(0, abs=1e-6)  # its own poses
+    # finished work is taken over, and another block has no place there
+    before = (out / "colmap" / "stages.json").read_bytes()
+    project.baseline("colmap", 99, out)
+    assert (out / "colmap" / "stages.json").read_bytes() == before
+    with pytest.raises(InputError, match="something else"):
+        project.baseline("colmap", 12, out)
+
+
+def test_a_block_is_a_folder_of_links(project, survey, tmp_path):
+    run = Run(project.folder, project.inputs, project.settings)
+    block = lay_out(run, 12, tmp_path / "block")
+    files = sorted(p for p in block.images.rglob("*") if p.is_symlink())
+    assert len(files) == len(block.scene) == 12 and not block.whole
+    assert {p.relative_to(block.images).as_posix() for p in files} == set(block.scene.names)
+    assert all(p.samefile(survey[0].images / p.relative_to(block.images)) for p in files)
+    with pytest.raises(InputError, match="--sample 5: give at least 6"):
+        lay_out(run, 5, tmp_path / "other")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "a.txt").write_text("")
+    with pytest.raises(InputError, match="something else"):
+        lay_out(run, 12, tmp_path / "mine")
+    with pytest.raises(SettingsError, match="unknown baseline 'colmp'"):
+        project.baseline("colmp", 12)
+>>>>>>> w18-papers

@@ -1,9 +1,10 @@
-"""`tiegraph compare A B ...`: runs side by side, or with --epochs what has changed between two surveys."""
+"""`tiegraph compare A B ...`: runs side by side; what has changed between two surveys; another method on a block."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -13,10 +14,11 @@ from tiegraph.cli.output import say, show_table
 from tiegraph.pipeline.epochs import EpochOptions, compare_epochs
 from tiegraph.pipeline.passes import compare_passes
 from tiegraph.project.folder import check_format
+from tiegraph.project.progress import Reporter
 from tiegraph.project.run import Run
 from tiegraph.report.compare import compare_runs
 
-_EPOCHS, _PASSES = "--epochs", "--passes"
+_EPOCHS, _PASSES, _BASELINE = "--epochs", "--passes", "--baseline"
 _SHOWN = 10  # changes; the others stand in changes.csv
 
 
@@ -26,6 +28,8 @@ def main(arguments: list[str]) -> int:
         return _epochs([a for a in arguments if a != _EPOCHS])
     if _PASSES in arguments:
         return _passes([a for a in arguments if a != _PASSES])
+    if any(a.partition("=")[0] == _BASELINE for a in arguments):
+        return _baseline(arguments)
 
     def compare(
         runs: tyro.conf.Positional[tuple[Path, ...]],
@@ -34,7 +38,8 @@ def main(arguments: list[str]) -> int:
         """Two or more run folders side by side: times, pairs, images used, points, errors.
 
         With --epochs: what has changed between two surveys of one place (--epochs --help). With --passes: how well two
-        passes of one survey agree (--passes --help).
+        passes of one survey agree (--passes --help). With --baseline: another method on a block of a survey
+        (--baseline colmap --help).
 
         Args:
             runs: Run folders made by `tiegraph run`.
@@ -89,6 +94,48 @@ def _passes(arguments: list[str]) -> int:
     project = open_project(None, run)
     _say(compare_passes(Run(project.folder, project.inputs, project.settings), out, depth_m), out)
     return 0
+
+
+@dataclass(frozen=True)
+class BaselineOptions:
+    """Options of `tiegraph compare --baseline`."""
+
+    baseline: Literal["conventional", "meguro2024", "meguro2025", "colmap"]
+    """What to compare with: COLMAP alone with every pair, or a paper's method as a preset."""
+    sample: int
+    """Images of the block, a connected stretch of the path (all, if the survey has fewer)."""
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """The folder that keeps the block and both runs (default: RUN_block<sample>); again, it goes on there."""
+    pool: str = "local"
+    """Where items run: serial, local, local:<workers>."""
+    quiet: bool = False
+    """Say nothing of the runs."""
+
+
+def _baseline(arguments: list[str]) -> int:
+    def against(
+        run: tyro.conf.Positional[Path], options: Annotated[BaselineOptions, tyro.conf.arg(name="")]
+    ) -> tuple[Path, BaselineOptions]:
+        """Another method on a block of a finished survey: what it costs at equal registration.
+
+        Args:
+            run: A run folder with a model (to georef).
+        """
+        return run, options
+
+    run, options = options_of(against, f"tiegraph compare {_BASELINE}", arguments)
+    reporter = Reporter("quiet" if options.quiet else "auto")
+    project = open_project(None, run, pool=options.pool)
+    result = project.baseline(options.baseline, options.sample, options.out, reporter)
+    for part in ("figures", "stages", "sections"):
+        show_table(result[part]["columns"], [[_figure(v) for v in row] for row in result[part]["rows"]], part)
+    for text in (*result["speed_up"], *result["notes"]):
+        say(text)
+    return 0
+
+
+def _figure(value: Any) -> str:
+    return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def _say(result: dict[str, Any], out: Path) -> None:

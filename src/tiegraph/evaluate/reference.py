@@ -137,19 +137,7 @@ def _match_images(reference: ReferencePoses, model: ModelPoses, scene: Scene) ->
 def _match_frames(
     reference: ReferencePoses, model: ModelPoses, scene: Scene, max_gap_s: float
 ) -> tuple[PoseMatch, str]:
-    truth = np.full((scene.frames, 4, 4), np.nan)
-    how: list[str] = []
-    loose = (-1,) if np.any(scene.sequence < 0) else ()
-    for sequence in [*range(len(scene.sequences)), *loose]:
-        name = scene.sequences[sequence] if sequence >= 0 else ""
-        found = _track_reference(reference, name)
-        if found is None:
-            continue
-        frames = np.flatnonzero(scene.sequence == sequence)
-        frames = frames[np.argsort(scene.sequence_index[frames], kind="stable")]
-        named = name or "the frames"
-        truth[frames], said = _at_frames(found, scene.time_s[frames], reference.path, named, max_gap_s)
-        how.append(f"{name or 'frames'} {said}")
+    truth, how = _frame_poses(reference, scene, max_gap_s)
     known = np.isfinite(truth[:, 0, 0])
     rows = np.flatnonzero(known & np.isfinite(model.world_from_rig[:, 0, 0]))
     estimate = _with_mount(model.world_from_rig[rows], truth[rows])
@@ -169,6 +157,41 @@ def _match_frames(
         f"rig poses, {said}: {len(rows)} placed of {int(known.sum())} with a reference ({scene.frames} frames in "
         f"all{_without(scene, ~known)}), one constant turn of the axes removed",
     )
+
+
+def _frame_poses(reference: ReferencePoses, scene: Scene, max_gap_s: float) -> tuple[np.ndarray, list[str]]:
+    """(F, 4, 4) reference poses of the frames by the files of their passes, NaN = none, and how each was found."""
+    truth = np.full((scene.frames, 4, 4), np.nan)
+    how: list[str] = []
+    loose = (-1,) if np.any(scene.sequence < 0) else ()
+    for sequence in [*range(len(scene.sequences)), *loose]:
+        name = scene.sequences[sequence] if sequence >= 0 else ""
+        found = _track_reference(reference, name)
+        if found is None:
+            continue
+        frames = np.flatnonzero(scene.sequence == sequence)
+        frames = frames[np.argsort(scene.sequence_index[frames], kind="stable")]
+        named = name or "the frames"
+        truth[frames], said = _at_frames(found, scene.time_s[frames], reference.path, named, max_gap_s)
+        how.append(f"{name or 'frames'} {said}")
+    return truth, how
+
+
+def reference_places(reference: ReferencePoses, scene: Scene, max_gap_s: float) -> np.ndarray:
+    """(N, 3) where the reference has the cameras, NaN = nowhere; one that follows the rig tells of its first camera.
+
+    Raises InputError as ``match_poses`` does.
+    """
+    out = np.full((len(scene), 3), np.nan)
+    if reference.by_image:
+        for k, name in enumerate(scene.names):
+            if name in reference.by_image:
+                out[k] = reference.by_image[name][:3, 3]
+        return out
+    truth, _ = _frame_poses(reference, scene, max_gap_s)
+    first = scene.sensor == 0
+    out[first] = truth[scene.frame[first], :3, 3]
+    return out
 
 
 def _without(scene: Scene, frames: np.ndarray) -> str:

@@ -1,0 +1,187 @@
+"""Two methods on the same images: what each registered, how well, at what cost; the speed-up at equal registration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from tiegraph.geometry.align import Similarity, robust_umeyama, umeyama
+
+_LEAST_POSES = 3  # of an alignment
+
+
+@dataclass(frozen=True)
+class Side:
+    """What a method made of N images, in the order of the block.
+
+    ``registered``: (N,) bool, in its largest model. ``centres``: (N, 3) there, model units, NaN = none. ``sigma``: (N,)
+    of a position (root sum of squares), model units, NaN = not known. ``stages``: of each (CPU s, wall s). ``counts``:
+    whatever else is laid side by side, by its name in the table.
+    """
+
+    name: str
+    registered: np.ndarray
+    centres: np.ndarray
+    sigma: np.ndarray
+    stages: Mapping[str, tuple[float, float]]
+    counts: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def cpu_s(self) -> float:
+        """Of all stages."""
+        return sum(cpu for cpu, _ in self.stages.values())
+
+    @property
+    def wall_s(self) -> float:
+        """Of all stages."""
+        return sum(wall for _, wall in self.stages.values())
+
+    @property
+    def count(self) -> int:
+        """Registered images."""
+        return int(self.registered.sum())
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Where the cameras truly stood, (N, 3) metres, NaN = not known; ``measured``: by a reference, not by one of the
+    sides; ``right_m``: an image nearer than this, after a robust alignment, is at its place."""
+
+    centres_m: np.ndarray
+    measured: bool
+    right_m: float
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """A side against the reference: error (N,) m after the least-squares similarity, NaN = not registered or not
+    known; (N,) bool: at its place; metres a unit of its model."""
+
+    side: Side
+    error_m: np.ndarray
+    right: np.ndarray
+    scale: float
+
+    def rmse_m(self, images: np.ndarray) -> float:
+        """Over some images (N,) bool."""
+        known = self.error_m[images & np.isfinite(self.error_m)]
+        return float(np.sqrt(np.mean(known**2))) if len(known) else np.nan
+
+    def sigma_m(self, images: np.ndarray) -> float:
+        """Median over some images (N,) bool."""
+        known = self.side.sigma[images & np.isfinite(self.side.sigma)]
+        return self.scale * float(np.median(known)) if len(known) else np.nan
+
+
+def compare_sides(ours: Side, theirs: Side, reference: Reference, sections: Sequence[str]) -> dict[str, Any]:
+    """Tables of both sides, whole and by ``sections`` (N, the name of each image's), and ``speed_up`` in words.
+
+    Values are None where there is none.
+    """
+    both = [_judge(side, reference) for side in (ours, theirs)]
+    lost = theirs_lost, ours_lost = ours.registered & ~theirs.registered, theirs.registered & ~ours.registered
+    return {
+        "figures": {"columns": ["", ours.name, theirs.name, "ratio"], "rows": _figures(both, reference)},
+        "stages": _stages(ours, theirs),
+        "sections": _sections(both, np.array(sections)),
+        "lost": {theirs.name: int(theirs_lost.sum()), ours.name: int(ours_lost.sum())},
+        "speed_up": _speed_up(both, lost, reference.measured),
+    }
+
+
+def _judge(side: Side, reference: Reference) -> _Judged:
+    known = np.isfinite(side.centres).all(axis=1) & np.isfinite(reference.centres_m).all(axis=1) & side.registered
+    error, right = np.full(len(known), np.nan), np.zeros(len(known), bool)
+    if known.sum() < _LEAST_POSES:
+        return _Judged(side=side, error_m=error, right=right, scale=np.nan)
+    source, target = side.centres[known], reference.centres_m[known]
+    plain: Similarity = umeyama(source, target)
+    robust, _ = robust_umeyama(source, target, reference.right_m / 3)
+    error[known] = np.linalg.norm(plain(source) - target, axis=1)
+    right[known] = np.linalg.norm(robust(source) - target, axis=1) < reference.right_m
+    return _Judged(side=side, error_m=error, right=right, scale=plain.scale)
+
+
+def _figures(both: list[_Judged], reference: Reference) -> list[list[Any]]:
+    """Rows: name, ours, theirs, theirs over ours where the row is a cost."""
+    a, b = (j.side for j in both)
+    every = np.ones(len(a.registered), bool)
+    common = a.registered & b.registered
+    told = reference.measured and np.isfinite(reference.centres_m).all()
+    right = [int(j.right.sum()) if told else None for j in both]
+    counted = list(dict.fromkeys([*a.counts, *b.counts]))
+    return [
+        ["images", len(every), len(every), None],
+        ["registered, in the largest model", a.count, b.count, None],
+        ["registered and at their place", *right, None],
+        *([name, a.counts.get(name), b.counts.get(name), None] for name in counted),
+        ["ATE, m", *(_number(j.rmse_m(every)) for j in both), None],
+        ["ATE of the images that both registered, m", *(_number(j.rmse_m(common)) for j in both), None],
+        ["sigma of a position, median, m", *(_number(j.sigma_m(every)) for j in both), None],
+        _cost("CPU s", a.cpu_s, b.cpu_s),
+        _cost("wall s", a.wall_s, b.wall_s),
+        _cost("CPU s per registered image", _ratio(a.cpu_s, a.count), _ratio(b.cpu_s, b.count)),
+        _cost("wall s per registered image", _ratio(a.wall_s, a.count), _ratio(b.wall_s, b.count)),
+        _cost("CPU s per image at its place", _ratio(a.cpu_s, right[0]), _ratio(b.cpu_s, right[1])),
+    ]
+
+
+def _cost(name: str, ours: float | None, theirs: float | None) -> list[Any]:
+    return [name, *(None if v is None else _number(v) for v in (ours, theirs)), _ratio(theirs, ours)]
+
+
+def _stages(ours: Side, theirs: Side) -> dict[str, Any]:
+    rows = [[n, *ours.stages.get(n, (None, None)), *theirs.stages.get(n, (None, None))]
+            for n in {**ours.stages, **theirs.stages}]  # fmt: skip
+    columns = ["stage", *(f"{s.name} {what}" for s in (ours, theirs) for what in ("CPU s", "wall s"))]
+    return {"columns": columns, "rows": rows}
+
+
+def _sections(both: list[_Judged], section: np.ndarray) -> dict[str, Any]:
+    """Cost is no row here: matching and adjusting serve all sections at once."""
+    rows = []
+    for name in sorted(set(section)):
+        mine = section == name
+        counts = [int((j.side.registered & mine).sum()) for j in both]
+        errors = [_number(j.rmse_m(mine)) for j in both]
+        sigmas = [_number(j.sigma_m(mine)) for j in both]
+        rows.append([name, int(mine.sum()), *counts, *(int((j.right & mine).sum()) for j in both), *errors, *sigmas])
+    names = [j.side.name for j in both]
+    what = ("registered", "at their place", "ATE m", "sigma m")
+    return {"columns": ["section", "images", *(f"{w} {n}" for w in what for n in names)], "rows": rows}
+
+
+def _speed_up(both: list[_Judged], lost: tuple[np.ndarray, np.ndarray], measured: bool) -> list[str]:
+    """What may be said of the costs, one sentence each."""
+    a, b = (j.side for j in both)
+    if not a.count or not b.count:
+        none = " and ".join(s.name for s in (a, b) if not s.count)
+        return [f"no speed-up can be stated: {none} registered no image"]
+    factor = f"{_number((b.cpu_s / b.count) / (a.cpu_s / a.count)):g}"
+    theirs_lost, ours_lost = (int(m.sum()) for m in lost)
+    said = []
+    if not theirs_lost and not ours_lost:
+        said.append(f"speed-up at equal registration: {factor} (CPU s per registered image; both register the same "
+                    f"{a.count} images)")  # fmt: skip
+    else:
+        who = [f"{s.name} loses {n} images that {o.name} registers"
+               for s, o, n in ((b, a, theirs_lost), (a, b, ours_lost)) if n]  # fmt: skip
+        said.append(f"speed-up {factor} per registered image, not at equal registration: {'; '.join(who)}")
+    right = [int(j.right.sum()) for j in both]
+    if measured and right != [a.count, b.count]:
+        counts = ", ".join(f"{s.name} {n} of its {s.count}" for s, n in zip((a, b), right))
+        more = f": speed-up {_number((b.cpu_s / right[1]) / (a.cpu_s / right[0])):g} per image at its place"
+        said.append(f"registered images at their true place: {counts}{more if all(right) else ''}")
+    return said
+
+
+def _ratio(a: float | None, b: float | None) -> float | None:
+    return None if a is None or not b else _number(a / b)
+
+
+def _number(value: float) -> float | None:
+    """Four digits; None for what is not known."""
+    return float(f"{value:.4g}") if np.isfinite(value) else None

@@ -1,0 +1,85 @@
+"""The papers' tables and the table of figures: printed from what is kept, without running anything."""
+
+from pathlib import Path
+
+import pytest
+from benchmarks.papers.__main__ import main
+from benchmarks.papers.measure import RESULTS, RUNS
+from benchmarks.papers.printed import PRINTED
+from benchmarks.papers.tables import tables
+
+from benchmarks import table
+
+_ROOT = Path(__file__).resolve().parents[2]
+
+
+def row(name: str, method: str, **more: object) -> dict:
+    stages = {"masks": [1.0, 1.0], "preview": [2.0, 2.0], "features": [3.0, 3.0], "match": [4.0, 4.0],
+              "sparse": [5.0, 5.0], "dense": [60.0, 60.0], "cloud": [7.0, 7.0], "scan": [100.0, 1.0]}  # fmt: skip
+    counts = {"matched": 50, "verified": 40, "dense_points": 9000}
+    return {"set": name, "method": method, "status": "done", "stages": stages, "counts": counts, "images": 20,
+            "largest": 16, "components": 2, "points": 700, "ate_m": 0.25, "rmse_m": 0.003, **more}  # fmt: skip
+
+
+def cells(text: str, name: str) -> list[str]:
+    """The cells of the first row of that name below "Here"."""
+    found = next(li for li in text.partition("## Here")[2].splitlines() if li.startswith(f"| {name} |"))
+    return [c.strip() for c in found.strip("| ").split("|")][1:]
+
+
+def test_each_printed_row_fills_its_columns() -> None:
+    for paper, printed in PRINTED.items():
+        for one in printed:
+            assert all(len(r) == len(one.columns) for r in one.rows), (paper, one.title)
+    assert set(PRINTED) == set(RUNS) == {"000", "001", "002", "003", "004"}
+    # what the papers' totals add up to, where they do
+    two = dict((r[0], r[1:]) for r in PRINTED["000"][1].rows)
+    assert two["Total"] == pytest.approx(
+        [sum(v) for v in zip(two["SfM"], two["MVS"], two["Mask image creation"])], abs=1
+    )
+    for one in PRINTED["001"][2:]:
+        column = {r[0]: r[1:] for r in one.rows}
+        total = [sum(values) for values in zip(*list(column.values())[:5])]
+        assert column["Overall processing"] == pytest.approx(total, abs=0.2)
+
+
+def test_paper_000_adds_up_the_stages_of_its_rows() -> None:
+    text = tables("000", [row("canal_demo", "tiegraph"), row("canal_demo", "meguro2024", largest=10)])
+    assert cells(text, "SfM, total") == ["14", "14"] and cells(text, "MVS") == ["67", "67"]
+    assert cells(text, "Total") == ["82", "82"]  # without scan, which the papers do not count
+    assert cells(text, "CPU s of SfM an image used") == ["1.4", "0.875"]  # meguro2024 stands before tiegraph
+    assert "Not measured (`--run`): canal_demo: COLMAP; canal_demo: conventional." in text
+
+
+def test_paper_003_lays_both_ways_side_by_side() -> None:
+    fast = row("vehicle ring", "by poses", counts={"matched": 10, "dense_points": 8000})
+    text = tables("003", [row("vehicle ring", "all pairs"), fast])
+    assert "| vehicle ring, 20 images | 50 / 10 | 82 / 82 |" in text and "| vehicle ring | 5 |" in text
+    assert "| ID 2 | 12.62 | 1.13 |" in text
+
+
+def test_paper_004_is_the_planners_table(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["004"]) == 0
+    said = capsys.readouterr().out
+    assert cells(said, "Precision, mm") == ["0.431", "0.845", "1.725", "2.484"]
+    assert cells(said, "Resolution, px/mm2") == ["21.5", "11", "5.4", "3.7"]
+    printed = [[45, 36], [65, 53], [98, 81], [119, 98]]
+    ours = [[float(v) for v in c.split("*")] for c in cells(said, "Common to the square of four, cm")]
+    assert all(abs(a - b) < 1.6 for p, o in zip(printed, ours) for a, b in zip(p, o))
+
+
+@pytest.mark.parametrize("paper", sorted(RUNS))
+def test_what_is_kept_prints(paper: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert RESULTS.exists() and main([paper]) == 0
+    assert f"# Paper {paper}" in capsys.readouterr().out
+
+
+def test_the_figures_of_the_documents_are_those_of_the_results(tmp_path: Path) -> None:
+    for name in table._DOCUMENTS:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text((_ROOT / name).read_text())
+    table.write(tmp_path)
+    for name in table._DOCUMENTS:
+        assert (tmp_path / name).read_text() == (_ROOT / name).read_text(), (
+            f"{name}: python -m benchmarks.table --write"
+        )
