@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tiegraph.design.surface import VERDICTS, places_table, surface_map, weak_places
+from tiegraph.design.surface import VERDICTS, CoveredSurface, surface_map, weak_places
 from tiegraph.design.tuning import SurfaceTuning
 from tiegraph.scene.matches import Visibility
 
@@ -65,7 +65,7 @@ def test_each_part_of_a_wall_gets_its_verdict():
     weak = np.concatenate([p.cells for p in places])
     assert np.all(found.verdict[weak] > 0) and len(np.unique(weak)) == len(weak)
     assert all(4 < p.xyz[0] < 21 for p in places)
-    table = places_table(found, places, [f"{k}.jpg" for k in range(len(centres))])
+    table = CoveredSurface(found, places, [f"{k}.jpg" for k in range(len(centres))]).table()
     assert [len(r) for r in table["rows"]] == [len(table["columns"])] * len(places)
     assert int(table["rows"][0][1].removesuffix(".jpg")) >= 6
 

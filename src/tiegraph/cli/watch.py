@@ -28,6 +28,8 @@ class WatchOptions:
     """The calibration of a single camera, as for `tiegraph run`."""
     gnss: Path | None = None
     """Positions, as for `tiegraph run`: the plan is in metres then, north up."""
+    times: Path | None = None
+    """CSV of the frames' times, as for `tiegraph run`: of images that have none, for --gnss."""
     port: int = 8765
     """Of the page on this machine (127.0.0.1); 0 = any that is free."""
     json: bool = False
@@ -52,7 +54,8 @@ def main(arguments: list[str]) -> int:
     folder, options = options_of(watch_folder, "tiegraph watch", arguments)
     source = real_path(folder)
     out = options.out or source.with_name(source.name + "_watch")
-    project = open_project(source, out, rig=options.rig, camera=options.camera, gnss=options.gnss)
+    given = {name: getattr(options, name) for name in ("rig", "camera", "gnss", "times")}
+    project = open_project(source, out, **given)
     reporter = Reporter("json" if options.json else "quiet" if options.quiet else "auto")
     watch(Run(project.folder, project.inputs, project.settings, "serial", reporter), options.port)
     return 0

@@ -164,15 +164,31 @@ def weak_places(surface: SurfaceMap, tuning: SurfaceTuning) -> tuple[WeakPlace, 
     return tuple(sorted(out, key=lambda p: -len(p.cells)))
 
 
-def places_table(surface: SurfaceMap, places: Sequence[WeakPlace], names: Sequence[str]) -> dict:
-    """{"columns", "rows"} of the weak places; ``names`` (N,) of the images. Lengths in the unit of the model."""
-    rows = []
-    for place in places:
-        own = place.cells
-        sigma = float(np.median(surface.sigma[own]))
-        rows.append([
-            VERDICTS[place.verdict], names[place.image], len(own), float(f"{len(own) * surface.side**2:.3g}"),
-            float(np.median(surface.images[own])), round(float(np.median(surface.angle_deg[own])), 1),
-            float(f"{sigma:.2g}") if np.isfinite(sigma) else None,
-        ])  # fmt: skip
-    return {"columns": list(_COLUMNS), "rows": rows}
+@dataclass(frozen=True)
+class CoveredSurface:
+    """The map, its weak places, and the names of the images, in words and as a table."""
+
+    cells: SurfaceMap
+    places: tuple[WeakPlace, ...]
+    names: Sequence[str]
+
+    def lines(self) -> tuple[str, ...]:
+        """What people should know of it. Lengths in the unit of the model."""
+        shares = ", ".join(f"{share:.0f} % {name}" for name, share in self.cells.shares().items())
+        places = f"{len(self.places)} weakly covered places" if self.places else "no place is weakly covered"
+        finite = self.cells.sigma[np.isfinite(self.cells.sigma)]
+        sigma = f"; sigma of a point {np.median(finite):.2g} in the median" if len(finite) else ""
+        return (f"surface, {len(self.cells)} cells: {shares}; {places}{sigma}",)
+
+    def table(self) -> dict:
+        """{"columns", "rows"} of the weak places, the largest first. Lengths in the unit of the model."""
+        rows = []
+        for place in self.places:
+            sigma = float(np.median(self.cells.sigma[place.cells]))
+            rows.append([
+                VERDICTS[place.verdict], self.names[place.image], len(place.cells),
+                float(f"{len(place.cells) * self.cells.side**2:.3g}"), float(np.median(self.cells.images[place.cells])),
+                round(float(np.median(self.cells.angle_deg[place.cells])), 1),
+                float(f"{sigma:.2g}") if np.isfinite(sigma) else None,
+            ])  # fmt: skip
+        return {"columns": list(_COLUMNS), "rows": rows}

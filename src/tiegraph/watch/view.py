@@ -8,38 +8,24 @@ from typing import Any
 import numpy as np
 
 from tiegraph.geometry import transforms
+from tiegraph.geometry.levelled import levelled
 from tiegraph.scene.matches import PreviewMatches
 from tiegraph.scene.scene import Scene
 
 _LEAST_POSITIONS = 3  # a similarity in the plan has four unknowns, and one is to contradict
-_UPRIGHT = 0.05  # weight of a camera's own upright against the horizon that its x axis lies in
 
 
 def plan_from_world(cam_from_world: np.ndarray, scene: Scene) -> tuple[np.ndarray, float]:
     """(4, 4) rotation, scale and shift into the plan (x right, y up the page, z height), and its scale.
 
-    Level by the cameras, which people and vehicles hold upright, or which look down. With measured positions of three
-    frames and more, in metres and with north up; else the path lies along x and the unit stays.
+    With measured positions of three frames and more, in metres and with north up; else the path lies along x and the
+    unit stays.
     """
+    plan = levelled(cam_from_world)
     placed = np.isfinite(cam_from_world).all(axis=(1, 2))
-    out = np.eye(4)
-    if not placed.any():
-        return out, 1.0
-    rotation, centre = cam_from_world[placed, :3, :3], transforms.centre(cam_from_world[placed])
-    x, y, z = (rotation[:, a] for a in range(3))
-    spread = x.T @ x + _UPRIGHT * (len(y) * np.eye(3) - y.T @ y)
-    up = np.linalg.eigh(spread)[1][:, 0]
-    up *= -1.0 if np.sum((y + z) @ up) > 0 else 1.0
-    flat = centre - centre.mean(axis=0)
-    flat = flat - np.outer(flat @ up, up)
-    along = np.linalg.svd(flat)[2][0] if np.abs(flat).max() > 0 else x[0]
-    along = along - (along @ up) * up
-    along /= np.linalg.norm(along)
-    out[:3, :3] = np.stack([along, np.cross(up, along), up])
-    out[:3, 3] = -out[:3, :3] @ centre.mean(axis=0)
-    frames = scene.frame[placed]
+    frames, centre = scene.frame[placed], transforms.centre(cam_from_world[placed])
     known = scene.measured_positions()[frames] & scene.metric_positions()
-    return _onto_positions(out, transforms.apply(out, centre)[known], scene.world_from_rig[frames[known], :3, 3])
+    return _onto_positions(plan, transforms.apply(plan, centre)[known], scene.world_from_rig[frames[known], :3, 3])
 
 
 def _onto_positions(plan: np.ndarray, here: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, float]:

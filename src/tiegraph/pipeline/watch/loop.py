@@ -7,6 +7,7 @@ import logging
 import statistics
 import time
 from collections import deque
+from functools import partial
 from typing import Any
 
 import cv2
@@ -15,9 +16,6 @@ import numpy as np
 from tiegraph.child import end_helpers
 from tiegraph.design.surface import VERDICTS
 from tiegraph.errors import InputError
-from tiegraph.odometry.cameras import Cameras
-from tiegraph.odometry.resect import resect
-from tiegraph.odometry.tuning import PoseTuning
 from tiegraph.pipeline import STAGES
 from tiegraph.pipeline.files import load_npz, save_npz
 from tiegraph.pipeline.foundrig import rig_of_run
@@ -26,7 +24,7 @@ from tiegraph.pipeline.preview import preview_path
 from tiegraph.pipeline.previews import preview_of
 from tiegraph.pipeline.watch.model import CoarseModels, Modelled, rigs_of
 from tiegraph.pipeline.watch.shown import shown_scene, shown_surface
-from tiegraph.pipeline.watch.ties import make_preview, matched, neighbours
+from tiegraph.pipeline.watch.ties import make_preview, matched, neighbours, resect_previews
 from tiegraph.project.folder import working_in
 from tiegraph.project.run import Run, check_run
 from tiegraph.project.stages import write_atomic
@@ -171,7 +169,9 @@ class Watched:
         if sum(not p.reason for p in self._probes.values()) < 2:
             return
         text = None if self._rig_text is None else self._rig_text.text
-        inputs = ScanInputs(images=given.images, rig=given.rig, rig_text=text, camera=given.camera, gnss=given.gnss)
+        inputs = ScanInputs(
+            images=given.images, rig=given.rig, rig_text=text, camera=given.camera, gnss=given.gnss, times=given.times
+        )
         try:
             probes = [self._probes[f] for f in files]
             self.scene = build_scene(inputs, clean_names(files), probes, settings.scan, settings.tuning.scan)
@@ -217,6 +217,8 @@ class Watched:
         if scene is None or not self.poses:
             return
         ties, known = self.ties(scene), self._known(scene)
+        size_px = self.run.settings.preview.size_px
+        how = partial(resect_previews, size_px=size_px, tuning=self.tuning.frames)
         for _ in range(2):  # a frame may hang on one that comes after it
             without = ~known.placed()
             across = without[ties.i] != without[ties.j]
@@ -228,7 +230,7 @@ class Watched:
             if not todo:
                 return
             self._tried.update({scene.frame_names[f]: int(weight[f]) for f in todo})
-            poses = place_frames(scene, ties, known, todo, self._resect, self.tuning.frames)
+            poses = place_frames(scene, ties, known, todo, how, self.tuning.frames)
             known = Known(poses, known.cameras, known.keypoints, known.rigs)
             self.poses.update({n: poses[k] for k, n in enumerate(scene.names) if np.isfinite(poses[k]).all()})
 
@@ -239,21 +241,6 @@ class Watched:
         poses = np.array([self.poses.get(name, nowhere) for name in scene.names]).reshape(-1, 4, 4)
         cameras = [rigs[scene.rig[f]].sensors[s].camera for f, s in zip(scene.frame, scene.sensor)]
         return Known(poses, cameras, lambda k: preview_of(self.run.folder, scene.names[k]).xy, rigs)
-
-    def _resect(self, rig: Rig, sensor: np.ndarray, xy: np.ndarray, points: np.ndarray) -> np.ndarray | None:
-        """rig_from_world by the odometry's resection, with the precision of previews."""
-        known = [k for k, s in enumerate(rig.sensors) if s.sensor_from_rig is not None and s.camera is not None]
-        use = np.isin(sensor, known)
-        if not use.any():
-            return None
-        models = [rig.sensors[k].camera for k in known]
-        cameras = Cameras(tuple(rig.sensors[k].name for k in known), tuple(models),
-                          np.stack([rig.sensors[k].sensor_from_rig for k in known]))  # fmt: skip
-        size = max(np.sqrt(c.width * c.height / 0.75) for c in models) / self.run.settings.preview.size_px
-        limit = self.tuning.frames.inlier_small_px * max(size, 1.0)
-        tuning = PoseTuning(inlier_px=limit, first_px=4 * limit, least_points=self.tuning.frames.least_points)
-        found = resect(cameras, np.searchsorted(known, sensor[use]), xy[use], points[use], None, tuning)
-        return None if found is None else found.rig_from_world
 
     # --- the model --------------------------------------------------------------------------------------------------
 
@@ -317,7 +304,8 @@ class Watched:
         pairs = list(self._ties)
         numbers = {name: k for k, name in enumerate(sorted(self._digest))}
         there = [(numbers[a], numbers[b], self._ties[a, b]) for a, b in pairs if a in numbers and b in numbers]
-        ties = PreviewMatches.make(*np.array([t[:2] for t in there], int).reshape(-1, 2).T, [t[2] for t in there])
+        ends = np.array([t[:2] for t in there], int).reshape(-1, 2)
+        ties = PreviewMatches.make(ends[:, 0], ends[:, 1], [t[2] for t in there])
         known = json.dumps([[name, self._digest[name]] for name in numbers])
         save_npz(self.run.path(KEPT), known=np.array(known), **ties.to_npz())
         write_atomic(self.run.path(PAGE), page(self.state()))
