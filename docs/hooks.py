@@ -14,7 +14,19 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "tiegraph"
 PAGES = {"DESIGN.md": "design.md", "CONTRIBUTING.md": "contributing.md"}
 CHAPTERS = ("project", "pipeline", "scan", "masks", "network", "design", "features", "filter", "sfm", "dense", "cloud")
-CHAPTERS += ("evaluate", "report", "calibrate", "plan", "lidar", "odometry", "scene", "geometry", "papers", "cli")
+CHAPTERS += (
+    "evaluate",
+    "report",
+    "calibrate",
+    "plan",
+    "lidar",
+    "odometry",
+    "watch",
+    "scene",
+    "geometry",
+    "papers",
+    "cli",
+)
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tiegraph.design.coverage import Coverage
+from tiegraph.design.surface import CoveredSurface
 from tiegraph.errors import InputError, ReconstructionError, SettingsError, choose
 from tiegraph.pipeline import SHOTS, STAGES, foundrig
 from tiegraph.pipeline.forecast import Forecast, forecast
@@ -181,6 +182,14 @@ class Project:
 
         self._needed(*(("pairs.npz", "design") if chosen else ("network.npz", "network")))
         return coverage_of(Run(self.folder, self.inputs, self.settings), chosen)
+
+    def surface(self) -> CoveredSurface | None:
+        """How well the surface is covered, by the coarse model: by how many images, under which angles, with what
+        precision, and where to go again; None if there is no such model."""
+        from tiegraph.pipeline.design import surface_of  # loads the engine
+
+        self._needed("network.npz", "network")
+        return surface_of(Run(self.folder, self.inputs, self.settings))
 
     def pairs(self) -> Pairs:
         """The pair table of the last stage that made one: `filter`, `match` (both with inliers) or `design`."""

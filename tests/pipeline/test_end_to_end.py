@@ -166,17 +166,6 @@ def test_presets_run_to_a_model_and_compare(preset, finished, server, tmp_path):
     assert project.preset == preset and 6 <= project.receipt("sparse")["counts"]["registered"] <= 12
     compared = server.run(["compare", finished.clean["report"], out], tmp_path / "said", _PATIENCE_S)
     assert compared.good and "Registered images" in compared.text and preset in compared.text, compared
-<<<<<<< HEAD
-=======
-
-
-def test_first_claim_of_paper_000(project, survey, tmp_path):
-    """Brute force looks at every pair of images, the network at a part, and both place all images (000 kept 44 %)."""
-    made, _ = survey
-    n = len(project.scene())
-    brute = tiegraph.open(made.images, tmp_path / "brute", preset="conventional", pool="serial").run("design")
-    assert len(brute.pairs().kept()) == n * (n - 1) // 2
-    assert len(project.pairs().kept()) < 0.8 * n * (n - 1) / 2
 
 
 def test_another_method_on_the_same_images(project, survey, tmp_path, capsys):
@@ -216,4 +205,3 @@ def test_a_block_is_a_folder_of_links(project, survey, tmp_path):
         lay_out(run, 12, tmp_path / "mine")
     with pytest.raises(SettingsError, match="unknown baseline 'colmp'"):
         project.baseline("colmp", 12)
->>>>>>> w18-papers

@@ -12,6 +12,7 @@ from tiegraph.api import Project, open_project
 from tiegraph.cli import run
 from tiegraph.cli.output import say, show_table
 from tiegraph.design.coverage import Coverage
+from tiegraph.design.surface import CoveredSurface
 
 _ROWS = 20  # weak links shown; the report has all
 
@@ -21,8 +22,8 @@ class _Options(run.Common):
     coverage: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False  # main takes it
     """Say what the tie graph leaves weak, on site: images without ties, what hangs on a single tie, which camera, pass
     or section is tied to the others by fewer than two; of all candidate pairs and of those that the design chose; exit
-    code 1 if anything is. A folder of images instead of OUT is run up to the design first, with the options of
-    `tiegraph run`."""
+    code 1 if anything is. And how the surface is covered: by how many images, from which angles, how precisely. A
+    folder of images instead of OUT is run up to the design first, with the options of `tiegraph run`."""
 
 
 def main(arguments: list[str]) -> int:
@@ -41,14 +42,25 @@ def main(arguments: list[str]) -> int:
 
 
 def _show(project: Project, as_json: bool) -> int:
-    found, chosen = project.coverage(), project.coverage(chosen=True)
+    found, chosen, surface = project.coverage(), project.coverage(chosen=True), project.surface()
     sound = found.sound and chosen.sound
     if as_json:
-        say(json.dumps({**_told(found), "sound": sound, "chosen": _told(chosen)}))
+        covered = None if surface is None else {**surface.cells.shares(), "places": surface.table()}
+        say(json.dumps({**_told(found), "sound": sound, "chosen": _told(chosen), "surface": covered}))
         return 0 if sound else 1
     _show_one("candidate pairs", found)
     _show_one("pairs that the design chose", chosen)
+    if surface is not None:
+        _show_surface(surface)
     return 0 if sound else 1
+
+
+def _show_surface(surface: CoveredSurface) -> None:
+    for line in surface.lines():
+        say(line)
+    table = surface.table()
+    if table["rows"]:
+        show_table(table["columns"], table["rows"][:_ROWS], "where to go again")
 
 
 def _told(found: Coverage) -> dict[str, Any]:

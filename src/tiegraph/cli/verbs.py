@@ -49,6 +49,7 @@ VERBS: dict[str, Verb] = {
     "calibrate": Verb("cameras and rig from images of a board (ChArUco, checkerboard, AprilGrid)", "calibrate"),
     "plan": Verb("what a survey will give: precision by distance, accuracy of a whole path, effort", "plan"),
     "lidar": Verb("trajectory and map of a LiDAR by its scans, and a run beside them", "lidar"),
+    "watch": Verb("on site: previews, ties, path and surface coverage of images while they arrive", "watch"),
     "odometry": Verb("the path of a stereo camera, a rig or a single camera from the images alone", "odometry"),
     "rig": Verb("the rig and cameras as a run found them, as rig.toml or COLMAP's rig_config.json", "rig"),
     "export": Verb("the depth maps as a dense workspace for COLMAP's stereo_fusion", "export"),

@@ -131,6 +131,29 @@ class GrowthTuning(Section):
     """Times the pairs wanted: so many of the best gains a round sorts first, for sorting all would cost too much."""
 
 
+class SurfaceTuning(Section):
+    """The map of the surface (`surface.py`)."""
+
+    cell: float = Field(0.1, gt=0)
+    """Side of a cell, in median distances from image to point: an image of 60 degrees shows some ten by ten."""
+    farthest: float = Field(4.0, gt=1)
+    """Median distances beyond which a point is background, which nobody surveys."""
+    least_points: int = Field(3, gt=0)
+    """Points of a cell: fewer are as often errors of the model."""
+    seen_share: float = Field(0.3, gt=0, le=1)
+    """Of a cell's points, that an image must see to see the cell."""
+    image_px: float = Field(0.5, gt=0)
+    """Sigma of an image coordinate, full resolution, that a point's expected sigma is worked out with: SIFT."""
+    least_images: int = Field(3, gt=1)
+    """Images of a cell: the third is the first that can contradict two (`dense` asks for as many by default)."""
+    least_angle_deg: float = Field(4.0, gt=0)
+    """Between the outermost rays of a cell: below, depth is ten times as bad as what the images show across."""
+    worse: float = Field(3.0, gt=1)
+    """Times the median sigma of the survey from which on a cell is imprecise."""
+    least_cells: int = Field(3, gt=0)
+    """Weak cells side by side that make a place to go to again."""
+
+
 class Tuning(Section):
     """Constants of the engine that are the same for every user."""
 
@@ -155,3 +178,5 @@ class Tuning(Section):
     """The net of resistances and its tracks."""
     growth: GrowthTuning = GrowthTuning()
     """Rounds of the choice."""
+    surface: SurfaceTuning = SurfaceTuning()
+    """The map of the surface."""

@@ -40,3 +40,19 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     out[:, 1] = a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]
     out[:, 2] = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
     return out
+
+
+def normal_matrices(ray: np.ndarray, weight: np.ndarray, group: np.ndarray, groups: int) -> np.ndarray:
+    """(G, 3, 3) normal matrices of points that rays meet at: the sum of weight (I - ray rayT) over each point's rays.
+
+    ray (K, 3) unit; weight (K,): one over the squared sigma across the ray, at the point; group (K,): the ray's point.
+    The inverse is the point's covariance.
+    """
+    products = np.bincount(group, weight, groups)[:, None, None] * np.eye(3)
+    for a in range(3):
+        for b in range(a, 3):
+            off = np.bincount(group, weight * ray[:, a] * ray[:, b], groups)
+            products[:, a, b] -= off
+            if a != b:
+                products[:, b, a] -= off
+    return np.asarray(products)

@@ -11,9 +11,10 @@ from tiegraph.design.cost import Cost, cost, predicted_keypoints
 from tiegraph.design.coverage import Coverage, coverage, on_few_points, unknown_across
 from tiegraph.design.design import METHODS, DesignResult, takes_all, with_coverage
 from tiegraph.design.design import design as select_pairs
+from tiegraph.design.surface import CoveredSurface, surface_map, weak_places
 from tiegraph.network.plots import map_png, weak_pairs
 from tiegraph.pipeline.accuracy import with_accuracy
-from tiegraph.pipeline.files import checked, pairs_of, reading, save_npz, sights_of, ties_of
+from tiegraph.pipeline.files import checked, load_npz, pairs_of, reading, save_npz, sights_of, ties_of
 from tiegraph.pipeline.previews import previews_of, with_previews
 from tiegraph.project.run import Run
 from tiegraph.project.stages import Outcome, write_atomic
@@ -57,8 +58,16 @@ def design(run: Run) -> Outcome:
     weak = weak_pairs(made.tables.get("weak links", {}), scene)
     picture = map_png(pairs, positions if np.isfinite(positions).any() else None, scene, weak=weak)
     write_atomic(run.path("design", "map.png"), picture)
+    tables, said = dict(made.tables), ()
+    surface = surface_of(run)
+    if surface is not None:
+        from tiegraph.design.surfaceplot import surface_png  # loads matplotlib
+
+        tables["where to go again"], said = surface.table(), surface.lines()
+        poses = load_npz(run.path("coarse", "model.npz"))["cam_from_world"]
+        write_atomic(run.path("design", "surface.png"), surface_png(surface.cells, surface.places, poses))
     looked = (f"{previews} pairs of which nothing was known were previewed first",) if previews else ()
-    return Outcome(counts, notes=(*looked, *made.notes), tables=made.tables)
+    return Outcome(counts, notes=(*looked, *made.notes, *said), tables=tables)
 
 
 def coverage_of(run: Run, chosen: bool) -> Coverage:
@@ -68,6 +77,17 @@ def coverage_of(run: Run, chosen: bool) -> Coverage:
         ties = ties | ties_of(run, "design")
     scene = checked(run)
     return coverage(pairs, scene, on_few_points(pairs, scene, ties, run.settings.tuning.design))
+
+
+def surface_of(run: Run) -> CoveredSurface | None:
+    """How well the surface of the coarse model is covered; None where there is no model."""
+    seen = sights_of(run)
+    if seen is None:
+        return None
+    scene, tuning = checked(run), run.settings.tuning.design.surface
+    focal = np.array([np.nan if s.camera is None else s.camera.mean_focal_length() for s in scene.all_sensors])
+    cells = surface_map(seen, focal[scene.sensor_key], tuning)
+    return CoveredSurface(cells, weak_places(cells, tuning), scene.names) if len(cells) else None
 
 
 def _covered(run: Run, made: DesignResult, scene: Scene, ties: PreviewMatches) -> tuple[DesignResult, PreviewMatches]:

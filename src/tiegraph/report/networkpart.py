@@ -20,6 +20,8 @@ CAPTIONS = {
     "map": "The tie graph on the map, by kind of tie, before the design: every pair that is thought to share surface.",
     "design": "The ties that the design chose to match: thick bundles hold the survey together, a red line is a place "
     "that hangs on one link.",
+    "covered": "How well the surface is covered, seen from above: cells by what is weak about them; the numbers are "
+    "rows of the table of places to go to again.",
     "surface": "What the frames of two passes share: the dark ridge is where both see the same place, the red path "
     "follows it although speed and direction differ.",
     "offset": "Frame-offset curves: preview matches of two cameras against the frame offset between them. A clear peak "
@@ -80,7 +82,9 @@ def _pictures(run: RunFolder, drawn: bool) -> list[tuple[str, str]]:
     order = list(CAPTIONS)
     paths = sorted(p for folder in ("candidates", "network", "design") for p in (run.path / folder).glob("*.png"))
     for path in paths:
-        title = "design" if path.parent.name == "design" else path.stem.replace("curve", "offset")
+        title = path.stem.replace("curve", "offset")
+        if path.parent.name == "design":
+            title = {"surface": "covered"}.get(path.stem, "design")
         kind = next((k for k in order if k in title), "")
         if drawn and kind in ("matrix", "funnel"):
             continue  # drawn above, with what was verified beside it

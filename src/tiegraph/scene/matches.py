@@ -71,13 +71,19 @@ class PreviewMatches:
         rows = np.flatnonzero(mask)
         return PreviewMatches.make(self.i[rows], self.j[rows], [self.of(int(t)) for t in rows])
 
-    def tracks(self) -> tuple[np.ndarray, np.ndarray]:
-        """(K,), (K,) number of the track and image of every feature that has a match: what matches join is one."""
+    def observations(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(K,) each: track, image and feature (row of the image's preview) of every feature that has a match; what
+        matches join is one track."""
         pair = np.repeat(np.arange(len(self)), self.counts())
         ends = np.stack([self.i[pair], self.j[pair]]).astype(np.int64) << 16 | self.matches.T
         feature, node = np.unique(ends, return_inverse=True)
         one, other = node.reshape(ends.shape)
-        return parts(one, other, len(feature)), feature >> 16
+        return parts(one, other, len(feature)), feature >> 16, feature & 0xFFFF
+
+    def tracks(self) -> tuple[np.ndarray, np.ndarray]:
+        """(K,), (K,) track and image of ``observations``."""
+        track, image, _ = self.observations()
+        return track, image
 
     def find(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
         """(K,) row of image pairs (K,), (K,) in any order of their ends; -1 = not previewed."""

@@ -1,0 +1,61 @@
+"""`tiegraph watch FOLDER`: images are followed while they arrive, on a page of this machine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from tiegraph.api import open_project
+from tiegraph.cli.options import options_of
+from tiegraph.pipeline.watch.loop import watch
+from tiegraph.project.progress import Reporter
+from tiegraph.project.run import Run
+from tiegraph.scene.regular import real_path
+
+
+@dataclass(frozen=True)
+class WatchOptions:
+    """Options of `tiegraph watch`."""
+
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """Where what is known is kept (default: <FOLDER>_watch beside the folder); the same again goes on."""
+    rig: str | None = None
+    """As for `tiegraph run`: a rig.toml, COLMAP's rig_config.json, the folder of a run, or a preset such as ring:N."""
+    camera: str | None = None
+    """The calibration of a single camera, as for `tiegraph run`."""
+    gnss: Path | None = None
+    """Positions, as for `tiegraph run`: the plan is in metres then, north up."""
+    times: Path | None = None
+    """CSV of the frames' times, as for `tiegraph run`: of images that have none, for --gnss."""
+    port: int = 8765
+    """Of the page on this machine (127.0.0.1); 0 = any that is free."""
+    json: bool = False
+    """One JSON object a line on standard output instead of text."""
+    quiet: bool = False
+    """Say nothing but errors."""
+
+
+def main(arguments: list[str]) -> int:
+    """`tiegraph watch`."""
+
+    def watch_folder(
+        folder: tyro.conf.Positional[Path], options: Annotated[WatchOptions, tyro.conf.arg(name="")]
+    ) -> tuple[Path, WatchOptions]:
+        """Follow the images of a folder while they arrive: ties, path, surface coverage and where to go again.
+
+        Args:
+            folder: The folder into which images are copied, in any of the layouts of `tiegraph run`.
+        """
+        return folder, options
+
+    folder, options = options_of(watch_folder, "tiegraph watch", arguments)
+    source = real_path(folder)
+    out = options.out or source.with_name(source.name + "_watch")
+    given = {name: getattr(options, name) for name in ("rig", "camera", "gnss", "times")}
+    project = open_project(source, out, **given)
+    reporter = Reporter("json" if options.json else "quiet" if options.quiet else "auto")
+    watch(Run(project.folder, project.inputs, project.settings, "serial", reporter), options.port)
+    return 0

@@ -1,0 +1,194 @@
+"""The surface and how well it is covered: by how many images, under which angles, with what expected precision.
+
+Points of a rough model stand for the surface. They are gathered in cells, cubes of a tenth of the usual distance, each
+parted into the side that is seen from one direction and the one seen from the other: a wall's two faces are covered by
+different images. The precision is that of a point that all images of the cell measure, by the geometry of their rays
+alone (the inverse of the normal matrix of the intersection); its largest half axis, mostly the depth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from tiegraph.design.tuning import SurfaceTuning
+from tiegraph.geometry.rays import normal_matrices
+from tiegraph.scene.graph import parts
+from tiegraph.scene.matches import Visibility
+
+VERDICTS = ("well covered", "one image", "few images", "narrow angle", "imprecise")
+_COLUMNS = ("why", "near image", "cells", "area", "images", "largest angle, degrees", "sigma")
+_NEAR = 1.8  # sides of a cell between neighbours: those across an edge too
+
+
+@dataclass(frozen=True)
+class SurfaceMap:
+    """C cells of the surface, in the frame and unit of the model.
+
+    xyz (C, 3): centre of the cell's points; images (C,): how many see it; angle_deg (C,): largest between two of their
+    rays; sigma (C,): expected of a point, largest half axis, infinite for one image; verdict (C,): index of VERDICTS;
+    best (C,): the image that sees it from the shortest distance; side: of a cell.
+    """
+
+    xyz: np.ndarray
+    images: np.ndarray
+    angle_deg: np.ndarray
+    sigma: np.ndarray
+    verdict: np.ndarray
+    best: np.ndarray
+    side: float
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+    def shares(self) -> dict[str, float]:
+        """Share of the cells of each verdict, in percent."""
+        count = np.bincount(self.verdict, minlength=len(VERDICTS))
+        return {name: 100.0 * float(n) / max(len(self), 1) for name, n in zip(VERDICTS, count)}
+
+
+@dataclass(frozen=True)
+class WeakPlace:
+    """Weakly covered cells side by side: their rows in the map, middle (3,), the most frequent verdict, and the image
+    that sees most of them from near."""
+
+    cells: np.ndarray
+    xyz: np.ndarray
+    verdict: int
+    image: int
+
+
+def surface_map(seen: Visibility, focal_px: np.ndarray, tuning: SurfaceTuning) -> SurfaceMap:
+    """The cells of what N images of known place see; ``focal_px`` (N,) of each, NaN = not known, then it counts not."""
+    image, point = np.repeat(np.arange(len(seen.start) - 1), np.diff(seen.start)), np.asarray(seen.point)
+    ray = seen.xyz[point] - seen.centre[image]
+    distance = np.linalg.norm(ray, axis=1)
+    good = np.isfinite(distance) & (distance > 0) & np.isfinite(focal_px[image])
+    if not good.any():
+        none = np.zeros(0, int)
+        return SurfaceMap(
+            xyz=np.zeros((0, 3)), images=none, angle_deg=none, sigma=none, verdict=none, best=none, side=0.0
+        )
+    usual = float(np.median(distance[good]))
+    good &= distance <= tuning.farthest * usual
+    image, point, ray = image[good], point[good], ray[good] / distance[good, None]
+    cell = _cells(seen.xyz, point, ray, tuning.cell * usual, tuning.least_points)
+    kept = cell >= 0
+    count = np.bincount(cell[kept], minlength=int(cell.max(initial=-1)) + 1)
+    middle = np.column_stack([np.bincount(cell[kept], seen.xyz[kept, a]) / count for a in range(3)])
+    pair = cell[point].astype(np.int64) * len(focal_px) + image
+    pair, times = np.unique(pair[kept[point]], return_counts=True)
+    cell_of, image_of = pair // len(focal_px), pair % len(focal_px)
+    enough = times >= tuning.seen_share * count[cell_of]
+    return _judged(middle, cell_of[enough], image_of[enough], (seen.centre, focal_px), tuning, usual)
+
+
+def _cells(xyz: np.ndarray, point: np.ndarray, ray: np.ndarray, side: float, least: int) -> np.ndarray:
+    """(P,) cell of each point, numbered without gaps; -1 = seen by nobody, or one of too few."""
+    towards = np.column_stack([np.bincount(point, -ray[:, a], len(xyz)) for a in range(3)])
+    length = np.linalg.norm(towards, axis=1)
+    there = np.flatnonzero(length > 0)
+    towards = towards[there] / length[there, None]
+    box = np.unique(np.floor(xyz[there] / side).astype(np.int64), axis=0, return_inverse=True)[1].ravel()
+    # The axis that the directions of a box lie along, whatever their sign, tells its two faces apart.
+    spread = -normal_matrices(towards, np.ones(len(there)), box, int(box.max()) + 1)
+    axis = np.linalg.eigh(spread)[1][:, :, -1]
+    face = np.sum(towards * axis[box], axis=1) >= 0
+    _, cell, count = np.unique(2 * box + face, return_inverse=True, return_counts=True)
+    number = np.where(count >= least, np.cumsum(count >= least) - 1, -1)
+    out = np.full(len(xyz), -1)
+    out[there] = number[cell]
+    return out
+
+
+def _judged(
+    middle: np.ndarray,
+    cell: np.ndarray,
+    image: np.ndarray,
+    views: tuple[np.ndarray, np.ndarray],
+    tuning: SurfaceTuning,
+    usual: float,
+) -> SurfaceMap:
+    """The map of cells (C, 3) that images see (cell (S,) sorted, image (S,)); views: centres (N, 3) and focal lengths
+    (N,) of all images."""
+    centre, focal_px = views
+    ray = middle[cell] - centre[image]
+    distance = np.linalg.norm(ray, axis=1)
+    ray /= distance[:, None]
+    images = np.bincount(cell, minlength=len(middle))
+    normal = normal_matrices(ray, (focal_px[image] / (tuning.image_px * distance)) ** 2, cell, len(middle))
+    least = np.linalg.eigvalsh(normal)[:, 0]
+    sigma = np.full(len(middle), np.inf)
+    several = (images > 1) & (least > 0)
+    sigma[several] = 1 / np.sqrt(least[several])
+    start = np.searchsorted(cell, np.arange(len(middle) + 1))
+    cosine = [float((ray[a:b] @ ray[a:b].T).min(initial=1.0)) for a, b in zip(start[:-1], start[1:])]
+    angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    order = np.lexsort((distance, cell))
+    best = np.full(len(middle), -1)
+    best[cell[order][::-1]] = image[order][::-1]  # the nearest is written last
+    typical = float(np.median(sigma[several])) if several.any() else np.inf
+    verdict = np.select(
+        [images < 2, images < tuning.least_images, angle < tuning.least_angle_deg, sigma > tuning.worse * typical],
+        [1, 2, 3, 4],
+        0,
+    )
+    seen = images > 0
+    return SurfaceMap(
+        xyz=middle[seen],
+        images=images[seen],
+        angle_deg=angle[seen],
+        sigma=sigma[seen],
+        verdict=verdict[seen],
+        best=best[seen],
+        side=tuning.cell * usual,
+    )
+
+
+def weak_places(surface: SurfaceMap, tuning: SurfaceTuning) -> tuple[WeakPlace, ...]:
+    """Where to go again: weak cells that lie side by side, the largest places first."""
+    weak = np.flatnonzero(surface.verdict > 0)
+    if not len(weak):
+        return ()
+    near = cKDTree(surface.xyz[weak]).query_pairs(_NEAR * surface.side, output_type="ndarray")
+    part = parts(near[:, 0], near[:, 1], len(weak))
+    out = []
+    for number in np.flatnonzero(np.bincount(part) >= tuning.least_cells):
+        cells = weak[part == number]
+        verdict = int(np.bincount(surface.verdict[cells]).argmax())
+        image = int(np.bincount(surface.best[cells]).argmax())
+        out.append(WeakPlace(cells=cells, xyz=surface.xyz[cells].mean(axis=0), verdict=verdict, image=image))
+    return tuple(sorted(out, key=lambda p: -len(p.cells)))
+
+
+@dataclass(frozen=True)
+class CoveredSurface:
+    """The map, its weak places, and the names of the images, in words and as a table."""
+
+    cells: SurfaceMap
+    places: tuple[WeakPlace, ...]
+    names: Sequence[str]
+
+    def lines(self) -> tuple[str, ...]:
+        """What people should know of it. Lengths in the unit of the model."""
+        shares = ", ".join(f"{share:.0f} % {name}" for name, share in self.cells.shares().items())
+        places = f"{len(self.places)} weakly covered places" if self.places else "no place is weakly covered"
+        finite = self.cells.sigma[np.isfinite(self.cells.sigma)]
+        sigma = f"; sigma of a point {np.median(finite):.2g} in the median" if len(finite) else ""
+        return (f"surface, {len(self.cells)} cells: {shares}; {places}{sigma}",)
+
+    def table(self) -> dict:
+        """{"columns", "rows"} of the weak places, the largest first. Lengths in the unit of the model."""
+        rows = []
+        for place in self.places:
+            sigma = float(np.median(self.cells.sigma[place.cells]))
+            rows.append([
+                VERDICTS[place.verdict], self.names[place.image], len(place.cells),
+                float(f"{len(place.cells) * self.cells.side**2:.3g}"), float(np.median(self.cells.images[place.cells])),
+                round(float(np.median(self.cells.angle_deg[place.cells])), 1),
+                float(f"{sigma:.2g}") if np.isfinite(sigma) else None,
+            ])  # fmt: skip
+        return {"columns": list(_COLUMNS), "rows": rows}

@@ -1,0 +1,323 @@
+"""Glue of watch: one step after another, files that have arrived become previews, ties and poses."""
+
+from __future__ import annotations
+
+import json
+import logging
+import statistics
+import time
+from collections import deque
+from functools import partial
+from typing import Any
+
+import cv2
+import numpy as np
+
+from tiegraph.child import end_helpers
+from tiegraph.design.surface import VERDICTS
+from tiegraph.errors import InputError
+from tiegraph.pipeline import STAGES
+from tiegraph.pipeline.files import load_npz, save_npz
+from tiegraph.pipeline.foundrig import rig_of_run
+from tiegraph.pipeline.inputs import check_given
+from tiegraph.pipeline.preview import preview_path
+from tiegraph.pipeline.previews import preview_of
+from tiegraph.pipeline.watch.model import CoarseModels, Modelled, rigs_of
+from tiegraph.pipeline.watch.shown import shown_scene, shown_surface
+from tiegraph.pipeline.watch.ties import make_preview, matched, neighbours, resect_previews
+from tiegraph.project.folder import working_in
+from tiegraph.project.run import Run, check_run
+from tiegraph.project.stages import write_atomic
+from tiegraph.scan.scan import ScanInputs, build_scene, probe_image
+from tiegraph.scene.images import Probe
+from tiegraph.scene.matches import PreviewMatches
+from tiegraph.scene.names import clean_names
+from tiegraph.scene.rig import Rig
+from tiegraph.scene.scene import Scene
+from tiegraph.watch.arrivals import Arrivals
+from tiegraph.watch.frames import Known, place_frames
+from tiegraph.watch.server import PageServer, page
+from tiegraph.watch.tuning import Tuning
+
+KEPT, PAGE = "watch.npz", "watch.html"
+_BATCH = 8  # images of a step: a folder that is full already shows its first poses soon
+_RECENT = 100  # images of the median time
+
+log = logging.getLogger(__name__)
+
+
+def watch(run: Run, port: int) -> None:
+    """Watch ``run.inputs.images`` until it is interrupted, which is how it ends: what is known is kept then.
+
+    Raises InputError, before anything is written, for inputs that are wrong, a run folder that is not ours, and a port
+    that cannot be had.
+    """
+    check_run(STAGES, run)
+    check_given(STAGES, run)
+    cv2.setNumThreads(1)  # the second core is for the model
+    server = PageServer(port)
+    try:
+        with working_in(run.folder):
+            watched = Watched(run, Tuning())
+            run.reporter.say(f"watching {run.inputs.images}: {server.address} shows what arrives; Ctrl-C ends it")
+            run.reporter.event("watching", page=server.address, folder=str(run.inputs.images))
+            try:
+                while True:
+                    if watched.step(time.monotonic()):
+                        server.show(watched.state())
+                    time.sleep(watched.tuning.arrivals.look_s)
+            except KeyboardInterrupt:
+                end_helpers()
+                watched.keep()
+    finally:
+        server.close()
+    said = f"{len(watched.scene or ())} images, {len(watched.poses)} with a pose; {run.folder / PAGE} shows them"
+    run.reporter.say(f"stopped: {said}; the same command goes on")
+
+
+class Watched:
+    """What is known of a folder; ``step`` looks again. Names are those of the scene, whose order is that of names."""
+
+    def __init__(self, run: Run, tuning: Tuning) -> None:
+        self.run, self.tuning = run, tuning
+        self.arrivals = Arrivals(run.inputs.images, tuning.arrivals)
+        self.scene: Scene | None = None
+        self.poses: dict[str, np.ndarray] = {}
+        self.said: list[str] = []
+        self.times: deque[float] = deque(maxlen=_RECENT)
+        self._trouble = ""
+        self._probes: dict[str, Probe] = {}
+        self._digest: dict[str, str] = {}  # of the file whose preview there is
+        self._ties: dict[tuple[str, str], np.ndarray] = {}
+        self._rigs: tuple[Rig, ...] = ()
+        self._rig_text = rig_of_run(run.inputs.rig)
+        self._tried: dict[str, int] = {}  # frame -> matches to images with a pose when it could not be placed
+        self._models = CoarseModels(run)
+        self._changed, self._last, self._saved = True, 0.0, 0.0
+        self._recall()
+
+    # --- a step -----------------------------------------------------------------------------------------------------
+
+    def step(self, now: float) -> bool:
+        """Take in what has arrived and what the model says; whether anything is new."""
+        before = self.arrivals.trouble, self._trouble
+        names = self.arrivals.look(now)[:_BATCH]
+        new = self._taken_in(names, now) if names else []
+        made = self._models.result()
+        if made is not None:
+            self._take_model(made)
+        if new or made is not None:
+            self._tie(new)
+            self._place()
+            self._last = now if new else self._last
+        for name in new:
+            self._report(name, now)
+        self._model_if_due(now)
+        self._changed = self._changed or bool(names) or made is not None
+        if self._changed and now - self._saved > self.tuning.save_s:
+            self.keep()
+            self._saved = now
+        return self._changed or before != (self.arrivals.trouble, self._trouble) or now == self._last
+
+    def _report(self, name: str, now: float) -> None:
+        assert self.scene is not None
+        source = self.scene.source_name(self.scene.image_index[name])
+        seconds = time.monotonic() - self.arrivals.came(source)
+        self.times.append(seconds)
+        waiting = self.arrivals.waiting()
+        self.run.reporter.event("image", name=source, seconds=round(seconds, 3), waiting=waiting,
+                                pose=name in self.poses)  # fmt: skip
+
+    def _taken_in(self, files: list[str], now: float) -> list[str]:
+        """Open files, sort all that are known into the scene, and make the previews; names of the new images."""
+        root = self.arrivals.root
+        for file in files:
+            probe = probe_image(root / file, self.run.settings.tuning.scene.images)
+            if probe.reason and (file not in self._probes or self._probes[file].reason != probe.reason):
+                self.run.reporter.say(f"not used: {file}: {probe.reason}")
+            self._probes[file] = probe
+            self.arrivals.opened(file, not probe.reason, now)
+        self._sort()
+        if self.scene is None:
+            return []
+        new, failed = [], False
+        for image, name in enumerate(self.scene.names):
+            file = self.scene.source_name(image)
+            digest = self._probes[file].digest
+            if self._digest.get(name) == digest and preview_path(self.run.folder, name).exists():
+                if file in files:
+                    new.append(name)
+                continue
+            self._forget(name)
+            try:
+                make_preview(self.scene, image, root / file, self.run.folder, self.run.settings)
+                self._digest[name] = digest
+                new.append(name)
+            except (InputError, OSError) as error:  # gone or broken since it was opened
+                log.warning("%s: %s", file, error)
+                self._probes[file] = Probe(reason=f"cannot be read any more: {error}")
+                self.arrivals.opened(file, False, now)
+                failed = True
+        if failed:
+            self._sort()
+        return [name for name in new if self.scene is not None and name in self.scene.image_index]
+
+    def _sort(self) -> None:
+        """All files that are known as a scene; what does not fit is ``_trouble``, and the scene stays as it was."""
+        given, settings = self.run.inputs, self.run.settings
+        files = sorted(self._probes)
+        if sum(not p.reason for p in self._probes.values()) < 2:
+            return
+        text = None if self._rig_text is None else self._rig_text.text
+        inputs = ScanInputs(
+            images=given.images, rig=given.rig, rig_text=text, camera=given.camera, gnss=given.gnss, times=given.times
+        )
+        try:
+            probes = [self._probes[f] for f in files]
+            self.scene = build_scene(inputs, clean_names(files), probes, settings.scan, settings.tuning.scan)
+            self._trouble = ""
+        except InputError as error:
+            if str(error) != self._trouble:
+                self.run.reporter.say(f"waiting, for what is there does not fit: {error}")
+            self._trouble = str(error)
+
+    def _forget(self, name: str) -> None:
+        """An image that is another now: what was known of it goes."""
+        self._digest.pop(name, None)
+        self.poses.pop(name, None)
+        for pair in [pair for pair in self._ties if name in pair]:
+            del self._ties[pair]
+
+    # --- ties and poses ---------------------------------------------------------------------------------------------
+
+    def _tie(self, new: list[str]) -> None:
+        scene = self.scene
+        if scene is None or not new:
+            return
+        pairs = neighbours(scene, self.tuning.neighbours, self.run.settings)
+        missing = [(a, b) for a, b in pairs.tolist() if (scene.names[a], scene.names[b]) not in self._ties]
+        missing = [(a, b) for a, b in missing if scene.names[a] in self._digest and scene.names[b] in self._digest]
+        self._remember(scene, matched(np.reshape(missing, (-1, 2)).astype(int), scene, self.run.folder,
+                                      self.run.settings))  # fmt: skip
+
+    def _remember(self, scene: Scene, ties: PreviewMatches) -> None:
+        for t, (a, b) in enumerate(zip(ties.i.tolist(), ties.j.tolist())):
+            self._ties.setdefault((scene.names[a], scene.names[b]), ties.of(t))
+
+    def ties(self, scene: Scene) -> PreviewMatches:
+        """All ties, of the images of a scene."""
+        index = scene.image_index
+        there = [(index[a], index[b], m) for (a, b), m in self._ties.items() if a in index and b in index]
+        ends = np.array([(min(a, b), max(a, b)) for a, b, _ in there], int).reshape(-1, 2)
+        return PreviewMatches.make(ends[:, 0], ends[:, 1], [m if a < b else m[:, ::-1] for a, b, m in there])
+
+    def _place(self) -> None:
+        """Poses for frames that have none, where ties to images with one have come since it was tried last."""
+        scene = self.scene
+        if scene is None or not self.poses:
+            return
+        ties, known = self.ties(scene), self._known(scene)
+        size_px = self.run.settings.preview.size_px
+        how = partial(resect_previews, size_px=size_px, tuning=self.tuning.frames)
+        for _ in range(2):  # a frame may hang on one that comes after it
+            without = ~known.placed()
+            across = without[ties.i] != without[ties.j]
+            loose = np.where(without[ties.i], ties.i, ties.j)[across]
+            matches = np.bincount(scene.frame[loose], ties.counts()[across], scene.frames).astype(int)
+            weight = matches + np.bincount(scene.frame[without], minlength=scene.frames)
+            frames = np.unique(scene.frame[without])
+            todo = [int(f) for f in frames if weight[f] > self._tried.get(scene.frame_names[f], 0)]
+            if not todo:
+                return
+            self._tried.update({scene.frame_names[f]: int(weight[f]) for f in todo})
+            poses = place_frames(scene, ties, known, todo, how, self.tuning.frames)
+            known = Known(poses, known.cameras, known.keypoints, known.rigs)
+            self.poses.update({n: poses[k] for k, n in enumerate(scene.names) if np.isfinite(poses[k]).all()})
+
+    def _known(self, scene: Scene) -> Known:
+        shape = [len(r.sensors) for r in scene.rigs]
+        rigs = self._rigs if [len(r.sensors) for r in self._rigs] == shape else scene.rigs
+        nowhere = np.full((4, 4), np.nan)
+        poses = np.array([self.poses.get(name, nowhere) for name in scene.names]).reshape(-1, 4, 4)
+        cameras = [rigs[scene.rig[f]].sensors[s].camera for f, s in zip(scene.frame, scene.sensor)]
+        return Known(poses, cameras, lambda k: preview_of(self.run.folder, scene.names[k]).xy, rigs)
+
+    # --- the model --------------------------------------------------------------------------------------------------
+
+    def _model_if_due(self, now: float) -> None:
+        scene, tuning = self.scene, self.tuning.model
+        if (
+            scene is None
+            or self._models.busy
+            or len(scene) < tuning.first
+            or any(n not in self._digest for n in scene.names)
+        ):
+            return
+        new = len(scene) - self._models.images
+        idle = now - self._last > tuning.idle_s
+        if new >= max(1, tuning.more * self._models.images) or (idle and (new or self._models.ties < len(self._ties))):
+            self._models.start(scene, self.ties(scene), tuning)
+            self._models.ties = len(self._ties)
+
+    def _take_model(self, made: Modelled) -> None:
+        scene = self._models.scene
+        self._remember(scene, PreviewMatches.from_npz(made.ties))
+        if made.poses is None:
+            return
+        self.poses = {n: made.poses[k] for k, n in enumerate(scene.names) if np.isfinite(made.poses[k]).all()}
+        self._rigs, self._tried = rigs_of(made), {}
+        self._models.of = frozenset(self.poses)
+        said = f"model of {len(self.poses)} of {len(scene)} images in {self._models.seconds:.0f} s"
+        if made.surface is not None and len(made.surface):
+            said += f"; {made.surface.shares()[VERDICTS[0]]:.0f} % of the surface well covered"
+            said += f", {len(made.places)} weak places"
+        self.run.reporter.say(said)
+        self.run.reporter.event("model", images=len(self.poses), of=len(scene), seconds=round(self._models.seconds, 2))
+
+    # --- what is shown and kept -------------------------------------------------------------------------------------
+
+    def state(self) -> dict[str, Any]:
+        """What the page shows."""
+        self._changed = False
+        scene, trouble, making = self.scene, self.arrivals.trouble or self._trouble, self._models.busy
+        now = f"watching; making a model of {self._models.images} images" if making else "watching"
+        broken = {f: p.reason for f, p in sorted(self._probes.items()) if p.reason}
+        out: dict[str, Any] = {
+            "folder": str(self.run.inputs.images), "trouble": trouble, "now": trouble or now, "notes": [], "untied": [],
+            "latency_s": statistics.median(self.times) if self.times else None, "frames": [], "ties": [],
+            "metric": False, "counts": {"images": 0, "tied": 0, "posed": 0},
+        }  # fmt: skip
+        if scene is None:
+            out["surface"] = shown_surface(self._models, np.eye(4), 1.0)
+        else:
+            least, drawn = self.run.settings.candidates.min_matches, self.tuning.drawn_ties
+            poses = self._known(scene).poses
+            out |= shown_scene(scene, self.ties(scene), poses, self._models, least=least, drawn=drawn)
+            broken = {**{d.name: d.reason for d in scene.dropped}, **broken}
+            out["notes"] = list(scene.notes)
+        out["broken"] = [[name, why] for name, why in sorted(broken.items())]
+        out["counts"] |= {"broken": len(broken), "waiting": self.arrivals.waiting()}
+        return out
+
+    def keep(self) -> None:
+        """Write ties, digests and the page."""
+        pairs = list(self._ties)
+        numbers = {name: k for k, name in enumerate(sorted(self._digest))}
+        there = [(numbers[a], numbers[b], self._ties[a, b]) for a, b in pairs if a in numbers and b in numbers]
+        ends = np.array([t[:2] for t in there], int).reshape(-1, 2)
+        ties = PreviewMatches.make(ends[:, 0], ends[:, 1], [t[2] for t in there])
+        known = json.dumps([[name, self._digest[name]] for name in numbers])
+        save_npz(self.run.path(KEPT), known=np.array(known), **ties.to_npz())
+        write_atomic(self.run.path(PAGE), page(self.state()))
+
+    def _recall(self) -> None:
+        """What an earlier run kept; what cannot be read is made again."""
+        try:
+            data = load_npz(self.run.path(KEPT))
+            known = json.loads(str(data.pop("known")))
+            ties = PreviewMatches.from_npz(data)
+        except (InputError, KeyError, ValueError):
+            return
+        self._digest = dict(known)
+        for t, (a, b) in enumerate(zip(ties.i.tolist(), ties.j.tolist())):
+            self._ties[known[a][0], known[b][0]] = ties.of(t)

@@ -1,0 +1,115 @@
+"""Where new frames are: by points that posed images tied to them see (resection), until the next model says it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pycolmap
+
+from tiegraph.geometry import transforms
+from tiegraph.geometry.rays import normal_matrices
+from tiegraph.scene.matches import PreviewMatches
+from tiegraph.scene.rays import pixel_rays
+from tiegraph.scene.rig import Rig
+from tiegraph.scene.scene import Scene
+from tiegraph.watch.tuning import FramesTuning
+
+Resect = Callable[[Rig, np.ndarray, np.ndarray, np.ndarray], "np.ndarray | None"]
+"""(rig, sensor (K,), xy (K, 2), points (K, 3)) -> rig_from_world (4, 4), or None"""
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of N images: cam_from_world (N, 4, 4), NaN = no pose; a camera each; key points (K, 2) of the
+    preview of an image; the rigs as the model has them."""
+
+    poses: np.ndarray
+    cameras: Sequence[pycolmap.Camera]
+    keypoints: Callable[[int], np.ndarray]
+    rigs: Sequence[Rig]
+
+    def placed(self) -> np.ndarray:
+        """(N,) bool."""
+        return np.isfinite(self.poses).all(axis=(1, 2))
+
+
+def place_frames(
+    scene: Scene, ties: PreviewMatches, known: Known, frames: Sequence[int], resect: Resect, tuning: FramesTuning
+) -> np.ndarray:
+    """The poses (N, 4, 4) with those frames placed that can be, each by those placed before it.
+
+    Images of a frame of which another has a pose already are placed by the rig.
+    """
+    poses = known.poses.copy()
+    now = Known(poses, known.cameras, known.keypoints, known.rigs)
+    for frame in frames:
+        own = np.flatnonzero(scene.frame == frame)
+        rig = known.rigs[scene.rig[frame]]
+        rig_from_world = _by_sibling(own, scene, rig, poses)
+        if rig_from_world is None:
+            rig_from_world = _resected(own, scene, ties, now, resect, tuning)
+        if rig_from_world is None:
+            continue
+        for image in own:
+            pose = rig.sensors[scene.sensor[image]].sensor_from_rig
+            if pose is not None and not np.isfinite(poses[image]).all():
+                poses[image] = pose @ rig_from_world
+    return poses
+
+
+def _by_sibling(own: np.ndarray, scene: Scene, rig: Rig, poses: np.ndarray) -> np.ndarray | None:
+    for image in own:
+        sensor = rig.sensors[scene.sensor[image]].sensor_from_rig
+        if sensor is not None and np.isfinite(poses[image]).all():
+            return np.asarray(transforms.invert(sensor) @ poses[image])
+    return None
+
+
+def _resected(
+    own: np.ndarray, scene: Scene, ties: PreviewMatches, known: Known, resect: Resect, tuning: FramesTuning
+) -> np.ndarray | None:
+    """rig_from_world of a frame's images (K,)."""
+    placed, count = known.placed(), ties.counts()
+    inward = np.isin(ties.i, own) & placed[ties.j]
+    outward = np.isin(ties.j, own) & placed[ties.i]
+    ends = np.concatenate([ties.j[inward], ties.i[outward]])
+    weight = np.bincount(ends, np.concatenate([count[inward], count[outward]]), len(scene))
+    partners = np.argsort(-weight, kind="stable")[: tuning.partners]
+    group = np.concatenate([own, partners[weight[partners] > 0]])
+    inside = ties.where(np.isin(ties.i, group) & np.isin(ties.j, group) & (count > 0))
+    track, image, feature = inside.observations()
+    if not len(track):
+        return None
+    xy = np.zeros((len(track), 2))
+    rays = np.zeros((len(track), 3))
+    for k in np.unique(image):
+        at = image == k
+        xy[at] = known.keypoints(int(k))[feature[at]]
+        rays[at] = pixel_rays(known.cameras[int(k)], xy[at])
+    seen = placed[image] & np.isfinite(rays).all(axis=1)
+    points = _points(rays[seen], known.poses[image[seen]], track[seen], int(track.max()) + 1, tuning)
+    new = np.isin(image, own) & np.isfinite(points[track, 0])
+    if new.sum() < tuning.least_points:
+        return None
+    rig = known.rigs[scene.rig[scene.frame[own[0]]]]
+    return resect(rig, scene.sensor[image[new]].astype(int), xy[new], points[track[new]])
+
+
+def _points(rays: np.ndarray, poses: np.ndarray, track: np.ndarray, tracks: int, tuning: FramesTuning) -> np.ndarray:
+    """(T, 3) points of tracks (K,) by rays (K, 3) of images with poses (K, 4, 4); NaN where rays do not meet well."""
+    way = np.einsum("kji,kj->ki", poses[:, :3, :3], rays)
+    centre = transforms.centre(poses)
+    normal = normal_matrices(way, np.ones(len(way)), track, tracks)
+    # Of two rays the smallest eigenvalue is one less the cosine of their angle.
+    good = np.linalg.eigvalsh(normal)[:, 0] > 1 - np.cos(np.radians(tuning.least_angle_deg))
+    across = centre - way * np.sum(way * centre, axis=1, keepdims=True)
+    right = np.column_stack([np.bincount(track, across[:, a], tracks) for a in range(3)])
+    out = np.full((tracks, 3), np.nan)
+    out[good] = np.linalg.solve(normal[good], right[good][:, :, None])[:, :, 0]
+    to = out[track] - centre
+    with np.errstate(invalid="ignore"):
+        off = np.sum(to * way, axis=1) < np.cos(np.radians(tuning.ray_deg)) * np.linalg.norm(to, axis=1)
+    out[track[off]] = np.nan
+    return out

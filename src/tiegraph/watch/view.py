@@ -1,0 +1,90 @@
+"""What the page draws, seen from above: levelled by the cameras, turned by positions if there are some."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from tiegraph.geometry import transforms
+from tiegraph.geometry.levelled import levelled
+from tiegraph.scene.matches import PreviewMatches
+from tiegraph.scene.scene import Scene
+
+_LEAST_POSITIONS = 3  # a similarity in the plan has four unknowns, and one is to contradict
+
+
+def plan_from_world(cam_from_world: np.ndarray, scene: Scene) -> tuple[np.ndarray, float]:
+    """(4, 4) rotation, scale and shift into the plan (x right, y up the page, z height), and its scale.
+
+    With measured positions of three frames and more, in metres and with north up; else the path lies along x and the
+    unit stays.
+    """
+    plan = levelled(cam_from_world)
+    placed = np.isfinite(cam_from_world).all(axis=(1, 2))
+    frames, centre = scene.frame[placed], transforms.centre(cam_from_world[placed])
+    known = scene.measured_positions()[frames] & scene.metric_positions()
+    return _onto_positions(plan, transforms.apply(plan, centre)[known], scene.world_from_rig[frames[known], :3, 3])
+
+
+def _onto_positions(plan: np.ndarray, here: np.ndarray, there: np.ndarray) -> tuple[np.ndarray, float]:
+    """The plan turned, scaled and shifted so that places (K, 3) come to lie on positions (K, 3) east, north, up."""
+    a, b = here[:, 0] + 1j * here[:, 1], there[:, 0] + 1j * there[:, 1]
+    used = np.ones(len(a), bool)
+    for _ in range(3):  # the half that agrees best decides
+        if used.sum() < _LEAST_POSITIONS or np.ptp(np.abs(a[used] - a[used].mean())) == 0:
+            return plan, 1.0
+        design = np.column_stack([a[used], np.ones(used.sum())])
+        (turn, shift), *_ = np.linalg.lstsq(design, b[used], rcond=None)
+        off = np.abs(turn * a + shift - b)
+        used = off <= max(3 * float(np.median(off)), 1e-9)
+    scale = float(abs(turn))
+    if not scale > 0:
+        return plan, 1.0
+    c, s = turn.real, turn.imag
+    onto = np.array([[c, -s, 0, shift.real], [s, c, 0, shift.imag], [0, 0, scale, 0], [0, 0, 0, 1]])
+    return onto @ plan, scale
+
+
+def path_and_ties(
+    scene: Scene, ties: PreviewMatches, places: np.ndarray, modelled: np.ndarray, least: int, most: int
+) -> dict[str, Any]:
+    """Frames with their places in the plan and ties between frames, for the page; images that are not tied, by name.
+
+    places (N, 3) of the images, NaN = no pose; modelled (N,): by the coarse model and not by resection; ``least``
+    matches of a tie; ``most`` ties drawn, the strongest first.
+    """
+    where = np.full((scene.frames, 2), np.nan)
+    by_model = np.zeros(scene.frames, bool)
+    for image in np.flatnonzero(np.isfinite(places[:, 0]))[::-1]:
+        where[scene.frame[image]] = places[image, :2]
+        by_model[scene.frame[image]] = modelled[image]
+    count = ties.counts()
+    tied = count >= least
+    i, j, count = ties.i[tied], ties.j[tied], count[tied]
+    degree = np.bincount(np.concatenate([i, j]), minlength=len(scene))
+    low, high = np.minimum(scene.frame[i], scene.frame[j]), np.maximum(scene.frame[i], scene.frame[j])
+    between = low != high
+    pair, at = np.unique(low[between].astype(np.int64) * scene.frames + high[between], return_inverse=True)
+    total = np.bincount(at, count[between], len(pair))
+    strongest = np.argsort(-total, kind="stable")[:most]
+    return {
+        "frames": [
+            [*rounded(where[k]), int(by_model[k]), int(scene.sequence[k]), scene.frame_names[k]]
+            for k in np.lexsort((scene.sequence_index, scene.sequence))
+            if np.isfinite(where[k]).all()
+        ],
+        "ties": [
+            [*rounded(where[a]), *rounded(where[b]), int(total[k])]
+            for k, a, b in zip(strongest, pair[strongest] // scene.frames, pair[strongest] % scene.frames)
+            if np.isfinite(where[[a, b]]).all()
+        ],
+        "tied_pairs": int(tied.sum()),
+        "untied": [name for name, number in zip(scene.names, degree) if number == 0],
+    }
+
+
+def rounded(values: Sequence[float] | np.ndarray) -> list[float]:
+    """Numbers of a page: five digits."""
+    return [float(f"{v:.5g}") for v in values]
